@@ -1,5 +1,7 @@
-"""Reading the files in ``configs/`` without Hydra."""
+"""Files in ``configs/``, read without Hydra, and their values in SI units."""
 
+import math
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import yaml
@@ -7,6 +9,13 @@ import yaml
 from common.errors import InputError
 
 CONFIG_DIR = Path(__file__).resolve().parent.parent / "configs"
+_UNITS: dict[str, Callable[[float], float]] = {
+    "_mm": lambda value: 1e-3 * value,
+    "_un": lambda value: 1e-6 * value,
+    "_deg": math.radians,
+    "_percent": lambda value: value / 100,
+    "_n_per_m": float, "_per_m": float, "_px": lambda value: value,
+}
 
 
 def config_text(name: str) -> str:
@@ -26,7 +35,21 @@ def group_options(group: str) -> list[str]:
 
 def read_option(group: str, name: str) -> dict:
     """The content of ``configs/GROUP/NAME.yaml``; InputError when there is no such file."""
-    known = group_options(group)
-    if name not in known:
-        raise InputError(f"unknown {group} {name!r}; known {group}s: {', '.join(known)}")
+    if name not in group_options(group):
+        raise InputError(f"unknown {group} {name!r}; known {group}s: "
+                         f"{', '.join(group_options(group))}")
     return read_config(f"{group}/{name}")
+
+
+def si(settings: Mapping[str, object]) -> dict:
+    """Settings in SI units and radians, without the suffixes of units; lists become tuples.
+
+    ``{"pitch_deg": [0, 180], "seed": 3}`` gives ``{"pitch": (0.0, 3.14...), "seed": 3}``.
+    """
+    converted = {}
+    for key, value in settings.items():
+        unit = next((unit for unit in _UNITS if key.endswith(unit)), "")
+        convert = _UNITS.get(unit, lambda value: value)
+        converted[key.removesuffix(unit)] = (
+            tuple(map(convert, value)) if isinstance(value, list | tuple) else convert(value))
+    return converted

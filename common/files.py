@@ -21,12 +21,9 @@ _unfinished: set[Path] = set()
 def replacing(path: Path) -> Iterator[BinaryIO]:
     """Yield a temporary file beside ``path`` that replaces ``path`` at the end of the block.
 
-    The folder is created if it is missing. If the block fails, ``path`` is unchanged and the
-    temporary file is removed. Temporary names are unique: several processes, on any machines, may
-    write ``path``, and the last one to finish wins; see :func:`remove_partial`.
-
-    Raises:
-        InputError: the system refuses to write.
+    The folder is created if it is missing. If the block fails, ``path`` is unchanged; InputError if
+    the system refuses to write. Several processes, on any machines, may write ``path``, and the
+    last one to finish wins.
     """
     temporary = path.with_name(f"{path.name}.{secrets.token_hex(4)}{PARTIAL_SUFFIX}")
     _unfinished.add(temporary)
@@ -61,32 +58,24 @@ def folder_named(out: str) -> Path:
     return Path(out)
 
 
-def require_folder(out: Path) -> None:
-    """InputError if ``out`` is not a writable folder and cannot be created.
-
-    Called before long computations; does not create the folder.
-    """
-    if reason := reason_not_writable(out):
-        raise InputError(f"cannot write to the folder {out}: {reason}; choose another place")
-
-
-def require_file(path: Path) -> None:
-    """InputError if the file ``path`` cannot be written; like :func:`require_folder`."""
-    if reason := "it is a folder" if os.path.isdir(path) else reason_not_writable(path.parent):
-        raise InputError(f"cannot write {path}: {reason}; choose another place")
-
-
-def reason_not_writable(folder: Path) -> str:
-    """Why ``folder``, existing or not, cannot be written to; empty if it can."""
+def require_folder(folder: Path) -> None:
+    """InputError if a folder is not writable and cannot be created; it is not created."""
     nearest = next(place for place in (folder, *folder.parents) if os.path.lexists(place))
-    if not os.path.isdir(nearest):
-        return "a file is in the way"
+    reason = "" if os.path.isdir(nearest) else "a file is in the way"
     try:
         # Permissions do not suffice: the file system may be read-only, or the user root.
         tempfile.TemporaryFile(dir=nearest).close()
     except OSError as error:
-        return error.strerror or one_line(error)
-    return ""
+        reason = reason or error.strerror or one_line(error)
+    if reason:
+        raise InputError(f"cannot write to the folder {folder}: {reason}; choose another place")
+
+
+def require_file(path: Path) -> None:
+    """InputError if the file ``path`` cannot be written."""
+    if os.path.isdir(path):
+        raise InputError(f"cannot write {path}: it is a folder; choose another place")
+    require_folder(path.parent)
 
 
 def replace_file(path: Path, data: bytes) -> None:
@@ -103,10 +92,7 @@ def replace_file(path: Path, data: bytes) -> None:
 
 
 def replace_json(path: Path, content: object) -> None:
-    """Write ``content`` to ``path`` as JSON in one step, see :func:`replacing`.
-
-    Numbers that are not finite become null, as JSON has no notation for them.
-    """
+    """Write JSON to ``path`` in one step; numbers that are not finite become null."""
     text = json.dumps(_with_finite_numbers(content), indent=2, allow_nan=False)
     replace_file(path, (text + "\n").encode())
 
@@ -120,11 +106,7 @@ def _with_finite_numbers(content: object) -> object:
 
 
 def remove_file(path: Path) -> None:
-    """Remove the file ``path``, if it exists, and temporary files of interrupted writers.
-
-    Raises:
-        InputError: the system refuses.
-    """
+    """Remove the file ``path``, if it exists, and temporary files of interrupted writers."""
     try:
         path.unlink(missing_ok=True)
         remove_partial(path.parent, path.name)

@@ -2,8 +2,8 @@
 
 import functools
 import platform
-import re
 import subprocess
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -16,7 +16,7 @@ _GIT_TIMEOUT = 20  # s; long enough for slow file systems, finite for file syste
 
 def release() -> str:
     """Version of the installed project; "unknown" where it is not installed."""
-    return _version("drapenet") or "unknown"
+    return package_versions("drapenet").get("drapenet", "unknown")
 
 
 def code_state(root: Path = ROOT) -> dict[str, object]:
@@ -25,65 +25,43 @@ def code_state(root: Path = ROOT) -> dict[str, object]:
     ``commit`` is None outside a git checkout. ``dirty`` is whether files differ from the commit
     or are untracked.
     """
-    return {"release": release(), **_commit(root)}
-
-
-def _commit(root: Path) -> dict[str, object]:
-    none = {"commit": None, "dirty": False}
     top = _git(root, "rev-parse", "--show-toplevel", "HEAD")
-    if top is None:
-        return none
-    folder, commit = top.splitlines()
     # The package may be installed inside another project's checkout.
-    if Path(folder).resolve() != root.resolve() or not re.fullmatch(r"[0-9a-f]{40,64}", commit):
-        return none
-    changes = _git(root, "status", "--porcelain")
-    return {"commit": commit, "dirty": changes is None or bool(changes.strip())}
+    if top is None or Path(top.splitlines()[0]).resolve() != root.resolve():
+        return {"release": release(), "commit": None, "dirty": False}
+    return {"release": release(), "commit": top.splitlines()[1],
+            "dirty": _git(root, "status", "--porcelain") != ""}
 
 
 def _git(root: Path, *words: str) -> str | None:
     """Output of git in the checkout ``root``; None if git fails."""
-    try:
-        run = subprocess.run(["git", "-C", str(root), *words], capture_output=True, text=True,
-                             timeout=_GIT_TIMEOUT, check=False)
-    except (OSError, subprocess.TimeoutExpired):
-        return None
-    return run.stdout if run.returncode == 0 else None
+    with suppress(OSError, subprocess.SubprocessError):
+        return subprocess.run(["git", "-C", str(root), *words], capture_output=True, text=True,
+                              timeout=_GIT_TIMEOUT, check=True).stdout
+    return None
 
 
 def package_versions(*names: str) -> dict[str, str]:
     """Versions of those packages ``names`` that are installed."""
-    found = {name: _version(name) for name in names}
-    return {name: text for name, text in found.items() if text is not None}
-
-
-def _version(name: str) -> str | None:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return None
+    versions = {}
+    for name in names:
+        with suppress(PackageNotFoundError):
+            versions[name] = version(name)
+    return versions
 
 
 def processor() -> str:
     """Name of the processor."""
-    try:
-        with open("/proc/cpuinfo", encoding="utf-8") as file:
-            return next(line.split(":")[1].strip() for line in file if "model name" in line)
-    except (OSError, StopIteration):
-        return platform.processor()
+    with suppress(OSError, StopIteration), open("/proc/cpuinfo", encoding="utf-8") as file:
+        return next(line.split(":")[1].strip() for line in file if "model name" in line)
+    return platform.processor()
 
 
 @functools.cache
 def environment() -> dict[str, object]:
-    """Full provenance in JSON types: ``code``, ``python``, ``packages``, ``processor``.
+    """Full provenance in JSON types, at the first call: a checkout may change during a long run.
 
-    The state at the first call, near the time when the code was loaded: a checkout may change
-    during a long run. Equal settings give equal bytes in equal environments; in others, the last
-    digits may differ.
+    Equal settings give equal bytes in equal environments; in others, the last digits may differ.
     """
-    return {
-        "code": code_state(),
-        "python": platform.python_version(),
-        "packages": package_versions(*PACKAGES),
-        "processor": processor(),
-    }
+    return {"code": code_state(), "python": platform.python_version(),
+            "packages": package_versions(*PACKAGES), "processor": processor()}

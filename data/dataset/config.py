@@ -7,10 +7,10 @@ from typing import Annotated
 from pydantic import Field
 
 from common.command import Seed, Workers
+from common.configs import si
 from common.errors import InputError
 from common.provenance import release
 from common.types import Metres
-from common.units import si
 from data.fabrics.nuisances import NuisanceConfig
 from data.fabrics.prior import Prior, load_prior, prior_content
 from data.testers import named_tester

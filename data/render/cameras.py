@@ -15,10 +15,9 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from common.configs import read_config
+from common.configs import read_config, si
 from common.errors import InputError
 from common.types import DepthImage, Metres, Points, Pose, Radians
-from common.units import si
 from sim.rig import DISC_RIG, SQUARE_RIG, Rig
 
 _REACH = {rig.specimen: rig.reach for rig in (SQUARE_RIG, DISC_RIG)}

@@ -13,10 +13,9 @@ import numpy as np
 from pydantic import AfterValidator, Field, field_validator
 from scipy import ndimage
 
-from common.configs import read_option
+from common.configs import read_option, si
 from common.documents import Schema
 from common.types import Faces, Points, Radians, Turns, Views
-from common.units import si
 from data.captures.description import MAX_VIEWS
 from data.render.cameras import Camera, Intrinsics, camera_pose, nominal_camera, size_ratio
 from data.render.sensors import Share, load_sensor

@@ -52,7 +52,7 @@ def test_a_failing_write_is_an_input_error_and_leaves_nothing(tmp_path):
                           (tmp_path / "gone", "in the way"), (Path("/proc/drapes"), "No such")):
         with pytest.raises(InputError, match=f"folder {place}: .*{reason}"):
             require_folder(place)
-        with pytest.raises(InputError, match=f"cannot write {place}/a.json: .*{reason}"):
+        with pytest.raises(InputError, match=f"cannot write .*{reason}"):
             require_file(place / "a.json")
     with pytest.raises(InputError, match="it is a folder"):
         require_file(tmp_path)

@@ -136,7 +136,7 @@ REFUSED = {
     "density in kg": (VIEWS, {"density_g_m2": "0.2"}, 422, "check the unit"),
     "density in words": (VIEWS, {"density_g_m2": "heavy"}, 422, "heavy"),
     "density nan": (VIEWS, {"density_g_m2": "nan"}, 422, "finite"),
-    "turns in words": (VIEWS, {"turns_deg": "a quarter"}, 422, "such as 0, 90, 180"),
+    "turns in words": (VIEWS, {"turns_deg": "a quarter"}, 422, "turns_deg.0='a'"),
     "endless turn": (VIEWS, {"turns_deg": "0, inf"}, 422, "turns_deg"),
     "half a camera": (VIEWS, {"density_g_m2": "90", "fx": "300"}, 422, "fy is missing"),
     "no tester": (VIEWS, CAMERA, 422, "tester is missing; give tester: square300_cylinder100, "),
