@@ -89,7 +89,7 @@ def run_cases(
 
 
 def load_arrays(folder: Path, name: str) -> dict[str, np.ndarray]:
-    """Arrays by name of a finished case."""
+    """Arrays, of any shape, by name of a finished case."""
     with np.load(folder / f"{name}.npz", allow_pickle=False) as file:
         return dict(file)
 
