@@ -49,8 +49,8 @@ def keep_freed_memory() -> None:
 
 
 def open_output() -> None:
-    """Make standard output and error usable: replace closed streams, and escape characters that
-    they cannot encode, such as undecodable file names or non-ASCII text on ASCII terminals.
+    """Replace closed standard streams, and escape characters that they cannot encode, such as
+    undecodable file names or non-ASCII text on ASCII terminals.
     """
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:

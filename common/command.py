@@ -187,16 +187,19 @@ def help_text(name: str, usage: str) -> str:
             groups |= default
         elif default.strip("/") not in ("_self_", "command"):
             files.append(f"{Path(name).parent / default.partition('@')[0]}")
-    parts = [usage.rstrip()]
-    for file in files:
-        keys = re.sub(r"^(defaults|hydra):.*\n(?: .*\n|\n)*", "", config_text(file), flags=re.M)
-        parts.append(f"\nKeys (configs/{file}.yaml):\n\n{keys.strip()}")
+    parts = [usage.rstrip(), *(f"\nKeys (configs/{file}.yaml):\n\n{_keys(file)}" for file in files)]
     for group, default in groups.items():
         for option in group_options(group):
             mark = ", the default" if option == default else ""
-            text = textwrap.indent(config_text(f"{group}/{option}"), "    ").rstrip()
+            text = textwrap.indent(_keys(f"{group}/{option}"), "    ")
             parts.append(f"\n{group}={option}{mark}\n{text}")
     return "\n".join([*parts, _HYDRA])
+
+
+def _keys(file: str) -> str:
+    """A file's keys and comments, without what is addressed to Hydra."""
+    return re.sub(r"^(?:# @package.*\n|(?:defaults|hydra):.*\n(?: .*\n|\n)*)", "",
+                  config_text(file), flags=re.M).strip()
 
 
 _HYDRA = """
