@@ -62,22 +62,29 @@ class _Context(type(_SPAWN)):
     Process = _Worker
 
 
+_idle: dict[tuple[int, int], ProcessPoolExecutor] = {}
+"""The pool that was used last, by process id of its owner and size."""
+
+
 @contextmanager
 def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     """A pool of ``workers`` processes; they are killed if the block fails.
 
-    As usual for processes that are spawned, a script calls this below ``if __name__ ==
+    Processes take a second to start, as long as a drape, so they are kept for the next call of the
+    same size. As usual for processes that are spawned, a script calls this below ``if __name__ ==
     "__main__":``.
 
     Raises:
         InputError: a worker was killed from outside.
     """
-    if multiprocessing.get_start_method() not in multiprocessing.get_all_start_methods():
-        multiprocessing.set_start_method("spawn", force=True)  # this is a job of joblib's launcher
-    pool = ProcessPoolExecutor(workers, mp_context=_Context(), initializer=end_with_parent)
+    key = os.getpid(), workers  # a forked process cannot use its parent's pool
+    pool = _idle.pop(key, None)
+    if pool is None or not _answers(pool):
+        pool = _started(workers)
     try:
         yield pool
     except BaseException as error:
+        _idle.clear()
         for process in multiprocessing.active_children():
             if isinstance(process, _Worker):
                 process.kill()
@@ -86,7 +93,23 @@ def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
             raise InputError("a worker process was killed, perhaps because memory ran out; run "
                              "the same command again with a smaller workers=") from None
         raise
-    pool.shutdown()
+    for other in [other for other in _idle if other[0] == os.getpid()]:
+        _idle.pop(other).shutdown(wait=False)
+    _idle[key] = pool
+
+
+def _started(workers: int) -> ProcessPoolExecutor:
+    if multiprocessing.get_start_method() not in multiprocessing.get_all_start_methods():
+        multiprocessing.set_start_method("spawn", force=True)  # this is a job of joblib's launcher
+    return ProcessPoolExecutor(workers, mp_context=_Context(), initializer=end_with_parent)
+
+
+def _answers(pool: ProcessPoolExecutor) -> bool:
+    """Whether no worker was killed while the pool was idle."""
+    try:
+        return pool.submit(os.getpid).result() > 0
+    except BrokenProcessPool:
+        return False
 
 
 def end_with_parent() -> None:
