@@ -108,7 +108,7 @@ FAULTS = {
                           "it is a folder"),
     "no capture": (word("capture="), "capture=DIR"),
     "two sources": (word("scan=a.ply"), "not both"),
-    "no value": (word("drapes"), "key=value"), "unknown key": (word("colour=red"), "colour"),
+    "no value": (word("drapes"), "drapes"), "unknown key": (word("colour=red"), "colour"),
     "many drapes": (word("drapes=9"), "drapes=9"),
     "negative drapes": (word("drapes=-1"), "drapes=-1"),
     "no workers": (word("workers=0"), "workers=0"),
@@ -318,11 +318,8 @@ def test_the_published_format_runs_as_it_is(
 # --- Report and refinement --------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["$a$ and $$", os.fsdecode(b"caf\xe9 \n")])
-def test_report_shows_a_drape_of_the_estimate(
-    capture: Path, checkpoint: Path, out: Path, name: str
-) -> None:
-    capture = capture.rename(capture.with_name(name))
+def test_report_shows_a_drape_of_the_estimate(capture: Path, checkpoint: Path, out: Path) -> None:
+    capture = capture.rename(capture.with_name(os.fsdecode(b"$a$ and $$ caf\xe9 \n")))
     infer.main(words(capture, checkpoint, "drapes=1", "edge_mm=16"))
     content = content_of(out)
     assert content["capture"]["source"] == str(capture)

@@ -47,16 +47,9 @@ class FabricEstimate:
     scatter: np.ndarray
 
     @property
-    def doubted(self) -> int:
-        """Number of captures with warnings."""
-        return sum(bool(document.warnings) for _, document in self.captures)
-
-    @property
     def warnings(self) -> int:
-        """Number of warnings of all captures and of the joint estimate."""
-        apart = sum(len(document.warnings) for _, document in self.captures)
-        together = len(self.document.warnings) - self.doubted if len(self.captures) > 1 else 0
-        return apart + together
+        """Number of warnings; one for each capture that has some by itself."""
+        return len(self.document.warnings)
 
     @property
     def coefficient(self) -> str:
@@ -163,7 +156,8 @@ def _fabric_row(fabric: FabricEstimate) -> dict[str, object]:
     return {
         "fabric": fabric.name,
         "samples": len({entry.sample for entry, _ in fabric.captures}),
-        "captures": len(fabric.captures), "captures_with_warnings": fabric.doubted,
+        "captures": len(fabric.captures),
+        "captures_with_warnings": sum(bool(capture.warnings) for _, capture in fabric.captures),
         "rig": document.capture.rig, "directions": document.convention, **document.row(),
         "drape_coefficient_percent": fabric.coefficient,
         **{f"alpha_{role}_scatter_factor": csv_number(factor) if len(fabric.captures) > 1 else ""

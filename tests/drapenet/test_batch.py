@@ -42,7 +42,7 @@ def words(tmp_path_factory: pytest.TempPathFactory, untrained_checkpoint: Path) 
         write_capture(root / str(k), views=views, intrinsics=intrinsics, density=0.15,
                       rig=SQUARE_RIG)
     (root / "list.csv").write_text(LIST, "utf-8")
-    return [f"captures={root / 'list.csv'}", f"out={root / 'out'}", "workers=2",
+    return [f"captures={root / 'list.csv'}", f"out={root / 'out'}", "workers=1",
             f"checkpoint={untrained_checkpoint}"]
 
 
