@@ -38,7 +38,7 @@ from drapenet.views.radial_map import RadialMap, drape_coefficient, radial_map
 from sim.material import REFERENCE_DENSITY
 
 if TYPE_CHECKING:
-    from drapenet.refine.search import CapturedScan
+    from drapenet.refine.surface import CapturedShape
     from drapenet.report.drape import Resimulation
 
 Progress = Callable[[int, int, float], None]
@@ -95,7 +95,7 @@ class CaptureEstimate:
 
 def estimate_capture(
     capture: Capture, header: Header, options: EstimateOptions, *, out: Path | None = None,
-    scan: "CapturedScan | None" = None, progress: Progress | None = None,
+    scan: "CapturedShape | None" = None, progress: Progress | None = None,
     entered: Callable[[str, CaptureEstimate], None] = lambda name, result: None,
 ) -> CaptureEstimate:
     """Estimate a capture, refine the estimate and report it as the ``options`` say.
@@ -173,15 +173,15 @@ def check(result: CaptureEstimate, *, strict: bool = False) -> None:
 
 
 def refine(
-    result: CaptureEstimate, settings: Mapping[str, Any], *, scan: "CapturedScan | None" = None,
+    result: CaptureEstimate, settings: Mapping[str, Any], *, scan: "CapturedShape | None" = None,
     progress: Progress | None = None,
 ) -> None:
     """Refine the estimate by simulation, ``settings`` as in ``configs/refine``; the network's
     estimate is kept where that gives no improvement.
     """
-    from drapenet.refine.refine import refined_capture
+    from drapenet.refine.refine import refine_capture
 
-    outcome = refined_capture(result.estimate, result.capture, result.located, seen=scan,
+    outcome = refine_capture(result.estimate, result.capture, result.located, scan=scan,
                               known=result.known, settings=settings, progress=progress)
     if outcome is None:
         result.warnings.append("no drape of the estimate converged; it is not refined")

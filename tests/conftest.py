@@ -14,8 +14,8 @@ signal.signal(signal.SIGINT, signal.default_int_handler)  # pytest's
 
 @pytest.fixture(scope="session")
 def cloth_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of a dataset of 40 pieces of cloth."""
-    return cloths.write_dataset(tmp_path_factory.mktemp("cloths") / "dataset", drapes=40, seed=8)
+    """Folder of a dataset of 24 pieces of cloth."""
+    return cloths.write_dataset(tmp_path_factory.mktemp("cloths") / "dataset", drapes=24, seed=8)
 
 
 @pytest.fixture(scope="module")

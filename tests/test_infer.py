@@ -371,7 +371,7 @@ def test_a_rejected_refinement_is_not_shown_as_the_estimate(
         "failed_simulations": 0, "status": "interrupted", "message": "", "specimen": {}},
         warnings=("the network's estimate stands",),
         resimulation=SimpleNamespace(as_dict=dict, warnings=["another drape"]))
-    monkeypatch.setattr("drapenet.refine.refine.refined_capture", lambda *_, **__: rejected)
+    monkeypatch.setattr("drapenet.refine.refine.refine_capture", lambda *_, **__: rejected)
     infer.main(words(capture, checkpoint, "drapes=0", "refine=depth"))
     content = content_of(out)
     assert "resimulation" not in content and "another drape" not in content["warnings"]

@@ -4,11 +4,15 @@
     maps_NNNNN.npz
 
 Files depend on the dataset, the set-ups and the seed only, so an interrupted run can be resumed.
+
+For small changes of its moduli and its membrane stiffness, a stored drape moves linearly. A capture
+of the moved drape shows a neighbouring fabric with the same folds, so that one simulation yields
+training captures of several fabrics, each at a fifth of its cost.
 """
 
 import io
 from concurrent.futures import as_completed
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,19 +20,31 @@ import numpy as np
 from tqdm import tqdm
 
 from common.files import remove_partial, replace_file
-from common.types import Theta
+from common.types import Points, Theta
 from common.workers import worker_pool
 from data.dataset.folder import json_digest, only_tester
 from data.dataset.shards import Shard
-from data.fabrics.nuisances import NAMES
+from data.fabrics.fabrics import fabric_from_theta
+from data.fabrics.nuisances import NAMES, Nuisances
 from data.render.setups import Setups
-from drapenet.network.extrapolated import PARAMETERS, change, moves
 from drapenet.network.model import compressed
 from drapenet.views.located import LocatedViews
 from drapenet.views.radial_map import radial_map
+from sim.drape import FINE_OPTIONS, scene_on
+from sim.equilibrium import find_equilibrium
+from sim.material import REFERENCE_DENSITY
+from sim.mesh.specimen import TOPOLOGIES, make_specimen
 from sim.rig import Rig
+from sim.sensitivity import Tangent
+from sim.sensitivity.forward import tangent_sensitivities
 
 _COLUMNS = ("index", "fabric", "theta", "nuisances", "edge", "seed", "offset", "status")
+NEIGHBOUR_CORRELATION = 0.97
+"""Correlation of a neighbour's parameters with the fabric's: a distance of about a quarter of a
+standard deviation, which moves a drape by 1 mm; the linear prediction has an error of a quarter."""
+_PARAMETERS = 7  # theta and the logarithm of the membrane stiffness
+_MEMBRANE = np.log(10.0) / (2 * 1.96)  # standard deviation of the logarithm, as configs/nuisances
+_EQUILIBRIUM_TOLERANCE = 5e-4  # m, maximum move of a stored drape to its equilibrium
 
 
 @dataclass(frozen=True)
@@ -41,7 +57,7 @@ class Maps:
         nuisances: (N, 8) of :data:`data.fabrics.nuisances.NAMES`.
         views: (N,) number of views.
         fabric, index: (N,) of the drape in the dataset.
-        moved: (N,) whether it shows a neighbour of the fabric (:mod:`.extrapolated`).
+        moved: (N,) whether it shows a neighbour of the fabric (:func:`neighbour`).
     """
 
     distance: np.ndarray
@@ -126,12 +142,13 @@ def maps_of_shard(
     for row in converged:
         drape = {name: column[row] for name, column in table.items()}
         positions, _, faces = drapes.mesh(row)
-        derivatives = moves(drape, positions, drapes.origin(row), rig) if neighbours else None
+        derivatives = (drape_derivatives(drape, positions, drapes.origin(row), rig)
+                       if neighbours else None)
         for number in range(captures):
             rng = np.random.default_rng([seed, int(drape["index"]), number])
-            step, moved = np.zeros(PARAMETERS), positions
+            step, moved = np.zeros(_PARAMETERS), positions
             if derivatives is not None and number:
-                step = change(drape["theta"], table["theta"][converged], rng)
+                step = neighbour(drape["theta"], table["theta"][converged], rng)
                 moved = positions + np.tensordot(step, derivatives, 1)
             capture = setups.capture(moved, faces, rng, rig=rig)
             maps.append(radial_map(
@@ -145,3 +162,42 @@ def maps_of_shard(
     many = np.repeat(converged, captures)
     return Maps(*compressed(maps), **{name: np.array(values) for name, values in rows.items()},
                 **{name: table[name][many] for name in ("fabric", "index")})
+
+
+def drape_derivatives(
+    row: dict[str, np.ndarray], positions: Points, origin: np.ndarray, rig: Rig
+) -> np.ndarray | None:
+    """(7, V, 3) derivatives of a stored drape's positions by theta and the logarithm of the
+    membrane stiffness; None if they do not exist.
+
+    ``row``: of the drape in its shard; ``origin``: (F, 3) 1/m, curvatures without friction.
+    """
+    nuisances = Nuisances(*row["nuisances"])
+    rig, fabric = nuisances.rig(rig), fabric_from_theta(row["theta"])
+    specimen = make_specimen(rig, edge=float(row["edge"]), topology=int(row["seed"]) % TOPOLOGIES,
+                             offset=tuple(row["offset"]))
+    positions = positions.copy()
+    positions[specimen.held] = rig.place(specimen.mesh.rest[specimen.held])
+    scene = scene_on(specimen, rig)
+    laws = nuisances.laws
+    if nuisances.hysteresis:
+        laws = replace(laws, bending=replace(laws.bending, origin=origin[scene.active]))
+    equilibrium = find_equilibrium(
+        scene, fabric.at_density(REFERENCE_DENSITY), scene.state(positions), laws=laws,
+        options=FINE_OPTIONS, self_contact=True)
+    if np.abs(equilibrium.state.positions - positions).max() > _EQUILIBRIUM_TOLERANCE:
+        return None
+    derivatives = tangent_sensitivities(Tangent(equilibrium), fabric,
+                                        ("log_alpha", "ratio", "membrane"))
+    return derivatives.positions if derivatives.ok else None
+
+
+def neighbour(theta: Theta, fabrics: Theta, rng: np.random.Generator) -> np.ndarray:
+    """(7,) random change of theta and of the logarithm of the membrane stiffness, such that the
+    changed fabrics have the mean and the covariance of ``fabrics``.
+    """
+    far = np.sqrt(1 - NEIGHBOUR_CORRELATION**2)
+    middle = fabrics.mean(axis=0)
+    other = fabrics[rng.integers(len(fabrics))]
+    return np.append((NEIGHBOUR_CORRELATION - 1) * (theta - middle) + far * (other - middle),
+                     far * _MEMBRANE * rng.standard_normal())

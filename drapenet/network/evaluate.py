@@ -16,7 +16,7 @@ import common.interrupt  # noqa: F401
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
@@ -31,11 +31,13 @@ from data.fabrics.nuisances import NuisanceConfig
 from data.fabrics.prior import TablePrior, is_soft
 from drapenet.config import EvaluateConfig
 from drapenet.network.checkpoint import Header, bundled, load_model, read_header
+from drapenet.network.dataset import Maps, make_maps
+from drapenet.network.model import MapNet
+from drapenet.network.posterior import covered, inside, ranks
+from drapenet.network.predict import sample_targets
+from drapenet.network.targets import MODULI
+from drapenet.network.training import CaptureSet
 from sim.rig import Rig
-
-if TYPE_CHECKING:
-    from drapenet.network.dataset import Maps
-    from drapenet.network.model import MapNet
 
 REDUCTION = 5  # divides the number of drapes for all conditions but "as trained"
 _BATCH_SIZE = 64  # captures
@@ -43,7 +45,7 @@ _RESAMPLES = 400  # of the bootstrap
 _FINE_EDGE = 1.75e-3  # m, of the mesh's edges at the plate's rim
 _HIGH_HYSTERESIS = 0.25  # share of the loading torque
 
-Rows = Callable[["Maps"], np.ndarray]
+Rows = Callable[[Maps], np.ndarray]
 """(N,) bool: the captures that a cell uses."""
 
 
@@ -108,17 +110,11 @@ def datasets(base: DatasetConfig) -> dict[str, DatasetConfig]:
     }
 
 
-def judge(network: "MapNet", header: Header, maps: "Maps", *, known: bool) -> dict[str, Any]:
+def judge(network: MapNet, header: Header, maps: Maps, *, known: bool) -> dict[str, Any]:
     """Errors and coverage on captures of unseen fabrics.
 
     ``network``: of ``header``; ``known``: whether it is given the membrane.
     """
-    # Importing torch takes seconds; input errors come first.
-    from drapenet.network.posterior import covered, inside, ranks
-    from drapenet.network.predict import sample_targets
-    from drapenet.network.targets import MODULI
-    from drapenet.network.training import CaptureSet
-
     disc = header.rig.specimen == "disc"
     captures = CaptureSet(maps, disc=disc, scale=header.scale)
     truth, means, places = captures.truth, [], []
@@ -166,8 +162,6 @@ def require_unseen(header: Header, generation: dict) -> None:
 @command("evaluate", EvaluateConfig)
 def main(config: EvaluateConfig) -> None:
     """Evaluate all cells, print their results and write ``evaluation.json``."""
-    from drapenet.network.dataset import make_maps
-
     header = read_header(config.checkpoint or bundled(Rig.from_name(config.rig)))
     out = folder_named(config.out) / header.rig.name
     require_folder(out)
@@ -187,8 +181,8 @@ def main(config: EvaluateConfig) -> None:
         manifest = generate_dataset(datasets(base)[cell.drapes], folder, workers=config.workers)
         maps = make_maps(folder, manifest, folder,
                          setups=replace(header.setups, **cell.setups),
-                         captures=config.captures, seed=config.seed,
-                         workers=config.workers, shards=few if cell.setups else None)
+                         captures=config.captures, seed=config.seed, workers=config.workers,
+                         shards=few if cell.setups else None)
         if cell.rows is not None:
             maps = maps.chosen(cell.rows(maps))
         if not len(maps):

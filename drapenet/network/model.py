@@ -28,7 +28,8 @@ MapTensor = Annotated[torch.Tensor, "(N, AZIMUTHS, ELEVATIONS) float32"]
 
 
 def compressed(maps: list[RadialMap]) -> tuple[np.ndarray, np.ndarray]:
-    """Distances, m, float16, and logarithms of 1 + weight in :data:`WEIGHT_UNIT`, uint8, of maps.
+    """Distances, m, float16, and logarithms of 1 + weight in :data:`WEIGHT_UNIT`, uint8, of maps:
+    (N, AZIMUTHS, ELEVATIONS) each.
     """
     shape = (len(maps), AZIMUTHS, ELEVATIONS)
     distance = np.array([part.distance for part in maps], np.float16).reshape(shape)

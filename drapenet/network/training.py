@@ -219,13 +219,12 @@ def log_metrics(
     rate: float,
 ) -> None:
     """Write an epoch's metrics to TensorBoard and to the progress bar."""
-    board.add_scalar("loss/train", train_loss, epoch)
-    board.add_scalar("loss/validation", metrics["loss"], epoch)
-    board.add_scalar("learning_rate", rate, epoch)
-    for name in ("rmse_log_alpha", "rmse_beta_over_alpha"):
-        board.add_scalar(f"validation/{name}", metrics[name], epoch)
-    for level, share in metrics["inside"].items():
-        board.add_scalar(f"validation_inside/{level}", share, epoch)
+    scalars = {"loss/train": train_loss, "loss/validation": metrics["loss"], "learning_rate": rate}
+    scalars |= {f"validation/{name}": metrics[name]
+                for name in ("rmse_log_alpha", "rmse_beta_over_alpha")}
+    scalars |= {f"validation_inside/{level}": share for level, share in metrics["inside"].items()}
+    for name, value in scalars.items():
+        board.add_scalar(name, value, epoch)
     bar.set_postfix_str(f"epoch {epoch + 1}, loss {train_loss:.2f}, "
                         f"validation {metrics['loss']:.2f}, "
                         f"log alpha {metrics['rmse_log_alpha']:.3f}, "

@@ -1,5 +1,1 @@
-"""Refinement of an estimate by simulation.
-
-``refined`` starts from an estimate; ``search`` solves :mod:`.problem` on a sequence of meshes and
-springs.
-"""
+"""Refinement of an estimate by simulation."""

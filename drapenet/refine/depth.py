@@ -12,7 +12,6 @@ Both kinds are normalised to a fixed number of independent measurements, so that
 decrease with the visible area, and is a negative log likelihood.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,10 +24,10 @@ from scipy.ndimage import (
     minimum_filter,
 )
 
-from common.types import Faces, Radians
+from common.types import DepthImage, Faces, Mask, Metres, Points, Radians, Views
 from data.render.cameras import Camera
 from data.render.rays import RayScene
-from drapenet.refine.objective import Linearised, huber
+from drapenet.refine.objective import Linearised, Moves, Nuisance, Residuals, huber
 from drapenet.views.located import LocatedViews
 
 POSE = ("turn", "tilt_x", "tilt_y", "shift_x", "shift_y", "shift_z")
@@ -40,6 +39,7 @@ _SCALES = dict(zip((*POSE, FOCAL, BORDER), (0.05, 0.01, 0.01, 3e-3, 3e-3, 3e-3, 
 TABLE_SCALE = 0.03  # rad
 TABLE_DEVIATION = np.radians(2.5)  # standard deviations as in configs/setup/real.yaml
 FOCAL_DEVIATION, BORDER_DEVIATION = 0.01, 1.0
+_DEVIATIONS = dict.fromkeys(POSE, np.inf) | {FOCAL: FOCAL_DEVIATION, BORDER: BORDER_DEVIATION}
 EDGE = 1.75e-3
 """m, at the plate's rim of the mesh for which :class:`DepthWeights` is stated."""
 
@@ -67,8 +67,8 @@ class DepthWeights:
     jump: float = 12e-3
     patch: float = 18.0
 
-    def on_mesh(self, edge: float) -> "DepthWeights":
-        """The weights for cloth on a mesh with edges of ``edge``, m, at the rim.
+    def on_mesh(self, edge: Metres) -> "DepthWeights":
+        """The weights for cloth on a mesh with edges of ``edge`` at the rim.
 
         The number of independent pixels is proportional to that of the mesh's triangles.
         """
@@ -77,9 +77,9 @@ class DepthWeights:
 
 @dataclass(frozen=True)
 class _View:
-    """One captured view: compared pixels, and the distance map of the silhouette."""
+    """One captured view: N compared pixels, and the distance map of the silhouette."""
 
-    columns: np.ndarray  # (N,) of compared pixels
+    columns: np.ndarray
     rows: np.ndarray
     depth: np.ndarray  # (N,) m
     normal: np.ndarray  # (N, 3) of the surface, camera axes
@@ -88,38 +88,53 @@ class _View:
 
 
 @dataclass(frozen=True)
-class _Hits:
-    """Intersections of rays with the cloth, in the specimen's axes.
+class _Pose:
+    """Specimen to camera: rotation (3, 3), shift (3,), and their derivatives by each nuisance."""
 
-    ``face`` (N,), ``weights`` (N, 3) of its corners, ``point`` (N, 3), ``normal`` (N, 3) divided
-    by its product with the ray, so that a move v changes the depth by normal·v, ``depth`` (N,).
+    rotation: np.ndarray
+    shift: np.ndarray
+    changes: list[tuple[np.ndarray, np.ndarray]]
+
+    @property
+    def origin(self) -> np.ndarray:
+        """(3,) m, the camera in the specimen's axes."""
+        return -self.rotation.T @ self.shift
+
+
+@dataclass(frozen=True)
+class _Hits:
+    """Intersections of N rays with the cloth, in the specimen's axes.
+
+    ``normal`` is divided by its product with the ray: a move v changes the depth by normal·v.
     """
 
-    face: np.ndarray
-    weights: np.ndarray
-    point: np.ndarray
-    normal: np.ndarray
-    depth: np.ndarray
+    corners: np.ndarray  # (N, 3) vertices of the triangle
+    weights: np.ndarray  # (N, 3) of the corners
+    point: Points
+    normal: np.ndarray  # (N, 3)
+    depth: np.ndarray  # (N,) m
 
 
 @dataclass(frozen=True)
 class _Part:
-    """Residuals of one kind in one view.
-
-    ``residual`` (N,), its derivatives ``slope`` (N, 3) by a move, m, of the cloth that is hit, in
-    the specimen's axes, and ``by_border`` (N,) by the nuisance :data:`BORDER`; ``hits``; of the
-    view's pose ``rotation`` (3, 3) and ``changes``, the derivatives by all nuisances.
+    """N residuals of one kind in one view, their derivatives ``slope`` (N, 3) by a move, m, of the
+    cloth that is hit, in the specimen's axes, and ``by_border`` (N,) by :data:`BORDER`.
     """
 
-    residual: np.ndarray
+    residual: Residuals
     slope: np.ndarray
     by_border: np.ndarray
     hits: _Hits
-    rotation: np.ndarray
-    changes: list[tuple[np.ndarray, np.ndarray]]
+    pose: _Pose
+
+    def by_pose(self) -> np.ndarray:
+        """(N, K) derivatives by the nuisances through the pose."""
+        slope = self.slope @ self.pose.rotation.T
+        return np.stack([((self.hits.point @ turn.T + shift) * slope).sum(1)
+                         for turn, shift in self.pose.changes], axis=1)
 
 
-def _normalised(parts: Sequence[_Part], measurements: float) -> list[_Part]:
+def _normalised(parts: list[_Part], measurements: float) -> list[_Part]:
     """The parts with the weight of a number of independent measurements."""
     count = sum(len(part.residual) for part in parts)
     factor = np.sqrt(measurements / max(count, 1))
@@ -142,182 +157,148 @@ class DepthViews:
     Args:
         faces: of the mesh.
         turn: initial guess of the nuisance.
-        weights: noise model and sampling of the pixels.
     """
 
     def __init__(
-        self,
-        located: LocatedViews,
-        faces: Faces,
-        *,
-        turn: Radians = 0.0,
+        self, located: LocatedViews, faces: Faces, *, turn: Radians = 0.0,
         weights: DepthWeights | None = None,
     ) -> None:
-        views, camera = located.views, located.camera
-        self.camera, self.weights = camera, weights or DepthWeights()
-        self._turns = located.turns
-        self.nuisances = (*POSE, *table_names(len(views)), FOCAL, BORDER)
+        self.camera, self.weights = located.camera, weights or DepthWeights()
+        self._turns, self._faces = located.turns, faces
+        self.nuisances = (*POSE, *table_names(len(located.views)), FOCAL, BORDER)
         self.start = np.array([turn, *[0.0] * (len(self.nuisances) - 1)])
         self.scale = np.array([_SCALES.get(name, TABLE_SCALE) for name in self.nuisances])
-        known = dict.fromkeys(POSE, np.inf) | {FOCAL: FOCAL_DEVIATION, BORDER: BORDER_DEVIATION}
-        self.deviation = np.array([known.get(name, TABLE_DEVIATION) for name in self.nuisances])
-        self._faces = faces
-        self._nominal_rays = camera.directions()
-        self._views = [_prepare(view, camera, self.weights) for view in views]
+        self.deviation = np.array([_DEVIATIONS.get(name, TABLE_DEVIATION)
+                                   for name in self.nuisances])
+        self._nominal_rays = self.camera.directions()
+        self._views = [_prepare(view, self.camera, self.weights) for view in located.views]
         pixels = sum(len(view.depth) for view in self._views)
         border = sum(int(_border(view.distance <= 0).sum()) for view in self._views)
         self._measurements = (pixels * self.weights.stride**2 / self.weights.patch**2,
                               border / self.weights.patch)
 
-    def residuals(self, positions: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
-        """Residuals (N,): depths, then borders."""
-        return self._evaluate(positions, nuisance, derivatives=False).residuals
+    def residuals(self, positions: Points, nuisance: Nuisance) -> Residuals:
+        """Residuals of depths, then of borders."""
+        return np.concatenate([part.residual for part in self._parts(positions, nuisance)])
 
-    def linearised(self, positions: np.ndarray, nuisance: np.ndarray) -> Linearised:
+    def linearised(self, positions: Points, nuisance: Nuisance) -> Linearised:
         """Residuals and derivatives, with constant visibility."""
-        return self._evaluate(positions, nuisance, derivatives=True)
-
-    def render(self, positions: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
-        """Views (K, H, W) z-depth, m, of the drape at ``positions`` (V, 3), m."""
-        scene = RayScene((positions, self._faces))
-        views = []
-        for k in range(len(self._views)):
-            rotation, shift, _ = self._pose(k, nuisance)
-            directions = self._directions(nuisance)
-            face = scene.cast(-rotation.T @ shift, directions @ rotation).face
-            seen = np.nonzero(face >= 0)
-            view = np.zeros(face.shape)
-            view[seen] = self._hits(positions, face[seen], directions[seen], rotation, shift).depth
-            views.append(view)
-        return np.stack(views)
-
-    def points(self, nuisance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The captured surface: points (N, 3), m, in the specimen's axes, and its normals (N, 3).
-
-        Of the compared pixels; normals towards the camera, of slightly smoothed depth.
-        """
-        points, normals = [], []
-        for k, view in enumerate(self._views):
-            rotation, shift, _ = self._pose(k, nuisance)
-            rays = self._directions(nuisance)[view.rows, view.columns]
-            points.append((rays * view.depth[:, None] - shift) @ rotation)
-            normals.append(view.normal @ rotation)
-        return np.concatenate(points), np.concatenate(normals)
-
-    def _evaluate(
-        self, positions: np.ndarray, nuisance: np.ndarray, *, derivatives: bool
-    ) -> Linearised:
-        scene, directions = RayScene((positions, self._faces)), self._directions(nuisance)
-        depths, borders = [], []
-        for k, view in enumerate(self._views):
-            rotation, shift, changes = self._pose(k, nuisance)
-            rays = scene.cast(-rotation.T @ shift, directions @ rotation)
-            face, depth = rays.face, np.where(rays.face >= 0, rays.distance, 0.0)
-            both = _smooth(depth, self.weights.jump)[view.rows, view.columns]
-            pixels = view.rows[both], view.columns[both]
-            hits = self._hits(positions, face[pixels], directions[pixels], rotation, shift)
-            depths.append(_Part(*self._depths(view.depth[both], hits), hits, rotation, changes))
-            pixels = np.nonzero(_border(face >= 0))
-            hits = self._hits(positions, face[pixels], directions[pixels], rotation, shift)
-            residual, slope, by_border = self._borders(view, pixels, directions[pixels], hits,
-                                                       nuisance)
-            borders.append(_Part(residual, slope @ rotation, by_border, hits, rotation, changes))
-        parts = [*_normalised(depths, self._measurements[0]),
-                 *_normalised(borders, self._measurements[1])]
-        residuals = np.concatenate([part.residual for part in parts])
-        if not derivatives:
-            return Linearised(residuals, None, None, sum(self._measurements))
-        corners = np.concatenate([self._faces[part.hits.face] for part in parts])
+        parts = self._parts(positions, nuisance)
+        corners = np.concatenate([part.hits.corners for part in parts])
         weights = np.concatenate([part.hits.weights for part in parts])
         slopes = np.concatenate([part.slope for part in parts])
 
-        def along(moves: np.ndarray) -> np.ndarray:
+        def along(moves: Moves) -> np.ndarray:
             return np.stack([
                 sum(weights[:, i] * (slopes * move[corners[:, i]]).sum(1) for i in range(3))
                 for move in moves], axis=1)
 
-        by_nuisance = np.concatenate([
-            np.stack([((part.hits.point @ turn.T + shift) * (part.slope @ part.rotation.T)).sum(1)
-                      for turn, shift in part.changes], axis=1)
-            for part in parts])
+        by_nuisance = np.concatenate([part.by_pose() for part in parts])
         by_nuisance[:, self.nuisances.index(BORDER)] = np.concatenate(
             [part.by_border for part in parts])
-        return Linearised(residuals, along, by_nuisance, sum(self._measurements))
+        return Linearised(np.concatenate([part.residual for part in parts]), along, by_nuisance,
+                          sum(self._measurements))
 
-    def _depths(
-        self, captured: np.ndarray, hits: _Hits
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Residuals (N,) of captured depths (N,), m, and derivatives as in :class:`_Part`."""
-        own = self.weights
-        residual, slope = huber((hits.depth - captured) / own.sigma, own.limit / own.sigma)
-        return residual, slope[:, None] / own.sigma * hits.normal, np.zeros(len(residual))
+    def render(self, positions: Points, nuisance: Nuisance) -> Views:
+        """The views of a drape."""
+        scene, rays = RayScene((positions, self._faces)), self._rays(nuisance)
+        views = []
+        for k in range(len(self._views)):
+            pose = self._pose(k, nuisance)
+            face = scene.cast(pose.origin, rays @ pose.rotation).face
+            cloth = np.nonzero(face >= 0)
+            view = np.zeros(face.shape)
+            view[cloth] = self._hits(positions, face[cloth], rays[cloth], pose).depth
+            views.append(view)
+        return np.stack(views)
+
+    def points(self, nuisance: Nuisance) -> tuple[Points, np.ndarray]:
+        """The captured surface at the compared pixels, in the specimen's axes: points and normals
+        (N, 3) of slightly smoothed depth, towards the camera.
+        """
+        points, normals = [], []
+        for k, view in enumerate(self._views):
+            pose = self._pose(k, nuisance)
+            rays = self._rays(nuisance)[view.rows, view.columns]
+            points.append((rays * view.depth[:, None] - pose.shift) @ pose.rotation)
+            normals.append(view.normal @ pose.rotation)
+        return np.concatenate(points), np.concatenate(normals)
+
+    def _parts(self, positions: Points, nuisance: Nuisance) -> list[_Part]:
+        """Residuals of the depths in all views, then those of the borders."""
+        scene, rays = RayScene((positions, self._faces)), self._rays(nuisance)
+        depths, borders = [], []
+        for k, view in enumerate(self._views):
+            pose = self._pose(k, nuisance)
+            cast = scene.cast(pose.origin, rays @ pose.rotation)
+            cloth = cast.face >= 0
+            smooth = _smooth(np.where(cloth, cast.distance, 0.0), self.weights.jump)
+            both = smooth[view.rows, view.columns]
+            pixels = view.rows[both], view.columns[both]
+            hits = self._hits(positions, cast.face[pixels], rays[pixels], pose)
+            depths.append(self._depths(view.depth[both], hits, pose))
+            pixels = np.nonzero(_border(cloth))
+            hits = self._hits(positions, cast.face[pixels], rays[pixels], pose)
+            borders.append(self._borders(view, pixels, rays[pixels], hits, pose, nuisance))
+        return [*_normalised(depths, self._measurements[0]),
+                *_normalised(borders, self._measurements[1])]
+
+    def _depths(self, captured: np.ndarray, hits: _Hits, pose: _Pose) -> _Part:
+        """Residuals of captured depths (N,), m."""
+        sigma, limit = self.weights.sigma, self.weights.limit
+        residual, slope = huber((hits.depth - captured) / sigma, limit / sigma)
+        return _Part(residual, slope[:, None] / sigma * hits.normal, np.zeros(len(residual)), hits,
+                     pose)
 
     def _borders(
         self, view: _View, pixels: tuple[np.ndarray, np.ndarray], rays: np.ndarray, hits: _Hits,
-        nuisance: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Residuals (N,) of the simulated border's pixels, rows and columns, and derivatives as in
-        :class:`_Part`, but in the camera's axes.
-        """
-        own = self.weights
+        pose: _Pose, nuisance: Nuisance,
+    ) -> _Part:
+        """Residuals of the simulated border's pixels, rows and columns."""
+        sigma, limit = self.weights.border_sigma, self.weights.border_limit
         distance = view.distance[pixels] - self._value(BORDER, nuisance)
-        residual, slope = huber(distance / own.border_sigma, own.border_limit / own.border_sigma)
-        gradient = self._picture_gradient(view.slope[:, pixels[0], pixels[1]], rays, hits,
-                                          self._zoom(nuisance))
-        return residual, slope[:, None] / own.border_sigma * gradient, -slope / own.border_sigma
+        residual, slope = huber(distance / sigma, limit / sigma)
+        # Change of the distance map, px, by the move of a point in camera axes, m.
+        x, y = rays[:, :2].T
+        zoom = np.exp(self._value(FOCAL, nuisance))
+        by_column, by_row = view.slope[:, pixels[0], pixels[1]]
+        across, down = by_column * self.camera.fx * zoom, by_row * self.camera.fy * zoom
+        gradient = np.stack([across, down, -(across * x + down * y)], axis=1) / hits.depth[:, None]
+        return _Part(residual, slope[:, None] / sigma * gradient @ pose.rotation, -slope / sigma,
+                     hits, pose)
 
-    def _directions(self, nuisance: np.ndarray) -> np.ndarray:
-        """Rays through the pixels (H, W, 3), z = 1, with the focal length of the nuisances."""
-        return self._nominal_rays / [self._zoom(nuisance), self._zoom(nuisance), 1.0]
-
-    def _zoom(self, nuisance: np.ndarray) -> float:
-        """Focal length over the camera's."""
-        return float(np.exp(self._value(FOCAL, nuisance)))
-
-    def _value(self, name: str, nuisance: np.ndarray) -> float:
+    def _value(self, name: str, nuisance: Nuisance) -> float:
         return float(nuisance[self.nuisances.index(name)])
 
-    def _hits(
-        self,
-        positions: np.ndarray,
-        face: np.ndarray,
-        directions: np.ndarray,
-        rotation: np.ndarray,
-        shift: np.ndarray,
-    ) -> _Hits:
-        """Intersections of rays (N, 3), camera axes, with planes of triangles (N,), in float64."""
-        origin = -rotation.T @ shift
-        ray = directions @ rotation
-        a, b, c = (positions[self._faces[face, i]] for i in range(3))
+    def _rays(self, nuisance: Nuisance) -> np.ndarray:
+        """Rays through the pixels (H, W, 3), camera axes, z = 1, with the nuisances' focal length.
+        """
+        zoom = float(np.exp(self._value(FOCAL, nuisance)))
+        return self._nominal_rays / [zoom, zoom, 1.0]
+
+    def _hits(self, positions: Points, face: np.ndarray, rays: np.ndarray, pose: _Pose) -> _Hits:
+        """Intersections of rays (N, 3) with planes of triangles (N,), in double precision."""
+        ray = rays @ pose.rotation
+        corners = self._faces[face]
+        a, b, c = (positions[corners[:, i]] for i in range(3))
         normal = np.cross(b - a, c - a)
         steep = (normal * ray).sum(1)
         squared = (normal * normal).sum(1)
         # The depth of triangles seen edge-on is ill-conditioned.
         least = 1e-3 * np.sqrt(squared)
         steep = np.where(np.abs(steep) < least, np.copysign(least, steep), steep)
-        depth = (normal * (a - origin)).sum(1) / steep
-        point = origin + depth[:, None] * ray
+        depth = (normal * (a - pose.origin)).sum(1) / steep
+        point = pose.origin + depth[:, None] * ray
         second = (np.cross(c - a, point - a) * -normal).sum(1) / squared
         third = (np.cross(b - a, point - a) * normal).sum(1) / squared
         weights = np.stack([1 - second - third, second, third], axis=1)
-        return _Hits(face, weights, point, normal / steep[:, None], depth)
+        return _Hits(corners, weights, point, normal / steep[:, None], depth)
 
-    def _picture_gradient(
-        self, slope: np.ndarray, rays: np.ndarray, hits: _Hits, zoom: float
-    ) -> np.ndarray:
-        """(N, 3) change of the distance map, px, by the move of a point in camera axes, m."""
-        x, y = rays[:, :2].T
-        across, down = slope[0] * self.camera.fx * zoom, slope[1] * self.camera.fy * zoom
-        return np.stack([across, down, -(across * x + down * y)], axis=1) / hits.depth[:, None]
-
-    def _pose(
-        self, k: int, nuisance: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, list[tuple[np.ndarray, np.ndarray]]]:
-        """Specimen to camera in view k: rotation (3, 3), shift (3,), and their derivatives."""
+    def _pose(self, k: int, nuisance: Nuisance) -> _Pose:
+        """The pose in view k."""
         values = dict(zip(self.nuisances, nuisance, strict=True))
         table = f"table_{k}"
-        turn, turn_slope = _rotation(
-            2, values["turn"] + self._turns[k] + values.get(table, 0.0))
+        turn, turn_slope = _rotation(2, values["turn"] + self._turns[k] + values.get(table, 0.0))
         about_x, x_slope = _rotation(0, values["tilt_x"])
         about_y, y_slope = _rotation(1, values["tilt_y"])
         outer, place = np.split(self.camera.world_to_camera[:3], [3], axis=1)
@@ -332,11 +313,10 @@ class DepthViews:
         # A longer focal length acts like a stretch of the specimen across the optical axis.
         across = np.array([1.0, 1.0, 0.0])
         changes[FOCAL] = across[:, None] * rotation, across * shift
-        return (rotation, shift,
-                [changes.get(name, (none, zero)) for name in self.nuisances])
+        return _Pose(rotation, shift, [changes.get(name, (none, zero)) for name in self.nuisances])
 
 
-def _rotation(axis: int, angle: float) -> tuple[np.ndarray, np.ndarray]:
+def _rotation(axis: int, angle: Radians) -> tuple[np.ndarray, np.ndarray]:
     """Rotation (3, 3) about a coordinate axis, and its derivative."""
     i, j = (axis + 1) % 3, (axis + 2) % 3
     c, s = np.cos(angle), np.sin(angle)
@@ -348,18 +328,18 @@ def _rotation(axis: int, angle: float) -> tuple[np.ndarray, np.ndarray]:
     return matrix, slope
 
 
-def _border(cloth: np.ndarray) -> np.ndarray:
-    """Pixels of cloth (H, W) with background beside them, except at the image's edge."""
+def _border(cloth: Mask) -> Mask:
+    """Pixels of cloth with background beside them, except at the image's edge."""
     return cloth & ~binary_erosion(cloth, border_value=1)
 
 
-def _smooth(view: np.ndarray, jump: float) -> np.ndarray:
-    """Pixels (H, W) of cloth without background or a discontinuity beside them."""
+def _smooth(view: DepthImage, jump: Metres) -> Mask:
+    """Pixels of cloth without background or a discontinuity beside them."""
     nearest = minimum_filter(view, 3)
     return (nearest > 0) & (maximum_filter(view, 3) - nearest < jump)
 
 
-def _prepare(view: np.ndarray, camera: Camera, weights: DepthWeights) -> _View:
+def _prepare(view: DepthImage, camera: Camera, weights: DepthWeights) -> _View:
     cloth = view > 0
     # Missing pixels are not background; the median fills them and preserves straight borders.
     filled = median_filter(cloth.astype(np.uint8), 3) > 0
@@ -373,7 +353,7 @@ def _prepare(view: np.ndarray, camera: Camera, weights: DepthWeights) -> _View:
                  _normals(view, camera)[rows, columns], distance, slope)
 
 
-def _normals(view: np.ndarray, camera: Camera) -> np.ndarray:
+def _normals(view: DepthImage, camera: Camera) -> np.ndarray:
     """Normals (H, W, 3) of a view's surface, camera axes, towards the camera."""
     weight = gaussian_filter((view > 0).astype(np.float64), 1.0)
     depth = gaussian_filter(view.astype(np.float64), 1.0) / np.maximum(weight, 1e-6)

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import gaussian_filter
 
+from common.types import Metres, Points, Radians, RestPoints
 from sim.rig import Rig
 
 AZIMUTHS, ELEVATIONS = 120, 72
@@ -20,14 +21,9 @@ _LOWEST = -np.pi / 3  # elevation of the lowest direction
 _ROWS = _LOWEST + (np.arange(ELEVATIONS) + 0.5) * (np.pi / 2 - _LOWEST) / ELEVATIONS
 
 
-def radial_map(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distance of the surface from the centre by direction, and elevation of the hem.
-
-    Args:
-        points: (N, 3) m, specimen's axes.
-
-    Returns:
-        (AZIMUTHS, ELEVATIONS) m, without gaps, smooth; (AZIMUTHS,) elevation, rad, of the hem.
+def _directions(points: Points) -> tuple[np.ndarray, np.ndarray]:
+    """Distance of the surface from the centre by direction (AZIMUTHS, ELEVATIONS), m, without gaps,
+    smooth; and elevation (AZIMUTHS,), rad, of the hem.
     """
     radius, height = np.hypot(points[:, 0], points[:, 1]), points[:, 2] - CENTRE
     azimuth = np.arctan2(points[:, 1], points[:, 0]) / (2 * np.pi) % 1 * AZIMUTHS
@@ -48,18 +44,18 @@ def radial_map(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         filled[now] = smooth[now] / weight[now]
         open_cells &= ~now
     filled[open_cells] = mean[known > 0].mean()
-    seen = gaussian_filter(known, 0.7, mode=("wrap", "nearest")) > 0.3
-    lowest = np.where(seen.any(axis=1), seen.argmax(axis=1), ELEVATIONS)
+    cloth = gaussian_filter(known, 0.7, mode=("wrap", "nearest")) > 0.3
+    lowest = np.where(cloth.any(axis=1), cloth.argmax(axis=1), ELEVATIONS)
     return filled, _LOWEST + lowest * (np.pi / 2 - _LOWEST) / ELEVATIONS
 
 
-def surface_positions(rest: np.ndarray, points: np.ndarray, rig: Rig) -> np.ndarray:
-    """Positions (V, 3), m, of rest points (V, 2) laid on the surface through points (N, 3)."""
-    distance, hem = radial_map(points)
+def surface_positions(rest: RestPoints, points: Points, rig: Rig) -> Points:
+    """Positions of rest points laid on the surface through ``points``, in the specimen's axes."""
+    distance, hem = _directions(points)
     plate = rig.plate_radius
     longest = np.linalg.norm(rest, axis=1).max() - plate
     arcs = np.arange(0, longest + 2 * STEP, STEP)
-    curves = np.stack([_curve(*one, plate, arcs) for one in zip(distance, hem, strict=True)])
+    curves = np.stack([_curve(*row, plate, arcs) for row in zip(distance, hem, strict=True)])
     # Around the circle, with the first azimuth repeated behind the last.
     grid = 2 * np.pi * (np.arange(-1, AZIMUTHS + 1) + 0.5) / AZIMUTHS
     look_up = RegularGridInterpolator(
@@ -74,7 +70,7 @@ def surface_positions(rest: np.ndarray, points: np.ndarray, rig: Rig) -> np.ndar
     return placed
 
 
-def _curve(distance: np.ndarray, hem: float, plate: float, arcs: np.ndarray) -> np.ndarray:
+def _curve(distance: np.ndarray, hem: Radians, plate: Metres, arcs: np.ndarray) -> np.ndarray:
     """Radius and height (A, 2), m, at arc lengths (A,) from the rim along one azimuth."""
     radius = distance * np.cos(_ROWS)
     height = distance * np.sin(_ROWS) + CENTRE

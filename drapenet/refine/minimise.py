@@ -1,14 +1,11 @@
-"""Least squares of few unknowns, every evaluation a simulation.
+"""Least squares of few unknowns by Levenberg-Marquardt, every evaluation a simulation.
 
-    outcome = minimise(problem, limits=Limits(evaluations=25))
-
-Levenberg-Marquardt, or another :data:`Method` for comparison. All respect bounds, treat a failed
-simulation as a rejected step, and return the best evaluated point, also when interrupted.
+A failed simulation is a rejected step.
 """
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
 
@@ -20,11 +17,7 @@ MAX_STEP = 1.0
 
 
 class LeastSquares(Protocol):
-    """A least-squares problem in unknowns x (n,), scaled so that 1 is a typical step.
-
-    Attributes:
-        start, low, high: (n,) initial guess and bounds.
-    """
+    """A least-squares problem in bounded unknowns x (n,), scaled so that 1 is a typical step."""
 
     start: np.ndarray
     low: np.ndarray
@@ -62,138 +55,78 @@ class Limits:
     decrease: float = 1e-4
 
 
-@dataclass(frozen=True)
-class Point:
-    """An improvement: number of evaluations, unknowns (n,) and value."""
-
-    evaluations: int
-    x: np.ndarray
-    value: float
-
-
 @dataclass
 class Outcome:
-    """The best point found.
-
-    Attributes:
-        x: (n,), value: there.
-        evaluations: of the value.
-        status, message: how it ended.
-        trace: all improvements, the start first.
-    """
+    """The best point x (n,), its value, the evaluations made, and how the search ended."""
 
     x: np.ndarray
-    value: float
-    evaluations: int
-    status: Status
-    message: str
-    trace: list[Point] = field(default_factory=list)
-
-
-Report = Callable[[Point, int], None]
-"""Called after every evaluation with the best point so far and the evaluations made."""
+    value: float = math.inf
+    evaluations: int = 0
+    status: Status = Status.FAILED
+    message: str = "the start cannot be simulated"
 
 
 def minimise(
-    problem: LeastSquares,
-    *,
-    method: "Method | None" = None,
-    limits: Limits | None = None,
-    report: Report | None = None,
+    problem: LeastSquares, *, limits: Limits | None = None,
+    report: Callable[[], object] | None = None,
 ) -> Outcome:
-    """Minimise ``problem``.
+    """Minimise ``problem``; ``report`` is called after every evaluation."""
+    outcome = Outcome(np.clip(problem.start, problem.low, problem.high))
 
-    Args:
-        method: Levenberg-Marquardt unless given.
-        report: for a progress bar.
-    """
-    run = Run(problem, limits or Limits(), report)
-    try:
-        status, message = Status.FAILED, "the start cannot be simulated"
-        if math.isfinite(run.value(np.clip(problem.start, problem.low, problem.high))):
-            status, message = (method or levenberg_marquardt)(run)
-    except Done as done:
-        status, message = done.args
-    best = run.trace[-1] if run.trace else Point(0, problem.start, math.inf)
-    return Outcome(best.x, best.value, run.evaluations, status, message, run.trace)
+    def value(x: np.ndarray) -> float:
+        """The value at x, counted; the best is kept."""
+        at_x = float(problem.value(x))
+        at_x = at_x if math.isfinite(at_x) else math.inf
+        outcome.evaluations += 1
+        if at_x < outcome.value:
+            outcome.x, outcome.value = x, at_x
+        if report:
+            report()
+        return at_x
 
-
-Method = Callable[["Run"], tuple[Status, str]]
-"""Optimises from the evaluated start by :meth:`Run.value`; returns status and message."""
+    if math.isfinite(value(outcome.x)):
+        outcome.status, outcome.message = _descend(problem, outcome, value, limits or Limits())
+    return outcome
 
 
-class Done(Exception):  # noqa: N818 (ends a method from within a library's loop)
-    """Raised with a status and a message when a limit is reached."""
-
-
-class Run:
-    """One optimisation: counts evaluations, records improvements, stops at the limits."""
-
-    def __init__(
-        self, problem: LeastSquares, limits: Limits, report: Report | None
-    ) -> None:
-        self.problem, self.limits = problem, limits
-        self.evaluations = 0
-        self.trace: list[Point] = []
-        self._report = report
-
-    def value(self, x: np.ndarray) -> float:
-        """The problem's value at unknowns (n,), counted."""
-        if self.evaluations >= self.limits.evaluations:
-            raise Done(Status.EXHAUSTED, f"{self.evaluations} simulations, as many as allowed")
-        value = float(self.problem.value(x))
-        value = value if math.isfinite(value) else math.inf
-        self.evaluations += 1
-        if value < (self.trace[-1].value if self.trace else math.inf):
-            self.trace.append(Point(self.evaluations, np.array(x), value))
-        if self._report and self.trace:
-            self._report(self.trace[-1], self.evaluations)
-        return value
-
-    @property
-    def best(self) -> Point:
-        """The best point so far."""
-        return self.trace[-1]
-
-
-def levenberg_marquardt(run: Run) -> tuple[Status, str]:
-    """Gauss-Newton with a trust region and active bounds.
+def _descend(
+    problem: LeastSquares, best: Outcome, value: Callable[[np.ndarray], float], limits: Limits
+) -> tuple[Status, str]:
+    """Gauss-Newton with a trust region and active bounds, from the ``best`` point, which ``value``
+    updates.
 
     The step minimises the linearised problem within the radius, so that unknowns of low sensitivity
     change little.
     """
-    problem, limits = run.problem, run.limits
-    x, value = run.best.x, run.best.value
-    radius = 0.5 * MAX_STEP
+    radius, moved = 0.5 * MAX_STEP, False
     while True:
+        x, before = best.x, best.value
         linearised = problem.linearised(x)
         if linearised is None:
-            return ((Status.STALLED if len(run.trace) > 1 else Status.FAILED),
-                    "the drape has no derivatives here")
+            return (Status.STALLED if moved else Status.FAILED), "the drape has no derivatives here"
         residuals, jacobian = linearised
         gradient, curvature = jacobian.T @ residuals, jacobian.T @ jacobian
         at_bound = ((x <= problem.low) & (gradient > 0)) | ((x >= problem.high) & (gradient < 0))
         free = np.flatnonzero(~at_bound)
-        while True:
+        while best.value == before:
             step = np.zeros(len(x))
             step[free] = _step_within(gradient[free], curvature[np.ix_(free, free)], radius)
             full_step = np.linalg.norm(step) < 0.99 * radius
             step = np.clip(x + step, problem.low, problem.high) - x
             length = float(np.linalg.norm(step))
             promised = -(gradient @ step + 0.5 * step @ curvature @ step)
-            if length < limits.step or promised < limits.decrease * value:
+            if length < limits.step or promised < limits.decrease * before:
                 # A full step means convergence; otherwise the radius has become too small.
                 return ((Status.CONVERGED, "no step is worth taking") if full_step
                         else (Status.STALLED, "no step leads down"))
-            trial = run.value(x + step)
-            gain = (value - trial) / promised
+            if best.evaluations >= limits.evaluations:
+                return Status.EXHAUSTED, f"{best.evaluations} simulations, as many as allowed"
+            gain = (before - value(x + step)) / promised
             if gain > 0.75 and not full_step:
                 radius = min(2 * radius, MAX_STEP)
             elif gain < 0.25:
                 radius = 0.3 * length
-            if trial < value:
-                x, value = x + step, trial
-                break
+        moved = True
 
 
 def _step_within(gradient: np.ndarray, curvature: np.ndarray, radius: float) -> np.ndarray:

@@ -10,33 +10,33 @@ because values of different calls are compared.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import Annotated, NamedTuple, Protocol
 
 import numpy as np
 
+from common.types import Points
 from drapenet.refine.minimise import Limits, minimise
 
 NUISANCE_REACH = 20.0
 """Bounds of a nuisance around its start, in its scale."""
 
-Along = Callable[[np.ndarray], np.ndarray]
-"""From moves of the vertices (P, V, 3), m per unit of each parameter, to the derivatives of the
-residuals along them (N, P)."""
+Moves = Annotated[np.ndarray, "(P, V, 3) moves of the vertices, m per unit of each parameter"]
+Nuisance = Annotated[np.ndarray, "(K,) values of an objective's nuisances, SI"]
+Residuals = Annotated[np.ndarray, "(N,) differences over their standard deviations"]
 
 
 class Linearised(NamedTuple):
     """Residuals at one shape and their derivatives.
 
     Attributes:
-        residuals: (N,) without unit: divided by their standard deviations.
-        along: their derivatives along moves of the vertices, see :data:`Along`.
-        by_nuisance: (N, K) their derivatives by the objective's own parameters.
+        along: from moves of the vertices to the derivatives (N, P) of the residuals along them.
+        by_nuisance: (N, K).
         independent: number of independent measurements; smaller than N, because errors of
             neighbouring pixels are correlated.
     """
 
-    residuals: np.ndarray
-    along: Along
+    residuals: Residuals
+    along: Callable[[Moves], np.ndarray]
     by_nuisance: np.ndarray
     independent: float
 
@@ -45,31 +45,29 @@ class Objective(Protocol):
     """A comparison of a simulated drape with a captured one.
 
     Attributes:
-        nuisances: names of its K further parameters.
-        start: (K,) their initial guess, SI.
-        scale: (K,) typical step of each.
-        deviation: (K,) prior standard deviation of each around its start; infinite without a prior.
+        nuisances: their names; start: initial guess; scale: typical steps.
+        deviation: prior standard deviations around the start; infinite without a prior.
     """
 
     nuisances: tuple[str, ...]
-    start: np.ndarray
-    scale: np.ndarray
-    deviation: np.ndarray
+    start: Nuisance
+    scale: Nuisance
+    deviation: Nuisance
 
-    def residuals(self, positions: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
-        """Residuals (N,) of vertices at positions (V, 3), m, and nuisances (K,)."""
+    def residuals(self, positions: Points, nuisance: Nuisance) -> Residuals:
+        """Residuals of vertices at ``positions``."""
 
-    def linearised(self, positions: np.ndarray, nuisance: np.ndarray) -> Linearised:
+    def linearised(self, positions: Points, nuisance: Nuisance) -> Linearised:
         """Residuals and their derivatives."""
 
 
-def value(residuals: np.ndarray) -> float:
-    """Half the sum of the squares of residuals (N,)."""
+def value(residuals: Residuals) -> float:
+    """Half the sum of squares."""
     return 0.5 * float(residuals @ residuals)
 
 
-def huber(residuals: np.ndarray, limit: float) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals whose squares grow linearly beyond ``limit``, and their derivatives, both (N,).
+def huber(residuals: Residuals, limit: float) -> tuple[Residuals, np.ndarray]:
+    """Residuals whose squares grow linearly beyond ``limit``, and their derivatives (N,).
 
     Half of their squares is Huber's function of the residuals given.
     """
@@ -81,10 +79,9 @@ def huber(residuals: np.ndarray, limit: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def fit_nuisances(
-    objective: Objective, positions: np.ndarray, start: np.ndarray, *, evaluations: int = 20
-) -> np.ndarray:
-    """Fit the nuisances (K,) to a fixed shape (V, 3), m, from ``start`` (K,), without simulation.
-    """
+    objective: Objective, positions: Points, start: Nuisance, *, evaluations: int = 20
+) -> Nuisance:
+    """Fit the nuisances to a fixed shape, without simulation."""
     if not len(start):
         return start
     outcome = minimise(_FixedShape(objective, positions, start), limits=Limits(
@@ -93,18 +90,17 @@ def fit_nuisances(
 
 
 class _FixedShape:
-    """Nuisances as unknowns, in their scales (:class:`.optimisers.LeastSquares`)."""
+    """Nuisances as unknowns, in their scales (:class:`.minimise.LeastSquares`)."""
 
-    def __init__(self, objective: Objective, positions: np.ndarray, start: np.ndarray) -> None:
+    def __init__(self, objective: Objective, positions: Points, start: Nuisance) -> None:
         self._objective, self._positions = objective, positions
         self.start = start / objective.scale
         self.low, self.high = self.start - NUISANCE_REACH, self.start + NUISANCE_REACH
 
     def value(self, x: np.ndarray) -> float:
-        scaled = x * self._objective.scale
-        return value(self._objective.residuals(self._positions, scaled))
+        return value(self._objective.residuals(self._positions, x * self._objective.scale))
 
     def linearised(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         scale = self._objective.scale
-        found = self._objective.linearised(self._positions, x * scale)
-        return found.residuals, found.by_nuisance * scale
+        linear = self._objective.linearised(self._positions, x * scale)
+        return linear.residuals, linear.by_nuisance * scale

@@ -2,7 +2,7 @@
 
 A scan of unmarked cloth does not determine tangential positions on the surface, but the small
 strain of cloth does, from the plate's rim outwards. The specimen, of a soft fabric that follows the
-folds, is laid on the surface (:mod:`.guided`) and pulled onto it with increasing force until its
+folds, is laid on the surface (:mod:`.laid`) and pulled onto it with increasing force until its
 strain is as large as in a drape. Trimesh's non-rigid ICP (Amberg et al. 2007), which Larionov et
 al. use (section 3.2), stretches the mesh instead: its hem is up to 25 mm from the scanned one.
 """
@@ -16,11 +16,11 @@ from scipy.spatial import cKDTree
 
 from common.documents import read_bytes
 from common.errors import InputError
+from common.types import Density, Faces, Metres, Points, Radians
 from data.captures.capture import Capture
 from data.captures.scans import MAX_SCAN_SIZE, check_rim, read_scan
 from data.render.cameras import nominal_camera
 from data.render.rays import QUARTERS, DepthRenderer
-from drapenet.refine.search import CapturedScan
 from drapenet.refine.springs import captured_shape, pulled
 from drapenet.refine.surface import CapturedShape, Cloud, distances
 from sim.cloth import Laws
@@ -45,37 +45,27 @@ _MAX_FOREIGN_SHARE = 0.1  # of such points
 
 
 @dataclass(frozen=True)
-class Registered:
-    """A scan on a mesh of the specimen.
-
-    Attributes:
-        shape: the mesh, on the scan.
-        distance: m, mean distance of its hanging vertices from the scanned surface; 0 for a scan
-            whose vertices are used.
+class ScanRegistration:
+    """A mesh of the specimen on a scan, and the mean distance of its hanging vertices from the
+    scanned surface, 0 for a scan whose vertices are used.
     """
 
     shape: CapturedShape
-    distance: float
+    distance: Metres
 
 
-def read_shape(path: Path, rig: Rig, *, edge: float = EDGE) -> Registered:
+def read_shape(path: Path, rig: Rig, *, edge: Metres = EDGE) -> ScanRegistration:
     """The captured shape of a scan: npz with vertices (V, 3) m, rest (V, 2) m and faces (F, 3), or
     a raw PLY or OBJ in metres, z up, the plate's centre the origin.
 
-    Raw scans are registered, and scans whose vertices have slid along the cloth.
-
-    Args:
-        edge: m, at the rim of the mesh that a scan is registered to.
-
-    Raises:
-        InputError: no such scan, a surface that no cloth can take, or that does not fit the
-            specimen.
+    Raw scans are registered to a mesh with edges of ``edge`` at the rim, and so are scans whose
+    vertices have slid along the cloth.
     """
     if path.suffix.lower() in RAW:
         cloud = read_cloud(path, rig)
         check_rim(cloud.points, path, rig)
-        found = register(cloud, rig, edge=edge)
-        laid = Cloud.of_mesh(found.shape.positions, found.shape.faces)
+        registration = register(cloud, rig, edge=edge)
+        laid = Cloud.of_mesh(registration.shape.positions, registration.shape.faces)
         away = cKDTree(laid.points).query(cloud.points)[0]
         if (foreign := float((away > _FOREIGN_DISTANCE).mean())) > _MAX_FOREIGN_SHARE:
             raise InputError(f"{path}: {foreign:.0%} of its points do not lie on a specimen of "
@@ -84,60 +74,43 @@ def read_shape(path: Path, rig: Rig, *, edge: float = EDGE) -> Registered:
         scan = read_scan(path, rig)
         surface = Cloud.of_mesh(scan.positions, scan.faces)
         check_rim(surface.points, path, rig)
-        own = CapturedShape(scan.positions, scan.rest, scan.faces, rig)
-        if own.strain < MAX_STRAIN:
-            return Registered(own, 0.0)
-        found = register(
-            surface, rig, edge=edge, turn=flat_turn(own))
-    if found.distance > _MAX_DISTANCE:
-        raise InputError(f"{path}: the specimen of {rig.name} lies {1e3 * found.distance:.0f} mm "
-                         "from this surface on average and does not fit it; give all of the cloth "
-                         "and nothing else, in metres")
-    return found
+        shape = CapturedShape(scan.positions, scan.rest, scan.faces, rig)
+        if shape.strain < MAX_STRAIN:
+            return ScanRegistration(shape, 0.0)
+        registration = register(surface, rig, edge=edge, turn=flat_turn(shape))
+    if registration.distance > _MAX_DISTANCE:
+        raise InputError(f"{path}: the specimen of {rig.name} lies "
+                         f"{1e3 * registration.distance:.0f} mm from this surface on average and "
+                         "does not fit it; give all of the cloth and nothing else, in metres")
+    return registration
 
 
-def read_scan_capture(
-    path: Path, *, density: float
-) -> tuple[Capture, CapturedScan]:
-    """A scan of a drape on the disc rig as a capture, and as the input of the search.
-
-    Args:
-        density: kg/m².
-
-    Raises:
-        InputError: no such scan, or not of a drape.
-    """
+def read_scan_capture(path: Path, *, density: Density) -> tuple[Capture, CapturedShape]:
+    """A scan of a drape on the disc rig, and its views as a capture."""
     shape = read_shape(path, DISC_RIG).shape
-    return scan_capture(path, shape, density), CapturedScan(shape)
+    return scan_capture(path, shape, density), shape
 
 
-def scan_capture(path: Path, shape: CapturedShape, density: float) -> Capture:
-    """A scan as a capture of four views without noise, from the rig's nominal camera.
-
-    Args:
-        density: kg/m², of the fabric.
-    """
+def scan_capture(path: Path, shape: CapturedShape, density: Density) -> Capture:
+    """A scan as a capture of four views without noise, from the rig's nominal camera."""
     camera = nominal_camera(shape.rig)
     views = DepthRenderer(shape.positions, shape.faces).views(camera, 0.0)
     return Capture(views.astype(np.float32), camera.intrinsics, np.array(QUARTERS), density, None,
                    shape.rig, path, ())
 
 
-def flat_turn(shape: CapturedShape) -> float:
-    """Direction of the first rest axis on the plate, rad."""
+def flat_turn(shape: CapturedShape) -> Radians:
+    """Direction of the first rest axis on the plate."""
     plate = ~shape.hanging
     flat, rest = (points @ [1.0, 1j] for points in (shape.positions[plate, :2], shape.rest[plate]))
     return float(np.angle(np.vdot(rest, flat)))
 
 
-def register(
-    cloud: Cloud, rig: Rig, *, edge: float, turn: float = 0.0
-) -> Registered:
-    """Register a mesh of the specimen to the scan ``cloud``; z up, the plate's centre the origin.
+def register(cloud: Cloud, rig: Rig, *, edge: Metres, turn: Radians = 0.0) -> ScanRegistration:
+    """Register a mesh of the specimen, with edges of ``edge`` at the rim, to a scan; z up, the
+    plate's centre the origin.
 
-    Args:
-        edge: length of the mesh's edges at the plate's rim, m.
-        turn: rad, direction of the mesh's first rest axis on the plate, unknown from a scan.
+    ``turn``: direction of the mesh's first rest axis on the plate, unknown from a scan.
     """
     c, s = np.cos(turn), np.sin(turn)
     back = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])  # of rows: rig's to rest axes
@@ -145,34 +118,14 @@ def register(
     points = np.tile(cloud.points, (2, 1)) @ back
     normals = np.concatenate([cloud.normals, -cloud.normals]) @ back
     laid = captured_shape(SOFT, points, normals, rig=rig, edge=edge)
-    found = pulled(laid.scene, SOFT, laid.state, points, normals, laws=Laws(), pulls=[LAST_PULL])
-    shape = CapturedShape(found.state.positions @ back.T, laid.rest, laid.faces, rig)
-    apart = distances(cloud, shape.positions)[shape.hanging].mean()
-    return Registered(shape, float(apart))
+    drape = pulled(laid.scene, SOFT, laid.state, points, normals, laws=Laws(), pulls=[LAST_PULL])
+    shape = CapturedShape(drape.state.positions @ back.T, laid.rest, laid.faces, rig)
+    return ScanRegistration(shape, float(distances(cloud, shape.positions)[shape.hanging].mean()))
 
 
 def read_cloud(path: Path, rig: Rig) -> Cloud:
-    """Read a raw scan, PLY or OBJ in metres, z up, the plate's centre the origin.
-
-    Raises:
-        InputError: no such file, no points, other units or axes.
-    """
-    import trimesh
-
-    # From memory: files that a scan refers to, such as materials, must not be read.
-    data = read_bytes(path, MAX_CLOUD_BYTES, "scan")
-    try:
-        loaded = trimesh.load(io.BytesIO(data), file_type=path.suffix[1:].lower(), process=False,
-                              skip_materials=True, force=None)
-        points = np.asarray(getattr(loaded, "vertices", np.zeros((0, 3))), dtype=np.float64)
-        if points.shape[1:] != (3,):
-            raise ValueError("points of another number of coordinates than three")
-        faces = np.asarray(getattr(loaded, "faces", np.zeros((0, 3))), dtype=np.int64)
-    except Exception as error:
-        # Messages of trimesh do not help the user.
-        reason = getattr(error, "strerror", None) or (
-            "no PLY or OBJ mesh or cloud of points, or a damaged one; export it again")
-        raise InputError(f"cannot read the scan {path}: {reason}") from None
+    """Read a raw scan, PLY or OBJ in metres, z up, the plate's centre the origin."""
+    points, faces = _read_mesh(path)
     if bad := int((~np.isfinite(points)).any(axis=1).sum()):
         raise InputError(f"{path}: {bad} of {len(points)} points are not finite numbers; "
                          "remove them")
@@ -184,13 +137,34 @@ def read_cloud(path: Path, rig: Rig) -> Cloud:
     if not 0.5 * rig.plate_radius < reach < rig.specimen_size:
         raise InputError(f"{path}: points must be in metres, the plate's centre the origin; they "
                          f"reach {reach:.3g} from it, a specimen {rig.specimen_size / 2:g} m")
-    middle = points[np.hypot(points[:, 0], points[:, 1]) < 0.8 * rig.plate_radius]
+    middle = points[np.hypot(points[:, 0], points[:, 1]) < 0.8 * rig.plate_radius, 2]
     if not len(middle):
         raise InputError(f"{path}: no point lies on the plate; move its centre to the origin")
-    if (off := np.abs(np.median(middle[:, 2]))) > _PLATE_TOLERANCE:
+    if (off := np.abs(np.median(middle))) > _PLATE_TOLERANCE:
         raise InputError(f"{path}: cloth on the plate lies {1e3 * off:.3g} mm from the plane z = 0 "
                          f"(median), at most {1e3 * _PLATE_TOLERANCE:g} mm is allowed; move the "
                          "plate's top to z = 0, with z pointing up")
     if points[:, 2].min() > -_PLATE_TOLERANCE:
         raise InputError(f"{path}: no point lies below the support; z must point up (in metres)")
     return Cloud.of_mesh(points, faces) if len(faces) else Cloud.of_points(points)
+
+
+def _read_mesh(path: Path) -> tuple[Points, Faces]:
+    """Points and faces, of which there may be none, of a PLY or OBJ file."""
+    import trimesh
+
+    # From memory: files that a scan refers to, such as materials, must not be read.
+    data = read_bytes(path, MAX_CLOUD_BYTES, "scan")
+    try:
+        mesh = trimesh.load(io.BytesIO(data), file_type=path.suffix[1:].lower(), process=False,
+                            skip_materials=True, force=None)
+        points = np.asarray(getattr(mesh, "vertices", np.zeros((0, 3))), dtype=np.float64)
+        if points.shape[1:] != (3,):
+            raise ValueError("points of another number of coordinates than three")
+        faces = np.asarray(getattr(mesh, "faces", np.zeros((0, 3))), dtype=np.int64)
+    except Exception as error:
+        # Messages of trimesh do not help the user.
+        reason = getattr(error, "strerror", None) or (
+            "no PLY or OBJ mesh or cloud of points, or a damaged one; export it again")
+        raise InputError(f"cannot read the scan {path}: {reason}") from None
+    return points, faces

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
+from common.types import Metres, Points
 from drapenet.refine.laid import surface_positions
 from sim.cloth import Laws
 from sim.drape import DrapeResult, drape_result, scene_on
@@ -40,15 +41,13 @@ OPTIONS = NewtonOptions(residual=0.3, step=1.0, max_iterations=60)  # loose: an 
 
 
 class Springs(Energy):
-    """Springs from vertices to planes: sum of ½ k (n·(x - c))²; one element per vertex.
+    """Springs from N vertices to planes: sum of ½ k (n·(x - c))²; one element per vertex.
 
-    Args:
-        vertices: (N,) that are pulled.
-        targets: (N, 3) m, c; normals: (N, 3), n; stiffness: (N,) N/m, k.
+    ``targets``: c; ``normals``: (N, 3), n; ``stiffness``: (N,) N/m, k.
     """
 
     def __init__(
-        self, vertices: np.ndarray, targets: np.ndarray, normals: np.ndarray, stiffness: np.ndarray
+        self, vertices: np.ndarray, targets: Points, normals: np.ndarray, stiffness: np.ndarray
     ) -> None:
         self.dofs = 3 * vertices[:, None] + np.arange(3)
         self._targets, self._normals, self._stiffness = targets, normals, stiffness
@@ -68,23 +67,15 @@ class Springs(Energy):
 
 
 def captured_shape(
-    fabric: Fabric,
-    points: np.ndarray,
-    normals: np.ndarray,
-    *,
-    rig: Rig,
-    edge: float,
+    fabric: Fabric, points: Points, normals: np.ndarray, *, rig: Rig, edge: Metres
 ) -> DrapeResult:
     """A specimen of ``fabric`` pulled onto captured points, laid on their surface first.
 
-    Args:
-        points, normals: (N, 3) m and (N, 3), specimen's axes.
-        edge: m, of the mesh at the rim (:func:`sim.mesh.specimen.make_specimen`); coarser meshes
-            give initial guesses.
+    The state under the springs is an initial guess and not an equilibrium of the fabric.
 
-    Returns:
-        The state under the springs, an initial guess and not an equilibrium of the fabric; its
-        ``status`` is that of the last minimisation.
+    Args:
+        points, normals: in the specimen's axes.
+        edge: of the mesh at the rim; coarser meshes give initial guesses.
     """
     laws, simulated = Laws(), fabric.at_density(REFERENCE_DENSITY)
     coarse = None
@@ -94,23 +85,22 @@ def captured_shape(
         specimen = make_specimen(rig, edge=level)
         rest = specimen.mesh.rest
         scene = scene_on(specimen, rig)
-        if coarse is None:
-            positions = surface_positions(rest, points, rig)
-        else:
-            positions = interpolate_positions(*coarse, rest)
+        positions = (interpolate_positions(*coarse, rest) if coarse
+                     else surface_positions(rest, points, rig))
         positions[specimen.held] = rig.place(rest[specimen.held])
         if coarse is None:
             positions = smoothed(scene, positions)
-        found = pulled(
+        equilibrium = pulled(
             scene, simulated, scene.state(positions), points, normals,
             laws=laws if last else laws.softened(_COARSE_MEMBRANE),
             pulls=PULLS[:2] if coarse is None else PULLS[-2:])
-        coarse = rest, found.state.positions
-    return drape_result(fabric, rig, laws, found, edge=edge, seconds=time.perf_counter() - began)
+        coarse = rest, equilibrium.state.positions
+    return drape_result(fabric, rig, laws, equilibrium, edge=edge,
+                        seconds=time.perf_counter() - began)
 
 
-def smoothed(scene: Scene, positions: np.ndarray) -> np.ndarray:
-    """Smooth positions (V, 3), m, around hinges bent beyond :data:`MAX_HINGE_ANGLE`.
+def smoothed(scene: Scene, positions: Points) -> Points:
+    """Positions, smooth around hinges bent beyond :data:`MAX_HINGE_ANGLE`.
 
     Their free vertices move repeatedly half-way to the mean of their neighbours.
     """
@@ -129,52 +119,39 @@ def smoothed(scene: Scene, positions: np.ndarray) -> np.ndarray:
 
 
 def pulled(
-    scene: Scene,
-    fabric: Fabric,
-    state: State,
-    points: np.ndarray,
-    normals: np.ndarray,
-    *,
-    laws: Laws,
-    pulls: Sequence[float],
+    scene: Scene, fabric: Fabric, state: State, points: Points, normals: np.ndarray, *,
+    laws: Laws, pulls: Sequence[float],
 ) -> Equilibrium:
-    """Equilibrium of ``state`` under springs to ``points`` (N, 3), m, with unit normals (N, 3).
-
-    Nearest points are updated for each of ``pulls``.
+    """Equilibrium near ``state`` under springs to captured points, of which the nearest are updated
+    for each of ``pulls``.
     """
     for pull in pulls:
         near, at = nearest_points(scene, state.positions, points, normals, reach=REACH)
         springs = Springs(near, points[at], normals[at], spring_stiffness(scene, near, pull))
-        found = find_equilibrium(scene, fabric, state, laws=laws, extra=[springs], options=OPTIONS)
-        state = found.state
-    return found
+        equilibrium = find_equilibrium(scene, fabric, state, laws=laws, extra=[springs],
+                                       options=OPTIONS)
+        state = equilibrium.state
+    return equilibrium
 
 
 def nearest_points(
-    scene: Scene, positions: np.ndarray, points: np.ndarray, normals: np.ndarray, *, reach: float
+    scene: Scene, positions: Points, points: Points, normals: np.ndarray, *, reach: Metres
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The free vertices near a captured surface, (N,), and the captured point of each, (N,).
-
-    Args:
-        positions: (V, 3) m, of the vertices.
-        points, normals: (M, 3) m and (M, 3) of the surface.
-        reach: m, maximum distance.
+    """Indices (N,) of the free vertices within ``reach`` of a captured surface, and of the captured
+    point of each.
     """
     tree = cKDTree(np.hstack([points, NORMAL_LENGTH * normals]))
     free = np.flatnonzero(~scene.held)
-    own = vertex_normals(positions, scene.mesh.faces)[free]
-    distance, nearest = tree.query(np.hstack([positions[free], NORMAL_LENGTH * own]))
+    unit = vertex_normals(positions, scene.mesh.faces)[free]
+    distance, nearest = tree.query(np.hstack([positions[free], NORMAL_LENGTH * unit]))
     near = distance < reach
     return free[near], nearest[near]
 
 
-def plane_springs(scene: Scene, positions: np.ndarray, *, pull: float) -> Springs:
+def plane_springs(scene: Scene, positions: Points, *, pull: float) -> Springs:
     """Springs from each free vertex to the tangent plane at its position on a surface.
 
     Vertices may slide along the surface, where their positions are most uncertain.
-
-    Args:
-        positions: (V, 3) m, of the surface. pull: as for :func:`spring_stiffness`.
     """
     free = np.flatnonzero(~scene.held)
     return Springs(free, positions[free], vertex_normals(positions, scene.mesh.faces)[free],
@@ -182,10 +159,8 @@ def plane_springs(scene: Scene, positions: np.ndarray, *, pull: float) -> Spring
 
 
 def spring_stiffness(scene: Scene, vertices: np.ndarray, pull: float) -> np.ndarray:
-    """Stiffness (N,), N/m, of springs at ``vertices`` (N,).
-
-    Args:
-        pull: force at a distance of 1 mm, over the cloth's weight at the reference density.
+    """Stiffness (N,), N/m, of springs at ``vertices`` (N,); ``pull``: force at a distance of 1 mm,
+    over the cloth's weight at the reference density.
     """
     weight = REFERENCE_DENSITY * scene.gravity * scene.mesh.vertex_areas[vertices]
     return pull / 1e-3 * weight

@@ -9,7 +9,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from common.errors import InputError
-from drapenet.refine.objective import Linearised, huber
+from common.types import Faces, Metres, Points, RestPoints
+from drapenet.refine.objective import Linearised, Moves, Nuisance, Residuals, huber
 from sim.cloth import Laws
 from sim.drape import DrapeResult, scene_on
 from sim.material import Fabric
@@ -26,18 +27,12 @@ NEIGHBOURS = 20  # used to estimate the normal of a raw point
 
 @dataclass(frozen=True)
 class CapturedShape:
-    """A registered drape.
-
-    Attributes:
-        positions: (V, 3) m, on the rig's axes.
-        rest: (V, 2) m, in any material axes.
-        faces: (F, 3), counter-clockwise at rest.
-        rig: with a plate.
+    """A registered drape on a plate: positions on the rig's axes, rest points in any material axes.
     """
 
-    positions: np.ndarray
-    rest: np.ndarray
-    faces: np.ndarray
+    positions: Points
+    rest: RestPoints
+    faces: Faces
     rig: Rig
 
     @property
@@ -76,18 +71,14 @@ class CapturedShape:
 
 @dataclass(frozen=True)
 class Cloud:
-    """A scanned surface.
+    """A scanned surface: points, and normals (N, 3) of either sign."""
 
-    Attributes:
-        points: (N, 3) m; normals: (N, 3) of either sign.
-    """
-
-    points: np.ndarray
+    points: Points
     normals: np.ndarray
 
     @staticmethod
-    def of_mesh(positions: np.ndarray, faces: np.ndarray) -> "Cloud":
-        """Vertices, edge and face midpoints of a scanned mesh, (V, 3) m and (F, 3)."""
+    def of_mesh(positions: Points, faces: Faces) -> "Cloud":
+        """Vertices, edge and face midpoints of a scanned mesh."""
         vertices, edges = vertex_normals(positions, faces), edges_of(faces)[0]
         points = [positions, positions[edges].mean(axis=1), positions[faces].mean(axis=1)]
         normals = np.concatenate([vertices, vertices[edges].sum(axis=1),
@@ -96,12 +87,8 @@ class Cloud:
         return Cloud(np.concatenate(points), normals / length)
 
     @staticmethod
-    def of_points(points: np.ndarray) -> "Cloud":
-        """A raw point cloud (N, 3), m, with normals estimated from neighbours.
-
-        Raises:
-            InputError: too few points.
-        """
+    def of_points(points: Points) -> "Cloud":
+        """A raw point cloud, with normals estimated from neighbours."""
         if len(points) < (least := 10 * NEIGHBOURS):
             raise InputError(f"{len(points)} points are too few for a surface, at least {least} "
                              "are needed; scan more densely")
@@ -112,8 +99,8 @@ class Cloud:
         return Cloud(points, frames[:, :, 0])
 
 
-def distances(cloud: Cloud, positions: np.ndarray) -> np.ndarray:
-    """Distances (N,), m, of points (N, 3) from a scanned surface."""
+def distances(cloud: Cloud, positions: Points) -> np.ndarray:
+    """Distances (N,), m, of points from a scanned surface."""
     tree = cKDTree(cloud.points)
     distance, nearest = tree.query(positions)
     across = np.abs((cloud.normals[nearest] * (positions - cloud.points[nearest])).sum(1))
@@ -155,9 +142,9 @@ class RobustPositions:
     ``vertices`` times ``independent``.
 
     Args:
-        target: (V, 3) m, on the same mesh.
+        target: on the same mesh.
         vertices: (V,) bool, those that count.
-        sigma: m, standard deviation of a distance.
+        sigma: standard deviation of a distance.
         limit: in units of ``sigma``, beyond which the value is linear.
         independent: number of independent distances, about one per fold.
     """
@@ -166,23 +153,23 @@ class RobustPositions:
     start = scale = deviation = np.zeros(0)
 
     def __init__(
-        self, target: np.ndarray, *, vertices: np.ndarray, sigma: float = 2e-3,
-        limit: float = 1.0, independent: float = 100.0,
+        self, target: Points, *, vertices: np.ndarray, sigma: Metres = 2e-3, limit: float = 1.0,
+        independent: float = 100.0,
     ) -> None:
         self._target, self._vertices = target, np.flatnonzero(vertices)
         self._sigma, self._limit = sigma, limit
         self._independent = independent
         self._factor = math.sqrt(independent / len(self._vertices))
 
-    def residuals(self, positions: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
-        """Residuals (3 N,) at positions (V, 3), m."""
+    def residuals(self, positions: Points, nuisance: Nuisance) -> Residuals:
+        """Three residuals for each vertex."""
         return self._bent(positions)[0].ravel()
 
-    def linearised(self, positions: np.ndarray, nuisance: np.ndarray) -> Linearised:
-        """Residuals (3 N,) and their derivatives."""
+    def linearised(self, positions: Points, nuisance: Nuisance) -> Linearised:
+        """Residuals and their derivatives."""
         residuals, scale, across = self._bent(positions)
 
-        def along(moves: np.ndarray) -> np.ndarray:
+        def along(moves: Moves) -> np.ndarray:
             chosen = moves[:, self._vertices]
             inward = (across * chosen).sum(-1, keepdims=True)
             return (scale[:, None] * chosen + residuals * inward).reshape(len(moves), -1).T
@@ -190,7 +177,7 @@ class RobustPositions:
         return Linearised(residuals.ravel(), along, np.zeros((residuals.size, 0)),
                           self._independent)
 
-    def _bent(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _bent(self, positions: Points) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Residuals (N, 3), their factor (N,), and its relative derivative by the gap (N, 3)."""
         gap = (positions - self._target)[self._vertices]
         distance = np.maximum(np.linalg.norm(gap, axis=1) / self._sigma, 1e-12)

@@ -10,9 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from common.types import Radians, RestPoints, Theta
 from data.fabrics.fabrics import THETA_NAMES, fabric_from_theta
 from data.fabrics.nuisances import LOGARITHMIC, NuisanceConfig, Nuisances
 from data.fabrics.prior import GaussianPrior
+from drapenet.refine.objective import Moves
 from sim.cloth import Laws
 from sim.energies.plate_variants import Hysteresis
 from sim.material import MICRO, Fabric
@@ -23,11 +25,11 @@ from sim.sensitivity.forward import tangent_sensitivities
 from sim.sensitivity.rest_shape import moves_with_offset, moves_with_rest
 from sim.solver.potential import forces
 
-LAWS = ("membrane", "shear", "curl_warp", "curl_weft")
+LAW_NAMES = ("membrane", "shear", "curl_warp", "curl_weft")
 """Entries of :data:`data.fabrics.nuisances.NAMES` that the cloth's energies depend on."""
-OFFSET = ("offset_warp", "offset_weft")
+OFFSET_NAMES = ("offset_warp", "offset_weft")
 """m, of the specimen's centre from the plate's axis."""
-UNKNOWNS = (*THETA_NAMES, *LAWS, *OFFSET, "warp")
+NAMES = (*THETA_NAMES, *LAW_NAMES, *OFFSET_NAMES, "warp")
 """All parameters: theta, logarithm of membrane (N/m) and shear, curl, 1/m, offset, m,
 and direction of the warp in the axes of the rest points, rad."""
 SCALE = np.array([1.0] * 3 + [2e-3] * 3 + [1.0, 0.5, 3.0, 3.0, 4e-3, 4e-3, 0.3])
@@ -44,27 +46,27 @@ _STEPS = {"membrane": 1e-3, "shear": 1e-3, "hysteresis": 1e-3, "curl_warp": 0.1,
 
 
 @dataclass(frozen=True)
-class Cloth:
-    """A specimen, given by the (U,) values of :data:`UNKNOWNS`."""
+class Unknowns:
+    """A specimen, given by the (U,) values of :data:`NAMES`."""
 
     values: np.ndarray
 
     @classmethod
     def of(
-        cls, theta: np.ndarray, nuisances: Nuisances | None = None, *, warp: float = 0.0
-    ) -> "Cloth":
-        """A specimen of theta (6,), centred on its plate."""
-        known = nuisances or Nuisances()
-        laws = [math.log(getattr(known, name)) if name in LOGARITHMIC else getattr(known, name)
-                for name in LAWS]
+        cls, theta: Theta, nuisances: Nuisances | None = None, *, warp: Radians = 0.0
+    ) -> "Unknowns":
+        """A specimen centred on its plate."""
+        nuisances = nuisances or Nuisances()
+        laws = [math.log(getattr(nuisances, name)) if name in LOGARITHMIC
+                else getattr(nuisances, name) for name in LAW_NAMES]
         return cls(np.array([*theta, *laws, 0.0, 0.0, warp]))
 
     def __getitem__(self, name: str) -> float:
-        return float(self.values[UNKNOWNS.index(name)])
+        return float(self.values[NAMES.index(name)])
 
     @property
-    def theta(self) -> np.ndarray:
-        """(6,), see :mod:`data.fabrics.fabrics`."""
+    def theta(self) -> Theta:
+        """The moduli."""
         return self.values[:6]
 
     @property
@@ -76,88 +78,79 @@ class Cloth:
     def nuisances(self) -> Nuisances:
         """The nuisances of its energies."""
         return Nuisances(**{name: math.exp(self[name]) if name in LOGARITHMIC else self[name]
-                            for name in LAWS})
+                            for name in LAW_NAMES})
 
     @property
     def laws(self) -> Laws:
         """The laws of its energies."""
         return self.nuisances.laws
 
-    def with_theta(self, theta: np.ndarray) -> "Cloth":
+    def with_theta(self, theta: Theta) -> "Unknowns":
         """The same specimen of another fabric."""
-        return Cloth(np.concatenate([theta, self.values[6:]]))
+        return Unknowns(np.concatenate([theta, self.values[6:]]))
 
-    def rest(self, base: np.ndarray, rig: Rig) -> np.ndarray:
-        """Rest points (V, 2), m, of a mesh that has ``base`` (V, 2) centred on the plate."""
-        offset = np.array([self[name] for name in OFFSET])
-        moved = base
+    def rest(self, base: RestPoints, rig: Rig) -> RestPoints:
+        """Rest points of a mesh that has ``base`` centred on the plate."""
+        offset = np.array([self[name] for name in OFFSET_NAMES])
         if offset.any():
-            moved = base + share_of_offset(base, rig)[:, None] * offset
-        return _turned(moved, self["warp"]) if self["warp"] else moved
+            base = base + share_of_offset(base, rig)[:, None] * offset
+        return _turned(base, self["warp"]) if self["warp"] else base
 
 
-def _turned(points: np.ndarray, warp: float) -> np.ndarray:
-    """Points (V, 2) in the axes of a warp at the angle ``warp``, rad."""
+def _turned(points: RestPoints, warp: Radians) -> RestPoints:
+    """Points in the axes of a warp at the angle ``warp``."""
     c, s = math.cos(warp), math.sin(warp)
     return points @ np.array([[c, -s], [s, c]])
 
 
 @dataclass(frozen=True)
-class Knowledge:
-    """Normal prior of a specimen.
-
-    Attributes:
-        mean: (U,) of :data:`UNKNOWNS`.
-        root: (U, U) whitening matrix of differences from the mean; zero rows without a prior.
+class SpecimenPrior:
+    """Normal prior of the unknowns: (U,) mean, and (U, U) whitening matrix of differences from it,
+    with zero rows for unknowns without a prior.
     """
 
     mean: np.ndarray
     root: np.ndarray
 
     @classmethod
-    def of(cls, prior: GaussianPrior, spread: NuisanceConfig | None = None) -> "Knowledge":
+    def of(cls, fabrics: GaussianPrior, spread: NuisanceConfig | None = None) -> "SpecimenPrior":
         """Prior of fabrics and of the specimens' nuisances; ``spread`` None: moduli only."""
-        mean, root = Cloth.of(prior.mean).values, np.zeros((len(UNKNOWNS),) * 2)
-        root[:6, :6] = np.linalg.inv(np.linalg.cholesky(prior.covariance))
+        mean, root = Unknowns.of(fabrics.mean).values, np.zeros((len(NAMES),) * 2)
+        root[:6, :6] = np.linalg.inv(np.linalg.cholesky(fabrics.covariance))
         if spread is not None:
-            for name in (*LAWS, *OFFSET):
-                k = UNKNOWNS.index(name)
+            for name in (*LAW_NAMES, *OFFSET_NAMES):
+                k = NAMES.index(name)
                 mean[k] = spread.means.get(name, 0.0)
                 root[k, k] = 1 / spread.deviations.get(name, DRIFT)
         return cls(mean, root)
 
-    def residuals(self, cloth: Cloth) -> np.ndarray:
+    def residuals(self, unknowns: Unknowns) -> np.ndarray:
         """(U,) residuals of unit variance."""
-        return self.root @ (cloth.values - self.mean)
+        return self.root @ (unknowns.values - self.mean)
 
 
-def cloth_moves(
-    tangent: Tangent, cloth: Cloth, rig: Rig, names: Iterable[str]
-) -> tuple[np.ndarray, Sensitivities]:
-    """(n, V, 3) derivatives of the vertices by the unknowns ``names``, and those by the moduli.
-
-    Args:
-        tangent: with derivatives, of a drape of ``cloth`` on ``rig``.
-    """
-    parameters = ("log_alpha", "ratio")
-    by_moduli = tangent_sensitivities(tangent, cloth.fabric, parameters)
+def drape_moves(
+    tangent: Tangent, unknowns: Unknowns, rig: Rig, names: Iterable[str]
+) -> tuple[Moves, Sensitivities]:
+    """Derivatives of the vertices of a drape by the unknowns ``names``, and those by the moduli."""
+    names = list(names)
+    by_moduli = tangent_sensitivities(tangent, unknowns.fabric, ("log_alpha", "ratio"))
     moves = dict(zip(THETA_NAMES, by_moduli.positions, strict=True))
-    wanted = list(names)
-    moves |= law_moves(tangent, cloth.nuisances, [name for name in LAWS if name in wanted])
-    if set(OFFSET) & set(wanted):
+    moves |= law_moves(tangent, unknowns.nuisances, [name for name in LAW_NAMES if name in names])
+    if set(OFFSET_NAMES) & set(names):
         # The offset is defined in the axes without the warp's turn.
-        moves |= zip(OFFSET, np.tensordot(_turned(np.eye(2), cloth["warp"]),
-                                          moves_with_offset(tangent, rig), 1), strict=True)
-    if "warp" in wanted:
+        moves |= zip(OFFSET_NAMES, np.tensordot(_turned(np.eye(2), unknowns["warp"]),
+                                                moves_with_offset(tangent, rig), 1), strict=True)
+    if "warp" in names:
         # A turn of the warp rotates rest points backwards in the material axes.
         rest = tangent.cloth.scene.mesh.rest
         turning = np.column_stack([rest[:, 1], -rest[:, 0]])
         moves["warp"], = moves_with_rest(tangent, turning[None])
-    return np.stack([moves[name] for name in wanted]), by_moduli
+    return np.stack([moves[name] for name in names]), by_moduli
 
 
 def law_moves(
-    tangent: Tangent, nuisances: Nuisances, names: Iterable[str] = LAWS
+    tangent: Tangent, nuisances: Nuisances, names: Iterable[str] = LAW_NAMES
 ) -> dict[str, np.ndarray]:
     """(V, 3) derivatives of a drape by nuisances of its cloth's energies, by name.
 
@@ -170,6 +163,7 @@ def law_moves(
     origin = getattr(cloth.bending, "origin", None)
 
     def forces_with(name: str, value: float) -> np.ndarray:
+        """Forces of the cloth's energies with another value of a nuisance."""
         laws = replace(nuisances, **{name: value}).laws
         if isinstance(laws.bending, Hysteresis):
             laws = replace(laws, bending=replace(laws.bending, origin=origin))

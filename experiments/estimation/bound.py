@@ -21,7 +21,7 @@ from data.fabrics.nuisances import NAMES, Nuisances
 from data.render.cameras import Camera
 from data.render.rays import QUARTERS, DepthRenderer
 from drapenet.refine.depth import FOCAL, POSE, DepthViews, DepthWeights, table_names
-from drapenet.refine.unknowns import LAWS, law_moves
+from drapenet.refine.unknowns import LAW_NAMES, law_moves
 from drapenet.views.located import LocatedViews
 from sim.drape import DrapeResult
 from sim.rig import Rig
@@ -144,7 +144,7 @@ def depth_information(
     moves = dict(zip(THETA_NAMES, by_moduli, strict=True))
     moves |= zip(SPECIMEN[1:], moves_with_offset(tangent, result.rig), strict=True)
     moves |= zip(("size", "cut"), moves_with_size(tangent, result.rig), strict=True)
-    moves |= law_moves(tangent, nuisances or Nuisances(), (*LAWS, "hysteresis"))
+    moves |= law_moves(tangent, nuisances or Nuisances(), (*LAW_NAMES, "hysteresis"))
     moves["plate"] = moves_with_plate(tangent, result.rig)
     views = DepthRenderer(tangent.positions, result.faces).views(camera, orientation)
     objective = DepthViews(

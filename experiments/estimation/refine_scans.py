@@ -6,6 +6,7 @@ refine=scan``. Errors are those at 300 g/m².
 """
 
 import math
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,7 +26,7 @@ from sim.material import REFERENCE_DENSITY, SWAPPED
 from sim.rig import DISC_RIG
 
 if TYPE_CHECKING:
-    from drapenet.refine.scans import Registered
+    from drapenet.refine.scans import ScanRegistration
 
 _TRUTH_MM = 2.0  # mesh edges at the rim of simulated specimens
 
@@ -47,20 +48,19 @@ def simulated(*, number: int, noise_mm: float, seed: int) -> dict:
                      "specimen": specimen_along_warp(result["refined"]["specimen"], along)}
 
 
-def refine_scan(scan: "Registered") -> dict:
+def refine_scan(scan: "ScanRegistration") -> dict:
     """Estimate a scan as by ``infer.py scan=FILE refine=scan``."""
     from drapenet.inference import network_estimate
-    from drapenet.refine.refine import refined_capture
+    from drapenet.refine.refine import refine_capture
     from drapenet.refine.scans import scan_capture
-    from drapenet.refine.search import CapturedScan
     from drapenet.result.estimate import make_estimate
 
     header, shape = read_header(bundled(DISC_RIG)), scan.shape
     capture = scan_capture(Path("scan"), shape, REFERENCE_DENSITY)
     inferred = network_estimate(capture, header)
     estimate = inferred.estimate
-    result = refined_capture(estimate, capture, inferred.located, seen=CapturedScan(shape),
-                             known={})
+    began = time.perf_counter()
+    result = refine_capture(estimate, capture, inferred.located, scan=shape, known={})
     if result is None:
         raise InputError("no simulated cloth converges at the scan")
     network = estimate.samples
@@ -69,7 +69,7 @@ def refine_scan(scan: "Registered") -> dict:
     arrays = {"refined": estimate.samples, "network": network}
     return {"refined": result.content, "theta": estimate.samples.mean(axis=0).tolist(),
             "gained": result.draws is not None, "axis": estimate.axis,
-            "seconds": result.found.seconds, "registered_mm": 1e3 * scan.distance,
+            "seconds": time.perf_counter() - began, "registered_mm": 1e3 * scan.distance,
             "spread": estimate.spread.tolist(), "warnings": list(result.warnings), "arrays": arrays}
 
 

@@ -52,7 +52,7 @@ def case(
 ) -> dict:
     """Estimate one capture with the network and with the refinement."""
     from drapenet.inference import network_estimate
-    from drapenet.refine.refine import refined_capture
+    from drapenet.refine.refine import refine_capture
     from drapenet.result.estimate import make_estimate
 
     tester = Rig.from_name(rig)
@@ -70,7 +70,7 @@ def case(
              if nuisances == "none" else {})
     began = time.perf_counter()
     settings = read_option("refine", "depth") | ({"edge_mm": edge_mm} if edge_mm else {})
-    refined = refined_capture(estimate, capture, inferred.located, seen=None, known=fixed,
+    refined = refine_capture(estimate, capture, inferred.located, scan=None, known=fixed,
                               settings=settings)
     seconds = time.perf_counter() - began
     estimates = {"network": estimate}
@@ -88,7 +88,7 @@ def case(
     return {"theta": plan.theta.tolist(), "nuisances": plan.nuisances.vector.tolist(),
             "specimen": specimen, "other_folds": not same_folds(*outlines), "seconds": seconds,
             "views": len(synthetic.views), "gained": "refined" in estimates,
-            "status": refined.found.status.value if refined else "none",
+            "status": refined.result.status.value if refined else "none",
             "spread": estimate.spread.tolist(), "arrays": arrays}
 
 

@@ -2,6 +2,7 @@
 
 import math
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -13,11 +14,11 @@ from common.errors import InputError
 from data.dataset.plan import DrapePlan
 from data.fabrics.fabrics import THETA_NAMES, fabric_from_theta, from_theta, to_theta
 from data.fabrics.prior import load_prior
-from drapenet.refine.minimise import Limits, Method, Run, Status, levenberg_marquardt, minimise
+from drapenet.refine.minimise import LeastSquares, Limits, Status, minimise
 from drapenet.refine.problem import Problem
 from drapenet.refine.springs import plane_springs
 from drapenet.refine.surface import RobustPositions
-from drapenet.refine.unknowns import Cloth, Knowledge
+from drapenet.refine.unknowns import SpecimenPrior, Unknowns
 from experiments.drapes import drape_specimen, plan_specimen
 from experiments.page import Section
 from experiments.papers.descriptors import DescriptorObjective, GridSpectrum, RingSpectrum
@@ -37,43 +38,100 @@ SEED = 0  # of CMA-ES
 _INFEASIBLE_VALUE = 1e30  # replaces an infinite value where a method requires a finite one
 
 
-def lbfgs(run: Run) -> tuple[Status, str]:
+class Exhausted(Exception):  # noqa: N818 (ends a method from within a library's loop)
+    """Raised when a problem has been evaluated as often as allowed."""
+
+
+class Recorded:
+    """A least-squares problem whose evaluations are counted, limited and recorded.
+
+    Attributes:
+        trace: number of evaluations, unknowns (n,) and value of each improvement, the start first.
+    """
+
+    def __init__(self, problem: LeastSquares, most: int) -> None:
+        self.start = np.clip(problem.start, problem.low, problem.high)
+        self.low, self.high = problem.low, problem.high
+        self.evaluations = 0
+        self.trace: list[tuple[int, np.ndarray, float]] = []
+        self._problem, self._most = problem, most
+
+    @property
+    def best(self) -> float:
+        """The lowest value so far."""
+        return self.trace[-1][2] if self.trace else math.inf
+
+    def value(self, x: np.ndarray) -> float:
+        """The problem's value."""
+        if self.evaluations >= self._most:
+            raise Exhausted
+        value = float(self._problem.value(x))
+        self.evaluations += 1
+        if value < self.best:
+            self.trace.append((self.evaluations, np.array(x), value))
+        return value
+
+    def linearised(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+        """The problem's residuals and derivatives."""
+        return self._problem.linearised(x)
+
+
+def levenberg_marquardt(problem: Recorded, limits: Limits) -> Status:
+    """The minimiser of the refinement."""
+    return minimise(problem, limits=limits).status
+
+
+def lbfgs(problem: Recorded, limits: Limits) -> Status:
     """SciPy's L-BFGS-B on the value and its gradient."""
-    problem, limits = run.problem, run.limits
-    first = run.best
+    start, first = problem.start, problem.value(problem.start)
+    if not math.isfinite(first):
+        return Status.FAILED
 
     def value_and_gradient(x: np.ndarray) -> tuple[float, np.ndarray]:
-        value = first.value if np.array_equal(x, first.x) else run.value(x)
+        value = first if np.array_equal(x, start) else problem.value(x)
         linearised = problem.linearised(x) if math.isfinite(value) else None
         if linearised is None:
             # Larger than any feasible value and without slope, so that the line search backtracks.
             return 10.0, np.zeros_like(x)
         residuals, jacobian = linearised
-        return value / first.value, jacobian.T @ residuals / first.value
+        return value / first, jacobian.T @ residuals / first
 
     result = scipy_minimise(
-        value_and_gradient, first.x, jac=True, method="L-BFGS-B",
+        value_and_gradient, start, jac=True, method="L-BFGS-B",
         bounds=list(zip(problem.low, problem.high, strict=True)),
         options={"ftol": limits.decrease, "gtol": 1e-9, "maxfun": 10**6, "maxiter": 10**6})
-    return (Status.CONVERGED if result.success else Status.STALLED), str(result.message)
+    return Status.CONVERGED if result.success else Status.STALLED
 
 
-def cma_es(run: Run) -> tuple[Status, str]:
+def cma_es(problem: Recorded, limits: Limits) -> Status:
     """CMA-ES of the package cma, with its default population size."""
     import cma  # slow import
 
-    problem, limits = run.problem, run.limits
-    strategy = cma.CMAEvolutionStrategy(run.best.x, SIGMA, {
+    if not math.isfinite(problem.value(problem.start)):
+        return Status.FAILED
+    strategy = cma.CMAEvolutionStrategy(problem.start, SIGMA, {
         "bounds": [problem.low.tolist(), problem.high.tolist()], "seed": SEED + 1,
         "verbose": -9, "tolx": limits.step / 10, "tolfun": 0, "tolfunhist": 0, "tolflatfitness": 5,
     })
     while not strategy.stop():
         points = strategy.ask()
-        strategy.tell(points, [min(run.value(np.asarray(x)), _INFEASIBLE_VALUE) for x in points])
-    return Status.CONVERGED, f"cma stopped: {', '.join(strategy.stop())}"
+        strategy.tell(points, [min(problem.value(np.asarray(x)), _INFEASIBLE_VALUE)
+                               for x in points])
+    return Status.CONVERGED
 
 
-METHODS: dict[str, Method] = {"lm": levenberg_marquardt, "lbfgs": lbfgs, "cmaes": cma_es}
+METHODS: dict[str, Callable[[Recorded, Limits], Status]] = {
+    "lm": levenberg_marquardt, "lbfgs": lbfgs, "cmaes": cma_es}
+
+
+def run_method(problem: LeastSquares, method: str, limits: Limits) -> tuple[Status, Recorded]:
+    """Minimise by one of :data:`METHODS` within ``limits``: status, and the record of the search.
+    """
+    recorded = Recorded(problem, limits.evaluations)
+    try:
+        return METHODS[method](recorded, limits), recorded
+    except Exhausted:
+        return Status.EXHAUSTED, recorded
 
 
 TARGETS = {"plate": "this project's plate, another mesh", "hinges": "hinges, another mesh",
@@ -167,32 +225,32 @@ def case(
     rest, rig = captured.rest, captured.rig
     springs = plane_springs(captured.scene, captured.positions, pull=_SPRING_FORCE)
     vertices = RobustPositions(captured.positions, vertices=~captured.held)
-    unknown = {"free": THETA_NAMES, "known": Knowledge.of(load_prior("gaussian"))}
+    unknown = {"free": THETA_NAMES, "prior": SpecimenPrior.of(load_prior("gaussian"))}
     searches: dict[str, Any] = {}
     for search in SEARCHES:
         began = time.process_time()
         if search in METHODS:
-            problem = Problem(captured, Cloth.of(start), vertices,
-                              hold=lambda _: springs, **unknown)
+            problem = Problem(captured, Unknowns.of(start), vertices,
+                              springs=lambda _: springs, **unknown)
         else:
             kind, near = ((GridSpectrum, captured) if search == "grid" else (RingSpectrum, initial))
             descriptor = kind(rest, rig)
-            problem = Problem(near, Cloth.of(start), DescriptorObjective(
+            problem = Problem(near, Unknowns.of(start), DescriptorObjective(
                 descriptor, descriptor.describe(captured.positions)), **unknown)
-        outcome = minimise(problem, method=METHODS.get(search), limits=Limits(
-            evaluations=simulations_free if search == "cmaes" else simulations))
+        limits = Limits(evaluations=simulations_free if search == "cmaes" else simulations)
+        status, record = run_method(problem, search if search in METHODS else "lm", limits)
         cpu = time.process_time() - began
         searches[search] = {"simulations": problem.effort.solves, "seconds": cpu,
-                     "status": outcome.status.value, "theta": None, "drape": None}
+                     "status": status.value, "theta": None, "drape": None}
         if problem.best is None:
             continue
-        best = problem.best.cloth
+        best = problem.best.unknowns
         free = follow(captured, best.fabric)
         searches[search] |= {
             "theta": best.theta.tolist(), "alpha": (best.theta - truth)[:3].tolist(),
             "ratio_mm": (1e3 * (best.theta - truth)[3:]).tolist(),
-            "trace": [[point.evaluations, rms((problem.split(point.x)[0].theta - truth)[:3])]
-                      for point in outcome.trace],
+            "trace": [[evaluations, rms((problem.split(x)[0].theta - truth)[:3])]
+                      for evaluations, x, _ in record.trace],
             "drape": 1e3 * float(np.linalg.norm(
                 free.positions - captured.positions, axis=1).mean()) if free.converged else None}
     return {"truth": truth.tolist(), "start": (start - truth)[:3].tolist(), "motion": motion,

@@ -39,7 +39,7 @@ def test_an_untrained_network_is_no_better_than_the_mean_and_says_how_wide_it_is
     assert figure["interval_95"][0] < figure["rmse"] < figure["interval_95"][1]
     assert figure["rmse"] > 0.8 * result["prior"]["log_alpha"]
     assert result["inside"]["50%"]["mean"] < result["inside"]["90%"]["mean"]
-    assert (result["captures"], result["drapes"]) == (40, 40)
+    assert (result["captures"], result["drapes"]) == (24, 24)
 
 
 def test_the_matrix_varies_one_thing_at_a_time(untrained_checkpoint: Path) -> None:

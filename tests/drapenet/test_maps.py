@@ -10,8 +10,7 @@ from data.dataset.folder import finished_manifest
 from data.fabrics.fabrics import to_theta
 from data.fabrics.nuisances import Nuisances
 from data.render.setups import Setups
-from drapenet.network.dataset import make_maps, maps_of_shard
-from drapenet.network.extrapolated import change, moves
+from drapenet.network.dataset import drape_derivatives, make_maps, maps_of_shard, neighbour
 from sim.drape import DrapeResult, drape
 from sim.material import MICRO, Fabric
 from sim.rig import Rig
@@ -37,7 +36,7 @@ def test_files_do_not_depend_on_workers_or_interruptions(files: Path, cloth_data
     maps = make_maps(cloth_dataset, finished_manifest(cloth_dataset), files, setups=SETUPS,
                      captures=1, seed=3)
     assert {file: file.read_bytes() for file in sorted(folder.iterdir())} == bytes_of
-    assert len(maps) == 40 and not maps.moved.any()
+    assert len(maps) == 24 and not maps.moved.any()
     assert np.isfinite(maps.distance).all() and (maps.weight.max(axis=(1, 2)) > 0).all()
 
 
@@ -63,7 +62,7 @@ def stored() -> tuple[DrapeResult, dict[str, object], np.ndarray, np.ndarray]:
 def test_moves_are_the_derivatives_of_a_stored_drape(stored: tuple) -> None:
     """Against the equilibrium next to it of cloth with a stiffer bias or membrane."""
     one, *drawn = stored
-    found = moves(*drawn, Rig())
+    found = drape_derivatives(*drawn, Rig())
     bias = replace(FABRIC, alpha=FABRIC.alpha * [1.0, 1.01, 1.0])
     taut = Nuisances(membrane=306.0, shear=0.5).laws.membrane
     for fabric, laws, predicted in (
@@ -78,13 +77,13 @@ def test_moves_are_the_derivatives_of_a_stored_drape(stored: tuple) -> None:
 def test_a_drape_with_hysteresis_is_an_equilibrium_only_with_its_origins(stored: tuple) -> None:
     _, row, positions, origin = stored
     assert np.abs(origin).max() > 10.0
-    assert moves(row, positions, 0 * origin, Rig()) is None
+    assert drape_derivatives(row, positions, 0 * origin, Rig()) is None
 
 
 def test_neighbours_have_the_fabrics_mean_and_covariance() -> None:
     rng = np.random.default_rng(0)
     fabrics = rng.normal(size=(3000, 6)) * [1, 0.8, 1, 1e-3, 1e-3, 1e-3] - 11.0
-    steps = np.array([change(theta, fabrics, rng) for theta in fabrics])
+    steps = np.array([neighbour(theta, fabrics, rng) for theta in fabrics])
     moved = fabrics + steps[:, :6]
     assert moved.mean(axis=0) == pytest.approx(fabrics.mean(axis=0), abs=0.02)
     assert moved.std(axis=0) / fabrics.std(axis=0) == pytest.approx(np.ones(6), abs=0.05)

@@ -8,15 +8,15 @@ import pytest
 
 from common.configs import read_option
 from data.captures.capture import Capture
-from data.fabrics.fabrics import THETA_NAMES, fabric_from_theta
+from data.fabrics.fabrics import fabric_from_theta
 from data.render.cameras import nominal_camera
 from data.render.rays import QUARTERS, DepthRenderer
 from drapenet.refine import refine
 from drapenet.refine.minimise import Status
 from drapenet.refine.problem import Effort, Trial, Uncertainty
-from drapenet.refine.search import CapturedViews, Found
+from drapenet.refine.search import CapturedViews, SearchResult
 from drapenet.refine.surface import Fidelity
-from drapenet.refine.unknowns import LAWS, OFFSET, Cloth
+from drapenet.refine.unknowns import NAMES, Unknowns
 from drapenet.result.estimate import Estimate
 from drapenet.views.located import LocatedViews
 from sim.drape import DrapeResult, drape
@@ -47,24 +47,26 @@ def capture_of(shape: DrapeResult) -> Capture:
 def run(
     shape: DrapeResult, monkeypatch: pytest.MonkeyPatch, *, start_value: float = 50.0,
     known: dict | None = None,
-) -> tuple[refine.Refined, dict]:
+) -> tuple[refine.Refinement, dict]:
     """A refinement whose search finds ``shape`` with known uncertainties."""
     asked = {}
 
-    def search(seen: CapturedViews, starts: list[Cloth], *, free: list[str], **more) -> Found:
+    def search(
+        _: CapturedViews, starts: list[Unknowns], *, free: list[str], **more
+    ) -> SearchResult:
         asked.update(starts=starts, free=free)
-        names = (*(name for name in (*THETA_NAMES, *LAWS, *OFFSET) if name in free), "turn")
+        names = (*(name for name in NAMES if name in free), "turn")
         objective = CapturedViews(located, turn=0.5, edge=8e-3, coarse=8e-3).objective(8e-3)
         nuisance = objective.start
-        trial = Trial(np.zeros(len(names)), Cloth.of(THETA + 0.1), nuisance, shape, 10.0, 10.0)
-        return Found(trial, objective, start_value, Uncertainty(
-            names, 0.01 * np.eye(len(names)), 1.0), shape, Effort(), 1.0, Status.CONVERGED, "")
+        trial = Trial(np.zeros(len(names)), Unknowns.of(THETA + 0.1), nuisance, shape, 10.0, 10.0)
+        return SearchResult(trial, objective, Effort(), start_value, Uncertainty(
+            names, 0.01 * np.eye(len(names)), 1.0), shape, Status.CONVERGED, "")
 
     monkeypatch.setattr(refine, "search", search)
     capture, camera = capture_of(shape), nominal_camera()
     located = LocatedViews.exact(capture.views, camera, Rig(), QUARTERS)
-    result = refine.refined_capture(
-        before("stiff", "bias", "soft"), capture, located, seen=None,
+    result = refine.refine_capture(
+        before("stiff", "bias", "soft"), capture, located, scan=None,
         known=known or {}, settings=read_option("refine", "depth") | {"edge_mm": 8.0})
     return result, asked
 
@@ -100,13 +102,11 @@ def test_a_refinement_that_gains_nothing_leaves_the_network_its_answer(
     assert any("the network's estimate stands" in line for line in result.warnings)
 
 
-@pytest.mark.parametrize(("near", "doubt"), [
+@pytest.mark.parametrize(("displacement", "warning"), [
     (3.0, None), (12.0, "12 mm from the scan"), (None, "does not come to rest")])
-def test_cloth_let_go_at_a_scan_stays_there(
-    draped: DrapeResult, near: float | None, doubt: str | None,
-    monkeypatch: pytest.MonkeyPatch,
+def test_cloth_released_at_a_scan_stays_there(
+    displacement: float | None, warning: str | None
 ) -> None:
-    found, _ = run(draped, monkeypatch)
-    warnings = refine._warnings(found.found, THETA[None], near and Fidelity(near, 1.0, 70.0, 70.0),
-                             scan=True)
-    assert len(warnings) == (doubt is not None) and (doubt or "") in "".join(warnings)
+    near = displacement and Fidelity(displacement, 1.0, 70.0, 70.0)
+    warnings = refine._scan_warnings(near)
+    assert len(warnings) == (warning is not None) and (warning or "") in "".join(warnings)
