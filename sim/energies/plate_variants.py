@@ -44,9 +44,9 @@ the curve of :func:`sim.material.torque` this is the law of an isotropic fabric
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
 from common.errors import InputError
 from sim.energies.midedge import MidEdgeBending
@@ -62,6 +62,8 @@ from sim.material import (
 )
 from sim.mesh import Mesh
 
+if TYPE_CHECKING:
+    from scipy.interpolate import PchipInterpolator
 
 @dataclass(frozen=True)
 class NaturallyCurved:
@@ -291,8 +293,10 @@ class TorqueLaw:
                              "increasing from 0")
 
     @cached_property
-    def spline(self) -> PchipInterpolator:
+    def spline(self) -> "PchipInterpolator":
         """Torque, N, by curvature, 1/m."""
+        from scipy.interpolate import PchipInterpolator  # slow import
+
         # A repetition of the last interval: PCHIP is linear there.
         return PchipInterpolator(*(np.append(v, 2 * v[-1] - v[-2])
                                    for v in (self.curvature, self.torque)))
