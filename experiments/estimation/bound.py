@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from common.types import Metres, Radians
 from data.fabrics.fabrics import THETA_NAMES
 from data.fabrics.nuisances import NAMES, Nuisances
 from data.render.cameras import Camera
@@ -45,15 +46,8 @@ SETUP = (*table_names(len(QUARTERS)), FOCAL)
 
 @dataclass(frozen=True)
 class Information:
-    """Fisher information of a capture about theta (:mod:`data.fabrics.fabrics`) and other unknowns.
-
-    Attributes:
-        names: (P,) parameters: theta, :data:`SPECIMEN`, :data:`CAMERA`, :data:`SETUP` and
-            :data:`data.fabrics.nuisances.NAMES`, in SI units or logarithms.
-        fisher: (P, P) information; NaN if the drape has no derivatives.
-        pixels: number of pixels used.
-        ok, message: whether there are derivatives, and the reason if not.
-    """
+    """Fisher information (P, P) of a capture about theta and other unknowns, in SI units or
+    logarithms; NaN if the drape has no derivatives."""
 
     names: tuple[str, ...]
     fisher: np.ndarray
@@ -70,8 +64,7 @@ class Information:
 
         Args:
             prior: (6, 6) covariance of theta over fabrics.
-            unknown: prior standard deviations, above 0, of the unknown parameters, in the units
-                of :attr:`names`; infinity for none.
+            unknown: prior standard deviations of the unknown parameters; infinity for none.
         """
         return joint_covariance([self], np.linalg.inv(prior), separate=unknown)
 
@@ -85,10 +78,9 @@ def joint_covariance(
     NaN if a drape has no derivatives.
 
     Args:
-        captures: of one fabric.
-        precision: (6, 6) prior precision of theta.
-        separate: prior standard deviations of the parameters that differ between captures.
-        shared: those of the S shared parameters; infinity for no prior.
+        precision: (6, 6) of the prior of theta.
+        separate, shared: prior standard deviations of the parameters that differ between captures,
+            and of those that do not; infinity for none.
     """
     shared = shared or {}
     total = np.zeros((6 + len(shared),) * 2)
@@ -122,19 +114,12 @@ def depth_information(
     camera: Camera,
     *,
     nuisances: Nuisances | None = None,
-    orientation: float = 0.0,
-    noise: float = 1e-3,
+    orientation: Radians = 0.0,
+    noise: Metres = 1e-3,
     pixels_per_measurement: float = 100.0,
 ) -> Information:
-    """Fisher information of four views of a drape.
-
-    Args:
-        result: drape on a rig with a plate.
-        camera: its pose; the specimen is rotated by ``orientation`` (rad) in the first view.
-        nuisances: of the simulated specimen; None for none.
-        noise: m, standard deviation of a depth.
-        pixels_per_measurement: number of pixels per independent measurement.
-    """
+    """Fisher information of four views of a drape, rotated by ``orientation`` in the first, whose
+    depths have the standard deviation ``noise``."""
     names = (*THETA_NAMES, *SPECIMEN, *CAMERA, *SETUP, *NAMES)
     tangent = Tangent.of(result)
     if not tangent.ok:

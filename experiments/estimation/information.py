@@ -26,7 +26,7 @@ from data.fabrics.prior import load_prior
 from data.render.cameras import nominal_camera
 from data.render.setups import Setups
 from experiments.estimation.bound import CAMERA, SETUP, SPECIMEN, bounds, depth_information
-from experiments.result import Config, Result, label_log_axes
+from experiments.result import Config, Result, label_log_axes, rms
 from sim.drape import drape
 from sim.rig import Rig
 
@@ -85,20 +85,12 @@ def bounds_of_fabric(index: int, seed: int, edge_mm: float, noise_mm: float, pix
 
 
 def summarise(cases: list[dict], spread: np.ndarray) -> dict[str, dict[str, float]]:
-    """Root mean squares over fabrics and directions by row.
-
-    Args:
-        spread: (6,) standard deviations of theta over fabrics, the unit of "standardised" values.
-    """
-    def rms(values: np.ndarray) -> dict[str, float]:
-        return {name: float(np.sqrt((values[:, part] ** 2).mean()))
-                for name, part in MODULI.items()}
-
+    """Root mean squares over fabrics and directions by row, also in units of ``spread``."""
     summary = {}
     for row in cases[0]["bounds"]:
-        found = np.array([case["bounds"][row] for case in cases])
-        summary[row] = rms(found) | {
-            f"standardised_{name}": value for name, value in rms(found / spread).items()}
+        values = np.array([case["bounds"][row] for case in cases])
+        summary[row] = {f"{kind}{name}": rms(unit[:, part]) for kind, unit in (
+            ("", values), ("standardised_", values / spread)) for name, part in MODULI.items()}
     return summary
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy import ndimage
 
+from data.fabrics.nuisances import Nuisances
 from data.render.setups import SyntheticCapture
 from experiments.drapes import (
     capture_drape,
@@ -62,14 +63,17 @@ CAPTURE_FAULTS: dict[str, tuple[str, tuple[float, ...], Fault]] = {
     "holes": ("% of pixels", (5, 20, 50), _add_holes),
 }
 """Faults added to a finished capture, by name: unit, values and function."""
-OFFSET_FAULT = ("off-centre", "mm", (2, 5, 10, 20))
-SIZE_FAULT = ("specimen too large", "mm", (-5, -2, 2, 5))
+SPECIMEN_FAULTS: dict[str, tuple[str, tuple[float, ...], Callable[[float], dict[str, Any]]]] = {
+    "off-centre": ("mm", (2, 5, 10, 20), lambda v: {"offset": (1e-3 * v, 0.0)}),
+    "specimen too large": ("mm", (-5, -2, 2, 5), lambda v: {"nuisances": Nuisances(size=1e-3 * v)}),
+}
+"""Faults of the specimen by name: unit, values, and changes of the drape for a value."""
+UNITS = {name: unit for name, (unit, _, _) in
+         (SETUP_FAULTS | CAPTURE_FAULTS | SPECIMEN_FAULTS).items()}
 
 
 def case(*, number: int, edge_mm: float, seed: int) -> dict[str, Any]:
     """Errors of log alpha and number of warnings for one fabric, by fault and value."""
-    from data.fabrics.nuisances import Nuisances
-
     plan, edge = plan_specimen(number, seed=seed), 1e-3 * edge_mm
     shape = drape_specimen(plan, edge=edge)
     truth = plan.theta[LINEAR]
@@ -89,13 +93,9 @@ def case(*, number: int, edge_mm: float, seed: int) -> dict[str, Any]:
     rng = np.random.default_rng([seed, number, 1])
     for name, (_, values, change) in CAPTURE_FAULTS.items():
         result[name] = {str(v): evaluate(change(plain, v, rng)) for v in values}
-    name, _, values = OFFSET_FAULT
-    drapes = {v: drape_specimen(plan, edge=edge, offset=(1e-3 * v, 0.0)) for v in values}
-    result[name] = {str(v): evaluate(captured(drape)) for v, drape in drapes.items()}
-    name, _, values = SIZE_FAULT
-    drapes = {v: drape_specimen(plan, edge=edge, nuisances=Nuisances(size=1e-3 * v))
-              for v in values}
-    result[name] = {str(v): evaluate(captured(drape)) for v, drape in drapes.items()}
+    for name, (_, values, changes) in SPECIMEN_FAULTS.items():
+        drapes = {v: drape_specimen(plan, edge=edge, **changes(v)) for v in values}
+        result[name] = {str(v): evaluate(captured(drape)) for v, drape in drapes.items()}
     return result
 
 
@@ -110,34 +110,31 @@ def run(config: Config) -> Result:
         for value in values} for name, values in first.items()}})
 
 
-def _unit(name: str) -> str:
-    units = {**{key: unit for key, (unit, _, _) in (SETUP_FAULTS | CAPTURE_FAULTS).items()},
-             OFFSET_FAULT[0]: OFFSET_FAULT[1], SIZE_FAULT[0]: SIZE_FAULT[1]}
-    return units.get(name, "")
+def _shown(name: str, value: str) -> str:
+    """A value of a fault with its unit."""
+    if name == "sensor":
+        return SENSORS[int(value) - 1]
+    return f"{value} {UNITS.get(name, '')}".strip()
 
 
 def summarise(report: Report) -> str:
     """Summary in sentences."""
     plain = report["faults"]["none"]["0"]["error"]
-    large = [f"{name} {value} {_unit(name)}".strip() for name, values in report["faults"].items()
-             for value, one in values.items() if one["error"] > 1.5 * plain]
-    missed = [f"{name} {value} {_unit(name)}".strip() for name, values in report["faults"].items()
-              for value, one in values.items()
-              if one["error"] > 1.5 * plain and one["doubted"] < 0.5]
+    doubted = {f"{name} {_shown(name, value)}": one["doubted"]
+               for name, values in report["faults"].items() for value, one in values.items()
+               if one["error"] > 1.5 * plain}
+    missed = [name for name, share in doubted.items() if share < 0.5]
     noted = (f"the checks report fewer than half of the captures with {', '.join(missed)}"
              if missed else "the checks report each of them in at least half of the captures")
     return (f"Without faults the error of log α is {plain:.2f}. Faults that raise it by more than "
-            f"half: {', '.join(large) or 'none'}; {noted}. An error of the density changes all "
+            f"half: {', '.join(doubted) or 'none'}; {noted}. An error of the density changes all "
             "moduli in proportion.")
 
 
 def rows(report: Report) -> tuple[list[str], list[list[object]]]:
     """Table of errors by fault and value."""
-    def shown(name: str, value: str) -> str:
-        return SENSORS[int(value) - 1] if name == "sensor" else f"{value} {_unit(name)}".strip()
-
     return (["fault", "value", "error of log α", "bias", "with a warning"],
-            [[name, shown(name, value), f"{one['error']:.3f}", f"{one['bias']:+.3f}",
+            [[name, _shown(name, value), f"{one['error']:.3f}", f"{one['bias']:+.3f}",
               f"{one['doubted']:.0%}"]
              for name, values in report["faults"].items() for value, one in values.items()])
 
@@ -156,7 +153,7 @@ def draw(report: Report) -> Figure:
         for place, value, one in zip(x, y, values.values(), strict=True):
             axes.plot(place, value, "o", color="#2f6da8",
                       mfc="#b5403a" if one["doubted"] > 0.5 else "white")
-        axes.set(title=name, xlabel=_unit(name))
+        axes.set(title=name, xlabel=UNITS[name])
         if name == "sensor":
             axes.set_xticks(x, SENSORS)
     for axes in panels[len(faults):]:

@@ -21,12 +21,12 @@ from experiments.drapes import (
     spread,
 )
 from experiments.page import Section
-from experiments.physics.testers import LENGTHS, add_noise
+from experiments.physics.testers import add_noise, strip_lengths
 from experiments.result import Config, Report, Result, label_log_axes, rms, run_fabrics
 from sim.cantilever.moduli import estimate_moduli, fabric_of
-from sim.cantilever.tester import bending_length, simulate_strips
+from sim.cantilever.tester import simulate_strips
 from sim.drape import DrapeResult, drape
-from sim.material import DIRECTIONS, REFERENCE_DENSITY, Fabric
+from sim.material import REFERENCE_DENSITY, Fabric
 from sim.rig import HUNG_SQUARE
 from sim.sensitivity import follow
 
@@ -42,11 +42,9 @@ def estimate_strips(
     fabric: Fabric, *, noise: float, cells: int, seed: int
 ) -> dict[str, Fabric]:
     """Fabrics estimated from noisy free cantilever strips, by method that did not fail."""
-    lengths = {direction: [x * bending_length(alpha, fabric.density) for x in LENGTHS]
-               for direction, alpha in zip(DIRECTIONS, fabric.alpha, strict=True)}
     found: dict[str, Fabric] = {}
     try:
-        strips = simulate_strips(fabric, lengths, cells=cells, seed=seed)
+        strips = simulate_strips(fabric, strip_lengths(fabric), cells=cells, seed=seed)
     except InputError:
         return found
     noisy = add_noise(strips, noise, np.random.default_rng(seed))

@@ -64,35 +64,20 @@ _PREDICTION_BATCH = 64  # captures per batch of an evaluation
 
 @dataclass(frozen=True)
 class Training:
-    """Settings of a training: data, network and duration.
+    """Settings of a training: data, network and duration."""
 
-    Attributes:
-        drapes: a key of :data:`DATASETS`.
-        fabrics: number of fabrics; 0: all that are not held out.
-        starts: number of drapes of each; 0: all.
-        start: initial state of the drapes; empty: any.
-        input: "map", "outline", "numbers" or "views".
-        network: for views, the name of a network of torchvision; else the width of the first stage.
-        output: see :func:`experiments.papers.networks.output_head`.
-        fixed: whether all specimens have one orientation, without augmentation by symmetries.
-        steps: of the training; 0: limited by ``cpu_seconds``.
-        cpu_seconds: processor time of the training, where ``steps`` is 0.
-        keep_weights: whether to store the weights.
-        evaluate_table: whether to evaluate also on the fabrics of "table".
-    """
-
-    drapes: str = "fabrics"
-    fabrics: int = 0
-    starts: int = 0
-    start: str = ""
-    input: str = "map"
-    network: str = "16"
-    output: str = "posterior"
-    fixed: bool = False
-    steps: int = 0
+    drapes: str = "fabrics"  # a key of DATASETS
+    fabrics: int = 0  # 0: all that are not held out
+    starts: int = 0  # drapes of each fabric; 0: all
+    start: str = ""  # initial state of the drapes; empty: any
+    input: str = "map"  # map, outline, numbers or views
+    network: str = "16"  # for views, of torchvision; else the width of the first stage
+    output: str = "posterior"  # see output_head
+    fixed: bool = False  # all specimens in one orientation, without augmentation by symmetries
+    steps: int = 0  # 0: limited by cpu_seconds
     cpu_seconds: float = 0.0
     keep_weights: bool = False
-    evaluate_table: bool = False
+    evaluate_table: bool = False  # also on the fabrics of "table"
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,16 +218,9 @@ def _selected(maps: Maps, one: Training, config: dict[str, Any]) -> np.ndarray:
 
 
 def train(*, training: dict, settings: dict, dataset: str) -> dict[str, Any]:
-    """Train and evaluate one network.
+    """Train and evaluate one network; ``dataset`` is a part of the result's key.
 
-    Args:
-        dataset: digest of the training drapes, a part of the key of the stored result.
-
-    Returns:
-        ``unseen``: by test set, ``log_alpha`` and ``beta_over_alpha`` (:func:`rms_with_interval`)
-        in standard deviations over the training fabrics, stiffer yarns first, and for a posterior
-        ``inside``, the coverage of its intervals; ``steps``, ``cpu_seconds``, ``captures``,
-        ``parameters``.
+    Errors are in standard deviations over the training fabrics, stiffer yarns first.
     """
     one = Training(**training)
     torch.manual_seed(settings["seed"])

@@ -72,12 +72,9 @@ def simulate(
         found = equilibrium_near(start, specimen, rig, fabric, laws)
         mesh, steps = specimen.mesh, found.newton.iterations
     positions = found.state.positions
-    return {
-        "status": found.status.value,
-        "drape_coefficient": drape_coefficient(positions, mesh.faces, rig),
-        "newton_steps": steps,
-        "arrays": {"rest": mesh.rest, "positions": positions, "faces": mesh.faces},
-    }
+    return {"status": found.status.value, "newton_steps": steps,
+            "drape_coefficient": drape_coefficient(positions, mesh.faces, rig),
+            "arrays": {"rest": mesh.rest, "positions": positions, "faces": mesh.faces}}
 
 
 @dataclass(frozen=True)
@@ -123,26 +120,23 @@ def scaling_cases(alpha: float, config: Config) -> dict[tuple[str, float], Case]
 
 
 class Drapes:
-    """Results and drapes of finished cases."""
+    """Results and shapes of finished cases."""
 
     def __init__(self, folder: Path, reports: dict[str, dict]) -> None:
-        self._folder, self.reports = folder, reports
-
-    def drape(self, case: Case) -> Shape:
-        """Rest points, positions and faces of a case."""
-        return Shape.load(self._folder, case.name)
+        self.reports = reports
+        self.shapes = {name: Shape.load(folder, name) for name in reports}
 
     def displacement(self, case: Case, other: Case) -> float:
         """Mean displacement between two cases, mm; NaN if one has not converged."""
-        if any(self.reports[one.name]["status"] != Status.CONVERGED.value for one in (case, other)):
+        names = case.name, other.name
+        if any(self.reports[name]["status"] != Status.CONVERGED.value for name in names):
             return float("nan")
-        return 1e3 * compare(self.drape(case), self.drape(other)).displacement
+        return 1e3 * compare(*(self.shapes[name] for name in names)).displacement
 
     def same_folds(self, case: Case, other: Case) -> bool:
         """Whether two cases have the same fold configuration."""
-        outlines = (fold_outline(d.positions, d.rest, Rig())
-                    for d in (self.drape(case), self.drape(other)))
-        return same_folds(*outlines)
+        return same_folds(*(fold_outline(shape.positions, shape.rest, Rig()) for shape in (
+            self.shapes[case.name], self.shapes[other.name])))
 
 
 def comparison_rows(alpha: float, drapes: Drapes, config: Config) -> dict[str, list[dict]]:
@@ -186,7 +180,7 @@ def plot(drapes: Drapes, config: Config) -> Figure:
     for row, alpha in zip(axes, alphas, strict=True):
         cases = locking_cases(alpha, config)
         for axis, (label, edge) in zip(row, columns, strict=True):
-            d = drapes.drape(cases[label, edge])
+            d = drapes.shapes[cases[label, edge].name]
             axis.imshow(shade(d.positions, d.faces, plate_radius=Rig().plate_radius))
             axis.set_title(f"{label}, {edge:g} mm\nα = {alpha:g} µN·m", fontsize=9)
             axis.axis("off")

@@ -140,23 +140,20 @@ def adjoint_derivatives(
 def summarise(rows: list[dict]) -> dict:
     """Worst and median errors and costs over the fabrics that have derivatives."""
     complete = [row for row in rows if "forward" in row]
+    if not complete:
+        return {"fabrics": len(rows), "with_derivatives": 0, "passed": False}
     ratios = {name: [row["seconds"][name] / row["seconds"]["drape"] for row in complete]
-              for name in complete[0]["seconds"]} if complete else {}
-    summary = {
-        "fabrics": len(rows),
-        "with_derivatives": len(complete),
-        "worst": {way: max(max(row[way]) for row in complete) for way in ("forward", "adjoint")},
-        "median": {way: float(np.median([row[way] for row in complete]))
-                   for way in ("forward", "adjoint")},
-        "share_of_the_drape": {
-            name: {"median": float(np.median(values)), "largest": max(values)}
-            for name, values in ratios.items() if name != "drape"
-        },
-    } if complete else {"fabrics": len(rows), "with_derivatives": 0}
-    summary["passed"] = len(complete) == len(rows) and all(
-        worst <= MAX_ERROR for worst in summary["worst"].values()
-    ) and summary["share_of_the_drape"]["backward"]["median"] < MAX_COST
-    return summary
+              for name in complete[0]["seconds"]}
+    ways = ("forward", "adjoint")
+    worst = {way: max(max(row[way]) for row in complete) for way in ways}
+    costs = {name: {"median": float(np.median(values)), "largest": max(values)}
+             for name, values in ratios.items() if name != "drape"}
+    return {
+        "fabrics": len(rows), "with_derivatives": len(complete), "worst": worst,
+        "median": {way: float(np.median([row[way] for row in complete])) for way in ways},
+        "share_of_the_drape": costs,
+        "passed": (len(complete) == len(rows) and max(worst.values()) <= MAX_ERROR
+                   and costs["backward"]["median"] < MAX_COST)}
 
 
 def run(config: Config) -> Result:

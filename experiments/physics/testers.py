@@ -15,7 +15,7 @@ from common.errors import InputError
 from data.fabrics.fabrics import fabric_from_theta
 from experiments.drapes import prior_theta
 from experiments.physics.guides import guided
-from experiments.result import Config, Result, run_cases
+from experiments.result import Config, Result, rms, run_cases
 from sim.cantilever import heavy_elastica
 from sim.cantilever.moduli import METHODS, Strips, correct, estimate_moduli
 from sim.cantilever.tester import ANGLES, bending_length, simulate_strips
@@ -44,10 +44,7 @@ def run_case(
 ) -> dict:
     """Estimates of one fabric: lists of moduli (alpha µN·m, beta nN·m²) in warp, bias and weft."""
     fabric = draw_fabric(index, stiffening=stiffening)
-    lengths = {
-        direction: [x * bending_length(alpha, fabric.density) for x in LENGTHS]
-        for direction, alpha in zip(DIRECTIONS, fabric.alpha, strict=True)
-    }
+    lengths = strip_lengths(fabric)
     # Another triangulation than that of the strips simulated by the correction.
     mesh = {"cells": cells, "seed": 100 + index}
     result = {"moduli": moduli(fabric), "stable": stable_directions(fabric)}
@@ -56,21 +53,26 @@ def run_case(
                                  **mesh)
         rng = np.random.default_rng(index)
         for method in METHODS:
-            result[f"guided {method}"] = estimate_moduli(strips, fabric, method)
+            result[f"guided {method}"] = method_rows(strips, fabric, method)
         shaken = [add_noise(strips, 1e-3 * noise, rng) for _ in range(repeats)]
         for method in METHODS:
-            result[f"noisy {method}"] = [estimate_moduli(s, fabric, method) for s in shaken]
+            result[f"noisy {method}"] = [method_rows(s, fabric, method) for s in shaken]
         if free:
             strips = simulate_strips(fabric, lengths, **mesh)
             result["free regression"] = method_rows(strips, fabric, "regression")
             found = estimate_moduli(strips, density=fabric.density, method="table")
             result["free table"] = moduli_rows(found)
             result["free corrected"] = moduli(
-                correct(strips, found, density=fabric.density, rounds=rounds)
-            )
+                correct(strips, found, density=fabric.density, rounds=rounds))
     except InputError as error:
         result["failure"] = str(error)
     return result
+
+
+def strip_lengths(fabric: Fabric) -> dict[str, list[float]]:
+    """Lengths, m, of the strips by direction."""
+    return {direction: [x * bending_length(alpha, fabric.density) for x in LENGTHS]
+            for direction, alpha in zip(DIRECTIONS, fabric.alpha, strict=True)}
 
 
 def stable_directions(fabric: Fabric) -> list[bool]:
@@ -138,52 +140,36 @@ def relative_errors(results: list[dict], kind: str) -> np.ndarray:
 
 def summarise(errors: np.ndarray) -> dict:
     """Statistics of relative errors (n, 2), in percent, and shares within the limits."""
-    flat, signed = 100 * np.abs(errors), 100 * errors
-    limits = 100 * np.array([ALPHA_LIMIT, BETA_LIMIT])
-    return {
-        modulus: {
-            "readings": len(flat),
-            "median": float(np.median(flat[:, k])),
-            "rms": float(np.sqrt((flat[:, k] ** 2).mean())),
-            "largest": float(flat[:, k].max()),
-            "median_signed": float(np.median(signed[:, k])),
-            "within_limit": float((flat[:, k] <= limits[k]).mean()),
-        }
-        for k, modulus in enumerate(("alpha", "beta"))
-    }
+    return {modulus: {
+        "readings": len(errors),
+        "median": float(np.median(np.abs(error))),
+        "rms": rms(error),
+        "largest": float(np.abs(error).max()),
+        "median_signed": float(np.median(error)),
+        "within_limit": float((np.abs(error) <= 100 * limit).mean()),
+    } for modulus, limit, error in zip(("alpha", "beta"), (ALPHA_LIMIT, BETA_LIMIT),
+                                       100 * errors.T, strict=True)}
 
 
 def run(config: Config) -> Result:
     """Estimate all strips."""
     count = config["fabrics"]
     shared = {key: config[key] for key in ("noise", "repeats", "cells", "rounds")}
-    cases = {
-        f"fabric{i:02d}": {
-            "index": i, "stiffening": i == count - 1, "free": i < config["free"], **shared
-        }
-        for i in range(count)
-    }
-    results = list(
-        run_cases(run_case, cases, config).values()
-    )
+    cases = {f"fabric{k:02d}": {"index": k, "stiffening": k == count - 1,
+                                "free": k < config["free"], **shared} for k in range(count)}
+    by_fabric = run_cases(run_case, cases, config)
+    results = list(by_fabric.values())
     kinds = [f"{strips} {method}" for strips in ("guided", "noisy") for method in METHODS]
     kinds += ["free regression", "free table", "free corrected"]
-    summary = {
-        kind: summarise(errors) for kind in kinds if len(errors := relative_errors(results, kind))
-    }
-    unstable = [
-        f"{name} {direction}" for name, result in zip(cases, results, strict=True)
-        for direction, stable in zip(DIRECTIONS, result["stable"], strict=True) if not stable
-    ]
-    failures = {
-        name: result["failure"]
-        for name, result in zip(cases, results, strict=True) if "failure" in result
-    }
     return Result({
         "lengths_in_bending_lengths": LENGTHS,
-        "errors_percent": summary,
-        "left_out": unstable,
-        "failures": failures,
+        "errors_percent": {kind: summarise(errors) for kind in kinds
+                           if len(errors := relative_errors(results, kind))},
+        "left_out": [f"{name} {direction}" for name, result in by_fabric.items()
+                     for direction, stable in zip(DIRECTIONS, result["stable"], strict=True)
+                     if not stable],
+        "failures": {name: result["failure"] for name, result in by_fabric.items()
+                     if "failure" in result},
         "fabrics": results,
     }, draw(results))
 
@@ -202,14 +188,10 @@ def draw(results: list[dict]) -> Figure:
             axis = axes[row, column]
             lowest, highest = np.inf, -np.inf
             for kind, marker in zip(kinds, "ox", strict=True):
-                pairs = [
-                    (true[row], found[row])
-                    for result in results if kind in result
-                    for each in np.array(result[kind]).reshape(-1, 3, 2)
-                    for true, found, stable in zip(
-                        result["moduli"], each, result["stable"], strict=True
-                    ) if stable
-                ]
+                pairs = [(true[row], found[row]) for result in results if kind in result
+                         for each in np.array(result[kind]).reshape(-1, 3, 2)
+                         for true, found, stable in zip(result["moduli"], each, result["stable"],
+                                                        strict=True) if stable]
                 if not pairs:
                     continue
                 true, found = np.array(pairs).T
