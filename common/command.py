@@ -108,16 +108,18 @@ def _run(task: Callable[[Any], None], name: str, schema: type, words: list[str])
 
 def _overrides(name: str, schema: type, words: list[str]) -> list[str]:
     """Arguments for Hydra; in a sweep the default of ``out`` is in the folder of each job."""
+    settings = [word for word in words if ("=" in word and word[0] != "-") or word[:1] == "~"]
+    words = [*settings, *(word for word in words if word not in settings)]  # as Hydra takes them
     content = read_config(name)
     keys = {word.partition("=")[0] for word in words}
     parts = content.get("hydra", {}).get("sweeper", {}).get("params", {})
     replaced = [f"~hydra.sweeper.params.{key}" for key in parts if key in keys]
     if not _SWEEP & set(words):
-        return [*(quoted(word, schema) for word in words), *replaced]
+        return [*replaced, *(quoted(word, schema) for word in words)]
     if content.get("out") and not parts and "out" not in keys:
         out = Path(content["out"])
-        words = [*words, "out=${hydra:runtime.output_dir}" + f"/{out.name}" * bool(out.suffix)]
-    return [*words, *replaced]
+        replaced = ["out=${hydra:runtime.output_dir}" + f"/{out.name}" * bool(out.suffix)]
+    return [*replaced, *words]
 
 
 def quoted(word: str, schema: type) -> str:

@@ -165,7 +165,7 @@ def test_the_first_word_chooses_among_commands(capsys):
 
 
 def test_options_of_hydra_and_help_answer_instead_of_the_command(run, capsys):
-    assert run("--cfg", "job", "count=3") == []
+    assert run("flag=false", "--cfg", "job", "count=3") == []
     assert "count: 3" in capsys.readouterr().out
     assert run("count=3", "--help") == []
     text = capsys.readouterr().out

@@ -34,13 +34,13 @@ def test_a_full_output_is_one_line(body: str) -> None:
         found.stderr.count(b"\n") == 1)
 
 
-def test_closed_outputs_are_nobodys_business() -> None:
+def test_closed_outputs_are_no_error() -> None:
     for redirection in (">&-", ">&- 2>&-"):
         found = run(LONG + "; print('x', file=sys.stderr); sys.stdout.write('y')", redirection)
         assert (found.returncode, found.stdout) == (0, b"")
 
 
-def test_ascii_outputs_and_names_that_are_no_text() -> None:
+def test_undecodable_names_and_ascii_outputs_are_escaped() -> None:
     found = run("print(chr(181), os.fsdecode(b'\\xff')); raise InputError(chr(181) + chr(10))", "",
                 PYTHONIOENCODING="ascii", PYTHONUTF8="0", LC_ALL="C")
     assert found.stdout == b"\\xb5 \\udcff\n"

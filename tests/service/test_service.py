@@ -113,7 +113,7 @@ def test_bad_capture_fails_with_its_sentence(client):
     assert "depth" in found["error"] and "/" not in found["error"].split(";")[0]
 
 
-def test_what_is_not_there_is_404_and_what_is_not_ready_409(client, finished):
+def test_unknown_addresses_are_404_and_unfinished_files_409(client, finished):
     identity = finished["id"]
     for address in ("/estimates/nothing", f"/estimates/{'a' * 22}", "/estimates/..%2f..%2fetc",
                     f"/estimates/{identity}/state.json", f"/estimates/{identity}/export/nothing",
@@ -263,7 +263,7 @@ def test_worker_that_dies_is_a_failure_of_its_estimate_alone(client):
     assert ended(client, again["id"])["state"] == "done"
 
 
-def test_state_that_is_no_json_is_nothing(client):
+def test_an_unreadable_state_is_404(client):
     folder = client.app.state.jobs.settings.folder / ("z" * 22)
     folder.mkdir()
     (folder / "state.json").write_text(json.dumps([1]))
