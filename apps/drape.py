@@ -15,7 +15,7 @@ from apps.drape_file import read_borrowed, write_drape
 from common.command import command
 from common.errors import InputError
 from common.files import folder_named, replace_file, replace_json, require_folder
-from sim.drape import DrapeResult, drape
+from sim.drape import Drape, drape
 from sim.material import DIRECTIONS, MICRO, NANO, Fabric
 from sim.rig import Rig
 
@@ -70,7 +70,7 @@ def main(config: DrapeConfig) -> None:
     print(f"{summary['iterations']} Newton steps, {summary['seconds']:.1f} s; see {folder}/")
 
 
-def summarise(result: DrapeResult, config: DrapeConfig) -> dict:
+def summarise(result: Drape, config: DrapeConfig) -> dict:
     """Contents of drape.json: parameters, status and measures; units are in the keys.
 
     Measures that refer to a plate are None on a rig without one.
@@ -92,9 +92,9 @@ def summarise(result: DrapeResult, config: DrapeConfig) -> dict:
         "status": result.status.value,
         "message": result.message,
         "coarser_meshes": [status.value for status in result.coarse],
-        "residual": result.residual,
-        "last_step_mm": result.step,
-        "positive_definite": result.positive_definite,
+        "residual": result.outcome.residual,
+        "last_step_mm": result.outcome.step,
+        "positive_definite": result.outcome.positive_definite,
         "self_intersections": result.self_intersections,
         "iterations": result.iterations,
         "seconds": round(result.seconds, 3),
@@ -105,7 +105,7 @@ def summarise(result: DrapeResult, config: DrapeConfig) -> dict:
     }
 
 
-def write(folder: Path, result: DrapeResult, summary: dict) -> None:
+def write(folder: Path, result: Drape, summary: dict) -> None:
     """Write drape.ply, drape.png, drape.json and drape.npz, each atomically.
 
     Values that are not finite are null in JSON.

@@ -1,7 +1,7 @@
 """Format of ``drape.npz``, from which another drape can start.
 
 A NumPy archive of four arrays: ``rest`` (V, 2) and ``positions`` (V, 3) in metres, float64;
-``faces`` (F, 3) int64; ``held`` (V,) bool. Axes and origin as in :class:`sim.drape.DrapeResult`.
+``faces`` (F, 3) int64; ``held`` (V,) bool. Axes and origin as in :class:`sim.drape.Drape`.
 """
 
 import io
@@ -12,10 +12,10 @@ import numpy as np
 from common.errors import InputError
 from common.files import replace_file
 from data.captures.frames import read_arrays
-from sim.drape import DrapeResult
+from sim.drape import Drape
 
 
-def write_drape(path: Path, result: DrapeResult) -> None:
+def write_drape(path: Path, result: Drape) -> None:
     """Write ``result`` to ``path`` atomically; InputError if the file cannot be written."""
     buffer = io.BytesIO()
     np.savez_compressed(buffer, rest=result.rest, positions=result.positions, faces=result.faces,

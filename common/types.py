@@ -23,6 +23,11 @@ Moduli = Annotated[np.ndarray, "(3,) N·m, linear moduli alpha of warp, bias, we
 QuadraticModuli = Annotated[np.ndarray, "(3,) N·m², quadratic moduli beta of warp, bias, weft"]
 Theta = Annotated[
     np.ndarray, "(..., 6) log alpha (N·m), beta/alpha (m) of warp, bias, weft at 300 g/m²"]
+VertexMask = Annotated[np.ndarray, "(V,) bool"]
+FaceMask = Annotated[np.ndarray, "(F,) bool"]
+StateVector = Annotated[np.ndarray, "(3 V + 3 E,) positions, m, then unit normals of the edges"]
+Curvatures = Annotated[np.ndarray, "(N, 3) shape operators Sxx, Syy, Sxy of triangles, 1/m"]
+DeflectionCurve = Annotated[np.ndarray, "(N, 2) reach and drop of a strip from its clamp, m"]
 Metres = Annotated[float, "m"]
 Radians = Annotated[float, "rad"]
 Density = Annotated[float, "kg/m²"]

@@ -11,13 +11,13 @@ from common.cases import load_arrays
 from common.errors import InputError
 from common.types import Faces, Metres, Points, RestPoints
 from sim.cloth import Laws
-from sim.drape import FINE_OPTIONS, scene_on
+from sim.drape import FINE_OPTIONS
 from sim.equilibrium import Equilibrium, find_equilibrium
 from sim.material import Fabric
 from sim.measures import fold_angles
 from sim.mesh import Mesh
-from sim.mesh.specimen import Specimen
 from sim.rig import Rig
+from sim.scene import Scene
 from sim.start import interpolate_positions
 
 ALIGNMENTS = ("none", "turn", "rigid")
@@ -27,7 +27,7 @@ _AREA_TOLERANCE = 0.03  # relative difference of area; the boundary of a coarse 
 
 
 class Draped(Protocol):
-    """Shape of a specimen, for example a :class:`sim.drape.DrapeResult`."""
+    """Shape of a specimen, for example a :class:`sim.drape.Drape`."""
 
     rest: RestPoints
     positions: Points
@@ -43,7 +43,7 @@ class Shape:
     faces: Faces
 
     @classmethod
-    def of(cls, specimen: Specimen, positions: Points) -> "Shape":
+    def of(cls, specimen: Scene, positions: Points) -> "Shape":
         """A specimen at ``positions``."""
         return cls(specimen.mesh.rest, positions, specimen.mesh.faces)
 
@@ -190,11 +190,11 @@ def same_folds(outline: np.ndarray, other: np.ndarray) -> bool:
 
 
 def equilibrium_near(
-    near: Draped, specimen: Specimen, rig: Rig, fabric: Fabric, laws: Laws | None = None, *,
+    near: Draped, specimen: Scene, rig: Rig, fabric: Fabric, laws: Laws | None = None, *,
     self_contact: bool = False,
 ) -> Equilibrium:
     """Equilibrium of a fabric on the mesh of ``specimen``, started from a drape on another mesh."""
-    scene = scene_on(specimen, rig)
+    scene = Scene.on(rig, specimen.mesh, specimen.held)
     flat, held = scene.mesh.rest, scene.held
     start = interpolate_positions(near.rest, near.positions, flat)
     start[held] = rig.place(flat[held])

@@ -18,7 +18,7 @@ from data.fabrics.nuisances import Nuisances
 from data.fabrics.prior import load_prior, sample_admissible
 from experiments.result import read_report, rms
 from sim.cloth import Laws
-from sim.drape import DrapeResult, drape
+from sim.drape import Drape, drape
 from sim.material import LINEAR, REFERENCE_DENSITY, SWAPPED, Fabric
 from sim.rig import SQUARE_RIG, Rig
 
@@ -61,7 +61,7 @@ def drape_specimen(
     plan: DrapePlan, *, edge: float, start: str = "", seed: int | None = None,
     offset: tuple[float, float] = (0.0, 0.0), nuisances: Nuisances | None = None,
     laws: Laws | None = None,
-) -> DrapeResult:
+) -> Drape:
     """Simulate a specimen, centred on its plate and from an artificial start if not told otherwise.
 
     Raises:
@@ -77,7 +77,7 @@ def drape_specimen(
     return shape
 
 
-def drape_as_planned(plan: DrapePlan, *, edge: float) -> DrapeResult:
+def drape_as_planned(plan: DrapePlan, *, edge: float) -> Drape:
     """Simulate a specimen with the offset and the start of its plan."""
     return drape_specimen(plan, edge=edge, start=plan.start, offset=tuple(plan.offset))
 
@@ -90,7 +90,7 @@ def ideal_setups(**changes: object) -> "Setups":
 
 
 def capture_drape(
-    shape: DrapeResult, setups: "Setups", rng: np.random.Generator, rig: Rig = RIG
+    shape: Drape, setups: "Setups", rng: np.random.Generator, rig: Rig = RIG
 ) -> "SyntheticCapture":
     """Capture a drape with a random set-up."""
     return setups.capture(shape.positions, shape.faces, rng, rig=rig)

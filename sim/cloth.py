@@ -2,17 +2,19 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 
 from common.errors import InputError
+from common.types import FaceMask
 from sim.energies.base import Energy, dofs_of
 from sim.energies.external import Gravity, ObstacleContact
 from sim.energies.hinges import HINGE_LAWS
 from sim.energies.membrane import Corotational, Membrane
 from sim.energies.midedge import MidEdgeBending
-from sim.material import Fabric
+from sim.material import REFERENCE_DENSITY, Fabric
 from sim.mesh import Mesh
 from sim.rig import GRAVITY, Cylinder
 from sim.scene import Scene
@@ -23,12 +25,9 @@ class Law(Protocol):
     """Creates an energy of a cloth on a mesh: a bending law, or a user-defined one. A drape is
     solved on several meshes and calls the law for each, so it must not store a mesh."""
 
-    def __call__(self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric) -> Energy:
-        """The energy of the triangles ``active`` (F,) bool of ``mesh``.
-
-        Drapes are simulated at the reference density: ``fabric`` is scaled to it, and loads and
-        stiffnesses must be those of cloth of 300 g/m².
-        """
+    def __call__(self, mesh: Mesh, active: FaceMask, *, fabric: Fabric) -> Energy:
+        """The energy of the active triangles of ``mesh``; ``fabric`` is scaled to the reference
+        density, and loads and stiffnesses must be those of cloth of 300 g/m²."""
 
 
 BENDING: dict[str, Law] = {"midedge": MidEdgeBending, **HINGE_LAWS}
@@ -37,30 +36,18 @@ BENDING: dict[str, Law] = {"midedge": MidEdgeBending, **HINGE_LAWS}
 
 @dataclass(frozen=True)
 class Laws:
-    """The laws of the cloth's energies.
+    """The laws of the cloth's energies."""
 
-    Attributes:
-        bending: a key of :data:`BENDING`, or a law.
-        membrane: in-plane law.
-        others: laws of further energies, such as a foundation or a load.
-    """
-
-    bending: str | Law = "midedge"
+    bending: str | Law = "midedge"  # a key of :data:`BENDING`, or a law
     membrane: Membrane = field(default_factory=Corotational)
-    others: tuple[Law, ...] = ()
+    others: tuple[Law, ...] = ()  # of further energies, such as a foundation or a load
 
     def __post_init__(self) -> None:
-        if isinstance(self.bending, str) and self.bending not in BENDING:
-            raise InputError(f"unknown bending law '{self.bending}'; choose from "
+        if not (callable(self.bending) or self.bending in BENDING):
+            raise InputError(f"unknown bending law {self.bending!r}; give a law or choose from "
                              f"{', '.join(BENDING)}")
-        if not (isinstance(self.bending, str) or callable(self.bending)):
-            raise InputError(f"bending={self.bending!r}: give a name or a law, called with a mesh")
-        if isinstance(self.membrane, type) or not hasattr(self.membrane, "scaled"):
-            raise InputError(f"membrane={self.membrane!r}: give one of sim.energies.membrane, such "
-                             "as Corotational(stiffness=200.0)")
-        if not (isinstance(self.others, tuple) and all(callable(law) for law in self.others)):
-            raise InputError("others must be a tuple of laws: others=(law,), each called with a "
-                             "mesh, not an energy")
+        if not all(callable(law) for law in self.others):
+            raise InputError("others must be laws, each called with a mesh, not energies")
 
     @property
     def bending_law(self) -> Law:
@@ -75,42 +62,67 @@ class Laws:
 STEP_UNIT = 1e-3  # m; steps are reported in mm
 
 
+@dataclass(frozen=True, eq=False)
 class Cloth:
     """A fabric in a scene, with ``extra`` energies in addition to those of laws and scene.
 
-    Unknowns are the coordinates of the free vertices and the rotations that an energy depends on.
-    Residuals are in units of the mean weight of a vertex under standard gravity (for rotations:
-    times the mean edge length), steps in mm (for rotations: mm per mean edge length).
-
-    Attributes:
-        scene, fabric, laws, extra: as given.
-        membrane, bending, others: energies of the laws.
-        weight, obstacles: potential of the weight, contact energies of the obstacles.
-        potential: the sum of all energies.
+    The shape depends on moduli over density only (Feng et al. 2022, 5.1.2), so the fabric is scaled
+    to the reference density, for which membranes and user-defined energies are given. Energies are
+    built when first used, and are not pickled. Unknowns are the coordinates of the free vertices
+    and the rotations that an energy depends on. Residuals are in units of the mean weight of a
+    vertex under standard gravity (for rotations: times the mean edge length), steps in mm (for
+    rotations: mm per mean edge length).
     """
 
-    def __init__(
-        self, scene: Scene, fabric: Fabric, *, laws: Laws | None = None,
-        extra: Sequence[Energy] = ()
-    ) -> None:
-        self.scene, self.fabric, self.laws = scene, fabric, laws or Laws()
-        self.extra = tuple(extra)
-        mesh, active = scene.mesh, scene.active
-        self.membrane = self.laws.membrane.energy(mesh, active)
-        self.bending = self.laws.bending_law(mesh, active, fabric=fabric)
-        self.others = [law(mesh, active, fabric=fabric) for law in self.laws.others]
-        self.weight = Gravity(mesh, density=fabric.density, gravity=scene.gravity)
-        pressure = scene.contact_pressure * fabric.density * scene.gravity
-        self.obstacles = [energy for obstacle in scene.obstacles
-                          for energy in _contact(scene, obstacle, pressure)]
-        self.potential = self._sum()
+    scene: Scene
+    fabric: Fabric
+    laws: Laws = field(default_factory=Laws)
+    extra: Sequence[Energy] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "fabric", self.fabric.at_density(REFERENCE_DENSITY))
+
+    def __getstate__(self) -> dict:
+        return {name: self.__dict__[name] for name in ("scene", "fabric", "laws", "extra")}
+
+    @cached_property
+    def membrane(self) -> Energy:
+        """In-plane energy."""
+        return self.laws.membrane.energy(self.scene.mesh, self.scene.active)
+
+    @cached_property
+    def bending(self) -> Energy:
+        """Bending energy."""
+        return self._energy(self.laws.bending_law)
+
+    @cached_property
+    def others(self) -> list[Energy]:
+        """User-defined energies."""
+        return [self._energy(law) for law in self.laws.others]
+
+    @cached_property
+    def weight(self) -> Gravity:
+        """Potential of the weight."""
+        return Gravity(self.scene.mesh, density=self.fabric.density, gravity=self.scene.gravity)
+
+    @cached_property
+    def obstacles(self) -> list[Energy]:
+        """Contact energies of the obstacles."""
+        pressure = self.scene.contact_pressure * self.fabric.density * self.scene.gravity
+        return [energy for obstacle in self.scene.obstacles
+                for energy in _contact(self.scene, obstacle, pressure)]
 
     @property
     def external(self) -> list[Energy]:
         """Energies of external forces: weight, ``extra`` and obstacles."""
         return [self.weight, *self.extra, *self.obstacles]
 
-    def _sum(self) -> Potential:
+    def _energy(self, law: Law) -> Energy:
+        return law(self.scene.mesh, self.scene.active, fabric=self.fabric)
+
+    @cached_property
+    def potential(self) -> Potential:
+        """The sum of all energies."""
         mesh = self.scene.mesh
         others = [self.bending, *self.others, *self.external]
         coordinates, edges = 3 * len(mesh.rest), len(mesh.edges)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from common.types import Points
 from sim.cloth import Cloth, Laws
 from sim.energies.base import Energy
 from sim.energies.self_contact import SelfContact, contact_near, self_intersections
@@ -15,41 +16,41 @@ from sim.scene import Scene
 from sim.solver.newton import NewtonOptions, NewtonResult, Status, minimise
 from sim.solver.state import State
 
-_DERIVATIVES = "wrong derivatives in Laws.others are one cause: sim.energies.base finds them"
+_DERIVATIVES = "wrong derivatives in Laws.others are one cause: sim.energies.base.check finds them"
 _MAX_UNTANGLING_ROUNDS = 60
 _STEPS_PER_ROUND = 25  # Newton steps between updates of the pattern of self-contact
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Equilibrium:
     """An equilibrium of a cloth, or the last state of a failed search.
 
     Attributes:
         cloth: its energies; self-contact is among the ``extra`` ones.
-        state: positions and edge normals.
-        newton: result of the last minimisation; iterations and seconds are those of all.
-        contact: self-contact, if it acts.
+        outcome: of the last minimisation; iterations and seconds are those of all. None for a
+            shape that was not sought by a simulation, such as a captured one.
+        touches: whether self-contact acts.
     """
 
     cloth: Cloth
     state: State
-    newton: NewtonResult
-    contact: SelfContact | None = None
-
-    @staticmethod
-    def at(cloth: Cloth, state: State) -> "Equilibrium":
-        """A state assumed to be an equilibrium of ``cloth``, without a minimisation."""
-        return Equilibrium(cloth, state, NewtonResult(state.q, Status.MAX_ITERATIONS, "not sought"))
+    outcome: NewtonResult | None = None
+    touches: bool = False
 
     @property
-    def status(self) -> Status:
+    def positions(self) -> Points:
+        """Positions of the vertices."""
+        return self.state.positions
+
+    @property
+    def status(self) -> Status | None:
         """Outcome of the search."""
-        return self.newton.status
+        return self.outcome and self.outcome.status
 
     @property
     def message(self) -> str:
         """The outcome as a sentence."""
-        return self.newton.message
+        return self.outcome.message if self.outcome else "a shape, not an equilibrium"
 
     @property
     def converged(self) -> bool:
@@ -58,17 +59,16 @@ class Equilibrium:
 
     def ended(self, status: Status, message: str) -> "Equilibrium":
         """A copy with another outcome."""
-        return replace(self, newton=replace(self.newton, status=status, message=message))
+        return replace(self, outcome=replace(self.outcome, status=status, message=message))
 
     def after(self, earlier: "Equilibrium | None") -> "Equilibrium":
         """A copy with iterations and seconds of an ``earlier`` search, if any, added."""
         if earlier is None:
             return self
-        one, two = earlier.newton, self.newton
-        return replace(self, newton=replace(
-            two, iterations=one.iterations + two.iterations,
-            factorisations=one.factorisations + two.factorisations,
-            seconds=dict(Counter(one.seconds) + Counter(two.seconds))))
+        first, second = earlier.outcome, self.outcome
+        return replace(self, outcome=replace(
+            second, iterations=first.iterations + second.iterations,
+            seconds=dict(Counter(first.seconds) + Counter(second.seconds))))
 
 
 def find_equilibrium(
@@ -96,61 +96,62 @@ def find_equilibrium(
         state: State, contact: SelfContact | None = None, options: NewtonOptions = options
     ) -> Equilibrium:
         cloth = Cloth(scene, fabric, laws=laws, extra=[*extra, contact] if contact else extra)
-        newton = minimise(cloth.potential, state.q, options)
-        if laws.others and newton.status in (Status.MAX_ITERATIONS, Status.LINE_SEARCH):
-            newton = replace(newton, message=f"{newton.message}; {_DERIVATIVES}")
-        return Equilibrium(cloth, State.of(newton.q, len(scene.mesh.rest)), newton, contact)
+        outcome = minimise(cloth.potential, state.q, options)
+        if laws.others and outcome.status in (Status.MAX_ITERATIONS, Status.LINE_SEARCH):
+            outcome = replace(outcome, message=f"{outcome.message}; {_DERIVATIVES}")
+        return Equilibrium(cloth=cloth, state=State.of(outcome.q, len(scene.mesh.rest)),
+                           outcome=outcome, touches=contact is not None)
 
-    touched = None
+    first = None
     if self_contact and touching:
-        contact = contact_near(scene, start.positions, density=fabric.density)
-        touched = minimised(start, contact)
-        if touched.converged and contact.is_complete(touched.state.q):
-            return touched
-    found = minimised(start).after(touched)
-    if not (self_contact and found.converged):
-        return found
-    count = len(self_intersections(found.state.positions, scene.mesh.faces))
+        contact = contact_near(scene, start.positions)
+        first = minimised(start, contact)
+        if first.converged and contact.is_complete(first.state.q):
+            return first
+    free = minimised(start).after(first)
+    if not (self_contact and free.converged):
+        return free
+    count = len(self_intersections(free.positions, scene.mesh.faces))
     if count == 0:
-        return found
-    positions = untangled(scene.mesh, scene.held, found.state.positions)
+        return free
+    positions = untangled(scene.mesh, scene.held, free.positions)
     if positions is None:
-        return found.ended(Status.SELF_CONTACT, f"intersects itself in {count} places and could "
-                                                "not be untangled")
-    freed = _with_contact(minimised, scene, scene.state(positions), fabric.density, options)
-    freed = freed.after(found)
-    count = len(self_intersections(freed.state.positions, scene.mesh.faces))
+        return free.ended(Status.SELF_CONTACT, f"intersects itself in {count} places and could "
+                                               "not be untangled")
+    last = _with_contact(minimised, scene, scene.state(positions), options)
+    last = last.after(free)
+    count = len(self_intersections(last.positions, scene.mesh.faces))
     if count:
-        return freed.ended(Status.SELF_CONTACT,
-                           f"intersects itself in {count} places ({freed.message})")
-    return freed
+        return last.ended(Status.SELF_CONTACT,
+                          f"intersects itself in {count} places ({last.message})")
+    return last
 
 
 def _with_contact(
     minimised: Callable[[State, SelfContact, NewtonOptions], Equilibrium], scene: Scene,
-    state: State, density: float, options: NewtonOptions,
+    state: State, options: NewtonOptions,
 ) -> Equilibrium:
     """Equilibrium with self-contact, started from a ``state`` without intersections."""
-    iterations, found = 0, None
+    iterations, last = 0, None
     while True:
-        contact = contact_near(scene, state.positions, density=density)
+        contact = contact_near(scene, state.positions)
         steps = min(_STEPS_PER_ROUND, options.max_iterations - iterations)
         part = minimised(state, contact, replace(options, max_iterations=steps))
-        iterations += max(part.newton.iterations, 1)  # rounds without a step count, too
-        found = part.after(found)
-        state = found.state
+        iterations += max(part.outcome.iterations, 1)  # rounds without a step count, too
+        last = part.after(last)
+        state = last.state
         exact = contact.is_complete(state.q)
-        ended = found.status is not Status.MAX_ITERATIONS and exact
+        ended = last.status is not Status.MAX_ITERATIONS and exact
         if ended or iterations >= options.max_iterations:
             break
-    status = found.status
-    if found.converged and not exact:
+    status = last.status
+    if last.converged and not exact:
         status = Status.MAX_ITERATIONS  # verified only with an approximate Hessian
-    return found.ended(status, f"{found.message}; self-contact took {iterations} iterations")
+    return last.ended(status, f"{last.message}; self-contact took {iterations} iterations")
 
 
-def untangled(mesh: Mesh, held: np.ndarray, positions: np.ndarray) -> np.ndarray | None:
-    """Positions (V, 3), m, near the given ones without intersections; None if none are found.
+def untangled(mesh: Mesh, held: np.ndarray, positions: Points) -> Points | None:
+    """Positions near the given ones without intersections; None if none are found.
 
     Vertices around each intersection move repeatedly half-way to the mean of their neighbours, in
     a neighbourhood and number that grow with the rounds. Those ``held`` (V,) are fixed.

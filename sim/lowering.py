@@ -11,11 +11,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
+from common.types import StateVector
 from sim.cloth import Cloth, Laws
 from sim.energies.base import Energy
 from sim.energies.plate_variants import HystereticBending
 from sim.equilibrium import Equilibrium
-from sim.material import Fabric
+from sim.material import REFERENCE_DENSITY, Fabric
 from sim.mesh.specimen import GRADING
 from sim.rig import GRAVITY, Rig
 from sim.scene import Scene
@@ -43,32 +44,25 @@ _MAX_STEPS = 400
 
 
 class Ring(Energy):
-    """Plane that supports vertices, the penalty k d³/3 on their depth d below it.
-
-    Args:
-        vertices: (M,) supported vertices.
-        weights: (M,) their weights, N.
-
-    Attributes:
-        height: m; may be changed between minimisations.
-    """
+    """Plane that supports vertices (M,) of weights (M,), N: the penalty k d³/3 on the depth d below
+    its ``height``, m, which may be changed between minimisations."""
 
     def __init__(self, vertices: np.ndarray, weights: np.ndarray) -> None:
         self.dofs = 3 * vertices[:, None] + 2
         self._stiffness = _PRESSURE / 1e-6 * weights  # N/m²
         self.height = 0.0
 
-    def depths(self, q: np.ndarray) -> np.ndarray:
+    def depths(self, q: StateVector) -> np.ndarray:
         """Depths (M,), m, of the vertices below the plane; 0 above it."""
         return np.maximum(self.height - q[self.dofs[:, 0]], 0.0)
 
-    def value(self, q: np.ndarray) -> float:
+    def value(self, q: StateVector) -> float:
         return float(self._stiffness @ self.depths(q) ** 3) / 3
 
-    def gradient(self, q: np.ndarray) -> np.ndarray:
+    def gradient(self, q: StateVector) -> np.ndarray:
         return -(self._stiffness * self.depths(q) ** 2)[:, None]
 
-    def hessian(self, q: np.ndarray, convex: bool = False) -> np.ndarray:
+    def hessian(self, q: StateVector, convex: bool = False) -> np.ndarray:
         return (2 * self._stiffness * self.depths(q))[:, None, None]
 
 
@@ -76,17 +70,11 @@ def lowered(
     scene: Scene, fabric: Fabric, rig: Rig, *, laws: Laws, seed: int, speed: float | None = None,
     step: float = STEP
 ) -> Equilibrium:
-    """Cloth lowered over the plate of ``rig``, close to its equilibrium.
+    """Cloth lowered over the plate of ``rig``, in motion close to its equilibrium.
 
-    Args:
-        scene: the specimen on its plate.
-        seed: of the waviness and of the speed.
-        speed: of the ring, in the unit of :data:`SPEEDS`; None: drawn from that range.
-        step: time step, in the unit of :data:`STEP`.
-
-    Returns:
-        The cloth in motion, with its energies; status NOT_FINITE if a time step fails, else
-        MAX_ITERATIONS.
+    The status is NOT_FINITE if a time step fails, else MAX_ITERATIONS. The ``seed`` is that of the
+    waviness and of the speed, unless that is given, in the unit of :data:`SPEEDS`; the time
+    ``step`` is in the unit of :data:`STEP`.
     """
     rng = np.random.default_rng([seed, 1])
     overhang = (rig.specimen_size - rig.plate_diameter) / 2
@@ -96,23 +84,23 @@ def lowered(
     rest, held = scene.mesh.rest, scene.held
     flat = np.column_stack([rest, np.zeros(len(rest))])
     flat[~held] += waves(rest, rig, rng, amplitude=_WAVINESS)[~held]
-    inertia = Inertia(scene.mesh, density=fabric.density)
+    inertia = Inertia(scene.mesh, density=REFERENCE_DENSITY)
     ring = Ring(np.flatnonzero(~held), inertia.masses[~held] * GRAVITY)
     cloth = Cloth(scene, fabric, laws=laws, extra=[inertia, ring])
     solver = make_solver(cloth.potential.pattern)
-    motion, free, found = Motion.at_rest(scene.state(flat)), 0.0, None
+    motion, free, last = Motion.at_rest(scene.state(flat)), 0.0, None
     for _ in range(_MAX_STEPS):
         ring.height = -_GAP - speed * (motion.time + step)
         motion, result = motion.advanced(cloth.potential, inertia, step, solver=solver)
-        found = Equilibrium(cloth, motion.state, result).after(found)
+        last = Equilibrium(cloth=cloth, state=motion.state, outcome=result).after(last)
         if result.status is Status.NOT_FINITE:
-            return found
+            return last
         if isinstance(cloth.bending, HystereticBending):
             cloth.bending.origin = cloth.bending.origin_at(motion.state.q)
         free = 0.0 if ring.depths(motion.state.q).any() else free + step
         if free >= SETTLING * time:
             break
-    return found.ended(Status.MAX_ITERATIONS, "in motion")
+    return last.ended(Status.MAX_ITERATIONS, "in motion")
 
 
 def with_origins(laws: Laws, lowered: Equilibrium, scene: Scene) -> Laws:

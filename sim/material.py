@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from common.errors import InputError
+from common.types import Density, Moduli, QuadraticModuli
 
 WARP, BIAS, WEFT = 0, 1, 2
 DIRECTIONS = ("warp", "bias", "weft")
@@ -47,17 +48,12 @@ TWIST_FLOOR = 0.05
 @dataclass(frozen=True, eq=False)
 class Fabric:
     """Bending moduli and density of a fabric; two fabrics are equal when all their values are.
-    InputError if no elastic plate has such moduli, or a value indicates a wrong unit.
+    InputError if no elastic plate has such moduli, or a value indicates a wrong unit. The arrays
+    are read-only."""
 
-    Attributes:
-        alpha: (3,) linear moduli, N·m, in the order warp, bias, weft; read-only, as beta is.
-        beta: (3,) quadratic moduli, N·m², same order.
-        density: mass per area, kg/m².
-    """
-
-    alpha: np.ndarray
-    beta: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    density: float = REFERENCE_DENSITY
+    alpha: Moduli
+    beta: QuadraticModuli = field(default_factory=lambda: np.zeros(3))
+    density: Density = REFERENCE_DENSITY
 
     def __post_init__(self) -> None:
         self._set(self.alpha, self.beta, self.density)
@@ -85,13 +81,13 @@ class Fabric:
     def _values(self) -> tuple[float, ...]:
         return (*self.alpha.tolist(), *self.beta.tolist(), self.density)
 
-    def at_density(self, density: float) -> "Fabric":
-        """The fabric of another density (kg/m²) with the same drape: moduli scale with it."""
+    def at_density(self, density: Density) -> "Fabric":
+        """The fabric of another density with the same drape: moduli scale with it."""
         scale, scaled = density / self.density, copy(self)
         scaled._set(self.alpha * scale, self.beta * scale, density)  # units checked before
         return scaled
 
-    def _set(self, alpha: np.ndarray, beta: np.ndarray, density: float) -> None:
+    def _set(self, alpha: Moduli, beta: QuadraticModuli, density: Density) -> None:
         alpha, beta = (np.array(v, dtype=np.float64) for v in (alpha, beta))
         alpha.flags.writeable = beta.flags.writeable = False
         object.__setattr__(self, "alpha", alpha)
@@ -99,8 +95,8 @@ class Fabric:
         object.__setattr__(self, "density", float(density))
 
 
-def check_density(density: float) -> None:
-    """InputError for a density in kg/m² outside :data:`DENSITY_RANGE`, such as one in g/m²."""
+def check_density(density: Density) -> None:
+    """InputError for a density outside :data:`DENSITY_RANGE`, such as one in g/m²."""
     low, high = DENSITY_RANGE
     if not low <= density <= high:
         raise InputError(f"density={1e3 * density:g} g/m² ({density:g} kg/m²) is outside the "
@@ -134,8 +130,8 @@ def is_admissible(alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
     return sound & (possible[..., BIAS] > bias_limit(possible) * (1 + 1e-9))
 
 
-def plate_constants(alpha: np.ndarray) -> tuple[float, float, float, float]:
-    """Orthotropic plate (A11, A22, A12, A66), N·m, with the moduli alpha (3,) N·m.
+def plate_constants(alpha: Moduli) -> tuple[float, float, float, float]:
+    """Orthotropic plate (A11, A22, A12, A66), N·m, with these moduli.
 
     The energy per area 1/2 (A11 Sxx² + A22 Syy² + 2 A12 Sxx Syy + 4 A66 Sxy²) of the curvature
     S must give alpha_warp, alpha_weft and alpha_bias for cylinders bent along 0°, 90° and 45°:
@@ -174,11 +170,8 @@ def softening_shape(u, limit):
 def bending_work(
     curvature: np.ndarray, alpha: np.ndarray | float, beta: np.ndarray | float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Energy per area (J/m²), torque per width (N) and tangent (N·m) of cloth bent one way.
-
-    Args:
-        curvature: 1/m, at least 0; alpha: N·m; beta: N·m². Any shapes that broadcast.
-    """
+    """Energy per area (J/m²), torque per width (N) and tangent (N·m) of cloth bent one way, for
+    curvature (1/m, at least 0), alpha (N·m) and beta (N·m²) of any shapes that broadcast."""
     kappa = np.asarray(curvature, dtype=np.float64)
     u = -beta / alpha * kappa
     shape, slope, bend = softening_shape(u, SOFTENING_LIMIT)

@@ -8,6 +8,7 @@ from scipy.interpolate import LinearNDInterpolator
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
+from common.types import Faces, Metres, Outline, Points, RestPoints, VertexMask
 from common.workers import one_blas_thread
 from sim.energies.membrane import Corotational
 from sim.mesh import Mesh
@@ -18,18 +19,17 @@ _MIN_FOLD_DEPTH = 3e-3  # m
 _OUTLINE_POINTS = 720
 
 
-def drape_coefficient(positions: np.ndarray, faces: np.ndarray, rig: Rig) -> float:
+def drape_coefficient(positions: Points, faces: Faces, rig: Rig) -> float:
     """(projected area - plate area) / (specimen area - plate area) (BS 5058, ISO 9073-9).
 
-    For positions (V, 3) m and faces (F, 3): 1 for a rigid specimen, 0 for one that hangs straight
-    down. Accurate to 0.3 %.
+    1 for a rigid specimen, 0 for one that hangs straight down. Accurate to 0.3 %.
     """
     plate = np.pi * rig.plate_radius**2
     return (projected_area(positions, faces) - plate) / (rig.specimen_area - plate)
 
 
-def projected_area(positions: np.ndarray, faces: np.ndarray) -> float:
-    """Area of the vertical projection, m², of positions (V, 3) m and faces (F, 3)."""
+def projected_area(positions: Points, faces: Faces) -> float:
+    """Area of the vertical projection, m²."""
     corner = positions[:, :2].min(0) - _PIXEL
     pixels = (positions[:, :2] - corner) / _PIXEL
     shape = np.ceil(pixels.max(0)).astype(int) + 2
@@ -37,11 +37,11 @@ def projected_area(positions: np.ndarray, faces: np.ndarray) -> float:
 
 
 @one_blas_thread
-def fold_outline(positions: np.ndarray, rest: np.ndarray, rig: Rig) -> np.ndarray:
+def fold_outline(positions: Points, rest: RestPoints, rig: Rig) -> Outline:
     """Outline of the drape seen from above: (720, 2) x and y, m, of a material circle.
 
     The circle has 90 % of the specimen's inradius, around its centre; its points are half a degree
-    apart, from the warp axis towards the weft. positions (V, 3) and rest (V, 2) in m.
+    apart, from the warp axis towards the weft.
     """
     angle = np.linspace(0, 2 * np.pi, _OUTLINE_POINTS, endpoint=False)
     circle = 0.45 * rig.specimen_size * np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -50,21 +50,17 @@ def fold_outline(positions: np.ndarray, rest: np.ndarray, rig: Rig) -> np.ndarra
 
 
 def shadow_radius(
-    positions: np.ndarray, mesh: Mesh, *, height: float = np.inf, points: int = 360
+    positions: Points, mesh: Mesh, *, height: Metres = np.inf, points: int = 360
 ) -> np.ndarray:
     """Outline of the drape's shadow: distances (points,) of the hem's picture from the axis, m, in
-    the plane of the plate, at equally spaced azimuths from the warp axis.
-
-    Args:
-        positions: (V, 3) m, of ``mesh``.
-        height: of a camera on the axis above the plate, m; infinite: parallel light.
-    """
+    the plane of the plate, at equally spaced azimuths from the warp axis, as seen by a camera on
+    the axis at a ``height`` above the plate; infinite: parallel light."""
     hem = mesh.edges[mesh.edge_faces[:, 1] < 0]
     seen = positions[:, :2] / (1 - positions[:, 2:] / height)
     return _farthest(seen[hem], points)
 
 
-def fold_angles(outline: np.ndarray) -> np.ndarray:
+def fold_angles(outline: Outline) -> np.ndarray:
     """Angles (n,) of the folds on the material circle, radians, ascending. A fold is a peak of the
     distance from the axis along ``outline`` (:func:`fold_outline`), at least 3 mm high."""
     return folds_around(np.linalg.norm(outline, axis=1), 6.0) * (2 * np.pi / len(outline))
@@ -81,24 +77,23 @@ def folds_around(radius: np.ndarray, sigma: float) -> np.ndarray:
     return np.sort((peaks + seam) % len(radius))
 
 
-def fold_count(positions: np.ndarray, rest: np.ndarray, rig: Rig) -> int:
-    """Number of folds of positions (V, 3) with rest (V, 2), m; see :func:`fold_angles`."""
+def fold_count(positions: Points, rest: RestPoints, rig: Rig) -> int:
+    """Number of folds; see :func:`fold_angles`."""
     return len(fold_angles(fold_outline(positions, rest, rig)))
 
 
 def maximum_stretch(
-    positions: np.ndarray, rest: np.ndarray, faces: np.ndarray, held: np.ndarray
+    positions: Points, rest: RestPoints, faces: Faces, held: VertexMask
 ) -> float:
-    """Largest strain in any triangle that is not held, 0.01 for 1 %: positions (V, 3) m, rest
-    (V, 2) m, faces (F, 3), held (V,) bool."""
+    """Largest strain in any triangle that is not held, 0.01 for 1 %."""
     mesh = Mesh(rest=rest, faces=faces)
     membrane = Corotational().energy(mesh, ~held[faces].all(axis=1))
     return float(membrane.stretches(positions.ravel()).max() - 1.0)
 
 
-def max_penetration(positions: np.ndarray, faces: np.ndarray, rig: Rig) -> float:
-    """Largest penetration, m, of cloth (V, 3) m with faces (F, 3) into the rig's obstacles, also
-    between vertices. Exact to a micrometre; 0 without penetration."""
+def max_penetration(positions: Points, faces: Faces, rig: Rig) -> Metres:
+    """Largest penetration of cloth into the rig's obstacles, also between vertices. Exact to a
+    micrometre; 0 without penetration."""
     corners = positions[faces]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     deepest = 0.0

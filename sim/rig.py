@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from common.errors import InputError
+from common.types import Metres, Points, Radians, RestPoints
 
 GRAVITY = 9.81  # m/s²
 RIM = 0.01
@@ -19,32 +20,30 @@ _NAME = re.compile(r"(?P<specimen>square|disc)(?P<size>[\d.]+)_"
 
 @dataclass(frozen=True)
 class Cylinder:
-    """The solid below the plate: z < 0 within ``radius`` (m) of the axis, unbounded downwards. Its
-    rim is rounded (:data:`RIM`), in proportion, so that drapes of any size are similar."""
+    """The solid below the plate: z < 0 within ``radius`` of the axis, unbounded downwards. Its rim
+    is rounded (:data:`RIM`), in proportion, so that drapes of any size are similar."""
 
-    radius: float
+    radius: Metres
 
     @property
-    def rim(self) -> float:
-        """Radius of the rounded rim, m."""
+    def rim(self) -> Metres:
+        """Radius of the rounded rim."""
         return RIM * self.radius
 
-    def depths(self, points: np.ndarray) -> np.ndarray:
-        """Depths (N,), m, of points (N, 3) below the nearest surface; negative outside. A concave
-        function with Lipschitz constant 1."""
+    def depths(self, points: Points) -> np.ndarray:
+        """Depths (N,), m, below the nearest surface; negative outside. A concave function with
+        Lipschitz constant 1."""
         _, outwards, upwards = self._from_rim(points)
         corner = np.hypot(np.maximum(outwards, 0.0), np.maximum(upwards, 0.0))
         return self.rim - corner - np.minimum(np.maximum(outwards, upwards), 0.0)
 
-    def normals(self, points: np.ndarray) -> np.ndarray:
-        """Outward normals (N, 3) of the surface nearest to points (N, 3): the negative gradient of
-        the depth."""
+    def normals(self, points: Points) -> np.ndarray:
+        """Outward normals (N, 3) of the nearest surface: the negative gradient of the depth."""
         away, _, _, across, along = self._surface(points)
         return np.column_stack([away * across[:, None], along])
 
-    def depth_hessians(self, points: np.ndarray) -> np.ndarray:
-        """Second derivatives (N, 3, 3) of the depth at points (N, 3), 1/m; negative
-        semi-definite."""
+    def depth_hessians(self, points: Points) -> np.ndarray:
+        """Second derivatives (N, 3, 3) of the depth, 1/m; negative semi-definite."""
         away, distance, corner, across, along = self._surface(points)
         # Curvature around the axis, and that of the rounded rim.
         around = np.column_stack([-away[:, 1], away[:, 0], np.zeros(len(points))])
@@ -78,21 +77,13 @@ class Rig:
     Either a round plate holds its middle (paper, section 3.1): the origin is the centre of the
     plate's top face, z points up. Or two neighbouring corners of a square are held at z = 0, at the
     same distance from the origin (section 7.4.2).
-
-    Attributes:
-        specimen_size: side of a square specimen or diameter of a disc, m.
-        plate_diameter: diameter of the plate and of the cylinder under it, m; 0 without a plate.
-        specimen: "square" or "disc".
-        corners_apart: distance between the two corners that hold a specimen without plate, m.
-        cut: angle from the warp to a side of the square, counter-clockwise, rad; 0 for a cut
-            along the yarns. Only with a plate.
     """
 
-    specimen_size: float = 0.300
-    plate_diameter: float = 0.100
-    specimen: str = "square"
-    corners_apart: float | None = None
-    cut: float = 0.0
+    specimen_size: Metres = 0.300  # side of a square or diameter of a disc
+    plate_diameter: Metres = 0.100  # 0 without a plate
+    specimen: str = "square"  # or "disc"
+    corners_apart: Metres | None = None  # the two corners that hold a specimen without plate
+    cut: Radians = 0.0  # from the warp to a side of the square, counter-clockwise
 
     def __post_init__(self) -> None:
         if self.specimen not in ("square", "disc"):
@@ -121,18 +112,18 @@ class Rig:
         return f"{self.specimen}{1e3 * self.specimen_size:g}_{holder}{1e3 * size:g}{cut}"
 
     @property
-    def plate_radius(self) -> float:
-        """Radius of the plate, m."""
+    def plate_radius(self) -> Metres:
+        """Radius of the plate."""
         return self.plate_diameter / 2
 
     @property
-    def reach(self) -> float:
-        """Distance of the flat specimen's farthest point from its centre, m."""
+    def reach(self) -> Metres:
+        """Distance of the flat specimen's farthest point from its centre."""
         return self.specimen_size / (2 if self.specimen == "disc" else np.sqrt(2))
 
     @property
-    def overhang(self) -> float:
-        """Largest distance of a centred specimen's border beyond the plate's rim, m."""
+    def overhang(self) -> Metres:
+        """Largest distance of a centred specimen's border beyond the plate's rim."""
         return self.reach - self.plate_radius
 
     @property
@@ -157,20 +148,20 @@ class Rig:
         cos, sin = np.cos(self.cut), np.sin(self.cut)
         return np.array([[cos, -sin], [sin, cos]])
 
-    def to_border(self, rest: np.ndarray, centre: np.ndarray | tuple[float, float]) -> np.ndarray:
-        """Distances (N,), m, from points (N, 2) m to the border of the flat specimen around
-        ``centre``; negative outside."""
+    def to_border(self, rest: RestPoints, centre: np.ndarray | tuple[float, float]) -> np.ndarray:
+        """Distances (V,), m, to the border of the flat specimen around ``centre``; negative
+        outside."""
         offset = np.abs((rest - np.asarray(centre)) @ self.sides)
         if self.specimen == "disc":
             return self.specimen_size / 2 - np.linalg.norm(offset, axis=1)
         return self.specimen_size / 2 - offset.max(axis=1)
 
-    def to_plate(self, rest: np.ndarray) -> np.ndarray:
-        """Distances (N,), m, from points (N, 2) m of the flat specimen to the plate; 0 on it."""
+    def to_plate(self, rest: RestPoints) -> np.ndarray:
+        """Distances (V,), m, in the flat specimen to the plate; 0 on it."""
         return np.maximum(np.linalg.norm(rest, axis=1) - self.plate_radius, 0.0)
 
-    def place(self, rest: np.ndarray) -> np.ndarray:
-        """Positions (N, 3), m, of the held points of the specimen, ``rest`` (N, 2) m."""
+    def place(self, rest: RestPoints) -> Points:
+        """Positions of the held points of the specimen."""
         if self.has_plate:
             return np.column_stack([rest, np.zeros(len(rest))])
         across = rest[:, 0] * self.corners_apart / self.specimen_size

@@ -1,12 +1,14 @@
-"""Scenes: a meshed specimen with its fixed vertices and obstacles."""
+"""Scenes: meshed specimens with their fixed vertices and obstacles."""
 
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from common.types import FaceMask, Points, VertexMask
 from sim.mesh import Mesh
-from sim.rig import GRAVITY, Cylinder
+from sim.mesh.specimen import mesh_specimen
+from sim.rig import GRAVITY, Cylinder, Rig
 from sim.solver.state import State
 
 CONTACT_PRESSURE = 120.0
@@ -16,25 +18,22 @@ the cloth's weight."""
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A specimen with its fixed vertices and obstacles.
-
-    Attributes:
-        mesh: the specimen.
-        held: (V,) bool, fixed vertices; triangles without a free vertex store no energy.
-        obstacles: solids that exclude the free vertices.
-        gravity: m/s², towards -z.
-        contact_pressure: of the obstacles, as :data:`CONTACT_PRESSURE`.
-    """
+    """A specimen with its fixed vertices and obstacles."""
 
     mesh: Mesh
-    held: np.ndarray
-    obstacles: tuple[Cylinder, ...] = ()
-    gravity: float = GRAVITY
+    held: VertexMask  # triangles without a free vertex store no energy
+    obstacles: tuple[Cylinder, ...] = ()  # solids that exclude the free vertices
+    gravity: float = GRAVITY  # m/s², towards -z
     contact_pressure: float = CONTACT_PRESSURE
 
+    @staticmethod
+    def on(rig: Rig, mesh: Mesh, held: VertexMask, *, softness: float = 1.0) -> "Scene":
+        """The scene of a specimen on ``rig``, with ``softness`` times the obstacles' pressure."""
+        return Scene(mesh, held, rig.obstacles, contact_pressure=softness * CONTACT_PRESSURE)
+
     @cached_property
-    def active(self) -> np.ndarray:
-        """(F,) bool, triangles with a free vertex."""
+    def active(self) -> FaceMask:
+        """Triangles with a free vertex."""
         return ~self.held[self.mesh.faces].all(axis=1)
 
     @cached_property
@@ -44,6 +43,11 @@ class Scene:
         held[self.mesh.face_edges[~self.active]] = True
         return held
 
-    def state(self, positions: np.ndarray) -> State:
-        """The state with positions (V, 3), m, and edge normals that bisect the dihedral angles."""
+    def state(self, positions: Points) -> State:
+        """The state with these positions and edge normals that bisect the dihedral angles."""
         return State.at(self.mesh, positions, self.active)
+
+
+def make_specimen(rig: Rig, **mesh) -> Scene:
+    """The specimen of ``rig``, meshed as :func:`sim.mesh.specimen.mesh_specimen` does, on it."""
+    return Scene.on(rig, *mesh_specimen(rig, **mesh))

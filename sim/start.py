@@ -6,6 +6,7 @@ from scipy.optimize import brentq
 from scipy.spatial import ConvexHull, QhullError
 
 from common.errors import InputError
+from common.types import Metres, Points, RestPoints
 from common.workers import one_blas_thread
 from sim.mesh.specimen import share_of_offset
 from sim.rig import Rig
@@ -19,16 +20,20 @@ LOWERED = "lowered"
 _RING_WAVES = (4, 15)  # range of the number of waves, end exclusive
 
 
+def check_start(start: str, rig: Rig) -> None:
+    """InputError unless ``start`` is a start of drapes on ``rig``."""
+    if start not in (LOWERED, *STARTS):
+        raise InputError(f"unknown start '{start}'; choose from {', '.join((LOWERED, *STARTS))}")
+    if start != "sine" and not rig.has_plate:
+        raise InputError(f"start={start} needs a plate, which {rig.name} lacks")
+
+
 def initial_positions(
-    rest: np.ndarray, *, rig: Rig, start: str, rng: np.random.Generator
-) -> np.ndarray:
-    """Initial positions (V, 3), m, of rest points (V, 2), flat on the plate; see :data:`STARTS`.
-    InputError for an unknown start, or one that the rig does not support."""
-    check_start(start)
-    if start == "sine" and not rig.has_plate:
-        return _hung(rest, rig) + waves(rest, rig, rng, amplitude=5e-3)[:, [0, 2, 1]]
+    rest: RestPoints, *, rig: Rig, start: str, rng: np.random.Generator
+) -> Points:
+    """Initial positions, flat on the plate; see :data:`STARTS`."""
     if not rig.has_plate:
-        raise InputError(f"start={start} bends the cloth over a plate, which {rig.name} lacks")
+        return _hung(rest, rig) + waves(rest, rig, rng, amplitude=5e-3)[:, [0, 2, 1]]
     if start == "sine":
         flat = np.column_stack([rest, np.zeros(len(rest))])
         return flat + waves(rest, rig, rng, amplitude=5e-3)
@@ -36,16 +41,10 @@ def initial_positions(
     return shape(rest, rig, rng) + waves(rest, rig, rng, amplitude=1e-3)
 
 
-def check_start(start: str) -> None:
-    """InputError unless ``start`` is one of :data:`STARTS`."""
-    if start not in STARTS:
-        raise InputError(f"unknown start '{start}'; choose from {', '.join((LOWERED, *STARTS))}")
-
-
 def waves(
-    rest: np.ndarray, rig: Rig, rng: np.random.Generator, *, amplitude: float, count: int = 8
-) -> np.ndarray:
-    """Vertical displacements (V, 3), m: random plane sine waves that vanish at the rim."""
+    rest: RestPoints, rig: Rig, rng: np.random.Generator, *, amplitude: Metres, count: int = 8
+) -> Points:
+    """Vertical displacements: random plane sine waves that vanish at the rim."""
     angle = rng.uniform(0, 2 * np.pi, count)
     wavelength = rng.uniform(0.06, 0.3, count)
     phase = rng.uniform(0, 2 * np.pi, count)
@@ -56,7 +55,7 @@ def waves(
     return np.column_stack([np.zeros_like(rest), height])
 
 
-def _fold(rest: np.ndarray, rig: Rig, rng: np.random.Generator) -> np.ndarray:
+def _fold(rest: RestPoints, rig: Rig, rng: np.random.Generator) -> np.ndarray:
     """The specimen bent down on both sides of the plate, in a random direction: beyond the plate
     a circular arc of up to a quarter turn, then straight, without stretch or intersection."""
     angle = rng.uniform(0, np.pi)
@@ -74,7 +73,7 @@ def _fold(rest: np.ndarray, rig: Rig, rng: np.random.Generator) -> np.ndarray:
     return np.column_stack([(np.sign(s) * reach)[:, None] * across + t[:, None] * along, -drop])
 
 
-def _ring(rest: np.ndarray, rig: Rig, rng: np.random.Generator) -> np.ndarray:
+def _ring(rest: RestPoints, rig: Rig, rng: np.random.Generator) -> np.ndarray:
     """Waves around the plate, as of cloth lowered evenly. Their number is preserved where an
     equilibrium with it exists. Real discs have more folds than the other starts lead to.
     """
@@ -84,7 +83,7 @@ def _ring(rest: np.ndarray, rig: Rig, rng: np.random.Generator) -> np.ndarray:
     return np.column_stack([rest, height])
 
 
-def _hung(rest: np.ndarray, rig: Rig) -> np.ndarray:
+def _hung(rest: RestPoints, rig: Rig) -> np.ndarray:
     """A square held at its upper corners, its rows bent to circular arcs between them."""
     chord = rig.corners_apart / rig.specimen_size
     turn = brentq(lambda t: np.sin(t) / t - chord, 1e-6, np.pi)
@@ -95,23 +94,15 @@ def _hung(rest: np.ndarray, rig: Rig) -> np.ndarray:
 
 
 def borrowed_positions(
-    rest: np.ndarray, *, rig: Rig, borrowed: tuple[np.ndarray, np.ndarray]
-) -> np.ndarray:
-    """Positions (V, 3), m, of rest points (V, 2) interpolated from a drape of another fabric.
+    rest: RestPoints, *, rig: Rig, borrowed: tuple[RestPoints, Points]
+) -> Points:
+    """Positions interpolated from rest points and positions of another fabric's drape on ``rig``;
+    InputError if its specimen has another area.
 
     If the offsets of the specimens differ, points on the plate correspond to points on the plate,
     the border to the border, and points between are shifted in proportion.
-
-    Args:
-        rest: points of this specimen, its border included.
-        rig: of both drapes; InputError if the other specimen's area differs from the rig's.
-        borrowed: rest points (W, 2) and positions (W, 3) of the other drape, m.
     """
-    other_rest, other_positions = (np.asarray(array, np.float64) for array in borrowed)
-    if (other_rest.ndim != 2 or other_rest.shape[1:] != (2,)
-            or other_positions.shape != (len(other_rest), 3)
-            or not (np.isfinite(other_rest).all() and np.isfinite(other_positions).all())):
-        raise InputError("a borrowed drape needs finite rest points (V, 2) and positions (V, 3)")
+    other_rest, other_positions = borrowed
     try:
         area = ConvexHull(other_rest).volume
     except (QhullError, ValueError):
@@ -127,10 +118,10 @@ def borrowed_positions(
 
 @one_blas_thread
 def interpolate_positions(
-    coarse_rest: np.ndarray, coarse_positions: np.ndarray, rest: np.ndarray
-) -> np.ndarray:
-    """Positions (V, 3) at rest points (V, 2) of a smooth surface through the coarser rest points
-    (W, 2) at positions (W, 3) of the same specimen, m."""
+    coarse_rest: RestPoints, coarse_positions: Points, rest: RestPoints
+) -> Points:
+    """Positions of rest points on a smooth surface through those of the same specimen on a coarser
+    mesh."""
     surface = CloughTocher2DInterpolator(coarse_rest, coarse_positions)
     centre = (coarse_rest.min(0) + coarse_rest.max(0)) / 2
     inward = centre + (rest - centre) * (1 - 1e-9)  # keeps the border inside the hull

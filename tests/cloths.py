@@ -16,8 +16,9 @@ from data.fabrics.prior import load_prior
 from data.render.cameras import Camera, camera_pose, nominal_camera
 from data.render.rays import DepthRenderer
 from sim.cloth import Laws
-from sim.mesh.specimen import TOPOLOGIES, make_specimen
+from sim.mesh.specimen import TOPOLOGIES
 from sim.rig import Rig
+from sim.scene import make_specimen
 
 
 def skirt(fabric, *, rig, edge, start, seed, offset, laws):

@@ -54,7 +54,7 @@ def complaints(path: Path) -> list[str]:
         place = f"{path}:{node.lineno}: {node.name}"
         if REFERENCE.search(text):
             continue
-        arguments = [*node.args.args, *node.args.kwonlyargs]
+        arguments = [a for a in (*node.args.args, *node.args.kwonlyargs) if a.annotation]
         kinds = [ast.unparse(item) for item in (*(a.annotation for a in arguments), node.returns)
                  if item]
         for argument, kind in zip(arguments, kinds, strict=False):

@@ -39,7 +39,7 @@ def make_record(
     try:
         result = _drape(plan, config, solver or load_solver(), lender, record)
         record |= _outcome(str(getattr(result.status, "value", result.status)), result.message)
-        record |= {"residual": result.residual, "iterations": result.iterations}
+        record |= {"residual": result.outcome.residual, "iterations": result.iterations}
         try:
             record |= _mesh(result)
         except OverflowError as error:

@@ -30,11 +30,11 @@ from data.render.setups import Setups
 from drapenet.network.model import compressed
 from drapenet.views.located import LocatedViews
 from drapenet.views.radial_map import radial_map
-from sim.drape import FINE_OPTIONS, scene_on
+from sim.drape import FINE_OPTIONS
 from sim.equilibrium import find_equilibrium
-from sim.material import REFERENCE_DENSITY
-from sim.mesh.specimen import TOPOLOGIES, make_specimen
+from sim.mesh.specimen import TOPOLOGIES
 from sim.rig import Rig
+from sim.scene import make_specimen
 from sim.sensitivity import Tangent
 from sim.sensitivity.forward import tangent_sensitivities
 
@@ -174,21 +174,19 @@ def drape_derivatives(
     """
     nuisances = Nuisances(*row["nuisances"])
     rig, fabric = nuisances.rig(rig), fabric_from_theta(row["theta"])
-    specimen = make_specimen(rig, edge=float(row["edge"]), topology=int(row["seed"]) % TOPOLOGIES,
-                             offset=tuple(row["offset"]))
+    scene = make_specimen(rig, edge=float(row["edge"]), topology=int(row["seed"]) % TOPOLOGIES,
+                          offset=tuple(row["offset"]))
     positions = positions.copy()
-    positions[specimen.held] = rig.place(specimen.mesh.rest[specimen.held])
-    scene = scene_on(specimen, rig)
+    positions[scene.held] = rig.place(scene.mesh.rest[scene.held])
     laws = nuisances.laws
     if nuisances.hysteresis:
         laws = replace(laws, bending=replace(laws.bending, origin=origin[scene.active]))
     equilibrium = find_equilibrium(
-        scene, fabric.at_density(REFERENCE_DENSITY), scene.state(positions), laws=laws,
-        options=FINE_OPTIONS, self_contact=True)
+        scene, fabric, scene.state(positions), laws=laws, options=FINE_OPTIONS, self_contact=True)
     if np.abs(equilibrium.state.positions - positions).max() > _EQUILIBRIUM_TOLERANCE:
         return None
-    derivatives = tangent_sensitivities(Tangent(equilibrium), fabric,
-                                        ("log_alpha", "ratio", "membrane"))
+    tangent = Tangent(equilibrium.cloth, equilibrium.state.q, equilibrium.outcome.factor)
+    derivatives = tangent_sensitivities(tangent, fabric, ("log_alpha", "ratio", "membrane"))
     return derivatives.positions if derivatives.ok else None
 
 

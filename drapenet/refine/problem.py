@@ -22,10 +22,10 @@ from drapenet.refine.objective import (
     value,
 )
 from drapenet.refine.unknowns import BOUNDS, NAMES, SCALE, SpecimenPrior, Unknowns, drape_moves
-from sim.drape import DrapeResult
+from sim.drape import Drape, follow
 from sim.energies.base import Energy
 from sim.material import is_admissible
-from sim.sensitivity import Sensitivities, Tangent, follow
+from sim.sensitivity import Sensitivities, Tangent
 from sim.solver.potential import forces
 
 SpringsAt = Callable[[Nuisance], Energy]
@@ -46,7 +46,7 @@ class Trial:
     x: np.ndarray
     unknowns: Unknowns
     nuisance: Nuisance
-    drape: DrapeResult
+    drape: Drape
     value: float
     misfit: float
 
@@ -79,7 +79,7 @@ class Problem:
     """
 
     def __init__(
-        self, near: DrapeResult, unknowns: Unknowns, objective: Objective, *,
+        self, near: Drape, unknowns: Unknowns, objective: Objective, *,
         free: Collection[str], prior: SpecimenPrior | None = None, rest: RestPoints | None = None,
         nuisance: Nuisance | None = None, springs: SpringsAt | None = None,
         error_scale: float = 1.0, effort: Effort | None = None,
@@ -102,7 +102,7 @@ class Problem:
         self.best: Trial | None = None
         self.last: Trial | None = None
         self.measurements = 0.0
-        self._tangent: tuple[DrapeResult, Moves | None, Sensitivities | None] | None = None
+        self._tangent: tuple[Drape, Moves | None, Sensitivities | None] | None = None
 
     def split(self, x: np.ndarray) -> tuple[Unknowns, Nuisance]:
         """The specimen and the nuisances of x (n,)."""
@@ -165,7 +165,7 @@ class Problem:
             return of_nuisance
         return np.concatenate([self.prior.residuals(trial.unknowns), of_nuisance])
 
-    def _drape(self, unknowns: Unknowns, nuisance: Nuisance) -> DrapeResult | None:
+    def _drape(self, unknowns: Unknowns, nuisance: Nuisance) -> Drape | None:
         """The equilibrium, warm start from the best drape; None if there is none."""
         for trial in (self.last, self.best):
             if (trial is not None and np.array_equal(trial.unknowns.values, unknowns.values)
@@ -177,11 +177,13 @@ class Problem:
         by_moduli = (self._tangent and self._tangent[0] is near and self._tangent[2]) or None
         rest = unknowns.rest(self._rest, near.rig)
         if not np.array_equal(rest, near.mesh.rest):
-            near, by_moduli = replace(near, mesh=near.mesh.with_rest(rest)), None
+            near, by_moduli = near.on(near.mesh.with_rest(rest)), None
         self.effort.solves += 1
-        drape = follow(near, unknowns.fabric, keep=True, laws=unknowns.laws,
-                       extra=[self._springs(nuisance)] if self._springs else [],
-                       sensitivities=by_moduli)
+        extra = [self._springs(nuisance)] if self._springs else []
+        start = by_moduli and by_moduli.prediction(near, unknowns.fabric, laws=unknowns.laws,
+                                                   extra=extra)
+        drape = follow(near, unknowns.fabric, keep=True, laws=unknowns.laws, extra=extra,
+                       start=start)
         if not drape.converged:
             self.effort.failures.append(f"{drape.status.value}: {drape.message}")
             return None

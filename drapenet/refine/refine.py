@@ -31,7 +31,7 @@ from drapenet.report.drape import Resimulation, turned
 from drapenet.result.estimate import Estimate
 from drapenet.result.joint import fabric_prior
 from drapenet.views.located import LocatedViews
-from sim.drape import DrapeResult
+from sim.drape import Drape
 from sim.material import REFERENCE_DENSITY
 
 MAX_REDUCED_CHI2 = 10.0
@@ -136,7 +136,7 @@ def _search(
         return search(observation, starts, free=free, prior=prior, progress=show)
 
 
-def _best_views(result: SearchResult, drape: DrapeResult) -> Views:
+def _best_views(result: SearchResult, drape: Drape) -> Views:
     """Views of a drape with the pose that fits the captured ones best."""
     nuisance = fit_nuisances(result.objective, drape.positions, result.best.nuisance)
     return result.objective.render(drape.positions, nuisance)

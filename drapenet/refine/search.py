@@ -32,9 +32,8 @@ from drapenet.refine.springs import (
 from drapenet.refine.surface import CapturedShape, RobustPositions
 from drapenet.refine.unknowns import SpecimenPrior, Unknowns
 from drapenet.views.located import LocatedViews
-from sim.drape import DrapeResult
-from sim.mesh.specimen import make_specimen
-from sim.sensitivity import follow
+from sim.drape import Drape, follow
+from sim.scene import make_specimen
 from sim.solver.newton import NewtonOptions
 
 REACH = 6e-3  # m, maximum distance of a vertex from the captured point that holds it
@@ -66,7 +65,7 @@ class Round:
 class Anchored:
     """Cloth on the captured surface: its shape, objective, and springs of a pull that hold it."""
 
-    near: DrapeResult
+    near: Drape
     objective: Objective
     springs: Callable[[float, Nuisance], Springs]
 
@@ -160,7 +159,7 @@ class SearchResult:
     effort: Effort
     start_value: float | None
     uncertainty: Uncertainty | None
-    released: DrapeResult | None
+    released: Drape | None
     status: Status
     message: str
 
@@ -237,7 +236,7 @@ class _Run:
                                          level.pulls[-1]).best
 
     def problem_at(
-        self, anchored: Anchored, near: DrapeResult, guess: Unknowns, nuisance: Nuisance | None,
+        self, anchored: Anchored, near: Drape, guess: Unknowns, nuisance: Nuisance | None,
         pull: float,
     ) -> Problem:
         """The problem with an initial guess, evaluated, with fitted nuisances."""

@@ -6,7 +6,6 @@ energy determines the shape where no view shows it. Released, such a drape keeps
 unless its fabric cannot hold them.
 """
 
-import time
 from collections.abc import Sequence
 
 import numpy as np
@@ -14,16 +13,16 @@ from scipy.spatial import cKDTree
 
 from common.types import Metres, Points
 from drapenet.refine.laid import surface_positions
-from sim.cloth import Laws
-from sim.drape import DrapeResult, drape_result, scene_on
+from sim.cloth import Cloth, Laws
+from sim.drape import Drape
 from sim.energies.base import Energy
 from sim.energies.hinges import Hinges, hinge_angles
 from sim.equilibrium import Equilibrium, find_equilibrium
 from sim.material import REFERENCE_DENSITY, Fabric
 from sim.mesh import adjacency, smooth, vertex_normals
-from sim.mesh.specimen import coarse_to_fine, make_specimen
+from sim.mesh.specimen import coarse_to_fine
 from sim.rig import Rig
-from sim.scene import Scene
+from sim.scene import Scene, make_specimen
 from sim.solver.newton import NewtonOptions
 from sim.solver.state import State
 from sim.start import interpolate_positions
@@ -68,7 +67,7 @@ class Springs(Energy):
 
 def captured_shape(
     fabric: Fabric, points: Points, normals: np.ndarray, *, rig: Rig, edge: Metres
-) -> DrapeResult:
+) -> Drape:
     """A specimen of ``fabric`` pulled onto captured points, laid on their surface first.
 
     The state under the springs is an initial guess and not an equilibrium of the fabric.
@@ -77,26 +76,24 @@ def captured_shape(
         points, normals: in the specimen's axes.
         edge: of the mesh at the rim; coarser meshes give initial guesses.
     """
-    laws, simulated = Laws(), fabric.at_density(REFERENCE_DENSITY)
+    laws = Laws()
     coarse = None
-    began = time.perf_counter()
     for level in coarse_to_fine(edge):
         last = level == edge
-        specimen = make_specimen(rig, edge=level)
-        rest = specimen.mesh.rest
-        scene = scene_on(specimen, rig)
+        scene = make_specimen(rig, edge=level)
+        rest = scene.mesh.rest
         positions = (interpolate_positions(*coarse, rest) if coarse
                      else surface_positions(rest, points, rig))
-        positions[specimen.held] = rig.place(rest[specimen.held])
+        positions[scene.held] = rig.place(rest[scene.held])
         if coarse is None:
             positions = smoothed(scene, positions)
         equilibrium = pulled(
-            scene, simulated, scene.state(positions), points, normals,
+            scene, fabric, scene.state(positions), points, normals,
             laws=laws if last else laws.softened(_COARSE_MEMBRANE),
             pulls=PULLS[:2] if coarse is None else PULLS[-2:])
         coarse = rest, equilibrium.state.positions
-    return drape_result(fabric, rig, laws, equilibrium, edge=edge,
-                        seconds=time.perf_counter() - began)
+    return Drape(fabric=fabric, rig=rig, edge=edge, cloth=Cloth(scene, fabric, laws),
+                 state=equilibrium.state)
 
 
 def smoothed(scene: Scene, positions: Points) -> Points:

@@ -3,7 +3,7 @@ point clouds without such correspondence; the objective for registered drapes.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -11,15 +11,14 @@ from scipy.spatial import cKDTree
 from common.errors import InputError
 from common.types import Faces, Metres, Points, RestPoints
 from drapenet.refine.objective import Linearised, Moves, Nuisance, Residuals, huber
-from sim.cloth import Laws
-from sim.drape import DrapeResult, scene_on
+from sim.cloth import Cloth
+from sim.drape import Drape
+from sim.energies.self_contact import contact_near
 from sim.material import Fabric
 from sim.measures import drape_coefficient
 from sim.mesh import Mesh, edges_of, vertex_normals
-from sim.mesh.specimen import Specimen
 from sim.rig import Rig
-from sim.sensitivity.tangent import possible_contact
-from sim.solver.newton import Status
+from sim.scene import Scene
 
 _ON_PLATE = 1.003  # of the plate's radius: vertices on its rim are held
 NEIGHBOURS = 20  # used to estimate the normal of a raw point
@@ -54,19 +53,16 @@ class CapturedShape:
                         for p in (self.positions, self.rest))
         return float(np.sqrt(np.mean((length / rest - 1) ** 2)))
 
-    def as_drape(self, fabric: Fabric) -> DrapeResult:
+    def as_drape(self, fabric: Fabric) -> Drape:
         """The shape as a drape of ``fabric``, not in equilibrium."""
         mesh = Mesh(self.rest, self.faces)
         ends = mesh.rest[mesh.edges]
         lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-        state = scene_on(Specimen(mesh, self.held), self.rig).state(self.positions)
-        drape = DrapeResult(
-            fabric=fabric, rig=self.rig, mesh=mesh, held=self.held, state=state, laws=Laws(),
-            extra=(), touches=False, edge=float(lengths.mean()), status=Status.MAX_ITERATIONS,
-            message="captured", residual=math.inf, step=math.inf, positive_definite=False,
-            self_intersections=0, iterations=0, seconds=0.0, time_spent={})
-        contact = possible_contact(drape).value(state.q)
-        return replace(drape, touches=0 < contact < math.inf)
+        scene = Scene.on(self.rig, mesh, self.held)
+        state = scene.state(self.positions)
+        contact = contact_near(scene, self.positions).value(state.q)
+        return Drape(fabric=fabric, rig=self.rig, edge=float(lengths.mean()), state=state,
+                     cloth=Cloth(scene, fabric), touches=0 < contact < math.inf)
 
 
 @dataclass(frozen=True)
@@ -125,7 +121,7 @@ class Fidelity:
     captured_coefficient: float
 
 
-def fidelity(shape: CapturedShape, drape: DrapeResult) -> Fidelity:
+def fidelity(shape: CapturedShape, drape: Drape) -> Fidelity:
     """Compare ``drape``, released from ``shape`` on the same mesh, with it."""
     hanging, settled = shape.hanging, drape.positions
     surface = Cloud.of_mesh(shape.positions, shape.faces)

@@ -16,7 +16,7 @@ from data.render.cameras import Camera
 from data.render.rays import DepthRenderer
 from drapenet.views.located import LocatedViews
 from sim.cloth import Laws
-from sim.drape import DrapeResult, drape
+from sim.drape import Drape, drape
 from sim.material import Fabric
 from sim.measures import drape_coefficient, folds_around
 
@@ -43,7 +43,7 @@ class Resimulation:
 
     located: LocatedViews
     views: Views
-    drape: DrapeResult
+    drape: Drape
     positions: Points
     statuses: tuple[str, ...]
 

@@ -24,7 +24,7 @@ from data.render.rays import QUARTERS, DepthRenderer
 from drapenet.refine.depth import FOCAL, POSE, DepthViews, DepthWeights, table_names
 from drapenet.refine.unknowns import LAW_NAMES, law_moves
 from drapenet.views.located import LocatedViews
-from sim.drape import DrapeResult
+from sim.drape import Drape
 from sim.rig import Rig
 from sim.sensitivity import Tangent
 from sim.sensitivity.forward import tangent_sensitivities
@@ -110,7 +110,7 @@ def bounds(covariance: np.ndarray) -> np.ndarray:
 
 
 def depth_information(
-    result: DrapeResult,
+    result: Drape,
     camera: Camera,
     *,
     nuisances: Nuisances | None = None,

@@ -18,11 +18,10 @@ from sim.cantilever.elastica import strip_shape, tabulated_law
 from sim.cantilever.moduli import fit_torque_curve, match
 from sim.cantilever.tester import bending_length
 from sim.cloth import Laws
-from sim.drape import drape
+from sim.drape import drape, follow
 from sim.energies.plate_variants import TorqueLaw
 from sim.material import Fabric, torque
 from sim.rig import GRAVITY
-from sim.sensitivity import follow
 
 FITS = {"parabola": "parabola (α, β)", "spline": "spline"}
 KINDS = {"parabola": "parabola", "yielding": "stiff at first, then yielding",

@@ -16,11 +16,11 @@ from experiments.drapes import header, plan_specimen
 from experiments.page import Section
 from experiments.result import Config, Report, Result, label_log_axes, rms, run_fabrics
 from sim.cloth import Laws
-from sim.drape import DrapeResult, drape
+from sim.drape import Drape, drape, follow
 from sim.energies.membrane import OrthotropicStVK
 from sim.material import Fabric, is_admissible
 from sim.rig import HUNG_SQUARE
-from sim.sensitivity import Tangent, follow
+from sim.sensitivity import Tangent
 from sim.sensitivity.forward import tangent_sensitivities
 from sim.solver.potential import forces
 from sim.start import interpolate_positions
@@ -92,7 +92,7 @@ class HungFit:
         sigma: m, standard deviation of the noise of each coordinate.
     """
 
-    def __init__(self, reference: DrapeResult, points: np.ndarray, theta: np.ndarray, *, free: bool,
+    def __init__(self, reference: Drape, points: np.ndarray, theta: np.ndarray, *, free: bool,
                  sigma: float) -> None:
         bending = header().scale
         self._points, self._theta, self._sigma = points, theta, sigma
@@ -133,7 +133,7 @@ class HungFit:
         jacobian = moves[:, ~self._last.held].reshape(len(x), -1).T * self._spread / self._sigma
         return self._residuals(self._last, x), np.vstack([jacobian, np.eye(len(x))])
 
-    def _residuals(self, found: DrapeResult, x: np.ndarray) -> np.ndarray:
+    def _residuals(self, found: Drape, x: np.ndarray) -> np.ndarray:
         gap = (found.positions - self._points)[~found.held] / self._sigma
         return np.concatenate([gap.ravel(), x])
 

@@ -25,12 +25,12 @@ from experiments.papers.descriptors import DescriptorObjective, GridSpectrum, Ri
 from experiments.papers.transfer import ratio
 from experiments.physics import style3d
 from experiments.result import Config, Report, Result, label_log_axes, rms, run_fabrics
-from sim.cloth import Laws
-from sim.drape import DrapeResult
+from sim.cloth import Cloth, Laws
+from sim.drape import Drape, follow
 from sim.energies.hinges import mean_modulus
 from sim.material import REFERENCE_DENSITY, Fabric, is_admissible, torque
-from sim.mesh.specimen import TOPOLOGIES, Specimen, make_specimen
-from sim.sensitivity import follow
+from sim.mesh.specimen import TOPOLOGIES
+from sim.scene import Scene, make_specimen
 from sim.start import interpolate_positions
 
 SIGMA = 0.3  # initial standard deviation of CMA-ES, in units of the problem
@@ -168,7 +168,7 @@ def perturb(theta: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 def simulate_target(
     target: str, plan: DrapePlan, *, edge: float, seconds: float
-) -> tuple[DrapeResult, np.ndarray, float]:
+) -> tuple[Drape, np.ndarray, float]:
     """Simulate a drape on another mesh or in another simulator.
 
     Returns:
@@ -188,19 +188,19 @@ def simulate_target(
         return found, found.positions, 0.0
     above = drape_specimen(replace(plan, theta=scale_moduli(plan.theta, _START_STIFFNESS)), **other)
     settled = style3d.simulate_drape(
-        Specimen(above.mesh, above.held), above.positions, above.rig, density=REFERENCE_DENSITY,
+        Scene(above.mesh, above.held), above.positions, above.rig, density=REFERENCE_DENSITY,
         modulus=from_theta(hinges.theta)[0], seconds=seconds)
     return above, settled.positions, settled.motion
 
 
-def register(shape: DrapeResult, positions: np.ndarray, fabric: Fabric, topology: int,
-               edge: float) -> DrapeResult:
+def register(shape: Drape, positions: np.ndarray, fabric: Fabric, topology: int,
+               edge: float) -> Drape:
     """Interpolate positions (V, 3), m, to another mesh; the result is not an equilibrium."""
     mesh = make_specimen(shape.rig, edge=edge, topology=topology)
-    there = replace(shape, mesh=mesh.mesh, held=mesh.held, laws=Laws(), fabric=fabric)
     at = interpolate_positions(shape.rest, positions, mesh.mesh.rest)
     at[mesh.held] = shape.rig.place(mesh.mesh.rest[mesh.held])
-    return there.at(at)
+    return Drape(fabric=fabric, rig=shape.rig, edge=edge, cloth=Cloth(mesh, fabric),
+                 state=mesh.state(at))
 
 
 def case(

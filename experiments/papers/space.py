@@ -12,9 +12,9 @@ from experiments.drapes import drape_specimen, plan_specimen
 from experiments.page import Section
 from experiments.papers.trainings import Training, error_cell, limits, log_alpha, train_all
 from experiments.result import Config, Report, Result, label_log_axes, run_cases, table
-from sim.drape import DrapeResult, drape
+from sim.drape import Drape, drape, follow
 from sim.material import Fabric
-from sim.sensitivity import follow, sensitivities
+from sim.sensitivity import sensitivities
 
 SPACES = {"vae": "autoencoder (VAE-4)", "mixture": "mixture of three Gaussians",
           "uniform": "box around the autoencoder's fabrics"}
@@ -24,14 +24,14 @@ _INITIAL_FACTOR = 0.7  # times alpha: initial guess of the linear law
 _MIN_GAIN = 0.01  # relative decrease of the residual at which the iteration ends
 
 
-def linear_fit(target: DrapeResult) -> DrapeResult:
+def linear_fit(target: Drape) -> Drape:
     """Fit a linear fabric, beta = 0, to the drape ``target``; return its drape nearest to it.
 
     Gauss-Newton iteration over three log alpha with the derivatives of the equilibrium.
     """
     weight = np.sqrt(target.mesh.vertex_areas)[:, None]
 
-    def residuals(shape: DrapeResult) -> np.ndarray:
+    def residuals(shape: Drape) -> np.ndarray:
         return (weight * (shape.positions - target.positions)).ravel()
 
     density = target.fabric.density
@@ -44,8 +44,7 @@ def linear_fit(target: DrapeResult) -> DrapeResult:
         jacobian = (weight * moves.positions).reshape(3, -1).T
         step = np.linalg.lstsq(jacobian, -residuals(best), rcond=None)[0] * scale
         step *= min(1.0, _MAX_STEP / np.abs(step).max())
-        trial = follow(best, Fabric(best.fabric.alpha * np.exp(step), np.zeros(3), density),
-                       sensitivities=None)
+        trial = follow(best, Fabric(best.fabric.alpha * np.exp(step), np.zeros(3), density))
         before, after = (np.linalg.norm(residuals(shape)) for shape in (best, trial))
         if not trial.converged or after >= before:
             scale /= 2

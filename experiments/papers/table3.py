@@ -25,10 +25,9 @@ from experiments.physics.testers import add_noise, strip_lengths
 from experiments.result import Config, Report, Result, label_log_axes, rms, run_fabrics
 from sim.cantilever.moduli import estimate_moduli, fabric_of
 from sim.cantilever.tester import simulate_strips
-from sim.drape import DrapeResult, drape
+from sim.drape import Drape, drape, follow
 from sim.material import REFERENCE_DENSITY, Fabric
 from sim.rig import HUNG_SQUARE
-from sim.sensitivity import follow
 
 TABLE, NETWORK, REFINED = "strips, table", "network", "refined"
 PRIOR, OTHER_DRAPE = "mean of the prior", "another drape of the fabric"
@@ -98,7 +97,7 @@ def case(
     return result
 
 
-def _difference(reference: DrapeResult, other: DrapeResult, *, align: str = "none") -> Difference:
+def _difference(reference: Drape, other: Drape, *, align: str = "none") -> Difference:
     if not (reference.converged and other.converged):
         return None
     return compare(reference, other, align=align).row

@@ -15,10 +15,11 @@ from experiments.physics import style3d
 from experiments.result import Config, Report, Result, label_log_axes, run_fabrics
 from sim.cantilever.tester import equivalent_modulus
 from sim.cloth import Laws
-from sim.drape import DrapeResult
+from sim.drape import Drape
 from sim.material import Fabric, torque
 from sim.mesh import strip
-from sim.mesh.specimen import TOPOLOGIES, Specimen, make_specimen
+from sim.mesh.specimen import TOPOLOGIES
+from sim.scene import Scene, make_specimen
 from sim.solver.newton import Status
 
 _CELLS, _SAMPLES = 30, 6  # of the strips for the ratio of moduli
@@ -46,7 +47,7 @@ def case(*, number: int, edge_mm: float, seed: int) -> dict[str, Any]:
     fabric = fabric_from_theta(plan.theta)
     plate = drape_specimen(plan, edge=edge)
     equivalent = replace(fabric, alpha=ratio() * fabric.alpha, beta=ratio() * fabric.beta)
-    same = Specimen(plate.mesh, plate.held)
+    same = Scene(plate.mesh, plate.held)
     cases = {f"{name}, {model}": (same, one, Laws(bending=law)) for name, law in LAWS.items()
              for model, one in (("α as estimated", fabric), ("equivalent α", equivalent))}
     cases[OTHER_MESH] = (make_specimen(rig, edge=edge, topology=(plan.seed + 1) % TOPOLOGIES),
@@ -68,7 +69,7 @@ def style3d_case(
     "motion" has their displacements in the last quarter of the simulation, mm.
     """
     plate = drape_specimen(plan_specimen(number, seed=seed), edge=1e-3 * edge_mm)
-    fabric, mesh = plate.fabric, Specimen(plate.mesh, plate.held)
+    fabric, mesh = plate.fabric, Scene(plate.mesh, plate.held)
     secant = torque(np.array(_SECANT), fabric.alpha, fabric.beta) / _SECANT
     moduli = {"α as estimated": fabric.alpha, "equivalent α": ratio() * fabric.alpha,
               f"equivalent secant at {_SECANT:g} m⁻¹": ratio() * secant}
@@ -86,7 +87,7 @@ def style3d_case(
     return result
 
 
-def _difference(plate: DrapeResult, positions: np.ndarray, mesh: Specimen) -> list[float]:
+def _difference(plate: Drape, positions: np.ndarray, mesh: Scene) -> list[float]:
     """Displacement, mm, and difference of mean curvature, %, of positions (V, 3), m."""
     return compare(plate, Shape.of(mesh, positions)).row
 

@@ -14,11 +14,12 @@ from matplotlib.figure import Figure
 from experiments.comparison import Draped, Shape, compare, equilibrium_near, same_folds
 from experiments.drapes import prior_fabric
 from experiments.result import Config, Result, label_log_axes, run_cases
-from sim.drape import DrapeResult, drape
+from sim.drape import Drape, drape
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
 from sim.measures import fold_outline
-from sim.mesh.specimen import EDGE_RANGE, GRADING, TOPOLOGIES, Specimen, make_specimen
+from sim.mesh.specimen import EDGE_RANGE, GRADING, TOPOLOGIES
 from sim.rig import DISC_RIG, Rig
+from sim.scene import Scene, make_specimen
 
 MAX_DISPLACEMENT = 0.8  # mm, mean displacement between drapes with the same folds
 MIN_TRIANGLE_RATIO = 4  # number of triangles of the fine mesh over that of the default mesh
@@ -50,14 +51,14 @@ def one_fabric(index: int, seed: int, rig: str, edges_mm: list[float]) -> dict:
 
 def timed_drape(
     fabric: Fabric, rig: Rig, edge: float | None, seed: int
-) -> tuple[DrapeResult, float]:
+) -> tuple[Drape, float]:
     """Simulate a drape from a sine start; return it and its CPU-seconds."""
     began = time.process_time()
     result = drape(fabric, rig=rig, edge=edge, seed=seed, start="sine")
     return result, time.process_time() - began
 
 
-def fine_specimen(rig: Rig, default: DrapeResult, topology: int) -> Specimen:
+def fine_specimen(rig: Rig, default: Drape, topology: int) -> Scene:
     """Specimen on a mesh with :data:`MIN_TRIANGLE_RATIO` times the triangles of ``default``.
 
     Its edges are half as long at the rim; the grading is reduced until the number is reached.

@@ -5,6 +5,7 @@ single setting.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,14 +13,15 @@ import numpy as np
 from experiments.drapes import prior_fabric
 from experiments.result import Config, Result, run_cases
 from sim.cloth import Laws
-from sim.drape import COARSE_MEMBRANE, FINE_OPTIONS, drape, scene_on, start_positions
+from sim.drape import COARSE_CONTACT, COARSE_MEMBRANE, FINE_OPTIONS, drape, start_positions
 from sim.energies.plate_variants import Hysteresis
 from sim.equilibrium import find_equilibrium
 from sim.lowering import LOWERING_MESHES, SPEEDS, STEP, lowered, with_origins
 from sim.material import MICRO, Fabric
 from sim.measures import drape_coefficient, fold_count
-from sim.mesh.specimen import TOPOLOGIES, make_specimen
+from sim.mesh.specimen import TOPOLOGIES
 from sim.rig import DISC_RIG
+from sim.scene import make_specimen
 
 SEED = 3  # of the fabrics whose cost is measured
 DEFAULT = {"step": STEP, "speed": None, "mesh_mm": 1e3 * LOWERING_MESHES[0][0], "share": 0.0}
@@ -39,9 +41,9 @@ def variant_case(
     fabric, laws = Fabric(alphas, 1e-3 * ratio_mm * alphas), Laws(bending=Hysteresis(share))
     rows = []
     for seed in range(seeds):
-        coarse, fine = (scene_on(make_specimen(rig, edge=1e-3 * edge, topology=seed % TOPOLOGIES),
-                                 rig, soft=soft) for edge, soft in ((mesh_mm, True),
-                                                                    (edge_mm, False)))
+        coarse, fine = (make_specimen(rig, edge=1e-3 * edge, topology=seed % TOPOLOGIES)
+                        for edge in (mesh_mm, edge_mm))
+        coarse = replace(coarse, contact_pressure=COARSE_CONTACT * coarse.contact_pressure)
         before = lowered(coarse, fabric, rig, laws=laws.softened(COARSE_MEMBRANE), seed=seed,
                          speed=speed, step=step)
         used = with_origins(laws, before, fine)
@@ -61,7 +63,7 @@ def cost_case(*, index: int, start: str) -> dict[str, Any]:
     fabric = prior_fabric(index, SEED)
     drape(fabric, rig=DISC_RIG, start=start, seed=index, edge=12e-3)  # compiles
     shape = drape(fabric, rig=DISC_RIG, start=start, seed=index)
-    return {"seconds": shape.time_spent["total"], "iterations": shape.iterations,
+    return {"seconds": shape.outcome.seconds["total"], "iterations": shape.iterations,
             "folds": fold_count(shape.positions, shape.rest, DISC_RIG),
             "status": shape.status.value}
 

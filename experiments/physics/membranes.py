@@ -25,8 +25,9 @@ from sim.drape import drape
 from sim.energies.membrane import Corotational, Guarded, Membrane, OrthotropicStVK
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
 from sim.measures import drape_coefficient, fold_outline
-from sim.mesh.specimen import TOPOLOGIES, make_specimen
+from sim.mesh.specimen import TOPOLOGIES
 from sim.rig import Rig
+from sim.scene import make_specimen
 from sim.solver.newton import Status
 
 POISSON = 0.3
@@ -70,7 +71,7 @@ def simulate(
         start = Shape.load(Path(begin).parent, Path(begin).stem)
         specimen = make_specimen(rig, edge=1e-3 * edge_mm, topology=seed % TOPOLOGIES)
         found = equilibrium_near(start, specimen, rig, fabric, laws)
-        mesh, steps = specimen.mesh, found.newton.iterations
+        mesh, steps = specimen.mesh, found.outcome.iterations
     positions = found.state.positions
     return {"status": found.status.value, "newton_steps": steps,
             "drape_coefficient": drape_coefficient(positions, mesh.faces, rig),

@@ -31,8 +31,9 @@ from sim.energies.membrane import Corotational
 from sim.material import MICRO, Fabric
 from sim.measures import drape_coefficient, fold_angles, fold_outline
 from sim.mesh import Mesh
-from sim.mesh.specimen import TOPOLOGIES, Specimen, make_specimen
+from sim.mesh.specimen import TOPOLOGIES
 from sim.rig import Rig
+from sim.scene import Scene, make_specimen
 from sim.solver.newton import Status
 
 # Moduli warp, bias, weft in µN·m at 300 g/m²; beta/alpha of a typical fabric, mm.
@@ -70,7 +71,7 @@ def drape_near(
                     time.perf_counter() - began)
 
 
-def specimen_on(kind: str, edge: float, seed: int) -> Specimen:
+def specimen_on(kind: str, edge: float, seed: int) -> Scene:
     """Specimen on a mesh of :data:`MESHES`, with edges of ``edge``, m, at the rim."""
     rig = Rig()
     if kind != "uniform":

@@ -24,7 +24,7 @@ from data.fabrics.fabrics import fabric_from_theta
 from experiments.drapes import plan_specimen
 from experiments.result import Config, Result, load_arrays, run_cases
 from sim.cloth import Laws
-from sim.drape import DrapeResult, drape
+from sim.drape import Drape, drape
 from sim.energies.plate_variants import Hysteresis
 from sim.material import MICRO, Fabric
 from sim.measures import folds_around, shadow_radius
@@ -67,7 +67,7 @@ def drape_case(
             "arrays": {name: np.reshape(each, (-1, POINTS)) for name, each in radii.items()}}
 
 
-def _specimen(alpha: float, fabric: Fabric | None, seed: int, edge: float) -> DrapeResult:
+def _specimen(alpha: float, fabric: Fabric | None, seed: int, edge: float) -> Drape:
     """A lowered drape of a specimen of ``fabric``; None: of the prior, scaled to the geometric mean
     ``alpha``, N·m."""
     plan = plan_specimen(seed, seed=0, nuisances="real", rig=DISC_RIG)

@@ -22,8 +22,8 @@ from matplotlib.figure import Figure
 from data.fabrics.fabrics import THETA_NAMES, fabric_from_theta
 from experiments.drapes import prior_theta
 from experiments.result import Config, Result, run_cases
-from sim.drape import DrapeResult, drape
-from sim.sensitivity import Tangent, follow, sensitivities
+from sim.drape import Drape, drape, follow
+from sim.sensitivity import Tangent, sensitivities
 from sim.sensitivity.adjoint import adjoint_gradients, equilibria
 from sim.solver.newton import NewtonOptions
 
@@ -94,7 +94,7 @@ def one_fabric(index: int, seed: int, edge_mm: float) -> dict:
     }
 
 
-def central_differences(start: DrapeResult, theta: np.ndarray) -> tuple[np.ndarray, int]:
+def central_differences(start: Drape, theta: np.ndarray) -> tuple[np.ndarray, int]:
     """Central differences (6, V, 3) of drapes continued from ``start``, and number of failures.
 
     Steps are reduced, because a drape that is nearly unstable responds non-linearly.

@@ -17,8 +17,8 @@ from common.errors import InputError
 from drapenet.export.formats import STYLE3D
 from sim.material import BIAS, WARP, WEFT
 from sim.mesh import Mesh
-from sim.mesh.specimen import Specimen
 from sim.rig import GRAVITY, Rig
+from sim.scene import Scene
 
 if TYPE_CHECKING:
     from newton import ModelBuilder
@@ -111,7 +111,7 @@ class FinalState:
 
 
 def simulate_drape(
-    specimen: Specimen, positions: np.ndarray, rig: Rig, *, density: float,
+    specimen: Scene, positions: np.ndarray, rig: Rig, *, density: float,
     modulus: Sequence[float], seconds: float,
 ) -> FinalState:
     """Simulate a specimen on the cylinder of ``rig``, started from ``positions`` (V, 3), m.

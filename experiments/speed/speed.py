@@ -36,7 +36,7 @@ def time_drape(fabric: Fabric, *, edge_mm: float, seed: int) -> dict:
         "status": result.status.value,
         "cpu_seconds": round(time.process_time() - began, 3),
         "newton_steps": result.iterations,
-        "seconds_by_activity": {k: round(v, 3) for k, v in result.time_spent.items()},
+        "seconds_by_activity": {k: round(v, 3) for k, v in result.outcome.seconds.items()},
     }
 
 

@@ -17,7 +17,7 @@ from common.errors import InputError
 from common.workers import worker_pool
 from experiments.drapes import prior_fabric
 from experiments.result import Config, Result
-from sim.drape import DrapeResult, drape
+from sim.drape import Drape, drape
 from sim.material import Fabric
 
 
@@ -71,7 +71,7 @@ def start_seconds(fabric: Fabric, workers: int) -> float:
     return time.perf_counter() - began - max(result.seconds for result in made)
 
 
-def largest_distance(a: DrapeResult, b: DrapeResult) -> float:
+def largest_distance(a: Drape, b: Drape) -> float:
     """Largest distance, m, between the same vertex of two drapes."""
     return float(np.linalg.norm(a.positions - b.positions, axis=1).max())
 

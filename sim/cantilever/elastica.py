@@ -16,6 +16,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from common.errors import InputError
+from common.types import DeflectionCurve, Metres, Radians
 from sim.material import SOFTENING_LIMIT
 
 MAX_GAMMA = 1e4
@@ -23,19 +24,14 @@ _MIN_LOG_TIP_ANGLE = -300.0  # of the tip's angle to the vertical; far below any
 
 
 def strip_shape(
-    law: np.ndarray, *, weight: float, length: float, slope: float = 0.0, points: int = 2001,
+    law: np.ndarray, *, weight: float, length: Metres, slope: Radians = 0.0, points: int = 2001,
     steps: int = 2000,
-) -> np.ndarray:
-    """Shape (points, 2), m, of a strip of any torque law: distance from the clamp and drop.
+) -> DeflectionCurve:
+    """Shape of a strip of any torque ``law`` (4, K), at equidistant points.
 
-    Args:
-        law: (4, K) pieces, see the module.
-        weight, length: rho g, N/m², and free length, m.
-        slope: angle of the clamp below the horizontal, radians in [0, pi/2); InputError also for
-            a law so soft that the strip hangs straight down.
-        points: number of points, equidistant along the strip.
-        steps: minimum number of integration steps; the error of H/W is below 1e-7, with 400 steps
-            below 1e-5 up to gamma = 1000.
+    The ``slope`` of the clamp is in [0, pi/2); InputError also for a law so soft that the strip
+    hangs straight down. The error of H/W is below 1e-7, with 400 ``steps`` of integration below
+    1e-5 up to gamma = 1000.
     """
     if not 0 <= slope < np.pi / 2 - 1e-3:
         raise InputError(f"the clamp must slope by 0 to 89 degrees, not {np.degrees(slope):g}")
@@ -54,26 +50,22 @@ def strip_shape(
 
 
 def heavy_elastica(
-    alpha: float, beta: float, *, weight: float, length: float, **options
-) -> np.ndarray:
-    """Shape (points, 2), m, of a strip with the torque law of :func:`sim.material.torque`.
-
-    ``weight``, ``length`` and ``options`` as for :func:`strip_shape`; moduli along the strip,
-    ``alpha`` in N·m and ``beta`` in N·m².
-    InputError where gamma = weight length³/alpha is out of range.
-    """
+    alpha: float, beta: float, *, weight: float, length: Metres, **options
+) -> DeflectionCurve:
+    """Shape of a strip with the torque law of :func:`sim.material.torque`, moduli in N·m and N·m²;
+    options as for :func:`strip_shape`. InputError where gamma = weight length³/alpha is out of
+    range."""
     gamma = weight * length**3 / alpha
     if not 0 < gamma <= MAX_GAMMA:
         raise InputError(f"gamma={gamma:g} must lie above 0 and not above {MAX_GAMMA:g}")
     return strip_shape(softening_law(alpha, beta), weight=weight, length=length, **options)
 
 
-def elastica(gamma: float, points: int = 2001, *, softening: float = 0.0, **options) -> np.ndarray:
-    """Shape (points, 2) of a heavy elastica of length 1 with -beta/(alpha L) = ``softening``.
-
-    For small gamma and a horizontal clamp, drop/reach tends to gamma/8. ``options`` and errors
-    as for :func:`heavy_elastica`.
-    """
+def elastica(
+    gamma: float, points: int = 2001, *, softening: float = 0.0, **options
+) -> DeflectionCurve:
+    """A heavy elastica of length 1 with -beta/(alpha L) = ``softening``. For small gamma and a
+    horizontal clamp, drop/reach tends to gamma/8."""
     return heavy_elastica(1.0, -softening, weight=gamma, length=1.0, points=points, **options)
 
 

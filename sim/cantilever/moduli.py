@@ -1,38 +1,11 @@
-"""Moduli and torque curves from deflection curves of strips.
+"""Moduli and torque curves from deflection curves of strips (Feng et al. 2022, section 4.3).
 
-Smoothing of deflection curves by Bézier curves (Feng et al. 2022, section 4.3).
-
-Moduli by regression of torque on curvature along a deflection curve (section 4.3.1).
-
-The torque per width at a point of the strip is the moment of the weight beyond it,
-
-    tau_i = rho g ∫ (x(s) - x_i) ds  from s_i to the free end                 (Eq. 5),
-
-by the trapezoidal rule (Eq. 6). Beyond the softening limit a simulated strip does not follow the
-parabola alpha kappa + beta kappa²; the fitted law is therefore :func:`sim.material.torque`, which
-is the parabola up to the limit and linear beyond.
-
-Moduli by comparison with a table of computed deflection curves (section 4.3.2).
-
-The nearest candidate (alpha, beta/alpha) of the table is refined by least squares of the measured
-points' distances from elastica curves. This combines strips of several lengths and, unlike the
-regression, needs no derivatives of a noisy curve.
-
-Non-parametric torque curve from deflection curves (after Miguel et al.).
-
-Torque is a monotone cubic spline of the curvature with a few knots. They are fitted so that
-computed strips of that law match the measured ones: the equilibrium is part of the fit, and no
-second derivatives of measured curves are needed.
-
-Moduli of a fabric in warp, bias and weft from its strips.
-
-The bias modulus of the law is that of a cylinder bent along 45°, but a free strip cut along the
-bias also twists and curves across while it bends, and thus hangs slightly lower than a cylinder
-(docs/validation.md). :func:`correct` removes this bias: it simulates the three strips and adjusts
-the moduli until the estimates from the simulated strips equal those from the measured ones.
+Three methods: *regression* of torque on curvature along a curve (4.3.1), *table*, comparison with
+computed curves (4.3.2), and a *torque curve* without a parabola (after Miguel et al.). Bézier
+curves smooth the measured ones.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -44,6 +17,7 @@ from scipy.optimize import least_squares, minimize_scalar
 from scipy.special import comb
 
 from common.errors import InputError
+from common.types import DeflectionCurve, Density, Metres, Moduli, QuadraticModuli, Radians
 from sim.cantilever.elastica import MAX_GAMMA, heavy_elastica, strip_shape, tabulated_law
 from sim.cantilever.tester import simulate_strips
 from sim.material import DIRECTIONS, Fabric, is_admissible, torque
@@ -52,8 +26,71 @@ from sim.rig import GRAVITY
 DEGREES = range(3, 15)
 """Candidate degrees of a Bézier curve. A cubic curve (section 4.3) cannot follow the curvature from
 clamp to free end: its error of alpha is at least 6 % (docs/validation.md)."""
-
 _PROJECTIONS = 30  # updates of the points' parameters
+
+SAMPLES = 256  # points along each curve in the regression (section 4.3)
+RATIO_RANGE = (-0.02, 0.02)  # m, of beta/alpha in fabrics
+MAX_TORQUE_MISFIT = 0.5
+"""Relative. An error of 0.3 mm in the points gives 0.15; on nearly straight strips it gives 0.4 to
+0.9, with errors of alpha up to a factor of four; other curves give 0.98."""
+
+POINTS = 41  # equidistant along each curve that is compared with computed ones
+GAMMAS = (0.05, 2000.0)  # range of rho g L³/alpha in the table
+CANDIDATES = 20  # of alpha
+BANDS = ((-18.0, -13.0, -8.0), (-6.0, -4.0, -2.0), (-0.5, 3.0, 8.0))
+"""Candidates of beta/alpha, mm. The nearest of each band is an initial guess of a refinement,
+because a stiff fabric that softens has nearly the deflection of a softer linear one."""
+MAX_DISTANCE = 0.1  # root mean square, relative to the mean length
+_CANDIDATE_STEPS, _STEPS = 40, 400  # of the integration
+
+KNOTS = 4
+_MARGIN = 1.25  # last knot over the largest curvature of the Bézier curves, which a fit may exceed
+_SPACING_EXPONENT = 1.7  # concentrates knots near 0: most of a strip has a small curvature
+_LAW_SAMPLES = 4000
+_SMOOTHING = 0.02
+"""Weight of differences of the log slope, relative to distances in units of 1 % of the strip's
+length; it determines knots beyond the curvatures of all strips."""
+
+MAX_ROUNDS = 6
+MAX_MOVE = 3.0  # of the correction in one round: 30 % in alpha, 3 mm in beta/alpha
+TOLERANCE = 0.05  # 0.5 % in alpha and 0.05 mm in beta/alpha
+
+NOT_A_STRIP = "the curves are not those of a hanging strip; check their axes and slope"
+Strips = Mapping[str, Sequence[DeflectionCurve]]
+"""Curves of one or several strips of each direction."""
+
+
+@dataclass(frozen=True)
+class StripModuli:
+    """Moduli of one direction.
+
+    The misfit is the root mean square residual: of the torque, relative to that of the torque
+    (regression), or of the points' distances, relative to the mean length (table).
+    """
+
+    alpha: float  # N·m
+    beta: float  # N·m²
+    misfit: float
+    curvature: float  # 1/m, largest on the curves
+
+    @property
+    def bounded(self) -> bool:
+        """Whether beta/alpha is at a search bound, so that the curves do not determine beta."""
+        return abs(self.beta / self.alpha) > 0.999 * RATIO_RANGE[1]
+
+
+@dataclass(frozen=True)
+class TorqueCurve:
+    """Torque per width, the monotone cubic spline (PCHIP) of the curvature through its knots.
+
+    The misfit is the root mean square distance of the measured points from the fitted strips,
+    relative to the mean length. Beyond the curvature reached the curve is extrapolated.
+    """
+
+    curvature: np.ndarray  # (K + 1,) 1/m, of the knots, increasing from 0
+    torque: np.ndarray  # (K + 1,) N, at the knots
+    misfit: float
+    reached: float  # 1/m, largest curvature on any strip
 
 
 @dataclass(frozen=True)
@@ -75,8 +112,8 @@ class Bezier:
         return t, cumulative_trapezoid(np.linalg.norm(self.at(t, 1), axis=1), t, initial=0)
 
     @property
-    def length(self) -> float:
-        """Arc length, m."""
+    def length(self) -> Metres:
+        """Arc length."""
         return float(self._lengths[1][-1])
 
     def sample(self, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -94,22 +131,21 @@ def bernstein(t: np.ndarray, degree: int) -> np.ndarray:
     return comb(degree, k) * t**k * (1.0 - t) ** (degree - k)
 
 
-def arc_lengths(points: np.ndarray) -> np.ndarray:
-    """Arc lengths (N,), m, along the polygon of points (N, 2) from the first one."""
-    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+def arc_lengths(curve: DeflectionCurve) -> np.ndarray:
+    """Arc lengths (N,), m, along the polygon of the points from the first one."""
+    steps = np.linalg.norm(np.diff(curve, axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
-def fit_bezier(curve: np.ndarray, *, degree: int = 0, slope: float = 0.0) -> tuple[Bezier, float]:
-    """Least-squares Bézier curve of points (N, 2), m, starting at 0 in the clamp's direction.
+def fit_bezier(
+    curve: DeflectionCurve, *, degree: int = 0, slope: Radians = 0.0
+) -> tuple[Bezier, Metres]:
+    """Least-squares Bézier curve that starts at 0 in the clamp's direction, and the root mean
+    square distance of the points from it.
 
     Each point's parameter is moved to the nearest point of the fitted curve, and the fit is
     repeated. ``degree`` 0 selects the degree in :data:`DEGREES` with the smallest Bayesian
-    information criterion, so that noise is not fitted. InputError for a degree below 2, or too few
-    points for the degree.
-
-    Returns:
-        The curve and the root mean square distance of the points from it, m.
+    information criterion, so that noise is not fitted.
     """
     count = len(curve)
     degrees = [degree] if degree else [d for d in DEGREES if 2 * (d + 1) <= count] or DEGREES[:1]
@@ -125,7 +161,7 @@ def fit_bezier(curve: np.ndarray, *, degree: int = 0, slope: float = 0.0) -> tup
         count * np.log(fit[1] ** 2 + least) + 2 * len(fit[0].control) * np.log(count)))
 
 
-def _fit_degree(curve: np.ndarray, degree: int, slope: float) -> tuple[Bezier, float]:
+def _fit_degree(curve: DeflectionCurve, degree: int, slope: Radians) -> tuple[Bezier, Metres]:
     t = arc_lengths(curve)
     t /= t[-1]
     bezier = _solve(curve, t, degree, slope)
@@ -139,7 +175,7 @@ def _fit_degree(curve: np.ndarray, degree: int, slope: float) -> tuple[Bezier, f
     return bezier, float(np.sqrt(((curve - bezier.at(t)) ** 2).sum(1).mean()))
 
 
-def _solve(curve: np.ndarray, t: np.ndarray, degree: int, slope: float) -> Bezier:
+def _solve(curve: DeflectionCurve, t: np.ndarray, degree: int, slope: Radians) -> Bezier:
     """Linear least squares for fixed parameters t (N,). The first control point is 0; unknowns are
     the distance of the second along the clamp's direction and the other control points."""
     basis = bernstein(t, degree)
@@ -149,53 +185,26 @@ def _solve(curve: np.ndarray, t: np.ndarray, degree: int, slope: float) -> Bezie
     return Bezier(np.vstack([[0.0, 0.0], second * along, np.reshape(others, (-1, 2))]))
 
 
-SAMPLES = 256  # points along each curve (section 4.3)
-RATIO_RANGE = (-0.02, 0.02)  # m, of beta/alpha in fabrics
-MAX_TORQUE_MISFIT = 0.5
-"""Of the torque, relative. An error of 0.3 mm in the points gives 0.15; on nearly straight strips
-it gives 0.4 to 0.9, with errors of alpha up to a factor of four; other curves give 0.98."""
-
-NOT_A_STRIP = "the curves are not those of a hanging strip; check their axes and slope"
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """Moduli of one direction.
-
-    The misfit is the root mean square residual: of the torque, relative to that of the torque
-    (regression), or of the points' distances, relative to the mean length (table).
-    """
-
-    alpha: float  # N·m
-    beta: float  # N·m²
-    misfit: float
-    curvature: float  # 1/m, largest on the curves
-
-    @property
-    def bounded(self) -> bool:
-        """Whether beta/alpha is at a search bound, so that the curves do not determine beta."""
-        return abs(self.beta / self.alpha) > 0.999 * RATIO_RANGE[1]
-
-
 def torque_and_curvature(bezier: Bezier, *, weight: float) -> tuple[np.ndarray, np.ndarray]:
     """Torque (SAMPLES,), N, and curvature (SAMPLES,), 1/m, from the clamp to the free end."""
     points, curvature = bezier.sample(SAMPLES)
     return weight * moment_beyond(points), curvature
 
 
-def moment_beyond(points: np.ndarray) -> np.ndarray:
-    """(N,) integral, m², of x(s) - x_i over the curve points (N, 2), m, beyond each i (Eq. 6)."""
-    x, s = points[:, 0], arc_lengths(points)
+def moment_beyond(curve: DeflectionCurve) -> np.ndarray:
+    """(N,) integrals of x(s) - x_i from s_i to the free end, m², by the trapezoidal rule (Eq. 5 and
+    6): the torque per width is rho g times this."""
+    x, s = curve[:, 0], arc_lengths(curve)
     passed = cumulative_trapezoid(x, s, initial=0)
     return passed[-1] - passed - x * (s[-1] - s)
 
 
 def fit_law(curvature: np.ndarray, moment: np.ndarray) -> tuple[float, float, float]:
-    """alpha, beta and relative misfit of the torque law through curvatures, 1/m, and torques,
-    N·m per metre of width or any unit of theirs, (N,) each.
+    """alpha, beta and relative misfit of the law :func:`sim.material.torque` through curvatures,
+    1/m, and torques, N·m per metre of width or any unit of theirs, (N,) each. This law is the
+    parabola up to the softening limit, beyond which a strip does not follow it.
 
     For a given beta/alpha the law is proportional to alpha, so that only this ratio is searched.
-    InputError if the torque does not grow with the curvature.
     """
     def project(ratio: float) -> tuple[float, float]:
         law = np.sign(curvature) * torque(np.abs(curvature), 1.0, ratio)
@@ -204,22 +213,21 @@ def fit_law(curvature: np.ndarray, moment: np.ndarray) -> tuple[float, float, fl
 
     ratios = np.linspace(*RATIO_RANGE, 81)
     best = int(np.argmin([project(ratio)[1] for ratio in ratios]))
-    found = minimize_scalar(lambda ratio: project(ratio)[1], method="bounded",
+    ratio = minimize_scalar(lambda ratio: project(ratio)[1], method="bounded",
                             bounds=(ratios[max(best - 1, 0)], ratios[min(best + 1, 80)]),
-                            options={"xatol": 1e-9})
-    alpha, error = project(found.x)
+                            options={"xatol": 1e-9}).x
+    alpha, error = project(ratio)
     if not alpha > 0:
         raise InputError(NOT_A_STRIP)
-    return alpha, float(alpha * found.x), error / float(np.sqrt((moment**2).mean()))
+    return alpha, float(alpha * ratio), error / float(np.sqrt((moment**2).mean()))
 
 
 def regress(
-    curves: Sequence[np.ndarray], *, weight: float, slope: float = 0.0, degree: int = 0
-) -> Estimate:
-    """Moduli from the curves (each (N, 2) m) of one or several strips of one direction.
+    curves: Sequence[DeflectionCurve], *, weight: float, slope: Radians = 0.0, degree: int = 0
+) -> StripModuli:
+    """Moduli from one or several strips of one direction by regression of torque on curvature.
 
     Strips of several lengths widen the range of curvatures; all samples have equal weight.
-    InputError if no torque law fits the curves.
     """
     fits = [fit_bezier(curve, degree=degree, slope=slope)[0] for curve in curves]
     moment, curvature = np.hstack([torque_and_curvature(fit, weight=weight) for fit in fits])
@@ -227,27 +235,18 @@ def regress(
     if misfit > MAX_TORQUE_MISFIT:
         raise InputError(f"{NOT_A_STRIP}; or use method=table, which tolerates more noise "
                          f"(the law leaves {100 * misfit:.0f} % of the torque unexplained)")
-    return Estimate(alpha, beta, misfit, float(curvature.max()))
-
-
-POINTS = 41  # equidistant along each curve
-GAMMAS = (0.05, 2000.0)  # range of the candidates' rho g L³/alpha
-CANDIDATES = 20  # of alpha
-BANDS = ((-18.0, -13.0, -8.0), (-6.0, -4.0, -2.0), (-0.5, 3.0, 8.0))
-"""Candidates of beta/alpha, mm. The nearest of each band is an initial guess of a refinement,
-because a stiff fabric that softens has nearly the deflection of a softer linear one."""
-
-MAX_DISTANCE = 0.1  # relative to the mean length
-_CANDIDATE_STEPS, _REFINED_STEPS = 40, 400
+    return StripModuli(alpha, beta, misfit, float(curvature.max()))
 
 
 def match(
-    curves: Sequence[np.ndarray], *, weight: float, slope: float = 0.0, degree: int = 0
-) -> Estimate:
-    """Moduli whose elastica curves are nearest to the curves (each (N, 2) m) of one direction.
+    curves: Sequence[DeflectionCurve], *, weight: float, slope: Radians = 0.0, degree: int = 0
+) -> StripModuli:
+    """Moduli whose elastica curves are nearest to the curves of one direction.
 
-    Candidates are compared with Bézier curves through the measured points; the refinement uses the
-    measured points, with the strips' lengths as further unknowns. InputError if no elastica fits.
+    The candidates (alpha, beta/alpha) of a table are compared with Bézier curves through the
+    points. The nearest are refined by least squares of the measured points' distances from elastica
+    curves, with the strips' lengths as further unknowns. This combines strips of several lengths
+    and, unlike the regression, needs no derivatives of a noisy curve.
     """
     fits = [fit_bezier(curve, degree=degree, slope=slope)[0] for curve in curves]
     lengths = np.array([fit.length for fit in fits])
@@ -266,7 +265,7 @@ def match(
         return float(np.mean(gaps))
 
     def distances(unknowns: np.ndarray) -> np.ndarray:
-        models = strips(unknowns, 2 * POINTS - 1, _REFINED_STEPS)
+        models = strips(unknowns, 2 * POINTS - 1, _STEPS)
         parts = [np.append(distance_across(curve[1:-1], model), curve[-1] - model[-1])
                  for curve, model in zip(curves, models, strict=True)]
         return np.concatenate(parts) / lengths.mean()
@@ -277,22 +276,22 @@ def match(
     bounds = (np.array([stiffest, 1e3 * RATIO_RANGE[0], *0.7e3 * lengths]),
               np.array([np.inf, 1e3 * RATIO_RANGE[1], *1.4e3 * lengths]))
     scale = np.array([0.1, 1.0, *np.full(len(curves), 0.1)])
-    found = min(
+    best = min(
         (least_squares(distances, [*min(product(log_alpha, band), key=mean_gap), *1e3 * lengths],
                        bounds=bounds, diff_step=1e-4, x_scale=scale) for band in BANDS),
         key=lambda result: result.cost,
     )
-    misfit = float(np.sqrt((found.fun**2).mean()))
+    misfit = float(np.sqrt((best.fun**2).mean()))
     if misfit > MAX_DISTANCE:
         raise InputError(NOT_A_STRIP)
-    alpha = float(np.exp(found.x[0]))
-    return Estimate(alpha, float(1e-3 * found.x[1] * alpha), misfit, float(np.max(curvatures)))
+    alpha = float(np.exp(best.x[0]))
+    return StripModuli(alpha, float(1e-3 * best.x[1] * alpha), misfit, float(np.max(curvatures)))
 
 
-def distance_across(points: np.ndarray, model: np.ndarray) -> np.ndarray:
-    """Signed distances (N,) of points (N, 2) from the polygon ``model`` (M, 2), m."""
+def distance_across(curve: DeflectionCurve, model: DeflectionCurve) -> np.ndarray:
+    """Signed distances (N,), m, of the points of a curve from the polygon ``model``."""
     side = np.diff(model, axis=0)
-    offset = points[:, None] - model[:-1]
+    offset = curve[:, None] - model[:-1]
     along = np.clip((offset * side).sum(-1) / (side**2).sum(-1), 0.0, 1.0)
     distance = np.linalg.norm(offset - along[..., None] * side, axis=-1)
     cross = side[:, 0] * offset[..., 1] - side[:, 1] * offset[..., 0]
@@ -300,42 +299,19 @@ def distance_across(points: np.ndarray, model: np.ndarray) -> np.ndarray:
     return np.take_along_axis(np.copysign(distance, cross), nearest, axis=1)[:, 0]
 
 
-KNOTS = 4
-POINTS, STEPS = 41, 400  # compared points of each curve; integration steps
-_MARGIN = 1.25  # last knot over the largest curvature of the Bézier curves, which a fit may exceed
-_SPACING_EXPONENT = 1.7  # concentrates knots near 0: most of a strip has a small curvature
-_SAMPLES = 4000  # of the law, for the strips
-_SMOOTHING = 0.02
-"""Weight of differences of the log slope, relative to distances in units of 1 % of the strip's
-length; it determines knots beyond the curvatures of all strips."""
-
-
-@dataclass(frozen=True)
-class TorqueCurve:
-    """Torque per width, the monotone cubic spline (PCHIP) of the curvature through its knots.
-
-    The misfit is the root mean square distance of the measured points from the fitted strips,
-    relative to the mean length. Beyond the curvature reached the curve is extrapolated.
-    """
-
-    curvature: np.ndarray  # (K + 1,) 1/m, of the knots, increasing from 0
-    torque: np.ndarray  # (K + 1,) N, at the knots
-    misfit: float
-    reached: float  # 1/m, largest curvature on any strip
-
-
 def fit_torque_curve(
-    curves: Sequence[np.ndarray], *, weight: float, knots: int = KNOTS, degree: int = 0
+    curves: Sequence[DeflectionCurve], *, weight: float, knots: int = KNOTS, degree: int = 0
 ) -> TorqueCurve:
-    """The torque curve of one direction from curves (each (N, 2) m) of strips clamped level.
+    """The torque curve of one direction from strips clamped level.
 
-    Strips of several lengths widen the range of curvatures. ``knots``, 2 to 8, do not include the
-    one at 0. InputError for curves that do not fit a hanging strip.
+    Its knots, 2 to 8 besides the one at 0, are fitted so that computed strips of that law match the
+    measured ones: the equilibrium is part of the fit, and no second derivatives of measured curves
+    are needed. Strips of several lengths widen the range of curvatures.
     """
     if not 2 <= knots <= 8:
         raise InputError(f"knots={knots} must lie between 2 and 8")
     fits = [fit_bezier(curve, degree=degree)[0] for curve in curves]
-    measured = [fit.sample(POINTS)[0] for fit in fits]
+    shapes = [fit.sample(POINTS)[0] for fit in fits]
     lengths = [fit.length for fit in fits]
     torque, curvature = np.hstack([torque_and_curvature(fit, weight=weight) for fit in fits])
     slope = float(torque @ curvature / (curvature @ curvature))
@@ -343,7 +319,7 @@ def fit_torque_curve(
         raise InputError(NOT_A_STRIP)
     # Curvatures of the knots are fixed. The slope between knots is positive, as slope * exp(x).
     places = _MARGIN * curvature.max() * np.linspace(0, 1, knots + 1) ** _SPACING_EXPONENT
-    samples = np.linspace(0, places[-1], _SAMPLES)
+    samples = np.linspace(0, places[-1], _LAW_SAMPLES)
 
     def law(x: np.ndarray) -> np.ndarray:
         return np.concatenate([[0.0], np.cumsum(slope * np.exp(x) * np.diff(places))])
@@ -351,94 +327,78 @@ def fit_torque_curve(
     def strips(x: np.ndarray) -> list[np.ndarray]:
         pieces = tabulated_law(samples, PchipInterpolator(places, law(x))(samples))
         try:
-            return [strip_shape(pieces, weight=weight, length=length, points=POINTS, steps=STEPS)
+            return [strip_shape(pieces, weight=weight, length=length, points=POINTS, steps=_STEPS)
                     for length in lengths]
         except InputError:
             raise InputError("no torque curve makes a strip hang like these from a level clamp; "
                              "check their axes and the clamp") from None
 
     def residuals(x: np.ndarray) -> np.ndarray:
-        gaps = [(strip - points).ravel() / (0.01 * length)
-                for strip, points, length in zip(strips(x), measured, lengths, strict=True)]
+        gaps = [(strip - shape).ravel() / (0.01 * length)
+                for strip, shape, length in zip(strips(x), shapes, lengths, strict=True)]
         return np.concatenate([*gaps, _SMOOTHING * np.diff(x)])
 
-    found = least_squares(residuals, np.zeros(knots), bounds=(-4.0, 3.0), diff_step=1e-4,
-                          xtol=1e-6, ftol=1e-8, max_nfev=40)
+    x = least_squares(residuals, np.zeros(knots), bounds=(-4.0, 3.0), diff_step=1e-4,
+                      xtol=1e-6, ftol=1e-8, max_nfev=40).x
     # Distances of the measured points: the Bézier curves used for the fit are free of noise.
     distances = np.concatenate([distance_across(curve, strip)
-                                for curve, strip in zip(curves, strips(found.x), strict=True)])
+                                for curve, strip in zip(curves, strips(x), strict=True)])
     misfit = np.sqrt((distances**2).mean()) / np.mean(lengths)
-    return TorqueCurve(places, law(found.x), float(misfit), float(curvature.max()))
+    return TorqueCurve(places, law(x), float(misfit), float(curvature.max()))
 
 
-METHODS = {"regression": regress, "table": match}
-MAX_ROUNDS = 6
-MAX_MOVE = 3.0  # of the correction in one round: 30 % in alpha, 3 mm in beta/alpha
-TOLERANCE = 0.05  # 0.5 % in alpha and 0.05 mm in beta/alpha
-Strips = Mapping[str, Sequence[np.ndarray]]
-"""Curves (N, 2), m, of one or several strips of each direction."""
+METHODS: dict[str, Callable[..., StripModuli]] = {"regression": regress, "table": match}
 
 
 def estimate_moduli(
-    strips: Strips, *, density: float, method: str = "table", slope: float = 0.0, degree: int = 0
-) -> dict[str, Estimate]:
-    """Moduli of each direction from its strips alone; ``density`` in kg/m², ``method`` one of
-    :data:`METHODS`. InputError for curves that do not fit a hanging strip."""
-    if method not in METHODS:
-        raise InputError(f"unknown method '{method}'; choose from {', '.join(METHODS)}")
-    found = {}
+    strips: Strips, *, density: Density, method: str = "table", slope: Radians = 0.0,
+    degree: int = 0
+) -> dict[str, StripModuli]:
+    """Moduli of each direction from its strips alone, by one of :data:`METHODS`."""
+    moduli = {}
     for direction, curves in strips.items():
         try:
-            found[direction] = METHODS[method](curves, weight=density * GRAVITY, slope=slope,
-                                               degree=degree)
+            moduli[direction] = METHODS[method](curves, weight=density * GRAVITY, slope=slope,
+                                                degree=degree)
         except InputError as error:
             raise InputError(f"{direction}: {error}") from None
-    return found
+    return moduli
 
 
-def fabric_of(estimates: Mapping[str, Estimate], density: float) -> Fabric:
-    """The fabric with the estimated moduli of the three directions and a density, kg/m².
-
-    InputError if a direction is missing, or if no elastic plate has these moduli.
-    """
-    missing = [direction for direction in DIRECTIONS if direction not in estimates]
+def fabric_of(moduli: Mapping[str, StripModuli], density: Density) -> Fabric:
+    """The fabric with the moduli of the three directions."""
+    missing = [direction for direction in DIRECTIONS if direction not in moduli]
     if missing:
         raise InputError(f"a fabric needs strips of all three directions; {missing[0]} is missing")
-    return Fabric(*_moduli(_unknowns(estimates)), density=density)
+    return Fabric(*_moduli(_unknowns(moduli)), density=density)
 
 
 def correct(
-    strips: Strips, estimates: Mapping[str, Estimate], *, density: float, rounds: int = MAX_ROUNDS,
-    width: float = 0.03, method: str = "table", slope: float = 0.0, degree: int = 0,
+    strips: Strips, moduli: Mapping[str, StripModuli], *, density: Density,
+    rounds: int = MAX_ROUNDS, width: Metres = 0.03, method: str = "table", slope: Radians = 0.0,
+    degree: int = 0,
 ) -> Fabric:
-    """Moduli whose simulated strips give the same estimates as the measured strips.
+    """The fabric whose simulated strips give the same ``moduli`` as the measured strips.
 
-    Each round simulates the strips and estimates moduli from them by the same method. The residual
-    moves the moduli by Broyden's method, as each direction's strip depends on the other moduli too.
-    The regression's estimate of a bias strip's beta varies with the triangulation by a quarter.
-
-    Args:
-        strips, estimates: of all three directions, see :func:`estimate_moduli`.
-        rounds: maximum number of simulation rounds.
-        width: of the strips, m.
-
-    Returns:
-        The fabric with the smallest residual; InputError as for :func:`fabric_of`, or if a strip
-        does not reach equilibrium.
+    The bias modulus of the law is that of a cylinder bent along 45°, but a free strip cut along the
+    bias also twists and curves across while it bends, and thus hangs slightly lower
+    (docs/validation.md). Each round simulates the three strips, at most ``rounds`` times, and
+    estimates moduli from them by the same method. The residual moves the moduli by Broyden's
+    method, as each direction's strip depends on the other moduli too. The regression's estimate of
+    a bias strip's beta varies with the triangulation by a quarter.
     """
-    fabric = fabric_of(estimates, density)
+    fabric = fabric_of(moduli, density)
     lengths = {
         direction: [fit_bezier(c, degree=degree, slope=slope)[0].length for c in strips[direction]]
         for direction in DIRECTIONS
     }
-    target = at = _unknowns(estimates)
+    target = at = _unknowns(moduli)
     response = np.eye(len(target))
     best, least, last = fabric, np.inf, None
     for _ in range(rounds):
         simulated = simulate_strips(fabric, lengths, width=width, slope=slope)
-        read = estimate_moduli(simulated, density=density, method=method, slope=slope,
-                               degree=degree)
-        residual = target - _unknowns(read)
+        residual = target - _unknowns(estimate_moduli(
+            simulated, density=density, method=method, slope=slope, degree=degree))
         if np.linalg.norm(residual) < least:
             best, least = fabric, float(np.linalg.norm(residual))
         if last is not None:
@@ -456,13 +416,13 @@ def correct(
     return best
 
 
-def _unknowns(estimates: Mapping[str, Estimate]) -> np.ndarray:
+def _unknowns(moduli: Mapping[str, StripModuli]) -> np.ndarray:
     """(6,) ten times log alpha, and beta/alpha in mm: both vary by similar amounts."""
-    each = [estimates[direction] for direction in DIRECTIONS]
+    each = [moduli[direction] for direction in DIRECTIONS]
     return np.array([10 * np.log(e.alpha) for e in each] + [1e3 * e.beta / e.alpha for e in each])
 
 
-def _moduli(unknowns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """alpha (3,) and beta (3,), inverse of :func:`_unknowns`."""
+def _moduli(unknowns: np.ndarray) -> tuple[Moduli, QuadraticModuli]:
+    """Inverse of :func:`_unknowns`."""
     alpha = np.exp(unknowns[:3] / 10)
     return alpha, 1e-3 * unknowns[3:] * alpha

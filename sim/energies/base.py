@@ -7,17 +7,23 @@ import numba
 import numpy as np
 
 from common.errors import InputError
+from common.types import Edges, StateVector
 from sim.solver.state import moved
+
+STEP = 1e-7  # m, or rad
+TOLERANCE = 1e-4  # relative to the magnitude of the terms
+DIRECTIONS = 3
+T = TypeVar("T")
 
 
 class Energy(Protocol):
     """A sum over elements, each a function of a few of the unknowns.
 
     Unknowns are the coordinates of the vertices (m), three per vertex, then the rotation of every
-    edge normal (rad): 3 V + E. A state ``q`` holds the coordinates, then the normals, (3 V + 3 E,)
-    float64 (:mod:`sim.solver.state`); derivatives are with respect to a step from it. It includes
-    held coordinates, so that energies need not know which ones are free. User-defined energies
-    enter a drape by :attr:`sim.cloth.Laws.others` (docs/extending.md) and derive from this class.
+    edge normal (rad): 3 V + E. Derivatives are with respect to a step of them from a state ``q``
+    (:mod:`sim.solver.state`). They include held coordinates, so that energies need not know which
+    ones are free. User-defined energies enter a drape by :attr:`sim.cloth.Laws.others`
+    (docs/extending.md) and derive from this class.
 
     Attributes:
         dofs: (N, K) int64, unknowns of each of the N elements; -1 marks an absent one, whose
@@ -26,17 +32,17 @@ class Energy(Protocol):
 
     dofs: np.ndarray
 
-    def value(self, q: np.ndarray) -> float:
-        """Energy, J, at the state ``q``."""
+    def value(self, q: StateVector) -> float:
+        """Energy, J."""
 
-    def gradient(self, q: np.ndarray) -> np.ndarray:
+    def gradient(self, q: StateVector) -> np.ndarray:
         """Derivatives (N, K) of each element's energy by its unknowns."""
 
-    def hessian(self, q: np.ndarray, convex: bool = False) -> np.ndarray | None:
+    def hessian(self, q: StateVector, convex: bool = False) -> np.ndarray | None:
         """Second derivatives (N, K, K) of each element's energy, or None if all are zero; with
         ``convex``, a positive semi-definite approximation."""
 
-    def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
+    def allows(self, old: StateVector, new: StateVector) -> bool:
         """Whether a step from ``old`` to ``new`` stays on one branch of the energy."""
         return True
 
@@ -50,23 +56,18 @@ def dofs_of(energy: Energy) -> np.ndarray:
     return dofs
 
 
-T = TypeVar("T")
-
-
 class StateCache:
     """Results of one function at the latest states.
 
-    Newton's method evaluates a trial state, then its gradient and its Hessian.
-
-    Args:
-        states: number of states; two hold the start of a step and the trial state.
+    Newton's method evaluates a trial state, then its gradient and its Hessian. Two ``states`` hold
+    the start of a step and the trial state.
     """
 
     def __init__(self, states: int = 2) -> None:
         self._states = states
         self._latest: list[tuple[np.ndarray, object]] = []
 
-    def at(self, q: np.ndarray, function: Callable[[np.ndarray], T]) -> T:
+    def at(self, q: StateVector, function: Callable[[StateVector], T]) -> T:
         """``function(q)``, cached or computed; ``function`` must be the same in all calls."""
         for state, value in self._latest:
             if np.array_equal(state, q):
@@ -95,23 +96,12 @@ def raise_eigenvalues(matrices, floor):
                         matrix[i, j] += (floor - value[k]) * vector[i, k] * vector[j, k]
 
 
-STEP = 1e-7  # m, or rad
-TOLERANCE = 1e-4  # relative to the magnitude of the terms
-DIRECTIONS = 3
-
-
-def check(energy: Energy, q: np.ndarray, edges: np.ndarray, *, seed: int = 0) -> None:
+def check(energy: Energy, q: StateVector, edges: Edges, *, seed: int = 0) -> None:
     """Compare gradient and Hessian with differences of value and gradient along random steps.
 
-    Choose a state with non-zero energy: where it vanishes, the check is trivial.
-
-    Args:
-        q: state (3 V + 3 E,) as in :class:`sim.energies.base.Energy`.
-        edges: (E, 2), of the mesh.
-
-    Raises:
-        InputError: ``dofs`` are missing or have another form, gradient or Hessian deviates from
-            the differences, or the convex Hessian is not positive semi-definite.
+    InputError if ``dofs`` have another form, a derivative deviates from the differences, or the
+    convex Hessian is not positive semi-definite. Choose a state with non-zero energy: where it
+    vanishes, the check is trivial.
     """
     name, dofs = type(energy).__name__, dofs_of(energy)
     unknowns, rng = len(q) - 2 * len(edges), np.random.default_rng(seed)
@@ -144,12 +134,13 @@ def check(energy: Energy, q: np.ndarray, edges: np.ndarray, *, seed: int = 0) ->
 
 
 def _compare(
-    name: str, of: str, given: np.ndarray, found: np.ndarray, size: float, rounding: float
+    name: str, of: str, derivative: np.ndarray, difference: np.ndarray, size: float,
+    rounding: float
 ) -> None:
-    given, found = np.atleast_1d(given), np.atleast_1d(found)
-    error = np.abs(given - found)
+    derivative, difference = np.atleast_1d(derivative), np.atleast_1d(difference)
+    error = np.abs(derivative - difference)
     worst = int(error.argmax()) if len(error) else 0
     if len(error) and not error[worst] <= TOLERANCE * size + 100 * rounding:
         raise InputError(f"{name} is not the derivative of the {of}: along a random step it gives "
-                         f"{given[worst]:.4g}, differences give {found[worst]:.4g}"
+                         f"{derivative[worst]:.4g}, differences give {difference[worst]:.4g}"
                          + (f" (element {worst})" if len(error) > 1 else ""))

@@ -2,31 +2,26 @@
 
 import numpy as np
 
+from common.types import Density, StateVector
 from sim.energies.base import Energy, StateCache
 from sim.mesh import Mesh
 from sim.rig import Cylinder
 
 
 class Gravity(Energy):
-    """Potential energy of the vertices, sum of m g z (J); one element per vertex.
+    """Potential energy of the vertices, sum of m g z, ``gravity`` g in m/s²; one element each."""
 
-    Args:
-        mesh: the specimen.
-        density: kg/m².
-        gravity: m/s², towards -z.
-    """
-
-    def __init__(self, mesh: Mesh, *, density: float, gravity: float) -> None:
+    def __init__(self, mesh: Mesh, *, density: Density, gravity: float) -> None:
         self.weights = density * gravity * mesh.vertex_areas  # (V,) N
         self.dofs = 3 * np.arange(len(mesh.rest))[:, None] + 2
 
-    def value(self, q: np.ndarray) -> float:
+    def value(self, q: StateVector) -> float:
         return float(self.weights @ q[self.dofs[:, 0]])
 
-    def gradient(self, q: np.ndarray) -> np.ndarray:
+    def gradient(self, q: StateVector) -> np.ndarray:
         return self.weights[:, None]
 
-    def hessian(self, q: np.ndarray, convex: bool = False) -> None:
+    def hessian(self, q: StateVector, convex: bool = False) -> None:
         return None
 
 
@@ -38,13 +33,8 @@ class ObstacleContact(Energy):
     """Penalty A p d³/(3 s²) on the depth d of points of the cloth in an obstacle.
 
     The pressure p at depth s supports the cloth; the cubic keeps the Hessian continuous at first
-    contact. Each point is the mean of its vertices: one, or the two ends of an edge.
-
-    Args:
-        vertices: (N, k) int64, vertices of each point.
-        areas: (N,) area of each point, m².
-        obstacle: the solid.
-        pressure: p, N/m², at the depth s, a multiple of the cloth's weight per area.
+    contact. Each point is the mean of its ``vertices`` (N, k): one, or the two ends of an edge.
+    Areas (N,) are in m², the pressure p in N/m².
     """
 
     def __init__(
@@ -56,11 +46,11 @@ class ObstacleContact(Energy):
         self._obstacle = obstacle
         self._touching = StateCache()
 
-    def value(self, q: np.ndarray) -> float:
+    def value(self, q: StateVector) -> float:
         touching, _, depth = self._contacts(q)
         return float(self._scale[touching] @ depth**3) / 3
 
-    def gradient(self, q: np.ndarray) -> np.ndarray:
+    def gradient(self, q: StateVector) -> np.ndarray:
         touching, points, depth = self._contacts(q)
         normal = self._obstacle.normals(points)
         force = -(self._share * self._scale[touching] * depth**2)[:, None] * normal
@@ -68,7 +58,7 @@ class ObstacleContact(Energy):
         result[touching] = np.tile(force, self._count)
         return result
 
-    def hessian(self, q: np.ndarray, convex: bool = False) -> np.ndarray:
+    def hessian(self, q: StateVector, convex: bool = False) -> np.ndarray:
         touching, points, depth = self._contacts(q)
         normal = self._obstacle.normals(points)
         scale = (self._share**2 * self._scale[touching] * depth)[:, None, None]
@@ -80,10 +70,10 @@ class ObstacleContact(Energy):
         result[touching] = np.tile(block, (1, self._count, self._count))
         return result
 
-    def _contacts(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _contacts(self, q: StateVector) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return self._touching.at(q, self._find_contacts)
 
-    def _find_contacts(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _find_contacts(self, q: StateVector) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Indices (M,) of the elements in contact, their points (M, 3) and depths (M,)."""
         corners = q[self.dofs].reshape(len(self.dofs), -1, 3)
         points = self._share * sum(corners[:, k] for k in range(self._count))

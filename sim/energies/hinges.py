@@ -2,18 +2,13 @@
 
 For comparison, and for export to simulators that use them. Their moduli are not physical: the
 stiffness of a strip of hinges depends on its triangulation and does not converge under refinement
-(docs/physics.md, :mod:`sim.cantilever.tester`). For an edge between held and free cloth, H is
-the height of the free triangle, not the sum of two heights.
+(docs/physics.md, :func:`sim.cantilever.tester.equivalent_modulus`). For an edge between held and
+free cloth, H is the height of the free triangle, not the sum of two heights.
 
-Hinge bending laws by name, and their moduli in the conventions of other simulators.
-
-In all of them a hinge with the dihedral angle theta and the rest edge e carries the torque
-
-    tau = (a c + b c²) e,
-
-but their definitions of the curvature c differ. Here (Feng et al. 2022, section 4.2.1) it is
-kappa = 2 theta / (H0 + H1) with the rest heights H of the two triangles. In another convention
-c = f kappa, so that equal torques need a = alpha / f and b = beta / f²:
+In all hinge laws a hinge with the dihedral angle theta and the rest edge e carries the torque
+tau = (a c + b c²) e, but their definitions of the curvature c differ. Here (Feng et al. 2022,
+section 4.2.1) it is kappa = 2 theta / (H0 + H1) with the rest heights H of the two triangles. In
+another convention c = f kappa, so that equal torques on a mesh need a = alpha/f and b = beta/f²:
 
 =================  =======================  ===  ===========  ============
 convention         curvature c              f    a            b
@@ -29,9 +24,6 @@ law above is then k(kappa) = 4 (alpha + beta kappa).
 *Discrete shells* (Grinspun et al. 2003) divide theta by a third of the mean height, (H0 + H1)/6.
 The conversion is for the energy a theta² e / (2 h), h = (H0 + H1)/6. Codes with the energy
 a theta² e / h need half of a: alpha / 6.
-
-The conversion is exact for the same mesh. It does not make a hinge modulus physical: see
-:mod:`sim.cantilever.tester`.
 """
 
 from dataclasses import dataclass
@@ -39,6 +31,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
+from common.types import FaceMask, StateVector
 from sim.energies import dihedral
 from sim.energies.base import Energy
 from sim.energies.fold_barrier import barrier, keeps_distance
@@ -47,10 +40,7 @@ from sim.mesh import Mesh
 
 
 class Hinges:
-    """The N edges between two triangles, at least one of them free, in the order of the mesh.
-
-    Args:
-        active: (F,) bool, triangles of ``mesh`` that can move.
+    """The N edges between two triangles, at least one of them active, in the order of the mesh.
 
     Attributes:
         edge: (N,) indices among the mesh's edges.
@@ -62,7 +52,7 @@ class Hinges:
         areas, bent_areas: (N,) m², rest areas of both triangles, and of those that can move.
     """
 
-    def __init__(self, mesh: Mesh, active: np.ndarray) -> None:
+    def __init__(self, mesh: Mesh, active: FaceMask) -> None:
         pair = mesh.edge_faces
         self.edge = np.flatnonzero((pair[:, 1] >= 0) & active[pair].any(axis=1))
         pair = pair[self.edge]
@@ -86,14 +76,9 @@ class DihedralBending(Energy):
 
     theta is the dihedral angle, e the edge's rest length, kappa = 2 |theta| / (H0 + H1) with the
     rest heights H of the two triangles, and tau the increasing torque of
-    :func:`sim.material.bending_work`. The barrier of :mod:`sim.energies.fold_barrier` acts on
-    theta, times ``barrier_modulus`` and e²/(A0 + A1) with the rest areas A of both triangles.
-
-    Args:
-        hinges: the elements.
-        alpha: (N,) linear moduli, N·m.
-        beta: (N,) quadratic moduli, N·m².
-        barrier_modulus: N·m.
+    :func:`sim.material.bending_work` with the moduli (N,). The barrier of
+    :mod:`sim.energies.fold_barrier` acts on theta, times ``barrier_modulus``, N·m, and e²/(A0 + A1)
+    with the rest areas A of both triangles.
     """
 
     def __init__(
@@ -106,13 +91,13 @@ class DihedralBending(Energy):
         self._spread = self._lengths / self._areas
         self._barrier = barrier_modulus * self._lengths**2 / hinges.areas
 
-    def value(self, q: np.ndarray) -> float:
+    def value(self, q: StateVector) -> float:
         return float(self._of_angles(q)[0].sum())
 
-    def gradient(self, q: np.ndarray) -> np.ndarray:
+    def gradient(self, q: StateVector) -> np.ndarray:
         return self._of_angles(q)[1][:, None] * _angle_gradients(q, self.dofs)
 
-    def hessian(self, q: np.ndarray, convex: bool = False) -> np.ndarray:
+    def hessian(self, q: StateVector, convex: bool = False) -> np.ndarray:
         # Torque and barrier increase with the angle: only its second derivatives are indefinite.
         _, slope, bend = self._of_angles(q)
         rows = _angle_gradients(q, self.dofs)
@@ -121,11 +106,11 @@ class DihedralBending(Energy):
             _add_angle_hessians(q, self.dofs, slope, blocks)
         return blocks
 
-    def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
+    def allows(self, old: StateVector, new: StateVector) -> bool:
         """False if a hinge folds through itself, or covers most of the distance to it."""
         return keeps_distance(hinge_angles(old, self.dofs), hinge_angles(new, self.dofs), np.pi)
 
-    def _of_angles(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _of_angles(self, q: StateVector) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(N,) energies, J, and their first two derivatives by the dihedral angles."""
         angle = hinge_angles(q, self.dofs)
         work, torque, tangent = bending_work(self._spread * np.abs(angle), self._alpha, self._beta)
@@ -140,11 +125,8 @@ class QuadraticBending(Energy):
 
     x are a hinge's four corners, e and H as in :class:`DihedralBending`. K x vanishes for
     flat, undistorted hinges, and a hinge folded by theta has |K x| = 2 e sin(theta/2): for
-    small angles this is the linear dihedral law with alpha = 3 gamma. The Hessian is constant.
-
-    Args:
-        hinges: the elements.
-        gamma: (N,) moduli, N·m.
+    small angles this is the linear dihedral law with alpha = 3 gamma (N,), N·m. The Hessian is
+    constant.
     """
 
     def __init__(self, hinges: Hinges, *, gamma: np.ndarray) -> None:
@@ -159,17 +141,17 @@ class QuadraticBending(Energy):
                            np.eye(3))
         self._hessian = blocks.reshape(-1, 12, 12)
 
-    def value(self, q: np.ndarray) -> float:
+    def value(self, q: StateVector) -> float:
         return float(self._scale @ (self._folds(q) ** 2).sum(axis=1))
 
-    def gradient(self, q: np.ndarray) -> np.ndarray:
+    def gradient(self, q: StateVector) -> np.ndarray:
         force = 2 * self._scale[:, None] * self._folds(q)
         return (self._weights[:, :, None] * force[:, None, :]).reshape(-1, 12)
 
-    def hessian(self, q: np.ndarray, convex: bool = False) -> np.ndarray:
+    def hessian(self, q: StateVector, convex: bool = False) -> np.ndarray:
         return self._hessian
 
-    def _folds(self, q: np.ndarray) -> np.ndarray:
+    def _folds(self, q: StateVector) -> np.ndarray:
         """(N, 3) K x, m."""
         return np.einsum("ni,nik->nk", self._weights, q[self.dofs].reshape(-1, 4, 3))
 
@@ -225,19 +207,16 @@ WEIGHTINGS = ("mean", "edge")
 class HingeLaw:
     """A hinge law: the form of its energy and its dependence on the fabric's direction.
 
-    Attributes:
-        form: ``hinge`` (torque alpha kappa + beta kappa²), ``hinge_linear`` (beta = 0) or
-            ``quadratic`` (gamma = alpha/3, beta = 0).
-        direction: ``mean``: every hinge has the mean modulus over all directions; ``edge``: the
-            modulus across its rest edge (Wang et al. 2011). The modulus along the curvature of an
-            earlier solution (section 4.4) is omitted: its torque does not derive from an energy.
+    The form is ``hinge`` (torque alpha kappa + beta kappa²), ``hinge_linear`` (beta = 0) or
+    ``quadratic`` (gamma = alpha/3, beta = 0). Every hinge has the ``mean`` modulus over all
+    directions, or that across its rest ``edge`` (Wang et al. 2011). The modulus along the curvature
+    of an earlier solution (section 4.4) is omitted: its torque does not derive from an energy.
     """
 
     form: str = "hinge"
     direction: str = "mean"
 
-    def __call__(self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric) -> Energy:
-        """The energy of the hinges of the triangles ``active`` (F,) bool of ``mesh``."""
+    def __call__(self, mesh: Mesh, active: FaceMask, *, fabric: Fabric) -> Energy:
         hinges = Hinges(mesh, active)
         x, y = hinges.normals.T
         alpha, beta = (

@@ -1,10 +1,9 @@
-"""In-plane energy of constant-strain triangles with a law of the Green strain.
+"""In-plane energy: constant-strain triangles, and the materials of membranes.
 
-In-plane materials: parameters in SI units and their stress-strain laws.
-
-Stiffnesses are those of cloth of 300 g/m², at which drapes are simulated. A material is a law
-(:class:`sim.energies.membrane.StrainLaw`) of its strain measure: the Green strain in warp and weft
-axes, or for the corotational one the principal stretches less 1.
+Stiffnesses are those of cloth of 300 g/m², at which drapes are simulated. A material is a law of
+its strain: the Green strain (N, 3) in warp and weft axes, E_uu, E_vv and 2 E_uv with u along warp,
+v along weft and E = (F^T F - I)/2, or for the corotational one the principal stretches less 1
+(N, 2). The stress of the Green strain is S_uu, S_vv, S_uv (second Piola-Kirchhoff times thickness).
 """
 
 from dataclasses import dataclass, field, replace
@@ -15,6 +14,7 @@ import numba
 import numpy as np
 
 from common.errors import InputError
+from common.types import FaceMask, StateVector
 from sim.energies.base import Energy, raise_eigenvalues
 from sim.mesh import Mesh
 
@@ -22,13 +22,7 @@ _TOLERANCE = 1e-9  # difference of stretches below which they count as equal
 
 
 class StrainLaw(Protocol):
-    """Energy per rest area as a function of a strain.
-
-    In general this is the Green strain (N, 3) in warp and weft axes, E_uu, E_vv and 2 E_uv with u
-    along warp, v along weft and E = (F^T F - I)/2. Its stress (N, 3), N/m, is S_uu, S_vv, S_uv
-    (second Piola-Kirchhoff times thickness). For :class:`OfStretches` the strain (N, 2) consists
-    of the principal stretches less 1.
-    """
+    """Energy per rest area as a function of a strain."""
 
     def density(self, strain: np.ndarray) -> np.ndarray: ...  # (N,) J/m²
     def stress(self, strain: np.ndarray) -> np.ndarray: ...  # (N, K) first derivative, N/m
@@ -41,14 +35,9 @@ class StrainMembrane(Energy):
     The Hessian is B^T C B with the law's tangent C and the strain's derivative B, plus the
     stress times the second derivative of the strain. The convex form sets negative eigenvalues of
     the tangent and of the stress tensor to zero, so that both terms are semi-definite.
-
-    Args:
-        mesh: the specimen, warp along x and weft along y.
-        active: (F,) bool, triangles that store energy.
-        law: of the Green strain.
     """
 
-    def __init__(self, mesh: Mesh, active: np.ndarray, law: StrainLaw) -> None:
+    def __init__(self, mesh: Mesh, active: FaceMask, law: StrainLaw) -> None:
         faces = mesh.faces[active]
         self.dofs = (3 * faces[:, :, None] + np.arange(3)).reshape(-1, 9)
         self.areas = mesh.areas[active]
@@ -58,14 +47,14 @@ class StrainMembrane(Energy):
         inverse = np.linalg.inv(np.stack([b - a, c - a], axis=-1))
         self._shape = np.concatenate([-inverse.sum(1, keepdims=True), inverse], axis=1)
 
-    def value(self, q: np.ndarray) -> float:
+    def value(self, q: StateVector) -> float:
         return float(self.areas @ self._law.density(self.strains(q)))
 
-    def gradient(self, q: np.ndarray) -> np.ndarray:
+    def gradient(self, q: StateVector) -> np.ndarray:
         stress = self._law.stress(self.strains(q))
         return _gradient(q, self.dofs, self._shape, self.areas, stress)
 
-    def hessian(self, q: np.ndarray, convex: bool = False) -> np.ndarray:
+    def hessian(self, q: StateVector, convex: bool = False) -> np.ndarray:
         strain = self.strains(q)
         stress, tangent = self._law.stress(strain), self._law.tangent(strain)
         if convex:
@@ -73,24 +62,21 @@ class StrainMembrane(Energy):
             raise_eigenvalues(tangent, 0.0)
         return _hessian(q, self.dofs, self._shape, self.areas, stress, tangent)
 
-    def strains(self, q: np.ndarray) -> np.ndarray:
+    def strains(self, q: StateVector) -> np.ndarray:
         """(N, 3) Green strains E_uu, E_vv, 2 E_uv of the triangles."""
         return _strains(q, self.dofs, self._shape)
 
-    def stretches(self, q: np.ndarray) -> np.ndarray:
+    def stretches(self, q: StateVector) -> np.ndarray:
         """(N, 2) principal stretches, the singular values of F, larger first."""
         return _principal(self.strains(q))[0]
 
 
 class OfStretches:
-    """A law of the Green strain given by one of the principal stretches: an isotropic material.
+    """A law of the Green strain by a ``law`` of the principal stretches: an isotropic material.
 
     With the principal Green strains E_i, the stretches are s_i = sqrt(1 + 2 E_i). With the
     derivatives p_i of the density by s_i, the principal stresses are p_i/s_i. The tangent has terms
     of the principal strains and of the rotation of their axes.
-
-    Args:
-        law: of the strains (N, 2) s_1 - 1 and s_2 - 1.
     """
 
     def __init__(self, law: StrainLaw) -> None:
@@ -244,8 +230,8 @@ _ROUNDING_WIDTH = 0.5  # of the smooth transition at each limit of the band, in 
 class Membrane(Protocol):
     """An in-plane material."""
 
-    def energy(self, mesh: Mesh, active: np.ndarray) -> Energy:
-        """The energy of the triangles ``active`` (F,) bool of ``mesh``."""
+    def energy(self, mesh: Mesh, active: FaceMask) -> Energy:
+        """The energy of the active triangles of ``mesh``."""
 
     def scaled(self, factor: float) -> "Membrane":
         """A copy of the material, ``factor`` times as stiff."""
@@ -256,7 +242,7 @@ class _Linear:
 
     matrix: np.ndarray
 
-    def energy(self, mesh: Mesh, active: np.ndarray) -> Energy:
+    def energy(self, mesh: Mesh, active: FaceMask) -> Energy:
         return StrainMembrane(mesh, active, self.of_green_strain(self))
 
     def density(self, strain: np.ndarray) -> np.ndarray:
@@ -287,13 +273,9 @@ class Corotational(_Linear):
 
     Its density mu |F - R|² + lambda/2 tr(R^T F - I)², R the isometry closest to the deformation
     gradient F, is mu (e1² + e2²) + lambda/2 (e1 + e2)² with e = s - 1, s the singular values of F.
-
-    Attributes:
-        stiffness: Young's modulus times thickness, N/m.
-        poisson: in-plane Poisson's ratio, between -1 and 1.
     """
 
-    stiffness: float = 200.0
+    stiffness: float = 200.0  # Young's modulus times thickness, N/m
     poisson: float = 0.3
 
     def __post_init__(self) -> None:
@@ -332,18 +314,13 @@ class OrthotropicStVK(_Linear):
     """Orthotropic St. Venant-Kirchhoff membrane (Larionov et al., Eq. 5 and 6).
 
     S_uu = (E_warp e_uu + n E_weft e_vv)/d, S_vv = (n E_weft e_uu + E_weft e_vv)/d,
-    S_uv = shear 2 e_uv, with d = 1 - n² E_weft/E_warp.
-
-    Attributes:
-        warp, weft: Young's moduli times thickness, N/m.
-        poisson: n, contraction along weft over extension along warp under tension along warp;
-            under tension along weft it is ``poisson * weft / warp``.
-        shear: shear modulus times thickness, N/m.
+    S_uv = shear 2 e_uv, with d = 1 - n² E_weft/E_warp. n is the contraction along weft over the
+    extension along warp under tension along warp; under tension along weft it is n E_weft/E_warp.
     """
 
-    warp: float = 200.0
+    warp: float = 200.0  # Young's modulus times thickness, N/m, as the next two
     weft: float = 200.0
-    poisson: float = 0.3
+    poisson: float = 0.3  # n
     shear: float = 200.0 / 2.6
 
     def __post_init__(self) -> None:
@@ -381,29 +358,21 @@ class Guarded:
     freely within the band and no equilibrium would be unique.
 
     The band limits the principal stretches of a corotational membrane, else warp, weft and shear.
-
-    Attributes:
-        membrane: material outside the band.
-        low, high: stretches that bound the band; 99 % and 101 % in the paper.
-        share: r, fraction of the membrane's stiffness within the band.
     """
 
     membrane: Corotational | OrthotropicStVK = field(
-        default_factory=lambda: Corotational(stiffness=5000.0))
-    low: float = 0.99
+        default_factory=lambda: Corotational(stiffness=5000.0))  # outside the band
+    low: float = 0.99  # stretches that bound the band
     high: float = 1.01
-    share: float = 0.02
+    share: float = 0.02  # r
 
     def __post_init__(self) -> None:
         if not 0 < self.low < 1 < self.high < np.inf:
             raise InputError(f"free stretch from {self.low:g} to {self.high:g} must contain 1")
         if not 0 < self.share < 1:
             raise InputError(f"share={self.share:g} must lie between 0 and 1")
-        if not isinstance(self.membrane, _Linear):
-            raise InputError(f"membrane={self.membrane!r} cannot be guarded; give one such as "
-                             "Corotational()")
 
-    def energy(self, mesh: Mesh, active: np.ndarray) -> Energy:
+    def energy(self, mesh: Mesh, active: FaceMask) -> Energy:
         return StrainMembrane(mesh, active, self.membrane.of_green_strain(self))
 
     def scaled(self, factor: float) -> "Guarded":

@@ -22,6 +22,7 @@ import copy
 import numba
 import numpy as np
 
+from common.types import Curvatures, FaceMask, StateVector
 from sim.energies import dihedral, fold_barrier, plate_law
 from sim.energies.base import Energy, StateCache, raise_eigenvalues
 from sim.material import Fabric
@@ -37,20 +38,10 @@ class MidEdgeBending(Energy):
 
     One element is a triangle with 12 unknowns: the coordinates of its corners and the rotations of
     the normals of the edges opposite them. Normals of edges between held and free cloth must be
-    held, too.
-
-    Args:
-        mesh: the specimen, material axes warp = x, weft = y.
-        active: (F,) bool, triangles that store energy (those not entirely held).
-        fabric: moduli of the law :mod:`sim.energies.plate_law`.
-
-    Attributes:
-        maps, areas, law: see :func:`curvature_maps`, :func:`bending_areas` and
-            :func:`sim.energies.plate_law.constants`.
-        pole: (N, 3) rad, of the barrier, infinite at boundary edges.
+    held, too. The active triangles are those not entirely held.
     """
 
-    def __init__(self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric) -> None:
+    def __init__(self, mesh: Mesh, active: FaceMask, *, fabric: Fabric) -> None:
         faces, edges = mesh.faces[active], mesh.face_edges[active]
         beyond = mesh.edge_faces[edges]  # (N, 3, 2)
         boundary = beyond[..., 1] < 0
@@ -81,14 +72,14 @@ class MidEdgeBending(Energy):
         other._set_fabric(fabric)
         return other
 
-    def value(self, q: np.ndarray) -> float:
+    def value(self, q: StateVector) -> float:
         return _total(self.areas, self.density(self.curvatures(q))) + self._fold(q)[0]
 
-    def gradient(self, q: np.ndarray) -> np.ndarray:
+    def gradient(self, q: StateVector) -> np.ndarray:
         stress, _ = self.stress(self.curvatures(q))
         return _gradient(q, self._corners, self._sign, self._moments(q, stress))
 
-    def hessian(self, q: np.ndarray, convex: bool = False) -> np.ndarray:
+    def hessian(self, q: StateVector, convex: bool = False) -> np.ndarray:
         stress, tangent = self.stress(self.curvatures(q))
         if convex:
             # Edge rotations have no other stiffness: the lower bound must be positive.
@@ -98,38 +89,37 @@ class MidEdgeBending(Energy):
         return _hessian(q, self._corners, self._sign, self.maps, self.areas, tangent,
                         self._fold(q)[2], moments)
 
-    def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
+    def allows(self, old: StateVector, new: StateVector) -> bool:
         return fold_barrier.keeps_distance(self.angles(old), self.angles(new), self.pole)
 
-    def angles(self, q: np.ndarray) -> np.ndarray:
+    def angles(self, q: StateVector) -> np.ndarray:
         """Angles phi (N, 3), rad."""
         return self._angles.at(q, lambda q: _angles(q, self._corners, self._normals))
 
-    def curvatures(self, q: np.ndarray) -> np.ndarray:
-        """Shape operators (N, 3) of the active triangles, Sxx, Syy, Sxy, 1/m."""
+    def curvatures(self, q: StateVector) -> Curvatures:
+        """Shape operators of the active triangles."""
         return _mapped(self.maps, self.angles(q))
 
-    def density(self, curvatures: np.ndarray) -> np.ndarray:
-        """Energies (N,), J/m², of the shape operators (N, 3), 1/m."""
+    def density(self, curvatures: Curvatures) -> np.ndarray:
+        """Energies (N,), J/m²."""
         return plate_law.energies(curvatures, self.law)
 
-    def stress(self, curvatures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """First (N, 3), N, and second (N, 3, 3), N·m, derivatives of :meth:`density` by the shape
-        operators (N, 3), 1/m."""
+    def stress(self, curvatures: Curvatures) -> tuple[np.ndarray, np.ndarray]:
+        """First (N, 3), N, and second (N, 3, 3), N·m, derivatives of :meth:`density`."""
         return plate_law.stresses(curvatures, self.law)
 
-    def _moments(self, q: np.ndarray, stress: np.ndarray) -> np.ndarray:
+    def _moments(self, q: StateVector, stress: np.ndarray) -> np.ndarray:
         """Derivatives (N, 3) of the energy by the angles phi, J/rad."""
         moments = self.areas[:, None] * np.einsum("nai,na->ni", self.maps, stress)
         return moments + self._fold(q)[1]
 
-    def _fold(self, q: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+    def _fold(self, q: StateVector) -> tuple[float, np.ndarray, np.ndarray]:
         """The barrier's energy, J, and its derivatives (N, 3) by the angles phi."""
         value, slope, bend = fold_barrier.barrier(self.angles(q), self.pole)
         return float((self._barrier * value).sum()), self._barrier * slope, self._barrier * bend
 
 
-def bending_areas(mesh: Mesh, active: np.ndarray, clamped: np.ndarray) -> np.ndarray:
+def bending_areas(mesh: Mesh, active: FaceMask, clamped: np.ndarray) -> np.ndarray:
     """Areas (N,), m², of the active triangles in the bending energy.
 
     Clamped cloth bends at its edges: half a hinge at the clamp, full hinges behind it, so that the
@@ -137,11 +127,8 @@ def bending_areas(mesh: Mesh, active: np.ndarray, clamped: np.ndarray) -> np.nda
     rule is h²/12 times the derivative of the curvature at its ends, which vanishes at a free end
     but not at a clamp. Gregory's weights 5/12, 13/12 in place of 1/2, 1 cancel it. Weights of a
     curvature are compliances: triangles on clamped edges get 5/6 of theirs; those that touch the
-    clamp with a corner are increased such that the sum is unchanged.
-
-    Args:
-        active: (F,) bool, triangles that store energy.
-        clamped: (N, 3) bool, whether their edges adjoin held triangles.
+    clamp with a corner are increased such that the sum is unchanged. ``clamped`` (N, 3) are the
+    edges of active triangles that adjoin held ones.
     """
     areas = mesh.areas[active].copy()
     first, second = rows_at_clamp(mesh, active, clamped)
@@ -153,7 +140,7 @@ def bending_areas(mesh: Mesh, active: np.ndarray, clamped: np.ndarray) -> np.nda
 
 
 def rows_at_clamp(
-    mesh: Mesh, active: np.ndarray, clamped: np.ndarray
+    mesh: Mesh, active: FaceMask, clamped: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Masks (N,) bool of the triangles on clamped edges, and of others that touch these edges."""
     rim = np.zeros(len(mesh.rest), dtype=bool)

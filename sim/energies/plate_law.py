@@ -23,15 +23,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from sim.material import (
-    BIAS,
-    SOFTENING_LIMIT,
-    WARP,
-    WEFT,
-    Fabric,
-    plate_constants,
-    softening_shape,
-)
+from sim.material import BIAS, SOFTENING_LIMIT, WARP, WEFT, Fabric, plate_constants, softening_shape
 
 METRIC = np.array([1.0, 1.0, 2.0])
 """Weights of the squares of Sxx, Syy and Sxy in |S|²."""
@@ -189,7 +181,7 @@ def _add_yarns(s, law, g, h):
 
 @numba.njit(cache=True)
 def energies(s, law):
-    """psi (N,), J/m², at curvatures s (N, 3)."""
+    """psi (N,), J/m²."""
     psi = np.empty(len(s))
     for t in range(len(s)):
         psi[t] = energy(s[t], law)
@@ -198,7 +190,7 @@ def energies(s, law):
 
 @numba.njit(cache=True)
 def stresses(s, law):
-    """Derivatives of psi, (N, 3) and (N, 3, 3), at curvatures s (N, 3)."""
+    """Derivatives of psi, (N, 3) and (N, 3, 3)."""
     g, h = np.empty((len(s), 3)), np.empty((len(s), 3, 3))
     for t in range(len(s)):
         derivatives(s[t], law, g[t], h[t])

@@ -1,45 +1,36 @@
-"""Variants of the plate: natural curvature, hysteresis, torque curve.
+"""Variants of the plate: natural curvature, hysteresis, and an isotropic plate of any torque curve.
 
-Cloth with a natural curvature: its two faces differ, as after weaving, finishing or storage.
-
-A constant torque is added to that of mid-edge bending (:mod:`sim.energies.midedge`): with the
-plate constants A of the fabric (:func:`sim.material.plate_constants`) and the natural curvature
-S0 in warp/weft axes,
+*Natural curvature*: the two faces of a cloth differ, as after weaving, finishing or storage. With
+the plate constants A of the fabric (:func:`sim.material.plate_constants`) and the natural curvature
+S0 in warp/weft axes, a constant torque is added to that of mid-edge bending:
 
     psi(S) - S : A : S0.
 
 For a linear fabric this equals psi(S - S0) up to a constant, and S0 is the curvature at rest. For a
 softening fabric the moment is the same, the curvature at rest slightly different. Free edges curl.
 
-Bending with hysteresis: a share of the torque that does not come back.
+*Hysteresis*: a share of the torque does not come back. In Kawabata's pure bending test (KES-FB2)
+the torque of a fabric follows a loading curve when it is first bent; when it is bent back, it is
+lower by 2HB, read at 1 cm⁻¹. Here the moduli are those of the loading curve, as a cantilever
+measures them and as a simulator without hysteresis needs them. The stress becomes
 
-In Kawabata's pure bending test (KES-FB2) the torque of a fabric follows a loading curve when it is
-first bent; when it is bent back, its torque is lower by 2HB, read at 1 cm⁻¹. Here the moduli are
-those of the loading curve, as a cantilever measures them and as a simulator without hysteresis
-needs them. The stress of the plate law psi (:mod:`sim.energies.midedge`) becomes
-
-    dpsi/dS(S) - F(S) + F(S - S0),
+    dpsi/dS(S) - F(S) + F(S - S1),
 
 with F the stress of a friction that is saturated, at HB, beyond a change of curvature Y/HB:
 
     F(C) = f(|C|/Y) P C/|C|,   |C|² = C : P : C,   f(y) = (5 y - y⁵)/4 for y < 1, else 1.
 
-P is the plate form (:func:`sim.material.plate_constants`) of HB², so that a cylinder along warp,
-bias or weft has the friction of that direction. S0 is the curvature at which the friction is zero.
-It is zero in cloth that has not been bent, which therefore follows the loading curve. It follows
-the cloth (:meth:`HystereticBending.origin_at`): where |S - S0| exceeds Y, S0 is moved towards S
-until it does not (the radial return of plasticity). Beyond the build-up, bending back from any
-curvature gives 2HB.
+P is the plate form of HB², so that a cylinder along warp, bias or weft has the friction of that
+direction. S1, the origin, is the curvature at which the friction is zero. It is zero in cloth that
+has not been bent, which therefore follows the loading curve. It follows the cloth
+(:meth:`HystereticBending.origin_at`): where |S - S1| exceeds Y, S1 is moved towards S until it does
+not (the radial return of plasticity). Beyond the build-up, bending back from any curvature gives
+2HB. HB is a share of the torque of the loading curve at 1 cm⁻¹. Fabrics have HB/B of 5 to 60 1/m,
+which are shares of 0.05 to 0.37 (docs/physics.md).
 
-HB is a share of the torque of the loading curve at 1 cm⁻¹. Fabrics have HB/B of 5 to 60 1/m, which
-are shares of 0.05 to 0.37 (docs/physics.md).
-
-Isotropic bending with a tabulated torque curve.
-
-With |S|² = Sxx² + Syy² + 2 Sxy² and W the integral of the torque over curvature, the energy per
-area is W(|S|): cloth bent to a cylinder along any direction carries the torque of the curve. For
-the curve of :func:`sim.material.torque` this is the law of an isotropic fabric
-(:mod:`sim.energies.plate_law`).
+*Torque curve*: with |S|² = Sxx² + Syy² + 2 Sxy² and W the integral of the torque over curvature,
+the energy per area is W(|S|): cloth bent to a cylinder along any direction carries the torque of
+the curve. For the curve of :func:`sim.material.torque` this is the law of an isotropic fabric.
 """
 
 from dataclasses import dataclass
@@ -49,91 +40,37 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from common.errors import InputError
+from common.types import Curvatures, Density, FaceMask, Moduli, StateVector
 from sim.energies.midedge import MidEdgeBending
 from sim.energies.plate_law import METRIC
-from sim.material import (
-    BIAS,
-    REFERENCE_DENSITY,
-    WARP,
-    WEFT,
-    Fabric,
-    plate_constants,
-    torque,
-)
+from sim.material import BIAS, REFERENCE_DENSITY, WARP, WEFT, Fabric, plate_constants, torque
 from sim.mesh import Mesh
 
 if TYPE_CHECKING:
     from scipy.interpolate import PchipInterpolator
-
-@dataclass(frozen=True)
-class NaturallyCurved:
-    """A bending law (:class:`sim.cloth.Law`) with a natural curvature.
-
-    Attributes:
-        curvature: (Sxx, Syy, Sxy), 1/m, along warp, along weft and of twist; positive bends the
-            cloth as in a drape, down when its faces are counter-clockwise seen from above.
-
-    Raises:
-        InputError: not three finite numbers.
-    """
-
-    curvature: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-    def __post_init__(self) -> None:
-        if np.shape(self.curvature) != (3,) or not np.isfinite(self.curvature).all():
-            raise InputError(f"curvature={self.curvature}: give three finite numbers, 1/m: along "
-                             "warp, along weft and of twist")
-
-    def __call__(self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric) -> "CurvedBending":
-        return CurvedBending(mesh, active, fabric=fabric, curvature=np.array(self.curvature))
-
-
-class CurvedBending(MidEdgeBending):
-    """Plate energy of the free triangles with a natural ``curvature`` (3,), 1/m; other arguments
-    are those of :class:`sim.energies.midedge.MidEdgeBending`."""
-
-    def __init__(
-        self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric, curvature: np.ndarray
-    ) -> None:
-        self._curvature = curvature
-        super().__init__(mesh, active, fabric=fabric)
-
-    def _set_fabric(self, fabric: Fabric) -> None:
-        super()._set_fabric(fabric)
-        a11, a22, a12, a66 = plate_constants(fabric.alpha)
-        xx, yy, xy = self._curvature
-        self._moment = np.array([a11 * xx + a12 * yy, a12 * xx + a22 * yy, 4 * a66 * xy])
-
-    def density(self, curvatures: np.ndarray) -> np.ndarray:
-        return super().density(curvatures) - curvatures @ self._moment
-
-    def stress(self, curvatures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        stress, tangent = super().stress(curvatures)
-        return stress - self._moment, tangent
-
 
 KES_CURVATURE = 100.0
 """Curvature, 1/m, at which 2HB is read."""
 BUILD_UP = 0.03
 """Smallest change of curvature, relative to :data:`KES_CURVATURE`, that saturates the friction."""
 _MAX_SHARE_OF_STIFFNESS = 0.95  # of the friction in the stiffness of flat cloth
+_MIN_CURVATURE = 1e-6  # 1/m, below which cloth counts as flat
 
 
 @dataclass(frozen=True, eq=False)
 class Hysteresis:
-    """A bending law (:class:`sim.cloth.Law`) with hysteresis.
+    """A bending law (:class:`sim.cloth.Law`) with hysteresis and natural curvature.
 
     Attributes:
         share: HB over the torque of the loading curve at the curvature ``at``, one number or
             (warp, bias, weft). Friction builds up over a change of curvature in proportion to 1/HB.
         added: whether the moduli are those of the elastic part alone, as KES's B, so that the
             friction adds to them: HB is the same share of their sum.
-        curvature: natural curvature, see :class:`sim.energies.plate_variants.NaturallyCurved`.
-        origin: (N, 3) S0 of the active triangles of a mesh, 1/m; None: zero.
+        curvature: natural curvature (Sxx, Syy, Sxy), 1/m, along warp, along weft and of twist;
+            positive bends the cloth as in a drape, down when its faces are counter-clockwise seen
+            from above.
+        origin: (N, 3) S1 of the active triangles of a mesh, 1/m; None: zero.
         at: curvature, 1/m, at which HB is read.
-
-    Raises:
-        InputError: a share outside 0 to 0.5, or a natural curvature that is not valid.
     """
 
     share: float | tuple[float, float, float] = 0.0
@@ -147,9 +84,11 @@ class Hysteresis:
         if share.shape not in ((), (3,)) or not ((share >= 0) & (share < 0.5)).all():
             raise InputError(f"a hysteresis share of {self.share}: give a number from 0 to 0.5, or "
                              "three, for warp, bias and weft")
-        NaturallyCurved(self.curvature)  # raises for an invalid curvature
+        if np.shape(self.curvature) != (3,) or not np.isfinite(self.curvature).all():
+            raise InputError(f"curvature={self.curvature}: give three finite numbers, 1/m: along "
+                             "warp, along weft and of twist")
 
-    def __call__(self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric) -> "HystereticBending":
+    def __call__(self, mesh: Mesh, active: FaceMask, *, fabric: Fabric) -> "HystereticBending":
         return HystereticBending(mesh, active, fabric=fabric, law=self)
 
     def friction(self, fabric: Fabric) -> np.ndarray:
@@ -160,30 +99,24 @@ class Hysteresis:
 
 
 def kes_fabric(
-    b: np.ndarray, two_hb: np.ndarray, density: float = REFERENCE_DENSITY
+    b: Moduli, two_hb: np.ndarray, density: Density = REFERENCE_DENSITY
 ) -> tuple[Fabric, Hysteresis]:
-    """The fabric and bending law of readings of KES-FB2: its loading torque is B kappa + HB.
-
-    Args:
-        b: B (3,), N·m, along warp, bias and weft.
-        two_hb: 2HB (3,), N·m per metre of width, likewise.
-        density: kg/m².
-    """
+    """The fabric and bending law of readings of KES-FB2, B and 2HB (3,), N·m per metre of width.
+    Its loading torque is B kappa + HB."""
     b, friction = np.asarray(b, float), np.asarray(two_hb, float) / 2
     share = friction / (KES_CURVATURE * b + friction)
     return Fabric(b, density=density), Hysteresis(tuple(share.tolist()), added=True)
 
 
-class HystereticBending(CurvedBending):
-    """Plate energy of the free triangles with the hysteresis ``law``; other arguments are those of
-    :class:`sim.energies.midedge.MidEdgeBending`.
+class HystereticBending(MidEdgeBending):
+    """Plate energy of the free triangles with the ``law`` :class:`Hysteresis`.
 
     Attributes:
-        origin: (N, 3) S0, 1/m. It may be changed between minimisations, not during them.
+        origin: (N, 3) S1, 1/m. It may be changed between minimisations, not during them.
     """
 
     def __init__(
-        self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric, law: Hysteresis
+        self, mesh: Mesh, active: FaceMask, *, fabric: Fabric, law: Hysteresis
     ) -> None:
         self._hysteresis = law
         shape = (int(active.sum()), 3)
@@ -191,11 +124,14 @@ class HystereticBending(CurvedBending):
         if self.origin.shape != shape:
             raise InputError(f"origin has shape {self.origin.shape}, this mesh needs {shape}; find "
                              "its equilibrium with sim.equilibrium.find_equilibrium")
-        super().__init__(mesh, active, fabric=fabric, curvature=np.array(law.curvature))
+        super().__init__(mesh, active, fabric=fabric)
 
     def _set_fabric(self, fabric: Fabric) -> None:
         super()._set_fabric(fabric)
         law, friction = self._hysteresis, self._hysteresis.friction(fabric)
+        a11, a22, a12, a66 = plate_constants(fabric.alpha)
+        xx, yy, xy = law.curvature
+        self._moment = np.array([a11 * xx + a12 * yy, a12 * xx + a22 * yy, 4 * a66 * xy])
         self._frictional = bool(friction.any())
         if not self._frictional:
             return
@@ -210,8 +146,8 @@ class HystereticBending(CurvedBending):
             stiffness = float((friction**2 / fabric.alpha).max())
             self._limit = max(self._limit, 1.25 * stiffness / _MAX_SHARE_OF_STIFFNESS)
 
-    def origin_at(self, q: np.ndarray) -> np.ndarray:
-        """S0 (N, 3), 1/m, after the cloth has reached the state ``q``."""
+    def origin_at(self, q: StateVector) -> Curvatures:
+        """S1 after the cloth has reached the state ``q``."""
         if not self._frictional:
             return self.origin
         curvatures = self.curvatures(q)
@@ -220,32 +156,33 @@ class HystereticBending(CurvedBending):
         kept = np.minimum(self._limit / np.maximum(size, 1e-300), 1.0)
         return curvatures - kept[:, None] * change
 
-    def density(self, curvatures: np.ndarray) -> np.ndarray:
-        total = super().density(curvatures)
+    def density(self, curvatures: Curvatures) -> np.ndarray:
+        total = super().density(curvatures) - curvatures @ self._moment
         if self._frictional:
             total = total + self._work(curvatures - self.origin)
             if not self._hysteresis.added:
                 total -= self._work(curvatures)
         return total
 
-    def stress(self, curvatures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def stress(self, curvatures: Curvatures) -> tuple[np.ndarray, np.ndarray]:
         stress, tangent = super().stress(curvatures)
+        stress = stress - self._moment
         if self._frictional:
-            moved, stiffness = self._resistance(curvatures - self.origin)
-            stress, tangent = stress + moved, tangent + stiffness
+            friction, stiffness = self._resistance(curvatures - self.origin)
+            stress, tangent = stress + friction, tangent + stiffness
             if not self._hysteresis.added:
-                moved, stiffness = self._resistance(curvatures)
-                stress, tangent = stress - moved, tangent - stiffness
+                friction, stiffness = self._resistance(curvatures)
+                stress, tangent = stress - friction, tangent - stiffness
         return stress, tangent
 
-    def _work(self, change: np.ndarray) -> np.ndarray:
+    def _work(self, change: Curvatures) -> np.ndarray:
         """Friction potential (N,), J/m², whose derivative is F."""
         y = np.sqrt(_quadratic(change, self._form)) / self._limit
         inside = np.minimum(y, 1.0)
         return self._limit * (0.625 * inside**2 - inside**6 / 24 + y - inside)
 
-    def _resistance(self, change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """F (N, 3), N, and its derivatives (N, 3, 3), N·m, at changes of curvature (N, 3)."""
+    def _resistance(self, change: Curvatures) -> tuple[np.ndarray, np.ndarray]:
+        """F (N, 3), N, and its derivatives (N, 3, 3), N·m."""
         y = np.sqrt(_quadratic(change, self._form)) / self._limit
         inside = y < 1.0
         pull = change @ self._form / self._limit
@@ -256,17 +193,15 @@ class HystereticBending(CurvedBending):
         return over[:, None] * pull, tangent / self._limit
 
 
-def _quadratic(change: np.ndarray, form: np.ndarray) -> np.ndarray:
-    """C : P : C (N,) of changes of curvature C (N, 3) with the form P (3, 3)."""
+def _quadratic(change: Curvatures, form: np.ndarray) -> np.ndarray:
+    """C : P : C (N,) of changes of curvature C with the form P (3, 3)."""
     return ((change @ form) * change).sum(axis=1)
-
-
-_MIN_CURVATURE = 1e-6  # 1/m, below which cloth counts as flat
 
 
 @dataclass(frozen=True, eq=False)
 class TorqueLaw:
-    """A bending law (:class:`sim.cloth.Law`), estimated by :mod:`sim.cantilever.moduli`.
+    """A bending law (:class:`sim.cloth.Law`), estimated by
+    :func:`sim.cantilever.moduli.fit_torque_curve`.
 
     The torque is the monotone cubic spline (PCHIP) through the knots, continued linearly with the
     slope of the last interval. The moduli of the fabric are ignored.
@@ -274,23 +209,17 @@ class TorqueLaw:
     Attributes:
         curvature, torque: (K,) 1/m and N per width, of cloth of 300 g/m², at which drapes are
             simulated; both increasing from 0.
-
-    Raises:
-        InputError: a curve that does not increase from 0.
     """
 
     curvature: np.ndarray
     torque: np.ndarray
 
     def __post_init__(self) -> None:
-        if len(self.curvature) != len(self.torque):
-            raise InputError(f"a torque curve of {len(self.curvature)} curvatures and "
-                             f"{len(self.torque)} torques: give as many of each")
+        if not (2 < len(self.curvature) == len(self.torque)):
+            raise InputError("a torque curve needs as many torques as curvatures, at least three")
         knots = np.array([self.curvature, self.torque], dtype=np.float64)
-        if not (knots.shape[1] > 2 and np.isfinite(knots).all() and not knots[:, 0].any()
-                and (np.diff(knots) > 0).all()):
-            raise InputError("a torque curve needs three or more curvatures and torques, both "
-                             "increasing from 0")
+        if knots[:, 0].any() or not (np.isfinite(knots).all() and (np.diff(knots) > 0).all()):
+            raise InputError("curvatures and torques of a torque curve must increase from 0")
 
     @cached_property
     def spline(self) -> "PchipInterpolator":
@@ -301,23 +230,23 @@ class TorqueLaw:
         return PchipInterpolator(*(np.append(v, 2 * v[-1] - v[-2])
                                    for v in (self.curvature, self.torque)))
 
-    def __call__(self, mesh: Mesh, active: np.ndarray, *, fabric: Fabric) -> "CurveBending":
+    def __call__(self, mesh: Mesh, active: FaceMask, *, fabric: Fabric) -> "CurveBending":
         return CurveBending(mesh, active, law=self)
 
 
 class CurveBending(MidEdgeBending):
     """Energy of the free triangles by a :class:`TorqueLaw`."""
 
-    def __init__(self, mesh: Mesh, active: np.ndarray, *, law: TorqueLaw) -> None:
+    def __init__(self, mesh: Mesh, active: FaceMask, *, law: TorqueLaw) -> None:
         self._torque, self._work = law.spline, law.spline.antiderivative()
         self._stiffness = law.spline.derivative()
         # For the fold barrier and the minimum stiffness of the convex Hessian.
         super().__init__(mesh, active, fabric=Fabric(np.full(3, float(self._stiffness(0.0)))))
 
-    def density(self, curvatures: np.ndarray) -> np.ndarray:
+    def density(self, curvatures: Curvatures) -> np.ndarray:
         return self._work(np.sqrt(curvatures**2 @ METRIC))
 
-    def stress(self, curvatures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def stress(self, curvatures: Curvatures) -> tuple[np.ndarray, np.ndarray]:
         size = np.maximum(np.sqrt(curvatures**2 @ METRIC), _MIN_CURVATURE)
         direction = METRIC * curvatures / size[:, None]
         torque, across = self._torque(size), (self._torque(size) / size)[:, None, None]

@@ -11,8 +11,9 @@ from types import ModuleType
 import numpy as np
 from scipy import sparse
 
-from common.errors import InputError, one_line
+from common.types import Faces, Metres, Points, StateVector
 from sim.energies.base import Energy, StateCache
+from sim.material import REFERENCE_DENSITY
 from sim.mesh import Mesh
 from sim.scene import Scene
 
@@ -26,13 +27,9 @@ _STEP_MARGIN = 1.25  # a step is allowed if 1.25 times the step is free of colli
 
 @cache
 def import_ipctk() -> ModuleType:
-    """The module ipctk, set to one thread; InputError with the remedy if it is missing."""
-    # Imported on demand: inference without simulation does not need it.
-    try:
-        import ipctk
-    except (ImportError, OSError) as error:
-        raise InputError(f"ipctk cannot be imported ({one_line(error)}); install it with: "
-                         "pip install ipctk") from None
+    """The module ipctk, set to one thread."""
+    import ipctk  # on demand: inference without simulation does not need it
+
     ipctk.set_num_threads(1)  # the simulator runs one process per core, one thread each
     return ipctk
 
@@ -51,14 +48,13 @@ class SelfContact(Energy):
     a vertex or a couple of vertices; only the sum of the convex blocks is semi-definite.
 
     Args:
-        positions: (V, 3) m, for which the pattern is built.
-        distance: d̂, m, below the smallest height of a triangle.
+        positions: those for which the pattern is built.
+        distance: d̂, below the smallest height of a triangle.
         pressure: N/m² between two sheets of cloth d̂/2 apart.
-        reach: m, at least ``distance``.
     """
 
     def __init__(
-        self, mesh: Mesh, positions: np.ndarray, *, distance: float, pressure: float, reach: float
+        self, mesh: Mesh, positions: Points, *, distance: Metres, pressure: float, reach: Metres
     ) -> None:
         self._ipctk = import_ipctk()
         self._vertices = len(mesh.rest)
@@ -74,11 +70,11 @@ class SelfContact(Energy):
         alone = np.concatenate([vertex, np.full_like(vertex, -1)], axis=1)
         self.dofs = np.concatenate([alone, vertex[couples].reshape(-1, 6)])
 
-    def value(self, q: np.ndarray) -> float:
+    def value(self, q: StateVector) -> float:
         pairs, x = self._pairs(q)
         return float(self._barrier(pairs, self._mesh, x))
 
-    def gradient(self, q: np.ndarray) -> np.ndarray:
+    def gradient(self, q: StateVector) -> np.ndarray:
         pairs, x = self._pairs(q)
         result = np.zeros(self.dofs.shape)
         if not pairs.empty():
@@ -86,10 +82,10 @@ class SelfContact(Energy):
             result[: self._vertices, :3] = gradient.reshape(-1, 3)
         return result
 
-    def hessian(self, q: np.ndarray, convex: bool = False) -> np.ndarray:
+    def hessian(self, q: StateVector, convex: bool = False) -> np.ndarray:
         return self._both_hessians(q)[int(convex)]
 
-    def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
+    def allows(self, old: StateVector, new: StateVector) -> bool:
         """False if the cloth passes through itself during the step, or ends too close to that.
 
         A fifth of the distance to the collision must remain, for the reason given at
@@ -99,18 +95,18 @@ class SelfContact(Energy):
         return self._ipctk.is_step_collision_free(self._mesh, before,
                                                   before + _STEP_MARGIN * (after - before))
 
-    def is_complete(self, q: np.ndarray) -> bool:
+    def is_complete(self, q: StateVector) -> bool:
         """Whether the pattern contains all pairs in contact at ``q``."""
         return self._both_hessians(q)[2]
 
-    def _positions(self, q: np.ndarray) -> np.ndarray:
+    def _positions(self, q: StateVector) -> np.ndarray:
         return np.asfortranarray(q[: 3 * self._vertices].reshape(-1, 3))
 
-    def _pairs(self, q: np.ndarray) -> tuple:
+    def _pairs(self, q: StateVector) -> tuple:
         """The toolkit's pairs in contact and the positions (V, 3)."""
         return self._touching.at(q, self._find_pairs)
 
-    def _find_pairs(self, q: np.ndarray) -> tuple:
+    def _find_pairs(self, q: StateVector) -> tuple:
         x = self._positions(q)
         pairs = self._ipctk.NormalCollisions()
         pairs.use_area_weighting = True
@@ -118,11 +114,11 @@ class SelfContact(Energy):
         pairs.build(self._mesh, x, self._distance)
         return pairs, x
 
-    def _both_hessians(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
+    def _both_hessians(self, q: StateVector) -> tuple[np.ndarray, np.ndarray, bool]:
         """Exact and convex blocks (N, 6, 6), and whether the pattern contains all of them."""
         return self._blocks.at(q, self._find_hessians)
 
-    def _find_hessians(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
+    def _find_hessians(self, q: StateVector) -> tuple[np.ndarray, np.ndarray, bool]:
         (pairs, x), blocks, complete = self._pairs(q), [], True
         for projection in ("NONE", "CLAMP"):
             result = np.zeros((*self.dofs.shape, 6))
@@ -178,9 +174,9 @@ _MAX_SHARE_OF_HEIGHT = 0.5  # limit of the distance on fine meshes, in heights o
 _REACH = 3.0  # pairs within this multiple of the distance are part of the Hessian's pattern
 
 
-def self_intersections(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Self-intersections (N, 3) of cloth at finite positions (V, 3) with faces (F, 3): the two
-    vertices of an edge and the face that it passes through.
+def self_intersections(positions: Points, faces: Faces) -> np.ndarray:
+    """Self-intersections (N, 3) of cloth at finite positions: the two vertices of an edge and the
+    face that it passes through.
 
     Exact, by floating-point predicates with certified signs. Edges that share a vertex with the
     face do not count; an edge that only touches a face does.
@@ -195,20 +191,20 @@ def self_intersections(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
     edge, face = edge[apart], face[apart]
     corners = positions[np.concatenate([edges[edge], faces[face]], axis=1)]
     crossing = np.array([ipctk.is_edge_intersecting_triangle(*five) for five in corners], bool)
-    found = np.column_stack([edges[edge], face])[crossing]
-    return found[np.lexsort(found.T)]
+    crossings = np.column_stack([edges[edge], face])[crossing]
+    return crossings[np.lexsort(crossings.T)]
 
 
-def contact_near(scene: Scene, positions: np.ndarray, *, density: float) -> SelfContact:
-    """Self-contact of a cloth of ``density``, kg/m², near positions (V, 3), m; its energy is zero
-    for most drapes."""
+def contact_near(scene: Scene, positions: Points) -> SelfContact:
+    """Self-contact of cloth near these positions; its energy is zero for most drapes."""
     distance = contact_distance(scene.mesh)
-    return SelfContact(scene.mesh, positions, distance=distance,
-                       pressure=PRESSURE * density * scene.gravity, reach=_REACH * distance)
+    pressure = PRESSURE * REFERENCE_DENSITY * scene.gravity
+    return SelfContact(scene.mesh, positions, distance=distance, pressure=pressure,
+                       reach=_REACH * distance)
 
 
-def contact_distance(mesh: Mesh) -> float:
-    """Distance, m, below which contact acts on ``mesh``; none acts in a flat specimen."""
+def contact_distance(mesh: Mesh) -> Metres:
+    """Distance below which contact acts on ``mesh``; none acts in a flat specimen."""
     corners = mesh.rest[mesh.faces]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     return float(min(DISTANCE, _MAX_SHARE_OF_HEIGHT * (2 * mesh.areas / longest).min()))

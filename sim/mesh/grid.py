@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from common.errors import InputError
+from common.types import Metres, VertexMask
 from sim.mesh.topology import Mesh
 
 DIAGONALS = ("random", "alternating", "equal")
@@ -30,9 +30,7 @@ def choose_diagonals(shape: tuple[int, int], kind: str, rng: np.random.Generator
         return rng.random(cells) < 0.5
     if kind == "alternating":
         return np.indices(cells).sum(0) % 2 == 0
-    if kind == "equal":
-        return np.ones(cells, dtype=bool)
-    raise InputError(f"unknown diagonals '{kind}'; choose from {', '.join(DIAGONALS)}")
+    return np.ones(cells, dtype=bool)
 
 
 def grid_points(
@@ -50,23 +48,14 @@ def grid_points(
 
 
 def strip(
-    *, length: float, width: float, edge: float, clamp: float, diagonals: str = "alternating",
-    jitter: float = 0.0, seed: int = 0
-) -> tuple[Mesh, np.ndarray]:
-    """A strip along +x with a clamped part of length ``clamp`` at x < 0.
-
-    Args:
-        length, width, edge, clamp: m; the spacing is ``edge`` along and across; ``clamp`` must be a
-            multiple of it.
-        jitter: as in :func:`grid_points`; the column x = 0 does not move along x.
-
-    Returns:
-        The mesh and the mask (V,) bool of the clamped vertices, x <= 0.
-    """
+    *, length: Metres, width: Metres, edge: Metres, clamp: Metres,
+    diagonals: str = "alternating", jitter: float = 0.0, seed: int = 0
+) -> tuple[Mesh, VertexMask]:
+    """A strip along +x with a clamped part of length ``clamp``, a multiple of ``edge``, at x < 0,
+    and the clamped vertices, x <= 0; with the ``jitter`` of :func:`grid_points` along the clamp's
+    edge only."""
     rng = np.random.default_rng(seed)
     held_columns, columns = round(clamp / edge), round(length / edge)
-    if not np.isclose(held_columns * edge, clamp, rtol=1e-6):
-        raise InputError(f"clamp={clamp:g} m must be a multiple of the spacing {edge:g} m")
     shape = (held_columns + columns + 1, round(width / edge) + 1)
     points = grid_points(shape, (clamp + length, width), jitter, rng)
     points[..., 0] -= clamp

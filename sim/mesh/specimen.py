@@ -1,6 +1,4 @@
-"""Meshes of a rig's specimen: edge length, offset from the plate, held vertices.
-
-Triangulations of squares and discs, fine at the plate's rim and coarser towards the hem.
+"""Meshes of a rig's specimen: squares and discs, fine at the plate's rim, coarser towards the hem.
 
 Within about 25 mm of the rim, cloth is bent in two directions; uniform meshes are too coarse there.
 Initial points are on circles around the plate, spaced by the target edge length, with a random
@@ -16,6 +14,7 @@ import numpy as np
 from scipy.spatial import Delaunay
 
 from common.errors import InputError
+from common.types import Faces, Metres, RestPoints, VertexMask
 from sim.material import Fabric
 from sim.mesh.topology import Mesh, doubled_areas
 from sim.rig import GRAVITY, Rig
@@ -32,22 +31,15 @@ edge of the rim as diameter contains no point: the edge is part of the Delaunay 
 
 @dataclass(frozen=True)
 class Outline:
-    """Domain and edge lengths of a graded mesh.
+    """Domain and edge lengths of a graded mesh; without a plate the mesh is uniform."""
 
-    Attributes:
-        rig: rig of the specimen, cut along its yarns; without a plate the mesh is uniform.
-        centre: of the specimen, m from the plate's axis.
-        edge: edge length at the rim, m.
-        largest: maximum edge length, m.
-    """
+    rig: Rig  # cut along the yarns
+    centre: tuple[float, float]  # of the specimen, m from the plate's axis
+    edge: Metres  # at the rim
+    largest: Metres
 
-    rig: Rig
-    centre: tuple[float, float]
-    edge: float
-    largest: float
-
-    def edge_at(self, points: np.ndarray) -> np.ndarray:
-        """Target edge lengths (N,) at points (N, 2), m."""
+    def edge_at(self, points: RestPoints) -> np.ndarray:
+        """Target edge lengths (N,), m."""
         if not self.rig.has_plate:
             return np.full(len(points), self.edge)
         outside = np.linalg.norm(points, axis=1) - self.rig.plate_radius
@@ -55,8 +47,8 @@ class Outline:
         return np.where(outside < 0, self.edge - _GROWTH_HELD * outside, grown)
 
 
-def rim_radius(outline: Outline) -> tuple[float, int]:
-    """Circumradius, m, and number of corners of the polygon that approximates the rim. It has the
+def rim_radius(outline: Outline) -> tuple[Metres, int]:
+    """Circumradius and number of corners of the polygon that approximates the rim. It has the
     plate's area; an inscribed polygon would hold too little cloth."""
     corners = max(8, round(2 * np.pi * outline.rig.plate_radius / outline.edge))
     turn = 2 * np.pi / corners
@@ -129,8 +121,8 @@ def _spread(curve: np.ndarray, outline: Outline, rng: np.random.Generator) -> np
     return np.stack([np.interp(place * edges[-1] / count, edges, curve[:, k]) for k in range(2)], 1)
 
 
-def _delaunay(points: np.ndarray) -> np.ndarray:
-    """Faces (F, 3), counter-clockwise, without degenerate ones along straight borders."""
+def _delaunay(points: RestPoints) -> Faces:
+    """Triangles, counter-clockwise, without degenerate ones along straight borders."""
     faces = Delaunay(points).simplices.astype(np.int64)
     twice = doubled_areas(points, faces)
     faces[twice < 0] = faces[twice < 0][:, [0, 2, 1]]
@@ -188,57 +180,45 @@ _SIZE_STEP = 5e-3  # m; sizes of base meshes are multiples of it
 _MAX_SCALING = 0.03  # maximum relative change of a base mesh's size, or of its plate's
 
 
-@dataclass(frozen=True, eq=False)
-class Specimen:
-    """A rig's specimen, meshed.
-
-    Attributes:
-        mesh: origin of ``rest`` on the plate's axis, without a plate at the specimen's centre.
-        held: (V,) bool, vertices that the rig holds.
-    """
-
-    mesh: Mesh
-    held: np.ndarray
-
-
-def make_specimen(
-    rig: Rig, *, edge: float, topology: int = 0, offset: tuple[float, float] = (0.0, 0.0),
+def mesh_specimen(
+    rig: Rig, *, edge: Metres, topology: int = 0, offset: tuple[float, float] = (0.0, 0.0),
     grading: float = GRADING
-) -> Specimen:
-    """Mesh the specimen of ``rig``.
+) -> tuple[Mesh, VertexMask]:
+    """The mesh of the specimen of ``rig`` and the vertices that the rig holds. The origin of the
+    rest points is on the plate's axis, without a plate at the specimen's centre.
 
     Specimens of similar size, and those with an offset up to :data:`MAX_SHARED_OFFSET`, share the
     faces of a base mesh with other points: those on the plate move with the plate, those on the
     border with the border, others in proportion.
 
     Args:
-        edge: edge length at the plate's rim, m, within :data:`EDGE_RANGE`. Without a plate, of all
+        edge: edge length at the plate's rim, within :data:`EDGE_RANGE`. Without a plate, of all
             edges.
         topology: index of one of the :data:`TOPOLOGIES` random triangulations.
         offset: specimen's centre from the plate's axis, m.
         grading: edge length at the hem over ``edge``, at least 1. Lengths grow by 10 % per edge, up
             to :data:`MAX_EDGE`; on the plate, where triangles store no energy, they grow faster.
     """
-    _check(rig, edge, topology, offset, grading)
+    _check(rig, edge, offset)
     overhang = (rig.specimen_size - rig.plate_diameter) / 2
     # In the axes of the sides, which may differ from warp and weft.
     along_sides = np.asarray(offset, dtype=float) @ rig.sides
     shared = np.hypot(*along_sides) <= MAX_SHARED_OFFSET * overhang
     base = _base_rig(rig)
-    specimen = _base_specimen(base, float(edge), int(topology),
-                              (0.0, 0.0) if shared else tuple(along_sides.tolist()), float(grading))
+    mesh, held = _base_mesh(base, float(edge), int(topology),
+                            (0.0, 0.0) if shared else tuple(along_sides.tolist()), float(grading))
     if rig == base and not (shared and along_sides.any()):
-        return specimen
-    rest = specimen.mesh.rest
+        return mesh, held
+    rest = mesh.rest
     share = share_of_offset(rest, base, (0, 0) if shared else along_sides)
-    share = np.where(specimen.held, 0.0, share)
+    share = np.where(held, 0.0, share)
     if rig.has_plate:
         plate = rig.plate_diameter / base.plate_diameter
         border = rig.specimen_size / base.specimen_size
         rest = rest * (plate + (border - plate) * share)[:, None]
     if shared:
         rest = rest + share[:, None] * along_sides
-    return Specimen(specimen.mesh.with_rest(rest @ rig.sides.T), specimen.held)
+    return mesh.with_rest(rest @ rig.sides.T), held
 
 
 def _base_rig(rig: Rig) -> Rig:
@@ -251,15 +231,8 @@ def _base_rig(rig: Rig) -> Rig:
     return Rig(*(rounded if near else sizes).tolist(), specimen=rig.specimen)
 
 
-def _check(
-    rig: Rig, edge: float, topology: int, offset: tuple[float, float], grading: float
-) -> None:
+def _check(rig: Rig, edge: Metres, offset: tuple[float, float]) -> None:
     check_edge(edge)
-    if not 1 <= grading < np.inf:
-        raise InputError(f"grading={grading:g}: edges at the hem must not be shorter than at the "
-                         "rim; give 1 or more")
-    if topology not in range(TOPOLOGIES):
-        raise InputError(f"topology={topology} must be a whole number from 0 to {TOPOLOGIES - 1}")
     if not rig.has_plate and np.any(offset):
         raise InputError(f"rig {rig.name} has no plate for an offset to refer to")
     longest = longest_edge(rig, offset)
@@ -269,16 +242,16 @@ def _check(
                          f"{1e3 * _MIN_EDGES_ACROSS * edge:.3g} mm; reduce the offset or refine")
 
 
-def longest_edge(rig: Rig, offset: tuple[float, float]) -> float:
-    """Maximum edge length at the rim, m, for the narrowest overhang of a specimen."""
+def longest_edge(rig: Rig, offset: tuple[float, float]) -> Metres:
+    """Maximum edge length at the rim for the narrowest overhang of a specimen."""
     if not rig.has_plate:
         return np.inf
     shift = np.hypot(*offset) if rig.specimen == "disc" else np.abs(offset).max()
     return ((rig.specimen_size - rig.plate_diameter) / 2 - shift) / _MIN_EDGES_ACROSS
 
 
-def check_edge(edge: float) -> None:
-    """InputError for an edge length at the rim, m, outside :data:`EDGE_RANGE`."""
+def check_edge(edge: Metres) -> None:
+    """InputError for an edge length at the rim outside :data:`EDGE_RANGE`."""
     least, most = EDGE_RANGE
     if not least <= edge <= most:
         raise InputError(f"edge={1e3 * edge:g} mm at the rim must lie between {1e3 * least:g} and "
@@ -286,29 +259,29 @@ def check_edge(edge: float) -> None:
 
 
 @lru_cache(maxsize=128)
-def _base_specimen(
-    rig: Rig, edge: float, topology: int, centre: tuple[float, float], grading: float
-) -> Specimen:
-    """A specimen around ``centre``, triangulated for that offset."""
+def _base_mesh(
+    rig: Rig, edge: Metres, topology: int, centre: tuple[float, float], grading: float
+) -> tuple[Mesh, VertexMask]:
+    """The mesh of a specimen around ``centre``, triangulated for that offset."""
     largest = max(edge, min(grading * edge, MAX_EDGE))
     mesh, count = graded_mesh(Outline(rig, centre, edge, largest), np.random.default_rng(topology))
     if rig.has_plate:
-        return Specimen(mesh, np.arange(len(mesh.rest)) < count)
+        return mesh, np.arange(len(mesh.rest)) < count
     corners = np.array([[-0.5, 0.5], [0.5, 0.5]]) * rig.specimen_size
-    return Specimen(mesh, (mesh.rest[:, None] == corners).all(axis=2).any(axis=1))
+    return mesh, (mesh.rest[:, None] == corners).all(axis=2).any(axis=1)
 
 
 def share_of_offset(
-    rest: np.ndarray, rig: Rig, centre: np.ndarray | tuple[float, float] = (0.0, 0.0)
+    rest: RestPoints, rig: Rig, centre: np.ndarray | tuple[float, float] = (0.0, 0.0)
 ) -> np.ndarray:
-    """Share (V,) of a change of offset by which points (V, 2), m, of a specimen around ``centre``
-    move: zero on the plate, one on the border, proportional between them."""
+    """Share (V,) of a change of offset by which points of a specimen around ``centre`` move: zero
+    on the plate, one on the border, proportional between them."""
     to_plate, to_border = rig.to_plate(rest), np.maximum(rig.to_border(rest, centre), 0.0)
     return to_plate / np.maximum(to_plate + to_border, 1e-12)
 
 
-def default_edge(fabric: Fabric, rig: Rig) -> float:
-    """Default edge length at the rim, m, for a fabric: 2, 2.5, 3 or 4 mm.
+def default_edge(fabric: Fabric, rig: Rig) -> Metres:
+    """Default edge length at the rim for a fabric: 2, 2.5, 3 or 4 mm.
 
     The largest of which :data:`EDGES_PER_LENGTH` fit into the bending length (alpha/rho g)^⅓ of the
     softest direction, because softer cloth has narrower folds. The few values let drapes share
@@ -320,9 +293,9 @@ def default_edge(fabric: Fabric, rig: Rig) -> float:
     return edge if rig.has_plate else GRADING * edge
 
 
-def coarse_to_fine(edge: float, coarsest: float = MAX_COARSE_EDGE) -> list[float]:
-    """Edge lengths at the rim, m, of a drape's meshes, each 2.5 times shorter than the previous;
-    all but the last are at most ``coarsest``. InputError for an edge outside :data:`EDGE_RANGE`."""
+def coarse_to_fine(edge: Metres, coarsest: Metres = MAX_COARSE_EDGE) -> list[Metres]:
+    """Edge lengths at the rim of a drape's meshes, each 2.5 times shorter than the previous; all
+    but the last are at most ``coarsest``. InputError for an edge outside :data:`EDGE_RANGE`."""
     check_edge(edge)
     levels = [edge]
     while _REFINEMENT * levels[0] <= coarsest:

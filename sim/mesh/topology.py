@@ -7,26 +7,22 @@ import numpy as np
 from scipy import sparse
 
 from common.errors import InputError
+from common.types import Edges, Faces, Points, RestPoints, VertexMask
 
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A flat triangulation in material axes (warp along +x, weft along +y).
+    """A flat triangulation in material axes (warp along +x, weft along +y)."""
 
-    Attributes:
-        rest: (V, 2) float64 rest positions, m.
-        faces: (F, 3) int64 corners, counter-clockwise seen from +z.
-    """
+    rest: RestPoints
+    faces: Faces  # counter-clockwise seen from +z
 
-    rest: np.ndarray
-    faces: np.ndarray
-
-    def with_rest(self, rest: np.ndarray) -> "Mesh":
-        """The mesh of the same triangles with other rest points (V, 2), m."""
-        moved = Mesh(rest=rest, faces=self.faces)
+    def with_rest(self, rest: RestPoints) -> "Mesh":
+        """The mesh of the same triangles with other rest points."""
+        mesh = Mesh(rest=rest, faces=self.faces)
         # Tables of the topology are shared: cached properties are stored in __dict__.
-        moved.__dict__["_edge_tables"] = self._edge_tables
-        return moved
+        mesh.__dict__["_edge_tables"] = self._edge_tables
+        return mesh
 
     @cached_property
     def areas(self) -> np.ndarray:
@@ -55,8 +51,8 @@ class Mesh:
         return edges, inverse.reshape(-1, 3), edge_faces
 
     @property
-    def edges(self) -> np.ndarray:
-        """Edges (E, 2) as vertex pairs, smaller index first."""
+    def edges(self) -> Edges:
+        """Vertex pairs, smaller index first."""
         return self._edge_tables[0]
 
     @cached_property
@@ -76,17 +72,15 @@ class Mesh:
         return self._edge_tables[2]
 
 
-def doubled_areas(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Twice the areas (F,) of triangles (F, 3) between points (V, 2), m; negative if
-    clockwise."""
+def doubled_areas(points: RestPoints, faces: Faces) -> np.ndarray:
+    """Twice the areas (F,) of triangles, m²; negative if clockwise."""
     a, b, c = (points[faces[:, k]] for k in range(3))
     u, v = b - a, c - a
     return u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
 
 
-def edges_of(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Edges (E, 2) of any triangles (F, 3), smaller index first, and the number (E,) of triangles
-    at each; for a specimen use :class:`Mesh`."""
+def edges_of(faces: Faces) -> tuple[Edges, np.ndarray]:
+    """Edges of any triangles, smaller index first, and the number (E,) of triangles at each."""
     return np.unique(_sides(faces), axis=0, return_counts=True)
 
 
@@ -103,15 +97,15 @@ def adjacency(mesh: Mesh) -> sparse.csr_matrix:
     return (one_way + one_way.T).tocsr()
 
 
-def smooth(positions: np.ndarray, moving: np.ndarray, adjacent: sparse.csr_matrix) -> None:
-    """Move positions (V, 3) of ``moving`` (V,) vertices half-way to the mean of their neighbours,
-    in place; ``adjacent`` is the matrix of :func:`adjacency`."""
+def smooth(positions: Points, moving: VertexMask, adjacent: sparse.csr_matrix) -> None:
+    """Move some vertices half-way to the mean of their neighbours, in place; ``adjacent`` is the
+    matrix of :func:`adjacency`."""
     degree = np.diff(adjacent.indptr)[:, None]
     positions[moving] = 0.5 * (positions + adjacent @ positions / degree)[moving]
 
 
-def vertex_normals(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Unit normals (V, 3) at positions (V, 3): area-weighted means over adjacent faces (F, 3)."""
+def vertex_normals(positions: Points, faces: Faces) -> np.ndarray:
+    """Unit normals (V, 3): area-weighted means over adjacent faces."""
     a, b, c = (positions[faces[:, k]] for k in range(3))
     across = np.cross(b - a, c - a)
     total = np.zeros_like(positions)

@@ -7,8 +7,7 @@ and, as H is symmetric, any number of parameters by one solve in reverse mode
 (:func:`sim.sensitivity.adjoint.equilibria`).
 """
 
-from sim.sensitivity.follow import follow
 from sim.sensitivity.forward import PARAMETERS, Sensitivities, sensitivities
 from sim.sensitivity.tangent import Tangent
 
-__all__ = ["PARAMETERS", "Sensitivities", "Tangent", "follow", "sensitivities"]
+__all__ = ["PARAMETERS", "Sensitivities", "Tangent", "sensitivities"]

@@ -10,10 +10,9 @@ from torch.autograd.function import once_differentiable
 
 from common.errors import InputError
 from sim.cloth import Law, Laws
-from sim.drape import DrapeResult
+from sim.drape import Drape, follow, light
 from sim.energies.membrane import Corotational
 from sim.material import REFERENCE_DENSITY, Fabric
-from sim.sensitivity.follow import follow
 from sim.sensitivity.forward import combinations, force_derivatives
 from sim.sensitivity.tangent import Tangent
 from sim.solver.newton import NewtonOptions
@@ -21,22 +20,17 @@ from sim.solver.newton import NewtonOptions
 
 @dataclass(frozen=True)
 class Equilibria:
-    """Equilibria of B cloths.
-
-    Attributes:
-        positions: (V, 3) m each, differentiable; for a failure the last positions, with NaN as
-            derivatives.
-        results, ok, messages: the drapes, whether each and its derivatives exist, reasons if not.
-    """
+    """Equilibria of B cloths."""
 
     positions: list[Tensor]
-    results: list[DrapeResult]
-    ok: list[bool]
-    messages: list[str]
+    """(V, 3) m each, differentiable; for a failure the last positions, with NaN as derivatives."""
+    results: list[Drape]
+    ok: list[bool]  # whether each and its derivatives exist
+    messages: list[str]  # reasons if not
 
 
 def equilibria(
-    starts: Sequence[DrapeResult], *, alpha: Tensor, beta: Tensor,
+    starts: Sequence[Drape], *, alpha: Tensor, beta: Tensor,
     density: Tensor | float = REFERENCE_DENSITY, membrane: Tensor | float | None = None,
     bending: str | Law = "midedge", others: tuple[Law, ...] = (),
     options: NewtonOptions | None = None
@@ -47,7 +41,6 @@ def equilibria(
     derivatives by all tensor arguments. A numerical failure affects only its sample.
 
     Args:
-        starts: B drapes, of any meshes and rigs.
         alpha, beta: (B, 3) moduli warp, bias, weft, N·m and N·m².
         density: (B,) or one for all, kg/m².
         membrane: (B,) or one for all, N/m, in-plane stiffness of the cloth at this density (that of
@@ -55,9 +48,6 @@ def equilibria(
             density, also in the derivatives by the density.
         bending, others: bending law and laws of further energies, as in :class:`sim.cloth.Laws`,
             the ``others`` for cloth of the reference density.
-        options: stopping criteria of the minimisations.
-
-    InputError for inconsistent shapes or invalid values.
     """
     count = len(starts)
     density = torch.as_tensor(density, dtype=torch.float64)
@@ -79,7 +69,7 @@ def equilibria(
     return Equilibria(
         positions=[_Equilibrium.apply(tangent, result.fabric, *values)
                    for tangent, result, values in zip(tangents, results, inputs, strict=True)],
-        results=[replace(result, equilibrium=None) for result in results],
+        results=[light(result) for result in results],
         ok=[tangent.ok for tangent in tangents],
         messages=[tangent.message for tangent in tangents],
     )
@@ -120,12 +110,8 @@ def adjoint_gradients(
     tangent: Tangent, fabric: Fabric, by_positions: np.ndarray, *, membrane: float
 ) -> tuple[np.ndarray, ...]:
     """Derivatives of a scalar by the parameters of the equilibrium, from those by its positions
-    (V, 3), at ``fabric``'s moduli and density and an in-plane stiffness ``membrane``, N/m.
-
-    Returns:
-        Derivatives by alpha (3,), beta (3,), density () and membrane (); NaN if the tangent is not
-        ok.
-    """
+    (V, 3), at ``fabric``'s moduli and density and an in-plane stiffness ``membrane``, N/m: by alpha
+    (3,), beta (3,), density () and membrane (); NaN if the tangent is not ok."""
     if not tangent.ok:
         return tuple(np.full(shape, np.nan) for shape in ((3,), (3,), (), ()))
     by_unknowns = np.zeros(tangent.cloth.potential.unknowns)

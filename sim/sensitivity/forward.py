@@ -12,12 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.errors import InputError
-from sim.cloth import Cloth
-from sim.drape import DrapeResult
+from sim.cloth import Cloth, Laws
+from sim.drape import Drape
 from sim.energies.base import Energy
 from sim.material import DIRECTIONS, Fabric
 from sim.sensitivity.tangent import Tangent
 from sim.solver.potential import forces
+from sim.solver.state import State
 
 PARAMETERS = ("log_alpha", "ratio", "alpha", "beta", "density", "membrane")
 """Names of (groups of) parameters: the first four are groups of warp, bias and weft."""
@@ -29,18 +30,12 @@ _RATIO_STEP = 1e-7  # m, of beta/alpha: about 1e-5 of the radii to which cloth b
 
 @dataclass(frozen=True, eq=False)
 class Sensitivities:
-    """Derivatives of an equilibrium by P parameters; NaN where they do not exist.
+    """Derivatives of an equilibrium by P parameters; NaN where they do not exist."""
 
-    Attributes:
-        names: (P,) parameters, such as "log_alpha_warp".
-        moves: (P, 3 V + E) of all unknowns, m and rad per unit of the parameter; vertices: V.
-        ok, message, softest: see :class:`sim.sensitivity.tangent.Tangent`.
-    """
-
-    names: tuple[str, ...]
-    moves: np.ndarray
+    names: tuple[str, ...]  # such as "log_alpha_warp"
+    moves: np.ndarray  # (P, 3 V + E) of all unknowns, m and rad per unit of the parameter
     vertices: int
-    ok: bool
+    ok: bool  # this and the next two are those of the tangent
     message: str
     softest: float
 
@@ -49,24 +44,37 @@ class Sensitivities:
         """Derivatives (P, V, 3) of the positions, m per unit of the parameter."""
         return self.moves[:, : 3 * self.vertices].reshape(len(self.names), -1, 3)
 
+    def prediction(
+        self, near: Drape, fabric: Fabric, *, laws: Laws, extra: Sequence[Energy] = ()
+    ) -> State:
+        """Linear prediction from the drape ``near`` for another fabric, if the energy allows it and
+        is lower there; else the state of ``near``. Needs "log_alpha" and "ratio"."""
+        if not self.ok:
+            return near.state
+        cloth = Cloth(near.scene, fabric, laws=laws, extra=extra)
+        old, new = near.cloth.fabric, cloth.fabric
+        change = np.concatenate([np.log(new.alpha / old.alpha),
+                                 new.beta / new.alpha - old.beta / old.alpha])
+        rows = [self.names.index(f"{name}_{direction}")
+                for name in ("log_alpha", "ratio") for direction in DIRECTIONS]
+        potential, q = cloth.potential, near.state.q
+        ahead = potential.moved(q, potential.free_unknowns(change @ self.moves[rows]))
+        with np.errstate(all="ignore"):
+            lower = potential.value(ahead) < potential.value(q)
+        accepted = lower and potential.allows(q, ahead)
+        return State.of(ahead, self.vertices) if accepted else near.state
+
 
 def sensitivities(
-    result: DrapeResult, *, parameters: Sequence[str] = ("log_alpha", "ratio")
+    result: Drape, *, parameters: Sequence[str] = ("log_alpha", "ratio")
 ) -> Sensitivities:
-    """Derivatives of a drape by parameters of its fabric, on the mesh of the drape.
+    """Derivatives of a drape by parameters of its fabric (:data:`PARAMETERS`), on its mesh.
 
-    Args:
-        parameters: any of :data:`PARAMETERS`, with all others constant; the first four for warp,
-            bias and weft each:
-
-            "log_alpha"  per unit of log alpha at fixed beta/alpha; with
-            "ratio"      per m of beta/alpha, the derivatives by theta
-            (:mod:`data.fabrics.fabrics`); "alpha", "beta"  per N·m at fixed beta, per N·m² at fixed
-            alpha; "density"    per kg/m² at fixed moduli and in-plane stiffness; "membrane"   per
-            unit of the logarithm of the in-plane stiffness.
-
-            Moduli and density are those of the fabric. A drape is simulated at the reference
-            density; the in-plane stiffness of its laws is that of cloth of this density.
+    Each with all others constant, the first four for warp, bias and weft: "log_alpha" per unit of
+    log alpha at fixed beta/alpha and "ratio" per m of beta/alpha (together, by theta); "alpha" per
+    N·m at fixed beta; "beta" per N·m² at fixed alpha; "density" per kg/m² at fixed moduli and
+    in-plane stiffness; "membrane" per unit of the logarithm of the in-plane stiffness. The in-plane
+    stiffness of laws is that of cloth of the reference density.
     """
     return tangent_sensitivities(Tangent.of(result), result.fabric, parameters)
 

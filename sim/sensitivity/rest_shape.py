@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from common.types import RestPoints
 from sim.cloth import Cloth
 from sim.mesh.specimen import share_of_offset
 from sim.rig import Rig
@@ -19,8 +20,8 @@ _STEP = 1e-5  # of the mean edge, in central differences
 
 
 def moves_with_rest(tangent: Tangent, moves: np.ndarray) -> np.ndarray:
-    """Moves (K, V, 3) of the equilibrium as its rest points move by ``moves`` (K, V, 2), m. Held
-    vertices stay in place. By central differences of the forces, for any laws."""
+    """Moves (K, V, 3) of the equilibrium as its rest points move by ``moves`` (K, V, 2), m, but not
+    held vertices. By central differences of the forces, for any laws."""
     scene, result = tangent.cloth.scene, np.zeros((len(moves), *tangent.positions.shape))
     for k, move in enumerate(moves):
         step = difference_step(tangent, move)
@@ -51,8 +52,8 @@ def share_of_border(tangent: Tangent, rig: Rig) -> tuple[np.ndarray, np.ndarray]
     return np.where(tangent.cloth.scene.held, 0.0, share), mesh.rest - centre
 
 
-def difference_step(tangent: Tangent, move: np.ndarray) -> float:
-    """Step of central differences as a fraction of a ``move`` (V, 2), m, of the rest points."""
+def difference_step(tangent: Tangent, move: RestPoints) -> float:
+    """Step of central differences as a fraction of a ``move`` of the rest points."""
     return _STEP * tangent.cloth.scene.mesh.edge_lengths.mean() / np.abs(move).max()
 
 

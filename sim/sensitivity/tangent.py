@@ -1,9 +1,11 @@
 """An equilibrium with the factor of its exact Hessian."""
 
+from dataclasses import replace
+
 import numpy as np
 
+from common.types import Points, StateVector
 from sim.cloth import Cloth
-from sim.drape import DrapeResult
 from sim.energies.self_contact import SelfContact, contact_near
 from sim.equilibrium import Equilibrium
 from sim.solver.linear import CholeskySolver, make_solver
@@ -24,36 +26,37 @@ _INVERSE_ITERATIONS = 2  # a rough estimate of the lowest stiffness is sufficien
 class Tangent:
     """Linearisation of a cloth at an equilibrium: its response to forces.
 
-    The state of ``found``, at or near an equilibrium, is first improved by a few exact Newton
-    steps, until they are below :data:`MAX_STEP`.
+    The state, at or near an equilibrium, is first improved by a few exact Newton steps, until they
+    are below :data:`MAX_STEP`.
+
+    Args:
+        factor: of the exact Hessian at the state, if there is one.
 
     Attributes:
-        cloth, q: its energies, and the state (3 V + 3 E,) at the equilibrium.
+        q: state at the equilibrium.
         ok, message: whether it is a minimum with a regular Hessian, a requirement for the response;
             the reason if not.
         softest: estimated stiffness of the softest mode, see :data:`MIN_STIFFNESS`; 0 without a
             factor.
     """
 
-    def __init__(self, found: Equilibrium) -> None:
-        self.cloth, self.q = found.cloth, found.state.q
+    def __init__(self, cloth: Cloth, q: StateVector, factor: CholeskySolver | None = None) -> None:
+        self.cloth, self.q = cloth, q
         self.softest = 0.0
-        self._factor: CholeskySolver | None = found.newton.factor
+        self._factor = factor
         self.ok, self.message = self._approach()
 
     @classmethod
-    def of(cls, result: DrapeResult) -> "Tangent":
-        """The tangent of a drape, for the fabric at the reference density; not ok if the drape did
-        not converge."""
-        found = result.equilibrium
-        if found is None:
-            extra = [*result.extra, *([possible_contact(result)] if result.touches else [])]
-            cloth = Cloth(result.scene, result.simulated, laws=result.laws, extra=extra)
-            found = Equilibrium.at(cloth, result.state)
-        tangent, reason = cls(found), ""
+    def of(cls, drape: Equilibrium) -> "Tangent":
+        """The tangent of a drape; not ok if the drape did not converge."""
+        cloth, factor = drape.cloth, drape.outcome and drape.outcome.factor
+        if drape.touches and factor is None:
+            contact = contact_near(cloth.scene, drape.positions)
+            cloth = replace(cloth, extra=[*cloth.extra, contact])
+        tangent, reason = cls(cloth, drape.state.q, factor), ""
         contact = [e for e in tangent.cloth.extra if isinstance(e, SelfContact)]
-        if not result.converged:
-            reason = f"the drape is no equilibrium: {result.message}"
+        if not drape.converged:
+            reason = f"the drape is no equilibrium: {drape.message}"
         elif not all(energy.is_complete(tangent.q) for energy in contact):
             reason = "self-contact reaches further than the Hessian's pattern"
         if reason:
@@ -61,8 +64,8 @@ class Tangent:
         return tangent
 
     @property
-    def positions(self) -> np.ndarray:
-        """Positions (V, 3), m."""
+    def positions(self) -> Points:
+        """Positions at the equilibrium."""
         return self.q[: self.coordinates].reshape(-1, 3)
 
     @property
@@ -113,8 +116,3 @@ class Tangent:
             motion /= np.sqrt(scale @ motion**2)
             before, motion = motion, self._factor.solve(scale * motion)
         return float(1.0 / (before @ (scale * motion)))
-
-
-def possible_contact(result: DrapeResult) -> SelfContact:
-    """Self-contact of a drape as added by its simulation; zero for most drapes."""
-    return contact_near(result.scene, result.positions, density=result.simulated.density)

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from common.types import Density, Points, StateVector
 from sim.energies.base import Energy
 from sim.mesh import Mesh
 from sim.solver.linear import CholeskySolver
@@ -26,49 +27,35 @@ STEP_OPTIONS = NewtonOptions(residual=0.1, step=2.0, max_iterations=40)
 
 
 class Inertia(Energy):
-    """Kinetic term of a time step, |x - y|²_M / (2 h²); one element per coordinate.
+    """Kinetic term of a time step, |x - y|²_M / (2 h²); one element per coordinate. ``masses`` (V,)
+    are in kg."""
 
-    Args:
-        mesh: the cloth.
-        density: mass per area, kg/m².
-
-    Attributes:
-        masses: (V,) kg.
-    """
-
-    def __init__(self, mesh: Mesh, *, density: float) -> None:
+    def __init__(self, mesh: Mesh, *, density: Density) -> None:
         self.masses = density * mesh.vertex_areas
         self.dofs = np.arange(3 * len(self.masses))[:, None]
         self.aim(np.zeros((len(self.masses), 3)), 1.0)
 
-    def aim(self, positions: np.ndarray, step: float) -> None:
-        """Set the positions y (V, 3), m, that the cloth would reach without forces after a
-        ``step`` h, s."""
+    def aim(self, positions: Points, step: float) -> None:
+        """Set the positions y that the cloth would reach without forces after a ``step`` h, s."""
         self._aim, self._scale = positions.ravel(), np.repeat(self.masses, 3) / step**2
 
-    def value(self, q: np.ndarray) -> float:
+    def value(self, q: StateVector) -> float:
         return 0.5 * float(self._scale @ (q[: len(self._aim)] - self._aim) ** 2)
 
-    def gradient(self, q: np.ndarray) -> np.ndarray:
+    def gradient(self, q: StateVector) -> np.ndarray:
         return (self._scale * (q[: len(self._aim)] - self._aim))[:, None]
 
-    def hessian(self, q: np.ndarray, convex: bool = False) -> np.ndarray:
+    def hessian(self, q: StateVector, convex: bool = False) -> np.ndarray:
         return self._scale[:, None, None]
 
 
 @dataclass(eq=False)
 class Motion:
-    """Cloth in motion.
-
-    Attributes:
-        state: positions and edge normals.
-        velocities: (V, 3) m/s.
-        time: s.
-    """
+    """Cloth in motion."""
 
     state: State
-    velocities: np.ndarray
-    time: float = 0.0
+    velocities: np.ndarray  # (V, 3) m/s
+    time: float = 0.0  # s
 
     @staticmethod
     def at_rest(state: State) -> "Motion":
@@ -79,12 +66,8 @@ class Motion:
         self, potential: Potential, inertia: Inertia, step: float, *,
         options: NewtonOptions = STEP_OPTIONS, solver: CholeskySolver | None = None
     ) -> tuple["Motion", NewtonResult]:
-        """The motion after a ``step``, s, and the outcome of its minimisation.
-
-        Args:
-            potential: energies of the cloth, with ``inertia`` among them.
-            solver: for the pattern of ``potential``, to be used again; None: a new one.
-        """
+        """The motion after a ``step``, s, and the outcome of its minimisation; ``inertia`` is among
+        the energies of ``potential``. A ``solver`` for its pattern can be used again."""
         before = self.state.positions
         inertia.aim(before + step * self.velocities, step)
         result = minimise(potential, self._guess(potential, step), options, solver=solver)

@@ -23,14 +23,9 @@ from common.errors import InputError
 class SparsePattern:
     """Pattern of the upper triangle (with diagonal) of symmetric matrices assembled from stencils.
 
-    The structure is computed once; :meth:`assemble` only adds values.
-
-    Args:
-        stencils: for each energy, (N, K) int64 rows of the matrix, -1 for absent or held.
-        size: number of rows.
-
-    Attributes:
-        indptr, indices: CSR structure, int32, sorted columns, every diagonal entry present.
+    The CSR structure, ``indptr`` and ``indices``, is computed once, with sorted columns and every
+    diagonal entry; :meth:`assemble` only adds values. ``stencils`` are (N, K) rows of the matrix
+    for each energy, -1 for absent or held.
     """
 
     def __init__(self, stencils: list[np.ndarray], size: int) -> None:
@@ -116,7 +111,7 @@ class CholeskySolver(Protocol):
         """Solution (n,) for rhs (n,) with the last factor, which must exist."""
 
 
-class SuperLUSolver:
+class SuperLUSolver(CholeskySolver):
     """SciPy's SuperLU in symmetric mode: slower, but always available."""
 
     name = "superlu"
@@ -126,7 +121,6 @@ class SuperLUSolver:
         self._factor = None
 
     def factorise(self, data: np.ndarray, *, rough: bool = False) -> bool:
-        """See :meth:`sim.solver.linear.CholeskySolver.factorise`."""
         if not np.isfinite(data).all():
             return False
         matrix = sparse.csc_matrix(self._pattern.symmetric(data))
@@ -140,7 +134,6 @@ class SuperLUSolver:
         return diagonal_pivots and bool((self._factor.U.diagonal() > 0).all())
 
     def solve(self, rhs: np.ndarray, *, rough: bool = False) -> np.ndarray:
-        """See :meth:`sim.solver.linear.CholeskySolver.solve`."""
         return self._factor.solve(rhs)
 
 
@@ -151,7 +144,7 @@ _MAX_REFINEMENTS = 10
 _REPRODUCIBLE = 2  # MKL_CBWR_AUTO; without it, results change if PyTorch is loaded, too
 
 
-class PardisoSolver:
+class PardisoSolver(CholeskySolver):
     """Factors in double precision, or rough factors in single precision with refined solutions.
 
     A single-precision factor takes about two thirds of the time. Refinement uses conjugate
@@ -171,7 +164,6 @@ class PardisoSolver:
         self._refined = False
 
     def factorise(self, data: np.ndarray, *, rough: bool = False) -> bool:
-        """See :meth:`sim.solver.linear.CholeskySolver.factorise`."""
         if not np.isfinite(data).all():
             return False
         rough = rough and self._single_suffices
@@ -190,7 +182,6 @@ class PardisoSolver:
         return definite
 
     def solve(self, rhs: np.ndarray, *, rough: bool = False) -> np.ndarray:
-        """See :meth:`sim.solver.linear.CholeskySolver.solve`."""
         return self._refine(rhs, rough) if self._refined else self._double.solve(rhs)
 
     def _refine(self, rhs: np.ndarray, rough: bool) -> np.ndarray:
@@ -221,13 +212,8 @@ class PardisoSolver:
 
 
 class _Factor:
-    """A PARDISO factor in one precision, on one thread, bitwise reproducible.
-
-    Args:
-        pattern: of the matrices.
-        order: (n,) int32, elimination order of an earlier analysis; None to compute one.
-        single: whether to use single precision.
-    """
+    """A PARDISO factor in double or ``single`` precision, on one thread, bitwise reproducible;
+    ``order`` (n,) is the elimination order of an earlier analysis."""
 
     _positive_definite = 2  # PARDISO's matrix type
     _analyse, _factorise, _solve, _release = 11, 22, 33, -1  # PARDISO's phases

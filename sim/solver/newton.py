@@ -34,11 +34,10 @@ class Status(str, Enum):
 class Objective(Protocol):
     """A function of states ``q`` to be minimised, such as :class:`sim.solver.potential.Potential`.
 
-    A state may be any array. Derivatives are with respect to a step (size,) from it, and ``moved``
-    applies the step; states need not form a linear space, steps do. ``hessian`` returns CSR data
-    in ``pattern``, with ``shift`` times a regularisation added to the diagonal for cases where even
-    the convex Hessian is singular. ``energy_scale`` is the magnitude of energy differences; those
-    below :data:`ROUNDING` of it are rounding errors.
+    Derivatives are by a step (size,) from a state, which ``moved`` applies. ``hessian`` returns CSR
+    data in ``pattern``, with ``shift`` times a regularisation on the diagonal for cases where even
+    the convex Hessian is singular. Differences below :data:`ROUNDING` of ``energy_scale`` are
+    rounding errors.
     """
 
     size: int
@@ -56,42 +55,27 @@ class Objective(Protocol):
 
 @dataclass(frozen=True)
 class NewtonOptions:
-    """Stopping criteria, in the units of the objective's scales.
+    """Stopping criteria, in the units of the objective's scales."""
 
-    Attributes:
-        residual: largest residual of a converged state.
-        step: largest last step of a converged state.
-        max_iterations: per minimisation.
-    """
-
-    residual: float = 1e-5
-    step: float = 1e-5
+    residual: float = 1e-5  # largest of a converged state
+    step: float = 1e-5  # largest last step of a converged state
     max_iterations: int = 500
 
 
 @dataclass
 class NewtonResult:
-    """Final state of a minimisation and its cost.
+    """Final state of a minimisation and its cost."""
 
-    Attributes:
-        q: last state; an equilibrium only if ``status`` is CONVERGED.
-        residual, step: scaled values of the last iteration.
-        positive_definite, factor: whether the exact Hessian at ``q`` has a Cholesky factor, and the
-            solver that holds it.
-        factorisations: number of factorisations, failed ones included.
-        seconds: CPU time by activity: analyse, assemble, factorise, search, total.
-    """
-
-    q: np.ndarray
+    q: np.ndarray  # an equilibrium only if ``status`` is CONVERGED
     status: Status
     message: str
     iterations: int = 0
-    residual: float = np.inf
+    residual: float = np.inf  # of the last iteration, scaled, as the step
     step: float = np.inf
-    positive_definite: bool = False
-    factor: CholeskySolver | None = None
-    factorisations: int = 0
+    positive_definite: bool = False  # whether the exact Hessian has a Cholesky factor
+    factor: CholeskySolver | None = None  # that holds it
     seconds: dict[str, float] = field(default_factory=dict)
+    """CPU time by activity: analyse, assemble, factorise, search, total; wall time of a drape."""
 
 
 CONVEXITIES = (0.0, 0.1, 0.5, 1.0)  # blends in increasing order; 0 is the exact Hessian
@@ -178,8 +162,8 @@ class _Minimisation:
             if step is None:
                 return self._end(Status.SINGULAR)
             with self.timed("search"):
-                found = self._search(value, gradient, step)
-            if found is None:
+                improved = self._search(value, gradient, step)
+            if improved is None:
                 # The step of a nearly singular model leaves the range in which the model is valid:
                 # use a stiffer model at this state. At a stationary point no model is stiffer.
                 stationary = result.residual < options.residual
@@ -191,7 +175,7 @@ class _Minimisation:
                 result.iterations += 1
                 continue
             self.shift = 0
-            length, result.q, value, gradient = found
+            length, result.q, value, gradient = improved
             result.step = length * self.objective.step_length(step)
             result.iterations += 1
         result.residual = self.objective.residual(gradient)
@@ -219,7 +203,6 @@ class _Minimisation:
             with self.timed("analyse"):
                 self.solver = make_solver(objective.pattern)
         with self.timed("factorise"):
-            self.result.factorisations += 1
             return self.solver.factorise(data, rough=not proof)
 
     def _solve(self, rhs: np.ndarray, *, rough: bool = False) -> np.ndarray:

@@ -6,30 +6,27 @@ from functools import cached_property
 import numba
 import numpy as np
 
+from common.types import Edges
 from sim.energies.base import Energy, StateCache
 from sim.solver.linear import SparsePattern
 from sim.solver.state import moved
 
 
 class Potential:
-    """A sum of energies, with derivatives by a step (n,) of the free unknowns.
+    """A sum of energies, with derivatives by a step (n,) of the free ones among U unknowns.
 
     Args:
         stages: groups of energies that are made convex one after the other: with two groups,
             convexity 1/2 means the first group convex and the second exact.
-        edges: (E, 2) vertices of the edges whose normals are part of the state.
+        edges: those whose normals are part of the state.
         free: (U,) bool, unknowns that may change.
         force_scale: (U,) units of residuals (N, or N·m for rotations).
         length_scale: (U,) units of step lengths and regularisation (m or rad).
         energy_scale: J, magnitude of the energy's change when the cloth falls.
-
-    Attributes:
-        size, unknowns, energies: n, U, and all energies.
-        regularisation: (n,) unit of force over unit of length.
     """
 
     def __init__(
-        self, stages: Sequence[Sequence[Energy]], edges: np.ndarray, free: np.ndarray, *,
+        self, stages: Sequence[Sequence[Energy]], edges: Edges, free: np.ndarray, *,
         force_scale: np.ndarray, length_scale: np.ndarray, energy_scale: float
     ) -> None:
         self.energies = [energy for stage in stages for energy in stage]

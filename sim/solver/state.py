@@ -13,40 +13,32 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
+from common.types import FaceMask, Points, StateVector
 from sim.mesh import Mesh
 
 
 @dataclass(eq=False)
 class State:
-    """State of a cloth.
+    """State of a cloth."""
 
-    Attributes:
-        positions: (V, 3) m.
-        normals: (E, 3) unit normals of the edges, in the order of ``mesh.edges``.
-    """
-
-    positions: np.ndarray
-    normals: np.ndarray
+    positions: Points
+    normals: np.ndarray  # (E, 3) unit normals, in the order of ``mesh.edges``
 
     @property
-    def q(self) -> np.ndarray:
-        """Vector (3 V + 3 E,) of positions, then normals: the argument of the energies."""
+    def q(self) -> StateVector:
+        """The argument of the energies."""
         return np.concatenate([self.positions.ravel(), self.normals.ravel()])
 
     @staticmethod
-    def of(q: np.ndarray, vertices: int) -> "State":
-        """The state of a cloth with V = ``vertices`` from ``q`` (3 V + 3 E,)."""
+    def of(q: StateVector, vertices: int) -> "State":
+        """The state of a cloth with V = ``vertices``."""
         split = q.reshape(-1, 3)
         return State(split[:vertices].copy(), split[vertices:].copy())
 
     @staticmethod
-    def at(mesh: Mesh, positions: np.ndarray, active: np.ndarray | None = None) -> "State":
-        """State with positions (V, 3), m, and edge normals that bisect the dihedral angles.
-
-        Args:
-            active: (F,) bool, triangles that can move; None for all. An edge of a held triangle
-                has the normal of that triangle.
-        """
+    def at(mesh: Mesh, positions: Points, active: FaceMask | None = None) -> "State":
+        """State with edge normals that bisect the dihedral angles; an edge of a triangle that is
+        not active has the normal of that triangle."""
         corners = positions[mesh.faces]
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         unit = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)

@@ -11,8 +11,8 @@ import pytest
 
 from apps.drape import main
 from common.errors import InputError
-from sim.mesh.specimen import make_specimen
 from sim.rig import Rig
+from sim.scene import make_specimen
 
 
 def run(*words: str) -> subprocess.CompletedProcess:

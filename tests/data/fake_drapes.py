@@ -8,7 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 
 from sim.cloth import Laws
-from sim.mesh.specimen import TOPOLOGIES, make_specimen
+from sim.mesh.specimen import TOPOLOGIES
+from sim.scene import make_specimen
 
 FAIL_SEED_MODULUS = 5  # the fake solver fails where the seed is a multiple
 

@@ -36,7 +36,8 @@ from data.fabrics.fabrics import fabric_from_theta, from_theta
 from data.fabrics.prior import TablePrior, load_prior
 from data.render.cameras import nominal_camera
 from sim.measures import maximum_stretch
-from sim.mesh.specimen import TOPOLOGIES, make_specimen
+from sim.mesh.specimen import TOPOLOGIES
+from sim.scene import make_specimen
 
 ROOT = Path(__file__).parents[2]
 

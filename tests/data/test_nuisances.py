@@ -7,8 +7,8 @@ from data.dataset.plan import draw_fabric, plan_drape
 from data.fabrics.nuisances import NAMES, NuisanceConfig, Nuisances
 from data.fabrics.prior import TablePrior, is_soft, load_prior
 from sim.cloth import Laws
-from sim.mesh.specimen import make_specimen
 from sim.rig import DISC_RIG, Rig
+from sim.scene import make_specimen
 
 
 def drawn(config, count=2000):

@@ -13,8 +13,8 @@ from data.render.raster import camera_points, draw, rasterise
 from data.render.rays import DepthRenderer
 from data.render.shade import shade
 from sim.mesh import grid_faces
-from sim.mesh.specimen import make_specimen
 from sim.rig import Rig
+from sim.scene import make_specimen
 
 HEIGHT, WIDTH = 90, 120
 CAMERA = Camera(150.0, 140.0, 59.5, 44.5, WIDTH, HEIGHT, world_to_camera=np.eye(4))

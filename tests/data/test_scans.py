@@ -12,7 +12,7 @@ from apps.drape_file import read_borrowed
 from common.errors import InputError
 from data.captures.scans import check_rim, read_scan, rim_steepness
 from drapenet.refine.scans import read_shape
-from sim.drape import DrapeResult, drape
+from sim.drape import Drape, drape
 from sim.material import MICRO, Fabric
 from sim.measures import projected_area
 from sim.mesh import grid_faces
@@ -128,12 +128,12 @@ def test_absent_scans_are_named(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def soft_drape() -> DrapeResult:
+def soft_drape() -> Drape:
     """A drape of soft cloth on the disc rig."""
     return drape(Fabric(np.full(3, 5 * MICRO)), rig=DISC_RIG, edge=4e-3)
 
 
-def from_rim_to_hem(result: DrapeResult) -> np.ndarray:
+def from_rim_to_hem(result: Drape) -> np.ndarray:
     """Vertices (V, 3), m, of a drape moved to straight lines from the plate's rim to its hem."""
     radius, rim = np.linalg.norm(result.rest, axis=1), RIG.plate_radius
     azimuth = np.arctan2(result.rest[:, 1], result.rest[:, 0])

@@ -13,7 +13,7 @@ from data.captures.plate import plate_diameter
 from data.render.cameras import nominal_camera
 from data.render.rays import VIEWS, DepthRenderer
 from data.render.scenes import raw_scene
-from sim.drape import DrapeResult, drape
+from sim.drape import Drape, drape
 from sim.material import MICRO, Fabric
 from sim.rig import Rig
 
@@ -22,7 +22,7 @@ PLATE_ERROR, ERROR_IN_SCENE = 6e-3, 8e-3  # m, in views without noise and in sce
 
 
 @pytest.fixture(scope="module", params=NAMES)
-def shape(request) -> DrapeResult:
+def shape(request) -> Drape:
     """A drape of a rather stiff fabric."""
     return drape(Fabric(alpha=[60 * MICRO] * 3, beta=[0.0] * 3), rig=Rig.from_name(request.param),
                  edge=6e-3, seed=1)

@@ -11,10 +11,9 @@ from data.fabrics.fabrics import to_theta
 from data.fabrics.nuisances import Nuisances
 from data.render.setups import Setups
 from drapenet.network.dataset import drape_derivatives, make_maps, maps_of_shard, neighbour
-from sim.drape import DrapeResult, drape
+from sim.drape import Drape, drape, follow
 from sim.material import MICRO, Fabric
 from sim.rig import Rig
-from sim.sensitivity import follow
 
 SETUPS = Setups.load()
 FABRIC = Fabric(np.array([30.0, 20.0, 25.0]) * MICRO, np.array([-60.0, -50.0, -40.0]) * 1e-9)
@@ -48,7 +47,7 @@ def test_captures_of_a_drape_differ(cloth_dataset: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def stored() -> tuple[DrapeResult, dict[str, object], np.ndarray, np.ndarray]:
+def stored() -> tuple[Drape, dict[str, object], np.ndarray, np.ndarray]:
     """A lowered drape with hysteresis: its row, positions and origins as a shard has them."""
     nuisances = Nuisances(membrane=300.0, shear=0.5, hysteresis=0.2)
     one = drape(FABRIC, edge=6e-3, seed=1, laws=nuisances.laws)

@@ -33,11 +33,11 @@ from drapenet.refine.unknowns import (
 )
 from drapenet.views.located import LocatedViews
 from drapenet.views.radial_map import fused, side_direction
-from sim.drape import DrapeResult, drape
+from sim.drape import Drape, drape, follow
+from sim.energies.self_contact import contact_near
 from sim.material import MICRO
 from sim.rig import DISC_RIG, Rig
-from sim.sensitivity import Tangent, follow, sensitivities
-from sim.sensitivity.tangent import possible_contact
+from sim.sensitivity import Tangent, sensitivities
 from sim.solver.newton import NewtonOptions
 
 THETA = to_theta(np.array([120.0, 90.0, 70.0]) * MICRO, np.array([-240.0, -180.0, -140.0]) * 1e-9)
@@ -47,14 +47,14 @@ SPREAD = NuisanceConfig(membrane=(100.0, 1000.0), shear=(0.2, 1.0), curl=3.0)
 
 
 @pytest.fixture(scope="module")
-def shape() -> DrapeResult:
+def shape() -> Drape:
     result = drape(fabric_from_theta(THETA), edge=8e-3, seed=1)
     assert result.converged
     return result
 
 
 @pytest.fixture(scope="module")
-def away(shape: DrapeResult) -> DrapeResult:
+def away(shape: Drape) -> Drape:
     return follow(shape, fabric_from_theta(AWAY))
 
 
@@ -66,12 +66,12 @@ def vertex_positions(
                 limit=1e6, independent=3 * len(target))
 
 
-def positions_problem(shape: DrapeResult, near: DrapeResult, theta: np.ndarray, **more) -> Problem:
+def positions_problem(shape: Drape, near: Drape, theta: np.ndarray, **more) -> Problem:
     return Problem(near, Unknowns.of(theta), vertex_positions(shape.positions), free=THETA_NAMES,
                    **more)
 
 
-def test_a_registered_drape_gives_its_moduli(shape: DrapeResult) -> None:
+def test_a_registered_drape_gives_its_moduli(shape: Drape) -> None:
     problem = positions_problem(shape, shape.at(shape.positions), AWAY)
     outcome = minimise(problem, limits=Limits(evaluations=15))
     assert outcome.evaluations <= 10 and problem.effort.solves == outcome.evaluations
@@ -89,8 +89,8 @@ def test_drapes_move_as_their_derivatives_say() -> None:
     flat = drape(cloth.fabric, rig=DISC_RIG, edge=8e-3, laws=cloth.laws)
     base = flat.rest
 
-    def settled(one: Unknowns, near: DrapeResult) -> DrapeResult:
-        near = replace(near, mesh=near.mesh.with_rest(one.rest(base, near.rig)))
+    def settled(one: Unknowns, near: Drape) -> Drape:
+        near = near.on(near.mesh.with_rest(one.rest(base, near.rig)))
         return follow(near, one.fabric, laws=one.laws, options=TIGHT)
 
     here = settled(cloth, flat)
@@ -104,7 +104,7 @@ def test_drapes_move_as_their_derivatives_say() -> None:
         assert gap < (2e-2 if NAMES[k] in OFFSET_NAMES else 1e-4), NAMES[k]
 
 
-def test_the_gradient_is_that_of_the_value(shape: DrapeResult, away: DrapeResult) -> None:
+def test_the_gradient_is_that_of_the_value(shape: Drape, away: Drape) -> None:
     known = SpecimenPrior.of(GaussianPrior(THETA, np.diag([0.1] * 3 + [1e-6] * 3), 7), SPREAD)
     free = (*THETA_NAMES, "membrane", "curl_warp", "offset_warp")
     problem = Problem(away, Unknowns(known.mean).with_theta(AWAY),
@@ -133,11 +133,11 @@ def test_knowledge_is_the_distributions_specimens_are_drawn_from() -> None:
 
 
 def test_a_failed_simulation_is_a_rejected_step_and_is_recorded(
-    shape: DrapeResult, away: DrapeResult, monkeypatch: pytest.MonkeyPatch
+    shape: Drape, away: Drape, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made: list[DrapeResult] = []
+    made: list[Drape] = []
 
-    def fragile(*args: object, **more: object) -> DrapeResult:
+    def fragile(*args: object, **more: object) -> Drape:
         made.append(follow(*args, **more))
         return replace(made[1], status=made[1].status.SADDLE) if len(made) == 2 else made[-1]
 
@@ -149,7 +149,7 @@ def test_a_failed_simulation_is_a_rejected_step_and_is_recorded(
     assert outcome.value < start_value
 
 
-def test_moduli_outside_the_bounds_are_drawn_in(shape: DrapeResult) -> None:
+def test_moduli_outside_the_bounds_are_drawn_in(shape: Drape) -> None:
     far = THETA.copy()
     far[:3] = math.log(1e-3)
     problem = positions_problem(shape, shape, far)
@@ -157,13 +157,13 @@ def test_moduli_outside_the_bounds_are_drawn_in(shape: DrapeResult) -> None:
     assert np.exp(cloth.theta[:3]) == pytest.approx(ALPHA_RANGE[1])
 
 
-def test_inadmissible_moduli_have_no_value_and_cost_nothing(shape: DrapeResult) -> None:
+def test_inadmissible_moduli_have_no_value_and_cost_nothing(shape: Drape) -> None:
     problem = positions_problem(shape, shape, THETA)
     stiff_and_soft = problem.start + np.array([2.0, -3.0, -3.0, 0, 0, 0])
     assert problem.value(stiff_and_soft) == math.inf and problem.effort.solves == 0
 
 
-def test_residuals_count_less_where_the_best_cloth_meets_them_badly(shape: DrapeResult) -> None:
+def test_residuals_count_less_where_the_best_cloth_meets_them_badly(shape: Drape) -> None:
     problem = positions_problem(shape, shape, THETA)
     problem.value(problem.start)
     rng = np.random.default_rng(0)
@@ -206,7 +206,7 @@ def test_springs_have_exact_derivatives() -> None:
 
 
 def test_held_cloth_has_the_derivatives_of_its_equilibria(
-    shape: DrapeResult, away: DrapeResult
+    shape: Drape, away: Drape
 ) -> None:
     springs = [plane_springs(shape.scene, shape.positions, pull=0.3)]
     held = follow(away, fabric_from_theta(AWAY), extra=springs)
@@ -227,7 +227,7 @@ def test_held_cloth_has_the_derivatives_of_its_equilibria(
 
 
 def test_the_surface_that_holds_cloth_moves_with_the_camera(
-    shape: DrapeResult, monkeypatch: pytest.MonkeyPatch
+    shape: Drape, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Derivatives by an objective's parameter go through the springs as well."""
 
@@ -269,7 +269,7 @@ def test_held_cloth_that_touches_itself_feels_it() -> None:
     assert np.abs(same.positions - soft.positions).max() < 1e-6  # springs stand idle
     other = theta + np.array([0.2, 0.1, 0.0, 0.0, 0.0, 0.0])
     held = follow(soft, fabric_from_theta(other), extra=springs, options=TIGHT)
-    assert held.converged and possible_contact(held).value(held.state.q) > 0
+    assert held.converged and contact_near(held.scene, held.positions).value(held.state.q) > 0
     found = sensitivities(held)
     assert found.ok
     step = np.array([1e-4, 0, 0, 0, 0, 0])
@@ -281,7 +281,7 @@ def test_held_cloth_that_touches_itself_feels_it() -> None:
     assert error < 1e-2
 
 
-def test_the_sides_of_a_square_are_seen(shape: DrapeResult) -> None:
+def test_the_sides_of_a_square_are_seen(shape: Drape) -> None:
     camera = nominal_camera()
     for turn in (0.2, 1.3, 2.5):
         views = DepthRenderer(shape.positions, shape.faces).views(camera, turn)

@@ -2,7 +2,6 @@
 
 import json
 import math
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,10 +16,9 @@ from drapenet.refine.springs import plane_springs
 from drapenet.refine.surface import CapturedShape, Cloud, fidelity
 from drapenet.refine.unknowns import Unknowns
 from infer import main
-from sim.drape import DrapeResult, drape
+from sim.drape import Drape, drape, follow
 from sim.mesh import vertex_normals
 from sim.rig import DISC_RIG
-from sim.sensitivity import follow
 from sim.solver.newton import NewtonOptions
 
 SETTLING = NewtonOptions(residual=1e-3, step=1e-3, max_iterations=300)
@@ -36,11 +34,11 @@ def captured() -> CapturedShape:
     return CapturedShape(result.positions, turned, result.faces, DISC_RIG)
 
 
-def settle(shape: CapturedShape, theta: np.ndarray, warp: float = 0.0) -> DrapeResult:
+def settle(shape: CapturedShape, theta: np.ndarray, warp: float = 0.0) -> Drape:
     """The drape that cloth of theta (6,) falls into when it is let go at ``shape``."""
     near = shape.as_drape(fabric_from_theta(theta))
     rest = Unknowns.of(theta, warp=warp).rest(near.rest, DISC_RIG)
-    return follow(replace(near, mesh=near.mesh.with_rest(rest)), near.fabric, options=SETTLING)
+    return follow(near.on(near.mesh.with_rest(rest)), near.fabric, options=SETTLING)
 
 
 def test_the_shape_of_a_drape_is_its_own_equilibrium(captured: CapturedShape) -> None:
@@ -88,13 +86,13 @@ def test_held_cloth_is_free_along_the_surface(captured: CapturedShape) -> None:
 
 
 @pytest.fixture(scope="module")
-def scanned() -> DrapeResult:
+def scanned() -> Drape:
     """A drape on another mesh."""
     fabric = fabric_from_theta(THETA)
     return drape(fabric, rig=DISC_RIG, edge=4e-3, start="sine", seed=3)
 
 
-def test_a_raw_scan_is_registered_without_stretching_the_cloth(scanned: DrapeResult) -> None:
+def test_a_raw_scan_is_registered_without_stretching_the_cloth(scanned: Drape) -> None:
     noise = np.random.default_rng(4).normal(0, 3e-4, scanned.positions.shape)
     cloud = Cloud.of_mesh(scanned.positions + noise, scanned.faces[:, ::-1])
     found = register(cloud, DISC_RIG, edge=6e-3)
@@ -109,7 +107,7 @@ def test_a_raw_scan_is_registered_without_stretching_the_cloth(scanned: DrapeRes
     assert settle(shape, THETA).converged
 
 
-def test_a_scan_whose_vertices_slid_is_laid_again(tmp_path: Path, scanned: DrapeResult) -> None:
+def test_a_scan_whose_vertices_slid_is_laid_again(tmp_path: Path, scanned: Drape) -> None:
     c, s = math.cos(0.7), math.sin(0.7)
     turned = scanned.rest @ np.array([[c, -s], [s, c]])  # first rest axis at 0.7 rad on the plate
     file = tmp_path / "scan.npz"
@@ -133,7 +131,7 @@ def test_a_scan_whose_vertices_slid_is_laid_again(tmp_path: Path, scanned: Drape
 
 
 def test_a_surface_that_no_specimen_can_be_laid_on_is_refused(
-    tmp_path: Path, scanned: DrapeResult
+    tmp_path: Path, scanned: Drape
 ) -> None:
     import trimesh
 

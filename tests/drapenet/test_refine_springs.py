@@ -11,9 +11,8 @@ from drapenet.views.located import LocatedViews
 from sim.drape import drape
 from sim.energies.hinges import Hinges, hinge_angles
 from sim.material import MICRO, Fabric
-from sim.mesh.specimen import make_specimen
 from sim.rig import Rig
-from sim.scene import Scene
+from sim.scene import Scene, make_specimen
 
 
 @pytest.fixture

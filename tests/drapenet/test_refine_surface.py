@@ -5,8 +5,8 @@ import pytest
 
 from common.errors import InputError
 from drapenet.refine.surface import Cloud, RobustPositions, distances
-from sim.mesh.specimen import Specimen, make_specimen
 from sim.rig import DISC_RIG
+from sim.scene import Scene, make_specimen
 
 
 def waves(
@@ -21,11 +21,11 @@ def waves(
 
 
 @pytest.fixture(scope="module")
-def disc() -> Specimen:
+def disc() -> Scene:
     return make_specimen(DISC_RIG, edge=9e-3, grading=1.0)
 
 
-def test_derivatives_match_central_differences(disc: Specimen) -> None:
+def test_derivatives_match_central_differences(disc: Scene) -> None:
     target = waves(disc.mesh.rest)
     objective = RobustPositions(target, vertices=~disc.held, sigma=1e-3, limit=2.0)
     rng = np.random.default_rng(0)

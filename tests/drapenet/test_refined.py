@@ -19,7 +19,7 @@ from drapenet.refine.surface import Fidelity
 from drapenet.refine.unknowns import NAMES, Unknowns
 from drapenet.result.estimate import Estimate
 from drapenet.views.located import LocatedViews
-from sim.drape import DrapeResult, drape
+from sim.drape import Drape, drape
 from sim.material import MICRO
 from sim.rig import Rig
 
@@ -34,18 +34,18 @@ def before(*names: str) -> Estimate:
 
 
 @pytest.fixture(scope="module")
-def draped() -> DrapeResult:
+def draped() -> Drape:
     return drape(fabric_from_theta(THETA), edge=8e-3)
 
 
-def capture_of(shape: DrapeResult) -> Capture:
+def capture_of(shape: Drape) -> Capture:
     camera = nominal_camera()
     views = DepthRenderer(shape.positions, shape.faces).views(camera, 0.5).astype(np.float32)
     return Capture(views, camera.intrinsics, np.array(QUARTERS), 0.15, None, Rig(), Path(), ())
 
 
 def run(
-    shape: DrapeResult, monkeypatch: pytest.MonkeyPatch, *, start_value: float = 50.0,
+    shape: Drape, monkeypatch: pytest.MonkeyPatch, *, start_value: float = 50.0,
     known: dict | None = None,
 ) -> tuple[refine.Refinement, dict]:
     """A refinement whose search finds ``shape`` with known uncertainties."""
@@ -72,7 +72,7 @@ def run(
 
 
 def test_the_posterior_is_that_of_the_search(
-    draped: DrapeResult, monkeypatch: pytest.MonkeyPatch
+    draped: Drape, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     result, asked = run(draped, monkeypatch)
     assert result.draws.theta.mean(axis=0)[:3] == pytest.approx(THETA[:3] + 0.1, abs=0.02)
@@ -87,7 +87,7 @@ def test_the_posterior_is_that_of_the_search(
 
 
 def test_what_is_known_is_not_searched_for(
-    draped: DrapeResult, monkeypatch: pytest.MonkeyPatch
+    draped: Drape, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _, asked = run(draped, monkeypatch, known={"membrane": 800.0})
     assert "membrane" not in asked["free"] and "shear" in asked["free"]
@@ -95,7 +95,7 @@ def test_what_is_known_is_not_searched_for(
 
 
 def test_a_refinement_that_gains_nothing_leaves_the_network_its_answer(
-    draped: DrapeResult, monkeypatch: pytest.MonkeyPatch
+    draped: Drape, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     result, _ = run(draped, monkeypatch, start_value=10.2)
     assert result.draws is None

@@ -22,11 +22,12 @@ from experiments.estimation.bound import (
     moves_with_plate,
     moves_with_size,
 )
-from sim.drape import drape
+from sim.drape import drape, follow
 from sim.material import Fabric
-from sim.mesh.specimen import make_specimen, share_of_offset
+from sim.mesh.specimen import share_of_offset
 from sim.rig import Rig
-from sim.sensitivity import Tangent, follow, sensitivities
+from sim.scene import make_specimen
+from sim.sensitivity import Tangent, sensitivities
 from sim.sensitivity.rest_shape import moves_with_offset
 from sim.solver.newton import NewtonOptions
 

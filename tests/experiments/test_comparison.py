@@ -9,8 +9,8 @@ from common.errors import InputError
 from experiments.comparison import Shape, compare, mean_curvature, same_folds
 from sim.measures import fold_outline
 from sim.mesh import Mesh, grid_faces, grid_points
-from sim.mesh.specimen import make_specimen
 from sim.rig import Rig
+from sim.scene import make_specimen
 
 RIG = Rig()
 

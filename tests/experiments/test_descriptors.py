@@ -9,8 +9,8 @@ from experiments.papers.descriptors import (
     RingSpectrum,
     interpolation,
 )
-from sim.mesh.specimen import Specimen, make_specimen
 from sim.rig import DISC_RIG, Rig
+from sim.scene import Scene, make_specimen
 
 
 def waves(
@@ -25,11 +25,11 @@ def waves(
 
 
 @pytest.fixture(scope="module")
-def disc() -> Specimen:
+def disc() -> Scene:
     return make_specimen(DISC_RIG, edge=9e-3, grading=1.0)
 
 
-def test_ring_spectrum_is_invariant_to_rotation_but_not_to_fold_depth(disc: Specimen) -> None:
+def test_ring_spectrum_is_invariant_to_rotation_but_not_to_fold_depth(disc: Scene) -> None:
     rest = disc.mesh.rest
     rings = RingSpectrum(rest, DISC_RIG, blur=0.0)
     here = rings.describe(waves(rest))
@@ -79,7 +79,7 @@ def test_grid_spectrum_is_invariant_to_phase_but_not_to_amplitude() -> None:
     assert 3 * shifted < higher
 
 
-def test_interpolation_is_exact_for_linear_functions(disc: Specimen) -> None:
+def test_interpolation_is_exact_for_linear_functions(disc: Scene) -> None:
     rest = disc.mesh.rest
     points = np.random.default_rng(3).uniform(-0.1, 0.1, (50, 2))
     matrix = interpolation(rest, points)

@@ -26,8 +26,8 @@ from experiments.result import (
 )
 from sim.drape import drape
 from sim.material import Fabric
-from sim.mesh.specimen import make_specimen
 from sim.rig import Rig
+from sim.scene import make_specimen
 
 
 def test_places_that_cannot_be_written_to_are_refused_before_the_work(tmp_path):

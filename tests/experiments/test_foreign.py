@@ -8,7 +8,7 @@ from experiments.papers import optimisers
 from experiments.physics import style3d
 from sim.drape import drape
 from sim.material import MICRO, Fabric
-from sim.mesh.specimen import Specimen
+from sim.scene import Scene
 
 THETA = to_theta(np.array([60.0, 40.0, 20.0]) * MICRO, np.array([-120.0, -80.0, -40.0]) * 1e-9)
 
@@ -54,7 +54,7 @@ def test_a_search_reduces_the_error_of_its_start():
 @pytest.mark.skipif(not style3d.installed(), reason=f"needs Newton: {style3d.INSTALL}")
 def test_style3d_cloth_drops_without_penetrating_the_cylinder():
     shape = drape(Fabric([80 * MICRO] * 3), edge=4e-3, seed=1)
-    found = style3d.simulate_drape(Specimen(shape.mesh, shape.held), shape.positions, shape.rig,
+    found = style3d.simulate_drape(Scene(shape.mesh, shape.held), shape.positions, shape.rig,
                                    density=0.3, modulus=[20 * MICRO] * 3, seconds=0.5)
     held = shape.positions[shape.held]
     assert np.array_equal(found.positions[shape.held], held.astype(np.float32))

@@ -7,9 +7,9 @@ from data.fabrics.fabrics import fabric_from_theta
 from experiments.papers import hung
 from experiments.papers.curves import KINDS, true_torque
 from sim.cloth import Laws
-from sim.drape import drape
+from sim.drape import drape, follow
 from sim.rig import HUNG_SQUARE
-from sim.sensitivity import Tangent, follow
+from sim.sensitivity import Tangent
 from sim.solver.newton import NewtonOptions
 
 THETA = np.array([*np.log([60e-6, 40e-6, 50e-6]), -2e-3, -2e-3, -2e-3])

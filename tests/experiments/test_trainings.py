@@ -26,8 +26,8 @@ from experiments.papers.space import linear_fit
 from experiments.papers.trainings import UniformPrior, stiff_first
 from sim.drape import drape
 from sim.material import Fabric
-from sim.mesh.specimen import make_specimen
 from sim.rig import Rig
+from sim.scene import make_specimen
 
 RIG = Rig()
 

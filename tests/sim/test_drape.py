@@ -8,15 +8,13 @@ import pytest
 
 from common.errors import InputError
 from sim.cloth import Cloth, Corotational, Laws
-from sim.drape import drape
+from sim.drape import drape, follow
 from sim.energies.external import Gravity
 from sim.equilibrium import find_equilibrium
 from sim.material import Fabric
 from sim.measures import maximum_stretch
-from sim.mesh.specimen import make_specimen
 from sim.rig import GRAVITY, Rig
-from sim.scene import CONTACT_PRESSURE, Scene
-from sim.sensitivity import follow
+from sim.scene import CONTACT_PRESSURE, Scene, make_specimen
 from sim.solver.newton import NewtonOptions, Status
 from sim.start import interpolate_positions
 
@@ -31,7 +29,7 @@ def isotropic(alpha: float, softening: float = 0.0) -> Fabric:
 
 def assert_equilibrium(result) -> None:
     assert result.converged, result.message
-    assert result.residual < 1e-3 and result.positive_definite
+    assert result.outcome.residual < 1e-3 and result.outcome.positive_definite
     assert np.array_equal(result.positions[result.held],
                           np.column_stack([result.rest[result.held], np.zeros(result.held.sum())]))
 
@@ -105,7 +103,7 @@ def test_only_the_coarser_meshes_are_soft():
     residuals = []
     for contact in (CONTACT_PRESSURE, 0.5 * CONTACT_PRESSURE):
         scene = replace(result.scene, contact_pressure=contact)
-        potential = Cloth(scene, result.simulated, laws=result.laws).potential
+        potential = Cloth(scene, result.fabric, laws=result.laws).potential
         residuals.append(potential.residual(potential.gradient(result.state.q)))
     assert residuals[0] < 1e-3
     assert residuals[1] > 0.1  # the cylinder carries some of the cloth
@@ -131,9 +129,9 @@ def test_cloth_without_weight_stays_flat():
 
 def test_results_travel_without_their_factor():
     result = follow(drape(isotropic(60), edge=0.016), isotropic(60), keep=True)
-    assert result.equilibrium.newton.factor is not None
+    assert result.outcome.factor is not None
     there = pickle.loads(pickle.dumps(result))
-    assert there.equilibrium is None and there.status is result.status
+    assert there.outcome.factor is None and there.status is result.status
     assert np.array_equal(there.state.q, result.state.q)
 
 
@@ -161,14 +159,12 @@ def test_failure_is_data():
 
 @pytest.mark.parametrize(
     ("arguments", "word"),
-    [({"start": "crumpled"}, "crumpled"), ({"offset": (np.nan, 0)}, "finite"),
+    [({"start": "crumpled"}, "crumpled"),
      ({"edge": 0.0}, "edge=0 mm"),
      ({"edge": 1e-5}, "edge=0.01 mm .* between 0.5 and 50 mm"), ({"edge": 3.0}, "edge=3000 mm"),
-     ({"seed": -1}, "seed"),
-     ({"rig": "disc300_support180"}, r"rig='disc300_support180'.*Rig\.from_name"),
-     ({"laws": "hinge"}, r"laws='hinge'.*Laws\(bending=")],
+     ({"seed": -1}, "seed")],
 )
-def test_nonsense_is_refused_in_words(monkeypatch, arguments, word):
+def test_invalid_arguments_are_refused(monkeypatch, arguments, word):
     """And before any mesh is solved."""
     monkeypatch.setattr("sim.drape.find_equilibrium", None)
     with pytest.raises(InputError, match=word):
@@ -189,14 +185,9 @@ def test_a_law_beside_the_others_is_made_on_every_mesh():
     assert np.allclose(twice.positions, light.positions, rtol=0, atol=2e-4)  # contact is harder
 
 
-@pytest.mark.parametrize("others", [lambda mesh, active, fabric: None, ("midedge",)])
-def test_others_that_are_no_tuple_of_laws_are_refused(others):
-    with pytest.raises(InputError, match="tuple of laws"):
-        Laws(others=others)
-
-
-@pytest.mark.parametrize("wrong", [{"bending": None}, {"membrane": "stvk"},
-                                   {"membrane": Corotational}])
-def test_laws_that_are_none_are_refused(wrong):
-    with pytest.raises(InputError, match=f"{next(iter(wrong))}="):
+@pytest.mark.parametrize(("wrong", "word"), [({"bending": None}, "bending law None"),
+                                             ({"bending": "hinges"}, "bending law 'hinges'"),
+                                             ({"others": ("midedge",)}, "others")])
+def test_unknown_laws_are_refused(wrong, word):
+    with pytest.raises(InputError, match=word):
         Laws(**wrong)

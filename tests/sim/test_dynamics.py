@@ -8,9 +8,8 @@ from sim.cloth import Cloth, Laws
 from sim.energies.membrane import Corotational
 from sim.material import Fabric
 from sim.mesh import Mesh, strip
-from sim.mesh.specimen import make_specimen
 from sim.rig import GRAVITY, Rig
-from sim.scene import Scene
+from sim.scene import Scene, make_specimen
 from sim.solver.dynamics import Inertia, Motion
 from sim.solver.newton import NewtonOptions, Status
 

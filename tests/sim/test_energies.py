@@ -10,8 +10,8 @@ from sim.energies.midedge import MidEdgeBending
 from sim.energies.plate_variants import Hysteresis, TorqueLaw
 from sim.material import Fabric
 from sim.mesh import strip
-from sim.mesh.specimen import make_specimen
 from sim.rig import Cylinder, Rig
+from sim.scene import make_specimen
 from sim.solver.state import State, moved
 
 ANISOTROPIC = Fabric(alpha=[98.8e-6, 23.5e-6, 21.2e-6], beta=[-247e-9, -58.8e-9, -53e-9])

@@ -1,4 +1,4 @@
-"""Hysteresis in the virtual pure-bending test, and its derivatives."""
+"""Hysteresis in the virtual pure-bending test, natural curvature at rest, and derivatives."""
 
 import numpy as np
 import pytest
@@ -6,8 +6,13 @@ from scipy.optimize import brentq
 
 from common.errors import InputError
 from sim.cantilever.tester import pure_bending
+from sim.cloth import Laws
 from sim.energies.plate_variants import BUILD_UP, KES_CURVATURE, Hysteresis, kes_fabric
+from sim.equilibrium import find_equilibrium
 from sim.material import Fabric, torque
+from sim.mesh import strip
+from sim.scene import Scene
+from sim.solver.newton import NewtonOptions
 
 TWILL = Fabric(np.array([30e-6, 20e-6, 14e-6]), np.array([-66e-9, -40e-9, -21e-9]))
 ANGLES = {0: 0.0, 1: np.pi / 4, 2: np.pi / 2}
@@ -86,10 +91,26 @@ def test_friction_of_yarns_that_differ_has_a_plate_form() -> None:
     assert np.linalg.eigvalsh(_energy(Hysteresis(0.3), fabric)._form).min() > 0
 
 
+def test_a_weightless_strip_rests_in_an_arc_of_its_natural_curvature() -> None:
+    """Clamped level, it follows a circle of the natural curvature, downwards."""
+    mesh, held = strip(length=0.06, width=0.012, edge=0.003, clamp=0.006)
+    kappa = 15.0
+    scene = Scene(mesh=mesh, held=held, gravity=0.0)
+    found = find_equilibrium(
+        scene, Fabric(np.full(3, 30e-6)),
+        scene.state(np.column_stack([mesh.rest, np.zeros(len(mesh.rest))])),
+        laws=Laws(bending=Hysteresis(curvature=(kappa, 0.0, 0.0))),
+        options=NewtonOptions(residual=1e-4, step=1e-6))
+    assert found.converged
+    tip = found.state.positions[np.isclose(mesh.rest[:, 0], 0.06)].mean(axis=0)
+    assert tip[0] == pytest.approx(np.sin(kappa * 0.06) / kappa, rel=3e-3)
+    assert tip[2] == pytest.approx(-(1 - np.cos(kappa * 0.06)) / kappa, rel=2e-2)
+
+
 @pytest.mark.parametrize(("wrong", "word"), [
     ({"share": -0.1}, "hysteresis share"), ({"share": 0.6}, "hysteresis share"),
     ({"share": (0.1, 0.2)}, "hysteresis share"), ({"share": np.nan}, "hysteresis share"),
-    ({"share": 0.1, "curvature": (1.0, 2.0)}, "curvature=")])
+    ({"curvature": (1.0, 2.0)}, "curvature="), ({"curvature": (np.nan, 0, 0)}, "curvature=")])
 def test_hysteresis_that_no_fabric_has_is_refused(wrong: dict, word: str) -> None:
     with pytest.raises(InputError, match=word):
         Hysteresis(**wrong)

@@ -13,8 +13,8 @@ from sim.measures import (
     shadow_radius,
 )
 from sim.mesh import Mesh
-from sim.mesh.specimen import make_specimen
 from sim.rig import Rig
+from sim.scene import make_specimen
 
 RIG = Rig()
 

@@ -6,16 +6,9 @@ import pytest
 
 from common.errors import InputError
 from sim.mesh import Mesh, strip
-from sim.mesh.specimen import (
-    GRADING,
-    GROWTH,
-    MAX_EDGE,
-    MAX_SHARED_OFFSET,
-    TOPOLOGIES,
-    Specimen,
-    make_specimen,
-)
+from sim.mesh.specimen import GRADING, GROWTH, MAX_EDGE, MAX_SHARED_OFFSET, TOPOLOGIES
 from sim.rig import DISC_RIG, HUNG_SQUARE, Rig
+from sim.scene import Scene, make_specimen
 
 ON_PLATE = pytest.mark.parametrize("rig", [Rig(), DISC_RIG], ids=lambda rig: rig.name)
 EDGES = pytest.mark.parametrize("edge", [0.0025, 0.006, 0.012])
@@ -34,7 +27,7 @@ def lengths(mesh: Mesh) -> np.ndarray:
     return np.linalg.norm(np.diff(mesh.rest[mesh.edges], axis=1)[:, 0], axis=1)
 
 
-def rim_and_border(specimen: Specimen) -> tuple[np.ndarray, np.ndarray]:
+def rim_and_border(specimen: Scene) -> tuple[np.ndarray, np.ndarray]:
     """(V,) bool each: held vertices with a free neighbour; vertices of the mesh's border."""
     mesh, held = specimen.mesh, specimen.held
     rim, border = np.zeros((2, len(held)), bool)
@@ -171,9 +164,7 @@ def test_same_topology_same_bytes_other_topology_other_mesh():
 @pytest.mark.parametrize(
     ("rig", "change", "word"),
     [(Rig(), {"edge": 4e-4}, "edge=0.4 mm"), (Rig(), {"edge": 0.06}, "between 0.5 and 50 mm"),
-     (Rig(), {"edge": np.nan}, "edge=nan"), (Rig(), {"grading": 0.9}, "grading=0.9"),
-     (Rig(), {"topology": TOPOLOGIES}, f"topology={TOPOLOGIES}"),
-     (Rig(), {"topology": -1}, "from 0"),
+     (Rig(), {"edge": np.nan}, "edge=nan"),
      (Rig(), {"offset": (0.095, 0.0)}, "5 mm .* too narrow for edges of 3 mm, which need 6 mm"),
      (DISC_RIG, {"edge": 0.035}, "60 mm .* too narrow"),
      (DISC_RIG, {"offset": (0.04, 0.04)}, "3.43 mm"), (Rig(), {"offset": (np.nan, 0.0)}, "narrow"),
@@ -217,5 +208,3 @@ def test_strips_keep_their_area_and_the_column_of_the_clamp():
     mesh, held = strip(length=0.04, width=0.03, edge=0.01, clamp=0.02, jitter=0.2, seed=1)
     assert mesh.areas.min() > 0 and mesh.areas.sum() == pytest.approx(0.06 * 0.03, rel=1e-12)
     assert mesh.areas[held[mesh.faces].all(axis=1)].sum() == pytest.approx(0.02 * 0.03, rel=1e-12)
-    with pytest.raises(InputError, match="wavy"):
-        strip(length=0.04, width=0.03, edge=0.01, clamp=0.02, diagonals="wavy")

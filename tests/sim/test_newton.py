@@ -156,7 +156,6 @@ def test_a_minimum_is_proved_in_full_precision(monkeypatch):
     result = minimise(rosenbrock(), np.array([-1.2, 1.0]))
     assert result.positive_definite
     assert not calls[-1] and all(calls[:3])  # proved exactly, found roughly
-    assert len(calls) == result.factorisations
     assert solved[0] and not any(solved[-3:])  # far away, rough steps do
 
 

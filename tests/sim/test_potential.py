@@ -7,9 +7,8 @@ from sim.cloth import Cloth, Laws
 from sim.energies.fold_barrier import LIMIT_START, is_bent
 from sim.energies.midedge import MidEdgeBending
 from sim.material import Fabric
-from sim.mesh.specimen import make_specimen
 from sim.rig import Rig
-from sim.scene import Scene
+from sim.scene import Scene, make_specimen
 from sim.solver.state import State, moved
 
 RIG = Rig()

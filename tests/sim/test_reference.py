@@ -9,9 +9,8 @@ from sim.cloth import Cloth, Laws
 from sim.energies.fold_barrier import is_bent
 from sim.energies.membrane import Corotational
 from sim.material import Fabric
-from sim.mesh.specimen import make_specimen
 from sim.rig import DISC_RIG, Rig
-from sim.scene import Scene
+from sim.scene import Scene, make_specimen
 from sim.solver.state import moved
 
 FABRICS = [Fabric([98.8e-6, 23.5e-6, 21.2e-6], [-247e-9, -58.8e-9, -53e-9]),

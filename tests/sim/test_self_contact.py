@@ -1,23 +1,19 @@
 """Cloth that meets itself: found exactly, kept apart, and left alone where it does not."""
 
-import sys
 
 import numpy as np
 import pytest
 
-from common.errors import InputError
 from sim.energies.self_contact import (
     SelfContact,
     contact_distance,
-    import_ipctk,
     self_intersections,
 )
 from sim.equilibrium import find_equilibrium, untangled
 from sim.material import Fabric
 from sim.mesh import Mesh, strip
-from sim.mesh.specimen import make_specimen
 from sim.rig import Rig
-from sim.scene import Scene
+from sim.scene import Scene, make_specimen
 from sim.solver.newton import NewtonOptions, Status
 from sim.solver.state import State
 
@@ -226,7 +222,7 @@ def test_cloth_rests_on_cloth():
     found = find_equilibrium(scene, SOFT, start, extra=[contact], options=OPTIONS)
     state = found.state
     assert found.converged, found.message
-    assert found.newton.positive_definite and found.newton.residual < OPTIONS.residual
+    assert found.outcome.positive_definite and found.outcome.residual < OPTIONS.residual
     assert contact.is_complete(state.positions.ravel())
     assert len(self_intersections(state.positions, mesh.faces)) == 0
     lying = upper & (state.positions[:, 2] < 1e-3)
@@ -242,20 +238,20 @@ def test_a_sheet_that_has_fallen_through_itself_is_brought_out():
     assert len(self_intersections(through.state.positions, mesh.faces)) > 0  # the case is one
     first, second = (find_equilibrium(scene, SOFT, start, options=OPTIONS, self_contact=True)
                      for _ in range(2))
-    assert first.converged and first.contact, first.message
-    assert first.newton.positive_definite and first.newton.residual < OPTIONS.residual
-    assert first.newton.iterations > through.newton.iterations
+    assert first.converged and first.touches, first.message
+    assert first.outcome.positive_definite and first.outcome.residual < OPTIONS.residual
+    assert first.outcome.iterations > through.outcome.iterations
     assert len(self_intersections(first.state.positions, mesh.faces)) == 0
     assert first.state.q.tobytes() == second.state.q.tobytes()
     # Found again from where it touches itself, it stays there.
     again = find_equilibrium(scene, SOFT, first.state, options=OPTIONS, self_contact=True,
                              touching=True)
-    assert again.converged and again.contact and again.newton.iterations < 10
+    assert again.converged and again.touches and again.outcome.iterations < 10
     assert np.abs(again.state.positions - first.state.positions).max() < 1e-5
     # The steps of a search with contact that fails are counted with those of the next one.
     failed = find_equilibrium(scene, SOFT, start, options=NewtonOptions(max_iterations=2),
                               self_contact=True, touching=True)
-    assert not failed.converged and failed.newton.iterations == 4
+    assert not failed.converged and failed.outcome.iterations == 4
 
 
 def test_nothing_changes_where_the_cloth_does_not_meet_itself():
@@ -267,9 +263,9 @@ def test_nothing_changes_where_the_cloth_does_not_meet_itself():
     fabric = Fabric(np.full(3, 60e-6))
     plain, free = (find_equilibrium(scene, fabric, start, options=OPTIONS, self_contact=c)
                    for c in (False, True))
-    assert plain.converged and free.contact is None
+    assert plain.converged and not free.touches
     assert free.state.q.tobytes() == plain.state.q.tobytes()
-    assert free.newton.iterations == plain.newton.iterations
+    assert free.outcome.iterations == plain.outcome.iterations
 
 
 def test_untangling_moves_little_and_only_free_vertices():
@@ -299,11 +295,3 @@ def test_cloth_that_cannot_be_untangled_says_so():
     assert found.status is Status.SELF_CONTACT
     count = len(self_intersections(found.state.positions, mesh.faces))
     assert f"in {count} places" in found.message
-
-
-def test_without_the_library_the_error_names_the_remedy(monkeypatch):
-    import_ipctk.cache_clear()
-    monkeypatch.setitem(sys.modules, "ipctk", None)
-    mesh = sheet()
-    with pytest.raises(InputError, match="pip install ipctk"):
-        self_intersections(flat(mesh), mesh.faces)

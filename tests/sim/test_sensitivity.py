@@ -9,17 +9,17 @@ import torch
 from common.errors import InputError
 from sim.cantilever.elastica import elastica
 from sim.cloth import Cloth, Laws
-from sim.drape import FINE_OPTIONS, DrapeResult, drape
+from sim.drape import FINE_OPTIONS, Drape, drape, follow
 from sim.energies.base import Energy
 from sim.energies.membrane import Corotational
 from sim.energies.midedge import MidEdgeBending
-from sim.energies.plate_variants import NaturallyCurved
-from sim.equilibrium import Equilibrium, find_equilibrium
+from sim.energies.plate_variants import Hysteresis
+from sim.equilibrium import find_equilibrium
 from sim.material import REFERENCE_DENSITY, Fabric
 from sim.mesh import strip
 from sim.rig import GRAVITY
 from sim.scene import Scene
-from sim.sensitivity import PARAMETERS, Tangent, follow, sensitivities
+from sim.sensitivity import PARAMETERS, Tangent, sensitivities
 from sim.sensitivity.adjoint import adjoint_gradients, equilibria
 from sim.sensitivity.forward import tangent_sensitivities
 from sim.sensitivity.rest_shape import moves_with_offset, moves_with_rest
@@ -32,7 +32,7 @@ LENGTH = 0.06
 
 
 @pytest.fixture(scope="module")
-def draped() -> DrapeResult:
+def draped() -> Drape:
     """A drape of cloth that is anisotropic, softens and has another density."""
     result = drape(FABRIC, edge=0.012, options=TIGHT)
     assert result.converged
@@ -44,7 +44,7 @@ def tangent(draped) -> Tangent:
     return Tangent.of(draped)
 
 
-def random_weights(result: DrapeResult, seed: int = 0) -> np.ndarray:
+def random_weights(result: Drape, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).standard_normal(result.positions.shape)
 
 
@@ -57,7 +57,7 @@ def hanging_strip(gamma: float) -> Tangent:
     fabric = Fabric(np.full(3, alpha))
     found = find_equilibrium(scene, fabric, scene.state(flat), options=TIGHT)
     assert found.converged
-    return Tangent(found)
+    return Tangent(found.cloth, found.state.q, found.outcome.factor)
 
 
 def by_stiffness(tangent: Tangent) -> np.ndarray:
@@ -217,7 +217,7 @@ def test_free_motions_are_reported():
     flag = np.column_stack([y, np.zeros(len(x)), -x])
     fabric = Fabric(np.full(3, 50e-6))
     scene = Scene(mesh=mesh, held=y == 0.0)
-    tangent = Tangent(Equilibrium.at(Cloth(scene, fabric), scene.state(flag)))
+    tangent = Tangent(Cloth(scene, fabric), scene.state(flag).q)
     assert not tangent.ok and ("singular" in tangent.message or "definite" in tangent.message)
     moves = tangent_sensitivities(tangent, fabric, MODULI)
     assert not moves.ok and moves.message == tangent.message and np.isnan(moves.positions).all()
@@ -232,7 +232,7 @@ def test_a_column_beyond_its_buckling_load_is_no_minimum():
     upright = scene.state(np.column_stack([np.zeros(len(x)), y, x]))
     critical = REFERENCE_DENSITY * GRAVITY * LENGTH**3 / 7.837  # Greenhill's column
     stands, falls, nearly = (
-        Tangent(Equilibrium.at(Cloth(scene, Fabric(np.full(3, share * critical))), upright))
+        Tangent(Cloth(scene, Fabric(np.full(3, share * critical))), upright.q)
         for share in (1.3, 0.7, 1.03))
     assert stands.ok
     assert not falls.ok and "not positive definite" in falls.message
@@ -243,13 +243,14 @@ def test_a_column_beyond_its_buckling_load_is_no_minimum():
 def test_states_that_are_no_equilibrium_are_refused(draped):
     lifted = draped.at(draped.positions + 1e-3 * random_weights(draped))
     assert not sensitivities(lifted).ok
-    assert not Tangent(Equilibrium.at(Cloth(lifted.scene, lifted.simulated), lifted.state)).ok
+    assert not Tangent(lifted.cloth, lifted.state.q).ok
 
 
 def test_following_finds_the_equilibrium_of_the_new_moduli(draped):
     moves = sensitivities(draped)
     fabric = Fabric(FABRIC.alpha * [1.1, 0.95, 1.05], FABRIC.beta, FABRIC.density)
-    plain, led = (follow(draped, fabric, options=TIGHT, sensitivities=s) for s in (None, moves))
+    start = moves.prediction(draped, fabric, laws=draped.laws)
+    plain, led = (follow(draped, fabric, options=TIGHT, start=s) for s in (None, start))
     assert plain.converged and led.converged and led.fabric is fabric
     assert led.positions == pytest.approx(plain.positions, abs=1e-9)
     assert np.abs(led.positions - draped.positions).max() > 1e-4
@@ -278,7 +279,7 @@ def averaged(mesh, active, *, fabric):
                                                       np.full(3, fabric.beta.mean())))
 
 
-@pytest.mark.parametrize("bending", [NaturallyCurved((20.0, 0.0, 0.0)), averaged])
+@pytest.mark.parametrize("bending", [Hysteresis(curvature=(20.0, 0.0, 0.0)), averaged])
 def test_what_a_law_makes_of_the_moduli_itself_counts(bending):
     """As the torque of a natural curvature, or moduli that are means of the fabric's."""
     laws = Laws(bending=bending)
@@ -355,7 +356,7 @@ def test_cloth_that_meets_itself():
     x, y = result.rest.T
     shear = np.column_stack([0.1 * y * np.sin(20 * x + 10 * y), 0.1 * x * np.cos(30 * y)])
     by_rest = moves_with_rest(Tangent.of(result), shear[None])[0]
-    ends = [follow(replace(result, mesh=result.mesh.with_rest(result.rest + s * shear)),
+    ends = [follow(result.on(result.mesh.with_rest(result.rest + s * shear)),
                    result.fabric, options=TIGHT) for s in (1e-5, -1e-5)]
     difference = (ends[0].positions - ends[1].positions) / 2e-5
     assert np.linalg.norm(by_rest - difference) < 1e-3 * np.linalg.norm(difference)

@@ -10,15 +10,31 @@ from sim.energies.membrane import OrthotropicStVK
 from sim.energies.plate_variants import Hysteresis
 from sim.equilibrium import find_equilibrium
 from sim.material import Fabric
-from sim.mesh.specimen import make_specimen
 from sim.rig import DISC_RIG, Rig
-from sim.scene import Scene
-from sim.similarity import similar
+from sim.scene import Scene, make_specimen
 from sim.solver.newton import NewtonOptions
 from sim.start import initial_positions
 
 FABRIC = Fabric(np.array([30e-6, 20e-6, 14e-6]), np.array([-66e-9, -40e-9, -21e-9]))
 EXACT = NewtonOptions(residual=1e-9, step=1e-8)
+
+
+def similar(fabric: Fabric, rig: Rig, laws: Laws, factor: float) -> tuple[Fabric, Rig, Laws]:
+    """Fabric, rig and laws of the drape that is ``factor`` times as large at equal density.
+
+    A drape in units of the specimen's size L depends on alpha/(rho g L³), beta/(alpha L), the
+    plate's diameter over L, the in-plane stiffness over rho g L, the natural curvature times L and
+    the hysteresis at equal curvature times L.
+    """
+    bending = laws.bending
+    if isinstance(bending, Hysteresis):
+        curvature = tuple(value / factor for value in bending.curvature)
+        origin = None if bending.origin is None else bending.origin / factor
+        bending = replace(bending, curvature=curvature, origin=origin, at=bending.at / factor)
+    larger = replace(rig, specimen_size=factor * rig.specimen_size,
+                     plate_diameter=factor * rig.plate_diameter)
+    return (Fabric(factor**3 * fabric.alpha, factor**4 * fabric.beta, fabric.density), larger,
+            replace(laws, bending=bending, membrane=laws.membrane.scaled(factor)))
 
 
 @pytest.mark.parametrize("factor", [0.5, 1.3])

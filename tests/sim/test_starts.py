@@ -8,8 +8,9 @@ from common.errors import InputError
 from sim.drape import drape
 from sim.material import Fabric
 from sim.measures import fold_angles, fold_outline
-from sim.mesh.specimen import coarse_to_fine, make_specimen
+from sim.mesh.specimen import coarse_to_fine
 from sim.rig import DISC_RIG, HUNG_SQUARE, Rig
+from sim.scene import make_specimen
 from sim.start import borrowed_positions, initial_positions, interpolate_positions
 
 

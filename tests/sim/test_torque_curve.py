@@ -77,11 +77,11 @@ def test_a_parabola_of_torque_is_the_law_of_an_isotropic_fabric() -> None:
 
 
 def test_a_torque_law_has_as_many_torques_as_curvatures() -> None:
-    with pytest.raises(InputError, match="3 curvatures and 2 torques"):
+    with pytest.raises(InputError, match="as many torques"):
         TorqueLaw([0.0, 10.0, 20.0], [0.0, 1.0])
 
 
 @pytest.mark.parametrize("wrong", [[0.0, 2.0, 1.0], [1.0, 2.0, 3.0], [0.0, 1.0, np.nan]])
 def test_a_torque_law_increases_from_0(wrong: list[float]) -> None:
-    with pytest.raises(InputError, match="increasing from 0"):
+    with pytest.raises(InputError, match="increase from 0"):
         TorqueLaw(np.array([0.0, 10.0, 20.0]), np.array(wrong))
