@@ -25,7 +25,7 @@ from data.dataset.inspect import InspectConfig
 from data.fabrics.prior.__main__ import FitConfig
 from drapenet.config import EvaluateConfig, ExportConfig, InferConfig, TrainConfig
 from drapenet.service.settings import Settings
-from drapenet.views.specimen_offset import PlacementConfig
+from experiments.estimation.specimen_offset import PlacementConfig
 
 ROOT = Path(__file__).parents[2]
 SCHEMAS = {"cantilever_estimate": EstimateConfig, "cantilever_hang": HangConfig,

@@ -14,7 +14,8 @@ from data.render.setups import Setups, SyntheticCapture
 from drapenet.views.checks import Quality, measure, quality_warnings, require_plate
 from drapenet.views.located import LocatedViews
 from drapenet.views.radial_map import radial_map
-from drapenet.views.specimen_offset import FILE, fit, main, specimen_placement
+from drapenet.views.specimen_offset import FILE, specimen_placement
+from experiments.estimation.specimen_offset import fit, main
 from sim.drape import drape
 from sim.material import Fabric
 from sim.rig import Rig
