@@ -30,9 +30,7 @@ def read_borrowed(path: Path) -> tuple[np.ndarray, np.ndarray]:
         InputError: the file cannot be read or has another format.
     """
     expected = "a drape.npz with rest and positions"
-    arrays = read_arrays(path, ("rest", "positions"), what="the drape", expected=expected)
-    if len(arrays) < 2:
-        raise InputError(f"{path} is not {expected}")
+    arrays = read_arrays(path, ("rest", "positions"), expected=expected)
     rest, positions = arrays["rest"], arrays["positions"]
     for name, array, columns in (("rest", rest, 2), ("positions", positions, 3)):
         if array.dtype.kind != "f" or array.shape != (len(rest) if rest.ndim else 0, columns):

@@ -7,7 +7,6 @@ recording (:mod:`data.captures.rosbag`). All views of a capture have the same fo
 
 import io
 import itertools
-import math
 import re
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
@@ -15,10 +14,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 
 from common.documents import read_bytes, require_regular, shown
-from common.errors import InputError, one_line
+from common.errors import InputError, reading
 from common.types import DepthImage, Views
 from data.captures.description import (
     MAX_PICTURE,
@@ -48,8 +47,6 @@ UNSUPPORTED = {
     ".r3d": "export its depth frames as npy in metres",
 }
 """Remedies for files of other formats, by suffix."""
-_MODES = {"L": "8-bit grey", "RGB": "8-bit colour", "RGBA": "8-bit colour", "1": "1-bit"}
-"""Names of Pillow's modes for error messages."""
 
 
 @dataclass(frozen=True)
@@ -190,23 +187,15 @@ def _median(files: list[Path]) -> np.ndarray:
 def read_picture(file: Path, *, modes: set[str], kind: str) -> np.ndarray:
     """Read a PNG (H, W, ...) whose Pillow mode is one of ``modes``, named ``kind`` in messages."""
     require_regular(file, MAX_FILE_BYTES, "picture")
-    try:
+    with reading(file, "export the view again as PNG"):
         with Image.open(file, formats=["PNG"]) as picture:
             require_size(file, *picture.size)
             if picture.mode not in modes:
-                mode = _MODES.get(picture.mode, picture.mode)
-                raise InputError(f"{file} is an {mode} picture; it must be {kind}: export it as "
-                                 "such")
+                raise InputError(f"{file} is a picture of the mode {picture.mode}; it must be "
+                                 f"{kind}: export it as such")
             picture.verify()  # checksums, which are not checked when pixels are read
         with Image.open(file, formats=["PNG"]) as picture:
             return np.array(picture)
-    except InputError:
-        raise
-    except UnidentifiedImageError:
-        raise InputError(f"{file} is not a PNG picture; export the view again") from None
-    except Exception as error:  # a damaged file may raise any error in the library
-        raise InputError(f"{file} cannot be read ({one_line(error)}); export the view again"
-                         ) from None
 
 
 def numbered(folder: Path, pattern: str, *, most: int = MAX_VIEWS) -> list[Path]:
@@ -247,90 +236,75 @@ def join_views(pictures: Mapping[Path, np.ndarray]) -> np.ndarray:
 def _metres(depth: np.ndarray, file: Path) -> np.ndarray:
     """``depth``, m, with 0 for invalid values."""
     depth = np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32)
-    _require_metres(depth[depth > 0], file)
+    known = depth[depth > 0]
+    if known.size and (middle := float(np.median(known))) > MAX_DEPTH:
+        raise InputError(f"{file}: its median depth is {middle:.4g}, which cannot be metres; give "
+                         "depth in metres")
     return depth
 
 
-def _require_metres(depths: np.ndarray, file: Path) -> None:
-    if depths.size and (middle := float(np.median(depths))) > MAX_DEPTH:
-        raise InputError(f"{file}: its median depth is {middle:.4g}, which cannot be metres; give "
-                         "depth in metres")
-
-
-def read_array(file: Path) -> np.ndarray:
-    """Read depth (H, W), m, from a NumPy file of floating-point numbers."""
+def read_array(file: Path) -> DepthImage:
+    """Read depth from a NumPy file of floating-point numbers."""
     data = read_bytes(file, MAX_FILE_BYTES, "view")
-    wrong = f"{file} must hold one array (height, width) of floating-point numbers, depth in metres"
-    try:
+    content = "one array (height, width) of floating-point numbers, depth in metres"
+    with reading(file, f"it must hold {content}: save it with numpy.save"):
         depth = np.lib.format.read_array(io.BytesIO(data))
-    except Exception as error:  # a damaged header raises errors of tokenize and others
-        raise InputError(f"{file} cannot be read ({one_line(error)}); {wrong}: save it with "
-                         "numpy.save") from None
     if depth.ndim != 2 or depth.dtype.kind != "f" or depth.itemsize > 8:
-        raise InputError(f"{wrong}; it holds {shown(depth.shape)} of {shown(str(depth.dtype))}")
+        raise InputError(f"{file} must hold {content}; it holds {shown(depth.shape)} of "
+                         f"{shown(str(depth.dtype))}")
     require_size(file, *depth.shape[::-1])
     return _metres(depth, file)
 
 
-def read_exr(file: Path) -> np.ndarray:
-    """Read depth (H, W), m, from an OpenEXR file: channel Z, or the only channel."""
+def read_exr(file: Path) -> DepthImage:
+    """Read depth from an OpenEXR file: channel Z, or the only channel."""
     import OpenEXR
 
     require_regular(file, MAX_FILE_BYTES, "view")
-    try:
+    with reading(file, "export the view again as an OpenEXR picture"):
         # The size is checked before the pixels are decoded.
         with OpenEXR.File(str(file), header_only=True) as header:
             window = header.header()["dataWindow"]
             width, height = (int(n) for n in np.asarray(window[1]) - np.asarray(window[0]) + 1)
         require_size(file, width, height)
         with OpenEXR.File(str(file), separate_channels=True) as picture:
-            channels = {name: np.array(one.pixels) for name, one in picture.channels().items()}
-    except InputError:
-        raise
-    except Exception as error:  # the library has no error class
-        raise InputError(f"{file} is damaged or not an OpenEXR picture ({type(error).__name__}); "
-                         "export the view again") from None
-    name = next((one for one in channels if one.split(".")[-1] in ("Z", "V")), None)
+            channels = {name: np.array(channel.pixels)
+                        for name, channel in picture.channels().items()}
+    name = next((name for name in channels if name.split(".")[-1] in ("Z", "V")), None)
     if name is None and len(channels) != 1:
         raise InputError(f"{file} has channels {shown(sorted(channels))}; give depth as channel Z")
     return _metres(channels[name] if name else next(iter(channels.values())), file)
 
 
-def read_points(file: Path, intrinsics: Intrinsics) -> np.ndarray:
-    """Project a PLY of points in camera axes to depth (H, W), m, of the nearest point per pixel.
+def read_points(file: Path, camera: Intrinsics) -> DepthImage:
+    """Project a PLY of points in camera axes to the depth of the nearest point per pixel.
 
     The points may be in any order; colours and triangles are not used.
     """
     import trimesh
 
     data = read_bytes(file, 64 * MAX_POINTS, "view")
-    count = re.search(rb"^element vertex (\d{1,12})\s*$", data[:65536], re.MULTILINE)
-    if not data.startswith(b"ply") or not count:
-        raise InputError(f"{file} is not a PLY file; export the view again")
-    if int(count[1]) > MAX_POINTS:
-        raise InputError(f"{file}: {int(count[1])} points are too many; a view has at most "
-                         f"{MAX_POINTS}: reduce the cloud")
-    try:
+    with reading(file, "export the view again as a PLY of points"):
+        count = int(re.search(rb"^element vertex (\d{1,12})\s*$", data[:65536], re.MULTILINE)[1])
+        if count > MAX_POINTS:
+            raise InputError(f"{file}: {count} points are too many; a view has at most "
+                             f"{MAX_POINTS}: reduce the cloud")
         # From memory, so that files named in the PLY, such as textures, are not read.
-        loaded = trimesh.load(io.BytesIO(data), file_type="ply", process=False,
-                              skip_materials=True)
-        points = np.asarray(loaded.vertices, dtype=np.float64).reshape(-1, 3)
-    except Exception:  # trimesh's messages do not help the user
-        raise InputError(f"{file} is damaged or holds no points; export the view again") from None
-    points = points[np.isfinite(points).all(axis=1)]
-    points = points[(points[:, 2] > 0) & (points[:, 2] < math.inf)]
+        cloud = trimesh.load(io.BytesIO(data), file_type="ply", process=False, skip_materials=True)
+        points = np.asarray(cloud.vertices, dtype=np.float64).reshape(-1, 3)
+    points = points[np.isfinite(points).all(axis=1) & (points[:, 2] > 0)]
     if not len(points):
         raise InputError(f"{file} has no point in front of the camera; give camera axes: x right, "
                          "y down, z forward")
-    _require_metres(points[:, 2], file)
-    u = np.rint(intrinsics.fx * points[:, 0] / points[:, 2] + intrinsics.cx)
-    v = np.rint(intrinsics.fy * points[:, 1] / points[:, 2] + intrinsics.cy)
-    inside = (u >= 0) & (u < intrinsics.width) & (v >= 0) & (v < intrinsics.height)
+    depths = _metres(points[:, 2], file)
+    u = np.rint(camera.fx * points[:, 0] / points[:, 2] + camera.cx)
+    v = np.rint(camera.fy * points[:, 1] / points[:, 2] + camera.cy)
+    inside = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
     if inside.mean() < 0.5:
         raise InputError(f"{file}: {1 - inside.mean():.0%} of its points fall outside the picture "
                          "of the intrinsics; give camera axes (x right, y down, z forward), metres")
-    depth = np.full((intrinsics.height, intrinsics.width), np.inf, np.float32)
-    np.minimum.at(depth, (v[inside].astype(int), u[inside].astype(int)), points[inside, 2])
+    depth = np.full((camera.height, camera.width), np.inf, np.float32)
+    np.minimum.at(depth, (v[inside].astype(int), u[inside].astype(int)), depths[inside])
     return np.where(np.isfinite(depth), depth, np.float32(0.0))
 
 
@@ -346,27 +320,22 @@ def header_of(data: bytes) -> tuple[tuple[int, ...], np.dtype]:
     return shape, kind
 
 
-def read_arrays(
-    path: Path, names: Sequence[str], *, what: str, expected: str
-) -> dict[str, np.ndarray]:
-    """Read those of the arrays ``names``, of any shape, that an npz file contains.
-
-    Raises:
-        InputError: the file, described as ``what``, cannot be read, or is not as ``expected``.
+def read_arrays(file: Path, names: Sequence[str], *, expected: str) -> dict[str, np.ndarray]:
+    """Read the arrays ``names``, of any shape, from an npz file; InputError if it is not
+    ``expected``, such as "an npz file of a scan".
     """
-    require_regular(path, MAX_ARCHIVE_BYTES, what.removeprefix("the "))
-    try:
-        with zipfile.ZipFile(path) as archive:
-            found = {name: archive.getinfo(f"{name}.npy") for name in names
-                     if f"{name}.npy" in archive.namelist()}
-            if any(member.file_size > MAX_ARCHIVE_BYTES for member in found.values()):
-                raise ValueError
+    require_regular(file, MAX_ARCHIVE_BYTES, "file of arrays")
+    arrays = {}
+    with reading(file, f"give {expected}"), zipfile.ZipFile(file) as archive:
+        for name in names:
+            if f"{name}.npy" not in archive.namelist():
+                raise InputError(f"{file} has no array '{name}'; give {expected}")
+            member = archive.getinfo(f"{name}.npy")
+            if member.file_size > MAX_ARCHIVE_BYTES:
+                raise ValueError(f"{name} is too large")
             # A header may claim any size: memory is not committed before it is written to.
-            return {name: np.lib.format.read_array(archive.open(member))
-                    for name, member in found.items()}
-    except Exception as error:  # errors of zipfile and zlib for damaged files
-        reason = getattr(error, "strerror", None) or f"not {expected}"
-        raise InputError(f"cannot read {what} {path}: {reason}") from None
+            arrays[name] = np.lib.format.read_array(archive.open(member))
+    return arrays
 
 
 def _size(picture: np.ndarray) -> str:

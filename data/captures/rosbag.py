@@ -15,7 +15,8 @@ import numpy as np
 from scipy import ndimage
 
 from common.documents import require_regular
-from common.errors import InputError, one_line
+from common.errors import InputError, reading
+from common.types import Views
 from data.captures.description import MAX_VIEWS, MILLIMETRE, require_size
 from data.render.cameras import Intrinsics
 
@@ -39,8 +40,8 @@ _MAX_DISTORTION = 1e-3  # coefficient of negligible lens distortion
 
 def read_recording(
     file: Path, unit: float | None = None
-) -> tuple[np.ndarray, Intrinsics | None]:
-    """Read frames (K, H, W) float32, m, one per stop of the table, and intrinsics if stored.
+) -> tuple[Views, Intrinsics | None]:
+    """Read one frame per stop of the table, and intrinsics if stored.
 
     Args:
         unit: m per count; None: as stored in the recording, or millimetres.
@@ -55,22 +56,17 @@ def read_recording(
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
-    try:
-        with AnyReader([file], default_typestore=store) as reader:
-            topic = _depth_topic(reader, file)
-            scale = unit or _unit(reader, topic) or MILLIMETRE
-            times, moved = _motion(_frames(reader, topic), scale, file)
-            chosen = _median_frames(_frames(reader, topic), find_rests(times, moved), scale)
-            intrinsics = _camera(reader, topic, chosen.shape[1:], file)
-    except InputError:
-        raise
-    except Exception as error:  # a damaged file may raise any error in the library
-        raise InputError(f"{file} cannot be read as a recording ({one_line(error)}); record it "
-                         "again, or save its frames as 16-bit PNG") from None
-    if not 1 <= len(chosen) <= MAX_VIEWS:
-        raise InputError(f"{file}: {len(chosen)} stops of the table found; let it rest for a "
+    remedy = "record depth again, or save its frames as 16-bit PNG"
+    with reading(file, remedy), AnyReader([file], default_typestore=store) as reader:
+        topic = _depth_topic(reader, file)
+        scale = unit or _unit(reader, topic) or MILLIMETRE
+        times, moved = _motion(_frames(reader, topic), scale, file)
+        stops = _median_frames(_frames(reader, topic), find_rests(times, moved), scale)
+        intrinsics = _camera(reader, topic, stops.shape[1:], file)
+    if not 1 <= len(stops) <= MAX_VIEWS:
+        raise InputError(f"{file}: {len(stops)} stops of the table found; let it rest for a "
                          f"second at each of 1 to {MAX_VIEWS} stops, hands out of the picture")
-    return chosen * np.float32(scale), intrinsics
+    return stops * np.float32(scale), intrinsics
 
 
 def find_rests(times: np.ndarray, moved: np.ndarray) -> list[tuple[int, int]]:

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from common.errors import InputError
+from common.types import Faces, Points, RestPoints
 from data.captures.frames import read_arrays
 from sim.mesh import Mesh
 from sim.rig import Rig
@@ -25,17 +26,13 @@ _MAX_EDGE_RATIO = 2.0  # between draped and rest lengths of edges; with wrong un
 class Scan:
     """A scanned drape; z up, the support's top at z = 0, its axis through the origin.
 
-    Attributes:
-        name: of the file, without suffix.
-        positions: (V, 3) m.
-        rest: (V, 2) m, the same vertices on the flat specimen, whose centre is the origin.
-        faces: (F, 3) int64, counter-clockwise at rest.
+    ``rest``: the same vertices on the flat specimen, whose centre is the origin; ``faces``:
+    counter-clockwise at rest.
     """
 
-    name: str
-    positions: np.ndarray
-    rest: np.ndarray
-    faces: np.ndarray
+    positions: Points
+    rest: RestPoints
+    faces: Faces
 
 
 def read_scan(path: Path, rig: Rig) -> Scan:
@@ -45,67 +42,67 @@ def read_scan(path: Path, rig: Rig) -> Scan:
         InputError: not such a file, an invalid mesh, or a drape that is not placed on the support
             of ``rig``.
     """
-    keys = ("vertices", "rest", "faces")
-    arrays = read_arrays(path, keys, what="the scan",
-                         expected="an npz file with vertices, rest and faces; a raw mesh must end "
-                                  "in .ply or .obj")
-    if missing := [key for key in keys if key not in arrays]:
-        raise InputError(f"{path} is not a scan: it has no array '{missing[0]}'; "
-                         f"it needs {', '.join(keys)}")
+    arrays = read_arrays(path, ("vertices", "rest", "faces"), expected=(
+        "an npz file of a scan with vertices, rest and faces; a raw mesh must end in .ply or .obj"))
     positions, rest, faces = arrays["vertices"], arrays["rest"], arrays["faces"]
+    if fault := (_array_fault(positions, rest, faces) or _mesh_fault(rest, faces)
+                 or _placement_fault(positions, rest, faces, rig)):
+        raise InputError(f"{path}: {fault}")
+    return Scan(positions.astype(np.float64), rest.astype(np.float64), faces.astype(np.int64))
+
+
+def _array_fault(positions: np.ndarray, rest: np.ndarray, faces: np.ndarray) -> str:
+    """What is wrong with the shapes and types; empty if nothing is."""
     count = len(positions) if positions.ndim else 0
-    shapes = positions.shape == (count, 3) and rest.shape == (count, 2)
-    if not shapes or faces.ndim != 2 or faces.shape[1] != 3:
-        raise InputError(f"{path}: arrays have the shapes {positions.shape}, {rest.shape} and "
-                         f"{faces.shape}; vertices must be (V, 3), rest (V, 2) and faces (F, 3)")
+    if (positions.shape, rest.shape) != ((count, 3), (count, 2)) or faces.shape[1:] != (3,):
+        return (f"arrays have the shapes {positions.shape}, {rest.shape} and {faces.shape}; "
+                "vertices must be (V, 3), rest (V, 2) and faces (F, 3)")
     if not 3 <= count <= MAX_SCAN_SIZE or not 1 <= len(faces) <= MAX_SCAN_SIZE:
-        raise InputError(f"{path} has {count} vertices and {len(faces)} triangles; a scan has 3 to "
-                         f"{MAX_SCAN_SIZE} vertices and at most as many triangles")
+        return (f"it has {count} vertices and {len(faces)} triangles; a scan has 3 to "
+                f"{MAX_SCAN_SIZE} vertices and at most as many triangles")
     if faces.dtype.kind not in "iu":
-        raise InputError(f"{path}: faces have the type {faces.dtype}; they must be whole numbers")
-    if faces.min() < 0 or faces.max() >= count:
-        raise InputError(f"{path}: faces refer to the vertices {faces.min()} to {faces.max()}; "
-                         f"they are numbered from 0 to {count - 1}: export the mesh again")
-    if len(np.unique(np.sort(faces, axis=1), axis=0)) < len(faces):
-        raise InputError(f"{path} has the same face twice; leave repeated faces out")
+        return f"faces have the type {faces.dtype}; they must be whole numbers"
     if not all(a.dtype.kind in "fiu" and np.isfinite(a).all() for a in (positions, rest)):
-        raise InputError(f"{path}: vertices and rest must be finite numbers")
-    scan = Scan(
-        name=path.stem,
-        positions=positions.astype(np.float64),
-        rest=rest.astype(np.float64),
-        faces=faces.astype(np.int64),
-    )
-    mesh = Mesh(scan.rest, scan.faces)
+        return "vertices and rest must be finite numbers"
+    return ""
+
+
+def _mesh_fault(rest: np.ndarray, faces: np.ndarray) -> str:
+    """What is wrong with the mesh; empty if nothing is."""
+    if faces.min() < 0 or faces.max() >= len(rest):
+        return (f"faces refer to the vertices {faces.min()} to {faces.max()}; they are numbered "
+                f"from 0 to {len(rest) - 1}: export the mesh again")
+    if len(np.unique(np.sort(faces, axis=1), axis=0)) < len(faces):
+        return "the same face is given twice; leave repeated faces out"
+    mesh = Mesh(rest.astype(np.float64), faces.astype(np.int64))
     if not (mesh.areas > 0).all():
-        raise InputError(f"{path}: the corners of each face must run counter-clockwise on the flat "
-                         "specimen; reverse their order where they do not")
-    if not mesh.vertex_areas.all():
-        raise InputError(f"{path}: a vertex belongs to no face; leave such vertices out")
-    _check_placement(scan, path, rig)
-    return scan
+        return ("the corners of each face must run counter-clockwise on the flat specimen; reverse "
+                "their order where they do not")
+    return "" if mesh.vertex_areas.all() else (
+        "a vertex belongs to no face; leave such vertices out")
 
 
-def _check_placement(scan: Scan, path: Path, rig: Rig) -> None:
-    """InputError for wrong units or axes, and for drapes that are not placed on the support."""
-    radius = np.linalg.norm(scan.rest, axis=1)
-    largest = rig.specimen_size / 2
+def _placement_fault(
+    positions: np.ndarray, rest: np.ndarray, faces: np.ndarray, rig: Rig
+) -> str:
+    """What is wrong with units, axes, and the place on the support; empty if nothing is."""
+    radius, largest = np.linalg.norm(rest, axis=1), rig.specimen_size / 2
     if not 0.9 * largest < radius.max() < _MAX_RADIUS_RATIO * largest:
-        raise InputError(f"{path}: the flat specimen must be a disc of {1e3 * largest:g} mm radius "
-                         f"around the origin, in metres; it reaches {1e3 * radius.max():g} mm")
-    draped, rest = (_edge_length(points, scan.faces) for points in (scan.positions, scan.rest))
-    if draped > _MAX_EDGE_RATIO * rest or rest > _MAX_EDGE_RATIO * draped:
-        raise InputError(f"{path}: vertices and rest must both be in metres; the mesh's edges are "
-                         f"{1e3 * draped:.3g} mm long, on the flat specimen {1e3 * rest:.3g} mm")
-    flat = scan.positions[radius < 0.9 * rig.plate_radius]
-    if not len(flat):
-        raise InputError(f"{path}: no vertex lies on the support; give the whole specimen")
-    if (off := np.abs(flat[:, 2]).max()) > _PLANE_TOLERANCE:
-        raise InputError(f"{path}: cloth on the support lies up to {1e3 * off:.3g} mm from the "
-                         f"plane z = 0, at most {1e3 * _PLANE_TOLERANCE:g} mm is allowed; move the "
-                         "support's top to z = 0, with z pointing up")
-    if scan.positions[:, 2].min() > -_PLANE_TOLERANCE:
-        raise InputError(f"{path}: no vertex lies below the support; z must point up (in metres)")
+        return (f"the flat specimen must be a disc of {1e3 * largest:g} mm radius around the "
+                f"origin, in metres; it reaches {1e3 * radius.max():g} mm")
+    draped, flat = (_edge_length(points, faces) for points in (positions, rest))
+    if draped > _MAX_EDGE_RATIO * flat or flat > _MAX_EDGE_RATIO * draped:
+        return (f"vertices and rest must both be in metres; the mesh's edges are {1e3 * draped:.3g}"
+                f" mm long, on the flat specimen {1e3 * flat:.3g} mm")
+    height = positions[:, 2]
+    supported = radius < 0.9 * rig.plate_radius
+    off = np.abs(height[supported]).max() if supported.any() else np.inf
+    if off > _PLANE_TOLERANCE:
+        return (f"cloth on the support lies up to {1e3 * off:.3g} mm from the plane z = 0, at most "
+                f"{1e3 * _PLANE_TOLERANCE:g} mm is allowed; move the support's top to z = 0, with "
+                "z pointing up")
+    return "" if height.min() <= -_PLANE_TOLERANCE else (
+        "no vertex lies below the support; z must point up (in metres)")
 
 
 def _edge_length(points: np.ndarray, faces: np.ndarray) -> float:
@@ -114,21 +111,15 @@ def _edge_length(points: np.ndarray, faces: np.ndarray) -> float:
     return float(np.linalg.norm(sides, axis=2).mean())
 
 
-def rim_steepness(points: np.ndarray, rig: Rig) -> float:
-    """Steepness of a surface just outside the plate's rim, over that of its outer half.
+def rim_steepness(points: Points, rig: Rig) -> float:
+    """Steepness of a surface just outside the plate's rim, over that of its outer half; NaN if less
+    than a third of the sectors have points both near the rim and in the outer half.
 
     Steepness is the angle of chords below the plate, from the rim to the surface at the same
     azimuth, averaged over sectors of azimuth. Cloth held by a plate leaves it horizontally, and its
     slope grows over a length comparable with the bending length, so that the ratio is well below 1.
     It is 1 for straight lines from rim to hem. Noise averages out, and gaps in the surface are
-    omitted.
-
-    Args:
-        points: (N, 3) m on the surface, z up, the plate's axis through the origin.
-
-    Returns:
-        The ratio; NaN if fewer than a third of the sectors have points both near the rim and in the
-        outer half.
+    omitted. The axes are those of :class:`Scan`.
     """
     radius = np.hypot(points[:, 0], points[:, 1])
     plane = np.column_stack([points[:, :2], np.ones(len(points))])
@@ -154,17 +145,11 @@ def rim_steepness(points: np.ndarray, rig: Rig) -> float:
     return float(near / outer)
 
 
-def check_rim(points: np.ndarray, path: Path, rig: Rig) -> None:
+def check_rim(points: Points, path: Path, rig: Rig) -> None:
     """Refuse the surface of a scan that has a kink at the plate's rim, as no cloth held there does.
-
-    Args:
-        points: see :func:`rim_steepness`. path: of the scan, for the message.
-
-    Raises:
-        InputError: such a surface.
     """
     if (ratio := rim_steepness(points, rig)) > MAX_RIM_STEEPNESS:
-        low, high = (1e3 * one for one in _NEAR)
+        low, high = (1e3 * distance for distance in _NEAR)
         raise InputError(
             f"{path}: {low:g} to {high:g} mm outside the plate's rim the surface is {ratio:.2f} "
             f"times as steep as further out, at most {MAX_RIM_STEEPNESS:g} is possible for cloth "

@@ -18,7 +18,7 @@ def centre_height(rig: Rig) -> Metres:
 
 
 def elevations(rig: Rig) -> np.ndarray:
-    """(ELEVATIONS + 1,) borders of the rows, rad: from the lowest possible hem to the plate's rim.
+    """Borders of the rows, shape (ELEVATIONS + 1,), rad: from the lowest possible hem to the rim.
     """
     depth = -centre_height(rig)
     return np.linspace(np.arctan2(depth - rig.overhang, _UNDER * rig.plate_radius),

@@ -42,7 +42,7 @@ def register(clouds: list[Points], turns: Turns, rig: Rig) -> tuple[Turns, np.nd
 
 
 def disagreement(clouds: list[Points], turns: Turns, centre: np.ndarray, rig: Rig) -> float:
-    """Root mean square difference, m, between registered views of the same hanging cloth; NaN if
+    """Root mean square difference, m, between views registered with a centre (2,), m; NaN if
     the overlap is too small.
     """
     if len(clouds) < 2:

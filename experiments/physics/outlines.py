@@ -18,7 +18,6 @@ from matplotlib.figure import Figure
 from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import least_squares
 
-from common.errors import InputError
 from data.captures.frames import read_arrays
 from data.fabrics.fabrics import fabric_from_theta
 from experiments.drapes import plan_specimen
@@ -89,10 +88,8 @@ def features(radii: np.ndarray) -> np.ndarray:
 
 def read_outlines(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Fabrics (N,), whether the marked face is up (N,), and outlines (N, POINTS), m."""
-    keys = ("fabric", "face_up", "outline")
-    arrays = read_arrays(path, keys, what="the outlines", expected="an npz file of outlines")
-    if missing := [key for key in keys if key not in arrays]:
-        raise InputError(f"{path} has no array '{missing[0]}'; it needs {', '.join(keys)}")
+    arrays = read_arrays(path, ("fabric", "face_up", "outline"),
+                         expected="an npz file of outlines with fabric, face_up and outline")
     azimuths = 2 * np.pi * np.arange(POINTS) / POINTS
     radii = [np.interp(azimuths, *_by_azimuth(points), period=2 * np.pi)
              for points in arrays["outline"].astype(float)]

@@ -1,6 +1,5 @@
 """The cloth in raw frames, and the files that frames come in."""
 
-import os
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -140,9 +139,6 @@ def test_raw_frames_become_a_capture_and_its_picture(folder, scene, tmp_path, ca
         seen = (np.abs(below[:, 150:480] - 255 * np.array(to_rgb(colour))) < 12).all(axis=2)
         assert seen.sum() > 100
     assert "capture.png" in capsys.readouterr().out
-    save(scene.background[:90], folder / "background.png")
-    with pytest.raises(InputError, match=r"background.png has 240x90 pixels, the views have 240x"):
-        read_capture(folder)
 
 
 def test_the_hem_of_a_disc_is_its_circle_on_the_side_of_the_camera():
@@ -168,9 +164,6 @@ def test_several_frames_of_a_view_give_their_median_without_holes(folder, scene)
     error = (frames - scene.frames)[known & (frames > 0)]
     assert (frames > 0)[known].mean() > 0.998 and (frames[~known] == 0).all()
     assert np.median(np.abs(error)) < 0.6e-3 and np.abs(error).max() < 6e-3
-    (folder / "view_1_1.png").unlink()
-    with pytest.raises(InputError, match=r"view_1_1.png is missing"):
-        read_capture(folder)
 
 
 def test_arrays_and_points_give_the_same_depth(folder, scene):
@@ -191,60 +184,7 @@ def test_arrays_and_points_give_the_same_depth(folder, scene):
         data.captures.frames.read_exr(folder / "one.exr")
     depth = data.captures.frames.read_points(folder / "view_0.ply", scene.camera.intrinsics)
     assert np.abs(depth - scene.frames[0]).max() < 1e-6
-    with pytest.raises(InputError, match=r"holds view_0.npy and view_0.ply"):
-        read_capture(folder)
     for file in folder.glob("*.npy"):
         file.unlink()
     capture = read_capture(folder)
     assert overlaps(capture.views > 0, scene.cloth).min() > 0.9
-    (folder / "capture.yaml").write_text(
-        (folder / "capture.yaml").read_text().replace("size_px", "#"))
-    with pytest.raises(InputError):
-        read_capture(folder)
-
-
-def pickled(file: Path) -> None:
-    np.save(file, np.array([{"a": 1}], dtype=object), allow_pickle=True)
-
-
-def huge(file: Path) -> None:
-    with file.open("wb") as stream:
-        np.lib.format.write_array_header_1_0(
-            stream, {"descr": "<f4", "fortran_order": False, "shape": (10**6, 10**6)})
-
-
-def big_ply(file: Path) -> None:
-    file.write_text("ply\nformat ascii 1.0\nelement vertex 999999999\nproperty float x\n"
-                    "property float y\nproperty float z\nend_header\n0 0 1\n")
-
-
-BAD = {
-    "an object": ("view_0.npy", pickled, "floating-point numbers"),
-    "too large an array": ("view_0.npy", huge, "cannot be read"),
-    "a short array": ("view_0.npy", lambda f: (huge(f), f.write_bytes(f.read_bytes()[:50])),
-                      "cannot be read"),
-    "whole numbers": ("view_0.npy", lambda f: np.save(f, np.ones((180, 240), int)),
-                      "floating-point numbers"),
-    "millimetres": ("view_0.npy", lambda f: np.save(f, np.full((180, 240), 540.0)),
-                    "median depth is 540, which cannot be metres"),
-    "a pipe": ("view_0.npy", os.mkfifo, "not a regular file"),
-    "a pipe for a picture": ("view_0.png", os.mkfifo, "not a regular file"),
-    "many points": ("view_0.ply", big_ply, "too many"),
-    "no PLY": ("view_0.ply", lambda f: f.write_text("solid\n"), "not a PLY file"),
-    "half a PLY": ("view_0.ply", lambda f: f.write_text("ply\nelement vertex 5\n"), "damaged"),
-    "points behind": ("view_0.ply", lambda f: trimesh.PointCloud(-np.eye(3)).export(f),
-                      "no point in front"),
-    "no EXR": ("view_0.exr", lambda f: f.write_text("no picture"), "not an OpenEXR picture"),
-    "no recording": ("take.bag", lambda f: f.write_text("no recording"), "as a recording"),
-    "a recording": ("take.mkv", lambda f: f.write_text(""), "ffmpeg -i FILE -map 0:1"),
-}
-
-
-@pytest.mark.parametrize("fault", BAD)
-def test_bad_files_are_refused_in_one_line(folder, fault):
-    name, make, message = BAD[fault]
-    make(folder / name)
-    with pytest.raises(InputError) as raised:
-        read_capture(folder)
-    text = str(raised.value)
-    assert message in text and "\n" not in text and len(text) < 500

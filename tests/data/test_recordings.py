@@ -81,11 +81,11 @@ def never_still(file: Path, table: tuple) -> None:
 
 @pytest.mark.parametrize(("name", "make", "message"), [
     ("a.bag", never_still, "0 stops of the table found"),
-    ("a.bag", cut_short, "cannot be read as a recording"),
+    ("a.bag", cut_short, "cannot be read"),
     ("a.bag", lambda file, table: write_bag(file, table[0], table[2], lens=0.1), "distorted"),
     ("a.bag", lambda file, table: write_bag(file, table[0][:0], table[2]), "no depth pictures"),
     ("a.db3", lambda file, table: sqlite3.connect(file).execute("create table a (b)"),
-     "cannot be read as a recording"),
+     "cannot be read"),
     ("a.bag", lambda file, table: write_bag(file, table[0][:, :20, :20], table[2]), "20x20 pixels"),
 ])
 def test_bad_recordings_are_refused_in_one_line(table, tmp_path, name, make, message):
