@@ -62,7 +62,7 @@ def drape_specimen(
     offset: tuple[float, float] = (0.0, 0.0), nuisances: Nuisances | None = None,
     laws: Laws | None = None,
 ) -> Drape:
-    """Simulate a specimen, centred on its plate and from an artificial start if not told otherwise.
+    """Simulate a specimen, centred on its plate if no offset is given.
 
     Raises:
         InputError: the simulation does not converge.

@@ -138,24 +138,6 @@ def test_the_fine_mesh_has_four_times_the_triangles(draped):
     assert np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) == pytest.approx(4e-3, rel=0.05)
 
 
-def test_distances_of_meshes_are_those_of_drapes_with_the_same_folds():
-    def row(apart: float, cost: float, *, folds: bool = True, converged: bool = True) -> dict:
-        return {"mesh": "3", "apart_mm": apart, "same_folds": folds, "converged": converged,
-                "cpu_seconds": cost}
-
-    rows = row(0.6, 1.0), row(1.0, 2.0), row(9.0, 3.0, folds=False), row(8.0, 6.0, converged=False)
-    (found,) = default_mesh.summarise([{"meshes": [one]} for one in rows])
-    assert found["same_folds"] == 2 and found["within_limit"] == 1
-    assert found["mean_mm"] == pytest.approx(0.8) and found["largest_mm"] == 1.0
-    assert found["mean_cpu_seconds"] == pytest.approx(3.0)
-
-
-def test_the_axes_of_bounds_can_be_read():
-    for axes in information.draw(read_report("information")).axes:
-        low, high = axes.get_ylim()
-        assert sum(low <= tick <= high for tick in axes.get_yticks()) >= 3
-
-
 def test_posteriors_are_judged_by_errors_and_coverage():
     rng = np.random.default_rng(0)
     scale = np.array([0.1] * 3 + [1e-3] * 3)
