@@ -96,7 +96,7 @@ class CaptureEstimate:
 def estimate_capture(
     capture: Capture, header: Header, options: EstimateOptions, *, out: Path | None = None,
     scan: "CapturedShape | None" = None, progress: Progress | None = None,
-    entered: Callable[[str, CaptureEstimate], None] = lambda name, result: None,
+    on_stage: Callable[[str, CaptureEstimate], None] = lambda name, result: None,
 ) -> CaptureEstimate:
     """Estimate a capture, refine the estimate and report it as the ``options`` say.
 
@@ -105,7 +105,7 @@ def estimate_capture(
             no files.
         scan: whose rendered views are those of ``capture``; None for captured views.
         progress: of the refinement.
-        entered: called when the stages "refining" and "simulating" begin.
+        on_stage: called when the stages "refining" and "simulating" begin.
 
     Raises:
         InputError: the views show no drape on a plate; or ``options.strict``, and something is
@@ -118,11 +118,11 @@ def estimate_capture(
         result.write(out)
     if options.refine:
         with _tolerated(result, "the network's estimate is not refined"):
-            entered("refining", result)
+            on_stage("refining", result)
             refine(result, options.refine, scan=scan, progress=progress)
     if options.drapes:
         with _tolerated(result, "the report shows no simulated drape"):
-            entered("simulating", result)
+            on_stage("simulating", result)
             simulate(result, drapes=options.drapes, edge=options.edge)
     if options.drapes and out:
         with _tolerated(result, "there is no report"):

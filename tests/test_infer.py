@@ -352,12 +352,12 @@ def test_a_refinement_that_fails_leaves_the_network_s_estimate(
 ) -> None:
     header, written = read_header(checkpoint), []
 
-    def entered(stage: str, result: CaptureEstimate) -> None:
+    def read_written(stage: str, result: CaptureEstimate) -> None:
         written.append(content_of(out))
 
     read = read_capture(capture)
     estimate_capture(read, header, EstimateOptions(refine={"by": "depth"}, drapes=0), out=out,
-                     entered=entered)  # a setting is missing
+                     on_stage=read_written)  # a setting is missing
     alone, content = written[0], content_of(out)
     assert content.pop("warnings")[-1].startswith("the network's estimate is not refined: KeyError")
     assert alone.pop("warnings") is not None and content == alone

@@ -69,6 +69,11 @@ class Quantity(Excerpt):
             places = min(max(1 - math.floor(math.log10(half)), 0), 6)
         return f"{self.median:.{places}f}", f"{low:.{places}f} to {high:.{places}f}"
 
+    @property
+    def short(self) -> str:
+        """The median as text."""
+        return self.texts()[0]
+
     def __str__(self) -> str:
         """Median and 68 % interval."""
         return "{} ({})".format(*self.texts())
@@ -120,7 +125,7 @@ class RefinementRecord(Excerpt):
 
     by: str
     misfit_before: Finite
-    misfit: Finite
+    misfit: float
     simulations: int
     failed_simulations: int
     status: str
@@ -232,7 +237,7 @@ class EstimateDocument(Excerpt):
                 f"{name} {self.share_of_spread_over_fabrics[name]:.0%}"
                 for name in self.poorly_constrained))
         if refined := self.refined:
-            before = ", ".join(f"{name} {moduli.alpha_uN_m.texts()[0]}"
+            before = ", ".join(f"{name} {moduli.alpha_uN_m.short}"
                                for name, moduli in refined.before.items())
             misfit = "-" if refined.misfit_before is None else f"{refined.misfit_before:.0f}"
             lines += [f"alpha before refinement: {before}",
@@ -241,11 +246,14 @@ class EstimateDocument(Excerpt):
         lines.append(f"{'':8}{'bending length':>14}{'rigidity G':>14}{'KES B':>18}{'KES 2HB':>18}")
         for name, readings in self.laboratory.items():
             secant, hysteresis = readings.kes_b_gf_cm2_per_cm, readings.kes_2hb_gf_cm_per_cm
-            lines.append(f"{name:8}{readings.bending_length_mm.texts()[0] + ' mm':>14}"
-                         f"{readings.flexural_rigidity_uN_m.texts()[0] + ' µN·m':>14}"
-                         + (f"{secant.texts()[0] + ' gf·cm²/cm':>18}"
-                            f"{hysteresis.texts()[0] + ' gf·cm/cm':>18}"
-                            if secant and hysteresis else "  outside the law"))
+            cells = [f"{readings.bending_length_mm.short + ' mm':>14}",
+                     f"{readings.flexural_rigidity_uN_m.short + ' µN·m':>14}"]
+            if secant and hysteresis:
+                cells += [f"{secant.short + ' gf·cm²/cm':>18}",
+                          f"{hysteresis.short + ' gf·cm/cm':>18}"]
+            else:
+                cells.append("  outside the law")
+            lines.append(f"{name:8}{''.join(cells)}")
         lines.append(f"{self.names[0]} axis {self.axis.direction_deg:.0f}° in the first view "
                      f"(probability {self.axis.probability:.2f})")
         if coefficient := self.capture.drape_coefficient_percent:

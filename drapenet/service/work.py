@@ -69,7 +69,7 @@ def estimate_upload(
     uploaded, registered = folder / UPLOADED, None
     change_state(folder, state=RUNNING, stage="reading")
 
-    def entered(stage: str, result: CaptureEstimate) -> None:
+    def note_stage(stage: str, result: CaptureEstimate) -> None:
         change_state(folder, stage=stage, warnings=result.document.warnings)
 
     try:
@@ -84,7 +84,7 @@ def estimate_upload(
         settings = dict(read_option("refine", "scan" if scan else "depth")) if refine else None
         result = estimate_capture(
             capture, header_for([capture]), EstimateOptions(refine=settings), out=folder,
-            scan=registered, entered=entered, progress=_throttled(folder))
+            scan=registered, on_stage=note_stage, progress=_throttled(folder))
         change_state(folder, state=DONE, stage=None, progress=None, ended=time.time(),
                      warnings=result.document.warnings)
     except InputError as error:
