@@ -49,30 +49,23 @@ def generate_dataset(
     config: DatasetConfig, out: Path, *, workers: int = 1, part: int = 0, parts: int = 1,
     solver: Solver | None = None,
 ) -> dict:
-    """Generate, complete or extend the dataset in the folder ``out``.
+    """Generate, complete or extend the dataset in the folder ``out``; return ``dataset.json``.
 
-    Progress and a breakdown of the time are printed to standard error.
+    While other parts are unfinished the result has ``complete: False`` and no counts. Progress and
+    a breakdown of the time are printed to standard error.
 
     Args:
-        config: all that determines the files.
-        out: folder; created where it is missing.
         workers: single-threaded processes; without influence on the files.
         part, parts: make only every ``parts``-th shard, from the ``part``-th on, counted from 0.
             Parts can be made at the same time on any machines; the one that finds all others done
             finishes the dataset.
         solver: replaces :func:`sim.drape.drape`; must be importable.
 
-    Returns:
-        The content of ``dataset.json``: configuration, counts of every outcome, digests. While
-        other parts are unfinished it has ``complete: False`` and no counts.
-
     Raises:
         InputError: ``out`` cannot be written, or holds a dataset of another configuration or with
             more drapes.
     """
-    if workers < 1:
-        raise InputError(f"workers={workers} must be at least 1")
-    if not 0 <= part < parts:
+    if part >= parts:
         raise InputError(f"part={part} of parts={parts}: parts are counted from 0 to parts - 1")
     if config.sampling.soft_share and not config.prior.soft_share:
         raise InputError(f"soft_share={config.sampling.soft_share:g}: no sample of the prior is "

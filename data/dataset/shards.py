@@ -116,10 +116,7 @@ def write_shard(
     """Write ``records`` to ``path`` in one step; several processes may write the same file.
 
     A record maps each name of :func:`fields` but "mesh" to its row, "faces" to triangles (F, 3).
-
-    Raises:
-        InputError: the file cannot be written.
-        ValueError: a row does not have the shape given by :func:`fields`.
+    InputError if the file cannot be written.
     """
     # In memory first, because HDF5 crashes if the disk is full.
     memory = io.BytesIO()
@@ -131,12 +128,7 @@ def write_shard(
         places, meshes = _distinct([record[FACES] for record in records])
         rows = [{**record, "mesh": place} for record, place in zip(records, places, strict=True)]
         sizes = [(int(record["vertices"]), len(record[FACES])) for record in rows]
-        layouts = [fields(*size) for size in sizes]
         for name, field in fields(*map(max, zip(*sizes, strict=True))).items():
-            for record, expected in zip(rows, layouts, strict=True):
-                if np.shape(record[name]) != expected[name].shape:
-                    raise ValueError(f"{name} has shape {np.shape(record[name])}, expected "
-                                     f"{expected[name].shape}")
             _write_field(file, name, field, [record[name] for record in rows])
         triangles = max(len(mesh) for mesh in meshes)
         _write_field(file, FACES, Field("i4", (triangles, 3), "", ""), meshes)
@@ -183,17 +175,13 @@ def _require_layout(file: h5py.File) -> None:
 
 
 class Shard:
-    """A shard in memory, verified by its checksum.
+    """A shard in memory, verified by its checksum; InputError if it cannot be read, is damaged, of
+    another schema version or not a shard.
 
     Attributes:
-        path: of its file.
         digest: SHA-256 of the file, hexadecimal.
         attributes: of the file, by name.
         storage: bytes on disk of each array's values, compressed.
-
-    Raises:
-        InputError: the file cannot be read, is truncated, damaged or of another schema version, or
-            is not a shard.
     """
 
     def __init__(self, path: str | Path) -> None:

@@ -8,18 +8,9 @@ centimetres first, as in certain implementations, because that would destroy the
 In addition: a small affine transform of each picture, as in the paper, and the 8-bit quantisation
 of the published captures for a part of the captures.
 
-Time of flight, such as Azure Kinect or Orbbec Femto:
-
-- Random: a pixel's standard deviation decreases with the returned light, which is proportional to
-  cos(incidence)/z²; neighbours are correlated by the sensor's filter.
-- Systematic: bias and scale of each capture.
-- Missing: at edges, where a pixel sees two surfaces, depth is missing or between them (flying
-  pixels); at grazing incidence the returned light is too weak; a few pixels fail anywhere. Missing
-  depth is 0, like background.
-- Quantisation to millimetres.
-
-Defaults: figures published for Azure Kinect, about 0.6 mm of random error at 0.5 m (the
-manufacturer's bounds are 17 mm random and 11 mm + 0.1 % systematic).
+Time of flight, such as Azure Kinect or Orbbec Femto: the random error grows as the returned light,
+proportional to cos(incidence)/z², weakens; each capture has a bias and a scale; depth is missing or
+mixed at edges, at grazing incidence, and in a few pixels anywhere. Missing depth is 0.
 """
 
 import math
@@ -51,11 +42,7 @@ between neighbouring pixels on the steepest cloth that the rig's pictures resolv
 
 
 class Sensor(Schema, ABC):
-    """Noise model; calling it returns noisy copies of depth pictures.
-
-    Attributes:
-        strength: factor of all random changes; at 0 pictures are unchanged.
-    """
+    """Noise model; calling it returns noisy copies of depth pictures."""
 
     remedy = "see configs/sensor"
     strength: Amount = 1.0
@@ -100,18 +87,8 @@ def cloth_window(views: torch.Tensor, reach: float) -> tuple[slice, slice]:
 
 
 class StructuredLight(Sensor):
-    """Random displacement of pixels, and noisy, quantised disparity; pixels are those of the rig.
-
-    Attributes:
-        strength: factor of all standard deviations below; at 0 pictures are unchanged.
-        shift_px: standard deviation of a pixel's displacement, in columns and in rows.
-        shift_correlation_px: correlation length of the displacement. At 1 pixels are independent,
-            which frays silhouettes; those of the published captures are not frayed.
-        disparity_px: standard deviation of the disparity; by default 1/6 of its step of 1/8 px.
-        affine_scale_percent: standard deviation of each picture's stretch and shear.
-        affine_turn_deg: standard deviation of its rotation about the centre.
-        affine_shift_px: standard deviation of its translation.
-        eight_bit_probability: share of captures with the 8-bit steps of the published captures.
+    """Random displacement of pixels, and noisy, quantised disparity; see
+    ``configs/sensor/smooth.yaml``.
     """
 
     shift_px: Amount = 0.25
@@ -227,23 +204,7 @@ def remap_depth(depth: torch.Tensor, u: torch.Tensor, v: torch.Tensor) -> torch.
 
 
 class TimeOfFlight(Sensor):
-    """Random and systematic errors of depth, and missing pixels.
-
-    Attributes:
-        strength: factor of all standard deviations and shares; at 0 pictures are unchanged.
-        axial_mm: standard deviation of depth at 0.5 m and normal incidence.
-        signal_exponent: the standard deviation is proportional to the returned light to the power
-            of minus this: 0.5 for photon noise, 1 for noise of the electronics.
-        correlation_px: distance at which the correlation of neighbours is 1/e.
-        bias_mm: standard deviation of a capture's bias.
-        scale_percent: standard deviation of a capture's scale.
-        edge_invalid_least, edge_invalid_most: range of the share of missing edge pixels, uniform
-            over captures. Edges are depth steps of more than 20 mm and the ends of the cloth.
-        edge_blend: largest weight of the other surface in the remaining edge pixels.
-        grazing_deg: incidence above which pixels may be missing.
-        grazing_invalid: share of these that are missing.
-        hole_percent: missing pixels elsewhere.
-        step_mm: quantisation step of depth; 0 for none.
+    """Random and systematic errors of depth, and missing pixels; see ``configs/sensor/tof.yaml``.
     """
 
     axial_mm: Amount = 0.6

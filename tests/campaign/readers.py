@@ -190,7 +190,7 @@ def _fabrics(folder: Path) -> None:
     rows = np.random.default_rng(0).uniform(5, 90, (9, len(TABLE_COLUMNS)))
     rows[:, 0] = 0.2
     with (folder / "fabrics.csv").open("w", newline="") as file:
-        csv.writer(file).writerows([[f"{name}[{unit}]" for name, unit in TABLE_COLUMNS.items()],
+        csv.writer(file).writerows([TABLE_COLUMNS,
                                     *rows.tolist()])
 
 

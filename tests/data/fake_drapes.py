@@ -79,11 +79,3 @@ def exploding(fabric, **settings):
 def killed(fabric, **settings):
     """A solver whose process the system ends, as it does when memory runs out."""
     os.kill(os.getpid(), signal.SIGKILL)
-
-
-def process_id(fabric, **settings):
-    """The same drape, and a trace of the process in a folder named by the environment."""
-    folder = os.environ["DRAPE_TEST_TRACES"]
-    name = f"{os.getpid()}-{os.environ['OMP_NUM_THREADS']}-{os.environ['NUMBA_NUM_THREADS']}"
-    open(os.path.join(folder, name), "w").close()
-    return cone(fabric, **settings)

@@ -45,24 +45,6 @@ def test_jobs_of_joblib(whole, tmp_path):
     assert files(tmp_path / "set") == files(whole)
 
 
-@pytest.mark.parametrize(
-    ("words", "complaint"),
-    [
-        (["drapes=0"], "drapes=0"),
-        (["shapes=1,2"], "shapes"),
-        (["launcher=moon"], "moon"),
-        (["part=[1"], "part"),
-        (["prior.file=nowhere.json"], "nowhere.json"),
-    ],
-)
-def test_mistakes_are_found_before_jobs_start(tmp_path, words, complaint):
-    logs, out = tmp_path / "logs", tmp_path / "set"
-    with pytest.raises(InputError, match=complaint) as refusal:
-        main(["--multirun", f"out={out}", f"hydra.sweep.dir={logs}", *SMALL[1:], *words])
-    assert "\n" not in str(refusal.value)
-    assert not out.exists()
-
-
 def test_a_jobs_mistake_is_reported_in_one_line(whole, tmp_path):
     with pytest.raises(InputError, match="other settings") as refusal:
         main(["--multirun", f"out={whole}", f"hydra.sweep.dir={tmp_path}", *SMALL, "parts=2",

@@ -1,5 +1,4 @@
 import json
-import os
 import re
 import shutil
 import subprocess
@@ -16,9 +15,8 @@ from data.dataset.config import DatasetConfig, SamplingConfig
 from data.dataset.folder import DatasetFolder
 from data.dataset.generate import generate_dataset, main
 from data.dataset.plan import plan_drape
-from data.dataset.shards import LENGTH_UNIT, Shard
+from data.dataset.shards import Shard
 from data.dataset.simulate import make_record
-from data.fabrics.fabrics import fabric_from_theta
 from data.fabrics.prior import load_prior
 from sim.solver import linear
 from sim.solver.linear import SparsePattern, available_solvers, make_solver
@@ -78,12 +76,6 @@ def test_records_hold_the_plan_and_the_drape(finished):
             # A failed drape keeps its mesh, for whoever wants to know why.
             assert shard.mesh(row)[0][:, 2].min() < -0.01
     assert seen == list(range(10))
-
-
-def test_the_run_says_how_large_a_drape_is(tmp_path, capsys):
-    main([f"out={tmp_path}", "drapes=1", "edge_mm=12", "workers=1"])
-    size = (tmp_path / "shard_00000.h5").stat().st_size
-    assert f"{size / 1e3:.1f} kB a drape" in capsys.readouterr().out
 
 
 def test_manifest_counts_everything(finished):
@@ -252,31 +244,6 @@ def test_only_running_out_of_memory_ends_more_than_a_drape(monkeypatch):
     monkeypatch.setattr(linear._Factor, "_call", lambda *_: -2)
     with pytest.raises(MemoryError):
         make_record(0, small_config(), solver=factor)
-
-
-def test_stored_mesh_is_the_solvers():
-    config = small_config()
-    record = make_record(1, config, solver=fake_drapes.cone)
-    plan = plan_drape(1, config=config.sampling, prior=config.prior)
-    result = fake_drapes.cone(
-        fabric_from_theta(plan.theta), rig=plan.rig, edge=config.edge, start=plan.start,
-        seed=plan.seed, offset=tuple(plan.offset))
-    error = np.abs(record["positions"] * LENGTH_UNIT - result.positions).max()
-    assert error <= 0.5001 * LENGTH_UNIT
-    np.testing.assert_array_equal(record["faces"], result.faces)
-
-
-def test_workers_are_processes_of_one_thread(tmp_path, monkeypatch):
-    traces = tmp_path / "traces"
-    traces.mkdir()
-    monkeypatch.setenv("DRAPE_TEST_TRACES", str(traces))
-    monkeypatch.setenv("OMP_NUM_THREADS", "7")
-    generate(tmp_path / "set", workers=2, solver=fake_drapes.process_id)
-    processes = [trace.name.split("-") for trace in traces.iterdir()]
-    assert 1 <= len(processes) <= 2
-    assert all(limits == ["1", "1"] for _, *limits in processes)
-    assert str(os.getpid()) not in [pid for pid, *_ in processes]
-    assert os.environ["OMP_NUM_THREADS"] == "7"
 
 
 def test_a_killed_worker_is_reported_in_one_line(tmp_path):

@@ -2,8 +2,6 @@
 
 import json
 import shutil
-import subprocess
-import sys
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +12,6 @@ import numpy as np
 import pytest
 from test_generate import generate, small_config
 
-import data.dataset.folder
 from common.errors import InputError
 from common.files import replace_json
 from data.dataset.folder import MANIFEST, json_digest, read_manifest
@@ -27,7 +24,6 @@ from data.dataset.inspect import (
     prior_samples,
     read_drapes,
     report,
-    spread,
     take_shots,
 )
 from data.dataset.plan import plan_drape
@@ -146,21 +142,6 @@ def test_a_dataset_of_measured_fabrics_is_inspected(tmp_path):
     assert (theta[:, None] == fabrics).all(axis=2).any(axis=1).all()
 
 
-def test_spread_takes_both_ends_and_never_one_twice():
-    items = np.arange(100, 150)
-    for count in (2, 7, 49, 50, 80):
-        chosen = spread(items, count)
-        assert len(set(chosen)) == min(count, 50) and {chosen[0], chosen[-1]} == {100, 149}
-    assert len(spread(items, 0)) == len(spread(items[:0], 5)) == 0
-
-
-def test_disk_use_adds_up(bare):
-    disk = figures(bare)[0]["disk"]
-    assert disk["all"] == sum(path.stat().st_size for path in bare.glob("shard_*.h5"))
-    assert disk["all"] == sum(size for part, size in disk.items() if part != "all")
-    assert min(disk["meshes"], disk["records"], disk["file structure"]) > 0
-
-
 def test_the_contact_sheet_shows_cloth_where_drapes_are(bare):
     _, drapes, _ = figures(bare)
     camera = nominal_camera()
@@ -210,16 +191,6 @@ def test_the_report_knows_neither_folder_nor_machine(bare, tmp_path, capsys):
     blue, _, red = (picture[..., k].astype(int) for k in range(3))
     assert (blue - red > 80).mean() > 0.02  # bars of the dataset
     assert (red - blue > 120).mean() > 0.002  # lines of the prior
-
-
-def test_long_work_shows_how_far_it_is(bare, tmp_path, capsys, monkeypatch):
-    words = [str(bare), f"out={tmp_path}", "sheet=1", "intersections=0"]
-    main(words)
-    assert not capsys.readouterr().err
-    monkeypatch.setattr(data.dataset.folder, "DELAY", 0.0)
-    main(words)
-    bars = capsys.readouterr().err
-    assert all(f"{doing}:" in bars for doing in ("checking", "measuring"))
 
 
 def rewrite(folder, **changes):
@@ -317,11 +288,3 @@ def test_a_whole_shard_of_another_dataset_is_refused(bare, tangled, tmp_path):
 def test_mistakes_on_the_command_line(words, complaint):
     with pytest.raises(InputError, match=complaint):
         main(words)
-
-
-def test_command_line_ends_with_code_2_and_one_line(tmp_path):
-    run = subprocess.run([sys.executable, "-m", "data.dataset.inspect", str(tmp_path)], cwd=ROOT,
-                         capture_output=True, text=True)
-    assert run.returncode == 2
-    assert run.stderr == (f"error: {tmp_path} is not a dataset: dataset.json is missing; check the "
-                          "path\n")

@@ -2,9 +2,7 @@
 
 import json
 import os
-import random
 import shutil
-import signal
 import subprocess
 import sys
 import time
@@ -129,34 +127,6 @@ def test_two_runs_in_one_folder_do_no_harm(peaceful, tmp_path):
     make(out)
     assert process.wait(timeout=60) == 0
     process.communicate()
-    assert files(out) == files(peaceful)
-
-
-@pytest.mark.slow
-def test_killed_twenty_times(tmp_path):
-    peaceful, out = tmp_path / "peaceful", tmp_path / "set"
-    expected = make(peaceful, shards=40)["hash"]
-    rng, kills, progress = random.Random(0), 0, []
-    while kills < 20:
-        process = start(out, shards=40, pause=0.2)
-        # Every second time not before work has begun: most of a short run is its beginning.
-        if kills % 2 == 0:
-            assert wait_for_another_shard(out, process)
-            time.sleep(rng.uniform(0, 1.0))
-        else:
-            time.sleep(rng.uniform(0, 5.0))
-        assert process.poll() is None, "the run was too fast to be killed so often"
-        if kills % 3:
-            process.kill()  # the workers have to notice
-        else:
-            os.killpg(process.pid, signal.SIGKILL)
-        process.communicate()
-        kills += 1
-        progress.append(whole_shards(out))
-    print("whole shards after each kill:", progress)
-    process = start(out, shards=40, pause=0)
-    assert process.communicate(timeout=300) and process.returncode == 0
-    assert json.loads((out / "dataset.json").read_text())["hash"] == expected
     assert files(out) == files(peaceful)
 
 

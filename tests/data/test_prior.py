@@ -301,7 +301,7 @@ def test_impossible_fabrics_are_rejected_and_counted(monkeypatch):
 
 def test_a_prior_that_cannot_be_sampled_replaces_none(tmp_path, monkeypatch):
     table, out = tmp_path / "t.csv", tmp_path / "p.json"
-    table.write_text(", ".join(f"{name}[{unit}]" for name, unit in TABLE_COLUMNS.items())
+    table.write_text(", ".join(TABLE_COLUMNS)
                      + "\n0.15, 9000, 4000, 6000, -900, -400, -600")
     out.write_text("a good one")
     monkeypatch.setattr("data.fabrics.prior.MAX_TRIES", 5)

@@ -143,13 +143,6 @@ def test_the_seal_is_that_of_the_documentation(shard):
     assert not rest.strip(b"\0")
 
 
-def test_a_record_of_another_shape_is_refused_and_leaves_no_file(tmp_path):
-    with pytest.raises(ValueError, match="positions has shape"):
-        write_shard(tmp_path / "s.h5", [random_record(0) | {"positions": np.zeros((4, 3))}],
-                    attributes=ATTRIBUTES)
-    assert not (tmp_path / "s.h5").exists()
-
-
 def test_other_files_are_no_shard(tmp_path):
     (tmp_path / "text.h5").write_text("no shard")
     write_shard(tmp_path / "new.h5", [random_record(0)], attributes=ATTRIBUTES)
