@@ -3,8 +3,10 @@
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Annotated, Any
 
 import yaml
+from pydantic import AfterValidator, Field
 
 from common.errors import InputError
 
@@ -53,3 +55,15 @@ def si(settings: Mapping[str, object]) -> dict:
         converted[key.removesuffix(unit)] = (
             tuple(map(convert, value)) if isinstance(value, list | tuple) else convert(value))
     return converted
+
+
+def limits(least: float, most: float) -> Any:
+    """Type of a smaller and a larger number between ``least`` and ``most``."""
+    return Annotated[list[Annotated[float, Field(ge=least, le=most)]],
+                     Field(min_length=2, max_length=2), AfterValidator(_in_order)]
+
+
+def _in_order(pair: list[float]) -> list[float]:
+    if pair[0] > pair[1]:
+        raise ValueError(f"from {pair[0]:g} to {pair[1]:g}: the smaller one first")
+    return pair

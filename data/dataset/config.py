@@ -7,13 +7,14 @@ from typing import Annotated
 from pydantic import Field
 
 from common.command import Seed, Workers
-from common.configs import si
+from common.configs import limits, si
 from common.errors import InputError
 from common.provenance import release
 from common.types import Metres
 from data.fabrics.nuisances import NuisanceConfig
 from data.fabrics.prior import Prior, load_prior, prior_content
 from data.testers import named_tester
+from sim.energies.plate_variants import KES_CURVATURE
 from sim.mesh.specimen import EDGE_RANGE
 from sim.rig import SQUARE_RIG, Rig
 from sim.start import LOWERED
@@ -62,7 +63,7 @@ class SamplingConfig:
     def __post_init__(self) -> None:
         for name in self.testers:
             named_tester(name)
-        starts, drift, soft = list(self.starts), 1e3 * self.drift, self.soft_share
+        starts = list(self.starts)
         for allowed, complaint in (
             (0 <= self.random_testers <= 1 and (self.testers or self.random_testers == 1),
              f"random_testers={self.random_testers:g} must lie between 0 and 1, and be 1 without "
@@ -77,9 +78,6 @@ class SamplingConfig:
             (BORROWED not in starts or self.only_tester,
              f"starts={starts}: drapes of one tester only can be {BORROWED}; give a single name in "
              "testers"),
-            (0 <= drift <= 20, f"drift_mm={drift:g} must lie between 0 and 20"),
-            (0 <= soft <= _MAX_SOFT_SHARE,
-             f"soft_share={soft:g} must lie between 0 and {_MAX_SOFT_SHARE:g}"),
         ):
             if not allowed:
                 raise InputError(complaint)
@@ -149,8 +147,8 @@ class DatasetOptions:
     random_testers: float
     testers_per_fabric: int
     both_faces: bool
-    drift_mm: float
-    soft_share: float
+    drift_mm: Annotated[float, Field(ge=0, le=20)]
+    soft_share: Annotated[float, Field(ge=0, le=_MAX_SOFT_SHARE)]
     drapes_per_shard: Count
 
 
@@ -165,14 +163,14 @@ class PriorOptions:
 class NuisanceOptions:
     """The group ``nuisances``; see ``configs/nuisances``."""
 
-    membrane_n_per_m: list[float]
-    shear: list[float]
-    hysteresis_per_m: list[float]
-    curl_per_m: float
-    curl_specimen_per_m: float
-    size_mm: float
-    plate_mm: float
-    cut_deg: float
+    membrane_n_per_m: limits(1e-3, 1e9)
+    shear: limits(1e-6, 1e6)
+    hysteresis_per_m: limits(0, KES_CURVATURE)
+    curl_per_m: Annotated[float, Field(ge=0, le=1e3)]
+    curl_specimen_per_m: Annotated[float, Field(ge=0, le=1e3)]
+    size_mm: Annotated[float, Field(ge=0, le=5)]
+    plate_mm: Annotated[float, Field(ge=0, le=5)]
+    cut_deg: Annotated[float, Field(ge=0, le=10)]
 
 
 @dataclass

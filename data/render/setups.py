@@ -7,13 +7,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
 
 import numpy as np
-from pydantic import AfterValidator, Field, field_validator
+from pydantic import Field, field_validator
 from scipy import ndimage
 
-from common.configs import read_option, si
+from common.configs import limits, read_option, si
 from common.documents import Schema
 from common.types import Faces, Points, Radians, Turns, Views
 from data.captures.description import MAX_VIEWS
@@ -43,28 +42,16 @@ class SyntheticCapture:
     sensor: str
 
 
-def _in_order(limits: list[float]) -> list[float]:
-    if not limits[0] <= limits[1]:
-        raise ValueError(f"from {limits[0]:g} to {limits[1]:g}: the smaller one first")
-    return limits
-
-
-def _limits(least: float, most: float) -> Any:
-    """Type of a smaller and a larger number between ``least`` and ``most``."""
-    return Annotated[list[Annotated[float, Field(ge=least, le=most)]],
-                     Field(min_length=2, max_length=2), AfterValidator(_in_order)]
-
-
 class SetupFile(Schema):
     """``configs/setup/NAME.yaml``, where the keys are documented."""
 
     remedy = "see configs/setup/real.yaml"
     views: list[Share] = Field(max_length=MAX_VIEWS)
-    distance_mm: _limits(1, 100_000)
-    pitch_deg: _limits(-90, 90)
-    fill: _limits(0.01, 100)
-    above_mm: _limits(-200, 200)
-    aside_mm: _limits(-200, 200)
+    distance_mm: limits(1, 100_000)
+    pitch_deg: limits(-90, 90)
+    fill: limits(0.01, 100)
+    above_mm: limits(-200, 200)
+    aside_mm: limits(-200, 200)
     roll_deg: float = Field(ge=0, le=90)
     focal_percent: float = Field(ge=0, le=50)
     turn_deg: float = Field(ge=0, le=90)

@@ -46,14 +46,6 @@ def slow_lending_cone(fabric, **settings):
     return lending_cone(fabric, **settings)
 
 
-def busy_cone(fabric, **settings):
-    """The same, after a tenth of a second of work."""
-    end = time.process_time() + 0.1
-    while time.process_time() < end:
-        pass
-    return cone(fabric, **settings)
-
-
 def tangled(fabric, **settings):
     """The same, its first corner pulled through the cloth opposite to it, with every second."""
     result = cone(fabric, **settings)

@@ -177,8 +177,8 @@ def test_a_dataset_without_a_drape_has_a_report_too(tmp_path, capsys):
 
 def test_the_report_knows_neither_folder_nor_machine(bare, tmp_path, capsys):
     before = {path: path.stat().st_mtime_ns for path in bare.iterdir()}
-    shutil.copytree(bare, tmp_path / "elsewhere=1")
-    for root, out in ((bare, "a"), (tmp_path / "elsewhere=1", "b")):
+    shutil.copytree(bare, tmp_path / "elsewhere")
+    for root, out in ((bare, "a"), (tmp_path / "elsewhere", "b")):
         main([str(root), f"out={tmp_path / out}", "sheet=3", "intersections=2"])
     for name in ("report.json", "histograms.png", "contact_sheet.png"):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()

@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 
-from common.errors import InputError
 from data.dataset.config import Options, SamplingConfig, config_from_options
 from data.dataset.plan import draw_fabric, plan_drape
 from data.fabrics.nuisances import NAMES, NuisanceConfig, Nuisances
@@ -89,12 +88,3 @@ def test_weights_give_the_prior_back():
     assert soft.mean() == pytest.approx(0.3 + 0.7 * share, abs=0.04)
     assert (weights * soft).mean() == pytest.approx(share, rel=0.2)
     assert weights.mean() == pytest.approx(1, abs=0.05)
-
-
-@pytest.mark.parametrize("wrong", [
-    {"membrane": (0, 100)}, {"membrane": (300, 200)}, {"hysteresis": (0, 60)},
-    {"hysteresis": (5, 200)}, {"curl_specimen": -1.0}, {"size": 0.02}, {"cut": 1.0},
-    {"curl": np.nan}])
-def test_distributions_that_make_no_sense_are_refused(wrong):
-    with pytest.raises(InputError, match="nuisances"):
-        NuisanceConfig(**wrong)

@@ -304,14 +304,14 @@ def _decoded(content: object) -> dict[str, np.ndarray]:
         weights = load(base64.b64decode(content, validate=True))
     except (TypeError, ValueError, SafetensorError):
         raise ValueError("must be base64 of a safetensors file") from None
-    if not all(array.dtype == np.float32 and np.isfinite(array).all()
-               for array in weights.values()):
+    if not all(values.dtype == np.float32 and np.isfinite(values).all()
+               for values in weights.values()):
         raise ValueError("give finite numbers of type float32")
     try:
         encoder, decoder = (_layers(weights, name) for name in ("encoder", "decoder"))
         latent = len(run_layers(encoder, np.zeros(6))) // 2
-        fits = latent and run_layers(decoder, np.zeros(latent)).shape == (12,)
-    except (IndexError, KeyError, TypeError, ValueError):
+        fits = run_layers(decoder, np.zeros(latent)).shape == (12,)
+    except (IndexError, KeyError, ValueError):
         fits = False
     if not fits or len(weights) != 2 * (len(encoder) + len(decoder)):
         raise ValueError("must be those of an encoder and a decoder of 6 numbers")
