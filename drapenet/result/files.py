@@ -48,9 +48,8 @@ def read_estimate(path: Path) -> tuple[Estimate, EstimateDocument]:
     path = path / ESTIMATE if path.is_dir() else path
     document = read_document(path)
     file = path.with_name(SAMPLES)
-    arrays = read_arrays(file, ("samples", "spread"), what="the samples",
-                         expected="those of an estimate")
-    samples, spread = (arrays.get(name, np.empty(0)) for name in ("samples", "spread"))
+    arrays = read_arrays(file, ("samples", "spread"), expected="the samples of an estimate")
+    samples, spread = arrays["samples"], arrays["spread"]
     estimate = Estimate(samples, document.names, np.radians(document.axis.direction_deg),
                         document.axis.probability, document.density, spread,
                         tuple(document.warnings))
