@@ -26,7 +26,8 @@ def cone(fabric, *, rig, edge, start, seed, offset, laws=None):
         converged=not failed,
         message="the fake gave up" if failed else "",
         positions=positions, rest=mesh.rest, faces=mesh.faces,
-        residual=0.5 if failed else 1e-5, iterations=seed % 50, laws=laws or Laws(),
+        outcome=SimpleNamespace(residual=0.5 if failed else 1e-5), iterations=seed % 50,
+        laws=laws or Laws(),
     )
 
 
