@@ -9,8 +9,8 @@ import json
 import os
 import reprlib
 import stat
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
@@ -190,6 +190,18 @@ def require_regular(file: Path, max_bytes: int, kind: str) -> None:
         raise InputError(f"{file} is not a regular file; give a {kind}")
     if status.st_size > max_bytes:
         raise InputError(f"{file} has {status.st_size} bytes; a {kind} has at most {max_bytes}")
+
+
+@contextmanager
+def reading(file: Path, remedy: str) -> Iterator[None]:
+    """Raise an InputError of one line for any error of a library that reads a damaged ``file``."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:  # of zipfile, zlib, tokenize and others, some without a class
+        reason = getattr(error, "strerror", None) or one_line(error)
+        raise InputError(f"{file} cannot be read ({reason}); {remedy}") from None
 
 
 def shown(value: object) -> str:

@@ -1,9 +1,5 @@
 """The exception for invalid input."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from pathlib import Path
-
 MAX_LENGTH, MAX_LIST_LENGTH = 700, 4000  # characters of a message; of a list of faults
 
 
@@ -25,15 +21,3 @@ class InputError(ValueError):
 def one_line(error: Exception) -> str:
     """An error's message without line breaks, shortened; the class name if it is empty."""
     return " ".join(str(error).split())[:200] or type(error).__name__
-
-
-@contextmanager
-def reading(file: Path, remedy: str) -> Iterator[None]:
-    """Raise an InputError of one line for any error of a library that reads a damaged ``file``."""
-    try:
-        yield
-    except InputError:
-        raise
-    except Exception as error:  # of zipfile, zlib, tokenize and others, some without a class
-        reason = getattr(error, "strerror", None) or one_line(error)
-        raise InputError(f"{file} cannot be read ({reason}); {remedy}") from None

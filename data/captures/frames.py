@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from common.documents import read_bytes, require_regular, shown
-from common.errors import InputError, reading
+from common.documents import read_bytes, reading, require_regular, shown
+from common.errors import InputError
 from common.types import DepthImage, Views
 from data.captures.description import (
     MAX_PICTURE,

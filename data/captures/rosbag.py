@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 from scipy import ndimage
 
-from common.documents import require_regular
-from common.errors import InputError, reading
+from common.documents import reading, require_regular
+from common.errors import InputError
 from common.types import Views
 from data.captures.description import MAX_VIEWS, MILLIMETRE, require_size
 from data.render.cameras import Intrinsics

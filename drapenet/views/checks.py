@@ -11,7 +11,7 @@ import numpy as np
 from scipy.ndimage import binary_erosion, binary_fill_holes, label
 
 from common.errors import InputError
-from common.types import Turns
+from common.types import Metres, Turns
 from data.captures.plate import INNER_SHARE
 from data.render.cameras import Camera
 from data.render.setups import Setups
@@ -44,30 +44,18 @@ MAX_SWAPPED_VIEWS = 4  # maximum number of views for which all pairs are tried s
 
 @dataclass(frozen=True)
 class Quality:
-    """Quality measures of a capture; NaN if too little is visible.
+    """Quality measures of a capture; NaN if too little is visible."""
 
-    Attributes:
-        log_scale, offset: logarithm of the drape's size over the possible one, and distance of the
-            specimen's centre from the plate's axis, m (:mod:`drapenet.views.specimen_offset`).
-        bulge: m, height of the middle of the cloth on the plate over its edge.
-        off_plate: share of the points over the plate's middle that are off its plane.
-        disagreement: m, between views of the same cloth.
-        misread: explanation of a disagreement with its remedy; empty if there is none.
-        holes: share of the cloth's pixels that have no depth; hole: pixels of the largest.
-        cut: share of a view's border that has the same depth, maximum over views.
-        pixel: m, size of a pixel on the plate.
-    """
-
-    log_scale: float
-    offset: float
-    bulge: float
-    off_plate: float
-    disagreement: float
-    misread: str
-    holes: float
-    hole: int
-    cut: float
-    pixel: float
+    log_scale: float  # logarithm of the drape's size over the possible one
+    offset: Metres  # of the specimen's centre from the plate's axis
+    bulge: Metres  # height of the middle of the cloth on the plate over its edge
+    off_plate: float  # share of the points over the plate's middle that are off its plane
+    disagreement: Metres  # between views of the same cloth
+    misread: str  # explanation of a disagreement with its remedy; empty if there is none
+    holes: float  # share of the cloth's pixels that have no depth
+    hole: int  # pixels of the largest
+    cut: float  # share of a view's border that has the same depth, maximum over views
+    pixel: Metres  # size on the plate
 
 
 def view_warnings(located: LocatedViews, drape: RadialMap, setups: Setups) -> list[str]:
