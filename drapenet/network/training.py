@@ -112,7 +112,7 @@ def open_captures(config: TrainConfig) -> tuple[CaptureSet, CaptureSet, dict]:
     """Training and validation captures, of different fabrics, computed if missing; and the
     dataset's manifest.
     """
-    manifest = finished_manifest(config.data)
+    manifest = finished_manifest(Path(config.data))
     disc = only_tester(config.data, manifest).specimen == "disc"
     maps = make_maps(config.data, manifest, Path(config.maps),
                      setups=Setups.from_config(config.setup), captures=config.captures,
