@@ -32,7 +32,8 @@ def skirt(fabric, *, rig, edge, start, seed, offset, laws):
     positions = np.column_stack([out * np.cos(angle), out * np.sin(angle), -0.75 * reach])
     return SimpleNamespace(
         status="converged", converged=True, message="", positions=positions, rest=mesh.rest,
-        faces=mesh.faces, residual=1e-5, iterations=1, laws=laws or Laws(),
+        faces=mesh.faces, outcome=SimpleNamespace(residual=1e-5), iterations=1,
+        laws=laws or Laws(),
     )
 
 
