@@ -424,11 +424,7 @@ BLOCKS: dict[str, Callable[[Reports], str]] = {
 
 
 def fill_blocks(text: str) -> str:
-    """Replace all blocks of ``text``.
-
-    Raises:
-        InputError: an unknown block.
-    """
+    """Replace all blocks of ``text``."""
     reports = Reports()
 
     def block(mark: re.Match[str]) -> str:

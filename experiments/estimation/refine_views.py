@@ -17,6 +17,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from common.configs import read_option
+from common.types import Theta
 from data.fabrics.nuisances import NAMES
 from data.render.setups import Setups
 from drapenet.network.posterior import inside, ranks
@@ -119,13 +120,8 @@ def nuisance_errors(results: list[dict]) -> dict[str, dict[str, float]]:
     return found
 
 
-def posterior_errors(truth: np.ndarray, samples: list[np.ndarray]) -> dict:
-    """Errors of posterior means, and coverage of intervals.
-
-    Args:
-        truth: (N, 6) theta.
-        samples: posterior samples (S, 6) of each capture.
-    """
+def posterior_errors(truth: Theta, samples: list[Theta]) -> dict:
+    """Errors of posterior means, and coverage of intervals, from samples of each capture."""
     errors = np.stack([s.mean(axis=0) for s in samples]) - truth
     places = np.concatenate([ranks(s[:, None], t[None])
                              for s, t in zip(samples, truth, strict=True)])

@@ -85,11 +85,7 @@ def bound(names: list[str], fisher: list[np.ndarray]) -> np.ndarray:
 
 
 def correlation(errors: list[np.ndarray]) -> np.ndarray:
-    """Correlation (6,) of the errors of two captures of one fabric.
-
-    Args:
-        errors: (n, 6) of each fabric.
-    """
+    """Correlation (6,) of the errors of two captures of one fabric, from the errors of each."""
     pairs = np.concatenate([np.einsum("ik,jk->ijk", one, one)[~np.eye(len(one), dtype=bool)]
                             for one in errors])
     return pairs.mean(axis=0) / np.square(np.concatenate(errors)).mean(axis=0)

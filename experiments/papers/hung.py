@@ -87,9 +87,8 @@ class HungFit:
     prior; a fit is the mode of the posterior.
 
     Args:
-        reference: a hung square on the mesh of the fit. points: (V, 3) m, captured vertices.
-        theta: (6,) of bending.
-        sigma: m, standard deviation of the noise of each coordinate.
+        reference: a hung square on the mesh of the fit.
+        points: captured vertices, whose coordinates have noise of ``sigma``.
     """
 
     def __init__(self, reference: Drape, points: np.ndarray, theta: np.ndarray, *, free: bool,

@@ -85,11 +85,8 @@ class Classes:
 
 
 def output_head(name: str, targets: int) -> tuple[int, Callable[[torch.Tensor], Prediction]]:
-    """Number of outputs of a network and their conversion into a :class:`Prediction`.
-
-    Args:
-        name: "posterior", "regression", or "classes K" for K classes.
-    """
+    """Number of outputs of a network and their conversion into a :class:`Prediction`, by name:
+    posterior, regression, or "classes K" for K classes."""
     if name == "posterior":
         shape = {"components": COMPONENTS, "targets": targets}
         return outputs_of(**shape), partial(Mixture.of_outputs, **shape)
@@ -258,13 +255,8 @@ class StackedBatch:
 
 
 class StackedSet(CaptureSet):
-    """Stacked views of captures, with the standardised targets of a disc for all specimens.
-
-    Args:
-        maps: of the same captures.
-        views, focal, orientation: see :func:`capture_views`.
-        scale: of the targets; None: fitted to these captures.
-    """
+    """Stacked views of captures (:func:`capture_views`) and their maps, with the standardised
+    targets of a disc for all specimens."""
 
     def __init__(self, maps: Maps, views: np.ndarray, focal: np.ndarray, orientation: np.ndarray,
                  *, scale: TargetScale | None = None) -> None:

@@ -169,15 +169,8 @@ def perturb(theta: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 def simulate_target(
     target: str, plan: DrapePlan, *, edge: float, seconds: float
 ) -> tuple[Drape, np.ndarray, float]:
-    """Simulate a drape on another mesh or in another simulator.
-
-    Returns:
-        A drape on the same mesh (for Style3D, the start), the positions (V, 3), m, and their
-        displacement in the last quarter of the simulation, mm.
-
-    Raises:
-        InputError: the simulation does not converge.
-    """
+    """Simulate a drape on another mesh or in another simulator: a drape on the same mesh (for
+    Style3D, the start), the positions, and their displacement in the last quarter, mm."""
     other = {"edge": edge, "seed": plan.seed + 1}  # the next triangulation
     if target == "plate":
         found = drape_specimen(plan, **other)

@@ -46,9 +46,8 @@ def one_drape(index: int, seed: int, edge_mm: float) -> dict:
         "entry_mm": _finite(1e3 * max_penetration(result.positions, result.faces, result.rig)),
         "drape_coefficient": drape_coefficient(result.positions, result.faces, result.rig),
         "folds": fold_count(result.positions, result.rest, result.rig),
-        "largest_stretch": maximum_stretch(
-            result.positions, result.rest, result.faces, result.held
-        ),
+        "largest_stretch": maximum_stretch(result.positions, result.rest, result.faces,
+                                           result.held),
         "iterations": result.iterations,
         "seconds": round(result.seconds, 2),
     }
@@ -61,11 +60,9 @@ def _finite(value: float) -> float | None:
 
 def reaches_criterion(run: dict) -> bool:
     """Whether a drape meets the convergence criterion, independent of its status."""
-    return bool(
-        run["positive_definite"]
-        and run["residual"] is not None and run["residual"] < MAX_RESIDUAL
-        and run["step_mm"] is not None and run["step_mm"] < MAX_STEP
-    )
+    return bool(run["positive_definite"]
+                and run["residual"] is not None and run["residual"] < MAX_RESIDUAL
+                and run["step_mm"] is not None and run["step_mm"] < MAX_STEP)
 
 
 def summarise(runs: list[dict]) -> dict:

@@ -51,9 +51,7 @@ def hang(
 ) -> tuple[np.ndarray, float]:
     """Simulate a strip along +x; final positions (V, 3), m, and largest speed, m/s.
 
-    Args:
-        material: ``MATERIAL`` of the exported module.
-        angle: rad, from the direction of the strip to the warp.
+    ``material`` is that of the exported module; ``angle``, rad, is from the strip to the warp.
     """
     from newton.solvers import SolverStyle3D
 

@@ -18,17 +18,16 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from data.render.shade import shade
-from experiments.comparison import Shape, compare, equilibrium_near, same_folds
+from experiments.comparison import FinishedDrapes, Shape, equilibrium_near
 from experiments.result import Config, Result, run_cases
 from sim.cloth import Laws
 from sim.drape import drape
 from sim.energies.membrane import Corotational, Guarded, Membrane, OrthotropicStVK
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
-from sim.measures import drape_coefficient, fold_outline
+from sim.measures import drape_coefficient
 from sim.mesh.specimen import TOPOLOGIES
 from sim.rig import Rig
 from sim.scene import make_specimen
-from sim.solver.newton import Status
 
 POISSON = 0.3
 LAWS = ("corotational", "stvk")
@@ -120,27 +119,7 @@ def scaling_cases(alpha: float, config: Config) -> dict[tuple[str, float], Case]
                 ("scaled too", density / REFERENCE_DENSITY * BASE), ("always 200 N/m", BASE))}
 
 
-class Drapes:
-    """Results and shapes of finished cases."""
-
-    def __init__(self, folder: Path, reports: dict[str, dict]) -> None:
-        self.reports = reports
-        self.shapes = {name: Shape.load(folder, name) for name in reports}
-
-    def displacement(self, case: Case, other: Case) -> float:
-        """Mean displacement between two cases, mm; NaN if one has not converged."""
-        names = case.name, other.name
-        if any(self.reports[name]["status"] != Status.CONVERGED.value for name in names):
-            return float("nan")
-        return 1e3 * compare(*(self.shapes[name] for name in names)).displacement
-
-    def same_folds(self, case: Case, other: Case) -> bool:
-        """Whether two cases have the same fold configuration."""
-        return same_folds(*(fold_outline(shape.positions, shape.rest, Rig()) for shape in (
-            self.shapes[case.name], self.shapes[other.name])))
-
-
-def comparison_rows(alpha: float, drapes: Drapes, config: Config) -> dict[str, list[dict]]:
+def comparison_rows(alpha: float, drapes: FinishedDrapes, config: Config) -> dict[str, list[dict]]:
     """Rows of the three tables for one fabric.
 
     Locking has displacements from the fine mesh with the same membrane, from 200 N/m on the same
@@ -148,8 +127,9 @@ def comparison_rows(alpha: float, drapes: Drapes, config: Config) -> dict[str, l
     scaling those from 300 g/m².
     """
     fine = config["fine_mm"]
-    locking, changed, scaled = (cases(alpha, config) for cases in (
-        locking_cases, insensitivity_cases, scaling_cases))
+    locking, changed, scaled = (
+        {key: case.name for key, case in cases(alpha, config).items()}
+        for cases in (locking_cases, insensitivity_cases, scaling_cases))
     return {
         "locking": [{
             "membrane": label, "edge_mm": edge,
@@ -157,20 +137,20 @@ def comparison_rows(alpha: float, drapes: Drapes, config: Config) -> dict[str, l
             "from_200_same_mesh_mm": drapes.displacement(case, locking["200 N/m", edge]),
             "from_5000_fine_mesh_mm": drapes.displacement(case, locking["5000 N/m", fine]),
             "same_folds": drapes.same_folds(case, locking[label, fine]),
-            **drapes.reports[case.name]} for (label, edge), case in locking.items()],
+            **drapes.results[case]} for (label, edge), case in locking.items()],
         "insensitivity": [{
             "membrane": law, "change": change,
             "moved_mm": drapes.displacement(case, changed[law, f"{BASE:g} N/m"]),
             "same_folds": drapes.same_folds(case, changed[law, f"{BASE:g} N/m"]),
-            **drapes.reports[case.name]} for (law, change), case in changed.items()],
+            **drapes.results[case]} for (law, change), case in changed.items()],
         "scaling": [{
             "membrane": label, "density_g_m2": 1e3 * density,
             "apart_mm": drapes.displacement(case, scaled[label, REFERENCE_DENSITY]),
-            **drapes.reports[case.name]} for (label, density), case in scaled.items()],
+            **drapes.results[case]} for (label, density), case in scaled.items()],
     }
 
 
-def plot(drapes: Drapes, config: Config) -> Figure:
+def plot(drapes: FinishedDrapes, config: Config) -> Figure:
     """Show membranes without and with the guard on the coarsest and on the fine mesh."""
     coarse, fine = config["coarse_mm"][0], config["fine_mm"]
     columns = [("5000 N/m", coarse), ("5000 N/m, guarded", coarse), ("200 N/m", coarse),
@@ -195,7 +175,7 @@ def run(config: Config) -> Result:
     run_cases(simulate, {
         f"start_{case.name}": {**asdict(case), "seed": config["seed"], "begin": None}
         for case in starts.values()}, config)
-    drapes = Drapes(folder, run_cases(simulate, {
+    drapes = FinishedDrapes(folder, run_cases(simulate, {
         case.name: {**asdict(case), "seed": config["seed"],
                     "begin": str(folder / f"start_{start.name}.npz")}
         for alpha, start in starts.items()

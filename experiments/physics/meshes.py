@@ -23,7 +23,7 @@ from matplotlib.figure import Figure
 
 from common.errors import InputError
 from data.render.shade import shade
-from experiments.comparison import Shape, compare, equilibrium_near, same_folds
+from experiments.comparison import FinishedDrapes, Shape, compare, equilibrium_near
 from experiments.result import Config, Result, run_cases
 from sim.cloth import Laws
 from sim.drape import drape
@@ -143,30 +143,20 @@ def case_name(fabric: str, law: str, mesh: str, edge_mm: float) -> str:
 MAX_DISPLACEMENT = 0.7  # mm, mean displacement between drapes with the same folds
 
 
-class FinishedDrapes:
-    """Results and shapes of finished drapes by name."""
-
-    def __init__(self, folder: Path, results: dict[str, dict]) -> None:
-        self.results = results
-        self.shapes = {name: Shape.load(folder, name) for name in results}
-        # Computed once, because each drape is in several pairs; (720, 2) m.
-        self.outlines = {name: fold_outline(shape.positions, shape.rest, Rig())
-                         for name, shape in self.shapes.items()}
-
-    def difference(self, one: str, two: str) -> dict:
-        """Differences between the drapes ``one`` and ``two``."""
-        found = compare(self.shapes[one], self.shapes[two])
-        results = [self.results[name] for name in (one, two)]
-        return {
-            "drapes": [one, two],
-            "mean_mm": 1e3 * found.displacement,
-            "largest_mm": 1e3 * found.largest,
-            "curvature": found.curvature,
-            "folds": [r["folds"] for r in results],
-            "same_folds": same_folds(self.outlines[one], self.outlines[two]),
-            "drape_coefficients": [r["drape_coefficient"] for r in results],
-            "converged": all(r["status"] == "converged" for r in results),
-        }
+def difference(finished: FinishedDrapes, one: str, two: str) -> dict:
+    """Differences between the drapes ``one`` and ``two``."""
+    apart = compare(finished.shapes[one], finished.shapes[two])
+    results = [finished.results[name] for name in (one, two)]
+    return {
+        "drapes": [one, two],
+        "mean_mm": 1e3 * apart.displacement,
+        "largest_mm": 1e3 * apart.largest,
+        "curvature": apart.curvature,
+        "folds": [r["folds"] for r in results],
+        "same_folds": finished.same_folds(one, two),
+        "drape_coefficients": [r["drape_coefficient"] for r in results],
+        "converged": finished.converged(one, two),
+    }
 
 
 def compare_meshes(finished: FinishedDrapes, fabric: str, law: str, edge_mm: float) -> list[dict]:
@@ -175,7 +165,7 @@ def compare_meshes(finished: FinishedDrapes, fabric: str, law: str, edge_mm: flo
     for one, two in combinations(MESHES, 2):
         names = [case_name(fabric, law, mesh, edge_mm) for mesh in (one, two)]
         rows.append({"fabric": fabric, "law": law, "edge_mm": edge_mm, "meshes": [one, two],
-                     **finished.difference(*names)})
+                     **difference(finished, *names)})
     return rows
 
 
@@ -183,7 +173,7 @@ def compare_returns(finished: FinishedDrapes, fabrics: list[str], config: dict) 
     """Differences between two equilibria on one mesh with different starts."""
     return [
         {"fabric": fabric,
-         **finished.difference(*(case_name(fabric, DEFAULT_LAW, mesh, config["edge_mm"])
+         **difference(finished, *(case_name(fabric, DEFAULT_LAW, mesh, config["edge_mm"])
                                  for mesh in ("graded", "return")))}
         for fabric in fabrics
     ]

@@ -81,11 +81,7 @@ PLATES = {
 
 
 def plate(*, kind: str, cells: int) -> dict:
-    """Relative error of the deflection at the centre of a plate of ``cells`` by ``cells``.
-
-    Raises:
-        InputError: the plate does not converge.
-    """
+    """Relative error of the deflection at the centre of a plate of ``cells`` by ``cells``."""
     alpha, clamped = PLATES[kind]
     fabric = Fabric(np.array(alpha))
     ring = 1 if clamped else 0

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from common.errors import InputError
+from common.types import Density, Points, Radians
 from drapenet.export.formats import STYLE3D
 from sim.material import BIAS, WARP, WEFT
 from sim.mesh import Mesh
@@ -61,17 +62,15 @@ def edge_stiffness(modulus: Sequence[float]) -> np.ndarray:
 
 
 def cloth(
-    mesh: Mesh, held: np.ndarray, positions: np.ndarray, *, density: float,
-    stiffness: Sequence[float], young: float = YOUNG, shear: float = SHEAR, angle: float = 0.0,
+    mesh: Mesh, held: np.ndarray, positions: Points, *, density: Density,
+    stiffness: Sequence[float], young: float = YOUNG, shear: float = SHEAR, angle: Radians = 0.0,
 ) -> "ModelBuilder":
-    """Builder of a model that contains a cloth.
+    """Builder of a model that contains a cloth, whose ``held`` vertices do not move.
 
     Args:
-        held: (V,) bool, vertices that do not move. positions: (V, 3) m.
-        density: kg/m².
         stiffness: (3,) ``edge_aniso_ke``.
         young, shear: N/m, along the yarns and in shear.
-        angle: rad, from the mesh's x to the warp.
+        angle: from the mesh's x to the warp.
     """
     import newton
     import warp as wp
@@ -99,15 +98,11 @@ def cloth(
 
 @dataclass(frozen=True)
 class FinalState:
-    """Final state of a simulation.
+    """Final state of a simulation."""
 
-    Attributes:
-        positions: (V, 3) m.
-        motion: mean displacement of the vertices in the last quarter of the time, mm.
-    """
-
-    positions: np.ndarray
+    positions: Points
     motion: float
+    """Mean displacement of the vertices in the last quarter of the time, mm."""
 
 
 def simulate_drape(

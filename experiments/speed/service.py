@@ -27,7 +27,7 @@ import httpx
 
 from common.errors import InputError
 from drapenet.service.app import EXAMPLE
-from experiments.result import ROOT, Config, Result, table
+from experiments.result import ROOT, Config, Result
 
 UPLOADS_BEFORE_KILL = 8  # uploads before the kill
 MAX_SECONDS = 10.0  # s, longest response time for a malformed request
@@ -308,21 +308,15 @@ def malformed(service: Service, count: int, seed: int) -> dict:
 
 
 def run(config: Config) -> Result:
-    """Run the three tests; print their figures."""
+    """Run the three tests."""
     if config["queue"] < UPLOADS_BEFORE_KILL:
         raise InputError(f"queue={config['queue']} must be at least {UPLOADS_BEFORE_KILL}")
-    report: dict[str, dict] = {}
     with tempfile.TemporaryDirectory() as folder:
         service = Service(Path(folder), queue=config["queue"], workers=config["workers"])
         try:
-            for name, measure in (
-                ("many_at_once", lambda: many_at_once(service, config["uploads"])),
-                ("killed", lambda: restart_after_kill(service)),
-                ("malformed", lambda: malformed(service, config["malformed"], config["seed"])),
-            ):
-                report[name] = measure()
-                print(table([name, ""], [[key, str(value)] for key, value in report[name].items()]),
-                      flush=True)
+            report = {"many_at_once": many_at_once(service, config["uploads"]),
+                      "killed": restart_after_kill(service),
+                      "malformed": malformed(service, config["malformed"], config["seed"])}
         finally:
             service.stop()
             print(*[line for line in service.log.read_text().splitlines() if "Error" in line][:20],
