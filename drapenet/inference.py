@@ -181,8 +181,8 @@ def refine(
     """
     from drapenet.refine.refine import refine_capture
 
-    outcome = refine_capture(result.estimate, result.capture, result.located, scan=scan,
-                              known=result.known, settings=settings, progress=progress)
+    outcome = refine_capture(result.estimate, result.located, scan=scan,
+                             known=result.known, settings=settings, progress=progress)
     if outcome is None:
         result.warnings.append("no drape of the estimate converged; it is not refined")
         return

@@ -16,7 +16,6 @@ from tqdm import tqdm
 from common.command import compose_config
 from common.configs import read_option
 from common.types import Density, Radians, Theta, Views
-from data.captures.capture import Capture
 from data.dataset.config import Options, config_from_options
 from data.fabrics.fabrics import THETA_NAMES
 from data.fabrics.nuisances import LOGARITHMIC, NuisanceConfig, at_density
@@ -58,13 +57,12 @@ class Refinement:
 
     draws: Draws | None
     content: dict[str, Any]
-    result: SearchResult
     resimulation: Resimulation
     warnings: tuple[str, ...]
 
 
 def refine_capture(
-    estimate: Estimate, capture: Capture, located: LocatedViews, *, scan: CapturedShape | None,
+    estimate: Estimate, located: LocatedViews, *, scan: CapturedShape | None,
     known: Mapping[str, float], settings: Mapping[str, Any] | None = None,
     progress: Callable[[int, int, float], None] | None = None,
 ) -> Refinement | None:
@@ -100,8 +98,8 @@ def refine_capture(
     draws = None if warnings else _draws(result, turn)
     if scan:
         warnings += _scan_warnings(near)
-    content = _content(result, near, capture.density, by="scan" if scan else "depth")
-    return Refinement(draws, content, result, resimulation, tuple(warnings))
+    content = _content(result, near, estimate.density, by="scan" if scan else "depth")
+    return Refinement(draws, content, resimulation, tuple(warnings))
 
 
 def _search(

@@ -60,7 +60,7 @@ def refine_scan(scan: "ScanRegistration") -> dict:
     inferred = network_estimate(capture, header)
     estimate = inferred.estimate
     began = time.perf_counter()
-    result = refine_capture(estimate, capture, inferred.located, scan=shape, known={})
+    result = refine_capture(estimate, inferred.located, scan=shape, known={})
     if result is None:
         raise InputError("no simulated cloth converges at the scan")
     network = estimate.samples

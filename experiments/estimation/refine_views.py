@@ -71,8 +71,8 @@ def case(
              if nuisances == "none" else {})
     began = time.perf_counter()
     settings = read_option("refine", "depth") | ({"edge_mm": edge_mm} if edge_mm else {})
-    refined = refine_capture(estimate, capture, inferred.located, scan=None, known=fixed,
-                              settings=settings)
+    refined = refine_capture(estimate, inferred.located, scan=None, known=fixed,
+                             settings=settings)
     seconds = time.perf_counter() - began
     estimates = {"network": estimate}
     if refined is not None and refined.draws is not None:
@@ -89,7 +89,7 @@ def case(
     return {"theta": plan.theta.tolist(), "nuisances": plan.nuisances.vector.tolist(),
             "specimen": specimen, "other_folds": not same_folds(*outlines), "seconds": seconds,
             "views": len(synthetic.views), "gained": "refined" in estimates,
-            "status": refined.result.status.value if refined else "none",
+            "status": refined.content["status"] if refined else "none",
             "spread": estimate.spread.tolist(), "arrays": arrays}
 
 

@@ -79,13 +79,14 @@ def test_the_command_prints_a_line_a_cell(
 ) -> None:
     def make(config: object, out: Path, *, workers: int) -> dict:
         if not out.exists():
-            cloths.write_dataset(out, drapes=6, seed=config.sampling.seed)
+            cloths.write_dataset(out, drapes=3, seed=config.sampling.seed)
         return finished_manifest(out)
 
     monkeypatch.setattr(drapenet.network.evaluate, "generate_dataset", make)
     monkeypatch.setattr(drapenet.network.evaluate, "CELLS", {
         name: CELLS[name] for name in ("as trained", "without nuisances", "views 8")})
-    words = [f"checkpoint={untrained_checkpoint}", f"out={tmp_path / 'out'}", "drapes=6", "seed=5"]
+    words = [f"checkpoint={untrained_checkpoint}", f"out={tmp_path / 'out'}", "drapes=3",
+             "captures=1", "seed=5"]
     if table:
         words.append(f"fabrics={write_fabrics(tmp_path / 'table.csv')}")
     drapenet.network.evaluate.main(words)
@@ -93,6 +94,6 @@ def test_the_command_prints_a_line_a_cell(
     names = ["as trained", "without nuisances", *([] if table else ["views 8"])]
     for name in names:
         line, = (line for line in lines if line.startswith(f"{name}: log alpha "))
-        assert line.endswith(", n 12") and "inside 68 %: " in line
+        assert line.endswith(", n 3") and "inside 68 %: " in line
     place = tmp_path / "out" / Rig().name / ("table" if table else "")
     assert set(json.loads((place / "evaluation.json").read_text())["cells"]) == set(names)

@@ -14,7 +14,6 @@ from data.fabrics.prior import GaussianPrior, load_prior
 from data.render.cameras import nominal_camera
 from data.render.rays import QUARTERS, DepthRenderer
 from drapenet.refine import problem as problems
-from drapenet.refine.depth import DepthViews
 from drapenet.refine.minimise import Limits, minimise
 from drapenet.refine.objective import Linearised
 from drapenet.refine.problem import Problem, laplace
@@ -32,7 +31,6 @@ from drapenet.refine.unknowns import (
     drape_moves,
 )
 from drapenet.views.located import LocatedViews
-from drapenet.views.radial_map import fused, side_direction
 from sim.drape import Drape, drape, follow
 from sim.energies.self_contact import contact_near
 from sim.material import MICRO
@@ -86,7 +84,7 @@ def test_drapes_move_as_their_derivatives_say() -> None:
     values = cloth.values.copy()
     values[[NAMES.index(name) for name in OFFSET_NAMES]] = 2e-3, -1e-3
     cloth = Unknowns(values)
-    flat = drape(cloth.fabric, rig=DISC_RIG, edge=8e-3, laws=cloth.laws)
+    flat = drape(cloth.fabric, rig=DISC_RIG, edge=11e-3, laws=cloth.laws)
     base = flat.rest
 
     def settled(one: Unknowns, near: Drape) -> Drape:
@@ -279,18 +277,6 @@ def test_held_cloth_that_touches_itself_feels_it() -> None:
     difference = (plus.positions - minus.positions) / 2e-4
     error = np.linalg.norm(found.positions[0] - difference) / np.linalg.norm(difference)
     assert error < 1e-2
-
-
-def test_the_sides_of_a_square_are_seen(shape: Drape) -> None:
-    camera = nominal_camera()
-    for turn in (0.2, 1.3, 2.5):
-        views = DepthRenderer(shape.positions, shape.faces).views(camera, turn)
-        objective = DepthViews(
-            LocatedViews.exact(views, camera, Rig(), QUARTERS), shape.faces)
-        points = objective.points(objective.start)[0]
-        found = side_direction(*fused([points], np.zeros(1), Rig()), Rig())
-        gap = (found - turn + math.pi / 4) % (math.pi / 2) - math.pi / 4
-        assert abs(gap) < math.radians(6)
 
 
 @pytest.mark.slow

@@ -1,11 +1,19 @@
-"""Objectives for registered drapes, and surfaces of points: values, derivatives."""
+"""Captured surfaces: their points, the objective for registered drapes, cloth pulled onto them."""
 
 import numpy as np
 import pytest
 
 from common.errors import InputError
+from data.render.cameras import nominal_camera
+from data.render.rays import QUARTERS, DepthRenderer
+from drapenet.refine.depth import DepthViews
+from drapenet.refine.springs import MAX_HINGE_ANGLE, captured_shape, smoothed
 from drapenet.refine.surface import Cloud, RobustPositions, distances
-from sim.rig import DISC_RIG
+from drapenet.views.located import LocatedViews
+from sim.drape import drape
+from sim.energies.hinges import Hinges, hinge_angles
+from sim.material import MICRO, Fabric
+from sim.rig import DISC_RIG, Rig
 from sim.scene import Scene, make_specimen
 
 
@@ -49,3 +57,38 @@ def test_raw_points_get_the_normals_of_the_surface() -> None:
     assert distances(cloud, above) == pytest.approx([2e-3, 0.1], abs=2e-3)
     with pytest.raises(InputError, match="too few"):
         Cloud.of_points(np.zeros((20, 3)))
+
+
+def bent(scene: Scene, positions: np.ndarray) -> np.ndarray:
+    hinges = Hinges(scene.mesh, scene.active)
+    return np.abs(hinge_angles(positions.ravel(), hinges.dofs)) > MAX_HINGE_ANGLE
+
+
+def test_crumpled_cloth_is_smoothed_and_other_cloth_stays() -> None:
+    scene = make_specimen(Rig(), edge=8e-3)
+    rest = scene.mesh.rest
+    crumpled = np.column_stack([rest, np.zeros(len(rest))])
+    far = np.linalg.norm(rest, axis=1) > 0.09
+    crumpled[far, 2] = np.random.default_rng(0).uniform(-0.02, 0.02, far.sum())
+    assert bent(scene, crumpled).sum() > 50
+    smooth = smoothed(scene, crumpled)
+    assert not bent(scene, smooth).any()
+    np.testing.assert_array_equal(smooth[scene.held], crumpled[scene.held])
+    wavy = np.column_stack([rest, 0.01 * np.sin(40 * rest[:, 0])])
+    assert not bent(scene, wavy).any()
+    np.testing.assert_array_equal(smoothed(scene, wavy), wavy)
+
+
+def test_soft_cloth_takes_the_captured_folds() -> None:
+    fabric = Fabric(np.full(3, 5 * MICRO), np.full(3, -2e-3 * 5 * MICRO))
+    truth = drape(fabric, edge=4e-3, seed=3)
+    camera, turn = nominal_camera(), 0.4
+    views = DepthRenderer(truth.positions, truth.faces).views(camera, turn)
+    specimen = {"rig": Rig(), "edge": 4e-3}
+    located = LocatedViews.exact(views, camera, Rig(), QUARTERS)
+    objective = DepthViews(located, make_specimen(**specimen).mesh.faces, turn=turn)
+    shape = captured_shape(fabric, *objective.points(objective.start), **specimen)
+    seen = objective.render(shape.positions, objective.start)
+    apart = np.abs(seen - views)[(seen > 0) & (views > 0)]
+    assert np.median(apart) < 0.5e-3 and np.quantile(apart, 0.9) < 3e-3
+    assert shape.self_intersections < 5

@@ -1,13 +1,11 @@
 """What a refinement makes of the network's estimate."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from common.configs import read_option
-from data.captures.capture import Capture
 from data.fabrics.fabrics import fabric_from_theta
 from data.render.cameras import nominal_camera
 from data.render.rays import QUARTERS, DepthRenderer
@@ -38,12 +36,6 @@ def draped() -> Drape:
     return drape(fabric_from_theta(THETA), edge=8e-3)
 
 
-def capture_of(shape: Drape) -> Capture:
-    camera = nominal_camera()
-    views = DepthRenderer(shape.positions, shape.faces).views(camera, 0.5).astype(np.float32)
-    return Capture(views, camera.intrinsics, np.array(QUARTERS), 0.15, None, Rig(), Path(), ())
-
-
 def run(
     shape: Drape, monkeypatch: pytest.MonkeyPatch, *, start_value: float = 50.0,
     known: dict | None = None,
@@ -63,10 +55,11 @@ def run(
             names, 0.01 * np.eye(len(names)), 1.0), shape, Status.CONVERGED, "")
 
     monkeypatch.setattr(refine, "search", search)
-    capture, camera = capture_of(shape), nominal_camera()
-    located = LocatedViews.exact(capture.views, camera, Rig(), QUARTERS)
+    camera = nominal_camera()
+    views = DepthRenderer(shape.positions, shape.faces).views(camera, 0.5).astype(np.float32)
+    located = LocatedViews.exact(views, camera, Rig(), QUARTERS)
     result = refine.refine_capture(
-        before("stiff", "bias", "soft"), capture, located, scan=None,
+        before("stiff", "bias", "soft"), located, scan=None,
         known=known or {}, settings=read_option("refine", "depth") | {"edge_mm": 8.0})
     return result, asked
 
