@@ -50,8 +50,8 @@ def test_captures_of_a_drape_differ(cloth_dataset: Path) -> None:
 def stored() -> tuple[Drape, dict[str, object], np.ndarray, np.ndarray]:
     """A lowered drape with hysteresis: its row, positions and origins as a shard has them."""
     nuisances = Nuisances(membrane=300.0, shear=0.5, hysteresis=0.2)
-    one = drape(FABRIC, edge=8e-3, seed=1, laws=nuisances.laws)
-    row = {"theta": to_theta(FABRIC.alpha, FABRIC.beta), "edge": 8e-3, "seed": 1,
+    one = drape(FABRIC, edge=6e-3, seed=1, laws=nuisances.laws)
+    row = {"theta": to_theta(FABRIC.alpha, FABRIC.beta), "edge": 6e-3, "seed": 1,
            "offset": (0.0, 0.0), "nuisances": nuisances.vector}
     origin = np.zeros(one.faces.shape)
     origin[one.scene.active] = one.laws.bending.origin.round(1)
