@@ -23,7 +23,7 @@ from sim.cloth import Laws
 from sim.material import DIRECTIONS, SOFTENING_LIMIT, Fabric, torque
 
 
-def test_bezier_knows_the_circle():
+def test_a_bezier_arc_has_the_length_and_curvature_of_a_circle():
     """Curvature, length and derivatives of a cubic that is a quarter circle to 3e-4."""
     k = 4 / 3 * (np.sqrt(2) - 1)
     arc = Bezier(np.array([[0, 0], [k, 0], [1, 1 - k], [1, 1]]) * 0.05)
@@ -98,7 +98,7 @@ def test_both_read_strips_on_a_ramp():
     assert match(curves, weight=WEIGHT, slope=0.4).alpha == pytest.approx(alpha, rel=1e-3)
 
 
-def test_the_table_stands_noise():
+def test_the_table_is_accurate_with_noise():
     alpha, beta = LAWS[0]
     rng = np.random.default_rng(1)
     noisy = [curve + rng.normal(0, 3e-4, curve.shape) * (np.arange(81) > 0)[:, None]

@@ -151,7 +151,7 @@ def test_offset_hangs_further_down_where_there_is_more_cloth():
     assert ends[0] < ends[1] - 0.01
 
 
-def test_failure_is_data():
+def test_a_failed_minimisation_is_a_status():
     result = drape(isotropic(20), edge=0.008, options=NewtonOptions(max_iterations=1))
     assert not result.converged
     assert result.status.value == "max_iterations" and "1 iterations" in result.message
@@ -171,7 +171,7 @@ def test_invalid_arguments_are_refused(monkeypatch, arguments, word):
         drape(isotropic(20), **arguments)
 
 
-def test_a_law_beside_the_others_is_made_on_every_mesh():
+def test_user_defined_laws_are_called_for_every_mesh():
     made = []
 
     def heavier(mesh, active, *, fabric):

@@ -2,14 +2,19 @@
 
 import numpy as np
 import pytest
+from scipy.special import j0
 
-from sim.cloth import Laws
+from sim.cloth import Cloth, Laws
 from sim.drape import drape
 from sim.energies.external import Gravity
+from sim.energies.membrane import Corotational
 from sim.material import Fabric
 from sim.measures import fold_count
+from sim.mesh import Mesh, strip
 from sim.rig import DISC_RIG, GRAVITY, Rig
-from sim.solver.newton import Status
+from sim.scene import Scene, make_specimen
+from sim.solver.dynamics import Inertia, Motion
+from sim.solver.newton import NewtonOptions, Status
 
 SOFT = Fabric(np.full(3, 20e-6))
 
@@ -46,3 +51,65 @@ def test_a_time_step_that_fails_is_a_status() -> None:
 
     result = drape(SOFT, edge=0.012, laws=Laws(others=(law,)))
     assert result.status is Status.NOT_FINITE and result.coarse == (Status.NOT_FINITE,)
+
+
+TIGHT = NewtonOptions(residual=1e-6, step=1e-4)
+LIMP = Fabric(np.full(3, 0.5e-6))
+LENGTH = 0.3  # m
+
+
+def moving(scene: Scene, fabric: Fabric, laws: Laws | None = None) -> tuple[Cloth, Inertia]:
+    """The cloth of ``scene`` with its inertia, and that inertia."""
+    inertia = Inertia(scene.mesh, density=fabric.density)
+    return Cloth(scene, fabric, laws=laws, extra=[inertia]), inertia
+
+
+def test_cloth_without_support_falls_with_the_known_error_of_the_step() -> None:
+    """Backward Euler falls g t h/2 too far in steps of h."""
+    mesh, _ = strip(length=0.06, width=0.03, edge=0.01, clamp=0.0)
+    scene = Scene(mesh, np.zeros(len(mesh.rest), dtype=bool))
+    cloth, inertia = moving(scene, LIMP)
+    motion = Motion.at_rest(scene.state(np.column_stack([mesh.rest, np.zeros(len(mesh.rest))])))
+    for _ in range(10):
+        motion, result = motion.advanced(cloth.potential, inertia, 0.02, options=TIGHT)
+        assert result.status is Status.CONVERGED
+    assert motion.time == pytest.approx(0.2)
+    fall = GRAVITY * (0.2**2 / 2 + 0.2 * 0.02 / 2)
+    assert np.allclose(motion.state.positions[:, 2], -fall, atol=1e-6)
+    assert np.allclose(motion.velocities, [0, 0, -GRAVITY * 0.2], atol=1e-5)
+
+
+def test_a_hanging_strip_swings_with_the_period_of_a_heavy_chain() -> None:
+    """Lowest frequency: half the first zero of J0, times sqrt(g/L)."""
+    mesh, held = strip(length=LENGTH, width=0.01, edge=0.01, clamp=0.0)
+    scene = Scene(mesh, held)
+    cloth, inertia = moving(scene, LIMP, Laws(membrane=Corotational(5e3)))
+    down, across = mesh.rest.T
+    mode = j0(2.4048 * np.sqrt(1 - down / LENGTH))
+    motion = Motion.at_rest(scene.state(np.column_stack([2e-3 * mode, across, -down])))
+    period = 2 * np.pi / (2.4048 / 2 * np.sqrt(GRAVITY / LENGTH))
+    swing = []
+    for _ in range(85):
+        motion, _ = motion.advanced(cloth.potential, inertia, 0.01 * period, options=TIGHT)
+        swing.append(inertia.masses * mode @ motion.state.positions[:, 0])
+    before = np.flatnonzero(np.diff(np.sign(swing)) != 0)
+    crossings = before + np.abs(np.array(swing)[before] / np.diff(swing)[before])
+    assert len(crossings) == 2
+    assert np.diff(crossings) == pytest.approx(50, rel=0.03)
+
+
+def test_the_energy_of_falling_cloth_only_decreases() -> None:
+    specimen = make_specimen(Rig(), edge=0.016)
+    mesh: Mesh = specimen.mesh
+    scene = Scene(mesh, specimen.held, Rig().obstacles)
+    cloth, inertia = moving(scene, Fabric(np.full(3, 30e-6)))
+    bumps = np.random.default_rng(0).normal(0, 1e-4, len(mesh.rest)) * ~specimen.held
+    motion = Motion.at_rest(scene.state(np.column_stack([mesh.rest, bumps])))
+    energies = []
+    for _ in range(15):
+        q = motion.state.q
+        kinetic = 0.5 * inertia.masses @ (motion.velocities**2).sum(axis=1)
+        energies.append(kinetic + cloth.potential.value(q) - inertia.value(q))
+        motion, _ = motion.advanced(cloth.potential, inertia, 0.02, options=TIGHT)
+    assert motion.state.positions[:, 2].min() < -0.05
+    assert (np.diff(energies) < 0).all()

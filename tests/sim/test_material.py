@@ -242,7 +242,7 @@ def test_softest_possible_bias():
         ([1e-4, 1e-6, 1e-6], [0, 0, 0], 0.3, "along the bias"),
     ],
 )
-def test_nonsense_is_refused_in_words(alpha, beta, density, word):
+def test_moduli_of_no_fabric_are_refused(alpha, beta, density, word):
     with pytest.raises(InputError, match=word):
         Fabric(alpha, beta, density)
 

@@ -235,6 +235,6 @@ def test_stiffness_scales():
         (lambda: Guarded(share=0.0), "share"),
     ],
 )
-def test_impossible_parameters_are_refused_in_words(make, word):
+def test_impossible_parameters_are_refused(make, word):
     with pytest.raises(InputError, match=word):
         make()

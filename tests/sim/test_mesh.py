@@ -199,7 +199,7 @@ def test_other_rest_points_share_the_topology_and_nothing_else():
     assert wider != mesh and len({mesh, wider}) == 2
 
 
-def test_three_triangles_on_an_edge_are_no_surface():
+def test_an_edge_of_three_triangles_is_refused():
     with pytest.raises(InputError, match="three triangles"):
         _ = Mesh(rest=np.zeros((5, 2)), faces=np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]])).edges
 

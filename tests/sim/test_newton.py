@@ -159,7 +159,7 @@ def test_a_minimum_is_proved_in_full_precision(monkeypatch):
     assert solved[0] and not any(solved[-3:])  # far away, rough steps do
 
 
-def test_hopeless_saddle_is_reported():
+def test_a_saddle_that_perturbations_do_not_leave_is_reported():
     function = Function(lambda y: 0.0, lambda y: np.zeros(2), lambda y: [[-1, 0], [0, 1]])
     result = minimise(function, np.zeros(2))
     assert result.status is Status.SADDLE and not result.positive_definite

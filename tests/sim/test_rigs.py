@@ -213,7 +213,7 @@ def test_soft_cloth_stays_out_of_the_cylinder_between_its_vertices_too(rig):
      (HUNG_SQUARE, {"start": "lowered"}, "start=lowered needs a plate"),
      (Rig(), {"start": "frob", "borrowed": (np.zeros((9, 2)), np.zeros((9, 3)))}, "frob")],
 )
-def test_what_a_rig_cannot_do_is_refused(rig, arguments, word):
+def test_starts_and_offsets_that_a_rig_cannot_have_are_refused(rig, arguments, word):
     with pytest.raises(InputError, match=word):
         drape(isotropic(20), rig=rig, **{"edge": 0.01, **arguments})
 
@@ -225,7 +225,7 @@ def test_what_a_rig_cannot_do_is_refused(rig, arguments, word):
      ({"plate_diameter": 0.0, "corners_apart": 0.3}, "below 0.3 m"),
      ({"plate_diameter": 0.0, "specimen": "disc"}, "no corners")],
 )
-def test_rigs_that_hold_nothing_are_refused(arguments, word):
+def test_impossible_rigs_are_refused(arguments, word):
     with pytest.raises(InputError, match=word):
         Rig(**arguments)
 

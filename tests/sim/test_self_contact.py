@@ -254,7 +254,7 @@ def test_a_sheet_that_has_fallen_through_itself_is_brought_out():
     assert not failed.converged and failed.outcome.iterations == 4
 
 
-def test_nothing_changes_where_the_cloth_does_not_meet_itself():
+def test_self_contact_changes_nothing_without_intersections():
     specimen = make_specimen(Rig(), edge=0.016, topology=2)
     mesh, held = specimen.mesh, specimen.held
     scene = Scene(mesh=mesh, held=held)
@@ -282,7 +282,7 @@ def test_untangling_moves_little_and_only_free_vertices():
     assert untangled(mesh, everything, tangled) is None
 
 
-def test_cloth_that_cannot_be_untangled_says_so():
+def test_cloth_that_cannot_be_untangled_fails_with_the_reason():
     """Two held sheets that cross, and one free vertex to move."""
     mesh, positions = two_sheets(gap=0.0)
     half = len(positions) // 2

@@ -186,7 +186,7 @@ def test_equilibria_against_finite_differences(draped):
             assert float((value.grad * move).sum()) == pytest.approx(float(difference), rel=1e-4)
 
 
-def test_a_failure_spoils_its_own_sample_only(draped):
+def test_a_failure_affects_its_own_sample_only(draped):
     far = draped.at(draped.positions * [1, 1, 0.9])  # too far for four steps
     alpha = torch.tensor(np.stack([FABRIC.alpha, FABRIC.alpha]), requires_grad=True)
     beta = torch.tensor(np.stack([FABRIC.beta, FABRIC.beta]), requires_grad=True)
@@ -240,7 +240,7 @@ def test_a_column_beyond_its_buckling_load_is_no_minimum():
     assert 0 < nearly.softest < 0.3 * stands.softest
 
 
-def test_states_that_are_no_equilibrium_are_refused(draped):
+def test_shapes_that_are_not_equilibria_have_no_derivatives(draped):
     lifted = draped.at(draped.positions + 1e-3 * random_weights(draped))
     assert not sensitivities(lifted).ok
     assert not Tangent(lifted.cloth, lifted.state.q).ok
