@@ -1,7 +1,6 @@
 """The problem of a refinement and its search, on coarse meshes and fabrics that are known."""
 
 import math
-from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
 
@@ -137,7 +136,7 @@ def test_a_failed_simulation_is_a_rejected_step_and_is_recorded(
 
     def fragile(*args: object, **more: object) -> Drape:
         made.append(follow(*args, **more))
-        return replace(made[1], status=made[1].status.SADDLE) if len(made) == 2 else made[-1]
+        return made[1].ended(made[1].status.SADDLE, "failed") if len(made) == 2 else made[-1]
 
     monkeypatch.setattr(problems, "follow", fragile)
     problem = positions_problem(shape, away, AWAY)

@@ -6,7 +6,14 @@ import pytest
 
 from common.errors import InputError
 from sim.mesh import Mesh, strip
-from sim.mesh.specimen import GRADING, GROWTH, MAX_EDGE, MAX_SHARED_OFFSET, TOPOLOGIES
+from sim.mesh.specimen import (
+    GRADING,
+    GROWTH,
+    MAX_EDGE,
+    MAX_SHARED_OFFSET,
+    TOPOLOGIES,
+    mesh_specimen,
+)
 from sim.rig import DISC_RIG, HUNG_SQUARE, Rig
 from sim.scene import Scene, make_specimen
 
@@ -153,7 +160,7 @@ def test_a_hung_square_has_even_edges_and_two_held_corners():
 
 def test_same_topology_same_bytes_other_topology_other_mesh():
     first, other = (make_specimen(Rig(), edge=0.008, topology=t).mesh for t in (1, 2))
-    make_specimen.__globals__["_base_specimen"].cache_clear()
+    mesh_specimen.__globals__["_base_mesh"].cache_clear()
     again = make_specimen(Rig(), edge=0.008, topology=1).mesh
     assert again is not first
     assert again.rest.tobytes() == first.rest.tobytes()
