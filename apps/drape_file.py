@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from common.documents import read_arrays
 from common.errors import InputError
 from common.files import replace_file
-from data.captures.frames import read_arrays
 from sim.drape import Drape
 
 

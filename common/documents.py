@@ -1,7 +1,6 @@
-"""Reading and validation of input documents: regular files of bounded size and nesting depth.
+"""Reading of YAML, JSON, CSV and NPZ files: regular files of bounded size and nesting depth.
 
-All YAML, JSON and CSV files are read here and validated by a :class:`Schema`; every fault raises an
-InputError of one line.
+Contents are validated by a :class:`Schema`; every fault raises an InputError of one line.
 """
 
 import csv
@@ -9,11 +8,13 @@ import json
 import os
 import reprlib
 import stat
-from collections.abc import Iterator, Mapping
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
+import numpy as np
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import from_json
@@ -22,7 +23,7 @@ from common.errors import InputError, one_line
 
 MAX_TEXT_BYTES = 1 << 16  # written by people
 MAX_TABLE_BYTES = 8 << 20
-MAX_DOCUMENT_BYTES = 64 << 20  # written by programs
+MAX_DOCUMENT_BYTES = 64 << 20  # written by programs; also each array of an npz file
 MAX_LEVELS = 20  # nesting depth of YAML; the JSON parser allows 200
 T = TypeVar("T", bound="Schema")
 
@@ -190,6 +191,22 @@ def require_regular(file: Path, max_bytes: int, kind: str) -> None:
         raise InputError(f"{file} is not a regular file; give a {kind}")
     if status.st_size > max_bytes:
         raise InputError(f"{file} has {status.st_size} bytes; a {kind} has at most {max_bytes}")
+
+
+def read_arrays(file: Path, names: Sequence[str], *, expected: str) -> dict[str, np.ndarray]:
+    """Arrays ``names``, of any shape, of an npz file; ``expected`` describes it in errors."""
+    require_regular(file, MAX_DOCUMENT_BYTES, "file of arrays")
+    arrays = {}
+    with reading(file, f"give {expected}"), zipfile.ZipFile(file) as archive:
+        for name in names:
+            if f"{name}.npy" not in archive.namelist():
+                raise InputError(f"{file} has no array '{name}'; give {expected}")
+            member = archive.getinfo(f"{name}.npy")
+            if member.file_size > MAX_DOCUMENT_BYTES:
+                raise ValueError(f"{name} is too large")
+            # A header may claim any size: memory is not committed before it is written to.
+            arrays[name] = np.lib.format.read_array(archive.open(member))
+    return arrays
 
 
 @contextmanager

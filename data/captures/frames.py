@@ -8,8 +8,7 @@ recording (:mod:`data.captures.rosbag`). All views of a capture have the same fo
 import io
 import itertools
 import re
-import zipfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -33,7 +32,6 @@ BACKGROUND = "background.png"
 RECORDING = "recording"
 SATURATED = 65535  # counts, written by cameras where depth is missing
 MAX_FILE_BYTES = 160 << 20  # bytes, of a picture
-MAX_ARCHIVE_BYTES = 64 << 20  # bytes, of an npz file and of each of its arrays
 MAX_PIXELS = 64_000_000  # of all frames of one view
 MAX_POINTS = MAX_PICTURE[0] * MAX_PICTURE[1] // 4
 MAX_DEPTH = 100.0  # m; larger values have another unit or are invalid
@@ -318,24 +316,6 @@ def header_of(data: bytes) -> tuple[tuple[int, ...], np.dtype]:
     shape, _, kind = {(1, 0): np.lib.format.read_array_header_1_0,
                       (2, 0): np.lib.format.read_array_header_2_0}[version](stream)
     return shape, kind
-
-
-def read_arrays(file: Path, names: Sequence[str], *, expected: str) -> dict[str, np.ndarray]:
-    """Read the arrays ``names``, of any shape, from an npz file; InputError if it is not
-    ``expected``, such as "an npz file of a scan".
-    """
-    require_regular(file, MAX_ARCHIVE_BYTES, "file of arrays")
-    arrays = {}
-    with reading(file, f"give {expected}"), zipfile.ZipFile(file) as archive:
-        for name in names:
-            if f"{name}.npy" not in archive.namelist():
-                raise InputError(f"{file} has no array '{name}'; give {expected}")
-            member = archive.getinfo(f"{name}.npy")
-            if member.file_size > MAX_ARCHIVE_BYTES:
-                raise ValueError(f"{name} is too large")
-            # A header may claim any size: memory is not committed before it is written to.
-            arrays[name] = np.lib.format.read_array(archive.open(member))
-    return arrays
 
 
 def _size(picture: np.ndarray) -> str:

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
+from common.documents import read_arrays
 from common.errors import InputError
 from common.types import Faces, Points, RestPoints
-from data.captures.frames import read_arrays
 from sim.mesh import Mesh
 from sim.rig import Rig
 

@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from common.types import Density, Radians, Theta
-from data.captures.capture import Capture
 from data.fabrics.fabrics import fabric_from_theta, from_theta
 from data.fabrics.prior import GaussianPrior
-from drapenet.network.checkpoint import Header
 from sim.material import (
     DIRECTIONS,
     FIRST,
@@ -26,6 +24,8 @@ from sim.material import (
 )
 
 if TYPE_CHECKING:
+    from data.captures.capture import Capture
+    from drapenet.network.checkpoint import Header
     from drapenet.network.predict import Draws
 
 MIN_DIRECTION_PROBABILITY = 0.8  # of the stiffer yarns' direction; below, there is a warning
@@ -96,7 +96,7 @@ class Estimate:
         return torque(curvature, *(part[:, direction, None] for part in self.moduli()))
 
 
-def make_estimate(draws: "Draws", *, capture: Capture, header: Header) -> Estimate:
+def make_estimate(draws: "Draws", *, capture: "Capture", header: "Header") -> Estimate:
     """Make an estimate of posterior samples: directions in the order of their names, warnings.
 
     The first yarns are the marked warp, or the stiffer yarns where none is marked.
@@ -129,7 +129,7 @@ def make_estimate(draws: "Draws", *, capture: Capture, header: Header) -> Estima
     return Estimate(**vars(estimate) | {"warnings": tuple(warnings)})
 
 
-def _extrapolations(estimate: Estimate, header: Header) -> list[str]:
+def _extrapolations(estimate: Estimate, header: "Header") -> list[str]:
     """One line for each modulus outside the fabrics trained on, in either order of the yarns."""
     edges = np.array([header.fabrics.low, header.fabrics.high])
     low, high = np.stack([edges, edges[:, SWAPPED]], axis=1)

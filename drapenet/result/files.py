@@ -6,10 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from common.documents import read_json
+from common.documents import read_arrays, read_json
 from common.errors import InputError
 from common.files import remove_file, replace_json, replacing, require_file, require_folder
-from data.captures.frames import read_arrays
 from drapenet.result.document import EstimateDocument
 from drapenet.result.estimate import Estimate
 from sim.material import MICRO

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import least_squares
 
-from data.captures.frames import read_arrays
+from common.documents import read_arrays
 from data.fabrics.fabrics import fabric_from_theta
 from experiments.drapes import plan_specimen
 from experiments.result import Config, Result, load_arrays, run_cases
