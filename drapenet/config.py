@@ -82,21 +82,13 @@ class InferConfig:
 
 @dataclass(frozen=True)
 class EstimateOptions:
-    """How a capture is estimated: ``configs/infer.yaml`` in SI units.
+    """How a capture is estimated: ``configs/infer.yaml`` in SI units."""
 
-    Attributes:
-        refine: content of a file of ``configs/refine``; None: by the network alone.
-        drapes: to simulate with the estimate; 0: no report.
-        edge: of their meshes at the plate's rim.
-        membrane: N/m along the yarns, of the fabric at its own density; None: unknown.
-        strict: refuse a faulty capture instead of giving warnings.
-    """
-
-    refine: dict[str, Any] | None = None
-    drapes: int = 2
-    edge: Metres = 4e-3
-    membrane: float | None = None
-    strict: bool = False
+    refine: dict[str, Any] | None = None  # content of a file of ``configs/refine``
+    drapes: int = 2  # to simulate with the estimate; 0: no report
+    edge: Metres = 4e-3  # of their meshes at the plate's rim
+    membrane: float | None = None  # N/m along the yarns, of the fabric at its own density
+    strict: bool = False  # refuse a faulty capture instead of giving warnings
 
 
 @dataclass

@@ -72,8 +72,7 @@ class _Config(Excerpt):
 
 
 class Header(Excerpt):
-    """The keys that are read of a checkpoint's description, made by
-    :func:`drapenet.network.training.describe`; ``path`` and ``sha256`` are those of the file.
+    """The keys read of a checkpoint's description; ``path`` and ``sha256`` are those of the file.
     """
 
     remedy = "copy it again"
@@ -108,9 +107,8 @@ class Header(Excerpt):
 
     @property
     def spread(self) -> Theta:
-        """Standard deviation of theta over the training fabrics, averaged over both orders of
-        the yarns, because the first yarns of an estimate need not be the dataset's warp.
-        """
+        """Standard deviation of theta over the training fabrics, mean of both orders of yarns."""
+        # The first yarns of an estimate need not be the dataset's warp.
         spread = np.array(self.fabrics.deviation)
         return (spread + spread[SWAPPED]) / 2
 

@@ -1,13 +1,7 @@
 """Maps of synthetic captures of a dataset's drapes, for training and evaluation.
 
-    shard of drapes -> captures (data.render.setups) -> maps (drapenet.views.radial_map) ->
-    maps_NNNNN.npz
-
-Files depend on the dataset, the set-ups and the seed only, so an interrupted run can be resumed.
-
 For small changes of its moduli and its membrane stiffness, a stored drape moves linearly. A capture
-of the moved drape shows a neighbouring fabric with the same folds, so that one simulation yields
-training captures of several fabrics, each at a fifth of its cost.
+of the moved drape shows a neighbouring fabric with the same folds, at a fifth of a simulation.
 """
 
 import io
@@ -40,8 +34,8 @@ from sim.sensitivity.forward import tangent_sensitivities
 
 _COLUMNS = ("index", "fabric", "theta", "nuisances", "edge", "seed", "offset", "status")
 NEIGHBOUR_CORRELATION = 0.97
-"""Correlation of a neighbour's parameters with the fabric's: a distance of about a quarter of a
-standard deviation, which moves a drape by 1 mm; the linear prediction has an error of a quarter."""
+"""Of a neighbour's parameters with the fabric's: about a quarter of a standard deviation apart,
+which moves a drape by 1 mm; the linear prediction has an error of a quarter."""
 _PARAMETERS = 7  # theta and the logarithm of the membrane stiffness
 _MEMBRANE = np.log(10.0) / (2 * 1.96)  # standard deviation of the logarithm, as configs/nuisances
 _EQUILIBRIUM_TOLERANCE = 5e-4  # m, maximum move of a stored drape to its equilibrium
@@ -49,26 +43,17 @@ _EQUILIBRIUM_TOLERANCE = 5e-4  # m, maximum move of a stored drape to its equili
 
 @dataclass(frozen=True)
 class Maps:
-    """Maps of N captures and their truth.
+    """Maps of N captures and their truth, (N, ...) each."""
 
-    Attributes:
-        distance, weight: (N, AZIMUTHS, ELEVATIONS), :func:`drapenet.network.model.compressed`.
-        warp: (N,) rad, true azimuth of the warp in the map.
-        nuisances: (N, 8) of :data:`data.fabrics.nuisances.NAMES`.
-        views: (N,) number of views.
-        fabric, index: (N,) of the drape in the dataset.
-        moved: (N,) whether it shows a neighbour of the fabric (:func:`neighbour`).
-    """
-
-    distance: np.ndarray
+    distance: np.ndarray  # :func:`drapenet.network.model.compressed`
     weight: np.ndarray
     theta: Theta
-    warp: np.ndarray
-    nuisances: np.ndarray
-    views: np.ndarray
-    fabric: np.ndarray
-    index: np.ndarray
-    moved: np.ndarray
+    warp: np.ndarray  # rad, true azimuth in the map
+    nuisances: np.ndarray  # of :data:`data.fabrics.nuisances.NAMES`
+    views: np.ndarray  # their number
+    fabric: np.ndarray  # number of the fabric in the dataset
+    index: np.ndarray  # of the drape in the dataset
+    moved: np.ndarray  # whether it shows a neighbour of the fabric
 
     def __len__(self) -> int:
         return len(self.index)
@@ -92,13 +77,11 @@ def make_maps(
     root: str | Path, manifest: dict, out: Path, *, setups: Setups, captures: int, seed: int,
     neighbours: bool = False, workers: int = 1, shards: int | None = None,
 ) -> Maps:
-    """Maps of ``captures`` captures of each converged drape of the dataset ``root``.
+    """Maps of ``captures`` captures of each converged drape of the dataset ``root``, cached in
+    ``out``, where an interrupted run is resumed.
 
     Args:
-        manifest: of the complete dataset.
-        out: folder of the cached files; each set of arguments has a subfolder.
         neighbours: all captures of a drape but the first show a neighbour of its fabric.
-        workers: processes of one thread each; files do not depend on it.
         shards: number of shards used; None: all.
     """
     options = {"setups": setups, "captures": captures, "seed": seed, "neighbours": neighbours}
@@ -167,10 +150,8 @@ def maps_of_shard(
 def drape_derivatives(
     row: dict[str, np.ndarray], positions: Points, origin: np.ndarray, rig: Rig
 ) -> np.ndarray | None:
-    """(7, V, 3) derivatives of a stored drape's positions by theta and the logarithm of the
-    membrane stiffness; None if they do not exist.
-
-    ``row``: of the drape in its shard; ``origin``: (F, 3) 1/m, curvatures without friction.
+    """(7, V, 3) derivatives of the stored drape of a ``row`` by theta and the logarithm of the
+    membrane stiffness, or None; ``origin``: (F, 3) 1/m, curvatures without friction.
     """
     nuisances = Nuisances(*row["nuisances"])
     rig, fabric = nuisances.rig(rig), fabric_from_theta(row["theta"])

@@ -2,12 +2,9 @@
 
     python -m drapenet.network.evaluate [rig=NAME] [checkpoint=FILE] [drapes=N] [fabrics=TABLE.csv]
 
-Draws new fabrics from the prior, or takes measured ones from a table, simulates their drapes,
-renders captures and estimates them as ``infer.py`` does. The matrix varies one condition at a time:
-mesh, sensor, pose, views, membrane, hysteresis, softness. Drapes and maps are cached in ``out``, so
-that an interrupted evaluation can be resumed. Errors are root mean squares, over drapes and
-directions, of the posterior's mean in units of the training fabrics' standard deviation; their
-intervals are from a bootstrap over fabrics.
+Drapes of new fabrics from the prior, or of measured ones, are simulated and estimated as by
+``infer.py``, with one condition varied at a time. Errors are root mean squares of the posterior's
+mean in units of the training fabrics' standard deviation.
 """
 
 import common.interrupt  # noqa: F401
@@ -45,25 +42,14 @@ _RESAMPLES = 400  # of the bootstrap
 _FINE_EDGE = 1.75e-3  # m, of the mesh's edges at the plate's rim
 _HIGH_HYSTERESIS = 0.25  # share of the loading torque
 
-Rows = Callable[[Maps], np.ndarray]
-"""(N,) bool: the captures that a cell uses."""
-
-
 @dataclass(frozen=True)
 class Cell:
-    """One entry of the matrix.
+    """One entry of the matrix."""
 
-    Attributes:
-        drapes: dataset, a key of :func:`datasets`.
-        setups: replacements for entries of the set-ups trained on.
-        known: whether the membrane is given to the network.
-        rows: selects captures; None: all.
-    """
-
-    drapes: str = "as trained"
-    setups: dict[str, Any] = field(default_factory=dict)
-    known: bool = False
-    rows: Rows | None = None
+    drapes: str = "as trained"  # dataset, a key of :func:`datasets`
+    setups: dict[str, Any] = field(default_factory=dict)  # replacements for those trained on
+    known: bool = False  # whether the membrane is given to the network
+    rows: Callable[[Maps], np.ndarray] | None = None  # mask of the captures used; None: all
 
 
 def _views(count: int) -> dict[str, Any]:
@@ -111,9 +97,7 @@ def datasets(base: DatasetConfig) -> dict[str, DatasetConfig]:
 
 
 def judge(network: MapNet, header: Header, maps: Maps, *, known: bool) -> dict[str, Any]:
-    """Errors and coverage on captures of unseen fabrics.
-
-    ``network``: of ``header``; ``known``: whether it is given the membrane.
+    """Errors and coverage on captures of unseen fabrics; ``known``: whether the membrane is given.
     """
     disc = header.rig.specimen == "disc"
     captures = CaptureSet(maps, disc=disc, scale=header.scale)
@@ -148,9 +132,7 @@ def rms_with_interval(errors: np.ndarray, fabric: np.ndarray) -> dict[str, Any]:
 
 
 def require_unseen(header: Header, generation: dict) -> None:
-    """InputError if a dataset's configuration, ``generation``, gives fabrics that a checkpoint was
-    trained on.
-    """
+    """InputError if a dataset's configuration gives fabrics that a checkpoint was trained on."""
     training = header.dataset.generation
     # A fabric depends on the prior, the seed and its index only.
     if (generation["prior"] == training["prior"]

@@ -13,10 +13,8 @@ from drapenet.network.targets import Symmetry
 from drapenet.views.directions import AZIMUTHS, ELEVATIONS
 from drapenet.views.radial_map import RadialMap
 
-CHANNELS = 4
-"""Distance, weight, cosine and sine of twice the azimuth, which encode the origin of azimuths."""
-KNOWN = 5
-"""Number of scalar inputs, see :func:`known_of`."""
+CHANNELS = 4  # distance, weight, cosine and sine of twice the azimuth
+KNOWN = 5  # scalar inputs, see :func:`known_of`
 WEIGHT_UNIT = 1 / 32  # of the stored logarithm of 1 + weight
 _HARMONICS = (2, 4)  # of the azimuth, for pooling features beside their mean
 _MEMBRANE = 316.0  # N/m, unit of the input

@@ -1,9 +1,4 @@
-"""Posterior of the moduli as a mixture of Gaussians, and its calibration.
-
-The network's last layer gives the parameters of a mixture with full covariances over the
-standardised targets (:mod:`drapenet.network.targets`); training maximises the likelihood of the
-true targets.
-"""
+"""Posterior of the standardised targets as a mixture of Gaussians, and its calibration."""
 
 import math
 from dataclasses import dataclass
@@ -22,21 +17,15 @@ Ranks = Annotated[np.ndarray, "(N, T) share of the draws below the truth; unifor
 
 @dataclass(frozen=True)
 class Mixture:
-    """Mixtures of K Gaussians over T targets, one for each of N captures.
+    """Mixtures of K Gaussians over T targets, one for each of N captures."""
 
-    Attributes:
-        logits: (N, K) of the components' weights, not normalised.
-        means: (N, K, T).
-        factors: (N, K, T, T) lower triangular factors of the precisions, factor factorᵀ.
-    """
-
-    logits: torch.Tensor
-    means: torch.Tensor
-    factors: torch.Tensor
+    logits: torch.Tensor  # (N, K) of the components' weights, not normalised
+    means: torch.Tensor  # (N, K, T)
+    factors: torch.Tensor  # (N, K, T, T) lower triangular, precision = factor factorᵀ
 
     @classmethod
     def of_outputs(cls, outputs: torch.Tensor, *, components: int, targets: int) -> "Mixture":
-        """Mixture of a network's outputs (N, :func:`outputs_of`)."""
+        """Mixture of outputs (N, O), O of :func:`outputs_of`."""
         entries = targets * (targets + 1) // 2
         parts = outputs.view(len(outputs), components, 1 + targets + entries)
         logits, means, entries = parts.split([1, targets, entries], dim=2)

@@ -1,8 +1,7 @@
 """Posterior samples from maps of captures by the network.
 
 Rotated by a symmetry of its specimen, or reflected, a drape is an equally likely drape of the same
-fabric. The posterior is the mixture of the network's posteriors for eight such maps, which is wider
-where they disagree.
+fabric. The posterior is the mixture of the network's posteriors for eight such maps.
 """
 
 from collections.abc import Sequence
@@ -20,27 +19,20 @@ from drapenet.network.targets import MODULI, Symmetry
 from drapenet.views.radial_map import RadialMap
 from sim.material import is_admissible
 
-DRAWS = 500
-"""Samples of each of the eight posteriors."""
+DRAWS = 500  # of each of the eight posteriors
 
 
 @dataclass(frozen=True)
 class Draws:
-    """Samples of one capture's posterior.
-
-    Attributes:
-        theta: (S, 6) along one yarn direction, the bias, the other yarn direction.
-        axis: (S,) direction of the former yarns in the first view, rad.
-        impossible: share of all samples that is not admissible and was removed.
-    """
+    """Samples of one capture's posterior, first yarns before bias and second yarns."""
 
     theta: Theta
-    axis: np.ndarray
-    impossible: float
+    axis: np.ndarray  # (S,) rad, direction of the first yarns in the first view
+    impossible: float  # share of all samples that was not admissible and is removed
 
     @classmethod
     def possible(cls, theta: Theta, axis: np.ndarray) -> "Draws":
-        """The admissible samples; all if none is."""
+        """The admissible samples, ``axis`` (S,); all if none is."""
         possible = is_admissible(*from_theta(theta))
         kept = possible if possible.any() else ~possible
         return cls(theta[kept], axis[kept], float(1 - possible.mean()))
@@ -48,7 +40,7 @@ class Draws:
 
 @torch.no_grad()
 def sample_targets(network: MapNet, header: Header, batch: Batch) -> Samples:
-    """8 :data:`DRAWS` samples of the targets, not standardised; ``network``: of ``header``."""
+    """8 :data:`DRAWS` samples of the targets, not standardised."""
     symmetry, many = Symmetry.all(), len(batch.known)
     disc = len(header.scale.mean) > MODULI
     drawn = []
@@ -62,13 +54,9 @@ def sample_targets(network: MapNet, header: Header, batch: Batch) -> Samples:
 
 
 def predict(
-    network: MapNet, header: Header, maps: Sequence[RadialMap], *,
-    membrane: float | None = None,
+    network: MapNet, header: Header, maps: Sequence[RadialMap], *, membrane: float | None = None
 ) -> list[Draws]:
-    """Posterior samples of each capture; ``network``: of ``header``.
-
-    ``membrane``: N/m along the yarns, of cloth of 300 g/m²; None if unknown.
-    """
+    """Posterior samples of each capture; ``membrane``: N/m along the yarns at 300 g/m²."""
     views = np.array([drape.views for drape in maps])
     batch = Batch.of(*compressed(maps), views, np.full(len(maps), membrane, np.float32))  # or NaN
     samples = sample_targets(network, header, batch)

@@ -36,17 +36,14 @@ def targets_of(theta: Theta, warp: np.ndarray, *, disc: bool) -> Targets:
 
 @dataclass(frozen=True)
 class Symmetry:
-    """Rotations and reflections of maps that give equally likely captures: (N,) azimuth cells by
-    which a map is rotated, quarter turns for squares, and whether it is reflected at azimuth 0
-    before.
-    """
+    """Rotations and reflections of N maps that give equally likely captures."""
 
-    cells: torch.Tensor
-    mirror: torch.Tensor
+    cells: torch.Tensor  # (N,) azimuth cells of the rotation, quarter turns for squares
+    mirror: torch.Tensor  # (N,) whether a map is first reflected at azimuth 0
 
     @classmethod
     def draw(cls, count: int, *, disc: bool, rng: np.random.Generator) -> "Symmetry":
-        """Draw ``count`` random symmetries."""
+        """Random symmetries."""
         cells = rng.integers(AZIMUTHS, size=count) if disc else (
             rng.integers(4, size=count) * (AZIMUTHS // 4))
         return cls(torch.from_numpy(cells), torch.from_numpy(rng.integers(2, size=count) == 1))
@@ -87,9 +84,7 @@ class TargetScale:
 
     @staticmethod
     def fit(targets: Targets, *, disc: bool) -> "TargetScale":
-        """Scale of a training set's targets, invariant under the symmetries: equal for both yarns
-        of squares, with zero mean for directions on discs.
-        """
+        """Scale of a training set's targets, invariant under the symmetries."""
         mean, std = targets.mean(axis=0), np.maximum(targets.std(axis=0), 1e-12)
         if disc:
             mean[MODULI:], std[MODULI:] = 0.0, std[MODULI:].mean()

@@ -1,8 +1,7 @@
 """Captures, optimisation, validation and state of ``train.py``.
 
-Random numbers depend on (seed, epoch) only: the order of captures and their symmetries. The state
-at the end of an epoch therefore consists of the weights, the optimiser's moments and the number of
-finished epochs, and a resumed run gives the same weights as an uninterrupted one.
+Random numbers depend on (seed, epoch) only, so that weights, the optimiser's moments and the number
+of finished epochs are the whole state: a resumed run gives the same weights.
 """
 
 import math
@@ -50,14 +49,8 @@ def choose_device(config: TrainConfig) -> torch.device:
 
 
 class CaptureSet:
-    """Maps of captures with standardised targets.
-
-    Args:
-        disc: whether specimens are discs.
-        scale: of the targets; None: fitted to these captures.
-
-    Attributes:
-        truth: (N, T) targets, not standardised.
+    """Maps of captures with their targets, ``scale`` fitted to them if None; ``truth``: (N, T),
+    not standardised.
     """
 
     def __init__(self, maps: Maps, *, disc: bool, scale: TargetScale | None = None) -> None:
@@ -78,9 +71,7 @@ class CaptureSet:
     def batch(
         self, rows: np.ndarray, *, revealed: np.ndarray, symmetry: Symmetry | None = None
     ) -> Batch:
-        """The captures of ``rows`` (N,) after ``symmetry``; ``revealed``: (N,) bool, whether the
-        membrane is given to the network.
-        """
+        """Captures of ``rows`` (N,) after ``symmetry``, the membrane given if ``revealed`` (N,)."""
         maps, targets = self.maps, self.targets[rows]
         if symmetry is not None:
             targets = symmetry.of_targets(targets, disc=self.disc)
@@ -90,16 +81,13 @@ class CaptureSet:
         return batch if symmetry is None else batch.turned(symmetry)
 
     def in_order(self, size: int, *, known: bool = False) -> Iterator[tuple[np.ndarray, Batch]]:
-        """Rows and captures in order, without symmetries, in batches of at most ``size``;
-        ``known``: whether the membrane is given.
+        """Rows and captures in order, without symmetries; ``known``: whether the membrane is given.
         """
         for rows in np.array_split(np.arange(len(self)), -(-len(self) // size)):
             yield rows, self.batch(rows, revealed=np.full(len(rows), known))
 
     def epoch(self, *, seed: int, epoch: int, size: int) -> Iterator[Batch]:
-        """All captures in random order with random symmetries, in batches of ``size``; a function
-        of (seed, epoch). An incomplete last batch is dropped.
-        """
+        """Full batches in random order with random symmetries, a function of (seed, epoch)."""
         rng = np.random.default_rng([seed, epoch])
         order = rng.permutation(len(self))
         for start in range(0, len(self) - size + 1, size):
@@ -109,9 +97,7 @@ class CaptureSet:
 
 
 def open_captures(config: TrainConfig) -> tuple[CaptureSet, CaptureSet, dict]:
-    """Training and validation captures, of different fabrics, computed if missing; and the
-    dataset's manifest.
-    """
+    """Training and validation captures, of different fabrics, and the dataset's manifest."""
     manifest = finished_manifest(Path(config.data))
     disc = only_tester(config.data, manifest).specimen == "disc"
     maps = make_maps(config.data, manifest, Path(config.maps),
@@ -142,7 +128,6 @@ def learning_rate(optim: OptimConfig, progress: float) -> float:
 
 
 def _half_cosine(x: float) -> float:
-    """Half a cosine, from 1 at 0 to 0 at 1."""
     return (1 + math.cos(math.pi * x)) / 2
 
 
@@ -168,9 +153,8 @@ def fit(
 ) -> float:
     """Train ``network`` by maximum likelihood; return the mean loss.
 
-    Args:
-        schedule: of each step, the completed share of the training and the batch, with ``targets``
-            and ``through`` (:class:`drapenet.network.model.Batch`).
+    ``schedule``: of each step, the completed share of the training and a
+    :class:`drapenet.network.model.Batch`.
     """
     device = next(network.parameters()).device
     network.train()
@@ -189,12 +173,8 @@ def fit(
 
 @torch.no_grad()
 def validate(network: MapNet, captures: CaptureSet) -> dict:
-    """Metrics of the network on ``captures``, with unknown nuisances and without symmetries.
-
-    Returns:
-        ``loss``, the mean negative log likelihood; ``rmse_log_alpha`` and ``rmse_beta_over_alpha``
-        of the means, standardised; ``inside`` (:func:`drapenet.network.posterior.inside`);
-        ``samples``, the number of captures.
+    """Metrics of the network on ``captures``, with unknown nuisances and without symmetries; errors
+    are standardised.
     """
     network.eval()
     losses, errors, places = [], [], []
@@ -272,9 +252,7 @@ def save_state(
 def load_state(
     path: Path, *, run: dict[str, Any], model: torch.nn.Module, optimizer: torch.optim.Optimizer
 ) -> dict[str, Any]:
-    """Load the state of :func:`save_state`, of the same ``run``, into ``model`` and ``optimizer``;
-    return its record. Only tensors and plain values are read.
-    """
+    """Load the state of :func:`save_state`, of the same ``run``; return its record."""
     require_regular(path, MAX_WEIGHTS_BYTES, "training's state")
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)

@@ -1,15 +1,9 @@
 """Objective: depth views, compared pixel by pixel with the simulated drape.
 
-Where both show cloth, the residual is the difference in z-depth. Its derivative is that of the
-plane of the triangle that the pixel's ray d hits: a move v of a plane with normal n changes the
-depth by n·v / n·d. Further residuals compare the silhouettes: signed distances, in pixels, from the
-border of the simulated silhouette to that of the captured one; their derivative is the move of the
-border's points in the image.
-
-Pixels beside a depth discontinuity, where one fold occludes another, are excluded.
-
-Both kinds are normalised to a fixed number of independent measurements, so that the value does not
-decrease with the visible area, and is a negative log likelihood.
+Residuals are differences in z-depth, where a move v of the plane with normal n that the pixel's ray
+d hits changes the depth by n·v / n·d, and signed distances between the silhouettes, in pixels. Both
+are normalised to a fixed number of independent measurements: their value is a negative log
+likelihood and does not decrease with the visible area.
 """
 
 from dataclasses import dataclass, replace
@@ -31,47 +25,35 @@ from drapenet.refine.objective import Linearised, Moves, Nuisance, Residuals, hu
 from drapenet.views.located import LocatedViews
 
 POSE = ("turn", "tilt_x", "tilt_y", "shift_x", "shift_y", "shift_z")
-FOCAL, BORDER = "log_focal", "border"
-"""Logarithm of the focal length over the camera's; px by which masks are too small."""
+FOCAL, BORDER = "log_focal", "border"  # over the camera's; px by which masks are too small
 _SCALES = dict(zip((*POSE, FOCAL, BORDER), (0.05, 0.01, 0.01, 3e-3, 3e-3, 3e-3, 0.01, 0.5),
-                   strict=True))
-"""Typical steps, rad and m; of the focal length, relative."""
+                   strict=True))  # typical steps
 TABLE_SCALE = 0.03  # rad
 TABLE_DEVIATION = np.radians(2.5)  # standard deviations as in configs/setup/real.yaml
 FOCAL_DEVIATION, BORDER_DEVIATION = 0.01, 1.0
 _DEVIATIONS = dict.fromkeys(POSE, np.inf) | {FOCAL: FOCAL_DEVIATION, BORDER: BORDER_DEVIATION}
-EDGE = 1.75e-3
-"""m, at the plate's rim of the mesh for which :class:`DepthWeights` is stated."""
+EDGE = 1.75e-3  # m, at the rim of the mesh for which :class:`DepthWeights` is stated
 
 
 @dataclass(frozen=True)
 class DepthWeights:
     """Noise model and sampling of the pixels.
 
-    Attributes:
-        sigma: m, standard deviation of a depth: noise and model error.
-        limit: m, difference beyond which the cost is linear.
-        border_sigma: px, the same of the silhouette's border; border_limit: px.
-        stride: of the depth pixels compared, in rows and columns.
-        jump: m, range of depths within 3 x 3 pixels that is a discontinuity.
-        patch: px, side of a patch whose errors count as one measurement, on a mesh with edges of
-            :data:`EDGE` at the rim: noise of neighbours is correlated, and the mesh's effect on
-            folds more so. Intervals have nominal coverage (``python -m experiments refine_views``).
+    ``patch`` is the side, px, of a patch whose errors count as one measurement: noise of neighbours
+    is correlated, and the mesh's effect on folds more so. With it, intervals have nominal coverage
+    (``python -m experiments refine_views``).
     """
 
-    sigma: float = 1e-3
-    limit: float = 4e-3
-    border_sigma: float = 0.7
-    border_limit: float = 4.0
-    stride: int = 2
-    jump: float = 12e-3
+    sigma: Metres = 1e-3  # standard deviation of a depth: noise and model error
+    limit: Metres = 4e-3  # beyond which the cost is linear
+    border_sigma: float = 0.7  # px, the same of the silhouette's border
+    border_limit: float = 4.0  # px
+    stride: int = 2  # of the depth pixels compared, in rows and columns
+    jump: Metres = 12e-3  # range within 3 x 3 pixels that is a discontinuity
     patch: float = 18.0
 
     def on_mesh(self, edge: Metres) -> "DepthWeights":
-        """The weights for cloth on a mesh with edges of ``edge`` at the rim.
-
-        The number of independent pixels is proportional to that of the mesh's triangles.
-        """
+        """Weights for another mesh; independent pixels are as many as its triangles."""
         return replace(self, patch=self.patch * edge / EDGE)
 
 
@@ -103,27 +85,22 @@ class _Pose:
 
 @dataclass(frozen=True)
 class _Hits:
-    """Intersections of N rays with the cloth, in the specimen's axes.
-
-    ``normal`` is divided by its product with the ray: a move v changes the depth by normal·v.
-    """
+    """Intersections of N rays with the cloth, in the specimen's axes."""
 
     corners: np.ndarray  # (N, 3) vertices of the triangle
     weights: np.ndarray  # (N, 3) of the corners
     point: Points
-    normal: np.ndarray  # (N, 3)
+    normal: np.ndarray  # (N, 3) over its product with the ray: a move v changes the depth by n·v
     depth: np.ndarray  # (N,) m
 
 
 @dataclass(frozen=True)
 class _Part:
-    """N residuals of one kind in one view, their derivatives ``slope`` (N, 3) by a move, m, of the
-    cloth that is hit, in the specimen's axes, and ``by_border`` (N,) by :data:`BORDER`.
-    """
+    """N residuals of one kind in one view and their derivatives."""
 
     residual: Residuals
-    slope: np.ndarray
-    by_border: np.ndarray
+    slope: np.ndarray  # (N, 3) by a move, m, of the cloth that is hit, in the specimen's axes
+    by_border: np.ndarray  # (N,) by :data:`BORDER`
     hits: _Hits
     pose: _Pose
 
@@ -150,13 +127,9 @@ def table_names(views: int) -> tuple[str, ...]:
 class DepthViews:
     """Comparison of captured views with a mesh.
 
-    The specimen is rotated by ``turn`` (rad, the warp's direction in the first view) and by
-    ``turns`` in each view, plus the table's error ``table_k`` in all but the first. The world is
-    tilted about its x and y axes and shifted, to correct the estimated pose of the camera.
-
-    Args:
-        faces: of the mesh.
-        turn: initial guess of the nuisance.
+    The specimen is rotated by the nuisance ``turn`` (rad, the warp's direction in the first view)
+    and the table's turn, with its error ``table_k`` in all but the first view. The world is tilted
+    about its x and y axes and shifted, to correct the estimated pose of the camera.
     """
 
     def __init__(
@@ -213,9 +186,7 @@ class DepthViews:
         return np.stack(views)
 
     def points(self, nuisance: Nuisance) -> tuple[Points, np.ndarray]:
-        """The captured surface at the compared pixels, in the specimen's axes: points and normals
-        (N, 3) of slightly smoothed depth, towards the camera.
-        """
+        """Points and normals (N, 3) of the captured surface, in the specimen's axes."""
         points, normals = [], []
         for k, view in enumerate(self._views):
             pose = self._pose(k, nuisance)
@@ -271,8 +242,7 @@ class DepthViews:
         return float(nuisance[self.nuisances.index(name)])
 
     def _rays(self, nuisance: Nuisance) -> np.ndarray:
-        """Rays through the pixels (H, W, 3), camera axes, z = 1, with the nuisances' focal length.
-        """
+        """Rays through the pixels (H, W, 3), camera axes, z = 1."""
         zoom = float(np.exp(self._value(FOCAL, nuisance)))
         return self._nominal_rays / [zoom, zoom, 1.0]
 

@@ -1,10 +1,8 @@
-"""Initial state from captured points, so that the simulated cloth has the captured folds.
+"""Initial state on captured points, so that the simulated cloth has the captured folds.
 
-A fabric has many fold configurations, which cannot be compared vertex by vertex or pixel by pixel.
-The simulation therefore starts near the captured surface. Seen from a point on the axis a drape is
-nearly star-shaped: the views' points give its distance in each direction. Every point of the
-specimen is placed on this surface at its azimuth, at its arc length from the plate's rim. The
-result is strained and bent locally, but has the captured folds; the minimisation removes the rest.
+The points give the surface's distance in each direction from a point on the axis. Every point of
+the specimen is placed on it at its azimuth, at its arc length from the plate's rim: strained and
+bent locally, but with the captured folds.
 """
 
 import numpy as np
@@ -12,11 +10,13 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import gaussian_filter
 
 from common.types import Metres, Points, Radians, RestPoints
+from drapenet.views.radial_map import smoothed
 from sim.rig import Rig
 
 AZIMUTHS, ELEVATIONS = 120, 72
 CENTRE = -0.06  # m, height of the point that the drape is seen from
 STEP = 2e-3  # m, along the traced curves
+_SIGMAS = (0.7, 2.0, 6.0, 20.0)  # cells, of the Gaussians that smooth and fill the surface
 _LOWEST = -np.pi / 3  # elevation of the lowest direction
 _ROWS = _LOWEST + (np.arange(ELEVATIONS) + 0.5) * (np.pi / 2 - _LOWEST) / ELEVATIONS
 
@@ -33,20 +33,11 @@ def _directions(points: Points) -> tuple[np.ndarray, np.ndarray]:
     total, count = np.zeros((2, AZIMUTHS, ELEVATIONS))
     np.add.at(total, cells, np.hypot(radius, height))
     np.add.at(count, cells, 1.0)
-    mean = total / np.maximum(count, 1)
-    known = (count > 0).astype(float)
-    filled = np.zeros_like(mean)
-    open_cells = np.ones(mean.shape, dtype=bool)
-    for sigma in (0.7, 2.0, 6.0, 20.0):
-        weight = gaussian_filter(known, sigma, mode=("wrap", "nearest"))
-        smooth = gaussian_filter(known * mean, sigma, mode=("wrap", "nearest"))
-        now = open_cells & (weight > 0.1)
-        filled[now] = smooth[now] / weight[now]
-        open_cells &= ~now
-    filled[open_cells] = mean[known > 0].mean()
-    cloth = gaussian_filter(known, 0.7, mode=("wrap", "nearest")) > 0.3
+    visible = count > 0
+    distance = smoothed(total / np.maximum(count, 1), visible, _SIGMAS, least=0.1)
+    cloth = gaussian_filter(visible.astype(float), 0.7, mode=("wrap", "nearest")) > 0.3
     lowest = np.where(cloth.any(axis=1), cloth.argmax(axis=1), ELEVATIONS)
-    return filled, _LOWEST + lowest * (np.pi / 2 - _LOWEST) / ELEVATIONS
+    return distance, _LOWEST + lowest * (np.pi / 2 - _LOWEST) / ELEVATIONS
 
 
 def surface_positions(rest: RestPoints, points: Points, rig: Rig) -> Points:

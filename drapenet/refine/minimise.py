@@ -12,8 +12,7 @@ from typing import Protocol
 import numpy as np
 from scipy.optimize import brentq
 
-MAX_STEP = 1.0
-"""Maximum step, in a problem's units: the linearisation of a drape is not valid beyond."""
+MAX_STEP = 1.0  # in a problem's units; the linearisation of a drape is not valid beyond
 
 
 class LeastSquares(Protocol):
@@ -42,17 +41,11 @@ class Status(str, Enum):
 
 @dataclass(frozen=True)
 class Limits:
-    """Stopping criteria.
+    """Stopping criteria."""
 
-    Attributes:
-        evaluations: maximum number of evaluations of the value, each a simulation.
-        step: minimum step, in the problem's units.
-        decrease: minimum predicted decrease of a step, relative to the value.
-    """
-
-    evaluations: int = 25
-    step: float = 1e-3
-    decrease: float = 1e-4
+    evaluations: int = 25  # maximum number of simulations
+    step: float = 1e-3  # minimum step, in the problem's units
+    decrease: float = 1e-4  # minimum predicted decrease of a step, relative to the value
 
 
 @dataclass
@@ -92,11 +85,8 @@ def minimise(
 def _descend(
     problem: LeastSquares, best: Outcome, value: Callable[[np.ndarray], float], limits: Limits
 ) -> tuple[Status, str]:
-    """Gauss-Newton with a trust region and active bounds, from the ``best`` point, which ``value``
-    updates.
-
-    The step minimises the linearised problem within the radius, so that unknowns of low sensitivity
-    change little.
+    """Gauss-Newton with a trust region, which keeps unknowns of low sensitivity, and active bounds,
+    from the ``best`` point, which ``value`` updates.
     """
     radius, moved = 0.5 * MAX_STEP, False
     while True:

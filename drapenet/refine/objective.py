@@ -1,12 +1,7 @@
-"""Interface of the objectives of a refinement.
+"""Objectives: comparisons of a simulated drape with a capture by half a sum of squared residuals.
 
-An objective compares a simulated drape, given by its vertex positions, with a capture. It does not
-depend on the moduli; it may have further parameters, the nuisances, such as orientation and pose.
-Its value is half the sum of squared residuals. For robustness to outliers the residuals themselves
-are transformed (:func:`huber`), so that every optimiser solves a plain least-squares problem.
-
-The number of residuals may vary between calls (pixels that show cloth), but not their scale,
-because values of different calls are compared.
+They may have parameters, the nuisances, such as pose. For robustness the residuals themselves are
+transformed (:func:`huber`); their number may vary between calls, but not their scale.
 """
 
 from collections.abc import Callable
@@ -26,33 +21,21 @@ Residuals = Annotated[np.ndarray, "(N,) differences over their standard deviatio
 
 
 class Linearised(NamedTuple):
-    """Residuals at one shape and their derivatives.
-
-    Attributes:
-        along: from moves of the vertices to the derivatives (N, P) of the residuals along them.
-        by_nuisance: (N, K).
-        independent: number of independent measurements; smaller than N, because errors of
-            neighbouring pixels are correlated.
-    """
+    """Residuals at one shape and their derivatives."""
 
     residuals: Residuals
-    along: Callable[[Moves], np.ndarray]
-    by_nuisance: np.ndarray
-    independent: float
+    along: Callable[[Moves], np.ndarray]  # derivatives (N, P) along moves of the vertices
+    by_nuisance: np.ndarray  # (N, K)
+    independent: float  # measurements, below N: errors of neighbouring pixels are correlated
 
 
 class Objective(Protocol):
-    """A comparison of a simulated drape with a captured one.
+    """A comparison of a simulated drape with a captured one."""
 
-    Attributes:
-        nuisances: their names; start: initial guess; scale: typical steps.
-        deviation: prior standard deviations around the start; infinite without a prior.
-    """
-
-    nuisances: tuple[str, ...]
-    start: Nuisance
-    scale: Nuisance
-    deviation: Nuisance
+    nuisances: tuple[str, ...]  # their names
+    start: Nuisance  # initial guess
+    scale: Nuisance  # typical steps
+    deviation: Nuisance  # prior standard deviations around the start; may be infinite
 
     def residuals(self, positions: Points, nuisance: Nuisance) -> Residuals:
         """Residuals of vertices at ``positions``."""
@@ -67,9 +50,7 @@ def value(residuals: Residuals) -> float:
 
 
 def huber(residuals: Residuals, limit: float) -> tuple[Residuals, np.ndarray]:
-    """Residuals whose squares grow linearly beyond ``limit``, and their derivatives (N,).
-
-    Half of their squares is Huber's function of the residuals given.
+    """Residuals whose squares grow linearly beyond ``limit`` (Huber), and their derivatives (N,).
     """
     size = np.abs(residuals)
     far = size > limit

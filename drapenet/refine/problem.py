@@ -1,8 +1,7 @@
 """Refinement as a least-squares problem: unknowns -> equilibrium -> residuals, with the prior's.
 
 The unknowns are free parameters of the specimen (:mod:`.unknowns`) and the objective's nuisances,
-each divided by a typical step. Every simulation has a warm start from the best drape so far, which
-keeps the fold configuration; an equilibrium takes a few Newton steps.
+each divided by a typical step. The warm start from the best drape so far keeps the folds.
 """
 
 import math
@@ -29,19 +28,13 @@ from sim.sensitivity import Sensitivities, Tangent
 from sim.solver.potential import forces
 
 SpringsAt = Callable[[Nuisance], Energy]
-"""Springs that hold the simulated cloth, as a function of the objective's nuisances, because the
-placement of a captured surface depends on the estimated pose."""
+"""Springs that hold the simulated cloth; a captured surface depends on the estimated pose."""
 _STEP = 1e-3  # of finite differences by a nuisance, in its scale
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One evaluated point x (n,): specimen, nuisances and equilibrium.
-
-    Attributes:
-        value: of objective and prior.
-        misfit: half the sum of squares of the objective's residuals.
-    """
+    """One evaluated point x (n,): ``value`` of objective and prior, ``misfit`` of the objective."""
 
     x: np.ndarray
     unknowns: Unknowns
@@ -64,18 +57,11 @@ class Problem:
 
     Args:
         near: warm start of the first simulation, a drape on the objective's mesh.
-        unknowns: initial guess; clipped to the bounds.
+        unknowns, nuisance: initial guesses; clipped to the bounds.
         free: names of the free parameters of :data:`.unknowns.NAMES`.
         rest: of the mesh without offset and turn; None: those of ``near``.
-        nuisance: initial guess; None: the objective's.
         error_scale: divisor of the objective's residuals, above 1 where the best fit exceeds their
             standard deviations.
-
-    Attributes:
-        names, scale: of the (n,) unknowns of the problem, and their units.
-        start, low, high: (n,) in these units.
-        best, last: trials, None before the first.
-        measurements: number of independent measurements; set by :meth:`linearised`.
     """
 
     def __init__(
@@ -101,7 +87,7 @@ class Problem:
         self.start = np.clip(start, self.low, self.high)
         self.best: Trial | None = None
         self.last: Trial | None = None
-        self.measurements = 0.0
+        self.measurements = 0.0  # independent ones, set by :meth:`linearised`
         self._tangent: tuple[Drape, Moves | None, Sensitivities | None] | None = None
 
     def split(self, x: np.ndarray) -> tuple[Unknowns, Nuisance]:
@@ -217,16 +203,11 @@ class Problem:
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """A normal distribution around the optimum: Laplace's approximation.
+    """A normal distribution around the optimum: Laplace's approximation."""
 
-    Attributes:
-        names, covariance: of the (n,) unknowns, (n, n) in their units.
-        reduced_chi2: chi-square of the objective's residuals per degree of freedom.
-    """
-
-    names: tuple[str, ...]
-    covariance: np.ndarray
-    reduced_chi2: float
+    names: tuple[str, ...]  # of the n unknowns
+    covariance: np.ndarray  # (n, n) in their units
+    reduced_chi2: float  # of the objective's residuals, per degree of freedom
 
     @property
     def theta(self) -> np.ndarray:
@@ -235,10 +216,8 @@ class Uncertainty:
 
 
 def laplace(problem: Problem, trial: Trial) -> Uncertainty | None:
-    """Laplace approximation at ``trial``, the problem's best or last; None without derivatives.
-
-    The weight of the objective is that of the problem. Unidentifiable unknowns have infinite
-    variance.
+    """Laplace approximation at the best or last ``trial``, None without derivatives; unidentifiable
+    unknowns have infinite variance.
     """
     linearised = problem.linearised(trial.x)
     if linearised is None:

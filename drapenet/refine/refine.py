@@ -1,8 +1,7 @@
 """Refinement of an estimate by simulation: ``refine=`` of ``infer.py``.
 
-The network's estimate gives initial guesses only. The posterior combines the fabric prior, the
-prior of specimens (``configs/nuisances/real.yaml``) and the capture; the network is not counted as
-another measurement of the same pixels.
+The posterior combines the fabric prior, the prior of specimens and the capture. The network gives
+initial guesses only: it is no further measurement of the same pixels.
 """
 
 import math
@@ -15,7 +14,7 @@ from tqdm import tqdm
 
 from common.command import compose_config
 from common.configs import read_option
-from common.types import Density, Radians, Theta, Views
+from common.types import Density, Radians, Theta
 from data.dataset.config import Options, config_from_options
 from data.fabrics.fabrics import THETA_NAMES
 from data.fabrics.nuisances import LOGARITHMIC, NuisanceConfig, at_density
@@ -30,13 +29,10 @@ from drapenet.report.drape import Resimulation, turned
 from drapenet.result.estimate import Estimate
 from drapenet.result.joint import fabric_prior
 from drapenet.views.located import LocatedViews
-from sim.drape import Drape
 from sim.material import REFERENCE_DENSITY
 
-MAX_REDUCED_CHI2 = 10.0
-"""Beyond this, no simulated cloth fits the captured surface; correct captures have 0.8 to 2.5."""
-MAX_DISPLACEMENT_MM = 6.0
-"""Mean displacement of the estimate's drape from the scan; for 20 simulated scans at most 2.7."""
+MAX_REDUCED_CHI2 = 10.0  # beyond, no cloth fits the capture; correct captures have 0.8 to 2.5
+MAX_DISPLACEMENT_MM = 6.0  # of the estimate's drape from the scan; 20 simulated scans: up to 2.7
 _DRAWS = 4000  # samples of the refined moduli
 _PRINTED = {"membrane": ("membrane_n_per_m", 1.0), "shear": ("shear_share", 1.0),
             "curl_warp": ("curl_warp_per_m", 1.0),
@@ -46,18 +42,11 @@ _PRINTED = {"membrane": ("membrane_n_per_m", 1.0), "shear": ("shear_share", 1.0)
 
 @dataclass(frozen=True)
 class Refinement:
-    """Result of the refinement of one capture.
+    """Result of the refinement of one capture."""
 
-    Attributes:
-        draws: of the posterior; None if the refinement gave no improvement.
-        content: the part ``refined`` of ``estimate.json``.
-        resimulation: the refined drape beside the capture.
-        warnings: one line each.
-    """
-
-    draws: Draws | None
-    content: dict[str, Any]
-    resimulation: Resimulation
+    draws: Draws | None  # of the posterior; None if the refinement gave no improvement
+    content: dict[str, Any]  # the part ``refined`` of ``estimate.json``
+    resimulation: Resimulation  # the refined drape beside the capture
     warnings: tuple[str, ...]
 
 
@@ -90,7 +79,8 @@ def refine_capture(
     else:
         turn = float(result.best.nuisance[0])
         positions = turned(drape.positions, turn)
-        views = _best_views(result, drape)
+        nuisance = fit_nuisances(result.objective, drape.positions, result.best.nuisance)
+        views = result.objective.render(drape.positions, nuisance)
     resimulation = Resimulation(located, views.astype(np.float32), drape, positions,
                                 (drape.status.value,))
     near = fidelity(scan, result.released) if scan and result.released else None
@@ -106,9 +96,7 @@ def _search(
     estimate: Estimate, observation: Observation, *, warp: Radians | None, count: int,
     known: Mapping[str, float], progress: Callable[[int, int, float], None] | None,
 ) -> SearchResult | None:
-    """The search from ``count`` fabrics, with a progress bar; ``warp``: initial guess, None if it
-    is not free.
-    """
+    """The search from ``count`` fabrics; ``warp``: initial guess, None if it is not free."""
     prior = SpecimenPrior.of(fabric_prior(estimate.names), specimen_spread())
     free = [*THETA_NAMES, *(name for name in (*LAW_NAMES, *OFFSET_NAMES) if name not in known)]
     first = prior.mean.copy()
@@ -134,12 +122,6 @@ def _search(
         return search(observation, starts, free=free, prior=prior, progress=show)
 
 
-def _best_views(result: SearchResult, drape: Drape) -> Views:
-    """Views of a drape with the pose that fits the captured ones best."""
-    nuisance = fit_nuisances(result.objective, drape.positions, result.best.nuisance)
-    return result.objective.render(drape.positions, nuisance)
-
-
 def specimen_spread() -> NuisanceConfig:
     """Distribution of the nuisances over specimens, ``configs/nuisances/real.yaml``."""
     options = compose_config("generate", ["nuisances=real"], schema=Options)
@@ -147,12 +129,10 @@ def specimen_spread() -> NuisanceConfig:
 
 
 def _certain(result: SearchResult) -> bool:
-    """Whether the moduli have an uncertainty."""
     return result.uncertainty is not None and bool(np.isfinite(result.uncertainty.theta).all())
 
 
 def _draws(result: SearchResult, turn: Radians) -> Draws:
-    """Samples of the moduli."""
     theta: Theta = np.random.default_rng(0).multivariate_normal(
         result.best.unknowns.theta, result.uncertainty.theta, size=_DRAWS)
     return Draws.possible(theta, np.full(len(theta), turn))

@@ -1,10 +1,8 @@
 """Registration of scans of drapes to a mesh of the specimen, by pulling simulated cloth onto them.
 
 A scan of unmarked cloth does not determine tangential positions on the surface, but the small
-strain of cloth does, from the plate's rim outwards. The specimen, of a soft fabric that follows the
-folds, is laid on the surface (:mod:`.laid`) and pulled onto it with increasing force until its
-strain is as large as in a drape. Trimesh's non-rigid ICP (Amberg et al. 2007), which Larionov et
-al. use (section 3.2), stretches the mesh instead: its hem is up to 25 mm from the scanned one.
+strain of cloth does, from the plate's rim outwards. Non-rigid ICP (Amberg et al. 2007), which
+Larionov et al. use (section 3.2), stretches the mesh instead: its hem is up to 25 mm off.
 """
 
 import io
@@ -27,14 +25,12 @@ from sim.cloth import Laws
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
 from sim.rig import DISC_RIG, Rig
 
+# As soft as the softest fabrics of the prior, so that folds are preserved.
 SOFT = Fabric(alpha=np.full(3, 2 * MICRO), beta=np.zeros(3), density=REFERENCE_DENSITY)
-"""As soft as the softest fabrics of the prior, so that folds are preserved."""
 LAST_PULL = 30.0
 """Force of the last pull at 1 mm over the cloth's weight. Simulated scans with noise of 0.3 mm are
 matched to 0.09 to 0.17 mm (``python -m experiments refine_scans``)."""
-MAX_STRAIN = 0.05
-"""Root mean square strain of a scan's edges. Cloth does not stretch so much by its weight; beyond,
-the scan's vertices have slid along the cloth."""
+MAX_STRAIN = 0.05  # root mean square of edges; beyond, vertices have slid along the cloth
 RAW = (".ply", ".obj")
 MAX_CLOUD_BYTES = 256 << 20  # bytes
 EDGE = 3e-3  # m, at the rim of the mesh that a scan is registered to
@@ -46,20 +42,17 @@ _MAX_FOREIGN_SHARE = 0.1  # of such points
 
 @dataclass(frozen=True)
 class ScanRegistration:
-    """A mesh of the specimen on a scan, and the mean distance of its hanging vertices from the
-    scanned surface, 0 for a scan whose vertices are used.
-    """
+    """A mesh of the specimen on a scan."""
 
     shape: CapturedShape
-    distance: Metres
+    distance: Metres  # mean of hanging vertices from the scanned surface; 0 for its own vertices
 
 
 def read_shape(path: Path, rig: Rig, *, edge: Metres = EDGE) -> ScanRegistration:
-    """The captured shape of a scan: npz with vertices (V, 3) m, rest (V, 2) m and faces (F, 3), or
-    a raw PLY or OBJ in metres, z up, the plate's centre the origin.
+    """The captured shape of a scan: npz with vertices, rest and faces, or a raw PLY or OBJ.
 
-    Raw scans are registered to a mesh with edges of ``edge`` at the rim, and so are scans whose
-    vertices have slid along the cloth.
+    Raw scans, and scans whose vertices have slid along the cloth, are registered to a mesh with
+    edges of ``edge`` at the rim.
     """
     if path.suffix.lower() in RAW:
         cloud = read_cloud(path, rig)
@@ -107,10 +100,9 @@ def flat_turn(shape: CapturedShape) -> Radians:
 
 
 def register(cloud: Cloud, rig: Rig, *, edge: Metres, turn: Radians = 0.0) -> ScanRegistration:
-    """Register a mesh of the specimen, with edges of ``edge`` at the rim, to a scan; z up, the
-    plate's centre the origin.
+    """Register a mesh of the specimen, with edges of ``edge`` at the rim, to a scan.
 
-    ``turn``: direction of the mesh's first rest axis on the plate, unknown from a scan.
+    ``turn``: direction of the mesh's first rest axis on the plate, unknown from a raw scan.
     """
     c, s = np.cos(turn), np.sin(turn)
     back = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])  # of rows: rig's to rest axes

@@ -1,12 +1,9 @@
 """Search for the captured specimen, from views or scans.
 
-On a mesh a drape has many equilibria a millimetre or two apart, because folds lock to the mesh. A
-free simulation ends in one of them, the captured cloth in none, and the difference would bias the
-moduli. The specimen is therefore pulled onto the captured surface (:mod:`.springs`), which gives
-the folds, and held there by weak springs: the equilibrium is unique and moves smoothly with the
-moduli. The springs carry little load for the right fabric and more for a wrong one, which shows in
-the same residuals, only smaller. All initial fabrics are evaluated, and Levenberg-Marquardt
-continues from the best; then the specimen is pulled again, with the improved fabric and pose.
+On a mesh a drape has many equilibria a millimetre or two apart, because folds lock to the mesh,
+which would bias the moduli. The specimen is therefore pulled onto the captured surface and held by
+weak springs: the equilibrium is unique and moves smoothly with the moduli, and the residuals are
+smaller, but remain those of a wrong fabric.
 """
 
 import math
@@ -39,26 +36,19 @@ from sim.solver.newton import NewtonOptions
 REACH = 6e-3  # m, maximum distance of a vertex from the captured point that holds it
 MIN_DECREASE = 3e-3  # predicted decrease of a step, relative to the value
 MIN_IMPROVEMENT = 0.5  # of the log probability over the initial estimate
-RELEASE = NewtonOptions(residual=1e-2, step=1e-2, max_iterations=200)
-"""Tolerances of the released drape, which is for display and a check."""
+RELEASE = NewtonOptions(residual=1e-2, step=1e-2, max_iterations=200)  # for display and a check
 
 Progress = Callable[[int, float], None]
-"""Called after each simulation with the number of simulations so far and the best value."""
+"""Called after each simulation with their number and the best value."""
 
 
 @dataclass(frozen=True)
 class Round:
-    """One search on one mesh.
+    """One search on one mesh."""
 
-    Attributes:
-        edge: of the mesh at the plate's rim.
-        pulls: force of the springs at 1 mm, over the cloth's weight, in turn.
-        evaluations: maximum simulations for each pull, without those of the starts.
-    """
-
-    edge: Metres
-    pulls: tuple[float, ...]
-    evaluations: int
+    edge: Metres  # at the plate's rim
+    pulls: tuple[float, ...]  # force of the springs at 1 mm, over the cloth's weight, in turn
+    evaluations: int  # maximum for each pull, without those of the starts
 
 
 @dataclass(frozen=True)
@@ -80,13 +70,11 @@ class Observation(Protocol):
 
 
 class CapturedViews:
-    """Depth views of a drape (:class:`Observation`).
+    """Depth views of a drape (:class:`Observation`); pose, turns and ``turn``, the direction of the
+    warp in the first view, are initial guesses.
 
-    Args:
-        located: the views; pose and turns are initial guesses.
-        turn: direction of the warp in the first view, initial guess.
-        edge: of the mesh at the rim in the last round; coarse: in the rounds before, which
-            determine folds, pose and most of the fabric.
+    Rounds on a ``coarse`` mesh determine folds, pose and most of the fabric, the last one has edges
+    of ``edge`` at the rim.
     """
 
     def __init__(
@@ -99,7 +87,7 @@ class CapturedViews:
                        Round(edge, (0.03, 0.01, 0.003), 3))
 
     def objective(self, edge: Metres) -> DepthViews:
-        """The objective of the mesh with these edges at the rim."""
+        """The objective of a mesh."""
         if edge not in self._objectives:
             mesh = make_specimen(self._located.rig, edge=edge).mesh
             self._objectives[edge] = DepthViews(self._located, mesh.faces, turn=self._turn,
@@ -142,24 +130,14 @@ class CapturedScan:
 
 @dataclass
 class SearchResult:
-    """Result of a search.
+    """Result of a search."""
 
-    Attributes:
-        best: the best trial, held to the surface by weak springs.
-        objective: of the last round.
-        effort: simulations of all rounds.
-        start_value: of the first start with that objective; None if it did not converge.
-        uncertainty: None if the drape has no derivatives.
-        released: drape of the best cloth without springs; None if it did not converge.
-        status, message: how it ended.
-    """
-
-    best: Trial
-    objective: Objective
+    best: Trial  # held to the surface by weak springs
+    objective: Objective  # of the last round
     effort: Effort
-    start_value: float | None
-    uncertainty: Uncertainty | None
-    released: Drape | None
+    start_value: float | None  # of the first start with that objective, if it converged
+    uncertainty: Uncertainty | None  # None if the drape has no derivatives
+    released: Drape | None  # without springs; None if it did not converge
     status: Status
     message: str
 
@@ -175,9 +153,8 @@ def search(
 ) -> SearchResult | None:
     """Search for the observed specimen; None if no cloth converges on its surface.
 
-    Args:
-        starts: initial guesses; the result is compared with the first of them.
-        free: names of the free parameters of :data:`.unknowns.NAMES`.
+    All ``starts`` are evaluated, and Levenberg-Marquardt continues from the best. ``free``: names
+    of the free parameters of :data:`.unknowns.NAMES`.
     """
     run = _Run(observation, free, prior, progress)
     guesses: Sequence[Unknowns] = starts
@@ -213,8 +190,7 @@ class _Run:
         self.first: Trial | None = None
 
     def round(self, level: Round, guesses: Sequence[Unknowns], *, first: Unknowns | None) -> None:
-        """Hold all ``guesses`` to the surface and optimise from the one that fits best, with
-        springs of decreasing stiffness; finally evaluate ``first``.
+        """Optimise from the best of ``guesses`` with softer and softer springs, evaluate ``first``.
         """
         nuisance = self.problem.best.nuisance if self.problem else None
         anchored = self.observation.anchored(level, guesses[0], nuisance)
@@ -263,7 +239,6 @@ class _Run:
             report=partial(self.report, problem))
 
     def report(self, problem: Problem) -> None:
-        """Report the progress."""
         if self.progress:
             best = problem.best
             self.progress(self.effort.solves, best.value if best else math.inf)

@@ -1,9 +1,7 @@
 """Simulated cloth pulled onto captured points.
 
-Springs pull vertices towards the planes through their nearest captured points. Points with a
-similar normal are preferred, so that the two sides of a fold are distinguished. The cloth's
-energy determines the shape where no view shows it. Released, such a drape keeps the captured folds
-unless its fabric cannot hold them.
+Springs pull vertices towards the planes through their nearest captured points, preferably those
+with a similar normal, so that the two sides of a fold are distinguished.
 """
 
 from collections.abc import Sequence
@@ -28,12 +26,9 @@ from sim.solver.state import State
 from sim.start import interpolate_positions
 
 _COARSE_MEMBRANE = 0.1  # relative to the final one; softer, cloth would stretch to the points
-MAX_HINGE_ANGLE = 1.5
-"""rad; vertices of hinges of the first mesh that are bent more are smoothed. Otherwise soft fabrics
-laid on narrow folds intersect themselves, or the minimisation fails."""
+MAX_HINGE_ANGLE = 1.5  # rad; beyond, soft fabrics on narrow folds intersect themselves
 _SMOOTHINGS = 50
-PULLS = (3.0, 10.0, 10.0)
-"""Force of the springs at a distance of 1 mm, over the cloth's weight, in turn."""
+PULLS = (3.0, 10.0, 10.0)  # force of the springs at 1 mm, over the cloth's weight, in turn
 REACH = 0.02  # m, maximum distance of a vertex from its captured point
 NORMAL_LENGTH = 0.03  # m, weight of the normals' difference in the distance
 OPTIONS = NewtonOptions(residual=0.3, step=1.0, max_iterations=60)  # loose: an initial guess
@@ -68,13 +63,8 @@ class Springs(Energy):
 def captured_shape(
     fabric: Fabric, points: Points, normals: np.ndarray, *, rig: Rig, edge: Metres
 ) -> Drape:
-    """A specimen of ``fabric`` pulled onto captured points, laid on their surface first.
-
-    The state under the springs is an initial guess and not an equilibrium of the fabric.
-
-    Args:
-        points, normals: in the specimen's axes.
-        edge: of the mesh at the rim; coarser meshes give initial guesses.
+    """A specimen of ``fabric`` pulled onto captured points (N, 3): an initial guess, no equilibrium
+    without the springs.
     """
     laws = Laws()
     coarse = None
@@ -97,10 +87,7 @@ def captured_shape(
 
 
 def smoothed(scene: Scene, positions: Points) -> Points:
-    """Positions, smooth around hinges bent beyond :data:`MAX_HINGE_ANGLE`.
-
-    Their free vertices move repeatedly half-way to the mean of their neighbours.
-    """
+    """Positions, smooth around hinges bent beyond :data:`MAX_HINGE_ANGLE`."""
     mesh, x = scene.mesh, positions.copy()
     adjacent = adjacency(mesh)
     hinges = Hinges(mesh, scene.active)
@@ -119,9 +106,7 @@ def pulled(
     scene: Scene, fabric: Fabric, state: State, points: Points, normals: np.ndarray, *,
     laws: Laws, pulls: Sequence[float],
 ) -> Equilibrium:
-    """Equilibrium near ``state`` under springs to captured points, of which the nearest are updated
-    for each of ``pulls``.
-    """
+    """Equilibrium under springs to the captured points (N, 3) nearest before each of ``pulls``."""
     for pull in pulls:
         near, at = nearest_points(scene, state.positions, points, normals, reach=REACH)
         springs = Springs(near, points[at], normals[at], spring_stiffness(scene, near, pull))
@@ -134,9 +119,7 @@ def pulled(
 def nearest_points(
     scene: Scene, positions: Points, points: Points, normals: np.ndarray, *, reach: Metres
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Indices (N,) of the free vertices within ``reach`` of a captured surface, and of the captured
-    point of each.
-    """
+    """Free vertices (N,) within ``reach`` of a captured surface, and the captured point of each."""
     tree = cKDTree(np.hstack([points, NORMAL_LENGTH * normals]))
     free = np.flatnonzero(~scene.held)
     unit = vertex_normals(positions, scene.mesh.faces)[free]
@@ -146,18 +129,13 @@ def nearest_points(
 
 
 def plane_springs(scene: Scene, positions: Points, *, pull: float) -> Springs:
-    """Springs from each free vertex to the tangent plane at its position on a surface.
-
-    Vertices may slide along the surface, where their positions are most uncertain.
-    """
+    """Springs from each free vertex to the tangent plane at its position on a surface."""
     free = np.flatnonzero(~scene.held)
     return Springs(free, positions[free], vertex_normals(positions, scene.mesh.faces)[free],
                    spring_stiffness(scene, free, pull))
 
 
 def spring_stiffness(scene: Scene, vertices: np.ndarray, pull: float) -> np.ndarray:
-    """Stiffness (N,), N/m, of springs at ``vertices`` (N,); ``pull``: force at a distance of 1 mm,
-    over the cloth's weight at the reference density.
-    """
+    """Stiffness (N,), N/m; ``pull``: force at 1 mm, over the weight at the reference density."""
     weight = REFERENCE_DENSITY * scene.gravity * scene.mesh.vertex_areas[vertices]
     return pull / 1e-3 * weight

@@ -1,6 +1,4 @@
-"""Captured surfaces: registered drapes, whose vertices correspond to points of the flat specimen;
-point clouds without such correspondence; the objective for registered drapes.
-"""
+"""Captured surfaces: registered drapes, the objective for them, and point clouds."""
 
 import math
 from dataclasses import dataclass
@@ -107,17 +105,11 @@ def distances(cloud: Cloud, positions: Points) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Fidelity:
-    """Comparison of a released drape with its captured shape (Feng et al. 2022, section 7.2).
+    """Comparison of a released drape with its captured shape (Feng et al. 2022, section 7.2)."""
 
-    Attributes:
-        displacement_mm: mean distance of hanging vertices from their captured positions.
-        surface_mm: mean distance of hanging vertices from the captured surface.
-        coefficient, captured_coefficient: drape coefficients, percent.
-    """
-
-    displacement_mm: float
-    surface_mm: float
-    coefficient: float
+    displacement_mm: float  # mean of hanging vertices from their captured positions
+    surface_mm: float  # mean of hanging vertices from the captured surface
+    coefficient: float  # drape coefficient, percent
     captured_coefficient: float
 
 
@@ -134,15 +126,8 @@ def fidelity(shape: CapturedShape, drape: Drape) -> Fidelity:
 class RobustPositions:
     """Objective: robust distances between vertices and their captured positions.
 
-    Value: that of Huber's function of the distances in units of ``sigma``, half its mean over
-    ``vertices`` times ``independent``.
-
-    Args:
-        target: on the same mesh.
-        vertices: (V,) bool, those that count.
-        sigma: standard deviation of a distance.
-        limit: in units of ``sigma``, beyond which the value is linear.
-        independent: number of independent distances, about one per fold.
+    Its value is half the mean of Huber's function, linear beyond ``limit``, of the distances of
+    ``vertices`` (V,) in units of ``sigma``, times the number of ``independent`` ones.
     """
 
     nuisances = ()

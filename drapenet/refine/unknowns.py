@@ -27,20 +27,17 @@ from sim.solver.potential import forces
 
 LAW_NAMES = ("membrane", "shear", "curl_warp", "curl_weft")
 """Entries of :data:`data.fabrics.nuisances.NAMES` that the cloth's energies depend on."""
-OFFSET_NAMES = ("offset_warp", "offset_weft")
-"""m, of the specimen's centre from the plate's axis."""
+OFFSET_NAMES = ("offset_warp", "offset_weft")  # m, of the specimen from the plate's axis
 NAMES = (*THETA_NAMES, *LAW_NAMES, *OFFSET_NAMES, "warp")
-"""All parameters: theta, logarithm of membrane (N/m) and shear, curl, 1/m, offset, m,
-and direction of the warp in the axes of the rest points, rad."""
+"""Theta, logarithms of membrane (N/m) and shear, curl, 1/m, offset, m, and direction of the warp in
+the axes of the rest points, rad."""
 SCALE = np.array([1.0] * 3 + [2e-3] * 3 + [1.0, 0.5, 3.0, 3.0, 4e-3, 4e-3, 0.3])
-"""(U,) unit of each parameter."""
 ALPHA_RANGE = (0.3 * MICRO, 300 * MICRO)  # N·m at 300 g/m²
 RATIO_RANGE = (-10e-3, 2e-3)  # m; contains 99 % of the prior's fabrics
 BOUNDS = np.array(
     [np.log(ALPHA_RANGE)] * 3 + [RATIO_RANGE] * 3
     + [(math.log(20.0), math.log(5000.0)), (math.log(0.1), math.log(0.99)),
        (-15.0, 15.0), (-15.0, 15.0), (-0.02, 0.02), (-0.02, 0.02), (-math.inf, math.inf)])
-"""(U, 2) limits of each."""
 DRIFT = 4e-3  # m, standard deviation of the offset along warp and weft
 _STEPS = {"membrane": 1e-3, "shear": 1e-3, "hysteresis": 1e-3, "curl_warp": 0.1, "curl_weft": 0.1}
 
@@ -98,19 +95,16 @@ class Unknowns:
 
 
 def _turned(points: RestPoints, warp: Radians) -> RestPoints:
-    """Points in the axes of a warp at the angle ``warp``."""
     c, s = math.cos(warp), math.sin(warp)
     return points @ np.array([[c, -s], [s, c]])
 
 
 @dataclass(frozen=True)
 class SpecimenPrior:
-    """Normal prior of the unknowns: (U,) mean, and (U, U) whitening matrix of differences from it,
-    with zero rows for unknowns without a prior.
-    """
+    """Normal prior of the unknowns."""
 
-    mean: np.ndarray
-    root: np.ndarray
+    mean: np.ndarray  # (U,)
+    root: np.ndarray  # (U, U) whitens differences from it; zero rows without a prior
 
     @classmethod
     def of(cls, fabrics: GaussianPrior, spread: NuisanceConfig | None = None) -> "SpecimenPrior":
@@ -152,18 +146,16 @@ def drape_moves(
 def law_moves(
     tangent: Tangent, nuisances: Nuisances, names: Iterable[str] = LAW_NAMES
 ) -> dict[str, np.ndarray]:
-    """(V, 3) derivatives of a drape by nuisances of its cloth's energies, by name.
+    """(V, 3) derivatives of a drape by nuisances of its cloth's energies, or their logarithms.
 
-    Per unit of log membrane, log shear and hysteresis, 1/m of curl. Forces are linear in the
-    parameters, so that finite differences at one state are exact; by the hysteresis, at the
-    curvatures without friction of this drape, they are nearly so.
+    Forces are linear in the parameters, so that finite differences at one state are exact; by the
+    hysteresis, at the curvatures without friction of this drape, they are nearly so.
     """
     cloth, size = tangent.cloth, tangent.cloth.potential.unknowns
     mesh, active = cloth.scene.mesh, cloth.scene.active
     origin = getattr(cloth.bending, "origin", None)
 
     def forces_with(name: str, value: float) -> np.ndarray:
-        """Forces of the cloth's energies with another value of a nuisance."""
         laws = replace(nuisances, **{name: value}).laws
         if isinstance(laws.bending, Hysteresis):
             laws = replace(laws, bending=replace(laws.bending, origin=origin))

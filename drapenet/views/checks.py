@@ -33,10 +33,8 @@ MAX_HOLES_SHARE = 0.05
 MAX_HOLE_PIXELS = 150  # pixels
 MAX_CUT_SHARE = 0.25
 MAX_PIXEL = 2.6e-3  # m; training captures have up to 2.1 mm
-MAX_TURN_ERROR = np.radians(6.0)
-"""rad, of the table in a view: 2.5 standard deviations of the training captures."""
-TILT, SHIFT = np.radians(2.0), 0.020
-"""rad and m, tolerances of the pose beyond the range trained on: the errors of the estimate."""
+MAX_TURN_ERROR = np.radians(6.0)  # rad: 2.5 standard deviations of the training captures
+TILT, SHIFT = np.radians(2.0), 0.020  # rad and m, errors of the estimated pose
 MIN_IMPROVEMENT = 1.35  # factor by which another reading must reduce the disagreement of the views
 RAYS = "depth is the length of the ray; give depth along the optical axis"
 MAX_SWAPPED_VIEWS = 4  # maximum number of views for which all pairs are tried swapped
@@ -59,11 +57,8 @@ class Quality:
 
 
 def view_warnings(located: LocatedViews, drape: RadialMap, setups: Setups) -> list[str]:
-    """One line for each possible fault of a capture: pose of the camera outside the ``setups`` that
-    the network was trained on, turns of the table, quality of the views.
-
-    Raises:
-        InputError: the views do not show cloth on a plate.
+    """One line for each possible fault of a capture: pose of the camera outside the ``setups``
+    trained on, turns of the table, quality of the views; InputError if they show no plate.
     """
     quality = measure(located, drape)
     require_plate(quality)
@@ -115,9 +110,7 @@ def measure(located: LocatedViews, drape: RadialMap) -> Quality:
 
 
 def _misread(located: LocatedViews, gap: float) -> str:
-    """The alternative reading of the views that reduces their disagreement most; empty if none
-    reduces it by :data:`MIN_IMPROVEMENT`.
-    """
+    """The reading of the views that reduces their disagreement by far the most; empty if none."""
     if not np.isfinite(gap):
         return ""
     clouds, camera, rig = located.clouds, located.camera, located.rig
@@ -212,8 +205,8 @@ def require_plate(quality: Quality) -> None:
 
 
 def _flatness(points: np.ndarray, rig: Rig) -> tuple[float, float]:
-    """Bulge of the cloth on the plate, m, from edge to middle of a fitted paraboloid, and the share
-    of points (N, 3), m, over the plate that are off its plane.
+    """Bulge of the cloth on the plate, m, of a fitted paraboloid, and share of the points over the
+    plate that are off its plane.
     """
     reach = INNER_SHARE * rig.plate_radius
     over = points[np.hypot(points[:, 0], points[:, 1]) < reach]

@@ -1,5 +1,4 @@
-"""Directions in which a drape is described by its distance, seen from a point on the plate's axis.
-"""
+"""Directions in which a drape is described by its distance from a point on the plate's axis."""
 
 import numpy as np
 
@@ -18,8 +17,7 @@ def centre_height(rig: Rig) -> Metres:
 
 
 def elevations(rig: Rig) -> np.ndarray:
-    """Borders of the rows, shape (ELEVATIONS + 1,), rad: from the lowest possible hem to the rim.
-    """
+    """(R,) rad, borders of the rows from the lowest possible hem to the rim."""
     depth = -centre_height(rig)
     return np.linspace(np.arctan2(depth - rig.overhang, _UNDER * rig.plate_radius),
                        np.arctan2(depth, rig.plate_radius), ELEVATIONS + 1)
@@ -28,9 +26,7 @@ def elevations(rig: Rig) -> np.ndarray:
 def binned(
     points: Points, turn: Radians, rig: Rig, columns: int, rows: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Sums (columns, rows) of weighted distances, m, and of weights of one view's points, whose
-    azimuths are reduced by ``turn``.
-    """
+    """Sums (columns, rows) of weighted distances, m, and of weights of one view's points."""
     radius, height = np.hypot(points[:, 0], points[:, 1]), points[:, 2] - centre_height(rig)
     low, *_, high = elevations(rig)
     row = (np.arctan2(height, radius) - low) * (rows / (high - low))

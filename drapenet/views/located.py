@@ -1,10 +1,9 @@
-"""Views of a drape with the camera's pose and the turns of the table, estimated from the views.
-
-The pose is that of the flat top of the drape; turns and centre are refined by the overlap of views.
+"""Views of a drape with camera pose, from its flat top, and turns, from the overlap of the views.
 """
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
@@ -18,23 +17,17 @@ from sim.rig import Rig
 
 @dataclass(frozen=True)
 class LocatedViews:
-    """Views of a drape on the plate of ``rig``.
-
-    Attributes:
-        camera: with its pose relative to the plate; world x is parallel to the picture's rows.
-        turns: estimated; stated_turns: those of the capture.
-        centre: (2,) m, of the plate in the camera's world axes, from the overlap of the views.
-    """
+    """Views of a drape on the plate of ``rig``."""
 
     views: Views
-    camera: Camera
+    camera: Camera  # posed relative to the plate; world x is parallel to the picture's rows
     rig: Rig
-    turns: Turns
+    turns: Turns  # estimated
     stated_turns: Turns
-    centre: np.ndarray
+    centre: np.ndarray  # (2,) m, of the plate in the camera's world axes
 
     @classmethod
-    def of(cls, capture: Capture) -> "LocatedViews":
+    def of(cls, capture: Capture) -> Self:
         """The views of a capture."""
         if capture.cut is None:
             return cls.cut_out(capture.views, capture.intrinsics, capture.rig, capture.turns)
@@ -42,24 +35,20 @@ class LocatedViews:
         return cls.registered(capture.views, camera, capture.rig, capture.turns)
 
     @classmethod
-    def cut_out(
-        cls, views: Views, intrinsics: Intrinsics, rig: Rig, turns: Turns
-    ) -> "LocatedViews":
+    def cut_out(cls, views: Views, intrinsics: Intrinsics, rig: Rig, turns: Turns) -> Self:
         """Views that show only cloth, with the stated turns of the table."""
         camera = intrinsics.posed(plate_of_cloth(views, intrinsics, rig).pose)
         return cls.registered(views, camera, rig, turns)
 
     @classmethod
-    def registered(
-        cls, views: Views, camera: Camera, rig: Rig, turns: Turns
-    ) -> "LocatedViews":
+    def registered(cls, views: Views, camera: Camera, rig: Rig, turns: Turns) -> Self:
         """Views of a posed camera; their turns are estimated, starting from the stated ones."""
         clouds = [camera.cloth_points(view) for view in views]
         refined, centre = register(clouds, turns, rig)
         return cls(views, camera, rig, refined, turns, centre)
 
     @classmethod
-    def exact(cls, views: Views, camera: Camera, rig: Rig, turns: Turns) -> "LocatedViews":
+    def exact(cls, views: Views, camera: Camera, rig: Rig, turns: Turns) -> Self:
         """Views whose pose and turns are known, such as rendered ones."""
         turns = np.asarray(turns, dtype=float)
         return cls(views, camera, rig, turns, turns, np.zeros(2))

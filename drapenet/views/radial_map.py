@@ -4,6 +4,7 @@ Seen from a point on the axis, below the plate, a drape is nearly star-shaped: i
 its distance as a function of azimuth and elevation, into which all views are fused.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,40 +15,28 @@ from drapenet.views.directions import AZIMUTHS, ELEVATIONS, binned, elevations
 from drapenet.views.located import LocatedViews
 from sim.rig import Rig
 
-PIXEL = 1.73e-3
-"""m, size of a pixel of the rig's camera on the plate, the unit of weights."""
+PIXEL = 1.73e-3  # m, of the rig's camera on the plate, the unit of weights
 _LENGTH_BIAS = (-0.02, 0.01)  # m, range of the bias of the length from rim to hem
 _MAX_LENGTH_ERROR = 0.02  # m, at which the cost of a length error saturates
 SIGMAS = (0.7, 1.5, 4.0, 12.0)  # cells, of the successive Gaussians that fill gaps
-
 
 
 @dataclass(frozen=True)
 class RadialMap:
     """Distance of a captured drape by direction from a point on its axis.
 
-    Attributes:
-        distance: (AZIMUTHS, ELEVATIONS) m, gaps filled from their neighbours. Azimuths run
-            counter-clockwise from ``zero``, rows from the lowest up.
-        weight: (AZIMUTHS, ELEVATIONS) weighted number of pixels in each direction, in pixels of the
-            reference camera; 0 in gaps.
-        zero: direction of azimuth 0 in the first view, rad.
-        views: number of views.
+    Distances, m, with gaps filled, and weights are (AZIMUTHS, ELEVATIONS): azimuths run
+    counter-clockwise from ``zero``, rows from the lowest up.
     """
 
     distance: np.ndarray
-    weight: np.ndarray
-    zero: Radians
-    views: int
+    weight: np.ndarray  # pixels of the reference camera, 0 in gaps
+    zero: Radians  # direction of azimuth 0 in the first view
+    views: int  # their number
 
 
 def radial_map(located: LocatedViews, *, zero: Radians | None = None) -> RadialMap:
-    """Fuse the views of one capture.
-
-    Args:
-        zero: direction of azimuth 0 in the first view, such as that of the warp; None: that of a
-            square's side, in [0, pi/2).
-    """
+    """Fuse the views of one capture; ``zero`` None: direction of a square's side, in [0, pi/2)."""
     rig, camera, turns = located.rig, located.camera, located.turns
     clouds = [cloud - [*located.centre, 0] for cloud in located.clouds]
     if zero is None:
@@ -58,8 +47,7 @@ def radial_map(located: LocatedViews, *, zero: Radians | None = None) -> RadialM
 
 
 def drape_coefficient(drape: RadialMap, rig: Rig) -> float:
-    """Drape coefficient of a capture, from 0 to 1 (:func:`sim.measures.drape_coefficient`); NaN if
-    less than half of the outline is visible.
+    """Drape coefficient of a capture, from 0 to 1; NaN if less than half of the outline is visible.
     """
     borders = elevations(rig)
     flat = drape.distance * np.cos((borders[1:] + borders[:-1]) / 2)
@@ -78,7 +66,7 @@ def side_direction(distance: np.ndarray, weight: np.ndarray, rig: Rig) -> float:
     """Direction of a square specimen's side, in [0, pi/2) rad from azimuth 0.
 
     The length of cloth from rim to hem is that of the flat specimen, longest towards the four
-    corners; the direction minimises the error of these lengths. Arguments as in :class:`RadialMap`.
+    corners; the direction minimises the error of these lengths. Shapes as in :class:`RadialMap`.
     """
     borders = elevations(rig)
     height = (borders[1:] + borders[:-1]) / 2
@@ -100,28 +88,28 @@ def side_direction(distance: np.ndarray, weight: np.ndarray, rig: Rig) -> float:
     return float(sides[(trust * np.minimum(np.abs(gap), _MAX_LENGTH_ERROR)).sum(axis=1).argmin()])
 
 
-def fused(
-    clouds: list[Points], turns: Turns, rig: Rig
-) -> tuple[np.ndarray, np.ndarray]:
-    """Distances, gaps filled, and weights of a map from the points of all views, (N, 3) m each, in
-    the plate's axes; ``turns``: (K,) rad.
+def fused(clouds: list[Points], turns: Turns, rig: Rig) -> tuple[np.ndarray, np.ndarray]:
+    """Distances, gaps filled, and weights of a map (AZIMUTHS, ELEVATIONS) from all views' points.
     """
     total, weight = np.zeros((2, AZIMUTHS, ELEVATIONS))
     for cloud, turn in zip(clouds, turns, strict=True):
         sums, part = binned(cloud, turn, rig, AZIMUTHS, ELEVATIONS)
         total += sums
         weight += part
-    return _filled(total / np.maximum(weight, 1e-12), weight > 0), weight
+    mean, visible = total / np.maximum(weight, 1e-12), weight > 0
+    return np.where(visible, mean, smoothed(mean, visible, SIGMAS, least=0.05)), weight
 
 
-def _filled(mean: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """The map with gaps filled by Gaussians of increasing width."""
-    filled, gaps = np.where(known, mean, 0.0), ~known
-    for sigma in SIGMAS:
-        weight = gaussian_filter(known.astype(float), sigma, mode=("wrap", "nearest"))
-        smooth = gaussian_filter(np.where(known, mean, 0.0), sigma, mode=("wrap", "nearest"))
-        now = gaps & (weight > 0.05)
-        filled[now] = smooth[now] / weight[now]
-        gaps &= ~now
-    filled[gaps] = mean[known].mean() if known.any() else 0.0
-    return filled
+def smoothed(
+    mean: np.ndarray, visible: np.ndarray, sigmas: Sequence[float], *, least: float
+) -> np.ndarray:
+    """A map (azimuths, elevations) smoothed by the narrowest of the Gaussians under which a cell
+    has a weight of at least ``least``; 0 if nothing is ``visible``.
+    """
+    result = np.full(mean.shape, mean[visible].mean() if visible.any() else 0.0)
+    for sigma in reversed(sigmas):
+        weight = gaussian_filter(visible.astype(float), sigma, mode=("wrap", "nearest"))
+        total = gaussian_filter(np.where(visible, mean, 0.0), sigma, mode=("wrap", "nearest"))
+        enough = weight > least
+        result[enough] = total[enough] / weight[enough]
+    return result

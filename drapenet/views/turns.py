@@ -1,6 +1,4 @@
-"""Registration of views with each other: turns of the table and the plate's centre, estimated from
-the overlap of the views in cells of one degree.
-"""
+"""Turns of the table and the plate's centre, from the overlap of views in cells of one degree."""
 
 import numpy as np
 
@@ -9,8 +7,7 @@ from drapenet.views.directions import binned, elevations
 from sim.rig import Rig
 
 CENTRE_BIAS = 2.0e-3
-"""m, bias of the plate's estimated centre towards the camera: cloth bends down over the rim, and
-more of it is visible on the camera's side."""
+"""m, of the plate's estimated centre towards the camera, where more of the bent rim is visible."""
 _DEGREES, _ROWS = 360, 24
 _HANGING = 17  # rows that exclude the rim, where all drapes are similar
 _MAX_TURN_STEPS = 12  # degrees, range of the search for a turn's error
@@ -23,8 +20,7 @@ _ROUNDS = 3
 
 
 def register(clouds: list[Points], turns: Turns, rig: Rig) -> tuple[Turns, np.ndarray]:
-    """Turns of the table, the first as stated, and the plate's centre (2,), m, in the clouds of all
-    views, in the camera's plate axes.
+    """Turns of the table, the first as stated, and the plate's centre (2,), m, in the clouds' axes.
 
     Turns are first estimated in whole degrees from the overlap of adjacent views, then refined
     together with the centre by least squares.
@@ -35,15 +31,15 @@ def register(clouds: list[Points], turns: Turns, rig: Rig) -> tuple[Turns, np.nd
     start = turns = turns + np.radians(_whole_degrees(_distances(clouds, turns, centre, rig)))
     for _ in range(_ROUNDS):
         maps = _distances(clouds, turns, centre, rig)
-        so_far = np.concatenate([centre - [0, CENTRE_BIAS], turns - start])
-        change = _least_squares(maps, turns, so_far, rig)
-        centre, turns = centre + change[:2], turns + change[2:]
+        change = np.concatenate([centre - [0, CENTRE_BIAS], turns - start])
+        step = _least_squares(maps, turns, change, rig)
+        centre, turns = centre + step[:2], turns + step[2:]
     return turns, centre
 
 
 def disagreement(clouds: list[Points], turns: Turns, centre: np.ndarray, rig: Rig) -> float:
-    """Root mean square difference, m, between views registered with a centre (2,), m; NaN if
-    the overlap is too small.
+    """Root mean square difference, m, between registered views; NaN if they overlap too little;
+    ``centre``: (2,) m.
     """
     if len(clouds) < 2:
         return np.nan
@@ -56,19 +52,15 @@ def disagreement(clouds: list[Points], turns: Turns, centre: np.ndarray, rig: Ri
     return float(np.sqrt(np.square(np.minimum(gap, _MAX_GAP)).mean()))
 
 
-def _distances(
-    clouds: list[Points], turns: Turns, centre: np.ndarray, rig: Rig
-) -> np.ndarray:
-    """(K, _DEGREES, _ROWS) mean distance, m, of each view's points from a point below the plate's
-    ``centre`` (2,), m; NaN in empty cells.
-    """
+def _distances(clouds: list[Points], turns: Turns, centre: np.ndarray, rig: Rig) -> np.ndarray:
+    """(K, _DEGREES, _ROWS) mean distance, m, of each view's points; NaN in empty cells."""
     total, weight = np.stack([binned(cloud - [*centre, 0.0], turn, rig, _DEGREES, _ROWS)
                               for cloud, turn in zip(clouds, turns, strict=True)], axis=1)
     return np.where(weight > 0, total / np.where(weight > 0, weight, 1), np.nan)
 
 
 def _whole_degrees(maps: np.ndarray) -> np.ndarray:
-    """Corrections (K,), degrees, of all turns but the first, that minimise the misfit of adjacent
+    """Corrections (K,), degrees, of all turns but the first that minimise the misfit of adjacent
     views, by dynamic programming.
     """
     count = len(maps)
@@ -90,32 +82,27 @@ def _whole_degrees(maps: np.ndarray) -> np.ndarray:
     return np.concatenate([[0.0], steps[best].astype(float)])
 
 
-def _costs(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+def _costs(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """(4 _MAX_TURN_STEPS + 1,) misfit of two maps by turn of the second, degrees."""
     costs = []
     for degrees in range(-2 * _MAX_TURN_STEPS, 2 * _MAX_TURN_STEPS + 1):
-        gap = np.abs(np.roll(other, -degrees, axis=0) - one)
+        gap = np.abs(np.roll(second, -degrees, axis=0) - first)
         gap = gap[np.isfinite(gap)]
         mean = (np.minimum(gap, _MAX_GAP) ** 2).mean() if len(gap) > _MIN_COMMON_CELLS else _GAP**2
         costs.append(0.5 * _INDEPENDENT * mean / _GAP**2)
     return np.array(costs)
 
 
-def _least_squares(
-    maps: np.ndarray, turns: Turns, so_far: np.ndarray, rig: Rig
-) -> np.ndarray:
-    """Gauss-Newton step (2 + K,) of centre, m, and turns, rad, for the misfit of all views.
+def _least_squares(maps: np.ndarray, turns: Turns, change: np.ndarray, rig: Rig) -> np.ndarray:
+    """Gauss-Newton step (2 + K,) of centre and turns, after a ``change`` from the expected ones.
 
     A move v of a view's points changes the distance in direction u by n·v / n·u, where n is the
     surface normal of the mean map.
-
-    Args:
-        so_far: (2 + K,) present deviations from the expected values.
     """
-    seen = np.isfinite(maps)
-    often = seen.sum(axis=0)
+    visible = np.isfinite(maps)
+    often = visible.sum(axis=0)
     # NaN in cells without cloth and for slopes beside them.
-    mean = np.where(seen, maps, 0.0).sum(axis=0) / np.where(often > 0, often, np.nan)
+    mean = np.where(visible, maps, 0.0).sum(axis=0) / np.where(often > 0, often, np.nan)
     borders = elevations(rig)
     height = np.linspace(borders[0], borders[-1], 2 * _ROWS + 1)[1::2]
     azimuth = np.radians(np.arange(_DEGREES) + 0.5)
@@ -132,13 +119,13 @@ def _least_squares(
         columns[k, 0] = -(np.cos(turn) * by_x - np.sin(turn) * by_y)
         columns[k, 1] = -(np.sin(turn) * by_x + np.cos(turn) * by_y)
         columns[k, 2 + k] = by_azimuth
-    gaps = np.where(seen & (often > 1), maps - mean, 0.0)
-    columns = np.where(seen[:, None], columns, 0.0)
+    gaps = np.where(visible & (often > 1), maps - mean, 0.0)
+    columns = np.where(visible[:, None], columns, 0.0)
     columns = columns - columns.sum(axis=0) / np.maximum(often, 1)
-    used = seen & (often > 1) & np.isfinite(columns).all(axis=1)
+    used = visible & (often > 1) & np.isfinite(columns).all(axis=1)
     rows = columns.transpose(1, 0, 2, 3)[:, used]
     weights = 1 / (1 + (gaps[used] / _GAP) ** 2)
     weights *= _INDEPENDENT * count / max(len(weights), 1) / _GAP**2
     sigma = np.r_[[_SHIFT] * 2, [1e-6], [np.radians(_TURN)] * (count - 1)]
     normal = (rows * weights) @ rows.T + np.diag(1 / sigma**2)
-    return -np.linalg.solve(normal, (rows * weights) @ gaps[used] + so_far / sigma**2)
+    return -np.linalg.solve(normal, (rows * weights) @ gaps[used] + change / sigma**2)
