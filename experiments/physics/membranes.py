@@ -11,20 +11,29 @@ Isotropic fabrics of each alpha:
 All start from one drape with 200 N/m, so that they have the same folds.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from common.types import FaceMask
 from data.render.shade import shade
 from experiments.comparison import FinishedDrapes, Shape, equilibrium_near
 from experiments.result import Config, Result, run_cases
 from sim.cloth import Laws
 from sim.drape import drape
-from sim.energies.membrane import Corotational, Guarded, Membrane, OrthotropicStVK
+from sim.energies.base import Energy
+from sim.energies.membrane import (
+    Corotational,
+    Membrane,
+    OfStretches,
+    OrthotropicStVK,
+    StrainMembrane,
+)
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
 from sim.measures import drape_coefficient
+from sim.mesh import Mesh
 from sim.mesh.specimen import TOPOLOGIES
 from sim.rig import Rig
 from sim.scene import make_specimen
@@ -40,6 +49,67 @@ LOCKING = {
     "5000 N/m, guarded": ("guarded corotational", STIFF),
 }
 DENSITIES = (0.1, 0.3, 0.9)
+
+
+ROUNDING_WIDTH = 0.5  # of the smooth transition at each limit of the band, in half bands
+
+
+@dataclass(frozen=True)
+class Guarded:
+    """A membrane that is nearly free of stress in a band of small strains, against locking.
+
+    Feng et al. 2022 (section 4.1) let cloth deform freely between 99 % and 101 % by updating its
+    reference state during the simulation. In their final state only the strain e = s - 1 beyond the
+    band, the *excess*, stores energy; s are the principal stretches. Here this is an energy,
+
+        r psi(e) + (1 - r) psi(excess(e)),
+
+    so that an equilibrium is the minimum of one function, which does not depend on the path. The
+    excess has continuous second derivatives. With r = 0, flat cloth without load could deform
+    freely within the band and no equilibrium would be unique.
+    """
+
+    membrane: Corotational  # outside the band
+    low: float = 0.99  # stretches that bound the band
+    high: float = 1.01
+    share: float = 0.02  # r
+
+    def energy(self, mesh: Mesh, active: FaceMask) -> Energy:
+        return StrainMembrane(mesh, active, OfStretches(self))
+
+    def scaled(self, factor: float) -> "Guarded":
+        return replace(self, membrane=self.membrane.scaled(factor))
+
+    def density(self, strain: np.ndarray) -> np.ndarray:
+        inner, outer = self.membrane.density(strain), self.membrane.density(self.excess(strain)[0])
+        return self.share * inner + (1 - self.share) * outer
+
+    def stress(self, strain: np.ndarray) -> np.ndarray:
+        excess, slope, _ = self.excess(strain)
+        outer = slope * self.membrane.stress(excess)
+        return self.share * self.membrane.stress(strain) + (1 - self.share) * outer
+
+    def tangent(self, strain: np.ndarray) -> np.ndarray:
+        excess, slope, bend = self.excess(strain)
+        outer = slope[:, :, None] * self.membrane.tangent(excess) * slope[:, None, :]
+        diagonal = np.arange(strain.shape[1])
+        outer[:, diagonal, diagonal] += bend * self.membrane.stress(excess)
+        return self.share * self.membrane.tangent(strain) + (1 - self.share) * outer
+
+    def excess(self, strain: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Strain (N, 2) beyond the band and its first two derivatives, componentwise."""
+        low, high = self.low - 1, self.high - 1
+        above, below = _ramp(strain / high), _ramp(strain / low)
+        return (high * above[0] + low * below[0], above[1] + below[1],
+                above[2] / high + below[2] / low)
+
+
+def _ramp(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """max(x - 1, 0), smoothed over a width around 1, and its first two derivatives."""
+    width = ROUNDING_WIDTH
+    u = np.clip((x - 1) / width + 0.5, 0.0, 1.0)
+    value = width * u**3 * (1 - 0.5 * u) + np.maximum(x - 1 - 0.5 * width, 0.0)
+    return value, u * u * (3 - 2 * u), 6 * u * (1 - u) / width
 
 
 def membrane(name: str, stiffness: float) -> Membrane:

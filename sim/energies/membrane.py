@@ -6,7 +6,7 @@ v along weft and E = (F^T F - I)/2, or for the corotational one the principal st
 (N, 2). The stress of the Green strain is S_uu, S_vv, S_uv (second Piola-Kirchhoff times thickness).
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -224,9 +224,6 @@ def _hessian(q, dofs, shape, areas, stress, tangent):
     return result
 
 
-_ROUNDING_WIDTH = 0.5  # of the smooth transition at each limit of the band, in half bands
-
-
 class Membrane(Protocol):
     """An in-plane material."""
 
@@ -243,7 +240,7 @@ class _Linear:
     matrix: np.ndarray
 
     def energy(self, mesh: Mesh, active: FaceMask) -> Energy:
-        return StrainMembrane(mesh, active, self.of_green_strain(self))
+        return StrainMembrane(mesh, active, self)
 
     def density(self, strain: np.ndarray) -> np.ndarray:
         return 0.5 * np.einsum("ni,ni->n", strain, self.stress(strain))
@@ -253,18 +250,6 @@ class _Linear:
 
     def tangent(self, strain: np.ndarray) -> np.ndarray:
         return np.broadcast_to(self.matrix, (len(strain), *self.matrix.shape))
-
-    @staticmethod
-    def of_green_strain(law: StrainLaw) -> StrainLaw:
-        """A law of the material's strain measure as a law of the Green strain."""
-        return law
-
-    @staticmethod
-    def band(low: float, high: float) -> np.ndarray:
-        """Limits (2, K) of the material's strain between the stretches low and high: their Green
-        strains, and the shear strain that both cause together at 45° to the yarns."""
-        below, above = (low**2 - 1) / 2, (high**2 - 1) / 2
-        return np.array([[below, below, below - above], [above, above, above - below]])
 
 
 @dataclass(frozen=True)
@@ -297,16 +282,11 @@ class Corotational(_Linear):
     def matrix(self) -> np.ndarray:
         return 2 * self.mu * np.eye(2) + self.lam
 
+    def energy(self, mesh: Mesh, active: FaceMask) -> Energy:
+        return StrainMembrane(mesh, active, OfStretches(self))
+
     def scaled(self, factor: float) -> "Corotational":
         return replace(self, stiffness=factor * self.stiffness)
-
-    @staticmethod
-    def of_green_strain(law: StrainLaw) -> StrainLaw:
-        return OfStretches(law)
-
-    @staticmethod
-    def band(low: float, high: float) -> np.ndarray:
-        return np.array([[low - 1] * 2, [high - 1] * 2])
 
 
 @dataclass(frozen=True)
@@ -339,75 +319,6 @@ class OrthotropicStVK(_Linear):
 
     def scaled(self, factor: float) -> "OrthotropicStVK":
         return replace(self, **{k: factor * getattr(self, k) for k in ("warp", "weft", "shear")})
-
-
-@dataclass(frozen=True)
-class Guarded:
-    """A membrane that is nearly free of stress in a band of small strains, against locking.
-
-    Flat triangles cannot follow a surface bent in two directions without stretching a little. With
-    a stiff membrane that stretch outweighs the bending energy and the cloth folds too little.
-    Feng et al. 2022 (section 4.1) therefore let cloth deform freely between 99 % and 101 % by
-    updating its reference state during the simulation. In their final state only the strain e
-    beyond the band, the *excess*, stores energy. Here this is an energy,
-
-        r psi(e) + (1 - r) psi(excess(e)),
-
-    so that an equilibrium is the minimum of one function, which does not depend on the path.
-    The excess has continuous second derivatives. With r = 0, flat cloth without load could deform
-    freely within the band and no equilibrium would be unique.
-
-    The band limits the principal stretches of a corotational membrane, else warp, weft and shear.
-    """
-
-    membrane: Corotational | OrthotropicStVK = field(
-        default_factory=lambda: Corotational(stiffness=5000.0))  # outside the band
-    low: float = 0.99  # stretches that bound the band
-    high: float = 1.01
-    share: float = 0.02  # r
-
-    def __post_init__(self) -> None:
-        if not 0 < self.low < 1 < self.high < np.inf:
-            raise InputError(f"free stretch from {self.low:g} to {self.high:g} must contain 1")
-        if not 0 < self.share < 1:
-            raise InputError(f"share={self.share:g} must lie between 0 and 1")
-
-    def energy(self, mesh: Mesh, active: FaceMask) -> Energy:
-        return StrainMembrane(mesh, active, self.membrane.of_green_strain(self))
-
-    def scaled(self, factor: float) -> "Guarded":
-        return replace(self, membrane=self.membrane.scaled(factor))
-
-    def density(self, strain: np.ndarray) -> np.ndarray:
-        inner, outer = self.membrane.density(strain), self.membrane.density(self.excess(strain)[0])
-        return self.share * inner + (1 - self.share) * outer
-
-    def stress(self, strain: np.ndarray) -> np.ndarray:
-        excess, slope, _ = self.excess(strain)
-        outer = slope * self.membrane.stress(excess)
-        return self.share * self.membrane.stress(strain) + (1 - self.share) * outer
-
-    def tangent(self, strain: np.ndarray) -> np.ndarray:
-        excess, slope, bend = self.excess(strain)
-        outer = slope[:, :, None] * self.membrane.tangent(excess) * slope[:, None, :]
-        diagonal = np.arange(strain.shape[1])
-        outer[:, diagonal, diagonal] += bend * self.membrane.stress(excess)
-        return self.share * self.membrane.tangent(strain) + (1 - self.share) * outer
-
-    def excess(self, strain: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Strain (N, K) beyond the band and its first two derivatives, componentwise."""
-        low, high = self.membrane.band(self.low, self.high)
-        above, below = _ramp(strain / high), _ramp(strain / low)
-        return (high * above[0] + low * below[0], above[1] + below[1],
-                above[2] / high + below[2] / low)
-
-
-def _ramp(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """max(x - 1, 0), smoothed over a width around 1, and its first two derivatives."""
-    width = _ROUNDING_WIDTH
-    u = np.clip((x - 1) / width + 0.5, 0.0, 1.0)
-    value = width * u**3 * (1 - 0.5 * u) + np.maximum(x - 1 - 0.5 * width, 0.0)
-    return value, u * u * (3 - 2 * u), 6 * u * (1 - u) / width
 
 
 def _check_positive(**values: float) -> None:

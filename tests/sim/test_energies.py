@@ -1,11 +1,14 @@
 """Every energy against finite differences, and against formulas written down independently."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
 from sim.energies.external import Gravity, ObstacleContact
 from sim.energies.fold_barrier import is_bent
-from sim.energies.membrane import Corotational
+from sim.energies.hinges import HingeLaw, hinge_angles
+from sim.energies.membrane import Corotational, OrthotropicStVK
 from sim.energies.midedge import MidEdgeBending
 from sim.energies.plate_variants import Hysteresis, TorqueLaw
 from sim.material import Fabric
@@ -31,34 +34,46 @@ def crumpled_strip(seed: int = 0, amplitude: float = 1e-3, turn: float = 0.2):
     return mesh, active, moved(State.at(mesh, positions, active).q, mesh.edges, turns)
 
 
+ORTHOTROPIC = OrthotropicStVK(warp=400.0, weft=90.0, poisson=0.6, shear=30.0)
+LAWS = {
+    "gravity": lambda mesh, active: Gravity(mesh, density=0.3, gravity=9.81),
+    "membrane": Corotational().energy,
+    "orthotropic membrane": ORTHOTROPIC.energy,
+    "midedge softening": partial(MidEdgeBending, fabric=ANISOTROPIC),
+    "midedge stiffening": partial(MidEdgeBending, fabric=STIFFENING),
+    "fold limit": partial(MidEdgeBending, fabric=STIFFENING),
+    "torque curve": partial(TorqueLaw([0.0, 20.0, 60.0, 200.0], [0.0, 1e-3, 1.5e-3, 4e-3]),
+                            fabric=STIFFENING),
+    "hinge softening": partial(HingeLaw("hinge", "edge"), fabric=ANISOTROPIC),
+    "hinge stiffening": partial(HingeLaw("hinge"), fabric=STIFFENING),
+    "hinge linear": partial(HingeLaw("hinge_linear", "edge"), fabric=ANISOTROPIC),
+    "hinge folded": partial(HingeLaw("hinge"), fabric=ANISOTROPIC),
+    "quadratic": partial(HingeLaw("quadratic", "edge"), fabric=ANISOTROPIC),
+}
+SHAPES = {"fold limit": {"amplitude": 8e-3, "turn": 0.0}, "hinge folded": {"amplitude": 8e-3}}
+HINGES = ["hinge softening", "hinge stiffening", "hinge linear", "hinge folded", "quadratic"]
+
+
 def case_of(name: str):
     """An energy, a state, and the state after a step of all unknowns."""
-    mesh, active, q = crumpled_strip()
+    mesh, active, q = crumpled_strip(**SHAPES.get(name, {}))
 
-    def after(step: np.ndarray, start: np.ndarray = q) -> np.ndarray:
-        return moved(start, mesh.edges, step)
+    def after(step: np.ndarray) -> np.ndarray:
+        return moved(q, mesh.edges, step)
 
-    if name == "gravity":
-        return Gravity(mesh, density=0.3, gravity=9.81), q, after
-    if name == "membrane":
-        return Corotational().energy(mesh, active), q, after
-    if name == "midedge softening":
-        return MidEdgeBending(mesh, active, fabric=ANISOTROPIC), q, after
-    if name == "midedge stiffening":
-        return MidEdgeBending(mesh, active, fabric=STIFFENING), q, after
     if name == "hysteresis":
         plain = MidEdgeBending(mesh, active, fabric=STIFFENING)
         origin = plain.curvatures(crumpled_strip(seed=1)[2])
-        law = Hysteresis(0.3, origin=origin)
-        return law(mesh, active, fabric=STIFFENING), q, after
-    if name == "torque curve":
-        law = TorqueLaw([0.0, 20.0, 60.0, 200.0], [0.0, 1e-3, 1.5e-3, 4e-3])
-        return law(mesh, active, fabric=STIFFENING), q, after
-    if name == "fold limit":
-        mesh, active, folded = crumpled_strip(amplitude=8e-3, turn=0.0)
-        energy = MidEdgeBending(mesh, active, fabric=STIFFENING)
-        assert is_bent(energy.angles(folded), energy.pole).any()  # or the test would test nothing
-        return energy, folded, lambda step: after(step, folded)
+        return Hysteresis(0.3, origin=origin)(mesh, active, fabric=STIFFENING), q, after
+    if name in LAWS:
+        energy = LAWS[name](mesh, active)
+        # Or the cases would test nothing.
+        if isinstance(energy, MidEdgeBending):
+            assert is_bent(energy.angles(q), energy.pole).any() == (name == "fold limit")
+        elif name in HINGES:
+            folded = is_bent(hinge_angles(q, energy.dofs), np.pi).any()
+            assert folded == (name == "hinge folded")
+        return energy, q, after
     rng = np.random.default_rng(1)
     if name == "contact":
         points = rng.uniform(-0.045, 0.045, (40, 3)) - [0, 0, 0.05]
@@ -72,8 +87,8 @@ def case_of(name: str):
     return contact, points.ravel(), lambda step: points.ravel() + step
 
 
-ENERGIES = ["gravity", "membrane", "midedge softening", "midedge stiffening", "hysteresis",
-            "torque curve", "contact", "rim", "fold limit"]
+ENERGIES = [*LAWS, "hysteresis", "contact", "rim"]
+OF_POSITIONS = ["membrane", "orthotropic membrane", "contact", "rim", *HINGES]
 
 
 def unknowns_of(energy) -> int:
@@ -142,7 +157,7 @@ def test_hessian_is_the_second_derivative_of_the_value(name):
     assert np.nanmin(errors) < 1e-4 * abs(exact)  # long steps pass the pole of a fold
 
 
-@pytest.mark.parametrize("name", ["membrane", "contact", "rim"])
+@pytest.mark.parametrize("name", OF_POSITIONS)
 def test_every_hessian_block_is_the_derivative_of_the_gradient(name):
     """Of energies of positions alone."""
     energy, q, _ = case_of(name)
@@ -159,7 +174,7 @@ def test_the_convex_hessian_is_semi_definite(name):
     exact, convex = energy.hessian(q), energy.hessian(q, convex=True)
     size = np.abs(convex).max() + 1e-300
     assert np.linalg.eigvalsh(convex).min() > -1e-12 * size
-    if name not in ("contact", "fold limit"):
+    if name not in ("contact", "fold limit", "quadratic"):
         assert np.linalg.eigvalsh(exact).min() < -1e-6 * size  # or the case would test nothing
 
 
@@ -182,8 +197,18 @@ def test_the_rim_turns_smoothly_from_top_to_side():
     assert (np.abs(cylinder.depths(points + nudge) - depths) <= moved_by + 1e-15).all()
 
 
-@pytest.mark.parametrize(
-    "name", ["membrane", "midedge softening", "midedge stiffening", "hysteresis"])
+@pytest.mark.parametrize("name", ["membrane", "orthotropic membrane", *HINGES])
+def test_the_convex_hessian_of_flat_and_of_taut_cloth_is_exact(name):
+    mesh, active, _ = crumpled_strip()
+    energy, stretch = LAWS[name](mesh, active), 1.0 if name in HINGES else 1.03
+    q = np.column_stack([stretch * mesh.rest, np.zeros(len(mesh.rest))]).ravel()
+    exact, convex = energy.hessian(q), energy.hessian(q, convex=True)
+    assert np.allclose(exact, convex, rtol=0, atol=1e-12 * np.abs(convex).max())
+
+
+@pytest.mark.parametrize("name", [
+    "membrane", "orthotropic membrane", "midedge softening", "midedge stiffening", "hysteresis",
+    *HINGES])
 def test_rigid_motions_cost_nothing(name):
     energy, q, _ = case_of(name)
     mesh, _, _ = crumpled_strip()
@@ -192,10 +217,15 @@ def test_rigid_motions_cost_nothing(name):
     state = State.of(q, len(mesh.rest))
     turned = State(state.positions @ rotation.T + [1, 2, 3], state.normals @ rotation.T).q
     assert energy.value(turned) == pytest.approx(energy.value(q), rel=1e-10)
+    if "membrane" in name:
+        flat = np.column_stack([mesh.rest, np.zeros(len(mesh.rest))]) @ rotation.T
+        assert abs(energy.value(flat.ravel())) < 1e-18
+        assert np.abs(energy.gradient(flat.ravel())).max() < 1e-12
 
 
-def test_face_and_back_agree():
-    energy, q, _ = case_of("midedge softening")
+@pytest.mark.parametrize("name", ["midedge softening", *HINGES])
+def test_face_and_back_agree(name):
+    energy, q, _ = case_of(name)
     mesh, _, _ = crumpled_strip()
     state = State.of(q, len(mesh.rest))
     mirrored = State(state.positions * [1, 1, -1], state.normals * [-1, -1, 1]).q

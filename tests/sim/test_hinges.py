@@ -1,19 +1,12 @@
-"""Hinge laws: derivatives, the energy of one hinge written down by hand, clamp and direction."""
+"""Hinge laws: the energy of one hinge written down by hand, clamp and direction."""
 
 import numpy as np
 import pytest
-from test_energies import (
-    ANISOTROPIC,
-    STEPS,
-    STIFFENING,
-    assert_error_falls_with_square,
-    crumpled_strip,
-    scattered,
-)
+from test_energies import ANISOTROPIC, crumpled_strip
 
 from common.errors import InputError
 from sim.cloth import BENDING, Laws
-from sim.energies.fold_barrier import LIMIT_START, is_bent
+from sim.energies.fold_barrier import LIMIT_START
 from sim.energies.hinges import (
     ARCSIM,
     DISCRETE_SHELLS,
@@ -30,62 +23,7 @@ from sim.energies.hinges import (
 from sim.material import Fabric, torque
 from sim.mesh import Mesh, strip
 
-CASES = {
-    "hinge softening": (HingeLaw("hinge", "edge"), ANISOTROPIC),
-    "hinge stiffening": (HingeLaw("hinge"), STIFFENING),
-    "hinge folded": (HingeLaw("hinge"), ANISOTROPIC),
-    "hinge linear": (HingeLaw("hinge_linear", "edge"), ANISOTROPIC),
-    "quadratic": (HingeLaw("quadratic", "edge"), ANISOTROPIC),
-}
 ISOTROPIC = Fabric(np.full(3, 20e-6), np.full(3, -60e-9))
-
-
-def energy_and_state(name: str):
-    mesh, active, q = crumpled_strip(amplitude=8e-3 if name == "hinge folded" else 1e-3)
-    law, fabric = CASES[name]
-    energy = law(mesh, active, fabric=fabric)
-    folded = is_bent(hinge_angles(q, energy.dofs), np.pi).any()
-    assert folded == (name == "hinge folded")  # or the test would test nothing
-    return energy, q[: 3 * len(mesh.rest)]
-
-
-@pytest.mark.parametrize("name", CASES)
-def test_gradient_and_hessian_are_derivatives(name):
-    energy, q = energy_and_state(name)
-    direction = np.random.default_rng(2).standard_normal(len(q))
-    ahead = [(q + h * direction, q - h * direction, 2 * h) for h in STEPS]
-    gradient = scattered(energy, energy.gradient(q))
-    direction = direction[: len(gradient)]
-    errors = [abs((energy.value(a) - energy.value(b)) / h - gradient @ direction)
-              for a, b, h in ahead]
-    assert_error_falls_with_square(errors, np.abs(gradient) @ np.abs(direction))
-    exact = np.einsum("nij,nj->ni", energy.hessian(q), direction[energy.dofs])
-    errors = [np.abs((energy.gradient(a) - energy.gradient(b)) / h - exact).max()
-              for a, b, h in ahead]
-    assert_error_falls_with_square(errors, np.abs(exact).max())
-
-
-@pytest.mark.parametrize("name", CASES)
-def test_convexity_removes_the_indefinite_part(name):
-    energy, q = energy_and_state(name)
-    exact, convex = energy.hessian(q), energy.hessian(q, convex=True)
-    size = np.abs(convex).max()
-    assert np.linalg.eigvalsh(convex).min() > -1e-12 * size
-    if name != "quadratic":
-        assert np.linalg.eigvalsh(exact).min() < -1e-3 * size  # or there was nothing to remove
-        rest = crumpled_strip()[0].rest
-        flat = np.column_stack([rest, np.zeros(len(rest))]).ravel()
-        assert np.allclose(energy.hessian(flat), energy.hessian(flat, convex=True), rtol=0,
-                           atol=1e-12 * size)
-
-
-@pytest.mark.parametrize("name", CASES)
-def test_rigid_motions_and_turning_over_change_nothing(name):
-    energy, q = energy_and_state(name)
-    rotation, _ = np.linalg.qr(np.random.default_rng(4).standard_normal((3, 3)))
-    for turn in (rotation, -rotation):  # one of them mirrors
-        moved = (q.reshape(-1, 3) @ turn.T + [1, 2, 3]).ravel()
-        assert energy.value(moved) == pytest.approx(energy.value(q), rel=1e-9)
 
 
 def one_hinge(angle: float, turn: float = 0.0):
