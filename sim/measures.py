@@ -20,10 +20,8 @@ _OUTLINE_POINTS = 720
 
 
 def drape_coefficient(positions: Points, faces: Faces, rig: Rig) -> float:
-    """(projected area - plate area) / (specimen area - plate area) (BS 5058, ISO 9073-9).
-
-    1 for a rigid specimen, 0 for one that hangs straight down. Accurate to 0.3 %.
-    """
+    """(projected area - plate area) / (specimen area - plate area) (BS 5058, ISO 9073-9), accurate
+    to 0.3 %; 1 for a rigid specimen, 0 for one that hangs straight down."""
     plate = np.pi * rig.plate_radius**2
     return (projected_area(positions, faces) - plate) / (rig.specimen_area - plate)
 
@@ -38,26 +36,12 @@ def projected_area(positions: Points, faces: Faces) -> float:
 
 @one_blas_thread
 def fold_outline(positions: Points, rest: RestPoints, rig: Rig) -> Outline:
-    """Outline of the drape seen from above: (720, 2) x and y, m, of a material circle.
-
-    The circle has 90 % of the specimen's inradius, around its centre; its points are half a degree
-    apart, from the warp axis towards the weft.
-    """
+    """The material circle of 90 % of the specimen's inradius, around its centre, seen from above:
+    720 points half a degree apart, from the warp axis towards the weft."""
     angle = np.linspace(0, 2 * np.pi, _OUTLINE_POINTS, endpoint=False)
     circle = 0.45 * rig.specimen_size * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     centre = (rest.min(axis=0) + rest.max(axis=0)) / 2
     return LinearNDInterpolator(rest, positions[:, :2])(centre + circle)
-
-
-def shadow_radius(
-    positions: Points, mesh: Mesh, *, height: Metres = np.inf, points: int = 360
-) -> np.ndarray:
-    """Outline of the drape's shadow: distances (points,) of the hem's picture from the axis, m, in
-    the plane of the plate, at equally spaced azimuths from the warp axis, as seen by a camera on
-    the axis at a ``height`` above the plate; infinite: parallel light."""
-    hem = mesh.edges[mesh.edge_faces[:, 1] < 0]
-    seen = positions[:, :2] / (1 - positions[:, 2:] / height)
-    return _farthest(seen[hem], points)
 
 
 def fold_angles(outline: Outline) -> np.ndarray:
@@ -68,8 +52,7 @@ def fold_angles(outline: Outline) -> np.ndarray:
 
 def folds_around(radius: np.ndarray, sigma: float) -> np.ndarray:
     """Indices (n,) of the folds among distances from the axis around a drape, (N,) m, smoothed with
-    a standard deviation of ``sigma`` samples: peaks at least 3 mm high, ascending.
-    """
+    a standard deviation of ``sigma`` samples: peaks at least 3 mm high, ascending."""
     smooth = gaussian_filter1d(radius, sigma, mode="wrap")
     seam = int(smooth.argmin())  # a minimum is not a peak
     smooth = np.roll(smooth, -seam)
@@ -106,11 +89,8 @@ def max_penetration(positions: Points, faces: Faces, rig: Rig) -> Metres:
 
 
 def _largest_depths(obstacle: Cylinder, triangles: np.ndarray) -> np.ndarray:
-    """(N,) largest depths on triangles (N, 3, 3), m.
-
-    Depth is concave: it has one maximum along any line, and that maximum is concave in the line's
-    position across the triangle. Two nested searches find it.
-    """
+    """(N,) largest depths on triangles (N, 3, 3), m, by two nested searches: depth is concave, with
+    one maximum along any line, which is concave in the line's position across the triangle."""
     a, b, c = triangles.transpose(1, 0, 2)
 
     def along_line(share: np.ndarray) -> np.ndarray:
@@ -137,24 +117,6 @@ def _largest(function: Callable[[np.ndarray], np.ndarray], count: int) -> np.nda
         left, right = np.where(up, right, new), np.where(up, new, left)
         at_left, at_right = np.where(up, at_right, at_new), np.where(up, at_new, at_left)
     return np.maximum(best, np.maximum(at_left, at_right))
-
-
-@numba.njit(cache=True)
-def _farthest(segments, points):
-    """Largest distance from the origin of segments (N, 2, 2) along ``points`` azimuths."""
-    radius, step = np.zeros(points), 2 * np.pi / points
-    for t in range(len(segments)):
-        (ax, ay), (bx, by) = segments[t, 0], segments[t, 1]
-        turn = np.arctan2(ax * by - ay * bx, ax * bx + ay * by)
-        begin = np.arctan2(ay, ax) if turn >= 0 else np.arctan2(by, bx)
-        first = int(np.ceil(begin / step))
-        for k in range(first, int(np.floor((begin + abs(turn)) / step)) + 1):
-            c, s = np.cos(k * step), np.sin(k * step)
-            across = c * (by - ay) - s * (bx - ax)
-            if across != 0.0:
-                distance = (ax * (by - ay) - ay * (bx - ax)) / across
-                radius[k % points] = max(radius[k % points], distance)
-    return radius
 
 
 @numba.njit(cache=True)

@@ -174,18 +174,15 @@ class Rig:
     @staticmethod
     def from_name(name: str) -> "Rig":
         """The rig with this :attr:`name`; InputError if ``name`` is not of this form."""
+        words = _NAME.fullmatch(name)
         with suppress(ValueError):  # numbers such as 1.2.3, sizes that no rig can have
-            rig = _rig_of(_NAME.fullmatch(name))
-            if rig and rig.name == name:
+            if words and (rig := _rig_of(words)).name == name:
                 return rig
         raise InputError(f"unknown rig '{name}'; known rigs: {', '.join(RIGS)}, and others of "
                          "this form with sizes in mm")
 
 
-def _rig_of(words: re.Match | None) -> Rig | None:
-    """The rig whose name has these words; None without words."""
-    if words is None:
-        return None
+def _rig_of(words: re.Match) -> Rig:
     size, held = float(words["size"]) / 1e3, float(words["held"]) / 1e3
     hung = words["holder"] == "corners"
     return Rig(size, 0.0 if hung else held, words["specimen"], held if hung else None,

@@ -75,8 +75,7 @@ def _fold(rest: RestPoints, rig: Rig, rng: np.random.Generator) -> np.ndarray:
 
 def _ring(rest: RestPoints, rig: Rig, rng: np.random.Generator) -> np.ndarray:
     """Waves around the plate, as of cloth lowered evenly. Their number is preserved where an
-    equilibrium with it exists. Real discs have more folds than the other starts lead to.
-    """
+    equilibrium with it exists."""
     waves, phase = rng.integers(*_RING_WAVES), rng.uniform(0, 2 * np.pi)
     angle = np.arctan2(rest[:, 1], rest[:, 0])
     height = rig.to_plate(rest) * (0.25 * np.cos(waves * angle + phase) - 0.5)
@@ -96,12 +95,9 @@ def _hung(rest: RestPoints, rig: Rig) -> np.ndarray:
 def borrowed_positions(
     rest: RestPoints, *, rig: Rig, borrowed: tuple[RestPoints, Points]
 ) -> Points:
-    """Positions interpolated from rest points and positions of another fabric's drape on ``rig``;
-    InputError if its specimen has another area.
-
+    """Positions interpolated from rest points and positions of another fabric's drape on ``rig``.
     If the offsets of the specimens differ, points on the plate correspond to points on the plate,
-    the border to the border, and points between are shifted in proportion.
-    """
+    the border to the border, and points between are shifted in proportion."""
     other_rest, other_positions = borrowed
     try:
         area = ConvexHull(other_rest).volume

@@ -170,5 +170,16 @@ def moves_with_plate(tangent: Tangent, rig: Rig) -> np.ndarray:
         for s in (step, -step))
     carried = np.zeros(tangent.cloth.potential.unknowns)
     carried[: tangent.coordinates].reshape(-1, 3)[scene.held, :2] = move[scene.held]
-    push = (ahead - behind) / (2 * step) + tangent.force_of(carried)
+    push = (ahead - behind) / (2 * step) + hessian_product(tangent, carried)
     return (carried - tangent.response(push))[: tangent.coordinates].reshape(-1, 3)
+
+
+def hessian_product(tangent: Tangent, move: np.ndarray) -> np.ndarray:
+    """Change (U,) of the energy's gradient when the unknowns move by ``move`` (U,)."""
+    total = np.zeros(len(move) + 1)  # last entry: dofs of -1
+    for energy in tangent.cloth.potential.energies:
+        blocks = energy.hessian(tangent.q)
+        if blocks is not None:
+            local = np.where(energy.dofs >= 0, move[energy.dofs], 0.0)
+            np.add.at(total, energy.dofs, np.einsum("nij,nj->ni", blocks, local))
+    return total[:-1]

@@ -12,8 +12,8 @@ from experiments.comparison import Shape, compare, equilibrium_near
 from experiments.drapes import RIG, drape_specimen, plan_specimen
 from experiments.page import Section
 from experiments.physics import style3d
+from experiments.physics.hinges import equivalent_modulus
 from experiments.result import Config, Report, Result, label_log_axes, run_fabrics
-from sim.cantilever.tester import equivalent_modulus
 from sim.cloth import Laws
 from sim.drape import Drape
 from sim.material import Fabric, torque

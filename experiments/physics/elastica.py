@@ -9,9 +9,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from common.errors import InputError
+from experiments.physics.hinges import equivalent_modulus, free_end
 from experiments.result import Config, Result, run_cases
 from sim.cantilever import aspect_ratio, elastica, fabric_of_gamma
-from sim.cantilever.tester import TIGHT, equivalent_modulus, free_end
+from sim.cantilever.tester import TIGHT
 from sim.cloth import Laws
 from sim.energies.hinges import ARCSIM, DISCRETE_SHELLS
 from sim.energies.membrane import Corotational

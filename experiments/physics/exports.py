@@ -18,9 +18,9 @@ from drapenet.export.material import GAMMA, MESHES, ExportSettings, Material
 from drapenet.result.document import EstimateDocument
 from drapenet.result.estimate import Estimate
 from experiments.physics import style3d
+from experiments.physics.hinges import free_end
 from experiments.result import Config, Result, table
 from sim.cantilever.elastica import aspect_ratio, gamma_of_aspect_ratio
-from sim.cantilever.tester import free_end
 from sim.material import DIRECTIONS, MICRO, REFERENCE_DENSITY
 from sim.mesh import Mesh, strip
 from sim.rig import GRAVITY

@@ -27,12 +27,8 @@ def strip_shape(
     law: np.ndarray, *, weight: float, length: Metres, slope: Radians = 0.0, points: int = 2001,
     steps: int = 2000,
 ) -> DeflectionCurve:
-    """Shape of a strip of any torque ``law`` (4, K), at equidistant points.
-
-    The ``slope`` of the clamp is in [0, pi/2); InputError also for a law so soft that the strip
-    hangs straight down. The error of H/W is below 1e-7, with 400 ``steps`` of integration below
-    1e-5 up to gamma = 1000.
-    """
+    """Shape of a strip of any torque ``law`` (4, K), at equidistant points. The error of H/W is
+    below 1e-7, with 400 ``steps`` of integration below 1e-5 up to gamma = 1000."""
     if not 0 <= slope < np.pi / 2 - 1e-3:
         raise InputError(f"the clamp must slope by 0 to 89 degrees, not {np.degrees(slope):g}")
     shape, target = np.zeros((points, 2)), np.pi / 2 - slope
@@ -53,8 +49,7 @@ def heavy_elastica(
     alpha: float, beta: float, *, weight: float, length: Metres, **options
 ) -> DeflectionCurve:
     """Shape of a strip with the torque law of :func:`sim.material.torque`, moduli in N·m and N·m²;
-    options as for :func:`strip_shape`. InputError where gamma = weight length³/alpha is out of
-    range."""
+    options as for :func:`strip_shape`."""
     gamma = weight * length**3 / alpha
     if not 0 < gamma <= MAX_GAMMA:
         raise InputError(f"gamma={gamma:g} must lie above 0 and not above {MAX_GAMMA:g}")
@@ -70,7 +65,7 @@ def elastica(
 
 
 def softening_law(alpha: float, beta: float) -> np.ndarray:
-    """(4, 1 or 2) pieces of the law of :func:`sim.material.torque`; N·m and N·m²."""
+    """Pieces (4, 1 or 2) of the law of :func:`sim.material.torque`; N·m and N·m²."""
     if beta >= 0:
         return np.array([[0.0], [0.0], [alpha], [beta]])
     end, u = SOFTENING_LIMIT * alpha / -beta, SOFTENING_LIMIT
@@ -78,8 +73,7 @@ def softening_law(alpha: float, beta: float) -> np.ndarray:
 
 
 def tabulated_law(curvature: np.ndarray, torque: np.ndarray) -> np.ndarray:
-    """Linear pieces (4, K - 1) through curvatures (K,), 1/m, from 0, and increasing torques (K,),
-    N."""
+    """Linear pieces (4, K - 1) through curvatures (K,) from 0, 1/m, and torques (K,), N."""
     rise = np.diff(torque)
     if not (rise > 0).all():
         raise InputError("the torque must increase with the curvature")

@@ -62,15 +62,11 @@ Strips = Mapping[str, Sequence[DeflectionCurve]]
 
 @dataclass(frozen=True)
 class StripModuli:
-    """Moduli of one direction.
-
-    The misfit is the root mean square residual: of the torque, relative to that of the torque
-    (regression), or of the points' distances, relative to the mean length (table).
-    """
+    """Moduli of one direction."""
 
     alpha: float  # N·m
     beta: float  # N·m²
-    misfit: float
+    misfit: float  # relative root mean square: of the torque (regression), or of distances (table)
     curvature: float  # 1/m, largest on the curves
 
     @property
@@ -81,16 +77,12 @@ class StripModuli:
 
 @dataclass(frozen=True)
 class TorqueCurve:
-    """Torque per width, the monotone cubic spline (PCHIP) of the curvature through its knots.
-
-    The misfit is the root mean square distance of the measured points from the fitted strips,
-    relative to the mean length. Beyond the curvature reached the curve is extrapolated.
-    """
+    """Torque per width, the monotone cubic spline (PCHIP) of the curvature through its knots."""
 
     curvature: np.ndarray  # (K + 1,) 1/m, of the knots, increasing from 0
     torque: np.ndarray  # (K + 1,) N, at the knots
-    misfit: float
-    reached: float  # 1/m, largest curvature on any strip
+    misfit: float  # root mean square distance of points from fitted strips, in mean lengths
+    reached: float  # 1/m, largest curvature on any strip; beyond, the curve is extrapolated
 
 
 @dataclass(frozen=True)
@@ -141,12 +133,8 @@ def fit_bezier(
     curve: DeflectionCurve, *, degree: int = 0, slope: Radians = 0.0
 ) -> tuple[Bezier, Metres]:
     """Least-squares Bézier curve that starts at 0 in the clamp's direction, and the root mean
-    square distance of the points from it.
-
-    Each point's parameter is moved to the nearest point of the fitted curve, and the fit is
-    repeated. ``degree`` 0 selects the degree in :data:`DEGREES` with the smallest Bayesian
-    information criterion, so that noise is not fitted.
-    """
+    square distance of the points from it. ``degree`` 0 selects the degree in :data:`DEGREES` with
+    the smallest Bayesian information criterion, so that noise is not fitted."""
     count = len(curve)
     degrees = [degree] if degree else [d for d in DEGREES if 2 * (d + 1) <= count] or DEGREES[:1]
     if degrees[0] < 2:
@@ -162,6 +150,7 @@ def fit_bezier(
 
 
 def _fit_degree(curve: DeflectionCurve, degree: int, slope: Radians) -> tuple[Bezier, Metres]:
+    """The fit is repeated with each point's parameter moved to the nearest point of the curve."""
     t = arc_lengths(curve)
     t /= t[-1]
     bezier = _solve(curve, t, degree, slope)
@@ -201,11 +190,8 @@ def moment_beyond(curve: DeflectionCurve) -> np.ndarray:
 
 def fit_law(curvature: np.ndarray, moment: np.ndarray) -> tuple[float, float, float]:
     """alpha, beta and relative misfit of the law :func:`sim.material.torque` through curvatures,
-    1/m, and torques, N·m per metre of width or any unit of theirs, (N,) each. This law is the
-    parabola up to the softening limit, beyond which a strip does not follow it.
-
-    For a given beta/alpha the law is proportional to alpha, so that only this ratio is searched.
-    """
+    1/m, and torques, N·m per metre of width or any unit of theirs, (N,) each. For a given
+    beta/alpha the law is proportional to alpha, so that only this ratio is searched."""
     def project(ratio: float) -> tuple[float, float]:
         law = np.sign(curvature) * torque(np.abs(curvature), 1.0, ratio)
         alpha = float(law @ moment / (law @ law))
@@ -225,10 +211,7 @@ def fit_law(curvature: np.ndarray, moment: np.ndarray) -> tuple[float, float, fl
 def regress(
     curves: Sequence[DeflectionCurve], *, weight: float, slope: Radians = 0.0, degree: int = 0
 ) -> StripModuli:
-    """Moduli from one or several strips of one direction by regression of torque on curvature.
-
-    Strips of several lengths widen the range of curvatures; all samples have equal weight.
-    """
+    """Moduli from one or several strips of one direction by regression of torque on curvature."""
     fits = [fit_bezier(curve, degree=degree, slope=slope)[0] for curve in curves]
     moment, curvature = np.hstack([torque_and_curvature(fit, weight=weight) for fit in fits])
     alpha, beta, misfit = fit_law(curvature, moment)
@@ -243,10 +226,9 @@ def match(
 ) -> StripModuli:
     """Moduli whose elastica curves are nearest to the curves of one direction.
 
-    The candidates (alpha, beta/alpha) of a table are compared with Bézier curves through the
-    points. The nearest are refined by least squares of the measured points' distances from elastica
-    curves, with the strips' lengths as further unknowns. This combines strips of several lengths
-    and, unlike the regression, needs no derivatives of a noisy curve.
+    The candidates (alpha, beta/alpha) of a table nearest to Bézier curves through the points are
+    refined by least squares of the points' distances from elastica curves, with the strips' lengths
+    as further unknowns. Unlike the regression, this needs no derivatives of a noisy curve.
     """
     fits = [fit_bezier(curve, degree=degree, slope=slope)[0] for curve in curves]
     lengths = np.array([fit.length for fit in fits])
@@ -302,12 +284,8 @@ def distance_across(curve: DeflectionCurve, model: DeflectionCurve) -> np.ndarra
 def fit_torque_curve(
     curves: Sequence[DeflectionCurve], *, weight: float, knots: int = KNOTS, degree: int = 0
 ) -> TorqueCurve:
-    """The torque curve of one direction from strips clamped level.
-
-    Its knots, 2 to 8 besides the one at 0, are fitted so that computed strips of that law match the
-    measured ones: the equilibrium is part of the fit, and no second derivatives of measured curves
-    are needed. Strips of several lengths widen the range of curvatures.
-    """
+    """The torque curve of one direction from strips clamped level: its knots, 2 to 8 besides that
+    at 0, are fitted so that computed strips of the law match the measured ones."""
     if not 2 <= knots <= 8:
         raise InputError(f"knots={knots} must lie between 2 and 8")
     fits = [fit_bezier(curve, degree=degree)[0] for curve in curves]
@@ -381,11 +359,10 @@ def correct(
     """The fabric whose simulated strips give the same ``moduli`` as the measured strips.
 
     The bias modulus of the law is that of a cylinder bent along 45°, but a free strip cut along the
-    bias also twists and curves across while it bends, and thus hangs slightly lower
-    (docs/validation.md). Each round simulates the three strips, at most ``rounds`` times, and
-    estimates moduli from them by the same method. The residual moves the moduli by Broyden's
-    method, as each direction's strip depends on the other moduli too. The regression's estimate of
-    a bias strip's beta varies with the triangulation by a quarter.
+    bias also twists and curves across, and thus hangs slightly lower (docs/validation.md). Each
+    round simulates the three strips and estimates moduli from them by the same method; the residual
+    moves the moduli by Broyden's method, as each strip depends on the other moduli too. The
+    regression's estimate of a bias strip's beta varies with the triangulation by a quarter.
     """
     fabric = fabric_of(moduli, density)
     lengths = {

@@ -47,11 +47,11 @@ class ObstacleContact(Energy):
         self._touching = StateCache()
 
     def value(self, q: StateVector) -> float:
-        touching, _, depth = self._contacts(q)
+        touching, _, depth = self._touching.at(q, self._find_contacts)
         return float(self._scale[touching] @ depth**3) / 3
 
     def gradient(self, q: StateVector) -> np.ndarray:
-        touching, points, depth = self._contacts(q)
+        touching, points, depth = self._touching.at(q, self._find_contacts)
         normal = self._obstacle.normals(points)
         force = -(self._share * self._scale[touching] * depth**2)[:, None] * normal
         result = np.zeros(self.dofs.shape)
@@ -59,7 +59,7 @@ class ObstacleContact(Energy):
         return result
 
     def hessian(self, q: StateVector, convex: bool = False) -> np.ndarray:
-        touching, points, depth = self._contacts(q)
+        touching, points, depth = self._touching.at(q, self._find_contacts)
         normal = self._obstacle.normals(points)
         scale = (self._share**2 * self._scale[touching] * depth)[:, None, None]
         block = 2.0 * scale * normal[:, :, None] * normal[:, None, :]
@@ -69,9 +69,6 @@ class ObstacleContact(Energy):
         result = np.zeros((*self.dofs.shape, self.dofs.shape[1]))
         result[touching] = np.tile(block, (1, self._count, self._count))
         return result
-
-    def _contacts(self, q: StateVector) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        return self._touching.at(q, self._find_contacts)
 
     def _find_contacts(self, q: StateVector) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Indices (M,) of the elements in contact, their points (M, 3) and depths (M,)."""

@@ -24,11 +24,8 @@ def is_bent(angle: np.ndarray, pole: np.ndarray | float) -> np.ndarray:
 def barrier(
     angle: np.ndarray, pole: np.ndarray | float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The barrier and its first two derivatives by ``angle`` (rad), each shaped like it.
-
-    Args:
-        pole: rad, one or one per angle; infinite for angles without a pole.
-    """
+    """The barrier and its first two derivatives by ``angle`` (rad), each shaped like it. Angles
+    without a ``pole``, rad, have an infinite one."""
     value, slope, bend = np.zeros((3, *np.shape(angle)))
     bent = is_bent(angle, pole)
     if bent.any():
@@ -43,11 +40,10 @@ def barrier(
 
 
 def keeps_distance(before: np.ndarray, after: np.ndarray, pole: np.ndarray | float) -> bool:
-    """Whether a step keeps the angles (...,), rad, at a distance from their poles.
+    """Whether a step, by less than pi, keeps the angles (...,), rad, from their poles.
 
-    An angle may neither pass its pole nor cover most of the distance to it in one step: the second
-    is the fraction-to-boundary rule of interior-point methods, without which a step can end too
-    close to the pole for later steps to return. A step changes an angle by less than pi.
+    An angle may neither pass its pole nor cover most of the distance to it in one step: without
+    this fraction-to-boundary rule, a step can end too close to the pole for later steps to return.
     """
     turn = np.remainder(after - before + np.pi, 2 * np.pi) - np.pi
     reached = np.abs(before + turn)  # beyond pi where the angle has jumped

@@ -2,7 +2,7 @@
 
 For comparison, and for export to simulators that use them. Their moduli are not physical: the
 stiffness of a strip of hinges depends on its triangulation and does not converge under refinement
-(docs/physics.md, :func:`sim.cantilever.tester.equivalent_modulus`). For an edge between held and
+(docs/physics.md). For an edge between held and
 free cloth, H is the height of the free triangle, not the sum of two heights.
 
 In all hinge laws a hinge with the dihedral angle theta and the rest edge e carries the torque

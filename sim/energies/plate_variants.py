@@ -35,9 +35,9 @@ the curve. For the curve of :func:`sim.material.torque` this is the law of an is
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
 from common.errors import InputError
 from common.types import Curvatures, Density, FaceMask, Moduli, StateVector
@@ -45,9 +45,6 @@ from sim.energies.midedge import MidEdgeBending
 from sim.energies.plate_law import METRIC
 from sim.material import BIAS, REFERENCE_DENSITY, WARP, WEFT, Fabric, plate_constants, torque
 from sim.mesh import Mesh
-
-if TYPE_CHECKING:
-    from scipy.interpolate import PchipInterpolator
 
 KES_CURVATURE = 100.0
 """Curvature, 1/m, at which 2HB is read."""
@@ -109,11 +106,8 @@ def kes_fabric(
 
 
 class HystereticBending(MidEdgeBending):
-    """Plate energy of the free triangles with the ``law`` :class:`Hysteresis`.
-
-    Attributes:
-        origin: (N, 3) S1, 1/m. It may be changed between minimisations, not during them.
-    """
+    """Plate energy of the free triangles with the ``law`` :class:`Hysteresis`. Its ``origin``
+    (N, 3), S1, 1/m, may be changed between minimisations, not during them."""
 
     def __init__(
         self, mesh: Mesh, active: FaceMask, *, fabric: Fabric, law: Hysteresis
@@ -200,19 +194,15 @@ def _quadratic(change: Curvatures, form: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class TorqueLaw:
-    """A bending law (:class:`sim.cloth.Law`), estimated by
-    :func:`sim.cantilever.moduli.fit_torque_curve`.
+    """A bending law (:class:`sim.cloth.Law`), such as a fit of
+    :func:`sim.cantilever.moduli.fit_torque_curve`; the moduli of the fabric are ignored.
 
     The torque is the monotone cubic spline (PCHIP) through the knots, continued linearly with the
-    slope of the last interval. The moduli of the fabric are ignored.
-
-    Attributes:
-        curvature, torque: (K,) 1/m and N per width, of cloth of 300 g/m², at which drapes are
-            simulated; both increasing from 0.
+    slope of the last interval, for cloth of 300 g/m², at which drapes are simulated.
     """
 
-    curvature: np.ndarray
-    torque: np.ndarray
+    curvature: np.ndarray  # (K,) 1/m, increasing from 0
+    torque: np.ndarray  # (K,) N per width, increasing from 0
 
     def __post_init__(self) -> None:
         if not (2 < len(self.curvature) == len(self.torque)):
@@ -222,10 +212,8 @@ class TorqueLaw:
             raise InputError("curvatures and torques of a torque curve must increase from 0")
 
     @cached_property
-    def spline(self) -> "PchipInterpolator":
+    def spline(self) -> PchipInterpolator:
         """Torque, N, by curvature, 1/m."""
-        from scipy.interpolate import PchipInterpolator  # slow import
-
         # A repetition of the last interval: PCHIP is linear there.
         return PchipInterpolator(*(np.append(v, 2 * v[-1] - v[-2])
                                    for v in (self.curvature, self.torque)))

@@ -71,11 +71,11 @@ class SelfContact(Energy):
         self.dofs = np.concatenate([alone, vertex[couples].reshape(-1, 6)])
 
     def value(self, q: StateVector) -> float:
-        pairs, x = self._pairs(q)
+        pairs, x = self._touching.at(q, self._find_pairs)
         return float(self._barrier(pairs, self._mesh, x))
 
     def gradient(self, q: StateVector) -> np.ndarray:
-        pairs, x = self._pairs(q)
+        pairs, x = self._touching.at(q, self._find_pairs)
         result = np.zeros(self.dofs.shape)
         if not pairs.empty():
             gradient = self._barrier.gradient(pairs, self._mesh, x)
@@ -83,30 +83,24 @@ class SelfContact(Energy):
         return result
 
     def hessian(self, q: StateVector, convex: bool = False) -> np.ndarray:
-        return self._both_hessians(q)[int(convex)]
+        return self._blocks.at(q, self._find_hessians)[int(convex)]
 
     def allows(self, old: StateVector, new: StateVector) -> bool:
-        """False if the cloth passes through itself during the step, or ends too close to that.
-
-        A fifth of the distance to the collision must remain, for the reason given at
-        :func:`sim.energies.fold_barrier.keeps_distance`.
-        """
+        """False if the cloth passes through itself during the step, or covers more than four fifths
+        of the way to it; see :func:`sim.energies.fold_barrier.keeps_distance`."""
         before, after = self._positions(old), self._positions(new)
         return self._ipctk.is_step_collision_free(self._mesh, before,
                                                   before + _STEP_MARGIN * (after - before))
 
     def is_complete(self, q: StateVector) -> bool:
         """Whether the pattern contains all pairs in contact at ``q``."""
-        return self._both_hessians(q)[2]
+        return self._blocks.at(q, self._find_hessians)[2]
 
     def _positions(self, q: StateVector) -> np.ndarray:
         return np.asfortranarray(q[: 3 * self._vertices].reshape(-1, 3))
 
-    def _pairs(self, q: StateVector) -> tuple:
-        """The toolkit's pairs in contact and the positions (V, 3)."""
-        return self._touching.at(q, self._find_pairs)
-
     def _find_pairs(self, q: StateVector) -> tuple:
+        """The toolkit's pairs in contact and the positions (V, 3)."""
         x = self._positions(q)
         pairs = self._ipctk.NormalCollisions()
         pairs.use_area_weighting = True
@@ -114,12 +108,9 @@ class SelfContact(Energy):
         pairs.build(self._mesh, x, self._distance)
         return pairs, x
 
-    def _both_hessians(self, q: StateVector) -> tuple[np.ndarray, np.ndarray, bool]:
-        """Exact and convex blocks (N, 6, 6), and whether the pattern contains all of them."""
-        return self._blocks.at(q, self._find_hessians)
-
     def _find_hessians(self, q: StateVector) -> tuple[np.ndarray, np.ndarray, bool]:
-        (pairs, x), blocks, complete = self._pairs(q), [], True
+        """Exact and convex blocks (N, 6, 6), and whether the pattern contains all of them."""
+        (pairs, x), blocks, complete = self._touching.at(q, self._find_pairs), [], True
         for projection in ("NONE", "CLAMP"):
             result = np.zeros((*self.dofs.shape, 6))
             if not pairs.empty():
@@ -176,11 +167,8 @@ _REACH = 3.0  # pairs within this multiple of the distance are part of the Hessi
 
 def self_intersections(positions: Points, faces: Faces) -> np.ndarray:
     """Self-intersections (N, 3) of cloth at finite positions: the two vertices of an edge and the
-    face that it passes through.
-
-    Exact, by floating-point predicates with certified signs. Edges that share a vertex with the
-    face do not count; an edge that only touches a face does.
-    """
+    face that it passes through or touches, without a common vertex. Exact, by floating-point
+    predicates with certified signs."""
     ipctk = import_ipctk()
     edges = ipctk.edges(faces)
     boxes = ipctk.LBVH()

@@ -5,15 +5,10 @@ import numpy as np
 from common.types import Metres, VertexMask
 from sim.mesh.topology import Mesh
 
-DIAGONALS = ("random", "alternating", "equal")
-
 
 def grid_faces(diagonals: np.ndarray) -> np.ndarray:
-    """Faces (2*(nx-1)*(ny-1), 3) of a grid of nx × ny vertices numbered i*ny + j.
-
-    ``diagonals`` (nx-1, ny-1) bool: whether a cell's diagonal joins its corners (i, j) and
-    (i+1, j+1) or the other two. Counter-clockwise for i along x, j along y.
-    """
+    """Faces (2*(nx-1)*(ny-1), 3), counter-clockwise, of a grid of nx × ny vertices i*ny + j, i in
+    x, j in y. ``diagonals`` (nx-1, ny-1) bool: whether a cell's joins (i, j) and (i+1, j+1)."""
     nx, ny = diagonals.shape[0] + 1, diagonals.shape[1] + 1
     index = np.arange(nx * ny).reshape(nx, ny)
     a, b = index[:-1, :-1], index[1:, :-1]
@@ -24,7 +19,8 @@ def grid_faces(diagonals: np.ndarray) -> np.ndarray:
 
 
 def choose_diagonals(shape: tuple[int, int], kind: str, rng: np.random.Generator) -> np.ndarray:
-    """Diagonals (nx-1, ny-1) bool of a grid of ``shape`` (nx, ny) vertices; see DIAGONALS."""
+    """Diagonals (nx-1, ny-1) bool of a grid of ``shape`` (nx, ny) vertices, of the ``kind`` random,
+    alternating or equal."""
     cells = (shape[0] - 1, shape[1] - 1)
     if kind == "random":
         return rng.random(cells) < 0.5

@@ -281,12 +281,9 @@ def share_of_offset(
 
 
 def default_edge(fabric: Fabric, rig: Rig) -> Metres:
-    """Default edge length at the rim for a fabric: 2, 2.5, 3 or 4 mm.
-
-    The largest of which :data:`EDGES_PER_LENGTH` fit into the bending length (alpha/rho g)^⅓ of the
-    softest direction, because softer cloth has narrower folds. The few values let drapes share
-    meshes. Without a plate, the edge length of such a mesh at the hem: 8 to 16 mm.
-    """
+    """Default edge length at the rim for a fabric: the largest of few, so that drapes share meshes,
+    of which :data:`EDGES_PER_LENGTH` fit into the bending length (alpha/rho g)^⅓ of the softest
+    direction, because softer cloth has narrower folds. Without a plate, that of the hem."""
     length = np.cbrt(fabric.alpha.min() / (fabric.density * GRAVITY))
     fits = [edge for edge in DEFAULT_EDGES if EDGES_PER_LENGTH * edge <= length]
     edge = max(fits, default=min(DEFAULT_EDGES))

@@ -9,7 +9,6 @@ from sim.cloth import Cloth
 from sim.energies.self_contact import SelfContact, contact_near
 from sim.equilibrium import Equilibrium
 from sim.solver.linear import CholeskySolver, make_solver
-from sim.solver.potential import hessian_product
 
 MAX_STEP, MAX_RESIDUAL = 1e-5, 1e-6
 """Next Newton step, mm, and largest force, weights of a vertex, of a state that is differentiated.
@@ -80,10 +79,6 @@ class Tangent:
             return np.full(len(force), np.nan)
         potential = self.cloth.potential
         return potential.all_unknowns(self._factor.solve(potential.free_unknowns(force)))
-
-    def force_of(self, move: np.ndarray) -> np.ndarray:
-        """Change (U,) of the energy's gradient when the unknowns move by ``move`` (U,)."""
-        return hessian_product(self.cloth.potential.energies, self.q, move)
 
     def _approach(self) -> tuple[bool, str]:
         """Take the last Newton steps and factorise; returns ``ok`` and ``message``."""

@@ -116,17 +116,6 @@ def forces(energies: Sequence[Energy], q: np.ndarray, size: int) -> np.ndarray:
     return total
 
 
-def hessian_product(energies: Sequence[Energy], q: np.ndarray, move: np.ndarray) -> np.ndarray:
-    """(U,) change of :func:`forces` at ``q`` when the unknowns move by ``move`` (U,)."""
-    total = np.zeros(len(move))
-    for energy in energies:
-        blocks = energy.hessian(q)
-        if blocks is not None:
-            local = np.where(energy.dofs >= 0, move[energy.dofs], 0.0)
-            _add_elements(total, energy.dofs, np.einsum("nij,nj->ni", blocks, local))
-    return total
-
-
 @numba.njit(cache=True)
 def _add_elements(total, dofs, parts):
     """Add the elements' contributions ``parts`` (N, K) to total (U,)."""

@@ -5,12 +5,17 @@ import pytest
 from scipy.optimize import brentq
 
 from common.errors import InputError
-from sim.cantilever.tester import pure_bending
 from sim.cloth import Laws
-from sim.energies.plate_variants import BUILD_UP, KES_CURVATURE, Hysteresis, kes_fabric
+from sim.energies.plate_variants import (
+    BUILD_UP,
+    KES_CURVATURE,
+    Hysteresis,
+    HystereticBending,
+    kes_fabric,
+)
 from sim.equilibrium import find_equilibrium
 from sim.material import Fabric, torque
-from sim.mesh import strip
+from sim.mesh import Mesh, strip
 from sim.scene import Scene
 from sim.solver.newton import NewtonOptions
 
@@ -18,6 +23,41 @@ TWILL = Fabric(np.array([30e-6, 20e-6, 14e-6]), np.array([-66e-9, -40e-9, -21e-9
 ANGLES = {0: 0.0, 1: np.pi / 4, 2: np.pi / 2}
 UP = np.arange(1.0, 251.0)  # KES-FB2 bends to 2.5 cm⁻¹
 DOWN = np.arange(249.0, -1.0, -1.0)
+
+
+STEP = 1e-3  # 1/m, of the differences of the energy
+
+
+def pure_bending(fabric, law, curvatures, *, angle: float = 0.0) -> np.ndarray:
+    """Torques per width (K,), N, of cloth bent to ``curvatures`` (K,), 1/m, one after the other.
+
+    The torque is the derivative of the energy of a cylinder by the curvature, without stresses.
+    Hysteresis follows every curvature in turn, so that they should be close to each other.
+    """
+    flat, _ = strip(length=0.01, width=0.01, edge=5e-4, clamp=0.0)
+    along, across = flat.rest.T
+    cos, sin = np.cos(angle), np.sin(angle)
+    mesh = Mesh(np.column_stack([cos * along - sin * across, sin * along + cos * across]),
+                flat.faces)
+    energy = law(mesh, np.ones(len(mesh.faces), dtype=bool), fabric=fabric)
+
+    def bent(curvature: float) -> np.ndarray:
+        """The cylinder's positions and edge normals."""
+        turn = curvature * along
+        middle = turn[mesh.edges].mean(axis=1)
+        reach, drop = along * np.sinc(turn / np.pi), along * np.sinc(turn / 2 / np.pi) * np.sin(
+            turn / 2)
+        positions = np.column_stack([reach, across, -drop])
+        normals = np.column_stack([np.sin(middle), np.zeros(len(middle)), np.cos(middle)])
+        return np.concatenate([positions.ravel(), normals.ravel()])
+
+    torques = []
+    for curvature in curvatures:
+        ends = [energy.value(bent(curvature + sign * STEP)) for sign in (1, -1)]
+        torques.append((ends[0] - ends[1]) / (2 * STEP * mesh.areas.sum()))
+        if isinstance(energy, HystereticBending):
+            energy.origin = energy.origin_at(bent(curvature))
+    return np.array(torques)
 
 
 def cycle(fabric: Fabric, law: Hysteresis, direction: int) -> tuple[np.ndarray, np.ndarray]:
@@ -122,7 +162,5 @@ def test_an_origin_belongs_to_one_mesh() -> None:
 
 
 def _energy(law: Hysteresis, fabric: Fabric = TWILL):
-    from sim.mesh import strip
-
     mesh, held = strip(length=0.03, width=0.012, edge=0.003, clamp=0.006)
     return law(mesh, ~held[mesh.faces].all(axis=1), fabric=fabric)

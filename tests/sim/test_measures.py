@@ -10,9 +10,7 @@ from sim.measures import (
     fold_outline,
     maximum_stretch,
     projected_area,
-    shadow_radius,
 )
-from sim.mesh import Mesh
 from sim.rig import Rig
 from sim.scene import make_specimen
 
@@ -66,32 +64,6 @@ def test_outline_tells_where_the_folds_are(specimen):
     assert np.abs(np.linalg.norm(outline, axis=1) - wave).max() < 4e-4
     peaks = (2 * np.pi * np.arange(1, 6) - 1) / 5
     np.testing.assert_allclose(fold_angles(outline), peaks, atol=np.radians(2))
-
-
-def test_shadow_of_a_flat_square_is_the_square(specimen):
-    mesh, _ = specimen
-    flat = np.column_stack([mesh.rest, np.zeros(len(mesh.rest))])
-    azimuth = 2 * np.pi * np.arange(360) / 360
-    expected = 0.15 / np.maximum(np.abs(np.cos(azimuth)), np.abs(np.sin(azimuth)))
-    assert np.allclose(shadow_radius(flat, mesh), expected, rtol=1e-9)
-    # A hem 50 mm below the plate's plane looks 1/1.05 as large from 1 m.
-    lower = flat - [0, 0, 0.05]
-    assert np.allclose(shadow_radius(lower, mesh, height=1.0), expected / 1.05, rtol=1e-9)
-
-
-def test_shadow_of_cloth_folded_under_is_its_outermost_part():
-    """A band whose hem runs around the axis twice, once inside and once outside."""
-    angle = 2 * np.pi * np.arange(60) / 60
-    rings = [radius * np.column_stack([np.cos(angle), np.sin(angle)]) for radius in (0.1, 0.2)]
-    inner = np.arange(60)
-    outer, after = inner + 60, np.roll(inner, -1)
-    faces = np.concatenate([np.column_stack([inner, outer, after + 60]),
-                            np.column_stack([inner, after + 60, after])])
-    mesh = Mesh(np.concatenate(rings), faces)
-    # Draped with the circles exchanged, so that the rest's border is inside.
-    positions = np.column_stack([np.concatenate(rings[::-1]), np.zeros(120)])
-    radius = shadow_radius(positions, mesh, points=60)
-    assert np.allclose(radius, 0.2)
 
 
 def test_stretch_is_that_of_the_most_stretched_direction(specimen):
