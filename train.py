@@ -37,7 +37,7 @@ def train(config: TrainConfig) -> Path:
 
     torch.manual_seed(config.seed)  # used for the initial weights only
     network = MapNet(**training.network(config.model)).to(device)
-    optimizer = steps.make_optimizer(network, config.optim)
+    optimizer = torch.optim.AdamW(network.parameters(), weight_decay=config.optim.weight_decay)
 
     # Must agree with an existing state for a resume.
     run = {"settings": config.defining(), "dataset": manifest["hash"]}

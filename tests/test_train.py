@@ -23,7 +23,6 @@ from drapenet.network.training import (
     fit,
     learning_rate,
     load_state,
-    make_optimizer,
     open_captures,
     save_state,
     validate,
@@ -173,7 +172,8 @@ def test_training_learns_all_three_directions(
     batches = [batch for epoch in range(epochs)
                for batch in training.epoch(seed=0, epoch=epoch, size=OPTIM.batch_size)]
     fit(network, ((step / len(batches), batch) for step, batch in enumerate(batches)),
-        optimizer=make_optimizer(network, OPTIM), optim=OPTIM)
+        optimizer=torch.optim.AdamW(network.parameters(), weight_decay=OPTIM.weight_decay),
+        optim=OPTIM)
     metrics = validate(network, unseen)
     assert metrics["rmse_log_alpha"] < most
     assert 0.85 < metrics["rmse_beta_over_alpha"] < 1.2  # the maps do not show it

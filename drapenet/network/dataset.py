@@ -5,6 +5,7 @@ of the moved drape shows a neighbouring fabric with the same folds, at a fifth o
 """
 
 import io
+from collections.abc import Iterable
 from concurrent.futures import as_completed
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
@@ -66,11 +67,14 @@ class Maps:
         """The maps of ``rows``, indices or a mask."""
         return Maps(*(column[rows] for column in vars(self).values()))
 
-    @staticmethod
-    def joined(parts: "list[Maps]") -> "Maps":
-        """The rows of all parts."""
-        return Maps(*map(np.concatenate, zip(*(vars(part).values() for part in parts),
-                                           strict=True)))
+    @classmethod
+    def read(cls, files: Iterable[Path]) -> "Maps":
+        """The rows of all files."""
+        parts = []
+        for file in files:
+            with np.load(file, allow_pickle=False) as arrays:
+                parts.append([arrays[column.name] for column in fields(cls)])
+        return cls(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def make_maps(
@@ -98,7 +102,7 @@ def make_maps(
                        for shard in missing]
             for done in tqdm(as_completed(running), total=len(running), unit="shard", desc="maps"):
                 done.result()
-    return Maps.joined([_read_maps(file) for file in files.values()])
+    return Maps.read(files.values())
 
 
 def _write_maps(shard: Path, path: Path, **options: Any) -> None:
@@ -106,11 +110,6 @@ def _write_maps(shard: Path, path: Path, **options: Any) -> None:
     np.savez(content, **vars(maps_of_shard(shard, **options)))
     remove_partial(path.parent, path.name)
     replace_file(path, content.getvalue())
-
-
-def _read_maps(path: Path) -> Maps:
-    with np.load(path, allow_pickle=False) as arrays:
-        return Maps(*(arrays[field.name] for field in fields(Maps)))
 
 
 def maps_of_shard(

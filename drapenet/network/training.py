@@ -131,11 +131,6 @@ def _half_cosine(x: float) -> float:
     return (1 + math.cos(math.pi * x)) / 2
 
 
-def make_optimizer(network: torch.nn.Module, optim: OptimConfig) -> torch.optim.AdamW:
-    """The optimiser of a training."""
-    return torch.optim.AdamW(network.parameters(), weight_decay=optim.weight_decay)
-
-
 def schedule(
     captures: CaptureSet, config: TrainConfig, *, epoch: int, bar: "tqdm"
 ) -> Iterator[tuple[float, Batch]]:

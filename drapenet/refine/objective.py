@@ -59,15 +59,12 @@ def huber(residuals: Residuals, limit: float) -> tuple[Residuals, np.ndarray]:
             np.where(far, limit / bent, 1.0))
 
 
-def fit_nuisances(
-    objective: Objective, positions: Points, start: Nuisance, *, evaluations: int = 20
-) -> Nuisance:
+def fit_nuisances(objective: Objective, positions: Points, start: Nuisance) -> Nuisance:
     """Fit the nuisances to a fixed shape, without simulation."""
     if not len(start):
         return start
-    outcome = minimise(_FixedShape(objective, positions, start), limits=Limits(
-        evaluations=evaluations, decrease=1e-3))
-    return outcome.x * objective.scale
+    problem = _FixedShape(objective, positions, start)
+    return minimise(problem, limits=Limits(20, decrease=1e-3)).x * objective.scale
 
 
 class _FixedShape:

@@ -94,8 +94,8 @@ def scan_capture(path: Path, shape: CapturedShape, density: Density) -> Capture:
 
 def flat_turn(shape: CapturedShape) -> Radians:
     """Direction of the first rest axis on the plate."""
-    plate = ~shape.hanging
-    flat, rest = (points @ [1.0, 1j] for points in (shape.positions[plate, :2], shape.rest[plate]))
+    held = shape.held
+    flat, rest = (points @ [1.0, 1j] for points in (shape.positions[held, :2], shape.rest[held]))
     return float(np.angle(np.vdot(rest, flat)))
 
 

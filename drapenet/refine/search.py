@@ -24,7 +24,7 @@ from drapenet.refine.springs import (
     captured_shape,
     nearest_points,
     plane_springs,
-    spring_stiffness,
+    springs_to,
 )
 from drapenet.refine.surface import CapturedShape, RobustPositions
 from drapenet.refine.unknowns import SpecimenPrior, Unknowns
@@ -103,8 +103,7 @@ class CapturedViews:
 
         def springs(pull: float, nuisance: Nuisance) -> Springs:
             points, normals = objective.points(nuisance)
-            return Springs(near, points[at], normals[at],
-                           spring_stiffness(shape.scene, near, pull))
+            return springs_to(points[at], normals[at], shape.scene, near, pull)
 
         return Anchored(shape, objective, springs)
 

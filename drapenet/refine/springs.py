@@ -109,7 +109,7 @@ def pulled(
     """Equilibrium under springs to the captured points (N, 3) nearest before each of ``pulls``."""
     for pull in pulls:
         near, at = nearest_points(scene, state.positions, points, normals, reach=REACH)
-        springs = Springs(near, points[at], normals[at], spring_stiffness(scene, near, pull))
+        springs = springs_to(points[at], normals[at], scene, near, pull)
         equilibrium = find_equilibrium(scene, fabric, state, laws=laws, extra=[springs],
                                        options=OPTIONS)
         state = equilibrium.state
@@ -131,11 +131,13 @@ def nearest_points(
 def plane_springs(scene: Scene, positions: Points, *, pull: float) -> Springs:
     """Springs from each free vertex to the tangent plane at its position on a surface."""
     free = np.flatnonzero(~scene.held)
-    return Springs(free, positions[free], vertex_normals(positions, scene.mesh.faces)[free],
-                   spring_stiffness(scene, free, pull))
+    normals = vertex_normals(positions, scene.mesh.faces)[free]
+    return springs_to(positions[free], normals, scene, free, pull)
 
 
-def spring_stiffness(scene: Scene, vertices: np.ndarray, pull: float) -> np.ndarray:
-    """Stiffness (N,), N/m; ``pull``: force at 1 mm, over the weight at the reference density."""
+def springs_to(
+    targets: Points, normals: np.ndarray, scene: Scene, vertices: np.ndarray, pull: float
+) -> Springs:
+    """Springs from ``vertices`` (N,); ``pull``: force at 1 mm over their weight at 300 g/m²."""
     weight = REFERENCE_DENSITY * scene.gravity * scene.mesh.vertex_areas[vertices]
-    return pull / 1e-3 * weight
+    return Springs(vertices, targets, normals, pull / 1e-3 * weight)

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from common.errors import InputError
-from common.types import Faces, Metres, Points, RestPoints
+from common.types import Faces, Metres, Points, RestPoints, VertexMask
 from drapenet.refine.objective import Linearised, Moves, Nuisance, Residuals, huber
 from sim.cloth import Cloth
 from sim.drape import Drape
@@ -33,13 +33,13 @@ class CapturedShape:
     rig: Rig
 
     @property
-    def held(self) -> np.ndarray:
-        """(V,) bool, vertices that the plate holds."""
+    def held(self) -> VertexMask:
+        """Vertices that the plate holds."""
         return np.linalg.norm(self.rest, axis=1) <= _ON_PLATE * self.rig.plate_radius
 
     @property
-    def hanging(self) -> np.ndarray:
-        """(V,) bool, vertices beyond the plate."""
+    def hanging(self) -> VertexMask:
+        """Vertices beyond the plate."""
         return ~self.held
 
     @property
@@ -134,7 +134,7 @@ class RobustPositions:
     start = scale = deviation = np.zeros(0)
 
     def __init__(
-        self, target: Points, *, vertices: np.ndarray, sigma: Metres = 2e-3, limit: float = 1.0,
+        self, target: Points, *, vertices: VertexMask, sigma: Metres = 2e-3, limit: float = 1.0,
         independent: float = 100.0,
     ) -> None:
         self._target, self._vertices = target, np.flatnonzero(vertices)

@@ -144,7 +144,7 @@ def drape_moves(
 
 
 def law_moves(
-    tangent: Tangent, nuisances: Nuisances, names: Iterable[str] = LAW_NAMES
+    tangent: Tangent, nuisances: Nuisances, names: Iterable[str]
 ) -> dict[str, np.ndarray]:
     """(V, 3) derivatives of a drape by nuisances of its cloth's energies, or their logarithms.
 

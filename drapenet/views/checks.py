@@ -5,7 +5,12 @@ a plausible drape. The checks use that cloth does not stretch, the plate is flat
 the same cloth. Few correct simulated captures exceed the limits (``python -m experiments faults``).
 """
 
+import json
+import math
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import binary_erosion, binary_fill_holes, label
@@ -15,12 +20,15 @@ from common.types import Metres, Turns
 from data.captures.plate import INNER_SHARE
 from data.render.cameras import Camera
 from data.render.setups import Setups
+from drapenet.views.directions import AZIMUTHS
 from drapenet.views.located import LocatedViews
 from drapenet.views.radial_map import RadialMap
-from drapenet.views.specimen_offset import specimen_placement
 from drapenet.views.turns import disagreement, register
 from sim.rig import Rig
 
+PLACEMENT = Path(__file__).parents[1] / "weights" / "placement.json"
+"""Coefficients of size and offset, of ``experiments/estimation/specimen_offset.py``."""
+_BAND = 4  # rows of a map
 _PLATE_TOLERANCE = 10e-3  # m, distance of cloth on the plate from its plane
 _CUT_TOLERANCE = 1.5e-3  # m, range of depths of a border cut by a threshold
 MAX_LOG_SCALE = 0.05  # of the logarithm of the scale
@@ -227,3 +235,39 @@ def _cut(view: np.ndarray) -> float:
         return np.nan
     last = np.searchsorted(depths, depths + _CUT_TOLERANCE, side="right") - np.arange(len(depths))
     return float(last.max() / len(depths))
+
+
+@cache
+def coefficients() -> dict[str, Any]:
+    """The regression's coefficients by name of the rig."""
+    return json.loads(PLACEMENT.read_text(encoding="utf-8"))
+
+
+def specimen_placement(drape: RadialMap, rig: Rig) -> tuple[float, float]:
+    """Logarithm of the apparent over the possible size of the drape, and offset, m, of the
+    specimen's centre from the plate's axis, regressed on the map's distances in bands of elevation;
+    NaN for a rig without coefficients.
+    """
+    if rig.name not in coefficients():
+        return math.nan, math.nan
+    scale, offset = (coefficients()[rig.name][name] for name in ("log_scale", "offset"))
+    return (float(scale_features(drape) @ scale["coefficients"] + scale["constant"]),
+            float(np.abs(offset_features(drape) @ offset["coefficients"])))
+
+
+def _bands(values: np.ndarray) -> np.ndarray:
+    """(AZIMUTHS, B) means over bands of rows."""
+    return values.reshape(AZIMUTHS, -1, _BAND).mean(axis=2)
+
+
+def scale_features(drape: RadialMap) -> np.ndarray:
+    """(2 B,) mean and standard deviation of the distances, m, around the axis."""
+    bands = _bands(drape.distance)
+    return np.concatenate([bands.mean(axis=0), bands.std(axis=0)])
+
+
+def offset_features(drape: RadialMap) -> np.ndarray:
+    """(2 B,) complex first harmonics of the distances, m, and of the visibility."""
+    around = np.exp(2j * np.pi * (np.arange(AZIMUTHS) + 0.5) / AZIMUTHS)
+    return np.concatenate([around @ _bands(values) / AZIMUTHS
+                           for values in (drape.distance, (drape.weight > 0).astype(float))])

@@ -29,10 +29,9 @@ class LocatedViews:
     @classmethod
     def of(cls, capture: Capture) -> Self:
         """The views of a capture."""
-        if capture.cut is None:
-            return cls.cut_out(capture.views, capture.intrinsics, capture.rig, capture.turns)
-        camera = capture.intrinsics.posed(capture.cut.plate.pose)
-        return cls.registered(capture.views, camera, capture.rig, capture.turns)
+        views, intrinsics, rig = capture.views, capture.intrinsics, capture.rig
+        plate = capture.cut.plate if capture.cut else plate_of_cloth(views, intrinsics, rig)
+        return cls.registered(views, intrinsics.posed(plate.pose), rig, capture.turns)
 
     @classmethod
     def cut_out(cls, views: Views, intrinsics: Intrinsics, rig: Rig, turns: Turns) -> Self:

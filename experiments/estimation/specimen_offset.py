@@ -1,4 +1,4 @@
-"""Coefficients of the specimen's scale and offset (drapenet/views/specimen_offset.py).
+"""Coefficients of the specimen's scale and offset (drapenet/views/checks.py).
 
     python -m experiments.estimation.specimen_offset data=DATASET [rig=NAME] [out=FILE]
 
@@ -25,9 +25,9 @@ from data.dataset.folder import finished_manifest
 from data.dataset.shards import Shard
 from data.render.setups import Setups
 from drapenet.config import FromOne, FromZero
+from drapenet.views.checks import coefficients, offset_features, scale_features
 from drapenet.views.located import LocatedViews
 from drapenet.views.radial_map import radial_map
-from drapenet.views.specimen_offset import coefficients, offset_features, scale_features
 from sim.rig import Rig
 
 REACH = 0.15  # of the logarithm of the scale

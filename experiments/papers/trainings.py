@@ -27,7 +27,7 @@ from drapenet.network.dataset import Maps, make_maps
 from drapenet.network.evaluate import rms_with_interval
 from drapenet.network.posterior import inside, ranks
 from drapenet.network.targets import MODULI, TargetScale
-from drapenet.network.training import CaptureSet, fit, make_optimizer
+from drapenet.network.training import CaptureSet, fit
 from experiments.estimation.prior import MixturePrior
 from experiments.papers.networks import (
     CHANNELS,
@@ -227,7 +227,8 @@ def train(*, training: dict, settings: dict, dataset: str) -> dict[str, Any]:
     experiment = make_experiment(one, settings)
     network = experiment.network
     optim = compose_config("train", [], schema=TrainConfig).optim
-    optimizer, began = make_optimizer(network, optim), time.process_time()
+    optimizer = torch.optim.AdamW(network.parameters(), weight_decay=optim.weight_decay)
+    began = time.process_time()
     fit(network, schedule(experiment.training, one, batch=settings["batch"],
                           seed=settings["seed"]), optimizer=optimizer, optim=optim)
     seconds = time.process_time() - began

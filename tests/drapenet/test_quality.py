@@ -11,10 +11,16 @@ from scipy import ndimage
 
 from common.errors import InputError
 from data.render.setups import Setups, SyntheticCapture
-from drapenet.views.checks import Quality, measure, quality_warnings, require_plate
+from drapenet.views.checks import (
+    PLACEMENT,
+    Quality,
+    measure,
+    quality_warnings,
+    require_plate,
+    specimen_placement,
+)
 from drapenet.views.located import LocatedViews
 from drapenet.views.radial_map import radial_map
-from drapenet.views.specimen_offset import FILE, specimen_placement
 from experiments.estimation.specimen_offset import fit, main
 from sim.drape import drape
 from sim.material import Fabric
@@ -47,14 +53,14 @@ def warnings(capture: SyntheticCapture) -> str:
 def test_coefficients_of_the_placement_are_written_to_out_alone(
     cloth_dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sound: SyntheticCapture
 ) -> None:
-    before, out = FILE.read_bytes(), tmp_path / "placement.json"
+    before, out = PLACEMENT.read_bytes(), tmp_path / "placement.json"
     main([f"data={cloth_dataset}", "captures=8", f"out={out}"])
     fitted, bundled = json.loads(out.read_text()), json.loads(before)
-    assert FILE.read_bytes() == before
+    assert PLACEMENT.read_bytes() == before
     assert fitted.keys() == bundled.keys() and fitted[RIG.name] != bundled[RIG.name]
     found = radial_map(LocatedViews.cut_out(sound.views, sound.intrinsics, RIG, sound.turns))
     placement = specimen_placement(found, RIG)
-    monkeypatch.setattr("drapenet.views.specimen_offset.FILE", out)  # is read once
+    monkeypatch.setattr("drapenet.views.checks.PLACEMENT", out)  # is read once
     assert specimen_placement(found, RIG) == placement
 
 
