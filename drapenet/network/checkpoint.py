@@ -100,7 +100,6 @@ class Header(Excerpt):
 
     @property
     def scale(self) -> TargetScale:
-        """Standardisation of the targets."""
         from drapenet.network.targets import TargetScale
 
         return TargetScale(np.array(self.targets.mean), np.array(self.targets.std))
@@ -114,7 +113,6 @@ class Header(Excerpt):
 
     @property
     def setups(self) -> Setups:
-        """The set-ups of the captures trained on."""
         from data.render.setups import Setups
 
         return Setups.from_config(self.config.setup)

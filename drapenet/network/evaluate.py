@@ -184,7 +184,6 @@ def make_config(header: Header, *, drapes: int, seed: int) -> DatasetConfig:
 
 
 def format_cell(name: str, result: dict[str, Any]) -> str:
-    """Result of one cell as a line of text."""
     inside = result["inside"]
     return (f"{name}: log alpha {result['log_alpha']['rmse']:.3f}, "
             f"beta/alpha {result['beta_over_alpha']['rmse']:.3f}, "

@@ -26,9 +26,7 @@ MapTensor = Annotated[torch.Tensor, "(N, AZIMUTHS, ELEVATIONS) float32"]
 
 
 def compressed(maps: list[RadialMap]) -> tuple[np.ndarray, np.ndarray]:
-    """Distances, m, float16, and logarithms of 1 + weight in :data:`WEIGHT_UNIT`, uint8, of maps:
-    (N, AZIMUTHS, ELEVATIONS) each.
-    """
+    """(N, AZIMUTHS, ELEVATIONS) distances, m, and logarithms of 1 + weight, for a :class:`Batch`."""
     shape = (len(maps), AZIMUTHS, ELEVATIONS)
     distance = np.array([part.distance for part in maps], np.float16).reshape(shape)
     weight = np.array([np.log1p(part.weight) for part in maps]).reshape(shape)
@@ -45,14 +43,12 @@ def known_of(views: torch.Tensor, membrane: torch.Tensor) -> torch.Tensor:
 
 @dataclass(frozen=True)
 class Batch:
-    """Inputs of the network for N captures: distance, m, logarithm of 1 + weight, (N, KNOWN)
-    scalars; and (N, T) standardised targets, None in inference.
-    """
+    """Inputs of the network for N captures."""
 
-    distance: MapTensor
-    weight: MapTensor
-    known: torch.Tensor
-    targets: torch.Tensor | None = None
+    distance: MapTensor  # m
+    weight: MapTensor  # logarithm of 1 + weight
+    known: torch.Tensor  # (N, KNOWN), :func:`known_of`
+    targets: torch.Tensor | None = None  # (N, T) standardised; None in inference
 
     @classmethod
     def of(cls, distance: np.ndarray, weight: np.ndarray, views: np.ndarray, membrane: np.ndarray,
@@ -104,10 +100,8 @@ class BasicBlock(torch.nn.Module):
 class MapNet(torch.nn.Module):
     """Network from maps of distances and weights to a mixture of ``components`` Gaussians.
 
-    Args:
-        width: features of the first stage; 64 in ResNet-18.
-        targets: their number, see :mod:`drapenet.network.targets`.
-        distance, spread: m, mean and standard deviation of the training distances.
+    ``width``: features of the first stage, 64 in ResNet-18; ``distance``, ``spread``: m, mean and
+    standard deviation of the training distances.
     """
 
     def __init__(
@@ -129,7 +123,7 @@ class MapNet(torch.nn.Module):
             torch.nn.Linear(256, outputs_of(**self.shape)))
 
     def forward(self, distance: MapTensor, weight: MapTensor, known: torch.Tensor) -> Mixture:
-        """The posterior of a :class:`Batch`."""
+        """The posterior of a :class:`Batch`, whose ``known`` is (N, KNOWN)."""
         azimuth = (torch.arange(AZIMUTHS) + 0.5) * (2 * torch.pi / AZIMUTHS)
         place = torch.stack([torch.cos(2 * azimuth), torch.sin(2 * azimuth)])
         place = place[None, :, None, :].expand(len(distance), 2, distance.shape[2], AZIMUTHS)
@@ -144,5 +138,5 @@ class MapNet(torch.nn.Module):
         return self.posterior(self.head(torch.cat([pooled.flatten(1), known], dim=1)))
 
     def posterior(self, outputs: torch.Tensor) -> Mixture:
-        """The posterior of the head's outputs (N, :func:`outputs_of`)."""
+        """The posterior of the head's outputs (N, O)."""
         return Mixture.of_outputs(outputs, **self.shape)

@@ -1,11 +1,9 @@
 """Targets of the network: the moduli along the specimen's yarns.
 
-A square is cut along its yarns and its map begins at a side: its six targets are theta
-(:mod:`data.fabrics.fabrics`) with the yarns along azimuth 0 in place of the warp. The yarns of a
-disc are not visible and its map begins at any azimuth: its targets are theta with the stiffer yarns
-first, and the two components of their direction, w (cos 2 psi, sin 2 psi). The doubled angle makes
-an axis single-valued; the weight w = tanh(log(alpha_stiff/alpha_soft)) makes the vector vanish for
-equal yarns, where the direction of the stiffer ones jumps by a right angle.
+The map of a square begins at a side: its six targets are theta with the yarns along azimuth 0 in
+place of the warp. That of a disc begins anywhere: its targets are theta with the stiffer yarns
+first, and their direction w (cos 2 psi, sin 2 psi), w = tanh(log(alpha_stiff/alpha_soft)), which
+vanishes for equal yarns, where it would jump by a right angle.
 """
 
 from dataclasses import dataclass
@@ -43,7 +41,6 @@ class Symmetry:
 
     @classmethod
     def draw(cls, count: int, *, disc: bool, rng: np.random.Generator) -> "Symmetry":
-        """Random symmetries."""
         cells = rng.integers(AZIMUTHS, size=count) if disc else (
             rng.integers(4, size=count) * (AZIMUTHS // 4))
         return cls(torch.from_numpy(cells), torch.from_numpy(rng.integers(2, size=count) == 1))
@@ -93,9 +90,7 @@ class TargetScale:
         return TargetScale(mean, std)
 
     def encode(self, targets: Targets) -> Targets:
-        """Standardised targets."""
         return (targets - self.mean) / self.std
 
     def decode(self, standardised: Targets) -> Targets:
-        """Targets, not standardised."""
         return standardised * self.std + self.mean

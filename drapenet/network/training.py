@@ -148,8 +148,7 @@ def fit(
 ) -> float:
     """Train ``network`` by maximum likelihood; return the mean loss.
 
-    ``schedule``: of each step, the completed share of the training and a
-    :class:`drapenet.network.model.Batch`.
+    ``schedule``: completed share of the training and :class:`Batch` of each step.
     """
     device = next(network.parameters()).device
     network.train()
@@ -168,9 +167,7 @@ def fit(
 
 @torch.no_grad()
 def validate(network: MapNet, captures: CaptureSet) -> dict:
-    """Metrics of the network on ``captures``, with unknown nuisances and without symmetries; errors
-    are standardised.
-    """
+    """Metrics of the network on ``captures`` without membrane and symmetries, standardised."""
     network.eval()
     losses, errors, places = [], [], []
     for _, batch in captures.in_order(_VALIDATION_BATCH):

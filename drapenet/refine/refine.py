@@ -85,7 +85,11 @@ def refine_capture(
                                 (drape.status.value,))
     near = fidelity(scan, result.released) if scan and result.released else None
     warnings = _search_warnings(result)
-    draws = None if warnings else _draws(result, turn)
+    draws = None
+    if not warnings:
+        theta: Theta = np.random.default_rng(0).multivariate_normal(
+            result.best.unknowns.theta, result.uncertainty.theta, size=_DRAWS)
+        draws = Draws.possible(theta, np.full(_DRAWS, turn))
     if scan:
         warnings += _scan_warnings(near)
     content = _content(result, near, estimate.density, by="scan" if scan else "depth")
@@ -128,27 +132,19 @@ def specimen_spread() -> NuisanceConfig:
     return config_from_options(options).sampling.nuisances
 
 
-def _certain(result: SearchResult) -> bool:
-    return result.uncertainty is not None and bool(np.isfinite(result.uncertainty.theta).all())
-
-
-def _draws(result: SearchResult, turn: Radians) -> Draws:
-    theta: Theta = np.random.default_rng(0).multivariate_normal(
-        result.best.unknowns.theta, result.uncertainty.theta, size=_DRAWS)
-    return Draws.possible(theta, np.full(len(theta), turn))
-
-
 def _search_warnings(result: SearchResult) -> list[str]:
     """Why the network's estimate stands; empty if it does not."""
-    if _certain(result) and result.uncertainty.reduced_chi2 >= MAX_REDUCED_CHI2:
+    uncertainty = result.uncertainty
+    certain = uncertainty is not None and np.isfinite(uncertainty.theta).all()
+    if certain and uncertainty.reduced_chi2 >= MAX_REDUCED_CHI2:
         return ["no simulated cloth fits the captured surface (squared misfit "
-                f"{result.uncertainty.reduced_chi2:.0f} times the measurement's errors, at "
+                f"{uncertainty.reduced_chi2:.0f} times the measurement's errors, at "
                 f"most {MAX_REDUCED_CHI2:g}): the network's estimate stands; check tester, "
                 "specimen, cut-out and intrinsics"]
     if not result.improved:
         return ["the refinement found no fabric that agrees better with the capture: the "
                 "network's estimate stands"]
-    if not _certain(result):
+    if not certain:
         return ["the refinement gives no uncertainty: the network's estimate stands"]
     return []
 
@@ -166,7 +162,6 @@ def _scan_warnings(near: Fidelity | None) -> list[str]:
 def _content(
     result: SearchResult, near: Fidelity | None, density: Density, *, by: str
 ) -> dict[str, Any]:
-    """The part ``refined`` of ``estimate.json``, of a fabric of ``density``."""
     content = {
         "by": by, "misfit_before": result.start_value, "misfit": result.best.value,
         "simulations": result.effort.solves,

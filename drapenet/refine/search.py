@@ -8,7 +8,7 @@ smaller, but remain those of a wrong fabric.
 
 import math
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Protocol
 
@@ -70,11 +70,8 @@ class Observation(Protocol):
 
 
 class CapturedViews:
-    """Depth views of a drape (:class:`Observation`); pose, turns and ``turn``, the direction of the
-    warp in the first view, are initial guesses.
-
-    Rounds on a ``coarse`` mesh determine folds, pose and most of the fabric, the last one has edges
-    of ``edge`` at the rim.
+    """Depth views of a drape; pose and ``turn``, the direction of the warp in the first view, are
+    initial guesses. Only the last round has a mesh finer than ``coarse``.
     """
 
     def __init__(
@@ -87,7 +84,6 @@ class CapturedViews:
                        Round(edge, (0.03, 0.01, 0.003), 3))
 
     def objective(self, edge: Metres) -> DepthViews:
-        """The objective of a mesh."""
         if edge not in self._objectives:
             mesh = make_specimen(self._located.rig, edge=edge).mesh
             self._objectives[edge] = DepthViews(self._located, mesh.faces, turn=self._turn,
@@ -95,7 +91,6 @@ class CapturedViews:
         return self._objectives[edge]
 
     def anchored(self, level: Round, unknowns: Unknowns, nuisance: Nuisance | None) -> Anchored:
-        """See :class:`Observation`."""
         objective = self.objective(level.edge)
         points = objective.points(objective.start if nuisance is None else nuisance)
         shape = captured_shape(unknowns.fabric, *points, rig=self._located.rig, edge=level.edge)
@@ -118,7 +113,6 @@ class CapturedScan:
         self._objective = RobustPositions(shape.positions, vertices=shape.hanging)
 
     def anchored(self, level: Round, unknowns: Unknowns, nuisance: Nuisance | None) -> Anchored:
-        """See :class:`Observation`."""
         near = self._shape.as_drape(unknowns.fabric)
 
         def springs(pull: float, nuisance: Nuisance) -> Springs:
@@ -175,18 +169,18 @@ def search(
                         run.outcome.message)
 
 
+@dataclass
 class _Run:
-    """State of a search: present problem, its outcome, trial of the first start, effort."""
+    """State of a search."""
 
-    def __init__(
-        self, observation: Observation, free: Collection[str], prior: SpecimenPrior | None,
-        progress: Progress | None,
-    ) -> None:
-        self.observation, self.free, self.prior = observation, free, prior
-        self.progress, self.effort = progress, Effort()
-        self.problem: Problem | None = None
-        self.outcome: Outcome | None = None
-        self.first: Trial | None = None
+    observation: Observation
+    free: Collection[str]
+    prior: SpecimenPrior | None
+    progress: Progress | None
+    effort: Effort = field(default_factory=Effort)
+    problem: Problem | None = None  # the present one
+    outcome: Outcome | None = None  # of its optimisation
+    first: Trial | None = None  # of the first start
 
     def round(self, level: Round, guesses: Sequence[Unknowns], *, first: Unknowns | None) -> None:
         """Optimise from the best of ``guesses`` with softer and softer springs, evaluate ``first``.

@@ -24,8 +24,7 @@ NEIGHBOURS = 20  # used to estimate the normal of a raw point
 
 @dataclass(frozen=True)
 class CapturedShape:
-    """A registered drape on a plate: positions on the rig's axes, rest points in any material axes.
-    """
+    """A registered drape on a plate, with rest points in any material axes."""
 
     positions: Points
     rest: RestPoints
@@ -147,7 +146,6 @@ class RobustPositions:
         return self._bent(positions)[0].ravel()
 
     def linearised(self, positions: Points, nuisance: Nuisance) -> Linearised:
-        """Residuals and their derivatives."""
         residuals, scale, across = self._bent(positions)
 
         def along(moves: Moves) -> np.ndarray:

@@ -63,7 +63,6 @@ class Unknowns:
 
     @property
     def theta(self) -> Theta:
-        """The moduli."""
         return self.values[:6]
 
     @property
@@ -73,17 +72,14 @@ class Unknowns:
 
     @property
     def nuisances(self) -> Nuisances:
-        """The nuisances of its energies."""
         return Nuisances(**{name: math.exp(self[name]) if name in LOGARITHMIC else self[name]
                             for name in LAW_NAMES})
 
     @property
     def laws(self) -> Laws:
-        """The laws of its energies."""
         return self.nuisances.laws
 
     def with_theta(self, theta: Theta) -> "Unknowns":
-        """The same specimen of another fabric."""
         return Unknowns(np.concatenate([theta, self.values[6:]]))
 
     def rest(self, base: RestPoints, rig: Rig) -> RestPoints:

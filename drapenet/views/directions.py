@@ -12,7 +12,7 @@ _MIN_FACING = 0.15  # minimum cosine in the weight of a pixel
 
 
 def centre_height(rig: Rig) -> Metres:
-    """Height of the point that a drape is seen from relative to the plate, negative."""
+    """Height of the point that a drape is seen from, relative to the plate, negative."""
     return -_DEPTH * (rig.specimen_size - rig.plate_diameter) / 2
 
 

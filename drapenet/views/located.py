@@ -3,7 +3,6 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
 
 import numpy as np
 
@@ -27,27 +26,29 @@ class LocatedViews:
     centre: np.ndarray  # (2,) m, of the plate in the camera's world axes
 
     @classmethod
-    def of(cls, capture: Capture) -> Self:
+    def of(cls, capture: Capture) -> "LocatedViews":
         """The views of a capture."""
         views, intrinsics, rig = capture.views, capture.intrinsics, capture.rig
         plate = capture.cut.plate if capture.cut else plate_of_cloth(views, intrinsics, rig)
         return cls.registered(views, intrinsics.posed(plate.pose), rig, capture.turns)
 
     @classmethod
-    def cut_out(cls, views: Views, intrinsics: Intrinsics, rig: Rig, turns: Turns) -> Self:
+    def cut_out(
+        cls, views: Views, intrinsics: Intrinsics, rig: Rig, turns: Turns
+    ) -> "LocatedViews":
         """Views that show only cloth, with the stated turns of the table."""
         camera = intrinsics.posed(plate_of_cloth(views, intrinsics, rig).pose)
         return cls.registered(views, camera, rig, turns)
 
     @classmethod
-    def registered(cls, views: Views, camera: Camera, rig: Rig, turns: Turns) -> Self:
+    def registered(cls, views: Views, camera: Camera, rig: Rig, turns: Turns) -> "LocatedViews":
         """Views of a posed camera; their turns are estimated, starting from the stated ones."""
         clouds = [camera.cloth_points(view) for view in views]
         refined, centre = register(clouds, turns, rig)
         return cls(views, camera, rig, refined, turns, centre)
 
     @classmethod
-    def exact(cls, views: Views, camera: Camera, rig: Rig, turns: Turns) -> Self:
+    def exact(cls, views: Views, camera: Camera, rig: Rig, turns: Turns) -> "LocatedViews":
         """Views whose pose and turns are known, such as rendered ones."""
         turns = np.asarray(turns, dtype=float)
         return cls(views, camera, rig, turns, turns, np.zeros(2))

@@ -20,10 +20,8 @@ _ROUNDS = 3
 
 
 def register(clouds: list[Points], turns: Turns, rig: Rig) -> tuple[Turns, np.ndarray]:
-    """Turns of the table, the first as stated, and the plate's centre (2,), m, in the clouds' axes.
-
-    Turns are first estimated in whole degrees from the overlap of adjacent views, then refined
-    together with the centre by least squares.
+    """Turns of the table, the first as stated, and the plate's centre (2,), m, in the clouds' axes:
+    first turns in whole degrees, then both by least squares.
     """
     centre = np.array([0.0, CENTRE_BIAS])
     if len(clouds) == 1:
@@ -38,8 +36,7 @@ def register(clouds: list[Points], turns: Turns, rig: Rig) -> tuple[Turns, np.nd
 
 
 def disagreement(clouds: list[Points], turns: Turns, centre: np.ndarray, rig: Rig) -> float:
-    """Root mean square difference, m, between registered views; NaN if they overlap too little;
-    ``centre``: (2,) m.
+    """RMS difference, m, of views registered with a centre (2,), m; NaN if they overlap too little.
     """
     if len(clouds) < 2:
         return np.nan
