@@ -26,7 +26,7 @@ MapTensor = Annotated[torch.Tensor, "(N, AZIMUTHS, ELEVATIONS) float32"]
 
 
 def compressed(maps: list[RadialMap]) -> tuple[np.ndarray, np.ndarray]:
-    """(N, AZIMUTHS, ELEVATIONS) distances, m, and logarithms of 1 + weight, for a :class:`Batch`."""
+    """(N, AZIMUTHS, ELEVATIONS) distances, m, and logarithms of 1 + weight in their unit."""
     shape = (len(maps), AZIMUTHS, ELEVATIONS)
     distance = np.array([part.distance for part in maps], np.float16).reshape(shape)
     weight = np.array([np.log1p(part.weight) for part in maps]).reshape(shape)
