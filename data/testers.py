@@ -27,9 +27,7 @@ class _Numbers(Schema):
 def read_tester(value: object) -> Rig:
     """The tester that a document states: the name of a rig, or a mapping as :data:`EXAMPLE`.
 
-    Raises:
-        InputError: another value, or sizes outside the limits; the message continues a sentence
-            that begins with the value.
+    The message of an InputError continues a sentence that begins with the value.
     """
     try:
         if isinstance(value, Mapping):
@@ -77,9 +75,8 @@ def tester_choices(plate: Metres | None = None) -> str:
     """
     if plate is None:
         return f"give tester: {_CHOICES}"
-    visible = 1e3 * plate
     alike = [name for name in TESTERS
-             if abs(1e3 * RIGS[name].plate_diameter - visible) < _SAME_PLATE * visible]
-    numbers = f"{{specimen: disc, size_mm: SIZE, plate_mm: {visible:.0f}}}"
-    return (f"the pictures show a plate of about {visible:.0f} mm: give tester: "
+             if abs(RIGS[name].plate_diameter - plate) < _SAME_PLATE * plate]
+    numbers = f"{{specimen: disc, size_mm: SIZE, plate_mm: {1e3 * plate:.0f}}}"
+    return (f"the pictures show a plate of about {1e3 * plate:.0f} mm: give tester: "
             + " or ".join([*alike, f"numbers such as {numbers}"]))

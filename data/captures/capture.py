@@ -4,13 +4,9 @@
 
 Two formats are recognised by their files:
 
-- ``capture.yaml`` with ``view_0.png`` and so on, one to eight, usually four: 16-bit grey, depth in
-  units of ``depth_unit_m`` (default millimetres), 0 for missing depth, any size with matching
-  intrinsics; or other files of depth (:mod:`data.captures.frames`). The cloth is cut out of frames
-  of the full scene (:mod:`data.captures.cutout`).
+- ``capture.yaml`` with one to eight views in files of depth (:mod:`data.captures.frames`);
 - ``density.txt`` with ``0.png`` to ``3.png``: the sets published with Feng et al. 2022, 8-bit grey,
-  count/255 = metres, background 0 or above 250, 240x180 or 480x360 pixels (every second one is
-  used), of the square on its cylinder, with the intrinsics of its camera.
+  count/255 = metres, background 0 or above 250, of the square, with its camera's intrinsics.
 """
 
 import hashlib
@@ -65,13 +61,10 @@ class Capture:
     """Views of one specimen on a turntable.
 
     Attributes:
-        intrinsics: of these views.
         turns: nominal, since the first view.
-        warp_direction: angle of the warp direction in the first view, in [0, pi), 0 to the right in
-            the picture, pi/2 away from the camera; None when it is not marked.
-        path: its folder.
-        warnings: one line each, for the report.
-        cut: result of cutting out the cloth; None if the frames showed only cloth.
+        warp_direction: in the first view, in [0, pi), 0 to the right in the picture, pi/2 away from
+            the camera; None when it is not marked.
+        cut: None if the frames showed only cloth.
         face: "up" if the face of the fabric that the laboratory has marked is on top, else "down".
     """
 
@@ -93,11 +86,7 @@ class Capture:
 
 
 def read_capture(path: str | Path) -> Capture:
-    """Read and check a capture folder of either format.
-
-    Raises:
-        InputError: anything that makes the capture unusable.
-    """
+    """Read a capture folder of either format; InputError for anything that makes it unusable."""
     path = Path(path)
     try:
         if not path.exists():
@@ -141,7 +130,8 @@ def _read_metric(path: Path) -> Capture:
     if step > 1:
         depth = depth[:, ::step, ::step]
         background = None if background is None else background[::step, ::step]
-        intrinsics = _subsampled(intrinsics, step, depth)
+        numbers = {key: getattr(intrinsics, key) / step for key in INTRINSICS_KEYS}
+        intrinsics = Intrinsics(**numbers, width=depth.shape[2], height=depth.shape[1])
     if description.tester is None:
         choices = tester_choices(plate_diameter(depth, intrinsics))
         raise InputError(f"{file} states no tester; {choices}")
@@ -150,12 +140,6 @@ def _read_metric(path: Path) -> Capture:
     return Capture(views, intrinsics, turns, description.density, description.warp_direction,
                    description.tester, path, (*(cut.warnings if cut else ()), *warnings), cut,
                    description.face)
-
-
-def _subsampled(intrinsics: Intrinsics, step: int, depth: Views) -> Intrinsics:
-    """Intrinsics of every ``step``-th pixel, which are those of ``depth``."""
-    numbers = {key: getattr(intrinsics, key) / step for key in INTRINSICS_KEYS}
-    return Intrinsics(**numbers, width=depth.shape[2], height=depth.shape[1])
 
 
 def _read_published(path: Path) -> Capture:
@@ -215,8 +199,7 @@ def checked_views(views: Views) -> tuple[Views, tuple[str, ...]]:
 def _remove_isolated(view: DepthImage, name: str) -> list[str]:
     """Set isolated outliers of a view to background, in place; return warnings.
 
-    A pixel is isolated if fewer than two neighbours have a similar depth. Depth also jumps at
-    folds, but there a pixel has neighbours on the same fold.
+    Depth also jumps at folds, but there a pixel has two neighbours of similar depth.
     """
     cloth = view > 0
     adjacent = neighbours(view)
@@ -232,8 +215,7 @@ def _remove_isolated(view: DepthImage, name: str) -> list[str]:
 def _remove_specks(view: DepthImage, name: str) -> list[str]:
     """Set small pieces of a view apart from its cloth to background, in place; return warnings.
 
-    A single distant pixel, as from a time-of-flight sensor, may move the measured hem. Larger
-    pieces are kept with a warning, as they may be cloth.
+    A single distant pixel, as from a time-of-flight sensor, may move the measured hem.
     """
     pieces, count = ndimage.label(view > 0, structure=np.ones((3, 3)))
     if count < 2:
@@ -255,10 +237,8 @@ def _remove_specks(view: DepthImage, name: str) -> list[str]:
 
 
 def captures_in(path: Path) -> list[Path]:
-    """Capture folders in ``path``, sorted: itself, or those in a folder of captures or of samples.
-
-    Raises:
-        InputError: ``path`` is a folder of fabrics.
+    """Capture folders in ``path``, sorted: itself, or those in a folder of captures or of samples;
+    InputError for a folder of fabrics.
     """
     if not path.is_dir() or any((path / name).exists() for name in CAPTURE_FILES):
         return [path]
@@ -277,12 +257,8 @@ def require_one_fabric(
     rigs: Iterable[Rig | str], marked: Iterable[bool], densities: Sequence[Density],
     digests: Iterable[tuple[str, str]],
 ) -> None:
-    """InputError for captures that cannot be combined in the estimate of one fabric.
-
-    Args:
-        rigs: of the captures, or their names.
-        marked: whether each states the warp direction.
-        digests: name and :attr:`Capture.digest` of each.
+    """InputError for captures that cannot be combined in the estimate of one fabric; ``marked``:
+    whether each states the warp direction; ``digests``: name and :attr:`Capture.digest` of each.
     """
     names: dict[str, str] = {}
     for name, digest in digests:
@@ -317,17 +293,10 @@ def write_capture(
 ) -> None:
     """Write a capture in the 16-bit format to a new or empty folder, in one step.
 
-    Args:
-        warp_direction: in the first view. face: of the fabric on top, "up" or "down".
-        turns: nominal; None: equally spaced.
-        background: the scene without cloth.
-
-    Raises:
-        InputError: wrong shape, a tester outside the limits, depth that does not fit 16 bits, a
-            folder that is not empty or cannot be written.
+    ``turns`` are equally spaced if None; ``background`` is the scene without cloth. InputError for
+    what :func:`read_capture` would refuse, and for depth that does not fit 16 bits.
     """
     path = Path(path)
-    views = np.asarray(views)
     named_tester(rig.name)
     if views.shape[1:] != (intrinsics.height, intrinsics.width):
         raise InputError(f"views have the shape {views.shape}, but the intrinsics are for "

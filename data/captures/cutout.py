@@ -3,8 +3,7 @@
     plate and table -> reach of the cloth -> removal of the column -> masks
 
 Cloth is nearly inextensible: no point of it is farther from the plate's rim than the overhang. This
-region contains the cloth and the column under the plate. Pixels without depth get the label of
-surrounding pixels in the mask; their depth stays unknown.
+region contains the cloth and the column under the plate.
 """
 
 from dataclasses import dataclass
@@ -13,7 +12,7 @@ import numpy as np
 from scipy import ndimage
 
 from common.errors import InputError
-from common.types import DepthImage, Mask, Metres, Views
+from common.types import DepthImage, Mask, Masks, Metres, Points, Views
 from data.captures.plate import Plate, find_plate
 from data.render.cameras import Intrinsics
 from sim.rig import Rig
@@ -42,49 +41,35 @@ _LOOK = "python -m data.captures.preview"
 
 @dataclass(frozen=True)
 class CutOut:
-    """The segmented cloth of frames.
-
-    Attributes:
-        frames: as given.
-        masks: (K, H, W) bool, cloth, including pixels without depth.
-        views: depth of the cloth, 0 elsewhere and where it is unknown.
-        column: radius of the column under the plate; None if it is not visible.
-        warnings: one line each.
-    """
+    """The segmented cloth of frames."""
 
     frames: Views
-    masks: np.ndarray
-    views: Views
+    masks: Masks  # cloth, including pixels without depth
+    views: Views  # depth of the cloth
     plate: Plate
-    column: Metres | None = None
+    column: Metres | None = None  # radius, if it is visible
     warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class _Scene:
-    """Points of all pixels of the frames, (K, H, W) each, about the plate of ``rig``.
-
-    Attributes:
-        solid: whether a pixel shows a surface.
-        radius, height: distance from the plate's axis, and height above the plate, m.
-        over: height above the table, m; infinite if no table is visible.
-    """
+    """Points of all pixels of the frames, about the plate of ``rig``."""
 
     frames: Views
     rig: Rig
-    solid: np.ndarray
-    radius: np.ndarray
-    height: np.ndarray
-    over: np.ndarray
+    solid: Masks  # pixels that show a surface
+    radius: np.ndarray  # (K, H, W) m, from the plate's axis
+    height: np.ndarray  # (K, H, W) m, above the plate
+    over: np.ndarray  # (K, H, W) m, above the table; infinite if none is visible
 
     @property
-    def within_reach(self) -> np.ndarray:
+    def within_reach(self) -> Masks:
         """Whether cloth can reach the points."""
         beyond = np.maximum(self.radius - self.rig.plate_radius, 0.0)
         return (self.height < _PLATE_TOLERANCE) & (
             np.hypot(beyond, self.height) < self.rig.overhang + _REACH_TOLERANCE)
 
-    def on_plate(self, margin: Metres = 0.0) -> np.ndarray:
+    def on_plate(self, margin: Metres = 0.0) -> Masks:
         """Whether the points lie on the plate, or up to ``margin`` beyond its rim."""
         return (self.radius < self.rig.plate_radius + margin) & (
             np.abs(self.height) < _PLATE_TOLERANCE)
@@ -112,13 +97,7 @@ def cut_out(
 ) -> CutOut | None:
     """Segment the cloth in frames of one static camera; None if they show only cloth.
 
-    Args:
-        rig: with a plate.
-        background: the same scene with the tester but without cloth.
-
-    Raises:
-        InputError: no plate of the rig with cloth is found, or only part of the frames show the
-            full scene.
+    ``background``: the same scene with the tester but without cloth.
     """
     whole = [shows_scene(frame, intrinsics, rig) for frame in frames]
     if not any(whole):
@@ -159,8 +138,7 @@ def cut_out(
     return CutOut(frames, masks, views, plate, column, tuple(warnings))
 
 
-def _scene(frames: Views, points: np.ndarray, plate: Plate, rig: Rig) -> _Scene:
-    """The scene of a plate; ``points`` (K, H, W, 3), m, of the frames, camera axes."""
+def _scene(frames: Views, points: Points, plate: Plate, rig: Rig) -> _Scene:
     local = plate.local(points)
     alike = np.abs(neighbours(frames) - frames) < _MAX_STEP * frames / 0.5
     surface = alike.sum(axis=0) >= _MIN_NEIGHBOURS  # no flying pixel between surfaces
@@ -179,8 +157,8 @@ def neighbours(pictures: np.ndarray) -> np.ndarray:
                      for i in range(3) for j in range(3) if (i, j) != (1, 1)])
 
 
-def _unchanged(cloth: np.ndarray, scene: _Scene, background: DepthImage) -> np.ndarray:
-    """(K, H, W) bool, candidates for ``cloth`` that have the depth of the empty scene."""
+def _unchanged(cloth: Masks, scene: _Scene, background: DepthImage) -> Masks:
+    """Candidates for ``cloth`` that have the depth of the empty scene."""
     # On the plate and at its rim, cloth is only its thickness nearer than the background.
     frames = scene.frames
     unchanged = (background > 0) & (background - frames < _MIN_CHANGE * frames / 0.5)
@@ -188,12 +166,9 @@ def _unchanged(cloth: np.ndarray, scene: _Scene, background: DepthImage) -> np.n
 
 
 def _background_warnings(
-    scene: _Scene, background: DepthImage, cloth: np.ndarray, same: np.ndarray
+    scene: _Scene, background: DepthImage, cloth: Masks, same: Masks
 ) -> list[str]:
-    """Warnings if the background does not belong to the frames.
-
-    Pixel masks (K, H, W) bool: ``cloth``, candidates; ``same``, those with the background's depth.
-    """
+    """Warnings if the background does not belong to the frames; ``same``: :func:`_unchanged`."""
     warnings = []
     share = (same.sum(axis=(1, 2)) / np.maximum(cloth.sum(axis=(1, 2)), 1)).max()
     if share > _MAX_SAME_SHARE:
@@ -222,25 +197,23 @@ def _column_radius(scene: _Scene) -> Metres | None:
     return float(middle) if high_quarter - low_quarter < 2 * _MAX_COLUMN_SPREAD else None
 
 
-def _column(cloth: np.ndarray, scene: _Scene, column: Metres) -> np.ndarray:
-    """(K, H, W) bool, candidates for ``cloth`` that are column: near it, without cloth below."""
+def _column(cloth: Masks, scene: _Scene, column: Metres) -> Masks:
+    """Candidates for ``cloth`` that are column: near it, without cloth below."""
     margin = np.clip((scene.rig.plate_radius - column) / 2, *_COLUMN_MARGIN)
     near = (scene.radius < column + margin) & (scene.height < -_COLUMN_BELOW)
     return _without_cloth_below(cloth & near, cloth)
 
 
-def _without_cloth_below(like: np.ndarray, cloth: np.ndarray) -> np.ndarray:
-    """(K, H, W) bool, those of the candidates ``like`` column that have no other ``cloth`` below
-    them in the picture; cloth that touches the column continues below.
+def _without_cloth_below(column: Masks, cloth: Masks) -> Masks:
+    """Candidates for ``column`` without other cloth below them in the picture: cloth that touches
+    the column continues below.
     """
-    other = np.flip(cloth & ~like, axis=1)
-    return like & ~np.flip(np.maximum.accumulate(other, axis=1), axis=1)
+    rest = np.flip(cloth & ~column, axis=1)
+    return column & ~np.flip(np.maximum.accumulate(rest, axis=1), axis=1)
 
 
 def _one_piece(cloth: Mask, on_plate: Mask) -> tuple[Mask, int]:
-    """The part of ``cloth`` that is connected to the plate in the picture, and the number of pixels
-    of larger disconnected pieces.
-    """
+    """The part of ``cloth`` connected to the plate, and the pixels of larger other pieces."""
     pieces, count = ndimage.label(ndimage.binary_dilation(cloth))
     if count < 2 or not on_plate.any():
         return cloth, 0
@@ -252,8 +225,8 @@ def _one_piece(cloth: Mask, on_plate: Mask) -> tuple[Mask, int]:
 
 
 def _completed(cloth: Mask, solid: Mask) -> Mask:
-    """The mask of ``cloth`` with holes filled, and pixels without depth labelled as the majority of
-    their neighbours; ``solid``: pixels with the depth of a surface.
+    """The mask of ``cloth`` with holes filled, and pixels that are not ``solid`` labelled as most
+    of their neighbours.
     """
     votes = [ndimage.gaussian_filter(part.astype(np.float32), _VOTE_SIGMA, truncate=2.0)
              for part in (cloth, solid & ~cloth)]

@@ -17,7 +17,7 @@ from data.testers import Tester
 DENSITY_RANGE = (10.0, 1000.0)  # g/m2
 MAX_VIEWS = 8
 MIN_PICTURE, MAX_PICTURE = (80, 60), (4096, 4096)
-MILLIMETRE = 1e-3  # m per count, the default
+MILLIMETRE = 1e-3  # m per count
 MIN_EQUAL_TURNS = 4  # views, from which on equally spaced turns are the default
 MIN_TURN = 6.3  # degrees; the largest turn given in radians is 6.28
 
@@ -41,9 +41,7 @@ class Pixels(Schema):
 
 
 class Description(_Density):
-    """``capture.yaml``; ``size_px`` is that of the picture to which points are projected, ``face``
-    that of the fabric which is on top.
-    """
+    """``capture.yaml``; point clouds are projected to ``size_px``, ``face`` is the upper one."""
 
     depth_unit_m: float | None = Field(None, gt=0, description="0.001 for millimetres")
     intrinsics: Pixels | None = Field(
@@ -100,7 +98,7 @@ def whole_turns(count: int) -> Turns:
 
 
 def require_size(what: str | Path, width: int, height: int) -> None:
-    """InputError for pictures, named ``what``, of a size out of range, pixels."""
+    """InputError for pictures, named ``what``, with too few or too many pixels."""
     (narrow, low), (wide, high) = MIN_PICTURE, MAX_PICTURE
     if not (narrow <= width <= wide and low <= height <= high):
         raise InputError(f"{what}: {width}x{height} pixels; views have from {narrow}x{low} to "
@@ -108,9 +106,7 @@ def require_size(what: str | Path, width: int, height: int) -> None:
 
 
 def checked_density(value: object, what: str = "") -> Density:
-    """Density from g/m², a number or its text; InputError, which begins with ``what``, if it is
-    missing or out of range.
-    """
+    """Density from g/m², a number or its text; ``what`` begins the message of an InputError."""
     with suppress(TypeError, ValueError):
         value = float(value) if isinstance(value, str) else value
     return 1e-3 * _Density.of({} if value is None else {"density_g_m2": value}, what).density_g_m2

@@ -17,21 +17,15 @@ from PIL import Image
 
 from common.documents import read_bytes, reading, require_regular, shown
 from common.errors import InputError
-from common.types import DepthImage, Views
-from data.captures.description import (
-    MAX_PICTURE,
-    MAX_VIEWS,
-    MILLIMETRE,
-    Description,
-    require_size,
-)
+from common.types import DepthImage, GreyViews, Views
+from data.captures.description import MAX_PICTURE, MAX_VIEWS, MILLIMETRE, Description, require_size
 from data.captures.rosbag import SUFFIXES, median_depth, read_recording
 from data.render.cameras import Intrinsics
 
 BACKGROUND = "background.png"
 RECORDING = "recording"
 SATURATED = 65535  # counts, written by cameras where depth is missing
-MAX_FILE_BYTES = 160 << 20  # bytes, of a picture
+MAX_FILE_BYTES = 160 << 20  # of a picture
 MAX_PIXELS = 64_000_000  # of all frames of one view
 MAX_POINTS = MAX_PICTURE[0] * MAX_PICTURE[1] // 4
 MAX_DEPTH = 100.0  # m; larger values have another unit or are invalid
@@ -49,27 +43,16 @@ UNSUPPORTED = {
 
 @dataclass(frozen=True)
 class Frames:
-    """Content of a folder of depth frames.
-
-    Attributes:
-        depth: one frame for each view, possibly of the whole scene.
-        background: the empty scene; None without one.
-        intrinsics: stored in the files; None if there are none.
-        color: (K, H, W) uint8 grey, pictures of a board; None without them.
-    """
+    """Content of a folder of depth frames: of each view, of the empty scene, of a board."""
 
     depth: Views
     background: DepthImage | None
     intrinsics: Intrinsics | None
-    color: np.ndarray | None
+    color: GreyViews | None
 
 
 def read_frames(folder: Path, description: Description) -> Frames:
-    """Read the frames of a capture, in any of the supported formats.
-
-    Raises:
-        InputError: no frames, two formats, a file that cannot be read or is too large.
-    """
+    """Read the frames of a capture, in any of the supported formats."""
     names = sorted(file.name for file in folder.iterdir())
     kind = _kind(folder, names)
     unit, intrinsics = description.depth_unit_m or MILLIMETRE, None
@@ -82,9 +65,8 @@ def read_frames(folder: Path, description: Description) -> Frames:
         read = _reader(folder, kind, unit, description)
         depth = join_views({file: read(file) for file in numbered(folder, kind)})
     background = _background(folder / BACKGROUND, unit, depth) if BACKGROUND in names else None
-    color = None
-    if any(re.fullmatch(r"color_\d+\.png", name) for name in names):
-        color = _color(folder, depth)
+    has_color = any(_match("color_{}.png", name) for name in names)
+    color = _color(folder, depth) if has_color else None
     return Frames(np.minimum(depth, MAX_DEPTH).astype(np.float32), background, intrinsics, color)
 
 
@@ -113,8 +95,8 @@ def _background(file: Path, unit: float, depth: Views) -> DepthImage:
     return background
 
 
-def _color(folder: Path, depth: Views) -> np.ndarray:
-    """(K, H, W) uint8 grey of the colour or infrared pictures."""
+def _color(folder: Path, depth: Views) -> GreyViews:
+    """The colour or infrared pictures."""
     pictures = {file: read_picture(file, modes={"L", "RGB", "RGBA"}, kind="8-bit")
                 for file in numbered(folder, "color_{}.png")}
     color = join_views({
@@ -140,14 +122,14 @@ def _is_recording(name: str) -> bool:
 
 def _kind(folder: Path, names: list[str]) -> str:
     """One of :data:`KINDS`, or :data:`RECORDING`."""
-    found = [kind for kind in KINDS if any(_match(kind, name) for name in names)]
+    kinds = [kind for kind in KINDS if any(_match(kind, name) for name in names)]
     recordings = [name for name in names if _is_recording(name)]
-    examples = [*(kind.format(0, 0) for kind in found), *recordings]
+    examples = [*(kind.format(0, 0) for kind in kinds), *recordings]
     if len(examples) > 1:
         raise InputError(f"{folder} holds {examples[0]} and {examples[1]}: give the views in one "
                          "kind of file, or one recording")
     if examples:
-        return found[0] if found else RECORDING
+        return kinds[0] if kinds else RECORDING
     for name in names:
         if (ending := Path(name).suffix.lower()) in UNSUPPORTED:
             raise InputError(f"{folder / name}: files of this kind are not read; "
@@ -198,20 +180,19 @@ def read_picture(file: Path, *, modes: set[str], kind: str) -> np.ndarray:
 
 def numbered(folder: Path, pattern: str, *, most: int = MAX_VIEWS) -> list[Path]:
     """Files named ``pattern`` with 0 to K - 1 in place of ``{}``, K from 1 to ``most``."""
-    shape = re.compile(re.escape(pattern).replace(r"\{\}", r"\d+"))
-    found = {file.name for file in folder.iterdir() if shape.fullmatch(file.name)}
-    if not found:
+    names = {file.name for file in folder.iterdir() if _match(pattern, file.name)}
+    if not names:
         others = sorted(file.name for file in folder.iterdir() if file.name != "capture.yaml")
         there = f" (the folder holds {shown(others[0])})" if others else ""
         raise InputError(f"{folder}: {pattern.format(0)} is missing{there}; name the one to "
                          f"{MAX_VIEWS} views {pattern.format(0)}, {pattern.format(1)} and so on")
-    if len(found) > most:
-        raise InputError(f"{folder} has {len(found)} files {pattern.format('*')}; at most {most} "
+    if len(names) > most:
+        raise InputError(f"{folder} has {len(names)} files {pattern.format('*')}; at most {most} "
                          "are read: leave the others out")
-    expected = [pattern.format(k) for k in range(len(found))]
+    expected = [pattern.format(k) for k in range(len(names))]
     for name in expected:
-        if name not in found:
-            raise InputError(f"{folder}: {name} is missing, but {max(found)} exists; number them "
+        if name not in names:
+            raise InputError(f"{folder}: {name} is missing, but {max(names)} exists; number them "
                              "from 0 on")
     return [folder / name for name in expected]
 
@@ -223,10 +204,10 @@ def join_views(pictures: Mapping[Path, np.ndarray]) -> np.ndarray:
         if picture.shape != first.shape:
             raise InputError(f"{file.parent}: {file.name} has {_size(picture)} pixels but "
                              f"{start.name} has {_size(first)}; all views must have one size")
-    for (one, a), (other, b) in itertools.combinations(pictures.items(), 2):
+    for (file, picture), (copy, same) in itertools.combinations(pictures.items(), 2):
         # Blank pictures are reported by data.captures.capture.
-        if np.array_equal(a, b) and a.min() < a.max():
-            raise InputError(f"{one.parent}: {one.name} and {other.name} are the same picture; "
+        if np.array_equal(picture, same) and picture.min() < picture.max():
+            raise InputError(f"{file.parent}: {file.name} and {copy.name} are the same picture; "
                              "each view must be taken after the table has turned on")
     return np.stack(list(pictures.values()))
 
@@ -234,8 +215,8 @@ def join_views(pictures: Mapping[Path, np.ndarray]) -> np.ndarray:
 def _metres(depth: np.ndarray, file: Path) -> np.ndarray:
     """``depth``, m, with 0 for invalid values."""
     depth = np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32)
-    known = depth[depth > 0]
-    if known.size and (middle := float(np.median(known))) > MAX_DEPTH:
+    valid = depth[depth > 0]
+    if valid.size and (middle := float(np.median(valid))) > MAX_DEPTH:
         raise InputError(f"{file}: its median depth is {middle:.4g}, which cannot be metres; give "
                          "depth in metres")
     return depth
@@ -275,10 +256,7 @@ def read_exr(file: Path) -> DepthImage:
 
 
 def read_points(file: Path, camera: Intrinsics) -> DepthImage:
-    """Project a PLY of points in camera axes to the depth of the nearest point per pixel.
-
-    The points may be in any order; colours and triangles are not used.
-    """
+    """Project a PLY of points in camera axes to the depth of the nearest point per pixel."""
     import trimesh
 
     data = read_bytes(file, 64 * MAX_POINTS, "view")
@@ -307,11 +285,7 @@ def read_points(file: Path, camera: Intrinsics) -> DepthImage:
 
 
 def header_of(data: bytes) -> tuple[tuple[int, ...], np.dtype]:
-    """Shape and type in the header of an npy file's bytes.
-
-    Raises:
-        Exception: any error of numpy, tokenize and others for a damaged header.
-    """
+    """Shape and type in the header of an npy file's bytes; any error if it is damaged."""
     version = np.lib.format.read_magic(stream := io.BytesIO(data))
     shape, _, kind = {(1, 0): np.lib.format.read_array_header_1_0,
                       (2, 0): np.lib.format.read_array_header_2_0}[version](stream)
@@ -319,5 +293,4 @@ def header_of(data: bytes) -> tuple[tuple[int, ...], np.dtype]:
 
 
 def _size(picture: np.ndarray) -> str:
-    """Width and height of a picture (H, W), for messages."""
     return f"{picture.shape[1]}x{picture.shape[0]}"

@@ -2,15 +2,16 @@
 
 In views that show only cloth, the plate is the flat top. In frames of a full scene it is the level
 patch that fills a disc of its radius and has cloth hanging around it; the vertical is the normal of
-the table or, if no table is visible, that of a trial pitch of the camera.
+the table or, if none is visible, that of a trial pitch of the camera.
 """
 
 from dataclasses import dataclass
+from operator import itemgetter
 
 import cv2
 import numpy as np
 
-from common.types import Metres, Points, Pose, Views
+from common.types import Metres, Outline, Points, Pose, Vector, VertexMask, Views
 from data.render.cameras import Intrinsics
 from data.render.rays import import_open3d
 from sim.rig import DISC_RIG, SQUARE_RIG, Rig
@@ -58,14 +59,13 @@ class Plate:
     """A plate, fitted to the cloth on it, in camera axes.
 
     Attributes:
-        centre: (3,) m, of the level cloth; :data:`CENTRE_BIAS` from the plate's axis.
-        normal: (3,) unit vector, up.
-        table: (4,) plane a, b, c, d with a x + b y + c z + d = height above it, m; None if no table
-            was found.
+        centre: of the level cloth; :data:`CENTRE_BIAS` from the plate's axis.
+        normal: unit vector, up.
+        table: (4,) plane a, b, c, d with a x + b y + c z + d = height above it, m.
     """
 
-    centre: np.ndarray
-    normal: np.ndarray
+    centre: Vector
+    normal: Vector
     table: np.ndarray | None = None
 
     @property
@@ -76,8 +76,8 @@ class Plate:
         return pose
 
     @property
-    def axis_centre(self) -> np.ndarray:
-        """(3,) m, centre without bias."""
+    def axis_centre(self) -> Vector:
+        """Centre without bias."""
         return self.centre + CENTRE_BIAS * _axes(self.normal)[:, 1]
 
     def local(self, points: Points) -> Points:
@@ -86,14 +86,13 @@ class Plate:
 
 
 def plate_of_cloth(views: Views, intrinsics: Intrinsics, rig: Rig) -> Plate:
-    """The plate under cut-out cloth: the plane that holds the largest area of the highest points.
-
-    All views are taken together, so that the centre is unbiased along the picture's rows.
+    """The plate under cut-out cloth: the plane that holds the largest area of the highest points
+    of all views, whose centre is unbiased along the picture's rows.
     """
     points = np.concatenate([intrinsics.back_project(view)[view > 0] for view in views])
     few = points[:: max(1, len(points) // _START_POINTS)]
-    pitches = [np.array([0.0, -np.cos(pitch), -np.sin(pitch)]) for pitch in _START_PITCHES]
-    starts = [_fitted(few, up, _highest(few, up), rig.plate_radius, rounds=4) for up in pitches]
+    starts = [_fitted(few, up, _highest(few, up), rig.plate_radius, rounds=4)
+              for up in _upwards(_START_PITCHES)]
     normal = max(starts, key=lambda start: start[2])[0]
     normal, centre, _ = _fitted(few, normal, _highest(few, normal), rig.plate_radius, rounds=6)
     top = _highest(points, normal) & (
@@ -102,23 +101,19 @@ def plate_of_cloth(views: Views, intrinsics: Intrinsics, rig: Rig) -> Plate:
     return Plate(centre, normal)
 
 
-def _highest(points: Points, normal: np.ndarray) -> np.ndarray:
-    """(N,) bool, the highest points along ``normal`` (3,)."""
+def _highest(points: Points, normal: Vector) -> VertexMask:
     height = points @ normal
     return height > np.quantile(height, 0.995) - 3 * DEPTH_STEP
 
 
 def _fitted(
-    points: Points, normal: np.ndarray, inner: np.ndarray, radius: Metres, *, rounds: int,
-    centre: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """Normal (3,) and centre (3,) of the level points, and their weight, by alternating fits.
+    points: Points, normal: Vector, inner: VertexMask, radius: Metres, *, rounds: int,
+    centre: Vector | None = None,
+) -> tuple[Vector, Vector, float]:
+    """Normal and centre of the level points, and their weight, by alternating fits from guesses.
 
-    The plane is fitted to points well within the rim, the centre is the centroid of those in it.
-
-    Args:
-        normal: initial guess, up. centre: initial guess; None: that of the points ``inner``.
-        inner: (N,) bool, points on the plate, initial guess.
+    The plane is fitted to points ``inner`` well within the rim, the centre is the centroid of those
+    in it.
     """
     weight = 0.0
     centre = points[inner].mean(axis=0) if centre is None else centre
@@ -151,34 +146,37 @@ def find_plate(points: Points, rig: Rig) -> Plate | None:
     if len(sample) < _MIN_POINTS:
         return None
     tables = _level_planes(sample)
-    best = max((_search(sample, plane[:3], rig) for plane in tables), key=_score, default=None)
-    if _score(best) < _MIN_SCORE:
-        trials = (np.array([0.0, -np.cos(pitch), -np.sin(pitch)]) for pitch in _PITCHES)
-        best = max((_search(sample, up, rig) for up in trials), key=_score)
-    if _score(best) < _MIN_SCORE:
+    candidates = [_search(sample, plane[:3], rig) for plane in tables]
+    if max(map(itemgetter(0), candidates), default=0.0) < _MIN_SCORE:
+        candidates = [_search(sample, up, rig) for up in _upwards(_PITCHES)]
+    score, centre, normal = max(candidates, key=itemgetter(0))
+    if score < _MIN_SCORE:
         return None
-    _, centre, normal = best
     centre, normal = _refined(points, centre, normal, rig.plate_radius)
-    # Planes are sorted by size.
     table = next((plane for plane in tables if plane[:3] @ normal > np.cos(_MAX_TABLE_TILT)
                   and TABLE_GAP[0] < plane @ [*centre, 1.0] < TABLE_GAP[1]), None)
     return Plate(centre, normal, table)
 
 
-def _axes(normal: np.ndarray) -> np.ndarray:
+def _upwards(pitches: np.ndarray) -> list[Vector]:
+    """Vertical directions in camera axes, for pitches (N,), rad, of the camera."""
+    return [np.array([0.0, -np.cos(pitch), -np.sin(pitch)]) for pitch in pitches]
+
+
+def _axes(normal: Vector) -> np.ndarray:
     """Axes of the plate as columns (3, 3): right in the picture, away from the camera, up."""
     right = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
     right /= max(np.linalg.norm(right), 1e-12)
     return np.stack([right, np.cross(normal, right), normal], axis=1)
 
 
-def _level_planes(points: np.ndarray) -> list[np.ndarray]:
-    """Planes (4,), as :attr:`Plate.table`, that are horizontal for a plausible camera pose."""
+def _level_planes(points: Points) -> list[np.ndarray]:
+    """Planes, as :attr:`Plate.table`, that are horizontal for a plausible pose; largest first."""
     open3d = import_open3d()
     open3d.utility.random.seed(0)
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
     cloud = cloud.voxel_down_sample(_VOXEL)
-    total, found = len(cloud.points), []
+    total, planes = len(cloud.points), []
     for _ in range(_MAX_PLANES):
         if len(cloud.points) < max(100, _MIN_PLANE_SHARE * total):
             break
@@ -190,19 +188,12 @@ def _level_planes(points: np.ndarray) -> list[np.ndarray]:
         pitch = np.arcsin(np.clip(-plane[2], -1.0, 1.0))
         if _PITCH_RANGE[0] < pitch < _PITCH_RANGE[1] and (
                 abs(np.arctan2(plane[0], -plane[1])) < _MAX_ROLL):
-            found.append(plane)
-    return found
+            planes.append(plane)
+    return planes
 
 
-def _score(found: tuple[float, np.ndarray, np.ndarray] | None) -> float:
-    return found[0] if found else -np.inf
-
-
-def _search(
-    points: np.ndarray, up: np.ndarray, rig: Rig
-) -> tuple[float, np.ndarray, np.ndarray] | None:
-    """Score, centre (3,) and ``up`` of the best candidate for the plate; None without candidates.
-    """
+def _search(points: Points, up: Vector, rig: Rig) -> tuple[float, Vector, Vector]:
+    """Score, centre and ``up`` of the best candidate for the plate; minus infinity without one."""
     axes = _axes(up)
     local = points @ axes
     low = local.min(axis=0)
@@ -213,7 +204,7 @@ def _search(
     levels = np.flatnonzero(counts + np.append(counts[1:], 0) > area / 3)
     inside, around = _kernels(rig.plate_radius)
     shape = filled[:, 1::-1].max(axis=0) + 1
-    best = None
+    best = -np.inf, low, up
     for level in levels:
         patch = filled[(filled[:, 2] == level) | (filled[:, 2] == level + 1)]
         grid = np.zeros(shape, np.float32)
@@ -226,12 +217,12 @@ def _search(
         # Nothing is between the camera and the cloth: of equal candidates, the nearer one.
         score = float(fit[row, column]) + _hanging(local - middle, rig) - _DISTANCE_PENALTY * (
             np.linalg.norm(middle))
-        if best is None or score > best[0]:
+        if score > best[0]:
             best = score, axes @ middle, up
     return best
 
 
-def _kernels(radius: float) -> tuple[np.ndarray, np.ndarray]:
+def _kernels(radius: Metres) -> tuple[np.ndarray, np.ndarray]:
     """Filter kernels of a disc and of a ring around it on the grid, each with a sum of 1."""
     size = int(np.ceil((radius + _RING_WIDTH[1]) / _CELL))
     distance = _CELL * np.hypot(*np.mgrid[-size : size + 1, -size : size + 1])
@@ -241,44 +232,38 @@ def _kernels(radius: float) -> tuple[np.ndarray, np.ndarray]:
     return disc / disc.sum(), ring / ring.sum()
 
 
-def _hanging(local: np.ndarray, rig: Rig) -> float:
-    """Share of the sectors towards the camera in which points hang from the rim of a candidate.
-
-    ``local`` (N, 3), m, in the candidate's axes.
+def _hanging(local: Points, rig: Rig) -> float:
+    """Share of the sectors towards the camera in which points, in the axes of a candidate, hang
+    from its rim.
     """
     beyond, longest = np.hypot(local[:, 0], local[:, 1]) - rig.plate_radius, rig.overhang
     distance = np.hypot(beyond, local[:, 2])
     hanging = (beyond > 0) & (local[:, 2] < 0) & (local[:, 1] < 0)
-    seen = np.ones(_SECTORS, bool)
+    filled = np.ones(_SECTORS, bool)
     for near, far in _HEM_RINGS:  # both must have points: cloth has no gap from the rim on
         ring = local[hanging & (distance > near * longest) & (distance < far * longest)]
         sector = (np.arctan2(-ring[:, 1], ring[:, 0]) / np.pi * _SECTORS).astype(int)
-        seen &= np.bincount(sector, minlength=_SECTORS)[:_SECTORS] > 0
-    return float(seen.mean())
+        filled &= np.bincount(sector, minlength=_SECTORS)[:_SECTORS] > 0
+    return float(filled.mean())
 
 
 def _refined(
-    points: Points, centre: np.ndarray, normal: np.ndarray, radius: Metres
-) -> tuple[np.ndarray, np.ndarray]:
-    """Centre (3,) and normal (3,) of a plate, from rough ones."""
+    points: Points, centre: Vector, normal: Vector, radius: Metres
+) -> tuple[Vector, Vector]:
+    """Centre and normal of a plate, from rough ones."""
     offset = points - centre
     across, above = np.linalg.norm(offset, axis=1), offset @ normal
-    near = points[(across < 2 * radius) & (above < _HEIGHT_ERROR)]
-    offset = near - centre
-    inner = (np.linalg.norm(offset, axis=1) < INNER_SHARE * radius) & (
-        np.abs(offset @ normal) < _HEIGHT_ERROR)
+    near = (across < 2 * radius) & (above < _HEIGHT_ERROR)
+    points, across, above = points[near], across[near], above[near]
+    inner = (across < INNER_SHARE * radius) & (np.abs(above) < _HEIGHT_ERROR)
     if not inner.any():
         return centre, normal
-    normal, centre, _ = _fitted(near, normal, inner, radius, rounds=4, centre=centre)
+    normal, centre, _ = _fitted(points, normal, inner, radius, rounds=4, centre=centre)
     return centre, normal
 
 
-def plate_diameter(frames: np.ndarray, intrinsics: Intrinsics) -> float | None:
-    """Diameter, m, of the plate under the cloth in frames (K, H, W), z-depth in m, 0 where it is
-    missing; None if it is not found.
-
-    Of the known testers' plates, one is found near every plate; its centre and size are corrected.
-    """
+def plate_diameter(frames: Views, intrinsics: Intrinsics) -> Metres | None:
+    """Diameter of the plate under the cloth, corrected from that of the nearest common tester."""
     points = intrinsics.back_project(frames)[frames > 0]
     measured = [_measured(points, rig) for rig in (DISC_RIG, SQUARE_RIG)]
     spread, diameter = min(filter(None, measured), default=(np.inf, 0.0))
@@ -287,9 +272,9 @@ def plate_diameter(frames: np.ndarray, intrinsics: Intrinsics) -> float | None:
     return diameter
 
 
-def _measured(points: np.ndarray, rig: Rig) -> tuple[float, float] | None:
-    """Difference between quartiles over sectors, and median, of the diameter, m, of a plate that is
-    found as that of ``rig``.
+def _measured(points: Points, rig: Rig) -> tuple[Metres, Metres] | None:
+    """Difference between quartiles over sectors, and median, of a plate's diameter, from a start at
+    that of ``rig``.
     """
     plate = find_plate(points, rig)
     if plate is None:
@@ -307,9 +292,9 @@ def _measured(points: np.ndarray, rig: Rig) -> tuple[float, float] | None:
     return float(high - low), float(middle)
 
 
-def _rim(local: np.ndarray) -> np.ndarray:
-    """Points (S, 2), m, of the rim in the sectors where it is seen, from ``local`` (N, 3), m, in
-    the plate's axes: extrapolated from two heights of the cloth that falls beyond it.
+def _rim(local: Points) -> Outline:
+    """Points of the rim in the sectors where it is visible, from points in the plate's axes:
+    extrapolated from two heights of the cloth that falls beyond it.
     """
     steps = (np.hypot(local[:, 0], local[:, 1]) / _PROFILE_STEP).astype(int)
     near = (steps < _PROFILE) & (np.abs(local[:, 2]) < 8 * _FALLS[0])
@@ -319,10 +304,10 @@ def _rim(local: np.ndarray) -> np.ndarray:
     counts = np.bincount(cell, minlength=_RIM_SECTORS * _PROFILE)
     sums = np.bincount(cell, local[near, 2], minlength=len(counts))
     heights = (sums / np.maximum(counts, 1)).reshape(shape)
-    known, rim = (counts >= _MIN_POINTS_OF_STEP).reshape(shape), []
+    filled, rim = (counts >= _MIN_POINTS_OF_STEP).reshape(shape), []
     for k in range(_RIM_SECTORS):
-        radius = _PROFILE_STEP * (np.flatnonzero(known[k]) + 0.5)
-        fallen = np.maximum.accumulate(-heights[k, known[k]])
+        radius = _PROFILE_STEP * (np.flatnonzero(filled[k]) + 0.5)
+        fallen = np.maximum.accumulate(-heights[k, filled[k]])
         for fall in _FALLS:
             if len(fallen) and fallen[0] < fall / 2 and fallen[-1] > 4 * fall:
                 first, second = np.interp([fall, 4 * fall], fallen, radius)
@@ -333,8 +318,8 @@ def _rim(local: np.ndarray) -> np.ndarray:
     return np.array(rim).reshape(-1, 2)
 
 
-def _circle(points: np.ndarray) -> tuple[float, np.ndarray]:
-    """Radius and centre (2,), m, of the circle through points (N, 2), m, without outliers."""
+def _circle(points: Outline) -> tuple[Metres, np.ndarray]:
+    """Radius and centre (2,) of the circle through points, without outliers."""
     radii = np.linalg.norm(points, axis=1)
     off = np.abs(radii - np.median(radii))
     kept = points[off <= 4 * np.median(off) + 1e-3]

@@ -22,6 +22,7 @@ from matplotlib.patches import Circle
 from common.command import command
 from common.errors import InputError
 from common.files import folder_named, replace_file, require_folder
+from common.types import Outline, Radians, Turns
 from data.captures.board import SQUARE, board_picture
 from data.captures.capture import read_capture, write_capture
 from data.captures.cutout import CutOut
@@ -76,17 +77,17 @@ def main(config: CaptureConfig) -> None:
     print(f"capture: {out}\npicture: {out / PICTURE}")
 
 
-def picture(cut: CutOut, intrinsics: Intrinsics, rig: Rig, *, turns: np.ndarray) -> bytes:
-    """PNG of the frames, two per row, and of the hems from above; ``turns`` (K,), rad."""
-    rows = -(-(len(cut.frames) + (cut.plate is not None)) // 2)
+def picture(cut: CutOut, intrinsics: Intrinsics, rig: Rig, *, turns: Turns) -> bytes:
+    """PNG of the frames, two per row, and of the hems from above."""
+    rows = -(-(len(cut.frames) + 1) // 2)
     height = _WIDTH * intrinsics.height / intrinsics.width
     figure = Figure(figsize=(2 * _WIDTH, rows * height), dpi=100)
     panels = figure.subplots(rows, 2, squeeze=False).ravel()
     figure.subplots_adjust(0, 0, 1, 1, 0, 0)
     for panel in panels:
         panel.set_axis_off()
-    seen = cut.frames[cut.masks]
-    near, far = (seen.min(), seen.max() + 0.3) if len(seen) else (0.0, 1.0)
+    depth = cut.frames[cut.masks]
+    near, far = (depth.min(), depth.max() + 0.3) if len(depth) else (0.0, 1.0)
     black = far + 0.3 * (far - near)
     for panel, frame, mask in zip(panels, cut.frames, cut.masks, strict=False):
         # The largest depth is dark grey, unknown depth black.
@@ -95,10 +96,8 @@ def picture(cut: CutOut, intrinsics: Intrinsics, rig: Rig, *, turns: np.ndarray)
         panel.autoscale(False)
         if mask.any():
             panel.contour(mask, [0.5], colors=_OUTLINE, linewidths=1)
-        if cut.plate is not None:
-            _draw_plate(panel, Camera(**vars(intrinsics), world_to_camera=cut.plate.pose), rig)
-    if cut.plate is not None:
-        _draw_hems(panels[len(cut.frames)], cut, intrinsics, rig, turns)
+        _draw_plate(panel, intrinsics.posed(cut.plate.pose), rig)
+    _draw_hems(panels[len(cut.frames)], cut, intrinsics, rig, turns)
     stream = io.BytesIO()
     figure.savefig(stream, format="png")
     return stream.getvalue()
@@ -113,9 +112,7 @@ def _draw_plate(panel: Axes, camera: Camera, rig: Rig) -> None:
         panel.plot(*camera.project(points)[0].T, color=colour, linewidth=1)
 
 
-def _draw_hems(
-    panel: Axes, cut: CutOut, intrinsics: Intrinsics, rig: Rig, turns: np.ndarray
-) -> None:
+def _draw_hems(panel: Axes, cut: CutOut, intrinsics: Intrinsics, rig: Rig, turns: Turns) -> None:
     """Draw the hems of all views from above, rotated to the first view, x to the right."""
     camera = np.linalg.inv(cut.plate.pose)[:2, 3]
     for k, (view, turn) in enumerate(zip(cut.views, turns, strict=True)):
@@ -131,16 +128,16 @@ def _draw_hems(
                  labelcolor="linecolor", alignment="left")
 
 
-def _hem(points: np.ndarray, towards: float) -> np.ndarray:
-    """The outermost (N, 2) of ``points`` (P, 2), m, in each sector around the plate's axis, NaN in
-    gaps; only sectors that face the camera, which is in the direction ``towards``, rad.
+def _hem(points: np.ndarray, towards: Radians) -> Outline:
+    """The outermost of ``points`` (P, 2), m, in each sector that faces the camera, NaN in gaps;
+    ``towards``: direction of the camera.
     """
     distance = np.linalg.norm(points, axis=1)
     away = (np.arctan2(points[:, 1], points[:, 0]) - towards + np.pi) % (2 * np.pi) - np.pi
     sector = np.floor(away / (2 * np.pi / _SECTORS)).astype(int)
     order = np.lexsort((-distance, sector))
-    found, first = np.unique(sector[order], return_index=True)
-    outermost = order[first][np.abs((found + 0.5) * (2 * np.pi / _SECTORS)) < _VISIBLE]
+    sectors, first = np.unique(sector[order], return_index=True)
+    outermost = order[first][np.abs((sectors + 0.5) * (2 * np.pi / _SECTORS)) < _VISIBLE]
     gaps = np.flatnonzero(np.diff(sector[outermost]) > 1) + 1
     return np.insert(points[outermost], gaps, np.nan, axis=0)
 

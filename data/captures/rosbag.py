@@ -16,7 +16,7 @@ from scipy import ndimage
 
 from common.documents import reading, require_regular
 from common.errors import InputError
-from common.types import Views
+from common.types import DepthImage, Views
 from data.captures.description import MAX_VIEWS, MILLIMETRE, require_size
 from data.render.cameras import Intrinsics
 
@@ -38,17 +38,10 @@ _DEPTH16 = ("mono16", "16uc1", "z16")
 _MAX_DISTORTION = 1e-3  # coefficient of negligible lens distortion
 
 
-def read_recording(
-    file: Path, unit: float | None = None
-) -> tuple[Views, Intrinsics | None]:
+def read_recording(file: Path, unit: float | None = None) -> tuple[Views, Intrinsics | None]:
     """Read one frame per stop of the table, and intrinsics if stored.
 
-    Args:
-        unit: m per count; None: as stored in the recording, or millimetres.
-
-    Raises:
-        InputError: not a recording of depth, damaged or too long; lens distortion; no stops, or
-            more than :data:`MAX_VIEWS`.
+    ``unit``: m per count; None: as stored in the recording, or millimetres.
     """
     require_regular(file, MAX_RECORDING_BYTES, "recording")
     # Imported late: few captures are recordings.
@@ -70,10 +63,8 @@ def read_recording(
 
 
 def find_rests(times: np.ndarray, moved: np.ndarray) -> list[tuple[int, int]]:
-    """First and last frame of each period of rest.
-
-    Args:
-        times: (N,) s. moved: (N,) share of pixels that moved in the interval before.
+    """First and last frame of each period of rest, from the results of :func:`_motion`: ``times``
+    (N,), s, and shares ``moved`` (N,).
     """
     if len(times) < 2:
         return [(0, 0)] if len(times) else []
@@ -86,11 +77,11 @@ def find_rests(times: np.ndarray, moved: np.ndarray) -> list[tuple[int, int]]:
 
 def _depth_topic(reader: Any, file: Path) -> Any:
     """Connection of the depth topic."""
-    pictures = [one for one in reader.connections
-                if one.msgtype.endswith(("/Image", "/CompressedImage")) and "epth" in one.topic]
+    pictures = [connection for connection in reader.connections if "epth" in connection.topic
+                and connection.msgtype.endswith(("/Image", "/CompressedImage"))]
     if not pictures:
         raise InputError(f"{file} holds no depth pictures; record the depth stream")
-    return min(pictures, key=lambda one: one.topic)
+    return min(pictures, key=lambda connection: connection.topic)
 
 
 def _frames(reader: Any, topic: Any) -> Iterator[tuple[float, np.ndarray]]:
@@ -145,9 +136,9 @@ def _motion(
     return np.array(times), np.array(moved)
 
 
-def _moved_share(one: np.ndarray, other: np.ndarray) -> float:
-    near = (one > 0) & (other > 0) & (np.minimum(one, other) < _MAX_DEPTH)
-    gap = np.abs(one - other) > np.maximum(_MIN_MOTION[0], _MIN_MOTION[1] * one)
+def _moved_share(later: DepthImage, earlier: DepthImage) -> float:
+    near = (later > 0) & (earlier > 0) & (np.minimum(later, earlier) < _MAX_DEPTH)
+    gap = np.abs(later - earlier) > np.maximum(_MIN_MOTION[0], _MIN_MOTION[1] * later)
     return float((near & gap).sum() / max(near.sum(), 1))
 
 
@@ -165,28 +156,28 @@ def _median_frames(
     for number, (_, counts) in enumerate(frames):
         if number in wanted:
             kept[wanted[number]].append(counts)
-    found: list[np.ndarray] = []
+    medians: list[np.ndarray] = []
     for pictures in kept:
         median = median_depth(np.stack(pictures))
-        if not found or _moved_share(scale * median, scale * found[-1]) > _MAX_STOP_CHANGE:
-            found.append(median)
-    return np.stack(found) if found else np.zeros((0, 1, 1), np.float32)
+        if not medians or _moved_share(scale * median, scale * medians[-1]) > _MAX_STOP_CHANGE:
+            medians.append(median)
+    return np.stack(medians) if medians else np.zeros((0, 1, 1), np.float32)
 
 
 def median_depth(frames: np.ndarray) -> np.ndarray:
     """Median (H, W) float32 of frames (N, H, W) per pixel, without zeros (missing depth)."""
-    seen = np.ma.masked_equal(frames.astype(np.float32), 0.0)
-    return np.ma.filled(np.ma.median(seen, axis=0), 0.0)
+    measured = np.ma.masked_equal(frames.astype(np.float32), 0.0)
+    return np.ma.filled(np.ma.median(measured, axis=0), 0.0)
 
 
 def _messages(reader: Any, topic: str) -> Iterator[Any]:
-    connections = [one for one in reader.connections if one.topic == topic]
+    connections = [item for item in reader.connections if item.topic == topic]
     for connection, _, raw in reader.messages(connections=connections) if connections else ():
         yield reader.deserialize(raw, connection.msgtype)
 
 
 def _unit(reader: Any, topic: Any) -> float | None:
-    """m per count in RealSense recordings, None if not stored; newer ones store it as text."""
+    """m per count in RealSense recordings; newer ones store it as text."""
     head = "/".join(topic.topic.split("/")[:3])
     for message in _messages(reader, f"{head}/option/Depth_Units/value"):
         unit = float(message.data)
@@ -200,11 +191,8 @@ def _camera(reader: Any, topic: Any, shape: tuple[int, ...], file: Path) -> Intr
     def common(name: str) -> int:
         return len(commonprefix([name, topic.topic]))  # noqa: RUF071 (topics are no paths)
 
-    infos = [one for one in reader.connections if one.msgtype.endswith("/CameraInfo")]
-    if not infos:
-        return None
-    best = max(infos, key=lambda one: common(one.topic))
-    for message in _messages(reader, best.topic):
+    infos = [item.topic for item in reader.connections if item.msgtype.endswith("/CameraInfo")]
+    for message in _messages(reader, max(infos, key=common)) if infos else ():
         # Field names are upper case in ROS 1.
         matrix, lens = (np.asarray(getattr(message, name, getattr(message, name.upper(), None)))
                         for name in ("k", "d"))

@@ -13,22 +13,18 @@ from sim.rig import Rig
 
 MAX_SCAN_SIZE = 1_000_000  # vertices or triangles
 MAX_RIM_STEEPNESS = 0.85
-"""Of :func:`rim_steepness`. Scans of 216 simulated drapes with all nuisances have at most 0.76, the
-median is 0.36; straight lines from rim to hem have 0.94 or more."""
+"""Of :func:`rim_steepness`: at most 0.76 in scans of 216 simulated drapes with all nuisances, 0.94
+or more for straight lines from rim to hem."""
 _NEAR = (1e-3, 5e-3)  # m, from the rim
 _SECTORS, _MIN_SECTORS = 36, 12  # of azimuth, all and at least measured
 _PLANE_TOLERANCE = 5e-3  # m, of cloth on the support
-_MAX_RADIUS_RATIO = 1.02  # largest radius of rest points over the specimen's radius
+_MAX_RADIUS_RATIO = 1.02  # of rest points over the specimen's radius
 _MAX_EDGE_RATIO = 2.0  # between draped and rest lengths of edges; with wrong units it exceeds 20
 
 
 @dataclass(frozen=True)
 class Scan:
-    """A scanned drape; z up, the support's top at z = 0, its axis through the origin.
-
-    ``rest``: the same vertices on the flat specimen, whose centre is the origin; ``faces``:
-    counter-clockwise at rest.
-    """
+    """A scanned drape; z up, the support's top at z = 0, its axis through the origin."""
 
     positions: Points
     rest: RestPoints
@@ -36,12 +32,7 @@ class Scan:
 
 
 def read_scan(path: Path, rig: Rig) -> Scan:
-    """Read an npz file with ``vertices`` (V, 3) m, ``rest`` (V, 2) m and ``faces`` (F, 3).
-
-    Raises:
-        InputError: not such a file, an invalid mesh, or a drape that is not placed on the support
-            of ``rig``.
-    """
+    """Read an npz file with ``vertices`` (V, 3) m, ``rest`` (V, 2) m and ``faces`` (F, 3)."""
     arrays = read_arrays(path, ("vertices", "rest", "faces"), expected=(
         "an npz file of a scan with vertices, rest and faces; a raw mesh must end in .ply or .obj"))
     positions, rest, faces = arrays["vertices"], arrays["rest"], arrays["faces"]
@@ -52,7 +43,7 @@ def read_scan(path: Path, rig: Rig) -> Scan:
 
 
 def _array_fault(positions: np.ndarray, rest: np.ndarray, faces: np.ndarray) -> str:
-    """What is wrong with the shapes and types; empty if nothing is."""
+    """What is wrong with shapes and types; empty if nothing is, as in the functions below."""
     count = len(positions) if positions.ndim else 0
     if (positions.shape, rest.shape) != ((count, 3), (count, 2)) or faces.shape[1:] != (3,):
         return (f"arrays have the shapes {positions.shape}, {rest.shape} and {faces.shape}; "
@@ -67,8 +58,7 @@ def _array_fault(positions: np.ndarray, rest: np.ndarray, faces: np.ndarray) -> 
     return ""
 
 
-def _mesh_fault(rest: np.ndarray, faces: np.ndarray) -> str:
-    """What is wrong with the mesh; empty if nothing is."""
+def _mesh_fault(rest: RestPoints, faces: Faces) -> str:
     if faces.min() < 0 or faces.max() >= len(rest):
         return (f"faces refer to the vertices {faces.min()} to {faces.max()}; they are numbered "
                 f"from 0 to {len(rest) - 1}: export the mesh again")
@@ -82,10 +72,7 @@ def _mesh_fault(rest: np.ndarray, faces: np.ndarray) -> str:
         "a vertex belongs to no face; leave such vertices out")
 
 
-def _placement_fault(
-    positions: np.ndarray, rest: np.ndarray, faces: np.ndarray, rig: Rig
-) -> str:
-    """What is wrong with units, axes, and the place on the support; empty if nothing is."""
+def _placement_fault(positions: Points, rest: RestPoints, faces: Faces, rig: Rig) -> str:
     radius, largest = np.linalg.norm(rest, axis=1), rig.specimen_size / 2
     if not 0.9 * largest < radius.max() < _MAX_RADIUS_RATIO * largest:
         return (f"the flat specimen must be a disc of {1e3 * largest:g} mm radius around the "
@@ -105,21 +92,18 @@ def _placement_fault(
         "no vertex lies below the support; z must point up (in metres)")
 
 
-def _edge_length(points: np.ndarray, faces: np.ndarray) -> float:
-    """Mean side length of the triangles, in the unit of ``points`` (V, 2 or 3)."""
+def _edge_length(points: np.ndarray, faces: Faces) -> float:
     sides = points[faces] - points[np.roll(faces, 1, axis=1)]
     return float(np.linalg.norm(sides, axis=2).mean())
 
 
 def rim_steepness(points: Points, rig: Rig) -> float:
-    """Steepness of a surface just outside the plate's rim, over that of its outer half; NaN if less
-    than a third of the sectors have points both near the rim and in the outer half.
+    """Steepness of a surface, in the axes of :class:`Scan`, just outside the plate's rim, over that
+    of its outer half; NaN if less than a third of the sectors have points in both.
 
     Steepness is the angle of chords below the plate, from the rim to the surface at the same
     azimuth, averaged over sectors of azimuth. Cloth held by a plate leaves it horizontally, and its
     slope grows over a length comparable with the bending length, so that the ratio is well below 1.
-    It is 1 for straight lines from rim to hem. Noise averages out, and gaps in the surface are
-    omitted. The axes are those of :class:`Scan`.
     """
     radius = np.hypot(points[:, 0], points[:, 1])
     plane = np.column_stack([points[:, :2], np.ones(len(points))])
@@ -131,9 +115,9 @@ def rim_steepness(points: Points, rig: Rig) -> float:
     distance, angle = np.hypot(outwards, drop), np.arctan2(drop, outwards)
     turn = np.arctan2(points[:, 1], points[:, 0]) / (2 * np.pi)
     sector = np.floor(_SECTORS * turn).astype(int) % _SECTORS
-    overhang = (rig.specimen_size - rig.plate_diameter) / 2
+    outer_half = ((rig.specimen_size - rig.plate_diameter) / 4, np.inf)
     means = np.full((2, _SECTORS), np.nan)
-    for row, (low, high) in zip(means, (_NEAR, (overhang / 2, np.inf)), strict=True):
+    for row, (low, high) in zip(means, (_NEAR, outer_half), strict=True):
         chosen = hangs & (distance > low) & (distance < high)
         count = np.bincount(sector[chosen], minlength=_SECTORS)
         total = np.bincount(sector[chosen], angle[chosen], minlength=_SECTORS)
@@ -146,8 +130,7 @@ def rim_steepness(points: Points, rig: Rig) -> float:
 
 
 def check_rim(points: Points, path: Path, rig: Rig) -> None:
-    """Refuse the surface of a scan that has a kink at the plate's rim, as no cloth held there does.
-    """
+    """InputError for a surface with a kink at the plate's rim, as no cloth held there has."""
     if (ratio := rim_steepness(points, rig)) > MAX_RIM_STEEPNESS:
         low, high = (1e3 * distance for distance in _NEAR)
         raise InputError(

@@ -20,33 +20,16 @@ from sim.rig import SQUARE_RIG, Rig
 from sim.start import LOWERED
 from sim.start import STARTS as SHAPES
 
-STARTS = (LOWERED, *SHAPES)
-"""Initial states that need no other drape."""
-BORROWED = "borrowed"
-"""The initial state is an earlier drape of another fabric in the same shard."""
+STARTS = (LOWERED, *SHAPES)  # initial states that need no other drape
+BORROWED = "borrowed"  # an earlier drape of another fabric in the same shard
 _MAX_SOFT_SHARE = 0.5
 Count = Annotated[int, Field(ge=1)]
 
 
 @dataclass(frozen=True)
 class SamplingConfig:
-    """Settings that determine the drapes of a dataset, besides prior and solver.
-
-    Attributes:
-        seed: seed of the dataset.
-        starts_per_fabric: drapes of each fabric.
-        starts: initial states, used in turn (Feng et al. 2022, section 5.2.1), from
-            :data:`STARTS` and :data:`BORROWED`.
-        testers: names of testers, drawn with equal probability.
-        random_testers: share of testers that are drawn from the ranges of :mod:`data.testers`.
-        testers_per_fabric: number of testers drawn for each fabric; its drapes use each in turn.
-        both_faces: whether the fabric's face up is drawn for each drape, both faces at least once;
-            else its marked face is up.
-        drift: standard deviation of the specimen's offset from the plate's axis along warp and
-            weft each.
-        soft_share: share of fabrics that are drawn from the soft ones of the prior, see
-            :func:`data.fabrics.prior.is_soft`; the others are drawn from the full prior.
-        nuisances: their distributions.
+    """Settings that determine the drapes of a dataset, besides prior and solver, documented in
+    ``configs/dataset`` and ``configs/nuisances``.
     """
 
     seed: int = 0
@@ -92,21 +75,12 @@ class SamplingConfig:
 
 @dataclass(frozen=True)
 class DatasetConfig:
-    """All settings that determine a dataset's bytes.
-
-    Attributes:
-        drapes: number of drapes.
-        sampling: fabrics, testers, specimens, starts, seed.
-        prior: distribution of the fabrics.
-        edge: edge length of the meshes at the plate's rim; 0: chosen for each fabric, see
-            :func:`sim.mesh.specimen.default_edge`.
-        drapes_per_shard: drapes per file.
-    """
+    """All settings that determine a dataset's bytes."""
 
     drapes: int
     sampling: SamplingConfig
     prior: Prior
-    edge: Metres = 0.0
+    edge: Metres = 0.0  # of meshes at the plate's rim; 0: sim.mesh.specimen.default_edge
     drapes_per_shard: int = 64
 
     def __post_init__(self) -> None:
@@ -115,8 +89,7 @@ class DatasetConfig:
                              f"fabric, or {1e3 * EDGE_RANGE[0]:g} to {1e3 * EDGE_RANGE[1]:g} mm")
 
     def as_dict(self) -> dict:
-        """Settings that determine each drape and its record, in JSON types; without their number.
-        """
+        """Settings that determine each drape and its record, in JSON types."""
         settings = {
             "sampling": asdict(self.sampling),
             "prior": prior_content(self.prior),
@@ -190,7 +163,7 @@ class Options:
 
 
 def config_from_options(options: Options) -> DatasetConfig:
-    """Dataset configuration of the composed options; InputError for invalid values."""
+    """Dataset configuration of the composed options."""
     dataset = si(asdict(options.dataset))
     return DatasetConfig(
         drapes=options.drapes,

@@ -1,7 +1,7 @@
 """The folder of a dataset: its shards, and ``dataset.json``, the manifest of settings and shards.
 
-There is no lock, as locks are unreliable on the shared file systems of clusters. Any number of
-processes may work in a folder: a file is renamed to its final name when it is complete, and all
+Any number of processes may work in a folder without a lock, which would be unreliable on the file
+systems of clusters: files are renamed to their final names when they are complete, and all
 processes write the same bytes of a shard; the manifest reveals different settings.
 """
 
@@ -71,11 +71,7 @@ class _Finished(_Begun):
 
 
 def read_manifest(root: Path) -> dict | None:
-    """Read ``dataset.json``; None if it does not exist.
-
-    Raises:
-        InputError: it cannot be read, is damaged, or belongs to another schema version.
-    """
+    """Read ``dataset.json``; None if it does not exist."""
     path = root / MANIFEST
     if not path.exists():
         return None
@@ -141,17 +137,12 @@ class DatasetFolder:
 
     @cached_property
     def _settings(self) -> dict:
-        """The configuration as stored in shards: with the digest of the prior, which may be large.
-        """
+        """The configuration as stored in shards, with the digest of the prior, which is large."""
         return self.config.as_dict() | {"prior": self._prior}
 
     def claim(self) -> dict:
-        """Create the folder, or check that it holds this dataset or part of it; return its
-        manifest, empty if there is none.
-
-        Raises:
-            InputError: the folder cannot be created, or holds another dataset, more drapes, or
-                other files without a dataset.
+        """Create the folder, or check that it holds nothing but this dataset or part of it; return
+        its manifest, empty if there is none.
         """
         try:
             self.root.mkdir(parents=True, exist_ok=True)
@@ -183,10 +174,7 @@ class DatasetFolder:
             return False
 
     def shard(self, number: int) -> Shard | None:
-        """A complete shard; None if it is missing, damaged or has other drapes than required.
-
-        The last shard grows when a dataset is extended.
-        """
+        """A complete shard; None if it is missing or damaged, or has less drapes than it will."""
         try:
             shard = Shard(self.root / shard_name(number))
         except InputError:
@@ -196,12 +184,7 @@ class DatasetFolder:
         return shard if complete else None
 
     def write(self, number: int, records: list[Record]) -> None:
-        """Write a shard.
-
-        Raises:
-            InputError: the file cannot be written; the folder holds another dataset or more drapes
-                by now.
-        """
+        """Write a shard, unless the folder holds another dataset by now."""
         self.claim()
         name = shard_name(number)
         try:
@@ -228,8 +211,8 @@ class DatasetFolder:
         manifest = self.claim()  # another process may have extended the dataset meanwhile
         names = [shard_name(number) for number in range(self.config.shards)]
         # Existence first: reading is wasted while other parts are unfinished.
-        summary = ({"complete": False} if not all((self.root / name).exists() for name in names)
-                   else self._summary(names))
+        exist = all((self.root / name).exists() for name in names)
+        summary = self._summary(names) if exist else {"complete": False}
         if not summary["complete"]:
             return self._described | summary
         manifest = self._update(manifest, summary, manifest.get("provenance", []))
@@ -247,10 +230,7 @@ class DatasetFolder:
         }
 
     def _update(self, old: dict, summary: dict, provenance: list[dict]) -> dict:
-        """Write the manifest unless it is the same as the ``old`` one; return it.
-
-        Environments are stored only in the manifest, outside its digests.
-        """
+        """Write the manifest unless it is the same as the ``old`` one; return it."""
         manifest = self._described | summary | {"provenance": provenance}
         if manifest != old:
             replace_json(self.root / MANIFEST, manifest)
@@ -258,8 +238,7 @@ class DatasetFolder:
 
     def _summary(self, names: list[str]) -> dict:
         """Counts over all shards, and the digest that identifies the dataset's content."""
-        outcomes: Counter[str] = Counter()
-        starts: Counter[str] = Counter()
+        outcomes, starts = Counter(), Counter()
         rejected: dict[int, int] = {}
         digests = {}
         for number, name in enumerate(over_shards(names, "checking")):
@@ -283,27 +262,25 @@ class DatasetFolder:
         }
 
     def remove_partial(self) -> None:
-        """Remove temporary files of interrupted writers (:func:`remove_partial`)."""
+        """Remove temporary files of interrupted writers."""
         for pattern in (SHARDS, MANIFEST):
             remove_partial(self.root, pattern)
 
 
 def progress_bar(items: Iterable | None = None, **options: object) -> tqdm:
-    """A tqdm bar with an update interval of 0.1 s on a terminal and 30 s in a log file."""
+    """A tqdm bar, updated every 0.1 s on a terminal and every 30 s in a log file."""
     pause = 0.1 if sys.stderr.isatty() else 30.0
     return tqdm(items, mininterval=pause, maxinterval=max(pause, 10.0), **options)
 
 
 def over_shards(shards: Iterable, doing: str) -> tqdm:
-    """Iterate over ``shards`` with a bar labelled ``doing``, which is cleared at the end."""
+    """Iterate over ``shards`` with a bar labelled ``doing``."""
     return progress_bar(shards, desc=doing, unit="shard", leave=False, delay=DELAY)
 
 
 def split_by_fabric(fabrics: np.ndarray, *, fractions: Mapping[str, float]) -> np.ndarray:
-    """Name of the split of each drape, from the ids ``fabrics`` (N,) of their fabrics.
-
-    A fabric's split depends only on its id: all drapes of a fabric are in the same split, also when
-    the dataset is extended. ``fractions`` add up to 1.
+    """Name of the split of each drape, from the ids ``fabrics`` (N,) of their fabrics alone, so
+    that extending a dataset changes no split; ``fractions`` add up to 1.
     """
     bounds, names = np.cumsum(list(fractions.values()))[:-1].tolist(), list(fractions)
     ids, position = np.unique(np.asarray(fabrics), return_inverse=True)
@@ -312,5 +289,4 @@ def split_by_fabric(fabrics: np.ndarray, *, fractions: Mapping[str, float]) -> n
 
 
 def _uniform(key: str) -> float:
-    """A number in [0, 1) that depends only on ``key``."""
     return int.from_bytes(hashlib.sha256(key.encode()).digest()[:6], "big") / 2**48

@@ -51,19 +51,10 @@ def generate_dataset(
 ) -> dict:
     """Generate, complete or extend the dataset in the folder ``out``; return ``dataset.json``.
 
-    While other parts are unfinished the result has ``complete: False`` and no counts. Progress and
-    a breakdown of the time are printed to standard error.
-
-    Args:
-        workers: single-threaded processes; without influence on the files.
-        part, parts: make only every ``parts``-th shard, from the ``part``-th on, counted from 0.
-            Parts can be made at the same time on any machines; the one that finds all others done
-            finishes the dataset.
-        solver: replaces :func:`sim.drape.drape`; must be importable.
-
-    Raises:
-        InputError: ``out`` cannot be written, or holds a dataset of another configuration or with
-            more drapes.
+    Only every ``parts``-th shard is made, from the ``part``-th on, counted from 0. Parts can be
+    made at the same time on any machines; the last one finishes the dataset, the result of others
+    has ``complete: False`` and no counts. ``solver`` replaces :func:`sim.drape.drape` and must be
+    importable.
     """
     if part >= parts:
         raise InputError(f"part={part} of parts={parts}: parts are counted from 0 to parts - 1")
@@ -96,11 +87,7 @@ def generate_dataset(
 def make_shards(
     folder: DatasetFolder, shards: list[int], *, workers: int, solver: Solver | None, bar: tqdm
 ) -> str:
-    """Make ``shards`` in ``workers`` processes; return a breakdown of the time as text.
-
-    Raises:
-        InputError: a shard cannot be written; a worker was killed from outside.
-    """
+    """Make ``shards`` in ``workers`` processes; return a breakdown of the time as text."""
     workers, began, seconds = min(workers, len(shards)), time.time(), Counter()
     present = bar.n
     try:
@@ -127,7 +114,7 @@ def _make_shard(
     """Make a shard, unless another run has done so; return the seconds of :func:`_time_spent`.
 
     ``counts`` is a file shared by all processes, (shards, 2): drapes made and failed in the shard
-    at each index (``place``). There is no lock, as it would remain locked if its holder was killed.
+    at each index (``place``).
     """
     cpu, wall, seconds = time.process_time(), time.perf_counter(), Counter(solver=0.0)
     solver = solver or load_solver()
@@ -154,10 +141,8 @@ def _make_shard(
 
 
 def _time_spent(workers: int, wall: float, seconds: Counter[str]) -> str:
-    """Breakdown of the CPU and idle time of ``workers`` processes in ``wall`` seconds.
-
-    ``seconds`` are sums over the workers: CPU time of ``solver`` and ``rest``; ``wall``, elapsed
-    time of their tasks.
+    """Breakdown of the time of ``workers`` processes in ``wall`` seconds; ``seconds``: sums of the
+    CPU time of ``solver`` and ``rest``, and of the elapsed time of tasks, ``wall``.
     """
     spent = {"solver": seconds["solver"], "checks and files": seconds["rest"],
              "start and idle": max(workers * wall - seconds["wall"], 0.0)}
@@ -169,7 +154,7 @@ def _time_spent(workers: int, wall: float, seconds: Counter[str]) -> str:
 
 @command("generate", Options)
 def main(options: Options) -> None:
-    """Generate the dataset, or part of it, of ``options`` and print a summary."""
+    """Generate the dataset, or part of it, and print a summary."""
     out = folder_named(options.out)
     manifest = generate_dataset(config_from_options(options), out, workers=options.workers,
                                 part=options.part, parts=options.parts)

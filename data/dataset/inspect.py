@@ -26,7 +26,7 @@ from common.types import DepthImage, Theta
 from data.dataset.folder import MANIFEST, REMEDY, finished_manifest, json_digest, over_shards
 from data.dataset.shards import COORDINATES, FACES, SHARDS, Shard
 from data.fabrics.fabrics import THETA_NAMES
-from data.fabrics.prior import prior_from_content, sample_admissible
+from data.fabrics.prior import admissible_samples, prior_from_content
 from data.render.cameras import nominal_camera
 from data.render.rays import DepthRenderer
 from sim.energies.self_contact import self_intersections
@@ -82,12 +82,7 @@ def main(config: InspectConfig) -> None:
 
 
 def check_dataset(root: Path) -> dict:
-    """Verify all shards of the complete dataset in ``root``; return its manifest.
-
-    Raises:
-        InputError: no dataset, an incomplete dataset, an inconsistent manifest; a shard that is
-            missing, unlisted, damaged or changed; missing or repeated drapes; other outcomes.
-    """
+    """Verify that the shards in ``root`` are those of its manifest, which is returned."""
     manifest = finished_manifest(root)
     digests, names = manifest["shards"], {path.name for path in root.glob(SHARDS)}
     if json_digest(digests) != manifest["hash"]:
@@ -98,9 +93,7 @@ def check_dataset(root: Path) -> dict:
     if extra := sorted(names - digests.keys()):
         raise InputError(f"{root} holds shards that {MANIFEST} does not list: {_listed(extra)}; "
                          "move them elsewhere")
-    changed: list[str] = []
-    indices: list[int] = []
-    outcomes: Counter[str] = Counter()
+    changed, indices, outcomes = [], [], Counter()
     for name, digest in over_shards(digests.items(), "checking"):
         shard = Shard(root / name)
         if shard.digest != digest or shard.attributes.get("identity") != manifest["identity"]:
@@ -117,28 +110,18 @@ def check_dataset(root: Path) -> dict:
 
 
 def _listed(names: Sequence[str]) -> str:
-    """The first three names, and the number of others."""
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
 @dataclass(frozen=True)
 class Drapes:
-    """All drapes of a dataset, one row each, in order.
+    """All drapes of a dataset, one row each, in order."""
 
-    Attributes:
-        columns: arrays of :data:`COLUMNS`, see :meth:`data.dataset.shards.Shard.column`.
-        places: shard and row of each drape.
-        stretch: (N,) largest strain of a triangle, NaN unless converged. Vertices are rounded to
-            5 µm, which causes an uncertainty of about 0.1 %.
-        crossings: (N,) number of edges that intersect a face; -1 if not checked.
-        bytes: size on disk of each array of the shards, and ``other`` for the rest of the files.
-    """
-
-    columns: dict[str, np.ndarray]
-    places: list[tuple[str, int]]
-    stretch: np.ndarray
-    crossings: np.ndarray
-    bytes: dict[str, int]
+    columns: dict[str, np.ndarray]  # of COLUMNS
+    places: list[tuple[str, int]]  # shard and row
+    stretch: np.ndarray  # (N,) largest strain, of 0.1 % uncertainty; NaN unless converged
+    crossings: np.ndarray  # (N,) edges that intersect a face; -1 if not checked
+    bytes: dict[str, int]  # on disk of each array, and other for the rest of the files
 
     @property
     def converged(self) -> np.ndarray:
@@ -147,8 +130,7 @@ class Drapes:
 
 
 def read_drapes(root: Path, manifest: dict, *, intersections: int) -> Drapes:
-    """Read and measure a dataset's drapes; count the self-intersections of ``intersections`` of
-    the converged ones, evenly spread."""
+    """Read and measure a dataset's drapes, of which ``intersections`` for self-intersections."""
     parts: dict[str, list[np.ndarray]] = {name: [] for name in COLUMNS}
     places, used, converged = [], Counter(), 0
     checked = set(spread(np.arange(manifest["outcomes"].get("converged", 0)), intersections))
@@ -161,8 +143,7 @@ def read_drapes(root: Path, manifest: dict, *, intersections: int) -> Drapes:
             drape = len(places) + row
             positions, rest, faces = shard.mesh(row)
             # Triangles held by the plate are not stretched and need not be excluded.
-            stretch[drape] = maximum_stretch(positions, rest, faces,
-                                             np.zeros(len(rest), dtype=bool))
+            stretch[drape] = maximum_stretch(positions, rest, faces, np.zeros(len(rest), bool))
             if converged in checked:
                 crossings[drape] = len(self_intersections(positions, faces))
             converged += 1
@@ -180,17 +161,13 @@ def spread(items: np.ndarray, count: int) -> np.ndarray:
 
 
 def prior_samples(manifest: dict) -> tuple[Theta, float]:
-    """Draw :data:`PRIOR_SAMPLES` fabrics from the dataset's prior; return also the share of
-    rejected samples."""
+    """:data:`PRIOR_SAMPLES` fabrics of the dataset's prior, and the share of rejected samples."""
     prior = prior_from_content(manifest["config"]["prior"], origin="the dataset's prior")
-    rng = np.random.default_rng(0)
-    theta, rejected = zip(*(sample_admissible(prior, rng) for _ in range(PRIOR_SAMPLES)),
-                          strict=True)
-    return np.array(theta), sum(rejected) / (sum(rejected) + PRIOR_SAMPLES)
+    return admissible_samples(prior, PRIOR_SAMPLES)
 
 
 def in_display_units(theta: Theta) -> np.ndarray:
-    """Convert theta to (..., 6) alpha in µN·m and beta/alpha in mm."""
+    """Alpha in µN·m and beta/alpha in mm (..., 6)."""
     return np.concatenate([np.exp(theta[..., :3]) / MICRO, theta[..., 3:] * 1e3], axis=-1)
 
 
@@ -202,12 +179,9 @@ def draped_fabrics(drapes: Drapes) -> Theta:
 
 
 def report(manifest: dict, drapes: Drapes, prior: tuple[Theta, float]) -> dict:
-    """Statistics of the dataset in JSON types, independent of folder and machine; ``prior``: from
-    :func:`prior_samples`.
-    """
+    """Statistics of the dataset in JSON types; ``prior``: from :func:`prior_samples`."""
     columns, converged = drapes.columns, drapes.converged
     rejected = columns["rejected"][np.unique(columns["fabric"], return_index=True)[1]]
-    looked_at = drapes.crossings >= 0
     crossing = np.flatnonzero(drapes.crossings > 0)
     return {
         "dataset": {name: manifest[name] for name in ("identity", "hash")},
@@ -215,20 +189,18 @@ def report(manifest: dict, drapes: Drapes, prior: tuple[Theta, float]) -> dict:
         "converged": int(converged.sum()),
         "fabrics": len(rejected),
         "fabrics_with_a_drape": len(draped_fabrics(drapes)),
-        "rejection_rate": {
-            "dataset": float(rejected.sum() / (rejected.sum() + len(rejected))),
-            "prior": prior[1],
-        },
+        "rejection_rate": {"dataset": float(rejected.sum() / (rejected.sum() + len(rejected))),
+                           "prior": prior[1]},
         "starts": _starts(columns, converged),
         "failures": _failures(columns, converged),
         "parameters": _parameters(drapes, prior[0]),
         "drape_coefficient": _quantiles(columns["drape_coefficient"][converged]),
-        "folds": {str(n): count for n, count
-                  in sorted(Counter(columns["folds"][converged].tolist()).items())},
+        "folds": {str(n): int(count) for n, count
+                  in zip(*np.unique(columns["folds"][converged], return_counts=True), strict=True)},
         "stretch": _quantiles(drapes.stretch[converged]),
         "iterations": _quantiles(columns["iterations"][converged]),
         "self_intersections": {
-            "looked_at": int(looked_at.sum()),
+            "looked_at": int((drapes.crossings >= 0).sum()),
             "intersecting": len(crossing),
             "drapes": columns["index"][crossing].tolist(),
         },
@@ -240,21 +212,15 @@ def _quantiles(values: np.ndarray) -> dict[str, float] | None:
     """:data:`QUANTILES` by name; None if there are no values."""
     if not len(values):
         return None
-    return {f"{q:g}": float(v) for q, v in zip(QUANTILES, np.quantile(values, QUANTILES),
-                                               strict=True)}
+    return {f"{share:g}": float(np.quantile(values, share)) for share in QUANTILES}
 
 
 def _starts(columns: dict[str, np.ndarray], converged: np.ndarray) -> dict[str, dict]:
-    """By initial state: number of drapes, number of converged ones, their mean number of folds."""
     result = {}
-    for start in np.unique(columns["start"]).tolist():
-        these = columns["start"] == start
-        folds = columns["folds"][these & converged]
-        result[start] = {
-            "drapes": int(these.sum()),
-            "converged": len(folds),
-            "mean_folds": float(folds.mean()) if len(folds) else None,
-        }
+    for start, count in zip(*np.unique(columns["start"], return_counts=True), strict=True):
+        folds = columns["folds"][converged & (columns["start"] == start)]
+        result[str(start)] = {"drapes": int(count), "converged": len(folds),
+                              "mean_folds": float(folds.mean()) if len(folds) else None}
     return result
 
 
@@ -262,18 +228,15 @@ def _failures(columns: dict[str, np.ndarray], converged: np.ndarray) -> list[dic
     """Failures by status, the most frequent first: count, and index and message of the first."""
     reasons = Counter(columns["status"][~converged].tolist())
     result = []
-    for status, count in sorted(reasons.items(), key=lambda item: (-item[1], item[0])):
+    for status in sorted(reasons, key=lambda status: (-reasons[status], status)):
         first = int(np.flatnonzero(columns["status"] == status)[0])
-        result.append({
-            "status": status,
-            "drapes": count,
-            "first": int(columns["index"][first]),
-            "message": str(columns["message"][first]),
-        })
+        result.append({"status": status, "drapes": reasons[status],
+                       "first": int(columns["index"][first]),
+                       "message": str(columns["message"][first])})
     return result
 
 
-def _parameters(drapes: Drapes, prior: np.ndarray) -> dict[str, dict]:
+def _parameters(drapes: Drapes, prior: Theta) -> dict[str, dict]:
     """By parameter: quantiles of dataset and prior, share of fabrics outside the prior's range."""
     fabrics = draped_fabrics(drapes)
     low, high = np.quantile(prior, RANGE, axis=0)
@@ -290,7 +253,6 @@ def _parameters(drapes: Drapes, prior: np.ndarray) -> dict[str, dict]:
 
 
 def _disk(drapes: Drapes) -> dict[str, int]:
-    """Bytes of the shards by part."""
     used = dict(drapes.bytes)
     parts = {"meshes": sum(used.pop(name) for name in (*COORDINATES, FACES)),
              "file structure": used.pop("other")}
@@ -322,9 +284,9 @@ def describe(content: dict) -> list[str]:
     lines.append(f"{'at 300 g/m²':<{LABEL}}{'1 %':>8}{'10 %':>9}{'median':>9}{'90 %':>9}{'99 %':>9}"
                  f"   outside the prior's {low:.0%} to {high:.0%} ({1 - high + low:.0%} expected)")
     for name, row in content["parameters"].items():
-        label = f"{name.replace('_over_', '/').replace('_', ' ')} [{row['unit']}]"
         outside = "" if row["outside"] is None else f"   {row['outside']:.1%}"
-        lines += [_range(label, row["dataset"]) + outside, _range("  prior", row["prior"])]
+        lines += [_range(_label(name, row["unit"]), row["dataset"]) + outside,
+                  _range("  prior", row["prior"])]
     lines += [
         "",
         _range("drape coefficient", content["drape_coefficient"]),
@@ -340,13 +302,16 @@ def describe(content: dict) -> list[str]:
     return lines
 
 
+def _label(parameter: str, unit: str) -> str:
+    return f"{parameter.replace('_over_', '/').replace('_', ' ')} [{unit}]"
+
+
 def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.3g}"
 
 
 def _range(label: str, quantiles: dict[str, float] | None) -> str:
-    columns = ("0.01", "0.1", "0.5", "0.9", "0.99")
-    values = [_number(None if quantiles is None else quantiles[q]) for q in columns]
+    values = [_number((quantiles or {}).get(f"{share:g}")) for share in QUANTILES[1:-1]]
     return f"{label:<{LABEL}}{values[0]:>8}" + "".join(f"{value:>9}" for value in values[1:])
 
 
@@ -368,9 +333,7 @@ class Shot:
 
 
 def take_shots(root: Path, drapes: Drapes, *, count: int) -> list[Shot]:
-    """Render ``count`` converged drapes, sorted by drape coefficient, and up to a row of failed
-    ones, with the nominal cameras of their testers and the warp to the right.
-    """
+    """Render ``count`` converged drapes, by drape coefficient, and up to a row of failed ones."""
     converged = np.flatnonzero(drapes.converged)
     by_coefficient = converged[np.argsort(drapes.columns["drape_coefficient"][converged],
                                           kind="stable")]
@@ -381,7 +344,7 @@ def take_shots(root: Path, drapes: Drapes, *, count: int) -> list[Shot]:
 
 
 def _shoot(root: Path, drapes: Drapes, drape: int) -> Shot | None:
-    """Render one drape; None for a failed drape without stored coordinates."""
+    """Render a drape; None for a failed one without coordinates."""
     name, row = drapes.places[drape]
     shard = Shard(root / name)
     positions, rest, faces = shard.mesh(row)
@@ -417,15 +380,14 @@ def contact_sheet(shots: list[Shot]) -> bytes:
     return _png(figure)
 
 
-def histograms(drapes: Drapes, prior: np.ndarray) -> bytes:
-    """PNG of histograms: parameters of the dataset and of samples (n, 6) of the prior, and measures
-    of the drapes by initial state."""
+def histograms(drapes: Drapes, prior: Theta) -> bytes:
+    """PNG of histograms: parameters of dataset and prior, measures by initial state."""
     figure = Figure(figsize=(13, 9.5), dpi=110, layout="constrained")
     panels = figure.subplots(3, 4)
-    fabrics = in_display_units(draped_fabrics(drapes))
+    fabrics, samples = in_display_units(draped_fabrics(drapes)), in_display_units(prior)
     for k, (name, unit) in enumerate(zip(PARAMETERS, UNITS, strict=True)):
-        _parameter(panels[k // 3, k % 3], fabrics[:, k], in_display_units(prior)[:, k],
-                   f"{name.replace('_over_', '/').replace('_', ' ')} [{unit}]", logarithmic=k < 3)
+        _parameter(panels[k // 3, k % 3], fabrics[:, k], samples[:, k], _label(name, unit),
+                   logarithmic=k < 3)
     columns, converged = drapes.columns, drapes.converged
     groups = {start: converged & (columns["start"] == start)
               for start in np.unique(columns["start"]).tolist()}
@@ -438,19 +400,23 @@ def histograms(drapes: Drapes, prior: np.ndarray) -> bytes:
     for panel, title in ((panels[0, 0], None), (panels[2, 0], "initial state")):
         panel.set_ylim(top=1.5 * panel.get_ylim()[1])  # room for the legend
         panel.legend(frameon=False, loc="upper left", title=title)
-    _plane(panels[0, 3], fabrics, in_display_units(prior))
-    _outcomes(panels[1, 3], columns["status"])
+    for values, style in ((samples, {"color": PRIOR, "ms": 2, "alpha": 0.3}),
+                          (fabrics, {"color": DATASET, "ms": 4})):
+        panels[0, 3].loglog(values[:, 0], values[:, 2], ".", **style)
+    panels[0, 3].set(xlabel="alpha warp [µN·m]", ylabel="alpha weft [µN·m]")
+    names, counts = np.unique(columns["status"], return_counts=True)
+    colours = [DATASET if name == "converged" else MARK for name in names]
+    bars = panels[1, 3].barh(names, counts, 0.5, color=colours)
+    panels[1, 3].bar_label(bars, padding=2)
+    panels[1, 3].margins(x=0.2, y=0.3)
+    panels[1, 3].set(xlabel="drapes")
     return _png(figure)
 
 
 def _parameter(axes: Axes, dataset: np.ndarray, prior: np.ndarray, label: str, *,
                logarithmic: bool) -> None:
-    low, high = np.quantile(prior, (0.002, 0.998))
-    if logarithmic:
-        axes.set_xscale("log")
-        edges = np.geomspace(low, high, 25)
-    else:
-        edges = np.linspace(low, high, 25)
+    edges = (np.geomspace if logarithmic else np.linspace)(*np.quantile(prior, (0.002, 0.998)), 25)
+    axes.set_xscale("log" if logarithmic else "linear")
     # Values beyond the range are counted in the outermost bars.
     for values, style in ((dataset, {"color": DATASET, "alpha": 0.75, "label": "dataset"}),
                           (prior, {"histtype": "step", "color": PRIOR, "lw": 1.5,
@@ -465,21 +431,6 @@ def _by_start(axes: Axes, groups: dict[str, np.ndarray], values: np.ndarray, lab
     axes.hist([values[group] for group in groups.values()], bins, stacked=True,
               color=[STARTS[k % len(STARTS)] for k in range(len(groups))], label=list(groups))
     axes.set(xlabel=label, ylabel="drapes")
-
-
-def _plane(axes: Axes, fabrics: np.ndarray, prior: np.ndarray) -> None:
-    axes.loglog(prior[:, 0], prior[:, 2], ".", color=PRIOR, ms=2, alpha=0.3)
-    axes.loglog(fabrics[:, 0], fabrics[:, 2], ".", color=DATASET, ms=4)
-    axes.set(xlabel="alpha warp [µN·m]", ylabel="alpha weft [µN·m]")
-
-
-def _outcomes(axes: Axes, statuses: np.ndarray) -> None:
-    names, counts = np.unique(statuses, return_counts=True)
-    colours = [DATASET if name == "converged" else MARK for name in names]
-    bars = axes.barh(names, counts, 0.5, color=colours)
-    axes.bar_label(bars, padding=2)
-    axes.margins(x=0.2, y=0.3)
-    axes.set(xlabel="drapes")
 
 
 def _png(figure: Figure) -> bytes:

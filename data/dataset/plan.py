@@ -1,8 +1,7 @@
 """The plan of a dataset: fabric, specimen and initial state of each drape.
 
-All functions depend only on the dataset's seed and the index of a fabric or drape, so a drape does
-not depend on the process that simulates it or on interruptions. A borrowed initial state depends
-also on the outcomes of earlier drapes of the shard.
+All functions depend only on the dataset's seed and the index of a fabric or drape, except that a
+borrowed initial state depends on the outcomes of earlier drapes of the shard.
 """
 
 from collections.abc import Sequence
@@ -34,19 +33,12 @@ class Stream(IntEnum):
 
 @dataclass(frozen=True)
 class DrapePlan:
-    """The settings of one drape.
+    """The settings of one drape, as stored (:func:`data.dataset.shards.fields`).
 
     Attributes:
-        index: position in the dataset.
-        fabric: index of the fabric; drapes of one fabric share theta.
-        rejected: number of inadmissible samples drawn before this fabric.
-        weight: importance weight, density of the prior at theta over that of the drawn fabrics.
         rig: tester with its nominal sizes.
-        face: 1 if the fabric's marked face is up, -1 if it is down.
-        nuisances: of the specimen.
         start: initial state, one of :data:`data.dataset.config.STARTS` or borrowed.
         fallback: for a borrowed start without a lender; else ``start``.
-        seed: seed of the mesh and of the initial state.
         offset: (2,) specimen's centre relative to the plate's axis, along warp and weft, m.
     """
 

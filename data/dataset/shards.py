@@ -1,8 +1,7 @@
 """HDF5 shards: the file format of simulated drapes (``docs/data_format.md``).
 
 A shard holds a fixed block of drapes, one row each in every array of :func:`fields`. A file's
-bytes depend only on its content: no times, machine names or random identifiers. Its first 512 bytes
-hold the checksum of the rest, so that any damaged bit is detected.
+bytes depend only on its content; its first 512 bytes hold the checksum of the rest.
 """
 
 import hashlib
@@ -17,7 +16,7 @@ import numpy as np
 from common.documents import read_bytes
 from common.errors import InputError, one_line
 from common.files import replace_file
-from common.types import Faces, Points, RestPoints
+from common.types import Curvatures, Faces, Points, RestPoints
 from data.fabrics.nuisances import NAMES
 from sim.rig import Rig
 
@@ -39,19 +38,14 @@ class Field:
     meaning: str
 
 
-COORDINATES = ("positions", "rest")
-"""Arrays with a row per vertex of a drape's mesh; in a file they are padded with zeros."""
-ORIGIN = "origin"
-"""The array with a row per triangle of a drape's mesh, padded with zeros."""
-FACES = "faces"
-"""The array of a shard's distinct triangulations, padded with zeros."""
+COORDINATES = ("positions", "rest")  # with a row per vertex of a drape's mesh
+ORIGIN = "origin"  # with a row per triangle of a drape's mesh
+FACES = "faces"  # distinct triangulations of a shard
+PADDED = (*COORDINATES, ORIGIN, FACES)  # in a file, with zeros
 
 
 def fields(vertices: int, triangles: int) -> dict[str, Field]:
-    """The arrays of a shard with one row per drape.
-
-    ``vertices`` and ``triangles``: numbers of the drape's mesh or, for a shard, the largest ones.
-    """
+    """The arrays of a shard with one row per drape, for the sizes of its largest mesh."""
     return {
         "index": Field("i8", (), "", "index of the drape in the dataset"),
         "fabric": Field("i8", (), "", "fabric in the dataset; its drapes share theta"),
@@ -85,10 +79,8 @@ def fields(vertices: int, triangles: int) -> dict[str, Field]:
 
 
 def to_counts(coordinates: np.ndarray) -> np.ndarray:
-    """Convert coordinates, m, to int16 counts of :data:`LENGTH_UNIT`, of the same shape.
-
-    Raises:
-        OverflowError: a coordinate is not finite or too large for the type.
+    """Convert coordinates, m, to int16 counts of :data:`LENGTH_UNIT`, of the same shape;
+    OverflowError if one is not finite or too large for the type.
     """
     counts = np.rint(np.asarray(coordinates, dtype=np.float64) / LENGTH_UNIT)
     limits = np.iinfo(np.int16)
@@ -99,7 +91,6 @@ def to_counts(coordinates: np.ndarray) -> np.ndarray:
 
 
 SHARDS = "shard_*.h5"
-"""Pattern of :func:`shard_name`."""
 
 
 def shard_name(shard: int) -> str:
@@ -108,20 +99,16 @@ def shard_name(shard: int) -> str:
 
 
 def write_shard(
-    path: Path,
-    records: Sequence[Mapping[str, np.ndarray]],
-    *,
+    path: Path, records: Sequence[Mapping[str, np.ndarray]], *,
     attributes: Mapping[str, str | int | float],
 ) -> None:
     """Write ``records`` to ``path`` in one step; several processes may write the same file.
 
     A record maps each name of :func:`fields` but "mesh" to its row, "faces" to triangles (F, 3).
-    InputError if the file cannot be written.
     """
     # In memory first, because HDF5 crashes if the disk is full.
     memory = io.BytesIO()
-    libver = ("earliest", "v110")
-    with h5py.File(memory, "w", libver=libver, userblock_size=SEAL_SIZE) as file:
+    with h5py.File(memory, "w", libver=("earliest", "v110"), userblock_size=SEAL_SIZE) as file:
         for name, value in attributes.items():
             # Fixed-length text: variable-length text goes through a heap with unused bytes.
             file.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) else value
@@ -137,7 +124,7 @@ def write_shard(
 
 
 def _distinct(faces: Sequence[np.ndarray]) -> tuple[list[int], list[np.ndarray]]:
-    """Index of each triangulation among the distinct ones, and the distinct ones."""
+    """Index of each triangulation among the distinct ones, and these."""
     places: dict[bytes, int] = {}
     which = [places.setdefault(np.asarray(f, np.int32).tobytes(), len(places)) for f in faces]
     return which, [faces[which.index(place)] for place in range(len(places))]
@@ -153,7 +140,7 @@ def _write_field(file: h5py.File, name: str, field: Field, rows: Sequence[np.nda
     data = file.create_dataset(name, (len(rows), *field.shape), field.dtype, **options)
     for i, row in enumerate(rows):
         row = np.asarray(row).astype(field.dtype)
-        data[(i, slice(len(row))) if name in (*COORDINATES, ORIGIN, FACES) else i] = row
+        data[(i, slice(len(row))) if name in PADDED else i] = row
     if field.unit:
         data.attrs["unit"] = np.bytes_(field.unit.encode())
 
@@ -175,12 +162,10 @@ def _require_layout(file: h5py.File) -> None:
 
 
 class Shard:
-    """A shard in memory, verified by its checksum; InputError if it cannot be read, is damaged, of
-    another schema version or not a shard.
+    """A shard in memory, verified by its checksum.
 
     Attributes:
         digest: SHA-256 of the file, hexadecimal.
-        attributes: of the file, by name.
         storage: bytes on disk of each array's values, compressed.
     """
 
@@ -217,9 +202,8 @@ class Shard:
         faces = self._arrays[FACES][self._arrays["mesh"][row]]
         return positions, rest, faces[faces.any(axis=1)].astype(np.int64)
 
-    def origin(self, row: int) -> np.ndarray:
-        """Curvatures without friction (F, 3), 1/m, of a drape's triangles; see
-        :mod:`sim.energies.plate_variants`."""
+    def origin(self, row: int) -> Curvatures:
+        """Curvatures without friction of a drape's triangles."""
         faces = self._arrays[FACES][self._arrays["mesh"][row]]
         return self._arrays[ORIGIN][row, : faces.any(axis=1).sum()] * ORIGIN_UNIT
 

@@ -27,11 +27,8 @@ def make_record(
     """Simulate drape ``index``; return its record: arrays by field, such as positions (V, 3).
 
     A drape that fails, also by an arithmetic exception, is recorded with the reason; one whose
-    measures cannot be computed is marked as failed, with its mesh.
-
-    Args:
-        earlier: records of the drapes before it in the same shard, candidates for a borrowed start.
-        solver: replaces :func:`sim.drape.drape`.
+    measures cannot be computed is marked as failed, with its mesh. ``earlier``: records of the
+    drapes before it in the same shard, candidates for a borrowed start.
     """
     plan = plan_drape(index, config=config.sampling, prior=config.prior)
     lender = find_lender(plan, config, earlier)
@@ -51,10 +48,8 @@ def make_record(
 
 
 def find_lender(plan: DrapePlan, config: DatasetConfig, earlier: Sequence[Record]) -> Record | None:
-    """Choose the record among ``earlier`` whose drape is the plan's initial state; None if the plan
-    has another start or there is no candidate.
-
-    Candidates are converged drapes of other fabrics (Feng et al. 2022, section 5.2.1).
+    """Choose the initial state of a borrowed start among converged drapes of other fabrics (Feng et
+    al. 2022, section 5.2.1), if there are any.
     """
     candidates = {int(record["index"]): record for record in earlier
                   if record["status"] == b"converged" and record["fabric"] != plan.fabric}
@@ -65,8 +60,7 @@ def find_lender(plan: DrapePlan, config: DatasetConfig, earlier: Sequence[Record
 
 
 def load_solver() -> Solver:
-    """The simulator; imported late, because the main process and --help need no compiled kernels.
-    """
+    """The simulator; imported late, because the main process needs no compiled kernels."""
     from sim.drape import drape
 
     return drape
@@ -75,7 +69,7 @@ def load_solver() -> Solver:
 def _drape(
     plan: DrapePlan, config: DatasetConfig, solver: Solver, lender: Record | None, record: dict
 ) -> object:
-    """The solver's result; density and edge length are added to the record."""
+    """The solver's result; density and edge are added to the record."""
     start: dict = {"start": plan.fallback}
     if lender is not None:
         # Rounded as stored, so that the drape can be repeated from the shard alone.

@@ -16,14 +16,8 @@ from common.errors import InputError
 from common.types import Moduli, QuadraticModuli, Theta
 from sim.material import REFERENCE_DENSITY, Fabric
 
-THETA_NAMES = (
-    "log_alpha_warp",
-    "log_alpha_bias",
-    "log_alpha_weft",
-    "beta_over_alpha_warp",
-    "beta_over_alpha_bias",
-    "beta_over_alpha_weft",
-)
+THETA_NAMES = ("log_alpha_warp", "log_alpha_bias", "log_alpha_weft",
+               "beta_over_alpha_warp", "beta_over_alpha_bias", "beta_over_alpha_weft")
 """Components of theta; alpha in N·m at 300 g/m², beta/alpha in m."""
 
 TABLE_COLUMNS = (
@@ -32,12 +26,11 @@ TABLE_COLUMNS = (
 """Columns of the published table with their units, in the order warp, weft, bias ("diag")."""
 
 TABLE_DENSITIES = (1e-3, 10.0)  # kg/m²; outside, a density has another unit
-LINEAR_UNIT = 1e-9  # N·m
-QUADRATIC_UNIT = 1e-12  # N·m²
+LINEAR_UNIT, QUADRATIC_UNIT = 1e-9, 1e-12  # N·m, N·m²
 
 
 def to_theta(alpha: Moduli, beta: QuadraticModuli) -> Theta:
-    """Parameters (..., 6) of moduli (..., 3) at 300 g/m²."""
+    """Parameters of moduli (..., 3) at 300 g/m²."""
     alpha = np.asarray(alpha, dtype=np.float64)
     return np.concatenate([np.log(alpha), np.asarray(beta, np.float64) / alpha], axis=-1)
 
@@ -50,32 +43,26 @@ def from_theta(theta: Theta) -> tuple[Moduli, QuadraticModuli]:
 
 
 def fabric_from_theta(theta: Theta) -> Fabric:
-    """The fabric with parameters theta (6,), at the reference density."""
+    """The fabric of a parameter vector, at the reference density."""
     alpha, beta = from_theta(theta)
     return Fabric(alpha=alpha, beta=beta, density=REFERENCE_DENSITY)
 
 
 @dataclass(frozen=True)
 class FabricTable:
-    """Distinct fabrics of a table, in order of first appearance.
+    """Distinct fabrics of a table, in order of first appearance; moduli (F, 3) at 300 g/m²."""
 
-    Attributes:
-        density: (F,) measured mass per area, kg/m².
-        alpha, beta: (F, 3) moduli, normalised to 300 g/m².
-        multiplicity: (F,) number of rows of each fabric in the published table.
-    """
-
-    density: np.ndarray
+    density: np.ndarray  # (F,) kg/m², measured
     alpha: Moduli
     beta: QuadraticModuli
-    multiplicity: np.ndarray
+    multiplicity: np.ndarray  # (F,) rows of each fabric
 
     def __len__(self) -> int:
         return len(self.density)
 
     @property
     def theta(self) -> Theta:
-        """Parameter vectors (F, 6)."""
+        """Parameter vectors of all fabrics."""
         return to_theta(self.alpha, self.beta)
 
 
@@ -83,12 +70,7 @@ def read_fabric_table(path: str | Path) -> FabricTable:
     """Read a table in the published CSV format, merge repeated rows, normalise to 300 g/m².
 
     The header names :data:`TABLE_COLUMNS` in any order; a column whose name starts with "rows"
-    gives the multiplicity of a row (else 1), and further columns are ignored. Rows that agree in
-    all seven values are one fabric.
-
-    Raises:
-        InputError: no such file, a missing or repeated column, a cell that is not a number, a value
-            out of range.
+    gives the multiplicity of a row (else 1), and further columns are ignored.
     """
     try:
         header, rows = read_table(Path(path), "fabric table")

@@ -1,7 +1,7 @@
 """Nuisance parameters: properties of specimens and rig, beside the moduli, that affect the drape.
 
-They are unknown for a captured specimen, so datasets draw them at random and the network learns the
-resulting uncertainty. ``configs/nuisances`` states their distributions with reasons.
+Datasets draw them at random and the network learns the resulting uncertainty; ``configs/nuisances``
+states their distributions with reasons.
 """
 
 import math
@@ -26,10 +26,8 @@ class Nuisances:
     Attributes:
         membrane: stiffness along the yarns, N/m.
         shear: shear stiffness, relative to that of an isotropic membrane of this stiffness.
-        hysteresis: share of the torque that does not come back, see
-            :class:`sim.energies.plate_variants.Hysteresis`.
-        curl_warp, curl_weft: natural curvature as the specimen lies, 1/m; of the fabric's marked
-            face up, with the sign changed face down.
+        hysteresis: see :class:`sim.energies.plate_variants.Hysteresis`.
+        curl_warp, curl_weft: natural curvature as the specimen lies, 1/m.
         size, plate: deviations of the specimen's size and of the plate's diameter, m.
         cut: angle from the warp to the specimen's side, rad.
     """
@@ -77,8 +75,7 @@ PROPORTIONAL = ("membrane",)
 
 
 def at_density(values: Mapping[str, float], old: float, new: float) -> dict[str, float]:
-    """Convert ``values`` by :data:`NAMES`, SI, of a fabric of density ``old``, kg/m², to those of
-    the fabric of density ``new`` with the same drape."""
+    """Values by :data:`NAMES` at the density ``old``, kg/m², as those at ``new`` of equal drape."""
     return {name: value * new / old if name in PROPORTIONAL else value
             for name, value in values.items()}
 
@@ -90,16 +87,13 @@ def hysteresis_share(ratio: np.ndarray | float) -> np.ndarray | float:
 
 @dataclass(frozen=True)
 class NuisanceConfig:
-    """Distributions of the nuisance parameters.
+    """Distributions of the nuisance parameters, as in ``configs/nuisances``, in SI units.
 
     Attributes:
-        membrane: 2.5th and 97.5th percentile of a log-normal distribution, N/m.
-        shear: limits of a log-uniform distribution.
-        hysteresis: limits of a log-uniform distribution of KES's HB/B, 1/m; both 0: none.
-        curl: scale of the fabric's natural curvature along warp and weft each, 1/m, a Laplace
-            distribution: most fabrics have little, a fifth has much.
-        curl_specimen: standard deviation between specimens of a fabric, 1/m.
-        size, plate: standard deviations, m. cut: standard deviation, rad.
+        membrane: 2.5th and 97.5th percentile of a log-normal distribution.
+        shear, hysteresis: limits of log-uniform distributions, of KES's HB/B; both 0: none.
+        curl: scale of the Laplace distribution of the fabric's curvature along warp and weft each.
+        curl_specimen, size, plate, cut: standard deviations between specimens.
     """
 
     membrane: tuple[float, float] = (Corotational().stiffness,) * 2
@@ -120,10 +114,8 @@ class NuisanceConfig:
     def sample(
         self, cloth: np.random.Generator, specimen: np.random.Generator, *, face: int = 1
     ) -> Nuisances:
-        """Draw the parameters of a cloth and of one specimen, each from a separate generator.
-
-        Args:
-            face: 1 if the fabric's marked face is up, -1 if it is down.
+        """Draw the parameters of a cloth and of one specimen, each from a separate generator;
+        ``face``: 1 if the fabric's marked face is up, else -1.
         """
         def between(limits: tuple[float, float], share: float) -> float:
             return float(limits[0] * (limits[1] / limits[0]) ** share)

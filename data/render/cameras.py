@@ -1,13 +1,9 @@
 """Pinhole cameras, and the nominal camera of a drape tester.
 
-Pixels. Column ``u`` increases to the right, row ``v`` downwards, and the *centre* of the pixel in
-column i and row j is at (u, v) = (i, j), as in OpenCV and in the intrinsics that depth sensors
-report. The centre of a picture is therefore ((width - 1)/2, (height - 1)/2).
-
-Axes. Camera axes are x right, y down, z forward along the optical axis; depth is the z of a
-point in these axes (z-depth), not the length of the ray. World axes are z up, with the origin at
-the centre of the plate's top face. The camera is on the -y side and looks towards +y, so that
-world +x is to the right in the picture and the direction at 90 degrees points away from it.
+The centre of the pixel in column i and row j is at (u, v) = (i, j), as in OpenCV and in the
+intrinsics of depth sensors. Camera axes are x right, y down, z forward; z is the depth. World axes
+are z up, with the origin at the centre of the plate's top face. The camera is on the -y side and
+looks towards +y: +x is to the right in the picture, the direction at 90 degrees points away.
 """
 
 import math
@@ -17,7 +13,7 @@ import numpy as np
 
 from common.configs import read_config, si
 from common.errors import InputError
-from common.types import DepthImage, Metres, Points, Pose, Radians
+from common.types import DepthImage, Metres, Pixels, Points, Pose, Radians
 from sim.rig import DISC_RIG, SQUARE_RIG, Rig
 
 _REACH = {rig.specimen: rig.reach for rig in (SQUARE_RIG, DISC_RIG)}
@@ -41,20 +37,17 @@ class Intrinsics:
     def __post_init__(self) -> None:
         numbers = (self.fx, self.fy, self.cx, self.cy)
         if not all(math.isfinite(value) for value in numbers) or min(self.fx, self.fy) <= 0:
-            raise InputError(
-                f"intrinsics fx={self.fx} fy={self.fy} cx={self.cx} cy={self.cy} are not usable; "
-                "give finite pixels and positive focal lengths"
-            )
+            raise InputError(f"intrinsics fx={self.fx} fy={self.fy} cx={self.cx} cy={self.cy} are "
+                             "not usable; give finite pixels and positive focal lengths")
         # A principal point near the edge indicates intrinsics of another picture size.
         for centre, size in ((self.cx, self.width), (self.cy, self.height)):
             if not 0.1 * size < centre < 0.9 * size:
-                raise InputError(
-                    f"principal point ({self.cx:g}, {self.cy:g}) is not in the inner part of the "
-                    f"{self.width}x{self.height} picture; give the intrinsics of this picture size"
-                )
+                raise InputError(f"principal point ({self.cx:g}, {self.cy:g}) is not in the inner "
+                                 f"part of the {self.width}x{self.height} picture; give the "
+                                 "intrinsics of this picture size")
 
-    def posed(self, world_to_camera: np.ndarray) -> "Camera":
-        """The camera with a pose, (4, 4)."""
+    def posed(self, world_to_camera: Pose) -> "Camera":
+        """The camera with a pose."""
         return Camera(self.fx, self.fy, self.cx, self.cy, self.width, self.height, world_to_camera)
 
     def directions(self) -> np.ndarray:
@@ -62,18 +55,13 @@ class Intrinsics:
 
         With this scale the ray parameter of an intersection is its z-depth.
         """
-        x = (np.arange(self.width) - self.cx) / self.fx
-        y = (np.arange(self.height) - self.cy) / self.fy
         rays = np.ones((self.height, self.width, 3))
-        rays[..., 0] = x[None, :]
-        rays[..., 1] = y[:, None]
+        rays[..., 0] = (np.arange(self.width) - self.cx) / self.fx
+        rays[..., 1] = ((np.arange(self.height) - self.cy) / self.fy)[:, None]
         return rays
 
     def back_project(self, depth: np.ndarray) -> np.ndarray:
-        """Points (..., height, width, 3) in camera axes, m, from z-depth (..., height, width).
-
-        Background (depth 0) gives the camera's position.
-        """
+        """Points (..., height, width, 3) in camera axes, m, from z-depth (..., height, width)."""
         return self.directions() * np.asarray(depth, dtype=float)[..., None]
 
 
@@ -88,8 +76,8 @@ class Camera(Intrinsics):
         """The intrinsics without the pose."""
         return Intrinsics(**{f.name: getattr(self, f.name) for f in fields(Intrinsics)})
 
-    def project(self, points: Points) -> tuple[np.ndarray, np.ndarray]:
-        """Pixels (N, 2) as (u, v), and z-depth (N,) m, of world points."""
+    def project(self, points: Points) -> tuple[Pixels, np.ndarray]:
+        """Pixels (u, v) and z-depth (N,) of world points."""
         local = points @ self.world_to_camera[:3, :3].T + self.world_to_camera[:3, 3]
         depth = local[:, 2]
         u = self.fx * local[:, 0] / depth + self.cx
@@ -117,9 +105,9 @@ def camera_pose(
     Args:
         distance: from the optical centre to the plate's centre.
         pitch: of the optical axis below the horizontal.
-        above: offset of the plate's centre above the optical axis, parallel to the picture.
-        aside: offset of the plate's centre to the right of the optical axis, likewise.
-        roll: rotation of the picture's content, clockwise positive.
+        above, aside: of the plate's centre from the optical axis, parallel to the picture: up,
+            right.
+        roll: of the picture's content, clockwise.
     """
     c, s = math.cos(pitch), math.sin(pitch)
     level = np.array([[1.0, 0.0, 0.0], [0.0, -s, -c], [0.0, c, -s]])  # rows: right, down, axis
@@ -137,12 +125,9 @@ def size_ratio(rig: Rig) -> float:
 
 
 def nominal_camera(rig: Rig = SQUARE_RIG) -> Camera:
-    """The camera of ``configs/camera.yaml``, with all lengths in proportion to the specimen, so
-    that pictures of all sizes look alike.
-    """
+    """The camera of ``configs/camera.yaml``, with all lengths in proportion to the specimen."""
     settings = si(read_config("camera"))
-    intrinsics = Intrinsics(**{field.name: settings.pop(field.name)
-                               for field in fields(Intrinsics)})
+    intrinsics = Intrinsics(**{f.name: settings.pop(f.name) for f in fields(Intrinsics)})
     for name in ("distance", "above", "aside"):
         settings[name] *= size_ratio(rig)
-    return Camera(**vars(intrinsics), world_to_camera=camera_pose(**settings))
+    return intrinsics.posed(camera_pose(**settings))

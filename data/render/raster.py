@@ -19,16 +19,9 @@ from data.render.cameras import Camera
 MIN_HEIGHT = 1e-12  # px, avoids division by 0 in the slope of a horizontal edge
 
 
-def rasterise(
-    positions: Points, faces: Faces, camera: Camera, angles: Sequence[float]
-) -> Views:
-    """Pictures of a drape, one per angle.
-
-    Triangles with a corner behind the camera or a coordinate that is not finite are skipped.
-
-    Args:
-        angles: (K,) rad, of the specimen in each picture, counter-clockwise seen from above
-            (orientation plus the table's turn).
+def rasterise(positions: Points, faces: Faces, camera: Camera, angles: Sequence[float]) -> Views:
+    """Pictures of a drape, one for each of the specimen's ``angles`` (K,), rad, orientation plus
+    turn; triangles with a corner behind the camera or not finite are skipped.
     """
     points = camera_points(positions.astype(np.float32), camera, angles)
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy], dtype=np.float32)
@@ -50,8 +43,7 @@ def camera_points(positions: Points, camera: Camera, angles: Sequence[float]) ->
 def draw(points, faces, intrinsics, height, width):
     """Pictures (K, height, width) of a mesh with vertices (K, V, 3) in camera axes, m.
 
-    Args:
-        faces: (F, 3); intrinsics: (4,) fx, fy, cx, cy, px, of the type of ``points``.
+    ``intrinsics``: (4,) fx, fy, cx, cy, px, of the type of ``points``.
     """
     views, vertices, _ = points.shape
     pictures = np.zeros((views, height, width), points.dtype)

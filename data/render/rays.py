@@ -2,18 +2,17 @@
 
 The table turns counter-clockwise seen from above and the camera is static: in view k the specimen's
 warp axis points along (cos a, sin a) in the world, a = orientation + turn of view k (Feng et al.
-2022, section 3.1). Only the cloth is rendered, as in captures; the cylinder is not.
+2022, section 3.1). Only the cloth is rendered.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from types import ModuleType
 
 import numpy as np
 
 from common.errors import InputError, one_line
-from common.types import DepthImage, Faces, Points, Radians, Views
+from common.types import DepthImage, Faces, Points, Radians, Turns, Views
 from data.render.cameras import Camera
 
 VIEWS = 4
@@ -23,33 +22,24 @@ OPEN3D_REMEDY = "apt-get install libusb-1.0-0 libgl1 libegl1 libgomp1 libx11-6"
 
 
 def import_open3d() -> ModuleType:
-    """Import open3d; InputError with the remedy if its system libraries are missing."""
-    # Imported late: it takes a second, and needs system libraries that inference from cut-out
-    # pictures does not.
+    """Import open3d, late, because it takes a second; InputError if system libraries are missing.
+    """
     try:
         import open3d
     except (ImportError, OSError) as error:
-        raise InputError(
-            f"open3d cannot be imported ({one_line(error)}); "
-            f"install its libraries with: {OPEN3D_REMEDY}"
-        ) from None
+        raise InputError(f"open3d cannot be imported ({one_line(error)}); install its libraries "
+                         f"with: {OPEN3D_REMEDY}") from None
     return open3d
 
 
 @dataclass(frozen=True)
 class Hits:
-    """Nearest intersections of rays, in arrays of the rays' shape.
+    """Nearest intersections of rays, in arrays of the rays' shape."""
 
-    Attributes:
-        distance: in lengths of the ray's direction, infinite for none.
-        mesh, face: indices of the mesh and of its triangle; -1 for none.
-        uv: (..., 2) weights of the triangle's second and third corner.
-    """
-
-    distance: np.ndarray
-    mesh: np.ndarray
-    face: np.ndarray
-    uv: np.ndarray
+    distance: np.ndarray  # in lengths of the ray's direction, infinite for none
+    mesh: np.ndarray  # index, -1 for none
+    face: np.ndarray  # index in the mesh, -1 for none
+    uv: np.ndarray  # (..., 2) weights of the triangle's second and third corner
 
 
 class RayScene:
@@ -93,11 +83,7 @@ class DepthRenderer:
         return np.where(np.isfinite(depth), depth, np.float32(0.0))
 
     def views(
-        self, camera: Camera, orientation: Radians = 0.0, turns: Sequence[float] = QUARTERS
+        self, camera: Camera, orientation: Radians = 0.0, turns: Turns = QUARTERS
     ) -> Views:
-        """The pictures of a capture.
-
-        ``orientation``: direction of the warp in the first view, 0 to the right, pi/2 away from the
-        camera. ``turns`` (K,), rad: turn of the table in each.
-        """
+        """The pictures of a capture; ``orientation``: direction of the warp in the first view."""
         return np.stack([self.view(camera, orientation + turn) for turn in turns])

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 
-from common.types import DepthImage, Faces, Metres, Points, Radians, Turns, Views
+from common.types import DepthImage, Faces, Masks, Metres, Points, Radians, Turns, Views
 from data.render.cameras import Camera
 from data.render.rays import DepthRenderer
 from data.render.sensors import StructuredLight, load_sensor
@@ -31,42 +31,29 @@ _TRIES = 20  # places tried for each object
 
 @dataclass(frozen=True)
 class RawScene:
-    """Frames of a whole scene with the truth about it.
-
-    Attributes:
-        frames: 0 where the sensor measured nothing.
-        background: a frame without specimen.
-        cloth: (K, H, W) bool, pixels of the frames that show cloth.
-        clean: of the cloth alone, without noise.
-        orientation: direction of the warp in the first frame.
-        table: height of the table above the plate (negative).
-        column: radius of the column.
-    """
+    """Frames of a whole scene with the truth about it."""
 
     frames: Views
-    background: DepthImage
-    cloth: np.ndarray
-    clean: Views
+    background: DepthImage  # without specimen
+    cloth: Masks  # pixels of the frames that show cloth
+    clean: Views  # of the cloth alone, without noise
     camera: Camera
     turns: Turns
-    orientation: Radians
-    table: Metres
-    column: Metres
+    orientation: Radians  # direction of the warp in the first frame
+    table: Metres  # height above the plate (negative)
+    column: Metres  # radius
 
 
 def raw_scene(
     positions: Points, faces: Faces, rng: np.random.Generator, *, rig: Rig,
-    turns: Sequence[float], sensor: str = "smooth", clutter: str = "some",
-    setups: Setups | None = None, column: Metres | None = None,
+    turns: Turns, sensor: str = "smooth", clutter: str = "some", column: Metres | None = None,
 ) -> RawScene:
-    """Frames of a drape in a random scene, one for each of ``turns`` (K,), rad, of the table.
+    """Frames of a drape in a random scene, one for each turn of the table.
 
-    Args:
-        sensor: a name in ``configs/sensor``. clutter: one of :data:`CLUTTER`.
-        setups: distribution of the camera; None: ``configs/setup/real.yaml``.
-        column: radius of the column; None: random, 20 to 90 % of the plate's.
+    ``sensor``: a name in ``configs/sensor``; ``clutter``: one of :data:`CLUTTER`; ``column``: its
+    radius, random if None, 20 to 90 % of the plate's.
     """
-    camera = (setups or Setups.load()).camera(rng, rig)
+    camera = Setups.load().camera(rng, rig)
     orientation = float(rng.uniform(0, 2 * np.pi))
     clean = DepthRenderer(positions, faces).views(camera, orientation, turns)
     table, column_drawn = -rng.uniform(*TABLE), rng.uniform(0.2, 0.9) * rig.plate_radius
@@ -119,8 +106,8 @@ def _with_object(
     empty: DepthImage, clean: Views, camera: Camera, rig: Rig, table: Metres,
     rng: np.random.Generator,
 ) -> DepthImage:
-    """The empty scene with one more box or cylinder outside the cloth's reach that hides no cloth
-    in any view; unchanged if no such place is found.
+    """The empty scene with a box or cylinder outside the cloth's reach that hides no cloth in any
+    view; unchanged if there is no such place.
     """
     for _ in range(_TRIES):
         away, azimuth = rng.uniform(*_BESIDE), rng.uniform(-np.pi / 3, 4 / 3 * np.pi)
@@ -143,9 +130,9 @@ def _with_object(
 
 
 def _measured(
-    scene: Views, cloth: np.ndarray, empty: DepthImage, name: str, camera: Camera,
+    scene: Views, cloth: Masks, empty: DepthImage, name: str, camera: Camera,
     rng: np.random.Generator,
-) -> tuple[Views, np.ndarray, DepthImage]:
+) -> tuple[Views, Masks, DepthImage]:
     """Frames, the pixels in them that show cloth, and the empty scene, as the sensor gives them."""
     sensor, seed = load_sensor(name), int(rng.integers(2**63))
     # The empty scene is one of the capture's views, because the sensor's bias is that of a capture.

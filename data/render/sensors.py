@@ -3,14 +3,13 @@
 Structured light (Feng et al. 2022, section 5.2.2, which refers to Barron & Malik 2013 and Bohg et
 al. 2014): pixels are displaced by fractions of a pixel, and the disparity is noisy and quantised to
 1/8 pixel. In eighths of a pixel it is d = K/z, K = 8 f b = 351.3 m for the first Kinect (focal
-length f in pixels, baseline b in metres); at 0.53 m a step is 0.8 mm. Depth is not rounded to
-centimetres first, as in certain implementations, because that would destroy the shape of a drape.
-In addition: a small affine transform of each picture, as in the paper, and the 8-bit quantisation
-of the published captures for a part of the captures.
+length f in pixels, baseline b in metres). Depth is not rounded to centimetres first, as in certain
+implementations, because that would destroy the shape of a drape. In addition: a small affine
+transform of each picture, and the 8-bit steps of the published captures for a part of the captures.
 
 Time of flight, such as Azure Kinect or Orbbec Femto: the random error grows as the returned light,
 proportional to cos(incidence)/z², weakens; each capture has a bias and a scale; depth is missing or
-mixed at edges, at grazing incidence, and in a few pixels anywhere. Missing depth is 0.
+mixed at edges, at grazing incidence, and in a few pixels anywhere.
 """
 
 import math
@@ -37,8 +36,8 @@ EIGHT_BIT_STEP = 1 / 255  # m per count in the published captures
 REFERENCE_DISTANCE = 0.5  # m, of axial_mm
 MIN_COSINE = 0.05  # of the incidence; above 87 degrees a pixel's slope is not resolved
 EDGE_STEP = 0.02
-"""m; neighbours with a larger depth difference are on different folds. About twice the difference
-between neighbouring pixels on the steepest cloth that the rig's pictures resolve."""
+"""m, between neighbours on different folds: about twice the difference on the steepest cloth that
+the rig's pictures resolve."""
 
 
 class Sensor(Schema, ABC):
@@ -61,9 +60,7 @@ class Sensor(Schema, ABC):
 
     @abstractmethod
     def reach(self, size: int) -> float:
-        """Largest displacement of the silhouette, pixels, for pictures of ``size`` pixels (longer
-        side).
-        """
+        """Largest displacement of the silhouette, pixels, in pictures of ``size`` pixels."""
 
     @abstractmethod
     def window(
@@ -74,9 +71,7 @@ class Sensor(Schema, ABC):
 
 
 def cloth_window(views: torch.Tensor, reach: float) -> tuple[slice, slice]:
-    """Rows and columns that contain the cloth of all pictures (..., H, W) with ``reach`` pixels
-    around it.
-    """
+    """Rows and columns of the cloth of all pictures (..., H, W), and ``reach`` pixels around it."""
     cloth = (views > 0).flatten(0, -3).any(0)
     slices = []
     for axis in (1, 0):
@@ -87,9 +82,7 @@ def cloth_window(views: torch.Tensor, reach: float) -> tuple[slice, slice]:
 
 
 class StructuredLight(Sensor):
-    """Random displacement of pixels, and noisy, quantised disparity; see
-    ``configs/sensor/smooth.yaml``.
-    """
+    """Displaced pixels and noisy, quantised disparity; see ``configs/sensor/smooth.yaml``."""
 
     shift_px: Amount = 0.25
     shift_correlation_px: float = Field(6.0, ge=1)
@@ -108,7 +101,6 @@ class StructuredLight(Sensor):
         self, views: torch.Tensor, rows: slice, columns: slice, intrinsics: Intrinsics,
         generator: torch.Generator,
     ) -> torch.Tensor:
-        """See :meth:`Sensor.window`; the intrinsics are not needed."""
         coarse = torch.rand((*views.shape[:-3], 1, 1, 1), generator=generator)
         u, v = self._displaced(views, rows, columns, generator)
         # Background, depth 0, has infinite disparity and remains background.
@@ -153,17 +145,11 @@ def _interpolation(length: int, spacing: float) -> torch.Tensor:
 
 
 def remap_depth(depth: torch.Tensor, u: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
-    """Depth at the picture coordinates (u, v): bilinear on a surface, nearest at its silhouette.
+    """Depth (..., h, w) of pictures (..., H, W), m, at the coordinates (u, v): bilinear on a
+    surface, nearest at its silhouette; outside of a picture is background.
 
     The pixel nearest to (u, v) decides between cloth and background. Of the four pixels around
     (u, v), those within ``EDGE_STEP`` of its depth are interpolated with normalised weights.
-
-    Args:
-        depth: (..., H, W) float32 z-depth in metres, background 0.
-        u, v: columns and rows, broadcastable to (..., h, w); outside the picture is background.
-
-    Returns:
-        (..., h, w) float32 metres.
     """
     height, width = depth.shape[-2:]
     pictures = depth.shape[:-2]
@@ -204,8 +190,7 @@ def remap_depth(depth: torch.Tensor, u: torch.Tensor, v: torch.Tensor) -> torch.
 
 
 class TimeOfFlight(Sensor):
-    """Random and systematic errors of depth, and missing pixels; see ``configs/sensor/tof.yaml``.
-    """
+    """Errors of depth, and missing pixels; see ``configs/sensor/tof.yaml``."""
 
     axial_mm: Amount = 0.6
     signal_exponent: Amount = 0.5
@@ -234,7 +219,6 @@ class TimeOfFlight(Sensor):
         self, views: torch.Tensor, rows: slice, columns: slice, intrinsics: Intrinsics,
         generator: torch.Generator,
     ) -> torch.Tensor:
-        """See :meth:`Sensor.window`."""
         depth = views[..., rows, columns]
         capture = (*views.shape[:-3], 1, 1, 1)
         slope_u, slope_v, edge, other = _surroundings(depth)
@@ -246,7 +230,7 @@ class TimeOfFlight(Sensor):
         kept = torch.where(cosine < math.cos(math.radians(self.grazing_deg)),
                            kept * (1 - self._share(self.grazing_invalid)), kept)
         kept = kept * (1 - self._share(self.hole_percent / 100))
-        seen = (depth > 0) & (torch.rand(depth.shape, generator=generator) < kept)
+        measured = (depth > 0) & (torch.rand(depth.shape, generator=generator) < kept)
 
         blend = self._share(self.edge_blend) * torch.rand(depth.shape, generator=generator)
         mixed = torch.where(other > 0, depth + blend * (other - depth), depth)
@@ -258,7 +242,7 @@ class TimeOfFlight(Sensor):
         noisy = noisy + error
         if self.step_mm:
             noisy = (noisy / (self.step_mm * 1e-3)).round() * (self.step_mm * 1e-3)
-        return torch.where(seen, noisy.clamp(min=0), 0)
+        return torch.where(measured, noisy.clamp(min=0), 0)
 
     def _share(self, share: torch.Tensor | float) -> torch.Tensor | float:
         """A share of pixels multiplied by ``strength``, at most 1."""
@@ -269,13 +253,10 @@ class TimeOfFlight(Sensor):
 def _surroundings(
     depth: torch.Tensor,
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Slopes and edges from the four neighbours of each pixel of pictures (..., h, w).
+    """From the four neighbours of each pixel: slopes of the surface, m per column and per row, to
+    the one that differs less; whether it is at an edge; depth of the neighbour across it, or 0.
 
     Pixels outside the picture are unknown and do not make an edge.
-
-    Returns:
-        Slopes of the surface, m per column and m per row, from the neighbour that differs less;
-        whether the pixel is at an edge; depth of the neighbour across it, 0 for none.
     """
     padded = pad(depth, (1, 1, 1, 1), value=math.nan)
     edge = torch.zeros_like(depth, dtype=torch.bool)
@@ -350,9 +331,7 @@ def load_sensor(name: str = "smooth") -> Sensor:
 
 
 def sensor_from_config(config: Mapping) -> Sensor:
-    """Build from the mapping of a sensor file; InputError for an unknown model or setting, or a
-    value out of range.
-    """
+    """Build from the mapping of a sensor file."""
     settings = dict(config)
     name = settings.pop("model", "structured_light")
     if name not in MODELS:

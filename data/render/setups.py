@@ -27,19 +27,13 @@ REFERENCE_DISTANCE = 0.527
 @dataclass(frozen=True)
 class SyntheticCapture:
     """A capture as a user has it, with the true orientation and sensor, which a user does not know.
-
-    Attributes:
-        intrinsics: nominal, as stated in the capture.
-        turns: nominal ones.
-        orientation: true direction of the warp in the first view.
-        sensor: name of its file in ``configs/sensor``.
     """
 
     views: Views
-    intrinsics: Intrinsics
+    intrinsics: Intrinsics  # nominal, as the turns
     turns: Turns
-    orientation: Radians
-    sensor: str
+    orientation: Radians  # direction of the warp in the first view
+    sensor: str  # name of its file in configs/sensor
 
 
 class SetupFile(Schema):
@@ -72,9 +66,7 @@ class SetupFile(Schema):
 
 @dataclass(frozen=True)
 class Setups:
-    """Distribution of set-ups; SI units and radians, see ``configs/setup``. ``orientation`` is the
-    direction of the warp in the first view.
-    """
+    """Distribution of set-ups; SI units and radians, see ``configs/setup``."""
 
     views: tuple[float, ...]
     distance: tuple[float, float]
@@ -136,14 +128,11 @@ class Setups:
         focal = nominal.fx / size * ratio * rng.uniform(*self.fill)
         return replace(nominal, fx=focal, fy=focal, world_to_camera=pose)
 
-    def _cut_out(
-        self, noisy: Views, views: Views, camera: Camera, rng: np.random.Generator
-    ) -> None:
+    def _cut_out(self, noisy: Views, views: Views, camera: Camera,
+                 rng: np.random.Generator) -> None:
         """Remove, in place, parts of the cloth, as an imperfect cut-out does."""
         border = int(rng.integers(self.border + 1))
-        lowest = None
-        if rng.random() < self.hem_share:
-            lowest = self.hem * rng.random()
+        lowest = self.hem * rng.random() if rng.random() < self.hem_share else None
         for view, clean in zip(noisy, views, strict=True):
             cloth = view > 0
             if border:

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import trimesh
 
-from common.types import Faces, Metres, Points, Views
+from common.types import Faces, Metres, Points, Vector, Views
 from data.render.rays import RayScene
 from sim.mesh import vertex_normals
 
@@ -34,8 +34,7 @@ def shade(
     Args:
         plate_radius: of the cylinder; 0 for none.
         elevation: of the viewer, who looks towards +y, degrees; 90 looks straight down with +y up.
-        size: width and height, px.
-        field: width of the picture.
+        size, field: width and height, px; width of the picture.
         supersampling: rays along each side of a pixel.
     """
     floor = min(positions[:, 2].min(), -0.11) - 0.02
@@ -70,15 +69,13 @@ def shade(
     return (255 * np.clip(image, 0, 1) ** (1 / 2.2)).round().astype(np.uint8)
 
 
-def _view(elevation: float) -> tuple[np.ndarray, ...]:
-    """Unit vectors right, up and forward of the view, (3,) each."""
+def _view(elevation: float) -> tuple[Vector, Vector, Vector]:
+    """Directions right, up and forward of the view."""
     c, s = np.cos(np.radians(elevation)), np.sin(np.radians(elevation))
     return np.array([1.0, 0.0, 0.0]), np.array([0.0, s, c]), np.array([0.0, c, -s])
 
 
-def _illumination(
-    normal: np.ndarray, right: np.ndarray, up: np.ndarray, forward: np.ndarray
-) -> np.ndarray:
+def _illumination(normal: np.ndarray, right: Vector, up: Vector, forward: Vector) -> np.ndarray:
     """Light (N,) on normals (N, 3): lamps, fixed to the viewer, and ambient light."""
     light = _AMBIENT * (0.6 + 0.4 * normal[:, 2])
     for (x, y, z), strength in _LAMPS:
@@ -88,10 +85,9 @@ def _illumination(
 
 
 def _background(
-    starts: np.ndarray, forward: np.ndarray, floor: float, positions: np.ndarray
+    starts: np.ndarray, forward: Vector, floor: Metres, positions: Points
 ) -> np.ndarray:
-    """Background (H, W, 3), nearly white, with a soft round shadow on the floor if it is visible.
-    """
+    """Background (H, W, 3), nearly white, with a soft round shadow on a visible floor."""
     image = np.ones((*starts.shape[:2], 3)) * 0.93
     if forward[2] < -1e-3:
         reach = (floor - starts[..., 2]) / forward[2]

@@ -1,10 +1,8 @@
 """Priors of fabrics: distributions over theta, fitted to measured fabrics.
 
-A prior is a JSON file; its "kind" selects the class: one normal distribution, a variational
-autoencoder, or the fabrics of a table. Those in ``data/weights`` were fitted to the distinct
-fabrics published with Feng et al. 2022. To fit one to another table:
-
-    python -m data.fabrics.prior fit fabrics=FILE out=prior.json
+A prior is a JSON file; its "kind" selects the class. Those in ``data/weights`` were fitted to the
+distinct fabrics published with Feng et al. 2022; to fit one to another table:
+``python -m data.fabrics.prior fit fabrics=FILE out=prior.json``.
 """
 
 import base64
@@ -17,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
-from pydantic import Field, PlainValidator, TypeAdapter, ValidationError
+from pydantic import AfterValidator, Field, PlainValidator, TypeAdapter, ValidationError
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
@@ -43,13 +41,12 @@ _ROUNDING = 1e-14  # of the largest variance; smaller eigenvalues are rounding e
 
 
 def is_soft(theta: Theta) -> np.ndarray:
-    """Whether theta (..., 6) is a soft fabric."""
+    """Whether each fabric is soft, (...)."""
     return theta[..., :3].mean(axis=-1) < np.log(SOFT)
 
 
 class Stored:
-    """Base of dataclasses stored in JSON; annotations of fields validate them, see :func:`array`.
-    """
+    """Base of dataclasses in JSON; annotations of fields validate them, see :func:`array`."""
 
     def as_dict(self) -> dict:
         """All parameters, in JSON types."""
@@ -77,43 +74,37 @@ class Prior(Stored):
 Count = Annotated[int, Field(ge=0, strict=True)]
 
 
-def _valid(numbers: np.ndarray) -> str:
-    return ""
+def array(*shape: int | None) -> Any:
+    """Type of a field of finite numbers with a given shape, None for any length but 0."""
+    return Annotated[np.ndarray, PlainValidator(partial(_finite, shape))]
 
 
-def array(*shape: int | None, check: Callable[[np.ndarray], str] = _valid) -> Any:
-    """Type of a field of finite numbers with a given shape, None for any length.
-
-    ``check`` returns an error message, empty for valid numbers.
-    """
-    return Annotated[np.ndarray, PlainValidator(partial(_finite, shape, check))]
-
-
-def _finite(
-    shape: tuple[int | None, ...], check: Callable[[np.ndarray], str], content: object
-) -> np.ndarray:
+def _finite(shape: tuple[int | None, ...], content: object) -> np.ndarray:
     try:
         numbers = np.array(content, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
         numbers = np.array(np.nan)
-    if (numbers.ndim != len(shape) or not np.isfinite(numbers).all()
+    if (numbers.ndim != len(shape) or not numbers.size or not np.isfinite(numbers).all()
             or any(size not in (None, length) for size, length in
                    zip(shape, numbers.shape, strict=True))):
         raise ValueError(f"give {' × '.join(str(size or 'K') for size in shape)} finite numbers")
-    if wrong := check(numbers):
-        raise ValueError(wrong)
     return numbers
 
 
-def _wrong_covariance(covariance: np.ndarray) -> str:
-    """Error message unless a matrix is symmetric and, beyond rounding errors, positive definite."""
+def _definite(covariance: np.ndarray) -> bool:
+    """Whether a matrix is symmetric and, beyond rounding errors, positive definite."""
     variances = np.linalg.eigvalsh(covariance)
-    right = np.allclose(covariance, covariance.T) and variances[0] > _ROUNDING * variances[-1]
-    return "" if right else "the covariance must be symmetric and positive definite"
+    return np.allclose(covariance, covariance.T) and variances[0] > _ROUNDING * variances[-1]
+
+
+def _covariance(covariance: np.ndarray) -> np.ndarray:
+    if not _definite(covariance):
+        raise ValueError("the covariance must be symmetric and positive definite")
+    return covariance
 
 
 def require_fabrics(theta: Theta, least: int) -> None:
-    """InputError for fewer than ``least`` fabrics (F, 6)."""
+    """InputError for fewer than ``least`` fabrics."""
     if len(theta) < least:
         raise InputError(
             f"the table has {len(theta)} distinct fabrics; a prior needs at least {least}")
@@ -124,7 +115,7 @@ class GaussianPrior(Prior):
     """A normal distribution of theta, fitted to a number of ``fabrics``."""
 
     mean: array(6)
-    covariance: array(6, 6, check=_wrong_covariance)
+    covariance: Annotated[array(6, 6), AfterValidator(_covariance)]
     fabrics: Count
     kind: ClassVar[str] = "gaussian"
 
@@ -141,21 +132,18 @@ class GaussianPrior(Prior):
 
     @classmethod
     def fit(cls, theta: Theta) -> "GaussianPrior":
-        """Fit to distinct fabrics (F, 6), F > 6, with tails clipped at ``TAIL``; InputError for
-        fewer fabrics or a singular covariance.
-        """
+        """Fit to distinct fabrics, more than six, with tails clipped at ``TAIL``."""
         require_fabrics(theta, 7)
         low, high = np.quantile(theta, [cls.TAIL, 1 - cls.TAIL], axis=0)
         clipped = np.clip(theta, low, high)
         covariance = np.cov(clipped.T)
-        if _wrong_covariance(covariance):
+        if not _definite(covariance):
             raise InputError("the fabrics of the table do not differ in six numbers "
                              f"({', '.join(THETA_NAMES)}) independent of each other, as "
                              "model=gaussian needs; measure more, or other ones")
         return cls(clipped.mean(axis=0), covariance, len(theta))
 
     def sample(self, n: int, rng: np.random.Generator) -> Theta:
-        """See :meth:`Prior.sample`."""
         # Explicit factor: the factorisation in numpy's multivariate_normal may change.
         factor = np.linalg.cholesky(self.covariance)
         return self.mean + rng.standard_normal((n, 6)) @ factor.T
@@ -172,19 +160,17 @@ _TOLERANCE = 1e-9
 """Coordinates that differ by less are equal up to rounding."""
 
 
-def _compress(theta: np.ndarray) -> np.ndarray:
+def _compress(theta: Theta) -> np.ndarray:
     return np.concatenate([theta[..., :3], np.arcsinh(theta[..., 3:] / BEND)], axis=-1)
 
 
-def _expand(folded: np.ndarray) -> np.ndarray:
+def _expand(folded: np.ndarray) -> Theta:
     return np.concatenate([folded[..., :3], BEND * np.sinh(folded[..., 3:])], axis=-1)
 
 
-def plausible_range(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds (6,) and (6,) of theta, from theta (F, 6) of fabrics.
-
-    They are ``MAX_DEVIATIONS`` robust standard deviations from the medians. Clipping the fabrics to
-    the bounds does not change the bounds.
+def plausible_range(theta: Theta) -> tuple[Theta, Theta]:
+    """Bounds ``MAX_DEVIATIONS`` from the medians of fabrics; clipping to them leaves them as they
+    are.
     """
     folded = _compress(theta)
     middle = np.median(folded, axis=0)
@@ -192,39 +178,32 @@ def plausible_range(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return _expand(middle - reach), _expand(middle + reach)
 
 
-def _wrong_scale(scale: np.ndarray) -> str:
-    return "" if (scale > 0).all() else "scales must be positive"
+def _positive(scale: np.ndarray) -> np.ndarray:
+    if not (scale > 0).all():
+        raise ValueError("scales must be positive")
+    return scale
 
 
 @dataclass(frozen=True, eq=False)
 class Coordinates(Stored):
-    """Map between theta and the coordinates of an autoencoder, standardised to mean 0 and standard
-    deviation 1.
+    """Map between theta and the standardised coordinates (..., 6) of an autoencoder: log alpha, and
+    arcsinh of beta/alpha over ``BEND``, less ``mean`` (6,), over ``scale`` (6,).
 
     Bending ratios beta/alpha have a long tail (median -2.4 mm, lowest -17 mm), which arcsinh
     compresses smoothly across the sign of beta, and a few outliers, which are clipped before
     fitting.
-
-    Attributes:
-        mean: (6,) mean of (log alpha, arcsinh of beta/alpha over ``BEND``).
-        scale: (6,) standard deviation, positive.
     """
 
     mean: array(6)
-    scale: array(6, check=_wrong_scale)
+    scale: Annotated[array(6), AfterValidator(_positive)]
 
     def as_dict(self) -> dict:
         """All parameters, in JSON types, and the constant :data:`BEND`."""
         return {"bend": BEND} | super().as_dict()
 
     @classmethod
-    def fit(cls, theta: np.ndarray) -> tuple["Coordinates", np.ndarray]:
-        """Fit to theta (F, 6); return also its coordinates (F, 6), with outliers clipped.
-
-        Raises:
-            InputError: more than half of the fabrics have the same value of a parameter, so that
-                all others are outliers.
-        """
+    def fit(cls, theta: Theta) -> tuple["Coordinates", np.ndarray]:
+        """Fit to fabrics; return also their coordinates, with outliers clipped."""
         folded = _compress(np.clip(theta, *plausible_range(theta)))
         shared = np.flatnonzero(np.ptp(folded, axis=0) < _TOLERANCE)
         if len(shared):
@@ -233,12 +212,12 @@ class Coordinates(Stored):
         coordinates = cls(mean=folded.mean(axis=0), scale=folded.std(axis=0))
         return coordinates, (folded - coordinates.mean) / coordinates.scale
 
-    def encode(self, theta: np.ndarray) -> np.ndarray:
-        """Coordinates (..., 6) of theta (..., 6), without clipping."""
+    def encode(self, theta: Theta) -> np.ndarray:
+        """Coordinates of theta, without clipping."""
         return (_compress(np.asarray(theta, dtype=np.float64)) - self.mean) / self.scale
 
-    def decode(self, coordinates: np.ndarray) -> np.ndarray:
-        """theta (..., 6) of coordinates (..., 6)."""
+    def decode(self, coordinates: np.ndarray) -> Theta:
+        """Theta of coordinates."""
         return _expand(self.mean + self.scale * coordinates)
 
 
@@ -254,17 +233,10 @@ libraries differ in the last bits."""
 
 @dataclass(frozen=True)
 class Architecture:
-    """Layer sizes and training schedule of an autoencoder.
+    """Layer sizes and training schedule of an autoencoder."""
 
-    Attributes:
-        hidden: units of the encoder's layers; the decoder has the reverse order.
-        latent: number of latent variables.
-        steps: number of training steps.
-        learning_rate: initial learning rate of Adam.
-    """
-
-    hidden: tuple[int, ...]
-    latent: int
+    hidden: tuple[int, ...]  # units of the encoder's layers; the decoder has the reverse order
+    latent: int  # number of latent variables
     steps: int = 2000
     learning_rate: float = 2e-3
 
@@ -318,8 +290,10 @@ def _decoded(content: object) -> dict[str, np.ndarray]:
     return weights
 
 
-def _wrong_spread(spread: np.ndarray) -> str:
-    return "" if 0 < spread[0] <= spread[1] else "give two positive numbers in order"
+def _spread(spread: np.ndarray) -> np.ndarray:
+    if not 0 < spread[0] <= spread[1]:
+        raise ValueError("give two positive numbers in order")
+    return spread
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -331,27 +305,25 @@ class VaePrior(Prior):
     serves training. All but the training is NumPy in float64.
 
     Attributes:
-        coordinates: of its input and output.
-        shift: every latent variable of a sample has a mean drawn from [-shift, shift] ...
-        spread: ... and a standard deviation drawn from this range (section 5.1.3, last
-            paragraph), so that samples extend beyond the measured fabrics.
-        fabrics: number of fabrics it was fitted to.
-        weights: "encoder.K.weight" (out, in) and "encoder.K.bias" (out,) of its layers K = 0,
-            1, ..., the last of which gives the mean and the log variance of z (2 L); the same for
-            "decoder", which ends in means and sigmas (12). Float32, with tanh between layers.
+        shift, spread: each latent variable of a sample has a mean from [-shift, shift] and a
+            standard deviation from the range ``spread`` (section 5.1.3, last paragraph), so that
+            samples extend beyond the ``fabrics`` it was fitted to.
+        weights: "encoder.K.weight" (out, in) and "encoder.K.bias" (out,) of its layers K = 0, 1,
+            ..., which end in the mean and the log variance of z (2 L); the same for "decoder",
+            which ends in means and sigmas (12).
     """
 
     coordinates: Coordinates
     shift: Annotated[float, Field(ge=0, le=1e6, strict=True)] = 0.5
-    spread: array(2, check=_wrong_spread) = (0.8, 1.2)
+    spread: Annotated[array(2), AfterValidator(_spread)] = (0.8, 1.2)
     fabrics: Count
     weights: Annotated[dict[str, np.ndarray], PlainValidator(_decoded)] = field(repr=False)
     kind: ClassVar[str] = "vae"
 
     @classmethod
-    def fit(cls, theta: np.ndarray, *, architecture: Architecture = ARCHITECTURES["vae4"],
+    def fit(cls, theta: Theta, *, architecture: Architecture = ARCHITECTURES["vae4"],
             seed: int = 0) -> "VaePrior":
-        """Train on the distinct fabrics theta (F, 6); ``seed`` as in :func:`train`."""
+        """Train on distinct fabrics."""
         require_fabrics(theta, 20)
         coordinates, points = Coordinates.fit(theta)
         return cls(coordinates=coordinates, fabrics=len(theta),
@@ -359,12 +331,12 @@ class VaePrior(Prior):
 
     @cached_property
     def encoder(self) -> Layers:
-        """Weight and bias of each layer, float64."""
+        """Weight and bias of each layer."""
         return _layers(self.weights, "encoder")
 
     @cached_property
     def decoder(self) -> Layers:
-        """Weight and bias of each layer, float64."""
+        """Weight and bias of each layer."""
         return _layers(self.weights, "decoder")
 
     @property
@@ -373,7 +345,6 @@ class VaePrior(Prior):
         return self.decoder[0][0].shape[1]
 
     def sample(self, n: int, rng: np.random.Generator) -> Theta:
-        """See :meth:`Prior.sample`; from the widened latent distribution."""
         points = np.empty((n, 6))
         for point in points:  # one by one, so that the first samples do not depend on n
             # abs: NumPy refuses the range from 0.0 to -0.0.
@@ -384,7 +355,7 @@ class VaePrior(Prior):
         return np.round(self.coordinates.decode(points), DECIMALS)
 
     def likelihood(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Mean and log sigma (..., 6) of the coordinates for latent variables (..., L)."""
+        """Mean and log sigma of the coordinates (..., 6) for latent variables (..., L)."""
         middle, output = np.split(run_layers(self.decoder, z), 2, axis=-1)
         return middle, SIGMA_MIDDLE + SIGMA_REACH * np.tanh(output)
 
@@ -394,19 +365,14 @@ class VaePrior(Prior):
             "weights": base64.b64encode(save(self.weights)).decode("ascii")}
 
 
-def _wrong_table(theta: np.ndarray) -> str:
-    return "" if len(theta) else "give at least one fabric"
-
-
 @dataclass(frozen=True, eq=False)
 class TablePrior(Prior):
-    """``theta`` (F, 6) of measured fabrics, equally probable, for the evaluation of estimators."""
+    """Measured fabrics, equally probable, for the evaluation of estimators."""
 
-    theta: array(None, 6, check=_wrong_table)
+    theta: array(None, 6)
     kind: ClassVar[str] = "table"
 
     def sample(self, n: int, rng: np.random.Generator) -> Theta:
-        """See :meth:`Prior.sample`; with repetition."""
         return self.theta[rng.integers(len(self.theta), size=n)]
 
 
@@ -417,8 +383,7 @@ MODELS: dict[str, Callable[[Theta], Prior]] = {
     **{name: partial(VaePrior.fit, architecture=architecture)
        for name, architecture in ARCHITECTURES.items()},
 }
-"""Functions that fit each model to distinct fabrics (F, 6): the autoencoders of Table 1 of Feng et
-al. 2022, and the Gaussian."""
+"""Functions that fit each model to distinct fabrics."""
 
 
 def prior_content(prior: Prior) -> dict:
@@ -458,26 +423,15 @@ def save_prior(prior: Prior, path: str | Path) -> None:
 
 
 def load_prior(name: str | Path) -> Prior:
-    """Read a prior: one of :data:`BUNDLED` by name, or a file.
-
-    Raises:
-        InputError: no such file, or not a prior.
-    """
+    """Read a prior: one of :data:`BUNDLED` by name, or a file."""
     path = WEIGHTS / f"{name}.json" if name in BUNDLED else Path(name)
     remedy = f"give the file of a prior; the bundled ones are {', '.join(BUNDLED)}"
     return prior_from_content(read_json(path, remedy=remedy), origin=str(path))
 
 
 def sample_admissible(prior: Prior, rng: np.random.Generator) -> tuple[Theta, int]:
-    """Draw theta (6,) until its moduli are admissible; return also the number of rejected samples.
-
-    Moduli are admissible if the plate is stable: linear moduli are positive, so that alpha by Feng
-    et al. 2022, Eq. 8, is positive in all directions, and the bias modulus is above
-    :func:`sim.material.bias_limit`. The torque is then positive at every curvature, because the law
-    departs from the parabola before its peak (:func:`sim.material.torque`).
-
-    Raises:
-        InputError: none of the first ``MAX_TRIES`` samples is admissible.
+    """Draw a fabric until it is admissible (:func:`sim.material.is_admissible`); return also the
+    number of rejected samples.
     """
     for rejected in range(MAX_TRIES):
         theta = prior.sample(1, rng)[0]
@@ -487,16 +441,19 @@ def sample_admissible(prior: Prior, rng: np.random.Generator) -> tuple[Theta, in
                      "to more fabrics")
 
 
+def admissible_samples(prior: Prior, count: int) -> tuple[Theta, float]:
+    """``count`` fabrics by a fixed seed, and the share of rejected samples."""
+    rng = np.random.default_rng(0)
+    theta, rejected = zip(*(sample_admissible(prior, rng) for _ in range(count)), strict=True)
+    return np.array(theta), sum(rejected) / (sum(rejected) + count)
+
+
 def train(points: np.ndarray, architecture: Architecture, seed: int) -> dict[str, np.ndarray]:
     """Train an autoencoder (see :class:`VaePrior`) on points (F, 6); return its weights.
 
     Adam maximises the importance-weighted bound on the likelihood with ``DRAWS`` latent vectors per
     fabric (Burda, Grosse and Salakhutdinov 2016); with one, the usual bound, more latent variables
-    collapse. The weight of the ratio of p(z) to q(z | fabric) rises from 0 to 1, and the learning
-    rate follows a cosine.
-
-    Args:
-        seed: of initial weights, batches and all noise.
+    collapse. The weight of the ratio of p(z) to q(z | fabric) rises from 0 to 1.
     """
     import torch  # imported late: reading and sampling do not need it
 

@@ -18,7 +18,7 @@ from common.command import command, commands
 from common.errors import InputError
 from common.files import require_file
 from data.fabrics.fabrics import read_fabric_table
-from data.fabrics.prior import MODELS, sample_admissible, save_prior
+from data.fabrics.prior import MODELS, admissible_samples, save_prior
 
 SAMPLES = 1000  # for the printed quantiles
 
@@ -45,13 +45,10 @@ def fit(config: FitConfig) -> None:
     prior = MODELS[config.model](table.theta)
     seconds = time.perf_counter() - start
     # Sampled before saving: a prior without admissible samples must not replace a valid file.
-    rng = np.random.default_rng(0)
-    draws = [sample_admissible(prior, rng) for _ in range(SAMPLES)]
+    theta, rejected = admissible_samples(prior, SAMPLES)
     save_prior(prior, config.out)
     print(f"{len(table)} distinct fabrics in {int(table.multiplicity.sum())} rows, "
           f"{config.model} fitted in {seconds:.0f} s")
-    theta = np.array([draw for draw, _ in draws])
-    rejected = sum(count for _, count in draws)
     print(f"{'median and 90 % range':28}{'table':>26}{'samples':>26}")
     for k, direction in enumerate(("warp", "bias", "weft")):
         print(f"alpha {direction}, µN·m         " + "".join(
@@ -59,8 +56,7 @@ def fit(config: FitConfig) -> None:
     for k, direction in enumerate(("warp", "bias", "weft")):
         print(f"beta/alpha {direction}, mm      " + "".join(
             _range(values[:, 3 + k] * 1e3) for values in (table.theta, theta)))
-    print(f"{rejected / (SAMPLES + rejected):.1%} of the samples are no possible fabric and are "
-          "drawn again")
+    print(f"{rejected:.1%} of the samples are no possible fabric and are drawn again")
     print(f"written to {config.out}; use it: python -m data.dataset.generate "
           f"prior.file={config.out}")
 
