@@ -129,9 +129,9 @@ def bundled(rig: Rig) -> Path:
     folder = Path(__file__).parents[1] / "weights"
     path = folder / f"{rig.name}.safetensors"
     if not path.exists():
-        known = " and ".join(sorted(file.stem for file in folder.glob("*.safetensors")))
+        testers = " and ".join(sorted(file.stem for file in folder.glob("*.safetensors")))
         raise InputError(f"no network is bundled for the tester {rig.name}; the bundled networks "
-                         f"know {known}: give checkpoint=FILE of a network of this tester "
+                         f"know {testers}: give checkpoint=FILE of a network of this tester "
                          "(python train.py trains one)")
     return path
 

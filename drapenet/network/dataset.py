@@ -141,9 +141,9 @@ def maps_of_shard(
                                           capture.orientation - maps[-1].zero,
                                           len(capture.views), step.any()), strict=True):
                 rows[name].append(value)
-    many = np.repeat(converged, captures)
+    repeated = np.repeat(converged, captures)
     return Maps(*compressed(maps), **{name: np.array(values) for name, values in rows.items()},
-                **{name: table[name][many] for name in ("fabric", "index")})
+                **{name: table[name][repeated] for name in ("fabric", "index")})
 
 
 def drape_derivatives(
@@ -176,6 +176,6 @@ def neighbour(theta: Theta, fabrics: Theta, rng: np.random.Generator) -> np.ndar
     """
     far = np.sqrt(1 - NEIGHBOUR_CORRELATION**2)
     middle = fabrics.mean(axis=0)
-    other = fabrics[rng.integers(len(fabrics))]
-    return np.append((NEIGHBOUR_CORRELATION - 1) * (theta - middle) + far * (other - middle),
+    target = fabrics[rng.integers(len(fabrics))]
+    return np.append((NEIGHBOUR_CORRELATION - 1) * (theta - middle) + far * (target - middle),
                      far * _MEMBRANE * rng.standard_normal())

@@ -82,16 +82,16 @@ def datasets(base: DatasetConfig) -> dict[str, DatasetConfig]:
     """Configurations of the matrix's datasets, derived from ``base``, drapes as trained on."""
     real = base.sampling.nuisances
     middle = float(np.sqrt(np.prod(real.membrane)))
-    few = replace(base, drapes=-(-base.drapes // REDUCTION))
+    smaller = replace(base, drapes=-(-base.drapes // REDUCTION))
 
-    def other(nuisances: NuisanceConfig) -> DatasetConfig:
-        return replace(few, sampling=replace(base.sampling, nuisances=nuisances))
+    def with_nuisances(nuisances: NuisanceConfig) -> DatasetConfig:
+        return replace(smaller, sampling=replace(base.sampling, nuisances=nuisances))
 
     return {
         "as trained": base,
-        "none": other(NuisanceConfig()),
-        "finer mesh": replace(few, edge=_FINE_EDGE),
-        **{f"membrane {sign} 3": other(replace(real, membrane=(value, value)))
+        "none": with_nuisances(NuisanceConfig()),
+        "finer mesh": replace(smaller, edge=_FINE_EDGE),
+        **{f"membrane {sign} 3": with_nuisances(replace(real, membrane=(value, value)))
            for sign, value in (("x", 3 * middle), ("/", middle / 3))},
     }
 

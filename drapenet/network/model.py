@@ -35,10 +35,10 @@ def compressed(maps: list[RadialMap]) -> tuple[np.ndarray, np.ndarray]:
 
 def known_of(views: torch.Tensor, membrane: torch.Tensor) -> torch.Tensor:
     """(N, KNOWN) scalar inputs: numbers of views, and N/m along the yarns, NaN if unknown."""
-    given, value = torch.isfinite(membrane), torch.log(membrane / _MEMBRANE)
+    finite, value = torch.isfinite(membrane), torch.log(membrane / _MEMBRANE)
     constants = [torch.full(views.shape, number) for number in _NO_FRICTION]
-    return torch.stack([views.float() / 4 - 1, given.float(),
-                        torch.where(given, value, 0.0).float(), *constants], dim=1)
+    return torch.stack([views.float() / 4 - 1, finite.float(),
+                        torch.where(finite, value, 0.0).float(), *constants], dim=1)
 
 
 @dataclass(frozen=True)

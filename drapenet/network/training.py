@@ -64,9 +64,9 @@ class CaptureSet:
 
     def network(self, config: ModelConfig) -> dict:
         """Arguments of :class:`drapenet.network.model.MapNet` for these captures."""
-        few = self.maps.distance[:: -(-len(self) // _MEAN_SAMPLE)].astype(np.float32)
+        sample = self.maps.distance[:: -(-len(self) // _MEAN_SAMPLE)].astype(np.float32)
         return {**asdict(config), "targets": self.targets.shape[1],
-                "distance": round(float(few.mean()), 4), "spread": round(float(few.std()), 4)}
+                "distance": round(float(sample.mean()), 4), "spread": round(float(sample.std()), 4)}
 
     def batch(
         self, rows: np.ndarray, *, revealed: np.ndarray, symmetry: Symmetry | None = None
@@ -116,8 +116,8 @@ def open_captures(config: TrainConfig) -> tuple[CaptureSet, CaptureSet, dict]:
                          f"{config.optim.batch_size} (optim.batch_size) and 1: generate more "
                          "drapes, lower optim.batch_size or change "
                          f"validation_fraction={config.validation_fraction:g}")
-    known = CaptureSet(training, disc=disc)
-    return known, CaptureSet(unseen, disc=disc, scale=known.scale), manifest
+    captures = CaptureSet(training, disc=disc)
+    return captures, CaptureSet(unseen, disc=disc, scale=captures.scale), manifest
 
 
 def learning_rate(optim: OptimConfig, progress: float) -> float:

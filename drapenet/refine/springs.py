@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from common.types import Metres, Points
-from drapenet.refine.laid import surface_positions
+from drapenet.refine.placement import surface_positions
 from sim.cloth import Cloth, Laws
 from sim.drape import Drape
 from sim.energies.base import Energy

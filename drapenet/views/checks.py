@@ -148,8 +148,8 @@ def _turn_readings(stated: Turns) -> dict[str, Turns]:
                          ] = swapped - swapped[0]
     distinct: dict[str, Turns] = {}
     for reading, turns in readings.items():  # four quarter turns backwards: views 1, 3 swapped
-        if not any(np.allclose(np.exp(1j * turns), np.exp(1j * other))
-                   for other in distinct.values()):
+        if not any(np.allclose(np.exp(1j * turns), np.exp(1j * former))
+                   for former in distinct.values()):
             distinct[reading] = turns
     return distinct
 

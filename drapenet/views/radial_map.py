@@ -52,11 +52,11 @@ def drape_coefficient(drape: RadialMap, rig: Rig) -> float:
     borders = elevations(rig)
     flat = drape.distance * np.cos((borders[1:] + borders[:-1]) / 2)
     radius = np.where(drape.weight > 0, flat, 0.0).max(axis=1)
-    seen = np.flatnonzero(radius > 0)
-    if len(seen) < AZIMUTHS / 2:
+    visible = np.flatnonzero(radius > 0)
+    if len(visible) < AZIMUTHS / 2:
         return np.nan
     # Centres of border pixels are half a pixel inside the hem.
-    radius = np.interp(np.arange(AZIMUTHS), seen, radius[seen], period=AZIMUTHS) + PIXEL / 2
+    radius = np.interp(np.arange(AZIMUTHS), visible, radius[visible], period=AZIMUTHS) + PIXEL / 2
     plate = np.pi * rig.plate_radius**2
     area = np.pi * np.square(np.maximum(radius, rig.plate_radius)).mean()
     return float((area - plate) / (rig.specimen_area - plate))
@@ -72,12 +72,12 @@ def side_direction(distance: np.ndarray, weight: np.ndarray, rig: Rig) -> float:
     height = (borders[1:] + borders[:-1]) / 2
     radius, up = distance * np.cos(height), distance * np.sin(height)
     steps = np.hypot(np.diff(radius, axis=1), np.diff(up, axis=1))
-    seen = weight > 0
-    hem = np.where(seen.any(axis=1), seen.argmax(axis=1), ELEVATIONS)
+    visible = weight > 0
+    hem = np.where(visible.any(axis=1), visible.argmax(axis=1), ELEVATIONS)
     below = np.arange(ELEVATIONS) >= hem[:, None]
     lengths = (steps * below[:, :-1]).sum(axis=1)
     # Lengths are unreliable where little of a line is visible.
-    trust = ((seen & below).sum(axis=1) / np.maximum(below.sum(axis=1), 1)) ** 2 + 1e-3
+    trust = ((visible & below).sum(axis=1) / np.maximum(below.sum(axis=1), 1)) ** 2 + 1e-3
     azimuth = 2 * np.pi * (np.arange(AZIMUTHS) + 0.5) / AZIMUTHS
     sides = np.radians(np.arange(0.0, 90.0))
     direction = azimuth - sides[:, None]

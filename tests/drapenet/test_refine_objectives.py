@@ -9,12 +9,12 @@ import pytest
 from data.render.cameras import Camera, nominal_camera
 from data.render.rays import QUARTERS, DepthRenderer
 from drapenet.refine.depth import BORDER, EDGE, FOCAL, POSE, DepthViews, DepthWeights, table_names
-from drapenet.refine.laid import surface_positions
 from drapenet.refine.objective import (
     fit_nuisances,
     huber,
     value,
 )
+from drapenet.refine.placement import surface_positions
 from drapenet.views.located import LocatedViews
 from sim.mesh import grid_faces
 from sim.rig import Rig
