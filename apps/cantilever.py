@@ -75,9 +75,8 @@ def print_strips(config: HangConfig) -> None:
         raise InputError("gamma= needs a number, such as gamma=10")
     for gamma in config.gamma:
         if not 0 < gamma <= MAX_SIMULATED_GAMMA:
-            raise InputError(
-                f"gamma={gamma:g} must lie above 0 and not above {MAX_SIMULATED_GAMMA:g}"
-            )
+            raise InputError(f"gamma={gamma:g} must lie above 0 and not above "
+                             f"{MAX_SIMULATED_GAMMA:g}")
     out = Path(config.out) if config.out else None
     if out:
         require_file(out)
@@ -140,7 +139,7 @@ def moduli(strips: Strips, config: EstimateConfig) -> dict:
         "slope": float(np.radians(config.slope)),
         "degree": config.degree,
     }
-    found = estimate_moduli(strips, **options)
+    estimates = estimate_moduli(strips, **options)
     rows = {
         direction: {
             "alpha_uN_m": e.alpha / MICRO,
@@ -150,11 +149,11 @@ def moduli(strips: Strips, config: EstimateConfig) -> dict:
             "largest_reduced_curvature": -e.beta / e.alpha * e.curvature,
             "beta_found": not e.bounded,
         }
-        for direction, e in found.items()
+        for direction, e in estimates.items()
     }
     if config.rounds:
         width = 1e-3 * config.width
-        fabric = correct(strips, found, rounds=config.rounds, width=width, **options)
+        fabric = correct(strips, estimates, rounds=config.rounds, width=width, **options)
         for k, direction in enumerate(DIRECTIONS):
             rows[direction]["alpha_uN_m"] = float(fabric.alpha[k] / MICRO)
             rows[direction]["beta_nN_m2"] = float(fabric.beta[k] / NANO)
@@ -162,7 +161,7 @@ def moduli(strips: Strips, config: EstimateConfig) -> dict:
     for direction, row in rows.items():
         print(f"{direction:6}{row['alpha_uN_m']:12.3g}{row['beta_nN_m2']:12.3g}"
               f"{100 * row['misfit']:10.2f}{row['largest_reduced_curvature']:15.2f}")
-    for direction in (direction for direction, e in found.items() if e.bounded):
+    for direction in (direction for direction, e in estimates.items() if e.bounded):
         print(f"{direction}: beta/alpha is at a limit of its search, {RATIO_RANGE[0]:g} to "
               f"{RATIO_RANGE[1]:g} m; these curves do not determine beta")
     return {"rounds": config.rounds, "moduli": rows}
@@ -173,18 +172,18 @@ def torque_curves(strips: Strips, config: EstimateConfig) -> dict:
     if config.slope or config.rounds:
         raise InputError("method=spline needs a level clamp and rounds=0")
     rows = {}
-    for direction, curves in strips.items():
-        found = fit_torque_curve(curves, weight=1e-3 * config.density * GRAVITY,
+    for direction, measured in strips.items():
+        curve = fit_torque_curve(measured, weight=1e-3 * config.density * GRAVITY,
                                  knots=config.knots, degree=config.degree)
         rows[direction] = {
-            "curvature_1_m": found.curvature.tolist(),
-            "torque_mN": (1e3 * found.torque).tolist(),
-            "misfit": found.misfit,
-            "largest_curvature_1_m": found.reached,
+            "curvature_1_m": curve.curvature.tolist(),
+            "torque_mN": (1e3 * curve.torque).tolist(),
+            "misfit": curve.misfit,
+            "largest_curvature_1_m": curve.reached,
         }
-        print(f"{direction}: misfit {100 * found.misfit:.2f} %, bent up to {found.reached:.0f} 1/m")
-        print(f"  curvature 1/m {''.join(f'{k:9.1f}' for k in found.curvature)}")
-        print(f"  torque mN     {''.join(f'{1e3 * m:9.4f}' for m in found.torque)}")
+        print(f"{direction}: misfit {100 * curve.misfit:.2f} %, bent up to {curve.reached:.0f} 1/m")
+        print(f"  curvature 1/m {''.join(f'{k:9.1f}' for k in curve.curvature)}")
+        print(f"  torque mN     {''.join(f'{1e3 * m:9.4f}' for m in curve.torque)}")
     return {"torque_curves": rows}
 
 

@@ -43,11 +43,8 @@ def main(config: DrapeConfig) -> None:
     if len(config.offset) != 2:
         raise InputError(f"offset={config.offset} has {len(config.offset)} values; give two in mm, "
                          "along warp and along weft")
-    fabric = Fabric(
-        alpha=np.array(config.alpha) * MICRO,
-        beta=np.array(config.beta) * NANO,
-        density=config.density * 1e-3,
-    )
+    fabric = Fabric(np.array(config.alpha) * MICRO, np.array(config.beta) * NANO,
+                    config.density * 1e-3)
     require_folder(folder)
     result = drape(
         fabric,
@@ -71,10 +68,7 @@ def main(config: DrapeConfig) -> None:
 
 
 def summarise(result: Drape, config: DrapeConfig) -> dict:
-    """Contents of drape.json: parameters, status and measures; units are in the keys.
-
-    Measures that refer to a plate are None on a rig without one.
-    """
+    """Contents of drape.json: parameters, status and measures; None where they need a plate."""
     from sim.measures import drape_coefficient, fold_count, max_penetration, maximum_stretch
 
     positions, faces, rig = result.positions, result.faces, result.rig
@@ -83,8 +77,7 @@ def summarise(result: Drape, config: DrapeConfig) -> dict:
             "alpha_uN_m": dict(zip(DIRECTIONS, config.alpha, strict=True)),
             "beta_nN_m2": dict(zip(DIRECTIONS, config.beta, strict=True)),
             "density_g_m2": config.density,
-            **{key: getattr(config, key)
-               for key in ("rig", "borrow", "seed")},
+            **{key: getattr(config, key) for key in ("rig", "borrow", "seed")},
             "start": None if config.borrow else config.start,
             "edge_mm": round(1e3 * result.edge, 6),
             "offset_mm": config.offset,
@@ -106,12 +99,8 @@ def summarise(result: Drape, config: DrapeConfig) -> dict:
 
 
 def write(folder: Path, result: Drape, summary: dict) -> None:
-    """Write drape.ply, drape.png, drape.json and drape.npz, each atomically.
-
-    Values that are not finite are null in JSON.
-    """
-    # Imported here, because they are slow to load.
-    import cv2
+    """Write drape.ply, drape.png, drape.json and drape.npz, each atomically."""
+    import cv2  # slow to load, as the next
     import trimesh
 
     from data.render.shade import shade

@@ -12,23 +12,20 @@ import numpy as np
 from common.documents import read_arrays
 from common.errors import InputError
 from common.files import replace_file
+from common.types import Points, RestPoints
 from sim.drape import Drape
 
 
 def write_drape(path: Path, result: Drape) -> None:
-    """Write ``result`` to ``path`` atomically; InputError if the file cannot be written."""
+    """Write ``result`` to ``path`` atomically."""
     buffer = io.BytesIO()
     np.savez_compressed(buffer, rest=result.rest, positions=result.positions, faces=result.faces,
                         held=result.held)
     replace_file(path, buffer.getvalue())
 
 
-def read_borrowed(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Rest points (V, 2) and positions (V, 3), m, of the drape in a file.
-
-    Raises:
-        InputError: the file cannot be read or has another format.
-    """
+def read_borrowed(path: Path) -> tuple[RestPoints, Points]:
+    """Rest points and positions of the drape in a file."""
     expected = "a drape.npz with rest and positions"
     arrays = read_arrays(path, ("rest", "positions"), expected=expected)
     rest, positions = arrays["rest"], arrays["positions"]

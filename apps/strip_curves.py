@@ -6,6 +6,7 @@ import numpy as np
 
 from common.documents import read_table
 from common.errors import InputError
+from common.types import DeflectionCurve
 
 COLUMNS = ("x_mm", "y_mm")
 MIN_POINTS = 12
@@ -16,16 +17,11 @@ MIN_UPWARD_BEND = 0.05
 of a nearly straight strip are smaller."""
 
 
-def read_curve(path: str | Path) -> np.ndarray:
-    """Read a curve (N, 2), m, from a CSV file whose header names the columns x_mm and y_mm.
+def read_curve(path: str | Path) -> DeflectionCurve:
+    """Read a curve from a CSV file whose header names the columns x_mm and y_mm.
 
     The first row is the clamp's edge, the last the free end. The signs of both axes are arbitrary,
     because a strip extends away from its clamp and hangs below it.
-
-    Raises:
-        InputError: no such file, no such columns, a cell that is not a number, too few points,
-            points out of order or listed from the free end, or not the size and shape of a
-            hanging strip.
     """
     path = Path(path)
     header, rows = read_table(path, "deflection curve", MAX_FILE_SIZE)
@@ -45,12 +41,9 @@ def read_curve(path: str | Path) -> np.ndarray:
         raise InputError(f"{path}: {error}") from None
 
 
-def oriented_curve(points: np.ndarray) -> np.ndarray:
-    """Translate a curve (N, 2), m, to start at 0, and reflect it for positive reach and drop.
-
-    Raises:
-        InputError: as for :func:`read_curve`.
-    """
+def oriented_curve(points: np.ndarray) -> DeflectionCurve:
+    """The curve through ``points`` (N, 2), m, moved to start at 0, with positive reach and drop;
+    InputError unless it has the size and shape of a hanging strip."""
     if (places := len(np.unique(points, axis=0))) < MIN_POINTS:
         raise InputError(f"the curve has {places} different points; give at least "
                          f"{MIN_POINTS}")
@@ -76,11 +69,8 @@ def oriented_curve(points: np.ndarray) -> np.ndarray:
     return curve
 
 
-def _bends_up(curve: np.ndarray) -> bool:
-    """Whether a curve (N, 2) of positive reach and drop significantly bends up.
-
-    The weight bends a strip down; a curve listed from the free end to the clamp bends up.
-    """
+def _bends_up(curve: DeflectionCurve) -> bool:
+    """Whether a curve significantly bends up, as one listed from the free end to the clamp."""
     x, y = curve[-1] / np.linalg.norm(curve[-1]) ** 2
     along, below = curve @ [x, y], curve @ [-y, x]
     (bend, _, _), covariance = np.polyfit(along, below, 2, cov=True)

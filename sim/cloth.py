@@ -22,8 +22,8 @@ from sim.solver.potential import Potential
 
 
 class Law(Protocol):
-    """Creates an energy of a cloth on a mesh: a bending law, or a user-defined one. A drape is
-    solved on several meshes and calls the law for each, so it must not store a mesh."""
+    """Creates an energy of a cloth on a mesh: a bending law, or a user-defined one. It is called
+    for each of several meshes, so it must not store one."""
 
     def __call__(self, mesh: Mesh, active: FaceMask, *, fabric: Fabric) -> Energy:
         """The energy of the active triangles of ``mesh``; ``fabric`` is scaled to the reference
@@ -146,11 +146,9 @@ class Cloth:
 
 
 def _contact(scene: Scene, obstacle: Cylinder, pressure: float) -> list[ObstacleContact]:
-    """Contact energies at the free vertices and at the midpoints of the edges.
-
-    Edges between touching vertices cut through a convex obstacle; points twice as dense reduce
-    the penetration to a quarter. Areas are those of the mesh refined by these points.
-    """
+    """Contact energies at the free vertices and at the midpoints of the edges: points twice as
+    dense reduce the penetration, of edges between touching vertices, to a quarter. Areas are those
+    of the mesh refined by these points."""
     mesh = scene.mesh
     free = ~scene.held
     around = np.bincount(mesh.face_edges.ravel(), np.repeat(mesh.areas, 3),

@@ -55,17 +55,12 @@ class Drape(Equilibrium):
 
     The origin is on the plate's axis, without a plate at the specimen's centre; z points up
     (:class:`sim.rig.Rig`). Iterations and CPU seconds of ``outcome`` are those on all meshes.
-
-    Attributes:
-        fabric, rig: as given.
-        edge: edge length at the rim, m.
-        coarse: statuses of the minimisations on coarser meshes, coarsest first.
     """
 
     fabric: Fabric
     rig: Rig
-    edge: Metres
-    coarse: tuple[Status, ...] = ()
+    edge: Metres  # at the rim
+    coarse: tuple[Status, ...] = ()  # on coarser meshes, coarsest first
 
     @property
     def scene(self) -> Scene:
@@ -139,13 +134,10 @@ def drape(
     offset: tuple[float, float] = (0.0, 0.0), laws: Laws | None = None,
     options: NewtonOptions | None = None
 ) -> Drape:
-    """Simulate the drape of ``fabric`` on ``rig``, from a coarse mesh to the final one.
-
-    Only its moduli over its density affect the drape, whose ``status`` gives the outcome; only
-    invalid parameters raise an InputError.
+    """Simulate the drape of ``fabric`` on ``rig`` (None: the square on its cylinder), from a coarse
+    mesh to the final one. Only invalid parameters raise an InputError.
 
     Args:
-        rig: specimen and its holder; None for the square on its cylinder.
         edge: edge length at the plate's rim of the final mesh; None chooses it by the fabric
             (:func:`sim.mesh.specimen.default_edge`).
         start: "lowered" (:mod:`sim.lowering`), or an initial shape (:data:`sim.start.STARTS`);
@@ -154,7 +146,6 @@ def drape(
             drape on the same rig, on a mesh fine enough for its folds.
         seed: of the start; modulo :data:`sim.mesh.specimen.TOPOLOGIES`, the triangulation.
         offset: (2,) m, specimen's centre from the plate's axis, along warp and weft.
-        laws: bending law, membrane and user-defined energies; evaluated for every mesh.
         options: stopping criteria of the final minimisation.
     """
     rig, laws = rig or Rig(), laws or Laws()
@@ -213,8 +204,8 @@ class _Run:
         self, scenes: list[Scene], laws: Laws, *, before: Equilibrium | None = None, **first: Any
     ) -> tuple[Equilibrium, list[Status]]:
         """The equilibrium in the last of ``scenes``, coarse to fine, and the statuses in those
-        before, from cloth that was lowered ``before``, or the arguments ``first`` of
-        :func:`start_positions`. Laws remember the hysteresis of lowered cloth."""
+        before, from cloth that was lowered ``before``, whose hysteresis is kept, or the arguments
+        ``first`` of :func:`start_positions`."""
         settled, statuses = before, []
         for scene in scenes:
             last = scene is scenes[-1]
@@ -232,8 +223,7 @@ def start_positions(
     scene: Scene, rig: Rig, *, coarse: Equilibrium | None = None,
     borrowed: tuple[RestPoints, Points] | None = None, start: str = "sine", seed: int = 0
 ) -> Points:
-    """Initial positions on one mesh: interpolated from the ``coarse`` drape; on the
-    first mesh, from ``borrowed`` or ``start``."""
+    """Initial positions from the ``coarse`` drape; on the first mesh, ``borrowed`` or ``start``."""
     rest, held = scene.mesh.rest, scene.held
     if coarse is not None:
         positions = interpolate_positions(coarse.cloth.scene.mesh.rest, coarse.positions, rest)
@@ -263,14 +253,9 @@ def follow(
     """The drape of ``fabric`` near a drape, on its mesh, by a warm start.
 
     A large change of moduli may lead to other folds, as this is a minimisation, not a continuation
-    along a path of equilibria. Iterations and seconds of the drape are those of this search.
-
-    Args:
-        laws, options: None for the laws of ``near`` and the options of a drape.
-        extra: further energies, such as springs that hold the cloth.
-        start: initial guess, such as :meth:`sim.sensitivity.Sensitivities.prediction`; None: the
-            state of ``near``.
-        keep: whether the drape keeps its energies and factor, for derivatives.
+    along a path of equilibria. The initial guess is ``start``, such as
+    :meth:`sim.sensitivity.Sensitivities.prediction`, else the state of ``near``, whose laws are the
+    default. ``keep`` preserves the drape's energies and factor, for derivatives.
     """
     began = time.perf_counter()
     equilibrium = find_equilibrium(

@@ -25,17 +25,14 @@ _STEPS_PER_ROUND = 25  # Newton steps between updates of the pattern of self-con
 class Equilibrium:
     """An equilibrium of a cloth, or the last state of a failed search.
 
-    Attributes:
-        cloth: its energies; self-contact is among the ``extra`` ones.
-        outcome: of the last minimisation; iterations and seconds are those of all. None for a
-            shape that was not sought by a simulation, such as a captured one.
-        touches: whether self-contact acts.
+    The ``outcome`` is that of the last minimisation, with iterations and seconds of all; None for
+    a shape that was not sought by a simulation, such as a captured one.
     """
 
     cloth: Cloth
     state: State
     outcome: NewtonResult | None = None
-    touches: bool = False
+    touches: bool = False  # whether self-contact acts; it is among the extra energies of the cloth
 
     @property
     def positions(self) -> Points:
@@ -81,7 +78,6 @@ def find_equilibrium(
     Held vertices keep their positions of ``start``. Numerical failures raise no exception.
 
     Args:
-        extra: energies in addition to those of the cloth, its weight and the scene's obstacles.
         self_contact: whether self-intersections are resolved. The equilibrium without
             self-contact comes first and suffices for most drapes. If it intersects itself, it is
             untangled and minimised again with contact

@@ -70,12 +70,9 @@ def lowered(
     scene: Scene, fabric: Fabric, rig: Rig, *, laws: Laws, seed: int, speed: float | None = None,
     step: float = STEP
 ) -> Equilibrium:
-    """Cloth lowered over the plate of ``rig``, in motion close to its equilibrium.
-
-    The status is NOT_FINITE if a time step fails, else MAX_ITERATIONS. The ``seed`` is that of the
-    waviness and of the speed, unless that is given, in the unit of :data:`SPEEDS`; the time
-    ``step`` is in the unit of :data:`STEP`.
-    """
+    """Cloth lowered over the plate of ``rig``, in motion close to its equilibrium: the status is
+    NOT_FINITE if a time step fails, else MAX_ITERATIONS. The ``seed`` is that of waviness and
+    ``speed``, in the unit of :data:`SPEEDS`; ``step`` is in that of :data:`STEP`."""
     rng = np.random.default_rng([seed, 1])
     overhang = (rig.specimen_size - rig.plate_diameter) / 2
     time = np.sqrt(overhang / GRAVITY)

@@ -4,10 +4,9 @@ Moduli are per unit width: a linear modulus alpha in N·m and a quadratic modulu
 for each of the directions warp, bias (45°) and weft. The torque per width of cloth bent to the
 curvature kappa is ``alpha*kappa + beta*kappa**2`` (Feng et al. 2022, section 4.2.1).
 
-Nearly all measured fabrics have beta < 0, so that the parabola peaks at
-``kappa = alpha / (2*|beta|)``, often within the curvatures of a drape. The law follows it up to
-the fraction ``SOFTENING_LIMIT`` of ``alpha/|beta|`` and continues with its slope there; see
-:func:`softening_shape` and ``docs/physics.md``.
+Nearly all measured fabrics have beta < 0, so that the parabola peaks, often within the curvatures
+of a drape. The law follows it up to the fraction :data:`SOFTENING_LIMIT` of ``alpha/|beta|`` and
+continues with its slope there; see :func:`softening_shape` and ``docs/physics.md``.
 """
 
 from copy import copy
@@ -121,8 +120,7 @@ def bias_limit(alpha: np.ndarray) -> np.ndarray:
 
 def is_admissible(alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
     """(...,) bool: whether moduli alpha (..., 3) N·m and beta (..., 3) N·m² are those of a stable
-    plate: alpha positive, alpha_bias above :func:`bias_limit`. Any finite beta is admissible,
-    because the torque is continued monotonically."""
+    plate. Any finite beta is admissible, because the torque is continued monotonically."""
     alpha, beta = np.asarray(alpha, float), np.asarray(beta, float)
     finite = np.isfinite(alpha).all(axis=-1) & np.isfinite(beta).all(axis=-1)
     sound = finite & (alpha.min(axis=-1) > 0)

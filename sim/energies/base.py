@@ -57,11 +57,8 @@ def dofs_of(energy: Energy) -> np.ndarray:
 
 
 class StateCache:
-    """Results of one function at the latest states.
-
-    Newton's method evaluates a trial state, then its gradient and its Hessian. Two ``states`` hold
-    the start of a step and the trial state.
-    """
+    """Results of one function at the latest states: two hold the start of a Newton step and the
+    trial state, where value, gradient and Hessian are evaluated one after the other."""
 
     def __init__(self, states: int = 2) -> None:
         self._states = states
@@ -97,12 +94,9 @@ def raise_eigenvalues(matrices, floor):
 
 
 def check(energy: Energy, q: StateVector, edges: Edges, *, seed: int = 0) -> None:
-    """Compare gradient and Hessian with differences of value and gradient along random steps.
-
-    InputError if ``dofs`` have another form, a derivative deviates from the differences, or the
-    convex Hessian is not positive semi-definite. Choose a state with non-zero energy: where it
-    vanishes, the check is trivial.
-    """
+    """Compare gradient and Hessian with differences of value and gradient along random steps, at a
+    state with non-zero energy. InputError if ``dofs`` have another form, a derivative deviates
+    from the differences, or the convex Hessian is not positive semi-definite."""
     name, dofs = type(energy).__name__, dofs_of(energy)
     unknowns, rng = len(q) - 2 * len(edges), np.random.default_rng(seed)
     if dofs.max(initial=-1) >= unknowns:

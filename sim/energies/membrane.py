@@ -32,9 +32,8 @@ class StrainLaw(Protocol):
 class StrainMembrane(Energy):
     """Rest area times the density of a :class:`StrainLaw`, for every triangle.
 
-    The Hessian is B^T C B with the law's tangent C and the strain's derivative B, plus the
-    stress times the second derivative of the strain. The convex form sets negative eigenvalues of
-    the tangent and of the stress tensor to zero, so that both terms are semi-definite.
+    The Hessian is B^T C B with the law's tangent C and the strain's derivative B, plus the stress
+    times the second derivative of the strain: convex without negative eigenvalues of both.
     """
 
     def __init__(self, mesh: Mesh, active: FaceMask, law: StrainLaw) -> None:
@@ -74,9 +73,8 @@ class StrainMembrane(Energy):
 class OfStretches:
     """A law of the Green strain by a ``law`` of the principal stretches: an isotropic material.
 
-    With the principal Green strains E_i, the stretches are s_i = sqrt(1 + 2 E_i). With the
-    derivatives p_i of the density by s_i, the principal stresses are p_i/s_i. The tangent has terms
-    of the principal strains and of the rotation of their axes.
+    With the principal Green strains E_i, the stretches are s_i = sqrt(1 + 2 E_i); with the
+    derivatives p_i of the density by s_i, the principal stresses are p_i/s_i.
     """
 
     def __init__(self, law: StrainLaw) -> None:

@@ -34,11 +34,10 @@ CLAMP = 6 / 5
 
 
 class MidEdgeBending(Energy):
-    """Plate energy of the free triangles, with the barrier against folding.
+    """Plate energy of the active triangles, those not entirely held, with the barrier.
 
     One element is a triangle with 12 unknowns: the coordinates of its corners and the rotations of
-    the normals of the edges opposite them. Normals of edges between held and free cloth must be
-    held, too. The active triangles are those not entirely held.
+    the normals of the edges opposite them. Normals between held and free cloth must be held, too.
     """
 
     def __init__(self, mesh: Mesh, active: FaceMask, *, fabric: Fabric) -> None:

@@ -173,8 +173,8 @@ MAX_BORROWED_EDGE = 0.008
 EDGE_RANGE = (5e-4, 5e-2)
 """Edge lengths at the rim, m; limited by memory and time, and by the shape of the plate."""
 MAX_SHARED_OFFSET = 0.2
-"""Maximum offset, in widths of the overhang, for which a base mesh is deformed. Beyond it,
-triangles on the narrow side would lose more than a fifth of their width: a new mesh is made."""
+"""Maximum offset, in widths of the overhang, for which a base mesh is deformed; triangles on the
+narrow side lose that share of their width."""
 _MIN_EDGES_ACROSS = 2.0  # between rim and border
 _SIZE_STEP = 5e-3  # m; sizes of base meshes are multiples of it
 _MAX_SCALING = 0.03  # maximum relative change of a base mesh's size, or of its plate's
@@ -187,9 +187,8 @@ def mesh_specimen(
     """The mesh of the specimen of ``rig`` and the vertices that the rig holds. The origin of the
     rest points is on the plate's axis, without a plate at the specimen's centre.
 
-    Specimens of similar size, and those with an offset up to :data:`MAX_SHARED_OFFSET`, share the
-    faces of a base mesh with other points: those on the plate move with the plate, those on the
-    border with the border, others in proportion.
+    Specimens of similar size and offset share the faces of a base mesh: points on the plate move
+    with the plate, those on the border with the border, others in proportion.
 
     Args:
         edge: edge length at the plate's rim, within :data:`EDGE_RANGE`. Without a plate, of all

@@ -35,19 +35,17 @@ def equilibria(
     bending: str | Law = "midedge", others: tuple[Law, ...] = (),
     options: NewtonOptions | None = None
 ) -> Equilibria:
-    """Equilibria of cloths with other parameters near those of ``starts``, on the same meshes.
+    """Equilibria of cloths with other parameters near those of ``starts``, on the same meshes, with
+    ``bending`` and ``others`` as in :class:`sim.cloth.Laws`.
 
-    The backward pass takes one solve per sample, with the factor that verified its minimum, for
-    derivatives by all tensor arguments. A numerical failure affects only its sample.
+    The backward pass takes one solve per sample, with the factor that verified its minimum. A
+    numerical failure affects only its sample.
 
     Args:
         alpha, beta: (B, 3) moduli warp, bias, weft, N·m and N·m².
         density: (B,) or one for all, kg/m².
-        membrane: (B,) or one for all, N/m, in-plane stiffness of the cloth at this density (that of
-            laws is of cloth of the reference density). None: as in a drape, proportional to the
-            density, also in the derivatives by the density.
-        bending, others: bending law and laws of further energies, as in :class:`sim.cloth.Laws`,
-            the ``others`` for cloth of the reference density.
+        membrane: (B,) or one for all, N/m, in-plane stiffness of the cloth at this density. None:
+            as in a drape, proportional to the density, also in the derivatives by the density.
     """
     count = len(starts)
     density = torch.as_tensor(density, dtype=torch.float64)

@@ -115,10 +115,9 @@ def force_derivatives(cloth: Cloth, q: np.ndarray) -> np.ndarray:
 
     The membrane's forces are proportional to its stiffness, external forces (weight, contact) to
     the density: their derivatives by the logarithms are the forces. The energies of ``laws.others``
-    are those of cloth of the reference density: for another density they are proportional to the
-    density, at the moduli over the density. Derivatives by the moduli are central differences of
-    the forces (error below 1e-9). Where the laws have a kink, such as at isotropic moduli, these
-    are means of the one-sided derivatives.
+    are proportional to the density, at the moduli over the density. Derivatives by the moduli are
+    central differences of the forces (error below 1e-9); where the laws have a kink, such as at
+    isotropic moduli, means of the one-sided derivatives.
     """
     scene, laws, size = cloth.scene, cloth.laws, cloth.potential.unknowns
 

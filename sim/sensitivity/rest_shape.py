@@ -1,8 +1,5 @@
-"""Derivatives by the rest shape, along given moves.
-
-The areas in self-contact depend on the rest shape. They affect the distance of two sheets under a
-force, not the force. This dependence is neglected.
-"""
+"""Derivatives by the rest shape, along given moves. That of the areas in self-contact, which
+affect the distance of two sheets under a force, not the force, is neglected."""
 
 from dataclasses import replace
 
@@ -33,12 +30,9 @@ def moves_with_rest(tangent: Tangent, moves: np.ndarray) -> np.ndarray:
 
 
 def moves_with_offset(tangent: Tangent, rig: Rig) -> np.ndarray:
-    """Derivatives (2, V, 3) of a drape by the offset of the specimen from the plate, m per m.
-
-    The offset is along warp and weft, as in :func:`sim.drape.drape`. On the plate the mesh is fixed
-    and the cloth slides through it; towards the border the mesh increasingly follows the cloth.
-    Vertices thus move with the surface, but not with points of the cloth.
-    """
+    """Derivatives (2, V, 3) of a drape by the offset of the specimen from the plate, along warp and
+    weft, m per m. On the plate the mesh is fixed and the cloth slides through it; towards the
+    border the mesh increasingly follows the cloth."""
     share, _ = share_of_border(tangent, rig)
     return moves_with_rest(tangent, share[:, None] * np.eye(2)[:, None])
 

@@ -26,17 +26,12 @@ class Tangent:
     """Linearisation of a cloth at an equilibrium: its response to forces.
 
     The state, at or near an equilibrium, is first improved by a few exact Newton steps, until they
-    are below :data:`MAX_STEP`.
-
-    Args:
-        factor: of the exact Hessian at the state, if there is one.
+    are below :data:`MAX_STEP`; ``factor`` is that of the exact Hessian there, if it exists.
 
     Attributes:
         q: state at the equilibrium.
-        ok, message: whether it is a minimum with a regular Hessian, a requirement for the response;
-            the reason if not.
-        softest: estimated stiffness of the softest mode, see :data:`MIN_STIFFNESS`; 0 without a
-            factor.
+        ok, message: whether it is a minimum with a regular Hessian; the reason if not.
+        softest: estimated stiffness of the softest mode (:data:`MIN_STIFFNESS`); 0 without factor.
     """
 
     def __init__(self, cloth: Cloth, q: StateVector, factor: CholeskySolver | None = None) -> None:
@@ -73,8 +68,7 @@ class Tangent:
         return 3 * len(self.cloth.scene.mesh.rest)
 
     def response(self, force: np.ndarray) -> np.ndarray:
-        """Moves H⁻¹ f (U,) under a ``force`` f (U,), N, zero where the cloth is held; forces there
-        have no effect. NaN if the tangent is not ok."""
+        """Moves H⁻¹ f (U,) under a ``force`` f (U,), N; NaN if the tangent is not ok."""
         if not self.ok:
             return np.full(len(force), np.nan)
         potential = self.cloth.potential

@@ -1,13 +1,8 @@
 """Motion of cloth: implicit time steps, each a minimisation (Feng et al. 2022, section 4).
 
-Backward Euler: the state at the end of a step of length h minimises
-
-    E(x) + |x - (x0 + h v0)|²_M / (2 h²)
-
-over the energies E of the cloth, with the positions x0 and velocities v0 before the step and the
-masses M of the vertices. The end of a step is in equilibrium with its inertia for steps of any
-length; motions faster than a step are damped. Any object with energies and a state can be moved:
-the minimisation is that of :mod:`sim.solver.newton`.
+Backward Euler: the state at the end of a step of length h minimises E(x) + |x - y|²_M / (2 h²) over
+the energies E of the cloth, with y = x0 + h v0 of the positions x0 and velocities v0 before the
+step and the masses M of the vertices. Motions faster than a step are damped.
 """
 
 from dataclasses import dataclass

@@ -1,8 +1,5 @@
-"""Sparse symmetric systems: assembly into a fixed pattern, and direct solvers.
-
-Cholesky factors are those of Intel MKL PARDISO, in single precision where that is sufficient, or of
-SciPy.
-"""
+"""Sparse symmetric systems: assembly into a fixed pattern, and the direct solvers of Intel MKL
+PARDISO, in single precision where that is sufficient, or of SciPy."""
 
 import ctypes
 import functools
@@ -21,12 +18,9 @@ from common.errors import InputError
 
 
 class SparsePattern:
-    """Pattern of the upper triangle (with diagonal) of symmetric matrices assembled from stencils.
-
-    The CSR structure, ``indptr`` and ``indices``, is computed once, with sorted columns and every
-    diagonal entry; :meth:`assemble` only adds values. ``stencils`` are (N, K) rows of the matrix
-    for each energy, -1 for absent or held.
-    """
+    """Pattern of the upper triangle of symmetric matrices assembled from stencils: the structure in
+    CSR, with sorted columns and every diagonal entry. ``stencils`` are (N, K) rows of the matrix
+    for each energy, -1 for absent or held."""
 
     def __init__(self, stencils: list[np.ndarray], size: int) -> None:
         self.size = size
@@ -145,13 +139,10 @@ _REPRODUCIBLE = 2  # MKL_CBWR_AUTO; without it, results change if PyTorch is loa
 
 
 class PardisoSolver(CholeskySolver):
-    """Factors in double precision, or rough factors in single precision with refined solutions.
-
-    A single-precision factor takes about two thirds of the time. Refinement uses conjugate
-    gradients in double precision with that factor as preconditioner; two steps nearly always
-    suffice, one for a rough solution. The solver switches to double precision for good if the first
-    failure in single precision proves wrong, or if a refinement converges too slowly.
-    """
+    """Factors in double precision, or rough factors in single precision, which take two thirds of
+    the time, with solutions refined by conjugate gradients; two steps nearly always suffice, one
+    for a rough solution. The solver switches to double precision for good if the first failure in
+    single precision proves wrong, or if a refinement converges too slowly."""
 
     name = "pardiso"
 
@@ -285,10 +276,8 @@ def _pointer(array: np.ndarray | None, kind: type | None = ctypes.c_int32):
 
 @functools.cache
 def find_mkl() -> ctypes.CDLL:
-    """MKL's library, loaded by pypardiso; its path is set to avoid pypardiso's slow search.
-
-    Its ``pardiso`` is called directly: pypardiso checks, copies and renumbers the matrix at every
-    call.
+    """MKL's library, loaded by pypardiso; its path is set to avoid pypardiso's slow search. Its
+    ``pardiso`` is called directly: pypardiso checks, copies and renumbers the matrix at every call.
     """
     if "PYPARDISO_MKL_RT" not in os.environ:
         try:

@@ -35,9 +35,8 @@ class Objective(Protocol):
     """A function of states ``q`` to be minimised, such as :class:`sim.solver.potential.Potential`.
 
     Derivatives are by a step (size,) from a state, which ``moved`` applies. ``hessian`` returns CSR
-    data in ``pattern``, with ``shift`` times a regularisation on the diagonal for cases where even
-    the convex Hessian is singular. Differences below :data:`ROUNDING` of ``energy_scale`` are
-    rounding errors.
+    data in ``pattern``, with ``shift`` times a regularisation on the diagonal. Differences below
+    :data:`ROUNDING` of ``energy_scale`` are rounding errors.
     """
 
     size: int
@@ -104,10 +103,8 @@ def minimise(
     objective: Objective, start: np.ndarray, options: NewtonOptions | None = None, *,
     solver: CholeskySolver | None = None
 ) -> NewtonResult:
-    """Find a local minimum near the state ``start``. Numerical failures raise no exception.
-
-    ``solver``, for the objective's pattern, is used in place of a new one; its factor is lost.
-    """
+    """Find a local minimum near the state ``start``. Numerical failures raise no exception. The
+    factor of a ``solver`` for the objective's pattern is lost."""
     start = np.array(start, dtype=np.float64)
     run = _Minimisation(objective, start, options or NewtonOptions(), solver)
     with run.timed("total"), np.errstate(all="ignore"):
