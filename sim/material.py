@@ -46,9 +46,8 @@ TWIST_FLOOR = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Fabric:
-    """Bending moduli and density of a fabric; two fabrics are equal when all their values are.
-    InputError if no elastic plate has such moduli, or a value indicates a wrong unit. The arrays
-    are read-only."""
+    """Bending moduli and density of a fabric, compared by value. InputError if no elastic plate has
+    such moduli, or a value indicates a wrong unit. The arrays are read-only."""
 
     alpha: Moduli
     beta: QuadraticModuli = field(default_factory=lambda: np.zeros(3))
@@ -153,9 +152,8 @@ def plate_constants(alpha: Moduli) -> tuple[float, float, float, float]:
 def softening_shape(u, limit):
     """H, dH/du and d²H/du² at the reduced curvature u, a number or an array.
 
-    The energy per area of cloth bent to the curvature kappa is alpha kappa² H(u)/2. Up to
-    ``limit``, H = 1 - 2 u/3, the energy of a parabolic torque; beyond it the torque grows with the
-    slope of the parabola at ``limit``, which adds 2 (u - limit)³/(3 u²) to H.
+    The energy per area of cloth bent to the curvature kappa is alpha kappa² H(u)/2, H = 1 - 2 u/3
+    up to ``limit``; beyond it the linear torque adds 2 (u - limit)³/(3 u²).
     """
     over = np.maximum(u, limit)
     beyond = over - limit
@@ -180,6 +178,5 @@ def bending_work(
 def torque(
     curvature: np.ndarray, alpha: np.ndarray | float, beta: np.ndarray | float
 ) -> np.ndarray:
-    """Torque per width (N): alpha kappa + beta kappa², linear beyond the softening limit.
-    Arguments as for :func:`bending_work`."""
+    """Torque per width (N); arguments as for :func:`bending_work`."""
     return bending_work(curvature, alpha, beta)[1]

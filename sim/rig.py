@@ -31,8 +31,7 @@ class Cylinder:
         return RIM * self.radius
 
     def depths(self, points: Points) -> np.ndarray:
-        """Depths (N,), m, below the nearest surface; negative outside. A concave function with
-        Lipschitz constant 1."""
+        """Depths (N,), m, below the nearest surface; concave, negative outside."""
         _, outwards, upwards = self._from_rim(points)
         corner = np.hypot(np.maximum(outwards, 0.0), np.maximum(upwards, 0.0))
         return self.rim - corner - np.minimum(np.maximum(outwards, upwards), 0.0)
@@ -72,12 +71,9 @@ class Cylinder:
 
 @dataclass(frozen=True)
 class Rig:
-    """A specimen and its holder.
-
-    Either a round plate holds its middle (paper, section 3.1): the origin is the centre of the
-    plate's top face, z points up. Or two neighbouring corners of a square are held at z = 0, at the
-    same distance from the origin (section 7.4.2).
-    """
+    """A specimen and its holder: a round plate under its middle (paper, section 3.1), whose top
+    face's centre is the origin, z pointing up; or two neighbouring corners of a square, held at
+    z = 0, at the same distance from the origin (section 7.4.2)."""
 
     specimen_size: Metres = 0.300  # side of a square or diameter of a disc
     plate_diameter: Metres = 0.100  # 0 without a plate

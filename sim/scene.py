@@ -12,8 +12,7 @@ from sim.rig import GRAVITY, Cylinder, Rig
 from sim.solver.state import State
 
 CONTACT_PRESSURE = 120.0
-"""Pressure of an obstacle on cloth :data:`sim.energies.external.DEPTH` deep in it, as a multiple of
-the cloth's weight."""
+"""Pressure on cloth :data:`sim.energies.external.DEPTH` deep in an obstacle, in its weights."""
 
 
 @dataclass(frozen=True, eq=False)

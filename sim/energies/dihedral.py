@@ -25,10 +25,8 @@ def angle(x):
 
 @numba.njit(cache=True)
 def add_side_gradient(x, corner, sign, g):
-    """Add to g (4, 3) the derivatives of one triangle's rotation about the edge by its corners.
-
-    ``corner`` 2 has the ``sign`` 1.0, corner 3 the sign -1.0. Rotations are relative to a frame
-    transported with the edge; their sum over both triangles is the change of the angle.
+    """Add to g (4, 3) the derivatives of one triangle's rotation about the edge by its corners,
+    relative to a frame transported with the edge; ``corner`` 2 has the ``sign`` 1, 3 the sign -1.
     """
     ex, ey, ez = x[1, 0] - x[0, 0], x[1, 1] - x[0, 1], x[1, 2] - x[0, 2]
     ee = ex * ex + ey * ey + ez * ez

@@ -72,13 +72,11 @@ class Hinges:
 
 
 class DihedralBending(Energy):
-    """Energy e integral of tau(kappa) d theta of N hinges (Feng et al. 2022, Eq. 1 to 3).
+    """Energy e integral of tau(kappa) d theta of N hinges (Feng et al. 2022, Eq. 1 to 3), tau the
+    torque of :func:`sim.material.bending_work` with the moduli (N,), N·m and N·m².
 
-    theta is the dihedral angle, e the edge's rest length, kappa = 2 |theta| / (H0 + H1) with the
-    rest heights H of the two triangles, and tau the increasing torque of
-    :func:`sim.material.bending_work` with the moduli (N,). The barrier of
-    :mod:`sim.energies.fold_barrier` acts on theta, times ``barrier_modulus``, N·m, and e²/(A0 + A1)
-    with the rest areas A of both triangles.
+    The barrier of :mod:`sim.energies.fold_barrier` acts on theta, times ``barrier_modulus``, N·m,
+    and e²/(A0 + A1) with the rest areas A of both triangles.
     """
 
     def __init__(
@@ -123,10 +121,9 @@ class DihedralBending(Energy):
 class QuadraticBending(Energy):
     """Energy 3 gamma / ((H0 + H1) e) |K x|² of N hinges (Bergou et al. 2006; Feng et al., Eq. 4).
 
-    x are a hinge's four corners, e and H as in :class:`DihedralBending`. K x vanishes for
-    flat, undistorted hinges, and a hinge folded by theta has |K x| = 2 e sin(theta/2): for
-    small angles this is the linear dihedral law with alpha = 3 gamma (N,), N·m. The Hessian is
-    constant.
+    x are a hinge's four corners. K x vanishes for flat, undistorted hinges, and a hinge folded by
+    theta has |K x| = 2 e sin(theta/2): for small angles this is the linear dihedral law with
+    alpha = 3 gamma (N,), N·m. The Hessian is constant.
     """
 
     def __init__(self, hinges: Hinges, *, gamma: np.ndarray) -> None:
@@ -205,16 +202,11 @@ WEIGHTINGS = ("mean", "edge")
 
 @dataclass(frozen=True)
 class HingeLaw:
-    """A hinge law: the form of its energy and its dependence on the fabric's direction.
+    """A hinge law. The modulus along the curvature of an earlier solution (section 4.4) is omitted:
+    its torque does not derive from an energy."""
 
-    The form is ``hinge`` (torque alpha kappa + beta kappa²), ``hinge_linear`` (beta = 0) or
-    ``quadratic`` (gamma = alpha/3, beta = 0). Every hinge has the ``mean`` modulus over all
-    directions, or that across its rest ``edge`` (Wang et al. 2011). The modulus along the curvature
-    of an earlier solution (section 4.4) is omitted: its torque does not derive from an energy.
-    """
-
-    form: str = "hinge"
-    direction: str = "mean"
+    form: str = "hinge"  # alpha kappa + beta kappa²; hinge_linear, beta = 0; quadratic, alpha/3
+    direction: str = "mean"  # modulus over all directions, or across the edge (Wang et al. 2011)
 
     def __call__(self, mesh: Mesh, active: FaceMask, *, fabric: Fabric) -> Energy:
         hinges = Hinges(mesh, active)
@@ -228,24 +220,16 @@ class HingeLaw:
                                barrier_modulus=fabric.alpha.min())
 
 
-HINGE_LAWS = {
-    form if direction == "mean" else f"{form}_{direction}": HingeLaw(form, direction)
-    for form in FORMS
-    for direction in WEIGHTINGS
-}
+HINGE_LAWS = {form if direction == "mean" else f"{form}_{direction}": HingeLaw(form, direction)
+              for form in FORMS for direction in WEIGHTINGS}
 """hinge, hinge_edge, hinge_linear, ..., quadratic_edge."""
 
 
 def modulus_along(moduli: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """Moduli in directions ``angle`` (rad from warp, any shape) of (warp, bias, weft) (3,), N·m or
-    N·m².
+    N·m² (Feng et al. 2022, Eq. 7 and 8): with c = cos 2 phi the weighted mean
 
-    Feng et al. 2022, Eq. 7 and 8: between neighbouring sample directions the moduli are
-    interpolated by cos² and sin²; warp and weft are symmetry axes. With c = cos 2 phi this is
-
-        k = k_bias + max(c, 0) (k_warp - k_bias) + max(-c, 0) (k_weft - k_bias),
-
-    a weighted mean of the three with non-negative weights, so that it never changes sign.
+        k = k_bias + max(c, 0) (k_warp - k_bias) + max(-c, 0) (k_weft - k_bias).
     """
     warp, bias, weft = moduli[WARP], moduli[BIAS], moduli[WEFT]
     c = np.cos(2 * np.asarray(angle, float))

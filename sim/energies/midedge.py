@@ -119,15 +119,14 @@ class MidEdgeBending(Energy):
 
 
 def bending_areas(mesh: Mesh, active: FaceMask, clamped: np.ndarray) -> np.ndarray:
-    """Areas (N,), m², of the active triangles in the bending energy.
+    """Areas (N,), m², of the active triangles in the bending energy; ``clamped`` (N, 3) are their
+    edges that adjoin held ones.
 
     Clamped cloth bends at its edges: half a hinge at the clamp, full hinges behind it, so that the
     slope far from the clamp is the trapezoidal rule's integral of the curvature. The error of that
-    rule is h²/12 times the derivative of the curvature at its ends, which vanishes at a free end
-    but not at a clamp. Gregory's weights 5/12, 13/12 in place of 1/2, 1 cancel it. Weights of a
-    curvature are compliances: triangles on clamped edges get 5/6 of theirs; those that touch the
-    clamp with a corner are increased such that the sum is unchanged. ``clamped`` (N, 3) are the
-    edges of active triangles that adjoin held ones.
+    rule is h²/12 times the derivative of the curvature at the clamp. Gregory's weights 5/12, 13/12
+    in place of 1/2, 1 cancel it. Weights of a curvature are compliances: triangles on clamped edges
+    get 5/6 of theirs; those that touch the clamp with a corner keep the sum.
     """
     areas = mesh.areas[active].copy()
     first, second = rows_at_clamp(mesh, active, clamped)

@@ -30,8 +30,7 @@ METRIC = np.array([1.0, 1.0, 2.0])
 
 
 class PlateConstants(NamedTuple):
-    """Constants of a fabric's law, SI units; see the docstring of this module and
-    :func:`constants`."""
+    """Constants of a fabric's law, SI units; see this module and :func:`constants`."""
 
     A11: float
     A22: float

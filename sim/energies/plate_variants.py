@@ -29,8 +29,7 @@ not (the radial return of plasticity). Beyond the build-up, bending back from an
 which are shares of 0.05 to 0.37 (docs/physics.md).
 
 *Torque curve*: with |S|² = Sxx² + Syy² + 2 Sxy² and W the integral of the torque over curvature,
-the energy per area is W(|S|): cloth bent to a cylinder along any direction carries the torque of
-the curve. For the curve of :func:`sim.material.torque` this is the law of an isotropic fabric.
+the energy per area is W(|S|): cloth bent along any direction carries the torque of the curve.
 """
 
 from dataclasses import dataclass
@@ -60,12 +59,11 @@ class Hysteresis:
 
     Attributes:
         share: HB over the torque of the loading curve at the curvature ``at``, one number or
-            (warp, bias, weft). Friction builds up over a change of curvature in proportion to 1/HB.
+            (warp, bias, weft).
         added: whether the moduli are those of the elastic part alone, as KES's B, so that the
             friction adds to them: HB is the same share of their sum.
         curvature: natural curvature (Sxx, Syy, Sxy), 1/m, along warp, along weft and of twist;
-            positive bends the cloth as in a drape, down when its faces are counter-clockwise seen
-            from above.
+            positive bends the cloth down when its faces are counter-clockwise seen from above.
         origin: (N, 3) S1 of the active triangles of a mesh, 1/m; None: zero.
         at: curvature, 1/m, at which HB is read.
     """

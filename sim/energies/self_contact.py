@@ -43,14 +43,11 @@ class SelfContact(Energy):
     jump where the nearest point passes from a triangle to its edge.
 
     The set of pairs changes during a minimisation, the pattern of the Hessian does not: it couples
-    the vertices of all pairs initially nearer than ``reach``. A block outside it is replaced by an
-    upper bound on the diagonal; the Hessian is exact only where :meth:`is_complete`. An element is
-    a vertex or a couple of vertices; only the sum of the convex blocks is semi-definite.
-
-    Args:
-        positions: those for which the pattern is built.
-        distance: d̂, below the smallest height of a triangle.
-        pressure: N/m² between two sheets of cloth d̂/2 apart.
+    the vertices of all pairs nearer than ``reach`` at ``positions``. A block outside it is replaced
+    by an upper bound on the diagonal; the Hessian is exact only where :meth:`is_complete`. An
+    element is a vertex or a couple of vertices; only the sum of the convex blocks is semi-definite.
+    The ``distance`` d̂ is below the smallest height of a triangle, the ``pressure``, N/m², that
+    between two sheets d̂/2 apart.
     """
 
     def __init__(
@@ -121,8 +118,7 @@ class SelfContact(Energy):
         return *blocks, complete
 
     def _fill(self, result: np.ndarray, hessian: sparse.spmatrix) -> bool:
-        """Distribute a Hessian (3V, 3V) over ``result`` (N, 6, 6); False if the pattern lacks
-        blocks."""
+        """Distribute a Hessian (3V, 3V) over ``result`` (N, 6, 6); whether the pattern has room."""
         blocks = sparse.bsr_matrix(hessian, blocksize=(3, 3))
         row = np.repeat(np.arange(self._vertices), np.diff(blocks.indptr))
         column, data = blocks.indices.astype(np.int64), blocks.data

@@ -48,8 +48,8 @@ class Outline:
 
 
 def rim_radius(outline: Outline) -> tuple[Metres, int]:
-    """Circumradius and number of corners of the polygon that approximates the rim. It has the
-    plate's area; an inscribed polygon would hold too little cloth."""
+    """Circumradius and number of corners of the polygon of the plate's area that approximates the
+    rim; an inscribed one would hold too little cloth."""
     corners = max(8, round(2 * np.pi * outline.rig.plate_radius / outline.edge))
     turn = 2 * np.pi / corners
     return outline.rig.plate_radius * np.sqrt(turn / np.sin(turn)), corners
@@ -107,8 +107,7 @@ def _border(outline: Outline, rng: np.random.Generator) -> np.ndarray:
         out = place - centre
         return centre + half * out / np.linalg.norm(out, axis=1, keepdims=True)
     corners = centre + half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]])
-    sides = (a + np.linspace(0, 1, 1000)[:, None] * (b - a)
-             for a, b in pairwise(corners))
+    sides = (a + np.linspace(0, 1, 1000)[:, None] * (b - a) for a, b in pairwise(corners))
     return np.concatenate([_spread(side, outline, rng) for side in sides])
 
 
@@ -291,7 +290,7 @@ def default_edge(fabric: Fabric, rig: Rig) -> Metres:
 
 def coarse_to_fine(edge: Metres, coarsest: Metres = MAX_COARSE_EDGE) -> list[Metres]:
     """Edge lengths at the rim of a drape's meshes, each 2.5 times shorter than the previous; all
-    but the last are at most ``coarsest``. InputError for an edge outside :data:`EDGE_RANGE`."""
+    but the last are at most ``coarsest``."""
     check_edge(edge)
     levels = [edge]
     while _REFINEMENT * levels[0] <= coarsest:

@@ -98,8 +98,7 @@ def adjacency(mesh: Mesh) -> sparse.csr_matrix:
 
 
 def smooth(positions: Points, moving: VertexMask, adjacent: sparse.csr_matrix) -> None:
-    """Move some vertices half-way to the mean of their neighbours, in place; ``adjacent`` is the
-    matrix of :func:`adjacency`."""
+    """Move vertices half-way to the mean of their neighbours, in place (:func:`adjacency`)."""
     degree = np.diff(adjacent.indptr)[:, None]
     positions[moving] = 0.5 * (positions + adjacent @ positions / degree)[moving]
 

@@ -69,9 +69,8 @@ class Potential:
 
     def hessian(self, q: np.ndarray, convexity: float = 0.0, shift: float = 0.0) -> np.ndarray:
         """CSR data (nnz,) of the Hessian in :attr:`pattern`, plus ``shift`` times
-        :attr:`regularisation` on the diagonal. With ``convexity`` from 0 (exact) to 1 (all stages
-        convex), stages become convex one after the other, each by interpolation of its two forms.
-        """
+        :attr:`regularisation` on the diagonal. With ``convexity`` from 0 (exact) to 1, stages
+        become convex one after the other, each by interpolation of its two forms."""
         total = np.zeros(len(self.pattern.indices))
         stages = self._stage[-1] + 1
         for stage in range(stages):

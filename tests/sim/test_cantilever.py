@@ -110,16 +110,6 @@ def test_a_tabulated_law_bends_as_the_law_does():
     assert np.abs(strip_shape(law, weight=160.0, length=1.0) - exact).max() < 1e-6
 
 
-def test_a_law_too_soft_to_leave_the_clamp_is_refused():
-    with pytest.raises(InputError, match="too soft"):
-        strip_shape(softening_law(1e-9, 0.0), weight=1.0, length=1.0)
-
-
-def test_elastica_of_a_torque_that_falls_is_refused():
-    with pytest.raises(InputError, match="must increase"):
-        tabulated_law(np.array([0.0, 1.0, 2.0]), np.array([0.0, 2.0, 1.0]))
-
-
 @pytest.mark.parametrize("soft", [-0.1, 0.0, 1e-9, 0.03, 0.3])
 def test_curvature_of_torque_inverts_the_law(soft):
     for kappa in (0.0, 1e-3, 1.0, 5.0, 20.0):
@@ -144,6 +134,13 @@ def test_gamma_of_aspect_ratio_inverts_the_elastica():
 def test_elastica_refuses_what_it_cannot_solve(gamma, slope):
     with pytest.raises(InputError):
         elastica(gamma, slope=slope)
+
+
+def test_laws_too_soft_to_leave_the_clamp_or_that_fall_are_refused():
+    with pytest.raises(InputError, match="too soft"):
+        strip_shape(softening_law(1e-9, 0.0), weight=1.0, length=1.0)
+    with pytest.raises(InputError, match="must increase"):
+        tabulated_law(np.array([0.0, 1.0, 2.0]), np.array([0.0, 2.0, 1.0]))
 
 
 @pytest.mark.parametrize("ratio", [-4e-3, 4e-3])

@@ -4,13 +4,10 @@ import numpy as np
 import pytest
 from test_energies import ANISOTROPIC, crumpled_strip
 
-from common.errors import InputError
-from sim.cloth import BENDING, Laws
 from sim.energies.fold_barrier import LIMIT_START
 from sim.energies.hinges import (
     ARCSIM,
     DISCRETE_SHELLS,
-    HINGE_LAWS,
     WEIGHTINGS,
     DihedralBending,
     HingeLaw,
@@ -162,14 +159,6 @@ def test_moduli_enter_linearly_and_isotropic_fabrics_have_no_direction():
     by_hand = DihedralBending(hinges, alpha=np.full(count, 20e-6), beta=np.full(count, -60e-9),
                               barrier_modulus=20e-6)
     assert by_hand.value(q) == pytest.approx(values[0], rel=1e-12)
-
-
-def test_laws_by_name_and_by_value():
-    assert set(HINGE_LAWS) < set(BENDING) and len(HINGE_LAWS) == 6
-    assert Laws(bending="quadratic_edge").bending_law == HingeLaw("quadratic", "edge")
-    assert Laws(bending=HingeLaw("hinge")).bending_law is not None
-    with pytest.raises(InputError, match="unknown bending law 'hinges'"):
-        Laws(bending="hinges")
 
 
 MODULI = np.array([90e-6, 25e-6, 40e-6])

@@ -93,25 +93,17 @@ def error_in_norm(pattern, data, solver, **settings) -> float:
 
 
 @pytest.mark.parametrize("name", available_solvers())
-@pytest.mark.parametrize("contrast", [1e2, 1e6])
-def test_rough_factors_serve_refined_solutions(name, contrast):
-    pattern, data = stiff_chain(contrast)
-    solver = make_solver(pattern, name)
-    assert solver.factorise(data, rough=True)
-    assert error_in_norm(pattern, data, solver) < 1e-4
-    assert solver.factorise(data)  # after a rough factor, an exact one is exact
-    assert error_in_norm(pattern, data, solver) < 1e-10
-
-
-@pytest.mark.parametrize("name", available_solvers())
 @pytest.mark.parametrize("contrast", [1e2, 1e6, 1e8])
-def test_rough_solutions_point_the_right_way(name, contrast):
+def test_rough_factors_serve_rough_and_refined_solutions(name, contrast):
     """Also where single precision is no good at all, which the solver finds out by itself."""
     pattern, data = stiff_chain(contrast)
     solver = make_solver(pattern, name)
     assert solver.factorise(data, rough=True)
     assert error_in_norm(pattern, data, solver, rough=True) < 0.1
     assert error_in_norm(pattern, data, solver) < 1e-4
+    if contrast < 1e8:
+        assert solver.factorise(data)  # after a rough factor, an exact one is exact
+        assert error_in_norm(pattern, data, solver) < 1e-10
 
 
 @pytest.mark.parametrize("name", available_solvers())

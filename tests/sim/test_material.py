@@ -71,6 +71,8 @@ def test_torque_is_the_parabola_up_to_the_limit_and_grows_beyond():
     beyond = torque(np.linspace(limit, 10 * limit, 50), alpha, beta)
     slopes = np.diff(beyond) / (np.diff(np.linspace(limit, 10 * limit, 50)))
     assert np.allclose(slopes, alpha * (1 - 2 * SOFTENING_LIMIT), rtol=1e-9)
+    kappa = np.linspace(0, 500, 20)  # a stiffening fabric follows its parabola everywhere
+    assert np.allclose(torque(kappa, 1e-5, 3e-8), 1e-5 * kappa + 3e-8 * kappa**2)
 
 
 @pytest.mark.parametrize("beta", [-60e-9, 0.0, 40e-9])
@@ -108,11 +110,6 @@ def test_fabrics_are_equal_and_hashed_by_value():
     assert fabric == same
     with pytest.raises(ValueError, match="read-only"):
         fabric.alpha[0] = 1.0
-
-
-def test_stiffening_fabric_follows_its_parabola_everywhere():
-    kappa = np.linspace(0, 500, 20)
-    assert np.allclose(torque(kappa, 1e-5, 3e-8), 1e-5 * kappa + 3e-8 * kappa**2)
 
 
 @pytest.mark.parametrize("fabric", FABRICS + TWISTING)

@@ -206,19 +206,6 @@ def test_soft_cloth_stays_out_of_the_cylinder_between_its_vertices_too(rig):
 
 
 @pytest.mark.parametrize(
-    ("rig", "arguments", "word"),
-    [(Rig(), {"edge": 0.07}, "edge=70 mm"), (HUNG_SQUARE, {"offset": (1e-3, 0.0)}, "no plate"),
-     (DISC_RIG, {"offset": (0.05, 0.0)}, "narrow"),
-     (HUNG_SQUARE, {"start": "fold"}, "fold"),
-     (HUNG_SQUARE, {"start": "lowered"}, "start=lowered needs a plate"),
-     (Rig(), {"start": "frob", "borrowed": (np.zeros((9, 2)), np.zeros((9, 3)))}, "frob")],
-)
-def test_starts_and_offsets_that_a_rig_cannot_have_are_refused(rig, arguments, word):
-    with pytest.raises(InputError, match=word):
-        drape(isotropic(20), rig=rig, **{"edge": 0.01, **arguments})
-
-
-@pytest.mark.parametrize(
     ("arguments", "word"),
     [({"specimen": "circle"}, "square or disc"), ({"plate_diameter": 0.3}, "smaller"),
      ({"plate_diameter": -0.1}, "smaller"), ({"plate_diameter": 0.0}, "corners_apart=None"),

@@ -8,7 +8,6 @@ from common.errors import InputError
 from sim.drape import drape
 from sim.material import Fabric
 from sim.measures import fold_angles, fold_outline
-from sim.mesh.specimen import coarse_to_fine
 from sim.rig import DISC_RIG, HUNG_SQUARE, Rig
 from sim.scene import make_specimen
 from sim.start import borrowed_positions, initial_positions, interpolate_positions
@@ -90,12 +89,6 @@ def test_interpolation_is_exact_for_planes_beyond_a_disc_s_polygon_too():
     plane = np.array([[1.0, 0.2, -0.3], [0.1, 0.9, 0.4]])
     assert np.allclose(interpolate_positions(coarse, coarse @ plane, fine), fine @ plane,
                        atol=1e-9)
-
-
-def test_borrowing_starts_on_a_mesh_that_resolves_folds():
-    assert np.allclose(coarse_to_fine(0.003, 0.0125), [0.0075, 0.003])
-    assert coarse_to_fine(0.008, 0.0125) == [0.008]
-    assert coarse_to_fine(0.02, 0.0125) == [0.02]
 
 
 def test_hung_start_is_isometric_between_the_corners():

@@ -26,20 +26,19 @@ def strips_of(law, lengths=(0.05, 0.08, 0.11)) -> list[np.ndarray]:
             for length in lengths]
 
 
-def test_recovers_a_curve_that_is_no_parabola() -> None:
-    found = fit_torque_curve(strips_of(stiffening_then_soft), weight=WEIGHT, knots=5)
-    kappa = np.linspace(0.15, 0.9, 20) * found.reached
-    moment = PchipInterpolator(found.curvature, found.torque)(kappa)
-    np.testing.assert_allclose(moment, stiffening_then_soft(kappa), rtol=0.05)
-    assert found.misfit < 2e-3
-    assert (np.diff(found.torque) > 0).all()
+def straight(kappa: np.ndarray) -> np.ndarray:
+    return 30e-6 * kappa
 
 
-def test_a_straight_law_stays_straight() -> None:
-    found = fit_torque_curve(strips_of(lambda k: 30e-6 * k), weight=WEIGHT)
-    kappa = np.linspace(0.1, 0.95, 20) * found.reached
-    moment = PchipInterpolator(found.curvature, found.torque)(kappa)
-    np.testing.assert_allclose(moment, 30e-6 * kappa, rtol=0.01)
+@pytest.mark.parametrize(("law", "knots", "start", "end", "tolerance"), [
+    (stiffening_then_soft, 5, 0.15, 0.9, 0.05), (straight, 4, 0.1, 0.95, 0.01)])
+def test_laws_are_recovered_from_their_strips(law, knots, start, end, tolerance) -> None:
+    fit = fit_torque_curve(strips_of(law), weight=WEIGHT, knots=knots)
+    kappa = np.linspace(start, end, 20) * fit.reached
+    moment = PchipInterpolator(fit.curvature, fit.torque)(kappa)
+    np.testing.assert_allclose(moment, law(kappa), rtol=tolerance)
+    assert fit.misfit < 2e-3
+    assert (np.diff(fit.torque) > 0).all()
 
 
 def test_the_misfit_is_that_of_the_points_and_their_noise() -> None:
@@ -53,7 +52,7 @@ def test_the_misfit_is_that_of_the_points_and_their_noise() -> None:
 
 def test_knots_are_checked() -> None:
     with pytest.raises(InputError, match="between 2 and 8"):
-        fit_torque_curve(strips_of(lambda k: 30e-6 * k), weight=WEIGHT, knots=1)
+        fit_torque_curve(strips_of(straight), weight=WEIGHT, knots=1)
 
 
 def test_strips_of_a_steep_clamp_are_refused() -> None:
@@ -76,12 +75,9 @@ def test_a_parabola_of_torque_is_the_law_of_an_isotropic_fabric() -> None:
         np.testing.assert_allclose(one, two, rtol=2e-3, atol=2e-3 * np.abs(two).max())
 
 
-def test_a_torque_law_has_as_many_torques_as_curvatures() -> None:
-    with pytest.raises(InputError, match="as many torques"):
-        TorqueLaw([0.0, 10.0, 20.0], [0.0, 1.0])
-
-
-@pytest.mark.parametrize("wrong", [[0.0, 2.0, 1.0], [1.0, 2.0, 3.0], [0.0, 1.0, np.nan]])
-def test_a_torque_law_increases_from_0(wrong: list[float]) -> None:
-    with pytest.raises(InputError, match="increase from 0"):
-        TorqueLaw(np.array([0.0, 10.0, 20.0]), np.array(wrong))
+@pytest.mark.parametrize(("torques", "word"), [
+    ([0.0, 1.0], "as many torques"), ([0.0, 2.0, 1.0], "increase from 0"),
+    ([1.0, 2.0, 3.0], "increase from 0"), ([0.0, 1.0, np.nan], "increase from 0")])
+def test_impossible_torque_laws_are_refused(torques: list[float], word: str) -> None:
+    with pytest.raises(InputError, match=word):
+        TorqueLaw([0.0, 10.0, 20.0], torques)
