@@ -22,8 +22,7 @@ STEP_OPTIONS = NewtonOptions(residual=0.1, step=2.0, max_iterations=40)
 
 
 class Inertia(Energy):
-    """Kinetic term of a time step, |x - y|²_M / (2 h²); one element per coordinate. ``masses`` (V,)
-    are in kg."""
+    """|x - y|²_M / (2 h²) of a time step; an element is a coordinate, ``masses`` (V,) are in kg."""
 
     def __init__(self, mesh: Mesh, *, density: Density) -> None:
         self.masses = density * mesh.vertex_areas

@@ -80,7 +80,7 @@ def test_mistakes_are_one_line(words):
     ("words", "said"),
     [(["method=guess"], "regression, table, spline"), (["rounds=1"], "all three"),
      (["degree=50"], "degree 50"), (["slope=95"], "slope"),
-     (["slope=nan"], "slope=nan must be a finite number"),
+     (["slope=nan"], "slope=nan"),
      (["method=spline", "slope=5"], "level clamp"), (["method=spline", "knots=1"], "knots=1"),
      (["density=0.3"], "5 to 5000 g/m²"), (["density=300000"], "5 to 5000 g/m²"),
      (["weft=FILE,,"], "weft=.*comma"), (["out=/proc/moduli.json"], "cannot write"),

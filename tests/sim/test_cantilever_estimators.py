@@ -72,23 +72,18 @@ def test_the_fitted_law_has_its_continuation():
     assert misfit < 1e-4
 
 
+@pytest.mark.parametrize(("method", "of_alpha", "of_beta"),
+                         [(regress, 0.005, 0.02), (match, 1e-4, 1e-3)])
 @pytest.mark.parametrize(("alpha", "beta"), LAWS)
-def test_regression_reads_elastica_curves(alpha, beta):
-    found = regress(curves_of(alpha, beta), weight=WEIGHT)
-    assert found.alpha == pytest.approx(alpha, rel=0.005)
-    assert found.beta == pytest.approx(beta, rel=0.02)
+def test_moduli_of_elastica_curves_are_those_of_their_law(method, of_alpha, of_beta, alpha, beta):
+    moduli = method(curves_of(alpha, beta), weight=WEIGHT)
+    assert moduli.alpha == pytest.approx(alpha, rel=of_alpha)
+    assert moduli.beta == pytest.approx(beta, rel=of_beta)
 
 
 def test_a_cubic_curve_makes_the_moduli_too_small():
     alpha, beta = LAWS[0]
     assert regress(curves_of(alpha, beta), weight=WEIGHT, degree=3).alpha < 0.95 * alpha
-
-
-@pytest.mark.parametrize(("alpha", "beta"), LAWS)
-def test_the_table_reads_elastica_curves(alpha, beta):
-    found = match(curves_of(alpha, beta), weight=WEIGHT)
-    assert found.alpha == pytest.approx(alpha, rel=1e-4)
-    assert found.beta == pytest.approx(beta, rel=1e-3)
 
 
 def test_both_read_strips_on_a_ramp():

@@ -116,14 +116,9 @@ def assert_error_falls_with_square(errors: list[float], scale: float) -> None:
 
 
 def direction_of(energy, seed: int) -> np.ndarray:
-    size = unknowns_of(energy)
-    direction = np.random.default_rng(seed).standard_normal(crumpled_unknowns())
-    return direction[:size] if isinstance(energy, ObstacleContact) else direction
-
-
-def crumpled_unknowns() -> int:
     mesh, _, _ = crumpled_strip()
-    return 3 * len(mesh.rest) + len(mesh.edges)
+    direction = np.random.default_rng(seed).standard_normal(3 * len(mesh.rest) + len(mesh.edges))
+    return direction[: unknowns_of(energy)] if isinstance(energy, ObstacleContact) else direction
 
 
 @pytest.mark.parametrize("name", ENERGIES)
