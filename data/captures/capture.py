@@ -257,8 +257,8 @@ def require_one_fabric(
     rigs: Iterable[Rig | str], marked: Iterable[bool], densities: Sequence[Density],
     digests: Iterable[tuple[str, str]],
 ) -> None:
-    """InputError for captures that cannot be combined in the estimate of one fabric; ``marked``:
-    whether each states the warp direction; ``digests``: name and :attr:`Capture.digest` of each.
+    """InputError for captures that cannot be combined; ``marked``: whether each states the warp
+    direction; ``digests``: name and :attr:`Capture.digest` of each.
     """
     names: dict[str, str] = {}
     for name, digest in digests:

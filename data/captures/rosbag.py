@@ -63,9 +63,7 @@ def read_recording(file: Path, unit: float | None = None) -> tuple[Views, Intrin
 
 
 def find_rests(times: np.ndarray, moved: np.ndarray) -> list[tuple[int, int]]:
-    """First and last frame of each period of rest, from the results of :func:`_motion`: ``times``
-    (N,), s, and shares ``moved`` (N,).
-    """
+    """First and last frame of each rest, from ``times`` (N,), s, and shares ``moved`` (N,)."""
     if len(times) < 2:
         return [(0, 0)] if len(times) else []
     low, factor, high = _REST_THRESHOLD

@@ -77,7 +77,9 @@ def _placement_fault(positions: Points, rest: RestPoints, faces: Faces, rig: Rig
     if not 0.9 * largest < radius.max() < _MAX_RADIUS_RATIO * largest:
         return (f"the flat specimen must be a disc of {1e3 * largest:g} mm radius around the "
                 f"origin, in metres; it reaches {1e3 * radius.max():g} mm")
-    draped, flat = (_edge_length(points, faces) for points in (positions, rest))
+    corners = faces, np.roll(faces, 1, axis=1)
+    draped, flat = (np.linalg.norm(points[corners[0]] - points[corners[1]], axis=2).mean()
+                    for points in (positions, rest))
     if draped > _MAX_EDGE_RATIO * flat or flat > _MAX_EDGE_RATIO * draped:
         return (f"vertices and rest must both be in metres; the mesh's edges are {1e3 * draped:.3g}"
                 f" mm long, on the flat specimen {1e3 * flat:.3g} mm")
@@ -90,11 +92,6 @@ def _placement_fault(positions: Points, rest: RestPoints, faces: Faces, rig: Rig
                 "z pointing up")
     return "" if height.min() <= -_PLANE_TOLERANCE else (
         "no vertex lies below the support; z must point up (in metres)")
-
-
-def _edge_length(points: np.ndarray, faces: Faces) -> float:
-    sides = points[faces] - points[np.roll(faces, 1, axis=1)]
-    return float(np.linalg.norm(sides, axis=2).mean())
 
 
 def rim_steepness(points: Points, rig: Rig) -> float:

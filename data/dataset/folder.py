@@ -284,9 +284,6 @@ def split_by_fabric(fabrics: np.ndarray, *, fractions: Mapping[str, float]) -> n
     """
     bounds, names = np.cumsum(list(fractions.values()))[:-1].tolist(), list(fractions)
     ids, position = np.unique(np.asarray(fabrics), return_inverse=True)
-    return np.array([names[bisect_right(bounds, _uniform(f"0:{fabric}"))]
-                     for fabric in ids])[position]
-
-
-def _uniform(key: str) -> float:
-    return int.from_bytes(hashlib.sha256(key.encode()).digest()[:6], "big") / 2**48
+    digests = [hashlib.sha256(f"0:{fabric}".encode()).digest() for fabric in ids]
+    uniform = [int.from_bytes(digest[:6], "big") / 2**48 for digest in digests]
+    return np.array([names[bisect_right(bounds, number)] for number in uniform])[position]

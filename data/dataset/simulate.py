@@ -9,7 +9,6 @@ from data.dataset.plan import DrapePlan, choose_lender, plan_drape
 from data.dataset.shards import FACES, LENGTH_UNIT, ORIGIN, ORIGIN_UNIT, fields, to_counts
 from data.fabrics.fabrics import fabric_from_theta
 from sim.mesh.specimen import default_edge
-from sim.rig import Rig
 
 Solver = Callable[..., object]
 """A function such as :func:`sim.drape.drape`."""
@@ -41,8 +40,14 @@ def make_record(
             record |= _mesh(result)
         except OverflowError as error:
             return record | (_outcome("out_of_range", str(error)) if result.converged else {})
-        return record | (_measures(result, plan.nuisances.rig(plan.rig)) if result.converged
-                         else {})
+        if not result.converged:
+            return record
+        from sim.measures import drape_coefficient, fold_count  # late, like the solver
+
+        rig = plan.nuisances.rig(plan.rig)
+        return record | {
+            "drape_coefficient": drape_coefficient(result.positions, result.faces, rig),
+            "folds": fold_count(result.positions, result.rest, rig)}
     except NUMERICAL_ERRORS as error:
         return record | _outcome("exception", f"{type(error).__name__}: {error}")
 
@@ -125,11 +130,3 @@ def _mesh(result: object) -> dict:
         ORIGIN: np.clip(np.rint(origins / ORIGIN_UNIT), -limit, limit).astype(np.int16),
     }
 
-
-def _measures(result: object, rig: Rig) -> dict:
-    """Drape coefficient and number of folds."""
-    # Imported here like the solver, see load_solver.
-    from sim.measures import drape_coefficient, fold_count
-
-    return {"drape_coefficient": drape_coefficient(result.positions, result.faces, rig),
-            "folds": fold_count(result.positions, result.rest, rig)}

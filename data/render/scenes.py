@@ -58,7 +58,13 @@ def raw_scene(
     clean = DepthRenderer(positions, faces).views(camera, orientation, turns)
     table, column_drawn = -rng.uniform(*TABLE), rng.uniform(0.2, 0.9) * rig.plate_radius
     column = column_drawn if column is None else column
-    empty = _depth([*_room(table, rng), *_tester(rig, column, table)], camera)
+    wall, askew = rng.uniform(*WALL), rng.uniform(-0.3, 0.3)
+    empty = _depth([
+        _box([0, wall / 2, table - 0.01], [3.0, wall + 2.0, 0.02]),  # the table
+        _box([0, wall + 0.01, 0], [6.0, 0.02, 4.0], askew),
+        _cylinder(0, 0, rig.plate_radius - 0.5e-3, -6e-3, -_GAP),
+        _cylinder(0, 0, column, table, -5e-3),
+    ], camera)
     for _ in range(CLUTTER[clutter]):
         empty = _with_object(empty, clean, camera, rig, table, rng)
     cloth = (clean > 0) & (_distance(clean) <= _distance(empty))
@@ -69,12 +75,10 @@ def raw_scene(
 
 
 def _distance(depth: np.ndarray) -> np.ndarray:
-    """Depth with an infinite distance in place of 0, the background."""
     return np.where(depth > 0, depth, np.inf)
 
 
 def _depth(meshes: list[trimesh.Trimesh], camera: Camera) -> DepthImage:
-    """Picture of meshes in world axes."""
     mesh = trimesh.util.concatenate(meshes)
     return DepthRenderer(mesh.vertices, mesh.faces).view(camera)
 
@@ -88,18 +92,6 @@ def _box(centre: Sequence[float], size: Sequence[float], turn: float = 0.0) -> t
 def _cylinder(x: float, y: float, radius: float, low: float, high: float) -> trimesh.Trimesh:
     mesh = trimesh.creation.cylinder(radius, high - low, sections=64)
     return mesh.apply_translation([x, y, (low + high) / 2])
-
-
-def _room(table: float, rng: np.random.Generator) -> list[trimesh.Trimesh]:
-    """The table, which ends at the wall, and the wall, slightly oblique to the camera's view."""
-    wall, askew = rng.uniform(*WALL), rng.uniform(-0.3, 0.3)
-    return [_box([0, wall / 2, table - 0.01], [3.0, wall + 2.0, 0.02]),
-            _box([0, wall + 0.01, 0], [6.0, 0.02, 4.0], askew)]
-
-
-def _tester(rig: Rig, column: float, table: float) -> list[trimesh.Trimesh]:
-    return [_cylinder(0, 0, rig.plate_radius - 0.5e-3, -6e-3, -_GAP),
-            _cylinder(0, 0, column, table, -5e-3)]
 
 
 def _with_object(

@@ -221,7 +221,7 @@ class TimeOfFlight(Sensor):
     ) -> torch.Tensor:
         depth = views[..., rows, columns]
         capture = (*views.shape[:-3], 1, 1, 1)
-        slope_u, slope_v, edge, other = _surroundings(depth)
+        slope_u, slope_v, edge, opposite = _surroundings(depth)
         cosine = _cosine(depth, slope_u, slope_v, rows, columns, intrinsics)
 
         lost = self.edge_invalid_most - self.edge_invalid_least
@@ -233,7 +233,7 @@ class TimeOfFlight(Sensor):
         measured = (depth > 0) & (torch.rand(depth.shape, generator=generator) < kept)
 
         blend = self._share(self.edge_blend) * torch.rand(depth.shape, generator=generator)
-        mixed = torch.where(other > 0, depth + blend * (other - depth), depth)
+        mixed = torch.where(opposite > 0, depth + blend * (opposite - depth), depth)
         signal = cosine.clamp(min=MIN_COSINE) * (REFERENCE_DISTANCE / mixed).square()
         sigma = self.strength * self.axial_mm * 1e-3 * signal**-self.signal_exponent
         error = sigma * correlated_normal(depth.shape, self.correlation_px, generator)
@@ -260,7 +260,7 @@ def _surroundings(
     """
     padded = pad(depth, (1, 1, 1, 1), value=math.nan)
     edge = torch.zeros_like(depth, dtype=torch.bool)
-    other, largest = torch.zeros_like(depth), torch.full_like(depth, EDGE_STEP)
+    opposite, largest = torch.zeros_like(depth), torch.full_like(depth, EDGE_STEP)
     slopes = []
     for before, after in (
         (padded[..., 1:-1, :-2], padded[..., 1:-1, 2:]),
@@ -272,12 +272,12 @@ def _surroundings(
             size = step.abs()
             edge |= (size > EDGE_STEP) & ~neighbour.isnan()
             across = (neighbour > 0) & (size > largest)
-            other = torch.where(across, neighbour, other)
+            opposite = torch.where(across, neighbour, opposite)
             largest = torch.where(across, size, largest)
             steps.append(step)
         slope = torch.where(steps[0].abs() < steps[1].abs(), -steps[0], steps[1])
         slopes.append(torch.where(slope.isinf(), 0, slope))
-    return *slopes, edge & (depth > 0), other
+    return *slopes, edge & (depth > 0), opposite
 
 
 def _cosine(
