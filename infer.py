@@ -99,7 +99,7 @@ def export_estimates(files: list[Path], names: str) -> None:
 
 
 def options_of(config: InferConfig) -> EstimateOptions:
-    """The options in SI units; InputError for values out of range or keys that do not fit."""
+    """The options in SI units; InputError for keys that do not fit each other."""
     sources = [key for key in ("capture", "captures", "scan") if getattr(config, key)]
     if len(sources) > 1:
         raise InputError(f"give {sources[0]}= or {sources[1]}=, not both")
@@ -124,10 +124,9 @@ def options_of(config: InferConfig) -> EstimateOptions:
 
 def read_sources(config: InferConfig) -> list[tuple[Capture, Any]]:
     """Read the captures named in ``config``, each with its scan or None."""
-    key = "scan" if config.scan else "capture"
-    named = getattr(config, key)
+    named = config.scan or config.capture
     paths = [Path(str(path)) for path in (named if isinstance(named, list) else [named])]
-    if key == "capture":
+    if not config.scan:
         return [(read_capture(path), None) for place in paths for path in captures_in(place)]
     density = checked_density(config.density_g_m2)
     from drapenet.refine.scans import read_scan_capture

@@ -1,7 +1,6 @@
-"""Resumable work: a case is done when its result file exists under its final name.
+"""Resumable work: a case is done when its result file exists, with the key of the case.
 
-The file holds the key of the case: a digest of its settings and of the sources that the result
-depends on. A result of other settings or sources is computed again.
+The key is a digest of its settings and of the sources that the result depends on.
 """
 
 import hashlib
@@ -47,18 +46,14 @@ def run_cases(
         cases: settings by name, of JSON types, paths and dataclasses of these; a path stands for
             the content of the file or folder.
         folder: of the result files ``NAME.json``.
-        workers: processes of one thread each.
         sources: folders and files of the project that the results depend on, beside ``work``.
         failures: receives the cases that fail, in one line each; they are recorded and not tried
             again. None: they are, and the first error is raised when all other cases are done.
-
-    Raises:
-        InputError: a worker was killed, or the folder cannot be written.
     """
     if workers < 1:
         raise InputError(f"workers={workers}: at least one process is needed")
     code = [inspect.getsource(work), *(content_digest(ROOT / name) for name in sources)]
-    keys = {name: _digest(json.dumps([settings, code], sort_keys=True, default=_plain).encode())
+    keys = {name: _digest(json.dumps([settings, code], sort_keys=True, default=_plain))
             for name, settings in cases.items()}
     files = {name: folder / f"{name}.json" for name in cases}
     stored = {name: _stored(files[name], keys[name], failures) for name in cases}
@@ -101,21 +96,21 @@ def content_digest(path: Path) -> str:
     parts = []
     for file in files:
         try:
-            content = _digest(file.read_bytes())
+            content = hashlib.sha256(file.read_bytes()).hexdigest()
         except OSError as error:  # reported by who reads the file
             content = type(error).__name__
         parts.append([file.relative_to(path).as_posix(), content])
-    return _digest(json.dumps(parts).encode())
+    return _digest(json.dumps(parts))
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def progress_bar(items: Any = None, **options: Any) -> tqdm:
     """A tqdm bar with an update interval of 0.1 s on a terminal and 30 s in a log file."""
     pause = 0.1 if sys.stderr.isatty() else 30.0
     return tqdm(items, mininterval=pause, maxinterval=max(pause, 10.0), **options)
-
-
-def _digest(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()
 
 
 def _plain(value: object) -> object:

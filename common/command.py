@@ -1,8 +1,7 @@
-"""Commands as Hydra applications: ``@command("infer", InferConfig)`` above a function.
+"""Commands as Hydra applications (https://hydra.cc): ``@command("infer", InferConfig)``.
 
 ``configs/NAME.yaml`` and its groups hold the defaults with their comments, the schema, a dataclass,
-the types and ranges. Beside what Hydra does (https://hydra.cc), texts need no quotes and lists of
-numbers no brackets, except in a sweep, and a mistake is one line (:func:`common.cli.run_command`).
+the types and ranges. Texts need no quotes and lists no brackets, except in a sweep.
 """
 
 import functools
@@ -26,7 +25,6 @@ Workers = Annotated[int, Field(ge=1, le=1024)]
 Threads = Annotated[int, Field(ge=0, le=1024)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
 _FULL_ERROR = "HYDRA_FULL_ERROR"
-_SWEEP = {"-m", "--multirun"}
 
 
 def command(
@@ -34,9 +32,8 @@ def command(
 ) -> Callable[[Callable[[Any], None]], Callable[..., None]]:
     """Decorator: make a function of a ``schema`` object the command of ``configs/NAME.yaml``.
 
-    The command reads ``sys.argv`` and ends the process; called with a list of arguments, as in
-    tests, it returns or raises InputError. Its help begins with its module's docstring. ``first``
-    is the key whose value is the first argument, unless that has the form key=value.
+    Its help begins with its module's docstring. ``first`` is the key whose value is the first
+    argument, unless that has the form key=value.
     """
 
     def decorate(task: Callable[[Any], None]) -> Callable[..., None]:
@@ -48,11 +45,7 @@ def command(
                 words = [f"{first}={words[0]}", *words[1:]]
             _run(task, name, schema, words)
 
-        @functools.wraps(task)
-        def main(words: Sequence[str] | None = None) -> None:
-            run_command(run) if words is None else run(list(words))
-
-        return main
+        return functools.wraps(task)(_main(run))
 
     return decorate
 
@@ -63,16 +56,23 @@ def commands(
     """A command whose first argument chooses among those ``named``; --help prints ``usage``."""
 
     def choose(words: list[str]) -> None:
-        name, *others = words or [""]
+        name, *arguments = words or [""]
         if name in ("-h", "--help"):
             print(usage)
         elif name in named:
-            named[name](others)
+            named[name](arguments)
         else:
             raise InputError(f"the first word must be one of: {', '.join(named)}")
 
+    return _main(choose)
+
+
+def _main(run: Callable[[list[str]], None]) -> Callable[..., None]:
+    """A command that reads ``sys.argv`` and ends the process; called with a list of arguments, it
+    returns or raises InputError.
+    """
     def main(words: Sequence[str] | None = None) -> None:
-        run_command(choose) if words is None else choose(list(words))
+        run_command(run) if words is None else run(list(words))
 
     return main
 
@@ -114,7 +114,7 @@ def _overrides(name: str, schema: type, words: list[str]) -> list[str]:
     keys = {word.partition("=")[0] for word in words}
     parts = content.get("hydra", {}).get("sweeper", {}).get("params", {})
     replaced = [f"~hydra.sweeper.params.{key}" for key in parts if key in keys]
-    if not _SWEEP & set(words):
+    if not {"-m", "--multirun"} & set(words):
         return [*replaced, *(quoted(word, schema) for word in words)]
     if content.get("out") and not parts and "out" not in keys:
         out = Path(content["out"])
@@ -166,7 +166,7 @@ def _compose(name: str, words: list[str]) -> Any:
 
 
 def checked(config: Any, schema: type) -> Any:
-    """A composed ``config`` as an instance of ``schema``; InputError for invalid values."""
+    """A composed ``config`` as an instance of ``schema``."""
     from omegaconf import OmegaConf
     from omegaconf.errors import OmegaConfBaseException
 

@@ -36,7 +36,7 @@ def group_options(group: str) -> list[str]:
 
 
 def read_option(group: str, name: str) -> dict:
-    """The content of ``configs/GROUP/NAME.yaml``; InputError when there is no such file."""
+    """The content of ``configs/GROUP/NAME.yaml``."""
     if name not in group_options(group):
         raise InputError(f"unknown {group} {name!r}; known {group}s: "
                          f"{', '.join(group_options(group))}")

@@ -29,10 +29,9 @@ T = TypeVar("T", bound="Schema")
 
 
 class Schema(BaseModel):
-    """Required content of a document; a field's description is the remedy in error messages.
+    """Content of a document: types are not converted, unknown keys refused, numbers finite.
 
-    Validation is strict: numbers are finite, and text, integers and booleans are not converted to
-    each other. Unknown keys are refused unless a schema ignores them.
+    A field's description is the remedy in error messages.
     """
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
@@ -75,7 +74,7 @@ def faults(error: ValidationError) -> str:
 
 
 class _Loader(yaml.SafeLoader):
-    """SafeLoader that refuses aliases (exponential expansion), repeated keys and deep nesting."""
+    """Refuses aliases, which may expand exponentially, repeated keys and deep nesting."""
 
     depth = 0
 
@@ -111,12 +110,10 @@ def without_repeats(pairs: list[tuple[Any, Any]]) -> dict:
 
 
 def parse_yaml(text: str, what: str | Path) -> Mapping:
-    """Parse YAML text of ``key: value`` lines; ``what`` names it in error messages."""
+    """Parse YAML text of ``key: value`` lines, named ``what`` in errors."""
     try:
         content = yaml.load(text, _Loader)
-    except (yaml.YAMLError, ValueError, LookupError, AttributeError, TypeError,
-            RecursionError) as error:
-        # Mostly values that contradict their tag: "!!int ''".
+    except Exception as error:  # PyYAML raises any for values that contradict their tag: "!!int ''"
         raise InputError(f"{what} is not valid YAML ({one_line(error)})") from None
     if not isinstance(content, Mapping):
         raise InputError(f"{what} must hold 'key: value' lines, such as 'density_g_m2: 150'")
@@ -154,39 +151,27 @@ def read_text(file: Path, max_bytes: int = MAX_TEXT_BYTES, kind: str = "descript
 def read_table(
     file: Path, kind: str, max_bytes: int = MAX_TABLE_BYTES
 ) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """Read a CSV file: the cells of its header, and line number and cells of each further row.
-
-    Empty rows are skipped; the header of an empty file is empty.
-    """
+    """Read a CSV file: its header, and line number and cells of each further row that has some."""
     lines = read_text(file, max_bytes, kind).splitlines()
     # In locales with a decimal comma, spreadsheets separate cells by semicolons.
     separator = ";" if lines and ";" in lines[0] and "," not in lines[0] else ","
     reader = csv.reader(lines, delimiter=separator, skipinitialspace=True, strict=True)
-    try:
+    with reading(file, "give a CSV file"):
         rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
-    except csv.Error as error:
-        raise InputError(f"{file} cannot be read as a table ({one_line(error)}); give a CSV "
-                         "file") from None
     return [cell.strip() for cell in rows[0][1]] if rows else [], rows[1:]
 
 
 def read_bytes(file: Path, max_bytes: int, kind: str) -> bytes:
     """Read a regular file of up to ``max_bytes`` bytes; ``kind`` names its type in errors."""
     require_regular(file, max_bytes, kind)
-    try:
+    with reading(file, "check the permissions"):
         return file.read_bytes()
-    except OSError as error:
-        raise InputError(f"{file} cannot be read ({error.strerror}); check the permissions"
-                         ) from None
 
 
 def require_regular(file: Path, max_bytes: int, kind: str) -> None:
     """InputError for pipes, which would block, devices, which may be endless, and large files."""
-    try:
+    with reading(file, "check the path and the permissions"):
         status = os.stat(file)
-    except (OSError, ValueError) as error:  # ValueError: null byte in the name
-        raise InputError(f"{file} cannot be read ({getattr(error, 'strerror', None) or error}); "
-                         "check the path and the permissions") from None
     if not stat.S_ISREG(status.st_mode):
         raise InputError(f"{file} is not a regular file; give a {kind}")
     if status.st_size > max_bytes:

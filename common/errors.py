@@ -4,11 +4,9 @@ MAX_LENGTH, MAX_LIST_LENGTH = 700, 4000  # characters of a message; of a list of
 
 
 class InputError(ValueError):
-    """Invalid input: the message is one line that states the fault and its remedy.
+    """Invalid input: a line that states the fault and its remedy; commands exit with code 2.
 
-    Commands print it to standard error without a traceback and exit with code 2
-    (:func:`common.cli.run_command`). Names in the message may be long or contain line breaks or
-    unprintable characters: these are escaped, and the message is shortened to ``max_length``.
+    Unprintable characters of names in it are escaped, and it is shortened to ``max_length``.
     """
 
     def __init__(self, message: str, *, max_length: int = MAX_LENGTH) -> None:

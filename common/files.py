@@ -12,8 +12,7 @@ from typing import BinaryIO
 
 from common.errors import InputError, one_line
 
-PARTIAL_SUFFIX = ".part"
-"""Suffix of a file while it is being written."""
+PARTIAL_SUFFIX = ".part"  # of a file while it is being written
 _unfinished: set[Path] = set()
 
 
@@ -21,9 +20,8 @@ _unfinished: set[Path] = set()
 def replacing(path: Path) -> Iterator[BinaryIO]:
     """Yield a temporary file beside ``path`` that replaces ``path`` at the end of the block.
 
-    The folder is created if it is missing. If the block fails, ``path`` is unchanged; InputError if
-    the system refuses to write. Several processes, on any machines, may write ``path``, and the
-    last one to finish wins.
+    If the block fails, ``path`` is unchanged. Several processes, on any machines, may write
+    ``path``, and the last one to finish wins.
     """
     temporary = path.with_name(f"{path.name}.{secrets.token_hex(4)}{PARTIAL_SUFFIX}")
     _unfinished.add(temporary)
@@ -116,9 +114,8 @@ def remove_file(path: Path) -> None:
 
 
 def remove_partial(folder: Path, pattern: str) -> None:
-    """Remove temporary files of interrupted writers of files that match ``pattern``.
-
-    A process that is writing such a file with :func:`replace_file` at this moment repeats it.
+    """Remove temporary files of interrupted writers of files that match ``pattern``; processes that
+    are writing one by :func:`replace_file` repeat it.
     """
     for leftover in folder.glob(pattern + "*" + PARTIAL_SUFFIX):
         leftover.unlink(missing_ok=True)

@@ -9,8 +9,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("numpy", "scipy", "numba", "llvmlite", "mkl", "pypardiso", "ipctk", "open3d", "h5py",
-            "scikit-learn", "torch")
-"""Packages whose version may change the last digits of a drape, view or file."""
+            "scikit-learn", "torch")  # which may change the last digits of a drape, view or file
 _GIT_TIMEOUT = 20  # s; long enough for slow file systems, finite for file systems that hang
 
 
@@ -20,11 +19,7 @@ def release() -> str:
 
 
 def code_state(root: Path = ROOT) -> dict[str, object]:
-    """State of the running code: ``release``, ``commit`` and ``dirty``.
-
-    ``commit`` is None outside a git checkout. ``dirty`` is whether files differ from the commit
-    or are untracked.
-    """
+    """Release, commit (None outside a git checkout), and whether files differ from it."""
     top = _git(root, "rev-parse", "--show-toplevel", "HEAD")
     # The package may be installed inside another project's checkout.
     if top is None or Path(top.splitlines()[0]).resolve() != root.resolve():
@@ -59,9 +54,6 @@ def processor() -> str:
 
 @functools.cache
 def environment() -> dict[str, object]:
-    """Full provenance in JSON types, at the first call: a checkout may change during a long run.
-
-    Equal settings give equal bytes in equal environments; in others, the last digits may differ.
-    """
+    """Full provenance in JSON types, at the first call: a checkout may change during a long run."""
     return {"code": code_state(), "python": platform.python_version(),
             "packages": package_versions(*PACKAGES), "processor": processor()}

@@ -30,9 +30,8 @@ ONE_THREAD = {
 one_blas_thread = threadpool_limits.wrap(limits=1, user_api="blas")
 """Decorator: linear algebra inside the function uses one thread.
 
-SciPy's interpolation on a triangulation solves a system of two equations for every triangle.
-OpenBLAS synchronises its threads for each of them: on 31 x 31 vertices this takes 0.03 s instead of
-0.01 s, and up to 5 s on busy cores.
+SciPy's interpolation on a triangulation solves two equations for every triangle, for each of which
+OpenBLAS synchronises its threads: at 31 x 31 vertices 0.03 s instead of 0.01 s, 5 s on busy cores.
 """
 
 _SPAWN = multiprocessing.get_context("spawn")
@@ -71,11 +70,7 @@ def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     """A pool of ``workers`` processes; they are killed if the block fails.
 
     Processes take a second to start, as long as a drape, so they are kept for the next call of the
-    same size. As usual for processes that are spawned, a script calls this below ``if __name__ ==
-    "__main__":``.
-
-    Raises:
-        InputError: a worker was killed from outside.
+    same size. A script calls this below ``if __name__ == "__main__":``.
     """
     key = os.getpid(), workers  # a forked process cannot use its parent's pool
     pool = _idle.pop(key, None)
@@ -93,8 +88,8 @@ def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
             raise InputError("a worker process was killed, perhaps because memory ran out; run "
                              "the same command again with a smaller workers=") from None
         raise
-    for other in [other for other in _idle if other[0] == os.getpid()]:
-        _idle.pop(other).shutdown(wait=False)
+    for unused in [unused for unused in _idle if unused[0] == os.getpid()]:
+        _idle.pop(unused).shutdown(wait=False)
     _idle[key] = pool
 
 

@@ -1,7 +1,6 @@
 """The way of a capture to its estimate and files: network, checks, refinement, drape, report.
 
-Each stage adds to a :class:`CaptureEstimate`. The first two raise errors; an error in a later one
-leaves the estimate of those before, with a warning.
+An error in one of the last three leaves the estimate of those before, with a warning.
 """
 
 import os
@@ -51,12 +50,10 @@ class CaptureEstimate:
     """The estimate of one capture, as far as its stages have come.
 
     Attributes:
-        located: the views with the estimated pose and turns.
         map: the network's input.
         known: properties of the cloth at 300 g/m², by :data:`data.fabrics.nuisances.NAMES`.
-        warnings: of everything but the samples, one line each.
-        refined: outcome of a refinement.
-        drape: a drape of the estimate beside the captured one.
+        warnings: beside those of capture, samples and drape.
+        refined: outcome of a refinement, for the document.
     """
 
     capture: Capture
@@ -88,10 +85,6 @@ class CaptureEstimate:
             self.estimate, capture=about, checkpoint=self.header.identity, warnings=warnings,
             **optional)
 
-    def write(self, out: Path) -> None:
-        """Write document and samples."""
-        write_estimate(out, self.estimate, self.document)
-
 
 def estimate_capture(
     capture: Capture, header: Header, options: EstimateOptions, *, out: Path | None = None,
@@ -101,21 +94,15 @@ def estimate_capture(
     """Estimate a capture, refine the estimate and report it as the ``options`` say.
 
     Args:
-        out: folder of all files; the network's estimate is written before any simulation. None:
-            no files.
-        scan: whose rendered views are those of ``capture``; None for captured views.
-        progress: of the refinement.
+        out: folder of the files, if any; the network's estimate is written before any simulation.
+        scan: the surface whose rendered views are those of ``capture``.
         on_stage: called when the stages "refining" and "simulating" begin.
-
-    Raises:
-        InputError: the views show no drape on a plate; or ``options.strict``, and something is
-            wrong with the capture.
     """
     result = network_estimate(capture, header, membrane=options.membrane)
     check(result, strict=options.strict)
     if out:
         remove_report(out)
-        result.write(out)
+        write_estimate(out, result.estimate, result.document)
     if options.refine:
         with _tolerated(result, "the network's estimate is not refined"):
             on_stage("refining", result)
@@ -128,7 +115,7 @@ def estimate_capture(
         with _tolerated(result, "there is no report"):
             report(result, out)
     if out:
-        result.write(out)
+        write_estimate(out, result.estimate, result.document)
     return result
 
 
@@ -144,24 +131,18 @@ def _tolerated(result: CaptureEstimate, loss: str) -> Iterator[None]:
 def network_estimate(
     capture: Capture, header: Header, *, membrane: float | None = None
 ) -> CaptureEstimate:
-    """Estimate a capture with the network of ``header``.
-
-    ``membrane``: N/m along the yarns, of the fabric at its own density; None if unknown.
-    """
+    """Estimate a capture by the network of ``header``; ``membrane`` as in EstimateOptions."""
     located = LocatedViews.of(capture)
     drape = radial_map(located)
-    known = {}
-    if membrane is not None:
-        known["membrane"] = membrane * REFERENCE_DENSITY / capture.density
+    known = {} if membrane is None else {
+        "membrane": membrane * REFERENCE_DENSITY / capture.density}
     draws, = predict(network_of(header), header, [drape], **known)
     estimate = make_estimate(draws, capture=capture, header=header)
     return CaptureEstimate(capture, header, located, drape, known, estimate)
 
 
 def check(result: CaptureEstimate, *, strict: bool = False) -> None:
-    """Add the warnings of views, camera and table; InputError for them if ``strict``, and for views
-    that show no drape on a plate.
-    """
+    """Add the warnings of the views; InputError if they show no drape, or if ``strict``."""
     path = result.capture.path
     try:
         result.warnings += view_warnings(result.located, result.map, result.header.setups)
@@ -176,9 +157,7 @@ def refine(
     result: CaptureEstimate, settings: Mapping[str, Any], *, scan: "CapturedShape | None" = None,
     progress: Progress | None = None,
 ) -> None:
-    """Refine the estimate by simulation, ``settings`` as in ``configs/refine``; the network's
-    estimate is kept where that gives no improvement.
-    """
+    """Refine the estimate by simulation, which keeps the network's if there is no improvement."""
     from drapenet.refine.refine import refine_capture
 
     outcome = refine_capture(result.estimate, result.located, scan=scan,
@@ -194,9 +173,7 @@ def refine(
 
 
 def simulate(result: CaptureEstimate, *, drapes: int, edge: Metres) -> None:
-    """Simulate ``drapes`` drapes of the estimate, unless a refinement has, and keep the one that
-    fits the capture best.
-    """
+    """Simulate drapes of the estimate, unless a refinement has, and keep that of the best fit."""
     from data.fabrics.nuisances import Nuisances
     from drapenet.report.drape import resimulate
 

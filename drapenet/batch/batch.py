@@ -28,17 +28,12 @@ def estimate_fabrics(
     source: Path, out: Path, options: EstimateOptions, *, checkpoint: str = "",
     workers: int | None = None,
 ) -> list[Path]:
-    """Estimate all captures of ``source`` (:func:`drapenet.batch.captures.entries_of`); write
-    tables, a page for each fabric and an overview to ``out``; return the fabrics' files
-    ``estimate.json``.
+    """Estimate all captures of ``source``; write tables, a page for each fabric and an overview to
+    ``out``; return the fabrics' files ``estimate.json``.
 
     Args:
         checkpoint: for all captures; empty: the bundled one of each capture's rig.
-        workers: processes, one thread each; None: one for each core.
-
-    Raises:
-        InputError: no captures, an invalid checkpoint, a folder that is not writable, or no capture
-            that can be estimated.
+        workers: None: one for each core.
     """
     entries = entries_of(source)
     require_folder(out)

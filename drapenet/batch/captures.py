@@ -18,11 +18,10 @@ MAX_NAME_LENGTH = 80  # characters, of a folder of results
 
 @dataclass(frozen=True)
 class Entry:
-    """A capture of a specimen of a fabric.
+    """A capture of a specimen of a fabric, with the names that the user gave.
 
     Attributes:
-        fabric, sample, capture: names given by the user; ``sample`` may be empty.
-        path: of its folder.
+        sample: may be empty.
         place: folder of its results, relative to the output folder.
     """
 
@@ -38,9 +37,6 @@ def entries_of(source: Path) -> list[Entry]:
 
     In a tree, every folder that contains a file and no folders is a capture; faults are reported
     when it is read. FABRIC/CAPTURE and CAPTURE alone are trees, too.
-
-    Raises:
-        InputError: neither a tree nor a list, not readable, or without captures.
     """
     if any((source / mark).exists() for mark in CAPTURE_FILES):
         raise InputError(f"{source} is one capture: give capture={source}, or the folder of the "

@@ -1,8 +1,6 @@
-"""Formats of other tools, and the units of each.
+"""Formats of other tools; quantities, units, relations, sources, losses: ``docs/exports.md``.
 
-``docs/exports.md`` describes quantities, units, relations and sources for each tool, and what is
-lost. A tool with one modulus per direction gets alpha, or the secant of the torque at a stated
-curvature.
+A tool with one modulus per direction gets alpha, or the secant of the torque at a curvature.
 """
 
 import io
@@ -39,7 +37,7 @@ class Target:
 
     Attributes:
         file: usual name.
-        tool, lost: for display; what is missing from the file or approximated.
+        lost: what is missing from the file or approximated.
         write: from material and file name to the files' bytes by name, the named file first.
     """
 
@@ -54,7 +52,7 @@ def _json(content: object) -> bytes:
 
 
 def _clo_bending(material: Material) -> np.ndarray:
-    """(3,) bending stiffness in CLO's unit, g·mm²/s²."""
+    """Bending stiffness (3,) in CLO's unit."""
     return np.minimum(material.modulus * CLO, MAX_CLO)
 
 
@@ -78,8 +76,7 @@ def _jfab(material: Material, name: str) -> dict[str, bytes]:
 
 def _u3m(material: Material, name: str) -> dict[str, bytes]:
     warp, _, weft = (material.modulus * BROWZWEAR).tolist()
-    label, moment = material.name, material.written
-    measured = f"{Path(name).stem}.fab.json"
+    label, moment, measured = material.name, material.written, f"{Path(name).stem}.fab.json"
     weight = round(1e3 * material.density, 6)
     bend = {"length": repr(warp), "width": repr(weft)}
     physics = {"schema": "1.1", "raw_data": None, "custom": {
@@ -199,23 +196,17 @@ TARGETS = {
 ALIASES = {"clo": "jfab", "clo3d": "jfab", "marvelous": "jfab", "marvelousdesigner": "jfab",
            "browzwear": "u3m", "vstitcher": "u3m", "unreal": "usd", "style3d": "newton",
            "vbd": "newton"}
-"""Names of programs that are accepted for a target."""
 NOT_OFFERED = {"blender", "houdini", "vellum", "mujoco", "physx", "omniverse", "libuipc", "c-ipc",
-               "diffcloth"}
-"""Programs without an export, for reasons given in ``docs/exports.md``."""
+               "diffcloth"}  # for reasons given in docs/exports.md
 
 
 def table() -> str:
-    """:data:`TARGETS` as text: name, usual file and tool of each."""
+    """Name, usual file and tool of each target as text."""
     return "\n".join(f"{name:<8}{t.file:<18}{t.tool}" for name, t in TARGETS.items())
 
 
 def targets_named(words: str, key: str = "to") -> list[str]:
-    """Parse ``words``, the value of ``key``: names of targets with commas, or ``all``.
-
-    Raises:
-        InputError: an unknown name, or none.
-    """
+    """Parse ``words``, the value of ``key``: names of targets with commas, or ``all``."""
     if words == "all":
         return list(TARGETS)
     names = [word.strip().lower() for word in words.strip("[]").split(",")]
@@ -229,11 +220,12 @@ def targets_named(words: str, key: str = "to") -> list[str]:
 
 
 def export(material: Material, name: str, out: Path) -> list[Path]:
-    """Write a target's file to ``out`` and its further files beside it; returns all paths."""
-    files = TARGETS[name].write(material, out.name)
+    """Write a target's file to ``out`` and its further files beside it; their paths."""
+    files = {out.with_name(file): data
+             for file, data in TARGETS[name].write(material, out.name).items()}
     for file, data in files.items():
-        replace_file(out.parent / file, data)
-    return [out.parent / file for file in files]
+        replace_file(file, data)
+    return list(files)
 
 
 def export_all(material: Material, names: Sequence[str], folder: Path) -> list[Path]:

@@ -1,12 +1,9 @@
-"""Material for exports: alpha and beta of an estimate, or one modulus per direction, and the
-modulus of hinges on the meshes of other tools.
-"""
+"""Material for exports: moduli of an estimate, and of hinges on the meshes of other tools."""
 
 import hashlib
 import json
 from dataclasses import dataclass
 from datetime import datetime, timezone
-from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,7 +12,7 @@ from pydantic import Field, field_validator
 
 from common.documents import Schema
 from common.errors import InputError
-from common.types import Moduli, QuadraticModuli
+from common.types import Density, Moduli, QuadraticModuli
 from drapenet.result.document import EstimateDocument
 from drapenet.result.files import ESTIMATE, read_document, result_name
 from sim.energies.hinges import mean_modulus
@@ -31,13 +28,7 @@ GAMMA = 10.0  # rho g L³/alpha of that strip, similar to that of hanging cloth 
 
 
 class ExportSettings(Schema):
-    """What a user states for an export.
-
-    Attributes:
-        curvature_1_m: of the secant modulus; 0: alpha.
-        mesh, edge_mm: of the tool's cloth, for hinges.
-        name: of the fabric; empty: that of the captures.
-    """
+    """What a user states for an export: ``configs/export.yaml``."""
 
     curvature_1_m: float = Field(0.0, ge=0, le=1000)
     mesh: Literal[tuple(MESHES)] = "unstructured"
@@ -54,17 +45,12 @@ class ExportSettings(Schema):
 
 @dataclass(frozen=True)
 class Material:
-    """An estimate with the settings of an export; moduli are medians, the first yarns warp.
-
-    Attributes:
-        identity: SHA-256 of ``estimate.json``.
-        written: its modification time, ISO 8601.
-    """
+    """An estimate with the settings of an export; moduli are medians, the first yarns warp."""
 
     document: EstimateDocument
     settings: ExportSettings
-    identity: str
-    written: str
+    identity: str  # SHA-256 of estimate.json
+    written: str  # its modification time, ISO 8601
 
     @property
     def alpha(self) -> Moduli:
@@ -79,13 +65,13 @@ class Material:
                                 for moduli in self.document.moduli.values()])
 
     @property
-    def density(self) -> float:
-        """kg/m²."""
+    def density(self) -> Density:
+        """Of the fabric."""
         return self.document.density
 
     @property
     def modulus(self) -> Moduli:
-        """Alpha, or the secant of the torque at the curvature of the settings."""
+        """Alpha, or the secant of the torque at the stated curvature."""
         curvature = self.settings.curvature_1_m
         if not curvature:
             return self.alpha
@@ -115,7 +101,7 @@ class Material:
 
     @property
     def about(self) -> dict[str, Any]:
-        """Metadata for exports, with intervals and warnings, in JSON's types."""
+        """Metadata in JSON's types."""
         content, curvature = self.document.content(), self.settings.curvature_1_m
         capture, warnings = content["capture"], content["warnings"]
         if self.document.names != DIRECTIONS:
@@ -144,17 +130,13 @@ def hinge_ratio(mesh: str, cells: int) -> float:
     """Modulus of hinges over that of the equivalent plate, constant beyond :data:`MAX_CELLS`
     (``python -m experiments hinges``).
     """
-    return _hinge_ratios()[mesh][min(cells, MAX_CELLS) - MIN_CELLS]
-
-
-@cache
-def _hinge_ratios() -> dict[str, list[float]]:
     file = Path(__file__).parents[1] / "weights" / "hinges.json"
-    return json.loads(file.read_text(encoding="utf-8"))
+    ratios = json.loads(file.read_text(encoding="utf-8"))
+    return ratios[mesh][min(cells, MAX_CELLS) - MIN_CELLS]
 
 
 def read_material(path: Path, **settings: object) -> Material:
-    """The fabric of an ``estimate.json``, or of that in a folder, with :class:`ExportSettings`."""
+    """Read an ``estimate.json``, or that in a folder, with settings of :class:`ExportSettings`."""
     path = path / ESTIMATE if path.is_dir() else path
     checked, document = ExportSettings.of(settings, ""), read_document(path)
     written = datetime.fromtimestamp(path.stat().st_mtime, timezone.utc)

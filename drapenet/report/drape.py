@@ -1,8 +1,7 @@
-"""Simulates the drape of an estimate and compares it with the capture.
+"""Simulates drapes of an estimate; the one that fits the captured silhouettes best is shown.
 
-A fabric has many drapes, and which of them a specimen takes is random. A few drapes of the estimate
-are simulated; the one that fits the captured silhouettes best is shown beside the capture. The
-mirror image of a drape is an equally likely drape of the same fabric, at no cost.
+A fabric has many drapes, and which of them a specimen takes is random. The mirror image of a drape
+is an equally likely drape of the same fabric, at no cost.
 """
 
 import math
@@ -35,8 +34,8 @@ class Resimulation:
     """A simulated drape of the estimate beside the captured one.
 
     Attributes:
-        located: captured views; views: those of the simulated drape.
-        drape: the one shown, possibly before reflection.
+        views: of the simulated drape.
+        drape: possibly before reflection.
         positions: of its vertices, in the orientation of the first view.
         statuses: of all simulated drapes, in the order of :data:`STARTS`.
     """
@@ -50,15 +49,14 @@ class Resimulation:
     @cached_property
     def profiles(self) -> tuple[np.ndarray, np.ndarray]:
         """Radius profiles (BINS,), m, captured and simulated."""
-        captured, simulated = (radius_profile(views, self.located.camera, self.located.turns)
-                               for views in (self.located.views, self.views))
-        return captured, simulated
+        located = self.located
+        return (radius_profile(located.views, located.camera, located.turns),
+                radius_profile(self.views, located.camera, located.turns))
 
     @property
     def folds(self) -> tuple[int, int]:
         """Number of folds, captured and simulated."""
-        captured, simulated = map(count_folds, self.profiles)
-        return captured, simulated
+        return count_folds(self.profiles[0]), count_folds(self.profiles[1])
 
     @cached_property
     def overlap(self) -> float:
@@ -77,22 +75,16 @@ class Resimulation:
     def as_dict(self) -> dict:
         """Drape coefficient, folds, overlap and statuses in JSON's types."""
         coefficient = drape_coefficient(self.drape.positions, self.drape.faces, self.drape.rig)
-        captured, simulated = self.folds
         return {"drape_coefficient_percent": round(100 * coefficient, 1),
-                "folds_captured": captured, "folds_simulated": simulated,
+                "folds_captured": self.folds[0], "folds_simulated": self.folds[1],
                 "silhouette_overlap": self.overlap, "statuses": list(self.statuses)}
 
 
 def resimulate(
     fabric: Fabric, located: LocatedViews, *, edge: Metres, drapes: int, laws: Laws | None = None
 ) -> Resimulation | None:
-    """Simulate drapes of ``fabric`` and fit them to captured views; None if none converges.
-
-    Args:
-        fabric: stiff along warp.
-        edge: at the rim of the specimen's mesh.
-        drapes: number to simulate, at most that of :data:`STARTS`.
-        laws: of cloth of 300 g/m²; None: the defaults.
+    """Simulate up to four drapes of ``fabric`` and fit them to captured views; None if none
+    converges. ``laws`` are those of cloth of 300 g/m².
     """
     views, camera, turns = located.views, located.camera, located.turns
     step = max(1, round(camera.width / FIT_WIDTH))
@@ -141,10 +133,10 @@ def radius_profile(views: Views, camera: Camera, turns: Turns) -> np.ndarray:
 
 def count_folds(profile: np.ndarray) -> int:
     """Number of outward folds of a radius profile (bins,), which may have gaps."""
-    known = np.flatnonzero(np.isfinite(profile))
-    if len(known) < len(profile) // 2:
+    bins = np.flatnonzero(np.isfinite(profile))
+    if len(bins) < len(profile) // 2:
         return 0
-    filled = np.interp(np.arange(len(profile)), known, profile[known], period=len(profile))
+    filled = np.interp(np.arange(len(profile)), bins, profile[bins], period=len(profile))
     return len(folds_around(filled, len(profile) / 90))
 
 

@@ -1,6 +1,4 @@
-"""``report.png``: the capture, the estimated bending laws and the simulated drape; ``torque.svg``:
-the bending laws alone.
-"""
+"""Pictures of an estimate: ``report.png``, and ``torque.svg`` with the bending laws alone."""
 
 import io
 import math
@@ -11,14 +9,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 
-from common.types import Views
+from common.types import DepthImage, Views
 from drapenet.report.drape import PROFILE_HEIGHT, Resimulation
 from drapenet.result.document import EstimateDocument
 from drapenet.result.estimate import Estimate
 
 MAX_CURVATURE = 400.0  # 1/m, about the sharpest folds of a drape
-COLOURS = ("#b5403a", "#6b6b6b", "#2f6da8")
-"""Of the three directions of a fabric."""
+COLOURS = ("#b5403a", "#6b6b6b", "#2f6da8")  # of the three directions of a fabric
 CAPTURED, SIMULATED = "#8a8a8a", "#d9762b"
 
 
@@ -33,8 +30,7 @@ def draw_report(
     simulated = np.zeros_like(views) if resimulation is None else resimulation.views
     window = _window(np.concatenate([views, simulated]))
     limits = tuple(np.quantile(views[views > 0], (0.01, 0.99)) * 1e3)
-    rows = ["captured", "simulated with the estimate",
-            "captured (grey), simulated (line)"]
+    rows = ["captured", "simulated with the estimate", "captured (grey), simulated (line)"]
     pictures = upper.subplots(len(rows), len(views), squeeze=False)
     for axes in pictures.flat:
         axes.set(xticks=[], yticks=[])
@@ -72,8 +68,8 @@ def draw_torques(estimate: Estimate) -> bytes:
     return picture.getvalue()
 
 
-def _window(views: np.ndarray) -> tuple[slice, slice, slice]:
-    """Slices (view, row, column) of views (N, H, W) that contain the cloth, with a small margin."""
+def _window(views: Views) -> tuple[slice, slice, slice]:
+    """Slices of view, row and column that contain the cloth, with a small margin."""
     cloth = (views > 0).any(axis=0)
     slices = [slice(None)]
     for axis in (1, 0):
@@ -82,13 +78,13 @@ def _window(views: np.ndarray) -> tuple[slice, slice, slice]:
     return tuple(slices)
 
 
-def _depth(axes: Axes, view: np.ndarray, limits: tuple[float, float]) -> AxesImage:
-    """Draw a depth image (H, W), m; ``limits`` of the colours in mm."""
+def _depth(axes: Axes, view: DepthImage, limits: tuple[float, float]) -> AxesImage:
+    """Draw a depth image; ``limits`` of the colours in mm."""
     millimetres = np.where(view > 0, view * 1e3, np.nan)
     return axes.imshow(millimetres, cmap="viridis_r", vmin=limits[0], vmax=limits[1])
 
 
-def _silhouettes(axes: Axes, captured: np.ndarray, simulated: np.ndarray) -> None:
+def _silhouettes(axes: Axes, captured: DepthImage, simulated: DepthImage) -> None:
     picture = np.ones((*captured.shape, 3))
     picture[captured > 0] = 0.78
     axes.imshow(picture)
@@ -109,9 +105,7 @@ def _torques(axes: Axes, estimate: Estimate) -> None:
     axes.legend(frameon=False, loc="upper left")
 
 
-def _from_above(
-    axes: Axes, document: EstimateDocument, resimulation: Resimulation | None
-) -> None:
+def _from_above(axes: Axes, document: EstimateDocument, resimulation: Resimulation | None) -> None:
     """Draw radius profiles and the first yarns; angles as in the first view, 0 to the right."""
     axes.set_title(f"from above: radius {-PROFILE_HEIGHT * 1e3:.0f} mm below the plate [mm]",
                    fontsize=10)
@@ -134,13 +128,11 @@ def _from_above(
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), frameon=False, fontsize=8)
 
 
-def _figures(
-    axes: Axes, document: EstimateDocument, resimulation: Resimulation | None
-) -> None:
+def _figures(axes: Axes, document: EstimateDocument, resimulation: Resimulation | None) -> None:
     lines = [f"at {document.capture.density_g_m2:g} g/m², median and 68 % interval"]
     for name, moduli in document.moduli.items():
-        lines += [f"{name:5} alpha {moduli.alpha_uN_m} µN·m", f"{name:5} beta  "
-                  f"{moduli.beta_nN_m2} nN·m²"]
+        lines += [f"{name:5} alpha {moduli.alpha_uN_m} µN·m",
+                  f"{name:5} beta  {moduli.beta_nN_m2} nN·m²"]
     lines.append("")
     if resimulation is None:
         lines.append("no simulated drape converged")

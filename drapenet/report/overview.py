@@ -1,8 +1,5 @@
-"""Tables and pages of batch inference: ``summary.csv``, ``fabrics.csv``, ``captures.csv``,
-``failures.csv``, a page for each fabric, and ``index.html``.
-
-They are made from the files of finished captures (:mod:`drapenet.batch.batch`); estimates of one
-fabric are joined (:mod:`drapenet.result.joint`).
+"""Tables and pages of batch inference, from the files of finished captures: ``summary.csv``,
+``fabrics.csv``, ``captures.csv``, ``failures.csv``, a page for each fabric, and ``index.html``.
 """
 
 import io
@@ -36,37 +33,28 @@ class FabricEstimate:
 
     Attributes:
         document: of the joint estimate of several captures, or of the only one.
-        scatter: (3,) geometric standard deviation of the captures' alpha by direction; NaN for a
-            single capture.
+        scatter: (3,) geometric standard deviation of the captures' alpha; None for one capture.
     """
 
     name: str
     place: Path
     captures: list[tuple[Entry, EstimateDocument]]
     document: EstimateDocument
-    scatter: np.ndarray
-
-    @property
-    def warnings(self) -> int:
-        """Number of warnings; one for each capture that has some by itself."""
-        return len(self.document.warnings)
+    scatter: np.ndarray | None
 
     @property
     def coefficient(self) -> str:
-        """Mean drape coefficient of the captures, percent; empty if none is known."""
-        values = [document.capture.drape_coefficient_percent for _, document in self.captures]
-        known = [value for value in values if value is not None]
-        return csv_number(np.mean(known)) if known else ""
+        """Mean drape coefficient of the captures, percent; empty if they have none."""
+        values = [value for _, document in self.captures
+                  if (value := document.capture.drape_coefficient_percent) is not None]
+        return csv_number(np.mean(values)) if values else ""
 
 
 def write_overview(
     out: Path, outcomes: Sequence[tuple[Entry, str]]
 ) -> tuple[list[FabricEstimate], int]:
-    """Write all tables and pages; return the estimates of fabrics, and the number of fabrics whose
-    captures cannot be joined.
-
-    Args:
-        outcomes: all captures, each with the reason for a failure, or ''.
+    """Write all tables and pages for captures, each with the reason for a failure or ''; return the
+    estimates of fabrics, and the number of fabrics whose captures cannot be joined.
     """
     failures = [dict(zip(FAILURE, (entry.fabric, entry.sample, entry.capture, str(entry.path),
                                    failure.removeprefix(f"{entry.path}: ")), strict=True))
@@ -106,10 +94,10 @@ def _write_fabric(name: str, entries: Sequence[Entry], out: Path) -> FabricEstim
                        [estimate.density for estimate in estimates],
                        [(document.capture.source or "", document.capture.views_sha256)
                         for document in documents])
-    estimate, document, scatter = estimates[0], documents[0], np.full(3, np.nan)
+    estimate, document, scatter = estimates[0], documents[0], None
     if len(entries) > 1:
         estimate, document = joint_estimate(estimates, documents)
-        middles = [each.samples[:, LINEAR].mean(axis=0) for each in estimates]
+        middles = [single.samples[:, LINEAR].mean(axis=0) for single in estimates]
         scatter = np.exp(np.std(middles, axis=0, ddof=1))
     fabric = FabricEstimate(name, Path(entries[0].place.parts[0]),
                             list(zip(entries, documents, strict=True)), document, scatter)
@@ -124,7 +112,7 @@ def _write_fabric(name: str, entries: Sequence[Entry], out: Path) -> FabricEstim
 
 
 def fabrics_text(fabrics: Sequence[FabricEstimate]) -> str:
-    """A line for each fabric: name, captures, alpha with its 68 % interval, warnings."""
+    """A line for each fabric: name, number of captures, alpha, number of warnings."""
     names = [_shortened(fabric.name) for fabric in fabrics]
     width = max(len("fabric"), *map(len, names))
     lines = [f"{'fabric':{width}}{'captures':>10}"
@@ -134,7 +122,7 @@ def fabrics_text(fabrics: Sequence[FabricEstimate]) -> str:
         figures = "".join(f"{moduli.alpha_uN_m!s:>24}"
                           for moduli in fabric.document.moduli.values())
         lines.append(f"{name:{width}}{len(fabric.captures):>10}{figures}"
-                     f"{fabric.warnings or '-':>10}")
+                     f"{len(fabric.document.warnings) or '-':>10}")
     return "\n".join(lines)
 
 
@@ -148,7 +136,8 @@ def _summary_row(fabric: FabricEstimate) -> dict[str, object]:
                               "density_g_m2": csv_number(fabric.document.capture.density_g_m2)}
     for role, moduli in zip(ROLES, fabric.document.moduli.values(), strict=True):
         row[f"{role}_alpha_uN_m"], row[f"{role}_68"] = moduli.alpha_uN_m.texts()
-    return row | {"drape_coefficient_percent": fabric.coefficient, "warnings": fabric.warnings}
+    return row | {"drape_coefficient_percent": fabric.coefficient,
+                  "warnings": len(fabric.document.warnings)}
 
 
 def _fabric_row(fabric: FabricEstimate) -> dict[str, object]:
@@ -160,8 +149,9 @@ def _fabric_row(fabric: FabricEstimate) -> dict[str, object]:
         "captures_with_warnings": sum(bool(capture.warnings) for _, capture in fabric.captures),
         "rig": document.capture.rig, "directions": document.convention, **document.row(),
         "drape_coefficient_percent": fabric.coefficient,
-        **{f"alpha_{role}_scatter_factor": csv_number(factor) if len(fabric.captures) > 1 else ""
-           for role, factor in zip(ROLES, fabric.scatter, strict=True)},
+        **{f"alpha_{role}_scatter_factor":
+           "" if fabric.scatter is None else csv_number(fabric.scatter[k])
+           for k, role in enumerate(ROLES)},
         "poorly_constrained": "; ".join(document.poorly_constrained),
         "flags": "; ".join(document.warnings),
     }

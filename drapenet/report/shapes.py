@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 from trimesh.visual.material import PBRMaterial
 
-from common.types import Faces, Points
+from common.types import DepthImage, Faces, Points
 from drapenet.report.drape import Resimulation, turned
 from drapenet.views.located import LocatedViews
 from sim.mesh import vertex_normals
@@ -33,13 +33,9 @@ def drape_glb(located: LocatedViews, drape: Resimulation | None) -> bytes:
 
 
 def captured_surface(located: LocatedViews) -> tuple[Points, Faces]:
-    """Points in the orientation of the first view, and triangles between pixels.
-
-    Views are not merged where they overlap.
-    """
+    """Surfaces of all views in the orientation of the first, not merged where they overlap."""
     views, camera = located.views, located.camera
-    count = (views > 0).sum()
-    step = max(1, int(np.ceil(np.sqrt(count / MAX_POINTS))))
+    step = max(1, int(np.ceil(np.sqrt((views > 0).sum() / MAX_POINTS))))
     small = views[:, ::step, ::step]
     rotation, shift = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
     points, faces, before = [], [], 0
@@ -54,21 +50,21 @@ def captured_surface(located: LocatedViews) -> tuple[Points, Faces]:
     return np.concatenate(points), np.concatenate(faces)
 
 
-def _between(number: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """Triangles (F, 3) between neighbouring pixels: ``number`` (H, W) of each, -1 for none."""
+def _between(number: np.ndarray, depth: DepthImage) -> Faces:
+    """Triangles between neighbouring pixels: ``number`` (H, W) of each, -1 for none."""
     corners = [np.s_[:-1, :-1], np.s_[1:, :-1], np.s_[1:, 1:], np.s_[:-1, 1:]]
-    found = []
+    faces = []
     for trio in ((0, 1, 2), (0, 2, 3)):
         numbers = np.stack([number[corners[k]] for k in trio], axis=-1)
         depths = np.stack([depth[corners[k]] for k in trio], axis=-1)
-        found.append(numbers[(numbers >= 0).all(axis=-1) & (np.ptp(depths, axis=-1) < MAX_JUMP)])
-    return np.concatenate(found)
+        faces.append(numbers[(numbers >= 0).all(axis=-1) & (np.ptp(depths, axis=-1) < MAX_JUMP)])
+    return np.concatenate(faces)
 
 
 def _add(
-    scene: trimesh.Scene, name: str, points: np.ndarray, faces: np.ndarray, *, flat: bool = False
+    scene: trimesh.Scene, name: str, points: Points, faces: Faces, *, flat: bool = False
 ) -> None:
-    """Add a surface (V, 3), (F, 3), z up, to a scene; ``flat``: without smooth normals."""
+    """Add a surface, z up; ``flat``: without smooth normals."""
     mesh = trimesh.Trimesh(points @ _UP, faces, process=False)
     if flat:
         mesh.unmerge_vertices()

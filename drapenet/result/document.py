@@ -1,7 +1,4 @@
-"""``estimate.json``: one model that is made from an estimate, written, read, printed and tabulated.
-
-Keys state their units.
-"""
+"""``estimate.json``: the model that is made from an estimate, written, read, printed, tabulated."""
 
 import csv
 import io
@@ -21,9 +18,7 @@ from sim.rig import GRAVITY
 
 SCHEMA = "drapenet-estimate"
 SCHEMA_VERSION = 2
-POORLY_CONSTRAINED = 0.7
-"""Minimum ratio of a modulus's standard deviation to its spread over fabrics for which the modulus
-is reported as poorly constrained."""
+POORLY_CONSTRAINED = 0.7  # above this ratio of standard deviation and spread over fabrics
 CURVATURES = np.array([25.0, 50.0, 100.0, 200.0, 400.0])  # 1/m, of the tabulated law
 INTERVALS = {"interval_68": 0.68, "interval_90": 0.90}
 MAX_OUTSIDE_SHARE = 0.5  # of samples outside KES's range; beyond, its readings are not given
@@ -54,13 +49,6 @@ class Quantity(Excerpt):
     interval_68: Interval
     interval_90: Interval
 
-    @classmethod
-    def from_samples(cls, values: np.ndarray) -> "Quantity":
-        """Of samples (S,)."""
-        return cls(median=float(np.median(values)), **{
-            key: np.quantile(values, [(1 - level) / 2, (1 + level) / 2]).tolist()
-            for key, level in INTERVALS.items()})
-
     def texts(self, key: str = "interval_68") -> tuple[str, str]:
         """Median and interval as text, with decimals according to the interval's width."""
         low, high = getattr(self, key)
@@ -68,11 +56,6 @@ class Quantity(Excerpt):
         if (half := (high - low) / 2) > 0:
             places = min(max(1 - math.floor(math.log10(half)), 0), 6)
         return f"{self.median:.{places}f}", f"{low:.{places}f} to {high:.{places}f}"
-
-    @property
-    def short(self) -> str:
-        """The median as text."""
-        return self.texts()[0]
 
     def __str__(self) -> str:
         """Median and 68 % interval."""
@@ -182,6 +165,8 @@ class EstimateDocument(Excerpt):
     ) -> "EstimateDocument":
         """The document of an estimate, with all ``warnings`` and optional keys ``others``."""
         names, first = estimate.names, estimate.names[0]
+        torques = {name: _intervals(1e3 * estimate.torques(k, CURVATURES))
+                   for k, name in enumerate(names)}
         shares = dict(zip(estimate.modulus_names, estimate.constraint.round(3).tolist(),
                           strict=True))
         return cls.model_validate({
@@ -197,8 +182,7 @@ class EstimateDocument(Excerpt):
             "poorly_constrained": [
                 name for name, share in zip(shares, estimate.constraint, strict=True)
                 if share > POORLY_CONSTRAINED],
-            "torque_mN": {"curvature_1_m": CURVATURES.tolist(),
-                          **{name: _torques(estimate, k) for k, name in enumerate(names)}},
+            "torque_mN": {"curvature_1_m": CURVATURES.tolist(), **torques},
             f"{first}_axis": Axis(
                 direction_deg=float(np.degrees(estimate.axis)), meaning=AXIS_MEANING,
                 probability=round(estimate.certainty, 3)),
@@ -237,7 +221,7 @@ class EstimateDocument(Excerpt):
                 f"{name} {self.share_of_spread_over_fabrics[name]:.0%}"
                 for name in self.poorly_constrained))
         if refined := self.refined:
-            before = ", ".join(f"{name} {moduli.alpha_uN_m.short}"
+            before = ", ".join(f"{name} {moduli.alpha_uN_m.texts()[0]}"
                                for name, moduli in refined.before.items())
             misfit = "-" if refined.misfit_before is None else f"{refined.misfit_before:.0f}"
             lines += [f"alpha before refinement: {before}",
@@ -246,11 +230,11 @@ class EstimateDocument(Excerpt):
         lines.append(f"{'':8}{'bending length':>14}{'rigidity G':>14}{'KES B':>18}{'KES 2HB':>18}")
         for name, readings in self.laboratory.items():
             secant, hysteresis = readings.kes_b_gf_cm2_per_cm, readings.kes_2hb_gf_cm_per_cm
-            cells = [f"{readings.bending_length_mm.short + ' mm':>14}",
-                     f"{readings.flexural_rigidity_uN_m.short + ' µN·m':>14}"]
+            cells = [f"{readings.bending_length_mm.texts()[0] + ' mm':>14}",
+                     f"{readings.flexural_rigidity_uN_m.texts()[0] + ' µN·m':>14}"]
             if secant and hysteresis:
-                cells += [f"{secant.short + ' gf·cm²/cm':>18}",
-                          f"{hysteresis.short + ' gf·cm/cm':>18}"]
+                cells += [f"{secant.texts()[0] + ' gf·cm²/cm':>18}",
+                          f"{hysteresis.texts()[0] + ' gf·cm/cm':>18}"]
             else:
                 cells.append("  outside the law")
             lines.append(f"{name:8}{''.join(cells)}")
@@ -275,43 +259,43 @@ class EstimateDocument(Excerpt):
         return row
 
 
-def _moduli(estimate: Estimate, density: Density) -> dict[str, DirectionModuli]:
+def _intervals(samples: np.ndarray) -> dict[str, Any]:
+    """Median and central intervals of samples (S, ...), over the first axis."""
+    return {"median": np.median(samples, axis=0).tolist(), **{
+        key: np.quantile(samples, [(1 - level) / 2, (1 + level) / 2], axis=0).tolist()
+        for key, level in INTERVALS.items()}}
+
+
+def _quantities(samples: Mapping[str, np.ndarray], direction: int) -> dict[str, Any]:
+    """Quantities along a direction, of samples (S, 3) by name."""
+    return {key: _intervals(values[:, direction]) for key, values in samples.items()}
+
+
+def _moduli(estimate: Estimate, density: Density) -> dict[str, Any]:
     alpha, beta = estimate.moduli(density)
-    return {name: DirectionModuli(
-        alpha_uN_m=Quantity.from_samples(alpha[:, k] / MICRO),
-        beta_nN_m2=Quantity.from_samples(beta[:, k] / NANO),
-        beta_over_alpha_mm=Quantity.from_samples((1e3 * beta / alpha)[:, k]),
-    ) for k, name in enumerate(estimate.names)}
+    samples = {"alpha_uN_m": alpha / MICRO, "beta_nN_m2": beta / NANO,
+               "beta_over_alpha_mm": 1e3 * beta / alpha}
+    return {name: _quantities(samples, k) for k, name in enumerate(estimate.names)}
 
 
-def _readings(estimate: Estimate) -> dict[str, Readings]:
+def _readings(estimate: Estimate) -> dict[str, Any]:
     alpha, beta = estimate.moduli()
     length = bending_length(alpha, beta, estimate.density)
     rigidity = estimate.density * GRAVITY * length**3
     secant, hysteresis, outside = kes(alpha, beta)
-    shares = outside.mean(axis=0).tolist()
-
-    def within(reading: np.ndarray, k: int) -> Quantity | None:
-        return None if shares[k] > MAX_OUTSIDE_SHARE else Quantity.from_samples(reading[:, k])
-
-    return {name: Readings(
-        bending_length_mm=Quantity.from_samples(1e3 * length[:, k]),
-        flexural_rigidity_uN_m=Quantity.from_samples(rigidity[:, k] / MICRO),
-        flexural_rigidity_mg_cm=Quantity.from_samples(rigidity[:, k] / MG_CM),
-        kes_b_gf_cm2_per_cm=within(secant / GF_CM, k),
-        kes_2hb_gf_cm_per_cm=within(hysteresis / GF_CM_PER_CM, k),
-        kes_b_outside_law_probability=round(shares[k], 3),
-    ) for k, name in enumerate(estimate.names)}
-
-
-def _torques(estimate: Estimate, direction: int) -> dict[str, list]:
-    values = estimate.torques(direction, CURVATURES) * 1e3
-    return {"median": np.median(values, axis=0).tolist(), **{
-        key: np.quantile(values, [(1 - level) / 2, (1 + level) / 2], axis=0).tolist()
-        for key, level in INTERVALS.items()}}
-
-
-# --- Tables for spreadsheets -----------------------------------------------------------------
+    strip = {"bending_length_mm": 1e3 * length, "flexural_rigidity_uN_m": rigidity / MICRO,
+             "flexural_rigidity_mg_cm": rigidity / MG_CM}
+    bending = {"kes_b_gf_cm2_per_cm": secant / GF_CM,
+               "kes_2hb_gf_cm_per_cm": hysteresis / GF_CM_PER_CM}
+    readings = {}
+    for k, (name, share) in enumerate(
+            zip(estimate.names, outside.mean(axis=0).tolist(), strict=True)):
+        within = share <= MAX_OUTSIDE_SHARE
+        readings[name] = {
+            **_quantities(strip, k),
+            **(_quantities(bending, k) if within else dict.fromkeys(bending)),
+            "kes_b_outside_law_probability": round(share, 3)}
+    return readings
 
 
 def interval_columns(name: str, quantity: Quantity | None) -> dict[str, str]:

@@ -1,7 +1,4 @@
-"""The estimate of one fabric: posterior samples of its moduli, directions and density.
-
-Network and refinement both give an :class:`Estimate`.
-"""
+"""The estimate of one fabric by network or refinement: samples of its moduli, axis, density."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -40,11 +37,11 @@ class Estimate:
     """Posterior of a fabric's moduli.
 
     Attributes:
-        samples: (S, 6), in the order of ``names``.
-        names: of the three directions, warp, bias, weft or stiff, bias, soft.
+        samples: (S, 6).
+        names: of the directions: warp, bias, weft or stiff, bias, soft.
         axis: direction of the first yarns in the first view, in [0, pi).
         certainty: probability of that axis, from 0.5 to 1.
-        spread: (6,) standard deviation of theta over fabrics.
+        spread: standard deviation of theta over fabrics.
         warnings: of the samples alone, one line each.
     """
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from common.documents import read_arrays, read_json
 from common.errors import InputError
-from common.files import remove_file, replace_json, replacing, require_file, require_folder
+from common.files import remove_file, replace_json, replacing, require_file
 from drapenet.result.document import EstimateDocument
 from drapenet.result.estimate import Estimate
 from sim.material import MICRO
@@ -16,7 +16,6 @@ from sim.material import MICRO
 ESTIMATE, SAMPLES = "estimate.json", "samples.npz"
 REPORT, PAGE, SHAPES, TORQUES = "report.png", "report.html", "drape.glb", "torque.svg"
 SHOWN = (REPORT, PAGE, SHAPES, TORQUES)
-NAMED_PARTS = 3  # parts of a path that name its results
 
 
 def write_estimate(out: Path, estimate: Estimate, document: EstimateDocument) -> None:
@@ -34,16 +33,11 @@ def remove_report(out: Path) -> None:
 
 def read_document(path: Path) -> EstimateDocument:
     """Read an ``estimate.json``."""
-    content = read_json(path, remedy=EstimateDocument.remedy)
-    return EstimateDocument.of(content, path)
+    return EstimateDocument.of(read_json(path, remedy=EstimateDocument.remedy), path)
 
 
 def read_estimate(path: Path) -> tuple[Estimate, EstimateDocument]:
-    """Read an ``estimate.json``, or that in a folder, with its samples.
-
-    Raises:
-        InputError: files that are missing, damaged, or of different estimates.
-    """
+    """Read an ``estimate.json``, or that in a folder, with its samples."""
     path = path / ESTIMATE if path.is_dir() else path
     document = read_document(path)
     file = path.with_name(SAMPLES)
@@ -60,9 +54,7 @@ def read_estimate(path: Path) -> tuple[Estimate, EstimateDocument]:
 
 
 def result_name(sources: Sequence[Path]) -> str:
-    """Name of the results of captures: the last parts of their path (FABRIC, SAMPLE, CAPTURE); of
-    several captures, those of their common folder.
-    """
+    """Name of the results of captures: the end of their path, or of that of their common folder."""
     places = [Path(os.path.abspath(source)) for source in sources]
     several = len(places) > 1
     path = Path(os.path.commonpath([place.parent for place in places])) if several else places[0]
@@ -74,18 +66,13 @@ def result_name(sources: Sequence[Path]) -> str:
 
 
 def last_parts(path: Path) -> list[str]:
-    """The last parts of a path: FABRIC, SAMPLE and CAPTURE."""
+    """The last three parts of a path: FABRIC, SAMPLE and CAPTURE."""
     named = path if path.name and ".." not in path.parts else path.resolve()
-    return [part for part in named.parts if part != named.anchor][-NAMED_PARTS:]
+    return [part for part in named.parts if part != named.anchor][-3:]
 
 
 def require_output(out: Path, sources: Sequence[Path] = ()) -> None:
-    """Check, before any long computation, that results of ``sources`` can be written to ``out``.
-
-    Raises:
-        InputError: ``out`` is not writable, or contains the estimate of another source.
-    """
-    require_folder(out)
+    """InputError if results of ``sources`` cannot be written to ``out`` or would replace others."""
     for name in (ESTIMATE, SAMPLES, *SHOWN):
         require_file(out / name)
     if not sources:
@@ -94,10 +81,8 @@ def require_output(out: Path, sources: Sequence[Path] = ()) -> None:
         capture = read_document(out / ESTIMATE).capture
     except InputError:  # none, or damaged
         return
-    others = {os.path.realpath(place): place
-              for place in capture.sources or [capture.source] if place}
-    for source in sources:
-        others.pop(os.path.realpath(source), None)
-    if others:
-        raise InputError(f"{out} holds the estimate of {next(iter(others.values()))}, which would "
-                         f"be overwritten; give another out=, or remove {out / ESTIMATE}")
+    places = {os.path.realpath(source) for source in sources}
+    for earlier in capture.sources or [capture.source]:
+        if earlier and os.path.realpath(earlier) not in places:
+            raise InputError(f"{out} holds the estimate of {earlier}, which would be overwritten; "
+                             f"give another out=, or remove {out / ESTIMATE}")

@@ -23,13 +23,12 @@ SHARED = 0.6
 SPECIMEN = 0.10
 """Standard deviation of log alpha between specimens of a fabric.
 
-No repeats of measured alpha are at hand. A trial network, trained on outlines of simulated drapes,
-estimated a bending stiffness (torque over curvature at 40 1/m) from outlines of real drapes. Its
-median ratio between samples of one fabric and face is 1.10 (nine fabrics) and 1.13 (thirteen), as
-of normal logarithms with standard deviations of 0.10 and 0.13. These include errors of the network.
+No repeats of measured alpha are at hand. A trial network estimated a bending stiffness from
+outlines of real drapes: its median ratio between samples of one fabric and face is 1.10 (nine
+fabrics) and 1.13 (thirteen), as of normal logarithms with standard deviations of 0.10 and 0.13,
+which include errors of the network.
 """
-CONTRADICTION_LEVEL = 0.01
-"""Significance level: probability of the warning for captures of the same fabric."""
+CONTRADICTION_LEVEL = 0.01  # probability of the warning for captures of the same fabric
 _DRAWS = 4000
 
 
@@ -46,11 +45,8 @@ def fabric_prior(names: Sequence[str]) -> GaussianPrior:
 
 
 def joined(estimates: Sequence[Estimate], labels: Sequence[str]) -> Estimate:
-    """Joint estimate of one fabric.
-
-    Args:
-        estimates: of its captures, all warp/weft or all stiff/soft; the first gives the axis.
-        labels: of the captures, for warnings.
+    """Joint estimate of one fabric; its captures, named by ``labels`` in warnings, have the same
+    names of directions, and the first gives the axis.
     """
     prior = fabric_prior(estimates[0].names)
     beforehand = np.linalg.inv(prior.covariance)
@@ -74,9 +70,7 @@ def joined(estimates: Sequence[Estimate], labels: Sequence[str]) -> Estimate:
 def joint_estimate(
     estimates: Sequence[Estimate], documents: Sequence[EstimateDocument]
 ) -> tuple[Estimate, EstimateDocument]:
-    """Joint estimate of one fabric (:func:`joined`) and its document, which includes the moduli of
-    each capture.
-    """
+    """Joint estimate of one fabric and its document, with the moduli of each capture."""
     labels = [document.capture.source or "" for document in documents]
     estimate, first = joined(estimates, labels), documents[0]
     warnings = [*estimate.warnings, *(
@@ -97,11 +91,10 @@ def joint_estimate(
 def contradictions(estimates: Sequence[Estimate], labels: Sequence[str]) -> list[str]:
     """One line for each capture that contradicts the others.
 
-    The difference of log alpha (3,) between a capture's posterior mean and the mean of the others
-    has the covariance of the uncorrelated part of their errors and of the scatter of specimens. Its
-    chi-square is compared with the quantile of :data:`CONTRADICTION_LEVEL`, divided by the
-    number of captures if that exceeds two (Bonferroni). The worst capture is removed, and the test
-    repeated with the remaining ones.
+    The difference of log alpha between a capture's posterior mean and the mean of the others has
+    the covariance of the uncorrelated part of their errors and of the scatter of specimens. The
+    level of its chi-square is divided by the number of captures if that exceeds two (Bonferroni).
+    The worst capture is removed, and the test repeated with the remaining ones.
     """
     logs = [estimate.samples[:, LINEAR] for estimate in estimates]
     means = [samples.mean(axis=0) for samples in logs]

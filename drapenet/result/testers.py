@@ -1,9 +1,8 @@
 """Readings of virtual cantilever and KES testers.
 
-A tester measures the law over a range of curvatures, not alpha: at 41.5°, a fabric that softens
-has a reading below its alpha. Both tests are therefore simulated with the law of each posterior
-sample, which gives intervals of the readings. Constants of the standards' editions:
-``docs/notation.md``. Arrays alpha, N·m, and beta, N·m², have the same shape.
+They measure the law over a range of curvatures, not alpha, so both tests are simulated with the law
+of each posterior sample. Constants of the standards' editions: ``docs/notation.md``. Arrays alpha,
+N·m, and beta, N·m², have the same shape.
 """
 
 import json

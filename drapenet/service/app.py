@@ -48,24 +48,27 @@ _SECURE = {"X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer"
            "Content-Security-Policy": _POLICY}
 _MAX_FORM = 1 << 20  # bytes of a request beside its files
 _DRAIN_TIMEOUT = 2.0  # s, for which a refused upload is read, so that the client reads the answer
-_FIELDS = {name: {"type": "number"} for name in NUMBERS} | {
-    name: {"type": "string"} for name in TEXTS} | {
-    "files": {"type": "array", "items": {"type": "string", "format": "binary"},
-              "description": f"views, a zip with them, or a scan: {', '.join(KINDS)}"}}
 _FORM = {"required": True, "content": {"multipart/form-data": {"schema": {
-    "type": "object", "required": ["files"], "properties": _FIELDS}}}}
+    "type": "object", "required": ["files"], "properties": {
+        **{name: {"type": "number"} for name in NUMBERS},
+        **{name: {"type": "string"} for name in TEXTS},
+        "files": {"type": "array", "items": {"type": "string", "format": "binary"},
+                  "description": f"views, a zip with them, or a scan: {', '.join(KINDS)}"}}}}}}
 _STATUSES = {
     404: "no such estimate, or file of it", 408: "the upload paused or took too long",
     409: "not yet available", 413: "too many or too large files",
     415: "a kind of file that is not taken", 422: "not a capture",
     429: "the queue is full: try again"}
-_RESPONSES = {status: {"description": text} for status, text in _STATUSES.items()}
+_FRESH = {"Cache-Control": "no-store"}
 router = APIRouter()
-"""The HTTP interface."""
+
+
+def _responses(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    return {status: {"description": _STATUSES[status]} for status in statuses}
 
 
 def serve(settings: Settings) -> None:
-    """Serve until interrupted; InputError for an address that cannot be bound."""
+    """Serve until interrupted."""
     require_folder(folder_named(settings.results))
     server = uvicorn.Server(uvicorn.Config(
         create_app(settings), host=settings.host, port=settings.port, log_level="warning",
@@ -76,9 +79,8 @@ def serve(settings: Settings) -> None:
     except SystemExit:
         raise InputError(f"cannot listen at {settings.host}:{settings.port}; choose another port="
                          ) from None
-    port = listening.getsockname()[1]
-    print(f"http://{settings.host}:{port}   (results in {settings.folder}; Ctrl-C ends)",
-          flush=True)
+    print(f"http://{settings.host}:{listening.getsockname()[1]}   (results in {settings.folder}; "
+          "Ctrl-C ends)", flush=True)
     server.run(sockets=[listening])
 
 
@@ -140,7 +142,7 @@ def _add_pages(app: FastAPI, settings: Settings) -> None:
 
 
 @router.post("/estimates", status_code=202, openapi_extra={"requestBody": _FORM},
-             responses={status: _RESPONSES[status] for status in (408, 413, 415, 422, 429)})
+             responses=_responses(408, 413, 415, 422, 429))
 async def begin(request: Request) -> dict[str, str]:
     """Upload a capture or a scan and start its estimate."""
     jobs: Jobs = request.app.state.jobs
@@ -160,7 +162,7 @@ async def begin(request: Request) -> dict[str, str]:
     return {"id": identity, "url": f"/estimates/{identity}", "page": f"/#{identity}"}
 
 
-@router.get("/estimates/{identity}", responses={404: _RESPONSES[404]})
+@router.get("/estimates/{identity}", responses=_responses(404))
 def state(identity: str, request: Request) -> JSONResponse:
     """State and result of an estimate: `state` is queued, running, done, failed or interrupted;
     `estimate` has the content of estimate.json as soon as the network's estimate is available.
@@ -168,11 +170,11 @@ def state(identity: str, request: Request) -> JSONResponse:
     folder, content = request.app.state.jobs.state(identity)
     files = [name for name in FILES if (folder / name).is_file()]
     return JSONResponse(content | {"estimate": read_json(folder / ESTIMATE), "files": files},
-                        headers={"Cache-Control": "no-store"})
+                        headers=_FRESH)
 
 
 @router.get("/estimates/{identity}/{file}", response_class=FileResponse,
-            responses={status: _RESPONSES[status] for status in (404, 409)})
+            responses=_responses(404, 409))
 def file(identity: str, file: str, request: Request) -> FileResponse:
     """A file of an estimate: estimate.json, report.png, report.html, drape.glb, torque.svg or
     preview.png.
@@ -182,11 +184,11 @@ def file(identity: str, file: str, request: Request) -> FileResponse:
         raise RequestError(404, f"no such file; there are {', '.join(FILES)}")
     if not (folder / file).is_file():
         raise RequestError(409, f"{file} is not yet available")
-    return FileResponse(folder / file, headers={"Cache-Control": "no-store"})
+    return FileResponse(folder / file, headers=_FRESH)
 
 
 @router.get("/estimates/{identity}/export/{name}", response_class=Response,
-            responses={status: _RESPONSES[status] for status in (404, 409, 422)})
+            responses=_responses(404, 409, 422))
 def export(identity: str, name: str, request: Request, mesh: str = "unstructured",
            edge_mm: float = 5.0, curvature_1_m: float = 0.0) -> Response:
     """A file for another tool, or a zip of several files; `mesh` and `edge_mm` are for tools with
@@ -222,7 +224,7 @@ def _zipped(files: Mapping[str, bytes]) -> bytes:
 async def _form(
     request: Request, settings: Settings
 ) -> tuple[list[tuple[str, bytes]], dict[str, str]]:
-    """Files (name, bytes) and text fields of a multipart request, within the limits."""
+    """Files and text fields of a multipart request."""
     if not request.headers.get("content-type", "").startswith("multipart/form-data"):
         await _drain(request)
         raise RequestError(415, "send the files as multipart/form-data, in the field files")
@@ -263,7 +265,7 @@ def _limited(request: Request, settings: Settings) -> Callable[[], Awaitable[Any
 
 
 async def _drain(request: Request) -> None:
-    """Read the body of a refused request, up to a limit, so that the client reads the response."""
+    """Read some of the body of a refused request, so that the client reads the response."""
     async def read() -> None:
         total = 0
         async for part in request.stream():

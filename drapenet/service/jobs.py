@@ -36,11 +36,7 @@ _MAX_TASKS = 500  # estimates after which a worker process is replaced
 
 
 class Jobs:
-    """The estimates of one service.
-
-    Estimates that a previous service did not finish are marked as interrupted; its finished ones
-    are available.
-    """
+    """The estimates of a service; those that a previous one did not finish are interrupted."""
 
     def __init__(self, settings: Settings):
         self.settings = settings
@@ -56,7 +52,6 @@ class Jobs:
         self._pool = self._workers()
 
     def _workers(self) -> ProcessPool:
-        """Start the worker processes."""
         pool = ProcessPool(
             max_workers=self.settings.processes, max_tasks=_MAX_TASKS, initializer=warm_up,
             context=multiprocessing.get_context("spawn"))
@@ -69,9 +64,7 @@ class Jobs:
         self._pool.join(timeout=5)
 
     def reserve(self) -> None:
-        """Take a place in the queue, which :meth:`release` or the end of the estimate gives back;
-        RequestError with the status 429 if none is free.
-        """
+        """Take a place in the queue, until :meth:`release` or the end of the estimate."""
         if not self._places.acquire(blocking=False):
             raise RequestError(429, f"{self.settings.queue} estimates are waiting or under way, as "
                                "many as this service takes; try again in a minute")
@@ -122,7 +115,7 @@ class Jobs:
                            "why")
 
     def state(self, identity: str) -> tuple[Path, dict[str, Any]]:
-        """Folder and state of an estimate; RequestError with the status 404 where there is none."""
+        """Folder and state of an estimate."""
         folder = self.settings.folder / identity
         state = read_state(folder) if _ID.fullmatch(identity) else None
         if state is None:

@@ -43,17 +43,10 @@ class RequestError(HTTPException):
 
 @dataclass(frozen=True)
 class Upload:
-    """A request to estimate.
-
-    Attributes:
-        files: bytes by plain name: a capture with its description, or a scan.
-        scan: name of the file that is a scan; empty for a capture.
-        name: given by the user.
-        density: of a scan.
-    """
+    """A request to estimate a capture, with its description, or a scan of this density."""
 
     files: dict[str, bytes]
-    scan: str
+    scan: str  # name of the file that is a scan; empty for a capture
     name: str
     refine: bool = False
     density: Density | None = None
@@ -62,11 +55,7 @@ class Upload:
 def checked_upload(
     files: list[tuple[str, bytes]], texts: Mapping[str, str], settings: Settings
 ) -> Upload:
-    """Check a form's ``files``, names and bytes, and ``texts``.
-
-    Raises:
-        RequestError: with the status 413, 415 or 422.
-    """
+    """Check a form's files, names and bytes, and texts."""
     fields = {key: text.strip() for key, text in texts.items() if text.strip()}
     refine, name = fields.pop("refine", "no"), fields.pop("name", "")
     if not files:
@@ -97,7 +86,7 @@ def checked_upload(
 
 
 def _plain(text: str | None) -> Any:
-    """The number that a field states, also with a decimal comma; other texts as they are."""
+    """The number that a field states, also with a decimal comma, or its text."""
     with suppress(ValueError, AttributeError):
         return float(text.replace(",", "."))
     return text
@@ -111,8 +100,8 @@ def _description(document: bytes, fields: Mapping[str, str]) -> bytes:
         raise RequestError(422, "capture.yaml is not text in UTF-8; save it as such") from None
     for key, text in fields.items():
         if key in INTRINSICS_KEYS:
-            intrinsics = {name: _plain(fields[name]) for name in INTRINSICS_KEYS if name in fields}
-            content["intrinsics"] = intrinsics
+            content["intrinsics"] = {name: _plain(fields[name])
+                                     for name in INTRINSICS_KEYS if name in fields}
         elif key == "turns_deg":
             content[key] = [_plain(word) for word in re.split(r"[,;\s]+", text.strip("[] "))]
         else:
@@ -130,8 +119,7 @@ def _unpacked(files: list[tuple[str, bytes]], settings: Settings) -> dict[str, b
             raise RequestError(415, f"{shown(name)}: files of this kind are not taken; give "
                                f"{', '.join(KINDS)}")
         for inner, content in _members(data, settings) if suffix == ".zip" else [(name, data)]:
-            plain = plain_name(Path(inner.replace("\\", "/")).name)
-            plain = Path(plain).stem + _suffix(inner)
+            plain = Path(plain_name(Path(inner.replace("\\", "/")).name)).stem + _suffix(inner)
             if plain in contents:
                 raise RequestError(422, f"two files are called {plain}; give one capture at a time")
             contents[plain] = content
@@ -148,7 +136,7 @@ def _suffix(name: str) -> str:
 
 
 def _members(data: bytes, settings: Settings) -> list[tuple[str, bytes]]:
-    """Names and contents of a zip's files, without those of other kinds and hidden ones."""
+    """Names and contents of a zip's visible files of the kinds taken."""
     members, left = [], settings.bytes
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -197,10 +185,10 @@ def _require_pixels(name: str, data: bytes, most: int) -> None:
 
 def _numbered(files: dict[str, bytes]) -> dict[str, bytes]:
     """Rename images to view_0 and so on, in the order of their names, unless named so already."""
-    others = [name for name in files if Path(name).suffix in PICTURES and name != BACKGROUND]
-    if any(_NAMED.fullmatch(name) for name in others):
+    images = [name for name in files if Path(name).suffix in PICTURES and name != BACKGROUND]
+    if any(_NAMED.fullmatch(name) for name in images):
         return files
-    others.sort(key=lambda name: [int(part) if part.isdigit() else part
+    images.sort(key=lambda name: [int(part) if part.isdigit() else part
                                   for part in re.split(r"(\d+)", name)])
-    renamed = {name: f"view_{k}{Path(name).suffix}" for k, name in enumerate(others)}
+    renamed = {name: f"view_{k}{Path(name).suffix}" for k, name in enumerate(images)}
     return {renamed.get(name, name): data for name, data in files.items()}

@@ -22,8 +22,8 @@ _PROGRESS_INTERVAL = 0.25  # s between two reports of progress
 
 def read_state(folder: Path) -> dict[str, Any] | None:
     """The state of an estimate; None where there is none."""
-    found = read_json(folder / STATE)
-    return found if isinstance(found, dict) and "state" in found else None
+    state = read_json(folder / STATE)
+    return state if isinstance(state, dict) and "state" in state else None
 
 
 def read_json(file: Path) -> Any:
@@ -58,9 +58,7 @@ def warm_up() -> None:
 def estimate_upload(
     folder: Path, *, refine: bool, scan: str, name: str, density: Density | None
 ) -> None:
-    """Estimate the upload in ``folder``, of :class:`drapenet.service.uploads.Upload`; input errors
-    are recorded in its state.
-    """
+    """Estimate the upload in ``folder``; input errors are recorded in its state."""
     from data.captures.capture import read_capture
     from drapenet.inference import CaptureEstimate, estimate_capture
     from drapenet.network.checkpoint import header_for
@@ -94,7 +92,7 @@ def estimate_upload(
 
 
 def preview(capture: Any) -> bytes:
-    """PNG of a capture: frames with the cloth outlined, or the cloth of each view."""
+    """PNG of frames with the cloth outlined, or of the cloth in each view."""
     from data.captures.preview import picture
     from data.render.shade import thumbnails
 
@@ -104,7 +102,7 @@ def preview(capture: Any) -> bytes:
 
 
 def _throttled(folder: Path) -> Callable[[int, int, float], None]:
-    """Callback that writes the progress of a refinement to a folder's state, rate limited."""
+    """Callback that writes the progress of a refinement to a folder's state."""
     last = 0.0
 
     def progress(made: int, expected: int, misfit: float) -> None:
