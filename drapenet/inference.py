@@ -4,10 +4,9 @@ An error in one of the last three leaves the estimate of those before, with a wa
 """
 
 import os
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass, field
-from functools import lru_cache
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -45,9 +44,9 @@ Progress = Callable[[int, int, float], None]
 network_of = lru_cache(maxsize=2)(load_model)  # one network for each tester
 
 
-@dataclass
+@dataclass(frozen=True)
 class CaptureEstimate:
-    """The estimate of one capture, as far as its stages have come.
+    """The estimate of one capture after one of its stages.
 
     Attributes:
         map: the network's input.
@@ -62,11 +61,15 @@ class CaptureEstimate:
     map: RadialMap
     known: dict[str, float]
     estimate: Estimate
-    warnings: list[str] = field(default_factory=list)
+    warnings: tuple[str, ...] = ()
     refined: dict[str, Any] | None = None
     drape: "Resimulation | None" = None
 
-    @property
+    def with_warnings(self, *lines: str) -> "CaptureEstimate":
+        """The same estimate with these warnings as well."""
+        return replace(self, warnings=(*self.warnings, *lines))
+
+    @cached_property
     def document(self) -> EstimateDocument:
         """The content of ``estimate.json``."""
         capture, share = self.capture, drape_coefficient(self.map, self.capture.rig)
@@ -98,34 +101,33 @@ def estimate_capture(
         scan: the surface whose rendered views are those of ``capture``.
         on_stage: called when the stages "refining" and "simulating" begin.
     """
-    result = network_estimate(capture, header, membrane=options.membrane)
-    check(result, strict=options.strict)
+    result = check(network_estimate(capture, header, membrane=options.membrane), options.strict)
     if out:
         remove_report(out)
         write_estimate(out, result.estimate, result.document)
     if options.refine:
-        with _tolerated(result, "the network's estimate is not refined"):
-            on_stage("refining", result)
-            refine(result, options.refine, scan=scan, progress=progress)
+        on_stage("refining", result)
+        result = _attempt(refine, result, "the network's estimate is not refined",
+                          settings=options.refine, scan=scan, progress=progress)
     if options.drapes:
-        with _tolerated(result, "the report shows no simulated drape"):
-            on_stage("simulating", result)
-            simulate(result, drapes=options.drapes, edge=options.edge)
+        on_stage("simulating", result)
+        result = _attempt(simulate, result, "the report shows no simulated drape",
+                          drapes=options.drapes, edge=options.edge)
     if options.drapes and out:
-        with _tolerated(result, "there is no report"):
-            report(result, out)
+        result = _attempt(report, result, "there is no report", out=out)
     if out:
         write_estimate(out, result.estimate, result.document)
     return result
 
 
-@contextmanager
-def _tolerated(result: CaptureEstimate, loss: str) -> Iterator[None]:
-    """Turn an error into a warning that names the ``loss``."""
+def _attempt(
+    stage: Callable[..., CaptureEstimate], result: CaptureEstimate, loss: str, **settings: Any
+) -> CaptureEstimate:
+    """Outcome of a stage; if it fails, that of those before with a warning of the ``loss``."""
     try:
-        yield
+        return stage(result, **settings)
     except Exception as error:
-        result.warnings.append(f"{loss}: {type(error).__name__}, {one_line(error)}")
+        return result.with_warnings(f"{loss}: {type(error).__name__}, {one_line(error)}")
 
 
 def network_estimate(
@@ -141,50 +143,54 @@ def network_estimate(
     return CaptureEstimate(capture, header, located, drape, known, estimate)
 
 
-def check(result: CaptureEstimate, *, strict: bool = False) -> None:
+def check(result: CaptureEstimate, strict: bool = False) -> CaptureEstimate:
     """Add the warnings of the views; InputError if they show no drape, or if ``strict``."""
     path = result.capture.path
     try:
-        result.warnings += view_warnings(result.located, result.map, result.header.setups)
+        result = result.with_warnings(
+            *view_warnings(result.located, result.map, result.header.setups))
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     if strict and (faults := [*result.warnings, *result.capture.warnings]):
         raise InputError(f"{path}: refused because strict=true: {'; '.join(faults)}; strict=false "
                          "estimates it with a warning", max_length=MAX_LIST_LENGTH)
+    return result
 
 
 def refine(
-    result: CaptureEstimate, settings: Mapping[str, Any], *, scan: "CapturedShape | None" = None,
-    progress: Progress | None = None,
-) -> None:
+    result: CaptureEstimate, *, settings: Mapping[str, Any], scan: "CapturedShape | None",
+    progress: Progress | None,
+) -> CaptureEstimate:
     """Refine the estimate by simulation, which keeps the network's if there is no improvement."""
     from drapenet.refine.refine import refine_capture
 
     outcome = refine_capture(result.estimate, result.located, scan=scan,
                              known=result.known, settings=settings, progress=progress)
     if outcome is None:
-        result.warnings.append("no drape of the estimate converged; it is not refined")
-        return
-    result.warnings += outcome.warnings
-    result.refined = outcome.content | {"before": result.document.moduli}
-    if outcome.draws:
-        result.estimate = make_estimate(outcome.draws, capture=result.capture, header=result.header)
-        result.drape = outcome.resimulation
+        return result.with_warnings("no drape of the estimate converged; it is not refined")
+    result = replace(result.with_warnings(*outcome.warnings),
+                     refined=outcome.content | {"before": result.document.moduli})
+    if not outcome.draws:
+        return result
+    estimate = make_estimate(outcome.draws, capture=result.capture, header=result.header)
+    return replace(result, estimate=estimate, drape=outcome.resimulation)
 
 
-def simulate(result: CaptureEstimate, *, drapes: int, edge: Metres) -> None:
+def simulate(result: CaptureEstimate, *, drapes: int, edge: Metres) -> CaptureEstimate:
     """Simulate drapes of the estimate, unless a refinement has, and keep that of the best fit."""
     from data.fabrics.nuisances import Nuisances
     from drapenet.report.drape import resimulate
 
-    if result.drape is None:
-        result.drape = resimulate(result.estimate.fabric, result.located, edge=edge, drapes=drapes,
-                                  laws=Nuisances(**result.known).laws)
-    if result.drape is None:
-        result.warnings.append("no drape of the estimate converged; the report shows none")
+    if result.drape is not None:
+        return result
+    drape = resimulate(result.estimate.fabric, result.located, edge=edge, drapes=drapes,
+                       laws=Nuisances(**result.known).laws)
+    if drape is None:
+        return result.with_warnings("no drape of the estimate converged; the report shows none")
+    return replace(result, drape=drape)
 
 
-def report(result: CaptureEstimate, out: Path) -> None:
+def report(result: CaptureEstimate, *, out: Path) -> CaptureEstimate:
     """Write the report's files to ``out``."""
     from drapenet.report.figures import draw_report, draw_torques
     from drapenet.report.pages import render
@@ -198,3 +204,4 @@ def report(result: CaptureEstimate, out: Path) -> None:
     replace_file(out / TORQUES, draw_torques(result.estimate))
     replace_file(out / SHAPES, drape_glb(result.located, result.drape))
     replace_file(out / PAGE, render("report.html", name=name, document=document, report=picture))
+    return result
