@@ -14,7 +14,7 @@ from pathlib import Path
 from string import Formatter
 from typing import Any
 
-from common.cli import run_command
+from common.command import run_command
 from common.errors import InputError
 from common.files import replace_file
 from drapenet.network.checkpoint import bundled, read_header

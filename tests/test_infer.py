@@ -20,7 +20,7 @@ from PIL import Image
 from words import last
 
 import infer
-from common.cli import run_command
+from common.command import run_command
 from common.errors import InputError
 from data.captures.capture import captures_in, read_capture, write_capture
 from data.render.cameras import Intrinsics

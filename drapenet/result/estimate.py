@@ -1,6 +1,6 @@
 """The estimate of one fabric by network or refinement: samples of its moduli, axis, density."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -123,7 +123,7 @@ def make_estimate(draws: "Draws", *, capture: "Capture", header: "Header") -> Es
     if draws.impossible > MAX_INADMISSIBLE_SHARE:
         warnings.append(f"{draws.impossible:.0%} of the posterior samples had moduli that no plate "
                         "can have, and were removed: check the specimen and the pictures")
-    return Estimate(**vars(estimate) | {"warnings": tuple(warnings)})
+    return replace(estimate, warnings=tuple(warnings))
 
 
 def _extrapolations(estimate: Estimate, header: "Header") -> list[str]:

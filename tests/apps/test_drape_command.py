@@ -78,7 +78,7 @@ def test_commands_keep_the_memory_of_large_arrays():
         script = f"""
 import resource
 import numpy as np
-from common.cli import keep_freed_memory
+from common.command import keep_freed_memory
 {prepare}
 np.ones(8_000_000)
 before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt

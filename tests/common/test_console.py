@@ -11,7 +11,7 @@ ROOT = Path(__file__).parents[2]
 LONG = "print('a ' * 20000)"
 SCRIPT = """
 import os, sys
-from common.cli import run_command
+from common.command import run_command
 from common.errors import InputError
 def main(argv):
     {body}

@@ -26,7 +26,7 @@ import sys
 sys.path.insert(0, {tests!r})
 if __name__ == "__main__":
     import fake_drapes, test_interrupted
-    from common.cli import run_command
+    from common.command import run_command
     run_command(lambda words: test_interrupted.make(
         words[0], shards=int(words[1]), workers=2, solver=fake_drapes.slow_lending_cone))
 """
