@@ -75,7 +75,9 @@ def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     key = os.getpid(), workers  # a forked process cannot use its parent's pool
     pool = _idle.pop(key, None)
     if pool is None or not _answers(pool):
-        pool = _started(workers)
+        if multiprocessing.get_start_method() not in multiprocessing.get_all_start_methods():
+            multiprocessing.set_start_method("spawn", force=True)  # a job of joblib's launcher
+        pool = ProcessPoolExecutor(workers, mp_context=_Context(), initializer=end_with_parent)
     try:
         yield pool
     except BaseException as error:
@@ -91,12 +93,6 @@ def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     for unused in [unused for unused in _idle if unused[0] == os.getpid()]:
         _idle.pop(unused).shutdown(wait=False)
     _idle[key] = pool
-
-
-def _started(workers: int) -> ProcessPoolExecutor:
-    if multiprocessing.get_start_method() not in multiprocessing.get_all_start_methods():
-        multiprocessing.set_start_method("spawn", force=True)  # this is a job of joblib's launcher
-    return ProcessPoolExecutor(workers, mp_context=_Context(), initializer=end_with_parent)
 
 
 def _answers(pool: ProcessPoolExecutor) -> bool:

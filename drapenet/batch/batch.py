@@ -51,7 +51,8 @@ def estimate_fabrics(
     run_cases(estimate_entry, cases, folder=out, workers=workers or joblib.cpu_count(),
               sources=SOURCES, failures=failures, unit="capture")
     outcomes = [(entry, failures.get(f"{entry.place}/{DONE}", "")) for entry in entries]
-    fabrics, apart = write_overview(out, outcomes)
+    fabrics = write_overview(out, outcomes)
+    apart = len({entry.fabric for entry, failure in outcomes if not failure}) - len(fabrics)
     if fabrics:
         print(fabrics_text(fabrics))
     print(f"captures: {len(outcomes) - len(failures)} estimated, {len(failures)} failed"

@@ -50,23 +50,20 @@ class FabricEstimate:
         return csv_number(np.mean(values)) if values else ""
 
 
-def write_overview(
-    out: Path, outcomes: Sequence[tuple[Entry, str]]
-) -> tuple[list[FabricEstimate], int]:
+def write_overview(out: Path, outcomes: Sequence[tuple[Entry, str]]) -> list[FabricEstimate]:
     """Write all tables and pages for captures, each with the reason for a failure or ''; return the
-    estimates of fabrics, and the number of fabrics whose captures cannot be joined.
+    estimates of fabrics whose captures can be joined.
     """
     failures = [dict(zip(FAILURE, (entry.fabric, entry.sample, entry.capture, str(entry.path),
                                    failure.removeprefix(f"{entry.path}: ")), strict=True))
                 for entry, failure in outcomes if failure]
-    fabrics, apart = [], 0
+    fabrics = []
     ordered = sorted((entry for entry, failure in outcomes if not failure),
                      key=lambda entry: (entry.fabric, entry.place))
     for name, entries in groupby(ordered, key=lambda entry: entry.fabric):
         try:
             fabrics.append(_write_fabric(name, list(entries), out))
         except InputError as error:
-            apart += 1
             failures.append(dict.fromkeys(FAILURE, "") | {"fabric": name, "reason": str(error)})
     for name, rows, columns in (
             ("summary", [_summary_row(fabric) for fabric in fabrics], ()),
@@ -82,7 +79,7 @@ def write_overview(
             remove_file(out / place / name)
     replace_file(out / INDEX, render("index.html", fabrics=fabrics, failures=failures, page=INDEX,
                                      thumbnail=THUMBNAIL))
-    return fabrics, apart
+    return fabrics
 
 
 def _write_fabric(name: str, entries: Sequence[Entry], out: Path) -> FabricEstimate:
