@@ -13,11 +13,11 @@ import os
 
 from common.command import command
 from common.workers import ONE_THREAD
-from drapenet.service.settings import Settings
+from drapenet.config import ServeConfig
 
 
-@command("serve", Settings)
-def main(settings: Settings) -> None:
+@command("serve", ServeConfig)
+def main(settings: ServeConfig) -> None:
     """Serve until interrupted."""
     os.environ.update(ONE_THREAD)  # inherited by the worker processes
     from drapenet.service.app import serve

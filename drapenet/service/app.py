@@ -27,12 +27,12 @@ from common.files import folder_named, require_folder
 from data.captures.capture import CAPTURE_FILES
 from data.testers import TESTERS
 from drapenet.batch.captures import plain_name
+from drapenet.config import ServeConfig
 from drapenet.export.formats import TARGETS
 from drapenet.export.material import MESHES, read_material
 from drapenet.report.pages import render
 from drapenet.result.files import ESTIMATE, SHOWN
 from drapenet.service.jobs import Jobs
-from drapenet.service.settings import Settings
 from drapenet.service.uploads import KINDS, NUMBERS, TEXTS, RequestError, checked_upload
 from drapenet.service.work import DONE, PREVIEW, read_json
 from sim.rig import RIGS
@@ -67,7 +67,7 @@ def _responses(*statuses: int) -> dict[int | str, dict[str, Any]]:
     return {status: {"description": _STATUSES[status]} for status in statuses}
 
 
-def serve(settings: Settings) -> None:
+def serve(settings: ServeConfig) -> None:
     """Serve until interrupted."""
     require_folder(folder_named(settings.results))
     server = uvicorn.Server(uvicorn.Config(
@@ -84,7 +84,7 @@ def serve(settings: Settings) -> None:
     server.run(sockets=[listening])
 
 
-def create_app(settings: Settings) -> FastAPI:
+def create_app(settings: ServeConfig) -> FastAPI:
     """The application."""
 
     @asynccontextmanager
@@ -112,7 +112,7 @@ def create_app(settings: Settings) -> FastAPI:
     return app
 
 
-def _add_pages(app: FastAPI, settings: Settings) -> None:
+def _add_pages(app: FastAPI, settings: ServeConfig) -> None:
     page = render("service.html", settings=settings, targets=TARGETS, meshes=MESHES,
                   testers={name: RIGS[name] for name in TESTERS}, kinds=KINDS,
                   example=EXAMPLE.is_dir())
@@ -222,7 +222,7 @@ def _zipped(files: Mapping[str, bytes]) -> bytes:
 
 
 async def _form(
-    request: Request, settings: Settings
+    request: Request, settings: ServeConfig
 ) -> tuple[list[tuple[str, bytes]], dict[str, str]]:
     """Files and text fields of a multipart request."""
     if not request.headers.get("content-type", "").startswith("multipart/form-data"):
@@ -243,7 +243,7 @@ async def _form(
     return files, texts
 
 
-def _limited(request: Request, settings: Settings) -> Callable[[], Awaitable[Any]]:
+def _limited(request: Request, settings: ServeConfig) -> Callable[[], Awaitable[Any]]:
     """The messages of a request, of limited size, duration and pauses."""
     clock, total = asyncio.get_running_loop().time, 0
     end = clock() + settings.upload_seconds

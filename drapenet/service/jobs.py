@@ -16,7 +16,7 @@ from typing import Any
 from pebble import ProcessPool
 
 from common.errors import InputError, one_line
-from drapenet.service.settings import Settings
+from drapenet.config import ServeConfig
 from drapenet.service.uploads import RequestError, Upload
 from drapenet.service.work import (
     ENDED,
@@ -38,7 +38,7 @@ _MAX_TASKS = 500  # estimates after which a worker process is replaced
 class Jobs:
     """The estimates of a service; those that a previous one did not finish are interrupted."""
 
-    def __init__(self, settings: Settings):
+    def __init__(self, settings: ServeConfig):
         self.settings = settings
         self._places, self._lock = threading.Semaphore(settings.queue), threading.Lock()
         self._unfinished: set[futures.Future] = set()

@@ -26,7 +26,7 @@ from data.captures.description import Description, checked_density
 from data.captures.frames import BACKGROUND, header_of
 from data.testers import tester_choices
 from drapenet.batch.captures import plain_name
-from drapenet.service.settings import Settings
+from drapenet.config import ServeConfig
 
 PICTURES, SCANS = (".png", ".npy", ".ply"), (".npz", ".obj")
 PACKED = (*PICTURES, *SCANS, ".yaml", ".txt")
@@ -53,7 +53,7 @@ class Upload:
 
 
 def checked_upload(
-    files: list[tuple[str, bytes]], texts: Mapping[str, str], settings: Settings
+    files: list[tuple[str, bytes]], texts: Mapping[str, str], settings: ServeConfig
 ) -> Upload:
     """Check a form's files, names and bytes, and texts."""
     fields = {key: text.strip() for key, text in texts.items() if text.strip()}
@@ -111,7 +111,7 @@ def _description(document: bytes, fields: Mapping[str, str]) -> bytes:
     return yaml.safe_dump(content).encode()
 
 
-def _unpacked(files: list[tuple[str, bytes]], settings: Settings) -> dict[str, bytes]:
+def _unpacked(files: list[tuple[str, bytes]], settings: ServeConfig) -> dict[str, bytes]:
     """Files by plain name, with zips unpacked."""
     contents: dict[str, bytes] = {}
     for name, data in files:
@@ -135,7 +135,7 @@ def _suffix(name: str) -> str:
     return ".yaml" if suffix == ".yml" else suffix
 
 
-def _members(data: bytes, settings: Settings) -> list[tuple[str, bytes]]:
+def _members(data: bytes, settings: ServeConfig) -> list[tuple[str, bytes]]:
     """Names and contents of a zip's visible files of the kinds taken."""
     members, left = [], settings.bytes
     try:

@@ -48,6 +48,7 @@ from data.fabrics.fabrics import TABLE_COLUMNS, read_fabric_table
 from data.fabrics.prior import load_prior
 from data.render.setups import Setups
 from drapenet.batch.captures import entries_of
+from drapenet.config import ServeConfig
 from drapenet.export.formats import TARGETS
 from drapenet.export.material import read_material
 from drapenet.network.checkpoint import header_for, load_model, save_checkpoint
@@ -55,7 +56,6 @@ from drapenet.network.model import MapNet
 from drapenet.network.training import load_state, save_state
 from drapenet.refine.scans import read_cloud
 from drapenet.result.files import write_estimate
-from drapenet.service.settings import Settings
 from drapenet.service.uploads import RequestError, checked_upload
 from sim.material import MICRO
 from sim.rig import Rig
@@ -362,8 +362,8 @@ def _damaged_member(data: bytes, rng: random.Random) -> bytes:
 
 def _read_upload(folder: Path) -> None:
     config = {**read_config("serve"), "results": str(folder / "r"), "megabytes": 4.0}
-    settings = Settings(**{key: config[key] for key in config
-                           if key in Settings.__dataclass_fields__})
+    settings = ServeConfig(**{key: config[key] for key in config
+                              if key in ServeConfig.__dataclass_fields__})
     data, fields = read_bytes(folder / "capture.zip", 1 << 23, "zip"), read_json(
         folder / "fields.json")
     texts = {str(key): value if isinstance(value, str) else repr(value)

@@ -23,8 +23,7 @@ from data.dataset import generate
 from data.dataset.config import Options
 from data.dataset.inspect import InspectConfig
 from data.fabrics.prior.__main__ import FitConfig
-from drapenet.config import EvaluateConfig, ExportConfig, InferConfig, TrainConfig
-from drapenet.service.settings import Settings
+from drapenet.config import EvaluateConfig, ExportConfig, InferConfig, ServeConfig, TrainConfig
 from experiments.estimation.specimen_offset import PlacementConfig
 
 ROOT = Path(__file__).parents[2]
@@ -32,7 +31,7 @@ SCHEMAS = {"cantilever_estimate": EstimateConfig, "cantilever_hang": HangConfig,
            "capture": CaptureConfig, "drape": DrapeConfig, "evaluate": EvaluateConfig,
            "export": ExportConfig, "generate": Options,
            "infer": InferConfig, "inspect": InspectConfig, "placement": PlacementConfig,
-           "prior_fit": FitConfig, "serve": Settings, "train": TrainConfig}
+           "prior_fit": FitConfig, "serve": ServeConfig, "train": TrainConfig}
 
 
 @dataclass
@@ -212,11 +211,11 @@ def test_a_program_error_keeps_its_traceback_and_its_type(monkeypatch, tmp_path)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", ["x"])
 
-    def broken(config: Settings) -> None:
+    def broken(config: ServeConfig) -> None:
         raise ZeroDivisionError("no number")
 
     with pytest.raises(ZeroDivisionError) as error:
-        command("serve", Settings)(broken)([])
+        command("serve", ServeConfig)(broken)([])
     assert error.traceback[-1].name == "broken"
 
 

@@ -17,12 +17,12 @@ from pebble import ProcessFuture
 
 from common.command import compose_config
 from data.captures.capture import read_capture
+from drapenet.config import ServeConfig
 from drapenet.export.formats import TARGETS
 from drapenet.inference import network_estimate
 from drapenet.network.checkpoint import header_for
 from drapenet.service.app import create_app
 from drapenet.service.jobs import Jobs
-from drapenet.service.settings import Settings
 from drapenet.service.uploads import RequestError, Upload
 from drapenet.service.work import change_state
 
@@ -30,9 +30,9 @@ EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "captures" / "twill
 PICTURES = sorted(EXAMPLE.glob("*.png"))
 
 
-def settings_for(results: Path) -> Settings:
+def settings_for(results: Path) -> ServeConfig:
     words = [f"results={results}", "workers=1", "queue=3", "idle_seconds=0.5"]
-    return compose_config("serve", words, schema=Settings)
+    return compose_config("serve", words, schema=ServeConfig)
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from PIL import Image
 
 from common.command import compose_config
 from data.captures.capture import Capture, read_capture
-from drapenet.service.settings import Settings
+from drapenet.config import ServeConfig
 from drapenet.service.uploads import RequestError, Upload, checked_upload
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "captures" / "twill"
@@ -23,10 +23,10 @@ YAML = ("capture.yaml", (EXAMPLE / "capture.yaml").read_bytes())
 
 
 @pytest.fixture(scope="module")
-def settings(tmp_path_factory) -> Settings:
+def settings(tmp_path_factory) -> ServeConfig:
     results = tmp_path_factory.mktemp("results")
     words = [f"results={results}", "megabytes=4"]
-    return compose_config("serve", words, schema=Settings)
+    return compose_config("serve", words, schema=ServeConfig)
 
 
 def zipped(files: list[tuple[str, bytes]], kind: int = zipfile.ZIP_DEFLATED) -> bytes:
