@@ -123,9 +123,7 @@ def _plain(value: object) -> object:
     raise TypeError(f"{type(value).__name__} is not a setting of a case")
 
 
-def _stored(
-    file: Path, key: str, failures: Mapping[str, str] | None
-) -> dict[str, Any] | None:
+def _stored(file: Path, key: str, failures: Mapping[str, str] | None) -> dict[str, Any] | None:
     """Content of a result file; None if it is missing, of another key, or to be tried again."""
     try:
         content = json.loads(file.read_text(encoding="utf-8"))

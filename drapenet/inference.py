@@ -136,8 +136,7 @@ def network_estimate(
     """Estimate a capture by the network of ``header``; ``membrane`` as in EstimateOptions."""
     located = LocatedViews.of(capture)
     drape = radial_map(located)
-    known = {} if membrane is None else {
-        "membrane": membrane * REFERENCE_DENSITY / capture.density}
+    known = {} if membrane is None else {"membrane": membrane * REFERENCE_DENSITY / capture.density}
     draws, = predict(network_of(header), header, [drape], **known)
     estimate = make_estimate(draws, capture=capture, header=header)
     return CaptureEstimate(capture, header, located, drape, known, estimate)

@@ -230,5 +230,4 @@ def export(material: Material, name: str, out: Path) -> list[Path]:
 
 def export_all(material: Material, names: Sequence[str], folder: Path) -> list[Path]:
     """Write the targets ``names`` to a folder, under their usual file names."""
-    return [path for name in names for path in export(material, name,
-                                                      folder / TARGETS[name].file)]
+    return [path for name in names for path in export(material, name, folder / TARGETS[name].file)]

@@ -315,8 +315,7 @@ def csv_number(value: float) -> str:
 def csv_table(rows: Sequence[Mapping[str, object]], columns: Sequence[str] = ()) -> str:
     """CSV table for spreadsheets; ``columns`` is needed if there may be no rows."""
     stream = io.StringIO()
-    writer = csv.DictWriter(stream, list(columns or (rows[0] if rows else ())),
-                            lineterminator="\n")
+    writer = csv.DictWriter(stream, list(columns or (rows[0] if rows else ())), lineterminator="\n")
     writer.writeheader()
     writer.writerows({name: _cell(value) for name, value in row.items()} for row in rows)
     return stream.getvalue()

@@ -63,8 +63,7 @@ def joined(estimates: Sequence[Estimate], labels: Sequence[str]) -> Estimate:
     samples = np.random.default_rng(0).multivariate_normal(middle, covariance, size=_DRAWS)
     possible = is_admissible(*from_theta(samples))
     kept = samples[possible] if possible.any() else samples
-    return replace(estimates[0], samples=kept,
-                   warnings=tuple(contradictions(estimates, labels)))
+    return replace(estimates[0], samples=kept, warnings=tuple(contradictions(estimates, labels)))
 
 
 def joint_estimate(
