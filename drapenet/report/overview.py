@@ -94,7 +94,7 @@ def _write_fabric(name: str, entries: Sequence[Entry], out: Path) -> FabricEstim
     estimate, document, scatter = estimates[0], documents[0], None
     if len(entries) > 1:
         estimate, document = joint_estimate(estimates, documents)
-        middles = [single.samples[:, LINEAR].mean(axis=0) for single in estimates]
+        middles = [capture.samples[:, LINEAR].mean(axis=0) for capture in estimates]
         scatter = np.exp(np.std(middles, axis=0, ddof=1))
     fabric = FabricEstimate(name, Path(entries[0].place.parts[0]),
                             list(zip(entries, documents, strict=True)), document, scatter)

@@ -161,9 +161,9 @@ class EstimateDocument(Excerpt):
     @classmethod
     def from_estimate(
         cls, estimate: Estimate, *, capture: Mapping[str, Any], checkpoint: Mapping[str, str],
-        warnings: Sequence[str] = (), **others: Any,
+        warnings: Sequence[str] = (), **sections: Any,
     ) -> "EstimateDocument":
-        """The document of an estimate, with all ``warnings`` and optional keys ``others``."""
+        """The document of an estimate, with all ``warnings`` and optional ``sections``."""
         names, first = estimate.names, estimate.names[0]
         torques = {name: _intervals(1e3 * estimate.torques(k, CURVATURES))
                    for k, name in enumerate(names)}
@@ -186,7 +186,7 @@ class EstimateDocument(Excerpt):
             f"{first}_axis": Axis(
                 direction_deg=float(np.degrees(estimate.axis)), meaning=AXIS_MEANING,
                 probability=round(estimate.certainty, 3)),
-            "checkpoint": checkpoint, **others, "warnings": list(warnings)})
+            "checkpoint": checkpoint, **sections, "warnings": list(warnings)})
 
     @property
     def names(self) -> tuple[str, str, str]:

@@ -105,19 +105,19 @@ def contradictions(estimates: Sequence[Estimate], labels: Sequence[str]) -> list
         limit = float(chdtri(len(directions), CONTRADICTION_LEVEL / tests))
         distances = []
         for k in left:
-            others = [j for j in left if j != k]
-            together = np.mean([means[j] for j in others], axis=0)
+            rest = [j for j in left if j != k]
+            together = np.mean([means[j] for j in rest], axis=0)
             apart = means[k] - together
-            covariance = covariances[k] + sum(covariances[j] for j in others) / len(others) ** 2
+            covariance = covariances[k] + sum(covariances[j] for j in rest) / len(rest) ** 2
             distances.append((float(apart @ np.linalg.solve(covariance, apart)), k, together,
                               int(np.abs(apart / np.sqrt(np.diag(covariance))).argmax())))
         distance, k, together, worst = max(distances, key=itemgetter(0))
         if distance <= limit:
             break
         left.remove(k)
-        other = labels[left[0]] if len(left) == 1 else f"the other {len(left)} captures"
+        rival = labels[left[0]] if len(left) == 1 else f"the other {len(left)} captures"
         alpha, expected = unit * np.exp([means[k][worst], together[worst]])
-        lines.append(f"{labels[k]} contradicts {other}: alpha {directions[worst]} is {alpha:.3g} "
+        lines.append(f"{labels[k]} contradicts {rival}: alpha {directions[worst]} is {alpha:.3g} "
                      f"against {expected:.3g} µN·m (chi-square of the three alpha {distance:.1f}, "
                      f"limit {limit:.1f}); check fabric, side, density and specimen, and estimate "
                      "different fabrics apart")
