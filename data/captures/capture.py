@@ -237,9 +237,7 @@ def _remove_specks(view: DepthImage, name: str) -> list[str]:
 
 
 def captures_in(path: Path) -> list[Path]:
-    """Capture folders in ``path``, sorted: itself, or those in a folder of captures or of samples;
-    InputError for a folder of fabrics.
-    """
+    """Capture folders in ``path``, sorted: itself, or those in a folder of captures or samples."""
     if not path.is_dir() or any((path / name).exists() for name in CAPTURE_FILES):
         return [path]
     for below in ("*", "*/*", "*/*/*"):

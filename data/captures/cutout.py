@@ -205,9 +205,7 @@ def _column(cloth: Masks, scene: _Scene, column: Metres) -> Masks:
 
 
 def _without_cloth_below(column: Masks, cloth: Masks) -> Masks:
-    """Candidates for ``column`` without other cloth below them in the picture: cloth that touches
-    the column continues below.
-    """
+    """Candidates for ``column`` without cloth below, as cloth that touches the column has."""
     rest = np.flip(cloth & ~column, axis=1)
     return column & ~np.flip(np.maximum.accumulate(rest, axis=1), axis=1)
 
@@ -225,9 +223,7 @@ def _one_piece(cloth: Mask, on_plate: Mask) -> tuple[Mask, int]:
 
 
 def _completed(cloth: Mask, solid: Mask) -> Mask:
-    """The mask of ``cloth`` with holes filled, and pixels that are not ``solid`` labelled as most
-    of their neighbours.
-    """
+    """The mask of ``cloth``, holes filled, other pixels than ``solid`` as most neighbours."""
     votes = [ndimage.gaussian_filter(part.astype(np.float32), _VOTE_SIGMA, truncate=2.0)
              for part in (cloth, solid & ~cloth)]
     mask = cloth | (~solid & (votes[0] > votes[1]))

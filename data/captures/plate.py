@@ -233,9 +233,7 @@ def _kernels(radius: Metres) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _hanging(local: Points, rig: Rig) -> float:
-    """Share of the sectors towards the camera in which points, in the axes of a candidate, hang
-    from its rim.
-    """
+    """Share of the sectors towards the camera in which points hang from a candidate's rim."""
     beyond, longest = np.hypot(local[:, 0], local[:, 1]) - rig.plate_radius, rig.overhang
     distance = np.hypot(beyond, local[:, 2])
     hanging = (beyond > 0) & (local[:, 2] < 0) & (local[:, 1] < 0)
@@ -273,9 +271,7 @@ def plate_diameter(frames: Views, intrinsics: Intrinsics) -> Metres | None:
 
 
 def _measured(points: Points, rig: Rig) -> tuple[Metres, Metres] | None:
-    """Difference between quartiles over sectors, and median, of a plate's diameter, from a start at
-    that of ``rig``.
-    """
+    """Quartile distance and median over sectors of a plate's diameter, from that of ``rig``."""
     plate = find_plate(points, rig)
     if plate is None:
         return None

@@ -141,8 +141,7 @@ class DatasetFolder:
         return self.config.as_dict() | {"prior": self._prior}
 
     def claim(self) -> dict:
-        """Create the folder, or check that it holds nothing but this dataset or part of it; return
-        its manifest, empty if there is none.
+        """Create the folder, or check that it holds only this dataset; return its manifest or {}.
         """
         try:
             self.root.mkdir(parents=True, exist_ok=True)

@@ -114,9 +114,7 @@ class NuisanceConfig:
     def sample(
         self, cloth: np.random.Generator, specimen: np.random.Generator, *, face: int = 1
     ) -> Nuisances:
-        """Draw the parameters of a cloth and of one specimen, each from a separate generator;
-        ``face``: 1 if the fabric's marked face is up, else -1.
-        """
+        """Draw the parameters of a cloth and of a specimen; ``face``: 1, or -1 if turned over."""
         def between(limits: tuple[float, float], share: float) -> float:
             return float(limits[0] * (limits[1] / limits[0]) ** share)
 

@@ -169,9 +169,7 @@ def _expand(folded: np.ndarray) -> Theta:
 
 
 def plausible_range(theta: Theta) -> tuple[Theta, Theta]:
-    """Bounds ``MAX_DEVIATIONS`` from the medians of fabrics; clipping to them leaves them as they
-    are.
-    """
+    """Bounds ``MAX_DEVIATIONS`` from the medians of fabrics, which clipping does not change."""
     folded = _compress(theta)
     middle = np.median(folded, axis=0)
     reach = MAX_DEVIATIONS * (1.4826 * np.median(np.abs(folded - middle), axis=0))
@@ -430,8 +428,7 @@ def load_prior(name: str | Path) -> Prior:
 
 
 def sample_admissible(prior: Prior, rng: np.random.Generator) -> tuple[Theta, int]:
-    """Draw a fabric until it is admissible (:func:`sim.material.is_admissible`); return also the
-    number of rejected samples.
+    """An admissible fabric (:func:`sim.material.is_admissible`), and the number of rejected ones.
     """
     for rejected in range(MAX_TRIES):
         theta = prior.sample(1, rng)[0]
