@@ -61,7 +61,7 @@ LENGTH = 0.3  # m
 def moving(scene: Scene, fabric: Fabric, laws: Laws | None = None) -> tuple[Cloth, Inertia]:
     """The cloth of ``scene`` with its inertia, and that inertia."""
     inertia = Inertia(scene.mesh, density=fabric.density)
-    return Cloth(scene, fabric, laws=laws, extra=[inertia]), inertia
+    return Cloth(scene, fabric, laws=laws or Laws(), extra=[inertia]), inertia
 
 
 def test_cloth_without_support_falls_with_the_known_error_of_the_step() -> None:
