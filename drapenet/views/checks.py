@@ -7,6 +7,7 @@ the same cloth. Few correct simulated captures exceed the limits (``python -m ex
 
 import json
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -74,23 +75,21 @@ def view_warnings(located: LocatedViews, drape: RadialMap, setups: Setups) -> li
             *quality_warnings(quality)]
 
 
-def pose_warnings(camera: Camera, setups: Setups) -> list[str]:
+def pose_warnings(camera: Camera, setups: Setups) -> Iterator[str]:
     """One line for each property of ``camera`` outside the ``setups`` trained on."""
     up, centre = camera.world_to_camera[:3, 2], camera.world_to_camera[:3, 3]
     pitch = np.arcsin(np.clip(-up[2], -1.0, 1.0))
     distance = float(np.linalg.norm(centre))
     low, high = np.degrees(setups.pitch)
     near, far = setups.distance
-    warnings = []
     if not setups.pitch[0] - TILT < pitch < setups.pitch[1] + TILT:
-        warnings.append(f"the plate is seen from {np.degrees(pitch):.0f}° above the horizontal "
-                        f"(limits {low:.0f}° to {high:.0f}°): check that the pictures "
-                        "are upright, their intrinsics, and the camera's position")
+        yield (f"the plate is seen from {np.degrees(pitch):.0f}° above the horizontal (limits "
+               f"{low:.0f}° to {high:.0f}°): check that the pictures are upright, their "
+               "intrinsics, and the camera's position")
     if not near - SHIFT < distance < far + SHIFT:
-        warnings.append(f"the plate is {1e3 * distance:.0f} mm away (limits "
-                        f"{1e3 * near:.0f} to {1e3 * far:.0f} mm): check the depth unit, the "
-                        "intrinsics and the camera's position")
-    return warnings
+        yield (f"the plate is {1e3 * distance:.0f} mm away (limits {1e3 * near:.0f} to "
+               f"{1e3 * far:.0f} mm): check the depth unit, the intrinsics and the camera's "
+               "position")
 
 
 def turn_warnings(located: LocatedViews) -> list[str]:
@@ -154,46 +153,37 @@ def _turn_readings(stated: Turns) -> dict[str, Turns]:
     return distinct
 
 
-def quality_warnings(q: Quality) -> list[str]:
+def quality_warnings(q: Quality) -> Iterator[str]:
     """One line for each exceeded limit: quantity, limit, remedy."""
-    warnings = []
     if abs(q.log_scale) > MAX_LOG_SCALE:
-        warnings.append(
-            f"the drape looks {np.exp(q.log_scale):.2f} times as large as a specimen can be (sound "
-            f"captures: within {MAX_LOG_SCALE:.0%}): check depth unit and scale, fx and fy, the "
-            "specimen's size and the cut-out")
+        yield (f"the drape looks {np.exp(q.log_scale):.2f} times as large as a specimen can be "
+               f"(sound captures: within {MAX_LOG_SCALE:.0%}): check depth unit and scale, fx and "
+               "fy, the specimen's size and the cut-out")
     if q.offset > MAX_OFFSET:
-        warnings.append(
-            f"the specimen's centre lies {1e3 * q.offset:.0f} mm from the plate's axis (at most "
-            f"{1e3 * MAX_OFFSET:g} mm): place it on the plate again")
+        yield (f"the specimen's centre lies {1e3 * q.offset:.0f} mm from the plate's axis (at most "
+               f"{1e3 * MAX_OFFSET:g} mm): place it on the plate again")
     if abs(q.bulge) > MAX_BULGE:
-        warnings.append(
-            f"the plate looks curved by {1e3 * q.bulge:.1f} mm (sound captures: within "
-            f"{1e3 * MAX_BULGE:g} mm): depth must be along the optical axis, not the length of the "
-            "ray; check the lens's distortion")
+        yield (f"the plate looks curved by {1e3 * q.bulge:.1f} mm (sound captures: within "
+               f"{1e3 * MAX_BULGE:g} mm): depth must be along the optical axis, not the length of "
+               "the ray; check the lens's distortion")
     if q.misread:
-        warnings.append(
-            f"views differ by {1e3 * q.disagreement:.1f} mm where they show the same cloth, but "
-            f"fit better by a factor of more than {MIN_IMPROVEMENT:g} if {q.misread}")
+        yield (f"views differ by {1e3 * q.disagreement:.1f} mm where they show the same cloth, but "
+               f"fit better by a factor of more than {MIN_IMPROVEMENT:g} if {q.misread}")
     elif q.disagreement > MAX_DISAGREEMENT:
-        warnings.append(
-            f"views differ by {1e3 * q.disagreement:.1f} mm where they show the same cloth (sound "
-            f"captures: up to {1e3 * MAX_DISAGREEMENT:g} mm): check turns_deg, fx and fy, and that "
-            "the cloth did not move")
+        yield (f"views differ by {1e3 * q.disagreement:.1f} mm where they show the same cloth "
+               f"(sound captures: up to {1e3 * MAX_DISAGREEMENT:g} mm): check turns_deg, fx and "
+               "fy, and that the cloth did not move")
     if q.holes > MAX_HOLES_SHARE or q.hole > MAX_HOLE_PIXELS:
-        warnings.append(
-            f"{q.holes:.1%} of the cloth's pixels have no depth, {q.hole} in one hole (sound "
-            f"captures: up to {MAX_HOLES_SHARE:.0%} and {MAX_HOLE_PIXELS}): change exposure, light "
-            "or distance")
+        yield (f"{q.holes:.1%} of the cloth's pixels have no depth, {q.hole} in one hole (sound "
+               f"captures: up to {MAX_HOLES_SHARE:.0%} and {MAX_HOLE_PIXELS}): change exposure, "
+               "light or distance")
     if q.cut > MAX_CUT_SHARE:
-        warnings.append(
-            f"{q.cut:.0%} of a view's border has one and the same depth (sound captures: up to "
-            f"{MAX_CUT_SHARE:.0%}): a threshold of the depth has cut off the cloth; cut it out by "
-            "geometry or colour")
+        yield (f"{q.cut:.0%} of a view's border has one and the same depth (sound captures: up to "
+               f"{MAX_CUT_SHARE:.0%}): a threshold of the depth has cut off the cloth; cut it out "
+               "by geometry or colour")
     if q.pixel > MAX_PIXEL:
-        warnings.append(f"a pixel spans {1e3 * q.pixel:.1f} mm on the plate (at most "
-                        f"{1e3 * MAX_PIXEL:g} mm): move the camera nearer")
-    return warnings
+        yield (f"a pixel spans {1e3 * q.pixel:.1f} mm on the plate (at most {1e3 * MAX_PIXEL:g} "
+               "mm): move the camera nearer")
 
 
 def require_plate(quality: Quality) -> None:
