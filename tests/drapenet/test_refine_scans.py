@@ -202,7 +202,7 @@ def test_raw_scans_may_have_faces_or_none(tmp_path: Path, captured: CapturedShap
 
 
 @pytest.mark.parametrize(("words", "message"), [
-    (["scan={bad}"], "cannot read the scan"), (["scan=x.npz", "capture=y"], "not both"),
+    (["scan={bad}"], "cannot be read"), (["scan=x.npz", "capture=y"], "not both"),
     (["scan=x.npz", "refine=depth"], "refine=depth does not fit a scan; use"),
     (["scan=x.npz", "density_g_m2=0"], "density_g_m2")])
 def test_the_command_refuses_a_faulty_scan(
