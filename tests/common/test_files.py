@@ -26,7 +26,7 @@ def test_a_file_is_made_with_its_folder_and_replaced(tmp_path):
         replace_file(path, data)
         assert path.read_bytes() == data
     with pytest.raises(KeyboardInterrupt), replacing(path) as file:
-        file.write(b"half of the thi")
+        file.write(b"half of")
         raise KeyboardInterrupt
     assert path.read_bytes() == b"second"
     assert [entry.name for entry in path.parent.iterdir()] == ["a.json"]
