@@ -22,10 +22,6 @@ def test_a_section_runs_as_one_script(name, tmp_path):
     runpy.run_path(str(script), run_name="__main__")
 
 
-def test_sections_without_code_are_the_map_and_the_walks():
-    assert len(SECTIONS) - len(SCRIPTS) == 4
-
-
 def test_files_that_are_named_exist():
     names = re.findall(r"`([\w/]+(?:/|\.py))`", TEXT)
     assert len(names) > 10
