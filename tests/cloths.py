@@ -17,8 +17,19 @@ from data.render.cameras import Camera, camera_pose, nominal_camera
 from data.render.rays import DepthRenderer
 from sim.cloth import Laws
 from sim.mesh.specimen import TOPOLOGIES
-from sim.rig import Rig
+from sim.rig import DISC_RIG, Rig
 from sim.scene import make_specimen
+
+
+def waves(
+    rest: np.ndarray, *, folds: int = 8, phase: float = 0.0, depth: float = 0.02
+) -> np.ndarray:
+    """A drape-like surface over rest points (V, 2) on the disc rig."""
+    radius, angle = np.linalg.norm(rest, axis=1), np.arctan2(rest[:, 1], rest[:, 0])
+    beyond = np.maximum(radius - DISC_RIG.plate_radius, 0.0) / 0.06
+    out = np.minimum(radius, DISC_RIG.plate_radius) + 0.035 * beyond
+    out = out + depth * beyond**2 * np.cos(folds * (angle - phase))
+    return np.column_stack([out * np.cos(angle), out * np.sin(angle), -0.045 * beyond])
 
 
 def skirt(fabric, *, rig, edge, start, seed, offset, laws):

@@ -8,6 +8,8 @@ import cloths
 import pytest
 
 import common.interrupt  # noqa: F401
+from sim.rig import DISC_RIG
+from sim.scene import Scene, make_specimen
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # pytest's
 
@@ -16,6 +18,12 @@ signal.signal(signal.SIGINT, signal.default_int_handler)  # pytest's
 def cloth_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a dataset of 24 pieces of cloth."""
     return cloths.write_dataset(tmp_path_factory.mktemp("cloths") / "dataset", drapes=24, seed=8)
+
+
+@pytest.fixture(scope="session")
+def disc() -> Scene:
+    """A disc on a coarse mesh of equal edges."""
+    return make_specimen(DISC_RIG, edge=9e-3, grading=1.0)
 
 
 @pytest.fixture(scope="module")

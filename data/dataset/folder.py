@@ -7,8 +7,6 @@ processes write the same bytes of a shard; the manifest reveals different settin
 
 import hashlib
 import json
-import sys
-import threading
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterable, Mapping
@@ -21,6 +19,7 @@ import numpy as np
 from pydantic import Field
 from tqdm import tqdm
 
+from common.cases import progress_bar
 from common.documents import Excerpt, differences, read_json, shown
 from common.errors import InputError
 from common.files import PARTIAL_SUFFIX, remove_partial, replace_json
@@ -34,10 +33,6 @@ from sim.rig import Rig
 MANIFEST = "dataset.json"
 REMEDY = "remove it and run the command that made the dataset again, which keeps complete shards"
 DELAY = 2.0  # s; shorter tasks show no bar
-
-# One process draws. tqdm's default lock is shared with forked processes, and stays locked if one of
-# them is killed while it holds it.
-tqdm.set_lock(threading.RLock())
 
 
 class _Begun(Excerpt):
@@ -264,12 +259,6 @@ class DatasetFolder:
         """Remove temporary files of interrupted writers."""
         for pattern in (SHARDS, MANIFEST):
             remove_partial(self.root, pattern)
-
-
-def progress_bar(items: Iterable | None = None, **options: object) -> tqdm:
-    """A tqdm bar, updated every 0.1 s on a terminal and every 30 s in a log file."""
-    pause = 0.1 if sys.stderr.isatty() else 30.0
-    return tqdm(items, mininterval=pause, maxinterval=max(pause, 10.0), **options)
 
 
 def over_shards(shards: Iterable, doing: str) -> tqdm:

@@ -32,12 +32,13 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
+from common.cases import progress_bar
 from common.command import command
 from common.errors import InputError, one_line
 from common.files import folder_named
 from common.workers import worker_pool
 from data.dataset.config import DatasetConfig, Options, config_from_options
-from data.dataset.folder import DatasetFolder, over_shards, progress_bar
+from data.dataset.folder import DatasetFolder, over_shards
 from data.dataset.simulate import Solver, load_solver, make_record
 from data.fabrics.prior import SOFT
 from sim.material import MICRO

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from cloths import waves
 
 from experiments.papers.descriptors import (
     DescriptorObjective,
@@ -11,22 +12,6 @@ from experiments.papers.descriptors import (
 )
 from sim.rig import DISC_RIG, Rig
 from sim.scene import Scene, make_specimen
-
-
-def waves(
-    rest: np.ndarray, *, folds: int = 8, phase: float = 0.0, depth: float = 0.02
-) -> np.ndarray:
-    """A drape-like surface over rest points (V, 2) on the disc rig."""
-    radius, angle = np.linalg.norm(rest, axis=1), np.arctan2(rest[:, 1], rest[:, 0])
-    beyond = np.maximum(radius - DISC_RIG.plate_radius, 0.0) / 0.06
-    out = np.minimum(radius, DISC_RIG.plate_radius) + 0.035 * beyond
-    out = out + depth * beyond**2 * np.cos(folds * (angle - phase))
-    return np.column_stack([out * np.cos(angle), out * np.sin(angle), -0.045 * beyond])
-
-
-@pytest.fixture(scope="module")
-def disc() -> Scene:
-    return make_specimen(DISC_RIG, edge=9e-3, grading=1.0)
 
 
 def test_ring_spectrum_is_invariant_to_rotation_but_not_to_fold_depth(disc: Scene) -> None:
