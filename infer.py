@@ -129,7 +129,7 @@ def read_sources(config: InferConfig) -> list[tuple[Capture, Any]]:
     if not config.scan:
         return [(read_capture(path), None) for place in paths for path in captures_in(place)]
     density = checked_density(config.density_g_m2)
-    from drapenet.refine.scans import read_scan_capture
+    from drapenet.refine.registration import read_scan_capture
 
     return [read_scan_capture(path, density=density) for path in paths]
 

@@ -24,7 +24,7 @@ from data.render.rays import VIEWS, DepthRenderer
 from data.render.scenes import raw_scene
 from data.render.sensors import StructuredLight, load_sensor
 from data.render.setups import Setups
-from data.testers import named_tester
+from data.rigs import named_tester
 from sim.drape import drape
 from sim.material import DIRECTIONS, MICRO, NANO, Fabric
 

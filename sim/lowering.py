@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from common.types import StateVector
 from sim.cloth import Cloth, Laws
 from sim.energies.base import Energy
-from sim.energies.plate_variants import HystereticBending
+from sim.energies.bending_variants import HystereticBending
 from sim.equilibrium import Equilibrium
 from sim.material import REFERENCE_DENSITY, Fabric
 from sim.mesh.specimen import GRADING

@@ -12,7 +12,7 @@ from sim.cloth import Cloth
 from sim.energies.external import DEPTH
 from sim.energies.fold_barrier import LIMIT_START
 from sim.energies.midedge import CLAMP, rows_at_clamp
-from sim.energies.plate_law import PlateConstants, constants
+from sim.energies.bending_law import PlateConstants, constants
 from sim.rig import RIM
 
 
@@ -139,7 +139,7 @@ def edge_angles(corners: Tensor, normals: Tensor) -> Tensor:
 
 
 def plate_density(s: Tensor, law: PlateConstants) -> Tensor:
-    """psi (N,), J/m², of curvatures (N, 3); see :mod:`sim.energies.plate_law`."""
+    """psi (N,), J/m², of curvatures (N, 3); see :mod:`sim.energies.bending_law`."""
     x, y, z = s.unbind(-1)
     xx, yy, zz = x * x, y * y, z * z
     a = law.A11 * xx + law.A22 * yy + 2 * law.A12 * x * y + 4 * law.A66 * zz
@@ -167,7 +167,7 @@ def _depths(points: Tensor, radius: float) -> Tensor:
 
 
 def _shape(u: Tensor, limit: float) -> Tensor:
-    """H of :mod:`sim.energies.plate_law`."""
+    """H of :mod:`sim.energies.bending_law`."""
     soft = u <= limit
     v = 1.0 / torch.where(soft, 1.0, u)
     beyond = 1 - 2 * limit + 2 * v * (limit**2 - limit**3 / 3 * v)

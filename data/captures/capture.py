@@ -37,7 +37,7 @@ from data.captures.description import (
 from data.captures.frames import join_views, numbered, read_frames, read_picture
 from data.captures.plate import plate_diameter
 from data.render.cameras import Intrinsics, nominal_camera
-from data.testers import described_tester, named_tester, tester_choices
+from data.rigs import described_tester, named_tester, tester_choices
 from sim.rig import SQUARE_RIG, Rig
 
 CAPTURE_FILES = ("capture.yaml", "density.txt")

@@ -12,7 +12,7 @@ from common.documents import Schema, shown
 from common.errors import InputError
 from common.types import Density, Radians, Turns
 from data.render.cameras import Intrinsics
-from data.testers import Tester
+from data.rigs import Tester
 
 DENSITY_RANGE = (10.0, 1000.0)  # g/m2
 MAX_VIEWS = 8

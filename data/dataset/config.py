@@ -13,8 +13,8 @@ from common.provenance import release
 from common.types import Metres
 from data.fabrics.nuisances import NuisanceConfig
 from data.fabrics.prior import Prior, load_prior, prior_content
-from data.testers import named_tester
-from sim.energies.plate_variants import KES_CURVATURE
+from data.rigs import named_tester
+from sim.energies.bending_variants import KES_CURVATURE
 from sim.mesh.specimen import EDGE_RANGE
 from sim.rig import SQUARE_RIG, Rig
 from sim.start import LOWERED

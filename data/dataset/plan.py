@@ -14,7 +14,7 @@ from common.types import Theta
 from data.dataset.config import BORROWED, SamplingConfig
 from data.fabrics.nuisances import Nuisances
 from data.fabrics.prior import Prior, is_soft, sample_admissible
-from data.testers import MIN_OVERHANG, PLATES, SIZES, named_tester
+from data.rigs import MIN_OVERHANG, PLATES, SIZES, named_tester
 from sim.rig import Rig
 
 

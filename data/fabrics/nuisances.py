@@ -13,7 +13,7 @@ import numpy as np
 from common.errors import InputError
 from sim.cloth import Laws
 from sim.energies.membrane import Corotational, OrthotropicStVK
-from sim.energies.plate_variants import KES_CURVATURE, Hysteresis
+from sim.energies.bending_variants import KES_CURVATURE, Hysteresis
 from sim.rig import Rig
 
 _PERCENTILE = 1.96  # deviations of a normal distribution to its 97.5th percentile
@@ -26,7 +26,7 @@ class Nuisances:
     Attributes:
         membrane: stiffness along the yarns, N/m.
         shear: shear stiffness, relative to that of an isotropic membrane of this stiffness.
-        hysteresis: see :class:`sim.energies.plate_variants.Hysteresis`.
+        hysteresis: see :class:`sim.energies.bending_variants.Hysteresis`.
         curl_warp, curl_weft: natural curvature as the specimen lies, 1/m.
         size, plate: deviations of the specimen's size and of the plate's diameter, m.
         cut: angle from the warp to the specimen's side, rad.

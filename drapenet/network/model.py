@@ -1,4 +1,4 @@
-"""The network: a ResNet-18 on maps of drapes, with circular padding in azimuth."""
+"""The network and its input: a ResNet-18 on radial maps, with circular padding in azimuth."""
 
 from dataclasses import dataclass, replace
 from itertools import pairwise

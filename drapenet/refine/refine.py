@@ -21,7 +21,7 @@ from data.fabrics.nuisances import LOGARITHMIC, NuisanceConfig, at_density
 from data.render.rays import DepthRenderer
 from drapenet.network.predict import Draws
 from drapenet.refine.objective import fit_nuisances
-from drapenet.refine.scans import flat_turn
+from drapenet.refine.registration import flat_turn
 from drapenet.refine.search import CapturedScan, CapturedViews, Observation, SearchResult, search
 from drapenet.refine.surface import CapturedShape, Fidelity, fidelity
 from drapenet.refine.unknowns import LAW_NAMES, NAMES, OFFSET_NAMES, SpecimenPrior, Unknowns

@@ -16,7 +16,7 @@ from data.fabrics.nuisances import LOGARITHMIC, NuisanceConfig, Nuisances
 from data.fabrics.prior import GaussianPrior
 from drapenet.refine.objective import Moves
 from sim.cloth import Laws
-from sim.energies.plate_variants import Hysteresis
+from sim.energies.bending_variants import Hysteresis
 from sim.material import MICRO, Fabric
 from sim.mesh.specimen import share_of_offset
 from sim.rig import Rig

@@ -12,7 +12,7 @@ from pydantic import BeforeValidator, Field, PlainValidator, model_validator
 from common.documents import Excerpt, shown
 from common.types import Density
 from drapenet.result.estimate import Estimate
-from drapenet.result.testers import GF_CM, GF_CM_PER_CM, MG_CM, bending_length, kes
+from drapenet.result.readings import GF_CM, GF_CM_PER_CM, MG_CM, bending_length, kes
 from sim.material import DIRECTIONS, MICRO, NANO, REFERENCE_DENSITY, STIFF_SOFT
 from sim.rig import GRAVITY
 

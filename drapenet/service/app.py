@@ -25,7 +25,7 @@ from starlette.requests import ClientDisconnect
 from common.errors import InputError
 from common.files import folder_named, require_folder
 from data.captures.capture import CAPTURE_FILES
-from data.testers import TESTERS
+from data.rigs import TESTERS
 from drapenet.batch.captures import plain_name
 from drapenet.config import ServeConfig
 from drapenet.export.formats import TARGETS

@@ -24,7 +24,7 @@ from common.types import Density
 from data.captures.capture import CAPTURE_FILES, INTRINSICS_KEYS
 from data.captures.description import Description, checked_density
 from data.captures.frames import BACKGROUND, header_of
-from data.testers import tester_choices
+from data.rigs import tester_choices
 from drapenet.batch.captures import plain_name
 from drapenet.config import ServeConfig
 

@@ -62,7 +62,7 @@ def estimate_upload(
     from data.captures.capture import read_capture
     from drapenet.inference import CaptureEstimate, estimate_capture
     from drapenet.network.checkpoint import header_for
-    from drapenet.refine.scans import read_scan_capture
+    from drapenet.refine.registration import read_scan_capture
 
     uploaded, registered = folder / UPLOADED, None
     change_state(folder, state=RUNNING, stage="reading")

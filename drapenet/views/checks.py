@@ -27,7 +27,7 @@ from drapenet.views.radial_map import RadialMap
 from drapenet.views.turns import disagreement, register
 from sim.rig import Rig
 
-PLACEMENT = Path(__file__).parents[1] / "weights" / "placement.json"
+SPECIMEN_OFFSETS = Path(__file__).parents[1] / "weights" / "specimen_offset.json"
 """Coefficients of size and offset, of ``experiments/estimation/specimen_offset.py``."""
 _BAND = 4  # rows of a map
 _PLATE_TOLERANCE = 10e-3  # m, distance of cloth on the plate from its plane
@@ -105,7 +105,7 @@ def measure(located: LocatedViews, drape: RadialMap) -> Quality:
     views, camera, rig = located.views, located.camera, located.rig
     gap = disagreement(located.clouds, located.turns, located.centre, rig)
     missing = [binary_fill_holes(view) & ~view for view in views > 0]
-    log_scale, offset = specimen_placement(drape, rig) if len(views) > 1 else (np.nan, np.nan)
+    log_scale, offset = specimen_offset(drape, rig) if len(views) > 1 else (np.nan, np.nan)
     bulge, off_plate = _flatness(np.concatenate(located.clouds) - [*located.centre, 0.0], rig)
     return Quality(
         log_scale=log_scale, offset=offset, bulge=bulge, off_plate=off_plate, disagreement=gap,
@@ -230,10 +230,10 @@ def _cut(view: np.ndarray) -> float:
 @cache
 def coefficients() -> dict[str, Any]:
     """The regression's coefficients by name of the rig."""
-    return json.loads(PLACEMENT.read_text(encoding="utf-8"))
+    return json.loads(SPECIMEN_OFFSETS.read_text(encoding="utf-8"))
 
 
-def specimen_placement(drape: RadialMap, rig: Rig) -> tuple[float, float]:
+def specimen_offset(drape: RadialMap, rig: Rig) -> tuple[float, float]:
     """Logarithm of the apparent over the possible size of the drape, and offset, m, of the
     specimen's centre from the plate's axis, regressed on the map's distances in bands of elevation;
     NaN for a rig without coefficients.

@@ -26,14 +26,14 @@ from sim.material import REFERENCE_DENSITY, SWAPPED
 from sim.rig import DISC_RIG
 
 if TYPE_CHECKING:
-    from drapenet.refine.scans import ScanRegistration
+    from drapenet.refine.registration import ScanRegistration
 
 _TRUTH_MM = 2.0  # mesh edges at the rim of simulated specimens
 
 
 def simulated(*, number: int, noise_mm: float, seed: int) -> dict:
     """Refine a simulated raw scan of a known fabric."""
-    from drapenet.refine.scans import EDGE, register
+    from drapenet.refine.registration import EDGE, register
     from drapenet.refine.surface import Cloud
 
     plan = plan_specimen(number, rig=DISC_RIG, nuisances="real", seed=seed)
@@ -52,7 +52,7 @@ def refine_scan(scan: "ScanRegistration") -> dict:
     """Estimate a scan as by ``infer.py scan=FILE refine=scan``."""
     from drapenet.inference import network_estimate
     from drapenet.refine.refine import refine_capture
-    from drapenet.refine.scans import scan_capture
+    from drapenet.refine.registration import scan_capture
     from drapenet.result.estimate import make_estimate
 
     header, shape = read_header(bundled(DISC_RIG)), scan.shape

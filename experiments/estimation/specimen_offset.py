@@ -35,8 +35,8 @@ RIDGE = 0.1  # of standardised features
 
 
 @dataclass
-class PlacementConfig:
-    """``configs/placement.yaml``."""
+class SpecimenOffsetConfig:
+    """``configs/specimen_offset.yaml``."""
 
     data: str
     rig: str
@@ -66,8 +66,8 @@ def drapes(root: Path) -> Iterator[tuple[Shard, int]]:
             yield shard, row
 
 
-@command("placement", PlacementConfig)
-def main(config: PlacementConfig) -> None:
+@command("specimen_offset", SpecimenOffsetConfig)
+def main(config: SpecimenOffsetConfig) -> None:
     """Fit the coefficients of one rig and write the table of all rigs with them."""
     if not config.data:
         raise InputError("data= is missing; give the folder of a dataset: data=DIR")

@@ -16,10 +16,10 @@ from experiments.physics.testers import LENGTHS, add_noise
 from experiments.result import Config, Report, Result, label_log_axes, rms, run_fabrics
 from sim.cantilever.elastica import strip_shape, tabulated_law
 from sim.cantilever.moduli import fit_torque_curve, match
-from sim.cantilever.tester import bending_length
+from sim.cantilever.strip import bending_length
 from sim.cloth import Laws
 from sim.drape import drape, follow
-from sim.energies.plate_variants import TorqueLaw
+from sim.energies.bending_variants import TorqueLaw
 from sim.material import Fabric, torque
 from sim.rig import GRAVITY
 

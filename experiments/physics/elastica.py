@@ -12,7 +12,7 @@ from common.errors import InputError
 from experiments.physics.hinges import equivalent_modulus, free_end
 from experiments.result import Config, Result, run_cases
 from sim.cantilever import aspect_ratio, elastica, fabric_of_gamma
-from sim.cantilever.tester import TIGHT
+from sim.cantilever.strip import TIGHT
 from sim.cloth import Laws
 from sim.energies.hinges import ARCSIM, DISCRETE_SHELLS
 from sim.energies.membrane import Corotational

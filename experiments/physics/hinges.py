@@ -13,7 +13,7 @@ from common.types import VertexMask
 from drapenet.export.material import GAMMA, MAX_CELLS, MESHES, MIN_CELLS
 from experiments.result import Config, Result
 from sim.cantilever.elastica import aspect_ratio, elastica, gamma_of_aspect_ratio
-from sim.cantilever.tester import TIGHT, fabric_of_gamma
+from sim.cantilever.strip import TIGHT, fabric_of_gamma
 from sim.cloth import Laws
 from sim.equilibrium import find_equilibrium
 from sim.material import Fabric

@@ -14,7 +14,7 @@ from experiments.drapes import prior_fabric
 from experiments.result import Config, Result, run_cases
 from sim.cloth import Laws
 from sim.drape import COARSE_CONTACT, COARSE_MEMBRANE, FINE_OPTIONS, drape, start_positions
-from sim.energies.plate_variants import Hysteresis
+from sim.energies.bending_variants import Hysteresis
 from sim.equilibrium import find_equilibrium
 from sim.lowering import LOWERING_MESHES, SPEEDS, STEP, lowered, with_origins
 from sim.material import MICRO, Fabric

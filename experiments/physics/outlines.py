@@ -26,7 +26,7 @@ from experiments.drapes import plan_specimen
 from experiments.result import Config, Result, load_arrays, run_cases
 from sim.cloth import Laws
 from sim.drape import Drape, drape
-from sim.energies.plate_variants import Hysteresis
+from sim.energies.bending_variants import Hysteresis
 from sim.material import MICRO, Fabric
 from sim.measures import folds_around
 from sim.mesh import Mesh

@@ -16,9 +16,9 @@ from experiments.physics.guides import guided
 from experiments.result import Config, Result, run_cases
 from sim.cantilever import aspect_ratio, gamma_of_aspect_ratio, hang, heavy_elastica
 from sim.cantilever.elastica import strip_shape, tabulated_law
-from sim.cantilever.tester import HungStrip, bending_length
+from sim.cantilever.strip import HungStrip, bending_length
 from sim.cloth import Laws
-from sim.energies import plate_law
+from sim.energies import bending_law
 from sim.energies.hinges import modulus_along
 from sim.energies.membrane import Corotational
 from sim.equilibrium import find_equilibrium
@@ -34,12 +34,12 @@ _SMALL = 0.01  # reduced curvature below the softening limit of every term of th
 def cylinder_torque(fabric: Fabric, angle: float, curvature: np.ndarray) -> np.ndarray:
     """Torque (K,), N, per width of cylinders of ``curvature`` (K,), 1/m, at ``angle``, rad.
 
-    The derivative of the plate's energy (:mod:`sim.energies.plate_law`) with respect to kappa.
+    The derivative of the plate's energy (:mod:`sim.energies.bending_law`) with respect to kappa.
     """
-    law = plate_law.constants(fabric)
+    law = bending_law.constants(fabric)
     cos, sin = np.cos(angle), np.sin(angle)
     direction = np.array([cos**2, sin**2, cos * sin])
-    return plate_law.stresses(curvature[:, None] * direction, law)[0] @ direction
+    return bending_law.stresses(curvature[:, None] * direction, law)[0] @ direction
 
 
 def cylinder_moduli(fabric: Fabric, angle: float) -> tuple[float, float]:

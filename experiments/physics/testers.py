@@ -18,9 +18,9 @@ from experiments.physics.guides import guided
 from experiments.result import Config, Result, rms, run_cases
 from sim.cantilever import heavy_elastica
 from sim.cantilever.moduli import METHODS, Strips, correct, estimate_moduli
-from sim.cantilever.tester import ANGLES, bending_length, simulate_strips
+from sim.cantilever.strip import ANGLES, bending_length, simulate_strips
 from sim.cloth import Laws
-from sim.energies import plate_law
+from sim.energies import bending_law
 from sim.material import DIRECTIONS, MICRO, NANO, Fabric
 from sim.rig import GRAVITY
 
@@ -81,7 +81,7 @@ def stable_directions(fabric: Fabric) -> list[bool]:
     If the law softens much faster along the bias than along the yarns, its tangent stiffness in
     twist is negative on a cylinder bent along a yarn, and such a strip twists.
     """
-    law = plate_law.constants(fabric)
+    law = bending_law.constants(fabric)
     stable = []
     for direction, alpha, beta in zip(DIRECTIONS, fabric.alpha, fabric.beta, strict=True):
         weight = fabric.density * GRAVITY
@@ -91,7 +91,7 @@ def stable_directions(fabric: Fabric) -> list[bool]:
         largest = steepest.max() * (len(curve) - 1) / longest
         c, s = np.cos(ANGLES[direction]), np.sin(ANGLES[direction])
         bent = np.linspace(0, largest, 100)[1:, None] * [c * c, s * s, c * s]
-        _, tangents = plate_law.stresses(bent, law)
+        _, tangents = bending_law.stresses(bent, law)
         stable.append(bool(np.linalg.eigvalsh(tangents).min() > 0))
     return stable
 

@@ -7,7 +7,7 @@ downwards; ``weight`` is rho g in N/m², ``slope`` the angle of the clamp below 
 """
 
 from sim.cantilever.elastica import aspect_ratio, elastica, gamma_of_aspect_ratio, heavy_elastica
-from sim.cantilever.tester import fabric_of_gamma, hang
+from sim.cantilever.strip import fabric_of_gamma, hang
 
 __all__ = ["aspect_ratio", "elastica", "fabric_of_gamma", "gamma_of_aspect_ratio", "hang",
            "heavy_elastica"]

@@ -19,7 +19,7 @@ from scipy.special import comb
 from common.errors import InputError
 from common.types import DeflectionCurve, Density, Metres, Moduli, QuadraticModuli, Radians
 from sim.cantilever.elastica import MAX_GAMMA, heavy_elastica, strip_shape, tabulated_law
-from sim.cantilever.tester import simulate_strips
+from sim.cantilever.strip import simulate_strips
 from sim.material import DIRECTIONS, Fabric, is_admissible, torque
 from sim.rig import GRAVITY
 

@@ -23,7 +23,7 @@ import numba
 import numpy as np
 
 from common.types import Curvatures, FaceMask, StateVector
-from sim.energies import dihedral, fold_barrier, plate_law
+from sim.energies import dihedral, fold_barrier, bending_law
 from sim.energies.base import Energy, StateCache, raise_eigenvalues
 from sim.material import Fabric
 from sim.mesh import Mesh
@@ -62,7 +62,7 @@ class MidEdgeBending(Energy):
 
     def _set_fabric(self, fabric: Fabric) -> None:
         """Set the attributes that depend on the fabric."""
-        self.law = plate_law.constants(fabric)
+        self.law = bending_law.constants(fabric)
         self._barrier = fabric.alpha.min() * self._slenderness
 
     def with_fabric(self, fabric: Fabric) -> "MidEdgeBending":
@@ -101,11 +101,11 @@ class MidEdgeBending(Energy):
 
     def density(self, curvatures: Curvatures) -> np.ndarray:
         """Energies (N,), J/m²."""
-        return plate_law.energies(curvatures, self.law)
+        return bending_law.energies(curvatures, self.law)
 
     def stress(self, curvatures: Curvatures) -> tuple[np.ndarray, np.ndarray]:
         """First (N, 3), N, and second (N, 3, 3), N·m, derivatives of :meth:`density`."""
-        return plate_law.stresses(curvatures, self.law)
+        return bending_law.stresses(curvatures, self.law)
 
     def _moments(self, q: StateVector, stress: np.ndarray) -> np.ndarray:
         """Derivatives (N, 3) of the energy by the angles phi, J/rad."""

@@ -54,7 +54,7 @@ from drapenet.export.material import read_material
 from drapenet.network.checkpoint import header_for, load_model, save_checkpoint
 from drapenet.network.model import MapNet
 from drapenet.network.training import load_state, save_state
-from drapenet.refine.scans import read_cloud
+from drapenet.refine.registration import read_cloud
 from drapenet.result.files import write_estimate
 from drapenet.service.uploads import RequestError, checked_upload
 from sim.material import MICRO

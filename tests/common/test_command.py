@@ -24,13 +24,13 @@ from data.dataset.config import Options
 from data.dataset.inspect import InspectConfig
 from data.fabrics.prior.__main__ import FitConfig
 from drapenet.config import EvaluateConfig, ExportConfig, InferConfig, ServeConfig, TrainConfig
-from experiments.estimation.specimen_offset import PlacementConfig
+from experiments.estimation.specimen_offset import SpecimenOffsetConfig
 
 ROOT = Path(__file__).parents[2]
 SCHEMAS = {"cantilever_estimate": EstimateConfig, "cantilever_hang": HangConfig,
            "capture": CaptureConfig, "drape": DrapeConfig, "evaluate": EvaluateConfig,
            "export": ExportConfig, "generate": Options,
-           "infer": InferConfig, "inspect": InspectConfig, "placement": PlacementConfig,
+           "infer": InferConfig, "inspect": InspectConfig, "specimen_offset": SpecimenOffsetConfig,
            "prior_fit": FitConfig, "serve": ServeConfig, "train": TrainConfig}
 
 

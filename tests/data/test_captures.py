@@ -18,7 +18,7 @@ from common.errors import InputError
 from data.captures.capture import Capture, read_capture, write_capture
 from data.render.cameras import nominal_camera
 from data.render.rays import DepthRenderer
-from data.testers import TESTERS
+from data.rigs import TESTERS
 from drapenet.views.located import LocatedViews
 from drapenet.views.radial_map import drape_coefficient, radial_map
 from sim.rig import SQUARE_RIG, Rig

@@ -22,7 +22,7 @@ from drapenet.batch.captures import entries_of
 from drapenet.export.material import read_material
 from drapenet.network.checkpoint import read_header
 from drapenet.network.training import load_state
-from drapenet.refine.scans import read_cloud
+from drapenet.refine.registration import read_cloud
 from sim.rig import DISC_RIG
 
 

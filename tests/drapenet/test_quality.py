@@ -12,12 +12,12 @@ from scipy import ndimage
 from common.errors import InputError
 from data.render.setups import Setups, SyntheticCapture
 from drapenet.views.checks import (
-    PLACEMENT,
+    SPECIMEN_OFFSETS,
     Quality,
     measure,
     quality_warnings,
     require_plate,
-    specimen_placement,
+    specimen_offset,
 )
 from drapenet.views.located import LocatedViews
 from drapenet.views.radial_map import radial_map
@@ -53,15 +53,15 @@ def warnings(capture: SyntheticCapture) -> str:
 def test_coefficients_of_the_placement_are_written_to_out_alone(
     cloth_dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sound: SyntheticCapture
 ) -> None:
-    before, out = PLACEMENT.read_bytes(), tmp_path / "placement.json"
+    before, out = SPECIMEN_OFFSETS.read_bytes(), tmp_path / "specimen_offset.json"
     main([f"data={cloth_dataset}", "captures=8", f"out={out}"])
     fitted, bundled = json.loads(out.read_text()), json.loads(before)
-    assert PLACEMENT.read_bytes() == before
+    assert SPECIMEN_OFFSETS.read_bytes() == before
     assert fitted.keys() == bundled.keys() and fitted[RIG.name] != bundled[RIG.name]
     found = radial_map(LocatedViews.cut_out(sound.views, sound.intrinsics, RIG, sound.turns))
-    placement = specimen_placement(found, RIG)
-    monkeypatch.setattr("drapenet.views.checks.PLACEMENT", out)  # is read once
-    assert specimen_placement(found, RIG) == placement
+    placement = specimen_offset(found, RIG)
+    monkeypatch.setattr("drapenet.views.checks.SPECIMEN_OFFSETS", out)  # is read once
+    assert specimen_offset(found, RIG) == placement
 
 
 def test_a_sound_capture_gives_no_warning(sound: SyntheticCapture) -> None:

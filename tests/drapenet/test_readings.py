@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from drapenet.result.testers import (
+from drapenet.result.readings import (
     GF_CM,
     INCLINE,
     KES_CURVATURES,
@@ -16,7 +16,7 @@ from drapenet.result.testers import (
 )
 from sim.cantilever import hang
 from sim.cantilever.elastica import MAX_GAMMA, aspect_ratio, elastica, heavy_elastica
-from sim.energies import plate_law
+from sim.energies import bending_law
 from sim.material import MICRO, NANO, REFERENCE_DENSITY, Fabric
 from sim.rig import GRAVITY
 
@@ -70,11 +70,11 @@ def test_so_does_a_simulated_specimen(beta):
 def test_kes_reads_the_secant_of_the_simulated_cloth():
     fabric = Fabric(alpha=np.array([60.0, 40.0, 20.0]) * MICRO,
                     beta=np.array([-100.0, -70.0, -20.0]) * NANO)
-    law = plate_law.constants(fabric)
+    law = bending_law.constants(fabric)
     for k, way in enumerate(([1.0, 0, 0], [0.5, 0.5, 0.5], [0, 1.0, 0])):
         # Torque of a cylinder: derivative of the energy per area that the simulator minimises.
-        torques = [(plate_law.energy(np.array(way) * (kappa + 1e-2), law)
-                    - plate_law.energy(np.array(way) * (kappa - 1e-2), law)) / 2e-2
+        torques = [(bending_law.energy(np.array(way) * (kappa + 1e-2), law)
+                    - bending_law.energy(np.array(way) * (kappa - 1e-2), law)) / 2e-2
                    for kappa in KES_CURVATURES]
         expected = (torques[1] - torques[0]) / (KES_CURVATURES[1] - KES_CURVATURES[0])
         assert kes(fabric.alpha[k], fabric.beta[k])[0] == pytest.approx(expected, rel=1e-6)

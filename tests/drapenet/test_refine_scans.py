@@ -10,7 +10,7 @@ from scipy.interpolate import CloughTocher2DInterpolator
 
 from common.errors import InputError
 from data.fabrics.fabrics import THETA_NAMES, fabric_from_theta, to_theta
-from drapenet.refine.scans import flat_turn, read_cloud, read_shape, register, scan_capture
+from drapenet.refine.registration import flat_turn, read_cloud, read_shape, register, scan_capture
 from drapenet.refine.search import CapturedScan, search
 from drapenet.refine.springs import plane_springs
 from drapenet.refine.surface import CapturedShape, Cloud, fidelity

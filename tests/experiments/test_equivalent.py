@@ -6,7 +6,7 @@ import pytest
 from common.errors import InputError
 from experiments.physics.hinges import equivalent_modulus, free_end
 from sim.cantilever import aspect_ratio, elastica, fabric_of_gamma
-from sim.cantilever.tester import TIGHT
+from sim.cantilever.strip import TIGHT
 from sim.cloth import Laws
 from sim.energies.membrane import Corotational
 from sim.equilibrium import find_equilibrium

@@ -22,7 +22,7 @@ from sim.cantilever.elastica import (
     tabulated_law,
 )
 from sim.cloth import Laws
-from sim.energies import plate_law
+from sim.energies import bending_law
 from sim.energies.membrane import Corotational
 from sim.material import Fabric, torque
 from sim.mesh import strip
@@ -170,11 +170,11 @@ def test_cylinder_moduli_are_those_of_the_plate_law(angle):
     """Torque of a cylinder: the derivative of the energy per area by its curvature."""
     phi = np.radians(angle)
     direction = np.array([np.cos(phi) ** 2, np.sin(phi) ** 2, np.cos(phi) * np.sin(phi)])
-    law = plate_law.constants(ORTHOTROPIC)
+    law = bending_law.constants(ORTHOTROPIC)
     alpha, beta = cylinder_moduli(ORTHOTROPIC, phi)
     for kappa in (1.0, 50.0) if angle % 45 else (1.0, 50.0, 400.0):
         h = 1e-4 * kappa
-        energies = [plate_law.energy((kappa + sign * h) * direction, law) for sign in (1, -1)]
+        energies = [bending_law.energy((kappa + sign * h) * direction, law) for sign in (1, -1)]
         assert torque(kappa, alpha, beta) == pytest.approx(
             (energies[0] - energies[1]) / (2 * h), rel=1e-6
         )

@@ -18,7 +18,7 @@ from sim.cantilever.moduli import (
     regress,
     torque_and_curvature,
 )
-from sim.cantilever.tester import bending_length, simulate_strips
+from sim.cantilever.strip import bending_length, simulate_strips
 from sim.cloth import Laws
 from sim.material import DIRECTIONS, SOFTENING_LIMIT, Fabric, torque
 

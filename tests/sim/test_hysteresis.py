@@ -6,7 +6,7 @@ from scipy.optimize import brentq
 
 from common.errors import InputError
 from sim.cloth import Laws
-from sim.energies.plate_variants import (
+from sim.energies.bending_variants import (
     BUILD_UP,
     KES_CURVATURE,
     Hysteresis,

@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import eigvalsh
 
 from common.errors import InputError
-from sim.energies import plate_law
+from sim.energies import bending_law
 from sim.material import (
     SOFTENING_LIMIT,
     Fabric,
@@ -30,16 +30,16 @@ TWISTING = [
 
 
 def law(fabric: Fabric) -> np.ndarray:
-    return plate_law.constants(fabric)
+    return bending_law.constants(fabric)
 
 
 def least_stiffness(fabric: Fabric, states: np.ndarray) -> float:
     """Least eigenvalue of the tangent over curvatures (N, 3), relative to the stiffness at rest."""
     gradient, rest, tangent = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
-    plate_law.derivatives(np.zeros(3), law(fabric), gradient, rest)
+    bending_law.derivatives(np.zeros(3), law(fabric), gradient, rest)
     least = np.inf
     for s in states:
-        plate_law.derivatives(s, law(fabric), gradient, tangent)
+        bending_law.derivatives(s, law(fabric), gradient, tangent)
         least = min(least, eigvalsh(tangent, rest)[0])
     return least
 
@@ -59,7 +59,7 @@ def test_cylinders_carry_the_torque_of_the_moduli(fabric, direction, angle):
         path = np.linspace(0, kappa, 20001)
         moments = torque(path, fabric.alpha[direction], fabric.beta[direction])
         work = np.sum((moments[1:] + moments[:-1]) / 2 * np.diff(path))
-        energy = plate_law.energy(kappa * np.array([c * c, s * s, c * s]), law(fabric))
+        energy = bending_law.energy(kappa * np.array([c * c, s * s, c * s]), law(fabric))
         assert energy == pytest.approx(work, rel=1e-6)
 
 
@@ -121,18 +121,18 @@ def test_energy_is_positive_and_its_derivatives_are_right(fabric):
     ahead, behind = np.empty(3), np.empty(3)
     rates = []
     for s in rng.normal(0, 150, (200, 3)):
-        assert plate_law.energy(s, law(fabric)) > 0
-        plate_law.derivatives(s, law(fabric), gradient, hessian)
+        assert bending_law.energy(s, law(fabric)) > 0
+        bending_law.derivatives(s, law(fabric), gradient, hessian)
         assert np.allclose(hessian, hessian.T, rtol=1e-12, atol=0)
         direction = rng.standard_normal(3)
         errors = []
         for h in steps * np.linalg.norm(s) / 150:
             move = h * direction
-            change = plate_law.energy(s + move, law(fabric)) - plate_law.energy(
+            change = bending_law.energy(s + move, law(fabric)) - bending_law.energy(
                 s - move, law(fabric)
             )
-            plate_law.derivatives(s + move, law(fabric), ahead, scratch)
-            plate_law.derivatives(s - move, law(fabric), behind, scratch)
+            bending_law.derivatives(s + move, law(fabric), ahead, scratch)
+            bending_law.derivatives(s - move, law(fabric), behind, scratch)
             errors.append([
                 abs(change / (2 * h) - gradient @ direction),
                 np.abs((ahead - behind) / (2 * h) - hessian @ direction).max(),
@@ -167,8 +167,8 @@ def test_isotropic_fabric_has_an_isotropic_law():
     fabric = FABRICS[0]
     for s in np.random.default_rng(3).normal(0, 150, (20, 3)):
         bent = np.array([np.sqrt(s[0] ** 2 + s[1] ** 2 + 2 * s[2] ** 2), 0.0, 0.0])
-        assert plate_law.energy(s, law(fabric)) == pytest.approx(
-            plate_law.energy(bent, law(fabric)), rel=1e-12
+        assert bending_law.energy(s, law(fabric)) == pytest.approx(
+            bending_law.energy(bent, law(fabric)), rel=1e-12
         )
 
 
@@ -177,7 +177,7 @@ def test_the_law_is_continuous_in_the_moduli():
     s = np.array([90.0, -30.0, 40.0])
     sweep = np.linspace(-4e-3, -1e-3, 3001)
     energies = np.array([
-        plate_law.energy(s, law(Fabric([40e-6, 18e-6, 10e-6], np.array([-2e-3, r, -3e-3])
+        bending_law.energy(s, law(Fabric([40e-6, 18e-6, 10e-6], np.array([-2e-3, r, -3e-3])
                                        * [40e-6, 18e-6, 10e-6])))
         for r in sweep
     ])  # fmt: skip
@@ -187,7 +187,7 @@ def test_the_law_is_continuous_in_the_moduli():
 def test_derivatives_are_those_of_the_quadratic_form_at_rest():
     fabric = FABRICS[1]
     gradient, hessian = np.empty(3), np.empty((3, 3))
-    plate_law.derivatives(np.zeros(3), law(fabric), gradient, hessian)
+    bending_law.derivatives(np.zeros(3), law(fabric), gradient, hessian)
     a11, a22, a12, a66 = plate_constants(fabric.alpha)
     assert np.array_equal(gradient, np.zeros(3))
     assert np.allclose(hessian, [[a11, a12, 0], [a12, a22, 0], [0, 0, 4 * a66]])

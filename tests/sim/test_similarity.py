@@ -7,7 +7,7 @@ import pytest
 
 from sim.cloth import Laws
 from sim.energies.membrane import OrthotropicStVK
-from sim.energies.plate_variants import Hysteresis
+from sim.energies.bending_variants import Hysteresis
 from sim.equilibrium import find_equilibrium
 from sim.material import Fabric
 from sim.rig import DISC_RIG, Rig
