@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 
 from sim.cloth import Cloth
+from sim.energies.bending_law import PlateConstants, constants
 from sim.energies.external import DEPTH
 from sim.energies.fold_barrier import LIMIT_START
 from sim.energies.midedge import CLAMP, rows_at_clamp
-from sim.energies.bending_law import PlateConstants, constants
 from sim.rig import RIM
 
 

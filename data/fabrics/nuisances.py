@@ -12,8 +12,8 @@ import numpy as np
 
 from common.errors import InputError
 from sim.cloth import Laws
-from sim.energies.membrane import Corotational, OrthotropicStVK
 from sim.energies.bending_variants import KES_CURVATURE, Hysteresis
+from sim.energies.membrane import Corotational, OrthotropicStVK
 from sim.rig import Rig
 
 _PERCENTILE = 1.96  # deviations of a normal distribution to its 97.5th percentile

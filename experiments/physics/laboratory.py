@@ -17,8 +17,8 @@ from common.errors import InputError
 from experiments.result import Config, Result, run_cases
 from sim.cloth import Laws
 from sim.drape import drape
-from sim.energies.membrane import Membrane, OrthotropicStVK
 from sim.energies.bending_variants import kes_fabric
+from sim.energies.membrane import Membrane, OrthotropicStVK
 from sim.material import MICRO, REFERENCE_DENSITY
 from sim.measures import drape_coefficient, fold_count
 from sim.rig import Rig

@@ -40,8 +40,8 @@ from scipy.interpolate import PchipInterpolator
 
 from common.errors import InputError
 from common.types import Curvatures, Density, FaceMask, Moduli, StateVector
-from sim.energies.midedge import MidEdgeBending
 from sim.energies.bending_law import METRIC
+from sim.energies.midedge import MidEdgeBending
 from sim.material import BIAS, REFERENCE_DENSITY, WARP, WEFT, Fabric, plate_constants, torque
 from sim.mesh import Mesh
 

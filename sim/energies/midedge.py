@@ -23,7 +23,7 @@ import numba
 import numpy as np
 
 from common.types import Curvatures, FaceMask, StateVector
-from sim.energies import dihedral, fold_barrier, bending_law
+from sim.energies import bending_law, dihedral, fold_barrier
 from sim.energies.base import Energy, StateCache, raise_eigenvalues
 from sim.material import Fabric
 from sim.mesh import Mesh

@@ -5,12 +5,12 @@ from functools import partial
 import numpy as np
 import pytest
 
+from sim.energies.bending_variants import Hysteresis, TorqueLaw
 from sim.energies.external import Gravity, ObstacleContact
 from sim.energies.fold_barrier import is_bent
 from sim.energies.hinges import HingeLaw, hinge_angles
 from sim.energies.membrane import Corotational, OrthotropicStVK
 from sim.energies.midedge import MidEdgeBending
-from sim.energies.bending_variants import Hysteresis, TorqueLaw
 from sim.material import Fabric
 from sim.mesh import strip
 from sim.rig import Cylinder, Rig

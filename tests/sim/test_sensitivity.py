@@ -11,9 +11,9 @@ from sim.cantilever.elastica import elastica
 from sim.cloth import Cloth, Laws
 from sim.drape import FINE_OPTIONS, Drape, drape, follow
 from sim.energies.base import Energy
+from sim.energies.bending_variants import Hysteresis
 from sim.energies.membrane import Corotational
 from sim.energies.midedge import MidEdgeBending
-from sim.energies.bending_variants import Hysteresis
 from sim.equilibrium import find_equilibrium
 from sim.material import REFERENCE_DENSITY, Fabric
 from sim.mesh import strip

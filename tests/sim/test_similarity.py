@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sim.cloth import Laws
-from sim.energies.membrane import OrthotropicStVK
 from sim.energies.bending_variants import Hysteresis
+from sim.energies.membrane import OrthotropicStVK
 from sim.equilibrium import find_equilibrium
 from sim.material import Fabric
 from sim.rig import DISC_RIG, Rig

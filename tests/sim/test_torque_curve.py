@@ -7,8 +7,8 @@ from scipy.interpolate import PchipInterpolator
 from common.errors import InputError
 from sim.cantilever.elastica import elastica, strip_shape, tabulated_law
 from sim.cantilever.moduli import fit_torque_curve
-from sim.energies.midedge import MidEdgeBending
 from sim.energies.bending_variants import TorqueLaw
+from sim.energies.midedge import MidEdgeBending
 from sim.material import Fabric, torque
 from sim.mesh import strip
 
