@@ -32,10 +32,8 @@ from sim.cantilever.moduli import (
     Strips,
     correct,
     estimate_moduli,
-    fit_torque_curve,
 )
 from sim.material import DIRECTIONS, MICRO, NANO, check_density
-from sim.rig import GRAVITY
 from sim.solver.newton import Status
 
 LENGTH = 0.09  # m; results depend only on gamma
@@ -62,7 +60,6 @@ class EstimateConfig:
     method: str
     slope: float
     degree: int
-    knots: int
     rounds: int
     width: float
     out: str
@@ -113,8 +110,8 @@ def print_estimate(config: EstimateConfig) -> None:
         if not all(names):
             raise InputError(f"{direction}={','.join(names)} has an empty file name; separate "
                              "names by single commas")
-    if config.method not in (known := [*METHODS, "spline"]):
-        raise InputError(f"unknown method '{config.method}'; choose from {', '.join(known)}")
+    if config.method not in METHODS:
+        raise InputError(f"unknown method '{config.method}'; choose from {', '.join(METHODS)}")
     if not config.density > 0:
         raise InputError("the fabric's density is needed, in g/m²: density=150")
     check_density(1e-3 * config.density)
@@ -125,10 +122,10 @@ def print_estimate(config: EstimateConfig) -> None:
     if config.out:
         require_file(Path(config.out))
     strips = {d: [read_curve(file) for file in each] for d, each in files.items()}
-    report = (torque_curves if config.method == "spline" else moduli)(strips, config)
+    report = moduli(strips, config)
     if config.out:
         replace_json(Path(config.out), {"density_g_m2": config.density,
-                                           "method": config.method, **report})
+                                        "method": config.method, **report})
 
 
 def moduli(strips: Strips, config: EstimateConfig) -> dict:
@@ -165,26 +162,6 @@ def moduli(strips: Strips, config: EstimateConfig) -> dict:
         print(f"{direction}: beta/alpha is at a limit of its search, {RATIO_RANGE[0]:g} to "
               f"{RATIO_RANGE[1]:g} m; these curves do not determine beta")
     return {"rounds": config.rounds, "moduli": rows}
-
-
-def torque_curves(strips: Strips, config: EstimateConfig) -> dict:
-    """Fit a torque curve to the strips of each direction and print it; entries of the report."""
-    if config.slope or config.rounds:
-        raise InputError("method=spline needs a level clamp and rounds=0")
-    rows = {}
-    for direction, measured in strips.items():
-        curve = fit_torque_curve(measured, weight=1e-3 * config.density * GRAVITY,
-                                 knots=config.knots, degree=config.degree)
-        rows[direction] = {
-            "curvature_1_m": curve.curvature.tolist(),
-            "torque_mN": (1e3 * curve.torque).tolist(),
-            "misfit": curve.misfit,
-            "largest_curvature_1_m": curve.reached,
-        }
-        print(f"{direction}: misfit {100 * curve.misfit:.2f} %, bent up to {curve.reached:.0f} 1/m")
-        print(f"  curvature 1/m {''.join(f'{k:9.1f}' for k in curve.curvature)}")
-        print(f"  torque mN     {''.join(f'{1e3 * m:9.4f}' for m in curve.torque)}")
-    return {"torque_curves": rows}
 
 
 main = commands({"hang": print_strips, "estimate": print_estimate}, usage=__doc__)

@@ -1,8 +1,7 @@
-"""Moduli and torque curves from deflection curves of strips (Feng et al. 2022, section 4.3).
+"""Moduli from deflection curves of strips (Feng et al. 2022, section 4.3).
 
-Three methods: *regression* of torque on curvature along a curve (4.3.1), *table*, comparison with
-computed curves (4.3.2), and a *torque curve* without a parabola (after Miguel et al.). Bézier
-curves smooth the measured ones.
+Two methods: *regression* of torque on curvature along a curve (4.3.1), and *table*, comparison with
+computed curves (4.3.2). Bézier curves smooth the measured ones.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -12,13 +11,12 @@ from itertools import product
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
-from scipy.interpolate import PchipInterpolator
 from scipy.optimize import least_squares, minimize_scalar
 from scipy.special import comb
 
 from common.errors import InputError
 from common.types import DeflectionCurve, Density, Metres, Moduli, QuadraticModuli, Radians
-from sim.cantilever.elastica import MAX_GAMMA, heavy_elastica, strip_shape, tabulated_law
+from sim.cantilever.elastica import MAX_GAMMA, heavy_elastica
 from sim.cantilever.strip import simulate_strips
 from sim.material import DIRECTIONS, Fabric, is_admissible, torque
 from sim.rig import GRAVITY
@@ -43,14 +41,6 @@ because a stiff fabric that softens has nearly the deflection of a softer linear
 MAX_DISTANCE = 0.1  # root mean square, relative to the mean length
 _CANDIDATE_STEPS, _STEPS = 40, 400  # of the integration
 
-KNOTS = 4
-_MARGIN = 1.25  # last knot over the largest curvature of the Bézier curves, which a fit may exceed
-_SPACING_EXPONENT = 1.7  # concentrates knots near 0: most of a strip has a small curvature
-_LAW_SAMPLES = 4000
-_SMOOTHING = 0.02
-"""Weight of differences of the log slope, relative to distances in units of 1 % of the strip's
-length; it determines knots beyond the curvatures of all strips."""
-
 MAX_ROUNDS = 6
 MAX_MOVE = 3.0  # of the correction in one round: 30 % in alpha, 3 mm in beta/alpha
 TOLERANCE = 0.05  # 0.5 % in alpha and 0.05 mm in beta/alpha
@@ -73,16 +63,6 @@ class StripModuli:
     def bounded(self) -> bool:
         """Whether beta/alpha is at a search bound, so that the curves do not determine beta."""
         return abs(self.beta / self.alpha) > 0.999 * RATIO_RANGE[1]
-
-
-@dataclass(frozen=True)
-class TorqueCurve:
-    """Torque per width, the monotone cubic spline (PCHIP) of the curvature through its knots."""
-
-    curvature: np.ndarray  # (K + 1,) 1/m, of the knots, increasing from 0
-    torque: np.ndarray  # (K + 1,) N, at the knots
-    misfit: float  # root mean square distance of points from fitted strips, in mean lengths
-    reached: float  # 1/m, largest curvature on any strip; beyond, the curve is extrapolated
 
 
 @dataclass(frozen=True)
@@ -279,50 +259,6 @@ def distance_across(curve: DeflectionCurve, model: DeflectionCurve) -> np.ndarra
     cross = side[:, 0] * offset[..., 1] - side[:, 1] * offset[..., 0]
     nearest = np.argmin(distance, axis=1)[:, None]
     return np.take_along_axis(np.copysign(distance, cross), nearest, axis=1)[:, 0]
-
-
-def fit_torque_curve(
-    curves: Sequence[DeflectionCurve], *, weight: float, knots: int = KNOTS, degree: int = 0
-) -> TorqueCurve:
-    """The torque curve of one direction from strips clamped level: its knots, 2 to 8 besides that
-    at 0, are fitted so that computed strips of the law match the measured ones."""
-    if not 2 <= knots <= 8:
-        raise InputError(f"knots={knots} must lie between 2 and 8")
-    fits = [fit_bezier(curve, degree=degree)[0] for curve in curves]
-    shapes = [fit.sample(POINTS)[0] for fit in fits]
-    lengths = [fit.length for fit in fits]
-    torque, curvature = np.hstack([torque_and_curvature(fit, weight=weight) for fit in fits])
-    slope = float(torque @ curvature / (curvature @ curvature))
-    if not slope > 0:
-        raise InputError(NOT_A_STRIP)
-    # Curvatures of the knots are fixed. The slope between knots is positive, as slope * exp(x).
-    places = _MARGIN * curvature.max() * np.linspace(0, 1, knots + 1) ** _SPACING_EXPONENT
-    samples = np.linspace(0, places[-1], _LAW_SAMPLES)
-
-    def law(x: np.ndarray) -> np.ndarray:
-        return np.concatenate([[0.0], np.cumsum(slope * np.exp(x) * np.diff(places))])
-
-    def strips(x: np.ndarray) -> list[np.ndarray]:
-        pieces = tabulated_law(samples, PchipInterpolator(places, law(x))(samples))
-        try:
-            return [strip_shape(pieces, weight=weight, length=length, points=POINTS, steps=_STEPS)
-                    for length in lengths]
-        except InputError:
-            raise InputError("no torque curve makes a strip hang like these from a level clamp; "
-                             "check their axes and the clamp") from None
-
-    def residuals(x: np.ndarray) -> np.ndarray:
-        gaps = [(strip - shape).ravel() / (0.01 * length)
-                for strip, shape, length in zip(strips(x), shapes, lengths, strict=True)]
-        return np.concatenate([*gaps, _SMOOTHING * np.diff(x)])
-
-    x = least_squares(residuals, np.zeros(knots), bounds=(-4.0, 3.0), diff_step=1e-4,
-                      xtol=1e-6, ftol=1e-8, max_nfev=40).x
-    # Distances of the measured points: the Bézier curves used for the fit are free of noise.
-    distances = np.concatenate([distance_across(curve, strip)
-                                for curve, strip in zip(curves, strips(x), strict=True)])
-    misfit = np.sqrt((distances**2).mean()) / np.mean(lengths)
-    return TorqueCurve(places, law(x), float(misfit), float(curvature.max()))
 
 
 METHODS: dict[str, Callable[..., StripModuli]] = {"regression": regress, "table": match}

@@ -25,9 +25,6 @@ import numpy as np
 
 from sim.material import BIAS, SOFTENING_LIMIT, WARP, WEFT, Fabric, plate_constants, softening_shape
 
-METRIC = np.array([1.0, 1.0, 2.0])
-"""Weights of the squares of Sxx, Syy and Sxy in |S|²."""
-
 
 class PlateConstants(NamedTuple):
     """Constants of a fabric's law, SI units; see this module and :func:`constants`."""

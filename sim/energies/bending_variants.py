@@ -1,4 +1,4 @@
-"""Variants of the plate: natural curvature, hysteresis, and an isotropic plate of any torque curve.
+"""Variants of the plate: natural curvature and hysteresis.
 
 *Natural curvature*: the two faces of a cloth differ, as after weaving, finishing or storage. With
 the plate constants A of the fabric (:func:`sim.material.plate_constants`) and the natural curvature
@@ -27,20 +27,14 @@ has not been bent, which therefore follows the loading curve. It follows the clo
 not (the radial return of plasticity). Beyond the build-up, bending back from any curvature gives
 2HB. HB is a share of the torque of the loading curve at 1 cm⁻¹. Fabrics have HB/B of 5 to 60 1/m,
 which are shares of 0.05 to 0.37 (docs/physics.md).
-
-*Torque curve*: with |S|² = Sxx² + Syy² + 2 Sxy² and W the integral of the torque over curvature,
-the energy per area is W(|S|): cloth bent along any direction carries the torque of the curve.
 """
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
 from common.errors import InputError
 from common.types import Curvatures, Density, FaceMask, Moduli, StateVector
-from sim.energies.bending_law import METRIC
 from sim.energies.midedge import MidEdgeBending
 from sim.material import BIAS, REFERENCE_DENSITY, WARP, WEFT, Fabric, plate_constants, torque
 from sim.mesh import Mesh
@@ -50,7 +44,6 @@ KES_CURVATURE = 100.0
 BUILD_UP = 0.03
 """Smallest change of curvature, relative to :data:`KES_CURVATURE`, that saturates the friction."""
 _MAX_SHARE_OF_STIFFNESS = 0.95  # of the friction in the stiffness of flat cloth
-_MIN_CURVATURE = 1e-6  # 1/m, below which cloth counts as flat
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,54 +181,3 @@ class HystereticBending(MidEdgeBending):
 def _quadratic(change: Curvatures, form: np.ndarray) -> np.ndarray:
     """C : P : C (N,) of changes of curvature C with the form P (3, 3)."""
     return ((change @ form) * change).sum(axis=1)
-
-
-@dataclass(frozen=True, eq=False)
-class TorqueLaw:
-    """A bending law (:class:`sim.cloth.Law`), such as a fit of
-    :func:`sim.cantilever.moduli.fit_torque_curve`; the moduli of the fabric are ignored.
-
-    The torque is the monotone cubic spline (PCHIP) through the knots, continued linearly with the
-    slope of the last interval, for cloth of 300 g/m², at which drapes are simulated.
-    """
-
-    curvature: np.ndarray  # (K,) 1/m, increasing from 0
-    torque: np.ndarray  # (K,) N per width, increasing from 0
-
-    def __post_init__(self) -> None:
-        if not (2 < len(self.curvature) == len(self.torque)):
-            raise InputError("a torque curve needs as many torques as curvatures, at least three")
-        knots = np.array([self.curvature, self.torque], dtype=np.float64)
-        if knots[:, 0].any() or not (np.isfinite(knots).all() and (np.diff(knots) > 0).all()):
-            raise InputError("curvatures and torques of a torque curve must increase from 0")
-
-    @cached_property
-    def spline(self) -> PchipInterpolator:
-        """Torque, N, by curvature, 1/m."""
-        # A repetition of the last interval: PCHIP is linear there.
-        return PchipInterpolator(*(np.append(v, 2 * v[-1] - v[-2])
-                                   for v in (self.curvature, self.torque)))
-
-    def __call__(self, mesh: Mesh, active: FaceMask, *, fabric: Fabric) -> "CurveBending":
-        return CurveBending(mesh, active, law=self)
-
-
-class CurveBending(MidEdgeBending):
-    """Energy of the free triangles by a :class:`TorqueLaw`."""
-
-    def __init__(self, mesh: Mesh, active: FaceMask, *, law: TorqueLaw) -> None:
-        self._torque, self._work = law.spline, law.spline.antiderivative()
-        self._stiffness = law.spline.derivative()
-        # For the fold barrier and the minimum stiffness of the convex Hessian.
-        super().__init__(mesh, active, fabric=Fabric(np.full(3, float(self._stiffness(0.0)))))
-
-    def density(self, curvatures: Curvatures) -> np.ndarray:
-        return self._work(np.sqrt(curvatures**2 @ METRIC))
-
-    def stress(self, curvatures: Curvatures) -> tuple[np.ndarray, np.ndarray]:
-        size = np.maximum(np.sqrt(curvatures**2 @ METRIC), _MIN_CURVATURE)
-        direction = METRIC * curvatures / size[:, None]
-        torque, across = self._torque(size), (self._torque(size) / size)[:, None, None]
-        along = self._stiffness(size)[:, None, None] - across
-        tangent = across * np.diag(METRIC) + along * direction[:, :, None] * direction[:, None, :]
-        return torque[:, None] * direction, tangent

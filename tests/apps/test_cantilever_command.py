@@ -46,21 +46,6 @@ def test_a_curve_that_does_not_determine_beta_is_named(tmp_path, capsys):
     assert "do not determine beta" not in capsys.readouterr().out
 
 
-def test_estimate_reads_files_and_writes_a_torque_curve(tmp_path, capsys):
-    alpha, beta = LAWS[0]
-    files = [write_curve(tmp_path / f"{k}.csv", c) for k, c in enumerate(curves_of(alpha, beta))]
-    out = tmp_path / "torque.json"
-    main(["estimate", f"weft={files[0]},{files[1]}", "density=300", "method=spline", "knots=5",
-          f"out={out}"])
-    weft = json.loads(out.read_text())["torque_curves"]["weft"]
-    kappa, torque = np.array(weft["curvature_1_m"]), np.array(weft["torque_mN"])
-    assert len(kappa) == 6 and kappa[0] == torque[0] == 0
-    inside = (kappa > 0) & (kappa < 0.9 * weft["largest_curvature_1_m"])
-    expected = 1e3 * (alpha * kappa + beta * kappa**2)
-    assert torque[inside] == pytest.approx(expected[inside], rel=0.03)
-    assert "torque mN" in capsys.readouterr().out
-
-
 @pytest.mark.parametrize(
     "words",
     [["hang", "gamma="], ["hang", "gamma=x"], ["hang", "gamma=0"], ["hang", "gamma=nan"],
@@ -78,10 +63,9 @@ def test_mistakes_are_one_line(words):
 
 @pytest.mark.parametrize(
     ("words", "said"),
-    [(["method=guess"], "regression, table, spline"), (["rounds=1"], "all three"),
+    [(["method=guess"], "regression, table"), (["rounds=1"], "all three"),
      (["degree=50"], "degree 50"), (["slope=95"], "slope"),
      (["slope=nan"], "slope=nan"),
-     (["method=spline", "slope=5"], "level clamp"), (["method=spline", "knots=1"], "knots=1"),
      (["density=0.3"], "5 to 5000 g/m²"), (["density=300000"], "5 to 5000 g/m²"),
      (["weft=FILE,,"], "weft=.*comma"), (["out=/proc/moduli.json"], "cannot write"),
      (["out=FILE/moduli.json"], "cannot write")],

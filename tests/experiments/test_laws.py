@@ -1,11 +1,9 @@
-"""Studies of torque curves and of the membrane of a hung square."""
+"""The study of the membrane of a hung square."""
 
 import numpy as np
-import pytest
 
 from data.fabrics.fabrics import fabric_from_theta
 from experiments.papers import hung
-from experiments.papers.curves import KINDS, true_torque
 from sim.cloth import Laws
 from sim.drape import drape, follow
 from sim.rig import HUNG_SQUARE
@@ -14,14 +12,6 @@ from sim.solver.newton import NewtonOptions
 
 THETA = np.array([*np.log([60e-6, 40e-6, 50e-6]), -2e-3, -2e-3, -2e-3])
 EXACT = NewtonOptions(residual=1e-8, step=1e-8, max_iterations=100)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_true_torque_increases_with_an_initial_slope_near_alpha(kind):
-    curvature = np.linspace(0, 300, 301)
-    values = true_torque(kind, 40e-6, -2e-3)(curvature)
-    assert values[0] == 0 and (np.diff(values) > 0).all()
-    assert values[1] == pytest.approx(40e-6, rel=0.9)
 
 
 def test_sampled_membranes_have_the_mean_and_deviation_of_the_prior():

@@ -5,7 +5,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from sim.energies.bending_variants import Hysteresis, TorqueLaw
+from sim.energies.bending_variants import Hysteresis
 from sim.energies.external import Gravity, ObstacleContact
 from sim.energies.fold_barrier import is_bent
 from sim.energies.hinges import HingeLaw, hinge_angles
@@ -42,8 +42,6 @@ LAWS = {
     "midedge softening": partial(MidEdgeBending, fabric=ANISOTROPIC),
     "midedge stiffening": partial(MidEdgeBending, fabric=STIFFENING),
     "fold limit": partial(MidEdgeBending, fabric=STIFFENING),
-    "torque curve": partial(TorqueLaw([0.0, 20.0, 60.0, 200.0], [0.0, 1e-3, 1.5e-3, 4e-3]),
-                            fabric=STIFFENING),
     "hinge softening": partial(HingeLaw("hinge", "edge"), fabric=ANISOTROPIC),
     "hinge stiffening": partial(HingeLaw("hinge"), fabric=STIFFENING),
     "hinge linear": partial(HingeLaw("hinge_linear", "edge"), fabric=ANISOTROPIC),
