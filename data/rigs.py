@@ -7,15 +7,15 @@ from pydantic import PlainValidator
 
 from common.documents import Schema
 from common.errors import InputError
-from common.types import Metres
 from sim.rig import RIGS, Rig
 
 SIZES, PLATES, MIN_OVERHANG = (200.0, 400.0), (60.0, 200.0), 20.0  # mm
-_SAME_PLATE = 0.1  # of the diameter, within which a plate in the pictures may be a tester's
 TESTERS = tuple(name for name, rig in RIGS.items() if rig.has_plate)
 """Abbreviations of common testers."""
 EXAMPLE = "{specimen: disc, size_mm: 254, plate_mm: 127}"
 _CHOICES = f"{', '.join(TESTERS)}, or numbers such as {EXAMPLE}"
+MISSING_TESTER = f"give tester: {_CHOICES}"
+"""Remedy for a capture without tester."""
 
 
 class _Numbers(Schema):
@@ -68,15 +68,3 @@ def described_tester(rig: Rig) -> str | dict[str, str | float]:
         return rig.name
     return {"specimen": rig.specimen, "size_mm": round(1e3 * rig.specimen_size, 6),
             "plate_mm": round(1e3 * rig.plate_diameter, 6)}
-
-
-def tester_choices(plate: Metres | None = None) -> str:
-    """Remedy for a capture without tester; ``plate``: diameter in its pictures, if it is visible.
-    """
-    if plate is None:
-        return f"give tester: {_CHOICES}"
-    alike = [name for name in TESTERS
-             if abs(RIGS[name].plate_diameter - plate) < _SAME_PLATE * plate]
-    numbers = f"{{specimen: disc, size_mm: SIZE, plate_mm: {1e3 * plate:.0f}}}"
-    return (f"the pictures show a plate of about {1e3 * plate:.0f} mm: give tester: "
-            + " or ".join([*alike, f"numbers such as {numbers}"]))

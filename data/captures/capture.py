@@ -35,9 +35,8 @@ from data.captures.description import (
     whole_turns,
 )
 from data.captures.frames import join_views, numbered, read_frames, read_picture
-from data.captures.plate import plate_diameter
 from data.render.cameras import Intrinsics, nominal_camera
-from data.rigs import described_tester, named_tester, tester_choices
+from data.rigs import MISSING_TESTER, described_tester, named_tester
 from sim.rig import SQUARE_RIG, Rig
 
 CAPTURE_FILES = ("capture.yaml", "density.txt")
@@ -133,8 +132,7 @@ def _read_metric(path: Path) -> Capture:
         numbers = {key: getattr(intrinsics, key) / step for key in INTRINSICS_KEYS}
         intrinsics = Intrinsics(**numbers, width=depth.shape[2], height=depth.shape[1])
     if description.tester is None:
-        choices = tester_choices(plate_diameter(depth, intrinsics))
-        raise InputError(f"{file} states no tester; {choices}")
+        raise InputError(f"{file} states no tester; {MISSING_TESTER}")
     cut = cut_out(depth, intrinsics, description.tester, background)
     views, warnings = checked_views(cut.views if cut else depth)
     return Capture(views, intrinsics, turns, description.density, description.warp_direction,

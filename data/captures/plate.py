@@ -1,4 +1,4 @@
-"""The plate of a drape tester in camera axes, under cloth: its place, and its diameter.
+"""The place of the plate of a drape tester in camera axes, under cloth.
 
 In views that show only cloth, the plate is the flat top. In frames of a full scene it is the level
 patch that fills a disc of its radius and has cloth hanging around it; the vertical is the normal of
@@ -11,10 +11,10 @@ from operator import itemgetter
 import cv2
 import numpy as np
 
-from common.types import Metres, Outline, Points, Pose, Vector, VertexMask, Views
+from common.types import Metres, Points, Pose, Vector, VertexMask, Views
 from data.render.cameras import Intrinsics
 from data.render.rays import import_open3d
-from sim.rig import DISC_RIG, SQUARE_RIG, Rig
+from sim.rig import Rig
 
 DEPTH_STEP = 4e-3  # m, of the coarsest depth format
 INNER_SHARE = 0.7  # of the plate's radius, within which the cloth is flat
@@ -41,17 +41,6 @@ _SECTORS = 16  # of the half that faces the camera
 _DISTANCE_PENALTY = 1.0  # 1/m
 _MIN_SCORE = 0.7  # of a plate; a bare table reaches 0.2, a jar 0.5, a drape 1.0 to 1.5
 _HEIGHT_ERROR = 8e-3  # m, of the plate of a search
-_DIAMETERS = 0.055, 0.210  # m, of plates that are measured
-_RIM_SECTORS, _MIN_SECTORS = 24, 6  # around the plate; in which the rim must be seen
-_PROFILE_STEP, _PROFILE = 3e-3, 50  # m and number of steps, of the height over the radius
-_MIN_POINTS_OF_STEP = 3
-_FALLS = 1.5e-3, 0.75e-3  # m below the plate; the second for cloth that is nearly flat
-_TO_RIM = 0.75
-"""Distance from the rim to where the cloth has fallen by one of these, relative to that from there
-to where it has fallen by four times as much: 0.65 to 0.81 in simulated drapes (a parabola has 1).
-"""
-_RIM_ROUNDS = 4
-_MAX_RIM_SPREAD = 0.2  # of the diameter, between the quartiles of the sectors
 
 
 @dataclass(frozen=True)
@@ -258,67 +247,3 @@ def _refined(
         return centre, normal
     normal, centre, _ = _fitted(points, normal, inner, radius, rounds=4, centre=centre)
     return centre, normal
-
-
-def plate_diameter(frames: Views, intrinsics: Intrinsics) -> Metres | None:
-    """Diameter of the plate under the cloth, corrected from that of the nearest common tester."""
-    points = intrinsics.back_project(frames)[frames > 0]
-    measured = [_measured(points, rig) for rig in (DISC_RIG, SQUARE_RIG)]
-    spread, diameter = min(filter(None, measured), default=(np.inf, 0.0))
-    if spread > _MAX_RIM_SPREAD * diameter or not _DIAMETERS[0] < diameter < _DIAMETERS[1]:
-        return None
-    return diameter
-
-
-def _measured(points: Points, rig: Rig) -> tuple[Metres, Metres] | None:
-    """Quartile distance and median over sectors of a plate's diameter, from that of ``rig``."""
-    plate = find_plate(points, rig)
-    if plate is None:
-        return None
-    centre, normal = plate.centre, plate.normal
-    for _ in range(_RIM_ROUNDS):
-        rim = _rim(Plate(centre, normal).local(points))
-        if len(rim) < _MIN_SECTORS:
-            return None
-        radius, shift = _circle(rim)
-        centre = centre + _axes(normal)[:, :2] @ shift
-        radius = float(np.clip(2 * radius, *_DIAMETERS)) / 2
-        centre, normal = _refined(points, centre, normal, radius)
-    low, middle, high = np.quantile(2 * np.linalg.norm(rim, axis=1), [0.25, 0.5, 0.75])
-    return float(high - low), float(middle)
-
-
-def _rim(local: Points) -> Outline:
-    """Points of the rim in the sectors where it is visible, from points in the plate's axes:
-    extrapolated from two heights of the cloth that falls beyond it.
-    """
-    steps = (np.hypot(local[:, 0], local[:, 1]) / _PROFILE_STEP).astype(int)
-    near = (steps < _PROFILE) & (np.abs(local[:, 2]) < 8 * _FALLS[0])
-    angle = np.arctan2(local[near, 1], local[near, 0]) % (2 * np.pi)
-    sector = np.minimum((angle * _RIM_SECTORS / (2 * np.pi)).astype(int), _RIM_SECTORS - 1)
-    cell, shape = sector * _PROFILE + steps[near], (_RIM_SECTORS, _PROFILE)
-    counts = np.bincount(cell, minlength=_RIM_SECTORS * _PROFILE)
-    sums = np.bincount(cell, local[near, 2], minlength=len(counts))
-    heights = (sums / np.maximum(counts, 1)).reshape(shape)
-    filled, rim = (counts >= _MIN_POINTS_OF_STEP).reshape(shape), []
-    for k in range(_RIM_SECTORS):
-        radius = _PROFILE_STEP * (np.flatnonzero(filled[k]) + 0.5)
-        fallen = np.maximum.accumulate(-heights[k, filled[k]])
-        for fall in _FALLS:
-            if len(fallen) and fallen[0] < fall / 2 and fallen[-1] > 4 * fall:
-                first, second = np.interp([fall, 4 * fall], fallen, radius)
-                middle = (k + 0.5) * 2 * np.pi / _RIM_SECTORS
-                rim.append((first - _TO_RIM * (second - first))
-                           * np.array([np.cos(middle), np.sin(middle)]))
-                break
-    return np.array(rim).reshape(-1, 2)
-
-
-def _circle(points: Outline) -> tuple[Metres, np.ndarray]:
-    """Radius and centre (2,) of the circle through points, without outliers."""
-    radii = np.linalg.norm(points, axis=1)
-    off = np.abs(radii - np.median(radii))
-    kept = points[off <= 4 * np.median(off) + 1e-3]
-    equations = np.column_stack([2 * kept, np.ones(len(kept))])
-    *centre, constant = np.linalg.lstsq(equations, np.square(kept).sum(axis=1), rcond=None)[0]
-    return float(np.sqrt(max(constant + np.square(centre).sum(), 0.0))), np.array(centre)

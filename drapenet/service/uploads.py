@@ -24,7 +24,7 @@ from common.types import Density
 from data.captures.capture import CAPTURE_FILES, INTRINSICS_KEYS
 from data.captures.description import Description, checked_density
 from data.captures.frames import BACKGROUND, header_of
-from data.rigs import tester_choices
+from data.rigs import MISSING_TESTER
 from drapenet.batch.captures import plain_name
 from drapenet.config import ServeConfig
 
@@ -107,7 +107,7 @@ def _description(document: bytes, fields: Mapping[str, str]) -> bytes:
         else:
             content[key] = _plain(text) if key in NUMBERS else text
     if Description.of(content, "").tester is None:
-        raise RequestError(422, f"tester is missing; {tester_choices()}")
+        raise RequestError(422, f"tester is missing; {MISSING_TESTER}")
     return yaml.safe_dump(content).encode()
 
 

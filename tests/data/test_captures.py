@@ -407,7 +407,7 @@ BAD_METRIC = {
     "short overhang": (
         setting(tester={**DISC, "size_mm": 218}), "has an overhang of 19 mm; give 20 mm or more"),
     "cut at an angle": (setting(tester="square300_cylinder100_cut45"), "cut at an angle"),
-    "no tester": (setting(tester=None), "states no tester; the pictures show a plate of about 9"),
+    "no tester": (setting(tester=None), "states no tester; give tester: square300"),
     "another face": (setting(face="left"), "face='left'"),
     "lines in a key": (write("capture.yaml", b'"a\\nb": 1\n'), "unknown key 'a\\nb'"),
     "endless density": (setting(density_g_m2=10**400), "density_g_m2=1000"),
