@@ -3,8 +3,8 @@
     python -m data.dataset.inspect FOLDER [out=REPORT]  # or outputs/inspect/NAME_OF_DATASET
 
 Checks that the shards of the dataset in FOLDER are those listed in its dataset.json, then reports
-outcomes, parameters compared with the prior, drapes and disk use. Writes report.json,
-histograms.png and contact_sheet.png to REPORT (docs/data_format.md). Does not change FOLDER.
+outcomes, parameters compared with the prior, and drapes. Writes report.json and contact_sheet.png
+to REPORT (docs/data_format.md). Does not change FOLDER.
 """
 
 import io
@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from pydantic import Field
 
@@ -24,7 +23,7 @@ from common.errors import InputError
 from common.files import replace_file, replace_json, require_folder
 from common.types import DepthImage, Theta
 from data.dataset.folder import MANIFEST, REMEDY, finished_manifest, json_digest, over_shards
-from data.dataset.shards import COORDINATES, FACES, SHARDS, Shard
+from data.dataset.shards import SHARDS, Shard
 from data.fabrics.fabrics import THETA_NAMES
 from data.fabrics.prior import admissible_samples, prior_from_content
 from data.render.cameras import nominal_camera
@@ -43,8 +42,7 @@ UNITS = ("µN·m",) * 3 + ("mm",) * 3
 """Names and units of :func:`in_display_units`; at 300 g/m²."""
 ACROSS = 8  # drapes in a row of the contact sheet
 WIDTH, CAPTION = 1.75, 0.25  # inches, width of a drape and height of its caption
-DATASET, PRIOR, MARK = "#2f6da8", "#d9762b", "#b5403a"
-STARTS = ("#2f6da8", "#8fb8d9", "#6b6b6b")
+MARK = "#b5403a"  # caption of a failed drape
 LABEL = 22  # characters, width of a table's first column
 
 
@@ -74,11 +72,9 @@ def main(config: InspectConfig) -> None:
     content = report(manifest, drapes, prior)
     print("\n".join(describe(content)))
     replace_json(out / "report.json", content)
-    replace_file(out / "histograms.png", histograms(drapes, prior[0]))
     if shots:
         replace_file(out / "contact_sheet.png", contact_sheet(shots))
-    print(f"\nwritten to {out}: report.json, histograms.png"
-          + (", contact_sheet.png" if shots else ""))
+    print(f"\nwritten to {out}: report.json" + (", contact_sheet.png" if shots else ""))
 
 
 def check_dataset(root: Path) -> dict:
@@ -121,7 +117,6 @@ class Drapes:
     places: list[tuple[str, int]]  # shard and row
     stretch: np.ndarray  # (N,) largest strain, of 0.1 % uncertainty; NaN unless converged
     crossings: np.ndarray  # (N,) edges that intersect a face; -1 if not checked
-    bytes: dict[str, int]  # on disk of each array, and other for the rest of the files
 
     @property
     def converged(self) -> np.ndarray:
@@ -132,7 +127,7 @@ class Drapes:
 def read_drapes(root: Path, manifest: dict, *, intersections: int) -> Drapes:
     """Read and measure a dataset's drapes, of which ``intersections`` for self-intersections."""
     parts: dict[str, list[np.ndarray]] = {name: [] for name in COLUMNS}
-    places, used, converged = [], Counter(), 0
+    places, converged = [], 0
     checked = set(spread(np.arange(manifest["outcomes"].get("converged", 0)), intersections))
     stretch, crossings = np.full(manifest["drapes"], np.nan), np.full(manifest["drapes"], -1)
     for name in over_shards(manifest["shards"], "measuring"):
@@ -148,10 +143,8 @@ def read_drapes(root: Path, manifest: dict, *, intersections: int) -> Drapes:
                 crossings[drape] = len(self_intersections(positions, faces))
             converged += 1
         places += [(name, row) for row in range(len(shard))]
-        used.update(shard.storage)
-        used["other"] += (root / name).stat().st_size - sum(shard.storage.values())
     columns = {name: np.concatenate(arrays) for name, arrays in parts.items()}
-    return Drapes(columns, places, stretch, crossings, dict(used))
+    return Drapes(columns, places, stretch, crossings)
 
 
 def spread(items: np.ndarray, count: int) -> np.ndarray:
@@ -204,7 +197,6 @@ def report(manifest: dict, drapes: Drapes, prior: tuple[Theta, float]) -> dict:
             "intersecting": len(crossing),
             "drapes": columns["index"][crossing].tolist(),
         },
-        "disk": _disk(drapes),
     }
 
 
@@ -252,17 +244,9 @@ def _parameters(drapes: Drapes, prior: Theta) -> dict[str, dict]:
     return result
 
 
-def _disk(drapes: Drapes) -> dict[str, int]:
-    used = dict(drapes.bytes)
-    parts = {"meshes": sum(used.pop(name) for name in (*COORDINATES, FACES)),
-             "file structure": used.pop("other")}
-    return {**parts, "records": sum(used.values()), "all": sum(drapes.bytes.values())}
-
-
 def describe(content: dict) -> list[str]:
     """Format the result of :func:`report` as lines of text."""
-    n, disk = content["drapes"], content["disk"]
-    rate = content["rejection_rate"]
+    n, rate = content["drapes"], content["rejection_rate"]
     lines = [
         f"{n} drapes of {content['fabrics']} fabrics, {content['converged']} converged "
         f"({content['converged'] / n:.1%}); {content['fabrics_with_a_drape']} fabrics have one",
@@ -294,10 +278,6 @@ def describe(content: dict) -> list[str]:
         _range("iterations", content["iterations"]),
         "folds: " + ", ".join(f"{count} with {folds}" for folds, count in content["folds"].items()),
         _self_intersections(content["self_intersections"], content["converged"]),
-        "",
-        f"{'disk':<{LABEL}}{'MB':>8}{'kB a drape':>12}",
-        *(f"{part:<{LABEL}}{size / 1e6:>8.2f}{size / 1e3 / n:>12.1f}"
-          for part, size in disk.items()),
     ]
     return lines
 
@@ -377,63 +357,6 @@ def contact_sheet(shots: list[Shot]) -> bytes:
     for axes, shot, view in zip(panels, shots, views, strict=False):
         axes.imshow(view, cmap="viridis_r", vmin=low, vmax=high, interpolation="nearest")
         axes.set_title(shot.caption, fontsize=7, color=MARK if shot.failed else "black")
-    return _png(figure)
-
-
-def histograms(drapes: Drapes, prior: Theta) -> bytes:
-    """PNG of histograms: parameters of dataset and prior, measures by initial state."""
-    figure = Figure(figsize=(13, 9.5), dpi=110, layout="constrained")
-    panels = figure.subplots(3, 4)
-    fabrics, samples = in_display_units(draped_fabrics(drapes)), in_display_units(prior)
-    for k, (name, unit) in enumerate(zip(PARAMETERS, UNITS, strict=True)):
-        _parameter(panels[k // 3, k % 3], fabrics[:, k], samples[:, k], _label(name, unit),
-                   logarithmic=k < 3)
-    columns, converged = drapes.columns, drapes.converged
-    groups = {start: converged & (columns["start"] == start)
-              for start in np.unique(columns["start"]).tolist()}
-    folds = columns["folds"][converged]
-    integers = np.arange(*((folds.min(), folds.max() + 2) if len(folds) else (0, 2))) - 0.5
-    _by_start(panels[2, 0], groups, 100 * columns["drape_coefficient"], "drape coefficient [%]", 20)
-    _by_start(panels[2, 1], groups, columns["folds"], "folds", integers)
-    _by_start(panels[2, 2], groups, 100 * drapes.stretch, "largest strain [%]", 20)
-    _by_start(panels[2, 3], groups, columns["iterations"], "Newton iterations", 20)
-    for panel, title in ((panels[0, 0], None), (panels[2, 0], "initial state")):
-        panel.set_ylim(top=1.5 * panel.get_ylim()[1])  # room for the legend
-        panel.legend(frameon=False, loc="upper left", title=title)
-    for values, style in ((samples, {"color": PRIOR, "ms": 2, "alpha": 0.3}),
-                          (fabrics, {"color": DATASET, "ms": 4})):
-        panels[0, 3].loglog(values[:, 0], values[:, 2], ".", **style)
-    panels[0, 3].set(xlabel="alpha warp [µN·m]", ylabel="alpha weft [µN·m]")
-    names, counts = np.unique(columns["status"], return_counts=True)
-    colours = [DATASET if name == "converged" else MARK for name in names]
-    bars = panels[1, 3].barh(names, counts, 0.5, color=colours)
-    panels[1, 3].bar_label(bars, padding=2)
-    panels[1, 3].margins(x=0.2, y=0.3)
-    panels[1, 3].set(xlabel="drapes")
-    return _png(figure)
-
-
-def _parameter(axes: Axes, dataset: np.ndarray, prior: np.ndarray, label: str, *,
-               logarithmic: bool) -> None:
-    edges = (np.geomspace if logarithmic else np.linspace)(*np.quantile(prior, (0.002, 0.998)), 25)
-    axes.set_xscale("log" if logarithmic else "linear")
-    # Values beyond the range are counted in the outermost bars.
-    for values, style in ((dataset, {"color": DATASET, "alpha": 0.75, "label": "dataset"}),
-                          (prior, {"histtype": "step", "color": PRIOR, "lw": 1.5,
-                                   "label": "prior"})):
-        share = np.full(len(values), 1 / max(1, len(values)))
-        axes.hist(np.clip(values, edges[0], edges[-1]), edges, weights=share, **style)
-    axes.set(xlabel=label, ylabel="share of fabrics")
-
-
-def _by_start(axes: Axes, groups: dict[str, np.ndarray], values: np.ndarray, label: str,
-              bins: int | np.ndarray) -> None:
-    axes.hist([values[group] for group in groups.values()], bins, stacked=True,
-              color=[STARTS[k % len(STARTS)] for k in range(len(groups))], label=list(groups))
-    axes.set(xlabel=label, ylabel="drapes")
-
-
-def _png(figure: Figure) -> bytes:
     picture = io.BytesIO()
     figure.savefig(picture, format="png", metadata={"Software": None})
     return picture.getvalue()

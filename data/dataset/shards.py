@@ -162,12 +162,7 @@ def _require_layout(file: h5py.File) -> None:
 
 
 class Shard:
-    """A shard in memory, verified by its checksum.
-
-    Attributes:
-        digest: SHA-256 of the file, hexadecimal.
-        storage: bytes on disk of each array's values, compressed.
-    """
+    """A shard in memory, verified by its checksum; ``digest``: SHA-256 of the file, hexadecimal."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
@@ -182,7 +177,6 @@ class Shard:
                 self.attributes = {name: value.decode() if isinstance(value, bytes) else value
                                    for name, value in file.attrs.items()}
                 self._arrays = {name: rows[:] for name, rows in file.items()}
-                self.storage = {name: rows.id.get_storage_size() for name, rows in file.items()}
         except (RuntimeError, OSError, KeyError, ValueError) as error:
             raise InputError(f"{self.path} is damaged ({one_line(error)}); generate it again"
                              ) from None

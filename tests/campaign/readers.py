@@ -320,10 +320,7 @@ def _read_dataset(folder: Path) -> None:
     inspect.PRIOR_SAMPLES = 50
     manifest = inspect.check_dataset(folder)
     drapes = inspect.read_drapes(folder, manifest, intersections=1)
-    prior = inspect.prior_samples(manifest)
-    inspect.report(manifest, drapes, prior)
-    if manifest["identity"][0] in "01":
-        inspect.histograms(drapes, prior[0])
+    inspect.report(manifest, drapes, inspect.prior_samples(manifest))
     DatasetFolder(folder, small_config()).finish()
 
 

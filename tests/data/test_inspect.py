@@ -180,17 +180,13 @@ def test_the_report_knows_neither_folder_nor_machine(bare, tmp_path, capsys):
     shutil.copytree(bare, tmp_path / "elsewhere")
     for root, out in ((bare, "a"), (tmp_path / "elsewhere", "b")):
         main([str(root), f"out={tmp_path / out}", "sheet=3", "intersections=2"])
-    for name in ("report.json", "histograms.png", "contact_sheet.png"):
+    for name in ("report.json", "contact_sheet.png"):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
     assert {path: path.stat().st_mtime_ns for path in bare.iterdir()} == before
     content = json.loads((tmp_path / "a" / "report.json").read_text(encoding="utf-8"))
     text = capsys.readouterr().out
     assert all(line in text for line in describe(content))
     assert "max_iterations" in text
-    picture = cv2.imread(str(tmp_path / "a" / "histograms.png"))
-    blue, _, red = (picture[..., k].astype(int) for k in range(3))
-    assert (blue - red > 80).mean() > 0.02  # bars of the dataset
-    assert (red - blue > 120).mean() > 0.002  # lines of the prior
 
 
 def rewrite(folder, **changes):
