@@ -184,13 +184,13 @@ def draw(gammas: list[float], deviations: dict) -> Figure:
     left.set(xlabel="Γ = ρgL³/α", ylabel="H/W", title=f"strips, {mesh} mesh")
     left.set_xlim(min(gammas) / 1.5, 1.5 * max(gammas))
     left.legend(frameon=False, fontsize=8)
-    for law, style in (("midedge", "-"), ("hinge_linear", "--"), ("quadratic", ":")):
+    for law, style in (("midedge", "-"), ("hinge_linear", "--")):
         for k, (name, values) in enumerate(deviations.get(law, {}).items()):
             label = name if law == next(iter(deviations)) else None
             right.semilogx(gammas, 100 * np.array(values, dtype=float), style, color=f"C{k}",
                            lw=1.5, label=label)
     right.axhline(0, color="k", lw=0.8)
     right.set(xlabel="Γ", ylabel="deviation of H/W, %",
-              title="default law —, hinges - -, quadratic ···")
+              title="default law —, hinges - -")
     right.legend(frameon=False, fontsize=8)
     return figure

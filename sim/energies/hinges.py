@@ -2,8 +2,8 @@
 
 For comparison, and for export to simulators that use them. Their moduli are not physical: the
 stiffness of a strip of hinges depends on its triangulation and does not converge under refinement
-(docs/physics.md). For an edge between held and
-free cloth, H is the height of the free triangle, not the sum of two heights.
+(docs/physics.md). For an edge between held and free cloth, H is the height of the free triangle,
+not the sum of two heights.
 
 In all hinge laws a hinge with the dihedral angle theta and the rest edge e carries the torque
 tau = (a c + b c²) e, but their definitions of the curvature c differ. Here (Feng et al. 2022,
@@ -118,41 +118,6 @@ class DihedralBending(Energy):
                 self._lengths * self._spread * tangent + self._barrier * bend)
 
 
-class QuadraticBending(Energy):
-    """Energy 3 gamma / ((H0 + H1) e) |K x|² of N hinges (Bergou et al. 2006; Feng et al., Eq. 4).
-
-    x are a hinge's four corners. K x vanishes for flat, undistorted hinges, and a hinge folded by
-    theta has |K x| = 2 e sin(theta/2): for small angles this is the linear dihedral law with
-    alpha = 3 gamma (N,), N·m. The Hessian is constant.
-    """
-
-    def __init__(self, hinges: Hinges, *, gamma: np.ndarray) -> None:
-        self.dofs = hinges.dofs
-        # On a flat hinge, sin(theta/2) and theta/2 have the same derivatives by the heights.
-        flat = np.pad(hinges.rest, ((0, 0), (0, 0), (0, 1)))
-        places = np.arange(flat.size).reshape(-1, 12)
-        by_height = _angle_gradients(flat.ravel(), places)[:, 2::3]
-        self._weights = hinges.lengths[:, None] * by_height
-        self._scale = 1.5 * gamma / hinges.bent_areas
-        blocks = np.einsum("n,ni,nj,ab->niajb", 2 * self._scale, self._weights, self._weights,
-                           np.eye(3))
-        self._hessian = blocks.reshape(-1, 12, 12)
-
-    def value(self, q: StateVector) -> float:
-        return float(self._scale @ (self._folds(q) ** 2).sum(axis=1))
-
-    def gradient(self, q: StateVector) -> np.ndarray:
-        force = 2 * self._scale[:, None] * self._folds(q)
-        return (self._weights[:, :, None] * force[:, None, :]).reshape(-1, 12)
-
-    def hessian(self, q: StateVector, convex: bool = False) -> np.ndarray:
-        return self._hessian
-
-    def _folds(self, q: StateVector) -> np.ndarray:
-        """(N, 3) K x, m."""
-        return np.einsum("ni,nik->nk", self._weights, q[self.dofs].reshape(-1, 4, 3))
-
-
 @numba.njit(cache=True)
 def hinge_angles(q, dofs):
     """Dihedral angles (N,), rad, of hinges with unknowns ``dofs`` (N, 12) of ``q``."""
@@ -196,7 +161,7 @@ def _load(q, dofs, x):
         x[k // 3, k % 3] = q[dofs[k]]
 
 
-FORMS = ("hinge", "hinge_linear", "quadratic")
+FORMS = ("hinge", "hinge_linear")
 WEIGHTINGS = ("mean", "edge")
 
 
@@ -205,7 +170,7 @@ class HingeLaw:
     """A hinge law. The modulus along the curvature of an earlier solution (section 4.4) is omitted:
     its torque does not derive from an energy."""
 
-    form: str = "hinge"  # alpha kappa + beta kappa²; hinge_linear, beta = 0; quadratic, alpha/3
+    form: str = "hinge"  # alpha kappa + beta kappa²; hinge_linear: beta = 0
     direction: str = "mean"  # modulus over all directions, or across the edge (Wang et al. 2011)
 
     def __call__(self, mesh: Mesh, active: FaceMask, *, fabric: Fabric) -> Energy:
@@ -214,15 +179,13 @@ class HingeLaw:
         alpha, beta = (
             np.full(len(x), mean_modulus(moduli)) if self.direction == "mean"
             else modulus_along(moduli, np.arctan2(y, x)) for moduli in (fabric.alpha, fabric.beta))
-        if self.form == "quadratic":
-            return QuadraticBending(hinges, gamma=alpha / 3)
         return DihedralBending(hinges, alpha=alpha, beta=beta * (self.form == "hinge"),
                                barrier_modulus=fabric.alpha.min())
 
 
 HINGE_LAWS = {form if direction == "mean" else f"{form}_{direction}": HingeLaw(form, direction)
               for form in FORMS for direction in WEIGHTINGS}
-"""hinge, hinge_edge, hinge_linear, ..., quadratic_edge."""
+"""hinge, hinge_edge, hinge_linear, hinge_linear_edge."""
 
 
 def modulus_along(moduli: np.ndarray, angle: np.ndarray) -> np.ndarray:

@@ -46,10 +46,9 @@ LAWS = {
     "hinge stiffening": partial(HingeLaw("hinge"), fabric=STIFFENING),
     "hinge linear": partial(HingeLaw("hinge_linear", "edge"), fabric=ANISOTROPIC),
     "hinge folded": partial(HingeLaw("hinge"), fabric=ANISOTROPIC),
-    "quadratic": partial(HingeLaw("quadratic", "edge"), fabric=ANISOTROPIC),
 }
 SHAPES = {"fold limit": {"amplitude": 8e-3, "turn": 0.0}, "hinge folded": {"amplitude": 8e-3}}
-HINGES = ["hinge softening", "hinge stiffening", "hinge linear", "hinge folded", "quadratic"]
+HINGES = ["hinge softening", "hinge stiffening", "hinge linear", "hinge folded"]
 
 
 def case_of(name: str):
@@ -167,7 +166,7 @@ def test_the_convex_hessian_is_semi_definite(name):
     exact, convex = energy.hessian(q), energy.hessian(q, convex=True)
     size = np.abs(convex).max() + 1e-300
     assert np.linalg.eigvalsh(convex).min() > -1e-12 * size
-    if name not in ("contact", "fold limit", "quadratic"):
+    if name not in ("contact", "fold limit"):
         assert np.linalg.eigvalsh(exact).min() < -1e-6 * size  # or the case would test nothing
 
 
