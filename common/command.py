@@ -224,16 +224,16 @@ def run_command(main: Callable[[list[str]], object]) -> NoReturn:
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
-    except BrokenPipeError:
-        close_output()  # the reader, such as `head`, has closed the pipe
     except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+        if error.errno not in (errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
             raise
-        with suppress(OSError):
-            print(f"error: {error.strerror}; make room, or send the output elsewhere",
-                  file=sys.stderr)
-        close_output()
-        sys.exit(2)
+        # Discard what standard output still holds, so that Python's final flush does not fail.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if error.errno != errno.EPIPE:  # of a reader, such as `head`, that has closed the pipe
+            with suppress(OSError):
+                print(f"error: {error.strerror}; make room, or send the output elsewhere",
+                      file=sys.stderr)
+            sys.exit(2)
     sys.exit(0)
 
 
@@ -254,8 +254,3 @@ def open_output() -> None:
             setattr(sys, name, open(os.devnull, "w"))
         elif hasattr(getattr(sys, name), "reconfigure"):
             getattr(sys, name).reconfigure(errors="backslashreplace")
-
-
-def close_output() -> None:
-    """Discard what standard output still holds, so that Python's final flush does not fail."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -1,4 +1,4 @@
-"""Reading of YAML, JSON, CSV and NPZ files: regular files of bounded size and nesting depth.
+"""Reading of YAML, JSON, CSV and NPZ files: regular files of bounded size.
 
 Contents are validated by a :class:`Schema`; every fault raises an InputError of one line.
 """
@@ -24,7 +24,6 @@ from common.errors import InputError, one_line
 MAX_TEXT_BYTES = 1 << 16  # written by people
 MAX_TABLE_BYTES = 8 << 20
 MAX_DOCUMENT_BYTES = 64 << 20  # written by programs; also each array of an npz file
-MAX_LEVELS = 20  # nesting depth of YAML; the JSON parser allows 200
 T = TypeVar("T", bound="Schema")
 
 
@@ -74,20 +73,13 @@ def faults(error: ValidationError) -> str:
 
 
 class _Loader(yaml.SafeLoader):
-    """Refuses aliases, which may expand exponentially, repeated keys and deep nesting."""
-
-    depth = 0
+    """Refuses aliases, which may expand exponentially, and repeated keys."""
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         """Compose one node."""
         if self.check_event(yaml.AliasEvent):
             raise yaml.YAMLError("aliases (*name) are not taken: write the value out")
-        if self.depth == MAX_LEVELS:
-            raise yaml.YAMLError(f"more than {MAX_LEVELS} levels")
-        self.depth += 1
-        node = super().compose_node(parent, index)
-        self.depth -= 1
-        return node
+        return super().compose_node(parent, index)
 
     def mapping_of(self, node: Any) -> dict:
         """Construct a mapping whose keys differ."""

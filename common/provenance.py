@@ -20,20 +20,18 @@ def release() -> str:
 
 def code_state(root: Path = ROOT) -> dict[str, object]:
     """Release, commit (None outside a git checkout), and whether files differ from it."""
-    top = _git(root, "rev-parse", "--show-toplevel", "HEAD")
     # The package may be installed inside another project's checkout.
-    if top is None or Path(top.splitlines()[0]).resolve() != root.resolve():
-        return {"release": release(), "commit": None, "dirty": False}
-    return {"release": release(), "commit": top.splitlines()[1],
-            "dirty": _git(root, "status", "--porcelain") != ""}
+    commit = _git(root, "rev-parse", "HEAD") if (root / ".git").exists() else ""
+    return {"release": release(), "commit": commit.strip() or None,
+            "dirty": bool(commit and _git(root, "status", "--porcelain"))}
 
 
-def _git(root: Path, *words: str) -> str | None:
-    """Output of git in the checkout ``root``; None if git fails."""
+def _git(root: Path, *words: str) -> str:
+    """Output of git in the checkout ``root``; empty if git fails."""
     with suppress(OSError, subprocess.SubprocessError):
         return subprocess.run(["git", "-C", str(root), *words], capture_output=True, text=True,
                               timeout=_GIT_TIMEOUT, check=True).stdout
-    return None
+    return ""
 
 
 def package_versions(*names: str) -> dict[str, str]:

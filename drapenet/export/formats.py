@@ -3,7 +3,6 @@
 A tool with one modulus per direction gets alpha, or the secant of the torque at a curvature.
 """
 
-import io
 import json
 import pprint
 import uuid
@@ -166,10 +165,10 @@ def _table(material: Material, name: str) -> dict[str, bytes]:
 
 def _torque(material: Material, name: str) -> dict[str, bytes]:
     curves = 1e3 * torque(CURVE, material.alpha[:, None], material.beta[:, None])
-    stream = io.StringIO()
-    np.savetxt(stream, np.column_stack([CURVE, curves.T]), fmt="%.6g", delimiter=",", comments="",
-               header="curvature_1_m,torque_warp_mN,torque_bias_mN,torque_weft_mN")
-    return {name: stream.getvalue().encode()}
+    columns = ("curvature_1_m", *(f"torque_{direction}_mN" for direction in DIRECTIONS))
+    rows = [dict(zip(columns, map(csv_number, row), strict=True))
+            for row in np.vstack([CURVE, curves]).T]
+    return {name: csv_table(rows).encode()}
 
 
 TARGETS = {
@@ -196,8 +195,6 @@ TARGETS = {
 ALIASES = {"clo": "jfab", "clo3d": "jfab", "marvelous": "jfab", "marvelousdesigner": "jfab",
            "browzwear": "u3m", "vstitcher": "u3m", "unreal": "usd", "style3d": "newton",
            "vbd": "newton"}
-NOT_OFFERED = {"blender", "houdini", "vellum", "mujoco", "physx", "omniverse", "libuipc", "c-ipc",
-               "diffcloth"}  # for reasons given in docs/exports.md
 
 
 def table() -> str:
@@ -211,11 +208,9 @@ def targets_named(words: str, key: str = "to") -> list[str]:
         return list(TARGETS)
     names = [word.strip().lower() for word in words.strip("[]").split(",")]
     for name in names:
-        if name in NOT_OFFERED:
-            raise InputError(f"{key}={name}: not offered, for the reason given in docs/exports.md "
-                             "under 'Not offered'; drape.glb, beside the estimate, holds the drape")
         if name not in TARGETS and name not in ALIASES:
-            raise InputError(f"{key}={name}: unknown; choose from {', '.join(TARGETS)} or all")
+            raise InputError(f"{key}={name}: unknown; choose from {', '.join(TARGETS)} or all; "
+                             "docs/exports.md says why others are not offered")
     return list(dict.fromkeys(ALIASES.get(name, name) for name in names))
 
 

@@ -22,6 +22,7 @@ from starlette.datastructures import UploadFile
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
+from common.documents import read_json
 from common.errors import InputError
 from common.files import folder_named, require_folder
 from data.captures.capture import CAPTURE_FILES
@@ -34,7 +35,7 @@ from drapenet.report.pages import render
 from drapenet.result.files import ESTIMATE, SHOWN
 from drapenet.service.jobs import Jobs
 from drapenet.service.uploads import KINDS, NUMBERS, TEXTS, RequestError, checked_upload
-from drapenet.service.work import DONE, PREVIEW, read_json
+from drapenet.service.work import DONE, PREVIEW
 from sim.rig import RIGS
 
 FILES = (ESTIMATE, PREVIEW, *SHOWN)
@@ -169,8 +170,8 @@ def state(identity: str, request: Request) -> JSONResponse:
     """
     folder, content = request.app.state.jobs.state(identity)
     files = [name for name in FILES if (folder / name).is_file()]
-    return JSONResponse(content | {"estimate": read_json(folder / ESTIMATE), "files": files},
-                        headers=_FRESH)
+    estimate = read_json(folder / ESTIMATE) if ESTIMATE in files else None
+    return JSONResponse(content | {"estimate": estimate, "files": files}, headers=_FRESH)
 
 
 @router.get("/estimates/{identity}/{file}", response_class=FileResponse,

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from common.configs import read_option
-from common.documents import read_json as read_document
+from common.documents import read_json
 from common.errors import InputError
 from common.files import replace_file, replace_json
 from common.types import Density
@@ -22,16 +22,11 @@ _PROGRESS_INTERVAL = 0.25  # s between two reports of progress
 
 def read_state(folder: Path) -> dict[str, Any] | None:
     """The state of an estimate; None where there is none."""
-    state = read_json(folder / STATE)
-    return state if isinstance(state, dict) and "state" in state else None
-
-
-def read_json(file: Path) -> Any:
-    """Content of a JSON file; None if it cannot be read."""
     try:
-        return read_document(file)
+        state = read_json(folder / STATE)
     except InputError:
         return None
+    return state if isinstance(state, dict) and "state" in state else None
 
 
 def change_state(folder: Path, **values: object) -> None:
