@@ -4,7 +4,6 @@
 the types and ranges. Texts need no quotes and lists no brackets, except in a sweep.
 """
 
-import ctypes
 import errno
 import functools
 import os
@@ -216,7 +215,6 @@ def run_command(main: Callable[[list[str]], object]) -> NoReturn:
     """Run ``main(sys.argv[1:])`` and exit; an InputError is printed as one line, exit code 2."""
     import common.interrupt  # noqa: F401 (for commands that do not import it first)
 
-    keep_freed_memory()
     open_output()
     try:
         main(sys.argv[1:])
@@ -235,16 +233,6 @@ def run_command(main: Callable[[list[str]], object]) -> NoReturn:
                       file=sys.stderr)
             sys.exit(2)
     sys.exit(0)
-
-
-def keep_freed_memory() -> None:
-    """Reuse the memory of freed arrays beyond 32 MiB, which glibc returns to the system: allocating
-    it again takes a tenth of the time of drapes with 101 x 101 vertices.
-    """
-    with suppress(AttributeError, OSError, TypeError):
-        mallopt = ctypes.CDLL(None).mallopt
-        mallopt(-3, 2**30)  # M_MMAP_THRESHOLD, bytes
-        mallopt(-1, 2**31 - 1)  # M_TRIM_THRESHOLD
 
 
 def open_output() -> None:

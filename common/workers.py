@@ -61,46 +61,26 @@ class _Context(type(_SPAWN)):
     Process = _Worker
 
 
-_idle: dict[tuple[int, int], ProcessPoolExecutor] = {}
-"""The pool that was used last, by process id of its owner and size."""
-
-
 @contextmanager
 def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """A pool of ``workers`` processes; they are killed if the block fails.
-
-    Processes take a second to start, as long as a drape, so they are kept for the next call of the
-    same size. A script calls this below ``if __name__ == "__main__":``.
+    """A pool of ``workers`` processes; they are killed if the block fails. A script calls this
+    below ``if __name__ == "__main__":``.
     """
-    key = os.getpid(), workers  # a forked process cannot use its parent's pool
-    pool = _idle.pop(key, None)
-    if pool is None or not _answers(pool):
-        if multiprocessing.get_start_method() not in multiprocessing.get_all_start_methods():
-            multiprocessing.set_start_method("spawn", force=True)  # a job of joblib's launcher
-        pool = ProcessPoolExecutor(workers, mp_context=_Context(), initializer=end_with_parent)
+    if multiprocessing.get_start_method() not in multiprocessing.get_all_start_methods():
+        multiprocessing.set_start_method("spawn", force=True)  # a job of joblib's launcher
+    pool = ProcessPoolExecutor(workers, mp_context=_Context(), initializer=end_with_parent)
     try:
         yield pool
     except BaseException as error:
-        _idle.clear()
         for process in multiprocessing.active_children():
             if isinstance(process, _Worker):
                 process.kill()
-        pool.shutdown(cancel_futures=True)
         if isinstance(error, BrokenProcessPool):
             raise InputError("a worker process was killed, perhaps because memory ran out; run "
                              "the same command again with a smaller workers=") from None
         raise
-    for unused in [unused for unused in _idle if unused[0] == os.getpid()]:
-        _idle.pop(unused).shutdown(wait=False)
-    _idle[key] = pool
-
-
-def _answers(pool: ProcessPoolExecutor) -> bool:
-    """Whether no worker was killed while the pool was idle."""
-    try:
-        return pool.submit(os.getpid).result() > 0
-    except BrokenProcessPool:
-        return False
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def end_with_parent() -> None:

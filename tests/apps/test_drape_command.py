@@ -1,8 +1,6 @@
 """``python -m apps.drape``: files, figures, and one line for a mistake."""
 
 import json
-import os
-import platform
 import subprocess
 import sys
 
@@ -70,24 +68,3 @@ def test_figures_of_a_failure_are_json(tmp_path, monkeypatch):
 
     figures = json.loads((tmp_path / "drape.json").read_text(), parse_constant=refuse)
     assert figures["status"] == "not_finite" and figures["residual"] is None
-
-
-@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="glibc's settings")
-def test_commands_keep_the_memory_of_large_arrays():
-    def page_faults(prepare: str) -> int:
-        script = f"""
-import resource
-import numpy as np
-from common.command import keep_freed_memory
-{prepare}
-np.ones(8_000_000)
-before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-for _ in range(20):
-    np.ones(8_000_000)
-print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
-"""
-        environment = {k: v for k, v in os.environ.items() if not k.startswith(("MALLOC", "GLIBC"))}
-        return int(subprocess.run([sys.executable, "-c", script], env=environment, check=True,
-                                  capture_output=True, text=True).stdout)
-
-    assert page_faults("keep_freed_memory()") < 0.1 * page_faults("")
