@@ -131,7 +131,6 @@ class ServeConfig:
     queue: FromOne
     job_seconds: Positive
     upload_seconds: Positive
-    idle_seconds: Positive
     megabytes: Positive
     files: FromOne
     megapixels: Positive

@@ -56,7 +56,7 @@ _FORM = {"required": True, "content": {"multipart/form-data": {"schema": {
         "files": {"type": "array", "items": {"type": "string", "format": "binary"},
                   "description": f"views, a zip with them, or a scan: {', '.join(KINDS)}"}}}}}}
 _STATUSES = {
-    404: "no such estimate, or file of it", 408: "the upload paused or took too long",
+    404: "no such estimate, or file of it", 408: "the upload took too long",
     409: "not yet available", 413: "too many or too large files",
     415: "a kind of file that is not taken", 422: "not a capture",
     429: "the queue is full: try again"}
@@ -245,18 +245,17 @@ async def _form(
 
 
 def _limited(request: Request, settings: ServeConfig) -> Callable[[], Awaitable[Any]]:
-    """The messages of a request, of limited size, duration and pauses."""
+    """The messages of a request, of limited size and duration."""
     clock, total = asyncio.get_running_loop().time, 0
     end = clock() + settings.upload_seconds
 
     async def receive() -> Any:
         nonlocal total
-        pause = max(0.0, min(end - clock(), settings.idle_seconds))
         try:
-            message = await asyncio.wait_for(request.receive(), pause)
+            message = await asyncio.wait_for(request.receive(), max(0.0, end - clock()))
         except asyncio.TimeoutError:
-            raise RequestError(408, f"the upload paused for {settings.idle_seconds:g} s or took "
-                               f"more than {settings.upload_seconds:g} s; try again") from None
+            raise RequestError(408, f"the upload took more than {settings.upload_seconds:g} s; try "
+                               "again") from None
         total += len(message.get("body", b""))
         if total > settings.bytes + _MAX_FORM:
             raise RequestError(413, f"the upload has more than {settings.bytes / 1e6:g} MB")

@@ -31,7 +31,7 @@ PICTURES = sorted(EXAMPLE.glob("*.png"))
 
 
 def settings_for(results: Path) -> ServeConfig:
-    words = [f"results={results}", "workers=1", "queue=3", "idle_seconds=0.5"]
+    words = [f"results={results}", "workers=1", "queue=3"]
     return compose_config("serve", words, schema=ServeConfig)
 
 
