@@ -61,6 +61,7 @@ class Drape(Equilibrium):
     rig: Rig
     edge: Metres  # at the rim
     coarse: tuple[Status, ...] = ()  # on coarser meshes, coarsest first
+    seconds: float = 0.0  # wall time
 
     @property
     def scene(self) -> Scene:
@@ -96,11 +97,6 @@ class Drape(Equilibrium):
     def iterations(self) -> int:
         """Newton steps on all meshes together."""
         return self.outcome.iterations
-
-    @property
-    def seconds(self) -> float:
-        """Wall time."""
-        return self.outcome.seconds["wall"]
 
     @property
     def self_intersections(self) -> int:
@@ -241,9 +237,8 @@ def drape_of(
     coarse: Sequence[Status] = ()
 ) -> Drape:
     """The drape of the last minimisation of a simulation that ``began`` at this time, s."""
-    seconds = equilibrium.outcome.seconds | {"wall": time.perf_counter() - began}
-    return Drape(**vars(equilibrium) | {"outcome": replace(equilibrium.outcome, seconds=seconds)},
-                 fabric=fabric, rig=rig, edge=edge, coarse=tuple(coarse))
+    return Drape(**vars(equilibrium), fabric=fabric, rig=rig, edge=edge, coarse=tuple(coarse),
+                 seconds=time.perf_counter() - began)
 
 
 def follow(

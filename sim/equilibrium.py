@@ -1,6 +1,5 @@
 """Static equilibrium of a cloth in a scene, with self-contact where the cloth needs it."""
 
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -65,7 +64,7 @@ class Equilibrium:
         first, second = earlier.outcome, self.outcome
         return replace(self, outcome=replace(
             second, iterations=first.iterations + second.iterations,
-            seconds=dict(Counter(first.seconds) + Counter(second.seconds))))
+            seconds=first.seconds + second.seconds))
 
 
 def find_equilibrium(

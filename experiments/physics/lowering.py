@@ -63,7 +63,7 @@ def cost_case(*, index: int, start: str) -> dict[str, Any]:
     fabric = prior_fabric(index, SEED)
     drape(fabric, rig=DISC_RIG, start=start, seed=index, edge=12e-3)  # compiles
     shape = drape(fabric, rig=DISC_RIG, start=start, seed=index)
-    return {"seconds": shape.outcome.seconds["total"], "iterations": shape.iterations,
+    return {"seconds": shape.outcome.seconds, "iterations": shape.iterations,
             "folds": fold_count(shape.positions, shape.rest, DISC_RIG),
             "status": shape.status.value}
 

@@ -1,7 +1,7 @@
 """CPU-seconds of a drape on one core.
 
-Fabrics from the bundled prior, each draped from a sine start: CPU-seconds, Newton steps and shares
-of the time; then a median fabric on finer and finer meshes. References: 19.8 CPU-seconds per drape
+Fabrics from the bundled prior, each draped from a sine start: CPU-seconds and Newton steps; then a
+median fabric on finer and finer meshes. References: 19.8 CPU-seconds per drape
 with 100 × 100 vertices (Feng et al. 2022, section 5.2: 48 000 drapes, 12 hours, 22 CPUs), 329 with
 the Style3D solver of Newton 1.8.
 """
@@ -11,7 +11,6 @@ import experiments.one_thread  # noqa: F401
 # isort: split
 import resource
 import time
-from collections import Counter
 
 import numpy as np
 
@@ -36,7 +35,6 @@ def time_drape(fabric: Fabric, *, edge_mm: float, seed: int) -> dict:
         "status": result.status.value,
         "cpu_seconds": round(time.process_time() - began, 3),
         "newton_steps": result.iterations,
-        "seconds_by_activity": {k: round(v, 3) for k, v in result.outcome.seconds.items()},
     }
 
 
@@ -48,16 +46,12 @@ def time_drapes(fabrics: list[Fabric], edge_mm: float) -> dict:
         print(f"  {seed + 1} of {len(fabrics)}: {runs[-1]['cpu_seconds']:.2f} CPU-seconds, "
               f"{runs[-1]['triangles']} triangles, {runs[-1]['status']}", flush=True)
     seconds = np.array([run["cpu_seconds"] for run in runs])
-    activities = Counter()
-    for run in runs:
-        activities.update({k: v for k, v in run["seconds_by_activity"].items() if k != "total"})
     return {
         "mean_cpu_seconds": float(seconds.mean()),
         "median_cpu_seconds": float(np.median(seconds)),
         "largest_cpu_seconds": float(seconds.max()),
         "mean_newton_steps": float(np.mean([run["newton_steps"] for run in runs])),
         "converged": sum(run["status"] == "converged" for run in runs),
-        "share_by_activity": {k: v / seconds.sum() for k, v in activities.items()},
         "runs": runs,
     }
 

@@ -7,11 +7,9 @@ are exact Newton steps with quadratic convergence. The Cholesky factor of the ex
 end proves a minimum rather than a saddle.
 """
 
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Enum
+from time import thread_time
 from typing import Protocol
 
 import numpy as np
@@ -73,8 +71,7 @@ class NewtonResult:
     step: float = np.inf
     positive_definite: bool = False  # whether the exact Hessian has a Cholesky factor
     factor: CholeskySolver | None = None  # that holds it
-    seconds: dict[str, float] = field(default_factory=dict)
-    """CPU time by activity: analyse, assemble, factorise, search, total; wall time of a drape."""
+    seconds: float = 0.0  # CPU time
 
 
 CONVEXITIES = (0.0, 0.1, 0.5, 1.0)  # blends in increasing order; 0 is the exact Hessian
@@ -106,9 +103,10 @@ def minimise(
     """Find a local minimum near the state ``start``. Numerical failures raise no exception. The
     factor of a ``solver`` for the objective's pattern is lost."""
     start = np.array(start, dtype=np.float64)
-    run = _Minimisation(objective, start, options or NewtonOptions(), solver)
-    with run.timed("total"), np.errstate(all="ignore"):
+    run, began = _Minimisation(objective, start, options or NewtonOptions(), solver), thread_time()
+    with np.errstate(all="ignore"):
         run.iterate()
+    run.result.seconds = thread_time() - began
     return run.result
 
 
@@ -123,8 +121,6 @@ class _Minimisation:
         self.convexity, self.shift = 1.0, 0
         self.hold = False  # whether the next step must not try less convexity
         self.result = NewtonResult(q=q, status=Status.MAX_ITERATIONS, message="")
-        self.result.seconds = dict.fromkeys(
-            ("analyse", "assemble", "factorise", "search", "total"), 0.0)
         self.rng = np.random.default_rng(0)
         self.solver = solver
 
@@ -139,7 +135,7 @@ class _Minimisation:
                 # Only the exact Hessian distinguishes a minimum from a saddle.
                 result.positive_definite = self._factorise(0.0, proof=True)
                 if result.positive_definite:
-                    step = self._solve(-gradient)
+                    step = self.solver.solve(-gradient)
                     result.step = self.objective.step_length(step)
                     if result.step < options.step:
                         result.factor = self.solver
@@ -158,8 +154,7 @@ class _Minimisation:
                 step = self._direction(gradient)
             if step is None:
                 return self._end(Status.SINGULAR)
-            with self.timed("search"):
-                improved = self._search(value, gradient, step)
+            improved = self._search(value, gradient, step)
             if improved is None:
                 # The step of a nearly singular model leaves the range in which the model is valid:
                 # use a stiffer model at this state. At a stationary point no model is stiffer.
@@ -185,26 +180,10 @@ class _Minimisation:
         self.result.status = status
         self.result.message = _ENDINGS[status].format(**vars(self.result))
 
-    @contextmanager
-    def timed(self, activity: str) -> Iterator[None]:
-        """Add the time spent in a ``with`` block to an entry of the result."""
-        began = time.thread_time()
-        yield
-        self.result.seconds[activity] += time.thread_time() - began
-
     def _factorise(self, convexity: float, shift: float = 0.0, *, proof: bool = False) -> bool:
-        objective = self.objective
-        with self.timed("assemble"):
-            data = objective.hessian(self.result.q, convexity, shift)
-        if self.solver is None:
-            with self.timed("analyse"):
-                self.solver = make_solver(objective.pattern)
-        with self.timed("factorise"):
-            return self.solver.factorise(data, rough=not proof)
-
-    def _solve(self, rhs: np.ndarray, *, rough: bool = False) -> np.ndarray:
-        with self.timed("factorise"):
-            return self.solver.solve(rhs, rough=rough)
+        data = self.objective.hessian(self.result.q, convexity, shift)
+        self.solver = self.solver or make_solver(self.objective.pattern)
+        return self.solver.factorise(data, rough=not proof)
 
     def _direction(self, gradient: np.ndarray) -> np.ndarray | None:
         """Newton step with the smallest possible convexity; None if no factor exists."""
@@ -217,13 +196,13 @@ class _Minimisation:
                 self.hold = trial == self.convexity and lowest < now
                 self.convexity = trial
                 rough = trial > 0 or self.result.residual > PRECISE_RESIDUAL
-                return self._solve(-gradient, rough=rough)
+                return self.solver.solve(-gradient, rough=rough)
         self.convexity = 1.0
         while not self._factorise(1.0, SHIFTS[self.shift]):
             if self.shift == len(SHIFTS) - 1:
                 return None
             self.shift += 1
-        return self._solve(-gradient, rough=True)
+        return self.solver.solve(-gradient, rough=True)
 
     def _search(
         self, value: float, gradient: np.ndarray, step: np.ndarray
@@ -267,7 +246,7 @@ class _Minimisation:
         objective, q = self.objective, self.result.q
         if not self._factorise(1.0, SHIFTS[1]):
             return q
-        move = self._solve(self.rng.standard_normal(objective.size))
+        move = self.solver.solve(self.rng.standard_normal(objective.size))
         move *= PERTURBATION * PERTURBATION_GROWTH**earlier / objective.step_length(move)
         for _ in range(PERTURBATION_HALVINGS):
             there = objective.moved(q, move)
