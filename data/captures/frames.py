@@ -31,14 +31,6 @@ MAX_POINTS = MAX_PICTURE[0] * MAX_PICTURE[1] // 4
 MAX_DEPTH = 100.0  # m; larger values have another unit or are invalid
 KINDS = ("view_{}.png", "view_{}_{}.png", "view_{}.npy", "view_{}.exr", "view_{}.ply")
 """File names of views by format; braces are replaced by numbers from 0."""
-UNSUPPORTED = {
-    ".tif": "save its depth as 16-bit PNG in millimetres",
-    ".tiff": "save its depth as 16-bit PNG in millimetres",
-    ".mkv": "take the depth frames out with: ffmpeg -i FILE -map 0:1 -vsync 0 frame_%d.png, and "
-            "keep one of each stop, view_0.png and so on",
-    ".r3d": "export its depth frames as npy in metres",
-}
-"""Remedies for files of other formats, by suffix."""
 
 
 @dataclass(frozen=True)
@@ -130,10 +122,6 @@ def _kind(folder: Path, names: list[str]) -> str:
                          "kind of file, or one recording")
     if examples:
         return kinds[0] if kinds else RECORDING
-    for name in names:
-        if (ending := Path(name).suffix.lower()) in UNSUPPORTED:
-            raise InputError(f"{folder / name}: files of this kind are not read; "
-                             f"{UNSUPPORTED[ending]}")
     return KINDS[0]  # numbered() reports that they are missing
 
 

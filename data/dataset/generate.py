@@ -22,10 +22,7 @@ On a Slurm cluster, in 40 jobs of 8 processes; on one machine, in 4 jobs at a ti
 import common.interrupt  # noqa: F401
 
 # isort: split
-import sys
 import tempfile
-import time
-from collections import Counter
 from concurrent.futures import FIRST_COMPLETED, wait
 from pathlib import Path
 
@@ -39,7 +36,7 @@ from common.files import folder_named
 from common.workers import worker_pool
 from data.dataset.config import DatasetConfig, Options, config_from_options
 from data.dataset.folder import DatasetFolder, over_shards
-from data.dataset.simulate import Solver, load_solver, make_record
+from data.dataset.simulate import Solver, make_record
 from data.fabrics.prior import SOFT
 from sim.material import MICRO
 
@@ -74,8 +71,7 @@ def generate_dataset(
                            for group in (shards, missing))
             with progress_bar(total=total, initial=total - left, unit="drape",
                               smoothing=0.05) as bar:
-                time_spent = make_shards(folder, missing, workers=workers, solver=solver, bar=bar)
-            print(time_spent, file=sys.stderr)
+                make_shards(folder, missing, workers=workers, solver=solver, bar=bar)
         manifest = folder.finish()
     except OSError as error:
         raise InputError(f"cannot write the dataset {out}: {one_line(error)}") from None
@@ -87,12 +83,11 @@ def generate_dataset(
 
 def make_shards(
     folder: DatasetFolder, shards: list[int], *, workers: int, solver: Solver | None, bar: tqdm
-) -> str:
-    """Make ``shards`` in ``workers`` processes; return a breakdown of the time as text."""
-    workers, began, seconds = min(workers, len(shards)), time.time(), Counter()
+) -> None:
+    """Make ``shards`` in ``workers`` processes."""
     present = bar.n
     try:
-        with tempfile.NamedTemporaryFile() as file, worker_pool(workers) as pool:
+        with tempfile.NamedTemporaryFile() as file, worker_pool(min(workers, len(shards))) as pool:
             counts = np.memmap(file, np.int64, "w+", shape=(len(shards), 2))
             running = {pool.submit(_make_shard, folder, file.name, solver, place, shard)
                        for place, shard in enumerate(shards)}
@@ -102,55 +97,29 @@ def make_shards(
                 bar.set_postfix_str(f"{failed} failed", refresh=False)
                 bar.update(present + drapes - bar.n)
                 for future in done:
-                    seconds.update(future.result())
+                    future.result()
     except BaseException:
         folder.remove_partial()  # processes may have been killed while writing
         raise
-    return _time_spent(workers, time.time() - began, seconds)
 
 
 def _make_shard(
     folder: DatasetFolder, counts: str, solver: Solver | None, place: int, shard: int
-) -> Counter[str]:
-    """Make a shard, unless another run has done so; return the seconds of :func:`_time_spent`.
+) -> None:
+    """Make a shard, unless another run has done so.
 
     ``counts`` is a file shared by all processes, (shards, 2): drapes made and failed in the shard
     at each index (``place``).
     """
-    cpu, wall, seconds = time.process_time(), time.perf_counter(), Counter(solver=0.0)
-    solver = solver or load_solver()
-
-    def timed(*arguments: object, **settings: object) -> object:
-        before = time.process_time()
-        try:
-            return solver(*arguments, **settings)
-        finally:
-            seconds["solver"] += time.process_time() - before
-
     done = np.memmap(counts, np.int64, "r+").reshape(-1, 2)
     rows = folder.config.rows(shard)
     if folder.shard(shard) is None:
         records: list[dict] = []
         for index in rows:
-            records.append(make_record(index, folder.config, earlier=records, solver=timed))
+            records.append(make_record(index, folder.config, earlier=records, solver=solver))
             done[place] += 1, records[-1]["status"] != b"converged"
         folder.write(shard, records)
     done[place, 0] = len(rows)
-    seconds["rest"] = time.process_time() - cpu - seconds["solver"]
-    seconds["wall"] = time.perf_counter() - wall
-    return seconds
-
-
-def _time_spent(workers: int, wall: float, seconds: Counter[str]) -> str:
-    """Breakdown of the time of ``workers`` processes in ``wall`` seconds; ``seconds``: sums of the
-    CPU time of ``solver`` and ``rest``, and of the elapsed time of tasks, ``wall``.
-    """
-    spent = {"solver": seconds["solver"], "checks and files": seconds["rest"],
-             "start and idle": max(workers * wall - seconds["wall"], 0.0)}
-    total = max(sum(spent.values()), 1e-9)
-    shares = ", ".join(f"{name} {share / total:.1%}" for name, share in spent.items())
-    return (f"time of {workers} worker processes: {shares}; waiting for a core or the disk: "
-            f"{max(workers * wall - total, 0.0):.0f} of {workers * wall:.0f} s")
 
 
 @command("generate", Options)

@@ -373,7 +373,7 @@ BAD_METRIC = {
     "points without size_px": (only("view_0.ply", ply(1)), "point clouds need size_px"),
     "no EXR": (only("view_0.exr", lambda file: file.write_text("no picture")), "cannot be read"),
     "no recording": (only("take.bag", lambda file: file.write_text("none")), "cannot be read"),
-    "a video": (only("take.mkv", lambda file: file.write_text("")), "ffmpeg -i FILE -map 0:1"),
+    "a video": (only("take.mkv", lambda file: file.write_text("")), "the folder holds 'take.mkv'"),
     "NaN density": (setting(density_g_m2=float("nan")), "finite number"),
     "negative density": (setting(density_g_m2=-150), "density_g_m2=-150"),
     "density in kg": (setting(density_g_m2=0.15), "density_g_m2=0.15"),

@@ -1,9 +1,7 @@
 import json
-import re
 import shutil
 import subprocess
 import sys
-from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +12,7 @@ import pytest
 from common.errors import InputError
 from data.dataset.config import DatasetConfig, SamplingConfig
 from data.dataset.folder import DatasetFolder
-from data.dataset.generate import _time_spent, generate_dataset, main
+from data.dataset.generate import generate_dataset, main
 from data.dataset.plan import plan_drape
 from data.dataset.shards import Shard
 from data.dataset.simulate import make_record
@@ -302,10 +300,3 @@ def test_help_names_every_key(capsys):
     text = capsys.readouterr().out
     for key in ("out:", "drapes:", "workers:", "seed:", "edge_mm:", "parts:"):
         assert key in text
-
-
-def test_the_time_of_the_workers_adds_up():
-    line = _time_spent(2, 100.0, Counter(solver=150.0, rest=10.0, wall=170.0))
-    shares = {name: float(share) for name, share in re.findall(r"([a-z ]+) ([\d.]+)%", line)}
-    assert shares == {" solver": 78.9, " checks and files": 5.3, " start and idle": 15.8}
-    assert line.endswith("10 of 200 s")
