@@ -3,7 +3,7 @@
 import math
 import re
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -162,10 +162,6 @@ class Rig:
             return np.column_stack([rest, np.zeros(len(rest))])
         across = rest[:, 0] * self.corners_apart / self.specimen_size
         return np.column_stack([across, np.zeros((len(rest), 2))])
-
-    def as_dict(self) -> dict:
-        """The rig in JSON types, as in a dataset's description."""
-        return {"name": self.name, **asdict(self)}
 
     @staticmethod
     def from_name(name: str) -> "Rig":

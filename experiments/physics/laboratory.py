@@ -14,12 +14,13 @@ from matplotlib.figure import Figure
 from scipy.stats import spearmanr
 
 from common.errors import InputError
+from common.types import Density, Moduli
 from experiments.result import Config, Result, run_cases
 from sim.cloth import Laws
 from sim.drape import drape
-from sim.energies.bending_variants import kes_fabric
+from sim.energies.bending_variants import KES_CURVATURE, Hysteresis
 from sim.energies.membrane import Membrane, OrthotropicStVK
-from sim.material import MICRO, REFERENCE_DENSITY
+from sim.material import MICRO, REFERENCE_DENSITY, Fabric
 from sim.measures import drape_coefficient, fold_count
 from sim.rig import Rig
 
@@ -56,6 +57,16 @@ def measured_membrane(row: dict[str, str]) -> dict[str, float] | None:
     return {"warp": scale * float(row["stretch_warp_g_s2"]),
             "weft": scale * float(row["stretch_weft_g_s2"]),
             "shear": scale * float(row["shear_g_s2"])}
+
+
+def kes_fabric(
+    b: Moduli, two_hb: np.ndarray, density: Density = REFERENCE_DENSITY
+) -> tuple[Fabric, Hysteresis]:
+    """The fabric and bending law of readings of KES-FB2, B and 2HB (3,), N·m per metre of width.
+    Its loading torque is B kappa + HB."""
+    b, friction = np.asarray(b, float), np.asarray(two_hb, float) / 2
+    share = friction / (KES_CURVATURE * b + friction)
+    return Fabric(b, density=density), Hysteresis(tuple(share.tolist()), added=True)
 
 
 def drape_case(

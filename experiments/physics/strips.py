@@ -15,7 +15,7 @@ from common.errors import InputError
 from experiments.physics.guides import guided
 from experiments.result import Config, Result, run_cases
 from sim.cantilever import aspect_ratio, gamma_of_aspect_ratio, hang, heavy_elastica
-from sim.cantilever.elastica import strip_shape, tabulated_law
+from sim.cantilever.elastica import strip_shape
 from sim.cantilever.strip import HungStrip, bending_length
 from sim.cloth import Laws
 from sim.energies import bending_law
@@ -29,6 +29,14 @@ from sim.scene import Scene
 from sim.solver.newton import NewtonOptions, Status
 
 _SMALL = 0.01  # reduced curvature below the softening limit of every term of the law
+
+
+def tabulated_law(curvature: np.ndarray, torque: np.ndarray) -> np.ndarray:
+    """Linear pieces (4, K - 1) through curvatures (K,) from 0, 1/m, and torques (K,), N."""
+    rise = np.diff(torque)
+    if not (rise > 0).all():
+        raise InputError("the torque must increase with the curvature")
+    return np.stack([curvature[:-1], torque[:-1], rise / np.diff(curvature), np.zeros_like(rise)])
 
 
 def cylinder_torque(fabric: Fabric, angle: float, curvature: np.ndarray) -> np.ndarray:

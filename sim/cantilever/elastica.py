@@ -72,14 +72,6 @@ def softening_law(alpha: float, beta: float) -> np.ndarray:
     return np.array([[0, end], [0, alpha * end * (1 - u)], [alpha, alpha * (1 - 2 * u)], [beta, 0]])
 
 
-def tabulated_law(curvature: np.ndarray, torque: np.ndarray) -> np.ndarray:
-    """Linear pieces (4, K - 1) through curvatures (K,) from 0, 1/m, and torques (K,), N."""
-    rise = np.diff(torque)
-    if not (rise > 0).all():
-        raise InputError("the torque must increase with the curvature")
-    return np.stack([curvature[:-1], torque[:-1], rise / np.diff(curvature), np.zeros_like(rise)])
-
-
 def aspect_ratio(end: np.ndarray) -> float:
     """Drop over reach (H/W) of a deflected strip with the free end at ``end`` (2,), m."""
     return float(end[1] / end[0])

@@ -34,9 +34,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.errors import InputError
-from common.types import Curvatures, Density, FaceMask, Moduli, StateVector
+from common.types import Curvatures, FaceMask, StateVector
 from sim.energies.midedge import MidEdgeBending
-from sim.material import BIAS, REFERENCE_DENSITY, WARP, WEFT, Fabric, plate_constants, torque
+from sim.material import BIAS, WARP, WEFT, Fabric, plate_constants, torque
 from sim.mesh import Mesh
 
 KES_CURVATURE = 100.0
@@ -84,16 +84,6 @@ class Hysteresis:
         share = np.broadcast_to(self.share, 3)
         scale = share / (1 - share) if self.added else share
         return scale * torque(self.at, fabric.alpha, fabric.beta)
-
-
-def kes_fabric(
-    b: Moduli, two_hb: np.ndarray, density: Density = REFERENCE_DENSITY
-) -> tuple[Fabric, Hysteresis]:
-    """The fabric and bending law of readings of KES-FB2, B and 2HB (3,), N·m per metre of width.
-    Its loading torque is B kappa + HB."""
-    b, friction = np.asarray(b, float), np.asarray(two_hb, float) / 2
-    share = friction / (KES_CURVATURE * b + friction)
-    return Fabric(b, density=density), Hysteresis(tuple(share.tolist()), added=True)
 
 
 class HystereticBending(MidEdgeBending):

@@ -6,7 +6,12 @@ from scipy.integrate import solve_bvp
 
 from common.errors import InputError
 from experiments.physics.guides import LevelSides, TiedRows, guided
-from experiments.physics.strips import cylinder_moduli, cylinder_torque, free_modulus
+from experiments.physics.strips import (
+    cylinder_moduli,
+    cylinder_torque,
+    free_modulus,
+    tabulated_law,
+)
 from sim.cantilever import (
     aspect_ratio,
     elastica,
@@ -15,12 +20,7 @@ from sim.cantilever import (
     hang,
     heavy_elastica,
 )
-from sim.cantilever.elastica import (
-    curvature_of_torque,
-    softening_law,
-    strip_shape,
-    tabulated_law,
-)
+from sim.cantilever.elastica import curvature_of_torque, softening_law, strip_shape
 from sim.cloth import Laws
 from sim.energies import bending_law
 from sim.energies.membrane import Corotational

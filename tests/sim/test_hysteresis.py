@@ -5,13 +5,13 @@ import pytest
 from scipy.optimize import brentq
 
 from common.errors import InputError
+from experiments.physics.laboratory import kes_fabric
 from sim.cloth import Laws
 from sim.energies.bending_variants import (
     BUILD_UP,
     KES_CURVATURE,
     Hysteresis,
     HystereticBending,
-    kes_fabric,
 )
 from sim.equilibrium import find_equilibrium
 from sim.material import Fabric, torque
