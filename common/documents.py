@@ -4,7 +4,6 @@ Contents are validated by a :class:`Schema`; every fault raises an InputError of
 """
 
 import csv
-import json
 import os
 import reprlib
 import stat
@@ -83,22 +82,16 @@ class _Loader(yaml.SafeLoader):
 
     def mapping_of(self, node: Any) -> dict:
         """Construct a mapping whose keys differ."""
-        return without_repeats([(self.construct_object(key, deep=True),
-                                 self.construct_object(value, deep=True))
-                                for key, value in node.value])
+        mapping = {}
+        for key_node, value_node in node.value:
+            key = self.construct_object(key_node, deep=True)
+            if key in mapping:
+                raise yaml.YAMLError(f"the key {shown(key)} occurs twice; remove one")
+            mapping[key] = self.construct_object(value_node, deep=True)
+        return mapping
 
 
 _Loader.add_constructor("tag:yaml.org,2002:map", _Loader.mapping_of)
-
-
-def without_repeats(pairs: list[tuple[Any, Any]]) -> dict:
-    """A mapping of ``pairs``; ValueError for a repeated key."""
-    mapping = {}
-    for key, value in pairs:
-        if key in mapping:
-            raise ValueError(f"the key {shown(key)} occurs twice; remove one")
-        mapping[key] = value
-    return mapping
 
 
 def parse_yaml(text: str, what: str | Path) -> Mapping:
@@ -113,11 +106,10 @@ def parse_yaml(text: str, what: str | Path) -> Mapping:
 
 
 def parse_json(data: bytes | str, what: str | Path, remedy: str = "copy it again") -> Any:
-    """Parse JSON, named ``what`` in errors, without NaN, deep nesting and repeated keys."""
+    """Parse JSON, named ``what`` in errors, without NaN and deep nesting."""
     try:
-        from_json(data, allow_inf_nan=False)  # bounds the depth, which json does not
-        return json.loads(data, object_pairs_hook=without_repeats)
-    except (ValueError, RecursionError) as error:
+        return from_json(data, allow_inf_nan=False)
+    except ValueError as error:
         raise InputError(f"{what} is damaged or not a JSON document ({one_line(error)}); "
                          f"{remedy}") from None
 

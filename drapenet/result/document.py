@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field, PlainValidator, model_validator
+from pydantic import BeforeValidator, Field, InstanceOf, model_validator
 
 from common.documents import Excerpt, shown
 from common.types import Density
@@ -27,14 +27,7 @@ ROLES = ("warp_or_stiff", "bias", "weft_or_soft")
 """Directions in tables whose fabrics need not all have a marked warp."""
 _FORMULA = tuple("=+-@\t\r\n")  # first characters of cells that spreadsheets evaluate
 
-
-def _text(value: object) -> str:
-    if not isinstance(value, str):
-        raise ValueError("is not a text")
-    return value
-
-
-Text = Annotated[str, PlainValidator(_text)]
+Text = InstanceOf[str]
 """A text that may hold a path, whose bytes need not be UTF-8."""
 Finite = Annotated[float | None, BeforeValidator(
     lambda value: None if isinstance(value, float) and not math.isfinite(value) else value)]

@@ -94,7 +94,7 @@ def test_sound_documents_are_taken_as_they_are() -> None:
 
 
 @pytest.mark.parametrize("text", ["", "{", "[" * 100_000, '{"a":' * 100_000, "NaN",
-                                  '{"a": 1, "a": 1}', "\ud800", '"\x00"', "1" * 10_000])
+                                  "\ud800", '"\x00"', "1" * 10_000])
 def test_hostile_json_is_refused_in_one_short_line(tmp_path: Path, text: str) -> None:
     (tmp_path / "a.json").write_bytes(text.encode("utf-8", "surrogatepass"))
     with pytest.raises(InputError, match="not a JSON document") as refusal:
