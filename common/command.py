@@ -29,22 +29,18 @@ _FULL_ERROR = "HYDRA_FULL_ERROR"
 
 
 def command(
-    name: str, schema: type, *, first: str = ""
+    name: str, schema: type
 ) -> Callable[[Callable[[Any], None]], Callable[..., None]]:
-    """Decorator: make a function of a ``schema`` object the command of ``configs/NAME.yaml``.
-
-    Its help begins with its module's docstring. ``first`` is the key whose value is the first
-    argument, unless that has the form key=value.
+    """Decorator: make a function of a ``schema`` object the command of ``configs/NAME.yaml``; its
+    help begins with its module's docstring.
     """
 
     def decorate(task: Callable[[Any], None]) -> Callable[..., None]:
         def run(words: list[str]) -> None:
             if {"-h", "--help"} & set(words):
                 print(help_text(name, sys.modules[task.__module__].__doc__ or ""))
-                return
-            if first and words and "=" not in words[0] and words[0][:1] not in "-~":
-                words = [f"{first}={words[0]}", *words[1:]]
-            _run(task, name, schema, words)
+            else:
+                _run(task, name, schema, words)
 
         return functools.wraps(task)(_main(run))
 

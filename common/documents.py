@@ -4,9 +4,7 @@ Contents are validated by a :class:`Schema`; every fault raises an InputError of
 """
 
 import csv
-import os
 import reprlib
-import stat
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -155,11 +153,11 @@ def read_bytes(file: Path, max_bytes: int, kind: str) -> bytes:
 def require_regular(file: Path, max_bytes: int, kind: str) -> None:
     """InputError for pipes, which would block, devices, which may be endless, and large files."""
     with reading(file, "check the path and the permissions"):
-        status = os.stat(file)
-    if not stat.S_ISREG(status.st_mode):
+        size = file.stat().st_size
+    if not file.is_file():
         raise InputError(f"{file} is not a regular file; give a {kind}")
-    if status.st_size > max_bytes:
-        raise InputError(f"{file} has {status.st_size} bytes; a {kind} has at most {max_bytes}")
+    if size > max_bytes:
+        raise InputError(f"{file} has {size} bytes; a {kind} has at most {max_bytes}")
 
 
 def read_arrays(file: Path, names: Sequence[str], *, expected: str) -> dict[str, np.ndarray]:

@@ -1,6 +1,6 @@
 """Verify a dataset of drapes and report its statistics.
 
-    python -m data.dataset.inspect FOLDER [out=REPORT]  # or outputs/inspect/NAME_OF_DATASET
+    python -m data.dataset.inspect data=FOLDER [out=REPORT]  # or outputs/inspect/NAME_OF_DATASET
 
 Checks that the shards of the dataset in FOLDER are those listed in its dataset.json, then reports
 outcomes, parameters compared with the prior, and drapes. Writes report.json and contact_sheet.png
@@ -56,12 +56,11 @@ class InspectConfig:
     sheet: Annotated[int, Field(ge=1)]
 
 
-@command("inspect", InspectConfig, first="data")
+@command("inspect", InspectConfig)
 def main(config: InspectConfig) -> None:
     """Verify the dataset; print and write the report."""
     if not config.data:
-        raise InputError("the folder of a dataset is missing: "
-                         "python -m data.dataset.inspect FOLDER")
+        raise InputError("data= is missing; give the folder of a dataset: data=FOLDER")
     root = Path(config.data)
     out = Path(config.out or Path("outputs/inspect") / root.resolve().name)
     require_folder(out)

@@ -67,7 +67,7 @@ def run(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["words"])
     called: list[Words] = []
 
-    @command("words", Words, first="name")
+    @command("words", Words)
     def main(words: Words) -> None:
         called.append(words)
 
@@ -114,8 +114,8 @@ def test_a_text_is_taken_as_it_is_written(run, text):
     assert words.name == words.inner.text == text
 
 
-def test_lists_interpolations_and_the_first_word(run):
-    (words,) = run("a b", "names=['a, b',\"c\"]", "numbers=1,2.5", "inner.text=${count} x")
+def test_lists_and_interpolations(run):
+    (words,) = run("name=a b", "names=['a, b',\"c\"]", "numbers=1,2.5", "inner.text=${count} x")
     assert (words.name, words.names) == ("a b", ["a, b", "c"])
     assert words.numbers == [1.0, 2.5] and words.inner.text == "1 x"
     assert run("numbers=[3,4]")[0].numbers == [3.0, 4.0] and run("names=[c/d,e]")[0].names[0] == (
@@ -125,7 +125,7 @@ def test_lists_interpolations_and_the_first_word(run):
 
 @pytest.mark.parametrize(("words", "complaint"), [
     (["cuont=1"], "cuont"), (["+cuont=1"], "cuont"), (["inner.txt=a"], "inner.txt"),
-    (["a", "count"], "count"), (["count=1.5"], "count=1.5"), (["count=1001"], "count=1001.*1000"),
+    (["count"], "count"), (["count=1.5"], "count=1.5"), (["count=1001"], "count=1001.*1000"),
     (["inner.number=-5"], "inner.number=-5"), (["count=1,2"], "count"), (["~count"], "count"),
     (["inner.text=${nowhere}"], "nowhere"), (["numbers=[1,x]"], "numbers.1='x'"),
     (["numbers=[1,nan]"], "numbers.1=nan"), (["flag=maybe"], "flag='maybe'"),

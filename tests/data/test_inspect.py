@@ -167,7 +167,7 @@ def test_the_contact_sheet_shows_cloth_where_drapes_are(bare):
 
 def test_a_dataset_without_a_drape_has_a_report_too(tmp_path, capsys):
     generate(tmp_path / "set", small_config(drapes=3), solver=fake_drapes.overflowing)
-    main([str(tmp_path / "set"), f"out={tmp_path / 'report'}"])
+    main([f"data={tmp_path / 'set'}", f"out={tmp_path / 'report'}"])
     content = json.loads((tmp_path / "report" / "report.json").read_text(encoding="utf-8"))
     assert content["converged"] == 0 and content["drape_coefficient"] is None
     assert content["failures"][0]["status"] == "exception"
@@ -179,7 +179,7 @@ def test_the_report_knows_neither_folder_nor_machine(bare, tmp_path, capsys):
     before = {path: path.stat().st_mtime_ns for path in bare.iterdir()}
     shutil.copytree(bare, tmp_path / "elsewhere")
     for root, out in ((bare, "a"), (tmp_path / "elsewhere", "b")):
-        main([str(root), f"out={tmp_path / out}", "sheet=3", "intersections=2"])
+        main([f"data={root}", f"out={tmp_path / out}", "sheet=3", "intersections=2"])
     for name in ("report.json", "contact_sheet.png"):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
     assert {path: path.stat().st_mtime_ns for path in bare.iterdir()} == before
@@ -255,7 +255,7 @@ def test_a_manifest_that_does_not_match_its_shards_is_refused(bare, tmp_path, sp
     shutil.copytree(bare, folder)
     spoil(folder)
     with pytest.raises(InputError, match=complaint) as refusal:
-        main([str(folder), f"out={tmp_path / 'report'}"])
+        main([f"data={folder}", f"out={tmp_path / 'report'}"])
     assert "\n" not in str(refusal.value)
     assert not (tmp_path / "report").exists()
 
@@ -272,13 +272,12 @@ def test_a_whole_shard_of_another_dataset_is_refused(bare, tangled, tmp_path):
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        ([], "folder of a dataset is missing"),
-        (["out=somewhere"], "folder of a dataset is missing"),
-        (["nowhere"], "nowhere is not a dataset"),
-        (["set", "size=3"], "size=3"),
-        (["set", "out=/proc/report"], "cannot write to the folder /proc/report"),
-        (["set", "sheet=0"], "sheet=0"),
-        (["set", "intersections=-1"], "intersections=-1"),
+        ([], "data= is missing"),
+        (["data=nowhere"], "nowhere is not a dataset"),
+        (["data=set", "size=3"], "size=3"),
+        (["data=set", "out=/proc/report"], "cannot write to the folder /proc/report"),
+        (["data=set", "sheet=0"], "sheet=0"),
+        (["data=set", "intersections=-1"], "intersections=-1"),
     ],
 )
 def test_mistakes_on_the_command_line(words, complaint):
