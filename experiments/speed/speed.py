@@ -65,7 +65,7 @@ def run(config: Config) -> Result:
     """Time all drapes."""
     fabrics = [prior_fabric(k, config["seed"]) for k in range(config["drapes"])]
     drape(MEDIAN, edge=4e-3)  # compiles or loads the kernels of all meshes
-    report = {"dtype": "float64", "linear_solver": available_solvers()[0], "threads": 1}
+    report = {"dtype": "float64", "linear_solver": available_solvers()[0].__name__, "threads": 1}
     report["default"] = time_drapes(fabrics, config["edge_mm"])
     if config["fine_mm"]:
         report["fine"] = time_drapes(fabrics[: config["fine_drapes"]], config["fine_mm"])

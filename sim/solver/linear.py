@@ -14,8 +14,6 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from common.errors import InputError
-
 
 class SparsePattern:
     """Pattern of the upper triangle of symmetric matrices assembled from stencils: the structure in
@@ -96,8 +94,6 @@ class CholeskySolver(Protocol):
     error of a few per cent, at half the cost.
     """
 
-    name: str
-
     def factorise(self, data: np.ndarray, *, rough: bool = False) -> bool:
         """Factor the matrix with CSR data (nnz,); False if not positive definite or finite."""
 
@@ -107,8 +103,6 @@ class CholeskySolver(Protocol):
 
 class SuperLUSolver(CholeskySolver):
     """SciPy's SuperLU in symmetric mode: slower, but always available."""
-
-    name = "superlu"
 
     def __init__(self, pattern: SparsePattern) -> None:
         self._pattern = pattern
@@ -143,8 +137,6 @@ class PardisoSolver(CholeskySolver):
     the time, with solutions refined by conjugate gradients; two steps nearly always suffice, one
     for a rough solution. The solver switches to double precision for good if the first failure in
     single precision proves wrong, or if a refinement converges too slowly."""
-
-    name = "pardiso"
 
     def __init__(self, pattern: SparsePattern) -> None:
         self._pattern = pattern
@@ -308,24 +300,16 @@ def _times(data, indices, indptr, x):
     return result
 
 
-_SOLVERS = {solver.name: solver for solver in (PardisoSolver, SuperLUSolver)}
-
-
 @functools.cache
-def available_solvers() -> tuple[str, ...]:
-    """Names of the solvers available on this machine, fastest first."""
+def available_solvers() -> tuple[type[CholeskySolver], ...]:
+    """The solvers available on this machine, fastest first."""
     try:
         find_mkl()
     except (ImportError, OSError):
-        return (SuperLUSolver.name,)
-    return tuple(_SOLVERS)
+        return (SuperLUSolver,)
+    return PardisoSolver, SuperLUSolver
 
 
-def make_solver(pattern: SparsePattern, name: str | None = None) -> CholeskySolver:
-    """The solver called ``name``, or the fastest, for matrices of ``pattern``; InputError for an
-    unknown or unavailable name."""
-    available = available_solvers()
-    name = name or available[0]
-    if name not in available:
-        raise InputError(f"linear solver '{name}' is not available here; choose {available}")
-    return _SOLVERS[name](pattern)
+def make_solver(pattern: SparsePattern) -> CholeskySolver:
+    """The fastest available solver, for matrices of ``pattern``."""
+    return available_solvers()[0](pattern)

@@ -18,7 +18,7 @@ from data.dataset.shards import Shard
 from data.dataset.simulate import make_record
 from data.fabrics.prior import load_prior
 from sim.solver import linear
-from sim.solver.linear import SparsePattern, available_solvers, make_solver
+from sim.solver.linear import PardisoSolver, SparsePattern, available_solvers
 
 ROOT = Path(__file__).parents[2]
 
@@ -231,10 +231,10 @@ def test_accidents_of_measures_are_recorded(monkeypatch):
     assert np.isnan(record["drape_coefficient"]) and record["folds"] == -1
 
 
-@pytest.mark.skipif("pardiso" not in available_solvers(), reason="PARDISO is not here")
+@pytest.mark.skipif(PardisoSolver not in available_solvers(), reason="PARDISO is not here")
 def test_only_running_out_of_memory_ends_more_than_a_drape(monkeypatch):
     def factor(fabric, **settings):
-        make_solver(SparsePattern([np.arange(3)[None]], 3), "pardiso")
+        PardisoSolver(SparsePattern([np.arange(3)[None]], 3))
 
     for code in (-1, -3, -7):
         monkeypatch.setattr(linear._Factor, "_call", lambda *_, code=code: code)

@@ -143,8 +143,8 @@ def test_a_flat_saddle_is_left_too():
 def test_a_minimum_is_proved_in_full_precision(monkeypatch):
     calls, solved = [], []
 
-    def recording(pattern, name=None):
-        solver = make_solver(pattern, name)
+    def recording(pattern):
+        solver = make_solver(pattern)
         factorise = solver.factorise
         solver.factorise = lambda data, *, rough=False: calls.append(rough) or factorise(
             data, rough=rough)
