@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from common.documents import Schema
 from common.errors import InputError
@@ -33,14 +33,8 @@ class ExportSettings(Schema):
     curvature_1_m: float = Field(0.0, ge=0, le=1000)
     mesh: Literal[tuple(MESHES)] = "unstructured"
     edge_mm: float = Field(5.0, ge=0.1, le=100)
-    name: str = Field("", max_length=MAX_NAME_LENGTH)
-
-    @field_validator("name")
-    @classmethod
-    def _printable(cls, name: str) -> str:
-        if not name.isprintable():
-            raise ValueError("has characters that cannot be printed")
-        return name
+    name: str = Field("", max_length=MAX_NAME_LENGTH, pattern=r"^[^\p{C}\p{Zl}\p{Zp}]*$",
+                      description=f"up to {MAX_NAME_LENGTH} printable characters")
 
 
 @dataclass(frozen=True)

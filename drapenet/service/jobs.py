@@ -82,8 +82,7 @@ class Jobs:
             for name, data in upload.files.items():
                 (folder / UPLOADED / name).write_bytes(data)
             change_state(folder, id=identity, name=upload.name, state=QUEUED, stage=None,
-                         refine=upload.refine, progress=None, error=None, warnings=[],
-                         created=time.time(), ended=None)
+                         progress=None, error=None, warnings=[], ended=None)
             self._schedule(folder, {"refine": upload.refine, "scan": upload.scan,
                                     "name": upload.name, "density": upload.density})
         except BaseException as error:

@@ -103,8 +103,7 @@ def _throttled(folder: Path) -> Callable[[int, int, float], None]:
     def progress(made: int, expected: int, misfit: float) -> None:
         nonlocal last
         if time.monotonic() - last > _PROGRESS_INTERVAL:
-            change_state(folder, progress={"made": made, "expected": max(expected, made),
-                                           "misfit": misfit})
+            change_state(folder, progress={"made": made, "expected": max(expected, made)})
             last = time.monotonic()
 
     return progress

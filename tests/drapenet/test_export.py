@@ -174,7 +174,7 @@ def test_all_targets_of_one_estimate_have_the_same_bytes_again(estimate: Path) -
 @pytest.mark.parametrize(("words", "changes", "complaint"), [
     (["to=zfab"], {}, "to=zfab: unknown; choose from jfab"), ([], {}, "to= is missing; give one"),
     (["to=jfab", f"name={'x' * 81}"], {}, "name='xxx"),
-    (["to=jfab", "name=a\tb"], {}, "cannot be printed"),
+    (["to=jfab", "name=a\tb"], {}, "printable characters"),
     (["to=ppf", "mesh=hexagons"], {}, "mesh='hexagons'"),
     (["to=ppf", "edge_mm=500"], {}, "edge_mm=500.0"),
     (["to=ppf", "edge_mm=40"], {}, "edge_mm=40 is too coarse for this fabric"),
