@@ -153,6 +153,5 @@ class Jobs:
 
     def _end(self, folder: Path, state: str, sentence: str) -> None:
         with suppress(Exception):  # a full disk must not end the thread that serves all others
-            change_state(folder, state=state, stage=None, progress=None, error=sentence,
-                         ended=time.time())
+            change_state(folder, state=state, error=sentence)
         shutil.rmtree(folder / UPLOADED, ignore_errors=True)

@@ -30,7 +30,9 @@ def read_state(folder: Path) -> dict[str, Any] | None:
 
 
 def change_state(folder: Path, **values: object) -> None:
-    """Change keys of an estimate's state."""
+    """Change keys of an estimate's state, which after its end has neither stage nor progress."""
+    if values.get("state") in ENDED:
+        values = {"stage": None, "progress": None, "ended": time.time()} | values
     replace_json(folder / STATE, (read_state(folder) or {}) | values)
 
 
@@ -78,12 +80,10 @@ def estimate_upload(
         result = estimate_capture(
             capture, header_for([capture]), EstimateOptions(refine=settings), out=folder,
             scan=registered, on_stage=note_stage, progress=_throttled(folder))
-        change_state(folder, state=DONE, stage=None, progress=None, ended=time.time(),
-                     warnings=result.document.warnings)
+        change_state(folder, state=DONE, warnings=result.document.warnings)
     except InputError as error:
         sentence = str(error).replace(f"{uploaded}/", "").replace(str(uploaded), name)
-        change_state(folder, state=FAILED, stage=None, progress=None, error=sentence,
-                     ended=time.time())
+        change_state(folder, state=FAILED, error=sentence)
 
 
 def preview(capture: Any) -> bytes:
