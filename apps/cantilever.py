@@ -59,7 +59,6 @@ class EstimateConfig:
     density: float
     method: str
     slope: float
-    degree: int
     rounds: int
     width: float
     out: str
@@ -134,7 +133,6 @@ def moduli(strips: Strips, config: EstimateConfig) -> dict:
         "density": 1e-3 * config.density,
         "method": config.method,
         "slope": float(np.radians(config.slope)),
-        "degree": config.degree,
     }
     estimates = estimate_moduli(strips, **options)
     rows = {

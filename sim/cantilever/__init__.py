@@ -2,8 +2,7 @@
 
 A strip of fabric is clamped at one end and bends under its weight (Feng et al. 2022, section 4.3).
 Throughout, a deflection curve leads from the clamp's edge to the free end, the drop positive
-downwards; ``weight`` is rho g in N/m², ``slope`` the angle of the clamp below the horizontal, and
-``degree`` that of the Bézier curves that smooth deflection curves (0: selected for each).
+downwards; ``weight`` is rho g in N/m² and ``slope`` the angle of the clamp below the horizontal.
 """
 
 from sim.cantilever.elastica import aspect_ratio, elastica, gamma_of_aspect_ratio, heavy_elastica

@@ -109,28 +109,27 @@ def arc_lengths(curve: DeflectionCurve) -> np.ndarray:
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
-def fit_bezier(
-    curve: DeflectionCurve, *, degree: int = 0, slope: Radians = 0.0
-) -> tuple[Bezier, Metres]:
-    """Least-squares Bézier curve that starts at 0 in the clamp's direction, and the root mean
-    square distance of the points from it. ``degree`` 0 selects the degree in :data:`DEGREES` with
-    the smallest Bayesian information criterion, so that noise is not fitted."""
+def fit_bezier(curve: DeflectionCurve, *, slope: Radians = 0.0) -> Bezier:
+    """Least-squares Bézier curve that starts at 0 in the clamp's direction, of the degree in
+    :data:`DEGREES` with the smallest Bayesian information criterion, so that noise is not fitted.
+    """
     count = len(curve)
-    degrees = [degree] if degree else [d for d in DEGREES if 2 * (d + 1) <= count] or DEGREES[:1]
-    if degrees[0] < 2:
-        raise InputError(f"a Bézier curve of degree {degree} cannot bend; give 2 or more")
-    if count < (needed := 2 * (degrees[0] + 1)):
-        raise InputError(f"a Bézier curve of degree {degrees[0]} needs {needed} points, "
+    if count < (needed := 2 * (DEGREES[0] + 1)):
+        raise InputError(f"a Bézier curve of degree {DEGREES[0]} needs {needed} points, "
                          f"not {count}")
     # Distances below 1e-6 of the curve's size are not distinguished. Each point contributes one
     # residual, its distance across the curve.
     least = (1e-6 * np.linalg.norm(curve[-1])) ** 2
-    return min((_fit_degree(curve, each, slope) for each in degrees), key=lambda fit: (
-        count * np.log(fit[1] ** 2 + least) + 2 * len(fit[0].control) * np.log(count)))
+    fits = (fit_degree(curve, degree, slope) for degree in DEGREES if 2 * (degree + 1) <= count)
+    return min(fits, key=lambda fit: (
+        count * np.log(fit[1] ** 2 + least) + 2 * len(fit[0].control) * np.log(count)))[0]
 
 
-def _fit_degree(curve: DeflectionCurve, degree: int, slope: Radians) -> tuple[Bezier, Metres]:
-    """The fit is repeated with each point's parameter moved to the nearest point of the curve."""
+def fit_degree(
+    curve: DeflectionCurve, degree: int, slope: Radians = 0.0
+) -> tuple[Bezier, Metres]:
+    """The fit of one ``degree``, repeated with each point's parameter moved to the nearest point of
+    the curve, and the root mean square distance of the points from it."""
     t = arc_lengths(curve)
     t /= t[-1]
     bezier = _solve(curve, t, degree, slope)
@@ -189,10 +188,10 @@ def fit_law(curvature: np.ndarray, moment: np.ndarray) -> tuple[float, float, fl
 
 
 def regress(
-    curves: Sequence[DeflectionCurve], *, weight: float, slope: Radians = 0.0, degree: int = 0
+    curves: Sequence[DeflectionCurve], *, weight: float, slope: Radians = 0.0
 ) -> StripModuli:
     """Moduli from one or several strips of one direction by regression of torque on curvature."""
-    fits = [fit_bezier(curve, degree=degree, slope=slope)[0] for curve in curves]
+    fits = [fit_bezier(curve, slope=slope) for curve in curves]
     moment, curvature = np.hstack([torque_and_curvature(fit, weight=weight) for fit in fits])
     alpha, beta, misfit = fit_law(curvature, moment)
     if misfit > MAX_TORQUE_MISFIT:
@@ -202,7 +201,7 @@ def regress(
 
 
 def match(
-    curves: Sequence[DeflectionCurve], *, weight: float, slope: Radians = 0.0, degree: int = 0
+    curves: Sequence[DeflectionCurve], *, weight: float, slope: Radians = 0.0
 ) -> StripModuli:
     """Moduli whose elastica curves are nearest to the curves of one direction.
 
@@ -210,7 +209,7 @@ def match(
     refined by least squares of the points' distances from elastica curves, with the strips' lengths
     as further unknowns. Unlike the regression, this needs no derivatives of a noisy curve.
     """
-    fits = [fit_bezier(curve, degree=degree, slope=slope)[0] for curve in curves]
+    fits = [fit_bezier(curve, slope=slope) for curve in curves]
     lengths = np.array([fit.length for fit in fits])
     shapes, curvatures = zip(*[fit.sample(POINTS) for fit in fits], strict=True)
 
@@ -265,15 +264,13 @@ METHODS: dict[str, Callable[..., StripModuli]] = {"regression": regress, "table"
 
 
 def estimate_moduli(
-    strips: Strips, *, density: Density, method: str = "table", slope: Radians = 0.0,
-    degree: int = 0
+    strips: Strips, *, density: Density, method: str = "table", slope: Radians = 0.0
 ) -> dict[str, StripModuli]:
     """Moduli of each direction from its strips alone, by one of :data:`METHODS`."""
     moduli = {}
     for direction, curves in strips.items():
         try:
-            moduli[direction] = METHODS[method](curves, weight=density * GRAVITY, slope=slope,
-                                                degree=degree)
+            moduli[direction] = METHODS[method](curves, weight=density * GRAVITY, slope=slope)
         except InputError as error:
             raise InputError(f"{direction}: {error}") from None
     return moduli
@@ -289,8 +286,7 @@ def fabric_of(moduli: Mapping[str, StripModuli], density: Density) -> Fabric:
 
 def correct(
     strips: Strips, moduli: Mapping[str, StripModuli], *, density: Density,
-    rounds: int = MAX_ROUNDS, width: Metres = 0.03, method: str = "table", slope: Radians = 0.0,
-    degree: int = 0,
+    rounds: int = MAX_ROUNDS, width: Metres = 0.03, method: str = "table", slope: Radians = 0.0
 ) -> Fabric:
     """The fabric whose simulated strips give the same ``moduli`` as the measured strips.
 
@@ -301,17 +297,15 @@ def correct(
     regression's estimate of a bias strip's beta varies with the triangulation by a quarter.
     """
     fabric = fabric_of(moduli, density)
-    lengths = {
-        direction: [fit_bezier(c, degree=degree, slope=slope)[0].length for c in strips[direction]]
-        for direction in DIRECTIONS
-    }
+    lengths = {direction: [fit_bezier(curve, slope=slope).length for curve in strips[direction]]
+               for direction in DIRECTIONS}
     target = at = _unknowns(moduli)
     response = np.eye(len(target))
     best, least, last = fabric, np.inf, None
     for _ in range(rounds):
         simulated = simulate_strips(fabric, lengths, width=width, slope=slope)
         residual = target - _unknowns(estimate_moduli(
-            simulated, density=density, method=method, slope=slope, degree=degree))
+            simulated, density=density, method=method, slope=slope))
         if np.linalg.norm(residual) < least:
             best, least = fabric, float(np.linalg.norm(residual))
         if last is not None:
