@@ -16,7 +16,7 @@ from data.fabrics.prior import Prior, load_prior, prior_content
 from data.rigs import named_tester
 from sim.energies.bending_variants import KES_CURVATURE
 from sim.mesh.specimen import EDGE_RANGE
-from sim.rig import SQUARE_RIG, Rig
+from sim.rig import SQUARE_RIG
 from sim.start import LOWERED
 from sim.start import STARTS as SHAPES
 
@@ -58,19 +58,12 @@ class SamplingConfig:
              f"starts={starts} must contain only {', '.join(STARTS)}, {BORROWED}"),
             (set(starts) & set(STARTS), f"starts={starts} must contain {' or '.join(STARTS)}: the "
              "first drapes have nothing to borrow"),
-            (BORROWED not in starts or self.only_tester,
+            (BORROWED not in starts or (len(self.testers) == 1 and not self.random_testers),
              f"starts={starts}: drapes of one tester only can be {BORROWED}; give a single name in "
              "testers"),
         ):
             if not allowed:
                 raise InputError(complaint)
-
-    @property
-    def only_tester(self) -> Rig | None:
-        """The tester of all drapes; None if there are several."""
-        if self.random_testers or len(self.testers) != 1:
-            return None
-        return named_tester(self.testers[0])
 
 
 @dataclass(frozen=True)
