@@ -97,21 +97,15 @@ class Jobs:
 
     def _schedule(self, folder: Path, options: dict[str, Any]) -> None:
         with self._lock:
-            for _ in range(2):
-                try:
-                    future = self._pool.schedule(estimate_upload, args=[folder], kwargs=options,
-                                                 timeout=self.settings.job_seconds)
-                except RuntimeError:  # a thread of the pool has died: it finishes no estimate
-                    self.close()
-                    for waiting in tuple(self._unfinished):
-                        waiting.cancel()  # calls _ended
-                    self._pool = self._workers()
-                    continue
-                self._unfinished.add(future)
-                future.add_done_callback(lambda done: self._ended(folder, done))
-                return
-        raise RequestError(503, "the worker processes cannot be started; the service's log says "
-                           "why")
+            if not self._pool.active:  # a thread of the pool has died: it finishes no estimate
+                self.close()
+                for waiting in tuple(self._unfinished):
+                    waiting.cancel()  # calls _ended
+                self._pool = self._workers()
+            future = self._pool.schedule(estimate_upload, args=[folder], kwargs=options,
+                                         timeout=self.settings.job_seconds)
+            self._unfinished.add(future)
+            future.add_done_callback(lambda done: self._ended(folder, done))
 
     def state(self, identity: str) -> tuple[Path, dict[str, Any]]:
         """Folder and state of an estimate."""
