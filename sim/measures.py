@@ -22,8 +22,13 @@ _OUTLINE_POINTS = 720
 def drape_coefficient(positions: Points, faces: Faces, rig: Rig) -> float:
     """(projected area - plate area) / (specimen area - plate area) (BS 5058, ISO 9073-9), accurate
     to 0.3 %; 1 for a rigid specimen, 0 for one that hangs straight down."""
+    return coefficient_of_area(projected_area(positions, faces), rig)
+
+
+def coefficient_of_area(area: float, rig: Rig) -> float:
+    """Drape coefficient of a projected area, m²."""
     plate = np.pi * rig.plate_radius**2
-    return (projected_area(positions, faces) - plate) / (rig.specimen_area - plate)
+    return (area - plate) / (rig.specimen_area - plate)
 
 
 def projected_area(positions: Points, faces: Faces) -> float:
@@ -58,6 +63,25 @@ def folds_around(radius: np.ndarray, sigma: float) -> np.ndarray:
     smooth = np.roll(smooth, -seam)
     peaks, _ = find_peaks(np.append(smooth, smooth[0]), prominence=_MIN_FOLD_DEPTH)
     return np.sort((peaks + seam) % len(radius))
+
+
+@numba.njit(cache=True)
+def farthest(segments, points):
+    """Largest distance from the origin of segments (N, 2, 2) along ``points`` azimuths."""
+    radius, step = np.zeros(points), 2 * np.pi / points
+    rounding = 1e-9  # an end may lie on an azimuth
+    for t in range(len(segments)):
+        (ax, ay), (bx, by) = segments[t, 0], segments[t, 1]
+        turn = np.arctan2(ax * by - ay * bx, ax * bx + ay * by)
+        begin = np.arctan2(ay, ax) if turn >= 0 else np.arctan2(by, bx)
+        first = int(np.ceil(begin / step - rounding))
+        for k in range(first, int(np.floor((begin + abs(turn)) / step + rounding)) + 1):
+            c, s = np.cos(k * step), np.sin(k * step)
+            across = c * (by - ay) - s * (bx - ax)
+            if across != 0.0:
+                distance = (ax * (by - ay) - ay * (bx - ax)) / across
+                radius[k % points] = max(radius[k % points], distance)
+    return radius
 
 
 def fold_count(positions: Points, rest: RestPoints, rig: Rig) -> int:

@@ -4,7 +4,8 @@
 
 Two formats are recognised by their files:
 
-- ``capture.yaml`` with one to eight views in files of depth (:mod:`data.captures.frames`);
+- ``capture.yaml`` with one to eight views in files of depth (:mod:`data.captures.frames`), or with
+  an outline seen from above (:mod:`data.captures.photograph`);
 - ``density.txt`` with ``0.png`` to ``3.png``: the sets published with Feng et al. 2022, 8-bit grey,
   count/255 = metres, background 0 or above 250, of the square, with its camera's intrinsics.
 """
@@ -13,7 +14,7 @@ import hashlib
 import math
 import os
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,11 +31,14 @@ from data.captures.cutout import CutOut, cut_out, neighbours
 from data.captures.description import (
     MAX_VIEWS,
     MIN_EQUAL_TURNS,
+    PARALLEL,
     Description,
+    OutlineSource,
     checked_density,
     whole_turns,
 )
-from data.captures.frames import join_views, numbered, read_frames, read_picture
+from data.captures.frames import is_view, join_views, numbered, read_frames, read_picture
+from data.captures.photograph import PhotographedOutline, find_outline, read_outline
 from data.render.cameras import Intrinsics, nominal_camera
 from data.rigs import MISSING_TESTER, described_tester, named_tester
 from sim.rig import SQUARE_RIG, Rig
@@ -57,18 +61,18 @@ INTRINSICS_KEYS = ("fx", "fy", "cx", "cy")
 
 @dataclass(frozen=True)
 class Capture:
-    """Views of one specimen on a turntable.
+    """Views of one specimen on a turntable, or its outline from above and no view.
 
     Attributes:
         turns: nominal, since the first view.
         warp_direction: in the first view, in [0, pi), 0 to the right in the picture, pi/2 away from
-            the camera; None when it is not marked.
+            the camera (up in a picture from above); None when it is not marked.
         cut: None if the frames showed only cloth.
         face: "up" if the face of the fabric that the laboratory has marked is on top, else "down".
     """
 
     views: Views
-    intrinsics: Intrinsics
+    intrinsics: Intrinsics | None
     turns: Turns
     density: Density
     warp_direction: Radians | None
@@ -77,11 +81,13 @@ class Capture:
     warnings: tuple[str, ...]
     cut: CutOut | None = None
     face: str = "up"
+    outline: PhotographedOutline | None = None
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the views."""
-        return hashlib.sha256(self.views.tobytes()).hexdigest()
+        """SHA-256 of the views, or of the outline."""
+        content = self.views if self.outline is None else self.outline.curve
+        return hashlib.sha256(content.tobytes()).hexdigest()
 
 
 def read_capture(path: str | Path) -> Capture:
@@ -111,6 +117,11 @@ def read_capture(path: str | Path) -> Capture:
 def _read_metric(path: Path) -> Capture:
     file = path / "capture.yaml"
     description = Description.of(read_yaml(file), file)
+    if outline := find_outline(path):
+        return _read_outline(path, outline, description)
+    if description.outline:
+        raise InputError(f"{file} has the key outline, but there is no outline.png, .jpg, .tif, "
+                         ".csv or .txt; name the photograph so, or leave the key out")
     frames = read_frames(path, description)
     depth, background = frames.depth, frames.background
     count, height, width = depth.shape
@@ -131,13 +142,32 @@ def _read_metric(path: Path) -> Capture:
         background = None if background is None else background[::step, ::step]
         numbers = {key: getattr(intrinsics, key) / step for key in INTRINSICS_KEYS}
         intrinsics = Intrinsics(**numbers, width=depth.shape[2], height=depth.shape[1])
-    if description.tester is None:
-        raise InputError(f"{file} states no tester; {MISSING_TESTER}")
-    cut = cut_out(depth, intrinsics, description.tester, background)
+    rig = _tester(path, description)
+    cut = cut_out(depth, intrinsics, rig, background)
     views, warnings = checked_views(cut.views if cut else depth)
     return Capture(views, intrinsics, turns, description.density, description.warp_direction,
-                   description.tester, path, (*(cut.warnings if cut else ()), *warnings), cut,
-                   description.face)
+                   rig, path, (*(cut.warnings if cut else ()), *warnings), cut, description.face)
+
+
+def _tester(path: Path, description: Description) -> Rig:
+    if description.tester is None:
+        raise InputError(f"{path / 'capture.yaml'} states no tester; {MISSING_TESTER}")
+    return description.tester
+
+
+def _read_outline(path: Path, file: Path, description: Description) -> Capture:
+    if view := next(filter(is_view, sorted(entry.name for entry in path.iterdir())), None):
+        raise InputError(f"{path} holds {file.name} and {view}; give depth views and outlines in "
+                         "different folders")
+    for key in ("depth_unit_m", "intrinsics", "turns_deg", "size_px"):
+        if getattr(description, key) is not None:
+            raise InputError(f"{path / 'capture.yaml'}: {key} is of depth views, but the folder "
+                             f"holds {file.name}; leave it out")
+    rig = _tester(path, description)
+    outline = read_outline(file, description.outline or OutlineSource(), rig)
+    return Capture(np.zeros((0, 0, 0), np.float32), None, np.zeros(0), description.density,
+                   description.warp_direction, rig, path, outline.warnings, face=description.face,
+                   outline=outline)
 
 
 def _read_published(path: Path) -> Capture:
@@ -308,8 +338,6 @@ def write_capture(
         raise InputError(f"depth from {depth_unit * counts.min():.4g} to "
                          f"{depth_unit * counts.max():.4g} m does not fit 16 bits at "
                          f"{depth_unit:g} m per count; choose a larger depth_unit")
-    if path.exists() and (not path.is_dir() or any(path.iterdir())):
-        raise InputError(f"'{path}' exists already; remove it or choose another folder")
     description = {
         "density_g_m2": round(density * 1e3, 6),
         "depth_unit_m": depth_unit,
@@ -323,14 +351,42 @@ def write_capture(
         description["turns_deg"] = np.degrees(turns).round(6).tolist()
     if warp_direction is not None:
         description["warp_direction_deg"] = round(math.degrees(warp_direction), 6)
+
+    def save(folder: Path) -> None:
+        for name, picture in zip(pictures, counts.astype(np.uint16), strict=True):
+            Image.fromarray(picture).save(folder / f"{name}.png")
+
+    _write_folder(path, description, save)
+
+
+def write_outline(capture: Capture, path: str | Path) -> None:
+    """Write a capture of an outline, as numbers, to a new or empty folder, in one step."""
+    outline = capture.outline
+    source: dict[str, object] = {"unit": "mm", "centred": outline.centred}
+    if not math.isnan(outline.height):
+        source["camera_height_mm"] = PARALLEL if math.isinf(outline.height) else round(
+            1e3 * outline.height, 6)
+    description = {"density_g_m2": round(capture.density * 1e3, 6),
+                   "tester": described_tester(capture.rig), "face": capture.face,
+                   "outline": source}
+    if capture.warp_direction is not None:
+        description["warp_direction_deg"] = round(math.degrees(capture.warp_direction), 6)
+    _write_folder(Path(path), description, lambda folder: np.savetxt(
+        folder / "outline.csv", 1e3 * outline.curve, fmt="%.3f", delimiter=",", header="x_mm,y_mm",
+        comments=""))
+
+
+def _write_folder(path: Path, description: dict, save: Callable[[Path], None]) -> None:
+    """Write capture.yaml and what ``save`` writes to a new or empty folder, in one step."""
+    if path.exists() and (not path.is_dir() or any(path.iterdir())):
+        raise InputError(f"'{path}' exists already; remove it or choose another folder")
+    text = yaml.safe_dump(description, sort_keys=False)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as temporary:
             folder = Path(temporary) / path.name
             folder.mkdir()
-            for name, picture in zip(pictures, counts.astype(np.uint16), strict=True):
-                Image.fromarray(picture).save(folder / f"{name}.png")
-            text = yaml.safe_dump(description, sort_keys=False)
+            save(folder)
             (folder / "capture.yaml").write_text(text, encoding="utf-8")
             os.replace(folder, path)
     except OSError as error:

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, PlainValidator, model_validator
 
 from common.documents import Schema, shown
 from common.errors import InputError
-from common.types import Density, Radians, Turns
+from common.types import Density, Metres, Radians, Turns
 from data.render.cameras import Intrinsics
 from data.rigs import Tester
 
@@ -20,6 +20,9 @@ MIN_PICTURE, MAX_PICTURE = (80, 60), (4096, 4096)
 MILLIMETRE = 1e-3  # m per count
 MIN_EQUAL_TURNS = 4  # views, from which on equally spaced turns are the default
 MIN_TURN = 6.3  # degrees; the largest turn given in radians is 6.28
+CAMERA_HEIGHTS = (200.0, 20_000.0)  # mm above the plate, of a photograph's camera
+PARALLEL = "parallel"
+"""Height of a camera infinitely far away, such as the light of a drapemeter."""
 
 
 class _Density(Schema):
@@ -40,6 +43,49 @@ class Pixels(Schema):
     cy: float
 
 
+class PlateInPicture(Schema):
+    """The support's top in a photograph, in pixels."""
+
+    x: float
+    y: float
+    diameter: float = Field(ge=20, le=1e5)
+
+
+def _height(value: object) -> float:
+    """A camera's height, mm, infinite for parallel light."""
+    low, high = CAMERA_HEIGHTS
+    if value == PARALLEL:
+        return math.inf
+    if isinstance(value, (int, float)) and low <= value <= high:
+        return float(value)
+    raise ValueError(f"is not a height above the plate; give {low:g} to {high:g} mm, or {PARALLEL}")
+
+
+class OutlineSource(Schema):
+    """Key ``outline``: how a drape was seen from above, or what the numbers of a file mean.
+
+    A photograph has ``mm_per_px`` or ``plate_px``, or shows a board; a text file has ``unit``.
+    ``centred``: whether the origin of a text file is the plate's centre.
+    """
+
+    mm_per_px: float | None = Field(None, gt=0, le=10)
+    plate_px: PlateInPicture | None = None
+    camera_height_mm: Annotated[float, PlainValidator(_height)] | None = None
+    unit: Literal["mm", "m"] | None = None
+    centred: bool = True
+
+    @model_validator(mode="after")
+    def _one_scale(self) -> "OutlineSource":
+        if self.mm_per_px and self.plate_px:
+            raise ValueError("mm_per_px and plate_px both state the scale; give one of them")
+        return self
+
+    @property
+    def height(self) -> Metres:
+        """Height of the camera above the plate; infinite for parallel light, NaN if unknown."""
+        return math.nan if self.camera_height_mm is None else 1e-3 * self.camera_height_mm
+
+
 class Description(_Density):
     """``capture.yaml``; point clouds are projected to ``size_px``, ``face`` is the upper one."""
 
@@ -54,6 +100,7 @@ class Description(_Density):
     face: Literal["up", "down"] = "up"
     size_px: list[Annotated[int, Field(ge=1, le=max(MAX_PICTURE))]] | None = Field(
         None, min_length=2, max_length=2, description="width and height, such as [640, 480]")
+    outline: OutlineSource | None = None
 
     @property
     def density(self) -> Density:

@@ -108,6 +108,11 @@ def read_counts(file: Path) -> np.ndarray:
     return np.where(counts >= SATURATED, 0, counts)
 
 
+def is_view(name: str) -> bool:
+    """Whether a file of this name holds depth views."""
+    return _is_recording(name) or any(_match(kind, name) for kind in KINDS)
+
+
 def _is_recording(name: str) -> bool:
     return Path(name).suffix.lower() in SUFFIXES
 

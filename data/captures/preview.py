@@ -3,7 +3,8 @@
     python -m data.captures.preview frames=FOLDER out=DIR
     python -m data.captures.preview board=board.png
 
-FOLDER has capture.yaml and frames of the full scene, or of the cloth alone (docs/use.md). Writes
+FOLDER has capture.yaml and frames of the full scene, or of the cloth alone (docs/use.md), or its
+outline from above, which is written as numbers, with a picture of curve and plate. Writes
 the capture as 16-bit PNG with background 0 to DIR, and DIR/capture.png: each frame with the outline
 of the cloth, the plate's rim and its axes; last, the hems of all frames from above, one colour per
 frame, rotated back by turns_deg. Check it: where two colours do not coincide, or all are on one
@@ -24,7 +25,7 @@ from common.errors import InputError
 from common.files import folder_named, replace_file, require_folder
 from common.types import Outline, Radians, Turns
 from data.captures.board import SQUARE, board_picture
-from data.captures.capture import read_capture, write_capture
+from data.captures.capture import Capture, read_capture, write_capture, write_outline
 from data.captures.cutout import CutOut
 from data.captures.plate import plate_of_cloth
 from data.render.cameras import Camera, Intrinsics
@@ -65,6 +66,11 @@ def main(config: CaptureConfig) -> None:
     out = folder_named(config.out)
     require_folder(out)
     capture = read_capture(config.frames)
+    if capture.outline:
+        write_outline(capture, out)
+        replace_file(out / PICTURE, outline_picture(capture))
+        _print_notes(capture.warnings, out)
+        return
     cut = capture.cut or CutOut(
         capture.views, capture.views > 0, capture.views,
         plate_of_cloth(capture.views, capture.intrinsics, capture.rig))
@@ -72,9 +78,44 @@ def main(config: CaptureConfig) -> None:
                   warp_direction=capture.warp_direction, turns=capture.turns, rig=capture.rig,
                   face=capture.face, depth_unit=DEPTH_UNIT)
     replace_file(out / PICTURE, picture(cut, capture.intrinsics, capture.rig, turns=capture.turns))
-    for line in (*capture.warnings, *(() if capture.cut else ("the frames were cut out already",))):
+    already = () if capture.cut else ("the frames were cut out already",)
+    _print_notes((*capture.warnings, *already), out)
+
+
+def _print_notes(notes: tuple[str, ...], out: Path) -> None:
+    for line in notes:
         print(f"note: {line}")
     print(f"capture: {out}\npicture: {out / PICTURE}")
+
+
+def outline_picture(capture: Capture) -> bytes:
+    """PNG of a photograph from above, or of numbers, with curve, plate, warp and measures."""
+    outline, rig = capture.outline, capture.rig
+    figure = Figure(figsize=(2 * _WIDTH, 2 * _WIDTH), dpi=100)
+    panel = figure.add_axes((0.02, 0.02, 0.96, 0.86))
+    panel.set_axis_off()
+    panel.set_aspect("equal")
+    if outline.picture is not None:
+        panel.imshow(outline.picture, cmap="gray", vmin=0, vmax=255)
+        panel.autoscale(False)
+    angle = np.linspace(0, 2 * np.pi, 181)
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    lines = [("outline", outline.curve[np.arange(len(outline.curve) + 1) % len(outline.curve)],
+              _OUTLINE, "-"),
+             ("plate", rig.plate_radius * circle, _RIM, "-"),
+             ("reach of the flat specimen", rig.reach * circle, _AXES[2], ":")]
+    if capture.warp_direction is not None:
+        along = np.array([np.cos(capture.warp_direction), np.sin(capture.warp_direction)])
+        lines.append(("warp", rig.plate_radius * np.stack([-along, along]), _AXES[0], "-"))
+    for label, points, colour, style in lines:
+        panel.plot(*outline.drawn(points).T, style, color=colour, linewidth=1, label=label)
+    scale = "" if np.isnan(outline.pixel) else f", {1e3 * outline.pixel:.3g} mm per pixel"
+    figure.text(0.02, 0.9, f"drape coefficient {100 * outline.drape_coefficient:.1f} %, as seen\n"
+                f"{outline.folds} folds; hem {1e3 * outline.radii.min():.0f} to "
+                f"{1e3 * outline.radii.max():.0f} mm from the centre"
+                f"{'' if outline.centred else ' of the outline'}\n{rig.name}{scale}", fontsize=11)
+    figure.legend(loc="upper right", frameon=False)
+    return _png(figure)
 
 
 def picture(cut: CutOut, intrinsics: Intrinsics, rig: Rig, *, turns: Turns) -> bytes:
@@ -98,6 +139,10 @@ def picture(cut: CutOut, intrinsics: Intrinsics, rig: Rig, *, turns: Turns) -> b
             panel.contour(mask, [0.5], colors=_OUTLINE, linewidths=1)
         _draw_plate(panel, intrinsics.posed(cut.plate.pose), rig)
     _draw_hems(panels[len(cut.frames)], cut, intrinsics, rig, turns)
+    return _png(figure)
+
+
+def _png(figure: Figure) -> bytes:
     stream = io.BytesIO()
     figure.savefig(stream, format="png")
     return stream.getvalue()

@@ -160,6 +160,10 @@ def read_header(path: str | Path) -> Header:
 
 def header_for(captures: Sequence[Capture], checkpoint: str = "") -> Header:
     """Header of the checkpoint for captures of one fabric; of the bundled one if none is given."""
+    for capture in captures:
+        if capture.outline is not None:
+            raise InputError(f"{capture.path}: a photograph from above is read and checked, but "
+                             "not yet estimated; give depth views")
     require_one_fabric([capture.rig for capture in captures],
                        [capture.warp_direction is not None for capture in captures],
                        [capture.density for capture in captures],

@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 from matplotlib.figure import Figure
 from scipy.interpolate import RegularGridInterpolator
@@ -28,7 +27,7 @@ from sim.cloth import Laws
 from sim.drape import Drape, drape
 from sim.energies.bending_variants import Hysteresis
 from sim.material import MICRO, Fabric
-from sim.measures import folds_around
+from sim.measures import farthest, folds_around
 from sim.mesh import Mesh
 from sim.rig import DISC_RIG
 
@@ -52,25 +51,7 @@ def shadow_radius(
     the axis at a ``height`` above the plate; infinite: parallel light."""
     hem = mesh.edges[mesh.edge_faces[:, 1] < 0]
     seen = positions[:, :2] / (1 - positions[:, 2:] / height)
-    return _farthest(seen[hem], points)
-
-
-@numba.njit(cache=True)
-def _farthest(segments, points):
-    """Largest distance from the origin of segments (N, 2, 2) along ``points`` azimuths."""
-    radius, step = np.zeros(points), 2 * np.pi / points
-    for t in range(len(segments)):
-        (ax, ay), (bx, by) = segments[t, 0], segments[t, 1]
-        turn = np.arctan2(ax * by - ay * bx, ax * bx + ay * by)
-        begin = np.arctan2(ay, ax) if turn >= 0 else np.arctan2(by, bx)
-        first = int(np.ceil(begin / step))
-        for k in range(first, int(np.floor((begin + abs(turn)) / step)) + 1):
-            c, s = np.cos(k * step), np.sin(k * step)
-            across = c * (by - ay) - s * (bx - ax)
-            if across != 0.0:
-                distance = (ax * (by - ay) - ay * (bx - ax)) / across
-                radius[k % points] = max(radius[k % points], distance)
-    return radius
+    return farthest(seen[hem], points)
 
 
 def drape_case(
