@@ -6,19 +6,24 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import yaml
 
 from common.files import replace_json
+from data.captures.capture import write_capture
 from data.dataset.config import DatasetConfig, SamplingConfig
 from data.dataset.folder import MANIFEST, json_digest
 from data.dataset.shards import SCHEMA_VERSION, Shard, shard_name, write_shard
 from data.dataset.simulate import make_record
 from data.fabrics.prior import load_prior
 from data.render.cameras import Camera, camera_pose, nominal_camera
-from data.render.rays import DepthRenderer
+from data.render.rays import QUARTERS, DepthRenderer
 from sim.cloth import Laws
+from sim.mesh import grid_faces
 from sim.mesh.specimen import TOPOLOGIES
-from sim.rig import DISC_RIG, Rig
+from sim.rig import DISC_RIG, SQUARE_RIG
 from sim.scene import make_specimen
+
+SOFT = SimpleNamespace(alpha=np.full(3, 20e-6))
 
 
 def waves(
@@ -32,7 +37,22 @@ def waves(
     return np.column_stack([out * np.cos(angle), out * np.sin(angle), -0.045 * beyond])
 
 
-def skirt(fabric, *, rig, edge, start, seed, offset, laws):
+def revolved(radius: np.ndarray, height: np.ndarray, around: int = 180) -> tuple:
+    """Vertices and faces of rings about the axis, whose radii and heights, m, are (R,) or, where
+    they vary around it, (R, around).
+    """
+    angle = 2 * np.pi * np.arange(around) / around
+    radius, height = (np.broadcast_to(np.reshape(x, (len(x), -1)), (len(x), around))
+                      for x in (radius, height))
+    vertices = np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=-1)
+    index = around * np.arange(len(radius))[:, None] + np.append(np.arange(around), 0)
+    faces = index.ravel()[grid_faces(np.ones((len(radius) - 1, around), bool))]
+    return vertices.reshape(-1, 3), faces
+
+
+def skirt(
+    fabric=SOFT, *, rig=SQUARE_RIG, edge=0.01, start="sine", seed=0, offset=(0.0, 0.0), laws=None
+):
     """In place of the solver: five folds, the deeper the softer, which lean to one side."""
     mesh = make_specimen(rig, edge=edge, topology=seed % TOPOLOGIES, offset=offset).mesh
     radius, angle = np.linalg.norm(mesh.rest, axis=1), np.arctan2(*mesh.rest.T[::-1])
@@ -79,10 +99,24 @@ def varied_camera(rng: np.random.Generator) -> Camera:
 
 def capture_views(*, orientation: float = 0.4, turns: Sequence[float] | None = None) -> tuple:
     """Views (4, 90, 120), m, of a skirt, and the intrinsics of their camera."""
-    fabric = SimpleNamespace(alpha=np.full(3, 20e-6))
-    shape = skirt(fabric, rig=Rig(), edge=0.012, start="sine", seed=0, offset=(0.0, 0.0),
-                  laws=None)
-    camera = nominal_camera().resized(120, 90)
-    turns = np.arange(4) * np.pi / 2 if turns is None else turns
-    return (DepthRenderer(shape.positions, shape.faces).views(camera, orientation, turns),
-            camera.intrinsics)
+    shape, camera = skirt(edge=0.012), nominal_camera().resized(120, 90)
+    renderer = DepthRenderer(shape.positions, shape.faces)
+    return renderer.views(camera, orientation, QUARTERS if turns is None else turns), (
+        camera.intrinsics)
+
+
+def write_skirt(
+    folder: Path, *, orientation: float = 0.4, turns: Sequence[float] | None = None, **more: object
+) -> Path:
+    """A sound capture of a skirt of 150 g/m²."""
+    views, intrinsics = capture_views(orientation=orientation, turns=turns)
+    write_capture(folder, views=views, intrinsics=intrinsics, density=0.15, rig=SQUARE_RIG,
+                  turns=turns, **more)
+    return folder
+
+
+def describe(folder: Path, **changes: object) -> None:
+    """Change keys of the description of a capture; None removes one."""
+    file = folder / "capture.yaml"
+    content = {**yaml.safe_load(file.read_text()), **changes}
+    file.write_text(yaml.safe_dump({k: v for k, v in content.items() if v is not None}))

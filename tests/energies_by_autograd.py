@@ -28,15 +28,15 @@ def moved(edges: Tensor, x: Tensor, n: Tensor, move: Tensor, turn: Tensor) -> Te
 
 
 class ReferenceEnergy:
-    """The energy of a cloth with the default laws, differentiable also by its rest points.
+    """The energy of a cloth with the default laws.
 
     Attributes:
         edges: (E, 2).
         law: constants of the plate law.
         softest: smallest alpha, N·m.
-        mu, lam: () N/m, Lamé's constants of the corotational membrane.
-        weight: () N/m², of the cloth.
-        pressure: () N/m², of the obstacle at a depth of 0.1 mm.
+        mu, lam: N/m, Lamé's constants of the corotational membrane.
+        weight: N/m², of the cloth.
+        pressure: N/m², of the obstacle at a depth of 0.1 mm.
         plate_radius: m; 0 without a plate.
     """
 
@@ -53,10 +53,9 @@ class ReferenceEnergy:
         self._clamped, self._boundary, self._first, self._second, self._free = map(
             torch.from_numpy, (clamped, boundary, first, second, ~scene.held))
         self.law, self.softest = constants(cloth.fabric), float(cloth.fabric.alpha.min())
-        weight = cloth.fabric.density * scene.gravity
-        self.mu, self.lam, self.weight, self.pressure = torch.tensor(
-            [membrane.mu, membrane.lam, weight, scene.contact_pressure * weight],
-            dtype=torch.float64).unbind()
+        self.mu, self.lam = membrane.mu, membrane.lam
+        self.weight = cloth.fabric.density * scene.gravity
+        self.pressure = scene.contact_pressure * self.weight
         self.plate_radius = scene.obstacles[0].radius if scene.obstacles else 0.0
 
     def energy(self, x: Tensor, n: Tensor, rest: Tensor) -> Tensor:

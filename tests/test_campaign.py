@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[1]
 
 
 @pytest.mark.slow
-def test_a_short_campaign_finds_nothing() -> None:
+def test_a_short_campaign_finds_nothing():
     words = ["corrupted=2", "kills=4", "pool_kills=1", "training_kills=1", "accidents=1"]
     done = subprocess.run([sys.executable, "tests/campaign", *words], cwd=ROOT,
                           capture_output=True, text=True)

@@ -5,6 +5,13 @@ import runpy
 from pathlib import Path
 
 import pytest
+from words import last
+
+from common.errors import InputError
+from data.captures.capture import read_capture
+from drapenet.views.located import LocatedViews
+from drapenet.views.radial_map import drape_coefficient, radial_map
+from sim.rig import Rig
 
 ROOT = Path(__file__).resolve().parent.parent
 TEXT = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
@@ -27,3 +34,30 @@ def test_files_that_are_named_exist():
     assert len(names) > 10
     for name in names:
         assert any((folder / name).exists() for folder in FOLDERS), name
+
+
+@pytest.mark.parametrize(("word", "complaint"), [
+    ("density=5000", "density_g_m2=5000.0.*; weigh"),
+    ("out=/proc/capture", "cannot write to the folder /proc/capture"),
+    ("out=", "out= is empty; give the name of a folder"),
+])
+def test_mistakes_of_the_example_are_told_before_the_drape(tmp_path, word, complaint, monkeypatch):
+    main = runpy.run_path(str(ROOT / "examples" / "make_capture.py"))["main"]
+    monkeypatch.setitem(main.__globals__, "drape", None)
+    with pytest.raises(InputError, match=complaint):
+        main(last(f"out={tmp_path}", word))
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("seed", [7, 8])
+def test_the_example_makes_whole_scenes_of_the_same_drape(tmp_path, seed):
+    main = runpy.run_path(str(ROOT / "examples" / "make_capture.py"))["main"]
+    coefficients = []
+    for raw in ("false", "true"):  # the second replaces the first
+        main([f"out={tmp_path / 'c'}", f"raw={raw}", "edge_mm=12", f"seed={seed}"])
+        capture = read_capture(tmp_path / "c")
+        found = radial_map(LocatedViews.of(capture))
+        coefficients.append(drape_coefficient(found, Rig()))
+    assert (tmp_path / "c" / "background.png").is_file()
+    assert capture.cut and len(capture.views) == 4
+    assert coefficients[1] == pytest.approx(coefficients[0], abs=0.02)

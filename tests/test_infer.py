@@ -13,9 +13,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import yaml
 from checkpoints import change_description
-from cloths import capture_views
+from cloths import capture_views, describe, write_skirt
 from PIL import Image
 from words import last
 
@@ -35,17 +34,13 @@ TWILL = Path(__file__).parents[1] / "examples" / "captures" / "twill"
 
 
 @pytest.fixture
-def capture(tmp_path: Path) -> Path:
+def capture(tmp_path) -> Path:
     """A sound capture, which a test may spoil."""
-    views, intrinsics = capture_views(orientation=0.4)
-    folder = tmp_path / "capture"
-    write_capture(folder, views=views, intrinsics=intrinsics, density=0.15, rig=SQUARE_RIG,
-                  warp_direction=0.4)
-    return folder
+    return write_skirt(tmp_path / "capture", warp_direction=0.4)
 
 
 @pytest.fixture
-def checkpoint(untrained_checkpoint: Path, tmp_path: Path) -> Path:
+def checkpoint(untrained_checkpoint, tmp_path) -> Path:
     """A checkpoint, which a test may spoil."""
     folder = tmp_path / "checkpoint"
     folder.mkdir()
@@ -53,7 +48,7 @@ def checkpoint(untrained_checkpoint: Path, tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def out(tmp_path: Path) -> Path:
+def out(tmp_path) -> Path:
     return tmp_path / "out"
 
 
@@ -80,21 +75,15 @@ def spoiled(action: Callable[[Path, Path], object]) -> Callable[[Path, Path], li
     return spoil
 
 
-def stated(name: str) -> Callable[[Path, Path], None]:
-    def change(capture: Path, _: Path) -> None:
-        file = capture / "capture.yaml"
-        file.write_text(yaml.safe_dump(yaml.safe_load(file.read_text()) | {"tester": name}))
-    return change
-
-
 FAULTS = {
     "missing view": (spoiled(lambda c, _: (c / "view_2.png").unlink()), "view_2.png"),
     "no folder": (spoiled(lambda c, _: shutil.rmtree(c)), "does not exist"),
     "the same capture twice": (lambda c, _: [f"capture=[{c},{shutil.copytree(c, c.parent / 'b')}]"],
                                "have the same views"),
-    "tester of another network": (spoiled(stated("disc254_support127")), "disc254_support127 but "
+    "tester of another network": (spoiled(lambda c, _: describe(
+        c, tester="disc254_support127")), "disc254_support127 but "
                                   "the checkpoint of square300_cylinder100"),
-    "no network": (lambda c, f: [stated("disc240_support180")(c, f) or "checkpoint="],
+    "no network": (lambda c, _: [describe(c, tester="disc240_support180") or "checkpoint="],
                    "know disc300_support180 and square300_cylinder100: give checkpoint=FILE"),
     "checkpoint of another tester": (spoiled(
         lambda _, f: change_description(f, rig="disc300_support180")), "disc300_support180"),
@@ -125,9 +114,8 @@ FAULTS = {
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_bad_input_is_one_line_and_exit_code_2_and_no_file(
-    capture: Path, checkpoint: Path, fault: str, monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture,
-) -> None:
+    capture, checkpoint, fault, monkeypatch, capsys
+):
     change, message = FAULTS[fault]
     more = change(capture, checkpoint)
     before = sorted(capture.parent.rglob("*"))
@@ -142,7 +130,7 @@ def test_bad_input_is_one_line_and_exit_code_2_and_no_file(
     assert sorted(capture.parent.rglob("*")) == before
 
 
-def test_a_bad_capture_is_told_before_torch_is_loaded(capture: Path, checkpoint: Path) -> None:
+def test_a_bad_capture_is_told_before_torch_is_loaded(capture, checkpoint):
     (capture / "view_1.png").unlink()
     code = ("import sys, infer\ntry:\n    infer.main(sys.argv[1:])\n"
             "except ValueError as error:\n    print(error, 'torch' in sys.modules)")
@@ -152,9 +140,7 @@ def test_a_bad_capture_is_told_before_torch_is_loaded(capture: Path, checkpoint:
     assert "view_1.png" in done.stdout and done.stdout.strip().endswith("False")
 
 
-def test_a_doubtful_capture_is_refused_if_strict(
-    capture: Path, checkpoint: Path, out: Path
-) -> None:
+def test_a_doubtful_capture_is_refused_if_strict(capture, checkpoint, out):
     first, second = capture / "view_1.png", capture / "view_2.png"
     first.rename(capture / "other.png")
     second.rename(first)
@@ -167,19 +153,10 @@ def test_a_doubtful_capture_is_refused_if_strict(
     assert len(warnings) > 1 and all(line in str(refusal.value) for line in warnings)
 
 
-def test_a_capture_upside_down_has_warnings(tmp_path: Path, out: Path) -> None:
-    twill = read_capture(TWILL)
-    write_capture(tmp_path / "capture", views=twill.views[:, ::-1], intrinsics=twill.intrinsics,
-                  density=twill.density, rig=twill.rig)
-    infer.main([f"capture={tmp_path / 'capture'}", f"out={out}", "drapes=1", "edge_mm=12"])
-    for doubt in ("check that the pictures are upright", "check the pictures, their intrinsics"):
-        assert any(doubt in warning for warning in content_of(out)["warnings"])
-
-
 # --- Captures and estimates -------------------------------------------------------------------
 
 
-def test_the_bundled_capture_is_sound_and_its_truth_is_a_fabric() -> None:
+def test_the_bundled_capture_is_sound_and_its_truth_is_a_fabric():
     capture = read_capture(TWILL)
     assert not capture.warnings and capture.warp_direction is not None
     assert len(np.unique(capture.views)) > 100  # millimetres, not the steps of 8 bits
@@ -189,9 +166,7 @@ def test_the_bundled_capture_is_sound_and_its_truth_is_a_fabric() -> None:
     assert is_admissible(alpha * MICRO, np.zeros(3))
 
 
-def test_estimate_says_what_it_is_and_is_the_same_again(
-    capture: Path, checkpoint: Path, out: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_estimate_says_what_it_is_and_is_the_same_again(capture, checkpoint, out, capsys):
     infer.main(words(capture, checkpoint, "drapes=0", "export=jfab,torque"))
     files = {file.name: file.read_bytes() for file in out.iterdir()}
     assert set(files) == {"estimate.json", "samples.npz", "fabric.jfab", "torque.csv"}
@@ -216,18 +191,14 @@ def test_estimate_says_what_it_is_and_is_the_same_again(
 
 
 @pytest.mark.parametrize("turns", [[0], [0, 120, 240], [0, 45, 90, 180, 270]])
-def test_a_capture_has_any_number_of_views(
-    checkpoint: Path, tmp_path: Path, out: Path, turns: list[float]
-) -> None:
-    views, intrinsics = capture_views(turns=np.radians(turns))
-    write_capture(tmp_path / "capture", views=views, intrinsics=intrinsics, density=0.15,
-                  rig=SQUARE_RIG, turns=np.radians(turns))
-    infer.main(words(tmp_path / "capture", checkpoint, "drapes=0"))
+def test_a_capture_has_any_number_of_views(checkpoint, tmp_path, out, turns):
+    capture = write_skirt(tmp_path / "capture", turns=np.radians(turns))
+    infer.main(words(capture, checkpoint, "drapes=0"))
     assert content_of(out)["capture"]["views"] == len(turns)
     assert content_of(out)["capture"]["turns_deg"] == pytest.approx(turns, abs=2)
 
 
-def test_large_pictures_are_thinned_out_not_cut(tmp_path: Path) -> None:
+def test_large_pictures_are_thinned_out_not_cut(tmp_path):
     views, intrinsics = capture_views()
     large = np.repeat(np.repeat(views, 4, axis=1), 4, axis=2)
     more = {name: 4 * getattr(intrinsics, name) + (1.5 if name in ("cx", "cy") else 0)
@@ -239,7 +210,7 @@ def test_large_pictures_are_thinned_out_not_cut(tmp_path: Path) -> None:
     assert (read.views > 0).mean() == pytest.approx((views > 0).mean(), rel=0.02)
 
 
-def test_captures_below_samples_are_found_and_fabrics_are_not_joined(tmp_path: Path) -> None:
+def test_captures_below_samples_are_found_and_fabrics_are_not_joined(tmp_path):
     for place in ("poplin/s1/c1", "poplin/s1/c2", "poplin/s2/c1"):
         (tmp_path / place).mkdir(parents=True)
         (tmp_path / place / "capture.yaml").touch()
@@ -251,13 +222,9 @@ def test_captures_below_samples_are_found_and_fabrics_are_not_joined(tmp_path: P
         captures_in(tmp_path)
 
 
-def test_captures_of_one_fabric_give_one_estimate(
-    checkpoint: Path, tmp_path: Path, out: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_captures_of_one_fabric_give_one_estimate(checkpoint, tmp_path, out, capsys):
     for name, turn in (("a", 0.0), ("b", 1.0)):
-        views, intrinsics = capture_views(orientation=turn)
-        write_capture(tmp_path / "fabric" / name, views=views, intrinsics=intrinsics, density=0.15,
-                      rig=SQUARE_RIG, warp_direction=turn)
+        write_skirt(tmp_path / "fabric" / name, orientation=turn, warp_direction=turn)
     infer.main(words(tmp_path / "fabric", checkpoint, "drapes=0"))
     content = content_of(out)
     assert "joint estimate of 2 captures" in capsys.readouterr().out
@@ -268,20 +235,17 @@ def test_captures_of_one_fabric_give_one_estimate(
         single, joint = (c["moduli"]["warp"]["alpha_uN_m"]["interval_68"] for c in (alone, content))
         assert math.log(joint[1] / joint[0]) < math.log(single[1] / single[0])
         assert {*alone} <= {*content}
-    file = tmp_path / "fabric" / "b" / "capture.yaml"
-    changed = yaml.safe_load(file.read_text())
-    file.write_text(yaml.safe_dump(changed | {"density_g_m2": 166.0}))
+    describe(tmp_path / "fabric" / "b", density_g_m2=166.0)
     with pytest.raises(InputError, match="densities from 150 to 166 g/m², more than 10% apart"):
         infer.main(words(tmp_path / "fabric", checkpoint, "drapes=0"))
-    changed.pop("warp_direction_deg")
-    file.write_text(yaml.safe_dump(changed))
+    describe(tmp_path / "fabric" / "b", density_g_m2=150.0, warp_direction_deg=None)
     with pytest.raises(InputError, match="state warp_direction_deg, or none"):
         infer.main(words(tmp_path / "fabric", checkpoint, "drapes=0"))
 
 
 def test_results_are_named_after_their_capture_and_not_overwritten_by_another(
-    capture: Path, checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    capture, checkpoint, tmp_path, monkeypatch
+):
     for fabric in ("poplin", "007"):
         shutil.copytree(capture, tmp_path / "raw" / fabric / "s1" / "c1")
     monkeypatch.chdir(tmp_path)
@@ -302,9 +266,7 @@ def test_results_are_named_after_their_capture_and_not_overwritten_by_another(
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the published captures are not here")
 @pytest.mark.parametrize(("name", "turns"), [("mesh0", (90, 92, 86)), ("mesh1", (82, 93, 95))])
-def test_the_published_format_runs_as_it_is(
-    name: str, turns: tuple[int, ...], checkpoint: Path, out: Path
-) -> None:
+def test_the_published_format_runs_as_it_is(name, turns, checkpoint, out):
     """The table's turns as found in another way, see configs/camera."""
     infer.main([f"capture={SHARED / name}", f"checkpoint={checkpoint}", f"out={out}", "drapes=0"])
     content = content_of(out)
@@ -318,7 +280,7 @@ def test_the_published_format_runs_as_it_is(
 # --- Report and refinement --------------------------------------------------------------------
 
 
-def test_report_shows_a_drape_of_the_estimate(capture: Path, checkpoint: Path, out: Path) -> None:
+def test_report_shows_a_drape_of_the_estimate(capture, checkpoint, out):
     capture = capture.rename(capture.with_name(os.fsdecode(b"$a$ and $$ caf\xe9 \n")))
     infer.main(words(capture, checkpoint, "drapes=1", "edge_mm=16"))
     content = content_of(out)
@@ -333,9 +295,7 @@ def test_report_shows_a_drape_of_the_estimate(capture: Path, checkpoint: Path, o
     assert {file.name for file in out.iterdir()} == {"estimate.json", "samples.npz"}
 
 
-def test_a_report_that_cannot_be_written_does_not_lose_the_estimate(
-    capture: Path, checkpoint: Path, out: Path
-) -> None:
+def test_a_report_that_cannot_be_written_does_not_lose_the_estimate(capture, checkpoint, out):
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, limits[1]))  # bytes of a file
     try:
@@ -347,9 +307,7 @@ def test_a_report_that_cannot_be_written_does_not_lose_the_estimate(
                                                       f"write {out / 'report.png'}")
 
 
-def test_a_refinement_that_fails_leaves_the_network_s_estimate(
-    capture: Path, checkpoint: Path, out: Path
-) -> None:
+def test_a_refinement_that_fails_leaves_the_network_s_estimate(capture, checkpoint, out):
     header, written = read_header(checkpoint), []
 
     def read_written(stage: str, result: CaptureEstimate) -> None:
@@ -363,9 +321,7 @@ def test_a_refinement_that_fails_leaves_the_network_s_estimate(
     assert alone.pop("warnings") is not None and content == alone
 
 
-def test_a_rejected_refinement_is_not_shown_as_the_estimate(
-    capture: Path, checkpoint: Path, out: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_rejected_refinement_is_not_shown_as_the_estimate(capture, checkpoint, out, monkeypatch):
     rejected = SimpleNamespace(draws=None, content={
         "by": "depth", "misfit_before": math.inf, "misfit": 20.0, "simulations": 15,
         "failed_simulations": 0, "status": "interrupted", "message": "", "specimen": {}},
@@ -381,7 +337,7 @@ def test_a_rejected_refinement_is_not_shown_as_the_estimate(
 
 
 @pytest.mark.slow
-def test_refinement_says_what_has_changed(out: Path, capsys: pytest.CaptureFixture) -> None:
+def test_refinement_says_what_has_changed(out, capsys):
     infer.main([f"capture={TWILL}", f"out={out}", "refine=depth", "refine.edge_mm=4"])
     content = content_of(out)
     refined = content["refined"]
@@ -396,7 +352,7 @@ def test_refinement_says_what_has_changed(out: Path, capsys: pytest.CaptureFixtu
     assert "alpha before refinement" in capsys.readouterr().out
 
 
-def test_simulations_use_the_stated_membrane(capture: Path, checkpoint: Path) -> None:
+def test_simulations_use_the_stated_membrane(capture, checkpoint):
     read = read_capture(capture)
     result = network_estimate(read, read_header(checkpoint), membrane=500.0)
     assert result.known == {"membrane": pytest.approx(500 * 0.3 / read.density)}  # at 300 g/m²

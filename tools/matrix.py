@@ -21,9 +21,10 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 PYTHONS = [f"python3.{minor}" for minor in range(10, 14)]
 TESTS = ["apps/test_cantilever_command.py", "common/test_documents.py", "common/test_files.py",
-         "data/test_cameras.py", "data/test_captures.py", "data/test_fabrics.py",
-         "data/test_prior.py", "drapenet/test_checkpoint.py", "drapenet/test_posterior.py",
-         "sim/test_energies.py", "sim/test_material.py", "sim/test_newton.py"]
+         "data/test_bad_captures.py", "data/test_cameras.py", "data/test_captures.py",
+         "data/test_fabrics.py", "data/test_prior.py", "drapenet/test_checkpoint.py",
+         "drapenet/test_posterior.py", "sim/test_energies.py", "sim/test_material.py",
+         "sim/test_newton.py"]
 IMPORT = """import importlib, sys
 for name in sys.argv[1:]:
     assert "site-packages" in (importlib.import_module(name).__file__), name"""

@@ -9,14 +9,13 @@ import resource
 import shutil
 import signal
 import time
-from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import cloths
 import fake_drapes
 import torch
+from here import here
 from readers import small_config
 
 import data.dataset.folder
@@ -35,28 +34,10 @@ TRAINING = ["model.width=4", "optim.batch_size=16", "threads=1", "workers=1", "d
             "seed=3", "captures=2", "neighbours=false", "validation_fraction=0.2", "epochs=4"]
 
 
-class _Here(Executor):
-    """Worker processes that are this process: a start takes no time."""
-
-    def submit(self, work: Callable, /, *arguments: Any, **options: Any) -> Future:
-        """Do the work at once."""
-        future: Future = Future()
-        try:
-            future.set_result(work(*arguments, **options))
-        except InputError as error:
-            future.set_exception(error)
-        return future
-
-
-@contextlib.contextmanager
-def _here(workers: int) -> Iterator[Executor]:
-    yield _Here()
-
-
 def make_dataset(out: Path, *, part: int = 0, parts: int = 1, workers: int = 0) -> dict:
     """A small dataset of drapes that cost little; ``workers`` 0 for none but this process."""
     if not workers:
-        data.dataset.generate.worker_pool = _here
+        data.dataset.generate.worker_pool = here
     return generate_dataset(small_config(DRAPES, PER_SHARD), out, part=part, parts=parts,
                             workers=workers or 1, solver=fake_drapes.cone)
 

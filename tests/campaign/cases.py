@@ -8,9 +8,8 @@ import signal
 import time
 import traceback
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn
+from typing import NamedTuple, NoReturn
 
 from common.errors import MAX_LENGTH, InputError
 
@@ -23,21 +22,11 @@ WALL_SECONDS = 120.0  # other programs keep the cores busy
 MEGABYTES = 1024  # beyond what the process has when it begins
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What became of a case.
-
-    Attributes:
-        kind: one of the names above.
-        message: of the error; of a traceback with the place where it was raised.
-        seconds: of processor time.
-        megabytes: at most, beyond those at the beginning; 0 of a process that was ended.
-    """
+class Outcome(NamedTuple):
+    """One of the kinds above, and the error's message; of a traceback with its place."""
 
     kind: str
     message: str
-    seconds: float
-    megabytes: float
 
 
 def run_case(
@@ -53,21 +42,13 @@ def run_case(
     text, in_time = _read(reading, time.monotonic() + WALL_SECONDS)
     if not in_time:
         os.kill(child, signal.SIGKILL)
-    _, status, usage = os.wait4(child, 0)
+    status = os.waitpid(child, 0)[1]
     ended = os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0
     if not in_time or ended in (signal.SIGXCPU, signal.SIGKILL):
-        kind, message, megabytes = TIME, "", 0.0
-    elif ended or not text:
-        kind, message, megabytes = CRASH, f"signal {ended}, status {status}", 0.0
-    else:
-        kind, message, megabytes = json.loads(text)
-    return Outcome(kind, message, usage.ru_utime + usage.ru_stime, megabytes)
-
-
-def _status(key: str) -> float:
-    """MB, of this process."""
-    lines = Path("/proc/self/status").read_text().splitlines()
-    return next(int(line.split()[1]) / 1024 for line in lines if line.startswith(key))
+        return Outcome(TIME, "")
+    if ended or not text:
+        return Outcome(CRASH, f"signal {ended}, status {status}")
+    return Outcome(*json.loads(text))
 
 
 def _read(descriptor: int, deadline: float) -> tuple[bytes, bool]:
@@ -89,29 +70,27 @@ def _work(work: Callable[[], object], writing: int, seconds: int, megabytes: int
             os.dup2(quiet, descriptor)
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
-        room = int(_status("VmSize") + megabytes) << 20
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+        room = pages * resource.getpagesize() + (megabytes << 20)
         resource.setrlimit(resource.RLIMIT_AS, (room, room))
         signal.signal(signal.SIGXCPU, signal.SIG_DFL)
-        before = _status("VmRSS")
-        kind, message = _outcome(work)
-        text = json.dumps([kind, message, _status("VmHWM") - before])
-        os.write(writing, text.encode())
+        os.write(writing, json.dumps(_outcome(work)).encode())
     finally:
         os._exit(0)
 
 
-def _outcome(work: Callable[[], object]) -> tuple[str, str]:
+def _outcome(work: Callable[[], object]) -> Outcome:
     try:
         work()
-        return ACCEPTED, ""
+        return Outcome(ACCEPTED, "")
     except InputError as error:
         text = str(error)
         clear = text.isprintable() and 10 < len(text) <= MAX_LENGTH + 3
-        return (REFUSED if clear else UNCLEAR), text
+        return Outcome(REFUSED if clear else UNCLEAR, text)
     except MemoryError:
-        return MEMORY, _place()
+        return Outcome(MEMORY, _place())
     except BaseException:
-        return TRACEBACK, _place()
+        return Outcome(TRACEBACK, _place())
 
 
 def _place() -> str:

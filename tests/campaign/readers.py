@@ -16,6 +16,7 @@ import numpy as np
 import torch
 import trimesh
 import yaml
+from checkpoints import save_untrained
 from corruption import (
     damaged_bytes,
     damaged_json,
@@ -51,8 +52,7 @@ from drapenet.batch.captures import entries_of
 from drapenet.config import ServeConfig
 from drapenet.export.formats import TARGETS
 from drapenet.export.material import read_material
-from drapenet.network.checkpoint import header_for, load_model, save_checkpoint
-from drapenet.network.model import MapNet
+from drapenet.network.checkpoint import header_for, load_model
 from drapenet.network.training import load_state, save_state
 from drapenet.refine.registration import read_cloud
 from drapenet.result.files import write_estimate
@@ -214,19 +214,6 @@ def _read_priors(folder: Path) -> None:
     for name in ("gaussian", "vae"):
         prior = load_prior(folder / f"{name}.json")
         prior.sample(20, np.random.default_rng(0))
-
-
-MODEL = {"width": 4, "components": 2, "targets": 6, "distance": 0.076, "spread": 0.017}
-
-
-def _checkpoint(folder: Path) -> None:
-    torch.manual_seed(0)
-    mean, std = [-10.8, -11.0, -10.8, -0.0026, -0.0026, -0.0026], [0.9, 0.8, 0.9, *[0.0014] * 3]
-    save_checkpoint(folder / "net.safetensors", model=MapNet(**MODEL), half=False, description={
-        "rig": "square300_cylinder100", "model": MODEL, "targets": {"mean": mean, "std": std},
-        "fabrics": {"low": mean, "high": mean, "deviation": std}, "validation": {},
-        "dataset": {"sha256": "0" * 64, "generation": {"solver": {"edge_mm": 8.0}}},
-        "config": {"setup": dict(read_option("setup", "real"))}})
 
 
 def _read_checkpoint(folder: Path) -> None:
@@ -414,7 +401,8 @@ READERS = {
                                lambda folder: entries_of(folder / "list.csv")),
     "prior": Reader(_priors, {"gaussian.json": damaged_json, "vae.json": damaged_json},
                     _read_priors),
-    "checkpoint": Reader(_checkpoint, {"net.safetensors": damaged_safetensors}, _read_checkpoint),
+    "checkpoint": Reader(lambda folder: save_untrained(folder / "net.safetensors", width=4),
+                         {"net.safetensors": damaged_safetensors}, _read_checkpoint),
     "state of a training": Reader(_state, {"state.pt": lambda data, rng: damaged_zip(
         data, rng, damaged_bytes)}, _read_state),
     "estimate": Reader(_estimate, {"estimate.json": damaged_json, "samples.npz": lambda data, rng:

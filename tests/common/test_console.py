@@ -27,20 +27,20 @@ def run(body: str, redirection: str, **environment: str) -> subprocess.Completed
 
 
 @pytest.mark.parametrize("body", ["print('a')", LONG])
-def test_a_full_output_is_one_line(body: str) -> None:
+def test_a_full_output_is_one_line(body):
     found = run(body, ">/dev/full")
     assert found.returncode == 2
     assert found.stderr.startswith(b"error: No space left on device; ") and (
         found.stderr.count(b"\n") == 1)
 
 
-def test_closed_outputs_are_no_error() -> None:
+def test_closed_outputs_are_no_error():
     for redirection in (">&-", ">&- 2>&-"):
         found = run(LONG + "; print('x', file=sys.stderr); sys.stdout.write('y')", redirection)
         assert (found.returncode, found.stdout) == (0, b"")
 
 
-def test_undecodable_names_and_ascii_outputs_are_escaped() -> None:
+def test_undecodable_names_and_ascii_outputs_are_escaped():
     found = run("print(chr(181), os.fsdecode(b'\\xff')); raise InputError(chr(181) + chr(10))", "",
                 PYTHONIOENCODING="ascii", PYTHONUTF8="0", LC_ALL="C")
     assert found.stdout == b"\\xb5 \\udcff\n"

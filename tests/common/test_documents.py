@@ -2,7 +2,6 @@
 
 import os
 import time
-from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
@@ -65,7 +64,7 @@ HOSTILE = {
 
 
 @pytest.mark.parametrize("case", HOSTILE)
-def test_hostile_documents_are_refused_in_one_short_line(tmp_path: Path, case: str) -> None:
+def test_hostile_documents_are_refused_in_one_short_line(tmp_path, case):
     file = tmp_path / "capture.yaml"
     file.write_text(HOSTILE[case])
     begun = time.process_time()
@@ -81,13 +80,13 @@ def test_hostile_documents_are_refused_in_one_short_line(tmp_path: Path, case: s
     ({"density": 150, "names": ["a", 3]}, ["names.1=3", "string"]),
     ({"density": 150, "folds": True}, ["folds=True", "integer"]),
     ({"densty": 150}, ["density is missing", "unknown key 'densty'"])])
-def test_messages_name_quantity_value_limit_and_remedy(content: dict, words: list[str]) -> None:
+def test_messages_name_quantity_value_limit_and_remedy(content, words):
     with pytest.raises(InputError, match=r"^f: ") as refusal:
         Cloth.of(content, "f")
     assert all(word in str(refusal.value) for word in words)
 
 
-def test_sound_documents_are_taken_as_they_are() -> None:
+def test_sound_documents_are_taken_as_they_are():
     cloth = Cloth.of(parse_yaml("density: 150\nnames: [a, b]", "x"), "x")
     assert cloth.density == 150.0 and isinstance(cloth.density, float) and cloth.names == ["a", "b"]
     assert parse_json('{"a": [1, 2.5, null, "µ"]}', "x") == {"a": [1, 2.5, None, "µ"]}
@@ -95,14 +94,14 @@ def test_sound_documents_are_taken_as_they_are() -> None:
 
 @pytest.mark.parametrize("text", ["", "{", "[" * 100_000, '{"a":' * 100_000, "NaN",
                                   "\ud800", '"\x00"', "1" * 10_000])
-def test_hostile_json_is_refused_in_one_short_line(tmp_path: Path, text: str) -> None:
+def test_hostile_json_is_refused_in_one_short_line(tmp_path, text):
     (tmp_path / "a.json").write_bytes(text.encode("utf-8", "surrogatepass"))
     with pytest.raises(InputError, match="not a JSON document") as refusal:
         read_json(tmp_path / "a.json")
     assert str(refusal.value).isprintable() and len(str(refusal.value)) < 400
 
 
-def test_only_regular_files_of_bounded_size_are_read(tmp_path: Path) -> None:
+def test_only_regular_files_of_bounded_size_are_read(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "endless").symlink_to("/dev/zero")
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
@@ -120,7 +119,7 @@ def test_only_regular_files_of_bounded_size_are_read(tmp_path: Path) -> None:
     assert read_bytes(tmp_path / "sound", 100, "table") == b"x" * 100
 
 
-def test_values_are_shown_in_one_short_line() -> None:
+def test_values_are_shown_in_one_short_line():
     for value in (10**6000, "x\n" * 1000, [[[[[[[["deep"]]]]]]]], {"a": "b" * 100}):
         assert shown(value).isprintable() and len(shown(value)) <= 60
 
@@ -133,7 +132,7 @@ VALUES = st.recursive(SCALARS, lambda inner: st.lists(inner, max_size=4) | st.di
 
 @settings(max_examples=300, derandomize=True, deadline=None, database=None)
 @given(VALUES)
-def test_any_value_is_taken_or_refused_in_one_line(value: object) -> None:
+def test_any_value_is_taken_or_refused_in_one_line(value):
     try:
         cloth = Cloth.of(value, "x")
     except InputError as refusal:
@@ -146,7 +145,7 @@ def test_any_value_is_taken_or_refused_in_one_line(value: object) -> None:
 @given(st.text(max_size=60) | VALUES.map(repr) | st.lists(st.sampled_from(
     ["a: ", "- ", "? ", "&a ", "*a", "<<: ", "!!int ", "[", "]", "{", "}", "\n", "  ", "'", '"',
      "|", "1", ":", ",", "#", "%", "@", "---", "..."]), max_size=15).map("".join))
-def test_any_text_is_a_document_or_refused_in_one_line(text: str) -> None:
+def test_any_text_is_a_document_or_refused_in_one_line(text):
     for parse in (parse_yaml, parse_json):
         try:
             parse(text, "x")

@@ -1,7 +1,6 @@
 """The cloth in raw frames, and the files that frames come in."""
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import OpenEXR
@@ -27,8 +26,7 @@ TURNS = np.radians([0.0, 83.0, 184.0, 271.0])
 
 
 def seen(rig: Rig, seed: int, **settings) -> RawScene:
-    fabric = SimpleNamespace(alpha=np.full(3, 20e-6))
-    drape = skirt(fabric, rig=rig, edge=0.01, start="sine", seed=0, offset=(0.0, 0.0), laws=None)
+    drape = skirt(rig=rig)
     return raw_scene(drape.positions, drape.faces, np.random.default_rng(seed), rig=rig,
                      turns=TURNS, **settings)
 

@@ -1,7 +1,6 @@
 """Priors of fabrics: samples, fits, files and the command that fits one."""
 
 import base64
-import json
 import subprocess
 import sys
 from dataclasses import replace
@@ -108,13 +107,6 @@ def test_fit_refuses_fabrics_that_do_not_differ_in_everything(gaussian, spoil):
         GaussianPrior.fit(theta)
 
 
-def test_coordinates_are_standardised_and_invert(theta):
-    coordinates, points = Coordinates.fit(theta)
-    np.testing.assert_allclose(points.mean(axis=0), 0, atol=1e-12)
-    np.testing.assert_allclose(points.std(axis=0), 1)
-    np.testing.assert_allclose(coordinates.decode(coordinates.encode(theta)), theta, rtol=1e-9)
-
-
 def test_an_outlier_is_clipped_and_clipping_twice_changes_nothing(theta):
     low, high = plausible_range(theta)
     assert high[3] < 0.01 < theta[7, 3]
@@ -186,64 +178,51 @@ def test_files_are_read_back_bit_by_bit(prior, tmp_path):
     assert [p.name for p in (tmp_path / "deep").iterdir()] == ["p.json"]
 
 
-@pytest.mark.parametrize(
-    ("change", "complaint"),
-    [
-        ({"kind": "oracle"}, "kind"),
-        ({"kind": ["gaussian"]}, "kind"),
-        ({"schema_version": 99}, "schema version"),
-        ({"parameters": ["a"]}, "other parameters"),
-        ({"mean": [0, 1]}, "mean: give 6 finite"),
-        ({"mean": None}, "mean: give 6 finite"),
-        ({"mean": "many"}, "mean: give 6 finite"),
-        ({"fabrics": float("inf")}, "not a JSON document"),
-        ({"fabrics": 201.5}, "fabrics: .* integer"),
-        ({"covariance": np.diag([1, 1, 1, 1, 1, -1]).tolist()}, "positive definite"),
-        ({"covariance": (np.eye(6) + np.eye(6, k=1)).tolist()}, "symmetric"),
-        ({"covariance": (np.eye(6) * np.nan).tolist()}, "not a JSON document"),
-    ],
-)
-def test_bad_gaussians_are_refused_in_one_line(gaussian, tmp_path, change, complaint):
-    path = tmp_path / "p.json"
-    save_prior(gaussian, path)
-    path.write_text(json.dumps(json.loads(path.read_text()) | change))
-    with pytest.raises(InputError, match=complaint) as refusal:
-        load_prior(path)
-    assert "\n" not in str(refusal.value) and str(path) in str(refusal.value)
-
-
 def changed_weights(vae, change):
     weights = load(base64.b64decode(vae.as_dict()["weights"]))
     change(weights)
     return {"weights": base64.b64encode(save(weights)).decode()}
 
 
+NAN = {"encoder.0.bias": np.full(8, np.nan, np.float32)}
+
+
 @pytest.mark.parametrize(("change", "complaint"), [
-    (lambda vae: {"weights": "AAAA"}, "must be base64 of a safetensors"),
-    (lambda vae: {"weights": "ä"}, "must be base64 of a safetensors"),
-    (lambda vae: {"weights": None}, "must be base64 of a safetensors"),
-    (lambda vae: {"coordinates": None}, "coordinates: "),
-    (lambda vae: {"coordinates": {"mean": [0] * 6, "scale": [0] * 6}}, "must be positive"),
-    (lambda vae: {"fabrics": -1}, "fabrics: "),
-    (lambda vae: {"shift": -1}, "shift: "),
-    (lambda vae: {"shift": 1e308}, "shift: "),
-    (lambda vae: {"spread": [1.2, 0.8]}, "spread: "),
-    (lambda vae: changed_weights(vae, lambda w: w.pop("decoder.1.bias")), "6 numbers"),
-    (lambda vae: changed_weights(vae, lambda w: w.clear()), "6 numbers"),
-    (lambda vae: changed_weights(vae, lambda w: w.update(more=np.ones(2, np.float32))),
+    ({"kind": "oracle"}, "kind"),
+    ({"kind": ["gaussian"]}, "kind"),
+    ({"schema_version": 99}, "schema version"),
+    ({"parameters": ["a"]}, "other parameters"),
+    ({"mean": [0, 1]}, "mean: give 6 finite"),
+    ({"mean": None}, "mean: give 6 finite"),
+    ({"fabrics": 201.5}, "fabrics: .* integer"),
+    ({"covariance": np.diag([1, 1, 1, 1, 1, -1]).tolist()}, "positive definite"),
+    ({"covariance": (np.eye(6) + np.eye(6, k=1)).tolist()}, "symmetric"),
+    ({"weights": "AAAA"}, "must be base64 of a safetensors"),
+    ({"weights": None}, "must be base64 of a safetensors"),
+    ({"coordinates": None}, "coordinates: "),
+    ({"coordinates": {"mean": [0] * 6, "scale": [0] * 6}}, "must be positive"),
+    ({"fabrics": -1}, "fabrics: "),
+    ({"shift": -1}, "shift: "),
+    ({"shift": 1e308}, "shift: "),
+    ({"spread": [1.2, 0.8]}, "spread: "),
+    (lambda weights: weights.pop("decoder.1.bias"), "6 numbers"),
+    (lambda weights: weights.update(more=np.ones(2, np.float32)), "6 numbers"),
+    (lambda weights: weights.update({"encoder.0.weight": np.ones((3, 3), np.float32)}),
      "6 numbers"),
-    (lambda vae: changed_weights(
-        vae, lambda w: w.update({"encoder.0.weight": np.ones((3, 3), np.float32)})), "6 numbers"),
-    (lambda vae: changed_weights(
-        vae, lambda w: w.update({"encoder.0.bias": np.full(8, np.nan, np.float32)})), "finite"),
-    (lambda vae: changed_weights(
-        vae, lambda w: w.update({"encoder.0.bias": np.zeros(8)})), "float32"),
+    (lambda weights: weights.update(NAN), "finite"),
+    (lambda weights: weights.update({"encoder.0.bias": np.zeros(8)}), "float32"),
+    ({"theta": [[0.0] * 5]}, "theta: give"),
+    ({"theta": []}, "theta: give"),
 ])
-def test_bad_autoencoders_are_refused(vae, change, complaint):
-    content = prior_content(vae) | change(vae)
+def test_bad_content_is_refused_in_one_line(gaussian, vae, theta, change, complaint):
+    """Of the first kind of prior that has the changed key."""
+    if callable(change):
+        change = changed_weights(vae, change)
+    content = next(content for content in map(prior_content, (gaussian, vae, TablePrior(theta)))
+                   if change.keys() <= content.keys())
     with pytest.raises(InputError, match=complaint) as refusal:
-        prior_from_content(content, origin="p.json")
-    assert "\n" not in str(refusal.value)
+        prior_from_content(content | change, origin="p.json")
+    assert "\n" not in str(refusal.value) and "p.json" in str(refusal.value)
 
 
 def test_negative_zero_is_no_shift(vae):
@@ -251,20 +230,6 @@ def test_negative_zero_is_no_shift(vae):
                       for shift in (0.0, -0.0))
     draws = [prior.sample(3, np.random.default_rng(1)) for prior in (zero, negative)]
     np.testing.assert_array_equal(*draws)
-
-
-def test_a_bad_table_is_refused(theta):
-    for rows in ([[0.0] * 5], []):
-        with pytest.raises(InputError, match="theta: give"):
-            prior_from_content(prior_content(TablePrior(theta)) | {"theta": rows}, origin="p.json")
-
-
-@pytest.mark.parametrize("text", ["", "[]", "3", "{", "[" * 100_000])
-def test_other_files_are_not_a_prior(tmp_path, text):
-    path = tmp_path / "p.json"
-    path.write_text(text)
-    with pytest.raises(InputError, match=r"not a prior|not a JSON document"):
-        load_prior(path)
 
 
 def test_too_few_or_equal_fabrics_are_refused(theta):

@@ -1,10 +1,8 @@
 """Testers of several sizes: draped, rendered, written and read back."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-import yaml
+from cloths import describe
 
 from common.errors import InputError
 from data.captures.capture import read_capture, write_capture
@@ -26,27 +24,20 @@ def shape(request) -> Drape:
                  edge=6e-3, seed=1)
 
 
-def state_tester(folder: Path, tester: object) -> None:
-    """Write ``tester`` to the description of a capture; None: remove it."""
-    file = folder / "capture.yaml"
-    content = yaml.safe_load(file.read_text()) | {"tester": tester}
-    file.write_text(yaml.safe_dump({k: v for k, v in content.items() if v is not None}))
-
-
 def test_a_tester_of_any_size_drapes_renders_and_reads_back(tmp_path, shape):
     rig = shape.rig
     views = DepthRenderer(shape.positions, shape.faces).views(nominal_camera(rig), 0.3)
     folder = tmp_path / "capture"
     write_capture(folder, views=views, intrinsics=nominal_camera(rig).intrinsics, density=0.3,
                   rig=rig)
-    state_tester(folder, {"specimen": rig.specimen, "size_mm": round(1e3 * rig.specimen_size),
+    describe(folder, tester={"specimen": rig.specimen, "size_mm": round(1e3 * rig.specimen_size),
                           "plate_mm": round(1e3 * rig.plate_diameter)})
     capture = read_capture(folder)
     assert shape.converged and capture.rig == rig and capture.warnings == ()
     cloth = capture.views > 0
     assert np.abs(capture.views - views)[cloth].max() < 0.51e-3
     assert cloth.sum() > 0.999 * (views > 0).sum()  # few pixels are taken for outliers
-    state_tester(folder, None)
+    describe(folder, tester=None)
     with pytest.raises(InputError, match="states no tester; give tester: square300_cylinder100, d"):
         read_capture(folder)
 

@@ -107,17 +107,15 @@ def test_both_faces_of_each_fabric_are_up():
     assert {p.face for p in plans(8)} == {1}
 
 
-@pytest.mark.parametrize(
-    ("changes", "complaint"),
-    [({"starts_per_fabric": 0}, "starts_per_fabric"),
-     ({"starts": ("flat",)}, "flat.* must contain only lowered, sine, fold"),
-     ({"starts": ()}, "must contain lowered or sine"),
-     ({"starts": ("borrowed",)}, "nothing to borrow"),
-     ({"testers": ("moon",)}, "moon"),
-     ({"testers": ()}, "random_testers=0 .* be 1 without testers"),
-     ({"testers_per_fabric": 3}, "testers_per_fabric=3 must lie between 1 and"),
-     ({"starts": ("sine", "borrowed"), "random_testers": 0.5}, "give a single name in testers")],
-)
+@pytest.mark.parametrize(("changes", "complaint"), [
+    ({"starts_per_fabric": 0}, "starts_per_fabric"),
+    ({"starts": ("flat",)}, "flat.* must contain only lowered, sine, fold"),
+    ({"starts": ()}, "must contain lowered or sine"),
+    ({"starts": ("borrowed",)}, "nothing to borrow"),
+    ({"testers": ("moon",)}, "moon"),
+    ({"testers": ()}, "random_testers=0 .* be 1 without testers"),
+    ({"testers_per_fabric": 3}, "testers_per_fabric=3 must lie between 1 and"),
+    ({"starts": ("sine", "borrowed"), "random_testers": 0.5}, "give a single name in testers")])
 def test_nonsense_is_refused(changes, complaint):
     with pytest.raises(InputError, match=complaint):
         SamplingConfig(**changes)

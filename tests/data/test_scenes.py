@@ -1,10 +1,7 @@
 """Synthetic raw scenes: what stands where, and which pixels show cloth."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
-from cloths import skirt
 
 from data.render.scenes import CLUTTER, raw_scene
 from sim.rig import Rig
@@ -12,19 +9,13 @@ from sim.rig import Rig
 TURNS = np.radians([0.0, 83.0, 184.0, 271.0])
 
 
-@pytest.fixture(scope="module")
-def drape() -> SimpleNamespace:
-    fabric = SimpleNamespace(alpha=np.full(3, 20e-6))
-    return skirt(fabric, rig=Rig(), edge=0.01, start="sine", seed=0, offset=(0.0, 0.0), laws=None)
-
-
-def scene(drape, seed=0, **settings):
-    return raw_scene(drape.positions, drape.faces, np.random.default_rng(seed), rig=Rig(),
+def scene(skirted, seed=0, **settings):
+    return raw_scene(skirted.positions, skirted.faces, np.random.default_rng(seed), rig=Rig(),
                      turns=TURNS, **settings)
 
 
-def test_cloth_is_what_changes_and_lies_before_everything_else(drape):
-    seen = scene(drape, sensor="none")
+def test_cloth_is_what_changes_and_lies_before_everything_else(skirted):
+    seen = scene(skirted, sensor="none")
     assert seen.frames.shape == (4, 180, 240) and (seen.frames > 0).mean() > 0.9
     assert np.array_equal(seen.frames[seen.cloth], seen.clean[seen.cloth])
     nothing = np.broadcast_to(seen.background, seen.frames.shape)
@@ -35,8 +26,8 @@ def test_cloth_is_what_changes_and_lies_before_everything_else(drape):
     assert (seen.cloth == (seen.clean > 0)).all()
 
 
-def test_the_table_lies_as_far_below_the_plate_as_is_said(drape):
-    seen = scene(drape, sensor="none", clutter="empty")
+def test_the_table_lies_as_far_below_the_plate_as_is_said(skirted):
+    seen = scene(skirted, sensor="none", clutter="empty")
     pose = seen.camera.world_to_camera
     points = (seen.camera.back_project(seen.background) - pose[:3, 3]) @ pose[:3, :3]
     near = (points[..., 1] < 0.3) & (np.hypot(points[..., 0], points[..., 1]) > 0.06)
@@ -45,18 +36,18 @@ def test_the_table_lies_as_far_below_the_plate_as_is_said(drape):
     assert np.allclose(points[near][:, 2], seen.table, atol=1e-4)
 
 
-def test_clutter_fills_the_scene_and_the_seed_decides(drape):
+def test_clutter_fills_the_scene_and_the_seed_decides(skirted):
     shares = []
     for name in CLUTTER:
-        empty, full = (scene(drape, sensor="none", clutter=one) for one in ("empty", name))
+        empty, full = (scene(skirted, sensor="none", clutter=one) for one in ("empty", name))
         shares.append((empty.background != full.background).mean())
     assert shares[0] == 0 and shares[2] > 0.05
-    assert np.array_equal(scene(drape, seed=3).frames, scene(drape, seed=3).frames)
+    assert np.array_equal(scene(skirted, seed=3).frames, scene(skirted, seed=3).frames)
 
 
 @pytest.mark.parametrize("sensor", ["smooth", "paper"])
-def test_the_label_goes_through_the_sensor_with_the_depth(drape, sensor):
-    seen = scene(drape, sensor=sensor, clutter="empty")
+def test_the_label_goes_through_the_sensor_with_the_depth(skirted, sensor):
+    seen = scene(skirted, sensor=sensor, clutter="empty")
     # It is displaced with the picture: a label left where it was would be wrong at silhouettes.
     pose = seen.camera.world_to_camera
     height = ((seen.camera.back_project(seen.frames) - pose[:3, 3]) @ pose[:3, :3])[..., 2]

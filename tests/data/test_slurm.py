@@ -3,23 +3,18 @@
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
+from test_generate import ROOT, files
 
 from data.dataset.generate import main
 
-ROOT = Path(__file__).parents[2]
 TOOL = ROOT / "tools" / "slurm.sh"
 PARTS = 4
 SMALL = ["drapes=32", "edge_mm=12", "dataset.drapes_per_shard=2",
          "dataset.starts=[sine,fold,borrowed]"]
 
 pytestmark = pytest.mark.slurm
-
-
-def files(folder):
-    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
 
 
 @pytest.fixture(scope="module")

@@ -1,11 +1,11 @@
 """A recording of a turntable with a drape: the frames, and bags that hold them.
 
-``recordings/turntable.db3`` was made by ``python tests/data/turntable.py`` with the recorder of
-librealsense 2.59 (pyrealsense2), from a device in software.
+``recordings/turntable.db3`` was made by the recorder of librealsense 2.59 (pyrealsense2) from a
+device in software with one depth sensor (Z16, units of 1 mm, no distortion) that was given these
+frames, ten a second.
 """
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 
@@ -25,8 +25,7 @@ def turntable() -> tuple[np.ndarray, np.ndarray, Intrinsics]:
     from data.render.scenes import raw_scene
     from sim.rig import Rig
 
-    fabric = SimpleNamespace(alpha=np.full(3, 20e-6))
-    drape = skirt(fabric, rig=Rig(), edge=0.01, start="sine", seed=0, offset=(0.0, 0.0), laws=None)
+    drape = skirt()
     between = [np.linspace(one, one + np.pi / 2, MOVE + 2)[1:-1] for one in STOPS[:-1]]
     turns = np.concatenate([STOPS, *between])
     scene = raw_scene(drape.positions, drape.faces, np.random.default_rng(2), rig=Rig(),
@@ -75,45 +74,3 @@ def write_bag(file: Path, frames: np.ndarray, intrinsics: Intrinsics, *, unit: f
         add("Depth_0/image/data", "sensor_msgs/msg/Image", [types["sensor_msgs/msg/Image"](
             header(k), height, width, "mono16", 0, 2 * width,
             frame.astype("<u2").view(np.uint8).ravel()) for k, frame in enumerate(frames)])
-
-
-def write_realsense(file: Path, frames: np.ndarray, intrinsics: Intrinsics) -> None:
-    """The same through librealsense's recorder."""
-    import time
-
-    import pyrealsense2 as rs
-
-    device = rs.software_device()
-    sensor = device.add_sensor("Depth")
-    lens = rs.intrinsics()
-    lens.width, lens.height = intrinsics.width, intrinsics.height
-    lens.fx, lens.fy, lens.ppx, lens.ppy = (intrinsics.fx, intrinsics.fy, intrinsics.cx,
-                                            intrinsics.cy)
-    lens.model, lens.coeffs = rs.distortion.none, [0.0] * 5
-    stream = rs.video_stream()
-    stream.type, stream.index, stream.uid, stream.fps = rs.stream.depth, 0, 0, int(RATE)
-    stream.width, stream.height, stream.bpp = intrinsics.width, intrinsics.height, 2
-    stream.fmt, stream.intrinsics = rs.format.z16, lens
-    profile = sensor.add_video_stream(stream)
-    sensor.add_read_only_option(rs.option.depth_units, 0.001)
-    recorder = rs.recorder(str(file), device)
-    recorded = recorder.query_sensors()[0]
-    recorded.open(recorded.get_stream_profiles()[0])
-    recorded.start(rs.frame_queue(len(frames)))
-    for k, picture in enumerate(frames):
-        frame = rs.software_video_frame()
-        frame.stride, frame.bpp, frame.timestamp = 2 * intrinsics.width, 2, 1e3 * k / RATE
-        frame.domain, frame.frame_number = rs.timestamp_domain.hardware_clock, k
-        frame.profile, frame.pixels = profile.as_video_stream_profile(), picture
-        frame.depth_units = 0.001
-        sensor.on_video_frame(frame)
-        time.sleep(1 / RATE)  # the recorder stamps frames as they come
-    recorded.stop()
-    recorded.close()
-
-
-if __name__ == "__main__":
-    shown, _, intrinsics = turntable()
-    FILE.parent.mkdir(exist_ok=True)
-    FILE.unlink(missing_ok=True)
-    write_realsense(FILE, shown, intrinsics)

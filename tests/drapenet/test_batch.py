@@ -32,7 +32,7 @@ def rows(file: Path) -> list[dict[str, str]]:
 
 
 @pytest.fixture(scope="module")
-def words(tmp_path_factory: pytest.TempPathFactory, untrained_checkpoint: Path) -> list[str]:
+def words(tmp_path_factory, untrained_checkpoint) -> list[str]:
     """Command line for five small captures, a missing one and the bundled one."""
     root = tmp_path_factory.mktemp("root")
     views, intrinsics = capture_views(orientation=0.4)
@@ -47,7 +47,7 @@ def words(tmp_path_factory: pytest.TempPathFactory, untrained_checkpoint: Path) 
 
 
 @pytest.fixture(scope="module")
-def printed(words: list[str], tmp_path_factory: pytest.TempPathFactory) -> str:
+def printed(words, tmp_path_factory) -> str:
     """What the first run prints."""
     with pytest.MonkeyPatch.context() as patch:
         lines: list[str] = []
@@ -57,11 +57,11 @@ def printed(words: list[str], tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 @pytest.fixture
-def out(words: list[str], printed: str) -> Path:
+def out(words, printed) -> Path:
     return Path(words[1].removeprefix("out="))
 
 
-def test_the_tables_hold_every_fabric(out: Path, printed: str) -> None:
+def test_the_tables_hold_every_fabric(out, printed):
     fabrics = {row["fabric"]: row for row in rows(out / "fabrics.csv")}
     assert {name: row["captures"] for name, row in fabrics.items()} == {
         SCRIPT: "1", "'" + FORMULA: "2", "sound": "1"}
@@ -78,13 +78,13 @@ def test_the_tables_hold_every_fabric(out: Path, printed: str) -> None:
     assert len(rows(out / "captures.csv")) == 4
 
 
-def test_failures_are_listed_with_their_reasons(out: Path) -> None:
+def test_failures_are_listed_with_their_reasons(out):
     gone, twice = rows(out / "failures.csv")
     assert gone["fabric"] == "gone" and "does not exist" in gone["reason"]
     assert twice["fabric"] == "twice" and "have the same views" in twice["reason"]
 
 
-def test_a_fabric_with_warnings_is_marked_wherever_it_is_shown(out: Path, printed: str) -> None:
+def test_a_fabric_with_warnings_is_marked_wherever_it_is_shown(out, printed):
     fabrics = {row["fabric"]: row for row in rows(out / "fabrics.csv")}
     assert fabrics["sound"]["flags"] == "" and fabrics["sound"]["captures_with_warnings"] == "0"
     assert "by itself: " in fabrics["'" + FORMULA]["flags"]
@@ -96,15 +96,13 @@ def test_a_fabric_with_warnings_is_marked_wherever_it_is_shown(out: Path, printe
     assert page.count('<tr class="doubted">') == 2
 
 
-def test_names_are_text_in_the_pages(out: Path) -> None:
+def test_names_are_text_in_the_pages(out):
     pages = [file.read_text("utf-8") for file in out.rglob("*.html")]
     assert len(pages) == 4 and not any("<script>" in page for page in pages)
     assert "&lt;script&gt;" in (out / "index.html").read_text("utf-8")
 
 
-def test_only_unfinished_and_changed_captures_are_estimated_again(
-    out: Path, words: list[str], capsys: pytest.CaptureFixture
-) -> None:
+def test_only_unfinished_and_changed_captures_are_estimated_again(out, words, capsys):
     tables = {name: (out / name).read_bytes() for name in ("captures.csv", "failures.csv")}
     done = sorted(out.rglob("done.json"))
     times = {file: file.stat().st_mtime_ns for file in done}
@@ -122,9 +120,7 @@ def test_only_unfinished_and_changed_captures_are_estimated_again(
             if row["fabric"] == SCRIPT} == {"300"}
 
 
-def test_damaged_samples_cost_their_fabric_and_no_other(
-    out: Path, words: list[str], capsys: pytest.CaptureFixture
-) -> None:
+def test_damaged_samples_cost_their_fabric_and_no_other(out, words, capsys):
     samples = next(file for file in out.rglob("samples.npz") if len(
         file.relative_to(out).parts) > 2 and "script" in str(file))
     samples.write_bytes(samples.read_bytes()[:-100])
@@ -137,7 +133,7 @@ def test_damaged_samples_cost_their_fabric_and_no_other(
     assert any(str(samples) in row["reason"] for row in rows(out / "failures.csv"))
 
 
-def test_only_broken_captures_are_an_error(tmp_path: Path, untrained_checkpoint: Path) -> None:
+def test_only_broken_captures_are_an_error(tmp_path, untrained_checkpoint):
     (tmp_path / "root" / "a" / "b").mkdir(parents=True)
     (tmp_path / "root" / "a" / "b" / "view_0.png").write_bytes(b"no picture")
     with pytest.raises(InputError, match="none of 1 captures"):
@@ -147,7 +143,7 @@ def test_only_broken_captures_are_an_error(tmp_path: Path, untrained_checkpoint:
     assert rows(tmp_path / "out" / "fabrics.csv") == []
 
 
-def test_results_of_other_captures_are_not_replaced(out: Path, words: list[str]) -> None:
+def test_results_of_other_captures_are_not_replaced(out, words):
     shutil.copytree(TWILL, out.parent / "other" / "fabric")
     with pytest.raises(InputError, match="estimates of other captures"):
         infer.main([f"captures={out.parent / 'other'}", *words[1:]])

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cloths import revolved, skirt
 
 from data.render.cameras import camera_pose, nominal_camera
 from data.render.rays import DepthRenderer
@@ -12,9 +13,7 @@ from drapenet.views.directions import AZIMUTHS, elevations
 from drapenet.views.located import LocatedViews
 from drapenet.views.radial_map import drape_coefficient, radial_map, side_direction
 from drapenet.views.turns import CENTRE_BIAS
-from sim.material import Fabric
 from sim.rig import Rig
-from tests.cloths import skirt
 
 WRONG = np.radians([0.0, 5.0, -6.0, 3.0])  # of the table
 QUARTERS = np.arange(4) * np.pi / 2
@@ -22,8 +21,7 @@ QUARTERS = np.arange(4) * np.pi / 2
 
 @pytest.fixture(scope="module")
 def renderer():
-    cloth = skirt(Fabric(np.full(3, 20e-6)), rig=Rig(), edge=6e-3, start="sine", seed=1,
-                  offset=(0.0, 0.0), laws=None)
+    cloth = skirt(edge=6e-3, seed=1)
     return DepthRenderer(cloth.positions, cloth.faces)
 
 
@@ -86,19 +84,8 @@ def test_sides_and_marked_directions_become_azimuth_zero(renderer, orientation):
 
 def test_distances_are_those_of_the_cloth(renderer):
     """A cone's: known in closed form."""
-    angle = np.linspace(0, 2 * np.pi, 181)[:-1]
     rings = np.linspace(0.0, 1.0, 41)
-    radius = np.concatenate([[0.0], 0.05 + 0.06 * rings[1:]])
-    height = np.concatenate([[0.0], -0.09 * rings[1:]])
-    radius[1], height[1] = 0.05, 0.0
-    points = np.concatenate([np.column_stack([r * np.cos(angle), r * np.sin(angle),
-                                              np.full(180, z)])
-                             for r, z in zip(radius, height, strict=True)])
-    i = np.arange(180)
-    faces = np.concatenate([np.concatenate([
-        np.stack([k * 180 + i, k * 180 + (i + 1) % 180, (k + 1) * 180 + i], 1),
-        np.stack([k * 180 + (i + 1) % 180, (k + 1) * 180 + (i + 1) % 180, (k + 1) * 180 + i], 1)])
-        for k in range(len(radius) - 1)])
+    points, faces = revolved(np.append(0.0, 0.05 + 0.06 * rings), np.append(0.0, -0.09 * rings))
     camera = seen_from(40, 0.5)
     views = np.stack([DepthRenderer(points, faces).view(camera, angle) for angle in QUARTERS])
     # As the plate of a drape is located: a little too near. A cone itself does not show it.
@@ -119,19 +106,9 @@ def test_distances_are_those_of_the_cloth(renderer):
 @pytest.mark.parametrize("pitch", [30, 45])
 def test_the_drape_coefficient_is_that_of_the_cloth(renderer, pitch):
     """A cone's: known in closed form."""
-    angle = np.linspace(0, 2 * np.pi, 181)[:-1]
     rings = np.linspace(0.0, 1.0, 41)
-    radius = 0.05 + 0.06 * rings
-    points = [[0.0, 0.0, 0.0]]
-    for r, share in zip(radius, rings, strict=True):
-        points += [[r * np.cos(a), r * np.sin(a), -0.05 * share] for a in angle]
-    count = len(angle)
-    faces = [[0, 1 + k, 1 + (k + 1) % count] for k in range(count)]
-    for ring in range(len(rings) - 1):
-        for k in range(count):
-            a, b = 1 + ring * count + k, 1 + ring * count + (k + 1) % count
-            faces += [[a, a + count, b], [b, a + count, b + count]]
-    cone = DepthRenderer(np.array(points), np.array(faces))
+    cone = DepthRenderer(*revolved(np.append(0.0, 0.05 + 0.06 * rings),
+                                   np.append(0.0, -0.05 * rings)))
     camera = seen_from(pitch, 0.5)
     found = radial_map(
         LocatedViews.registered(cone.views(camera), camera, Rig(), QUARTERS), zero=0.0)

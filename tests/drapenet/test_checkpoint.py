@@ -11,23 +11,23 @@ from common.errors import InputError
 from drapenet.network.checkpoint import bundled, load_model, read_header, save_checkpoint
 from drapenet.network.model import KNOWN, MapNet
 from drapenet.views.directions import AZIMUTHS, ELEVATIONS
-from sim.rig import DISC_RIG, SMALL_DISC_RIG, SQUARE_RIG, Rig
+from sim.rig import DISC_RIG, SMALL_DISC_RIG, SQUARE_RIG
 
 
 @pytest.fixture
-def checkpoint(untrained_checkpoint: Path, tmp_path: Path) -> Path:
+def checkpoint(untrained_checkpoint, tmp_path) -> Path:
     """A copy that a test may spoil."""
     return Path(shutil.copy(untrained_checkpoint, tmp_path / "copy.safetensors"))
 
 
-def test_a_checkpoint_is_one_file_with_its_hash(checkpoint: Path) -> None:
+def test_a_checkpoint_is_one_file_with_its_hash(checkpoint):
     header = read_header(checkpoint)
     assert list(checkpoint.parent.iterdir()) == [checkpoint] == [header.path]
     assert header.sha256 == hashlib.sha256(checkpoint.read_bytes()).hexdigest()
 
 
 @pytest.mark.parametrize("half", [False, True])
-def test_a_loaded_network_predicts_the_same(checkpoint: Path, half: bool) -> None:
+def test_a_loaded_network_predicts_the_same(checkpoint, half):
     content = description(checkpoint)
     torch.manual_seed(5)
     model = MapNet(**content["model"]).eval()
@@ -53,7 +53,7 @@ def test_a_loaded_network_predicts_the_same(checkpoint: Path, half: bool) -> Non
     ({"model": {"width": 8, "targets": 6, "depth": 3}}, r"unknown key 'model\.depth'"),
     ({"config": {"setup": None}}, r"config\.setup=None"),
 ])
-def test_another_schema_is_refused(checkpoint: Path, changes: dict, message: str) -> None:
+def test_another_schema_is_refused(checkpoint, changes, message):
     change_description(checkpoint, **changes)
     with pytest.raises(InputError, match=message) as caught:
         read_header(checkpoint)
@@ -63,7 +63,7 @@ def test_another_schema_is_refused(checkpoint: Path, changes: dict, message: str
 @pytest.mark.parametrize("text", [
     '{"schema_version": 3', '{"schema_version": 3}', "[" * 100_000, '{"schema": 1, "schema": 2}',
     '{"rig": NaN}', "9" * 9999, "[]"])
-def test_a_damaged_description_is_refused_in_one_line(checkpoint: Path, text: str) -> None:
+def test_a_damaged_description_is_refused_in_one_line(checkpoint, text):
     describe_again(checkpoint, text)
     with pytest.raises(InputError) as caught:
         read_header(checkpoint)
@@ -73,9 +73,7 @@ def test_a_damaged_description_is_refused_in_one_line(checkpoint: Path, text: st
 @pytest.mark.parametrize(("fault", "message"), [
     ("missing", "no checkpoint file"), ("truncated", "not a safetensors file"),
     ("undescribed", "does not describe its network")])
-def test_a_file_that_is_no_checkpoint_is_refused(
-    checkpoint: Path, fault: str, message: str
-) -> None:
+def test_a_file_that_is_no_checkpoint_is_refused(checkpoint, fault, message):
     data = checkpoint.read_bytes()
     checkpoint.unlink()
     if fault == "truncated":
@@ -87,19 +85,19 @@ def test_a_file_that_is_no_checkpoint_is_refused(
 
 
 @pytest.mark.parametrize("rig", [SQUARE_RIG, DISC_RIG], ids=lambda rig: rig.name)
-def test_each_common_tester_has_a_bundled_network(rig: Rig) -> None:
+def test_each_common_tester_has_a_bundled_network(rig):
     header = read_header(bundled(rig))
     assert header.rig == rig
     assert load_model(header).training is False
 
 
-def test_a_tester_without_a_network_is_named_with_those_that_have_one() -> None:
+def test_a_tester_without_a_network_is_named_with_those_that_have_one():
     with pytest.raises(InputError, match="for the tester disc240_support180; the bundled networks "
                        "know disc300_support180 and square300_cylinder100: give checkpoint=FILE"):
         bundled(SMALL_DISC_RIG)
 
 
-def test_weights_of_another_network_are_refused(checkpoint: Path) -> None:
+def test_weights_of_another_network_are_refused(checkpoint):
     change_description(checkpoint, model=description(checkpoint)["model"] | {"width": 16})
     with pytest.raises(InputError, match="does not fit the network"):
         load_model(read_header(checkpoint))

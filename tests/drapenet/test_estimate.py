@@ -39,13 +39,13 @@ def drawn(
 
 
 @pytest.fixture
-def header(untrained_checkpoint: Path) -> Header:
+def header(untrained_checkpoint) -> Header:
     return read_header(untrained_checkpoint)
 
 
 @pytest.mark.parametrize("turn", [0.0, np.pi / 2])
 @pytest.mark.parametrize("disc", [0.0, 0.2])
-def test_stiff_is_the_direction_that_is_stiffer(header: Header, turn: float, disc: float) -> None:
+def test_stiff_is_the_direction_that_is_stiffer(header, turn, disc):
     draws = drawn([60, 40, 20], axis=0.5 + turn, disc=disc)
     if turn:  # the same fabric, its samples in the other order
         draws = replace(draws, theta=draws.theta[:, SWAPPED])
@@ -61,9 +61,7 @@ def test_stiff_is_the_direction_that_is_stiffer(header: Header, turn: float, dis
     (0.5, [60, 40, 20]), (0.55, [60, 40, 20]), (0.5 + np.pi / 2, [20, 40, 60]),
     (0.5 - np.pi / 2, [20, 40, 60])])
 @pytest.mark.parametrize("disc", [0.0, 0.2])
-def test_a_marked_warp_names_the_directions(
-    header: Header, warp: float, alpha: list[float], disc: float
-) -> None:
+def test_a_marked_warp_names_the_directions(header, warp, alpha, disc):
     capture = replace(CAPTURE, warp_direction=warp % np.pi)
     estimate = make_estimate(drawn([60, 40, 20], disc=disc), capture=capture, header=header)
     assert estimate.names == ("warp", "bias", "weft")
@@ -72,24 +70,18 @@ def test_a_marked_warp_names_the_directions(
     assert not estimate.warnings
 
 
-def test_a_mark_between_the_yarns_is_doubted(header: Header) -> None:
-    capture = replace(CAPTURE, warp_direction=0.5 + np.radians(35))
-    estimate = make_estimate(drawn([60, 40, 20]), capture=capture, header=header)
-    assert any("warp lies 35° from the yarns" in line for line in estimate.warnings)
+@pytest.mark.parametrize(("alpha", "warp", "doubt", "times"), [
+    ([60, 40, 20], 0.5 + np.radians(35), "warp lies 35° from the yarns", 1),
+    ([40, 40, 39], None, "stiffer yarns is uncertain", 1),
+    ([6000, 4000, 2000], None, "extrapolation", 3)])
+def test_what_is_doubtful_is_told(header, alpha, warp, doubt, times):
+    estimate = make_estimate(drawn(alpha), capture=replace(CAPTURE, warp_direction=warp),
+                             header=header)
+    assert sum(doubt in line for line in estimate.warnings) == times
+    assert (0.5 <= estimate.certainty < 0.8) == ("stiffer" in doubt)
 
 
-def test_alike_yarns_leave_the_stiffer_ones_uncertain(header: Header) -> None:
-    estimate = make_estimate(drawn([40, 40, 39]), capture=CAPTURE, header=header)
-    assert 0.5 <= estimate.certainty < 0.8
-    assert any("stiffer yarns is uncertain" in line for line in estimate.warnings)
-
-
-def test_an_extrapolation_is_named(header: Header) -> None:
-    estimate = make_estimate(drawn([6000, 4000, 2000]), capture=CAPTURE, header=header)
-    assert sum("extrapolation" in line for line in estimate.warnings) == 3
-
-
-def test_the_median_is_a_possible_fabric(header: Header) -> None:
+def test_the_median_is_a_possible_fabric(header):
     """Samples on both sides of the impossible: none of them is impossible, their medians are."""
     draws = drawn([60, 40, 20])
     theta = draws.theta.copy()
@@ -101,7 +93,7 @@ def test_the_median_is_a_possible_fabric(header: Header) -> None:
     assert is_admissible(estimate.fabric.alpha, estimate.fabric.beta)
 
 
-def test_a_document_holds_medians_intervals_correlations_and_the_law(header: Header) -> None:
+def test_a_document_holds_medians_intervals_correlations_and_the_law(header):
     estimate = make_estimate(drawn([60, 40, 20], deviation=0.2), capture=CAPTURE, header=header)
     content = document_of(estimate).content()
     json.dumps(content, allow_nan=False)
@@ -122,7 +114,7 @@ def test_a_document_holds_medians_intervals_correlations_and_the_law(header: Hea
     assert content["poorly_constrained"] == [] and "stiff_axis" in content
 
 
-def test_what_is_as_wide_as_the_prior_is_poorly_constrained(header: Header) -> None:
+def test_what_is_as_wide_as_the_prior_is_poorly_constrained(header):
     document = document_of(make_estimate(drawn([60, 40, 20], deviation=0.8), capture=CAPTURE,
                                          header=header))
     assert "alpha bias" in document.poorly_constrained
@@ -135,14 +127,12 @@ def test_what_is_as_wide_as_the_prior_is_poorly_constrained(header: Header) -> N
     (123.456, 90.0, 150.0, ("123", "90 to 150")),
     (0.012345, 0.011, 0.014, ("0.0123", "0.0110 to 0.0140")),
 ])
-def test_digits_follow_the_uncertainty(
-    median: float, low: float, high: float, text: tuple[str, str]
-) -> None:
+def test_digits_follow_the_uncertainty(median, low, high, text):
     quantity = Quantity(median=median, interval_68=[low, high], interval_90=[low, high])
     assert quantity.texts() == text
 
 
-def test_an_estimate_is_loaded_with_its_samples(tmp_path: Path) -> None:
+def test_an_estimate_is_loaded_with_its_samples(tmp_path):
     """As docs/use.md shows it."""
     alpha = np.array([60.0, 40.0, 20.0]) * MICRO
     estimate = estimate_of(alpha, np.zeros(3), density=0.15, deviation=0.1)
@@ -159,7 +149,7 @@ def test_an_estimate_is_loaded_with_its_samples(tmp_path: Path) -> None:
             drapenet.load(tmp_path / "estimate.json")
 
 
-def test_document_is_read_as_written(tmp_path: Path) -> None:
+def test_document_is_read_as_written(tmp_path):
     document = document_of(estimate_of(np.full(3, 30 * MICRO), np.zeros(3)), warnings=["a", "b"])
     file = tmp_path / "estimate.json"
     replace_json(file, document.content())

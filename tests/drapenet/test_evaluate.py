@@ -13,7 +13,6 @@ import drapenet.network.evaluate
 from common.errors import InputError
 from data.dataset.folder import finished_manifest
 from data.fabrics.prior import load_prior, prior_content
-from data.render.setups import Setups
 from drapenet.network.checkpoint import load_model, read_header
 from drapenet.network.dataset import make_maps
 from drapenet.network.evaluate import CELLS, datasets, judge, make_config
@@ -29,11 +28,11 @@ def write_fabrics(file: Path) -> Path:
 
 
 def test_an_untrained_network_is_no_better_than_the_mean_and_says_how_wide_it_is(
-    untrained_checkpoint: Path, cloth_dataset: Path, tmp_path: Path
-) -> None:
-    maps = make_maps(cloth_dataset, finished_manifest(cloth_dataset), tmp_path,
-                     setups=Setups.load(), captures=1, seed=1)
+    untrained_checkpoint, cloth_dataset, tmp_path
+):
     header = read_header(untrained_checkpoint)
+    maps = make_maps(cloth_dataset, finished_manifest(cloth_dataset), tmp_path,
+                     setups=header.setups, captures=1, seed=1)
     result = judge(load_model(header), header, maps, known=False)
     figure = result["log_alpha"]
     assert figure["interval_95"][0] < figure["rmse"] < figure["interval_95"][1]
@@ -42,7 +41,7 @@ def test_an_untrained_network_is_no_better_than_the_mean_and_says_how_wide_it_is
     assert (result["captures"], result["drapes"]) == (24, 24)
 
 
-def test_the_matrix_varies_one_thing_at_a_time(untrained_checkpoint: Path) -> None:
+def test_the_matrix_varies_one_thing_at_a_time(untrained_checkpoint):
     header = read_header(untrained_checkpoint)
     base = make_config(header, drapes=50, seed=5)
     made = datasets(base)
@@ -55,9 +54,7 @@ def test_the_matrix_varies_one_thing_at_a_time(untrained_checkpoint: Path) -> No
         assert set(cell.setups) <= set(vars(header.setups))
 
 
-def test_seen_fabrics_are_refused_before_they_are_made(
-    untrained_checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_seen_fabrics_are_refused_before_they_are_made(untrained_checkpoint, tmp_path, monkeypatch):
     copy = Path(shutil.copy(untrained_checkpoint, tmp_path / "copy.safetensors"))
     dataset = description(copy)["dataset"]
     dataset["generation"] |= {"sampling": {"seed": 5, "starts": ["sine"]},
@@ -74,9 +71,8 @@ def test_seen_fabrics_are_refused_before_they_are_made(
 
 @pytest.mark.parametrize("table", [False, True])
 def test_the_command_prints_a_line_a_cell(
-    untrained_checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture, table: bool,
-) -> None:
+    untrained_checkpoint, tmp_path, monkeypatch, capsys, table
+):
     def make(config: object, out: Path, *, workers: int) -> dict:
         if not out.exists():
             cloths.write_dataset(out, drapes=3, seed=config.sampling.seed)

@@ -38,12 +38,12 @@ def write(path: Path, names: tuple[str, ...] = DIRECTIONS, **changes: object) ->
 
 
 @pytest.fixture
-def estimate(tmp_path: Path) -> Path:
+def estimate(tmp_path) -> Path:
     return write(tmp_path / "estimate.json")
 
 
 @pytest.fixture
-def material(estimate: Path) -> Material:
+def material(estimate) -> Material:
     return read_material(estimate)
 
 
@@ -52,14 +52,14 @@ def exported(estimate: Path, target: str, **options: object) -> Path:
                   estimate.parent / TARGETS[target].file)[0]
 
 
-def test_clo_gets_the_weft_along_u(estimate: Path) -> None:
+def test_clo_gets_the_weft_along_u(estimate):
     physical = json.loads(exported(estimate, "jfab").read_text())["mapPhysical"]
     found = [physical[key] for key in ("fBvK", "fBhK", "fBuK")]
     assert np.array(found) * 1e-3 * 1e-6 == pytest.approx(ALPHA)  # g to kg, mm² to m²
     assert physical["fDensity"] * 1e-3 / 1e-6 == pytest.approx(DENSITY)
 
 
-def test_browzwear_gets_dyne_centimetres_and_a_main_file_that_names_them(estimate: Path) -> None:
+def test_browzwear_gets_dyne_centimetres_and_a_main_file_that_names_them(estimate):
     file = exported(estimate, "u3m")
     physics = json.loads(file.read_text())["material"]["physics"]
     assert physics["weight"] == 210
@@ -70,7 +70,7 @@ def test_browzwear_gets_dyne_centimetres_and_a_main_file_that_names_them(estimat
     assert float(bend["width"]) * 1e-5 * 1e-2 == pytest.approx(ALPHA[2])
 
 
-def test_usd_opens_with_clo_s_and_the_proposal_s_attributes(estimate: Path) -> None:
+def test_usd_opens_with_clo_s_and_the_proposal_s_attributes(estimate):
     usd = pytest.importorskip("pxr.Usd")
     stage = usd.Stage.Open(str(exported(estimate, "usd")))
     prim = stage.GetDefaultPrim()
@@ -87,7 +87,7 @@ def test_usd_opens_with_clo_s_and_the_proposal_s_attributes(estimate: Path) -> N
     assert about["moduli"] == json.loads(estimate.read_text())["moduli"]
 
 
-def test_arcsim_s_table_gives_the_torque_by_arcsim_s_rules(estimate: Path) -> None:
+def test_arcsim_s_table_gives_the_torque_by_arcsim_s_rules(estimate):
     """Linear interpolation over the curvature's half in steps of 5/m, rows by the edge's angle."""
     material = read_material(estimate, mesh="alternating")
     data = json.loads(export(material, "arcsim", estimate.parent / "a.json")[0].read_text())
@@ -104,7 +104,7 @@ def test_arcsim_s_table_gives_the_torque_by_arcsim_s_rules(estimate: Path) -> No
     assert "at negative angles" in TARGETS["arcsim"].lost
 
 
-def test_ppf_s_hinges_across_the_yarns_have_their_moduli(estimate: Path) -> None:
+def test_ppf_s_hinges_across_the_yarns_have_their_moduli(estimate):
     material = read_material(estimate, mesh="equal", edge_mm=4.0)
     file = export(material, "ppf", estimate.parent / "p.toml")[0]
     data = {key: float(value) for key, value in (
@@ -116,7 +116,7 @@ def test_ppf_s_hinges_across_the_yarns_have_their_moduli(estimate: Path) -> None
     assert "hinge_over_plate_modulus" in file.read_text()
 
 
-def test_newton_s_edges_store_the_energy_of_hinges(material: Material, tmp_path: Path) -> None:
+def test_newton_s_edges_store_the_energy_of_hinges(material, tmp_path):
     """1/2 ke l theta² of every edge against the hinge law, on a bent strip."""
     module = runpy.run_path(str(export(material, "newton", tmp_path / "n.py")[0]))
     assert np.array(module["MATERIAL"]["edge_aniso_ke"]) * 3 / material.ratio == pytest.approx(
@@ -146,12 +146,12 @@ def test_newton_s_edges_store_the_energy_of_hinges(material: Material, tmp_path:
         law.value(unknowns), rel=1e-5)
 
 
-def test_the_secant_stands_for_the_law_where_it_is_wanted(estimate: Path) -> None:
+def test_the_secant_stands_for_the_law_where_it_is_wanted(estimate):
     physical = json.loads(exported(estimate, "jfab", curvature_1_m=50.0).read_text())["mapPhysical"]
     assert physical["fBvK"] * 1e-9 == pytest.approx(ALPHA[0] + 50 * BETA[0])
 
 
-def test_neutral_files_return_what_was_estimated(estimate: Path) -> None:
+def test_neutral_files_return_what_was_estimated(estimate):
     data = json.loads(exported(estimate, "json").read_text())
     assert data["alpha_N_m"] == pytest.approx(ALPHA) and data["beta_N_m2"] == pytest.approx(BETA)
     rows = [line.split(",") for line in exported(estimate, "csv").read_text().splitlines()]
@@ -161,7 +161,7 @@ def test_neutral_files_return_what_was_estimated(estimate: Path) -> None:
     assert curve[20, 1:] * 1e-3 == pytest.approx(torque(curve[20, 0], ALPHA, BETA), rel=1e-4)
 
 
-def test_all_targets_of_one_estimate_have_the_same_bytes_again(estimate: Path) -> None:
+def test_all_targets_of_one_estimate_have_the_same_bytes_again(estimate):
     folders = [estimate.parent / name for name in ("first", "second")]
     for folder in folders:
         main([f"estimate={estimate}", "to=all", f"out={folder}"])
@@ -184,16 +184,14 @@ def test_all_targets_of_one_estimate_have_the_same_bytes_again(estimate: Path) -
     (["to=csv"], {"moduli": {}}, "directions"), (["to=csv"], {"capture": None}, "capture=None"),
     (["to=csv"], {"capture": {"density_g_m2": -1.0, "rig": ""}}, "density_g_m2=-1.0"),
 ])
-def test_bad_input_is_an_error_and_no_file(
-    tmp_path: Path, words: list[str], changes: dict, complaint: str
-) -> None:
+def test_bad_input_is_an_error_and_no_file(tmp_path, words, changes, complaint):
     path = write(tmp_path / "estimate.json", **changes)
     with pytest.raises(InputError, match=complaint):
         main([f"estimate={path}", *words])
     assert [file.name for file in tmp_path.iterdir()] == ["estimate.json"]
 
 
-def test_the_docs_hold_every_tool() -> None:
+def test_the_docs_hold_every_tool():
     text = (Path(__file__).parents[2] / "docs" / "exports.md").read_text(encoding="utf-8")
     for name, t in TARGETS.items():
         row, = (line for line in text.splitlines() if line.startswith(f"| `{name}` | {t.tool} | "))
@@ -201,7 +199,7 @@ def test_the_docs_hold_every_tool() -> None:
     assert "\n## Not offered\n" in text and set(ALIASES.values()) <= set(TARGETS)
 
 
-def test_the_name_of_the_fabric_is_in_the_files(estimate: Path) -> None:
+def test_the_name_of_the_fabric_is_in_the_files(estimate):
     for name, wanted in (("", "twill"), ("Blé 7/8", "Blé 7/8")):
         jfab = json.loads(exported(estimate, "jfab", name=name).read_text())
         assert jfab["qsFabricName"].endswith(wanted) and jfab["drapenet"]["name"].endswith(wanted)
@@ -216,9 +214,7 @@ def test_the_name_of_the_fabric_is_in_the_files(estimate: Path) -> None:
     assert formula.splitlines()[1].endswith(",'=1+1")
 
 
-def test_programs_stand_for_their_format_and_folders_for_their_estimate(
-    estimate: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_programs_stand_for_their_format_and_folders_for_their_estimate(estimate, capsys):
     main([f"estimate={estimate.parent}", "to=CLO,unreal,jfab", "curvature_1_m=120"])
     printed = capsys.readouterr().out
     assert [Path(line).name for line in printed.splitlines()[:2]] == ["fabric.jfab", "fabric.usda"]
@@ -230,11 +226,11 @@ def test_programs_stand_for_their_format_and_folders_for_their_estimate(
 
 @pytest.mark.parametrize(("mesh", "cells"), [
     ("unstructured", 7), ("alternating", 9), ("equal", 6), ("random", 6)])
-def test_ratios_of_meshes_are_those_of_simulated_strips(mesh: str, cells: int) -> None:
+def test_ratios_of_meshes_are_those_of_simulated_strips(mesh, cells):
     assert hinge_ratio(mesh, cells) == pytest.approx(simulated_ratio(mesh, cells), abs=1e-3)
 
 
-def test_every_mesh_has_ratios_near_those_of_the_validation(estimate: Path) -> None:
+def test_every_mesh_has_ratios_near_those_of_the_validation(estimate):
     for mesh, low, high in (("unstructured", 1.0, 1.1), ("alternating", 1.18, 1.24),
                             ("equal", 1.15, 1.25), ("random", 1.08, 1.2)):
         assert low < read_material(estimate, mesh=mesh).ratio < high

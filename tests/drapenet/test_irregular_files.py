@@ -55,7 +55,7 @@ READERS: dict[str, Callable[[Path], object]] = {
 
 
 @pytest.mark.parametrize("name", READERS)
-def test_only_regular_files_of_bounded_size_are_read(tmp_path: Path, name: str) -> None:
+def test_only_regular_files_of_bounded_size_are_read(tmp_path, name):
     def sparse(file: Path) -> None:
         with file.open("wb") as stream:
             stream.truncate(1 << 43)

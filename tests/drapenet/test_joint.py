@@ -1,6 +1,5 @@
 """Several captures of one fabric."""
 
-
 import numpy as np
 import pytest
 
@@ -20,7 +19,7 @@ def posterior(peak: np.ndarray, likelihood: np.ndarray, names: tuple[str, str, s
     return Estimate(draws, names, 0.0, 1.0, 0.2, prior.deviation)
 
 
-def test_captures_count_once_each_and_the_prior_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_captures_count_once_each_and_the_prior_once(monkeypatch):
     monkeypatch.setattr(joint, "SHARED", 0.0)
     prior = joint.fabric_prior(DIRECTIONS)
     rng = np.random.default_rng(1)
@@ -36,7 +35,7 @@ def test_captures_count_once_each_and_the_prior_once(monkeypatch: pytest.MonkeyP
     assert not found.warnings
 
 
-def test_errors_that_captures_share_do_not_average_out(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_errors_that_captures_share_do_not_average_out(monkeypatch):
     prior = joint.fabric_prior(DIRECTIONS)
     one = posterior(prior.mean, np.diag((0.1 * prior.deviation) ** 2), DIRECTIONS)
     monkeypatch.setattr(joint, "SHARED", 1.0)
@@ -49,7 +48,7 @@ def test_errors_that_captures_share_do_not_average_out(monkeypatch: pytest.Monke
         np.full(3, 0.4**0.5), rel=0.05)
 
 
-def test_captures_of_another_fabric_are_named_and_no_other() -> None:
+def test_captures_of_another_fabric_are_named_and_no_other():
     prior = joint.fabric_prior(DIRECTIONS)
     likelihood = np.diag((0.1 * prior.deviation) ** 2)
     one = posterior(prior.mean, likelihood, DIRECTIONS)
@@ -64,7 +63,7 @@ def test_captures_of_another_fabric_are_named_and_no_other() -> None:
     assert {text[0] for text in two} == {"B", "D"}
 
 
-def test_repeats_contradict_each_other_as_rarely_as_is_stated() -> None:
+def test_repeats_contradict_each_other_as_rarely_as_is_stated():
     """Captures whose errors have the covariance that the rule supposes, and specimens that vary."""
     rng, prior = np.random.default_rng(3), joint.fabric_prior(DIRECTIONS)
     deviation = 0.12
@@ -81,7 +80,7 @@ def test_repeats_contradict_each_other_as_rarely_as_is_stated() -> None:
         assert 2 <= alarms <= 25  # 10 expected, with some correlation of the four
 
 
-def test_the_prior_of_nameless_yarns_is_that_of_either_order() -> None:
+def test_the_prior_of_nameless_yarns_is_that_of_either_order():
     prior = load_prior("gaussian")
     known = joint.fabric_prior(DIRECTIONS)
     np.testing.assert_array_equal(known.covariance, prior.covariance)

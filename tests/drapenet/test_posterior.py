@@ -15,7 +15,7 @@ def mixture() -> Mixture:
     return Mixture.of_outputs(outputs.double(), components=3, targets=4)
 
 
-def test_the_likelihood_is_that_of_the_gaussians(mixture: Mixture) -> None:
+def test_the_likelihood_is_that_of_the_gaussians(mixture):
     at = torch.full((2, 4), 0.3, dtype=torch.float64)
     found = mixture.log_likelihood(at)
     for n in range(2):
@@ -27,7 +27,7 @@ def test_the_likelihood_is_that_of_the_gaussians(mixture: Mixture) -> None:
         assert found[n].item() == pytest.approx(np.log(shares @ densities), abs=1e-9)
 
 
-def test_samples_have_the_density_s_moments_and_their_intervals_hold(mixture: Mixture) -> None:
+def test_samples_have_the_density_s_moments_and_their_intervals_hold(mixture):
     draws = mixture.sample(40_000, torch.Generator().manual_seed(0)).numpy()
     for n in range(2):
         shares = mixture.logits[n].softmax(dim=0).numpy()

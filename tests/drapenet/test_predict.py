@@ -25,8 +25,8 @@ def radial_map_of_a_capture() -> RadialMap:
 
 
 def test_samples_are_possible_fabrics_in_the_first_view_s_axes(
-    untrained_checkpoint: Path, radial_map_of_a_capture: RadialMap, one_thread: None
-) -> None:
+    untrained_checkpoint, radial_map_of_a_capture
+):
     header = read_header(untrained_checkpoint)
     draws, = predict(load_model(header), header, [radial_map_of_a_capture])
     assert is_admissible(*from_theta(draws.theta)).all()
@@ -36,8 +36,8 @@ def test_samples_are_possible_fabrics_in_the_first_view_s_axes(
 
 @pytest.mark.parametrize("quarters", [1, 2, 3])
 def test_a_quarter_turn_of_the_map_exchanges_the_yarns(
-    untrained_checkpoint: Path, radial_map_of_a_capture: RadialMap, quarters: int, one_thread: None
-) -> None:
+    untrained_checkpoint, radial_map_of_a_capture, quarters
+):
     header = read_header(untrained_checkpoint)
     network, one = load_model(header), radial_map_of_a_capture
     turned = RadialMap(np.roll(one.distance, quarters * AZIMUTHS // 4, axis=0), one.weight,
@@ -50,9 +50,7 @@ def test_a_quarter_turn_of_the_map_exchanges_the_yarns(
         np.zeros(6), abs=0.1)
 
 
-def test_what_is_known_changes_the_answer(
-    untrained_checkpoint: Path, radial_map_of_a_capture: RadialMap
-) -> None:
+def test_what_is_known_changes_the_answer(untrained_checkpoint, radial_map_of_a_capture):
     header = read_header(untrained_checkpoint)
     network = load_model(header)
     unknown, = predict(network, header, [radial_map_of_a_capture])
@@ -60,7 +58,7 @@ def test_what_is_known_changes_the_answer(
     assert abs(known.theta.mean(axis=0) - unknown.theta.mean(axis=0)).max() > 1e-6
 
 
-def test_what_is_known_of_a_fabric_is_that_of_its_own_density() -> None:
+def test_what_is_known_of_a_fabric_is_that_of_its_own_density():
     """A fabric half as heavy drapes the same with half the moduli and half the membrane."""
     twill = Path(__file__).parents[2] / "examples" / "captures" / "twill"
     capture = read_capture(twill)

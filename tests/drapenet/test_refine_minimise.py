@@ -53,7 +53,7 @@ def linear(seed: int) -> Linear:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_bounded_linear_problems_are_solved(seed: int) -> None:
+def test_bounded_linear_problems_are_solved(seed):
     problem = linear(seed)
     expected = lsq_linear(problem.matrix, problem.target, (-2, 2))
     outcome = minimise(problem, limits=Limits(evaluations=200, step=1e-9, decrease=1e-12))
@@ -62,7 +62,7 @@ def test_bounded_linear_problems_are_solved(seed: int) -> None:
 
 
 @pytest.mark.parametrize(("method", "most"), [("lm", 40), ("lbfgs", 90), ("cmaes", 1200)])
-def test_a_bent_valley_is_followed_to_its_end(method: str, most: int) -> None:
+def test_a_bent_valley_is_followed_to_its_end(method, most):
     problem = Valley()
     status, record = run_method(problem, method, Limits(2000, step=1e-8, decrease=1e-12))
     assert status is Status.CONVERGED
@@ -73,7 +73,7 @@ def test_a_bent_valley_is_followed_to_its_end(method: str, most: int) -> None:
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_no_method_passes_its_limit_or_a_wall_of_failed_simulations(method: str) -> None:
+def test_no_method_passes_its_limit_or_a_wall_of_failed_simulations(method):
     problem = Valley(wall=0.3)
     status, record = run_method(problem, method, Limits(120))
     assert problem.evaluations <= 120
@@ -82,7 +82,7 @@ def test_no_method_passes_its_limit_or_a_wall_of_failed_simulations(method: str)
     assert status is Status.EXHAUSTED
 
 
-def test_what_nothing_depends_on_keeps_its_value() -> None:
+def test_what_nothing_depends_on_keeps_its_value():
     problem = linear(0)
     problem.matrix[:, 2] = 0.0
     outcome = minimise(problem, limits=Limits(evaluations=50, step=1e-9))
@@ -90,7 +90,7 @@ def test_what_nothing_depends_on_keeps_its_value() -> None:
     assert outcome.status is Status.CONVERGED
 
 
-def test_the_limit_is_kept_and_every_evaluation_reported() -> None:
+def test_the_limit_is_kept_and_every_evaluation_reported():
     problem, reports = Valley(), []
     outcome = minimise(problem, limits=Limits(7, step=1e-12, decrease=1e-15),
                        report=partial(reports.append, None))
@@ -98,7 +98,7 @@ def test_the_limit_is_kept_and_every_evaluation_reported() -> None:
     assert outcome.status is Status.EXHAUSTED
 
 
-def test_the_result_is_never_worse_than_the_start() -> None:
+def test_the_result_is_never_worse_than_the_start():
     class Wrong(Valley):
         def linearised(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             residuals, jacobian = super().linearised(x)
@@ -108,6 +108,6 @@ def test_the_result_is_never_worse_than_the_start() -> None:
     assert outcome.value <= START_VALUE and outcome.status is Status.STALLED
 
 
-def test_a_start_without_a_value_is_reported() -> None:
+def test_a_start_without_a_value_is_reported():
     outcome = minimise(Valley(wall=-2.0))
     assert outcome.status is Status.FAILED and outcome.value == math.inf

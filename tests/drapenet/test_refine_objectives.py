@@ -40,13 +40,13 @@ def camera() -> Camera:
 
 
 @pytest.fixture(scope="module")
-def compared(camera: Camera) -> tuple[np.ndarray, DepthViews]:
+def compared(camera) -> tuple[np.ndarray, DepthViews]:
     positions, faces = dome()
     views = DepthRenderer(positions, faces).views(camera, 0.3)
     return positions, DepthViews(located(views, camera), faces, turn=0.3)
 
 
-def test_robust_residuals_and_their_derivatives() -> None:
+def test_robust_residuals_and_their_derivatives():
     r, limit = np.array([-7.0, -1.5, 0.0, 0.3, 1.9, 2.1, 40.0]), 2.0
     bent, slope = huber(r, limit)
     step = 1e-6
@@ -56,7 +56,7 @@ def test_robust_residuals_and_their_derivatives() -> None:
     assert bent**2 / 2 == pytest.approx(expected)
 
 
-def test_a_drape_fits_its_own_views(compared: tuple[np.ndarray, DepthViews]) -> None:
+def test_a_drape_fits_its_own_views(compared):
     positions, objective = compared
     residuals = objective.residuals(positions, objective.start)
     # Views are kept in single precision; the border is smoothed by a fraction of a pixel.
@@ -65,9 +65,7 @@ def test_a_drape_fits_its_own_views(compared: tuple[np.ndarray, DepthViews]) -> 
     assert value(moved) > 100 * value(residuals)
 
 
-def test_what_is_compared_is_what_is_rendered(
-    compared: tuple[np.ndarray, DepthViews], camera: Camera
-) -> None:
+def test_what_is_compared_is_what_is_rendered(compared, camera):
     positions, objective = compared
     expected = DepthRenderer(positions, objective._faces).views(camera, 0.3)
     rendered = objective.render(positions, objective.start)
@@ -77,7 +75,7 @@ def test_what_is_compared_is_what_is_rendered(
 
 
 @pytest.mark.parametrize("name", [*POSE, *table_names(4), FOCAL, BORDER])
-def test_depth_derivatives_by_pose(compared: tuple[np.ndarray, DepthViews], name: str) -> None:
+def test_depth_derivatives_by_pose(compared, name):
     """A step aside of one parameter alone, so that the residuals speak of it."""
     positions, objective = compared
     k = objective.nuisances.index(name)
@@ -94,7 +92,7 @@ def test_depth_derivatives_by_pose(compared: tuple[np.ndarray, DepthViews], name
     assert abs(difference) > 0.5 * size
 
 
-def test_views_of_any_turns_are_compared(camera: Camera) -> None:
+def test_views_of_any_turns_are_compared(camera):
     positions, faces = dome()
     turns = (0.0, 0.9, 2.0)
     views = DepthRenderer(positions, faces).views(camera, 0.3, turns)
@@ -106,7 +104,7 @@ def test_views_of_any_turns_are_compared(camera: Camera) -> None:
     assert values[1] > 10 * values[0]
 
 
-def test_pixels_count_by_the_area_of_a_cell(camera: Camera) -> None:
+def test_pixels_count_by_the_area_of_a_cell(camera):
     positions, faces = dome()
     views = DepthRenderer(positions - [0, 0, 2e-4], faces).views(camera, 0.0)
     fine, coarse = (DepthViews(located(views, camera), faces, weights=DepthWeights(
@@ -116,7 +114,7 @@ def test_pixels_count_by_the_area_of_a_cell(camera: Camera) -> None:
     assert costs[0] == pytest.approx(4 * costs[1])
 
 
-def test_depth_derivatives_along_moves_of_single_pixels(camera: Camera) -> None:
+def test_depth_derivatives_along_moves_of_single_pixels(camera):
     positions, faces = dome()
     views = DepthRenderer(positions, faces).views(camera) + np.float32(0)
     weights = DepthWeights(limit=1.0, border_sigma=np.inf, border_limit=np.inf)
@@ -134,14 +132,14 @@ def test_depth_derivatives_along_moves_of_single_pixels(camera: Camera) -> None:
         assert close.mean() > 0.99  # the others' rays change to the next triangle
 
 
-def test_turn_and_pose_are_found_from_one_shape(compared: tuple[np.ndarray, DepthViews]) -> None:
+def test_turn_and_pose_are_found_from_one_shape(compared):
     positions, objective = compared
     off = np.array([0.05, 0.01, -0.008, 3e-3, -2e-3, 2e-3, 0, 0, 0, 0.01, 1.0])
     found = fit_nuisances(objective, positions, objective.start + off)
     assert np.abs((found - objective.start) / objective.scale)[:6].max() < 0.15
 
 
-def test_points_of_the_views_lie_on_the_shape(compared: tuple[np.ndarray, DepthViews]) -> None:
+def test_points_of_the_views_lie_on_the_shape(compared):
     _, objective = compared
     points, normals = objective.points(objective.start)
     x, y, z = points.T
@@ -151,7 +149,7 @@ def test_points_of_the_views_lie_on_the_shape(compared: tuple[np.ndarray, DepthV
     assert (normals[:, 2] > 0.3).mean() > 0.99  # seen from above
 
 
-def test_a_specimen_is_laid_on_a_cone_at_its_own_arc_lengths() -> None:
+def test_a_specimen_is_laid_on_a_cone_at_its_own_arc_lengths():
     rig = Rig()
     slope = math.radians(50)
     rng = np.random.default_rng(3)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.interpolate import CloughTocher2DInterpolator
 
 from common.errors import InputError
@@ -41,7 +42,7 @@ def settle(shape: CapturedShape, theta: np.ndarray, warp: float = 0.0) -> Drape:
     return follow(near.on(near.mesh.with_rest(rest)), near.fabric, options=SETTLING)
 
 
-def test_the_shape_of_a_drape_is_its_own_equilibrium(captured: CapturedShape) -> None:
+def test_the_shape_of_a_drape_is_its_own_equilibrium(captured):
     settled = settle(captured, THETA, 0.3)
     assert settled.converged
     found = fidelity(captured, settled)
@@ -51,7 +52,7 @@ def test_the_shape_of_a_drape_is_its_own_equilibrium(captured: CapturedShape) ->
                                   captured.positions[captured.held])
 
 
-def test_a_search_recovers_the_moduli_and_the_direction(captured: CapturedShape) -> None:
+def test_a_search_recovers_the_moduli_and_the_direction(captured):
     away = THETA + np.array([0.25, -0.1, 0.2, 4e-4, -4e-4, 3e-4])
     found = search(CapturedScan(captured), [Unknowns.of(away, warp=0.15)],
                    free=(*THETA_NAMES, "warp"))
@@ -61,7 +62,7 @@ def test_a_search_recovers_the_moduli_and_the_direction(captured: CapturedShape)
     assert found.improved
 
 
-def test_a_scan_is_seen_as_a_capture(captured: CapturedShape) -> None:
+def test_a_scan_is_seen_as_a_capture(captured):
     turned = flat_turn(captured)
     assert turned == pytest.approx(-0.3, abs=1e-3)
     seen = scan_capture(Path("scan.npz"), captured, 0.2)
@@ -69,7 +70,7 @@ def test_a_scan_is_seen_as_a_capture(captured: CapturedShape) -> None:
     assert (seen.views > 0).mean() > 0.05
 
 
-def test_held_cloth_is_free_along_the_surface(captured: CapturedShape) -> None:
+def test_held_cloth_is_free_along_the_surface(captured):
     scene = captured.as_drape(fabric_from_theta(THETA)).scene
     springs = plane_springs(scene, captured.positions, pull=0.05)
     q = captured.positions.ravel()
@@ -92,7 +93,7 @@ def scanned() -> Drape:
     return drape(fabric, rig=DISC_RIG, edge=4e-3, start="sine", seed=3)
 
 
-def test_a_raw_scan_is_registered_without_stretching_the_cloth(scanned: Drape) -> None:
+def test_a_raw_scan_is_registered_without_stretching_the_cloth(scanned):
     noise = np.random.default_rng(4).normal(0, 3e-4, scanned.positions.shape)
     cloud = Cloud.of_mesh(scanned.positions + noise, scanned.faces[:, ::-1])
     found = register(cloud, DISC_RIG, edge=6e-3)
@@ -107,7 +108,7 @@ def test_a_raw_scan_is_registered_without_stretching_the_cloth(scanned: Drape) -
     assert settle(shape, THETA).converged
 
 
-def test_a_scan_whose_vertices_slid_is_laid_again(tmp_path: Path, scanned: Drape) -> None:
+def test_a_scan_whose_vertices_slid_is_laid_again(tmp_path, scanned):
     c, s = math.cos(0.7), math.sin(0.7)
     turned = scanned.rest @ np.array([[c, -s], [s, c]])  # first rest axis at 0.7 rad on the plate
     file = tmp_path / "scan.npz"
@@ -130,11 +131,7 @@ def test_a_scan_whose_vertices_slid_is_laid_again(tmp_path: Path, scanned: Drape
                                atol=1e-4)
 
 
-def test_a_surface_that_no_specimen_can_be_laid_on_is_refused(
-    tmp_path: Path, scanned: Drape
-) -> None:
-    import trimesh
-
+def test_a_surface_that_no_specimen_can_be_laid_on_is_refused(tmp_path, scanned):
     near = scanned.rest[:, 0] < 0.03  # one side is missing
     trimesh.PointCloud(scanned.positions[near]).export(tmp_path / "part.ply")
     with pytest.raises(InputError, match="mm from this surface on average and does not fit"):
@@ -149,65 +146,51 @@ def test_a_surface_that_no_specimen_can_be_laid_on_is_refused(
         read_shape(tmp_path / "table.ply", DISC_RIG, edge=6e-3)
 
 
-def write_raw(file: Path, shape: CapturedShape, fault: str) -> None:
-    """Write a raw scan with one of :data:`RAW_FAULTS`."""
-    import trimesh
-
-    points, faces = shape.positions.copy(), shape.faces.copy()
-    contents = {"empty": b"", "header only": b"ply\nformat ascii 1.0\n", "noise": b"\x00\xff" * 50,
-                "damaged line": b"v 0.1 0.2 0\n" * 300 + b"v 0.1 0.2\nf 1 2 3\n"}
-    if fault == "missing":
-        return
-    if fault in contents:
-        file.write_bytes(contents[fault])
-        return
-    if fault == "millimetres":
-        points *= 1e3
-    elif fault == "lower":
-        points -= [0, 0, 0.1]
-    elif fault == "upside down":
-        points *= [1, 1, -1]
-    elif fault == "nan":
-        points[3, 1] = np.nan
-    elif fault == "far face":
-        faces[:, 2] += 10**6
-    elif fault == "no faces":
-        trimesh.PointCloud(points).export(file)
-        return
-    trimesh.Trimesh(points, faces, process=False).export(file)
+def mesh_of(shape: CapturedShape, scale: object = 1.0, lift: float = 0.0) -> trimesh.Trimesh:
+    return trimesh.Trimesh(shape.positions * scale + [0, 0, lift], shape.faces, process=False)
 
 
-RAW_FAULTS = {
-    "empty": "", "header only": "", "noise": "", "missing": "cannot be read",
-    "damaged line": "export it again", "millimetres": "metres", "lower": "plane z = 0",
-    "upside down": "z must point up", "nan": "1 of .* points are not finite",
-    "far face": "refers to a missing vertex"}
+def with_nan(shape: CapturedShape) -> trimesh.Trimesh:
+    mesh = mesh_of(shape)
+    mesh.vertices[3, 1] = np.nan
+    return mesh
 
 
-@pytest.mark.parametrize("fault", RAW_FAULTS)
-def test_a_faulty_raw_scan_is_refused(
-    tmp_path: Path, captured: CapturedShape, fault: str
-) -> None:
-    file = tmp_path / ("scan.obj" if fault == "damaged line" else "scan.ply")
-    write_raw(file, captured, fault)
-    with pytest.raises(InputError, match=RAW_FAULTS[fault]):
+def with_far_face(shape: CapturedShape) -> trimesh.Trimesh:
+    return trimesh.Trimesh(shape.positions, shape.faces + np.array([0, 0, 10**6]), process=False)
+
+
+@pytest.mark.parametrize(("make", "message"), [
+    (b"", ""), (b"ply\nformat ascii 1.0\n", ""), (b"\x00\xff" * 50, ""),
+    (b"v 0.1 0.2 0\n" * 300 + b"v 0.1 0.2\nf 1 2 3\n", "export it again"),
+    (lambda shape: mesh_of(shape, scale=1e3), "metres"),
+    (lambda shape: mesh_of(shape, lift=-0.1), "plane z = 0"),
+    (lambda shape: mesh_of(shape, scale=[1, 1, -1]), "z must point up"),
+    (with_nan, "1 of .* points are not finite"),
+    (with_far_face, "refers to a missing vertex")])
+def test_a_faulty_raw_scan_is_refused(tmp_path, captured, make, message):
+    file = tmp_path / ("scan.ply" if callable(make) or not make.startswith(b"v ") else "scan.obj")
+    if callable(make):
+        make(captured).export(file)
+    else:
+        file.write_bytes(make)
+    with pytest.raises(InputError, match=message):
         read_cloud(file, DISC_RIG)
 
 
-def test_raw_scans_may_have_faces_or_none(tmp_path: Path, captured: CapturedShape) -> None:
-    for fault in ("none", "no faces"):
-        write_raw(tmp_path / "scan.ply", captured, fault)
-        points = read_cloud(tmp_path / "scan.ply", DISC_RIG).points
-        assert (len(points) > len(captured.positions)) is (fault == "none")
+def test_raw_scans_may_have_faces_or_none(tmp_path, captured):
+    file, count = tmp_path / "scan.ply", len(captured.positions)
+    mesh_of(captured).export(file)
+    assert len(read_cloud(file, DISC_RIG).points) > count
+    trimesh.PointCloud(captured.positions).export(file)
+    assert len(read_cloud(file, DISC_RIG).points) <= count
 
 
 @pytest.mark.parametrize(("words", "message"), [
     (["scan={bad}"], "cannot be read"), (["scan=x.npz", "capture=y"], "not both"),
     (["scan=x.npz", "refine=depth"], "refine=depth does not fit a scan; use"),
     (["scan=x.npz", "density_g_m2=0"], "density_g_m2")])
-def test_the_command_refuses_a_faulty_scan(
-    tmp_path: Path, words: list[str], message: str
-) -> None:
+def test_the_command_refuses_a_faulty_scan(tmp_path, words, message):
     bad = tmp_path / "bad.npz"
     bad.write_bytes(b"nothing")
     with pytest.raises(InputError, match=message):
@@ -216,7 +199,7 @@ def test_the_command_refuses_a_faulty_scan(
 
 
 @pytest.mark.slow
-def test_the_command_refines_a_scan(tmp_path: Path, captured: CapturedShape) -> None:
+def test_the_command_refines_a_scan(tmp_path, captured):
     scan = tmp_path / "scan.npz"
     np.savez(scan, vertices=captured.positions, rest=captured.rest, faces=captured.faces)
     main([f"scan={scan}", "refine=scan", f"out={tmp_path / 'out'}"])

@@ -18,7 +18,7 @@ from sim.rig import Rig
 from sim.scene import Scene, make_specimen
 
 
-def test_derivatives_match_central_differences(disc: Scene) -> None:
+def test_derivatives_match_central_differences(disc):
     target = waves(disc.mesh.rest)
     objective = RobustPositions(target, vertices=~disc.held, sigma=1e-3, limit=2.0)
     rng = np.random.default_rng(0)
@@ -33,7 +33,7 @@ def test_derivatives_match_central_differences(disc: Scene) -> None:
     assert np.abs(found.along(moves) - expected).max() < 1e-4 * np.abs(expected).max()
 
 
-def test_raw_points_get_the_normals_of_the_surface() -> None:
+def test_raw_points_get_the_normals_of_the_surface():
     rng = np.random.default_rng(1)
     rest = rng.uniform(-0.15, 0.15, (12000, 2))
     cloud = Cloud.of_points(np.column_stack([rest, np.zeros(len(rest))]))
@@ -49,7 +49,7 @@ def bent(scene: Scene, positions: np.ndarray) -> np.ndarray:
     return np.abs(hinge_angles(positions.ravel(), hinges.dofs)) > MAX_HINGE_ANGLE
 
 
-def test_crumpled_cloth_is_smoothed_and_other_cloth_stays() -> None:
+def test_crumpled_cloth_is_smoothed_and_other_cloth_stays():
     scene = make_specimen(Rig(), edge=8e-3)
     rest = scene.mesh.rest
     crumpled = np.column_stack([rest, np.zeros(len(rest))])
@@ -64,7 +64,7 @@ def test_crumpled_cloth_is_smoothed_and_other_cloth_stays() -> None:
     np.testing.assert_array_equal(smoothed(scene, wavy), wavy)
 
 
-def test_soft_cloth_takes_the_captured_folds() -> None:
+def test_soft_cloth_takes_the_captured_folds():
     fabric = Fabric(np.full(3, 5 * MICRO), np.full(3, -2e-3 * 5 * MICRO))
     truth = drape(fabric, edge=4e-3, seed=3)
     camera, turn = nominal_camera(), 0.4

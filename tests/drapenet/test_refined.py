@@ -64,9 +64,7 @@ def run(
     return result, asked
 
 
-def test_the_posterior_is_that_of_the_search(
-    draped: Drape, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_posterior_is_that_of_the_search(draped, monkeypatch):
     result, asked = run(draped, monkeypatch)
     assert result.draws.theta.mean(axis=0)[:3] == pytest.approx(THETA[:3] + 0.1, abs=0.02)
     assert result.draws.theta.std(axis=0)[0] == pytest.approx(0.1, rel=0.1)
@@ -79,17 +77,13 @@ def test_the_posterior_is_that_of_the_search(
     np.testing.assert_array_equal(asked["starts"][0].theta, before("", "", "").theta)
 
 
-def test_what_is_known_is_not_searched_for(
-    draped: Drape, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_known_is_not_searched_for(draped, monkeypatch):
     _, asked = run(draped, monkeypatch, known={"membrane": 800.0})
     assert "membrane" not in asked["free"] and "shear" in asked["free"]
     assert all(one["membrane"] == pytest.approx(math.log(800)) for one in asked["starts"])
 
 
-def test_a_refinement_that_gains_nothing_leaves_the_network_its_answer(
-    draped: Drape, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_refinement_that_gains_nothing_leaves_the_network_its_answer(draped, monkeypatch):
     result, _ = run(draped, monkeypatch, start_value=10.2)
     assert result.draws is None
     assert any("the network's estimate stands" in line for line in result.warnings)
@@ -97,9 +91,7 @@ def test_a_refinement_that_gains_nothing_leaves_the_network_its_answer(
 
 @pytest.mark.parametrize(("displacement", "warning"), [
     (3.0, None), (12.0, "12 mm from the scan"), (None, "does not come to rest")])
-def test_cloth_released_at_a_scan_stays_there(
-    displacement: float | None, warning: str | None
-) -> None:
+def test_cloth_released_at_a_scan_stays_there(displacement, warning):
     near = displacement and Fidelity(displacement, 1.0, 70.0, 70.0)
     warnings = refine._scan_warnings(near)
     assert len(warnings) == (warning is not None) and (warning or "") in "".join(warnings)

@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cloths import varied_camera
+from cloths import revolved, varied_camera
 
 from data.captures.plate import plate_of_cloth
 from data.render.cameras import nominal_camera
@@ -15,21 +15,15 @@ from sim.rig import Rig
 
 def skirt(folds: int) -> tuple[np.ndarray, np.ndarray]:
     """A round table-cloth with a flat top of 50 mm radius and a wavy skirt: vertices and faces."""
-    along, around = 40, 240
-    s = np.linspace(0, 1, along)[:, None]
-    phi = np.linspace(0, 2 * np.pi, around, endpoint=False)[None]
+    s = np.linspace(0, 1, 40)[:, None]
+    phi = np.linspace(0, 2 * np.pi, 240, endpoint=False)
     drop = np.maximum(s - 0.4, 0) / 0.6
     radius = np.minimum(s / 0.4, 1) * 0.05 + drop * (0.02 + 0.02 * np.cos(folds * phi))
-    position = np.stack([radius * np.cos(phi), radius * np.sin(phi), -0.1 * drop + 0 * phi], -1)
-    i, j = np.mgrid[: along - 1, :around]
-    a, b = i * around + j, i * around + (j + 1) % around
-    faces = np.concatenate([np.stack([a, a + around, b], -1).reshape(-1, 3),
-                            np.stack([b, a + around, b + around], -1).reshape(-1, 3)])
-    return position.reshape(-1, 3), faces
+    return revolved(radius, -0.1 * drop, around=240)
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_the_camera_is_found_again(seed: int) -> None:
+def test_the_camera_is_found_again(seed):
     camera = varied_camera(np.random.default_rng(seed))
     views = DepthRenderer(*skirt(7)).views(camera, 0.2)
     found = plate_of_cloth(views, camera.intrinsics, Rig()).pose
@@ -37,7 +31,7 @@ def test_the_camera_is_found_again(seed: int) -> None:
     assert np.linalg.norm(found[:3, 2] - camera.world_to_camera[:3, 2]) < 5e-3  # rad
 
 
-def test_a_camera_outside_the_set_ups_gives_a_warning() -> None:
+def test_a_camera_outside_the_set_ups_gives_a_warning():
     views = DepthRenderer(*skirt(7)).views(varied_camera(np.random.default_rng(1)), 0.2)
 
     def warnings(pictures: np.ndarray, **changes: float) -> str:
@@ -55,7 +49,7 @@ def test_a_camera_outside_the_set_ups_gives_a_warning() -> None:
 
 
 @pytest.mark.parametrize("folds", [4, 7, 11])
-def test_folds_are_counted(folds: int) -> None:
+def test_folds_are_counted(folds):
     camera = nominal_camera()
     views = DepthRenderer(*skirt(folds)).views(camera, 0.2)
     located = camera.posed(plate_of_cloth(views, camera, Rig()).pose)
@@ -65,7 +59,7 @@ def test_folds_are_counted(folds: int) -> None:
     assert np.nanmax(profile) == pytest.approx(0.066, abs=0.0025)
 
 
-def test_the_profile_turns_with_the_specimen() -> None:
+def test_the_profile_turns_with_the_specimen():
     camera = nominal_camera()
     vertices, faces = skirt(1)  # one bulge, at azimuth 0 of the specimen
     for orientation in (0.0, 1.0, 2.5, 4.0):
@@ -75,7 +69,7 @@ def test_the_profile_turns_with_the_specimen() -> None:
         assert np.cos(azimuth - orientation) > 0.9
 
 
-def test_a_smooth_circle_has_no_fold_and_an_unseen_drape_neither() -> None:
+def test_a_smooth_circle_has_no_fold_and_an_unseen_drape_neither():
     assert count_folds(np.full(180, 0.06)) == 0
     assert count_folds(np.full(180, np.nan)) == 0
     wave = 0.06 + 0.004 * np.cos(5 * np.linspace(0, 2 * np.pi, 180, endpoint=False))
@@ -83,7 +77,7 @@ def test_a_smooth_circle_has_no_fold_and_an_unseen_drape_neither() -> None:
     assert count_folds(0.06 + (wave - 0.06) / 8) == 0  # ripples within a depth step
 
 
-def test_overlap_of_silhouettes() -> None:
+def test_overlap_of_silhouettes():
     first, second = np.zeros((4, 10, 10)), np.zeros((4, 10, 10))
     first[:, :, :6], second[:, :, 3:9] = 0.5, 0.7
     assert silhouette_overlap(first, second) == pytest.approx(3 / 9)

@@ -13,14 +13,14 @@ THETA = np.array([[-10.0, -10.5, -11.0, -1e-3, -2e-3, -3e-3]])
 
 
 @pytest.mark.parametrize("quarters", range(-2, 5))
-def test_the_yarns_along_azimuth_0_come_first(quarters: int) -> None:
+def test_the_yarns_along_azimuth_0_come_first(quarters):
     warp = np.array([quarters * np.pi / 2 + 0.3])
     expected = THETA[:, SWAPPED] if quarters % 2 else THETA
     assert np.array_equal(targets_of(THETA, warp, disc=False), expected)
 
 
 @pytest.mark.parametrize(("theta", "stiff"), [(THETA, 0.4), (THETA[:, SWAPPED], 0.4 + np.pi / 2)])
-def test_targets_of_a_disc_are_sorted_and_have_a_direction(theta: np.ndarray, stiff: float) -> None:
+def test_targets_of_a_disc_are_sorted_and_have_a_direction(theta, stiff):
     targets = targets_of(theta, np.array([0.4]), disc=True)
     assert targets[:, :6] == pytest.approx(THETA)
     weight = np.tanh(1.0)
@@ -28,7 +28,7 @@ def test_targets_of_a_disc_are_sorted_and_have_a_direction(theta: np.ndarray, st
 
 
 @pytest.mark.parametrize("disc", [False, True])
-def test_a_turned_map_is_that_of_a_turned_specimen(disc: bool) -> None:
+def test_a_turned_map_is_that_of_a_turned_specimen(disc):
     """A bump stands for the warp: it must go where the targets say."""
     symmetry = Symmetry.draw(40, disc=disc, rng=np.random.default_rng(2))
     warp_cell = 10
@@ -44,7 +44,7 @@ def test_a_turned_map_is_that_of_a_turned_specimen(disc: bool) -> None:
         before.numpy(), abs=1e-6)
 
 
-def test_the_scale_of_a_square_does_not_know_warp_from_weft() -> None:
+def test_the_scale_of_a_square_does_not_know_warp_from_weft():
     targets = np.random.default_rng(0).normal(size=(50, 6)) * np.arange(1, 7)
     scale = TargetScale.fit(targets, disc=False)
     assert np.array_equal(scale.mean, scale.mean[SWAPPED])
@@ -52,13 +52,13 @@ def test_the_scale_of_a_square_does_not_know_warp_from_weft() -> None:
     assert scale.decode(scale.encode(targets)) == pytest.approx(targets)
 
 
-def test_the_scale_of_a_disc_turns_with_it() -> None:
+def test_the_scale_of_a_disc_turns_with_it():
     targets = np.random.default_rng(0).normal(size=(50, 8)) + 0.3
     scale = TargetScale.fit(targets, disc=True)
     assert scale.mean[6:].tolist() == [0.0, 0.0] and scale.std[6] == scale.std[7]
 
 
-def test_the_network_closes_around_the_axis() -> None:
+def test_the_network_closes_around_the_axis():
     """A map turned by a quarter gives the features turned, so averages over it stay."""
     torch.manual_seed(0)
     network = MapNet(width=4, components=2, targets=6, distance=0.1, spread=0.02).eval()
@@ -70,7 +70,7 @@ def test_the_network_closes_around_the_axis() -> None:
     assert torch.allclose(first.roll(first.shape[3] // 4, dims=3), second, atol=1e-5)
 
 
-def test_what_is_not_known_has_a_flag() -> None:
+def test_what_is_not_known_has_a_flag():
     """The last two inputs state that there is no friction beside the moduli."""
     known = known_of(torch.tensor([4, 8]), torch.tensor([316.0, np.nan]))
     assert known.shape == (2, KNOWN)

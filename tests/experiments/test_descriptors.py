@@ -11,10 +11,10 @@ from experiments.papers.descriptors import (
     interpolation,
 )
 from sim.rig import DISC_RIG, Rig
-from sim.scene import Scene, make_specimen
+from sim.scene import make_specimen
 
 
-def test_ring_spectrum_is_invariant_to_rotation_but_not_to_fold_depth(disc: Scene) -> None:
+def test_ring_spectrum_is_invariant_to_rotation_but_not_to_fold_depth(disc):
     rest = disc.mesh.rest
     rings = RingSpectrum(rest, DISC_RIG, blur=0.0)
     here = rings.describe(waves(rest))
@@ -32,7 +32,7 @@ def test_ring_spectrum_is_invariant_to_rotation_but_not_to_fold_depth(disc: Scen
 
 
 @pytest.mark.parametrize("kind", [RingSpectrum, GridSpectrum])
-def test_descriptor_derivatives(kind: type) -> None:
+def test_descriptor_derivatives(kind):
     specimen = make_specimen(Rig(), edge=8e-3)
     rng = np.random.default_rng(2)
     rest = specimen.mesh.rest
@@ -50,7 +50,7 @@ def test_descriptor_derivatives(kind: type) -> None:
     assert found.by_nuisance.shape == (len(found.residuals), 0)
 
 
-def test_grid_spectrum_is_invariant_to_phase_but_not_to_amplitude() -> None:
+def test_grid_spectrum_is_invariant_to_phase_but_not_to_amplitude():
     specimen = make_specimen(Rig(), edge=5e-3, grading=1.0)
     rest = specimen.mesh.rest
 
@@ -64,7 +64,7 @@ def test_grid_spectrum_is_invariant_to_phase_but_not_to_amplitude() -> None:
     assert 3 * shifted < higher
 
 
-def test_interpolation_is_exact_for_linear_functions(disc: Scene) -> None:
+def test_interpolation_is_exact_for_linear_functions(disc):
     rest = disc.mesh.rest
     points = np.random.default_rng(3).uniform(-0.1, 0.1, (50, 2))
     matrix = interpolation(rest, points)

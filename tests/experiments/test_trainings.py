@@ -130,8 +130,7 @@ def test_trainings_are_stored_and_not_repeated(tmp_path, capsys, name):
 
 def test_symmetries_of_views_are_those_of_the_specimen():
     specimen = make_specimen(RIG, edge=0.015).mesh
-    cloth = skirt(Fabric(np.full(3, 20e-6)), rig=RIG, edge=0.015, start="", seed=0,
-                  offset=(0.0, 0.0), laws=None)
+    cloth = skirt(edge=0.015)
     camera = nominal_camera()
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 

@@ -1,7 +1,6 @@
 """Uploads: what is taken, what is refused and with which sentence."""
 
 import io
-import random
 import struct
 import zipfile
 import zlib
@@ -10,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from PIL import Image
 
 from common.command import compose_config
 from data.captures.capture import Capture, read_capture
@@ -134,21 +132,14 @@ REFUSED = {
     "no picture": ([("view_0.png", b"GIF89a"), YAML], {}, 422, "cannot be read"),
     "no density": (VIEWS, {}, 422, "density_g_m2 is missing"),
     "density in kg": (VIEWS, {"density_g_m2": "0.2"}, 422, "check the unit"),
-    "density in words": (VIEWS, {"density_g_m2": "heavy"}, 422, "heavy"),
-    "density nan": (VIEWS, {"density_g_m2": "nan"}, 422, "finite"),
     "turns in words": (VIEWS, {"turns_deg": "a quarter"}, 422, "turns_deg.0='a'"),
-    "endless turn": (VIEWS, {"turns_deg": "0, inf"}, 422, "turns_deg"),
     "half a camera": (VIEWS, {"density_g_m2": "90", "fx": "300"}, 422, "fy is missing"),
     "no tester": (VIEWS, CAMERA, 422, "tester is missing; give tester: square300_cylinder100, "),
-    "large plate": (VIEWS, CAMERA | {"tester": "disc400_support210"}, 422, "a plate of 210 mm"),
-    "another face": (VIEWS, CAMERA | {"face": "left"}, 422, "face='left'"),
     "unknown field": (VIEWS, {"__class__": "1"}, 422, "unknown key"),
     "long field": (VIEWS, {"name": "x" * 1000}, 422, "200"),
     "refine": (VIEWS, {"refine": "perhaps"}, 422, "refine='perhaps'"),
     "YAML tag": ([*VIEWS, ("capture.yaml", b"!!python/object/apply:os.system [id]")], {}, 422,
                  "not valid YAML"),
-    "YAML list": ([*VIEWS, ("capture.yaml", b"- 1")], {}, 422, "key: value"),
-    "YAML not text": ([*VIEWS, ("capture.yaml", b"\xff\xfe\x00")], {}, 422, "UTF-8"),
     "long YAML": ([*VIEWS, ("capture.yaml", b"a: " + b"x" * 70000)], {}, 413, "bytes"),
     "scan among views": ([("scan.npz", b""), *VIEWS], {}, 422, "must come alone"),
     "scan without density": ([("scan.npz", b"PK")], {}, 422, "density_g_m2 is missing"),
@@ -162,26 +153,3 @@ def test_invalid_uploads_are_refused_with_a_sentence(case, settings):
         checked_upload(files, fields, settings)
     assert refused.value.status_code == status
     assert sentence in refused.value.detail and "\n" not in refused.value.detail
-
-
-def test_damaged_uploads_are_refused_or_taken_but_never_fail_otherwise(settings):
-    rng = random.Random(5)
-    whole = zipped([*VIEWS, YAML])
-    small = io.BytesIO()
-    Image.new("I;16", (80, 60), 500).save(small, "PNG")
-    sources = [("a.zip", whole), ("view_0.png", small.getvalue()), ("capture.yaml", YAML[1]),
-               ("view_0.npy", npy(np.ones((60, 80), np.float32)))]
-    outcomes = {"taken": 0, "refused": 0}
-    for trial in range(300):
-        name, data = sources[trial % len(sources)]
-        damaged = bytearray(data)
-        for _ in range(rng.choice((1, 3, 20))):
-            damaged[rng.randrange(len(damaged))] = rng.randrange(256)
-        damaged = damaged[: rng.randrange(1, len(damaged) + 1) if trial % 3 == 0 else None]
-        try:
-            checked_upload([(name, bytes(damaged))],
-                           {"density_g_m2": "100", "tester": "disc300_support180"}, settings)
-            outcomes["taken"] += 1
-        except RequestError:
-            outcomes["refused"] += 1
-    assert min(outcomes.values()) > 30

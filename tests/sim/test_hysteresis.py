@@ -68,7 +68,7 @@ def cycle(fabric: Fabric, law: Hysteresis, direction: int) -> tuple[np.ndarray, 
 
 @pytest.mark.parametrize("direction", ANGLES)
 @pytest.mark.parametrize("share", [0.05, 0.2, 0.37])
-def test_fabric_of_moduli_is_loaded_and_unloaded_as_stated(share: float, direction: int) -> None:
+def test_fabric_of_moduli_is_loaded_and_unloaded_as_stated(share, direction):
     law = Hysteresis(share)
     loading, unloading = cycle(TWILL, law, direction)
     stated = torque(UP, TWILL.alpha[direction], TWILL.beta[direction])
@@ -82,7 +82,7 @@ def test_fabric_of_moduli_is_loaded_and_unloaded_as_stated(share: float, directi
 
 
 @pytest.mark.parametrize("direction", ANGLES)
-def test_fabric_of_kes_has_its_b_2hb_and_residual_curvature(direction: int) -> None:
+def test_fabric_of_kes_has_its_b_2hb_and_residual_curvature(direction):
     b, two_hb = np.array([9e-6, 6e-6, 5e-6]), np.array([4.5e-4, 2.4e-4, 1.2e-4])
     fabric, law = kes_fabric(b, two_hb)
     loading, unloading = cycle(fabric, law, direction)
@@ -98,7 +98,7 @@ def test_fabric_of_kes_has_its_b_2hb_and_residual_curvature(direction: int) -> N
     assert residual == pytest.approx(two_hb[direction] / 2 / b[direction], rel=1e-2)
 
 
-def test_a_closed_cycle_loses_energy_and_a_reversal_inside_the_build_up_does_not() -> None:
+def test_a_closed_cycle_loses_energy_and_a_reversal_inside_the_build_up_does_not():
     law = Hysteresis(0.2)
     path = np.concatenate([UP, DOWN, UP])
     torques = pure_bending(TWILL, law, path)
@@ -110,7 +110,7 @@ def test_a_closed_cycle_loses_energy_and_a_reversal_inside_the_build_up_does_not
 
 
 @pytest.mark.parametrize("added", [False, True])
-def test_stress_and_tangent_are_derivatives(added: bool) -> None:
+def test_stress_and_tangent_are_derivatives(added):
     rng = np.random.default_rng(0)
     energy = _energy(Hysteresis((0.2, 0.3, 0.25), added=added, curvature=(3.0, -2.0, 0.0)))
     energy.origin = rng.normal(0, 30, energy.origin.shape)
@@ -125,13 +125,13 @@ def test_stress_and_tangent_are_derivatives(added: bool) -> None:
         assert np.allclose(bend, tangent[:, :, k], atol=1e-7 * np.abs(tangent).max())
 
 
-def test_friction_of_yarns_that_differ_has_a_plate_form() -> None:
+def test_friction_of_yarns_that_differ_has_a_plate_form():
     """Where the bias has too little friction for a plate, it has just enough."""
     fabric = Fabric(np.array([40e-6, 10.5e-6, 2e-6]))
     assert np.linalg.eigvalsh(_energy(Hysteresis(0.3), fabric)._form).min() > 0
 
 
-def test_a_weightless_strip_rests_in_an_arc_of_its_natural_curvature() -> None:
+def test_a_weightless_strip_rests_in_an_arc_of_its_natural_curvature():
     """Clamped level, it follows a circle of the natural curvature, downwards."""
     mesh, held = strip(length=0.06, width=0.012, edge=0.003, clamp=0.006)
     kappa = 15.0
@@ -151,12 +151,12 @@ def test_a_weightless_strip_rests_in_an_arc_of_its_natural_curvature() -> None:
     ({"share": -0.1}, "hysteresis share"), ({"share": 0.6}, "hysteresis share"),
     ({"share": (0.1, 0.2)}, "hysteresis share"), ({"share": np.nan}, "hysteresis share"),
     ({"curvature": (1.0, 2.0)}, "curvature="), ({"curvature": (np.nan, 0, 0)}, "curvature=")])
-def test_hysteresis_that_no_fabric_has_is_refused(wrong: dict, word: str) -> None:
+def test_hysteresis_that_no_fabric_has_is_refused(wrong, word):
     with pytest.raises(InputError, match=word):
         Hysteresis(**wrong)
 
 
-def test_an_origin_belongs_to_one_mesh() -> None:
+def test_an_origin_belongs_to_one_mesh():
     with pytest.raises(InputError, match=r"origin has shape \(5, 3\)"):
         _energy(Hysteresis(0.1, origin=np.zeros((5, 3))))
 

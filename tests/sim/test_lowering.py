@@ -21,14 +21,14 @@ SOFT = Fabric(np.full(3, 20e-6))
 
 @pytest.mark.parametrize("rig", [Rig(0.2, 0.06, "disc"), Rig(0.4, 0.2, "square")],
                          ids=lambda rig: rig.name)
-def test_small_and_large_specimens_are_lowered(rig: Rig) -> None:
+def test_small_and_large_specimens_are_lowered(rig):
     result = drape(SOFT, rig=rig, edge=8e-3, start="lowered", seed=1)
     assert result.converged, result.message
     assert result.positions[:, 2].min() < -0.2 * (rig.specimen_size - rig.plate_diameter)
 
 
 @pytest.mark.slow
-def test_lowered_discs_have_more_folds_than_discs_from_rings() -> None:
+def test_lowered_discs_have_more_folds_than_discs_from_rings():
     """Their numbers scatter by 0.6 and 1.5."""
     folds = {}
     for start, count in (("lowered", 3), ("ring", 12)):
@@ -39,7 +39,7 @@ def test_lowered_discs_have_more_folds_than_discs_from_rings() -> None:
     assert folds["lowered"] > folds["ring"] + 0.5
 
 
-def test_a_time_step_that_fails_is_a_status() -> None:
+def test_a_time_step_that_fails_is_a_status():
     class Broken(Gravity):
         """A weight without a value."""
 
@@ -64,7 +64,7 @@ def moving(scene: Scene, fabric: Fabric, laws: Laws | None = None) -> tuple[Clot
     return Cloth(scene, fabric, laws=laws or Laws(), extra=[inertia]), inertia
 
 
-def test_cloth_without_support_falls_with_the_known_error_of_the_step() -> None:
+def test_cloth_without_support_falls_with_the_known_error_of_the_step():
     """Backward Euler falls g t h/2 too far in steps of h."""
     mesh, _ = strip(length=0.06, width=0.03, edge=0.01, clamp=0.0)
     scene = Scene(mesh, np.zeros(len(mesh.rest), dtype=bool))
@@ -79,7 +79,7 @@ def test_cloth_without_support_falls_with_the_known_error_of_the_step() -> None:
     assert np.allclose(motion.velocities, [0, 0, -GRAVITY * 0.2], atol=1e-5)
 
 
-def test_a_hanging_strip_swings_with_the_period_of_a_heavy_chain() -> None:
+def test_a_hanging_strip_swings_with_the_period_of_a_heavy_chain():
     """Lowest frequency: half the first zero of J0, times sqrt(g/L)."""
     mesh, held = strip(length=LENGTH, width=0.01, edge=0.01, clamp=0.0)
     scene = Scene(mesh, held)
@@ -98,7 +98,7 @@ def test_a_hanging_strip_swings_with_the_period_of_a_heavy_chain() -> None:
     assert np.diff(crossings) == pytest.approx(50, rel=0.03)
 
 
-def test_the_energy_of_falling_cloth_only_decreases() -> None:
+def test_the_energy_of_falling_cloth_only_decreases():
     specimen = make_specimen(Rig(), edge=0.016)
     mesh: Mesh = specimen.mesh
     scene = Scene(mesh, specimen.held, Rig().obstacles)

@@ -33,15 +33,18 @@ def law(fabric: Fabric) -> np.ndarray:
     return bending_law.constants(fabric)
 
 
+def derivatives(s: np.ndarray, plate) -> tuple[float, np.ndarray, np.ndarray]:
+    """Energy, gradient (3,) and Hessian (3, 3) of the law at curvatures (3,)."""
+    gradient, hessian = np.empty(3), np.empty((3, 3))
+    bending_law.derivatives(s, plate, gradient, hessian)
+    return bending_law.energy(s, plate), gradient, hessian
+
+
 def least_stiffness(fabric: Fabric, states: np.ndarray) -> float:
     """Least eigenvalue of the tangent over curvatures (N, 3), relative to the stiffness at rest."""
-    gradient, rest, tangent = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
-    bending_law.derivatives(np.zeros(3), law(fabric), gradient, rest)
-    least = np.inf
-    for s in states:
-        bending_law.derivatives(s, law(fabric), gradient, tangent)
-        least = min(least, eigvalsh(tangent, rest)[0])
-    return least
+    plate = law(fabric)
+    rest = derivatives(np.zeros(3), plate)[2]
+    return min(eigvalsh(derivatives(s, plate)[2], rest)[0] for s in states)
 
 
 def cylinders(angles: np.ndarray, curvatures: np.ndarray) -> np.ndarray:
@@ -90,15 +93,6 @@ def test_torque_and_tangent_are_derivatives_of_the_work_of_bending(beta):
     assert bending_work(0.0, alpha, beta) == (0.0, 0.0, alpha)
 
 
-def test_moduli_of_bending_broadcast():
-    kappa, alpha = np.array([[30.0], [400.0]]), np.array([10e-6, 20e-6, 40e-6])
-    works = bending_work(kappa, alpha, -60e-9)
-    assert all(part.shape == (2, 3) for part in works)
-    for i, k in enumerate((30.0, 400.0)):
-        one = bending_work(k, 20e-6, -60e-9)
-        assert [part[i, 1] for part in works] == pytest.approx(one, rel=1e-14)
-
-
 def test_fabrics_are_equal_and_hashed_by_value():
     moduli = np.array([20e-6, 30e-6, 25e-6])
     fabric, same = Fabric(moduli, [-1e-9, 0.0, 2e-9]), Fabric(list(moduli), [-1e-9, 0.0, 2e-9])
@@ -114,34 +108,19 @@ def test_fabrics_are_equal_and_hashed_by_value():
 
 @pytest.mark.parametrize("fabric", FABRICS + TWISTING)
 def test_energy_is_positive_and_its_derivatives_are_right(fabric):
-    """Central differences along a line: the error of both derivatives falls with the square."""
-    rng = np.random.default_rng(0)
-    steps = 1.0 / 2.0 ** np.arange(3)
-    gradient, hessian, scratch = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
-    ahead, behind = np.empty(3), np.empty(3)
-    rates = []
-    for s in rng.normal(0, 150, (200, 3)):
-        assert bending_law.energy(s, law(fabric)) > 0
-        bending_law.derivatives(s, law(fabric), gradient, hessian)
-        assert np.allclose(hessian, hessian.T, rtol=1e-12, atol=0)
-        direction = rng.standard_normal(3)
-        errors = []
-        for h in steps * np.linalg.norm(s) / 150:
-            move = h * direction
-            change = bending_law.energy(s + move, law(fabric)) - bending_law.energy(
-                s - move, law(fabric)
-            )
-            bending_law.derivatives(s + move, law(fabric), ahead, scratch)
-            bending_law.derivatives(s - move, law(fabric), behind, scratch)
-            errors.append([
-                abs(change / (2 * h) - gradient @ direction),
-                np.abs((ahead - behind) / (2 * h) - hessian @ direction).max(),
-            ])
-        assert errors[-1][0] < 1e-2 * np.abs(gradient).max()
-        assert errors[-1][1] < 5e-2 * np.abs(hessian).max()
-        rates.append(np.log2(np.divide(errors[0], errors[-1])) / 2)
+    """Central differences along lines of random directions."""
+    rng, plate, step = np.random.default_rng(0), law(fabric), 1e-3
+    errors = []
+    for s, direction in rng.normal(0, 150, (200, 2, 3)):
+        direction /= np.linalg.norm(direction)
+        energy, gradient, hessian = derivatives(s, plate)
+        ahead, behind = (derivatives(s + sign * step * direction, plate) for sign in (1, -1))
+        slope, bend = ((ahead[k] - behind[k]) / (2 * step) for k in range(2))
+        assert energy > 0 and np.allclose(hessian, hessian.T, rtol=1e-12, atol=0)
+        errors.append([abs(slope - gradient @ direction) / np.abs(gradient).max(),
+                       np.abs(bend - hessian @ direction).max() / np.abs(hessian).max()])
     # Third derivatives jump where a direction reaches its limit: not every line is smooth.
-    assert np.median(rates, axis=0) == pytest.approx([2.0, 2.0], abs=0.1)
+    assert np.median(errors, axis=0).max() < 1e-6 and np.max(errors) < 1e-3
 
 
 @pytest.mark.parametrize("fabric", TWISTING)
@@ -186,8 +165,7 @@ def test_the_law_is_continuous_in_the_moduli():
 
 def test_derivatives_are_those_of_the_quadratic_form_at_rest():
     fabric = FABRICS[1]
-    gradient, hessian = np.empty(3), np.empty((3, 3))
-    bending_law.derivatives(np.zeros(3), law(fabric), gradient, hessian)
+    _, gradient, hessian = derivatives(np.zeros(3), law(fabric))
     a11, a22, a12, a66 = plate_constants(fabric.alpha)
     assert np.array_equal(gradient, np.zeros(3))
     assert np.allclose(hessian, [[a11, a12, 0], [a12, a22, 0], [0, 0, 4 * a66]])
@@ -224,21 +202,18 @@ def test_softest_possible_bias():
     assert is_admissible(alpha * [1, 1.001, 1], np.zeros(3))
 
 
-@pytest.mark.parametrize(
-    ("alpha", "beta", "density", "word"),
-    [
-        ([1e-5, 1e-5], [0, 0, 0], 0.3, "three values"),
-        ([1e-5, 1e-5, np.nan], [0, 0, 0], 0.3, "finite"),
-        ([1e-5, -1e-5, 1e-5], [0, 0, 0], 0.3, "positive"),
-        ([1e-5, 1e-5, 1e-5], [0, 0, np.inf], 0.3, "finite"),
-        ([1e-5, 1e-5, 1e-5], [0, 0, 0], -0.3, "density"),
-        ([1e-5, 1e-5, 1e-5], [0, 0, 0], 210, r"density=210000 g/m² \(210 kg/m²\).* the unit"),
-        ([60, 30, 40], [0, 0, 0], 0.3,
-         r"alpha=6e\+07 µN·m \(60 N·m\) is outside the range of fabrics, 0.001 to"),
-        ([6e-5, 3e-5, 4e-5], [-90e-6, 0, 0], 0.3, "beta=-90000 nN·m² .*check the unit"),
-        ([1e-4, 1e-6, 1e-6], [0, 0, 0], 0.3, "along the bias"),
-    ],
-)
+@pytest.mark.parametrize(("alpha", "beta", "density", "word"), [
+    ([1e-5, 1e-5], [0, 0, 0], 0.3, "three values"),
+    ([1e-5, 1e-5, np.nan], [0, 0, 0], 0.3, "finite"),
+    ([1e-5, -1e-5, 1e-5], [0, 0, 0], 0.3, "positive"),
+    ([1e-5, 1e-5, 1e-5], [0, 0, np.inf], 0.3, "finite"),
+    ([1e-5, 1e-5, 1e-5], [0, 0, 0], -0.3, "density"),
+    ([1e-5, 1e-5, 1e-5], [0, 0, 0], 210, r"density=210000 g/m² \(210 kg/m²\).* the unit"),
+    ([60, 30, 40], [0, 0, 0], 0.3,
+     r"alpha=6e\+07 µN·m \(60 N·m\) is outside the range of fabrics, 0.001 to"),
+    ([6e-5, 3e-5, 4e-5], [-90e-6, 0, 0], 0.3, "beta=-90000 nN·m² .*check the unit"),
+    ([1e-4, 1e-6, 1e-6], [0, 0, 0], 0.3, "along the bias"),
+])
 def test_moduli_of_no_fabric_are_refused(alpha, beta, density, word):
     with pytest.raises(InputError, match=word):
         Fabric(alpha, beta, density)

@@ -86,15 +86,12 @@ def test_stiffness_scales():
         assert thrice.value(q) == pytest.approx(3 * once.value(q), rel=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("make", "word"),
-    [
-        (lambda: Corotational(-1.0), "stiffness"),
-        (lambda: Corotational(200.0, 1.0), "poisson"),
-        (lambda: OrthotropicStVK(shear=0.0), "shear"),
-        (lambda: OrthotropicStVK(warp=100.0, weft=400.0, poisson=0.5), "poisson"),
-    ],
-)
+@pytest.mark.parametrize(("make", "word"), [
+    (lambda: Corotational(-1.0), "stiffness"),
+    (lambda: Corotational(200.0, 1.0), "poisson"),
+    (lambda: OrthotropicStVK(shear=0.0), "shear"),
+    (lambda: OrthotropicStVK(warp=100.0, weft=400.0, poisson=0.5), "poisson"),
+])
 def test_impossible_parameters_are_refused(make, word):
     with pytest.raises(InputError, match=word):
         make()

@@ -205,13 +205,11 @@ def test_soft_cloth_stays_out_of_the_cylinder_between_its_vertices_too(rig):
     assert (0 if rig is DISC_RIG else 1e-6) <= entry < 2e-4  # the disc hangs clear of its support
 
 
-@pytest.mark.parametrize(
-    ("arguments", "word"),
-    [({"specimen": "circle"}, "square or disc"), ({"plate_diameter": 0.3}, "smaller"),
-     ({"plate_diameter": -0.1}, "smaller"), ({"plate_diameter": 0.0}, "corners_apart=None"),
-     ({"plate_diameter": 0.0, "corners_apart": 0.3}, "below 0.3 m"),
-     ({"plate_diameter": 0.0, "specimen": "disc"}, "no corners")],
-)
+@pytest.mark.parametrize(("arguments", "word"), [
+    ({"specimen": "circle"}, "square or disc"), ({"plate_diameter": 0.3}, "smaller"),
+    ({"plate_diameter": -0.1}, "smaller"), ({"plate_diameter": 0.0}, "corners_apart=None"),
+    ({"plate_diameter": 0.0, "corners_apart": 0.3}, "below 0.3 m"),
+    ({"plate_diameter": 0.0, "specimen": "disc"}, "no corners")])
 def test_impossible_rigs_are_refused(arguments, word):
     with pytest.raises(InputError, match=word):
         Rig(**arguments)

@@ -1,6 +1,5 @@
 """Cloth that meets itself: found exactly, kept apart, and left alone where it does not."""
 
-
 import numpy as np
 import pytest
 

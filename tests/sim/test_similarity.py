@@ -39,7 +39,7 @@ def similar(fabric: Fabric, rig: Rig, laws: Laws, factor: float) -> tuple[Fabric
 
 @pytest.mark.parametrize("factor", [0.5, 1.3])
 @pytest.mark.parametrize("rig", [Rig(), DISC_RIG], ids=lambda rig: rig.specimen)
-def test_a_drape_of_another_size_is_the_scaled_drape(rig: Rig, factor: float) -> None:
+def test_a_drape_of_another_size_is_the_scaled_drape(rig, factor):
     specimen = make_specimen(rig, edge=12e-3, topology=1)
     mesh, held, rest = specimen.mesh, specimen.held, specimen.mesh.rest
     rng = np.random.default_rng(0)
@@ -52,7 +52,8 @@ def test_a_drape_of_another_size_is_the_scaled_drape(rig: Rig, factor: float) ->
     here = find_equilibrium(scene, FABRIC, scene.state(start), laws=laws, options=EXACT)
     fabric, larger, scaled = similar(FABRIC, rig, laws, factor)
     there = Scene(mesh.with_rest(factor * rest), held, larger.obstacles)
-    found = find_equilibrium(there, fabric, there.state(factor * start), laws=scaled,
+    near = here.state.positions + rng.normal(0, 1e-4, start.shape) * ~held[:, None]
+    found = find_equilibrium(there, fabric, there.state(factor * near), laws=scaled,
                              options=EXACT)
     assert here.converged and found.converged
     gap = found.state.positions - factor * here.state.positions
