@@ -82,7 +82,7 @@ def test_the_command_prints_a_line_a_cell(
     monkeypatch.setattr(drapenet.network.evaluate, "CELLS", {
         name: CELLS[name] for name in ("as trained", "without nuisances", "views 8")})
     words = [f"checkpoint={untrained_checkpoint}", f"out={tmp_path / 'out'}", "drapes=3",
-             "captures=1", "seed=5"]
+             "captures=1", "seed=5", "workers=1"]
     if table:
         words.append(f"fabrics={write_fabrics(tmp_path / 'table.csv')}")
     drapenet.network.evaluate.main(words)
