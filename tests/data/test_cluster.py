@@ -16,7 +16,7 @@ SMALL = ["drapes=4", "edge_mm=20", "dataset.drapes_per_shard=1", "dataset.starts
 @pytest.fixture
 def cheap(monkeypatch):
     """Drapes that cost nothing."""
-    monkeypatch.setattr("data.dataset.generate.load_solver", lambda: fake_drapes.cone)
+    monkeypatch.setattr("data.dataset.simulate.load_solver", lambda: fake_drapes.cone)
 
 
 @pytest.fixture
