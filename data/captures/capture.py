@@ -17,6 +17,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import yaml
@@ -38,11 +39,14 @@ from data.captures.description import (
     whole_turns,
 )
 from data.captures.frames import is_view, join_views, numbered, read_frames, read_picture
-from data.captures.photograph import PhotographedOutline, find_outline, read_outline
 from data.render.cameras import Intrinsics, nominal_camera
 from data.rigs import MISSING_TESTER, described_tester, named_tester
 from sim.rig import SQUARE_RIG, Rig
 
+if TYPE_CHECKING:
+    from data.captures.photograph import PhotographedOutline
+
+OUTLINE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".csv", ".txt")
 CAPTURE_FILES = ("capture.yaml", "density.txt")
 """Files that identify a capture folder: one for each format."""
 MAX_DENSITY_DIFFERENCE = 0.1  # between specimens of one fabric, relative to the smallest
@@ -81,7 +85,7 @@ class Capture:
     warnings: tuple[str, ...]
     cut: CutOut | None = None
     face: str = "up"
-    outline: PhotographedOutline | None = None
+    outline: "PhotographedOutline | None" = None
 
     @property
     def digest(self) -> str:
@@ -117,7 +121,7 @@ def read_capture(path: str | Path) -> Capture:
 def _read_metric(path: Path) -> Capture:
     file = path / "capture.yaml"
     description = Description.of(read_yaml(file), file)
-    if outline := find_outline(path):
+    if outline := _find_outline(path):
         return _read_outline(path, outline, description)
     if description.outline:
         raise InputError(f"{file} has the key outline, but there is no outline.png, .jpg, .tif, "
@@ -155,6 +159,15 @@ def _tester(path: Path, description: Description) -> Rig:
     return description.tester
 
 
+def _find_outline(folder: Path) -> Path | None:
+    """The file ``outline.*`` in the folder of a capture."""
+    files = sorted(file for file in folder.glob("outline.*")
+                   if file.suffix.lower() in OUTLINE_SUFFIXES)
+    if len(files) > 1:
+        raise InputError(f"{folder} holds {files[0].name} and {files[1].name}; keep one of them")
+    return files[0] if files else None
+
+
 def _read_outline(path: Path, file: Path, description: Description) -> Capture:
     if view := next(filter(is_view, sorted(entry.name for entry in path.iterdir())), None):
         raise InputError(f"{path} holds {file.name} and {view}; give depth views and outlines in "
@@ -164,6 +177,8 @@ def _read_outline(path: Path, file: Path, description: Description) -> Capture:
             raise InputError(f"{path / 'capture.yaml'}: {key} is of depth views, but the folder "
                              f"holds {file.name}; leave it out")
     rig = _tester(path, description)
+    from data.captures.photograph import read_outline  # half a second, which views need not spend
+
     outline = read_outline(file, description.outline or OutlineSource(), rig)
     return Capture(np.zeros((0, 0, 0), np.float32), None, np.zeros(0), description.density,
                    description.warp_direction, rig, path, outline.warnings, face=description.face,

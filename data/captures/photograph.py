@@ -20,7 +20,7 @@ from data.captures.shadow import cut_drape, read_grey
 from sim.measures import coefficient_of_area, farthest, folds_around
 from sim.rig import Rig
 
-PICTURES, TABLES = (".png", ".jpg", ".jpeg", ".tif", ".tiff"), (".csv", ".txt")
+TABLES = (".csv", ".txt")
 MAX_PIXEL = 1.5e-3  # m
 MAX_TILT = np.radians(10.0)
 MAX_REACH = 1.03  # over the flat specimen's
@@ -73,15 +73,6 @@ class PhotographedOutline:
     def drawn(self, points: Outline) -> Outline:
         """Points of the plane of ``curve`` in pixels of ``picture``, without one unchanged."""
         return points if self.to_pixels is None else _mapped(points, self.to_pixels)
-
-
-def find_outline(folder: Path) -> Path | None:
-    """The file ``outline.*`` in the folder of a capture."""
-    files = sorted(file for file in folder.glob("outline.*")
-                   if file.suffix.lower() in (*PICTURES, *TABLES))
-    if len(files) > 1:
-        raise InputError(f"{folder} holds {files[0].name} and {files[1].name}; keep one of them")
-    return files[0] if files else None
 
 
 def read_outline(file: Path, source: OutlineSource, rig: Rig) -> PhotographedOutline:

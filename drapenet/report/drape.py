@@ -10,9 +10,9 @@ from functools import cached_property
 
 import numpy as np
 
-from common.types import Metres, Points, Radians, Turns, Views
+from common.types import Faces, Metres, Points, Radians, Turns, Views
 from data.render.cameras import Camera
-from data.render.rays import DepthRenderer
+from data.render.raster import rasterise
 from drapenet.views.located import LocatedViews
 from sim.cloth import Laws
 from sim.drape import Drape, drape
@@ -97,15 +97,15 @@ def resimulate(
         if not result.converged:
             continue
         for side in (1, -1):
-            renderer = DepthRenderer(result.positions * [side, 1, 1], result.faces)
-            overlap, orientation = _fit_orientation(renderer, small, captured, turns)
+            positions = result.positions * [side, 1, 1]
+            overlap, orientation = _fit_orientation(positions, result.faces, small, captured, turns)
             if best is None or overlap > best[0]:
-                best = overlap, renderer, orientation, side, result
+                best = overlap, positions, orientation, result
     if best is None:
         return None
-    _, renderer, orientation, side, result = best
-    return Resimulation(located, renderer.views(camera, orientation, turns), result,
-                        turned(result.positions * [side, 1, 1], orientation), tuple(statuses))
+    _, positions, orientation, result = best
+    shown = rasterise(positions, result.faces, camera, orientation + turns)
+    return Resimulation(located, shown, result, turned(positions, orientation), tuple(statuses))
 
 
 def turned(points: Points, angle: Radians) -> Points:
@@ -148,14 +148,14 @@ def silhouette_overlap(first: Views, second: Views) -> float:
 
 
 def _fit_orientation(
-    renderer: DepthRenderer, camera: Camera, captured: np.ndarray, turns: Turns
+    positions: Points, faces: Faces, camera: Camera, captured: np.ndarray, turns: Turns
 ) -> tuple[float, Radians]:
     """Largest overlap with silhouettes (K, H, W) and the orientation that gives it."""
     step = 2 * math.pi / TURNS
     # All views are rotations by whole steps, so each is rendered once.
-    views = [renderer.view(camera, turn * step) for turn in range(TURNS)]
+    views = rasterise(positions, faces, camera, np.arange(TURNS) * step)
     after = np.rint(turns / step).astype(int)
-    overlaps = [silhouette_overlap(captured, np.stack([views[k] for k in (turn + after) % TURNS]))
+    overlaps = [silhouette_overlap(captured, views[(turn + after) % TURNS])
                 for turn in range(TURNS)]
     turn = int(np.argmax(overlaps))
     return overlaps[turn], turn * step
