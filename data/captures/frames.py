@@ -104,7 +104,8 @@ def _color(folder: Path, depth: Views) -> GreyViews:
 
 def read_counts(file: Path) -> np.ndarray:
     """(H, W) counts of a 16-bit PNG, 0 where saturated."""
-    counts = read_picture(file, modes={"I;16", "I"}, kind="16-bit grey")
+    counts = read_picture(file, modes={"I;16", "I"}, kind=(
+        "16-bit grey, or be called outline.png if it is a photograph from above"))
     return np.where(counts >= SATURATED, 0, counts)
 
 

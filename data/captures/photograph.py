@@ -26,6 +26,7 @@ MAX_TILT = np.radians(10.0)
 MAX_REACH = 1.03  # over the flat specimen's
 MIN_RADIUS = {True: 0.97, False: 0.9}  # over the plate's, by whether its centre is known
 MAX_OVERLAP, MAX_DISORDER = 0.03, 0.5  # of azimuth
+MAX_GAP = np.radians(15.0)
 AZIMUTHS = 720
 _PERSPECTIVE = (
     "camera_height_mm is missing: from 1 m, a hem 50 mm below the plate looks 6 mm smaller, ten "
@@ -176,8 +177,6 @@ def _mapped(points: np.ndarray, homography: np.ndarray) -> np.ndarray:
     return cv2.perspectiveTransform(np.asarray(points, np.float64)[:, None], homography)[:, 0]
 
 
-
-
 def _checked(outline: PhotographedOutline) -> list[str]:
     """Warnings; InputError for a curve that cannot be of a drape on this plate."""
     curve, rig = outline.curve, outline.rig
@@ -189,6 +188,9 @@ def _checked(outline: PhotographedOutline) -> list[str]:
     if (disorder := (np.abs(steps).sum() / (2 * np.pi) - 1) / 2) > MAX_DISORDER:
         raise InputError(f"the outline turns back over {disorder:.0%} of the azimuth, at most "
                          f"{MAX_DISORDER:.0%} is possible; list the points in order")
+    if (gap := np.abs(steps).max()) > MAX_GAP:
+        raise InputError(f"the outline has a gap of {np.degrees(gap):.0f}° of azimuth, at most "
+                         f"{np.degrees(MAX_GAP):.0f}° is allowed; give points all around")
     reach = cv2.minEnclosingCircle(curve.astype(np.float32))[1]
     if reach > MAX_REACH * rig.reach:
         raise InputError(f"the outline fills a circle of {1e3 * reach:.0f} mm radius, more than "

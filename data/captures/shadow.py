@@ -16,7 +16,7 @@ from common.errors import InputError
 from common.types import Mask, Pixels
 
 MAX_FILE_BYTES = 160 << 20
-SIDES = (100, 12_000)  # pixels
+SIDES = (100, 10_000)  # pixels
 WORKING_SIDE = 1500  # pixels, to which larger photographs are reduced
 BLUR = 1.2  # pixels, standard deviation
 _BAND = np.ones((9, 9), np.uint8)  # the edge, blurred
@@ -40,11 +40,11 @@ def read_grey(file: Path) -> tuple[np.ndarray, int]:
                                  f"{SIDES[1]} on each side")
             picture = ImageOps.exif_transpose(picture)
             wide = picture.mode[0] in "IF"  # more than 8 bits
-            grey = np.asarray(picture if wide else picture.convert("L"), np.float32)
+            grey = np.asarray(picture if wide else picture.convert("L"))
     factor = -(-max(grey.shape) // WORKING_SIDE)
     rows, columns = (n // factor for n in grey.shape)
     grey = grey[: rows * factor, : columns * factor].reshape(rows, factor, columns, factor)
-    grey = np.nan_to_num(grey.mean(axis=(1, 3)))
+    grey = np.nan_to_num(grey.mean(axis=(1, 3), dtype=np.float32))
     brightest = max(float(np.quantile(grey, 0.995)), 1e-6)
     return np.clip(grey * (255 / brightest), 0, 255).astype(np.float32), factor
 
@@ -64,6 +64,8 @@ def cut_drape(grey: np.ndarray) -> Pixels:
     drape, is_light = _drape(light, is_light=border.mean() < 0.5)
     cloth = light == is_light
     core, near = cv2.erode(drape, _BAND) > 0, cv2.dilate(drape, _BAND) > 0
+    if not core.any():
+        raise InputError("no drape was found, but lines; use a plain ground")
     middle = (_nearby(smooth, core & cloth) + _nearby(smooth, ~near & ~cloth)) / 2
     field = (smooth - middle) if is_light else (middle - smooth)
     field = np.where(core, np.abs(field), np.where(near, field, -np.abs(field)))
@@ -91,12 +93,10 @@ def _drape(light: Mask, *, is_light: bool) -> tuple[np.ndarray, bool]:
         raise InputError(f"no drape was found: the largest area that differs from the ground "
                          f"covers {share:.1%} of the picture, at least {MIN_SHARE:.0%} is needed; "
                          "move the camera nearer, or use a plain ground")
-    largest = labels == 1 + areas.argmax()
-    filled = _filled(largest)
-    opening = (filled > 0) & ~largest
-    moments = cv2.moments(filled, binaryImage=True)
-    middle = int(moments["m01"] / moments["m00"]), int(moments["m10"] / moments["m00"])
-    if opening[middle] and opening.sum() > FRAME_SHARE * filled.sum():
+    filled = _filled(largest := labels == 1 + areas.argmax())
+    _, openings, inner, _ = cv2.connectedComponentsWithStats(filled - largest)
+    if inner[1:, 4].max(initial=0) > FRAME_SHARE * filled.sum():
+        opening = openings == 1 + inner[1:, 4].argmax()
         return _drape(np.where(opening, light, is_light), is_light=not is_light)
     free = (left > 0) & (top > 0) & (left + wide < width) & (top + high < height)
     drape = np.where(free, areas, 0).max()

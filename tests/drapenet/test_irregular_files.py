@@ -12,8 +12,10 @@ from apps.strip_curves import read_curve
 from common.errors import InputError
 from data.captures.capture import read_capture
 from data.captures.frames import read_array, read_exr, read_picture, read_points
+from data.captures.outline_table import read_table
 from data.captures.rosbag import read_recording
 from data.captures.scans import read_scan
+from data.captures.shadow import read_grey
 from data.dataset.folder import read_manifest
 from data.dataset.shards import Shard
 from data.fabrics.fabrics import read_fabric_table
@@ -34,6 +36,8 @@ def _state(file: Path) -> None:
 READERS: dict[str, Callable[[Path], object]] = {
     "capture.yaml": lambda file: read_capture(file.parent),
     "density.txt": lambda file: read_capture(file.parent),
+    "outline.csv": lambda file: read_table(file, "mm"),
+    "outline.jpg": read_grey,
     "view_0.png": lambda file: read_picture(file, modes={"I;16"}, kind="16-bit grey"),
     "view_0.npy": read_array,
     "view_0.exr": read_exr,

@@ -1,0 +1,62 @@
+"""Drawn photographs of a drape of seven folds from above, and captures of them."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import yaml
+from PIL import Image
+from scipy.spatial import cKDTree
+
+from data.captures.capture import Capture
+
+ANGLE = np.linspace(0, 2 * np.pi, 1440, endpoint=False)
+AROUND = np.column_stack([np.cos(ANGLE), np.sin(ANGLE)])
+RADIUS = 0.118 + 0.012 * np.cos(7 * ANGLE + 1) + 0.005 * np.cos(ANGLE) + 0.003 * np.sin(4 * ANGLE)
+CURVE = RADIUS[:, None] * AROUND
+CENTROID = RADIUS**3 @ AROUND / (1.5 * (RADIUS**2).sum())
+FIELD, PLACE = 0.4, (0.012, -0.007)  # m: side of a picture, plate's centre from its middle
+
+
+def drawn(curve=CURVE, *, pixel=4e-4, cloth=50, ground=210, at=PLACE) -> np.ndarray:
+    size, fine = round(FIELD / pixel), 4
+    picture = np.full((fine * size, fine * size), ground, np.uint8)
+    corners = fine * ((curve + at) * [1, -1] + FIELD / 2) / pixel - 0.5
+    cv2.fillPoly(picture, [np.rint(corners * 16).astype(np.int32)], cloth, shift=4)
+    return cv2.resize(picture, (size, size), interpolation=cv2.INTER_AREA)
+
+
+def plate(pixel=4e-4, at=PLACE, down=0) -> dict:
+    x, y = (np.array(at) * [1, -1] + FIELD / 2) / pixel - 0.5
+    return {"x": float(x), "y": float(y + down), "diameter": 0.180 / pixel}
+
+
+def uneven(picture: np.ndarray) -> np.ndarray:
+    rows, columns = np.indices(picture.shape) / picture.shape[0] - 0.5
+    return picture * (1 + 0.3 * rows + 0.2 * columns)
+
+
+def noisy(picture: np.ndarray) -> np.ndarray:
+    blurred = cv2.GaussianBlur(picture, (0, 0), 1.5)
+    return blurred + np.random.default_rng(0).normal(0, 8, picture.shape)
+
+
+def write(folder: Path, content: np.ndarray | str, name: str = "outline.png", **changes) -> Path:
+    """A capture of a picture, or of a text, with keys of capture.yaml."""
+    folder.mkdir(exist_ok=True)
+    if isinstance(content, str):
+        (folder / name).write_text(content, encoding="utf-8")
+    else:
+        kept = content if content.dtype == np.uint16 else np.clip(content, 0, 255).astype(np.uint8)
+        Image.fromarray(kept).save(folder / name)
+    keys = {"density_g_m2": 150, "tester": "disc300_support180"} | changes
+    (folder / "capture.yaml").write_text(yaml.safe_dump(keys))
+    return folder
+
+
+def error_mm(capture: Capture, curve: np.ndarray = CURVE) -> float:
+    """Largest distance of a point of ``curve``, m, from the outline of a capture, mm."""
+    found = capture.outline.curve
+    steps = np.linspace(0, 1, 20, endpoint=False)[:, None, None]
+    dense = (found + steps * (np.roll(found, -1, axis=0) - found)).reshape(-1, 2)
+    return 1e3 * cKDTree(dense).query(curve)[0].max()
