@@ -154,6 +154,8 @@ def _scale(
     page = _mapped(middle + half * [[-1, -1], [1, -1], [1, 1], [-1, 1]], from_board)
     mask = cv2.fillConvexPoly(np.zeros(grey.shape, np.uint8), np.rint(page).astype(np.int32), 1)
     around = (cv2.dilate(mask, np.ones((15, 15), np.uint8)) > 0) & (mask == 0)
+    if not around.any():
+        raise InputError("the board fills the picture; lay it beside the drape")
     return to_metres, np.where(mask > 0, np.median(grey[around]), grey).astype(np.float32)
 
 

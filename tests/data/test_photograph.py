@@ -132,6 +132,7 @@ FAULTS = {
     "place": (drawn, {"plate_px": plate(at=(0.1, 0))}, "comes within 3"),
     "elsewhere": (drawn, {"plate_px": plate(at=(0.19, 0))}, "does not go once around"),
     "flat": (lambda: drawn(0.152 * AROUND), PLATE, "drape coefficient is 104.3%"),
+    "board": (lambda: np.array(Image.open(io.BytesIO(board_picture()))), {}, "board fills"),
     "no scale": (drawn, {}, "the scale is not known"),
     "two scales": (drawn, PLATE | SCALE, "both state the scale"),
     "metres": (drawn, SCALE | {"camera_height_mm": 1.2}, "=1.2 is not a height"),
