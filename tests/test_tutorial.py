@@ -1,5 +1,6 @@
 """The tutorial's code runs, and its outputs are stored."""
 
+import ast
 import importlib.util
 import json
 import shutil
@@ -20,6 +21,14 @@ def test_outputs_are_stored_and_small():
     assert [cell["execution_count"] for cell in cells] == list(range(1, len(cells) + 1))
     assert all(cell["outputs"] for cell in cells)
     assert TUTORIAL.stat().st_size < 200_000
+
+
+def test_all_that_the_tutorial_imports_exists():
+    for cell in code(json.loads(TUTORIAL.read_text(encoding="utf-8"))):
+        for node in ast.walk(ast.parse("".join(cell["source"]))):
+            if isinstance(node, ast.ImportFrom):
+                module = importlib.import_module(node.module)
+                assert all(hasattr(module, name.name) for name in node.names), node.module
 
 
 @pytest.mark.slow
