@@ -217,7 +217,8 @@ def _read_priors(folder: Path) -> None:
 
 
 def _read_checkpoint(folder: Path) -> None:
-    capture = SimpleNamespace(rig=Rig(), warp_direction=None, density=0.15, path="", digest="")
+    capture = SimpleNamespace(rig=Rig(), warp_direction=None, density=0.15, path="", digest="",
+                              outline=None)
     header = header_for([capture], str(folder / "net.safetensors"))
     _ = header.setups, header.scale, header.identity
     load_model(header)
