@@ -3,7 +3,6 @@
 An error in one of the last three leaves the estimate of those before, with a warning.
 """
 
-import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -27,6 +26,7 @@ from drapenet.result.files import (
     SHAPES,
     TORQUES,
     last_parts,
+    printable,
     remove_report,
     write_estimate,
 )
@@ -74,7 +74,7 @@ class CaptureEstimate:
         """The content of ``estimate.json``."""
         capture, share = self.capture, drape_coefficient(self.map, self.capture.rig)
         about = CaptureAbout(
-            source=str(capture.path), density_g_m2=round(capture.density * 1e3, 6),
+            source=printable(capture.path), density_g_m2=round(capture.density * 1e3, 6),
             rig=capture.rig.name, face=capture.face, views=len(capture.views),
             views_sha256=capture.digest,
             turns_deg=(np.degrees(self.located.turns).round(1) + 0.0).tolist(),  # no -0.0
@@ -196,7 +196,7 @@ def report(result: CaptureEstimate, *, out: Path) -> CaptureEstimate:
     from drapenet.report.shapes import drape_glb
 
     capture, document = result.capture, result.document
-    name = os.fsencode("/".join(last_parts(capture.path))).decode(errors="replace")
+    name = printable("/".join(last_parts(capture.path)))
     picture = draw_report(result.estimate, document, result.located.views, result.drape,
                           title=f"{name}: {document.capture.density_g_m2:g} g/m²")
     replace_file(out / REPORT, picture)

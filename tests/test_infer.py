@@ -26,6 +26,7 @@ from data.render.cameras import Intrinsics
 from drapenet.config import EstimateOptions
 from drapenet.inference import CaptureEstimate, estimate_capture, network_estimate
 from drapenet.network.checkpoint import read_header
+from drapenet.result.files import read_estimate
 from sim.material import DIRECTIONS, MICRO, is_admissible
 from sim.rig import SQUARE_RIG
 
@@ -284,7 +285,8 @@ def test_report_shows_a_drape_of_the_estimate(capture, checkpoint, out):
     capture = capture.rename(capture.with_name(os.fsdecode(b"$a$ and $$ caf\xe9 \n")))
     infer.main(words(capture, checkpoint, "drapes=1", "edge_mm=16"))
     content = content_of(out)
-    assert content["capture"]["source"] == str(capture)
+    assert content["capture"]["source"].endswith("$a$ and $$ caf\ufffd \n")
+    read_estimate(out)  # JSON's parsers refuse half characters
     assert content["resimulation"]["statuses"] == ["converged"]
     assert 0.3 < content["resimulation"]["silhouette_overlap"] <= 1
     assert (out / "report.html").exists() and (out / "drape.glb").exists()

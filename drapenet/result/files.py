@@ -65,6 +65,12 @@ def result_name(sources: Sequence[Path]) -> str:
     return "_".join(last_parts(path) + ["joint"] * several)
 
 
+def printable(path: str | Path) -> str:
+    """The path with its bytes that are not UTF-8 replaced: neither JSON nor a page may hold them.
+    """
+    return os.fsencode(path).decode(errors="replace")
+
+
 def last_parts(path: Path) -> list[str]:
     """The last three parts of a path: FABRIC, SAMPLE and CAPTURE."""
     named = path if path.name and ".." not in path.parts else path.resolve()
@@ -81,7 +87,7 @@ def require_output(out: Path, sources: Sequence[Path] = ()) -> None:
         capture = read_document(out / ESTIMATE).capture
     except InputError:  # none, or damaged
         return
-    places = {os.path.realpath(source) for source in sources}
+    places = {printable(os.path.realpath(source)) for source in sources}
     for earlier in capture.sources or [capture.source]:
         if earlier and os.path.realpath(earlier) not in places:
             raise InputError(f"{out} holds the estimate of {earlier}, which would be overwritten; "
