@@ -117,8 +117,9 @@ def test_a_linear_law_is_fitted_to_a_linear_fabrics_drape():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["space", "scaling"])
 def test_trainings_are_stored_and_not_repeated(tmp_path, capsys, name):
-    words = [name, "drapes=32", "start_drapes=32", "captures=1", "steps=2", "batch=8", "edge_mm=9",
-             "workers=1", f"work={tmp_path / 'work'}", f"out={tmp_path / 'report.json'}",
+    words = [name, "drapes=32", "start_drapes=32", "other_drapes=16", "table_drapes=16",
+             "captures=1", "steps=2", "batch=8", "edge_mm=9", "workers=1",
+             f"work={tmp_path / 'work'}", f"out={tmp_path / 'report.json'}",
              *(["fabrics=10,20", "times=2,3"] if name == "scaling" else [])]
     main(words)
     first = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))
