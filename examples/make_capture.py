@@ -25,7 +25,7 @@ from common.errors import InputError
 from common.files import folder_named, replace_file, require_folder
 from common.types import Metres, Radians
 from data.captures.capture import write_capture
-from data.captures.description import checked_density, whole_turns
+from data.captures.description import CAMERA_HEIGHTS, checked_density, whole_turns
 from data.render.rays import VIEWS, DepthRenderer
 from data.render.scenes import raw_scene
 from data.render.sensors import StructuredLight, load_sensor
@@ -33,8 +33,7 @@ from data.render.setups import Setups
 from data.rigs import named_tester
 from sim.drape import Drape, drape
 from sim.material import DIRECTIONS, MICRO, NANO, Fabric
-from sim.measures import farthest
-from sim.mesh import Mesh
+from sim.measures import shadow_radius
 from sim.rig import Rig
 
 PIXEL = 4e-4  # m, of a photograph at the plate
@@ -67,6 +66,10 @@ def main(config: MakeCaptureConfig) -> None:
     if out.is_file() or not {file.name for file in old} <= FILES:
         raise InputError(f"{out} contains other files than a capture made by this program; choose "
                          "another out=")
+    low, high = CAMERA_HEIGHTS
+    if config.photograph_mm and (config.raw or not low <= config.photograph_mm <= high):
+        raise InputError(f"photograph_mm={config.photograph_mm:g}: give {low:g} to {high:g} mm, "
+                         "without raw=true")
     require_folder(out)
     density, tester = checked_density(config.density), named_tester(config.tester)
     noise = load_sensor(config.sensor)
@@ -81,21 +84,21 @@ def main(config: MakeCaptureConfig) -> None:
 
     rng = np.random.default_rng(config.seed)
     direction, background = math.radians(config.warp_direction), None
+    if config.raw:
+        scene = raw_scene(result.positions, result.faces, rng, rig=tester,
+                          turns=whole_turns(VIEWS), sensor=config.sensor)
+        views, background, direction = scene.frames, scene.background, scene.orientation
+        camera = scene.camera
+    elif not config.photograph_mm:
+        camera = Setups.load().camera(rng, tester)
+        views = DepthRenderer(result.positions, result.faces).views(camera, direction)
+        views = noise(views, camera, config.seed)
     for file in old:
         file.unlink()
     if config.photograph_mm:
         write_photograph(out, result, tester, direction, 1e-3 * config.photograph_mm, rng,
                          density=config.density)
-    elif config.raw:
-        scene = raw_scene(result.positions, result.faces, rng, rig=tester,
-                          turns=whole_turns(VIEWS), sensor=config.sensor)
-        views, background, direction = scene.frames, scene.background, scene.orientation
-        camera = scene.camera
     else:
-        camera = Setups.load().camera(rng, tester)
-        views = DepthRenderer(result.positions, result.faces).views(camera, direction)
-        views = noise(views, camera, config.seed)
-    if not config.photograph_mm:
         write_capture(out, views=views, intrinsics=camera.intrinsics, density=density,
                       rig=tester, warp_direction=direction, background=background)
     truth = {
@@ -113,8 +116,7 @@ def write_photograph(
 ) -> None:
     """Write a photograph of a drape from above, with noise, and its ``capture.yaml``; ``density``
     in g/m²."""
-    flat = drape.positions[:, :2] / (1 - drape.positions[:, 2:] / height)
-    radius = farthest(flat[Mesh(drape.rest, drape.faces).edges], 1440)
+    radius = shadow_radius(drape.positions, drape.mesh, height=height, points=1440)
     angle = np.linspace(0, 2 * np.pi, len(radius), endpoint=False) + direction
     half = int(1.15 * radius.max() / PIXEL)
     curve = radius[:, None] * np.column_stack([np.cos(angle), -np.sin(angle)]) / PIXEL + half

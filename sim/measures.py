@@ -65,6 +65,17 @@ def folds_around(radius: np.ndarray, sigma: float) -> np.ndarray:
     return np.sort((peaks + seam) % len(radius))
 
 
+def shadow_radius(
+    positions: Points, mesh: Mesh, *, height: Metres = np.inf, points: int = 360
+) -> np.ndarray:
+    """Outline of the drape's shadow: distances (points,) of the hem's picture from the axis, m, in
+    the plane of the plate, at equally spaced azimuths from the warp axis, as seen by a camera on
+    the axis at a ``height`` above the plate; infinite: parallel light."""
+    hem = mesh.edges[mesh.edge_faces[:, 1] < 0]
+    seen = positions[:, :2] / (1 - positions[:, 2:] / height)
+    return farthest(seen[hem], points)
+
+
 @numba.njit(cache=True)
 def farthest(segments, points):
     """Largest distance from the origin of segments (N, 2, 2) along ``points`` azimuths."""

@@ -32,6 +32,7 @@ from data.captures.cutout import CutOut, cut_out, neighbours
 from data.captures.description import (
     MAX_VIEWS,
     MIN_EQUAL_TURNS,
+    OUTLINE_TABLES,
     PARALLEL,
     Description,
     OutlineSource,
@@ -46,7 +47,7 @@ from sim.rig import SQUARE_RIG, Rig
 if TYPE_CHECKING:
     from data.captures.photograph import PhotographedOutline
 
-OUTLINE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".csv", ".txt")
+OUTLINE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", *OUTLINE_TABLES)
 CAPTURE_FILES = ("capture.yaml", "density.txt")
 """Files that identify a capture folder: one for each format."""
 MAX_DENSITY_DIFFERENCE = 0.1  # between specimens of one fabric, relative to the smallest
@@ -353,25 +354,19 @@ def write_capture(
         raise InputError(f"depth from {depth_unit * counts.min():.4g} to "
                          f"{depth_unit * counts.max():.4g} m does not fit 16 bits at "
                          f"{depth_unit:g} m per count; choose a larger depth_unit")
-    description = {
-        "density_g_m2": round(density * 1e3, 6),
+    keys: dict[str, object] = {
         "depth_unit_m": depth_unit,
-        "intrinsics": {key: float(getattr(intrinsics, key)) for key in INTRINSICS_KEYS},
-        "tester": described_tester(rig),
-        "face": face,
-    }
+        "intrinsics": {key: float(getattr(intrinsics, key)) for key in INTRINSICS_KEYS}}
     if turns is None and 1 < len(views) < MIN_EQUAL_TURNS:
         turns = whole_turns(len(views))
     if turns is not None:
-        description["turns_deg"] = np.degrees(turns).round(6).tolist()
-    if warp_direction is not None:
-        description["warp_direction_deg"] = round(math.degrees(warp_direction), 6)
+        keys["turns_deg"] = np.degrees(turns).round(6).tolist()
 
     def save(folder: Path) -> None:
         for name, picture in zip(pictures, counts.astype(np.uint16), strict=True):
             Image.fromarray(picture).save(folder / f"{name}.png")
 
-    _write_folder(path, description, save)
+    _write_folder(path, _described(density, rig, face, warp_direction) | keys, save)
 
 
 def write_outline(capture: Capture, path: str | Path) -> None:
@@ -381,14 +376,20 @@ def write_outline(capture: Capture, path: str | Path) -> None:
     if not math.isnan(outline.height):
         source["camera_height_mm"] = PARALLEL if math.isinf(outline.height) else round(
             1e3 * outline.height, 6)
-    description = {"density_g_m2": round(capture.density * 1e3, 6),
-                   "tester": described_tester(capture.rig), "face": capture.face,
-                   "outline": source}
-    if capture.warp_direction is not None:
-        description["warp_direction_deg"] = round(math.degrees(capture.warp_direction), 6)
-    _write_folder(Path(path), description, lambda folder: np.savetxt(
+    description = _described(capture.density, capture.rig, capture.face, capture.warp_direction)
+    _write_folder(Path(path), description | {"outline": source}, lambda folder: np.savetxt(
         folder / "outline.csv", 1e3 * outline.curve, fmt="%.3f", delimiter=",", header="x_mm,y_mm",
         comments=""))
+
+
+def _described(
+    density: Density, rig: Rig, face: str, warp_direction: Radians | None
+) -> dict[str, object]:
+    """The keys of capture.yaml that captures of all kinds have."""
+    marked = {} if warp_direction is None else {
+        "warp_direction_deg": round(math.degrees(warp_direction), 6)}
+    return {"density_g_m2": round(density * 1e3, 6), "tester": described_tester(rig),
+            "face": face} | marked
 
 
 def _write_folder(path: Path, description: dict, save: Callable[[Path], None]) -> None:

@@ -21,6 +21,7 @@ MILLIMETRE = 1e-3  # m per count
 MIN_EQUAL_TURNS = 4  # views, from which on equally spaced turns are the default
 MIN_TURN = 6.3  # degrees; the largest turn given in radians is 6.28
 CAMERA_HEIGHTS = (200.0, 20_000.0)  # mm above the plate, of a photograph's camera
+OUTLINE_TABLES = (".csv", ".txt")  # suffixes of outlines in numbers
 PARALLEL = "parallel"
 """Height of a camera infinitely far away, such as the light of a drapemeter."""
 

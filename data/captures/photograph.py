@@ -14,13 +14,12 @@ import numpy as np
 from common.errors import InputError
 from common.types import Metres, Outline
 from data.captures.board import MAX_REPROJECTION_ERROR, PAPER, SQUARE, SQUARES, find_corners
-from data.captures.description import OutlineSource
+from data.captures.description import OUTLINE_TABLES, OutlineSource
 from data.captures.outline_table import read_table
 from data.captures.shadow import cut_drape, read_grey
 from sim.measures import coefficient_of_area, farthest, folds_around
 from sim.rig import Rig
 
-TABLES = (".csv", ".txt")
 MAX_PIXEL = 1.5e-3  # m
 MAX_TILT = np.radians(10.0)
 MAX_REACH = 1.03  # over the flat specimen's
@@ -78,7 +77,7 @@ class PhotographedOutline:
 
 def read_outline(file: Path, source: OutlineSource, rig: Rig) -> PhotographedOutline:
     """Read an outline from a photograph or a text file; InputError if it is not of a drape."""
-    is_table = file.suffix.lower() in TABLES
+    is_table = file.suffix.lower() in OUTLINE_TABLES
     others = {"mm_per_px", "plate_px"} if is_table else {"unit", "centred"}
     if wrong := sorted(others & source.model_fields_set):
         kind = "a photograph" if is_table else "a text file"

@@ -19,7 +19,6 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import least_squares
 
 from common.documents import read_arrays
-from common.types import Metres, Points
 from data.fabrics.fabrics import fabric_from_theta
 from experiments.drapes import plan_specimen
 from experiments.result import Config, Result, load_arrays, run_cases
@@ -27,7 +26,7 @@ from sim.cloth import Laws
 from sim.drape import Drape, drape
 from sim.energies.bending_variants import Hysteresis
 from sim.material import MICRO, Fabric
-from sim.measures import farthest, folds_around
+from sim.measures import folds_around, shadow_radius
 from sim.mesh import Mesh
 from sim.rig import DISC_RIG
 
@@ -41,17 +40,6 @@ the test."""
 READINGS = ("parallel", "camera")
 SPECIMENS = "specimens"
 VARIED = (SPECIMENS, "fabrics")
-
-
-def shadow_radius(
-    positions: Points, mesh: Mesh, *, height: Metres = np.inf, points: int = 360
-) -> np.ndarray:
-    """Outline of the drape's shadow: distances (points,) of the hem's picture from the axis, m, in
-    the plane of the plate, at equally spaced azimuths from the warp axis, as seen by a camera on
-    the axis at a ``height`` above the plate; infinite: parallel light."""
-    hem = mesh.edges[mesh.edge_faces[:, 1] < 0]
-    seen = positions[:, :2] / (1 - positions[:, 2:] / height)
-    return farthest(seen[hem], points)
 
 
 def drape_case(

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from experiments.physics.outlines import shadow_radius
+from sim.measures import shadow_radius
 from sim.mesh import Mesh
 from sim.rig import Rig
 from sim.scene import make_specimen
