@@ -7,9 +7,10 @@ BIN := .venv/bin
 STAMP := .venv/installed
 DATASET ?= outputs/dataset
 CAPTURE ?= examples/captures/twill
+PHOTOGRAPH ?= examples/captures/twill_photograph
 PACKAGES := apps common configs data drapenet examples experiments sim tests tools
 
-.PHONY: help setup demo test test-slow test-slurm test-browser campaign serve lint sim prior dataset dataset-testers train evaluate bench-sim bench docs studies example validate matrix clean
+.PHONY: help setup demo test test-slow test-slurm test-browser campaign serve lint sim prior dataset train evaluate bench-sim bench docs studies example validate matrix clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
@@ -26,8 +27,8 @@ $(STAMP): pyproject.toml constraints.txt tools/system_libraries.sh
 	$(BIN)/python -m pip install -qq --constraint constraints.txt --editable '.[dev]'
 	touch $@
 
-demo: $(STAMP)  ## estimate the bundled capture
-	$(BIN)/python infer.py capture=$(CAPTURE) out=outputs/demo
+demo: $(STAMP)  ## estimate a fabric from two bundled captures: depth views and a photograph
+	$(BIN)/python infer.py capture=[$(CAPTURE),$(PHOTOGRAPH)] out=outputs/demo
 
 test: $(STAMP)  ## fast tests, 4 minutes on two cores
 	$(BIN)/python -m pytest -q -n logical --maxprocesses 8 --dist worksteal
@@ -67,23 +68,14 @@ sim: $(STAMP)  ## simulate one drape, results in outputs/drape
 prior: $(STAMP)  ## compare priors, 8 minutes; or fit one to your table: make prior TABLE=fabrics.csv
 	$(BIN)/python -m $(if $(TABLE),data.fabrics.prior fit fabrics=$(TABLE),experiments prior)
 
-dataset: $(STAMP)  ## simulate the drapes of both testers, an hour on two cores, resumes when interrupted
-	$(BIN)/python -m data.dataset.generate out=$(DATASET)/square300_cylinder100 drapes=3200 seed=23 edge_mm=3
-	$(BIN)/python -m data.dataset.generate out=$(DATASET)/disc300_support180 drapes=1664 seed=24 edge_mm=3 \
-	  'dataset.testers=[disc300_support180]'
+dataset: $(STAMP)  ## simulate drapes of many testers, both faces and several specimens of each fabric
+	$(BIN)/python -m data.dataset.generate dataset=testers drapes=20000 seed=39 edge_mm=4 out=$(DATASET)
 
-dataset-testers: $(STAMP)  ## simulate drapes of many testers, both faces and several specimens of each fabric
-	$(BIN)/python -m data.dataset.generate dataset=testers drapes=20000 seed=39 edge_mm=4 out=$(DATASET)/testers
+train: $(STAMP)  ## train the network on them, resumes when interrupted
+	$(BIN)/python train.py data=$(DATASET) out=outputs/train
 
-train: $(STAMP)  ## train the networks of both testers on them, 3 hours, resumes when interrupted
-	$(BIN)/python train.py data=$(DATASET)/square300_cylinder100 out=outputs/train/square300_cylinder100 \
-	  epochs=19
-	$(BIN)/python train.py data=$(DATASET)/disc300_support180 out=outputs/train/disc300_support180 \
-	  epochs=10
-
-evaluate: $(STAMP)  ## errors and coverage of the bundled networks on unseen fabrics
-	$(BIN)/python -m drapenet.network.evaluate rig=square300_cylinder100
-	$(BIN)/python -m drapenet.network.evaluate rig=disc300_support180
+evaluate: $(STAMP)  ## errors and coverage of the bundled network on unseen fabrics, by tester and input
+	$(BIN)/python -m drapenet.network.evaluate
 
 bench-sim: $(STAMP)  ## time drapes on this machine, JSON
 	$(BIN)/python -m experiments speed
@@ -97,7 +89,7 @@ validate: $(STAMP)  ## figures of docs/validation.md, about 3 hours of CPU, resu
 
 docs: $(STAMP)  ## update the figures in README.md and docs/*.md from the demo and the reports
 	mkdir -p outputs
-	$(BIN)/python infer.py capture=$(CAPTURE) out=outputs/demo > outputs/demo.txt
+	$(BIN)/python infer.py capture=[$(CAPTURE),$(PHOTOGRAPH)] out=outputs/demo > outputs/demo.txt
 	cp outputs/demo.txt docs/validation/demo.txt
 	$(BIN)/python -m experiments.figures
 
@@ -106,6 +98,8 @@ studies: $(STAMP)  ## the papers' experiments, hours of CPU, resumed when interr
 
 example: $(STAMP)  ## make the bundled capture again
 	$(BIN)/python examples/make_capture.py out=$(CAPTURE)
+	$(BIN)/python examples/make_capture.py out=$(PHOTOGRAPH) photograph_mm=1200 \
+	  tester=disc300_support180 seed=2023 warp_direction=70
 
 clean:  ## remove outputs and build (not .venv)
 	rm -rf outputs build

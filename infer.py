@@ -20,10 +20,10 @@ from typing import Any
 from common.command import command
 from common.errors import InputError
 from common.files import folder_named
-from data.captures.capture import Capture, captures_in, read_capture
-from data.captures.description import checked_density
+from data.captures.capture import Capture, captures_in, read_capture, require_one_fabric
+from data.captures.description import Specimen
 from drapenet.config import EstimateOptions, InferConfig
-from drapenet.network.checkpoint import header_for
+from drapenet.network.checkpoint import read_header
 from drapenet.result.files import (
     ESTIMATE,
     SHOWN,
@@ -58,7 +58,9 @@ def estimate_fabric(config: InferConfig, options: EstimateOptions) -> Path:
     """Estimate the captures of one fabric; the file of the, or of their joint, estimate."""
     sources = read_sources(config)
     captures = [capture for capture, _ in sources]
-    header = header_for(captures, config.checkpoint)
+    require_one_fabric([capture.density for capture in captures],
+                       [(str(capture.path), capture.digest) for capture in captures])
+    header = read_header(config.checkpoint)
     paths = [capture.path for capture in captures]
     out = Path(config.out or Path("outputs/infer") / result_name(paths))
     folders = [out] if len(captures) == 1 else [out / f"capture_{k}" for k in range(len(captures))]
@@ -66,8 +68,7 @@ def estimate_fabric(config: InferConfig, options: EstimateOptions) -> Path:
     for folder in folders:
         require_output(folder)
     # Importing torch takes seconds; input errors come first.
-    from drapenet.inference import estimate_capture
-    from drapenet.result.joint import joint_estimate
+    from drapenet.inference import estimate_capture, joint_estimate
 
     results = []
     for (capture, scan), folder in zip(sources, folders, strict=True):
@@ -76,12 +77,12 @@ def estimate_fabric(config: InferConfig, options: EstimateOptions) -> Path:
                   "minute", file=sys.stderr, flush=True)
         result = estimate_capture(capture, header, options, out=folder, scan=scan)
         document = result.document
-        results.append((result.estimate, document))
+        results.append((result.observation, document))
         print(f"{document.text()}\nestimate: {folder / ESTIMATE}")
         if files := [str(folder / name) for name in SHOWN if (folder / name).exists()]:
             print(f"report:   {', '.join(files)}")
     if len(results) > 1:
-        estimate, document = joint_estimate(*zip(*results, strict=True))
+        estimate, document = joint_estimate(*zip(*results, strict=True), header)
         remove_report(out)
         write_estimate(out, estimate, document)
         print(f"{document.text()}\nestimate: {out / ESTIMATE}")
@@ -119,7 +120,7 @@ def options_of(config: InferConfig) -> EstimateOptions:
     return EstimateOptions(
         refine=None if config.refine["by"] == "none" else config.refine,
         drapes=(0 if config.captures else 2) if config.drapes is None else config.drapes,
-        edge=1e-3 * config.edge_mm, membrane=config.membrane_n_per_m, strict=config.strict)
+        edge=1e-3 * config.edge_mm, strict=config.strict)
 
 
 def read_sources(config: InferConfig) -> list[tuple[Capture, Any]]:
@@ -128,10 +129,11 @@ def read_sources(config: InferConfig) -> list[tuple[Capture, Any]]:
     paths = [Path(str(path)) for path in (named if isinstance(named, list) else [named])]
     if not config.scan:
         return [(read_capture(path), None) for place in paths for path in captures_in(place)]
-    density = checked_density(config.density_g_m2)
+    specimen = Specimen.of({"density_g_m2": config.density_g_m2,
+                            "warp_direction_deg": config.warp_direction_deg}, "")
     from drapenet.refine.registration import read_scan_capture
 
-    return [read_scan_capture(path, density=density) for path in paths]
+    return [read_scan_capture(path, specimen) for path in paths]
 
 
 if __name__ == "__main__":

@@ -29,18 +29,18 @@ def train(config: TrainConfig) -> Path:
 
     from drapenet.network import training as steps
     from drapenet.network.checkpoint import save_checkpoint
-    from drapenet.network.model import MapNet
+    from drapenet.network.model import DrapeNet
 
     device = steps.choose_device(config)
-    training, unseen, manifest = steps.open_captures(config)
+    training, unseen, datasets = steps.open_captures(config)
     checkpoint, state = out / "drapenet.safetensors", out / "state.pt"
 
     torch.manual_seed(config.seed)  # used for the initial weights only
-    network = MapNet(**training.network(config.model)).to(device)
+    network = DrapeNet(**training.network(config.model)).to(device)
     optimizer = torch.optim.AdamW(network.parameters(), weight_decay=config.optim.weight_decay)
 
     # Must agree with an existing state for a resume.
-    run = {"settings": config.defining(), "dataset": manifest["hash"]}
+    run = {"settings": config.defining(), "datasets": datasets["sha256"]}
     record = {"run": run, "epochs_done": 0, "best_loss": None}
     if state.exists():
         record = steps.load_state(state, run=run, model=network, optimizer=optimizer)
@@ -60,7 +60,7 @@ def train(config: TrainConfig) -> Path:
                               rate=optimizer.param_groups[0]["lr"])
             if record["best_loss"] is None or metrics["loss"] < record["best_loss"]:
                 record["best_loss"] = metrics["loss"]
-                content = steps.describe(config, training, manifest, metrics, epoch)
+                content = steps.describe(config, training, datasets, metrics, epoch)
                 save_checkpoint(checkpoint, model=network, half=config.half_precision,
                                 description=content)
             # Last, so that an interruption before this line repeats the epoch and nothing else.

@@ -16,10 +16,11 @@ Positive = Annotated[float, Field(gt=0)]
 
 @dataclass
 class ModelConfig:
-    """See :class:`drapenet.network.model.MapNet`."""
+    """See :class:`drapenet.network.model.DrapeNet`."""
 
     width: Annotated[int, Field(ge=1, le=512)]
     components: Annotated[int, Field(ge=1, le=32)]
+    dropout: Annotated[float, Field(ge=0, lt=1)]
 
 
 @dataclass
@@ -37,13 +38,14 @@ class OptimConfig:
 class TrainConfig:
     """``configs/train.yaml``: all settings of a training run."""
 
-    data: str
+    data: Any  # a folder or a list of them
     out: str
     maps: str
     seed: Seed
     epochs: FromOne
     captures: FromOne
     neighbours: bool
+    outlines: FromZero
     validation_fraction: Annotated[float, Field(gt=0, lt=1)]
     fabrics: FromZero
     device: Annotated[str, Field(pattern="^(auto|cpu|cuda)$")]
@@ -76,8 +78,8 @@ class InferConfig:
     workers: Annotated[int | None, Field(ge=1)]
     drapes: Annotated[int | None, Field(ge=0, le=4)]
     edge_mm: float
-    membrane_n_per_m: Annotated[float | None, Field(gt=0)]
     density_g_m2: float
+    warp_direction_deg: float | None
     strict: bool
 
 
@@ -88,7 +90,6 @@ class EstimateOptions:
     refine: dict[str, Any] | None = None  # content of a file of ``configs/refine``
     drapes: int = 2  # to simulate with the estimate; 0: no report
     edge: Metres = 4e-3  # of their meshes at the plate's rim
-    membrane: float | None = None  # N/m along the yarns, of the fabric at its own density
     strict: bool = False  # refuse a faulty capture instead of giving warnings
 
 
@@ -96,11 +97,11 @@ class EstimateOptions:
 class EvaluateConfig:
     """``configs/evaluate.yaml``."""
 
-    rig: str
     checkpoint: str
+    testers: list[str]
     out: str
     fabrics: str
-    drapes: FromOne
+    fabrics_per_tester: FromOne
     captures: FromOne
     seed: Seed
     workers: Workers

@@ -3,7 +3,7 @@
 An error in one of the last three leaves the estimate of those before, with a warning.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -15,10 +15,12 @@ from common.errors import MAX_LIST_LENGTH, InputError, one_line
 from common.files import replace_file
 from common.types import Metres
 from data.captures.capture import Capture
+from data.captures.known import Known
 from drapenet.config import EstimateOptions
+from drapenet.known import weigh
 from drapenet.network.checkpoint import Header, load_model
 from drapenet.network.predict import predict
-from drapenet.result.document import CaptureAbout, EstimateDocument
+from drapenet.result.document import CaptureAbout, CaptureRecord, EstimateDocument
 from drapenet.result.estimate import Estimate, make_estimate
 from drapenet.result.files import (
     PAGE,
@@ -29,11 +31,14 @@ from drapenet.result.files import (
     printable,
     remove_report,
     write_estimate,
+    write_observation,
 )
+from drapenet.sets import contradictions
 from drapenet.views.checks import view_warnings
 from drapenet.views.located import LocatedViews
-from drapenet.views.radial_map import RadialMap, drape_coefficient, radial_map
-from sim.material import REFERENCE_DENSITY
+from drapenet.views.observation import Observation
+from drapenet.views.outline import outline_of_curve
+from sim.rig import Rig
 
 if TYPE_CHECKING:
     from drapenet.refine.surface import CapturedShape
@@ -41,7 +46,7 @@ if TYPE_CHECKING:
 
 Progress = Callable[[int, int, float], None]
 """Called with the simulated and the expected number of drapes, and the current misfit."""
-network_of = lru_cache(maxsize=2)(load_model)  # one network for each tester
+network_of = lru_cache(maxsize=2)(load_model)
 
 
 @dataclass(frozen=True)
@@ -49,17 +54,15 @@ class CaptureEstimate:
     """The estimate of one capture after one of its stages.
 
     Attributes:
-        map: the network's input.
-        known: properties of the cloth at 300 g/m², by :data:`data.fabrics.nuisances.NAMES`.
+        observation: the network's input.
         warnings: beside those of capture, samples and drape.
         refined: outcome of a refinement, for the document.
     """
 
     capture: Capture
     header: Header
-    located: LocatedViews
-    map: RadialMap
-    known: dict[str, float]
+    located: LocatedViews | None  # None: a photograph
+    observation: Observation
     estimate: Estimate
     warnings: tuple[str, ...] = ()
     refined: dict[str, Any] | None = None
@@ -72,13 +75,19 @@ class CaptureEstimate:
     @cached_property
     def document(self) -> EstimateDocument:
         """The content of ``estimate.json``."""
-        capture, share = self.capture, drape_coefficient(self.map, self.capture.rig)
+        capture = self.capture
+        seen = self.observation
+        share = seen.outline.coefficient(capture.rig) if seen.outline else seen.coefficient
+        if self.drape and np.isfinite(share):
+            share += self.drape.perspective
         about = CaptureAbout(
             source=printable(capture.path), density_g_m2=round(capture.density * 1e3, 6),
             rig=capture.rig.name, face=capture.face, views=len(capture.views),
             views_sha256=capture.digest,
-            turns_deg=(np.degrees(self.located.turns).round(1) + 0.0).tolist(),  # no -0.0
-            drape_coefficient_percent=round(100 * share, 1) if np.isfinite(share) else None)
+            turns_deg=self.located and (  # no -0.0
+                np.degrees(self.located.turns).round(1) + 0.0).tolist(),
+            drape_coefficient_percent=round(100 * share, 1) if np.isfinite(share) else None,
+            known=capture.known)
         warnings = [*capture.warnings, *self.estimate.warnings, *self.warnings]
         optional = {"refined": self.refined} if self.refined else {}
         if self.drape:
@@ -101,10 +110,11 @@ def estimate_capture(
         scan: the surface whose rendered views are those of ``capture``.
         on_stage: called when the stages "refining" and "simulating" begin.
     """
-    result = check(network_estimate(capture, header, membrane=options.membrane), options.strict)
+    result = check(network_estimate(capture, header), options.strict)
     if out:
         remove_report(out)
         write_estimate(out, result.estimate, result.document)
+        write_observation(out, result.observation)
     if options.refine:
         on_stage("refining", result)
         result = _attempt(refine, result, "the network's estimate is not refined",
@@ -113,7 +123,7 @@ def estimate_capture(
         on_stage("simulating", result)
         result = _attempt(simulate, result, "the report shows no simulated drape",
                           drapes=options.drapes, edge=options.edge)
-    if options.drapes and out:
+    if options.drapes and out and not capture.numbers:
         result = _attempt(report, result, "there is no report", out=out)
     if out:
         write_estimate(out, result.estimate, result.document)
@@ -130,26 +140,79 @@ def _attempt(
         return result.with_warnings(f"{loss}: {type(error).__name__}, {one_line(error)}")
 
 
-def network_estimate(
-    capture: Capture, header: Header, *, membrane: float | None = None
-) -> CaptureEstimate:
-    """Estimate a capture by the network of ``header``; ``membrane`` as in EstimateOptions."""
-    located = LocatedViews.of(capture)
-    drape = radial_map(located)
-    known = {} if membrane is None else {"membrane": membrane * REFERENCE_DENSITY / capture.density}
-    draws, = predict(network_of(header), header, [drape], **known)
-    estimate = make_estimate(draws, capture=capture, header=header)
-    return CaptureEstimate(capture, header, located, drape, known, estimate)
+def network_estimate(capture: Capture, header: Header) -> CaptureEstimate:
+    """Estimate a capture by the network of ``header``."""
+    located, seen = None, []
+    if capture.outline:
+        seen = [Observation.of_outline(capture)]
+    elif not capture.numbers:
+        located = LocatedViews.of(capture)
+        seen = [Observation.of_views(located, capture.sign, capture.warp_direction)]
+    seen += _reported(capture.known, capture.rig, capture.sign, capture.warp_direction is not None)
+    draws, = predict(network_of(header), header, [seen])
+    estimate = make_estimate(draws, density=capture.density, header=header)
+    if capture.known:
+        estimate = weigh(estimate, capture.known)
+    observation = seen[0]
+    return CaptureEstimate(capture, header, located, observation, estimate)
+
+
+def _reported(known: Known | None, rig: Rig, face: int, marked: bool) -> list[Observation]:
+    """The drape coefficient that a capture states, as an observation; ``marked``: whether the
+    direction of the warp is known."""
+    if known is None or known.drape_coefficient_percent is None:
+        return []
+    return [Observation.of_numbers(rig, face, marked, known)]
+
+
+def joint_estimate(
+    observations: Sequence[Observation], documents: Sequence[EstimateDocument], header: Header
+) -> tuple[Estimate, EstimateDocument]:
+    """The posterior of several captures of one fabric, and its document with the moduli of each.
+
+    Where the direction of the warp is not stated for all, it is taken as unknown for all.
+    """
+    known = all(part.known for part in observations)
+    stated = [document.capture.known for document in documents]
+    seen = [replace(part, known=known) for part in observations]
+    also = [part for one, values in zip(seen, stated, strict=True) if np.isnan(one.coefficient)
+            for part in _reported(values, one.rig, one.face, known)]
+    network, labels = network_of(header), [document.capture.source or "" for document in documents]
+    draws, *alone = predict(network, header, [[*seen, *also], *([part] for part in seen)])
+    density = documents[0].density
+    estimate = make_estimate(draws, density=density, header=header)
+    for values in dict.fromkeys(str(part) for part in stated if part):
+        estimate = weigh(estimate, next(part for part in stated if str(part) == values))
+    lines = contradictions(
+        [part.cloth.theta for part in alone],
+        lambda numbers: predict(network, header, [[seen[k] for k in numbers]])[0].cloth.theta,
+        labels, names=estimate.names, spread=estimate.spread, density=density)
+    estimate = replace(estimate, warnings=(*estimate.warnings, *lines))
+    warnings = [*estimate.warnings, *(
+        f"{label} has {len(document.warnings)} warning{'s' * (len(document.warnings) > 1)} by "
+        f"itself: {document.warnings[0]}"
+        for label, document in zip(labels, documents, strict=True) if document.warnings)]
+    if any(document.density != density for document in documents):
+        warnings.append("the captures state different densities: moduli are those at "
+                        f"{1e3 * density:g} g/m²")
+    rigs = dict.fromkeys(document.capture.rig for document in documents)
+    records = [CaptureRecord(capture=document.capture, moduli=document.moduli,
+                             warnings=document.warnings) for document in documents]
+    return estimate, EstimateDocument.from_estimate(
+        estimate, capture={"sources": labels, "rig": ", ".join(rigs),
+                           "density_g_m2": documents[0].capture.density_g_m2},
+        checkpoint=header.identity, captures=records, warnings=warnings)
 
 
 def check(result: CaptureEstimate, strict: bool = False) -> CaptureEstimate:
     """Add the warnings of the views; InputError if they show no drape, or if ``strict``."""
-    path = result.capture.path
-    try:
-        result = result.with_warnings(
-            *view_warnings(result.located, result.map, result.header.setups))
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+    path, located = result.capture.path, result.located
+    if located:
+        try:
+            result = result.with_warnings(
+                *view_warnings(located, result.observation.map, result.header.setups))
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
     if strict and (faults := [*result.warnings, *result.capture.warnings]):
         raise InputError(f"{path}: refused because strict=true: {'; '.join(faults)}; strict=false "
                          "estimates it with a warning", max_length=MAX_LIST_LENGTH)
@@ -163,27 +226,37 @@ def refine(
     """Refine the estimate by simulation, which keeps the network's if there is no improvement."""
     from drapenet.refine.refine import refine_capture
 
-    outcome = refine_capture(result.estimate, result.located, scan=scan,
-                             known=result.known, settings=settings, progress=progress)
+    warp = result.capture.warp_direction
+    if warp is None or not result.located:
+        missing = ("give warp_direction_deg" if result.located else
+                   "a photograph shows no depth")
+        return result.with_warnings(f"the estimate is not refined: {missing}")
+    outcome = refine_capture(result.estimate, result.located, warp=warp, scan=scan,
+                             settings=settings, progress=progress)
     if outcome is None:
         return result.with_warnings("no drape of the estimate converged; it is not refined")
     result = replace(result.with_warnings(*outcome.warnings),
                      refined=outcome.content | {"before": result.document.moduli})
     if not outcome.draws:
         return result
-    estimate = make_estimate(outcome.draws, capture=result.capture, header=result.header)
+    estimate = make_estimate(outcome.draws, density=result.capture.density, header=result.header)
     return replace(result, estimate=estimate, drape=outcome.resimulation)
 
 
 def simulate(result: CaptureEstimate, *, drapes: int, edge: Metres) -> CaptureEstimate:
     """Simulate drapes of the estimate, unless a refinement has, and keep that of the best fit."""
-    from data.fabrics.nuisances import Nuisances
-    from drapenet.report.drape import resimulate
+    from drapenet.report.drape import resimulate, resimulate_outline
 
-    if result.drape is not None:
+    if result.drape is not None or result.capture.numbers:
         return result
-    drape = resimulate(result.estimate.fabric, result.located, edge=edge, drapes=drapes,
-                       laws=Nuisances(**result.known).laws)
+    fabric, rig = result.estimate.fabric, result.capture.rig
+    photograph = result.capture.outline
+    settings = {"edge": edge, "drapes": drapes,
+                "laws": result.estimate.nuisances.turned(result.capture.sign).laws}
+    drape = (resimulate(fabric, result.located, **settings) if result.located else
+             resimulate_outline(
+                 fabric, outline_of_curve(photograph.curve, height=photograph.height), rig,
+                 **settings))
     if drape is None:
         return result.with_warnings("no drape of the estimate converged; the report shows none")
     return replace(result, drape=drape)
@@ -197,10 +270,10 @@ def report(result: CaptureEstimate, *, out: Path) -> CaptureEstimate:
 
     capture, document = result.capture, result.document
     name = printable("/".join(last_parts(capture.path)))
-    picture = draw_report(result.estimate, document, result.located.views, result.drape,
+    picture = draw_report(result.estimate, document, capture, result.drape,
                           title=f"{name}: {document.capture.density_g_m2:g} g/m²")
     replace_file(out / REPORT, picture)
     replace_file(out / TORQUES, draw_torques(result.estimate))
-    replace_file(out / SHAPES, drape_glb(result.located, result.drape))
+    replace_file(out / SHAPES, drape_glb(capture.rig, result.located, result.drape))
     replace_file(out / PAGE, render("report.html", name=name, document=document, report=picture))
     return result

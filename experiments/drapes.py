@@ -1,6 +1,6 @@
-"""Fabrics of the prior: drawn, draped, captured, and estimated by the bundled networks."""
+"""Fabrics of the prior: drawn, draped, captured, and estimated by the bundled network."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,14 +19,13 @@ from data.fabrics.prior import load_prior, sample_admissible
 from experiments.result import read_report, rms
 from sim.cloth import Laws
 from sim.drape import Drape, drape
-from sim.material import LINEAR, REFERENCE_DENSITY, SWAPPED, Fabric
+from sim.material import LINEAR, REFERENCE_DENSITY, Fabric
 from sim.rig import SQUARE_RIG, Rig
 
 if TYPE_CHECKING:  # imported on use, because speed and memory are measured without them
     from data.render.setups import Setups, SyntheticCapture
     from drapenet.inference import CaptureEstimate
     from drapenet.network.checkpoint import Header
-    from drapenet.result.estimate import Estimate
 
 RIG = SQUARE_RIG
 CLEAN = {"views": (0.0, 0.0, 0.0, 1.0), "sensors": {"smooth": 1.0}, "turn": 0.0, "focal": 0.0,
@@ -97,22 +96,22 @@ def capture_drape(
 
 
 def as_read(synthetic: "SyntheticCapture", rig: Rig = RIG) -> Capture:
-    """A synthetic capture as if it were read from a folder."""
-    return Capture(synthetic.views, synthetic.intrinsics, synthetic.turns, REFERENCE_DENSITY, None,
-                   rig, Path(), ())
+    """A synthetic capture as if it were read from a folder, with the direction of the warp."""
+    return Capture(synthetic.views, synthetic.intrinsics, synthetic.turns, REFERENCE_DENSITY,
+                   synthetic.orientation % np.pi, rig, Path(), ())
 
 
 @cache
-def header(rig: Rig = RIG) -> "Header":
+def header() -> "Header":
     """Header of the bundled network."""
-    from drapenet.network.checkpoint import bundled, read_header
+    from drapenet.network.checkpoint import read_header
 
-    return read_header(bundled(rig))
+    return read_header()
 
 
 def spread() -> Theta:
     """Standard deviation of theta over fabrics."""
-    return header().scale.std[:6]
+    return header().spread
 
 
 def posterior_bound() -> float:
@@ -122,40 +121,8 @@ def posterior_bound() -> float:
     return rms(bounds[:, LINEAR] / spread()[LINEAR])
 
 
-@dataclass(frozen=True)
-class NetworkEstimate:
-    """Estimate by the network: posterior ``samples`` (S, 6) of theta along the true warp."""
+def infer(synthetic: "SyntheticCapture") -> "CaptureEstimate":
+    """Estimate the moduli from a capture with the network, with the warnings of ``infer.py``."""
+    from drapenet.inference import check, network_estimate
 
-    samples: np.ndarray
-    inferred: "CaptureEstimate"
-    capture: Capture
-
-    @property
-    def theta(self) -> Theta:
-        """Posterior mean."""
-        return self.samples.mean(axis=0)
-
-    @property
-    def warnings(self) -> list[str]:
-        """Warnings of ``infer.py``."""
-        from drapenet.views.checks import view_warnings
-
-        inferred = self.inferred
-        return [*inferred.estimate.warnings,
-                *view_warnings(inferred.located, inferred.map, header().setups)]
-
-
-def infer(synthetic: "SyntheticCapture") -> NetworkEstimate:
-    """Estimate the moduli from a capture with the network."""
-    from drapenet.inference import network_estimate
-
-    capture = as_read(synthetic)
-    inferred = network_estimate(capture, header())
-    return NetworkEstimate(along_warp(inferred.estimate, synthetic.orientation), inferred, capture)
-
-
-def along_warp(estimate: "Estimate", orientation: float) -> np.ndarray:
-    """Samples (S, 6) along the true warp at the angle ``orientation``, rad; the estimate's first
-    yarn direction is the nearer of the true warp and weft."""
-    along = np.cos(2 * (estimate.axis - orientation)) >= 0
-    return estimate.samples if along else estimate.samples[:, SWAPPED]
+    return check(network_estimate(as_read(synthetic), header()))

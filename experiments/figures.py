@@ -17,19 +17,20 @@ from typing import Any
 from common.command import run_command
 from common.errors import InputError
 from common.files import replace_file
-from drapenet.network.checkpoint import bundled, read_header
+from drapenet.network.checkpoint import read_header
 from experiments.result import REPORTS, ROOT, Report, read_report, table
-from sim.rig import Rig
 
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 CLAIMS = Path(__file__).with_name("claims.md")
 MARK = re.compile(r"(<!-- figures: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 RIGS = {"squares": "square300_cylinder100", "discs": "disc300_support180"}
 COMMANDS = {
-    **{f"evaluation_{rig}": f"drapenet.network.evaluate rig={rig}" for rig in RIGS.values()},
+    "evaluation": "drapenet.network.evaluate",
     "refine_views_real": "experiments refine_views variation=real "
                          "out=docs/validation/refine_views_real.json"}
 """Commands of reports with another name."""
+FOUR_VIEWS = "depth, 4 views"
+"""The condition of the claims; :data:`drapenet.network.evaluate.CELLS` has all."""
 MISSED = "**missed**"
 """Mark of a target that is not reached."""
 _RELATIONS = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge,
@@ -48,15 +49,14 @@ class Reports(dict[str, Report]):
         self[name] = report | derived(report) if derived else report
         return self[name]
 
-    def cell(self, kind: str, name: str = "as trained") -> Report:
+    def cell(self, kind: str, name: str = FOUR_VIEWS) -> Report:
         """Evaluation of the network for ``kind`` of specimens under the condition ``name``."""
-        return self[f"evaluation_{RIGS[kind]}"]["cells"].get(name)
+        return self["evaluation"]["cells"][RIGS[kind]][name]
 
 
-def spread(kind: str) -> float:
+def spread() -> float:
     """Root mean square over directions of the standard deviation of log α over fabrics."""
-    std = read_header(bundled(Rig.from_name(RIGS[kind]))).scale.std[:3]
-    return sqrt(sum(one**2 for one in std) / 3)
+    return sqrt(sum(one**2 for one in read_header().spread[:3]) / 3)
 
 
 def percent(value: float, digits: int = 0) -> str:
@@ -158,10 +158,11 @@ def render_speed(report: Report) -> Report:
 
 
 def evaluated(report: Report) -> Report:
-    """The evaluation as trained, with the coverage and its largest error in points."""
-    cell = report["cells"]["as trained"]
-    return {"trained": cell, "coverage": coverage(cell), "off": max(
-        abs(100 * one["mean"] - float(level.strip("%"))) for level, one in cell["inside"].items())}
+    """Results by kind of specimens, with the coverage and its largest error in points."""
+    found = {kind: report["cells"][rig][FOUR_VIEWS] for kind, rig in RIGS.items()}
+    return {kind: cell | {"coverage": coverage(cell), "off": max(
+        abs(100 * one["mean"] - float(level.strip("%")))
+        for level, one in cell["inside"].items())} for kind, cell in found.items()}
 
 
 def tree_tables(report: Report) -> Report:
@@ -184,8 +185,7 @@ def joint_coverage(report: Report) -> Report:
 
 DERIVED: dict[str, Callable[[Report], Report]] = {
     "strips": strips, "lowering": lowering_cost, "outlines": outline_folds, "render": render_speed,
-    **{f"evaluation_{rig}": evaluated for rig in RIGS.values()}, "tree": tree_tables,
-    "faults": detected_faults,
+    "evaluation": evaluated, "tree": tree_tables, "faults": detected_faults,
     "repeats": joint_coverage}
 """Figures of claims that are computed from a report."""
 
@@ -233,13 +233,14 @@ def demo(reports: Reports) -> str:
 
 def views(reports: Reports) -> str:
     """Error of log α by number of views and by number of drapes."""
-    cells = {count: reports.cell("squares", f"views {count}") for count in (1, 2, 4, 8)}
-    found = {count: cell["log_alpha"]["rmse"] * spread("squares") for count, cell in cells.items()}
+    cells = {count: reports.cell("squares", f"depth, {count} view{'s' * (count > 1)}")
+             for count in (1, 2, 4, 8)}
+    found = {count: cell["log_alpha"]["rmse"] * spread() for count, cell in cells.items()}
     joined = reports["repeats"]["summary"]
     return "\n\n".join((
         table(["views of one drape", *found], [["error of log α", *map("{:.2f}".format,
                                                                       found.values())]]),
-        table(["drapes of one fabric, joined", *joined],
+        table(["drapes of one fabric, together", *joined],
               [["error of log α", *(f"{one['log_alpha']:.2f}" for one in joined.values())]])))
 
 
@@ -299,32 +300,22 @@ def information(reports: Reports) -> str:
 
 
 def cells(reports: Reports) -> str:
-    """Errors and coverage of the networks, with one condition changed at a time."""
-    def columns(kind: str, name: str) -> list[str]:
-        found = reports.cell(kind, name)
-        if not found:
-            return ["–"] * 3
+    """Errors and coverage of the network by condition, and errors on all testers."""
+    def columns(found: Report) -> list[str]:
         low, high = found["log_alpha"]["interval_95"]
         return [f"{found['log_alpha']['rmse']:.3f} ({low:.3f} to {high:.3f})",
                 f"{found['beta_over_alpha']['rmse']:.2f}", coverage(found)]
 
-    rows = [[name, *columns("squares", name), *columns("discs", name)]
-            for name in reports[f"evaluation_{RIGS['discs']}"]["cells"]
-            if name.split()[0] not in ("sensor", "pitch", "distance")]
+    results = reports["evaluation"]["cells"]
+    names = list(results[RIGS["squares"]])
     head = ["condition", *(f"{kind}: {what}" for kind in RIGS for what in
                            ("log α / spread (95 %)", "β/α / spread", "inside"))]
-    return f"{table(head, rows)}\n\n{soft_fabrics(reports)}"
-
-
-def soft_fabrics(reports: Reports) -> str:
-    """The errors of soft fabrics, beside how far these differ from each other."""
-    def shares(name: str) -> str:
-        found = [reports.cell(kind, "soft fabrics") for kind in RIGS]
-        return " and ".join(percent(one[name]["rmse"] / one["prior"][name]) for one in found)
-
-    return ("Soft fabrics alone differ less from each other: of their own spread, the error of "
-            f"log α is {shares('log_alpha')} (squares and discs) and that of β/α "
-            f"{shares('beta_over_alpha')}.")
+    return "\n\n".join((
+        table(head, [[name, *(cell for kind in RIGS for cell in columns(reports.cell(kind, name)))]
+                     for name in names]),
+        table(["log α / spread", *(tester.replace("_", " ") for tester in results)],
+              [[name, *(f"{found[name]['log_alpha']['rmse']:.3f}" for found in results.values())]
+               for name in names])))
 
 
 def refinement(reports: Reports) -> str:
@@ -393,18 +384,20 @@ def prior(reports: Reports) -> str:
 def accuracy(reports: Reports) -> str:
     """List of three items: errors, what was compared with real cloth, limits."""
     squares, discs = reports.cell("squares"), reports.cell("discs")
-    error = {kind: exp(reports.cell(kind)["log_alpha"]["rmse"] * spread(kind)) - 1 for kind in RIGS}
-    four = {kind: exp(reports.cell(kind, "views 4")["log_alpha"]["rmse"] * spread(kind)) - 1
-            for kind in RIGS}
+
+    def errors(name: str) -> str:
+        found = [reports.cell(kind, name)["log_alpha"]["rmse"] * spread() for kind in RIGS]
+        return " and ".join(f"{percent(exp(error) - 1)} for {kind}"
+                            for kind, error in zip(RIGS, found, strict=True))
+
     drapes = reports["outlines"]["summary"]["parallel"]["flat"]["all"]
     bent = next(iter(reports["laboratory"]["summary"].values()))
     return "\n".join([
         f"- **Simulated fabrics** outside the training set, with the variation of real "
-        f"specimens and cameras: the typical error of α is {percent(error['squares'])} for "
-        f"squares and {percent(error['discs'])} for discs ({percent(four['squares'])} and "
-        f"{percent(four['discs'])} with four views). The 68 % intervals contain "
+        f"specimens and cameras: the typical error of α is {errors(FOUR_VIEWS)} with four depth "
+        f"views, {errors('outline, parallel light')} with an outline. The 68 % intervals contain "
         f"{percent(squares['inside']['68%']['mean'])} and "
-        f"{percent(discs['inside']['68%']['mean'])} of the true moduli.",
+        f"{percent(discs['inside']['68%']['mean'])} of the true moduli with four depth views.",
         f"- **Real cloth**: the simulator has been compared with the outlines of nine real fabrics "
         f"seen from above ({drapes['folds']:.1f} folds where they have {drapes['folds_real']:.1f}) "
         f"and with the drape coefficients of ten laboratory fabrics (off by {bent['rms']:.0f} "
@@ -412,8 +405,7 @@ def accuracy(reports: Reports) -> str:
         f"no scanned surface, was at hand ([validation](docs/validation.md#real-cloth)).",
         f"- **Limits**: β/α is poorly constrained by a drape: its error is "
         f"{squares['beta_over_alpha']['rmse']:.2f} (squares) and "
-        f"{discs['beta_over_alpha']['rmse']:.2f} (discs) of its spread over fabrics. "
-        "The bundled networks were trained on drapes from artificial starts."])
+        f"{discs['beta_over_alpha']['rmse']:.2f} (discs) of its spread over fabrics."])
 
 
 BLOCKS: dict[str, Callable[[Reports], str]] = {

@@ -3,13 +3,16 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import torch
 from safetensors import safe_open
 from safetensors.torch import load, save_file
 
 from common.configs import read_option
+from data.fabrics.properties import ClothProperties
 from drapenet.network.checkpoint import SCHEMA, save_checkpoint
-from drapenet.network.model import MapNet
+from drapenet.network.model import DrapeNet
+from drapenet.network.targets import targets_of
 
 
 def description(checkpoint: Path) -> dict:
@@ -33,14 +36,18 @@ def save_untrained(path: Path, width: int = 8) -> Path:
     which cost less to make."""
     torch.manual_seed(0)
     mean, std = [-10.8, -11.0, -10.8, -0.0026, -0.0026, -0.0026], [0.9, 0.8, 0.9, *[0.0014] * 3]
-    model = {"width": width, "components": 2, "targets": 6, "distance": 0.076, "spread": 0.017}
+    model = {"width": width, "components": 2, "dropout": 0.1, "distance": 0.25, "spread": 0.06}
+    # Of specimens of 300 mm.
+    targets = targets_of(ClothProperties(np.array(mean), np.zeros(2), np.array(600.0),
+                                         np.array(0.2)), np.array(0.3))
+    deviations = [*std[:3], *np.array(std[3:]) / 0.3, 2.0, 2.0, 0.6, 0.1]
     generation = {"sampling": {"seed": 999, "starts": ["sine", "fold"]}, "prior": "blobs",
                   "solver": {"edge_mm": 8.0}}
-    save_checkpoint(path, model=MapNet(**model), half=False, description={
-        "rig": "square300_cylinder100", "model": model, "targets": {"mean": mean, "std": std},
+    save_checkpoint(path, model=DrapeNet(**model), half=False, description={
+        "model": model, "targets": {"mean": targets.tolist(), "std": deviations},
         "fabrics": {"low": [m - 2 * s for m, s in zip(mean, std, strict=True)],
                     "high": [m + 2 * s for m, s in zip(mean, std, strict=True)],
                     "deviation": std},
-        "dataset": {"sha256": "0" * 64, "generation": generation}, "validation": {},
+        "dataset": {"sha256": ["0" * 64], "generation": [generation]}, "validation": {},
         "config": {"setup": {**read_option("setup", "real"), "sensors": {"none": 1.0}}}})
     return path

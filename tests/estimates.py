@@ -3,6 +3,7 @@
 import numpy as np
 
 from data.fabrics.fabrics import to_theta
+from data.fabrics.properties import ClothProperties
 from drapenet.result.document import EstimateDocument
 from drapenet.result.estimate import Estimate
 from sim.material import DIRECTIONS, REFERENCE_DENSITY
@@ -18,8 +19,11 @@ def estimate_of(
     scale = REFERENCE_DENSITY / density
     theta = to_theta(np.asarray(alpha) * scale, np.asarray(beta) * scale)
     steps = deviation * np.vstack([np.eye(6), -np.eye(6)]) * [1, 1, 1, 3e-3, 3e-3, 3e-3]
-    return Estimate(theta + np.vstack([np.zeros(6), steps]), names, 0.4, 0.9, density,
-                    np.array([0.9] * 3 + [1.4e-3] * 3))
+    samples = theta + np.vstack([np.zeros(6), steps])
+    count = len(samples)
+    cloth = ClothProperties(samples, np.zeros((count, 2)), np.full(count, 600.0),
+                            np.full(count, 0.2))
+    return Estimate(cloth, names, density, np.array([0.9] * 3 + [1.4e-3] * 3))
 
 
 def document_of(estimate: Estimate, **options: object) -> EstimateDocument:

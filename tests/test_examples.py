@@ -10,7 +10,8 @@ from words import last
 from common.errors import InputError
 from data.captures.capture import read_capture
 from drapenet.views.located import LocatedViews
-from drapenet.views.radial_map import drape_coefficient, radial_map
+from drapenet.views.outline import outline_of_map
+from drapenet.views.radial_map import radial_map
 from sim.rig import Rig
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -57,7 +58,7 @@ def test_the_example_makes_whole_scenes_of_the_same_drape(tmp_path, seed):
         main([f"out={tmp_path / 'c'}", f"raw={raw}", "edge_mm=12", f"seed={seed}"])
         capture = read_capture(tmp_path / "c")
         found = radial_map(LocatedViews.of(capture))
-        coefficients.append(drape_coefficient(found, Rig()))
+        coefficients.append(outline_of_map(found, Rig()).coefficient(Rig()))
     assert (tmp_path / "c" / "background.png").is_file()
     assert capture.cut and len(capture.views) == 4
     assert coefficients[1] == pytest.approx(coefficients[0], abs=0.02)

@@ -40,6 +40,7 @@ from data.captures.description import (
     whole_turns,
 )
 from data.captures.frames import is_view, join_views, numbered, read_frames, read_picture
+from data.captures.known import Known
 from data.render.cameras import Intrinsics, nominal_camera
 from data.rigs import MISSING_TESTER, described_tester, named_tester
 from sim.rig import SQUARE_RIG, Rig
@@ -87,11 +88,24 @@ class Capture:
     cut: CutOut | None = None
     face: str = "up"
     outline: "PhotographedOutline | None" = None
+    known: Known | None = None
+
+    @property
+    def sign(self) -> int:
+        """1 if the marked face is up, else -1."""
+        return 1 if self.face == "up" else -1
+
+    @property
+    def numbers(self) -> bool:
+        """Whether a drape coefficient stands in place of views and outline."""
+        return self.outline is None and not len(self.views)
 
     @property
     def digest(self) -> str:
         """SHA-256 of the views, or of the outline."""
         content = self.views if self.outline is None else self.outline.curve
+        if self.numbers:
+            return hashlib.sha256(str(self.known).encode()).hexdigest()
         return hashlib.sha256(content.tobytes()).hexdigest()
 
 
@@ -127,6 +141,10 @@ def _read_metric(path: Path) -> Capture:
     if description.outline:
         raise InputError(f"{file} has the key outline, but there is no outline.png, .jpg, .tif, "
                          ".csv or .txt; name the photograph so, or leave the key out")
+    if description.reported and not any(is_view(entry.name) for entry in path.iterdir()):
+        return Capture(np.zeros((0, 0, 0), np.float32), None, np.zeros(0), description.density,
+                       description.warp_direction, _tester(path, description), path, (),
+                       face=description.face, known=description.known)
     frames = read_frames(path, description)
     depth, background = frames.depth, frames.background
     count, height, width = depth.shape
@@ -151,7 +169,8 @@ def _read_metric(path: Path) -> Capture:
     cut = cut_out(depth, intrinsics, rig, background)
     views, warnings = checked_views(cut.views if cut else depth)
     return Capture(views, intrinsics, turns, description.density, description.warp_direction,
-                   rig, path, (*(cut.warnings if cut else ()), *warnings), cut, description.face)
+                   rig, path, (*(cut.warnings if cut else ()), *warnings), cut, description.face,
+                   known=description.known)
 
 
 def _tester(path: Path, description: Description) -> Rig:
@@ -183,7 +202,7 @@ def _read_outline(path: Path, file: Path, description: Description) -> Capture:
     outline = read_outline(file, description.outline or OutlineSource(), rig)
     return Capture(np.zeros((0, 0, 0), np.float32), None, np.zeros(0), description.density,
                    description.warp_direction, rig, path, outline.warnings, face=description.face,
-                   outline=outline)
+                   outline=outline, known=description.known)
 
 
 def _read_published(path: Path) -> Capture:
@@ -295,12 +314,9 @@ def captures_in(path: Path) -> list[Path]:
     return [path]
 
 
-def require_one_fabric(
-    rigs: Iterable[Rig | str], marked: Iterable[bool], densities: Sequence[Density],
-    digests: Iterable[tuple[str, str]],
-) -> None:
-    """InputError for captures that cannot be combined; ``marked``: whether each states the warp
-    direction; ``digests``: name and :attr:`Capture.digest` of each.
+def require_one_fabric(densities: Sequence[Density], digests: Iterable[tuple[str, str]]) -> None:
+    """InputError for captures that cannot be combined; ``digests``: name and
+    :attr:`Capture.digest` of each.
     """
     names: dict[str, str] = {}
     for name, digest in digests:
@@ -308,11 +324,6 @@ def require_one_fabric(
             raise InputError(f"{names[digest]} and {name} have the same views, which are not "
                              "independent; give each capture once")
         names[digest] = name
-    for right, values in (("have the same tester", set(rigs)),
-                          ("state warp_direction_deg, or none of them", set(marked))):
-        if len(values) > 1:
-            raise InputError(f"captures of one fabric must all {right}; estimate those that differ "
-                             "as another fabric")
     low, high = min(densities), max(densities)
     if high > (1 + MAX_DENSITY_DIFFERENCE) * low:
         raise InputError(f"captures of one fabric state densities from {1e3 * low:g} to "

@@ -11,6 +11,7 @@ from pydantic import Field, PlainValidator, model_validator
 from common.documents import Schema, shown
 from common.errors import InputError
 from common.types import Density, Metres, Radians, Turns
+from data.captures.known import Known
 from data.render.cameras import Intrinsics
 from data.rigs import Tester
 
@@ -26,10 +27,24 @@ PARALLEL = "parallel"
 """Height of a camera infinitely far away, such as the light of a drapemeter."""
 
 
-class _Density(Schema):
+class Specimen(Schema):
+    """What is stated of the cloth."""
+
     density_g_m2: float = Field(
         ge=DENSITY_RANGE[0], le=DENSITY_RANGE[1],
         description="weigh the specimen, give its g/m² and check the unit")
+    warp_direction_deg: float | None = None
+
+    @property
+    def density(self) -> Density:
+        """Density of the fabric."""
+        return 1e-3 * self.density_g_m2
+
+    @property
+    def warp_direction(self) -> Radians | None:
+        """Direction of the warp in the first view, in [0, pi)."""
+        direction = self.warp_direction_deg
+        return None if direction is None else math.radians(direction) % math.pi
 
 
 _Focal = Annotated[float, Field(ge=10, le=1e5)]
@@ -87,7 +102,7 @@ class OutlineSource(Schema):
         return math.nan if self.camera_height_mm is None else 1e-3 * self.camera_height_mm
 
 
-class Description(_Density):
+class Description(Specimen):
     """``capture.yaml``; point clouds are projected to ``size_px``, ``face`` is the upper one."""
 
     depth_unit_m: float | None = Field(None, gt=0, description="0.001 for millimetres")
@@ -96,23 +111,17 @@ class Description(_Density):
                           "cx: 119.5, cy: 89.5}")
     turns_deg: list[float] | None = Field(
         None, description="one angle for each view, such as [0, 90, 180, 270]")
-    warp_direction_deg: float | None = None
     tester: Tester | None = None
     face: Literal["up", "down"] = "up"
     size_px: list[Annotated[int, Field(ge=1, le=max(MAX_PICTURE))]] | None = Field(
         None, min_length=2, max_length=2, description="width and height, such as [640, 480]")
     outline: OutlineSource | None = None
+    known: Known | None = None
 
     @property
-    def density(self) -> Density:
-        """Density of the fabric."""
-        return 1e-3 * self.density_g_m2
-
-    @property
-    def warp_direction(self) -> Radians | None:
-        """Direction of the warp in the first view, in [0, pi)."""
-        direction = self.warp_direction_deg
-        return None if direction is None else math.radians(direction) % math.pi
+    def reported(self) -> bool:
+        """Whether a drape coefficient is stated."""
+        return self.known is not None and self.known.drape_coefficient_percent is not None
 
     def camera(self, width: int, height: int) -> Intrinsics:
         """The stated intrinsics, of pictures of this size."""
@@ -157,4 +166,4 @@ def checked_density(value: object, what: str = "") -> Density:
     """Density from g/m², a number or its text; ``what`` begins the message of an InputError."""
     with suppress(TypeError, ValueError):
         value = float(value) if isinstance(value, str) else value
-    return 1e-3 * _Density.of({} if value is None else {"density_g_m2": value}, what).density_g_m2
+    return Specimen.of({} if value is None else {"density_g_m2": value}, what).density

@@ -29,6 +29,7 @@ from data.captures.capture import Capture, read_capture, write_capture, write_ou
 from data.captures.cutout import CutOut
 from data.captures.plate import plate_of_cloth
 from data.render.cameras import Camera, Intrinsics
+from data.render.shade import silhouette, thumbnails
 from sim.rig import Rig
 
 DEPTH_UNIT = 1e-4  # m per count, finer than those of input files
@@ -140,6 +141,13 @@ def picture(cut: CutOut, intrinsics: Intrinsics, rig: Rig, *, turns: Turns) -> b
         _draw_plate(panel, intrinsics.posed(cut.plate.pose), rig)
     _draw_hems(panels[len(cut.frames)], cut, intrinsics, rig, turns)
     return _png(figure)
+
+
+def thumbnail(capture: Capture, views: int = 1) -> bytes:
+    """PNG of the first views, or of the outline of a photograph."""
+    if len(capture.views):
+        return thumbnails(capture.views[:views])
+    return silhouette(capture.outline.curve if capture.outline else None)
 
 
 def _png(figure: Figure) -> bytes:

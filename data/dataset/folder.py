@@ -28,7 +28,6 @@ from data.dataset.config import DatasetConfig
 from data.dataset.shards import SCHEMA_VERSION, SHARDS, Shard, shard_name, write_shard
 from data.dataset.simulate import Record
 from data.fabrics.prior import prior_content
-from sim.rig import Rig
 
 MANIFEST = "dataset.json"
 REMEDY = "remove it and run the command that made the dataset again, which keeps complete shards"
@@ -92,15 +91,6 @@ def finished_manifest(root: Path) -> dict:
     if json_digest(manifest["config"]) != manifest["identity"]:
         raise InputError(f"{root / MANIFEST}: its digests do not match its content; {REMEDY}")
     return manifest
-
-
-def only_tester(root: Path, manifest: dict) -> Rig:
-    """The tester of all drapes of a dataset; InputError if it has several."""
-    sampling = manifest["config"]["sampling"]
-    if sampling["random_testers"] or len(sampling["testers"]) != 1:
-        raise InputError(f"{root} has drapes of several testers; a network is trained on those of "
-                         "a single tester: generate them with dataset.testers=[NAME]")
-    return Rig.from_name(sampling["testers"][0])
 
 
 def json_text(content: object) -> str:

@@ -59,6 +59,10 @@ class Nuisances:
             return Laws(Hysteresis(self.hysteresis, curvature=curvature), membrane)
         return Laws(membrane=membrane)
 
+    def turned(self, face: int) -> "Nuisances":
+        """Those of the specimen turned over if ``face`` is -1; 1: unchanged."""
+        return replace(self, curl_warp=face * self.curl_warp, curl_weft=face * self.curl_weft)
+
     def rig(self, nominal: Rig) -> Rig:
         """The ``nominal`` rig with the deviations in size, plate and cut of this specimen."""
         return replace(nominal, specimen_size=nominal.specimen_size + self.size,

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import trimesh
 
-from common.types import Faces, Metres, Points, Vector, Views
+from common.types import Faces, Metres, Outline, Points, Vector, Views
 from data.render.rays import RayScene
 from sim.mesh import vertex_normals
 
@@ -97,6 +97,15 @@ def _background(
         shadow = 1.0 / (1.0 + np.exp((radius - 0.9 * extent) / (0.12 * extent)))
         image *= (1.0 - 0.35 * shadow)[..., None]
     return image
+
+
+def silhouette(curve: Outline | None) -> bytes:
+    """PNG of the area within an outline; empty for None."""
+    picture = np.full((_THUMBNAIL, _THUMBNAIL), 255, np.uint8)
+    if curve is not None:
+        points = curve * [1, -1] * (0.48 * _THUMBNAIL / np.abs(curve).max()) + _THUMBNAIL / 2
+        cv2.fillPoly(picture, [np.rint(points).astype(np.int32)], 90)
+    return cv2.imencode(".png", picture)[1].tobytes()
 
 
 def thumbnails(views: Views) -> bytes:

@@ -12,12 +12,12 @@ from common.cases import run_cases
 from common.errors import InputError
 from common.files import remove_file, replace_file, require_folder
 from data.captures.capture import read_capture
-from data.render.shade import thumbnails
+from data.captures.preview import thumbnail
 from drapenet.batch.captures import entries_of
 from drapenet.config import EstimateOptions
-from drapenet.network.checkpoint import header_for, read_header
+from drapenet.network.checkpoint import read_header
 from drapenet.report.overview import THUMBNAIL, fabrics_text, write_overview
-from drapenet.result.files import ESTIMATE, SAMPLES, remove_report
+from drapenet.result.files import ESTIMATE, OBSERVATION, SAMPLES, remove_report
 
 DONE = "done"
 """Name of the case of a capture's folder; its file is ``done.json``."""
@@ -32,7 +32,7 @@ def estimate_fabrics(
     ``out``; return the fabrics' files ``estimate.json``.
 
     Args:
-        checkpoint: for all captures; empty: the bundled one of each capture's rig.
+        checkpoint: empty: the bundled one.
         workers: None: one for each core.
     """
     entries = entries_of(source)
@@ -41,17 +41,17 @@ def estimate_fabrics(
     if earlier and earlier.isdisjoint(entry.place for entry in entries):
         raise InputError(f"{out} has the estimates of other captures, such as {min(earlier)}, "
                          "whose tables would be replaced; choose another out=")
-    weights = read_header(checkpoint).path if checkpoint else None
+    header = read_header(checkpoint)
     cases = {f"{entry.place}/{DONE}": {
         "capture": entry.path, "folder": str((out / entry.place).resolve()), "options": options,
-        "weights": weights} for entry in entries}
+        "weights": header.path} for entry in entries}
     print(f"{len(entries)} captures of {len({entry.fabric for entry in entries})} fabrics",
           flush=True)
     failures: dict[str, str] = {}
     run_cases(estimate_entry, cases, folder=out, workers=workers or joblib.cpu_count(),
               sources=SOURCES, failures=failures, unit="capture")
     outcomes = [(entry, failures.get(f"{entry.place}/{DONE}", "")) for entry in entries]
-    fabrics = write_overview(out, outcomes)
+    fabrics = write_overview(out, outcomes, header)
     apart = len({entry.fabric for entry, failure in outcomes if not failure}) - len(fabrics)
     if fabrics:
         print(fabrics_text(fabrics))
@@ -66,16 +66,16 @@ def estimate_fabrics(
 
 
 def estimate_entry(
-    capture: Path, folder: str, options: EstimateOptions, weights: Path | None
+    capture: Path, folder: str, options: EstimateOptions, weights: Path
 ) -> None:
     """Estimate one capture into its folder."""
     out = Path(folder)
-    for name in (ESTIMATE, SAMPLES, THUMBNAIL):
+    for name in (ESTIMATE, SAMPLES, OBSERVATION, THUMBNAIL):
         remove_file(out / name)
     remove_report(out)
     source = read_capture(capture)
-    header = header_for([source], str(weights or ""))
+    header = read_header(weights)
     from drapenet.inference import estimate_capture  # torch, which faulty captures need not
 
     estimate_capture(source, header, options, out=out)
-    replace_file(out / THUMBNAIL, thumbnails(source.views[:1]))
+    replace_file(out / THUMBNAIL, thumbnail(source))

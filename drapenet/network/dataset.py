@@ -5,6 +5,7 @@ of the moved drape shows a neighbouring fabric with the same folds, at a fifth o
 """
 
 import io
+import math
 from collections.abc import Iterable
 from concurrent.futures import as_completed
 from dataclasses import asdict, dataclass, fields, replace
@@ -15,28 +16,36 @@ import numpy as np
 from tqdm import tqdm
 
 from common.files import remove_partial, replace_file
-from common.types import Points, Theta
+from common.types import Faces, Points, Radians, Theta
 from common.workers import worker_pool
-from data.dataset.folder import json_digest, only_tester
+from data.captures.capture import CLOTH_SHARE
+from data.dataset.folder import json_digest
 from data.dataset.shards import Shard
 from data.fabrics.fabrics import fabric_from_theta
-from data.fabrics.nuisances import NAMES, Nuisances
+from data.fabrics.nuisances import Nuisances
 from data.render.setups import Setups
 from drapenet.network.model import compressed
+from drapenet.views.directions import AZIMUTHS, ELEVATIONS
 from drapenet.views.located import LocatedViews
-from drapenet.views.radial_map import radial_map
+from drapenet.views.observation import map_along
+from drapenet.views.outline import PERSPECTIVES, outline_of_map, silhouettes
 from sim.drape import FINE_OPTIONS
 from sim.equilibrium import find_equilibrium
+from sim.mesh import Mesh
 from sim.mesh.specimen import TOPOLOGIES
 from sim.rig import Rig
 from sim.scene import make_specimen
 from sim.sensitivity import Tangent
 from sim.sensitivity.forward import tangent_sensitivities
 
-_COLUMNS = ("index", "fabric", "theta", "nuisances", "edge", "seed", "offset", "status")
-NEIGHBOUR_CORRELATION = 0.97
-"""Of a neighbour's parameters with the fabric's: about a quarter of a standard deviation apart,
-which moves a drape by 1 mm; the linear prediction has an error of a quarter."""
+_COLUMNS = ("index", "fabric", "theta", "nuisances", "face", "folds", "edge", "seed", "offset",
+            "status")
+DIRECTION_ERROR = math.radians(2.0)  # of the warp as stated, standard deviation
+NEIGHBOUR_CORRELATION = 0.99
+"""Of a neighbour's parameters with the fabric's: about a seventh of a standard deviation apart,
+which moves lowered drapes by 1 to 3 mm (root mean square); the linear prediction has an error of a
+tenth."""
+MAX_MOVE = 0.04  # of a neighbour's drape, over the specimen's size
 _PARAMETERS = 7  # theta and the logarithm of the membrane stiffness
 _MEMBRANE = np.log(10.0) / (2 * 1.96)  # standard deviation of the logarithm, as configs/nuisances
 _EQUILIBRIUM_TOLERANCE = 5e-4  # m, maximum move of a stored drape to its equilibrium
@@ -44,14 +53,25 @@ _EQUILIBRIUM_TOLERANCE = 5e-4  # m, maximum move of a stored drape to its equili
 
 @dataclass(frozen=True)
 class Maps:
-    """Maps of N captures and their truth, (N, ...) each."""
+    """N synthetic depth captures of drapes, the outlines of the same drapes, and their truth.
 
-    distance: np.ndarray  # :func:`drapenet.network.model.compressed`
+    Azimuth 0 is the direction of the warp as an operator states it.
+    """
+
+    distance: np.ndarray  # (N, AZIMUTHS, ELEVATIONS), :func:`drapenet.network.model.compressed`
     weight: np.ndarray
+    hem: np.ndarray  # (N, AZIMUTHS) half sizes, outline of the captured cloth, NaN where not seen
+    silhouettes: np.ndarray  # (N, P, AZIMUTHS) half sizes, from each of PERSPECTIVES, exact
     theta: Theta
-    warp: np.ndarray  # rad, true azimuth in the map
-    nuisances: np.ndarray  # of :data:`data.fabrics.nuisances.NAMES`
+    curl: np.ndarray  # (N, 2) 1/m, of this specimen with the marked face up
+    membrane: np.ndarray  # (N,) N/m
+    hysteresis: np.ndarray  # (N,)
+    size: np.ndarray  # (N,) m, as of the fields below
+    plate: np.ndarray  # diameter over the size
+    disc: np.ndarray
+    face: np.ndarray
     views: np.ndarray  # their number
+    folds: np.ndarray
     fabric: np.ndarray  # number of the fabric in the dataset
     index: np.ndarray  # of the drape in the dataset
     moved: np.ndarray  # whether it shows a neighbour of the fabric
@@ -59,12 +79,8 @@ class Maps:
     def __len__(self) -> int:
         return len(self.index)
 
-    def nuisance(self, name: str) -> np.ndarray:
-        """(N,) values of a nuisance."""
-        return self.nuisances[:, NAMES.index(name)]
-
     def chosen(self, rows: np.ndarray) -> "Maps":
-        """The maps of ``rows``, indices or a mask."""
+        """The captures of ``rows`` (M,), indices, or (N,), a mask."""
         return Maps(*(column[rows] for column in vars(self).values()))
 
     @classmethod
@@ -73,22 +89,31 @@ class Maps:
         parts = []
         for file in files:
             with np.load(file, allow_pickle=False) as arrays:
-                parts.append([arrays[column.name] for column in fields(cls)])
-        return cls(*map(np.concatenate, zip(*parts, strict=True)))
+                parts.append(cls(*(arrays[column.name] for column in fields(cls))))
+        return cls.joined(parts)
+
+    @classmethod
+    def joined(cls, parts: Iterable["Maps"]) -> "Maps":
+        """The rows of all ``parts``."""
+        return cls(*(np.concatenate(columns) for columns in
+                     zip(*(vars(part).values() for part in parts), strict=True)))
 
 
 def make_maps(
     root: str | Path, manifest: dict, out: Path, *, setups: Setups, captures: int, seed: int,
-    neighbours: bool = False, workers: int = 1, shards: int | None = None,
+    neighbours: bool = False, outlines: int = 0, workers: int = 1, shards: int | None = None,
 ) -> Maps:
     """Maps of ``captures`` captures of each converged drape of the dataset ``root``, cached in
     ``out``, where an interrupted run is resumed.
 
     Args:
-        neighbours: all captures of a drape but the first show a neighbour of its fabric.
+        neighbours: all captures of a drape but the first show neighbours of its fabric, the same
+            for all drapes of a fabric.
+        outlines: further neighbours of each fabric, of which there are outlines only.
         shards: number of shards used; None: all.
     """
-    options = {"setups": setups, "captures": captures, "seed": seed, "neighbours": neighbours}
+    options = {"setups": setups, "captures": captures, "seed": seed, "neighbours": neighbours,
+               "outlines": outlines}
     settings = options | {"dataset": manifest["identity"], "setups": asdict(setups)}
     folder = out / f"maps_{json_digest(settings)[:12]}"
     folder.mkdir(parents=True, exist_ok=True)
@@ -96,9 +121,8 @@ def make_maps(
              for name in list(manifest["shards"])[:shards]}
     missing = [shard for shard in files if not files[shard].exists()]
     if missing:
-        rig = only_tester(root, manifest)
         with worker_pool(workers) as pool:
-            running = [pool.submit(_write_maps, shard, files[shard], rig=rig, **options)
+            running = [pool.submit(_write_maps, shard, files[shard], **options)
                        for shard in missing]
             for done in tqdm(as_completed(running), total=len(running), unit="shard", desc="maps"):
                 done.result()
@@ -113,37 +137,77 @@ def _write_maps(shard: Path, path: Path, **options: Any) -> None:
 
 
 def maps_of_shard(
-    shard: Path, *, rig: Rig, setups: Setups, captures: int, seed: int, neighbours: bool
+    shard: Path, *, setups: Setups, captures: int, seed: int, neighbours: bool, outlines: int
 ) -> Maps:
     """Maps of one shard; arguments as for :func:`make_maps`."""
-    maps = []
-    rows: dict[str, list] = {name: [] for name in ("theta", "nuisances", "warp", "views", "moved")}
     drapes = Shard(shard)
     table = {name: drapes.column(name) for name in _COLUMNS}
     converged = np.flatnonzero(table["status"] == "converged")
+    rows = []
     for row in converged:
         drape = {name: column[row] for name, column in table.items()}
+        rig = drapes.rig(row)
         positions, _, faces = drapes.mesh(row)
         derivatives = (drape_derivatives(drape, positions, drapes.origin(row), rig)
                        if neighbours else None)
-        for number in range(captures):
-            rng = np.random.default_rng([seed, int(drape["index"]), number])
+        for number in range(captures + outlines if derivatives is not None else
+                            1 if neighbours else captures):
             step, moved = np.zeros(_PARAMETERS), positions
             if derivatives is not None and number:
+                rng = np.random.default_rng([seed, int(drape["fabric"]), number])
                 step = neighbour(drape["theta"], table["theta"][converged], rng)
-                moved = positions + np.tensordot(step, derivatives, 1)
-            capture = setups.capture(moved, faces, rng, rig=rig)
-            maps.append(radial_map(
-                LocatedViews.cut_out(capture.views, capture.intrinsics, rig, capture.turns)))
-            nuisances = drape["nuisances"].copy()
-            nuisances[NAMES.index("membrane")] *= np.exp(step[-1])
-            for name, value in zip(rows, (drape["theta"] + step[:-1], nuisances,
-                                          capture.orientation - maps[-1].zero,
-                                          len(capture.views), step.any()), strict=True):
-                rows[name].append(value)
-    repeated = np.repeat(converged, captures)
-    return Maps(*compressed(maps), **{name: np.array(values) for name, values in rows.items()},
-                **{name: table[name][repeated] for name in ("fabric", "index")})
+                move = np.tensordot(step, derivatives, 1)
+                if np.linalg.norm(move, axis=1).max() > MAX_MOVE * rig.specimen_size:
+                    continue  # near an instability, where the prediction is not linear
+                moved = positions + move
+            rng = np.random.default_rng([seed, int(drape["index"]), number])
+            wrong = DIRECTION_ERROR * rng.standard_normal()
+            picture = _NO_DEPTH
+            if number < captures:
+                picture, wrong = _depth(moved, faces, rig, setups, rng, wrong)
+            rows.append(picture | _shadows(moved, faces, rig, wrong) | _truth(drape, rig, step))
+    return Maps(**{name.name: np.array([row[name.name] for row in rows]) for name in fields(Maps)})
+
+
+_NO_DEPTH = {"distance": np.zeros((AZIMUTHS, ELEVATIONS), np.float16),
+             "weight": np.zeros((AZIMUTHS, ELEVATIONS), np.uint8),
+             "hem": np.full(AZIMUTHS, np.nan, np.float16), "views": 0}
+
+
+def _depth(
+    positions: Points, faces: Faces, rig: Rig, setups: Setups, rng: np.random.Generator,
+    wrong: Radians,
+) -> tuple[dict[str, Any], Radians]:
+    """A synthetic depth capture, fields of :class:`Maps`, and the error of its azimuth 0: that of
+    the stated warp of a disc, ``wrong``, and of the measured side of a square."""
+    capture = setups.capture(positions, faces, rng, rig=rig)
+    if (capture.views > 0).mean(axis=(1, 2)).min() < CLOTH_SHARE[0]:
+        return _NO_DEPTH, wrong  # refused when it is read: a flat drape seen along its surface
+    located = LocatedViews.cut_out(capture.views, capture.intrinsics, rig, capture.turns)
+    drape = map_along(capture.orientation + wrong, located)
+    hem = outline_of_map(drape, rig).radius / (rig.specimen_size / 2)
+    distance, weight = compressed(drape.distance / rig.specimen_size, drape.weight)
+    return {"distance": distance, "weight": weight, "views": len(capture.views),
+            "hem": hem.astype(np.float16)}, drape.zero - capture.orientation
+
+
+def _shadows(positions: Points, faces: Faces, rig: Rig, wrong: Radians) -> dict[str, Any]:
+    """Outlines of a drape, a field of :class:`Maps`."""
+    with np.errstate(divide="ignore"):
+        heights = rig.specimen_size / np.array(PERSPECTIVES)
+    radii = silhouettes(positions, Mesh(positions[:, :2], faces).edges, heights, zero=wrong)
+    return {"silhouettes": (radii / (rig.specimen_size / 2)).astype(np.float32)}
+
+
+def _truth(drape: dict[str, np.ndarray], rig: Rig, step: np.ndarray) -> dict[str, Any]:
+    """Fabric and specimen of a ``drape``, a row of a shard, moved by ``step``."""
+    nuisances = Nuisances(*drape["nuisances"])
+    return {"theta": drape["theta"] + step[:-1],
+            "curl": drape["face"] * np.array([nuisances.curl_warp, nuisances.curl_weft]),
+            "membrane": nuisances.membrane * np.exp(step[-1]), "hysteresis": nuisances.hysteresis,
+            "moved": step.any(), "size": rig.specimen_size,
+            "plate": rig.plate_diameter / rig.specimen_size, "disc": rig.specimen == "disc",
+            **{name: drape[name] for name in ("face", "folds", "fabric", "index")}}
 
 
 def drape_derivatives(

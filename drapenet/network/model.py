@@ -1,4 +1,11 @@
-"""The network and its input: a ResNet-18 on radial maps, with circular padding in azimuth."""
+"""The network and its input: a ResNet-18 over azimuth, and sets of captures.
+
+A column of a map, the cloth at one azimuth, is a feature vector; convolutions run around the axis.
+
+Each capture of a set is read alone, from its map, its outline, or its drape coefficient; features
+of the captures are averaged with weights that the network gives them (after Zaheer et al. 2017,
+Deep Sets), and the average and the sum of the weights give one posterior of the fabric.
+"""
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -6,77 +13,122 @@ from typing import Annotated
 
 import numpy as np
 import torch
-from torch.nn.functional import pad
+from torch.nn.functional import softplus
 
 from drapenet.network.posterior import Mixture, outputs_of
-from drapenet.network.targets import Symmetry
+from drapenet.network.targets import TARGETS, Symmetry
 from drapenet.views.directions import AZIMUTHS, ELEVATIONS
-from drapenet.views.radial_map import RadialMap
 
-CHANNELS = 4  # distance, weight, cosine and sine of twice the azimuth
-KNOWN = 5  # scalar inputs, see :func:`known_of`
+CHANNELS = 2 * ELEVATIONS + 5
+"""Distances and weights of a column, outline, whether the outline is seen, cosine and sine of twice
+and cosine of four times the azimuth."""
 WEIGHT_UNIT = 1 / 32  # of the stored logarithm of 1 + weight
 _HARMONICS = (2, 4)  # of the azimuth, for pooling features beside their mean
-_MEMBRANE = 316.0  # N/m, unit of the input
-_NO_FRICTION = (1.0, -1.0)
-"""Two inputs of the bundled networks, trained with friction beside the moduli: there is none, as
-the moduli are those of the loading curve."""
+POOLED = 1 + 2 * len(_HARMONICS)  # values of a feature
+_SIZE = 0.3  # m, unit of the specimens' size
+_EMBEDDING = 256  # features of a capture
 
 MapTensor = Annotated[torch.Tensor, "(N, AZIMUTHS, ELEVATIONS) float32"]
 
 
-def compressed(maps: list[RadialMap]) -> tuple[np.ndarray, np.ndarray]:
-    """(N, AZIMUTHS, ELEVATIONS) distances, m, and logarithms of 1 + weight in their unit."""
-    shape = (len(maps), AZIMUTHS, ELEVATIONS)
-    distance = np.array([part.distance for part in maps], np.float16).reshape(shape)
-    weight = np.array([np.log1p(part.weight) for part in maps]).reshape(shape)
-    return distance, np.minimum(np.rint(weight / WEIGHT_UNIT), 255).astype(np.uint8)
+@dataclass(frozen=True)
+class Facts:
+    """What is known of N captures beside their pictures, (N,) each; NaN if it is not.
+
+    Attributes:
+        size: of the specimens, m.
+        plate: diameter of the plate over the specimen's size.
+        known: whether the captures of its set have azimuth 0 along the warp.
+        views: their number in a depth capture, 0 without.
+        perspective: size over the camera's height, of an outline; 0 under parallel light.
+        coefficient: drape coefficient, from 0 to 1, of the outline or as reported.
+        nodes: number of folds, as reported.
+        group: number of the set, from 0.
+    """
+
+    size: np.ndarray
+    plate: np.ndarray
+    disc: np.ndarray
+    face: np.ndarray  # 1, or -1 if turned over
+    known: np.ndarray
+    views: np.ndarray
+    perspective: np.ndarray
+    coefficient: np.ndarray
+    nodes: np.ndarray
+    group: np.ndarray
+
+    @property
+    def sizes(self) -> np.ndarray:
+        """(M,) m, geometric means over the sets."""
+        count = np.bincount(self.group)
+        return np.exp(np.bincount(self.group, np.log(self.size)) / count)
+
+    def columns(self) -> torch.Tensor:
+        """(N, :data:`FACTS`) scalar inputs of the network."""
+        size = self.sizes[self.group]
+        columns = [np.log(size / _SIZE), np.log(self.size / size), 2 * self.plate - 1, self.disc,
+                   self.known, self.views / 4 - 1, self.views > 0]
+        for part, unit in ((self.perspective, 0.4), (self.coefficient, 0.5), (self.nodes, 8.0)):
+            finite = np.isfinite(part)
+            columns += [finite, np.where(finite, part, unit) / unit - 1]
+        # What a regression on the drape coefficient needs.
+        share = columns[-3]
+        columns += [share**2, share**3, share * columns[2], share * self.disc, columns[2] ** 2]
+        return torch.from_numpy(np.column_stack(columns).astype(np.float32))
 
 
-def known_of(views: torch.Tensor, membrane: torch.Tensor) -> torch.Tensor:
-    """(N, KNOWN) scalar inputs: numbers of views, and N/m along the yarns, NaN if unknown."""
-    finite, value = torch.isfinite(membrane), torch.log(membrane / _MEMBRANE)
-    constants = [torch.full(views.shape, number) for number in _NO_FRICTION]
-    return torch.stack([views.float() / 4 - 1, finite.float(),
-                        torch.where(finite, value, 0.0).float(), *constants], dim=1)
+FACTS = 18
 
 
 @dataclass(frozen=True)
 class Batch:
-    """Inputs of the network for N captures."""
+    """Inputs of the network for N captures in M sets."""
 
-    distance: MapTensor  # m
+    distance: MapTensor  # in sizes of the specimen
     weight: MapTensor  # logarithm of 1 + weight
-    known: torch.Tensor  # (N, KNOWN), :func:`known_of`
-    targets: torch.Tensor | None = None  # (N, T) standardised; None in inference
+    outline: torch.Tensor  # (N, AZIMUTHS), in half sizes of the specimen; 0 where not seen
+    face: torch.Tensor  # (N,) 1 or -1
+    facts: torch.Tensor  # (N, FACTS)
+    group: torch.Tensor  # (N,)
+    targets: torch.Tensor | None = None  # (M, TARGETS) standardised; None in inference
 
     @classmethod
-    def of(cls, distance: np.ndarray, weight: np.ndarray, views: np.ndarray, membrane: np.ndarray,
+    def of(cls, distance: np.ndarray, weight: np.ndarray, outline: np.ndarray, facts: Facts,
            targets: torch.Tensor | None = None) -> "Batch":
-        """Batch of :func:`compressed` maps; ``views`` and ``membrane`` as for :func:`known_of`."""
+        """Batch of N stored maps (:func:`compressed`) and (N, AZIMUTHS) outlines in half sizes
+        (m/m), NaN where not seen."""
         return cls(torch.from_numpy(distance).float(), torch.from_numpy(weight) * WEIGHT_UNIT,
-                   known_of(torch.from_numpy(views), torch.from_numpy(membrane)), targets)
+                   torch.from_numpy(np.nan_to_num(outline).astype(np.float32)),
+                   torch.from_numpy(facts.face.astype(np.float32)), facts.columns(),
+                   torch.from_numpy(facts.group), targets)
 
     def turned(self, symmetry: Symmetry) -> "Batch":
-        """The batch with ``symmetry`` applied to its maps, not to its targets."""
-        return replace(self, distance=symmetry.of_maps(self.distance),
-                       weight=symmetry.of_maps(self.weight))
+        """The batch with ``symmetry`` applied to its captures, not to its targets."""
+        return replace(self, **{name: symmetry.of_rows(getattr(self, name))
+                                for name in ("distance", "weight", "outline")})
 
     def through(self, network: torch.nn.Module) -> Mixture:
         """The network's posterior, on its device."""
         device = next(network.parameters()).device
-        return network(*(part.to(device) for part in (self.distance, self.weight, self.known)))
+        parts = (self.distance, self.weight, self.outline, self.face, self.facts, self.group)
+        return network(*(part.to(device) for part in parts))
 
 
-class CircularConv(torch.nn.Conv2d):
-    """3 x 3 convolution of maps (N, C, elevations, azimuths), circular in azimuth."""
+def compressed(distance: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distances, in sizes (m/m), and logarithms of 1 + weight in their unit, of the same shape."""
+    return (distance.astype(np.float16),
+            np.minimum(np.rint(np.log1p(weight) / WEIGHT_UNIT), 255).astype(np.uint8))
 
-    def __init__(self, inputs: int, outputs: int, stride: int = 1) -> None:
-        super().__init__(inputs, outputs, 3, stride=stride, bias=False)
 
-    def forward(self, maps: torch.Tensor) -> torch.Tensor:
-        around = pad(pad(maps, (1, 1, 0, 0), mode="circular"), (0, 0, 1, 1))
-        return torch.nn.functional.conv2d(around, self.weight, self.bias, self.stride)
+def circular(inputs: int, outputs: int, stride: int = 1, width: int = 3) -> torch.nn.Conv1d:
+    """Convolution around the axis of rows (N, C, azimuths)."""
+    return torch.nn.Conv1d(inputs, outputs, width, stride=stride, padding=width // 2, bias=False,
+                           padding_mode="circular")
+
+
+def norm(features: int) -> torch.nn.GroupNorm:
+    """Normalisation of each capture by itself: batches mix depth, outlines and numbers."""
+    return torch.nn.GroupNorm(min(8, features), features)
 
 
 class BasicBlock(torch.nn.Module):
@@ -84,59 +136,98 @@ class BasicBlock(torch.nn.Module):
 
     def __init__(self, inputs: int, outputs: int, stride: int) -> None:
         super().__init__()
-        self.conv1, self.bn1 = CircularConv(inputs, outputs, stride), torch.nn.BatchNorm2d(outputs)
-        self.conv2, self.bn2 = CircularConv(outputs, outputs), torch.nn.BatchNorm2d(outputs)
+        self.conv1, self.bn1 = circular(inputs, outputs, stride), norm(outputs)
+        self.conv2, self.bn2 = circular(outputs, outputs), norm(outputs)
         self.downsample: torch.nn.Module = torch.nn.Identity()
         if stride != 1 or inputs != outputs:
             self.downsample = torch.nn.Sequential(
-                torch.nn.Conv2d(inputs, outputs, 1, stride=stride, bias=False),
-                torch.nn.BatchNorm2d(outputs))
+                torch.nn.Conv1d(inputs, outputs, 1, stride=stride, bias=False),
+                norm(outputs))
 
-    def forward(self, maps: torch.Tensor) -> torch.Tensor:
-        residual = self.bn2(self.conv2(self.bn1(self.conv1(maps)).relu()))
-        return (residual + self.downsample(maps)).relu()
+    def forward(self, rows: torch.Tensor) -> torch.Tensor:
+        residual = self.bn2(self.conv2(self.bn1(self.conv1(rows)).relu()))
+        return (residual + self.downsample(rows)).relu()
 
 
-class MapNet(torch.nn.Module):
-    """Network from maps of distances and weights to a mixture of ``components`` Gaussians.
+class DrapeNet(torch.nn.Module):
+    """Network from sets of captures to a mixture of ``components`` Gaussians.
 
-    ``width``: features of the first stage, 64 in ResNet-18; ``distance``, ``spread``: m, mean and
+    ``width``: features of the first stage, 64 in ResNet-18; ``distance``, ``spread``: mean and
     standard deviation of the training distances.
     """
 
     def __init__(
-        self, *, width: int, components: int, targets: int, distance: float, spread: float
+        self, *, width: int, components: int, dropout: float, distance: float, spread: float
     ) -> None:
         super().__init__()
         self.distance, self.spread = distance, spread
         widths = [width, width, 2 * width, 4 * width, 8 * width]
         self.stem = torch.nn.Sequential(
-            CircularConv(CHANNELS, width, stride=2), torch.nn.BatchNorm2d(width), torch.nn.ReLU())
+            circular(CHANNELS, width, stride=2, width=7), norm(width),
+            torch.nn.ReLU())
         self.stages = torch.nn.Sequential(*(
             torch.nn.Sequential(BasicBlock(before, after, stride=2 if k else 1),
                                 BasicBlock(after, after, stride=1))
             for k, (before, after) in enumerate(pairwise(widths))))
-        self.shape = {"components": components, "targets": targets}
-        features = widths[-1] * (1 + 2 * len(_HARMONICS)) + KNOWN
+        self.components = components
+        features = POOLED * widths[-1] + FACTS
+        self.embed = torch.nn.Sequential(
+            torch.nn.Dropout(dropout), torch.nn.Linear(features, _EMBEDDING), torch.nn.ReLU(),
+            torch.nn.Linear(_EMBEDDING, 2 * _EMBEDDING))
+        self.curl = torch.nn.Linear(_EMBEDDING, 2 * 32)
+        self.direct = torch.nn.Linear(FACTS, TARGETS)  # to the means of the posterior
         self.head = torch.nn.Sequential(
-            torch.nn.Linear(features, 256), torch.nn.ReLU(),
-            torch.nn.Linear(256, outputs_of(**self.shape)))
+            torch.nn.Dropout(dropout), torch.nn.Linear(2 * _EMBEDDING + 32, _EMBEDDING),
+            torch.nn.ReLU(), torch.nn.Dropout(dropout),
+            torch.nn.Linear(_EMBEDDING, outputs_of(components=components, targets=TARGETS)))
 
-    def forward(self, distance: MapTensor, weight: MapTensor, known: torch.Tensor) -> Mixture:
-        """The posterior of a :class:`Batch`, whose ``known`` is (N, KNOWN)."""
+    def forward(
+        self, distance: MapTensor, weight: MapTensor, outline: torch.Tensor, face: torch.Tensor,
+        facts: torch.Tensor, group: torch.Tensor,
+    ) -> Mixture:
+        """The posterior of a :class:`Batch`, with outlines (N, AZIMUTHS); lengths in sizes (m/m).
+        """
+        features = self.captures(distance, weight, outline, facts)
+        value, gate = self.embed(features).chunk(2, dim=1)
+        signed, trust = self.curl(value.relu()).chunk(2, dim=1)
+        sets = int(group.max()) + 1
+        mean, total = _average(value, softplus(gate), group, sets)
+        # Turned over, a fabric's natural curvature has the opposite sign.
+        curl, _ = _average(face[:, None] * signed, softplus(trust), group, sets)
+        outputs = self.head(torch.cat([mean, total.log(), curl], dim=1))
+        mixture = Mixture.of_outputs(outputs, components=self.components, targets=TARGETS)
+        known, _ = _average(facts, torch.ones_like(facts), group, sets)
+        return replace(mixture, means=mixture.means + self.direct(known)[:, None])
+
+    def captures(
+        self, distance: MapTensor, weight: MapTensor, outline: torch.Tensor, facts: torch.Tensor,
+    ) -> torch.Tensor:
+        """(N, F) features of each capture; arguments as in :class:`Batch`."""
         azimuth = (torch.arange(AZIMUTHS) + 0.5) * (2 * torch.pi / AZIMUTHS)
-        place = torch.stack([torch.cos(2 * azimuth), torch.sin(2 * azimuth)])
-        place = place[None, :, None, :].expand(len(distance), 2, distance.shape[2], AZIMUTHS)
-        maps = torch.stack([(distance.transpose(1, 2) - self.distance) / self.spread,
-                            weight.transpose(1, 2).clamp(max=4.0) - 1.0], dim=1)
-        features = self.stages(self.stem(torch.cat([maps, place.to(maps)], dim=1))).mean(dim=2)
-        angle = (torch.arange(features.shape[2]) + 0.5) * (2 * torch.pi / features.shape[2])
-        waves = [torch.ones_like(angle)]
-        for harmonic in _HARMONICS:
-            waves += [torch.cos(harmonic * angle), torch.sin(harmonic * angle)]
-        pooled = features @ torch.stack(waves, dim=1).to(features) / features.shape[2]
-        return self.posterior(self.head(torch.cat([pooled.flatten(1), known], dim=1)))
+        place = torch.stack([torch.cos(2 * azimuth), torch.sin(2 * azimuth),
+                             torch.cos(4 * azimuth)]).to(distance)
+        seen = (outline > 0).float()
+        rows = torch.stack([(outline - 0.75) / 0.15 * seen, seen], dim=1)
+        rows = torch.cat([rows, place.expand(len(outline), *place.shape)], dim=1)
+        maps = torch.cat([(distance - self.distance) / self.spread * (distance > 0).float(),
+                          weight.clamp(max=4.0) - 1.0], dim=2).transpose(1, 2)
+        features = self.stages(self.stem(torch.cat([maps, rows], dim=1)))
+        return torch.cat([pooled(features), facts], dim=1)
 
-    def posterior(self, outputs: torch.Tensor) -> Mixture:
-        """The posterior of the head's outputs (N, O)."""
-        return Mixture.of_outputs(outputs, **self.shape)
+
+def pooled(features: torch.Tensor) -> torch.Tensor:
+    """(N, POOLED C) means around the axis, plain and by waves, of features (N, C, azimuths)."""
+    angle = (torch.arange(features.shape[2]) + 0.5) * (2 * torch.pi / features.shape[2])
+    waves = [torch.ones_like(angle)]
+    for harmonic in _HARMONICS:
+        waves += [torch.cos(harmonic * angle), torch.sin(harmonic * angle)]
+    return (features @ torch.stack(waves, dim=1).to(features) / features.shape[2]).flatten(1)
+
+
+def _average(
+    values: torch.Tensor, weights: torch.Tensor, group: torch.Tensor, sets: int
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Weighted means and sums of weights (M, F) of values and weights (N, F) over sets."""
+    total = values.new_zeros(sets, values.shape[1]).index_add(0, group, weights) + 1e-6
+    mean = values.new_zeros(sets, values.shape[1]).index_add(0, group, weights * values) / total
+    return mean, total

@@ -1,7 +1,7 @@
-"""Posterior samples from maps of captures by the network.
+"""Posterior samples of a fabric from a set of its captures by the network.
 
-Rotated by a symmetry of its specimen, or reflected, a drape is an equally likely drape of the same
-fabric. The posterior is the mixture of the network's posteriors for eight such maps.
+Turned by a symmetry of its fabric, or reflected, a drape is an equally likely drape of the same
+fabric. The posterior is the mixture of the network's posteriors for all such captures.
 """
 
 from collections.abc import Sequence
@@ -10,60 +10,80 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from common.types import Theta
 from data.fabrics.fabrics import from_theta
+from data.fabrics.properties import ClothProperties
 from drapenet.network.checkpoint import Header
-from drapenet.network.model import Batch, MapNet, compressed
+from drapenet.network.model import Batch, DrapeNet, Facts, compressed
 from drapenet.network.posterior import Samples
-from drapenet.network.targets import MODULI, Symmetry
-from drapenet.views.radial_map import RadialMap
+from drapenet.network.targets import SYMMETRIES, Symmetry, cloth_of
+from drapenet.views.directions import AZIMUTHS, ELEVATIONS
+from drapenet.views.observation import Observation
 from sim.material import is_admissible
 
-DRAWS = 500  # of each of the eight posteriors
+DRAWS = 4000  # of each posterior, in all
 
 
 @dataclass(frozen=True)
 class Draws:
-    """Samples of one capture's posterior, first yarns before bias and second yarns."""
+    """Samples of one posterior: warp, bias and weft, or, if the warp's direction is not known, the
+    stiffer yarns first."""
 
-    theta: Theta
-    axis: np.ndarray  # (S,) rad, direction of the first yarns in the first view
+    cloth: ClothProperties
+    known: bool
     impossible: float  # share of all samples that was not admissible and is removed
 
     @classmethod
-    def possible(cls, theta: Theta, axis: np.ndarray) -> "Draws":
-        """The admissible samples, ``axis`` (S,); all if none is."""
-        possible = is_admissible(*from_theta(theta))
+    def possible(cls, cloth: ClothProperties, known: bool) -> "Draws":
+        """The admissible samples; all if none is."""
+        possible = is_admissible(*from_theta(cloth.theta))
         kept = possible if possible.any() else ~possible
-        return cls(theta[kept], axis[kept], float(1 - possible.mean()))
+        return cls(cloth.chosen(kept), known, float(1 - possible.mean()))
 
 
 @torch.no_grad()
-def sample_targets(network: MapNet, header: Header, batch: Batch) -> Samples:
-    """8 :data:`DRAWS` samples of the targets, not standardised."""
-    symmetry, many = Symmetry.all(), len(batch.known)
-    disc = len(header.scale.mean) > MODULI
+def sample_targets(network: DrapeNet, header: Header, batch: Batch, known: np.ndarray) -> Samples:
+    """:data:`DRAWS` samples of the targets of each set, not standardised; ``known``: (N,) of the
+    captures, as in :class:`drapenet.network.model.Facts`."""
     drawn = []
-    for k in range(len(symmetry.cells)):
-        shown = Symmetry(symmetry.cells[k].expand(many), symmetry.mirror[k].expand(many))
-        mixture = batch.turned(shown).through(network).cpu()
-        samples = mixture.sample(DRAWS, torch.Generator().manual_seed(k)).double()
-        targets = torch.from_numpy(header.scale.decode(samples.numpy()))
-        drawn += [shown.undone(part, disc=disc) for part in targets]
-    return torch.stack(drawn).numpy()
+    for k in range(SYMMETRIES):
+        mixture = batch.turned(Symmetry.number(k, known)).through(network).cpu()
+        samples = mixture.sample(DRAWS // SYMMETRIES, torch.Generator().manual_seed(k)).double()
+        drawn.append(header.scale.decode(samples.numpy()))
+    return np.concatenate(drawn)
 
 
 def predict(
-    network: MapNet, header: Header, maps: Sequence[RadialMap], *, membrane: float | None = None
+    network: DrapeNet, header: Header, sets: Sequence[Sequence[Observation]]
 ) -> list[Draws]:
-    """Posterior samples of each capture; ``membrane``: N/m along the yarns at 300 g/m²."""
-    views = np.array([drape.views for drape in maps])
-    batch = Batch.of(*compressed(maps), views, np.full(len(maps), membrane, np.float32))  # or NaN
-    samples = sample_targets(network, header, batch)
-    draws = []
-    for targets, drape in zip(samples.swapaxes(0, 1), maps, strict=True):
-        axis = np.full(len(targets), drape.zero)
-        if targets.shape[1] > MODULI:
-            axis += np.arctan2(targets[:, 7], targets[:, 6]) / 2
-        draws.append(Draws.possible(targets[:, :MODULI], axis))
-    return draws
+    """Posterior samples of each of the ``sets`` of captures of one fabric each."""
+    batch, facts = batch_of(sets)
+    samples = sample_targets(network, header, batch, facts.known)
+    known = [all(part.known for part in captures) for captures in sets]
+    return [Draws.possible(cloth_of(samples[:, k], np.full(len(samples), size)), known[k])
+            for k, size in enumerate(facts.sizes)]
+
+
+def batch_of(sets: Sequence[Sequence[Observation]]) -> tuple[Batch, Facts]:
+    """The network's input of ``sets`` of captures."""
+    captures = [capture for group in sets for capture in group]
+    group = np.repeat(np.arange(len(sets)), [len(part) for part in sets])
+    empty = np.zeros((AZIMUTHS, ELEVATIONS))
+    maps = [(part.map.distance / part.rig.specimen_size, part.map.weight) if part.map else
+            (empty, empty) for part in captures]
+    nothing = np.full(AZIMUTHS, np.nan)
+    outlines = [part.outline.radius / (part.rig.specimen_size / 2) if part.outline else nothing
+                for part in captures]
+    known = np.array([all(part.known for part in sets[k]) for k in group])
+    sizes = np.array([part.rig.specimen_size for part in captures])
+    heights = np.array([part.outline.height if part.outline else np.nan for part in captures])
+    facts = Facts(
+        size=sizes, plate=np.array([part.rig.plate_diameter for part in captures]) / sizes,
+        disc=np.array([part.rig.specimen == "disc" for part in captures]),
+        face=np.array([part.face for part in captures]), known=known,
+        views=np.array([part.map.views if part.map else 0 for part in captures]),
+        perspective=sizes / heights,
+        coefficient=np.array([part.outline.coefficient(part.rig) if part.outline else
+                              part.coefficient for part in captures]),
+        nodes=np.array([part.nodes for part in captures]), group=group)
+    distance, weight = compressed(*(np.array(part) for part in zip(*maps, strict=True)))
+    return Batch.of(distance, weight, np.array(outlines), facts), facts

@@ -1,9 +1,10 @@
-"""Targets of the network: the moduli along the specimen's yarns.
+"""Targets of the network: the fabric in units of its weight and of a specimen's size.
 
-The map of a square begins at a side: its six targets are theta with the yarns along azimuth 0 in
-place of the warp. That of a disc begins anywhere: its targets are theta with the stiffer yarns
-first, and their direction w (cos 2 psi, sin 2 psi), w = tanh(log(alpha_stiff/alpha_soft)), which
-vanishes for equal yarns, where it would jump by a right angle.
+A drape depends on alpha/(rho g L³), beta/(alpha L), the natural curvature times L, and the membrane
+stiffness over rho g L only, with L the specimen's size, so that testers of all sizes are one family
+(:mod:`sim.rig`, ``docs/physics.md``). L is that of the set's captures, their geometric mean.
+
+Where the direction of the warp is not stated, the targets are those with the stiffer yarns first.
 """
 
 from dataclasses import dataclass
@@ -12,85 +13,93 @@ from typing import Annotated
 import numpy as np
 import torch
 
-from common.types import Theta
+from data.fabrics.properties import ClothProperties
 from drapenet.views.directions import AZIMUTHS
-from sim.material import FIRST, SECOND, SWAPPED
+from sim.material import FIRST, REFERENCE_DENSITY, SECOND, SWAPPED
+from sim.rig import GRAVITY
 
-MODULI = 6  # the first targets; a disc has two more
-Targets = Annotated[np.ndarray, "(..., T), T = 6 for squares and 8 for discs"]
+SYMMETRIES = 8  # over which estimates are averaged
+MODULI = 6  # the first targets, in the order of theta
+TARGETS = 10  # moduli, curl along warp and weft, log membrane, hysteresis
+CURL, MEMBRANE, HYSTERESIS = slice(6, 8), 8, 9
+_SWAPPED = np.array([*SWAPPED, 7, 6, MEMBRANE, HYSTERESIS])
+
+TargetArray = Annotated[np.ndarray, "(..., TARGETS)"]
+Sizes = Annotated[np.ndarray, "(...,) m, sizes of the specimens"]
 
 
-def targets_of(theta: Theta, warp: np.ndarray, *, disc: bool) -> Targets:
-    """Targets, not standardised; ``warp``: (N,) rad, azimuths of the warp in the maps."""
-    if not disc:
-        odd = np.rint(warp / (np.pi / 2)).astype(int) % 2 == 1
-        return np.where(odd[:, None], theta[:, SWAPPED], theta)
-    soft = theta[:, FIRST] < theta[:, SECOND]
-    sorted_theta = np.where(soft[:, None], theta[:, SWAPPED], theta)
-    psi = warp + soft * (np.pi / 2)
-    weight = np.tanh(np.abs(theta[:, FIRST] - theta[:, SECOND]))
-    return np.column_stack([sorted_theta, weight * np.cos(2 * psi), weight * np.sin(2 * psi)])
+def targets_of(cloth: ClothProperties, size: Sizes) -> TargetArray:
+    """Targets in units of specimens of ``size``."""
+    weight = np.log(REFERENCE_DENSITY * GRAVITY)
+    return np.concatenate([
+        cloth.theta[..., :3] - weight - 3 * np.log(size)[..., None],
+        cloth.theta[..., 3:] / size[..., None],
+        cloth.curl * size[..., None],
+        (np.log(cloth.membrane) - weight - np.log(size))[..., None],
+        cloth.hysteresis[..., None]], axis=-1)
+
+
+def cloth_of(targets: TargetArray, size: Sizes) -> ClothProperties:
+    """The inverse of :func:`targets_of`."""
+    weight = np.log(REFERENCE_DENSITY * GRAVITY)
+    theta = np.concatenate([
+        targets[..., :3] + weight + 3 * np.log(size)[..., None],
+        targets[..., 3:MODULI] * size[..., None]], axis=-1)
+    return ClothProperties(theta, targets[..., CURL] / size[..., None],
+                           np.exp(targets[..., MEMBRANE] + weight + np.log(size)),
+                           targets[..., HYSTERESIS])
+
+
+def stiffer_first(targets: TargetArray) -> TargetArray:
+    """The targets with warp and weft exchanged where the weft is stiffer."""
+    soft = targets[..., FIRST] < targets[..., SECOND]
+    return np.where(soft[..., None], targets[..., _SWAPPED], targets)
 
 
 @dataclass(frozen=True)
 class Symmetry:
-    """Rotations and reflections of N maps that give equally likely captures."""
+    """Rotations and reflections of N captures that give equally likely captures."""
 
-    cells: torch.Tensor  # (N,) azimuth cells of the rotation, quarter turns for squares
-    mirror: torch.Tensor  # (N,) whether a map is first reflected at azimuth 0
-
-    @classmethod
-    def draw(cls, count: int, *, disc: bool, rng: np.random.Generator) -> "Symmetry":
-        cells = rng.integers(AZIMUTHS, size=count) if disc else (
-            rng.integers(4, size=count) * (AZIMUTHS // 4))
-        return cls(torch.from_numpy(cells), torch.from_numpy(rng.integers(2, size=count) == 1))
+    cells: torch.Tensor  # (N,) azimuth cells of the rotation
+    mirror: torch.Tensor  # (N,) whether a capture is first reflected at azimuth 0
 
     @classmethod
-    def all(cls) -> "Symmetry":
-        """The eight symmetries of a square, over which estimates are averaged."""
-        cells = torch.arange(4).repeat(2) * (AZIMUTHS // 4)
-        return cls(cells, torch.arange(8) >= 4)
+    def draw(cls, *, known: np.ndarray, disc: np.ndarray, rng: np.random.Generator) -> "Symmetry":
+        """Random: half turns where the warp is ``known`` (N,), else whole cells of a ``disc`` (N,)
+        and quarter turns of a square."""
+        step = np.where(known, AZIMUTHS // 2, np.where(disc, 1, AZIMUTHS // 4))
+        cells = step * rng.integers(AZIMUTHS // step)
+        return cls(torch.from_numpy(cells), torch.from_numpy(rng.integers(2, size=len(known)) > 0))
 
-    def of_maps(self, maps: torch.Tensor) -> torch.Tensor:
-        """Apply to maps (N, AZIMUTHS, ELEVATIONS)."""
+    @classmethod
+    def number(cls, k: int, known: np.ndarray) -> "Symmetry":
+        """One of :data:`SYMMETRIES`; where the warp is ``known`` (N,) four of them, twice."""
+        quarters = np.where(known, 2 * (k % 2), k % 4)
+        return cls(torch.from_numpy(quarters * (AZIMUTHS // 4)),
+                   torch.full((len(known),), k >= 4))
+
+    def of_rows(self, rows: torch.Tensor) -> torch.Tensor:
+        """Apply to maps or outlines (N, AZIMUTHS, ...)."""
         azimuth = (torch.arange(AZIMUTHS) - self.cells[:, None]) % AZIMUTHS
         azimuth = torch.where(self.mirror[:, None], AZIMUTHS - 1 - azimuth, azimuth)
-        return maps[torch.arange(len(maps))[:, None], azimuth.to(maps.device)]
-
-    def of_targets(self, targets: torch.Tensor, *, disc: bool) -> torch.Tensor:
-        """Apply to targets (N, T)."""
-        if not disc:
-            odd = (self.cells // (AZIMUTHS // 4)) % 2 == 1
-            return torch.where(odd[:, None], targets[:, SWAPPED], targets)
-        axis = torch.complex(targets[:, 6], torch.where(self.mirror, -1.0, 1.0) * targets[:, 7])
-        axis = axis * torch.exp(2j * self.cells * (2 * torch.pi / AZIMUTHS))
-        return torch.column_stack([targets[:, :MODULI], axis.real, axis.imag]).to(targets)
-
-    def undone(self, targets: torch.Tensor, *, disc: bool) -> torch.Tensor:
-        """The inverse of :meth:`of_targets`."""
-        back = torch.where(self.mirror, self.cells, -self.cells)  # a reflection is its own inverse
-        return Symmetry(back, self.mirror).of_targets(targets, disc=disc)
+        return rows[torch.arange(len(rows))[:, None], azimuth.to(rows.device)]
 
 
 @dataclass(frozen=True)
 class TargetScale:
     """Standardisation of the targets, by a mean and a deviation of each."""
 
-    mean: Targets
-    std: Targets
+    mean: TargetArray
+    std: TargetArray
 
     @staticmethod
-    def fit(targets: Targets, *, disc: bool) -> "TargetScale":
-        """Scale of a training set's targets, invariant under the symmetries."""
+    def fit(targets: TargetArray) -> "TargetScale":
+        """Scale of a training set's targets, equal for warp and weft."""
         mean, std = targets.mean(axis=0), np.maximum(targets.std(axis=0), 1e-12)
-        if disc:
-            mean[MODULI:], std[MODULI:] = 0.0, std[MODULI:].mean()
-        else:
-            mean, std = (mean + mean[SWAPPED]) / 2, (std + std[SWAPPED]) / 2
-        return TargetScale(mean, std)
+        return TargetScale((mean + mean[_SWAPPED]) / 2, (std + std[_SWAPPED]) / 2)
 
-    def encode(self, targets: Targets) -> Targets:
+    def encode(self, targets: TargetArray) -> TargetArray:
         return (targets - self.mean) / self.std
 
-    def decode(self, standardised: Targets) -> Targets:
+    def decode(self, standardised: TargetArray) -> TargetArray:
         return standardised * self.std + self.mean

@@ -6,7 +6,7 @@ of finished epochs are the whole state: a resumed run gives the same weights.
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,14 +17,24 @@ from common.documents import differences, require_regular
 from common.errors import InputError, one_line
 from common.files import remove_partial, replacing
 from common.provenance import release
-from data.dataset.folder import finished_manifest, only_tester, split_by_fabric
+from data.dataset.folder import finished_manifest, split_by_fabric
+from data.fabrics.properties import ClothProperties
 from data.render.setups import Setups
 from drapenet.config import ModelConfig, OptimConfig, TrainConfig
 from drapenet.network.checkpoint import MAX_WEIGHTS_BYTES
 from drapenet.network.dataset import Maps, make_maps
-from drapenet.network.model import Batch, MapNet
+from drapenet.network.model import Batch, DrapeNet, Facts
 from drapenet.network.posterior import inside, ranks
-from drapenet.network.targets import MODULI, Symmetry, TargetScale, targets_of
+from drapenet.network.targets import (
+    CURL,
+    MODULI,
+    Symmetry,
+    TargetScale,
+    stiffer_first,
+    targets_of,
+)
+from drapenet.views.directions import AZIMUTHS
+from drapenet.views.outline import PERSPECTIVES, drape_coefficients
 from sim.material import REFERENCE_DENSITY
 
 if TYPE_CHECKING:
@@ -32,7 +42,13 @@ if TYPE_CHECKING:
     from tqdm import tqdm
 
 _VALIDATION_BATCH = 128
+_APART = 1 << 40  # of numbers of fabrics and drapes of several datasets
 _MEAN_SAMPLE = 1000  # captures used for mean and deviation of the distances
+LEAST_HEIGHT = 0.5  # m, of the camera above the plate
+PICTURE_OFFSET = 0.010  # of the outline's centre, in half sizes: 1.5 mm of a specimen of 300 mm
+PICTURE_SCALE = 0.007  # of millimetres per pixel
+PICTURE_NOISE = 0.008  # largest deviation of a radius, in half sizes
+COEFFICIENT_ERROR = 0.010  # of drape coefficients as reported
 
 
 def choose_device(config: TrainConfig) -> torch.device:
@@ -48,61 +64,148 @@ def choose_device(config: TrainConfig) -> torch.device:
     return torch.device(config.device)
 
 
-class CaptureSet:
-    """Maps of captures with their targets, ``scale`` fitted to them if None; ``truth``: (N, T),
-    not standardised.
+@dataclass(frozen=True)
+class Condition:
+    """What the captures of a set are.
+
+    Attributes:
+        kinds: shares of depth captures, outlines, and numbers (drape coefficient and nodes) alone.
+        sizes: shares of sets of 1, 2, ... captures, each of another drape.
+        known: share of the sets in which the direction of the warp is stated.
+        parallel, stated: shares of outlines under parallel light, and, of the others, of those
+            whose camera's height is stated.
     """
 
-    def __init__(self, maps: Maps, *, disc: bool, scale: TargetScale | None = None) -> None:
-        self.maps, self.disc = maps, disc
-        self.truth = targets_of(maps.theta, maps.warp, disc=disc)
-        self.scale = scale or TargetScale.fit(self.truth, disc=disc)
-        self.targets = torch.from_numpy(self.scale.encode(self.truth)).float()
+    kinds: tuple[float, float, float] = (0.5, 0.42, 0.08)
+    sizes: tuple[float, ...] = (0.5, 0.2, 0.1, 0.2)
+    known: float = 0.7
+    parallel: float = 0.3
+    stated: float = 0.8
+
+
+class CaptureSet:
+    """Captures with the fabrics they show; ``scale`` of the targets is fitted if None."""
+
+    def __init__(self, maps: Maps, *, scale: TargetScale | None = None) -> None:
+        self.maps = maps
+        # Neighbours of a fabric may have the same moduli by chance.
+        _, first, which = np.unique(np.column_stack([maps.theta, maps.membrane]), axis=0,
+                                    return_index=True, return_inverse=True)
+        order = np.argsort(which.ravel(), kind="stable")
+        self.members = np.split(order, np.cumsum(np.bincount(which.ravel()))[:-1])
+        curl = np.array([maps.curl[rows].mean(axis=0) for rows in self.members])
+        self.cloth = ClothProperties(maps.theta[first], curl, maps.membrane[first],
+                                     maps.hysteresis[first])
+        middle = np.exp(np.array([np.log(maps.size[rows]).mean() for rows in self.members]))
+        self.scale = scale or TargetScale.fit(targets_of(self.cloth, middle))
 
     def __len__(self) -> int:
-        return len(self.maps)
+        return len(self.members)
 
     def network(self, config: ModelConfig) -> dict:
-        """Arguments of :class:`drapenet.network.model.MapNet` for these captures."""
-        sample = self.maps.distance[:: -(-len(self) // _MEAN_SAMPLE)].astype(np.float32)
-        return {**asdict(config), "targets": self.targets.shape[1],
-                "distance": round(float(sample.mean()), 4), "spread": round(float(sample.std()), 4)}
+        """Arguments of :class:`drapenet.network.model.DrapeNet` for these captures."""
+        sample = self.maps.distance[self.maps.views > 0][:_MEAN_SAMPLE].astype(np.float32)
+        return {**asdict(config), "distance": round(float(sample.mean()), 4),
+                "spread": round(float(sample.std()), 4)}
 
     def batch(
-        self, rows: np.ndarray, *, revealed: np.ndarray, symmetry: Symmetry | None = None
-    ) -> Batch:
-        """Captures of ``rows`` (N,) after ``symmetry``, the membrane given if ``revealed`` (N,)."""
-        maps, targets = self.maps, self.targets[rows]
-        if symmetry is not None:
-            targets = symmetry.of_targets(targets, disc=self.disc)
-        membrane = np.where(revealed, maps.nuisance("membrane")[rows], np.nan)
-        batch = Batch.of(maps.distance[rows], maps.weight[rows], maps.views[rows], membrane,
-                         targets)
-        return batch if symmetry is None else batch.turned(symmetry)
+        self, cloths: np.ndarray, condition: Condition, rng: np.random.Generator, *,
+        symmetric: bool = True,
+    ) -> tuple[Batch, Facts]:
+        """A random set of captures of each of ``cloths`` (M,), and the facts of its captures;
+        ``symmetric``: whether captures are turned at random."""
+        maps, rows, group = self.maps, [], []
+        sizes = rng.choice(len(condition.sizes), size=len(cloths), p=condition.sizes) + 1
+        for number, (cloth, size) in enumerate(zip(cloths, sizes, strict=True)):
+            candidates = rng.permutation(self.members[cloth])
+            _, first = np.unique(maps.index[candidates], return_index=True)
+            rows.append(candidates[rng.permutation(first)[:size]])
+            group += [number] * len(rows[-1])
+        rows, group = np.concatenate(rows), np.array(group)
+        known = rng.random(len(cloths)) < condition.known
+        flip = rng.choice([-1, 1], size=len(cloths))  # the face that is marked is arbitrary
+        kind = np.array([rng.choice(3, p=condition.kinds) for _ in rows])
+        kind[(maps.views[rows] == 0) & (kind == 0)] = 1
+        deep, seen = kind == 0, kind == 1
+        ratio, stated = _perspectives(maps.size[rows], condition, rng)
+        outline = np.where(deep[:, None], maps.hem[rows].astype(np.float32), np.nan)
+        outline[seen] = _photographed(maps.silhouettes[rows[seen]], ratio[seen], rng)
+        radius = np.where((kind == 2)[:, None], maps.silhouettes[rows, 0], outline)
+        coefficient = drape_coefficients(radius, maps.plate[rows], maps.disc[rows])
+        coefficient += COEFFICIENT_ERROR * rng.standard_normal(len(rows)) * (kind == 2)
+        counted = (kind == 2) & (rng.random(len(rows)) < 2 / 3)
+        facts = Facts(
+            size=maps.size[rows], plate=maps.plate[rows], disc=maps.disc[rows],
+            face=maps.face[rows] * flip[group], known=known[group],
+            views=np.where(deep, maps.views[rows], 0), perspective=np.where(
+                deep, 0.0, np.where(seen & stated, ratio, np.nan)),
+            coefficient=coefficient, nodes=np.where(counted, maps.folds[rows], np.nan),
+            group=group)
+        targets = targets_of(self.cloth.chosen(cloths), facts.sizes)
+        targets[flip < 0, CURL] *= -1
+        targets[~known] = stiffer_first(targets[~known])
+        batch = Batch.of(
+            np.where(deep[:, None, None], maps.distance[rows], np.float16(0)),
+            np.where(deep[:, None, None], maps.weight[rows], np.uint8(0)), outline, facts,
+            torch.from_numpy(self.scale.encode(targets)).float())
+        if symmetric:
+            batch = batch.turned(
+                Symmetry.draw(known=known[group], disc=maps.disc[rows], rng=rng))
+        return batch, facts
 
-    def in_order(self, size: int, *, known: bool = False) -> Iterator[tuple[np.ndarray, Batch]]:
-        """Rows and captures in order, without symmetries; ``known``: whether the membrane is given.
-        """
-        for rows in np.array_split(np.arange(len(self)), -(-len(self) // size)):
-            yield rows, self.batch(rows, revealed=np.full(len(rows), known))
-
-    def epoch(self, *, seed: int, epoch: int, size: int) -> Iterator[Batch]:
-        """Full batches in random order with random symmetries, a function of (seed, epoch)."""
+    def epoch(
+        self, *, seed: int, epoch: int, size: int, condition: Condition = Condition()
+    ) -> Iterator[Batch]:
+        """A set of each fabric and neighbour in random order, a function of (seed, epoch)."""
         rng = np.random.default_rng([seed, epoch])
         order = rng.permutation(len(self))
         for start in range(0, len(self) - size + 1, size):
-            revealed = rng.integers(2, size=size) > 0
-            symmetry = Symmetry.draw(size, disc=self.disc, rng=rng)
-            yield self.batch(order[start : start + size], revealed=revealed, symmetry=symmetry)
+            yield self.batch(order[start : start + size], condition, rng)[0]
+
+
+def _perspectives(
+    size: np.ndarray, condition: Condition, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sizes (N,) over the camera's height, and whether they are stated, with an error of 3 %."""
+    parallel = rng.random(len(size)) < condition.parallel
+    ratio = np.where(parallel, 0.0, size * rng.uniform(0, 1 / LEAST_HEIGHT, len(size)))
+    return ratio, rng.random(len(size)) < condition.stated
+
+
+def _photographed(
+    silhouettes: np.ndarray, ratio: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
+    """Outlines (N, AZIMUTHS) of photographs, from exact ones (N, P, AZIMUTHS), in half sizes."""
+    place = np.interp(ratio, PERSPECTIVES, np.arange(len(PERSPECTIVES)))
+    low = np.minimum(place.astype(int), len(PERSPECTIVES) - 2)
+    share = (place - low)[:, None]
+    rows = np.arange(len(ratio))
+    radius = silhouettes[rows, low] * (1 - share) + silhouettes[rows, low + 1] * share
+    angle = (np.arange(AZIMUTHS) + 0.5) * (2 * np.pi / AZIMUTHS)
+    aside = rng.normal(0, PICTURE_OFFSET, (len(ratio), 2))
+    radius = radius + aside[:, :1] * np.cos(angle) + aside[:, 1:] * np.sin(angle)
+    radius *= 1 + rng.normal(0, PICTURE_SCALE, (len(ratio), 1))
+    noise = rng.standard_normal(radius.shape)
+    smooth = (np.roll(noise, 1, axis=1) + noise + np.roll(noise, -1, axis=1)) / math.sqrt(3)
+    return radius + PICTURE_NOISE * rng.random((len(ratio), 1)) * smooth
 
 
 def open_captures(config: TrainConfig) -> tuple[CaptureSet, CaptureSet, dict]:
-    """Training and validation captures, of different fabrics, and the dataset's manifest."""
-    manifest = finished_manifest(Path(config.data))
-    disc = only_tester(config.data, manifest).specimen == "disc"
-    maps = make_maps(config.data, manifest, Path(config.maps),
-                     setups=Setups.from_config(config.setup), captures=config.captures,
-                     seed=config.seed, neighbours=config.neighbours, workers=config.workers)
+    """Training and validation captures, of different fabrics, and a description of the datasets."""
+    folders = config.data if isinstance(config.data, list) else [config.data]
+    manifests, parts = [], []
+    for number, folder in enumerate(folders):
+        manifests.append(finished_manifest(Path(folder)))
+        part = make_maps(folder, manifests[-1], Path(config.maps),
+                         setups=Setups.from_config(config.setup), captures=config.captures,
+                         outlines=config.outlines, seed=config.seed,
+                         neighbours=config.neighbours, workers=config.workers)
+        # Fabrics and drapes of different datasets are different.
+        parts.append(replace(part, fabric=part.fabric + number * _APART,
+                             index=part.index + number * _APART))
+    maps = Maps.joined(parts)
+    described = {"sha256": [manifest["hash"] for manifest in manifests],
+                 "generation": [manifest["config"] for manifest in manifests]}
     shares = {"train": 1 - config.validation_fraction, "validation": config.validation_fraction}
     split = split_by_fabric(maps.fabric, fractions=shares)
     unseen = maps.chosen((split == "validation") & ~maps.moved)
@@ -110,14 +213,14 @@ def open_captures(config: TrainConfig) -> tuple[CaptureSet, CaptureSet, dict]:
     if config.fabrics:
         training = training.chosen(
             np.isin(training.fabric, np.unique(training.fabric)[: config.fabrics]))
-    if len(training) < config.optim.batch_size or not len(unseen):
-        raise InputError(f"{config.data} has {len(training)} captures to train on and "
-                         f"{len(unseen)} to validate with, but needs at least "
-                         f"{config.optim.batch_size} (optim.batch_size) and 1: generate more "
-                         "drapes, lower optim.batch_size or change "
+    captures = CaptureSet(training) if len(training) else None
+    if not captures or len(captures) < config.optim.batch_size or not len(unseen):
+        raise InputError(f"{', '.join(folders)}: {len(captures or ())} fabrics and neighbours to "
+                         f"train on and {len(unseen)} captures to validate with, but at least "
+                         f"{config.optim.batch_size} (optim.batch_size) and 1 are needed: generate "
+                         "more drapes, lower optim.batch_size or change "
                          f"validation_fraction={config.validation_fraction:g}")
-    captures = CaptureSet(training, disc=disc)
-    return captures, CaptureSet(unseen, disc=disc, scale=captures.scale), manifest
+    return captures, CaptureSet(unseen, scale=captures.scale), described
 
 
 def learning_rate(optim: OptimConfig, progress: float) -> float:
@@ -137,6 +240,7 @@ def schedule(
     """Steps of an epoch for :func:`fit`, with a progress bar over all batches."""
     size = config.optim.batch_size
     steps = len(captures) // size
+    torch.manual_seed(np.random.default_rng([config.seed, epoch]).integers(1 << 62))  # of dropout
     for step, batch in enumerate(captures.epoch(seed=config.seed, epoch=epoch, size=size)):
         yield (epoch + step / steps) / config.epochs, batch
         bar.update()
@@ -166,11 +270,13 @@ def fit(
 
 
 @torch.no_grad()
-def validate(network: MapNet, captures: CaptureSet) -> dict:
-    """Metrics of the network on ``captures`` without membrane and symmetries, standardised."""
+def validate(network: DrapeNet, captures: CaptureSet, condition: Condition = Condition()) -> dict:
+    """Metrics of the network on sets of ``captures``, without symmetries, standardised."""
     network.eval()
     losses, errors, places = [], [], []
-    for _, batch in captures.in_order(_VALIDATION_BATCH):
+    rng = np.random.default_rng(0)
+    for cloths in np.array_split(np.arange(len(captures)), -(-len(captures) // _VALIDATION_BATCH)):
+        batch, _ = captures.batch(cloths, condition, rng, symmetric=False)
         mixture = batch.through(network).cpu()
         losses.append(-mixture.log_likelihood(batch.targets))
         draws = mixture.sample(400, torch.Generator().manual_seed(0))
@@ -204,13 +310,12 @@ def log_metrics(
 
 
 def describe(
-    config: TrainConfig, training: CaptureSet, manifest: dict, metrics: dict, epoch: int
+    config: TrainConfig, training: CaptureSet, datasets: dict, metrics: dict, epoch: int
 ) -> dict:
     """Description of a checkpoint's network, see :mod:`drapenet.network.checkpoint`."""
-    theta = training.maps.theta
+    theta = training.cloth.theta
     low, high = np.quantile(theta, [0.01, 0.99], axis=0)
     return {
-        "rig": only_tester(config.data, manifest).name,
         "reference_density_g_m2": REFERENCE_DENSITY * 1e3,
         "model": training.network(config.model),
         "targets": {name: part.tolist() for name, part in vars(training.scale).items()},
@@ -218,10 +323,9 @@ def describe(
         "fabrics": {"low": low.tolist(), "high": high.tolist(),
                     "deviation": theta.std(axis=0).tolist()},
         "dataset": {
-            "sha256": manifest["hash"],
+            **datasets,
             "drapes": len(np.unique(training.maps.index)),
             "fabrics": len(np.unique(training.maps.fabric)),
-            "generation": manifest["config"],
         },
         "validation": metrics,
         "epochs": epoch + 1,

@@ -4,7 +4,6 @@ The posterior combines the fabric prior, the prior of specimens and the capture.
 initial guesses only: it is no further measurement of the same pixels.
 """
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -18,6 +17,8 @@ from common.types import Density, Radians, Theta
 from data.dataset.config import Options, config_from_options
 from data.fabrics.fabrics import THETA_NAMES
 from data.fabrics.nuisances import LOGARITHMIC, NuisanceConfig, at_density
+from data.fabrics.prior import load_prior
+from data.fabrics.properties import ClothProperties
 from data.render.rays import DepthRenderer
 from drapenet.network.predict import Draws
 from drapenet.refine.objective import fit_nuisances
@@ -27,7 +28,6 @@ from drapenet.refine.surface import CapturedShape, Fidelity, fidelity
 from drapenet.refine.unknowns import LAW_NAMES, NAMES, OFFSET_NAMES, SpecimenPrior, Unknowns
 from drapenet.report.drape import Resimulation, turned
 from drapenet.result.estimate import Estimate
-from drapenet.result.joint import fabric_prior
 from drapenet.views.located import LocatedViews
 from sim.material import REFERENCE_DENSITY
 
@@ -51,25 +51,25 @@ class Refinement:
 
 
 def refine_capture(
-    estimate: Estimate, located: LocatedViews, *, scan: CapturedShape | None,
-    known: Mapping[str, float], settings: Mapping[str, Any] | None = None,
+    estimate: Estimate, located: LocatedViews, *, warp: Radians, scan: CapturedShape | None,
+    settings: Mapping[str, Any] | None = None,
     progress: Callable[[int, int, float], None] | None = None,
 ) -> Refinement | None:
     """Refine an ``estimate`` by simulation, with a progress bar; None if no cloth converges.
 
     Args:
+        warp: its direction in the first view.
         scan: of the capture; None for views.
-        known: fixed values of :data:`data.fabrics.nuisances.NAMES`, SI, of cloth of 300 g/m².
         settings: content of a file of ``configs/refine``; None: the default.
         progress: called with the simulated and the expected number of drapes, and the misfit.
     """
     settings = settings or read_option("refine", "scan" if scan else "depth")
     axis = flat_turn(scan) if scan else 0.0
     observation: Observation = CapturedScan(scan) if scan else CapturedViews(
-        located, turn=estimate.axis, edge=1e-3 * settings["edge_mm"],
+        located, turn=warp, edge=1e-3 * settings["edge_mm"],
         coarse=1e-3 * settings["coarse_mm"])
-    result = _search(estimate, observation, warp=estimate.axis - axis if scan else None,
-                     count=int(settings["starts"]), known=known, progress=progress)
+    result = _search(estimate, observation, warp=warp - axis if scan else None,
+                     count=int(settings["starts"]), progress=progress)
     if result is None:
         return None
     drape = result.released or result.best.drape
@@ -81,31 +81,37 @@ def refine_capture(
         positions = turned(drape.positions, turn)
         nuisance = fit_nuisances(result.objective, drape.positions, result.best.nuisance)
         views = result.objective.render(drape.positions, nuisance)
-    resimulation = Resimulation(located, views.astype(np.float32), drape, positions,
-                                (drape.status.value,))
+    resimulation = Resimulation.beside(located, views.astype(np.float32), drape, positions,
+                                       (drape.status.value,))
     near = fidelity(scan, result.released) if scan and result.released else None
     warnings = _search_warnings(result)
     draws = None
     if not warnings:
         theta: Theta = np.random.default_rng(0).multivariate_normal(
             result.best.unknowns.theta, result.uncertainty.theta, size=_DRAWS)
-        draws = Draws.possible(theta, np.full(_DRAWS, turn))
+        draws = Draws.possible(_cloth(theta, result.best.unknowns), known=True)
     if scan:
         warnings += _scan_warnings(near)
     content = _content(result, near, estimate.density, by="scan" if scan else "depth")
     return Refinement(draws, content, resimulation, tuple(warnings))
 
 
+def _cloth(theta: Theta, unknowns: Unknowns) -> ClothProperties:
+    """Samples of the moduli with the best values of the other properties."""
+    nuisances, count = unknowns.nuisances, len(theta)
+    curl = np.tile([nuisances.curl_warp, nuisances.curl_weft], (count, 1))
+    return ClothProperties(theta, curl, np.full(count, nuisances.membrane),
+                           np.full(count, nuisances.hysteresis))
+
+
 def _search(
     estimate: Estimate, observation: Observation, *, warp: Radians | None, count: int,
-    known: Mapping[str, float], progress: Callable[[int, int, float], None] | None,
+    progress: Callable[[int, int, float], None] | None,
 ) -> SearchResult | None:
     """The search from ``count`` fabrics; ``warp``: initial guess, None if it is not free."""
-    prior = SpecimenPrior.of(fabric_prior(estimate.names), specimen_spread())
-    free = [*THETA_NAMES, *(name for name in (*LAW_NAMES, *OFFSET_NAMES) if name not in known)]
+    prior = SpecimenPrior.of(load_prior("gaussian"), specimen_spread())
+    free = [*THETA_NAMES, *LAW_NAMES, *OFFSET_NAMES]
     first = prior.mean.copy()
-    for name, value in known.items():
-        first[NAMES.index(name)] = math.log(value) if name in LOGARITHMIC else value
     if warp is not None:
         free.append("warp")
         first[NAMES.index("warp")] = warp

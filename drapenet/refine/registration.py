@@ -16,6 +16,7 @@ from common.documents import read_bytes
 from common.errors import InputError
 from common.types import Density, Faces, Metres, Points, Radians
 from data.captures.capture import Capture
+from data.captures.description import Specimen
 from data.captures.scans import MAX_SCAN_SIZE, check_rim, read_scan
 from data.render.cameras import nominal_camera
 from data.render.rays import QUARTERS, DepthRenderer
@@ -78,17 +79,19 @@ def read_shape(path: Path, rig: Rig, *, edge: Metres = EDGE) -> ScanRegistration
     return registration
 
 
-def read_scan_capture(path: Path, *, density: Density) -> tuple[Capture, CapturedShape]:
+def read_scan_capture(path: Path, specimen: Specimen) -> tuple[Capture, CapturedShape]:
     """A scan of a drape on the disc rig, and its views as a capture."""
     shape = read_shape(path, DISC_RIG).shape
-    return scan_capture(path, shape, density), shape
+    return scan_capture(path, shape, specimen.density, specimen.warp_direction), shape
 
 
-def scan_capture(path: Path, shape: CapturedShape, density: Density) -> Capture:
+def scan_capture(
+    path: Path, shape: CapturedShape, density: Density, warp: Radians | None
+) -> Capture:
     """A scan as a capture of four views without noise, from the rig's nominal camera."""
     camera = nominal_camera(shape.rig)
     views = DepthRenderer(shape.positions, shape.faces).views(camera, 0.0)
-    return Capture(views.astype(np.float32), camera.intrinsics, np.array(QUARTERS), density, None,
+    return Capture(views.astype(np.float32), camera.intrinsics, np.array(QUARTERS), density, warp,
                    shape.rig, path, ())
 
 

@@ -5,19 +5,23 @@ is an equally likely drape of the same fabric, at no cost.
 """
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from common.types import Faces, Metres, Points, Radians, Turns, Views
 from data.render.cameras import Camera
 from data.render.raster import rasterise
+from drapenet.views.directions import AZIMUTHS
 from drapenet.views.located import LocatedViews
+from drapenet.views.outline import DrapeOutline, silhouettes
 from sim.cloth import Laws
 from sim.drape import Drape, drape
 from sim.material import Fabric
 from sim.measures import drape_coefficient, folds_around
+from sim.mesh import Mesh
+from sim.rig import Rig
 
 TURNS = 48  # orientations tried in the fit
 FIT_WIDTH = 120  # pixels, width of the images compared in it
@@ -34,34 +38,39 @@ class Resimulation:
     """A simulated drape of the estimate beside the captured one.
 
     Attributes:
-        views: of the simulated drape.
+        views: of the simulated drape; of a photograph's, none.
         drape: possibly before reflection.
-        positions: of its vertices, in the orientation of the first view.
+        positions: of its vertices, in the orientation of the first view or the photograph.
         statuses: of all simulated drapes, in the order of :data:`STARTS`.
+        profiles: radii (bins,), m, by azimuth, captured and simulated.
+        overlap: intersection over union of the silhouettes, or of the outlines.
+        perspective: what the simulated drape's coefficient, from 0 to 1, exceeds that of its
+            picture by, seen from the photograph's height.
     """
 
-    located: LocatedViews
     views: Views
     drape: Drape
     positions: Points
     statuses: tuple[str, ...]
+    profiles: tuple[np.ndarray, np.ndarray]
+    overlap: float
+    perspective: float = 0.0
 
-    @cached_property
-    def profiles(self) -> tuple[np.ndarray, np.ndarray]:
-        """Radius profiles (BINS,), m, captured and simulated."""
-        located = self.located
-        return (radius_profile(located.views, located.camera, located.turns),
-                radius_profile(self.views, located.camera, located.turns))
+    @classmethod
+    def beside(
+        cls, located: LocatedViews, views: Views, drape: Drape, positions: Points,
+        statuses: tuple[str, ...],
+    ) -> "Resimulation":
+        """Beside captured views."""
+        profiles = tuple(radius_profile(part, located.camera, located.turns)
+                         for part in (located.views, views))
+        return cls(views, drape, positions, statuses, profiles,
+                   silhouette_overlap(located.views, views))
 
     @property
     def folds(self) -> tuple[int, int]:
         """Number of folds, captured and simulated."""
         return count_folds(self.profiles[0]), count_folds(self.profiles[1])
-
-    @cached_property
-    def overlap(self) -> float:
-        """Mean intersection over union of the silhouettes."""
-        return silhouette_overlap(self.located.views, self.views)
 
     @property
     def warnings(self) -> list[str]:
@@ -90,22 +99,73 @@ def resimulate(
     step = max(1, round(camera.width / FIT_WIDTH))
     captured = views[:, ::step, ::step] > 0
     small = camera.resized(captured.shape[2], captured.shape[1])
-    best, statuses = None, []
-    for start, seed in STARTS[:drapes]:
-        result = drape(fabric, rig=located.rig, edge=edge, start=start, seed=seed, laws=laws)
-        statuses.append(result.status.value)
-        if not result.converged:
-            continue
-        for side in (1, -1):
-            positions = result.positions * [side, 1, 1]
-            overlap, orientation = _fit_orientation(positions, result.faces, small, captured, turns)
-            if best is None or overlap > best[0]:
-                best = overlap, positions, orientation, result
+
+    def fit(positions: Points, faces: Faces) -> tuple[float, Radians]:
+        return _fit_orientation(positions, faces, small, captured, turns)
+
+    simulated, statuses = _simulated(fabric, located.rig, edge, drapes, laws)
+    best = _nearest(simulated, fit)
     if best is None:
         return None
-    _, positions, orientation, result = best
+    result, positions, orientation = best
     shown = rasterise(positions, result.faces, camera, orientation + turns)
-    return Resimulation(located, shown, result, turned(positions, orientation), tuple(statuses))
+    return Resimulation.beside(located, shown, result, turned(positions, orientation), statuses)
+
+
+def resimulate_outline(
+    fabric: Fabric, outline: DrapeOutline, rig: Rig, *, edge: Metres, drapes: int,
+    laws: Laws | None = None,
+) -> Resimulation | None:
+    """As :func:`resimulate`, fitted to an outline seen from above, from its camera's height, or as
+    under parallel light if that is unknown."""
+    height = outline.height if np.isfinite(outline.height) else np.inf
+    captured = outline.radius
+    rolls = np.array([np.roll(captured, -k) for k in range(AZIMUTHS)])
+
+    def radii(positions: Points, faces: Faces, height: Metres = height) -> np.ndarray:
+        edges = Mesh(positions[:, :2], faces).edges
+        return silhouettes(positions, edges, np.array([height]), zero=0.0)[0]
+
+    def fit(positions: Points, faces: Faces) -> tuple[float, Radians]:
+        own = radii(positions, faces)
+        overlaps = (np.square(np.minimum(rolls, own)).sum(axis=1)
+                    / np.square(np.maximum(rolls, own)).sum(axis=1))
+        cell = int(overlaps.argmax())
+        return float(overlaps[cell]), cell * 2 * np.pi / AZIMUTHS
+
+    simulated, statuses = _simulated(fabric, rig, edge, drapes, laws)
+    best = _nearest(simulated, fit)
+    if best is None:
+        return None
+    result, positions, orientation = best
+    placed = turned(positions, orientation)
+    shown, true = (DrapeOutline(radii(placed, result.faces, seen)) for seen in (height, np.inf))
+    return Resimulation(np.zeros((0, 1, 1), np.float32), result, placed, statuses,
+                        (captured, shown.radius), fit(positions, result.faces)[0],
+                        true.coefficient(rig) - shown.coefficient(rig))
+
+
+def _simulated(
+    fabric: Fabric, rig: Rig, edge: Metres, drapes: int, laws: Laws | None
+) -> tuple[list[Drape], tuple[str, ...]]:
+    """The drapes that converge, and the statuses of all."""
+    results = [drape(fabric, rig=rig, edge=edge, start=start, seed=seed, laws=laws)
+               for start, seed in STARTS[:drapes]]
+    return ([result for result in results if result.converged],
+            tuple(result.status.value for result in results))
+
+
+def _nearest(
+    drapes: Sequence[Drape], fit: Callable[[Points, Faces], tuple[float, Radians]]
+) -> tuple[Drape, Points, Radians] | None:
+    """The drape or mirror image with the largest overlap by ``fit``, its vertices, which may be
+    reflected, and its orientation; None without drapes."""
+    found = [(*fit(result.positions * [side, 1, 1], result.faces), side, result)
+             for result in drapes for side in (1, -1)]
+    if not found:
+        return None
+    _, orientation, side, result = max(found, key=lambda item: item[0])
+    return result, result.positions * [side, 1, 1], orientation
 
 
 def turned(points: Points, angle: Radians) -> Points:

@@ -6,10 +6,12 @@ import math
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 from matplotlib.image import AxesImage
 
 from common.types import DepthImage, Views
+from data.captures.capture import Capture
+from data.captures.photograph import PhotographedOutline
 from drapenet.report.drape import PROFILE_HEIGHT, Resimulation
 from drapenet.result.document import EstimateDocument
 from drapenet.result.estimate import Estimate
@@ -20,18 +22,37 @@ CAPTURED, SIMULATED = "#8a8a8a", "#d9762b"
 
 
 def draw_report(
-    estimate: Estimate, document: EstimateDocument, views: Views,
+    estimate: Estimate, document: EstimateDocument, capture: Capture,
     resimulation: Resimulation | None, *, title: str,
 ) -> bytes:
     """The report as a PNG file; ``resimulation`` is None if no simulated drape converged."""
     figure = Figure(figsize=(13, 12.5), layout="constrained")
     figure.get_layout_engine().set(w_pad=0.1)
     upper, lower = figure.subfigures(2, 1, height_ratios=(3, 1.7))
+    if capture.outline:
+        _photograph(upper.subplots(), capture.outline, resimulation)
+    else:
+        _views(upper, capture.views, resimulation)
+    grid = lower.add_gridspec(1, 3, width_ratios=(1.8, 1.1, 1.3))
+    _torques(lower.add_subplot(grid[0]), estimate)
+    _from_above(lower.add_subplot(grid[1], projection="polar"), capture, resimulation)
+    _figures(lower.add_subplot(grid[2]), document, resimulation)
+    figure.suptitle(title, fontsize=14, parse_math=False)
+    if document.warnings:
+        figure.supxlabel("\n".join(f"warning: {line}" for line in document.warnings),
+                         x=0.01, ha="left", fontsize=9, parse_math=False)
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png", dpi=100)
+    return picture.getvalue()
+
+
+def _views(figure: SubFigure, views: Views, resimulation: Resimulation | None) -> None:
+    """Captured views above simulated ones and their silhouettes."""
     simulated = np.zeros_like(views) if resimulation is None else resimulation.views
     window = _window(np.concatenate([views, simulated]))
     limits = tuple(np.quantile(views[views > 0], (0.01, 0.99)) * 1e3)
     rows = ["captured", "simulated with the estimate", "captured (grey), simulated (line)"]
-    pictures = upper.subplots(len(rows), len(views), squeeze=False)
+    pictures = figure.subplots(len(rows), len(views), squeeze=False)
     for axes in pictures.flat:
         axes.set(xticks=[], yticks=[])
         axes.spines[:].set_visible(False)
@@ -43,18 +64,29 @@ def draw_report(
         image = _depth(pictures[0, k], captured, limits)
         _depth(pictures[1, k], drape, limits)
         _silhouettes(pictures[2, k], captured, drape)
-    upper.colorbar(image, ax=pictures, label="depth [mm]", shrink=0.5, aspect=30)
-    grid = lower.add_gridspec(1, 3, width_ratios=(1.8, 1.1, 1.3))
-    _torques(lower.add_subplot(grid[0]), estimate)
-    _from_above(lower.add_subplot(grid[1], projection="polar"), document, resimulation)
-    _figures(lower.add_subplot(grid[2]), document, resimulation)
-    figure.suptitle(title, fontsize=14, parse_math=False)
-    if document.warnings:
-        figure.supxlabel("\n".join(f"warning: {line}" for line in document.warnings),
-                         x=0.01, ha="left", fontsize=9, parse_math=False)
-    picture = io.BytesIO()
-    figure.savefig(picture, format="png", dpi=100)
-    return picture.getvalue()
+    figure.colorbar(image, ax=pictures, label="depth [mm]", shrink=0.5, aspect=30)
+
+
+def _photograph(
+    axes: Axes, outline: PhotographedOutline, resimulation: Resimulation | None
+) -> None:
+    """The photograph, if there is one, with the outline and that of the simulated drape."""
+    if outline.picture is not None:
+        axes.imshow(outline.picture, cmap="gray")
+    axes.set(aspect="equal", xticks=[], yticks=[])
+    closed = np.vstack([outline.curve, outline.curve[:1]])
+    axes.plot(*outline.drawn(closed).T, color=CAPTURED, lw=2, label="photographed")
+    if resimulation is not None:
+        radius = resimulation.profiles[1]
+        angle = (np.arange(len(radius) + 1) + 0.5) * (2 * np.pi / len(radius))
+        curve = np.append(radius, radius[0])[:, None] * np.column_stack(
+            [np.cos(angle), np.sin(angle)])
+        axes.plot(*outline.drawn(curve).T, color=SIMULATED, lw=1.5,
+                  label="simulated with the estimate")
+    angle = np.linspace(0, 2 * np.pi, 90)
+    rim = outline.rig.plate_radius * np.column_stack([np.cos(angle), np.sin(angle)])
+    axes.plot(*outline.drawn(rim).T, color=COLOURS[1], lw=0.8, ls=":", label="plate")
+    axes.legend(frameon=False, loc="upper right")
 
 
 def draw_torques(estimate: Estimate) -> bytes:
@@ -105,10 +137,10 @@ def _torques(axes: Axes, estimate: Estimate) -> None:
     axes.legend(frameon=False, loc="upper left")
 
 
-def _from_above(axes: Axes, document: EstimateDocument, resimulation: Resimulation | None) -> None:
+def _from_above(axes: Axes, capture: Capture, resimulation: Resimulation | None) -> None:
     """Draw radius profiles and the first yarns; angles as in the first view, 0 to the right."""
-    axes.set_title(f"from above: radius {-PROFILE_HEIGHT * 1e3:.0f} mm below the plate [mm]",
-                   fontsize=10)
+    depth = "" if capture.outline else f" {-PROFILE_HEIGHT * 1e3:.0f} mm below the plate"
+    axes.set_title(f"from above: radius{depth} [mm]", fontsize=10)
     axes.tick_params(labelsize=7)
     largest = 80.0
     if resimulation is not None:
@@ -120,10 +152,9 @@ def _from_above(axes: Axes, document: EstimateDocument, resimulation: Resimulati
             axes.plot(azimuth, np.append(profile, profile[0]) * 1e3, color=colour,
                       label=f"{name}: {folds} folds")
         largest = 1.05e3 * np.nanmax(np.concatenate(resimulation.profiles), initial=largest / 1e3)
-    angle, certainty = np.radians(document.axis.direction_deg), document.axis.probability
-    axes.plot([angle, angle + math.pi], [largest, largest], color=COLOURS[0], lw=2.5,
-              alpha=max(0.15, 2 * certainty - 1),
-              label=f"{document.names[0]} yarns (probability {certainty:.2f})")
+    warp = capture.warp_direction
+    if warp is not None:
+        axes.plot([warp, warp + math.pi], [largest] * 2, color=COLOURS[0], lw=2.5, label="warp")
     axes.set_ylim(0, largest)
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), frameon=False, fontsize=8)
 

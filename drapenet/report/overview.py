@@ -15,12 +15,19 @@ from common.errors import InputError
 from common.files import remove_file, replace_file
 from data.captures.capture import require_one_fabric
 from drapenet.batch.captures import Entry
+from drapenet.network.checkpoint import Header
 from drapenet.report.figures import COLOURS
 from drapenet.report.pages import render
 from drapenet.result.document import ROLES, EstimateDocument, csv_number, csv_table
-from drapenet.result.files import ESTIMATE, REPORT, SAMPLES, read_estimate, write_estimate
-from drapenet.result.joint import joint_estimate
-from sim.material import DIRECTIONS, LINEAR
+from drapenet.result.files import (
+    ESTIMATE,
+    REPORT,
+    SAMPLES,
+    read_estimate,
+    read_observation,
+    write_estimate,
+)
+from sim.material import LINEAR
 
 FAILURE = ("fabric", "sample", "capture", "path", "reason")
 SPREAD, INDEX, THUMBNAIL = "captures.png", "index.html", "view.png"
@@ -50,7 +57,9 @@ class FabricEstimate:
         return csv_number(np.mean(values)) if values else ""
 
 
-def write_overview(out: Path, outcomes: Sequence[tuple[Entry, str]]) -> list[FabricEstimate]:
+def write_overview(
+    out: Path, outcomes: Sequence[tuple[Entry, str]], header: Header
+) -> list[FabricEstimate]:
     """Write all tables and pages for captures, each with the reason for a failure or ''; return the
     estimates of fabrics whose captures can be joined.
     """
@@ -62,7 +71,7 @@ def write_overview(out: Path, outcomes: Sequence[tuple[Entry, str]]) -> list[Fab
                      key=lambda entry: (entry.fabric, entry.place))
     for name, entries in groupby(ordered, key=lambda entry: entry.fabric):
         try:
-            fabrics.append(_write_fabric(name, list(entries), out))
+            fabrics.append(_write_fabric(name, list(entries), out, header))
         except InputError as error:
             failures.append(dict.fromkeys(FAILURE, "") | {"fabric": name, "reason": str(error)})
     for name, rows, columns in (
@@ -82,18 +91,21 @@ def write_overview(out: Path, outcomes: Sequence[tuple[Entry, str]]) -> list[Fab
     return fabrics
 
 
-def _write_fabric(name: str, entries: Sequence[Entry], out: Path) -> FabricEstimate:
+def _write_fabric(
+    name: str, entries: Sequence[Entry], out: Path, header: Header
+) -> FabricEstimate:
     """Join the captures of a fabric; write its estimate and its page."""
     estimates, documents = zip(*(read_estimate(out / entry.place) for entry in entries),
                                strict=True)
-    require_one_fabric([document.capture.rig for document in documents],
-                       [estimate.names == DIRECTIONS for estimate in estimates],
-                       [estimate.density for estimate in estimates],
+    require_one_fabric([estimate.density for estimate in estimates],
                        [(document.capture.source or "", document.capture.views_sha256)
                         for document in documents])
     estimate, document, scatter = estimates[0], documents[0], None
     if len(entries) > 1:
-        estimate, document = joint_estimate(estimates, documents)
+        from drapenet.inference import joint_estimate  # torch
+
+        seen = [read_observation(out / entry.place) for entry in entries]
+        estimate, document = joint_estimate(seen, documents, header)
         middles = [capture.samples[:, LINEAR].mean(axis=0) for capture in estimates]
         scatter = np.exp(np.std(middles, axis=0, ddof=1))
     fabric = FabricEstimate(name, Path(entries[0].place.parts[0]),

@@ -12,6 +12,7 @@ from common.types import DepthImage, Faces, Points
 from drapenet.report.drape import Resimulation, turned
 from drapenet.views.located import LocatedViews
 from sim.mesh import vertex_normals
+from sim.rig import Rig
 
 MAX_POINTS = 16_000  # of the captured surface, all views together
 MAX_JUMP = 6e-3  # m, range of depths within a triangle
@@ -20,13 +21,15 @@ _UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # of rows:
 _COLOURS = {"captured": (168, 172, 178), "simulated": (217, 118, 42), "support": (120, 116, 110)}
 
 
-def drape_glb(located: LocatedViews, drape: Resimulation | None) -> bytes:
-    """The scene as binary glTF; without the node ``simulated`` if no simulated drape converged."""
+def drape_glb(rig: Rig, located: LocatedViews | None, drape: Resimulation | None) -> bytes:
+    """The scene as binary glTF; without the node ``captured`` for a photograph, and without
+    ``simulated`` if no simulated drape converged."""
     scene = trimesh.Scene()
-    _add(scene, "captured", *captured_surface(located))
+    if located is not None:
+        _add(scene, "captured", *captured_surface(located))
     if drape is not None:
         _add(scene, "simulated", drape.positions, drape.drape.faces)
-    radius = 0.985 * located.rig.plate_radius
+    radius = 0.985 * rig.plate_radius
     column = trimesh.creation.cylinder(radius=radius, height=_COLUMN, sections=64)
     _add(scene, "support", column.vertices - [0, 0, _COLUMN / 2 + 1e-3], column.faces, flat=True)
     return scene.export(file_type="glb", include_normals=True)

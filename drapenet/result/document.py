@@ -11,18 +11,18 @@ from pydantic import BeforeValidator, Field, InstanceOf, model_validator
 
 from common.documents import Excerpt, shown
 from common.types import Density
+from data.captures.known import Known
 from drapenet.result.estimate import Estimate
 from drapenet.result.readings import GF_CM, GF_CM_PER_CM, MG_CM, bending_length, kes
 from sim.material import DIRECTIONS, MICRO, NANO, REFERENCE_DENSITY, STIFF_SOFT
 from sim.rig import GRAVITY
 
 SCHEMA = "drapenet-estimate"
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 POORLY_CONSTRAINED = 0.7  # above this ratio of standard deviation and spread over fabrics
 CURVATURES = np.array([25.0, 50.0, 100.0, 200.0, 400.0])  # 1/m, of the tabulated law
 INTERVALS = {"interval_68": 0.68, "interval_90": 0.90}
 MAX_OUTSIDE_SHARE = 0.5  # of samples outside KES's range; beyond, its readings are not given
-AXIS_MEANING = "in the first view, 0 to the right, 90 away from the camera, modulo 180"
 ROLES = ("warp_or_stiff", "bias", "weft_or_soft")
 """Directions in tables whose fabrics need not all have a marked warp."""
 _FORMULA = tuple("=+-@\t\r\n")  # first characters of cells that spreadsheets evaluate
@@ -86,14 +86,16 @@ class CaptureAbout(Excerpt):
     views_sha256: str = ""
     turns_deg: list[float] | None = None
     drape_coefficient_percent: float | None = None
+    known: Known | None = None
 
 
-class Axis(Excerpt):
-    """Direction of the first yarns."""
+class Cloth(Excerpt):
+    """Properties beside the moduli, at the fabric's density."""
 
-    direction_deg: float
-    meaning: str
-    probability: float
+    natural_curvature_warp_1_m: Quantity
+    natural_curvature_weft_1_m: Quantity
+    membrane_n_per_m: Quantity
+    hysteresis_share: Quantity
 
 
 class RefinementRecord(Excerpt):
@@ -135,8 +137,7 @@ class EstimateDocument(Excerpt):
     share_of_spread_over_fabrics: dict[str, float]
     poorly_constrained: list[str]
     torque_mN: dict[str, Any]  # noqa: N815
-    warp_axis: Axis | None = None
-    stiff_axis: Axis | None = None
+    cloth: Cloth
     checkpoint: dict[str, Text]
     captures: list[CaptureRecord] | None = None
     refined: RefinementRecord | None = None
@@ -176,20 +177,13 @@ class EstimateDocument(Excerpt):
                 name for name, share in zip(shares, estimate.constraint, strict=True)
                 if share > POORLY_CONSTRAINED],
             "torque_mN": {"curvature_1_m": CURVATURES.tolist(), **torques},
-            f"{first}_axis": Axis(
-                direction_deg=float(np.degrees(estimate.axis)), meaning=AXIS_MEANING,
-                probability=round(estimate.certainty, 3)),
+            "cloth": _properties(estimate),
             "checkpoint": checkpoint, **sections, "warnings": list(warnings)})
 
     @property
     def names(self) -> tuple[str, str, str]:
         """The three directions."""
         return tuple(self.moduli)
-
-    @property
-    def axis(self) -> Axis:
-        """Direction of the first yarns."""
-        return self.warp_axis or self.stiff_axis
 
     @property
     def density(self) -> Density:
@@ -231,8 +225,10 @@ class EstimateDocument(Excerpt):
             else:
                 cells.append("  outside the law")
             lines.append(f"{name:8}{''.join(cells)}")
-        lines.append(f"{self.names[0]} axis {self.axis.direction_deg:.0f}° in the first view "
-                     f"(probability {self.axis.probability:.2f})")
+        cloth = self.cloth
+        curvature = cloth.natural_curvature_warp_1_m, cloth.natural_curvature_weft_1_m
+        lines.append(f"natural curvature {curvature[0]} 1/m along {self.names[0]}, "
+                     f"{curvature[1]} 1/m along {self.names[2]}")
         if coefficient := self.capture.drape_coefficient_percent:
             simulated = (self.resimulation or {}).get("drape_coefficient_percent")
             lines.append(f"drape coefficient {coefficient:.1f} %, as captured"
@@ -269,6 +265,14 @@ def _moduli(estimate: Estimate, density: Density) -> dict[str, Any]:
     samples = {"alpha_uN_m": alpha / MICRO, "beta_nN_m2": beta / NANO,
                "beta_over_alpha_mm": 1e3 * beta / alpha}
     return {name: _quantities(samples, k) for k, name in enumerate(estimate.names)}
+
+
+def _properties(estimate: Estimate) -> dict[str, Any]:
+    cloth, scale = estimate.cloth, estimate.density / REFERENCE_DENSITY
+    return {"natural_curvature_warp_1_m": _intervals(cloth.curl[:, 0]),
+            "natural_curvature_weft_1_m": _intervals(cloth.curl[:, 1]),
+            "membrane_n_per_m": _intervals(cloth.membrane * scale),
+            "hysteresis_share": _intervals(cloth.hysteresis)}
 
 
 def _readings(estimate: Estimate) -> dict[str, Any]:

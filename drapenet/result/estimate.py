@@ -1,18 +1,18 @@
-"""The estimate of one fabric by network or refinement: samples of its moduli, axis, density."""
+"""The estimate of one fabric by network or refinement: samples of its properties, density."""
 
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from common.types import Density, Radians, Theta
+from common.types import Density, Theta
 from data.fabrics.fabrics import fabric_from_theta, from_theta
+from data.fabrics.nuisances import Nuisances
 from data.fabrics.prior import GaussianPrior
+from data.fabrics.properties import ClothProperties
 from sim.material import (
     DIRECTIONS,
-    FIRST,
     REFERENCE_DENSITY,
-    SECOND,
     STIFF_SOFT,
     SWAPPED,
     Fabric,
@@ -21,14 +21,9 @@ from sim.material import (
 )
 
 if TYPE_CHECKING:
-    from data.captures.capture import Capture
     from drapenet.network.checkpoint import Header
     from drapenet.network.predict import Draws
 
-MIN_DIRECTION_PROBABILITY = 0.8  # of the stiffer yarns' direction; below, there is a warning
-MARK_TOLERANCE, MAX_MARK_ERROR = np.radians(10.0), np.radians(20.0)
-"""Maximum angle from a marked warp to a sample's yarns to keep the sample; maximum median of it."""
-MIN_AGREEING_SHARE = 0.25  # of samples that are kept at any angle from the mark
 MAX_INADMISSIBLE_SHARE = 0.2  # of the network's samples
 
 
@@ -37,21 +32,22 @@ class Estimate:
     """Posterior of a fabric's moduli.
 
     Attributes:
-        samples: (S, 6).
+        cloth: S samples.
         names: of the directions: warp, bias, weft or stiff, bias, soft.
-        axis: direction of the first yarns in the first view, in [0, pi).
-        certainty: probability of that axis, from 0.5 to 1.
         spread: standard deviation of theta over fabrics.
         warnings: of the samples alone, one line each.
     """
 
-    samples: Theta
+    cloth: ClothProperties
     names: tuple[str, str, str]
-    axis: Radians
-    certainty: float
     density: Density
     spread: Theta
     warnings: tuple[str, ...] = ()
+
+    @property
+    def samples(self) -> Theta:
+        """(S, 6) samples of the moduli."""
+        return self.cloth.theta
 
     @property
     def theta(self) -> Theta:
@@ -66,6 +62,13 @@ class Estimate:
     def fabric(self) -> Fabric:
         """The fabric of :attr:`theta` at its density, with the first yarns as warp."""
         return fabric_from_theta(self.theta).at_density(self.density)
+
+    @property
+    def nuisances(self) -> Nuisances:
+        """Medians of the other properties, with the marked face up."""
+        curl = np.median(self.cloth.curl, axis=0)
+        return Nuisances(membrane=float(np.median(self.cloth.membrane)), curl_warp=curl[0],
+                         curl_weft=curl[1], hysteresis=float(np.median(self.cloth.hysteresis)))
 
     @property
     def normal(self) -> GaussianPrior:
@@ -93,33 +96,13 @@ class Estimate:
         return torque(curvature, *(part[:, direction, None] for part in self.moduli()))
 
 
-def make_estimate(draws: "Draws", *, capture: "Capture", header: "Header") -> Estimate:
-    """Make an estimate of posterior samples: directions in the order of their names, warnings.
-
-    The first yarns are the marked warp, or the stiffer yarns where none is marked.
+def make_estimate(draws: "Draws", *, density: Density, header: "Header") -> Estimate:
+    """Make an estimate of posterior samples: warp, bias and weft, or, where the direction of the
+    warp is not known, the stiffer yarns first.
     """
-    warp = capture.warp_direction
-    soft = draws.theta[:, FIRST] < draws.theta[:, SECOND]
-    stiff = draws.axis + soft * (np.pi / 2)
-    first = np.angle(np.exp(2j * stiff).mean()) / 2 if warp is None else warp
-    certainty = float((np.cos(2 * (stiff - first)) >= 0).mean()) if warp is None else 1.0
-    along = np.cos(2 * (draws.axis - first)) >= 0
-    theta = np.where(along[:, None], draws.theta, draws.theta[:, SWAPPED])
-    warnings = []
-    if certainty < MIN_DIRECTION_PROBABILITY:
-        warnings.append("the direction of the stiffer yarns is uncertain (probability "
-                        f"{certainty:.2f}): the fabric drapes alike along both yarns")
-    if warp is not None:
-        # Angle to the nearer yarns of each sample; for a square it is the same for all samples.
-        gap = np.abs(np.angle(np.exp(4j * (draws.axis - first)))) / 4
-        if np.median(gap) > MAX_MARK_ERROR:
-            warnings.append(f"the marked warp lies {np.degrees(np.median(gap)):.0f}° from the "
-                            "yarns estimated from the views: check warp_direction_deg")
-        theta = theta[gap <= max(MARK_TOLERANCE, np.quantile(gap, MIN_AGREEING_SHARE))]
-    names = STIFF_SOFT if warp is None else DIRECTIONS
-    estimate = Estimate(theta, names, float(first) % np.pi, certainty, capture.density,
-                        header.spread)
-    warnings += _extrapolations(estimate, header)
+    names = DIRECTIONS if draws.known else STIFF_SOFT
+    estimate = Estimate(draws.cloth, names, density, header.spread)
+    warnings = _extrapolations(estimate, header)
     if draws.impossible > MAX_INADMISSIBLE_SHARE:
         warnings.append(f"{draws.impossible:.0%} of the posterior samples had moduli that no plate "
                         "can have, and were removed: check the specimen and the pictures")

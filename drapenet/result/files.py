@@ -2,18 +2,24 @@
 
 import os
 from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 
-from common.documents import read_arrays, read_json
+from common.documents import read_arrays, read_json, reading
 from common.errors import InputError
 from common.files import remove_file, replace_json, replacing, require_file
+from data.fabrics.properties import ClothProperties
 from drapenet.result.document import EstimateDocument
 from drapenet.result.estimate import Estimate
+from drapenet.views.observation import Observation
+from drapenet.views.outline import DrapeOutline
+from drapenet.views.radial_map import RadialMap
 from sim.material import MICRO
+from sim.rig import Rig
 
-ESTIMATE, SAMPLES = "estimate.json", "samples.npz"
+ESTIMATE, SAMPLES, OBSERVATION = "estimate.json", "samples.npz", "observation.npz"
 REPORT, PAGE, SHAPES, TORQUES = "report.png", "report.html", "drape.glb", "torque.svg"
 SHOWN = (REPORT, PAGE, SHAPES, TORQUES)
 
@@ -21,8 +27,32 @@ SHOWN = (REPORT, PAGE, SHAPES, TORQUES)
 def write_estimate(out: Path, estimate: Estimate, document: EstimateDocument) -> None:
     """Write the document of an estimate, and its samples beside it."""
     with replacing(out / SAMPLES) as stream:
-        np.savez(stream, samples=estimate.samples, spread=estimate.spread)
+        np.savez(stream, spread=estimate.spread, **vars(estimate.cloth))
     replace_json(out / ESTIMATE, document.content())
+
+
+def write_observation(out: Path, seen: Observation) -> None:
+    """Write what the network reads of a capture, for joint estimates with others."""
+    arrays = {"distance": np.float32(seen.map.distance), "weight": np.float32(seen.map.weight),
+              "views": seen.map.views} if seen.map else {}
+    if seen.outline:
+        arrays |= {"radius": seen.outline.radius, "height": seen.outline.height}
+    with replacing(out / OBSERVATION) as stream:
+        np.savez_compressed(stream, rig=np.bytes_(seen.rig.name.encode()), face=seen.face,
+                            known=seen.known, numbers=[seen.coefficient, seen.nodes], **arrays)
+
+
+def read_observation(out: Path) -> Observation:
+    """Read the file of :func:`write_observation`, one of this project's results."""
+    file = out / OBSERVATION
+    with reading(file, "estimate the capture again"), np.load(file, allow_pickle=False) as content:
+        arrays = dict(content)
+    drape = RadialMap(arrays["distance"], arrays["weight"], 0.0, int(arrays["views"])) if (
+        "distance" in arrays) else None
+    outline = DrapeOutline(arrays["radius"], float(arrays["height"])) if (
+        "radius" in arrays) else None
+    return Observation(Rig.from_name(arrays["rig"].item().decode()), int(arrays["face"]),
+                       bool(arrays["known"]), drape, outline, *map(float, arrays["numbers"]))
 
 
 def remove_report(out: Path) -> None:
@@ -41,12 +71,15 @@ def read_estimate(path: Path) -> tuple[Estimate, EstimateDocument]:
     path = path / ESTIMATE if path.is_dir() else path
     document = read_document(path)
     file = path.with_name(SAMPLES)
-    arrays = read_arrays(file, ("samples", "spread"), expected="the samples of an estimate")
-    samples, spread = arrays["samples"], arrays["spread"]
-    estimate = Estimate(samples, document.names, np.radians(document.axis.direction_deg),
-                        document.axis.probability, document.density, spread,
+    names = [field.name for field in fields(ClothProperties)]
+    arrays = read_arrays(file, ("spread", *names), expected="the samples of an estimate")
+    spread = arrays.pop("spread")
+    count = len(arrays["theta"]) if arrays["theta"].ndim else 0
+    shapes = {"theta": (count, 6), "curl": (count, 2)}
+    estimate = Estimate(ClothProperties(**arrays), document.names, document.density, spread,
                         tuple(document.warnings))
-    if samples.ndim != 2 or samples.shape[1:] != (6,) or spread.shape != (6,) or not np.allclose(
+    if spread.shape != (6,) or not count or any(
+            arrays[name].shape != shapes.get(name, (count,)) for name in names) or not np.allclose(
             np.median(estimate.moduli()[0], axis=0) / MICRO,
             [moduli.alpha_uN_m.median for moduli in document.moduli.values()], rtol=1e-6):
         raise InputError(f"{file} does not hold the samples of {path}; estimate the capture again")
@@ -79,7 +112,7 @@ def last_parts(path: Path) -> list[str]:
 
 def require_output(out: Path, sources: Sequence[Path] = ()) -> None:
     """InputError if results of ``sources`` cannot be written to ``out`` or would replace others."""
-    for name in (ESTIMATE, SAMPLES, *SHOWN):
+    for name in (ESTIMATE, SAMPLES, OBSERVATION, *SHOWN):
         require_file(out / name)
     if not sources:
         return

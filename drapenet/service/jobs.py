@@ -84,7 +84,7 @@ class Jobs:
             change_state(folder, id=identity, name=upload.name, state=QUEUED, stage=None,
                          progress=None, error=None, warnings=[], ended=None)
             self._schedule(folder, {"refine": upload.refine, "scan": upload.scan,
-                                    "name": upload.name, "density": upload.density})
+                                    "name": upload.name, "specimen": upload.specimen})
         except BaseException as error:
             self.release()
             shutil.rmtree(folder, ignore_errors=True)

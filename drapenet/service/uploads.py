@@ -20,9 +20,8 @@ from starlette.exceptions import HTTPException
 
 from common.documents import MAX_TEXT_BYTES, parse_yaml, shown
 from common.errors import InputError, one_line
-from common.types import Density
 from data.captures.capture import CAPTURE_FILES, INTRINSICS_KEYS
-from data.captures.description import Description, checked_density
+from data.captures.description import Description, Specimen
 from data.captures.frames import BACKGROUND, header_of
 from data.rigs import MISSING_TESTER
 from drapenet.batch.captures import plain_name
@@ -43,13 +42,13 @@ class RequestError(HTTPException):
 
 @dataclass(frozen=True)
 class Upload:
-    """A request to estimate a capture, with its description, or a scan of this density."""
+    """A request to estimate a capture, with its description, or a scan of a specimen."""
 
     files: dict[str, bytes]
     scan: str  # name of the file that is a scan; empty for a capture
     name: str
     refine: bool = False
-    density: Density | None = None
+    specimen: Specimen | None = None
 
 
 def checked_upload(
@@ -75,8 +74,8 @@ def checked_upload(
                            "view_0.png and so on")
     try:
         if scans:
-            density = checked_density(_plain(fields.get("density_g_m2")))
-            return Upload(contents, scans[0], title, refine == "yes", density)
+            stated = {key: _plain(fields[key]) for key in Specimen.model_fields if key in fields}
+            return Upload(contents, scans[0], title, refine == "yes", Specimen.of(stated, ""))
         if contents.keys().isdisjoint(CAPTURE_FILES) or "capture.yaml" in contents:
             contents = _numbered(contents)
             contents["capture.yaml"] = _description(contents.get("capture.yaml", b"{}"), fields)

@@ -4,15 +4,17 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from common.configs import read_option
 from common.documents import read_json
 from common.errors import InputError
 from common.files import replace_file, replace_json
-from common.types import Density
 from common.workers import end_with_parent
 from drapenet.config import EstimateOptions
+
+if TYPE_CHECKING:
+    from data.captures.description import Specimen
 
 STATE, PREVIEW, UPLOADED = "state.json", "preview.png", "uploaded"
 QUEUED, RUNNING, DONE, FAILED, LOST = "queued", "running", "done", "failed", "interrupted"
@@ -41,24 +43,23 @@ def warm_up() -> None:
     end_with_parent()
     from data.render.rays import import_open3d
     from drapenet.inference import network_of
-    from drapenet.network.checkpoint import bundled, read_header
+    from drapenet.network.checkpoint import read_header
     from drapenet.report.figures import draw_report  # noqa: F401
     from sim.drape import drape
     from sim.material import MICRO, Fabric
-    from sim.rig import SQUARE_RIG
 
-    network_of(read_header(bundled(SQUARE_RIG)))
+    network_of(read_header())
     import_open3d()
     drape(Fabric(alpha=[50 * MICRO] * 3, beta=[0.0] * 3), edge=3 * EstimateOptions().edge)
 
 
 def estimate_upload(
-    folder: Path, *, refine: bool, scan: str, name: str, density: Density | None
+    folder: Path, *, refine: bool, scan: str, name: str, specimen: "Specimen | None"
 ) -> None:
     """Estimate the upload in ``folder``; input errors are recorded in its state."""
     from data.captures.capture import read_capture
     from drapenet.inference import CaptureEstimate, estimate_capture
-    from drapenet.network.checkpoint import header_for
+    from drapenet.network.checkpoint import read_header
     from drapenet.refine.registration import read_scan_capture
 
     uploaded, registered = folder / UPLOADED, None
@@ -69,7 +70,7 @@ def estimate_upload(
 
     try:
         if scan:
-            capture, registered = read_scan_capture(uploaded / scan, density=density)
+            capture, registered = read_scan_capture(uploaded / scan, specimen)
         else:
             capture = read_capture(uploaded)
         replace_file(folder / PREVIEW, preview(capture))
@@ -78,7 +79,7 @@ def estimate_upload(
         change_state(folder, stage="estimating", warnings=list(capture.warnings))
         settings = dict(read_option("refine", "scan" if scan else "depth")) if refine else None
         result = estimate_capture(
-            capture, header_for([capture]), EstimateOptions(refine=settings), out=folder,
+            capture, read_header(), EstimateOptions(refine=settings), out=folder,
             scan=registered, on_stage=note_stage, progress=_throttled(folder))
         change_state(folder, state=DONE, warnings=result.document.warnings)
     except InputError as error:
@@ -88,12 +89,11 @@ def estimate_upload(
 
 def preview(capture: Any) -> bytes:
     """PNG of frames with the cloth outlined, or of the cloth in each view."""
-    from data.captures.preview import picture
-    from data.render.shade import thumbnails
+    from data.captures.preview import picture, thumbnail
 
     if capture.cut:
         return picture(capture.cut, capture.intrinsics, capture.rig, turns=capture.turns)
-    return thumbnails(capture.views)
+    return thumbnail(capture, len(capture.views))
 
 
 def _throttled(folder: Path) -> Callable[[int, int, float], None]:

@@ -46,22 +46,6 @@ def radial_map(located: LocatedViews, *, zero: Radians | None = None) -> RadialM
     return RadialMap(distance, weight * (pixel / PIXEL) ** 2, zero, len(located.views))
 
 
-def drape_coefficient(drape: RadialMap, rig: Rig) -> float:
-    """Drape coefficient of a capture, from 0 to 1; NaN if less than half of the outline is visible.
-    """
-    borders = elevations(rig)
-    flat = drape.distance * np.cos((borders[1:] + borders[:-1]) / 2)
-    radius = np.where(drape.weight > 0, flat, 0.0).max(axis=1)
-    visible = np.flatnonzero(radius > 0)
-    if len(visible) < AZIMUTHS / 2:
-        return np.nan
-    # Centres of border pixels are half a pixel inside the hem.
-    radius = np.interp(np.arange(AZIMUTHS), visible, radius[visible], period=AZIMUTHS) + PIXEL / 2
-    plate = np.pi * rig.plate_radius**2
-    area = np.pi * np.square(np.maximum(radius, rig.plate_radius)).mean()
-    return float((area - plate) / (rig.specimen_area - plate))
-
-
 def side_direction(distance: np.ndarray, weight: np.ndarray, rig: Rig) -> float:
     """Direction of a square specimen's side, in [0, pi/2) rad from azimuth 0.
 

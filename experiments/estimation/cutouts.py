@@ -21,9 +21,8 @@ from data.captures.capture import Capture
 from data.captures.cutout import CutOut, cut_out
 from data.render.rays import QUARTERS
 from data.render.scenes import CLUTTER, RawScene, raw_scene
-from drapenet.network.checkpoint import bundled, read_header
 from drapenet.views.located import LocatedViews
-from experiments.drapes import drape_as_planned, plan_specimen
+from experiments.drapes import drape_as_planned, header, plan_specimen
 from experiments.result import ESTIMATOR, Config, Result, run_cases
 from sim.material import LINEAR, REFERENCE_DENSITY
 from sim.rig import Rig
@@ -111,11 +110,11 @@ def posterior_shifts(
     """Differences (3,) of log alpha between two cut-outs, in posterior standard deviations."""
     from drapenet.inference import network_estimate
 
-    header, samples = read_header(bundled(rig)), []
+    samples = []
     for one in (views, perfect):
         capture = Capture(one, scene.camera.intrinsics, np.array(QUARTERS), REFERENCE_DENSITY,
                           None, rig, Path(), ())
-        samples.append(network_estimate(capture, header).estimate.samples[:, LINEAR])
+        samples.append(network_estimate(capture, header()).estimate.samples[:, LINEAR])
     found, ideal = samples
     return (np.abs(found.mean(axis=0) - ideal.mean(axis=0)) / ideal.std(axis=0)).tolist()
 

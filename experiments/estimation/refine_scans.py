@@ -5,7 +5,6 @@ nuisances, with noise. Each is registered, estimated and refined as by ``infer.p
 refine=scan``. Errors are those at 300 g/m².
 """
 
-import math
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,16 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from common.errors import InputError
-from drapenet.network.checkpoint import bundled, read_header
-from experiments.drapes import drape_as_planned, plan_specimen
-from experiments.estimation.refine_views import (
-    METHODS,
-    nuisance_errors,
-    posterior_errors,
-    specimen_along_warp,
-)
+from experiments.drapes import drape_as_planned, header, plan_specimen
+from experiments.estimation.refine_views import METHODS, nuisance_errors, posterior_errors
 from experiments.result import ESTIMATOR, Config, Result, load_arrays, run_cases
-from sim.material import REFERENCE_DENSITY, SWAPPED
+from sim.material import REFERENCE_DENSITY
 from sim.rig import DISC_RIG
 
 if TYPE_CHECKING:
@@ -41,34 +34,31 @@ def simulated(*, number: int, noise_mm: float, seed: int) -> dict:
     noise = np.random.default_rng([seed, number]).normal(0, 1e-3 * noise_mm, shape.positions.shape)
     cloud = Cloud.of_mesh(shape.positions + noise, shape.faces)
     result = refine_scan(register(cloud, DISC_RIG, edge=EDGE))
-    arrays, along = result["arrays"], math.cos(2 * result["axis"]) >= 0
-    for way in () if along else METHODS:  # the true warp is the x axis of the scan
-        arrays[way] = arrays[way][:, SWAPPED]
     return result | {"truth": plan.theta.tolist(), "nuisances": plan.nuisances.vector.tolist(),
-                     "specimen": specimen_along_warp(result["refined"]["specimen"], along)}
+                     "specimen": result["refined"]["specimen"]}
 
 
 def refine_scan(scan: "ScanRegistration") -> dict:
-    """Estimate a scan as by ``infer.py scan=FILE refine=scan``."""
+    """Estimate a scan whose x axis is the warp, as by ``infer.py scan=FILE refine=scan``."""
     from drapenet.inference import network_estimate
     from drapenet.refine.refine import refine_capture
     from drapenet.refine.registration import scan_capture
     from drapenet.result.estimate import make_estimate
 
-    header, shape = read_header(bundled(DISC_RIG)), scan.shape
-    capture = scan_capture(Path("scan"), shape, REFERENCE_DENSITY)
-    inferred = network_estimate(capture, header)
+    shape = scan.shape
+    capture = scan_capture(Path("scan"), shape, REFERENCE_DENSITY, 0.0)
+    inferred = network_estimate(capture, header())
     estimate = inferred.estimate
     began = time.perf_counter()
-    result = refine_capture(estimate, inferred.located, scan=shape, known={})
+    result = refine_capture(estimate, inferred.located, warp=0.0, scan=shape)
     if result is None:
         raise InputError("no simulated cloth converges at the scan")
     network = estimate.samples
     if result.draws is not None:
-        estimate = make_estimate(result.draws, capture=capture, header=header)
+        estimate = make_estimate(result.draws, density=capture.density, header=header())
     arrays = {"refined": estimate.samples, "network": network}
     return {"refined": result.content, "theta": estimate.samples.mean(axis=0).tolist(),
-            "gained": result.draws is not None, "axis": estimate.axis,
+            "gained": result.draws is not None,
             "seconds": time.perf_counter() - began, "registered_mm": 1e3 * scan.distance,
             "spread": estimate.spread.tolist(), "warnings": list(result.warnings), "arrays": arrays}
 

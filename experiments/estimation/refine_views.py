@@ -7,7 +7,6 @@ and the sensor ``smooth`` takes four views at exact quarter turns, with true int
 cut-out and a random camera pose.
 """
 
-import math
 import time
 from dataclasses import replace
 from itertools import compress
@@ -24,7 +23,6 @@ from drapenet.network.posterior import inside, ranks
 from experiments.comparison import same_folds
 from experiments.drapes import (
     CLEAN,
-    along_warp,
     as_read,
     capture_drape,
     drape_as_planned,
@@ -64,39 +62,25 @@ def case(
         setups = replace(setups, **CLEAN)
     synthetic = capture_drape(shape, setups, np.random.default_rng([seed, number]), tester)
     capture = as_read(synthetic, tester)
-    known = {"membrane": 200.0} if nuisances == "none" else {}
-    inferred = network_estimate(capture, header(tester), membrane=known.get("membrane"))
+    inferred = network_estimate(capture, header())
     estimate = inferred.estimate
-    fixed = ({"membrane": 200.0, "shear": 1.0, "curl_warp": 0.0, "curl_weft": 0.0}
-             if nuisances == "none" else {})
     began = time.perf_counter()
     settings = read_option("refine", "depth") | ({"edge_mm": edge_mm} if edge_mm else {})
-    refined = refine_capture(estimate, inferred.located, scan=None, known=fixed,
+    refined = refine_capture(estimate, inferred.located, warp=capture.warp_direction, scan=None,
                              settings=settings)
     seconds = time.perf_counter() - began
-    estimates = {"network": estimate}
-    if refined is not None and refined.draws is not None:
-        estimates["refined"] = make_estimate(refined.draws, capture=capture,
-                                             header=header(tester))
+    last = estimate  # without an improvement that of the network
+    if gained := refined is not None and refined.draws is not None:
+        last = make_estimate(refined.draws, density=capture.density, header=header())
     first = drape(estimate.fabric, rig=tester, seed=number)
     outlines = [fold_outline(d.positions, d.rest, tester) for d in (shape, first)]
-    arrays = {}
-    for name in METHODS:  # without an improvement the refined estimate is that of the network
-        last = estimates.get(name, estimate)
-        arrays[name] = along_warp(last, synthetic.orientation)
-    specimen = specimen_along_warp(refined.content["specimen"] if refined else {},
-                                   math.cos(2 * (last.axis - synthetic.orientation)) >= 0)
     return {"theta": plan.theta.tolist(), "nuisances": plan.nuisances.vector.tolist(),
-            "specimen": specimen, "other_folds": not same_folds(*outlines), "seconds": seconds,
-            "views": len(synthetic.views), "gained": "refined" in estimates,
+            "specimen": refined.content["specimen"] if refined else {},
+            "other_folds": not same_folds(*outlines), "seconds": seconds,
+            "views": len(synthetic.views), "gained": gained,
             "status": refined.content["status"] if refined else "none",
-            "spread": estimate.spread.tolist(), "arrays": arrays}
-
-
-def specimen_along_warp(specimen: dict, along: bool) -> dict:
-    """Entry ``specimen`` of ``estimate.json`` with warp and weft swapped unless ``along`` warp."""
-    other = {"curl_warp_per_m": "curl_weft_per_m", "curl_weft_per_m": "curl_warp_per_m"}
-    return specimen if along else {other.get(key, key): value for key, value in specimen.items()}
+            "spread": estimate.spread.tolist(),
+            "arrays": {"network": estimate.samples, "refined": last.samples}}
 
 
 def nuisance_errors(results: list[dict]) -> dict[str, dict[str, float]]:

@@ -1,11 +1,10 @@
-"""Joint estimates of several drapes of one fabric.
+"""Estimates from several drapes of one fabric.
 
 Each fabric from the prior is draped several times, with another specimen, start and capture each
-time. The captures are estimated one by one, and the first 1, 2, ... of a fabric jointly
-(:mod:`drapenet.result.joint`). The errors of two captures of one fabric are correlated, because
-they share membrane, hysteresis and natural curvature; ``drapenet.result.joint.SHARED`` is this
-correlation. The bound (:mod:`experiments.estimation.bound`) is computed for the same drapes, also
-for the curvature.
+time. The network estimates it from the first 1, 2, ... of these captures together. The bound
+(:mod:`experiments.estimation.bound`) is computed for the same drapes, also for the curvature. It
+does not fall as for independent errors, because drapes of one fabric share membrane, hysteresis and
+natural curvature.
 """
 
 import math
@@ -13,26 +12,17 @@ from pathlib import Path
 
 import numpy as np
 
-from common.configs import read_option
 from common.errors import InputError
 from data.fabrics.prior import load_prior
 from data.render.cameras import nominal_camera
 from data.render.setups import Setups
-from drapenet.config import EstimateOptions
-from drapenet.result.estimate import Estimate
-from drapenet.result.joint import joined
-from experiments.drapes import (
-    along_warp,
-    as_read,
-    capture_drape,
-    drape_as_planned,
-    header,
-    plan_specimen,
-)
+from drapenet.views.located import LocatedViews
+from drapenet.views.observation import Observation
+from experiments.drapes import as_read, capture_drape, drape_as_planned, header, plan_specimen
 from experiments.estimation.bound import CAMERA, SETUP, SPECIMEN, Information, joint_covariance
 from experiments.estimation.refine_views import posterior_errors
 from experiments.result import ESTIMATOR, Config, Result, load_arrays, rms, run_cases
-from sim.material import DIRECTIONS, LINEAR, REFERENCE_DENSITY
+from sim.material import LINEAR
 from sim.rig import Rig
 
 COUNTS = (1, 2, 5)
@@ -41,13 +31,14 @@ CLOTH_NUISANCES = ("membrane", "shear", "hysteresis", *CURL_NUISANCES)
 """Nuisances of the fabric; the others are of the specimen."""
 
 
-def case(*, number: int, rig: str, drapes: int, refined: bool, truth_mm: float, seed: int) -> dict:
-    """Estimate all drapes of one fabric; samples along the true warp, bias and weft."""
-    from drapenet.inference import estimate_capture
+def case(*, number: int, rig: str, drapes: int, truth_mm: float, seed: int) -> dict:
+    """Estimate one fabric from the first of its drapes, by their number; samples along the warp."""
+    from drapenet.inference import network_of
+    from drapenet.network.predict import predict
     from experiments.estimation.bound import depth_information
 
     tester, setups = Rig.from_name(rig), Setups.load("real")
-    arrays = {}
+    seen, arrays = [], {}
     for index in range(number * drapes, (number + 1) * drapes):
         plan = plan_specimen(index, f"dataset.starts_per_fabric={drapes}", rig=tester,
                              nuisances="real", seed=seed)
@@ -56,14 +47,17 @@ def case(*, number: int, rig: str, drapes: int, refined: bool, truth_mm: float, 
         except InputError:  # it does not converge
             continue
         synthetic = capture_drape(shape, setups, np.random.default_rng([seed, index]), tester)
-        options = EstimateOptions(read_option("refine", "depth") if refined else None, drapes=0)
-        estimate = estimate_capture(as_read(synthetic, tester), header(tester), options).estimate
+        capture = as_read(synthetic, tester)
+        seen.append(Observation.of_views(LocatedViews.of(capture), capture.sign,
+                                         capture.warp_direction))
         found = depth_information(shape, nominal_camera(tester), nuisances=plan.nuisances,
                                   orientation=synthetic.orientation)
-        arrays[f"samples_{index}"] = along_warp(estimate, synthetic.orientation)
         arrays[f"fisher_{index}"] = found.fisher
-    return {"theta": plan.theta.tolist(), "spread": estimate.spread.tolist(), "names": found.names,
-            "arrays": arrays}
+    counts = [count for count in COUNTS if count <= len(seen)]
+    draws = predict(network_of(header()), header(), [seen[:count] for count in counts])
+    arrays |= {f"samples_{count}": one.cloth.theta
+               for count, one in zip(counts, draws, strict=True)}
+    return {"theta": plan.theta.tolist(), "names": found.names, "arrays": arrays}
 
 
 def bound(names: list[str], fisher: list[np.ndarray]) -> np.ndarray:
@@ -84,38 +78,24 @@ def bound(names: list[str], fisher: list[np.ndarray]) -> np.ndarray:
     return np.sqrt(np.diag(found)) / [*[1.0] * 6, *(deviations[name] for name in CLOTH_NUISANCES)]
 
 
-def correlation(errors: list[np.ndarray]) -> np.ndarray:
-    """Correlation (6,) of the errors of two captures of one fabric, from the errors of each."""
-    pairs = np.concatenate([np.einsum("ik,jk->ijk", one, one)[~np.eye(len(one), dtype=bool)]
-                            for one in errors])
-    return pairs.mean(axis=0) / np.square(np.concatenate(errors)).mean(axis=0)
-
-
 def run(config: Config) -> Result:
     """Estimate all fabrics."""
-    settings = {key: config[key] for key in ("rig", "drapes", "refined", "truth_mm", "seed")}
-    folder = Path(config["cases"]) / ("refined" if config["refined"] else "network")
+    settings = {key: config[key] for key in ("rig", "drapes", "truth_mm", "seed")}
+    folder = Path(config["cases"])
     results = run_cases(case, {f"fabric_{k}": {"number": k, **settings}
                                for k in range(config["fabrics"])},
                         config, folder=folder, sources=ESTIMATOR)
-    truth = np.array([r["theta"] for r in results.values()])
-    arrays = [load_arrays(folder, name) for name in results]
-    samples, fisher = ([[own[k] for k in own if k.startswith(kind)] for own in arrays]
-                       for kind in ("samples", "fisher"))
-    errors = [np.stack([s.mean(axis=0) for s in own]) - theta
-              for own, theta in zip(samples, truth, strict=True)]
-    shared = correlation(errors)
+    arrays = {name: load_arrays(folder, name) for name in results}
     summary = {}
     for count in (n for n in COUNTS if n <= config["drapes"]):
-        chosen = [k for k, own in enumerate(samples) if len(own) >= count]
-        together = [joined([Estimate(s, DIRECTIONS, 0.0, 1.0, REFERENCE_DENSITY, np.ones(6))
-                            for s in samples[k][:count]], [str(i) for i in range(count)]).samples
-                    if count > 1 else samples[k][0] for k in chosen]
-        summary[count] = posterior_errors(truth[chosen], together)
-        names = results[f"fabric_{chosen[0]}"]["names"]
-        least = [bound(names, fisher[k][:count]) for k in chosen]
+        samples = {name: own[f"samples_{count}"] for name, own in arrays.items()
+                   if f"samples_{count}" in own}
+        truth = np.array([results[name]["theta"] for name in samples])
+        least = [bound(results[name]["names"], [arrays[name][key] for key in arrays[name]
+                                                if key.startswith("fisher")][:count])
+                 for name in samples]
         least = np.sqrt(np.nanmean(np.square(least), axis=0))
-        summary[count] |= {
+        summary[count] = posterior_errors(truth, list(samples.values())) | {
             "bound": rms(least[LINEAR]),
             "curl": float(least[-len(CURL_NUISANCES):].mean())}
-    return Result({"correlation": shared.tolist(), "summary": summary})
+    return Result({"summary": summary})

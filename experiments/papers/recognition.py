@@ -56,8 +56,8 @@ def fabric_case(*, number: int, starts: int, edge_mm: float, seed: int) -> dict[
     for k in range(starts):
         shape = drape_specimen(plan, edge=1e-3 * edge_mm, start=STARTS[k % len(STARTS)], seed=k)
         one = describe_drape(shape.positions, shape.mesh, rig)
-        estimate = infer(capture_drape(shape, ideal_setups(), rng))
-        found.append(one | {"network": estimate.theta[LINEAR].tolist()})
+        samples = infer(capture_drape(shape, ideal_setups(), rng)).estimate.samples
+        found.append(one | {"network": samples[:, LINEAR].mean(axis=0).tolist()})
     return {"drapes": found, "log_alpha": plan.theta[LINEAR].tolist()}
 
 

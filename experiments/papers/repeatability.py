@@ -1,21 +1,18 @@
 """Variation of estimates between drapes and captures of one fabric (002, Figures 22 and 23)."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from data.dataset.config import STARTS
-from data.render.cameras import nominal_camera
 from data.render.setups import Setups, SyntheticCapture
-from drapenet.network.dataset import Maps
+from drapenet.inference import CaptureEstimate
 from drapenet.network.model import compressed
-from drapenet.network.training import CaptureSet
 from drapenet.report.figures import COLOURS
 from experiments.drapes import (
     RIG,
-    NetworkEstimate,
     capture_drape,
     drape_specimen,
     ideal_setups,
@@ -23,7 +20,7 @@ from experiments.drapes import (
     plan_specimen,
 )
 from experiments.page import Section
-from experiments.papers.networks import StackedSet, downsample
+from experiments.papers.networks import CaptureSet, image
 from experiments.papers.trainings import Training, load_trained, predict, train_all
 from experiments.result import (
     Config,
@@ -68,28 +65,23 @@ def case(*, number: int, starts: int, orientations: int, edge_mm: float, seed: i
     found = {factor: [infer(one) for one in members] for factor, members in captures.items()}
     arrays: dict[str, np.ndarray] = {}
     for factor in ("starts", "orientations"):
-        inputs = _network_inputs(captures[factor], found[factor], plan.theta)
+        inputs = _network_inputs(captures[factor], found[factor])
         arrays |= {f"{factor}.{name}": value for name, value in inputs.items()}
     return {"theta": plan.theta.tolist(), "arrays": arrays,
-            **{factor: [one.theta[LINEAR].tolist() for one in readings]
+            **{factor: [one.estimate.samples[:, LINEAR].mean(axis=0).tolist() for one in readings]
                for factor, readings in found.items()}}
 
 
 def _network_inputs(
-    captures: list[SyntheticCapture], readings: list[NetworkEstimate], theta: np.ndarray
+    captures: list[SyntheticCapture], readings: list[CaptureEstimate]
 ) -> dict[str, np.ndarray]:
-    """Fields of :class:`Maps` of the captures, and arguments of :class:`StackedSet`."""
-    count, orientation = len(captures), np.array([one.orientation for one in captures])
-    found = [one.inferred.map for one in readings]
-    distance, weight = compressed(found)
-    maps = Maps(distance, weight, np.tile(theta, (count, 1)),
-                orientation - [one.zero for one in found], np.zeros((count, 8)),
-                np.full(count, 4), np.zeros(count, int), np.arange(count), np.zeros(count, bool))
-    focal = nominal_camera(RIG).intrinsics.fx
-    return {**{field.name: getattr(maps, field.name) for field in fields(Maps)},
-            "pictures": np.array([downsample(one.views) for one in captures]),
-            "focal": np.array([one.intrinsics.fx / focal - 1 for one in captures]),
-            "orientation": orientation}
+    """Inputs of the small networks, see :class:`CaptureSet`."""
+    maps = [one.observation.map for one in readings]
+    distance, weight = compressed(
+        np.array([one.distance for one in maps]) / RIG.specimen_size,
+        np.array([one.weight for one in maps]))
+    return {"distance": distance, "weight": weight,
+            "images": np.array([image(one.views, one.intrinsics.fx) for one in captures])}
 
 
 def run(config: Config) -> Result:
@@ -105,14 +97,14 @@ def run(config: Config) -> Result:
         for fabric in fabrics:
             arrays = load_arrays(Path(config["cases"]), fabric)
             for factor in ("starts", "orientations"):
-                part = {key.partition(".")[2]: value for key, value in arrays.items()
-                        if key.startswith(f"{factor}.")}
-                maps = Maps(*(part[field.name] for field in fields(Maps)))
-                captures = (StackedSet(maps, part["pictures"], part["focal"], part["orientation"],
-                                       scale=experiment.scale) if one.input == "views"
-                            else CaptureSet(maps, scale=experiment.scale, disc=False))
-                estimates, _ = predict(experiment, captures, posterior=False)
-                networks[name][factor][fabric] = estimates[:, LINEAR].tolist()
+                names = ["images"] if one.input == "views" else ["distance", "weight"]
+                inputs = [arrays[f"{factor}.{part}"] for part in names]
+                make = CaptureSet.of_images if one.input == "views" else CaptureSet.of_maps
+                many, scale = len(inputs[0]), experiment.training.scale
+                captures = make(*inputs, np.tile(fabrics[fabric]["theta"], (many, 1)),
+                                np.zeros(many, int), scale)
+                estimates, _ = predict(experiment.network, captures, posterior=False)
+                networks[name][factor][fabric] = scale.decode(estimates)[:, LINEAR].tolist()
     return Result({"fabrics": fabrics, "networks": networks})
 
 

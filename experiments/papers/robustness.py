@@ -79,9 +79,10 @@ def case(*, number: int, edge_mm: float, seed: int) -> dict[str, Any]:
     truth = plan.theta[LINEAR]
 
     def evaluate(found: SyntheticCapture) -> list[Any]:
-        estimate = infer(found)
-        error = (estimate.theta[LINEAR] - truth) / spread()[LINEAR]
-        return [error.tolist(), len(estimate.warnings)]
+        result = infer(found)
+        mean = result.estimate.samples[:, LINEAR].mean(axis=0)
+        warnings = [*result.estimate.warnings, *result.warnings]
+        return [((mean - truth) / spread()[LINEAR]).tolist(), len(warnings)]
 
     def captured(drape: Any, **changes: Any) -> SyntheticCapture:  # same noise and orientation
         return capture_drape(drape, ideal_setups(**changes), np.random.default_rng([seed, number]))

@@ -8,10 +8,10 @@ from matplotlib.figure import Figure
 from common.configs import read_option
 from common.errors import InputError
 from data.fabrics.fabrics import fabric_from_theta
+from data.fabrics.prior import load_prior
 from drapenet.config import EstimateOptions
 from experiments.comparison import compare
 from experiments.drapes import (
-    along_warp,
     capture_drape,
     drape_specimen,
     header,
@@ -74,12 +74,12 @@ def case(
     captured = capture_drape(shape, ideal_setups(), np.random.default_rng([seed, number]))
     strips = estimate_strips(fabric, noise=1e-3 * noise_mm, cells=cells, seed=seed + number)
     reading = infer(captured)
-    found = strips | {NETWORK: fabric_from_theta(reading.theta),
-                      PRIOR: fabric_from_theta(header().scale.mean[:6])}
+    found = strips | {NETWORK: fabric_from_theta(reading.estimate.samples.mean(axis=0)),
+                      PRIOR: fabric_from_theta(load_prior("gaussian").mean)}
     if refined:
         one = estimate_capture(reading.capture, header(), EstimateOptions(
             refine=read_option("refine", "depth"), drapes=0)).estimate
-        found[REFINED] = fabric_from_theta(along_warp(one, captured.orientation).mean(axis=0))
+        found[REFINED] = fabric_from_theta(one.samples.mean(axis=0))
     result: dict[str, Any] = {"ways": {}}
     # Start and folds differ from those of the captured drape.
     start = {"edge": edge, "start": "ring", "seed": plan.seed + 1}

@@ -22,30 +22,25 @@ from data.dataset.folder import finished_manifest, json_digest, split_by_fabric
 from data.dataset.generate import generate_dataset
 from data.fabrics.fabrics import read_fabric_table
 from data.fabrics.prior import Prior, TablePrior, load_prior
-from drapenet.config import ModelConfig, TrainConfig
+from drapenet.config import TrainConfig
 from drapenet.network.dataset import Maps, make_maps
 from drapenet.network.evaluate import rms_with_interval
 from drapenet.network.posterior import inside, ranks
-from drapenet.network.targets import MODULI, TargetScale
-from drapenet.network.training import CaptureSet, fit
+from drapenet.network.targets import TargetScale
+from drapenet.network.training import fit
 from experiments.estimation.prior import MixturePrior
 from experiments.papers.networks import (
-    CHANNELS,
-    COMPONENTS,
-    TARGETS,
+    CaptureSet,
     FoldNetwork,
     MapNetwork,
     OutlineNetwork,
-    StackedSet,
     ViewNetwork,
     capture_views,
     setups,
+    stiff_first,
 )
 from experiments.result import ESTIMATOR, load_arrays, run_cases
-from sim.material import FIRST, SECOND, SWAPPED
-from sim.rig import SQUARE_RIG
 
-RIG = SQUARE_RIG
 HELD_OUT = {"train": 0.88, "unseen": 0.12}  # fractions of the fabrics of the first dataset
 DATASETS: dict[str, tuple[str, int, tuple[str, ...]]] = {
     "fabrics": ("drapes", 0, ()),
@@ -60,6 +55,7 @@ DATASETS: dict[str, tuple[str, int, tuple[str, ...]]] = {
 ``configs/generate.yaml``."""
 _BOX_SAMPLES = 20_000  # samples of the prior for the bounds of "uniform"
 _PREDICTION_BATCH = 64  # captures per batch of an evaluation
+_MEAN_SAMPLE = 1000  # captures used for mean and deviation of the distances
 
 
 @dataclass(frozen=True)
@@ -106,7 +102,7 @@ def train_all(trainings: dict[str, Training], config: dict[str, Any]) -> dict[st
     for name in used:
         load_maps(name, config)
     for fixed in {one.fixed for one in trainings.values() if one.input == "views"}:
-        load_views(config, fixed=fixed)
+        load_images(config, fixed=fixed)
     settings = {key: config[key] for key in ("captures", "batch", "seed", "work", "data_seed")}
     cases = {}
     for name, one in trainings.items():
@@ -147,57 +143,58 @@ def load_maps(name: str, config: dict[str, Any]) -> Maps:
                      workers=config.get("workers", 1))
 
 
-def load_views(config: dict[str, Any], *, fixed: bool) -> list[np.ndarray]:
-    """Views, focal lengths, orientations of the set "fabrics", see :func:`capture_views`."""
+def load_images(config: dict[str, Any], *, fixed: bool) -> np.ndarray:
+    """Images of the captures of the set "fabrics", see :func:`capture_views`."""
     root, work = drapes_folder("fabrics", config), Path(config["work"])
     manifest = finished_manifest(root)
     cases = {f"{Path(name).stem}{'_fixed' if fixed else ''}": {
-        "shard": str(root / name), "rig": RIG.name, "captures": config["captures"],
-        "seed": config["seed"], "dataset": manifest["hash"], "fixed": fixed}
-        for name in manifest["shards"]}
+        "shard": str(root / name), "captures": config["captures"], "seed": config["seed"],
+        "dataset": manifest["hash"], "fixed": fixed} for name in manifest["shards"]}
     run_cases(capture_views, cases, config, folder=work, sources=("data",))
-    parts = [load_arrays(work, name) for name in cases]
-    return [np.concatenate([part[key] for part in parts])
-            for key in ("views", "focal", "orientation")]
+    return np.concatenate([load_arrays(work, name)["images"] for name in cases])
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """Training and test captures, target scale and network of a training."""
+    """Training and test captures and network of a training."""
 
     training: CaptureSet
     unseen: dict[str, CaptureSet]
-    scale: TargetScale
     network: torch.nn.Module
 
 
 def make_experiment(one: Training, config: dict[str, Any]) -> Experiment:
     """Load the captures of a training and initialise its network."""
-    rig, maps = RIG, load_maps("fabrics", config)
+    maps = load_maps("fabrics", config)
     held = split_by_fabric(maps.fabric, fractions=HELD_OUT) == "unseen"
+    theta = stiff_first(maps.theta[~held])
+    scale = TargetScale(theta.mean(axis=0), theta.std(axis=0))
     if one.input == "views":
-        parts, other = load_views(config, fixed=one.fixed), load_views(config, fixed=False)
-        stacked = StackedSet(maps.chosen(~held), *(part[~held] for part in parts))
-        rest = StackedSet(maps.chosen(held), *(part[held] for part in other), scale=stacked.scale)
-        return Experiment(stacked, {"fabrics": rest}, stacked.scale, ViewNetwork(
-            one.network, channels=CHANNELS, output=one.output, targets=TARGETS))
-    scale = CaptureSet(maps.chosen(~held), disc=False).scale
-    unseen = {"fabrics": maps.chosen(held)}
-    if one.evaluate_table:
-        unseen["table"] = load_maps("table", config)
+        captures, unseen = (CaptureSet.of_images(
+            load_images(config, fixed=fixed)[rows], maps.theta[rows], maps.fabric[rows], scale)
+            for rows, fixed in ((~held, one.fixed), (held, False)))
+        return Experiment(captures, {"fabrics": unseen},
+                          ViewNetwork(one.network, output=one.output))
+
+    def captures_of(maps: Maps) -> CaptureSet:
+        return CaptureSet.of_maps(maps.distance, maps.weight, maps.theta, maps.fabric, scale)
+
     chosen = maps.chosen(~held) if one.drapes == "fabrics" else load_maps(one.drapes, config)
-    chosen = chosen.chosen(_selected(chosen, one, config))
-    captures = CaptureSet(chosen, scale=scale, disc=False)
-    shape = captures.network(ModelConfig(width=1, components=COMPONENTS))
-    kinds = {"map": MapNetwork, "outline": OutlineNetwork}
-    network: torch.nn.Module
+    captures = captures_of(chosen.chosen(_selected(chosen, one, config)))
+    unseen = {"fabrics": captures_of(maps.chosen(held))}
+    if one.evaluate_table:
+        unseen["table"] = captures_of(load_maps("table", config))
+    return Experiment(captures, unseen, _map_network(one, captures.inputs[0]))
+
+
+def _map_network(one: Training, distance: torch.Tensor) -> torch.nn.Module:
+    """A network of maps with the mean and deviation of the ``distance`` (N, ...), m."""
     if one.input == "numbers":
-        network = FoldNetwork(rig=rig, output=one.output, targets=shape["targets"])
-    else:
-        network = kinds[one.input](output=one.output, **shape | {"width": int(one.network)}, **(
-            {"rig": rig} if one.input == "outline" else {}))
-    return Experiment(captures, {name: CaptureSet(part, scale=scale, disc=False)
-                              for name, part in unseen.items()}, scale, network)
+        return FoldNetwork(one.output)
+    sample = distance[:: -(-len(distance) // _MEAN_SAMPLE)]
+    kind = {"map": MapNetwork, "outline": OutlineNetwork}[one.input]
+    return kind(int(one.network), output=one.output, distance=float(sample.mean()),
+                spread=float(sample.std()))
 
 
 def _selected(maps: Maps, one: Training, config: dict[str, Any]) -> np.ndarray:
@@ -233,16 +230,15 @@ def train(*, training: dict, settings: dict, dataset: str) -> dict[str, Any]:
                           seed=settings["seed"]), optimizer=optimizer, optim=optim)
     seconds = time.process_time() - began
     network.eval()
-    spread = stiff_first(load_maps("fabrics", settings).theta).std(axis=0)
     result = {"unseen": {}, "steps": int(optimizer.state[next(network.parameters())]["step"]),
               "cpu_seconds": seconds, "captures": len(experiment.training),
               "parameters": sum(part.numel() for part in network.parameters())}
     for name, captures in experiment.unseen.items():
-        estimates, all_ranks = predict(experiment, captures, posterior=one.output == "posterior")
-        errors = (estimates - stiff_first(captures.maps.theta)) / spread
+        estimates, all_ranks = predict(network, captures, posterior=one.output == "posterior")
+        errors = estimates - captures.targets.numpy()
         result["unseen"][name] = {
-            "log_alpha": rms_with_interval(errors[:, :3], captures.maps.fabric),
-            "beta_over_alpha": rms_with_interval(errors[:, 3:], captures.maps.fabric),
+            "log_alpha": rms_with_interval(errors[:, :3], captures.fabric),
+            "beta_over_alpha": rms_with_interval(errors[:, 3:], captures.fabric),
             **({"inside": inside(all_ranks)} if all_ranks is not None else {})}
     if one.keep_weights:
         result["arrays"] = {name: value.numpy()
@@ -256,8 +252,10 @@ def schedule(
     """Steps for :func:`drapenet.network.training.fit`, with a number or a processor time as limit
     in place of epochs."""
     began = time.process_time()
-    batches = chain.from_iterable(_batches(captures, one, size=batch, seed=seed, epoch=epoch)
-                                  for epoch in count())
+    # Without augmentation where the orientation is fixed.
+    batches = chain.from_iterable(
+        captures.epoch(seed=seed, epoch=epoch, size=batch, symmetric=not one.fixed)
+        for epoch in count())
     for done in count():
         progress = (done / one.steps if one.steps
                     else (time.process_time() - began) / one.cpu_seconds)
@@ -266,33 +264,19 @@ def schedule(
         yield progress, next(batches)
 
 
-def _batches(
-    captures: CaptureSet, one: Training, *, size: int, seed: int, epoch: int
-) -> Iterator[Any]:
-    """Batches of an epoch; without augmentation where the orientation is fixed."""
-    if not one.fixed:
-        yield from captures.epoch(seed=seed, epoch=epoch, size=size)
-        return
-    order = np.random.default_rng([seed, epoch]).permutation(len(captures))
-    for start in range(0, len(captures) - size + 1, size):
-        yield captures.batch(order[start : start + size], revealed=np.zeros(size, bool))
-
-
 @torch.no_grad()
 def predict(
-    experiment: Experiment, captures: CaptureSet, *, posterior: bool
+    network: torch.nn.Module, captures: CaptureSet, *, posterior: bool
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Estimates (N, 6) of theta, stiffer yarns first, and for a posterior ranks (N, 6) of the truth
-    in the yarn order of the targets.
-    """
+    """Estimates (N, 6) of standardised targets, and for a posterior ranks (N, 6) of the truth."""
     means, all_ranks = [], []
-    for _, part in captures.in_order(_PREDICTION_BATCH):
-        output = part.through(experiment.network)
-        means.append(experiment.scale.decode(output.mean.numpy())[:, :MODULI])
+    for part in captures.in_order(_PREDICTION_BATCH):
+        output = part.through(network)
+        means.append(output.mean.numpy())
         if posterior:
             draws = output.sample(400, torch.Generator().manual_seed(0))
-            all_ranks.append(ranks(draws.numpy(), part.targets.numpy())[:, :MODULI])
-    return stiff_first(np.concatenate(means)), np.concatenate(all_ranks) if posterior else None
+            all_ranks.append(ranks(draws.numpy(), part.targets.numpy()))
+    return np.concatenate(means), np.concatenate(all_ranks) if posterior else None
 
 
 def load_trained(one: Training, result: dict, config: dict[str, Any]) -> Experiment:
@@ -303,11 +287,6 @@ def load_trained(one: Training, result: dict, config: dict[str, Any]) -> Experim
                                   for name, value in weights.items()})
     experiment.network.eval()
     return experiment
-
-
-def stiff_first(theta: np.ndarray) -> np.ndarray:
-    """Theta (N, 6) with the stiffer yarns first."""
-    return np.where(theta[:, [FIRST]] < theta[:, [SECOND]], theta[:, SWAPPED], theta)
 
 
 def log_alpha(trainings: dict[str, dict[str, Any]]) -> dict[str, float]:

@@ -33,11 +33,11 @@ def case(*, number: int, captures: int, edge_mm: float, seed: int) -> dict[str, 
         setups = replace(Setups.load("real"),
                          views=tuple(float(k == count) for k in range(1, 9)))
         found = [infer(capture_drape(shape, setups, np.random.default_rng([seed, number, k])))
-                 for k in range(captures)]  # the same cameras for each number of views
+                 .estimate.samples for k in range(captures)]  # the same cameras for each number
         result[str(count)] = {
-            "error": [((one.theta - plan.theta) / spread()).tolist() for one in found],
-            "deviation": [(one.samples.std(axis=0) / spread()).tolist() for one in found],
-            "rank": [ranks(one.samples[:, None], plan.theta[None])[0].tolist() for one in found]}
+            "error": [((one.mean(axis=0) - plan.theta) / spread()).tolist() for one in found],
+            "deviation": [(one.std(axis=0) / spread()).tolist() for one in found],
+            "rank": [ranks(one[:, None], plan.theta[None])[0].tolist() for one in found]}
     return result
 
 

@@ -19,6 +19,7 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import least_squares
 
 from common.documents import read_arrays
+from common.types import Outline
 from data.fabrics.fabrics import fabric_from_theta
 from experiments.drapes import plan_specimen
 from experiments.result import Config, Result, load_arrays, run_cases
@@ -90,16 +91,16 @@ def read_outlines(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Fabrics (N,), whether the marked face is up (N,), and outlines (N, POINTS), m."""
     arrays = read_arrays(path, ("fabric", "face_up", "outline"),
                          expected="an npz file of outlines with fabric, face_up and outline")
-    azimuths = 2 * np.pi * np.arange(POINTS) / POINTS
-    radii = [np.interp(azimuths, *_by_azimuth(points), period=2 * np.pi)
-             for points in arrays["outline"].astype(float)]
+    radii = [radii_of(points) for points in arrays["outline"].astype(float)]
     return arrays["fabric"], arrays["face_up"].astype(bool), np.array(radii)
 
 
-def _by_azimuth(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    azimuth = np.arctan2(points[:, 1], points[:, 0])
+def radii_of(curve: Outline) -> np.ndarray:
+    """Radii (POINTS,), m, of an outline at equally spaced azimuths."""
+    azimuth = np.arctan2(curve[:, 1], curve[:, 0])
     order = azimuth.argsort()
-    return azimuth[order], np.linalg.norm(points, axis=1)[order]
+    return np.interp(2 * np.pi * np.arange(POINTS) / POINTS, azimuth[order],
+                     np.linalg.norm(curve, axis=1)[order], period=2 * np.pi)
 
 
 class Simulated:

@@ -9,7 +9,6 @@ import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 
 import fake_drapes
 import numpy as np
@@ -52,7 +51,7 @@ from drapenet.batch.captures import entries_of
 from drapenet.config import ServeConfig
 from drapenet.export.formats import TARGETS
 from drapenet.export.material import read_material
-from drapenet.network.checkpoint import header_for, load_model
+from drapenet.network.checkpoint import load_model, read_header
 from drapenet.network.training import load_state, save_state
 from drapenet.refine.registration import read_cloud
 from drapenet.result.files import write_estimate
@@ -217,9 +216,7 @@ def _read_priors(folder: Path) -> None:
 
 
 def _read_checkpoint(folder: Path) -> None:
-    capture = SimpleNamespace(rig=Rig(), warp_direction=None, density=0.15, path="", digest="",
-                              outline=None)
-    header = header_for([capture], str(folder / "net.safetensors"))
+    header = read_header(folder / "net.safetensors")
     _ = header.setups, header.scale, header.identity
     load_model(header)
 
@@ -236,7 +233,7 @@ def _step(model: torch.nn.Module, optimizer: torch.optim.Optimizer) -> None:
     optimizer.step()
 
 
-_RUN = {"settings": {"seed": 0}, "dataset": "0" * 64}
+_RUN = {"settings": {"seed": 0}, "datasets": ["0" * 64]}
 
 
 def _state(folder: Path) -> None:

@@ -25,7 +25,6 @@ from common.errors import InputError
 from data.captures import preview
 from data.captures.board import PAPER, board_picture
 from data.captures.capture import read_capture
-from drapenet.network.checkpoint import header_for
 
 OUTLINES = Path(__file__).resolve().parents[3] / "shared" / "outlines.npz"
 
@@ -200,5 +199,3 @@ def test_the_preview_is_a_picture_and_a_capture_of_numbers(tmp_path, capsys):
     assert again.digest != capture.digest == read_capture(folder).digest
     with Image.open(tmp_path / "out" / "capture.png") as picture:
         assert picture.size == (960, 960)
-    with pytest.raises(InputError, match="not yet estimated"):
-        header_for([capture])

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from cloths import capture_views
+from photographs import drawn, plate, write
 
 import infer
 from common.errors import InputError
@@ -24,6 +25,7 @@ gone,,nowhere
 sound,,{TWILL}
 twice,,3
 twice,,4
+photo,,5
 """
 
 
@@ -33,7 +35,7 @@ def rows(file: Path) -> list[dict[str, str]]:
 
 @pytest.fixture(scope="module")
 def words(tmp_path_factory, untrained_checkpoint) -> list[str]:
-    """Command line for five small captures, a missing one and the bundled one."""
+    """Command line for five small captures, a photograph, a missing one and the bundled one."""
     root = tmp_path_factory.mktemp("root")
     views, intrinsics = capture_views(orientation=0.4)
     for k in range(5):
@@ -41,6 +43,7 @@ def words(tmp_path_factory, untrained_checkpoint) -> list[str]:
             views[0, 45, 60] += 1e-3
         write_capture(root / str(k), views=views, intrinsics=intrinsics, density=0.15,
                       rig=SQUARE_RIG)
+    write(root / "5", drawn(), outline={"plate_px": plate(), "camera_height_mm": 1000})
     (root / "list.csv").write_text(LIST, "utf-8")
     return [f"captures={root / 'list.csv'}", f"out={root / 'out'}", "workers=1",
             f"checkpoint={untrained_checkpoint}"]
@@ -64,7 +67,7 @@ def out(words, printed) -> Path:
 def test_the_tables_hold_every_fabric(out, printed):
     fabrics = {row["fabric"]: row for row in rows(out / "fabrics.csv")}
     assert {name: row["captures"] for name, row in fabrics.items()} == {
-        SCRIPT: "1", "'" + FORMULA: "2", "sound": "1"}
+        SCRIPT: "1", "'" + FORMULA: "2", "sound": "1", "photo": "1"}
     joint, single = fabrics["'" + FORMULA], fabrics[SCRIPT]
     # The fabric's density is half of 300 g/m², and so are its moduli; equal drapes do not vary.
     assert float(single["bias_alpha_uN_m_at_300_g_m2"]) == pytest.approx(
@@ -74,8 +77,8 @@ def test_the_tables_hold_every_fabric(out, printed):
     low, high = summary["bias_68"].split(" to ")
     assert len(summary) == 11
     assert float(low) < float(summary["bias_alpha_uN_m"]) < float(high)
-    assert summary["bias_68"] in printed and "captures: 6 estimated, 1 failed" in printed
-    assert len(rows(out / "captures.csv")) == 4
+    assert summary["bias_68"] in printed and "captures: 7 estimated, 1 failed" in printed
+    assert len(rows(out / "captures.csv")) == 5
 
 
 def test_failures_are_listed_with_their_reasons(out):
@@ -98,7 +101,7 @@ def test_a_fabric_with_warnings_is_marked_wherever_it_is_shown(out, printed):
 
 def test_names_are_text_in_the_pages(out):
     pages = [file.read_text("utf-8") for file in out.rglob("*.html")]
-    assert len(pages) == 4 and not any("<script>" in page for page in pages)
+    assert len(pages) == 5 and not any("<script>" in page for page in pages)
     assert "&lt;script&gt;" in (out / "index.html").read_text("utf-8")
 
 
@@ -106,16 +109,16 @@ def test_only_unfinished_and_changed_captures_are_estimated_again(out, words, ca
     tables = {name: (out / name).read_bytes() for name in ("captures.csv", "failures.csv")}
     done = sorted(out.rglob("done.json"))
     times = {file: file.stat().st_mtime_ns for file in done}
-    assert len(done) == 7
+    assert len(done) == 8
     done[0].unlink()
     infer.main(words)
-    assert "6 of 7 captures are finished; 1 to go" in capsys.readouterr().out
+    assert "7 of 8 captures are finished; 1 to go" in capsys.readouterr().out
     assert all(file.stat().st_mtime_ns == times[file] for file in done[1:])
     assert {name: (out / name).read_bytes() for name in tables} == tables
     file = out.parent / "2" / "capture.yaml"
     file.write_text(file.read_text().replace("150.0", "300.0"))
     infer.main(words)
-    assert "6 of 7 captures are finished" in capsys.readouterr().out
+    assert "7 of 8 captures are finished" in capsys.readouterr().out
     assert {row["density_g_m2"] for row in rows(out / "fabrics.csv")
             if row["fabric"] == SCRIPT} == {"300"}
 
@@ -127,9 +130,9 @@ def test_damaged_samples_cost_their_fabric_and_no_other(out, words, capsys):
     fabric = out / samples.relative_to(out).parts[0]
     assert (fabric / "estimate.json").exists()
     infer.main([*words, "export=csv"])
-    assert {row["fabric"] for row in rows(out / "fabrics.csv")} == {"'" + FORMULA, "sound"}
+    assert {row["fabric"] for row in rows(out / "fabrics.csv")} == {"'" + FORMULA, "sound", "photo"}
     assert not (fabric / "estimate.json").exists() and not (fabric / "index.html").exists()
-    assert capsys.readouterr().out.count("exports: ") == len(list(out.rglob("material.csv"))) == 2
+    assert capsys.readouterr().out.count("exports: ") == len(list(out.rglob("material.csv"))) == 3
     assert any(str(samples) in row["reason"] for row in rows(out / "failures.csv"))
 
 

@@ -11,7 +11,8 @@ from data.render.rays import DepthRenderer
 from drapenet.views.checks import turn_warnings
 from drapenet.views.directions import AZIMUTHS, elevations
 from drapenet.views.located import LocatedViews
-from drapenet.views.radial_map import drape_coefficient, radial_map, side_direction
+from drapenet.views.outline import outline_of_map
+from drapenet.views.radial_map import radial_map, side_direction
 from drapenet.views.turns import CENTRE_BIAS
 from sim.rig import Rig
 
@@ -113,4 +114,4 @@ def test_the_drape_coefficient_is_that_of_the_cloth(renderer, pitch):
     found = radial_map(
         LocatedViews.registered(cone.views(camera), camera, Rig(), QUARTERS), zero=0.0)
     expected = np.pi * (0.11**2 - 0.05**2) / (0.09 - np.pi * 0.05**2)
-    assert drape_coefficient(found, Rig()) == pytest.approx(expected, abs=0.008)
+    assert outline_of_map(found, Rig()).coefficient(Rig()) == pytest.approx(expected, abs=0.008)

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,31 +10,25 @@ from estimates import document_of, estimate_of
 import drapenet
 from common.errors import InputError
 from common.files import replace_json
-from data.captures.capture import Capture
-from data.captures.description import whole_turns
-from data.render.cameras import nominal_camera
+from data.fabrics.properties import ClothProperties
 from drapenet.network.checkpoint import Header, read_header
 from drapenet.network.predict import Draws
 from drapenet.result.document import Quantity
 from drapenet.result.estimate import make_estimate
 from drapenet.result.files import read_document, write_estimate
-from sim.material import DIRECTIONS, MICRO, SWAPPED, is_admissible
-from sim.rig import SQUARE_RIG
+from sim.material import DIRECTIONS, MICRO, is_admissible
 
-CAPTURE = Capture(np.zeros((4, 180, 240), np.float32), nominal_camera().intrinsics, whole_turns(4),
-                  0.15, None, SQUARE_RIG, Path("here"), ())
+DENSITY = 0.15
 
 
-def drawn(
-    alpha: list[float], *, axis: float = 0.5, deviation: float = 0.1, disc: float = 0.0
-) -> Draws:
-    """Samples around alphas in µN·m at 300 g/m² and beta = -2.5 mm alpha; on a disc the axes
-    spread by ``disc``, rad.
-    """
+def drawn(alpha: list[float], *, known: bool = True, deviation: float = 0.1) -> Draws:
+    """Samples around alphas in µN·m at 300 g/m² and beta = -2.5 mm alpha."""
     rng = np.random.default_rng(0)
     theta = np.concatenate([np.log(np.array(alpha) * MICRO), np.full(3, -2.5e-3)])
     samples = theta + rng.normal(size=(4000, 6)) * np.array([deviation] * 3 + [3e-4] * 3)
-    return Draws(samples, axis + disc * rng.normal(size=4000), 0.0)
+    cloth = ClothProperties(samples, rng.normal(2, 0.5, (4000, 2)),
+                            rng.lognormal(np.log(600), 0.1, 4000), rng.uniform(0.1, 0.3, 4000))
+    return Draws(cloth, known, 0.0)
 
 
 @pytest.fixture
@@ -43,79 +36,60 @@ def header(untrained_checkpoint) -> Header:
     return read_header(untrained_checkpoint)
 
 
-@pytest.mark.parametrize("turn", [0.0, np.pi / 2])
-@pytest.mark.parametrize("disc", [0.0, 0.2])
-def test_stiff_is_the_direction_that_is_stiffer(header, turn, disc):
-    draws = drawn([60, 40, 20], axis=0.5 + turn, disc=disc)
-    if turn:  # the same fabric, its samples in the other order
-        draws = replace(draws, theta=draws.theta[:, SWAPPED])
-    estimate = make_estimate(draws, capture=CAPTURE, header=header)
-    assert estimate.names == ("stiff", "bias", "soft")
+@pytest.mark.parametrize(("known", "names"), [
+    (True, ("warp", "bias", "weft")), (False, ("stiff", "bias", "soft"))])
+def test_a_stated_warp_names_the_directions(header, known, names):
+    estimate = make_estimate(drawn([60, 40, 20], known=known), density=DENSITY, header=header)
+    assert estimate.names == names and not estimate.warnings
     assert estimate.fabric.alpha / MICRO == pytest.approx([30, 20, 10], rel=0.02)  # half density
-    assert estimate.axis == pytest.approx(0.5, abs=0.02)
-    assert estimate.certainty == pytest.approx(1.0, abs=0.01)
-    assert not estimate.warnings
+    assert estimate.nuisances.membrane == pytest.approx(600, rel=0.02)
 
 
-@pytest.mark.parametrize(("warp", "alpha"), [
-    (0.5, [60, 40, 20]), (0.55, [60, 40, 20]), (0.5 + np.pi / 2, [20, 40, 60]),
-    (0.5 - np.pi / 2, [20, 40, 60])])
-@pytest.mark.parametrize("disc", [0.0, 0.2])
-def test_a_marked_warp_names_the_directions(header, warp, alpha, disc):
-    capture = replace(CAPTURE, warp_direction=warp % np.pi)
-    estimate = make_estimate(drawn([60, 40, 20], disc=disc), capture=capture, header=header)
-    assert estimate.names == ("warp", "bias", "weft")
-    assert np.exp(estimate.theta[:3]) / MICRO == pytest.approx(alpha, rel=0.02)
-    assert estimate.axis == pytest.approx(warp % np.pi)
-    assert not estimate.warnings
-
-
-@pytest.mark.parametrize(("alpha", "warp", "doubt", "times"), [
-    ([60, 40, 20], 0.5 + np.radians(35), "warp lies 35° from the yarns", 1),
-    ([40, 40, 39], None, "stiffer yarns is uncertain", 1),
-    ([6000, 4000, 2000], None, "extrapolation", 3)])
-def test_what_is_doubtful_is_told(header, alpha, warp, doubt, times):
-    estimate = make_estimate(drawn(alpha), capture=replace(CAPTURE, warp_direction=warp),
-                             header=header)
+@pytest.mark.parametrize(("alpha", "impossible", "doubt", "times"), [
+    ([60, 40, 20], 0.3, "30% of the posterior samples", 1),
+    ([6000, 4000, 2000], 0.1, "extrapolation", 3)])
+def test_what_is_doubtful_is_told(header, alpha, impossible, doubt, times):
+    draws = replace(drawn(alpha), impossible=impossible)
+    estimate = make_estimate(draws, density=DENSITY, header=header)
     assert sum(doubt in line for line in estimate.warnings) == times
-    assert (0.5 <= estimate.certainty < 0.8) == ("stiffer" in doubt)
 
 
 def test_the_median_is_a_possible_fabric(header):
     """Samples on both sides of the impossible: none of them is impossible, their medians are."""
     draws = drawn([60, 40, 20])
-    theta = draws.theta.copy()
+    theta = draws.cloth.theta.copy()
     theta[:, :3] = np.log(MICRO * np.array([60, 2.4, 20.0]))
     theta[::2, 1] += 2.0
     theta[1::2, 0] -= 1.0
-    possible = is_admissible(np.exp(theta[:, :3]), np.zeros((len(theta), 3)))
-    estimate = make_estimate(replace(draws, theta=theta[possible]), capture=CAPTURE, header=header)
+    draws = Draws.possible(replace(draws.cloth, theta=theta), known=True)
+    estimate = make_estimate(draws, density=DENSITY, header=header)
     assert is_admissible(estimate.fabric.alpha, estimate.fabric.beta)
 
 
 def test_a_document_holds_medians_intervals_correlations_and_the_law(header):
-    estimate = make_estimate(drawn([60, 40, 20], deviation=0.2), capture=CAPTURE, header=header)
+    estimate = make_estimate(drawn([60, 40, 20], deviation=0.2), density=DENSITY, header=header)
     content = document_of(estimate).content()
     json.dumps(content, allow_nan=False)
     for part, factor in (("moduli", 0.5), ("moduli_at_300_g_m2", 1.0)):
-        alpha = content[part]["stiff"]["alpha_uN_m"]
+        alpha = content[part]["warp"]["alpha_uN_m"]
         assert alpha["median"] == pytest.approx(60 * factor, rel=0.02)
         assert alpha["interval_68"] == pytest.approx(
             60 * factor * np.exp([-0.2, 0.2]), rel=0.03)
         assert alpha["interval_90"] == pytest.approx(
             60 * factor * np.exp([-0.329, 0.329]), rel=0.03)
-        beta = content[part]["soft"]["beta_nN_m2"]["median"]
+        beta = content[part]["weft"]["beta_nN_m2"]["median"]
         assert beta == pytest.approx(-50 * factor, rel=0.03)
     assert np.shape(content["correlations"]["matrix"]) == (6, 6)
     law = content["torque_mN"]
     expected = 30e-6 * 25 * (1 - 2.5e-3 * 25) * 1e3
-    assert law["stiff"]["median"][0] == pytest.approx(expected, rel=0.02)
-    assert np.shape(law["stiff"]["interval_90"]) == (2, len(law["curvature_1_m"]))
-    assert content["poorly_constrained"] == [] and "stiff_axis" in content
+    assert law["warp"]["median"][0] == pytest.approx(expected, rel=0.02)
+    assert np.shape(law["warp"]["interval_90"]) == (2, len(law["curvature_1_m"]))
+    assert content["poorly_constrained"] == []
+    assert content["cloth"]["membrane_n_per_m"]["median"] == pytest.approx(300, rel=0.02)
 
 
 def test_what_is_as_wide_as_the_prior_is_poorly_constrained(header):
-    document = document_of(make_estimate(drawn([60, 40, 20], deviation=0.8), capture=CAPTURE,
+    document = document_of(make_estimate(drawn([60, 40, 20], deviation=0.8), density=DENSITY,
                                          header=header))
     assert "alpha bias" in document.poorly_constrained
     assert "beta/alpha bias" not in document.poorly_constrained
@@ -141,10 +115,10 @@ def test_an_estimate_is_loaded_with_its_samples(tmp_path):
     np.testing.assert_array_equal(loaded.samples, estimate.samples)
     assert np.median(loaded.moduli()[0], axis=0) == pytest.approx(alpha)  # N·m
     assert (loaded.names, loaded.density, loaded.warnings) == (DIRECTIONS, 0.15, ("holes",))
-    assert loaded.axis == pytest.approx(estimate.axis)
-    for samples, spread in ((estimate.samples + 1, estimate.spread), (np.zeros((9, 5)), np.ones(5)),
-                            (np.array([{}]), estimate.spread)):
-        np.savez(tmp_path / "samples.npz", samples=samples, spread=spread)
+    cloth = vars(estimate.cloth) | {"spread": estimate.spread}
+    for change in ({"theta": estimate.samples + 1}, {"theta": np.zeros((9, 5))},
+                   {"spread": np.ones(5)}, {"curl": np.zeros(13)}, {"theta": np.array([{}])}):
+        np.savez(tmp_path / "samples.npz", **cloth | change)
         with pytest.raises(InputError, match=r"samples\.npz"):
             drapenet.load(tmp_path / "estimate.json")
 

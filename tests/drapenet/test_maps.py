@@ -5,15 +5,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cloths import write_dataset
 
 from data.dataset.folder import finished_manifest
 from data.fabrics.fabrics import to_theta
 from data.fabrics.nuisances import Nuisances
 from data.render.setups import Setups
+from drapenet.network import dataset
 from drapenet.network.dataset import drape_derivatives, make_maps, maps_of_shard, neighbour
+from drapenet.network.training import CaptureSet
 from sim.drape import Drape, drape, follow
 from sim.material import MICRO, Fabric
-from sim.rig import Rig
+from sim.rig import SMALL_DISC_RIG, SQUARE_RIG, Rig
 
 SETUPS = replace(Setups.load(), sensors={"none": 1.0})  # costs least
 FABRIC = Fabric(np.array([30.0, 20.0, 25.0]) * MICRO, np.array([-60.0, -50.0, -40.0]) * 1e-9)
@@ -41,9 +44,28 @@ def test_files_do_not_depend_on_workers_or_interruptions(files, cloth_dataset):
 
 def test_captures_of_a_drape_differ(cloth_dataset):
     shard = next(cloth_dataset.glob("shard_*.h5"))
-    maps = maps_of_shard(shard, rig=Rig(), setups=SETUPS, captures=2, seed=4, neighbours=False)
+    maps = maps_of_shard(shard, setups=SETUPS, captures=2, seed=4, neighbours=False, outlines=0)
     assert len(maps) == 2 * len(np.unique(maps.index))
     assert not np.array_equal(maps.distance[0], maps.distance[1])
+
+
+def test_drapes_of_several_testers_have_depth_captures_and_outlines(tmp_path, monkeypatch):
+    rigs = [SQUARE_RIG, SMALL_DISC_RIG]
+    folder = write_dataset(tmp_path / "several", drapes=8, seed=2,
+                           testers=tuple(rig.name for rig in rigs))
+    monkeypatch.setattr(dataset, "drape_derivatives",
+                        lambda row, positions, *_: np.full((7, *positions.shape), 1e-4))
+    maps = make_maps(folder, finished_manifest(folder), tmp_path, setups=SETUPS, captures=2,
+                     seed=4, neighbours=True, outlines=2)
+    sizes = {(rig.specimen_size, rig.plate_diameter / rig.specimen_size) for rig in rigs}
+    assert set(zip(maps.size, maps.plate, strict=True)) == sizes and len(maps) == 32
+    assert (maps.disc == (maps.size == SMALL_DISC_RIG.specimen_size)).all()
+    shadow = maps.views == 0  # outlines only
+    assert shadow.sum() == 16 and maps.moved.sum() == 24
+    assert (maps.weight.max(axis=(1, 2)) > 0).tolist() == (~shadow).tolist()
+    assert np.isnan(maps.hem[shadow]).all() and np.isfinite(maps.hem[~shadow]).mean() > 0.7
+    assert (maps.silhouettes[:, -1] <= maps.silhouettes[:, 0]).all()  # from the lowest camera
+    assert len(CaptureSet(maps)) == 8 * 4
 
 
 @pytest.fixture(scope="module")

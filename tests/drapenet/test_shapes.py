@@ -26,8 +26,9 @@ def test_captured_surface_lies_on_the_drape_that_was_captured():
     renderer = DepthRenderer(result.positions, result.faces)
     views = renderer.views(camera, 0.4, turns)
     located = LocatedViews.registered(views, camera, RIG, turns)
-    shown = Resimulation(located, views, result, turned(result.positions, 0.4), ("converged",))
-    scene = trimesh.load(io.BytesIO(drape_glb(located, shown)), file_type="glb")
+    shown = Resimulation.beside(located, views, result, turned(result.positions, 0.4),
+                                ("converged",))
+    scene = trimesh.load(io.BytesIO(drape_glb(RIG, located, shown)), file_type="glb")
     simulated, captured = (scene.geometry[name] for name in ("simulated", "captured"))
     # glTF's y is up: right, up, towards the camera.
     lies = turned(result.positions, 0.4)[:, [0, 2, 1]] * [1, 1, -1]

@@ -1,77 +1,78 @@
-"""Targets, their symmetries, and what the network does with them."""
+"""Targets are those of the fabric in units of its weight and the specimen's size."""
 
 import numpy as np
 import pytest
 import torch
 
-from drapenet.network.model import KNOWN, MapNet, known_of
-from drapenet.network.targets import Symmetry, TargetScale, targets_of
-from drapenet.views.directions import AZIMUTHS, ELEVATIONS
+from data.fabrics.properties import ClothProperties
+from drapenet.network.targets import (
+    SYMMETRIES,
+    TARGETS,
+    Symmetry,
+    TargetScale,
+    cloth_of,
+    stiffer_first,
+    targets_of,
+)
+from drapenet.views.directions import AZIMUTHS
 from sim.material import SWAPPED
 
-THETA = np.array([[-10.0, -10.5, -11.0, -1e-3, -2e-3, -3e-3]])
+CLOTH = ClothProperties(np.array([[-10.5, -11.0, -11.2, -2e-3, -3e-3, -1e-3]]),
+                        np.array([[4.0, -2.0]]), np.array([500.0]), np.array([0.2]))
 
 
-@pytest.mark.parametrize("quarters", range(-2, 5))
-def test_the_yarns_along_azimuth_0_come_first(quarters):
-    warp = np.array([quarters * np.pi / 2 + 0.3])
-    expected = THETA[:, SWAPPED] if quarters % 2 else THETA
-    assert np.array_equal(targets_of(THETA, warp, disc=False), expected)
+def test_targets_of_a_fabric_are_undone() -> None:
+    size = np.array([0.36])
+    back = cloth_of(targets_of(CLOTH, size), size)
+    for name, part in vars(CLOTH).items():
+        np.testing.assert_allclose(getattr(back, name), part, rtol=1e-12, err_msg=name)
 
 
-@pytest.mark.parametrize(("theta", "stiff"), [(THETA, 0.4), (THETA[:, SWAPPED], 0.4 + np.pi / 2)])
-def test_targets_of_a_disc_are_sorted_and_have_a_direction(theta, stiff):
-    targets = targets_of(theta, np.array([0.4]), disc=True)
-    assert targets[:, :6] == pytest.approx(THETA)
-    weight = np.tanh(1.0)
-    assert targets[0, 6:] == pytest.approx([weight * np.cos(2 * stiff), weight * np.sin(2 * stiff)])
+def test_similar_specimens_have_the_same_targets() -> None:
+    """As sim.similarity's tests: lengths times s, alpha times s³, beta times s⁴, membrane times s,
+    curvatures divided by s."""
+    scale = 1.3
+    theta = CLOTH.theta + np.array([3 * np.log(scale)] * 3 + [0.0] * 3)
+    theta[:, 3:] *= scale
+    larger = ClothProperties(theta, CLOTH.curl / scale, CLOTH.membrane * scale, CLOTH.hysteresis)
+    np.testing.assert_allclose(targets_of(larger, np.array([scale * 0.3])),
+                               targets_of(CLOTH, np.array([0.3])), rtol=1e-12)
 
 
-@pytest.mark.parametrize("disc", [False, True])
-def test_a_turned_map_is_that_of_a_turned_specimen(disc):
-    """A bump stands for the warp: it must go where the targets say."""
-    symmetry = Symmetry.draw(40, disc=disc, rng=np.random.default_rng(2))
-    warp_cell = 10
-    warp = (warp_cell + 0.5) * 2 * np.pi / AZIMUTHS
-    maps = torch.zeros(40, AZIMUTHS, ELEVATIONS)
-    maps[:, warp_cell] = 1.0
-    moved = symmetry.of_maps(maps)[:, :, 0].argmax(dim=1)
-    turned = (moved.numpy() + 0.5) * 2 * np.pi / AZIMUTHS
-    before = torch.from_numpy(targets_of(THETA.repeat(40, 0), np.full(40, warp), disc=disc))
-    after = targets_of(THETA.repeat(40, 0), turned, disc=disc)
-    assert symmetry.of_targets(before, disc=disc).numpy() == pytest.approx(after, abs=1e-6)
-    assert symmetry.undone(torch.from_numpy(after), disc=disc).numpy() == pytest.approx(
-        before.numpy(), abs=1e-6)
+def test_the_stiffer_yarns_come_first_with_their_curl() -> None:
+    targets = targets_of(CLOTH, np.array([0.3]))
+    swapped = ClothProperties(CLOTH.theta[:, SWAPPED], CLOTH.curl[:, ::-1], CLOTH.membrane,
+                              CLOTH.hysteresis)
+    exchanged = targets_of(swapped, np.array([0.3]))
+    np.testing.assert_array_equal(stiffer_first(targets), targets)
+    np.testing.assert_array_equal(stiffer_first(exchanged), targets)
 
 
-def test_the_scale_of_a_square_does_not_know_warp_from_weft():
-    targets = np.random.default_rng(0).normal(size=(50, 6)) * np.arange(1, 7)
-    scale = TargetScale.fit(targets, disc=False)
-    assert np.array_equal(scale.mean, scale.mean[SWAPPED])
-    assert np.array_equal(scale.std, scale.std[SWAPPED])
-    assert scale.decode(scale.encode(targets)) == pytest.approx(targets)
+def test_symmetries_keep_a_known_warp_on_its_axis() -> None:
+    """A picture of two spots on the warp is changed by no symmetry of a known warp, and by the
+    quarter turns and turns by any cell of the others."""
+    rows = torch.zeros(1, AZIMUTHS)
+    rows[0, [0, AZIMUTHS - 1, AZIMUTHS // 2 - 1, AZIMUTHS // 2]] = 1.0  # cells beside the axis
+    for k in range(SYMMETRIES):
+        assert torch.equal(Symmetry.number(k, np.array([True])).of_rows(rows), rows)
+    turned = Symmetry.number(1, np.array([False])).of_rows(rows)
+    assert torch.equal(turned, rows.roll(AZIMUTHS // 4, 1))
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        drawn = Symmetry.draw(known=np.array([True]), disc=np.array([True]), rng=rng)
+        assert torch.equal(drawn.of_rows(rows), rows)
 
 
-def test_the_scale_of_a_disc_turns_with_it():
-    targets = np.random.default_rng(0).normal(size=(50, 8)) + 0.3
-    scale = TargetScale.fit(targets, disc=True)
-    assert scale.mean[6:].tolist() == [0.0, 0.0] and scale.std[6] == scale.std[7]
+@pytest.mark.parametrize(("disc", "count"), [(False, 4), (True, AZIMUTHS)])
+def test_an_unknown_warp_may_be_turned_as_the_specimen_allows(disc: bool, count: int) -> None:
+    rng = np.random.default_rng(0)
+    drawn = {int(Symmetry.draw(known=np.array([False]), disc=np.array([disc]), rng=rng).cells[0])
+             for _ in range(2000)}
+    assert len(drawn) == count
 
 
-def test_the_network_closes_around_the_axis():
-    """A map turned by a quarter gives the features turned, so averages over it stay."""
-    torch.manual_seed(0)
-    network = MapNet(width=4, components=2, targets=6, distance=0.1, spread=0.02).eval()
-    maps = torch.randn(1, AZIMUTHS, ELEVATIONS)
-    stages = torch.nn.Sequential(network.stem, network.stages)
-    channels = maps.transpose(1, 2)[:, None].expand(-1, 4, -1, -1)
-    first = stages(channels)
-    second = stages(channels.roll(AZIMUTHS // 4, dims=3))
-    assert torch.allclose(first.roll(first.shape[3] // 4, dims=3), second, atol=1e-5)
-
-
-def test_what_is_not_known_has_a_flag():
-    """The last two inputs state that there is no friction beside the moduli."""
-    known = known_of(torch.tensor([4, 8]), torch.tensor([316.0, np.nan]))
-    assert known.shape == (2, KNOWN)
-    assert known.tolist() == pytest.approx(np.array([[0, 1, 0, 1, -1], [1, 0, 0, 1, -1]]), abs=1e-6)
+def test_the_scale_is_the_same_for_warp_and_weft() -> None:
+    targets = np.random.default_rng(0).normal(size=(50, TARGETS)) * np.arange(1, TARGETS + 1)
+    scale = TargetScale.fit(targets)
+    np.testing.assert_allclose(scale.decode(scale.encode(targets)), targets)
+    assert scale.std[0] == scale.std[2] and scale.mean[6] == scale.mean[7]

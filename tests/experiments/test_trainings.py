@@ -10,22 +10,25 @@ from cloths import skirt
 
 from data.render.cameras import nominal_camera
 from data.render.rays import DepthRenderer
-from drapenet.network.targets import Symmetry
+from drapenet.network.targets import Symmetry, TargetScale
 from drapenet.views.directions import AZIMUTHS, ELEVATIONS, elevations
 from experiments.__main__ import main
 from experiments.papers import networks
 from experiments.papers.networks import (
+    CaptureSet,
     Classes,
     FoldNetwork,
-    Outline,
+    MapNetwork,
     Regression,
     ViewNetwork,
+    outline,
     output_head,
+    stiff_first,
 )
 from experiments.papers.space import linear_fit
-from experiments.papers.trainings import UniformPrior, stiff_first
+from experiments.papers.trainings import UniformPrior
 from sim.drape import drape
-from sim.material import Fabric
+from sim.material import SWAPPED, Fabric
 from sim.rig import Rig
 from sim.scene import make_specimen
 
@@ -67,7 +70,7 @@ def waves(folds: int) -> tuple[torch.Tensor, torch.Tensor, np.ndarray]:
 
 def test_an_outline_is_the_hem_of_a_map():
     distance, weight, radius = waves(5)
-    found, height = Outline(RIG)(distance, weight)
+    found, height = outline(distance, weight)
     np.testing.assert_allclose(found[0], radius, rtol=1e-5)
     borders = elevations(RIG)
     np.testing.assert_allclose(height[0], radius * np.tan((borders[10] + borders[11]) / 2),
@@ -77,10 +80,10 @@ def test_an_outline_is_the_hem_of_a_map():
 @pytest.mark.parametrize("folds", [4, 7])
 def test_inputs_are_drape_coefficient_and_number_of_folds(folds):
     distance, weight, radius = waves(folds)
-    network = FoldNetwork(rig=RIG, output="regression", targets=6)
+    network = FoldNetwork("regression")
     layer_inputs = []
     network.layers.register_forward_pre_hook(lambda _, inputs: layer_inputs.append(inputs[0]))
-    network(distance, weight, torch.zeros(1, 5))
+    network(distance, weight)
     plate = np.pi * RIG.plate_radius**2
     coefficient = (np.pi * np.mean(radius**2) - plate) / (RIG.specimen_area - plate)
     assert layer_inputs[0][0, 0].item() == pytest.approx(10 * coefficient - 2, rel=1e-4)
@@ -89,9 +92,33 @@ def test_inputs_are_drape_coefficient_and_number_of_folds(folds):
 
 @pytest.mark.parametrize("name", ["resnet18", "alexnet", "efficientnet_b0"])
 def test_backbones_have_inputs_of_four_views_and_a_focal_length(name):
-    network = ViewNetwork(name, channels=5, output="posterior", targets=8)
+    network = ViewNetwork(name, output="posterior")
     answer = network(torch.rand(2, 5, 60, 80))
-    assert answer.means.shape == (2, 2, 8)
+    assert answer.means.shape == (2, 2, 6)
+
+
+def test_a_map_is_read_alike_from_any_azimuth():
+    """Around the axis; its place relative to the yarns is an input with a period of half a turn."""
+    network = MapNetwork(4, output="regression", distance=0.09, spread=0.02).eval()
+    distance, weight, _ = waves(5)
+    distance = distance + 0.01 * torch.rand(1, AZIMUTHS, ELEVATIONS)
+    here, there, quarter = (network(distance.roll(cells, dims=1), weight).mean
+                            for cells in (0, AZIMUTHS // 2, AZIMUTHS // 4))
+    assert torch.allclose(here, there, atol=1e-5) and not torch.allclose(here, quarter, atol=1e-5)
+
+
+def test_targets_do_not_depend_on_the_direction_of_the_warp():
+    theta = np.random.default_rng(0).normal(size=(8, 6))
+    maps = np.random.default_rng(1).random((8, AZIMUTHS, ELEVATIONS)).astype(np.float16)
+    captures, swapped = (CaptureSet.of_maps(
+        maps, np.zeros_like(maps, np.uint8), part, np.arange(8),
+        TargetScale(np.zeros(6), np.ones(6))) for part in (theta, theta[:, SWAPPED]))
+    assert torch.equal(captures.targets, swapped.targets)
+    batch, = captures.epoch(seed=0, epoch=0, size=8, symmetric=True)
+    plain, = captures.epoch(seed=0, epoch=0, size=8, symmetric=False)
+    assert torch.equal(batch.targets, plain.targets)
+    assert not torch.equal(batch.inputs[0], plain.inputs[0])
+    assert plain.inputs[0].max().item() == pytest.approx(RIG.specimen_size, rel=0.01)  # metres
 
 
 def test_stiffer_yarns_come_first():
@@ -140,7 +167,7 @@ def test_symmetries_of_views_are_those_of_the_specimen():
 
     for quarters, mirror in product(range(4), (False, True)):
         symmetry = Symmetry(torch.tensor([32 * quarters]), torch.tensor([mirror]))
-        found, = networks.apply_symmetry(views(cloth.positions)[None], symmetry)
+        found, = networks.turn_views(symmetry, views(cloth.positions)[None])
         spun = np.linalg.matrix_power(turn, quarters)
         first = np.array([[np.cos(0.3), -np.sin(0.3), 0], [np.sin(0.3), np.cos(0.3), 0], [0, 0, 1]])
         shown = cloth.positions @ first.T * ([-1, 1, 1] if mirror else 1) @ spun.T @ first

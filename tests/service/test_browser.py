@@ -8,9 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from drapenet.network.checkpoint import BUNDLED
 from experiments.speed.service import EXAMPLE, Service
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser,
+              pytest.mark.skipif(not BUNDLED.exists(), reason="no network is bundled")]
 FILES = [str(file) for file in (*sorted(EXAMPLE.glob("*.png")), EXAMPLE / "capture.yaml")]
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 DRAWING = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]

@@ -1,0 +1,62 @@
+"""Outlines of drapes by azimuth."""
+
+import numpy as np
+import pytest
+
+from drapenet.report.drape import resimulate_outline
+from drapenet.views.directions import AZIMUTHS
+from drapenet.views.outline import DrapeOutline, outline_of_curve, silhouettes
+from sim.drape import drape
+from sim.material import MICRO, Fabric
+from sim.measures import drape_coefficient
+from sim.rig import DISC_RIG, SQUARE_RIG
+from sim.scene import make_specimen
+
+ANGLE = np.linspace(0, 2 * np.pi, 400, endpoint=False)
+
+
+def test_the_radius_of_a_curve_runs_from_azimuth_zero() -> None:
+    radius = 0.12 + 0.01 * np.cos(2 * (ANGLE - 0.4))
+    curve = radius[:, None] * np.column_stack([np.cos(ANGLE), np.sin(ANGLE)])
+    azimuth = (np.arange(AZIMUTHS) + 0.5) * 2 * np.pi / AZIMUTHS
+    outline = outline_of_curve(curve, zero=0.4)
+    np.testing.assert_allclose(outline.radius, 0.12 + 0.01 * np.cos(2 * azimuth), atol=1e-4)
+
+
+def test_a_flat_specimen_covers_all_of_its_area() -> None:
+    for rig in (DISC_RIG, SQUARE_RIG):
+        half = rig.specimen_size / 2
+        side = np.maximum(np.abs(np.cos(ANGLE)), np.abs(np.sin(ANGLE)))
+        radius = half / side if rig.specimen == "square" else np.full(len(ANGLE), half)
+        curve = radius[:, None] * np.column_stack([np.cos(ANGLE), np.sin(ANGLE)])
+        assert outline_of_curve(curve).coefficient(rig) == pytest.approx(1.0, abs=0.01)
+
+
+def test_half_an_outline_has_no_drape_coefficient() -> None:
+    radius = np.where(np.arange(AZIMUTHS) < AZIMUTHS * 0.45, 0.12, np.nan)
+    assert np.isnan(DrapeOutline(radius).coefficient(DISC_RIG))
+
+
+def test_a_low_hem_looks_smaller_to_a_camera() -> None:
+    """A cone whose hem is 50 mm below the plate: 6 mm smaller from 1 m (similar triangles)."""
+    mesh = make_specimen(DISC_RIG, edge=8e-3).mesh
+    radius = np.linalg.norm(mesh.rest, axis=1)
+    slope = 0.05 / radius.max()
+    cone = np.column_stack([mesh.rest, -slope * radius])
+    parallel, near = silhouettes(cone, mesh.edges, np.array([np.inf, 1.0]), zero=0.0)
+    np.testing.assert_allclose(near, parallel / 1.05, rtol=1e-3)
+    assert (parallel - near).mean() == pytest.approx(7.1e-3, abs=1e-3)
+
+
+def test_the_drape_coefficient_of_a_photograph_is_corrected_for_its_perspective() -> None:
+    """By another drape of the same fabric."""
+    fabric = Fabric(np.array([30, 20, 25]) * MICRO, np.zeros(3))
+    seen = drape(fabric, rig=DISC_RIG, edge=9e-3, start="sine", seed=5)
+    radius, = silhouettes(seen.positions, seen.mesh.edges, np.array([1.0]), zero=0.3)
+    photograph = DrapeOutline(radius, 1.0)
+    found = resimulate_outline(fabric, photograph, DISC_RIG, edge=9e-3, drapes=1)
+    coefficient = drape_coefficient(seen.positions, seen.faces, DISC_RIG)
+    assert photograph.coefficient(DISC_RIG) < coefficient - 0.05
+    assert photograph.coefficient(DISC_RIG) + found.perspective == pytest.approx(
+        coefficient, abs=0.01)
+    assert found.overlap > 0.85 and not found.warnings
