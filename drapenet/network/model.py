@@ -38,7 +38,8 @@ class Facts:
     Attributes:
         size: of the specimens, m.
         plate: diameter of the plate over the specimen's size.
-        known: whether the captures of its set have azimuth 0 along the warp.
+        known: whether the captures of its set have azimuth 0 along the warp (or, after a quarter
+            turn, see :meth:`Batch.turned`, along the weft).
         views: their number in a depth capture, 0 without.
         perspective: size over the camera's height, of an outline; 0 under parallel light.
         coefficient: drape coefficient, from 0 to 1, of the outline or as reported.
@@ -67,7 +68,7 @@ class Facts:
         """(N, :data:`FACTS`) scalar inputs of the network."""
         size = self.sizes[self.group]
         columns = [np.log(size / _SIZE), np.log(self.size / size), 2 * self.plate - 1, self.disc,
-                   self.known, self.views / 4 - 1, self.views > 0]
+                   self.known, self.known, self.views / 4 - 1, self.views > 0]
         for part, unit in ((self.perspective, 0.4), (self.coefficient, 0.5), (self.nodes, 8.0)):
             finite = np.isfinite(part)
             columns += [finite, np.where(finite, part, unit) / unit - 1]
@@ -77,7 +78,8 @@ class Facts:
         return torch.from_numpy(np.column_stack(columns).astype(np.float32))
 
 
-FACTS = 18
+FACTS = 19
+_WARP = 5  # column: 1 if azimuth 0 is along the warp, -1 along the weft, 0 not known
 
 
 @dataclass(frozen=True)
@@ -104,8 +106,10 @@ class Batch:
 
     def turned(self, symmetry: Symmetry) -> "Batch":
         """The batch with ``symmetry`` applied to its captures, not to its targets."""
-        return replace(self, **{name: symmetry.of_rows(getattr(self, name))
-                                for name in ("distance", "weight", "outline")})
+        facts = self.facts.clone()
+        facts[symmetry.exchanged, _WARP] *= -1
+        return replace(self, facts=facts, **{name: symmetry.of_rows(getattr(self, name))
+                                             for name in ("distance", "weight", "outline")})
 
     def through(self, network: torch.nn.Module) -> Mixture:
         """The network's posterior, on its device."""

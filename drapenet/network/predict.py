@@ -15,7 +15,7 @@ from data.fabrics.properties import ClothProperties
 from drapenet.network.checkpoint import Header
 from drapenet.network.model import Batch, DrapeNet, Facts, compressed
 from drapenet.network.posterior import Samples
-from drapenet.network.targets import SYMMETRIES, Symmetry, cloth_of
+from drapenet.network.targets import SYMMETRIES, Symmetry, cloth_of, exchanged
 from drapenet.views.directions import AZIMUTHS, ELEVATIONS
 from drapenet.views.observation import Observation
 from sim.material import is_admissible
@@ -45,10 +45,13 @@ def sample_targets(network: DrapeNet, header: Header, batch: Batch, known: np.nd
     """:data:`DRAWS` samples of the targets of each set, not standardised; ``known``: (N,) of the
     captures, as in :class:`drapenet.network.model.Facts`."""
     drawn = []
+    along = np.zeros(int(batch.group.max()) + 1, bool)  # known, of each set
+    along[batch.group.numpy()] = known
     for k in range(SYMMETRIES):
-        mixture = batch.turned(Symmetry.number(k, known)).through(network).cpu()
+        symmetry = Symmetry.number(k, len(known))
+        mixture = batch.turned(symmetry).through(network).cpu()
         samples = mixture.sample(DRAWS // SYMMETRIES, torch.Generator().manual_seed(k)).double()
-        drawn.append(header.scale.decode(samples.numpy()))
+        drawn.append(exchanged(header.scale.decode(samples.numpy()), along & (k % 2 > 0)))
     return np.concatenate(drawn)
 
 

@@ -19,6 +19,7 @@ from sim.material import FIRST, REFERENCE_DENSITY, SECOND, SWAPPED
 from sim.rig import GRAVITY
 
 SYMMETRIES = 8  # over which estimates are averaged
+QUARTER = AZIMUTHS // 4
 MODULI = 6  # the first targets, in the order of theta
 TARGETS = 10  # moduli, curl along warp and weft, log membrane, hysteresis
 CURL, MEMBRANE, HYSTERESIS = slice(6, 8), 8, 9
@@ -53,30 +54,45 @@ def cloth_of(targets: TargetArray, size: Sizes) -> ClothProperties:
 def stiffer_first(targets: TargetArray) -> TargetArray:
     """The targets with warp and weft exchanged where the weft is stiffer."""
     soft = targets[..., FIRST] < targets[..., SECOND]
-    return np.where(soft[..., None], targets[..., _SWAPPED], targets)
+    return exchanged(targets, soft)
+
+
+def exchanged(targets: TargetArray, where: np.ndarray) -> TargetArray:
+    """The targets with warp and weft exchanged ``where`` (...,)."""
+    return np.where(where[..., None], targets[..., _SWAPPED], targets)
 
 
 @dataclass(frozen=True)
 class Symmetry:
-    """Rotations and reflections of N captures that give equally likely captures."""
+    """Rotations and reflections of N captures that give equally likely captures.
+
+    A quarter turn gives the capture of the fabric with warp and weft exchanged.
+    """
 
     cells: torch.Tensor  # (N,) azimuth cells of the rotation
     mirror: torch.Tensor  # (N,) whether a capture is first reflected at azimuth 0
 
     @classmethod
-    def draw(cls, *, known: np.ndarray, disc: np.ndarray, rng: np.random.Generator) -> "Symmetry":
-        """Random: half turns where the warp is ``known`` (N,), else whole cells of a ``disc`` (N,)
-        and quarter turns of a square."""
-        step = np.where(known, AZIMUTHS // 2, np.where(disc, 1, AZIMUTHS // 4))
-        cells = step * rng.integers(AZIMUTHS // step)
+    def draw(
+        cls, *, known: np.ndarray, disc: np.ndarray, exchanged: np.ndarray | bool = False,
+        rng: np.random.Generator,
+    ) -> "Symmetry":
+        """Random: half turns where the warp is ``known`` (N,), and a quarter more where it is
+        ``exchanged`` (N,) with the weft; else whole cells of a ``disc`` (N,) and quarter turns of a
+        square."""
+        step = np.where(known, 2 * QUARTER, np.where(disc, 1, QUARTER))
+        cells = step * rng.integers(AZIMUTHS // step) + QUARTER * (known & exchanged)
         return cls(torch.from_numpy(cells), torch.from_numpy(rng.integers(2, size=len(known)) > 0))
 
     @classmethod
-    def number(cls, k: int, known: np.ndarray) -> "Symmetry":
-        """One of :data:`SYMMETRIES`; where the warp is ``known`` (N,) four of them, twice."""
-        quarters = np.where(known, 2 * (k % 2), k % 4)
-        return cls(torch.from_numpy(quarters * (AZIMUTHS // 4)),
-                   torch.full((len(known),), k >= 4))
+    def number(cls, k: int, captures: int) -> "Symmetry":
+        """One of :data:`SYMMETRIES`, of each of N ``captures``."""
+        return cls(torch.full((captures,), QUARTER * (k % 4)), torch.full((captures,), k >= 4))
+
+    @property
+    def exchanged(self) -> torch.Tensor:
+        """(N,) whether azimuth 0 lies along the weft if it was along the warp, or the reverse."""
+        return self.cells // QUARTER % 2 > 0
 
     def of_rows(self, rows: torch.Tensor) -> torch.Tensor:
         """Apply to maps or outlines (N, AZIMUTHS, ...)."""

@@ -30,6 +30,7 @@ from drapenet.network.targets import (
     MODULI,
     Symmetry,
     TargetScale,
+    exchanged,
     stiffer_first,
     targets_of,
 )
@@ -144,13 +145,16 @@ class CaptureSet:
         targets = targets_of(self.cloth.chosen(cloths), facts.sizes)
         targets[flip < 0, CURL] *= -1
         targets[~known] = stiffer_first(targets[~known])
+        weft = symmetric & known & (rng.random(len(cloths)) < 0.5)  # along azimuth 0
+        targets = exchanged(targets, weft)
         batch = Batch.of(
             np.where(deep[:, None, None], maps.distance[rows], np.float16(0)),
             np.where(deep[:, None, None], maps.weight[rows], np.uint8(0)), outline, facts,
             torch.from_numpy(self.scale.encode(targets)).float())
         if symmetric:
             batch = batch.turned(
-                Symmetry.draw(known=known[group], disc=maps.disc[rows], rng=rng))
+                Symmetry.draw(known=known[group], disc=maps.disc[rows], exchanged=weft[group],
+                              rng=rng))
         return batch, facts
 
     def epoch(
