@@ -75,7 +75,7 @@ train: $(STAMP)  ## train the network on them, resumes when interrupted
 	$(BIN)/python train.py data=$(DATASET) out=outputs/train
 
 evaluate: $(STAMP)  ## errors and coverage of the bundled network on unseen fabrics, by tester and input
-	$(BIN)/python -m drapenet.network.evaluate
+	$(BIN)/python -m drapenet.network.evaluate bounds=docs/validation/bounds.json
 
 bench-sim: $(STAMP)  ## time drapes on this machine, JSON
 	$(BIN)/python -m experiments speed

@@ -99,6 +99,7 @@ class EvaluateConfig:
 
     checkpoint: str
     testers: list[str]
+    bounds: str
     out: str
     fabrics: str
     fabrics_per_tester: FromOne

@@ -1,16 +1,18 @@
 """Evaluation of a checkpoint: errors and interval coverage on unseen fabrics.
 
-    python -m drapenet.network.evaluate [checkpoint=FILE] [testers=[NAME,...]]
+    python -m drapenet.network.evaluate [checkpoint=FILE] [testers=[NAME,...]] [bounds=FILE]
 
 Four drapes of each of a number of new fabrics are simulated on each tester and estimated as by
 ``infer.py``: single captures and sets, from depth views and from outlines, one condition at a time.
 Errors are root mean squares of the posterior's mean over the standard deviation of the training
-fabrics.
+fabrics; beside them stands the smallest possible error where it is known (``python -m experiments
+bounds``).
 """
 
 import common.interrupt  # noqa: F401
 
 # isort: split
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +21,7 @@ import numpy as np
 from tqdm import tqdm
 
 from common.command import command, compose_config
+from common.documents import read_json
 from common.errors import InputError
 from common.files import folder_named, replace_json, require_folder
 from data.dataset.config import DatasetConfig, Options, config_from_options
@@ -47,6 +50,7 @@ class Cell:
 
     condition: Condition
     setups: dict[str, Any] = field(default_factory=dict)  # replacements for those trained on
+    rows: Callable[[Maps], np.ndarray] | None = None  # mask of the captures used; None: all
 
 
 def _sets(size: int) -> tuple[float, ...]:
@@ -57,12 +61,26 @@ def _views(count: int) -> dict[str, Any]:
     return {"views": tuple(float(k == count) for k in range(1, 9))}
 
 
+def _pitch(degrees: float) -> dict[str, Any]:
+    return {"pitch": (np.radians(degrees),) * 2}
+
+
+def _outer(values: np.ndarray) -> np.ndarray:
+    """Mask of the lowest and the highest eighth of values (N,)."""
+    low, high = np.quantile(values, [0.125, 0.875])
+    return (values <= low) | (values >= high)
+
+
 _ALONE = Condition(DEPTH, _sets(1), known=1.0)
 _PARALLEL = Condition(OUTLINE, _sets(1), known=1.0, parallel=1.0)
 CELLS: dict[str, Cell] = {
     **{f"depth, {count} view{'s' * (count > 1)}": Cell(_ALONE, _views(count))
        for count in (4, 1, 2, 8)},
     "depth, warp not stated": Cell(replace(_ALONE, known=0.0)),
+    **{f"depth, camera {degrees}° below the horizontal": Cell(_ALONE, _pitch(degrees))
+       for degrees in (25, 50)},
+    "depth, membrane at its limits": Cell(_ALONE, rows=lambda maps: _outer(maps.membrane)),
+    "depth, hysteresis at its limits": Cell(_ALONE, rows=lambda maps: _outer(maps.hysteresis)),
     **{f"depth, sets of {size}": Cell(replace(_ALONE, sizes=_sets(size))) for size in (2, 4)},
     "outline, parallel light": Cell(_PARALLEL),
     "outline, 0.5 m and more": Cell(replace(_PARALLEL, parallel=0.0, stated=1.0)),
@@ -133,6 +151,7 @@ def main(config: EvaluateConfig) -> None:
     require_folder(out)
     network = load_model(header)
     results: dict[str, dict] = {}
+    bounds = read_json(Path(config.bounds))["cells"] if config.bounds else {}
     cells = [(tester, name, cell) for tester in config.testers for name, cell in CELLS.items()]
     for tester, name, cell in tqdm(cells, desc="matrix", unit="cell", leave=False):
         base = make_config(header, tester, config)
@@ -141,8 +160,11 @@ def main(config: EvaluateConfig) -> None:
         manifest = generate_dataset(base, folder, workers=config.workers)
         maps = make_maps(folder, manifest, folder, setups=replace(header.setups, **cell.setups),
                          captures=config.captures, seed=config.seed, workers=config.workers)
-        results.setdefault(tester, {})[name] = judge(network, header, maps, cell.condition,
-                                                     seed=config.seed)
+        if cell.rows:
+            maps = maps.chosen(cell.rows(maps))
+        results.setdefault(tester, {})[name] = judge(
+            network, header, maps, cell.condition, seed=config.seed) | {
+            "bound": bounds.get(tester, {}).get(name)}
         tqdm.write(format_cell(f"{tester}, {name}", results[tester][name]))
     replace_json(out / "evaluation.json", {"checkpoint": header.identity, "cells": results})
     print(f"written to {out / 'evaluation.json'}")
@@ -164,8 +186,11 @@ def make_config(header: Header, tester: str, config: EvaluateConfig) -> DatasetC
 def format_cell(name: str, result: dict[str, Any]) -> str:
     within = ", ".join(f"inside {level[:-1]} %: {share['mean']:.3f}"
                        for level, share in result["inside"].items())
+    bound = result["bound"]
+    least = f"{bound['log_alpha']:.3f}, {bound['beta_over_alpha']:.3f}" if bound else "–"
     return (f"{name}: log alpha {result['log_alpha']['rmse']:.3f}, "
-            f"beta/alpha {result['beta_over_alpha']['rmse']:.3f}, {within}, n {result['sets']}")
+            f"beta/alpha {result['beta_over_alpha']['rmse']:.3f}, bound {least}, {within}, "
+            f"n {result['sets']}")
 
 
 if __name__ == "__main__":

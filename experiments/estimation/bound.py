@@ -1,12 +1,13 @@
-"""Cramér-Rao bound of a fabric's moduli estimated from depth views of its drape.
+"""Cramér-Rao bound of a fabric's moduli estimated from depth views or an outline of its drape.
 
-A depth has the standard deviation s, and one pixel in m is an independent measurement. With the
-Jacobian J of the depths with respect to the parameters, the Fisher information is JᵀJ/(s² m), and
-no unbiased estimate has a smaller covariance than its inverse. Other unknowns than the moduli
-(nuisances of the specimen, its rotation and offset on the plate, the camera pose) have separate
-columns in J. A prior with the covariance C adds C⁻¹ to the information. The inverse of the sum is
-the posterior bound: in linear approximation, the covariance of the best estimate that uses the
-prior. Silhouettes are omitted, because they have few pixels.
+A depth, or a radius of an outline, has the standard deviation s, and one pixel in m is an
+independent measurement. With the Jacobian J of depths or radii with respect to the parameters, the
+Fisher information is JᵀJ/(s² m), and no unbiased estimate has a smaller covariance than its
+inverse. Other unknowns than the moduli (nuisances of the specimen, its rotation and offset on the
+plate, the camera pose) have separate columns in J. A prior with the covariance C adds C⁻¹ to the
+information. The inverse of the sum is the posterior bound: in linear approximation, the covariance
+of the best estimate that uses the prior. Silhouettes in depth views are omitted, because they have
+few pixels.
 
 The bound assumes that the fold configuration of the drape and the bending law are known.
 """
@@ -23,7 +24,9 @@ from data.render.cameras import Camera
 from data.render.rays import QUARTERS, DepthRenderer
 from drapenet.refine.depth import FOCAL, POSE, DepthViews, DepthWeights, table_names
 from drapenet.refine.unknowns import LAW_NAMES, law_moves
+from drapenet.views.directions import AZIMUTHS
 from drapenet.views.located import LocatedViews
+from drapenet.views.outline import silhouettes
 from sim.drape import Drape
 from sim.rig import Rig
 from sim.sensitivity import Tangent
@@ -42,6 +45,9 @@ CAMERA = tuple(name for name in POSE if name != "turn")
 """Camera pose: rad and m."""
 SETUP = (*table_names(len(QUARTERS)), FOCAL)
 """Errors of the turns of the table, rad, and logarithm of the focal length."""
+PICTURE = ("picture_x", "picture_y", "picture_scale")
+"""Errors of an outline's centre, m, and of its scale."""
+_RADIUS_STEP = 2e-4  # m, largest move of a vertex for the difference of two outlines
 
 
 @dataclass(frozen=True)
@@ -125,12 +131,7 @@ def depth_information(
     if not tangent.ok:
         none = np.full((len(names), len(names)), np.nan)
         return Information(names, none, 0, False, tangent.message)
-    by_moduli = tangent_sensitivities(tangent, result.fabric, ("log_alpha", "ratio")).positions
-    moves = dict(zip(THETA_NAMES, by_moduli, strict=True))
-    moves |= zip(SPECIMEN[1:], moves_with_offset(tangent, result.rig), strict=True)
-    moves |= zip(("size", "cut"), moves_with_size(tangent, result.rig), strict=True)
-    moves |= law_moves(tangent, nuisances or Nuisances(), (*LAW_NAMES, "hysteresis"))
-    moves["plate"] = moves_with_plate(tangent, result.rig)
+    moves = drape_moves(tangent, result, nuisances)
     views = DepthRenderer(tangent.positions, result.faces).views(camera, orientation)
     objective = DepthViews(
         LocatedViews.exact(views, camera, result.rig, QUARTERS),
@@ -146,6 +147,46 @@ def depth_information(
     used = np.any(jacobian != 0, axis=1)
     # DepthViews scales the residuals to the number of independent measurements.
     return Information(names, jacobian.T @ jacobian, int(used.sum()), True, "")
+
+
+def outline_information(
+    result: Drape, *, nuisances: Nuisances, noise: Metres, cells_per_measurement: float
+) -> Information:
+    """Fisher information of the outline of a drape under parallel light, whose radii have the
+    standard deviation ``noise``; one azimuth in so many is an independent measurement."""
+    names = (*THETA_NAMES, *SPECIMEN, *PICTURE, *NAMES)
+    tangent = Tangent.of(result)
+    if not tangent.ok:
+        none = np.full((len(names), len(names)), np.nan)
+        return Information(names, none, 0, False, tangent.message)
+    edges, here = result.mesh.edges[result.mesh.edge_faces[:, 1] < 0], tangent.positions
+    moves = drape_moves(tangent, result, nuisances)
+    moves["turn"] = np.column_stack([-here[:, 1], here[:, 0], np.zeros(len(here))])
+    columns = {}
+    for name, move in moves.items():
+        step = _RADIUS_STEP / np.linalg.norm(move, axis=1).max()
+        ahead, behind = (silhouettes(here + s * move, edges, np.array([np.inf]), zero=0.0)[0]
+                         for s in (step, -step))
+        columns[name] = (ahead - behind) / (2 * step)
+    radius = silhouettes(here, edges, np.array([np.inf]), zero=0.0)[0]
+    azimuth = (np.arange(AZIMUTHS) + 0.5) * (2 * np.pi / AZIMUTHS)
+    columns |= zip(PICTURE, (np.cos(azimuth), np.sin(azimuth), radius), strict=True)
+    jacobian = np.stack([columns[name] for name in names], axis=1)
+    scale = noise * cells_per_measurement**0.5
+    return Information(names, jacobian.T @ jacobian / scale**2, AZIMUTHS, True, "")
+
+
+def drape_moves(
+    tangent: Tangent, result: Drape, nuisances: Nuisances | None
+) -> dict[str, np.ndarray]:
+    """(V, 3) derivatives of a drape by theta, the specimen's offset and the nuisances."""
+    by_moduli = tangent_sensitivities(tangent, result.fabric, ("log_alpha", "ratio")).positions
+    moves = dict(zip(THETA_NAMES, by_moduli, strict=True))
+    moves |= zip(SPECIMEN[1:], moves_with_offset(tangent, result.rig), strict=True)
+    moves |= zip(("size", "cut"), moves_with_size(tangent, result.rig), strict=True)
+    moves |= law_moves(tangent, nuisances or Nuisances(), (*LAW_NAMES, "hysteresis"))
+    moves["plate"] = moves_with_plate(tangent, result.rig)
+    return moves
 
 
 def moves_with_size(tangent: Tangent, rig: Rig) -> np.ndarray:

@@ -20,6 +20,7 @@ from experiments.physics.outlines import features, radii_of
 from experiments.result import ESTIMATOR, Config, Result, run_cases
 from sim.drape import drape
 from sim.material import LINEAR
+from sim.measures import shadow_radius
 from sim.mesh import Mesh
 from sim.rig import DISC_RIG
 

@@ -48,19 +48,20 @@ def test_the_stiffer_yarns_come_first_with_their_curl() -> None:
     np.testing.assert_array_equal(stiffer_first(exchanged), targets)
 
 
-def test_symmetries_keep_a_known_warp_on_its_axis() -> None:
-    """A picture of two spots on the warp is changed by no symmetry of a known warp, and by the
-    quarter turns and turns by any cell of the others."""
+def test_symmetries_keep_a_known_warp_on_an_axis() -> None:
+    """Two spots on the warp stay there, or lie on the weft where the two are exchanged."""
     rows = torch.zeros(1, AZIMUTHS)
     rows[0, [0, AZIMUTHS - 1, AZIMUTHS // 2 - 1, AZIMUTHS // 2]] = 1.0  # cells beside the axis
     for k in range(SYMMETRIES):
-        assert torch.equal(Symmetry.number(k, np.array([True])).of_rows(rows), rows)
-    turned = Symmetry.number(1, np.array([False])).of_rows(rows)
-    assert torch.equal(turned, rows.roll(AZIMUTHS // 4, 1))
+        symmetry = Symmetry.number(k, 1)
+        quarter = AZIMUTHS // 4 if symmetry.exchanged[0] else 0
+        assert torch.equal(symmetry.of_rows(rows), rows.roll(quarter, 1))
     rng = np.random.default_rng(0)
-    for _ in range(20):
-        drawn = Symmetry.draw(known=np.array([True]), disc=np.array([True]), rng=rng)
-        assert torch.equal(drawn.of_rows(rows), rows)
+    for exchanged in (True, False) * 10:
+        drawn = Symmetry.draw(known=np.array([True]), disc=np.array([True]),
+                              exchanged=np.array([exchanged]), rng=rng)
+        assert drawn.exchanged[0] == exchanged
+        assert torch.equal(drawn.of_rows(rows), rows.roll(AZIMUTHS // 4 * exchanged, 1))
 
 
 @pytest.mark.parametrize(("disc", "count"), [(False, 4), (True, AZIMUTHS)])

@@ -1,0 +1,54 @@
+"""Bending by KES of real fabrics, estimated from their drape coefficient and nodes alone.
+
+The fabrics are those of the experiment ``laboratory``. The mean of KES B over warp and weft, with
+its 90 % interval, is compared with the measured mean.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from data.captures.known import Known
+from drapenet.inference import network_of
+from drapenet.known import predicted
+from drapenet.network.checkpoint import read_header
+from drapenet.network.predict import predict
+from drapenet.result.estimate import make_estimate
+from drapenet.result.readings import GF_CM
+from drapenet.views.observation import Observation
+from experiments.physics.laboratory import bending, read_fabrics
+from experiments.result import Config, Result
+from sim.material import FIRST, MICRO, SECOND
+from sim.rig import Rig
+
+
+def run(config: Config) -> Result:
+    """Estimate all fabrics."""
+    header = read_header(config["checkpoint"])
+    rows = read_fabrics(Path(config["fabrics"]))
+    sets = []
+    for row in rows:
+        stated = Known(drape_coefficient_percent=float(row["dc_real_percent"]),
+                       nodes=int(row["nodes_real"]) if row["nodes_real"] else None)
+        rig = Rig.from_name(config["testers"][row["source"]])
+        sets.append([Observation.of_numbers(rig, 1, True, stated)])
+    found = []
+    for row, draws in zip(rows, predict(network_of(header), header, sets), strict=True):
+        estimate = make_estimate(draws, density=1e-3 * float(row["weight_g_m2"]), header=header)
+        samples = GF_CM * predicted(estimate)["kes_b_gf_cm2_per_cm"]
+        found.append(_compared(row, samples[:, [FIRST, SECOND]].mean(axis=1)))
+    widths = [one["high"] / one["low"] for one in found]
+    return Result({"fabrics": found, "inside": sum(one["inside"] for one in found),
+                   "of": len(found), "ratio": float(np.median(widths))})
+
+
+def _compared(row: dict[str, str], samples: np.ndarray) -> dict[str, Any]:
+    """The measured mean of B, µN·m, and the posterior's, of samples (S,), N·m; samples whose
+    moduli do not determine B are NaN."""
+    b, _ = bending(row, hb_over_b=0.0, bias=1.0)
+    measured = (b[FIRST] + b[SECOND]) / 2
+    low, middle, high = np.nanquantile(samples, [0.05, 0.5, 0.95]) / MICRO
+    return {"fabric": row["id"], "measured": measured, "median": middle, "low": low, "high": high,
+            "inside": bool(low <= measured <= high),
+            "undetermined": float(np.isnan(samples).mean())}
