@@ -1,6 +1,6 @@
 """Serve the estimator: a web page and an HTTP interface.
 
-    python serve.py [port=8000] [results=DIR] [workers=N] [queue=N]
+    python serve.py [port=8000] [results=DIR] [workers=N] [queue=N] [checkpoint=FILE]
 
 Open http://localhost:8000 and drop a capture; ``/docs`` describes the interface. Limits are in
 ``configs/serve.yaml``. Finished results stay in ``results`` when the service is started again.

@@ -129,6 +129,7 @@ class ServeConfig:
     port: Annotated[int, Field(ge=0, le=65535)]
     names: str
     results: str
+    checkpoint: str
     workers: Threads
     queue: FromOne
     job_seconds: Positive
@@ -136,6 +137,7 @@ class ServeConfig:
     megabytes: Positive
     files: FromOne
     megapixels: Positive
+    photograph_megapixels: Positive
     keep_hours: Positive
     keep: FromOne
 
@@ -146,4 +148,5 @@ class ServeConfig:
         self.hosts = [name.strip() for name in self.names.split(",") if name.strip()]
         self.processes = self.workers or joblib.cpu_count()
         self.bytes, self.pixels = round(self.megabytes * 1e6), round(self.megapixels * 1e6)
+        self.photograph_pixels = round(self.photograph_megapixels * 1e6)
         self.keep_seconds = 3600 * self.keep_hours

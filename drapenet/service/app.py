@@ -31,6 +31,7 @@ from drapenet.batch.captures import plain_name
 from drapenet.config import ServeConfig
 from drapenet.export.formats import TARGETS
 from drapenet.export.material import MESHES, read_material
+from drapenet.network.checkpoint import read_header
 from drapenet.report.pages import render
 from drapenet.result.files import ESTIMATE, SHOWN
 from drapenet.service.jobs import Jobs
@@ -40,7 +41,7 @@ from sim.rig import RIGS
 
 FILES = (ESTIMATE, PREVIEW, *SHOWN)
 STATIC = Path(__file__).parent / "static"
-EXAMPLE = Path(__file__).parents[2] / "examples" / "captures" / "twill"
+EXAMPLES = Path(__file__).parents[2] / "examples" / "captures"
 _TIDY_INTERVAL = 600.0  # s between removals of old results
 _POLICY = ("default-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; "
            "connect-src 'self' data: blob:; frame-ancestors 'none'; base-uri 'none'; "
@@ -54,7 +55,8 @@ _FORM = {"required": True, "content": {"multipart/form-data": {"schema": {
         **{name: {"type": "number"} for name in NUMBERS},
         **{name: {"type": "string"} for name in TEXTS},
         "files": {"type": "array", "items": {"type": "string", "format": "binary"},
-                  "description": f"views, a zip with them, or a scan: {', '.join(KINDS)}"}}}}}}
+                  "description": f"views, a photograph or table of an outline, a zip with "
+                                 f"them, or a scan: {', '.join(KINDS)}"}}}}}}
 _STATUSES = {
     404: "no such estimate, or file of it", 408: "the upload took too long",
     409: "not yet available", 413: "too many or too large files",
@@ -71,6 +73,7 @@ def _responses(*statuses: int) -> dict[int | str, dict[str, Any]]:
 def serve(settings: ServeConfig) -> None:
     """Serve until interrupted."""
     require_folder(folder_named(settings.results))
+    read_header(settings.checkpoint)  # workers need it: an InputError here is seen
     server = uvicorn.Server(uvicorn.Config(
         create_app(settings), host=settings.host, port=settings.port, log_level="warning",
         ws="none", limit_concurrency=8 * settings.queue + 64, timeout_keep_alive=10,
@@ -114,9 +117,10 @@ def create_app(settings: ServeConfig) -> FastAPI:
 
 
 def _add_pages(app: FastAPI, settings: ServeConfig) -> None:
+    examples = [name for name in ("twill", "twill_photograph") if (EXAMPLES / name).is_dir()]
     page = render("service.html", settings=settings, targets=TARGETS, meshes=MESHES,
                   testers={name: RIGS[name] for name in TESTERS}, kinds=KINDS,
-                  example=EXAMPLE.is_dir())
+                  examples=examples)
 
     @app.get("/", include_in_schema=False)
     def start() -> HTMLResponse:
@@ -133,13 +137,13 @@ def _add_pages(app: FastAPI, settings: ServeConfig) -> None:
             _POLICY + "; script-src 'self' 'unsafe-inline'")
         return answer
 
-    @app.get("/example.zip", include_in_schema=False)
-    def example() -> Response:
-        if not EXAMPLE.is_dir():
-            raise RequestError(404, "the example is not installed")
-        return Response(_zipped({file.name: file.read_bytes() for file in sorted(EXAMPLE.iterdir())
-                                 if file.suffix == ".png" or file.name in CAPTURE_FILES}),
-                        media_type="application/zip")
+    @app.get("/examples/{name}.zip", include_in_schema=False)
+    def example(name: str) -> Response:
+        if name not in examples:
+            raise RequestError(404, "no such example")
+        return Response(_zipped({
+            file.name: file.read_bytes() for file in sorted((EXAMPLES / name).iterdir())
+            if file.suffix == ".png" or file.name in CAPTURE_FILES}), media_type="application/zip")
 
 
 @router.post("/estimates", status_code=202, openapi_extra={"requestBody": _FORM},

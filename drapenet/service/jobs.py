@@ -54,7 +54,7 @@ class Jobs:
     def _workers(self) -> ProcessPool:
         pool = ProcessPool(
             max_workers=self.settings.processes, max_tasks=_MAX_TASKS, initializer=warm_up,
-            context=multiprocessing.get_context("spawn"))
+            initargs=[self.settings.checkpoint], context=multiprocessing.get_context("spawn"))
         pool.schedule(os.getpid)  # starts them
         return pool
 
@@ -84,7 +84,8 @@ class Jobs:
             change_state(folder, id=identity, name=upload.name, state=QUEUED, stage=None,
                          progress=None, error=None, warnings=[], ended=None)
             self._schedule(folder, {"refine": upload.refine, "scan": upload.scan,
-                                    "name": upload.name, "specimen": upload.specimen})
+                                    "name": upload.name, "specimen": upload.specimen,
+                                    "checkpoint": self.settings.checkpoint})
         except BaseException as error:
             self.release()
             shutil.rmtree(folder, ignore_errors=True)

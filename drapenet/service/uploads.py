@@ -20,18 +20,23 @@ from starlette.exceptions import HTTPException
 
 from common.documents import MAX_TEXT_BYTES, parse_yaml, shown
 from common.errors import InputError, one_line
-from data.captures.capture import CAPTURE_FILES, INTRINSICS_KEYS
-from data.captures.description import Description, Specimen
+from data.captures.capture import CAPTURE_FILES, INTRINSICS_KEYS, OUTLINE_SUFFIXES
+from data.captures.description import OUTLINE_TABLES, Description, PlateInPicture, Specimen
 from data.captures.frames import BACKGROUND, header_of
 from data.rigs import MISSING_TESTER
 from drapenet.batch.captures import plain_name
 from drapenet.config import ServeConfig
 
 PICTURES, SCANS = (".png", ".npy", ".ply"), (".npz", ".obj")
-PACKED = (*PICTURES, *SCANS, ".yaml", ".txt")
+PACKED = tuple(dict.fromkeys((*PICTURES, *OUTLINE_SUFFIXES, *SCANS, ".yaml")))
 KINDS = (*PACKED, ".zip")
-NUMBERS = ("density_g_m2", "warp_direction_deg", "depth_unit_m", *INTRINSICS_KEYS)
-TEXTS = ("turns_deg", "tester", "face", "refine", "name")
+PLACES = {**{key: ("intrinsics", key) for key in INTRINSICS_KEYS},
+          **{f"plate_{key}": ("outline", "plate_px", key) for key in PlateInPicture.model_fields},
+          **{key: ("outline", key) for key in ("mm_per_px", "camera_height_mm", "unit", "centred")}}
+"""Where capture.yaml has the fields of a form that are not at its top."""
+TEXTS = ("turns_deg", "tester", "face", "camera_height_mm", "unit", "centred", "refine", "name")
+NUMBERS = ("density_g_m2", "warp_direction_deg", "depth_unit_m",
+           *(key for key in PLACES if key not in TEXTS))
 _NAMED = re.compile(r"view_\d+(_\d+)?\.(png|npy|ply)")
 _MAX_NAME = 200
 
@@ -58,15 +63,14 @@ def checked_upload(
     fields = {key: text.strip() for key, text in texts.items() if text.strip()}
     refine, name = fields.pop("refine", "no"), fields.pop("name", "")
     if not files:
-        raise RequestError(422, "no files; give the views of a drape, a zip with them, or a scan")
+        raise RequestError(422, "no files; give the views of a drape, its photograph or outline "
+                           "from above, a zip with them, or a scan")
     if refine not in ("no", "yes") or len(name) > _MAX_NAME:
         raise RequestError(422, f"refine={shown(refine)} must be yes or no, and name must have at "
                            f"most {_MAX_NAME} characters")
     title = Path(files[0][0].replace("\\", "/")).stem if len(files) == 1 else "capture"
     title = plain_name(name or title)[:40]
     contents = _unpacked(files, settings)
-    for file, data in contents.items():
-        _require_pixels(file, data, settings.pixels)
     scans = [file for file in contents if Path(file).suffix in SCANS
              or (Path(file).suffix == ".ply" and not _NAMED.fullmatch(file))]
     if scans and len(contents) > 1:
@@ -77,37 +81,44 @@ def checked_upload(
             stated = {key: _plain(fields[key]) for key in Specimen.model_fields if key in fields}
             return Upload(contents, scans[0], title, refine == "yes", Specimen.of(stated, ""))
         if contents.keys().isdisjoint(CAPTURE_FILES) or "capture.yaml" in contents:
-            contents = _numbered(contents)
-            contents["capture.yaml"] = _description(contents.get("capture.yaml", b"{}"), fields)
+            description = _description(contents.get("capture.yaml", b"{}"), fields)
+            contents = _named(contents, from_above="outline" in description)
+            contents["capture.yaml"] = yaml.safe_dump(description).encode()
+        for file, data in contents.items():
+            _require_pixels(file, data, settings)
         return Upload(contents, "", title, refine == "yes")
     except InputError as error:
         raise RequestError(422, str(error)) from None
 
 
 def _plain(text: str | None) -> Any:
-    """The number that a field states, also with a decimal comma, or its text."""
+    """The number, also with a decimal comma, or true or false that a field states, or its text."""
     with suppress(ValueError, AttributeError):
         return float(text.replace(",", "."))
-    return text
+    return {"true": True, "false": False}.get(text, text)
 
 
-def _description(document: bytes, fields: Mapping[str, str]) -> bytes:
-    """``capture.yaml``, whose keys a form's fields replace."""
+def _description(document: bytes, fields: Mapping[str, str]) -> dict[str, Any]:
+    """The content of ``capture.yaml``, in which a form's fields replace values."""
+    if len(document) > MAX_TEXT_BYTES:
+        raise RequestError(413, f"capture.yaml has {len(document)} bytes; at most "
+                           f"{MAX_TEXT_BYTES}")
     try:
         content = dict(parse_yaml(document.decode("utf-8"), "capture.yaml"))
     except UnicodeDecodeError:
         raise RequestError(422, "capture.yaml is not text in UTF-8; save it as such") from None
     for key, text in fields.items():
-        if key in INTRINSICS_KEYS:
-            content["intrinsics"] = {name: _plain(fields[name])
-                                     for name in INTRINSICS_KEYS if name in fields}
-        elif key == "turns_deg":
-            content[key] = [_plain(word) for word in re.split(r"[,;\s]+", text.strip("[] "))]
-        else:
-            content[key] = _plain(text) if key in NUMBERS else text
+        *groups, name = PLACES.get(key, (key,))
+        place = content
+        for group in groups:
+            stated = place.get(group)
+            place[group] = dict(stated) if isinstance(stated, Mapping) else {}
+            place = place[group]
+        place[name] = _plain(text) if key != "turns_deg" else [
+            _plain(word) for word in re.split(r"[,;\s]+", text.strip("[] "))]
     if Description.of(content, "").tester is None:
         raise RequestError(422, f"tester is missing; {MISSING_TESTER}")
-    return yaml.safe_dump(content).encode()
+    return content
 
 
 def _unpacked(files: list[tuple[str, bytes]], settings: ServeConfig) -> dict[str, bytes]:
@@ -161,32 +172,39 @@ def _members(data: bytes, settings: ServeConfig) -> list[tuple[str, bytes]]:
     return members
 
 
-def _require_pixels(name: str, data: bytes, most: int) -> None:
-    """Refuse, before decoding, a picture of more than ``most`` pixels and a large text."""
+def _require_pixels(name: str, data: bytes, settings: ServeConfig) -> None:
+    """Refuse, before decoding, a picture of too many pixels."""
     suffix, size = Path(name).suffix, ()
-    if suffix in (".yaml", ".txt") and len(data) > MAX_TEXT_BYTES:
-        raise RequestError(413, f"{name} has {len(data)} bytes; at most {MAX_TEXT_BYTES}")
+    most = settings.photograph_pixels if Path(name).stem == "outline" else settings.pixels
     try:
-        if suffix == ".png":
-            with Image.open(io.BytesIO(data), formats=["PNG"]) as picture:
-                size = picture.size
-        elif suffix == ".npy":
+        if suffix == ".npy":
             size, _ = header_of(data)
+        elif suffix in (".png", *OUTLINE_SUFFIXES) and suffix not in OUTLINE_TABLES:
+            with Image.open(io.BytesIO(data), formats=["PNG", "JPEG", "TIFF"]) as picture:
+                size = picture.size
     except (Image.DecompressionBombError, Image.DecompressionBombWarning):
         size = (math.inf,)
     except Exception as error:  # libraries raise any exception for malformed headers
-        raise RequestError(422, f"{name} cannot be read ({one_line(error)}); export the view again"
+        raise RequestError(422, f"{name} cannot be read ({one_line(error)}); export it again"
                       ) from None
     if math.prod(size) > most:
         raise RequestError(413, f"{name} has more than {most / 1e6:g} million pixels; save it "
                            "smaller")
 
 
-def _numbered(files: dict[str, bytes]) -> dict[str, bytes]:
-    """Rename images to view_0 and so on, in the order of their names, unless named so already."""
+def _named(files: dict[str, bytes], *, from_above: bool) -> dict[str, bytes]:
+    """Rename images to view_0 and so on, in the order of their names, or what shows or lists an
+    outline to outline, unless named so already; ``from_above``: whether a PNG is a photograph."""
     images = [name for name in files if Path(name).suffix in PICTURES and name != BACKGROUND]
-    if any(_NAMED.fullmatch(name) for name in images):
+    if any(_NAMED.fullmatch(name) or Path(name).stem == "outline" for name in files):
         return files
+    if from_above or not images:
+        outlines = [name for name in files if Path(name).suffix in OUTLINE_SUFFIXES]
+        if len(outlines) > 1:
+            raise RequestError(422, f"{outlines[0]} and {outlines[1]}: a capture has one photograph"
+                               " or table of an outline; give the other by itself")
+        return {f"outline{Path(name).suffix}" if name in outlines else name: data
+                for name, data in files.items()}
     images.sort(key=lambda name: [int(part) if part.isdigit() else part
                                   for part in re.split(r"(\d+)", name)])
     renamed = {name: f"view_{k}{Path(name).suffix}" for k, name in enumerate(images)}

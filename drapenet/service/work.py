@@ -38,7 +38,7 @@ def change_state(folder: Path, **values: object) -> None:
     replace_json(folder / STATE, (read_state(folder) or {}) | values)
 
 
-def warm_up() -> None:
+def warm_up(checkpoint: str) -> None:
     """Import and cache, in a worker, what the first estimate needs."""
     end_with_parent()
     from data.render.rays import import_open3d
@@ -48,13 +48,14 @@ def warm_up() -> None:
     from sim.drape import drape
     from sim.material import MICRO, Fabric
 
-    network_of(read_header())
+    network_of(read_header(checkpoint))
     import_open3d()
     drape(Fabric(alpha=[50 * MICRO] * 3, beta=[0.0] * 3), edge=3 * EstimateOptions().edge)
 
 
 def estimate_upload(
-    folder: Path, *, refine: bool, scan: str, name: str, specimen: "Specimen | None"
+    folder: Path, *, refine: bool, scan: str, name: str, specimen: "Specimen | None",
+    checkpoint: str,
 ) -> None:
     """Estimate the upload in ``folder``; input errors are recorded in its state."""
     from data.captures.capture import read_capture
@@ -79,7 +80,7 @@ def estimate_upload(
         change_state(folder, stage="estimating", warnings=list(capture.warnings))
         settings = dict(read_option("refine", "scan" if scan else "depth")) if refine else None
         result = estimate_capture(
-            capture, read_header(), EstimateOptions(refine=settings), out=folder,
+            capture, read_header(checkpoint), EstimateOptions(refine=settings), out=folder,
             scan=registered, on_stage=note_stage, progress=_throttled(folder))
         change_state(folder, state=DONE, warnings=result.document.warnings)
     except InputError as error:
@@ -88,9 +89,11 @@ def estimate_upload(
 
 
 def preview(capture: Any) -> bytes:
-    """PNG of frames with the cloth outlined, or of the cloth in each view."""
-    from data.captures.preview import picture, thumbnail
+    """PNG of frames with the cloth outlined, of the cloth in each view, or of an outline."""
+    from data.captures.preview import outline_picture, picture, thumbnail
 
+    if capture.outline:
+        return outline_picture(capture)
     if capture.cut:
         return picture(capture.cut, capture.intrinsics, capture.rig, turns=capture.turns)
     return thumbnail(capture, len(capture.views))

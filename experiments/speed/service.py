@@ -26,12 +26,12 @@ from pathlib import Path
 import httpx
 
 from common.errors import InputError
-from drapenet.service.app import EXAMPLE
 from experiments.result import ROOT, Config, Result
 
 UPLOADS_BEFORE_KILL = 8  # uploads before the kill
 MAX_SECONDS = 10.0  # s, longest response time for a malformed request
 TIMEOUT = 20.0  # s, timeout of a request
+EXAMPLE = ROOT / "examples" / "captures" / "twill"
 FILES = {file.name: file.read_bytes() for file in sorted(EXAMPLE.iterdir())
          if file.suffix in (".png", ".yaml")}
 CLIENT = httpx.Client(limits=httpx.Limits(max_connections=None))

@@ -63,7 +63,7 @@ def test_upload_gives_numbers_in_seconds_then_files_and_a_drape_that_turns(page)
     loaded = page.evaluate("performance.getEntriesByType('navigation')[0].duration")
     page.set_input_files("#files", FILES)
     page.fill("#density", "210")
-    page.click("#example")  # a first estimate waits until the worker is ready
+    page.click("[data-example=twill]")  # a first estimate waits until the worker is ready
     page.wait_for_selector("#downloads:not([hidden])")
     page.set_input_files("#files", FILES)
     began = time.monotonic()
@@ -98,6 +98,15 @@ def test_upload_gives_numbers_in_seconds_then_files_and_a_drape_that_turns(page)
     page.wait_for_timeout(500)
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     keep(page, "page_phone.png")
+
+
+def test_a_photograph_has_no_captured_surface(page):
+    page.click("[data-example=twill_photograph]")
+    page.wait_for_selector("#downloads:not([hidden])")
+    page.wait_for_selector("#overlay", state="hidden")
+    assert "simulated with the estimate" in page.inner_text("#coefficient")
+    assert page.evaluate("document.querySelector('#preview img').naturalWidth") > 500
+    keep(page, "page_photograph.png")
 
 
 def test_errors_stand_where_they_arise(page):
@@ -141,11 +150,11 @@ def test_lost_connection_goes_on(page, service):
 
 
 def test_service_that_was_killed_says_what_it_lost_and_keeps_the_rest(page, service):
-    page.click("#example")
+    page.click("[data-example=twill]")
     page.wait_for_selector("#downloads:not([hidden])")
     kept = page.url
     page.check("#refine")
-    page.click("#example")
+    page.click("[data-example=twill]")
     page.locator("#status", has_text="refines").wait_for()
     service.stop(signal.SIGKILL)
     page.wait_for_selector("#lost:not([hidden])")

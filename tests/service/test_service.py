@@ -17,30 +17,30 @@ from pebble import ProcessFuture
 
 from common.command import compose_config
 from data.captures.capture import read_capture
+from data.captures.preview import outline_picture
 from drapenet.config import ServeConfig
 from drapenet.export.formats import TARGETS
 from drapenet.inference import network_estimate
-from drapenet.network.checkpoint import BUNDLED, read_header
+from drapenet.network.checkpoint import read_header
 from drapenet.service.app import create_app
 from drapenet.service.jobs import Jobs
 from drapenet.service.uploads import RequestError, Upload
 from drapenet.service.work import change_state
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "captures" / "twill"
+PHOTOGRAPH = EXAMPLE.parent / "twill_photograph"
 PICTURES = sorted(EXAMPLE.glob("*.png"))
 
 
-def settings_for(results: Path) -> ServeConfig:
-    words = [f"results={results}", "workers=1", "queue=3"]
+def settings_for(results: Path, checkpoint: Path | str = "") -> ServeConfig:
+    words = [f"results={results}", f"checkpoint={checkpoint}", "workers=1", "queue=3"]
     return compose_config("serve", words, schema=ServeConfig)
 
 
 @pytest.fixture(scope="module")
-def client(tmp_path_factory):
-    if not BUNDLED.exists():
-        pytest.skip("no network is bundled")
+def client(tmp_path_factory, untrained_checkpoint):
     results = tmp_path_factory.mktemp("results")
-    app = create_app(settings_for(results))
+    app = create_app(settings_for(results, untrained_checkpoint))
     with TestClient(app, base_url="http://localhost") as client:
         yield client
 
@@ -66,11 +66,21 @@ def finished(client) -> dict:
     return ended(client, begun.json()["id"])
 
 
-def test_numbers_are_those_of_the_command(finished):
-    capture = read_capture(EXAMPLE)
-    expected = network_estimate(capture, read_header()).estimate
-    assert finished["state"] == "done" and finished["error"] is None
-    moduli = finished["estimate"]["moduli"]
+@pytest.fixture(scope="module")
+def photographed(client) -> dict:
+    content = client.get("/examples/twill_photograph.zip").content
+    begun = client.post("/estimates", files=[("files", ("a.zip", content))])
+    assert begun.status_code == 202, begun.text
+    return ended(client, begun.json()["id"])
+
+
+@pytest.mark.parametrize("name", ["finished", "photographed"])
+def test_numbers_are_those_of_the_command(name, request, untrained_checkpoint):
+    found = request.getfixturevalue(name)
+    capture = read_capture(EXAMPLE if name == "finished" else PHOTOGRAPH)
+    expected = network_estimate(capture, read_header(untrained_checkpoint)).estimate
+    assert found["state"] == "done" and found["error"] is None
+    moduli = found["estimate"]["moduli"]
     for k, direction in enumerate(("warp", "bias", "weft")):
         assert moduli[direction]["alpha_uN_m"]["median"] == pytest.approx(
             np.median(expected.moduli(capture.density)[0][:, k]) * 1e6, rel=1e-3)
@@ -90,6 +100,19 @@ def test_files_are_whole_and_say_nothing_of_the_server(client, finished):
     assert set(scene.geometry) == {"captured", "simulated", "support"}
     folder, _ = client.app.state.jobs.state(finished["id"])
     assert not (folder / "uploaded").exists()
+
+
+def test_a_photograph_is_shown_with_its_outline_and_has_a_report(client, photographed):
+    address, read = f"/estimates/{photographed['id']}", read_capture(PHOTOGRAPH)
+    assert client.get(f"{address}/preview.png").content == outline_picture(read)
+    shapes = client.get(f"{address}/drape.glb").content
+    assert set(trimesh.load(io.BytesIO(shapes), file_type="glb").geometry) == {
+        "simulated", "support"}
+    assert {"report.html", "report.png", "torque.svg"} <= set(photographed["files"])
+    seen = photographed["estimate"]["capture"]
+    assert seen["views"] == 0
+    # The hem lies below the plate, so that it looks smaller than it is.
+    assert 0 < seen["drape_coefficient_percent"] - 100 * read.outline.drape_coefficient < 10
 
 
 def test_exports_can_be_fetched(client, finished):
@@ -115,11 +138,20 @@ def test_bad_capture_fails_with_its_sentence(client):
     assert "depth" in found["error"] and "/" not in found["error"].split(";")[0]
 
 
+def test_photograph_of_unknown_scale_fails_with_its_sentence(client):
+    begun = post(client, [PHOTOGRAPH / "outline.png"], density_g_m2="200", camera_height_mm="1200",
+                 tester="disc300_support180")
+    found = ended(client, begun.json()["id"])
+    assert found["state"] == "failed"
+    assert found["error"].startswith("outline.png: the scale is not known: give")
+
+
 def test_unknown_addresses_are_404_and_unfinished_files_409(client, finished):
     identity = finished["id"]
     for address in ("/estimates/nothing", f"/estimates/{'a' * 22}", "/estimates/..%2f..%2fetc",
                     f"/estimates/{identity}/state.json", f"/estimates/{identity}/export/nothing",
-                    f"/estimates/{identity}/..%2f{identity}%2fstate.json", "/static/../app.py"):
+                    f"/estimates/{identity}/..%2f{identity}%2fstate.json", "/static/../app.py",
+                    "/examples/..zip", "/examples/nothing.zip"):
         answer = client.get(address)
         assert answer.status_code == 404, address
         assert "Traceback" not in answer.text

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from PIL import Image
 
 from common.command import compose_config
 from data.captures.capture import Capture, read_capture
@@ -16,6 +17,8 @@ from drapenet.config import ServeConfig
 from drapenet.service.uploads import RequestError, Upload, checked_upload
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "captures" / "twill"
+PHOTOGRAPH = EXAMPLE.parent / "twill_photograph"
+PICTURE = (PHOTOGRAPH / "outline.png").read_bytes()
 VIEWS = [(file.name, file.read_bytes()) for file in sorted(EXAMPLE.glob("view_*.png"))]
 YAML = ("capture.yaml", (EXAMPLE / "capture.yaml").read_bytes())
 
@@ -104,6 +107,59 @@ def test_turns_of_the_table_are_a_list(settings, text):
     assert turns == [0, 90, 180]
 
 
+def jpeg(png: bytes) -> bytes:
+    stream = io.BytesIO()
+    Image.open(io.BytesIO(png)).save(stream, "JPEG", quality=95)
+    return stream.getvalue()
+
+
+def photograph_fields() -> dict[str, str]:
+    content = yaml.safe_load((PHOTOGRAPH / "capture.yaml").read_bytes())
+    outline = content.pop("outline")
+    plate = {f"plate_{key}": value for key, value in outline.pop("plate_px").items()}
+    return {key: str(value) for key, value in (content | outline | plate).items()}
+
+
+@pytest.mark.parametrize("name", ["IMG 0007.JPG", "shot.png", "outline.png"])
+def test_a_photograph_and_the_form_make_the_capture_of_its_folder(name, settings, tmp_path):
+    data = jpeg(PICTURE) if name.endswith("JPG") else PICTURE
+    upload = checked_upload([(name, data)], photograph_fields(), settings)
+    read, expected = capture_of(upload, tmp_path / "capture"), read_capture(PHOTOGRAPH)
+    assert np.abs(read.outline.radii - expected.outline.radii).max() < 2e-4
+    assert (read.outline.height, read.rig, read.density, read.warp_direction) == (
+        expected.outline.height, expected.rig, expected.density, expected.warp_direction)
+
+
+@pytest.mark.parametrize("name", ["drape 3.csv", "drape 3.txt"])
+def test_a_table_of_an_outline_has_a_unit_and_an_origin(name, settings, tmp_path):
+    curve = 1e3 * read_capture(PHOTOGRAPH).outline.curve[::4] + [40, 0]
+    table = "\n".join(f"{x:.2f};{y:.2f}" for x, y in curve).encode()
+    fields = {"density_g_m2": "210", "tester": "disc300_support180", "unit": "mm",
+              "centred": "false", "camera_height_mm": "parallel"}
+    outline = capture_of(checked_upload([(name, table)], fields, settings), tmp_path / "c").outline
+    assert np.isinf(outline.height) and not outline.centred
+    assert outline.radii.max() < 0.15  # from the centroid
+
+
+def test_a_field_replaces_its_value_alone(settings):
+    document = (PHOTOGRAPH / "capture.yaml").read_bytes()
+    upload = checked_upload([("a.png", PICTURE), ("capture.yaml", document)],
+                            {"camera_height_mm": "1500,5"}, settings)
+    outline = yaml.safe_load(upload.files["capture.yaml"])["outline"]
+    assert outline == yaml.safe_load(document)["outline"] | {"camera_height_mm": 1500.5}
+
+
+def test_pictures_among_views_are_no_outline(settings):
+    files = [*VIEWS, YAML, ("table.jpg", jpeg(PICTURE)), ("log.csv", b"a;b")]
+    upload = checked_upload([("a.zip", zipped(files))], {}, settings)
+    assert not any(name.startswith("outline") for name in upload.files)
+
+
+def test_photographs_may_have_more_pixels_than_views(settings):
+    upload = checked_upload([("a.png", png_of_size(6000, 4000))], photograph_fields(), settings)
+    assert "outline.png" in upload.files
+
+
 def test_names_are_never_paths(settings):
     names = ["../../../etc/view_0.png", "/root/view_1.png", "..\\..\\view_2.png", "a/b/view_3.png"]
     files = [(name, data) for name, (_, data) in zip(names, VIEWS, strict=True)]
@@ -129,6 +185,14 @@ REFUSED = {
     "enormous array": ([("view_0.npy", npy(np.zeros((1, 1)))[:10] + (
         b"{'descr': '<f4', 'fortran_order': False, 'shape': (99999, 99999), }").ljust(117) + b"\n"),
         YAML], {}, 413, "pixels"),
+    "enormous photograph": ([("a.png", png_of_size(9000, 9000))], photograph_fields(), 413,
+                            "outline.png has more than 50 million pixels"),
+    "two photographs": ([("a.jpg", b""), ("b.jpg", b"")], photograph_fields(), 422,
+                        "a.jpg and b.jpg: a capture has one photograph or table"),
+    "half a plate": ([("a.jpg", b"")], {"plate_x": "900"}, 422, "outline.plate_px.y is missing"),
+    "camera height in metres": ([("a.jpg", b"")], {"camera_height_mm": "1.2"}, 422,
+                                "give 200 to 20000 mm, or parallel"),
+    "no photograph": ([("a.jpg", b"GIF89a")], photograph_fields(), 422, "cannot be read"),
     "no picture": ([("view_0.png", b"GIF89a"), YAML], {}, 422, "cannot be read"),
     "no density": (VIEWS, {}, 422, "density_g_m2 is missing"),
     "density in kg": (VIEWS, {"density_g_m2": "0.2"}, 422, "check the unit"),

@@ -26,7 +26,7 @@ let shown = {};
 
 const suffix = (name) => name.slice(name.lastIndexOf('.')).toLowerCase().replace('.yml', '.yaml');
 const chosen = () => [...at('files').files];
-const isDescribed = () => chosen().some((file) => ['.zip', '.yaml', '.txt'].includes(suffix(file.name)));
+const isDescribed = () => chosen().some((file) => ['.zip', '.yaml'].includes(suffix(file.name)) || file.name === 'density.txt');
 
 function check() {
   at('error-files').textContent = '';
@@ -49,7 +49,7 @@ function clear() {
 function isComplete() {
   const files = chosen();
   if (!files.length) {
-    complain('error-files', 'No files yet: drop the views of a drape here, or choose them.', at('files'));
+    complain('error-files', 'No files yet: drop the views of a drape, or its photograph, here, or choose them.', at('files'));
     return false;
   }
   const wrong = files.find((file) => !limits.kinds.split(',').includes(suffix(file.name)));
@@ -114,12 +114,12 @@ async function send() {
   }
 }
 
-async function tryExample() {
+async function tryExample(name) {
   clear();
   try {
-    const answer = await fetch('/example.zip');
+    const answer = await fetch(`/examples/${name}.zip`);
     const transfer = new DataTransfer();
-    transfer.items.add(new File([await answer.blob()], 'example.zip'));
+    transfer.items.add(new File([await answer.blob()], `${name}.zip`));
     at('files').files = transfer.files;
     await send();
   } catch {
@@ -227,6 +227,10 @@ function showNumbers(estimate) {
     }
     return row;
   }));
+  const { capture: { drape_coefficient_percent: coefficient }, resimulation } = estimate;
+  const simulated = resimulation?.drape_coefficient_percent;
+  at('coefficient').textContent = coefficient ? `Drape coefficient ${coefficient.toFixed(1)} % as captured`
+    + (simulated ? `, ${simulated.toFixed(1)} % simulated with the estimate.` : '.') : '';
   at('poor').textContent = estimate.poorly_constrained.length
     ? `Poorly constrained by this drape: ${estimate.poorly_constrained.join(', ')}.` : '';
   at('numbers').hidden = false;
@@ -252,7 +256,8 @@ async function showShapes(address) {
   at('shapes').hidden = false;
   try {
     const { view } = await import('./viewer.js');
-    await view(address, at('canvas'), at('overlay'));
+    const captured = await view(address, at('canvas'), at('overlay'));
+    for (const part of at('shapes').querySelectorAll('.captured')) part.hidden = !captured;
   } catch {
     at('help-canvas').textContent = 'This browser cannot draw in 3-D (WebGL); download the GLB file instead.';
   }
@@ -304,7 +309,9 @@ at('form').addEventListener('submit', (event) => {
   event.preventDefault();
   send();
 });
-at('example')?.addEventListener('click', tryExample);
+for (const button of document.querySelectorAll('[data-example]')) {
+  button.addEventListener('click', () => tryExample(button.dataset.example));
+}
 at('copy').addEventListener('click', async () => {
   try {
     await navigator.clipboard.writeText(location.href);

@@ -1,5 +1,5 @@
-// The captured surface and the simulated drape side by side, seen by one camera, so that they turn
-// together.
+// The captured surface, if depth was captured, and the simulated drape side by side, seen by one
+// camera, so that they turn together.
 
 import {
   Box3, Color, DirectionalLight, GLTFLoader, HemisphereLight, OrbitControls, PerspectiveCamera, Scene,
@@ -26,7 +26,8 @@ export async function view(address, canvas, overlay) {
   lamp.position.set(-0.5, 0.8, 0.6);
   camera.add(lamp);
 
-  const box = new Box3().setFromObject(parts.captured);
+  const shown = ['captured', 'simulated'].filter((name) => parts[name]);
+  const box = new Box3().setFromObject(parts[shown[0]] ?? found);
   const controls = new OrbitControls(camera, canvas);
   box.getCenter(controls.target);
   camera.position.set(0, 0.27, 0.58).add(controls.target); // as the rig's camera stands
@@ -44,14 +45,14 @@ export async function view(address, canvas, overlay) {
       renderer.setPixelRatio(ratio);
       renderer.setSize(width, height, false);
     }
-    const views = overlay.checked || !parts.simulated ? [['captured', 'simulated']] : [['captured'], ['simulated']];
+    const views = overlay.checked || shown.length < 2 ? [shown] : shown.map((name) => [name]);
     views.forEach((names, k) => {
       const [left, share] = [(width * k) / views.length, width / views.length];
       renderer.setViewport(left, 0, share, height);
       renderer.setScissor(left, 0, share, height);
       camera.aspect = share / height;
       camera.updateProjectionMatrix();
-      for (const name of ['captured', 'simulated']) if (parts[name]) parts[name].visible = names.includes(name);
+      for (const name of shown) parts[name].visible = names.includes(name);
       renderer.render(scene, camera);
     });
   };
@@ -86,4 +87,5 @@ export async function view(address, canvas, overlay) {
     renderer.dispose();
   };
   draw();
+  return shown.includes('captured');
 }
