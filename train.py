@@ -37,6 +37,7 @@ def train(config: TrainConfig) -> Path:
 
     torch.manual_seed(config.seed)  # used for the initial weights only
     network = DrapeNet(**training.network(config.model)).to(device)
+    network.bfloat16 = config.bfloat16
     optimizer = torch.optim.AdamW(network.parameters(), weight_decay=config.optim.weight_decay)
 
     # Must agree with an existing state for a resume.

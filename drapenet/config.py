@@ -51,6 +51,7 @@ class TrainConfig:
     device: Annotated[str, Field(pattern="^(auto|cpu|cuda)$")]
     workers: Workers
     threads: Threads
+    bfloat16: bool
     half_precision: bool
     setup: dict[str, Any]
     model: ModelConfig

@@ -165,6 +165,7 @@ class DrapeNet(torch.nn.Module):
     ) -> None:
         super().__init__()
         self.distance, self.spread = distance, spread
+        self.bfloat16 = False  # whether convolutions of a training step are in bfloat16
         widths = [width, width, 2 * width, 4 * width, 8 * width]
         self.stem = torch.nn.Sequential(
             circular(CHANNELS, width, stride=2, width=7), norm(width),
@@ -215,8 +216,10 @@ class DrapeNet(torch.nn.Module):
         rows = torch.cat([rows, place.expand(len(outline), *place.shape)], dim=1)
         maps = torch.cat([(distance - self.distance) / self.spread * (distance > 0).float(),
                           weight.clamp(max=4.0) - 1.0], dim=2).transpose(1, 2)
-        features = self.stages(self.stem(torch.cat([maps, rows], dim=1)))
-        return torch.cat([pooled(features), facts], dim=1)
+        with torch.autocast(facts.device.type, torch.bfloat16,
+                            enabled=self.bfloat16 and self.training):
+            features = self.stages(self.stem(torch.cat([maps, rows], dim=1)))
+        return torch.cat([pooled(features.float()), facts], dim=1)
 
 
 def pooled(features: torch.Tensor) -> torch.Tensor:
