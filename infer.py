@@ -1,4 +1,4 @@
-"""Estimate the six bending moduli of a fabric from captures: depth images of its drape.
+"""Estimate the six bending moduli of a fabric from captures: depth images or photographs.
 
     python infer.py capture=DIR [refine=depth] [out=DIR] [checkpoint=FILE]
     python infer.py capture=[DIR,DIR,...]      captures of one fabric: one estimate
@@ -73,8 +73,8 @@ def estimate_fabric(config: InferConfig, options: EstimateOptions) -> Path:
     results = []
     for (capture, scan), folder in zip(sources, folders, strict=True):
         if sys.stderr.isatty():
-            print(f"{capture.path}: {len(capture.views)} views; the estimate takes about half a "
-                  "minute", file=sys.stderr, flush=True)
+            print(f"{capture.path}: the estimate takes about half a minute", file=sys.stderr,
+                  flush=True)
         result = estimate_capture(capture, header, options, out=folder, scan=scan)
         document = result.document
         results.append((result.observation, document))
@@ -105,7 +105,7 @@ def options_of(config: InferConfig) -> EstimateOptions:
     if len(sources) > 1:
         raise InputError(f"give {sources[0]}= or {sources[1]}=, not both")
     if not sources:
-        raise InputError("capture= is missing; give the folder with the depth images: capture=DIR")
+        raise InputError("capture= is missing; give the folder of the capture: capture=DIR")
     kind, ways = ("scan", ("none", "scan")) if config.scan else ("capture", ("none", "depth"))
     if config.refine["by"] not in ways:
         raise InputError(f"refine={config.refine['by']} does not fit a {kind}; use refine="

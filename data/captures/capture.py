@@ -116,7 +116,7 @@ def read_capture(path: str | Path) -> Capture:
         if not path.exists():
             raise InputError("the folder does not exist; check the path")
         if not path.is_dir():
-            raise InputError("this is not a folder; give the folder with the views")
+            raise InputError("this is not a folder; give the folder with capture.yaml")
         if (path / "capture.yaml").exists():
             return _read_metric(path)
         if (path / "density.txt").exists():
@@ -124,7 +124,7 @@ def read_capture(path: str | Path) -> Capture:
         if (path / "capture.yml").exists():
             raise InputError(f"{path / 'capture.yml'}: rename it to capture.yaml")
         raise InputError("the folder has neither capture.yaml nor density.txt; write capture.yaml "
-                         "with density_g_m2, tester and intrinsics")
+                         "with density_g_m2, tester, and intrinsics or outline")
     except OSError as error:
         raise InputError(f"capture {path} cannot be read ({one_line(error)}); check its "
                          "permissions") from None

@@ -178,8 +178,10 @@ def numbered(folder: Path, pattern: str, *, most: int = MAX_VIEWS) -> list[Path]
     if not names:
         others = sorted(file.name for file in folder.iterdir() if file.name != "capture.yaml")
         there = f" (the folder holds {shown(others[0])})" if others else ""
+        photograph = ", or a photograph from above outline.jpg" * (pattern == KINDS[0])
         raise InputError(f"{folder}: {pattern.format(0)} is missing{there}; name the one to "
-                         f"{MAX_VIEWS} views {pattern.format(0)}, {pattern.format(1)} and so on")
+                         f"{MAX_VIEWS} views {pattern.format(0)}, {pattern.format(1)} and so on"
+                         f"{photograph}")
     if len(names) > most:
         raise InputError(f"{folder} has {len(names)} files {pattern.format('*')}; at most {most} "
                          "are read: leave the others out")

@@ -175,11 +175,12 @@ def _members(data: bytes, settings: ServeConfig) -> list[tuple[str, bytes]]:
 def _require_pixels(name: str, data: bytes, settings: ServeConfig) -> None:
     """Refuse, before decoding, a picture of too many pixels."""
     suffix, size = Path(name).suffix, ()
-    most = settings.photograph_pixels if Path(name).stem == "outline" else settings.pixels
+    photograph = Path(name).stem == "outline" and suffix not in OUTLINE_TABLES
+    most = settings.photograph_pixels if photograph else settings.pixels
     try:
         if suffix == ".npy":
             size, _ = header_of(data)
-        elif suffix in (".png", *OUTLINE_SUFFIXES) and suffix not in OUTLINE_TABLES:
+        elif suffix == ".png" or photograph:
             with Image.open(io.BytesIO(data), formats=["PNG", "JPEG", "TIFF"]) as picture:
                 size = picture.size
     except (Image.DecompressionBombError, Image.DecompressionBombWarning):

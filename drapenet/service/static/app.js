@@ -227,10 +227,11 @@ function showNumbers(estimate) {
     }
     return row;
   }));
-  const { capture: { drape_coefficient_percent: coefficient }, resimulation } = estimate;
-  const simulated = resimulation?.drape_coefficient_percent;
-  at('coefficient').textContent = coefficient ? `Drape coefficient ${coefficient.toFixed(1)} % as captured`
-    + (simulated ? `, ${simulated.toFixed(1)} % simulated with the estimate.` : '.') : '';
+  const { capture: { drape_coefficient_percent: coefficient, views }, resimulation } = estimate;
+  const simulated = resimulation ? `, ${resimulation.drape_coefficient_percent.toFixed(1)} % simulated with the estimate` : '';
+  const corrected = resimulation && !views ? ', without perspective' : '';
+  at('coefficient').textContent = coefficient
+    ? `Drape coefficient ${coefficient.toFixed(1)} % as captured${corrected}${simulated}.` : '';
   at('poor').textContent = estimate.poorly_constrained.length
     ? `Poorly constrained by this drape: ${estimate.poorly_constrained.join(', ')}.` : '';
   at('numbers').hidden = false;
