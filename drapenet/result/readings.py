@@ -15,7 +15,6 @@ from common.types import Density
 from sim.material import torque
 from sim.rig import GRAVITY
 
-INCLINE = np.radians(41.5)  # of the plane that the strip's tip reaches
 KES_CURVATURES = (50.0, 150.0)  # 1/m, of the secant
 STANDARD_GRAVITY = 9.80665  # m/s², of gram-force
 MG_CM = 1e-6 * STANDARD_GRAVITY * 1e-2  # N·m, of 1 mg·cm

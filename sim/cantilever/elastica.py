@@ -20,6 +20,7 @@ from common.types import DeflectionCurve, Metres, Radians
 from sim.material import SOFTENING_LIMIT
 
 MAX_GAMMA = 1e4
+MAX_RISE = np.radians(-10.0)  # of a clamp; strips that rise further may fall to either side
 _MIN_LOG_TIP_ANGLE = -300.0  # of the tip's angle to the vertical; far below any solution
 
 
@@ -29,8 +30,9 @@ def strip_shape(
 ) -> DeflectionCurve:
     """Shape of a strip of any torque ``law`` (4, K), at equidistant points. The error of H/W is
     below 1e-7, with 400 ``steps`` of integration below 1e-5 up to gamma = 1000."""
-    if not 0 <= slope < np.pi / 2 - 1e-3:
-        raise InputError(f"the clamp must slope by 0 to 89 degrees, not {np.degrees(slope):g}")
+    if not MAX_RISE <= slope < np.pi / 2 - 1e-3:
+        raise InputError(f"the clamp must slope by {np.degrees(MAX_RISE):g} to 89 degrees, not "
+                         f"{np.degrees(slope):g}")
     shape, target = np.zeros((points, 2)), np.pi / 2 - slope
     every = -(-steps // (points - 1))
 
@@ -46,14 +48,17 @@ def strip_shape(
 
 
 def heavy_elastica(
-    alpha: float, beta: float, *, weight: float, length: Metres, **options
+    alpha: float, beta: float, *, weight: float, length: Metres, curl: float = 0.0, **options
 ) -> DeflectionCurve:
     """Shape of a strip with the torque law of :func:`sim.material.torque`, moduli in N·m and N·m²;
-    options as for :func:`strip_shape`."""
+    ``curl``: natural curvature, 1/m, positive where it bends the strip down, as in
+    :mod:`sim.energies.bending_variants`; options as for :func:`strip_shape`."""
     gamma = weight * length**3 / alpha
     if not 0 < gamma <= MAX_GAMMA:
         raise InputError(f"gamma={gamma:g} must lie above 0 and not above {MAX_GAMMA:g}")
-    return strip_shape(softening_law(alpha, beta), weight=weight, length=length, **options)
+    law = softening_law(alpha, beta)
+    law[1] -= alpha * curl
+    return strip_shape(law, weight=weight, length=length, **options)
 
 
 def elastica(

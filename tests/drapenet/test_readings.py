@@ -6,7 +6,6 @@ from scipy.optimize import brentq
 
 from drapenet.result.readings import (
     GF_CM,
-    INCLINE,
     KES_CURVATURES,
     MG_CM,
     SOFTENING,
@@ -16,6 +15,7 @@ from drapenet.result.readings import (
 )
 from sim.cantilever import hang
 from sim.cantilever.elastica import MAX_GAMMA, aspect_ratio, elastica, heavy_elastica
+from sim.cantilever.posterior import INCLINE
 from sim.energies import bending_law
 from sim.material import MICRO, NANO, REFERENCE_DENSITY, Fabric
 from sim.rig import GRAVITY
