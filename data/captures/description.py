@@ -27,18 +27,23 @@ PARALLEL = "parallel"
 """Height of a camera infinitely far away, such as the light of a drapemeter."""
 
 
-class Specimen(Schema):
-    """What is stated of the cloth."""
+class Weighed(Schema):
+    """What is stated of the fabric."""
 
     density_g_m2: float = Field(
         ge=DENSITY_RANGE[0], le=DENSITY_RANGE[1],
         description="weigh the specimen, give its g/m² and check the unit")
-    warp_direction_deg: float | None = None
 
     @property
     def density(self) -> Density:
         """Density of the fabric."""
         return 1e-3 * self.density_g_m2
+
+
+class Specimen(Weighed):
+    """What is stated of the cloth."""
+
+    warp_direction_deg: float | None = None
 
     @property
     def warp_direction(self) -> Radians | None:

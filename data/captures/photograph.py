@@ -72,7 +72,7 @@ class PhotographedOutline:
 
     def drawn(self, points: Outline) -> Outline:
         """Points of the plane of ``curve`` in pixels of ``picture``, without one unchanged."""
-        return points if self.to_pixels is None else _mapped(points, self.to_pixels)
+        return points if self.to_pixels is None else mapped(points, self.to_pixels)
 
 
 def read_outline(file: Path, source: OutlineSource, rig: Rig) -> PhotographedOutline:
@@ -107,12 +107,12 @@ def _photographed(file: Path, source: OutlineSource, rig: Rig) -> PhotographedOu
     grey, factor = read_grey(file)
     to_metres, grey = _scale(grey, factor, source, rig)
     pixels = cut_drape(grey)
-    to_metres, tilt = _upright(to_metres, _centroid(pixels))
+    to_metres, tilt = upright(to_metres, _centroid(pixels))
     if not source.plate_px:
-        to_metres = _shift(-_centroid(_mapped(pixels, to_metres))) @ to_metres
-    curve = _mapped(pixels, to_metres)
+        to_metres = _shift(-_centroid(mapped(pixels, to_metres))) @ to_metres
+    curve = mapped(pixels, to_metres)
     to_pixels = np.linalg.inv(to_metres)
-    millimetre = np.diff(_mapped([[0, 0], [1e-3, 0]], to_pixels), axis=0)
+    millimetre = np.diff(mapped([[0, 0], [1e-3, 0]], to_pixels), axis=0)
     step = 1e-3 / (factor * np.linalg.norm(millimetre))
     warnings = []
     if step > MAX_PIXEL:
@@ -138,19 +138,28 @@ def _scale(
     if source.mm_per_px:
         pixel = 1e-3 * source.mm_per_px * factor
         return np.diag([pixel, -pixel, 1.0]), grey
-    if (corners := find_corners(grey.astype(np.uint8))) is None:
+    if (plane := board_plane(grey)) is None:
         raise InputError("the scale is not known: give outline: {plate_px: {x: 960, y: 540, "
                          "diameter: 700}} or mm_per_px, or lay the board in the plane of the plate")
+    return plane
+
+
+def board_plane(grey: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Homography (3, 3) from pixels to the plane of a printed board, m, and the picture (H, W),
+    0 to 255, in which the board is painted over; None if it is not seen, InputError if it is not
+    flat."""
+    if (corners := find_corners(grey.astype(np.uint8))) is None:
+        return None
     points, pixels = corners[0][:, :2].astype(np.float64), corners[1].astype(np.float64)
     to_metres = cv2.findHomography(pixels, points)[0]
     from_board = np.linalg.inv(to_metres)
-    error = np.sqrt(np.square(_mapped(points, from_board) - pixels).sum(axis=1).mean())
+    error = np.sqrt(np.square(mapped(points, from_board) - pixels).sum(axis=1).mean())
     if error > MAX_REPROJECTION_ERROR:
         raise InputError(f"the board's corners lie {error:.1f} pixels from those of a flat board, "
                          f"at most {MAX_REPROJECTION_ERROR:g} is allowed; glue it to a flat plate, "
                          "and remove the distortion of the lens")
     middle, half = np.array(SQUARES) * SQUARE / 2, np.array(PAPER) / 2 + 5e-3
-    page = _mapped(middle + half * [[-1, -1], [1, -1], [1, 1], [-1, 1]], from_board)
+    page = mapped(middle + half * [[-1, -1], [1, -1], [1, 1], [-1, 1]], from_board)
     mask = cv2.fillConvexPoly(np.zeros(grey.shape, np.uint8), np.rint(page).astype(np.int32), 1)
     around = (cv2.dilate(mask, np.ones((15, 15), np.uint8)) > 0) & (mask == 0)
     if not around.any():
@@ -158,10 +167,11 @@ def _scale(
     return to_metres, np.where(mask > 0, np.median(grey[around]), grey).astype(np.float32)
 
 
-def _upright(to_metres: np.ndarray, pixel: np.ndarray) -> tuple[np.ndarray, float]:
-    """A homography turned such that at a ``pixel`` x is to the right and y up in the picture, and
-    the angle, rad, between line of sight and vertical there, by the ratio of its scales."""
-    points = _mapped(pixel + np.array([[0, 0], [1, 0], [0, 1]]), to_metres)
+def upright(to_metres: np.ndarray, pixel: np.ndarray) -> tuple[np.ndarray, float]:
+    """A homography (3, 3) turned such that at a ``pixel`` (2,) x is to the right and y up in the
+    picture, and the angle, rad, between line of sight and vertical there, by the ratio of its
+    scales."""
+    points = mapped(pixel + np.array([[0, 0], [1, 0], [0, 1]]), to_metres)
     right, down = points[1:] - points[0]
     flip = 1.0 if right[0] * down[1] < right[1] * down[0] else -1.0
     cos, sin = right * [1, flip] / np.linalg.norm(right)
@@ -174,7 +184,8 @@ def _shift(offset: np.ndarray) -> np.ndarray:
     return np.array([[1, 0, offset[0]], [0, 1, offset[1]], [0, 0, 1]])
 
 
-def _mapped(points: np.ndarray, homography: np.ndarray) -> np.ndarray:
+def mapped(points: np.ndarray, homography: np.ndarray) -> np.ndarray:
+    """Points (N, 2), m or pixels, mapped by a homography (3, 3)."""
     return cv2.perspectiveTransform(np.asarray(points, np.float64)[:, None], homography)[:, 0]
 
 

@@ -4,7 +4,8 @@
     python -m data.captures.preview board=board.png
 
 FOLDER has capture.yaml and frames of the full scene, or of the cloth alone (docs/use.md), or its
-outline from above, which is written as numbers, with a picture of curve and plate. Writes
+outline from above, which is written as numbers, with a picture of curve and plate; or strips.yaml
+and photographs of strips, whose curves are written as CSV, with a picture of each. Writes
 the capture as 16-bit PNG with background 0 to DIR, and DIR/capture.png: each frame with the outline
 of the cloth, the plate's rim and its axes; last, the hems of all frames from above, one colour per
 frame, rotated back by turns_deg. Check it: where two colours do not coincide, or all are on one
@@ -30,6 +31,9 @@ from data.captures.cutout import CutOut
 from data.captures.plate import plate_of_cloth
 from data.render.cameras import Camera, Intrinsics
 from data.render.shade import silhouette, thumbnails
+from data.strips.description import FILE as STRIPS
+from data.strips.folder import read_strips
+from data.strips.preview import strips_figure, write_curves
 from sim.rig import Rig
 
 DEPTH_UNIT = 1e-4  # m per count, finer than those of input files
@@ -66,6 +70,12 @@ def main(config: CaptureConfig) -> None:
         raise InputError("frames= is missing; give the folder of the frames: frames=FOLDER")
     out = folder_named(config.out)
     require_folder(out)
+    if (Path(config.frames) / STRIPS).exists():
+        strips = read_strips(config.frames)
+        write_curves(strips, out)
+        replace_file(out / PICTURE, _png(strips_figure(strips)))
+        _print_notes(strips.warnings, out)
+        return
     capture = read_capture(config.frames)
     if capture.outline:
         write_outline(capture, out)

@@ -28,9 +28,11 @@ FRAME_SHARE = 0.2  # of what a frame surrounds, at least its opening
 CUT_OFF_SHARE = 0.2  # smaller pieces than this share of a piece at the border are not the drape
 
 
-def read_grey(file: Path) -> tuple[np.ndarray, int]:
-    """Brightness (H, W) float32, 0 to 255 for the brightest, and how many pixels of a row of the
-    file have been averaged to each of its pixels."""
+def read_grey(
+    file: Path, *, side: int = WORKING_SIDE, brightest: float = 0.995
+) -> tuple[np.ndarray, int]:
+    """Brightness (H, W) float32, 0 to 255 for the quantile ``brightest``, with at most ``side``
+    pixels on a side, and how many pixels of a row of the file have been averaged to each."""
     require_regular(file, MAX_FILE_BYTES, "photograph")
     with reading(file, "save it again as PNG, JPEG or TIFF"):
         with Image.open(file, formats=["PNG", "JPEG", "TIFF"]) as picture:
@@ -41,12 +43,12 @@ def read_grey(file: Path) -> tuple[np.ndarray, int]:
             picture = ImageOps.exif_transpose(picture)
             wide = picture.mode[0] in "IF"  # more than 8 bits
             grey = np.asarray(picture if wide else picture.convert("L"))
-    factor = -(-max(grey.shape) // WORKING_SIDE)
+    factor = -(-max(grey.shape) // side)
     rows, columns = (n // factor for n in grey.shape)
     grey = grey[: rows * factor, : columns * factor].reshape(rows, factor, columns, factor)
     grey = np.nan_to_num(grey.mean(axis=(1, 3), dtype=np.float32))
-    brightest = max(float(np.quantile(grey, 0.995)), 1e-6)
-    return np.clip(grey * (255 / brightest), 0, 255).astype(np.float32), factor
+    white = max(float(np.quantile(grey, brightest)), 1e-6)
+    return np.clip(grey * (255 / white), 0, 255).astype(np.float32), factor
 
 
 def cut_drape(grey: np.ndarray) -> Pixels:
