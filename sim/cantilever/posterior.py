@@ -32,6 +32,7 @@ CURL_PRIOR = 10.0  # 1/m, standard deviation of the natural curvature
 SLOPE_ERROR = np.radians(0.5)  # of a clamp
 MAX_MISFIT = 4.0  # largest error of a fit, in standard deviations, root mean square
 _POINTS, _STEPS = 81, 240  # of elastica curves
+_BEYOND = 0.2  # of the length, by which a model is extended
 _STEP = 1e-3  # of an unknown, in differences
 _CURL_UNIT = 10.0  # 1/m; unknowns of a fit have similar magnitudes
 _LIMITS = (0.5, 1.5)  # of a strip's length, relative
@@ -205,8 +206,10 @@ class _Fit:
         strip, (*shared, stretch, tilt) = self.strips[k], unknowns
         length = stretch * strip.length
         model = self._shape(shared, strip.sign, length, self.slope + SLOPE_ERROR * tilt)
-        across = distance_across(strip.curve[1:-1], model)
         end, last = strip.curve[-1] - model[-1], _directions(model)[-1]
+        # The measured tip may lie beyond the model's, whose curvature is 0 there.
+        straight = model[-1] + _BEYOND * length * last
+        across = distance_across(strip.curve[1:-1], np.vstack([model, straight]))
         offsets = np.concatenate([across, [end @ [-last[1], last[0]], end @ last]])
         return np.concatenate([self.white[k] @ offsets,
                                [tilt, (length - strip.length) / strip.length_error]])
