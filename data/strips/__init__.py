@@ -1,0 +1,1 @@
+"""Photographs of cantilever strips from the side, read as deflection curves."""
