@@ -1,0 +1,173 @@
+"""Photographs of strips: the curve, its scale and its covariance, and each fault in one line."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+from strip_photographs import (
+    ALPHA,
+    BETA,
+    LONG,
+    SHORT,
+    SLOPED,
+    entry,
+    largest_error_mm,
+    photograph,
+    write,
+)
+
+from apps.strip_curves import read_curve
+from common.errors import InputError
+from data.captures import preview
+from data.strips.folder import read_strips
+from experiments.estimation.strip_photographs import FAULTS, fault_case
+
+LIGHT = {"cloth": 200.0, "ground": 40.0, "clamp": 150.0}
+SEEN = (LONG.pixels(np.zeros((1, 2)))[0] + [4.0, 0.0]).tolist()  # the near edge of the clamp
+RULER = {"ruler_px": LONG.pixels(np.array([[-0.04, 0.05], [0.06, 0.05]])).tolist(),
+         "ruler_mm": 100}
+
+
+def read(tmp_path, scene, name="strip.png", picture=None, keys=None, **changes):
+    shown = photograph(scene) if picture is None else picture
+    folder = write(tmp_path / "strips", {name: shown}, [entry(scene, name) | changes],
+                   **({} if keys is None else keys))
+    strips = read_strips(folder)
+    assert "warp: only one face was measured" in strips.warnings[-1]
+    return strips.photographs[0], strips.warnings[:-1]
+
+
+@pytest.mark.parametrize("scene, name, changes", [
+    (LONG, "strip.png", {}),
+    (SHORT, "strip.jpg", {}),
+    (replace(LONG, **LIGHT, thickness=8e-4), "strip.tif", {}),
+    (replace(LONG, to_the_left=True, roll=0.08), "strip.png", {}),
+    (replace(LONG, clamp=70.0, gradient=0.25, noise=6.0, blur=2.0), "strip.jpeg", {}),
+    (replace(LONG, aim=(0.05, 0.01), distance=0.6, field=0.18), "strip.png", {}),
+    (LONG, "strip.png", {"clamp_px": SEEN, "roll_deg": 0.0}),
+    (LONG, "strip.png", {"scale": RULER}),
+    (LONG, "strip.png", {"scale": {"by": "free_length"}}),
+], ids=["plain", "short", "light", "left, rolled", "uneven", "aside", "clamp stated", "ruler",
+        "free length"])
+def test_the_curve_of_a_photograph_is_exact_to_0_4_mm(tmp_path, scene, name, changes):
+    strip, warnings = read(tmp_path, scene, name, **changes)
+    assert not warnings
+    curve, covariance = strip.measured.curve, strip.measured.covariance
+    assert largest_error_mm(curve, scene) < 0.4
+    assert (curve[0] == 0).all() and (np.diff(curve, axis=0)[1:] @ [0.2, 1] > 0).all()
+    assert np.linalg.eigvalsh(covariance[2:, 2:])[0] > 0
+    off = (curve - scene.curve[np.linspace(0, 160, len(curve)).astype(int)])[-1]
+    deviation = np.sqrt(np.diag(covariance)[-2:])
+    assert (np.abs(off) < 4 * deviation).all() and (deviation < 1.5e-3).all()
+
+
+def test_a_large_photograph_is_reduced(tmp_path):
+    small = photograph(LONG)
+    large = cv2.resize(small, None, fx=3, fy=3, interpolation=cv2.INTER_CUBIC)
+    scale = entry(LONG)["scale"]["mm_per_px"] / 3
+    strip, _ = read(tmp_path, LONG, picture=large, scale={"mm_per_px": scale})
+    assert strip.picture.shape[1] < large.shape[1]
+    assert largest_error_mm(strip.measured.curve, LONG) < 0.4
+
+
+def test_a_sloping_clamp_is_read_as_stated(tmp_path):
+    folder = write(tmp_path / "strips", {"strip.png": photograph(SLOPED)}, [entry(SLOPED)])
+    strips = read_strips(folder, slope=SLOPED.slope)
+    assert largest_error_mm(strips.photographs[0].measured.curve, SLOPED) < 0.4
+    (found,) = strips.posteriors().values()
+    assert len(strips.warnings) == 1 and found.alpha == pytest.approx(ALPHA, rel=0.15)
+    assert any("no horizontal edge" in line for line in read_strips(folder).warnings)
+
+
+def test_a_board_gives_the_scale_in_the_plane_of_the_strip(tmp_path):
+    scene = replace(LONG, size=(1800, 1300), field=0.46, aim=(0.11, -0.04), board=(0.2, -0.05),
+                    yaw=0.03)
+    strip, warnings = read(tmp_path, scene, scale={"by": "board"})
+    assert largest_error_mm(strip.measured.curve, scene) < 0.9 and not warnings
+
+
+def test_a_thick_strip_is_read_at_its_middle(tmp_path):
+    thin, thick = (read(tmp_path, replace(LONG, thickness=t))[0] for t in (3e-4, 2e-3))
+    assert thick.band - thin.band == pytest.approx(1.7e-3, abs=2e-4)
+    assert np.abs(thick.measured.curve[-1] - thin.measured.curve[-1]).max() < 6e-4
+    assert largest_error_mm(thick.measured.curve, LONG) < 0.4
+
+
+def test_photographs_of_one_direction_give_its_moduli(tmp_path):
+    folder = write(tmp_path / "strips", {"a.png": photograph(SHORT), "b.png": photograph(LONG)},
+                   [entry(SHORT, "a.png"), entry(LONG, "b.png"),
+                    {"direction": "weft", "bending_length_mm": 21.0}])
+    found = read_strips(folder).posteriors()
+    assert found["warp"].alpha == pytest.approx(ALPHA, rel=0.05)
+    assert found["warp"].beta == pytest.approx(BETA, rel=0.35)
+    for level, count in ((0.9, 2), (0.01, 0)):
+        spans = found["warp"].intervals(level)
+        assert ((spans[:, 0] < [ALPHA, BETA]) & (spans[:, 1] > [ALPHA, BETA])).sum() >= count
+    assert found["warp"].covariance[0, 0] < found["weft"].covariance[0, 0]
+    assert found["weft"].alpha == pytest.approx(0.2 * 9.81 * 0.021**3, rel=0.3)
+
+
+@pytest.mark.parametrize("kind", FAULTS)
+def test_each_fault_of_a_photograph_has_a_line(kind):
+    answer = fault_case(kind=kind, number=0)["answer"]
+    assert answer and "\n" not in answer and ";" in answer
+
+
+STATED = {
+    "no scale": ({"scale": None}, {}, "scale is missing"),
+    "two scales": ({"scale": {"mm_per_px": 0.1, "by": "board"}}, {}, "states mm_per_px and by"),
+    "half a ruler": ({"scale": {"ruler_mm": 50}}, {}, "half of a ruler"),
+    "short ruler": ({"scale": {"ruler_px": [[0, 0], [9, 0]], "ruler_mm": 9}}, {}, "20 pixels"),
+    "board": ({"scale": {"by": "board"}}, {}, "printed board is not seen"),
+    "direction": ({"direction": "length"}, {}, "strips.0.direction='length'"),
+    "key": ({"lenght": 3}, {}, "unknown key 'strips.0.lenght'"),
+    "no length": ({"free_length_mm": None}, {}, "free_length_mm is missing"),
+    "no file": ({"file": None}, {}, "give each strip a file"),
+    "both kinds": ({"bending_length_mm": 20.0}, {}, "give each strip a file"),
+    "elsewhere": ({"file": "other.png"}, {}, "other.png cannot be read"),
+    "outside": ({"clamp_px": [5000.0, 3.0]}, {}, "is not in the picture"),
+    "density": ({}, {"density_g_m2": 0.2}, "density_g_m2=0.2.*weigh"),
+    "no strips": ({}, {"strips": []}, r"strips=\[\]"),
+}
+
+
+@pytest.mark.parametrize("changes, keys, fault", STATED.values(), ids=STATED)
+def test_each_fault_of_strips_yaml_has_a_line(tmp_path, changes, keys, fault):
+    with pytest.raises(InputError, match=fault) as caught:
+        read(tmp_path, LONG, picture=PICTURE, keys=keys, **changes)
+    assert str(tmp_path / "strips") in str(caught.value) and "\n" not in str(caught.value)
+
+
+PICTURE = photograph(LONG)
+
+
+def test_a_folder_without_description_and_a_repeated_file_are_named(tmp_path):
+    with pytest.raises(InputError, match=r"has no strips\.yaml"):
+        read_strips(tmp_path)
+    with pytest.raises(InputError, match="is not a folder"):
+        read_strips(tmp_path / "none")
+    folder = write(tmp_path / "strips", {"strip.png": PICTURE}, [entry(LONG), entry(LONG)])
+    with pytest.raises(InputError, match=r"strip\.png is the file of two strips"):
+        read_strips(folder)
+
+
+def test_what_is_uncertain_is_a_warning(tmp_path):
+    def warnings(**keys):
+        changes = keys.pop("changes", {})
+        return read(tmp_path, LONG, picture=PICTURE, keys=keys, **changes)[1]
+
+    assert any("camera_distance_mm is missing" in line
+               for line in warnings(changes={"camera_distance_mm": None}))
+    assert any("thinner than its thickness" in line for line in warnings(thickness_mm=5.0))
+
+
+def test_the_preview_writes_curves_that_the_estimate_reads(tmp_path, capsys):
+    strip, _ = read(tmp_path, LONG)
+    preview.main([f"frames={tmp_path / 'strips'}", f"out={tmp_path / 'out'}"])
+    assert "picture" in capsys.readouterr().out
+    curve = read_curve(tmp_path / "out" / "strip.csv")
+    assert np.abs(curve - strip.measured.curve).max() < 1e-6
+    with Image.open(tmp_path / "out" / "capture.png") as picture:
+        assert min(picture.size) > 300
