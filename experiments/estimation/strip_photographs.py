@@ -1,0 +1,298 @@
+"""Curves and moduli from simulated photographs of cantilever strips, and faulty photographs.
+
+Directions of fabrics from the prior have two strips each, of 1.5 and 2.5 bending lengths, at least
+20 mm: elasticas, photographed from a random pose. Half of the directions have a natural curvature,
+and the longer strip hangs with the other face up; the others are flat, and one face is measured.
+Clamp, scale, free length and the camera's distance have the errors that the reader assumes. The
+moduli of a direction are estimated from its strips together. Faults are those of :data:`FAULTS`;
+one is found if the photograph is refused, or has a warning.
+"""
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import yaml
+
+from common.errors import InputError
+from data.render.strips import StripScene, posed
+from data.strips.description import FILE
+from data.strips.folder import StripSet, read_strips
+from data.strips.photograph import CLAMP_ERROR, LENGTH_ERROR, ROLL_ERROR, SCALE_ERROR
+from experiments.drapes import prior_theta
+from experiments.result import Config, Result, run_cases
+from sim.cantilever import heavy_elastica
+from sim.cantilever.moduli import distance_across, match
+from sim.cantilever.posterior import SLOPE_ERROR
+from sim.cantilever.strip import bending_length
+from sim.material import DIRECTIONS, REFERENCE_DENSITY
+from sim.rig import GRAVITY
+
+SEED = 31
+LENGTHS, LEAST_LENGTH = (1.5, 2.5), 0.02  # bending lengths, and m
+WEIGHT = REFERENCE_DENSITY * GRAVITY
+SCALES = ("mm_per_px", "ruler_px", "free_length")  # of the directions in turn
+CURL = 5.0  # 1/m, scale of the Laplace distribution of natural curvatures
+FACES = ("one face", "both faces")
+MIN_RATIO = 1e-3  # m; errors of beta are relative to the larger of |beta| and this times alpha
+DISTANCE_ERROR = 0.02  # relative, of the stated distance of the camera
+LEVELS = (0.68, 0.9)
+
+
+def direction_of(number: int) -> tuple[float, float]:
+    """alpha, N·m, and beta/alpha, m, of a direction of a fabric of the prior."""
+    theta, k = prior_theta(number // len(DIRECTIONS), SEED), number % len(DIRECTIONS)
+    return float(np.exp(theta[k])), float(theta[len(DIRECTIONS) + k])
+
+
+def draw_scene(
+    alpha: float, ratio: float, length: float, rng: np.random.Generator, *, curl: float = 0.0
+) -> StripScene:
+    """A photograph of the strip of a ``length``, m, with moduli alpha, N·m, and beta/alpha, m, and
+    a natural curvature ``curl``, 1/m."""
+    level = rng.normal(0, ROLL_ERROR)  # of the clamp, which gives the horizontal
+    curve = heavy_elastica(alpha, ratio * alpha, weight=WEIGHT, length=length, points=161,
+                           curl=curl, slope=level + rng.normal(0, SLOPE_ERROR))
+    dark = rng.random() < 0.5
+    scene = StripScene(
+        curve, slope=level, edge=rng.normal(0, CLAMP_ERROR),
+        thickness=rng.uniform(2e-4, 8e-4), blur=rng.uniform(0.7, 1.6), noise=rng.uniform(2, 6),
+        gradient=rng.uniform(0, 0.2), to_the_left=rng.random() < 0.5,
+        cloth=rng.uniform(30, 120) if dark else rng.uniform(170, 230),
+        ground=rng.uniform(180, 220) if dark else rng.uniform(20, 60),
+        clamp=rng.uniform(30, 90) if dark else rng.uniform(120, 200))
+    return posed(scene, rng)
+
+
+def entry_of(scene: StripScene, name: str, length: float, scale: str,
+             rng: np.random.Generator) -> dict:
+    """What ``strips.yaml`` states of a photograph; the strip's length in m."""
+    pixel = 1e3 * scene.field / scene.size[0] * (1 + rng.normal(0, SCALE_ERROR["mm_per_px"]))
+    free = 1e3 * (length + rng.normal(0, LENGTH_ERROR))
+    scales = {"mm_per_px": {"mm_per_px": pixel},
+              "ruler_px": {"ruler_px": [[200, 900], [1200, 900]], "ruler_mm": 1000 * pixel},
+              "free_length": {"by": "free_length"}}
+    return {"file": name, "direction": "warp", "free_length_mm": float(free),
+            "hangs": "left" if scene.to_the_left else "right", "scale": scales[scale],
+            "camera_distance_mm": float(1e3 * scene.distance * (1 + rng.normal(0, DISTANCE_ERROR)))}
+
+
+def read_pictures(pictures: dict[str, np.ndarray], entries: list[dict], **keys) -> StripSet:
+    """Read pictures (H, W) by the names of their files, described by ``entries`` and other keys of
+    ``strips.yaml``."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for file, picture in pictures.items():
+            (folder / file).write_bytes(cv2.imencode(".png", picture)[1].tobytes())
+        content = {"density_g_m2": 1e3 * REFERENCE_DENSITY, "strips": entries} | keys
+        (folder / FILE).write_text(yaml.safe_dump(content), encoding="utf-8")
+        return read_strips(folder)
+
+
+def estimate_case(*, number: int) -> dict:
+    """Errors of the curves and of the moduli of one direction."""
+    alpha, ratio = direction_of(number)
+    rng = np.random.default_rng([SEED, number])
+    scale = SCALES[number // 2 % len(SCALES)]
+    curl = float(rng.laplace(0, CURL)) if number % 2 else 0.0
+    pictures, entries, scenes = {}, [], []
+    for k, share in enumerate(LENGTHS):
+        length = max(share * bending_length(alpha, REFERENCE_DENSITY), LEAST_LENGTH)
+        down = number % 2 and k
+        scenes.append(draw_scene(alpha, ratio, length, rng, curl=-curl if down else curl))
+        pictures[f"{k}.png"] = scenes[-1].photograph(rng)
+        entries.append(entry_of(scenes[-1], f"{k}.png", length, scale, rng)
+                       | {"face": "down" if down else "up"})
+    truth = {"alpha": alpha, "ratio": ratio, "scale": scale, "curl": curl,
+             "faces": FACES[number % 2]}
+    try:
+        strips = read_pictures(pictures, entries)
+        (found,) = strips.posteriors().values()
+    except InputError as error:
+        return truth | {"failed": str(error)}
+    off = [distance_across(strip.measured.curve[1:], scene.curve)
+           for strip, scene in zip(strips.photographs, scenes, strict=True)]
+    plain = match([strip.measured.curve for strip in strips.photographs], weight=WEIGHT)
+    true = np.array([alpha, ratio * alpha])
+    size = np.array([alpha, alpha * max(abs(ratio), MIN_RATIO)])
+    return truth | {
+        "failed": "",
+        "warnings": [line for strip in strips.photographs for line in strip.warnings],
+        "curl_found": found.curl,
+        "curve_mm": [1e3 * float(np.sqrt((each**2).mean())) for each in off],
+        "curve_largest_mm": [1e3 * float(np.abs(each).max()) for each in off],
+        "errors": ((np.array([found.alpha, found.beta]) - true) / size).tolist(),
+        "errors_table": ((np.array([plain.alpha, plain.beta]) - true) / size).tolist(),
+        "deviations": np.sqrt(np.diag(found.covariance)).tolist(),
+        "inside": [((spans[:, 0] < true) & (true < spans[:, 1])).tolist()
+                   for spans in map(found.intervals, LEVELS)], "misfit": found.misfit}
+
+
+def _picture_fault(change: Callable[[np.ndarray, np.random.Generator], np.ndarray]) -> Callable:
+    def fault(scene: StripScene, entry: dict, rng: np.random.Generator) -> np.ndarray:
+        return change(scene.photograph(rng), rng)
+
+    return fault
+
+
+def _scene_fault(**changes: object) -> Callable:
+    def fault(scene: StripScene, entry: dict, rng: np.random.Generator) -> np.ndarray:
+        new = {key: value(scene) if callable(value) else value for key, value in changes.items()}
+        return replace(scene, **new).photograph(rng)
+
+    return fault
+
+
+def _stated_fault(change: Callable[[dict], dict]) -> Callable:
+    def fault(scene: StripScene, entry: dict, rng: np.random.Generator) -> np.ndarray:
+        entry |= change(entry)
+        return scene.photograph(rng)
+
+    return fault
+
+
+def _marked(places: Callable[[StripScene], np.ndarray], *, width: float, shade: str) -> Callable:
+    """Something drawn over the picture along places (N, 2), m, of the middle plane."""
+    def fault(scene: StripScene, entry: dict, rng: np.random.Generator) -> np.ndarray:
+        picture = scene.photograph(rng)
+        pixels = np.rint(scene.pixels(places(scene))).astype(np.int32)
+        thick = max(1, round(width * scene.size[0] / scene.field))
+        local = picture[np.clip(pixels[0, 1], 0, picture.shape[0] - 1)]
+        ground = float(np.median(local))
+        cv2.polylines(picture, [pixels], False, ground if shade == "ground" else scene.cloth,
+                      thick, cv2.LINE_AA)
+        return picture
+
+    return fault
+
+
+def _bent(scene: StripScene, at: float, turn: float, *, sharp: bool) -> np.ndarray:
+    """The curve with a kink, or a curl of the rest, of ``turn``, rad, from a share of it on."""
+    steps = np.diff(scene.curve, axis=0)
+    share = np.linspace(0, 1, len(steps))
+    angle = turn * (share > at if sharp else np.clip((share - at) / (1 - at), 0, 1))
+    cos, sin = np.cos(angle), np.sin(angle)
+    turned = np.column_stack([cos * steps[:, 0] + sin * steps[:, 1],
+                              -sin * steps[:, 0] + cos * steps[:, 1]])
+    return np.vstack([[0, 0], np.cumsum(turned, axis=0)])
+
+
+def _cropped(picture: np.ndarray, scene: StripScene, *, clamp: bool) -> np.ndarray:
+    """The part of a picture without the clamp, or without the tip."""
+    columns, rows = scene.pixels(scene.curve).T
+    if not clamp:
+        return np.ascontiguousarray(picture[: int(rows[-1] - 0.2 * np.ptp(rows))])
+    start = columns[0] + 0.15 * (columns[-1] - columns[0])
+    kept = picture[:, : int(start)] if scene.to_the_left else picture[:, int(start) :]
+    return np.ascontiguousarray(kept)
+
+
+def _on_pattern(picture: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    rows, columns = np.indices(picture.shape) // 60
+    return np.where((rows + columns) % 2, picture, picture // 2).astype(np.uint8)
+
+
+def _second(scene: StripScene) -> np.ndarray:
+    return scene.curve * [1.15, 0.4] + [0.0, -0.004]
+
+
+FAULTS: dict[str, Callable[[StripScene, dict, np.random.Generator], np.ndarray]] = {
+    "no strip": _scene_fault(curve=lambda scene: 0.02 * scene.curve),
+    "no clamp": _scene_fault(clamp=None),
+    "clamp cut off": lambda scene, entry, rng: _cropped(scene.photograph(rng), scene, clamp=True),
+    "tip cut off": lambda scene, entry, rng: _cropped(scene.photograph(rng), scene, clamp=False),
+    "low contrast": _scene_fault(cloth=lambda scene: 0.93 * scene.ground),
+    "blank": _picture_fault(lambda picture, rng: np.full_like(picture, 120)),
+    "out of focus": _scene_fault(blur=25.0),
+    "patterned ground": _picture_fault(_on_pattern),
+    "upside down": _picture_fault(lambda picture, rng: np.ascontiguousarray(picture[::-1])),
+    "on its side": _picture_fault(lambda picture, rng: np.ascontiguousarray(np.rot90(picture))),
+    "rolled by 25°": _scene_fault(roll=np.radians(25.0)),
+    "other side": _stated_fault(
+        lambda entry: {"hangs": "right" if entry["hangs"] == "left" else "left"}),
+    "scale 12 % too large": _stated_fault(
+        lambda entry: {"scale": {"mm_per_px": 1.12 * entry["scale"]["mm_per_px"]}}),
+    "scale in cm": _stated_fault(
+        lambda entry: {"scale": {"mm_per_px": 0.1 * entry["scale"]["mm_per_px"]}}),
+    "whole strip's length": _stated_fault(
+        lambda entry: {"free_length_mm": entry["free_length_mm"] + 20}),
+    "clamp_px elsewhere": _stated_fault(lambda entry: {"clamp_px": [40.0, 40.0]}),
+    "kinked": _scene_fault(curve=lambda scene: _bent(scene, 0.4, 1.3, sharp=True)),
+    "curled up": _scene_fault(curve=lambda scene: _bent(scene, 0.4, 1.6, sharp=False)),
+    "against a wall": _scene_fault(curve=lambda scene: _bent(scene, 0.2, -1.6, sharp=False)),
+    "clamp slopes by 35°": _scene_fault(
+        slope=np.radians(35), curve=lambda scene: _bent(scene, 0.0, -0.6, sharp=True)),
+    "second strip": _marked(_second, width=6e-4, shade="cloth"),
+    "ruler in the picture": _marked(
+        lambda scene: scene.curve[-1] + np.array([[0.006, 0], [0.006, -0.03]]), width=3e-3,
+        shade="cloth"),
+    "thread": _marked(lambda scene: scene.curve[80] + np.array([[0, 0], [0.0005, 0.012]]),
+                      width=3e-4, shade="cloth"),
+    "strip hidden": _marked(lambda scene: scene.curve[95] + np.array([[-0.02, 0], [0.02, 0]]),
+                            width=4e-3, shade="ground"),
+    "seen from afar": _scene_fault(field=lambda scene: 20 * scene.field),
+}
+
+
+def fault_case(*, kind: str, number: int) -> dict:
+    """What a photograph with a fault of :data:`FAULTS` is answered with: '' if it is estimated."""
+    alpha, ratio = direction_of(7 * number)
+    rng = np.random.default_rng([SEED, 1, number])
+    length = max(LENGTHS[1] * bending_length(alpha, REFERENCE_DENSITY), LEAST_LENGTH)
+    scene = draw_scene(alpha, ratio, length, rng)
+    entry = entry_of(scene, "strip.png", length, "mm_per_px", rng)
+    picture = FAULTS[kind](scene, entry, rng)
+    try:
+        strips = read_pictures({"strip.png": picture}, [entry])
+        strips.posteriors()
+    except InputError as error:
+        return {"answer": str(error).partition("strip.png: ")[2] or str(error)}
+    return {"answer": "; ".join(strips.photographs[0].warnings)}
+
+
+def run(config: Config) -> Result:
+    """Estimate all directions, and read all faulty photographs."""
+    estimated = run_cases(estimate_case, {f"direction_{k:03}": {"number": k}
+                                          for k in range(config["directions"])},
+                          config, sources=("sim", "data"))
+    answers = run_cases(fault_case, {f"{kind} {k}": {"kind": kind, "number": k}
+                                     for kind in FAULTS for k in range(config["repeats"])},
+                        config, folder=Path(config["cases"]) / "faults", sources=("sim", "data"))
+    done = [case for case in estimated.values() if not case["failed"]]
+    groups = {"all": done} | {
+        name: [case for case in done if name in (case["scale"], case["faces"])]
+        for name in (*FACES, *SCALES)}
+    missed = {name: case for name, case in answers.items() if not case["answer"]}
+    return Result({
+        "photographs": len(LENGTHS) * len(estimated),
+        "failed": {name: case["failed"] for name, case in estimated.items() if case["failed"]},
+        "with_warnings": sum(bool(case["warnings"]) for case in done),
+        "summary": {name: summarise(cases) for name, cases in groups.items() if cases},
+        "faults": {"kinds": len(FAULTS), "photographs": len(answers),
+                   "share_found": 1 - len(missed) / len(answers), "missed": sorted(missed)},
+        "answers": {name: case["answer"] for name, case in answers.items()},
+        "cases": estimated})
+
+
+def summarise(cases: list[dict]) -> dict:
+    """Errors of curves in mm and of moduli in percent, and coverage in percent."""
+    curves = np.concatenate([case["curve_mm"] for case in cases])
+    summary: dict = {"directions": len(cases), "curve_mm": {
+        "median": float(np.median(curves)), "quantile_90": float(np.quantile(curves, 0.9)),
+        "largest": float(max(max(case["curve_largest_mm"]) for case in cases))}}
+    inside = 100 * np.mean([case["inside"] for case in cases], axis=0)
+    for k, name in enumerate(("alpha", "beta")):
+        errors, table = (100 * np.array([case[key][k] for case in cases])
+                         for key in ("errors", "errors_table"))
+        summary[name] = {
+            "median": float(np.median(np.abs(errors))),
+            "quantile_90": float(np.quantile(np.abs(errors), 0.9)),
+            "median_signed": float(np.median(errors)),
+            "median_table": float(np.median(np.abs(table))),
+            "coverage": {f"{level:.0%}": float(share)
+                         for level, share in zip(LEVELS, inside[:, k], strict=True)}}
+    summary["misfit"] = float(np.median([case["misfit"] for case in cases]))
+    return summary
