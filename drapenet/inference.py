@@ -91,7 +91,7 @@ class CaptureEstimate:
         warnings = [*capture.warnings, *self.estimate.warnings, *self.warnings]
         optional = {"refined": self.refined} if self.refined else {}
         if self.drape:
-            warnings += self.drape.warnings
+            warnings += self.drape.warnings(share)
             optional["resimulation"] = self.drape.as_dict()
         return EstimateDocument.from_estimate(
             self.estimate, capture=about, checkpoint=self.header.identity, warnings=warnings,

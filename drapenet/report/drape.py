@@ -7,6 +7,7 @@ is an equally likely drape of the same fabric, at no cost.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -30,6 +31,9 @@ BINS = 180  # of a radius profile
 MIN_OVERLAP = 0.7
 """Of the silhouettes. Correct captures have at least 0.82 (0.74 on a coarse mesh), those with
 a focal length a fifth too short or too long 0.6 to 0.7, views upside down 0.45."""
+MAX_COEFFICIENT_GAP = 0.12
+"""Largest difference of the captured and the simulated drape coefficient, from 0 to 1, without a
+warning; provisional until it is measured with a network for every tester."""
 STARTS = (("sine", 0), ("sine", 1), ("fold", 0), ("fold", 1))
 
 
@@ -72,19 +76,31 @@ class Resimulation:
         """Number of folds, captured and simulated."""
         return count_folds(self.profiles[0]), count_folds(self.profiles[1])
 
-    @property
-    def warnings(self) -> list[str]:
-        """One line if the silhouettes overlap too little."""
-        if self.overlap >= MIN_OVERLAP:
-            return []
-        return [f"the simulated drape has only {self.overlap:.0%} of its silhouette in common with "
+    @cached_property
+    def coefficient(self) -> float:
+        """Drape coefficient of the simulated drape, from 0 to 1."""
+        return drape_coefficient(self.drape.positions, self.drape.faces, self.drape.rig)
+
+    def warnings(self, captured: float) -> list[str]:
+        """One line if the silhouettes overlap too little, and one if the simulated drape
+        coefficient is far from the ``captured`` one, from 0 to 1, NaN: unknown."""
+        lines = []
+        if self.overlap < MIN_OVERLAP:
+            lines.append(
+                f"the simulated drape has only {self.overlap:.0%} of its silhouette in common with "
                 "the captured one: check the pictures, their intrinsics and the tester; if they "
-                "are right, the fabric is unlike those trained on"]
+                "are right, the fabric is unlike those trained on")
+        if abs(self.coefficient - captured) > MAX_COEFFICIENT_GAP:
+            lines.append(
+                f"the simulated drape has a drape coefficient of {self.coefficient:.0%}, the "
+                f"captured one {captured:.0%} (limit {100 * MAX_COEFFICIENT_GAP:g} points apart): "
+                "check the specimen's size, the tester and the density; if they are right, the "
+                "fabric is unlike those trained on")
+        return lines
 
     def as_dict(self) -> dict:
         """Drape coefficient, folds, overlap and statuses in JSON's types."""
-        coefficient = drape_coefficient(self.drape.positions, self.drape.faces, self.drape.rig)
-        return {"drape_coefficient_percent": round(100 * coefficient, 1),
+        return {"drape_coefficient_percent": round(100 * self.coefficient, 1),
                 "folds_captured": self.folds[0], "folds_simulated": self.folds[1],
                 "silhouette_overlap": self.overlap, "statuses": list(self.statuses)}
 

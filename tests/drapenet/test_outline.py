@@ -59,4 +59,7 @@ def test_the_drape_coefficient_of_a_photograph_is_corrected_for_its_perspective(
     assert photograph.coefficient(DISC_RIG) < coefficient - 0.05
     assert photograph.coefficient(DISC_RIG) + found.perspective == pytest.approx(
         coefficient, abs=0.01)
-    assert found.overlap > 0.85 and not found.warnings
+    assert found.overlap > 0.85 and not found.warnings(coefficient)
+    for captured, count in ((found.coefficient + 0.11, 0), (found.coefficient - 0.13, 1),
+                            (np.nan, 0)):
+        assert sum("points apart" in line for line in found.warnings(captured)) == count
