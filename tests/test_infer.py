@@ -257,7 +257,9 @@ def test_a_photograph_has_an_estimate_and_a_report(checkpoint, tmp_path, out, na
     infer.main(words(folder, checkpoint, "drapes=1", "edge_mm=16"))
     content = content_of(out)
     assert content["capture"]["views"] == 0 and content["capture"]["turns_deg"] is None
-    assert list(content["moduli"]) == ["warp", "bias", "weft"] and not content["warnings"]
+    assert list(content["moduli"]) == ["warp", "bias", "weft"]
+    # The network is untrained, so that the simulated drape is another.
+    assert not [line for line in content["warnings"] if "points apart" not in line]
     found, seen = content["resimulation"], read_capture(folder).outline.drape_coefficient
     assert found["statuses"] == ["converged"] and found["folds_captured"] == 7
     raised = content["capture"]["drape_coefficient_percent"] - 100 * seen

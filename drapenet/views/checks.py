@@ -24,6 +24,7 @@ from data.render.setups import Setups
 from drapenet.views.directions import AZIMUTHS
 from drapenet.views.located import LocatedViews
 from drapenet.views.radial_map import RadialMap
+from drapenet.views.sizes import Sizes, measured_sizes
 from drapenet.views.turns import disagreement, register
 from sim.rig import Rig
 
@@ -32,6 +33,8 @@ SPECIMEN_OFFSETS = Path(__file__).parents[1] / "weights" / "specimen_offset.json
 _BAND = 4  # rows of a map
 _PLATE_TOLERANCE = 10e-3  # m, distance of cloth on the plate from its plane
 _CUT_TOLERANCE = 1.5e-3  # m, range of depths of a border cut by a threshold
+MAX_SIZE_ERROR = 0.105  # of the logarithm of a measured over a stated size
+REFUSED_SIZE_ERROR = 0.16  # of the same
 MAX_LOG_SCALE = 0.05  # of the logarithm of the scale
 REFUSED_LOG_SCALE = 0.15  # of the same; beyond, the views are refused
 MAX_OFFSET = 11.5e-3  # m
@@ -53,6 +56,7 @@ MAX_SWAPPED_VIEWS = 4  # maximum number of views for which all pairs are tried s
 class Quality:
     """Quality measures of a capture; NaN if too little is visible."""
 
+    sizes: Sizes  # of specimen and plate
     log_scale: float  # logarithm of the drape's size over the possible one
     offset: Metres  # of the specimen's centre from the plate's axis
     bulge: Metres  # height of the middle of the cloth on the plate over its edge
@@ -108,8 +112,8 @@ def measure(located: LocatedViews, drape: RadialMap) -> Quality:
     log_scale, offset = specimen_offset(drape, rig) if len(views) > 1 else (np.nan, np.nan)
     bulge, off_plate = _flatness(np.concatenate(located.clouds) - [*located.centre, 0.0], rig)
     return Quality(
-        log_scale=log_scale, offset=offset, bulge=bulge, off_plate=off_plate, disagreement=gap,
-        misread=_misread(located, gap),
+        sizes=measured_sizes(located), log_scale=log_scale, offset=offset, bulge=bulge,
+        off_plate=off_plate, disagreement=gap, misread=_misread(located, gap),
         holes=float(np.sum(missing) / max(np.sum(missing) + (views > 0).sum(), 1)),
         hole=max(int(np.bincount(label(part)[0].ravel())[1:].max(initial=0)) for part in missing),
         cut=max(_cut(view) for view in views),
@@ -155,7 +159,9 @@ def _turn_readings(stated: Turns) -> dict[str, Turns]:
 
 def quality_warnings(q: Quality) -> Iterator[str]:
     """One line for each exceeded limit: quantity, limit, remedy."""
-    if abs(q.log_scale) > MAX_LOG_SCALE:
+    if wrong := size_errors(q.sizes, MAX_SIZE_ERROR):
+        yield from wrong
+    elif abs(q.log_scale) > MAX_LOG_SCALE:
         yield (f"the drape looks {np.exp(q.log_scale):.2f} times as large as a specimen can be "
                f"(sound captures: within {MAX_LOG_SCALE:.0%}): check depth unit and scale, fx and "
                "fy, the specimen's size and the cut-out")
@@ -186,8 +192,24 @@ def quality_warnings(q: Quality) -> Iterator[str]:
                "mm): move the camera nearer")
 
 
+def size_errors(sizes: Sizes, limit: float) -> list[str]:
+    """One line for each of the sizes whose ratio to the stated one has a logarithm beyond a
+    ``limit``."""
+    low, high = np.exp(-limit), np.exp(limit)
+    parts = (("specimen", sizes.specimen, sizes.rig.specimen_size),
+             ("plate", sizes.plate, sizes.rig.plate_diameter))
+    return [f"the {name} measures {1e3 * size:.0f} mm, {size / stated:.2f} times the stated "
+            f"{1e3 * stated:g} mm (limits {low:.2f} to {high:.2f}): state the "
+            "tester with its sizes; if they are right, check depth unit and scale, fx and fy, the "
+            "cut-out, and that the pictures are upright"
+            for name, size, stated in parts if size < low * stated or size > high * stated]
+
+
 def require_plate(quality: Quality) -> None:
-    """Raise InputError if the views cannot show cloth on a plate."""
+    """Raise InputError if the views cannot show cloth of the stated size on the stated plate."""
+    wrong = size_errors(quality.sizes, REFUSED_SIZE_ERROR)
+    if wrong and quality.sizes.views > 1:
+        raise InputError(wrong[0])
     if abs(quality.log_scale) > REFUSED_LOG_SCALE:
         raise InputError(
             f"the drape looks {np.exp(quality.log_scale):.2f} times as large as a specimen can be "

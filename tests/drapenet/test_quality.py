@@ -96,7 +96,7 @@ def _cut(views: np.ndarray, capture: SyntheticCapture) -> np.ndarray:
     (_cut, "a threshold of the depth has cut"),
     (lambda views, _: views[[0, 2, 1, 3]], "views 1 and 2 are swapped"),
     (lambda views, _: views[[0, 3, 2, 1]], "turned the other way"),
-    (lambda views, _: 1.12 * views, "times as large as a specimen can be"),
+    (lambda views, _: 1.12 * views, "check depth unit and scale"),
 ])
 def test_a_fault_is_named(sound, spoil, said):
     views = spoil(sound.views.copy(), sound)
@@ -110,6 +110,17 @@ def test_what_cannot_be_a_drape_on_the_plate_is_refused(sound, spoil):
     views = np.ascontiguousarray(spoil(sound.views), np.float32)
     with pytest.raises(InputError, match="upright"):
         require_plate(quality(replace(sound, views=views)))
+
+
+@pytest.mark.parametrize(("stated", "said"), [
+    (Rig(0.25), "the specimen measures .* times the stated 250 mm"),
+    (Rig(0.38), "the specimen measures .* times the stated 380 mm"),
+    (Rig(plate_diameter=0.14), "the plate measures .* times the stated 140 mm"),
+    (Rig(plate_diameter=0.08), "the plate measures .* times the stated 80 mm"),
+])
+def test_a_tester_of_another_size_is_refused(sound, stated, said):
+    with pytest.raises(InputError, match=said):
+        require_plate(quality(sound, stated))
 
 
 def test_a_specimen_off_the_axis_is_measured():
