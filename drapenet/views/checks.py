@@ -6,12 +6,10 @@ the same cloth. Few correct simulated captures exceed the limits (``python -m ex
 """
 
 import json
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.ndimage import binary_erosion, binary_fill_holes, label
@@ -28,15 +26,13 @@ from drapenet.views.sizes import Sizes, measured_sizes
 from drapenet.views.turns import disagreement, register
 from sim.rig import Rig
 
-SPECIMEN_OFFSETS = Path(__file__).parents[1] / "weights" / "specimen_offset.json"
-"""Coefficients of size and offset, of ``experiments/estimation/specimen_offset.py``."""
+SPECIMEN_OFFSET = Path(__file__).parents[1] / "weights" / "specimen_offset.json"
+"""Coefficients of ``experiments/estimation/specimen_offset.py``."""
 _BAND = 4  # rows of a map
 _PLATE_TOLERANCE = 10e-3  # m, distance of cloth on the plate from its plane
 _CUT_TOLERANCE = 1.5e-3  # m, range of depths of a border cut by a threshold
 MAX_SIZE_ERROR = 0.105  # of the logarithm of a measured over a stated size
 REFUSED_SIZE_ERROR = 0.16  # of the same
-MAX_LOG_SCALE = 0.05  # of the logarithm of the scale
-REFUSED_LOG_SCALE = 0.15  # of the same; beyond, the views are refused
 MAX_OFFSET = 11.5e-3  # m
 MAX_BULGE = 0.35e-3  # m
 MAX_OFF_PLATE = 0.1  # of the points over the plate's middle; images rotated by 90° have 0.2
@@ -57,7 +53,6 @@ class Quality:
     """Quality measures of a capture; NaN if too little is visible."""
 
     sizes: Sizes  # of specimen and plate
-    log_scale: float  # logarithm of the drape's size over the possible one
     offset: Metres  # of the specimen's centre from the plate's axis
     bulge: Metres  # height of the middle of the cloth on the plate over its edge
     off_plate: float  # share of the points over the plate's middle that are off its plane
@@ -109,11 +104,11 @@ def measure(located: LocatedViews, drape: RadialMap) -> Quality:
     views, camera, rig = located.views, located.camera, located.rig
     gap = disagreement(located.clouds, located.turns, located.centre, rig)
     missing = [binary_fill_holes(view) & ~view for view in views > 0]
-    log_scale, offset = specimen_offset(drape, rig) if len(views) > 1 else (np.nan, np.nan)
+    offset = specimen_offset(drape, rig) if len(views) > 1 else np.nan
     bulge, off_plate = _flatness(np.concatenate(located.clouds) - [*located.centre, 0.0], rig)
     return Quality(
-        sizes=measured_sizes(located), log_scale=log_scale, offset=offset, bulge=bulge,
-        off_plate=off_plate, disagreement=gap, misread=_misread(located, gap),
+        sizes=measured_sizes(located), offset=offset, bulge=bulge, off_plate=off_plate,
+        disagreement=gap, misread=_misread(located, gap),
         holes=float(np.sum(missing) / max(np.sum(missing) + (views > 0).sum(), 1)),
         hole=max(int(np.bincount(label(part)[0].ravel())[1:].max(initial=0)) for part in missing),
         cut=max(_cut(view) for view in views),
@@ -159,12 +154,7 @@ def _turn_readings(stated: Turns) -> dict[str, Turns]:
 
 def quality_warnings(q: Quality) -> Iterator[str]:
     """One line for each exceeded limit: quantity, limit, remedy."""
-    if wrong := size_errors(q.sizes, MAX_SIZE_ERROR):
-        yield from wrong
-    elif abs(q.log_scale) > MAX_LOG_SCALE:
-        yield (f"the drape looks {np.exp(q.log_scale):.2f} times as large as a specimen can be "
-               f"(sound captures: within {MAX_LOG_SCALE:.0%}): check depth unit and scale, fx and "
-               "fy, the specimen's size and the cut-out")
+    yield from size_errors(q.sizes, MAX_SIZE_ERROR)
     if q.offset > MAX_OFFSET:
         yield (f"the specimen's centre lies {1e3 * q.offset:.0f} mm from the plate's axis (at most "
                f"{1e3 * MAX_OFFSET:g} mm): place it on the plate again")
@@ -210,11 +200,6 @@ def require_plate(quality: Quality) -> None:
     wrong = size_errors(quality.sizes, REFUSED_SIZE_ERROR)
     if wrong and quality.sizes.views > 1:
         raise InputError(wrong[0])
-    if abs(quality.log_scale) > REFUSED_LOG_SCALE:
-        raise InputError(
-            f"the drape looks {np.exp(quality.log_scale):.2f} times as large as a specimen can be "
-            f"(limit {REFUSED_LOG_SCALE:.0%}, and cloth does not stretch); check depth unit and "
-            "scale, fx and fy, the tester, and that the pictures are upright")
     if quality.off_plate > MAX_OFF_PLATE:
         raise InputError(
             f"{quality.off_plate:.0%} of the points over the plate's middle lie more than "
@@ -250,36 +235,22 @@ def _cut(view: np.ndarray) -> float:
 
 
 @cache
-def coefficients() -> dict[str, Any]:
-    """The regression's coefficients by name of the rig."""
-    return json.loads(SPECIMEN_OFFSETS.read_text(encoding="utf-8"))
+def coefficients() -> np.ndarray:
+    """The regression's coefficients."""
+    return np.array(json.loads(SPECIMEN_OFFSET.read_text(encoding="utf-8"))["coefficients"])
 
 
-def specimen_offset(drape: RadialMap, rig: Rig) -> tuple[float, float]:
-    """Logarithm of the apparent over the possible size of the drape, and offset, m, of the
-    specimen's centre from the plate's axis, regressed on the map's distances in bands of elevation;
-    NaN for a rig without coefficients.
-    """
-    if rig.name not in coefficients():
-        return math.nan, math.nan
-    scale, offset = (coefficients()[rig.name][name] for name in ("log_scale", "offset"))
-    return (float(scale_features(drape) @ scale["coefficients"] + scale["constant"]),
-            float(np.abs(offset_features(drape) @ offset["coefficients"])))
+def specimen_offset(drape: RadialMap, rig: Rig) -> Metres:
+    """Offset of the specimen's centre from the plate's axis, regressed on a map."""
+    return rig.specimen_size * float(np.abs(offset_features(drape, rig) @ coefficients()))
 
 
-def _bands(values: np.ndarray) -> np.ndarray:
-    """(AZIMUTHS, B) means over bands of rows."""
-    return values.reshape(AZIMUTHS, -1, _BAND).mean(axis=2)
-
-
-def scale_features(drape: RadialMap) -> np.ndarray:
-    """(2 B,) mean and standard deviation of the distances, m, around the axis."""
-    bands = _bands(drape.distance)
-    return np.concatenate([bands.mean(axis=0), bands.std(axis=0)])
-
-
-def offset_features(drape: RadialMap) -> np.ndarray:
-    """(2 B,) complex first harmonics of the distances, m, and of the visibility."""
+def offset_features(drape: RadialMap, rig: Rig) -> np.ndarray:
+    """(6 B,) complex first harmonics of the distances, in sizes, and of the visibility, in bands of
+    elevation; in turn of any tester, by its proportions, and of a disc."""
     around = np.exp(2j * np.pi * (np.arange(AZIMUTHS) + 0.5) / AZIMUTHS)
-    return np.concatenate([around @ _bands(values) / AZIMUTHS
-                           for values in (drape.distance, (drape.weight > 0).astype(float))])
+    waves = np.concatenate([
+        around @ values.reshape(AZIMUTHS, -1, _BAND).mean(axis=2) / AZIMUTHS
+        for values in (drape.distance / rig.specimen_size, (drape.weight > 0).astype(float))])
+    return np.concatenate([waves, waves * (rig.plate_diameter / rig.specimen_size),
+                           waves * (rig.specimen == "disc")])
