@@ -198,13 +198,14 @@ def photographed_moduli(strips: StripSet, config: EstimateConfig) -> dict:
     options = estimator_options(config, strips.density)
     found = strips.posteriors()
     if config.rounds:
-        estimates = estimate_moduli(strips.curves, **options)
-        fabric = corrected(strips.curves, estimates, config, options)
+        # Curves of both faces contain the natural curvature, which the posteriors do not.
+        flat = {direction: StripModuli(found[direction].alpha, found[direction].beta,
+                                       found[direction].misfit, np.nan)
+                for direction in strips.curves}
+        fabric = corrected(strips.curves, flat, config, options)
         for k, direction in enumerate(DIRECTIONS):
-            before = estimates[direction]
-            found[direction] = found[direction].shifted(np.array([
-                np.log(fabric.alpha[k] / before.alpha),
-                fabric.beta[k] / fabric.alpha[k] - before.beta / before.alpha]))
+            found[direction] = found[direction].moved_to(
+                np.array([np.log(fabric.alpha[k]), fabric.beta[k] / fabric.alpha[k]]))
     rows = {direction: posterior_row(posterior) for direction, posterior in found.items()}
     for direction, row in rows.items():
         row["strips"] = [
@@ -217,6 +218,8 @@ def photographed_moduli(strips: StripSet, config: EstimateConfig) -> dict:
                  for name in ("alpha_uN_m", "beta_nN_m2")]
         print(f"{direction:6}{row['alpha_uN_m']:12.3g}{spans[0]:>18}{row['beta_nN_m2']:12.3g}"
               f"{spans[1]:>18}{row['misfit']:8.2f}")
+        if row["natural_curvature_1_m"]:
+            print("  natural curvature {:.2g} ± {:.1g} 1/m".format(*row["natural_curvature_1_m"]))
         for strip in row["strips"]:
             print(f"  {strip['file']} alone: {strip['alpha_uN_m']:.3g} µN·m, "
                   f"{strip['beta_nN_m2']:.3g} nN·m²")

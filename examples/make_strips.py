@@ -3,9 +3,9 @@
     python examples/make_strips.py out=outputs/strips
     python -m apps.cantilever estimate strips=outputs/strips
 
-Simulates two strips of each direction, of 1.5 and 2.5 bending lengths (alpha/rho g)^(1/3),
-photographs them with a camera that is a little inclined, and writes ``strips.yaml``. The true
-moduli are in ``truth.json``.
+Simulates two strips of each direction, of 1.5 and 2.5 bending lengths (alpha/rho g)^(1/3), the
+second with its other face up, photographs them with a camera that is a little inclined, and writes
+``strips.yaml``. The true moduli are in ``truth.json``.
 """
 
 import json
@@ -22,9 +22,11 @@ from data.captures.description import checked_density
 from data.render.strips import StripScene, posed
 from data.strips.description import FILE
 from sim.cantilever.strip import bending_length, simulate_strips
+from sim.cloth import Laws
+from sim.energies.bending_variants import Hysteresis
 from sim.material import DIRECTIONS, MICRO, NANO, Fabric
 
-LENGTHS = (1.5, 2.5)  # bending lengths
+STRIPS = ((1.5, "up"), (2.5, "down"))  # bending lengths, and face
 DISTANCES = (300.0, 5000.0)  # mm
 
 
@@ -35,6 +37,7 @@ class MakeStripsConfig:
     out: str
     alpha: list[float]
     beta: list[float]
+    curl: list[float]
     density: float
     thickness_mm: float
     distance_mm: float
@@ -54,19 +57,22 @@ def main(config: MakeStripsConfig) -> None:
         raise InputError(f"thickness_mm={config.thickness_mm:g} must lie between 0.05 and 3 mm")
     fabric = Fabric(np.array(config.alpha) * MICRO, np.array(config.beta) * NANO,
                     checked_density(config.density))
-    lengths = {direction: [round(x * bending_length(alpha, fabric.density), 4) for x in LENGTHS]
-               for direction, alpha in zip(DIRECTIONS, fabric.alpha, strict=True)}
+    if len(config.curl) != 2:
+        raise InputError(f"curl={config.curl} needs two curvatures, 1/m: along warp and weft")
     rng = np.random.default_rng(config.seed)
     entries = []
-    for direction, curves in simulate_strips(fabric, lengths).items():
-        for k, (curve, length) in enumerate(zip(curves, lengths[direction], strict=True)):
+    for bending_lengths, face in STRIPS:
+        lengths = {direction: [round(bending_lengths * bending_length(alpha, fabric.density), 4)]
+                   for direction, alpha in zip(DIRECTIONS, fabric.alpha, strict=True)}
+        warp, weft = (curl if face == "up" else -curl for curl in config.curl)
+        laws = Laws(Hysteresis(curvature=(warp, weft, 0.0)))
+        for direction, (curve,) in simulate_strips(fabric, lengths, laws=laws).items():
             scene = posed(StripScene(curve, thickness=1e-3 * config.thickness_mm), rng)
             scene = replace(scene, distance=1e-3 * config.distance_mm)
-            name = f"{direction}_{k}.png"
-            replace_file(out / name,
-                         cv2.imencode(".png", scene.photograph(rng))[1].tobytes())
-            entries.append({"file": name, "direction": direction, "face": "up",
-                            "free_length_mm": round(1e3 * length, 1),
+            name = f"{direction}_{face}.png"
+            replace_file(out / name, cv2.imencode(".png", scene.photograph(rng))[1].tobytes())
+            entries.append({"file": name, "direction": direction, "face": face,
+                            "free_length_mm": round(1e3 * lengths[direction][0], 1),
                             "scale": {"mm_per_px": round(1e3 * scene.field / scene.size[0], 5)}})
     replace_file(out / FILE, yaml.safe_dump({
         "density_g_m2": config.density, "thickness_mm": config.thickness_mm, "hangs": "right",

@@ -15,6 +15,7 @@ from scipy import sparse
 from scipy.ndimage import median_filter
 from scipy.signal import savgol_filter
 from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import cKDTree
 
 from common.errors import InputError
 from common.types import Mask, Pixels, Radians
@@ -26,10 +27,11 @@ MAX_COVERED = 0.5  # of the picture that may differ from the ground
 MIN_EXTENT = 1.0  # of a strip, in thicknesses of the thinnest clamp
 PIECE_SHARE = 0.1  # of the strip's pixels; smaller pieces are specks
 SECOND_SHARE = 0.5  # of the strip's extent, that another strip on its clamp has at least
-MAX_FORK = 3.0  # times the usual width of a strip
+MAX_BRANCH = 0.012  # of a strip's pixels that may lie outside of its usual width
 MAX_TURN = np.radians(50.0)  # between successive twelfths of a strip, which cloth does not exceed
 MAX_ROLL = np.radians(15.0)
 EDGE_LEVEL = 0.35  # of the contrast; parts of a strip seen obliquely are nearer to the ground's
+_GROUND_STEP = 10.0  # brightness from the ground's, within which a pixel may show it
 _STEP = 1.5  # pixels between two places at which the edges are located
 _LEAST_ERROR = 0.03  # pixels, of a point
 _SOURCE_GAP = 3  # pixels between strip and clamp
@@ -107,34 +109,37 @@ def trace_strip(
     uneven = 0.0
     if clamp is None:
         clamp, uneven = _clamp_edge(np.abs(contrast), solid, path[0], out, band, level)
-    path = path[(path - clamp) @ out > max(band, 3.0)]
+    traced, path = path, path[(path - clamp) @ out > max(band, 3.0)]
     if len(path) < POINTS:
         raise InputError(f"the strip is only {_STEP * len(path):.0f} pixels long, "
                          f"{_STEP * POINTS:.0f} are needed; move the camera nearer")
     points, error = _thinned(path)
     _require_smooth(points)
+    _require_no_branch(strip, traced, band)
     clamp = _on_line(points, clamp, out)
     thinnest = float(np.quantile(widths, 0.05))
     return CentreLine(points, error, band, thinnest, clamp, edge_roll, uneven)
 
 
 def _ground(smooth: np.ndarray, ignored: Mask) -> tuple[np.ndarray, float]:
-    """Brightness (H, W) of the ground, a quadratic fitted to most of the picture, and its noise."""
+    """Brightness (H, W) of the ground, the quadratic near to most of the picture, and its noise."""
     factor = max(1, max(smooth.shape) // 150)
     small = smooth[factor // 2 :: factor, factor // 2 :: factor]
     free = ~ignored[factor // 2 :: factor, factor // 2 :: factor]
     rows, columns = (np.linspace(-1, 1, n, dtype=np.float32) for n in small.shape)
     terms = _terms(rows, columns)
     values, basis = small[free], terms[free]
-    counts, edges = np.histogram(values, bins=32, range=(0, 256))
-    mode = edges[np.argmax(np.convolve(counts, np.ones(3), "same"))] + 4
-    off = np.abs(values - mode)
-    for _ in range(12):
-        near = off <= np.quantile(off, 0.6)
-        weights = np.linalg.lstsq(basis[near], values[near], rcond=None)[0]
-        off = np.abs(values - basis @ weights)
+    fits = []
+    for start in np.quantile(values, [0.1, 0.3, 0.5, 0.7, 0.9]):  # a clamp may be as large
+        off = np.abs(values - start)
+        for _ in range(8):
+            near = off <= np.quantile(off, 0.4)
+            weights = np.linalg.lstsq(basis[near], values[near], rcond=None)[0]
+            off = np.abs(values - basis @ weights)
+        fits.append((np.count_nonzero(off < _GROUND_STEP), weights, off))
+    _, weights, off = max(fits, key=lambda fit: fit[0])
     full = _terms(*(np.linspace(-1, 1, n, dtype=np.float32) for n in smooth.shape))
-    # Of the 60 % nearest, half are nearer than the quantile 0.3: 0.385 standard deviations.
+    # The quantile 0.3 of a normal distribution's size is 0.385 standard deviations.
     return (full @ weights.astype(np.float32)), float(np.quantile(off, 0.3) / 0.385)
 
 
@@ -251,12 +256,16 @@ def _rough_path(strip: Mask, solid: Mask) -> Pixels:
     places = np.column_stack([columns, rows])
     bins = (reach / step).astype(int)
     count = np.bincount(bins)
-    middles = np.column_stack([np.bincount(bins, axis) for axis in places.T]) / count[:, None]
-    spread = np.sqrt(np.bincount(bins, np.square(places - middles[bins]).sum(axis=1)) / count)
-    if (spread > MAX_FORK * max(np.median(spread), 2.0)).sum() > 3:
-        raise InputError("the strip forks, or something is laid across it; take away what is not "
-                         "cloth, and cut threads that hang from it")
-    return middles
+    return np.column_stack([np.bincount(bins, axis) for axis in places.T]) / count[:, None]
+
+
+def _require_no_branch(strip: Mask, path: Pixels, band: float) -> None:
+    """InputError for a strip with parts far from its centre line."""
+    away = cKDTree(path).query(np.argwhere(strip)[:, ::-1])[0] > 0.7 * band + 3
+    if away.mean() > MAX_BRANCH:
+        raise InputError(f"{away.mean():.1%} of the strip lie away from its centre line, more than "
+                         f"{MAX_BRANCH:.1%}; take away what is not cloth, and cut threads that "
+                         "hang from it")
 
 
 def _arc(path: Pixels) -> np.ndarray:

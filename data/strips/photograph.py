@@ -23,7 +23,7 @@ from sim.cantilever.posterior import MeasuredStrip
 WORKING_SIDE = 2600  # pixels, to which larger photographs are reduced
 BRIGHTEST = 0.9995  # quantile; a strip may be the only light thing in the picture
 CLAMP_THICKNESS = 8e-3  # m; thicker than any strip as seen, and thinner than any clamp
-THICK_SHARE = 1 / 100  # of the picture's larger side, half of it, where the scale is not known
+STRIP_SHARE = 0.5  # of the picture's larger side, a strip's length where it gives the scale
 DISTANCE = 0.8  # m, of a camera whose distance is not stated
 MAX_BAND, MAX_PIXEL = 5e-3, 3e-4  # m
 MAX_LENGTH_DIFFERENCE = (0.04, 1.5e-3)  # relative, and m, from the stated free length
@@ -170,8 +170,9 @@ def _trace(
                              "row in pixels of the file")
         clamp = clamp * [-1, 1] + [picture.shape[1] - 1, 0] if left else clamp
     roll = None if view.roll_deg is None else (-1 if left else 1) * np.radians(view.roll_deg)
-    thick = max(picture.shape) * THICK_SHARE
-    if to_metres is not None:
+    if to_metres is None:
+        thick = CLAMP_THICKNESS / 2 * STRIP_SHARE * max(picture.shape) / length
+    else:
         middle = _middle(picture)
         here, beside = mapped(middle + np.array([[0, 0], [1, 0]]), to_metres)
         thick = CLAMP_THICKNESS / 2 / float(np.linalg.norm(beside - here))

@@ -98,6 +98,8 @@ def estimate_case(*, number: int) -> dict:
     rng = np.random.default_rng([SEED, number])
     scale = SCALES[number // 2 % len(SCALES)]
     curl = float(rng.laplace(0, CURL)) if number % 2 else 0.0
+    truth = {"alpha": alpha, "ratio": ratio, "scale": scale, "curl": curl,
+             "faces": FACES[number % 2]}
     pictures, entries, scenes = {}, [], []
     for k, share in enumerate(LENGTHS):
         length = max(share * bending_length(alpha, REFERENCE_DENSITY), LEAST_LENGTH)
@@ -106,8 +108,6 @@ def estimate_case(*, number: int) -> dict:
         pictures[f"{k}.png"] = scenes[-1].photograph(rng)
         entries.append(entry_of(scenes[-1], f"{k}.png", length, scale, rng)
                        | {"face": "down" if down else "up"})
-    truth = {"alpha": alpha, "ratio": ratio, "scale": scale, "curl": curl,
-             "faces": FACES[number % 2]}
     try:
         strips = read_pictures(pictures, entries)
         (found,) = strips.posteriors().values()

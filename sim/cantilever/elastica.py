@@ -22,6 +22,7 @@ from sim.material import SOFTENING_LIMIT
 MAX_GAMMA = 1e4
 MAX_RISE = np.radians(-10.0)  # of a clamp; strips that rise further may fall to either side
 _MIN_LOG_TIP_ANGLE = -300.0  # of the tip's angle to the vertical; far below any solution
+_CURLED_TIP_ANGLES = (-1.5, 3.0)  # the same, of a strip with natural curvature
 
 
 def strip_shape(
@@ -37,13 +38,18 @@ def strip_shape(
     every = -(-steps // (points - 1))
 
     def excess(tip: float) -> float:
-        return _from_tip(law, weight, length, np.exp(tip), target, every, shape) - target
+        angle = tip if curled else np.exp(tip)
+        return _from_tip(law, weight, length, angle, target, every, shape) - target
 
-    if excess(_MIN_LOG_TIP_ANGLE) > 0:
+    curled = law[1, 0] != 0  # the tip of such a strip may hang beyond the vertical, or rise
+    low, high = _CURLED_TIP_ANGLES if curled else (_MIN_LOG_TIP_ANGLE, np.log(target))
+    if excess(low) > 0:
         raise InputError("the cloth is too soft for its clamp: it hangs straight down")
+    if excess(high) < 0:
+        raise InputError("the cloth curls up so much that its strip does not hang")
     # With -pi/2 < theta < pi/2, theta grows from clamp to tip, and the clamp's angle grows with
     # the tip's: there is exactly one solution.
-    excess(brentq(excess, _MIN_LOG_TIP_ANGLE, np.log(target), xtol=1e-14, rtol=1e-14))
+    excess(brentq(excess, low, high, xtol=1e-14, rtol=1e-14))
     return shape[-1] - shape[::-1]
 
 

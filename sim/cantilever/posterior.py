@@ -95,9 +95,9 @@ class StripPosterior:
         """Quadratic modulus, N·m², at the mean."""
         return float(self.alpha * self.mean[1])
 
-    def shifted(self, offset: np.ndarray) -> "StripPosterior":
-        """The same with another mean, moved by ``offset`` (2,), N·m in the logarithm and m."""
-        return replace(self, mean=self.mean + offset)
+    def moved_to(self, mean: np.ndarray) -> "StripPosterior":
+        """The same with another ``mean`` (2,), log alpha (N·m) and beta/alpha (m)."""
+        return replace(self, mean=mean)
 
     def samples(self, count: int = 4000) -> tuple[np.ndarray, np.ndarray]:
         """Samples of alpha, N·m, and beta, N·m², (count,) each, by a fixed seed."""

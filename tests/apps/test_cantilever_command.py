@@ -69,7 +69,7 @@ def test_photographs_give_moduli_with_intervals(tmp_path, capsys):
     with pytest.raises(InputError, match="all three directions; bias"):
         main(["estimate", f"strips={folder}", "rounds=1"])
     for words, said in ((["density=200"], "leave out"), ([f"warp={out}"], "leave out"),
-                        (["slope=40"], "the tip is at")):
+                        (["slope=40"], "the strip leaves the clamp")):
         with pytest.raises(InputError, match=said):
             main(["estimate", f"strips={folder}", *words])
 
