@@ -260,8 +260,12 @@ def _rough_path(strip: Mask, solid: Mask) -> Pixels:
 
 
 def _require_no_branch(strip: Mask, path: Pixels, band: float) -> None:
-    """InputError for a strip with parts far from its centre line."""
-    away = cKDTree(path).query(np.argwhere(strip)[:, ::-1])[0] > 0.7 * band + 3
+    """InputError for a strip with parts far from its centre line. Its ends are left out, where the
+    corners of an end that is seen obliquely are."""
+    distance, nearest = cKDTree(path).query(np.argwhere(strip)[:, ::-1])
+    arc = _arc(path)
+    within = (arc[nearest] > 1.5 * band) & (arc[nearest] < arc[-1] - 1.5 * band)
+    away = (distance > 0.7 * band + 3) & within
     if away.mean() > MAX_BRANCH:
         raise InputError(f"{away.mean():.1%} of the strip lie away from its centre line, more than "
                          f"{MAX_BRANCH:.1%}; take away what is not cloth, and cut threads that "

@@ -39,8 +39,8 @@ TILT, BOARD_TILT = np.radians(1.5), np.radians(0.3)
 ROLL_ERROR, UNKNOWN_ROLL = np.radians(0.3), np.radians(2.0)
 CLAMP_ERROR = 1.5e-4  # m, of the clamp's edge and of a tip, without perspective
 READING_ERROR = 1e-5  # m, of each point
-END_ERROR = 0.04  # relative to the band's width, of the points within a width of an end
-BAND_ERROR = (1e-5, 0.02)  # m, and relative to the band's width, over a quarter of a strip
+END_ERROR = 0.025  # relative to the band's width, of the points within a width of an end
+BAND_ERROR = (5e-6, 0.008)  # m, and relative to the band's width, over a quarter of a strip
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from sim.material import SOFTENING_LIMIT
 MAX_GAMMA = 1e4
 MAX_RISE = np.radians(-10.0)  # of a clamp; strips that rise further may fall to either side
 _MIN_LOG_TIP_ANGLE = -300.0  # of the tip's angle to the vertical; far below any solution
-_CURLED_TIP_ANGLES = (-1.5, 3.0)  # the same, of a strip with natural curvature
+_CURLED_TIP_ANGLES = (-3.0, 3.0)  # the same, of a strip with natural curvature
 
 
 def strip_shape(
@@ -102,11 +102,13 @@ def gamma_of_aspect_ratio(ratio: float) -> float:
 
 @numba.njit(cache=True)
 def curvature_of_torque(torque, law):
-    """Curvature, 1/m, of a law (4, K) at a torque >= 0, N."""
+    """Curvature, 1/m, of a law (4, K) at a torque, N. The law is odd about its first point."""
+    sign = 1.0 if torque >= law[1, 0] else -1.0
+    torque = law[1, 0] + abs(torque - law[1, 0])
     k = max(np.searchsorted(law[1], torque, side="right") - 1, 0)
     over = torque - law[1, k]
     root = np.sqrt(law[2, k] ** 2 + 4.0 * law[3, k] * over)
-    return law[0, k] + 2.0 * over / (law[2, k] + root)
+    return sign * (law[0, k] + 2.0 * over / (law[2, k] + root))
 
 
 @numba.njit(cache=True)

@@ -122,7 +122,7 @@ STATED = {
     "short ruler": ({"scale": {"ruler_px": [[0, 0], [9, 0]], "ruler_mm": 9}}, {}, "20 pixels"),
     "board": ({"scale": {"by": "board"}}, {}, "printed board is not seen"),
     "direction": ({"direction": "length"}, {}, "strips.0.direction='length'"),
-    "key": ({"lenght": 3}, {}, "unknown key 'strips.0.lenght'"),
+    "key": ({"colour": 3}, {}, "unknown key 'strips.0.colour'"),
     "no length": ({"free_length_mm": None}, {}, "free_length_mm is missing"),
     "no file": ({"file": None}, {}, "give each strip a file"),
     "both kinds": ({"bending_length_mm": 20.0}, {}, "give each strip a file"),
