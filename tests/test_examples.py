@@ -9,6 +9,7 @@ from words import last
 
 from common.errors import InputError
 from data.captures.capture import read_capture
+from data.strips.folder import read_strips
 from drapenet.views.located import LocatedViews
 from drapenet.views.outline import outline_of_map
 from drapenet.views.radial_map import radial_map
@@ -65,3 +66,25 @@ def test_the_example_makes_whole_scenes_of_the_same_drape(tmp_path, seed):
     main([f"out={tmp_path / 'c'}", "photograph_mm=20000", "edge_mm=12", f"seed={seed}"])
     photograph = read_capture(tmp_path / "c").outline  # from so far, nearly without perspective
     assert photograph.drape_coefficient == pytest.approx(coefficients[0], abs=0.03)
+
+
+@pytest.mark.parametrize(("word", "complaint"), [
+    ("density=5000", "density_g_m2=5000.0.*; weigh"), ("curl=1", "needs two curvatures"),
+    ("distance_mm=20", "must lie between 300 and 5000 mm"),
+    ("thickness_mm=30", "must lie between 0.05 and 3 mm"),
+])
+def test_mistakes_of_practice_strips_are_told_before_they_are_simulated(
+        tmp_path, word, complaint, monkeypatch):
+    main = runpy.run_path(str(ROOT / "examples" / "make_strips.py"))["main"]
+    monkeypatch.setitem(main.__globals__, "simulate_strips", None)
+    with pytest.raises(InputError, match=complaint):
+        main(last(f"out={tmp_path}", word))
+    assert not list(tmp_path.iterdir())
+
+
+def test_practice_strips_are_estimated(tmp_path):
+    main = runpy.run_path(str(ROOT / "examples" / "make_strips.py"))["main"]
+    main([f"out={tmp_path}", "alpha=30,30,30", "beta=-60,-60,-60", "curl=3,-3"])
+    found = read_strips(tmp_path).posteriors()["warp"]
+    assert found.alpha == pytest.approx(30e-6, rel=0.12)
+    assert found.curl[0] == pytest.approx(3.0, abs=1.0)
