@@ -115,7 +115,7 @@ def trace_strip(
                          f"{_STEP * POINTS:.0f} are needed; move the camera nearer")
     points, error = _thinned(path)
     _require_smooth(points)
-    _require_no_branch(strip, traced, band)
+    _require_no_branch(strip, traced, widths, band)
     clamp = _on_line(points, clamp, out)
     thinnest = float(np.quantile(widths, 0.05))
     return CentreLine(points, error, band, thinnest, clamp, edge_roll, uneven)
@@ -259,13 +259,15 @@ def _rough_path(strip: Mask, solid: Mask) -> Pixels:
     return np.column_stack([np.bincount(bins, axis) for axis in places.T]) / count[:, None]
 
 
-def _require_no_branch(strip: Mask, path: Pixels, band: float) -> None:
-    """InputError for a strip with parts far from its centre line. Its ends are left out, where the
-    corners of an end that is seen obliquely are."""
+def _require_no_branch(strip: Mask, path: Pixels, widths: np.ndarray, band: float) -> None:
+    """InputError for a strip with parts far from its centre line, over its ``widths`` (K,), pixels,
+    from its start on. Its ends are left out, where the corners of an end seen obliquely are."""
     distance, nearest = cKDTree(path).query(np.argwhere(strip)[:, ::-1])
     arc = _arc(path)
     within = (arc[nearest] > 1.5 * band) & (arc[nearest] < arc[-1] - 1.5 * band)
-    away = (distance > 0.7 * band + 3) & within
+    usual = median_filter(widths, min(61, len(widths)))
+    local = np.maximum(usual[np.minimum(nearest, len(usual) - 1)], band)
+    away = (distance > 0.7 * local + 3) & within
     if away.mean() > MAX_BRANCH:
         raise InputError(f"{away.mean():.1%} of the strip lie away from its centre line, more than "
                          f"{MAX_BRANCH:.1%}; take away what is not cloth, and cut threads that "
