@@ -4,7 +4,7 @@ A column of a map, the cloth at one azimuth, is a feature vector; convolutions r
 
 Each capture of a set is read alone, from its map, its outline, or its drape coefficient; features
 of the captures are averaged with weights that the network gives them (after Zaheer et al. 2017,
-Deep Sets), and the average and the sum of the weights give one posterior of the fabric.
+Deep Sets), and the average and the mean of the weights give one posterior of the fabric.
 """
 
 from dataclasses import dataclass, replace
@@ -196,10 +196,10 @@ class DrapeNet(torch.nn.Module):
         value, gate = self.embed(features).chunk(2, dim=1)
         signed, trust = self.curl(value.relu()).chunk(2, dim=1)
         sets = int(group.max()) + 1
-        mean, total = _average(value, softplus(gate), group, sets)
+        mean, weight = _average(value, softplus(gate), group, sets)
         # Turned over, a fabric's natural curvature has the opposite sign.
         curl, _ = _average(face[:, None] * signed, softplus(trust), group, sets)
-        outputs = self.head(torch.cat([mean, total.log(), curl], dim=1))
+        outputs = self.head(torch.cat([mean, weight.log(), curl], dim=1))
         mixture = Mixture.of_outputs(outputs, components=self.components, targets=TARGETS)
         known, _ = _average(facts, torch.ones_like(facts), group, sets)
         return replace(mixture, means=mixture.means + self.direct(known)[:, None])
@@ -234,7 +234,7 @@ def pooled(features: torch.Tensor) -> torch.Tensor:
 def _average(
     values: torch.Tensor, weights: torch.Tensor, group: torch.Tensor, sets: int
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Weighted means and sums of weights (M, F) of values and weights (N, F) over sets."""
+    """Weighted means and means of the weights (M, F) of values and weights (N, F) over sets."""
     total = values.new_zeros(sets, values.shape[1]).index_add(0, group, weights) + 1e-6
     mean = values.new_zeros(sets, values.shape[1]).index_add(0, group, weights * values) / total
-    return mean, total
+    return mean, total / torch.bincount(group, minlength=sets)[:, None]
