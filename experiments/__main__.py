@@ -37,7 +37,7 @@ def usage() -> str:
             folder = file.parent.name
             lines.append(f"\n{folder}:")
         about = ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or ""
-        lines.append(f"  {name:14}{about.partition(chr(10))[0]}")
+        lines.append(f"  {name:18}{about.partition(chr(10))[0]}")
     return "\n".join(lines)
 
 

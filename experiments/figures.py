@@ -131,6 +131,13 @@ def claim_rows(reports: Reports, only: str = "") -> Iterator[list[str]]:
                f"`{COMMANDS.get(name, f'experiments {name}')}`"]
 
 
+def strip_coverage(report: Report) -> Report:
+    """Largest difference of the coverage of all intervals from their level, points."""
+    return {"off": max(abs(share - float(level.strip("%")))
+                       for modulus in ("alpha", "beta")
+                       for level, share in report["summary"]["all"][modulus]["coverage"].items())}
+
+
 def strips(report: Report) -> Report:
     """Largest deviations of both kinds of strips, and range of the orders of the plates."""
     rates = report["plate_rates"].values()
@@ -184,7 +191,8 @@ def joint_coverage(report: Report) -> Report:
 
 
 DERIVED: dict[str, Callable[[Report], Report]] = {
-    "strips": strips, "lowering": lowering_cost, "outlines": outline_folds, "render": render_speed,
+    "strips": strips, "strip_photographs": strip_coverage,
+    "lowering": lowering_cost, "outlines": outline_folds, "render": render_speed,
     "evaluation": evaluated, "tree": tree_tables, "faults": detected_faults,
     "repeats": joint_coverage}
 """Figures of claims that are computed from a report."""
@@ -256,6 +264,19 @@ def testers(reports: Reports) -> str:
             for strips, found in reports["testers"]["errors_percent"].items()]
     return table(["strips, estimator", "α: median", "rms", "largest", "β: median", "rms",
                   "largest"], rows)
+
+
+def strip_photographs(reports: Reports) -> str:
+    """Errors of moduli from photographs of strips, and their coverage."""
+    return table(
+        ["strips", "directions", "curve, mm", "α: median", "9 of 10", "β: median", "9 of 10",
+         "α inside 68, 90 %", "β inside"],
+        [[name, found["directions"], f"{found['curve_mm']['median']:.2f}",
+          *(f"{found[modulus][key]:.2g} %" for modulus in ("alpha", "beta")
+            for key in ("median", "quantile_90")),
+          *(", ".join(f"{share:.0f}" for share in found[modulus]["coverage"].values())
+            for modulus in ("alpha", "beta"))]
+         for name, found in reports["strip_photographs"]["summary"].items()])
 
 
 def default_mesh(reports: Reports) -> str:
@@ -418,7 +439,7 @@ def accuracy(reports: Reports) -> str:
 
 BLOCKS: dict[str, Callable[[Reports], str]] = {
     block.__name__: block for block in (
-        demo, accuracy, views, claims, testers, default_mesh, cutouts,
+        demo, accuracy, views, claims, testers, strip_photographs, default_mesh, cutouts,
         information, cells, refinement, prior, outlines, laboratory, lowering)
 }
 
