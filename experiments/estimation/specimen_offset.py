@@ -19,6 +19,7 @@ from sklearn.preprocessing import StandardScaler
 from common.command import command
 from common.errors import InputError
 from common.files import replace_file, require_file
+from data.captures.capture import CLOTH_SHARE
 from data.dataset.folder import finished_manifest
 from data.dataset.shards import Shard
 from data.render.setups import Setups
@@ -76,13 +77,11 @@ def main(config: SpecimenOffsetConfig) -> None:
         fabric, drift = int(shard.column("fabric")[row]), shard.column("offset")[row] @ [1, 1j]
         capture = setups.capture(positions, faces, np.random.default_rng([config.seed, number]),
                                  rig=rig)
-        if len(capture.views) == 1:
+        share = (capture.views > 0).mean(axis=(1, 2)).min()
+        if len(capture.views) == 1 or share < CLOTH_SHARE[0]:  # refused when it is read
             continue
-        try:
-            drape = radial_map(LocatedViews.cut_out(capture.views, capture.intrinsics, rig,
-                                                    capture.turns))
-        except InputError:  # nearly flat cloth seen along its surface
-            continue
+        drape = radial_map(LocatedViews.cut_out(capture.views, capture.intrinsics, rig,
+                                                capture.turns))
         turn = np.exp(1j * (capture.orientation - drape.zero))
         rows.append((offset_features(drape, rig), drift * turn / rig.specimen_size, fabric))
     features, values, groups = (np.array(part) for part in zip(*rows, strict=True))
