@@ -236,7 +236,7 @@ def _cut(view: np.ndarray) -> float:
 
 @cache
 def coefficients() -> np.ndarray:
-    """The regression's coefficients."""
+    """(6 B,) the regression's coefficients, of :func:`offset_features`."""
     return np.array(json.loads(SPECIMEN_OFFSET.read_text(encoding="utf-8"))["coefficients"])
 
 
