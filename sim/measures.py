@@ -6,7 +6,6 @@ import numba
 import numpy as np
 from scipy.interpolate import LinearNDInterpolator
 from scipy.ndimage import gaussian_filter1d
-from scipy.signal import find_peaks
 
 from common.types import Faces, Metres, Outline, Points, RestPoints, VertexMask
 from common.workers import one_blas_thread
@@ -58,6 +57,8 @@ def fold_angles(outline: Outline) -> np.ndarray:
 def folds_around(radius: np.ndarray, sigma: float) -> np.ndarray:
     """Indices (n,) of the folds among distances from the axis around a drape, (N,) m, smoothed with
     a standard deviation of ``sigma`` samples: peaks at least 3 mm high, ascending."""
+    from scipy.signal import find_peaks  # importing it takes a third of a second
+
     smooth = gaussian_filter1d(radius, sigma, mode="wrap")
     seam = int(smooth.argmin())  # a minimum is not a peak
     smooth = np.roll(smooth, -seam)
