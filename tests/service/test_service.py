@@ -3,6 +3,8 @@
 import io
 import json
 import multiprocessing
+import os
+import signal
 import time
 import zipfile
 from collections.abc import Callable
@@ -289,7 +291,7 @@ def test_worker_that_dies_is_a_failure_of_its_estimate_alone(client):
             break
         time.sleep(0.05)
     for worker in multiprocessing.active_children():
-        worker.kill()
+        os.kill(worker.pid, signal.SIGKILL)  # also those of other pools
     found = ended(client, begun["id"])
     assert found["state"] == "failed" and "report this capture" in found["error"]
     again = post(client, [*PICTURES, EXAMPLE / "capture.yaml"]).json()
