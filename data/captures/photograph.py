@@ -115,9 +115,7 @@ def _photographed(file: Path, source: OutlineSource, rig: Rig) -> PhotographedOu
     millimetre = np.diff(mapped([[0, 0], [1e-3, 0]], to_pixels), axis=0)
     step = 1e-3 / (factor * np.linalg.norm(millimetre))
     warnings = []
-    if step > MAX_PIXEL:
-        warnings.append(f"a pixel covers {1e3 * step:.2g} mm, more than {1e3 * MAX_PIXEL:g} mm; "
-                        "take a larger picture, or move the camera nearer")
+    warnings += large_pixels(step, MAX_PIXEL)
     if tilt > MAX_TILT:
         warnings.append(f"the plate is seen {np.degrees(tilt):.0f}° off the vertical, more than "
                         f"{np.degrees(MAX_TILT):.0f}°; place the camera above its centre")
@@ -182,6 +180,14 @@ def upright(to_metres: np.ndarray, pixel: np.ndarray) -> tuple[np.ndarray, float
 
 def _shift(offset: np.ndarray) -> np.ndarray:
     return np.array([[1, 0, offset[0]], [0, 1, offset[1]], [0, 0, 1]])
+
+
+def large_pixels(size: Metres, limit: Metres) -> list[str]:
+    """One line if a pixel covers more than the ``limit``."""
+    if size <= limit:
+        return []
+    return [f"a pixel covers {1e3 * size:.2g} mm, more than {1e3 * limit:g} mm; take a larger "
+            "picture, or move the camera nearer"]
 
 
 def mapped(points: np.ndarray, homography: np.ndarray) -> np.ndarray:

@@ -44,8 +44,9 @@ class StripSet:
             faces += [length.sign for name, length in self.lengths if name == direction]
             if len(set(faces)) == 1:
                 lines.append(f"{direction}: only one face was measured, and its natural curvature "
-                             "is taken as 0; one of 5 1/m, which is usual, changes alpha by a "
-                             "third: hang one of the strips with the other face up")
+                             "is taken as 0; one of 5 1/m, which is usual, changes alpha by "
+                             "20 to 60 %, or twofold: hang one of the strips with the other face "
+                             "up")
         return tuple(lines)
 
     def posteriors(self) -> dict[str, StripPosterior]:

@@ -14,7 +14,7 @@ from scipy.stats import foldnorm
 
 from common.errors import InputError
 from common.types import DeflectionCurve, Metres, Pixels, Radians
-from data.captures.photograph import board_plane, mapped
+from data.captures.photograph import board_plane, large_pixels, mapped
 from data.captures.shadow import read_grey
 from data.strips.centre_line import CentreLine, trace_strip
 from data.strips.description import StripEntry, StripsDescription, View
@@ -304,10 +304,7 @@ def _notes(
     description: StripsDescription
 ) -> list[str]:
     """Warnings of a strip that is read all the same."""
-    notes = []
-    if file_pixel > MAX_PIXEL:
-        notes.append(f"a pixel covers {1e3 * file_pixel:.2g} mm, more than {1e3 * MAX_PIXEL:g} mm; "
-                     "take a larger picture, or move the camera nearer")
+    notes = large_pixels(file_pixel, MAX_PIXEL)
     if band > MAX_BAND:
         notes.append(f"the strip is seen {1e3 * band:.1f} mm wide, more than {1e3 * MAX_BAND:g} "
                      "mm; look along its width, from farther away")

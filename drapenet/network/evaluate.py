@@ -152,20 +152,21 @@ def main(config: EvaluateConfig) -> None:
     network = load_model(header)
     results: dict[str, dict] = {}
     bounds = read_json(Path(config.bounds))["cells"] if config.bounds else {}
-    cells = [(tester, name, cell) for tester in config.testers for name, cell in CELLS.items()]
-    for tester, name, cell in tqdm(cells, desc="matrix", unit="cell", leave=False):
+    for tester in config.testers:
         base = make_config(header, tester, config)
         require_unseen(header, base.as_dict())
-        folder = out / tester
+        folder, results[tester] = out / tester, {}
         manifest = generate_dataset(base, folder, workers=config.workers)
-        maps = make_maps(folder, manifest, folder, setups=replace(header.setups, **cell.setups),
-                         captures=config.captures, seed=config.seed, workers=config.workers)
-        if cell.rows:
-            maps = maps.chosen(cell.rows(maps))
-        results.setdefault(tester, {})[name] = judge(
-            network, header, maps, cell.condition, seed=config.seed) | {
-            "bound": bounds.get(tester, {}).get(name)}
-        tqdm.write(format_cell(f"{tester}, {name}", results[tester][name]))
+        for name, cell in tqdm(CELLS.items(), desc=tester, unit="cell", leave=False):
+            maps = make_maps(
+                folder, manifest, folder, setups=replace(header.setups, **cell.setups),
+                captures=config.captures, seed=config.seed, workers=config.workers)
+            if cell.rows:
+                maps = maps.chosen(cell.rows(maps))
+            results[tester][name] = judge(
+                network, header, maps, cell.condition, seed=config.seed) | {
+                "bound": bounds.get(tester, {}).get(name)}
+            tqdm.write(format_cell(f"{tester}, {name}", results[tester][name]))
     replace_json(out / "evaluation.json", {"checkpoint": header.identity, "cells": results})
     print(f"written to {out / 'evaluation.json'}")
 

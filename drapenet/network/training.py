@@ -34,7 +34,7 @@ from drapenet.network.targets import (
     stiffer_first,
     targets_of,
 )
-from drapenet.views.directions import AZIMUTHS
+from drapenet.views.directions import AZIMUTH
 from drapenet.views.outline import PERSPECTIVES, drape_coefficients
 from sim.material import REFERENCE_DENSITY
 
@@ -185,9 +185,8 @@ def _photographed(
     share = (place - low)[:, None]
     rows = np.arange(len(ratio))
     radius = silhouettes[rows, low] * (1 - share) + silhouettes[rows, low + 1] * share
-    angle = (np.arange(AZIMUTHS) + 0.5) * (2 * np.pi / AZIMUTHS)
     aside = rng.normal(0, PICTURE_OFFSET, (len(ratio), 2))
-    radius = radius + aside[:, :1] * np.cos(angle) + aside[:, 1:] * np.sin(angle)
+    radius = radius + aside[:, :1] * np.cos(AZIMUTH) + aside[:, 1:] * np.sin(AZIMUTH)
     radius *= 1 + rng.normal(0, PICTURE_SCALE, (len(ratio), 1))
     noise = rng.standard_normal(radius.shape)
     smooth = (np.roll(noise, 1, axis=1) + noise + np.roll(noise, -1, axis=1)) / math.sqrt(3)

@@ -123,7 +123,7 @@ def resimulate(
     best = _nearest(simulated, fit)
     if best is None:
         return None
-    result, positions, orientation = best
+    _, result, positions, orientation = best
     shown = rasterise(positions, result.faces, camera, orientation + turns)
     return Resimulation.beside(located, shown, result, turned(positions, orientation), statuses)
 
@@ -153,11 +153,11 @@ def resimulate_outline(
     best = _nearest(simulated, fit)
     if best is None:
         return None
-    result, positions, orientation = best
+    overlap, result, positions, orientation = best
     placed = turned(positions, orientation)
     shown, true = (DrapeOutline(radii(placed, result.faces, seen)) for seen in (height, np.inf))
     return Resimulation(np.zeros((0, 1, 1), np.float32), result, placed, statuses,
-                        (captured, shown.radius), fit(positions, result.faces)[0],
+                        (captured, shown.radius), overlap,
                         true.coefficient(rig) - shown.coefficient(rig))
 
 
@@ -173,15 +173,15 @@ def _simulated(
 
 def _nearest(
     drapes: Sequence[Drape], fit: Callable[[Points, Faces], tuple[float, Radians]]
-) -> tuple[Drape, Points, Radians] | None:
-    """The drape or mirror image with the largest overlap by ``fit``, its vertices, which may be
-    reflected, and its orientation; None without drapes."""
+) -> tuple[float, Drape, Points, Radians] | None:
+    """The largest overlap by ``fit`` of a drape or mirror image, that drape, its vertices, which
+    may be reflected, and its orientation; None without drapes."""
     found = [(*fit(result.positions * [side, 1, 1], result.faces), side, result)
              for result in drapes for side in (1, -1)]
     if not found:
         return None
-    _, orientation, side, result = max(found, key=lambda item: item[0])
-    return result, result.positions * [side, 1, 1], orientation
+    overlap, orientation, side, result = max(found, key=lambda item: item[0])
+    return overlap, result, result.positions * [side, 1, 1], orientation
 
 
 def turned(points: Points, angle: Radians) -> Points:

@@ -19,7 +19,7 @@ from common.types import Metres, Turns
 from data.captures.plate import INNER_SHARE
 from data.render.cameras import Camera
 from data.render.setups import Setups
-from drapenet.views.directions import AZIMUTHS
+from drapenet.views.directions import AZIMUTH, AZIMUTHS
 from drapenet.views.located import LocatedViews
 from drapenet.views.radial_map import RadialMap
 from drapenet.views.sizes import Sizes, measured_sizes
@@ -41,7 +41,7 @@ MAX_HOLES_SHARE = 0.05
 MAX_HOLE_PIXELS = 150  # pixels
 MAX_CUT_SHARE = 0.25
 MAX_PIXEL = 2.6e-3  # m; training captures have up to 2.1 mm
-MAX_TURN_ERROR = np.radians(8.5)  # rad: 3.5 standard deviations of the training captures
+MAX_TURN_ERROR = np.radians(7.5)  # rad: 3 standard deviations of the training captures
 TILT, SHIFT = np.radians(2.0), 0.020  # rad and m, errors of the estimated pose
 MIN_IMPROVEMENT = 1.35  # factor by which another reading must reduce the disagreement of the views
 RAYS = "depth is the length of the ray; give depth along the optical axis"
@@ -248,7 +248,7 @@ def specimen_offset(drape: RadialMap, rig: Rig) -> Metres:
 def offset_features(drape: RadialMap, rig: Rig) -> np.ndarray:
     """(6 B,) complex first harmonics of the distances, in sizes, and of the visibility, in bands of
     elevation; in turn of any tester, by its proportions, and of a disc."""
-    around = np.exp(2j * np.pi * (np.arange(AZIMUTHS) + 0.5) / AZIMUTHS)
+    around = np.exp(1j * AZIMUTH)
     waves = np.concatenate([
         around @ values.reshape(AZIMUTHS, -1, _BAND).mean(axis=2) / AZIMUTHS
         for values in (drape.distance / rig.specimen_size, (drape.weight > 0).astype(float))])

@@ -6,6 +6,8 @@ from common.types import Metres, Points, Radians
 from sim.rig import Rig
 
 AZIMUTHS, ELEVATIONS = 128, 48
+AZIMUTH = (np.arange(AZIMUTHS) + 0.5) * (2 * np.pi / AZIMUTHS)
+"""(AZIMUTHS,) rad, middles of the columns."""
 _UNDER = 0.9  # of the plate's radius, smallest radius of hanging cloth in the map
 _DEPTH = 0.6  # of the centre below the plate, in overhangs
 _MIN_FACING = 0.15  # minimum cosine in the weight of a pixel

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from common.types import Points, Radians, Turns
-from drapenet.views.directions import AZIMUTHS, ELEVATIONS, binned, elevations
+from drapenet.views.directions import AZIMUTH, AZIMUTHS, ELEVATIONS, binned, elevations
 from drapenet.views.located import LocatedViews
 from sim.rig import Rig
 
@@ -62,9 +62,8 @@ def side_direction(distance: np.ndarray, weight: np.ndarray, rig: Rig) -> float:
     lengths = (steps * below[:, :-1]).sum(axis=1)
     # Lengths are unreliable where little of a line is visible.
     trust = ((visible & below).sum(axis=1) / np.maximum(below.sum(axis=1), 1)) ** 2 + 1e-3
-    azimuth = 2 * np.pi * (np.arange(AZIMUTHS) + 0.5) / AZIMUTHS
     sides = np.radians(np.arange(0.0, 90.0))
-    direction = azimuth - sides[:, None]
+    direction = AZIMUTH - sides[:, None]
     flat = rig.specimen_size / 2 / np.maximum(np.abs(np.cos(direction)), np.abs(np.sin(direction)))
     gap = lengths - (flat - rig.plate_radius)
     # Correct the common bias of the hem; the cost saturates for outliers of single folds.

@@ -24,7 +24,7 @@ from data.render.cameras import Camera
 from data.render.rays import QUARTERS, DepthRenderer
 from drapenet.refine.depth import FOCAL, POSE, DepthViews, DepthWeights, table_names
 from drapenet.refine.unknowns import LAW_NAMES, law_moves
-from drapenet.views.directions import AZIMUTHS
+from drapenet.views.directions import AZIMUTH, AZIMUTHS
 from drapenet.views.located import LocatedViews
 from drapenet.views.outline import silhouettes
 from sim.drape import Drape
@@ -169,8 +169,7 @@ def outline_information(
                          for s in (step, -step))
         columns[name] = (ahead - behind) / (2 * step)
     radius = silhouettes(here, edges, np.array([np.inf]), zero=0.0)[0]
-    azimuth = (np.arange(AZIMUTHS) + 0.5) * (2 * np.pi / AZIMUTHS)
-    columns |= zip(PICTURE, (np.cos(azimuth), np.sin(azimuth), radius), strict=True)
+    columns |= zip(PICTURE, (np.cos(AZIMUTH), np.sin(AZIMUTH), radius), strict=True)
     jacobian = np.stack([columns[name] for name in names], axis=1)
     scale = noise * cells_per_measurement**0.5
     return Information(names, jacobian.T @ jacobian / scale**2, AZIMUTHS, True, "")
