@@ -1,6 +1,6 @@
 """Export of an estimate to files of other tools.
 
-    python -m drapenet.export estimate=ESTIMATE.json to=NAME [out=FILE] [name=FABRIC]
+    python -m drapenet.export estimate=ESTIMATE.json to=NAME [out=FILE or FOLDER] [name=FABRIC]
     python -m drapenet.export estimate=ESTIMATE.json to=NAME [mesh=KIND edge_mm=N]
     python -m drapenet.export estimate=ESTIMATE.json to=all [out=FOLDER]
     python -m drapenet.export to=list
@@ -29,17 +29,26 @@ def main(config: ExportConfig) -> None:
     names, path = targets_named(config.to), Path(config.estimate)
     material = read_material(path, curvature_1_m=config.curvature_1_m, mesh=config.mesh,
                              edge_mm=config.edge_mm, name=config.name)
-    if len(names) == 1 and config.out and not Path(config.out).is_dir():
-        require_file(Path(config.out))
-        written = export(material, names[0], Path(config.out))
+    out = Path(config.out or (path if path.is_dir() else path.parent))
+    if len(names) == 1 and out.suffix and not out.is_dir():
+        require_kind(names[0], out)
+        require_file(out)
+        written = export(material, names[0], out)
     else:
-        folder = Path(config.out or (path if path.is_dir() else path.parent))
-        require_folder(folder)
-        written = export_all(material, names, folder)
+        require_folder(out)
+        written = export_all(material, names, out)
     for file in written:
         print(file)
     for warning in material.about["warnings"]:
         print(f"warning: {warning}")
+
+
+def require_kind(target: str, file: Path) -> None:
+    """InputError for a file that is not called as those of its target, which may be of another."""
+    usual = Path(TARGETS[target].file)
+    if file.suffix.lower() != usual.suffix:
+        raise InputError(f"out={file}: the file for to={target} ends in {usual.suffix}; give such "
+                         "a name, or a folder")
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from common.files import replace_file
 from drapenet.export.material import Material
 from drapenet.result.document import csv_number, csv_table, interval_columns
 from sim.energies.hinges import ARCSIM, mean_modulus
-from sim.material import BIAS, DIRECTIONS, WARP, WEFT, torque
+from sim.material import BIAS, WARP, WEFT, torque
 
 CLO = 1e9  # g·mm²/s² per N·m
 MAX_CLO = 2e6  # g·mm²/s², CLO's maximum bending stiffness
@@ -149,7 +149,7 @@ def _newton(material: Material, name: str) -> dict[str, bytes]:
 def _neutral(material: Material, name: str) -> dict[str, bytes]:
     return {name: _json({
         "schema": "drapenet-material", "schema_version": 1,
-        "directions": ["warp", "bias", "weft"], "alpha_N_m": material.alpha.tolist(),
+        "directions": list(material.document.names), "alpha_N_m": material.alpha.tolist(),
         "beta_N_m2": material.beta.tolist(), "density_kg_m2": material.density,
         "drapenet": material.about})}
 
@@ -158,14 +158,13 @@ def _table(material: Material, name: str) -> dict[str, bytes]:
     rows = [{"direction": direction, **interval_columns("alpha_uN_m", moduli.alpha_uN_m),
              **interval_columns("beta_nN_m2", moduli.beta_nN_m2),
              "density_g_m2": csv_number(1e3 * material.density), "fabric": material.name}
-            for direction, moduli in zip(DIRECTIONS, material.document.moduli.values(),
-                                         strict=True)]
+            for direction, moduli in material.document.moduli.items()]
     return {name: csv_table(rows).encode()}
 
 
 def _torque(material: Material, name: str) -> dict[str, bytes]:
     curves = 1e3 * torque(CURVE, material.alpha[:, None], material.beta[:, None])
-    columns = ("curvature_1_m", *(f"torque_{direction}_mN" for direction in DIRECTIONS))
+    columns = ("curvature_1_m", *(f"torque_{axis}_mN" for axis in material.document.names))
     rows = [dict(zip(columns, map(csv_number, row), strict=True))
             for row in np.vstack([CURVE, curves]).T]
     return {name: csv_table(rows).encode()}
@@ -198,8 +197,13 @@ ALIASES = {"clo": "jfab", "clo3d": "jfab", "marvelous": "jfab", "marvelousdesign
 
 
 def table() -> str:
-    """Name, usual file and tool of each target as text."""
-    return "\n".join(f"{name:<8}{t.file:<18}{t.tool}" for name, t in TARGETS.items())
+    """Name, usual file and tool of each target, and the names of programs, as text."""
+    lines = [f"{name:<8}{t.file:<18}{t.tool}" for name, t in TARGETS.items()]
+    return "\n".join([*lines, f"also: {_programs()}"])
+
+
+def _programs() -> str:
+    return ", ".join(f"{name} ({target})" for name, target in ALIASES.items())
 
 
 def targets_named(words: str, key: str = "to") -> list[str]:
@@ -209,8 +213,9 @@ def targets_named(words: str, key: str = "to") -> list[str]:
     names = [word.strip().lower() for word in words.strip("[]").split(",")]
     for name in names:
         if name not in TARGETS and name not in ALIASES:
-            raise InputError(f"{key}={name}: unknown; choose from {', '.join(TARGETS)} or all; "
-                             "docs/exports.md says why others are not offered")
+            raise InputError(f"{key}={name}: unknown; choose from {', '.join(TARGETS)}, all, or a "
+                             f"program: {_programs()}; docs/exports.md says why others are not "
+                             "offered")
     return list(dict.fromkeys(ALIASES.get(name, name) for name in names))
 
 

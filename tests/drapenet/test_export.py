@@ -159,6 +159,30 @@ def test_neutral_files_return_what_was_estimated(estimate):
     assert [float(row[1]) * MICRO for row in rows[1:]] == pytest.approx(ALPHA)
     curve = np.loadtxt(exported(estimate, "torque"), delimiter=",", skiprows=1)
     assert curve[20, 1:] * 1e-3 == pytest.approx(torque(curve[20, 0], ALPHA, BETA), rel=1e-4)
+    write(estimate, STIFF_SOFT)  # the warp is not marked, so that no file may call yarns warp
+    for target in ("json", "csv", "torque"):
+        text = exported(estimate, target).read_text().partition('"drapenet"')[0]
+        assert "stiff" in text and "soft" in text and "warp" not in text
+
+
+def test_a_file_of_one_tool_does_not_replace_that_of_another(estimate, tmp_path):
+    out = tmp_path / "exp"
+    for program in ("clo", "unreal"):
+        main([f"estimate={estimate}", f"to={program}", f"out={out}"])
+    assert {file.name for file in out.iterdir()} == {"fabric.jfab", "fabric.usda"}
+    before = (out / "fabric.jfab").read_bytes()
+    with pytest.raises(InputError, match=r"the file for to=usd ends in \.usda; give such a name"):
+        main([f"estimate={estimate}", "to=unreal", f"out={out / 'fabric.jfab'}"])
+    assert (out / "fabric.jfab").read_bytes() == before
+    main([f"estimate={estimate}", "to=unreal", f"out={out / 'silk.usda'}"])
+    assert (out / "silk.usda").exists()
+
+
+def test_the_message_for_an_unknown_tool_names_programs(estimate, capsys):
+    with pytest.raises(InputError, match=r"or a program: clo \(jfab\), .*unreal \(usd\)"):
+        main([f"estimate={estimate}", "to=maya"])
+    main(["to=list"])
+    assert "unreal (usd)" in capsys.readouterr().out
 
 
 def test_all_targets_of_one_estimate_have_the_same_bytes_again(estimate):
