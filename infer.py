@@ -3,6 +3,7 @@
     python infer.py capture=DIR [refine=depth] [out=DIR] [checkpoint=FILE]
     python infer.py capture=[DIR,DIR,...]      captures of one fabric: one estimate
     python infer.py scan=FILE [refine=scan] [out=DIR]
+    python infer.py strips=DIR [capture=...]   photographs of strips, alone or beside captures
     python infer.py captures=ROOT out=DIR      FABRIC/SAMPLE/CAPTURE, or a CSV list: a table
     ... export=jfab,usd                        files for other tools as well, or export=all
 
@@ -22,6 +23,7 @@ from common.errors import InputError
 from common.files import folder_named
 from data.captures.capture import Capture, captures_in, read_capture, require_one_fabric
 from data.captures.description import Specimen
+from data.strips.folder import read_strips
 from drapenet.config import EstimateOptions, InferConfig
 from drapenet.network.checkpoint import read_header
 from drapenet.result.files import (
@@ -32,6 +34,7 @@ from drapenet.result.files import (
     result_name,
     write_estimate,
 )
+from drapenet.strips import require_marked
 from sim.mesh.specimen import check_edge
 
 
@@ -56,14 +59,17 @@ def main(config: InferConfig) -> None:
 
 def estimate_fabric(config: InferConfig, options: EstimateOptions) -> Path:
     """Estimate the captures of one fabric; the file of the, or of their joint, estimate."""
-    sources = read_sources(config)
+    sources, strips = read_sources(config), read_strips(config.strips) if config.strips else None
     captures = [capture for capture, _ in sources]
-    require_one_fabric([capture.density for capture in captures],
+    require_one_fabric([part.density for part in (*captures, strips) if part],
                        [(str(capture.path), capture.digest) for capture in captures])
+    if strips:
+        require_marked(all(capture.warp_direction is not None for capture in captures))
     header = read_header(config.checkpoint)
-    paths = [capture.path for capture in captures]
+    paths = [capture.path for capture in captures] + ([strips.folder] if strips else [])
     out = Path(config.out or Path("outputs/infer") / result_name(paths))
-    folders = [out] if len(captures) == 1 else [out / f"capture_{k}" for k in range(len(captures))]
+    alone = len(paths) == 1
+    folders = [out if alone else out / f"capture_{k}" for k in range(len(captures))]
     require_output(out, paths)
     for folder in folders:
         require_output(folder)
@@ -81,8 +87,9 @@ def estimate_fabric(config: InferConfig, options: EstimateOptions) -> Path:
         print(f"{document.text()}\nestimate: {folder / ESTIMATE}")
         if files := [str(folder / name) for name in SHOWN if (folder / name).exists()]:
             print(f"report:   {', '.join(files)}")
-    if len(results) > 1:
-        estimate, document = joint_estimate(*zip(*results, strict=True), header)
+    if strips or not alone:
+        observations, documents = zip(*results, strict=True) if results else ((), ())
+        estimate, document = joint_estimate(observations, documents, header, strips)
         remove_report(out)
         write_estimate(out, estimate, document)
         print(f"{document.text()}\nestimate: {out / ESTIMATE}")
@@ -104,8 +111,10 @@ def options_of(config: InferConfig) -> EstimateOptions:
     sources = [key for key in ("capture", "captures", "scan") if getattr(config, key)]
     if len(sources) > 1:
         raise InputError(f"give {sources[0]}= or {sources[1]}=, not both")
-    if not sources:
+    if not (sources or config.strips):
         raise InputError("capture= is missing; give the folder of the capture: capture=DIR")
+    if config.strips and config.captures:
+        raise InputError("give strips= or captures=, not both")
     kind, ways = ("scan", ("none", "scan")) if config.scan else ("capture", ("none", "depth"))
     if config.refine["by"] not in ways:
         raise InputError(f"refine={config.refine['by']} does not fit a {kind}; use refine="
@@ -126,7 +135,7 @@ def options_of(config: InferConfig) -> EstimateOptions:
 def read_sources(config: InferConfig) -> list[tuple[Capture, Any]]:
     """Read the captures named in ``config``, each with its scan or None."""
     named = config.scan or config.capture
-    paths = [Path(str(path)) for path in (named if isinstance(named, list) else [named])]
+    paths = [Path(str(path)) for path in (named if isinstance(named, list) else [named]) if named]
     if not config.scan:
         return [(read_capture(path), None) for place in paths for path in captures_in(place)]
     specimen = Specimen.of({"density_g_m2": config.density_g_m2,

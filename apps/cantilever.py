@@ -20,7 +20,6 @@ import common.interrupt  # noqa: F401
 
 # isort: split
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -42,7 +41,7 @@ from sim.cantilever.moduli import (
     estimate_moduli,
 )
 from sim.cantilever.posterior import StripPosterior
-from sim.material import DIRECTIONS, MICRO, NANO, Fabric, check_density
+from sim.material import DIRECTIONS, MICRO, NANO, check_density
 from sim.solver.newton import Status
 
 LENGTH = 0.09  # m; results depend only on gamma
@@ -151,7 +150,8 @@ def moduli(strips: Strips, config: EstimateConfig) -> dict:
     estimates = estimate_moduli(strips, **options)
     rows = {direction: estimate_row(e) for direction, e in estimates.items()}
     if config.rounds:
-        fabric = corrected(strips, estimates, config, options)
+        fabric = correct(strips, estimates, rounds=config.rounds, width=1e-3 * config.width,
+                         **options)
         for k, direction in enumerate(DIRECTIONS):
             rows[direction]["alpha_uN_m"] = float(fabric.alpha[k] / MICRO)
             rows[direction]["beta_nN_m2"] = float(fabric.beta[k] / NANO)
@@ -183,29 +183,13 @@ def estimate_row(estimate: StripModuli) -> dict:
     }
 
 
-def corrected(
-    strips: Strips, estimates: Mapping[str, StripModuli], config: EstimateConfig, options: dict
-) -> Fabric:
-    """The fabric whose simulated strips give the estimates."""
-    return correct(strips, estimates, rounds=config.rounds, width=1e-3 * config.width, **options)
-
-
 def photographed_moduli(strips: StripSet, config: EstimateConfig) -> dict:
     """Estimate and print alpha and beta of each direction with their intervals, and of each strip
     by itself; entries of the report."""
     for warning in strips.warnings:
         print(f"note: {warning}")
     options = estimator_options(config, strips.density)
-    found = strips.posteriors()
-    if config.rounds:
-        # Curves of both faces contain the natural curvature, which the posteriors do not.
-        flat = {direction: StripModuli(found[direction].alpha, found[direction].beta,
-                                       found[direction].misfit, np.nan)
-                for direction in strips.curves}
-        fabric = corrected(strips.curves, flat, config, options)
-        for k, direction in enumerate(DIRECTIONS):
-            found[direction] = found[direction].moved_to(
-                np.array([np.log(fabric.alpha[k]), fabric.beta[k] / fabric.alpha[k]]))
+    found = strips.posteriors(rounds=config.rounds)
     rows = {direction: posterior_row(posterior) for direction, posterior in found.items()}
     for direction, row in rows.items():
         row["strips"] = [
@@ -218,8 +202,7 @@ def photographed_moduli(strips: StripSet, config: EstimateConfig) -> dict:
                  for name in ("alpha_uN_m", "beta_nN_m2")]
         print(f"{direction:6}{row['alpha_uN_m']:12.3g}{spans[0]:>18}{row['beta_nN_m2']:12.3g}"
               f"{spans[1]:>18}{row['misfit']:8.2f}")
-        if row["natural_curvature_1_m"]:
-            print("  natural curvature {:.2g} ± {:.1g} 1/m".format(*row["natural_curvature_1_m"]))
+        print("  natural curvature {:.2g} ± {:.1g} 1/m".format(*row["natural_curvature_1_m"]))
         for strip in row["strips"]:
             print(f"  {strip['file']} alone: {strip['alpha_uN_m']:.3g} µN·m, "
                   f"{strip['beta_nN_m2']:.3g} nN·m²")
@@ -235,9 +218,9 @@ def posterior_row(posterior: StripPosterior) -> dict:
                 for (name, unit), interval in zip(units.items(), posterior.intervals(level / 100),
                                                   strict=True)}
     return row | {
-        "log_alpha_and_ratio_m": posterior.mean.tolist(),
+        "log_alpha_ratio_m_curl_1_m": posterior.mean.tolist(),
         "covariance": posterior.covariance.tolist(),
-        "natural_curvature_1_m": list(posterior.curl) if posterior.curl else None,
+        "natural_curvature_1_m": list(posterior.curl),
         "misfit": posterior.misfit,
     }
 

@@ -72,6 +72,7 @@ class InferConfig:
     capture: Any
     captures: str
     scan: Any
+    strips: str
     out: str
     checkpoint: str
     refine: dict[str, Any]

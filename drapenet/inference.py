@@ -16,11 +16,17 @@ from common.files import replace_file
 from common.types import Metres
 from data.captures.capture import Capture
 from data.captures.known import Known
+from data.strips.folder import StripSet
 from drapenet.config import EstimateOptions
 from drapenet.known import weigh
 from drapenet.network.checkpoint import Header, load_model
 from drapenet.network.predict import predict
-from drapenet.result.document import CaptureAbout, CaptureRecord, EstimateDocument
+from drapenet.result.document import (
+    CaptureAbout,
+    CaptureRecord,
+    EstimateDocument,
+    StripsRecord,
+)
 from drapenet.result.estimate import Estimate, make_estimate
 from drapenet.result.files import (
     PAGE,
@@ -34,6 +40,7 @@ from drapenet.result.files import (
     write_observation,
 )
 from drapenet.sets import contradictions
+from drapenet.strips import ROUNDS, contradicting_strips, prior_estimate, with_strips
 from drapenet.views.checks import view_warnings
 from drapenet.views.located import LocatedViews
 from drapenet.views.observation import Observation
@@ -166,29 +173,26 @@ def _reported(known: Known | None, rig: Rig, face: int, marked: bool) -> list[Ob
 
 
 def joint_estimate(
-    observations: Sequence[Observation], documents: Sequence[EstimateDocument], header: Header
+    observations: Sequence[Observation], documents: Sequence[EstimateDocument], header: Header,
+    strips: StripSet | None = None,
 ) -> tuple[Estimate, EstimateDocument]:
-    """The posterior of several captures of one fabric, and its document with the moduli of each.
+    """The posterior of captures and strips of one fabric, and its document with the moduli of each.
 
-    Where the direction of the warp is not stated for all, it is taken as unknown for all.
+    Without captures the fabric prior takes their place. Where the direction of the warp is not
+    stated for all captures, it is taken as unknown for all; strips need it.
     """
-    known = all(part.known for part in observations)
-    stated = [document.capture.known for document in documents]
-    seen = [replace(part, known=known) for part in observations]
-    also = [part for one, values in zip(seen, stated, strict=True) if np.isnan(one.coefficient)
-            for part in _reported(values, one.rig, one.face, known)]
-    network, labels = network_of(header), [document.capture.source or "" for document in documents]
-    draws, *alone = predict(network, header, [[*seen, *also], *([part] for part in seen)])
-    density = documents[0].density
-    estimate = make_estimate(draws, density=density, header=header)
-    for values in dict.fromkeys(str(part) for part in stated if part):
-        estimate = weigh(estimate, next(part for part in stated if str(part) == values))
-    lines = contradictions(
-        [part.cloth.theta for part in alone],
-        lambda numbers: predict(network, header, [[seen[k] for k in numbers]])[0].cloth.theta,
-        labels, names=estimate.names, spread=estimate.spread, density=density)
-    estimate = replace(estimate, warnings=(*estimate.warnings, *lines))
-    warnings = [*estimate.warnings, *(
+    density = documents[0].density if documents else strips.density
+    labels = [document.capture.source or "" for document in documents]
+    estimate = (_of_captures(observations, documents, labels, header) if documents else
+                prior_estimate(density, header.spread))
+    sections, lines = {}, []
+    if strips:
+        measured = strips.posteriors(rounds=ROUNDS if strips.complete else 0)
+        sections["strips"] = StripsRecord.of(printable(strips.folder), len(strips), measured,
+                                             estimate if documents else None)
+        alone, estimate = estimate, with_strips(estimate, measured)
+        lines = [*strips.warnings, *(contradicting_strips(alone, measured) * bool(documents))]
+    warnings = [*estimate.warnings, *lines, *(
         f"{label} has {len(document.warnings)} warning{'s' * (len(document.warnings) > 1)} by "
         f"itself: {document.warnings[0]}"
         for label, document in zip(labels, documents, strict=True) if document.warnings)]
@@ -196,12 +200,36 @@ def joint_estimate(
         warnings.append("the captures state different densities: moduli are those at "
                         f"{1e3 * density:g} g/m²")
     rigs = dict.fromkeys(document.capture.rig for document in documents)
-    records = [CaptureRecord(capture=document.capture, moduli=document.moduli,
-                             warnings=document.warnings) for document in documents]
+    if documents:
+        sections["captures"] = [
+            CaptureRecord(capture=document.capture, moduli=document.moduli,
+                          warnings=document.warnings) for document in documents]
     return estimate, EstimateDocument.from_estimate(
         estimate, capture={"sources": labels, "rig": ", ".join(rigs),
-                           "density_g_m2": documents[0].capture.density_g_m2},
-        checkpoint=header.identity, captures=records, warnings=warnings)
+                           "density_g_m2": round(density * 1e3, 6)},
+        checkpoint=header.identity, warnings=warnings, **sections)
+
+
+def _of_captures(
+    observations: Sequence[Observation], documents: Sequence[EstimateDocument],
+    labels: Sequence[str], header: Header,
+) -> Estimate:
+    """The posterior of one capture or several, with warnings of those that contradict others."""
+    known = all(part.known for part in observations)
+    stated = [document.capture.known for document in documents]
+    seen = [replace(part, known=known) for part in observations]
+    also = [part for one, values in zip(seen, stated, strict=True) if np.isnan(one.coefficient)
+            for part in _reported(values, one.rig, one.face, known)]
+    network, density = network_of(header), documents[0].density
+    draws, *alone = predict(network, header, [[*seen, *also], *([part] for part in seen)])
+    estimate = make_estimate(draws, density=density, header=header)
+    for values in dict.fromkeys(str(part) for part in stated if part):
+        estimate = weigh(estimate, next(part for part in stated if str(part) == values))
+    lines = contradictions(
+        [part.cloth.theta for part in alone],
+        lambda numbers: predict(network, header, [[seen[k] for k in numbers]])[0].cloth.theta,
+        labels, names=estimate.names, spread=estimate.spread, density=density)
+    return replace(estimate, warnings=(*estimate.warnings, *lines))
 
 
 def check(result: CaptureEstimate, strict: bool = False) -> CaptureEstimate:

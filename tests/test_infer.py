@@ -13,6 +13,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import strip_photographs
 import trimesh
 from checkpoints import change_description
 from cloths import capture_views, describe, write_skirt
@@ -393,3 +394,28 @@ def test_refinement_says_what_has_changed(out, capsys):
         assert refined["before"][name]["alpha_uN_m"]["median"] != alpha
     assert content["resimulation"]["silhouette_overlap"] > 0.95
     assert "alpha before refinement" in capsys.readouterr().out
+
+
+def test_strips_are_estimated_alone_and_beside_a_capture(capture, checkpoint, out, capsys):
+    describe(capture, density_g_m2=1e3 * strip_photographs.DENSITY)
+    strips = strip_photographs.write(
+        capture.parent / "strips", {"a.png": strip_photographs.photograph(strip_photographs.LONG)},
+        [strip_photographs.entry(strip_photographs.LONG, "a.png")])
+    options = [f"strips={strips}", "drapes=0", f"checkpoint={checkpoint}"]
+    infer.main([*options, f"out={out / 'alone'}"])
+    infer.main([*options, f"capture={capture}", f"out={out / 'joint'}"])
+    alone, joint = content_of(out / "alone"), content_of(out / "joint")
+    assert "joint estimate of 1 capture and 1 strip\n" in capsys.readouterr().out
+    for content in (alone, joint):
+        moduli, strip = content["moduli"]["warp"], content["strips"]["moduli"]["warp"]
+        low, high = strip["alpha_uN_m"]["interval_90"]
+        assert low < moduli["alpha_uN_m"]["median"] < high
+    assert "before" not in alone["strips"] and not alone["capture"]["rig"]
+    first, before = content_of(out / "joint" / "capture_0")["moduli"], joint["strips"]["before"]
+    assert before["weft"]["alpha_uN_m"]["median"] == pytest.approx(
+        first["weft"]["alpha_uN_m"]["median"], rel=0.1)
+    assert read_estimate(out / "joint")[0].names == DIRECTIONS
+    describe(capture, warp_direction_deg=None)
+    with pytest.raises(InputError, match="need warp_direction_deg"):
+        infer.main([*options, f"capture={capture}", f"out={out / 'unmarked'}"])
+    assert not (out / "unmarked").exists()

@@ -326,7 +326,7 @@ def require_one_fabric(densities: Sequence[Density], digests: Iterable[tuple[str
         names[digest] = name
     low, high = min(densities), max(densities)
     if high > (1 + MAX_DENSITY_DIFFERENCE) * low:
-        raise InputError(f"captures of one fabric state densities from {1e3 * low:g} to "
+        raise InputError(f"captures and strips of one fabric state densities from {1e3 * low:g} to "
                          f"{1e3 * high:g} g/m², more than {MAX_DENSITY_DIFFERENCE:.0%} apart; "
                          "correct density_g_m2, or give different fabrics apart")
 

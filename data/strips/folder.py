@@ -3,14 +3,18 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from common.errors import InputError
-from common.types import DeflectionCurve, Density, Radians
+from common.types import DeflectionCurve, Density, Metres, Radians
 from data.strips.description import StripsDescription, read_description
 from data.strips.photograph import PhotographedStrip, read_strip
+from sim.cantilever.moduli import StripModuli, correct
 from sim.cantilever.posterior import BendingLength, StripPosterior, direction_posterior
 from sim.material import DIRECTIONS
 from sim.rig import GRAVITY
 
+BIAS = DIRECTIONS[1]
 BENDING_LENGTH_ERROR = 0.02  # relative standard deviation of one read at 41.5°
 
 
@@ -23,10 +27,15 @@ class StripSet:
         slope: of all clamps below the horizontal.
     """
 
+    folder: Path
     density: Density
     photographs: tuple[PhotographedStrip, ...]
     lengths: tuple[tuple[str, BendingLength], ...]
     slope: Radians
+    width: Metres
+
+    def __len__(self) -> int:
+        return len(self.photographs) + len(self.lengths)
 
     @property
     def curves(self) -> dict[str, list[DeflectionCurve]]:
@@ -36,22 +45,25 @@ class StripSet:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Those of all photographs, and directions of which only one face was measured."""
+        """Those of all photographs, and of twist that cannot be corrected."""
         lines = [line for strip in self.photographs for line in strip.warnings]
-        for direction in DIRECTIONS:
-            faces = [strip.measured.sign for strip in self.photographs
-                     if strip.direction == direction]
-            faces += [length.sign for name, length in self.lengths if name == direction]
-            if len(set(faces)) == 1:
-                lines.append(f"{direction}: only one face was measured, and its natural curvature "
-                             "is taken as 0; one of 5 1/m, which is usual, changes alpha by "
-                             "20 to 60 %, or twofold: hang one of the strips with the other face "
-                             "up")
+        if BIAS in self.curves and not self.complete:
+            lines.append(f"{BIAS}: free strips cut along it twist and hang lower, as if alpha were "
+                         "0.4 to 15 % smaller; measure all three directions, and this is corrected")
         return tuple(lines)
 
-    def posteriors(self) -> dict[str, StripPosterior]:
+    @property
+    def complete(self) -> bool:
+        """Whether all three directions were photographed."""
+        return set(self.curves) == set(DIRECTIONS)
+
+    def posteriors(self, *, rounds: int = 0) -> dict[str, StripPosterior]:
         """Posterior of log alpha (N·m) and beta/alpha (m) of each direction that was measured, at
-        the density of the fabric; InputError if the strips of one do not fit each other."""
+        the density of the fabric; InputError if the strips of one do not fit each other.
+
+        ``rounds`` of simulated strips correct the means for the twist of free strips
+        (:func:`sim.cantilever.moduli.correct`); curves of all directions are needed.
+        """
         found = {}
         for direction in DIRECTIONS:
             strips = [strip.measured for strip in self.photographs if strip.direction == direction]
@@ -63,6 +75,15 @@ class StripSet:
                     strips, lengths, weight=self.density * GRAVITY, slope=self.slope)
             except InputError as error:
                 raise InputError(f"{direction}: {error}") from None
+        if rounds:
+            # Curves contain the natural curvature, which these moduli do not.
+            flat = {direction: StripModuli(found[direction].alpha, found[direction].beta,
+                                           found[direction].misfit, np.nan)
+                    for direction in self.curves}
+            fabric = correct(self.curves, flat, density=self.density, rounds=rounds,
+                             width=self.width, slope=self.slope)
+            for k, direction in enumerate(DIRECTIONS):
+                found[direction] = found[direction].moved_to(fabric.alpha[k], fabric.beta[k])
         return found
 
 
@@ -72,7 +93,8 @@ def read_strips(folder: str | Path, *, slope: Radians = 0.0) -> StripSet:
     description = read_description(folder)
     photographs = tuple(read_strip(folder, entry, description, slope=slope)
                         for entry in description.strips if entry.file)
-    return StripSet(description.density, photographs, _lengths(description), slope)
+    return StripSet(folder, description.density, photographs, _lengths(description), slope,
+                    1e-3 * description.width_mm)
 
 
 def _lengths(description: StripsDescription) -> tuple[tuple[str, BendingLength], ...]:

@@ -14,6 +14,7 @@ from common.types import Density
 from data.captures.known import Known
 from drapenet.result.estimate import Estimate
 from drapenet.result.readings import GF_CM, GF_CM_PER_CM, MG_CM, bending_length, kes
+from sim.cantilever.posterior import StripPosterior
 from sim.material import DIRECTIONS, MICRO, NANO, REFERENCE_DENSITY, STIFF_SOFT
 from sim.rig import GRAVITY
 
@@ -75,7 +76,10 @@ class Readings(Excerpt):
 
 
 class CaptureAbout(Excerpt):
-    """The capture of an estimate, or the captures of a joint one, which has ``sources``."""
+    """The capture of an estimate, or the captures of a joint one, which has ``sources``.
+
+    ``rig`` is empty if strips alone were measured.
+    """
 
     source: Text | None = None
     sources: list[Text] | None = None
@@ -122,6 +126,39 @@ class CaptureRecord(Excerpt):
     warnings: list[Text]
 
 
+class StripModuli(Excerpt):
+    """Moduli along one direction by its strips alone."""
+
+    alpha_uN_m: Quantity  # noqa: N815
+    beta_nN_m2: Quantity  # noqa: N815
+    natural_curvature_1_m: list[float]  # and its standard deviation
+    misfit: float
+
+
+class StripsRecord(Excerpt):
+    """Strips beside the captures, and the moduli without them if there are captures."""
+
+    source: Text
+    strips: int
+    moduli: dict[str, StripModuli]
+    before: dict[str, DirectionModuli] | None = None
+
+    @classmethod
+    def of(
+        cls, source: str, count: int, strips: Mapping[str, StripPosterior],
+        before: Estimate | None,
+    ) -> "StripsRecord":
+        """Of ``count`` strips with their posteriors by direction."""
+        moduli = {}
+        for direction, strip in strips.items():
+            alpha, beta = strip.samples()
+            moduli[direction] = {
+                "alpha_uN_m": _intervals(alpha / MICRO), "beta_nN_m2": _intervals(beta / NANO),
+                "natural_curvature_1_m": list(strip.curl), "misfit": strip.misfit}
+        return cls.model_validate({"source": source, "strips": count, "moduli": moduli} | (
+            {"before": _moduli(before, before.density)} if before else {}))
+
+
 class EstimateDocument(Excerpt):
     """The content of ``estimate.json``."""
 
@@ -140,6 +177,7 @@ class EstimateDocument(Excerpt):
     cloth: Cloth
     checkpoint: dict[str, Text]
     captures: list[CaptureRecord] | None = None
+    strips: StripsRecord | None = None
     refined: RefinementRecord | None = None
     resimulation: dict[str, Any] | None = None
     warnings: list[Text]
@@ -196,7 +234,13 @@ class EstimateDocument(Excerpt):
 
     def text(self) -> str:
         """The estimate as lines for a terminal."""
-        lines = [f"joint estimate of {len(self.captures)} captures"] if self.captures else []
+        lines, parts = [], []
+        if self.captures:
+            parts.append(f"{len(self.captures)} capture{'s' * (len(self.captures) > 1)}")
+        if self.strips:
+            parts.append(f"{self.strips.strips} strip{'s' * (self.strips.strips > 1)}")
+        if parts:
+            lines.append(f"joint estimate of {' and '.join(parts)}")
         lines += [f"at {self.capture.density_g_m2:g} g/m²:",
                   f"{'':8}{'alpha [µN·m]':>14}{'68 % interval':>20}{'beta [nN·m²]':>16}"
                   f"{'68 % interval':>20}"]
@@ -214,6 +258,15 @@ class EstimateDocument(Excerpt):
             lines += [f"alpha before refinement: {before}",
                       f"misfit {misfit} before, {refined.misfit:.0f} after "
                       f"{refined.simulations} simulations ({refined.status})"]
+        if self.strips:
+            lines += [f"by strips alone, along the {name}: alpha {moduli.alpha_uN_m} µN·m, beta "
+                      f"{moduli.beta_nN_m2} nN·m², natural curvature "
+                      "{:.2g} ± {:.1g} 1/m".format(*moduli.natural_curvature_1_m)
+                      for name, moduli in self.strips.moduli.items()]
+            if self.strips.before:
+                alone = (f"{name} {moduli.alpha_uN_m}"
+                         for name, moduli in self.strips.before.items())
+                lines.append(f"alpha without the strips: {', '.join(alone)}")
         lines.append(f"{'':8}{'bending length':>14}{'rigidity G':>14}{'KES B':>18}{'KES 2HB':>18}")
         for name, readings in self.laboratory.items():
             secant, hysteresis = readings.kes_b_gf_cm2_per_cm, readings.kes_2hb_gf_cm_per_cm

@@ -1,11 +1,11 @@
 """Curves and moduli from simulated photographs of cantilever strips, and faulty photographs.
 
 Directions of fabrics from the prior have two strips each, of 1.5 and 2.5 bending lengths, at least
-20 mm: elasticas, photographed from a random pose. Half of the directions have a natural curvature,
-and the longer strip hangs with the other face up; the others are flat, and one face is measured.
-Clamp, scale, free length and the camera's distance have the errors that the reader assumes. The
-moduli of a direction are estimated from its strips together. Faults are those of :data:`FAULTS`;
-one is found if the photograph is refused, or has a warning.
+20 mm: elasticas with a natural curvature, photographed from a random pose. In half of the
+directions the longer strip hangs with the other face up; in the others one face is measured. Clamp,
+scale, free length and the camera's distance have the errors that the reader assumes. The moduli of
+a direction are estimated from its strips together. Faults are those of :data:`FAULTS`; one is found
+if the photograph is refused, or has a warning.
 """
 
 import tempfile
@@ -31,7 +31,7 @@ from sim.cantilever.strip import bending_length
 from sim.material import DIRECTIONS, REFERENCE_DENSITY
 from sim.rig import GRAVITY
 
-SEED = 31
+SEED = 47
 LENGTHS, LEAST_LENGTH = (1.5, 2.5), 0.02  # bending lengths, and m
 WEIGHT = REFERENCE_DENSITY * GRAVITY
 SCALES = ("mm_per_px", "ruler_px", "free_length")  # of the directions in turn
@@ -97,7 +97,7 @@ def estimate_case(*, number: int) -> dict:
     alpha, ratio = direction_of(number)
     rng = np.random.default_rng([SEED, number])
     scale = SCALES[number // 2 % len(SCALES)]
-    curl = float(rng.laplace(0, CURL)) if number % 2 else 0.0
+    curl = float(rng.laplace(0, CURL))
     truth = {"alpha": alpha, "ratio": ratio, "scale": scale, "curl": curl,
              "faces": FACES[number % 2]}
     pictures, entries, scenes = {}, [], []

@@ -1,9 +1,9 @@
 """The posterior of one direction's moduli from measured strips with known errors.
 
-Elastica curves are fitted to the curves of all strips together. Unknown are log alpha and
-beta/alpha, for each strip its length and the slope of its clamp, and the natural curvature if both
-faces were measured. Errors of the curves, correlated as a scale's are, enter by their covariance;
-the result is the normal distribution at the best fit (Laplace's approximation).
+Elastica curves are fitted to the curves of all strips together. Unknown are log alpha, beta/alpha
+and the natural curvature, and for each strip its length and the slope of its clamp. Errors of the
+curves, correlated as a scale's are, enter by their covariance; the result is the normal
+distribution at the best fit (Laplace's approximation).
 """
 
 from collections.abc import Sequence
@@ -28,13 +28,16 @@ INCLINE = np.radians(41.5)
 RATIO_PRIOR = (-2.6e-3, 3e-3)
 """m, mean and standard deviation of beta/alpha; those of 201 published fabrics are -2.6 and 1.3
 mm. It matters for bending lengths and for short strips, which determine one modulus."""
-CURL_PRIOR = 10.0  # 1/m, standard deviation of the natural curvature
+CURL_PRIOR = 7.1
+"""1/m, standard deviation of the natural curvature: that of fabrics in
+``configs/nuisances/real.yaml``. Strips of one face alone do not separate it from the moduli."""
 SLOPE_ERROR = np.radians(0.5)  # of a clamp
 MAX_MISFIT = 4.0  # largest error of a fit, in standard deviations, root mean square
 _POINTS, _STEPS = 81, 240  # of elastica curves
 _BEYOND = 0.2  # of the length, by which a model is extended
 _STEP = 1e-3  # of an unknown, in differences
 _CURL_UNIT = 10.0  # 1/m; unknowns of a fit have similar magnitudes
+_SHARED = 3  # unknowns of all strips of a direction
 _LIMITS = (0.5, 1.5)  # of a strip's length, relative
 
 
@@ -68,21 +71,19 @@ class BendingLength:
 
 @dataclass(frozen=True)
 class StripPosterior:
-    """Normal distribution of one direction's log alpha (alpha in N·m) and beta/alpha, m.
+    """Normal distribution of one direction's log alpha (alpha in N·m), beta/alpha, m, and natural
+    curvature, 1/m, positive if cloth with the marked face up bends down by itself.
 
-    It contains the prior :data:`RATIO_PRIOR` of beta/alpha; :meth:`likelihood` does not.
+    It contains the priors :data:`RATIO_PRIOR` and :data:`CURL_PRIOR`; :meth:`likelihood` does not.
 
     Attributes:
-        mean, covariance: (2,) and (2, 2).
-        curl: natural curvature, 1/m, positive if cloth with the marked face up bends down by
-            itself, with its standard deviation; None if one face was measured.
+        mean, covariance: (3,) and (3, 3).
         misfit: root mean square of the residuals, in standard deviations; if larger than 1, the
             covariance is larger by its square.
     """
 
     mean: np.ndarray
     covariance: np.ndarray
-    curl: tuple[float, float] | None
     misfit: float
 
     @property
@@ -95,14 +96,19 @@ class StripPosterior:
         """Quadratic modulus, N·m², at the mean."""
         return float(self.alpha * self.mean[1])
 
-    def moved_to(self, mean: np.ndarray) -> "StripPosterior":
-        """The same with another ``mean`` (2,), log alpha (N·m) and beta/alpha (m)."""
-        return replace(self, mean=mean)
+    @property
+    def curl(self) -> tuple[float, float]:
+        """Mean and standard deviation of the natural curvature, 1/m."""
+        return float(self.mean[2]), float(np.sqrt(self.covariance[2, 2]))
+
+    def moved_to(self, alpha: float, beta: float) -> "StripPosterior":
+        """The same with other moduli, N·m and N·m², at the mean."""
+        return replace(self, mean=np.array([np.log(alpha), beta / alpha, self.mean[2]]))
 
     def samples(self, count: int = 4000) -> tuple[np.ndarray, np.ndarray]:
         """Samples of alpha, N·m, and beta, N·m², (count,) each, by a fixed seed."""
-        white = np.random.default_rng(0).standard_normal((count, 2))
-        log_alpha, ratio = (self.mean + white @ np.linalg.cholesky(self.covariance).T).T
+        white = np.random.default_rng(0).standard_normal((count, 3))
+        log_alpha, ratio, _ = (self.mean + white @ np.linalg.cholesky(self.covariance).T).T
         return np.exp(log_alpha), np.exp(log_alpha) * ratio
 
     def intervals(self, level: float) -> np.ndarray:
@@ -112,12 +118,12 @@ class StripPosterior:
         return np.stack([np.quantile(values, ends) for values in self.samples()])
 
     def likelihood(self) -> tuple[np.ndarray, np.ndarray]:
-        """Precision matrix P (2, 2) and vector h (2,) of the measurements alone, without the prior:
-        their log likelihood is -x'P x/2 + h'x of x = (log alpha, beta/alpha). Of a bending length
-        alone P is singular."""
+        """Precision matrix P (3, 3) and vector h (3,) of the measurements alone, without the
+        priors: their log likelihood is -x'P x/2 + h'x of x = (log alpha, beta/alpha, natural
+        curvature). Of one strip P is nearly singular."""
         precision = np.linalg.inv(self.covariance)
-        prior = np.diag([0.0, RATIO_PRIOR[1] ** -2])
-        return precision - prior, precision @ self.mean - prior @ [0.0, RATIO_PRIOR[0]]
+        prior = np.diag([0.0, RATIO_PRIOR[1] ** -2, CURL_PRIOR**-2])
+        return precision - prior, precision @ self.mean - prior @ [0.0, RATIO_PRIOR[0], 0.0]
 
 
 def direction_posterior(
@@ -130,14 +136,13 @@ def direction_posterior(
     """
     first = np.log([*(_linear_modulus(strip, weight) for strip in strips),
                     *(weight * each.length**3 for each in lengths)]).mean()
-    both = len({each.sign for each in (*strips, *lengths)}) > 1
-    fit = _Fit(strips, lengths, weight, slope, both)
+    fit = _Fit(strips, lengths, weight, slope)
     longest = max([strip.length for strip in strips] + [2 * each.length for each in lengths])
     stiffest = np.log(weight * (_LIMITS[1] * longest) ** 3 / MAX_GAMMA)
     ratios, count = 1e3 * np.array(RATIO_RANGE), len(strips)
-    bounds = np.array([[stiffest, np.inf], ratios] + [[-5.0, 5.0]] * both + [_LIMITS] * count
+    bounds = np.array([[stiffest, np.inf], ratios, [-5.0, 5.0]] + [_LIMITS] * count
                       + [[-8.0, 8.0]] * count).T
-    guess = np.array([first, 1e3 * RATIO_PRIOR[0]] + [0.0] * both + [1.0] * count + [0.0] * count)
+    guess = np.array([first, 1e3 * RATIO_PRIOR[0], 0.0] + [1.0] * count + [0.0] * count)
     result = least_squares(fit.residuals, guess, jac=fit.jacobian, bounds=bounds,
                            x_scale="jac", xtol=1e-6, ftol=1e-6, max_nfev=60)
     degrees = max(len(result.fun) - len(guess), 1)
@@ -147,43 +152,37 @@ def direction_posterior(
                          "them: check that the strips are of one direction, their lengths, and the "
                          "density")
     covariance = np.linalg.inv(result.jac.T @ result.jac) * max(misfit, 1.0) ** 2
-    unit = np.array([1.0, 1e-3])
-    curl = None
-    if both:
-        curl = float(_CURL_UNIT * result.x[2]), float(_CURL_UNIT * np.sqrt(covariance[2, 2]))
-    return StripPosterior(result.x[:2] * unit, covariance[:2, :2] * np.outer(unit, unit),
-                          curl, misfit)
+    unit = np.array([1.0, 1e-3, _CURL_UNIT])
+    return StripPosterior(result.x[:_SHARED] * unit,
+                          covariance[:_SHARED, :_SHARED] * np.outer(unit, unit), misfit)
 
 
 class _Fit:
     """Residuals, in standard deviations, of the unknowns log alpha, beta/alpha in mm, natural
-    curvature in :data:`_CURL_UNIT` if ``both`` faces were measured, relative lengths of the strips,
-    and slopes of their clamps in :data:`SLOPE_ERROR`."""
+    curvature in :data:`_CURL_UNIT`, relative lengths of the strips, and slopes of their clamps in
+    :data:`SLOPE_ERROR`."""
 
     def __init__(self, strips: Sequence[MeasuredStrip], lengths: Sequence[BendingLength],
-                 weight: float, slope: Radians, both: bool) -> None:
+                 weight: float, slope: Radians) -> None:
         self.strips, self.lengths, self.weight, self.slope = strips, lengths, weight, slope
-        self.shared = 3 if both else 2
         self.white = [_whitening(strip) for strip in strips]
 
     def residuals(self, unknowns: np.ndarray) -> np.ndarray:
         """(R,) priors, then those of each strip and each bending length."""
         mean, error = (1e3 * value for value in RATIO_PRIOR)
-        shared = unknowns[: self.shared]
-        priors = [(shared[1] - mean) / error, *shared[2:] * _CURL_UNIT / CURL_PRIOR]
+        shared = unknowns[:_SHARED]
+        priors = [(shared[1] - mean) / error, shared[2] * _CURL_UNIT / CURL_PRIOR]
         return np.concatenate([priors, *(self._strip(k, unknowns[self._columns(k)])
                                          for k in range(len(self.strips))),
                                *(self._length(each, shared) for each in self.lengths)])
 
     def jacobian(self, unknowns: np.ndarray) -> np.ndarray:
         """(R, U) derivatives by differences; a strip depends on its own length and slope alone."""
-        shared = slice(0, self.shared)
-        rows = [np.eye(len(unknowns))[1 : self.shared]]
+        rows = [np.eye(len(unknowns))[1:_SHARED]]
         rows[0][0] /= 1e3 * RATIO_PRIOR[1]
-        rows[0][1:] *= _CURL_UNIT / CURL_PRIOR
+        rows[0][1] *= _CURL_UNIT / CURL_PRIOR
         parts = [(partial(self._strip, k), self._columns(k)) for k in range(len(self.strips))]
-        parts += [(partial(self._length, each), np.arange(len(unknowns))[shared])
-                  for each in self.lengths]
+        parts += [(partial(self._length, each), np.arange(_SHARED)) for each in self.lengths]
         for part, columns in parts:
             at = unknowns[columns]
             block = np.stack([(part(at + step) - part(at - step)) / (2 * _STEP)
@@ -194,13 +193,13 @@ class _Fit:
 
     def _columns(self, k: int) -> np.ndarray:
         """Unknowns on which strip ``k`` depends."""
-        return np.array([*range(self.shared), self.shared + k, self.shared + len(self.strips) + k])
+        return np.array([*range(_SHARED), _SHARED + k, _SHARED + len(self.strips) + k])
 
     def _shape(self, shared: np.ndarray, sign: int, length: Metres, slope: Radians
                ) -> DeflectionCurve:
-        alpha, curl = np.exp(shared[0]), _CURL_UNIT * shared[2] if len(shared) > 2 else 0.0
+        alpha, curl = np.exp(shared[0]), sign * _CURL_UNIT * shared[2]
         return heavy_elastica(alpha, 1e-3 * shared[1] * alpha, weight=self.weight, length=length,
-                              curl=sign * curl, slope=slope, points=_POINTS, steps=_STEPS)
+                              curl=curl, slope=slope, points=_POINTS, steps=_STEPS)
 
     def _strip(self, k: int, unknowns: np.ndarray) -> np.ndarray:
         strip, (*shared, stretch, tilt) = self.strips[k], unknowns

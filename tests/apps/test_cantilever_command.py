@@ -63,7 +63,8 @@ def test_photographs_give_moduli_with_intervals(tmp_path, capsys):
         (low, high), (lower, higher) = (warp[f"{name}_interval_{level}"] for level in (68, 90))
         assert lower < low < warp[name] < high < higher and lower < true < higher
         assert bias[f"{name}_interval_68"][1] - bias[f"{name}_interval_68"][0] > high - low
-    assert np.array(warp["covariance"]).shape == (2, 2) and not warp["natural_curvature_1_m"]
+    assert np.array(warp["covariance"]).shape == (3, 3)
+    assert abs(warp["natural_curvature_1_m"][0]) < warp["natural_curvature_1_m"][1] < 1
     printed = capsys.readouterr().out
     assert "note: b.png: camera_distance_mm is missing" in printed and "a.png alone" in printed
     with pytest.raises(InputError, match="all three directions; bias"):

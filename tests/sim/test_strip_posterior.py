@@ -7,6 +7,7 @@ from elastica_curves import LAWS, WEIGHT, curves_of
 from common.errors import InputError
 from sim.cantilever import hang, heavy_elastica
 from sim.cantilever.posterior import (
+    CURL_PRIOR,
     RATIO_PRIOR,
     BendingLength,
     MeasuredStrip,
@@ -35,9 +36,9 @@ def test_exact_curves_give_the_moduli(law):
     alpha, beta = law
     found = direction_posterior([measured(curve) for curve in curves_of(alpha, beta)],
                                 weight=WEIGHT)
-    assert found.alpha == pytest.approx(alpha, rel=2e-3)
+    assert found.alpha == pytest.approx(alpha, rel=4e-3)
     assert found.beta == pytest.approx(beta, rel=2e-2)
-    assert found.misfit < 0.5 and found.curl is None
+    assert found.misfit < 0.5 and abs(found.curl[0]) < found.curl[1]
     (low, high), (lower, upper) = found.intervals(0.9)
     assert low < alpha < high and lower < beta < upper
 
@@ -52,7 +53,7 @@ def test_an_error_of_the_scale_is_three_of_alpha_unless_the_length_is_known():
     # The error of 0.5 % is another one for each of the two strips.
     assert 0.6 * 3 * 0.005 / np.sqrt(2) < deviation < 1.6 * 3 * 0.005 / np.sqrt(2)
     assert loose.mean[0] - np.log(ALPHA) == pytest.approx(3 * np.log(1.005), rel=0.3)
-    assert abs(tight.mean[0] - np.log(ALPHA)) < 0.005 and tight.covariance[0, 0] < deviation**2 / 9
+    assert abs(tight.mean[0] - np.log(ALPHA)) < 0.005 and tight.covariance[0, 0] < deviation**2 / 2
 
 
 @pytest.mark.parametrize("curl", [-4.0, 4.0])
@@ -62,9 +63,11 @@ def test_both_faces_give_the_natural_curvature(curl):
     both = direction_posterior(strips, weight=WEIGHT)
     assert both.curl[0] == pytest.approx(curl, abs=3 * both.curl[1]) and both.curl[1] < 1
     assert both.alpha == pytest.approx(ALPHA, rel=0.01)
+    # Of one face the shape of the curve alone determines the natural curvature.
     one = direction_posterior(strips[:1], weight=WEIGHT)
-    assert one.curl is None and np.sign(one.alpha / ALPHA - 1) == -np.sign(curl)
-    assert abs(one.alpha / ALPHA - 1) > 0.03
+    assert one.covariance[0, 0] > 9 * both.covariance[0, 0] and one.curl[1] > 2 * both.curl[1]
+    (low, high), _ = one.intervals(0.9)
+    assert low < ALPHA < high
 
 
 @pytest.mark.parametrize("curl", [-6.0, 6.0])
@@ -84,11 +87,12 @@ def test_a_bending_length_gives_the_rigidity_of_the_standard():
     found = direction_posterior([], [length], weight=WEIGHT)
     # The rigidity rho g c³ is that of the strip's curvature: softer than alpha if beta < 0.
     rigidity = WEIGHT * length.length**3
-    assert 1.0 < found.alpha / rigidity < 1.3
+    assert 1.0 < found.alpha / rigidity < 1.3 and found.curl[1] == pytest.approx(CURL_PRIOR)
     precision, vector = found.likelihood()
-    values = np.linalg.eigvalsh(precision * np.outer([1, 1e-3], [1, 1e-3]))
-    assert abs(values[0]) < 1e-6 * values[1], "one number determines one modulus"
-    linear = np.array([np.log(rigidity), 0.0])
+    unit = [1, 1e-3, 10]
+    values = np.linalg.eigvalsh(precision * np.outer(unit, unit))
+    assert abs(values[:2]).max() < 1e-6 * values[2], "one number determines one modulus"
+    linear = np.array([np.log(rigidity), 0.0, 0.0])
     assert 0.5 * (linear - found.mean) @ precision @ (linear - found.mean) < 1.0
     assert np.isfinite(vector).all() and found.mean[1] == pytest.approx(RATIO_PRIOR[0], abs=1e-5)
 
