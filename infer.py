@@ -1,8 +1,8 @@
 """Estimate the six bending moduli of a fabric from captures: depth images or photographs.
 
-    python infer.py capture=DIR [refine=depth] [out=DIR] [checkpoint=FILE]
+    python infer.py capture=DIR [refine=simulation] [out=DIR] [checkpoint=FILE]
     python infer.py capture=[DIR,DIR,...]      captures of one fabric: one estimate
-    python infer.py scan=FILE [refine=scan] [out=DIR]
+    python infer.py scan=FILE [refine=simulation] [out=DIR]
     python infer.py strips=DIR [capture=...]   photographs of strips, alone or beside captures
     python infer.py captures=ROOT out=DIR      FABRIC/SAMPLE/CAPTURE, or a CSV list: a table
     ... export=jfab,usd                        files for other tools as well, or export=all
@@ -25,6 +25,7 @@ from data.captures.capture import Capture, captures_in, read_capture, require_on
 from data.captures.description import Specimen
 from data.strips.folder import read_strips
 from drapenet.config import EstimateOptions, InferConfig
+from drapenet.evidence import require_marked
 from drapenet.network.checkpoint import read_header
 from drapenet.result.files import (
     ESTIMATE,
@@ -34,7 +35,6 @@ from drapenet.result.files import (
     result_name,
     write_estimate,
 )
-from drapenet.strips import require_marked
 from sim.mesh.specimen import check_edge
 
 
@@ -115,10 +115,6 @@ def options_of(config: InferConfig) -> EstimateOptions:
         raise InputError("capture= is missing; give the folder of the capture: capture=DIR")
     if config.strips and config.captures:
         raise InputError("give strips= or captures=, not both")
-    kind, ways = ("scan", ("none", "scan")) if config.scan else ("capture", ("none", "depth"))
-    if config.refine["by"] not in ways:
-        raise InputError(f"refine={config.refine['by']} does not fit a {kind}; use refine="
-                         f"{' or '.join(ways)}")
     for key, value in config.refine.items():
         integer = key == "starts"
         if key != "by" and not (isinstance(value, int if integer else int | float) and value > 0):

@@ -18,6 +18,14 @@ from data.captures.capture import Capture
 from data.captures.known import Known
 from data.strips.folder import StripSet
 from drapenet.config import EstimateOptions
+from drapenet.evidence import (
+    ROUNDS,
+    Normal,
+    contradicting_strips,
+    prior_estimate,
+    with_refined,
+    with_strips,
+)
 from drapenet.known import weigh
 from drapenet.network.checkpoint import Header, load_model
 from drapenet.network.predict import predict
@@ -40,11 +48,10 @@ from drapenet.result.files import (
     write_observation,
 )
 from drapenet.sets import contradictions
-from drapenet.strips import ROUNDS, contradicting_strips, prior_estimate, with_strips
 from drapenet.views.checks import view_warnings
 from drapenet.views.located import LocatedViews
 from drapenet.views.observation import Observation
-from drapenet.views.outline import outline_of_curve
+from drapenet.views.outline import DrapeOutline, outline_of_curve
 from sim.rig import Rig
 
 if TYPE_CHECKING:
@@ -214,15 +221,25 @@ def _of_captures(
     observations: Sequence[Observation], documents: Sequence[EstimateDocument],
     labels: Sequence[str], header: Header,
 ) -> Estimate:
-    """The posterior of one capture or several, with warnings of those that contradict others."""
+    """The posterior of one capture or several, with warnings of those that contradict others.
+
+    Refined captures are evidence by themselves; the network reads the others.
+    """
     known = all(part.known for part in observations)
     stated = [document.capture.known for document in documents]
     seen = [replace(part, known=known) for part in observations]
     also = [part for one, values in zip(seen, stated, strict=True) if np.isnan(one.coefficient)
             for part in _reported(values, one.rig, one.face, known)]
     network, density = network_of(header), documents[0].density
-    draws, *alone = predict(network, header, [[*seen, *also], *([part] for part in seen)])
-    estimate = make_estimate(draws, density=density, header=header)
+    refined = [known and document.refined and document.refined.posterior
+               for document in documents]
+    read = [part for part, better in zip(seen, refined, strict=True) if not better] + also
+    draws, *alone = predict(network, header, [read or seen, *([part] for part in seen)])
+    estimate = (make_estimate(draws, density=density, header=header) if read else
+                prior_estimate(density, header.spread))
+    if any(refined):
+        estimate = with_refined(estimate, [Normal(np.array(part.mean), np.array(part.covariance))
+                                           for part in refined if part])
     for values in dict.fromkeys(str(part) for part in stated if part):
         estimate = weigh(estimate, next(part for part in stated if str(part) == values))
     lines = contradictions(
@@ -252,15 +269,15 @@ def refine(
     progress: Progress | None,
 ) -> CaptureEstimate:
     """Refine the estimate by simulation, which keeps the network's if there is no improvement."""
-    from drapenet.refine.refine import refine_capture
+    from drapenet.refine.refine import PhotographedDrape, refine_capture
 
-    warp = result.capture.warp_direction
-    if warp is None or not result.located:
-        missing = ("give warp_direction_deg" if result.located else
-                   "a photograph shows no depth")
+    capture = result.capture
+    if capture.warp_direction is None or capture.numbers:
+        missing = ("there is no picture" if capture.numbers else "give warp_direction_deg")
         return result.with_warnings(f"the estimate is not refined: {missing}")
-    outcome = refine_capture(result.estimate, result.located, warp=warp, scan=scan,
-                             settings=settings, progress=progress)
+    captured = result.located or PhotographedDrape(_outline(capture), capture.rig)
+    outcome = refine_capture(result.estimate, captured, warp=capture.warp_direction,
+                             face=capture.sign, scan=scan, settings=settings, progress=progress)
     if outcome is None:
         return result.with_warnings("no drape of the estimate converged; it is not refined")
     result = replace(result.with_warnings(*outcome.warnings),
@@ -271,6 +288,11 @@ def refine(
     return replace(result, estimate=estimate, drape=outcome.resimulation)
 
 
+def _outline(capture: Capture) -> DrapeOutline:
+    """The outline of a photograph, in its orientation."""
+    return outline_of_curve(capture.outline.curve, height=capture.outline.height)
+
+
 def simulate(result: CaptureEstimate, *, drapes: int, edge: Metres) -> CaptureEstimate:
     """Simulate drapes of the estimate, unless a refinement has, and keep that of the best fit."""
     from drapenet.report.drape import resimulate, resimulate_outline
@@ -278,13 +300,10 @@ def simulate(result: CaptureEstimate, *, drapes: int, edge: Metres) -> CaptureEs
     if result.drape is not None or result.capture.numbers:
         return result
     fabric, rig = result.estimate.fabric, result.capture.rig
-    photograph = result.capture.outline
     settings = {"edge": edge, "drapes": drapes,
                 "laws": result.estimate.nuisances.turned(result.capture.sign).laws}
     drape = (resimulate(fabric, result.located, **settings) if result.located else
-             resimulate_outline(
-                 fabric, outline_of_curve(photograph.curve, height=photograph.height), rig,
-                 **settings))
+             resimulate_outline(fabric, _outline(result.capture), rig, **settings))
     if drape is None:
         return result.with_warnings("no drape of the estimate converged; the report shows none")
     return replace(result, drape=drape)

@@ -101,9 +101,8 @@ FAULTS = {
     "no workers": (word("workers=0"), "workers=0"),
     "fine mesh": (word("edge_mm=0.3"), "edge=0.3 mm"),
     "unknown refinement": (word("refine=more"), "refine=more"),
-    "refinement of a scan": (word("refine=scan"), "none or depth"),
-    "coarse refinement": (word("refine=depth", "refine.edge_mm=100"), "edge=100 mm"),
-    "half a start": (word("refine=depth", "refine.starts=0.5"), "positive whole number"),
+    "coarse refinement": (word("refine=simulation", "refine.edge_mm=100"), "edge=100 mm"),
+    "half a start": (word("refine=simulation", "refine.starts=0.5"), "positive whole number"),
     "key of a refinement without one": (word("refine.starts=2"), "refine.starts"),
     "unknown export": (word("export=zfab"), "export=zfab: unknown"),
 }
@@ -269,8 +268,6 @@ def test_a_photograph_has_an_estimate_and_a_report(checkpoint, tmp_path, out, na
     assert {file.name for file in out.iterdir()} == NUMBERS | {*SHOWN}
     scene = trimesh.load(out / "drape.glb")
     assert set(scene.geometry) == {"simulated", "support"}
-    infer.main(words(folder, checkpoint, "drapes=0", "refine=depth"))
-    assert "a photograph shows no depth" in content_of(out)["warnings"][-1]
 
 
 def test_a_reported_drape_coefficient_is_a_capture(checkpoint, tmp_path, out):
@@ -357,7 +354,7 @@ def test_a_refinement_that_fails_leaves_the_network_s_estimate(capture, checkpoi
         written.append(content_of(out))
 
     read = read_capture(capture)
-    estimate_capture(read, header, EstimateOptions(refine={"by": "depth"}, drapes=0), out=out,
+    estimate_capture(read, header, EstimateOptions(refine={"by": "simulation"}, drapes=0), out=out,
                      on_stage=read_written)  # a setting is missing
     alone, content = written[0], content_of(out)
     assert content.pop("warnings")[-1].startswith("the network's estimate is not refined: KeyError")
@@ -366,12 +363,12 @@ def test_a_refinement_that_fails_leaves_the_network_s_estimate(capture, checkpoi
 
 def test_a_rejected_refinement_is_not_shown_as_the_estimate(capture, checkpoint, out, monkeypatch):
     rejected = SimpleNamespace(draws=None, content={
-        "by": "depth", "misfit_before": math.inf, "misfit": 20.0, "simulations": 15,
+        "misfit_before": math.inf, "misfit": 20.0, "simulations": 15,
         "failed_simulations": 0, "status": "interrupted", "message": "", "specimen": {}},
         warnings=("the network's estimate stands",),
         resimulation=SimpleNamespace(as_dict=dict, warnings=["another drape"]))
     monkeypatch.setattr("drapenet.refine.refine.refine_capture", lambda *_, **__: rejected)
-    infer.main(words(capture, checkpoint, "drapes=0", "refine=depth"))
+    infer.main(words(capture, checkpoint, "drapes=0", "refine=simulation"))
     content = content_of(out)
     assert "resimulation" not in content and "another drape" not in content["warnings"]
     assert "the network's estimate stands" in content["warnings"]
@@ -382,7 +379,7 @@ def test_a_rejected_refinement_is_not_shown_as_the_estimate(capture, checkpoint,
 @pytest.mark.slow
 @pytest.mark.skipif(not BUNDLED.exists(), reason="no network is bundled")
 def test_refinement_says_what_has_changed(out, capsys):
-    infer.main([f"capture={TWILL}", f"out={out}", "refine=depth", "refine.edge_mm=4"])
+    infer.main([f"capture={TWILL}", f"out={out}", "refine=simulation", "refine.edge_mm=4"])
     content = content_of(out)
     refined = content["refined"]
     assert refined["misfit"] <= refined["misfit_before"]

@@ -43,12 +43,25 @@ def _directions(points: Points) -> tuple[np.ndarray, np.ndarray]:
 def surface_positions(rest: RestPoints, points: Points, rig: Rig) -> Points:
     """Positions of rest points laid on the surface through ``points``, in the specimen's axes."""
     distance, hem = _directions(points)
-    plate = rig.plate_radius
-    longest = np.linalg.norm(rest, axis=1).max() - plate
-    arcs = np.arange(0, longest + 2 * STEP, STEP)
-    curves = np.stack([_curve(*row, plate, arcs) for row in zip(distance, hem, strict=True)])
+    arcs = arc_lengths(rest, rig)
+    return positions_along(rest, np.stack([_curve(*row, rig.plate_radius, arcs)
+                                           for row in zip(distance, hem, strict=True)]), arcs, rig)
+
+
+def arc_lengths(rest: RestPoints, rig: Rig) -> np.ndarray:
+    """(A,) m from the rim to beyond the farthest rest point."""
+    longest = np.linalg.norm(rest, axis=1).max() - rig.plate_radius
+    return np.arange(0, longest + 2 * STEP, STEP)
+
+
+def positions_along(
+    rest: RestPoints, curves: np.ndarray, arcs: np.ndarray, rig: Rig
+) -> Points:
+    """Positions of rest points on ``curves`` (N, A, 2), m, radius and height at ``arcs`` (A,), of N
+    azimuths, the first half a step from 0."""
+    plate, count = rig.plate_radius, len(curves)
     # Around the circle, with the first azimuth repeated behind the last.
-    grid = 2 * np.pi * (np.arange(-1, AZIMUTHS + 1) + 0.5) / AZIMUTHS
+    grid = 2 * np.pi * (np.arange(-1, count + 1) + 0.5) / count
     look_up = RegularGridInterpolator(
         (grid, arcs), np.concatenate([curves[-1:], curves, curves[:1]]), bounds_error=False,
         fill_value=None)

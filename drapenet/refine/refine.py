@@ -13,23 +13,33 @@ from tqdm import tqdm
 
 from common.command import compose_config
 from common.configs import read_option
-from common.types import Density, Radians, Theta
+from common.types import Density, Radians
 from data.dataset.config import Options, config_from_options
 from data.fabrics.fabrics import THETA_NAMES
 from data.fabrics.nuisances import LOGARITHMIC, NuisanceConfig, at_density
 from data.fabrics.prior import load_prior
 from data.fabrics.properties import ClothProperties
 from data.render.rays import DepthRenderer
+from drapenet.evidence import STATE, Normal, cloth_of_state
 from drapenet.network.predict import Draws
 from drapenet.refine.objective import fit_nuisances
 from drapenet.refine.registration import flat_turn
-from drapenet.refine.search import CapturedScan, CapturedViews, Observation, SearchResult, search
+from drapenet.refine.search import (
+    CapturedOutline,
+    CapturedScan,
+    CapturedViews,
+    Observation,
+    SearchResult,
+    search,
+)
 from drapenet.refine.surface import CapturedShape, Fidelity, fidelity
 from drapenet.refine.unknowns import LAW_NAMES, NAMES, OFFSET_NAMES, SpecimenPrior, Unknowns
 from drapenet.report.drape import Resimulation, turned
 from drapenet.result.estimate import Estimate
 from drapenet.views.located import LocatedViews
+from drapenet.views.outline import DrapeOutline
 from sim.material import REFERENCE_DENSITY
+from sim.rig import Rig
 
 MAX_REDUCED_CHI2 = 10.0  # beyond, no cloth fits the capture; correct captures have 0.8 to 2.5
 MAX_DISPLACEMENT_MM = 6.0  # of the estimate's drape from the scan; 20 simulated scans: up to 2.7
@@ -38,6 +48,14 @@ _PRINTED = {"membrane": ("membrane_n_per_m", 1.0), "shear": ("shear_share", 1.0)
             "curl_warp": ("curl_warp_per_m", 1.0),
             "curl_weft": ("curl_weft_per_m", 1.0), "offset_warp": ("offset_warp_mm", 1e3),
             "offset_weft": ("offset_weft_mm", 1e3)}
+
+
+@dataclass(frozen=True)
+class PhotographedDrape:
+    """The outline of a drape in a photograph's orientation."""
+
+    outline: DrapeOutline
+    rig: Rig
 
 
 @dataclass(frozen=True)
@@ -51,57 +69,77 @@ class Refinement:
 
 
 def refine_capture(
-    estimate: Estimate, located: LocatedViews, *, warp: Radians, scan: CapturedShape | None,
-    settings: Mapping[str, Any] | None = None,
+    estimate: Estimate, captured: LocatedViews | PhotographedDrape, *, warp: Radians,
+    face: int = 1, scan: CapturedShape | None = None, settings: Mapping[str, Any] | None = None,
     progress: Callable[[int, int, float], None] | None = None,
 ) -> Refinement | None:
     """Refine an ``estimate`` by simulation, with a progress bar; None if no cloth converges.
 
     Args:
-        warp: its direction in the first view.
-        scan: of the capture; None for views.
+        warp: its direction in the first view, or in the photograph.
+        face: 1 if the marked face is up, else -1.
+        scan: whose rendered views are ``captured``; None for a capture.
         settings: content of a file of ``configs/refine``; None: the default.
         progress: called with the simulated and the expected number of drapes, and the misfit.
     """
-    settings = settings or read_option("refine", "scan" if scan else "depth")
+    settings = settings or read_option("refine", "simulation")
     axis = flat_turn(scan) if scan else 0.0
-    observation: Observation = CapturedScan(scan) if scan else CapturedViews(
-        located, turn=warp, edge=1e-3 * settings["edge_mm"],
-        coarse=1e-3 * settings["coarse_mm"])
+    edges = {"edge": 1e-3 * settings["edge_mm"], "coarse": 1e-3 * settings["coarse_mm"]}
+    observation: Observation = (
+        CapturedScan(scan) if scan else
+        CapturedViews(captured, turn=warp, **edges) if isinstance(captured, LocatedViews) else
+        CapturedOutline(captured.outline, captured.rig, turn=warp, **edges))
     result = _search(estimate, observation, warp=warp - axis if scan else None,
                      count=int(settings["starts"]), progress=progress)
     if result is None:
         return None
-    drape = result.released or result.best.drape
-    if scan:
-        turn, positions = axis + result.best.unknowns["warp"], drape.positions
-        views = DepthRenderer(positions, drape.faces).views(located.camera, 0.0, located.turns)
-    else:
-        turn = float(result.best.nuisance[0])
-        positions = turned(drape.positions, turn)
-        nuisance = fit_nuisances(result.objective, drape.positions, result.best.nuisance)
-        views = result.objective.render(drape.positions, nuisance)
-    resimulation = Resimulation.beside(located, views.astype(np.float32), drape, positions,
-                                       (drape.status.value,))
+    resimulation = _beside(result, captured, axis, scan is not None)
     near = fidelity(scan, result.released) if scan and result.released else None
     warnings = _search_warnings(result)
-    draws = None
+    draws, content = None, _content(result, near, estimate.density)
     if not warnings:
-        theta: Theta = np.random.default_rng(0).multivariate_normal(
-            result.best.unknowns.theta, result.uncertainty.theta, size=_DRAWS)
-        draws = Draws.possible(_cloth(theta, result.best.unknowns), known=True)
+        posterior = _posterior(result, face)
+        draws = Draws.possible(_cloth(posterior, estimate), known=True)
+        content["posterior"] = posterior.as_dict()
     if scan:
         warnings += _scan_warnings(near)
-    content = _content(result, near, estimate.density, by="scan" if scan else "depth")
     return Refinement(draws, content, resimulation, tuple(warnings))
 
 
-def _cloth(theta: Theta, unknowns: Unknowns) -> ClothProperties:
-    """Samples of the moduli with the best values of the other properties."""
-    nuisances, count = unknowns.nuisances, len(theta)
-    curl = np.tile([nuisances.curl_warp, nuisances.curl_weft], (count, 1))
-    return ClothProperties(theta, curl, np.full(count, nuisances.membrane),
-                           np.full(count, nuisances.hysteresis))
+def _beside(
+    result: SearchResult, captured: LocatedViews | PhotographedDrape, axis: Radians, scan: bool
+) -> Resimulation:
+    """The refined drape beside the capture; ``axis``: of a scan's mesh in the first view."""
+    drape = result.released or result.best.drape
+    statuses = (drape.status.value,)
+    if scan:
+        views = DepthRenderer(drape.positions, drape.faces).views(
+            captured.camera, 0.0, captured.turns)
+        placed = turned(drape.positions, axis + result.best.unknowns["warp"])
+        return Resimulation.beside(captured, views.astype(np.float32), drape, placed, statuses)
+    placed = turned(drape.positions, float(result.best.nuisance[0]))
+    if isinstance(captured, PhotographedDrape):
+        return Resimulation.beside_outline(captured.outline, captured.rig, drape, placed, statuses)
+    nuisance = fit_nuisances(result.objective, drape.positions, result.best.nuisance)
+    views = result.objective.render(drape.positions, nuisance)
+    return Resimulation.beside(captured, views.astype(np.float32), drape, placed, statuses)
+
+
+def _posterior(result: SearchResult, face: int) -> Normal:
+    """The normal posterior of :data:`drapenet.evidence.STATE` with the marked face up."""
+    names = result.uncertainty.names
+    places = [names.index(name) for name in STATE]
+    sign = np.where([name.startswith("curl") for name in STATE], face, 1)
+    mean = np.array([result.best.unknowns[name] for name in STATE])
+    covariance = result.uncertainty.covariance[np.ix_(places, places)]
+    return Normal(sign * mean, sign[:, None] * covariance * sign)
+
+
+def _cloth(posterior: Normal, estimate: Estimate) -> ClothProperties:
+    """Samples of the posterior, with the network's shares of hysteresis."""
+    rng = np.random.default_rng(0)
+    drawn = rng.multivariate_normal(posterior.mean, posterior.covariance, size=_DRAWS)
+    return cloth_of_state(drawn, rng.choice(estimate.cloth.hysteresis, size=_DRAWS))
 
 
 def _search(
@@ -165,11 +203,9 @@ def _scan_warnings(near: Fidelity | None) -> list[str]:
             "cloth hung freely"]
 
 
-def _content(
-    result: SearchResult, near: Fidelity | None, density: Density, *, by: str
-) -> dict[str, Any]:
+def _content(result: SearchResult, near: Fidelity | None, density: Density) -> dict[str, Any]:
     content = {
-        "by": by, "misfit_before": result.start_value, "misfit": result.best.value,
+        "misfit_before": result.start_value, "misfit": result.best.value,
         "simulations": result.effort.solves,
         "failed_simulations": len(result.effort.failures),
         "status": result.status.value, "message": result.message,

@@ -20,7 +20,7 @@ from data.captures.description import Specimen
 from data.captures.scans import MAX_SCAN_SIZE, check_rim, read_scan
 from data.render.cameras import nominal_camera
 from data.render.rays import QUARTERS, DepthRenderer
-from drapenet.refine.springs import captured_shape, pulled
+from drapenet.refine.springs import Surface, captured_shape, pulled
 from drapenet.refine.surface import CapturedShape, Cloud, distances
 from sim.cloth import Laws
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
@@ -112,8 +112,9 @@ def register(cloud: Cloud, rig: Rig, *, edge: Metres, turn: Radians = 0.0) -> Sc
     # The sign of scanned normals is unknown.
     points = np.tile(cloud.points, (2, 1)) @ back
     normals = np.concatenate([cloud.normals, -cloud.normals]) @ back
-    laid = captured_shape(SOFT, points, normals, rig=rig, edge=edge)
-    drape = pulled(laid.scene, SOFT, laid.state, points, normals, laws=Laws(), pulls=[LAST_PULL])
+    surface = Surface(points, normals, rig)
+    laid = captured_shape(SOFT, surface, rig=rig, edge=edge)
+    drape = pulled(laid.scene, SOFT, laid.state, surface, laws=Laws(), pulls=[LAST_PULL])
     shape = CapturedShape(drape.state.positions @ back.T, laid.rest, laid.faces, rig)
     return ScanRegistration(shape, float(distances(cloud, shape.positions)[shape.hanging].mean()))
 

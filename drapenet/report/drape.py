@@ -71,6 +71,20 @@ class Resimulation:
         return cls(views, drape, positions, statuses, profiles,
                    silhouette_overlap(located.views, views))
 
+    @classmethod
+    def beside_outline(
+        cls, outline: DrapeOutline, rig: Rig, drape: Drape, positions: Points,
+        statuses: tuple[str, ...],
+    ) -> "Resimulation":
+        """Beside an outline seen from above."""
+        shown, true = (_radii(positions, drape.faces, height)
+                       for height in (outline.height, np.inf))
+        overlap = float(np.nansum(np.square(np.fmin(outline.radius, shown)))
+                        / np.nansum(np.square(np.fmax(outline.radius, shown))))
+        return cls(np.zeros((0, 1, 1), np.float32), drape, positions, statuses,
+                   (outline.radius, shown), overlap,
+                   DrapeOutline(true).coefficient(rig) - DrapeOutline(shown).coefficient(rig))
+
     @property
     def folds(self) -> tuple[int, int]:
         """Number of folds, captured and simulated."""
@@ -134,31 +148,28 @@ def resimulate_outline(
 ) -> Resimulation | None:
     """As :func:`resimulate`, fitted to an outline seen from above, from its camera's height, or as
     under parallel light if that is unknown."""
-    height = outline.height if np.isfinite(outline.height) else np.inf
-    captured = outline.radius
-    rolls = np.array([np.roll(captured, -k) for k in range(AZIMUTHS)])
-
-    def radii(positions: Points, faces: Faces, height: Metres = height) -> np.ndarray:
-        edges = Mesh(positions[:, :2], faces).edges
-        return silhouettes(positions, edges, np.array([height]), zero=0.0)[0]
+    rolls = np.array([np.roll(outline.radius, -k) for k in range(AZIMUTHS)])
 
     def fit(positions: Points, faces: Faces) -> tuple[float, Radians]:
-        own = radii(positions, faces)
+        own = _radii(positions, faces, outline.height)
         overlaps = (np.square(np.minimum(rolls, own)).sum(axis=1)
                     / np.square(np.maximum(rolls, own)).sum(axis=1))
-        cell = int(overlaps.argmax())
-        return float(overlaps[cell]), cell * 2 * np.pi / AZIMUTHS
+        return float(overlaps.max()), int(overlaps.argmax()) * 2 * np.pi / AZIMUTHS
 
     simulated, statuses = _simulated(fabric, rig, edge, drapes, laws)
     best = _nearest(simulated, fit)
     if best is None:
         return None
-    overlap, result, positions, orientation = best
-    placed = turned(positions, orientation)
-    shown, true = (DrapeOutline(radii(placed, result.faces, seen)) for seen in (height, np.inf))
-    return Resimulation(np.zeros((0, 1, 1), np.float32), result, placed, statuses,
-                        (captured, shown.radius), overlap,
-                        true.coefficient(rig) - shown.coefficient(rig))
+    _, result, positions, orientation = best
+    return Resimulation.beside_outline(outline, rig, result, turned(positions, orientation),
+                                       statuses)
+
+
+def _radii(positions: Points, faces: Faces, height: Metres) -> np.ndarray:
+    """(AZIMUTHS,) m, as seen from a ``height``, or as under parallel light if that is unknown."""
+    edges = Mesh(positions[:, :2], faces).edges
+    height = height if np.isfinite(height) else np.inf
+    return silhouettes(positions, edges, np.array([height]), zero=0.0)[0]
 
 
 def _simulated(

@@ -102,10 +102,17 @@ class Cloth(Excerpt):
     hysteresis_share: Quantity
 
 
+class PosteriorRecord(Excerpt):
+    """Normal posterior of :data:`drapenet.evidence.STATE` from one capture and the prior."""
+
+    of: list[str]
+    mean: list[float]
+    covariance: list[list[float]]
+
+
 class RefinementRecord(Excerpt):
     """Outcome of a refinement by simulation, and the moduli before it."""
 
-    by: str
     misfit_before: Finite
     misfit: float
     simulations: int
@@ -115,6 +122,7 @@ class RefinementRecord(Excerpt):
     specimen: dict[str, dict[str, Any]]
     reduced_chi2: Finite = None
     fidelity: dict[str, Any] | None = None
+    posterior: PosteriorRecord | None = None  # none: the network's estimate stands
     before: dict[str, DirectionModuli]
 
 

@@ -78,7 +78,7 @@ def estimate_upload(
         # Results must not reveal paths of the server.
         capture = replace(capture, path=Path(name))
         change_state(folder, stage="estimating", warnings=list(capture.warnings))
-        settings = dict(read_option("refine", "scan" if scan else "depth")) if refine else None
+        settings = dict(read_option("refine", "simulation")) if refine else None
         result = estimate_capture(
             capture, read_header(checkpoint), EstimateOptions(refine=settings), out=folder,
             scan=registered, on_stage=note_stage, progress=_throttled(folder))

@@ -2,7 +2,7 @@
 
 The scans are point clouds of drapes of known fabrics, simulated on a finer mesh with all
 nuisances, with noise. Each is registered, estimated and refined as by ``infer.py scan=FILE
-refine=scan``. Errors are those at 300 g/m².
+refine=simulation``. Errors are those at 300 g/m².
 """
 
 import time
@@ -39,7 +39,7 @@ def simulated(*, number: int, noise_mm: float, seed: int) -> dict:
 
 
 def refine_scan(scan: "ScanRegistration") -> dict:
-    """Estimate a scan whose x axis is the warp, as by ``infer.py scan=FILE refine=scan``."""
+    """Estimate a scan whose x axis is the warp, as by ``infer.py scan=FILE refine=simulation``."""
     from drapenet.inference import network_estimate
     from drapenet.refine.refine import refine_capture
     from drapenet.refine.registration import scan_capture

@@ -65,7 +65,7 @@ def case(
     inferred = network_estimate(capture, header())
     estimate = inferred.estimate
     began = time.perf_counter()
-    settings = read_option("refine", "depth") | ({"edge_mm": edge_mm} if edge_mm else {})
+    settings = read_option("refine", "simulation") | ({"edge_mm": edge_mm} if edge_mm else {})
     refined = refine_capture(estimate, inferred.located, warp=capture.warp_direction, scan=None,
                              settings=settings)
     seconds = time.perf_counter() - began

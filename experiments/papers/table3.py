@@ -78,7 +78,7 @@ def case(
                       PRIOR: fabric_from_theta(load_prior("gaussian").mean)}
     if refined:
         one = estimate_capture(reading.capture, header(), EstimateOptions(
-            refine=read_option("refine", "depth"), drapes=0)).estimate
+            refine=read_option("refine", "simulation"), drapes=0)).estimate
         found[REFINED] = fabric_from_theta(one.samples.mean(axis=0))
     result: dict[str, Any] = {"ways": {}}
     # Start and folds differ from those of the captured drape.

@@ -8,7 +8,7 @@ from common.errors import InputError
 from data.render.cameras import nominal_camera
 from data.render.rays import QUARTERS, DepthRenderer
 from drapenet.refine.depth import DepthViews
-from drapenet.refine.springs import MAX_HINGE_ANGLE, captured_shape, smoothed
+from drapenet.refine.springs import MAX_HINGE_ANGLE, Surface, captured_shape, smoothed
 from drapenet.refine.surface import Cloud, RobustPositions, distances
 from drapenet.views.located import LocatedViews
 from sim.drape import drape
@@ -72,7 +72,7 @@ def test_soft_cloth_takes_the_captured_folds():
     specimen = {"rig": Rig(), "edge": 4e-3}
     located = LocatedViews.exact(views, camera, Rig(), QUARTERS)
     objective = DepthViews(located, make_specimen(**specimen).mesh.faces, turn=turn)
-    shape = captured_shape(fabric, *objective.points(objective.start), **specimen)
+    shape = captured_shape(fabric, Surface(*objective.points(objective.start), Rig()), **specimen)
     seen = objective.render(shape.positions, objective.start)
     apart = np.abs(seen - views)[(seen > 0) & (views > 0)]
     assert np.median(apart) < 0.5e-3 and np.quantile(apart, 0.9) < 3e-3

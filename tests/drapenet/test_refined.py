@@ -60,8 +60,8 @@ def run(
     views = DepthRenderer(shape.positions, shape.faces).views(camera, 0.5).astype(np.float32)
     located = LocatedViews.exact(views, camera, Rig(), QUARTERS)
     result = refine.refine_capture(
-        before(), located, warp=0.5, scan=None,
-        settings=read_option("refine", "depth") | {"edge_mm": 8.0})
+        before(), located, warp=0.5, face=-1,
+        settings=read_option("refine", "simulation") | {"edge_mm": 8.0})
     return result, asked
 
 

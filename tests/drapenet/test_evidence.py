@@ -8,8 +8,15 @@ from estimates import estimate_of
 
 from common.errors import InputError
 from data.fabrics.properties import ClothProperties
+from drapenet.evidence import (
+    Normal,
+    contradicting_strips,
+    prior_estimate,
+    state_of,
+    with_refined,
+    with_strips,
+)
 from drapenet.result.estimate import Estimate
-from drapenet.strips import contradicting_strips, prior_estimate, with_strips
 from sim.cantilever.posterior import CURL_PRIOR, RATIO_PRIOR, StripPosterior
 from sim.material import MICRO, STIFF_SOFT
 
@@ -33,7 +40,7 @@ def posterior(count: int = 40_000) -> Estimate:
 
 
 def strip(alpha: float, deviation: float) -> StripPosterior:
-    """What a strip tells of alpha, N·m, alone."""
+    """The posterior of strips that determine alpha, N·m, alone."""
     prior = np.diag([0.0, RATIO_PRIOR[1] ** -2, CURL_PRIOR**-2])
     return StripPosterior(np.array([np.log(alpha), RATIO_PRIOR[0], 0.0]),
                           np.linalg.inv(prior + np.diag([deviation**-2, 0, 0])), 1.0)
@@ -69,3 +76,28 @@ def test_contradictions_and_directions_that_are_not_known():
     assert "along the weft contradict" in line and "200 against 50 µN·m" in line
     with pytest.raises(InputError, match="warp_direction_deg"):
         with_strips(replace(before, names=STIFF_SOFT), {"warp": strip(60 * MICRO, 0.02)})
+
+
+def test_refined_captures_count_the_prior_once():
+    spread = np.array([0.9] * 3 + [1.4e-3] * 3)
+    prior = Normal.of(state_of(prior_estimate(DENSITY, spread).cloth))
+    known, seen = np.linalg.inv(prior.covariance), np.diag([25.0] * 3 + [1e5] * 3 + [0.1] * 2 + [4])
+    measured = prior.mean + np.array([0.4, 0.3, 0.5, 0, 0, 0, 2, 0, 0.1])
+    once = Normal(*_product(known, prior.mean, seen, measured))
+    base = prior_estimate(DENSITY, spread)
+    alone = Normal.of(state_of(with_refined(base, [once]).cloth))
+    twice = Normal.of(state_of(with_refined(base, [once, once]).cloth))
+    # Samples that no plate can have are removed, which moves the others a little.
+    deviation = np.sqrt(np.diag(once.covariance))
+    assert np.abs(alone.mean - once.mean).max() < 0.2 * deviation.max()
+    expected = _product(known, prior.mean, 2 * seen, measured)
+    assert np.abs((twice.mean - expected[0]) / deviation).max() < 0.3
+    assert np.diag(twice.covariance) == pytest.approx(np.diag(expected[1]), rel=0.3)
+
+
+def _product(
+    precision: np.ndarray, mean: np.ndarray, other: np.ndarray, at: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and covariance of the product of two normal densities."""
+    covariance = np.linalg.inv(precision + other)
+    return covariance @ (precision @ mean + other @ at), covariance

@@ -1,13 +1,13 @@
-"""Measured strips as evidence beside the captures of a fabric, or beside the fabric prior alone.
+"""Measured strips and refined captures as evidence beside others, or beside the fabric prior alone.
 
-The likelihood of a direction's log alpha, beta/alpha and natural curvature by its strips is normal.
-The samples of a posterior are moved by the affine map that takes the normal distribution of their
-mean and covariance to its product with these likelihoods. Importance weights would leave few
-samples, because strips are several times as accurate as a drape.
+Their likelihoods of a fabric's :data:`STATE` are normal. The samples of a posterior are moved by
+the affine map that takes the normal distribution of their mean and covariance to its product with
+these likelihoods. Importance weights would leave few samples, because strips and refined captures
+are several times as accurate as the network.
 """
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import ndtri
@@ -16,7 +16,7 @@ from common.command import compose_config
 from common.errors import InputError
 from common.types import Density, Theta
 from data.dataset.config import Options, config_from_options
-from data.fabrics.fabrics import from_theta
+from data.fabrics.fabrics import THETA_NAMES, from_theta
 from data.fabrics.prior import load_prior
 from data.fabrics.properties import ClothProperties
 from drapenet.result.estimate import Estimate
@@ -24,9 +24,40 @@ from drapenet.sets import LEVEL, SPECIMEN
 from sim.cantilever.posterior import StripPosterior
 from sim.material import DIRECTIONS, MICRO, REFERENCE_DENSITY, is_admissible
 
+STATE = (*THETA_NAMES, "curl_warp", "curl_weft", "membrane")
+"""Theta, natural curvatures, 1/m, with the marked face up, and the logarithm of the membrane
+stiffness, N/m; the share of hysteresis, which has limits, is not among them."""
 ROUNDS = 6  # of the correction for the twist of free strips
 _PRIOR_SAMPLES = 4000
 _CURL_SHARES = ((1.0, 0.0), (0.5, 0.5), (0.0, 1.0))  # of the curvatures along warp and weft
+
+
+@dataclass(frozen=True)
+class Normal:
+    """Mean (9,) and covariance (9, 9) of :data:`STATE`."""
+
+    mean: np.ndarray
+    covariance: np.ndarray
+
+    @classmethod
+    def of(cls, samples: np.ndarray) -> "Normal":
+        """That of samples (S, 9)."""
+        return cls(samples.mean(axis=0), np.cov(samples.T))
+
+    def as_dict(self) -> dict[str, list]:
+        """In JSON's types."""
+        return {"of": list(STATE), "mean": self.mean.tolist(),
+                "covariance": self.covariance.tolist()}
+
+
+def state_of(cloth: ClothProperties) -> np.ndarray:
+    """(S, 9) values of :data:`STATE`."""
+    return np.column_stack([cloth.theta, cloth.curl, np.log(cloth.membrane)])
+
+
+def cloth_of_state(state: np.ndarray, hysteresis: np.ndarray) -> ClothProperties:
+    """The inverse of :func:`state_of`, with shares of hysteresis (S,)."""
+    return ClothProperties(state[:, :6], state[:, 6:8], np.exp(state[:, 8]), hysteresis)
 
 
 def prior_estimate(density: Density, spread: Theta) -> Estimate:
@@ -54,12 +85,9 @@ def with_strips(estimate: Estimate, strips: Mapping[str, StripPosterior]) -> Est
     InputError if the warp's direction is not known.
     """
     require_marked(estimate.names == DIRECTIONS)
-    # The map moves everything that is correlated with the moduli but the share of hysteresis,
-    # which has limits.
-    cloth = estimate.cloth
-    samples = np.column_stack([cloth.theta, cloth.curl, np.log(cloth.membrane)])
-    mean, covariance = samples.mean(axis=0), np.cov(samples.T)
-    precision, vector = np.linalg.inv(covariance), np.zeros(len(mean))
+    samples = state_of(estimate.cloth)
+    mean = samples.mean(axis=0)
+    precision, vector = np.zeros((len(mean),) * 2), np.zeros(len(mean))
     heavier = np.array([np.log(estimate.density / REFERENCE_DENSITY), 0.0, 0.0])
     for direction, strip in strips.items():
         k = DIRECTIONS.index(direction)
@@ -69,16 +97,37 @@ def with_strips(estimate: Estimate, strips: Mapping[str, StripPosterior]) -> Est
         seen[2, 6:8] = _CURL_SHARES[k]
         own, towards = strip.likelihood()
         precision += seen.T @ own @ seen
-        vector += seen.T @ (towards - own @ (heavier + seen @ mean))
-    after = np.linalg.inv(precision)
-    scale = np.linalg.cholesky(after) @ np.linalg.inv(np.linalg.cholesky(covariance))
-    moved = mean + after @ vector + (samples - mean) @ scale.T
-    moved = ClothProperties(moved[:, :6], moved[:, 6:8], np.exp(moved[:, 8]), cloth.hysteresis)
-    possible = is_admissible(*from_theta(moved.theta))
+        vector += seen.T @ (towards - own @ heavier)
+    return updated(estimate, precision, vector)
+
+
+def with_refined(estimate: Estimate, refined: Sequence[Normal]) -> Estimate:
+    """The estimate with the ``refined`` posteriors of captures as evidence, in each of which the
+    prior counts once."""
+    prior = Normal.of(state_of(prior_estimate(estimate.density, estimate.spread).cloth))
+    known = np.linalg.inv(prior.covariance)
+    precision, vector = np.zeros_like(known), np.zeros(len(known))
+    for posterior in refined:
+        own = np.linalg.inv(posterior.covariance)
+        precision += own - known
+        vector += own @ posterior.mean - known @ prior.mean
+    return updated(estimate, precision, vector)
+
+
+def updated(estimate: Estimate, precision: np.ndarray, vector: np.ndarray) -> Estimate:
+    """The estimate with the log likelihood -x'P x/2 + h'x of its state x as evidence, P (9, 9) and
+    h (9,)."""
+    samples = state_of(estimate.cloth)
+    before = Normal.of(samples)
+    after = np.linalg.inv(np.linalg.inv(before.covariance) + precision)
+    scale = np.linalg.cholesky(after) @ np.linalg.inv(np.linalg.cholesky(before.covariance))
+    moved = (before.mean + after @ (vector - precision @ before.mean)
+             + (samples - before.mean) @ scale.T)
+    cloth = cloth_of_state(moved, estimate.cloth.hysteresis)
+    possible = is_admissible(*from_theta(cloth.theta))
     if not possible.any():
-        raise InputError("no fabric has the moduli of these strips: check their directions, "
-                         "lengths and the density")
-    return replace(estimate, cloth=moved.chosen(possible))
+        raise InputError("no fabric has these moduli: check directions, lengths, and the density")
+    return replace(estimate, cloth=cloth.chosen(possible))
 
 
 def contradicting_strips(estimate: Estimate, strips: Mapping[str, StripPosterior]) -> list[str]:
