@@ -275,7 +275,7 @@ def refine(
     if capture.warp_direction is None or capture.numbers:
         missing = ("there is no picture" if capture.numbers else "give warp_direction_deg")
         return result.with_warnings(f"the estimate is not refined: {missing}")
-    captured = result.located or PhotographedDrape(_outline(capture), capture.rig)
+    captured = result.located or PhotographedDrape(outline_of(capture), capture.rig)
     outcome = refine_capture(result.estimate, captured, warp=capture.warp_direction,
                              face=capture.sign, scan=scan, settings=settings, progress=progress)
     if outcome is None:
@@ -288,8 +288,8 @@ def refine(
     return replace(result, estimate=estimate, drape=outcome.resimulation)
 
 
-def _outline(capture: Capture) -> DrapeOutline:
-    """The outline of a photograph, in its orientation."""
+def outline_of(capture: Capture) -> DrapeOutline:
+    """The outline of a photograph, in the orientation of the picture."""
     return outline_of_curve(capture.outline.curve, height=capture.outline.height)
 
 
@@ -303,7 +303,7 @@ def simulate(result: CaptureEstimate, *, drapes: int, edge: Metres) -> CaptureEs
     settings = {"edge": edge, "drapes": drapes,
                 "laws": result.estimate.nuisances.turned(result.capture.sign).laws}
     drape = (resimulate(fabric, result.located, **settings) if result.located else
-             resimulate_outline(fabric, _outline(result.capture), rig, **settings))
+             resimulate_outline(fabric, outline_of(result.capture), rig, **settings))
     if drape is None:
         return result.with_warnings("no drape of the estimate converged; the report shows none")
     return replace(result, drape=drape)

@@ -1,23 +1,25 @@
 """Refinement of captures of known fabrics.
 
-Fabrics from the prior are draped on a finer mesh than that of the refinement, captured, and
-estimated by the network and by the refinement; both posteriors are compared with the truth. With
-``variation=real`` specimens and captures have all nuisances. With ``none`` the specimen is ideal,
-and the sensor ``smooth`` takes four views at exact quarter turns, with true intrinsics, an exact
-cut-out and a random camera pose.
+Fabrics from the prior are lowered onto the plate on a finer mesh than that of the refinement,
+captured, and estimated by the network and by the refinement; both posteriors are compared with the
+truth. With ``variation=real`` specimens and captures have all nuisances. With ``none`` the specimen
+is ideal, and the sensor ``smooth`` takes four views at exact quarter turns, with true intrinsics,
+an exact cut-out and a random camera pose.
 """
 
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import compress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from common.configs import read_option
 from common.types import Theta
-from data.fabrics.nuisances import NAMES
+from data.fabrics.nuisances import NAMES, Nuisances
 from data.render.setups import Setups
 from drapenet.network.posterior import inside, ranks
 from experiments.comparison import same_folds
@@ -27,6 +29,7 @@ from experiments.drapes import (
     capture_drape,
     drape_as_planned,
     header,
+    photographed,
     plan_specimen,
 )
 from experiments.result import (
@@ -46,28 +49,49 @@ from sim.rig import Rig
 METHODS = ("network", "refined")
 
 
+NUISANCES: dict[str, dict[str, float]] = {
+    "stretch and shear": {"membrane": Nuisances().membrane, "shear": 0.45},  # middle of the range
+    "friction": {"hysteresis": 0.0}, "natural curvature": {"curl_warp": 0.0, "curl_weft": 0.0},
+    "size": {"size": 0.0, "plate": 0.0, "cut": 0.0}}
+"""Properties of specimens, at their usual values."""
+SETUPS: dict[str, dict[str, Any]] = {
+    "camera": {"turn": 0.0, "focal": 0.0}, "cut-out": {"border": 0, "holes": 0, "hem_share": 0.0},
+    "sensor": {"sensors": {"smooth": 1.0}}}
+OFFSET = "offset"
+ABSENT = (*NUISANCES, OFFSET, *SETUPS)
+"""Groups of nuisances that a world may be without."""
+
+
 def case(
-    *, number: int, rig: str, nuisances: str, edge_mm: float, truth_mm: float, seed: int
+    *, number: int, rig: str, nuisances: str, edge_mm: float, truth_mm: float, seed: int,
+    photograph: bool = False, absent: Sequence[str] = (),
 ) -> dict:
-    """Estimate one capture with the network and with the refinement."""
-    from drapenet.inference import network_estimate
-    from drapenet.refine.refine import refine_capture
+    """Estimate one capture, depth views or a ``photograph``, with the network and with the
+    refinement, in a world without the nuisances ``absent``, of :data:`ABSENT`."""
+    from drapenet.inference import network_estimate, outline_of
+    from drapenet.refine.refine import PhotographedDrape, refine_capture
     from drapenet.result.estimate import make_estimate
 
     tester = Rig.from_name(rig)
     plan = plan_specimen(number, rig=tester, nuisances=nuisances, seed=seed)
+    changes, setups = {}, Setups.load("real")
+    for group in absent:
+        changes |= NUISANCES.get(group, {})
+        setups = replace(setups, **SETUPS.get(group, {}))
+    plan = replace(plan, nuisances=replace(plan.nuisances, **changes),
+                   offset=np.zeros(2) if OFFSET in absent else plan.offset)
     shape = drape_as_planned(plan, edge=1e-3 * truth_mm)
-    setups = Setups.load("real")
     if nuisances == "none":
         setups = replace(setups, **CLEAN)
-    synthetic = capture_drape(shape, setups, np.random.default_rng([seed, number]), tester)
-    capture = as_read(synthetic, tester)
+    rng = np.random.default_rng([seed, number])
+    capture = (photographed(shape, tester, rng) if photograph else
+               as_read(capture_drape(shape, setups, rng, tester), tester))
     inferred = network_estimate(capture, header())
+    captured = inferred.located or PhotographedDrape(outline_of(capture), tester)
     estimate = inferred.estimate
     began = time.perf_counter()
     settings = read_option("refine", "simulation") | ({"edge_mm": edge_mm} if edge_mm else {})
-    refined = refine_capture(estimate, inferred.located, warp=capture.warp_direction, scan=None,
-                             settings=settings)
+    refined = refine_capture(estimate, captured, warp=capture.warp_direction, settings=settings)
     seconds = time.perf_counter() - began
     last = estimate  # without an improvement that of the network
     if gained := refined is not None and refined.draws is not None:
@@ -77,7 +101,7 @@ def case(
     return {"theta": plan.theta.tolist(), "nuisances": plan.nuisances.vector.tolist(),
             "specimen": refined.content["specimen"] if refined else {},
             "other_folds": not same_folds(*outlines), "seconds": seconds,
-            "views": len(synthetic.views), "gained": gained,
+            "views": len(capture.views), "gained": gained,
             "status": refined.content["status"] if refined else "none",
             "spread": estimate.spread.tolist(),
             "arrays": {"network": estimate.samples, "refined": last.samples}}
@@ -123,7 +147,7 @@ def run(config: Config) -> Result:
     """Refine all captures."""
     folder = Path(config["cases"]) / config["variation"]
     settings = {key: config[key] for key in ("rig", "edge_mm", "truth_mm", "seed")}
-    settings["nuisances"] = config["variation"]
+    settings |= {"nuisances": config["variation"], "photograph": config["photograph"]}
     results = run_cases(case, {f"views_{k}": {"number": k, **settings}
                                for k in range(config["fabrics"])},
                         config, folder=folder, sources=ESTIMATOR)
