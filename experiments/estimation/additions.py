@@ -1,0 +1,139 @@
+"""What each measurement of a fabric adds to one drape.
+
+Unseen fabrics are draped on two testers as for the evaluation. The estimate from one drape's depth
+views is compared with those from it and the other face, four drapes, a drape on the second tester,
+one photographed strip along warp and weft each, and KES B along warp and weft.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from common.errors import InputError
+from data.captures.known import ERRORS, ByDirection, Known
+from data.dataset.generate import generate_dataset
+from data.fabrics.properties import ClothProperties
+from drapenet.config import EvaluateConfig
+from drapenet.evidence import with_strips
+from drapenet.inference import network_of
+from drapenet.known import predicted, weigh
+from drapenet.network.checkpoint import Header, read_header
+from drapenet.network.dataset import Maps, make_maps
+from drapenet.network.evaluate import DEPTH, DRAPES_PER_FABRIC, make_config, require_unseen
+from drapenet.network.posterior import inside, ranks
+from drapenet.network.predict import Draws, sample_targets
+from drapenet.network.targets import cloth_of
+from drapenet.network.training import CaptureSet, Condition
+from drapenet.result.estimate import Estimate, make_estimate
+from experiments.estimation.strip_photographs import draw_scene, entry_of, read_pictures
+from experiments.result import Config, Result, read_report, rms
+from sim.cantilever.posterior import StripPosterior
+from sim.cantilever.strip import bending_length
+from sim.material import DIRECTIONS, FIRST, LINEAR, RATIO, REFERENCE_DENSITY, SECOND
+
+ONE = "one drape"
+STRIPS = "one drape, a strip along warp and weft"
+YARNS = [FIRST, SECOND]
+_BENDING_LENGTHS = 2.0  # of a strip
+_BOUNDS = {ONE: "depth, 4 views", "two drapes": "depth, sets of 2",
+           "four drapes": "depth, sets of 4"}
+
+
+def run(config: Config) -> Result:
+    """Estimate all fabrics from all combinations."""
+    header = read_header(config["checkpoint"])
+    first, second = (_maps(header, tester, config) for tester in config["testers"])
+    errors: dict[str, list[np.ndarray]] = {}
+    places: dict[str, list[np.ndarray]] = {}
+    for fabric in np.intersect1d(first.fabric, second.fabric):
+        drapes, others = (np.flatnonzero(maps.fabric == fabric) for maps in (first, second))
+        if len(drapes) < DRAPES_PER_FABRIC or not len(others):
+            continue  # a drape did not converge
+        one = first.chosen(drapes[:1])
+        turned = drapes[first.face[drapes] != first.face[drapes[0]]]
+        sets = {ONE: one, "two drapes": first.chosen(drapes[:2]),
+                "four drapes": first.chosen(drapes),
+                "one drape of each face": first.chosen(np.r_[drapes[:1], turned[:1]]),
+                "one drape on two testers": Maps.joined([one, second.chosen(others[:1])])}
+        estimates = {name: _estimate(header, maps) for name, maps in sets.items()}
+        alone, rng = estimates[ONE], np.random.default_rng([config["seed"], fabric])
+        truth = ClothProperties(one.theta[0], first.curl[drapes].mean(axis=0), one.membrane[0],
+                                one.hysteresis[0])
+        estimates["one drape, KES B of warp and weft"] = weigh(alone, _sheet(truth, alone, rng))
+        if strips := _strips(truth, rng):
+            estimates[STRIPS] = with_strips(alone, strips)
+        for name, estimate in estimates.items():
+            gap = (estimate.samples.mean(axis=0) - truth.theta) / header.spread
+            errors.setdefault(name, []).append(gap)
+            places.setdefault(name, []).append(ranks(estimate.samples[:, None], truth.theta[None]))
+    bounds = read_report("bounds")["cells"][config["testers"][0]]
+    rows = {name: _summary(np.array(gaps), np.concatenate(places[name]))
+            | {"bound": bounds.get(_BOUNDS.get(name, ""))} for name, gaps in errors.items()}
+    for name, row in rows.items():
+        print(f"{name}: log alpha {row['log_alpha']:.3f}, of warp and weft "
+              f"{row['log_alpha_yarns']:.3f}; beta/alpha {row['beta_over_alpha']:.2f}, "
+              f"{row['beta_over_alpha_yarns']:.2f}; inside {row['inside']}, n {row['fabrics']}")
+    return Result({"rows": rows})
+
+
+def _maps(header: Header, tester: str, config: Config) -> Maps:
+    """One capture of each drape of new fabrics on a tester."""
+    options = EvaluateConfig(
+        checkpoint=config["checkpoint"], testers=[tester], bounds="", out=config["work"],
+        fabrics="", fabrics_per_tester=config["fabrics"], captures=1, seed=config["seed"],
+        workers=config["workers"])
+    base, folder = make_config(header, tester, options), Path(config["work"]) / tester
+    require_unseen(header, base.as_dict())
+    manifest = generate_dataset(base, folder, workers=config["workers"])
+    return make_maps(folder, manifest, folder, setups=header.setups, captures=1,
+                     seed=config["seed"], workers=config["workers"])
+
+
+def _estimate(header: Header, maps: Maps) -> Estimate:
+    """The network's estimate from one depth capture of each drape of one fabric."""
+    captures = CaptureSet(maps, scale=header.scale)
+    sizes = tuple(float(k + 1 == len(maps)) for k in range(DRAPES_PER_FABRIC))
+    batch, facts = captures.batch(np.array([0]), Condition(DEPTH, sizes, known=1.0),
+                                  np.random.default_rng(0), symmetric=False)
+    samples = sample_targets(network_of(header), header, batch, facts.known)[:, 0]
+    cloth = cloth_of(samples, np.full(len(samples), facts.sizes[0]))
+    # The batch marks a face at random.
+    cloth = replace(cloth, curl=cloth.curl * facts.face[0] * maps.face[0])
+    draws = Draws.possible(cloth, known=True)
+    return make_estimate(draws, density=REFERENCE_DENSITY, header=header)
+
+
+def _sheet(truth: ClothProperties, like: Estimate, rng: np.random.Generator) -> Known:
+    """KES B as measured, with the error that is assumed of it."""
+    exact = Estimate(ClothProperties(*(np.asarray(part)[None] for part in vars(truth).values())),
+                     DIRECTIONS, like.density, like.spread)
+    name = "kes_b_gf_cm2_per_cm"
+    values = predicted(exact)[name][0] * np.exp(ERRORS[name] * rng.standard_normal(3))
+    return Known(**{name: ByDirection(**{
+        DIRECTIONS[k]: float(values[k]) for k in YARNS if np.isfinite(values[k])})})
+
+
+def _strips(truth: ClothProperties, rng: np.random.Generator) -> dict[str, StripPosterior] | None:
+    """Posteriors of photographed strips along warp and weft; None if one is refused."""
+    pictures, entries = {}, []
+    for k in YARNS:
+        alpha, ratio = float(np.exp(truth.theta[k])), float(truth.theta[3 + k])
+        length = _BENDING_LENGTHS * bending_length(alpha, REFERENCE_DENSITY)
+        scene = draw_scene(alpha, ratio, length, rng, curl=float(truth.curl[YARNS.index(k)]))
+        name = f"{DIRECTIONS[k]}.png"
+        pictures[name] = scene.photograph(rng)
+        entries.append(entry_of(scene, name, length, "mm_per_px", rng)
+                       | {"direction": DIRECTIONS[k]})
+    try:
+        return read_pictures(pictures, entries).posteriors()
+    except InputError:
+        return None
+
+
+def _summary(errors: np.ndarray, places: np.ndarray) -> dict:
+    """Errors over the spread, of all directions and of warp and weft, and coverage."""
+    return {"log_alpha": rms(errors[:, LINEAR]), "log_alpha_yarns": rms(errors[:, YARNS]),
+            "beta_over_alpha": rms(errors[:, RATIO]),
+            "beta_over_alpha_yarns": rms(errors[:, [3 + k for k in YARNS]]),
+            "inside": inside(places), "fabrics": len(errors)}
