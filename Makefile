@@ -10,20 +10,21 @@ CAPTURE ?= examples/captures/twill
 PHOTOGRAPH ?= examples/captures/twill_photograph
 PACKAGES := apps common configs data drapenet examples experiments sim tests tools
 
-.PHONY: help setup demo test test-slow test-slurm test-browser campaign serve lint sim prior dataset train evaluate bench-sim bench docs studies example validate matrix clean
+.PHONY: help setup demo test test-slow test-slurm test-browser campaign serve lint sim prior dataset train evaluate bench-sim bench docs reference studies example validate matrix clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
 
 setup: $(STAMP)  ## system libraries, .venv and packages
 
-$(STAMP): pyproject.toml constraints.txt tools/system_libraries.sh
+$(STAMP): pyproject.toml constraints.txt tools/system_libraries.sh tools/cpu_torch.sh
 	sh tools/system_libraries.sh
 	@test -n "$(PYTHON)" && $(PYTHON) -c '$(SUITABLE)' || \
 	  { echo "Python 3.10 to 3.13 is needed; run: make PYTHON=/path/to/python3.13" >&2; exit 2; }
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install -qq --upgrade pip
-	@echo "installing packages into .venv (about 9 GB, a few minutes) ..."
+	@echo "installing packages into .venv (a few minutes; 9 GB, 4 GB without CUDA libraries) ..."
+	sh tools/cpu_torch.sh $(BIN)/python
 	$(BIN)/python -m pip install -qq --constraint constraints.txt --editable '.[dev]'
 	touch $@
 
@@ -53,13 +54,14 @@ serve: $(STAMP)  ## run the page and the HTTP interface on http://localhost:8000
 matrix: $(STAMP)  ## test the installed wheel with each Python from 3.10 to 3.13, 9 GB and minutes each
 	$(BIN)/python tools/matrix.py
 
-lint: $(STAMP)  ## check style, imports between packages, units in docstrings, unused code, spelling, words
+lint: $(STAMP)  ## check style, imports between packages, units in docstrings, unused code, types, spelling, words
 	$(BIN)/ruff check .
 	$(BIN)/vermin -q --target=3.10- --violations --eval-annotations --exclude file $(PACKAGES) *.py
 	$(BIN)/python tools/check_layers.py
 	$(BIN)/python tools/check_words.py
 	$(BIN)/python tools/check_docstrings.py
 	$(BIN)/python -m vulture
+	$(BIN)/python -m mypy
 	$(BIN)/python -m codespell_lib README.md docs/*.md *.py $(PACKAGES)
 
 sim: $(STAMP)  ## simulate one drape, results in outputs/drape
@@ -95,6 +97,11 @@ docs: $(STAMP)  ## update the figures in README.md and docs/*.md from the demo a
 	$(BIN)/python infer.py capture=[$(CAPTURE),$(PHOTOGRAPH)] out=outputs/demo > outputs/demo.txt
 	cp outputs/demo.txt docs/validation/demo.txt
 	$(BIN)/python -m experiments.figures
+
+reference: $(STAMP)  ## pages of the Python interface from its docstrings, outputs/reference/index.html
+	$(BIN)/python -W error::UserWarning -m pdoc --docformat restructuredtext -o outputs/reference \
+	  drapenet drapenet.result.estimate drapenet.inference drapenet.evidence sim data.captures \
+	  data.fabrics data.strips '!data.fabrics.prior.__main__'
 
 studies: $(STAMP)  ## the papers' experiments, hours of CPU, resumed when interrupted: docs/studies.md
 	$(BIN)/python -m experiments papers

@@ -96,7 +96,7 @@ class Drape(Equilibrium):
     @property
     def iterations(self) -> int:
         """Newton steps on all meshes together."""
-        return self.outcome.iterations
+        return self.searched.iterations
 
     @property
     def self_intersections(self) -> int:
@@ -202,17 +202,17 @@ class _Run:
         """The equilibrium in the last of ``scenes``, coarse to fine, and the statuses in those
         before, from cloth that was lowered ``before``, whose hysteresis is kept, or the arguments
         ``first`` of :func:`start_positions`."""
-        settled, statuses = before, []
+        coarse, found = before, []
         for scene in scenes:
             last = scene is scenes[-1]
             used = with_origins(laws, before, scene) if before else laws
-            positions = start_positions(scene, self.rig, coarse=settled, **first)
-            settled = find_equilibrium(
+            positions = start_positions(scene, self.rig, coarse=coarse, **first)
+            coarse = find_equilibrium(
                 scene, self.fabric, scene.state(positions), self_contact=last,
                 laws=used if last else used.softened(COARSE_MEMBRANE),
-                options=self.options if last else COARSE_OPTIONS).after(settled)
-            statuses.append(settled.status)
-        return settled, statuses[:-1]
+                options=self.options if last else COARSE_OPTIONS).after(coarse)
+            found.append(coarse)
+        return found[-1], [earlier.searched.status for earlier in found[:-1]]
 
 
 def start_positions(

@@ -41,7 +41,7 @@ class Equilibrium:
     @property
     def status(self) -> Status | None:
         """Outcome of the search."""
-        return self.outcome and self.outcome.status
+        return self.outcome.status if self.outcome else None
 
     @property
     def message(self) -> str:
@@ -53,15 +53,21 @@ class Equilibrium:
         """Whether the state is a verified equilibrium."""
         return self.status is Status.CONVERGED
 
+    @property
+    def searched(self) -> NewtonResult:
+        """The outcome, of a shape that was sought by a simulation."""
+        assert self.outcome, "a shape, not an equilibrium"
+        return self.outcome
+
     def ended(self, status: Status, message: str) -> "Equilibrium":
         """A copy with another outcome."""
-        return replace(self, outcome=replace(self.outcome, status=status, message=message))
+        return replace(self, outcome=replace(self.searched, status=status, message=message))
 
     def after(self, earlier: "Equilibrium | None") -> "Equilibrium":
         """A copy with iterations and seconds of an ``earlier`` search, if any, added."""
         if earlier is None:
             return self
-        first, second = earlier.outcome, self.outcome
+        first, second = earlier.searched, self.searched
         return replace(self, outcome=replace(
             second, iterations=first.iterations + second.iterations,
             seconds=first.seconds + second.seconds))
@@ -132,14 +138,14 @@ def _with_contact(
         contact = contact_near(scene, state.positions)
         steps = min(_STEPS_PER_ROUND, options.max_iterations - iterations)
         part = minimised(state, contact, replace(options, max_iterations=steps))
-        iterations += max(part.outcome.iterations, 1)  # rounds without a step count, too
+        iterations += max(part.searched.iterations, 1)  # rounds without a step count, too
         last = part.after(last)
         state = last.state
         exact = contact.is_complete(state.q)
         ended = last.status is not Status.MAX_ITERATIONS and exact
         if ended or iterations >= options.max_iterations:
             break
-    status = last.status
+    status = last.searched.status
     if last.converged and not exact:
         status = Status.MAX_ITERATIONS  # verified only with an approximate Hessian
     return last.ended(status, f"{last.message}; self-contact took {iterations} iterations")

@@ -102,7 +102,7 @@ class Rig:
     def name(self) -> str:
         """Identifier in datasets and checkpoints: specimen and holder, sizes in mm."""
         holder, size = ("support" if self.specimen == "disc" else "cylinder"), self.plate_diameter
-        if not self.has_plate:
+        if self.corners_apart and not self.has_plate:
             holder, size = "corners", self.corners_apart
         cut = f"_cut{np.degrees(self.cut):g}" if self.cut else ""
         return f"{self.specimen}{1e3 * self.specimen_size:g}_{holder}{1e3 * size:g}{cut}"

@@ -280,7 +280,7 @@ class Corotational(_Linear):
     def matrix(self) -> np.ndarray:
         return 2 * self.mu * np.eye(2) + self.lam
 
-    def energy(self, mesh: Mesh, active: FaceMask) -> Energy:
+    def energy(self, mesh: Mesh, active: FaceMask) -> "StrainMembrane":
         return StrainMembrane(mesh, active, OfStretches(self))
 
     def scaled(self, factor: float) -> "Corotational":

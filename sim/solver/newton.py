@@ -38,8 +38,10 @@ class Objective(Protocol):
     """
 
     size: int
-    pattern: SparsePattern
     energy_scale: float
+
+    @property
+    def pattern(self) -> SparsePattern: ...
 
     def value(self, q: np.ndarray) -> float: ...
     def gradient(self, q: np.ndarray) -> np.ndarray: ...

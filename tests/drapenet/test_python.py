@@ -1,0 +1,27 @@
+"""What ``import drapenet`` offers."""
+
+import numpy as np
+import pytest
+from cloths import describe, write_skirt
+
+import drapenet
+import infer
+from common.errors import InputError
+from data.captures.capture import read_capture
+
+
+def test_a_fabric_is_estimated_as_by_the_command(untrained_checkpoint, tmp_path):
+    capture = write_skirt(tmp_path / "capture", warp_direction=0.4)
+    options = {"checkpoint": untrained_checkpoint}
+    found = drapenet.estimate(capture, **options)
+    infer.main([f"capture={capture}", f"out={tmp_path / 'out'}", "drapes=0",
+                f"checkpoint={untrained_checkpoint}"])
+    np.testing.assert_array_equal(found.samples, drapenet.load(tmp_path / "out").samples)
+    again = drapenet.estimate(read_capture(capture), **options)
+    np.testing.assert_array_equal(found.samples, again.samples)
+    other = write_skirt(tmp_path / "other", orientation=1.2, warp_direction=1.2)
+    describe(other, face="down")
+    assert drapenet.estimate(capture, other, **options).names == found.names
+    with pytest.raises(InputError, match="same views"):
+        drapenet.estimate(capture, capture, **options)
+    assert set(drapenet.__all__) == {"estimate", "load"}
