@@ -46,7 +46,7 @@ class Normal:
 
     def as_dict(self) -> dict[str, list]:
         """In JSON's types."""
-        return {"of": list(STATE), "mean": self.mean.tolist(),
+        return {"names": list(STATE), "mean": self.mean.tolist(),
                 "covariance": self.covariance.tolist()}
 
 

@@ -105,7 +105,7 @@ class Cloth(Excerpt):
 class PosteriorRecord(Excerpt):
     """Normal posterior of :data:`drapenet.evidence.STATE` from one capture and the prior."""
 
-    of: list[str]
+    names: list[str]
     mean: list[float]
     covariance: list[list[float]]
 
