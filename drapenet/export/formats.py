@@ -14,6 +14,7 @@ import numpy as np
 
 from common.errors import InputError
 from common.files import replace_file
+from drapenet.export.cards import CELL, SLIDER, cards
 from drapenet.export.material import Material
 from drapenet.result.document import csv_number, csv_table, interval_columns
 from sim.energies.hinges import ARCSIM, mean_modulus
@@ -22,6 +23,7 @@ from sim.material import BIAS, WARP, WEFT, torque
 CLO = 1e9  # g·mm²/s² per N·m
 MAX_CLO = 2e6  # g·mm²/s², CLO's maximum bending stiffness
 BROWZWEAR = 1e7  # dyn·cm per N·m
+UNREAL = 1e4  # kg·cm²/s² per N·m
 PPF = 1.28e-5  # m²/s²: BEND_SCALE of ppf-contact-solver's energy.cu
 STYLE3D = 3.0  # Newton's quadratic hinges: plate of modulus 3 ke
 ARCSIM_CURVATURES = np.array([0.0, 10.0, 20.0, 30.0, 40.0])
@@ -154,6 +156,17 @@ def _neutral(material: Material, name: str) -> dict[str, bytes]:
         "drapenet": material.about})}
 
 
+def _cards(material: Material, name: str) -> dict[str, bytes]:
+    density, stiffness = material.density, _clo_bending(material)
+    columns = {"clo": stiffness, "slider": np.interp(stiffness, *SLIDER[::-1]),
+               "dyn_cm": material.modulus * BROWZWEAR, "unreal": material.modulus * UNREAL}
+    values = {f"{column}_{direction}": value for column, row in columns.items()
+              for direction, value in zip(DIRECTIONS, row, strict=True)}
+    values |= {"kg_per_m2": density, "g_per_m2": 1e3 * density, "g_per_mm2": 1e-3 * density,
+               "vertex_mass": density * CELL**2}
+    return {name: _json({"cards": cards(values), "drapenet": material.about})}
+
+
 def _table(material: Material, name: str) -> dict[str, bytes]:
     rows = [{"direction": direction, **interval_columns("alpha_uN_m", moduli.alpha_uN_m),
              **interval_columns("beta_nN_m2", moduli.beta_nN_m2),
@@ -188,6 +201,8 @@ TARGETS = {
     "ppf": Target("ppf.toml", "ppf-contact-solver",
                   "β; bias, which is the mean of warp and weft there", _ppf),
     "json": Target("material.json", "any", "nothing", _neutral),
+    "cards": Target("cards.json", "what to type into CLO, VStitcher, Blender, Houdini, Unreal",
+                    "β; what is not known of a field is said there", _cards),
     "csv": Target("material.csv", "spreadsheets", "origin and warnings; the name is kept", _table),
     "torque": Target("torque.csv", "tools with a curve", "intervals", _torque),
 }

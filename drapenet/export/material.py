@@ -20,6 +20,7 @@ from sim.material import DIRECTIONS, MICRO, NANO, SOFTENING_LIMIT, torque
 from sim.rig import GRAVITY
 
 MAX_NAME_LENGTH = 80  # characters
+PRINTABLE = r"^[^\p{C}\p{Zl}\p{Zp}]*$"  # pattern of a name
 MESHES = {"unstructured": ("random", 0.2), "alternating": ("alternating", 0.0),
           "equal": ("equal", 0.0), "random": ("random", 0.0)}
 """Diagonals and jitter (:func:`sim.mesh.strip`) of the meshes that a tool may have."""
@@ -33,7 +34,7 @@ class ExportSettings(Schema):
     curvature_1_m: float = Field(0.0, ge=0, le=1000)
     mesh: Literal[tuple(MESHES)] = "unstructured"
     edge_mm: float = Field(5.0, ge=0.1, le=100)
-    name: str = Field("", max_length=MAX_NAME_LENGTH, pattern=r"^[^\p{C}\p{Zl}\p{Zp}]*$",
+    name: str = Field("", max_length=MAX_NAME_LENGTH, pattern=PRINTABLE,
                       description=f"up to {MAX_NAME_LENGTH} printable characters")
 
 

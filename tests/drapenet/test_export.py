@@ -151,6 +151,22 @@ def test_the_secant_stands_for_the_law_where_it_is_wanted(estimate):
     assert physical["fBvK"] * 1e-9 == pytest.approx(ALPHA[0] + 50 * BETA[0])
 
 
+def test_cards_say_what_to_type_and_what_is_not_known(estimate):
+    content = json.loads(exported(estimate, "cards").read_text())
+    cards = {card["tool"]: card for card in content["cards"]}
+    assert set(cards) == {"CLO", "Marvelous Designer", "VStitcher", "Blender", "Houdini", "Unreal"}
+    typed = {tool: {field["field"]: field["value"] for field in card["fields"]}
+             for tool, card in cards.items()}
+    assert typed["CLO"]["Bending-Weft"] == "22000" and typed["CLO"]["Density"] == "0.00021"
+    # 52 000 lies between 65 (20 000) and 83 (200 000) of CLO's scale.
+    assert typed["CLO"]["Bending-Warp as 0 to 100"] == "68.2"
+    assert typed["VStitcher"]["Bend Length"] == "520" and typed["VStitcher"]["Mass"] == "210"
+    assert typed["Unreal"]["Bending Stiffness Bias"] == "0.31"
+    assert typed["Blender"]["Vertex Mass"] == "0.000021"  # of 1 cm²
+    assert typed["Blender"]["Bending"] is None and typed["Houdini"]["Bend Stiffness"] is None
+    assert all(card["unknown"] and card["source"] and card["where"] for card in cards.values())
+
+
 def test_neutral_files_return_what_was_estimated(estimate):
     data = json.loads(exported(estimate, "json").read_text())
     assert data["alpha_N_m"] == pytest.approx(ALPHA) and data["beta_N_m2"] == pytest.approx(BETA)
