@@ -133,8 +133,11 @@ class ServeConfig:
     results: str
     checkpoint: str
     workers: Threads
+    proxies: str
     queue: FromOne
+    queue_each: FromOne
     job_seconds: Positive
+    export_seconds: Positive
     upload_seconds: Positive
     megabytes: Positive
     files: FromOne

@@ -205,8 +205,6 @@ class EstimateDocument(Excerpt):
     ) -> "EstimateDocument":
         """The document of an estimate, with all ``warnings`` and optional ``sections``."""
         names, first = estimate.names, estimate.names[0]
-        torques = {name: _intervals(1e3 * estimate.torques(k, CURVATURES))
-                   for k, name in enumerate(names)}
         shares = dict(zip(estimate.modulus_names, estimate.constraint.round(3).tolist(),
                           strict=True))
         return cls.model_validate({
@@ -222,7 +220,7 @@ class EstimateDocument(Excerpt):
             "poorly_constrained": [
                 name for name, share in zip(shares, estimate.constraint, strict=True)
                 if share > POORLY_CONSTRAINED],
-            "torque_mN": {"curvature_1_m": CURVATURES.tolist(), **torques},
+            "torque_mN": torque_table(estimate, CURVATURES),
             "cloth": _properties(estimate),
             "checkpoint": checkpoint, **sections, "warnings": list(warnings)})
 
@@ -307,6 +305,13 @@ class EstimateDocument(Excerpt):
                     row |= ({name: csv_number(value)} if isinstance(value, float)
                             else interval_columns(name, value))
         return row
+
+
+def torque_table(estimate: Estimate, curvatures: np.ndarray) -> dict[str, Any]:
+    """Torque per width, mN, at ``curvatures`` (C,), 1/m: median and intervals of each direction."""
+    return {"curvature_1_m": curvatures.tolist(), **{
+        name: _intervals(1e3 * estimate.torques(k, curvatures))
+        for k, name in enumerate(estimate.names)}}
 
 
 def _intervals(samples: np.ndarray) -> dict[str, Any]:

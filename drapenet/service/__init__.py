@@ -1,3 +1,3 @@
-"""The service: requests (app), uploads (uploads), the queue and where results lie (jobs), and
-what a worker process computes and writes (work).
+"""The service: requests (app), pages, limits, uploads, fabrics and results (database), estimates
+under way (jobs), and what worker processes compute and write (work, exports).
 """

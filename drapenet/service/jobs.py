@@ -1,152 +1,212 @@
-"""Queued, running and finished estimates: bounded queue, worker processes, folder of results."""
+"""Estimates and exports of the service: worker processes, and the folders of results."""
 
 import logging
 import multiprocessing
 import os
-import re
-import secrets
 import shutil
 import threading
 import time
+from collections.abc import Callable
 from concurrent import futures
 from contextlib import suppress
-from pathlib import Path
+from itertools import count
+from sqlite3 import Error as SQLError
 from typing import Any
 
 from pebble import ProcessPool
 
 from common.errors import InputError, one_line
 from drapenet.config import ServeConfig
-from drapenet.service.uploads import RequestError, Upload
-from drapenet.service.work import (
-    ENDED,
-    FAILED,
-    LOST,
-    QUEUED,
-    UPLOADED,
-    change_state,
-    estimate_upload,
-    read_state,
-    warm_up,
-)
+from drapenet.service.database import DONE, ENDED, FAILED, LOST, QUEUED, Database, new_identity
+from drapenet.service.exports import prepare
+from drapenet.service.limits import Places, RequestError
+from drapenet.service.uploads import Upload
+from drapenet.service.work import UPLOADED, warm_up, work
 
 _LOG = logging.getLogger(__name__)
-_ID = re.compile(r"[A-Za-z0-9_-]{22}")
 _MAX_TASKS = 500  # estimates after which a worker process is replaced
+_MAX_TRIES = 3  # of an estimate that a service was ended during
+_MAX_CAPTURES = 16  # of a fabric
+JOINT = "all captures"
 
 
 class Jobs:
-    """The estimates of a service; those that a previous one did not finish are interrupted."""
+    """The estimates of a service; it goes on with those that a previous one did not finish."""
 
     def __init__(self, settings: ServeConfig):
         self.settings = settings
-        self._places, self._lock = threading.Semaphore(settings.queue), threading.Lock()
-        self._unfinished: set[futures.Future] = set()
+        self.places = Places("estimates", total=settings.queue, each=settings.queue_each)
+        self._exporting = Places("exports", total=16, each=4)
+        self._changing = threading.Lock()  # the captures of a fabric
+        self._starting = threading.Lock()  # workers and their tasks
         settings.folder.mkdir(parents=True, exist_ok=True)
-        for folder, state in self._states():
-            if state is None:
-                shutil.rmtree(folder, ignore_errors=True)  # an upload that was never complete
-            elif state["state"] not in ENDED:
-                self._end(folder, LOST, "the service was started again before this estimate was "
-                          "finished; upload the capture again")
-        self._pool = self._workers()
-
-    def _workers(self) -> ProcessPool:
-        pool = ProcessPool(
-            max_workers=self.settings.processes, max_tasks=_MAX_TASKS, initializer=warm_up,
-            initargs=[self.settings.checkpoint], context=multiprocessing.get_context("spawn"))
-        pool.schedule(os.getpid)  # starts them
-        return pool
+        self.database = Database(settings.folder)
+        for upload in settings.folder.glob(f"*/{UPLOADED}"):
+            if self.database.estimate(upload.parent.name) is None:  # it was never complete
+                shutil.rmtree(upload.parent, ignore_errors=True)
+        self._closed = False
+        self._unfinished: set[futures.Future] = set()
+        self._workers = _pool(settings.processes, warm_up, settings.checkpoint)
+        self._exporters = _pool(1, prepare)
+        for row in self.database.estimates():
+            if row["state"] not in ENDED and row["tries"] < _MAX_TRIES:
+                self.database.change("estimate", row["id"], state=QUEUED, stage=None)
+                self._schedule(row["id"])
+            elif row["state"] not in ENDED:
+                self._end(row["id"], LOST, f"the service ended {_MAX_TRIES} times during this "
+                          "estimate; please report this capture")
+        for row in self.database.settled():
+            self._join(row["id"])
 
     def close(self) -> None:
-        """End all worker processes; the next service marks their estimates as interrupted."""
-        self._pool.stop()
-        self._pool.join(timeout=5)
+        """End all worker processes; the next service goes on with their estimates."""
+        self._closed = True
+        for pool in (self._workers, self._exporters):
+            pool.stop()
+            pool.join(timeout=5)
 
-    def reserve(self) -> None:
-        """Take a place in the queue, until :meth:`release` or the end of the estimate."""
-        if not self._places.acquire(blocking=False):
-            raise RequestError(429, f"{self.settings.queue} estimates are waiting or under way, as "
-                               "many as this service takes; try again in a minute")
-
-    def release(self) -> None:
-        """Give a place in the queue back."""
-        self._places.release()
-
-    def submit(self, upload: Upload) -> str:
-        """Start the estimate of an upload in the reserved place of the queue; its identity."""
-        identity = secrets.token_urlsafe(16)
+    def submit(self, upload: Upload, client: str) -> dict[str, str]:
+        """Start the estimate of an upload in the client's place; its ``id`` and its ``fabric``."""
+        identity = new_identity()
         folder = self.settings.folder / identity
+        task = {"refine": upload.refine, "scan": upload.scan,
+                "specimen": upload.specimen and upload.specimen.model_dump()}
         try:
             (folder / UPLOADED).mkdir(parents=True)
             for name, data in upload.files.items():
                 (folder / UPLOADED / name).write_bytes(data)
-            change_state(folder, id=identity, name=upload.name, state=QUEUED, stage=None,
-                         progress=None, error=None, warnings=[], ended=None)
-            self._schedule(folder, {"refine": upload.refine, "scan": upload.scan,
-                                    "name": upload.name, "specimen": upload.specimen,
-                                    "checkpoint": self.settings.checkpoint})
+            with self._changing:
+                fabric = upload.fabric or new_identity()
+                self.database.add_estimate(
+                    identity, fabric, self._label(upload), task=task,
+                    about=None if upload.fabric else (upload.name, upload.about.notes))
+            self._schedule(identity, client)
         except BaseException as error:
-            self.release()
+            self.places.give(client)
             shutil.rmtree(folder, ignore_errors=True)
-            if isinstance(error, (OSError, InputError)):
+            if isinstance(error, (OSError, SQLError)):
                 _LOG.error("an upload cannot be stored: %s", one_line(error))
                 raise RequestError(507, "the upload cannot be stored; say so to whoever runs this "
                                    "service, whose log states the reason") from None
             raise
-        return identity
+        return {"id": identity, "fabric": fabric}
 
-    def _schedule(self, folder: Path, options: dict[str, Any]) -> None:
-        with self._lock:
-            if not self._pool.active:  # a thread of the pool has died: it finishes no estimate
-                self.close()
-                for waiting in tuple(self._unfinished):
-                    waiting.cancel()  # calls _ended
-                self._pool = self._workers()
-            future = self._pool.schedule(estimate_upload, args=[folder], kwargs=options,
-                                         timeout=self.settings.job_seconds)
+    def _label(self, upload: Upload) -> str:
+        """The label of a capture, which no other of its fabric has."""
+        rows = self.row("fabric", upload.fabric)["estimates"] if upload.fabric else []
+        labels, label = {row["name"] for row in rows}, upload.about.label
+        if label in labels or len(labels) > _MAX_CAPTURES:
+            raise RequestError(422, f"label={label} is that of another capture of this fabric, or "
+                               f"it has {_MAX_CAPTURES} captures, the most that are joined")
+        return label or next(free for k in count(1) if (free := f"capture {k}") not in labels)
+
+    def _schedule(self, identity: str, client: str | None = None) -> None:
+        """Start an estimate; the place of a client, if any, is given back at the end."""
+        lost: set[futures.Future] = set()
+        with self._starting:
+            if not self._workers.active:  # a thread of the pool has died: it finishes no estimate
+                lost, self._unfinished = self._unfinished, set()
+                self._workers.stop()
+                self._workers.join(timeout=5)
+                self._workers = _pool(self.settings.processes, warm_up, self.settings.checkpoint)
+            future = self._workers.schedule(
+                work, args=[self.settings.folder / identity, self.settings.checkpoint],
+                timeout=self.settings.job_seconds)
             self._unfinished.add(future)
-            future.add_done_callback(lambda done: self._ended(folder, done))
+        future.add_done_callback(lambda done: self._ended(identity, client, done))
+        for waiting in lost:
+            waiting.cancel()  # calls _ended
 
-    def state(self, identity: str) -> tuple[Path, dict[str, Any]]:
-        """Folder and state of an estimate."""
-        folder = self.settings.folder / identity
-        state = read_state(folder) if _ID.fullmatch(identity) else None
-        if state is None:
-            raise RequestError(404, "no such estimate; it may have been removed for its age")
-        return folder, state
+    def _join(self, fabric: str) -> None:
+        """Start the joint estimate of a fabric if its captures are no longer those of the last."""
+        with self._changing:
+            rows = (self.database.fabric(fabric) or {"estimates": []})["estimates"]
+            joint = next((row for row in rows if row["members"] is not None), None)
+            members = [row["id"] for row in rows if row["members"] is None and row["state"] == DONE]
+            members = members if len(members) > 1 else []
+            if any(row["state"] not in ENDED for row in rows) or (
+                    members == (joint["members"] if joint else [])):
+                return
+            identity = joint["id"] if joint else new_identity()
+            if not members:
+                self.database.remove("estimate", identity)
+                return
+            self.database.add_estimate(identity, fabric, JOINT, members=members)
+        self._schedule(identity)
+
+    def row(self, table: str, identity: str) -> dict[str, Any]:
+        """An estimate, or a fabric with its estimates."""
+        row = getattr(self.database, table)(identity)
+        if row is None:
+            raise RequestError(404, f"no such {table}; it may have been removed, or is too old")
+        return row
+
+    def remove(self, table: str, identity: str) -> None:
+        """Remove a fabric with its estimates, or an estimate: the others are joined again."""
+        found = self.row(table, identity)
+        rows = found.get("estimates", [found])
+        if any(row["state"] not in ENDED for row in rows):
+            raise RequestError(409, "an estimate is under way; wait for its end")
+        self.database.remove(table, identity)
+        for row in rows:
+            shutil.rmtree(self.settings.folder / row["id"], ignore_errors=True)
+        if table == "estimate":
+            self._join(found["fabric"])
 
     def tidy(self) -> None:
-        """Remove results that are too old or too many."""
-        ended = sorted((state.get("ended") or 0.0, folder) for folder, state in self._states()
-                       if state is not None and state["state"] in ENDED)
-        for k, (moment, folder) in enumerate(ended):
-            old = time.time() - moment > self.settings.keep_seconds
-            if old or len(ended) - k > self.settings.keep:
-                shutil.rmtree(folder, ignore_errors=True)
+        """Remove fabrics that are too old or too many."""
+        settled = self.database.settled()
+        for k, row in enumerate(settled):
+            old = time.time() - row["latest"] > self.settings.keep_seconds
+            if old or len(settled) - k > self.settings.keep:
+                with suppress(RequestError):  # a capture has been added, or it was removed
+                    self.remove("fabric", row["id"])
 
-    def _states(self) -> list[tuple[Path, dict[str, Any] | None]]:
-        """Folders of estimates with their states."""
-        return [(folder, read_state(folder)) for folder in self.settings.folder.iterdir()
-                if _ID.fullmatch(folder.name) and folder.is_dir() and not folder.is_symlink()]
+    def export(self, client: str, task: Callable, *arguments: object) -> Any:
+        """Outcome of a task of the process for exports; InputError for those of the task."""
+        seconds = self.settings.export_seconds
+        self._exporting.take(client)
+        try:
+            if not self._exporters.active:
+                self._exporters = _pool(1, prepare)
+            return self._exporters.schedule(task, args=arguments, timeout=seconds).result()
+        except InputError as error:
+            sentence = str(error).replace(f"{self.settings.folder}/", "")
+            raise RequestError(422, sentence) from None
+        except futures.TimeoutError:
+            raise RequestError(503, f"not exported in {seconds:g} s; try again") from None
+        finally:
+            self._exporting.give(client)
 
-    def _ended(self, folder: Path, done: futures.Future) -> None:
+    def _ended(self, identity: str, client: str | None, done: futures.Future) -> None:
         """Release the place and record failures, at the end of a task or at its cancellation."""
         self._unfinished.discard(done)
-        self.release()
+        if client is not None:
+            self.places.give(client)
+        if self._closed:
+            return
         error = futures.CancelledError() if done.cancelled() else done.exception()
         if error is None:
-            shutil.rmtree(folder / UPLOADED, ignore_errors=True)
+            shutil.rmtree(self.settings.folder / identity / UPLOADED, ignore_errors=True)
         elif isinstance(error, futures.TimeoutError):
-            self._end(folder, FAILED, f"not finished in {self.settings.job_seconds:g} s, as long "
+            self._end(identity, FAILED, f"not finished in {self.settings.job_seconds:g} s, as long "
                       "as an estimate may take here")
         else:
             # The text of an error may contain paths: it is for the log only.
-            _LOG.error("the estimate %s failed", folder.name, exc_info=error)
-            self._end(folder, FAILED, "the estimate failed by a fault of the program, which the "
+            _LOG.error("the estimate %s failed", identity, exc_info=error)
+            self._end(identity, FAILED, "the estimate failed by a fault of the program, which the "
                       "service's log states; please report this capture")
+        with suppress(Exception):  # as in _end
+            self._join(self.row("estimate", identity)["fabric"])
 
-    def _end(self, folder: Path, state: str, sentence: str) -> None:
+    def _end(self, identity: str, state: str, sentence: str) -> None:
         with suppress(Exception):  # a full disk must not end the thread that serves all others
-            change_state(folder, state=state, error=sentence)
-        shutil.rmtree(folder / UPLOADED, ignore_errors=True)
+            self.database.change("estimate", identity, state=state, error=sentence)
+        shutil.rmtree(self.settings.folder / identity / UPLOADED, ignore_errors=True)
+
+
+def _pool(processes: int, prepare: Callable[..., None], *arguments: object) -> ProcessPool:
+    pool = ProcessPool(max_workers=processes, max_tasks=_MAX_TASKS, initializer=prepare,
+                       initargs=arguments, context=multiprocessing.get_context("spawn"))
+    pool.schedule(os.getpid)  # starts the processes
+    return pool

@@ -4,6 +4,8 @@ File names are set by this module or reduced to plain names of known kinds; no p
 executed, unpickled or used as a path.
 """
 
+import email.errors
+import email.header
 import io
 import math
 import re
@@ -12,13 +14,13 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import yaml
 from PIL import Image
-from starlette.exceptions import HTTPException
+from pydantic import Field
 
-from common.documents import MAX_TEXT_BYTES, parse_yaml, shown
+from common.documents import MAX_TEXT_BYTES, Schema, parse_yaml, shown
 from common.errors import InputError, one_line
 from data.captures.capture import CAPTURE_FILES, INTRINSICS_KEYS, OUTLINE_SUFFIXES
 from data.captures.description import OUTLINE_TABLES, Description, PlateInPicture, Specimen
@@ -26,6 +28,8 @@ from data.captures.frames import BACKGROUND, header_of
 from data.rigs import MISSING_TESTER
 from drapenet.batch.captures import plain_name
 from drapenet.config import ServeConfig
+from drapenet.export.material import MAX_NAME_LENGTH, PRINTABLE
+from drapenet.service.limits import RequestError
 
 PICTURES, SCANS = (".png", ".npy", ".ply"), (".npz", ".obj")
 PACKED = tuple(dict.fromkeys((*PICTURES, *OUTLINE_SUFFIXES, *SCANS, ".yaml")))
@@ -34,26 +38,40 @@ PLACES = {**{key: ("intrinsics", key) for key in INTRINSICS_KEYS},
           **{f"plate_{key}": ("outline", "plate_px", key) for key in PlateInPicture.model_fields},
           **{key: ("outline", key) for key in ("mm_per_px", "camera_height_mm", "unit", "centred")}}
 """Where capture.yaml has the fields of a form that are not at its top."""
-TEXTS = ("turns_deg", "tester", "face", "camera_height_mm", "unit", "centred", "refine", "name")
+TEXTS = ("turns_deg", "tester", "face", "camera_height_mm", "unit", "centred", "refine", "fabric",
+         "name", "notes", "label")
 NUMBERS = ("density_g_m2", "warp_direction_deg", "depth_unit_m",
            *(key for key in PLACES if key not in TEXTS))
 _NAMED = re.compile(r"view_\d+(_\d+)?\.(png|npy|ply)")
-_MAX_NAME = 200
 
 
-class RequestError(HTTPException):
-    """A refused request: HTTP status and a sentence as its detail."""
+class About(Schema):
+    """What a user states of a fabric: ``name``, ``notes``; and the ``label`` of its capture."""
+
+    name: str = Field("", max_length=MAX_NAME_LENGTH, pattern=PRINTABLE,
+                      description=f"up to {MAX_NAME_LENGTH} printable characters")
+    notes: Annotated[str, Field(max_length=2000)] = ""
+    label: str = Field("", max_length=40, pattern=PRINTABLE,
+                       description="up to 40 printable characters")
 
 
 @dataclass(frozen=True)
 class Upload:
-    """A request to estimate a capture, with its description, or a scan of a specimen."""
+    """A request to estimate a capture, with its description, or a scan of a specimen.
+
+    Attributes:
+        scan: name of the file that is a scan; empty for a capture.
+        name: of a new fabric, if ``fabric``, the identity of an earlier one, is empty.
+        about: its notes, and the label of the capture, which may be empty.
+    """
 
     files: dict[str, bytes]
-    scan: str  # name of the file that is a scan; empty for a capture
+    scan: str
     name: str
+    about: About
     refine: bool = False
     specimen: Specimen | None = None
+    fabric: str = ""
 
 
 def checked_upload(
@@ -61,34 +79,44 @@ def checked_upload(
 ) -> Upload:
     """Check a form's files, names and bytes, and texts."""
     fields = {key: text.strip() for key, text in texts.items() if text.strip()}
-    refine, name = fields.pop("refine", "no"), fields.pop("name", "")
+    refine, fabric = fields.pop("refine", "no"), fields.pop("fabric", "")
     if not files:
         raise RequestError(422, "no files; give the views of a drape, its photograph or outline "
                            "from above, a zip with them, or a scan")
-    if refine not in ("no", "yes") or len(name) > _MAX_NAME:
-        raise RequestError(422, f"refine={shown(refine)} must be yes or no, and name must have at "
-                           f"most {_MAX_NAME} characters")
-    title = Path(files[0][0].replace("\\", "/")).stem if len(files) == 1 else "capture"
-    title = plain_name(name or title)[:40]
+    if refine not in ("no", "yes"):
+        raise RequestError(422, f"refine={shown(refine)} must be yes or no")
+    files = [(decoded(name), data) for name, data in files]
     contents = _unpacked(files, settings)
     scans = [file for file in contents if Path(file).suffix in SCANS
              or (Path(file).suffix == ".ply" and not _NAMED.fullmatch(file))]
     if scans and len(contents) > 1:
         raise RequestError(422, f"{scans[0]} is a scan and must come alone; views are called "
                            "view_0.png and so on")
+    specimen = None
     try:
+        about = About.of({key: fields.pop(key) for key in About.model_fields if key in fields}, "")
         if scans:
             stated = {key: _plain(fields[key]) for key in Specimen.model_fields if key in fields}
-            return Upload(contents, scans[0], title, refine == "yes", Specimen.of(stated, ""))
-        if contents.keys().isdisjoint(CAPTURE_FILES) or "capture.yaml" in contents:
-            description = _description(contents.get("capture.yaml", b"{}"), fields)
-            contents = _named(contents, from_above="outline" in description)
-            contents["capture.yaml"] = yaml.safe_dump(description).encode()
-        for file, data in contents.items():
-            _require_pixels(file, data, settings)
-        return Upload(contents, "", title, refine == "yes")
+            specimen = Specimen.of(stated, "")
+        else:
+            if contents.keys().isdisjoint(CAPTURE_FILES) or "capture.yaml" in contents:
+                description = _description(contents.get("capture.yaml", b"{}"), fields)
+                contents = _named(contents, from_above="outline" in description)
+                contents["capture.yaml"] = yaml.safe_dump(description).encode()
+            for file, data in contents.items():
+                _require_pixels(file, data, settings)
     except InputError as error:
         raise RequestError(422, str(error)) from None
+    title = Path(files[0][0].replace("\\", "/")).stem if len(files) == 1 else "capture"
+    return Upload(contents, "".join(scans), about.name or plain_name(title)[:40], about,
+                  refine == "yes", specimen, fabric)
+
+
+def decoded(name: str) -> str:
+    """A file's name, which some clients encode as in mail (RFC 2047)."""
+    with suppress(ValueError, LookupError, email.errors.MessageError):
+        return str(email.header.make_header(email.header.decode_header(name)))
+    return name
 
 
 def _plain(text: str | None) -> Any:

@@ -7,7 +7,6 @@ Checked are results, response times, files outside the folder and tracebacks in 
 """
 
 import io
-import json
 import random
 import re
 import signal
@@ -26,6 +25,7 @@ from pathlib import Path
 import httpx
 
 from common.errors import InputError
+from drapenet.service.database import Database
 from experiments.result import ROOT, Config, Result
 
 UPLOADS_BEFORE_KILL = 8  # uploads before the kill
@@ -142,20 +142,18 @@ def many_at_once(service: Service, uploads: int) -> dict:
 
 
 def restart_after_kill(service: Service) -> dict:
-    """Kill the service while estimates are in progress, restart it and compare the states."""
+    """Kill the service while estimates are in progress, restart it, wait for the others' end."""
     identities = [post(service, 300.0 + k).json()["id"] for k in range(UPLOADS_BEFORE_KILL)]
     wait_until_ended(service, identities[1])
     before = {one: get_state(service, one)["state"] for one in identities}
     service.stop(signal.SIGKILL)
     seconds = service.start()
-    after = {one: get_state(service, one) for one in identities}
     finished = [one for one in identities if before[one] == "done"]
-    return {"finished_before": len(finished),
-            "finished_after": sum(after[one]["state"] == "done" for one in finished),
-            "others_interrupted_or_finished": sum(
-                after[one]["state"] in ("interrupted", "done")
-                for one in identities if one not in finished),
+    kept = [get_state(service, one)["state"] == "done" for one in finished]
+    return {"finished_before": len(finished), "finished_after": sum(kept),
             "under_way_before": len(identities) - len(finished),
+            "finished_later": sum(wait_until_ended(service, one)["state"] == "done"
+                                  for one in identities if one not in finished),
             "seconds_to_start": round(seconds, 2)}
 
 
@@ -168,7 +166,10 @@ def random_bytes(service: Service, rng: random.Random) -> int:
              b"POST /estimates HTTP/1.1\r\nHost: localhost\r\nContent-Length: -5\r\n\r\n",
              b"GET /" + b"a" * 70000 + b" HTTP/1.1\r\nHost: localhost\r\n\r\n",
              b"POST /estimates HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n"
-             b"Content-Type: multipart/form-data; boundary=x\r\n\r\nzz\r\n"]
+             b"Content-Type: multipart/form-data; boundary=x\r\n\r\nzz\r\n",
+             b"DELETE /estimates/" + b"a" * 22 + b" HTTP/1.1\r\nHost: localhost\r\n\r\n",
+             b"PATCH /fabrics/" + b"a" * 22 + b" HTTP/1.1\r\nHost: localhost\r\n"
+             b"Content-Length: 9\r\nContent-Type: application/json\r\n\r\n{\"name\":"]
     with socket.create_connection(("127.0.0.1", service.port), timeout=TIMEOUT) as connection:
         connection.sendall(rng.choice(words))
         try:
@@ -194,7 +195,8 @@ def stalled(service: Service, rng: random.Random) -> int:
 def invalid_address(service: Service, rng: random.Random) -> int:
     """Request an invalid address with a random method."""
     parts = ["..", "%2e%2e", "etc", "passwd", "estimates", "a" * 22, "\u00fc", "%00", "export",
-             "jfab", "static", "state.json", "a" * 3000, "%5c..%5c", "openapi.json?x=" + "y" * 500]
+             "jfab", "static", "fabrics", "fabrics?search=%25%27", "state.json", "a" * 3000,
+             "%5c..%5c", "openapi.json?x=" + "y" * 500]
     path = "/".join(rng.choices(parts, k=rng.randint(1, 6)))
     method = rng.choice(["GET", "POST", "PUT", "DELETE", "PATCH", "HEAD", "TRACE", "X" * 30])
     return CLIENT.request(method, f"{service.url}/{path}", timeout=TIMEOUT).status_code
@@ -239,7 +241,7 @@ def invalid_files(service: Service, rng: random.Random) -> int:
     fields = {}
     if what >= 3:
         key = rng.choice(["density_g_m2", "tester", "fx", "refine", "name", "warp_direction_deg",
-                          "turns_deg"])
+                          "turns_deg", "fabric", "label", "notes"])
         fields[key] = rng.choice(["nan", "1e999", "-1", "../../etc", "{{7*7}}", "<script>", "yes",
                                   "\0", "9" * 150, "$\\frac{", "="])
     files[name] = bytes(data)
@@ -291,13 +293,11 @@ def malformed(service: Service, count: int, seed: int) -> dict:
 
     with ThreadPoolExecutor(8) as pool:
         list(pool.map(one, range(count)))
-    while any(json.loads(file.read_text())["state"] in ("queued", "running")
-              for file in service.results.glob("*/state.json")):
+    database = Database(service.results)
+    while any(row["state"] in ("queued", "running") for row in database.estimates()):
         time.sleep(0.5)
-    outcomes = Counter(json.loads(file.read_text())["state"]
-                       for file in service.results.glob("*/state.json"))
-    unforeseen = sum("please report" in file.read_text()
-                     for file in service.results.glob("*/state.json"))
+    outcomes = Counter(row["state"] for row in database.estimates())
+    unforeseen = sum("please report" in (row["error"] or "") for row in database.estimates())
     after = {path for path in service.folder.rglob("*") if service.results not in path.parents}
     return {"requests": count, "answers": dict(sorted(statuses.items())),
             "longest_seconds": round(longest, 2), "longer_than_10_s": hung,

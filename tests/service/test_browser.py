@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from drapenet.network.checkpoint import BUNDLED
-from experiments.speed.service import EXAMPLE, Service
+from experiments.speed.service import EXAMPLE, Service, post, wait_until_ended
 
 pytestmark = [pytest.mark.browser,
               pytest.mark.skipif(not BUNDLED.exists(), reason="no network is bundled")]
@@ -59,13 +59,23 @@ def keep(page, name: str, *, whole: bool = True) -> None:
     page.screenshot(path=str(folder / name), full_page=whole)
 
 
+def fits(page) -> bool:
+    """Whether nothing is wider than a phone."""
+    page.set_viewport_size({"width": 390, "height": 844})
+    page.wait_for_timeout(300)
+    widths = page.evaluate("[document.documentElement, ...document.querySelectorAll('main section "
+                           "*')].map((part) => part.scrollWidth > 390 ? part.outerHTML : '')")
+    return not any(widths)
+
+
 def test_upload_gives_numbers_in_seconds_then_files_and_a_drape_that_turns(page):
     loaded = page.evaluate("performance.getEntriesByType('navigation')[0].duration")
-    page.set_input_files("#files", FILES)
     page.fill("#density", "210")
     page.click("[data-example=twill]")  # a first estimate waits until the worker is ready
     page.wait_for_selector("#downloads:not([hidden])")
     page.set_input_files("#files", FILES)
+    page.fill("#form [name=name]", "navy twill")
+    page.fill("#form [name=notes]", "roll 12")
     began = time.monotonic()
     page.press("#density", "Enter")  # no mouse is needed
     page.wait_for_selector("#downloads[hidden]", state="attached")
@@ -76,6 +86,11 @@ def test_upload_gives_numbers_in_seconds_then_files_and_a_drape_that_turns(page)
     assert cells.count() == 3
     assert 40 < float(page.locator("#rows tr:first-child td b").first.inner_text()) < 70
     page.wait_for_selector("#downloads:not([hidden])")
+    assert (page.inner_text("#title"), page.inner_text("#notes")) == ("navy twill", "roll 12")
+    facts = page.inner_text("#facts")
+    for fact in ("square of 300 mm on 100 mm", "210 g/m²", "% simulated", "Nodes"):
+        assert fact in facts
+    assert "KES B" in page.inner_text("#heads") and "gf·cm²/cm" in page.inner_text("#heads")
     page.wait_for_timeout(1500)
     page.set_viewport_size({"width": 1280, "height": 1270})
     page.wait_for_timeout(500)
@@ -89,22 +104,103 @@ def test_upload_gives_numbers_in_seconds_then_files_and_a_drape_that_turns(page)
     assert before != after
     page.check("#overlay")
     assert canvas.screenshot() != after
+    page.click("#cards summary:has-text('Blender')")
+    assert "Bending\tnot known" in page.inner_text("#cards details[open]")
     with page.expect_download() as download:
         page.click("[data-export=jfab]")
-    assert download.value.suggested_filename == "capture-fabric.jfab"
+    assert download.value.suggested_filename == "navy_twill-fabric.jfab"
     page.reload()  # the address alone brings the result back
     page.wait_for_selector("#downloads:not([hidden])")
-    page.set_viewport_size({"width": 390, "height": 844})
-    page.wait_for_timeout(500)
-    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    assert fits(page)
     keep(page, "page_phone.png")
+
+
+def test_captures_join_and_fabrics_are_searched_and_compared(page, service):
+    others = [post(service, density).json()["id"] for density in (120.0, 180.0, 260.0)]
+    page.set_input_files("#files", FILES)
+    page.fill("#form [name=name]", "grey serge")
+    page.fill("#form [name=label]", "face up")
+    page.click("#submit")
+    page.wait_for_selector("#downloads:not([hidden])")
+    page.click("#more")
+    assert "grey serge" in page.inner_text("#into")
+    page.set_input_files("#files", [*FILES[:2], FILES[-1]])
+    page.evaluate("document.getElementById('camera').open = true")
+    page.check("#override input")
+    page.fill("[name=turns_deg]", "0, 90")
+    page.fill("#form [name=label]", "face up")
+    page.click("#submit")  # the label is taken
+    page.locator("#error-label", has_text="another capture").wait_for()
+    page.fill("#form [name=label]", "two views")
+    page.click("#submit")
+    page.click("#captures a:has-text('all captures')")
+    page.wait_for_selector("#downloads:not([hidden])")
+    assert "2 captures" in page.inner_text("#facts")
+    keep(page, "page_fabric.png")
+    for identity in others:
+        wait_until_ended(service, identity)
+    page.click("header a:has-text('Fabrics')")
+    page.fill("#search", "SERGE two")
+    page.wait_for_function("document.querySelectorAll('#fabrics tr').length === 1")
+    page.fill("#search", "")
+    page.wait_for_function("document.querySelectorAll('#fabrics tr').length >= 4")
+    boxes = page.locator("#fabrics [type=checkbox]")
+    for k in range(4):
+        boxes.nth(k).check()
+    assert boxes.count() == 4 or boxes.nth(4).is_disabled()
+    keep(page, "page_fabrics.png")
+    page.focus("#compare")
+    began = time.monotonic()
+    page.keyboard.press("Enter")
+    page.wait_for_selector("#comparison[data-shown]")
+    print(f"four fabrics compared in {time.monotonic() - began:.2f} s")
+    assert page.locator("#compared th").count() == 4
+    assert page.locator("#curves polyline").count() == 12
+    page.wait_for_timeout(500)
+    keep(page, "page_comparison.png")
+    before = page.locator("#drapes").screenshot()
+    page.focus("#drapes")
+    page.keyboard.press("ArrowLeft")
+    assert page.locator("#drapes").screenshot() != before
+    assert fits(page)
+    keep(page, "page_comparison_phone.png")
+    page.goto(service.url + "/#fabrics")
+    page.wait_for_selector("#fabrics tr")
+    assert fits(page)
+    keep(page, "page_fabrics_phone.png")
+
+
+def test_presets_stay_and_names_change(page, service):
+    page.evaluate("document.getElementById('camera').open = true")
+    page.select_option("#tester", "disc300_support180")
+    page.check("[name=kind][value=above]")
+    page.fill("[name=camera_height_mm]", "1250")
+    page.fill("#preset-name", "our Cusick")
+    page.click("#preset-save")
+    page.reload()
+    page.evaluate("document.getElementById('camera').open = true")
+    assert page.input_value("[name=camera_height_mm]") == "1250"
+    assert page.input_value("#tester") == "disc300_support180"
+    page.select_option("#preset", "")
+    assert page.input_value("[name=camera_height_mm]") == ""
+    identity = post(service, 210.0).json()["id"]
+    wait_until_ended(service, identity)
+    page.goto(f"{service.url}/#{identity}")
+    page.click("#edit")
+    page.fill("#editor [name=name]", "a <b>new</b> name")
+    page.keyboard.press("Enter")
+    page.locator("#title", has_text="a <b>new</b> name").wait_for()
+    page.on("dialog", lambda dialog: dialog.accept())
+    page.click("#remove-fabric")
+    page.wait_for_selector("#library:not([hidden])")
+    assert "new</b>" not in page.inner_text("#library")
 
 
 def test_a_photograph_has_no_captured_surface(page):
     page.click("[data-example=twill_photograph]")
     page.wait_for_selector("#downloads:not([hidden])")
     page.wait_for_selector("#overlay", state="hidden")
-    assert "simulated with the estimate" in page.inner_text("#coefficient")
+    assert "outline from above" in page.inner_text("#facts")
     assert page.evaluate("document.querySelector('#preview img').naturalWidth") > 500
     keep(page, "page_photograph.png")
 
@@ -115,7 +211,7 @@ def test_errors_stand_where_they_arise(page):
     page.set_input_files("#files", FILES[:-1])  # without a description
     assert page.evaluate("document.getElementById('camera').open")
     page.click("#submit")
-    assert "Weigh the specimen" in page.inner_text("#error-density")
+    assert "Weigh the specimen" in page.inner_text("#error-density_g_m2")
     assert page.get_attribute("#density", "aria-invalid") == "true"
     page.fill("#density", "210")
     page.click("#submit")
@@ -131,7 +227,13 @@ def test_errors_stand_where_they_arise(page):
     page.click("#submit")
     page.wait_for_selector("#failure:not(:empty)")
     assert "depth_unit_m" in page.inner_text("#failure")
+    assert "depth" in page.inner_text("#error-depth_unit_m")
+    assert "error-depth_unit_m" in page.get_attribute("[name=depth_unit_m]", "aria-describedby")
     keep(page, "page_error.png")
+    page.fill("#density", "2")
+    page.click("#submit")
+    page.locator("#error-density_g_m2", has_text="check the unit").wait_for()
+    page.fill("#density", "210")
     page.goto(page.url.partition("#")[0] + "#" + "x" * 22)
     page.locator("#failure", has_text="no such estimate").wait_for()
 
@@ -149,7 +251,7 @@ def test_lost_connection_goes_on(page, service):
     assert page.is_hidden("#lost")
 
 
-def test_service_that_was_killed_says_what_it_lost_and_keeps_the_rest(page, service):
+def test_service_that_was_killed_goes_on_with_its_estimates(page, service):
     page.click("[data-example=twill]")
     page.wait_for_selector("#downloads:not([hidden])")
     kept = page.url
@@ -159,8 +261,8 @@ def test_service_that_was_killed_says_what_it_lost_and_keeps_the_rest(page, serv
     service.stop(signal.SIGKILL)
     page.wait_for_selector("#lost:not([hidden])")
     service.start()
-    page.wait_for_selector("#failure:not(:empty)")
-    assert "upload the capture again" in page.inner_text("#failure")
+    page.wait_for_selector("#downloads:not([hidden])")
+    assert page.inner_text("#failure") == ""
     page.goto(kept)
     page.reload()
     page.wait_for_selector("#numbers:not([hidden])")

@@ -10,24 +10,28 @@ import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import trimesh
 from fastapi.testclient import TestClient
 from pebble import ProcessFuture
+from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
 from common.command import compose_config
 from data.captures.capture import read_capture
 from data.captures.preview import outline_picture
 from drapenet.config import ServeConfig
 from drapenet.export.formats import TARGETS
-from drapenet.inference import network_estimate
+from drapenet.inference import joint_estimate, network_estimate
 from drapenet.network.checkpoint import read_header
+from drapenet.result.files import read_document, read_observation
 from drapenet.service.app import create_app
+from drapenet.service.database import database_in
 from drapenet.service.jobs import Jobs
-from drapenet.service.uploads import RequestError, Upload
-from drapenet.service.work import change_state
+from drapenet.service.limits import Places, RequestError
+from drapenet.service.uploads import About, Upload
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "captures" / "twill"
 PHOTOGRAPH = EXAMPLE.parent / "twill_photograph"
@@ -63,7 +67,8 @@ def ended(client: TestClient, identity: str) -> dict:
 
 @pytest.fixture(scope="module")
 def finished(client) -> dict:
-    begun = post(client, [*PICTURES, EXAMPLE / "capture.yaml"], name="Twill <b> 7")
+    begun = post(client, [*PICTURES, EXAMPLE / "capture.yaml"], name="Twill <b> 7",
+                 notes="navy, roll 12\nÖko")
     assert begun.status_code == 202
     return ended(client, begun.json()["id"])
 
@@ -100,8 +105,7 @@ def test_files_are_whole_and_say_nothing_of_the_server(client, finished):
     scene = trimesh.load(io.BytesIO(client.get(f"/estimates/{finished['id']}/drape.glb").content),
                          file_type="glb")
     assert set(scene.geometry) == {"captured", "simulated", "support"}
-    folder, _ = client.app.state.jobs.state(finished["id"])
-    assert not (folder / "uploaded").exists()
+    assert not (client.app.state.jobs.settings.folder / finished["id"] / "uploaded").exists()
 
 
 def test_a_photograph_is_shown_with_its_outline_and_has_a_report(client, photographed):
@@ -158,15 +162,13 @@ def test_unknown_addresses_are_404_and_unfinished_files_409(client, finished):
         answer = client.get(address)
         assert answer.status_code == 404, address
         assert "Traceback" not in answer.text
-    jobs = client.app.state.jobs
-    folder = jobs.settings.folder / ("b" * 22)
-    change_state(folder, state="queued", id="b" * 22, name="x")
-    try:
-        assert client.get(f"/estimates/{'b' * 22}/report.png").status_code == 409
-        assert client.get(f"/estimates/{'b' * 22}/export/json").status_code == 409
-    finally:
-        (folder / "state.json").unlink()
-        folder.rmdir()
+    database = client.app.state.jobs.database
+    database.add_estimate("b" * 22, "c" * 22, "x", about=("waiting", ""))
+    assert client.get(f"/estimates/{'b' * 22}/report.png").status_code == 409
+    assert client.get(f"/estimates/{'b' * 22}/export/json").status_code == 409
+    assert client.delete(f"/fabrics/{'c' * 22}").status_code == 409
+    database.remove("fabric", "c" * 22)
+    assert client.get(f"/estimates/{'b' * 22}").status_code == 404
 
 
 def test_refusals_are_sentences(client):
@@ -184,15 +186,42 @@ def test_refusals_are_sentences(client):
                                              ("name", (None, "two"))])
     assert twice.status_code == 422 and "'name' is given twice" in twice.json()["error"]
     assert client.get("/", headers={"host": "elsewhere.example"}).status_code == 400
-    for _ in range(jobs.settings.queue):  # all are free: no refusal keeps a place
-        jobs.reserve()
+    for k in range(jobs.settings.queue):  # all are free: no refusal keeps a place
+        jobs.places.take(f"client {k}")
     try:
         full = post(client, PICTURES)
         assert full.status_code == 429 and "try again" in full.json()["error"]
         assert full.headers["retry-after"]
     finally:
-        for _ in range(jobs.settings.queue):
-            jobs.release()
+        for k in range(jobs.settings.queue):
+            jobs.places.give(f"client {k}")
+
+
+def test_a_client_has_some_of_the_places():
+    places = Places("estimates", total=3, each=2)
+    places.take("a")
+    places.take("a")
+    with pytest.raises(RequestError, match="2 estimates of your address"):
+        places.take("a")
+    places.take("b")
+    with pytest.raises(RequestError, match="3 estimates are waiting"):
+        places.take("c")
+    places.give("a")
+    places.take("a")
+
+
+def test_a_trusted_proxy_states_the_client(tmp_path, monkeypatch):
+    seen = []
+    monkeypatch.setattr(Places, "take", lambda self, client: seen.append(client))
+    monkeypatch.setattr(Places, "give", lambda self, client: None)
+    for proxies, client in (("10.0.0.1", "192.0.2.7"), ("", "10.0.0.1")):
+        settings = replace(settings_for(tmp_path), proxies=proxies)
+        app = create_app(settings)
+        app.state.jobs = SimpleNamespace(places=Places("", total=1, each=1), settings=settings)
+        wrapped = ProxyHeadersMiddleware(app, trusted_hosts=settings.proxies) if proxies else app
+        asked = TestClient(wrapped, base_url="http://localhost", client=("10.0.0.1", 5))
+        asked.post("/estimates", headers={"x-forwarded-for": "192.0.2.7"}, content=b"")
+        assert seen[-1] == client
 
 
 def test_page_and_interface_ask_no_other_host(client):
@@ -210,28 +239,41 @@ def test_page_and_interface_ask_no_other_host(client):
     assert sizes < 2_000_000
 
 
-def test_a_restart_keeps_results_and_says_what_it_lost(tmp_path):
-    settings = replace(settings_for(tmp_path), keep=2, keep_hours=100 / 3600)
-    kept, lost, torn, old = (tmp_path / (letter * 22) for letter in "klto")
-    change_state(kept, id=kept.name, name="k", state="done", ended=time.time())
-    change_state(lost, id=lost.name, name="l", state="running", stage="refining", ended=None)
-    (lost / "uploaded").mkdir()
-    (torn / "uploaded").mkdir(parents=True)
-    change_state(old, id=old.name, name="o", state="done", ended=time.time() - 200)
+def test_a_restart_goes_on_with_what_was_under_way(tmp_path, monkeypatch):
+    monkeypatch.setattr("drapenet.service.jobs.ProcessPool", BreakablePool)
+    settings = settings_for(tmp_path)
+    database = database_in(tmp_path)
+    kept, waiting, lost, joint = (letter * 22 for letter in "kwlj")
+    for identity, values in ((kept, {"state": "done", "ended": time.time()}),
+                             (waiting, {"state": "running", "tries": 1}),
+                             (lost, {"state": "running", "tries": 3})):
+        (tmp_path / identity / "uploaded").mkdir(parents=True)
+        database.add_estimate(identity, identity, "a", about=(identity, ""), task={}, **values)
+    database.add_estimate(joint, kept, "b", state="done")  # two captures, not yet joined
+    torn = tmp_path / ("t" * 22) / "uploaded"
+    torn.mkdir(parents=True)
+    (tmp_path / "photographs").mkdir()  # not of the service
     jobs = Jobs(settings)
-    try:
-        assert jobs.state(kept.name)[1]["state"] == "done"
-        assert jobs.state(lost.name)[1]["state"] == "interrupted"
-        assert "upload the capture again" in jobs.state(lost.name)[1]["error"]
-        assert not (lost / "uploaded").exists() and not torn.exists()
-        jobs.tidy()
-        with pytest.raises(RequestError):
-            jobs.state(old.name)
-        change_state(tmp_path / ("m" * 22), state="failed", ended=time.time() - 50)
-        jobs.tidy()  # the oldest of three goes
-        assert {one.name for one in tmp_path.iterdir()} == {kept.name, lost.name}
-    finally:
-        jobs.close()
+    assert {key: jobs.row("estimate", key)["state"] for key in (kept, waiting, lost)} == {
+        kept: "done", waiting: "queued", lost: "interrupted"}
+    assert not torn.exists() and (tmp_path / "photographs").exists()
+    assert (tmp_path / waiting / "uploaded").exists()
+    assert not (tmp_path / lost / "uploaded").exists()
+    assert jobs.row("fabric", kept)["estimates"][-1]["members"] == [kept, joint]
+
+
+def test_the_oldest_fabrics_go(tmp_path, monkeypatch):
+    monkeypatch.setattr("drapenet.service.jobs.ProcessPool", BreakablePool)
+    jobs = Jobs(replace(settings_for(tmp_path), keep=2, keep_hours=100 / 3600))
+    for letter, age in (("a", 200), ("b", 50), ("c", 20), ("d", 10)):
+        identity = letter * 22
+        (tmp_path / identity).mkdir()
+        jobs.database.add_estimate(identity, identity, "x", about=(letter, ""), state="done",
+                                   created=time.time() - 1000, ended=time.time() - age)
+    jobs.database.add_estimate("e" * 22, "f" * 22, "x", about=("under way", ""), created=0.0)
+    jobs.tidy()  # "a" is too old, "b" the oldest of three
+    assert {one.name[0] for one in tmp_path.iterdir() if one.is_dir()} == {"c", "d"}
+    assert {row["name"] for row in jobs.database.fabrics([], 0, 9)} == {"c", "d", "under way"}
 
 
 class BreakablePool:
@@ -255,30 +297,30 @@ def test_a_broken_pool_is_replaced_and_its_places_come_back(tmp_path, monkeypatc
     jobs = Jobs(settings_for(tmp_path))
 
     def submitted() -> str:
-        jobs.reserve()
-        return jobs.submit(Upload({"scan.obj": b"v 0 0 0"}, "scan.obj", "a"))
+        jobs.places.take("x")
+        return jobs.submit(Upload({"scan.obj": b"v 0 0 0"}, "scan.obj", "a", About()), "x")["id"]
 
-    first, second, broken = submitted(), submitted(), jobs._pool
+    first, second, broken = submitted(), submitted(), jobs._workers
     broken.active = False
     third = submitted()
-    assert broken.joined and jobs._pool is not broken
-    assert [jobs.state(one)[1]["state"] for one in (first, second, third)] == [
+    assert broken.joined and jobs._workers is not broken
+    assert [jobs.row("estimate", one)["state"] for one in (first, second, third)] == [
         "failed", "failed", "queued"]
-    assert "report this capture" in jobs.state(first)[1]["error"]
+    assert "report this capture" in jobs.row("estimate", first)["error"]
     for _ in range(jobs.settings.queue - 1):
-        jobs.reserve()
+        jobs.places.take("y")
     with pytest.raises(RequestError):
-        jobs.reserve()
+        jobs.places.take("y")
 
 
 def test_the_text_of_an_exception_is_for_the_log(tmp_path, monkeypatch, caplog):
     monkeypatch.setattr("drapenet.service.jobs.ProcessPool", BreakablePool)
     jobs = Jobs(settings_for(tmp_path))
-    jobs.reserve()
-    identity = jobs.submit(Upload({"scan.obj": b"v 0 0 0"}, "scan.obj", "a"))
+    jobs.places.take("x")
+    identity = jobs.submit(Upload({"scan.obj": b"v 0 0 0"}, "scan.obj", "a", About()), "x")["id"]
     future, = jobs._unfinished
     future.set_exception(OSError(f"cannot open {tmp_path}/secret"))
-    state = jobs.state(identity)[1]
+    state = jobs.row("estimate", identity)
     assert state["state"] == "failed" and "secret" not in state["error"]
     assert "secret" in caplog.text and identity in caplog.text
 
@@ -298,10 +340,108 @@ def test_worker_that_dies_is_a_failure_of_its_estimate_alone(client):
     assert ended(client, again["id"])["state"] == "done"
 
 
-def test_an_unreadable_state_is_404(client):
-    folder = client.app.state.jobs.settings.folder / ("z" * 22)
-    folder.mkdir()
-    (folder / "state.json").write_text(json.dumps([1]))
-    assert client.get(f"/estimates/{folder.name}").status_code == 404
-    (folder / "state.json").unlink()
-    folder.rmdir()
+@pytest.fixture(scope="module")
+def joined(client, finished) -> dict:
+    """The joint estimate of the finished capture and of another."""
+    identity = finished["fabric"]
+    more = post(client, [*PICTURES[:2], EXAMPLE / "capture.yaml"], fabric=identity,
+                label="two views", turns_deg="0, 90")
+    assert more.json()["fabric"] == identity, more.text
+    assert ended(client, more.json()["id"])["state"] == "done"
+    for _ in range(600):
+        rows = client.get(f"/fabrics/{identity}").json()["estimates"]
+        if rows[-1]["members"]:
+            return ended(client, rows[-1]["id"])
+        time.sleep(0.1)
+    raise AssertionError(rows)
+
+
+def test_captures_of_a_fabric_have_one_joint_estimate(client, finished, joined):
+    assert joined["state"] == "done", joined["error"]
+    document = joined["estimate"]
+    assert joined["members"] == [part["id"] for part in client.get(
+        f"/fabrics/{finished['fabric']}").json()["estimates"][:2]]
+    assert document["capture"]["sources"] == ["Twill_b_7/capture_1", "Twill_b_7/two_views"]
+    folder = client.app.state.jobs.settings.folder
+    expected, _ = joint_estimate(
+        [read_observation(folder / member) for member in joined["members"]],
+        [read_document(folder / member / "estimate.json") for member in joined["members"]],
+        read_header(client.app.state.jobs.settings.checkpoint))
+    assert document["moduli"]["warp"]["alpha_uN_m"]["median"] == pytest.approx(
+        np.median(expected.moduli()[0][:, 0]) * 1e6)
+    assert len(joined["curves"]["warp"]["median"]) == len(joined["curves"]["curvature_1_m"])
+    assert client.get(f"/estimates/{joined['id']}/export/jfab").status_code == 200
+
+
+def test_the_same_views_are_not_joined_and_can_be_removed(client, finished, joined):
+    taken = post(client, [*PICTURES, EXAMPLE / "capture.yaml"], fabric=finished["fabric"],
+                 label="two views")
+    assert taken.status_code == 422 and taken.json()["error"].startswith("label=two views")
+    again = post(client, [*PICTURES, EXAMPLE / "capture.yaml"], fabric=finished["fabric"]).json()
+    ended(client, again["id"])
+    for _ in range(600):
+        if client.get(f"/estimates/{joined['id']}").json()["state"] == "failed":
+            break
+        time.sleep(0.1)
+    found = client.get(f"/estimates/{joined['id']}").json()
+    assert "have the same views" in found["error"] and "/root" not in found["error"]
+    assert client.delete(f"/estimates/{again['id']}").status_code == 204
+    assert ended(client, joined["id"])["state"] == "done"
+    assert client.get(f"/estimates/{again['id']}").status_code == 404
+
+
+def test_fabrics_are_named_noted_searched_and_removed(client, finished):
+    identity = finished["fabric"]
+    found = client.get("/fabrics", params={"search": "öko TWILL square300"}).json()["fabrics"]
+    assert [row["id"] for row in found] == [identity]
+    assert found[0]["estimate"]["capture"]["density_g_m2"] == 210
+    assert client.get("/fabrics", params={"search": "twill jersey"}).json()["fabrics"] == []
+    assert client.get("/fabrics", params={"search": "100%"}).json()["fabrics"] == []
+    address = f"/fabrics/{identity}"
+    changed = client.patch(address, json={"notes": "roll 13; DROP TABLE fabric"}).json()
+    assert changed["name"] == "Twill <b> 7" and changed["notes"].startswith("roll 13")
+    for body, status in (({"name": "x" * 81}, 422), ({"name": "a\nb"}, 422), ({"id": "x"}, 422),
+                         ([], 422), ({"notes": "x" * 70_000}, 413), ({"notes": "\ud800"}, 422)):
+        answer = client.patch(address, content=json.dumps(body),
+                              headers={"content-type": "application/json"})
+        assert answer.status_code == status, body
+        assert answer.json()["error"]
+    assert client.patch(f"/fabrics/{'q' * 22}", json={}).status_code == 404
+    assert client.get("/fabrics?count=0").status_code == 422
+    short = post(client, [PICTURES[0]], density_g_m2="200", name="short", fx="305", fy="305",
+                 cx="119.5", cy="89.5", depth_unit_m="1", tester="square300_cylinder100").json()
+    ended(client, short["id"])
+    assert client.delete(f"/fabrics/{short['fabric']}").status_code == 204
+    assert client.get(short["url"]).status_code == 404
+    assert not (client.app.state.jobs.settings.folder / short["id"]).exists()
+
+
+def test_the_zip_of_all_fabrics_is_a_folder_of_results(client, finished, tmp_path, monkeypatch):
+    answer = client.get("/fabrics.zip")
+    assert answer.status_code == 200 and not list(
+        client.app.state.jobs.settings.folder.glob("*.zip"))
+    with zipfile.ZipFile(io.BytesIO(answer.content)) as packed:
+        packed.extractall(tmp_path)
+        table = packed.read("fabrics.csv").decode().splitlines()
+    assert table[0].startswith("fabric,capture,folder,density_g_m2,")
+    assert any(line.startswith(f"Twill <b> 7,capture 1,{finished['id']},210,") for line in table)
+    monkeypatch.setattr("drapenet.service.jobs.ProcessPool", BreakablePool)
+    content = Jobs(settings_for(tmp_path)).row("estimate", finished["id"])
+    assert content["estimate"] == finished["estimate"]
+    assert (tmp_path / finished["id"] / "drape.glb").exists()
+
+
+def test_the_web_process_exports_nothing(client, finished, monkeypatch):
+    def refuse(*arguments: object) -> None:
+        raise AssertionError("computed in the web process")
+
+    monkeypatch.setattr("drapenet.export.material.read_material", refuse)
+    assert client.get(f"/estimates/{finished['id']}/export/arcsim").status_code == 200
+
+
+def test_the_manual_is_a_page(client):
+    page = client.get("/manual/service.md")
+    assert page.status_code == 200 and "<table>" in page.text and 'id="for-programs"' in page.text
+    assert client.get("/manual/images/page.png").status_code == 200
+    for name in ("nothing.md", "..%2fREADME.md", "../serve.py", "%2e%2e/serve.py"):
+        assert client.get(f"/manual/{name}").status_code == 404, name

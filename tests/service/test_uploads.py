@@ -1,5 +1,6 @@
 """Uploads: what is taken, what is refused and with which sentence."""
 
+import base64
 import io
 import struct
 import zipfile
@@ -14,7 +15,8 @@ from PIL import Image
 from common.command import compose_config
 from data.captures.capture import Capture, read_capture
 from drapenet.config import ServeConfig
-from drapenet.service.uploads import RequestError, Upload, checked_upload
+from drapenet.service.limits import RequestError
+from drapenet.service.uploads import Upload, checked_upload
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "captures" / "twill"
 PHOTOGRAPH = EXAMPLE.parent / "twill_photograph"
@@ -160,6 +162,15 @@ def test_photographs_may_have_more_pixels_than_views(settings):
     assert "outline.png" in upload.files
 
 
+def test_a_name_as_in_mail_is_that_of_its_file(settings):
+    name = "=?UTF-8?B?" + base64.b64encode("dräp/view_0.png".encode()).decode() + "?="
+    upload = checked_upload([(name, VIEWS[0][1]), YAML], {}, settings)
+    assert "view_0.png" in upload.files
+    for broken in ("=?x?q?a?=", "=?utf-8?b?a?="):
+        with pytest.raises(RequestError, match="files of this kind"):
+            checked_upload([(broken, b"")], {}, settings)
+
+
 def test_names_are_never_paths(settings):
     names = ["../../../etc/view_0.png", "/root/view_1.png", "..\\..\\view_2.png", "a/b/view_3.png"]
     files = [(name, data) for name, (_, data) in zip(names, VIEWS, strict=True)]
@@ -200,7 +211,8 @@ REFUSED = {
     "half a camera": (VIEWS, {"density_g_m2": "90", "fx": "300"}, 422, "fy is missing"),
     "no tester": (VIEWS, CAMERA, 422, "tester is missing; give tester: square300_cylinder100, "),
     "unknown field": (VIEWS, {"__class__": "1"}, 422, "unknown key"),
-    "long field": (VIEWS, {"name": "x" * 1000}, 422, "200"),
+    "long name": (VIEWS, {"name": "x" * 81}, 422, "80"),
+    "long notes": (VIEWS, {"notes": "x" * 2001}, 422, "2000"),
     "refine": (VIEWS, {"refine": "perhaps"}, 422, "refine='perhaps'"),
     "YAML tag": ([*VIEWS, ("capture.yaml", b"!!python/object/apply:os.system [id]")], {}, 422,
                  "not valid YAML"),

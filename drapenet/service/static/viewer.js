@@ -1,5 +1,5 @@
-// The captured surface, if depth was captured, and the simulated drape side by side, seen by one
-// camera, so that they turn together.
+// Drapes beside each other, seen by one camera, so that they turn together. Of one file, these are
+// the captured surface, if depth was captured, and the simulated drape; of several, one of each.
 
 import {
   Box3, Color, DirectionalLight, GLTFLoader, HemisphereLight, OrbitControls, PerspectiveCamera, Scene,
@@ -7,27 +7,35 @@ import {
 } from './three.js';
 
 const BACKGROUND = new Color(0xffffff);
+const FIELD = 32; // degrees, of the smaller side of a tile
 const STEP = Math.PI / 24; // rad, a press of an arrow key
 const NEARER = 0.9; // a press of +
 const HIGHEST = 0.05; // rad from the axis
-let ended = () => {}; // removes what an earlier drape has left
+const ended = new WeakMap(); // of a canvas: removes what an earlier view of it has left
 
-export async function view(address, canvas, overlay) {
-  ended();
+// Whether a captured surface is shown. `overlay`, if any, is the box that shows all in one place.
+export async function view(addresses, canvas, overlay = null, columns = 2) {
+  ended.get(canvas)?.();
+  const loaded = await Promise.all(addresses.map((address) => new GLTFLoader().loadAsync(address)));
   const renderer = new WebGLRenderer({ canvas, antialias: true });
   renderer.setScissorTest(true);
-  const { scene: found } = await new GLTFLoader().loadAsync(address);
-  const parts = Object.fromEntries(['captured', 'simulated', 'support'].map((name) => [name, found.getObjectByName(name)]));
-  const camera = new PerspectiveCamera(32, 1, 0.05, 5);
+  const camera = new PerspectiveCamera(FIELD, 1, 0.05, 5);
   const scene = new Scene();
   scene.background = BACKGROUND;
-  scene.add(found, camera, new HemisphereLight(0xffffff, 0x8a8a8a, 1.6));
+  scene.add(camera, new HemisphereLight(0xffffff, 0x8a8a8a, 1.6));
   const lamp = new DirectionalLight(0xffffff, 1.8);
   lamp.position.set(-0.5, 0.8, 0.6);
   camera.add(lamp);
 
-  const shown = ['captured', 'simulated'].filter((name) => parts[name]);
-  const box = new Box3().setFromObject(parts[shown[0]] ?? found);
+  const parts = [];
+  const tiles = loaded.flatMap(({ scene: found }) => {
+    const [captured, simulated, support] = ['captured', 'simulated', 'support'].map((name) => found.getObjectByName(name));
+    const drapes = [captured, simulated].filter(Boolean);
+    parts.push(...drapes, support);
+    scene.add(found);
+    return (loaded.length > 1 ? [simulated ?? captured] : drapes).map((drape) => [drape, support]);
+  });
+  const box = new Box3().setFromObject(tiles[0]?.[0] ?? scene);
   const controls = new OrbitControls(camera, canvas);
   box.getCenter(controls.target);
   camera.position.set(0, 0.27, 0.58).add(controls.target); // as the rig's camera stands
@@ -45,14 +53,17 @@ export async function view(address, canvas, overlay) {
       renderer.setPixelRatio(ratio);
       renderer.setSize(width, height, false);
     }
-    const views = overlay.checked || shown.length < 2 ? [shown] : shown.map((name) => [name]);
-    views.forEach((names, k) => {
-      const [left, share] = [(width * k) / views.length, width / views.length];
-      renderer.setViewport(left, 0, share, height);
-      renderer.setScissor(left, 0, share, height);
-      camera.aspect = share / height;
+    const views = overlay?.checked ? [tiles.flat()] : tiles;
+    const across = Math.min(columns, views.length);
+    const [share, part] = [width / across, height / Math.ceil(views.length / across)];
+    views.forEach((visible, k) => {
+      const [left, below] = [share * (k % across), height - part * (1 + Math.floor(k / across))];
+      renderer.setViewport(left, below, share, part);
+      renderer.setScissor(left, below, share, part);
+      camera.aspect = share / part;
+      camera.fov = camera.aspect < 1 ? FIELD / camera.aspect : FIELD; // a narrow tile shows the whole drape
       camera.updateProjectionMatrix();
-      for (const name of shown) parts[name].visible = names.includes(name);
+      for (const one of parts) one.visible = visible.includes(one);
       renderer.render(scene, camera);
     });
   };
@@ -77,15 +88,15 @@ export async function view(address, canvas, overlay) {
   const sizes = new ResizeObserver(draw);
   sizes.observe(canvas);
   controls.addEventListener('change', draw);
-  overlay.addEventListener('change', draw);
+  overlay?.addEventListener('change', draw);
   canvas.addEventListener('keydown', press);
-  ended = () => {
+  ended.set(canvas, () => {
     sizes.disconnect();
     controls.dispose();
-    overlay.removeEventListener('change', draw);
+    overlay?.removeEventListener('change', draw);
     canvas.removeEventListener('keydown', press);
     renderer.dispose();
-  };
+  });
   draw();
-  return shown.includes('captured');
+  return loaded.length === 1 && tiles.length > 1;
 }

@@ -1,0 +1,79 @@
+// What the parts of the page share. What comes from the service is put into the page as text only.
+
+export const at = (id) => document.getElementById(id);
+
+export function element(kind, text = '', name = '') {
+  const made = document.createElement(kind);
+  made.textContent = text;
+  if (name) made.className = name;
+  return made;
+}
+
+export function link(address, text) {
+  const made = element('a', text);
+  made.href = address;
+  return made;
+}
+
+// Content of an answer in JSON; an Error with the service's sentence and status if it refuses.
+export async function ask(address, options = {}) {
+  let answer;
+  try {
+    answer = await fetch(address, options);
+  } catch {
+    throw Object.assign(new Error('The service cannot be reached; try again.'), { lost: true });
+  }
+  if (answer.status === 204) return null;
+  const content = await answer.json().catch(() => ({}));
+  if (!answer.ok) {
+    throw Object.assign(new Error(content.error ?? `The service answers ${answer.status}.`), { status: answer.status });
+  }
+  return content;
+}
+
+// As many digits as the interval's width deserves.
+function places([low, high]) {
+  const half = (high - low) / 2;
+  return half > 0 ? Math.min(Math.max(1 - Math.floor(Math.log10(half)), 0), 6) : 0;
+}
+
+// Median and intervals of a quantity as texts.
+export function texts(value) {
+  const digits = places(value.interval_68);
+  const range = (interval) => interval.map((end) => end.toFixed(digits)).join(' to ');
+  return { median: value.median.toFixed(digits), near: range(value.interval_68), wide: range(value.interval_90) };
+}
+
+// Tables of an estimate: part of the document, quantity, name, unit.
+export const QUANTITIES = [
+  ['moduli', 'alpha_uN_m', 'α', 'µN·m'],
+  ['moduli', 'beta_nN_m2', 'β', 'nN·m²'],
+  ['laboratory', 'bending_length_mm', 'bending length', 'mm'],
+  ['laboratory', 'flexural_rigidity_uN_m', 'rigidity G', 'µN·m'],
+  ['laboratory', 'kes_b_gf_cm2_per_cm', 'KES B', 'gf·cm²/cm'],
+  ['laboratory', 'kes_2hb_gf_cm_per_cm', 'KES 2HB', 'gf·cm/cm'],
+];
+
+export const percent = (value) => (value == null ? '' : `${value.toFixed(1)} %`);
+
+// The tester's name, such as disc300_support180, in words; several with commas.
+export function tester(rig) {
+  return rig.split(', ').map((name) => name.replace(
+    /^([a-z]+)([\d.]+)_[a-z]+([\d.]+)$/, '$1 of $2 mm on $3 mm')).join('; ');
+}
+
+// Facts of an estimate beside its moduli: name and text.
+export function facts(estimate) {
+  const { capture, resimulation: drape, captures } = estimate;
+  const both = (seen, made) => [seen && `${seen} captured`, made && `${made} simulated`].filter(Boolean).join(', ');
+  const range = (values) => [...new Set(values.filter(Boolean))].join(', ');
+  return [
+    ['Tester', tester(capture.rig)],
+    ['Density', `${capture.density_g_m2} g/m²`],
+    ['Face on top', captures ? range(captures.map((one) => one.capture.face)) : capture.face],
+    ['Seen', captures ? `${captures.length} captures` : capture.views ? `${capture.views} views` : 'outline from above'],
+    ['Drape coefficient', captures ? range(captures.map((one) => percent(one.capture.drape_coefficient_percent)))
+      : both(percent(capture.drape_coefficient_percent), percent(drape?.drape_coefficient_percent))],
+    ['Nodes', both(drape && String(drape.folds_captured), drape && String(drape.folds_simulated))],
+  ].filter(([, text]) => text);
+}

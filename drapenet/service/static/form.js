@@ -1,0 +1,261 @@
+// The form: what is checked before it is sent, presets, and errors beside their fields.
+
+import { ask, at, element } from './common.js';
+
+const PRESETS = 'drapenet.presets';
+const LAST = 'drapenet.preset';
+const limits = document.body.dataset;
+const form = at('form');
+let fabric = null; // of the next capture; null: a new one
+let sent = null; // the estimate that this form has sent last
+
+// ---- errors
+
+const PARTS = { intrinsics: 'fx', plate_px: 'plate_x', 'plate_px.x': 'plate_x', 'plate_px.y': 'plate_y', 'plate_px.diameter': 'plate_diameter' };
+const WORDS = ['name', 'notes', 'label', 'face', 'unit', 'tester', 'centred', 'kind', 'files'];
+
+// The field that a sentence of the service names first; words of sentences only where they have a value.
+export function fieldOf(sentence) {
+  const names = [...new Set([...form.elements].map((field) => field.name).filter(Boolean)), ...Object.keys(PARTS)];
+  const found = names.map((name) => {
+    const after = WORDS.includes(name) ? '(?==| is missing)' : '(?![\\w.]*[a-z_])';
+    return [name, sentence.search(new RegExp(`(?<![\\w])${name.replace('.', '\\.')}${after}`))];
+  }).filter(([, place]) => place >= 0).sort(([, a], [, b]) => a - b);
+  return found.length ? PARTS[found[0][0]] ?? found[0][0] : null;
+}
+
+export function complain(sentence, name, focus = true) {
+  const field = name && form.elements[name] && [...form.querySelectorAll(`[name="${name}"]`)][0];
+  if (!field) {
+    at('error').textContent = sentence;
+    return;
+  }
+  const place = form.querySelector(`[data-error="${name}"]`) ?? field.closest('label');
+  const error = element('p', sentence, 'error wide');
+  error.id = `error-${name}`;
+  error.setAttribute('role', 'alert');
+  place.after(error);
+  const hidden = field.closest('[data-kind]');
+  if (hidden?.hidden) choose(hidden.dataset.kind);
+  if (at('camera').contains(field)) at('camera').open = true;
+  field.setAttribute('aria-invalid', 'true');
+  field.setAttribute('aria-describedby', [error.id, field.getAttribute('aria-describedby')].filter(Boolean).join(' '));
+  if (focus) field.focus();
+}
+
+function clear() {
+  at('error').textContent = '';
+  for (const error of form.querySelectorAll('[id^="error-"]')) error.remove();
+  for (const field of form.querySelectorAll('[aria-invalid]')) {
+    field.removeAttribute('aria-invalid');
+    const rest = (field.getAttribute('aria-describedby') ?? '').split(' ').filter((id) => id && !id.startsWith('error-'));
+    if (rest.length) field.setAttribute('aria-describedby', rest.join(' '));
+    else field.removeAttribute('aria-describedby');
+  }
+}
+
+// Mark the field of an estimate's error, if this form has sent its capture.
+export function failed(id, sentence) {
+  const name = fieldOf(sentence);
+  if (id !== sent || !name) return;
+  sent = null;
+  complain(sentence, name, false);
+}
+
+// ---- what is sent
+
+const suffix = (name) => name.slice(name.lastIndexOf('.')).toLowerCase().replace('.yml', '.yaml');
+const chosen = () => [...at('files').files];
+const isDescribed = () => chosen().some((file) => ['.zip', '.yaml'].includes(suffix(file.name)) || file.name === 'density.txt');
+const isScan = () => chosen().length === 1 && !/^view_\d/.test(chosen()[0].name)
+  && ['.npz', '.obj', '.ply'].includes(suffix(chosen()[0].name));
+const usesSetup = () => !isDescribed() || at('override').querySelector('input').checked;
+const number = (field) => Number(field.value.trim().replace(',', '.'));
+const isOtherSize = () => at('tester').value.includes('_') && !/\d/.test(at('tester').value);
+const kind = () => form.elements.kind.value;
+
+function choose(value) {
+  form.elements.kind.value = value;
+  for (const set of form.querySelectorAll('[data-kind]')) set.hidden = set.dataset.kind !== value;
+}
+
+function check() {
+  clear();
+  const files = chosen();
+  at('override').hidden = !isDescribed();
+  if (files.length && !isDescribed()) {
+    at('camera').open = true;
+    if (['.jpg', '.jpeg', '.tif', '.tiff', '.csv', '.txt'].includes(suffix(files[0].name))) choose('above');
+  }
+}
+
+// Sentence and field of the first fault, or null.
+function fault() {
+  const files = chosen();
+  if (!files.length) return ['No files yet: drop the views of a drape, or its photograph, here, or choose them.', 'files'];
+  const wrong = files.find((file) => !limits.kinds.split(',').includes(suffix(file.name)));
+  if (wrong) return [`${wrong.name}: files of this kind are not taken.`, 'files'];
+  const bytes = files.reduce((sum, file) => sum + file.size, 0);
+  if (bytes > Number(limits.bytes) || files.length > Number(limits.files)) {
+    return [`${files.length} files with ${(bytes / 1e6).toFixed(0)} MB; at most ${limits.files} files with `
+      + `${(limits.bytes / 1e6).toFixed(0)} MB.`, 'files'];
+  }
+  const density = at('density').value.trim().replace(',', '.');
+  if ((density === '' && !isDescribed()) || Number.isNaN(Number(density))) {
+    return ['Weigh the specimen and give its density in g/m², such as 210.', 'density_g_m2'];
+  }
+  if (!usesSetup()) return null;
+  if (at('tester').value === '' && !isDescribed() && !isScan()) return ['Choose the tester: the specimen and the plate under it.', 'tester'];
+  if (isOtherSize() && [at('size'), at('plate')].some((field) => !(number(field) > 0))) {
+    return ['Give the diameter or side of the specimen and the diameter of the plate in mm.', 'tester'];
+  }
+  return null;
+}
+
+// The name of the chosen tester, such as disc254_support127; empty where capture.yaml states it.
+function tester() {
+  const [specimen, holder] = at('tester').value.split('_');
+  return isOtherSize() ? `${specimen}${number(at('size'))}_${holder}${number(at('plate'))}` : at('tester').value;
+}
+
+function content() {
+  const data = new FormData();
+  for (const file of chosen()) data.append('files', file, file.name);
+  for (const field of form.querySelectorAll('[name]:not([type=file]):not([type=radio])')) {
+    const left = field.closest('[data-kind]')?.hidden || (at('setup').contains(field) && !usesSetup())
+      || (fabric && field.closest('[data-new]'));
+    const value = field.name === 'tester' ? tester() : field.value.trim();
+    if (value && !left) data.append(field.name, value);
+  }
+  if (fabric) data.append('fabric', fabric);
+  data.append('refine', at('refine').checked ? 'yes' : 'no');
+  return data;
+}
+
+async function send() {
+  clear();
+  const wrong = fault();
+  if (wrong) {
+    complain(...wrong);
+    return;
+  }
+  at('submit').disabled = true;
+  try {
+    const begun = await ask('/estimates', { method: 'POST', body: content() });
+    sent = begun.id;
+    form.elements.label.value = '';
+    location.hash = begun.id;
+  } catch (error) {
+    complain(error.lost ? 'The service cannot be reached. Your files are still chosen: press Estimate again.' : error.message,
+      [413, 415].includes(error.status) ? 'files' : fieldOf(error.message));
+  } finally {
+    at('submit').disabled = false;
+  }
+}
+
+async function tryExample(name) {
+  clear();
+  try {
+    const answer = await fetch(`/examples/${name}.zip`);
+    const transfer = new DataTransfer();
+    transfer.items.add(new File([await answer.blob()], `${name}.zip`));
+    at('files').files = transfer.files;
+    check();
+    await send();
+  } catch {
+    complain('The service cannot be reached; try again.');
+  }
+}
+
+// The next capture is of this fabric, with its density and tester; null: of a new one.
+export function addTo(identity, name = '', capture = null) {
+  fabric = identity;
+  at('into').hidden = !identity;
+  at('into-name').textContent = name;
+  for (const label of form.querySelectorAll('[data-new]')) label.hidden = Boolean(identity);
+  if (!identity) return;
+  if (capture && !at('density').value) at('density').value = capture.density_g_m2;
+  if (capture && !at('tester').value && at('tester').querySelector(`[value="${capture.rig}"]`)) at('tester').value = capture.rig;
+  at('files').focus();
+  form.scrollIntoView();
+}
+
+// ---- presets: the fields of the tester and the camera, in this browser
+
+const setup = () => [...at('setup').querySelectorAll('input:not([type=radio]), select')];
+const presets = () => {
+  try {
+    return JSON.parse(localStorage.getItem(PRESETS)) ?? {};
+  } catch {
+    return {};
+  }
+};
+
+function listPresets(selected) {
+  at('preset').replaceChildren(new Option('none', ''), ...Object.keys(presets()).sort().map((name) => new Option(name, name)));
+  at('preset').value = selected in presets() ? selected : '';
+}
+
+function applyPreset() {
+  const values = presets()[at('preset').value] ?? {};
+  for (const field of setup()) field.value = values[field.name || field.id] ?? '';
+  at('preset-name').value = at('preset').value;
+  choose(values.kind ?? 'depth');
+  showSizes();
+  localStorage.setItem(LAST, at('preset').value);
+}
+
+function savePreset() {
+  const name = at('preset-name').value.trim();
+  if (!name) {
+    at('preset-name').focus();
+    return;
+  }
+  const values = Object.fromEntries(setup().filter((field) => field.value).map((field) => [field.name || field.id, field.value]));
+  localStorage.setItem(PRESETS, JSON.stringify({ ...presets(), [name]: { ...values, kind: kind() } }));
+  localStorage.setItem(LAST, name);
+  listPresets(name);
+}
+
+function removePreset() {
+  const { [at('preset').value]: gone, ...rest } = presets();
+  localStorage.setItem(PRESETS, JSON.stringify(rest));
+  listPresets('');
+  applyPreset();
+}
+
+function showSizes() {
+  for (const label of form.querySelectorAll('.sizes')) label.hidden = !isOtherSize();
+}
+
+// ---- events
+
+at('files').addEventListener('change', check);
+at('tester').addEventListener('change', showSizes);
+at('preset').addEventListener('change', applyPreset);
+at('preset-save').addEventListener('click', savePreset);
+at('preset-remove').addEventListener('click', removePreset);
+at('into-none').addEventListener('click', () => addTo(null));
+for (const radio of form.querySelectorAll('[name=kind]')) radio.addEventListener('change', () => choose(kind()));
+for (const what of ['dragover', 'dragenter']) {
+  document.addEventListener(what, (event) => {
+    event.preventDefault();
+    at('drop').classList.add('over');
+  });
+}
+document.addEventListener('dragleave', (event) => event.relatedTarget ?? at('drop').classList.remove('over'));
+document.addEventListener('drop', (event) => {
+  event.preventDefault();
+  at('drop').classList.remove('over');
+  at('files').files = event.dataTransfer.files;
+  check();
+});
+form.addEventListener('submit', (event) => {
+  event.preventDefault();
+  send();
+});
+for (const button of document.querySelectorAll('[data-example]')) {
+  button.addEventListener('click', () => tryExample(button.dataset.example));
+}
+listPresets(localStorage.getItem(LAST) ?? '');
+if (at('preset').value) applyPreset();

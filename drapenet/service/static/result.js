@@ -1,0 +1,291 @@
+// The result of an estimate: followed until its fabric is settled, shown, exported.
+
+import { ask, at, element, facts, link, QUANTITIES, texts } from './common.js';
+import { addTo, failed } from './form.js';
+
+const POLL = 400; // ms between two looks at a running estimate
+const LONGEST_WAIT = 5000; // ms between two tries where the service does not answer
+const ENDED = ['done', 'failed', 'interrupted'];
+const STAGES = {
+  reading: 'Reading and checking the capture', estimating: 'Estimating', joining: 'Joining the captures',
+  refining: 'The simulator refines the estimate', simulating: 'Draping the estimate for the report',
+};
+const FILES = {
+  'report.html': 'Report (HTML)', 'report.png': 'Report (PNG)', 'estimate.json': 'Estimate (JSON)',
+  'drape.glb': 'Drape (GLB)', 'torque.svg': 'Torque curves (SVG)',
+};
+
+let following = 0; // counts the estimates that were followed, so that an older one stops
+let shown = {};
+let current = null; // the content that is shown
+
+export function stop() {
+  following += 1;
+}
+
+export async function follow(id) {
+  const turn = ++following;
+  reset();
+  let wait = POLL;
+  while (turn === following) {
+    try {
+      const content = await ask(`/estimates/${encodeURIComponent(id)}`);
+      at('lost').hidden = true;
+      wait = POLL;
+      if (turn !== following) return;
+      show(id, content);
+      if (isSettled(content)) return;
+    } catch (error) {
+      if (turn !== following) return;
+      if (!error.lost) {
+        at('title').textContent = 'No result';
+        at('failure').textContent = error.message;
+        at('progress').hidden = true;
+        return;
+      }
+      at('lost').hidden = false;
+      wait = Math.min(2 * wait, LONGEST_WAIT);
+    }
+    await new Promise((resolve) => setTimeout(resolve, wait));
+  }
+}
+
+// Whether all captures of the fabric have ended and are joined.
+function isSettled({ captures }) {
+  const joint = captures.find((one) => one.members);
+  const done = captures.filter((one) => !one.members && one.state === 'done').map((one) => one.id);
+  return captures.every((one) => ENDED.includes(one.state))
+    && (done.length < 2 || (joint && joint.members.join() === done.join()));
+}
+
+function reset() {
+  shown = {};
+  current = null;
+  for (const id of ['fabric', 'editor', 'numbers', 'preview', 'torque', 'shapes', 'downloads', 'lost']) at(id).hidden = true;
+  for (const id of ['failure', 'status', 'copied', 'error-export', 'error-fabric']) at(id).textContent = '';
+  at('warnings').replaceChildren();
+  at('progress').hidden = false;
+  at('progress').removeAttribute('value');
+  at('title').textContent = 'Sending';
+  at('title').focus({ preventScroll: true });
+  if (at('result').getBoundingClientRect().top > innerHeight - 100) at('result').scrollIntoView();
+}
+
+function show(id, content) {
+  const before = current;
+  current = content;
+  showFabric(id, content);
+  const finished = content.state === 'done';
+  at('progress').hidden = ENDED.includes(content.state);
+  at('status').textContent = finished ? '' : content.state === 'queued' ? 'Waiting for a free worker'
+    : content.state === 'running' ? stage(content) : '';
+  at('failure').textContent = content.error ?? '';
+  if (content.error && before?.state !== content.state) failed(id, content.error);
+  const warnings = content.estimate?.warnings ?? content.warnings ?? [];
+  at('warnings').replaceChildren(...warnings.map((line) => element('li', line)));
+  if (content.estimate) showNumbers(content.estimate);
+  for (const [figure, file] of [['preview', 'preview.png'], ['torque', 'torque.svg']]) {
+    if (content.files.includes(file) && !shown[file]) {
+      shown[file] = true;
+      at(figure).querySelector('img').src = `/estimates/${id}/${file}`;
+      at(figure).hidden = false;
+    }
+  }
+  if (finished && !shown.links) {
+    shown.links = true;
+    showLinks(id, content.files);
+    showCards(id);
+    if (content.files.includes('drape.glb')) showShapes(`/estimates/${id}/drape.glb`);
+  }
+}
+
+function showFabric(id, content) {
+  at('title').textContent = content.fabric_name;
+  at('notes').textContent = content.notes;
+  at('notes').hidden = !content.notes;
+  at('remove-capture').hidden = content.captures.length < 2 || Boolean(content.members);
+  const list = element('ul');
+  for (const one of [...content.captures].sort((a, b) => Boolean(b.members) - Boolean(a.members))) {
+    const item = element('li');
+    const label = link(`#${one.id}`, one.name);
+    if (one.id === id) label.setAttribute('aria-current', 'page');
+    item.append(label, one.state === 'done' ? '' : ` (${one.state})`);
+    list.append(item);
+  }
+  const key = list.textContent + id;
+  if (shown.captures !== key) at('captures').replaceChildren(list); // a link keeps its focus
+  shown.captures = key;
+  at('fabric').hidden = false;
+}
+
+function stage(content) {
+  const progress = content.progress;
+  if (!progress) {
+    at('progress').removeAttribute('value');
+    return `${STAGES[content.stage] ?? 'Working'} …`;
+  }
+  at('progress').max = progress.expected;
+  at('progress').value = progress.made;
+  return `${STAGES[content.stage]}: ${progress.made} of about ${progress.expected} drapes`;
+}
+
+function showNumbers(estimate) {
+  at('facts').replaceChildren(...facts(estimate).flatMap(([name, text]) => [element('dt', name), element('dd', text)]));
+  at('heads').replaceChildren(element('th'), ...QUANTITIES.map(([, , name, unit]) => {
+    const head = element('th', name);
+    head.scope = 'col';
+    head.append(element('br'), element('span', unit, 'unit'));
+    return head;
+  }));
+  at('rows').replaceChildren(...Object.keys(estimate.moduli).map((direction) => {
+    const row = element('tr');
+    const head = element('th', direction);
+    head.scope = 'row';
+    row.append(head);
+    for (const [part, quantity, name, unit] of QUANTITIES) {
+      const cell = element('td');
+      cell.dataset.label = `${name}, ${unit}`;
+      const value = estimate[part][direction][quantity];
+      if (value) {
+        const { median, near, wide } = texts(value);
+        cell.append(element('b', median), element('span', near, 'near'), element('span', wide, 'wide'));
+      } else cell.append(element('span', 'outside the law', 'wide'));
+      row.append(cell);
+    }
+    return row;
+  }));
+  at('poor').textContent = estimate.poorly_constrained.length
+    ? `Poorly constrained by this drape: ${estimate.poorly_constrained.join(', ')}.` : '';
+  at('numbers').hidden = false;
+}
+
+function showLinks(id, files) {
+  at('links').replaceChildren(...Object.entries(FILES).filter(([file]) => files.includes(file)).map(([file, text]) => {
+    const made = link(`/estimates/${id}/${file}`, text);
+    if (file !== 'report.html') made.download = file;
+    return made;
+  }));
+  at('downloads').hidden = false;
+}
+
+// A card for each tool: what to type into which field, and what is not known of it.
+async function showCards(id) {
+  at('cards').replaceChildren();
+  try {
+    const { cards } = await ask(`/estimates/${id}/export/cards`);
+    at('cards').replaceChildren(...cards.map((card) => {
+      const made = element('details');
+      made.append(element('summary', card.tool), element('p', card.where, 'help'));
+      const table = element('table');
+      for (const { field, value, unit = '', note } of card.fields) {
+        const row = element('tr');
+        const cell = element('td');
+        cell.append(element('b', value ?? 'not known'), ` ${value == null ? '' : unit}`);
+        if (note) cell.append(element('span', note, 'wide'));
+        const head = element('th', field);
+        head.scope = 'row';
+        row.append(head, cell);
+        table.append(row);
+      }
+      made.append(table, element('p', card.unknown, 'warnings'), element('p', `Source: ${card.source}`, 'help'));
+      return made;
+    }));
+  } catch (error) {
+    at('cards').replaceChildren(element('p', error.message, 'error'));
+  }
+}
+
+async function showShapes(address) {
+  at('shapes').hidden = false;
+  try {
+    const { view } = await import('./viewer.js');
+    const captured = await view([address], at('canvas'), at('overlay'));
+    for (const part of at('shapes').querySelectorAll('.captured')) part.hidden = !captured;
+  } catch {
+    at('help-canvas').textContent = 'This browser cannot draw in 3-D (WebGL); download the GLB file instead.';
+  }
+}
+
+async function fetchExport(name) {
+  at('error-export').textContent = '';
+  const id = location.hash.slice(1);
+  const edge = at('edge').value.trim().replace(',', '.');
+  const query = new URLSearchParams({ mesh: at('mesh').value, edge_mm: edge });
+  try {
+    const answer = await fetch(`/estimates/${id}/export/${name}?${query}`);
+    if (!answer.ok) {
+      const { error } = await answer.json();
+      at('error-export').textContent = error ?? `The service answers ${answer.status}.`;
+      return;
+    }
+    const named = /filename="([^"]*)"/.exec(answer.headers.get('content-disposition') ?? '');
+    const made = link(URL.createObjectURL(await answer.blob()), '');
+    made.download = named ? named[1] : name;
+    made.click();
+    setTimeout(() => URL.revokeObjectURL(made.href), 10000);
+  } catch {
+    at('error-export').textContent = 'The service cannot be reached; try again.';
+  }
+}
+
+// ---- the fabric
+
+function edit(open) {
+  at('editor').hidden = !open;
+  at('edit').setAttribute('aria-expanded', String(open));
+  if (!open) return;
+  at('editor').elements.name.value = current.fabric_name;
+  at('editor').elements.notes.value = current.notes;
+  at('editor').elements.name.focus();
+}
+
+async function change(address, options, then) {
+  at('error-fabric').textContent = '';
+  try {
+    await ask(address, options);
+    then();
+  } catch (error) {
+    at('error-fabric').textContent = error.message;
+  }
+}
+
+at('edit').addEventListener('click', () => edit(at('editor').hidden));
+at('editor').addEventListener('submit', (event) => {
+  event.preventDefault();
+  const { name, notes } = at('editor').elements;
+  change(`/fabrics/${current.fabric}`, {
+    method: 'PATCH', headers: { 'content-type': 'application/json' },
+    body: JSON.stringify({ name: name.value.trim() || 'unnamed', notes: notes.value.trim() }),
+  }, () => {
+    edit(false);
+    at('edit').focus();
+    follow(location.hash.slice(1));
+  });
+});
+at('more').addEventListener('click', () => {
+  const first = current.estimate?.captures?.[0] ?? current.estimate;
+  addTo(current.fabric, current.fabric_name, first?.capture);
+});
+at('remove-capture').addEventListener('click', () => {
+  const other = current.captures.find((one) => one.id !== current.id && !one.members);
+  if (!confirm(`Remove ${current.name} of ${current.fabric_name} and its files?`)) return;
+  change(`/estimates/${current.id}`, { method: 'DELETE' }, () => { location.hash = other.id; });
+});
+at('remove-fabric').addEventListener('click', () => {
+  if (!confirm(`Remove ${current.fabric_name}, its captures and files?`)) return;
+  change(`/fabrics/${current.fabric}`, { method: 'DELETE' }, () => {
+    addTo(null);
+    location.hash = 'fabrics';
+  });
+});
+at('copy').addEventListener('click', async () => {
+  try {
+    await navigator.clipboard.writeText(location.href);
+    at('copied').textContent = 'copied';
+  } catch {
+    at('copied').textContent = location.href;
+  }
+});
+for (const button of document.querySelectorAll('[data-export]')) {
+  button.addEventListener('click', () => fetchExport(button.dataset.export));
+}
