@@ -18,7 +18,7 @@ from drapenet.export.cards import CELL, SLIDER, cards
 from drapenet.export.material import Material
 from drapenet.result.document import csv_number, csv_table, interval_columns
 from sim.energies.hinges import ARCSIM, mean_modulus
-from sim.material import BIAS, WARP, WEFT, torque
+from sim.material import BIAS, DIRECTIONS, WARP, WEFT, torque
 
 CLO = 1e9  # g·mm²/s² per N·m
 MAX_CLO = 2e6  # g·mm²/s², CLO's maximum bending stiffness

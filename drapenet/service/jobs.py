@@ -42,8 +42,9 @@ class Jobs:
         settings.folder.mkdir(parents=True, exist_ok=True)
         self.database = Database(settings.folder)
         for upload in settings.folder.glob(f"*/{UPLOADED}"):
-            if self.database.estimate(upload.parent.name) is None:  # it was never complete
-                shutil.rmtree(upload.parent, ignore_errors=True)
+            row = self.database.estimate(upload.parent.name)
+            if row is None or row["state"] in ENDED:  # never complete, or no longer needed
+                shutil.rmtree(upload if row else upload.parent, ignore_errors=True)
         self._closed = False
         self._unfinished: set[futures.Future] = set()
         self._workers = _pool(settings.processes, warm_up, settings.checkpoint)

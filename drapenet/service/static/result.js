@@ -172,7 +172,7 @@ function showLinks(id, files) {
 async function showCards(id) {
   at('cards').replaceChildren();
   try {
-    const { cards } = await ask(`/estimates/${id}/export/cards`);
+    const { cards, drapenet: { directions } } = await ask(`/estimates/${id}/export/cards`);
     at('cards').replaceChildren(...cards.map((card) => {
       const made = element('details');
       made.append(element('summary', card.tool), element('p', card.where, 'help'));
@@ -187,6 +187,7 @@ async function showCards(id) {
         row.append(head, cell);
         table.append(row);
       }
+      if (directions !== 'warp/weft') made.append(element('p', 'The capture does not mark the warp: warp stands for the stiffer yarns, weft for the softer.', 'warnings'));
       made.append(table, element('p', card.unknown, 'warnings'), element('p', `Source: ${card.source}`, 'help'));
       return made;
     }));
