@@ -1,10 +1,11 @@
 """Reader of measured deflection curves of cantilever strips, in CSV files."""
 
+import re
 from pathlib import Path
 
 import numpy as np
 
-from common.documents import read_table
+from common.documents import number, read_table
 from common.errors import InputError
 from common.types import DeflectionCurve
 
@@ -18,21 +19,22 @@ of a nearly straight strip are smaller."""
 
 
 def read_curve(path: str | Path) -> DeflectionCurve:
-    """Read a curve from a CSV file whose header names the columns x_mm and y_mm.
+    """Read a curve from a CSV file whose header names the columns x_mm and y_mm, or x [mm], y [mm].
 
     The first row is the clamp's edge, the last the free end. The signs of both axes are arbitrary,
     because a strip extends away from its clamp and hangs below it.
     """
     path = Path(path)
     header, rows = read_table(path, "deflection curve", MAX_FILE_SIZE)
+    header = [re.sub(r"[^a-z]+", "_", name.lower()).strip("_") for name in header]
     if not set(COLUMNS) <= set(header):
         raise InputError(f"{path} needs a header line with the columns {' and '.join(COLUMNS)}, "
-                         "separated by commas")
+                         "separated by commas, semicolons or tabs")
     x, y = (header.index(name) for name in COLUMNS)
     points = []
     for line, row in rows:
         try:
-            points.append((float(row[x]), float(row[y])))
+            points.append((number(row[x]), number(row[y])))
         except (ValueError, IndexError):
             raise InputError(f"{path}, line {line}: expected numbers, in mm") from None
     try:

@@ -4,6 +4,7 @@ Contents are validated by a :class:`Schema`; every fault raises an InputError of
 """
 
 import csv
+import re
 import reprlib
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -53,20 +54,24 @@ class Excerpt(Schema):
 
 
 def faults(error: ValidationError) -> str:
-    """Up to three faults in one line: path of the field, value, and Pydantic's message."""
-    lines = []
-    unknown = ("extra_forbidden", "unexpected_keyword_argument")
-    for fault in sorted(error.errors(), key=lambda fault: fault["type"] not in unknown)[:3]:
+    """All unknown keys, and up to three other faults in one line: path of the field, value, and
+    Pydantic's message.
+    """
+    lines, unknown = [], []
+    for fault in error.errors():
         name, text = ".".join(map(str, fault["loc"])), one_line(Exception(fault["msg"]))
-        if fault["type"] in unknown:
-            lines.append(f"unknown key {shown(name)}")
+        if fault["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
+            unknown.append(shown(name))
         elif fault["type"] == "missing":
             lines.append(f"{name} is missing")
+        elif re.fullmatch(r"[+-]?\d{1,9},\d{1,9}", shown(fault["input"]).strip("'")):
+            lines.append(f"{name}={fault['input']} has a decimal comma; write a point")
         else:
             value = f"{name}={shown(fault['input'])}" if name else ""
             # Sentences of the project's validators go on after the value.
             lines.append(f"{value}: {text}".replace(": Value error, ", " ").strip(": "))
-    return "; ".join(lines)
+    keys = [f"unknown key{'s' * (len(unknown) > 1)} {', '.join(unknown[:12])}"] if unknown else []
+    return "; ".join([*keys, *lines][:3])
 
 
 class _Loader(yaml.SafeLoader):
@@ -83,6 +88,9 @@ class _Loader(yaml.SafeLoader):
         mapping = {}
         for key_node, value_node in node.value:
             key = self.construct_object(key_node, deep=True)
+            if str(key).isdigit() and value_node.value == "":
+                raise yaml.YAMLError(f"a decimal comma before {shown(key)}; write a point, such as "
+                                     "305.0")
             if key in mapping:
                 raise yaml.YAMLError(f"the key {shown(key)} occurs twice; remove one")
             mapping[key] = self.construct_object(value_node, deep=True)
@@ -135,12 +143,17 @@ def read_table(
 ) -> tuple[list[str], list[tuple[int, list[str]]]]:
     """Read a CSV file: its header, and line number and cells of each further row that has some."""
     lines = read_text(file, max_bytes, kind).splitlines()
-    # In locales with a decimal comma, spreadsheets separate cells by semicolons.
-    separator = ";" if lines and ";" in lines[0] and "," not in lines[0] else ","
+    # In locales with a decimal comma, spreadsheets separate cells by semicolons or tabs.
+    separator = max(",;\t", key=lines[0].count) if lines else ","
     reader = csv.reader(lines, delimiter=separator, skipinitialspace=True, strict=True)
     with reading(file, "give a CSV file"):
         rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
     return [cell.strip() for cell in rows[0][1]] if rows else [], rows[1:]
+
+
+def number(text: str) -> float:
+    """The number in a cell, also with a decimal comma; ValueError if there is none."""
+    return float(text if "." in text else text.replace(",", "."))
 
 
 def read_bytes(file: Path, max_bytes: int, kind: str) -> bytes:

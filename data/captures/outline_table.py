@@ -1,11 +1,12 @@
 """Outlines of drapes in text files: two columns, x and y, or angle in degrees and radius."""
 
+import csv
 import re
 from pathlib import Path
 
 import numpy as np
 
-from common.documents import MAX_TABLE_BYTES, read_text, shown
+from common.documents import MAX_TABLE_BYTES, number, read_text, shown
 from common.errors import InputError
 from common.types import Outline
 
@@ -63,14 +64,14 @@ def _pair(names: list[str]) -> tuple[str, str]:
 
 def _numbers(line: str, count: int) -> list[float]:
     """The numbers of a row; commas are decimal unless they separate the cells."""
-    if separated := re.search("[;\t]", line):
+    if re.search("[;\t]", line):
         cells = re.split("[;\t]", line)
+    elif '"' in line:
+        cells = next(csv.reader([line]))
     else:
         cells = re.split(r",?\s+", line) if " " in line else line.split(",")
-    if separated or " " in line:
-        cells = [cell.replace(",", ".") for cell in cells]
     try:
-        numbers = [float(cell) for cell in cells]
+        numbers = [number(cell) for cell in cells]
         if len(numbers) == count and np.isfinite(numbers).all():
             return numbers
     except ValueError:

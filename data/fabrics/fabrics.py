@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from common.documents import read_table
+from common.documents import number, read_table
 from common.errors import InputError
 from common.types import Moduli, QuadraticModuli, Theta
 from sim.material import REFERENCE_DENSITY, Fabric
@@ -84,7 +84,7 @@ def read_fabric_table(path: str | Path) -> FabricTable:
     for line, row in rows:
         place = f"{path}, line {line}"
         try:
-            values = tuple(float(row[column]) for column in columns)
+            values = tuple(number(row[column]) for column in columns)
             count = int(row[counted]) if counted is not None else 1
         except (ValueError, IndexError):
             raise InputError(f"{place}: expected {len(header)} numbers") from None

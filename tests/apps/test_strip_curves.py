@@ -18,6 +18,17 @@ def test_a_curve_reads_the_same_whichever_way_its_axes_point(tmp_path):
         assert np.allclose(read, curve, atol=2e-9)
 
 
+@pytest.mark.parametrize(("header", "row"), [
+    ("x_mm;y_mm", "{0};{1}"), ("x_mm,y_mm", '"{0}","{1}"'), ("x_mm\ty_mm", "{0}\t{1}"),
+    ("\ufeffX [mm];Y [mm]", "{0};{1}"), ("x (mm),y (mm)", "{2},{3}")])
+def test_curves_of_spreadsheets_in_every_locale_are_read(tmp_path, header, row):
+    curve = curves_of(*LAWS[0])[0]
+    numbers = [[f"{1e3 * value:.4f}" for value in point] for point in curve]
+    lines = [row.format(*(value.replace(".", ",") for value in point), *point) for point in numbers]
+    (tmp_path / "c.csv").write_text("\n".join([header, *lines]), encoding="utf-8")
+    assert np.allclose(read_curve(tmp_path / "c.csv"), curve, atol=1e-7)
+
+
 @pytest.mark.parametrize(
     "text",
     ["", "x,y\n1,2\n", "x_mm,y_mm\n0,0\n1,1\n", "x_mm,y_mm\n" + "0,zero\n" * 20,
