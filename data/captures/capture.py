@@ -30,6 +30,7 @@ from common.types import Density, DepthImage, Metres, Radians, Turns, Views
 from data.captures.board import board_intrinsics, board_turns, shows_board
 from data.captures.cutout import CutOut, cut_out, neighbours
 from data.captures.description import (
+    INTRINSICS_KEYS,
     MAX_VIEWS,
     MIN_EQUAL_TURNS,
     OUTLINE_TABLES,
@@ -39,7 +40,7 @@ from data.captures.description import (
     checked_density,
     whole_turns,
 )
-from data.captures.frames import is_view, join_views, numbered, read_frames, read_picture
+from data.captures.frames import join_views, numbered, read_frames, read_picture, views_in
 from data.captures.known import Known
 from data.render.cameras import Intrinsics, nominal_camera
 from data.rigs import MISSING_TESTER, described_tester, named_tester
@@ -54,6 +55,7 @@ CAPTURE_FILES = ("capture.yaml", "density.txt")
 MAX_DENSITY_DIFFERENCE = 0.1  # between specimens of one fabric, relative to the smallest
 DISTANCE_RANGE = (0.2, 2.0)  # m, of the cloth; otherwise the depth unit is wrong
 CLOTH_SHARE = (0.005, 0.9)  # of a picture's pixels
+MAX_SPACING = 3.5e-3  # m, between points on the cloth
 MIN_AREA = 0.6  # of the median of the views' cloth
 MAX_SPECK_SHARE = 0.01  # of the cloth's pixels; smaller separate pieces are removed
 OUTLIER_STEP = 0.025  # m, depth difference from the neighbours
@@ -62,7 +64,6 @@ MIN_SPECK_GAP = 3.0  # pixels from the cloth; nearer specks are harmless noise a
 PUBLISHED_SIZES = {(240, 180): 1, (480, 360): 2}  # size: keep every n-th pixel
 PUBLISHED_BACKGROUND = 250  # counts above are background
 MAX_WIDTH = 400  # pixels; larger pictures are subsampled
-INTRINSICS_KEYS = ("fx", "fy", "cx", "cy")
 
 
 @dataclass(frozen=True)
@@ -141,20 +142,17 @@ def _read_metric(path: Path) -> Capture:
     if description.outline:
         raise InputError(f"{file} has the key outline, but there is no outline.png, .jpg, .tif, "
                          ".csv or .txt; name the photograph so, or leave the key out")
-    if description.reported and not any(is_view(entry.name) for entry in path.iterdir()):
+    if description.reported and not views_in(path):
         return Capture(np.zeros((0, 0, 0), np.float32), None, np.zeros(0), description.density,
-                       description.warp_direction, _tester(path, description), path, (),
-                       face=description.face, known=description.known)
+                       description.warp_direction, _tester(path, description), path,
+                       description.questions, face=description.face, known=description.known)
     frames = read_frames(path, description)
     depth, background = frames.depth, frames.background
     count, height, width = depth.shape
     board = frames.color is not None and shows_board(frames.color)
-    if description.intrinsics is None and frames.intrinsics is not None:
-        intrinsics = frames.intrinsics
-    elif description.intrinsics is None and board:
-        intrinsics = board_intrinsics(frames.color)
-    else:
-        intrinsics = description.camera(width, height)
+    intrinsics = frames.intrinsics
+    if intrinsics is None:
+        intrinsics = board_intrinsics(frames.color) if board else description.camera(width, height)
     if board and description.turns_deg is None:
         turns = board_turns(frames.color, intrinsics)
     else:
@@ -168,9 +166,20 @@ def _read_metric(path: Path) -> Capture:
     rig = _tester(path, description)
     cut = cut_out(depth, intrinsics, rig, background)
     views, warnings = checked_views(cut.views if cut else depth)
+    notes = (*description.questions, *(cut.warnings if cut else ()), *warnings, *_sparse(
+        frames.spacing, float(np.median(views[views > 0])) / (step * intrinsics.fx)))
     return Capture(views, intrinsics, turns, description.density, description.warp_direction,
-                   rig, path, (*(cut.warnings if cut else ()), *warnings), cut, description.face,
-                   known=description.known)
+                   rig, path, notes, cut, description.face, known=description.known)
+
+
+def _sparse(spacing: float, pixel: Metres) -> tuple[str, ...]:
+    """A warning of points ``spacing`` pixels apart on the cloth; InputError if that is too far."""
+    apart = (f"depth is sparser than its pictures, a point every {spacing:.1f} pixels, "
+             f"{1e3 * spacing * pixel:.1f} mm (at most {1e3 * MAX_SPACING:g} mm): record without "
+             "decimation, without thinning of the cloud, not aligned to a larger picture")
+    if spacing > 1 and spacing * pixel > MAX_SPACING:
+        raise InputError(apart)
+    return (apart,) * (spacing > 1)
 
 
 def _tester(path: Path, description: Description) -> Rig:
@@ -189,7 +198,7 @@ def _find_outline(folder: Path) -> Path | None:
 
 
 def _read_outline(path: Path, file: Path, description: Description) -> Capture:
-    if view := next(filter(is_view, sorted(entry.name for entry in path.iterdir())), None):
+    if view := next(iter(views_in(path).values()), None):
         raise InputError(f"{path} holds {file.name} and {view}; give depth views and outlines in "
                          "different folders")
     for key in ("depth_unit_m", "intrinsics", "turns_deg", "size_px"):
@@ -201,7 +210,8 @@ def _read_outline(path: Path, file: Path, description: Description) -> Capture:
 
     outline = read_outline(file, description.outline or OutlineSource(), rig)
     return Capture(np.zeros((0, 0, 0), np.float32), None, np.zeros(0), description.density,
-                   description.warp_direction, rig, path, outline.warnings, face=description.face,
+                   description.warp_direction, rig, path,
+                   (*description.questions, *outline.warnings), face=description.face,
                    outline=outline, known=description.known)
 
 

@@ -6,19 +6,23 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, PlainValidator, model_validator
+from pydantic import Field, PlainValidator, create_model, model_validator
 
 from common.documents import Schema, shown
 from common.errors import InputError
 from common.types import Density, Metres, Radians, Turns
+from data.captures.depth import Lens
 from data.captures.known import Known
 from data.render.cameras import Intrinsics
 from data.rigs import Tester
 
-DENSITY_RANGE = (10.0, 1000.0)  # g/m2
+DENSITY_RANGE = (16.0, 1000.0)  # g/m2; from 3 to 15 oz/yd² is common for heavier cloth
+LIGHT_DENSITY = 35.0  # g/m2; few fabrics are lighter, and many have this number of momme
 MAX_VIEWS = 8
 MIN_PICTURE, MAX_PICTURE = (80, 60), (4096, 4096)
 MILLIMETRE = 1e-3  # m per count
+INTRINSICS_KEYS = ("fx", "fy", "cx", "cy")
+LENS_KEYS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")  # in OpenCV's order
 MIN_EQUAL_TURNS = 4  # views, from which on equally spaced turns are the default
 MIN_TURN = 6.3  # degrees; the largest turn given in radians is 6.28
 CAMERA_HEIGHTS = (200.0, 20_000.0)  # mm above the plate, of a photograph's camera
@@ -32,12 +36,19 @@ class Weighed(Schema):
 
     density_g_m2: float = Field(
         ge=DENSITY_RANGE[0], le=DENSITY_RANGE[1],
-        description="weigh the specimen, give its g/m² and check the unit")
+        description="weigh the specimen, give its g/m² and check the unit (1 oz/yd² is 33.9 g/m², "
+                    "1 momme 4.34 g/m²)")
 
     @property
     def density(self) -> Density:
         """Density of the fabric."""
         return 1e-3 * self.density_g_m2
+
+    @property
+    def questions(self) -> tuple[str, ...]:
+        """A warning of a density that few fabrics have."""
+        return (f"density_g_m2={self.density_g_m2:g} is that of a very light fabric: check that it "
+                "is no number of oz/yd² or momme",) * (self.density_g_m2 < LIGHT_DENSITY)
 
 
 class Specimen(Weighed):
@@ -55,13 +66,15 @@ class Specimen(Weighed):
 _Focal = Annotated[float, Field(ge=10, le=1e5)]
 
 
-class Pixels(Schema):
-    """Intrinsics in pixels."""
-
+class _Pinhole(Schema):
     fx: _Focal
     fy: _Focal
     cx: float
     cy: float
+
+
+Pixels = create_model("Pixels", __base__=_Pinhole, **dict.fromkeys(LENS_KEYS, (float, 0.0)))
+"""Intrinsics in pixels, and coefficients of a lens that distorts the pictures."""
 
 
 class PlateInPicture(Schema):
@@ -133,7 +146,14 @@ class Description(Specimen):
         if self.intrinsics is None:
             remedy = Description.model_fields["intrinsics"].description
             raise InputError(f"intrinsics is missing; {remedy}")
-        return Intrinsics(**self.intrinsics.model_dump(), width=width, height=height)
+        numbers = self.intrinsics.model_dump(include=set(INTRINSICS_KEYS))
+        return Intrinsics(**numbers, width=width, height=height)
+
+    @property
+    def lens(self) -> Lens | None:
+        """The lens that distorts the pictures, if one is stated."""
+        return Lens.of("rational_polynomial", np.array(
+            [getattr(self.intrinsics, key, 0.0) for key in LENS_KEYS]))
 
     def turns(self, count: int) -> Turns:
         """The stated turns of ``count`` views since the first."""

@@ -2,7 +2,8 @@
 
 ``view_K.png`` (16-bit), ``view_K_0.png``, ``view_K_1.png`` and so on (several frames of one view),
 ``view_K.npy`` and ``view_K.exr`` (metres), ``view_K.ply`` (points in camera axes, metres), or one
-recording (:mod:`data.captures.rosbag`). All views of a capture have the same format.
+recording (:mod:`data.captures.rosbag`). All views of a capture have the same format. Distortion by
+a lens that capture.yaml or the recording states is removed.
 """
 
 import io
@@ -18,48 +19,65 @@ from PIL import Image
 from common.documents import read_bytes, reading, require_regular, shown
 from common.errors import InputError
 from common.types import DepthImage, GreyViews, Views
+from data.captures.depth import MAX_DEPTH, between_points, measured, median_depth, unsaturated
 from data.captures.description import MAX_PICTURE, MAX_VIEWS, MILLIMETRE, Description, require_size
-from data.captures.rosbag import SUFFIXES, median_depth, read_recording
+from data.captures.rosbag import read_recording, recordings
 from data.render.cameras import Intrinsics
 
 BACKGROUND = "background.png"
 RECORDING = "recording"
-SATURATED = 65535  # counts, written by cameras where depth is missing
 MAX_FILE_BYTES = 160 << 20  # of a picture
 MAX_PIXELS = 64_000_000  # of all frames of one view
 MAX_POINTS = MAX_PICTURE[0] * MAX_PICTURE[1] // 4
-MAX_DEPTH = 100.0  # m; larger values have another unit or are invalid
 KINDS = ("view_{}.png", "view_{}_{}.png", "view_{}.npy", "view_{}.exr", "view_{}.ply")
 """File names of views by format; braces are replaced by numbers from 0."""
+_UNREAD = {
+    ".raw": "bare pixels without their size", ".pcd": "a point cloud of PCL",
+    ".npz": "an archive of arrays", ".jpg": "an 8-bit picture, whose compression changes depth",
+    ".jpeg": "an 8-bit picture, whose compression changes depth", ".tif": "TIFF", ".tiff": "TIFF",
+    ".mkv": "a recording of Azure Kinect or Orbbec", ".r3d": "a recording of Record3D"}
+"""What files are that hold depth, but are not read, by suffix."""
 
 
 @dataclass(frozen=True)
 class Frames:
-    """Content of a folder of depth frames: of each view, of the empty scene, of a board."""
+    """Content of a folder of depth frames: of each view, of the empty scene, of a board; intrinsics
+    that capture.yaml or a recording states.
+    """
 
     depth: Views
     background: DepthImage | None
     intrinsics: Intrinsics | None
     color: GreyViews | None
+    spacing: float = 1.0  # pixels between measured points
 
 
 def read_frames(folder: Path, description: Description) -> Frames:
     """Read the frames of a capture, in any of the supported formats."""
     names = sorted(file.name for file in folder.iterdir())
-    kind = _kind(folder, names)
-    unit, intrinsics = description.depth_unit_m or MILLIMETRE, None
+    kind = _kind(folder)
+    unit, stated = description.depth_unit_m or MILLIMETRE, description.intrinsics is not None
+    has_color = any(_match("color_{}.png", name) for name in names)
+    intrinsics, lens = None, description.lens
     if kind == RECORDING:
-        file = folder / next(filter(_is_recording, names))
-        depth, intrinsics = read_recording(file, description.depth_unit_m)
+        depth, intrinsics, lens = read_recording(
+            recordings(folder), description.depth_unit_m, calibrated=not stated)
     elif kind == "view_{}_{}.png":
         depth = join_views({files[0]: unit * _median(files) for files in _bursts(folder, names)})
     else:
         read = _reader(folder, kind, unit, description)
         depth = join_views({file: read(file) for file in numbered(folder, kind)})
-    background = _background(folder / BACKGROUND, unit, depth) if BACKGROUND in names else None
-    has_color = any(_match("color_{}.png", name) for name in names)
-    color = _color(folder, depth) if has_color else None
-    return Frames(np.minimum(depth, MAX_DEPTH).astype(np.float32), background, intrinsics, color)
+    scene = [_background(folder / BACKGROUND, unit, depth)] if BACKGROUND in names else []
+    color = _color(folder, depth) if has_color else ()
+    if stated:
+        intrinsics, lens = description.camera(*depth.shape[:0:-1]), description.lens
+    depth = np.minimum(depth, MAX_DEPTH).astype(np.float32)
+    filled, spacings = zip(*map(between_points, [*depth, *scene]), strict=True)
+    if lens and not kind.endswith("ply"):  # points have no lens
+        filled, color = ([lens.undistorted(picture, intrinsics) for picture in pictures]
+                         for pictures in (filled, color))
+    return Frames(np.stack(filled[: len(depth)]), filled[-1] if scene else None, intrinsics,
+                  np.stack(color) if has_color else None, float(np.median(spacings)))
 
 
 def _reader(
@@ -104,31 +122,27 @@ def _color(folder: Path, depth: Views) -> GreyViews:
 
 def read_counts(file: Path) -> np.ndarray:
     """(H, W) counts of a 16-bit PNG, 0 where saturated."""
-    counts = read_picture(file, modes={"I;16", "I"}, kind=(
-        "16-bit grey, or be called outline.png if it is a photograph from above"))
-    return np.where(counts >= SATURATED, 0, counts)
+    return unsaturated(read_picture(file, modes={"I;16", "I"}, kind=(
+        "16-bit grey, or be called outline.png if it is a photograph from above")))
 
 
-def is_view(name: str) -> bool:
-    """Whether a file of this name holds depth views."""
-    return _is_recording(name) or any(_match(kind, name) for kind in KINDS)
+def views_in(folder: Path) -> dict[str, str]:
+    """The kinds of depth views in a folder, of :data:`KINDS` or :data:`RECORDING`, and the first
+    file of each; InputError for several recordings.
+    """
+    names = sorted(file.name for file in folder.iterdir())
+    found = {kind: next((name for name in names if _match(kind, name)), "") for kind in KINDS}
+    found[RECORDING] = next((file.name for file in recordings(folder)), "")
+    return {kind: name for kind, name in found.items() if name}
 
 
-def _is_recording(name: str) -> bool:
-    return Path(name).suffix.lower() in SUFFIXES
-
-
-def _kind(folder: Path, names: list[str]) -> str:
-    """One of :data:`KINDS`, or :data:`RECORDING`."""
-    kinds = [kind for kind in KINDS if any(_match(kind, name) for name in names)]
-    recordings = [name for name in names if _is_recording(name)]
-    examples = [*(kind.format(0, 0) for kind in kinds), *recordings]
+def _kind(folder: Path) -> str:
+    """The one kind of views in a folder."""
+    examples = list((found := views_in(folder)).values())
     if len(examples) > 1:
         raise InputError(f"{folder} holds {examples[0]} and {examples[1]}: give the views in one "
                          "kind of file, or one recording")
-    if examples:
-        return kinds[0] if kinds else RECORDING
-    return KINDS[0]  # numbered() reports that they are missing
+    return next(iter(found), KINDS[0])  # numbered() reports that they are missing
 
 
 def _match(kind: str, name: str) -> re.Match | None:
@@ -178,6 +192,11 @@ def numbered(folder: Path, pattern: str, *, most: int = MAX_VIEWS) -> list[Path]
     if not names:
         others = sorted(file.name for file in folder.iterdir() if file.name != "capture.yaml")
         there = f" (the folder holds {shown(others[0])})" if others else ""
+        for name in others:
+            if what := _UNREAD.get(Path(name).suffix.lower()):
+                raise InputError(f"{folder}: {shown(name)} is {what}; save depth as 16-bit PNG in "
+                                 ".png, metres in .npy or points in .ply; or call a photograph "
+                                 "from above outline.jpg")
         photograph = ", or a photograph from above outline.jpg" * (pattern == KINDS[0])
         raise InputError(f"{folder}: {pattern.format(0)} is missing{there}; name the one to "
                          f"{MAX_VIEWS} views {pattern.format(0)}, {pattern.format(1)} and so on"
@@ -210,7 +229,7 @@ def join_views(pictures: Mapping[Path, np.ndarray]) -> np.ndarray:
 
 def _metres(depth: np.ndarray, file: Path) -> np.ndarray:
     """``depth``, m, with 0 for invalid values."""
-    depth = np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32)
+    depth = measured(depth)
     valid = depth[depth > 0]
     if valid.size and (middle := float(np.median(valid))) > MAX_DEPTH:
         raise InputError(f"{file}: its median depth is {middle:.4g}, which cannot be metres; give "
@@ -264,11 +283,12 @@ def read_points(file: Path, camera: Intrinsics) -> DepthImage:
         # From memory, so that files named in the PLY, such as textures, are not read.
         cloud = trimesh.load(io.BytesIO(data), file_type="ply", process=False, skip_materials=True)
         points = np.asarray(cloud.vertices, dtype=np.float64).reshape(-1, 3)
-    points = points[np.isfinite(points).all(axis=1) & (points[:, 2] > 0)]
+    depths = _metres(points[:, 2], file)
+    visible = np.isfinite(points).all(axis=1) & (depths > 0)
+    points, depths = points[visible], depths[visible]
     if not len(points):
         raise InputError(f"{file} has no point in front of the camera; give camera axes: x right, "
                          "y down, z forward")
-    depths = _metres(points[:, 2], file)
     u = np.rint(camera.fx * points[:, 0] / points[:, 2] + camera.cx)
     v = np.rint(camera.fy * points[:, 1] / points[:, 2] + camera.cy)
     inside = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)

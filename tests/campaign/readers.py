@@ -384,7 +384,8 @@ READERS = {
                               | YAML, read_capture),
     "recording": Reader(lambda folder: shutil.copy(
         ROOT / "tests" / "data" / "recordings" / "turntable.db3", folder),
-        {"turntable.db3": damaged_bytes}, lambda folder: read_recording(folder / "turntable.db3")),
+        {"turntable.db3": damaged_bytes},
+        lambda folder: read_recording([folder / "turntable.db3"])),
     "scan, npz": Reader(_scan, {"scan.npz": damaged_zip},
                         lambda folder: read_scan(folder / "scan.npz", SCAN_RIG)),
     "scan, PLY and OBJ": Reader(_raw_scan, {"scan.ply": damaged_bytes, "scan.obj": damaged_text},

@@ -142,7 +142,23 @@ BAD_METRIC = {
     "millimetres": (only("view_0.npy", lambda file: np.save(file, np.full((180, 240), 540.0))),
                     "median depth is 540, which cannot be metres"),
     "points without size_px": (only("view_0.ply", ply(1)), "point clouds need size_px"),
-    "a video": (only("take.mkv", lambda file: file.write_text("")), "the folder holds 'take.mkv'"),
+    "a recording of another kind": (
+        only("take.mkv", lambda file: file.write_text("")), "'take.mkv' is a recording of Azure"),
+    **{f"views in {end}": (only(f"view_0{end}", lambda file: file.write_text("")),
+                           f"'view_0{end}' is {what}") for end, what in (
+        (".raw", "bare pixels without their size; save"), (".pcd", "a point cloud of PCL; save"),
+        (".npz", "an archive of arrays"), (".JPEG", "an 8-bit picture"), (".tiff", "TIFF; save"))},
+    "another file": (only("depth.txt", lambda file: file.write_text("")),
+                     "view_0.png is missing (the folder holds 'depth.txt')"),
+    "a decimal comma": (write("capture.yaml", b"density_g_m2: 210,5\n"),
+                        "density_g_m2=210,5 has a decimal comma; write a point"),
+    "decimal commas in braces": (
+        write("capture.yaml", b"density_g_m2: 210\nintrinsics: {fx: 305,0, fy: 305,0}\n"),
+        "a decimal comma before 0; write a point, such as 305.0"),
+    "keys of an SDK": (
+        setting(intrinsics={**GOOD, "ppx": 119.5, "ppy": 89.5, "model": "none", "width": 240}),
+        "unknown keys 'intrinsics.model', 'intrinsics.ppx', 'intrinsics.ppy', 'intrinsics.width'; "
+        "give fx, fy, cx and cy in pixels"),
     "NaN density": (setting(density_g_m2=float("nan")), "finite number"),
     "density in kg": (setting(density_g_m2=0.15), "density_g_m2=0.15"),
     "heavy density": (setting(density_g_m2=1000.1), "density_g_m2=1000.1"),

@@ -42,7 +42,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "view_0.npy": read_array,
     "view_0.exr": read_exr,
     "view_0.ply": lambda file: read_points(file, None),
-    "depth.bag": read_recording,
+    "depth.bag": lambda file: read_recording([file]),
     "scan.npz": lambda file: read_scan(file, DISC_RIG),
     "scan.obj": lambda file: read_cloud(file, DISC_RIG),
     "drape.npz": read_borrowed,
