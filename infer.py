@@ -115,6 +115,9 @@ def options_of(config: InferConfig) -> EstimateOptions:
         raise InputError("capture= is missing; give the folder of the capture: capture=DIR")
     if config.strips and config.captures:
         raise InputError("give strips= or captures=, not both")
+    for key in ("density_g_m2", "warp_direction_deg"):
+        if not config.scan and getattr(config, key) is not None:
+            raise InputError(f"{key}= is of a scan; state it in the capture's capture.yaml")
     for key, value in config.refine.items():
         integer = key == "starts"
         if key != "by" and not (isinstance(value, int if integer else int | float) and value > 0):
@@ -134,11 +137,12 @@ def read_sources(config: InferConfig) -> list[tuple[Capture, Any]]:
     paths = [Path(str(path)) for path in (named if isinstance(named, list) else [named]) if named]
     if not config.scan:
         return [(read_capture(path), None) for place in paths for path in captures_in(place)]
-    specimen = Specimen.of({"density_g_m2": config.density_g_m2,
-                            "warp_direction_deg": config.warp_direction_deg}, "")
-    from drapenet.refine.registration import read_scan_capture
+    stated = {key: value for key in Specimen.model_fields
+              if (value := getattr(config, key)) is not None}
+    specimen = Specimen.of(stated, "")
+    from drapenet.scan import read_scan
 
-    return [read_scan_capture(path, specimen) for path in paths]
+    return [read_scan(path, specimen) for path in paths]
 
 
 if __name__ == "__main__":

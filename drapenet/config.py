@@ -80,7 +80,7 @@ class InferConfig:
     workers: Annotated[int | None, Field(ge=1)]
     drapes: Annotated[int | None, Field(ge=0, le=4)]
     edge_mm: float
-    density_g_m2: float
+    density_g_m2: float | None
     warp_direction_deg: float | None
     strict: bool
 

@@ -20,7 +20,7 @@ import yaml
 from PIL import Image
 from pydantic import Field
 
-from common.documents import MAX_TEXT_BYTES, Schema, parse_yaml, shown
+from common.documents import MAX_TEXT_BYTES, Schema, number, parse_yaml, shown
 from common.errors import InputError, one_line
 from data.captures.capture import CAPTURE_FILES, INTRINSICS_KEYS, OUTLINE_SUFFIXES
 from data.captures.description import OUTLINE_TABLES, Description, PlateInPicture, Specimen
@@ -31,7 +31,7 @@ from drapenet.config import ServeConfig
 from drapenet.export.material import MAX_NAME_LENGTH, PRINTABLE
 from drapenet.service.limits import RequestError
 
-PICTURES, SCANS = (".png", ".npy", ".ply"), (".npz", ".obj")
+PICTURES, SCANS = (".png", ".npy", ".ply"), (".npz", ".obj", ".stl")
 PACKED = tuple(dict.fromkeys((*PICTURES, *OUTLINE_SUFFIXES, *SCANS, ".yaml")))
 KINDS = (*PACKED, ".zip")
 PLACES = {**{key: ("intrinsics", key) for key in INTRINSICS_KEYS},
@@ -122,7 +122,7 @@ def decoded(name: str) -> str:
 def _plain(text: str | None) -> Any:
     """The number, also with a decimal comma, or true or false that a field states, or its text."""
     with suppress(ValueError, AttributeError):
-        return float(text.replace(",", "."))
+        return number(text)
     return {"true": True, "false": False}.get(text, text)
 
 

@@ -66,14 +66,14 @@ def _estimate(
     from data.captures.capture import read_capture
     from data.captures.description import Specimen
     from drapenet.inference import estimate_capture
-    from drapenet.refine.registration import read_scan_capture
     from drapenet.result.files import ESTIMATE
+    from drapenet.scan import read_scan
 
     task, registered = row["task"], None
     record(stage="reading")
     if scan := task["scan"]:
         specimen = Specimen.of(task["specimen"], "")
-        capture, registered = read_scan_capture(folder / UPLOADED / scan, specimen)
+        capture, registered = read_scan(folder / UPLOADED / scan, specimen)
     else:
         capture = read_capture(folder / UPLOADED)
     replace_file(folder / PREVIEW, preview(capture))

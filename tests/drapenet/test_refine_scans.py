@@ -188,8 +188,10 @@ def test_raw_scans_may_have_faces_or_none(tmp_path, captured):
 
 
 @pytest.mark.parametrize(("words", "message"), [
-    (["scan={bad}"], "cannot be read"), (["scan=x.npz", "capture=y"], "not both"),
-    (["scan=x.npz", "density_g_m2=0"], "density_g_m2"),
+    (["scan={bad}", "density_g_m2=210"], "cannot be read"),
+    (["scan=x.npz", "capture=y"], "not both"),
+    (["scan=x.npz", "density_g_m2=0"], "density_g_m2"), (["scan=x.npz"], "density_g_m2 is missing"),
+    (["capture=x", "density_g_m2=250"], "density_g_m2= is of a scan; state it in the capture's"),
     (["scan=x.npz", "warp_direction_deg=.nan"], "warp_direction_deg")])
 def test_the_command_refuses_a_faulty_scan(tmp_path, words, message):
     bad = tmp_path / "bad.npz"
@@ -203,8 +205,8 @@ def test_the_command_refuses_a_faulty_scan(tmp_path, words, message):
 def test_the_command_refines_a_scan(tmp_path, captured, untrained_checkpoint):
     scan = tmp_path / "scan.npz"
     np.savez(scan, vertices=captured.positions, rest=captured.rest, faces=captured.faces)
-    main([f"scan={scan}", "refine=simulation", "warp_direction_deg=0", f"out={tmp_path / 'out'}",
-          f"checkpoint={untrained_checkpoint}"])
+    main([f"scan={scan}", "refine=simulation", "density_g_m2=300", "warp_direction_deg=0",
+          f"out={tmp_path / 'out'}", f"checkpoint={untrained_checkpoint}"])
     content = json.loads((tmp_path / "out" / "estimate.json").read_text())
     assert content["refined"]["fidelity"]["displacement_mm"] < 1.0
     alpha = [content["moduli_at_300_g_m2"][name]["alpha_uN_m"] for name in ("warp", "weft")]
