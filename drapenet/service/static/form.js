@@ -68,7 +68,7 @@ const suffix = (name) => name.slice(name.lastIndexOf('.')).toLowerCase().replace
 const chosen = () => [...at('files').files];
 const isDescribed = () => chosen().some((file) => ['.zip', '.yaml'].includes(suffix(file.name)) || file.name === 'density.txt');
 const isScan = () => chosen().length === 1 && !/^view_\d/.test(chosen()[0].name)
-  && ['.npz', '.obj', '.ply'].includes(suffix(chosen()[0].name));
+  && ['.npz', '.obj', '.ply', '.stl'].includes(suffix(chosen()[0].name));
 const usesSetup = () => !isDescribed() || at('override').querySelector('input').checked;
 const number = (field) => Number(field.value.trim().replace(',', '.'));
 const isOtherSize = () => at('tester').value.includes('_') && !/\d/.test(at('tester').value);
