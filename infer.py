@@ -27,6 +27,7 @@ from data.strips.folder import read_strips
 from drapenet.config import EstimateOptions, InferConfig
 from drapenet.evidence import require_marked
 from drapenet.network.checkpoint import read_header
+from drapenet.result.document import EstimateDocument
 from drapenet.result.files import (
     ESTIMATE,
     SHOWN,
@@ -74,7 +75,7 @@ def estimate_fabric(config: InferConfig, options: EstimateOptions) -> Path:
     for folder in folders:
         require_output(folder)
     # Importing torch takes seconds; input errors come first.
-    from drapenet.inference import estimate_capture, joint_estimate
+    from drapenet.inference import estimate_capture, joint_estimate, joint_report
 
     results = []
     for (capture, scan), folder in zip(sources, folders, strict=True):
@@ -84,16 +85,23 @@ def estimate_fabric(config: InferConfig, options: EstimateOptions) -> Path:
         result = estimate_capture(capture, header, options, out=folder, scan=scan)
         document = result.document
         results.append((result.observation, document))
-        print(f"{document.text()}\nestimate: {folder / ESTIMATE}")
-        if files := [str(folder / name) for name in SHOWN if (folder / name).exists()]:
-            print(f"report:   {', '.join(files)}")
+        print_estimate(document, folder)
     if strips or not alone:
         observations, documents = zip(*results, strict=True) if results else ((), ())
         estimate, document = joint_estimate(observations, documents, header, strips)
         remove_report(out)
         write_estimate(out, estimate, document)
-        print(f"{document.text()}\nestimate: {out / ESTIMATE}")
+        if options.drapes:
+            joint_report(document, documents, folders, out=out)
+        print_estimate(document, out)
     return out / ESTIMATE
+
+
+def print_estimate(document: EstimateDocument, folder: Path) -> None:
+    """Print an estimate and the names of its files."""
+    print(f"{document.text()}\nestimate: {folder / ESTIMATE}")
+    if files := [str(folder / name) for name in SHOWN if (folder / name).exists()]:
+        print(f"report:   {', '.join(files)}")
 
 
 def export_estimates(files: list[Path], names: str) -> None:

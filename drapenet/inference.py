@@ -15,6 +15,7 @@ from common.errors import MAX_LIST_LENGTH, InputError, one_line
 from common.files import replace_file
 from common.types import Metres
 from data.captures.capture import Capture
+from data.captures.description import Labels
 from data.captures.known import Known
 from data.strips.folder import StripSet
 from drapenet.config import EstimateOptions
@@ -37,11 +38,11 @@ from drapenet.result.document import (
 )
 from drapenet.result.estimate import Estimate, make_estimate
 from drapenet.result.files import (
-    PAGE,
     REPORT,
     SHAPES,
     TORQUES,
-    last_parts,
+    capture_names,
+    fabric_name,
     printable,
     remove_report,
     write_estimate,
@@ -94,6 +95,8 @@ class CaptureEstimate:
         share = seen.outline.coefficient(capture.rig) if seen.outline else seen.coefficient
         if self.drape and np.isfinite(share):
             share += self.drape.perspective
+        outline = seen.outline
+        nodes = outline.folds if outline else None if np.isnan(seen.nodes) else int(seen.nodes)
         about = CaptureAbout(
             source=printable(capture.path), density_g_m2=round(capture.density * 1e3, 6),
             rig=capture.rig.name, face=capture.face, views=len(capture.views),
@@ -101,7 +104,7 @@ class CaptureEstimate:
             turns_deg=self.located and (  # no -0.0
                 np.degrees(self.located.turns).round(1) + 0.0).tolist(),
             drape_coefficient_percent=round(100 * share, 1) if np.isfinite(share) else None,
-            known=capture.known)
+            nodes=nodes, known=capture.known, labels=capture.labels)
         warnings = [*capture.warnings, *self.estimate.warnings, *self.warnings]
         optional = {"refined": self.refined} if self.refined else {}
         if self.drape:
@@ -207,12 +210,14 @@ def joint_estimate(
         warnings.append("the captures state different densities: moduli are those at "
                         f"{1e3 * density:g} g/m²")
     rigs = dict.fromkeys(document.capture.rig for document in documents)
+    stated = [set(document.capture.labels.stated().items()) for document in documents] or [set()]
     if documents:
         sections["captures"] = [
             CaptureRecord(capture=document.capture, moduli=document.moduli,
                           warnings=document.warnings) for document in documents]
     return estimate, EstimateDocument.from_estimate(
         estimate, capture={"sources": labels, "rig": ", ".join(rigs),
+                           "labels": Labels(**dict(set.intersection(*stated))),
                            "density_g_m2": round(density * 1e3, 6)},
         checkpoint=header.identity, warnings=warnings, **sections)
 
@@ -312,15 +317,28 @@ def simulate(result: CaptureEstimate, *, drapes: int, edge: Metres) -> CaptureEs
 def report(result: CaptureEstimate, *, out: Path) -> CaptureEstimate:
     """Write the report's files to ``out``."""
     from drapenet.report.figures import draw_report, draw_torques
-    from drapenet.report.pages import render
+    from drapenet.report.report import ShownCapture, write_report
     from drapenet.report.shapes import drape_glb
 
     capture, document = result.capture, result.document
-    name = printable("/".join(last_parts(capture.path)))
-    picture = draw_report(result.estimate, document, capture, result.drape,
-                          title=f"{name}: {document.capture.density_g_m2:g} g/m²")
+    name = fabric_name(document)
+    picture = draw_report(result.estimate, document, capture, result.drape, title=name)
     replace_file(out / REPORT, picture)
     replace_file(out / TORQUES, draw_torques(result.estimate))
     replace_file(out / SHAPES, drape_glb(capture.rig, result.located, result.drape))
-    replace_file(out / PAGE, render("report.html", name=name, document=document, report=picture))
+    write_report(out, name, document, [ShownCapture(name, document, picture)])
     return result
+
+
+def joint_report(
+    document: EstimateDocument, documents: Sequence[EstimateDocument], folders: Sequence[Path],
+    *, out: Path,
+) -> None:
+    """Write the report of a joint estimate, with the pictures in its captures' ``folders``."""
+    from drapenet.report.report import ShownCapture, write_report
+
+    files = [folder / REPORT for folder in folders]
+    captures = [ShownCapture(name, part, file.read_bytes() if file.exists() else b"")
+                for name, part, file in zip(capture_names(document), documents, files,
+                                            strict=True)]
+    write_report(out, fabric_name(document), document, captures)

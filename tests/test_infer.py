@@ -220,7 +220,18 @@ def test_captures_below_samples_are_found_and_fabrics_are_not_joined(tmp_path):
 def test_captures_of_one_fabric_give_one_estimate(checkpoint, tmp_path, out, capsys):
     for name, turn in (("a", 0.0), ("b", 1.0)):
         write_skirt(tmp_path / "fabric" / name, orientation=turn, warp_direction=turn)
+    describe(tmp_path / "fabric" / "a", fabric="Navy 7", operator="A")
+    describe(tmp_path / "fabric" / "b", fabric="Navy 7", operator="B", face="down")
+    infer.main(words(tmp_path / "fabric", checkpoint, "drapes=1", "edge_mm=16"))
+    assert {file.name for file in out.iterdir() if file.is_file()} == {
+        "estimate.json", "samples.npz", "report.html", "report.pdf"}
+    page = (out / "report.html").read_text("utf-8")
+    assert "<h1>Navy 7</h1>" in page and page.count("data:image/png") == 2
+    assert content_of(out)["capture"]["labels"] == {"fabric": "Navy 7"}  # that both state
+    assert content_of(out / "capture_1")["capture"]["labels"]["operator"] == "B"
+    assert 3 <= content_of(out / "capture_1")["capture"]["nodes"] <= 9  # five folds, four corners
     infer.main(words(tmp_path / "fabric", checkpoint, "drapes=0"))
+    assert not (out / "report.html").exists()
     content = content_of(out)
     assert "joint estimate of 2 captures" in capsys.readouterr().out
     assert len(content["captures"]) == 2 and (out / "samples.npz").exists()
@@ -326,7 +337,8 @@ def test_report_shows_a_drape_of_the_estimate(capture, checkpoint, out):
     read_estimate(out)  # JSON's parsers refuse half characters
     assert content["resimulation"]["statuses"] == ["converged"]
     assert 0.3 < content["resimulation"]["silhouette_overlap"] <= 1
-    assert (out / "report.html").exists() and (out / "drape.glb").exists()
+    assert (out / "report.pdf").read_bytes().startswith(b"%PDF-") and (out / "drape.glb").exists()
+    assert "<h1>$a$ and $$ caf\ufffd \n</h1>" in (out / "report.html").read_text("utf-8")
     with Image.open(out / "report.png") as picture:
         assert picture.size[0] > 1000
         assert np.asarray(picture.convert("L")).std() > 20  # not an empty page

@@ -1,7 +1,7 @@
 """Turns of the table and focal length from a ChArUco board in colour or infrared pictures.
 
 The board lies beside the column; the pictures are ``color_0.png``, ``color_1.png`` and so on, with
-the pixels of the depth frames. ``python -m data.captures.preview board=a4.png`` writes a board.
+the pixels of the depth frames. ``python -m apps.capture board=a4.png`` writes a board.
 """
 
 import io

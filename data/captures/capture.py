@@ -35,7 +35,9 @@ from data.captures.description import (
     MIN_EQUAL_TURNS,
     OUTLINE_TABLES,
     PARALLEL,
+    UNLABELLED,
     Description,
+    Labels,
     OutlineSource,
     checked_density,
     whole_turns,
@@ -90,6 +92,7 @@ class Capture:
     face: str = "up"
     outline: "PhotographedOutline | None" = None
     known: Known | None = None
+    labels: Labels = UNLABELLED
 
     @property
     def sign(self) -> int:
@@ -145,14 +148,16 @@ def _read_metric(path: Path) -> Capture:
     if description.reported and not views_in(path):
         return Capture(np.zeros((0, 0, 0), np.float32), None, np.zeros(0), description.density,
                        description.warp_direction, _tester(path, description), path,
-                       description.questions, face=description.face, known=description.known)
+                       description.questions, face=description.face, known=description.known,
+                       labels=description.labels)
     frames = read_frames(path, description)
     depth, background = frames.depth, frames.background
     count, height, width = depth.shape
     board = frames.color is not None and shows_board(frames.color)
     intrinsics = frames.intrinsics
     if intrinsics is None:
-        intrinsics = board_intrinsics(frames.color) if board else description.camera(width, height)
+        intrinsics = (board_intrinsics(frames.color) if board else
+                      description.stated_camera(width, height))
     if board and description.turns_deg is None:
         turns = board_turns(frames.color, intrinsics)
     else:
@@ -169,7 +174,8 @@ def _read_metric(path: Path) -> Capture:
     notes = (*description.questions, *(cut.warnings if cut else ()), *warnings, *_sparse(
         frames.spacing, float(np.median(views[views > 0])) / (step * intrinsics.fx)))
     return Capture(views, intrinsics, turns, description.density, description.warp_direction,
-                   rig, path, notes, cut, description.face, known=description.known)
+                   rig, path, notes, cut, description.face, known=description.known,
+                   labels=description.labels)
 
 
 def _sparse(spacing: float, pixel: Metres) -> tuple[str, ...]:
@@ -212,7 +218,7 @@ def _read_outline(path: Path, file: Path, description: Description) -> Capture:
     return Capture(np.zeros((0, 0, 0), np.float32), None, np.zeros(0), description.density,
                    description.warp_direction, rig, path,
                    (*description.questions, *outline.warnings), face=description.face,
-                   outline=outline, known=description.known)
+                   outline=outline, known=description.known, labels=description.labels)
 
 
 def _read_published(path: Path) -> Capture:
@@ -353,6 +359,7 @@ def write_capture(
     face: str = "up",
     depth_unit: Metres = 1e-3,
     background: DepthImage | None = None,
+    labels: Labels = UNLABELLED,
 ) -> None:
     """Write a capture in the 16-bit format to a new or empty folder, in one step.
 
@@ -387,7 +394,8 @@ def write_capture(
         for name, picture in zip(pictures, counts.astype(np.uint16), strict=True):
             Image.fromarray(picture).save(folder / f"{name}.png")
 
-    _write_folder(path, _described(density, rig, face, warp_direction) | keys, save)
+    stated = _described(density, rig, face, warp_direction, labels)
+    _write_folder(path, stated | keys, save)
 
 
 def write_outline(capture: Capture, path: str | Path) -> None:
@@ -397,20 +405,21 @@ def write_outline(capture: Capture, path: str | Path) -> None:
     if not math.isnan(outline.height):
         source["camera_height_mm"] = PARALLEL if math.isinf(outline.height) else round(
             1e3 * outline.height, 6)
-    description = _described(capture.density, capture.rig, capture.face, capture.warp_direction)
+    description = _described(capture.density, capture.rig, capture.face, capture.warp_direction,
+                             capture.labels)
     _write_folder(Path(path), description | {"outline": source}, lambda folder: np.savetxt(
         folder / "outline.csv", 1e3 * outline.curve, fmt="%.3f", delimiter=",", header="x_mm,y_mm",
         comments=""))
 
 
 def _described(
-    density: Density, rig: Rig, face: str, warp_direction: Radians | None
+    density: Density, rig: Rig, face: str, warp_direction: Radians | None, labels: Labels
 ) -> dict[str, object]:
     """The keys of capture.yaml that captures of all kinds have."""
     marked = {} if warp_direction is None else {
         "warp_direction_deg": round(math.degrees(warp_direction), 6)}
-    return {"density_g_m2": round(density * 1e3, 6), "tester": described_tester(rig),
-            "face": face} | marked
+    return labels.stated() | {"density_g_m2": round(density * 1e3, 6),
+                              "tester": described_tester(rig), "face": face} | marked
 
 
 def _write_folder(path: Path, description: dict, save: Callable[[Path], None]) -> None:

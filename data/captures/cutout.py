@@ -36,7 +36,7 @@ _COLUMN_MARGIN = 1.5e-3, 4e-3  # m, limits of the tolerance added to the column'
 _MIN_CHANGE = 4e-3  # m at 0.5 m, by which cloth is nearer than the empty scene
 _MAX_SAME_SHARE = 0.5  # of the candidate cloth; above it the background shows cloth
 _MAX_MOVED_SHARE = 0.3  # of the static pixels; above it the camera has moved
-_LOOK = "python -m data.captures.preview"
+_LOOK = "python -m apps.capture"
 
 
 @dataclass(frozen=True)

@@ -2,11 +2,12 @@
 
 import math
 from contextlib import suppress
+from datetime import date
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, PlainValidator, create_model, model_validator
+from pydantic import BeforeValidator, Field, PlainValidator, create_model, model_validator
 
 from common.documents import Schema, shown
 from common.errors import InputError
@@ -29,6 +30,35 @@ CAMERA_HEIGHTS = (200.0, 20_000.0)  # mm above the plate, of a photograph's came
 OUTLINE_TABLES = (".csv", ".txt")  # suffixes of outlines in numbers
 PARALLEL = "parallel"
 """Height of a camera infinitely far away, such as the light of a drapemeter."""
+MAX_LABEL_LENGTH = 80  # characters
+PRINTABLE = r"^[^\p{C}\p{Zl}\p{Zp}]*$"
+_Label = Annotated[str, Field(min_length=1, max_length=MAX_LABEL_LENGTH, pattern=PRINTABLE)]
+_LABEL = f"up to {MAX_LABEL_LENGTH} printable characters, in quotes if they are a number"
+
+
+def _day(value: object) -> object:
+    """A day, or its text, as YYYY-MM-DD."""
+    try:
+        return str(value if isinstance(value, date) else date.fromisoformat(value))[:10]
+    except (TypeError, ValueError):
+        raise ValueError("is not a date; give YYYY-MM-DD, such as 2026-11-26") from None
+
+
+class Labels(Schema):
+    """What a report states of a capture, as it was given."""
+
+    fabric: _Label | None = Field(None, description=_LABEL)
+    date: Annotated[str, BeforeValidator(_day)] | None = None
+    laboratory: _Label | None = Field(None, description=_LABEL)
+    operator: _Label | None = Field(None, description=_LABEL)
+    camera: _Label | None = Field(None, description=_LABEL)
+
+    def stated(self) -> dict[str, str]:
+        """The labels that are given, by key."""
+        return {key: value for key in Labels.model_fields if (value := getattr(self, key))}
+
+
+UNLABELLED = Labels()
 
 
 class Weighed(Schema):
@@ -120,7 +150,7 @@ class OutlineSource(Schema):
         return math.nan if self.camera_height_mm is None else 1e-3 * self.camera_height_mm
 
 
-class Description(Specimen):
+class Description(Specimen, Labels):
     """``capture.yaml``; point clouds are projected to ``size_px``, ``face`` is the upper one."""
 
     depth_unit_m: float | None = Field(None, gt=0, description="0.001 for millimetres")
@@ -137,11 +167,16 @@ class Description(Specimen):
     known: Known | None = None
 
     @property
+    def labels(self) -> Labels:
+        """What a report states."""
+        return Labels(**self.stated())
+
+    @property
     def reported(self) -> bool:
         """Whether a drape coefficient is stated."""
         return self.known is not None and self.known.drape_coefficient_percent is not None
 
-    def camera(self, width: int, height: int) -> Intrinsics:
+    def stated_camera(self, width: int, height: int) -> Intrinsics:
         """The stated intrinsics, of pictures of this size."""
         if self.intrinsics is None:
             remedy = Description.model_fields["intrinsics"].description

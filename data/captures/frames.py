@@ -70,7 +70,7 @@ def read_frames(folder: Path, description: Description) -> Frames:
     scene = [_background(folder / BACKGROUND, unit, depth)] if BACKGROUND in names else []
     color = _color(folder, depth) if has_color else ()
     if stated:
-        intrinsics, lens = description.camera(*depth.shape[:0:-1]), description.lens
+        intrinsics, lens = description.stated_camera(*depth.shape[:0:-1]), description.lens
     depth = np.minimum(depth, MAX_DEPTH).astype(np.float32)
     filled, spacings = zip(*map(between_points, [*depth, *scene]), strict=True)
     if lens and not kind.endswith("ply"):  # points have no lens
@@ -92,7 +92,7 @@ def _reader(
         if description.size_px is None:
             raise InputError(f"{folder}: point clouds need size_px: [WIDTH, HEIGHT] in "
                              "capture.yaml, of the picture that the intrinsics are of")
-        camera = description.camera(*description.size_px)
+        camera = description.stated_camera(*description.size_px)
         return lambda file: read_points(file, camera)
     return lambda file: read_counts(file) * unit
 

@@ -1,43 +1,26 @@
-"""Convert depth frames to a capture, with the cloth cut out.
+"""Pictures of a capture as it was read, to be checked by eye: ``capture.png``.
 
-    python -m data.captures.preview frames=FOLDER out=DIR
-    python -m data.captures.preview board=board.png
-
-FOLDER has capture.yaml and frames of the full scene, or of the cloth alone (docs/use.md), or its
-outline from above, which is written as numbers, with a picture of curve and plate; or strips.yaml
-and photographs of strips, whose curves are written as CSV, with a picture of each. Writes
-the capture as 16-bit PNG with background 0 to DIR, and DIR/capture.png: each frame with the outline
-of the cloth, the plate's rim and its axes; last, the hems of all frames from above, one colour per
-frame, rotated back by turns_deg. Check it: where two colours do not coincide, or all are on one
-side, the turns of the table differ from those stated, or the cloth has moved.
+In the hems of all frames from above, where two colours do not coincide, or all are on one side, the
+turns of the table differ from those stated, or the cloth has moved.
 """
 
 import io
-from dataclasses import dataclass
-from pathlib import Path
+import textwrap
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from common.command import command
-from common.errors import InputError
-from common.files import folder_named, replace_file, require_folder
 from common.types import Outline, Radians, Turns
-from data.captures.board import SQUARE, board_picture
-from data.captures.capture import Capture, read_capture, write_capture, write_outline
+from data.captures.capture import Capture
+from data.captures.check import Check
 from data.captures.cutout import CutOut
-from data.captures.plate import plate_of_cloth
 from data.render.cameras import Camera, Intrinsics
 from data.render.shade import silhouette, thumbnails
-from data.strips.description import FILE as STRIPS
-from data.strips.folder import read_strips
-from data.strips.preview import strips_figure, write_curves
 from sim.rig import Rig
 
-DEPTH_UNIT = 1e-4  # m per count, finer than those of input files
-PICTURE = "capture.png"
 _AXIS = 0.04  # m, length of the axes drawn
 _WIDTH = 4.8  # inches, width of a frame in the picture
 _RIM, _OUTLINE = "#ffc800", "#3cdc3c"
@@ -47,63 +30,15 @@ _VIEWS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#3c
 _FIELD = 1.02  # half height of the view from above, relative to the specimen's reach
 _SECTORS = 180  # of the hem from above, each with its outermost point
 _VISIBLE = np.radians(75.0)  # azimuth on either side of the camera in which a view shows the hem
+_SOUND, _FAULTY = "#1a7f37", "#b5202a"
+_LINE, _SPACING = 78, 11  # characters, and points between the lines, of checks
 
 
-@dataclass
-class CaptureConfig:
-    """``configs/capture.yaml``."""
-
-    frames: str
-    out: str
-    board: str
-
-
-@command("capture", CaptureConfig)
-def main(config: CaptureConfig) -> None:
-    """Cut out the cloth and write the capture and its picture, or write a board."""
-    if config.board:
-        replace_file(Path(config.board), board_picture())
-        print(f"board: {config.board}; print it on A4 at 100 %: squares of "
-              f"{1e3 * SQUARE:g} mm")
-        return
-    if not config.frames:
-        raise InputError("frames= is missing; give the folder of the frames: frames=FOLDER")
-    out = folder_named(config.out)
-    require_folder(out)
-    if (Path(config.frames) / STRIPS).exists():
-        strips = read_strips(config.frames)
-        write_curves(strips, out)
-        replace_file(out / PICTURE, _png(strips_figure(strips)))
-        _print_notes(strips.warnings, out)
-        return
-    capture = read_capture(config.frames)
-    if capture.outline:
-        write_outline(capture, out)
-        replace_file(out / PICTURE, outline_picture(capture))
-        _print_notes(capture.warnings, out)
-        return
-    cut = capture.cut or CutOut(
-        capture.views, capture.views > 0, capture.views,
-        plate_of_cloth(capture.views, capture.intrinsics, capture.rig))
-    write_capture(out, views=capture.views, intrinsics=capture.intrinsics, density=capture.density,
-                  warp_direction=capture.warp_direction, turns=capture.turns, rig=capture.rig,
-                  face=capture.face, depth_unit=DEPTH_UNIT)
-    replace_file(out / PICTURE, picture(cut, capture.intrinsics, capture.rig, turns=capture.turns))
-    already = () if capture.cut else ("the frames were cut out already",)
-    _print_notes((*capture.warnings, *already), out)
-
-
-def _print_notes(notes: tuple[str, ...], out: Path) -> None:
-    for line in notes:
-        print(f"note: {line}")
-    print(f"capture: {out}\npicture: {out / PICTURE}")
-
-
-def outline_picture(capture: Capture) -> bytes:
-    """PNG of a photograph from above, or of numbers, with curve, plate, warp and measures."""
+def outline_picture(capture: Capture, checks: Sequence[Check] = ()) -> bytes:
+    """PNG of a photograph from above, or of numbers, with curve, plate, warp and ``checks``."""
     outline, rig = capture.outline, capture.rig
     figure = Figure(figsize=(2 * _WIDTH, 2 * _WIDTH), dpi=100)
-    panel = figure.add_axes((0.02, 0.02, 0.96, 0.86))
+    panel = figure.add_axes((0.02, 0.02, 0.96, 0.82))
     panel.set_axis_off()
     panel.set_aspect("equal")
     if outline.picture is not None:
@@ -121,17 +56,18 @@ def outline_picture(capture: Capture) -> bytes:
     for label, points, colour, style in lines:
         panel.plot(*outline.drawn(points).T, style, color=colour, linewidth=1, label=label)
     scale = "" if np.isnan(outline.pixel) else f", {1e3 * outline.pixel:.3g} mm per pixel"
-    figure.text(0.02, 0.9, f"drape coefficient {100 * outline.drape_coefficient:.1f} %, as seen\n"
-                f"{outline.folds} folds; hem {1e3 * outline.radii.min():.0f} to "
-                f"{1e3 * outline.radii.max():.0f} mm from the centre"
-                f"{'' if outline.centred else ' of the outline'}\n{rig.name}{scale}", fontsize=11)
+    header = figure.add_axes((0.0, 0.84, 0.7, 0.16))
+    header.set_axis_off()
+    _draw_checks(header, f"{rig.name}{scale}", checks)
     figure.legend(loc="upper right", frameon=False)
-    return _png(figure)
+    return png(figure)
 
 
-def picture(cut: CutOut, intrinsics: Intrinsics, rig: Rig, *, turns: Turns) -> bytes:
-    """PNG of the frames, two per row, and of the hems from above."""
-    rows = -(-(len(cut.frames) + 1) // 2)
+def picture(
+    cut: CutOut, intrinsics: Intrinsics, rig: Rig, *, turns: Turns, checks: Sequence[Check] = ()
+) -> bytes:
+    """PNG of the frames, two per row, of the hems from above, and of ``checks``."""
+    rows = -(-(len(cut.frames) + 1 + bool(checks)) // 2)
     height = _WIDTH * intrinsics.height / intrinsics.width
     figure = Figure(figsize=(2 * _WIDTH, rows * height), dpi=100)
     panels = figure.subplots(rows, 2, squeeze=False).ravel()
@@ -150,7 +86,22 @@ def picture(cut: CutOut, intrinsics: Intrinsics, rig: Rig, *, turns: Turns) -> b
             panel.contour(mask, [0.5], colors=_OUTLINE, linewidths=1)
         _draw_plate(panel, intrinsics.posed(cut.plate.pose), rig)
     _draw_hems(panels[len(cut.frames)], cut, intrinsics, rig, turns)
-    return _png(figure)
+    if checks:
+        _draw_checks(panels[len(cut.frames) + 1], rig.name, checks)
+    return png(figure)
+
+
+def _draw_checks(panel: Axes, title: str, checks: Sequence[Check]) -> None:
+    """Write the ``checks`` below a title, those with a warning first."""
+    lines = [(title, "black")]
+    for check in sorted(checks, key=lambda check: not check.warning):
+        mark, colour = ("✗", _FAULTY) if check.warning else ("✓", _SOUND)
+        text = f"{mark} {check.warning or f'{check.name}: {check.value}'}"
+        lines += [(line, colour) for line in
+                  textwrap.wrap(text, _LINE, subsequent_indent="    ", drop_whitespace=False)]
+    for k, (line, colour) in enumerate(lines):
+        panel.annotate(line, (0.02, 0.98), (0, -_SPACING * k), "axes fraction", "offset points",
+                       color=colour, fontsize=8, va="top", parse_math=False)
 
 
 def thumbnail(capture: Capture, views: int = 1) -> bytes:
@@ -160,7 +111,8 @@ def thumbnail(capture: Capture, views: int = 1) -> bytes:
     return silhouette(capture.outline.curve if capture.outline else None)
 
 
-def _png(figure: Figure) -> bytes:
+def png(figure: Figure) -> bytes:
+    """A figure as PNG."""
     stream = io.BytesIO()
     figure.savefig(stream, format="png")
     return stream.getvalue()
@@ -203,7 +155,3 @@ def _hem(points: np.ndarray, towards: Radians) -> Outline:
     outermost = order[first][np.abs((sectors + 0.5) * (2 * np.pi / _SECTORS)) < _VISIBLE]
     gaps = np.flatnonzero(np.diff(sector[outermost]) > 1) + 1
     return np.insert(points[outermost], gaps, np.nan, axis=0)
-
-
-if __name__ == "__main__":
-    main()

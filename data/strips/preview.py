@@ -1,4 +1,4 @@
-"""Picture and tables of photographed strips: ``python -m data.captures.preview frames=FOLDER``."""
+"""Picture and tables of photographed strips: ``python -m apps.capture frames=FOLDER``."""
 
 from pathlib import Path
 

@@ -16,7 +16,7 @@ from data.captures.preview import thumbnail
 from drapenet.batch.captures import entries_of
 from drapenet.config import EstimateOptions
 from drapenet.network.checkpoint import read_header
-from drapenet.report.overview import THUMBNAIL, fabrics_text, write_overview
+from drapenet.report.overview import RESULTS, THUMBNAIL, fabrics_text, write_overview
 from drapenet.result.files import ESTIMATE, OBSERVATION, SAMPLES, remove_report
 
 DONE = "done"
@@ -58,7 +58,8 @@ def estimate_fabrics(
     print(f"captures: {len(outcomes) - len(failures)} estimated, {len(failures)} failed"
           + f"; {apart} fabrics not joined" * (apart > 0)
           + f", see {out / 'failures.csv'}" * (len(failures) + apart > 0))
-    print(f"fabrics:  {out / 'summary.csv'}, {out / 'fabrics.csv'}\noverview: {out / 'index.html'}")
+    print(f"fabrics:  {out / RESULTS}, {out / 'summary.csv'}, {out / 'fabrics.csv'}\n"
+          f"overview: {out / 'index.html'}")
     if len(failures) == len(entries):
         raise InputError(f"none of {len(entries)} captures could be estimated; see "
                          f"{out / 'failures.csv'}")

@@ -31,7 +31,9 @@ def main(config: ExportConfig) -> None:
                              edge_mm=config.edge_mm, name=config.name)
     out = Path(config.out or (path if path.is_dir() else path.parent))
     if len(names) == 1 and out.suffix and not out.is_dir():
-        require_kind(names[0], out)
+        if out.suffix.lower() != (usual := Path(TARGETS[names[0]].file).suffix):
+            raise InputError(f"out={out}: the file for to={names[0]} ends in {usual}; give such a "
+                             "name, or a folder")
         require_file(out)
         written = export(material, names[0], out)
     else:
@@ -41,14 +43,6 @@ def main(config: ExportConfig) -> None:
         print(file)
     for warning in material.about["warnings"]:
         print(f"warning: {warning}")
-
-
-def require_kind(target: str, file: Path) -> None:
-    """InputError for a file that is not called as those of its target, which may be of another."""
-    usual = Path(TARGETS[target].file)
-    if file.suffix.lower() != usual.suffix:
-        raise InputError(f"out={file}: the file for to={target} ends in {usual.suffix}; give such "
-                         "a name, or a folder")
 
 
 if __name__ == "__main__":

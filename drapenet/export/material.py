@@ -13,14 +13,13 @@ from pydantic import Field
 from common.documents import Schema
 from common.errors import InputError
 from common.types import Density, Moduli, QuadraticModuli
+from data.captures.description import MAX_LABEL_LENGTH, PRINTABLE
 from drapenet.result.document import EstimateDocument
 from drapenet.result.files import ESTIMATE, read_document, result_name
 from sim.energies.hinges import mean_modulus
 from sim.material import DIRECTIONS, MICRO, NANO, SOFTENING_LIMIT, torque
 from sim.rig import GRAVITY
 
-MAX_NAME_LENGTH = 80  # characters
-PRINTABLE = r"^[^\p{C}\p{Zl}\p{Zp}]*$"  # pattern of a name
 MESHES = {"unstructured": ("random", 0.2), "alternating": ("alternating", 0.0),
           "equal": ("equal", 0.0), "random": ("random", 0.0)}
 """Diagonals and jitter (:func:`sim.mesh.strip`) of the meshes that a tool may have."""
@@ -34,8 +33,8 @@ class ExportSettings(Schema):
     curvature_1_m: float = Field(0.0, ge=0, le=1000)
     mesh: Literal[tuple(MESHES)] = "unstructured"
     edge_mm: float = Field(5.0, ge=0.1, le=100)
-    name: str = Field("", max_length=MAX_NAME_LENGTH, pattern=PRINTABLE,
-                      description=f"up to {MAX_NAME_LENGTH} printable characters")
+    name: str = Field("", max_length=MAX_LABEL_LENGTH, pattern=PRINTABLE,
+                      description=f"up to {MAX_LABEL_LENGTH} printable characters")
 
 
 @dataclass(frozen=True)
@@ -77,11 +76,11 @@ class Material:
         """The fabric's, for display."""
         capture = self.document.capture
         sources = capture.sources or [capture.source]
-        if self.settings.name:
-            return self.settings.name
+        if name := self.settings.name or capture.labels.fabric:
+            return name
         if not all(source and source.isprintable() for source in sources):
             return "fabric"
-        return result_name([Path(source) for source in sources])[-MAX_NAME_LENGTH:]
+        return result_name([Path(source) for source in sources])[-MAX_LABEL_LENGTH:]
 
     @property
     def ratio(self) -> float:

@@ -16,11 +16,11 @@ from data.render.cameras import Camera
 from data.render.raster import rasterise
 from drapenet.views.directions import AZIMUTHS
 from drapenet.views.located import LocatedViews
-from drapenet.views.outline import DrapeOutline, silhouettes
+from drapenet.views.outline import DrapeOutline, count_folds, silhouettes
 from sim.cloth import Laws
 from sim.drape import Drape, drape
 from sim.material import Fabric
-from sim.measures import drape_coefficient, folds_around
+from sim.measures import drape_coefficient
 from sim.mesh import Mesh
 from sim.rig import Rig
 
@@ -86,7 +86,7 @@ class Resimulation:
                    DrapeOutline(true).coefficient(rig) - DrapeOutline(shown).coefficient(rig))
 
     @property
-    def folds(self) -> tuple[int, int]:
+    def folds(self) -> tuple[int | None, int | None]:
         """Number of folds, captured and simulated."""
         return count_folds(self.profiles[0]), count_folds(self.profiles[1])
 
@@ -216,15 +216,6 @@ def radius_profile(views: Views, camera: Camera, turns: Turns) -> np.ndarray:
         np.add.at(total, bin_of, facing * np.hypot(band[:, 0], band[:, 1]))
         np.add.at(weight, bin_of, facing)
     return np.where(weight > 1e-3, total / np.maximum(weight, 1e-3), np.nan)
-
-
-def count_folds(profile: np.ndarray) -> int:
-    """Number of outward folds of a radius profile (bins,), which may have gaps."""
-    bins = np.flatnonzero(np.isfinite(profile))
-    if len(bins) < len(profile) // 2:
-        return 0
-    filled = np.interp(np.arange(len(profile)), bins, profile[bins], period=len(profile))
-    return len(folds_around(filled, len(profile) / 90))
 
 
 def silhouette_overlap(first: Views, second: Views) -> float:

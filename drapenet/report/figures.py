@@ -6,12 +6,15 @@ import math
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
+from matplotlib.colors import LightSource
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.image import AxesImage
 
 from common.types import DepthImage, Views
 from data.captures.capture import Capture
 from data.captures.photograph import PhotographedOutline
+from data.render.cameras import nominal_camera
+from data.render.raster import rasterise
 from drapenet.report.drape import PROFILE_HEIGHT, Resimulation
 from drapenet.result.document import EstimateDocument
 from drapenet.result.estimate import Estimate
@@ -19,6 +22,7 @@ from drapenet.result.estimate import Estimate
 MAX_CURVATURE = 400.0  # 1/m, about the sharpest folds of a drape
 COLOURS = ("#b5403a", "#6b6b6b", "#2f6da8")  # of the three directions of a fabric
 CAPTURED, SIMULATED = "#8a8a8a", "#d9762b"
+_SHAPE = 3  # size of the picture of a shape over that of a view
 
 
 def draw_report(
@@ -26,23 +30,27 @@ def draw_report(
     resimulation: Resimulation | None, *, title: str,
 ) -> bytes:
     """The report as a PNG file; ``resimulation`` is None if no simulated drape converged."""
-    figure = Figure(figsize=(13, 12.5), layout="constrained")
+    figure = Figure(figsize=(10.4, 10), layout="constrained")
     figure.get_layout_engine().set(w_pad=0.1)
     upper, lower = figure.subfigures(2, 1, height_ratios=(3, 1.7))
     if capture.outline:
         _photograph(upper.subplots(), capture.outline, resimulation)
     else:
         _views(upper, capture.views, resimulation)
-    grid = lower.add_gridspec(1, 3, width_ratios=(1.8, 1.1, 1.3))
+    grid = lower.add_gridspec(1, 3, width_ratios=(1.4, 1.1, 1.3))
     _torques(lower.add_subplot(grid[0]), estimate)
     _from_above(lower.add_subplot(grid[1], projection="polar"), capture, resimulation)
-    _figures(lower.add_subplot(grid[2]), document, resimulation)
+    _shape(lower.add_subplot(grid[2]), resimulation)
     figure.suptitle(title, fontsize=14, parse_math=False)
-    if document.warnings:
-        figure.supxlabel("\n".join(f"warning: {line}" for line in document.warnings),
-                         x=0.01, ha="left", fontsize=9, parse_math=False)
+    about, count = document.capture, len(document.warnings)
+    parts = [f"{about.density_g_m2:g} g/m²",
+             *[f"drape coefficient {value:.1f} %"
+               for value in [about.drape_coefficient_percent] if value is not None],
+             *[f"{value} nodes" for value in [about.nodes] if value is not None],
+             *[f"{count} warning{'s' * (count > 1)}"] * bool(count)]
+    figure.supxlabel(", ".join(parts), fontsize=11)
     picture = io.BytesIO()
-    figure.savefig(picture, format="png", dpi=100)
+    figure.savefig(picture, format="png", dpi=125)
     return picture.getvalue()
 
 
@@ -51,7 +59,7 @@ def _views(figure: SubFigure, views: Views, resimulation: Resimulation | None) -
     simulated = np.zeros_like(views) if resimulation is None else resimulation.views
     window = _window(np.concatenate([views, simulated]))
     limits = tuple(np.quantile(views[views > 0], (0.01, 0.99)) * 1e3)
-    rows = ["captured", "simulated with the estimate", "captured (grey), simulated (line)"]
+    rows = ["captured", "simulated", "grey: captured\nline: simulated"]
     pictures = figure.subplots(len(rows), len(views), squeeze=False)
     for axes in pictures.flat:
         axes.set(xticks=[], yticks=[])
@@ -145,32 +153,31 @@ def _from_above(axes: Axes, capture: Capture, resimulation: Resimulation | None)
     largest = 80.0
     if resimulation is not None:
         azimuth = np.linspace(0, 2 * np.pi, len(resimulation.profiles[0]) + 1)
-        for profile, folds, name, colour in zip(
-            resimulation.profiles, resimulation.folds, ("captured", "simulated"),
-            (CAPTURED, SIMULATED), strict=True,
-        ):
-            axes.plot(azimuth, np.append(profile, profile[0]) * 1e3, color=colour,
-                      label=f"{name}: {folds} folds")
+        for profile, name, colour in zip(resimulation.profiles, ("captured", "simulated"),
+                                         (CAPTURED, SIMULATED), strict=True):
+            axes.plot(azimuth, np.append(profile, profile[0]) * 1e3, color=colour, label=name)
         largest = 1.05e3 * np.nanmax(np.concatenate(resimulation.profiles), initial=largest / 1e3)
     warp = capture.warp_direction
     if warp is not None:
         axes.plot([warp, warp + math.pi], [largest] * 2, color=COLOURS[0], lw=2.5, label="warp")
+        axes.set_rlabel_position(math.degrees(warp) + 90)
     axes.set_ylim(0, largest)
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), frameon=False, fontsize=8)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), frameon=False, fontsize=7.5,
+                ncols=3, handlelength=1, columnspacing=1)
 
 
-def _figures(axes: Axes, document: EstimateDocument, resimulation: Resimulation | None) -> None:
-    lines = [f"at {document.capture.density_g_m2:g} g/m², median and 68 % interval"]
-    for name, moduli in document.moduli.items():
-        lines += [f"{name:5} alpha {moduli.alpha_uN_m} µN·m",
-                  f"{name:5} beta  {moduli.beta_nN_m2} nN·m²"]
-    lines.append("")
-    if resimulation is None:
-        lines.append("no simulated drape converged")
-    else:
-        captured, simulated = resimulation.folds
-        lines += [f"folds: {captured} captured,", f"       {simulated} simulated",
-                  f"silhouettes overlap {resimulation.overlap:.0%}"]
-    axes.text(0, 0.95, "\n".join(lines), family="monospace", fontsize=9, va="top",
-              transform=axes.transAxes)
+def _shape(axes: Axes, resimulation: Resimulation | None) -> None:
+    """The simulated drape from the side, lit from the upper left."""
     axes.axis("off")
+    axes.set_title("simulated with the estimate" if resimulation else
+                   "no simulated drape converged", fontsize=10)
+    if resimulation is None:
+        return
+    drape, camera = resimulation.drape, nominal_camera(resimulation.drape.rig)
+    camera = camera.resized(_SHAPE * camera.width, _SHAPE * camera.height)
+    depth = rasterise(resimulation.positions, drape.faces, camera, np.zeros(1))[0]
+    shown = depth[_window(depth[None])[1:]]
+    pixel = float(np.median(shown[shown > 0])) / camera.fx
+    light = LightSource(azdeg=315, altdeg=50).hillshade(
+        np.where(shown > 0, -shown, np.nan), dx=pixel, dy=pixel)
+    axes.imshow(light, cmap="copper", vmin=-0.2, vmax=1.1)

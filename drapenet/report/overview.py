@@ -1,5 +1,6 @@
-"""Tables and pages of batch inference, from the files of finished captures: ``summary.csv``,
-``fabrics.csv``, ``captures.csv``, ``failures.csv``, a page for each fabric, and ``index.html``.
+"""Tables and pages of batch inference, from the files of finished captures: ``results.xlsx``,
+``summary.csv``, ``fabrics.csv``, ``captures.csv``, ``failures.csv``, a report of each fabric, and
+``index.html``.
 """
 
 import io
@@ -14,13 +15,16 @@ from matplotlib.figure import Figure
 from common.errors import InputError
 from common.files import remove_file, replace_file
 from data.captures.capture import require_one_fabric
-from drapenet.batch.captures import Entry
+from drapenet.batch.captures import COLUMNS, Entry
 from drapenet.network.checkpoint import Header
 from drapenet.report.figures import COLOURS
 from drapenet.report.pages import render
+from drapenet.report.report import ShownCapture, write_report
+from drapenet.report.workbook import Sample, workbook
 from drapenet.result.document import ROLES, EstimateDocument, csv_number, csv_table
 from drapenet.result.files import (
     ESTIMATE,
+    PDF,
     REPORT,
     SAMPLES,
     read_estimate,
@@ -30,7 +34,7 @@ from drapenet.result.files import (
 from sim.material import LINEAR
 
 FAILURE = ("fabric", "sample", "capture", "path", "reason")
-SPREAD, INDEX, THUMBNAIL = "captures.png", "index.html", "view.png"
+SPREAD, INDEX, THUMBNAIL, RESULTS = "captures.png", "index.html", "view.png", "results.xlsx"
 MAX_NAME_WIDTH = 28  # characters of a name in a table or picture
 
 
@@ -50,11 +54,13 @@ class FabricEstimate:
     scatter: np.ndarray | None
 
     @property
-    def coefficient(self) -> str:
-        """Mean drape coefficient of the captures, percent; empty if they have none."""
-        values = [value for _, document in self.captures
-                  if (value := document.capture.drape_coefficient_percent) is not None]
-        return csv_number(np.mean(values)) if values else ""
+    def means(self) -> dict[str, float | None]:
+        """Drape coefficient and nodes, means over the captures that have them."""
+        seen = {name: [value for _, document in self.captures
+                       if (value := getattr(document.capture, name)) is not None]
+                for name in ("drape_coefficient_percent", "nodes")}
+        return {name: round(float(np.mean(values)), 2) if values else None
+                for name, values in seen.items()}
 
 
 def write_overview(
@@ -82,9 +88,15 @@ def write_overview(
             ("failures", failures, FAILURE)):
         # Excel needs the byte order mark to detect UTF-8.
         replace_file(out / f"{name}.csv", csv_table(rows, columns).encode("utf-8-sig"))
+    replace_file(out / RESULTS, workbook({
+        "fabrics": [Sample({"fabric": fabric.name, "captures": len(fabric.captures)},
+                           fabric.document, *fabric.means.values()) for fabric in fabrics],
+        "captures": [Sample({name: getattr(entry, name) for name in COLUMNS}, document,
+                            document.capture.drape_coefficient_percent, document.capture.nodes)
+                     for fabric in fabrics for entry, document in fabric.captures]}))
     places = {Path(entry.place.parts[0]) for entry, _ in outcomes}
     for place in places - {fabric.place for fabric in fabrics}:  # of an earlier run
-        for name in (ESTIMATE, SAMPLES, SPREAD, INDEX):
+        for name in (ESTIMATE, SAMPLES, SPREAD, INDEX, PDF):
             remove_file(out / place / name)
     replace_file(out / INDEX, render("index.html", fabrics=fabrics, failures=failures, page=INDEX,
                                      thumbnail=THUMBNAIL))
@@ -112,12 +124,21 @@ def _write_fabric(
                             list(zip(entries, documents, strict=True)), document, scatter)
     folder = out / fabric.place
     write_estimate(folder, estimate, document)
-    replace_file(folder / SPREAD, _spread(fabric))
-    replace_file(folder / INDEX, render(
-        "fabric.html", fabric=fabric, estimate=ESTIMATE, thumbnail=THUMBNAIL, report=REPORT,
-        spread=SPREAD, reports={entry.place for entry in entries
-                                if (out / entry.place / REPORT).exists()}))
+    spread = _spread(fabric)
+    replace_file(folder / SPREAD, spread)
+    shown = [_shown(out, *capture) for capture in fabric.captures]
+    write_report(folder, document.capture.labels.fabric or name, document, shown, page=INDEX,
+                 pdf=any(capture.large for capture in shown), spread=spread, scatter=scatter,
+                 back="../index.html")
     return fabric
+
+
+def _shown(out: Path, entry: Entry, document: EstimateDocument) -> ShownCapture:
+    """A capture with the picture of its report, or its thumbnail."""
+    large = (out / entry.place / REPORT).exists()
+    file = out / entry.place / (REPORT if large else THUMBNAIL)
+    return ShownCapture(f"{entry.sample}/{entry.capture}".strip("/"), document,
+                        file.read_bytes() if file.exists() else b"", large)
 
 
 def fabrics_text(fabrics: Sequence[FabricEstimate]) -> str:
@@ -145,8 +166,7 @@ def _summary_row(fabric: FabricEstimate) -> dict[str, object]:
                               "density_g_m2": csv_number(fabric.document.capture.density_g_m2)}
     for role, moduli in zip(ROLES, fabric.document.moduli.values(), strict=True):
         row[f"{role}_alpha_uN_m"], row[f"{role}_68"] = moduli.alpha_uN_m.texts()
-    return row | {"drape_coefficient_percent": fabric.coefficient,
-                  "warnings": len(fabric.document.warnings)}
+    return row | fabric.means | {"warnings": len(fabric.document.warnings)}
 
 
 def _fabric_row(fabric: FabricEstimate) -> dict[str, object]:
@@ -157,7 +177,7 @@ def _fabric_row(fabric: FabricEstimate) -> dict[str, object]:
         "captures": len(fabric.captures),
         "captures_with_warnings": sum(bool(capture.warnings) for _, capture in fabric.captures),
         "rig": document.capture.rig, "directions": document.convention, **document.row(),
-        "drape_coefficient_percent": fabric.coefficient,
+        **fabric.means,
         **{f"alpha_{role}_scatter_factor":
            "" if fabric.scatter is None else csv_number(fabric.scatter[k])
            for k, role in enumerate(ROLES)},
@@ -170,7 +190,7 @@ def _capture_row(entry: Entry, document: EstimateDocument) -> dict[str, object]:
     return {"fabric": entry.fabric, "sample": entry.sample, "capture": entry.capture,
             "directions": document.convention, **document.row(),
             "drape_coefficient_percent": document.capture.drape_coefficient_percent,
-            "flags": "; ".join(document.warnings)}
+            "nodes": document.capture.nodes, "flags": "; ".join(document.warnings)}
 
 
 def _spread(fabric: FabricEstimate) -> bytes:

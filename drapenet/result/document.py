@@ -11,6 +11,7 @@ from pydantic import BeforeValidator, Field, InstanceOf, model_validator
 
 from common.documents import Excerpt, shown
 from common.types import Density
+from data.captures.description import Labels
 from data.captures.known import Known
 from drapenet.result.estimate import Estimate
 from drapenet.result.readings import GF_CM, GF_CM_PER_CM, MG_CM, bending_length, kes
@@ -90,7 +91,9 @@ class CaptureAbout(Excerpt):
     views_sha256: str = ""
     turns_deg: list[float] | None = None
     drape_coefficient_percent: float | None = None
+    nodes: int | None = None
     known: Known | None = None
+    labels: Labels = Labels()
 
 
 class Cloth(Excerpt):
@@ -234,19 +237,21 @@ class EstimateDocument(Excerpt):
         """Of the fabric."""
         return 1e-3 * self.capture.density_g_m2
 
+    @property
+    def parts(self) -> str:
+        """Captures and strips of a joint estimate; empty for that of a single capture."""
+        counts = {"capture": len(self.captures or []),
+                  "strip": self.strips.strips if self.strips else 0}
+        return " and ".join(f"{count} {name}{'s' * (count > 1)}"
+                            for name, count in counts.items() if count)
+
     def content(self) -> dict[str, Any]:
         """The document in JSON's types."""
         return self.model_dump(by_alias=True, exclude_unset=True)
 
     def text(self) -> str:
         """The estimate as lines for a terminal."""
-        lines, parts = [], []
-        if self.captures:
-            parts.append(f"{len(self.captures)} capture{'s' * (len(self.captures) > 1)}")
-        if self.strips:
-            parts.append(f"{self.strips.strips} strip{'s' * (self.strips.strips > 1)}")
-        if parts:
-            lines.append(f"joint estimate of {' and '.join(parts)}")
+        lines = [f"joint estimate of {self.parts}"] if self.parts else []
         lines += [f"at {self.capture.density_g_m2:g} g/m²:",
                   f"{'':8}{'alpha [µN·m]':>14}{'68 % interval':>20}{'beta [nN·m²]':>16}"
                   f"{'68 % interval':>20}"]

@@ -20,8 +20,9 @@ from sim.material import MICRO
 from sim.rig import Rig
 
 ESTIMATE, SAMPLES, OBSERVATION = "estimate.json", "samples.npz", "observation.npz"
-REPORT, PAGE, SHAPES, TORQUES = "report.png", "report.html", "drape.glb", "torque.svg"
-SHOWN = (REPORT, PAGE, SHAPES, TORQUES)
+REPORT, PAGE, PDF = "report.png", "report.html", "report.pdf"
+SHAPES, TORQUES = "drape.glb", "torque.svg"
+SHOWN = (REPORT, PAGE, PDF, SHAPES, TORQUES)
 
 
 def write_estimate(out: Path, estimate: Estimate, document: EstimateDocument) -> None:
@@ -88,14 +89,37 @@ def read_estimate(path: Path) -> tuple[Estimate, EstimateDocument]:
 
 def result_name(sources: Sequence[Path]) -> str:
     """Name of the results of captures: the end of their path, or of that of their common folder."""
-    places = [Path(os.path.abspath(source)) for source in sources]
-    several = len(places) > 1
-    path = Path(os.path.commonpath([place.parent for place in places])) if several else places[0]
+    path = _place(sources)
     if path.is_file():
         path = path.with_suffix("")
     if Path.cwd() in path.parents:
         path = path.relative_to(Path.cwd())
-    return "_".join(last_parts(path) + ["joint"] * several)
+    return "_".join(last_parts(path) + ["joint"] * (len(sources) > 1))
+
+
+def fabric_name(document: EstimateDocument) -> str:
+    """Name of a fabric: the stated one, or that of the folder of its captures or strips."""
+    return document.capture.labels.fabric or _place(_sources(document)).name or "fabric"
+
+
+def capture_names(document: EstimateDocument) -> list[str]:
+    """Names of the captures of a joint estimate: their paths below the common folder."""
+    sources = [Path(source) for source in document.capture.sources or []]
+    return [os.path.relpath(source, _place(sources)) if len(sources) > 1 else source.name
+            for source in sources]
+
+
+def _sources(document: EstimateDocument) -> list[Path]:
+    strips = document.strips.source if document.strips else ""
+    about = document.capture
+    return [Path(source) for source in about.sources or [about.source or strips]]
+
+
+def _place(sources: Sequence[Path]) -> Path:
+    """A capture's path, or the common folder of several."""
+    places = [Path(os.path.abspath(source)) for source in sources]
+    return (places[0] if len(places) == 1 else
+            Path(os.path.commonpath([place.parent for place in places])))
 
 
 def printable(path: str | Path) -> str:

@@ -132,8 +132,8 @@ def state(identity: str, request: Request) -> JSONResponse:
 
 @router.get("/estimates/{identity}/{file}", response_class=FileResponse)
 def file(identity: str, file: str, request: Request) -> FileResponse:
-    """A file of an estimate: estimate.json, report.png, report.html, drape.glb, torque.svg or
-    preview.png.
+    """A file of an estimate: estimate.json, report.png, report.html, report.pdf, drape.glb,
+    torque.svg or preview.png.
     """
     jobs: Jobs = request.app.state.jobs
     folder = jobs.settings.folder / jobs.row("estimate", identity)["id"]

@@ -23,12 +23,18 @@ from pydantic import Field
 from common.documents import MAX_TEXT_BYTES, Schema, number, parse_yaml, shown
 from common.errors import InputError, one_line
 from data.captures.capture import CAPTURE_FILES, INTRINSICS_KEYS, OUTLINE_SUFFIXES
-from data.captures.description import OUTLINE_TABLES, Description, PlateInPicture, Specimen
+from data.captures.description import (
+    MAX_LABEL_LENGTH,
+    OUTLINE_TABLES,
+    PRINTABLE,
+    Description,
+    PlateInPicture,
+    Specimen,
+)
 from data.captures.frames import BACKGROUND, header_of
 from data.rigs import MISSING_TESTER
 from drapenet.batch.captures import plain_name
 from drapenet.config import ServeConfig
-from drapenet.export.material import MAX_NAME_LENGTH, PRINTABLE
 from drapenet.service.limits import RequestError
 
 PICTURES, SCANS = (".png", ".npy", ".ply"), (".npz", ".obj", ".stl")
@@ -48,8 +54,8 @@ _NAMED = re.compile(r"view_\d+(_\d+)?\.(png|npy|ply)")
 class About(Schema):
     """What a user states of a fabric: ``name``, ``notes``; and the ``label`` of its capture."""
 
-    name: str = Field("", max_length=MAX_NAME_LENGTH, pattern=PRINTABLE,
-                      description=f"up to {MAX_NAME_LENGTH} printable characters")
+    name: str = Field("", max_length=MAX_LABEL_LENGTH, pattern=PRINTABLE,
+                      description=f"up to {MAX_LABEL_LENGTH} printable characters")
     notes: Annotated[str, Field(max_length=2000)] = ""
     label: str = Field("", max_length=40, pattern=PRINTABLE,
                        description="up to 40 printable characters")

@@ -16,6 +16,7 @@ from scipy.ndimage import binary_erosion, binary_fill_holes, label
 
 from common.errors import InputError
 from common.types import Metres, Turns
+from data.captures.check import Check, warnings_of
 from data.captures.plate import INNER_SHARE
 from data.render.cameras import Camera
 from data.render.setups import Setups
@@ -65,38 +66,45 @@ class Quality:
 
 
 def view_warnings(located: LocatedViews, drape: RadialMap, setups: Setups) -> list[str]:
-    """One line for each possible fault of a capture: pose of the camera outside the ``setups``
-    trained on, turns of the table, quality of the views; InputError if they show no plate.
-    """
+    """One line for each possible fault of a capture; InputError if its views show no plate."""
     quality = measure(located, drape)
     require_plate(quality)
-    return [*pose_warnings(located.camera, setups), *turn_warnings(located),
-            *quality_warnings(quality)]
+    return warnings_of(view_checks(located, quality, setups))
 
 
-def pose_warnings(camera: Camera, setups: Setups) -> Iterator[str]:
-    """One line for each property of ``camera`` outside the ``setups`` trained on."""
+def view_checks(located: LocatedViews, quality: Quality, setups: Setups) -> list[Check]:
+    """Checks of a capture: pose of the camera, which the ``setups`` trained on limit, turns of the
+    table, quality of the views."""
+    return [*pose_checks(located.camera, setups), *turn_checks(located), *quality_checks(quality)]
+
+
+def pose_checks(camera: Camera, setups: Setups) -> Iterator[Check]:
+    """Checks of the place of ``camera`` against the ``setups`` trained on."""
     up, centre = camera.world_to_camera[:3, 2], camera.world_to_camera[:3, 3]
     pitch = np.arcsin(np.clip(-up[2], -1.0, 1.0))
     distance = float(np.linalg.norm(centre))
     low, high = np.degrees(setups.pitch)
     near, far = setups.distance
-    if not setups.pitch[0] - TILT < pitch < setups.pitch[1] + TILT:
-        yield (f"the plate is seen from {np.degrees(pitch):.0f}° above the horizontal (limits "
-               f"{low:.0f}° to {high:.0f}°): check that the pictures are upright, their "
-               "intrinsics, and the camera's position")
-    if not near - SHIFT < distance < far + SHIFT:
-        yield (f"the plate is {1e3 * distance:.0f} mm away (limits {1e3 * near:.0f} to "
-               f"{1e3 * far:.0f} mm): check the depth unit, the intrinsics and the camera's "
-               "position")
+    sound = setups.pitch[0] - TILT < pitch < setups.pitch[1] + TILT
+    yield Check("camera looks down by", f"{np.degrees(pitch):.0f}°", "" if sound else (
+        f"the plate is seen from {np.degrees(pitch):.0f}° above the horizontal (limits "
+        f"{low:.0f}° to {high:.0f}°): check that the pictures are upright, their intrinsics, and "
+        "the camera's position"))
+    sound = near - SHIFT < distance < far + SHIFT
+    yield Check("distance of the plate", f"{1e3 * distance:.0f} mm", "" if sound else (
+        f"the plate is {1e3 * distance:.0f} mm away (limits {1e3 * near:.0f} to "
+        f"{1e3 * far:.0f} mm): check the depth unit, the intrinsics and the camera's position"))
 
 
-def turn_warnings(located: LocatedViews) -> list[str]:
-    """One line for each of the table's turns that differs from the stated one."""
+def turn_checks(located: LocatedViews) -> Iterator[Check]:
+    """Checks of the table's turns against the stated ones, of all views but the first."""
     pairs = zip(located.turns, located.stated_turns, strict=True)
-    return [f"the table was turned by {np.degrees(turn):.0f}° in view {k}, not by "
-            f"{np.degrees(stated):.0f}°: the estimate may be wrong; take the views again"
-            for k, (turn, stated) in enumerate(pairs) if not abs(turn - stated) < MAX_TURN_ERROR]
+    for k, (turn, stated) in enumerate(pairs):
+        if k:
+            sound = abs(turn - stated) < MAX_TURN_ERROR
+            yield Check(f"table in view {k}", f"{np.degrees(turn):.0f}°", "" if sound else (
+                f"the table was turned by {np.degrees(turn):.0f}° in view {k}, not by "
+                f"{np.degrees(stated):.0f}°: the estimate may be wrong; take the views again"))
 
 
 def measure(located: LocatedViews, drape: RadialMap) -> Quality:
@@ -152,52 +160,60 @@ def _turn_readings(stated: Turns) -> dict[str, Turns]:
     return distinct
 
 
-def quality_warnings(q: Quality) -> Iterator[str]:
-    """One line for each exceeded limit: quantity, limit, remedy."""
-    yield from size_errors(q.sizes, MAX_SIZE_ERROR)
-    if q.offset > MAX_OFFSET:
-        yield (f"the specimen's centre lies {1e3 * q.offset:.0f} mm from the plate's axis (at most "
-               f"{1e3 * MAX_OFFSET:g} mm): place it on the plate again")
-    if abs(q.bulge) > MAX_BULGE:
-        yield (f"the plate looks curved by {1e3 * q.bulge:.1f} mm (sound captures: within "
-               f"{1e3 * MAX_BULGE:g} mm): depth must be along the optical axis, not the length of "
-               "the ray; check the lens's distortion")
+def quality_checks(q: Quality) -> Iterator[Check]:
+    """Checks of the quality of views; a warning has quantity, limit, remedy."""
+    yield from size_checks(q.sizes, MAX_SIZE_ERROR)
+    yield Check("specimen's centre off the axis", _shown(1e3 * q.offset, "mm"), (
+        f"the specimen's centre lies {1e3 * q.offset:.0f} mm from the plate's axis (at most "
+        f"{1e3 * MAX_OFFSET:g} mm): place it on the plate again") * bool(q.offset > MAX_OFFSET))
+    yield Check("bulge of the plate", _shown(1e3 * q.bulge, "mm", 1), (
+        f"the plate looks curved by {1e3 * q.bulge:.1f} mm (sound captures: within "
+        f"{1e3 * MAX_BULGE:g} mm): depth must be along the optical axis, not the length of "
+        "the ray; check the lens's distortion") * bool(abs(q.bulge) > MAX_BULGE))
+    gap = f"views differ by {1e3 * q.disagreement:.1f} mm where they show the same cloth"
+    apart = ""
     if q.misread:
-        yield (f"views differ by {1e3 * q.disagreement:.1f} mm where they show the same cloth, but "
-               f"fit better by a factor of more than {MIN_IMPROVEMENT:g} if {q.misread}")
+        apart = f"{gap}, but fit better by a factor of more than {MIN_IMPROVEMENT:g} if {q.misread}"
     elif q.disagreement > MAX_DISAGREEMENT:
-        yield (f"views differ by {1e3 * q.disagreement:.1f} mm where they show the same cloth "
-               f"(sound captures: up to {1e3 * MAX_DISAGREEMENT:g} mm): check turns_deg, fx and "
-               "fy, and that the cloth did not move")
-    if q.holes > MAX_HOLES_SHARE or q.hole > MAX_HOLE_PIXELS:
-        yield (f"{q.holes:.1%} of the cloth's pixels have no depth, {q.hole} in one hole (sound "
-               f"captures: up to {MAX_HOLES_SHARE:.0%} and {MAX_HOLE_PIXELS}): change exposure, "
-               "light or distance")
-    if q.cut > MAX_CUT_SHARE:
-        yield (f"{q.cut:.0%} of a view's border has one and the same depth (sound captures: up to "
-               f"{MAX_CUT_SHARE:.0%}): a threshold of the depth has cut off the cloth; cut it out "
-               "by geometry or colour")
-    if q.pixel > MAX_PIXEL:
-        yield (f"a pixel spans {1e3 * q.pixel:.1f} mm on the plate (at most {1e3 * MAX_PIXEL:g} "
-               "mm): move the camera nearer")
+        apart = (f"{gap} (sound captures: up to {1e3 * MAX_DISAGREEMENT:g} mm): check turns_deg, "
+                 "fx and fy, and that the cloth did not move")
+    yield Check("difference of views", _shown(1e3 * q.disagreement, "mm", 1), apart)
+    holed = q.holes > MAX_HOLES_SHARE or q.hole > MAX_HOLE_PIXELS
+    yield Check("cloth without depth", f"{q.holes:.1%}, {q.hole} px in one hole", (
+        f"{q.holes:.1%} of the cloth's pixels have no depth, {q.hole} in one hole (sound "
+        f"captures: up to {MAX_HOLES_SHARE:.0%} and {MAX_HOLE_PIXELS}): change exposure, "
+        "light or distance") * holed)
+    yield Check("border of one depth", _shown(100 * q.cut, "%"), (
+        f"{q.cut:.0%} of a view's border has one and the same depth (sound captures: up to "
+        f"{MAX_CUT_SHARE:.0%}): a threshold of the depth has cut off the cloth; cut it out "
+        "by geometry or colour") * bool(q.cut > MAX_CUT_SHARE))
+    yield Check("pixel on the plate", _shown(1e3 * q.pixel, "mm", 1), (
+        f"a pixel spans {1e3 * q.pixel:.1f} mm on the plate (at most {1e3 * MAX_PIXEL:g} "
+        "mm): move the camera nearer") * (q.pixel > MAX_PIXEL))
 
 
-def size_errors(sizes: Sizes, limit: float) -> list[str]:
-    """One line for each of the sizes whose ratio to the stated one has a logarithm beyond a
+def _shown(value: float, unit: str, places: int = 0) -> str:
+    return f"{value:.{places}f} {unit}" if np.isfinite(value) else "not seen"
+
+
+def size_checks(sizes: Sizes, limit: float) -> Iterator[Check]:
+    """Checks of the sizes: a warning if the ratio to the stated one has a logarithm beyond a
     ``limit``."""
     low, high = np.exp(-limit), np.exp(limit)
     parts = (("specimen", sizes.specimen, sizes.rig.specimen_size),
              ("plate", sizes.plate, sizes.rig.plate_diameter))
-    return [f"the {name} measures {1e3 * size:.0f} mm, {size / stated:.2f} times the stated "
+    for name, size, stated in parts:
+        wrong = size < low * stated or size > high * stated
+        yield Check(name, f"{_shown(1e3 * size, 'mm')} (stated: {1e3 * stated:g})", (
+            f"the {name} measures {1e3 * size:.0f} mm, {size / stated:.2f} times the stated "
             f"{1e3 * stated:g} mm (limits {low:.2f} to {high:.2f}): state the "
             "tester with its sizes; if they are right, check depth unit and scale, fx and fy, the "
-            "cut-out, and that the pictures are upright"
-            for name, size, stated in parts if size < low * stated or size > high * stated]
+            "cut-out, and that the pictures are upright") * bool(wrong))
 
 
 def require_plate(quality: Quality) -> None:
     """Raise InputError if the views cannot show cloth of the stated size on the stated plate."""
-    wrong = size_errors(quality.sizes, REFUSED_SIZE_ERROR)
+    wrong = warnings_of(size_checks(quality.sizes, REFUSED_SIZE_ERROR))
     if wrong and quality.sizes.views > 1:
         raise InputError(wrong[0])
     if quality.off_plate > MAX_OFF_PLATE:
@@ -206,7 +222,7 @@ def require_plate(quality: Quality) -> None:
             f"{1e3 * _PLATE_TOLERANCE:g} mm off its plane (limit {MAX_OFF_PLATE:.0%}), so what was "
             "found is not a drape on a plate; check that the pictures are upright, neither turned "
             "nor mirrored, that all show the cloth, and the tester; "
-            "python -m data.captures.preview shows what was cut out")
+            "python -m apps.capture shows what was cut out")
 
 
 def _flatness(points: np.ndarray, rig: Rig) -> tuple[float, float]:

@@ -14,7 +14,7 @@ import numpy as np
 from common.types import Edges, Metres, Outline, Points, Radians
 from drapenet.views.directions import AZIMUTHS, elevations
 from drapenet.views.radial_map import PIXEL, RadialMap
-from sim.measures import farthest
+from sim.measures import farthest, folds_around
 from sim.rig import Rig
 
 PERSPECTIVES = (0.0, 0.2, 0.4, 0.6, 0.8)
@@ -41,6 +41,21 @@ class DrapeOutline:
         size = rig.specimen_size
         return float(drape_coefficients(self.radius[None] / (size / 2), rig.plate_diameter / size,
                                         rig.specimen == "disc")[0])
+
+
+    @property
+    def folds(self) -> int | None:
+        """Number of folds; None if less than half of the outline is seen."""
+        return count_folds(self.radius)
+
+
+def count_folds(profile: np.ndarray) -> int | None:
+    """Number of outward folds of distances from the axis, (bins,) m; None if half are gaps."""
+    bins = np.flatnonzero(np.isfinite(profile))
+    if len(bins) < len(profile) // 2:
+        return None
+    filled = np.interp(np.arange(len(profile)), bins, profile[bins], period=len(profile))
+    return len(folds_around(filled, len(profile) / 90))
 
 
 def drape_coefficients(

@@ -14,11 +14,11 @@ import common.configs
 import serve
 import train
 from apps.cantilever import EstimateConfig, HangConfig
+from apps.capture import CaptureConfig
 from apps.drape import DrapeConfig
 from common.command import command, commands, compose_config
 from common.configs import group_options, read_config, read_option
 from common.errors import InputError
-from data.captures.preview import CaptureConfig
 from data.dataset import generate
 from data.dataset.config import Options
 from data.dataset.inspect import InspectConfig

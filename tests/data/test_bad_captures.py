@@ -114,6 +114,8 @@ BAD_METRIC = {
         "view 1 shows the whole scene (has no background) but view 0 is cut out"),
     "three views without turns": (remove("view_3.png"), "turns_deg is missing"),
     "turns in radians": (setting(turns_deg=[0, 1.571, 3.142, 4.712]), "give degrees"),
+    "a number for a name": (setting(fabric=12), "in quotes if they are a number"),
+    "a date in another order": (setting(date="26.11.2026"), "give YYYY-MM-DD"),
     "depth in other units": (setting(depth_unit_m=1.0), "the cloth is 100 m from the camera"),
     "truncated picture": (truncate("view_1.png", 0.6), "view_1.png cannot be read"),
     "text called png": (write("view_0.png", b"not a picture\n"), "view_0.png cannot be read"),

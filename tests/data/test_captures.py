@@ -1,6 +1,7 @@
 """Captures: both formats are read as written, and doubts are reported."""
 
 import math
+from datetime import date
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +45,17 @@ def test_depth_unit_and_direction_are_converted(tmp_path, views):
     assert content["density_g_m2"] == 200 and content["warp_direction_deg"] == pytest.approx(200)
     describe(path, warp_direction_deg=None)
     assert read_capture(path).warp_direction is None
+
+
+def test_labels_of_the_report_are_read_and_written(folder, tmp_path, views):
+    assert read_capture(folder).labels.stated() == {}
+    stated = {"fabric": "Köper 7/8", "date": "2026-11-26", "operator": "M. M.", "camera": "D435i"}
+    describe(folder, **stated | {"date": date(2026, 11, 26)})  # as YAML reads it without quotes
+    labels = read_capture(folder).labels
+    assert labels.stated() == stated
+    write_capture(tmp_path / "again", views=views, intrinsics=CAMERA.intrinsics, density=0.15,
+                  rig=SQUARE_RIG, labels=labels)
+    assert read_capture(tmp_path / "again").labels == labels
 
 
 def test_writing_refuses_and_leaves_nothing_behind(tmp_path, views):

@@ -13,11 +13,11 @@ from PIL import Image
 
 import data.captures.frames
 import data.captures.preview
+from apps.capture import main
 from common.errors import InputError
 from data.captures.capture import read_capture
 from data.captures.cutout import cut_out
 from data.captures.description import Description
-from data.captures.preview import main
 from data.render.scenes import RawScene, raw_scene
 from sim.rig import DISC_RIG, Rig
 
@@ -126,17 +126,53 @@ def test_raw_frames_become_a_capture_and_its_picture(folder, scene, tmp_path, ca
     assert np.abs(capture.views - expected.views)[both].max() < 0.6e-3
     # Isolated depths are left out, too.
     assert both.sum() > 0.99 * (expected.views > 0).sum() and capture.cut is not None
-    main([f"frames={folder}", f"out={tmp_path / 'out'}"])
+    with pytest.raises(InputError, match=r"1 of 13 checks of .* failed; docs/rig\.md lists"):
+        main([f"frames={folder}", f"out={tmp_path / 'out'}"])  # the skirt is stretched
     again = read_capture(tmp_path / "out")
     assert again.cut is None and np.abs(again.views - capture.views).max() < 0.06e-3
     with Image.open(tmp_path / "out" / "capture.png") as picture:
         assert picture.size == (960, 1080)
         below = np.asarray(picture.convert("RGB"), int)[720:]
-    assert (below[:, 480:] == 255).all()  # the empty cell
+    printed = capsys.readouterr().out
+    assert "warning: the specimen measures 26" in printed and "plate: 98 mm" in printed
+    for colour in (data.captures.preview._SOUND, data.captures.preview._FAULTY):
+        assert shares(below[:, 480:], colour) > 3e-4
     for colour in data.captures.preview._VIEWS[:4]:
-        seen = (np.abs(below[:, 150:480] - 255 * np.array(to_rgb(colour))) < 12).all(axis=2)
-        assert seen.sum() > 100
-    assert "capture.png" in capsys.readouterr().out
+        assert shares(below[:, 150:480], colour) > 8e-4
+    assert "capture.png" in printed
+
+
+def shares(picture: np.ndarray, colour: str) -> float:
+    """Share of a picture's pixels that have a colour."""
+    return (np.abs(picture - 255 * np.array(to_rgb(colour))) < 12).all(axis=2).mean()
+
+
+def test_a_sound_capture_is_green_in_the_picture(tmp_path, capsys):
+    twill = Path(__file__).parents[2] / "examples" / "captures" / "twill"
+    main([f"frames={twill}", f"out={tmp_path / 'out'}"])
+    printed = capsys.readouterr().out
+    assert "specimen: 312 mm (stated: 300)" in printed and "warning" not in printed
+    with Image.open(tmp_path / "out" / "capture.png") as picture:
+        cell = np.asarray(picture.convert("RGB"), int)[720:, 480:]
+    assert shares(cell, data.captures.preview._SOUND) > 3e-4
+    assert shares(cell, data.captures.preview._FAULTY) == 0
+    assert read_capture(tmp_path / "out").labels == read_capture(twill).labels
+
+
+def test_a_faulty_capture_is_red_in_the_picture_and_refused(folder, scene, tmp_path, capsys):
+    for k, frame in enumerate(scene.frames[[0, 2, 1, 3]]):
+        save(frame, folder / f"view_{k}.png")
+    out = tmp_path / "out"
+    with pytest.raises(InputError, match="2 of 13 checks"):
+        main([f"frames={folder}", f"out={out}"])
+    assert "if views 1 and 2 are swapped" in capsys.readouterr().out
+    # Another tester than the stated one is refused, and the picture shows what was read.
+    describe = yaml.safe_load((folder / "capture.yaml").read_text())
+    (folder / "capture.yaml").write_text(yaml.safe_dump(
+        describe | {"tester": {"specimen": "square", "size_mm": 400, "plate_mm": 100}}))
+    with pytest.raises(InputError, match="the specimen measures "):
+        main([f"frames={folder}", f"out={tmp_path / 'large'}"])
+    assert (tmp_path / "large" / "capture.png").exists()
 
 
 def test_the_hem_of_a_disc_is_its_circle_on_the_side_of_the_camera():

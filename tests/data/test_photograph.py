@@ -21,8 +21,8 @@ from photographs import (
 )
 from PIL import Image
 
+from apps.capture import main
 from common.errors import InputError
-from data.captures import preview
 from data.captures.board import PAPER, board_picture
 from data.captures.capture import read_capture
 
@@ -190,8 +190,9 @@ def test_the_preview_is_a_picture_and_a_capture_of_numbers(tmp_path, capsys):
     folder = write(tmp_path / "capture", drawn(), warp_direction_deg=30,
                    outline=SCALE | {"camera_height_mm": 900})
     capture = read_capture(folder)
-    preview.main([f"frames={folder}", f"out={tmp_path / 'out'}"])
-    assert "note: the plate's centre is not known" in capsys.readouterr().out
+    with pytest.raises(InputError, match="1 of 4 checks"):
+        main([f"frames={folder}", f"out={tmp_path / 'out'}"])
+    assert "warning: the plate's centre is not known" in capsys.readouterr().out
     again = read_capture(tmp_path / "out")
     assert np.abs(again.outline.curve - capture.outline.curve).max() < 2e-6
     assert (again.outline.centred, again.outline.height) == (False, 0.9)

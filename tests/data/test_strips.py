@@ -18,9 +18,9 @@ from strip_photographs import (
     write,
 )
 
+from apps.capture import main
 from apps.strip_curves import read_curve
 from common.errors import InputError
-from data.captures import preview
 from data.strips.folder import read_strips
 from experiments.estimation.strip_photographs import FAULTS, fault_case
 
@@ -165,7 +165,7 @@ def test_what_is_uncertain_is_a_warning(tmp_path):
 
 def test_the_preview_writes_curves_that_the_estimate_reads(tmp_path, capsys):
     strip, _ = read(tmp_path, LONG)
-    preview.main([f"frames={tmp_path / 'strips'}", f"out={tmp_path / 'out'}"])
+    main([f"frames={tmp_path / 'strips'}", f"out={tmp_path / 'out'}"])
     assert "picture" in capsys.readouterr().out
     curve = read_curve(tmp_path / "out" / "strip.csv")
     assert np.abs(curve - strip.measured.curve).max() < 1e-6

@@ -1,8 +1,11 @@
 """Captures of many fabrics: which are found, what survives interruption, what is in the tables."""
 
 import csv
+import re
 import shutil
+import zipfile
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 from cloths import capture_views
@@ -12,7 +15,7 @@ import infer
 from common.errors import InputError
 from data.captures.capture import write_capture
 from drapenet.batch.captures import entries_of, plain_name
-from drapenet.result.document import csv_table
+from drapenet.result.document import ROLES, csv_table
 from sim.rig import SQUARE_RIG
 
 TWILL = Path(__file__).parents[2] / "examples" / "captures" / "twill"
@@ -75,10 +78,63 @@ def test_the_tables_hold_every_fabric(out, printed):
     assert float(joint["alpha_bias_scatter_factor"]) == pytest.approx(1.0, abs=0.02)
     summary = {row["fabric"]: row for row in rows(out / "summary.csv")}["'" + FORMULA]
     low, high = summary["bias_68"].split(" to ")
-    assert len(summary) == 11
+    assert len(summary) == 12
     assert float(low) < float(summary["bias_alpha_uN_m"]) < float(high)
     assert summary["bias_68"] in printed and "captures: 7 estimated, 1 failed" in printed
     assert len(rows(out / "captures.csv")) == 5
+
+
+def cells(file: Path, sheet: int) -> list[dict[str, str | float]]:
+    """Rows of a sheet of an xlsx file, numbers as such, by the names in its head."""
+    space = "{http://schemas.openxmlformats.org/spreadsheetml/2006/main}"
+    with zipfile.ZipFile(file) as archive:
+        texts = ["".join(item.itertext()) for item in
+                 ElementTree.fromstring(archive.read("xl/sharedStrings.xml"))]
+        found = ElementTree.fromstring(archive.read(f"xl/worksheets/sheet{sheet}.xml"))
+    assert found.find(f".//{space}f") is None  # a formula
+    table = [{re.sub(r"\d", "", cell.get("r")): (
+        texts[int(cell[0].text)] if cell.get("t") == "s" else float(cell[0].text))
+        for cell in row if len(cell)} for row in found.iter(f"{space}row")]
+    return [{table[0][column]: value for column, value in row.items()} for row in table[1:]]
+
+
+def test_the_spreadsheet_has_the_numbers_of_the_tables_with_units(out):
+    fabrics = {row["fabric"]: row for row in rows(out / "fabrics.csv")}
+    sheet = cells(out / "results.xlsx", 1)
+    assert [row["direction"] for row in sheet] == ["stiff", "bias", "soft"] * 3 + [
+        "warp", "bias", "weft"]
+    for number, row in enumerate(sheet):
+        role = ROLES[number % 3]
+        table = fabrics["'" + row["fabric"] if row["fabric"] == FORMULA else row["fabric"]]
+        for name, unit, key in (("α", "µN·m", "alpha_uN_m"),
+                                ("bending length", "mm", "bending_length_mm"),
+                                ("KES B", "gf·cm²/cm", "kes_b_gf_cm2_per_cm")):
+            for end, suffix in (("median", ""), ("low", "_low68"), ("high", "_high68")):
+                value = row.get(f"{name} {end} [{unit}]")
+                assert value == (pytest.approx(float(table[f"{role}_{key}{suffix}"]), rel=1e-5)
+                                 if table[f"{role}_{key}"] else None)
+        assert row["drape coefficient [%]"] == float(table["drape_coefficient_percent"])
+        assert row["nodes"] == float(table["nodes"]) > 0
+    assert len(cells(out / "results.xlsx", 2)) == 3 * len(rows(out / "captures.csv"))
+
+
+def test_every_column_of_the_tables_is_documented(out):
+    text = (Path(__file__).parents[2] / "docs" / "data_format.md").read_text("utf-8")
+    lines = [line.split(" | ") for line in text.partition("## Tables of many fabrics")[2]
+             .partition("## A prior")[0].splitlines() if line.startswith("| `")]
+    ends = ["", *(f"_{end}{level}" for level in (68, 90) for end in ("low", "high"))]
+    documented = {name.replace("ROLE", role) + end for first, *_ in lines
+                  for name in re.findall("`([^`]+)`", first) for role in ROLES
+                  for end in (ends if "(interval)" in first else [""])}
+    assert set(rows(out / "fabrics.csv")[0]) == documented
+    captures = set(rows(out / "captures.csv")[0])
+    assert captures - documented == {"sample", "capture"}
+
+
+def test_a_fabric_has_a_report_of_its_captures(out):
+    page = (out / "cmd_C_calc_A0" / "index.html").read_text("utf-8")
+    assert "from 2 captures." in page and page.count("data:image/png") == 3  # views, and spread
+    assert "all fabrics" in page and not list(out.rglob("report.pdf"))  # without drapes
 
 
 def test_failures_are_listed_with_their_reasons(out):

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from cloths import revolved, skirt
 
+from data.captures.check import warnings_of
 from data.render.cameras import camera_pose, nominal_camera
 from data.render.rays import DepthRenderer
-from drapenet.views.checks import turn_warnings
+from drapenet.views.checks import turn_checks
 from drapenet.views.directions import AZIMUTHS, elevations
 from drapenet.views.located import LocatedViews
 from drapenet.views.outline import outline_of_map
@@ -66,9 +67,10 @@ def test_the_map_does_not_know_the_camera_nor_the_specimen_s_turn(renderer):
 
 def test_a_table_that_turns_wrongly_gives_a_warning(renderer):
     wrong = np.radians([0.0, 9.0, -1.0, 2.0])
-    warning, = turn_warnings(located(renderer, seen_from(40, 0.5), 0.1, wrong=wrong))
+    warning, = warnings_of(turn_checks(located(renderer, seen_from(40, 0.5), 0.1, wrong=wrong)))
     assert "99° in view 1, not by 90°" in warning
-    assert not turn_warnings(located(renderer, seen_from(40, 0.5), 0.1, wrong=np.zeros(4)))
+    sound = list(turn_checks(located(renderer, seen_from(40, 0.5), 0.1, wrong=np.zeros(4))))
+    assert len(sound) == 3 and not warnings_of(sound)
 
 
 @pytest.mark.parametrize("orientation", [0.0, 0.4, 1.2])

@@ -4,12 +4,14 @@ import numpy as np
 import pytest
 from cloths import revolved, varied_camera
 
+from data.captures.check import warnings_of
 from data.captures.plate import plate_of_cloth
 from data.render.cameras import nominal_camera
 from data.render.rays import QUARTERS, DepthRenderer
 from data.render.setups import Setups
-from drapenet.report.drape import count_folds, radius_profile, silhouette_overlap
-from drapenet.views.checks import pose_warnings
+from drapenet.report.drape import radius_profile, silhouette_overlap
+from drapenet.views.checks import pose_checks
+from drapenet.views.outline import count_folds
 from sim.rig import Rig
 
 
@@ -37,7 +39,7 @@ def test_a_camera_outside_the_set_ups_gives_a_warning():
     def warnings(pictures: np.ndarray, **changes: float) -> str:
         nominal = replace(nominal_camera().intrinsics, **changes)
         camera = nominal.posed(plate_of_cloth(pictures, nominal, Rig()).pose)
-        return "; ".join(pose_warnings(camera, Setups.load()))
+        return "; ".join(warnings_of(pose_checks(camera, Setups.load())))
 
     assert warnings(views) == ""
     assert "upright" in warnings(views[:, ::-1])
@@ -71,7 +73,7 @@ def test_the_profile_turns_with_the_specimen():
 
 def test_a_smooth_circle_has_no_fold_and_an_unseen_drape_neither():
     assert count_folds(np.full(180, 0.06)) == 0
-    assert count_folds(np.full(180, np.nan)) == 0
+    assert count_folds(np.full(180, np.nan)) is None
     wave = 0.06 + 0.004 * np.cos(5 * np.linspace(0, 2 * np.pi, 180, endpoint=False))
     assert count_folds(wave) == 5
     assert count_folds(0.06 + (wave - 0.06) / 8) == 0  # ripples within a depth step

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from data.captures.check import warnings_of
 from data.render.cameras import nominal_camera
-from drapenet.views.checks import MAX_SIZE_ERROR, size_errors
+from drapenet.views.checks import MAX_SIZE_ERROR, size_checks
 from drapenet.views.located import LocatedViews
 from drapenet.views.sizes import Sizes, measured_sizes
 from sim.rig import DISC_RIG, Rig
@@ -41,7 +42,7 @@ def test_sizes_do_not_depend_on_the_stated_ones(size, plate):
     found = measured(size=size, plate=plate)
     assert found.specimen == pytest.approx(size, rel=0.07)
     assert found.plate == pytest.approx(plate, rel=0.07)
-    lines = size_errors(found, MAX_SIZE_ERROR)
+    lines = warnings_of(size_checks(found, MAX_SIZE_ERROR))
     assert [line.split()[1] for line in lines] == [
         *["specimen"] * (size != 0.30), *["plate"] * (plate != 0.18)]
 
@@ -49,4 +50,4 @@ def test_sizes_do_not_depend_on_the_stated_ones(size, plate):
 def test_a_tenth_of_a_drape_has_no_size():
     found = measured(azimuths=0.1)
     assert np.isnan([found.specimen, found.plate]).all()
-    assert size_errors(found, MAX_SIZE_ERROR) == []
+    assert warnings_of(size_checks(found, MAX_SIZE_ERROR)) == []

@@ -95,13 +95,13 @@ def test_numbers_are_those_of_the_command(name, request, untrained_checkpoint):
 
 def test_files_are_whole_and_say_nothing_of_the_server(client, finished):
     results = str(client.app.state.jobs.settings.folder)
-    for name in ("estimate.json", "report.html", "report.png", "preview.png", "drape.glb",
-                 "torque.svg"):
+    for name in ("estimate.json", "report.html", "report.pdf", "report.png", "preview.png",
+                 "drape.glb", "torque.svg"):
         answer = client.get(f"/estimates/{finished['id']}/{name}")
         assert answer.status_code == 200 and len(answer.content) > 1000, name
         assert results.encode() not in answer.content, name
     page = client.get(f"/estimates/{finished['id']}/report.html").text
-    assert "<b>" not in page and "Twill" in page and "from 4 views at" in page
+    assert "<b>" not in page and "Twill" in page and "from 4 depth views of" in page
     scene = trimesh.load(io.BytesIO(client.get(f"/estimates/{finished['id']}/drape.glb").content),
                          file_type="glb")
     assert set(scene.geometry) == {"captured", "simulated", "support"}
@@ -115,7 +115,7 @@ def test_a_photograph_is_shown_with_its_outline_and_has_a_report(client, photogr
     assert set(trimesh.load(io.BytesIO(shapes), file_type="glb").geometry) == {
         "simulated", "support"}
     assert {"report.png", "torque.svg"} <= set(photographed["files"])
-    assert "from the outline from above at" in client.get(f"{address}/report.html").text
+    assert "from the outline of the drape from above" in client.get(f"{address}/report.html").text
     seen = photographed["estimate"]["capture"]
     assert seen["views"] == 0
     # The hem lies below the plate, so that it looks smaller than it is.

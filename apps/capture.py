@@ -1,0 +1,116 @@
+"""Check a capture while the specimen hangs, and cut out the cloth.
+
+    python -m apps.capture frames=FOLDER out=DIR
+    python -m apps.capture board=board.png
+
+FOLDER has capture.yaml and frames of the full scene, or of the cloth alone (docs/use.md), or its
+outline from above, which is written as numbers, with a picture of curve and plate; or strips.yaml
+and photographs of strips, whose curves are written as CSV, with a picture of each. Writes
+the capture as 16-bit PNG with background 0 to DIR, and DIR/capture.png: each frame with the outline
+of the cloth, the plate's rim and its axes; the hems of all frames from above, one colour per
+frame, rotated back by turns_deg; and all checks that an estimate makes of a capture, with what is
+measured, green or red. The exit code is 0 if all are green.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from common.command import command
+from common.errors import InputError
+from common.files import folder_named, replace_file, require_folder
+from data.captures.board import SQUARE, board_picture
+from data.captures.capture import Capture, read_capture, write_capture, write_outline
+from data.captures.check import Check, warnings_of
+from data.captures.cutout import CutOut
+from data.captures.plate import plate_of_cloth
+from data.captures.preview import outline_picture, picture, png
+from data.strips.description import FILE as STRIPS
+from data.strips.folder import read_strips
+from data.strips.preview import strips_figure, write_curves
+from drapenet.network.checkpoint import read_header
+from drapenet.views.checks import measure, require_plate, view_checks
+from drapenet.views.located import LocatedViews
+from drapenet.views.observation import Observation
+
+DEPTH_UNIT = 1e-4  # m per count, finer than those of input files
+PICTURE = "capture.png"
+
+
+@dataclass
+class CaptureConfig:
+    """``configs/capture.yaml``."""
+
+    frames: str
+    out: str
+    board: str
+
+
+@command("capture", CaptureConfig)
+def main(config: CaptureConfig) -> None:
+    """Write the capture and its picture, and print its checks; or write a board."""
+    if config.board:
+        replace_file(Path(config.board), board_picture())
+        print(f"board: {config.board}; print it on A4 at 100 %: squares of {1e3 * SQUARE:g} mm")
+        return
+    if not config.frames:
+        raise InputError("frames= is missing; give the folder of the frames: frames=FOLDER")
+    out = folder_named(config.out)
+    require_folder(out)
+    if (Path(config.frames) / STRIPS).exists():
+        strips = read_strips(config.frames)
+        write_curves(strips, out)
+        replace_file(out / PICTURE, png(strips_figure(strips)))
+        lines, checks = [f"note: {line}" for line in strips.warnings], []
+    else:
+        checks = check_capture(read_capture(config.frames), out)
+        lines = [f"warning: {check.warning}" if check.warning else f"{check.name}: {check.value}"
+                 for check in checks]
+    print("\n".join([*lines, f"capture: {out}", f"picture: {out / PICTURE}"]))
+    if faults := warnings_of(checks):
+        raise InputError(f"{len(faults)} of {len(checks)} checks of {config.frames} failed; "
+                         f"docs/rig.md lists remedies, {out / PICTURE} shows what was read")
+
+
+def check_capture(capture: Capture, out: Path) -> list[Check]:
+    """The checks of a capture, which is written to ``out`` with its picture."""
+    checks = [Check("capture", "", line) for line in capture.warnings]
+    if capture.numbers:
+        raise InputError(f"{capture.path} states a drape coefficient and holds no picture; nothing "
+                         "can be checked")
+    if capture.outline:
+        checks += outline_checks(capture)
+        write_outline(capture, out)
+        shown = outline_picture(capture, checks)
+    else:
+        cut = capture.cut or CutOut(
+            capture.views, capture.views > 0, capture.views,
+            plate_of_cloth(capture.views, capture.intrinsics, capture.rig))
+        located = LocatedViews.of(capture)
+        drape = Observation.of_views(located, capture.sign, capture.warp_direction).map
+        quality = measure(located, drape)
+        checks += view_checks(located, quality, read_header("").setups)
+        write_capture(
+            out, views=capture.views, intrinsics=capture.intrinsics, density=capture.density,
+            warp_direction=capture.warp_direction, turns=capture.turns, rig=capture.rig,
+            face=capture.face, depth_unit=DEPTH_UNIT, labels=capture.labels)
+        shown = picture(cut, capture.intrinsics, capture.rig, turns=capture.turns, checks=checks)
+        replace_file(out / PICTURE, shown)
+        require_plate(quality)  # last, as the picture shows what is wrong
+    replace_file(out / PICTURE, shown)
+    return checks
+
+
+def outline_checks(capture: Capture) -> list[Check]:
+    """What is measured of an outline from above; reading it has refused what is impossible."""
+    Observation.of_outline(capture)  # refuses a square whose warp is not marked
+    outline, rig = capture.outline, capture.rig
+    return [
+        Check("drape coefficient", f"{100 * outline.drape_coefficient:.1f} %, as seen"),
+        Check("nodes", f"{outline.folds}"),
+        Check("hem", f"{1e3 * outline.radii.min():.0f} to {1e3 * outline.radii.max():.0f} mm from "
+              f"the centre{'' if outline.centred else ' of the outline'} (plate: "
+              f"{1e3 * rig.plate_radius:g}, flat specimen: {1e3 * rig.reach:g})")]
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,107 @@
+"""The report for a customer: what it states, as page and as PDF; names of any kind."""
+
+import io
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from estimates import document_of, estimate_of
+from matplotlib.figure import Figure
+
+from drapenet.report.pdf import as_pdf
+from drapenet.report.report import ShownCapture, write_report
+from drapenet.result.document import EstimateDocument
+from drapenet.result.files import PAGE, PDF, capture_names, fabric_name
+
+ALPHA, BETA = np.array([52e-6, 31e-6, 22e-6]), np.array([-158e-9, -101e-9, -69e-9])
+SOFTENING = np.array([-300e-9, -101e-9, -69e-9])  # the torque of the warp falls within KES's range
+LABELS = {"fabric": "Twill 7/8, navy", "date": "2026-11-26", "laboratory": "Textile laboratory",
+          "operator": "M. Muster", "camera": "D435i, no. 12"}
+WARNING = "a pixel spans 2.9 mm on the plate (at most 2.6 mm): move the camera nearer"
+
+
+def document(
+    *, beta: np.ndarray = BETA, warnings: tuple[str, ...] = (), **about: object
+) -> EstimateDocument:
+    capture = {"source": "/data/navy/1/first", "rig": "disc300_support180", "density_g_m2": 210.0,
+               "views": 4, "drape_coefficient_percent": 54.3, "nodes": 5, "labels": LABELS}
+    return document_of(estimate_of(ALPHA, beta, deviation=0.02), capture=capture | about,
+                       warnings=warnings, resimulation={
+                           "drape_coefficient_percent": 55.5, "folds_simulated": 6})
+
+
+def joint(*parts: EstimateDocument) -> EstimateDocument:
+    sources = [part.capture.source for part in parts]
+    return document_of(estimate_of(ALPHA, BETA, deviation=0.02), capture={
+        "sources": sources, "rig": "disc300_support180", "density_g_m2": 210.0, "labels": LABELS},
+        captures=[{"capture": part.capture, "moduli": part.moduli, "warnings": part.warnings}
+                  for part in parts])
+
+
+@pytest.fixture(scope="module")
+def picture() -> bytes:
+    figure = Figure(figsize=(5, 5))
+    figure.subplots().plot([0, 1])
+    file = io.BytesIO()
+    figure.savefig(file, format="png")
+    return file.getvalue()
+
+
+def written(
+    out: Path, document: EstimateDocument, captures: list[ShownCapture]
+) -> tuple[str, bytes]:
+    """The page, with single spaces, and the PDF."""
+    write_report(out, fabric_name(document), document, captures)
+    return " ".join((out / PAGE).read_text("utf-8").split()), (out / PDF).read_bytes()
+
+
+def test_a_report_is_titled_by_the_fabric_and_states_the_test(tmp_path, picture):
+    part = document(warnings=(WARNING,))
+    page, pdf = written(tmp_path, part, [ShownCapture("navy", part, picture)])
+    assert "<h1>Twill 7/8, navy</h1>" in page and "/data" not in page
+    for text in ("4 depth views", "disc of 300 mm on a plate of 180 mm", "210 g/m²", WARNING,
+                 "54.3 %", "55.5 %", *(value for key, value in LABELS.items() if key != "fabric")):
+        assert text in page
+    length = part.laboratory["warp"].bending_length_mm
+    alpha = part.moduli["weft"].alpha_uN_m.texts()[1]
+    assert f">{length}</td>" in page and f">{alpha}</td>" in page
+    assert "outside the law" not in page  # of a fabric that KES can measure
+    assert pdf.startswith(b"%PDF-") and b"/Count 2" in pdf and pdf.count(b"/DCTDecode") == 1
+    assert "Twill 7/8, navy".encode("utf-16-be") in pdf or b"(Twill 7/8, navy)" in pdf
+
+
+def test_values_of_kes_outside_the_law_are_neither_given_nor_compared(tmp_path):
+    part = document(beta=SOFTENING)
+    page, _ = written(tmp_path, part, [ShownCapture("navy", part, b"")])
+    assert page.count(">outside the law</td>") == 2
+    assert "Do not compare B and 2HB with measured values along warp (100 % of the samples" in page
+
+
+def test_a_joint_report_has_its_captures_both_faces_and_their_pictures(tmp_path, picture):
+    parts = [document(), document(source="/data/navy/2/second", face="down", nodes=None,
+                                  drape_coefficient_percent=61.0, warnings=(WARNING,))]
+    whole = joint(*parts)
+    names = capture_names(whole)
+    assert names == ["1/first", "2/second"]
+    page, pdf = written(tmp_path, whole, [ShownCapture(name, part, picture)
+                                          for name, part in zip(names, parts, strict=True)])
+    assert "from 2 captures." in page and page.count(WARNING) == 1
+    assert re.search(r"1/first</th> ?<td>marked face</td>.*?54\.3 %.*?2/second</th> ?"
+                     r"<td>reverse</td>.*?61\.0 %", page)
+    assert page.count("data:image/png") == 2 and pdf.count(b"/DCTDecode") >= 1
+    assert b"/Count 3" in pdf  # each capture on a page
+
+
+def test_without_a_stated_fabric_the_folder_is_the_title():
+    assert fabric_name(document(labels={})) == "first"
+    assert fabric_name(joint(document(), document(source="/data/navy/2/x"))) == LABELS["fabric"]
+
+
+@pytest.mark.parametrize("name", ["<b>&", "絹 1", "a" * 80, "\N{RIGHT-TO-LEFT OVERRIDE}x", "$a_b$"])
+def test_names_of_any_kind_are_text_in_page_and_pdf(tmp_path, name):
+    part = document(labels={}, source=f"/data/{name}")
+    write_report(tmp_path, name, part, [ShownCapture(name, part, b"")])
+    assert "<b>" not in (tmp_path / PAGE).read_text("utf-8")
+    assert (tmp_path / PDF).read_bytes().startswith(b"%PDF-")
+    assert as_pdf("<p>α</p>", name).startswith(b"%PDF-")
