@@ -71,7 +71,7 @@ prior: $(STAMP)  ## compare priors, 8 minutes; or fit one to your table: make pr
 	$(BIN)/python -m $(if $(TABLE),data.fabrics.prior fit fabrics=$(TABLE),experiments prior)
 
 dataset: $(STAMP)  ## simulate drapes of many testers, both faces and several specimens of each fabric
-	$(BIN)/python -m data.dataset.generate dataset=testers drapes=640 seed=39 edge_mm=4 out=$(DATASET)/sets
+	$(BIN)/python -m data.dataset.generate dataset=testers drapes=3072 seed=39 edge_mm=4 out=$(DATASET)/sets
 	$(BIN)/python -m data.dataset.generate dataset=testers dataset.starts_per_fabric=1 \
 	  dataset.testers_per_fabric=1 dataset.drapes_per_shard=32 drapes=3328 seed=40 edge_mm=4 \
 	  out=$(DATASET)/fabrics

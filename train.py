@@ -46,7 +46,7 @@ def train(config: TrainConfig) -> Path:
     if state.exists():
         record = steps.load_state(state, run=run, model=network, optimizer=optimizer)
 
-    count = len(training) // config.optim.batch_size
+    count = len(training.turns) // config.optim.batch_size
     bar = tqdm(total=config.epochs * count, initial=record["epochs_done"] * count, unit="batch")
     with SummaryWriter(out / "tensorboard", purge_step=record["epochs_done"]) as board, bar:
         for epoch in range(record["epochs_done"], config.epochs):

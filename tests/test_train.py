@@ -185,7 +185,7 @@ def test_training_learns_all_three_directions(kinds, known, most):
     unseen = CaptureSet(stiff_maps(128, seed=1), scale=training.scale)
     torch.manual_seed(0)
     network = DrapeNet(**training.network(ModelConfig(width=4, components=1, dropout=0.0)))
-    batches = [batch for epoch in range(16) for batch in training.epoch(
+    batches = [batch for epoch in range(20) for batch in training.epoch(
         seed=0, epoch=epoch, size=OPTIM.batch_size, condition=condition)]
     fit(network, ((step / len(batches), batch) for step, batch in enumerate(batches)),
         optimizer=torch.optim.AdamW(network.parameters(), weight_decay=OPTIM.weight_decay),

@@ -4,7 +4,8 @@ A column of a map, the cloth at one azimuth, is a feature vector; convolutions r
 
 Each capture of a set is read alone, from its map, its outline, or its drape coefficient; features
 of the captures are averaged with weights that the network gives them (after Zaheer et al. 2017,
-Deep Sets), and the average and the mean of the weights give one posterior of the fabric.
+Deep Sets), and the average, the mean of the weights and the number of captures give one posterior
+of the fabric.
 """
 
 from dataclasses import dataclass, replace
@@ -182,7 +183,7 @@ class DrapeNet(torch.nn.Module):
         self.curl = torch.nn.Linear(_EMBEDDING, 2 * 32)
         self.direct = torch.nn.Linear(FACTS, TARGETS)  # to the means of the posterior
         self.head = torch.nn.Sequential(
-            torch.nn.Dropout(dropout), torch.nn.Linear(2 * _EMBEDDING + 32, _EMBEDDING),
+            torch.nn.Dropout(dropout), torch.nn.Linear(2 * _EMBEDDING + 32 + 1, _EMBEDDING),
             torch.nn.ReLU(), torch.nn.Dropout(dropout),
             torch.nn.Linear(_EMBEDDING, outputs_of(components=components, targets=TARGETS)))
 
@@ -199,7 +200,8 @@ class DrapeNet(torch.nn.Module):
         mean, weight = _average(value, softplus(gate), group, sets)
         # Turned over, a fabric's natural curvature has the opposite sign.
         curl, _ = _average(face[:, None] * signed, softplus(trust), group, sets)
-        outputs = self.head(torch.cat([mean, weight.log(), curl], dim=1))
+        count = torch.bincount(group, minlength=sets).to(mean).log2()[:, None]
+        outputs = self.head(torch.cat([mean, weight.log(), curl, count], dim=1))
         mixture = Mixture.of_outputs(outputs, components=self.components, targets=TARGETS)
         known, _ = _average(facts, torch.ones_like(facts), group, sets)
         return replace(mixture, means=mixture.means + self.direct(known)[:, None])

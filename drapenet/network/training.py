@@ -94,6 +94,8 @@ class CaptureSet:
                                     return_index=True, return_inverse=True)
         order = np.argsort(which.ravel(), kind="stable")
         self.members = np.split(order, np.cumsum(np.bincount(which.ravel()))[:-1])
+        drapes = [len(np.unique(maps.index[rows])) for rows in self.members]
+        self.turns = np.repeat(np.arange(len(self.members)), drapes)
         curl = np.array([maps.curl[rows].mean(axis=0) for rows in self.members])
         self.cloth = ClothProperties(maps.theta[first], curl, maps.membrane[first],
                                      maps.hysteresis[first])
@@ -160,10 +162,11 @@ class CaptureSet:
     def epoch(
         self, *, seed: int, epoch: int, size: int, condition: Condition = Condition()
     ) -> Iterator[Batch]:
-        """A set of each fabric and neighbour in random order, a function of (seed, epoch)."""
+        """As many sets of each fabric and neighbour as it has drapes in random order, a function of
+        (seed, epoch)."""
         rng = np.random.default_rng([seed, epoch])
-        order = rng.permutation(len(self))
-        for start in range(0, len(self) - size + 1, size):
+        order = rng.permutation(self.turns)
+        for start in range(0, len(order) - size + 1, size):
             yield self.batch(order[start : start + size], condition, rng)[0]
 
 
@@ -242,7 +245,7 @@ def schedule(
 ) -> Iterator[tuple[float, Batch]]:
     """Steps of an epoch for :func:`fit`, with a progress bar over all batches."""
     size = config.optim.batch_size
-    steps = len(captures) // size
+    steps = len(captures.turns) // size
     torch.manual_seed(np.random.default_rng([config.seed, epoch]).integers(1 << 62))  # of dropout
     for step, batch in enumerate(captures.epoch(seed=config.seed, epoch=epoch, size=size)):
         yield (epoch + step / steps) / config.epochs, batch

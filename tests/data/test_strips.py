@@ -35,8 +35,7 @@ def read(tmp_path, scene, name="strip.png", picture=None, keys=None, **changes):
     folder = write(tmp_path / "strips", {name: shown}, [entry(scene, name) | changes],
                    **({} if keys is None else keys))
     strips = read_strips(folder)
-    assert "warp: only one face was measured" in strips.warnings[-1]
-    return strips.photographs[0], strips.warnings[:-1]
+    return strips.photographs[0], strips.warnings
 
 
 @pytest.mark.parametrize("scene, name, changes", [
@@ -77,7 +76,7 @@ def test_a_sloping_clamp_is_read_as_stated(tmp_path):
     strips = read_strips(folder, slope=SLOPED.slope)
     assert largest_error_mm(strips.photographs[0].measured.curve, SLOPED) < 0.4
     (found,) = strips.posteriors().values()
-    assert len(strips.warnings) == 1 and found.alpha == pytest.approx(ALPHA, rel=0.15)
+    assert not strips.warnings and found.alpha == pytest.approx(ALPHA, rel=0.15)
     assert any("no horizontal edge" in line for line in read_strips(folder).warnings)
 
 
