@@ -274,14 +274,14 @@ def refine(
     progress: Progress | None,
 ) -> CaptureEstimate:
     """Refine the estimate by simulation, which keeps the network's if there is no improvement."""
-    from drapenet.refine.refine import PhotographedDrape, refine_capture
+    from drapenet.refine.refine import refine_capture
 
     capture = result.capture
-    if capture.warp_direction is None or capture.numbers:
-        missing = ("there is no picture" if capture.numbers else "give warp_direction_deg")
+    if capture.warp_direction is None or not result.located:
+        # Refined outlines are under test: python -m experiments refine_outlines.
+        missing = "give warp_direction_deg" if result.located else "it shows no depth"
         return result.with_warnings(f"the estimate is not refined: {missing}")
-    captured = result.located or PhotographedDrape(outline_of(capture), capture.rig)
-    outcome = refine_capture(result.estimate, captured, warp=capture.warp_direction,
+    outcome = refine_capture(result.estimate, result.located, warp=capture.warp_direction,
                              face=capture.sign, scan=scan, settings=settings, progress=progress)
     if outcome is None:
         return result.with_warnings("no drape of the estimate converged; it is not refined")

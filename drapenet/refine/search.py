@@ -39,6 +39,9 @@ from sim.solver.newton import NewtonOptions
 
 REACH = 6e-3  # m, maximum distance of a vertex from the captured point that holds it
 MIN_DECREASE = 3e-3  # predicted decrease of a step, relative to the value
+MAX_JUMP = 3.0
+"""Growth of the misfit, or of half the number of measurements if that is larger, at which cloth is
+taken to have left the captured folds: springs are not made softer."""
 MIN_IMPROVEMENT = 0.5  # of the log probability over the initial estimate
 RELEASE = NewtonOptions(residual=1e-2, step=1e-2, max_iterations=200)  # for display and a check
 
@@ -229,16 +232,21 @@ class _Run:
         if min(values) == math.inf:
             return  # keep the result of the previous round
         self.minimise(problems[int(np.argmin(values))], level.evaluations)
+        held = level.pulls[0]
         for pull in level.pulls[1:]:
-            best = self.problem.best
+            kept, outcome = self.problem, self.outcome
+            best = kept.best
             problem = self.problem_at(anchored, best.drape, best.unknowns, best.nuisance, pull)
             if problem.best is None:
                 return
             self.minimise(problem, level.evaluations)
+            if self.problem.best.misfit > MAX_JUMP * max(best.misfit, kept.measurements / 2):
+                self.problem, self.outcome = kept, outcome
+                break
+            held = pull
         if first is not None:
             best = self.problem.best
-            self.first = self.problem_at(anchored, best.drape, first, best.nuisance,
-                                         level.pulls[-1]).best
+            self.first = self.problem_at(anchored, best.drape, first, best.nuisance, held).best
 
     def problem_at(
         self, anchored: Anchored, near: Drape, guess: Unknowns, nuisance: Nuisance | None,
