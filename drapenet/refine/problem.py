@@ -112,8 +112,8 @@ class Problem:
     def weigh(self) -> None:
         """Set :attr:`error_scale` from the best trial's residuals, and update its value."""
         best = self.best
-        freedom = max(self._linear(best).independent - len(best.x), 1.0)
-        self.error_scale = math.sqrt(max(2 * best.misfit / freedom, 1.0))
+        measurements = max(self._linear(best).independent, 1.0)
+        self.error_scale = math.sqrt(max(2 * best.misfit / measurements, 1.0))
         self.best = self.last = replace(best, value=self.total(best))
 
     def total(self, trial: Trial) -> float:
@@ -207,7 +207,7 @@ class Uncertainty:
 
     names: tuple[str, ...]  # of the n unknowns
     covariance: np.ndarray  # (n, n) in their units
-    reduced_chi2: float  # of the objective's residuals, per degree of freedom
+    reduced_chi2: float  # of the objective's residuals, per measurement: most unknowns have priors
 
     @property
     def theta(self) -> np.ndarray:
@@ -223,7 +223,6 @@ def laplace(problem: Problem, trial: Trial) -> Uncertainty | None:
     if linearised is None:
         return None
     jacobian = linearised[1]
-    freedom = max(problem.measurements - len(trial.x), 1.0)
     values, vectors = np.linalg.eigh(jacobian.T @ jacobian)
     with np.errstate(divide="ignore"):
         variances = np.where(values > 1e-12 * values[-1], 1 / values, np.inf)
@@ -233,4 +232,4 @@ def laplace(problem: Problem, trial: Trial) -> Uncertainty | None:
     covariance[np.diag_indices_from(covariance)] = np.where(
         weights[:, ~sure].any(axis=1), np.inf, np.diag(covariance))
     return Uncertainty(problem.names, covariance * np.outer(problem.scale, problem.scale),
-                       2 * trial.misfit / freedom)
+                       2 * trial.misfit / max(problem.measurements, 1.0))

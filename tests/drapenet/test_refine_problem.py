@@ -179,7 +179,7 @@ def test_laplace_is_the_covariance_of_least_squares():
                               scale=scale, names=tuple("abcdefg"))
     found = laplace(problem, SimpleNamespace(x=np.zeros(7), misfit=66.0))
     expected = np.linalg.inv(matrix.T @ matrix) * np.outer(scale, scale)
-    assert found.reduced_chi2 == pytest.approx(2 * 66.0 / 33)
+    assert found.reduced_chi2 == pytest.approx(2 * 66.0 / 40)
     assert found.covariance == pytest.approx(expected)
     matrix[:, 4] = 0.0  # nothing depends on it
     lost = np.diag(laplace(problem, SimpleNamespace(x=np.zeros(7), misfit=66.0)).theta)
