@@ -23,7 +23,6 @@ from common.errors import InputError
 from common.files import folder_named
 from data.captures.capture import Capture, captures_in, read_capture, require_one_fabric
 from data.captures.description import Specimen
-from data.strips.folder import read_strips
 from drapenet.config import EstimateOptions, InferConfig
 from drapenet.evidence import require_marked
 from drapenet.network.checkpoint import read_header
@@ -60,7 +59,11 @@ def main(config: InferConfig) -> None:
 
 def estimate_fabric(config: InferConfig, options: EstimateOptions) -> Path:
     """Estimate the captures of one fabric; the file of the, or of their joint, estimate."""
-    sources, strips = read_sources(config), read_strips(config.strips) if config.strips else None
+    sources, strips = read_sources(config), None
+    if config.strips:
+        from data.strips.folder import read_strips  # half a second
+
+        strips = read_strips(config.strips)
     captures = [capture for capture, _ in sources]
     require_one_fabric([part.density for part in (*captures, strips) if part],
                        [(str(capture.path), capture.digest) for capture in captures])

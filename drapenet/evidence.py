@@ -8,6 +8,7 @@ are several times as accurate as the network.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import ndtri
@@ -15,14 +16,15 @@ from scipy.special import ndtri
 from common.command import compose_config
 from common.errors import InputError
 from common.types import Density, Theta
-from data.dataset.config import Options, config_from_options
 from data.fabrics.fabrics import THETA_NAMES, from_theta
 from data.fabrics.prior import load_prior
 from data.fabrics.properties import ClothProperties
 from drapenet.result.estimate import Estimate
 from drapenet.sets import LEVEL, SPECIMEN
-from sim.cantilever.posterior import StripPosterior
 from sim.material import DIRECTIONS, MICRO, REFERENCE_DENSITY, is_admissible
+
+if TYPE_CHECKING:
+    from sim.cantilever.posterior import StripPosterior
 
 STATE = (*THETA_NAMES, "curl_warp", "curl_weft", "membrane")
 """Theta, natural curvatures, 1/m, with the marked face up, and the logarithm of the membrane
@@ -62,6 +64,8 @@ def cloth_of_state(state: np.ndarray, hysteresis: np.ndarray) -> ClothProperties
 
 def prior_estimate(density: Density, spread: Theta) -> Estimate:
     """Samples of the fabric prior and of the nuisances of fabrics, before any measurement."""
+    from data.dataset.config import Options, config_from_options  # a third of a second
+
     rng = np.random.default_rng(0)
     nuisances = config_from_options(
         compose_config("generate", ["nuisances=real"], schema=Options)).sampling.nuisances
@@ -79,7 +83,7 @@ def require_marked(known: bool) -> None:
         raise InputError("strips along the yarns need warp_direction_deg in every capture.yaml")
 
 
-def with_strips(estimate: Estimate, strips: Mapping[str, StripPosterior]) -> Estimate:
+def with_strips(estimate: Estimate, strips: Mapping[str, "StripPosterior"]) -> Estimate:
     """The estimate with the ``strips`` of some directions, at its density, as evidence.
 
     InputError if the warp's direction is not known.
@@ -130,7 +134,7 @@ def updated(estimate: Estimate, precision: np.ndarray, vector: np.ndarray) -> Es
     return replace(estimate, cloth=cloth.chosen(possible))
 
 
-def contradicting_strips(estimate: Estimate, strips: Mapping[str, StripPosterior]) -> list[str]:
+def contradicting_strips(estimate: Estimate, strips: Mapping[str, "StripPosterior"]) -> list[str]:
     """One line for each direction whose strips contradict the ``estimate`` from captures.
 
     The two-sided level of a direction's difference of log alpha is divided by the number of

@@ -17,7 +17,6 @@ from common.types import Metres
 from data.captures.capture import Capture
 from data.captures.description import Labels
 from data.captures.known import Known
-from data.strips.folder import StripSet
 from drapenet.config import EstimateOptions
 from drapenet.evidence import (
     ROUNDS,
@@ -56,6 +55,7 @@ from drapenet.views.outline import DrapeOutline, outline_of_curve
 from sim.rig import Rig
 
 if TYPE_CHECKING:
+    from data.strips.folder import StripSet
     from drapenet.refine.surface import CapturedShape
     from drapenet.report.drape import Resimulation
 
@@ -184,7 +184,7 @@ def _reported(known: Known | None, rig: Rig, face: int, marked: bool) -> list[Ob
 
 def joint_estimate(
     observations: Sequence[Observation], documents: Sequence[EstimateDocument], header: Header,
-    strips: StripSet | None = None,
+    strips: "StripSet | None" = None,
 ) -> tuple[Estimate, EstimateDocument]:
     """The posterior of captures and strips of one fabric, and its document with the moduli of each.
 

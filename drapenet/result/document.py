@@ -4,7 +4,7 @@ import csv
 import io
 import math
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BeforeValidator, Field, InstanceOf, model_validator
@@ -15,9 +15,11 @@ from data.captures.description import Labels
 from data.captures.known import Known
 from drapenet.result.estimate import Estimate
 from drapenet.result.readings import GF_CM, GF_CM_PER_CM, MG_CM, bending_length, kes
-from sim.cantilever.posterior import StripPosterior
 from sim.material import DIRECTIONS, MICRO, NANO, REFERENCE_DENSITY, STIFF_SOFT
 from sim.rig import GRAVITY
+
+if TYPE_CHECKING:
+    from sim.cantilever.posterior import StripPosterior
 
 SCHEMA = "drapenet-estimate"
 SCHEMA_VERSION = 3
@@ -156,7 +158,7 @@ class StripsRecord(Excerpt):
 
     @classmethod
     def of(
-        cls, source: str, count: int, strips: Mapping[str, StripPosterior],
+        cls, source: str, count: int, strips: Mapping[str, "StripPosterior"],
         before: Estimate | None,
     ) -> "StripsRecord":
         """Of ``count`` strips with their posteriors by direction."""
