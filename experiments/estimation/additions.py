@@ -44,6 +44,8 @@ def run(config: Config) -> Result:
     """Estimate all fabrics from all combinations."""
     header = read_header(config["checkpoint"])
     first, second = (_maps(header, tester, config) for tester in config["testers"])
+    # A set has each drape once, by its number, which both testers' drapes begin at 0.
+    second = replace(second, index=second.index + 1 + first.index.max())
     errors: dict[str, list[np.ndarray]] = {}
     places: dict[str, list[np.ndarray]] = {}
     for fabric in np.intersect1d(first.fabric, second.fabric):
