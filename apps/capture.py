@@ -80,7 +80,7 @@ def check_capture(capture: Capture, out: Path) -> list[Check]:
     if capture.outline:
         checks += outline_checks(capture)
         write_outline(capture, out)
-        shown = outline_picture(capture, checks)
+        replace_file(out / PICTURE, outline_picture(capture, checks))
     else:
         cut = capture.cut or CutOut(
             capture.views, capture.views > 0, capture.views,
@@ -96,7 +96,6 @@ def check_capture(capture: Capture, out: Path) -> list[Check]:
         shown = picture(cut, capture.intrinsics, capture.rig, turns=capture.turns, checks=checks)
         replace_file(out / PICTURE, shown)
         require_plate(quality)  # last, as the picture shows what is wrong
-    replace_file(out / PICTURE, shown)
     return checks
 
 

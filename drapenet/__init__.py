@@ -42,13 +42,18 @@ def estimate(
         checkpoint: FILE.safetensors of ``train.py``; empty: the bundled one.
         refine: whether captures are refined by simulation, half a minute each.
     """
+    from dataclasses import replace
+
     from common.configs import read_option
+    from common.errors import InputError
     from data.captures.capture import read_capture, require_one_fabric
     from data.strips.folder import read_strips
     from drapenet.config import EstimateOptions
     from drapenet.inference import estimate_capture, joint_estimate
     from drapenet.network.checkpoint import read_header
 
+    if not (captures or strips):
+        raise InputError("give a capture, or strips=FOLDER")
     read = [read_capture(each) if isinstance(each, str | Path) else each for each in captures]
     measured = read_strips(strips) if strips else None
     require_one_fabric([part.density for part in (*read, measured) if part],
@@ -58,7 +63,8 @@ def estimate(
                               drapes=0)
     results = [estimate_capture(each, header, options) for each in read]
     if len(results) == 1 and not measured:
-        return results[0].estimate
-    found, _ = joint_estimate([result.observation for result in results],
-                              [result.document for result in results], header, measured)
-    return found
+        found, document = results[0].estimate, results[0].document
+    else:
+        found, document = joint_estimate([result.observation for result in results],
+                                         [result.document for result in results], header, measured)
+    return replace(found, warnings=tuple(document.warnings))  # as load

@@ -8,6 +8,7 @@ are several times as accurate as the network.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -63,7 +64,13 @@ def cloth_of_state(state: np.ndarray, hysteresis: np.ndarray) -> ClothProperties
 
 
 def prior_estimate(density: Density, spread: Theta) -> Estimate:
-    """Samples of the fabric prior and of the nuisances of fabrics, before any measurement."""
+    """What is known before any measurement."""
+    return Estimate(_prior_cloth(), DIRECTIONS, density, spread)
+
+
+@cache
+def _prior_cloth() -> ClothProperties:
+    """Samples of the fabric prior and of the nuisances of fabrics."""
     from data.dataset.config import Options, config_from_options  # a third of a second
 
     rng = np.random.default_rng(0)
@@ -74,7 +81,7 @@ def prior_estimate(density: Density, spread: Theta) -> Estimate:
     cloth = ClothProperties(
         theta, np.array([[each.curl_warp, each.curl_weft] for each in drawn]),
         np.array([each.membrane for each in drawn]), np.array([each.hysteresis for each in drawn]))
-    return Estimate(cloth.chosen(is_admissible(*from_theta(theta))), DIRECTIONS, density, spread)
+    return cloth.chosen(is_admissible(*from_theta(theta)))
 
 
 def require_marked(known: bool) -> None:
@@ -108,7 +115,7 @@ def with_strips(estimate: Estimate, strips: Mapping[str, "StripPosterior"]) -> E
 def with_refined(estimate: Estimate, refined: Sequence[Normal]) -> Estimate:
     """The estimate with the ``refined`` posteriors of captures as evidence, in each of which the
     prior counts once."""
-    prior = Normal.of(state_of(prior_estimate(estimate.density, estimate.spread).cloth))
+    prior = Normal.of(state_of(_prior_cloth()))
     known = np.linalg.inv(prior.covariance)
     precision, vector = np.zeros_like(known), np.zeros(len(known))
     for posterior in refined:

@@ -152,6 +152,14 @@ class Rig:
             return self.specimen_size / 2 - np.linalg.norm(offset, axis=1)
         return self.specimen_size / 2 - offset.max(axis=1)
 
+    def border(self, azimuth: np.ndarray) -> np.ndarray:
+        """Distances (...,), m, of the flat specimen's border from its centre at azimuths (...,),
+        rad, from a side of it."""
+        half = np.full(np.shape(azimuth), self.specimen_size / 2)
+        if self.specimen == "disc":
+            return half
+        return half / np.maximum(np.abs(np.cos(azimuth)), np.abs(np.sin(azimuth)))
+
     def to_plate(self, rest: RestPoints) -> np.ndarray:
         """Distances (V,), m, in the flat specimen to the plate; 0 on it."""
         return np.maximum(np.linalg.norm(rest, axis=1) - self.plate_radius, 0.0)

@@ -78,7 +78,7 @@ class Weighed(Schema):
     def questions(self) -> tuple[str, ...]:
         """A warning of a density that few fabrics have."""
         return (f"density_g_m2={self.density_g_m2:g} is that of a very light fabric: check that it "
-                "is no number of oz/yd² or momme",) * (self.density_g_m2 < LIGHT_DENSITY)
+                "is in g/m², not in oz/yd² or momme",) * (self.density_g_m2 < LIGHT_DENSITY)
 
 
 class Specimen(Weighed):

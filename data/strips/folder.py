@@ -11,10 +11,9 @@ from data.strips.description import StripsDescription, read_description
 from data.strips.photograph import PhotographedStrip, read_strip
 from sim.cantilever.moduli import StripModuli, correct
 from sim.cantilever.posterior import BendingLength, StripPosterior, direction_posterior
-from sim.material import DIRECTIONS
+from sim.material import BIAS, DIRECTIONS
 from sim.rig import GRAVITY
 
-BIAS = DIRECTIONS[1]
 BENDING_LENGTH_ERROR = 0.02  # relative standard deviation of one read at 41.5°
 
 
@@ -47,8 +46,8 @@ class StripSet:
     def warnings(self) -> tuple[str, ...]:
         """Those of all photographs, and of twist that cannot be corrected."""
         lines = [line for strip in self.photographs for line in strip.warnings]
-        if BIAS in self.curves and not self.complete:
-            lines.append(f"{BIAS}: free strips cut along it twist and hang lower, as if alpha were "
+        if (bias := DIRECTIONS[BIAS]) in self.curves and not self.complete:
+            lines.append(f"{bias}: free strips cut along it twist and hang lower, as if alpha were "
                          "0.4 to 15 % smaller; measure all three directions, and this is corrected")
         return tuple(lines)
 

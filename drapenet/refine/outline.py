@@ -163,9 +163,8 @@ class Hem:
     def place(self, rest: RestPoints) -> Points:
         """Cloth bends down behind the rim until it runs straight to the hem."""
         arcs = arc_lengths(rest, self.rig)
-        hem = np.array([_hem(self.rig, azimuth) for azimuth in AZIMUTH])
-        return positions_along(rest, _profiles(arcs, hem, self.radius, self.perspective, self.rig),
-                               arcs, self.rig)
+        curves = _profiles(arcs, self.rig.border(AZIMUTH), self.radius, self.perspective, self.rig)
+        return positions_along(rest, curves, arcs, self.rig)
 
     def springs(self, scene: Scene, positions: Points, pull: float) -> Springs:
         return self.held(scene, positions, hem_near(scene, positions, self, reach=REACH), pull)
@@ -193,14 +192,6 @@ def hem_near(scene: Scene, positions: Points, hem: Hem, *, reach: Metres) -> np.
     x = positions[border]
     radius = np.hypot(x[:, 0], x[:, 1]) / (1 - hem.perspective * x[:, 2])
     return border[np.abs(radius - hem.at(np.arctan2(x[:, 1], x[:, 0]))) < reach]
-
-
-def _hem(rig: Rig, azimuth: float) -> Metres:
-    """Distance of the flat specimen's border from the plate's axis."""
-    half = rig.specimen_size / 2
-    if rig.specimen == "disc":
-        return half
-    return half / max(abs(math.cos(azimuth)), abs(math.sin(azimuth)))
 
 
 def _profiles(

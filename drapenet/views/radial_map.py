@@ -64,8 +64,7 @@ def side_direction(distance: np.ndarray, weight: np.ndarray, rig: Rig) -> float:
     trust = ((visible & below).sum(axis=1) / np.maximum(below.sum(axis=1), 1)) ** 2 + 1e-3
     sides = np.radians(np.arange(0.0, 90.0))
     direction = AZIMUTH - sides[:, None]
-    flat = rig.specimen_size / 2 / np.maximum(np.abs(np.cos(direction)), np.abs(np.sin(direction)))
-    gap = lengths - (flat - rig.plate_radius)
+    gap = lengths - (rig.border(direction) - rig.plate_radius)
     # Correct the common bias of the hem; the cost saturates for outliers of single folds.
     gap -= np.clip(np.median(gap, axis=1, keepdims=True), *_LENGTH_BIAS)
     return float(sides[(trust * np.minimum(np.abs(gap), _MAX_LENGTH_ERROR)).sum(axis=1).argmin()])

@@ -16,7 +16,9 @@ def test_a_fabric_is_estimated_as_by_the_command(untrained_checkpoint, tmp_path)
     found = drapenet.estimate(capture, **options)
     infer.main([f"capture={capture}", f"out={tmp_path / 'out'}", "drapes=0",
                 f"checkpoint={untrained_checkpoint}"])
-    np.testing.assert_array_equal(found.samples, drapenet.load(tmp_path / "out").samples)
+    loaded = drapenet.load(tmp_path / "out")
+    np.testing.assert_array_equal(found.samples, loaded.samples)
+    assert found.warnings == loaded.warnings
     again = drapenet.estimate(read_capture(capture), **options)
     np.testing.assert_array_equal(found.samples, again.samples)
     other = write_skirt(tmp_path / "other", orientation=1.2, warp_direction=1.2)
@@ -24,4 +26,6 @@ def test_a_fabric_is_estimated_as_by_the_command(untrained_checkpoint, tmp_path)
     assert drapenet.estimate(capture, other, **options).names == found.names
     with pytest.raises(InputError, match="same views"):
         drapenet.estimate(capture, capture, **options)
+    with pytest.raises(InputError, match="give a capture"):
+        drapenet.estimate(**options)
     assert set(drapenet.__all__) == {"estimate", "load"}
