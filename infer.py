@@ -151,9 +151,9 @@ def read_sources(config: InferConfig) -> list[tuple[Capture, Any]]:
     stated = {key: value for key in Specimen.model_fields
               if (value := getattr(config, key)) is not None}
     specimen = Specimen.of(stated, "")
-    from drapenet.scan import read_scan
+    from drapenet.surface.registration import read_scan_capture
 
-    return [read_scan(path, specimen) for path in paths]
+    return [read_scan_capture(path, specimen) for path in paths]
 
 
 if __name__ == "__main__":

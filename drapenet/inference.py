@@ -56,8 +56,8 @@ from sim.rig import Rig
 
 if TYPE_CHECKING:
     from data.strips.folder import StripSet
-    from drapenet.refine.surface import CapturedShape
     from drapenet.report.drape import Resimulation
+    from drapenet.surface.shape import CapturedShape
 
 Progress = Callable[[int, int, float], None]
 """Called with the simulated and the expected number of drapes, and the current misfit."""
@@ -278,7 +278,6 @@ def refine(
 
     capture = result.capture
     if capture.warp_direction is None or not result.located:
-        # Refined outlines are under test: python -m experiments refine_outlines.
         missing = "give warp_direction_deg" if result.located else "it shows no depth"
         return result.with_warnings(f"the estimate is not refined: {missing}")
     outcome = refine_capture(result.estimate, result.located, warp=capture.warp_direction,

@@ -6,29 +6,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from common.command import compose_config
 from common.errors import InputError
 from common.types import Theta
 from data.captures.capture import Capture
-from data.captures.photograph import PhotographedOutline
 from data.dataset.config import Options, config_from_options
 from data.dataset.plan import DrapePlan, Stream, plan_drape, stream
 from data.fabrics.fabrics import fabric_from_theta
 from data.fabrics.nuisances import Nuisances
 from data.fabrics.prior import load_prior, sample_admissible
-from drapenet.refine.outline import (
-    HEIGHT_DEVIATION,
-    PICTURE_DEVIATION,
-    SCALE_DEVIATION,
-    TURN_DEVIATION,
-)
 from experiments.result import read_report, rms
 from sim.cloth import Laws
 from sim.drape import Drape, drape
 from sim.material import LINEAR, REFERENCE_DENSITY, Fabric
-from sim.measures import shadow_radius
 from sim.rig import SQUARE_RIG, Rig
 
 if TYPE_CHECKING:  # imported on use, because speed and memory are measured without them
@@ -37,7 +28,6 @@ if TYPE_CHECKING:  # imported on use, because speed and memory are measured with
     from drapenet.network.checkpoint import Header
 
 RIG = SQUARE_RIG
-OUTLINE_NOISE = 3e-4  # m, of a photographed outline (docs/validation.md)
 CLEAN = {"views": (0.0, 0.0, 0.0, 1.0), "sensors": {"smooth": 1.0}, "turn": 0.0, "focal": 0.0,
          "border": 0, "holes": 0, "hem_share": 0.0}
 """Fields of a set-up: exact quarter turns, a smooth sensor, an exact cut-out."""
@@ -109,23 +99,6 @@ def as_read(synthetic: "SyntheticCapture", rig: Rig = RIG) -> Capture:
     """A synthetic capture as if it were read from a folder, with the direction of the warp."""
     return Capture(synthetic.views, synthetic.intrinsics, synthetic.turns, REFERENCE_DENSITY,
                    synthetic.orientation % np.pi, rig, Path(), ())
-
-
-def photographed(shape: Drape, rig: Rig, rng: np.random.Generator) -> Capture:
-    """A photograph of a drape from above, as if it were read: half of them in parallel light, with
-    errors of the scale, the plate's centre, the camera's height and the warp's direction."""
-    height = float(rng.choice([np.inf, rng.uniform(0.6, 1.5)]))
-    radius = shadow_radius(shape.positions, shape.mesh, height=height, points=720)
-    rough = gaussian_filter1d(rng.standard_normal(len(radius)), 4.0, mode="wrap")
-    radius += OUTLINE_NOISE * rough / rough.std()
-    warp = rng.uniform(0, np.pi)
-    angle = np.linspace(0, 2 * np.pi, len(radius), endpoint=False) + warp
-    curve = np.exp(rng.normal(0, SCALE_DEVIATION)) * radius[:, None] * np.column_stack(
-        [np.cos(angle), np.sin(angle)]) + rng.normal(0, PICTURE_DEVIATION, 2)
-    outline = PhotographedOutline(curve, height * (1 + rng.normal(0, HEIGHT_DEVIATION)), True, rig)
-    stated = (warp + rng.normal(0, TURN_DEVIATION)) % np.pi
-    return Capture(np.zeros((0, 1, 1), np.float32), None, np.zeros(0), REFERENCE_DENSITY, stated,
-                   rig, Path(), (), outline=outline)
 
 
 @cache

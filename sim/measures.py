@@ -77,16 +77,10 @@ def shadow_radius(
     return farthest(seen[hem], points)
 
 
+@numba.njit(cache=True)
 def farthest(segments, points):
     """Largest distance from the origin of segments (N, 2, 2) along ``points`` azimuths."""
-    return crossings(segments, points)[0]
-
-
-@numba.njit(cache=True)
-def crossings(segments, points):
-    """Distances (points,) as :func:`farthest`, and the numbers of their segments, -1 without."""
     radius, step = np.zeros(points), 2 * np.pi / points
-    which = np.full(points, -1)
     rounding = 1e-9  # an end may lie on an azimuth
     for t in range(len(segments)):
         (ax, ay), (bx, by) = segments[t, 0], segments[t, 1]
@@ -98,9 +92,8 @@ def crossings(segments, points):
             across = c * (by - ay) - s * (bx - ax)
             if across != 0.0:
                 distance = (ax * (by - ay) - ay * (bx - ax)) / across
-                if distance > radius[k % points]:
-                    radius[k % points], which[k % points] = distance, t
-    return radius, which
+                radius[k % points] = max(radius[k % points], distance)
+    return radius
 
 
 def fold_count(positions: Points, rest: RestPoints, rig: Rig) -> int:

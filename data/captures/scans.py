@@ -1,26 +1,16 @@
 """Meshes of scanned drapes on the disc rig, and a check of their shape at the plate's rim."""
 
-import io
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 
-from common.documents import read_arrays, read_bytes, reading
+from common.documents import read_arrays
 from common.errors import InputError
 from common.types import Faces, Points, RestPoints
 from sim.mesh import Mesh
 from sim.rig import Rig
 
-if TYPE_CHECKING:
-    import trimesh
-
-RAW = (".ply", ".obj", ".stl")  # suffixes of scans without rest coordinates
-MAX_RAW_BYTES = 256 << 20  # bytes
-UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "inches": 0.0254}
-MAX_OFFSET = 5e-3  # m, of a plate's centre; the measured centre is 1 mm off, at most 6 mm
 MAX_SCAN_SIZE = 1_000_000  # vertices or triangles
 MAX_RIM_STEEPNESS = 0.85
 """Of :func:`rim_steepness`: at most 0.76 in scans of 216 simulated drapes with all nuisances, 0.94
@@ -28,13 +18,6 @@ or more for straight lines from rim to hem."""
 _NEAR = (1e-3, 5e-3)  # m, from the rim
 _SECTORS, _MIN_SECTORS = 36, 12  # of azimuth, all and at least measured
 _PLANE_TOLERANCE = 5e-3  # m, of cloth on the support
-_SAMPLED = 20_000  # points of a surface, to place it
-_FLAT = 1.5e-3  # m, between the heights of points on the plate
-_PLATE_RATIO = 0.85, 1.4  # of the flat part's radius over the plate's
-_UPRIGHT = {up: cv2.Rodrigues(np.pi / 2 * np.array(turn))[0].round() for up, turn in {
-    "z": (0.0, 0, 0), "y": (1.0, 0, 0), "x": (0, -1.0, 0), "-z": (2.0, 0, 0), "-y": (-1.0, 0, 0),
-    "-x": (0, 1.0, 0)}.items()}
-"""Turns that make axes point up, by axis; quarter turns about x or y."""
 _MAX_RADIUS_RATIO = 1.02  # of rest points over the specimen's radius
 _MAX_EDGE_RATIO = 2.0  # between draped and rest lengths of edges; with wrong units it exceeds 20
 
@@ -51,58 +34,12 @@ class Scan:
 def read_scan(path: Path, rig: Rig) -> Scan:
     """Read an npz file with ``vertices`` (V, 3) m, ``rest`` (V, 2) m and ``faces`` (F, 3)."""
     arrays = read_arrays(path, ("vertices", "rest", "faces"), expected=(
-        "an npz file of a scan with vertices, rest and faces; a raw mesh must end in .ply or .obj"))
+        "an npz file of a scan with vertices, rest and faces; raw scans end in .ply, .obj or .stl"))
     positions, rest, faces = arrays["vertices"], arrays["rest"], arrays["faces"]
     if fault := (_array_fault(positions, rest, faces) or _mesh_fault(rest, faces)
                  or _placement_fault(positions, rest, faces, rig)):
         raise InputError(f"{path}: {fault}")
     return Scan(positions.astype(np.float64), rest.astype(np.float64), faces.astype(np.int64))
-
-
-def read_placed(path: Path, rig: Rig) -> "tuple[trimesh.Trimesh, tuple[str, ...]]":
-    """A raw scan in metres, z up, the centre of the plate's top its origin, and a note of what was
-    measured for that; as it is in the file where unit or plate are not recognised.
-    """
-    import trimesh
-
-    data = read_bytes(path, MAX_RAW_BYTES, "scan")
-    with reading(path, "export the scan again as PLY, OBJ or STL"):
-        # From memory: files that a scan refers to, such as materials, must not be read.
-        mesh = trimesh.load(io.BytesIO(data), file_type=path.suffix[1:].lower(), process=False,
-                            skip_materials=True)
-        if isinstance(mesh, trimesh.Scene):  # a mesh for each material
-            mesh = trimesh.util.concatenate(mesh.dump())
-        cloud = np.asarray(mesh.vertices).reshape(-1, 3)
-        if len(getattr(mesh, "faces", ())) and np.isfinite(cloud).all():
-            mesh.merge_vertices()  # STL has the corners of each triangle apart
-            cloud = trimesh.sample.sample_surface(mesh, _SAMPLED, seed=0)[0]
-    extent = np.ptp(cloud, axis=0).max() if len(cloud) else 0.0
-    unit = next((name for name, metres in UNITS.items() if 0.9 * rig.plate_diameter < (
-        metres * extent) < 1.1 * rig.specimen_size), None)
-    if unit is None:
-        return mesh, ()
-    # The cloth on the plate is the largest level part with all else below it.
-    tops = {up: _top(UNITS[unit] * cloud @ turn.T, rig) for up, turn in _UPRIGHT.items()}
-    up = max(tops, key=lambda name: len(tops[name]))
-    # The hull, because points may be denser at one side.
-    hull = cv2.moments(cv2.convexHull(tops[up][:, :2].astype(np.float32)))
-    if not _PLATE_RATIO[0] < np.sqrt(hull["m00"] / np.pi) / rig.plate_radius < _PLATE_RATIO[1]:
-        return mesh, ()
-    centre = np.array([hull["m10"] / hull["m00"], hull["m01"] / hull["m00"],
-                       np.median(tops[up][:, 2])])
-    centre *= np.linalg.norm(centre) > MAX_OFFSET
-    mesh.vertices = UNITS[unit] * mesh.vertices @ _UPRIGHT[up].T - centre
-    notes = [f"lengths in {unit}"] * (unit != "m") + [f"{up} up"] * (up != "z")
-    if centre.any():
-        notes.append(f"the plate's centre {1e3 * np.linalg.norm(centre):.0f} mm from the origin")
-    return mesh, (f"the scan has {', '.join(notes)}, as its flat part shows, and was brought to "
-                  "metres, z up, the plate's centre at the origin",) * bool(notes)
-
-
-def _top(points: Points, rig: Rig) -> Points:
-    """The points that are as high as a plate of ``rig`` is if the highest points lie on it."""
-    height, share = points[:, 2], (rig.plate_diameter / rig.specimen_size) ** 2
-    return points[np.abs(height - np.quantile(height, 1 - share / 2)) < _FLAT]
 
 
 def _array_fault(positions: np.ndarray, rest: np.ndarray, faces: np.ndarray) -> str:

@@ -23,23 +23,21 @@ from data.render.rays import DepthRenderer
 from drapenet.evidence import STATE, Normal, cloth_of_state
 from drapenet.network.predict import Draws
 from drapenet.refine.objective import fit_nuisances
-from drapenet.refine.registration import flat_turn
+from drapenet.refine.positions import Fidelity, fidelity
 from drapenet.refine.search import (
-    CapturedOutline,
     CapturedScan,
     CapturedViews,
     Observation,
     SearchResult,
     search,
 )
-from drapenet.refine.surface import CapturedShape, Fidelity, fidelity
 from drapenet.refine.unknowns import LAW_NAMES, NAMES, OFFSET_NAMES, SpecimenPrior, Unknowns
 from drapenet.report.drape import Resimulation, turned
 from drapenet.result.estimate import Estimate
+from drapenet.surface.registration import flat_turn
+from drapenet.surface.shape import CapturedShape
 from drapenet.views.located import LocatedViews
-from drapenet.views.outline import DrapeOutline
 from sim.material import REFERENCE_DENSITY
-from sim.rig import Rig
 
 MAX_REDUCED_CHI2 = 10.0  # beyond, no cloth fits the capture; correct captures have 0.8 to 2.5
 MAX_DISPLACEMENT_MM = 6.0  # of the estimate's drape from the scan; 20 simulated scans: up to 2.7
@@ -48,14 +46,6 @@ _PRINTED = {"membrane": ("membrane_n_per_m", 1.0), "shear": ("shear_share", 1.0)
             "curl_warp": ("curl_warp_per_m", 1.0),
             "curl_weft": ("curl_weft_per_m", 1.0), "offset_warp": ("offset_warp_mm", 1e3),
             "offset_weft": ("offset_weft_mm", 1e3)}
-
-
-@dataclass(frozen=True)
-class PhotographedDrape:
-    """The outline of a drape in a photograph's orientation."""
-
-    outline: DrapeOutline
-    rig: Rig
 
 
 @dataclass(frozen=True)
@@ -69,14 +59,14 @@ class Refinement:
 
 
 def refine_capture(
-    estimate: Estimate, captured: LocatedViews | PhotographedDrape, *, warp: Radians,
+    estimate: Estimate, captured: LocatedViews, *, warp: Radians,
     face: int = 1, scan: CapturedShape | None = None, settings: Mapping[str, Any] | None = None,
     progress: Callable[[int, int, float], None] | None = None,
 ) -> Refinement | None:
     """Refine an ``estimate`` by simulation, with a progress bar; None if no cloth converges.
 
     Args:
-        warp: its direction in the first view, or in the photograph.
+        warp: its direction in the first view.
         face: 1 if the marked face is up, else -1.
         scan: whose rendered views are ``captured``; None for a capture.
         settings: content of a file of ``configs/refine``; None: the default.
@@ -84,11 +74,8 @@ def refine_capture(
     """
     settings = settings or read_option("refine", "simulation")
     axis = flat_turn(scan) if scan else 0.0
-    edges = {"edge": 1e-3 * settings["edge_mm"], "coarse": 1e-3 * settings["coarse_mm"]}
-    observation: Observation = (
-        CapturedScan(scan) if scan else
-        CapturedViews(captured, turn=warp, **edges) if isinstance(captured, LocatedViews) else
-        CapturedOutline(captured.outline, captured.rig, turn=warp, **edges))
+    observation: Observation = CapturedScan(scan) if scan else CapturedViews(
+        captured, turn=warp, edge=1e-3 * settings["edge_mm"], coarse=1e-3 * settings["coarse_mm"])
     result = _search(estimate, observation, warp=warp - axis if scan else None,
                      count=int(settings["starts"]), progress=progress)
     if result is None:
@@ -107,7 +94,7 @@ def refine_capture(
 
 
 def _beside(
-    result: SearchResult, captured: LocatedViews | PhotographedDrape, axis: Radians, scan: bool
+    result: SearchResult, captured: LocatedViews, axis: Radians, scan: bool
 ) -> Resimulation:
     """The refined drape beside the capture; ``axis``: of a scan's mesh in the first view."""
     drape = result.released or result.best.drape
@@ -118,8 +105,6 @@ def _beside(
         placed = turned(drape.positions, axis + result.best.unknowns["warp"])
         return Resimulation.beside(captured, views.astype(np.float32), drape, placed, statuses)
     placed = turned(drape.positions, float(result.best.nuisance[0]))
-    if isinstance(captured, PhotographedDrape):
-        return Resimulation.beside_outline(captured.outline, captured.rig, drape, placed, statuses)
     nuisance = fit_nuisances(result.objective, drape.positions, result.best.nuisance)
     views = result.objective.render(drape.positions, nuisance)
     return Resimulation.beside(captured, views.astype(np.float32), drape, placed, statuses)

@@ -1,4 +1,4 @@
-"""Search for the captured specimen, from views, an outline or a scan.
+"""Search for the captured specimen, from views or a scan.
 
 On a mesh a drape has many equilibria a millimetre or two apart, because folds lock to the mesh,
 which would bias the moduli. The specimen is therefore pulled onto the captured surface and held by
@@ -18,9 +18,11 @@ from common.types import Metres, Radians
 from drapenet.refine.depth import DepthViews, DepthWeights
 from drapenet.refine.minimise import Limits, Outcome, Status, minimise
 from drapenet.refine.objective import Nuisance, Objective, fit_nuisances
-from drapenet.refine.outline import Hem, OutlineRadii, hem_near
+from drapenet.refine.positions import RobustPositions
 from drapenet.refine.problem import Effort, Problem, Trial, Uncertainty, laplace
-from drapenet.refine.springs import (
+from drapenet.refine.unknowns import SpecimenPrior, Unknowns
+from drapenet.surface.shape import CapturedShape
+from drapenet.surface.springs import (
     Springs,
     Surface,
     captured_shape,
@@ -28,12 +30,8 @@ from drapenet.refine.springs import (
     plane_springs,
     springs_to,
 )
-from drapenet.refine.surface import CapturedShape, RobustPositions
-from drapenet.refine.unknowns import SpecimenPrior, Unknowns
 from drapenet.views.located import LocatedViews
-from drapenet.views.outline import DrapeOutline
 from sim.drape import Drape, follow
-from sim.rig import Rig
 from sim.scene import make_specimen
 from sim.solver.newton import NewtonOptions
 
@@ -86,7 +84,9 @@ class CapturedViews:
     ) -> None:
         self._located, self._turn = located, turn
         self._objectives: dict[float, DepthViews] = {}
-        self.rounds = _rounds(edge, coarse)
+        coarse = max(edge, coarse)
+        self.rounds = (Round(coarse, (0.3,), 3), Round(coarse, (0.1, 0.03), 4),
+                       Round(edge, (0.03, 0.01, 0.003), 3))
 
     def objective(self, edge: Metres) -> DepthViews:
         if edge not in self._objectives:
@@ -98,8 +98,8 @@ class CapturedViews:
     def anchored(self, level: Round, unknowns: Unknowns, nuisance: Nuisance | None) -> Anchored:
         objective = self.objective(level.edge)
         points = objective.points(objective.start if nuisance is None else nuisance)
-        rig = self._located.rig
-        shape = captured_shape(unknowns.fabric, Surface(*points, rig), rig=rig, edge=level.edge)
+        surface = Surface(*points, self._located.rig)
+        shape = captured_shape(unknowns.fabric, surface, edge=level.edge)
         near, at = nearest_points(shape.scene, shape.positions, *points, reach=REACH)
 
         def springs(pull: float, nuisance: Nuisance) -> Springs:
@@ -107,39 +107,6 @@ class CapturedViews:
             return springs_to(points[at], normals[at], shape.scene, near, pull)
 
         return Anchored(shape, objective, springs)
-
-
-class CapturedOutline:
-    """The outline of a drape; ``turn``: direction of the warp in it; edges as for
-    :class:`CapturedViews`."""
-
-    def __init__(
-        self, outline: DrapeOutline, rig: Rig, *, turn: Radians, edge: Metres, coarse: Metres
-    ) -> None:
-        self._outline, self._rig, self._turn = outline, rig, turn
-        self.rounds = _rounds(edge, coarse)
-
-    def anchored(self, level: Round, unknowns: Unknowns, nuisance: Nuisance | None) -> Anchored:
-        mesh = make_specimen(self._rig, edge=level.edge).mesh
-        objective = OutlineRadii(self._outline, self._rig, mesh.edges, turn=self._turn)
-
-        def hem(nuisance: Nuisance) -> Hem:
-            return Hem(objective.radius(nuisance), float(nuisance[-1]), self._rig)
-
-        target = hem(objective.start if nuisance is None else nuisance)
-        shape = captured_shape(unknowns.fabric, target, rig=self._rig, edge=level.edge)
-        held = hem_near(shape.scene, shape.positions, target, reach=REACH)
-
-        def springs(pull: float, nuisance: Nuisance) -> Springs:
-            return hem(nuisance).held(shape.scene, shape.positions, held, pull)
-
-        return Anchored(shape, objective, springs)
-
-
-def _rounds(edge: Metres, coarse: Metres) -> tuple[Round, ...]:
-    coarse = max(edge, coarse)
-    return (Round(coarse, (0.3,), 3), Round(coarse, (0.1, 0.03), 4),
-            Round(edge, (0.03, 0.01, 0.003), 3))
 
 
 class CapturedScan:

@@ -67,13 +67,13 @@ def _estimate(
     from data.captures.description import Specimen
     from drapenet.inference import estimate_capture
     from drapenet.result.files import ESTIMATE
-    from drapenet.scan import read_scan
+    from drapenet.surface.registration import read_scan_capture
 
     task, registered = row["task"], None
     record(stage="reading")
     if scan := task["scan"]:
         specimen = Specimen.of(task["specimen"], "")
-        capture, registered = read_scan(folder / UPLOADED / scan, specimen)
+        capture, registered = read_scan_capture(folder / UPLOADED / scan, specimen)
     else:
         capture = read_capture(folder / UPLOADED)
     replace_file(folder / PREVIEW, preview(capture))

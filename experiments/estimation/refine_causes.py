@@ -20,7 +20,7 @@ def run(config: Config) -> Result:
     """Refine the captures of all worlds."""
     folder = Path(config["cases"])
     fixed: dict[str, Any] = {key: config[key] for key in (
-        "rig", "edge_mm", "truth_mm", "seed", "photograph")} | {"nuisances": "real"}
+        "rig", "edge_mm", "truth_mm", "seed")} | {"nuisances": "real"}
     worlds = {NONE: (), **{group: (group,) for group in ABSENT}, ALL: ABSENT}
     # Fabric by fabric: what is finished can be read at any time.
     results = run_cases(case, {f"{world} {number}": fixed | {"number": number, "absent": absent}

@@ -19,15 +19,15 @@ from sim.material import REFERENCE_DENSITY
 from sim.rig import DISC_RIG
 
 if TYPE_CHECKING:
-    from drapenet.refine.registration import ScanRegistration
+    from drapenet.surface.registration import ScanRegistration
 
 _TRUTH_MM = 2.0  # mesh edges at the rim of simulated specimens
 
 
 def simulated(*, number: int, noise_mm: float, seed: int) -> dict:
     """Refine a simulated raw scan of a known fabric."""
-    from drapenet.refine.registration import EDGE, register
-    from drapenet.refine.surface import Cloud
+    from drapenet.surface.registration import EDGE, register
+    from drapenet.surface.shape import Cloud
 
     plan = plan_specimen(number, rig=DISC_RIG, nuisances="real", seed=seed)
     shape = drape_as_planned(plan, edge=1e-3 * _TRUTH_MM)
@@ -42,8 +42,8 @@ def refine_scan(scan: "ScanRegistration") -> dict:
     """Estimate a scan whose x axis is the warp, as by ``infer.py scan=FILE refine=simulation``."""
     from drapenet.inference import network_estimate
     from drapenet.refine.refine import refine_capture
-    from drapenet.refine.registration import scan_capture
     from drapenet.result.estimate import make_estimate
+    from drapenet.surface.registration import scan_capture
 
     shape = scan.shape
     capture = scan_capture(Path("scan"), shape, REFERENCE_DENSITY, 0.0)

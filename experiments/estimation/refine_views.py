@@ -29,7 +29,6 @@ from experiments.drapes import (
     capture_drape,
     drape_as_planned,
     header,
-    photographed,
     plan_specimen,
 )
 from experiments.result import (
@@ -64,12 +63,12 @@ ABSENT = (*NUISANCES, OFFSET, *SETUPS)
 
 def case(
     *, number: int, rig: str, nuisances: str, edge_mm: float, truth_mm: float, seed: int,
-    photograph: bool = False, absent: Sequence[str] = (),
+    absent: Sequence[str] = (),
 ) -> dict:
-    """Estimate one capture, depth views or a ``photograph``, with the network and with the
-    refinement, in a world without the nuisances ``absent``, of :data:`ABSENT`."""
-    from drapenet.inference import network_estimate, outline_of
-    from drapenet.refine.refine import PhotographedDrape, refine_capture
+    """Estimate one capture with the network and with the refinement, in a world without the
+    nuisances ``absent``, of :data:`ABSENT`."""
+    from drapenet.inference import network_estimate
+    from drapenet.refine.refine import refine_capture
     from drapenet.result.estimate import make_estimate
 
     tester = Rig.from_name(rig)
@@ -84,14 +83,13 @@ def case(
     if nuisances == "none":
         setups = replace(setups, **CLEAN)
     rng = np.random.default_rng([seed, number])
-    capture = (photographed(shape, tester, rng) if photograph else
-               as_read(capture_drape(shape, setups, rng, tester), tester))
+    capture = as_read(capture_drape(shape, setups, rng, tester), tester)
     inferred = network_estimate(capture, header())
-    captured = inferred.located or PhotographedDrape(outline_of(capture), tester)
     estimate = inferred.estimate
     began = time.perf_counter()
     settings = read_option("refine", "simulation") | ({"edge_mm": edge_mm} if edge_mm else {})
-    refined = refine_capture(estimate, captured, warp=capture.warp_direction, settings=settings)
+    refined = refine_capture(estimate, inferred.located, warp=capture.warp_direction,
+                             settings=settings)
     seconds = time.perf_counter() - began
     last = estimate  # without an improvement that of the network
     if gained := refined is not None and refined.draws is not None:
@@ -147,7 +145,7 @@ def run(config: Config) -> Result:
     """Refine all captures."""
     folder = Path(config["cases"]) / config["variation"]
     settings = {key: config[key] for key in ("rig", "edge_mm", "truth_mm", "seed")}
-    settings |= {"nuisances": config["variation"], "photograph": config["photograph"]}
+    settings["nuisances"] = config["variation"]
     results = run_cases(case, {f"views_{k}": {"number": k, **settings}
                                for k in range(config["fabrics"])},
                         config, folder=folder, sources=ESTIMATOR)

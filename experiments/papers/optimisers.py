@@ -15,10 +15,10 @@ from data.dataset.plan import DrapePlan
 from data.fabrics.fabrics import THETA_NAMES, fabric_from_theta, from_theta, to_theta
 from data.fabrics.prior import load_prior
 from drapenet.refine.minimise import LeastSquares, Limits, Status, minimise
+from drapenet.refine.positions import RobustPositions
 from drapenet.refine.problem import Problem
-from drapenet.refine.springs import plane_springs
-from drapenet.refine.surface import RobustPositions
 from drapenet.refine.unknowns import SpecimenPrior, Unknowns
+from drapenet.surface.springs import plane_springs
 from experiments.drapes import drape_specimen, plan_specimen
 from experiments.page import Section
 from experiments.papers.descriptors import DescriptorObjective, GridSpectrum, RingSpectrum

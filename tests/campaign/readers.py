@@ -38,6 +38,7 @@ from common.configs import read_config, read_option
 from common.documents import read_bytes, read_json
 from common.errors import InputError
 from data.captures.capture import read_capture
+from data.captures.raw_scans import read_raw_scan
 from data.captures.rosbag import read_recording
 from data.captures.scans import read_scan
 from data.dataset import inspect
@@ -53,7 +54,6 @@ from drapenet.export.formats import TARGETS
 from drapenet.export.material import read_material
 from drapenet.network.checkpoint import load_model, read_header
 from drapenet.network.training import load_state, save_state
-from drapenet.refine.registration import read_cloud
 from drapenet.result.files import write_estimate
 from drapenet.service.uploads import RequestError, checked_upload
 from sim.material import MICRO
@@ -176,7 +176,7 @@ def _raw_scan(folder: Path) -> None:
 
 def _read_raw_scan(folder: Path) -> None:
     for kind in ("ply", "obj"):
-        read_cloud(folder / f"scan.{kind}", SCAN_RIG)
+        read_raw_scan(folder / f"scan.{kind}", SCAN_RIG)
 
 
 def _drape(folder: Path) -> None:

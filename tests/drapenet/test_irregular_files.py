@@ -13,6 +13,7 @@ from common.errors import InputError
 from data.captures.capture import read_capture
 from data.captures.frames import read_array, read_exr, read_picture, read_points
 from data.captures.outline_table import read_table
+from data.captures.raw_scans import read_raw_scan
 from data.captures.rosbag import read_recording
 from data.captures.scans import read_scan
 from data.captures.shadow import read_grey
@@ -24,7 +25,6 @@ from drapenet.batch.captures import entries_of
 from drapenet.export.material import read_material
 from drapenet.network.checkpoint import read_header
 from drapenet.network.training import load_state
-from drapenet.refine.registration import read_cloud
 from sim.rig import DISC_RIG
 
 
@@ -44,7 +44,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "view_0.ply": lambda file: read_points(file, None),
     "depth.bag": lambda file: read_recording([file]),
     "scan.npz": lambda file: read_scan(file, DISC_RIG),
-    "scan.obj": lambda file: read_cloud(file, DISC_RIG),
+    "scan.obj": lambda file: read_raw_scan(file, DISC_RIG),
     "drape.npz": read_borrowed,
     "fabrics.csv": read_fabric_table,
     "curve.csv": read_curve,

@@ -15,10 +15,9 @@ from data.render.rays import QUARTERS, DepthRenderer
 from drapenet.refine import problem as problems
 from drapenet.refine.minimise import Limits, minimise
 from drapenet.refine.objective import Linearised
+from drapenet.refine.positions import RobustPositions
 from drapenet.refine.problem import Problem, laplace
 from drapenet.refine.search import CapturedViews, search
-from drapenet.refine.springs import Springs, plane_springs
-from drapenet.refine.surface import RobustPositions
 from drapenet.refine.unknowns import (
     ALPHA_RANGE,
     LAW_NAMES,
@@ -29,6 +28,7 @@ from drapenet.refine.unknowns import (
     Unknowns,
     drape_moves,
 )
+from drapenet.surface.springs import Springs, plane_springs
 from drapenet.views.located import LocatedViews
 from sim.drape import Drape, drape, follow
 from sim.energies.base import check

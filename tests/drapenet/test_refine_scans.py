@@ -11,11 +11,12 @@ from scipy.interpolate import CloughTocher2DInterpolator
 
 from common.errors import InputError
 from data.fabrics.fabrics import THETA_NAMES, fabric_from_theta, to_theta
-from drapenet.refine.registration import flat_turn, read_cloud, read_shape, register, scan_capture
+from drapenet.refine.positions import fidelity
 from drapenet.refine.search import CapturedScan, search
-from drapenet.refine.springs import plane_springs
-from drapenet.refine.surface import CapturedShape, Cloud, fidelity
 from drapenet.refine.unknowns import Unknowns
+from drapenet.surface.registration import flat_turn, read_shape, register, scan_capture
+from drapenet.surface.shape import CapturedShape, Cloud
+from drapenet.surface.springs import plane_springs
 from infer import main
 from sim.drape import Drape, drape, follow
 from sim.mesh import vertex_normals
@@ -133,8 +134,8 @@ def test_a_scan_whose_vertices_slid_is_laid_again(tmp_path, scanned):
 
 
 def test_a_surface_that_no_specimen_can_be_laid_on_is_refused(tmp_path, scanned):
-    near = scanned.rest[:, 0] < 0.03  # one side is missing
-    trimesh.PointCloud(scanned.positions[near]).export(tmp_path / "part.ply")
+    x, radius = scanned.rest[:, 0], np.linalg.norm(scanned.rest, axis=1)
+    trimesh.PointCloud(scanned.positions[(x < 0) | (radius < 0.1)]).export(tmp_path / "part.ply")
     with pytest.raises(InputError, match="mm from this surface on average and does not fit"):
         read_shape(tmp_path / "part.ply", DISC_RIG, edge=6e-3)
     trimesh.PointCloud(scanned.positions).export(tmp_path / "points.ply")
@@ -145,46 +146,6 @@ def test_a_surface_that_no_specimen_can_be_laid_on_is_refused(tmp_path, scanned)
     trimesh.PointCloud(np.concatenate([scanned.positions, table])).export(tmp_path / "table.ply")
     with pytest.raises(InputError, match=r"25% of its points .* cut away all that is not cloth"):
         read_shape(tmp_path / "table.ply", DISC_RIG, edge=6e-3)
-
-
-def mesh_of(shape: CapturedShape, scale: object = 1.0, lift: float = 0.0) -> trimesh.Trimesh:
-    return trimesh.Trimesh(shape.positions * scale + [0, 0, lift], shape.faces, process=False)
-
-
-def with_nan(shape: CapturedShape) -> trimesh.Trimesh:
-    mesh = mesh_of(shape)
-    mesh.vertices[3, 1] = np.nan
-    return mesh
-
-
-def with_far_face(shape: CapturedShape) -> trimesh.Trimesh:
-    return trimesh.Trimesh(shape.positions, shape.faces + np.array([0, 0, 10**6]), process=False)
-
-
-@pytest.mark.parametrize(("make", "message"), [
-    (b"", ""), (b"ply\nformat ascii 1.0\n", ""), (b"\x00\xff" * 50, ""),
-    (b"v 0.1 0.2 0\n" * 300 + b"v 0.1 0.2\nf 1 2 3\n", "export it again"),
-    (lambda shape: mesh_of(shape, scale=1e3), "metres"),
-    (lambda shape: mesh_of(shape, lift=-0.1), "plane z = 0"),
-    (lambda shape: mesh_of(shape, scale=[1, 1, -1]), "z must point up"),
-    (with_nan, "1 of .* points are not finite"),
-    (with_far_face, "refers to a missing vertex")])
-def test_a_faulty_raw_scan_is_refused(tmp_path, captured, make, message):
-    file = tmp_path / ("scan.ply" if callable(make) or not make.startswith(b"v ") else "scan.obj")
-    if callable(make):
-        make(captured).export(file)
-    else:
-        file.write_bytes(make)
-    with pytest.raises(InputError, match=message):
-        read_cloud(file, DISC_RIG)
-
-
-def test_raw_scans_may_have_faces_or_none(tmp_path, captured):
-    file, count = tmp_path / "scan.ply", len(captured.positions)
-    mesh_of(captured).export(file)
-    assert len(read_cloud(file, DISC_RIG).points) > count
-    trimesh.PointCloud(captured.positions).export(file)
-    assert len(read_cloud(file, DISC_RIG).points) <= count
 
 
 @pytest.mark.parametrize(("words", "message"), [

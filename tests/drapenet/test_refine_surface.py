@@ -8,8 +8,9 @@ from common.errors import InputError
 from data.render.cameras import nominal_camera
 from data.render.rays import QUARTERS, DepthRenderer
 from drapenet.refine.depth import DepthViews
-from drapenet.refine.springs import MAX_HINGE_ANGLE, Surface, captured_shape, smoothed
-from drapenet.refine.surface import Cloud, RobustPositions, distances
+from drapenet.refine.positions import RobustPositions
+from drapenet.surface.shape import Cloud, distances
+from drapenet.surface.springs import MAX_HINGE_ANGLE, Surface, captured_shape, smoothed
 from drapenet.views.located import LocatedViews
 from sim.drape import drape
 from sim.energies.hinges import Hinges, hinge_angles
@@ -69,10 +70,10 @@ def test_soft_cloth_takes_the_captured_folds():
     truth = drape(fabric, edge=4e-3, seed=3)
     camera, turn = nominal_camera(), 0.4
     views = DepthRenderer(truth.positions, truth.faces).views(camera, turn)
-    specimen = {"rig": Rig(), "edge": 4e-3}
     located = LocatedViews.exact(views, camera, Rig(), QUARTERS)
-    objective = DepthViews(located, make_specimen(**specimen).mesh.faces, turn=turn)
-    shape = captured_shape(fabric, Surface(*objective.points(objective.start), Rig()), **specimen)
+    objective = DepthViews(located, make_specimen(Rig(), edge=4e-3).mesh.faces, turn=turn)
+    surface = Surface(*objective.points(objective.start), Rig())
+    shape = captured_shape(fabric, surface, edge=4e-3)
     seen = objective.render(shape.positions, objective.start)
     apart = np.abs(seen - views)[(seen > 0) & (views > 0)]
     assert np.median(apart) < 0.5e-3 and np.quantile(apart, 0.9) < 3e-3

@@ -12,9 +12,9 @@ from data.render.cameras import nominal_camera
 from data.render.rays import QUARTERS, DepthRenderer
 from drapenet.refine import refine
 from drapenet.refine.minimise import Status
+from drapenet.refine.positions import Fidelity
 from drapenet.refine.problem import Effort, Trial, Uncertainty
 from drapenet.refine.search import CapturedViews, SearchResult
-from drapenet.refine.surface import Fidelity
 from drapenet.refine.unknowns import NAMES, Unknowns
 from drapenet.result.estimate import Estimate
 from drapenet.views.located import LocatedViews

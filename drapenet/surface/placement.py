@@ -43,30 +43,16 @@ def _directions(points: Points) -> tuple[np.ndarray, np.ndarray]:
 def surface_positions(rest: RestPoints, points: Points, rig: Rig) -> Points:
     """Positions of rest points laid on the surface through ``points``, in the specimen's axes."""
     distance, hem = _directions(points)
-    arcs = arc_lengths(rest, rig)
-    return positions_along(rest, np.stack([_curve(*row, rig.plate_radius, arcs)
-                                           for row in zip(distance, hem, strict=True)]), arcs, rig)
-
-
-def arc_lengths(rest: RestPoints, rig: Rig) -> np.ndarray:
-    """(A,) m from the rim to beyond the farthest rest point."""
-    longest = np.linalg.norm(rest, axis=1).max() - rig.plate_radius
-    return np.arange(0, longest + 2 * STEP, STEP)
-
-
-def positions_along(
-    rest: RestPoints, curves: np.ndarray, arcs: np.ndarray, rig: Rig
-) -> Points:
-    """Positions of rest points on ``curves`` (N, A, 2), m, radius and height at ``arcs`` (A,), of N
-    azimuths, the first half a step from 0."""
-    plate, count = rig.plate_radius, len(curves)
+    plate = rig.plate_radius
+    beyond = np.linalg.norm(rest, axis=1) - plate
+    arcs = np.arange(0, beyond.max() + 2 * STEP, STEP)
+    curves = np.stack([_curve(*row, plate, arcs) for row in zip(distance, hem, strict=True)])
     # Around the circle, with the first azimuth repeated behind the last.
-    grid = 2 * np.pi * (np.arange(-1, count + 1) + 0.5) / count
+    grid = 2 * np.pi * (np.arange(-1, AZIMUTHS + 1) + 0.5) / AZIMUTHS
     look_up = RegularGridInterpolator(
         (grid, arcs), np.concatenate([curves[-1:], curves, curves[:1]]), bounds_error=False,
         fill_value=None)
     azimuth = np.arctan2(rest[:, 1], rest[:, 0]) % (2 * np.pi)
-    beyond = np.linalg.norm(rest, axis=1) - plate
     radius, height = look_up(np.column_stack([azimuth, np.maximum(beyond, 0.0)])).T
     placed = np.column_stack([radius * np.cos(azimuth), radius * np.sin(azimuth), height])
     inside = beyond <= 0

@@ -1,4 +1,4 @@
-"""Simulated cloth pulled onto what was captured of it: a surface, or the outline of its hem.
+"""Simulated cloth pulled onto a captured surface.
 
 Springs pull vertices towards the planes through their nearest captured points, preferably those
 with a similar normal, so that the two sides of a fold are distinguished.
@@ -6,13 +6,12 @@ with a similar normal, so that the two sides of a fold are distinguished.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from common.types import Metres, Points, RestPoints
-from drapenet.refine.placement import surface_positions
+from drapenet.surface.placement import surface_positions
 from sim.cloth import Cloth, Laws
 from sim.drape import Drape
 from sim.energies.base import Energy
@@ -62,16 +61,6 @@ class Springs(Energy):
                 * self._normals[:, :, None] * self._normals[:, None, :])
 
 
-class Target(Protocol):
-    """What a specimen is laid on and pulled to."""
-
-    def place(self, rest: RestPoints) -> Points:
-        """Positions of rest points: strained and bent locally, but with the captured folds."""
-
-    def springs(self, scene: Scene, positions: Points, pull: float) -> Springs:
-        """Springs from vertices at ``positions``; ``pull``: see :func:`springs_to`."""
-
-
 @dataclass(frozen=True)
 class Surface:
     """Captured points and normals (N, 3) in the specimen's axes."""
@@ -81,30 +70,31 @@ class Surface:
     rig: Rig
 
     def place(self, rest: RestPoints) -> Points:
+        """Positions of rest points: strained and bent locally, but with the captured folds."""
         return surface_positions(rest, self.points, self.rig)
 
     def springs(self, scene: Scene, positions: Points, pull: float) -> Springs:
+        """Springs from vertices at ``positions``; ``pull``: see :func:`springs_to`."""
         near, at = nearest_points(scene, positions, self.points, self.normals, reach=REACH)
         return springs_to(self.points[at], self.normals[at], scene, near, pull)
 
 
-def captured_shape(fabric: Fabric, target: Target, *, rig: Rig, edge: Metres) -> Drape:
-    """A specimen of ``fabric`` pulled to its ``target``: an initial guess, no equilibrium without
+def captured_shape(fabric: Fabric, surface: Surface, *, edge: Metres) -> Drape:
+    """A specimen of ``fabric`` pulled to a ``surface``: an initial guess, no equilibrium without
     the springs.
     """
-    laws = Laws()
+    laws, rig = Laws(), surface.rig
     coarse = None
     for level in coarse_to_fine(edge):
         last = level == edge
         scene = make_specimen(rig, edge=level)
         rest = scene.mesh.rest
-        positions = (interpolate_positions(*coarse, rest) if coarse
-                     else target.place(rest))
+        positions = interpolate_positions(*coarse, rest) if coarse else surface.place(rest)
         positions[scene.held] = rig.place(rest[scene.held])
         if coarse is None:
             positions = smoothed(scene, positions)
         equilibrium = pulled(
-            scene, fabric, scene.state(positions), target,
+            scene, fabric, scene.state(positions), surface,
             laws=laws if last else laws.softened(_COARSE_MEMBRANE),
             pulls=PULLS[:2] if coarse is None else PULLS[-2:])
         coarse = rest, equilibrium.state.positions
@@ -129,12 +119,12 @@ def smoothed(scene: Scene, positions: Points) -> Points:
 
 
 def pulled(
-    scene: Scene, fabric: Fabric, state: State, target: Target, *, laws: Laws,
+    scene: Scene, fabric: Fabric, state: State, surface: Surface, *, laws: Laws,
     pulls: Sequence[float],
 ) -> Equilibrium:
     """Equilibrium under springs to what is nearest before each of ``pulls``."""
     for pull in pulls:
-        springs = target.springs(scene, state.positions, pull)
+        springs = surface.springs(scene, state.positions, pull)
         equilibrium = find_equilibrium(scene, fabric, state, laws=laws, extra=[springs],
                                        options=OPTIONS)
         state = equilibrium.state

@@ -5,23 +5,22 @@ strain of cloth does, from the plate's rim outwards. Non-rigid ICP (Amberg et al
 Larionov et al. use (section 3.2), stretches the mesh instead: its hem is up to 25 mm off.
 """
 
-import io
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from common.documents import read_bytes
 from common.errors import InputError
-from common.types import Density, Faces, Metres, Points, Radians
+from common.types import Density, Metres, Radians
 from data.captures.capture import Capture
 from data.captures.description import Specimen
-from data.captures.scans import MAX_SCAN_SIZE, check_rim, read_scan
+from data.captures.raw_scans import RAW, read_raw_scan
+from data.captures.scans import check_rim, read_scan
 from data.render.cameras import nominal_camera
 from data.render.rays import QUARTERS, DepthRenderer
-from drapenet.refine.springs import Surface, captured_shape, pulled
-from drapenet.refine.surface import CapturedShape, Cloud, distances
+from drapenet.surface.shape import CapturedShape, Cloud, distances
+from drapenet.surface.springs import Surface, captured_shape, pulled
 from sim.cloth import Laws
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
 from sim.rig import DISC_RIG, Rig
@@ -32,10 +31,7 @@ LAST_PULL = 30.0
 """Force of the last pull at 1 mm over the cloth's weight. Simulated scans with noise of 0.3 mm are
 matched to 0.09 to 0.17 mm (``python -m experiments refine_scans``)."""
 MAX_STRAIN = 0.05  # root mean square of edges; beyond, vertices have slid along the cloth
-RAW = (".ply", ".obj")
-MAX_CLOUD_BYTES = 256 << 20  # bytes
 EDGE = 3e-3  # m, at the rim of the mesh that a scan is registered to
-_PLATE_TOLERANCE = 0.02  # m, maximum distance of a raw scan's plate from the plane z = 0
 _MAX_DISTANCE = 5e-3  # m, mean distance of the specimen from the scan
 _FOREIGN_DISTANCE = 15e-3  # m, from the specimen, beyond which a scanned point is not cloth
 _MAX_FOREIGN_SHARE = 0.1  # of such points
@@ -47,18 +43,21 @@ class ScanRegistration:
 
     shape: CapturedShape
     distance: Metres  # mean of hanging vertices from the scanned surface; 0 for its own vertices
+    notes: tuple[str, ...] = ()  # what was changed of a raw scan
 
 
 def read_shape(path: Path, rig: Rig, *, edge: Metres = EDGE) -> ScanRegistration:
-    """The captured shape of a scan: npz with vertices, rest and faces, or a raw PLY or OBJ.
+    """The captured shape of a scan: npz with vertices, rest and faces, or raw PLY, OBJ or STL.
 
     Raw scans, and scans whose vertices have slid along the cloth, are registered to a mesh with
     edges of ``edge`` at the rim.
     """
     if path.suffix.lower() in RAW:
-        cloud = read_cloud(path, rig)
+        raw = read_raw_scan(path, rig)
+        cloud = (Cloud.of_mesh(raw.points, raw.faces) if len(raw.faces)
+                 else Cloud.of_points(raw.points))
         check_rim(cloud.points, path, rig)
-        registration = register(cloud, rig, edge=edge)
+        registration = replace(register(cloud, rig, edge=edge), notes=raw.notes)
         laid = Cloud.of_mesh(registration.shape.positions, registration.shape.faces)
         away = cKDTree(laid.points).query(cloud.points)[0]
         if (foreign := float((away > _FOREIGN_DISTANCE).mean())) > _MAX_FOREIGN_SHARE:
@@ -75,14 +74,15 @@ def read_shape(path: Path, rig: Rig, *, edge: Metres = EDGE) -> ScanRegistration
     if registration.distance > _MAX_DISTANCE:
         raise InputError(f"{path}: the specimen of {rig.name} lies "
                          f"{1e3 * registration.distance:.0f} mm from this surface on average and "
-                         "does not fit it; give all of the cloth and nothing else, in metres")
+                         "does not fit it; give all of the cloth and nothing else")
     return registration
 
 
 def read_scan_capture(path: Path, specimen: Specimen) -> tuple[Capture, CapturedShape]:
-    """A scan of a drape on the disc rig, and its views as a capture."""
-    shape = read_shape(path, DISC_RIG).shape
-    return scan_capture(path, shape, specimen.density, specimen.warp_direction), shape
+    """A scan of a drape on the disc rig as a capture, and its shape."""
+    scan = read_shape(path, DISC_RIG)
+    capture = scan_capture(path, scan.shape, specimen.density, specimen.warp_direction)
+    return replace(capture, warnings=specimen.questions + scan.notes), scan.shape
 
 
 def scan_capture(
@@ -113,54 +113,7 @@ def register(cloud: Cloud, rig: Rig, *, edge: Metres, turn: Radians = 0.0) -> Sc
     points = np.tile(cloud.points, (2, 1)) @ back
     normals = np.concatenate([cloud.normals, -cloud.normals]) @ back
     surface = Surface(points, normals, rig)
-    laid = captured_shape(SOFT, surface, rig=rig, edge=edge)
+    laid = captured_shape(SOFT, surface, edge=edge)
     drape = pulled(laid.scene, SOFT, laid.state, surface, laws=Laws(), pulls=[LAST_PULL])
     shape = CapturedShape(drape.state.positions @ back.T, laid.rest, laid.faces, rig)
     return ScanRegistration(shape, float(distances(cloud, shape.positions)[shape.hanging].mean()))
-
-
-def read_cloud(path: Path, rig: Rig) -> Cloud:
-    """Read a raw scan, PLY or OBJ in metres, z up, the plate's centre the origin."""
-    points, faces = _read_mesh(path)
-    if bad := int((~np.isfinite(points)).any(axis=1).sum()):
-        raise InputError(f"{path}: {bad} of {len(points)} points are not finite numbers; "
-                         "remove them")
-    if not 200 <= len(points) <= MAX_SCAN_SIZE:
-        raise InputError(f"{path} has {len(points)} points; a scan has 200 to {MAX_SCAN_SIZE}")
-    if len(faces) and not 0 <= faces.min() <= faces.max() < len(points):
-        raise InputError(f"{path}: a face refers to a missing vertex; export the scan again")
-    reach = np.abs(points).max()
-    if not 0.5 * rig.plate_radius < reach < rig.specimen_size:
-        raise InputError(f"{path}: points must be in metres, the plate's centre the origin; they "
-                         f"reach {reach:.3g} from it, a specimen {rig.specimen_size / 2:g} m")
-    middle = points[np.hypot(points[:, 0], points[:, 1]) < 0.8 * rig.plate_radius, 2]
-    if not len(middle):
-        raise InputError(f"{path}: no point lies on the plate; move its centre to the origin")
-    if (off := np.abs(np.median(middle))) > _PLATE_TOLERANCE:
-        raise InputError(f"{path}: cloth on the plate lies {1e3 * off:.3g} mm from the plane z = 0 "
-                         f"(median), at most {1e3 * _PLATE_TOLERANCE:g} mm is allowed; move the "
-                         "plate's top to z = 0, with z pointing up")
-    if points[:, 2].min() > -_PLATE_TOLERANCE:
-        raise InputError(f"{path}: no point lies below the support; z must point up (in metres)")
-    return Cloud.of_mesh(points, faces) if len(faces) else Cloud.of_points(points)
-
-
-def _read_mesh(path: Path) -> tuple[Points, Faces]:
-    """Points and faces, of which there may be none, of a PLY or OBJ file."""
-    import trimesh
-
-    # From memory: files that a scan refers to, such as materials, must not be read.
-    data = read_bytes(path, MAX_CLOUD_BYTES, "scan")
-    try:
-        mesh = trimesh.load(io.BytesIO(data), file_type=path.suffix[1:].lower(), process=False,
-                            skip_materials=True, force=None)
-        points = np.asarray(getattr(mesh, "vertices", np.zeros((0, 3))), dtype=np.float64)
-        if points.shape[1:] != (3,):
-            raise ValueError("points of another number of coordinates than three")
-        faces = np.asarray(getattr(mesh, "faces", np.zeros((0, 3))), dtype=np.int64)
-    except Exception as error:
-        # Messages of trimesh do not help the user.
-        reason = getattr(error, "strerror", None) or (
-            "no PLY or OBJ mesh or cloud of points, or a damaged one; export it again")
-        raise InputError(f"cannot read the scan {path}: {reason}") from None
-    return points, faces

@@ -1,0 +1,1 @@
+"""Simulated cloth laid on captured surfaces, and registration of scans with it."""
