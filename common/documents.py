@@ -42,9 +42,12 @@ class Schema(BaseModel):
         except ValidationError as error:
             place = error.errors()[0]["loc"]
             field = cls.model_fields.get(str(place[0])) if place else None
-            remedy = (field.description if field else None) or cls.remedy
+            remedies = [(field.description if field else None) or cls.remedy]
+            if any(len(fault["loc"]) == 1 and fault["type"] == "extra_forbidden"
+                   for fault in error.errors()):
+                remedies.append(f"the keys are {', '.join(cls.model_fields)}")
             prefix = f"{what}: " if what else ""
-            raise InputError(prefix + faults(error) + f"; {remedy}" * bool(remedy)) from None
+            raise InputError("; ".join([prefix + faults(error), *filter(None, remedies)])) from None
 
 
 class Excerpt(Schema):

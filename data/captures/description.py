@@ -155,8 +155,8 @@ class Description(Specimen, Labels):
 
     depth_unit_m: float | None = Field(None, gt=0, description="0.001 for millimetres")
     intrinsics: Pixels | None = Field(
-        None, description="give fx, fy, cx and cy in pixels, such as {fx: 305.0, fy: 305.0, "
-                          "cx: 119.5, cy: 89.5}")
+        None, description="give fx, fy, cx and cy in pixels, as the camera's software states them "
+                          "for pictures of this size")
     turns_deg: list[float] | None = Field(
         None, description="one angle for each view, such as [0, 90, 180, 270]")
     tester: Tester | None = None

@@ -174,7 +174,7 @@ BAD_METRIC = {
         setting(intrinsics=GOOD | {"fy": -305.0}), "intrinsics.fy=-305.0"),
     "negative unit": (setting(depth_unit_m=-0.001), "depth_unit_m=-0.001"),
     "direction in words": (setting(warp_direction_deg="left"), "warp_direction_deg='left'"),
-    "former key": (setting(rig="disc300_support180"), "unknown key 'rig'"),
+    "former key": (setting(rig="disc300_support180"), "unknown key 'rig'; the keys are "),
     "unknown tester": (setting(tester="disc300"), "tester='disc300' is not a tester; give squ"),
     "list for a tester": (setting(tester=["disc300"]), "tester=['disc300'] is not a tester"),
     "tester without plate": (
@@ -196,7 +196,7 @@ BAD_METRIC = {
     "another face": (setting(face="left"), "face='left'"),
     "lines in a key": (write("capture.yaml", b'"a\\nb": 1\n'), "unknown key 'a\\nb'"),
     "endless density": (setting(density_g_m2=10**400), "density_g_m2=1000"),
-    "misspelt key": (setting(density=150), "unknown key 'density'"),
+    "misspelt key": (setting(density=150), "size_px, outline, known"),
     "broken YAML": (write("capture.yaml", b"density_g_m2: [1\n"), "is not valid YAML"),
     "YAML of a list": (write("capture.yaml", b"- 150\n"), "must hold 'key: value' lines"),
     "no description": (remove("capture.yaml"), "neither capture.yaml nor density.txt"),
