@@ -22,6 +22,7 @@ from data.render.cameras import Camera
 from data.render.setups import Setups
 from drapenet.views.directions import AZIMUTH, AZIMUTHS
 from drapenet.views.located import LocatedViews
+from drapenet.views.outline import outline_of_map
 from drapenet.views.radial_map import RadialMap
 from drapenet.views.sizes import Sizes, measured_sizes
 from drapenet.views.turns import disagreement, register
@@ -63,6 +64,7 @@ class Quality:
     hole: int  # pixels of the largest
     cut: float  # share of a view's border that has the same depth, maximum over views
     pixel: Metres  # size on the plate
+    coefficient: float  # of the drape, from 0 to 1
 
 
 def view_warnings(located: LocatedViews, drape: RadialMap, setups: Setups) -> list[str]:
@@ -120,7 +122,8 @@ def measure(located: LocatedViews, drape: RadialMap) -> Quality:
         holes=float(np.sum(missing) / max(np.sum(missing) + (views > 0).sum(), 1)),
         hole=max(int(np.bincount(label(part)[0].ravel())[1:].max(initial=0)) for part in missing),
         cut=max(_cut(view) for view in views),
-        pixel=float(np.linalg.norm(camera.world_to_camera[:3, 3]) / camera.fx))
+        pixel=float(np.linalg.norm(camera.world_to_camera[:3, 3]) / camera.fx),
+        coefficient=outline_of_map(drape, rig).coefficient(rig))
 
 
 def _misread(located: LocatedViews, gap: float) -> str:
@@ -190,6 +193,10 @@ def quality_checks(q: Quality) -> Iterator[Check]:
     yield Check("pixel on the plate", _shown(1e3 * q.pixel, "mm", 1), (
         f"a pixel spans {1e3 * q.pixel:.1f} mm on the plate (at most {1e3 * MAX_PIXEL:g} "
         "mm): move the camera nearer") * (q.pixel > MAX_PIXEL))
+    yield Check("drape coefficient", _shown(100 * q.coefficient, "%"), (
+        f"the drape coefficient is {q.coefficient:.0%}, only 0 to 100 % is possible: check the "
+        "specimen's size, the tester and the scale of the depth"
+    ) * bool(q.coefficient > 1))
 
 
 def _shown(value: float, unit: str, places: int = 0) -> str:

@@ -106,6 +106,13 @@ def test_a_fault_is_named(sound, spoil, said):
     assert said in warnings(replace(sound, views=views.astype(np.float32)))
 
 
+def test_more_than_the_flat_specimen_is_no_drape(sound):
+    seen = quality(sound)
+    assert 0.1 < seen.coefficient < 0.9
+    line, = warnings_of(quality_checks(replace(seen, coefficient=1.27)))
+    assert line.startswith("the drape coefficient is 127%, only 0 to 100 % is possible")
+
+
 @pytest.mark.parametrize("spoil", [
     lambda views: views[:, ::-1], lambda views: views[:, ::-1, ::-1], lambda views: 1.3 * views])
 def test_what_cannot_be_a_drape_on_the_plate_is_refused(sound, spoil):
@@ -156,7 +163,8 @@ WARNINGS = {
     "drapenet": (
         "above the horizontal", "mm away", "the table was turned by", "the {name} measures",
         "the specimen's centre lies", "the plate looks curved", "views differ", "have no depth",
-        "border has one and the same depth", "a pixel spans", "of its silhouette in common",
+        "border has one and the same depth", "a pixel spans",
+        "the drape coefficient is", "of its silhouette in common",
         "has a drape coefficient of", "outside the fabrics of the training set",
         "of the posterior samples", "contradicts {rival}", "contradict the captures",
         "state different densities",
