@@ -31,7 +31,7 @@ _UPRIGHT = {up: cv2.Rodrigues(np.pi / 2 * np.array(turn))[0].round() for up, tur
 @dataclass(frozen=True)
 class RawScan:
     """A scanned surface in metres, z up, the centre of the plate's top its origin; ``faces`` may be
-    none, ``notes`` tell what was measured and changed."""
+    none, ``notes`` state what was measured and changed."""
 
     points: Points
     faces: Faces
@@ -124,5 +124,6 @@ def _placement_fault(points: Points, rig: Rig) -> str:
         return (f"cloth on the plate lies {1e3 * off:.3g} mm from the plane z = 0 (median), at "
                 f"most {1e3 * _PLATE_TOLERANCE:g} mm is allowed; move the plate's top to z = 0, "
                 "with z pointing up")
-    return ("no point lies below the support; z must point up (in metres)"
-            if points[:, 2].min() > -_PLATE_TOLERANCE else "")
+    return "" if points[:, 2].min() <= -_PLATE_TOLERANCE else (
+        f"no point lies {1e3 * _PLATE_TOLERANCE:g} mm below the support; z must point up, in "
+        f"metres, and the specimen must be of {rig.name}")
