@@ -129,9 +129,9 @@ def hinge_ratio(mesh: str, cells: int) -> float:
     return ratios[mesh][min(cells, MAX_CELLS) - MIN_CELLS]
 
 
-def read_material(path: Path, **settings: object) -> Material:
+def read_material(path: str | Path, **settings: object) -> Material:
     """Read an ``estimate.json``, or that in a folder, with settings of :class:`ExportSettings`."""
-    path = path / ESTIMATE if path.is_dir() else path
+    path = Path(path) / ESTIMATE if Path(path).is_dir() else Path(path)
     checked, document = ExportSettings.of(settings, ""), read_document(path)
     written = datetime.fromtimestamp(path.stat().st_mtime, timezone.utc)
     return Material(document, checked, hashlib.sha256(path.read_bytes()).hexdigest(),

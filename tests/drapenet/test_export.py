@@ -44,7 +44,7 @@ def estimate(tmp_path) -> Path:
 
 @pytest.fixture
 def material(estimate) -> Material:
-    return read_material(estimate)
+    return read_material(str(estimate.parent))
 
 
 def exported(estimate: Path, target: str, **options: object) -> Path:
