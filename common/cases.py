@@ -108,9 +108,8 @@ def _digest(text: str) -> str:
 
 
 def progress_bar(items: Any = None, **options: Any) -> tqdm:
-    """A tqdm bar with an update interval of 0.1 s on a terminal and 30 s in a log file."""
-    pause = 0.1 if sys.stderr.isatty() else 30.0
-    return tqdm(items, mininterval=pause, maxinterval=max(pause, 10.0), **options)
+    """A tqdm bar with an update interval of 0.1 s on a terminal and 10 s in a log file."""
+    return tqdm(items, mininterval=0.1 if sys.stderr.isatty() else 10.0, **options)
 
 
 def _plain(value: object) -> object:

@@ -373,7 +373,9 @@ def test_a_refinement_that_fails_leaves_the_network_s_estimate(capture, checkpoi
     assert alone.pop("warnings") is not None and content == alone
 
 
-def test_a_rejected_refinement_is_not_shown_as_the_estimate(capture, checkpoint, out, monkeypatch):
+def test_a_rejected_refinement_is_not_shown_as_the_estimate(
+    capture, checkpoint, out, monkeypatch, capsys
+):
     rejected = SimpleNamespace(draws=None, content={
         "misfit_before": math.inf, "misfit": 20.0, "simulations": 15,
         "failed_simulations": 0, "status": "interrupted", "message": "", "specimen": {}},
@@ -383,6 +385,8 @@ def test_a_rejected_refinement_is_not_shown_as_the_estimate(capture, checkpoint,
     infer.main(words(capture, checkpoint, "drapes=0", "refine=simulation"))
     content = content_of(out)
     assert "resimulation" not in content and "another drape" not in content["warnings"]
+    assert "misfit - before, 20 after 15 simulations (interrupted): half the" in (
+        capsys.readouterr().out)
     assert "the network's estimate stands" in content["warnings"]
     assert content["refined"]["misfit_before"] is None
     assert content["refined"]["before"] == content["moduli"]

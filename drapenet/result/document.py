@@ -270,7 +270,8 @@ class EstimateDocument(Excerpt):
             misfit = "-" if refined.misfit_before is None else f"{refined.misfit_before:.0f}"
             lines += [f"alpha before refinement: {before}",
                       f"misfit {misfit} before, {refined.misfit:.0f} after "
-                      f"{refined.simulations} simulations ({refined.status})"]
+                      f"{refined.simulations} simulations ({refined.status}): half the sum of "
+                      "squared deviations over their errors"]
         if self.strips:
             lines += [f"by strips alone, along the {name}: alpha {moduli.alpha_uN_m} µN·m, beta "
                       f"{moduli.beta_nN_m2} nN·m², natural curvature "
