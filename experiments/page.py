@@ -10,7 +10,7 @@ from experiments.result import ROOT, Report, table
 
 PAGE = ROOT / "docs" / "studies.md"
 ORDER = ("table3", "repeatability", "robustness", "views", "inputs", "space", "scaling", "transfer",
-         "recognition", "optimisers", "hung")
+         "recognition", "optimisers", "hung", "skirt")
 """Experiments in the order of the page."""
 _HEAD = """# Studies
 

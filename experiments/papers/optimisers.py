@@ -30,7 +30,7 @@ from sim.drape import Drape, follow
 from sim.energies.hinges import mean_modulus
 from sim.material import REFERENCE_DENSITY, Fabric, is_admissible, torque
 from sim.mesh.specimen import TOPOLOGIES
-from sim.scene import Scene, make_specimen
+from sim.scene import make_specimen
 from sim.start import interpolate_positions
 
 SIGMA = 0.3  # initial standard deviation of CMA-ES, in units of the problem
@@ -180,9 +180,8 @@ def simulate_target(
         found = drape_specimen(hinges, **other, laws=Laws(bending="hinge"))
         return found, found.positions, 0.0
     above = drape_specimen(replace(plan, theta=scale_moduli(plan.theta, _START_STIFFNESS)), **other)
-    settled = style3d.simulate_drape(
-        Scene(above.mesh, above.held), above.positions, above.rig, density=REFERENCE_DENSITY,
-        modulus=from_theta(hinges.theta)[0], seconds=seconds)
+    settled = style3d.simulate(above.scene, above.positions, density=REFERENCE_DENSITY,
+                               modulus=from_theta(hinges.theta)[0], seconds=seconds)
     return above, settled.positions, settled.motion
 
 

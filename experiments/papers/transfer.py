@@ -69,7 +69,7 @@ def style3d_case(
     "motion" has their displacements in the last quarter of the simulation, mm.
     """
     plate = drape_specimen(plan_specimen(number, seed=seed), edge=1e-3 * edge_mm)
-    fabric, mesh = plate.fabric, Scene(plate.mesh, plate.held)
+    fabric, mesh = plate.fabric, plate.scene
     secant = torque(np.array(_SECANT), fabric.alpha, fabric.beta) / _SECANT
     moduli = {"α as estimated": fabric.alpha, "equivalent α": ratio() * fabric.alpha,
               f"equivalent secant at {_SECANT:g} m⁻¹": ratio() * secant}
@@ -79,8 +79,8 @@ def style3d_case(
                                if linear.status is Status.CONVERGED else None)}
     positions = plate.positions
     for model, modulus in moduli.items():
-        found = style3d.simulate_drape(mesh, positions, plate.rig, density=fabric.density,
-                                       modulus=modulus, seconds=style3d_seconds)
+        found = style3d.simulate(mesh, positions, density=fabric.density, modulus=modulus,
+                                 seconds=style3d_seconds)
         positions = found.positions
         result[f"Style3D, {model}"] = _difference(plate, found.positions, mesh)
         result["motion"].append(found.motion)

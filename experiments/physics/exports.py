@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from data.fabrics.fabrics import to_theta
+from data.fabrics.properties import ClothProperties
 from drapenet.export.formats import export
 from drapenet.export.material import GAMMA, MESHES, ExportSettings, Material
 from drapenet.result.document import EstimateDocument
@@ -39,7 +40,9 @@ def known_material(alphas: tuple[float, ...], **settings: object) -> Material:
     density = 1e-3 * DENSITY
     theta = to_theta(np.array(alphas) * MICRO * REFERENCE_DENSITY / density, np.zeros(3))
     samples = theta + 1e-9 * np.vstack([np.zeros(6), np.eye(6), -np.eye(6)])
-    estimate = Estimate(samples, DIRECTIONS, 0.0, 1.0, density, np.ones(6))
+    unknown = np.zeros(len(samples))
+    cloth = ClothProperties(samples, np.zeros((len(samples), 2)), unknown + MEMBRANE, unknown)
+    estimate = Estimate(cloth, DIRECTIONS, density, np.ones(6))
     document = EstimateDocument.from_estimate(
         estimate, capture={"source": "experiments.exports", "rig": "", "density_g_m2": DENSITY},
         checkpoint={"file": "", "sha256": "", "dataset_sha256": ""})

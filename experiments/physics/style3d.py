@@ -18,7 +18,7 @@ from common.types import Density, Points, Radians
 from drapenet.export.formats import STYLE3D
 from sim.material import BIAS, WARP, WEFT
 from sim.mesh import Mesh
-from sim.rig import GRAVITY, Rig
+from sim.rig import GRAVITY
 from sim.scene import Scene
 
 if TYPE_CHECKING:
@@ -105,11 +105,11 @@ class FinalState:
     """Mean displacement of the vertices in the last quarter of the time, mm."""
 
 
-def simulate_drape(
-    specimen: Scene, positions: np.ndarray, rig: Rig, *, density: float,
-    modulus: Sequence[float], seconds: float,
+def simulate(
+    specimen: Scene, positions: np.ndarray, *, density: float, modulus: Sequence[float],
+    seconds: float,
 ) -> FinalState:
-    """Simulate a specimen on the cylinder of ``rig``, started from ``positions`` (V, 3), m.
+    """Simulate a specimen and its cylinder, if any, started from ``positions`` (V, 3), m.
 
     The solver damps 0.2 % of the velocity per step. Self-contact is disabled. There is no
     friction, because the solver computes it from the slip between the projections of a step, of
@@ -125,11 +125,12 @@ def simulate_drape(
 
     builder = cloth(specimen.mesh, specimen.held, positions, density=density,
                     stiffness=edge_stiffness(modulus))
-    half = rig.specimen_size
-    builder.add_shape_cylinder(
-        -1, xform=wp.transform(wp.vec3(0, 0, -half - PARTICLE_RADIUS), wp.quat_identity()),
-        radius=rig.plate_radius - PARTICLE_RADIUS, half_height=half,
-        cfg=newton.ModelBuilder.ShapeConfig(mu=0.0, margin=0.0, gap=_CONTACT_GAP))
+    half = float(np.ptp(specimen.mesh.rest))  # longer than the cloth hangs down
+    for cylinder in specimen.obstacles:
+        builder.add_shape_cylinder(
+            -1, xform=wp.transform(wp.vec3(0, 0, -half - PARTICLE_RADIUS), wp.quat_identity()),
+            radius=cylinder.radius - PARTICLE_RADIUS, half_height=half,
+            cfg=newton.ModelBuilder.ShapeConfig(mu=0.0, margin=0.0, gap=_CONTACT_GAP))
     model = builder.finalize()
     model.soft_contact_ke = _CONTACT_STIFFNESS
     model.soft_contact_kd, model.soft_contact_mu = 0.0, 0.0
