@@ -21,20 +21,12 @@ from typing import Any
 from common.command import command
 from common.errors import InputError
 from common.files import folder_named
-from data.captures.capture import Capture, captures_in, read_capture, require_one_fabric
+from data.captures.capture import Capture, captures_in, read_capture
 from data.captures.description import Specimen
 from drapenet.config import EstimateOptions, InferConfig
-from drapenet.evidence import require_marked
 from drapenet.network.checkpoint import read_header
 from drapenet.result.document import EstimateDocument
-from drapenet.result.files import (
-    ESTIMATE,
-    SHOWN,
-    remove_report,
-    require_output,
-    result_name,
-    write_estimate,
-)
+from drapenet.result.files import ESTIMATE, SHOWN, require_output, result_name
 from sim.mesh.specimen import check_edge
 
 
@@ -52,51 +44,27 @@ def main(config: InferConfig) -> None:
         files = estimate_fabrics(Path(config.captures), folder_named(config.out), options,
                                  checkpoint=config.checkpoint, workers=config.workers)
     else:
-        files = [estimate_fabric(config, options)]
+        files = [estimate_one(config, options)]
     if config.export:
         export_estimates(files, config.export)
 
 
-def estimate_fabric(config: InferConfig, options: EstimateOptions) -> Path:
+def estimate_one(config: InferConfig, options: EstimateOptions) -> Path:
     """Estimate the captures of one fabric; the file of the, or of their joint, estimate."""
     sources, strips = read_sources(config), None
     if config.strips:
         from data.strips.folder import read_strips  # half a second
 
         strips = read_strips(config.strips)
-    captures = [capture for capture, _ in sources]
-    require_one_fabric([part.density for part in (*captures, strips) if part],
-                       [(str(capture.path), capture.digest) for capture in captures])
-    if strips:
-        require_marked(all(capture.warp_direction is not None for capture in captures))
     header = read_header(config.checkpoint)
-    paths = [capture.path for capture in captures] + ([strips.folder] if strips else [])
+    paths = [capture.path for capture, _ in sources] + ([strips.folder] if strips else [])
     out = Path(config.out or Path("outputs/infer") / result_name(paths))
-    alone = len(paths) == 1
-    folders = [out if alone else out / f"capture_{k}" for k in range(len(captures))]
     require_output(out, paths)
-    for folder in folders:
-        require_output(folder)
-    # Importing torch takes seconds; input errors come first.
-    from drapenet.inference import estimate_capture, joint_estimate, joint_report
+    if sources and sys.stderr.isatty():
+        print("the estimate of a capture takes about half a minute", file=sys.stderr, flush=True)
+    from drapenet.inference import estimate_fabric  # torch: seconds, after faults of the input
 
-    results = []
-    for (capture, scan), folder in zip(sources, folders, strict=True):
-        if sys.stderr.isatty():
-            print(f"{capture.path}: the estimate takes about half a minute", file=sys.stderr,
-                  flush=True)
-        result = estimate_capture(capture, header, options, out=folder, scan=scan)
-        document = result.document
-        results.append((result.observation, document))
-        print_estimate(document, folder)
-    if strips or not alone:
-        observations, documents = zip(*results, strict=True) if results else ((), ())
-        estimate, document = joint_estimate(observations, documents, header, strips)
-        remove_report(out)
-        write_estimate(out, estimate, document)
-        if options.drapes:
-            joint_report(document, documents, folders, out=out)
-        print_estimate(document, out)
+    estimate_fabric(sources, header, options, strips=strips, out=out, on_estimate=print_estimate)
     return out / ESTIMATE
 
 

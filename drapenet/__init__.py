@@ -37,34 +37,25 @@ def estimate(
     """Estimate one fabric as ``infer.py`` does, without writing files; InputError for bad input.
 
     Args:
-        captures: folders of captures, or captures made of arrays.
+        captures: their folders, or folders of captures, or captures made of arrays.
         strips: folder of photographed strips, beside captures or alone.
         checkpoint: FILE.safetensors of ``train.py``; empty: the bundled one.
         refine: whether captures are refined by simulation, half a minute each.
     """
-    from dataclasses import replace
-
     from common.configs import read_option
     from common.errors import InputError
-    from data.captures.capture import read_capture, require_one_fabric
+    from data.captures.capture import captures_in, checked_capture, read_capture
     from data.strips.folder import read_strips
     from drapenet.config import EstimateOptions
-    from drapenet.inference import estimate_capture, joint_estimate
+    from drapenet.inference import estimate_fabric
     from drapenet.network.checkpoint import read_header
 
     if not (captures or strips):
         raise InputError("give a capture, or strips=FOLDER")
-    read = [read_capture(each) if isinstance(each, str | Path) else each for each in captures]
-    measured = read_strips(strips) if strips else None
-    require_one_fabric([part.density for part in (*read, measured) if part],
-                       [(str(each.path), each.digest) for each in read])
-    header = read_header(str(checkpoint))
     options = EstimateOptions(refine=read_option("refine", "simulation") if refine else None,
                               drapes=0)
-    results = [estimate_capture(each, header, options) for each in read]
-    if len(results) == 1 and not measured:
-        found, document = results[0].estimate, results[0].document
-    else:
-        found, document = joint_estimate([result.observation for result in results],
-                                         [result.document for result in results], header, measured)
-    return replace(found, warnings=tuple(document.warnings))  # as load
+    read = [(capture, None) for each in captures for capture in (
+        map(read_capture, captures_in(Path(each))) if isinstance(each, str | Path) else
+        [checked_capture(each)])]
+    return estimate_fabric(read, read_header(checkpoint), options,
+                           strips=read_strips(strips) if strips else None)

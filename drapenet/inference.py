@@ -14,7 +14,7 @@ import numpy as np
 from common.errors import MAX_LIST_LENGTH, InputError, one_line
 from common.files import replace_file
 from common.types import Metres
-from data.captures.capture import Capture
+from data.captures.capture import Capture, require_one_fabric
 from data.captures.description import Labels
 from data.captures.known import Known
 from drapenet.config import EstimateOptions
@@ -23,6 +23,7 @@ from drapenet.evidence import (
     Normal,
     contradicting_strips,
     prior_estimate,
+    require_marked,
     with_refined,
     with_strips,
 )
@@ -44,6 +45,7 @@ from drapenet.result.files import (
     fabric_name,
     printable,
     remove_report,
+    require_output,
     write_estimate,
     write_observation,
 )
@@ -51,7 +53,7 @@ from drapenet.sets import contradictions
 from drapenet.views.checks import view_warnings
 from drapenet.views.located import LocatedViews
 from drapenet.views.observation import Observation
-from drapenet.views.outline import DrapeOutline, outline_of_curve
+from drapenet.views.outline import outline_of_curve
 from sim.rig import Rig
 
 if TYPE_CHECKING:
@@ -113,6 +115,44 @@ class CaptureEstimate:
         return EstimateDocument.from_estimate(
             self.estimate, capture=about, checkpoint=self.header.identity, warnings=warnings,
             **optional)
+
+
+def estimate_fabric(
+    sources: Sequence[tuple[Capture, "CapturedShape | None"]], header: Header,
+    options: EstimateOptions, *, strips: "StripSet | None" = None, out: Path | None = None,
+    on_estimate: Callable[[EstimateDocument, Path | None], None] = lambda document, folder: None,
+) -> Estimate:
+    """Estimate each capture of a fabric, and several, or strips as well, together.
+
+    Args:
+        sources: captures, each with its scan, if it is one.
+        out: folder of the files, if any; several captures have folders in it.
+        on_estimate: called with each document and its folder.
+    """
+    captures, documents, observations = [capture for capture, _ in sources], [], []
+    require_one_fabric([part.density for part in (*captures, strips) if part],
+                       [(str(capture.path), capture.digest) for capture in captures])
+    if strips:
+        require_marked(all(capture.warp_direction is not None for capture in captures))
+    together = strips is not None or len(captures) > 1
+    folders = [out / f"capture_{k}" if out and together else out for k in range(len(captures))]
+    for folder in filter(None, folders):
+        require_output(folder)
+    for (capture, scan), folder in zip(sources, folders, strict=True):
+        result = estimate_capture(capture, header, options, out=folder, scan=scan)
+        estimate, document = result.estimate, result.document
+        documents.append(document)
+        observations.append(result.observation)
+        on_estimate(document, folder)
+    if together:
+        estimate, document = joint_estimate(observations, documents, header, strips)
+        if out:
+            remove_report(out)
+            write_estimate(out, estimate, document)
+            if options.drapes:
+                joint_report(document, documents, folders, out=out)
+        on_estimate(document, out)
+    return replace(estimate, warnings=tuple(document.warnings))
 
 
 def estimate_capture(
@@ -292,22 +332,18 @@ def refine(
     return replace(result, estimate=estimate, drape=outcome.resimulation)
 
 
-def outline_of(capture: Capture) -> DrapeOutline:
-    """The outline of a photograph, in the orientation of the picture."""
-    return outline_of_curve(capture.outline.curve, height=capture.outline.height)
-
-
 def simulate(result: CaptureEstimate, *, drapes: int, edge: Metres) -> CaptureEstimate:
     """Simulate drapes of the estimate, unless a refinement has, and keep that of the best fit."""
     from drapenet.report.drape import resimulate, resimulate_outline
 
     if result.drape is not None or result.capture.numbers:
         return result
-    fabric, rig = result.estimate.fabric, result.capture.rig
+    fabric, rig, outline = result.estimate.fabric, result.capture.rig, result.capture.outline
     settings = {"edge": edge, "drapes": drapes,
                 "laws": result.estimate.nuisances.turned(result.capture.sign).laws}
     drape = (resimulate(fabric, result.located, **settings) if result.located else
-             resimulate_outline(fabric, outline_of(result.capture), rig, **settings))
+             resimulate_outline(fabric, outline_of_curve(outline.curve, height=outline.height),
+                                rig, **settings))
     if drape is None:
         return result.with_warnings("no drape of the estimate converged; the report shows none")
     return replace(result, drape=drape)

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from common.configs import read_option
+
 ROOT = Path(__file__).resolve().parents[1]
 TUTORIAL = ROOT / "docs" / "tutorial.ipynb"
 
@@ -23,12 +25,14 @@ def test_outputs_are_stored_and_small():
     assert TUTORIAL.stat().st_size < 200_000
 
 
-def test_all_that_the_tutorial_imports_exists():
+def test_all_that_the_tutorial_imports_and_all_options_that_it_reads_exist():
     for cell in code(json.loads(TUTORIAL.read_text(encoding="utf-8"))):
         for node in ast.walk(ast.parse("".join(cell["source"]))):
             if isinstance(node, ast.ImportFrom):
                 module = importlib.import_module(node.module)
                 assert all(hasattr(module, name.name) for name in node.names), node.module
+            elif isinstance(node, ast.Call) and getattr(node.func, "id", "") == "read_option":
+                assert read_option(*map(ast.literal_eval, node.args))
 
 
 @pytest.mark.slow

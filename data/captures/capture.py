@@ -15,7 +15,7 @@ import math
 import os
 import tempfile
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -45,7 +45,7 @@ from data.captures.description import (
 from data.captures.frames import join_views, numbered, read_frames, read_picture, views_in
 from data.captures.known import Known
 from data.render.cameras import Intrinsics, nominal_camera
-from data.rigs import MISSING_TESTER, described_tester, named_tester
+from data.rigs import MISSING_TESTER, described_tester
 from sim.rig import SQUARE_RIG, Rig
 
 if TYPE_CHECKING:
@@ -86,8 +86,8 @@ class Capture:
     density: Density
     warp_direction: Radians | None
     rig: Rig
-    path: Path
-    warnings: tuple[str, ...]
+    path: Path = Path("capture")
+    warnings: tuple[str, ...] = ()
     cut: CutOut | None = None
     face: str = "up"
     outline: "PhotographedOutline | None" = None
@@ -242,6 +242,19 @@ def _read_published(path: Path) -> Capture:
                    None, SQUARE_RIG, path, (coarse, *warnings))
 
 
+def checked_capture(capture: Capture) -> Capture:
+    """A capture made of arrays, checked like one that is read; InputError for a fault."""
+    if capture.numbers or capture.outline:
+        return capture
+    _require_sizes(capture.views, capture.intrinsics)
+    stated = _described(capture.density, capture.rig, capture.face, capture.warp_direction,
+                        capture.labels) | {"turns_deg": np.degrees(capture.turns).tolist()}
+    turns = Description.of(stated, capture.path).turns(len(capture.views))
+    views, warnings = checked_views(np.nan_to_num(capture.views, posinf=0.0).astype(np.float32))
+    return replace(capture, views=views, turns=turns,
+                   warnings=tuple(dict.fromkeys((*capture.warnings, *warnings))))
+
+
 def checked_views(views: Views) -> tuple[Views, tuple[str, ...]]:
     """Views without specks, and warnings; InputError for a wrong size or distance of the cloth."""
     views, warnings = views.copy(), []
@@ -367,13 +380,7 @@ def write_capture(
     what :func:`read_capture` would refuse, and for depth that does not fit 16 bits.
     """
     path = Path(path)
-    named_tester(rig.name)
-    if views.shape[1:] != (intrinsics.height, intrinsics.width):
-        raise InputError(f"views have the shape {views.shape}, but the intrinsics are for "
-                         f"{intrinsics.width}x{intrinsics.height} pixels; give the intrinsics of "
-                         "this picture size")
-    if not 1 <= len(views) <= MAX_VIEWS:
-        raise InputError(f"{len(views)} views given; a capture has 1 to {MAX_VIEWS}")
+    _require_sizes(views, intrinsics)
     pictures = {f"view_{k}": view for k, view in enumerate(views)}
     if background is not None:
         pictures["background"] = background
@@ -395,7 +402,15 @@ def write_capture(
             Image.fromarray(picture).save(folder / f"{name}.png")
 
     stated = _described(density, rig, face, warp_direction, labels)
+    Description.of(stated | keys, path)
     _write_folder(path, stated | keys, save)
+
+
+def _require_sizes(views: Views, intrinsics: Intrinsics) -> None:
+    count, *size = np.shape(views)
+    if not 1 <= count <= MAX_VIEWS or size != [intrinsics.height, intrinsics.width]:
+        raise InputError(f"views have the shape {np.shape(views)}; give 1 to {MAX_VIEWS} of the "
+                         f"intrinsics' size, {intrinsics.height} x {intrinsics.width} pixels")
 
 
 def write_outline(capture: Capture, path: str | Path) -> None:

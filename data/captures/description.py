@@ -84,7 +84,7 @@ class Weighed(Schema):
 class Specimen(Weighed):
     """What is stated of the cloth."""
 
-    warp_direction_deg: float | None = None
+    warp_direction_deg: float | None = Field(None, ge=-360, le=360)
 
     @property
     def warp_direction(self) -> Radians | None:

@@ -12,11 +12,7 @@ A shard depends only on the dataset's configuration and its number, so any numbe
 any number of machines, write the same files. After an interruption the same command resumes, and
 replaces damaged shards; with a larger drapes= it extends the dataset.
 
-On a Slurm cluster, in 40 jobs of 8 processes; on one machine, in 4 jobs at a time
-(docs/cluster.md; needs pip install '.[cluster]'):
-
-    python -m data.dataset.generate launcher=slurm parts=40 workers=8 out=... drapes=48000
-    python -m data.dataset.generate launcher=joblib parts=4 workers=1 out=... drapes=1500
+``launcher=slurm parts=40 workers=8`` runs 40 jobs on a cluster: docs/cluster.md.
 """
 
 import common.interrupt  # noqa: F401

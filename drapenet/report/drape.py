@@ -5,7 +5,7 @@ is an equally likely drape of the same fabric, at no cost.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -133,11 +133,10 @@ def resimulate(
     def fit(positions: Points, faces: Faces) -> tuple[float, Radians]:
         return _fit_orientation(positions, faces, small, captured, turns)
 
-    simulated, statuses = _simulated(fabric, located.rig, edge, drapes, laws)
-    best = _nearest(simulated, fit)
+    best = _nearest(fabric, located.rig, fit, edge=edge, drapes=drapes, laws=laws)
     if best is None:
         return None
-    _, result, positions, orientation = best
+    result, positions, orientation, statuses = best
     shown = rasterise(positions, result.faces, camera, orientation + turns)
     return Resimulation.beside(located, shown, result, turned(positions, orientation), statuses)
 
@@ -156,11 +155,10 @@ def resimulate_outline(
                     / np.square(np.maximum(rolls, own)).sum(axis=1))
         return float(overlaps.max()), int(overlaps.argmax()) * 2 * np.pi / AZIMUTHS
 
-    simulated, statuses = _simulated(fabric, rig, edge, drapes, laws)
-    best = _nearest(simulated, fit)
+    best = _nearest(fabric, rig, fit, edge=edge, drapes=drapes, laws=laws)
     if best is None:
         return None
-    _, result, positions, orientation = best
+    result, positions, orientation, statuses = best
     return Resimulation.beside_outline(outline, rig, result, turned(positions, orientation),
                                        statuses)
 
@@ -172,27 +170,21 @@ def _radii(positions: Points, faces: Faces, height: Metres) -> np.ndarray:
     return silhouettes(positions, edges, np.array([height]), zero=0.0)[0]
 
 
-def _simulated(
-    fabric: Fabric, rig: Rig, edge: Metres, drapes: int, laws: Laws | None
-) -> tuple[list[Drape], tuple[str, ...]]:
-    """The drapes that converge, and the statuses of all."""
+def _nearest(
+    fabric: Fabric, rig: Rig, fit: Callable[[Points, Faces], tuple[float, Radians]], *,
+    edge: Metres, drapes: int, laws: Laws | None,
+) -> tuple[Drape, Points, Radians, tuple[str, ...]] | None:
+    """The simulated drape with the largest overlap by ``fit``, itself or as mirror image, its
+    vertices, its orientation, and the statuses of all; None if none converges."""
     results = [drape(fabric, rig=rig, edge=edge, start=start, seed=seed, laws=laws)
                for start, seed in STARTS[:drapes]]
-    return ([result for result in results if result.converged],
-            tuple(result.status.value for result in results))
-
-
-def _nearest(
-    drapes: Sequence[Drape], fit: Callable[[Points, Faces], tuple[float, Radians]]
-) -> tuple[float, Drape, Points, Radians] | None:
-    """The largest overlap by ``fit`` of a drape or mirror image, that drape, its vertices, which
-    may be reflected, and its orientation; None without drapes."""
     found = [(*fit(result.positions * [side, 1, 1], result.faces), side, result)
-             for result in drapes for side in (1, -1)]
+             for result in results if result.converged for side in (1, -1)]
     if not found:
         return None
-    overlap, orientation, side, result = max(found, key=lambda item: item[0])
-    return overlap, result, result.positions * [side, 1, 1], orientation
+    _, orientation, side, result = max(found, key=lambda item: item[0])
+    return (result, result.positions * [side, 1, 1], orientation,
+            tuple(each.status.value for each in results))
 
 
 def turned(points: Points, angle: Radians) -> Points:
