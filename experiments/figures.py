@@ -18,6 +18,7 @@ from common.command import run_command
 from common.errors import InputError
 from common.files import replace_file
 from drapenet.network.checkpoint import read_header
+from experiments.estimation.refine_views import METHODS
 from experiments.result import REPORTS, ROOT, Report, read_report, table
 
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
@@ -344,15 +345,38 @@ def cells(reports: Reports) -> str:
 def refinement(reports: Reports) -> str:
     """Errors of the network and of the refinement on simulated captures and scans."""
     sets = {"views, no nuisances": reports["refine_views"]["summary"]["all"],
-            "views, other folds": reports["refine_views"]["summary"]["other folds"],
             "views, all nuisances": reports["refine_views_real"]["summary"]["all"],
+            "views, all nuisances, other folds":
+                reports["refine_views_real"]["summary"]["other folds"],
             "scans, all nuisances": reports["refine_scans"]["summary"]}
     rows = [[name, found[who]["fabrics"], who, f"{found[who]['log_alpha']:.3f}",
              f"{found[who]['log_alpha_median']:.3f}", f"{found[who]['log_alpha_worst_fabric']:.2f}",
              f"{found[who]['beta_over_alpha_mm']:.2f}", coverage(found[who])]
-            for name, found in sets.items() for who in ("network", "refined")]
+            for name, found in sets.items() for who in METHODS]
     return table(["captures", "fabrics", "", "log α, rms", "median", "worst fabric", "β/α, mm",
                   "inside"], rows)
+
+
+def causes(reports: Reports) -> str:
+    """Errors of the search in worlds without some nuisances."""
+    rows = [[{"all": "all of these", "none": "none"}.get(world, world), found["search"]["fabrics"],
+             *(f"{found[who]['log_alpha']:.3f}" for who in METHODS), coverage(found["search"])]
+            for world, found in reports["refine_causes"]["summary"].items()]
+    return table(["without", "fabrics", *(f"{who}, log α, rms" for who in METHODS),
+                  "inside of the search"], rows)
+
+
+def additions(reports: Reports) -> str:
+    """What each further measurement of a fabric adds to one drape."""
+    rows = []
+    for name, found in reports["additions"]["rows"].items():
+        least = found["bound"]
+        rows.append([
+            name, f"{found['log_alpha']:.2f}", f"{least['log_alpha']:.2f}" if least else "–",
+            f"{found['log_alpha_yarns']:.2f}", f"{found['beta_over_alpha_yarns']:.2f}",
+            coverage(found)])
+    return table(["measured", "error of α", "smallest possible", "… along warp and weft",
+                  "… of β/α along warp and weft", "inside"], rows)
 
 
 def outlines(reports: Reports) -> str:
@@ -440,7 +464,7 @@ def accuracy(reports: Reports) -> str:
 BLOCKS: dict[str, Callable[[Reports], str]] = {
     block.__name__: block for block in (
         demo, accuracy, views, claims, testers, strip_photographs, default_mesh, cutouts,
-        information, cells, refinement, prior, outlines, laboratory, lowering)
+        information, cells, refinement, causes, additions, prior, outlines, laboratory, lowering)
 }
 
 

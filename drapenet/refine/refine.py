@@ -1,7 +1,9 @@
 """Refinement of an estimate by simulation: ``refine=`` of ``infer.py``.
 
-The posterior combines the fabric prior, the prior of specimens and the capture. The network gives
-initial guesses only: it is no further measurement of the same pixels.
+The search combines the fabric prior, the prior of specimens and the capture; the network gives it
+initial guesses. The result has half of its samples from the search and half from the network, a
+linear opinion pool (Stone 1961): they read the same pixels, so that their densities must not be
+multiplied, but their errors are equally large and differ (docs/validation.md).
 """
 
 from collections.abc import Callable, Mapping
@@ -20,7 +22,7 @@ from data.fabrics.nuisances import LOGARITHMIC, NuisanceConfig, at_density
 from data.fabrics.prior import load_prior
 from data.fabrics.properties import ClothProperties
 from data.render.rays import DepthRenderer
-from drapenet.evidence import STATE, Normal, cloth_of_state
+from drapenet.evidence import STATE, Normal, cloth_of_state, state_of
 from drapenet.network.predict import Draws
 from drapenet.refine.objective import fit_nuisances
 from drapenet.refine.positions import Fidelity, fidelity
@@ -41,7 +43,6 @@ from sim.material import REFERENCE_DENSITY
 
 MAX_REDUCED_CHI2 = 10.0  # beyond, no cloth fits the capture; correct captures have 0.8 to 2.5
 MAX_DISPLACEMENT_MM = 6.0  # of the estimate's drape from the scan; 20 simulated scans: up to 2.7
-_DRAWS = 4000  # samples of the refined moduli
 _PRINTED = {"membrane": ("membrane_n_per_m", 1.0), "shear": ("shear_share", 1.0),
             "curl_warp": ("curl_warp_per_m", 1.0),
             "curl_weft": ("curl_weft_per_m", 1.0), "offset_warp": ("offset_warp_mm", 1e3),
@@ -52,7 +53,8 @@ _PRINTED = {"membrane": ("membrane_n_per_m", 1.0), "shear": ("shear_share", 1.0)
 class Refinement:
     """Result of the refinement of one capture."""
 
-    draws: Draws | None  # of the posterior; None if the refinement gave no improvement
+    draws: Draws | None  # of the pool; None if the refinement gave no improvement
+    searched: Normal | None  # the posterior of the search alone
     content: dict[str, Any]  # the part ``refined`` of ``estimate.json``
     resimulation: Resimulation  # the refined drape beside the capture
     warnings: tuple[str, ...]
@@ -83,14 +85,14 @@ def refine_capture(
     resimulation = _beside(result, captured, axis, scan is not None)
     near = fidelity(scan, result.released) if scan and result.released else None
     warnings = _search_warnings(result)
-    draws, content = None, _content(result, near, estimate.density)
+    draws, searched, content = None, None, _content(result, near, estimate.density)
     if not warnings:
-        posterior = _posterior(result, face)
-        draws = Draws.possible(_cloth(posterior, estimate), known=True)
-        content["posterior"] = posterior.as_dict()
+        searched = _posterior(result, face)
+        draws = Draws.possible(_pooled(estimate.cloth, searched), known=True)
+        content["posterior"] = Normal.of(state_of(draws.cloth)).as_dict()
     if scan:
         warnings += _scan_warnings(near)
-    return Refinement(draws, content, resimulation, tuple(warnings))
+    return Refinement(draws, searched, content, resimulation, tuple(warnings))
 
 
 def _beside(
@@ -120,11 +122,12 @@ def _posterior(result: SearchResult, face: int) -> Normal:
     return Normal(sign * mean, sign[:, None] * covariance * sign)
 
 
-def _cloth(posterior: Normal, estimate: Estimate) -> ClothProperties:
-    """Samples of the posterior, with the network's shares of hysteresis."""
-    rng = np.random.default_rng(0)
-    drawn = rng.multivariate_normal(posterior.mean, posterior.covariance, size=_DRAWS)
-    return cloth_of_state(drawn, rng.choice(estimate.cloth.hysteresis, size=_DRAWS))
+def _pooled(network: ClothProperties, searched: Normal) -> ClothProperties:
+    """The network's samples and as many of the search, with the network's shares of hysteresis."""
+    drawn = np.random.default_rng(0).multivariate_normal(
+        searched.mean, searched.covariance, size=len(network.theta))
+    return cloth_of_state(np.concatenate([state_of(network), drawn]),
+                          np.tile(network.hysteresis, 2))
 
 
 def _search(

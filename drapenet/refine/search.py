@@ -85,8 +85,9 @@ class CapturedViews:
         self._located, self._turn = located, turn
         self._objectives: dict[float, DepthViews] = {}
         coarse = max(edge, coarse)
-        self.rounds = (Round(coarse, (0.3,), 3), Round(coarse, (0.1, 0.03), 4),
-                       Round(edge, (0.03, 0.01, 0.003), 3))
+        # Nothing is estimated under the strongest springs, with which any moduli fit.
+        self.rounds = (Round(coarse, (0.3,), 0), Round(coarse, (0.1, 0.03, 0.01), 3),
+                       Round(edge, (0.01, 0.003), 5))
 
     def objective(self, edge: Metres) -> DepthViews:
         if edge not in self._objectives:

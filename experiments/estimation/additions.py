@@ -2,7 +2,7 @@
 
 Unseen fabrics are draped on two testers as for the evaluation. The estimate from one drape's depth
 views is compared with those from it and the other face, four drapes, a drape on the second tester,
-one photographed strip along warp and weft each, and KES B along warp and weft.
+a strip along warp and weft each, photographed with either face up, and KES B of both.
 """
 
 from dataclasses import replace
@@ -26,7 +26,13 @@ from drapenet.network.predict import Draws, sample_targets
 from drapenet.network.targets import cloth_of
 from drapenet.network.training import CaptureSet, Condition
 from drapenet.result.estimate import Estimate, make_estimate
-from experiments.estimation.strip_photographs import draw_scene, entry_of, read_pictures
+from experiments.estimation.strip_photographs import (
+    LEAST_LENGTH,
+    LENGTHS,
+    draw_scene,
+    entry_of,
+    read_pictures,
+)
 from experiments.result import Config, Result, read_report, rms
 from sim.cantilever.posterior import StripPosterior
 from sim.cantilever.strip import bending_length
@@ -35,7 +41,6 @@ from sim.material import DIRECTIONS, FIRST, LINEAR, RATIO, REFERENCE_DENSITY, SE
 ONE = "one drape"
 STRIPS = "one drape, a strip along warp and weft"
 YARNS = [FIRST, SECOND]
-_BENDING_LENGTHS = 2.0  # of a strip
 _BOUNDS = {ONE: "depth, 4 views", "two drapes": "depth, sets of 2",
            "four drapes": "depth, sets of 4"}
 
@@ -121,12 +126,14 @@ def _strips(truth: ClothProperties, rng: np.random.Generator) -> dict[str, Strip
     pictures, entries = {}, []
     for k in YARNS:
         alpha, ratio = float(np.exp(truth.theta[k])), float(truth.theta[3 + k])
-        length = _BENDING_LENGTHS * bending_length(alpha, REFERENCE_DENSITY)
-        scene = draw_scene(alpha, ratio, length, rng, curl=float(truth.curl[YARNS.index(k)]))
-        name = f"{DIRECTIONS[k]}.png"
-        pictures[name] = scene.photograph(rng)
-        entries.append(entry_of(scene, name, length, "mm_per_px", rng)
-                       | {"direction": DIRECTIONS[k]})
+        for face, share in zip(("up", "down"), LENGTHS, strict=True):
+            length = max(share * bending_length(alpha, REFERENCE_DENSITY), LEAST_LENGTH)
+            curl = float(truth.curl[YARNS.index(k)]) * (1 if face == "up" else -1)
+            scene = draw_scene(alpha, ratio, length, rng, curl=curl)
+            name = f"{DIRECTIONS[k]}_{face}.png"
+            pictures[name] = scene.photograph(rng)
+            entries.append(entry_of(scene, name, length, "mm_per_px", rng)
+                           | {"direction": DIRECTIONS[k], "face": face})
     try:
         return read_pictures(pictures, entries).posteriors()
     except InputError:

@@ -13,7 +13,12 @@ import numpy as np
 
 from common.errors import InputError
 from experiments.drapes import drape_as_planned, header, plan_specimen
-from experiments.estimation.refine_views import METHODS, nuisance_errors, posterior_errors
+from experiments.estimation.refine_views import (
+    METHODS,
+    nuisance_errors,
+    posterior_errors,
+    refined_samples,
+)
 from experiments.result import ESTIMATOR, Config, Result, load_arrays, run_cases
 from sim.material import REFERENCE_DENSITY
 from sim.rig import DISC_RIG
@@ -42,7 +47,6 @@ def refine_scan(scan: "ScanRegistration") -> dict:
     """Estimate a scan whose x axis is the warp, as by ``infer.py scan=FILE refine=simulation``."""
     from drapenet.inference import network_estimate
     from drapenet.refine.refine import refine_capture
-    from drapenet.result.estimate import make_estimate
     from drapenet.surface.registration import scan_capture
 
     shape = scan.shape
@@ -53,11 +57,8 @@ def refine_scan(scan: "ScanRegistration") -> dict:
     result = refine_capture(estimate, inferred.located, warp=0.0, scan=shape)
     if result is None:
         raise InputError("no simulated cloth converges at the scan")
-    network = estimate.samples
-    if result.draws is not None:
-        estimate = make_estimate(result.draws, density=capture.density, header=header())
-    arrays = {"refined": estimate.samples, "network": network}
-    return {"refined": result.content, "theta": estimate.samples.mean(axis=0).tolist(),
+    arrays = {"network": estimate.samples} | refined_samples(result, estimate)
+    return {"refined": result.content, "theta": arrays["refined"].mean(axis=0).tolist(),
             "gained": result.draws is not None,
             "seconds": time.perf_counter() - began, "registered_mm": 1e3 * scan.distance,
             "spread": estimate.spread.tolist(), "warnings": list(result.warnings), "arrays": arrays}

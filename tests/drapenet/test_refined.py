@@ -65,10 +65,15 @@ def run(
     return result, asked
 
 
-def test_the_posterior_is_that_of_the_search(draped, monkeypatch):
+def test_samples_are_those_of_the_network_and_as_many_of_the_search(draped, monkeypatch):
     result, asked = run(draped, monkeypatch)
-    assert result.draws.cloth.theta.mean(axis=0)[:3] == pytest.approx(THETA[:3] + 0.1, abs=0.02)
-    assert result.draws.cloth.theta.std(axis=0)[0] == pytest.approx(0.1, rel=0.1)
+    network, searched = np.split(result.draws.cloth.theta, 2)
+    np.testing.assert_array_equal(network, before().samples)
+    assert searched.mean(axis=0)[:3] == pytest.approx(THETA[:3] + 0.1, abs=0.02)
+    assert searched.std(axis=0)[0] == pytest.approx(0.1, rel=0.1)
+    assert result.searched.mean[:6] == pytest.approx(THETA + 0.1)
+    mean = np.array(result.content["posterior"]["mean"])
+    assert mean[:6] == pytest.approx(result.draws.cloth.theta.mean(axis=0))
     assert result.draws.known and not result.warnings
     assert result.resimulation.overlap > 0.97
     membrane = result.content["specimen"]["membrane_n_per_m"]
