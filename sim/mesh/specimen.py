@@ -241,11 +241,16 @@ def _check(rig: Rig, edge: Metres, offset: tuple[float, float]) -> None:
 
 
 def longest_edge(rig: Rig, offset: tuple[float, float]) -> Metres:
-    """Maximum edge length at the rim for the narrowest overhang of a specimen."""
+    """Maximum edge length at the rim for the narrowest overhang of a specimen; InputError for an
+    ``offset`` that uncovers the plate."""
     if not rig.has_plate:
         return np.inf
     shift = np.hypot(*offset) if rig.specimen == "disc" else np.abs(offset).max()
-    return ((rig.specimen_size - rig.plate_diameter) / 2 - shift) / _MIN_EDGES_ACROSS
+    overhang = (rig.specimen_size - rig.plate_diameter) / 2
+    if not shift < overhang:
+        raise InputError(f"an offset of {1e3 * shift:.3g} mm uncovers the plate of {rig.name}; give "
+                         f"less than {1e3 * overhang:.3g} mm, in metres")
+    return (overhang - shift) / _MIN_EDGES_ACROSS
 
 
 def check_edge(edge: Metres) -> None:
