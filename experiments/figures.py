@@ -186,16 +186,10 @@ def detected_faults(report: Report) -> Report:
     return {"sound": sound, "kinds": len(found), "share": sum(found.values()) / len(found)}
 
 
-def joint_coverage(report: Report) -> Report:
-    """Coverage of intervals from five captures."""
-    return {"coverage": coverage(report["summary"]["5"])}
-
-
 DERIVED: dict[str, Callable[[Report], Report]] = {
     "strips": strips, "strip_photographs": strip_coverage,
     "lowering": lowering_cost, "outlines": outline_folds, "render": render_speed,
-    "evaluation": evaluated, "tree": tree_tables, "faults": detected_faults,
-    "repeats": joint_coverage}
+    "evaluation": evaluated, "tree": tree_tables, "faults": detected_faults}
 """Figures of claims that are computed from a report."""
 
 
@@ -242,15 +236,12 @@ def demo(reports: Reports) -> str:
 
 def views(reports: Reports) -> str:
     """Error of log α by number of views and by number of drapes."""
-    cells = {count: reports.cell("squares", f"depth, {count} view{'s' * (count > 1)}")
-             for count in (1, 2, 4, 8)}
-    found = {count: cell["log_alpha"]["rmse"] * spread() for count, cell in cells.items()}
-    joined = reports["repeats"]["summary"]
-    return "\n\n".join((
-        table(["views of one drape", *found], [["error of log α", *map("{:.2f}".format,
-                                                                      found.values())]]),
-        table(["drapes of one fabric, together", *joined],
-              [["error of log α", *(f"{one['log_alpha']:.2f}" for one in joined.values())]])))
+    cells = {"1 view": "depth, 1 view", "2 views": "depth, 2 views", "4 views": FOUR_VIEWS,
+             "8 views": "depth, 8 views", "2 drapes": "depth, sets of 2",
+             "4 drapes": "depth, sets of 4"}
+    return table(["error of log α", *cells], [
+        [kind, *(f"{reports.cell(kind, name)['log_alpha']['rmse'] * spread():.2f}"
+                 for name in cells.values())] for kind in RIGS])
 
 
 def testers(reports: Reports) -> str:
