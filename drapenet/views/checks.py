@@ -35,6 +35,7 @@ _PLATE_TOLERANCE = 10e-3  # m, distance of cloth on the plate from its plane
 _CUT_TOLERANCE = 1.5e-3  # m, range of depths of a border cut by a threshold
 MAX_SIZE_ERROR = 0.105  # of the logarithm of a measured over a stated size
 REFUSED_SIZE_ERROR = 0.16  # of the same
+REFUSED_COEFFICIENT = 1.15  # of a drape; sound captures of stiff cloth have up to 0.98
 MAX_OFFSET = 14e-3  # m: 3.5 standard deviations of the training specimens
 MAX_BULGE = 0.35e-3  # m
 MAX_OFF_PLATE = 0.1  # of the points over the plate's middle; images rotated by 90° have 0.2
@@ -193,10 +194,7 @@ def quality_checks(q: Quality) -> Iterator[Check]:
     yield Check("pixel on the plate", _shown(1e3 * q.pixel, "mm", 1), (
         f"a pixel spans {1e3 * q.pixel:.1f} mm on the plate (at most {1e3 * MAX_PIXEL:g} "
         "mm): move the camera nearer") * (q.pixel > MAX_PIXEL))
-    yield Check("drape coefficient", _shown(100 * q.coefficient, "%"), (
-        f"the drape coefficient is {q.coefficient:.0%}, only 0 to 100 % is possible: check the "
-        "specimen's size, the tester and the scale of the depth"
-    ) * bool(q.coefficient > 1))
+    yield coefficient_check(q.coefficient, 1.0)
 
 
 def _shown(value: float, unit: str, places: int = 0) -> str:
@@ -218,10 +216,19 @@ def size_checks(sizes: Sizes, limit: float) -> Iterator[Check]:
             "cut-out, and that the pictures are upright") * bool(wrong))
 
 
+def coefficient_check(coefficient: float, limit: float) -> Check:
+    """Check of a drape coefficient, from 0 to 1: a warning if it exceeds a ``limit``."""
+    return Check("drape coefficient", _shown(100 * coefficient, "%"), (
+        f"the drape coefficient is {coefficient:.0%}, only 0 to 100 % is possible: check that the "
+        "pictures are depth, the specimen's size, the tester and the scale"
+    ) * bool(coefficient > limit))
+
+
 def require_plate(quality: Quality) -> None:
     """Raise InputError if the views cannot show cloth of the stated size on the stated plate."""
-    wrong = warnings_of(size_checks(quality.sizes, REFUSED_SIZE_ERROR))
-    if wrong and quality.sizes.views > 1:
+    sizes = size_checks(quality.sizes, REFUSED_SIZE_ERROR) if quality.sizes.views > 1 else ()
+    coefficient = coefficient_check(quality.coefficient, REFUSED_COEFFICIENT)
+    if wrong := warnings_of([*sizes, coefficient]):
         raise InputError(wrong[0])
     if quality.off_plate > MAX_OFF_PLATE:
         raise InputError(

@@ -126,7 +126,7 @@ def test_raw_frames_become_a_capture_and_its_picture(folder, scene, tmp_path, ca
     assert np.abs(capture.views - expected.views)[both].max() < 0.6e-3
     # Isolated depths are left out, too.
     assert both.sum() > 0.99 * (expected.views > 0).sum() and capture.cut is not None
-    with pytest.raises(InputError, match=r"1 of 13 checks of .* failed; docs/rig\.md lists"):
+    with pytest.raises(InputError, match=r"1 of 14 checks of .* failed; docs/rig\.md lists"):
         main([f"frames={folder}", f"out={tmp_path / 'out'}"])  # the skirt is stretched
     again = read_capture(tmp_path / "out")
     assert again.cut is None and np.abs(again.views - capture.views).max() < 0.06e-3
@@ -163,7 +163,7 @@ def test_a_faulty_capture_is_red_in_the_picture_and_refused(folder, scene, tmp_p
     for k, frame in enumerate(scene.frames[[0, 2, 1, 3]]):
         save(frame, folder / f"view_{k}.png")
     out = tmp_path / "out"
-    with pytest.raises(InputError, match="2 of 13 checks"):
+    with pytest.raises(InputError, match="2 of 14 checks"):
         main([f"frames={folder}", f"out={out}"])
     assert "if views 1 and 2 are swapped" in capsys.readouterr().out
     # Another tester than the stated one is refused, and the picture shows what was read.
