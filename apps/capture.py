@@ -15,6 +15,8 @@ measured, green or red. The exit code is 0 if all are green.
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from common.command import command
 from common.errors import InputError
 from common.files import folder_named, replace_file, require_folder
@@ -101,10 +103,12 @@ def check_capture(capture: Capture, out: Path) -> list[Check]:
 
 def outline_checks(capture: Capture) -> list[Check]:
     """What is measured of an outline from above; reading it has refused what is impossible."""
-    Observation.of_outline(capture)  # refuses a square whose warp is not marked
+    seen = Observation.of_outline(capture).outline  # refuses a square whose warp is not marked
     outline, rig = capture.outline, capture.rig
+    known = f"; {100 * outline.drape_coefficient:.1f} % as the camera sees it"
     return [
-        Check("drape coefficient", f"{100 * outline.drape_coefficient:.1f} %, as seen"),
+        Check("drape coefficient", f"{100 * seen.corrected(rig).coefficient(rig):.1f} %"
+              + known * bool(np.isfinite(seen.height))),
         Check("nodes", f"{outline.folds}"),
         Check("hem", f"{1e3 * outline.radii.min():.0f} to {1e3 * outline.radii.max():.0f} mm from "
               f"the centre{'' if outline.centred else ' of the outline'} (plate: "

@@ -94,10 +94,9 @@ class CaptureEstimate:
         """The content of ``estimate.json``."""
         capture = self.capture
         seen = self.observation
-        share = seen.outline.coefficient(capture.rig) if seen.outline else seen.coefficient
-        if self.drape and np.isfinite(share):
-            share += self.drape.perspective
         outline = seen.outline
+        share = (outline.corrected(capture.rig).coefficient(capture.rig) if outline else
+                 seen.coefficient)
         nodes = outline.folds if outline else None if np.isnan(seen.nodes) else int(seen.nodes)
         about = CaptureAbout(
             source=printable(capture.path), density_g_m2=round(capture.density * 1e3, 6),

@@ -48,8 +48,6 @@ class Resimulation:
         statuses: of all simulated drapes, in the order of :data:`STARTS`.
         profiles: radii (bins,), m, by azimuth, captured and simulated.
         overlap: intersection over union of the silhouettes, or of the outlines.
-        perspective: what the simulated drape's coefficient, from 0 to 1, exceeds that of its
-            picture by, seen from the photograph's height.
     """
 
     views: Views
@@ -58,7 +56,6 @@ class Resimulation:
     statuses: tuple[str, ...]
     profiles: tuple[np.ndarray, np.ndarray]
     overlap: float
-    perspective: float = 0.0
 
     @classmethod
     def beside(
@@ -73,17 +70,14 @@ class Resimulation:
 
     @classmethod
     def beside_outline(
-        cls, outline: DrapeOutline, rig: Rig, drape: Drape, positions: Points,
-        statuses: tuple[str, ...],
+        cls, outline: DrapeOutline, drape: Drape, positions: Points, statuses: tuple[str, ...],
     ) -> "Resimulation":
         """Beside an outline seen from above."""
-        shown, true = (_radii(positions, drape.faces, height)
-                       for height in (outline.height, np.inf))
+        shown = _radii(positions, drape.faces, outline.height)
         overlap = float(np.nansum(np.square(np.fmin(outline.radius, shown)))
                         / np.nansum(np.square(np.fmax(outline.radius, shown))))
         return cls(np.zeros((0, 1, 1), np.float32), drape, positions, statuses,
-                   (outline.radius, shown), overlap,
-                   DrapeOutline(true).coefficient(rig) - DrapeOutline(shown).coefficient(rig))
+                   (outline.radius, shown), overlap)
 
     @property
     def folds(self) -> tuple[int | None, int | None]:
@@ -159,8 +153,7 @@ def resimulate_outline(
     if best is None:
         return None
     result, positions, orientation, statuses = best
-    return Resimulation.beside_outline(outline, rig, result, turned(positions, orientation),
-                                       statuses)
+    return Resimulation.beside_outline(outline, result, turned(positions, orientation), statuses)
 
 
 def _radii(positions: Points, faces: Faces, height: Metres) -> np.ndarray:

@@ -20,6 +20,10 @@ from sim.rig import Rig
 PERSPECTIVES = (0.0, 0.2, 0.4, 0.6, 0.8)
 """Sizes of the specimen over the camera's height at which outlines of drapes are stored; between
 them radii are interpolated linearly, to 0.1 mm."""
+_DEPTH_SHARE = 0.88
+"""Depth of a hem over that of a straight line of cloth from the plate: simulated discs of 240, 300
+and 360 mm and squares of 300 mm, seen from 1 m and 1.2 m, have 0.85 to 0.95, and drape
+coefficients corrected with this value are wrong by 0.4 to 0.8 points rms, uncorrected by 4 to 8."""
 _FINE = 8  # azimuths for each of the stored ones, at which a shape's silhouette is sampled
 
 Radii = Annotated[np.ndarray, "(AZIMUTHS,) m, on the plate's plane; NaN where the hem is not seen"]
@@ -42,6 +46,23 @@ class DrapeOutline:
         return float(drape_coefficients(self.radius[None] / (size / 2), rig.plate_diameter / size,
                                         rig.specimen == "disc")[0])
 
+    def corrected(self, rig: Rig) -> "DrapeOutline":
+        """The outline under parallel light; the same if the camera's height is not known.
+
+        Cloth does not stretch, so that the hem hangs the deeper, the nearer it is to the plate.
+        """
+        if not np.isfinite(self.height):
+            return self
+        azimuths = (np.arange(AZIMUTHS) + 0.5) * 2 * np.pi / AZIMUTHS
+        along = np.maximum(np.abs(np.cos(azimuths)), np.abs(np.sin(azimuths)))
+        flat = rig.specimen_size / 2 / (1.0 if rig.specimen == "disc" else along)
+        radius = self.radius
+        for _ in range(30):  # damped, as the depth changes fast near the flat specimen's border
+            out = np.maximum(radius - rig.plate_radius, 0)
+            depth = _DEPTH_SHARE * np.sqrt(
+                np.maximum(np.square(flat - rig.plate_radius) - np.square(out), 0))
+            radius = (radius + self.radius * (1 + depth / self.height)) / 2
+        return DrapeOutline(np.minimum(radius, np.maximum(flat, self.radius)))
 
     @property
     def folds(self) -> int | None:

@@ -49,7 +49,6 @@ def test_a_low_hem_looks_smaller_to_a_camera() -> None:
 
 
 def test_the_drape_coefficient_of_a_photograph_is_corrected_for_its_perspective() -> None:
-    """By another drape of the same fabric."""
     fabric = Fabric(np.array([30, 20, 25]) * MICRO, np.zeros(3))
     seen = drape(fabric, rig=DISC_RIG, edge=9e-3, start="sine", seed=5)
     radius, = silhouettes(seen.positions, seen.mesh.edges, np.array([1.0]), zero=0.3)
@@ -57,8 +56,10 @@ def test_the_drape_coefficient_of_a_photograph_is_corrected_for_its_perspective(
     found = resimulate_outline(fabric, photograph, DISC_RIG, edge=9e-3, drapes=1)
     coefficient = drape_coefficient(seen.positions, seen.faces, DISC_RIG)
     assert photograph.coefficient(DISC_RIG) < coefficient - 0.05
-    assert photograph.coefficient(DISC_RIG) + found.perspective == pytest.approx(
-        coefficient, abs=0.01)
+    assert photograph.corrected(DISC_RIG).coefficient(DISC_RIG) == pytest.approx(
+        coefficient, abs=0.015)
+    unknown = DrapeOutline(radius, np.nan)
+    assert unknown.corrected(DISC_RIG) is unknown
     assert found.overlap > 0.85 and not found.warnings(coefficient)
     for captured, count in ((found.coefficient + 0.11, 0), (found.coefficient - 0.13, 1),
                             (np.nan, 0)):
