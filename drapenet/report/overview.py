@@ -55,9 +55,11 @@ class FabricEstimate:
 
     @property
     def means(self) -> dict[str, float | None]:
-        """Drape coefficient and nodes, means over the captures that have them."""
+        """Drape coefficient and nodes, means over the captures that have them; None if they are of
+        several testers."""
+        one = len({document.capture.rig for _, document in self.captures}) == 1
         seen = {name: [value for _, document in self.captures
-                       if (value := getattr(document.capture, name)) is not None]
+                       if one and (value := getattr(document.capture, name)) is not None]
                 for name in ("drape_coefficient_percent", "nodes")}
         return {name: round(float(np.mean(values)), 2) if values else None
                 for name, values in seen.items()}

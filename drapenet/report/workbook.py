@@ -20,7 +20,8 @@ NOTES = (
     "the warp was not stated.",
     "low and high: the true value lies between them with a probability of 68 %.",
     "All values are at the mass per area of the fabric; those of testers are computed from α and "
-    "β. A fabric's drape coefficient and nodes are means over its captures.",
+    "β. A fabric's drape coefficient and nodes are means over its captures, empty if these "
+    "are of several testers.",
     "KES B and 2HB are empty where most of the samples of the estimate are outside the law; "
     "'KES outside the law' is their share. Do not compare B where it exceeds 5 %.")
 
