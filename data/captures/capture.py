@@ -65,7 +65,7 @@ MAX_OUTLIER_SHARE = 0.003  # of the cloth's pixels, usual for sensors; more caus
 MIN_SPECK_GAP = 3.0  # pixels from the cloth; nearer specks are harmless noise at its edge
 PUBLISHED_SIZES = {(240, 180): 1, (480, 360): 2}  # size: keep every n-th pixel
 PUBLISHED_BACKGROUND = 250  # counts above are background
-MAX_WIDTH = 400  # pixels; larger pictures are subsampled
+MAX_FOCAL = 238.0  # pixels, 2.1 mm a pixel at 0.5 m; finer pictures are subsampled to no less
 
 
 @dataclass(frozen=True)
@@ -143,8 +143,10 @@ def _read_metric(path: Path) -> Capture:
     if outline := _find_outline(path):
         return _read_outline(path, outline, description)
     if description.outline:
+        others = sorted(set(found.name for found in path.iterdir()) - {file.name})
         raise InputError(f"{file} has the key outline, but there is no outline.png, .jpg, .tif, "
-                         ".csv or .txt; name the photograph so, or leave the key out")
+                         f".csv or .txt (the folder holds {', '.join(others)[:80] or 'no other'}); "
+                         "name the photograph so, save HEIC as JPEG, or leave the key out")
     if description.reported and not views_in(path):
         return Capture(np.zeros((0, 0, 0), np.float32), None, np.zeros(0), description.density,
                        description.warp_direction, _tester(path, description), path,
@@ -162,7 +164,7 @@ def _read_metric(path: Path) -> Capture:
         turns = board_turns(frames.color, intrinsics)
     else:
         turns = description.turns(count)
-    step = -(-width // MAX_WIDTH)
+    step = max(int(intrinsics.fx / MAX_FOCAL), 1)
     if step > 1:
         depth = depth[:, ::step, ::step]
         background = None if background is None else background[::step, ::step]

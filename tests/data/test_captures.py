@@ -49,6 +49,18 @@ def test_depth_unit_and_direction_are_converted(tmp_path, views):
     assert read_capture(path).warp_direction is None
 
 
+@pytest.mark.parametrize(("width", "kept"), [(336, 336), (480, 240), (720, 240)])
+def test_pictures_are_subsampled_by_what_a_pixel_covers_not_by_their_width(
+        tmp_path, views, width, kept):
+    camera, count = CAMERA.resized(width, 3 * width // 4), views.shape[2]
+    rows, columns = (np.arange(n) * count // width for n in (camera.height, width))
+    write_capture(tmp_path / "large", views=views[:, rows[:, None], columns],
+                  intrinsics=camera.intrinsics, density=0.2, rig=SQUARE_RIG)
+    capture = read_capture(tmp_path / "large")
+    assert capture.views.shape == (4, 3 * kept // 4, kept)
+    assert 0.5 / capture.intrinsics.fx < 2.1e-3
+
+
 def test_labels_of_the_report_are_read_and_written(folder, tmp_path, views):
     assert read_capture(folder).labels.stated() == {}
     stated = {"fabric": "Köper 7/8", "date": "2026-11-26", "operator": "M. M.", "camera": "D435i"}

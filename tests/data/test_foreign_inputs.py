@@ -51,10 +51,10 @@ def thinned(folder: Path, views: np.ndarray, times: int) -> None:
 def test_gaps_of_aligned_depth_are_filled_with_a_warning(folder, views):
     thinned(folder, views, 3)
     capture = read_capture(folder)
-    assert capture.views.shape == (4, 270, 360)
+    assert capture.views.shape == views.shape
     assert any("a point every 3.0 pixels, 1.7 mm" in warning for warning in capture.warnings)
     for view, expected in zip(capture.views, views, strict=True):
-        assert (view > 0).mean() == pytest.approx((expected > 0).mean(), rel=0.03)
+        assert (view > 0).mean() == pytest.approx((expected > 0).mean(), rel=0.05)
         points, truth = (camera.back_project(depth)[depth > 0] for camera, depth in (
             (capture.intrinsics, view), (CAMERA.intrinsics, expected)))
         assert np.abs(points.mean(axis=0) - truth.mean(axis=0)).max() < 1e-3
