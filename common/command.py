@@ -80,6 +80,10 @@ def _run(task: Callable[[Any], None], name: str, schema: type, words: list[str])
     from hydra.core.hydra_config import HydraConfig
     from hydra.types import RunMode
 
+    for word in words:
+        key = word.strip("-").partition("=")[0]
+        if word.startswith("-") and key in get_type_hints(schema):
+            raise InputError(f"{word}: write {key}=VALUE, without dashes")
     composed: list[Any] = []
 
     @functools.wraps(task)  # Hydra reads the task's module
@@ -96,6 +100,9 @@ def _run(task: Callable[[Any], None], name: str, schema: type, words: list[str])
     except InputError:
         raise
     except Exception as error:
+        if bare := [word for word in words if "=" not in word and word[:1] not in ("-", "~")]:
+            raise InputError(f"{bare[0]}: write KEY=VALUE without spaces around =, in quotes if "
+                             "it has spaces: 'KEY=MY VALUE'; --help lists the keys") from None
         raise InputError(f"{one_line(error)}; see {' '.join(words)}") from error
     finally:
         sys.argv, os.environ[_FULL_ERROR] = argv, full

@@ -56,6 +56,12 @@ class Excerpt(Schema):
     model_config = ConfigDict(extra="ignore")
 
 
+_PLAIN = {"float_type": "is not a number; write digits alone, without a unit",
+          "int_type": "is not a whole number",
+          "model_type": "must be 'key: value' pairs in braces"}
+"""Sentences in place of Pydantic's, by the type of fault."""
+
+
 def faults(error: ValidationError) -> str:
     """All unknown keys, and up to three other faults in one line: path of the field, value, and
     Pydantic's message.
@@ -69,6 +75,8 @@ def faults(error: ValidationError) -> str:
             lines.append(f"{name} is missing")
         elif re.fullmatch(r"[+-]?\d{1,9},\d{1,9}", shown(fault["input"]).strip("'")):
             lines.append(f"{name}={fault['input']} has a decimal comma; write a point")
+        elif fault["type"] in _PLAIN:
+            lines.append(f"{name}={shown(fault['input'])} {_PLAIN[fault['type']]}")
         else:
             value = f"{name}={shown(fault['input'])}" if name else ""
             # Sentences of the project's validators go on after the value.

@@ -163,8 +163,13 @@ class Description(Specimen, Labels):
     face: Literal["up", "down"] = "up"
     size_px: list[Annotated[int, Field(ge=1, le=max(MAX_PICTURE))]] | None = Field(
         None, min_length=2, max_length=2, description="width and height, such as [640, 480]")
-    outline: OutlineSource | None = None
-    known: Known | None = None
+    outline: OutlineSource | None = Field(
+        None, description="outline is such as {plate_px: {x: 960, y: 540, diameter: 700}, "
+                          "camera_height_mm: 1200}")
+    known: Known | None = Field(
+        None, description="known has bending_length_mm, kes_b_gf_cm2_per_cm and kes_2hb_gf_cm_per_"
+                          "cm, each such as {warp: 0.08, weft: 0.05}, membrane_n_per_m, hysteresis_"
+                          "share, drape_coefficient_percent, nodes, error_percent")
 
     @property
     def labels(self) -> Labels:

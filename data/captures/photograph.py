@@ -21,6 +21,7 @@ from sim.measures import coefficient_of_area, farthest, folds_around
 from sim.rig import Rig
 
 MAX_PIXEL = 1.5e-3  # m
+MIN_COEFFICIENT = 0.02  # of cloth on a plate; the plate alone has 0
 MAX_TILT = np.radians(10.0)
 MAX_REACH = 1.03  # over the flat specimen's
 MIN_RADIUS = {True: 0.97, False: 0.9}  # over the plate's, by whether its centre is known
@@ -219,9 +220,10 @@ def _checked(outline: PhotographedOutline) -> list[str]:
         raise InputError(f"the outline comes within {1e3 * nearest:.1f} mm of the plate's centre, "
                          f"inside the plate of {1e3 * rim:g} mm radius; check the scale, the "
                          "plate's place and the tester")
-    if not 0 <= (coefficient := outline.drape_coefficient) <= 1:
-        raise InputError(f"the drape coefficient is {coefficient:.1%}, only 0 to 100 % is possible;"
-                         " check the scale, the size of the specimen and the tester")
+    if not MIN_COEFFICIENT <= (coefficient := outline.drape_coefficient) <= 1:
+        raise InputError(f"the drape coefficient is {coefficient:.1%}, only {MIN_COEFFICIENT:.0%} "
+                         "to 100% is possible; check the scale, the size of the specimen, the "
+                         "tester, and that the outline is not that of the plate or of a hole")
     return [] if disorder <= MAX_OVERLAP else [
         f"the outline turns back over {disorder:.0%} of the azimuth, more than {MAX_OVERLAP:.0%}; "
         "its outermost point counts: check the picture for shadows of folds"]

@@ -230,3 +230,13 @@ def test_mistakes_and_help_do_not_wait_for_torch(script):
                           capture_output=True, text=True)
     assert done.stdout == "2 []\n" and done.stderr.startswith("error: ")
     assert done.stderr.count("\n") == 1 and "nonsense" in done.stderr
+
+
+@pytest.mark.parametrize(("words", "message"), [
+    (["outputs/twill"], "^outputs/twill: write KEY=VALUE without spaces"),
+    (["name=my", "fabrics/twill"], "^fabrics/twill: write KEY=VALUE .* 'KEY=MY VALUE'"),
+    (["--name", "x"], "^--name: write name=VALUE, without dashes"),
+    (["--name=x"], "^--name=x: write name=VALUE")])
+def test_a_word_that_is_no_setting_is_answered_with_the_form(run, words, message):
+    with pytest.raises(InputError, match=message):
+        run(*words)

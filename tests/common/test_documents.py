@@ -78,7 +78,7 @@ def test_hostile_documents_are_refused_in_one_short_line(tmp_path, case):
 @pytest.mark.parametrize(("content", "words"), [
     ({"density": 0.15}, ["density=0.15", "10", "weigh it"]), ({}, ["density", "weigh it"]),
     ({"density": 150, "names": ["a", 3]}, ["names.1=3", "string"]),
-    ({"density": 150, "folds": True}, ["folds=True", "integer"]),
+    ({"density": 150, "folds": True}, ["folds=True", "whole number"]),
     ({"densty": 150}, ["density is missing", "unknown key 'densty'"])])
 def test_messages_name_quantity_value_limit_and_remedy(content, words):
     with pytest.raises(InputError, match=r"^f: ") as refusal:

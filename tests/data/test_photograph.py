@@ -131,6 +131,7 @@ FAULTS = {
     "place": (drawn, {"plate_px": plate(at=(0.1, 0))}, "comes within 3"),
     "elsewhere": (drawn, {"plate_px": plate(at=(0.19, 0))}, "does not go once around"),
     "flat": (lambda: drawn(0.152 * AROUND), PLATE, "drape coefficient is 104.3%"),
+    "hole": (lambda: drawn(0.0902 * AROUND), PLATE, "not that of the plate or of a hole"),
     "board": (lambda: np.array(Image.open(io.BytesIO(board_picture()))), {}, "board fills"),
     "no scale": (drawn, {}, "the scale is not known"),
     "two scales": (drawn, PLATE | SCALE, "both state the scale"),
