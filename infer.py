@@ -82,7 +82,7 @@ def export_estimates(files: list[Path], names: str) -> None:
 
     for file in files:
         written = export_all(read_material(file), targets_named(names, "export"), file.parent)
-        print(f"exports:  {', '.join(str(path) for path in written)}")
+        print(f"exports:  {file.parent}: {', '.join(path.name for path in written)}")
 
 
 def options_of(config: InferConfig) -> EstimateOptions:

@@ -45,8 +45,8 @@ def estimate_fabrics(
     cases = {f"{entry.place}/{DONE}": {
         "capture": entry.path, "folder": str((out / entry.place).resolve()), "options": options,
         "weights": header.path} for entry in entries}
-    print(f"{len(entries)} captures of {len({entry.fabric for entry in entries})} fabrics",
-          flush=True)
+    print(f"{len(entries)} captures of {len({entry.fabric for entry in entries})} fabrics; before "
+          "the first one the network is loaded, up to a minute", flush=True)
     failures: dict[str, str] = {}
     run_cases(estimate_entry, cases, folder=out, workers=workers or joblib.cpu_count(),
               sources=SOURCES, failures=failures, unit="capture")

@@ -208,7 +208,7 @@ TARGETS = {
 }
 ALIASES = {"clo": "jfab", "clo3d": "jfab", "marvelous": "jfab", "marvelousdesigner": "jfab",
            "browzwear": "u3m", "vstitcher": "u3m", "unreal": "usd", "style3d": "newton",
-           "vbd": "newton"}
+           "vbd": "newton", "blender": "cards", "houdini": "cards"}
 
 
 def table() -> str:

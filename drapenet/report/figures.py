@@ -21,7 +21,7 @@ from drapenet.result.estimate import Estimate
 
 MAX_CURVATURE = 400.0  # 1/m, about the sharpest folds of a drape
 COLOURS = ("#b5403a", "#6b6b6b", "#2f6da8")  # of the three directions of a fabric
-CAPTURED, SIMULATED = "#8a8a8a", "#d9762b"
+CAPTURED, SIMULATED, PLATE = "#8a8a8a", "#d9762b", "#f2b400"
 _SHAPE = 3  # size of the picture of a shape over that of a view
 
 
@@ -80,7 +80,7 @@ def _photograph(
 ) -> None:
     """The photograph, if there is one, with the outline and that of the simulated drape."""
     if outline.picture is not None:
-        axes.imshow(outline.picture, cmap="gray")
+        axes.imshow(outline.picture, cmap="gray", vmin=0, vmax=255)
     axes.set(aspect="equal", xticks=[], yticks=[])
     closed = np.vstack([outline.curve, outline.curve[:1]])
     axes.plot(*outline.drawn(closed).T, color=CAPTURED, lw=2, label="photographed")
@@ -93,8 +93,8 @@ def _photograph(
                   label="simulated with the estimate")
     angle = np.linspace(0, 2 * np.pi, 90)
     rim = outline.rig.plate_radius * np.column_stack([np.cos(angle), np.sin(angle)])
-    axes.plot(*outline.drawn(rim).T, color=COLOURS[1], lw=0.8, ls=":", label="plate")
-    axes.legend(frameon=False, loc="upper right")
+    axes.plot(*outline.drawn(rim).T, color=PLATE, lw=1, label="plate")
+    axes.legend(frameon=False, loc="upper left", bbox_to_anchor=(1, 1))
 
 
 def draw_torques(estimate: Estimate) -> bytes:

@@ -28,8 +28,10 @@ def as_pdf(body: str, title: str) -> bytes:
     pages.set_draw_color(210)
     pages.add_page()
     pages.write_html(body, font_family=_FONT, li_prefix_color=_GREY, tag_styles={
-        name: TextStyle(color=_INK, font_style="B", font_size_pt=size, t_margin=above, b_margin=1)
-        for name, size, above in (("h1", 16, 0), ("h2", 11, 2), ("h3", 9, 2))})
+        "p": TextStyle(font_size_pt=8.5, b_margin=1.5),
+        **{name: TextStyle(color=_INK, font_style="B", font_size_pt=size, t_margin=above,
+                           b_margin=1)
+           for name, size, above in (("h1", 16, 0), ("h2", 11, 2), ("h3", 9, 2))}})
     return bytes(pages.output())
 
 

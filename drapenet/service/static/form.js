@@ -8,6 +8,7 @@ const limits = document.body.dataset;
 const form = at('form');
 let fabric = null; // of the next capture; null: a new one
 let sent = null; // the estimate that this form has sent last
+let broken = null; // the new fabric whose only capture failed; sending again replaces it
 
 // ---- errors
 
@@ -56,10 +57,12 @@ function clear() {
 
 // Mark the field of an estimate's error, if this form has sent its capture.
 export function failed(id, sentence) {
-  const name = fieldOf(sentence);
-  if (id !== sent || !name) return;
+  if (id !== sent?.id) return;
+  broken = sent.added ? null : sent.fabric;
   sent = null;
-  complain(sentence, name, false);
+  const scale = form.elements.mm_per_px.value ? 'mm_per_px' : 'plate_diameter';
+  const name = fieldOf(sentence) ?? (/check the scale/.test(sentence) && usesSetup() ? scale : null);
+  if (name) complain(sentence, name, false);
 }
 
 // ---- what is sent
@@ -85,7 +88,7 @@ function check() {
   at('override').hidden = !isDescribed();
   if (files.length && !isDescribed()) {
     at('camera').open = true;
-    if (['.jpg', '.jpeg', '.tif', '.tiff', '.csv', '.txt'].includes(suffix(files[0].name))) choose('above');
+    if (['.jpg', '.jpeg', '.tif', '.tiff', '.csv', '.txt'].includes(suffix(files[0].name)) || /^outline\./i.test(files[0].name)) choose('above');
   }
 }
 
@@ -142,7 +145,9 @@ async function send() {
   at('submit').disabled = true;
   try {
     const begun = await ask('/estimates', { method: 'POST', body: content() });
-    sent = begun.id;
+    sent = { ...begun, added: Boolean(fabric) };
+    if (broken) ask(`/fabrics/${broken}`, { method: 'DELETE' }).catch(() => {});
+    broken = null;
     form.elements.label.value = '';
     location.hash = begun.id;
   } catch (error) {

@@ -78,7 +78,7 @@ function show(id, content) {
   showFabric(id, content);
   const finished = content.state === 'done';
   at('progress').hidden = ENDED.includes(content.state);
-  at('status').textContent = finished ? '' : content.state === 'queued' ? 'Waiting for a free worker'
+  at('status').textContent = finished ? '' : content.state === 'queued' ? 'Waiting; the first estimate after a start of the service takes up to a minute more …'
     : content.state === 'running' ? stage(content) : '';
   at('failure').textContent = content.error ?? '';
   if (content.error && before?.state !== content.state) failed(id, content.error);
@@ -89,6 +89,7 @@ function show(id, content) {
     if (content.files.includes(file) && !shown[file]) {
       shown[file] = true;
       at(figure).querySelector('img').src = `/estimates/${id}/${file}`;
+      at(figure).querySelector('a').href = `/estimates/${id}/${file}`;
       at(figure).hidden = false;
     }
   }
@@ -156,7 +157,7 @@ function showNumbers(estimate) {
     return row;
   }));
   at('poor').textContent = estimate.poorly_constrained.length
-    ? `Poorly constrained by this drape: ${estimate.poorly_constrained.join(', ')}.` : '';
+    ? `Poorly constrained by this drape: ${estimate.poorly_constrained.join(', ').replaceAll('beta', 'β').replaceAll('alpha', 'α')}.` : '';
   at('numbers').hidden = false;
 }
 
