@@ -214,8 +214,9 @@ def claims(reports: Reports) -> str:
 
 
 def demo(reports: Reports) -> str:
-    """Output of ``make demo``, and a table of the true and the estimated moduli."""
+    """Joint estimate that ``make demo`` prints last, and a table of true and estimated moduli."""
     printed = (REPORTS / "demo.txt").read_text(encoding="utf-8").rstrip()
+    printed = printed[printed.index("joint estimate"):]
     truth = json.loads((ROOT / "examples/captures/twill/truth.json").read_text(encoding="utf-8"))
     rows = []
     for direction, true in truth["moduli"].items():
@@ -228,10 +229,10 @@ def demo(reports: Reports) -> str:
     shares = {kind: reports.cell(kind)["inside"]["68%"]["each"][3:] for kind in RIGS}
     contained = " and ".join(f"{percent(sum(each) / 3)} ({kind})" for kind, each in shares.items())
     return (f"```\n{printed}\n```\n\n"
-            f"**The capture of the demo is simulated**, so the true moduli are known:\n\n{known}\n"
-            "\nA drape says little about β, so its estimate is pulled towards the β/α of typical "
-            f"fabrics: the 68 % intervals of β/α contain {contained} of the true values of unseen "
-            "fabrics, and one fabric can be missed in several directions at once.")
+            "**The captures of the demo are simulated**, so that the true moduli are known:\n\n"
+            f"{known}\n\nA drape says little about β, so its estimate is pulled towards the β/α of "
+            f"typical fabrics: the 68 % intervals of β/α contain {contained} of the true values of "
+            "unseen fabrics, and one fabric can be missed in several directions at once.")
 
 
 def views(reports: Reports) -> str:
