@@ -344,7 +344,7 @@ def refinement(reports: Reports) -> str:
     rows = [[name, found[who]["fabrics"], who, f"{found[who]['log_alpha']:.3f}",
              f"{found[who]['log_alpha_median']:.3f}", f"{found[who]['log_alpha_worst_fabric']:.2f}",
              f"{found[who]['beta_over_alpha_mm']:.2f}", coverage(found[who])]
-            for name, found in sets.items() for who in METHODS]
+            for name, found in sets.items() for who in METHODS if who in found]
     return table(["captures", "fabrics", "", "log α, rms", "median", "worst fabric", "β/α, mm",
                   "inside"], rows)
 
