@@ -61,8 +61,8 @@ if TYPE_CHECKING:
     from drapenet.report.drape import Resimulation
     from drapenet.surface.shape import CapturedShape
 
-Progress = Callable[[int, int, float], None]
-"""Called with the simulated and the expected number of drapes, and the current misfit."""
+Progress = Callable[[int, int], None]
+"""Called with the simulated and the expected number of drapes."""
 network_of = lru_cache(maxsize=2)(load_model)
 
 

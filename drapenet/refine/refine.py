@@ -63,7 +63,7 @@ class Refinement:
 def refine_capture(
     estimate: Estimate, captured: LocatedViews, *, warp: Radians,
     face: int = 1, scan: CapturedShape | None = None, settings: Mapping[str, Any] | None = None,
-    progress: Callable[[int, int, float], None] | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Refinement | None:
     """Refine an ``estimate`` by simulation, with a progress bar; None if no cloth converges.
 
@@ -72,7 +72,7 @@ def refine_capture(
         face: 1 if the marked face is up, else -1.
         scan: whose rendered views are ``captured``; None for a capture.
         settings: content of a file of ``configs/refine``; None: the default.
-        progress: called with the simulated and the expected number of drapes, and the misfit.
+        progress: called with the simulated and the expected number of drapes.
     """
     settings = settings or read_option("refine", "simulation")
     axis = flat_turn(scan) if scan else 0.0
@@ -132,7 +132,7 @@ def _pooled(network: ClothProperties, searched: Normal) -> ClothProperties:
 
 def _search(
     estimate: Estimate, observation: Observation, *, warp: Radians | None, count: int,
-    progress: Callable[[int, int, float], None] | None,
+    progress: Callable[[int, int], None] | None,
 ) -> SearchResult | None:
     """The search from ``count`` fabrics; ``warp``: initial guess, None if it is not free."""
     prior = SpecimenPrior.of(load_prior("gaussian"), specimen_spread())
@@ -149,11 +149,10 @@ def _search(
                             for level in observation.rounds)
     with tqdm(total=total, desc="refining", unit="sim", leave=False,
               disable=progress is not None) as bar:
-        def show(simulations: int, value: float) -> None:
+        def show(simulations: int) -> None:
             bar.update(simulations - bar.n)
-            bar.set_postfix(misfit=f"{value:.0f}")
             if progress:
-                progress(simulations, total, value)
+                progress(simulations, total)
 
         return search(observation, starts, free=free, prior=prior, progress=show)
 

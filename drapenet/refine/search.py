@@ -43,8 +43,8 @@ taken to have left the captured folds: springs are not made softer."""
 MIN_IMPROVEMENT = 0.5  # of the log probability over the initial estimate
 RELEASE = NewtonOptions(residual=1e-2, step=1e-2, max_iterations=200)  # for display and a check
 
-Progress = Callable[[int, float], None]
-"""Called after each simulation with their number and the best value."""
+Progress = Callable[[int], None]
+"""Called after each simulation with their number."""
 
 
 @dataclass(frozen=True)
@@ -231,7 +231,7 @@ class _Run:
             nuisance = fit_nuisances(problem.objective, best.drape.positions, best.nuisance)
             problem.value(np.concatenate([best.x[: problem.size],
                                           nuisance / problem.objective.scale]))
-        self.report(problem)
+        self.report()
         return problem
 
     def minimise(self, problem: Problem, evaluations: int) -> None:
@@ -241,9 +241,8 @@ class _Run:
         problem.start = problem.best.x
         self.outcome = minimise(
             problem, limits=Limits(evaluations=evaluations + 1, decrease=MIN_DECREASE),
-            report=partial(self.report, problem))
+            report=self.report)
 
-    def report(self, problem: Problem) -> None:
+    def report(self) -> None:
         if self.progress:
-            best = problem.best
-            self.progress(self.effort.solves, best.value if best else math.inf)
+            self.progress(self.effort.solves)

@@ -83,7 +83,7 @@ def _estimate(
     refine = task["refine"] and dict(read_option("refine", "simulation"))
     latest = 0.0
 
-    def progress(made: int, expected: int, misfit: float) -> None:
+    def progress(made: int, expected: int) -> None:
         nonlocal latest
         if time.monotonic() - latest > _PROGRESS_INTERVAL:
             record(progress={"made": made, "expected": max(expected, made)})
