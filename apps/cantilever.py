@@ -196,11 +196,12 @@ def photographed_moduli(strips: StripSet, config: EstimateConfig) -> dict:
             {"file": strip.name, **estimate_row(estimate_moduli(
                 {direction: [strip.measured.curve]}, **options)[direction])}
             for strip in strips.photographs if strip.direction == direction]
-    print(f"{'':6}{'alpha µN·m':>12}{'68 %':>18}{'beta nN·m²':>12}{'68 %':>18}{'misfit':>8}")
+    print(f"{'':6}{'alpha [µN·m]':>14}{'68 % interval':>18}{'beta [nN·m²]':>14}"
+          f"{'68 % interval':>18}{'misfit':>8}")
     for direction, row in rows.items():
         spans = ["{:.3g} to {:.3g}".format(*row[f"{name}_interval_68"])
                  for name in ("alpha_uN_m", "beta_nN_m2")]
-        print(f"{direction:6}{row['alpha_uN_m']:12.3g}{spans[0]:>18}{row['beta_nN_m2']:12.3g}"
+        print(f"{direction:6}{row['alpha_uN_m']:14.3g}{spans[0]:>18}{row['beta_nN_m2']:14.3g}"
               f"{spans[1]:>18}{row['misfit']:8.2f}")
         print("  natural curvature {:.2g} ± {:.1g} 1/m".format(*row["natural_curvature_1_m"]))
         for strip in row["strips"]:

@@ -146,7 +146,8 @@ def read_text(file: Path, max_bytes: int = MAX_TEXT_BYTES, kind: str = "descript
     try:
         return read_bytes(file, max_bytes, kind).decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise InputError(f"{file} is not UTF-8 text; save it in this encoding") from None
+        raise InputError(f"{file} is not UTF-8 text; save it in this encoding, in a "
+                         "spreadsheet as CSV UTF-8") from None
 
 
 def read_table(

@@ -47,7 +47,7 @@ def entries_of(source: Path) -> list[Entry]:
     captures = list(_tree(source) if source.is_dir() else _list(source))
     if not captures:
         raise InputError(f"{source} holds no captures: folders FABRIC/SAMPLE/CAPTURE with "
-                         "capture.yaml and view_0.png in them")
+                         "capture.yaml and pictures in them")
     taken: dict[tuple[str, ...], tuple[str, ...]] = {}
     return [Entry(*names, path, _place(names, taken)) for names, path in captures]
 
@@ -72,7 +72,8 @@ def _tree(root: Path) -> Iterator[tuple[tuple[str, str, str], Path]]:
 
 def _list(file: Path) -> Iterator[tuple[tuple[str, str, str], Path]]:
     """Names and folders of the captures in a list."""
-    header, rows = read_table(file, "list")
+    head, rows = read_table(file, "list")
+    header = [name.lower() for name in head]
     if missing := {"fabric", "capture"} - set(header):
         raise InputError(f"{file}: no column '{min(missing)}'; its first line must be "
                          f"{','.join(COLUMNS)}")
