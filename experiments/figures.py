@@ -65,10 +65,21 @@ def percent(value: float, digits: int = 0) -> str:
     return f"{100 * value:.{digits}f} %"
 
 
+def shares_inside(found: dict) -> list[float]:
+    """Percentages of true values inside the 50, 68 and 90 % intervals."""
+    return [100 * (one["mean"] if isinstance(one, dict) else one)
+            for one in found["inside"].values()]
+
+
 def coverage(found: dict) -> str:
     """Coverage of the 50, 68 and 90 % intervals, for a table."""
-    shares = [one["mean"] if isinstance(one, dict) else one for one in found["inside"].values()]
-    return "{:.0f}, {:.0f}, {:.0f} %".format(*(100 * share for share in shares))
+    return "{:.0f}, {:.0f}, {:.0f} %".format(*shares_inside(found))
+
+
+def coverage_error(found: dict) -> float:
+    """How far the coverage of an interval is off, percentage points."""
+    return max(abs(share - float(level.strip("%")))
+               for level, share in zip(found["inside"], shares_inside(found), strict=True))
 
 
 def slug(title: str) -> str:
@@ -168,9 +179,8 @@ def render_speed(report: Report) -> Report:
 def evaluated(report: Report) -> Report:
     """Results by kind of specimens, with the coverage and its largest error in points."""
     found = {kind: report["cells"][rig][FOUR_VIEWS] for kind, rig in RIGS.items()}
-    return {kind: cell | {"coverage": coverage(cell), "off": max(
-        abs(100 * one["mean"] - float(level.strip("%")))
-        for level, one in cell["inside"].items())} for kind, cell in found.items()}
+    return {kind: cell | {"coverage": coverage(cell), "off": coverage_error(cell)}
+            for kind, cell in found.items()}
 
 
 def tree_tables(report: Report) -> Report:
@@ -186,10 +196,18 @@ def detected_faults(report: Report) -> Report:
     return {"sound": sound, "kinds": len(found), "share": sum(found.values()) / len(found)}
 
 
+def refined(report: Report) -> Report:
+    """Error of the refinement over the network's, and how far its coverage is off."""
+    network, last = (report["summary"]["all"][who] for who in (METHODS[0], METHODS[-1]))
+    return {"ratio": last["log_alpha"] / network["log_alpha"], "fabrics": last["fabrics"],
+            "coverage": coverage(last), "off": coverage_error(last)}
+
+
 DERIVED: dict[str, Callable[[Report], Report]] = {
     "strips": strips, "strip_photographs": strip_coverage,
     "lowering": lowering_cost, "outlines": outline_folds, "render": render_speed,
-    "evaluation": evaluated, "tree": tree_tables, "faults": detected_faults}
+    "evaluation": evaluated, "tree": tree_tables, "faults": detected_faults,
+    "refine_views": refined, "refine_views_real": refined}
 """Figures of claims that are computed from a report."""
 
 

@@ -1,9 +1,9 @@
 """Refinement of an estimate by simulation: ``refine=`` of ``infer.py``.
 
 The search combines the fabric prior, the prior of specimens and the capture; the network gives it
-initial guesses. The result has half of its samples from the search and half from the network, a
-linear opinion pool (Stone 1961): they read the same pixels, so that their densities must not be
-multiplied, but their errors are equally large and differ (docs/validation.md).
+initial guesses. The result has half of its samples from the search and half from the network: they
+read the same pixels, so that their densities must not be multiplied, but their errors are equally
+large and differ (docs/validation.md).
 """
 
 from collections.abc import Callable, Mapping
@@ -43,6 +43,9 @@ from sim.material import REFERENCE_DENSITY
 
 MAX_REDUCED_CHI2 = 10.0  # beyond, no cloth fits the capture; correct captures have 0.8 to 2.5
 MAX_DISPLACEMENT_MM = 6.0  # of the estimate's drape from the scan; 20 simulated scans: up to 2.7
+NARROWED = 0.85
+"""Width of the pooled posteriors relative to their original one: a pool of calibrated posteriors is
+too wide. Of 40 squares, 54, 72 and 90 % of the true moduli lie in its 50, 68 and 90 % intervals."""
 _PRINTED = {"membrane": ("membrane_n_per_m", 1.0), "shear": ("shear_share", 1.0),
             "curl_warp": ("curl_warp_per_m", 1.0),
             "curl_weft": ("curl_weft_per_m", 1.0), "offset_warp": ("offset_warp_mm", 1e3),
@@ -88,7 +91,7 @@ def refine_capture(
     draws, searched, content = None, None, _content(result, near, estimate.density)
     if not warnings:
         searched = _posterior(result, face)
-        draws = Draws.possible(_pooled(estimate.cloth, searched), known=True)
+        draws = Draws.possible(_cloth(estimate.cloth, searched), known=True)
         content["posterior"] = Normal.of(state_of(draws.cloth)).as_dict()
     if scan:
         warnings += _scan_warnings(near)
@@ -122,12 +125,19 @@ def _posterior(result: SearchResult, face: int) -> Normal:
     return Normal(sign * mean, sign[:, None] * covariance * sign)
 
 
-def _pooled(network: ClothProperties, searched: Normal) -> ClothProperties:
-    """The network's samples and as many of the search, with the network's shares of hysteresis."""
+def pooled(network: np.ndarray, searched: np.ndarray) -> np.ndarray:
+    """Samples (2 S, n) of the spread-adjusted linear pool of two posteriors with samples (S, n)
+    (Gneiting and Ranjan 2013, Combining predictive distributions, section 3)."""
+    return np.concatenate([
+        samples.mean(axis=0) + NARROWED * (samples - samples.mean(axis=0))
+        for samples in (network, searched)])
+
+
+def _cloth(network: ClothProperties, searched: Normal) -> ClothProperties:
+    """Their pool, with the network's shares of hysteresis."""
     drawn = np.random.default_rng(0).multivariate_normal(
         searched.mean, searched.covariance, size=len(network.theta))
-    return cloth_of_state(np.concatenate([state_of(network), drawn]),
-                          np.tile(network.hysteresis, 2))
+    return cloth_of_state(pooled(state_of(network), drawn), np.tile(network.hysteresis, 2))
 
 
 def _search(

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.estimation.refine_views import ABSENT, METHODS, case, posterior_errors
+from experiments.estimation.refine_views import ABSENT, METHODS, case, posterior_errors, with_pool
 from experiments.result import ESTIMATOR, Config, Result, load_arrays, run_cases
 
 ALL, NONE = "all", "none"
@@ -31,6 +31,8 @@ def run(config: Config) -> Result:
     for world in worlds:
         names = [f"{world} {number}" for number in range(config["fabrics"])]
         truth = np.array([results[name]["theta"] for name in names])
-        summary[world] = {way: posterior_errors(truth, [load_arrays(folder, name)[way]
-                                                        for name in names]) for way in METHODS}
+        arrays = [with_pool(load_arrays(folder, name), gained=results[name]["gained"])
+                  for name in names]
+        summary[world] = {way: posterior_errors(truth, [each[way] for each in arrays])
+                          for way in METHODS}
     return Result({"summary": summary, "cases": results})

@@ -17,7 +17,8 @@ from experiments.estimation.refine_views import (
     METHODS,
     nuisance_errors,
     posterior_errors,
-    refined_samples,
+    searched_samples,
+    with_pool,
 )
 from experiments.result import ESTIMATOR, Config, Result, load_arrays, run_cases
 from sim.material import REFERENCE_DENSITY
@@ -57,11 +58,10 @@ def refine_scan(scan: "ScanRegistration") -> dict:
     result = refine_capture(estimate, inferred.located, warp=0.0, scan=shape)
     if result is None:
         raise InputError("no simulated cloth converges at the scan")
-    arrays = {"network": estimate.samples} | refined_samples(result, estimate)
-    return {"refined": result.content, "theta": arrays["refined"].mean(axis=0).tolist(),
-            "gained": result.draws is not None,
+    return {"refined": result.content, "gained": result.draws is not None,
             "seconds": time.perf_counter() - began, "registered_mm": 1e3 * scan.distance,
-            "spread": estimate.spread.tolist(), "warnings": list(result.warnings), "arrays": arrays}
+            "spread": estimate.spread.tolist(), "warnings": list(result.warnings),
+            "arrays": searched_samples(result, estimate)}
 
 
 def run(config: Config) -> Result:
@@ -72,7 +72,8 @@ def run(config: Config) -> Result:
         for k in range(config["fabrics"])},
         config, folder=folder, sources=ESTIMATOR)
     truth = np.array([r["truth"] for r in results.values()])
-    arrays = [load_arrays(folder, name) for name in results]
+    arrays = [with_pool(load_arrays(folder, name), gained=r["gained"])
+              for name, r in results.items()]
     summary = {way: posterior_errors(truth, [own[way] for own in arrays]) for way in METHODS}
     summary["specimen"] = nuisance_errors(list(results.values()))
     away = [r["refined"].get("fidelity", {}).get("displacement_mm") for r in results.values()]

@@ -96,7 +96,6 @@ def case(
                              settings=settings)
     seconds = time.perf_counter() - began
     gained = refined is not None and refined.draws is not None
-    arrays = {"network": estimate.samples} | refined_samples(refined, estimate)
     first = drape(estimate.fabric, rig=tester, seed=number)
     outlines = [fold_outline(d.positions, d.rest, tester) for d in (shape, first)]
     return {"theta": plan.theta.tolist(), "nuisances": plan.nuisances.vector.tolist(),
@@ -104,21 +103,30 @@ def case(
             "other_folds": not same_folds(*outlines), "seconds": seconds,
             "views": len(capture.views), "gained": gained,
             "status": refined.content["status"] if refined else "none",
-            "spread": estimate.spread.tolist(), "arrays": arrays}
+            "spread": estimate.spread.tolist(),
+            "arrays": searched_samples(refined, estimate)}
 
 
-def refined_samples(
+def searched_samples(
     refined: "Refinement | None", estimate: "Estimate"
 ) -> dict[str, np.ndarray]:
-    """Samples of theta of the search and of its pool with the network, at 300 g/m²; without an
-    improvement those of the network."""
-    if refined is None or refined.draws is None:
-        return {"search": estimate.samples, "refined": estimate.samples}
+    """Samples of theta of the network and of the search alone, at 300 g/m²; without an improvement
+    those of the network."""
+    samples = estimate.samples
+    if refined is None or refined.searched is None:
+        return {"network": samples, "search": samples}
     theta, rng = slice(len(THETA_NAMES)), np.random.default_rng(0)
-    return {"search": rng.multivariate_normal(
-                refined.searched.mean[theta], refined.searched.covariance[theta, theta],
-                size=len(estimate.samples)),
-            "refined": refined.draws.cloth.theta}
+    return {"network": samples, "search": rng.multivariate_normal(
+        refined.searched.mean[theta], refined.searched.covariance[theta, theta],
+        size=len(samples))}
+
+
+def with_pool(arrays: dict[str, np.ndarray], *, gained: bool) -> dict[str, np.ndarray]:
+    """Samples of a case, and those of the refined estimate."""
+    from drapenet.refine.refine import pooled
+
+    network = arrays["network"]
+    return arrays | {"refined": pooled(network, arrays["search"]) if gained else network}
 
 
 def nuisance_errors(results: list[dict]) -> dict[str, dict[str, float]]:
@@ -166,7 +174,9 @@ def run(config: Config) -> Result:
                                for k in range(config["fabrics"])},
                         config, folder=folder, sources=ESTIMATOR)
     truth = np.array([r["theta"] for r in results.values()])
-    samples = {way: [load_arrays(folder, name)[way] for name in results] for way in METHODS}
+    arrays = [with_pool(load_arrays(folder, name), gained=r["gained"])
+              for name, r in results.items()]
+    samples = {way: [each[way] for each in arrays] for way in METHODS}
     other = np.array([r["other_folds"] for r in results.values()])
     groups = {"all": np.ones(len(truth), bool), "other folds": other}
     summary = {
