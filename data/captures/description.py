@@ -103,7 +103,7 @@ class _Pinhole(Schema):
     cy: float
 
 
-Pixels = create_model("Pixels", __base__=_Pinhole, **dict.fromkeys(LENS_KEYS, (float, 0.0)))
+_Pixels = create_model("_Pixels", __base__=_Pinhole, **dict.fromkeys(LENS_KEYS, (float, 0.0)))
 """Intrinsics in pixels, and coefficients of a lens that distorts the pictures."""
 
 
@@ -154,7 +154,7 @@ class Description(Specimen, Labels):
     """``capture.yaml``; point clouds are projected to ``size_px``, ``face`` is the upper one."""
 
     depth_unit_m: float | None = Field(None, gt=0, description="0.001 for millimetres")
-    intrinsics: Pixels | None = Field(
+    intrinsics: _Pixels | None = Field(
         None, description="give fx, fy, cx and cy in pixels, as the camera's software states them "
                           "for pictures of this size")
     turns_deg: list[float] | None = Field(

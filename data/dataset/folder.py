@@ -26,7 +26,7 @@ from common.files import PARTIAL_SUFFIX, remove_partial, replace_json
 from common.provenance import environment
 from data.dataset.config import DatasetConfig
 from data.dataset.shards import SCHEMA_VERSION, SHARDS, Shard, shard_name, write_shard
-from data.dataset.simulate import Record
+from data.dataset.simulate import Record, Solver, make_record
 from data.fabrics.prior import prior_content
 
 MANIFEST = "dataset.json"
@@ -181,6 +181,22 @@ class DatasetFolder:
         except InputError as error:
             raise InputError(f"{error}; free disk space or choose another folder, and run the same "
                              "command again: finished shards are kept") from None
+
+    def make(self, number: int, counts: str, place: int, solver: Solver | None) -> None:
+        """Make a shard, unless another run has done so.
+
+        ``counts`` is a file shared by all processes, (shards, 2): drapes made and failed in the
+        shard at each index (``place``).
+        """
+        done = np.memmap(counts, np.int64, "r+").reshape(-1, 2)
+        rows = self.config.rows(number)
+        if self.shard(number) is None:
+            records: list[dict] = []
+            for index in rows:
+                records.append(make_record(index, self.config, earlier=records, solver=solver))
+                done[place] += 1, records[-1]["status"] != b"converged"
+            self.write(number, records)
+        done[place, 0] = len(rows)
 
     def begin(self) -> None:
         """Mark the dataset as incomplete in the manifest, made in the present environment."""

@@ -32,7 +32,7 @@ from common.files import folder_named
 from common.workers import worker_pool
 from data.dataset.config import DatasetConfig, Options, config_from_options
 from data.dataset.folder import DatasetFolder, over_shards
-from data.dataset.simulate import Solver, make_record
+from data.dataset.simulate import Solver
 from data.fabrics.prior import SOFT
 from sim.material import MICRO
 
@@ -80,12 +80,13 @@ def generate_dataset(
 def make_shards(
     folder: DatasetFolder, shards: list[int], *, workers: int, solver: Solver | None, bar: tqdm
 ) -> None:
-    """Make ``shards`` in ``workers`` processes."""
+    """Make ``shards`` in ``workers`` processes, which in jobs of a launcher cannot import functions
+    of this module, ``__main__``."""
     present = bar.n
     try:
         with tempfile.NamedTemporaryFile() as file, worker_pool(min(workers, len(shards))) as pool:
             counts = np.memmap(file, np.int64, "w+", shape=(len(shards), 2))
-            running = {pool.submit(_make_shard, folder, file.name, solver, place, shard)
+            running = {pool.submit(folder.make, shard, file.name, place, solver)
                        for place, shard in enumerate(shards)}
             while running:
                 done, running = wait(running, timeout=POLL_INTERVAL, return_when=FIRST_COMPLETED)
@@ -97,25 +98,6 @@ def make_shards(
     except BaseException:
         folder.remove_partial()  # processes may have been killed while writing
         raise
-
-
-def _make_shard(
-    folder: DatasetFolder, counts: str, solver: Solver | None, place: int, shard: int
-) -> None:
-    """Make a shard, unless another run has done so.
-
-    ``counts`` is a file shared by all processes, (shards, 2): drapes made and failed in the shard
-    at each index (``place``).
-    """
-    done = np.memmap(counts, np.int64, "r+").reshape(-1, 2)
-    rows = folder.config.rows(shard)
-    if folder.shard(shard) is None:
-        records: list[dict] = []
-        for index in rows:
-            records.append(make_record(index, folder.config, earlier=records, solver=solver))
-            done[place] += 1, records[-1]["status"] != b"converged"
-        folder.write(shard, records)
-    done[place, 0] = len(rows)
 
 
 @command("generate", Options)

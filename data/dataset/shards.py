@@ -204,4 +204,4 @@ class Shard:
     def rig(self, row: int) -> Rig:
         """Nominal tester of a drape."""
         return Rig(float(self._arrays["specimen_size"][row]),
-                   float(self._arrays["plate_diameter"][row]), self.column("specimen")[row])
+                   float(self._arrays["plate_diameter"][row]), str(self.column("specimen")[row]))

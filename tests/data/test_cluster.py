@@ -1,11 +1,13 @@
 """Datasets made in many jobs of Hydra."""
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import fake_drapes
 import pytest
-from test_generate import files
+from test_generate import ROOT, files
 
 from common.errors import InputError
 from data.dataset.generate import main
@@ -47,8 +49,9 @@ def test_one_part_can_be_asked_for(cheap, tmp_path):
 @pytest.mark.slow
 def test_jobs_of_joblib(tmp_path):
     main([f"out={tmp_path / 'whole'}", "workers=2", *SMALL])
-    main(["launcher=joblib", f"out={tmp_path / 'set'}", "parts=3",
-          f"hydra.sweep.dir={tmp_path / 'logs'}", *SMALL])
+    subprocess.run([sys.executable, "-m", "data.dataset.generate", "launcher=joblib", "parts=3",
+                    f"out={tmp_path / 'set'}", f"hydra.sweep.dir={tmp_path / 'logs'}", *SMALL],
+                   cwd=ROOT, check=True)
     assert files(tmp_path / "set") == files(tmp_path / "whole")
 
 
