@@ -369,10 +369,11 @@ def refinement(reports: Reports) -> str:
 
 def causes(reports: Reports) -> str:
     """Errors of the search in worlds without some nuisances."""
-    rows = [[{"all": "all of these", "none": "none"}.get(world, world), found["search"]["fabrics"],
+    names = {"all": "all of these", "none": "nothing"}
+    rows = [[names.get(world, world), found["search"]["fabrics"],
              *(f"{found[who]['log_alpha']:.3f}" for who in METHODS), coverage(found["search"])]
             for world, found in reports["refine_causes"]["summary"].items()]
-    return table(["without", "fabrics", *(f"{who}, log α, rms" for who in METHODS),
+    return table(["world without", "fabrics", *(f"{who}, log α, rms" for who in METHODS),
                   "inside of the search"], rows)
 
 
