@@ -24,12 +24,12 @@ def run(config: Config) -> Result:
     worlds = {NONE: (), **{group: (group,) for group in ABSENT}, ALL: ABSENT}
     # Fabric by fabric: what is finished can be read at any time.
     results = run_cases(case, {f"{world} {number}": fixed | {"number": number, "absent": absent}
-                               for number in range(config["fabrics"])
+                               for number in config["numbers"]
                                for world, absent in worlds.items()},
                         config, folder=folder, sources=ESTIMATOR)
     summary = {}
     for world in worlds:
-        names = [f"{world} {number}" for number in range(config["fabrics"])]
+        names = [f"{world} {number}" for number in config["numbers"]]
         truth = np.array([results[name]["theta"] for name in names])
         arrays = [with_pool(load_arrays(folder, name), gained=results[name]["gained"])
                   for name in names]
