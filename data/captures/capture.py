@@ -166,9 +166,11 @@ def _read_metric(path: Path) -> Capture:
         turns = description.turns(count)
     step = max(int(intrinsics.fx / MAX_FOCAL), 1)
     if step > 1:
-        depth = depth[:, ::step, ::step]
-        background = None if background is None else background[::step, ::step]
-        numbers = {key: getattr(intrinsics, key) / step for key in INTRINSICS_KEYS}
+        first = step // 2  # pixels in the middle of those that they stand for
+        depth = depth[:, first::step, first::step]
+        background = None if background is None else background[first::step, first::step]
+        numbers = {key: (getattr(intrinsics, key) - first * key.startswith("c")) / step
+                   for key in INTRINSICS_KEYS}
         intrinsics = Intrinsics(**numbers, width=depth.shape[2], height=depth.shape[1])
     rig = _tester(path, description)
     cut = cut_out(depth, intrinsics, rig, background)

@@ -54,7 +54,7 @@ def test_gaps_of_aligned_depth_are_filled_with_a_warning(folder, views):
     assert capture.views.shape == views.shape
     assert any("a point every 3.0 pixels, 1.7 mm" in warning for warning in capture.warnings)
     for view, expected in zip(capture.views, views, strict=True):
-        assert (view > 0).mean() == pytest.approx((expected > 0).mean(), rel=0.05)
+        assert (view > 0).mean() == pytest.approx((expected > 0).mean(), rel=0.03)
         points, truth = (camera.back_project(depth)[depth > 0] for camera, depth in (
             (capture.intrinsics, view), (CAMERA.intrinsics, expected)))
         assert np.abs(points.mean(axis=0) - truth.mean(axis=0)).max() < 1e-3
@@ -113,10 +113,9 @@ def test_densities_that_may_have_another_unit_are_questioned(folder, density, me
 
 
 REFERENCE = [10243, 10289, 10224, 10178]  # pixels of cloth of one scene, recorded in many ways
-SAME_SCENE = {"ros2_mcap": 1, "ros2_db3_folder": 1, "ros_aligned_and_rect": 1,
-              "ros_image_rect_P": 1, "ros_uncalibrated_info": 1,
-              "k4a_distorted_params_in_yaml": 1, "ply_rs_viewer_decimated": 1,
-              "aligned_holes_3x": 2.25}
+SAME_SCENE = ("ros2_mcap", "ros2_db3_folder", "ros_aligned_and_rect", "ros_image_rect_P",
+              "ros_uncalibrated_info", "k4a_distorted_params_in_yaml", "ply_rs_viewer_decimated",
+              "aligned_holes_3x")
 REFUSED = {"rs_viewer_raw_named": "'view_0.raw' is bare pixels",
            "yaml_decimal_comma2": "a decimal comma", "density_oz_yd2": "check the unit"}
 
@@ -141,7 +140,7 @@ def test_public_cases_are_read_or_refused_by_their_cause(tmp_path, name):
     capture = read_capture(folder)
     pixels = (capture.views > 0).sum(axis=(1, 2))
     if name in SAME_SCENE:
-        assert pixels / SAME_SCENE[name] == pytest.approx(REFERENCE, rel=0.01)
+        assert pixels == pytest.approx(REFERENCE, rel=0.01)
     else:
         assert yaml.safe_load(text)["density_g_m2"] == pytest.approx(1e3 * capture.density)
         assert ((9000 < pixels) & (pixels < 10_000)).all()
