@@ -291,7 +291,8 @@ def random_bytes(service: Service, rng: random.Random) -> int:
 def stalled(service: Service, rng: random.Random) -> int:
     """Start an upload and stop sending."""
     head = (b"POST /estimates HTTP/1.1\r\nHost: localhost\r\nContent-Length: 90000\r\n"
-            b"Content-Type: multipart/form-data; boundary=x\r\n\r\n--x\r\n")
+            b"Content-Type: multipart/form-data; boundary=x\r\n\r\n--x\r\nContent-Disposition: "
+            b"form-data; name=\"files\"; filename=\"view_0.png\"\r\n\r\n")
     return status_of(service, head + rng.randbytes(rng.randint(0, 500)), ends=False)
 
 
