@@ -192,8 +192,7 @@ SECTION = Section(
     "percentage. Simulated specimens vary in moduli only. On the "
     "cylinder a small change of the moduli may change the folds, which causes the displacements of "
     "several millimetres; hung cloth starts from the true shape, so that its folds are the same. "
-    "In the last row both drapes have different starts. The captured drapes of these figures have "
-    "`sine` and `fold` starts; the command now lowers them.",
+    "In the last row both drapes have different starts.",
     "Strips are free and noisy, 1.5 and 2.5 true bending lengths long, and evaluated without the "
     "simulated correction. Network and refinement use four depth views without faults. The "
     "density is known. Membrane, shear and curl are unknown.")
