@@ -369,7 +369,7 @@ def refinement(reports: Reports) -> str:
 
 def causes(reports: Reports) -> str:
     """Errors of the search in worlds without some nuisances."""
-    names = {"all": "all of these", "none": "nothing"}
+    names = {"all": "all of these", "none": "nothing", "friction": "hysteresis"}
     rows = [[names.get(world, world), found["search"]["fabrics"],
              *(f"{found[who]['log_alpha']:.3f}" for who in METHODS), coverage(found["search"])]
             for world, found in reports["refine_causes"]["summary"].items()]

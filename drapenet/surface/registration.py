@@ -62,7 +62,8 @@ def read_shape(path: Path, rig: Rig, *, edge: Metres = EDGE) -> ScanRegistration
         away = cKDTree(laid.points).query(cloud.points)[0]
         if (foreign := float((away > _FOREIGN_DISTANCE).mean())) > _MAX_FOREIGN_SHARE:
             raise InputError(f"{path}: {foreign:.0%} of its points do not lie on a specimen of "
-                             f"{rig.name}; cut away all that is not cloth, such as the table")
+                             f"{rig.name}; cut away all that is not cloth, such as the table, or "
+                             "drape a specimen of that size")
     else:
         scan = read_scan(path, rig)
         surface = Cloud.of_mesh(scan.positions, scan.faces)
