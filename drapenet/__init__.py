@@ -44,7 +44,7 @@ def estimate(
     """
     from common.configs import read_option
     from common.errors import InputError
-    from data.captures.capture import captures_in, checked_capture, read_capture
+    from data.captures.capture import Capture, captures_in, checked_capture, read_capture
     from data.strips.folder import read_strips
     from drapenet.config import EstimateOptions
     from drapenet.inference import estimate_fabric
@@ -52,6 +52,10 @@ def estimate(
 
     if not (captures or strips):
         raise InputError("give a capture, or strips=FOLDER")
+    if kinds := {type(each).__name__ for each in captures
+                 if not isinstance(each, str | Path | Capture)}:
+        raise InputError(f"a capture is a folder or a Capture, not {', '.join(sorted(kinds))}; "
+                         "several captures are several arguments")
     options = EstimateOptions(refine=read_option("refine", "simulation") if refine else None,
                               drapes=0)
     read = [(capture, None) for each in captures for capture in (

@@ -33,6 +33,8 @@ def test_a_fabric_is_estimated_as_by_the_command(untrained_checkpoint, tmp_path)
         drapenet.estimate(replace(read_capture(capture), density=150.0), **options)
     with pytest.raises(InputError, match="same views"):
         drapenet.estimate(capture, capture, **options)
+    with pytest.raises(InputError, match="not list; several captures are several arguments"):
+        drapenet.estimate([capture, other], **options)
     with pytest.raises(InputError, match="give a capture"):
         drapenet.estimate(**options)
     assert set(drapenet.__all__) == {"estimate", "load"}
