@@ -247,7 +247,7 @@ def longest_edge(rig: Rig, offset: tuple[float, float]) -> Metres:
         return np.inf
     shift = np.hypot(*offset) if rig.specimen == "disc" else np.abs(offset).max()
     overhang = (rig.specimen_size - rig.plate_diameter) / 2
-    if not shift < overhang:
+    if shift >= overhang:
         raise InputError(f"an offset of {1e3 * shift:.3g} mm uncovers the plate of {rig.name}; at "
                          f"most {1e3 * overhang:.3g} mm is possible; give it in metres")
     return (overhang - shift) / _MIN_EDGES_ACROSS
