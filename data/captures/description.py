@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field, PlainValidator, create_model, model_validator
+from pydantic import BeforeValidator, Field, PlainValidator, model_validator
 
 from common.documents import Schema, shown
 from common.errors import InputError
@@ -23,7 +23,6 @@ MAX_VIEWS = 8
 MIN_PICTURE, MAX_PICTURE = (80, 60), (4096, 4096)
 MILLIMETRE = 1e-3  # m per count
 INTRINSICS_KEYS = ("fx", "fy", "cx", "cy")
-LENS_KEYS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")  # in OpenCV's order
 MIN_EQUAL_TURNS = 4  # views, from which on equally spaced turns are the default
 MIN_TURN = 6.3  # degrees; the largest turn given in radians is 6.28
 CAMERA_HEIGHTS = (200.0, 20_000.0)  # mm above the plate, of a photograph's camera
@@ -96,15 +95,24 @@ class Specimen(Weighed):
 _Focal = Annotated[float, Field(ge=10, le=1e5)]
 
 
-class _Pinhole(Schema):
+class Pixels(Schema):
+    """Intrinsics in pixels, and coefficients of a lens that distorts the pictures."""
+
     fx: _Focal
     fy: _Focal
     cx: float
     cy: float
+    k1: float = 0.0
+    k2: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+    k3: float = 0.0
+    k4: float = 0.0
+    k5: float = 0.0
+    k6: float = 0.0
 
 
-_Pixels = create_model("_Pixels", __base__=_Pinhole, **dict.fromkeys(LENS_KEYS, (float, 0.0)))
-"""Intrinsics in pixels, and coefficients of a lens that distorts the pictures."""
+LENS_KEYS = tuple(Pixels.model_fields)[4:]  # in OpenCV's order
 
 
 class PlateInPicture(Schema):
@@ -154,7 +162,7 @@ class Description(Specimen, Labels):
     """``capture.yaml``; point clouds are projected to ``size_px``, ``face`` is the upper one."""
 
     depth_unit_m: float | None = Field(None, gt=0, description="0.001 for millimetres")
-    intrinsics: _Pixels | None = Field(
+    intrinsics: Pixels | None = Field(
         None, description="give fx, fy, cx and cy in pixels, as the camera's software states them "
                           "for pictures of this size")
     turns_deg: list[float] | None = Field(
