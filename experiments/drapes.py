@@ -121,8 +121,8 @@ def posterior_bound() -> float:
     return rms(bounds[:, LINEAR] / spread()[LINEAR])
 
 
-def infer(synthetic: "SyntheticCapture") -> "CaptureEstimate":
+def infer(synthetic: "SyntheticCapture", rig: Rig = RIG) -> "CaptureEstimate":
     """Estimate the moduli from a capture with the network, with the warnings of ``infer.py``."""
     from drapenet.inference import check, network_estimate
 
-    return check(network_estimate(as_read(synthetic), header()))
+    return check(network_estimate(as_read(synthetic, rig), header()))

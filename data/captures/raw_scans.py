@@ -40,35 +40,39 @@ class RawScan:
 
 def read_raw_scan(path: Path, rig: Rig) -> RawScan:
     """Read a PLY, OBJ or STL file; unit, vertical and centre are measured from the flat plate."""
-    points, faces = _read(path)
-    if bad := int((~np.isfinite(points)).any(axis=1).sum()):
-        raise InputError(f"{path}: {bad} of {len(points)} points are not finite numbers; "
-                         "remove them")
-    if not MIN_POINTS <= len(points) <= MAX_SCAN_SIZE:
-        raise InputError(f"{path} has {len(points)} points; a scan has {MIN_POINTS} to "
-                         f"{MAX_SCAN_SIZE}")
-    if len(faces) and not 0 <= faces.min() <= faces.max() < len(points):
-        raise InputError(f"{path}: a face refers to a missing vertex; export the scan again")
-    scan = _placed(points, faces, rig)
+    with reading(path, "export the scan again as PLY, OBJ or STL"):
+        scan = _placed(*_read(path), rig)
     if fault := _placement_fault(scan.points, rig):
         raise InputError(f"{path}: {fault}")
     return scan
 
 
 def _read(path: Path) -> tuple[Points, Faces]:
+    """Points and faces, merged; InputError for impossible ones, any error for a damaged file."""
     import trimesh
 
     data = read_bytes(path, MAX_BYTES, "scan")
-    with reading(path, "export the scan again as PLY, OBJ or STL"):
-        # From memory: files that a scan refers to, such as materials, must not be read.
-        mesh = trimesh.load(io.BytesIO(data), file_type=path.suffix[1:].lower(), process=False,
-                            skip_materials=True)
-        if isinstance(mesh, trimesh.Scene):  # a mesh for each material
-            mesh = trimesh.util.concatenate(mesh.dump())
-        points = np.asarray(mesh.vertices, dtype=np.float64)
-        if points.shape[1:] != (3,):
-            raise ValueError("points have another number of coordinates than three")
-        return points, np.asarray(getattr(mesh, "faces", np.zeros((0, 3))), dtype=np.int64)
+    # From memory: files that a scan refers to, such as materials, must not be read.
+    mesh = trimesh.load(io.BytesIO(data), file_type=path.suffix[1:].lower(), process=False,
+                        skip_materials=True)
+    if isinstance(mesh, trimesh.Scene):  # a mesh for each material
+        mesh = trimesh.util.concatenate(mesh.dump())
+    points = np.asarray(mesh.vertices, dtype=np.float64)
+    if points.shape[1:] != (3,):
+        raise ValueError("points have another number of coordinates than three")
+    faces = np.asarray(getattr(mesh, "faces", np.zeros((0, 3))), dtype=np.int64)
+    if bad := int((~np.isfinite(points)).any(axis=1).sum()):
+        raise InputError(f"{path}: {bad} of {len(points)} points are not finite numbers; "
+                         "remove them")
+    if len(faces):
+        if not 0 <= faces.min() <= faces.max() < len(points):
+            raise InputError(f"{path}: a face refers to a missing vertex; export the scan again")
+        mesh.merge_vertices()  # STL has the corners of each triangle apart
+        points, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces)
+    if not MIN_POINTS <= len(points) <= MAX_SCAN_SIZE:
+        raise InputError(f"{path} has {len(points)} points; a scan has {MIN_POINTS} to "
+                         f"{MAX_SCAN_SIZE}")
+    return points, faces
 
 
 def _placed(points: Points, faces: Faces, rig: Rig) -> RawScan:
@@ -78,8 +82,6 @@ def _placed(points: Points, faces: Faces, rig: Rig) -> RawScan:
     cloud = points
     if len(faces):
         mesh = trimesh.Trimesh(points, faces, process=False)
-        mesh.merge_vertices()  # STL has the corners of each triangle apart
-        points, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
         cloud = trimesh.sample.sample_surface(mesh, _SAMPLED, seed=0)[0]
     extent = np.ptp(cloud, axis=0).max()
     unit = next((name for name, metres in UNITS.items() if 0.9 * rig.plate_diameter < (

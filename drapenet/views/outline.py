@@ -12,7 +12,7 @@ from typing import Annotated
 import numpy as np
 
 from common.types import Edges, Metres, Outline, Points, Radians
-from drapenet.views.directions import AZIMUTHS, elevations
+from drapenet.views.directions import AZIMUTH, AZIMUTHS, elevations
 from drapenet.views.radial_map import PIXEL, RadialMap
 from sim.measures import farthest, folds_around
 from sim.rig import Rig
@@ -53,10 +53,7 @@ class DrapeOutline:
         """
         if not np.isfinite(self.height):
             return self
-        azimuths = (np.arange(AZIMUTHS) + 0.5) * 2 * np.pi / AZIMUTHS
-        along = np.maximum(np.abs(np.cos(azimuths)), np.abs(np.sin(azimuths)))
-        flat = rig.specimen_size / 2 / (1.0 if rig.specimen == "disc" else along)
-        radius = self.radius
+        flat, radius = rig.border(AZIMUTH), self.radius
         for _ in range(30):  # damped, as the depth changes fast near the flat specimen's border
             out = np.maximum(radius - rig.plate_radius, 0)
             depth = _DEPTH_SHARE * np.sqrt(

@@ -7,17 +7,18 @@ from matplotlib.figure import Figure
 
 from common.errors import InputError
 from common.types import Points
+from data.dataset.plan import DrapePlan
 from data.fabrics.fabrics import fabric_from_theta
 from data.render.setups import Setups
 from experiments.comparison import Shape, compare
-from experiments.drapes import as_read, capture_drape, drape_as_planned, header, plan_specimen
+from experiments.drapes import capture_drape, drape_as_planned, infer, plan_specimen
 from experiments.page import Section
-from experiments.papers.transfer import ratio
+from experiments.papers.transfer import exported_modulus
 from experiments.physics import style3d
 from experiments.result import Config, Report, Result, label_log_axes, rms, run_fabrics
 from sim.drape import FINE_OPTIONS, Drape, drape
 from sim.equilibrium import find_equilibrium
-from sim.material import Fabric, torque
+from sim.material import Fabric
 from sim.measures import fold_count, shadow_radius
 from sim.mesh import Mesh
 from sim.rig import DISC_RIG, Rig
@@ -28,7 +29,6 @@ SKIRT = Rig(0.86, 0.24, "disc")  # waist of 754 mm and length of 310 mm, as the 
 TRUE, ESTIMATED, LINEAR = "true", "estimated", "estimated, α alone"
 OTHER_START = "true, other start"
 NEWTON = "Newton, "
-_SECANT = 50.0  # 1/m, curvature of the secant modulus of Newton's hinges
 _CAPTURE_EDGE = 2e-3  # m, at the rim of the captured specimen
 
 
@@ -50,9 +50,8 @@ def case(*, number: int, edge_mm: float, seconds: float, seed: int) -> dict[str,
     if seconds and style3d.installed():
         positions, first = worn, None
         for name, fabric in ((TRUE, truth), (ESTIMATED, estimate)):
-            modulus = ratio() * torque(np.array(_SECANT), fabric.alpha, fabric.beta) / _SECANT
-            state = style3d.simulate(scene, positions, density=fabric.density, modulus=modulus,
-                                     seconds=seconds)
+            state = style3d.simulate(scene, positions, density=fabric.density,
+                                     modulus=exported_modulus(fabric), seconds=seconds)
             positions = state.positions
             result[NEWTON + name] = difference(
                 scene, worn if first is None else first, Shape.of(scene, positions)) | {
@@ -61,14 +60,12 @@ def case(*, number: int, edge_mm: float, seconds: float, seed: int) -> dict[str,
     return result | {"log_alpha": np.log(estimate.alpha / truth.alpha).tolist()}
 
 
-def estimated(plan: Any, seed: int) -> Fabric:
+def estimated(plan: DrapePlan, seed: int) -> Fabric:
     """The network's posterior mean from four depth views of a drape with all nuisances."""
-    from drapenet.inference import network_estimate
-
     shape = drape_as_planned(plan, edge=_CAPTURE_EDGE)
     rng = np.random.default_rng([seed, plan.fabric])
-    capture = as_read(capture_drape(shape, Setups.load("real"), rng, DISC_RIG), DISC_RIG)
-    return fabric_from_theta(network_estimate(capture, header()).estimate.theta)
+    capture = capture_drape(shape, Setups.load("real"), rng, DISC_RIG)
+    return fabric_from_theta(infer(capture, DISC_RIG).estimate.theta)
 
 
 def skirt(fabric: Fabric, *, edge: float, seed: int) -> tuple[Points, Scene]:

@@ -39,6 +39,11 @@ def ratio() -> float:
     return float(np.mean([one.ratio for one in found if one.found]))
 
 
+def exported_modulus(fabric: Fabric) -> np.ndarray:
+    """Secant moduli (3,), N·m, of hinges for a simulator without beta."""
+    return ratio() * torque(np.array(_SECANT), fabric.alpha, fabric.beta) / _SECANT
+
+
 def case(*, number: int, edge_mm: float, seed: int) -> dict[str, Any]:
     """Displacement, mm, and difference of mean curvature, %, from the drape of the plate law to the
     nearest equilibrium of each model of one fabric; None without convergence.
@@ -70,9 +75,8 @@ def style3d_case(
     """
     plate = drape_specimen(plan_specimen(number, seed=seed), edge=1e-3 * edge_mm)
     fabric, mesh = plate.fabric, plate.scene
-    secant = torque(np.array(_SECANT), fabric.alpha, fabric.beta) / _SECANT
     moduli = {"α as estimated": fabric.alpha, "equivalent α": ratio() * fabric.alpha,
-              f"equivalent secant at {_SECANT:g} m⁻¹": ratio() * secant}
+              f"equivalent secant at {_SECANT:g} m⁻¹": exported_modulus(fabric)}
     linear = equilibrium_near(plate, mesh, plate.rig, Fabric(fabric.alpha))
     result: dict[str, Any] = {
         "motion": [], LINEAR: (_difference(plate, linear.state.positions, mesh)

@@ -70,7 +70,8 @@ def with_nan(cloth: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 @pytest.mark.parametrize(("make", "message"), [
-    (b"", ""), (b"ply\nformat ascii 1.0\n", "export the scan again"), (b"\x00\xff" * 50, ""),
+    (b"", "cannot be read"), (b"ply\nformat ascii 1.0\n", "export the scan again"),
+    (b"\x00\xff" * 50, "export the scan again"),
     (b"v 0.1 0.2 0\n" * 300 + b"v 0.1 0.2\nf 1 2 3\n", "export the scan again"),
     (lambda cloth: moved(cloth, scale=5), "metres"),
     (lambda cloth: trimesh.Trimesh(cloth.vertices * [1, 1, 0], cloth.faces), "z must point up"),
