@@ -5,6 +5,7 @@ import re
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
+import numba
 import numpy as np
 
 from common.errors import InputError
@@ -32,41 +33,74 @@ class Cylinder:
 
     def depths(self, points: Points) -> np.ndarray:
         """Depths (N,), m, below the nearest surface; concave, negative outside."""
-        _, outwards, upwards = self._from_rim(points)
-        corner = np.hypot(np.maximum(outwards, 0.0), np.maximum(upwards, 0.0))
-        return self.rim - corner - np.minimum(np.maximum(outwards, upwards), 0.0)
+        return _depths(points, self.radius, self.rim)
 
     def normals(self, points: Points) -> np.ndarray:
         """Outward normals (N, 3) of the nearest surface: the negative gradient of the depth."""
-        away, _, _, across, along = self._surface(points)
-        return np.column_stack([away * across[:, None], along])
+        return _normals(points, self.radius, self.rim)
 
     def depth_hessians(self, points: Points) -> np.ndarray:
         """Second derivatives (N, 3, 3) of the depth, 1/m; negative semi-definite."""
-        away, distance, corner, across, along = self._surface(points)
-        # Curvature around the axis, and that of the rounded rim.
-        around = np.column_stack([-away[:, 1], away[:, 0], np.zeros(len(points))])
-        over = np.column_stack([-away * along[:, None], across])
-        return -((across / distance)[:, None, None] * around[:, :, None] * around[:, None, :]
-                 + (1 / corner)[:, None, None] * over[:, :, None] * over[:, None, :])
+        return _depth_hessians(points, self.radius, self.rim)
 
-    def _from_rim(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Distances (N,) from the axis, and radial and vertical ones from the rim's centre line."""
-        x, y, z = points.T
-        distance = np.hypot(x, y)
-        return distance, distance - (self.radius - self.rim), z + self.rim
 
-    def _surface(self, points: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Radial directions (N, 2), distances from the axis and from the rim's centre line where
-        the rim is nearest (else infinite), and radial and vertical components of the normals."""
-        distance, outwards, upwards = self._from_rim(points)
-        distance = np.where(distance > 0, distance, 1.0)
-        rounded = (outwards > 0) & (upwards > 0)
-        corner = np.where(rounded, np.hypot(outwards, upwards), np.inf)
-        sideways = outwards > upwards
-        return (points[:, :2] / distance[:, None], distance, corner,
-                np.where(rounded, outwards / corner, sideways),
-                np.where(rounded, upwards / corner, ~sideways))
+@numba.njit(inline="always")
+def _from_rim(point, radius, rim):
+    """Distance from the axis, and radial and vertical distance from the rim's centre line."""
+    distance = np.sqrt(point[0] ** 2 + point[1] ** 2)
+    return distance, distance - (radius - rim), point[2] + rim
+
+
+@numba.njit(cache=True)
+def _depths(points, radius, rim):
+    depth = np.empty(len(points))
+    for i in range(len(points)):
+        _, outwards, upwards = _from_rim(points[i], radius, rim)
+        if outwards > 0.0 and upwards > 0.0:
+            depth[i] = rim - np.sqrt(outwards**2 + upwards**2)
+        else:
+            depth[i] = rim - max(outwards, upwards)
+    return depth
+
+
+@numba.njit(inline="always")
+def _normal(outwards, upwards):
+    """Radial and vertical component of the normal, and its curvature around the rim, 1/m."""
+    if outwards > 0.0 and upwards > 0.0:
+        corner = np.sqrt(outwards**2 + upwards**2)
+        return outwards / corner, upwards / corner, 1.0 / corner
+    sideways = outwards > upwards
+    return float(sideways), float(not sideways), 0.0
+
+
+@numba.njit(cache=True)
+def _normals(points, radius, rim):
+    normals = np.zeros((len(points), 3))
+    for i in range(len(points)):
+        distance, outwards, upwards = _from_rim(points[i], radius, rim)
+        across, along, _ = _normal(outwards, upwards)
+        if across > 0.0:
+            normals[i, 0], normals[i, 1] = (across * points[i, 0] / distance,
+                                            across * points[i, 1] / distance)
+        normals[i, 2] = along
+    return normals
+
+
+@numba.njit(cache=True)
+def _depth_hessians(points, radius, rim):
+    bends = np.zeros((len(points), 3, 3))
+    for i in range(len(points)):
+        distance, outwards, upwards = _from_rim(points[i], radius, rim)
+        across, along, bent = _normal(outwards, upwards)
+        if across == 0.0:
+            continue
+        x, y = points[i, 0] / distance, points[i, 1] / distance
+        around, over = (-y, x, 0.0), (-along * x, -along * y, across)
+        for j in range(3):
+            for k in range(3):
+                bends[i, j, k] = -(across / distance * around[j] * around[k]
+                                   + bent * over[j] * over[k])
+    return bends
 
 
 @dataclass(frozen=True)

@@ -80,21 +80,15 @@ class Guarded:
     def scaled(self, factor: float) -> "Guarded":
         return replace(self, membrane=self.membrane.scaled(factor))
 
-    def density(self, strain: np.ndarray) -> np.ndarray:
-        inner, outer = self.membrane.density(strain), self.membrane.density(self.excess(strain)[0])
-        return self.share * inner + (1 - self.share) * outer
-
-    def stress(self, strain: np.ndarray) -> np.ndarray:
-        excess, slope, _ = self.excess(strain)
-        outer = slope * self.membrane.stress(excess)
-        return self.share * self.membrane.stress(strain) + (1 - self.share) * outer
-
-    def tangent(self, strain: np.ndarray) -> np.ndarray:
+    def response(self, strain: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         excess, slope, bend = self.excess(strain)
-        outer = slope[:, :, None] * self.membrane.tangent(excess) * slope[:, None, :]
+        inside, outside = self.membrane.response(strain), self.membrane.response(excess)
+        tangent = slope[:, :, None] * outside[2] * slope[:, None, :]
         diagonal = np.arange(strain.shape[1])
-        outer[:, diagonal, diagonal] += bend * self.membrane.stress(excess)
-        return self.share * self.membrane.tangent(strain) + (1 - self.share) * outer
+        tangent[:, diagonal, diagonal] += bend * outside[1]
+        outer = outside[0], slope * outside[1], tangent
+        return tuple(self.share * a + (1 - self.share) * b
+                     for a, b in zip(inside, outer, strict=True))
 
     def excess(self, strain: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Strain (N, 2) beyond the band and its first two derivatives, componentwise."""

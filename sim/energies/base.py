@@ -1,19 +1,19 @@
 """Interface of an energy, its check by differences, and what several energies use."""
 
-from collections.abc import Callable
-from typing import Protocol, TypeVar
+from abc import abstractmethod
+from typing import Protocol
 
 import numba
 import numpy as np
 
 from common.errors import InputError
 from common.types import Edges, StateVector
+from sim.solver.linear import add_blocks
 from sim.solver.state import moved
 
 STEP = 1e-7  # m, or rad
 TOLERANCE = 1e-4  # relative to the magnitude of the terms
 DIRECTIONS = 3
-T = TypeVar("T")
 
 
 class Energy(Protocol):
@@ -46,6 +46,56 @@ class Energy(Protocol):
         """Whether a step from ``old`` to ``new`` stays on one branch of the energy."""
         return True
 
+    def add_forces(self, q: StateVector, forces: np.ndarray) -> float:
+        """Add the gradient to ``forces`` (U,), in the order of all unknowns; return the energy."""
+        add_elements(forces, self.dofs, self.gradient(q))
+        return self.value(q)
+
+    def add_stiffness(
+        self, q: StateVector, slots: np.ndarray, exact: np.ndarray, convex: np.ndarray
+    ) -> None:
+        """Add the Hessian to the data of sparse matrices: the blocks' upper triangles, row by row,
+        at ``slots`` (N, K(K+1)/2), -1: nowhere. ``exact`` or ``convex`` is empty if not wanted."""
+        for data, is_convex in ((exact, False), (convex, True)):
+            blocks = self.hessian(q, is_convex) if len(data) else None
+            if blocks is not None:
+                add_blocks(data, slots, blocks)
+
+
+class CompiledEnergy(Energy):
+    """An energy with one compiled loop over its elements for value and gradient, and one for the
+    Hessian, which add their results where they belong."""
+
+    @abstractmethod
+    def _add_forces(self, q: StateVector, targets: np.ndarray, forces: np.ndarray) -> float:
+        """Energy; its derivatives are added to the entries ``targets`` (N, K) of ``forces``."""
+
+    @abstractmethod
+    def add_stiffness(
+        self, q: StateVector, slots: np.ndarray, exact: np.ndarray, convex: np.ndarray
+    ) -> None: ...
+
+    def add_forces(self, q: StateVector, forces: np.ndarray) -> float:
+        return self._add_forces(q, self.dofs, forces)
+
+    def value(self, q: StateVector) -> float:
+        return self.add_forces(q, np.zeros(self.dofs.max(initial=0) + 1))
+
+    def gradient(self, q: StateVector) -> np.ndarray:
+        result = np.zeros(self.dofs.size)
+        self._add_forces(q, np.arange(self.dofs.size).reshape(self.dofs.shape), result)
+        return result.reshape(self.dofs.shape)
+
+    def hessian(self, q: StateVector, convex: bool = False) -> np.ndarray:
+        count, size = self.dofs.shape
+        i, j = np.triu_indices(size)
+        data, none = np.zeros(count * len(i)), np.zeros(0)
+        slots = np.arange(len(data), dtype=np.int32).reshape(count, -1)
+        self.add_stiffness(q, slots, *((none, data) if convex else (data, none)))
+        result = np.empty((count, size, size))
+        result[:, i, j] = result[:, j, i] = data.reshape(count, -1)
+        return result
+
 
 def dofs_of(energy: Energy) -> np.ndarray:
     """The ``dofs`` (N, K) of an energy; InputError if they are missing or have another form."""
@@ -56,41 +106,39 @@ def dofs_of(energy: Energy) -> np.ndarray:
     return dofs
 
 
-class StateCache:
-    """Results of one function at the latest states: two hold the start of a Newton step and the
-    trial state, where value, gradient and Hessian are evaluated one after the other."""
-
-    def __init__(self, states: int = 2) -> None:
-        self._states = states
-        self._latest: list[tuple[np.ndarray, object]] = []
-
-    def at(self, q: StateVector, function: Callable[[StateVector], T]) -> T:
-        """``function(q)``, cached or computed; ``function`` must be the same in all calls."""
-        for state, value in self._latest:
-            if np.array_equal(state, q):
-                return value
-        value = function(q)
-        self._latest = [(q.copy(), value), *self._latest[: self._states - 1]]
-        return value
+@numba.njit(cache=True)
+def add_elements(total, dofs, parts):
+    """Add the elements' contributions ``parts`` (N, K) to total (U,)."""
+    for t in range(len(dofs)):
+        for k in range(dofs.shape[1]):
+            if dofs[t, k] >= 0:
+                total[dofs[t, k]] += parts[t, k]
 
 
 @numba.njit(cache=True)
 def raise_eigenvalues(matrices, floor):
     """Raise eigenvalues of symmetric matrices (N, 3, 3) to at least ``floor``, in place."""
     for matrix in matrices:
-        # Positive pivots of matrix - floor: most matrices need no eigenvectors.
-        first = matrix[0, 0] - floor
-        second = (matrix[1, 1] - floor) * first - matrix[0, 1] ** 2
-        if first > 0.0 and second > 0.0:
-            cross = matrix[1, 2] * first - matrix[0, 1] * matrix[0, 2]
-            if ((matrix[2, 2] - floor) * first - matrix[0, 2] ** 2) * second > cross * cross:
-                continue
-        value, vector = np.linalg.eigh(matrix)
-        for k in range(3):
-            if value[k] < floor:
-                for i in range(3):
-                    for j in range(3):
-                        matrix[i, j] += (floor - value[k]) * vector[i, k] * vector[j, k]
+        raise_eigenvalue(matrix, floor)
+
+
+@numba.njit(cache=True)
+def raise_eigenvalue(matrix, floor):
+    """The same of one matrix (3, 3); whether it was necessary."""
+    # Positive pivots of matrix - floor: most matrices need no eigenvectors.
+    first = matrix[0, 0] - floor
+    second = (matrix[1, 1] - floor) * first - matrix[0, 1] ** 2
+    if first > 0.0 and second > 0.0:
+        cross = matrix[1, 2] * first - matrix[0, 1] * matrix[0, 2]
+        if ((matrix[2, 2] - floor) * first - matrix[0, 2] ** 2) * second > cross * cross:
+            return False
+    value, vector = np.linalg.eigh(matrix)
+    for k in range(3):
+        if value[k] < floor:
+            for i in range(3):
+                for j in range(3):
+                    matrix[i, j] += (floor - value[k]) * vector[i, k] * vector[j, k]
+    return True
 
 
 def check(energy: Energy, q: StateVector, edges: Edges, *, seed: int = 0) -> None:

@@ -16,6 +16,8 @@ convex in its argument.
 Thus cloth bent to a cylinder along warp, bias or weft carries exactly the torque
 alpha kappa + beta kappa² (up to u_c), with a smooth interpolation between these directions. psi is
 positive for S != 0 and any sign of the quadratic moduli.
+
+:func:`respond` adds natural curvature and hysteresis (:mod:`sim.energies.bending_variants`).
 """
 
 from typing import NamedTuple
@@ -70,6 +72,23 @@ def constants(fabric: Fabric) -> PlateConstants:
     )))  # fmt: skip
 
 
+class Variant(NamedTuple):
+    """Constants of natural curvature and hysteresis: a constant moment, N; the form P of HB², N²,
+    and the size Y, N, at which friction is saturated; the weights of F(S - S1) and of -F(S)."""
+
+    m_xx: float = 0.0
+    m_yy: float = 0.0
+    m_xy: float = 0.0
+    p_xx: float = 0.0
+    p_yy: float = 0.0
+    p_mixed: float = 0.0
+    p_xy: float = 0.0
+    limit: float = 1.0
+    slid: float = 0.0
+    returned: float = 0.0
+
+
+PLAIN = Variant()
 _shape = numba.njit(inline="always")(softening_shape)
 
 
@@ -86,48 +105,29 @@ def _correction(k, alpha, base, rho, limit):
 @numba.njit(cache=True)
 def energy(s, law):
     """psi, J/m², at curvature s (3,) for the constants ``law``."""
-    x, y, z = s[0], s[1], s[2]
-    limit = law.u_c
-    a = law.A11 * x * x + law.A22 * y * y + 2.0 * law.A12 * x * y + 4.0 * law.A66 * z * z
-    if a <= 0.0:
-        return 0.0
-    u = (law.g_w * x * x + law.g_f * y * y + 2.0 * law.g_t * z * z) / np.sqrt(a)
-    h, _, _ = _shape(u, limit)
-    total = 0.5 * a * h
-    if law.base_b > law.rho_b:
-        total += _correction(2.0 * abs(z), law.alpha_bias, law.base_b, law.rho_b, limit)[0]
-    d = abs(x - y)
-    if law.base_w > law.rho_w and d > 0.0:
-        warp, weft = law.A11 * x * x, law.A22 * y * y
-        f_w, _, _ = _correction(d, law.A11, law.base_w, law.rho_w, limit)
-        f_f, _, _ = _correction(d, law.A22, law.base_f, law.rho_f, limit)
-        total += (warp * f_w + weft * f_f) / (warp + weft)
-    return total
+    return derivatives(s, law, np.empty(3), np.empty((3, 3)))
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def derivatives(s, law, g, h):
-    """Fill g (3,) and h (3, 3) with the derivatives of psi by s (3,)."""
-    da0 = 2.0 * (law.A11 * s[0] + law.A12 * s[1])
-    da1 = 2.0 * (law.A22 * s[1] + law.A12 * s[0])
-    da2 = 8.0 * law.A66 * s[2]
+    """psi, J/m²; fills g (3,) and h (3, 3) with its derivatives by s (3,)."""
+    da = (2.0 * (law.A11 * s[0] + law.A12 * s[1]), 2.0 * (law.A22 * s[1] + law.A12 * s[0]),
+          8.0 * law.A66 * s[2])
     h[0, 0], h[1, 1], h[2, 2] = law.A11, law.A22, 4.0 * law.A66
     h[0, 1] = h[1, 0] = law.A12
     h[0, 2] = h[2, 0] = h[1, 2] = h[2, 1] = 0.0
-    a = 0.5 * (da0 * s[0] + da1 * s[1] + da2 * s[2])
+    a = 0.5 * (da[0] * s[0] + da[1] * s[1] + da[2] * s[2])
     if a <= 0.0:
         # u is of first order in S: at S = 0 only the quadratic form contributes.
         g[0], g[1], g[2] = 0.0, 0.0, 0.0
-        return
+        return 0.0
     n = np.sqrt(a)
     u = (law.g_w * s[0] ** 2 + law.g_f * s[1] ** 2 + 2.0 * law.g_t * s[2] ** 2) / n
     shape, slope, bend = _shape(u, law.u_c)
-    da = (da0, da1, da2)
     weight = (2.0 * law.g_w, 2.0 * law.g_f, 4.0 * law.g_t)
-    du, dn = np.empty(3), np.empty(3)
-    for i in range(3):
-        dn[i] = 0.5 * da[i] / n
-        du[i] = (weight[i] * s[i] - u * dn[i]) / n
+    dn = (0.5 * da[0] / n, 0.5 * da[1] / n, 0.5 * da[2] / n)
+    du = ((weight[0] * s[0] - u * dn[0]) / n, (weight[1] * s[1] - u * dn[1]) / n,
+          (weight[2] * s[2] - u * dn[2]) / n)
     for i in range(3):
         g[i] = 0.5 * (shape * da[i] + a * slope * du[i])
         for j in range(3):
@@ -139,18 +139,21 @@ def derivatives(s, law, g, h):
                 slope * (da[i] * du[j] + du[i] * da[j])
                 + a * (bend * du[i] * du[j] + slope * ddu)
             )
+    total = 0.5 * a * shape
     if law.base_b > law.rho_b:
-        _, force, stiffness = _correction(2.0 * abs(s[2]), law.alpha_bias, law.base_b, law.rho_b,
-                                          law.u_c)
+        work, force, stiffness = _correction(2.0 * abs(s[2]), law.alpha_bias, law.base_b,
+                                             law.rho_b, law.u_c)
+        total += work
         g[2] += 2.0 * force * np.sign(s[2])
         h[2, 2] += 4.0 * stiffness
     if law.base_w > law.rho_w and s[0] != s[1]:
-        _add_yarns(s, law, g, h)
+        total += _add_yarns(s, law, g, h)
+    return total
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _add_yarns(s, law, g, h):
-    """Add the derivatives of w F_w + (1 - w) F_f = F_f + w (F_w - F_f)."""
+    """w F_w + (1 - w) F_f = F_f + w (F_w - F_f); its derivatives are added to g and h."""
     d = abs(s[0] - s[1])
     side = np.sign(s[0] - s[1])
     f_w, force_w, stiff_w = _correction(d, law.A11, law.base_w, law.rho_w, law.u_c)
@@ -173,15 +176,49 @@ def _add_yarns(s, law, g, h):
     mixed = -stiff + (wy - wx) * pull + wxy * more
     h[0, 1] += mixed
     h[1, 0] += mixed
+    return f_f + w * more
 
 
-@numba.njit(cache=True)
-def energies(s, law):
-    """psi (N,), J/m²."""
-    psi = np.empty(len(s))
-    for t in range(len(s)):
-        psi[t] = energy(s[t], law)
-    return psi
+@numba.njit(cache=True, error_model="numpy")
+def respond(s, origin, law, variant, g, h):
+    """The energy per area, J/m², of a variant of the plate at curvature s (3,) with the ``origin``
+    S1 (3,); fills g (3,) and h (3, 3) with its derivatives by s."""
+    total = derivatives(s, law, g, h) - variant.m_xx * s[0] - variant.m_yy * s[1] - variant.m_xy * s[2]
+    g[0] -= variant.m_xx
+    g[1] -= variant.m_yy
+    g[2] -= variant.m_xy
+    if variant.slid != 0.0:
+        total += _add_friction(s[0] - origin[0], s[1] - origin[1], s[2] - origin[2],
+                               variant.slid, variant, g, h)
+    if variant.returned != 0.0:
+        total -= _add_friction(s[0], s[1], s[2], -variant.returned, variant, g, h)
+    return total
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _add_friction(x, y, z, weight, variant, g, h):
+    """Potential of the friction F, J/m², at a change of curvature (x, y, z); ``weight`` times its
+    derivatives are added to g and h."""
+    limit = variant.limit
+    pull = ((variant.p_xx * x + variant.p_mixed * y) / limit,
+            (variant.p_mixed * x + variant.p_yy * y) / limit, variant.p_xy * z / limit)
+    ratio = np.sqrt((pull[0] * x + pull[1] * y + pull[2] * z) / limit)  # |C|/Y
+    if ratio < 1.0:
+        work = 0.625 * ratio**2 - ratio**6 / 24
+        over, bend = 1.25 - 0.25 * ratio**4, -(ratio**2)  # f(y)/y, (f'(y) - f(y)/y)/y²
+    else:
+        work = 0.625 - 1 / 24 + ratio - 1.0
+        over, bend = 1 / ratio, -1 / ratio**3
+    h[0, 0] += weight * over * variant.p_xx / limit
+    h[1, 1] += weight * over * variant.p_yy / limit
+    h[2, 2] += weight * over * variant.p_xy / limit
+    h[0, 1] += weight * over * variant.p_mixed / limit
+    h[1, 0] += weight * over * variant.p_mixed / limit
+    for i in range(3):
+        g[i] += weight * over * pull[i]
+        for j in range(3):
+            h[i, j] += weight * bend * pull[i] * pull[j] / limit
+    return limit * work
 
 
 @numba.njit(cache=True)

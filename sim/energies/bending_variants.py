@@ -35,6 +35,7 @@ import numpy as np
 
 from common.errors import InputError
 from common.types import Curvatures, FaceMask, StateVector
+from sim.energies.bending_law import Variant
 from sim.energies.midedge import MidEdgeBending
 from sim.material import BIAS, WARP, WEFT, Fabric, plate_constants, torque
 from sim.mesh import Mesh
@@ -94,80 +95,44 @@ class HystereticBending(MidEdgeBending):
         self, mesh: Mesh, active: FaceMask, *, fabric: Fabric, law: Hysteresis
     ) -> None:
         self._hysteresis = law
-        shape = (int(active.sum()), 3)
-        self.origin = np.zeros(shape) if law.origin is None else law.origin
-        if self.origin.shape != shape:
-            raise InputError(f"origin has shape {self.origin.shape}, this mesh needs {shape}; find "
-                             "its equilibrium with sim.equilibrium.find_equilibrium")
         super().__init__(mesh, active, fabric=fabric)
+        if law.origin is not None and law.origin.shape != self.origin.shape:
+            raise InputError(f"origin has shape {law.origin.shape}, this mesh needs "
+                             f"{self.origin.shape}; find its equilibrium with "
+                             "sim.equilibrium.find_equilibrium")
+        self.origin = self.origin if law.origin is None else law.origin
 
     def _set_fabric(self, fabric: Fabric) -> None:
         super()._set_fabric(fabric)
         law, friction = self._hysteresis, self._hysteresis.friction(fabric)
         a11, a22, a12, a66 = plate_constants(fabric.alpha)
         xx, yy, xy = law.curvature
-        self._moment = np.array([a11 * xx + a12 * yy, a12 * xx + a22 * yy, 4 * a66 * xy])
-        self._frictional = bool(friction.any())
-        if not self._frictional:
+        moment = a11 * xx + a12 * yy, a12 * xx + a22 * yy, 4 * a66 * xy
+        self.variant = Variant(*map(float, moment))
+        if not friction.any():
             return
         # A plate form exists only above this friction along the bias (sim.material.bias_limit).
         least = 0.51 * abs(friction[WARP] - friction[WEFT])
         friction[BIAS] = max(friction[BIAS], least)
         a11, a22, a12, a66 = plate_constants(friction**2)
-        self._form = np.array([[a11, a12, 0], [a12, a22, 0], [0, 0, 4 * a66]])
-        self._limit = BUILD_UP * law.at * float(friction.mean())
+        limit = BUILD_UP * law.at * float(friction.mean())
         if not law.added:
             # The elastic part of flat cloth keeps a positive stiffness.
             stiffness = float((friction**2 / fabric.alpha).max())
-            self._limit = max(self._limit, 1.25 * stiffness / _MAX_SHARE_OF_STIFFNESS)
+            limit = max(limit, 1.25 * stiffness / _MAX_SHARE_OF_STIFFNESS)
+        self.variant = self.variant._replace(
+            p_xx=a11, p_yy=a22, p_mixed=a12, p_xy=4 * a66, limit=limit, slid=1.0,
+            returned=0.0 if law.added else 1.0)
 
     def origin_at(self, q: StateVector) -> Curvatures:
         """S1 after the cloth has reached the state ``q``."""
-        if not self._frictional:
+        one = self.variant
+        if not one.slid:
             return self.origin
         curvatures = self.curvatures(q)
         change = curvatures - self.origin
-        size = np.sqrt(_quadratic(change, self._form))
-        kept = np.minimum(self._limit / np.maximum(size, 1e-300), 1.0)
+        x, y, z = change.T
+        size = np.sqrt(one.p_xx * x * x + 2 * one.p_mixed * x * y + one.p_yy * y * y
+                       + one.p_xy * z * z)
+        kept = np.minimum(one.limit / np.maximum(size, 1e-300), 1.0)
         return curvatures - kept[:, None] * change
-
-    def density(self, curvatures: Curvatures) -> np.ndarray:
-        total = super().density(curvatures) - curvatures @ self._moment
-        if self._frictional:
-            total = total + self._work(curvatures - self.origin)
-            if not self._hysteresis.added:
-                total -= self._work(curvatures)
-        return total
-
-    def stress(self, curvatures: Curvatures) -> tuple[np.ndarray, np.ndarray]:
-        stress, tangent = super().stress(curvatures)
-        stress = stress - self._moment
-        if self._frictional:
-            friction, stiffness = self._resistance(curvatures - self.origin)
-            stress, tangent = stress + friction, tangent + stiffness
-            if not self._hysteresis.added:
-                friction, stiffness = self._resistance(curvatures)
-                stress, tangent = stress - friction, tangent - stiffness
-        return stress, tangent
-
-    def _work(self, change: Curvatures) -> np.ndarray:
-        """Friction potential (N,), J/m², whose derivative is F."""
-        y = np.sqrt(_quadratic(change, self._form)) / self._limit
-        inside = np.minimum(y, 1.0)
-        return self._limit * (0.625 * inside**2 - inside**6 / 24 + y - inside)
-
-    def _resistance(self, change: Curvatures) -> tuple[np.ndarray, np.ndarray]:
-        """F (N, 3), N, and its derivatives (N, 3, 3), N·m."""
-        y = np.sqrt(_quadratic(change, self._form)) / self._limit
-        inside = y < 1.0
-        pull = change @ self._form / self._limit
-        over = np.where(inside, 1.25 - 0.25 * y**4, 1 / np.maximum(y, 1.0))  # f(y)/y
-        bend = np.where(inside, -y**2, -1 / np.maximum(y, 1.0) ** 3)  # (f'(y) - f(y)/y)/y²
-        dyad = pull[:, :, None] * pull[:, None, :]
-        tangent = over[:, None, None] * self._form + bend[:, None, None] * dyad
-        return over[:, None] * pull, tangent / self._limit
-
-
-def _quadratic(change: Curvatures, form: np.ndarray) -> np.ndarray:
-    """C : P : C (N,) of changes of curvature C with the form P (3, 3)."""
-    return ((change @ form) * change).sum(axis=1)

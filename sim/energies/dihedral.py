@@ -23,74 +23,50 @@ def angle(x):
     return np.arctan2(-sine, nx * mx + ny * my + nz * mz)
 
 
-@numba.njit(cache=True)
-def add_side_gradient(x, corner, sign, g):
-    """Add to g (4, 3) the derivatives of one triangle's rotation about the edge by its corners,
-    relative to a frame transported with the edge; ``corner`` 2 has the ``sign`` 1, 3 the sign -1.
-    """
-    ex, ey, ez = x[1, 0] - x[0, 0], x[1, 1] - x[0, 1], x[1, 2] - x[0, 2]
+@numba.njit(inline="always")
+def side_gradient(start, end, corner):
+    """Derivatives of the rotation of the triangle (start, end, corner) about its edge start-end,
+    relative to a frame transported with the edge: factors of those by start and by end to that by
+    the corner, and the three components of the latter. Each point is (3,)."""
+    ex, ey, ez = end[0] - start[0], end[1] - start[1], end[2] - start[2]
+    ax, ay, az = corner[0] - start[0], corner[1] - start[1], corner[2] - start[2]
     ee = ex * ex + ey * ey + ez * ez
-    ax, ay, az = x[corner, 0] - x[0, 0], x[corner, 1] - x[0, 1], x[corner, 2] - x[0, 2]
     nx, ny, nz = ey * az - ez * ay, ez * ax - ex * az, ex * ay - ey * ax
-    scale = -sign * np.sqrt(ee) / (nx * nx + ny * ny + nz * nz)
-    at_corner = scale * nx, scale * ny, scale * nz
+    scale = -np.sqrt(ee) / (nx * nx + ny * ny + nz * nz)
     t = (ax * ex + ay * ey + az * ez) / ee
-    for k in range(3):
-        g[corner, k] += at_corner[k]
-        g[1, k] -= t * at_corner[k]
-        g[0, k] -= (1.0 - t) * at_corner[k]
+    return t - 1.0, -t, scale * nx, scale * ny, scale * nz
 
 
-@numba.njit(cache=True)
-def add_side_hessian(x, corner, sign, weight, first, frame, block):
-    """Add ``weight`` times one triangle's part of the second derivatives of the angle.
+@numba.njit(inline="always")
+def add_side_bends(edge, arm, weight, order, bends):
+    """Add ``weight`` times the second derivatives of the rotation of :func:`side_gradient`.
 
-    ``corner`` and ``sign`` are those of :func:`add_side_gradient`. The rows and columns of corner c
-    in ``block`` start at first[c]; ``frame`` (3, 3) is scratch memory.
+    ``edge`` and ``arm`` (3,) are the vectors from the start to end and corner. ``order`` (3,)
+    places start, end and corner in ``bends`` (P, P, 3): with n the unit normal, the second
+    derivatives by two points p and r are n w_pr^T + w_rp n^T with the vectors w of the plane.
 
-    With n its unit normal, u along the edge of length l, m from the edge to the opposite
-    ``corner`` (2 or 3) at the height d, and t the foot of that height on the edge, the gradient
-    at the corner is g = -n/d, and those at x1 and x0 are -t g and -(1 - t) g. Only n, d and t vary,
-    which gives three dyads:
-
-        A = (n m^T + m n^T)/d²,   B = n u^T/(d l),   M = (n m^T + m n^T)/(2 l²).
-
-    M is the symmetric part of n m^T/l²; the skew part cancels between the two triangles.
+    With u along the edge of length l, m from the edge to the corner at the height d, and t the foot
+    of that height on the edge, the gradient at the corner is g = -n/d, and those at end and start
+    are -t g and -(1 - t) g. Only n, d and t vary, which gives vectors of three kinds: m/d²,
+    u/(d l), and m/(2 l²), the symmetric part of m/l²; the skew part cancels between the two
+    triangles at an edge.
     """
-    n, m, u = frame[0], frame[1], frame[2]
-    ee = ae = 0.0
-    for k in range(3):
-        u[k] = x[1, k] - x[0, k]
-        m[k] = x[corner, k] - x[0, k]
-        ee += u[k] * u[k]
-        ae += u[k] * m[k]
-    n[0] = sign * (u[1] * m[2] - u[2] * m[1])
-    n[1] = sign * (u[2] * m[0] - u[0] * m[2])
-    n[2] = sign * (u[0] * m[1] - u[1] * m[0])
-    double_area = np.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
-    length = np.sqrt(ee)
-    height = double_area / length
-    t = ae / ee
-    for k in range(3):
-        n[k] /= double_area
-        m[k] = (m[k] - t * u[k]) / height
-        u[k] /= length
+    square = edge[0] * edge[0] + edge[1] * edge[1] + edge[2] * edge[2]
+    t = (arm[0] * edge[0] + arm[1] * edge[1] + arm[2] * edge[2]) / square
     r = 1.0 - t
-    by_height = weight / (height * height)
-    by_both = weight / (height * length)
-    by_length = 0.5 * weight / ee
-    p0, p1, c = first[0], first[1], first[corner]
-    for i in range(3):
-        for j in range(3):
-            dyad = n[i] * m[j] + m[i] * n[j]
-            a, mixed = by_height * dyad, by_length * dyad
-            b, transposed = by_both * n[i] * u[j], by_both * u[i] * n[j]
-            block[c + i, c + j] += a
-            block[p1 + i, c + j] += b - t * a
-            block[c + i, p1 + j] += transposed - t * a
-            block[p0 + i, c + j] -= r * a + b
-            block[c + i, p0 + j] -= r * a + transposed
-            block[p1 + i, p1 + j] += t * t * a - t * (b + transposed) + mixed
-            block[p1 + i, p0 + j] += t * r * a - r * b + t * transposed - mixed
-            block[p0 + i, p1 + j] += t * r * a - r * transposed + t * b - mixed
-            block[p0 + i, p0 + j] += r * r * a + r * (b + transposed) + mixed
+    up = arm[0] - t * edge[0], arm[1] - t * edge[1], arm[2] - t * edge[2]
+    height = np.sqrt(up[0] * up[0] + up[1] * up[1] + up[2] * up[2])
+    start, end, corner = order
+    for k in range(3):
+        high = weight * up[k] / height**3  # m/d²
+        long = weight * edge[k] / (height * square)  # u/(d l)
+        mixed = 0.5 * weight * up[k] / (height * square)  # m/(2 l²)
+        bends[corner, corner, k] += high
+        bends[corner, end, k] -= t * high
+        bends[end, corner, k] += long - t * high
+        bends[corner, start, k] -= r * high
+        bends[start, corner, k] -= long + r * high
+        bends[end, end, k] += t * (t * high - long) + mixed
+        bends[end, start, k] += r * (t * high - long) - mixed
+        bends[start, end, k] += t * (r * high + long) - mixed
+        bends[start, start, k] += r * (r * high + long) + mixed

@@ -1,9 +1,10 @@
 """External forces: the weight of the cloth, and contact with the solid under the plate."""
 
+import numba
 import numpy as np
 
 from common.types import Density, StateVector
-from sim.energies.base import Energy, StateCache
+from sim.energies.base import CompiledEnergy, Energy
 from sim.mesh import Mesh
 from sim.rig import Cylinder
 
@@ -29,7 +30,7 @@ DEPTH = 0.002
 """Depth, relative to the radius of the plate, at which an obstacle exerts its nominal pressure."""
 
 
-class ObstacleContact(Energy):
+class ObstacleContact(CompiledEnergy):
     """Penalty A p d³/(3 s²) on the depth d of points of the cloth in an obstacle.
 
     The pressure p at depth s supports the cloth; the cubic keeps the Hessian continuous at first
@@ -41,39 +42,64 @@ class ObstacleContact(Energy):
         self, vertices: np.ndarray, areas: np.ndarray, *, obstacle: Cylinder, pressure: float
     ) -> None:
         self.dofs = (3 * vertices[:, :, None] + np.arange(3)).reshape(len(vertices), -1)
-        self._count, self._share = vertices.shape[1], 1.0 / vertices.shape[1]
+        self._share = 1.0 / vertices.shape[1]
         self._scale = areas * pressure / (DEPTH * obstacle.radius) ** 2  # (N,) N/m²
         self._obstacle = obstacle
-        self._touching = StateCache()
 
-    def value(self, q: StateVector) -> float:
-        touching, _, depth = self._touching.at(q, self._find_contacts)
+    def _add_forces(self, q: StateVector, targets: np.ndarray, forces: np.ndarray) -> float:
+        touching, points, depth = self._find_contacts(q)
+        push = -self._share * self._scale[touching] * depth**2
+        _add_to_ends(forces, targets[touching], push[:, None] * self._obstacle.normals(points))
         return float(self._scale[touching] @ depth**3) / 3
 
-    def gradient(self, q: StateVector) -> np.ndarray:
-        touching, points, depth = self._touching.at(q, self._find_contacts)
-        normal = self._obstacle.normals(points)
-        force = -(self._share * self._scale[touching] * depth**2)[:, None] * normal
-        result = np.zeros(self.dofs.shape)
-        result[touching] = np.tile(force, self._count)
-        return result
-
-    def hessian(self, q: StateVector, convex: bool = False) -> np.ndarray:
-        touching, points, depth = self._touching.at(q, self._find_contacts)
+    def add_stiffness(
+        self, q: StateVector, slots: np.ndarray, exact: np.ndarray, convex: np.ndarray
+    ) -> None:
+        touching, points, depth = self._find_contacts(q)
         normal = self._obstacle.normals(points)
         scale = (self._share**2 * self._scale[touching] * depth)[:, None, None]
         block = 2.0 * scale * normal[:, :, None] * normal[:, None, :]
-        if not convex:
+        if len(convex):
+            _add_between_ends(convex, slots[touching], block)
+        if len(exact):
             # Curvature of the surface: the direction of the force changes along it.
             block += scale * depth[:, None, None] * self._obstacle.depth_hessians(points)
-        result = np.zeros((*self.dofs.shape, self.dofs.shape[1]))
-        result[touching] = np.tile(block, (1, self._count, self._count))
-        return result
+            _add_between_ends(exact, slots[touching], block)
 
     def _find_contacts(self, q: StateVector) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Indices (M,) of the elements in contact, their points (M, 3) and depths (M,)."""
-        corners = q[self.dofs].reshape(len(self.dofs), -1, 3)
-        points = self._share * sum(corners[:, k] for k in range(self._count))
+        points = _mean_points(q, self.dofs)
         depth = self._obstacle.depths(points)
         touching = np.flatnonzero(depth > 0.0)
         return touching, points[touching], depth[touching]
+
+
+@numba.njit(cache=True)
+def _mean_points(q, dofs):
+    """Means (N, 3) of the vertices of each element."""
+    points, share = np.zeros((len(dofs), 3)), 3.0 / dofs.shape[1]
+    for t in range(len(dofs)):
+        for k in range(dofs.shape[1]):
+            points[t, k % 3] += share * q[dofs[t, k]]
+    return points
+
+
+@numba.njit(cache=True)
+def _add_to_ends(forces, targets, force):
+    """Add the ``force`` (M, 3) of each element to each of its vertices."""
+    for t in range(len(targets)):
+        for k in range(targets.shape[1]):
+            forces[targets[t, k]] += force[t, k % 3]
+
+
+@numba.njit(cache=True)
+def _add_between_ends(data, slots, block):
+    """Add the ``block`` (M, 3, 3) of each element to all pairs of its one or two vertices."""
+    size = 3 if slots.shape[1] == 6 else 6
+    for t in range(len(slots)):
+        pair = 0
+        for a in range(size):
+            for b in range(a, size):
+                if slots[t, pair] >= 0:
+                    data[slots[t, pair]] += block[t, a % 3, b % 3]
+                pair += 1

@@ -10,6 +10,7 @@ which is twice continuously differentiable and unbounded. A converged drape in w
 acts is not resolved by its mesh.
 """
 
+import numba
 import numpy as np
 
 LIMIT_START = 0.76  # of the pole: 2.4 rad between two triangles
@@ -21,35 +22,28 @@ def is_bent(angle: np.ndarray, pole: np.ndarray | float) -> np.ndarray:
     return np.abs(angle) > LIMIT_START * pole
 
 
-def barrier(
-    angle: np.ndarray, pole: np.ndarray | float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The barrier and its first two derivatives by ``angle`` (rad), each shaped like it. Angles
-    without a ``pole``, rad, have an infinite one."""
-    value, slope, bend = np.zeros((3, *np.shape(angle)))
-    bent = is_bent(angle, pole)
-    if bent.any():
-        pole = np.broadcast_to(pole, bent.shape)[bent]
-        over, remaining = np.abs(angle[bent]) - LIMIT_START * pole, pole - np.abs(angle[bent])
-        with np.errstate(invalid="ignore", divide="ignore"):
-            logarithm = np.log(remaining / ((1 - LIMIT_START) * pole))
-            value[bent] = -(over**2) * logarithm
-            slope[bent] = np.sign(angle[bent]) * (over**2 / remaining - 2.0 * over * logarithm)
-            bend[bent] = 4.0 * over / remaining + (over / remaining) ** 2 - 2.0 * logarithm
-    return value, slope, bend
+@numba.njit(inline="always")
+def barrier_at(angle, pole):
+    """The barrier and its first two derivatives by ``angle``, rad; an infinite ``pole``: none."""
+    over = abs(angle) - LIMIT_START * pole
+    if not over > 0.0:
+        return 0.0, 0.0, 0.0
+    remaining = pole - abs(angle)
+    logarithm = np.log(remaining / ((1 - LIMIT_START) * pole))
+    return (-over * over * logarithm,
+            np.sign(angle) * (over * over / remaining - 2.0 * over * logarithm),
+            4.0 * over / remaining + (over / remaining) ** 2 - 2.0 * logarithm)
 
 
-def keeps_distance(before: np.ndarray, after: np.ndarray, pole: np.ndarray | float) -> bool:
-    """Whether a step, by less than pi, keeps the angles (...,), rad, from their poles.
+@numba.njit(inline="always")
+def keeps_distance(before, after, pole):
+    """Whether a step, by less than pi, keeps an angle, rad, from its ``pole``.
 
     An angle may neither pass its pole nor cover most of the distance to it in one step: without
     this fraction-to-boundary rule, a step can end too close to the pole for later steps to return.
     """
-    turn = np.remainder(after - before + np.pi, 2 * np.pi) - np.pi
-    reached = np.abs(before + turn)  # beyond pi where the angle has jumped
-    near = is_bent(reached, pole)
-    if not near.any():
+    turn = (after - before + np.pi) % (2 * np.pi) - np.pi
+    reached = abs(before + turn)  # beyond pi where the angle has jumped
+    if not reached > LIMIT_START * pole:
         return True
-    pole = np.broadcast_to(pole, near.shape)[near]
-    distance = np.minimum(pole - np.abs(before[near]), (1 - LIMIT_START) * pole)
-    return bool((pole - reached[near] >= MIN_REMAINING * distance).all())
+    return pole - reached >= MIN_REMAINING * min(pole - abs(before), (1 - LIMIT_START) * pole)

@@ -34,7 +34,7 @@ import numpy as np
 from common.types import FaceMask, StateVector
 from sim.energies import dihedral
 from sim.energies.base import Energy
-from sim.energies.fold_barrier import barrier, keeps_distance
+from sim.energies.fold_barrier import barrier_at, keeps_distance
 from sim.material import BIAS, WARP, WEFT, Fabric, bending_work
 from sim.mesh import Mesh
 
@@ -106,16 +106,32 @@ class DihedralBending(Energy):
 
     def allows(self, old: StateVector, new: StateVector) -> bool:
         """False if a hinge folds through itself, or covers most of the distance to it."""
-        return keeps_distance(hinge_angles(old, self.dofs), hinge_angles(new, self.dofs), np.pi)
+        return _keep_distance(hinge_angles(old, self.dofs), hinge_angles(new, self.dofs))
 
     def _of_angles(self, q: StateVector) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(N,) energies, J, and their first two derivatives by the dihedral angles."""
         angle = hinge_angles(q, self.dofs)
         work, torque, tangent = bending_work(self._spread * np.abs(angle), self._alpha, self._beta)
-        value, slope, bend = barrier(angle, np.pi)
+        value, slope, bend = _barrier(angle).T
         return (self._areas * work + self._barrier * value,
                 self._lengths * np.sign(angle) * torque + self._barrier * slope,
                 self._lengths * self._spread * tangent + self._barrier * bend)
+
+
+@numba.njit(cache=True)
+def _barrier(angle):
+    result = np.empty((len(angle), 3))
+    for t in range(len(angle)):
+        result[t] = barrier_at(angle[t], np.pi)
+    return result
+
+
+@numba.njit(cache=True)
+def _keep_distance(before, after):
+    for t in range(len(before)):
+        if not keeps_distance(before[t], after[t], np.pi):
+            return False
+    return True
 
 
 @numba.njit(cache=True)
@@ -137,8 +153,13 @@ def _angle_gradients(q, dofs):
     for t in range(len(dofs)):
         _load(q, dofs[t], x)
         g[:, :] = 0.0
-        dihedral.add_side_gradient(x, 2, 1.0, g)
-        dihedral.add_side_gradient(x, 3, -1.0, g)
+        for corner in (2, 3):  # the edge has opposite senses in the two triangles
+            start, end = corner - 2, 3 - corner
+            side = dihedral.side_gradient(x[start], x[end], x[corner])
+            for k in range(3):
+                g[corner, k] += side[2 + k]
+                g[start, k] += side[0] * side[2 + k]
+                g[end, k] += side[1] * side[2 + k]
         result[t] = g.ravel()
     return result
 
@@ -146,12 +167,22 @@ def _angle_gradients(q, dofs):
 @numba.njit(cache=True)
 def _add_angle_hessians(q, dofs, slope, blocks):
     """Add to blocks (N, 12, 12) the second derivatives of the angles times ``slope`` (N,)."""
-    x, frame = np.empty((4, 3)), np.empty((3, 3))
-    first = (0, 3, 6, 9)
+    x, bends = np.empty((4, 3)), np.empty((4, 4, 3))
     for t in range(len(dofs)):
         _load(q, dofs[t], x)
-        dihedral.add_side_hessian(x, 2, 1.0, slope[t], first, frame, blocks[t])
-        dihedral.add_side_hessian(x, 3, -1.0, slope[t], first, frame, blocks[t])
+        for corner in (2, 3):
+            start, end = corner - 2, 3 - corner
+            edge, arm = x[end] - x[start], x[corner] - x[start]
+            unit = np.cross(edge, arm)
+            unit /= np.sqrt(unit @ unit)
+            bends[:] = 0.0
+            dihedral.add_side_bends(edge, arm, slope[t], (start, end, corner), bends)
+            for a in range(4):
+                for b in range(4):
+                    for k in range(3):
+                        for m in range(3):
+                            blocks[t, 3 * a + k, 3 * b + m] += (
+                                unit[k] * bends[a, b, m] + bends[b, a, k] * unit[m])
 
 
 @numba.njit(inline="always")

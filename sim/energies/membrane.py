@@ -15,8 +15,9 @@ import numpy as np
 
 from common.errors import InputError
 from common.types import FaceMask, StateVector
-from sim.energies.base import Energy, raise_eigenvalues
+from sim.energies.base import CompiledEnergy, Energy, raise_eigenvalues
 from sim.mesh import Mesh
+from sim.solver.linear import add_block
 
 _TOLERANCE = 1e-9  # difference of stretches below which they count as equal
 
@@ -24,12 +25,11 @@ _TOLERANCE = 1e-9  # difference of stretches below which they count as equal
 class StrainLaw(Protocol):
     """Energy per rest area as a function of a strain."""
 
-    def density(self, strain: np.ndarray) -> np.ndarray: ...  # (N,) J/m²
-    def stress(self, strain: np.ndarray) -> np.ndarray: ...  # (N, K) first derivative, N/m
-    def tangent(self, strain: np.ndarray) -> np.ndarray: ...  # (N, K, K) second derivative, N/m
+    def response(self, strain: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Density (N,), J/m², stress (N, K), N/m, and tangent (N, K, K), N/m, the derivatives."""
 
 
-class StrainMembrane(Energy):
+class StrainMembrane(CompiledEnergy):
     """Rest area times the density of a :class:`StrainLaw`, for every triangle.
 
     The Hessian is B^T C B with the law's tangent C and the strain's derivative B, plus the stress
@@ -46,20 +46,22 @@ class StrainMembrane(Energy):
         inverse = np.linalg.inv(np.stack([b - a, c - a], axis=-1))
         self._shape = np.concatenate([-inverse.sum(1, keepdims=True), inverse], axis=1)
 
-    def value(self, q: StateVector) -> float:
-        return float(self.areas @ self._law.density(self.strains(q)))
+    def _add_forces(self, q: StateVector, targets: np.ndarray, forces: np.ndarray) -> float:
+        density, stress, _ = self._law.response(self.strains(q))
+        _add_forces(q, self.dofs, self._shape, self.areas, stress, targets, forces)
+        return float(self.areas @ density)
 
-    def gradient(self, q: StateVector) -> np.ndarray:
-        stress = self._law.stress(self.strains(q))
-        return _gradient(q, self.dofs, self._shape, self.areas, stress)
-
-    def hessian(self, q: StateVector, convex: bool = False) -> np.ndarray:
-        strain = self.strains(q)
-        stress, tangent = self._law.stress(strain), self._law.tangent(strain)
-        if convex:
-            stress, tangent = _tension(stress), np.array(tangent)
+    def add_stiffness(
+        self, q: StateVector, slots: np.ndarray, exact: np.ndarray, convex: np.ndarray
+    ) -> None:
+        _, stress, tangent = self._law.response(self.strains(q))
+        terms = q, self.dofs, self._shape, self.areas
+        if len(exact):
+            _add_stiffness(*terms, stress, tangent, slots, exact)
+        if len(convex):
+            tangent = np.array(tangent)
             raise_eigenvalues(tangent, 0.0)
-        return _hessian(q, self.dofs, self._shape, self.areas, stress, tangent)
+            _add_stiffness(*terms, _tension(stress), tangent, slots, convex)
 
     def strains(self, q: StateVector) -> np.ndarray:
         """(N, 3) Green strains E_uu, E_vv, 2 E_uv of the triangles."""
@@ -80,19 +82,10 @@ class OfStretches:
     def __init__(self, law: StrainLaw) -> None:
         self._law = law
 
-    def density(self, strain: np.ndarray) -> np.ndarray:
-        return self._law.density(_principal(strain)[0] - 1.0)
-
-    def stress(self, strain: np.ndarray) -> np.ndarray:
+    def response(self, strain: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         s, turn = _principal(strain)
-        first, second = (self._law.stress(s - 1.0) / s).T
-        mean, half = (first + second) / 2, (first - second) / 2
-        return np.column_stack([mean + half * turn[:, 0], mean - half * turn[:, 0],
-                                half * turn[:, 1]])
-
-    def tangent(self, strain: np.ndarray) -> np.ndarray:
-        s, turn = _principal(strain)
-        return _tangent(s, turn, self._law.stress(s - 1.0), self._law.tangent(s - 1.0))
+        density, p, pp = self._law.response(s - 1.0)
+        return density, *_of_stretches(s, turn, p, pp)
 
 
 def _tension(stress: np.ndarray) -> np.ndarray:
@@ -122,16 +115,20 @@ def _principal(strain):
 
 
 @numba.njit(cache=True)
-def _tangent(stretches, turn, p, pp):
-    """Tangents (N, 3, 3) of a law with derivatives p (N, 2) and pp (N, 2, 2) by the stretches."""
-    result = np.empty((len(p), 3, 3))
+def _of_stretches(stretches, turn, p, pp):
+    """Stresses (N, 3) and tangents (N, 3, 3) of a law with derivatives p (N, 2) and pp (N, 2, 2) by
+    the stretches."""
+    stress, tangent = np.empty((len(p), 3)), np.empty((len(p), 3, 3))
     axes = np.empty((3, 3))  # derivatives of principal strains and axis rotation by the strain
     for t in range(len(p)):
         cosine, sine = turn[t]
-        axes[0] = (1.0 + cosine) / 2.0, (1.0 - cosine) / 2.0, sine / 2.0
-        axes[1] = (1.0 - cosine) / 2.0, (1.0 + cosine) / 2.0, -sine / 2.0
-        axes[2] = -sine / 2.0, sine / 2.0, cosine / 2.0
         a, b = stretches[t]
+        mean, half = (p[t, 0] / a + p[t, 1] / b) / 2, (p[t, 0] / a - p[t, 1] / b) / 2
+        stress[t, 0], stress[t, 1] = mean + half * cosine, mean - half * cosine
+        stress[t, 2] = half * sine
+        axes[0, 0], axes[0, 1], axes[0, 2] = (1.0 + cosine) / 2.0, (1.0 - cosine) / 2.0, sine / 2.0
+        axes[1, 0], axes[1, 1], axes[1, 2] = (1.0 - cosine) / 2.0, (1.0 + cosine) / 2.0, -sine / 2.0
+        axes[2, 0], axes[2, 1], axes[2, 2] = -sine / 2.0, sine / 2.0, cosine / 2.0
         apart = a - b
         slope = (p[t, 0] - p[t, 1]) / apart if apart > _TOLERANCE else pp[t, 0, 0] - pp[t, 0, 1]
         first = (pp[t, 0, 0] - p[t, 0] / a) / (a * a)
@@ -140,12 +137,12 @@ def _tangent(stretches, turn, p, pp):
         turning = 4.0 * (slope * b - p[t, 1]) / (a * b * (a + b))
         for i in range(3):
             for j in range(3):
-                result[t, i, j] = (
+                tangent[t, i, j] = (
                     first * axes[0, i] * axes[0, j] + second * axes[1, i] * axes[1, j]
                     + mixed * (axes[0, i] * axes[1, j] + axes[1, i] * axes[0, j])
                     + turning * axes[2, i] * axes[2, j]
                 )
-    return result
+    return stress, tangent
 
 
 @numba.njit(cache=True)
@@ -187,21 +184,18 @@ def _strain_rows(q, dofs, shape, f, b):
 
 
 @numba.njit(cache=True)
-def _gradient(q, dofs, shape, areas, stress):
-    result = np.empty((len(dofs), 9))
+def _add_forces(q, dofs, shape, areas, stress, targets, forces):
     f, b = np.empty((3, 2)), np.empty((3, 9))
     for t in range(len(dofs)):
         _strain_rows(q, dofs[t], shape[t], f, b)
         for j in range(9):
-            result[t, j] = areas[t] * (stress[t, 0] * b[0, j] + stress[t, 1] * b[1, j]
-                                       + stress[t, 2] * b[2, j])
-    return result
+            forces[targets[t, j]] += areas[t] * (
+                stress[t, 0] * b[0, j] + stress[t, 1] * b[1, j] + stress[t, 2] * b[2, j])
 
 
 @numba.njit(cache=True)
-def _hessian(q, dofs, shape, areas, stress, tangent):
-    result = np.empty((len(dofs), 9, 9))
-    f, b, cb = np.empty((3, 2)), np.empty((3, 9)), np.empty((3, 9))
+def _add_stiffness(q, dofs, shape, areas, stress, tangent, slots, data):
+    f, b, cb, block = np.empty((3, 2)), np.empty((3, 9)), np.empty((3, 9)), np.empty((9, 9))
     for t in range(len(dofs)):
         _strain_rows(q, dofs[t], shape[t], f, b)
         for m in range(3):
@@ -210,16 +204,15 @@ def _hessian(q, dofs, shape, areas, stress, tangent):
                                        + tangent[t, m, 2] * b[2, j])
         for i in range(9):
             for j in range(i, 9):
-                h = b[0, i] * cb[0, j] + b[1, i] * cb[1, j] + b[2, i] * cb[2, j]
-                result[t, i, j] = result[t, j, i] = h
+                block[i, j] = b[0, i] * cb[0, j] + b[1, i] * cb[1, j] + b[2, i] * cb[2, j]
         for a in range(3):
             wu = areas[t] * (stress[t, 0] * shape[t, a, 0] + stress[t, 2] * shape[t, a, 1])
             wv = areas[t] * (stress[t, 2] * shape[t, a, 0] + stress[t, 1] * shape[t, a, 1])
-            for c in range(3):
+            for c in range(a, 3):
                 h = wu * shape[t, c, 0] + wv * shape[t, c, 1]
                 for i in range(3):
-                    result[t, 3 * a + i, 3 * c + i] += h
-    return result
+                    block[3 * a + i, 3 * c + i] += h
+        add_block(data, slots[t], block)
 
 
 class Membrane(Protocol):
@@ -240,14 +233,10 @@ class _Linear:
     def energy(self, mesh: Mesh, active: FaceMask) -> Energy:
         return StrainMembrane(mesh, active, self)
 
-    def density(self, strain: np.ndarray) -> np.ndarray:
-        return 0.5 * np.einsum("ni,ni->n", strain, self.stress(strain))
-
-    def stress(self, strain: np.ndarray) -> np.ndarray:
-        return strain @ self.matrix
-
-    def tangent(self, strain: np.ndarray) -> np.ndarray:
-        return np.broadcast_to(self.matrix, (len(strain), *self.matrix.shape))
+    def response(self, strain: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        stress = strain @ self.matrix
+        density = 0.5 * np.einsum("ni,ni->n", strain, stress)
+        return density, stress, np.broadcast_to(self.matrix, (len(strain), *self.matrix.shape))
 
 
 @dataclass(frozen=True)

@@ -24,16 +24,18 @@ import numpy as np
 
 from common.types import Curvatures, FaceMask, StateVector
 from sim.energies import bending_law, dihedral, fold_barrier
-from sim.energies.base import Energy, StateCache, raise_eigenvalues
+from sim.energies.base import CompiledEnergy, raise_eigenvalue
 from sim.material import Fabric
 from sim.mesh import Mesh
+from sim.solver.linear import add_block
 
+_compiled = numba.njit(cache=True, error_model="numpy")
 CONVEX_FLOOR = 0.1  # minimum tangent stiffness of the convex Hessian, relative to that at rest
 CLAMP = 6 / 5
 """Stiffness of the row of triangles at clamped edges, relative to that of their area."""
 
 
-class MidEdgeBending(Energy):
+class MidEdgeBending(CompiledEnergy):
     """Plate energy of the active triangles, those not entirely held, with the barrier.
 
     One element is a triangle with 12 unknowns: the coordinates of its corners and the rotations of
@@ -57,12 +59,12 @@ class MidEdgeBending(Energy):
         pole = np.where(clamped, np.pi, np.pi / 2)
         self.pole = np.where(boundary, np.inf, pole)
         self._slenderness = mesh.edge_lengths[edges] ** 2 / (2 * mesh.areas[active])[:, None]  # e/h
-        self._angles = StateCache()
+        self.origin: Curvatures = np.zeros((len(faces), 3))  # see bending_variants
         self._set_fabric(fabric)
 
     def _set_fabric(self, fabric: Fabric) -> None:
         """Set the attributes that depend on the fabric."""
-        self.law = bending_law.constants(fabric)
+        self.law, self.variant = bending_law.constants(fabric), bending_law.PLAIN
         self._barrier = fabric.alpha.min() * self._slenderness
 
     def with_fabric(self, fabric: Fabric) -> "MidEdgeBending":
@@ -71,51 +73,35 @@ class MidEdgeBending(Energy):
         other._set_fabric(fabric)
         return other
 
-    def value(self, q: StateVector) -> float:
-        return _total(self.areas, self.density(self.curvatures(q))) + self._fold(q)[0]
+    def _add_forces(self, q: StateVector, targets: np.ndarray, forces: np.ndarray) -> float:
+        return _add_forces(q, self._corners, self._normals, self._sign, self.maps, self.areas,
+                           self._barrier, self.pole, self.origin, self.law, self.variant, targets,
+                           forces)
 
-    def gradient(self, q: StateVector) -> np.ndarray:
-        stress, _ = self.stress(self.curvatures(q))
-        return _gradient(q, self._corners, self._sign, self._moments(q, stress))
-
-    def hessian(self, q: StateVector, convex: bool = False) -> np.ndarray:
-        stress, tangent = self.stress(self.curvatures(q))
-        if convex:
-            # Edge rotations have no other stiffness: the lower bound must be positive.
-            law = self.law
-            raise_eigenvalues(tangent, CONVEX_FLOOR * min(law.A11, law.A22, 4.0 * law.A66))
-        moments = None if convex else self._moments(q, stress)
-        return _hessian(q, self._corners, self._sign, self.maps, self.areas, tangent,
-                        self._fold(q)[2], moments)
+    def add_stiffness(
+        self, q: StateVector, slots: np.ndarray, exact: np.ndarray, convex: np.ndarray
+    ) -> None:
+        # Edge rotations have no other stiffness: the convex form's lower bound must be positive.
+        floor = CONVEX_FLOOR * min(self.law.A11, self.law.A22, 4.0 * self.law.A66)
+        _add_stiffness(q, self._corners, self._normals, self._sign, self.maps, self.areas,
+                       self._barrier, self.pole, self.origin, self.law, self.variant, floor, slots,
+                       exact, convex)
 
     def allows(self, old: StateVector, new: StateVector) -> bool:
-        return fold_barrier.keeps_distance(self.angles(old), self.angles(new), self.pole)
+        return _keep_distance(old, new, self._corners, self._normals, self.pole)
 
     def angles(self, q: StateVector) -> np.ndarray:
         """Angles phi (N, 3), rad."""
-        return self._angles.at(q, lambda q: _angles(q, self._corners, self._normals))
+        return _angles(q, self._corners, self._normals)
 
     def curvatures(self, q: StateVector) -> Curvatures:
         """Shape operators of the active triangles."""
-        return _mapped(self.maps, self.angles(q))
+        return np.einsum("nai,ni->na", self.maps, self.angles(q))
 
-    def density(self, curvatures: Curvatures) -> np.ndarray:
-        """Energies (N,), J/m²."""
-        return bending_law.energies(curvatures, self.law)
-
-    def stress(self, curvatures: Curvatures) -> tuple[np.ndarray, np.ndarray]:
-        """First (N, 3), N, and second (N, 3, 3), N·m, derivatives of :meth:`density`."""
-        return bending_law.stresses(curvatures, self.law)
-
-    def _moments(self, q: StateVector, stress: np.ndarray) -> np.ndarray:
-        """Derivatives (N, 3) of the energy by the angles phi, J/rad."""
-        moments = self.areas[:, None] * np.einsum("nai,na->ni", self.maps, stress)
-        return moments + self._fold(q)[1]
-
-    def _fold(self, q: StateVector) -> tuple[float, np.ndarray, np.ndarray]:
-        """The barrier's energy, J, and its derivatives (N, 3) by the angles phi."""
-        value, slope, bend = fold_barrier.barrier(self.angles(q), self.pole)
-        return float((self._barrier * value).sum()), self._barrier * slope, self._barrier * bend
+    def response(self, curvatures: Curvatures) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Energies (N,), J/m², of the active triangles, and first (N, 3), N, and second (N, 3, 3),
+        N·m, derivatives by their curvatures."""
+        return _responses(curvatures, self.origin, self.law, self.variant)
 
 
 def bending_areas(mesh: Mesh, active: FaceMask, clamped: np.ndarray) -> np.ndarray:
@@ -159,109 +145,175 @@ def curvature_maps(mesh: Mesh) -> np.ndarray:
 
 
 @numba.njit(inline="always")
-def _load(q, corners, i, x):
-    """Copy a triangle's corners to x: start and end of the edge opposite corner i, then i."""
-    for place, corner in enumerate(((i + 1) % 3, (i + 2) % 3, i)):
-        for k in range(3):
-            x[place, k] = q[corners[3 * corner + k]]
+def _cross(a, b):
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@numba.njit(cache=True)
+@numba.njit(inline="always")
+def _dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@numba.njit(inline="always")
+def _side(q, corners, i):
+    """The vector along the edge opposite corner i, and that from its start to the corner."""
+    start, end, at = corners[3 * ((i + 1) % 3)], corners[3 * ((i + 2) % 3)], corners[3 * i]
+    return ((q[end] - q[start], q[end + 1] - q[start + 1], q[end + 2] - q[start + 2]),
+            (q[at] - q[start], q[at + 1] - q[start + 1], q[at + 2] - q[start + 2]))
+
+
+@numba.njit(inline="always")
+def _inclined(q, normal, edge, across):
+    """Components of the edge's normal, at ``normal`` in q, outwards and up, times a common factor;
+    ``across`` is normal to the triangle."""
+    unit = q[normal], q[normal + 1], q[normal + 2]
+    # e × N points outwards and has |e| times the length of N.
+    return _dot(unit, _cross(edge, across)), np.sqrt(_dot(edge, edge)) * _dot(unit, across)
+
+
+@_compiled
 def _angles(q, corners, normals):
     phi = np.empty((len(corners), 3))
-    x = np.empty((3, 3))
     for t in range(len(corners)):
         for i in range(3):
-            _load(q, corners[t], i, x)
-            ex, ey, ez = x[1, 0] - x[0, 0], x[1, 1] - x[0, 1], x[1, 2] - x[0, 2]
-            ax, ay, az = x[2, 0] - x[0, 0], x[2, 1] - x[0, 1], x[2, 2] - x[0, 2]
-            nx, ny, nz = ey * az - ez * ay, ez * ax - ex * az, ex * ay - ey * ax
-            # e × N points outwards and has |e| times the length of N.
-            ox, oy, oz = ey * nz - ez * ny, ez * nx - ex * nz, ex * ny - ey * nx
-            length = np.sqrt(ex * ex + ey * ey + ez * ez)
-            at = normals[t, i]
-            out = q[at] * ox + q[at + 1] * oy + q[at + 2] * oz
-            up = q[at] * nx + q[at + 1] * ny + q[at + 2] * nz
-            phi[t, i] = np.arctan2(out, length * up)
+            edge, arm = _side(q, corners[t], i)
+            out, up = _inclined(q, normals[t, i], edge, _cross(edge, arm))
+            phi[t, i] = np.arctan2(out, up)
     return phi
 
 
-@numba.njit(cache=True)
-def _mapped(maps, phi):
-    s = np.empty(phi.shape)
-    for t in range(len(phi)):
-        for a in range(3):
-            s[t, a] = (maps[t, a, 0] * phi[t, 0] + maps[t, a, 1] * phi[t, 1]
-                       + maps[t, a, 2] * phi[t, 2])
-    return s
+@_compiled
+def _keep_distance(old, new, corners, normals, pole):
+    steep = np.tan(fold_barrier.LIMIT_START * np.pi / 2)
+    for t in range(len(corners)):
+        for i in range(3):
+            edge, arm = _side(new, corners[t], i)
+            out, up = _inclined(new, normals[t, i], edge, _cross(edge, arm))
+            # Most angles are far from all poles, at most pi/2 before the step.
+            if np.isinf(pole[t, i]) or (pole[t, i] < 2.0 and abs(out) < steep * up):
+                continue
+            after = np.arctan2(out, up)
+            edge, arm = _side(old, corners[t], i)
+            out, up = _inclined(old, normals[t, i], edge, _cross(edge, arm))
+            if not fold_barrier.keeps_distance(np.arctan2(out, up), after, pole[t, i]):
+                return False
+    return True
 
 
-@numba.njit(cache=True)
-def _total(areas, density):
+@_compiled
+def _responses(curvatures, origin, law, variant):
+    density = np.empty(len(curvatures))
+    stress, tangent = np.empty((len(curvatures), 3)), np.empty((len(curvatures), 3, 3))
+    for t in range(len(curvatures)):
+        density[t] = bending_law.respond(curvatures[t], origin[t], law, variant, stress[t],
+                                         tangent[t])
+    return density, stress, tangent
+
+
+@numba.njit(inline="always")
+def _measure(q, corners, normals, maps, phi, levers, s):
+    """Fill angles phi, curvature s and levers (3, 3): the derivative of angle i by corner a is
+    levers[i, a] times the unit normal of the triangle, which is returned."""
+    edge, arm = _side(q, corners, 0)
+    across = _cross(edge, arm)
+    double_area = np.sqrt(_dot(across, across))
+    for i in range(3):
+        edge, arm = _side(q, corners, i)
+        out, up = _inclined(q, normals[i], edge, across)
+        phi[i] = np.arctan2(out, up)
+        square = _dot(edge, edge)
+        share = _dot(arm, edge) / square  # of the foot of the height
+        slope = -np.sqrt(square) / double_area  # 1/height
+        levers[i, i] = slope
+        levers[i, (i + 2) % 3] = -share * slope
+        levers[i, (i + 1) % 3] = (share - 1.0) * slope
+    for a in range(3):
+        s[a] = maps[a, 0] * phi[0] + maps[a, 1] * phi[1] + maps[a, 2] * phi[2]
+    return across[0] / double_area, across[1] / double_area, across[2] / double_area
+
+
+@_compiled
+def _add_forces(
+    q, corners, normals, sign, maps, areas, barrier, pole, origin, law, variant, targets, forces
+):
     total = 0.0
-    for t in range(len(areas)):
-        total += areas[t] * density[t]
+    phi, levers, s = np.empty(3), np.empty((3, 3)), np.empty(3)
+    stress, tangent, moment = np.empty(3), np.empty((3, 3)), np.empty(3)
+    for t in range(len(corners)):
+        unit = _measure(q, corners[t], normals[t], maps[t], phi, levers, s)
+        total += areas[t] * bending_law.respond(s, origin[t], law, variant, stress, tangent)
+        for i in range(3):
+            value, slope, _ = fold_barrier.barrier_at(phi[i], pole[t, i])
+            total += barrier[t, i] * value
+            moment[i] = barrier[t, i] * slope + areas[t] * (
+                maps[t, 0, i] * stress[0] + maps[t, 1, i] * stress[1] + maps[t, 2, i] * stress[2])
+            forces[targets[t, 9 + i]] += moment[i] * sign[t, i]
+        for a in range(3):
+            force = (moment[0] * levers[0, a] + moment[1] * levers[1, a]
+                     + moment[2] * levers[2, a])
+            for k in range(3):
+                forces[targets[t, 3 * a + k]] += force * unit[k]
     return total
 
 
-@numba.njit(cache=True)
-def _angle_rows(q, corners, sign, x, g, rows):
-    """Fill rows (3, 12) with the derivatives of phi by one element's unknowns."""
-    rows[:, :] = 0.0
-    for i in range(3):
-        _load(q, corners, i, x)
-        g[:, :] = 0.0
-        dihedral.add_side_gradient(x, 2, 1.0, g)
-        rows[i, 9 + i] = sign[i]
-        for k in range(3):
-            rows[i, 3 * ((i + 1) % 3) + k] = g[0, k]
-            rows[i, 3 * ((i + 2) % 3) + k] = g[1, k]
-            rows[i, 3 * i + k] = g[2, k]
-
-
-@numba.njit(cache=True)
-def _gradient(q, corners, sign, moments):
-    result = np.zeros((len(corners), 12))
-    x, g, rows = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 12))
-    for t in range(len(corners)):
-        _angle_rows(q, corners[t], sign[t], x, g, rows)
-        for i in range(3):
-            for k in range(12):
-                result[t, k] += moments[t, i] * rows[i, k]
-    return result
-
-
-@numba.njit(cache=True)
-def _hessian(q, corners, sign, maps, areas, tangent, fold, moments):
+@_compiled
+def _add_stiffness(
+    q, corners, normals, sign, maps, areas, barrier, pole, origin, law, variant, floor, slots,
+    exact, convex
+):
     # d²E = K_ij dphi_i dphi_j + m_i d²phi_i: a tangent term, convex if the law is, and an
-    # indefinite term of the moments, which the convex form omits.
-    result = np.empty((len(corners), 12, 12))
-    x, g, frame = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    stiffness, rows, products = np.empty((3, 3)), np.empty((3, 12)), np.empty((3, 12))
+    # indefinite term of the moments m, which the convex form omits.
+    phi, levers, s = np.empty(3), np.empty((3, 3)), np.empty(3)
+    stress, tangent, block = np.empty(3), np.empty((3, 3)), np.zeros((12, 12))
+    fold, bends = np.empty(3), np.empty((3, 3, 3))
     for t in range(len(corners)):
-        block = result[t]
+        unit = _measure(q, corners[t], normals[t], maps[t], phi, levers, s)
+        bending_law.respond(s, origin[t], law, variant, stress, tangent)
+        bends[:] = 0.0
         for i in range(3):
-            for j in range(3):
-                stiffness[i, j] = fold[t, i] if i == j else 0.0
-                for a in range(3):
-                    for b in range(3):
-                        stiffness[i, j] += (
-                            areas[t] * maps[t, a, i] * tangent[t, a, b] * maps[t, b, j]
-                        )
-        _angle_rows(q, corners[t], sign[t], x, g, rows)
+            _, slope, bend = fold_barrier.barrier_at(phi[i], pole[t, i])
+            fold[i] = barrier[t, i] * bend
+            moment = barrier[t, i] * slope + areas[t] * (
+                maps[t, 0, i] * stress[0] + maps[t, 1, i] * stress[1] + maps[t, 2, i] * stress[2])
+            if len(exact):
+                edge, arm = _side(q, corners[t], i)
+                dihedral.add_side_bends(edge, arm, moment, ((i + 1) % 3, (i + 2) % 3, i), bends)
+        if len(exact):
+            _fill_block(unit, levers, sign[t], maps[t], areas[t], tangent, fold, bends, block)
+            add_block(exact, slots[t], block)
+        if len(convex):
+            bends[:] = 0.0
+            raise_eigenvalue(tangent, floor)
+            _fill_block(unit, levers, sign[t], maps[t], areas[t], tangent, fold, bends, block)
+            add_block(convex, slots[t], block)
+
+
+@numba.njit(inline="always")
+def _fill_block(unit, levers, sign, maps, area, tangent, fold, bends, block):
+    """Fill the upper triangle of block (12, 12) with the second derivatives of one element."""
+    stiffness, turned = np.empty((3, 3)), np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            total = fold[i] if i == j else 0.0
+            for a in range(3):
+                for b in range(3):
+                    total += area * maps[a, i] * tangent[a, b] * maps[b, j]
+            stiffness[i, j] = total
+    for i in range(3):
+        for a in range(3):
+            turned[i, a] = (stiffness[i, 0] * levers[0, a] + stiffness[i, 1] * levers[1, a]
+                            + stiffness[i, 2] * levers[2, a])
+        for j in range(i, 3):
+            block[9 + i, 9 + j] = stiffness[i, j] * sign[i] * sign[j]
+    for a in range(3):
+        for b in range(a, 3):
+            half = 0.5 * (levers[0, a] * turned[0, b] + levers[1, a] * turned[1, b]
+                          + levers[2, a] * turned[2, b])
+            for k in range(3):
+                for m in range(3):
+                    block[3 * a + k, 3 * b + m] = (
+                        unit[k] * (bends[a, b, m] + half * unit[m])
+                        + (bends[b, a, k] + half * unit[k]) * unit[m])
         for i in range(3):
-            for k in range(12):
-                products[i, k] = (stiffness[i, 0] * rows[0, k] + stiffness[i, 1] * rows[1, k]
-                                  + stiffness[i, 2] * rows[2, k])
-        for k in range(12):
-            a, b, c = rows[0, k], rows[1, k], rows[2, k]
-            for m in range(k, 12):
-                block[k, m] = a * products[0, m] + b * products[1, m] + c * products[2, m]
-            for m in range(k):
-                block[k, m] = block[m, k]
-        if moments is not None:
-            for i in range(3):
-                _load(q, corners[t], i, x)
-                first = 3 * ((i + 1) % 3), 3 * ((i + 2) % 3), 3 * i
-                dihedral.add_side_hessian(x, 2, 1.0, moments[t, i], first, frame, block)
-    return result
+            for k in range(3):
+                block[3 * a + k, 9 + i] = turned[i, a] * sign[i] * unit[k]

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import sparse
 
 from common.types import Faces, Metres, Points, StateVector
-from sim.energies.base import Energy, StateCache
+from sim.energies.base import Energy
 from sim.material import REFERENCE_DENSITY
 from sim.mesh import Mesh
 from sim.scene import Scene
@@ -60,7 +60,6 @@ class SelfContact(Energy):
         self._mesh = self._ipctk.CollisionMesh(rest, mesh.edges, mesh.faces)
         self._barrier = self._ipctk.BarrierPotential(distance, pressure / _PRESSURE_AT_HALF,
                                                      use_physical_barrier=True)
-        self._touching, self._blocks = StateCache(), StateCache()
         couples = self._near(positions, reach)
         self._keys = couples @ [self._vertices, 1]
         vertex = 3 * np.arange(self._vertices)[:, None] + np.arange(3)
@@ -68,19 +67,22 @@ class SelfContact(Energy):
         self.dofs = np.concatenate([alone, vertex[couples].reshape(-1, 6)])
 
     def value(self, q: StateVector) -> float:
-        pairs, x = self._touching.at(q, self._find_pairs)
-        return float(self._barrier(pairs, self._mesh, x))
+        return float(self._barrier(*self._find_pairs(q)))
 
     def gradient(self, q: StateVector) -> np.ndarray:
-        pairs, x = self._touching.at(q, self._find_pairs)
         result = np.zeros(self.dofs.shape)
-        if not pairs.empty():
-            gradient = self._barrier.gradient(pairs, self._mesh, x)
-            result[: self._vertices, :3] = gradient.reshape(-1, 3)
+        result[: self._vertices, :3] = self._barrier.gradient(*self._find_pairs(q)).reshape(-1, 3)
         return result
 
     def hessian(self, q: StateVector, convex: bool = False) -> np.ndarray:
-        return self._blocks.at(q, self._find_hessians)[int(convex)]
+        return self._blocks(q, "CLAMP" if convex else "NONE")[0]
+
+    def add_forces(self, q: StateVector, forces: np.ndarray) -> float:
+        contacts = self._find_pairs(q)
+        if contacts[0].empty():
+            return 0.0
+        forces[: 3 * self._vertices] += self._barrier.gradient(*contacts)
+        return float(self._barrier(*contacts))
 
     def allows(self, old: StateVector, new: StateVector) -> bool:
         """False if the cloth passes through itself during the step, or covers more than four fifths
@@ -91,31 +93,27 @@ class SelfContact(Energy):
 
     def is_complete(self, q: StateVector) -> bool:
         """Whether the pattern contains all pairs in contact at ``q``."""
-        return self._blocks.at(q, self._find_hessians)[2]
+        return self._blocks(q, "NONE")[1]
 
     def _positions(self, q: StateVector) -> np.ndarray:
         return np.asfortranarray(q[: 3 * self._vertices].reshape(-1, 3))
 
     def _find_pairs(self, q: StateVector) -> tuple:
-        """The toolkit's pairs in contact and the positions (V, 3)."""
+        """The toolkit's pairs in contact, its mesh and the positions (V, 3)."""
         x = self._positions(q)
         pairs = self._ipctk.NormalCollisions()
         pairs.use_area_weighting = True
         pairs.collision_set_type = pairs.CollisionSetType.IMPROVED_MAX_APPROX
         pairs.build(self._mesh, x, self._distance)
-        return pairs, x
+        return pairs, self._mesh, x
 
-    def _find_hessians(self, q: StateVector) -> tuple[np.ndarray, np.ndarray, bool]:
-        """Exact and convex blocks (N, 6, 6), and whether the pattern contains all of them."""
-        (pairs, x), blocks, complete = self._touching.at(q, self._find_pairs), [], True
-        for projection in ("NONE", "CLAMP"):
-            result = np.zeros((*self.dofs.shape, 6))
-            if not pairs.empty():
-                method = getattr(self._ipctk.PSDProjectionMethod, projection)
-                hessian = self._barrier.hessian(pairs, self._mesh, x, method)
-                complete = self._fill(result, hessian) and complete
-            blocks.append(result)
-        return *blocks, complete
+    def _blocks(self, q: StateVector, projection: str) -> tuple[np.ndarray, bool]:
+        """Blocks (N, 6, 6) with the toolkit's ``projection``, and whether the pattern has room."""
+        contacts, result = self._find_pairs(q), np.zeros((*self.dofs.shape, 6))
+        if contacts[0].empty():
+            return result, True
+        method = getattr(self._ipctk.PSDProjectionMethod, projection)
+        return result, self._fill(result, self._barrier.hessian(*contacts, method))
 
     def _fill(self, result: np.ndarray, hessian: sparse.spmatrix) -> bool:
         """Distribute a Hessian (3V, 3V) over ``result`` (N, 6, 6); whether the pattern has room."""

@@ -18,7 +18,8 @@ from scipy.sparse.linalg import splu
 class SparsePattern:
     """Pattern of the upper triangle of symmetric matrices assembled from stencils: the structure in
     CSR, with sorted columns and every diagonal entry. ``stencils`` are (N, K) rows of the matrix
-    for each energy, -1 for absent or held."""
+    for each energy, -1 for absent or held; ``slots`` are the places (N, K(K+1)/2) of the upper
+    triangles of their blocks, row by row, in the data."""
 
     def __init__(self, stencils: list[np.ndarray], size: int) -> None:
         self.size = size
@@ -33,14 +34,13 @@ class SparsePattern:
         upper.sort_indices()
         self.indptr, self.indices = (v.astype(np.int32) for v in (upper.indptr, upper.indices))
         self.diagonal = self.indptr[:-1].copy()
-        self._slots = [_slots(stencil, self.indptr, self.indices) for stencil in stencils]
+        self.slots = [_slots(stencil, self.indptr, self.indices) for stencil in stencils]
 
-    def assemble(self, blocks: Sequence[np.ndarray | None]) -> np.ndarray:
-        """CSR data (nnz,) of the sum of symmetric blocks: (N, K, K) or None for each stencil."""
+    def assemble(self, blocks: Sequence[np.ndarray]) -> np.ndarray:
+        """CSR data (nnz,) of the sum of symmetric blocks (N, K, K) of each stencil."""
         data = np.zeros(len(self.indices))
-        for slots, block in zip(self._slots, blocks, strict=True):
-            if block is not None:
-                _scatter(data, slots, block)
+        for slots, block in zip(self.slots, blocks, strict=True):
+            add_blocks(data, slots, block)
         return data
 
     def symmetric(self, data: np.ndarray) -> sparse.csr_matrix:
@@ -75,15 +75,21 @@ def _slots(stencil, indptr, indices):
 
 
 @numba.njit(cache=True)
-def _scatter(data, slots, blocks):
-    n, k = blocks.shape[0], blocks.shape[1]
-    for t in range(n):
-        pair = -1
-        for a in range(k):
-            for b in range(a, k):
-                pair += 1
-                if slots[t, pair] >= 0:
-                    data[slots[t, pair]] += blocks[t, a, b]
+def add_blocks(data, slots, blocks):
+    """Add symmetric blocks (N, K, K) to the entries ``slots`` (N, K(K+1)/2) of data."""
+    for t in range(len(blocks)):
+        add_block(data, slots[t], blocks[t])
+
+
+@numba.njit(inline="always")
+def add_block(data, slots, block):
+    """Add the upper triangle of a block (K, K) to the entries ``slots`` of data."""
+    pair = 0
+    for a in range(len(block)):
+        for b in range(a, len(block)):
+            if slots[pair] >= 0:
+                data[slots[pair]] += block[a, b]
+            pair += 1
 
 
 class CholeskySolver(Protocol):

@@ -29,11 +29,18 @@ class Status(str, Enum):
     NOT_FINITE = "not_finite"
 
 
+class Model(Protocol):
+    """The Hessian at one state."""
+
+    def hessian(self, convexity: float, shift: float) -> np.ndarray:
+        """CSR data in the objective's pattern: exact for a ``convexity`` of 0, positive
+        semi-definite for 1; ``shift`` times a regularisation is added to the diagonal."""
+
+
 class Objective(Protocol):
     """A function of states ``q`` to be minimised, such as :class:`sim.solver.potential.Potential`.
 
-    Derivatives are by a step (size,) from a state, which ``moved`` applies. ``hessian`` returns CSR
-    data in ``pattern``, with ``shift`` times a regularisation on the diagonal. Differences below
+    Derivatives are by a step (size,) from a state, which ``moved`` applies. Differences below
     :data:`ROUNDING` of ``energy_scale`` are rounding errors.
     """
 
@@ -43,9 +50,8 @@ class Objective(Protocol):
     @property
     def pattern(self) -> SparsePattern: ...
 
-    def value(self, q: np.ndarray) -> float: ...
-    def gradient(self, q: np.ndarray) -> np.ndarray: ...
-    def hessian(self, q: np.ndarray, convexity: float, shift: float) -> np.ndarray: ...
+    def evaluate(self, q: np.ndarray) -> tuple[float, np.ndarray]: ...  # value and gradient
+    def model(self, q: np.ndarray) -> "Model": ...
     def moved(self, q: np.ndarray, step: np.ndarray) -> np.ndarray: ...
     def allows(self, old: np.ndarray, new: np.ndarray) -> bool: ...
     def residual(self, gradient: np.ndarray) -> float: ...
@@ -125,10 +131,11 @@ class _Minimisation:
         self.result = NewtonResult(q=q, status=Status.MAX_ITERATIONS, message="")
         self.rng = np.random.default_rng(0)
         self.solver = solver
+        self.model: Model | None = None  # at the present state
 
     def iterate(self) -> None:
         result, options, perturbations = self.result, self.options, 0
-        value, gradient = self._evaluate()
+        value, gradient = self.objective.evaluate(self.result.q)
         while result.iterations < options.max_iterations:
             result.residual = self.objective.residual(gradient)
             if not np.isfinite(value) or not np.isfinite(result.residual):
@@ -144,9 +151,9 @@ class _Minimisation:
                         return self._end(Status.CONVERGED)
                     self.convexity, self.hold = 0.0, False
                 elif perturbations < MAX_PERTURBATIONS:
-                    result.q = self._perturbed(perturbations)
+                    result.q, self.model = self._perturbed(perturbations), None
                     perturbations += 1
-                    value, gradient = self._evaluate()
+                    value, gradient = self.objective.evaluate(self.result.q)
                     self.convexity = 1.0
                     result.iterations += 1
                     continue
@@ -170,20 +177,20 @@ class _Minimisation:
                 continue
             self.shift = 0
             length, result.q, value, gradient = improved
+            self.model = None
             result.step = length * self.objective.step_length(step)
             result.iterations += 1
         result.residual = self.objective.residual(gradient)
         return self._end(Status.MAX_ITERATIONS)
-
-    def _evaluate(self) -> tuple[float, np.ndarray]:
-        return self.objective.value(self.result.q), self.objective.gradient(self.result.q)
 
     def _end(self, status: Status) -> None:
         self.result.status = status
         self.result.message = _ENDINGS[status].format(**vars(self.result))
 
     def _factorise(self, convexity: float, shift: float = 0.0, *, proof: bool = False) -> bool:
-        data = self.objective.hessian(self.result.q, convexity, shift)
+        if self.model is None:
+            self.model = self.objective.model(self.result.q)
+        data = self.model.hessian(convexity, shift)
         self.solver = self.solver or make_solver(self.objective.pattern)
         return self.solver.factorise(data, rough=not proof)
 
@@ -219,15 +226,14 @@ class _Minimisation:
         while length > MIN_STEP_FACTOR:
             trial = objective.moved(q, length * step)
             if objective.allows(q, trial):
-                trial_value = objective.value(trial)
-                if trial_value <= value + ARMIJO * length * slope:
-                    best = (length, trial, trial_value)
+                reached, slopes = objective.evaluate(trial)
+                if reached <= value + ARMIJO * length * slope:
+                    best = (length, trial, reached, slopes)
                     break
-                if abs(length * slope) < rounding and trial_value < value + rounding:
+                if abs(length * slope) < rounding and reached < value + rounding:
                     # The energies differ by rounding errors only: compare the gradients.
-                    trial_gradient = objective.gradient(trial)
-                    if objective.residual(trial_gradient) < objective.residual(gradient):
-                        return length, trial, trial_value, trial_gradient
+                    if objective.residual(slopes) < objective.residual(gradient):
+                        return length, trial, reached, slopes
             length /= 2
         if best is None:
             return None
@@ -236,11 +242,11 @@ class _Minimisation:
             trial = objective.moved(q, length * step)
             if not objective.allows(q, trial):
                 break
-            trial_value = objective.value(trial)
-            if not trial_value < min(best[2], value + ARMIJO * length * slope):
+            reached, slopes = objective.evaluate(trial)
+            if not reached < min(best[2], value + ARMIJO * length * slope):
                 break
-            best = (length, trial, trial_value)
-        return *best, objective.gradient(best[1])
+            best = (length, trial, reached, slopes)
+        return best
 
     def _perturbed(self, earlier: int) -> np.ndarray:
         """A random state near a saddle, smoothed by the convex Hessian; its distance grows with the

@@ -3,11 +3,10 @@
 from collections.abc import Sequence
 from functools import cached_property
 
-import numba
 import numpy as np
 
 from common.types import Edges
-from sim.energies.base import Energy, StateCache
+from sim.energies.base import Energy
 from sim.solver.linear import SparsePattern
 from sim.solver.state import moved
 
@@ -30,13 +29,13 @@ class Potential:
         force_scale: np.ndarray, length_scale: np.ndarray, energy_scale: float
     ) -> None:
         self.energies = [energy for stage in stages for energy in stage]
-        self._stage = np.repeat(np.arange(len(stages)), [len(stage) for stage in stages])
+        self.stages = len(stages)
+        self.stage_of = np.repeat(np.arange(len(stages)), [len(stage) for stage in stages])
         self._edges, self._free = edges, np.flatnonzero(free)
         self.unknowns, self.size = len(free), len(self._free)
         self._force_scale, self._length_scale = force_scale[self._free], length_scale[self._free]
         self.regularisation = self._force_scale / self._length_scale
         self.energy_scale = energy_scale
-        self._parts = StateCache(states=1)
 
     def all_unknowns(self, step: np.ndarray) -> np.ndarray:
         """Step (U,) of all unknowns from that of the free ones (n,), zero for the others."""
@@ -52,13 +51,22 @@ class Potential:
         """The state after a step (n,) from the state ``q``."""
         return moved(q, self._edges, self.all_unknowns(step))
 
+    def evaluate(self, q: np.ndarray) -> tuple[float, np.ndarray]:
+        """Energy, J, and its derivative (n,) by a step."""
+        value, forces = self._sum(q)
+        return value, self.free_unknowns(forces)
+
     def value(self, q: np.ndarray) -> float:
         """Energy, J."""
-        return sum(energy.value(q) for energy in self.energies)
+        return self._sum(q)[0]
 
     def gradient(self, q: np.ndarray) -> np.ndarray:
         """(n,) derivative of the energy by a step."""
-        return self.free_unknowns(forces(self.energies, q, self.unknowns))
+        return self.evaluate(q)[1]
+
+    def _sum(self, q: np.ndarray) -> tuple[float, np.ndarray]:
+        forces = np.zeros(self.unknowns)
+        return sum(energy.add_forces(q, forces) for energy in self.energies), forces
 
     @cached_property
     def pattern(self) -> SparsePattern:
@@ -67,32 +75,13 @@ class Potential:
         row[self._free] = np.arange(self.size)
         return SparsePattern([row[energy.dofs] for energy in self.energies], self.size)
 
-    def hessian(self, q: np.ndarray, convexity: float = 0.0, shift: float = 0.0) -> np.ndarray:
-        """CSR data (nnz,) of the Hessian in :attr:`pattern`, plus ``shift`` times
-        :attr:`regularisation` on the diagonal. With ``convexity`` from 0 (exact) to 1, stages
-        become convex one after the other, each by interpolation of its two forms."""
-        total = np.zeros(len(self.pattern.indices))
-        stages = self._stage[-1] + 1
-        for stage in range(stages):
-            share = min(max(convexity * stages - stage, 0.0), 1.0)
-            for convex, weight in ((False, 1.0 - share), (True, share)):
-                if weight > 0.0:
-                    part = self._part(q, stage, convex)
-                    total += part if weight == 1.0 else weight * part
-        if shift:
-            total[self.pattern.diagonal] += shift * self.regularisation
-        return total
+    def hessian(self, q: np.ndarray, convexity: float = 0.0) -> np.ndarray:
+        """CSR data (nnz,) of one of the forms of :meth:`QuadraticModel.hessian`."""
+        return self.model(q).hessian(convexity)
 
-    def _part(self, q: np.ndarray, stage: int, convex: bool) -> np.ndarray:
-        """One stage's part of the Hessian, cached for other convexities at the same state."""
-        parts = self._parts.at(q, lambda q: {})
-        if (stage, convex) not in parts:
-            # Sequentially: blocks are large, and allocating memory for all of them is slow.
-            parts[stage, convex] = self.pattern.assemble(
-                energy.hessian(q, convex) if own == stage else None
-                for energy, own in zip(self.energies, self._stage, strict=True)
-            )
-        return parts[stage, convex]
+    def model(self, q: np.ndarray) -> "QuadraticModel":
+        """The Hessian at the state ``q`` and its convex approximations."""
+        return QuadraticModel(self, q)
 
     def allows(self, old: np.ndarray, new: np.ndarray) -> bool:
         """Whether every energy allows the step between two states."""
@@ -107,18 +96,50 @@ class Potential:
         return float(np.abs(step / self._length_scale).max())
 
 
+class QuadraticModel:
+    """The Hessian of a ``potential`` at the state ``q``, and its blends with a convex form. Each of
+    the two is assembled when it is first needed."""
+
+    def __init__(self, potential: Potential, q: np.ndarray) -> None:
+        self._potential, self._q = potential, q
+        self._parts: dict[bool, np.ndarray] = {}  # (stages, nnz) by whether they are convex
+
+    def hessian(self, convexity: float = 0.0, shift: float = 0.0) -> np.ndarray:
+        """CSR data (nnz,) in the potential's pattern, plus ``shift`` times its regularisation on
+        the diagonal. With ``convexity`` from 0 (exact) to 1, stages become convex one after the
+        other, each by interpolation of its two forms."""
+        self._assemble({False} if convexity == 0.0 else {True} if convexity == 1.0
+                       else {False, True})
+        potential = self._potential
+        stages = potential.stages
+        shares = [min(max(convexity * stages - stage, 0.0), 1.0) for stage in range(stages)]
+        terms = [(weight, self._parts[convex][stage]) for stage, share in enumerate(shares)
+                 for convex, weight in ((False, 1.0 - share), (True, share)) if weight > 0.0]
+        weight, part = terms[0]
+        total = weight * part
+        for weight, part in terms[1:]:
+            total += part if weight == 1.0 else weight * part
+        if shift:
+            total[potential.pattern.diagonal] += shift * potential.regularisation
+        return total
+
+    def _assemble(self, wanted: set[bool]) -> None:
+        pattern, missing = self._potential.pattern, wanted - self._parts.keys()
+        if not missing:
+            return
+        none = np.zeros(0)
+        for convex in missing:
+            self._parts[convex] = np.zeros((self._potential.stages, len(pattern.indices)))
+        for energy, stage, slots in zip(self._potential.energies, self._potential.stage_of,
+                                        pattern.slots, strict=True):
+            energy.add_stiffness(self._q, slots, *(
+                self._parts[convex][stage] if convex in missing else none
+                for convex in (False, True)))
+
+
 def forces(energies: Sequence[Energy], q: np.ndarray, size: int) -> np.ndarray:
     """(U,) derivatives of a sum of energies by all U = ``size`` unknowns."""
     total = np.zeros(size)
     for energy in energies:
-        _add_elements(total, energy.dofs, energy.gradient(q))
+        energy.add_forces(q, total)
     return total
-
-
-@numba.njit(cache=True)
-def _add_elements(total, dofs, parts):
-    """Add the elements' contributions ``parts`` (N, K) to total (U,)."""
-    for t in range(len(dofs)):
-        for k in range(dofs.shape[1]):
-            if dofs[t, k] >= 0:
-                total[dofs[t, k]] += parts[t, k]

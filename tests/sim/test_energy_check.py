@@ -8,7 +8,7 @@ import pytest
 from common.errors import InputError
 from sim.cloth import Laws
 from sim.drape import drape
-from sim.energies.base import Energy, StateCache, check
+from sim.energies.base import Energy, check
 from sim.energies.midedge import MidEdgeBending
 from sim.material import Fabric
 from sim.mesh import strip
@@ -87,29 +87,3 @@ def test_a_drape_that_fails_by_a_wrong_derivative_points_to_the_check():
     law = partial(Quartic, slope=-1.0)
     result = drape(FABRIC, edge=0.02, laws=Laws(others=(law,)))
     assert not result.converged and "sim.energies.base" in result.message
-
-
-def test_the_latest_two_states_are_cached_by_value():
-    asked, cache = [], StateCache()
-
-    def square(q):
-        asked.append(q.copy())
-        return q**2
-
-    here, there, far = np.array([1.0, 2.0]), np.array([1.0, 3.0]), np.array([5.0, 6.0])
-    for q in (here, there, here, there.copy(), here):
-        assert np.array_equal(cache.at(q, square), q**2)
-    assert len(asked) == 2
-    here += 1.0  # the caller's own array: what was found belongs to the old values
-    assert np.array_equal(cache.at(here, square), [4.0, 9.0])
-    assert np.array_equal(cache.at(np.array([1.0, 2.0]), square), [1.0, 4.0])
-    assert np.array_equal(cache.at(far, square), [25.0, 36.0])
-    assert len(asked) == 5
-
-
-def test_states_with_nan_are_not_cached():
-    asked, cache = [], StateCache()
-    nothing = np.array([np.nan])
-    for _ in range(2):
-        cache.at(nothing, lambda q: asked.append(1))
-    assert len(asked) == 2
