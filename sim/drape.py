@@ -38,14 +38,14 @@ from sim.start import (
     interpolate_positions,
 )
 
-COARSE_MEMBRANE = 0.03
+COARSE_MEMBRANE = 0.1
 """Membrane stiffness on the coarser meshes, relative to the final one. In-plane stiffness has
 little effect on the shape but limits the length of Newton steps (docs/physics.md)."""
 COARSE_CONTACT = 0.003
 """The same for the obstacles' pressure: most steps of falling cloth end inside the cylinder."""
 _MIDDLE = 0.7
 """Largest edge of a mesh between lowering and the final one, relative to that of the lowering."""
-COARSE_OPTIONS = NewtonOptions(residual=1e-2, step=0.1, max_iterations=200)
+COARSE_OPTIONS = NewtonOptions(residual=0.1, step=1.0, max_iterations=200)
 FINE_OPTIONS = NewtonOptions(residual=1e-4, step=1e-4, max_iterations=400)
 
 

@@ -31,10 +31,10 @@ the first is too coarse for limp cloth."""
 SPEEDS = (0.13, 0.39)
 """Range of the ring's speed, log-uniform, in units of sqrt(g o) with the overhang o: 0.1 to 0.3 m/s
 for the standard 60 mm, which a hand lowers in 0.2 to 0.6 s."""
-STEP = 0.64
-"""Time step in units of sqrt(o/g): 50 ms for 60 mm. Its damping is that of a bending viscosity with
-a relaxation time of half of it. Halving it changes the number of folds by -0.3 to 1
-(docs/physics.md)."""
+RELAXATION = 0.64
+"""Relaxation time of the cloth's viscosity in units of sqrt(o/g): 50 ms for 60 mm."""
+STEP = 0.32
+"""Time step in the same units (docs/physics.md has folds by step)."""
 SETTLING = 2.5
 """Time from the ring's last contact to the search for the equilibrium, in the same units."""
 _WAVINESS = 3e-4  # m
@@ -68,16 +68,17 @@ class Ring(Energy):
 
 def lowered(
     scene: Scene, fabric: Fabric, rig: Rig, *, laws: Laws, seed: int, speed: float | None = None,
-    step: float = STEP
+    step: float = STEP, relaxation: float = RELAXATION
 ) -> Equilibrium:
     """Cloth lowered over the plate of ``rig``, in motion close to its equilibrium: the status is
     NOT_FINITE if a time step fails, else MAX_ITERATIONS. The ``seed`` is that of waviness and
-    ``speed``, in the unit of :data:`SPEEDS`; ``step`` is in that of :data:`STEP`."""
+    ``speed``, in the unit of :data:`SPEEDS`; ``step`` and ``relaxation`` are in that of
+    :data:`STEP`."""
     rng = np.random.default_rng([seed, 1])
     overhang = (rig.specimen_size - rig.plate_diameter) / 2
     time = np.sqrt(overhang / GRAVITY)
     speed = (speed or np.exp(rng.uniform(*np.log(SPEEDS)))) * overhang / time
-    step *= time
+    step, relaxation = step * time, relaxation * time
     rest, held = scene.mesh.rest, scene.held
     flat = np.column_stack([rest, np.zeros(len(rest))])
     flat[~held] += waves(rest, rig, rng, amplitude=_WAVINESS)[~held]
@@ -87,14 +88,15 @@ def lowered(
     solver = make_solver(cloth.potential.pattern)
     motion, free, last = Motion.at_rest(scene.state(flat)), 0.0, None
     for _ in range(_MAX_STEPS):
-        ring.height = -_GAP - speed * (motion.time + step)
-        motion, result = motion.advanced(cloth.potential, inertia, step, solver=solver)
+        ring.height = -_GAP - speed * (motion.time + relaxation)
+        motion, result = motion.advanced(cloth.potential, inertia, step, relaxation=relaxation,
+                                         solver=solver)
         last = Equilibrium(cloth=cloth, state=motion.state, outcome=result).after(last)
         if result.status is Status.NOT_FINITE:
             return last
         if isinstance(cloth.bending, HystereticBending):
             cloth.bending.origin = cloth.bending.origin_at(motion.state.q)
-        free = 0.0 if ring.depths(motion.state.q).any() else free + step
+        free = 0.0 if ring.depths(result.q).any() else free + step
         if free >= SETTLING * time:
             break
     return last.ended(Status.MAX_ITERATIONS, "in motion")

@@ -69,8 +69,7 @@ def _normal(outwards, upwards):
     if outwards > 0.0 and upwards > 0.0:
         corner = np.sqrt(outwards**2 + upwards**2)
         return outwards / corner, upwards / corner, 1.0 / corner
-    sideways = outwards > upwards
-    return float(sideways), float(not sideways), 0.0
+    return (1.0, 0.0, 0.0) if outwards > upwards else (0.0, 1.0, 0.0)
 
 
 @numba.njit(cache=True)

@@ -1,8 +1,15 @@
-"""Motion of cloth: implicit time steps, each a minimisation (Feng et al. 2022, section 4).
+"""Motion of viscoelastic cloth: linearly implicit time steps.
 
-Backward Euler: the state at the end of a step of length h minimises E(x) + |x - y|²_M / (2 h²) over
-the energies E of the cloth, with y = x0 + h v0 of the positions x0 and velocities v0 before the
-step and the masses M of the vertices. Motions faster than a step are damped.
+Forces act at the positions that the cloth would reach after a relaxation time tau at its new
+velocities v1: with the forces f, the masses M and a step of length h,
+
+    M (v1 - v0) = h f(x0 + tau v1),    x1 = x0 + h v1.
+
+For short steps this is M dv/dt = f(x) + tau df/dx v: all of the cloth's stiffness has a Kelvin-Voigt
+viscosity, which damps a vibration of angular frequency w at the rate tau w²/2. For h = tau it is
+backward Euler, whose damping is that of its step (Feng et al. 2022, section 4). The positions
+u = x0 + tau v1 minimise E(u) + |u - y|²_M/(2 tau h), y = x0 + tau v0; one Newton step from x0, with
+a line search, is taken towards them (Baraff and Witkin 1998, Large steps in cloth simulation).
 """
 
 from dataclasses import dataclass
@@ -17,21 +24,20 @@ from sim.solver.newton import NewtonOptions, NewtonResult, minimise
 from sim.solver.potential import Potential
 from sim.solver.state import State
 
-STEP_OPTIONS = NewtonOptions(residual=0.1, step=2.0, max_iterations=40)
-"""Stopping criteria of a time step, whose own error is larger."""
+STEP_OPTIONS = NewtonOptions(residual=0.0, max_iterations=1, convexity=0.1, extend=False)
 
 
 class Inertia(Energy):
-    """|x - y|²_M / (2 h²) of a time step; an element is a coordinate, ``masses`` (V,) are in kg."""
+    """|u - y|²_M / (2 tau h) of a time step; an element is a coordinate, ``masses`` (V,) in kg."""
 
     def __init__(self, mesh: Mesh, *, density: Density) -> None:
         self.masses = density * mesh.vertex_areas
         self.dofs = np.arange(3 * len(self.masses))[:, None]
         self.aim(np.zeros((len(self.masses), 3)), 1.0)
 
-    def aim(self, positions: Points, step: float) -> None:
-        """Set the positions y that the cloth would reach without forces after a ``step`` h, s."""
-        self._aim, self._scale = positions.ravel(), np.repeat(self.masses, 3) / step**2
+    def aim(self, positions: Points, square: float) -> None:
+        """Set the positions y that the cloth would reach without forces, and tau h, s²."""
+        self._aim, self._scale = positions.ravel(), np.repeat(self.masses, 3) / square
 
     def value(self, q: StateVector) -> float:
         return 0.5 * float(self._scale @ (q[: len(self._aim)] - self._aim) ** 2)
@@ -57,25 +63,18 @@ class Motion:
         return Motion(state, np.zeros_like(state.positions))
 
     def advanced(
-        self, potential: Potential, inertia: Inertia, step: float, *,
-        options: NewtonOptions = STEP_OPTIONS, solver: CholeskySolver | None = None
+        self, potential: Potential, inertia: Inertia, step: float, *, relaxation: float,
+        solver: CholeskySolver | None = None
     ) -> tuple["Motion", NewtonResult]:
-        """The motion after a ``step``, s, and the outcome of its minimisation; ``inertia`` is among
-        the energies of ``potential``. A ``solver`` for its pattern can be used again."""
+        """The motion after a ``step`` h, s, at most the ``relaxation`` time tau, s, and the outcome
+        of its minimisation, whose state is the cloth's after tau; ``inertia`` is among the energies
+        of ``potential``. A ``solver`` for its pattern can be used again."""
         before = self.state.positions
-        inertia.aim(before + step * self.velocities, step)
-        result = minimise(potential, self._guess(potential, step), options, solver=solver)
-        state = State.of(result.q, len(before))
-        velocities = (state.positions - before) / step
-        return Motion(state, velocities, self.time + step), result
-
-    def _guess(self, potential: Potential, step: float) -> np.ndarray:
-        """The state after a ``step``, s, at constant velocities if it has the lower energy; else
-        the present one."""
-        q = self.state.q
-        move = np.zeros(potential.unknowns)
-        move[: self.velocities.size] = step * self.velocities.ravel()
-        ahead = potential.moved(q, potential.free_unknowns(move))
-        with np.errstate(all="ignore"):
-            better = potential.value(ahead) < potential.value(q)
-        return ahead if better and potential.allows(q, ahead) else q
+        inertia.aim(before + relaxation * self.velocities, step * relaxation)
+        result = minimise(potential, self.state.q, STEP_OPTIONS, solver=solver)
+        after = State.of(result.q, len(before)).positions
+        velocities = (after - before) / relaxation
+        back = np.zeros(potential.unknowns)
+        back[: before.size] = ((step - relaxation) * velocities).ravel()
+        q = potential.moved(result.q, potential.free_unknowns(back))
+        return Motion(State.of(q, len(before)), velocities, self.time + step), result

@@ -43,6 +43,10 @@ class SparsePattern:
             add_blocks(data, slots, block)
         return data
 
+    def times(self, data: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Product (n,) of the symmetric matrix of CSR data (nnz,) and x (n,)."""
+        return _times(data, self.indices, self.indptr, x)
+
     def symmetric(self, data: np.ndarray) -> sparse.csr_matrix:
         """The full symmetric SciPy matrix of the CSR data (nnz,)."""
         upper = sparse.csr_matrix((data, self.indices, self.indptr), shape=(self.size,) * 2)
@@ -181,7 +185,7 @@ class PardisoSolver(CholeskySolver):
         error = residual @ step
         target = _TOLERANCE**2 * error
         for _ in range(_MAX_REFINEMENTS):
-            image = _times(self._data, self._pattern.indices, self._pattern.indptr, step)
+            image = self._pattern.times(self._data, step)
             curvature = step @ image
             if not curvature > 0.0:
                 break

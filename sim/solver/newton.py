@@ -65,6 +65,8 @@ class NewtonOptions:
     residual: float = 1e-5  # largest of a converged state
     step: float = 1e-5  # largest last step of a converged state
     max_iterations: int = 500
+    convexity: float = 1.0  # of :data:`CONVEXITIES`, one above the first that is tried
+    extend: bool = True  # whether a step is doubled while the energy decreases
 
 
 @dataclass
@@ -126,7 +128,7 @@ class _Minimisation:
         solver: CholeskySolver | None
     ) -> None:
         self.objective, self.options = objective, options
-        self.convexity, self.shift = 1.0, 0
+        self.convexity, self.shift = options.convexity, 0
         self.hold = False  # whether the next step must not try less convexity
         self.result = NewtonResult(q=q, status=Status.MAX_ITERATIONS, message="")
         self.rng = np.random.default_rng(0)
@@ -237,7 +239,7 @@ class _Minimisation:
             length /= 2
         if best is None:
             return None
-        while best[0] >= 1.0:
+        while best[0] >= 1.0 and self.options.extend:
             length = 2 * best[0]
             trial = objective.moved(q, length * step)
             if not objective.allows(q, trial):
