@@ -165,6 +165,16 @@ class Rig:
         return (Cylinder(self.plate_radius),) if self.has_plate else ()
 
     @property
+    def aspect(self) -> float:
+        """Second side over the first."""
+        return self.sides[1] / self.sides[0]
+
+    @property
+    def symmetry(self) -> Radians:
+        """Smallest turn that brings the flat specimen onto itself; 0: any turn does."""
+        return {"disc": 0.0, "square": np.pi / 2, "rectangle": np.pi}[self.specimen]
+
+    @property
     def directions(self) -> np.ndarray:
         """(2, 2) unit vectors along the sides of a rectangle, in warp/weft axes, as columns."""
         cos, sin = np.cos(self.cut), np.sin(self.cut)
