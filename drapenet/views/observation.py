@@ -70,7 +70,7 @@ def map_along(warp: Radians | None, located: LocatedViews) -> RadialMap:
     azimuth 0 of the first view."""
     if located.rig.specimen == "disc":
         return radial_map(located, zero=warp or 0.0)
-    drape, turn = radial_map(located), located.rig.symmetry
+    drape, turn = radial_map(located, near=warp), located.rig.symmetry
     turns = 0 if warp is None else round((warp - drape.zero) / turn)
     cells = round(AZIMUTHS * turn / (2 * np.pi))
     distance, weight = (np.roll(part, -turns * cells, axis=0)

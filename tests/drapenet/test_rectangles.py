@@ -65,6 +65,17 @@ def test_views_show_which_side_of_a_rectangle_is_which(draped, orientation):
     assert np.array_equal(along.distance, np.roll(found.distance, -turns * AZIMUTHS // 2, axis=0))
 
 
+@pytest.mark.parametrize("orientation", [0.3, 1.9, 4.0])
+def test_a_stated_warp_decides_which_side_is_the_first(draped, orientation):
+    """Stated across, the specimen lies with its sides exchanged: the views do not decide then."""
+    views, across = located(draped, orientation), orientation + np.pi / 2
+    assert off(map_along(across, views).zero - across, 2 * np.pi) < 46
+    nearly = Rig((0.2, 0.21), 0.09)
+    for warp in (orientation, across, orientation + np.pi):
+        found = map_along(warp, located(draped, orientation, nearly)).zero
+        assert off(found - warp, 2 * np.pi) < 46
+
+
 def test_sizes_of_a_rectangle_are_those_of_its_sides(draped):
     sizes = measured_sizes(located(draped, 0.3))
     assert sizes.specimen == pytest.approx(RIG.specimen_size, rel=0.07)
