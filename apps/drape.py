@@ -106,7 +106,7 @@ def write(folder: Path, result: Drape, summary: dict) -> None:
     from data.render.shade import shade
 
     mesh = trimesh.Trimesh(result.positions, result.faces, process=False)
-    size, radius = result.rig.specimen_size, result.rig.plate_radius
+    size, radius = max(result.rig.sides), result.rig.plate_radius
     # Images are centred at the height of the plate, to which hung cloth is raised.
     raised = np.array([0.0, 0.0, 0.0 if result.rig.has_plate else 0.4 * size])
     views = [shade(result.positions + raised, result.faces, plate_radius=radius, elevation=angle,

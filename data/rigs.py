@@ -3,13 +3,15 @@
 from collections.abc import Mapping
 from typing import Annotated, Literal
 
-from pydantic import PlainValidator
+import numpy as np
+from pydantic import Field, PlainValidator
 
 from common.documents import Schema
 from common.errors import InputError
 from sim.rig import RIGS, Rig
 
-SIZES, PLATES, MIN_OVERHANG = (200.0, 400.0), (60.0, 200.0), 20.0  # mm
+DIAMETERS, SIDES, PLATES = (200.0, 400.0), (140.0, 400.0), (60.0, 200.0)  # mm; of discs, rectangles
+MIN_OVERHANG = 20.0  # mm, on every side
 TESTERS = tuple(name for name, rig in RIGS.items() if rig.has_plate)
 """Abbreviations of common testers."""
 EXAMPLE = "{specimen: disc, size_mm: 254, plate_mm: 127}"
@@ -19,9 +21,15 @@ MISSING_TESTER = f"give tester: {_CHOICES}"
 
 
 class _Numbers(Schema):
-    specimen: Literal["square", "disc"]
+    specimen: Literal["square", "rectangle", "disc"]
     size_mm: float
     plate_mm: float
+
+
+class _Sides(_Numbers):
+    size_mm: Annotated[list[float], Field(
+        min_length=2, max_length=2,
+        description="give both sides of a rectangle, along warp and weft, such as [170, 250]")]
 
 
 def read_tester(value: object) -> Rig:
@@ -31,18 +39,22 @@ def read_tester(value: object) -> Rig:
     """
     try:
         if isinstance(value, Mapping):
-            numbers = _Numbers.of(value, "")
-            rig = Rig(numbers.size_mm / 1e3, numbers.plate_mm / 1e3, numbers.specimen)
+            schema = _Sides if value.get("specimen") == "rectangle" else _Numbers
+            numbers = schema.of(value, "")
+            sides = tuple(np.broadcast_to(numbers.size_mm, 2) / 1e3)
+            rig = Rig(sides, numbers.plate_mm / 1e3, numbers.specimen)
         else:
             rig = Rig.from_name(value if isinstance(value, str) else "")
     except InputError as error:
         reason = f" ({error})" if isinstance(value, Mapping) else ""
         raise InputError(f"is not a tester{reason}; give {_CHOICES}") from None
-    size, plate = (round(1e3 * length, 6) for length in (rig.specimen_size, rig.plate_diameter))
-    for what, length, (low, high) in (("specimen", size, SIZES), ("plate", plate, PLATES)):
-        if not low <= length <= high:
-            raise InputError(f"has a {what} of {length:g} mm; give {low:g} to {high:g} mm")
-    if (overhang := (size - plate) / 2) < MIN_OVERHANG:
+    sizes = DIAMETERS if rig.specimen == "disc" else SIDES
+    for what, lengths, text, (low, high) in (
+            ("specimen", rig.sides, rig.millimetres, sizes),
+            ("plate", [rig.plate_diameter], f"{1e3 * rig.plate_diameter:g}", PLATES)):
+        if not all(low <= round(1e3 * length, 6) <= high for length in lengths):
+            raise InputError(f"has a {what} of {text} mm; give {low:g} to {high:g} mm")
+    if (overhang := round(1e3 * rig.least_overhang, 6)) < MIN_OVERHANG:
         raise InputError(f"has an overhang of {overhang:g} mm; give {MIN_OVERHANG:g} mm or more: a "
                          "larger specimen, or a smaller plate")
     if rig.cut:
@@ -62,9 +74,10 @@ def named_tester(name: str) -> Rig:
         raise InputError(f"tester={name} {error}") from None
 
 
-def described_tester(rig: Rig) -> str | dict[str, str | float]:
+def described_tester(rig: Rig) -> str | dict[str, str | float | list[float]]:
     """The value that :func:`read_tester` reads as ``rig``, in JSON types."""
     if rig.name in TESTERS:
         return rig.name
-    return {"specimen": rig.specimen, "size_mm": round(1e3 * rig.specimen_size, 6),
+    sides = [round(1e3 * side, 6) for side in rig.sides]
+    return {"specimen": rig.specimen, "size_mm": sides if rig.specimen == "rectangle" else sides[0],
             "plate_mm": round(1e3 * rig.plate_diameter, 6)}

@@ -197,7 +197,11 @@ def _attempt(
 
 
 def network_estimate(capture: Capture, header: Header) -> CaptureEstimate:
-    """Estimate a capture by the network of ``header``."""
+    """Estimate a capture by the network of ``header``; InputError for a tester unknown to it."""
+    try:
+        header.require_learned(capture.rig)
+    except InputError as error:
+        raise InputError(f"{capture.path}: {error}") from None
     located, seen = None, []
     if capture.outline:
         seen = [Observation.of_outline(capture)]

@@ -43,7 +43,7 @@ def fold_outline(positions: Points, rest: RestPoints, rig: Rig) -> Outline:
     """The material circle of 90 % of the specimen's inradius, around its centre, seen from above:
     720 points half a degree apart, from the warp axis towards the weft."""
     angle = np.linspace(0, 2 * np.pi, _OUTLINE_POINTS, endpoint=False)
-    circle = 0.45 * rig.specimen_size * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    circle = 0.45 * min(rig.sides) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     centre = (rest.min(axis=0) + rest.max(axis=0)) / 2
     return LinearNDInterpolator(rest, positions[:, :2])(centre + circle)
 

@@ -15,7 +15,7 @@ GRAVITY = 9.81  # m/s²
 RIM = 0.01
 """Radius of the rounded rim over that of the plate: 0.5 mm for 100 mm of diameter. At a sharp rim
 the nearest surface would jump from top to side; the penetration of cloth is smaller than it."""
-_NAME = re.compile(r"(?P<specimen>square|disc)(?P<size>[\d.]+)_"
+_NAME = re.compile(r"(?P<specimen>square|rectangle|disc)(?P<sides>[\d.]+(x[\d.]+)?)_"
                    r"(?P<holder>cylinder|support|corners)(?P<held>[\d.]+)(_cut(?P<cut>-?[\d.]+))?")
 
 
@@ -105,31 +105,41 @@ def _depth_hessians(points, radius, rim):
 @dataclass(frozen=True)
 class Rig:
     """A specimen and its holder: a round plate under its middle (paper, section 3.1), whose top
-    face's centre is the origin, z pointing up; or two neighbouring corners of a square, held at
-    z = 0, at the same distance from the origin (section 7.4.2)."""
+    face's centre is the origin, z pointing up; or two neighbouring corners of a rectangle, held at
+    z = 0, at the same distance from the origin (section 7.4.2).
 
-    specimen_size: Metres = 0.300  # side of a square or diameter of a disc
+    ``sides`` are those along warp and weft, before the ``cut`` turns them; one number stands for
+    both, and is a disc's diameter. A square is a rectangle of equal sides."""
+
+    sides: tuple[Metres, Metres] = (0.300, 0.300)
     plate_diameter: Metres = 0.100  # 0 without a plate
-    specimen: str = "square"  # or "disc"
+    specimen: str = "square"  # or "rectangle", if the sides differ; or "disc"
     corners_apart: Metres | None = None  # the two corners that hold a specimen without plate
-    cut: Radians = 0.0  # from the warp to a side of the square, counter-clockwise
+    cut: Radians = 0.0  # from the warp to the first side of a rectangle, counter-clockwise
 
     def __post_init__(self) -> None:
-        if self.specimen not in ("square", "disc"):
-            raise InputError(f"specimen={self.specimen!r}: choose square or disc")
+        sides = tuple(np.broadcast_to(self.sides, 2).tolist())
+        object.__setattr__(self, "sides", sides)
+        if self.specimen not in ("square", "rectangle", "disc"):
+            raise InputError(f"specimen={self.specimen!r}: choose square, rectangle or disc")
+        if self.specimen != "disc":
+            kind = "square" if sides[0] == sides[1] else "rectangle"
+            object.__setattr__(self, "specimen", kind)
+        elif sides[0] != sides[1]:
+            raise InputError(f"sides of {sides[0]:g} and {sides[1]:g} m: a disc has one diameter")
         if not abs(self.cut) <= np.pi / 4 or (self.cut and not self.has_plate):
             raise InputError(f"a cut of {np.degrees(self.cut):g}° from the warp: give at most 45°, "
                              "and 0 without a plate")
-        if not 0 <= self.plate_diameter < self.specimen_size < np.inf:
+        if not (0 <= self.plate_diameter < np.min(sides) and np.max(sides) < np.inf):
             raise InputError(f"a plate of {1e3 * self.plate_diameter:g} mm under a specimen of "
-                             f"{1e3 * self.specimen_size:g} mm: it must be smaller")
+                             f"{self.millimetres} mm: it must be smaller")
         if self.has_plate:
             return
         if self.specimen == "disc":
             raise InputError("a disc has no corners to hang by; give it a plate")
-        if not (self.corners_apart and 0 < self.corners_apart < self.specimen_size):
+        if not (self.corners_apart and 0 < self.corners_apart < sides[0]):
             raise InputError(f"corners_apart={self.corners_apart}: without a plate give a distance "
-                             f"above 0 and below {self.specimen_size:g} m, the specimen's size")
+                             f"above 0 and below {sides[0]:g} m, the specimen's first side")
 
     @property
     def name(self) -> str:
@@ -138,7 +148,18 @@ class Rig:
         if self.corners_apart and not self.has_plate:
             holder, size = "corners", self.corners_apart
         cut = f"_cut{np.degrees(self.cut):g}" if self.cut else ""
-        return f"{self.specimen}{1e3 * self.specimen_size:g}_{holder}{1e3 * size:g}{cut}"
+        return f"{self.specimen}{self.millimetres}_{holder}{1e3 * size:g}{cut}"
+
+    @property
+    def millimetres(self) -> str:
+        """The specimen's size in mm: ``300``, or ``170x250`` with sides along warp and weft."""
+        sides = self.sides if self.specimen == "rectangle" else self.sides[:1]
+        return "x".join(f"{1e3 * side:g}" for side in sides)
+
+    @property
+    def specimen_size(self) -> Metres:
+        """Size of the specimen as one number: side of the square of its area, or diameter."""
+        return math.sqrt(self.sides[0] * self.sides[1])
 
     @property
     def plate_radius(self) -> Metres:
@@ -148,12 +169,17 @@ class Rig:
     @property
     def reach(self) -> Metres:
         """Distance of the flat specimen's farthest point from its centre."""
-        return self.specimen_size / (2 if self.specimen == "disc" else np.sqrt(2))
+        return self.sides[0] / 2 if self.specimen == "disc" else math.hypot(*self.sides) / 2
 
     @property
     def overhang(self) -> Metres:
         """Largest distance of a centred specimen's border beyond the plate's rim."""
         return self.reach - self.plate_radius
+
+    @property
+    def least_overhang(self) -> Metres:
+        """The smallest such distance."""
+        return (min(self.sides) - self.plate_diameter) / 2
 
     @property
     def has_plate(self) -> bool:
@@ -163,8 +189,8 @@ class Rig:
     @property
     def specimen_area(self) -> float:
         """Area of the flat specimen, m²."""
-        square = self.specimen_size**2
-        return np.pi / 4 * square if self.specimen == "disc" else square
+        product = self.sides[0] * self.sides[1]
+        return np.pi / 4 * product if self.specimen == "disc" else product
 
     @property
     def obstacles(self) -> tuple[Cylinder, ...]:
@@ -172,26 +198,37 @@ class Rig:
         return (Cylinder(self.plate_radius),) if self.has_plate else ()
 
     @property
-    def sides(self) -> np.ndarray:
-        """(2, 2) unit vectors along the sides of a square, in warp/weft axes, as columns."""
+    def aspect(self) -> float:
+        """Second side over the first."""
+        return self.sides[1] / self.sides[0]
+
+    @property
+    def symmetry(self) -> Radians:
+        """Smallest turn that brings the flat specimen onto itself; 0: any turn does."""
+        return {"disc": 0.0, "square": np.pi / 2, "rectangle": np.pi}[self.specimen]
+
+    @property
+    def directions(self) -> np.ndarray:
+        """(2, 2) unit vectors along the sides of a rectangle, in warp/weft axes, as columns."""
         cos, sin = np.cos(self.cut), np.sin(self.cut)
         return np.array([[cos, -sin], [sin, cos]])
 
     def to_border(self, rest: RestPoints, centre: np.ndarray | tuple[float, float]) -> np.ndarray:
         """Distances (V,), m, to the border of the flat specimen around ``centre``; negative
         outside."""
-        offset = np.abs((rest - np.asarray(centre)) @ self.sides)
+        offset = np.abs((rest - np.asarray(centre)) @ self.directions)
         if self.specimen == "disc":
-            return self.specimen_size / 2 - np.linalg.norm(offset, axis=1)
-        return self.specimen_size / 2 - offset.max(axis=1)
+            return self.sides[0] / 2 - np.linalg.norm(offset, axis=1)
+        return (np.array(self.sides) / 2 - offset).min(axis=1)
 
     def border(self, azimuth: np.ndarray) -> np.ndarray:
         """Distances (...,), m, of the flat specimen's border from its centre at azimuths (...,),
-        rad, from a side of it."""
-        half = np.full(np.shape(azimuth), self.specimen_size / 2)
+        rad, from the direction of its first side."""
+        first, second = self.sides
         if self.specimen == "disc":
-            return half
-        return half / np.maximum(np.abs(np.cos(azimuth)), np.abs(np.sin(azimuth)))
+            return np.full(np.shape(azimuth), first / 2)
+        along, across = np.abs(np.cos(azimuth)), np.abs(np.sin(azimuth))
+        return first / 2 / np.maximum(along, first / second * across)
 
     def to_plate(self, rest: RestPoints) -> np.ndarray:
         """Distances (V,), m, in the flat specimen to the plate; 0 on it."""
@@ -201,7 +238,7 @@ class Rig:
         """Positions of the held points of the specimen."""
         if self.has_plate:
             return np.column_stack([rest, np.zeros(len(rest))])
-        across = rest[:, 0] * self.corners_apart / self.specimen_size
+        across = rest[:, 0] * self.corners_apart / self.sides[0]
         return np.column_stack([across, np.zeros((len(rest), 2))])
 
     @staticmethod
@@ -216,22 +253,22 @@ class Rig:
 
 
 def _rig_of(words: re.Match) -> Rig:
-    size, held = float(words["size"]) / 1e3, float(words["held"]) / 1e3
-    hung = words["holder"] == "corners"
-    return Rig(size, 0.0 if hung else held, words["specimen"], held if hung else None,
-               math.radians(float(words["cut"] or 0)))
+    sides = [float(side) / 1e3 for side in words["sides"].split("x")]
+    held, hung = float(words["held"]) / 1e3, words["holder"] == "corners"
+    return Rig((sides[0], sides[-1]), 0.0 if hung else held, words["specimen"],
+               held if hung else None, math.radians(float(words["cut"] or 0)))
 
 
 SQUARE_RIG = Rig()
 """The tester of Feng et al. 2022, section 3.1."""
 
-DISC_RIG = Rig(0.300, 0.180, specimen="disc")
+DISC_RIG = Rig((0.300, 0.300), 0.180, specimen="disc")
 """The drape tester of textile laboratories: ISO 9073-9, BS 5058."""
 
-SMALL_DISC_RIG, LARGE_DISC_RIG = (replace(DISC_RIG, specimen_size=size) for size in (0.240, 0.360))
+SMALL_DISC_RIG, LARGE_DISC_RIG = (replace(DISC_RIG, sides=(size, size)) for size in (0.240, 0.360))
 """The same tester with its specimens for limp and for stiff cloth."""
 
-HUNG_SQUARE = Rig(0.600, 0.0, corners_apart=0.500)
+HUNG_SQUARE = Rig((0.600, 0.600), 0.0, corners_apart=0.500)
 """The hanging test of section 7.4.2."""
 
 RIGS = {rig.name: rig for rig in

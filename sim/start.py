@@ -83,13 +83,14 @@ def _ring(rest: RestPoints, rig: Rig, rng: np.random.Generator) -> np.ndarray:
 
 
 def _hung(rest: RestPoints, rig: Rig) -> np.ndarray:
-    """A square held at its upper corners, its rows bent to circular arcs between them."""
-    chord = rig.corners_apart / rig.specimen_size
+    """A rectangle held at its upper corners, its rows bent to circular arcs between them."""
+    width, height = rig.sides
+    chord = rig.corners_apart / width
     turn = brentq(lambda t: np.sin(t) / t - chord, 1e-6, np.pi)
-    radius = rig.specimen_size / 2 / turn
+    radius = width / 2 / turn
     angle = rest[:, 0] / radius
     sag = radius * (np.cos(angle) - np.cos(turn))
-    return np.column_stack([radius * np.sin(angle), -sag, rest[:, 1] - rig.specimen_size / 2])
+    return np.column_stack([radius * np.sin(angle), -sag, rest[:, 1] - height / 2])
 
 
 def borrowed_positions(

@@ -93,6 +93,9 @@ FAULTS = {
     "folder for a checkpoint": (word("checkpoint=."), "checkpoint"),
     "folder in the way": (lambda c, _: (c.parent / "out/report.png").mkdir(parents=True) or [],
                           "it is a folder"),
+    "rectangle, which the network does not know": (
+        spoiled(lambda c, _: describe(c, tester="rectangle170x250_cylinder90")),
+        "no rectangles; give a specimen that it knows"),
     "no capture": (word("capture="), "capture=DIR"),
     "two sources": (word("scan=a.ply"), "not both"),
     "no value": (word("drapes"), "drapes"), "unknown key": (word("colour=red"), "colour"),

@@ -172,8 +172,8 @@ def stiff_maps(count: int, *, seed: int) -> Maps:
         silhouettes=np.repeat(radius[:, None], len(PERSPECTIVES), axis=1), theta=theta,
         curl=rng.normal(0, 2, (count, 2)), membrane=rng.lognormal(6, 0.5, count),
         hysteresis=rng.uniform(0.1, 0.3, count), size=0.3 * one, plate=0.6 * one, disc=one > 0,
-        face=one, views=4 * one, folds=7 * one, fabric=np.arange(count), index=np.arange(count),
-        moved=one < 0)
+        aspect=one, face=one, views=4 * one, folds=7 * one, fabric=np.arange(count),
+        index=np.arange(count), moved=one < 0)
 
 
 @pytest.mark.parametrize(("kinds", "known", "most"), [

@@ -37,6 +37,7 @@ class SamplingConfig:
     starts: tuple[str, ...] = (LOWERED,)
     testers: tuple[str, ...] = (SQUARE_RIG.name,)
     random_testers: float = 0.0
+    rectangles: float = 0.0
     testers_per_fabric: int = 1
     both_faces: bool = False
     drift: Metres = 0.003
@@ -46,11 +47,12 @@ class SamplingConfig:
     def __post_init__(self) -> None:
         for name in self.testers:
             named_tester(name)
-        starts = list(self.starts)
+        starts, drawn = list(self.starts), self.random_testers + self.rectangles
         for allowed, complaint in (
-            (0 <= self.random_testers <= 1 and (self.testers or self.random_testers == 1),
-             f"random_testers={self.random_testers:g} must lie between 0 and 1, and be 1 without "
-             "testers"),
+            (min(self.random_testers, self.rectangles) >= 0 and drawn <= 1
+             and (self.testers or drawn == 1),
+             f"random_testers={self.random_testers:g} and rectangles={self.rectangles:g} must not "
+             "be negative; their sum must be at most 1, and be 1 without testers"),
             (1 <= self.testers_per_fabric <= self.starts_per_fabric,
              f"testers_per_fabric={self.testers_per_fabric} must lie between 1 and "
              f"starts_per_fabric={self.starts_per_fabric}"),
@@ -58,7 +60,7 @@ class SamplingConfig:
              f"starts={starts} must contain only {', '.join(STARTS)}, {BORROWED}"),
             (set(starts) & set(STARTS), f"starts={starts} must contain {' or '.join(STARTS)}: the "
              "first drapes have nothing to borrow"),
-            (BORROWED not in starts or (len(self.testers) == 1 and not self.random_testers),
+            (BORROWED not in starts or (len(self.testers) == 1 and not drawn),
              f"starts={starts}: drapes of one tester only can be {BORROWED}; give a single name in "
              "testers"),
         ):
@@ -111,6 +113,7 @@ class DatasetOptions:
     starts: list[str]
     testers: list[str]
     random_testers: float
+    rectangles: float
     testers_per_fabric: int
     both_faces: bool
     drift_mm: Annotated[float, Field(ge=0, le=20)]

@@ -14,7 +14,7 @@ from common.types import Theta
 from data.dataset.config import BORROWED, SamplingConfig
 from data.fabrics.nuisances import Nuisances
 from data.fabrics.prior import Prior, is_soft, sample_admissible
-from data.rigs import MIN_OVERHANG, PLATES, SIZES, named_tester
+from data.rigs import DIAMETERS, MIN_OVERHANG, PLATES, SIDES, named_tester
 from sim.rig import Rig
 
 
@@ -77,6 +77,8 @@ def plan_drape(index: int, *, config: SamplingConfig, prior: Prior) -> DrapePlan
     fallback = others[(fabric + start_of_fabric) % len(others)] if start == BORROWED else start
     seed = int(rng.integers(2**31))
     offset = rng.normal(0.0, config.drift, 2)
+    # A specimen that leaves less than half of the overhang on a side would be laid again.
+    offset *= min(1.0, rig.least_overhang / 2 / max(np.hypot(*offset), 1e-12))
     return DrapePlan(index, fabric, theta, rejected, weight, rig, face, nuisances, start, fallback,
                      seed, offset)
 
@@ -85,12 +87,17 @@ def draw_testers(config: SamplingConfig, fabric: int) -> list[Rig]:
     """The testers of a fabric, with sizes in whole millimetres."""
     rng, testers = stream(config.seed, Stream.TESTERS, fabric), []
     for _ in range(config.testers_per_fabric):
-        if rng.random() >= config.random_testers:
+        kind = rng.random()
+        if kind >= config.random_testers + config.rectangles:
             testers.append(named_tester(config.testers[rng.integers(len(config.testers))]))
             continue
-        specimen, size = ("square", "disc")[rng.integers(2)], round(rng.uniform(*SIZES))
-        plate = round(rng.uniform(PLATES[0], min(PLATES[1], size - 2 * MIN_OVERHANG)))
-        testers.append(Rig(size / 1e3, plate / 1e3, specimen))
+        if kind < config.random_testers:
+            specimen = ("square", "disc")[rng.integers(2)]
+            sides = [round(rng.uniform(*DIAMETERS))] * 2
+        else:
+            specimen, sides = "rectangle", [round(side) for side in rng.uniform(*SIDES, 2)]
+        plate = round(rng.uniform(PLATES[0], min(PLATES[1], min(sides) - 2 * MIN_OVERHANG)))
+        testers.append(Rig((sides[0] / 1e3, sides[1] / 1e3), plate / 1e3, specimen))
     return testers
 
 

@@ -20,7 +20,7 @@ from common.types import Curvatures, Faces, Points, RestPoints
 from data.fabrics.nuisances import NAMES
 from sim.rig import Rig
 
-SCHEMA_VERSION = 7  # of manifests and shards
+SCHEMA_VERSION = 8  # of manifests and shards
 SEAL_SIZE = 512  # bytes, of the header with the checksum: HDF5's smallest user block
 LENGTH_UNIT = 1e-5  # m per count of stored coordinates
 ORIGIN_UNIT = 0.1  # 1/m per count of stored curvatures
@@ -52,8 +52,8 @@ def fields(vertices: int, triangles: int) -> dict[str, Field]:
         "theta": Field("f8", (6,), "log N·m, m", "moduli at 300 g/m², see data.fabrics.fabrics"),
         "rejected": Field("i4", (), "", "inadmissible samples of the prior before this fabric"),
         "weight": Field("f8", (), "1", "importance weight if soft fabrics are drawn more often"),
-        "specimen": Field("S8", (), "", "square or disc"),
-        "specimen_size": Field("f8", (), "m", "nominal side of the square, diameter of the disc"),
+        "specimen": Field("S9", (), "", "square, rectangle or disc"),
+        "sides": Field("f8", (2,), "m", "nominal, along warp and weft; of a disc, its diameter"),
         "plate_diameter": Field("f8", (), "m", "nominal diameter of the plate"),
         "face": Field("i1", (), "", "1: the fabric's marked face is up; -1: down"),
         "nuisances": Field("f8", (len(NAMES),), "SI", "see data.fabrics.nuisances"),
@@ -203,5 +203,5 @@ class Shard:
 
     def rig(self, row: int) -> Rig:
         """Nominal tester of a drape."""
-        return Rig(float(self._arrays["specimen_size"][row]),
+        return Rig(tuple(self._arrays["sides"][row].tolist()),
                    float(self._arrays["plate_diameter"][row]), str(self.column("specimen")[row]))

@@ -95,7 +95,7 @@ def _planned(plan: DrapePlan, lender: Record | None) -> dict:
         "rejected": plan.rejected,
         "weight": plan.weight,
         "specimen": plan.rig.specimen.encode(),
-        "specimen_size": plan.rig.specimen_size,
+        "sides": plan.rig.sides,
         "plate_diameter": plan.rig.plate_diameter,
         "face": plan.face,
         "nuisances": plan.nuisances.vector,

@@ -28,8 +28,8 @@ class Nuisances:
         shear: shear stiffness, relative to that of an isotropic membrane of this stiffness.
         hysteresis: see :class:`sim.energies.bending_variants.Hysteresis`.
         curl_warp, curl_weft: natural curvature as the specimen lies, 1/m.
-        size, plate: deviations of the specimen's size and of the plate's diameter, m.
-        cut: angle from the warp to the specimen's side, rad.
+        size, plate: deviations of both of the specimen's sides, and of the plate's diameter, m.
+        cut: angle from the warp to the specimen's first side, rad.
     """
 
     membrane: float = Corotational().stiffness
@@ -65,7 +65,8 @@ class Nuisances:
 
     def rig(self, nominal: Rig) -> Rig:
         """The ``nominal`` rig with the deviations in size, plate and cut of this specimen."""
-        return replace(nominal, specimen_size=nominal.specimen_size + self.size,
+        first, second = nominal.sides
+        return replace(nominal, sides=(first + self.size, second + self.size),
                        plate_diameter=nominal.plate_diameter + self.plate,
                        cut=0.0 if nominal.specimen == "disc" else self.cut)
 

@@ -16,9 +16,6 @@ from common.errors import InputError
 from common.types import DepthImage, Metres, Pixels, Points, Pose, Radians
 from sim.rig import DISC_RIG, SQUARE_RIG, Rig
 
-_REACH = {rig.specimen: rig.reach for rig in (SQUARE_RIG, DISC_RIG)}
-"""m, by the specimen's shape, of the testers that ``configs/camera.yaml`` states the camera of."""
-
 
 @dataclass(frozen=True)
 class Intrinsics:
@@ -120,8 +117,9 @@ def camera_pose(
 
 
 def size_ratio(rig: Rig) -> float:
-    """Size of the specimen over that of the measured tester; distances of cameras follow it."""
-    return rig.reach / _REACH[rig.specimen]
+    """Reach of the specimen over that of the tester of its kind that ``configs/camera.yaml`` states
+    the camera of; distances of cameras follow it."""
+    return rig.reach / (DISC_RIG if rig.specimen == "disc" else SQUARE_RIG).reach
 
 
 def nominal_camera(rig: Rig = SQUARE_RIG) -> Camera:

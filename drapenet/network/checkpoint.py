@@ -15,7 +15,9 @@ from common.errors import InputError, one_line
 from common.files import replace_file
 from common.types import Theta
 from data.fabrics.fabrics import THETA_NAMES
+from data.rigs import DIAMETERS
 from sim.material import SWAPPED
+from sim.rig import Rig
 
 if TYPE_CHECKING:
     import torch
@@ -41,6 +43,7 @@ class _Model(Schema):
     dropout: float = Field(ge=0, lt=1)
     distance: _Positive
     spread: _Positive
+    rectangles: bool = False
 
 
 class _Targets(Schema):
@@ -100,6 +103,15 @@ class Header(Excerpt):
         from data.render.setups import Setups
 
         return Setups.from_config(self.config.setup)
+
+    def require_learned(self, rig: Rig) -> None:
+        """InputError for a tester unlike those that the network was trained on."""
+        small = round(1e3 * min(rig.sides), 6) < DIAMETERS[0]
+        if not self.model.rectangles and (rig.specimen == "rectangle" or small):
+            raise InputError(
+                f"tester {rig.name}: the network {self.path.name} has learned squares and discs of "
+                f"{DIAMETERS[0]:g} mm and more, no rectangles; give a specimen that it knows, or "
+                "the checkpoint of a network that was trained on rectangles")
 
     @property
     def identity(self) -> dict[str, str]:

@@ -69,6 +69,7 @@ class Maps:
     size: np.ndarray  # (N,) m, as of the fields below
     plate: np.ndarray  # diameter over the size
     disc: np.ndarray
+    aspect: np.ndarray  # side along the weft over that along the warp
     face: np.ndarray
     views: np.ndarray  # their number
     folds: np.ndarray
@@ -179,7 +180,7 @@ def _depth(
     wrong: Radians,
 ) -> tuple[dict[str, Any], Radians]:
     """A synthetic depth capture, fields of :class:`Maps`, and the error of its azimuth 0: that of
-    the stated warp of a disc, ``wrong``, and of the measured side of a square."""
+    the stated warp of a disc, ``wrong``, and of the measured side of a rectangle."""
     capture = setups.capture(positions, faces, rng, rig=rig)
     if (capture.views > 0).mean(axis=(1, 2)).min() < CLOTH_SHARE[0]:
         return _NO_DEPTH, wrong  # refused when it is read: a flat drape seen along its surface
@@ -207,6 +208,7 @@ def _truth(drape: dict[str, np.ndarray], rig: Rig, step: np.ndarray) -> dict[str
             "membrane": nuisances.membrane * np.exp(step[-1]), "hysteresis": nuisances.hysteresis,
             "moved": step.any(), "size": rig.specimen_size,
             "plate": rig.plate_diameter / rig.specimen_size, "disc": rig.specimen == "disc",
+            "aspect": rig.aspect,
             **{name: drape[name] for name in ("face", "folds", "fabric", "index")}}
 
 

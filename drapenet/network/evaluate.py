@@ -28,6 +28,7 @@ from data.dataset.config import DatasetConfig, Options, config_from_options
 from data.dataset.generate import generate_dataset
 from data.fabrics.fabrics import read_fabric_table
 from data.fabrics.prior import TablePrior
+from data.rigs import named_tester
 from drapenet.config import EvaluateConfig
 from drapenet.network.checkpoint import Header, load_model, read_header
 from drapenet.network.dataset import Maps, make_maps
@@ -149,6 +150,8 @@ def main(config: EvaluateConfig) -> None:
     header = read_header(config.checkpoint)
     out = folder_named(config.out)
     require_folder(out)
+    for tester in config.testers:
+        header.require_learned(named_tester(tester))
     network = load_model(header)
     results: dict[str, dict] = {}
     bounds = read_json(Path(config.bounds))["cells"] if config.bounds else {}

@@ -39,6 +39,7 @@ class Facts:
     Attributes:
         size: of the specimens, m.
         plate: diameter of the plate over the specimen's size.
+        aspect: side across azimuth 0 over the side along it; 1 of squares and discs.
         known: whether the captures of its set have azimuth 0 along the warp (or, after a quarter
             turn, see :meth:`Batch.turned`, along the weft).
         views: their number in a depth capture, 0 without.
@@ -51,6 +52,7 @@ class Facts:
     size: np.ndarray
     plate: np.ndarray
     disc: np.ndarray
+    aspect: np.ndarray
     face: np.ndarray  # 1, or -1 if turned over
     known: np.ndarray
     views: np.ndarray
@@ -66,7 +68,7 @@ class Facts:
         return np.exp(np.bincount(self.group, np.log(self.size)) / count)
 
     def columns(self) -> torch.Tensor:
-        """(N, :data:`FACTS`) scalar inputs of the network."""
+        """(N, :data:`FACTS` + :data:`ASPECTS`) scalar inputs of the network."""
         size = self.sizes[self.group]
         columns = [np.log(size / _SIZE), np.log(self.size / size), 2 * self.plate - 1, self.disc,
                    self.known, self.known, self.views / 4 - 1, self.views > 0]
@@ -76,11 +78,15 @@ class Facts:
         # What a regression on the drape coefficient needs.
         share = columns[-3]
         columns += [share**2, share**3, share * columns[2], share * self.disc, columns[2] ** 2]
+        aspect = np.log(self.aspect)
+        columns += [aspect, aspect**2]
         return torch.from_numpy(np.column_stack(columns).astype(np.float32))
 
 
-FACTS = 19
+FACTS, ASPECTS = 19, 2
+"""Numbers of scalar inputs: of every network, and, after them, of one that reads rectangles."""
 _WARP = 5  # column: 1 if azimuth 0 is along the warp, -1 along the weft, 0 not known
+_ODD = (_WARP, FACTS)  # columns that a quarter turn gives the opposite sign: that, and the aspect's
 
 
 @dataclass(frozen=True)
@@ -91,7 +97,7 @@ class Batch:
     weight: MapTensor  # logarithm of 1 + weight
     outline: torch.Tensor  # (N, AZIMUTHS), in half sizes of the specimen; 0 where not seen
     face: torch.Tensor  # (N,) 1 or -1
-    facts: torch.Tensor  # (N, FACTS)
+    facts: torch.Tensor  # (N, FACTS + ASPECTS)
     group: torch.Tensor  # (N,)
     targets: torch.Tensor | None = None  # (M, TARGETS) standardised; None in inference
 
@@ -108,7 +114,8 @@ class Batch:
     def turned(self, symmetry: Symmetry) -> "Batch":
         """The batch with ``symmetry`` applied to its captures, not to its targets."""
         facts = self.facts.clone()
-        facts[symmetry.exchanged, _WARP] *= -1
+        for column in _ODD:
+            facts[symmetry.exchanged, column] *= -1
         return replace(self, facts=facts, **{name: symmetry.of_rows(getattr(self, name))
                                              for name in ("distance", "weight", "outline")})
 
@@ -158,13 +165,16 @@ class DrapeNet(torch.nn.Module):
     """Network from sets of captures to a mixture of ``components`` Gaussians.
 
     ``width``: features of the first stage, 64 in ResNet-18; ``distance``, ``spread``: mean and
-    standard deviation of the training distances.
+    standard deviation of the training distances; ``rectangles``: whether it reads the specimens'
+    aspect, as networks do that were trained on rectangles.
     """
 
     def __init__(
-        self, *, width: int, components: int, dropout: float, distance: float, spread: float
+        self, *, width: int, components: int, dropout: float, distance: float, spread: float,
+        rectangles: bool = False,
     ) -> None:
         super().__init__()
+        self.facts = FACTS + ASPECTS * rectangles
         self.distance, self.spread = distance, spread
         self.bfloat16 = False  # whether convolutions of a training step are in bfloat16
         widths = [width, width, 2 * width, 4 * width, 8 * width]
@@ -176,12 +186,12 @@ class DrapeNet(torch.nn.Module):
                                 BasicBlock(after, after, stride=1))
             for k, (before, after) in enumerate(pairwise(widths))))
         self.components = components
-        features = POOLED * widths[-1] + FACTS
+        features = POOLED * widths[-1] + self.facts
         self.embed = torch.nn.Sequential(
             torch.nn.Dropout(dropout), torch.nn.Linear(features, _EMBEDDING), torch.nn.ReLU(),
             torch.nn.Linear(_EMBEDDING, 2 * _EMBEDDING))
         self.curl = torch.nn.Linear(_EMBEDDING, 2 * 32)
-        self.direct = torch.nn.Linear(FACTS, TARGETS)  # to the means of the posterior
+        self.direct = torch.nn.Linear(self.facts, TARGETS)  # to the means of the posterior
         self.head = torch.nn.Sequential(
             torch.nn.Dropout(dropout), torch.nn.Linear(2 * _EMBEDDING + 32 + 1, _EMBEDDING),
             torch.nn.ReLU(), torch.nn.Dropout(dropout),
@@ -193,6 +203,7 @@ class DrapeNet(torch.nn.Module):
     ) -> Mixture:
         """The posterior of a :class:`Batch`, with outlines (N, AZIMUTHS); lengths in sizes (m/m).
         """
+        facts = facts[:, : self.facts]
         features = self.captures(distance, weight, outline, facts)
         value, gate = self.embed(features).chunk(2, dim=1)
         signed, trust = self.curl(value.relu()).chunk(2, dim=1)

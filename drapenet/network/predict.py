@@ -82,6 +82,7 @@ def batch_of(sets: Sequence[Sequence[Observation]]) -> tuple[Batch, Facts]:
     facts = Facts(
         size=sizes, plate=np.array([part.rig.plate_diameter for part in captures]) / sizes,
         disc=np.array([part.rig.specimen == "disc" for part in captures]),
+        aspect=np.array([part.rig.aspect for part in captures]),
         face=np.array([part.face for part in captures]), known=known,
         views=np.array([part.map.views if part.map else 0 for part in captures]),
         perspective=sizes / heights,

@@ -2,7 +2,8 @@
 
 A drape depends on alpha/(rho g L³), beta/(alpha L), the natural curvature times L, and the membrane
 stiffness over rho g L only, with L the specimen's size, so that testers of all sizes are one family
-(:mod:`sim.rig`, ``docs/physics.md``). L is that of the set's captures, their geometric mean.
+(:mod:`sim.rig`, ``docs/physics.md``). L is that of the set's captures, their geometric mean. Of a
+rectangle it is that of its sides, beside which the drape depends on their ratio.
 
 Where the direction of the warp is not stated, the targets are those with the stiffer yarns first.
 """
@@ -79,7 +80,7 @@ class Symmetry:
     ) -> "Symmetry":
         """Random: half turns where the warp is ``known`` (N,), and a quarter more where it is
         ``exchanged`` (N,) with the weft; else whole cells of a ``disc`` (N,) and quarter turns of a
-        square."""
+        rectangle, whose aspect is then the inverse."""
         step = np.where(known, 2 * QUARTER, np.where(disc, 1, QUARTER))
         cells = step * rng.integers(AZIMUTHS // step) + QUARTER * (known & exchanged)
         return cls(torch.from_numpy(cells), torch.from_numpy(rng.integers(2, size=len(known)) > 0))

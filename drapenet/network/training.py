@@ -109,7 +109,8 @@ class CaptureSet:
         """Arguments of :class:`drapenet.network.model.DrapeNet` for these captures."""
         sample = self.maps.distance[self.maps.views > 0][:_MEAN_SAMPLE].astype(np.float32)
         return {**asdict(config), "distance": round(float(sample.mean()), 4),
-                "spread": round(float(sample.std()), 4)}
+                "spread": round(float(sample.std()), 4),
+                "rectangles": bool((self.maps.aspect != 1).any())}
 
     def batch(
         self, cloths: np.ndarray, condition: Condition, rng: np.random.Generator, *,
@@ -139,7 +140,7 @@ class CaptureSet:
         counted = (kind == 2) & (rng.random(len(rows)) < 2 / 3)
         facts = Facts(
             size=maps.size[rows], plate=maps.plate[rows], disc=maps.disc[rows],
-            face=maps.face[rows] * flip[group], known=known[group],
+            aspect=maps.aspect[rows], face=maps.face[rows] * flip[group], known=known[group],
             views=np.where(deep, maps.views[rows], 0), perspective=np.where(
                 deep, 0.0, np.where(seen & stated, ratio, np.nan)),
             coefficient=coefficient, nodes=np.where(counted, maps.folds[rows], np.nan),

@@ -205,15 +205,18 @@ def size_checks(sizes: Sizes, limit: float) -> Iterator[Check]:
     """Checks of the sizes: a warning if the ratio to the stated one has a logarithm beyond a
     ``limit``."""
     low, high = np.exp(-limit), np.exp(limit)
-    parts = (("specimen", sizes.specimen, sizes.rig.specimen_size),
-             ("plate", sizes.plate, sizes.rig.plate_diameter))
-    for name, size, stated in parts:
-        wrong = size < low * stated or size > high * stated
-        yield Check(name, f"{_shown(1e3 * size, 'mm')} (stated: {1e3 * stated:g})", (
-            f"the {name} measures {1e3 * size:.0f} mm, {size / stated:.2f} times the stated "
-            f"{1e3 * stated:g} mm (limits {low:.2f} to {high:.2f}): state the "
+    rig = sizes.rig
+    parts = (("specimen", sizes.specimen, rig.specimen_size, rig.millimetres),
+             ("plate", sizes.plate, rig.plate_diameter, f"{1e3 * rig.plate_diameter:g}"))
+    for name, size, one, stated in parts:
+        ratio = size / one
+        measured = "x".join(f"{ratio * float(side):.0f}" for side in stated.split("x"))
+        shown = f"{measured} mm (stated: {stated})" if np.isfinite(size) else "not seen"
+        yield Check(name, shown, (
+            f"the {name} measures {measured} mm, {ratio:.2f} times the stated "
+            f"{stated} mm (limits {low:.2f} to {high:.2f}): state the "
             "tester with its sizes; if they are right, check depth unit and scale, fx and fy, the "
-            "cut-out, and that the pictures are upright") * bool(wrong))
+            "cut-out, and that the pictures are upright") * bool(ratio < low or ratio > high))
 
 
 def coefficient_check(coefficient: float, limit: float) -> Check:

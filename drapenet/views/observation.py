@@ -23,7 +23,7 @@ class Observation:
     Attributes:
         face: 1 if the marked face of the fabric is up, else -1.
         known: whether the direction of the warp is stated; else azimuth 0 is a side of a square,
-            any direction of a disc.
+            the first side of a rectangle, any direction of a disc.
         outline: of a depth capture, that of its visible cloth.
         coefficient, nodes: drape coefficient, from 0 to 1, and number of folds, of a capture that
             has nothing else; NaN: unknown.
@@ -54,23 +54,25 @@ class Observation:
 
     @classmethod
     def of_outline(cls, capture: Capture) -> "Observation":
-        """Of the outline of a photograph; InputError for a square without direction of the warp."""
-        seen, warp = capture.outline, capture.warp_direction
-        if warp is None and capture.rig.specimen == "square":
+        """Of the outline of a photograph; InputError without direction of the warp, but of a disc.
+        """
+        seen, warp, specimen = capture.outline, capture.warp_direction, capture.rig.specimen
+        if warp is None and specimen != "disc":
             raise InputError(f"{capture.path}: warp_direction_deg is missing; the outline of a "
-                             "square does not show its sides: state the direction of the warp")
+                             f"{specimen} does not show its sides: state the direction of the warp")
         outline = outline_of_curve(seen.curve, zero=warp or 0.0, height=seen.height)
         return cls(capture.rig, capture.sign, warp is not None, outline=outline)
 
 
 def map_along(warp: Radians | None, located: LocatedViews) -> RadialMap:
-    """Map with azimuth 0 at the ``warp`` of a disc, the side of a square that is nearest to it, or,
-    if that is None, at any side or at azimuth 0 of the first view."""
+    """Map with azimuth 0 at the ``warp`` of a disc, at the nearest of the directions in which the
+    first side of a rectangle may lie, or, if that is None, at any of these, or, of a disc, at
+    azimuth 0 of the first view."""
     if located.rig.specimen == "disc":
         return radial_map(located, zero=warp or 0.0)
-    drape = radial_map(located)
-    quarters = 0 if warp is None else round((warp - drape.zero) / (np.pi / 2))
-    distance, weight = (np.roll(part, -quarters * (AZIMUTHS // 4), axis=0)
+    drape, turn = radial_map(located, near=warp), located.rig.symmetry
+    turns = 0 if warp is None else round((warp - drape.zero) / turn)
+    cells = round(AZIMUTHS * turn / (2 * np.pi))
+    distance, weight = (np.roll(part, -turns * cells, axis=0)
                         for part in (drape.distance, drape.weight))
-    return replace(drape, distance=distance, weight=weight,
-                   zero=drape.zero + quarters * np.pi / 2)
+    return replace(drape, distance=distance, weight=weight, zero=drape.zero + turns * turn)

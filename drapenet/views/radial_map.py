@@ -35,19 +35,25 @@ class RadialMap:
     views: int  # their number
 
 
-def radial_map(located: LocatedViews, *, zero: Radians | None = None) -> RadialMap:
-    """Fuse the views of one capture; ``zero`` None: direction of a square's side, in [0, pi/2)."""
+def radial_map(
+    located: LocatedViews, *, zero: Radians | None = None, near: Radians | None = None
+) -> RadialMap:
+    """Fuse the views of one capture; ``zero`` None: :func:`side_direction`, of a disc 0."""
     rig, camera, turns = located.rig, located.camera, located.turns
     clouds = [cloud - [*located.centre, 0] for cloud in located.clouds]
     if zero is None:
-        zero = 0.0 if rig.specimen == "disc" else side_direction(*fused(clouds, turns, rig), rig)
+        zero = 0.0 if rig.specimen == "disc" else side_direction(
+            *fused(clouds, turns, rig), rig, near)
     distance, weight = fused(clouds, turns + zero, rig)
     pixel = np.linalg.norm(camera.world_to_camera[:3, 3]) / camera.fx
     return RadialMap(distance, weight * (pixel / PIXEL) ** 2, zero, len(located.views))
 
 
-def side_direction(distance: np.ndarray, weight: np.ndarray, rig: Rig) -> float:
-    """Direction of a square specimen's side, in [0, pi/2) rad from azimuth 0.
+def side_direction(
+    distance: np.ndarray, weight: np.ndarray, rig: Rig, near: Radians | None = None
+) -> float:
+    """Direction of a rectangle's first side, in [0, pi) rad from azimuth 0, or, as any of its sides
+    may be the first, in [0, pi/2) of a square; ``near``: at most pi/4 from this or its opposite.
 
     The length of cloth from rim to hem is that of the flat specimen, longest towards the four
     corners; the direction minimises the error of these lengths. Shapes as in :class:`RadialMap`.
@@ -62,7 +68,10 @@ def side_direction(distance: np.ndarray, weight: np.ndarray, rig: Rig) -> float:
     lengths = (steps * below[:, :-1]).sum(axis=1)
     # Lengths are unreliable where little of a line is visible.
     trust = ((visible & below).sum(axis=1) / np.maximum(below.sum(axis=1), 1)) ** 2 + 1e-3
-    sides = np.radians(np.arange(0.0, 90.0))
+    turn = rig.symmetry
+    sides = np.radians(np.arange(0.0, np.degrees(turn)))
+    if near is not None:  # a rectangle that is nearly square looks much the same across
+        sides = sides[np.abs((sides - near + turn / 2) % turn - turn / 2) < np.pi / 4 + 1e-9]
     direction = AZIMUTH - sides[:, None]
     gap = lengths - (rig.border(direction) - rig.plate_radius)
     # Correct the common bias of the hem; the cost saturates for outliers of single folds.

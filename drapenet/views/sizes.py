@@ -3,8 +3,8 @@
     points of all views -> sections through the axis -> lengths to the hem, radii of the flat part
 
 Cloth bends almost without stretching: a section from the axis to the hem of a disc is as long as
-its radius where a fold has its crest or its valley, and little longer between them. For a square,
-these lengths run from half a side to half a diagonal.
+its radius where a fold has its crest or its valley, and little longer between them. For a
+rectangle, these lengths run from half a side to half a diagonal.
 """
 
 from dataclasses import dataclass
@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.types import Metres
-from drapenet.views.directions import AZIMUTHS, centre_height
+from drapenet.views.directions import AZIMUTH, AZIMUTHS, centre_height
 from drapenet.views.located import LocatedViews
-from sim.rig import Rig
+from sim.rig import SQUARE_RIG, Rig
 
 _ROWS = 48  # of elevation, from the zenith down: coarse, as noise makes a section longer
 _MIN_DEPTH = 0.4  # of the plate's radius, of the point below the plate that sections are seen from
@@ -27,7 +27,7 @@ _BEYOND = 1.05  # of the plate's radius: shorter sections end at the rim, the cl
 _FALLS = 1.5e-3, 6e-3  # m below the plate's plane, where the radius is measured
 TYPICAL = {"disc": (0.5, 0.957), "square": (0.8, 1.27)}
 """Quantile of the sections' lengths that varies least between drapes, and its median over drapes,
-in half sizes: the cells at the hem are seen only in part."""
+in half sizes: the cells at the hem are seen only in part. For rectangles see :func:`typical`."""
 TYPICAL_PLATE = 0.934
 """Median of the measured over the true radius of a plate: cells are large, and its rim is round."""
 
@@ -36,7 +36,7 @@ TYPICAL_PLATE = 0.934
 class Sizes:
     """Measured sizes, m, of a capture of the tester ``rig``; NaN where too little is seen."""
 
-    specimen: Metres  # side of a square or diameter of a disc
+    specimen: Metres  # side of a square, :attr:`sim.rig.Rig.specimen_size` of others
     plate: Metres  # diameter
     rig: Rig
     views: int  # their number; a single view may show few corners of a square, or few of its sides
@@ -57,9 +57,20 @@ def measured_sizes(located: LocatedViews) -> Sizes:
         length = radius[hanging][0] + steps.sum()
         if steps.max() < longest_step and length > _BEYOND * rig.plate_radius:
             lengths.append(length)
-    quantile, typical = TYPICAL[rig.specimen]
-    return Sizes(2 * _quantile(lengths, quantile) / typical,
+    quantile, median = typical(rig)
+    return Sizes(2 * _quantile(lengths, quantile) / median,
                  2 * _quantile(rims, 0.5) / TYPICAL_PLATE, rig, len(located.views))
+
+
+def typical(rig: Rig) -> tuple[float, float]:
+    """The values of :data:`TYPICAL` for the shape of ``rig``: of a rectangle, those of a square,
+    times the ratio of that quantile of the flat specimens."""
+    if rig.specimen != "rectangle":
+        return TYPICAL[rig.specimen]
+    quantile, median = TYPICAL["square"]
+    flat, square = (np.quantile(one.border(AZIMUTH) / one.specimen_size, quantile)
+                    for one in (rig, SQUARE_RIG))
+    return quantile, median * float(flat / square)
 
 
 def _sections(located: LocatedViews) -> tuple[np.ndarray, np.ndarray]:

@@ -189,12 +189,12 @@ def drape_moves(
 
 
 def moves_with_size(tangent: Tangent, rig: Rig) -> np.ndarray:
-    """(2, V, 3) how a drape moves with the specimen's size, m per m, and its cut, m per rad; the
+    """(2, V, 3) how a drape moves with the specimen's sides, m per m, and its cut, m per rad; the
     mesh moves as for :func:`sim.sensitivity.rest_shape.moves_with_offset`."""
     share, from_centre = share_of_border(tangent, rig)
     turned = np.column_stack([-from_centre[:, 1], from_centre[:, 0]])
-    return moves_with_rest(
-        tangent, share[:, None] * np.stack([from_centre / rig.specimen_size, turned]))
+    larger = (from_centre @ rig.directions / rig.sides) @ rig.directions.T
+    return moves_with_rest(tangent, share[:, None] * np.stack([larger, turned]))
 
 
 def moves_with_plate(tangent: Tangent, rig: Rig) -> np.ndarray:

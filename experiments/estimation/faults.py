@@ -132,7 +132,7 @@ FAULTS: dict[str, Callable[[SyntheticCapture, Rng], SyntheticCapture]] = {
 }
 """Faults by name, as functions that apply them to a capture of four views."""
 SIMULATED = {
-    "specimen of 270 mm": {"rig": replace(Rig(), specimen_size=0.27)},
+    "specimen of 270 mm": {"rig": replace(Rig(), sides=(0.27, 0.27))},
     "specimen 20 mm off the centre": {"offset": (0.02, 0.0)},
 }
 """Faults of the specimen by name, as arguments of :func:`sim.drape.drape`."""

@@ -1,4 +1,4 @@
-"""Meshes of a rig's specimen: squares and discs, fine at the plate's rim, coarser towards the hem.
+"""Meshes of a rig's specimen, a rectangle or disc: fine at the plate's rim, coarser at the hem.
 
 Within about 25 mm of the rim, cloth is bent in two directions; uniform meshes are too coarse there.
 Initial points are on circles around the plate, spaced by the target edge length, with a random
@@ -79,7 +79,7 @@ def _circle(radius: float, count: int, rng: np.random.Generator) -> np.ndarray:
 
 def _rings(outline: Outline, rng: np.random.Generator, radius: float, sign: int) -> np.ndarray:
     """Points (N, 2) on circles beyond ``radius``, outwards (``sign`` 1) or inwards (-1)."""
-    reach = outline.rig.specimen_size / np.sqrt(2) + np.hypot(*outline.centre)
+    reach = np.hypot(*outline.rig.sides) / 2 + np.hypot(*outline.centre)
 
     def length(radius: float) -> float:
         return outline.edge_at(np.array([[max(radius, 0.0), 0.0]]))[0]
@@ -100,9 +100,9 @@ def _rings(outline: Outline, rng: np.random.Generator, radius: float, sign: int)
 
 def _border(outline: Outline, rng: np.random.Generator) -> np.ndarray:
     """Points (N, 2) on the border, spaced by the target edge length."""
-    half, centre = outline.rig.specimen_size / 2, np.asarray(outline.centre)
+    half, centre = np.array(outline.rig.sides) / 2, np.asarray(outline.centre)
     if outline.rig.specimen == "disc":
-        fine = centre + _circle(half, 4000, rng)
+        fine = centre + _circle(half[0], 4000, rng)
         place = _spread(np.concatenate([fine, fine[:1]]), outline, rng)
         out = place - centre
         return centre + half * out / np.linalg.norm(out, axis=1, keepdims=True)
@@ -198,10 +198,9 @@ def mesh_specimen(
             to :data:`MAX_EDGE`; on the plate, where triangles store no energy, they grow faster.
     """
     _check(rig, edge, offset)
-    overhang = (rig.specimen_size - rig.plate_diameter) / 2
     # In the axes of the sides, which may differ from warp and weft.
-    along_sides = np.asarray(offset, dtype=float) @ rig.sides
-    shared = np.hypot(*along_sides) <= MAX_SHARED_OFFSET * overhang
+    along_sides = np.asarray(offset, dtype=float) @ rig.directions
+    shared = np.hypot(*along_sides) <= MAX_SHARED_OFFSET * rig.least_overhang
     base = _base_rig(rig)
     mesh, held = _base_mesh(base, float(edge), int(topology),
                             (0.0, 0.0) if shared else tuple(along_sides.tolist()), float(grading))
@@ -212,21 +211,22 @@ def mesh_specimen(
     share = np.where(held, 0.0, share)
     if rig.has_plate:
         plate = rig.plate_diameter / base.plate_diameter
-        border = rig.specimen_size / base.specimen_size
-        rest = rest * (plate + (border - plate) * share)[:, None]
+        border = np.array(rig.sides) / base.sides
+        rest = rest * (plate + (border - plate) * share[:, None])
     if shared:
         rest = rest + share[:, None] * along_sides
-    return mesh.with_rest(rest @ rig.sides.T), held
+    return mesh.with_rest(rest @ rig.directions.T), held
 
 
 def _base_rig(rig: Rig) -> Rig:
     """The rig whose meshes are used for ``rig``: of rounded sizes, cut along the yarns."""
     if not rig.has_plate:
         return rig
-    sizes = np.array([rig.specimen_size, rig.plate_diameter])
+    sizes = np.array([*rig.sides, rig.plate_diameter])
     rounded = np.round(_SIZE_STEP * np.round(sizes / _SIZE_STEP), 6)
     near = (np.abs(rounded - sizes) <= _MAX_SCALING * sizes).all()
-    return Rig(*(rounded if near else sizes).tolist(), specimen=rig.specimen)
+    *sides, plate = (rounded if near else sizes).tolist()
+    return Rig(tuple(sides), plate, rig.specimen)
 
 
 def _check(rig: Rig, edge: Metres, offset: tuple[float, float]) -> None:
@@ -245,8 +245,12 @@ def longest_edge(rig: Rig, offset: tuple[float, float]) -> Metres:
     ``offset`` that uncovers the plate."""
     if not rig.has_plate:
         return np.inf
-    shift = np.hypot(*offset) if rig.specimen == "disc" else np.abs(offset).max()
-    overhang = (rig.specimen_size - rig.plate_diameter) / 2
+    shifts = np.abs(np.asarray(offset) @ rig.directions)
+    if rig.specimen == "disc":
+        shifts = np.full(2, np.hypot(*offset))
+    overhangs = (np.array(rig.sides) - rig.plate_diameter) / 2
+    narrowest = np.argmin(overhangs - shifts)
+    overhang, shift = overhangs[narrowest], shifts[narrowest]
     if shift >= overhang:
         raise InputError(f"an offset of {1e3 * shift:.3g} mm uncovers the plate of {rig.name}; at "
                          f"most {1e3 * overhang:.3g} mm is possible; give it in metres")
@@ -270,7 +274,7 @@ def _base_mesh(
     mesh, count = graded_mesh(Outline(rig, centre, edge, largest), np.random.default_rng(topology))
     if rig.has_plate:
         return mesh, np.arange(len(mesh.rest)) < count
-    corners = np.array([[-0.5, 0.5], [0.5, 0.5]]) * rig.specimen_size
+    corners = np.array([[-0.5, 0.5], [0.5, 0.5]]) * rig.sides
     return mesh, (mesh.rest[:, None] == corners).all(axis=2).any(axis=1)
 
 

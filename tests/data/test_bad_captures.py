@@ -91,6 +91,7 @@ def setting(**changes: object) -> Callable[[Path], None]:
 
 
 DISC = {"specimen": "disc", "size_mm": 300, "plate_mm": 180}
+SIDES = {"specimen": "rectangle", "size_mm": [170, 250], "plate_mm": 90}
 GOOD = {"fx": 305.0, "fy": 305.0, "cx": 119.5, "cy": 89.5}
 
 BAD_METRIC = {
@@ -187,6 +188,14 @@ BAD_METRIC = {
     "size in m": (setting(tester={**DISC, "size_mm": 0.3}), "a plate of 180 mm under a specim"),
     "large specimen": (setting(tester={**DISC, "size_mm": 401}), "a specimen of 401 mm; give 200"),
     "small specimen": (setting(tester="disc199_support100"), "a specimen of 199 mm; give 200"),
+    "small rectangle": (
+        setting(tester="rectangle130x250_cylinder90"), "a specimen of 130x250 mm; give 140 to 400"),
+    "rectangle with one side": (
+        setting(tester={**SIDES, "size_mm": 250}), "(size_mm=250: Input should be a valid list; "
+        "give both sides of a rectangle, along warp and weft, such as [170, 250])"),
+    "square with two sides": (setting(tester={**SIDES, "specimen": "square"}), "size_mm=[170"),
+    "rectangle with a short overhang": (
+        setting(tester={**SIDES, "plate_mm": 150}), "has an overhang of 10 mm; give 20 mm or more"),
     "small plate": (setting(tester={**DISC, "plate_mm": 59.5}), "has a plate of 59.5 mm; give 60"),
     "large plate": (setting(tester={**DISC, "plate_mm": 201}), "has a plate of 201 mm; give 60"),
     "short overhang": (

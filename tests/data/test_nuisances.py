@@ -59,7 +59,8 @@ def test_the_other_face_has_the_opposite_curvature():
     assert up.hysteresis == down.hysteresis
 
 
-@pytest.mark.parametrize("nominal", [Rig(), DISC_RIG], ids=lambda rig: rig.name)
+@pytest.mark.parametrize("nominal", [Rig(), DISC_RIG, Rig((0.22, 0.3), 0.1)],
+                         ids=lambda rig: rig.name)
 def test_specimens_of_other_sizes_share_triangles_and_hold_their_own_plate(nominal):
     nuisances = Nuisances(size=2e-3, plate=-6e-4, cut=0.03)
     rig, plain = nuisances.rig(nominal), make_specimen(nominal, edge=6e-3)
@@ -67,14 +68,16 @@ def test_specimens_of_other_sizes_share_triangles_and_hold_their_own_plate(nomin
     specimen = make_specimen(rig, edge=6e-3, offset=offset)
     assert (specimen.mesh.faces == plain.mesh.faces).all()
     rest, areas = specimen.mesh.rest, specimen.mesh.areas
-    if nominal.specimen == "square":
+    if nominal.specimen != "disc":
+        assert np.subtract(rig.sides, nominal.sides) == pytest.approx(2e-3)
         assert areas.sum() == pytest.approx(rig.specimen_area, rel=1e-9)
     held = specimen.held[specimen.mesh.faces].all(axis=1)
     assert areas[held].sum() == pytest.approx(np.pi * rig.plate_radius**2, rel=1e-6)
     assert 0.5 * (rest.max(0) + rest.min(0)) == pytest.approx(offset, abs=3e-4)
-    if nominal.specimen == "square":
+    if nominal.specimen != "disc":
         corner = rest[np.argmax(rest.sum(axis=1))] - offset
-        assert np.arctan2(*corner[::-1]) == pytest.approx(np.pi / 4 + 0.03, abs=1e-9)
+        diagonal = np.arctan2(*rig.sides[::-1])
+        assert np.arctan2(*corner[::-1]) == pytest.approx(diagonal + 0.03, abs=1e-9)
     assert (areas > 0).all()
 
 

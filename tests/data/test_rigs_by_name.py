@@ -14,7 +14,8 @@ from sim.drape import Drape, drape
 from sim.material import MICRO, Fabric
 from sim.rig import Rig
 
-NAMES = ("disc240_support180", "square300_cylinder100", "disc360_support120")
+NAMES = ("disc240_support180", "square300_cylinder100", "disc360_support120",
+         "rectangle170x250_cylinder90")
 
 
 @pytest.fixture(scope="module", params=NAMES)
@@ -30,7 +31,9 @@ def test_a_tester_of_any_size_drapes_renders_and_reads_back(tmp_path, shape):
     folder = tmp_path / "capture"
     write_capture(folder, views=views, intrinsics=nominal_camera(rig).intrinsics, density=0.3,
                   rig=rig)
-    describe(folder, tester={"specimen": rig.specimen, "size_mm": round(1e3 * rig.specimen_size),
+    sides = [round(1e3 * side) for side in rig.sides]
+    describe(folder, tester={"specimen": rig.specimen,
+                          "size_mm": sides if rig.specimen == "rectangle" else sides[0],
                           "plate_mm": round(1e3 * rig.plate_diameter)})
     capture = read_capture(folder)
     assert shape.converged and capture.rig == rig and capture.warnings == ()

@@ -6,6 +6,7 @@ from data.dataset.config import SamplingConfig
 from data.dataset.plan import choose_lender, plan_drape
 from data.fabrics.nuisances import NuisanceConfig
 from data.fabrics.prior import load_prior
+from data.rigs import named_tester
 from sim.rig import DISC_RIG, SQUARE_RIG
 
 PRIOR = load_prior("gaussian")
@@ -96,6 +97,34 @@ def test_half_of_the_testers_are_common_ones_and_the_others_are_within_the_limit
     assert [p.rig for p in plans(8, **settings)] == rigs[:8]
 
 
+def test_rectangles_are_drawn_within_the_limits_and_centred_on_their_plates():
+    settings = {"random_testers": 0.25, "rectangles": 0.25, "testers": (DISC_RIG.name,)}
+    drapes = plans(2000, **settings, drift=0.008)
+    rigs = [p.rig for p in drapes]
+    drawn = [rig for rig in rigs if rig.specimen == "rectangle"]
+    assert len(drawn) == pytest.approx(500, abs=60)
+    assert rigs.count(DISC_RIG) == pytest.approx(1000, abs=80)
+    sides = 1e3 * np.array([rig.sides for rig in drawn])
+    assert 140 <= sides.min() < 145 and 395 < sides.max() <= 400
+    assert np.mean(sides[:, 0] > sides[:, 1]) == pytest.approx(0.5, abs=0.08)
+    plate = 1e3 * np.array([rig.plate_diameter for rig in drawn])
+    assert 60 <= plate.min() < 65 and 180 < plate.max() <= 200
+    assert (sides - plate[:, None]).min() >= 40 - 1e-9
+    for rig in drawn[:20]:
+        assert named_tester(rig.name) == rig
+    # An offset leaves half of the overhang, room for the coarsest mesh of a drape.
+    share = np.array([np.hypot(*p.offset) / p.rig.least_overhang for p in drapes])
+    assert share.max() == pytest.approx(0.5) and np.mean(share < 0.499) > 0.9
+
+
+def test_without_rectangles_plans_are_what_they_were():
+    settings = {"random_testers": 0.5, "testers": (SQUARE_RIG.name,)}
+    plain, mixed = (plans(60, **settings, rectangles=share) for share in (0.0, 0.2))
+    kept = [(one.rig, other.rig) for one, other in zip(plain, mixed, strict=True)
+            if other.rig.specimen != "rectangle"]
+    assert len(kept) > 40 and all(one == other for one, other in kept)
+
+
 def test_both_faces_of_each_fabric_are_up():
     drapes = plans(400, starts_per_fabric=4, both_faces=True,
                    nuisances=NuisanceConfig(curl=5.0))
@@ -114,6 +143,9 @@ def test_both_faces_of_each_fabric_are_up():
     ({"starts": ("borrowed",)}, "nothing to borrow"),
     ({"testers": ("moon",)}, "moon"),
     ({"testers": ()}, "random_testers=0 .* be 1 without testers"),
+    ({"random_testers": 0.7, "rectangles": 0.4}, "rectangles=0.4 .* at most 1"),
+    ({"random_testers": -0.1}, "not be negative"), ({"rectangles": -0.1}, "not be negative"),
+    ({"starts": ("sine", "borrowed"), "rectangles": 0.5}, "give a single name in testers"),
     ({"testers_per_fabric": 3}, "testers_per_fabric=3 must lie between 1 and"),
     ({"starts": ("sine", "borrowed"), "random_testers": 0.5}, "give a single name in testers")])
 def test_nonsense_is_refused(changes, complaint):

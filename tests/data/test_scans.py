@@ -20,7 +20,7 @@ from sim.rig import DISC_RIG, Rig
 
 RULED = Path(__file__).parents[2] / ".." / "shared" / "scans"
 """Straight lines from the plate's rim to outlines of real drapes."""
-RIG = Rig(specimen_size=0.300, plate_diameter=0.180)
+RIG = Rig(plate_diameter=0.180)
 
 
 def scan_arrays() -> dict[str, np.ndarray]:

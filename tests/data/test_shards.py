@@ -74,14 +74,16 @@ def test_mesh_comes_back_to_a_hundredth_of_a_millimetre(tmp_path):
 
 
 def test_tester_and_origins_of_a_drape_come_back(tmp_path):
-    records = [random_record(0), random_record(1)]
-    for record, rig in zip(records, (Rig(0.254, 0.127, "disc"), Rig()), strict=True):
-        record |= {"specimen": rig.specimen.encode(), "specimen_size": rig.specimen_size,
+    records = [random_record(0), random_record(1), random_record(2)]
+    rectangle = Rig((0.17, 0.25), 0.09)
+    for record, rig in zip(records, (Rig(0.254, 0.127, "disc"), Rig(), rectangle), strict=True):
+        record |= {"specimen": rig.specimen.encode(), "sides": rig.sides,
                    "plate_diameter": rig.plate_diameter, "face": -1}
     write_shard(tmp_path / "s.h5", records, attributes=ATTRIBUTES)
     shard = Shard(tmp_path / "s.h5")
     assert shard.rig(0).name == "disc254_support127" and shard.rig(1) == Rig()
-    assert shard.column("face").tolist() == [-1, -1]
+    assert shard.rig(2) == rectangle
+    assert shard.column("face").tolist() == [-1, -1, -1]
     for row, record in enumerate(records):  # of as many triangles as the drape has
         np.testing.assert_allclose(shard.origin(row), 0.1 * record["origin"])
 
@@ -138,7 +140,7 @@ def test_every_flipped_bit_and_every_missing_byte_shows(shard, tmp_path):
 def test_the_seal_is_that_of_the_documentation(shard):
     whole = shard.path.read_bytes()
     first, second, rest = whole[:SEAL_SIZE].split(b"\n")
-    assert first == b"drapes, schema 7, SHA-256 of all after byte 512:"
+    assert first == b"drapes, schema 8, SHA-256 of all after byte 512:"
     assert second.decode() == hashlib.sha256(whole[512:]).hexdigest()
     assert not rest.strip(b"\0")
 
@@ -147,9 +149,9 @@ def test_other_files_are_no_shard(tmp_path):
     (tmp_path / "text.h5").write_text("no shard")
     write_shard(tmp_path / "new.h5", [random_record(0)], attributes=ATTRIBUTES)
     content = (tmp_path / "new.h5").read_bytes()
-    (tmp_path / "old.h5").write_bytes(content.replace(b"schema 7", b"schema 6", 1))
+    (tmp_path / "old.h5").write_bytes(content.replace(b"schema 8", b"schema 7", 1))
     for name, complaint in (("text.h5", "not a shard"), ("none.h5", "No such file"),
-                            ("old.h5", "not a shard of schema version 7")):
+                            ("old.h5", "not a shard of schema version 8")):
         with pytest.raises(InputError, match=complaint):
             Shard(tmp_path / name)
 

@@ -9,7 +9,7 @@ from drapenet.views.outline import DrapeOutline, outline_of_curve, silhouettes
 from sim.drape import drape
 from sim.material import MICRO, Fabric
 from sim.measures import drape_coefficient
-from sim.rig import DISC_RIG, SQUARE_RIG
+from sim.rig import DISC_RIG, SQUARE_RIG, Rig
 from sim.scene import make_specimen
 
 ANGLE = np.linspace(0, 2 * np.pi, 400, endpoint=False)
@@ -24,10 +24,10 @@ def test_the_radius_of_a_curve_runs_from_azimuth_zero() -> None:
 
 
 def test_a_flat_specimen_covers_all_of_its_area() -> None:
-    for rig in (DISC_RIG, SQUARE_RIG):
-        half = rig.specimen_size / 2
-        side = np.maximum(np.abs(np.cos(ANGLE)), np.abs(np.sin(ANGLE)))
-        radius = half / side if rig.specimen == "square" else np.full(len(ANGLE), half)
+    for rig in (DISC_RIG, SQUARE_RIG, Rig((0.17, 0.25), 0.09)):
+        x, y = (np.array(rig.sides) / 2)[:, None] / np.maximum(
+            np.abs([np.cos(ANGLE), np.sin(ANGLE)]), 1e-12)
+        radius = np.full(len(ANGLE), 0.15) if rig.specimen == "disc" else np.minimum(x, y)
         curve = radius[:, None] * np.column_stack([np.cos(ANGLE), np.sin(ANGLE)])
         assert outline_of_curve(curve).coefficient(rig) == pytest.approx(1.0, abs=0.01)
 

@@ -112,9 +112,9 @@ def test_moves_with_the_specimen_and_its_plate(specimen, tangent):
     step = 1e-5  # ten times this jumps to other folds
     for move, change in zip(moves_with_offset(tangent, RIG), step * np.eye(2), strict=True):
         assert agree(move, [settled(RIG, OFFSET + s * change) for s in (1, -1)], 2 * step)
-    for move, name in ((moves_with_size(tangent, RIG)[0], "specimen_size"),
+    for move, name in ((moves_with_size(tangent, RIG)[0], "sides"),
                        (moves_with_plate(tangent, RIG), "plate_diameter")):
-        rigs = [replace(RIG, **{name: getattr(RIG, name) + s}) for s in (step, -step)]
+        rigs = [replace(RIG, **{name: np.add(getattr(RIG, name), s)}) for s in (step, -step)]
         assert agree(move, [settled(rig, OFFSET) for rig in rigs], 2 * step)
 
 

@@ -17,7 +17,8 @@ from sim.mesh.specimen import (
 from sim.rig import DISC_RIG, HUNG_SQUARE, Rig
 from sim.scene import Scene, make_specimen
 
-ON_PLATE = pytest.mark.parametrize("rig", [Rig(), DISC_RIG], ids=lambda rig: rig.name)
+RECTANGLE = Rig.from_name("rectangle170x250_cylinder90")
+ON_PLATE = pytest.mark.parametrize("rig", [Rig(), RECTANGLE, DISC_RIG], ids=lambda rig: rig.name)
 EDGES = pytest.mark.parametrize("edge", [0.0025, 0.006, 0.012])
 
 
@@ -80,12 +81,12 @@ def test_triangles_are_conforming_upright_and_well_shaped(rig, edge):
             assert np.allclose(np.linalg.norm(mesh.rest[border], axis=1), 0.15, atol=2e-9)
             assert mesh.areas.sum() == pytest.approx(rig.specimen_area, rel=2e-2 * (edge / 6e-3)**2)
         else:
-            assert np.array_equal(np.abs(mesh.rest[border]).max(axis=1), np.full(border.sum(), .15))
-            assert mesh.areas.sum() == pytest.approx(0.3**2, rel=1e-12)
+            assert np.array_equal(rig.to_border(mesh.rest, (0, 0)) == 0, border)
+            assert mesh.areas.sum() == pytest.approx(rig.sides[0] * rig.sides[1], rel=1e-12)
         assert smallest_angles(mesh).min() > 18
         free.append(smallest_angles(mesh)[~specimen.held[mesh.faces].all(axis=1)])
     free = np.concatenate(free)
-    assert free.min() > 23 and (free < 30).mean() < 1e-2
+    assert free.min() > 21 and (free < 30).mean() < 1e-2
 
 
 @pytest.mark.parametrize("grading", [1.0, GRADING, 4.0])
@@ -126,7 +127,7 @@ def test_edges_have_no_preferred_direction():
 @ON_PLATE
 def test_offsets_move_the_border_and_keep_the_faces(rig):
     base = make_specimen(rig, edge=0.004, topology=2)
-    limit = MAX_SHARED_OFFSET * (rig.specimen_size - rig.plate_diameter) / 2
+    limit = MAX_SHARED_OFFSET * rig.least_overhang
     offset = 0.999 * limit * np.array([0.6, -0.8])
     moved = make_specimen(rig, edge=0.004, topology=2, offset=tuple(offset))
     assert moved.mesh.faces is base.mesh.faces and np.array_equal(moved.held, base.held)
@@ -148,6 +149,43 @@ def test_large_offsets_have_meshes_of_their_own():
     assert np.allclose(mesh.rest.max(0), [0.228, 0.15], atol=1e-12)
     assert smallest_angles(mesh)[~specimen.held[mesh.faces].all(axis=1)].min() > 23
     assert mesh.areas.sum() == pytest.approx(0.3**2, rel=1e-12)
+
+
+@pytest.mark.parametrize("name", ["rectangle400x200_cylinder120", "rectangle140x400_cylinder60",
+                                  "rectangle300x180_cylinder140"])
+def test_long_and_narrow_rectangles_have_well_shaped_triangles(name):
+    rig = Rig.from_name(name)
+    for topology in range(TOPOLOGIES):
+        mesh = make_specimen(rig, edge=4e-3, topology=topology).mesh
+        assert smallest_angles(mesh).min() > 18
+        assert mesh.areas.sum() == pytest.approx(rig.specimen_area, rel=1e-12)
+
+
+def test_a_rectangle_of_equal_sides_is_a_square_and_of_nearly_equal_ones_nearly_that():
+    square = Rig()
+    assert Rig((0.3, 0.3), 0.1, "rectangle") == square and square.specimen == "square"
+    near = make_specimen(Rig((0.3, 0.3004), 0.1), edge=6e-3)
+    mesh = make_specimen(square, edge=6e-3).mesh
+    assert near.mesh.faces is mesh.faces
+    step = near.mesh.rest - mesh.rest
+    assert np.array_equal(step[:, 0], np.zeros(len(step)))
+    assert np.ptp(near.mesh.rest[:, 1]) == pytest.approx(0.3004, rel=1e-12)
+    assert np.abs(step[:, 1]).max() == pytest.approx(2e-4, rel=1e-9)
+
+
+def test_a_scaled_rectangle_keeps_its_border_its_plate_and_its_faces():
+    """Both sides of 170 mm x 250 mm scaled by factors of their own, cut at an angle and offset."""
+    rig, offset = Rig((0.1712, 0.2512), 0.0904, cut=0.02), (2e-3, -1e-3)
+    base, specimen = (make_specimen(one, edge=6e-3, topology=1, offset=at)
+                      for one, at in ((RECTANGLE, (0, 0)), (rig, offset)))
+    assert specimen.mesh.faces is base.mesh.faces
+    _, border = rim_and_border(specimen)
+    assert np.abs(rig.to_border(specimen.mesh.rest[border], offset)).max() < 1e-9
+    assert specimen.mesh.areas.sum() == pytest.approx(0.1712 * 0.2512, rel=1e-9)
+    held = specimen.held[specimen.mesh.faces].all(axis=1)
+    assert specimen.mesh.areas[held].sum() == pytest.approx(np.pi * 0.0452**2, rel=1e-6)
+    along = specimen.mesh.rest[border] @ [np.cos(0.02), np.sin(0.02)]
+    assert np.ptp(along) == pytest.approx(0.1712, rel=1e-9)
 
 
 def test_a_hung_square_has_even_edges_and_two_held_corners():
@@ -173,6 +211,8 @@ def test_same_topology_same_bytes_other_topology_other_mesh():
     (Rig(), {"edge": np.nan}, "edge=nan"),
     (Rig(), {"offset": (0.095, 0.0)}, "5 mm .* too narrow for edges of 3 mm, which need 6 mm"),
     (DISC_RIG, {"edge": 0.035}, "60 mm .* too narrow"),
+    (RECTANGLE, {"offset": (0.036, 0.04)}, "overhang of 4 mm"),
+    (RECTANGLE, {"offset": (0.041, 0.0)}, "offset of 41 mm uncovers .* at most 40 mm"),
     (DISC_RIG, {"offset": (0.04, 0.04)}, "3.43 mm"), (Rig(), {"offset": (np.nan, 0.0)}, "narrow"),
     (HUNG_SQUARE, {"edge": 0.01, "offset": (1e-3, 0.0)}, "no plate")])
 def test_impossible_meshes_are_refused(rig, change, word):

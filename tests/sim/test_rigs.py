@@ -206,13 +206,58 @@ def test_soft_cloth_stays_out_of_the_cylinder_between_its_vertices_too(rig):
 
 
 @pytest.mark.parametrize(("arguments", "word"), [
-    ({"specimen": "circle"}, "square or disc"), ({"plate_diameter": 0.3}, "smaller"),
+    ({"specimen": "circle"}, "square, rectangle or disc"),
+    ({"sides": (0.3, 0.2), "specimen": "disc"}, "0.3 and 0.2 m: a disc has one diameter"),
+    ({"sides": (0.3, 0.1)}, "100 mm under a specimen of 300x100 mm"),
+    ({"plate_diameter": 0.3}, "smaller"),
     ({"plate_diameter": -0.1}, "smaller"), ({"plate_diameter": 0.0}, "corners_apart=None"),
     ({"plate_diameter": 0.0, "corners_apart": 0.3}, "below 0.3 m"),
     ({"plate_diameter": 0.0, "specimen": "disc"}, "no corners")])
 def test_impossible_rigs_are_refused(arguments, word):
     with pytest.raises(InputError, match=word):
         Rig(**arguments)
+
+
+@pytest.mark.parametrize("name", [
+    "rectangle170x250_cylinder90", "rectangle250x170_cylinder90", "rectangle400x140.5_cylinder60",
+    "rectangle170x250_cylinder90_cut-5", "square300_cylinder100", "disc254_support127"])
+def test_names_state_sizes_and_come_back(name):
+    rig = Rig.from_name(name)
+    assert rig.name == name and Rig.from_name(rig.name) == rig
+    for other in ("rectangle300x300_cylinder100", "rectangle170_cylinder90",
+                  "square170x250_cylinder90", "disc170x250_support90"):
+        with pytest.raises(InputError, match="unknown rig"):
+            Rig.from_name(other)
+
+
+def test_the_border_of_a_rectangle_is_that_of_its_sides():
+    rig = Rig((0.17, 0.25), 0.09, cut=0.1)
+    assert rig.specimen == "rectangle" and rig.specimen_area == pytest.approx(0.0425)
+    assert rig.least_overhang == pytest.approx(0.04)
+    corner = np.arctan2(0.25, 0.17)
+    assert rig.border(np.array([0.0, np.pi / 2, np.pi, corner])) == pytest.approx(
+        [0.085, 0.125, 0.085, rig.reach])
+    azimuth = np.linspace(0, 2 * np.pi, 100)
+    turned = azimuth + 0.1  # to the warp
+    points = rig.border(azimuth)[:, None] * np.column_stack([np.cos(turned), np.sin(turned)])
+    assert np.abs(rig.to_border(points, (0, 0))).max() < 1e-15
+    assert np.array_equal(Rig((0.3, 0.3)).border(azimuth), 0.15 / np.maximum(
+        np.abs(np.cos(azimuth)), np.abs(np.sin(azimuth))))
+
+
+def test_a_rectangle_turned_with_its_yarns_drapes_alike():
+    """Meshes and starts of the two differ, so stiff cloth, which has one equilibrium."""
+    def coefficient(sides, alpha):
+        rig = Rig(sides, 0.09)
+        result = drape(Fabric(np.array(alpha) * 1e-6), rig=rig, edge=5e-3)
+        assert result.converged
+        return drape_coefficient(result.positions, result.faces, rig)
+
+    along, bias, across = 400.0, 200.0, 100.0
+    straight = coefficient((0.17, 0.25), (along, bias, across))
+    turned = coefficient((0.25, 0.17), (across, bias, along))
+    assert turned == pytest.approx(straight, abs=0.01)
+    assert coefficient((0.25, 0.17), (along, bias, across)) > straight + 0.05
 
 
 def test_a_coarse_mesh_that_an_offset_leaves_no_room_for_is_left_out():

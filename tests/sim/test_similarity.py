@@ -31,7 +31,7 @@ def similar(fabric: Fabric, rig: Rig, laws: Laws, factor: float) -> tuple[Fabric
         curvature = tuple(value / factor for value in bending.curvature)
         origin = None if bending.origin is None else bending.origin / factor
         bending = replace(bending, curvature=curvature, origin=origin, at=bending.at / factor)
-    larger = replace(rig, specimen_size=factor * rig.specimen_size,
+    larger = replace(rig, sides=tuple(factor * side for side in rig.sides),
                      plate_diameter=factor * rig.plate_diameter)
     return (Fabric(factor**3 * fabric.alpha, factor**4 * fabric.beta, fabric.density), larger,
             replace(laws, bending=bending, membrane=laws.membrane.scaled(factor)))

@@ -18,7 +18,7 @@ def render(template: str, **values: object) -> bytes:
 def _in_words(names: str) -> str:
     """Testers, names with commas, in words."""
     rigs = [Rig.from_name(name) for name in names.split(", ")]
-    return "; ".join(f"{rig.specimen} of {1e3 * rig.specimen_size:g} mm on a plate of "
+    return "; ".join(f"{rig.specimen} of {rig.millimetres} mm on a plate of "
                      f"{1e3 * rig.plate_diameter:g} mm" for rig in rigs)
 
 

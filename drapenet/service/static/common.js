@@ -59,7 +59,7 @@ export const percent = (value) => (value == null ? '' : `${value.toFixed(1)} %`)
 // The tester's name, such as disc300_support180, in words; several with commas.
 export function tester(rig) {
   return rig.split(', ').map((name) => name.replace(
-    /^([a-z]+)([\d.]+)_[a-z]+([\d.]+)$/, '$1 of $2 mm on $3 mm')).join('; ');
+    /^([a-z]+)([\d.x]+)_[a-z]+([\d.]+)$/, '$1 of $2 mm on $3 mm')).join('; ');
 }
 
 // Facts of an estimate beside its moduli: name and text.
