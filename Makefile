@@ -71,13 +71,10 @@ prior: $(STAMP)  ## compare priors, 8 minutes; or fit one to your table: make pr
 	$(BIN)/python -m $(if $(TABLE),data.fabrics.prior fit fabrics=$(TABLE),experiments prior)
 
 dataset: $(STAMP)  ## simulate drapes of many testers, both faces and several specimens of each fabric
-	$(BIN)/python -m data.dataset.generate dataset=testers drapes=3072 seed=39 edge_mm=4 out=$(DATASET)/sets
-	$(BIN)/python -m data.dataset.generate dataset=testers dataset.starts_per_fabric=1 \
-	  dataset.testers_per_fabric=1 dataset.drapes_per_shard=32 drapes=3328 seed=40 edge_mm=4 \
-	  out=$(DATASET)/fabrics
+	$(BIN)/python -m data.dataset.generate dataset=testers drapes=48000 seed=41 edge_mm=4 out=$(DATASET)
 
 train: $(STAMP)  ## train the network on them, resumes when interrupted
-	$(BIN)/python train.py data=[$(DATASET)/sets,$(DATASET)/fabrics] out=outputs/train
+	$(BIN)/python train.py data=$(DATASET) out=outputs/train
 
 evaluate: $(STAMP)  ## errors and coverage of the bundled network on unseen fabrics, by tester and input
 	$(BIN)/python -m drapenet.network.evaluate bounds=docs/validation/bounds.json

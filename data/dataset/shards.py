@@ -20,7 +20,7 @@ from common.types import Curvatures, Faces, Points, RestPoints
 from data.fabrics.nuisances import NAMES
 from sim.rig import Rig
 
-SCHEMA_VERSION = 7  # of manifests and shards
+SCHEMA_VERSION = 8  # of manifests and shards
 SEAL_SIZE = 512  # bytes, of the header with the checksum: HDF5's smallest user block
 LENGTH_UNIT = 1e-5  # m per count of stored coordinates
 ORIGIN_UNIT = 0.1  # 1/m per count of stored curvatures
@@ -51,7 +51,7 @@ def fields(vertices: int, triangles: int) -> dict[str, Field]:
         "fabric": Field("i8", (), "", "fabric in the dataset; its drapes share theta"),
         "theta": Field("f8", (6,), "log N·m, m", "moduli at 300 g/m², see data.fabrics.fabrics"),
         "rejected": Field("i4", (), "", "inadmissible samples of the prior before this fabric"),
-        "weight": Field("f8", (), "1", "importance weight if soft fabrics are drawn more often"),
+        "shift": Field("f8", (), "1", "added to the log alphas of the prior's sample, or 0"),
         "specimen": Field("S8", (), "", "square or disc"),
         "specimen_size": Field("f8", (), "m", "nominal side of the square, diameter of the disc"),
         "plate_diameter": Field("f8", (), "m", "nominal diameter of the plate"),

@@ -138,7 +138,7 @@ def test_every_flipped_bit_and_every_missing_byte_shows(shard, tmp_path):
 def test_the_seal_is_that_of_the_documentation(shard):
     whole = shard.path.read_bytes()
     first, second, rest = whole[:SEAL_SIZE].split(b"\n")
-    assert first == b"drapes, schema 7, SHA-256 of all after byte 512:"
+    assert first == b"drapes, schema 8, SHA-256 of all after byte 512:"
     assert second.decode() == hashlib.sha256(whole[512:]).hexdigest()
     assert not rest.strip(b"\0")
 
@@ -147,9 +147,9 @@ def test_other_files_are_no_shard(tmp_path):
     (tmp_path / "text.h5").write_text("no shard")
     write_shard(tmp_path / "new.h5", [random_record(0)], attributes=ATTRIBUTES)
     content = (tmp_path / "new.h5").read_bytes()
-    (tmp_path / "old.h5").write_bytes(content.replace(b"schema 7", b"schema 6", 1))
+    (tmp_path / "old.h5").write_bytes(content.replace(b"schema 8", b"schema 7", 1))
     for name, complaint in (("text.h5", "not a shard"), ("none.h5", "No such file"),
-                            ("old.h5", "not a shard of schema version 7")):
+                            ("old.h5", "not a shard of schema version 8")):
         with pytest.raises(InputError, match=complaint):
             Shard(tmp_path / name)
 
