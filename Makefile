@@ -10,7 +10,7 @@ CAPTURE ?= examples/captures/twill
 PHOTOGRAPH ?= examples/captures/twill_photograph
 PACKAGES := apps common configs data drapenet examples experiments sim tests tools
 
-.PHONY: help setup demo test test-slow test-slurm test-browser campaign serve lint sim prior dataset train evaluate bench-sim bench docs reference studies example validate matrix clean
+.PHONY: help setup demo test test-rounding test-slow test-slurm test-browser campaign serve lint sim prior dataset train evaluate bench-sim bench docs reference studies example validate matrix clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
@@ -33,6 +33,10 @@ demo: $(STAMP)  ## estimate a fabric from two bundled captures: depth views and 
 
 test: $(STAMP)  ## fast tests, 4 minutes on two cores
 	$(BIN)/python -m pytest -q -n logical --maxprocesses 8 --dist worksteal
+
+test-rounding: $(STAMP)  ## tests of drapes, captures and estimates with the rounding of an old processor, 4 minutes
+	$(BIN)/python tools/other_processor.py $(BIN)/python -m pytest -q -n logical --maxprocesses 8 \
+	  --dist worksteal tests/sim tests/data tests/drapenet
 
 test-slow: $(STAMP)  ## tests that take minutes
 	$(BIN)/python -m pytest -q -m slow
@@ -71,13 +75,10 @@ prior: $(STAMP)  ## compare priors, 8 minutes; or fit one to your table: make pr
 	$(BIN)/python -m $(if $(TABLE),data.fabrics.prior fit fabrics=$(TABLE),experiments prior)
 
 dataset: $(STAMP)  ## simulate drapes of many testers, both faces and several specimens of each fabric
-	$(BIN)/python -m data.dataset.generate dataset=testers drapes=3072 seed=39 edge_mm=4 out=$(DATASET)/sets
-	$(BIN)/python -m data.dataset.generate dataset=testers dataset.starts_per_fabric=1 \
-	  dataset.testers_per_fabric=1 dataset.drapes_per_shard=32 drapes=3328 seed=40 edge_mm=4 \
-	  out=$(DATASET)/fabrics
+	$(BIN)/python -m data.dataset.generate dataset=testers drapes=48000 seed=41 edge_mm=4 out=$(DATASET)
 
 train: $(STAMP)  ## train the network on them, resumes when interrupted
-	$(BIN)/python train.py data=[$(DATASET)/sets,$(DATASET)/fabrics] out=outputs/train
+	$(BIN)/python train.py data=$(DATASET) out=outputs/train
 
 evaluate: $(STAMP)  ## errors and coverage of the bundled network on unseen fabrics, by tester and input
 	$(BIN)/python -m drapenet.network.evaluate bounds=docs/validation/bounds.json

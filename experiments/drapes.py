@@ -49,10 +49,10 @@ def prior_theta(index: int, seed: int) -> Theta:
 def plan_specimen(
     number: int, *words: str, seed: int, nuisances: str = "none", rig: Rig = RIG
 ) -> DrapePlan:
-    """A specimen as in a dataset without extra soft fabrics; ``words``: overrides of its config."""
+    """A specimen as in a dataset of the plain prior; ``words``: overrides of its config."""
     config = config_from_options(compose_config("generate", [
         f"nuisances={nuisances}", f"dataset.testers=[{rig.name}]", f"seed={seed}",
-        "dataset.soft_share=0", *words], schema=Options))
+        *words], schema=Options))
     return plan_drape(number, config=config.sampling, prior=config.prior)
 
 

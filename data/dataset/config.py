@@ -22,7 +22,6 @@ from sim.start import STARTS as SHAPES
 
 STARTS = (LOWERED, *SHAPES)  # initial states that need no other drape
 BORROWED = "borrowed"  # an earlier drape of another fabric in the same shard
-_MAX_SOFT_SHARE = 0.5
 Count = Annotated[int, Field(ge=1)]
 
 
@@ -41,7 +40,7 @@ class SamplingConfig:
     testers_per_fabric: int = 1
     both_faces: bool = False
     drift: Metres = 0.003
-    soft_share: float = 0.0
+    even_share: float = 0.0
     nuisances: NuisanceConfig = field(default_factory=NuisanceConfig)
 
     def __post_init__(self) -> None:
@@ -117,7 +116,7 @@ class DatasetOptions:
     testers_per_fabric: int
     both_faces: bool
     drift_mm: Annotated[float, Field(ge=0, le=20)]
-    soft_share: Annotated[float, Field(ge=0, le=_MAX_SOFT_SHARE)]
+    even_share: Annotated[float, Field(ge=0, le=1)]
     drapes_per_shard: Count
 
 

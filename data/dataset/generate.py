@@ -33,8 +33,6 @@ from common.workers import worker_pool
 from data.dataset.config import DatasetConfig, Options, config_from_options
 from data.dataset.folder import DatasetFolder, over_shards
 from data.dataset.simulate import Solver
-from data.fabrics.prior import SOFT
-from sim.material import MICRO
 
 POLL_INTERVAL = 0.3  # s, at which the progress of workers is reported
 
@@ -52,9 +50,6 @@ def generate_dataset(
     """
     if part >= parts:
         raise InputError(f"part={part} of parts={parts}: parts are counted from 0 to parts - 1")
-    if config.sampling.soft_share and not config.prior.soft_share:
-        raise InputError(f"soft_share={config.sampling.soft_share:g}: no sample of the prior is "
-                         f"soft (mean α below {SOFT / MICRO:g} µN·m); set soft_share=0")
     folder = DatasetFolder(Path(out), config)
     try:
         folder.claim()

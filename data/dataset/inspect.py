@@ -25,7 +25,8 @@ from common.types import DepthImage, Theta
 from data.dataset.folder import MANIFEST, REMEDY, finished_manifest, json_digest, over_shards
 from data.dataset.shards import SHARDS, Shard
 from data.fabrics.fabrics import THETA_NAMES
-from data.fabrics.prior import admissible_samples, prior_from_content
+from data.fabrics.prior import prior_from_content
+from data.fabrics.prior.even import draw_fabrics
 from data.render.cameras import nominal_camera
 from data.render.rays import DepthRenderer
 from sim.energies.self_contact import self_intersections
@@ -153,9 +154,11 @@ def spread(items: np.ndarray, count: int) -> np.ndarray:
 
 
 def prior_samples(manifest: dict) -> tuple[Theta, float]:
-    """:data:`PRIOR_SAMPLES` fabrics of the dataset's prior, and the share of rejected samples."""
-    prior = prior_from_content(manifest["config"]["prior"], origin="the dataset's prior")
-    return admissible_samples(prior, PRIOR_SAMPLES)
+    """:data:`PRIOR_SAMPLES` fabrics of the dataset's prior, moved as its own are, and the share of
+    rejected samples."""
+    config = manifest["config"]
+    return draw_fabrics(prior_from_content(config["prior"], origin="the dataset's prior"),
+                        PRIOR_SAMPLES, even_share=config["sampling"]["even_share"])
 
 
 def in_display_units(theta: Theta) -> np.ndarray:

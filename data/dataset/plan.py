@@ -13,7 +13,8 @@ import numpy as np
 from common.types import Theta
 from data.dataset.config import BORROWED, SamplingConfig
 from data.fabrics.nuisances import Nuisances
-from data.fabrics.prior import Prior, is_soft, sample_admissible
+from data.fabrics.prior import Prior
+from data.fabrics.prior.even import draw_fabric
 from data.rigs import DIAMETERS, MIN_OVERHANG, PLATES, SIDES, named_tester
 from sim.rig import Rig
 
@@ -46,7 +47,7 @@ class DrapePlan:
     fabric: int
     theta: Theta
     rejected: int
-    weight: float
+    shift: float
     rig: Rig
     face: int
     nuisances: Nuisances
@@ -64,8 +65,8 @@ def stream(seed: int, kind: Stream, index: int) -> np.random.Generator:
 def plan_drape(index: int, *, config: SamplingConfig, prior: Prior) -> DrapePlan:
     """The plan of drape ``index``; consecutive drapes share a fabric."""
     fabric, start_of_fabric = divmod(index, config.starts_per_fabric)
-    theta, rejected, weight = draw_fabric(prior, stream(config.seed, Stream.FABRIC, fabric),
-                                          soft_share=config.soft_share)
+    theta, rejected, shift = draw_fabric(prior, stream(config.seed, Stream.FABRIC, fabric),
+                                         even_share=config.even_share)
     rig = draw_testers(config, fabric)[start_of_fabric % config.testers_per_fabric]
     face = draw_faces(config, fabric)[start_of_fabric]
     nuisances = config.nuisances.sample(stream(config.seed, Stream.CLOTH, fabric),
@@ -79,7 +80,7 @@ def plan_drape(index: int, *, config: SamplingConfig, prior: Prior) -> DrapePlan
     offset = rng.normal(0.0, config.drift, 2)
     # A specimen that leaves less than half of the overhang on a side would be laid again.
     offset *= min(1.0, rig.least_overhang / 2 / max(np.hypot(*offset), 1e-12))
-    return DrapePlan(index, fabric, theta, rejected, weight, rig, face, nuisances, start, fallback,
+    return DrapePlan(index, fabric, theta, rejected, shift, rig, face, nuisances, start, fallback,
                      seed, offset)
 
 
@@ -110,20 +111,6 @@ def draw_faces(config: SamplingConfig, fabric: int) -> list[int]:
     if count > 1 and abs(sum(faces)) == count:
         faces[-1] *= -1
     return faces
-
-
-def draw_fabric(
-    prior: Prior, rng: np.random.Generator, *, soft_share: float = 0.0
-) -> tuple[Theta, int, float]:
-    """A fabric, the number of rejected inadmissible samples, and :attr:`DrapePlan.weight`."""
-    theta, rejected = sample_admissible(prior, rng)
-    if not soft_share:
-        return theta, rejected, 1.0
-    if rng.random() < soft_share:
-        while not is_soft(theta):
-            theta, again = sample_admissible(prior, rng)
-            rejected += again
-    return theta, rejected, 1 / (1 - soft_share + soft_share * is_soft(theta) / prior.soft_share)
 
 
 def choose_lender(index: int, *, seed: int, candidates: Sequence[int]) -> int:

@@ -51,7 +51,7 @@ def fields(vertices: int, triangles: int) -> dict[str, Field]:
         "fabric": Field("i8", (), "", "fabric in the dataset; its drapes share theta"),
         "theta": Field("f8", (6,), "log N·m, m", "moduli at 300 g/m², see data.fabrics.fabrics"),
         "rejected": Field("i4", (), "", "inadmissible samples of the prior before this fabric"),
-        "weight": Field("f8", (), "1", "importance weight if soft fabrics are drawn more often"),
+        "shift": Field("f8", (), "1", "added to the log alphas of the prior's sample, or 0"),
         "specimen": Field("S9", (), "", "square, rectangle or disc"),
         "sides": Field("f8", (2,), "m", "nominal, along warp and weft; of a disc, its diameter"),
         "plate_diameter": Field("f8", (), "m", "nominal diameter of the plate"),

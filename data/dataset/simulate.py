@@ -93,7 +93,7 @@ def _planned(plan: DrapePlan, lender: Record | None) -> dict:
         "fabric": plan.fabric,
         "theta": plan.theta,
         "rejected": plan.rejected,
-        "weight": plan.weight,
+        "shift": plan.shift,
         "specimen": plan.rig.specimen.encode(),
         "sides": plan.rig.sides,
         "plate_diameter": plan.rig.plate_diameter,

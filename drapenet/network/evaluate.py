@@ -184,7 +184,7 @@ def make_config(header: Header, tester: str, config: EvaluateConfig) -> DatasetC
     if not config.fabrics:
         return base
     return replace(base, prior=TablePrior(read_fabric_table(Path(config.fabrics)).theta),
-                   sampling=replace(base.sampling, soft_share=0.0))
+                   sampling=replace(base.sampling, even_share=0.0))
 
 
 def format_cell(name: str, result: dict[str, Any]) -> str:

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from common.errors import InputError
+from common.vectors import angle_between
 from data.captures.capture import Capture
 from data.captures.cutout import CutOut, cut_out
 from data.render.rays import QUARTERS
@@ -101,7 +102,7 @@ def plate_errors(cut: CutOut, scene: RawScene, rig: Rig) -> dict:
 
 def angle(one: np.ndarray, other: np.ndarray) -> float:
     """Angle, degrees, between two unit vectors (3,), ignoring their signs."""
-    return float(np.degrees(np.arccos(min(1.0, abs(float(one @ other))))))
+    return float(np.degrees(angle_between(one, other * np.sign(one @ other))))
 
 
 def posterior_shifts(

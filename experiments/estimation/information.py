@@ -40,8 +40,8 @@ MEASURABLE = ("membrane", "hysteresis")
 
 
 def sampling_config(seed: int) -> SamplingConfig:
-    """Sampling of fabrics and specimens as in a dataset, without extra soft fabrics."""
-    words = ["dataset=specimens", "dataset.soft_share=0", "nuisances=real", f"seed={seed}"]
+    """Sampling of fabrics and specimens as in a dataset of the plain prior."""
+    words = ["dataset=specimens", "nuisances=real", f"seed={seed}"]
     return config_from_options(compose_config("generate", words, schema=Options)).sampling
 
 

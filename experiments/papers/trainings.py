@@ -46,10 +46,10 @@ DATASETS: dict[str, tuple[str, int, tuple[str, ...]]] = {
     "fabrics": ("drapes", 0, ()),
     "starts": ("start_drapes", 1, ("dataset.starts_per_fabric=4",
                                    "dataset.starts=[sine,fold,ring]")),
-    "vae": ("other_drapes", 2, ("dataset.soft_share=0",)),
-    "mixture": ("other_drapes", 3, ("dataset.soft_share=0",)),
-    "uniform": ("other_drapes", 4, ("dataset.soft_share=0",)),
-    "table": ("table_drapes", 5, ("dataset.soft_share=0",)),
+    "vae": ("other_drapes", 2, ()),
+    "mixture": ("other_drapes", 3, ()),
+    "uniform": ("other_drapes", 4, ()),
+    "table": ("table_drapes", 5, ()),
 }
 """Sets of drapes by name: config key of their number, increment of the seed, and overrides of
 ``configs/generate.yaml``."""

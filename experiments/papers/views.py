@@ -104,5 +104,5 @@ SECTION = Section(
     "chooses four views (Figure 19); the order of the errors is the same, but its losses are those "
     "of another network on other data.",
     "One network, trained with one to eight views, is used for all numbers. The fabrics are drawn "
-    "from the prior, without the 10 % of very soft fabrics in training and `make evaluate`; errors "
+    "from the prior, without the stiffer and softer ones of training and `make evaluate`; errors "
     "are therefore smaller than there.")

@@ -19,6 +19,7 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import least_squares
 
 from common.documents import read_arrays
+from common.errors import InputError
 from common.types import Outline
 from data.fabrics.fabrics import fabric_from_theta
 from experiments.drapes import plan_specimen
@@ -38,6 +39,7 @@ MIN_COEFFICIENT = 0.40  # of the drapes whose folds are compared in the summary
 CALIBRATION = (1, 4, 6, 11, 21)
 """Fabrics set apart for choosing the speeds of lowering, which needed no change; the other four are
 the test."""
+MAX_MISFIT = 1e-3  # of the drape coefficient, beyond which no fabric of the grid has it
 READINGS = ("parallel", "camera")
 SPECIMENS = "specimens"
 VARIED = (SPECIMENS, "fabrics")
@@ -107,65 +109,88 @@ class Simulated:
     """Mean features of simulated drapes as a function of log alpha and natural curvature."""
 
     def __init__(self, alphas: Sequence[float], curls: Sequence[float], means: np.ndarray) -> None:
-        self._range = np.log(alphas[0]), np.log(alphas[-1])
-        self._curls = curls[0], curls[-1]
-        self._means = RegularGridInterpolator((np.log(alphas), curls), means)
+        self._axes = np.log(alphas), np.asarray(curls, dtype=np.float64)
+        self._means = RegularGridInterpolator(self._axes, means)
 
     def at(self, log_alpha: float, curl: float) -> np.ndarray:
-        """Features (3 + H,) of a fabric of ``log_alpha``, µN·m, and natural curvature, 1/m."""
-        return self._means([np.clip(log_alpha, *self._range), np.clip(curl, *self._curls)])[0]
+        """Features (3 + H,) of a fabric of ``log_alpha``, µN·m, and natural curvature, 1/m, both
+        inside the grid."""
+        return self._means([log_alpha, curl])[0]
 
-    def fitted(self, coefficients: Sequence[float], *, curled: bool) -> tuple[float, float]:
-        """Log alpha and natural curvature, 1/m, at the coefficients of the face up and the other
-        face; a single one, or ``curled`` False: no natural curvature, and their mean."""
-        curled &= len(coefficients) == 2
-        middle = float(np.mean(self._range))
+    def fitted(self, coefficients: Sequence[float], *, curled: bool) -> tuple[float, float] | None:
+        """Log alpha and natural curvature, 1/m, at the drape coefficients of the face up and the
+        other face; without ``curled``: at a single one, and no natural curvature. None if no fabric
+        inside the grid has them."""
+        alphas, curls = self._axes
+        reach = min(-curls[0], curls[-1])
+        low, high = [alphas[0], -1.0], [alphas[-1], 1.0]  # of log alpha and curl over its reach
+        unknowns = slice(2 if curled else 1)
+
+        def curl(x: np.ndarray) -> float:
+            return reach * x[1] if curled else 0.0
 
         def misfit(x: np.ndarray) -> np.ndarray:
-            return np.array([self.at(x[0], sign * 10 * x[1])[0] - coefficient
+            return np.array([self.at(x[0], sign * curl(x))[0] - coefficient
                              for sign, coefficient in zip((1, -1), coefficients, strict=False)])
 
-        start = [middle, 0.0] if curled else [middle]
-        fit = least_squares(lambda x: misfit(np.append(x, 0.0)), start, diff_step=1e-2)
-        return float(fit.x[0]), float(10 * fit.x[1]) if curled else 0.0
+        start = np.array([alphas.mean(), 0.0])[unknowns]
+        fit = least_squares(misfit, start, bounds=(low[unknowns], high[unknowns]), diff_step=1e-2)
+        if np.abs(fit.fun).max() > MAX_MISFIT:
+            return None
+        return float(fit.x[0]), float(curl(fit.x))
 
 
 def compare(
     fabrics: np.ndarray, up: np.ndarray, real: np.ndarray, simulated: Simulated, *, curled: bool
 ) -> list[dict[str, Any]]:
-    """Real and simulated features of every fabric and face."""
+    """Real and simulated features of every fabric and face; ``curled``: of one fabric for both
+    faces, if there are two. A fabric that is not inside the grid has None for the simulated ones.
+    """
     rows = []
     for fabric in np.unique(fabrics):
-        own = fabrics == fabric
-        faces = [face for face in (True, False) if (own & (up == face)).any()]
-        means = {face: real[own & (up == face)].mean(axis=0) for face in faces}
-        log_alpha, curl = simulated.fitted([means[face][0] for face in faces], curled=curled)
-        for face in faces:
-            mine = real[own & (up == face)]
-            if not curled:  # every face by itself
-                log_alpha, _ = simulated.fitted([means[face][0]], curled=False)
-            found = simulated.at(log_alpha, curl if face else -curl)
-            spread = mine.std(axis=0, ddof=1)
-            rows.append({
-                "fabric": int(fabric), "face": "up" if face else "down", "outlines": len(mine),
-                "alpha_uN_m": float(np.exp(log_alpha)), "curl_per_m": curl if face else -curl,
-                "real": means[face].tolist(), "simulated": found.tolist(),
-                "spread": spread.tolist(),
-                "spectrum": float(np.median(np.abs(found - means[face])[3:] / spread[3:]))})
+        faces = {face: real[(fabrics == fabric) & (up == face)] for face in (True, False)}
+        faces = {face: mine for face, mine in faces.items() if len(mine)}
+        coefficients = [mine[:, 0].mean() for mine in faces.values()]
+        both = curled and len(faces) == 2
+        together = simulated.fitted(coefficients, curled=True) if both else None
+        for (face, mine), coefficient in zip(faces.items(), coefficients, strict=True):
+            fit = together if both else simulated.fitted([coefficient], curled=False)
+            row = {"fabric": int(fabric), "face": "up" if face else "down", "outlines": len(mine),
+                   "real": mine.mean(axis=0).tolist(), "spread": mine.std(axis=0, ddof=1).tolist()}
+            rows.append(row | _found(row, simulated, fit, 1 if face else -1))
     return rows
 
 
-def summarise(rows: list[dict[str, Any]]) -> dict[str, float]:
-    """Means over the fabrics and faces with a drape coefficient above the minimum."""
+def _found(
+    row: dict[str, Any], simulated: Simulated, fit: tuple[float, float] | None, sign: int
+) -> dict[str, Any]:
+    """The simulated part of a row; ``sign``: -1 if the other face is up."""
+    if fit is None:
+        return dict.fromkeys(("alpha_uN_m", "curl_per_m", "simulated", "spectrum"))
+    log_alpha, curl = fit[0], sign * fit[1]
+    found = simulated.at(log_alpha, curl)
+    off, spread = np.abs(found - row["real"])[3:], np.array(row["spread"])[3:]
+    return {"alpha_uN_m": float(np.exp(log_alpha)), "curl_per_m": curl, "simulated": found.tolist(),
+            "spectrum": float(np.median(off / spread))}
+
+
+def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Means over the fabrics and faces with a drape coefficient above the minimum, without those
+    outside the grid, which are named; of none: their number alone."""
     rows = [row for row in rows if row["real"][0] > MIN_COEFFICIENT]
-    real, found = (np.array([row[name] for row in rows]) for name in ("real", "simulated"))
-    return {"faces": len(rows), "folds_real": float(real[:, 1].mean()),
-            "folds": float(found[:, 1].mean()),
-            "folds_rms": float(np.sqrt(((found - real)[:, 1] ** 2).mean())),
-            "deviation_real_mm": float(real[:, 2].mean()),
-            "deviation_mm": float(found[:, 2].mean()),
-            "spectrum": float(np.median([row["spectrum"] for row in rows])),
-            "coefficient_off": float(np.abs((found - real)[:, 0]).mean())}
+    inside = [row for row in rows if row["simulated"] is not None]
+    number = {"faces": len(inside), "outside": [f"{row['fabric']} {row['face']}" for row in rows
+                                                if row["simulated"] is None]}
+    if not inside:
+        return number
+    real, found = (np.array([row[name] for row in inside]) for name in ("real", "simulated"))
+    return number | {
+        "folds_real": float(real[:, 1].mean()), "folds": float(found[:, 1].mean()),
+        "folds_rms": float(np.sqrt(((found - real)[:, 1] ** 2).mean())),
+        "deviation_real_mm": float(real[:, 2].mean()),
+        "deviation_mm": float(found[:, 2].mean()),
+        "spectrum": float(np.median([row["spectrum"] for row in inside])),
+        "coefficient_off": float(np.abs((found - real)[:, 0]).mean())}
 
 
 def run(config: Config) -> Result:
@@ -185,6 +210,9 @@ def run(config: Config) -> Result:
             cases[name] |= {"seeds": config["specimens"]}
     folder = Path(config["cases"])
     results = run_cases(drape_case, cases, config, folder=folder)
+    if empty := [name for name in cases if results[name]["failed"] == cases[name]["seeds"]]:
+        raise InputError(f"no drape converged of {', '.join(empty)} (start, alpha, natural "
+                         "curvature); choose other alphas= or curls=")
     means = {(name, reading): features(load_arrays(folder, name)[reading]).mean(axis=0)
              for name in cases for reading in READINGS}
     report: dict[str, Any] = {"failed": sum(result["failed"] for result in results.values())}
@@ -211,8 +239,10 @@ def run(config: Config) -> Result:
 def _figure(
     fabrics: np.ndarray, up: np.ndarray, radii: np.ndarray, report: dict[str, Any], folder: Path
 ) -> Figure:
-    """Outlines side by side: two real ones of each fabric, two of the nearest simulated one."""
-    rows = [row for row in report["parallel"]["flat"] if row["face"] == "up"]
+    """Outlines side by side: two real ones of each fabric inside the grid, two of the nearest
+    simulated one."""
+    rows = [row for row in report["parallel"]["flat"]
+            if row["face"] == "up" and row["simulated"] is not None]
     figure = Figure(figsize=(1.5 * len(rows), 6.4), layout="constrained")
     panels = figure.subplots(4, len(rows), squeeze=False)
     azimuths = 2 * np.pi * np.arange(POINTS) / POINTS

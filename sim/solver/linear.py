@@ -292,7 +292,8 @@ def find_mkl() -> ctypes.CDLL:
     from pypardiso import PyPardisoSolver
 
     library = PyPardisoSolver().libmkl
-    library.MKL_CBWR_Set(_REPRODUCIBLE)
+    if "MKL_CBWR" not in os.environ:
+        library.MKL_CBWR_Set(_REPRODUCIBLE)
     return library
 
 

@@ -15,6 +15,7 @@ import data.captures.frames
 import data.captures.preview
 from apps.capture import main
 from common.errors import InputError
+from common.vectors import angle_between
 from data.captures.capture import read_capture
 from data.captures.cutout import cut_out
 from data.captures.description import Description
@@ -49,7 +50,7 @@ def test_masks_and_plate_are_those_of_the_scene(rig, sensor, clutter):
     cut = cut_out(scene.frames, scene.camera.intrinsics, rig)
     assert overlaps(cut.masks, scene.cloth).min() > 0.98
     pose = scene.camera.world_to_camera
-    assert np.degrees(np.arccos(cut.plate.normal @ pose[:3, 2])) < 0.5
+    assert np.degrees(angle_between(cut.plate.normal, pose[:3, 2])) < 0.5
     error = cut.plate.axis_centre - pose[:3, 3]
     along = error @ pose[:3, 3] / np.linalg.norm(pose[:3, 3])
     # A sensor's depth may be wrong by millimetres; across the line of sight the plate is not.

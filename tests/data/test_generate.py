@@ -261,7 +261,7 @@ def test_a_killed_worker_is_reported_in_one_line(tmp_path):
     (["dataset.testers=[square600_corners500]"], "square600_corners500"),
     (["dataset.testers_per_fabric=2"], "testers_per_fabric=2 must lie between 1"),
     (["dataset.drift_mm=100"], "dataset.drift_mm"),
-    (["dataset.soft_share=0.6"], "dataset.soft_share"),
+    (["dataset.even_share=1.1"], "dataset.even_share"),
     (["nuisances.shear=[1]"], "nuisances.shear"),
     (["nuisances.membrane_n_per_m=[300,200]"], "smaller one first"),
     (["nuisances.hysteresis_per_m=[5,200]"], "nuisances.hysteresis_per_m"),

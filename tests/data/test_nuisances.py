@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from data.dataset.config import Options, SamplingConfig, config_from_options
-from data.dataset.plan import draw_fabric, plan_drape
+from data.dataset.plan import plan_drape
 from data.fabrics.nuisances import NAMES, NuisanceConfig, Nuisances
-from data.fabrics.prior import TablePrior, is_soft, load_prior
+from data.fabrics.prior import load_prior
 from sim.cloth import Laws
 from sim.rig import DISC_RIG, Rig
 from sim.scene import make_specimen
@@ -79,15 +79,3 @@ def test_specimens_of_other_sizes_share_triangles_and_hold_their_own_plate(nomin
         diagonal = np.arctan2(*rig.sides[::-1])
         assert np.arctan2(*corner[::-1]) == pytest.approx(diagonal + 0.03, abs=1e-9)
     assert (areas > 0).all()
-
-
-def test_weights_give_the_prior_back():
-    theta = load_prior("gaussian").sample(2000, np.random.default_rng(3))
-    prior, rng = TablePrior(theta), np.random.default_rng(4)
-    draws = [draw_fabric(prior, rng, soft_share=0.3) for _ in range(1500)]
-    soft = np.array([is_soft(fabric) for fabric, _, _ in draws])
-    weights = np.array([weight for _, _, weight in draws])
-    share = is_soft(theta).mean()
-    assert soft.mean() == pytest.approx(0.3 + 0.7 * share, abs=0.04)
-    assert (weights * soft).mean() == pytest.approx(share, rel=0.2)
-    assert weights.mean() == pytest.approx(1, abs=0.05)

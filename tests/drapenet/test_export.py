@@ -12,6 +12,7 @@ from estimates import document_of, estimate_of
 
 from common.errors import InputError
 from common.files import replace_json
+from common.vectors import angle_between
 from drapenet.export.__main__ import main
 from drapenet.export.formats import ALIASES, TARGETS, export
 from drapenet.export.material import (
@@ -134,9 +135,8 @@ def test_newton_s_edges_store_the_energy_of_hinges(material, tmp_path):
     x, y = mesh.rest.T
     bent = np.column_stack([np.sin(bend * x) / bend, y, (1 - np.cos(bend * x)) / bend])
     normal = np.cross(*(bent[mesh.faces[:, k]] - bent[mesh.faces[:, 0]] for k in (1, 2)))
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     pairs = mesh.edge_faces[inner]
-    theta = np.arccos(np.clip((normal[pairs[:, 0]] * normal[pairs[:, 1]]).sum(axis=1), -1, 1))
+    theta = angle_between(normal[pairs[:, 0]], normal[pairs[:, 1]])
     lengths = np.linalg.norm(np.diff(mesh.rest[mesh.edges[inner]], axis=1)[:, 0], axis=1)
     stiffness = np.array(builder.edge_bending_properties)[:, 0]
     law = HingeLaw("hinge_linear", "edge")(mesh, np.ones(len(mesh.faces), bool),

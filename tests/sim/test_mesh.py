@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from common.errors import InputError
+from common.vectors import angle_between
 from sim.mesh import Mesh, strip
 from sim.mesh.specimen import (
     GRADING,
@@ -26,8 +27,7 @@ def smallest_angles(mesh: Mesh) -> np.ndarray:
     """(F,) degrees."""
     corners = mesh.rest[mesh.faces]
     along, back = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
-    cosine = (along * back).sum(-1) / np.linalg.norm(along, axis=-1) / np.linalg.norm(back, axis=-1)
-    return np.degrees(np.arccos(cosine)).min(axis=1)
+    return np.degrees(angle_between(along, back)).min(axis=1)
 
 
 def lengths(mesh: Mesh) -> np.ndarray:

@@ -24,7 +24,7 @@ from common.errors import InputError, one_line
 from common.files import replace_json
 from common.types import Theta
 from data.fabrics.fabrics import THETA_NAMES, from_theta
-from sim.material import is_admissible
+from sim.material import LINEAR, RATIO, is_admissible
 
 if TYPE_CHECKING:
     import torch
@@ -34,15 +34,14 @@ WEIGHTS = Path(__file__).resolve().parents[2] / "weights"
 BUNDLED = ("gaussian", "vae")
 """Names of the priors that ship with the project, ``data/weights/NAME.json``."""
 MAX_TRIES = 10_000
-SOFT = 4e-6
-"""N·m at 300 g/m²: a fabric is soft if the geometric mean of its three alphas is below it."""
-_COUNT_SAMPLES = 20_000  # samples from which the share of soft fabrics is estimated
+_FIT_SAMPLES = 20_000  # samples from which the prior's softening is estimated
+_LEAST_RATIO = 1e-6  # m, of mean |beta|/alpha, for its logarithm
 _ROUNDING = 1e-14  # of the largest variance; smaller eigenvalues are rounding errors
 
 
-def is_soft(theta: Theta) -> np.ndarray:
-    """Whether each fabric is soft, (...)."""
-    return theta[..., :3].mean(axis=-1) < np.log(SOFT)
+def log_stiffness(theta: Theta) -> np.ndarray:
+    """Mean of the three log alphas of each fabric, (...)."""
+    return theta[..., LINEAR].mean(axis=-1)
 
 
 class Stored:
@@ -65,10 +64,14 @@ class Prior(Stored):
         raise NotImplementedError
 
     @cached_property
-    def soft_share(self) -> float:
-        """Share of soft fabrics."""
-        samples = self.sample(_COUNT_SAMPLES, np.random.default_rng(0))
-        return float(is_soft(samples).mean())
+    def softening(self) -> float:
+        """Exponent p of beta/alpha ~ alpha^p across fabrics: slope of a straight line through the
+        logarithm of the mean |beta|/alpha over the mean log alpha. In the published table, and in
+        the bundled autoencoder, it is 0.25."""
+        samples = self.sample(_FIT_SAMPLES, np.random.default_rng(0))
+        ratio = np.maximum(np.abs(samples[:, RATIO]).mean(axis=1), _LEAST_RATIO)
+        (variance, covariance), _ = np.cov(log_stiffness(samples), np.log(ratio))
+        return float(covariance / max(variance, _TOLERANCE))
 
 
 Count = Annotated[int, Field(ge=0, strict=True)]
@@ -436,13 +439,6 @@ def sample_admissible(prior: Prior, rng: np.random.Generator) -> tuple[Theta, in
             return theta, rejected
     raise InputError(f"none of {MAX_TRIES} samples of the prior is a possible fabric; fit it "
                      "to more fabrics")
-
-
-def admissible_samples(prior: Prior, count: int) -> tuple[Theta, float]:
-    """``count`` fabrics by a fixed seed, and the share of rejected samples."""
-    rng = np.random.default_rng(0)
-    theta, rejected = zip(*(sample_admissible(prior, rng) for _ in range(count)), strict=True)
-    return np.array(theta), sum(rejected) / (sum(rejected) + count)
 
 
 def train(points: np.ndarray, architecture: Architecture, seed: int) -> dict[str, np.ndarray]:

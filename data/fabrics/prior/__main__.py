@@ -18,7 +18,8 @@ from common.command import command, commands
 from common.errors import InputError
 from common.files import require_file
 from data.fabrics.fabrics import read_fabric_table
-from data.fabrics.prior import MODELS, admissible_samples, save_prior
+from data.fabrics.prior import MODELS, save_prior
+from data.fabrics.prior.even import draw_fabrics
 
 SAMPLES = 1000  # for the printed quantiles
 
@@ -45,7 +46,7 @@ def fit(config: FitConfig) -> None:
     prior = MODELS[config.model](table.theta)
     seconds = time.perf_counter() - start
     # Sampled before saving: a prior without admissible samples must not replace a valid file.
-    theta, rejected = admissible_samples(prior, SAMPLES)
+    theta, rejected = draw_fabrics(prior, SAMPLES)
     save_prior(prior, config.out)
     print(f"{len(table)} distinct fabrics in {int(table.multiplicity.sum())} rows, "
           f"{config.model} fitted in {seconds:.0f} s")
