@@ -18,6 +18,7 @@ from sim.rig import Rig
 PIXEL = 1.73e-3  # m, of the rig's camera on the plate, the unit of weights
 _LENGTH_BIAS = (-0.02, 0.01)  # m, range of the bias of the length from rim to hem
 _MAX_LENGTH_ERROR = 0.02  # m, at which the cost of a length error saturates
+WEIGHT_UNIT = 1 / 32  # of the stored logarithm of 1 + weight
 SIGMAS = (0.7, 1.5, 4.0, 12.0)  # cells, of the successive Gaussians that fill gaps
 
 
@@ -33,6 +34,12 @@ class RadialMap:
     weight: np.ndarray  # pixels of the reference camera, 0 in gaps
     zero: Radians  # direction of azimuth 0 in the first view
     views: int  # their number
+
+
+def compressed(distance: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distances, in sizes (m/m), and logarithms of 1 + weight in their unit, of the same shape."""
+    return (distance.astype(np.float16),
+            np.minimum(np.rint(np.log1p(weight) / WEIGHT_UNIT), 255).astype(np.uint8))
 
 
 def radial_map(located: LocatedViews, *, zero: Radians | None = None) -> RadialMap:
