@@ -8,6 +8,7 @@ looks towards +y: +x is to the right in the picture, the direction at 90 degrees
 
 import math
 from dataclasses import dataclass, fields
+from functools import cache
 
 import numpy as np
 
@@ -126,8 +127,14 @@ def size_ratio(rig: Rig) -> float:
 
 def nominal_camera(rig: Rig = SQUARE_RIG) -> Camera:
     """The camera of ``configs/camera.yaml``, with all lengths in proportion to the specimen."""
-    settings = si(read_config("camera"))
+    settings = _settings().copy()
     intrinsics = Intrinsics(**{f.name: settings.pop(f.name) for f in fields(Intrinsics)})
     for name in ("distance", "above", "aside"):
         settings[name] *= size_ratio(rig)
     return intrinsics.posed(camera_pose(**settings))
+
+
+@cache
+def _settings() -> dict:
+    """The content of ``configs/camera.yaml``."""
+    return si(read_config("camera"))

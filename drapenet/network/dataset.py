@@ -29,7 +29,7 @@ from data.render.setups import Setups
 from drapenet.views.directions import AZIMUTHS, ELEVATIONS
 from drapenet.views.located import LocatedViews
 from drapenet.views.observation import map_along
-from drapenet.views.outline import PERSPECTIVES, outline_of_map, silhouettes
+from drapenet.views.outline import PERSPECTIVES, contour, outline_of_map, silhouettes
 from drapenet.views.radial_map import compressed
 from sim.drape import FINE_OPTIONS
 from sim.equilibrium import find_equilibrium
@@ -161,7 +161,8 @@ def maps_of_shard(
     for row in converged:
         drape = {name: column[row] for name, column in table.items()}
         rig = shard.rig(row)
-        positions, _, faces = shard.mesh(row)
+        positions, rest, faces = shard.mesh(row)
+        mesh = Mesh(rest, faces)
         derivatives = (drape_derivatives(drape, positions, shard.origin(row), rig)
                        if neighbours else None)
         for number in range(captures + outlines if derivatives is not None else
@@ -179,7 +180,7 @@ def maps_of_shard(
             picture = _NO_DEPTH
             if number < captures:
                 picture, wrong = _depth(moved, faces, rig, setups, rng, wrong)
-            rows.append(picture | _shadows(moved, faces, rig, wrong) | _truth(drape, rig, step))
+            rows.append(picture | _shadows(moved, mesh, rig, wrong) | _truth(drape, rig, step))
     return Maps(**{name.name: np.array([row[name.name] for row in rows]) for name in fields(Maps)})
 
 
@@ -205,11 +206,12 @@ def _depth(
             "hem": hem.astype(np.float16)}, drape.zero - capture.orientation
 
 
-def _shadows(positions: Points, faces: Faces, rig: Rig, wrong: Radians) -> dict[str, Any]:
+def _shadows(positions: Points, mesh: Mesh, rig: Rig, wrong: Radians) -> dict[str, Any]:
     """Outlines of a drape, a field of :class:`Maps`."""
     with np.errstate(divide="ignore"):
         heights = rig.specimen_size / np.array(PERSPECTIVES)
-    radii = silhouettes(positions, Mesh(positions[:, :2], faces).edges, heights, zero=wrong)
+    edges = contour(positions, mesh, heights.min())
+    radii = silhouettes(positions, edges, heights, zero=wrong)
     return {"silhouettes": (radii / (rig.specimen_size / 2)).astype(np.float32)}
 
 
