@@ -61,6 +61,13 @@ class Intrinsics:
         rays[..., 1] = ((np.arange(self.height) - self.cy) / self.fy)[:, None]
         return rays
 
+    def points(self, depth: DepthImage) -> Points:
+        """Points in camera axes, of the pixels with depth."""
+        rows, columns = np.nonzero(depth > 0)
+        z = depth[rows, columns].astype(float)
+        return np.column_stack([(columns - self.cx) / self.fx * z, (rows - self.cy) / self.fy * z,
+                                z])
+
     def back_project(self, depth: np.ndarray) -> np.ndarray:
         """Points (..., height, width, 3) in camera axes, m, from z-depth (..., height, width)."""
         return self.directions() * np.asarray(depth, dtype=float)[..., None]
@@ -88,7 +95,7 @@ class Camera(Intrinsics):
     def cloth_points(self, view: DepthImage) -> Points:
         """World points of the cloth in a view."""
         rotation, shift = self.world_to_camera[:3, :3], self.world_to_camera[:3, 3]
-        return (self.back_project(view)[view > 0] - shift) @ rotation
+        return (self.points(view) - shift) @ rotation
 
     def resized(self, width: int, height: int) -> "Camera":
         """The camera with another pixel grid (the corners of the picture are unchanged)."""
