@@ -26,7 +26,7 @@ BORROWED = "borrowed"  # an earlier drape of another fabric in the same shard
 SOURCES = (
     "data/dataset/config.py", "data/dataset/plan.py", "data/dataset/shards.py",
     "data/dataset/simulate.py", "data/fabrics/**/*.py", "data/rigs.py", "sim/*.py",
-    "sim/energies/*.py", "sim/mesh/*.py", "sim/solver/*.py",
+    "sim/energies/*.py", "sim/mesh/*.py", "sim/sensitivity/*.py", "sim/solver/*.py",
 )
 """Files of the code that determines a drape and its record."""
 _MAX_SOFT_SHARE = 0.5

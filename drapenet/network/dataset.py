@@ -22,7 +22,7 @@ from common.types import Faces, Points, Radians, Theta
 from common.workers import worker_pool
 from data.captures.capture import CLOTH_SHARE
 from data.dataset.folder import MANIFEST, json_digest
-from data.dataset.shards import Shard
+from data.dataset.shards import MOVED_BY, Shard
 from data.fabrics.fabrics import fabric_from_theta
 from data.fabrics.nuisances import Nuisances
 from data.render.setups import Setups
@@ -163,8 +163,10 @@ def maps_of_shard(
         rig = shard.rig(row)
         positions, rest, faces = shard.mesh(row)
         mesh = Mesh(rest, faces)
-        derivatives = (drape_derivatives(drape, positions, shard.origin(row), rig)
-                       if neighbours else None)
+        derivatives = None
+        if neighbours:
+            derivatives = (shard.moves(row) if shard.has_moves else
+                           drape_derivatives(drape, positions, shard.origin(row), rig))
         for number in range(captures + outlines if derivatives is not None else
                             1 if neighbours else captures):
             step, moved = np.zeros(_PARAMETERS), positions
@@ -229,8 +231,10 @@ def _truth(drape: dict[str, np.ndarray], rig: Rig, step: np.ndarray) -> dict[str
 def drape_derivatives(
     row: dict[str, np.ndarray], positions: Points, origin: np.ndarray, rig: Rig
 ) -> np.ndarray | None:
-    """(7, V, 3) derivatives of the stored drape of a ``row`` by theta and the logarithm of the
-    membrane stiffness, or None; ``origin``: (F, 3) 1/m, curvatures without friction.
+    """(7, V, 3) derivatives of the stored drape of a ``row``, as :meth:`Shard.moves`, for a shard
+    without; ``origin``: (F, 3) 1/m, curvatures without friction.
+
+    The equilibrium next to the rounded drape is found again, at three times the cost of all else.
     """
     nuisances = Nuisances(*row["nuisances"])
     rig, fabric = nuisances.rig(rig), fabric_from_theta(row["theta"])
@@ -246,7 +250,7 @@ def drape_derivatives(
     if np.abs(equilibrium.state.positions - positions).max() > _EQUILIBRIUM_TOLERANCE:
         return None
     tangent = Tangent(equilibrium.cloth, equilibrium.state.q, equilibrium.outcome.factor)
-    derivatives = tangent_sensitivities(tangent, fabric, ("log_alpha", "ratio", "membrane"))
+    derivatives = tangent_sensitivities(tangent, fabric, MOVED_BY)
     return derivatives.positions if derivatives.ok else None
 
 

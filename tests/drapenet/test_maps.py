@@ -11,7 +11,7 @@ from common.errors import InputError
 from data.dataset.config import DatasetConfig, SamplingConfig
 from data.dataset.folder import finished_manifest
 from data.dataset.generate import generate_dataset
-from data.dataset.shards import Shard
+from data.dataset.shards import MOVED_BY, Shard
 from data.fabrics.fabrics import to_theta
 from data.fabrics.nuisances import Nuisances
 from data.fabrics.prior import load_prior
@@ -22,6 +22,7 @@ from drapenet.network.training import CaptureSet
 from sim.drape import Drape, drape, follow
 from sim.material import MICRO, Fabric
 from sim.rig import SMALL_DISC_RIG, SQUARE_RIG, Rig
+from sim.sensitivity import sensitivities
 
 SETUPS = replace(Setups.load(), sensors={"none": 1.0})  # costs least
 FABRIC = Fabric(np.array([30.0, 20.0, 25.0]) * MICRO, np.array([-60.0, -50.0, -40.0]) * 1e-9)
@@ -82,12 +83,17 @@ def test_captures_of_a_drape_differ(cloth_dataset):
     assert not np.array_equal(maps.distance[0], maps.distance[1])
 
 
-def test_drapes_of_several_testers_have_depth_captures_and_outlines(tmp_path, monkeypatch):
+@pytest.mark.parametrize("kept", [True, False])
+def test_drapes_of_several_testers_have_depth_captures_and_outlines(tmp_path, monkeypatch, kept):
+    """Whether their derivatives are stored or not."""
     rigs = [SQUARE_RIG, SMALL_DISC_RIG]
     folder = write_dataset(tmp_path / "several", drapes=8, seed=2,
                            testers=tuple(rig.name for rig in rigs))
-    monkeypatch.setattr(dataset, "drape_derivatives",
-                        lambda row, positions, *_: np.full((7, *positions.shape), 1e-4))
+    monkeypatch.setattr(Shard, "has_moves", kept)
+    monkeypatch.setattr(Shard, "moves", lambda shard, row: (
+        np.full((7, *shard.mesh(row)[0].shape), 1e-4) if kept else None))
+    monkeypatch.setattr(dataset, "drape_derivatives", lambda row, positions, *_: (
+        None if kept else np.full((7, *positions.shape), 1e-4)))
     maps = make_maps(folder, finished_manifest(folder), tmp_path, setups=SETUPS, captures=2,
                      seed=4, neighbours=True, outlines=2)
     sizes = {(rig.specimen_size, rig.plate_diameter / rig.specimen_size) for rig in rigs}
@@ -117,6 +123,10 @@ def test_moves_are_the_derivatives_of_a_stored_drape(stored):
     """Against the equilibrium next to it of cloth with a stiffer bias or membrane."""
     one, *drawn = stored
     found = drape_derivatives(*drawn, Rig())
+    # Those stored with the drape, before it was rounded.
+    kept = sensitivities(one, parameters=MOVED_BY).positions
+    for stored_move, move in zip(kept, found, strict=True):
+        assert np.linalg.norm(move - stored_move) < 0.02 * np.linalg.norm(stored_move)
     bias = replace(FABRIC, alpha=FABRIC.alpha * [1.0, 1.01, 1.0])
     taut = Nuisances(membrane=306.0, shear=0.5).laws.membrane
     for fabric, laws, predicted in (
