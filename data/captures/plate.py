@@ -105,16 +105,21 @@ def _fitted(
     The plane is fitted to points ``inner`` well within the rim, the centre is the centroid of those
     in it.
     """
-    weight, inner = 0.0, inner.copy()
     centre = points[inner].mean(axis=0) if centre is None else centre
+    return _alternated(points, normal, inner.copy(), radius, rounds, centre)
+
+
+@numba.njit(cache=True)
+def _alternated(points, normal, inner, radius, rounds, centre):
+    weight = 0.0
     for _ in range(rounds):
         count, middle, spread = _moments(points, inner)
         if count < 3:
             break  # too few points for a plane: not a drape on a plate
-        normal = np.linalg.eigh(spread)[1][:, 0]
+        normal = np.ascontiguousarray(np.linalg.eigh(spread)[1][:, 0])
         normal *= -np.sign(normal @ middle)  # up is towards the camera
         total, level = _level(points, middle, normal, centre, radius)
-        if not total:
+        if total == 0.0:
             break
         weight, centre = total, level
         _choose_inner(points, middle, normal, centre, radius, inner)

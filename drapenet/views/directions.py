@@ -1,5 +1,6 @@
 """Directions in which a drape is described by its distance from a point on the plate's axis."""
 
+import math
 from dataclasses import dataclass
 
 import numba
@@ -23,9 +24,14 @@ def centre_height(rig: Rig) -> Metres:
 
 def elevations(rig: Rig) -> np.ndarray:
     """(R,) rad, borders of the rows from the lowest possible hem to the rim."""
+    return np.linspace(*_limits(rig), ELEVATIONS + 1)
+
+
+def _limits(rig: Rig) -> tuple[Radians, Radians]:
+    """Elevations of the lowest possible hem and of the rim."""
     depth = -centre_height(rig)
-    return np.linspace(np.arctan2(depth - rig.overhang, _UNDER * rig.plate_radius),
-                       np.arctan2(depth, rig.plate_radius), ELEVATIONS + 1)
+    return (math.atan2(depth - rig.overhang, _UNDER * rig.plate_radius),
+            math.atan2(depth, rig.plate_radius))
 
 
 @dataclass(frozen=True)
@@ -50,7 +56,7 @@ class Polar:
         x, y = points[:, 0] - centre[0], points[:, 1] - centre[1]
         height = points[:, 2] - centre_height(rig)
         radius = np.sqrt(x * x + y * y)
-        low, *_, high = elevations(rig)
+        low, high = _limits(rig)
         facing = np.maximum(-y / np.maximum(radius, 1e-300), _MIN_FACING)
         return cls(np.arctan2(y, x), (np.arctan2(height, radius) - low) / (high - low),
                    np.sqrt(radius * radius + height * height), facing * facing)

@@ -91,23 +91,26 @@ def _costs(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return 0.5 * _INDEPENDENT * mean / _GAP**2
 
 
-@numba.njit(cache=True, fastmath={"reassoc"})
+@numba.njit(cache=True)
 def _gaps(first, second):
     """Sums (4 _MAX_TURN_STEPS + 1,) of squared gaps, m², cut off, and numbers of common cells."""
     steps = 4 * _MAX_TURN_STEPS + 1
     squares, common = np.zeros(steps), np.zeros(steps, np.int64)
-    a, b = first.ravel(), second.ravel()
     rows = first.shape[1]
+    a, b = first.ravel(), second.ravel()
+    filled = np.flatnonzero(np.isfinite(a))
     for step in range(steps):
-        turn = (step - 2 * _MAX_TURN_STEPS) % len(first) * rows
-        for begin, end, shift in ((0, len(a) - turn, turn), (len(a) - turn, len(a), turn - len(a))):
-            total, count = 0.0, 0
-            for t in range(begin, end):
-                gap = abs(b[t + shift] - a[t])
-                total += min(gap, _MAX_GAP) ** 2 if gap == gap else 0.0  # NaN: an empty cell
-                count += 1 if gap == gap else 0
-            squares[step] += total
-            common[step] += count
+        turn = (step - 2 * _MAX_TURN_STEPS) * rows
+        for t in filled:
+            place = t + turn
+            if place < 0:
+                place += len(b)
+            elif place >= len(b):
+                place -= len(b)
+            gap = abs(b[place] - a[t])
+            if gap == gap:  # else the other cell is empty, NaN
+                squares[step] += min(gap, _MAX_GAP) ** 2
+                common[step] += 1
     return squares, common
 
 
