@@ -1,7 +1,7 @@
 """Maps of synthetic captures of a dataset's drapes, for training and evaluation.
 
 For small changes of its moduli and its membrane stiffness, a stored drape moves linearly. A capture
-of the moved drape shows a neighbouring fabric with the same folds, at a fifth of a simulation.
+of the moved drape shows a neighbouring fabric with the same folds, at a fiftieth of a simulation.
 """
 
 import io
