@@ -41,7 +41,7 @@ def train(config: TrainConfig) -> Path:
     optimizer = torch.optim.AdamW(network.parameters(), weight_decay=config.optim.weight_decay)
 
     # Must agree with an existing state for a resume.
-    run = {"settings": config.defining(), "datasets": datasets["sha256"]}
+    run = {"settings": config.defining(), "datasets": datasets["sha256"], "maps": datasets["maps"]}
     record = {"run": run, "epochs_done": 0, "best_loss": None}
     if state.exists():
         record = steps.load_state(state, run=run, model=network, optimizer=optimizer)

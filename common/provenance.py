@@ -1,6 +1,7 @@
-"""Provenance of results: release, commit, versions of packages, processor."""
+"""Provenance of results: release, commit, sources, versions of packages, processor."""
 
 import functools
+import hashlib
 import platform
 import subprocess
 from contextlib import suppress
@@ -24,6 +25,19 @@ def code_state(root: Path = ROOT) -> dict[str, object]:
     commit = _git(root, "rev-parse", "HEAD") if (root / ".git").exists() else ""
     return {"release": release(), "commit": commit.strip() or None,
             "dirty": bool(commit and _git(root, "status", "--porcelain"))}
+
+
+@functools.cache
+def sources_digest(*patterns: str, root: Path = ROOT) -> str:
+    """SHA-256 of the names and bytes of the project's Python files that match ``patterns`` such as
+    "sim/*.py", hexadecimal: the same in a checkout and where the project is installed."""
+    files = {file.relative_to(root).as_posix(): file
+             for pattern in patterns for file in root.glob(pattern)}
+    digest = hashlib.sha256()
+    for name in sorted(files):
+        content = files[name].read_bytes()
+        digest.update(f"{name} {len(content)}\n".encode() + content)
+    return digest.hexdigest()
 
 
 def _git(root: Path, *words: str) -> str:

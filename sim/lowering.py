@@ -33,7 +33,7 @@ SPEEDS = (0.13, 0.39)
 for the standard 60 mm, which a hand lowers in 0.2 to 0.6 s."""
 RELAXATION = 0.64
 """Relaxation time of the cloth's viscosity in units of sqrt(o/g): 50 ms for 60 mm."""
-STEP = 0.32
+STEP = 0.16
 """Time step in the same units (docs/physics.md has folds by step)."""
 SETTLING = 2.5
 """Time from the ring's last contact to the search for the equilibrium, in the same units."""

@@ -81,6 +81,7 @@ def shadow_radius(
 def farthest(segments, points):
     """Largest distance from the origin of segments (N, 2, 2) along ``points`` azimuths."""
     radius, step = np.zeros(points), 2 * np.pi / points
+    cosine, sine = np.cos(step * np.arange(points)), np.sin(step * np.arange(points))
     rounding = 1e-9  # an end may lie on an azimuth
     for t in range(len(segments)):
         (ax, ay), (bx, by) = segments[t, 0], segments[t, 1]
@@ -88,11 +89,11 @@ def farthest(segments, points):
         begin = np.arctan2(ay, ax) if turn >= 0 else np.arctan2(by, bx)
         first = int(np.ceil(begin / step - rounding))
         for k in range(first, int(np.floor((begin + abs(turn)) / step + rounding)) + 1):
-            c, s = np.cos(k * step), np.sin(k * step)
-            across = c * (by - ay) - s * (bx - ax)
+            azimuth = k % points
+            across = cosine[azimuth] * (by - ay) - sine[azimuth] * (bx - ax)
             if across != 0.0:
                 distance = (ax * (by - ay) - ay * (bx - ax)) / across
-                radius[k % points] = max(radius[k % points], distance)
+                radius[azimuth] = max(radius[azimuth], distance)
     return radius
 
 

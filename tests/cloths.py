@@ -79,12 +79,11 @@ def write_dataset(root: Path, *, drapes: int, edge: float = 0.012, **sampling: o
         records = [make_record(index, config, solver=skirt) for index in config.rows(shard)]
         write_shard(root / shard_name(shard), records,
                     attributes={"schema_version": SCHEMA_VERSION})
+    digests = {name: Shard(root / name).digest for name in map(shard_name, range(config.shards))}
     replace_json(root / MANIFEST, {
         "schema_version": SCHEMA_VERSION, "complete": True, "drapes": drapes,
-        "hash": f"{config.sampling.seed:064x}", "config": config.as_dict(),
-        "identity": json_digest(config.as_dict()),
-        "shards": {name: Shard(root / name).digest
-                   for name in map(shard_name, range(config.shards))},
+        "hash": json_digest(digests), "config": config.as_dict(),
+        "identity": json_digest(config.as_dict()), "shards": digests,
     })
     return root
 

@@ -13,13 +13,14 @@ from words import last
 import train
 from common.command import compose_config
 from common.errors import InputError
+from data.dataset.folder import finished_manifest
 from data.render.setups import Setups
 from drapenet.config import ModelConfig, OptimConfig, TrainConfig
 from drapenet.network import training as steps
 from drapenet.network.checkpoint import load_model, read_header
 from drapenet.network.dataset import Maps
 from drapenet.network.evaluate import DEPTH, OUTLINE
-from drapenet.network.model import DrapeNet, compressed
+from drapenet.network.model import DrapeNet
 from drapenet.network.training import (
     CaptureSet,
     Condition,
@@ -31,6 +32,7 @@ from drapenet.network.training import (
 )
 from drapenet.views.directions import AZIMUTHS, ELEVATIONS
 from drapenet.views.outline import PERSPECTIVES
+from drapenet.views.radial_map import compressed
 from sim.rig import DISC_RIG
 
 SMALL = ["model.width=4", "optim.batch_size=8", "threads=1", "workers=1", "device=cpu", "seed=3",
@@ -77,10 +79,10 @@ def test_a_resumed_training_ends_bit_for_bit_like_an_uninterrupted_one(
     assert first.read_bytes() == second.read_bytes()
 
 
-def test_a_checkpoint_describes_its_training(trained):
+def test_a_checkpoint_describes_its_training(trained, cloth_dataset):
     header = read_header(trained / "drapenet.safetensors")
     assert load_model(header).training is False
-    assert header.dataset.sha256 == [f"{8:064x}"]
+    assert header.dataset.sha256 == [finished_manifest(cloth_dataset)["hash"]]
     assert header.model.width == 4
     assert header.setups.sensors["none"] == 1 and header.setups.pitch == Setups.load().pitch
     assert (np.array(header.fabrics.low) < header.fabrics.high).all()

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from operator import itemgetter
 
 import cv2
+import numba
 import numpy as np
 
 from common.types import Metres, Points, Pose, Vector, VertexMask, Views
@@ -78,7 +79,7 @@ def plate_of_cloth(views: Views, intrinsics: Intrinsics, rig: Rig) -> Plate:
     """The plate under cut-out cloth: the plane that holds the largest area of the highest points
     of all views, whose centre is unbiased along the picture's rows.
     """
-    points = np.concatenate([intrinsics.back_project(view)[view > 0] for view in views])
+    points = np.concatenate([intrinsics.points(view) for view in views])
     few = points[:: max(1, len(points) // _START_POINTS)]
     starts = [_fitted(few, up, _highest(few, up), rig.plate_radius, rounds=4)
               for up in _upwards(_START_PITCHES)]
@@ -104,28 +105,77 @@ def _fitted(
     The plane is fitted to points ``inner`` well within the rim, the centre is the centroid of those
     in it.
     """
-    weight = 0.0
     centre = points[inner].mean(axis=0) if centre is None else centre
+    return _alternated(points, normal, inner.copy(), radius, rounds, centre)
+
+
+@numba.njit(cache=True)
+def _alternated(points, normal, inner, radius, rounds, centre):
+    weight = 0.0
     for _ in range(rounds):
-        if inner.sum() < 3:
+        count, middle, spread = _moments(points, inner)
+        if count < 3:
             break  # too few points for a plane: not a drape on a plate
-        middle = points[inner].mean(axis=0)
-        offsets = points[inner] - middle
-        normal = np.linalg.eigh(offsets.T @ offsets)[1][:, 0]
+        normal = np.ascontiguousarray(np.linalg.eigh(spread)[1][:, 0])
         normal *= -np.sign(normal @ middle)  # up is towards the camera
-        above = (points - middle) @ normal
-        level = (np.abs(above) < DEPTH_STEP / 2) & (
-            np.linalg.norm(points - centre, axis=1) < 2 * radius)
-        if not level.any():
+        total, level = _level(points, middle, normal, centre, radius)
+        if total == 0.0:
             break
-        # Pixels are denser where the plate is nearer; on a plane, z³ compensates for that.
-        weights = points[level, 2] ** 3
-        centre = weights @ points[level] / weights.sum()
-        weight = float(weights.sum())
-        # Near the rim the cloth bends down, and more of it is visible in front: a bias.
-        near = np.linalg.norm(points - centre, axis=1) < INNER_SHARE * radius
-        inner = near & (above > -DEPTH_STEP)
+        weight, centre = total, level
+        _choose_inner(points, middle, normal, centre, radius, inner)
     return normal, centre, weight
+
+
+@numba.njit(cache=True)
+def _moments(points, chosen):
+    """Number of the chosen points, their mean (3,) and their second moments (3, 3) about it."""
+    count, middle, spread = 0, np.zeros(3), np.zeros((3, 3))
+    for t in range(len(points)):
+        if chosen[t]:
+            count += 1
+            for k in range(3):
+                middle[k] += points[t, k]
+    middle /= max(count, 1)
+    for t in range(len(points)):
+        if chosen[t]:
+            for i in range(3):
+                for k in range(i + 1):
+                    spread[i, k] += (points[t, i] - middle[i]) * (points[t, k] - middle[k])
+    return count, middle, spread  # the lower triangle, which eigh reads
+
+
+@numba.njit(cache=True)
+def _level(points, middle, normal, centre, radius):
+    """Weight and weighted centroid (3,) of the points in a plane, near a centre.
+
+    Pixels are denser where the plate is nearer; on a plane, z³ compensates for that.
+    """
+    total, sums = 0.0, np.zeros(3)
+    for t in range(len(points)):
+        above = aside = 0.0
+        for k in range(3):
+            above += (points[t, k] - middle[k]) * normal[k]
+            aside += (points[t, k] - centre[k]) ** 2
+        if abs(above) < DEPTH_STEP / 2 and aside < (2 * radius) ** 2:
+            weight = points[t, 2] ** 3
+            total += weight
+            for k in range(3):
+                sums[k] += weight * points[t, k]
+    return total, sums / max(total, 1e-300)
+
+
+@numba.njit(cache=True)
+def _choose_inner(points, middle, normal, centre, radius, inner):
+    """Mark the points well within the rim that are not below a plane.
+
+    Near the rim the cloth bends down, and more of it is visible in front: a bias.
+    """
+    for t in range(len(points)):
+        above = aside = 0.0
+        for k in range(3):
+            above += (points[t, k] - middle[k]) * normal[k]
+            aside += (points[t, k] - centre[k]) ** 2
+        inner[t] = aside < (INNER_SHARE * radius) ** 2 and above > -DEPTH_STEP
 
 
 def find_plate(points: Points, rig: Rig) -> Plate | None:

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from typing import Annotated
 
 from pydantic import Field
@@ -9,7 +10,7 @@ from pydantic import Field
 from common.command import Seed, Workers
 from common.configs import limits, si
 from common.errors import InputError
-from common.provenance import release
+from common.provenance import sources_digest
 from common.types import Metres
 from data.fabrics.nuisances import NuisanceConfig
 from data.fabrics.prior import Prior, load_prior, prior_content
@@ -22,6 +23,12 @@ from sim.start import STARTS as SHAPES
 
 STARTS = (LOWERED, *SHAPES)  # initial states that need no other drape
 BORROWED = "borrowed"  # an earlier drape of another fabric in the same shard
+SOURCES = (
+    "data/dataset/config.py", "data/dataset/plan.py", "data/dataset/shards.py",
+    "data/dataset/simulate.py", "data/fabrics/**/*.py", "data/rigs.py", "sim/*.py",
+    "sim/energies/*.py", "sim/mesh/*.py", "sim/sensitivity/*.py", "sim/solver/*.py",
+)
+"""Files of the code that determines a drape and its record."""
 Count = Annotated[int, Field(ge=1)]
 
 
@@ -76,6 +83,8 @@ class DatasetConfig:
     prior: Prior
     edge: Metres = 0.0  # of meshes at the plate's rim; 0: sim.mesh.specimen.default_edge
     drapes_per_shard: int = 64
+    # Of the code in memory: files may change during a run.
+    sources: str = field(default_factory=partial(sources_digest, *SOURCES))
 
     def __post_init__(self) -> None:
         if self.edge and not EDGE_RANGE[0] <= self.edge <= EDGE_RANGE[1]:
@@ -89,7 +98,7 @@ class DatasetConfig:
             "prior": prior_content(self.prior),
             "solver": {"edge_mm": round(1e3 * self.edge, 6)},
             "storage": {"drapes_per_shard": self.drapes_per_shard},
-            "code_version": release(),
+            "sources": self.sources,
         }
         return json.loads(json.dumps(settings))  # tuples are lists in JSON
 

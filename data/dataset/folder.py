@@ -88,7 +88,8 @@ def finished_manifest(root: Path) -> dict:
     if not manifest["complete"]:
         raise InputError(f"{root} is unfinished; complete it with python -m data.dataset.generate "
                          f"out={root} and its original settings")
-    if json_digest(manifest["config"]) != manifest["identity"]:
+    if (json_digest(manifest["config"]) != manifest["identity"]
+            or json_digest(manifest["shards"]) != manifest["hash"]):
         raise InputError(f"{root / MANIFEST}: its digests do not match its content; {REMEDY}")
     return manifest
 
@@ -142,9 +143,14 @@ class DatasetFolder:
             return {}
         if manifest["identity"] != self.identity:
             settings = manifest["config"] | {"prior": manifest.get("prior")}
-            changed = ", ".join(differences(settings, self._settings)) or "unknown settings"
-            raise InputError(f"{self.root} holds a dataset with other settings ({changed}); choose "
-                             "another folder, or remove it")
+            changed = differences(settings, self._settings)
+            if changed == ["sources"]:
+                raise InputError(f"{self.root} was begun by another version of the simulator, "
+                                 "whose drapes may differ; finish it with that version (provenance "
+                                 f"in {MANIFEST}), or choose another folder")
+            raise InputError(f"{self.root} holds a dataset with other settings "
+                             f"({', '.join(changed) or 'unknown settings'}); choose another "
+                             "folder, or remove it")
         if manifest["drapes"] > self.config.drapes:
             raise InputError(f"{self.root} contains {manifest['drapes']} drapes; drapes="
                              f"{self.config.drapes} must be {manifest['drapes']} or more")

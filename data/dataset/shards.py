@@ -41,7 +41,12 @@ class Field:
 COORDINATES = ("positions", "rest")  # with a row per vertex of a drape's mesh
 ORIGIN = "origin"  # with a row per triangle of a drape's mesh
 FACES = "faces"  # distinct triangulations of a shard
-PADDED = (*COORDINATES, ORIGIN, FACES)  # in a file, with zeros
+MOVES, MOVE_UNITS = "moves", "move_units"  # absent in earlier datasets
+MOVED_BY = ("log_alpha", "ratio", "membrane")
+"""Groups of parameters by which positions are differentiated, see :mod:`sim.sensitivity.forward`:
+theta and the logarithm of the membrane stiffness, seven in all."""
+_PARAMETERS = 7
+PADDED = (*COORDINATES, ORIGIN, FACES, MOVES)  # in a file, with zeros
 
 
 def fields(vertices: int, triangles: int) -> dict[str, Field]:
@@ -75,6 +80,10 @@ def fields(vertices: int, triangles: int) -> dict[str, Field]:
         "positions": Field("i2", (vertices, 3), "1e-5 m", "vertices, z up, plate's top at 0"),
         "rest": Field("i2", (vertices, 2), "1e-5 m", "the flat specimen: along warp, weft"),
         ORIGIN: Field("i2", (triangles, 3), "0.1 1/m", "curvature without friction, Sxx, Syy, Sxy"),
+        MOVES: Field("i1", (vertices, _PARAMETERS, 3), "",
+                     "derivatives of positions by theta and the logarithm of the membrane"),
+        MOVE_UNITS: Field("f8", (_PARAMETERS,), "m per unit of the parameter",
+                          "unit of moves by each parameter; 0: not differentiable"),
     }
 
 
@@ -88,6 +97,14 @@ def to_counts(coordinates: np.ndarray) -> np.ndarray:
         raise OverflowError(f"coordinates outside {limits.min * LENGTH_UNIT:g} to "
                             f"{limits.max * LENGTH_UNIT:g} m")
     return counts.astype(np.int16)
+
+
+def to_moves(derivatives: np.ndarray) -> dict[str, np.ndarray]:
+    """The fields "moves" and "move_units" of derivatives (P, V, 3) of positions; they are rounded
+    to 1/127 of the largest of each parameter."""
+    units = np.abs(derivatives).max(axis=(1, 2)) / np.iinfo(np.int8).max
+    counts = np.rint(derivatives / np.maximum(units, 1e-300)[:, None, None])
+    return {MOVES: counts.astype(np.int8).transpose(1, 0, 2), MOVE_UNITS: units}
 
 
 SHARDS = "shard_*.h5"
@@ -157,6 +174,8 @@ def _require_layout(file: h5py.File) -> None:
     layout = {name: (field.dtype, (rows, *field.shape))
               for name, field in fields(vertices, triangles).items()}
     for name, expected in (layout | {FACES: ("i4", (meshes, triangles, 3))}).items():
+        if name in (MOVES, MOVE_UNITS) and name not in file:
+            continue
         if (file[name].dtype, file[name].shape) != (np.dtype(expected[0]), expected[1]):
             raise ValueError(f"{name} does not have the type or shape of docs/data_format.md")
 
@@ -200,6 +219,18 @@ class Shard:
         """Curvatures without friction of a drape's triangles."""
         faces = self._arrays[FACES][self._arrays["mesh"][row]]
         return self._arrays[ORIGIN][row, : faces.any(axis=1).sum()] * ORIGIN_UNIT
+
+    @property
+    def has_moves(self) -> bool:
+        """Whether drapes are stored with their derivatives, where these exist."""
+        return MOVES in self._arrays and MOVE_UNITS in self._arrays
+
+    def moves(self, row: int) -> np.ndarray | None:
+        """Derivatives (P, V, 3) of a drape's positions by the parameters :data:`MOVED_BY`, m per
+        unit of each; None if it has none."""
+        units = self._arrays[MOVE_UNITS][row]
+        counts = self._arrays[MOVES][row, : int(self._arrays["vertices"][row])]
+        return (counts * units[:, None]).transpose(1, 0, 2) if units.any() else None
 
     def rig(self, row: int) -> Rig:
         """Nominal tester of a drape."""

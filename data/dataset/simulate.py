@@ -6,7 +6,16 @@ import numpy as np
 
 from data.dataset.config import BORROWED, DatasetConfig
 from data.dataset.plan import DrapePlan, choose_lender, plan_drape
-from data.dataset.shards import FACES, LENGTH_UNIT, ORIGIN, ORIGIN_UNIT, fields, to_counts
+from data.dataset.shards import (
+    FACES,
+    LENGTH_UNIT,
+    MOVED_BY,
+    ORIGIN,
+    ORIGIN_UNIT,
+    fields,
+    to_counts,
+    to_moves,
+)
 from data.fabrics.fabrics import fabric_from_theta
 from sim.mesh.specimen import default_edge
 
@@ -45,7 +54,7 @@ def make_record(
         from sim.measures import drape_coefficient, fold_count  # late, like the solver
 
         rig = plan.nuisances.rig(plan.rig)
-        return record | {
+        return record | _moves(result) | {
             "drape_coefficient": drape_coefficient(result.positions, result.faces, rig),
             "folds": fold_count(result.positions, result.rest, rig)}
     except NUMERICAL_ERRORS as error:
@@ -130,3 +139,15 @@ def _mesh(result: object) -> dict:
         ORIGIN: np.clip(np.rint(origins / ORIGIN_UNIT), -limit, limit).astype(np.int16),
     }
 
+
+
+def _moves(result: object) -> dict:
+    """Derivatives of a drape, while it is not yet rounded: a stored one is an equilibrium only
+    after many Newton steps. Empty near a fold, and for a shape that is not the simulator's."""
+    from sim.drape import Drape
+    from sim.sensitivity import sensitivities
+
+    if not isinstance(result, Drape):
+        return {}
+    found = sensitivities(result, parameters=MOVED_BY)
+    return to_moves(found.positions) if found.ok else {}

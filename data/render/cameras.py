@@ -8,6 +8,7 @@ looks towards +y: +x is to the right in the picture, the direction at 90 degrees
 
 import math
 from dataclasses import dataclass, fields
+from functools import cache
 
 import numpy as np
 
@@ -57,6 +58,13 @@ class Intrinsics:
         rays[..., 1] = ((np.arange(self.height) - self.cy) / self.fy)[:, None]
         return rays
 
+    def points(self, depth: DepthImage) -> Points:
+        """Points in camera axes, of the pixels with depth."""
+        rows, columns = np.nonzero(depth > 0)
+        z = depth[rows, columns].astype(float)
+        return np.column_stack([(columns - self.cx) / self.fx * z, (rows - self.cy) / self.fy * z,
+                                z])
+
     def back_project(self, depth: np.ndarray) -> np.ndarray:
         """Points (..., height, width, 3) in camera axes, m, from z-depth (..., height, width)."""
         return self.directions() * np.asarray(depth, dtype=float)[..., None]
@@ -84,7 +92,7 @@ class Camera(Intrinsics):
     def cloth_points(self, view: DepthImage) -> Points:
         """World points of the cloth in a view."""
         rotation, shift = self.world_to_camera[:3, :3], self.world_to_camera[:3, 3]
-        return (self.back_project(view)[view > 0] - shift) @ rotation
+        return (self.points(view) - shift) @ rotation
 
     def resized(self, width: int, height: int) -> "Camera":
         """The camera with another pixel grid (the corners of the picture are unchanged)."""
@@ -124,8 +132,14 @@ def size_ratio(rig: Rig) -> float:
 
 def nominal_camera(rig: Rig = SQUARE_RIG) -> Camera:
     """The camera of ``configs/camera.yaml``, with all lengths in proportion to the specimen."""
-    settings = si(read_config("camera"))
+    settings = _settings().copy()
     intrinsics = Intrinsics(**{f.name: settings.pop(f.name) for f in fields(Intrinsics)})
     for name in ("distance", "above", "aside"):
         settings[name] *= size_ratio(rig)
     return intrinsics.posed(camera_pose(**settings))
+
+
+@cache
+def _settings() -> dict:
+    """The content of ``configs/camera.yaml``."""
+    return si(read_config("camera"))

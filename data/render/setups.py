@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from pydantic import Field, field_validator
-from scipy import ndimage
 
 from common.configs import limits, read_option, si
 from common.documents import Schema
@@ -136,7 +135,7 @@ class Setups:
         for view, clean in zip(noisy, views, strict=True):
             cloth = view > 0
             if border:
-                view[cloth & ~ndimage.binary_erosion(cloth, iterations=border)] = 0.0
+                view[cloth & ~_eroded(cloth, border)] = 0.0
             if lowest is not None and cloth.any():
                 up = camera.world_to_camera[:3, 2]
                 height = camera.back_project(clean) @ up
@@ -147,3 +146,13 @@ class Setups:
                 top, left = rows[middle], columns[middle]
                 size = int(rng.integers(2, 7))
                 view[top : top + size, left : left + size] = 0.0
+
+
+def _eroded(cloth: np.ndarray, pixels: int) -> np.ndarray:
+    """Mask (H, W) without its outermost ``pixels``, also at the picture's border; SciPy's erosion
+    takes ten times as long."""
+    for _ in range(pixels):
+        around = np.pad(cloth, 1)
+        cloth = (cloth & around[:-2, 1:-1] & around[2:, 1:-1] & around[1:-1, :-2]
+                 & around[1:-1, 2:])
+    return cloth

@@ -1,7 +1,7 @@
 """Maps of synthetic captures of a dataset's drapes, for training and evaluation.
 
 For small changes of its moduli and its membrane stiffness, a stored drape moves linearly. A capture
-of the moved drape shows a neighbouring fabric with the same folds, at a fifth of a simulation.
+of the moved drape shows a neighbouring fabric with the same folds, at a fiftieth of a simulation.
 """
 
 import io
@@ -15,20 +15,22 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from common.errors import InputError
 from common.files import remove_partial, replace_file
+from common.provenance import sources_digest
 from common.types import Faces, Points, Radians, Theta
 from common.workers import worker_pool
 from data.captures.capture import CLOTH_SHARE
-from data.dataset.folder import json_digest
-from data.dataset.shards import Shard
+from data.dataset.folder import MANIFEST, json_digest
+from data.dataset.shards import MOVED_BY, Shard
 from data.fabrics.fabrics import fabric_from_theta
 from data.fabrics.nuisances import Nuisances
 from data.render.setups import Setups
-from drapenet.network.model import compressed
 from drapenet.views.directions import AZIMUTHS, ELEVATIONS
 from drapenet.views.located import LocatedViews
 from drapenet.views.observation import map_along
-from drapenet.views.outline import PERSPECTIVES, outline_of_map, silhouettes
+from drapenet.views.outline import PERSPECTIVES, contour, outline_of_map, silhouettes
+from drapenet.views.radial_map import compressed
 from sim.drape import FINE_OPTIONS
 from sim.equilibrium import find_equilibrium
 from sim.mesh import Mesh
@@ -38,6 +40,13 @@ from sim.scene import make_specimen
 from sim.sensitivity import Tangent
 from sim.sensitivity.forward import tangent_sensitivities
 
+SOURCES = (
+    "configs/camera.yaml", "configs/sensor/*.yaml", "data/captures/*.py", "data/dataset/shards.py",
+    "data/fabrics/*.py", "data/render/*.py", "data/rigs.py", "drapenet/network/dataset.py",
+    "drapenet/views/*.py", "sim/*.py", "sim/energies/*.py", "sim/mesh/*.py",
+    "sim/sensitivity/*.py", "sim/solver/*.py",
+)
+"""Files of the code that determines maps, and of the settings that it reads."""
 _COLUMNS = ("index", "fabric", "theta", "nuisances", "face", "folds", "edge", "seed", "offset",
             "status")
 DIRECTION_ERROR = math.radians(2.0)  # of the warp as stated, standard deviation
@@ -58,7 +67,7 @@ class Maps:
     Azimuth 0 is the direction of the warp as an operator states it.
     """
 
-    distance: np.ndarray  # (N, AZIMUTHS, ELEVATIONS), :func:`drapenet.network.model.compressed`
+    distance: np.ndarray  # (N, AZIMUTHS, ELEVATIONS), :func:`drapenet.views.radial_map.compressed`
     weight: np.ndarray
     hem: np.ndarray  # (N, AZIMUTHS) half sizes, outline of the captured cloth, NaN where not seen
     silhouettes: np.ndarray  # (N, P, AZIMUTHS) half sizes, from each of PERSPECTIVES, exact
@@ -105,7 +114,8 @@ def make_maps(
     neighbours: bool = False, outlines: int = 0, workers: int = 1, shards: int | None = None,
 ) -> Maps:
     """Maps of ``captures`` captures of each converged drape of the dataset ``root``, cached in
-    ``out``, where an interrupted run is resumed.
+    ``out``, where an interrupted run is resumed; they are made again where a shard, a setting or
+    the code that makes them has changed.
 
     Args:
         neighbours: all captures of a drape but the first show neighbours of its fabric, the same
@@ -115,42 +125,49 @@ def make_maps(
     """
     options = {"setups": setups, "captures": captures, "seed": seed, "neighbours": neighbours,
                "outlines": outlines}
-    settings = options | {"dataset": manifest["identity"], "setups": asdict(setups)}
+    settings = options | {"sources": sources_digest(*SOURCES), "setups": asdict(setups)}
     folder = out / f"maps_{json_digest(settings)[:12]}"
     folder.mkdir(parents=True, exist_ok=True)
-    files = {Path(root) / name: folder / f"{Path(name).stem}.npz"
-             for name in list(manifest["shards"])[:shards]}
-    missing = [shard for shard in files if not files[shard].exists()]
+    # By content: shards grow when a dataset is extended, and are made again.
+    digests = dict(list(manifest["shards"].items())[:shards])
+    files = {name: folder / f"{digest[:16]}.npz" for name, digest in digests.items()}
+    missing = [name for name, file in files.items() if not file.exists()]
     if missing:
         with worker_pool(workers) as pool:
-            running = [pool.submit(_write_maps, shard, files[shard], **options)
-                       for shard in missing]
+            running = [pool.submit(_write_maps, Path(root) / name, digests[name], files[name],
+                                   **options) for name in missing]
             for done in tqdm(as_completed(running), total=len(running), unit="shard", desc="maps"):
                 done.result()
     return Maps.read(files.values())
 
 
-def _write_maps(shard: Path, path: Path, **options: Any) -> None:
+def _write_maps(path: Path, digest: str, out: Path, **options: Any) -> None:
+    """Write the maps of the shard ``path`` to ``out``; InputError if its digest is another one."""
+    shard = Shard(path)
+    if shard.digest != digest:
+        raise InputError(f"{path} differs from {MANIFEST}; remove it and generate it again")
     content = io.BytesIO()
     np.savez(content, **vars(maps_of_shard(shard, **options)))
-    remove_partial(path.parent, path.name)
-    replace_file(path, content.getvalue())
+    remove_partial(out.parent, out.name)
+    replace_file(out, content.getvalue())
 
 
 def maps_of_shard(
-    shard: Path, *, setups: Setups, captures: int, seed: int, neighbours: bool, outlines: int
+    shard: Shard, *, setups: Setups, captures: int, seed: int, neighbours: bool, outlines: int
 ) -> Maps:
     """Maps of one shard; arguments as for :func:`make_maps`."""
-    drapes = Shard(shard)
-    table = {name: drapes.column(name) for name in _COLUMNS}
+    table = {name: shard.column(name) for name in _COLUMNS}
     converged = np.flatnonzero(table["status"] == "converged")
     rows = []
     for row in converged:
         drape = {name: column[row] for name, column in table.items()}
-        rig = drapes.rig(row)
-        positions, _, faces = drapes.mesh(row)
-        derivatives = (drape_derivatives(drape, positions, drapes.origin(row), rig)
-                       if neighbours else None)
+        rig = shard.rig(row)
+        positions, rest, faces = shard.mesh(row)
+        mesh = Mesh(rest, faces)
+        derivatives = None
+        if neighbours:
+            derivatives = (shard.moves(row) if shard.has_moves else
+                           drape_derivatives(drape, positions, shard.origin(row), rig))
         for number in range(captures + outlines if derivatives is not None else
                             1 if neighbours else captures):
             step, moved = np.zeros(_PARAMETERS), positions
@@ -166,7 +183,7 @@ def maps_of_shard(
             picture = _NO_DEPTH
             if number < captures:
                 picture, wrong = _depth(moved, faces, rig, setups, rng, wrong)
-            rows.append(picture | _shadows(moved, faces, rig, wrong) | _truth(drape, rig, step))
+            rows.append(picture | _shadows(moved, mesh, rig, wrong) | _truth(drape, rig, step))
     return Maps(**{name.name: np.array([row[name.name] for row in rows]) for name in fields(Maps)})
 
 
@@ -192,11 +209,12 @@ def _depth(
             "hem": hem.astype(np.float16)}, drape.zero - capture.orientation
 
 
-def _shadows(positions: Points, faces: Faces, rig: Rig, wrong: Radians) -> dict[str, Any]:
+def _shadows(positions: Points, mesh: Mesh, rig: Rig, wrong: Radians) -> dict[str, Any]:
     """Outlines of a drape, a field of :class:`Maps`."""
     with np.errstate(divide="ignore"):
         heights = rig.specimen_size / np.array(PERSPECTIVES)
-    radii = silhouettes(positions, Mesh(positions[:, :2], faces).edges, heights, zero=wrong)
+    edges = contour(positions, mesh, heights.min())
+    radii = silhouettes(positions, edges, heights, zero=wrong)
     return {"silhouettes": (radii / (rig.specimen_size / 2)).astype(np.float32)}
 
 
@@ -215,8 +233,10 @@ def _truth(drape: dict[str, np.ndarray], rig: Rig, step: np.ndarray) -> dict[str
 def drape_derivatives(
     row: dict[str, np.ndarray], positions: Points, origin: np.ndarray, rig: Rig
 ) -> np.ndarray | None:
-    """(7, V, 3) derivatives of the stored drape of a ``row`` by theta and the logarithm of the
-    membrane stiffness, or None; ``origin``: (F, 3) 1/m, curvatures without friction.
+    """(7, V, 3) derivatives of the stored drape of a ``row``, as :meth:`Shard.moves`, for a shard
+    without; ``origin``: (F, 3) 1/m, curvatures without friction.
+
+    The equilibrium next to the rounded drape is found again, at three times the cost of all else.
     """
     nuisances = Nuisances(*row["nuisances"])
     rig, fabric = nuisances.rig(rig), fabric_from_theta(row["theta"])
@@ -232,7 +252,7 @@ def drape_derivatives(
     if np.abs(equilibrium.state.positions - positions).max() > _EQUILIBRIUM_TOLERANCE:
         return None
     tangent = Tangent(equilibrium.cloth, equilibrium.state.q, equilibrium.outcome.factor)
-    derivatives = tangent_sensitivities(tangent, fabric, ("log_alpha", "ratio", "membrane"))
+    derivatives = tangent_sensitivities(tangent, fabric, MOVED_BY)
     return derivatives.positions if derivatives.ok else None
 
 

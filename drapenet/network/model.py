@@ -19,11 +19,11 @@ from torch.nn.functional import softplus
 from drapenet.network.posterior import Mixture, outputs_of
 from drapenet.network.targets import TARGETS, Symmetry
 from drapenet.views.directions import AZIMUTHS, ELEVATIONS
+from drapenet.views.radial_map import WEIGHT_UNIT
 
 CHANNELS = 2 * ELEVATIONS + 5
 """Distances and weights of a column, outline, whether the outline is seen, cosine and sine of twice
 and cosine of four times the azimuth."""
-WEIGHT_UNIT = 1 / 32  # of the stored logarithm of 1 + weight
 _HARMONICS = (2, 4)  # of the azimuth, for pooling features beside their mean
 POOLED = 1 + 2 * len(_HARMONICS)  # values of a feature
 _SIZE = 0.3  # m, unit of the specimens' size
@@ -104,8 +104,8 @@ class Batch:
     @classmethod
     def of(cls, distance: np.ndarray, weight: np.ndarray, outline: np.ndarray, facts: Facts,
            targets: torch.Tensor | None = None) -> "Batch":
-        """Batch of N stored maps (:func:`compressed`) and (N, AZIMUTHS) outlines in half sizes
-        (m/m), NaN where not seen."""
+        """Batch of N stored maps (:func:`drapenet.views.radial_map.compressed`) and (N, AZIMUTHS)
+        outlines in half sizes (m/m), NaN where not seen."""
         return cls(torch.from_numpy(distance).float(), torch.from_numpy(weight) * WEIGHT_UNIT,
                    torch.from_numpy(np.nan_to_num(outline).astype(np.float32)),
                    torch.from_numpy(facts.face.astype(np.float32)), facts.columns(),
@@ -124,12 +124,6 @@ class Batch:
         device = next(network.parameters()).device
         parts = (self.distance, self.weight, self.outline, self.face, self.facts, self.group)
         return network(*(part.to(device) for part in parts))
-
-
-def compressed(distance: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distances, in sizes (m/m), and logarithms of 1 + weight in their unit, of the same shape."""
-    return (distance.astype(np.float16),
-            np.minimum(np.rint(np.log1p(weight) / WEIGHT_UNIT), 255).astype(np.uint8))
 
 
 def circular(inputs: int, outputs: int, stride: int = 1, width: int = 3) -> torch.nn.Conv1d:

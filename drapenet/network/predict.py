@@ -13,11 +13,12 @@ import torch
 from data.fabrics.fabrics import from_theta
 from data.fabrics.properties import ClothProperties
 from drapenet.network.checkpoint import Header
-from drapenet.network.model import Batch, DrapeNet, Facts, compressed
+from drapenet.network.model import Batch, DrapeNet, Facts
 from drapenet.network.posterior import Samples
 from drapenet.network.targets import SYMMETRIES, Symmetry, cloth_of, exchanged
 from drapenet.views.directions import AZIMUTHS, ELEVATIONS
 from drapenet.views.observation import Observation
+from drapenet.views.radial_map import compressed
 from sim.material import is_admissible
 
 DRAWS = 4000  # of each posterior, in all

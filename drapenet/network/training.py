@@ -16,13 +16,13 @@ import torch
 from common.documents import differences, require_regular
 from common.errors import InputError, one_line
 from common.files import remove_partial, replacing
-from common.provenance import release
+from common.provenance import release, sources_digest
 from data.dataset.folder import finished_manifest, split_by_fabric
 from data.fabrics.properties import ClothProperties
 from data.render.setups import Setups
 from drapenet.config import ModelConfig, OptimConfig, TrainConfig
 from drapenet.network.checkpoint import MAX_WEIGHTS_BYTES
-from drapenet.network.dataset import Maps, make_maps
+from drapenet.network.dataset import SOURCES, Maps, make_maps
 from drapenet.network.model import Batch, DrapeNet, Facts
 from drapenet.network.posterior import inside, ranks
 from drapenet.network.targets import (
@@ -212,7 +212,8 @@ def open_captures(config: TrainConfig) -> tuple[CaptureSet, CaptureSet, dict]:
                              index=part.index + number * _APART))
     maps = Maps.joined(parts)
     described = {"sha256": [manifest["hash"] for manifest in manifests],
-                 "generation": [manifest["config"] for manifest in manifests]}
+                 "generation": [manifest["config"] for manifest in manifests],
+                 "maps": sources_digest(*SOURCES)}
     shares = {"train": 1 - config.validation_fraction, "validation": config.validation_fraction}
     split = split_by_fabric(maps.fabric, fractions=shares)
     unseen = maps.chosen((split == "validation") & ~maps.moved)

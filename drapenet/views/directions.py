@@ -1,5 +1,9 @@
 """Directions in which a drape is described by its distance from a point on the plate's axis."""
 
+import math
+from dataclasses import dataclass
+
+import numba
 import numpy as np
 
 from common.types import Metres, Points, Radians
@@ -20,23 +24,57 @@ def centre_height(rig: Rig) -> Metres:
 
 def elevations(rig: Rig) -> np.ndarray:
     """(R,) rad, borders of the rows from the lowest possible hem to the rim."""
+    return np.linspace(*_limits(rig), ELEVATIONS + 1)
+
+
+def _limits(rig: Rig) -> tuple[Radians, Radians]:
+    """Elevations of the lowest possible hem and of the rim."""
     depth = -centre_height(rig)
-    return np.linspace(np.arctan2(depth - rig.overhang, _UNDER * rig.plate_radius),
-                       np.arctan2(depth, rig.plate_radius), ELEVATIONS + 1)
+    return (math.atan2(depth - rig.overhang, _UNDER * rig.plate_radius),
+            math.atan2(depth, rig.plate_radius))
 
 
-def binned(
-    points: Points, turn: Radians, rig: Rig, columns: int, rows: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Sums (columns, rows) of weighted distances, m, and of weights of one view's points."""
-    radius, height = np.hypot(points[:, 0], points[:, 1]), points[:, 2] - centre_height(rig)
-    low, *_, high = elevations(rig)
-    row = (np.arctan2(height, radius) - low) * (rows / (high - low))
-    inside = (row >= 0) & (row < rows)
-    azimuth = np.arctan2(points[inside, 1], points[inside, 0])
-    column = np.floor((azimuth - turn) * (columns / (2 * np.pi))).astype(int) % columns
-    cell = column * rows + row[inside].astype(int)
-    facing = np.maximum(-np.sin(azimuth), _MIN_FACING) ** 2  # the camera is at -y
-    distance = np.hypot(radius[inside], height[inside])
-    return tuple(np.bincount(cell, values, minlength=columns * rows).reshape(columns, rows)
-                 for values in (facing * distance, facing))
+@dataclass(frozen=True)
+class Polar:
+    """Points of one view seen from the point on the axis, (N,) each.
+
+    Attributes:
+        azimuth: rad, in the axes of the camera, which is at -y.
+        level: place among the rows of a map, from 0 at its lowest border to 1 at the rim.
+        distance: m.
+        weight: of the point in a cell, larger where it faces the camera.
+    """
+
+    azimuth: np.ndarray
+    level: np.ndarray
+    distance: np.ndarray
+    weight: np.ndarray
+
+    @classmethod
+    def of(cls, points: Points, centre: np.ndarray, rig: Rig) -> "Polar":
+        """Of points whose axis is at ``centre`` (2,), m."""
+        x, y = points[:, 0] - centre[0], points[:, 1] - centre[1]
+        height = points[:, 2] - centre_height(rig)
+        radius = np.sqrt(x * x + y * y)
+        low, high = _limits(rig)
+        facing = np.maximum(-y / np.maximum(radius, 1e-300), _MIN_FACING)
+        return cls(np.arctan2(y, x), (np.arctan2(height, radius) - low) / (high - low),
+                   np.sqrt(radius * radius + height * height), facing * facing)
+
+    def binned(self, turn: Radians, columns: int, rows: int) -> tuple[np.ndarray, np.ndarray]:
+        """Sums (columns, rows) of weighted distances, m, and of weights, by direction from a
+        ``turn`` on."""
+        return _binned(self.azimuth, self.level, self.distance, self.weight, turn, columns, rows)
+
+
+@numba.njit(cache=True)
+def _binned(azimuth, level, distance, weight, turn, columns, rows):
+    total, weights = np.zeros((columns, rows)), np.zeros((columns, rows))
+    scale = columns / (2 * np.pi)
+    for t in range(len(azimuth)):
+        place = level[t] * rows
+        if 0 <= place < rows:
+            column, row = int(np.floor((azimuth[t] - turn) * scale)) % columns, int(place)
+            total[column, row] += weight[t] * distance[t]
+            weights[column, row] += weight[t]
+    return total, weights

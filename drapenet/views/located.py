@@ -1,7 +1,7 @@
 """Views of a drape with camera pose, from its flat top, and turns, from the overlap of the views.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -43,9 +43,11 @@ class LocatedViews:
     @classmethod
     def registered(cls, views: Views, camera: Camera, rig: Rig, turns: Turns) -> "LocatedViews":
         """Views of a posed camera; their turns are estimated, starting from the stated ones."""
-        clouds = [camera.cloth_points(view) for view in views]
-        refined, centre = register(clouds, turns, rig)
-        return cls(views, camera, rig, refined, turns, centre)
+        stated = cls.exact(views, camera, rig, turns)
+        refined, centre = register(stated.clouds, turns, rig)
+        located = replace(stated, turns=refined, stated_turns=turns, centre=centre)
+        located.__dict__["clouds"] = stated.clouds  # where cached properties are
+        return located
 
     @classmethod
     def exact(cls, views: Views, camera: Camera, rig: Rig, turns: Turns) -> "LocatedViews":

@@ -15,6 +15,7 @@ from common.types import Edges, Metres, Outline, Points, Radians
 from drapenet.views.directions import AZIMUTH, AZIMUTHS, elevations
 from drapenet.views.radial_map import PIXEL, RadialMap
 from sim.measures import farthest, folds_around
+from sim.mesh import Mesh
 from sim.rig import Rig
 
 PERSPECTIVES = (0.0, 0.2, 0.4, 0.6, 0.8)
@@ -106,6 +107,21 @@ def outline_of_map(drape: RadialMap, rig: Rig) -> DrapeOutline:
     radius = np.where(drape.weight > 0, flat, 0.0).max(axis=1)
     # Centres of border pixels are half a pixel inside the hem.
     return DrapeOutline(np.where(radius > 0, radius + PIXEL / 2, np.nan))
+
+
+def contour(positions: Points, mesh: Mesh, height: Metres) -> Edges:
+    """Edges that a drape's outline from any height of at least ``height`` is made of: those of the
+    border, and those between a triangle that may be seen from above and one that may be seen from
+    below."""
+    a, b, c = (positions[mesh.faces[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    # Of the normal with the direction to a camera on the axis, over the camera's height: linear in
+    # the height's inverse.
+    above = normal[:, 2]
+    near = above - (normal * a).sum(axis=1) / height
+    up, down = (above > 0) | (near > 0), (above <= 0) | (near <= 0)
+    first, second = mesh.edge_faces.T
+    return mesh.edges[(second < 0) | (up[first] & down[second]) | (down[first] & up[second])]
 
 
 def silhouettes(

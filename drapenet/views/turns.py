@@ -1,9 +1,10 @@
 """Turns of the table and the plate's centre, from the overlap of views in cells of one degree."""
 
+import numba
 import numpy as np
 
 from common.types import Points, Turns
-from drapenet.views.directions import binned, elevations
+from drapenet.views.directions import Polar, elevations
 from sim.rig import Rig
 
 CENTRE_BIAS = 2.0e-3
@@ -26,9 +27,12 @@ def register(clouds: list[Points], turns: Turns, rig: Rig) -> tuple[Turns, np.nd
     centre = np.array([0.0, CENTRE_BIAS])
     if len(clouds) == 1:
         return turns, centre
-    start = turns = turns + np.radians(_whole_degrees(_distances(clouds, turns, centre, rig)))
-    for _ in range(_ROUNDS):
-        maps = _distances(clouds, turns, centre, rig)
+    seen = [Polar.of(cloud, centre, rig) for cloud in clouds]
+    start = turns = turns + np.radians(_whole_degrees(_distances(seen, turns)))
+    for k in range(_ROUNDS):
+        if k:
+            seen = [Polar.of(cloud, centre, rig) for cloud in clouds]
+        maps = _distances(seen, turns)
         change = np.concatenate([centre - [0, CENTRE_BIAS], turns - start])
         step = _least_squares(maps, turns, change, rig)
         centre, turns = centre + step[:2], turns + step[2:]
@@ -40,7 +44,8 @@ def disagreement(clouds: list[Points], turns: Turns, centre: np.ndarray, rig: Ri
     """
     if len(clouds) < 2:
         return np.nan
-    maps = _distances(clouds, turns, centre, rig)[..., :_HANGING]
+    seen = [Polar.of(cloud, centre, rig) for cloud in clouds]
+    maps = _distances(seen, turns)[..., :_HANGING]
     often = np.isfinite(maps).sum(axis=0)
     gap = np.abs(maps - np.nansum(maps, axis=0) / np.maximum(often, 1))[:, often > 1]
     gap = gap[np.isfinite(gap)]
@@ -49,10 +54,10 @@ def disagreement(clouds: list[Points], turns: Turns, centre: np.ndarray, rig: Ri
     return float(np.sqrt(np.square(np.minimum(gap, _MAX_GAP)).mean()))
 
 
-def _distances(clouds: list[Points], turns: Turns, centre: np.ndarray, rig: Rig) -> np.ndarray:
+def _distances(seen: list[Polar], turns: Turns) -> np.ndarray:
     """(K, _DEGREES, _ROWS) mean distance, m, of each view's points; NaN in empty cells."""
-    total, weight = np.stack([binned(cloud - [*centre, 0.0], turn, rig, _DEGREES, _ROWS)
-                              for cloud, turn in zip(clouds, turns, strict=True)], axis=1)
+    total, weight = np.stack([view.binned(turn, _DEGREES, _ROWS)
+                              for view, turn in zip(seen, turns, strict=True)], axis=1)
     return np.where(weight > 0, total / np.where(weight > 0, weight, 1), np.nan)
 
 
@@ -81,13 +86,32 @@ def _whole_degrees(maps: np.ndarray) -> np.ndarray:
 
 def _costs(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """(4 _MAX_TURN_STEPS + 1,) misfit of two maps by turn of the second, degrees."""
-    costs = []
-    for degrees in range(-2 * _MAX_TURN_STEPS, 2 * _MAX_TURN_STEPS + 1):
-        gap = np.abs(np.roll(second, -degrees, axis=0) - first)
-        gap = gap[np.isfinite(gap)]
-        mean = (np.minimum(gap, _MAX_GAP) ** 2).mean() if len(gap) > _MIN_COMMON_CELLS else _GAP**2
-        costs.append(0.5 * _INDEPENDENT * mean / _GAP**2)
-    return np.array(costs)
+    squares, common = _gaps(first, second)
+    mean = np.where(common > _MIN_COMMON_CELLS, squares / np.maximum(common, 1), _GAP**2)
+    return 0.5 * _INDEPENDENT * mean / _GAP**2
+
+
+@numba.njit(cache=True)
+def _gaps(first, second):
+    """Sums (4 _MAX_TURN_STEPS + 1,) of squared gaps, m², cut off, and numbers of common cells."""
+    steps = 4 * _MAX_TURN_STEPS + 1
+    squares, common = np.zeros(steps), np.zeros(steps, np.int64)
+    rows = first.shape[1]
+    a, b = first.ravel(), second.ravel()
+    filled = np.flatnonzero(np.isfinite(a))
+    for step in range(steps):
+        turn = (step - 2 * _MAX_TURN_STEPS) * rows
+        for t in filled:
+            place = t + turn
+            if place < 0:
+                place += len(b)
+            elif place >= len(b):
+                place -= len(b)
+            gap = abs(b[place] - a[t])
+            if gap == gap:  # else the other cell is empty, NaN
+                squares[step] += min(gap, _MAX_GAP) ** 2
+                common[step] += 1
+    return squares, common
 
 
 def _least_squares(maps: np.ndarray, turns: Turns, change: np.ndarray, rig: Rig) -> np.ndarray:
@@ -109,20 +133,42 @@ def _least_squares(maps: np.ndarray, turns: Turns, change: np.ndarray, rig: Rig)
     around = -by_azimuth / mean / np.cos(height)
     c, s = np.cos(azimuth)[:, None], np.sin(azimuth)[:, None]
     by_x, by_y = outward * c - around * s, outward * s + around * c
+    used = (often > 1) & np.isfinite(by_x + by_y + by_azimuth)
+    normal, slope = _normal_equations(maps[:, used], mean[used], by_x[used], by_y[used],
+                                      by_azimuth[used], np.cos(turns), np.sin(turns))
     count = len(maps)
-    columns = np.zeros((count, 2 + count, *mean.shape))
-    for k, turn in enumerate(turns):
-        # A move of the centre moves the points backwards, in the specimen's rotated axes.
-        columns[k, 0] = -(np.cos(turn) * by_x - np.sin(turn) * by_y)
-        columns[k, 1] = -(np.sin(turn) * by_x + np.cos(turn) * by_y)
-        columns[k, 2 + k] = by_azimuth
-    gaps = np.where(visible & (often > 1), maps - mean, 0.0)
-    columns = np.where(visible[:, None], columns, 0.0)
-    columns = columns - columns.sum(axis=0) / np.maximum(often, 1)
-    used = visible & (often > 1) & np.isfinite(columns).all(axis=1)
-    rows = columns.transpose(1, 0, 2, 3)[:, used]
-    weights = 1 / (1 + (gaps[used] / _GAP) ** 2)
-    weights *= _INDEPENDENT * count / max(len(weights), 1) / _GAP**2
+    scale = _INDEPENDENT * count / max(int(often[used].sum()), 1) / _GAP**2
     sigma = np.r_[[_SHIFT] * 2, [1e-6], [np.radians(_TURN)] * (count - 1)]
-    normal = (rows * weights) @ rows.T + np.diag(1 / sigma**2)
-    return -np.linalg.solve(normal, (rows * weights) @ gaps[used] + change / sigma**2)
+    return -np.linalg.solve(scale * normal + np.diag(1 / sigma**2),
+                            scale * slope + change / sigma**2)
+
+
+@numba.njit(cache=True)
+def _normal_equations(maps, mean, by_x, by_y, by_azimuth, cosine, sine):
+    """Normal matrix (2 + K, 2 + K) and right-hand side (2 + K,) of the gaps of maps (K, N), NaN in
+    empty cells, to their mean (N,) with its slopes (N,), by centre and turns."""
+    count = len(maps)
+    normal, slope = np.zeros((2 + count, 2 + count)), np.zeros(2 + count)
+    rows = np.empty((count, 2 + count))
+    for t in range(len(mean)):
+        rows[:, :] = 0.0
+        often = 0
+        for k in range(count):
+            if np.isfinite(maps[k, t]):
+                often += 1
+                # A move of the centre moves the points backwards, in the specimen's rotated axes.
+                rows[k, 0] = -(cosine[k] * by_x[t] - sine[k] * by_y[t])
+                rows[k, 1] = -(sine[k] * by_x[t] + cosine[k] * by_y[t])
+                rows[k, 2 + k] = by_azimuth[t]
+        common = rows.sum(axis=0) / often
+        for k in range(count):
+            if not np.isfinite(maps[k, t]):
+                continue
+            gap = maps[k, t] - mean[t]
+            weight = 1 / (1 + (gap / _GAP) ** 2)
+            for i in range(2 + count):
+                own = weight * (rows[k, i] - common[i])
+                slope[i] += own * gap
+                for j in range(2 + count):
+                    normal[i, j] += own * (rows[k, j] - common[j])
+    return normal, slope

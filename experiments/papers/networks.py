@@ -19,10 +19,11 @@ from common.types import Theta, Views
 from data.dataset.shards import Shard
 from data.render.cameras import nominal_camera
 from data.render.setups import Setups
-from drapenet.network.model import POOLED, WEIGHT_UNIT, MapTensor, pooled
+from drapenet.network.model import POOLED, MapTensor, pooled
 from drapenet.network.posterior import Mixture, outputs_of
 from drapenet.network.targets import MODULI, Symmetry, TargetScale
 from drapenet.views.directions import AZIMUTHS, elevations
+from drapenet.views.radial_map import WEIGHT_UNIT
 from experiments.drapes import RIG
 from sim.material import FIRST, SECOND, SWAPPED
 

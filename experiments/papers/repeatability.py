@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 from data.dataset.config import STARTS
 from data.render.setups import Setups, SyntheticCapture
 from drapenet.inference import CaptureEstimate
-from drapenet.network.model import compressed
 from drapenet.report.figures import COLOURS
+from drapenet.views.radial_map import compressed
 from experiments.drapes import (
     RIG,
     capture_drape,

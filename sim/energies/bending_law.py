@@ -183,7 +183,8 @@ def _add_yarns(s, law, g, h):
 def respond(s, origin, law, variant, g, h):
     """The energy per area, J/m², of a variant of the plate at curvature s (3,) with the ``origin``
     S1 (3,); fills g (3,) and h (3, 3) with its derivatives by s."""
-    total = derivatives(s, law, g, h) - variant.m_xx * s[0] - variant.m_yy * s[1] - variant.m_xy * s[2]
+    total = derivatives(s, law, g, h)
+    total -= variant.m_xx * s[0] + variant.m_yy * s[1] + variant.m_xy * s[2]
     g[0] -= variant.m_xx
     g[1] -= variant.m_yy
     g[2] -= variant.m_xy

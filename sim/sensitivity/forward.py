@@ -15,6 +15,7 @@ from common.errors import InputError
 from sim.cloth import Cloth, Laws
 from sim.drape import Drape
 from sim.energies.base import Energy
+from sim.energies.bending_variants import Hysteresis
 from sim.material import DIRECTIONS, Fabric
 from sim.sensitivity.tangent import Tangent
 from sim.solver.potential import forces
@@ -122,8 +123,9 @@ def force_derivatives(cloth: Cloth, q: np.ndarray) -> np.ndarray:
     scene, laws, size = cloth.scene, cloth.laws, cloth.potential.unknowns
 
     def made(fabric: Fabric) -> tuple[list[Energy], list[Energy]]:
-        # Only if the law is the energy's class: other laws may use the fabric in another way.
-        if laws.bending_law is type(cloth.bending) and hasattr(cloth.bending, "with_fabric"):
+        # Only if the law is the energy's own: other laws may use the fabric in another way.
+        own = type(laws.bending_law) is Hysteresis or laws.bending_law is type(cloth.bending)
+        if own and hasattr(cloth.bending, "with_fabric"):
             bending = cloth.bending.with_fabric(fabric)
         else:
             bending = laws.bending_law(scene.mesh, scene.active, fabric=fabric)

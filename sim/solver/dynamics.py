@@ -5,9 +5,9 @@ velocities v1: with the forces f, the masses M and a step of length h,
 
     M (v1 - v0) = h f(x0 + tau v1),    x1 = x0 + h v1.
 
-For short steps this is M dv/dt = f(x) + tau df/dx v: all of the cloth's stiffness has a Kelvin-Voigt
-viscosity, which damps a vibration of angular frequency w at the rate tau w²/2. For h = tau it is
-backward Euler, whose damping is that of its step (Feng et al. 2022, section 4). The positions
+For short steps this is M dv/dt = f(x) + tau df/dx v: all of the cloth's stiffness has a viscosity
+(Kelvin and Voigt's), which damps a vibration of angular frequency w at the rate tau w²/2. For
+h = tau it is backward Euler, damped by its step (Feng et al. 2022, section 4). The positions
 u = x0 + tau v1 minimise E(u) + |u - y|²_M/(2 tau h), y = x0 + tau v0; one Newton step from x0, with
 a line search, is taken towards them (Baraff and Witkin 1998, Large steps in cloth simulation).
 """

@@ -1,9 +1,17 @@
 import json
+import shutil
 import subprocess
 
 import pytest
 
+import data.dataset.config
+import drapenet.network.dataset
 from common import provenance
+from common.provenance import ROOT, sources_digest
+from tools.check_layers import imports, modules
+
+SOURCES = {"data.dataset.simulate": data.dataset.config.SOURCES,
+           "drapenet.network.dataset": drapenet.network.dataset.SOURCES}
 
 
 def git(folder, *words):
@@ -50,6 +58,43 @@ def test_no_checkout_no_commit(checkout, tmp_path, monkeypatch):
         assert provenance.code_state(folder) == outside
     monkeypatch.setenv("PATH", str(tmp_path))  # no git
     assert provenance.code_state(checkout) == outside
+
+
+@pytest.mark.parametrize("entry", SOURCES)
+def test_sources_are_all_that_is_imported(entry):
+    """Besides ``common``, which computes nothing, and the folder of a dataset."""
+    files = modules(ROOT)
+    reached, found = [entry], {entry, "data.dataset.folder"}
+    while reached:
+        new = imports(name := reached.pop(), files[name], set(files)) - found
+        reached += [name for name in new if not name.startswith("common.")]
+        found |= new
+    named = {file for pattern in SOURCES[entry] for file in ROOT.glob(pattern)}
+    assert all(any(ROOT.glob(pattern)) for pattern in SOURCES[entry])
+    assert {name for name in found if files[name] not in named
+            and not name.startswith("common.")} == {"data.dataset.folder"}
+
+
+def test_sources_are_known_by_name_and_content_wherever_they_are(tmp_path):
+    patterns = SOURCES["data.dataset.simulate"]
+
+    def changed(name: str = "", text: str = "") -> str:
+        """Digest in a copy of the project with a file of this text."""
+        copy = tmp_path / f"copy_{len(list(tmp_path.iterdir()))}"
+        for package in ("data", "sim"):
+            shutil.copytree(ROOT / package, copy / package)
+        if name:
+            (copy / name).parent.mkdir(exist_ok=True)
+            (copy / name).write_text(text)
+        return sources_digest(*patterns, root=copy)
+
+    here = sources_digest(*patterns)
+    assert here == changed() == sources_digest(*reversed(patterns))
+    assert here == changed("sim/solver/__pycache__/newton.nbi", "cache")
+    assert here == changed("data/captures/capture.py", "another reader")
+    newton = (ROOT / "sim/solver/newton.py").read_text(encoding="utf-8")
+    assert len({here, changed("sim/solver/newton.py", newton + "\n"),
+                changed("sim/solver/other.py", newton)}) == 3
 
 
 def test_versions_of_what_is_installed():

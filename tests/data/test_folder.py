@@ -1,6 +1,7 @@
 """The manifest of a dataset: what it requires, where the dataset comes from, and its splits."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,8 @@ from test_generate import generate, shards, small_config
 import data.dataset.folder
 from common.errors import InputError
 from common.files import replace_json
-from common.provenance import environment, release
+from common.provenance import environment, release, sources_digest
+from data.dataset.config import SOURCES
 from data.dataset.folder import (
     MANIFEST,
     finished_manifest,
@@ -106,6 +108,23 @@ def test_every_environment_that_made_shards_is_named_once(tmp_path, monkeypatch)
         manifest = generate(tmp_path, small_config(drapes=drapes))
         assert manifest["provenance"] == [environment(), elsewhere()]
     assert json.loads((tmp_path / MANIFEST).read_text(encoding="utf-8")) == manifest
+
+
+def test_another_simulator_neither_resumes_nor_extends_a_dataset(tmp_path):
+    """Its drapes would be mixed with those of the first."""
+    begun = small_config(drapes=8)
+    assert begun.as_dict()["sources"] == sources_digest(*SOURCES)
+    generate(tmp_path / "begun", begun, part=1, parts=2)
+    manifest = generate(tmp_path / "finished", begun)
+    for folder in (tmp_path / "begun", tmp_path / "finished"):
+        kept = {path: path.read_bytes() for path in folder.iterdir()}
+        for drapes in (8, 12):
+            with pytest.raises(InputError, match=r"another version of the simulator.*"
+                                                 r"finish it with that version") as refusal:
+                generate(folder, replace(small_config(drapes=drapes), sources="0" * 64))
+            assert "\n" not in str(refusal.value)
+        assert kept == {path: path.read_bytes() for path in folder.iterdir()}
+    assert finished_manifest(tmp_path / "finished") == manifest
 
 
 def test_splits_are_stable_and_have_their_fractions():

@@ -12,9 +12,11 @@ from data.dataset.config import DatasetConfig, SamplingConfig
 from data.dataset.folder import DatasetFolder
 from data.dataset.generate import generate_dataset, main
 from data.dataset.plan import plan_drape
-from data.dataset.shards import Shard
+from data.dataset.shards import MOVED_BY, Shard
 from data.dataset.simulate import make_record
 from data.fabrics.prior import load_prior
+from sim.drape import drape
+from sim.sensitivity import sensitivities
 from sim.solver import linear
 from sim.solver.linear import PardisoSolver, SparsePattern, available_solvers
 
@@ -73,6 +75,20 @@ def test_records_hold_the_plan_and_the_drape(finished):
             # A failed drape keeps its mesh, for whoever wants to know why.
             assert shard.mesh(row)[0][:, 2].min() < -0.01
     assert seen == list(range(10))
+
+
+def test_records_of_simulated_drapes_hold_their_derivatives():
+    made = []
+
+    def solver(*arguments, **settings):
+        made.append(drape(*arguments, **settings))
+        return made[-1]
+
+    record = make_record(0, replace(small_config(starts=("lowered",)), edge=0.009), solver=solver)
+    exact = sensitivities(made[0], parameters=MOVED_BY).positions
+    found = (record["moves"] * record["move_units"][:, None]).transpose(1, 0, 2)
+    for near, one in zip(found, exact, strict=True):
+        assert np.abs(near - one).max() < 0.0040 * np.abs(one).max()
 
 
 def test_manifest_counts_everything(finished):

@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 
 from common.errors import InputError
-from data.dataset.shards import SCHEMA_VERSION, SEAL_SIZE, Shard, fields, to_counts, write_shard
+from data.dataset import shards
+from data.dataset.shards import (
+    SCHEMA_VERSION,
+    SEAL_SIZE,
+    Shard,
+    fields,
+    to_counts,
+    to_moves,
+    write_shard,
+)
 from sim.rig import Rig
 
 VERTICES = 81
@@ -48,6 +57,29 @@ def test_every_field_comes_back(shard):
                 np.testing.assert_array_equal(rows[row][: len(expected)], expected)
             else:
                 np.testing.assert_array_equal(rows[row], expected)
+
+
+def test_derivatives_come_back_to_a_two_hundredth_of_the_largest(tmp_path):
+    scale = np.array([1e-2, 1e-3, 1e-2, 1.0, 2.0, 3.0, 1e-4])
+    moves = scale[:, None, None] * np.random.default_rng(0).normal(size=(7, VERTICES, 3))
+    records = [random_record(0) | to_moves(moves), random_record(1) | to_moves(0 * moves)]
+    write_shard(tmp_path / "s.h5", records, attributes=ATTRIBUTES)
+    shard = Shard(tmp_path / "s.h5")
+    found = shard.moves(0)
+    assert found.shape == moves.shape and shard.moves(1) is None
+    error, largest = (np.abs(x).max(axis=(1, 2)) for x in (found - moves, moves))
+    assert (error <= 0.0040 * largest).all()
+
+
+def test_shards_of_earlier_datasets_have_no_derivatives(tmp_path, monkeypatch):
+    everything = shards.fields
+    with monkeypatch.context() as earlier:
+        earlier.setattr(shards, "fields", lambda *sizes: {
+            name: field for name, field in everything(*sizes).items()
+            if name not in (shards.MOVES, shards.MOVE_UNITS)})
+        write_shard(tmp_path / "s.h5", [random_record(0)], attributes=ATTRIBUTES)
+    shard = Shard(tmp_path / "s.h5")
+    assert not shard.has_moves and len(shard) == 1
 
 
 def test_attributes_and_units(shard):

@@ -5,11 +5,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cloths import write_dataset
+from cloths import skirt, write_dataset
 
+from common.errors import InputError
+from data.dataset.config import DatasetConfig, SamplingConfig
 from data.dataset.folder import finished_manifest
+from data.dataset.generate import generate_dataset
+from data.dataset.shards import MOVED_BY, Shard
 from data.fabrics.fabrics import to_theta
 from data.fabrics.nuisances import Nuisances
+from data.fabrics.prior import load_prior
 from data.render.setups import Setups
 from drapenet.network import dataset
 from drapenet.network.dataset import drape_derivatives, make_maps, maps_of_shard, neighbour
@@ -17,6 +22,7 @@ from drapenet.network.training import CaptureSet
 from sim.drape import Drape, drape, follow
 from sim.material import MICRO, Fabric
 from sim.rig import SMALL_DISC_RIG, SQUARE_RIG, Rig
+from sim.sensitivity import sensitivities
 
 SETUPS = replace(Setups.load(), sensors={"none": 1.0})  # costs least
 FABRIC = Fabric(np.array([30.0, 20.0, 25.0]) * MICRO, np.array([-60.0, -50.0, -40.0]) * 1e-9)
@@ -42,19 +48,52 @@ def test_files_do_not_depend_on_workers_or_interruptions(files, cloth_dataset):
     assert np.isfinite(maps.distance).all() and (maps.weight.max(axis=(1, 2)) > 0).all()
 
 
+def test_maps_of_an_extended_dataset_are_those_of_all_its_drapes(tmp_path):
+    folder = tmp_path / "set"
+    for drapes in (6, 8):
+        config = DatasetConfig(drapes, SamplingConfig(), load_prior("gaussian"), edge=0.012,
+                               drapes_per_shard=4)
+        manifest = generate_dataset(config, folder, solver=skirt)
+        maps = make_maps(folder, manifest, tmp_path / "maps", setups=SETUPS, captures=1, seed=3)
+        assert maps.index.tolist() == list(range(drapes))
+    made, = (tmp_path / "maps").iterdir()
+    assert len(list(made.iterdir())) == 3  # those of the first shard once
+
+
+def test_maps_are_made_again_by_other_code(files, cloth_dataset, monkeypatch):
+    monkeypatch.setattr(dataset, "sources_digest", lambda *_: "0" * 64)
+    make_maps(cloth_dataset, finished_manifest(cloth_dataset), files, setups=SETUPS, captures=1,
+              seed=3, shards=1)
+    assert sorted(len(list(folder.iterdir())) for folder in files.iterdir()) == [1, 2]
+
+
+def test_maps_of_a_shard_that_is_not_listed_are_refused(cloth_dataset, tmp_path):
+    manifest = finished_manifest(cloth_dataset)
+    shards = {"shard_00000.h5": manifest["shards"]["shard_00001.h5"]}
+    with pytest.raises(InputError, match=r"shard_00000\.h5 differs from dataset\.json") as refusal:
+        make_maps(cloth_dataset, manifest | {"shards": shards}, tmp_path, setups=SETUPS,
+                  captures=1, seed=3)
+    assert "\n" not in str(refusal.value)
+
+
 def test_captures_of_a_drape_differ(cloth_dataset):
-    shard = next(cloth_dataset.glob("shard_*.h5"))
+    shard = Shard(next(cloth_dataset.glob("shard_*.h5")))
     maps = maps_of_shard(shard, setups=SETUPS, captures=2, seed=4, neighbours=False, outlines=0)
     assert len(maps) == 2 * len(np.unique(maps.index))
     assert not np.array_equal(maps.distance[0], maps.distance[1])
 
 
-def test_drapes_of_several_testers_have_depth_captures_and_outlines(tmp_path, monkeypatch):
+@pytest.mark.parametrize("kept", [True, False])
+def test_drapes_of_several_testers_have_depth_captures_and_outlines(tmp_path, monkeypatch, kept):
+    """Whether their derivatives are stored or not."""
     rigs = [SQUARE_RIG, SMALL_DISC_RIG]
     folder = write_dataset(tmp_path / "several", drapes=8, seed=2,
                            testers=tuple(rig.name for rig in rigs))
-    monkeypatch.setattr(dataset, "drape_derivatives",
-                        lambda row, positions, *_: np.full((7, *positions.shape), 1e-4))
+    monkeypatch.setattr(Shard, "has_moves", kept)
+    monkeypatch.setattr(Shard, "moves", lambda shard, row: (
+        np.full((7, *shard.mesh(row)[0].shape), 1e-4) if kept else None))
+    monkeypatch.setattr(dataset, "drape_derivatives", lambda row, positions, *_: (
+        None if kept else np.full((7, *positions.shape), 1e-4)))
     maps = make_maps(folder, finished_manifest(folder), tmp_path, setups=SETUPS, captures=2,
                      seed=4, neighbours=True, outlines=2)
     sizes = {(rig.specimen_size, rig.plate_diameter / rig.specimen_size) for rig in rigs}
@@ -84,6 +123,10 @@ def test_moves_are_the_derivatives_of_a_stored_drape(stored):
     """Against the equilibrium next to it of cloth with a stiffer bias or membrane."""
     one, *drawn = stored
     found = drape_derivatives(*drawn, Rig())
+    # Those stored with the drape, before it was rounded.
+    kept = sensitivities(one, parameters=MOVED_BY).positions
+    for stored_move, move in zip(kept, found, strict=True):
+        assert np.linalg.norm(move - stored_move) < 0.02 * np.linalg.norm(stored_move)
     bias = replace(FABRIC, alpha=FABRIC.alpha * [1.0, 1.01, 1.0])
     taut = Nuisances(membrane=306.0, shear=0.5).laws.membrane
     for fabric, laws, predicted in (

@@ -5,10 +5,11 @@ import pytest
 
 from drapenet.report.drape import resimulate_outline
 from drapenet.views.directions import AZIMUTHS
-from drapenet.views.outline import DrapeOutline, outline_of_curve, silhouettes
+from drapenet.views.outline import DrapeOutline, contour, outline_of_curve, silhouettes
 from sim.drape import drape
 from sim.material import MICRO, Fabric
 from sim.measures import drape_coefficient
+from sim.mesh import Mesh
 from sim.rig import DISC_RIG, SQUARE_RIG, Rig
 from sim.scene import make_specimen
 
@@ -46,6 +47,21 @@ def test_a_low_hem_looks_smaller_to_a_camera() -> None:
     parallel, near = silhouettes(cone, mesh.edges, np.array([np.inf, 1.0]), zero=0.0)
     np.testing.assert_allclose(near, parallel / 1.05, rtol=1e-3)
     assert (parallel - near).mean() == pytest.approx(7.1e-3, abs=1e-3)
+
+
+def test_an_outline_from_above_is_that_of_the_contour(skirted) -> None:
+    """From any height down to the lowest, against all edges; also where the hem is tucked under."""
+    mesh, heights = Mesh(skirted.rest, skirted.faces), np.array([np.inf, 1.0, 0.5, 0.4])
+    depth = skirted.positions[:, 2:] / skirted.positions[:, 2].min()
+    tucked = skirted.positions * np.where([True, True, False], 1 - 0.5 * depth**3, 1.0)
+    for positions in (skirted.positions, tucked):
+        edges = contour(positions, mesh, 0.4)
+        np.testing.assert_array_equal(*(silhouettes(positions, used, heights, zero=0.2)
+                                        for used in (edges, mesh.edges)))
+        hem = mesh.edges[mesh.edge_faces[:, 1] < 0]
+        assert len(hem) <= len(edges) < 0.4 * len(mesh.edges)
+    of_hem = silhouettes(tucked, hem, heights, zero=0.2)
+    assert (silhouettes(tucked, edges, heights, zero=0.2) - of_hem).mean() > 2e-3
 
 
 def test_the_drape_coefficient_of_a_photograph_is_corrected_for_its_perspective() -> None:
