@@ -128,7 +128,7 @@ def drape(
     fabric: Fabric, *, rig: Rig | None = None, edge: Metres | None = None, start: str | None = None,
     borrowed: tuple[RestPoints, Points] | None = None, seed: int = 0,
     offset: tuple[float, float] = (0.0, 0.0), laws: Laws | None = None,
-    options: NewtonOptions | None = None
+    options: NewtonOptions | None = None, keep: bool = False
 ) -> Drape:
     """Simulate the drape of ``fabric`` on ``rig`` (None: the square on its cylinder), from a coarse
     mesh to the final one. Only invalid parameters raise an InputError.
@@ -143,6 +143,7 @@ def drape(
         seed: of the start; modulo :data:`sim.mesh.specimen.TOPOLOGIES`, the triangulation.
         offset: (2,) m, specimen's centre from the plate's axis, along warp and weft.
         options: stopping criteria of the final minimisation.
+        keep: whether the drape keeps its energies and factor, for derivatives.
     """
     rig, laws = rig or Rig(), laws or Laws()
     start = start or (LOWERED if rig.has_plate else "sine")
@@ -158,8 +159,8 @@ def drape(
         coarsest = MAX_COARSE_EDGE if borrowed is None else MAX_BORROWED_EDGE
         scenes = run.scenes(edge, min(coarsest, longest_edge(rig, offset)))
         equilibrium, coarse = run.settled(scenes, laws, borrowed=borrowed, start=start, seed=seed)
-    return light(drape_of(equilibrium, fabric=fabric, rig=rig, edge=edge, began=began,
-                          coarse=coarse))
+    made = drape_of(equilibrium, fabric=fabric, rig=rig, edge=edge, began=began, coarse=coarse)
+    return made if keep else light(made)
 
 
 @dataclass(frozen=True)

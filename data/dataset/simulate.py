@@ -1,6 +1,7 @@
 """Simulation of a dataset's drape by its index: plan, equilibrium, measures, record."""
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -74,10 +75,11 @@ def find_lender(plan: DrapePlan, config: DatasetConfig, earlier: Sequence[Record
 
 
 def load_solver() -> Solver:
-    """The simulator; imported late, because the main process needs no compiled kernels."""
+    """The simulator; imported late, because the main process needs no compiled kernels. Its drapes
+    keep their factors for derivatives."""
     from sim.drape import drape
 
-    return drape
+    return partial(drape, keep=True)
 
 
 def _drape(
@@ -138,7 +140,6 @@ def _mesh(result: object) -> dict:
         FACES: result.faces,
         ORIGIN: np.clip(np.rint(origins / ORIGIN_UNIT), -limit, limit).astype(np.int16),
     }
-
 
 
 def _moves(result: object) -> dict:
