@@ -21,6 +21,7 @@ from sim.mesh.specimen import (
     MAX_BORROWED_EDGE,
     MAX_COARSE_EDGE,
     TOPOLOGIES,
+    bending_length,
     coarse_to_fine,
     default_edge,
     longest_edge,
@@ -38,11 +39,14 @@ from sim.start import (
     interpolate_positions,
 )
 
-COARSE_MEMBRANE = 0.1
+COARSE_MEMBRANE = 0.03
 """Membrane stiffness on the coarser meshes, relative to the final one. In-plane stiffness has
 little effect on the shape but limits the length of Newton steps (docs/physics.md)."""
 COARSE_CONTACT = 0.003
 """The same for the obstacles' pressure: most steps of falling cloth end inside the cylinder."""
+_EDGES_OF_LIMP = 1.3
+"""Longest edge at the rim, in bending lengths, of a mesh on which cloth is lowered, if there is a
+finer one."""
 _MIDDLE = 0.7
 """Largest edge of a mesh between lowering and the final one, relative to that of the lowering."""
 COARSE_OPTIONS = NewtonOptions(residual=0.1, step=1.0, max_iterations=200)
@@ -180,15 +184,20 @@ class _Run:
         return Scene.on(self.rig, mesh, held, softness=COARSE_CONTACT if soft else 1.0)
 
     def lowered(self, edge: Metres, laws: Laws) -> tuple[Equilibrium, list[Status]]:
-        """The equilibrium of lowered cloth, as :meth:`settled`. Limp cloth without any is lowered
-        again on a finer mesh."""
-        for coarse, grading in LOWERING_MESHES:
+        """The equilibrium of lowered cloth, as :meth:`settled`. Limp cloth, and cloth without any,
+        is lowered on a finer mesh."""
+        meshes = [mesh for mesh in LOWERING_MESHES[:-1]
+                  if mesh[0] <= _EDGES_OF_LIMP * bending_length(self.fabric)]
+        for coarse, grading in (*meshes, LOWERING_MESHES[-1]):
             coarse = min(max(coarse, edge), longest_edge(self.rig, self.offset))
             scene = self.scene(coarse, grading, soft=True)
             before = lowered(scene, self.fabric, self.rig, laws=laws.softened(COARSE_MEMBRANE),
                              seed=self.seed)
-            settled = self.settled([scene, *self.scenes(edge, _MIDDLE * coarse)], laws,
-                                   before=before)
+            finer = self.scenes(edge, _MIDDLE * coarse)
+            if grading != GRADING:
+                # Between meshes limp cloth is strained so much that a stiff membrane tears it away.
+                finer.insert(-1, self.scene(edge, soft=True))
+            settled = self.settled([scene, *finer], laws, before=before)
             if settled[0].converged:
                 break
         return settled

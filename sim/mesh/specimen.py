@@ -287,11 +287,16 @@ def share_of_offset(
     return to_plate / np.maximum(to_plate + to_border, 1e-12)
 
 
+def bending_length(fabric: Fabric) -> Metres:
+    """(alpha/(rho g))^⅓ of the softest direction: the scale of the narrowest folds."""
+    return float(np.cbrt(fabric.alpha.min() / (fabric.density * GRAVITY)))
+
+
 def default_edge(fabric: Fabric, rig: Rig) -> Metres:
     """Default edge length at the rim for a fabric: the largest of few, so that drapes share meshes,
-    of which :data:`EDGES_PER_LENGTH` fit into the bending length (alpha/rho g)^⅓ of the softest
-    direction, because softer cloth has narrower folds. Without a plate, that of the hem."""
-    length = np.cbrt(fabric.alpha.min() / (fabric.density * GRAVITY))
+    of which :data:`EDGES_PER_LENGTH` fit into the bending length. Without a plate, that of the
+    hem."""
+    length = bending_length(fabric)
     fits = [edge for edge in DEFAULT_EDGES if EDGES_PER_LENGTH * edge <= length]
     edge = max(fits, default=min(DEFAULT_EDGES))
     return edge if rig.has_plate else GRADING * edge
