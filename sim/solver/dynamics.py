@@ -24,7 +24,7 @@ from sim.solver.newton import NewtonOptions, NewtonResult, minimise
 from sim.solver.potential import Potential
 from sim.solver.state import State
 
-STEP_OPTIONS = NewtonOptions(residual=0.0, max_iterations=1, convexity=0.1, extend=False)
+STEP_OPTIONS = NewtonOptions(residual=0.0, max_iterations=1, convexities=(0.0, 1.0), extend=False)
 
 
 class Inertia(Energy):

@@ -150,8 +150,7 @@ class PardisoSolver(CholeskySolver):
 
     def __init__(self, pattern: SparsePattern) -> None:
         self._pattern = pattern
-        self._double = _Factor(pattern)
-        self._single: _Factor | None = None
+        self._factors: dict[bool, _Factor] = {}  # by whether it is in single precision
         self._single_suffices = True
         self._checks = _CHECKS
         self._refined = False
@@ -161,27 +160,32 @@ class PardisoSolver(CholeskySolver):
             return False
         rough = rough and self._single_suffices
         self._data = data
-        if rough and self._single is None:
-            self._single = _Factor(self._pattern, order=self._double.order, single=True)
-        self._refined = rough and self._single.factorise(data)
+        self._refined = rough and self._factor(single=True).factorise(data)
         if self._refined:
             return True
         if rough and self._checks == 0:
             return False
-        definite = self._double.factorise(data)
+        definite = self._factor().factorise(data)
         if rough:
             self._checks -= 1
             self._single_suffices = not definite
         return definite
 
     def solve(self, rhs: np.ndarray, *, rough: bool = False) -> np.ndarray:
-        return self._refine(rhs, rough) if self._refined else self._double.solve(rhs)
+        return self._refine(rhs, rough) if self._refined else self._factor().solve(rhs)
+
+    def _factor(self, *, single: bool = False) -> "_Factor":
+        """The factor of one precision, analysed when it is first needed."""
+        if single not in self._factors:
+            order = next((factor.order for factor in self._factors.values()), None)
+            self._factors[single] = _Factor(self._pattern, order=order, single=single)
+        return self._factors[single]
 
     def _refine(self, rhs: np.ndarray, rough: bool) -> np.ndarray:
         """Conjugate gradients, stopped at a direction of non-positive curvature. A ``rough``
         solution is that of the first step if its optimal scaling is close to 1."""
         x, residual = np.zeros(len(rhs)), np.array(rhs, dtype=np.float64)
-        step = self._single.solve(residual)
+        step = self._factor(single=True).solve(residual)
         error = residual @ step
         target = _TOLERANCE**2 * error
         for _ in range(_MAX_REFINEMENTS):
@@ -197,7 +201,7 @@ class PardisoSolver(CholeskySolver):
             residual -= length * image
             if error <= target:
                 return x
-            move = self._single.solve(residual)
+            move = self._factor(single=True).solve(residual)
             before, error = error, residual @ move
             step = move + error / before * step
         self._single_suffices = False

@@ -65,7 +65,8 @@ class NewtonOptions:
     residual: float = 1e-5  # largest of a converged state
     step: float = 1e-5  # largest last step of a converged state
     max_iterations: int = 500
-    convexity: float = 1.0  # of :data:`CONVEXITIES`, one above the first that is tried
+    convexities: tuple[float, ...] = (0.0, 0.1, 0.5, 1.0)
+    """Blends of the exact Hessian, 0, with its convex form, 1, in increasing order."""
     extend: bool = True  # whether a step is doubled while the energy decreases
 
 
@@ -84,7 +85,7 @@ class NewtonResult:
     seconds: float = 0.0  # CPU time
 
 
-CONVEXITIES = (0.0, 0.1, 0.5, 1.0)  # blends in increasing order; 0 is the exact Hessian
+MAX_PATIENCE = 4  # steps
 SHIFTS = (0.0, 1e-3, 1e-1, 1e1, 1e3)  # of the diagonal, in units of the regularisation
 ARMIJO = 1e-4  # required fraction of the predicted decrease
 MIN_STEP_FACTOR = 2.0**-30
@@ -128,8 +129,8 @@ class _Minimisation:
         solver: CholeskySolver | None
     ) -> None:
         self.objective, self.options = objective, options
-        self.convexity, self.shift = options.convexity, 0
-        self.hold = False  # whether the next step must not try less convexity
+        self.convexity, self.shift = 1.0, 0
+        self.wait, self.patience = 0, 1  # steps before less convexity is tried, now and next time
         self.result = NewtonResult(q=q, status=Status.MAX_ITERATIONS, message="")
         self.rng = np.random.default_rng(0)
         self.solver = solver
@@ -151,7 +152,7 @@ class _Minimisation:
                     if result.step < options.step:
                         result.factor = self.solver
                         return self._end(Status.CONVERGED)
-                    self.convexity, self.hold = 0.0, False
+                    self.convexity = 0.0
                 elif perturbations < MAX_PERTURBATIONS:
                     result.q, self.model = self._perturbed(perturbations), None
                     perturbations += 1
@@ -174,7 +175,7 @@ class _Minimisation:
                     return self._end(Status.LINE_SEARCH)
                 if self.convexity == 1.0:
                     self.shift += 1
-                self.convexity, self.hold = 1.0, True
+                self.convexity, self.wait = 1.0, 1
                 result.iterations += 1
                 continue
             self.shift = 0
@@ -198,22 +199,30 @@ class _Minimisation:
 
     def _direction(self, gradient: np.ndarray) -> np.ndarray | None:
         """Newton step with the smallest possible convexity; None if no factor exists."""
-        now = CONVEXITIES.index(self.convexity)
-        lowest = now if self.hold else max(now - 1, 0)
-        self.hold = False
-        for trial in () if self.shift else CONVEXITIES[lowest:-1]:
+        blends = self.options.convexities
+        now = blends.index(self.convexity)
+        lowest = now if self.wait or self.shift else max(now - 1, 0)
+        self.wait = max(self.wait - 1, 0)
+        for trial in blends[lowest:-1]:
             if self._factorise(trial):
-                # After a failure with less convexity, try less again only after another step.
-                self.hold = trial == self.convexity and lowest < now
-                self.convexity = trial
+                self._settle(trial, tried_less=lowest < now)
                 rough = trial > 0 or self.result.residual > PRECISE_RESIDUAL
                 return self.solver.solve(-gradient, rough=rough)
-        self.convexity = 1.0
+        self._settle(1.0, tried_less=lowest < now)
         while not self._factorise(1.0, SHIFTS[self.shift]):
             if self.shift == len(SHIFTS) - 1:
                 return None
             self.shift += 1
         return self.solver.solve(-gradient, rough=True)
+
+    def _settle(self, convexity: float, *, tried_less: bool) -> None:
+        """Keep a convexity; each time that less has failed, wait longer before it is tried again.
+        """
+        if convexity != self.convexity:
+            self.patience = 1
+        elif tried_less:
+            self.wait, self.patience = self.patience, min(2 * self.patience, MAX_PATIENCE)
+        self.convexity = convexity
 
     def _search(
         self, value: float, gradient: np.ndarray, step: np.ndarray
