@@ -14,7 +14,7 @@ from sim.mesh import Mesh, strip
 from sim.rig import DISC_RIG, GRAVITY, Rig
 from sim.scene import Scene, make_specimen
 from sim.solver.dynamics import Inertia, Motion
-from sim.solver.newton import NewtonOptions, Status
+from sim.solver.newton import Status
 
 SOFT = Fabric(np.full(3, 20e-6))
 
@@ -50,10 +50,9 @@ def test_a_time_step_that_fails_is_a_status():
         return Broken(mesh, density=fabric.density, gravity=GRAVITY)
 
     result = drape(SOFT, edge=0.012, laws=Laws(others=(law,)))
-    assert result.status is Status.NOT_FINITE and result.coarse == (Status.NOT_FINITE,)
+    assert result.status is Status.NOT_FINITE and set(result.coarse) == {Status.NOT_FINITE}
 
 
-TIGHT = NewtonOptions(residual=1e-6, step=1e-4)
 LIMP = Fabric(np.full(3, 0.5e-6))
 LENGTH = 0.3  # m
 
@@ -65,37 +64,43 @@ def moving(scene: Scene, fabric: Fabric, laws: Laws | None = None) -> tuple[Clot
 
 
 def test_cloth_without_support_falls_with_the_known_error_of_the_step():
-    """Backward Euler falls g t h/2 too far in steps of h."""
+    """Velocities are exact; positions are g t h/2 too low in steps of h, whatever the viscosity."""
     mesh, _ = strip(length=0.06, width=0.03, edge=0.01, clamp=0.0)
     scene = Scene(mesh, np.zeros(len(mesh.rest), dtype=bool))
     cloth, inertia = moving(scene, LIMP)
     motion = Motion.at_rest(scene.state(np.column_stack([mesh.rest, np.zeros(len(mesh.rest))])))
     for _ in range(10):
-        motion, result = motion.advanced(cloth.potential, inertia, 0.02, options=TIGHT)
-        assert result.status is Status.CONVERGED
+        motion, _ = motion.advanced(cloth.potential, inertia, 0.02, relaxation=0.05)
     assert motion.time == pytest.approx(0.2)
     fall = GRAVITY * (0.2**2 / 2 + 0.2 * 0.02 / 2)
     assert np.allclose(motion.state.positions[:, 2], -fall, atol=1e-6)
     assert np.allclose(motion.velocities, [0, 0, -GRAVITY * 0.2], atol=1e-5)
 
 
-def test_a_hanging_strip_swings_with_the_period_of_a_heavy_chain():
-    """Lowest frequency: half the first zero of J0, times sqrt(g/L)."""
+@pytest.mark.parametrize("relaxation", [0.01, 0.05])
+def test_a_hanging_strip_swings_and_is_damped_as_stated(relaxation):
+    """Lowest frequency of a heavy chain: half the first zero of J0, times sqrt(g/L). Amplitudes
+    fall by exp(-tau w²/2 t), the viscosity of the stiffness that gravity gives. ``relaxation`` is
+    tau in periods."""
     mesh, held = strip(length=LENGTH, width=0.01, edge=0.01, clamp=0.0)
     scene = Scene(mesh, held)
     cloth, inertia = moving(scene, LIMP, Laws(membrane=Corotational(5e3)))
     down, across = mesh.rest.T
     mode = j0(2.4048 * np.sqrt(1 - down / LENGTH))
     motion = Motion.at_rest(scene.state(np.column_stack([2e-3 * mode, across, -down])))
-    period = 2 * np.pi / (2.4048 / 2 * np.sqrt(GRAVITY / LENGTH))
-    swing = []
-    for _ in range(85):
-        motion, _ = motion.advanced(cloth.potential, inertia, 0.01 * period, options=TIGHT)
+    frequency = 2.4048 / 2 * np.sqrt(GRAVITY / LENGTH)
+    period, swing = 2 * np.pi / frequency, []
+    for _ in range(220):
+        motion, _ = motion.advanced(cloth.potential, inertia, 0.005 * period,
+                                    relaxation=relaxation * period)
         swing.append(inertia.masses * mode @ motion.state.positions[:, 0])
+    swing = np.array(swing)
     before = np.flatnonzero(np.diff(np.sign(swing)) != 0)
-    crossings = before + np.abs(np.array(swing)[before] / np.diff(swing)[before])
-    assert len(crossings) == 2
-    assert np.diff(crossings) == pytest.approx(50, rel=0.03)
+    crossings = before + np.abs(swing[before] / np.diff(swing)[before])
+    assert np.diff(crossings) == pytest.approx(100, rel=0.03)
+    first, second = np.abs(swing[50:150]).max(), np.abs(swing[150:]).max()
+    rate = np.log(first / second) / (period / 2)
+    assert rate == pytest.approx(relaxation * period * frequency**2 / 2, rel=0.1)
 
 
 def test_the_energy_of_falling_cloth_only_decreases():
@@ -106,10 +111,10 @@ def test_the_energy_of_falling_cloth_only_decreases():
     bumps = np.random.default_rng(0).normal(0, 1e-4, len(mesh.rest)) * ~specimen.held
     motion = Motion.at_rest(scene.state(np.column_stack([mesh.rest, bumps])))
     energies = []
-    for _ in range(15):
+    for _ in range(30):
         q = motion.state.q
         kinetic = 0.5 * inertia.masses @ (motion.velocities**2).sum(axis=1)
         energies.append(kinetic + cloth.potential.value(q) - inertia.value(q))
-        motion, _ = motion.advanced(cloth.potential, inertia, 0.02, options=TIGHT)
+        motion, _ = motion.advanced(cloth.potential, inertia, 0.01, relaxation=0.02)
     assert motion.state.positions[:, 2].min() < -0.05
     assert (np.diff(energies) < 0).all()
