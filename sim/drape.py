@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from common.errors import InputError
+from common.errors import InputError, one_line
 from common.types import Faces, Metres, Points, RestPoints, VertexMask
-from sim.cloth import Laws
+from sim.cloth import Cloth, Laws
 from sim.energies.base import Energy
 from sim.energies.self_contact import SelfContact, self_intersections
 from sim.equilibrium import Equilibrium, find_equilibrium
@@ -29,7 +29,7 @@ from sim.mesh.specimen import (
 )
 from sim.rig import Rig
 from sim.scene import Scene
-from sim.solver.newton import NewtonOptions, Status
+from sim.solver.newton import NewtonOptions, NewtonResult, Status
 from sim.solver.state import State
 from sim.start import (
     LOWERED,
@@ -157,12 +157,16 @@ def drape(
     edge = default_edge(fabric, rig) if edge is None else edge
     began = time.perf_counter()
     run = _Run(fabric, rig, seed, offset, options or FINE_OPTIONS)
-    if start == LOWERED and borrowed is None:
-        equilibrium, coarse = run.lowered(edge, laws)
-    else:
-        coarsest = MAX_COARSE_EDGE if borrowed is None else MAX_BORROWED_EDGE
-        scenes = run.scenes(edge, min(coarsest, longest_edge(rig, offset)))
-        equilibrium, coarse = run.settled(scenes, laws, borrowed=borrowed, start=start, seed=seed)
+    try:
+        if start == LOWERED and borrowed is None:
+            equilibrium, coarse = run.lowered(edge, laws)
+        else:
+            coarsest = MAX_COARSE_EDGE if borrowed is None else MAX_BORROWED_EDGE
+            scenes = run.scenes(edge, min(coarsest, longest_edge(rig, offset)))
+            equilibrium, coarse = run.settled(scenes, laws, borrowed=borrowed, start=start,
+                                              seed=seed)
+    except (ArithmeticError, np.linalg.LinAlgError) as error:
+        equilibrium, coarse = run.failed(edge, laws, error), []
     made = drape_of(equilibrium, fabric=fabric, rig=rig, edge=edge, began=began, coarse=coarse)
     return made if keep else light(made)
 
@@ -201,6 +205,15 @@ class _Run:
             if settled[0].converged:
                 break
         return settled
+
+    def failed(self, edge: Metres, laws: Laws, error: Exception) -> Equilibrium:
+        """The flat specimen in place of a drape that was ended by an ``error``."""
+        scene = self.scene(edge)
+        rest = scene.mesh.rest
+        state = scene.state(np.column_stack([rest, np.zeros(len(rest))]))
+        message = f"{type(error).__name__}: {one_line(error)}"
+        return Equilibrium(cloth=Cloth(scene, self.fabric, laws=laws), state=state,
+                           outcome=NewtonResult(state.q, Status.EXCEPTION, message))
 
     def scenes(self, edge: Metres, coarsest: Metres) -> list[Scene]:
         """The specimen on meshes from ``coarsest`` at most to ``edge``, the last one's."""

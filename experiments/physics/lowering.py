@@ -1,4 +1,5 @@
-"""Lowered drapes: folds by time step, speed, mesh and hysteresis, and cost beside a ring start.
+"""Lowered drapes: folds by time step, viscosity, speed, mesh and hysteresis, and cost beside a ring
+start.
 
 The specimen is the disc of textile laboratories. Every variant differs from the default in a
 single setting.
@@ -13,10 +14,17 @@ import numpy as np
 from experiments.drapes import prior_fabric
 from experiments.result import Config, Result, run_cases
 from sim.cloth import Laws
-from sim.drape import COARSE_CONTACT, COARSE_MEMBRANE, FINE_OPTIONS, drape, start_positions
+from sim.drape import (
+    COARSE_CONTACT,
+    COARSE_MEMBRANE,
+    COARSE_OPTIONS,
+    FINE_OPTIONS,
+    drape,
+    start_positions,
+)
 from sim.energies.bending_variants import Hysteresis
 from sim.equilibrium import find_equilibrium
-from sim.lowering import LOWERING_MESHES, SPEEDS, STEP, lowered, with_origins
+from sim.lowering import LOWERING_MESHES, RELAXATION, SPEEDS, STEP, lowered, with_origins
 from sim.material import MICRO, Fabric
 from sim.measures import drape_coefficient, fold_count
 from sim.mesh.specimen import TOPOLOGIES
@@ -24,9 +32,12 @@ from sim.rig import DISC_RIG
 from sim.scene import make_specimen
 
 SEED = 3  # of the fabrics whose cost is measured
-DEFAULT = {"step": STEP, "speed": None, "mesh_mm": 1e3 * LOWERING_MESHES[0][0], "share": 0.0}
+DEFAULT = {"step": STEP, "relaxation": RELAXATION, "speed": None,
+           "mesh_mm": 1e3 * LOWERING_MESHES[0][0], "share": 0.0}
 VARIANTS: dict[str, dict[str, Any]] = {
     "default": {}, "step / 2": {"step": STEP / 2}, "step / 4": {"step": STEP / 4},
+    "viscosity / 2": {"relaxation": RELAXATION / 2},
+    "viscosity x 2": {"relaxation": 2 * RELAXATION},
     "slowest": {"speed": SPEEDS[0]}, "fastest": {"speed": SPEEDS[1]}, "mesh 7 mm": {"mesh_mm": 7.0},
     **{f"hysteresis {share:g}": {"share": share} for share in (0.05, 0.17, 0.37)},
 }
@@ -34,7 +45,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
 
 def variant_case(
     *, alpha: float, ratio_mm: float, edge_mm: float, seeds: int, step: float,
-    speed: float | None, mesh_mm: float, share: float
+    relaxation: float, speed: float | None, mesh_mm: float, share: float
 ) -> dict[str, Any]:
     """Folds and drape coefficients, %, of drapes lowered with these settings."""
     alphas, rig = np.full(3, alpha * MICRO), DISC_RIG
@@ -45,9 +56,12 @@ def variant_case(
                         for edge in (mesh_mm, edge_mm))
         coarse = replace(coarse, contact_pressure=COARSE_CONTACT * coarse.contact_pressure)
         before = lowered(coarse, fabric, rig, laws=laws.softened(COARSE_MEMBRANE), seed=seed,
-                         speed=speed, step=step)
+                         speed=speed, step=step, relaxation=relaxation)
+        settled = find_equilibrium(
+            coarse, fabric, before.state, options=COARSE_OPTIONS,
+            laws=with_origins(laws, before, coarse).softened(COARSE_MEMBRANE))
         used = with_origins(laws, before, fine)
-        start = fine.state(start_positions(fine, rig, coarse=before))
+        start = fine.state(start_positions(fine, rig, coarse=settled))
         found = find_equilibrium(fine, fabric, start, laws=used, options=FINE_OPTIONS,
                                  self_contact=True)
         positions, mesh = found.state.positions, fine.mesh

@@ -1,7 +1,8 @@
 """CPU-seconds of a drape on one core.
 
-Fabrics from the bundled prior, each draped from a sine start: CPU-seconds and Newton steps; then a
-median fabric on finer and finer meshes. References: 19.8 CPU-seconds per drape
+Fabrics from the bundled prior, each lowered on the testers of ``testers`` and meshes of
+``edges_mm``: CPU-seconds and Newton steps; then a median fabric on finer and finer meshes.
+References: 19.8 CPU-seconds per drape
 with 100 × 100 vertices (Feng et al. 2022, section 5.2: 48 000 drapes, 12 hours, 22 CPUs), 329 with
 the Style3D solver of Newton 1.8.
 """
@@ -18,15 +19,16 @@ from experiments.drapes import prior_fabric
 from experiments.result import Config, Result
 from sim.drape import drape
 from sim.material import MICRO, Fabric
+from sim.rig import DISC_RIG, Rig
 from sim.solver.linear import available_solvers
 
 MEDIAN = Fabric(np.full(3, 20 * MICRO), np.full(3, -2.5e-3 * 20 * MICRO))
 
 
-def time_drape(fabric: Fabric, *, edge_mm: float, seed: int) -> dict:
-    """Time one drape; ``edge_mm`` 0 for the default mesh."""
+def time_drape(fabric: Fabric, *, rig: Rig, edge_mm: float, seed: int) -> dict:
+    """Time one lowered drape; ``edge_mm`` 0 for the default mesh."""
     began = time.process_time()
-    result = drape(fabric, edge=1e-3 * edge_mm or None, seed=seed, start="sine")
+    result = drape(fabric, rig=rig, edge=1e-3 * edge_mm or None, seed=seed)
     return {
         "alpha_uN_m": (fabric.alpha / MICRO).round(2).tolist(),
         "edge_mm": 1e3 * result.edge,
@@ -38,11 +40,11 @@ def time_drape(fabric: Fabric, *, edge_mm: float, seed: int) -> dict:
     }
 
 
-def time_drapes(fabrics: list[Fabric], edge_mm: float) -> dict:
+def time_drapes(fabrics: list[Fabric], rig: Rig, edge_mm: float) -> dict:
     """Time the drapes of all fabrics; summary and single results."""
     runs = []
     for seed, fabric in enumerate(fabrics):
-        runs.append(time_drape(fabric, edge_mm=edge_mm, seed=seed))
+        runs.append(time_drape(fabric, rig=rig, edge_mm=edge_mm, seed=seed))
         print(f"  {seed + 1} of {len(fabrics)}: {runs[-1]['cpu_seconds']:.2f} CPU-seconds, "
               f"{runs[-1]['triangles']} triangles, {runs[-1]['status']}", flush=True)
     seconds = np.array([run["cpu_seconds"] for run in runs])
@@ -64,13 +66,16 @@ def peak_memory() -> float:
 def run(config: Config) -> Result:
     """Time all drapes."""
     fabrics = [prior_fabric(k, config["seed"]) for k in range(config["drapes"])]
-    drape(MEDIAN, edge=4e-3)  # compiles or loads the kernels of all meshes
+    rigs = [Rig.from_name(name) for name in config["testers"]]
     report = {"dtype": "float64", "linear_solver": available_solvers()[0].__name__, "threads": 1}
-    report["default"] = time_drapes(fabrics, config["edge_mm"])
-    if config["fine_mm"]:
-        report["fine"] = time_drapes(fabrics[: config["fine_drapes"]], config["fine_mm"])
+    for rig in rigs:
+        drape(MEDIAN, rig=rig, edge=4e-3)  # compiles or loads the kernels of all meshes
+        for edge_mm in config["edges_mm"]:
+            print(f"{rig.name}, edges of {edge_mm or 'the default number of'} mm", flush=True)
+            name = f"{rig.name}_{f'{edge_mm:g}mm' if edge_mm else 'default'}"
+            report[name] = time_drapes(fabrics, rig, edge_mm)
     report["peak_memory_GiB"] = peak_memory()
-    report["growth"] = [time_drape(MEDIAN, edge_mm=edge, seed=0)
+    report["growth"] = [time_drape(MEDIAN, rig=DISC_RIG, edge_mm=edge, seed=0)
                         for edge in config["growth_mm"] if edge]
     report["peak_memory_of_growth_GiB"] = peak_memory()
 

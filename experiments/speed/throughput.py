@@ -26,6 +26,7 @@ from drapenet.config import TrainConfig
 from drapenet.network.dataset import maps_of_shard
 from experiments.drapes import prior_fabric
 from experiments.result import Config, Result
+from sim.batch import drape_batch
 from sim.drape import Drape, drape
 from sim.material import Fabric
 
@@ -44,10 +45,8 @@ def throughput(
         single.append((time.perf_counter() - began, time.process_time() - busy))
         start_seconds(fabrics[0], workers)  # ensures that the processes are running
         began = time.perf_counter()
-        with worker_pool(workers) as pool:
-            calls = [pool.submit(drape, fabric, edge=edge, seed=seed)
-                     for seed, fabric in enumerate(fabrics)]
-            made = [call.result() for call in calls]
+        made = drape_batch([{"fabric": fabric, "edge": edge, "seed": seed}
+                            for seed, fabric in enumerate(fabrics)], workers=workers)
         several.append(time.perf_counter() - began)
         print(f"  round {repeat + 1} of {repeats}: one core {single[-1][0]:.1f} s, "
               f"{workers} processes {several[-1]:.1f} s", flush=True)

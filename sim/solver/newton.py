@@ -27,6 +27,7 @@ class Status(str, Enum):
     SINGULAR = "singular"
     SELF_CONTACT = "self_contact"
     NOT_FINITE = "not_finite"
+    EXCEPTION = "exception"
 
 
 class Model(Protocol):

@@ -1,0 +1,46 @@
+"""Many drapes at once: order, failure as data, the same bytes on any number of cores."""
+
+import numpy as np
+import pytest
+
+from sim.batch import drape_batch
+from sim.cloth import Laws
+from sim.energies.external import Gravity
+from sim.material import Fabric
+from sim.rig import DISC_RIG
+from sim.solver.newton import Status
+
+ALPHAS = (60e-6, 20e-6, 40e-6)
+
+
+class Raising(Gravity):
+    """An energy whose value cannot be computed."""
+
+    def value(self, q: np.ndarray) -> float:
+        raise FloatingPointError("no value")
+
+
+def raising(mesh, active, *, fabric):
+    return Raising(mesh, density=fabric.density, gravity=9.81)
+
+
+def plan(alpha: float, **options: object) -> dict:
+    return {"fabric": Fabric(np.full(3, alpha)), "rig": DISC_RIG, "edge": 12e-3} | options
+
+
+@pytest.fixture(scope="module")
+def two():
+    broken = plan(30e-6, laws=Laws(others=(raising,)))
+    return drape_batch([*map(plan, ALPHAS), broken], workers=2)
+
+
+def test_drapes_are_in_order_and_one_that_fails_is_a_status(two):
+    assert [one.fabric.alpha[0] for one in two] == [*ALPHAS, 30e-6]
+    assert [one.status for one in two] == [Status.CONVERGED] * 3 + [Status.EXCEPTION]
+    assert two[3].message == "FloatingPointError: no value"
+    assert not two[3].positions[:, 2].any()
+
+
+def test_one_core_gives_the_same_bytes_as_two(two):
+    for one, other in zip(drape_batch(list(map(plan, ALPHAS))), two, strict=False):
+        assert one.positions.tobytes() == other.positions.tobytes()
