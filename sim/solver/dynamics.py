@@ -9,7 +9,8 @@ For short steps this is M dv/dt = f(x) + tau df/dx v: all of the cloth's stiffne
 (Kelvin and Voigt's), which damps a vibration of angular frequency w at the rate tau w²/2. For
 h = tau it is backward Euler, damped by its step (Feng et al. 2022, section 4). The positions
 u = x0 + tau v1 minimise E(u) + |u - y|²_M/(2 tau h), y = x0 + tau v0; one Newton step from x0, with
-a line search, is taken towards them (Baraff and Witkin 1998, Large steps in cloth simulation).
+a line search, is taken towards them (Baraff and Witkin 1998, Large steps in cloth simulation). Its
+Hessian is the exact one, or the convex one, as a viscosity must not feed an instability.
 """
 
 from dataclasses import dataclass

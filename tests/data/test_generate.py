@@ -248,7 +248,7 @@ def test_accidents_of_measures_are_recorded(monkeypatch):
 @pytest.mark.skipif(PardisoSolver not in available_solvers(), reason="PARDISO is not here")
 def test_only_running_out_of_memory_ends_more_than_a_drape(monkeypatch):
     def factor(fabric, **settings):
-        PardisoSolver(SparsePattern([np.arange(3)[None]], 3))
+        PardisoSolver(SparsePattern([np.arange(3)[None]], 3)).factorise(np.ones(6))
 
     for code in (-1, -3, -7):
         monkeypatch.setattr(linear._Factor, "_call", lambda *_, code=code: code)
