@@ -74,18 +74,21 @@ class MidEdgeBending(CompiledEnergy):
         return other
 
     def _add_forces(self, q: StateVector, targets: np.ndarray, forces: np.ndarray) -> float:
-        return _add_forces(q, self._corners, self._normals, self._sign, self.maps, self.areas,
-                           self._barrier, self.pole, self.origin, self.law, self.variant, targets,
-                           forces)
+        phi = self.angles(q)
+        density, stress, _ = self.response(_curvatures(self.maps, phi))
+        barrier = _add_forces(q, phi, stress, self._corners, self._sign, self.maps, self.areas,
+                              self._barrier, self.pole, targets, forces)
+        return float(self.areas @ density) + barrier
 
     def add_stiffness(
         self, q: StateVector, slots: np.ndarray, exact: np.ndarray, convex: np.ndarray
     ) -> None:
+        phi = self.angles(q)
+        _, stress, tangent = self.response(_curvatures(self.maps, phi))
         # Edge rotations have no other stiffness: the convex form's lower bound must be positive.
         floor = CONVEX_FLOOR * min(self.law.A11, self.law.A22, 4.0 * self.law.A66)
-        _add_stiffness(q, self._corners, self._normals, self._sign, self.maps, self.areas,
-                       self._barrier, self.pole, self.origin, self.law, self.variant, floor, slots,
-                       exact, convex)
+        _add_stiffness(q, phi, stress, np.array(tangent), self._corners, self._sign, self.maps,
+                       self.areas, self._barrier, self.pole, floor, slots, exact, convex)
 
     def allows(self, old: StateVector, new: StateVector) -> bool:
         return _keep_distance(old, new, self._corners, self._normals, self.pole)
@@ -96,11 +99,11 @@ class MidEdgeBending(CompiledEnergy):
 
     def curvatures(self, q: StateVector) -> Curvatures:
         """Shape operators of the active triangles."""
-        return np.einsum("nai,ni->na", self.maps, self.angles(q))
+        return _curvatures(self.maps, self.angles(q))
 
     def response(self, curvatures: Curvatures) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Energies (N,), J/m², of the active triangles, and first (N, 3), N, and second (N, 3, 3),
-        N·m, derivatives by their curvatures."""
+        N·m, derivatives by their curvatures: all that another plate law overrides."""
         return _responses(curvatures, self.origin, self.law, self.variant)
 
 
@@ -183,6 +186,16 @@ def _angles(q, corners, normals):
 
 
 @_compiled
+def _curvatures(maps, phi):
+    s = np.empty(phi.shape)
+    for t in range(len(phi)):
+        for a in range(3):
+            s[t, a] = (maps[t, a, 0] * phi[t, 0] + maps[t, a, 1] * phi[t, 1]
+                       + maps[t, a, 2] * phi[t, 2])
+    return s
+
+
+@_compiled
 def _keep_distance(old, new, corners, normals, pole):
     steep = np.tan(fold_barrier.LIMIT_START * np.pi / 2)
     for t in range(len(corners)):
@@ -211,42 +224,39 @@ def _responses(curvatures, origin, law, variant):
 
 
 @numba.njit(inline="always")
-def _measure(q, corners, normals, maps, phi, levers, s):
-    """Fill angles phi, curvature s and levers (3, 3): the derivative of angle i by corner a is
-    levers[i, a] times the unit normal of the triangle, which is returned."""
+def _set_levers(q, corners, levers):
+    """Fill levers (3, 3): the derivative of angle i by corner a is levers[i, a] times the unit
+    normal of the triangle, which is returned."""
     edge, arm = _side(q, corners, 0)
     across = _cross(edge, arm)
     double_area = np.sqrt(_dot(across, across))
     for i in range(3):
         edge, arm = _side(q, corners, i)
-        out, up = _inclined(q, normals[i], edge, across)
-        phi[i] = np.arctan2(out, up)
         square = _dot(edge, edge)
         share = _dot(arm, edge) / square  # of the foot of the height
         slope = -np.sqrt(square) / double_area  # 1/height
         levers[i, i] = slope
         levers[i, (i + 2) % 3] = -share * slope
         levers[i, (i + 1) % 3] = (share - 1.0) * slope
-    for a in range(3):
-        s[a] = maps[a, 0] * phi[0] + maps[a, 1] * phi[1] + maps[a, 2] * phi[2]
     return across[0] / double_area, across[1] / double_area, across[2] / double_area
 
 
+@numba.njit(inline="always")
+def _moment(maps, area, stress, i):
+    """Derivative of a triangle's plate energy by its angle i, J/rad."""
+    return area * (maps[0, i] * stress[0] + maps[1, i] * stress[1] + maps[2, i] * stress[2])
+
+
 @_compiled
-def _add_forces(
-    q, corners, normals, sign, maps, areas, barrier, pole, origin, law, variant, targets, forces
-):
-    total = 0.0
-    phi, levers, s = np.empty(3), np.empty((3, 3)), np.empty(3)
-    stress, tangent, moment = np.empty(3), np.empty((3, 3)), np.empty(3)
+def _add_forces(q, phi, stress, corners, sign, maps, areas, barrier, pole, targets, forces):
+    """Energy of the barrier; forces of barrier and plate are added."""
+    total, levers, moment = 0.0, np.empty((3, 3)), np.empty(3)
     for t in range(len(corners)):
-        unit = _measure(q, corners[t], normals[t], maps[t], phi, levers, s)
-        total += areas[t] * bending_law.respond(s, origin[t], law, variant, stress, tangent)
+        unit = _set_levers(q, corners[t], levers)
         for i in range(3):
-            value, slope, _ = fold_barrier.barrier_at(phi[i], pole[t, i])
+            value, slope, _ = fold_barrier.barrier_at(phi[t, i], pole[t, i])
             total += barrier[t, i] * value
-            moment[i] = barrier[t, i] * slope + areas[t] * (
-                maps[t, 0, i] * stress[0] + maps[t, 1, i] * stress[1] + maps[t, 2, i] * stress[2])
+            moment[i] = barrier[t, i] * slope + _moment(maps[t], areas[t], stress[t], i)
             forces[targets[t, 9 + i]] += moment[i] * sign[t, i]
         for a in range(3):
             force = (moment[0] * levers[0, a] + moment[1] * levers[1, a]
@@ -258,33 +268,29 @@ def _add_forces(
 
 @_compiled
 def _add_stiffness(
-    q, corners, normals, sign, maps, areas, barrier, pole, origin, law, variant, floor, slots,
-    exact, convex
+    q, phi, stress, tangent, corners, sign, maps, areas, barrier, pole, floor, slots, exact, convex
 ):
     # d²E = K_ij dphi_i dphi_j + m_i d²phi_i: a tangent term, convex if the law is, and an
     # indefinite term of the moments m, which the convex form omits.
-    phi, levers, s = np.empty(3), np.empty((3, 3)), np.empty(3)
-    stress, tangent, block = np.empty(3), np.empty((3, 3)), np.zeros((12, 12))
+    levers, block = np.empty((3, 3)), np.zeros((12, 12))
     fold, bends = np.empty(3), np.empty((3, 3, 3))
     for t in range(len(corners)):
-        unit = _measure(q, corners[t], normals[t], maps[t], phi, levers, s)
-        bending_law.respond(s, origin[t], law, variant, stress, tangent)
+        unit = _set_levers(q, corners[t], levers)
         bends[:] = 0.0
         for i in range(3):
-            _, slope, bend = fold_barrier.barrier_at(phi[i], pole[t, i])
+            _, slope, bend = fold_barrier.barrier_at(phi[t, i], pole[t, i])
             fold[i] = barrier[t, i] * bend
-            moment = barrier[t, i] * slope + areas[t] * (
-                maps[t, 0, i] * stress[0] + maps[t, 1, i] * stress[1] + maps[t, 2, i] * stress[2])
             if len(exact):
+                moment = barrier[t, i] * slope + _moment(maps[t], areas[t], stress[t], i)
                 edge, arm = _side(q, corners[t], i)
                 dihedral.add_side_bends(edge, arm, moment, ((i + 1) % 3, (i + 2) % 3, i), bends)
         if len(exact):
-            _fill_block(unit, levers, sign[t], maps[t], areas[t], tangent, fold, bends, block)
+            _fill_block(unit, levers, sign[t], maps[t], areas[t], tangent[t], fold, bends, block)
             add_block(exact, slots[t], block)
         if len(convex):
             bends[:] = 0.0
-            raise_eigenvalue(tangent, floor)
-            _fill_block(unit, levers, sign[t], maps[t], areas[t], tangent, fold, bends, block)
+            raise_eigenvalue(tangent[t], floor)
+            _fill_block(unit, levers, sign[t], maps[t], areas[t], tangent[t], fold, bends, block)
             add_block(convex, slots[t], block)
 
 

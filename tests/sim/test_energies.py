@@ -207,3 +207,20 @@ def test_a_cylinder_has_its_curvature_in_every_triangle(angle):
     expected = np.array([direction[0] ** 2, direction[1] ** 2, direction[0] * direction[1]])
     # Positive: bent down, as the cylinder falls off to both sides.
     assert np.allclose(bending.curvatures(q), expected / radius, atol=0.01 / radius)
+
+
+def test_a_plate_law_of_the_users_overrides_the_response_alone():
+    class Doubled(MidEdgeBending):
+        def response(self, curvatures):
+            return tuple(2.0 * part for part in super().response(curvatures))
+
+    mesh, active, q = crumpled_strip(seed=2)
+    linear = Fabric(ANISOTROPIC.alpha)
+    twice = Fabric(2 * ANISOTROPIC.alpha)
+    one, other = (law(mesh, active, fabric=fabric)
+                  for law, fabric in ((Doubled, linear), (MidEdgeBending, twice)))
+    assert not is_bent(one.angles(q), one.pole).any()
+    assert one.value(q) == pytest.approx(other.value(q), rel=1e-12)
+    assert np.allclose(one.gradient(q), other.gradient(q), rtol=1e-9, atol=1e-15)
+    for convex in (False, True):
+        assert np.allclose(one.hessian(q, convex), other.hessian(q, convex), rtol=1e-9, atol=1e-12)
