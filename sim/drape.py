@@ -197,11 +197,11 @@ class _Run:
             scene = self.scene(coarse, grading, soft=True)
             before = lowered(scene, self.fabric, self.rig, laws=laws.softened(COARSE_MEMBRANE),
                              seed=self.seed)
-            finer = self.scenes(edge, _MIDDLE * coarse)
-            if grading != GRADING:
+            finer, limp = self.scenes(edge, _MIDDLE * coarse), grading != GRADING
+            if limp:
                 # Between meshes limp cloth is strained so much that a stiff membrane tears it away.
                 finer.insert(-1, self.scene(edge, soft=True))
-            settled = self.settled([scene, *finer], laws, before=before)
+            settled = self.settled([scene, *finer], laws, before=before, smooth=not limp)
             if settled[0].converged:
                 break
         return settled
@@ -220,7 +220,8 @@ class _Run:
         return [self.scene(level, soft=level != edge) for level in coarse_to_fine(edge, coarsest)]
 
     def settled(
-        self, scenes: list[Scene], laws: Laws, *, before: Equilibrium | None = None, **first: Any
+        self, scenes: list[Scene], laws: Laws, *, before: Equilibrium | None = None,
+        smooth: bool = True, **first: Any
     ) -> tuple[Equilibrium, list[Status]]:
         """The equilibrium in the last of ``scenes``, coarse to fine, and the statuses in those
         before, from cloth that was lowered ``before``, whose hysteresis is kept, or the arguments
@@ -229,7 +230,7 @@ class _Run:
         for scene in scenes:
             last = scene is scenes[-1]
             used = with_origins(laws, before, scene) if before else laws
-            positions = start_positions(scene, self.rig, coarse=coarse, **first)
+            positions = start_positions(scene, self.rig, coarse=coarse, smooth=smooth, **first)
             coarse = find_equilibrium(
                 scene, self.fabric, scene.state(positions), self_contact=last,
                 laws=used if last else used.softened(COARSE_MEMBRANE),
@@ -240,12 +241,15 @@ class _Run:
 
 def start_positions(
     scene: Scene, rig: Rig, *, coarse: Equilibrium | None = None,
-    borrowed: tuple[RestPoints, Points] | None = None, start: str = "sine", seed: int = 0
+    smooth: bool = True, borrowed: tuple[RestPoints, Points] | None = None, start: str = "sine",
+    seed: int = 0
 ) -> Points:
-    """Initial positions from the ``coarse`` drape; on the first mesh, ``borrowed`` or ``start``."""
+    """Initial positions from the ``coarse`` drape, on a ``smooth`` surface or on its triangles; on
+    the first mesh, ``borrowed`` or ``start``."""
     rest, held = scene.mesh.rest, scene.held
     if coarse is not None:
-        positions = interpolate_positions(coarse.cloth.scene.mesh.rest, coarse.positions, rest)
+        positions = interpolate_positions(coarse.cloth.scene.mesh.rest, coarse.positions, rest,
+                                          smooth=smooth)
     elif borrowed is not None:
         positions = borrowed_positions(rest, rig=rig, borrowed=borrowed)
     else:

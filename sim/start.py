@@ -1,7 +1,7 @@
 """Initial shapes of a drape, which determine the folds of the equilibrium (section 5.2.1)."""
 
 import numpy as np
-from scipy.interpolate import CloughTocher2DInterpolator
+from scipy.interpolate import CloughTocher2DInterpolator, LinearNDInterpolator
 from scipy.optimize import brentq
 from scipy.spatial import ConvexHull, QhullError
 
@@ -115,11 +115,12 @@ def borrowed_positions(
 
 @one_blas_thread
 def interpolate_positions(
-    coarse_rest: RestPoints, coarse_positions: Points, rest: RestPoints
+    coarse_rest: RestPoints, coarse_positions: Points, rest: RestPoints, *, smooth: bool = True
 ) -> Points:
-    """Positions of rest points on a smooth surface through those of the same specimen on a coarser
-    mesh."""
-    surface = CloughTocher2DInterpolator(coarse_rest, coarse_positions)
+    """Positions of rest points on a ``smooth`` surface through those of the same specimen on a
+    coarser mesh, or on its triangles, beyond which folds as narrow as a triangle do not swing."""
+    surface = (CloughTocher2DInterpolator if smooth else LinearNDInterpolator)(
+        coarse_rest, coarse_positions)
     centre = (coarse_rest.min(0) + coarse_rest.max(0)) / 2
     inward = centre + (rest - centre) * (1 - 1e-9)  # keeps the border inside the hull
     positions = surface(inward)
@@ -130,7 +131,8 @@ def interpolate_positions(
 
 
 def _beyond_border(
-    surface: CloughTocher2DInterpolator, rest: np.ndarray, centre: np.ndarray, points: np.ndarray
+    surface: CloughTocher2DInterpolator | LinearNDInterpolator, rest: np.ndarray,
+    centre: np.ndarray, points: np.ndarray
 ) -> np.ndarray:
     """Linear extrapolation (N, 3) of ``surface`` to points (N, 2) outside the hull of ``rest``:
     the border of a disc has more corners on a finer mesh, some of them outside."""

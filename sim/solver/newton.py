@@ -210,7 +210,9 @@ class _Minimisation:
                 rough = trial > 0 or self.result.residual > PRECISE_RESIDUAL
                 return self.solver.solve(-gradient, rough=rough)
         self._settle(1.0, tried_less=lowest < now)
-        while not self._factorise(1.0, SHIFTS[self.shift]):
+        # Near a pole of the energy single precision does not suffice.
+        while not any(self._factorise(1.0, SHIFTS[self.shift], proof=proof)
+                      for proof in (False, True)):
             if self.shift == len(SHIFTS) - 1:
                 return None
             self.shift += 1
