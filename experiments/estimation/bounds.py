@@ -40,7 +40,7 @@ INPUTS = {"depth": "4 views", "outline": "parallel light"}
 def sampling_of(tester: str, seed: int) -> SamplingConfig:
     """Sampling of fabrics and specimens on a ``tester``."""
     words = ["dataset=testers", "dataset.even_share=0", f"dataset.testers=[{tester}]",
-             "dataset.random_testers=0", "dataset.testers_per_fabric=1",
+             "dataset.random_testers=0", "dataset.rectangles=0", "dataset.testers_per_fabric=1",
              f"dataset.starts_per_fabric={DRAPES}", f"seed={seed}"]
     return config_from_options(compose_config("generate", words, schema=Options)).sampling
 

@@ -1,5 +1,4 @@
-"""Lowered drapes: folds by time step, viscosity, speed, mesh and hysteresis, and cost beside a ring
-start.
+"""Lowered drapes: folds by step, viscosity, speed, mesh and hysteresis; cost beside a ring start.
 
 The specimen is the disc of textile laboratories. Every variant differs from the default in a
 single setting.
