@@ -180,26 +180,31 @@ def _add_yarns(s, law, g, h):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def respond(s, origin, law, variant, g, h):
-    """The energy per area, J/m², of a variant of the plate at curvature s (3,) with the ``origin``
-    S1 (3,); fills g (3,) and h (3, 3) with its derivatives by s."""
-    total = derivatives(s, law, g, h)
-    total -= variant.m_xx * s[0] + variant.m_yy * s[1] + variant.m_xy * s[2]
-    g[0] -= variant.m_xx
-    g[1] -= variant.m_yy
-    g[2] -= variant.m_xy
-    if variant.slid != 0.0:
-        total += _add_friction(s[0] - origin[0], s[1] - origin[1], s[2] - origin[2],
-                               variant.slid, variant, g, h)
-    if variant.returned != 0.0:
-        total -= _add_friction(s[0], s[1], s[2], -variant.returned, variant, g, h)
-    return total
+def respond(curvatures, origins, law, variant):
+    """Energies (N,), J/m², of a variant of the plate at curvatures (N, 3) with the ``origins`` S1
+    (N, 3); their first (N, 3), N, and second (N, 3, 3), N·m, derivatives by the curvatures."""
+    density = np.empty(len(curvatures))
+    stress, tangent = np.empty((len(curvatures), 3)), np.empty((len(curvatures), 3, 3))
+    for t in range(len(curvatures)):
+        s, g, h = curvatures[t], stress[t], tangent[t]
+        total = derivatives(s, law, g, h)
+        total -= variant.m_xx * s[0] + variant.m_yy * s[1] + variant.m_xy * s[2]
+        g[0] -= variant.m_xx
+        g[1] -= variant.m_yy
+        g[2] -= variant.m_xy
+        if variant.slid != 0.0:
+            total += _add_friction(s - origins[t], variant.slid, variant, g, h)
+        if variant.returned != 0.0:
+            total += _add_friction(s, -variant.returned, variant, g, h)
+        density[t] = total
+    return density, stress, tangent
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _add_friction(x, y, z, weight, variant, g, h):
-    """Potential of the friction F, J/m², at a change of curvature (x, y, z); ``weight`` times its
-    derivatives are added to g and h."""
+def _add_friction(change, weight, variant, g, h):
+    """``weight`` times the potential of the friction F, J/m², at a ``change`` of curvature (3,);
+    its derivatives are added to g and h."""
+    x, y, z = change
     limit = variant.limit
     pull = ((variant.p_xx * x + variant.p_mixed * y) / limit,
             (variant.p_mixed * x + variant.p_yy * y) / limit, variant.p_xy * z / limit)
@@ -219,13 +224,4 @@ def _add_friction(x, y, z, weight, variant, g, h):
         g[i] += weight * over * pull[i]
         for j in range(3):
             h[i, j] += weight * bend * pull[i] * pull[j] / limit
-    return limit * work
-
-
-@numba.njit(cache=True)
-def stresses(s, law):
-    """Derivatives of psi, (N, 3) and (N, 3, 3)."""
-    g, h = np.empty((len(s), 3)), np.empty((len(s), 3, 3))
-    for t in range(len(s)):
-        derivatives(s[t], law, g[t], h[t])
-    return g, h
+    return weight * limit * work

@@ -24,7 +24,7 @@ import numpy as np
 
 from common.types import Curvatures, FaceMask, StateVector
 from sim.energies import bending_law, dihedral, fold_barrier
-from sim.energies.base import CompiledEnergy, raise_eigenvalue
+from sim.energies.base import CompiledEnergy, raise_eigenvalues
 from sim.material import Fabric
 from sim.mesh import Mesh
 from sim.solver.linear import add_block
@@ -104,7 +104,7 @@ class MidEdgeBending(CompiledEnergy):
     def response(self, curvatures: Curvatures) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Energies (N,), J/m², of the active triangles, and first (N, 3), N, and second (N, 3, 3),
         N·m, derivatives by their curvatures: all that another plate law overrides."""
-        return _responses(curvatures, self.origin, self.law, self.variant)
+        return bending_law.respond(curvatures, self.origin, self.law, self.variant)
 
 
 def bending_areas(mesh: Mesh, active: FaceMask, clamped: np.ndarray) -> np.ndarray:
@@ -213,16 +213,6 @@ def _keep_distance(old, new, corners, normals, pole):
     return True
 
 
-@_compiled
-def _responses(curvatures, origin, law, variant):
-    density = np.empty(len(curvatures))
-    stress, tangent = np.empty((len(curvatures), 3)), np.empty((len(curvatures), 3, 3))
-    for t in range(len(curvatures)):
-        density[t] = bending_law.respond(curvatures[t], origin[t], law, variant, stress[t],
-                                         tangent[t])
-    return density, stress, tangent
-
-
 @numba.njit(inline="always")
 def _set_levers(q, corners, levers):
     """Fill levers (3, 3): the derivative of angle i by corner a is levers[i, a] times the unit
@@ -289,7 +279,7 @@ def _add_stiffness(
             add_block(exact, slots[t], block)
         if len(convex):
             bends[:] = 0.0
-            raise_eigenvalue(tangent[t], floor)
+            raise_eigenvalues(tangent[t], floor)
             _fill_block(unit, levers, sign[t], maps[t], areas[t], tangent[t], fold, bends, block)
             add_block(convex, slots[t], block)
 
