@@ -6,7 +6,6 @@ import functools
 import importlib.metadata
 import os
 import sys
-from collections.abc import Sequence
 from typing import Protocol
 
 import numba
@@ -35,17 +34,6 @@ class SparsePattern:
         self.indptr, self.indices = (v.astype(np.int32) for v in (upper.indptr, upper.indices))
         self.diagonal = self.indptr[:-1].copy()
         self.slots = [_slots(stencil, self.indptr, self.indices) for stencil in stencils]
-
-    def assemble(self, blocks: Sequence[np.ndarray]) -> np.ndarray:
-        """CSR data (nnz,) of the sum of symmetric blocks (N, K, K) of each stencil."""
-        data = np.zeros(len(self.indices))
-        for slots, block in zip(self.slots, blocks, strict=True):
-            add_blocks(data, slots, block)
-        return data
-
-    def times(self, data: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """Product (n,) of the symmetric matrix of CSR data (nnz,) and x (n,)."""
-        return _times(data, self.indices, self.indptr, x)
 
     def symmetric(self, data: np.ndarray) -> sparse.csr_matrix:
         """The full symmetric SciPy matrix of the CSR data (nnz,)."""
@@ -189,7 +177,7 @@ class PardisoSolver(CholeskySolver):
         error = residual @ step
         target = _TOLERANCE**2 * error
         for _ in range(_MAX_REFINEMENTS):
-            image = self._pattern.times(self._data, step)
+            image = _times(self._data, self._pattern.indices, self._pattern.indptr, step)
             curvature = step @ image
             if not curvature > 0.0:
                 break
@@ -303,7 +291,7 @@ def find_mkl() -> ctypes.CDLL:
 
 @numba.njit(cache=True)
 def _times(data, indices, indptr, x):
-    """Product of a symmetric matrix, given by its upper triangle, and x (n,)."""
+    """Product (n,) of the symmetric matrix of CSR data (nnz,) and x (n,)."""
     result = np.zeros(len(x))
     for i in range(len(x)):
         total = data[indptr[i]] * x[i]  # the diagonal comes first
