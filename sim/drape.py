@@ -247,9 +247,8 @@ class _Run:
 
 
 def start_positions(
-    scene: Scene, rig: Rig, *, coarse: Equilibrium | None = None,
-    smooth: bool = True, borrowed: tuple[RestPoints, Points] | None = None, start: str = "sine",
-    seed: int = 0
+    scene: Scene, rig: Rig, *, coarse: Equilibrium | None = None, smooth: bool = True,
+    borrowed: tuple[RestPoints, Points] | None = None, start: str = "sine", seed: int = 0
 ) -> Points:
     """Initial positions from the ``coarse`` drape, on a ``smooth`` surface or on its triangles; on
     the first mesh, ``borrowed`` or ``start``."""

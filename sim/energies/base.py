@@ -62,18 +62,13 @@ class Energy(Protocol):
                 add_blocks(data, slots, blocks)
 
 
-class CompiledEnergy(Energy):
-    """An energy with one compiled loop over its elements for value and gradient, and one for the
-    Hessian, which add their results where they belong."""
+class FusedEnergy(Energy):
+    """An energy whose value and gradient come from one evaluation, which adds them where they
+    belong. Its Hessian is given by ``add_stiffness``, or by ``hessian``, each by the other."""
 
     @abstractmethod
     def _add_forces(self, q: StateVector, targets: np.ndarray, forces: np.ndarray) -> float:
         """Energy; its derivatives are added to the entries ``targets`` (N, K) of ``forces``."""
-
-    @abstractmethod
-    def add_stiffness(
-        self, q: StateVector, slots: np.ndarray, exact: np.ndarray, convex: np.ndarray
-    ) -> None: ...
 
     def add_forces(self, q: StateVector, forces: np.ndarray) -> float:
         return self._add_forces(q, self.dofs, forces)

@@ -102,15 +102,10 @@ def _correction(k, alpha, base, rho, limit):
             2.0 * alpha * (min(base * k, limit) - min(rho * k, limit)))
 
 
-@numba.njit(cache=True)
-def energy(s, law):
-    """psi, J/m², at curvature s (3,) for the constants ``law``."""
-    return derivatives(s, law, np.empty(3), np.empty((3, 3)))
-
-
 @numba.njit(cache=True, error_model="numpy")
 def derivatives(s, law, g, h):
-    """psi, J/m²; fills g (3,) and h (3, 3) with its derivatives by s (3,)."""
+    """psi, J/m², at curvature s (3,) for the constants ``law``; fills g (3,) and h (3, 3) with its
+    derivatives by s."""
     da = (2.0 * (law.A11 * s[0] + law.A12 * s[1]), 2.0 * (law.A22 * s[1] + law.A12 * s[0]),
           8.0 * law.A66 * s[2])
     h[0, 0], h[1, 1], h[2, 2] = law.A11, law.A22, 4.0 * law.A66

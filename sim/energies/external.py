@@ -3,7 +3,7 @@
 import numpy as np
 
 from common.types import Density, StateVector
-from sim.energies.base import CompiledEnergy, Energy, add_elements
+from sim.energies.base import Energy, FusedEnergy, add_elements
 from sim.mesh import Mesh
 from sim.rig import Cylinder
 from sim.solver.linear import add_blocks
@@ -30,7 +30,7 @@ DEPTH = 0.002
 """Depth, relative to the radius of the plate, at which an obstacle exerts its nominal pressure."""
 
 
-class ObstacleContact(CompiledEnergy):
+class ObstacleContact(FusedEnergy):
     """Penalty A p d³/(3 s²) on the depth d of points of the cloth in an obstacle.
 
     The pressure p at depth s supports the cloth; the cubic keeps the Hessian continuous at first

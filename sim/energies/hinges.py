@@ -33,7 +33,7 @@ import numpy as np
 
 from common.types import FaceMask, StateVector
 from sim.energies import dihedral
-from sim.energies.base import Energy
+from sim.energies.base import Energy, FusedEnergy, add_elements
 from sim.energies.fold_barrier import barrier_at, keeps_distance
 from sim.material import BIAS, WARP, WEFT, Fabric, bending_work
 from sim.mesh import Mesh
@@ -71,7 +71,7 @@ class Hinges:
         self.bent_areas = (mesh.areas[pair] * active[pair]).sum(axis=1)
 
 
-class DihedralBending(Energy):
+class DihedralBending(FusedEnergy):
     """Energy e integral of tau(kappa) d theta of N hinges (Feng et al. 2022, Eq. 1 to 3), tau the
     torque of :func:`sim.material.bending_work` with the moduli (N,), N·m and N·m².
 
@@ -89,11 +89,10 @@ class DihedralBending(Energy):
         self._spread = self._lengths / self._areas
         self._barrier = barrier_modulus * self._lengths**2 / hinges.areas
 
-    def value(self, q: StateVector) -> float:
-        return float(self._of_angles(q)[0].sum())
-
-    def gradient(self, q: StateVector) -> np.ndarray:
-        return self._of_angles(q)[1][:, None] * _angle_gradients(q, self.dofs)
+    def _add_forces(self, q: StateVector, targets: np.ndarray, forces: np.ndarray) -> float:
+        value, slope, _ = self._of_angles(q)
+        add_elements(forces, targets, slope[:, None] * _angle_gradients(q, self.dofs))
+        return float(value.sum())
 
     def hessian(self, q: StateVector, convex: bool = False) -> np.ndarray:
         # Torque and barrier increase with the angle: only its second derivatives are indefinite.

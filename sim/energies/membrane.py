@@ -15,7 +15,7 @@ import numpy as np
 
 from common.errors import InputError
 from common.types import FaceMask, StateVector
-from sim.energies.base import CompiledEnergy, Energy, raise_eigenvalues
+from sim.energies.base import Energy, FusedEnergy, raise_eigenvalues
 from sim.mesh import Mesh
 from sim.solver.linear import add_block
 
@@ -29,7 +29,7 @@ class StrainLaw(Protocol):
         """Density (N,), J/m², stress (N, K), N/m, and tangent (N, K, K), N/m, the derivatives."""
 
 
-class StrainMembrane(CompiledEnergy):
+class StrainMembrane(FusedEnergy):
     """Rest area times the density of a :class:`StrainLaw`, for every triangle.
 
     The Hessian is B^T C B with the law's tangent C and the strain's derivative B, plus the stress

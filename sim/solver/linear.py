@@ -6,6 +6,7 @@ import functools
 import importlib.metadata
 import os
 import sys
+from contextlib import suppress
 from typing import Protocol
 
 import numba
@@ -274,13 +275,10 @@ def find_mkl() -> ctypes.CDLL:
     ``pardiso`` is called directly: pypardiso checks, copies and renumbers the matrix at every call.
     """
     if "PYPARDISO_MKL_RT" not in os.environ:
-        try:
-            files = importlib.metadata.files("mkl") or []
-        except importlib.metadata.PackageNotFoundError:
-            files = []
-        for file in files:
-            if "mkl_rt" in file.name and not file.name.endswith(".lib"):
-                os.environ["PYPARDISO_MKL_RT"] = str(file.locate())
+        with suppress(importlib.metadata.PackageNotFoundError):
+            for file in importlib.metadata.files("mkl") or []:
+                if "mkl_rt" in file.name and not file.name.endswith(".lib"):
+                    os.environ["PYPARDISO_MKL_RT"] = str(file.locate())
     from pypardiso import PyPardisoSolver
 
     library = PyPardisoSolver().libmkl

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sim.cloth import Cloth, Laws
-from sim.energies.fold_barrier import LIMIT_START, is_bent
+from sim.energies.fold_barrier import LIMIT_START, is_bent, keeps_distance
 from sim.energies.midedge import MidEdgeBending
 from sim.material import Fabric
 from sim.rig import Rig
@@ -118,6 +118,20 @@ def test_no_step_passes_the_limit_of_folds(crumpled):
         results.append((reached, bending.allows(q, new)))
     assert all(allowed for reached, allowed in results if reached < LIMIT_START)
     assert not any(allowed for reached, allowed in results if reached > 0.97)
+
+
+def test_steps_are_judged_by_every_angle_between_triangle_and_normal(crumpled):
+    """Angles that end far from their poles are passed over without a look at where they began."""
+    cloth, q, rng = crumpled
+    bending, allowed = cloth.bending, []
+    for size in np.geomspace(0.1, 30.0, 60):
+        step = random_step(cloth.potential, rng)
+        new = cloth.potential.moved(q, size * step / cloth.potential.step_length(step))
+        kept = [keeps_distance(*angles) for angles in zip(
+            bending.angles(q).flat, bending.angles(new).flat, bending.pole.flat, strict=True)]
+        allowed.append(bending.allows(q, new))
+        assert allowed[-1] == all(kept)
+    assert any(allowed) and not all(allowed)
 
 
 def test_a_triangle_couples_its_own_unknowns_only(crumpled):
