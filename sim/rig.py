@@ -57,7 +57,8 @@ def _nearest(points, radius, rim):
     result = np.empty((5, len(points)))
     for i in range(len(points)):
         distance = np.sqrt(points[i, 0] ** 2 + points[i, 1] ** 2)
-        outwards, upwards = distance - (radius - rim), points[i, 2] + rim  # from its centre line
+        # From the centre line of the rim:
+        outwards, upwards = distance - (radius - rim), points[i, 2] + rim
         over, across, along, bent = max(outwards, upwards), 0.0, 1.0, 0.0
         if outwards > 0.0 and upwards > 0.0:
             over = np.sqrt(outwards**2 + upwards**2)

@@ -73,8 +73,9 @@ def constants(fabric: Fabric) -> PlateConstants:
 
 
 class Variant(NamedTuple):
-    """Constants of natural curvature and hysteresis: a constant moment, N; the form P of HB², N²,
-    and the size Y, N, at which friction is saturated; the weights of F(S - S1) and of -F(S)."""
+    """Constants of natural curvature and hysteresis: a constant moment ``m``, N; the form P of HB²,
+    N², and the ``limit`` Y, N, at which friction is saturated; the weights ``slid`` of F(S - S1)
+    and ``returned`` of -F(S), each 0 or 1 (:mod:`sim.energies.bending_variants`)."""
 
     m_xx: float = 0.0
     m_yy: float = 0.0

@@ -22,6 +22,11 @@ class Potential:
         force_scale: (U,) units of residuals (N, or N·m for rotations).
         length_scale: (U,) units of step lengths and regularisation (m or rad).
         energy_scale: J, magnitude of the energy's change when the cloth falls.
+
+    Attributes:
+        energies, stage_of: all energies, and the stage of each among :attr:`stages` of them.
+        unknowns, size: the numbers U and n.
+        regularisation: (n,) stiffness of a unit of force per unit of length.
     """
 
     def __init__(
