@@ -16,7 +16,7 @@ from sim.energies.membrane import Corotational, Membrane
 from sim.energies.midedge import MidEdgeBending
 from sim.material import REFERENCE_DENSITY, Fabric
 from sim.mesh import Mesh
-from sim.rig import GRAVITY, Cylinder
+from sim.rig import GRAVITY
 from sim.scene import Scene
 from sim.solver.potential import Potential
 
@@ -107,10 +107,19 @@ class Cloth:
 
     @cached_property
     def obstacles(self) -> list[Energy]:
-        """Contact energies of the obstacles."""
-        pressure = self.scene.contact_pressure * self.fabric.density * self.scene.gravity
-        return [energy for obstacle in self.scene.obstacles
-                for energy in _contact(self.scene, obstacle, pressure)]
+        """Contact energies of the obstacles at the free vertices and at the midpoints of the edges:
+        points twice as dense reduce the penetration, of edges between touching vertices, to a
+        quarter. Areas are those of the mesh refined by these points."""
+        scene, mesh = self.scene, self.scene.mesh
+        pressure = scene.contact_pressure * self.fabric.density * scene.gravity
+        free = ~scene.held
+        around = np.bincount(mesh.face_edges.ravel(), np.repeat(mesh.areas, 3),
+                             minlength=len(mesh.edges))
+        points = [(np.arange(len(mesh.rest))[:, None], mesh.vertex_areas, free),
+                  (mesh.edges, around, free[mesh.edges].any(axis=1))]
+        return [ObstacleContact(vertices[moves], areas[moves] / 4, obstacle=obstacle,
+                                pressure=pressure)
+                for obstacle in scene.obstacles for vertices, areas, moves in points]
 
     @property
     def external(self) -> list[Energy]:
@@ -143,19 +152,3 @@ class Cloth:
             length_scale=np.repeat([STEP_UNIT, STEP_UNIT / edge_length], [coordinates, edges]),
             energy_scale=per_area * mesh.areas.sum() * float(np.ptp(mesh.rest, axis=0).max()),
         )
-
-
-def _contact(scene: Scene, obstacle: Cylinder, pressure: float) -> list[ObstacleContact]:
-    """Contact energies at the free vertices and at the midpoints of the edges: points twice as
-    dense reduce the penetration, of edges between touching vertices, to a quarter. Areas are those
-    of the mesh refined by these points."""
-    mesh = scene.mesh
-    free = ~scene.held
-    around = np.bincount(mesh.face_edges.ravel(), np.repeat(mesh.areas, 3),
-                         minlength=len(mesh.edges))
-    points = [(np.arange(len(mesh.rest))[:, None], mesh.vertex_areas, free),
-              (mesh.edges, around, free[mesh.edges].any(axis=1))]
-    return [
-        ObstacleContact(vertices[moves], areas[moves] / 4, obstacle=obstacle, pressure=pressure)
-        for vertices, areas, moves in points
-    ]

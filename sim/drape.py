@@ -156,18 +156,23 @@ def drape(
         raise InputError(f"seed={seed} must not be negative")
     edge = default_edge(fabric, rig) if edge is None else edge
     began = time.perf_counter()
-    run = _Run(fabric, rig, seed, offset, options or FINE_OPTIONS)
+    run = _Run(fabric, rig, laws, edge, seed, offset, options or FINE_OPTIONS)
     try:
         if start == LOWERED and borrowed is None:
-            equilibrium, coarse = run.lowered(edge, laws)
+            equilibrium, coarse = run.lowered()
         else:
             coarsest = MAX_COARSE_EDGE if borrowed is None else MAX_BORROWED_EDGE
-            scenes = run.scenes(edge, min(coarsest, longest_edge(rig, offset)))
-            equilibrium, coarse = run.settled(scenes, laws, borrowed=borrowed, start=start,
-                                              seed=seed)
+            scenes = run.scenes(min(coarsest, longest_edge(rig, offset)))
+            equilibrium, coarse = run.settled(scenes, borrowed=borrowed, start=start, seed=seed)
     except (ArithmeticError, np.linalg.LinAlgError) as error:
-        equilibrium, coarse = run.failed(edge, laws, error), []
-    made = drape_of(equilibrium, fabric=fabric, rig=rig, edge=edge, began=began, coarse=coarse)
+        equilibrium, coarse = run.failed(error), []
+    return _made(equilibrium, keep, fabric=fabric, rig=rig, edge=edge, coarse=tuple(coarse),
+                 seconds=time.perf_counter() - began)
+
+
+def _made(equilibrium: Equilibrium, keep: bool, **inputs: Any) -> Drape:
+    """The drape of a simulation, with its energies and factor only if they are to be kept."""
+    made = Drape(**vars(equilibrium), **inputs)
     return made if keep else light(made)
 
 
@@ -177,6 +182,8 @@ class _Run:
 
     fabric: Fabric
     rig: Rig
+    laws: Laws
+    edge: Metres
     seed: int
     offset: tuple[float, float]
     options: NewtonOptions
@@ -187,62 +194,61 @@ class _Run:
                                    offset=self.offset, grading=grading)
         return Scene.on(self.rig, mesh, held, softness=COARSE_CONTACT if soft else 1.0)
 
-    def lowered(self, edge: Metres, laws: Laws) -> tuple[Equilibrium, list[Status]]:
+    def lowered(self) -> tuple[Equilibrium, list[Status]]:
         """The equilibrium of lowered cloth, as :meth:`settled`. Limp cloth, and cloth without any,
         is lowered on a finer mesh."""
         meshes = [mesh for mesh in LOWERING_MESHES[:-1]
                   if mesh[0] <= _EDGES_OF_LIMP * bending_length(self.fabric)]
         for coarse, grading in (*meshes, LOWERING_MESHES[-1]):
-            coarse = min(max(coarse, edge), longest_edge(self.rig, self.offset))
+            coarse = min(max(coarse, self.edge), longest_edge(self.rig, self.offset))
             scene = self.scene(coarse, grading, soft=True)
-            before = lowered(scene, self.fabric, self.rig, laws=laws.softened(COARSE_MEMBRANE),
-                             seed=self.seed)
-            finer, limp = self.scenes(edge, _MIDDLE * coarse), grading != GRADING
+            before = lowered(scene, self.fabric, self.rig, seed=self.seed,
+                             laws=self.laws.softened(COARSE_MEMBRANE))
+            finer, limp = self.scenes(_MIDDLE * coarse), grading != GRADING
             if limp:
                 # Between meshes limp cloth is strained so much that a stiff membrane tears it away.
-                finer.insert(-1, self.scene(edge, soft=True))
-            settled = self.settled([scene, *finer], laws, before=before, smooth=not limp)
+                finer.insert(-1, self.scene(self.edge, soft=True))
+            settled = self.settled([scene, *finer], before=before, smooth=not limp)
             if settled[0].converged:
                 break
         return settled
 
-    def failed(self, edge: Metres, laws: Laws, error: Exception) -> Equilibrium:
+    def failed(self, error: Exception) -> Equilibrium:
         """The flat specimen in place of a drape that was ended by an ``error``."""
-        scene = self.scene(edge)
+        scene = self.scene(self.edge)
         rest = scene.mesh.rest
         state = scene.state(np.column_stack([rest, np.zeros(len(rest))]))
         message = f"{type(error).__name__}: {one_line(error)}"
-        return Equilibrium(cloth=Cloth(scene, self.fabric, laws=laws), state=state,
+        return Equilibrium(cloth=Cloth(scene, self.fabric, laws=self.laws), state=state,
                            outcome=NewtonResult(state.q, Status.EXCEPTION, message))
 
-    def scenes(self, edge: Metres, coarsest: Metres) -> list[Scene]:
-        """The specimen on meshes from ``coarsest`` at most to ``edge``, the last one's."""
-        return [self.scene(level, soft=level != edge) for level in coarse_to_fine(edge, coarsest)]
+    def scenes(self, coarsest: Metres) -> list[Scene]:
+        """The specimen on meshes from ``coarsest`` at most to the final one."""
+        return [self.scene(level, soft=level != self.edge)
+                for level in coarse_to_fine(self.edge, coarsest)]
 
     def settled(
-        self, scenes: list[Scene], laws: Laws, *, before: Equilibrium | None = None,
-        smooth: bool = True, **first: Any
+        self, scenes: list[Scene], *, before: Equilibrium | None = None, **options: Any
     ) -> tuple[Equilibrium, list[Status]]:
         """The equilibrium in the last of ``scenes``, coarse to fine, and the statuses in those
-        before, from cloth that was lowered ``before``, whose hysteresis is kept, or the arguments
-        ``first`` of :func:`start_positions`."""
+        before, from cloth that was lowered ``before``, whose hysteresis is kept, or by the other
+        ``options`` of :func:`start_positions`."""
         coarse, found = before, []
         for scene in scenes:
             last = scene is scenes[-1]
-            used = with_origins(laws, before, scene) if before else laws
-            positions = start_positions(scene, self.rig, coarse=coarse, smooth=smooth, **first)
+            laws = with_origins(self.laws, before, scene) if before else self.laws
+            positions = start_positions(scene, self.rig, coarse=coarse, **options)
             coarse = find_equilibrium(
                 scene, self.fabric, scene.state(positions), self_contact=last,
-                laws=used if last else used.softened(COARSE_MEMBRANE),
+                laws=laws if last else laws.softened(COARSE_MEMBRANE),
                 options=self.options if last else COARSE_OPTIONS).after(coarse)
             found.append(coarse)
         return found[-1], [earlier.searched.status for earlier in found[:-1]]
 
 
 def start_positions(
-    scene: Scene, rig: Rig, *, coarse: Equilibrium | None = None,
-    smooth: bool = True, borrowed: tuple[RestPoints, Points] | None = None, start: str = "sine",
-    seed: int = 0
+    scene: Scene, rig: Rig, *, coarse: Equilibrium | None = None, smooth: bool = True,
+    borrowed: tuple[RestPoints, Points] | None = None, start: str = "sine", seed: int = 0
 ) -> Points:
     """Initial positions from the ``coarse`` drape, on a ``smooth`` surface or on its triangles; on
     the first mesh, ``borrowed`` or ``start``."""
@@ -257,15 +263,6 @@ def start_positions(
         positions = initial_positions(rest, rig=rig, start=start, rng=rng)
     positions[held] = rig.place(rest[held])
     return positions
-
-
-def drape_of(
-    equilibrium: Equilibrium, *, fabric: Fabric, rig: Rig, edge: Metres, began: float,
-    coarse: Sequence[Status] = ()
-) -> Drape:
-    """The drape of the last minimisation of a simulation that ``began`` at this time, s."""
-    return Drape(**vars(equilibrium), fabric=fabric, rig=rig, edge=edge, coarse=tuple(coarse),
-                 seconds=time.perf_counter() - began)
 
 
 def follow(
@@ -283,5 +280,5 @@ def follow(
     equilibrium = find_equilibrium(
         near.scene, fabric, start or near.state, laws=laws or near.laws, extra=extra,
         options=options or FINE_OPTIONS, self_contact=True, touching=near.touches)
-    made = drape_of(equilibrium, fabric=fabric, rig=near.rig, edge=near.edge, began=began)
-    return made if keep else light(made)
+    return _made(equilibrium, keep, fabric=fabric, rig=near.rig, edge=near.edge,
+                 seconds=time.perf_counter() - began)

@@ -102,9 +102,7 @@ def fold_count(positions: Points, rest: RestPoints, rig: Rig) -> int:
     return len(fold_angles(fold_outline(positions, rest, rig)))
 
 
-def maximum_stretch(
-    positions: Points, rest: RestPoints, faces: Faces, held: VertexMask
-) -> float:
+def maximum_stretch(positions: Points, rest: RestPoints, faces: Faces, held: VertexMask) -> float:
     """Largest strain in any triangle that is not held, 0.01 for 1 %."""
     mesh = Mesh(rest=rest, faces=faces)
     membrane = Corotational().energy(mesh, ~held[faces].all(axis=1))

@@ -33,73 +33,41 @@ class Cylinder:
 
     def depths(self, points: Points) -> np.ndarray:
         """Depths (N,), m, below the nearest surface; concave, negative outside."""
-        return _depths(points, self.radius, self.rim)
+        return _nearest(points, self.radius, self.rim)[0]
 
     def normals(self, points: Points) -> np.ndarray:
         """Outward normals (N, 3) of the nearest surface: the negative gradient of the depth."""
-        return _normals(points, self.radius, self.rim)
+        _, distance, across, along, _ = _nearest(points, self.radius, self.rim)
+        return np.column_stack([across[:, None] * points[:, :2] / distance[:, None], along])
 
     def depth_hessians(self, points: Points) -> np.ndarray:
         """Second derivatives (N, 3, 3) of the depth, 1/m; negative semi-definite."""
-        return _depth_hessians(points, self.radius, self.rim)
-
-
-@numba.njit(inline="always")
-def _from_rim(point, radius, rim):
-    """Distance from the axis, and radial and vertical distance from the rim's centre line."""
-    distance = np.sqrt(point[0] ** 2 + point[1] ** 2)
-    return distance, distance - (radius - rim), point[2] + rim
+        _, distance, across, along, bent = _nearest(points, self.radius, self.rim)
+        x, y = (points[:, :2] / distance[:, None]).T
+        around = np.column_stack([-y, x, np.zeros(len(points))])
+        over = np.column_stack([-along * x, -along * y, across])
+        return -((across / distance)[:, None, None] * around[:, :, None] * around[:, None, :]
+                 + bent[:, None, None] * over[:, :, None] * over[:, None, :])
 
 
 @numba.njit(cache=True)
-def _depths(points, radius, rim):
-    depth = np.empty(len(points))
+def _nearest(points, radius, rim):
+    """Of each of N points, (5, N): the depth below the nearest surface, m, the distance from the
+    axis, m, radial and vertical component of the normal, and its curvature around the rim, 1/m."""
+    result = np.empty((5, len(points)))
     for i in range(len(points)):
-        _, outwards, upwards = _from_rim(points[i], radius, rim)
+        distance = np.sqrt(points[i, 0] ** 2 + points[i, 1] ** 2)
+        # From the centre line of the rim:
+        outwards, upwards = distance - (radius - rim), points[i, 2] + rim
+        over, across, along, bent = max(outwards, upwards), 0.0, 1.0, 0.0
         if outwards > 0.0 and upwards > 0.0:
-            depth[i] = rim - np.sqrt(outwards**2 + upwards**2)
-        else:
-            depth[i] = rim - max(outwards, upwards)
-    return depth
-
-
-@numba.njit(inline="always")
-def _normal(outwards, upwards):
-    """Radial and vertical component of the normal, and its curvature around the rim, 1/m."""
-    if outwards > 0.0 and upwards > 0.0:
-        corner = np.sqrt(outwards**2 + upwards**2)
-        return outwards / corner, upwards / corner, 1.0 / corner
-    return (1.0, 0.0, 0.0) if outwards > upwards else (0.0, 1.0, 0.0)
-
-
-@numba.njit(cache=True)
-def _normals(points, radius, rim):
-    normals = np.zeros((len(points), 3))
-    for i in range(len(points)):
-        distance, outwards, upwards = _from_rim(points[i], radius, rim)
-        across, along, _ = _normal(outwards, upwards)
-        if across > 0.0:
-            normals[i, 0], normals[i, 1] = (across * points[i, 0] / distance,
-                                            across * points[i, 1] / distance)
-        normals[i, 2] = along
-    return normals
-
-
-@numba.njit(cache=True)
-def _depth_hessians(points, radius, rim):
-    bends = np.zeros((len(points), 3, 3))
-    for i in range(len(points)):
-        distance, outwards, upwards = _from_rim(points[i], radius, rim)
-        across, along, bent = _normal(outwards, upwards)
-        if across == 0.0:
-            continue
-        x, y = points[i, 0] / distance, points[i, 1] / distance
-        around, over = (-y, x, 0.0), (-along * x, -along * y, across)
-        for j in range(3):
-            for k in range(3):
-                bends[i, j, k] = -(across / distance * around[j] * around[k]
-                                   + bent * over[j] * over[k])
-    return bends
+            over = np.sqrt(outwards**2 + upwards**2)
+            across, along, bent = outwards / over, upwards / over, 1.0 / over
+        elif outwards > upwards:
+            across, along = 1.0, 0.0
+        # On the axis the normal is vertical: any distance will do.
+        result[:, i] = rim - over, distance if distance > 0.0 else 1.0, across, along, bent
+    return result
 
 
 @dataclass(frozen=True)

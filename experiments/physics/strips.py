@@ -47,7 +47,8 @@ def cylinder_torque(fabric: Fabric, angle: float, curvature: np.ndarray) -> np.n
     law = bending_law.constants(fabric)
     cos, sin = np.cos(angle), np.sin(angle)
     direction = np.array([cos**2, sin**2, cos * sin])
-    return bending_law.stresses(curvature[:, None] * direction, law)[0] @ direction
+    bent = curvature[:, None] * direction
+    return bending_law.respond(bent, np.zeros_like(bent), law, bending_law.PLAIN)[1] @ direction
 
 
 def cylinder_moduli(fabric: Fabric, angle: float) -> tuple[float, float]:

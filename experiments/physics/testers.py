@@ -91,7 +91,7 @@ def stable_directions(fabric: Fabric) -> list[bool]:
         largest = steepest.max() * (len(curve) - 1) / longest
         c, s = np.cos(ANGLES[direction]), np.sin(ANGLES[direction])
         bent = np.linspace(0, largest, 100)[1:, None] * [c * c, s * s, c * s]
-        _, tangents = bending_law.stresses(bent, law)
+        tangents = bending_law.respond(bent, np.zeros_like(bent), law, bending_law.PLAIN)[2]
         stable.append(bool(np.linalg.eigvalsh(tangents).min() > 0))
     return stable
 

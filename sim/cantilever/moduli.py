@@ -125,9 +125,7 @@ def fit_bezier(curve: DeflectionCurve, *, slope: Radians = 0.0) -> Bezier:
         count * np.log(fit[1] ** 2 + least) + 2 * len(fit[0].control) * np.log(count)))[0]
 
 
-def fit_degree(
-    curve: DeflectionCurve, degree: int, slope: Radians = 0.0
-) -> tuple[Bezier, Metres]:
+def fit_degree(curve: DeflectionCurve, degree: int, slope: Radians = 0.0) -> tuple[Bezier, Metres]:
     """The fit of one ``degree``, repeated with each point's parameter moved to the nearest point of
     the curve, and the root mean square distance of the points from it."""
     t = arc_lengths(curve)
@@ -200,9 +198,7 @@ def regress(
     return StripModuli(alpha, beta, misfit, float(curvature.max()))
 
 
-def match(
-    curves: Sequence[DeflectionCurve], *, weight: float, slope: Radians = 0.0
-) -> StripModuli:
+def match(curves: Sequence[DeflectionCurve], *, weight: float, slope: Radians = 0.0) -> StripModuli:
     """Moduli whose elastica curves are nearest to the curves of one direction.
 
     The candidates (alpha, beta/alpha) of a table nearest to Bézier curves through the points are

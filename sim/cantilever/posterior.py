@@ -15,12 +15,7 @@ from scipy.optimize import least_squares
 
 from common.errors import InputError
 from common.types import DeflectionCurve, Metres, Radians
-from sim.cantilever.elastica import (
-    MAX_GAMMA,
-    aspect_ratio,
-    gamma_of_aspect_ratio,
-    heavy_elastica,
-)
+from sim.cantilever.elastica import MAX_GAMMA, aspect_ratio, gamma_of_aspect_ratio, heavy_elastica
 from sim.cantilever.moduli import NOT_A_STRIP, RATIO_RANGE, distance_across
 
 INCLINE = np.radians(41.5)

@@ -62,18 +62,13 @@ class Energy(Protocol):
                 add_blocks(data, slots, blocks)
 
 
-class CompiledEnergy(Energy):
-    """An energy with one compiled loop over its elements for value and gradient, and one for the
-    Hessian, which add their results where they belong."""
+class FusedEnergy(Energy):
+    """An energy whose value and gradient come from one evaluation, which adds them where they
+    belong. Its Hessian is given by ``add_stiffness``, or by ``hessian``, each by the other."""
 
     @abstractmethod
     def _add_forces(self, q: StateVector, targets: np.ndarray, forces: np.ndarray) -> float:
         """Energy; its derivatives are added to the entries ``targets`` (N, K) of ``forces``."""
-
-    @abstractmethod
-    def add_stiffness(
-        self, q: StateVector, slots: np.ndarray, exact: np.ndarray, convex: np.ndarray
-    ) -> None: ...
 
     def add_forces(self, q: StateVector, forces: np.ndarray) -> float:
         return self._add_forces(q, self.dofs, forces)
@@ -116,29 +111,21 @@ def add_elements(total, dofs, parts):
 
 
 @numba.njit(cache=True)
-def raise_eigenvalues(matrices, floor):
-    """Raise eigenvalues of symmetric matrices (N, 3, 3) to at least ``floor``, in place."""
-    for matrix in matrices:
-        raise_eigenvalue(matrix, floor)
-
-
-@numba.njit(cache=True)
-def raise_eigenvalue(matrix, floor):
-    """The same of one matrix (3, 3); whether it was necessary."""
+def raise_eigenvalues(matrix, floor):
+    """Raise eigenvalues of a symmetric matrix (3, 3) to at least ``floor``, in place."""
     # Positive pivots of matrix - floor: most matrices need no eigenvectors.
     first = matrix[0, 0] - floor
     second = (matrix[1, 1] - floor) * first - matrix[0, 1] ** 2
     if first > 0.0 and second > 0.0:
         cross = matrix[1, 2] * first - matrix[0, 1] * matrix[0, 2]
         if ((matrix[2, 2] - floor) * first - matrix[0, 2] ** 2) * second > cross * cross:
-            return False
+            return
     value, vector = np.linalg.eigh(matrix)
     for k in range(3):
         if value[k] < floor:
             for i in range(3):
                 for j in range(3):
                     matrix[i, j] += (floor - value[k]) * vector[i, k] * vector[j, k]
-    return True
 
 
 def check(energy: Energy, q: StateVector, edges: Edges, *, seed: int = 0) -> None:

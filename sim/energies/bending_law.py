@@ -73,8 +73,9 @@ def constants(fabric: Fabric) -> PlateConstants:
 
 
 class Variant(NamedTuple):
-    """Constants of natural curvature and hysteresis: a constant moment, N; the form P of HB², N²,
-    and the size Y, N, at which friction is saturated; the weights of F(S - S1) and of -F(S)."""
+    """Constants of natural curvature and hysteresis: a constant moment ``m``, N; the form P of HB²,
+    N², and the ``limit`` Y, N, at which friction is saturated; the weights ``slid`` of F(S - S1)
+    and ``returned`` of -F(S), each 0 or 1 (:mod:`sim.energies.bending_variants`)."""
 
     m_xx: float = 0.0
     m_yy: float = 0.0
@@ -102,15 +103,10 @@ def _correction(k, alpha, base, rho, limit):
             2.0 * alpha * (min(base * k, limit) - min(rho * k, limit)))
 
 
-@numba.njit(cache=True)
-def energy(s, law):
-    """psi, J/m², at curvature s (3,) for the constants ``law``."""
-    return derivatives(s, law, np.empty(3), np.empty((3, 3)))
-
-
 @numba.njit(cache=True, error_model="numpy")
 def derivatives(s, law, g, h):
-    """psi, J/m²; fills g (3,) and h (3, 3) with its derivatives by s (3,)."""
+    """psi, J/m², at curvature s (3,) for the constants ``law``; fills g (3,) and h (3, 3) with its
+    derivatives by s."""
     da = (2.0 * (law.A11 * s[0] + law.A12 * s[1]), 2.0 * (law.A22 * s[1] + law.A12 * s[0]),
           8.0 * law.A66 * s[2])
     h[0, 0], h[1, 1], h[2, 2] = law.A11, law.A22, 4.0 * law.A66
@@ -180,26 +176,31 @@ def _add_yarns(s, law, g, h):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def respond(s, origin, law, variant, g, h):
-    """The energy per area, J/m², of a variant of the plate at curvature s (3,) with the ``origin``
-    S1 (3,); fills g (3,) and h (3, 3) with its derivatives by s."""
-    total = derivatives(s, law, g, h)
-    total -= variant.m_xx * s[0] + variant.m_yy * s[1] + variant.m_xy * s[2]
-    g[0] -= variant.m_xx
-    g[1] -= variant.m_yy
-    g[2] -= variant.m_xy
-    if variant.slid != 0.0:
-        total += _add_friction(s[0] - origin[0], s[1] - origin[1], s[2] - origin[2],
-                               variant.slid, variant, g, h)
-    if variant.returned != 0.0:
-        total -= _add_friction(s[0], s[1], s[2], -variant.returned, variant, g, h)
-    return total
+def respond(curvatures, origins, law, variant):
+    """Energies (N,), J/m², of a variant of the plate at curvatures (N, 3) with the ``origins`` S1
+    (N, 3); their first (N, 3), N, and second (N, 3, 3), N·m, derivatives by the curvatures."""
+    density = np.empty(len(curvatures))
+    stress, tangent = np.empty((len(curvatures), 3)), np.empty((len(curvatures), 3, 3))
+    for t in range(len(curvatures)):
+        s, g, h = curvatures[t], stress[t], tangent[t]
+        total = derivatives(s, law, g, h)
+        total -= variant.m_xx * s[0] + variant.m_yy * s[1] + variant.m_xy * s[2]
+        g[0] -= variant.m_xx
+        g[1] -= variant.m_yy
+        g[2] -= variant.m_xy
+        if variant.slid != 0.0:
+            total += _add_friction(s - origins[t], variant.slid, variant, g, h)
+        if variant.returned != 0.0:
+            total += _add_friction(s, -variant.returned, variant, g, h)
+        density[t] = total
+    return density, stress, tangent
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _add_friction(x, y, z, weight, variant, g, h):
-    """Potential of the friction F, J/m², at a change of curvature (x, y, z); ``weight`` times its
-    derivatives are added to g and h."""
+def _add_friction(change, weight, variant, g, h):
+    """``weight`` times the potential of the friction F, J/m², at a ``change`` of curvature (3,);
+    its derivatives are added to g and h."""
+    x, y, z = change
     limit = variant.limit
     pull = ((variant.p_xx * x + variant.p_mixed * y) / limit,
             (variant.p_mixed * x + variant.p_yy * y) / limit, variant.p_xy * z / limit)
@@ -219,13 +220,4 @@ def _add_friction(x, y, z, weight, variant, g, h):
         g[i] += weight * over * pull[i]
         for j in range(3):
             h[i, j] += weight * bend * pull[i] * pull[j] / limit
-    return limit * work
-
-
-@numba.njit(cache=True)
-def stresses(s, law):
-    """Derivatives of psi, (N, 3) and (N, 3, 3)."""
-    g, h = np.empty((len(s), 3)), np.empty((len(s), 3, 3))
-    for t in range(len(s)):
-        derivatives(s[t], law, g[t], h[t])
-    return g, h
+    return weight * limit * work

@@ -91,9 +91,7 @@ class HystereticBending(MidEdgeBending):
     """Plate energy of the free triangles with the ``law`` :class:`Hysteresis`. Its ``origin``
     (N, 3), S1, 1/m, may be changed between minimisations, not during them."""
 
-    def __init__(
-        self, mesh: Mesh, active: FaceMask, *, fabric: Fabric, law: Hysteresis
-    ) -> None:
+    def __init__(self, mesh: Mesh, active: FaceMask, *, fabric: Fabric, law: Hysteresis) -> None:
         self._hysteresis = law
         super().__init__(mesh, active, fabric=fabric)
         if law.origin is not None and law.origin.shape != self.origin.shape:

@@ -1,12 +1,12 @@
 """External forces: the weight of the cloth, and contact with the solid under the plate."""
 
-import numba
 import numpy as np
 
 from common.types import Density, StateVector
-from sim.energies.base import CompiledEnergy, Energy
+from sim.energies.base import Energy, FusedEnergy, add_elements
 from sim.mesh import Mesh
 from sim.rig import Cylinder
+from sim.solver.linear import add_blocks
 
 
 class Gravity(Energy):
@@ -30,7 +30,7 @@ DEPTH = 0.002
 """Depth, relative to the radius of the plate, at which an obstacle exerts its nominal pressure."""
 
 
-class ObstacleContact(CompiledEnergy):
+class ObstacleContact(FusedEnergy):
     """Penalty A p d³/(3 s²) on the depth d of points of the cloth in an obstacle.
 
     The pressure p at depth s supports the cloth; the cubic keeps the Hessian continuous at first
@@ -42,14 +42,15 @@ class ObstacleContact(CompiledEnergy):
         self, vertices: np.ndarray, areas: np.ndarray, *, obstacle: Cylinder, pressure: float
     ) -> None:
         self.dofs = (3 * vertices[:, :, None] + np.arange(3)).reshape(len(vertices), -1)
-        self._share = 1.0 / vertices.shape[1]
+        self._ends = vertices.shape[1]  # k
         self._scale = areas * pressure / (DEPTH * obstacle.radius) ** 2  # (N,) N/m²
         self._obstacle = obstacle
 
     def _add_forces(self, q: StateVector, targets: np.ndarray, forces: np.ndarray) -> float:
         touching, points, depth = self._find_contacts(q)
-        push = -self._share * self._scale[touching] * depth**2
-        _add_to_ends(forces, targets[touching], push[:, None] * self._obstacle.normals(points))
+        push = -(1.0 / self._ends) * self._scale[touching] * depth**2
+        force = push[:, None] * self._obstacle.normals(points)
+        add_elements(forces, targets[touching], np.tile(force, self._ends))
         return float(self._scale[touching] @ depth**3) / 3
 
     def add_stiffness(
@@ -57,49 +58,22 @@ class ObstacleContact(CompiledEnergy):
     ) -> None:
         touching, points, depth = self._find_contacts(q)
         normal = self._obstacle.normals(points)
-        scale = (self._share**2 * self._scale[touching] * depth)[:, None, None]
+        scale = (self._scale[touching] * depth / self._ends**2)[:, None, None]
         block = 2.0 * scale * normal[:, :, None] * normal[:, None, :]
         if len(convex):
-            _add_between_ends(convex, slots[touching], block)
+            self._add_blocks(convex, slots[touching], block)
         if len(exact):
             # Curvature of the surface: the direction of the force changes along it.
             block += scale * depth[:, None, None] * self._obstacle.depth_hessians(points)
-            _add_between_ends(exact, slots[touching], block)
+            self._add_blocks(exact, slots[touching], block)
+
+    def _add_blocks(self, data: np.ndarray, slots: np.ndarray, block: np.ndarray) -> None:
+        """Add the ``block`` (M, 3, 3) of each element to all pairs of its one or two vertices."""
+        add_blocks(data, slots, np.tile(block, (1, self._ends, self._ends)))
 
     def _find_contacts(self, q: StateVector) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Indices (M,) of the elements in contact, their points (M, 3) and depths (M,)."""
-        points = _mean_points(q, self.dofs)
+        points = q[self.dofs].reshape(-1, self._ends, 3).mean(axis=1)
         depth = self._obstacle.depths(points)
         touching = np.flatnonzero(depth > 0.0)
         return touching, points[touching], depth[touching]
-
-
-@numba.njit(cache=True)
-def _mean_points(q, dofs):
-    """Means (N, 3) of the vertices of each element."""
-    points, share = np.zeros((len(dofs), 3)), 3.0 / dofs.shape[1]
-    for t in range(len(dofs)):
-        for k in range(dofs.shape[1]):
-            points[t, k % 3] += share * q[dofs[t, k]]
-    return points
-
-
-@numba.njit(cache=True)
-def _add_to_ends(forces, targets, force):
-    """Add the ``force`` (M, 3) of each element to each of its vertices."""
-    for t in range(len(targets)):
-        for k in range(targets.shape[1]):
-            forces[targets[t, k]] += force[t, k % 3]
-
-
-@numba.njit(cache=True)
-def _add_between_ends(data, slots, block):
-    """Add the ``block`` (M, 3, 3) of each element to all pairs of its one or two vertices."""
-    size = 3 if slots.shape[1] == 6 else 6
-    for t in range(len(slots)):
-        pair = 0
-        for a in range(size):
-            for b in range(a, size):
-                if slots[t, pair] >= 0:
-                    data[slots[t, pair]] += block[t, a % 3, b % 3]
-                pair += 1

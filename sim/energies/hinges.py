@@ -33,7 +33,7 @@ import numpy as np
 
 from common.types import FaceMask, StateVector
 from sim.energies import dihedral
-from sim.energies.base import Energy
+from sim.energies.base import Energy, FusedEnergy, add_elements
 from sim.energies.fold_barrier import barrier_at, keeps_distance
 from sim.material import BIAS, WARP, WEFT, Fabric, bending_work
 from sim.mesh import Mesh
@@ -71,7 +71,7 @@ class Hinges:
         self.bent_areas = (mesh.areas[pair] * active[pair]).sum(axis=1)
 
 
-class DihedralBending(Energy):
+class DihedralBending(FusedEnergy):
     """Energy e integral of tau(kappa) d theta of N hinges (Feng et al. 2022, Eq. 1 to 3), tau the
     torque of :func:`sim.material.bending_work` with the moduli (N,), N·m and N·m².
 
@@ -89,11 +89,10 @@ class DihedralBending(Energy):
         self._spread = self._lengths / self._areas
         self._barrier = barrier_modulus * self._lengths**2 / hinges.areas
 
-    def value(self, q: StateVector) -> float:
-        return float(self._of_angles(q)[0].sum())
-
-    def gradient(self, q: StateVector) -> np.ndarray:
-        return self._of_angles(q)[1][:, None] * _angle_gradients(q, self.dofs)
+    def _add_forces(self, q: StateVector, targets: np.ndarray, forces: np.ndarray) -> float:
+        value, slope, _ = self._of_angles(q)
+        add_elements(forces, targets, slope[:, None] * _angle_gradients(q, self.dofs))
+        return float(value.sum())
 
     def hessian(self, q: StateVector, convex: bool = False) -> np.ndarray:
         # Torque and barrier increase with the angle: only its second derivatives are indefinite.
@@ -106,53 +105,34 @@ class DihedralBending(Energy):
 
     def allows(self, old: StateVector, new: StateVector) -> bool:
         """False if a hinge folds through itself, or covers most of the distance to it."""
-        return _keep_distance(hinge_angles(old, self.dofs), hinge_angles(new, self.dofs))
+        kept = np.vectorize(keeps_distance, otypes=[bool])
+        return bool(kept(hinge_angles(old, self.dofs), hinge_angles(new, self.dofs), np.pi).all())
 
     def _of_angles(self, q: StateVector) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(N,) energies, J, and their first two derivatives by the dihedral angles."""
         angle = hinge_angles(q, self.dofs)
         work, torque, tangent = bending_work(self._spread * np.abs(angle), self._alpha, self._beta)
-        value, slope, bend = _barrier(angle).T
+        value, slope, bend = np.vectorize(barrier_at, otypes=[float] * 3)(angle, np.pi)
         return (self._areas * work + self._barrier * value,
                 self._lengths * np.sign(angle) * torque + self._barrier * slope,
                 self._lengths * self._spread * tangent + self._barrier * bend)
 
 
 @numba.njit(cache=True)
-def _barrier(angle):
-    result = np.empty((len(angle), 3))
-    for t in range(len(angle)):
-        result[t] = barrier_at(angle[t], np.pi)
-    return result
-
-
-@numba.njit(cache=True)
-def _keep_distance(before, after):
-    for t in range(len(before)):
-        if not keeps_distance(before[t], after[t], np.pi):
-            return False
-    return True
-
-
-@numba.njit(cache=True)
 def hinge_angles(q, dofs):
     """Dihedral angles (N,), rad, of hinges with unknowns ``dofs`` (N, 12) of ``q``."""
-    x = np.empty((4, 3))
     result = np.empty(len(dofs))
     for t in range(len(dofs)):
-        _load(q, dofs[t], x)
-        result[t] = dihedral.angle(x)
+        result[t] = dihedral.angle(q[dofs[t]].reshape(4, 3))
     return result
 
 
 @numba.njit(cache=True)
 def _angle_gradients(q, dofs):
     """Derivatives (N, 12) of the angles by the coordinates of the corners, 1/m."""
-    result = np.empty((len(dofs), 12))
-    x, g = np.empty((4, 3)), np.empty((4, 3))
+    result = np.zeros((len(dofs), 12))
     for t in range(len(dofs)):
-        _load(q, dofs[t], x)
-        g[:, :] = 0.0
+        x, g = q[dofs[t]].reshape(4, 3), result[t].reshape(4, 3)
         for corner in (2, 3):  # the edge has opposite senses in the two triangles
             start, end = corner - 2, 3 - corner
             side = dihedral.side_gradient(x[start], x[end], x[corner])
@@ -160,16 +140,15 @@ def _angle_gradients(q, dofs):
                 g[corner, k] += side[2 + k]
                 g[start, k] += side[0] * side[2 + k]
                 g[end, k] += side[1] * side[2 + k]
-        result[t] = g.ravel()
     return result
 
 
 @numba.njit(cache=True)
 def _add_angle_hessians(q, dofs, slope, blocks):
     """Add to blocks (N, 12, 12) the second derivatives of the angles times ``slope`` (N,)."""
-    x, bends = np.empty((4, 3)), np.empty((4, 4, 3))
+    bends = np.empty((4, 4, 3))
     for t in range(len(dofs)):
-        _load(q, dofs[t], x)
+        x = q[dofs[t]].reshape(4, 3)
         for corner in (2, 3):
             start, end = corner - 2, 3 - corner
             edge, arm = x[end] - x[start], x[corner] - x[start]
@@ -183,13 +162,6 @@ def _add_angle_hessians(q, dofs, slope, blocks):
                         for m in range(3):
                             blocks[t, 3 * a + k, 3 * b + m] += (
                                 unit[k] * bends[a, b, m] + bends[b, a, k] * unit[m])
-
-
-@numba.njit(inline="always")
-def _load(q, dofs, x):
-    """Copy the corner positions of one hinge to x (4, 3)."""
-    for k in range(12):
-        x[k // 3, k % 3] = q[dofs[k]]
 
 
 FORMS = ("hinge", "hinge_linear")

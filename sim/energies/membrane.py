@@ -15,7 +15,7 @@ import numpy as np
 
 from common.errors import InputError
 from common.types import FaceMask, StateVector
-from sim.energies.base import CompiledEnergy, Energy, raise_eigenvalues
+from sim.energies.base import Energy, FusedEnergy, raise_eigenvalues
 from sim.mesh import Mesh
 from sim.solver.linear import add_block
 
@@ -29,7 +29,7 @@ class StrainLaw(Protocol):
         """Density (N,), J/m², stress (N, K), N/m, and tangent (N, K, K), N/m, the derivatives."""
 
 
-class StrainMembrane(CompiledEnergy):
+class StrainMembrane(FusedEnergy):
     """Rest area times the density of a :class:`StrainLaw`, for every triangle.
 
     The Hessian is B^T C B with the law's tangent C and the strain's derivative B, plus the stress
@@ -55,13 +55,11 @@ class StrainMembrane(CompiledEnergy):
         self, q: StateVector, slots: np.ndarray, exact: np.ndarray, convex: np.ndarray
     ) -> None:
         _, stress, tangent = self._law.response(self.strains(q))
-        terms = q, self.dofs, self._shape, self.areas
+        terms = q, self.dofs, self._shape, self.areas, np.array(tangent), slots
         if len(exact):
-            _add_stiffness(*terms, stress, tangent, slots, exact)
+            _add_stiffness(*terms, stress, False, exact)
         if len(convex):
-            tangent = np.array(tangent)
-            raise_eigenvalues(tangent, 0.0)
-            _add_stiffness(*terms, _tension(stress), tangent, slots, convex)
+            _add_stiffness(*terms, _tension(stress), True, convex)
 
     def strains(self, q: StateVector) -> np.ndarray:
         """(N, 3) Green strains E_uu, E_vv, 2 E_uv of the triangles."""
@@ -194,10 +192,12 @@ def _add_forces(q, dofs, shape, areas, stress, targets, forces):
 
 
 @numba.njit(cache=True)
-def _add_stiffness(q, dofs, shape, areas, stress, tangent, slots, data):
+def _add_stiffness(q, dofs, shape, areas, tangent, slots, stress, convex, data):
     f, b, cb, block = np.empty((3, 2)), np.empty((3, 9)), np.empty((3, 9)), np.empty((9, 9))
     for t in range(len(dofs)):
         _strain_rows(q, dofs[t], shape[t], f, b)
+        if convex:
+            raise_eigenvalues(tangent[t], 0.0)
         for m in range(3):
             for j in range(9):
                 cb[m, j] = areas[t] * (tangent[t, m, 0] * b[0, j] + tangent[t, m, 1] * b[1, j]

@@ -24,7 +24,7 @@ import numpy as np
 
 from common.types import Curvatures, FaceMask, StateVector
 from sim.energies import bending_law, dihedral, fold_barrier
-from sim.energies.base import CompiledEnergy, raise_eigenvalue
+from sim.energies.base import FusedEnergy, raise_eigenvalues
 from sim.material import Fabric
 from sim.mesh import Mesh
 from sim.solver.linear import add_block
@@ -35,7 +35,7 @@ CLAMP = 6 / 5
 """Stiffness of the row of triangles at clamped edges, relative to that of their area."""
 
 
-class MidEdgeBending(CompiledEnergy):
+class MidEdgeBending(FusedEnergy):
     """Plate energy of the active triangles, those not entirely held, with the barrier.
 
     One element is a triangle with 12 unknowns: the coordinates of its corners and the rotations of
@@ -104,7 +104,7 @@ class MidEdgeBending(CompiledEnergy):
     def response(self, curvatures: Curvatures) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Energies (N,), J/m², of the active triangles, and first (N, 3), N, and second (N, 3, 3),
         N·m, derivatives by their curvatures: all that another plate law overrides."""
-        return _responses(curvatures, self.origin, self.law, self.variant)
+        return bending_law.respond(curvatures, self.origin, self.law, self.variant)
 
 
 def bending_areas(mesh: Mesh, active: FaceMask, clamped: np.ndarray) -> np.ndarray:
@@ -166,10 +166,11 @@ def _side(q, corners, i):
 
 
 @numba.njit(inline="always")
-def _inclined(q, normal, edge, across):
-    """Components of the edge's normal, at ``normal`` in q, outwards and up, times a common factor;
-    ``across`` is normal to the triangle."""
-    unit = q[normal], q[normal + 1], q[normal + 2]
+def _inclined(q, corners, normal, i):
+    """Components of the normal, at ``normal`` in q, of the edge opposite corner i: outwards from
+    the triangle and up from it, times a common factor."""
+    edge, arm = _side(q, corners, i)
+    across, unit = _cross(edge, arm), (q[normal], q[normal + 1], q[normal + 2])
     # e × N points outwards and has |e| times the length of N.
     return _dot(unit, _cross(edge, across)), np.sqrt(_dot(edge, edge)) * _dot(unit, across)
 
@@ -179,8 +180,7 @@ def _angles(q, corners, normals):
     phi = np.empty((len(corners), 3))
     for t in range(len(corners)):
         for i in range(3):
-            edge, arm = _side(q, corners[t], i)
-            out, up = _inclined(q, normals[t, i], edge, _cross(edge, arm))
+            out, up = _inclined(q, corners[t], normals[t, i], i)
             phi[t, i] = np.arctan2(out, up)
     return phi
 
@@ -200,27 +200,15 @@ def _keep_distance(old, new, corners, normals, pole):
     steep = np.tan(fold_barrier.LIMIT_START * np.pi / 2)
     for t in range(len(corners)):
         for i in range(3):
-            edge, arm = _side(new, corners[t], i)
-            out, up = _inclined(new, normals[t, i], edge, _cross(edge, arm))
+            out, up = _inclined(new, corners[t], normals[t, i], i)
             # Most angles are far from all poles, at most pi/2 before the step.
             if np.isinf(pole[t, i]) or (pole[t, i] < 2.0 and abs(out) < steep * up):
                 continue
             after = np.arctan2(out, up)
-            edge, arm = _side(old, corners[t], i)
-            out, up = _inclined(old, normals[t, i], edge, _cross(edge, arm))
+            out, up = _inclined(old, corners[t], normals[t, i], i)
             if not fold_barrier.keeps_distance(np.arctan2(out, up), after, pole[t, i]):
                 return False
     return True
-
-
-@_compiled
-def _responses(curvatures, origin, law, variant):
-    density = np.empty(len(curvatures))
-    stress, tangent = np.empty((len(curvatures), 3)), np.empty((len(curvatures), 3, 3))
-    for t in range(len(curvatures)):
-        density[t] = bending_law.respond(curvatures[t], origin[t], law, variant, stress[t],
-                                         tangent[t])
-    return density, stress, tangent
 
 
 @numba.njit(inline="always")
@@ -289,7 +277,7 @@ def _add_stiffness(
             add_block(exact, slots[t], block)
         if len(convex):
             bends[:] = 0.0
-            raise_eigenvalue(tangent[t], floor)
+            raise_eigenvalues(tangent[t], floor)
             _fill_block(unit, levers, sign[t], maps[t], areas[t], tangent[t], fold, bends, block)
             add_block(convex, slots[t], block)
 

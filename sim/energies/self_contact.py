@@ -12,7 +12,7 @@ import numpy as np
 from scipy import sparse
 
 from common.types import Faces, Metres, Points, StateVector
-from sim.energies.base import Energy
+from sim.energies.base import FusedEnergy
 from sim.material import REFERENCE_DENSITY
 from sim.mesh import Mesh
 from sim.scene import Scene
@@ -34,7 +34,7 @@ def import_ipctk() -> ModuleType:
     return ipctk
 
 
-class SelfContact(Energy):
+class SelfContact(FusedEnergy):
     """Barrier -w k d̂ (s² - 1)² log s², s = d/d̂ < 1, on pairs of primitives at the distance d.
 
     A pair is a vertex and a triangle, or two edges (with a weight that vanishes where they are
@@ -66,22 +66,14 @@ class SelfContact(Energy):
         alone = np.concatenate([vertex, np.full_like(vertex, -1)], axis=1)
         self.dofs = np.concatenate([alone, vertex[couples].reshape(-1, 6)])
 
-    def value(self, q: StateVector) -> float:
-        return float(self._barrier(*self._find_pairs(q)))
-
-    def gradient(self, q: StateVector) -> np.ndarray:
-        result = np.zeros(self.dofs.shape)
-        result[: self._vertices, :3] = self._barrier.gradient(*self._find_pairs(q)).reshape(-1, 3)
-        return result
-
     def hessian(self, q: StateVector, convex: bool = False) -> np.ndarray:
         return self._blocks(q, "CLAMP" if convex else "NONE")[0]
 
-    def add_forces(self, q: StateVector, forces: np.ndarray) -> float:
+    def _add_forces(self, q: StateVector, targets: np.ndarray, forces: np.ndarray) -> float:
         contacts = self._find_pairs(q)
         if contacts[0].empty():
             return 0.0
-        forces[: 3 * self._vertices] += self._barrier.gradient(*contacts)
+        forces[targets[: self._vertices, :3].ravel()] += self._barrier.gradient(*contacts)
         return float(self._barrier(*contacts))
 
     def allows(self, old: StateVector, new: StateVector) -> bool:

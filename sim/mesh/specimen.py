@@ -47,18 +47,15 @@ class Outline:
         return np.where(outside < 0, self.edge - _GROWTH_HELD * outside, grown)
 
 
-def rim_radius(outline: Outline) -> tuple[Metres, int]:
-    """Circumradius and number of corners of the polygon of the plate's area that approximates the
-    rim; an inscribed one would hold too little cloth."""
-    corners = max(8, round(2 * np.pi * outline.rig.plate_radius / outline.edge))
-    turn = 2 * np.pi / corners
-    return outline.rig.plate_radius * np.sqrt(turn / np.sin(turn)), corners
-
-
 def graded_mesh(outline: Outline, rng: np.random.Generator) -> tuple[Mesh, np.ndarray]:
     """The mesh of ``outline`` and the number of vertices on the plate: they are the first of the
     vertices (V, 2), those of the rim before the others."""
-    radius, corners = rim_radius(outline) if outline.rig.has_plate else (0.0, 0)
+    radius, corners = outline.rig.plate_radius, 0
+    if outline.rig.has_plate:
+        # A polygon of the plate's area: an inscribed one would hold too little cloth.
+        corners = max(8, round(2 * np.pi * radius / outline.edge))
+        turn = 2 * np.pi / corners
+        radius *= np.sqrt(turn / np.sin(turn))
     parts = [_circle(radius, corners, rng), _rings(outline, rng, radius, -1),
              _rings(outline, rng, radius, 1), _border(outline, rng)]
     rim, held, free, _ = np.cumsum([len(part) for part in parts])

@@ -61,8 +61,11 @@ def equilibria(
     laws = Laws(bending=bending, others=others)
     results = []
     for start, values in zip(starts, inputs, strict=True):
-        fabric, changed = _parameters(laws, *map(_array, values))
-        results.append(follow(start, fabric, laws=changed, options=options, keep=True))
+        alpha, beta, density, membrane = map(_array, values)
+        fabric = Fabric(alpha, beta, float(density))
+        stiffness = float(membrane) * REFERENCE_DENSITY / fabric.density
+        used = replace(laws, membrane=Corotational(stiffness=stiffness))
+        results.append(follow(start, fabric, laws=used, options=options, keep=True))
     tangents = [Tangent.of(result) for result in results]
     return Equilibria(
         positions=[_Equilibrium.apply(tangent, result.fabric, *values)
@@ -71,15 +74,6 @@ def equilibria(
         ok=[tangent.ok for tangent in tangents],
         messages=[tangent.message for tangent in tangents],
     )
-
-
-def _parameters(
-    laws: Laws, alpha: np.ndarray, beta: np.ndarray, density: np.ndarray, membrane: np.ndarray
-) -> tuple[Fabric, Laws]:
-    """Fabric and laws of one sample; its membrane replaces that of ``laws``."""
-    fabric = Fabric(alpha, beta, float(density))
-    stiffness = float(membrane) * REFERENCE_DENSITY / fabric.density
-    return fabric, replace(laws, membrane=Corotational(stiffness=stiffness))
 
 
 class _Equilibrium(torch.autograd.Function):

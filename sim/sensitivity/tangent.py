@@ -79,7 +79,7 @@ class Tangent:
         potential, outdated = self.cloth.potential, self._factor is None
         for _ in range(_MAX_STEPS):
             if outdated:
-                data = potential.hessian(self.q)
+                data = potential.model(self.q).hessian()
                 self._factor = self._factor or make_solver(potential.pattern)
                 if not self._factor.factorise(data):
                     return False, "the Hessian is not positive definite: no minimum, or a fold"

@@ -6,7 +6,7 @@ import functools
 import importlib.metadata
 import os
 import sys
-from collections.abc import Sequence
+from contextlib import suppress
 from typing import Protocol
 
 import numba
@@ -35,17 +35,6 @@ class SparsePattern:
         self.indptr, self.indices = (v.astype(np.int32) for v in (upper.indptr, upper.indices))
         self.diagonal = self.indptr[:-1].copy()
         self.slots = [_slots(stencil, self.indptr, self.indices) for stencil in stencils]
-
-    def assemble(self, blocks: Sequence[np.ndarray]) -> np.ndarray:
-        """CSR data (nnz,) of the sum of symmetric blocks (N, K, K) of each stencil."""
-        data = np.zeros(len(self.indices))
-        for slots, block in zip(self.slots, blocks, strict=True):
-            add_blocks(data, slots, block)
-        return data
-
-    def times(self, data: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """Product (n,) of the symmetric matrix of CSR data (nnz,) and x (n,)."""
-        return _times(data, self.indices, self.indptr, x)
 
     def symmetric(self, data: np.ndarray) -> sparse.csr_matrix:
         """The full symmetric SciPy matrix of the CSR data (nnz,)."""
@@ -189,7 +178,7 @@ class PardisoSolver(CholeskySolver):
         error = residual @ step
         target = _TOLERANCE**2 * error
         for _ in range(_MAX_REFINEMENTS):
-            image = self._pattern.times(self._data, step)
+            image = _times(self._data, self._pattern.indices, self._pattern.indptr, step)
             curvature = step @ image
             if not curvature > 0.0:
                 break
@@ -286,13 +275,10 @@ def find_mkl() -> ctypes.CDLL:
     ``pardiso`` is called directly: pypardiso checks, copies and renumbers the matrix at every call.
     """
     if "PYPARDISO_MKL_RT" not in os.environ:
-        try:
-            files = importlib.metadata.files("mkl") or []
-        except importlib.metadata.PackageNotFoundError:
-            files = []
-        for file in files:
-            if "mkl_rt" in file.name and not file.name.endswith(".lib"):
-                os.environ["PYPARDISO_MKL_RT"] = str(file.locate())
+        with suppress(importlib.metadata.PackageNotFoundError):
+            for file in importlib.metadata.files("mkl") or []:
+                if "mkl_rt" in file.name and not file.name.endswith(".lib"):
+                    os.environ["PYPARDISO_MKL_RT"] = str(file.locate())
     from pypardiso import PyPardisoSolver
 
     library = PyPardisoSolver().libmkl
@@ -303,7 +289,7 @@ def find_mkl() -> ctypes.CDLL:
 
 @numba.njit(cache=True)
 def _times(data, indices, indptr, x):
-    """Product of a symmetric matrix, given by its upper triangle, and x (n,)."""
+    """Product (n,) of the symmetric matrix of CSR data (nnz,) and x (n,)."""
     result = np.zeros(len(x))
     for i in range(len(x)):
         total = data[indptr[i]] * x[i]  # the diagonal comes first

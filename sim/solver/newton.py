@@ -10,11 +10,11 @@ end proves a minimum rather than a saddle.
 from dataclasses import dataclass
 from enum import Enum
 from time import thread_time
-from typing import Protocol
 
 import numpy as np
 
-from sim.solver.linear import CholeskySolver, SparsePattern, make_solver
+from sim.solver.linear import CholeskySolver, make_solver
+from sim.solver.potential import Potential, QuadraticModel
 
 
 class Status(str, Enum):
@@ -28,35 +28,6 @@ class Status(str, Enum):
     SELF_CONTACT = "self_contact"
     NOT_FINITE = "not_finite"
     EXCEPTION = "exception"
-
-
-class Model(Protocol):
-    """The Hessian at one state."""
-
-    def hessian(self, convexity: float, shift: float) -> np.ndarray:
-        """CSR data in the objective's pattern: exact for a ``convexity`` of 0, positive
-        semi-definite for 1; ``shift`` times a regularisation is added to the diagonal."""
-
-
-class Objective(Protocol):
-    """A function of states ``q`` to be minimised, such as :class:`sim.solver.potential.Potential`.
-
-    Derivatives are by a step (size,) from a state, which ``moved`` applies. Differences below
-    :data:`ROUNDING` of ``energy_scale`` are rounding errors.
-    """
-
-    size: int
-    energy_scale: float
-
-    @property
-    def pattern(self) -> SparsePattern: ...
-
-    def evaluate(self, q: np.ndarray) -> tuple[float, np.ndarray]: ...  # value and gradient
-    def model(self, q: np.ndarray) -> "Model": ...
-    def moved(self, q: np.ndarray, step: np.ndarray) -> np.ndarray: ...
-    def allows(self, old: np.ndarray, new: np.ndarray) -> bool: ...
-    def residual(self, gradient: np.ndarray) -> float: ...
-    def step_length(self, step: np.ndarray) -> float: ...
 
 
 @dataclass(frozen=True)
@@ -97,7 +68,6 @@ PERTURBATION_GROWTH = 3.0  # a small perturbation may lead back to a flat saddle
 PERTURBATION_HALVINGS = 20
 PRECISE_RESIDUAL = 1.0  # residual below which exact Newton steps are solved accurately
 
-
 _ENDINGS = {
     Status.CONVERGED: "equilibrium",
     Status.MAX_ITERATIONS: "residual {residual:.1e} after {iterations} iterations",
@@ -109,11 +79,12 @@ _ENDINGS = {
 
 
 def minimise(
-    objective: Objective, start: np.ndarray, options: NewtonOptions | None = None, *,
+    objective: Potential, start: np.ndarray, options: NewtonOptions | None = None, *,
     solver: CholeskySolver | None = None
 ) -> NewtonResult:
     """Find a local minimum near the state ``start``. Numerical failures raise no exception. The
-    factor of a ``solver`` for the objective's pattern is lost."""
+    factor of a ``solver`` for the objective's pattern is lost. Any function of states with the
+    methods of a potential can be minimised."""
     start = np.array(start, dtype=np.float64)
     run, began = _Minimisation(objective, start, options or NewtonOptions(), solver), thread_time()
     with np.errstate(all="ignore"):
@@ -126,7 +97,7 @@ class _Minimisation:
     """State of a running minimisation."""
 
     def __init__(
-        self, objective: Objective, q: np.ndarray, options: NewtonOptions,
+        self, objective: Potential, q: np.ndarray, options: NewtonOptions,
         solver: CholeskySolver | None
     ) -> None:
         self.objective, self.options = objective, options
@@ -135,7 +106,7 @@ class _Minimisation:
         self.result = NewtonResult(q=q, status=Status.MAX_ITERATIONS, message="")
         self.rng = np.random.default_rng(0)
         self.solver = solver
-        self.model: Model | None = None  # at the present state
+        self.model: QuadraticModel | None = None  # at the present state
 
     def iterate(self) -> None:
         result, options, perturbations = self.result, self.options, 0
@@ -219,8 +190,7 @@ class _Minimisation:
         return self.solver.solve(-gradient, rough=True)
 
     def _settle(self, convexity: float, *, tried_less: bool) -> None:
-        """Keep a convexity; each time that less has failed, wait longer before it is tried again.
-        """
+        """Keep a convexity; each time that less has failed, wait longer before trying it again."""
         if convexity != self.convexity:
             self.patience = 1
         elif tried_less:

@@ -22,6 +22,11 @@ class Potential:
         force_scale: (U,) units of residuals (N, or N·m for rotations).
         length_scale: (U,) units of step lengths and regularisation (m or rad).
         energy_scale: J, magnitude of the energy's change when the cloth falls.
+
+    Attributes:
+        energies, stage_of: all energies, and the stage of each among :attr:`stages` of them.
+        unknowns, size: the numbers U and n.
+        regularisation: (n,) stiffness of a unit of force per unit of length.
     """
 
     def __init__(
@@ -53,20 +58,17 @@ class Potential:
 
     def evaluate(self, q: np.ndarray) -> tuple[float, np.ndarray]:
         """Energy, J, and its derivative (n,) by a step."""
-        value, forces = self._sum(q)
+        forces = np.zeros(self.unknowns)
+        value = sum(energy.add_forces(q, forces) for energy in self.energies)
         return value, self.free_unknowns(forces)
 
     def value(self, q: np.ndarray) -> float:
         """Energy, J."""
-        return self._sum(q)[0]
+        return self.evaluate(q)[0]
 
     def gradient(self, q: np.ndarray) -> np.ndarray:
         """(n,) derivative of the energy by a step."""
         return self.evaluate(q)[1]
-
-    def _sum(self, q: np.ndarray) -> tuple[float, np.ndarray]:
-        forces = np.zeros(self.unknowns)
-        return sum(energy.add_forces(q, forces) for energy in self.energies), forces
 
     @cached_property
     def pattern(self) -> SparsePattern:
@@ -74,10 +76,6 @@ class Potential:
         row = np.full(self.unknowns + 1, -1)  # last entry: dofs of -1
         row[self._free] = np.arange(self.size)
         return SparsePattern([row[energy.dofs] for energy in self.energies], self.size)
-
-    def hessian(self, q: np.ndarray, convexity: float = 0.0) -> np.ndarray:
-        """CSR data (nnz,) of one of the forms of :meth:`QuadraticModel.hessian`."""
-        return self.model(q).hessian(convexity)
 
     def model(self, q: np.ndarray) -> "QuadraticModel":
         """The Hessian at the state ``q`` and its convex approximations."""
@@ -108,17 +106,13 @@ class QuadraticModel:
         """CSR data (nnz,) in the potential's pattern, plus ``shift`` times its regularisation on
         the diagonal. With ``convexity`` from 0 (exact) to 1, stages become convex one after the
         other, each by interpolation of its two forms."""
-        self._assemble({False} if convexity == 0.0 else {True} if convexity == 1.0
-                       else {False, True})
         potential = self._potential
-        stages = potential.stages
-        shares = [min(max(convexity * stages - stage, 0.0), 1.0) for stage in range(stages)]
-        terms = [(weight, self._parts[convex][stage]) for stage, share in enumerate(shares)
-                 for convex, weight in ((False, 1.0 - share), (True, share)) if weight > 0.0]
-        weight, part = terms[0]
-        total = weight * part
-        for weight, part in terms[1:]:
-            total += part if weight == 1.0 else weight * part
+        stages = range(potential.stages)
+        shares = np.clip(convexity * potential.stages - np.array(stages), 0.0, 1.0)
+        weights = {False: 1.0 - shares, True: shares}
+        self._assemble({convex for convex in weights if weights[convex].any()})
+        total = sum(weights[convex][stage] * self._parts[convex][stage]
+                    for stage in stages for convex in weights if weights[convex][stage] > 0.0)
         if shift:
             total[potential.pattern.diagonal] += shift * potential.regularisation
         return total

@@ -126,6 +126,20 @@ def test_stress_and_tangent_are_derivatives(added):
         assert np.allclose(bend, tangent[:, :, k], atol=1e-7 * np.abs(tangent).max())
 
 
+def test_weights_of_friction_apply_to_its_energy_as_to_its_derivatives():
+    energy = _energy(Hysteresis(0.3), TWILL)
+    curvatures = np.random.default_rng(5).normal(0, 30, (len(energy.areas), 3))
+
+    def response(slid: float, returned: float) -> tuple[np.ndarray, ...]:
+        energy.variant = energy.variant._replace(slid=slid, returned=returned)
+        return energy.response(curvatures)
+
+    parts = zip(response(0, 0), response(1, 0), response(0, 1), response(0.5, 0.3), strict=True)
+    for plain, slid, returned, both in parts:
+        expected = plain + 0.5 * (slid - plain) + 0.3 * (returned - plain)
+        assert np.allclose(both, expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max())
+
+
 def test_friction_of_yarns_that_differ_has_a_plate_form():
     """Where the bias has too little friction for a plate, it has just enough."""
     fabric = Fabric(np.array([40e-6, 10.5e-6, 2e-6]))
