@@ -13,9 +13,9 @@ def drape_batch(
 ) -> list[Drape]:
     """The drapes of ``plans``, arguments of :func:`sim.drape.drape` by name, in their order.
 
-    Each has its status; one that fails does not affect the others. ``workers`` processes of one
-    thread give the same bytes as one. Progress is shown on a terminal. A script calls this below
-    ``if __name__ == "__main__":``.
+    Each has its status; a simulation that fails does not affect the others, while arguments that
+    are invalid raise their InputError. ``workers`` processes of one thread give the same bytes as
+    one. A script calls this below ``if __name__ == "__main__":``.
     """
     with worker_pool(max(1, min(workers, len(plans)))) as pool, progress_bar(
             total=len(plans), unit=unit) as bar:

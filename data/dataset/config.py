@@ -81,7 +81,7 @@ class DatasetConfig:
     drapes: int
     sampling: SamplingConfig
     prior: Prior
-    edge: Metres = 0.0  # of meshes at the plate's rim; 0: sim.mesh.specimen.default_edge
+    edge: Metres = 0.0  # of the finest meshes at the plate's rim; 0: as of single drapes
     drapes_per_shard: int = 64
     # Of the code in memory: files may change during a run.
     sources: str = field(default_factory=partial(sources_digest, *SOURCES))

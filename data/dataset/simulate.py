@@ -18,13 +18,15 @@ from data.dataset.shards import (
     to_moves,
 )
 from data.fabrics.fabrics import fabric_from_theta
-from sim.mesh.specimen import default_edge
+from sim.mesh.specimen import DEFAULT_EDGES, default_edge
 
 Solver = Callable[..., object]
 """A function such as :func:`sim.drape.drape`."""
 Record = Mapping[str, np.ndarray]
 """One drape of a shard by field, see :func:`data.dataset.shards.write_shard`."""
 
+COARSER = (1.0, 4 / 3, 5 / 3, 2.0)
+"""Edge lengths of a dataset's meshes relative to the finest: stiff cloth needs no finer ones."""
 NUMERICAL_ERRORS = (ArithmeticError, np.linalg.LinAlgError)
 """Exceptions of a single simulation: the drape is recorded as failed, the others continue."""
 
@@ -91,7 +93,8 @@ def _drape(
         # Rounded as stored, so that the drape can be repeated from the shard alone.
         start = {"borrowed": (lender["rest"] * LENGTH_UNIT, lender["positions"] * LENGTH_UNIT)}
     fabric = fabric_from_theta(plan.theta)
-    record |= {"density": fabric.density, "edge": config.edge or default_edge(fabric, plan.rig)}
+    edges = [factor * config.edge for factor in COARSER] if config.edge else DEFAULT_EDGES
+    record |= {"density": fabric.density, "edge": default_edge(fabric, plan.rig, edges)}
     return solver(fabric, rig=plan.nuisances.rig(plan.rig), edge=record["edge"], seed=plan.seed,
                   offset=tuple(plan.offset), laws=plan.nuisances.laws, **start)
 

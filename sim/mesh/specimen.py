@@ -6,6 +6,7 @@ phase. A few rounds of relaxation (optimal Delaunay triangulation, Alliez et al.
 target edge length as size field) make the triangles nearly equilateral.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
@@ -289,13 +290,13 @@ def bending_length(fabric: Fabric) -> Metres:
     return float(np.cbrt(fabric.alpha.min() / (fabric.density * GRAVITY)))
 
 
-def default_edge(fabric: Fabric, rig: Rig) -> Metres:
-    """Default edge length at the rim for a fabric: the largest of few, so that drapes share meshes,
-    of which :data:`EDGES_PER_LENGTH` fit into the bending length. Without a plate, that of the
-    hem."""
+def default_edge(fabric: Fabric, rig: Rig, edges: Sequence[Metres] = DEFAULT_EDGES) -> Metres:
+    """Default edge length at the rim for a fabric: the largest of few ``edges``, so that drapes
+    share meshes, of which :data:`EDGES_PER_LENGTH` fit into the bending length. Without a plate,
+    that of the hem."""
     length = bending_length(fabric)
-    fits = [edge for edge in DEFAULT_EDGES if EDGES_PER_LENGTH * edge <= length]
-    edge = max(fits, default=min(DEFAULT_EDGES))
+    fits = [edge for edge in edges if EDGES_PER_LENGTH * edge <= length]
+    edge = max(fits, default=min(edges))
     return edge if rig.has_plate else GRADING * edge
 
 
