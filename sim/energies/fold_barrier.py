@@ -22,7 +22,7 @@ def is_bent(angle: np.ndarray, pole: np.ndarray | float) -> np.ndarray:
     return np.abs(angle) > LIMIT_START * pole
 
 
-@numba.njit(inline="always", cache=True)
+@numba.njit(inline="always")
 def barrier_at(angle, pole):
     """The barrier and its first two derivatives by ``angle``, rad; an infinite ``pole``: none."""
     over = abs(angle) - LIMIT_START * pole
@@ -35,7 +35,7 @@ def barrier_at(angle, pole):
             4.0 * over / remaining + (over / remaining) ** 2 - 2.0 * logarithm)
 
 
-@numba.njit(inline="always", cache=True)
+@numba.njit(inline="always")
 def keeps_distance(before, after, pole):
     """Whether a step, by less than pi, keeps an angle, rad, from its ``pole``.
 

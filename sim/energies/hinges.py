@@ -105,34 +105,49 @@ class DihedralBending(FusedEnergy):
 
     def allows(self, old: StateVector, new: StateVector) -> bool:
         """False if a hinge folds through itself, or covers most of the distance to it."""
-        kept = np.vectorize(keeps_distance, otypes=[bool])
-        return bool(kept(hinge_angles(old, self.dofs), hinge_angles(new, self.dofs), np.pi).all())
+        return _keep_distance(hinge_angles(old, self.dofs), hinge_angles(new, self.dofs))
 
     def _of_angles(self, q: StateVector) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(N,) energies, J, and their first two derivatives by the dihedral angles."""
         angle = hinge_angles(q, self.dofs)
         work, torque, tangent = bending_work(self._spread * np.abs(angle), self._alpha, self._beta)
-        value, slope, bend = np.vectorize(barrier_at, otypes=[float] * 3)(angle, np.pi)
+        value, slope, bend = _barrier(angle)
         return (self._areas * work + self._barrier * value,
                 self._lengths * np.sign(angle) * torque + self._barrier * slope,
                 self._lengths * self._spread * tangent + self._barrier * bend)
 
 
 @numba.njit(cache=True)
+def _barrier(angles):
+    result = np.empty((3, len(angles)))
+    for t in range(len(angles)):
+        result[:, t] = barrier_at(angles[t], np.pi)
+    return result
+
+
+@numba.njit(cache=True)
+def _keep_distance(before, after):
+    for t in range(len(before)):
+        if not keeps_distance(before[t], after[t], np.pi):
+            return False
+    return True
+
+
+@numba.njit(cache=True)
 def hinge_angles(q, dofs):
     """Dihedral angles (N,), rad, of hinges with unknowns ``dofs`` (N, 12) of ``q``."""
-    result = np.empty(len(dofs))
+    result, corners = np.empty(len(dofs)), q[dofs.ravel()].reshape(-1, 4, 3)
     for t in range(len(dofs)):
-        result[t] = dihedral.angle(q[dofs[t]].reshape(4, 3))
+        result[t] = dihedral.angle(corners[t])
     return result
 
 
 @numba.njit(cache=True)
 def _angle_gradients(q, dofs):
     """Derivatives (N, 12) of the angles by the coordinates of the corners, 1/m."""
-    result = np.zeros((len(dofs), 12))
+    result, corners = np.zeros((len(dofs), 12)), q[dofs.ravel()].reshape(-1, 4, 3)
     for t in range(len(dofs)):
-        x, g = q[dofs[t]].reshape(4, 3), result[t].reshape(4, 3)
+        x, g = corners[t], result[t].reshape(4, 3)
         for corner in (2, 3):  # the edge has opposite senses in the two triangles
             start, end = corner - 2, 3 - corner
             side = dihedral.side_gradient(x[start], x[end], x[corner])
@@ -146,9 +161,9 @@ def _angle_gradients(q, dofs):
 @numba.njit(cache=True)
 def _add_angle_hessians(q, dofs, slope, blocks):
     """Add to blocks (N, 12, 12) the second derivatives of the angles times ``slope`` (N,)."""
-    bends = np.empty((4, 4, 3))
+    bends, corners = np.empty((4, 4, 3)), q[dofs.ravel()].reshape(-1, 4, 3)
     for t in range(len(dofs)):
-        x = q[dofs[t]].reshape(4, 3)
+        x = corners[t]
         for corner in (2, 3):
             start, end = corner - 2, 3 - corner
             edge, arm = x[end] - x[start], x[corner] - x[start]
