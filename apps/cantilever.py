@@ -31,6 +31,7 @@ from common.errors import InputError
 from common.files import replace_file, replace_json, require_file
 from common.types import Density
 from data.strips.folder import StripSet, read_strips
+from data.strips.posterior import StripPosterior
 from sim.cantilever import aspect_ratio, elastica, fabric_of_gamma, hang
 from sim.cantilever.moduli import (
     METHODS,
@@ -40,7 +41,6 @@ from sim.cantilever.moduli import (
     correct,
     estimate_moduli,
 )
-from sim.cantilever.posterior import StripPosterior
 from sim.material import DIRECTIONS, MICRO, NANO, check_density
 from sim.solver.newton import Status
 

@@ -25,7 +25,7 @@ from drapenet.sets import LEVEL, SPECIMEN
 from sim.material import DIRECTIONS, MICRO, REFERENCE_DENSITY, is_admissible
 
 if TYPE_CHECKING:
-    from sim.cantilever.posterior import StripPosterior
+    from data.strips.posterior import StripPosterior
 
 STATE = (*THETA_NAMES, "curl_warp", "curl_weft", "membrane")
 """Theta, natural curvatures, 1/m, with the marked face up, and the logarithm of the membrane

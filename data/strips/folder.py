@@ -9,8 +9,8 @@ from common.errors import InputError
 from common.types import DeflectionCurve, Density, Metres, Radians
 from data.strips.description import StripsDescription, read_description
 from data.strips.photograph import PhotographedStrip, read_strip
+from data.strips.posterior import BendingLength, StripPosterior, direction_posterior
 from sim.cantilever.moduli import StripModuli, correct
-from sim.cantilever.posterior import BendingLength, StripPosterior, direction_posterior
 from sim.material import BIAS, DIRECTIONS
 from sim.rig import GRAVITY
 

@@ -18,7 +18,7 @@ from data.captures.photograph import board_plane, large_pixels, mapped
 from data.captures.shadow import read_grey
 from data.strips.centre_line import CentreLine, trace_strip
 from data.strips.description import StripEntry, StripsDescription, View
-from sim.cantilever.posterior import MeasuredStrip
+from data.strips.posterior import MeasuredStrip
 
 WORKING_SIDE = 2600  # pixels, to which larger photographs are reduced
 BRIGHTEST = 0.9995  # quantile; a strip may be the only light thing in the picture

@@ -19,7 +19,7 @@ from sim.material import DIRECTIONS, MICRO, NANO, REFERENCE_DENSITY, STIFF_SOFT
 from sim.rig import GRAVITY
 
 if TYPE_CHECKING:
-    from sim.cantilever.posterior import StripPosterior
+    from data.strips.posterior import StripPosterior
 
 SCHEMA = "drapenet-estimate"
 SCHEMA_VERSION = 3

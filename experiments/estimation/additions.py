@@ -14,6 +14,7 @@ from common.errors import InputError
 from data.captures.known import ERRORS, ByDirection, Known
 from data.dataset.generate import generate_dataset
 from data.fabrics.properties import ClothProperties
+from data.strips.posterior import StripPosterior
 from drapenet.config import EvaluateConfig
 from drapenet.evidence import with_strips
 from drapenet.inference import network_of
@@ -34,7 +35,6 @@ from experiments.estimation.strip_photographs import (
     read_pictures,
 )
 from experiments.result import Config, Result, read_report, rms
-from sim.cantilever.posterior import StripPosterior
 from sim.cantilever.strip import bending_length
 from sim.material import DIRECTIONS, FIRST, LINEAR, RATIO, REFERENCE_DENSITY, SECOND
 

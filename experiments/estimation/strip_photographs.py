@@ -22,11 +22,11 @@ from data.render.strips import StripScene, posed
 from data.strips.description import FILE
 from data.strips.folder import StripSet, read_strips
 from data.strips.photograph import CLAMP_ERROR, LENGTH_ERROR, ROLL_ERROR, SCALE_ERROR
+from data.strips.posterior import SLOPE_ERROR
 from experiments.drapes import prior_theta
 from experiments.result import Config, Result, run_cases
 from sim.cantilever import heavy_elastica
 from sim.cantilever.moduli import distance_across, match
-from sim.cantilever.posterior import SLOPE_ERROR
 from sim.cantilever.strip import bending_length
 from sim.material import DIRECTIONS, REFERENCE_DENSITY
 from sim.rig import GRAVITY

@@ -8,6 +8,7 @@ from estimates import estimate_of
 
 from common.errors import InputError
 from data.fabrics.properties import ClothProperties
+from data.strips.posterior import CURL_PRIOR, RATIO_PRIOR, StripPosterior
 from drapenet.evidence import (
     Normal,
     contradicting_strips,
@@ -17,7 +18,6 @@ from drapenet.evidence import (
     with_strips,
 )
 from drapenet.result.estimate import Estimate
-from sim.cantilever.posterior import CURL_PRIOR, RATIO_PRIOR, StripPosterior
 from sim.material import MICRO, STIFF_SOFT
 
 DENSITY = 0.21

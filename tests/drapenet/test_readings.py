@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from data.strips.posterior import INCLINE
 from drapenet.result.readings import (
     GF_CM,
     KES_CURVATURES,
@@ -15,7 +16,6 @@ from drapenet.result.readings import (
 )
 from sim.cantilever import hang
 from sim.cantilever.elastica import MAX_GAMMA, aspect_ratio, elastica, heavy_elastica
-from sim.cantilever.posterior import INCLINE
 from sim.energies import bending_law
 from sim.material import MICRO, NANO, REFERENCE_DENSITY, Fabric
 from sim.rig import GRAVITY

@@ -5,14 +5,14 @@ import pytest
 from elastica_curves import LAWS, WEIGHT, curves_of
 
 from common.errors import InputError
-from sim.cantilever import hang, heavy_elastica
-from sim.cantilever.posterior import (
+from data.strips.posterior import (
     CURL_PRIOR,
     RATIO_PRIOR,
     BendingLength,
     MeasuredStrip,
     direction_posterior,
 )
+from sim.cantilever import hang, heavy_elastica
 from sim.cloth import Laws
 from sim.energies.bending_variants import Hysteresis
 from sim.material import Fabric
