@@ -59,6 +59,7 @@ class NewtonResult:
 
 MAX_PATIENCE = 4  # steps
 SHIFTS = (0.0, 1e-3, 1e-1, 1e1, 1e3)  # of the diagonal, in units of the regularisation
+STILL_STEEP = 0.5  # of the slope at the start of a step, from which on the step is doubled
 ARMIJO = 1e-4  # required fraction of the predicted decrease
 MIN_STEP_FACTOR = 2.0**-30
 ROUNDING = 1e-14  # relative to the energy scale
@@ -221,7 +222,9 @@ class _Minimisation:
             length /= 2
         if best is None:
             return None
-        while best[0] >= 1.0 and self.options.extend:
+        # Where the energy falls along the step as steeply as before, the step is too short.
+        while (best[0] >= 1.0 and self.options.extend
+               and float(best[3] @ step) < STILL_STEEP * slope):
             length = 2 * best[0]
             trial = objective.moved(q, length * step)
             if not objective.allows(q, trial):
