@@ -10,11 +10,11 @@ end proves a minimum rather than a saddle.
 from dataclasses import dataclass
 from enum import Enum
 from time import thread_time
+from typing import Protocol
 
 import numpy as np
 
-from sim.solver.linear import CholeskySolver, make_solver
-from sim.solver.potential import Potential, QuadraticModel
+from sim.solver.linear import CholeskySolver, SparsePattern, make_solver
 
 
 class Status(str, Enum):
@@ -30,6 +30,35 @@ class Status(str, Enum):
     EXCEPTION = "exception"
 
 
+class Model(Protocol):
+    """The Hessian at one state."""
+
+    def hessian(self, convexity: float, shift: float) -> np.ndarray:
+        """CSR data in the objective's pattern: exact for a ``convexity`` of 0, positive
+        semi-definite for 1; ``shift`` times a regularisation is added to the diagonal."""
+
+
+class Objective(Protocol):
+    """A function of states ``q`` to be minimised, such as :class:`sim.solver.potential.Potential`.
+
+    Derivatives are by a step (size,) from a state, which ``moved`` applies. Differences below
+    :data:`ROUNDING` of ``energy_scale`` are rounding errors.
+    """
+
+    size: int
+    energy_scale: float
+
+    @property
+    def pattern(self) -> SparsePattern: ...
+
+    def evaluate(self, q: np.ndarray) -> tuple[float, np.ndarray]: ...  # value and gradient
+    def model(self, q: np.ndarray) -> Model: ...
+    def moved(self, q: np.ndarray, step: np.ndarray) -> np.ndarray: ...
+    def allows(self, old: np.ndarray, new: np.ndarray) -> bool: ...
+    def residual(self, gradient: np.ndarray) -> float: ...
+    def step_length(self, step: np.ndarray) -> float: ...
+
+
 @dataclass(frozen=True)
 class NewtonOptions:
     """Stopping criteria, in the units of the objective's scales."""
@@ -39,7 +68,7 @@ class NewtonOptions:
     max_iterations: int = 500
     convexities: tuple[float, ...] = (0.0, 0.1, 0.5, 1.0)
     """Blends of the exact Hessian, 0, with its convex form, 1, in increasing order."""
-    extend: bool = True  # whether a step is doubled while the energy decreases
+    extend: bool = True  # whether a step is doubled while the energy falls steeply
 
 
 @dataclass
@@ -80,7 +109,7 @@ _ENDINGS = {
 
 
 def minimise(
-    objective: Potential, start: np.ndarray, options: NewtonOptions | None = None, *,
+    objective: Objective, start: np.ndarray, options: NewtonOptions | None = None, *,
     solver: CholeskySolver | None = None
 ) -> NewtonResult:
     """Find a local minimum near the state ``start``. Numerical failures raise no exception. The
@@ -98,7 +127,7 @@ class _Minimisation:
     """State of a running minimisation."""
 
     def __init__(
-        self, objective: Potential, q: np.ndarray, options: NewtonOptions,
+        self, objective: Objective, q: np.ndarray, options: NewtonOptions,
         solver: CholeskySolver | None
     ) -> None:
         self.objective, self.options = objective, options
@@ -107,7 +136,7 @@ class _Minimisation:
         self.result = NewtonResult(q=q, status=Status.MAX_ITERATIONS, message="")
         self.rng = np.random.default_rng(0)
         self.solver = solver
-        self.model: QuadraticModel | None = None  # at the present state
+        self.model: Model | None = None  # at the present state
 
     def iterate(self) -> None:
         result, options, perturbations = self.result, self.options, 0
