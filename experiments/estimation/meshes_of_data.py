@@ -177,4 +177,4 @@ def run(config: Config) -> Result:
                 "same folds": summarise([row for row in rows if row["same_folds"]]),
                 "fit": fitted([row for row in rows if row["same_folds"]]),
                 "by_alpha_uN_m": by_class}
-    return Result({"finest_mm": finest, "testers": report, "fabrics": found})
+    return Result({"finest_mm": finest, "testers": report})
