@@ -8,6 +8,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from pydantic import Field, field_validator
 
@@ -21,6 +22,7 @@ from sim.rig import SQUARE_RIG, Rig
 
 REFERENCE_DISTANCE = 0.527
 """m, at which offsets parallel to the picture are stated, for specimens of 300 mm."""
+_CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))  # a pixel and its four neighbours
 
 
 @dataclass(frozen=True)
@@ -135,7 +137,9 @@ class Setups:
         for view, clean in zip(noisy, views, strict=True):
             cloth = view > 0
             if border:
-                view[cloth & ~_eroded(cloth, border)] = 0.0
+                inner = cv2.erode(cloth.view(np.uint8), _CROSS, iterations=border,
+                                  borderType=cv2.BORDER_CONSTANT, borderValue=0)
+                view[cloth & ~inner.view(bool)] = 0.0
             if lowest is not None and cloth.any():
                 up = camera.world_to_camera[:3, 2]
                 height = camera.back_project(clean) @ up
@@ -146,13 +150,3 @@ class Setups:
                 top, left = rows[middle], columns[middle]
                 size = int(rng.integers(2, 7))
                 view[top : top + size, left : left + size] = 0.0
-
-
-def _eroded(cloth: np.ndarray, pixels: int) -> np.ndarray:
-    """Mask (H, W) without its outermost ``pixels``, also at the picture's border; SciPy's erosion
-    takes ten times as long."""
-    for _ in range(pixels):
-        around = np.pad(cloth, 1)
-        cloth = (cloth & around[:-2, 1:-1] & around[2:, 1:-1] & around[1:-1, :-2]
-                 & around[1:-1, 2:])
-    return cloth

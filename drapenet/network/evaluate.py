@@ -184,8 +184,7 @@ def make_config(header: Header, tester: str, config: EvaluateConfig) -> DatasetC
     base = config_from_options(compose_config("generate", words, schema=Options))
     if not config.fabrics:
         return base
-    return replace(base, prior=TablePrior(read_fabric_table(Path(config.fabrics)).theta),
-                   sampling=replace(base.sampling, even_share=0.0))
+    return replace(base, prior=TablePrior(read_fabric_table(Path(config.fabrics)).theta))
 
 
 def format_cell(name: str, result: dict[str, Any]) -> str:
