@@ -12,6 +12,15 @@ with h_i the rest height over edge i and n_i that edge's rest normal, and the en
 For small angles this is the Morley plate element; unlike hinge energies it converges to the
 plate it discretises, on any triangulation (docs/physics.md).
 
+That element is too soft for short waves, by 0.07 (k h)² of the buckling load of a wave number k on
+edges h, so that coarse cloth buckles early. An inner edge therefore adds the difference between the
+mean energy of its triangles and the energy of their mean curvature,
+
+    A_e ((psi(S1) + psi(S2))/2 - psi((S1 + S2)/2)),   A_e = (A1 + A2)/3,
+
+an eighth of the square of the jump S1 - S2 in the plate's form. It vanishes for constant curvature,
+and is of second order in h otherwise.
+
 Without a barrier, meshes too coarse for the cloth fold through themselves, where phi jumps. The
 barrier of :mod:`sim.energies.fold_barrier` prevents that, times the smallest alpha and the edge's
 rest length over the triangle's rest height; its pole is pi/2, at a clamp pi.
@@ -31,15 +40,19 @@ from sim.solver.linear import add_block
 
 _compiled = numba.njit(cache=True, error_model="numpy")
 CONVEX_FLOOR = 0.1  # minimum tangent stiffness of the convex Hessian, relative to that at rest
+JUMP = 1.0
+"""Energy of the jumps of curvature, relative to the difference between mean energy and energy of
+the mean."""
 CLAMP = 6 / 5
-"""Stiffness of the row of triangles at clamped edges, relative to that of their area."""
+"""Factor of the curvature of triangles at clamped edges (:func:`clamp_weights`)."""
 
 
 class MidEdgeBending(FusedEnergy):
     """Plate energy of the active triangles, those not entirely held, with the barrier.
 
-    One element is a triangle with 12 unknowns: the coordinates of its corners and the rotations of
-    the normals of the edges opposite them. Normals between held and free cloth must be held, too.
+    The first N elements are triangles with 12 unknowns: the coordinates of their corners and the
+    rotations of the normals of the edges opposite them. The other M are pairs of triangles at inner
+    edges with their 17. Normals between held and free cloth must be held, too.
     """
 
     def __init__(self, mesh: Mesh, active: FaceMask, *, fabric: Fabric) -> None:
@@ -50,12 +63,17 @@ class MidEdgeBending(FusedEnergy):
         coordinates = 3 * len(mesh.rest)
         self._normals = coordinates + 3 * edges
         self._corners = (3 * faces[:, :, None] + np.arange(3)).reshape(-1, 9)
-        self.dofs = np.concatenate([self._corners, coordinates + edges], axis=1)
+        self._pairs, self._opposite = _pairs(mesh, active)
+        self.dofs = self._unknowns(coordinates + edges)
         # Rotations are about mesh.edges, directed from the smaller vertex index to the larger.
         forward = np.roll(faces, -1, axis=1) < np.roll(faces, -2, axis=1)
         self._sign = np.where(forward, 1.0, -1.0)
-        self.areas = bending_areas(mesh, active, clamped)
-        self.maps = curvature_maps(mesh)[active]
+        weights = clamp_weights(mesh, active, clamped)
+        self.areas = mesh.areas[active] / weights
+        self._jumps = JUMP / 2 * self.areas[self._pairs].sum(axis=1) / 3
+        self._shares = self.areas + np.bincount(
+            self._pairs.ravel(), np.repeat(self._jumps, 2), minlength=len(faces))
+        self.maps = weights[:, None, None] * curvature_maps(mesh)[active]
         pole = np.where(clamped, np.pi, np.pi / 2)
         self.pole = np.where(boundary, np.inf, pole)
         self._slenderness = mesh.edge_lengths[edges] ** 2 / (2 * mesh.areas[active])[:, None]  # e/h
@@ -73,22 +91,60 @@ class MidEdgeBending(FusedEnergy):
         other._set_fabric(fabric)
         return other
 
+    def _unknowns(self, rotations: np.ndarray) -> np.ndarray:
+        """:attr:`dofs` from the rotations' unknowns (N, 3) at the triangles."""
+        dofs = np.full((len(rotations) + len(self._pairs), 17), -1)
+        dofs[: len(rotations), :12] = np.concatenate([self._corners, rotations], axis=1)
+        pairs = dofs[len(rotations):]
+        for side, places in enumerate(_PLACES):
+            turned = _turned(self._opposite[:, side])
+            corners = self._corners.reshape(-1, 3, 3)[self._pairs[:, [side]], turned]
+            pairs[:, places[:9]] = corners.reshape(-1, 9)
+            pairs[:, places[9:]] = rotations[self._pairs[:, [side]], turned]
+        return dofs
+
+    def _responses(self, phi: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """:meth:`response` of the N triangles, then at the mean curvatures of the M pairs."""
+        both = (_with_means(values, self._pairs) for values in
+                (_curvatures(self.maps, phi), self.origin))
+        return self.response(*both)
+
+    def _moments(self, stress: np.ndarray) -> np.ndarray:
+        """Derivatives (N, 3), N·m², of the plate's energy by the triangles' curvatures."""
+        count = len(self.areas)
+        moments = self._shares[:, None] * stress[:count]
+        _add_to_sides(moments, stress[count:], -self._jumps, self._pairs)
+        return moments
+
     def _add_forces(self, q: StateVector, targets: np.ndarray, forces: np.ndarray) -> float:
         phi = self.angles(q)
-        density, stress, _ = self.response(_curvatures(self.maps, phi))
-        barrier = _add_forces(q, phi, stress, self._corners, self._sign, self.maps, self.areas,
+        density, stress, _ = self._responses(phi)
+        barrier = _add_forces(q, phi, self._moments(stress), self._corners, self._sign, self.maps,
                               self._barrier, self.pole, targets, forces)
-        return float(self.areas @ density) + barrier
+        count = len(self.areas)
+        return float(self._shares @ density[:count] - 2 * self._jumps @ density[count:]) + barrier
 
     def add_stiffness(
         self, q: StateVector, slots: np.ndarray, exact: np.ndarray, convex: np.ndarray
     ) -> None:
         phi = self.angles(q)
-        _, stress, tangent = self.response(_curvatures(self.maps, phi))
-        # Edge rotations have no other stiffness: the convex form's lower bound must be positive.
-        floor = CONVEX_FLOOR * min(self.law.A11, self.law.A22, 4.0 * self.law.A66)
-        _add_stiffness(q, phi, stress, np.array(tangent), self._corners, self._sign, self.maps,
-                       self.areas, self._barrier, self.pole, floor, slots, exact, convex)
+        _, stress, tangent = self._responses(phi)
+        moments, count = self._moments(stress), len(self.areas)
+        for data, is_convex in ((exact, False), (convex, True)):
+            if not len(data):
+                continue
+            if is_convex:
+                # Edge rotations have no other stiffness: their lower bound must be positive.
+                floor = CONVEX_FLOOR * min(self.law.A11, self.law.A22, 4.0 * self.law.A66)
+                _raise_all(tangent, floor)
+            at_pairs = -0.5 * self._jumps[:, None, None] * tangent[count:]
+            weights = self.areas if is_convex else self._shares
+            at_triangles = weights[:, None, None] * tangent[:count]
+            _add_to_sides(at_triangles.reshape(count, 9), at_pairs.reshape(-1, 9),
+                          np.full(len(at_pairs), -1.0 if is_convex else 1.0), self._pairs)
+            _add_stiffness(q, phi, moments, at_triangles, at_pairs, self._corners, self._sign,
+                           self.maps, self._barrier, self.pole, self._pairs, self._opposite,
+                           slots, data, is_convex)
 
     def allows(self, old: StateVector, new: StateVector) -> bool:
         return _keep_distance(old, new, self._corners, self._normals, self.pole)
@@ -101,29 +157,32 @@ class MidEdgeBending(FusedEnergy):
         """Shape operators of the active triangles."""
         return _curvatures(self.maps, self.angles(q))
 
-    def response(self, curvatures: Curvatures) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Energies (N,), J/m², of the active triangles, and first (N, 3), N, and second (N, 3, 3),
-        N·m, derivatives by their curvatures: all that another plate law overrides."""
-        return bending_law.respond(curvatures, self.origin, self.law, self.variant)
+    def response(
+        self, curvatures: Curvatures, origins: Curvatures
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Energies (P,), J/m², at curvatures (P, 3) and ``origins`` (P, 3) of the hysteresis, and
+        first (P, 3), N, and second (P, 3, 3), N·m, derivatives by the curvatures: all that another
+        plate law overrides."""
+        return bending_law.respond(curvatures, origins, self.law, self.variant)
 
 
-def bending_areas(mesh: Mesh, active: FaceMask, clamped: np.ndarray) -> np.ndarray:
-    """Areas (N,), m², of the active triangles in the bending energy; ``clamped`` (N, 3) are their
-    edges that adjoin held ones.
+def clamp_weights(mesh: Mesh, active: FaceMask, clamped: np.ndarray) -> np.ndarray:
+    """Factors (N,) of the curvatures of the active triangles, whose areas in the bending energy are
+    divided by them; ``clamped`` (N, 3) are their edges that adjoin held ones.
 
     Clamped cloth bends at its edges: half a hinge at the clamp, full hinges behind it, so that the
     slope far from the clamp is the trapezoidal rule's integral of the curvature. The error of that
     rule is h²/12 times the derivative of the curvature at the clamp. Gregory's weights 5/12, 13/12
-    in place of 1/2, 1 cancel it. Weights of a curvature are compliances: triangles on clamped edges
-    get 5/6 of theirs; those that touch the clamp with a corner keep the sum.
+    in place of 1/2, 1 cancel it. Triangles on clamped edges have 5/6 of their area for that; those
+    that touch the clamp with a corner keep the sum.
     """
-    areas = mesh.areas[active].copy()
+    weights, areas = np.ones(active.sum()), mesh.areas[active]
     first, second = rows_at_clamp(mesh, active, clamped)
     if first.any() and second.any():
         shifted = (1 - 1 / CLAMP) * areas[first].sum() / areas[second].sum()
-        areas[first] *= CLAMP
-        areas[second] /= 1 + shifted
-    return areas
+        weights[first] = CLAMP
+        weights[second] = 1 / (1 + shifted)
+    return weights
 
 
 def rows_at_clamp(
@@ -134,6 +193,28 @@ def rows_at_clamp(
     rim[mesh.edges[mesh.face_edges[active][clamped]]] = True
     first = clamped.any(axis=1)
     return first, rim[mesh.faces[active]].any(axis=1) & ~first
+
+
+_PLACES = np.array([[*range(6, 9), *range(6), 12, 13, 14],
+                    [*range(9, 12), *range(3, 6), *range(3), 12, 15, 16]])
+"""Places (2, 12) of the unknowns of the two triangles of a pair among its 17: the coordinates of
+the shared edge's ends and of the corners opposite it, the rotation of that edge, and of the others;
+both triangles begin with their opposite corner."""
+
+
+def _pairs(mesh: Mesh, active: FaceMask) -> tuple[np.ndarray, np.ndarray]:
+    """Active triangles (M, 2) at the edges between two of them, as their numbers among the active
+    ones, and which of their corners is opposite the edge."""
+    beside = mesh.edge_faces
+    inner = np.flatnonzero((beside[:, 1] >= 0) & active[beside].all(axis=1))
+    faces = beside[inner]
+    opposite = (mesh.face_edges[faces] == inner[:, None, None]).argmax(axis=2)
+    return np.cumsum(active)[faces] - 1, opposite
+
+
+def _turned(first: np.ndarray) -> np.ndarray:
+    """Numbers (M, 3) of a triangle's corners from the ``first`` (M,) on."""
+    return (first[:, None] + np.arange(3)) % 3
 
 
 def curvature_maps(mesh: Mesh) -> np.ndarray:
@@ -230,13 +311,39 @@ def _set_levers(q, corners, levers):
 
 
 @numba.njit(inline="always")
-def _moment(maps, area, stress, i):
-    """Derivative of a triangle's plate energy by its angle i, J/rad."""
-    return area * (maps[0, i] * stress[0] + maps[1, i] * stress[1] + maps[2, i] * stress[2])
+def _moment(maps, moments, i):
+    """Derivative of the plate's energy by a triangle's angle i, J/rad."""
+    return maps[0, i] * moments[0] + maps[1, i] * moments[1] + maps[2, i] * moments[2]
 
 
 @_compiled
-def _add_forces(q, phi, stress, corners, sign, maps, areas, barrier, pole, targets, forces):
+def _with_means(values, pairs):
+    """Values (N, 3) of triangles, then the means (M, 3) of pairs."""
+    result = np.empty((len(values) + len(pairs), 3))
+    result[: len(values)] = values
+    for p in range(len(pairs)):
+        for a in range(3):
+            result[len(values) + p, a] = 0.5 * (values[pairs[p, 0], a] + values[pairs[p, 1], a])
+    return result
+
+
+@_compiled
+def _add_to_sides(totals, values, weights, pairs):
+    """Add ``weights`` (M,) times the values (M, K) of pairs to the totals (N, K) of triangles."""
+    for p in range(len(pairs)):
+        for t in pairs[p]:
+            for a in range(values.shape[1]):
+                totals[t, a] += weights[p] * values[p, a]
+
+
+@_compiled
+def _raise_all(tangents, floor):
+    for t in range(len(tangents)):
+        raise_eigenvalues(tangents[t], floor)
+
+
+@_compiled
+def _add_forces(q, phi, moments, corners, sign, maps, barrier, pole, targets, forces):
     """Energy of the barrier; forces of barrier and plate are added."""
     total, levers, moment = 0.0, np.empty((3, 3)), np.empty(3)
     for t in range(len(corners)):
@@ -244,7 +351,7 @@ def _add_forces(q, phi, stress, corners, sign, maps, areas, barrier, pole, targe
         for i in range(3):
             value, slope, _ = fold_barrier.barrier_at(phi[t, i], pole[t, i])
             total += barrier[t, i] * value
-            moment[i] = barrier[t, i] * slope + _moment(maps[t], areas[t], stress[t], i)
+            moment[i] = barrier[t, i] * slope + _moment(maps[t], moments[t], i)
             forces[targets[t, 9 + i]] += moment[i] * sign[t, i]
         for a in range(3):
             force = (moment[0] * levers[0, a] + moment[1] * levers[1, a]
@@ -256,42 +363,47 @@ def _add_forces(q, phi, stress, corners, sign, maps, areas, barrier, pole, targe
 
 @_compiled
 def _add_stiffness(
-    q, phi, stress, tangent, corners, sign, maps, areas, barrier, pole, floor, slots, exact, convex
+    q, phi, moments, tangent, between, corners, sign, maps, barrier, pole, pairs, opposite, slots,
+    data, convex
 ):
     # d²E = K_ij dphi_i dphi_j + m_i d²phi_i: a tangent term, convex if the law is, and an
     # indefinite term of the moments m, which the convex form omits.
-    levers, block = np.empty((3, 3)), np.zeros((12, 12))
-    fold, bends = np.empty(3), np.empty((3, 3, 3))
-    for t in range(len(corners)):
-        unit = _set_levers(q, corners[t], levers)
+    count = len(corners)
+    levers, units = np.empty((count, 3, 3)), np.empty((count, 3))
+    rows, block = np.empty((count, 3, 6)), np.zeros((17, 17))
+    fold, bends = np.empty(3), np.zeros((3, 3, 3))
+    for t in range(count):
+        units[t] = _set_levers(q, corners[t], levers[t])
+        for i in range(3):
+            for a in range(3):
+                rows[t, a, i] = (maps[t, a, 0] * levers[t, 0, i] + maps[t, a, 1] * levers[t, 1, i]
+                                 + maps[t, a, 2] * levers[t, 2, i])
+                rows[t, a, 3 + i] = maps[t, a, i] * sign[t, i]
         bends[:] = 0.0
         for i in range(3):
             _, slope, bend = fold_barrier.barrier_at(phi[t, i], pole[t, i])
             fold[i] = barrier[t, i] * bend
-            if len(exact):
-                moment = barrier[t, i] * slope + _moment(maps[t], areas[t], stress[t], i)
+            if not convex:
+                moment = barrier[t, i] * slope + _moment(maps[t], moments[t], i)
                 edge, arm = _side(q, corners[t], i)
                 dihedral.add_side_bends(edge, arm, moment, ((i + 1) % 3, (i + 2) % 3, i), bends)
-        if len(exact):
-            _fill_block(unit, levers, sign[t], maps[t], areas[t], tangent[t], fold, bends, block)
-            add_block(exact, slots[t], block)
-        if len(convex):
-            bends[:] = 0.0
-            raise_eigenvalues(tangent[t], floor)
-            _fill_block(unit, levers, sign[t], maps[t], areas[t], tangent[t], fold, bends, block)
-            add_block(convex, slots[t], block)
+        _fill_block(units[t], levers[t], sign[t], maps[t], tangent[t], fold, bends, block)
+        add_block(data, slots[t], block)
+    for p in range(len(pairs)):
+        _fill_pair(rows, units, between[p], pairs[p], opposite[p], block)
+        add_block(data, slots[count + p], block)
 
 
 @numba.njit(inline="always")
-def _fill_block(unit, levers, sign, maps, area, tangent, fold, bends, block):
-    """Fill the upper triangle of block (12, 12) with the second derivatives of one element."""
+def _fill_block(unit, levers, sign, maps, tangent, fold, bends, block):
+    """Fill the upper triangle of block (12, 12) with the second derivatives of a triangle."""
     stiffness, turned = np.empty((3, 3)), np.empty((3, 3))
     for i in range(3):
         for j in range(3):
             total = fold[i] if i == j else 0.0
             for a in range(3):
                 for b in range(3):
-                    total += area * maps[a, i] * tangent[a, b] * maps[b, j]
+                    total += maps[a, i] * tangent[a, b] * maps[b, j]
             stiffness[i, j] = total
     for i in range(3):
         for a in range(3):
@@ -311,3 +423,34 @@ def _fill_block(unit, levers, sign, maps, area, tangent, fold, bends, block):
         for i in range(3):
             for k in range(3):
                 block[3 * a + k, 9 + i] = turned[i, a] * sign[i] * unit[k]
+
+
+@numba.njit(inline="always")
+def _fill_pair(rows, units, between, pair, opposite, block):
+    """Fill the upper triangle of block (17, 17) with the second derivatives of a pair by one
+    unknown of each triangle: the curvatures' derivatives by an unknown are a row of ``rows``, by a
+    coordinate times the triangle's normal."""
+    one, other = pair
+    moved, factors = np.empty((3, 6)), np.empty((12, 12))
+    for i in range(6):
+        for a in range(3):
+            moved[a, i] = (between[a, 0] * rows[other, 0, i] + between[a, 1] * rows[other, 1, i]
+                           + between[a, 2] * rows[other, 2, i])
+    for i in range(6):
+        # The triangles' unknowns in the order of _PLACES: from their opposite corner on.
+        first = (i + opposite[0]) % 3 + (3 if i > 2 else 0)
+        for j in range(6):
+            second = (j + opposite[1]) % 3 + (3 if j > 2 else 0)
+            value = (rows[one, 0, first] * moved[0, second] + rows[one, 1, first] * moved[1, second]
+                     + rows[one, 2, first] * moved[2, second])
+            for k in range(3 if i < 3 else 1):
+                left = value * units[one, k] if i < 3 else value
+                for m in range(3 if j < 3 else 1):
+                    factors[3 * i + k if i < 3 else 6 + i, 3 * j + m if j < 3 else 6 + j] = (
+                        left * units[other, m] if j < 3 else left)
+    block[:] = 0.0
+    for i in range(12):
+        u = _PLACES[0, i]
+        for j in range(12):
+            v = _PLACES[1, j]
+            block[min(u, v), max(u, v)] += factors[i, j] if u != v else 2.0 * factors[i, j]
