@@ -103,11 +103,13 @@ class MidEdgeBending(FusedEnergy):
             pairs[:, places[9:]] = rotations[self._pairs[:, [side]], turned]
         return dofs
 
-    def _responses(self, phi: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _responses(
+        self, phi: np.ndarray, tangents: bool
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """:meth:`response` of the N triangles, then at the mean curvatures of the M pairs."""
         both = (_with_means(values, self._pairs) for values in
                 (_curvatures(self.maps, phi), self.origin))
-        return self.response(*both)
+        return self.response(*both, tangents)
 
     def _moments(self, stress: np.ndarray) -> np.ndarray:
         """Derivatives (N, 3), N·m², of the plate's energy by the triangles' curvatures."""
@@ -118,7 +120,7 @@ class MidEdgeBending(FusedEnergy):
 
     def _add_forces(self, q: StateVector, targets: np.ndarray, forces: np.ndarray) -> float:
         phi = self.angles(q)
-        density, stress, _ = self._responses(phi)
+        density, stress, _ = self._responses(phi, False)
         barrier = _add_forces(q, phi, self._moments(stress), self._corners, self._sign, self.maps,
                               self._barrier, self.pole, targets, forces)
         count = len(self.areas)
@@ -128,7 +130,7 @@ class MidEdgeBending(FusedEnergy):
         self, q: StateVector, slots: np.ndarray, exact: np.ndarray, convex: np.ndarray
     ) -> None:
         phi = self.angles(q)
-        _, stress, tangent = self._responses(phi)
+        _, stress, tangent = self._responses(phi, True)
         moments, count = self._moments(stress), len(self.areas)
         for data, is_convex in ((exact, False), (convex, True)):
             if not len(data):
@@ -158,12 +160,12 @@ class MidEdgeBending(FusedEnergy):
         return _curvatures(self.maps, self.angles(q))
 
     def response(
-        self, curvatures: Curvatures, origins: Curvatures
+        self, curvatures: Curvatures, origins: Curvatures, tangents: bool = True
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Energies (P,), J/m², at curvatures (P, 3) and ``origins`` (P, 3) of the hysteresis, and
-        first (P, 3), N, and second (P, 3, 3), N·m, derivatives by the curvatures: all that another
-        plate law overrides."""
-        return bending_law.respond(curvatures, origins, self.law, self.variant)
+        first (P, 3), N, and second (P, 3, 3), N·m, derivatives by the curvatures, the second only
+        with ``tangents``: all that another plate law overrides."""
+        return bending_law.respond(curvatures, origins, self.law, self.variant, tangents)
 
 
 def clamp_weights(mesh: Mesh, active: FaceMask, clamped: np.ndarray) -> np.ndarray:
