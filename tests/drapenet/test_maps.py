@@ -128,11 +128,11 @@ def test_moves_are_the_derivatives_of_a_stored_drape(stored):
     for stored_move, move in zip(kept, found, strict=True):
         assert np.linalg.norm(move - stored_move) < 0.02 * np.linalg.norm(stored_move)
     bias = replace(FABRIC, alpha=FABRIC.alpha * [1.0, 1.01, 1.0])
-    taut = Nuisances(membrane=306.0, shear=0.5).laws.membrane
+    taut = Nuisances(membrane=301.5, shear=0.5).laws.membrane
     for fabric, laws, predicted in (
         (bias, one.laws,
          found[1] * np.log(1.01) - found[4] * 50e-9 / 20e-6 * (1 / 1.01 - 1)),
-        (FABRIC, replace(one.laws, membrane=taut), found[6] * np.log(1.02)),
+        (FABRIC, replace(one.laws, membrane=taut), found[6] * np.log(1.005)),
     ):
         moved = follow(one, fabric, laws=laws).positions - one.positions
         assert np.linalg.norm(predicted - moved) < 0.1 * np.linalg.norm(moved)
