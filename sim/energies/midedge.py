@@ -63,8 +63,13 @@ class MidEdgeBending(FusedEnergy):
         coordinates = 3 * len(mesh.rest)
         self._normals = coordinates + 3 * edges
         self._corners = (3 * faces[:, :, None] + np.arange(3)).reshape(-1, 9)
-        self._pairs, self._opposite = _pairs(mesh, active)
-        self.dofs = self._unknowns(coordinates + edges)
+        self._pairs, self._places = _pairs(mesh, active)
+        own, count = np.concatenate([self._corners, coordinates + edges], axis=1), len(faces)
+        self.dofs = np.full((count + len(self._pairs), 17), -1)
+        self.dofs[:count, :12] = own
+        for side in (0, 1):
+            rows = np.arange(count, len(self.dofs))[:, None]
+            self.dofs[rows, self._places[:, side]] = own[self._pairs[:, side]]
         # Rotations are about mesh.edges, directed from the smaller vertex index to the larger.
         forward = np.roll(faces, -1, axis=1) < np.roll(faces, -2, axis=1)
         self._sign = np.where(forward, 1.0, -1.0)
@@ -90,18 +95,6 @@ class MidEdgeBending(FusedEnergy):
         other = copy.copy(self)
         other._set_fabric(fabric)
         return other
-
-    def _unknowns(self, rotations: np.ndarray) -> np.ndarray:
-        """:attr:`dofs` from the rotations' unknowns (N, 3) at the triangles."""
-        dofs = np.full((len(rotations) + len(self._pairs), 17), -1)
-        dofs[: len(rotations), :12] = np.concatenate([self._corners, rotations], axis=1)
-        pairs = dofs[len(rotations):]
-        for side, places in enumerate(_PLACES):
-            turned = _turned(self._opposite[:, side])
-            corners = self._corners.reshape(-1, 3, 3)[self._pairs[:, [side]], turned]
-            pairs[:, places[:9]] = corners.reshape(-1, 9)
-            pairs[:, places[9:]] = rotations[self._pairs[:, [side]], turned]
-        return dofs
 
     def _responses(
         self, phi: np.ndarray, tangents: bool
@@ -145,7 +138,7 @@ class MidEdgeBending(FusedEnergy):
             _add_to_sides(at_triangles.reshape(count, 9), at_pairs.reshape(-1, 9),
                           np.full(len(at_pairs), -1.0 if is_convex else 1.0), self._pairs)
             _add_stiffness(q, phi, moments, at_triangles, at_pairs, self._corners, self._sign,
-                           self.maps, self._barrier, self.pole, self._pairs, self._opposite,
+                           self.maps, self._barrier, self.pole, self._pairs, self._places,
                            slots, data, is_convex)
 
     def allows(self, old: StateVector, new: StateVector) -> bool:
@@ -197,26 +190,20 @@ def rows_at_clamp(
     return first, rim[mesh.faces[active]].any(axis=1) & ~first
 
 
-_PLACES = np.array([[*range(6, 9), *range(6), 12, 13, 14],
-                    [*range(9, 12), *range(3, 6), *range(3), 12, 15, 16]])
-"""Places (2, 12) of the unknowns of the two triangles of a pair among its 17: the coordinates of
-the shared edge's ends and of the corners opposite it, the rotation of that edge, and of the others;
-both triangles begin with their opposite corner."""
-
-
 def _pairs(mesh: Mesh, active: FaceMask) -> tuple[np.ndarray, np.ndarray]:
     """Active triangles (M, 2) at the edges between two of them, as their numbers among the active
-    ones, and which of their corners is opposite the edge."""
-    beside = mesh.edge_faces
-    inner = np.flatnonzero((beside[:, 1] >= 0) & active[beside].all(axis=1))
-    faces = beside[inner]
+    ones, and the places (M, 2, 12) of their unknowns among the pair's 17: the coordinates of the
+    edge's ends and of the corners opposite it, the rotation of the edge, and those of the others.
+    """
+    inner = np.flatnonzero((mesh.edge_faces[:, 1] >= 0) & active[mesh.edge_faces].all(axis=1))
+    faces = mesh.edge_faces[inner]
     opposite = (mesh.face_edges[faces] == inner[:, None, None]).argmax(axis=2)
-    return np.cumsum(active)[faces] - 1, opposite
-
-
-def _turned(first: np.ndarray) -> np.ndarray:
-    """Numbers (M, 3) of a triangle's corners from the ``first`` (M,) on."""
-    return (first[:, None] + np.arange(3)) % 3
+    after = (np.arange(3) - opposite[:, :, None]) % 3  # from the opposite corner on
+    corners = np.array([[2, 0, 1], [3, 1, 0]])[[[[0]], [[1]]], after.swapaxes(0, 1)]
+    edges = np.array([[12, 13, 14], [12, 15, 16]])[[[[0]], [[1]]], after.swapaxes(0, 1)]
+    coordinates = (3 * corners[..., None] + np.arange(3)).reshape(2, -1, 9)
+    places = np.concatenate([coordinates, edges], axis=2).swapaxes(0, 1)
+    return np.cumsum(active)[faces] - 1, np.ascontiguousarray(places)
 
 
 def curvature_maps(mesh: Mesh) -> np.ndarray:
@@ -303,12 +290,8 @@ def _set_levers(q, corners, levers):
     double_area = np.sqrt(_dot(across, across))
     for i in range(3):
         edge, arm = _side(q, corners, i)
-        square = _dot(edge, edge)
-        share = _dot(arm, edge) / square  # of the foot of the height
-        slope = -np.sqrt(square) / double_area  # 1/height
-        levers[i, i] = slope
-        levers[i, (i + 2) % 3] = -share * slope
-        levers[i, (i + 1) % 3] = (share - 1.0) * slope
+        levers[i, (i + 1) % 3], levers[i, (i + 2) % 3], levers[i, i] = dihedral.side_levers(
+            edge, arm, double_area)
     return across[0] / double_area, across[1] / double_area, across[2] / double_area
 
 
@@ -365,94 +348,85 @@ def _add_forces(q, phi, moments, corners, sign, maps, barrier, pole, targets, fo
 
 @_compiled
 def _add_stiffness(
-    q, phi, moments, tangent, between, corners, sign, maps, barrier, pole, pairs, opposite, slots,
+    q, phi, moments, tangent, between, corners, sign, maps, barrier, pole, pairs, places, slots,
     data, convex
 ):
     # d²E = K_ij dphi_i dphi_j + m_i d²phi_i: a tangent term, convex if the law is, and an
     # indefinite term of the moments m, which the convex form omits.
-    count = len(corners)
-    levers, units = np.empty((count, 3, 3)), np.empty((count, 3))
-    rows, block = np.empty((count, 3, 6)), np.zeros((17, 17))
-    fold, bends = np.empty(3), np.zeros((3, 3, 3))
+    count, levers, stiffness = len(corners), np.empty((3, 3)), np.empty((3, 3))
+    # Derivatives of the angles by each corner along the normal, and by the edges' rotations
+    turns, units = np.zeros((count, 3, 6)), np.empty((count, 3))
+    bends, factors, block = np.zeros((3, 3, 3)), np.empty((12, 12)), np.zeros((17, 17))
     for t in range(count):
-        units[t] = _set_levers(q, corners[t], levers[t])
-        for i in range(3):
-            for a in range(3):
-                rows[t, a, i] = (maps[t, a, 0] * levers[t, 0, i] + maps[t, a, 1] * levers[t, 1, i]
-                                 + maps[t, a, 2] * levers[t, 2, i])
-                rows[t, a, 3 + i] = maps[t, a, i] * sign[t, i]
+        units[t] = _set_levers(q, corners[t], levers)
+        _between_angles(maps[t], tangent[t], maps[t], stiffness)
         bends[:] = 0.0
         for i in range(3):
+            turns[t, i, :3] = levers[i]
+            turns[t, i, 3 + i] = sign[t, i]
             _, slope, bend = fold_barrier.barrier_at(phi[t, i], pole[t, i])
-            fold[i] = barrier[t, i] * bend
+            stiffness[i, i] += barrier[t, i] * bend
             if not convex:
                 moment = barrier[t, i] * slope + _moment(maps[t], moments[t], i)
                 edge, arm = _side(q, corners[t], i)
                 dihedral.add_side_bends(edge, arm, moment, ((i + 1) % 3, (i + 2) % 3, i), bends)
-        _fill_block(units[t], levers[t], sign[t], maps[t], tangent[t], fold, bends, block)
+        _fill_factors(turns[t], stiffness, turns[t], units[t], units[t], factors)
+        block[:12, :12] = factors
+        for a in range(3):
+            for b in range(a, 3):
+                for k in range(3):
+                    for m in range(3):
+                        block[3 * a + k, 3 * b + m] += (
+                            units[t, k] * bends[a, b, m] + bends[b, a, k] * units[t, m])
         add_block(data, slots[t], block)
     for p in range(len(pairs)):
-        _fill_pair(rows, units, between[p], pairs[p], opposite[p], block)
-        add_block(data, slots[count + p], block)
+        one, other = pairs[p]
+        _between_angles(maps[one], between[p], maps[other], stiffness)
+        _fill_factors(turns[one], stiffness, turns[other], units[one], units[other], factors)
+        for i in range(12):
+            u = places[p, 0, i]
+            for j in range(12):
+                v = places[p, 1, j]
+                first = min(u, v)
+                slot = slots[count + p, first * (33 - first) // 2 + max(u, v)]
+                if slot >= 0:
+                    data[slot] += factors[i, j] if u != v else 2.0 * factors[i, j]
 
 
 @numba.njit(inline="always")
-def _fill_block(unit, levers, sign, maps, tangent, fold, bends, block):
-    """Fill the upper triangle of block (12, 12) with the second derivatives of a triangle."""
-    stiffness, turned = np.empty((3, 3)), np.empty((3, 3))
+def _between_angles(left, tangent, right, stiffness):
+    """Fill stiffness (3, 3) by two triangles' angles with a tangent (3, 3) by their curvatures."""
     for i in range(3):
         for j in range(3):
-            total = fold[i] if i == j else 0.0
+            total = 0.0
             for a in range(3):
                 for b in range(3):
-                    total += maps[a, i] * tangent[a, b] * maps[b, j]
+                    total += left[a, i] * tangent[a, b] * right[b, j]
             stiffness[i, j] = total
-    for i in range(3):
-        for a in range(3):
-            turned[i, a] = (stiffness[i, 0] * levers[0, a] + stiffness[i, 1] * levers[1, a]
-                            + stiffness[i, 2] * levers[2, a])
-        for j in range(i, 3):
-            block[9 + i, 9 + j] = stiffness[i, j] * sign[i] * sign[j]
-    for a in range(3):
-        for b in range(a, 3):
-            half = 0.5 * (levers[0, a] * turned[0, b] + levers[1, a] * turned[1, b]
-                          + levers[2, a] * turned[2, b])
-            for k in range(3):
-                for m in range(3):
-                    block[3 * a + k, 3 * b + m] = (
-                        unit[k] * (bends[a, b, m] + half * unit[m])
-                        + (bends[b, a, k] + half * unit[k]) * unit[m])
-        for i in range(3):
-            for k in range(3):
-                block[3 * a + k, 9 + i] = turned[i, a] * sign[i] * unit[k]
 
 
 @numba.njit(inline="always")
-def _fill_pair(rows, units, between, pair, opposite, block):
-    """Fill the upper triangle of block (17, 17) with the second derivatives of a pair by one
-    unknown of each triangle: the curvatures' derivatives by an unknown are a row of ``rows``, by a
-    coordinate times the triangle's normal."""
-    one, other = pair
-    moved, factors = np.empty((3, 6)), np.empty((12, 12))
+def _fill_factors(left, stiffness, right, one, other, factors):
+    """Fill factors (12, 12) with second derivatives by the unknowns of two triangles with the
+    normals ``one`` and ``other``, of the ``stiffness`` between their angles."""
     for i in range(6):
-        for a in range(3):
-            moved[a, i] = (between[a, 0] * rows[other, 0, i] + between[a, 1] * rows[other, 1, i]
-                           + between[a, 2] * rows[other, 2, i])
-    for i in range(6):
-        # The triangles' unknowns in the order of _PLACES: from their opposite corner on.
-        first = (i + opposite[0]) % 3 + (3 if i > 2 else 0)
+        along = (left[0, i] * stiffness[0, 0] + left[1, i] * stiffness[1, 0]
+                 + left[2, i] * stiffness[2, 0],
+                 left[0, i] * stiffness[0, 1] + left[1, i] * stiffness[1, 1]
+                 + left[2, i] * stiffness[2, 1],
+                 left[0, i] * stiffness[0, 2] + left[1, i] * stiffness[1, 2]
+                 + left[2, i] * stiffness[2, 2])
         for j in range(6):
-            second = (j + opposite[1]) % 3 + (3 if j > 2 else 0)
-            value = (rows[one, 0, first] * moved[0, second] + rows[one, 1, first] * moved[1, second]
-                     + rows[one, 2, first] * moved[2, second])
-            for k in range(3 if i < 3 else 1):
-                left = value * units[one, k] if i < 3 else value
-                for m in range(3 if j < 3 else 1):
-                    factors[3 * i + k if i < 3 else 6 + i, 3 * j + m if j < 3 else 6 + j] = (
-                        left * units[other, m] if j < 3 else left)
-    block[:] = 0.0
-    for i in range(12):
-        u = _PLACES[0, i]
-        for j in range(12):
-            v = _PLACES[1, j]
-            block[min(u, v), max(u, v)] += factors[i, j] if u != v else 2.0 * factors[i, j]
+            value = along[0] * right[0, j] + along[1] * right[1, j] + along[2] * right[2, j]
+            if i < 3 and j < 3:
+                for k in range(3):
+                    for m in range(3):
+                        factors[3 * i + k, 3 * j + m] = value * one[k] * other[m]
+            elif i < 3:
+                for k in range(3):
+                    factors[3 * i + k, 6 + j] = value * one[k]
+            elif j < 3:
+                for m in range(3):
+                    factors[6 + i, 3 * j + m] = value * other[m]
+            else:
+                factors[6 + i, 6 + j] = value
