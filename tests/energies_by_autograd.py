@@ -13,7 +13,7 @@ from sim.cloth import Cloth
 from sim.energies.bending_law import PlateConstants, constants
 from sim.energies.external import DEPTH
 from sim.energies.fold_barrier import LIMIT_START
-from sim.energies.midedge import CLAMP, JUMP, rows_at_clamp
+from sim.energies.midedge import CLAMP, rows_at_clamp
 from sim.rig import RIM
 
 
@@ -121,7 +121,7 @@ class ReferenceEnergy:
         one, other = curvatures[self._pairs].unbind(1)
         means = plate_density((one + other) / 2, self.law)
         mean = (plate_density(one, self.law) + plate_density(other, self.law)) / 2
-        return JUMP * (areas[self._pairs].sum(1) / 3 * (mean - means)).sum()
+        return (areas[self._pairs].sum(1) / 3 * (mean - means)).sum()
 
     def _fold_barrier(self, angles: Tensor) -> Tensor:
         """(N, 3) the barrier of :mod:`sim.energies.fold_barrier` per unit of its scale."""

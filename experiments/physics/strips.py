@@ -16,13 +16,13 @@ from experiments.physics.guides import guided
 from experiments.result import Config, Result, run_cases
 from sim.cantilever import aspect_ratio, gamma_of_aspect_ratio, hang, heavy_elastica
 from sim.cantilever.elastica import strip_shape
-from sim.cantilever.strip import HungStrip, bending_length
+from sim.cantilever.strip import HungStrip
 from sim.cloth import Laws
 from sim.energies import bending_law
 from sim.energies.hinges import modulus_along
 from sim.energies.membrane import Corotational
 from sim.equilibrium import find_equilibrium
-from sim.material import MICRO, REFERENCE_DENSITY, Fabric, plate_constants
+from sim.material import MICRO, REFERENCE_DENSITY, Fabric, bending_length, plate_constants
 from sim.mesh import Mesh, choose_diagonals, grid_faces, grid_points
 from sim.rig import GRAVITY
 from sim.scene import Scene

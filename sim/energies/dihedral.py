@@ -38,8 +38,8 @@ def side_levers(edge, arm, double_area):
 def add_side_bends(edge, arm, weight, order, bends):
     """Add ``weight`` times the second derivatives of the rotation of :func:`side_levers`.
 
-    ``order`` (3,) places start, end and corner in ``bends`` (P, P, 3): with n the unit normal, the second
-    derivatives by two points p and r are n w_pr^T + w_rp n^T with the vectors w of the plane.
+    ``order`` (3,) places start, end and corner in ``bends`` (P, P, 3): with n the unit normal, the
+    second derivatives by two points p and r are n w_pr^T + w_rp n^T with vectors w of the plane.
 
     With u along the edge of length l, m from the edge to the corner at the height d, and t the foot
     of that height on the edge, the gradient at the corner is g = -n/d, and those at end and start

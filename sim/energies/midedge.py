@@ -40,9 +40,6 @@ from sim.solver.linear import add_block
 
 _compiled = numba.njit(cache=True, error_model="numpy")
 CONVEX_FLOOR = 0.1  # minimum tangent stiffness of the convex Hessian, relative to that at rest
-JUMP = 1.0
-"""Energy of the jumps of curvature, relative to the difference between mean energy and energy of
-the mean."""
 CLAMP = 6 / 5
 """Factor of the curvature of triangles at clamped edges (:func:`clamp_weights`)."""
 
@@ -75,7 +72,7 @@ class MidEdgeBending(FusedEnergy):
         self._sign = np.where(forward, 1.0, -1.0)
         weights = clamp_weights(mesh, active, clamped)
         self.areas = mesh.areas[active] / weights
-        self._jumps = JUMP / 2 * self.areas[self._pairs].sum(axis=1) / 3
+        self._jumps = self.areas[self._pairs].sum(axis=1) / 6
         self._shares = self.areas + np.bincount(
             self._pairs.ravel(), np.repeat(self._jumps, 2), minlength=len(faces))
         self.maps = weights[:, None, None] * curvature_maps(mesh)[active]
@@ -131,10 +128,10 @@ class MidEdgeBending(FusedEnergy):
             if is_convex:
                 # Edge rotations have no other stiffness: their lower bound must be positive.
                 floor = CONVEX_FLOOR * min(self.law.A11, self.law.A22, 4.0 * self.law.A66)
-                _raise_all(tangent, floor)
+                raise_eigenvalues(tangent, floor)
             at_pairs = -0.5 * self._jumps[:, None, None] * tangent[count:]
-            weights = self.areas if is_convex else self._shares
-            at_triangles = weights[:, None, None] * tangent[:count]
+            at_triangles = tangent[:count] * (
+                self.areas if is_convex else self._shares)[:, None, None]
             _add_to_sides(at_triangles.reshape(count, 9), at_pairs.reshape(-1, 9),
                           np.full(len(at_pairs), -1.0 if is_convex else 1.0), self._pairs)
             _add_stiffness(q, phi, moments, at_triangles, at_pairs, self._corners, self._sign,
@@ -319,12 +316,6 @@ def _add_to_sides(totals, values, weights, pairs):
         for t in pairs[p]:
             for a in range(values.shape[1]):
                 totals[t, a] += weights[p] * values[p, a]
-
-
-@_compiled
-def _raise_all(tangents, floor):
-    for t in range(len(tangents)):
-        raise_eigenvalues(tangents[t], floor)
 
 
 @_compiled

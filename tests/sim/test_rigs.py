@@ -274,6 +274,9 @@ def test_softer_cloth_gets_a_finer_mesh_whatever_its_density():
     assert 4 * 0.005 <= (30e-6 / (0.3 * 9.81)) ** (1 / 3) < 4 * 0.006
     assert default_edge(isotropic(30).at_density(0.1), Rig()) == 0.005
     assert default_edge(isotropic(30), HUNG_SQUARE) == pytest.approx(0.020)
+    narrow = Rig((0.14, 0.14), 0.1)
+    assert default_edge(isotropic(1000), narrow, offset=(0.012, 0.0)) == 0.004
+    assert default_edge(isotropic(1000), narrow, offset=(0.0, 0.017)) == pytest.approx(0.0015)
 
 
 def test_levels_grow_finer_by_one_factor_and_start_where_they_may():
