@@ -161,7 +161,7 @@ GRADING = 4.0
 MAX_EDGE = 0.020
 """Maximum edge length, m, so that coarse meshes resolve the folds of a start."""
 DEFAULT_EDGES = (2e-3, 2.5e-3, 3e-3, 4e-3, 5e-3, 6e-3)  # m, see :func:`default_edge`
-EDGES_PER_LENGTH = 4
+EDGES_PER_LENGTH = 5
 _REFINEMENT = 2.5  # ratio of edge lengths of successive meshes of a drape
 MAX_COARSE_EDGE = 0.013
 """Maximum edge length at the rim, m, of the first mesh of a drape."""
