@@ -261,15 +261,7 @@ def run(config: Config) -> Result:
            for r in parts["angled"] if "modulus" in r["guided"]]
     plates = {kind: [(r["cells"], r["error"]) for r in parts["plate"] if r["kind"] == kind]
               for kind in PLATES}
-    rates = {kind: fitted_rate(pairs) for kind, pairs in plates.items()}
-    return Result({"nonlinear": bent, "angled": cut, "plates": plates, "plate_rates": rates},
-                  draw(bent, cut, plates))
-
-
-def fitted_rate(pairs: list[tuple[int, float]]) -> float:
-    """Exponent p of error ~ cells^-p, least squares over all meshes."""
-    cells, error = np.array(pairs).T
-    return float(-np.polyfit(np.log(cells), np.log(np.abs(error)), 1)[0])
+    return Result({"nonlinear": bent, "angled": cut, "plates": plates}, draw(bent, cut, plates))
 
 
 def draw(bent: list[dict], cut: list[dict], plates: dict) -> Figure:
