@@ -36,9 +36,9 @@ CLEAN = replace(Setups.load(), views=(0.0, 0.0, 0.0, 1.0), sensors={"smooth": 1.
 @pytest.fixture(scope="module")
 def sound() -> SyntheticCapture:
     # Lowered squares of this fabric are too symmetric to show that the table was reversed.
-    shape = drape(FABRIC, edge=6e-3, seed=3, start="sine")
+    shape = drape(FABRIC, edge=6e-3, seed=4, start="sine")
     assert shape.converged
-    return CLEAN.capture(shape.positions, shape.faces, np.random.default_rng(5),
+    return CLEAN.capture(shape.positions, shape.faces, np.random.default_rng(6),
                          rig=RIG)
 
 
@@ -137,8 +137,8 @@ def test_a_tester_of_another_size_is_refused(sound, stated, said):
 
 
 def test_a_specimen_off_the_axis_is_measured():
-    shape = drape(FABRIC, edge=6e-3, seed=3, offset=(0.016, -0.012))
-    seen = CLEAN.capture(shape.positions, shape.faces, np.random.default_rng(5),
+    shape = drape(FABRIC, edge=6e-3, seed=4, offset=(0.016, -0.012))
+    seen = CLEAN.capture(shape.positions, shape.faces, np.random.default_rng(6),
                          rig=RIG)
     measured = quality(seen)
     assert measured.offset == pytest.approx(0.02, abs=4e-3)
