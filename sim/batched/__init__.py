@@ -1,0 +1,1 @@
+"""Many drapes at once on an accelerator, in PyTorch: :func:`sim.batched.drapes.drape_batch`."""
