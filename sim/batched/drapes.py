@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from sim.batched.newton import Outcome, minimise
-from sim.batched.potential import BatchedPotential, state
+from sim.batched.potential import BatchedPotential
 from sim.cloth import Cloth, Laws
 from sim.drape import (
     _EDGES_OF_LIMP,
@@ -140,7 +140,7 @@ def _settled(
             held = np.flatnonzero(scenes[0].held)
             x[:, held] = _columns([run.rig.place(scene.mesh.rest[held])
                                    for run, scene in zip(runs, scenes, strict=True)]).to(x)
-        n, before = state(mesh, scenes[0].active, x), mesh
+        n, before = potential.normals(x), mesh
         outcomes.append(minimise(potential, x, n, runs[0].options if last else COARSE_OPTIONS))
         x = outcomes[-1].x
     found = [_found(k, run, scenes[-1], outcomes) for k, (run, scenes) in
@@ -177,8 +177,8 @@ def _lowered(
         speeds.append(np.exp(rng.uniform(*np.log(SPEEDS))) * overhang / times[-1])
         height = waves(rest, run.rig, rng, amplitude=_WAVINESS) * ~scene.held[:, None]
         flat.append(np.column_stack([rest, np.zeros(len(rest))]) + height)
-    x = _columns(flat).to(potential.device)
-    n = state(scenes[0].mesh, scenes[0].active, x)
+    x = _columns(flat).to(potential.free.device)
+    n = potential.normals(x)
     speed, unit = (torch.from_numpy(np.array(values)).to(x) for values in (speeds, times))
     free = torch.from_numpy(~scenes[0].held).to(x)[:, None]
     weights, step = potential.own["weights"], STEP * unit

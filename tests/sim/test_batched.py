@@ -6,7 +6,7 @@ import torch
 
 from sim.batched.drapes import _lowered, covers, drape_batch
 from sim.batched.newton import minimise
-from sim.batched.potential import BatchedPotential, state
+from sim.batched.potential import BatchedPotential
 from sim.cloth import Cloth, Laws
 from sim.drape import COARSE_MEMBRANE, _Run, drape
 from sim.energies.fold_barrier import is_bent
@@ -46,7 +46,8 @@ def crumpled():
         start = scene.state(x + rng.normal(0, size, x.shape) * free[:, None])
         states.append((start, turns, cloth.potential.moved(start.q, turns)))
     x = columns([start.positions for start, _, _ in states])
-    batch, n = BatchedPotential(cloths), state(mesh, scene.active, x)
+    batch = BatchedPotential(cloths)
+    n = batch.normals(x)
     assert torch.allclose(n, columns([start.normals for start, _, _ in states]), atol=1e-12)
     moved = batch.moved(x, n, torch.from_numpy(np.stack([turns for _, turns, _ in states], 1)))
     return cloths, [q for _, _, q in states], batch, moved
@@ -98,7 +99,7 @@ def test_drapes_converge_to_the_minima_of_one_and_a_failure_stays_alone():
              for one in near]
     x = columns([start[0], np.full_like(start[0], np.nan), start[1]])
     batch = BatchedPotential([Cloth(scene, FABRICS[k]) for k in (1, 0, 2)])
-    found = minimise(batch, x, state(scene.mesh, scene.active, x), EXACT)
+    found = minimise(batch, x, batch.normals(x), EXACT)
     assert [one.status for one in found.results] == [
         Status.CONVERGED, Status.NOT_FINITE, Status.CONVERGED]
     for k, one in ((0, near[0]), (2, near[1])):
