@@ -1,0 +1,222 @@
+"""Measure batches of drapes on an accelerator, and compare some with the CPU's:
+
+    python tools/gpu_drapes.py prepare FILE            # fabrics of the prior, minima of the CPU
+    python tools/gpu_drapes.py run FILE [--device cuda] [--count 256] [--out DIR]
+
+``run`` writes ``gpu_drapes.json`` and the drapes' positions, ``drapes.npz``, to DIR or $OUT. It
+needs PyTorch, NumPy, SciPy, Numba and tqdm only. Without ipctk, self-intersections are not looked
+for; ``check FILE DIR`` looks for them later.
+"""
+
+import argparse
+import json
+import os
+import sys
+import time
+import types
+from collections import Counter, defaultdict
+from collections.abc import Callable
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+if find_spec("threadpoolctl") is None:  # which only limits threads
+    stand_in = types.ModuleType("threadpoolctl")
+    stand_in.threadpool_limits = types.SimpleNamespace(wrap=lambda **_: lambda function: function)
+    sys.modules["threadpoolctl"] = stand_in
+
+import torch
+
+from sim.batched import drapes as batched
+from sim.batched import newton
+from sim.batched.potential import BatchedPotential
+from sim.batched.solver import BatchedSolver
+from sim.cloth import Cloth
+from sim.material import Fabric
+from sim.mesh.specimen import TOPOLOGIES
+from sim.rig import DISC_RIG, SQUARE_RIG
+from sim.scene import make_specimen
+from sim.solver.newton import NewtonOptions
+
+RIGS = (DISC_RIG, SQUARE_RIG)
+EDGE = 6e-3  # m
+TIGHT = NewtonOptions(residual=1e-7, step=1e-5, max_iterations=100)
+SEED, FABRICS, NEAR = 77, 256, 8
+BESIDE = 1e-4  # m, deviation of a start from its minimum
+
+
+def prepare(file: Path, count: int, near: int) -> None:
+    """Fabrics of the prior, and the minima of the first few on each rig, found on the CPU."""
+    from data.dataset.plan import Stream, stream
+    from data.fabrics.fabrics import from_theta
+    from data.fabrics.prior import load_prior, sample_admissible
+    from sim.drape import drape, follow
+
+    prior = load_prior("gaussian")
+    thetas = [sample_admissible(prior, stream(SEED, Stream.FABRIC, k))[0] for k in range(count)]
+    alpha, beta = from_theta(np.array(thetas))
+    arrays = {"alpha": alpha, "beta": beta}
+    for rig in RIGS:
+        found, began = [], time.process_time()
+        for k in range(near):
+            fabric = Fabric(alpha[k], beta[k])
+            one = drape(fabric, rig=rig, edge=EDGE, seed=k * TOPOLOGIES)
+            found.append(follow(one, fabric, options=TIGHT))
+        arrays[rig.name] = np.array([one.positions for one in found])
+        print(rig.name, Counter(one.status.value for one in found),
+              f"{(time.process_time() - began) / near:.2f} CPU-seconds a drape")
+    np.savez_compressed(file, **arrays)
+
+
+class Clock:
+    """Seconds and calls of parts of a program; on a device each part is waited for."""
+
+    def __init__(self, device: str) -> None:
+        self.seconds, self.calls = defaultdict(float), Counter()
+        self.device = device
+
+    def watch(self, owner: object, attribute: str, name: Callable[..., str] | str) -> Callable:
+        """Replace a function by one that is timed; the function."""
+        function = getattr(owner, attribute)
+
+        def timed(*args: object, **options: object) -> object:
+            key = name(*args) if callable(name) else name
+            self.wait()
+            began = time.perf_counter()
+            try:
+                return function(*args, **options)
+            finally:
+                self.wait()
+                self.seconds[key] += time.perf_counter() - began
+                self.calls[key] += 1
+
+        setattr(owner, attribute, timed)
+        return function
+
+    def wait(self) -> None:
+        """Until the device has done its work."""
+        if self.device != "cpu":
+            torch.cuda.synchronize()
+
+    def table(self) -> dict[str, tuple[float, int]]:
+        """Seconds and calls by name."""
+        return {key: (round(self.seconds[key], 3), self.calls[key]) for key in self.seconds}
+
+
+STAGES = ((batched, "_lowered", "lowering"), (batched, "BatchedPotential", "potentials"),
+          (batched, "_prolonged", "prolongation"), (batched, "_found", "results"),
+          (batched, "minimise", lambda p, *_: f"minimise {p.unknowns}"))
+PARTS = ((BatchedPotential, "evaluate", "evaluate"), (BatchedPotential, "hessian", "hessian"),
+         (BatchedPotential, "moved", "move"), (BatchedSolver, "factorise", "factorise"),
+         (BatchedSolver, "solve", "solve"), (newton._Minimisation, "iterate", "iterations"))
+
+
+@contextmanager
+def watched(clock: Clock, places: tuple):
+    """The functions at ``places`` timed by the ``clock``."""
+    kept = [(owner, attribute, clock.watch(owner, attribute, name))
+            for owner, attribute, name in places]
+    try:
+        yield
+    finally:
+        for owner, attribute, function in kept:
+            setattr(owner, attribute, function)
+
+
+def measure(rig, fabrics: list[Fabric], device: str) -> tuple[dict, np.ndarray]:
+    """Speed of a batch, by stage, then by part of an iteration; its positions."""
+    plans = [{"fabric": fabric, "rig": rig, "edge": EDGE, "seed": k * TOPOLOGIES}
+             for k, fabric in enumerate(fabrics)]
+    report = {}
+    for kind, places in (("stages", STAGES), ("parts", PARTS)):
+        if device != "cpu":
+            torch.cuda.reset_peak_memory_stats()
+        clock, began = Clock(device), time.perf_counter()
+        with watched(clock, places):
+            drapes = batched.drape_batch(plans, device)
+        seconds = time.perf_counter() - began
+        report[kind] = {"seconds": round(seconds, 2), "drapes_per_s": round(
+            sum(one.converged for one in drapes) / seconds, 2), "of": clock.table()}
+        if device != "cpu":
+            report[kind]["peak_GB"] = round(torch.cuda.max_memory_allocated() / 1e9, 2)
+    iterations = np.array([one.iterations for one in drapes])
+    report |= {
+        "drapes": len(drapes), "verified": sum(one.converged for one in drapes),
+        "statuses": Counter(one.status.value for one in drapes),
+        "coarse": Counter("/".join(status.value for status in one.coarse) for one in drapes),
+        "iterations": np.percentile(iterations, (0, 50, 90, 100)).tolist(),
+        "worst_residual": max(one.outcome.residual for one in drapes if one.converged)}
+    return report, np.array([one.positions for one in drapes], np.float32)
+
+
+def compare(rig, fabrics: list[Fabric], minima: np.ndarray, device: str) -> dict:
+    """Distances, m, of minima found from beside those of the CPU."""
+    scene, rng = make_specimen(rig, edge=EDGE), np.random.default_rng(0)
+    potential = BatchedPotential([Cloth(scene, fabric) for fabric in fabrics[: len(minima)]],
+                                 device)
+    start = minima + rng.normal(0, BESIDE, minima.shape) * ~scene.held[:, None]
+    x = batched._columns(list(start)).to(potential.free.device)
+    found = newton.minimise(potential, x, potential.normals(x), TIGHT)
+    distance = np.abs(found.x.cpu().numpy().transpose(2, 1, 0) - minima).max(axis=(1, 2))
+    return {"distances": distance.tolist(),
+            "statuses": [one.status.value for one in found.results]}
+
+
+def run(file: Path, device: str, count: int, out: Path) -> None:
+    """All measurements; the first, of few drapes, is to warm up."""
+    intersections = find_spec("ipctk") is not None
+    if not intersections:
+        batched.self_intersections = lambda *_: ()
+    data = np.load(file)
+    fabrics = [Fabric(*moduli) for moduli in zip(data["alpha"], data["beta"], strict=True)]
+    report = {"torch": torch.__version__, "device": device if device == "cpu" else
+              torch.cuda.get_device_name(), "intersections_checked": intersections}
+    print(report, flush=True)
+    positions = {}
+    for rig in RIGS:
+        began = time.perf_counter()
+        comparison = compare(rig, fabrics, data[rig.name], device)
+        if device != "cpu":
+            batched.drape_batch([{"fabric": fabric, "rig": rig, "edge": EDGE, "seed": 0}
+                                 for fabric in fabrics[:2]], device)
+        warm_up = time.perf_counter() - began
+        measured, positions[rig.name] = measure(rig, fabrics[:count], device)
+        report[rig.name] = {"warm_up_s": round(warm_up, 2), "beside": comparison} | measured
+        print(rig.name, json.dumps(report[rig.name], indent=1), flush=True)
+        (out / "gpu_drapes.json").write_text(json.dumps(report, indent=1))
+        np.savez_compressed(out / "drapes.npz", **positions)
+
+
+def check(out: Path) -> None:
+    """Numbers of drapes that intersect themselves."""
+    from sim.energies.self_contact import self_intersections
+
+    for rig in RIGS:
+        positions, faces = np.load(out / "drapes.npz")[rig.name], make_specimen(
+            rig, edge=EDGE).mesh.faces
+        crossing = [len(self_intersections(one.astype(float), faces)) > 0 for one in positions]
+        print(rig.name, sum(crossing), "of", len(crossing), "intersect themselves")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("what", choices=("prepare", "run", "check"))
+    parser.add_argument("file", type=Path)
+    parser.add_argument("--device", default="cuda")
+    parser.add_argument("--count", type=int, default=FABRICS)
+    parser.add_argument("--near", type=int, default=NEAR)
+    parser.add_argument("--out", type=Path, default=Path(os.environ.get("OUT", ".")))
+    words = parser.parse_args()
+    if words.what == "prepare":
+        prepare(words.file, words.count, words.near)
+    elif words.what == "run":
+        run(words.file, words.device, words.count, words.out)
+    else:
+        check(words.out)
+
+
+if __name__ == "__main__":
+    main()
