@@ -32,6 +32,7 @@ import torch
 
 from sim.batched import drapes as batched
 from sim.batched import newton
+from sim.batched.lowering import columns
 from sim.batched.potential import BatchedPotential
 from sim.batched.solver import BatchedSolver
 from sim.cloth import Cloth
@@ -106,7 +107,7 @@ class Clock:
         return {key: (round(self.seconds[key], 3), self.calls[key]) for key in self.seconds}
 
 
-STAGES = ((batched, "_lowered", "lowering"), (batched, "BatchedPotential", "potentials"),
+STAGES = ((batched, "lowered", "lowering"), (batched, "BatchedPotential", "potentials"),
           (batched, "_prolonged", "prolongation"), (batched, "_found", "results"),
           (batched, "minimise", lambda p, *_: f"minimise {p.unknowns}"))
 PARTS = ((BatchedPotential, "evaluate", "evaluate"), (BatchedPotential, "hessian", "hessian"),
@@ -158,7 +159,7 @@ def compare(rig, fabrics: list[Fabric], minima: np.ndarray, device: str) -> dict
     potential = BatchedPotential([Cloth(scene, fabric) for fabric in fabrics[: len(minima)]],
                                  device)
     start = minima + rng.normal(0, BESIDE, minima.shape) * ~scene.held[:, None]
-    x = batched._columns(list(start)).to(potential.free.device)
+    x = columns(list(start)).to(potential.free.device)
     found = newton.minimise(potential, x, potential.normals(x), TIGHT)
     distance = np.abs(found.x.cpu().numpy().transpose(2, 1, 0) - minima).max(axis=(1, 2))
     return {"distances": distance.tolist(),

@@ -4,11 +4,14 @@ import numpy as np
 import pytest
 import torch
 
-from sim.batched.drapes import _lowered, covers, drape_batch
+from sim.batched.drapes import covers, drape_batch
+from sim.batched.laws import raise_eigenvalues
+from sim.batched.lowering import columns
+from sim.batched.lowering import lowered as batch_lowered
 from sim.batched.newton import minimise
 from sim.batched.potential import BatchedPotential
 from sim.cloth import Cloth, Laws
-from sim.drape import COARSE_MEMBRANE, _Run, drape
+from sim.drape import COARSE_MEMBRANE, drape
 from sim.energies.fold_barrier import is_bent
 from sim.energies.membrane import OrthotropicStVK
 from sim.lowering import lowered
@@ -25,11 +28,6 @@ FABRICS = (
     Fabric(np.array([5e-5, 1e-4, 6e-5]), np.array([-5e-8, -4e-8, -1e-8])),  # stiff bias
 )
 EXACT = NewtonOptions(residual=1e-7, step=1e-5, max_iterations=60)
-
-
-def columns(arrays):
-    """Arrays (N, 3) of each drape as (3, N, B)."""
-    return torch.from_numpy(np.stack([array.T for array in arrays], axis=-1))
 
 
 @pytest.fixture(scope="module")
@@ -75,6 +73,20 @@ def test_each_has_the_hessian_of_its_convexity(crumpled):
             assert np.abs(data[:, k].numpy() - expected).max() < 1e-10 * np.abs(expected).max()
 
 
+def test_only_low_eigenvalues_are_raised():
+    rng = np.random.default_rng(3)
+    draws = rng.standard_normal((3, 3, 2, 50))
+    matrix = draws + draws.swapaxes(0, 1)
+    matrix[..., 0, 0], matrix[..., 0, 1] = np.diag([1.0, -2.0, 1.0]), np.zeros((3, 3))
+    floor, share = rng.uniform(0, 1, (2, 50))
+    value, vector = np.linalg.eigh(np.moveaxis(matrix, (0, 1), (2, 3)))
+    lift = share[:, None] * np.maximum(floor[:, None] - value, 0.0)
+    expected = matrix + np.einsum("...ik,...k,...jk->ij...", vector, lift, vector)
+    found = torch.from_numpy(matrix.copy())
+    raise_eigenvalues(found, torch.from_numpy(floor), torch.from_numpy(share))
+    assert np.abs(found.numpy() - expected).max() < 1e-13
+
+
 def test_solutions_are_those_of_a_sparse_solver_and_indefinite_matrices_are_named(crumpled):
     cloths, states, batch, _ = crumpled
     rng, potential = np.random.default_rng(1), cloths[1].potential
@@ -118,11 +130,10 @@ def drape_near(one):
 
 
 def test_cloth_is_lowered_by_the_same_steps():
-    run = _Run(FABRICS[2], DISC_RIG, Laws(), 14e-3, 5, (0.0, 0.0), EXACT)
-    scene, laws = run.scene(14e-3, soft=True), Laws().softened(COARSE_MEMBRANE)
+    scene, laws = make_specimen(DISC_RIG, edge=14e-3), Laws().softened(COARSE_MEMBRANE)
     cloth = Cloth(scene, FABRICS[2], laws=laws)
     one = lowered(scene, FABRICS[2], DISC_RIG, seed=5, laws=laws)
-    batch = _lowered(BatchedPotential([cloth, cloth]), [scene] * 2, [run] * 2)
+    batch = batch_lowered(BatchedPotential([cloth] * 2), [scene] * 2, [DISC_RIG] * 2, [5] * 2)
     assert [result.iterations for result in batch.results] == [one.searched.iterations] * 2
     for k in range(2):
         assert np.abs(batch.x[..., k].numpy().T - one.positions).max() < 1e-6
