@@ -54,7 +54,8 @@ def plate(s: Tensor, law: Plate, *, tangent: bool = False) -> Response:
     du = (soft * s - u * dn) / n
     stress = torch.where(bent, 0.5 * (shape * da + a * slope * du), 0.0)
     # The corrections along warp, weft and bias
-    side = torch.stack([s[0] - s[1], 2 * s[2]])[[0, 0, 1]]
+    along, twist = s[0] - s[1], 2 * s[2]
+    side = torch.stack([along, along, twist])
     k, side = side.abs(), side.sign()
     rate = law.rates[:, :, None] * k
     (fast, slow), slopes, _ = _shape(rate)
@@ -77,7 +78,7 @@ def plate(s: Tensor, law: Plate, *, tangent: bool = False) -> Response:
         return density, stress, None
     both = du[:, None] * dn
     ddu = u * (dn[:, None] * dn - form) / n - both - both.transpose(0, 1)
-    ddu[range(3), range(3)] += soft
+    ddu.diagonal(dim1=0, dim2=1).add_(soft.movedim(0, -1))
     both = da[:, None] * du
     stiff = shape * form + 0.5 * (slope * (both + both.transpose(0, 1) + a / n * ddu)
                                   + a * bend * du[:, None] * du)
@@ -122,8 +123,8 @@ def membrane(e: Tensor, law: Tensor, *, tangent: bool = False) -> Response:
     stress = torch.stack([mean + half * cosine, mean - half * cosine, half * sine])
     if not tangent:
         return density, stress, None
-    axes = 0.5 * torch.stack([1 + cosine, 1 - cosine, sine, -sine, cosine])
-    first, second, turn = axes[[0, 1, 2]], axes[[1, 0, 3]], axes[[3, 2, 4]]
+    first, second, turn = (0.5 * torch.stack(axis) for axis in (
+        [1 + cosine, 1 - cosine, sine], [1 - cosine, 1 + cosine, -sine], [-sine, sine, cosine]))
     near = a - b <= EQUAL
     slope = torch.where(near, own - mixed, (p - r) / torch.where(near, 1.0, a - b))
     turning = 4 * (slope * b - r) / (a * b * (a + b))

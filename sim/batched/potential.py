@@ -72,9 +72,12 @@ class BatchedPotential:
         row, column = _UPPER
         self._slots = [place(slots[1][kind]) for kind in (
             column < 9, (row < 9) & (column >= 9), row >= 9)]
-        self._pairs = [place(index[column < 9]) for index in _UPPER]
-        self._contacts = [(place(contact.dofs[:, ::3].T // 3), place(slot)) for contact, slot in
-                          zip(first.obstacles, slots[-2:], strict=True)]
+        row, column = (index[column < 9] for index in _UPPER)
+        self._pairs = place(row), place(column), place(np.flatnonzero(row % 3 == column % 3))
+        self._contacts = [  # vertices of the points, slots of their blocks, coordinates of each
+            (place(contact.dofs[:, ::3].T // 3), place(slot), *(
+                place(index % 3) for index in np.triu_indices(contact.dofs.shape[1])))
+            for contact, slot in zip(first.obstacles, slots[-2:], strict=True)]
         by_mesh = {id(cloth.scene.mesh): cloth for cloth in cloths}
         geometry = {key: _geometry(cloth) for key, cloth in by_mesh.items()}
         chosen = cloths if len(by_mesh) > 1 else cloths[:1]
@@ -140,7 +143,7 @@ class BatchedPotential:
             [pulls.flatten(0, 2), (moment * own["sign"]).flatten(0, 1)]))
         on_vertices = self._on_vertices(forces)
         on_vertices[:, 2] += own["weights"]
-        for (ends, _), scale in zip(self._contacts, (own["points"], own["middles"]), strict=True):
+        for (ends, *_), scale in zip(self._contacts, (own["points"], own["middles"]), strict=True):
             depth, normal, _ = self._contact(x[:, ends].mean(1))
             energy = energy + (scale * depth**3).sum(0) / 3
             push = (scale * depth**2 / -len(ends) * normal).transpose(0, 1)
@@ -166,7 +169,7 @@ class BatchedPotential:
         laws.raise_eigenvalues(tangents, torch.stack([torch.zeros_like(floor), floor])[:, None],
                                torch.stack([in_plane, other])[:, None])
         strained, bent = tangents.unbind(2)
-        row, column = self._pairs
+        row, column, same = self._pairs
         a, k, b, m = row // 3, row % 3, column // 3, column % 3
         # In-plane: the strain's derivatives, and the stress times its second derivatives
         rows = shape.strain_rows(own).flatten(1, 2)  # (3, 9, T, B)
@@ -177,27 +180,32 @@ class BatchedPotential:
         stress = own["areas"] * (stress + in_plane * (laws.tension(stress) - stress))
         gu, gv = own["gradients"].unbind(1)
         fu, fv = stress[0] * gu + stress[2] * gv, stress[2] * gu + stress[1] * gv
-        same = k == m
         entries[same] += fu[a[same]] * gu[b[same]] + fv[a[same]] * gv[b[same]]
         # Bending: levers times stiffness, and moments times second derivatives of angles
         _, slope, fold = laws.barrier(shape.angles, own["pole"])
         scale, maps, areas = own["softest"] * own["slenderness"], own["maps"], own["bending_areas"]
         moment = scale * slope + areas * (maps * moment[:, None]).sum(0)
         stiff = areas * (maps[:, :, None] * (bent[:, :, None] * maps).sum(1)[:, None]).sum(0)
-        stiff[range(3), range(3)] += scale * fold
+        stiff.diagonal(dim1=0, dim2=1).add_((scale * fold).movedim(0, -1))
         turned = (stiff[:, :, None] * shape.levers).sum(1)  # by angle and corner
         spread = 0.5 * (shape.levers[:, :, None] * turned[:, None]).sum(0)
         vectors = shape.bends((1 - other) * moment) + spread[:, :, None] * shape.unit
         entries += shape.unit[k] * vectors[a, b, m] + vectors[b, a, k] * shape.unit[m]
         sign = own["sign"]
         mixed = (sign * turned.transpose(0, 1))[:, None] * shape.unit[:, None]  # corner, k, angle
-        stiff = (stiff * sign[:, None] * sign)[tuple(torch.triu_indices(3, 3))]
+        stiff = stiff * sign[:, None] * sign
+        stiff = torch.stack([stiff[i, j] for i in range(3) for j in range(i, 3)])
         data = x.new_zeros(self._nonzeros + 1, self.count)  # last: entries of held unknowns
         for slots, values in zip(self._slots, (entries, mixed, stiff), strict=True):
             data.index_add_(0, slots.ravel(), values.reshape(-1, self.count))
-        for (ends, slots), scale in zip(self._contacts, (own["points"], own["middles"]),
-                                        strict=True):
-            self._add_contact(data, x[:, ends].mean(1), slots, scale / len(ends) ** 2, 1 - other)
+        for (ends, slots, row, column), scale in zip(
+                self._contacts, (own["points"], own["middles"]), strict=True):
+            points = x[:, ends].mean(1)
+            touching = torch.nonzero((self._contact(points)[0] > 0).any(1))[:, 0]
+            depth, normal, bend = self._contact(points[:, touching], bend=True)
+            scale = scale[touching] * depth / len(ends) ** 2
+            block = scale * (2 * normal[:, None] * normal + (1 - other) * depth * bend)
+            data.index_add_(0, slots[:, touching].ravel(), block[row, column].flatten(0, 1))
         diagonal = x.new_zeros(self.unknowns, self.count)
         if "aim" in own:
             on_vertices = self._on_vertices(diagonal)
@@ -232,16 +240,6 @@ class BatchedPotential:
         meridian = torch.stack([-along * x, -along * y, across])
         return depth, normal, -(across / distance * around[:, None] * around
                                 + curved * meridian[:, None] * meridian)
-
-    def _add_contact(
-        self, data: Tensor, points: Tensor, slots: Tensor, scale: Tensor, exact: Tensor
-    ) -> None:
-        """Add the Hessians of points; only the share ``exact`` (B,) of the surface's curvature."""
-        touching = torch.nonzero((self._contact(points)[0] > 0).any(1))[:, 0]
-        depth, normal, bend = self._contact(points[:, touching], bend=True)
-        block = scale[touching] * depth * (2 * normal[:, None] * normal + exact * depth * bend)
-        row, column = np.triu_indices(round((2 * len(slots)) ** 0.5))
-        data.index_add_(0, slots[:, touching].ravel(), block[row % 3, column % 3].flatten(0, 1))
 
 
 class _Shape:

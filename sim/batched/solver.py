@@ -24,34 +24,17 @@ _CUTS = np.linspace(0.42, 0.58, 9)  # shares of the elements in the first half
 
 @dataclass
 class Level:
-    """The fronts of one level: pivots (F, P) and boundary (F, Q), padded by the number of unknowns;
-    where the entries of the matrix and the children's Schur complements are added. A front is
-    stored as its panel (P + Q, P), then the block (Q, Q) of its boundary (lower triangles)."""
+    """The F fronts of one level: their unknowns, P pivots and the boundary of Q, (F, P) and (F, Q),
+    padded by the number of unknowns; which entries of the matrix, and of the first and second
+    children's Schur complements, are added at which places. A front is stored as its panel
+    (P + Q, P), then, if there are children, the block (Q, Q) of its boundary: lower triangles."""
 
     pivots: Tensor
     boundary: Tensor
-    entries: Tensor  # of the matrix's data, that go to the fronts' places
+    entries: Tensor
     places: Tensor
     ones: Tensor  # places of the padding's diagonal
-    joins: list[tuple[Tensor, Tensor]]  # of first and second children: entries, places
-    inner: bool  # whether there are children, so that the block (Q, Q) is stored
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        """Fronts, pivots and boundary: F, P, Q."""
-        return *self.pivots.shape, self.boundary.shape[1]
-
-    @property
-    def flops(self) -> float:
-        """Operations of all fronts for one matrix: factor and its inverse, panel, complement."""
-        fronts, p, q = self.shape
-        return fronts * (2 * p**3 / 3 + 2 * p * p * q + 2 * p * q * q)
-
-    @property
-    def numbers(self) -> int:
-        """Numbers of the fronts, their factors and complements for one matrix."""
-        fronts, p, q = self.shape
-        return fronts * (p * (p + q) * 2 + p * p + q * q * (1 + self.inner))
+    joins: list[tuple[Tensor, Tensor]]
 
 
 class BatchedSolver:
@@ -60,28 +43,26 @@ class BatchedSolver:
 
     def __init__(
         self, pattern: SparsePattern, stencils: list[np.ndarray], places: np.ndarray,
-        device: str | torch.device = "cpu", *, leaf: int = LEAF
+        device: str | torch.device = "cpu"
     ) -> None:
-        self.size = pattern.size
-        tree = _dissected(stencils, places, max(1, round(np.log2(pattern.size / leaf))))
-        self.levels = [_placed(level, device) for level in _levels(pattern, tree)]
+        tree = _dissected(stencils, places, max(1, round(np.log2(pattern.size / LEAF))))
+        self.levels = _levels(pattern, tree, device)
         self._panels: list[tuple[Tensor, Tensor]] = []
 
     def factorise(self, data: Tensor) -> Tensor:
         """Factor matrices of CSR data (nnz, B); whether each (B,) is positive definite. The factors
         of those that are not are meaningless."""
-        batch = data.shape[1]
-        data = data.T.contiguous()
-        definite = torch.ones(batch, dtype=torch.bool, device=data.device)
         self._panels, below = [], None
+        data, batch = data.T.contiguous(), data.shape[1]
+        definite = torch.ones(batch, dtype=torch.bool, device=data.device)
         for level in reversed(self.levels):
-            fronts, p, q = level.shape
-            size = (p + q) * p + q * q * level.inner
+            (fronts, p), q = level.pivots.shape, level.boundary.shape[1]
+            size = (p + q) * p + (q * q if level.joins else 0)
             flat = data.new_zeros(batch, fronts * size)
             flat.index_copy_(1, level.places, data[:, level.entries])
-            flat[:, level.ones] = 1.0
+            flat.index_fill_(1, level.ones, 1.0)
             for entries, places in level.joins:
-                flat.index_add_(1, places, below[:, entries])
+                flat.index_add_(1, places, below[:, entries], alpha=-1.0)
             front = flat.view(batch * fronts, size)
             panel = front[:, : (p + q) * p].unflatten(1, (p + q, p))
             factor, info = torch.linalg.cholesky_ex(panel[:, :p])
@@ -89,28 +70,29 @@ class BatchedSolver:
             definite &= sound.view(batch, fronts).all(1)
             identity = torch.eye(p, dtype=data.dtype, device=data.device).expand_as(factor)
             inverse = torch.linalg.solve_triangular(factor, identity, upper=False)
-            below_pivots = torch.bmm(panel[:, p:], inverse.mT)
-            self._panels.append((inverse, below_pivots))
-            if q:
-                start = (front[:, (p + q) * p:].unflatten(1, (q, q)) if level.inner
-                         else data.new_zeros(1, 1, 1))
-                below = torch.baddbmm(start, below_pivots, below_pivots.mT, alpha=-1.0)
-                below = below.view(batch, fronts * q * q)
+            strip = torch.bmm(panel[:, p:], inverse.mT)
+            self._panels.append((inverse, strip))
+            if level.joins:  # what is subtracted from the parents: that of the children, too
+                below = torch.baddbmm(front[:, (p + q) * p :].unflatten(1, (q, q)), strip,
+                                      strip.mT, beta=-1.0) if q else None
+            else:
+                below = torch.bmm(strip, strip.mT)
+            below = below.view(batch, -1) if q else None
         return definite
 
     def solve(self, rhs: Tensor) -> Tensor:
         """Solutions (n, B) for right-hand sides (n, B) with the last factors."""
         rest = torch.cat([rhs, rhs.new_zeros(1, rhs.shape[1])]).T.contiguous()
         batch, parts = len(rest), []
-        for level, (inverse, below) in zip(reversed(self.levels), self._panels, strict=True):
+        for level, (inverse, strip) in zip(reversed(self.levels), self._panels, strict=True):
             part = inverse @ rest[:, level.pivots].view(len(inverse), -1, 1)
             parts.append(part)
-            rest.index_add_(1, level.boundary.ravel(), (below @ part).view(batch, -1), alpha=-1.0)
+            rest.index_add_(1, level.boundary.ravel(), (strip @ part).view(batch, -1), alpha=-1.0)
         solution = torch.zeros_like(rest)
         for level in self.levels:
-            part, (inverse, below) = parts.pop(), self._panels[len(parts)]
+            part, (inverse, strip) = parts.pop(), self._panels[len(parts)]
             known = solution[:, level.boundary].view(len(inverse), -1, 1)
-            part = inverse.mT @ (part - below.mT @ known)
+            part = inverse.mT @ (part - strip.mT @ known)
             solution[:, level.pivots.ravel()] = part.view(batch, -1)
         return solution.T[:-1].contiguous()
 
@@ -174,56 +156,45 @@ def _bisected(
     return best
 
 
-def _levels(pattern: SparsePattern, tree: list) -> list[dict[str, object]]:
-    """Fields of the :class:`Level` of each level, as NumPy arrays."""
+def _levels(pattern: SparsePattern, tree: list, device: str | torch.device) -> list[Level]:
     size, levels = pattern.size, []
-    level_of, front_of = np.zeros(size, dtype=int), np.zeros(size, dtype=int)
+    depth_of, front_of = np.zeros((2, size), dtype=int)
     for depth, fronts in enumerate(tree):
         for front, (pivots, _) in enumerate(fronts):
-            level_of[pivots], front_of[pivots] = depth, front
-    rows = np.repeat(np.arange(size), np.diff(pattern.indptr))
-    columns = pattern.indices.astype(int)
-    owner = np.where(level_of[rows] >= level_of[columns], rows, columns)
+            depth_of[pivots], front_of[pivots] = depth, front
+    rows, columns = np.repeat(np.arange(size), np.diff(pattern.indptr)), pattern.indices.astype(int)
+    owner = np.where(depth_of[rows] >= depth_of[columns], rows, columns)
+
+    def placed(array: np.ndarray) -> Tensor:
+        return torch.from_numpy(np.ascontiguousarray(array, dtype=np.int64)).to(device)
+
     for depth, fronts in enumerate(tree):
         p, q = (max(len(front[k]) for front in fronts) for k in range(2))
         pivots, boundary = (np.full((len(fronts), width), size) for width in (p, q))
-        local = np.full((len(fronts), size + 1), -1)
+        local = np.full((len(fronts), size), -1)
         for front, (own, outer) in enumerate(fronts):
             pivots[front, : len(own)], boundary[front, : len(outer)] = own, outer
             local[front, own], local[front, outer] = np.arange(len(own)), p + np.arange(len(outer))
-        inner = depth < len(tree) - 1
-        step = (p + q) * p + q * q * inner
+        children = tree[depth + 1] if depth < len(tree) - 1 else []
+        step = (p + q) * p + (q * q if children else 0)
 
         def place(front, one, other, p=p, q=q, step=step):
             low, high = np.minimum(one, other), np.maximum(one, other)
-            bounds = (p + q) * p + (high - p) * q + low - p
-            return front * step + np.where(low < p, high * p + low, bounds)
+            beyond = (p + q) * p + (high - p) * q + low - p
+            return front * step + np.where(low < p, high * p + low, beyond)
 
-        entries = np.flatnonzero(level_of[owner] == depth)
-        front = front_of[owner[entries]]
-        where = place(front, local[front, rows[entries]], local[front, columns[entries]])
-        padded, index = np.nonzero(pivots == size)
-        joins = []
-        for child in range(2 if inner else 0):
-            below = [outer for _, outer in tree[depth + 1]]
-            width, parts = max(map(len, below)), []
-            for parent in range(len(fronts)):
-                child_index = 2 * parent + child
-                one, other = np.tril_indices(len(below[child_index]))
-                target = local[parent, below[child_index]]
-                parts.append((child_index * width**2 + one * width + other,
-                              place(parent, target[one], target[other])))
-            joins.append(tuple(map(np.concatenate, zip(*parts, strict=True))))
-        levels.append({"pivots": pivots, "boundary": boundary, "entries": entries,
-                       "places": where, "ones": place(padded, index, index),
-                       "joins": joins, "inner": inner})
+        width, joins = max((len(outer) for _, outer in children), default=0), []
+        for first in range(2 if children else 0):
+            parts = []
+            for child in range(first, len(children), 2):
+                outer = children[child][1]
+                (one, other), target = np.tril_indices(len(outer)), local[child // 2, outer]
+                parts.append((child * width**2 + one * width + other,
+                              place(child // 2, target[one], target[other])))
+            joins.append(tuple(placed(np.concatenate(part)) for part in zip(*parts, strict=True)))
+        entries = np.flatnonzero(depth_of[owner] == depth)
+        front, (padded, index) = front_of[owner[entries]], np.nonzero(pivots == size)
+        places = place(front, local[front, rows[entries]], local[front, columns[entries]])
+        levels.append(Level(*map(placed, (
+            pivots, boundary, entries, places, place(padded, index, index))), joins))
     return levels
-
-
-def _placed(level: dict, device: str | torch.device) -> Level:
-    def move(array: np.ndarray) -> Tensor:
-        return torch.from_numpy(np.ascontiguousarray(array, dtype=np.int64)).to(device)
-
-    return Level(**{name: value if name == "inner" else move(value) for name, value in level.items()
-                    if name != "joins"},
-                 joins=[tuple(map(move, join)) for join in level["joins"]])
