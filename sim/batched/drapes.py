@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from scipy.spatial import cKDTree
 from torch import Tensor
 
 from sim import drape as single
@@ -16,7 +17,8 @@ from sim.batched.newton import Outcome, minimise
 from sim.batched.potential import BatchedPotential
 from sim.cloth import Cloth, Laws
 from sim.drape import Drape, _Run
-from sim.energies.membrane import Corotational
+from sim.energies.bending_variants import Hysteresis
+from sim.energies.membrane import Corotational, OrthotropicStVK
 from sim.energies.self_contact import self_intersections
 from sim.equilibrium import Equilibrium, find_equilibrium
 from sim.lowering import LOWERING_MESHES
@@ -48,8 +50,9 @@ def drape_batch(
     for index, plan in enumerate(plans):
         if covers(plan):
             run = _run(**plan)
-            # The triangles and levels of their meshes, and stopping criteria
-            key = id(run.scene(run.edge).mesh.faces), run.edge, run.options, *_coarse_edges(run)
+            # The triangles and levels of their meshes, stopping criteria, and kinds of laws
+            key = (id(run.scene(run.edge).mesh.faces), run.edge, run.options, *_coarse_edges(run),
+                   type(run.laws.bending), type(run.laws.membrane))
             groups.setdefault(key, []).append((index, run))
         else:
             drapes[index] = single.drape(**plan)
@@ -57,16 +60,19 @@ def drape_batch(
         for first in range(0, len(group), BATCH):
             indices, runs = zip(*group[first : first + BATCH], strict=True)
             for index, made in zip(indices, _draped(runs, device), strict=True):
-                drapes[index] = made
+                drapes[index] = made if plans[index].get("keep") else single.light(made)
     return drapes
 
 
 def covers(plan: Mapping[str, Any]) -> bool:
-    """Whether a plan is simulated in a batch: lowered cloth with the default kinds of laws."""
+    """Whether a plan is simulated in a batch: lowered cloth, mid-edge bending and its variants,
+    a corotational or orthotropic membrane."""
     laws, start = plan.get("laws") or Laws(), plan.get("start") or LOWERED
-    default = laws.bending == "midedge" and type(laws.membrane) is Corotational and not laws.others
-    alone = plan.get("borrowed") is None and not plan.get("keep") and plan.get("seed", 0) >= 0
-    return default and alone and start == LOWERED and (plan.get("rig") or Rig()).has_plate
+    bent = laws.bending == "midedge" or (
+        isinstance(laws.bending, Hysteresis) and laws.bending.origin is None)
+    known = bent and type(laws.membrane) in (Corotational, OrthotropicStVK) and not laws.others
+    begun = start == LOWERED and plan.get("borrowed") is None and plan.get("seed", 0) >= 0
+    return known and begun and (plan.get("rig") or Rig()).has_plate
 
 
 def _run(
@@ -125,15 +131,19 @@ def _settled(
             x = _prolonged(before, scene.mesh, not limp).to(x) @ x
             x[:, scene.held] = columns([run.rig.place(one.mesh.rest[one.held])
                                         for run, one in zip(runs, scenes, strict=True)]).to(x)
+        if outcomes[0].origin is not None:
+            near, weight = _nearest(by_run[0][0], scene)
+            potential.own["origin"] = (outcomes[0].origin[:, near] * weight.to(x)).sum(2)
         options = runs[0].options if last else single.COARSE_OPTIONS
         options = replace(options, max_iterations=min(options.max_iterations, _MAX_ITERATIONS))
         outcomes.append(minimise(potential, x, potential.normals(x), options,
                                  least=0 if last else int(_STRAGGLERS * len(runs))))
+        outcomes[-1].origin = potential.own.get("origin")
         x, before = outcomes[-1].x, scene.mesh
     found = [_found(k, run, scenes[-1], outcomes)
              for k, (run, scenes) in enumerate(zip(runs, by_run, strict=True))]
     seconds = (time.perf_counter() - began) / len(runs)
-    return [single._made(one, False, fabric=run.fabric, rig=run.rig, edge=run.edge, seconds=seconds,
+    return [single._made(one, True, fabric=run.fabric, rig=run.rig, edge=run.edge, seconds=seconds,
                          coarse=tuple(outcome.results[k].status for outcome in outcomes[1:-1]))
             for k, (run, one) in enumerate(zip(runs, found, strict=True))]
 
@@ -145,10 +155,14 @@ def _found(k: int, run: _Run, scene: Scene, outcomes: list[Outcome]) -> Equilibr
     now = State(*(part[..., k].T.cpu().numpy().copy() for part in (last.x, last.n)))
     steps = sum(outcome.results[k].iterations for outcome in outcomes)
     outcome = replace(last.results[k], q=now.q, iterations=steps)
-    one = Equilibrium(cloth=Cloth(scene, run.fabric, laws=run.laws), state=now, outcome=outcome)
+    laws = run.laws
+    if last.origin is not None and last.origin[..., k].any():
+        origin = last.origin[..., k].T.cpu().numpy().copy()
+        laws = replace(laws, bending=replace(laws.bending, origin=origin))
+    one = Equilibrium(cloth=Cloth(scene, run.fabric, laws=laws), state=now, outcome=outcome)
     if one.status in _UNFINISHED or (
             one.converged and len(self_intersections(one.positions, scene.mesh.faces))):
-        return find_equilibrium(scene, run.fabric, now, laws=run.laws, options=run.options,
+        return find_equilibrium(scene, run.fabric, now, laws=laws, options=run.options,
                                 self_contact=True).after(one)
     return one
 
@@ -159,3 +173,13 @@ def _prolonged(coarse: Mesh, fine: Mesh, smooth: bool) -> Tensor:
     1e-6 to which it finds slopes."""
     identity = np.eye(len(coarse.rest))
     return torch.from_numpy(interpolate_positions(coarse.rest, identity, fine.rest, smooth=smooth))
+
+
+def _nearest(coarse: Scene, fine: Scene) -> tuple[np.ndarray, Tensor]:
+    """The three triangles (T, 3) of ``coarse`` nearest to each of ``fine``, and their weights
+    (T, 3, 1), as in :func:`sim.lowering.with_origins`."""
+    centres, places = (one.mesh.rest[one.mesh.faces[one.active]].mean(axis=1)
+                       for one in (coarse, fine))
+    distance, near = cKDTree(centres).query(places, k=3)
+    weight = 1 / (distance + 1e-6)
+    return near, torch.from_numpy(weight / weight.sum(axis=1, keepdims=True))[..., None]

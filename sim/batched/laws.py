@@ -4,13 +4,11 @@ Arrays end with the elements T and the drapes B, so that element-wise work reads
 order. The formulas and their reasons are those of the modules named.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 import torch
 from torch import Tensor
 
-from sim.energies.bending_law import constants
+from sim.energies.bending_law import Variant, constants
 from sim.energies.fold_barrier import LIMIT_START, MIN_REMAINING
 from sim.energies.membrane import _TOLERANCE as EQUAL
 from sim.material import SOFTENING_LIMIT as LIMIT
@@ -21,29 +19,30 @@ Response = tuple[Tensor, Tensor, Tensor | None]
 """Density (T, B), stress (3, T, B) and, if wanted, tangent (3, 3, T, B)."""
 
 
-class Plate(NamedTuple):
-    """Constants of the plates of B fabrics, see :mod:`sim.energies.bending_law`: the quadratic form
-    a (3, 3, B), that of g (3, B), alpha (3, B) and the softening rates base and rho (2, 3, B) along
-    warp, weft and bias."""
-
-    form: Tensor
-    soft: Tensor
-    alpha: Tensor
-    rates: Tensor
-
-    @staticmethod
-    def rows(fabric: Fabric) -> list[np.ndarray]:
-        """The constants of one fabric."""
-        c = constants(fabric)
-        form = [[c.A11, c.A12, 0.0], [c.A12, c.A22, 0.0], [0.0, 0.0, 4.0 * c.A66]]
-        return list(map(np.array, (
-            form, (2 * c.g_w, 2 * c.g_f, 4 * c.g_t), (c.A11, c.A22, c.alpha_bias),
-            ((c.base_w, c.base_f, c.base_b), (c.rho_w, c.rho_f, c.rho_b)))))
+def plate_rows(fabric: Fabric) -> dict[str, np.ndarray]:
+    """Constants of a fabric's plate by name: the quadratic form a (3, 3), that of g (3,), alpha
+    (3,) and the softening rates base and rho (2, 3) along warp, weft and bias."""
+    c = constants(fabric)
+    form = [[c.A11, c.A12, 0.0], [c.A12, c.A22, 0.0], [0.0, 0.0, 4.0 * c.A66]]
+    rows = {"form": form, "soft": (2 * c.g_w, 2 * c.g_f, 4 * c.g_t),
+            "alpha": (c.A11, c.A22, c.alpha_bias),
+            "rates": ((c.base_w, c.base_f, c.base_b), (c.rho_w, c.rho_f, c.rho_b)),
+            "softest": fabric.alpha.min()}
+    return {name: np.array(row) for name, row in rows.items()}
 
 
-def plate(s: Tensor, law: Plate, *, tangent: bool = False) -> Response:
-    """The plate at curvatures (3, T, B); see :mod:`sim.energies.bending_law`."""
-    form, soft, alpha = law.form[:, :, None], law.soft[:, None], law.alpha[:, None]
+def variant_rows(one: Variant) -> dict[str, np.ndarray]:
+    """The same of natural curvature and friction (:mod:`sim.energies.bending_variants`)."""
+    pull = [[one.p_xx, one.p_mixed, 0.0], [one.p_mixed, one.p_yy, 0.0], [0.0, 0.0, one.p_xy]]
+    rows = {"moment": (one.m_xx, one.m_yy, one.m_xy), "pull": np.array(pull) / one.limit,
+            "limit": one.limit, "slid": one.slid, "returned": one.returned}
+    return {name: np.array(row) for name, row in rows.items()}
+
+
+def plate(s: Tensor, law: dict[str, Tensor], *, tangent: bool = False) -> Response:
+    """The plate at curvatures (3, T, B), with the constants of :func:`plate_rows` and, if there are
+    any, of :func:`variant_rows`; see :mod:`sim.energies.bending_law`."""
+    form, soft, alpha = law["form"][:, :, None], law["soft"][:, None], law["alpha"][:, None]
     da = 2 * (form * s).sum(1)
     a = 0.5 * (da * s).sum(0)
     bent = a > 0
@@ -57,7 +56,7 @@ def plate(s: Tensor, law: Plate, *, tangent: bool = False) -> Response:
     along, twist = s[0] - s[1], 2 * s[2]
     side = torch.stack([along, along, twist])
     k, side = side.abs(), side.sign()
-    rate = law.rates[:, :, None] * k
+    rate = law["rates"][:, :, None] * k
     (fast, slow), slopes, _ = _shape(rate)
     excess = slow - fast
     work = 0.5 * alpha * k * k * excess
@@ -75,7 +74,7 @@ def plate(s: Tensor, law: Plate, *, tangent: bool = False) -> Response:
     stress[:2] += dw * more
     density = torch.where(bent, 0.5 * a * shape, 0.0) + work[1] + w * more + work[2]
     if not tangent:
-        return density, stress, None
+        return density + _variant(s, law, stress, None), stress, None
     both = du[:, None] * dn
     ddu = u * (dn[:, None] * dn - form) / n - both - both.transpose(0, 1)
     ddu.diagonal(dim1=0, dim2=1).add_(soft.movedim(0, -1))
@@ -94,7 +93,38 @@ def plate(s: Tensor, law: Plate, *, tangent: bool = False) -> Response:
     stiff[0, 1] += mixed
     stiff[1, 0] += mixed
     stiff[2, 2] += 4 * along[2]
-    return density, stress, stiff
+    return density + _variant(s, law, stress, stiff), stress, stiff
+
+
+def _variant(
+    s: Tensor, law: dict[str, Tensor], stress: Tensor, stiff: Tensor | None
+) -> Tensor | float:
+    """Energy of natural curvature and friction; its derivatives are added."""
+    if "moment" not in law:
+        return 0.0
+    moment, pull, limit = law["moment"][:, None], law["pull"][:, :, None], law["limit"]
+    density = -(moment * s).sum(0)
+    stress -= moment
+    for change, share in ((s - law["origin"], law["slid"]), (s, -law["returned"])):
+        force = (pull * change).sum(1)
+        ratio = ((force * change).sum(0) / limit).clamp(min=0).sqrt()
+        stuck = ratio < 1
+        over = torch.where(stuck, 1.25 - 0.25 * ratio**4, 1 / ratio)
+        work = torch.where(stuck, 0.625 * ratio**2 - ratio**6 / 24, ratio - 0.375 - 1 / 24)
+        density += share * limit * work
+        stress += share * over * force
+        if stiff is not None:
+            bend = torch.where(stuck, -(ratio**2), -1 / ratio**3) / limit
+            stiff += share * (over * pull + bend * force[:, None] * force)
+    return density
+
+
+def slid_origin(s: Tensor, law: dict[str, Tensor]) -> Tensor:
+    """The origin S1 (3, T, B) after the curvatures s; see :mod:`sim.energies.bending_variants`."""
+    change = s - law["origin"]
+    square = (law["pull"][:, :, None] * change * change[:, None]).sum((0, 1)) / law["limit"]
+    kept = square.clamp(min=1e-300).rsqrt().clamp(max=1.0)
+    return torch.where(law["slid"] > 0, s - kept * change, law["origin"])
 
 
 def _shape(u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -107,9 +137,13 @@ def _shape(u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def membrane(e: Tensor, law: Tensor, *, tangent: bool = False) -> Response:
-    """The corotational membrane at Green strains (3, T, B), with the ``law`` (2, B), N/m: diagonal
-    and mixed entry of the matrix of the stretches less 1; see :mod:`sim.energies.membrane`."""
-    own, mixed = law
+    """The membrane at Green strains (3, T, B); see :mod:`sim.energies.membrane`. Its matrix is the
+    ``law``, N/m: (3, 3, B) of the strains, or, corotational, (2, 2, B) of the stretches less 1."""
+    if len(law) == 3:
+        stiff = law[:, :, None]
+        stress = (stiff * e).sum(1)
+        return 0.5 * (e * stress).sum(0), stress, stiff.expand(3, *e.shape) if tangent else None
+    own, mixed = law[0]
     total, across, shear = e[0] + e[1], e[0] - e[1], e[2]
     apart = torch.hypot(across, shear)
     a, b = ((1 + total + sign * apart).clamp(min=1e-24).sqrt() for sign in (1, -1))

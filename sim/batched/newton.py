@@ -12,16 +12,19 @@ from sim.batched.potential import BatchedPotential, Value
 from sim.solver import newton as single
 from sim.solver.newton import ARMIJO, SHIFTS, NewtonOptions, NewtonResult, Status
 
-_TRIALS = 4  # step lengths that are tried at once after the first, each half of the one before
+_TRIALS = 4  # step lengths tried at once, each half of the one before, if
+_FEW = 32  # drapes at most still search: so few cost no more
 
 
 @dataclass
 class Outcome:
-    """States of a batch after a minimisation, and the result (B,) of each, without its state."""
+    """States of a batch after a minimisation, and the result (B,) of each, without its state; the
+    ``origin`` (3, T, B) of the hysteresis, if there is any."""
 
     x: Tensor
     n: Tensor
     results: list[NewtonResult]
+    origin: Tensor | None = None
 
 
 class _Track:
@@ -161,7 +164,7 @@ class _Minimisation:
             pending = pending[~good]
             length[pending] /= 2**trials
             pending = pending[length[pending] > single.MIN_STEP_FACTOR]
-            trials = _TRIALS
+            trials = _TRIALS if len(pending) <= _FEW else 1
         # Where the energy falls along the step as steeply as before, the step is too short.
         pending = np.flatnonzero(steep & (factor >= 1.0)) if self.options.extend else pending
         while len(pending):

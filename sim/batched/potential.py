@@ -14,9 +14,13 @@ from torch import Tensor
 
 from sim.batched import laws
 from sim.batched.solver import BatchedSolver
-from sim.cloth import Cloth
-from sim.energies.midedge import CONVEX_FLOOR
-from sim.rig import RIM
+from sim.cloth import STEP_UNIT, Cloth
+from sim.energies.bending_law import Variant
+from sim.energies.bending_variants import HystereticBending
+from sim.energies.external import DEPTH
+from sim.energies.midedge import CLAMP, CONVEX_FLOOR, rows_at_clamp
+from sim.rig import GRAVITY, RIM
+from sim.scene import Scene
 
 _UPPER = np.triu_indices(12)
 _ORDERS = ((1, 2, 0), (2, 0, 1), (0, 1, 2))
@@ -78,21 +82,64 @@ class BatchedPotential:
             (place(contact.dofs[:, ::3].T // 3), place(slot), *(
                 place(index % 3) for index in np.triu_indices(contact.dofs.shape[1])))
             for contact, slot in zip(first.obstacles, slots[-2:], strict=True)]
-        by_mesh = {id(cloth.scene.mesh): cloth for cloth in cloths}
-        geometry = {key: _geometry(cloth) for key, cloth in by_mesh.items()}
-        chosen = cloths if len(by_mesh) > 1 else cloths[:1]
-        rows = [geometry[id(cloth.scene.mesh)] for cloth in chosen]
-        own = {name: [row[name] for row in rows] for name in rows[0]}
-        own |= {name: [fabric[k] for fabric in map(laws.Plate.rows, (c.fabric for c in cloths))]
-                for k, name in enumerate(laws.Plate._fields)}
-        own |= {"membrane": [cloth.laws.membrane.matrix[0] for cloth in cloths],
-                "softest": [cloth.fabric.alpha.min() for cloth in cloths]}
-        self.own = {name: place(np.stack(values, axis=-1)) for name, values in own.items()}
+        rows = [laws.plate_rows(cloth.fabric) | {"membrane": cloth.laws.membrane.matrix}
+                for cloth in cloths]
+        if isinstance(bending, HystereticBending):
+            rows = [row | laws.variant_rows(_variant(bending, cloth)) for row, cloth in
+                    zip(rows, cloths, strict=True)]
+        self.own = {name: place(np.stack([row[name] for row in rows], -1)) for name in rows[0]}
+        scenes = [cloth.scene for cloth in cloths]
+        shared = all(scene.mesh is mesh for scene in scenes)
+        self.own |= self._geometry(first, scenes[:1] if shared else scenes)
+        if isinstance(bending, HystereticBending):
+            self.own["origin"] = self.own["areas"].new_zeros(3, self.faces.shape[1], self.count)
         places = np.concatenate([np.repeat(mesh.rest, 3, axis=0), mesh.rest[mesh.edges].mean(1)])
         rows = np.full(self.unknowns + 1, -1)
         rows[potential._free] = np.arange(potential.size)
         self.solver = BatchedSolver(potential.pattern, [rows[bending.dofs]],
                                     places[potential._free], device)
+
+    def _geometry(self, cloth: Cloth, scenes: list[Scene]) -> dict[str, Tensor]:
+        """Arrays (..., G) of the meshes and rigs of G scenes by name, as those of the energies of
+        one ``cloth`` among them."""
+        scene, bending, device = cloth.scene, cloth.bending, self.faces.device
+        mesh, active = scene.mesh, torch.from_numpy(np.flatnonzero(scene.active)).to(device)
+        rest = torch.from_numpy(np.stack([one.mesh.rest.T for one in scenes], -1)).to(device)
+        corners = rest[:, self._around[0]]  # (2, 3, F, G)
+        side = corners.roll(1, 1) - corners.roll(-1, 1)
+        double = side[0, 0] * side[1, 1] - side[1, 0] * side[0, 1]
+        square = side.square().sum(0)
+        areas, across = double / 2, torch.stack([side[1], -side[0]])
+        on_vertices = areas.new_zeros(self.vertices, len(scenes)).index_add_(
+            0, self._around[0].ravel(), (areas / 3).repeat(3, 1))
+        sides = torch.from_numpy(mesh.face_edges.T.copy()).to(device)
+        on_edges = areas.new_zeros(len(mesh.edges), len(scenes)).index_add_(
+            0, sides.ravel(), areas.repeat(3, 1))
+        lengths = (rest[:, self.ends[1]] - rest[:, self.ends[0]]).square().sum(0).sqrt().mean(0)
+        weight = cloth.fabric.density * scene.gravity
+        units = torch.ones(self.unknowns, 1).to(areas)[self.free] * lengths
+        units[self.free < 3 * self.vertices] = 1.0
+        radius = areas.new_tensor([one.obstacles[0].radius for one in scenes])
+        pressure = scene.contact_pressure * weight / 4 / (DEPTH * radius) ** 2
+        free = torch.from_numpy(~scene.held).to(device)
+        nx, ny = across / (square * areas).sqrt()
+        areas, square, double = areas[active], square[:, active], double[active]
+        first, second = (torch.from_numpy(rows).to(device) for rows in rows_at_clamp(
+            mesh, scene.active, bending.pole == np.pi))
+        # As sim.energies.midedge.bending_areas weights them
+        near, behind = areas[first].sum(0), areas[second].sum(0)
+        bent = torch.where(first[:, None], CLAMP * areas, areas)
+        bent[second] = bent[second] / (1 + (1 - 1 / CLAMP) * near / behind)
+        return {
+            "areas": areas, "bending_areas": bent, "slenderness": square / double,
+            "maps": torch.stack([nx * nx, ny * ny, nx * ny])[:, :, active] * square.sqrt(),
+            "gradients": (-across[:, :, active] / double).transpose(0, 1), "radius": radius,
+            "weights": weight * on_vertices, "points": pressure * on_vertices[free],
+            "middles": pressure * on_edges[free[self.ends].any(0)],
+            "force_scale": cloth.fabric.density * GRAVITY * on_vertices.mean(0) * units,
+            "length_scale": STEP_UNIT / units,
+            "pole": torch.from_numpy(np.minimum(bending.pole, 1e3).T[..., None]).to(device),
+            "sign": torch.from_numpy(bending._sign.T[..., None]).to(device)}
 
     def take(self, drapes: Tensor) -> "BatchedPotential":
         """The potential of some of the drapes, by index."""
@@ -101,11 +148,6 @@ class BatchedPotential:
         part.own = {name: value[..., drapes] if value.shape[-1] > 1 else value
                     for name, value in self.own.items()}
         return part
-
-    @property
-    def law(self) -> laws.Plate:
-        """Constants of the plates."""
-        return laws.Plate(*(self.own[name] for name in laws.Plate._fields))
 
     def normals(self, x: Tensor) -> Tensor:
         """Normals (3, E, B) that bisect the angles, as :meth:`sim.solver.state.State.at`."""
@@ -125,10 +167,15 @@ class BatchedPotential:
         n = turn.cos() * n + turn.sin() * torch.linalg.cross(after, n, dim=0)
         return ahead, _unit(n - (n * after).sum(0) * after)
 
+    def slide(self, x: Tensor, n: Tensor) -> None:
+        """Let the origins of the hysteresis, if there is any, follow the cloth to a state."""
+        if "origin" in self.own:
+            self.own["origin"] = laws.slid_origin(_Shape(self, x, n).curvatures, self.own)
+
     def evaluate(self, x: Tensor, n: Tensor) -> Value:
         """Energy, gradient and angles."""
         own, shape = self.own, _Shape(self, x, n)
-        density, stress, _ = laws.plate(shape.curvatures, self.law)
+        density, stress, _ = laws.plate(shape.curvatures, own)
         value, slope, _ = laws.barrier(shape.angles, own["pole"])
         scale, areas = own["softest"] * own["slenderness"], own["areas"]
         energy = (own["bending_areas"] * density + (scale * value).sum(0)).sum(0)
@@ -160,11 +207,11 @@ class BatchedPotential:
     def hessian(self, x: Tensor, n: Tensor, convexity: Tensor, shift: Tensor) -> Tensor:
         """CSR data (nnz, B) of the Hessians with each drape's ``convexity`` and ``shift`` (B,), as
         :meth:`sim.solver.potential.QuadraticModel.hessian` blends them."""
-        own, shape, law = self.own, _Shape(self, x, n), self.law
+        own, shape = self.own, _Shape(self, x, n)
         in_plane, other = (2 * convexity).clamp(0, 1), (2 * convexity - 1).clamp(0, 1)
-        _, moment, bent = laws.plate(shape.curvatures, law, tangent=True)
+        _, moment, bent = laws.plate(shape.curvatures, own, tangent=True)
         _, stress, strained = laws.membrane(shape.strains, own["membrane"], tangent=True)
-        floor = CONVEX_FLOOR * law.form.diagonal(dim1=0, dim2=1).amin(-1)
+        floor = CONVEX_FLOOR * own["form"].diagonal(dim1=0, dim2=1).amin(-1)
         tangents = torch.stack([strained, bent], 2)  # (3, 3, 2, T, B)
         laws.raise_eigenvalues(tangents, torch.stack([torch.zeros_like(floor), floor])[:, None],
                                torch.stack([in_plane, other])[:, None])
@@ -298,15 +345,8 @@ def _unit(vectors: Tensor) -> Tensor:
     return vectors / vectors.square().sum(0).sqrt()
 
 
-def _geometry(cloth: Cloth) -> dict[str, np.ndarray]:
-    """Arrays of a cloth's mesh and rig, by name."""
-    bending, potential, (points, middles) = cloth.bending, cloth.potential, cloth.obstacles
-    return {
-        "areas": cloth.membrane.areas, "bending_areas": bending.areas,
-        "pole": np.minimum(bending.pole, 1e3).T,  # beyond reach for inf
-        "maps": bending.maps.transpose(1, 2, 0), "slenderness": bending._slenderness.T,
-        "sign": bending._sign.T, "gradients": cloth.membrane._shape.transpose(1, 2, 0),
-        "weights": cloth.weight.weights, "radius": np.array(cloth.scene.obstacles[0].radius),
-        "force_scale": potential._force_scale, "length_scale": potential._length_scale,
-        "points": points._scale, "middles": middles._scale,
-    }
+def _variant(bending: HystereticBending, cloth: Cloth) -> Variant:
+    """That of another cloth on the mesh of ``bending``."""
+    other = copy.copy(bending)
+    other._hysteresis = cloth.laws.bending
+    return other.with_fabric(cloth.fabric).variant
