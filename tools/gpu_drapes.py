@@ -1,7 +1,7 @@
 """Measure batches of drapes on an accelerator, and compare some with the CPU's:
 
     python tools/gpu_drapes.py prepare FILE            # fabrics of the prior, minima of the CPU
-    python tools/gpu_drapes.py run FILE [--device cuda] [--count 256] [--out DIR]
+    python tools/gpu_drapes.py run FILE [--device cuda] [--count 256] [--out DIR] [--compile]
 
 ``run`` writes ``gpu_drapes.json`` and the drapes' positions, ``drapes.npz``, to DIR or $OUT. It
 needs PyTorch, NumPy, SciPy, Numba and tqdm only. Without ipctk, self-intersections are not looked
@@ -113,6 +113,10 @@ STAGES = ((batched, "lowered", "lowering"), (batched, "BatchedPotential", "poten
 PARTS = ((BatchedPotential, "evaluate", "evaluate"), (BatchedPotential, "hessian", "hessian"),
          (BatchedPotential, "moved", "move"), (BatchedSolver, "factorise", "factorise"),
          (BatchedSolver, "solve", "solve"), (newton._Minimisation, "iterate", "iterations"))
+KERNELS = tuple((owner, name, lambda a, *_, name=name: f"{name} {a.shape[0]}x{tuple(a.shape[1:])}")
+                for owner, name in ((torch.linalg, "cholesky_ex"), (torch, "bmm"),
+                                    (torch.linalg, "solve_triangular"), (torch, "baddbmm")))
+REPEATS = 5
 
 
 @contextmanager
@@ -166,7 +170,43 @@ def compare(rig, fabrics: list[Fabric], minima: np.ndarray, device: str) -> dict
             "statuses": [one.status.value for one in found.results]}
 
 
-def run(file: Path, device: str, count: int, out: Path) -> None:
+def iteration(
+    rig, fabrics: list[Fabric], minima: np.ndarray, device: str, *, compiled: bool
+) -> dict:
+    """Milliseconds of the parts of one iteration of all fabrics, and of the solver's kernels."""
+    scene, rng = make_specimen(rig, edge=EDGE), np.random.default_rng(0)
+    potential = BatchedPotential([Cloth(scene, fabric) for fabric in fabrics], device)
+    noise = rng.normal(0, BESIDE, (len(fabrics), *minima.shape[1:])) * ~scene.held[:, None]
+    x = columns(list(minima[np.arange(len(fabrics)) % len(minima)] + noise)).to(
+        potential.free.device)
+    n, ones = potential.normals(x), torch.ones(len(fabrics)).to(x)
+    gradient = potential.evaluate(x, n).gradient
+    data = potential.hessian(x, n, ones, 0 * ones)
+    parts = {"evaluate": lambda: potential.evaluate(x, n), "hessian": lambda: potential.hessian(
+        x, n, ones, 0 * ones), "factorise": lambda: potential.solver.factorise(data),
+        "solve": lambda: potential.solver.solve(gradient)}
+    if compiled:
+        for name in ("evaluate", "hessian"):
+            call = torch.compile(getattr(BatchedPotential, name), dynamic=True)
+            more = () if name == "evaluate" else (ones, 0 * ones)
+            parts[f"{name} compiled"] = lambda call=call, more=more: call(potential, x, n, *more)
+    result, clock = {}, Clock(device)
+    for name, part in parts.items():
+        part()
+        clock.wait()
+        began = time.perf_counter()
+        for _ in range(REPEATS):
+            part()
+        clock.wait()
+        result[name] = round(1e3 * (time.perf_counter() - began) / REPEATS, 2)
+    with watched(clock, KERNELS):
+        potential.solver.factorise(data)
+    kernels = {name: round(1e3 * seconds, 2) for name, seconds in clock.seconds.items()}
+    return {"ms": result, "definite": int(potential.solver.factorise(data).sum()),
+            "kernels_ms": kernels}
+
+
+def run(file: Path, device: str, count: int, out: Path, *, compiled: bool) -> None:
     """All measurements; the first, of few drapes, is to warm up."""
     intersections = find_spec("ipctk") is not None
     if not intersections:
@@ -184,8 +224,11 @@ def run(file: Path, device: str, count: int, out: Path) -> None:
             batched.drape_batch([{"fabric": fabric, "rig": rig, "edge": EDGE, "seed": 0}
                                  for fabric in fabrics[:2]], device)
         warm_up = time.perf_counter() - began
+        once = iteration(rig, fabrics[:count], data[rig.name], device, compiled=compiled)
+        print(rig.name, json.dumps(once), flush=True)
         measured, positions[rig.name] = measure(rig, fabrics[:count], device)
-        report[rig.name] = {"warm_up_s": round(warm_up, 2), "beside": comparison} | measured
+        report[rig.name] = {"warm_up_s": round(warm_up, 2), "beside": comparison,
+                            "iteration": once} | measured
         print(rig.name, json.dumps(report[rig.name], indent=1), flush=True)
         (out / "gpu_drapes.json").write_text(json.dumps(report, indent=1))
         np.savez_compressed(out / "drapes.npz", **positions)
@@ -209,12 +252,13 @@ def main() -> None:
     parser.add_argument("--device", default="cuda")
     parser.add_argument("--count", type=int, default=FABRICS)
     parser.add_argument("--near", type=int, default=NEAR)
+    parser.add_argument("--compile", action="store_true", help="also time compiled parts")
     parser.add_argument("--out", type=Path, default=Path(os.environ.get("OUT", ".")))
     words = parser.parse_args()
     if words.what == "prepare":
         prepare(words.file, words.count, words.near)
     elif words.what == "run":
-        run(words.file, words.device, words.count, words.out)
+        run(words.file, words.device, words.count, words.out, compiled=words.compile)
     else:
         check(words.out)
 

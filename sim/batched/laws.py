@@ -32,7 +32,8 @@ def plate_rows(fabric: Fabric) -> dict[str, np.ndarray]:
 
 
 def variant_rows(one: Variant) -> dict[str, np.ndarray]:
-    """The same of natural curvature and friction (:mod:`sim.energies.bending_variants`)."""
+    """The same of natural curvature and friction (:mod:`sim.energies.bending_variants`): moment
+    (3,), P over the limit (3, 3), and three numbers."""
     pull = [[one.p_xx, one.p_mixed, 0.0], [one.p_mixed, one.p_yy, 0.0], [0.0, 0.0, one.p_xy]]
     rows = {"moment": (one.m_xx, one.m_yy, one.m_xy), "pull": np.array(pull) / one.limit,
             "limit": one.limit, "slid": one.slid, "returned": one.returned}
@@ -219,7 +220,8 @@ def _eigen(matrix: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def barrier(angle: Tensor, pole: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """The barrier of :mod:`sim.energies.fold_barrier` and two derivatives, per unit of scale."""
+    """The barrier of :mod:`sim.energies.fold_barrier` and two derivatives at angles (3, T, B), rad,
+    per unit of scale."""
     over = angle.abs() - LIMIT_START * pole
     bent = over > 0
     remaining = torch.where(bent, pole - angle.abs(), 1.0)
