@@ -45,7 +45,7 @@ from sim.solver.newton import NewtonOptions
 RIGS = (DISC_RIG, SQUARE_RIG)
 EDGE = 6e-3  # m
 TIGHT = NewtonOptions(residual=1e-7, step=1e-5, max_iterations=100)
-SEED, FABRICS, NEAR = 77, 256, 8
+SEED, FABRICS, NEAR = 77, 512, 8
 BESIDE = 1e-4  # m, deviation of a start from its minimum
 
 
@@ -250,13 +250,13 @@ def main() -> None:
     parser.add_argument("what", choices=("prepare", "run", "check"))
     parser.add_argument("file", type=Path)
     parser.add_argument("--device", default="cuda")
-    parser.add_argument("--count", type=int, default=FABRICS)
+    parser.add_argument("--count", type=int, default=256)
     parser.add_argument("--near", type=int, default=NEAR)
     parser.add_argument("--compile", action="store_true", help="also time compiled parts")
     parser.add_argument("--out", type=Path, default=Path(os.environ.get("OUT", ".")))
     words = parser.parse_args()
     if words.what == "prepare":
-        prepare(words.file, words.count, words.near)
+        prepare(words.file, FABRICS, words.near)
     elif words.what == "run":
         run(words.file, words.device, words.count, words.out, compiled=words.compile)
     else:

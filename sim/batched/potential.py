@@ -78,10 +78,11 @@ class BatchedPotential:
             column < 9, (row < 9) & (column >= 9), row >= 9)]
         row, column = (index[column < 9] for index in _UPPER)
         self._pairs = place(row), place(column), place(np.flatnonzero(row % 3 == column % 3))
-        self._contacts = [  # vertices of the points, slots of their blocks, coordinates of each
-            (place(contact.dofs[:, ::3].T // 3), place(slot), *(
-                place(index % 3) for index in np.triu_indices(contact.dofs.shape[1])))
-            for contact, slot in zip(first.obstacles, slots[-2:], strict=True)]
+        vertices, middles = (contact.dofs[:, ::3].T // 3 for contact in first.obstacles)
+        # Ends of the points in contact, equal for a vertex; slots of the two kinds' blocks
+        self._points = place(np.hstack([vertices.repeat(2, 0), middles]))
+        self._point_slots = [(place(slot), *(place(index % 3) for index in np.triu_indices(size)))
+                             for slot, size in zip(slots[-2:], (3, 6), strict=True)]
         rows = [laws.plate_rows(cloth.fabric) | {"membrane": cloth.laws.membrane.matrix}
                 for cloth in cloths]
         if isinstance(bending, HystereticBending):
@@ -134,8 +135,8 @@ class BatchedPotential:
             "areas": areas, "bending_areas": bent, "slenderness": square / double,
             "maps": torch.stack([nx * nx, ny * ny, nx * ny])[:, :, active] * square.sqrt(),
             "gradients": (-across[:, :, active] / double).transpose(0, 1), "radius": radius,
-            "weights": weight * on_vertices, "points": pressure * on_vertices[free],
-            "middles": pressure * on_edges[free[self.ends].any(0)],
+            "weights": weight * on_vertices, "contact": pressure * torch.cat(
+                [on_vertices[free], on_edges[free[self.ends].any(0)]]),
             "force_scale": cloth.fabric.density * GRAVITY * on_vertices.mean(0) * units,
             "length_scale": STEP_UNIT / units,
             "pole": torch.from_numpy(np.minimum(bending.pole, 1e3).T[..., None]).to(device),
@@ -190,12 +191,11 @@ class BatchedPotential:
             [pulls.flatten(0, 2), (moment * own["sign"]).flatten(0, 1)]))
         on_vertices = self._on_vertices(forces)
         on_vertices[:, 2] += own["weights"]
-        for (ends, *_), scale in zip(self._contacts, (own["points"], own["middles"]), strict=True):
-            depth, normal, _ = self._contact(x[:, ends].mean(1))
-            energy = energy + (scale * depth**3).sum(0) / 3
-            push = (scale * depth**2 / -len(ends) * normal).transpose(0, 1)
-            for end in ends:
-                on_vertices.index_add_(0, end, push)
+        depth, normal, _ = self._contact(x[:, self._points].mean(1))
+        energy = energy + (own["contact"] * depth**3).sum(0) / 3
+        push = (-0.5 * own["contact"] * depth**2 * normal).transpose(0, 1)
+        for end in self._points:
+            on_vertices.index_add_(0, end, push)
         if "aim" in own:
             off, below = x - own["aim"], (own["height"] - x[2]).clamp(min=0)
             energy = energy + 0.5 * (own["inertia"] * off**2).sum((0, 1))
@@ -245,14 +245,15 @@ class BatchedPotential:
         data = x.new_zeros(self._nonzeros + 1, self.count)  # last: entries of held unknowns
         for slots, values in zip(self._slots, (entries, mixed, stiff), strict=True):
             data.index_add_(0, slots.ravel(), values.reshape(-1, self.count))
-        for (ends, slots, row, column), scale in zip(
-                self._contacts, (own["points"], own["middles"]), strict=True):
-            points = x[:, ends].mean(1)
-            touching = torch.nonzero((self._contact(points)[0] > 0).any(1))[:, 0]
-            depth, normal, bend = self._contact(points[:, touching], bend=True)
-            scale = scale[touching] * depth / len(ends) ** 2
+        points = x[:, self._points].mean(1)
+        touching, first = (self._contact(points)[0] > 0).any(1), 0
+        for slots, row, column in self._point_slots:
+            near = torch.nonzero(touching[first : first + slots.shape[1]])[:, 0]
+            depth, normal, bend = self._contact(points[:, first + near], bend=True)
+            scale = own["contact"][first + near] * depth * (1.0 if first == 0 else 0.25)
             block = scale * (2 * normal[:, None] * normal + (1 - other) * depth * bend)
-            data.index_add_(0, slots[:, touching].ravel(), block[row, column].flatten(0, 1))
+            data.index_add_(0, slots[:, near].ravel(), block[row, column].flatten(0, 1))
+            first = slots.shape[1]
         diagonal = x.new_zeros(self.unknowns, self.count)
         if "aim" in own:
             on_vertices = self._on_vertices(diagonal)
