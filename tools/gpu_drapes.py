@@ -5,7 +5,8 @@
 
 ``run`` writes ``gpu_drapes.json`` and the drapes' positions, ``drapes.npz``, to DIR or $OUT. It
 needs PyTorch, NumPy, SciPy, Numba and tqdm only. Without ipctk, self-intersections are not looked
-for; ``check FILE DIR`` looks for them later.
+for, and drapes that are not finished are not continued on the CPU; ``check FILE --out DIR`` looks
+for intersections later.
 """
 
 import argparse
@@ -210,7 +211,7 @@ def run(file: Path, device: str, count: int, out: Path, *, compiled: bool) -> No
     """All measurements; the first, of few drapes, is to warm up."""
     intersections = find_spec("ipctk") is not None
     if not intersections:
-        batched.self_intersections = lambda *_: ()
+        batched.self_intersections, batched._UNFINISHED = lambda *_: (), ()
     data = np.load(file)
     fabrics = [Fabric(*moduli) for moduli in zip(data["alpha"], data["beta"], strict=True)]
     report = {"torch": torch.__version__, "device": device if device == "cpu" else

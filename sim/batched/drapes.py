@@ -31,8 +31,9 @@ from sim.solver.newton import NewtonOptions, Status
 from sim.solver.state import State
 from sim.start import LOWERED, interpolate_positions
 
-BATCH = 512
-"""Largest number of drapes at once, which need about 25 GB on meshes of 4 000 unknowns."""
+BATCH = 500
+"""Largest number of drapes at once, which need about 25 GB on meshes of 4 000 unknowns, and have
+fewer than 65 536 fronts on a level, a limit of some libraries."""
 _STRAGGLERS = 0.03
 """Share of drapes whose minimisation on a coarser mesh is ended when the others have converged."""
 _MAX_ITERATIONS = 150  # on the final mesh, after which a drape is continued on the CPU
