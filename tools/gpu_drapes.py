@@ -32,7 +32,7 @@ if find_spec("threadpoolctl") is None:  # which only limits threads
 import torch
 
 from sim.batched import drapes as batched
-from sim.batched import newton
+from sim.batched import newton, solver
 from sim.batched.lowering import columns
 from sim.batched.potential import BatchedPotential
 from sim.batched.solver import BatchedSolver
@@ -118,6 +118,7 @@ KERNELS = tuple((owner, name, lambda a, *_, name=name: f"{name} {a.shape[0]}x{tu
                 for owner, name in ((torch.linalg, "cholesky_ex"), (torch, "bmm"),
                                     (torch.linalg, "solve_triangular"), (torch, "baddbmm")))
 REPEATS = 5
+BLOCKS = (8, 16, 24, 32, 48, 1000)
 
 
 @contextmanager
@@ -171,6 +172,17 @@ def compare(rig, fabrics: list[Fabric], minima: np.ndarray, device: str) -> dict
             "statuses": [one.status.value for one in found.results]}
 
 
+def timed(part: Callable[[], object], clock: Clock) -> float:
+    """Milliseconds of a part, after a first time."""
+    part()
+    clock.wait()
+    began = time.perf_counter()
+    for _ in range(REPEATS):
+        part()
+    clock.wait()
+    return round(1e3 * (time.perf_counter() - began) / REPEATS, 2)
+
+
 def iteration(
     rig, fabrics: list[Fabric], minima: np.ndarray, device: str, *, compiled: bool
 ) -> dict:
@@ -193,13 +205,12 @@ def iteration(
             parts[f"{name} compiled"] = lambda call=call, more=more: call(potential, x, n, *more)
     result, clock = {}, Clock(device)
     for name, part in parts.items():
-        part()
-        clock.wait()
-        began = time.perf_counter()
-        for _ in range(REPEATS):
-            part()
-        clock.wait()
-        result[name] = round(1e3 * (time.perf_counter() - began) / REPEATS, 2)
+        result[name] = timed(part, clock)
+    kept = solver.BLOCK
+    for solver.BLOCK in BLOCKS:
+        result[f"factorise, blocks of {solver.BLOCK}"] = timed(
+            lambda: potential.solver.factorise(data), clock)
+    solver.BLOCK = kept
     with watched(clock, KERNELS):
         potential.solver.factorise(data)
     kernels = {name: round(1e3 * seconds, 2) for name, seconds in clock.seconds.items()}

@@ -19,6 +19,9 @@ from sim.solver.linear import SparsePattern
 
 LEAF = 32
 """Unknowns of a matrix for each leaf of the tree; with fewer, the fronts above outweigh them."""
+BLOCK = 32
+"""Largest matrix that a library factors and inverts; larger ones are split, as products are faster
+than factors and substitutions."""
 _CUTS = np.linspace(0.42, 0.58, 9)  # shares of the elements in the first half
 
 
@@ -65,11 +68,8 @@ class BatchedSolver:
                 flat.index_add_(1, places, below[:, entries], alpha=-1.0)
             front = flat.view(batch * fronts, size)
             panel = front[:, : (p + q) * p].unflatten(1, (p + q, p))
-            factor, info = torch.linalg.cholesky_ex(panel[:, :p])
-            sound = (info == 0) & (factor.diagonal(dim1=1, dim2=2) > 0).all(1)
+            inverse, sound = _inverse_factors(panel[:, :p])
             definite &= sound.view(batch, fronts).all(1)
-            identity = torch.eye(p, dtype=data.dtype, device=data.device).expand_as(factor)
-            inverse = torch.linalg.solve_triangular(factor, identity, upper=False)
             strip = torch.bmm(panel[:, p:], inverse.mT)
             self._panels.append((inverse, strip))
             if level.joins:  # what is subtracted from the parents: that of the children, too
@@ -95,6 +95,25 @@ class BatchedSolver:
             part = inverse.mT @ (part - strip.mT @ known)
             solution[:, level.pivots.ravel()] = part.view(batch, -1)
         return solution.T[:-1].contiguous()
+
+
+def _inverse_factors(matrices: Tensor) -> tuple[Tensor, Tensor]:
+    """Inverses (M, p, p) of the Cholesky factors of matrices, given by their lower triangles, and
+    whether each (M,) is positive definite; in two halves where they are large."""
+    p = matrices.shape[1]
+    if p <= BLOCK:
+        factor, info = torch.linalg.cholesky_ex(matrices)
+        identity = torch.eye(p, dtype=factor.dtype, device=factor.device).expand_as(factor)
+        return (torch.linalg.solve_triangular(factor, identity, upper=False),
+                (info == 0) & (factor.diagonal(dim1=1, dim2=2) > 0).all(1))
+    half, inverse = p // 2, matrices.new_zeros(matrices.shape)
+    one, sound = _inverse_factors(matrices[:, :half, :half])
+    strip = torch.bmm(matrices[:, half:, :half], one.mT)
+    other, more = _inverse_factors(torch.baddbmm(matrices[:, half:, half:], strip, strip.mT,
+                                                 alpha=-1.0))
+    inverse[:, :half, :half], inverse[:, half:, half:] = one, other
+    inverse[:, half:, :half] = -torch.bmm(other, torch.bmm(strip, one))
+    return inverse, sound & more
 
 
 def _dissected(
