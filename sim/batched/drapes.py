@@ -11,6 +11,7 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from common.workers import worker_pool
 from sim import drape as single
 from sim.batched.lowering import columns, lowered
 from sim.batched.newton import Outcome, minimise
@@ -20,7 +21,7 @@ from sim.drape import Drape, _Run
 from sim.energies.bending_variants import Hysteresis
 from sim.energies.membrane import Corotational, OrthotropicStVK
 from sim.energies.self_contact import self_intersections
-from sim.equilibrium import Equilibrium, find_equilibrium
+from sim.equilibrium import Equilibrium
 from sim.lowering import LOWERING_MESHES
 from sim.material import Fabric
 from sim.mesh import Mesh
@@ -41,28 +42,44 @@ _UNFINISHED = (Status.MAX_ITERATIONS, Status.SADDLE)
 
 
 def drape_batch(
-    plans: Sequence[Mapping[str, Any]], device: str | torch.device = "cuda"
+    plans: Sequence[Mapping[str, Any]], device: str | torch.device = "cuda", *, workers: int = 1
 ) -> list[Drape]:
     """The drapes of ``plans``, arguments of :func:`sim.drape.drape` by name, in their order, as
-    :func:`sim.batch.drape_batch` gives them up to rounding, which may choose other folds. Those
-    that are not covered (:func:`covers`) are simulated one by one on the CPU."""
-    drapes: list[Drape | None] = [None] * len(plans)
+    :func:`sim.batch.drape_batch` gives them up to rounding, which may choose other folds.
+
+    Meanwhile ``workers`` processes on the CPU simulate those that are not covered (:func:`covers`),
+    and continue those that intersect themselves or are not finished. A script calls this below
+    ``if __name__ == "__main__":``.
+    """
     groups: dict[tuple, list[tuple[int, _Run]]] = {}
-    for index, plan in enumerate(plans):
-        if covers(plan):
-            run = _run(**plan)
+    drapes: list[Drape | None] = [None] * len(plans)
+    with worker_pool(workers) as pool:
+        calls = {index: pool.submit(single.drape, **plan)
+                 for index, plan in enumerate(plans) if not covers(plan)}
+        for index in sorted(set(range(len(plans))) - set(calls)):
+            run = _run(**plans[index])
             # The triangles and levels of their meshes, stopping criteria, and kinds of laws
             key = (id(run.scene(run.edge).mesh.faces), run.edge, run.options, *_coarse_edges(run),
                    type(run.laws.bending), type(run.laws.membrane))
             groups.setdefault(key, []).append((index, run))
-        else:
-            drapes[index] = single.drape(**plan)
-    for group in groups.values():
-        for first in range(0, len(group), BATCH):
-            indices, runs = zip(*group[first : first + BATCH], strict=True)
-            for index, made in zip(indices, _draped(runs, device), strict=True):
-                drapes[index] = made if plans[index].get("keep") else single.light(made)
+        for group in groups.values():
+            for first in range(0, len(group), BATCH):
+                indices, runs = zip(*group[first : first + BATCH], strict=True)
+                for index, run, made in zip(indices, runs, _draped(runs, device), strict=True):
+                    drapes[index] = made
+                    if made.status in _UNFINISHED or (made.converged and len(
+                            self_intersections(made.positions, made.faces))):
+                        calls[index] = pool.submit(_continued, made, run.options)
+        for index, call in calls.items():
+            drapes[index] = call.result()
     return drapes
+
+
+def _continued(made: Drape, options: NewtonOptions) -> Drape:
+    """The drape near an unfinished one, with self-contact where it is needed."""
+    near = single.follow(made, made.fabric, options=options)
+    return replace(near, coarse=made.coarse, outcome=near.after(made).outcome,
+                   seconds=made.seconds + near.seconds)
 
 
 def covers(plan: Mapping[str, Any]) -> bool:
@@ -98,7 +115,7 @@ def _draped(runs: Sequence[_Run], device: str | torch.device) -> list[Drape]:
     for (edge, grading), coarse in zip(LOWERING_MESHES, _coarse_edges(runs[0]), strict=True):
         limp = grading != GRADING
         chosen = [k for k, (run, made) in enumerate(zip(runs, drapes, strict=True))
-                  if not (made and made.converged)
+                  if not (made and (made.converged or made.status in _UNFINISHED))
                   and (limp or edge <= single._EDGES_OF_LIMP * bending_length(run.fabric))]
         if chosen:
             settled = _settled([runs[k] for k in chosen], coarse, grading, device)
@@ -144,28 +161,21 @@ def _settled(
     found = [_found(k, run, scenes[-1], outcomes)
              for k, (run, scenes) in enumerate(zip(runs, by_run, strict=True))]
     seconds = (time.perf_counter() - began) / len(runs)
-    return [single._made(one, True, fabric=run.fabric, rig=run.rig, edge=run.edge, seconds=seconds,
+    return [single._made(one, False, fabric=run.fabric, rig=run.rig, edge=run.edge, seconds=seconds,
                          coarse=tuple(outcome.results[k].status for outcome in outcomes[1:-1]))
             for k, (run, one) in enumerate(zip(runs, found, strict=True))]
 
 
 def _found(k: int, run: _Run, scene: Scene, outcomes: list[Outcome]) -> Equilibrium:
-    """The equilibrium of drape ``k``. One that intersects itself, or was not finished, is continued
-    on the CPU."""
-    last = outcomes[-1]
+    """What was found for drape ``k``."""
+    last, laws = outcomes[-1], run.laws
     now = State(*(part[..., k].T.cpu().numpy().copy() for part in (last.x, last.n)))
     steps = sum(outcome.results[k].iterations for outcome in outcomes)
-    outcome = replace(last.results[k], q=now.q, iterations=steps)
-    laws = run.laws
     if last.origin is not None and last.origin[..., k].any():
         origin = last.origin[..., k].T.cpu().numpy().copy()
         laws = replace(laws, bending=replace(laws.bending, origin=origin))
-    one = Equilibrium(cloth=Cloth(scene, run.fabric, laws=laws), state=now, outcome=outcome)
-    if one.status in _UNFINISHED or (
-            one.converged and len(self_intersections(one.positions, scene.mesh.faces))):
-        return find_equilibrium(scene, run.fabric, now, laws=laws, options=run.options,
-                                self_contact=True).after(one)
-    return one
+    return Equilibrium(cloth=Cloth(scene, run.fabric, laws=laws), state=now,
+                       outcome=replace(last.results[k], q=now.q, iterations=steps))
 
 
 @lru_cache(maxsize=64)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from sim.batched import drapes
 from sim.batched.drapes import covers, drape_batch
 from sim.batched.laws import raise_eigenvalues
 from sim.batched.lowering import columns
@@ -169,11 +170,20 @@ def test_a_batch_is_complete_and_in_order():
     plans = [{"fabric": FABRICS[k], "rig": DISC_RIG, "edge": 14e-3, "seed": seed} | more
              for k, seed, more in ((2, 0, {}), (2, 0, {"start": "sine"}), (0, 1, {}))]
     assert [covers(plan) for plan in plans] == [True, False, True]
-    drapes = drape_batch(plans, device="cpu")
-    assert [one.fabric for one in drapes] == [plan["fabric"] for plan in plans]
-    assert all(one.converged for one in drapes)
+    made = drape_batch(plans, device="cpu")
+    assert [one.fabric for one in made] == [plan["fabric"] for plan in plans]
+    assert all(one.converged for one in made)
     exact = drape(**plans[0])
-    assert np.abs(drapes[0].positions - exact.positions).max() < 1e-6
+    assert np.abs(made[0].positions - exact.positions).max() < 1e-6
+
+
+def test_what_is_not_finished_is_continued(monkeypatch):
+    monkeypatch.setattr(drapes, "_MAX_ITERATIONS", 1)
+    plan = {"fabric": FABRICS[2], "rig": DISC_RIG, "edge": 14e-3}
+    made, exact = drape_batch([plan], device="cpu")[0], drape(**plan)
+    assert made.converged and made.coarse == (Status.MAX_ITERATIONS,)
+    assert made.outcome.positive_definite
+    assert np.abs(made.positions - exact.positions).max() < 1e-6
 
 
 def test_real_specimens_are_those_of_one():
