@@ -75,7 +75,7 @@ prior: $(STAMP)  ## compare priors, 8 minutes; or fit one to your table: make pr
 	$(BIN)/python -m $(if $(TABLE),data.fabrics.prior fit fabrics=$(TABLE),experiments prior)
 
 dataset: $(STAMP)  ## simulate drapes of many testers, both faces and several specimens of each fabric
-	$(BIN)/python -m data.dataset.generate dataset=testers drapes=48000 seed=41 edge_mm=3 out=$(DATASET)
+	$(BIN)/python -m data.dataset.generate dataset=testers drapes=48000 seed=41 edge_mm=5 out=$(DATASET)
 
 train: $(STAMP)  ## train the network on them, resumes when interrupted
 	$(BIN)/python train.py data=$(DATASET) out=outputs/train

@@ -21,10 +21,10 @@ from common.files import folder_named, replace_file, require_folder
 from data.captures.description import checked_density
 from data.render.strips import StripScene, posed
 from data.strips.description import FILE
-from sim.cantilever.strip import bending_length, simulate_strips
+from sim.cantilever.strip import simulate_strips
 from sim.cloth import Laws
 from sim.energies.bending_variants import Hysteresis
-from sim.material import DIRECTIONS, MICRO, NANO, Fabric
+from sim.material import DIRECTIONS, MICRO, NANO, Fabric, bending_length
 
 STRIPS = ((1.5, "up"), (2.5, "down"))  # bending lengths, and face
 DISTANCES = (300.0, 5000.0)  # mm

@@ -151,11 +151,12 @@ def strip_coverage(report: Report) -> Report:
 
 
 def strips(report: Report) -> Report:
-    """Largest deviations of both kinds of strips, and range of the orders of the plates."""
-    rates = report["plate_rates"].values()
+    """Largest deviations of both kinds of strips, and those of plates by their cells a side."""
+    plates = [pair for pairs in report["plates"].values() for pair in pairs]
     return {name: max(abs(row["deviation"]) for row in report[kind])
             for name, kind in (("bent", "nonlinear"), ("cut", "angled"))} | {
-            "orders": [min(rates), max(rates)]}
+            "plates": {str(cells): max(abs(error) for number, error in plates if number == cells)
+                       for cells, _ in plates}}
 
 
 def lowering_cost(report: Report) -> Report:

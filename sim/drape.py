@@ -14,14 +14,13 @@ from sim.energies.base import Energy
 from sim.energies.self_contact import SelfContact, self_intersections
 from sim.equilibrium import Equilibrium, find_equilibrium
 from sim.lowering import LOWERING_MESHES, lowered, with_origins
-from sim.material import Fabric
+from sim.material import Fabric, bending_length
 from sim.mesh import Mesh
 from sim.mesh.specimen import (
     GRADING,
     MAX_BORROWED_EDGE,
     MAX_COARSE_EDGE,
     TOPOLOGIES,
-    bending_length,
     coarse_to_fine,
     default_edge,
     longest_edge,
@@ -154,7 +153,7 @@ def drape(
     check_start(start, rig)
     if seed < 0:
         raise InputError(f"seed={seed} must not be negative")
-    edge = default_edge(fabric, rig) if edge is None else edge
+    edge = default_edge(fabric, rig, offset=offset) if edge is None else edge
     began = time.perf_counter()
     run = _Run(fabric, rig, laws, edge, seed, offset, options or FINE_OPTIONS)
     try:
@@ -197,8 +196,8 @@ class _Run:
     def lowered(self) -> tuple[Equilibrium, list[Status]]:
         """The equilibrium of lowered cloth, as :meth:`settled`. Limp cloth, and cloth without any,
         is lowered on a finer mesh."""
-        meshes = [mesh for mesh in LOWERING_MESHES[:-1]
-                  if mesh[0] <= _EDGES_OF_LIMP * bending_length(self.fabric)]
+        fold = bending_length(self.fabric.alpha.min(), self.fabric.density)
+        meshes = [mesh for mesh in LOWERING_MESHES[:-1] if mesh[0] <= _EDGES_OF_LIMP * fold]
         for coarse, grading in (*meshes, LOWERING_MESHES[-1]):
             coarse = min(max(coarse, self.edge), longest_edge(self.rig, self.offset))
             scene = self.scene(coarse, grading, soft=True)

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from sim.cantilever import heavy_elastica
-from sim.cantilever.strip import bending_length
+from sim.material import bending_length
 from sim.rig import GRAVITY
 
 WEIGHT = 0.3 * GRAVITY

@@ -5,6 +5,7 @@ Positions x are (V, 3) m, edge normals n (E, 3) (:mod:`sim.solver.state`), rest 
 of the triangles are free.
 """
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -50,6 +51,10 @@ class ReferenceEnergy:
             torch.from_numpy, (mesh.faces[active], mesh.face_edges[active], mesh.faces,
                                mesh.face_edges, mesh.edges))
         # Edges of held triangles and boundary edges (N, 3), rows at a clamp (N,), free vertices
+        number = np.full(len(mesh.faces), -1)
+        number[active] = np.arange(active.sum())
+        beside = np.where(mesh.edge_faces >= 0, number[mesh.edge_faces], -1)
+        self._pairs = torch.from_numpy(beside[(beside >= 0).all(1)])  # (M, 2)
         self._clamped, self._boundary, self._first, self._second, self._free = map(
             torch.from_numpy, (clamped, boundary, first, second, ~scene.held))
         self.law, self.softest = constants(cloth.fabric), float(cloth.fabric.alpha.min())
@@ -74,10 +79,12 @@ class ReferenceEnergy:
         heights = 2 * areas[:, None] / lengths
         nx, ny = (across / lengths[..., None]).unbind(-1)
         rows = torch.stack([nx**2, ny**2, nx * ny], dim=1)
-        curvatures = (rows * (2 * angles / heights)[:, None]).sum(-1)
+        weights = self._clamp_weights(areas)
+        curvatures = weights[:, None] * (rows * (2 * angles / heights)[:, None]).sum(-1)
         barrier = (self.softest * lengths / heights * self._fold_barrier(angles)).sum(-1)
-        return (areas * membrane + self._bending_areas(areas)
-                * plate_density(curvatures, self.law) + barrier).sum()
+        plate = areas / weights
+        return (areas * membrane + plate * plate_density(curvatures, self.law) + barrier
+                ).sum() + self._jumps(curvatures, plate)
 
     def external(self, x: Tensor, rest: Tensor) -> Tensor:
         """() J of weight and contact with the cylinder."""
@@ -109,6 +116,13 @@ class ReferenceEnergy:
         difference = ((uu - vv) ** 2 + 4 * uv**2) / total**2
         return 0.5 * (self.mu * difference + (self.mu + self.lam) * (total - 2) ** 2)
 
+    def _jumps(self, curvatures: Tensor, areas: Tensor) -> Tensor:
+        """() J of the jumps of curvature at inner edges."""
+        one, other = curvatures[self._pairs].unbind(1)
+        means = plate_density((one + other) / 2, self.law)
+        mean = (plate_density(one, self.law) + plate_density(other, self.law)) / 2
+        return (areas[self._pairs].sum(1) / 3 * (mean - means)).sum()
+
     def _fold_barrier(self, angles: Tensor) -> Tensor:
         """(N, 3) the barrier of :mod:`sim.energies.fold_barrier` per unit of its scale."""
         pole = torch.pi / 2 * (1.0 + self._clamped.to(angles))
@@ -118,14 +132,15 @@ class ReferenceEnergy:
         barrier = -(over**2) * torch.log(remaining / ((1 - LIMIT_START) * pole))
         return torch.where(bent, barrier, 0.0)
 
-    def _bending_areas(self, areas: Tensor) -> Tensor:
-        """Areas (N,) with the weights of :func:`sim.energies.midedge.bending_areas`."""
+    def _clamp_weights(self, areas: Tensor) -> Tensor:
+        """Weights (N,) of :func:`sim.energies.midedge.clamp_weights`."""
+        weights = torch.ones_like(areas)
         if not (self._first.any() and self._second.any()):
-            return areas
+            return weights
         near, behind = ((areas * row).sum() for row in (self._first, self._second))
         shifted = (1 - 1 / CLAMP) * near / behind
-        areas = torch.where(self._first, CLAMP * areas, areas)
-        return torch.where(self._second, areas / (1 + shifted), areas)
+        weights = torch.where(self._first, CLAMP, weights)
+        return torch.where(self._second, 1 / (1 + shifted), weights)
 
 
 def edge_angles(corners: Tensor, normals: Tensor) -> Tensor:

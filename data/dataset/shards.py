@@ -174,8 +174,6 @@ def _require_layout(file: h5py.File) -> None:
     layout = {name: (field.dtype, (rows, *field.shape))
               for name, field in fields(vertices, triangles).items()}
     for name, expected in (layout | {FACES: ("i4", (meshes, triangles, 3))}).items():
-        if name in (MOVES, MOVE_UNITS) and name not in file:
-            continue
         if (file[name].dtype, file[name].shape) != (np.dtype(expected[0]), expected[1]):
             raise ValueError(f"{name} does not have the type or shape of docs/data_format.md")
 
@@ -219,11 +217,6 @@ class Shard:
         """Curvatures without friction of a drape's triangles."""
         faces = self._arrays[FACES][self._arrays["mesh"][row]]
         return self._arrays[ORIGIN][row, : faces.any(axis=1).sum()] * ORIGIN_UNIT
-
-    @property
-    def has_moves(self) -> bool:
-        """Whether drapes are stored with their derivatives, where these exist."""
-        return MOVES in self._arrays and MOVE_UNITS in self._arrays
 
     def moves(self, row: int) -> np.ndarray | None:
         """Derivatives (P, V, 3) of a drape's positions by the parameters :data:`MOVED_BY`, m per

@@ -94,9 +94,10 @@ def _drape(
         start = {"borrowed": (lender["rest"] * LENGTH_UNIT, lender["positions"] * LENGTH_UNIT)}
     fabric = fabric_from_theta(plan.theta)
     edges = [factor * config.edge for factor in COARSER] if config.edge else DEFAULT_EDGES
-    record |= {"density": fabric.density, "edge": default_edge(fabric, plan.rig, edges)}
-    return solver(fabric, rig=plan.nuisances.rig(plan.rig), edge=record["edge"], seed=plan.seed,
-                  offset=tuple(plan.offset), laws=plan.nuisances.laws, **start)
+    rig, offset = plan.nuisances.rig(plan.rig), tuple(plan.offset)
+    record |= {"density": fabric.density, "edge": default_edge(fabric, rig, edges, offset)}
+    return solver(fabric, rig=rig, edge=record["edge"], seed=plan.seed, offset=offset,
+                  laws=plan.nuisances.laws, **start)
 
 
 def _planned(plan: DrapePlan, lender: Record | None) -> dict:

@@ -8,7 +8,7 @@ import io
 import math
 from collections.abc import Iterable
 from concurrent.futures import as_completed
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +22,7 @@ from common.types import Faces, Points, Radians, Theta
 from common.workers import worker_pool
 from data.captures.capture import CLOTH_SHARE
 from data.dataset.folder import MANIFEST, json_digest
-from data.dataset.shards import MOVED_BY, Shard
-from data.fabrics.fabrics import fabric_from_theta
+from data.dataset.shards import Shard
 from data.fabrics.nuisances import Nuisances
 from data.render.setups import Setups
 from drapenet.views.directions import AZIMUTHS, ELEVATIONS
@@ -31,20 +30,13 @@ from drapenet.views.located import LocatedViews
 from drapenet.views.observation import map_along
 from drapenet.views.outline import PERSPECTIVES, contour, outline_of_map, silhouettes
 from drapenet.views.radial_map import compressed
-from sim.drape import FINE_OPTIONS
-from sim.equilibrium import find_equilibrium
 from sim.mesh import Mesh
-from sim.mesh.specimen import TOPOLOGIES
 from sim.rig import Rig
-from sim.scene import make_specimen
-from sim.sensitivity import Tangent
-from sim.sensitivity.forward import tangent_sensitivities
 
 SOURCES = (
     "configs/camera.yaml", "configs/sensor/*.yaml", "data/captures/*.py", "data/dataset/shards.py",
     "data/fabrics/*.py", "data/render/*.py", "data/rigs.py", "drapenet/network/dataset.py",
-    "drapenet/views/*.py", "sim/*.py", "sim/energies/*.py", "sim/mesh/*.py",
-    "sim/sensitivity/*.py", "sim/solver/*.py",
+    "drapenet/views/*.py", "sim/mesh/*.py", "sim/rig.py",
 )
 """Files of the code that determines maps, and of the settings that it reads."""
 _COLUMNS = ("index", "fabric", "theta", "nuisances", "face", "folds", "edge", "seed", "offset",
@@ -57,7 +49,6 @@ tenth."""
 MAX_MOVE = 0.04  # of a neighbour's drape, over the specimen's size
 _PARAMETERS = 7  # theta and the logarithm of the membrane stiffness
 _MEMBRANE = np.log(10.0) / (2 * 1.96)  # standard deviation of the logarithm, as configs/nuisances
-_EQUILIBRIUM_TOLERANCE = 5e-4  # m, maximum move of a stored drape to its equilibrium
 
 
 @dataclass(frozen=True)
@@ -166,8 +157,7 @@ def maps_of_shard(
         mesh = Mesh(rest, faces)
         derivatives = None
         if neighbours:
-            derivatives = (shard.moves(row) if shard.has_moves else
-                           drape_derivatives(drape, positions, shard.origin(row), rig))
+            derivatives = shard.moves(row)
         for number in range(captures + outlines if derivatives is not None else
                             1 if neighbours else captures):
             step, moved = np.zeros(_PARAMETERS), positions
@@ -228,32 +218,6 @@ def _truth(drape: dict[str, np.ndarray], rig: Rig, step: np.ndarray) -> dict[str
             "plate": rig.plate_diameter / rig.specimen_size, "disc": rig.specimen == "disc",
             "aspect": rig.aspect,
             **{name: drape[name] for name in ("face", "folds", "fabric", "index")}}
-
-
-def drape_derivatives(
-    row: dict[str, np.ndarray], positions: Points, origin: np.ndarray, rig: Rig
-) -> np.ndarray | None:
-    """(7, V, 3) derivatives of the stored drape of a ``row``, as :meth:`Shard.moves`, for a shard
-    without; ``origin``: (F, 3) 1/m, curvatures without friction.
-
-    The equilibrium next to the rounded drape is found again, at three times the cost of all else.
-    """
-    nuisances = Nuisances(*row["nuisances"])
-    rig, fabric = nuisances.rig(rig), fabric_from_theta(row["theta"])
-    scene = make_specimen(rig, edge=float(row["edge"]), topology=int(row["seed"]) % TOPOLOGIES,
-                          offset=tuple(row["offset"]))
-    positions = positions.copy()
-    positions[scene.held] = rig.place(scene.mesh.rest[scene.held])
-    laws = nuisances.laws
-    if nuisances.hysteresis:
-        laws = replace(laws, bending=replace(laws.bending, origin=origin[scene.active]))
-    equilibrium = find_equilibrium(
-        scene, fabric, scene.state(positions), laws=laws, options=FINE_OPTIONS, self_contact=True)
-    if np.abs(equilibrium.state.positions - positions).max() > _EQUILIBRIUM_TOLERANCE:
-        return None
-    tangent = Tangent(equilibrium.cloth, equilibrium.state.q, equilibrium.outcome.factor)
-    derivatives = tangent_sensitivities(tangent, fabric, MOVED_BY)
-    return derivatives.positions if derivatives.ok else None
 
 
 def neighbour(theta: Theta, fabrics: Theta, rng: np.random.Generator) -> np.ndarray:

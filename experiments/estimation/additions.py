@@ -35,8 +35,7 @@ from experiments.estimation.strip_photographs import (
     read_pictures,
 )
 from experiments.result import Config, Result, read_report, rms
-from sim.cantilever.strip import bending_length
-from sim.material import DIRECTIONS, FIRST, LINEAR, RATIO, REFERENCE_DENSITY, SECOND
+from sim.material import DIRECTIONS, FIRST, LINEAR, RATIO, REFERENCE_DENSITY, SECOND, bending_length
 
 ONE = "one drape"
 STRIPS = "one drape, a strip along warp and weft"

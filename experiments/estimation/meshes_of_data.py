@@ -19,9 +19,8 @@ from data.fabrics.prior.even import moved
 from experiments.drapes import as_read, capture_drape, drape_as_planned, ideal_setups, plan_specimen
 from experiments.result import ESTIMATOR, Config, Result, rms, run_cases
 from sim.drape import Drape
-from sim.material import LINEAR, MICRO
+from sim.material import LINEAR, MICRO, bending_length
 from sim.measures import drape_coefficient, fold_count
-from sim.mesh.specimen import bending_length
 from sim.rig import Rig
 
 KINDS = ("outline", "views")
@@ -56,7 +55,8 @@ def run_case(
                 continue
             row |= {"coefficient": drape_coefficient(shape.positions, shape.faces, shape.rig),
                     "folds": fold_count(shape.positions, shape.rest, shape.rig),
-                    "length_mm": 1e3 * bending_length(shape.fabric)}
+                    "length_mm": 1e3 * bending_length(shape.fabric.alpha.min(),
+                                                      shape.fabric.density)}
             for kind, observation in observed(shape, rig, plan.face, number).items():
                 seen.append([observation])
                 names.append((row, kind))

@@ -27,8 +27,7 @@ from experiments.drapes import prior_theta
 from experiments.result import Config, Result, run_cases
 from sim.cantilever import heavy_elastica
 from sim.cantilever.moduli import distance_across, match
-from sim.cantilever.strip import bending_length
-from sim.material import DIRECTIONS, REFERENCE_DENSITY
+from sim.material import DIRECTIONS, REFERENCE_DENSITY, bending_length
 from sim.rig import GRAVITY
 
 SEED = 47

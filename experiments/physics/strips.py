@@ -16,13 +16,13 @@ from experiments.physics.guides import guided
 from experiments.result import Config, Result, run_cases
 from sim.cantilever import aspect_ratio, gamma_of_aspect_ratio, hang, heavy_elastica
 from sim.cantilever.elastica import strip_shape
-from sim.cantilever.strip import HungStrip, bending_length
+from sim.cantilever.strip import HungStrip
 from sim.cloth import Laws
 from sim.energies import bending_law
 from sim.energies.hinges import modulus_along
 from sim.energies.membrane import Corotational
 from sim.equilibrium import find_equilibrium
-from sim.material import MICRO, REFERENCE_DENSITY, Fabric, plate_constants
+from sim.material import MICRO, REFERENCE_DENSITY, Fabric, bending_length, plate_constants
 from sim.mesh import Mesh, choose_diagonals, grid_faces, grid_points
 from sim.rig import GRAVITY
 from sim.scene import Scene
@@ -261,15 +261,7 @@ def run(config: Config) -> Result:
            for r in parts["angled"] if "modulus" in r["guided"]]
     plates = {kind: [(r["cells"], r["error"]) for r in parts["plate"] if r["kind"] == kind]
               for kind in PLATES}
-    rates = {kind: fitted_rate(pairs) for kind, pairs in plates.items()}
-    return Result({"nonlinear": bent, "angled": cut, "plates": plates, "plate_rates": rates},
-                  draw(bent, cut, plates))
-
-
-def fitted_rate(pairs: list[tuple[int, float]]) -> float:
-    """Exponent p of error ~ cells^-p, least squares over all meshes."""
-    cells, error = np.array(pairs).T
-    return float(-np.polyfit(np.log(cells), np.log(np.abs(error)), 1)[0])
+    return Result({"nonlinear": bent, "angled": cut, "plates": plates}, draw(bent, cut, plates))
 
 
 def draw(bent: list[dict], cut: list[dict], plates: dict) -> Figure:

@@ -18,10 +18,10 @@ from experiments.physics.guides import guided
 from experiments.result import Config, Result, rms, run_cases
 from sim.cantilever import heavy_elastica
 from sim.cantilever.moduli import METHODS, Strips, correct, estimate_moduli
-from sim.cantilever.strip import ANGLES, bending_length, simulate_strips
+from sim.cantilever.strip import ANGLES, simulate_strips
 from sim.cloth import Laws
 from sim.energies import bending_law
-from sim.material import DIRECTIONS, MICRO, NANO, Fabric
+from sim.material import DIRECTIONS, MICRO, NANO, Fabric, bending_length
 from sim.rig import GRAVITY
 
 SEED = 3  # of the fabrics

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.errors import InputError
-from common.types import DeflectionCurve, Density, Metres, Radians
+from common.types import DeflectionCurve, Metres, Radians
 from sim.cloth import Laws
 from sim.equilibrium import find_equilibrium
-from sim.material import DIRECTIONS, REFERENCE_DENSITY, Fabric
+from sim.material import DIRECTIONS, REFERENCE_DENSITY, Fabric, bending_length
 from sim.mesh import Mesh, strip
 from sim.rig import GRAVITY
 from sim.scene import Scene
@@ -82,12 +82,6 @@ def simulate_strips(
                              f"come to rest: {hung.result.message}")
         strips[direction].append(hung.curve)
     return strips
-
-
-def bending_length(alpha: float, density: Density) -> Metres:
-    """Bending length (alpha/rho g)^(1/3) of a modulus in N·m. Strips of 1.5 and 2.5 such lengths,
-    which drop by 0.4 and 1.5 times their reach, determine alpha and beta well."""
-    return float((alpha / (density * GRAVITY)) ** (1 / 3))
 
 
 def fabric_of_gamma(gamma: float, length: Metres) -> Fabric:

@@ -105,13 +105,14 @@ def _correction(k, alpha, base, rho, limit):
 
 @numba.njit(cache=True, error_model="numpy")
 def derivatives(s, law, g, h):
-    """psi, J/m², at curvature s (3,) for the constants ``law``; fills g (3,) and h (3, 3) with its
-    derivatives by s."""
+    """psi, J/m², at curvature s (3,) for the constants ``law``; fills g (3,) and, unless it is
+    empty, h (3, 3) with its derivatives by s."""
     da = (2.0 * (law.A11 * s[0] + law.A12 * s[1]), 2.0 * (law.A22 * s[1] + law.A12 * s[0]),
           8.0 * law.A66 * s[2])
-    h[0, 0], h[1, 1], h[2, 2] = law.A11, law.A22, 4.0 * law.A66
-    h[0, 1] = h[1, 0] = law.A12
-    h[0, 2] = h[2, 0] = h[1, 2] = h[2, 1] = 0.0
+    if len(h):
+        h[0, 0], h[1, 1], h[2, 2] = law.A11, law.A22, 4.0 * law.A66
+        h[0, 1] = h[1, 0] = law.A12
+        h[0, 2] = h[2, 0] = h[1, 2] = h[2, 1] = 0.0
     a = 0.5 * (da[0] * s[0] + da[1] * s[1] + da[2] * s[2])
     if a <= 0.0:
         # u is of first order in S: at S = 0 only the quadratic form contributes.
@@ -126,7 +127,7 @@ def derivatives(s, law, g, h):
           (weight[2] * s[2] - u * dn[2]) / n)
     for i in range(3):
         g[i] = 0.5 * (shape * da[i] + a * slope * du[i])
-        for j in range(3):
+        for j in range(len(h)):
             ddu = -(du[i] * dn[j] + dn[i] * du[j]) + u * (dn[i] * dn[j] - h[i, j]) / n
             if i == j:
                 ddu += weight[i]
@@ -141,7 +142,8 @@ def derivatives(s, law, g, h):
                                              law.rho_b, law.u_c)
         total += work
         g[2] += 2.0 * force * np.sign(s[2])
-        h[2, 2] += 4.0 * stiffness
+        if len(h):
+            h[2, 2] += 4.0 * stiffness
     if law.base_w > law.rho_w and s[0] != s[1]:
         total += _add_yarns(s, law, g, h)
     return total
@@ -149,7 +151,8 @@ def derivatives(s, law, g, h):
 
 @numba.njit(cache=True, error_model="numpy")
 def _add_yarns(s, law, g, h):
-    """w F_w + (1 - w) F_f = F_f + w (F_w - F_f); its derivatives are added to g and h."""
+    """w F_w + (1 - w) F_f = F_f + w (F_w - F_f); its derivatives are added to g and, unless it is
+    empty, h."""
     d = abs(s[0] - s[1])
     side = np.sign(s[0] - s[1])
     f_w, force_w, stiff_w = _correction(d, law.A11, law.base_w, law.rho_w, law.u_c)
@@ -160,13 +163,15 @@ def _add_yarns(s, law, g, h):
     w = warp / n
     wx = 2.0 * law.A11 * s[0] * weft / n**2
     wy = -2.0 * law.A22 * s[1] * warp / n**2
+    force = side * force_f + w * pull
+    g[0] += force + wx * more
+    g[1] += -force + wy * more
+    if len(h) == 0:
+        return f_f + w * more
     wxx = 2.0 * law.A11 * weft / n**2 * (1.0 - 4.0 * w)
     wyy = -2.0 * law.A22 * warp / n**2 * (4.0 * w - 3.0)
     wxy = 4.0 * law.A11 * law.A22 * s[0] * s[1] / n**2 * (2.0 * w - 1.0)
-    force = side * force_f + w * pull
     stiff = stiff_f + w * (stiff_w - stiff_f)
-    g[0] += force + wx * more
-    g[1] += -force + wy * more
     h[0, 0] += stiff + 2.0 * wx * pull + wxx * more
     h[1, 1] += stiff - 2.0 * wy * pull + wyy * more
     mixed = -stiff + (wy - wx) * pull + wxy * more
@@ -176,11 +181,12 @@ def _add_yarns(s, law, g, h):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def respond(curvatures, origins, law, variant):
+def respond(curvatures, origins, law, variant, tangents=True):
     """Energies (N,), J/m², of a variant of the plate at curvatures (N, 3) with the ``origins`` S1
-    (N, 3); their first (N, 3), N, and second (N, 3, 3), N·m, derivatives by the curvatures."""
-    density = np.empty(len(curvatures))
-    stress, tangent = np.empty((len(curvatures), 3)), np.empty((len(curvatures), 3, 3))
+    (N, 3); their first (N, 3), N, and second (N, 3, 3), N·m, derivatives by the curvatures. Without
+    ``tangents`` the latter are empty."""
+    density, size = np.empty(len(curvatures)), 3 if tangents else 0
+    stress, tangent = np.empty((len(curvatures), 3)), np.empty((len(curvatures), size, size))
     for t in range(len(curvatures)):
         s, g, h = curvatures[t], stress[t], tangent[t]
         total = derivatives(s, law, g, h)
@@ -199,7 +205,7 @@ def respond(curvatures, origins, law, variant):
 @numba.njit(cache=True, error_model="numpy")
 def _add_friction(change, weight, variant, g, h):
     """``weight`` times the potential of the friction F, J/m², at a ``change`` of curvature (3,);
-    its derivatives are added to g and h."""
+    its derivatives are added to g and, unless it is empty, h."""
     x, y, z = change
     limit = variant.limit
     pull = ((variant.p_xx * x + variant.p_mixed * y) / limit,
@@ -211,13 +217,14 @@ def _add_friction(change, weight, variant, g, h):
     else:
         work = 0.625 - 1 / 24 + ratio - 1.0
         over, bend = 1 / ratio, -1 / ratio**3
-    h[0, 0] += weight * over * variant.p_xx / limit
-    h[1, 1] += weight * over * variant.p_yy / limit
-    h[2, 2] += weight * over * variant.p_xy / limit
-    h[0, 1] += weight * over * variant.p_mixed / limit
-    h[1, 0] += weight * over * variant.p_mixed / limit
     for i in range(3):
         g[i] += weight * over * pull[i]
-        for j in range(3):
+        for j in range(len(h)):
             h[i, j] += weight * bend * pull[i] * pull[j] / limit
+    if len(h):
+        h[0, 0] += weight * over * variant.p_xx / limit
+        h[1, 1] += weight * over * variant.p_yy / limit
+        h[2, 2] += weight * over * variant.p_xy / limit
+        h[0, 1] += weight * over * variant.p_mixed / limit
+        h[1, 0] += weight * over * variant.p_mixed / limit
     return weight * limit * work

@@ -24,26 +24,22 @@ def angle(x):
 
 
 @numba.njit(inline="always")
-def side_gradient(start, end, corner):
-    """Derivatives of the rotation of the triangle (start, end, corner) about its edge start-end,
-    relative to a frame transported with the edge: factors of those by start and by end to that by
-    the corner, and the three components of the latter. Each point is (3,)."""
-    ex, ey, ez = end[0] - start[0], end[1] - start[1], end[2] - start[2]
-    ax, ay, az = corner[0] - start[0], corner[1] - start[1], corner[2] - start[2]
-    ee = ex * ex + ey * ey + ez * ez
-    nx, ny, nz = ey * az - ez * ay, ez * ax - ex * az, ex * ay - ey * ax
-    scale = -np.sqrt(ee) / (nx * nx + ny * ny + nz * nz)
-    t = (ax * ex + ay * ey + az * ez) / ee
-    return t - 1.0, -t, scale * nx, scale * ny, scale * nz
+def side_levers(edge, arm, double_area):
+    """Derivatives along the unit normal of the rotation of a triangle about an edge, relative to a
+    frame transported with the edge, by start, end and corner, 1/m. ``edge`` and ``arm`` (3,) are
+    the vectors from the start to end and corner."""
+    square = edge[0] * edge[0] + edge[1] * edge[1] + edge[2] * edge[2]
+    share = (arm[0] * edge[0] + arm[1] * edge[1] + arm[2] * edge[2]) / square
+    slope = -np.sqrt(square) / double_area  # -1/height
+    return (share - 1.0) * slope, -share * slope, slope
 
 
 @numba.njit(inline="always")
 def add_side_bends(edge, arm, weight, order, bends):
-    """Add ``weight`` times the second derivatives of the rotation of :func:`side_gradient`.
+    """Add ``weight`` times the second derivatives of the rotation of :func:`side_levers`.
 
-    ``edge`` and ``arm`` (3,) are the vectors from the start to end and corner. ``order`` (3,)
-    places start, end and corner in ``bends`` (P, P, 3): with n the unit normal, the second
-    derivatives by two points p and r are n w_pr^T + w_rp n^T with the vectors w of the plane.
+    ``order`` (3,) places start, end and corner in ``bends`` (P, P, 3): with n the unit normal, the
+    second derivatives by two points p and r are n w_pr^T + w_rp n^T with vectors w of the plane.
 
     With u along the edge of length l, m from the edge to the corner at the height d, and t the foot
     of that height on the edge, the gradient at the corner is g = -n/d, and those at end and start

@@ -91,17 +91,17 @@ class DihedralBending(FusedEnergy):
 
     def _add_forces(self, q: StateVector, targets: np.ndarray, forces: np.ndarray) -> float:
         value, slope, _ = self._of_angles(q)
-        add_elements(forces, targets, slope[:, None] * _angle_gradients(q, self.dofs))
+        add_elements(forces, targets, slope[:, None] * _angle_derivatives(
+            q, self.dofs, slope, np.empty((0, 12, 12))))
         return float(value.sum())
 
     def hessian(self, q: StateVector, convex: bool = False) -> np.ndarray:
         # Torque and barrier increase with the angle: only its second derivatives are indefinite.
         _, slope, bend = self._of_angles(q)
-        rows = _angle_gradients(q, self.dofs)
+        bends = np.zeros((0 if convex else len(slope), 12, 12))
+        rows = _angle_derivatives(q, self.dofs, slope, bends)
         blocks = np.einsum("n,ni,nj->nij", bend, rows, rows)
-        if not convex:
-            _add_angle_hessians(q, self.dofs, slope, blocks)
-        return blocks
+        return blocks if convex else blocks + bends
 
     def allows(self, old: StateVector, new: StateVector) -> bool:
         """False if a hinge folds through itself, or covers most of the distance to it."""
@@ -143,40 +143,33 @@ def hinge_angles(q, dofs):
 
 
 @numba.njit(cache=True)
-def _angle_gradients(q, dofs):
-    """Derivatives (N, 12) of the angles by the coordinates of the corners, 1/m."""
+def _angle_derivatives(q, dofs, slope, blocks):
+    """Derivatives (N, 12) of the angles by the coordinates of the corners, 1/m; the second ones
+    times ``slope`` (N,) are added to ``blocks`` (N, 12, 12) unless these are empty."""
     result, corners = np.zeros((len(dofs), 12)), q[dofs.ravel()].reshape(-1, 4, 3)
+    bends = np.empty((4, 4, 3))
     for t in range(len(dofs)):
         x, g = corners[t], result[t].reshape(4, 3)
         for corner in (2, 3):  # the edge has opposite senses in the two triangles
-            start, end = corner - 2, 3 - corner
-            side = dihedral.side_gradient(x[start], x[end], x[corner])
-            for k in range(3):
-                g[corner, k] += side[2 + k]
-                g[start, k] += side[0] * side[2 + k]
-                g[end, k] += side[1] * side[2 + k]
-    return result
-
-
-@numba.njit(cache=True)
-def _add_angle_hessians(q, dofs, slope, blocks):
-    """Add to blocks (N, 12, 12) the second derivatives of the angles times ``slope`` (N,)."""
-    bends, corners = np.empty((4, 4, 3)), q[dofs.ravel()].reshape(-1, 4, 3)
-    for t in range(len(dofs)):
-        x = corners[t]
-        for corner in (2, 3):
-            start, end = corner - 2, 3 - corner
-            edge, arm = x[end] - x[start], x[corner] - x[start]
+            order = corner - 2, 3 - corner, corner
+            edge, arm = x[order[1]] - x[order[0]], x[corner] - x[order[0]]
             unit = np.cross(edge, arm)
-            unit /= np.sqrt(unit @ unit)
+            double_area = np.sqrt(unit @ unit)
+            unit /= double_area
+            levers = dihedral.side_levers(edge, arm, double_area)
+            for a in range(3):
+                g[order[a]] += levers[a] * unit
+            if len(blocks) == 0:
+                continue
             bends[:] = 0.0
-            dihedral.add_side_bends(edge, arm, slope[t], (start, end, corner), bends)
+            dihedral.add_side_bends(edge, arm, slope[t], order, bends)
             for a in range(4):
                 for b in range(4):
                     for k in range(3):
                         for m in range(3):
                             blocks[t, 3 * a + k, 3 * b + m] += (
                                 unit[k] * bends[a, b, m] + bends[b, a, k] * unit[m])
+    return result
 
 
 FORMS = ("hinge", "hinge_linear")

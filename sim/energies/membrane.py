@@ -194,10 +194,10 @@ def _add_forces(q, dofs, shape, areas, stress, targets, forces):
 @numba.njit(cache=True)
 def _add_stiffness(q, dofs, shape, areas, tangent, slots, stress, convex, data):
     f, b, cb, block = np.empty((3, 2)), np.empty((3, 9)), np.empty((3, 9)), np.empty((9, 9))
+    if convex:
+        raise_eigenvalues(tangent, 0.0)
     for t in range(len(dofs)):
         _strain_rows(q, dofs[t], shape[t], f, b)
-        if convex:
-            raise_eigenvalues(tangent[t], 0.0)
         for m in range(3):
             for j in range(9):
                 cb[m, j] = areas[t] * (tangent[t, m, 0] * b[0, j] + tangent[t, m, 1] * b[1, j]

@@ -12,6 +12,15 @@ with h_i the rest height over edge i and n_i that edge's rest normal, and the en
 For small angles this is the Morley plate element; unlike hinge energies it converges to the
 plate it discretises, on any triangulation (docs/physics.md).
 
+That element is too soft for short waves, by 0.07 (k h)² of the buckling load of a wave number k on
+edges h, so that coarse cloth buckles early. An inner edge therefore adds the difference between the
+mean energy of its triangles and the energy of their mean curvature,
+
+    A_e ((psi(S1) + psi(S2))/2 - psi((S1 + S2)/2)),   A_e = (A1 + A2)/3,
+
+an eighth of the square of the jump S1 - S2 in the plate's form. It vanishes for constant curvature,
+and is of second order in h otherwise.
+
 Without a barrier, meshes too coarse for the cloth fold through themselves, where phi jumps. The
 barrier of :mod:`sim.energies.fold_barrier` prevents that, times the smallest alpha and the edge's
 rest length over the triangle's rest height; its pole is pi/2, at a clamp pi.
@@ -32,14 +41,15 @@ from sim.solver.linear import add_block
 _compiled = numba.njit(cache=True, error_model="numpy")
 CONVEX_FLOOR = 0.1  # minimum tangent stiffness of the convex Hessian, relative to that at rest
 CLAMP = 6 / 5
-"""Stiffness of the row of triangles at clamped edges, relative to that of their area."""
+"""Factor of the curvature of triangles at clamped edges (:func:`clamp_weights`)."""
 
 
 class MidEdgeBending(FusedEnergy):
     """Plate energy of the active triangles, those not entirely held, with the barrier.
 
-    One element is a triangle with 12 unknowns: the coordinates of its corners and the rotations of
-    the normals of the edges opposite them. Normals between held and free cloth must be held, too.
+    The first N elements are triangles with 12 unknowns: the coordinates of their corners and the
+    rotations of the normals of the edges opposite them. The other M are pairs of triangles at inner
+    edges with their 17. Normals between held and free cloth must be held, too.
     """
 
     def __init__(self, mesh: Mesh, active: FaceMask, *, fabric: Fabric) -> None:
@@ -50,12 +60,22 @@ class MidEdgeBending(FusedEnergy):
         coordinates = 3 * len(mesh.rest)
         self._normals = coordinates + 3 * edges
         self._corners = (3 * faces[:, :, None] + np.arange(3)).reshape(-1, 9)
-        self.dofs = np.concatenate([self._corners, coordinates + edges], axis=1)
+        self._pairs, self._places = _pairs(mesh, active)
+        own, count = np.concatenate([self._corners, coordinates + edges], axis=1), len(faces)
+        self.dofs = np.full((count + len(self._pairs), 17), -1)
+        self.dofs[:count, :12] = own
+        for side in (0, 1):
+            rows = np.arange(count, len(self.dofs))[:, None]
+            self.dofs[rows, self._places[:, side]] = own[self._pairs[:, side]]
         # Rotations are about mesh.edges, directed from the smaller vertex index to the larger.
         forward = np.roll(faces, -1, axis=1) < np.roll(faces, -2, axis=1)
         self._sign = np.where(forward, 1.0, -1.0)
-        self.areas = bending_areas(mesh, active, clamped)
-        self.maps = curvature_maps(mesh)[active]
+        weights = clamp_weights(mesh, active, clamped)
+        self.areas = mesh.areas[active] / weights
+        self._jumps = self.areas[self._pairs].sum(axis=1) / 6
+        self._shares = self.areas + np.bincount(
+            self._pairs.ravel(), np.repeat(self._jumps, 2), minlength=len(faces))
+        self.maps = weights[:, None, None] * curvature_maps(mesh)[active]
         pole = np.where(clamped, np.pi, np.pi / 2)
         self.pole = np.where(boundary, np.inf, pole)
         self._slenderness = mesh.edge_lengths[edges] ** 2 / (2 * mesh.areas[active])[:, None]  # e/h
@@ -73,22 +93,50 @@ class MidEdgeBending(FusedEnergy):
         other._set_fabric(fabric)
         return other
 
+    def _responses(
+        self, phi: np.ndarray, tangents: bool
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """:meth:`response` of the N triangles, then at the mean curvatures of the M pairs."""
+        both = (_with_means(values, self._pairs) for values in
+                (_curvatures(self.maps, phi), self.origin))
+        return self.response(*both, tangents)
+
+    def _moments(self, stress: np.ndarray) -> np.ndarray:
+        """Derivatives (N, 3), N·m², of the plate's energy by the triangles' curvatures."""
+        count = len(self.areas)
+        moments = self._shares[:, None] * stress[:count]
+        _add_to_sides(moments, stress[count:], -self._jumps, self._pairs)
+        return moments
+
     def _add_forces(self, q: StateVector, targets: np.ndarray, forces: np.ndarray) -> float:
         phi = self.angles(q)
-        density, stress, _ = self.response(_curvatures(self.maps, phi))
-        barrier = _add_forces(q, phi, stress, self._corners, self._sign, self.maps, self.areas,
+        density, stress, _ = self._responses(phi, False)
+        barrier = _add_forces(q, phi, self._moments(stress), self._corners, self._sign, self.maps,
                               self._barrier, self.pole, targets, forces)
-        return float(self.areas @ density) + barrier
+        count = len(self.areas)
+        return float(self._shares @ density[:count] - 2 * self._jumps @ density[count:]) + barrier
 
     def add_stiffness(
         self, q: StateVector, slots: np.ndarray, exact: np.ndarray, convex: np.ndarray
     ) -> None:
         phi = self.angles(q)
-        _, stress, tangent = self.response(_curvatures(self.maps, phi))
-        # Edge rotations have no other stiffness: the convex form's lower bound must be positive.
-        floor = CONVEX_FLOOR * min(self.law.A11, self.law.A22, 4.0 * self.law.A66)
-        _add_stiffness(q, phi, stress, np.array(tangent), self._corners, self._sign, self.maps,
-                       self.areas, self._barrier, self.pole, floor, slots, exact, convex)
+        _, stress, tangent = self._responses(phi, True)
+        moments, count = self._moments(stress), len(self.areas)
+        for data, is_convex in ((exact, False), (convex, True)):
+            if not len(data):
+                continue
+            if is_convex:
+                # Edge rotations have no other stiffness: their lower bound must be positive.
+                floor = CONVEX_FLOOR * min(self.law.A11, self.law.A22, 4.0 * self.law.A66)
+                raise_eigenvalues(tangent, floor)
+            at_pairs = -0.5 * self._jumps[:, None, None] * tangent[count:]
+            at_triangles = tangent[:count] * (
+                self.areas if is_convex else self._shares)[:, None, None]
+            _add_to_sides(at_triangles.reshape(count, 9), at_pairs.reshape(-1, 9),
+                          np.full(len(at_pairs), -1.0 if is_convex else 1.0), self._pairs)
+            _add_stiffness(q, phi, moments, at_triangles, at_pairs, self._corners, self._sign,
+                           self.maps, self._barrier, self.pole, self._pairs, self._places,
+                           slots, data, is_convex)
 
     def allows(self, old: StateVector, new: StateVector) -> bool:
         return _keep_distance(old, new, self._corners, self._normals, self.pole)
@@ -101,29 +149,32 @@ class MidEdgeBending(FusedEnergy):
         """Shape operators of the active triangles."""
         return _curvatures(self.maps, self.angles(q))
 
-    def response(self, curvatures: Curvatures) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Energies (N,), J/m², of the active triangles, and first (N, 3), N, and second (N, 3, 3),
-        N·m, derivatives by their curvatures: all that another plate law overrides."""
-        return bending_law.respond(curvatures, self.origin, self.law, self.variant)
+    def response(
+        self, curvatures: Curvatures, origins: Curvatures, tangents: bool = True
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Energies (P,), J/m², at curvatures (P, 3) and ``origins`` (P, 3) of the hysteresis, and
+        first (P, 3), N, and second (P, 3, 3), N·m, derivatives by the curvatures, the second only
+        with ``tangents``: all that another plate law overrides."""
+        return bending_law.respond(curvatures, origins, self.law, self.variant, tangents)
 
 
-def bending_areas(mesh: Mesh, active: FaceMask, clamped: np.ndarray) -> np.ndarray:
-    """Areas (N,), m², of the active triangles in the bending energy; ``clamped`` (N, 3) are their
-    edges that adjoin held ones.
+def clamp_weights(mesh: Mesh, active: FaceMask, clamped: np.ndarray) -> np.ndarray:
+    """Factors (N,) of the curvatures of the active triangles, whose areas in the bending energy are
+    divided by them; ``clamped`` (N, 3) are their edges that adjoin held ones.
 
     Clamped cloth bends at its edges: half a hinge at the clamp, full hinges behind it, so that the
     slope far from the clamp is the trapezoidal rule's integral of the curvature. The error of that
     rule is h²/12 times the derivative of the curvature at the clamp. Gregory's weights 5/12, 13/12
-    in place of 1/2, 1 cancel it. Weights of a curvature are compliances: triangles on clamped edges
-    get 5/6 of theirs; those that touch the clamp with a corner keep the sum.
+    in place of 1/2, 1 cancel it. Triangles on clamped edges have 5/6 of their area for that; those
+    that touch the clamp with a corner keep the sum.
     """
-    areas = mesh.areas[active].copy()
+    weights, areas = np.ones(active.sum()), mesh.areas[active]
     first, second = rows_at_clamp(mesh, active, clamped)
     if first.any() and second.any():
         shifted = (1 - 1 / CLAMP) * areas[first].sum() / areas[second].sum()
-        areas[first] *= CLAMP
-        areas[second] /= 1 + shifted
-    return areas
+        weights[first] = CLAMP
+        weights[second] = 1 / (1 + shifted)
+    return weights
 
 
 def rows_at_clamp(
@@ -134,6 +185,22 @@ def rows_at_clamp(
     rim[mesh.edges[mesh.face_edges[active][clamped]]] = True
     first = clamped.any(axis=1)
     return first, rim[mesh.faces[active]].any(axis=1) & ~first
+
+
+def _pairs(mesh: Mesh, active: FaceMask) -> tuple[np.ndarray, np.ndarray]:
+    """Active triangles (M, 2) at the edges between two of them, as their numbers among the active
+    ones, and the places (M, 2, 12) of their unknowns among the pair's 17: the coordinates of the
+    edge's ends and of the corners opposite it, the rotation of the edge, and those of the others.
+    """
+    inner = np.flatnonzero((mesh.edge_faces[:, 1] >= 0) & active[mesh.edge_faces].all(axis=1))
+    faces = mesh.edge_faces[inner]
+    opposite = (mesh.face_edges[faces] == inner[:, None, None]).argmax(axis=2)
+    after = (np.arange(3) - opposite[:, :, None]) % 3  # from the opposite corner on
+    corners = np.array([[2, 0, 1], [3, 1, 0]])[[[[0]], [[1]]], after.swapaxes(0, 1)]
+    edges = np.array([[12, 13, 14], [12, 15, 16]])[[[[0]], [[1]]], after.swapaxes(0, 1)]
+    coordinates = (3 * corners[..., None] + np.arange(3)).reshape(2, -1, 9)
+    places = np.concatenate([coordinates, edges], axis=2).swapaxes(0, 1)
+    return np.cumsum(active)[faces] - 1, np.ascontiguousarray(places)
 
 
 def curvature_maps(mesh: Mesh) -> np.ndarray:
@@ -220,23 +287,39 @@ def _set_levers(q, corners, levers):
     double_area = np.sqrt(_dot(across, across))
     for i in range(3):
         edge, arm = _side(q, corners, i)
-        square = _dot(edge, edge)
-        share = _dot(arm, edge) / square  # of the foot of the height
-        slope = -np.sqrt(square) / double_area  # 1/height
-        levers[i, i] = slope
-        levers[i, (i + 2) % 3] = -share * slope
-        levers[i, (i + 1) % 3] = (share - 1.0) * slope
+        levers[i, (i + 1) % 3], levers[i, (i + 2) % 3], levers[i, i] = dihedral.side_levers(
+            edge, arm, double_area)
     return across[0] / double_area, across[1] / double_area, across[2] / double_area
 
 
 @numba.njit(inline="always")
-def _moment(maps, area, stress, i):
-    """Derivative of a triangle's plate energy by its angle i, J/rad."""
-    return area * (maps[0, i] * stress[0] + maps[1, i] * stress[1] + maps[2, i] * stress[2])
+def _moment(maps, moments, i):
+    """Derivative of the plate's energy by a triangle's angle i, J/rad."""
+    return maps[0, i] * moments[0] + maps[1, i] * moments[1] + maps[2, i] * moments[2]
 
 
 @_compiled
-def _add_forces(q, phi, stress, corners, sign, maps, areas, barrier, pole, targets, forces):
+def _with_means(values, pairs):
+    """Values (N, 3) of triangles, then the means (M, 3) of pairs."""
+    result = np.empty((len(values) + len(pairs), 3))
+    result[: len(values)] = values
+    for p in range(len(pairs)):
+        for a in range(3):
+            result[len(values) + p, a] = 0.5 * (values[pairs[p, 0], a] + values[pairs[p, 1], a])
+    return result
+
+
+@_compiled
+def _add_to_sides(totals, values, weights, pairs):
+    """Add ``weights`` (M,) times the values (M, K) of pairs to the totals (N, K) of triangles."""
+    for p in range(len(pairs)):
+        for t in pairs[p]:
+            for a in range(values.shape[1]):
+                totals[t, a] += weights[p] * values[p, a]
+
+
+@_compiled
+def _add_forces(q, phi, moments, corners, sign, maps, barrier, pole, targets, forces):
     """Energy of the barrier; forces of barrier and plate are added."""
     total, levers, moment = 0.0, np.empty((3, 3)), np.empty(3)
     for t in range(len(corners)):
@@ -244,7 +327,7 @@ def _add_forces(q, phi, stress, corners, sign, maps, areas, barrier, pole, targe
         for i in range(3):
             value, slope, _ = fold_barrier.barrier_at(phi[t, i], pole[t, i])
             total += barrier[t, i] * value
-            moment[i] = barrier[t, i] * slope + _moment(maps[t], areas[t], stress[t], i)
+            moment[i] = barrier[t, i] * slope + _moment(maps[t], moments[t], i)
             forces[targets[t, 9 + i]] += moment[i] * sign[t, i]
         for a in range(3):
             force = (moment[0] * levers[0, a] + moment[1] * levers[1, a]
@@ -256,58 +339,85 @@ def _add_forces(q, phi, stress, corners, sign, maps, areas, barrier, pole, targe
 
 @_compiled
 def _add_stiffness(
-    q, phi, stress, tangent, corners, sign, maps, areas, barrier, pole, floor, slots, exact, convex
+    q, phi, moments, tangent, between, corners, sign, maps, barrier, pole, pairs, places, slots,
+    data, convex
 ):
     # d²E = K_ij dphi_i dphi_j + m_i d²phi_i: a tangent term, convex if the law is, and an
     # indefinite term of the moments m, which the convex form omits.
-    levers, block = np.empty((3, 3)), np.zeros((12, 12))
-    fold, bends = np.empty(3), np.empty((3, 3, 3))
-    for t in range(len(corners)):
-        unit = _set_levers(q, corners[t], levers)
+    count, levers, stiffness = len(corners), np.empty((3, 3)), np.empty((3, 3))
+    # Derivatives of the angles by each corner along the normal, and by the edges' rotations
+    turns, units = np.zeros((count, 3, 6)), np.empty((count, 3))
+    bends, factors, block = np.zeros((3, 3, 3)), np.empty((12, 12)), np.zeros((17, 17))
+    for t in range(count):
+        units[t] = _set_levers(q, corners[t], levers)
+        _between_angles(maps[t], tangent[t], maps[t], stiffness)
         bends[:] = 0.0
         for i in range(3):
+            turns[t, i, :3] = levers[i]
+            turns[t, i, 3 + i] = sign[t, i]
             _, slope, bend = fold_barrier.barrier_at(phi[t, i], pole[t, i])
-            fold[i] = barrier[t, i] * bend
-            if len(exact):
-                moment = barrier[t, i] * slope + _moment(maps[t], areas[t], stress[t], i)
+            stiffness[i, i] += barrier[t, i] * bend
+            if not convex:
+                moment = barrier[t, i] * slope + _moment(maps[t], moments[t], i)
                 edge, arm = _side(q, corners[t], i)
                 dihedral.add_side_bends(edge, arm, moment, ((i + 1) % 3, (i + 2) % 3, i), bends)
-        if len(exact):
-            _fill_block(unit, levers, sign[t], maps[t], areas[t], tangent[t], fold, bends, block)
-            add_block(exact, slots[t], block)
-        if len(convex):
-            bends[:] = 0.0
-            raise_eigenvalues(tangent[t], floor)
-            _fill_block(unit, levers, sign[t], maps[t], areas[t], tangent[t], fold, bends, block)
-            add_block(convex, slots[t], block)
+        _fill_factors(turns[t], stiffness, turns[t], units[t], units[t], factors)
+        block[:12, :12] = factors
+        for a in range(3):
+            for b in range(a, 3):
+                for k in range(3):
+                    for m in range(3):
+                        block[3 * a + k, 3 * b + m] += (
+                            units[t, k] * bends[a, b, m] + bends[b, a, k] * units[t, m])
+        add_block(data, slots[t], block)
+    for p in range(len(pairs)):
+        one, other = pairs[p]
+        _between_angles(maps[one], between[p], maps[other], stiffness)
+        _fill_factors(turns[one], stiffness, turns[other], units[one], units[other], factors)
+        for i in range(12):
+            u = places[p, 0, i]
+            for j in range(12):
+                v = places[p, 1, j]
+                first = min(u, v)
+                slot = slots[count + p, first * (33 - first) // 2 + max(u, v)]
+                if slot >= 0:
+                    data[slot] += factors[i, j] if u != v else 2.0 * factors[i, j]
 
 
 @numba.njit(inline="always")
-def _fill_block(unit, levers, sign, maps, area, tangent, fold, bends, block):
-    """Fill the upper triangle of block (12, 12) with the second derivatives of one element."""
-    stiffness, turned = np.empty((3, 3)), np.empty((3, 3))
+def _between_angles(left, tangent, right, stiffness):
+    """Fill stiffness (3, 3) by two triangles' angles with a tangent (3, 3) by their curvatures."""
     for i in range(3):
         for j in range(3):
-            total = fold[i] if i == j else 0.0
+            total = 0.0
             for a in range(3):
                 for b in range(3):
-                    total += area * maps[a, i] * tangent[a, b] * maps[b, j]
+                    total += left[a, i] * tangent[a, b] * right[b, j]
             stiffness[i, j] = total
-    for i in range(3):
-        for a in range(3):
-            turned[i, a] = (stiffness[i, 0] * levers[0, a] + stiffness[i, 1] * levers[1, a]
-                            + stiffness[i, 2] * levers[2, a])
-        for j in range(i, 3):
-            block[9 + i, 9 + j] = stiffness[i, j] * sign[i] * sign[j]
-    for a in range(3):
-        for b in range(a, 3):
-            half = 0.5 * (levers[0, a] * turned[0, b] + levers[1, a] * turned[1, b]
-                          + levers[2, a] * turned[2, b])
-            for k in range(3):
+
+
+@numba.njit(inline="always")
+def _fill_factors(left, stiffness, right, one, other, factors):
+    """Fill factors (12, 12) with second derivatives by the unknowns of two triangles with the
+    normals ``one`` and ``other``, of the ``stiffness`` between their angles."""
+    for i in range(6):
+        along = (left[0, i] * stiffness[0, 0] + left[1, i] * stiffness[1, 0]
+                 + left[2, i] * stiffness[2, 0],
+                 left[0, i] * stiffness[0, 1] + left[1, i] * stiffness[1, 1]
+                 + left[2, i] * stiffness[2, 1],
+                 left[0, i] * stiffness[0, 2] + left[1, i] * stiffness[1, 2]
+                 + left[2, i] * stiffness[2, 2])
+        for j in range(6):
+            value = along[0] * right[0, j] + along[1] * right[1, j] + along[2] * right[2, j]
+            if i < 3 and j < 3:
+                for k in range(3):
+                    for m in range(3):
+                        factors[3 * i + k, 3 * j + m] = value * one[k] * other[m]
+            elif i < 3:
+                for k in range(3):
+                    factors[3 * i + k, 6 + j] = value * one[k]
+            elif j < 3:
                 for m in range(3):
-                    block[3 * a + k, 3 * b + m] = (
-                        unit[k] * (bends[a, b, m] + half * unit[m])
-                        + (bends[b, a, k] + half * unit[k]) * unit[m])
-        for i in range(3):
-            for k in range(3):
-                block[3 * a + k, 9 + i] = turned[i, a] * sign[i] * unit[k]
+                    factors[6 + i, 3 * j + m] = value * other[m]
+            else:
+                factors[6 + i, 6 + j] = value

@@ -16,9 +16,9 @@ from scipy.spatial import Delaunay
 
 from common.errors import InputError
 from common.types import Faces, Metres, RestPoints, VertexMask
-from sim.material import Fabric
+from sim.material import Fabric, bending_length
 from sim.mesh.topology import Mesh, doubled_areas
-from sim.rig import GRAVITY, Rig
+from sim.rig import Rig
 
 GROWTH = 0.1
 """Increase of the edge length per distance from the rim."""
@@ -160,8 +160,8 @@ GRADING = 4.0
 """Edge length at the hem over edge length at the rim."""
 MAX_EDGE = 0.020
 """Maximum edge length, m, so that coarse meshes resolve the folds of a start."""
-DEFAULT_EDGES = (2e-3, 2.5e-3, 3e-3, 4e-3)  # m, see :func:`default_edge`
-EDGES_PER_LENGTH = 6.5
+DEFAULT_EDGES = (2e-3, 2.5e-3, 3e-3, 4e-3, 5e-3, 6e-3)  # m, see :func:`default_edge`
+EDGES_PER_LENGTH = 5
 _REFINEMENT = 2.5  # ratio of edge lengths of successive meshes of a drape
 MAX_COARSE_EDGE = 0.013
 """Maximum edge length at the rim, m, of the first mesh of a drape."""
@@ -285,18 +285,17 @@ def share_of_offset(
     return to_plate / np.maximum(to_plate + to_border, 1e-12)
 
 
-def bending_length(fabric: Fabric) -> Metres:
-    """(alpha/(rho g))^⅓ of the softest direction: the scale of the narrowest folds."""
-    return float(np.cbrt(fabric.alpha.min() / (fabric.density * GRAVITY)))
-
-
-def default_edge(fabric: Fabric, rig: Rig, edges: Sequence[Metres] = DEFAULT_EDGES) -> Metres:
+def default_edge(
+    fabric: Fabric, rig: Rig, edges: Sequence[Metres] = DEFAULT_EDGES,
+    offset: tuple[float, float] = (0.0, 0.0)
+) -> Metres:
     """Default edge length at the rim for a fabric: the largest of few ``edges``, so that drapes
-    share meshes, of which :data:`EDGES_PER_LENGTH` fit into the bending length. Without a plate,
-    that of the hem."""
-    length = bending_length(fabric)
-    fits = [edge for edge in edges if EDGES_PER_LENGTH * edge <= length]
-    edge = max(fits, default=min(edges))
+    share meshes, of which :data:`EDGES_PER_LENGTH` fit into the bending length and two into the
+    narrowest overhang. Without a plate, that of the hem."""
+    length = bending_length(fabric.alpha.min(), fabric.density)
+    longest = longest_edge(rig, offset)
+    fits = [edge for edge in edges if edge <= min(length / EDGES_PER_LENGTH, longest)]
+    edge = max(fits, default=min(*edges, longest))
     return edge if rig.has_plate else GRADING * edge
 
 

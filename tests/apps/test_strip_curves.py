@@ -7,7 +7,7 @@ from elastica_curves import LAWS, WEIGHT, curves_of, write_curve
 from apps.strip_curves import oriented_curve, read_curve
 from common.errors import InputError
 from sim.cantilever import elastica, heavy_elastica
-from sim.cantilever.strip import bending_length
+from sim.material import bending_length
 
 
 def test_a_curve_reads_the_same_whichever_way_its_axes_point(tmp_path):

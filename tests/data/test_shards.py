@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from common.errors import InputError
-from data.dataset import shards
 from data.dataset.shards import (
     SCHEMA_VERSION,
     SEAL_SIZE,
@@ -69,17 +68,6 @@ def test_derivatives_come_back_to_a_two_hundredth_of_the_largest(tmp_path):
     assert found.shape == moves.shape and shard.moves(1) is None
     error, largest = (np.abs(x).max(axis=(1, 2)) for x in (found - moves, moves))
     assert (error <= 0.0040 * largest).all()
-
-
-def test_shards_of_earlier_datasets_have_no_derivatives(tmp_path, monkeypatch):
-    everything = shards.fields
-    with monkeypatch.context() as earlier:
-        earlier.setattr(shards, "fields", lambda *sizes: {
-            name: field for name, field in everything(*sizes).items()
-            if name not in (shards.MOVES, shards.MOVE_UNITS)})
-        write_shard(tmp_path / "s.h5", [random_record(0)], attributes=ATTRIBUTES)
-    shard = Shard(tmp_path / "s.h5")
-    assert not shard.has_moves and len(shard) == 1
 
 
 def test_attributes_and_units(shard):

@@ -19,9 +19,9 @@ from sim.cantilever.moduli import (
     regress,
     torque_and_curvature,
 )
-from sim.cantilever.strip import bending_length, simulate_strips
+from sim.cantilever.strip import simulate_strips
 from sim.cloth import Laws
-from sim.material import DIRECTIONS, SOFTENING_LIMIT, Fabric, torque
+from sim.material import DIRECTIONS, SOFTENING_LIMIT, Fabric, bending_length, torque
 
 
 def test_a_bezier_arc_has_the_length_and_curvature_of_a_circle():

@@ -85,7 +85,7 @@ def test_limp_disc_has_more_folds_than_a_stiff_one():
     assert folds[0] > folds[1] + 1 and 3 <= folds[1] <= 7
 
 
-def test_stiff_disc_sags_like_a_plate_at_least_to_second_order():
+def test_stiff_disc_sags_like_a_plate_nearly_to_second_order():
     """Axisymmetric plate under its weight, clamped at the rim, free at the border."""
     alpha, a, b = 0.3, 0.15, 0.09
     load = 0.3 * 9.81 / alpha
@@ -99,7 +99,7 @@ def test_stiff_disc_sags_like_a_plate_at_least_to_second_order():
     right = -load * np.array([b**4 / 64, b**3 / 16, 3 * a**2 / 16, a / 2])
     c = np.linalg.solve(conditions, right)
     expected = c @ [1, a**2, log_a, a**2 * log_a] + load * a**4 / 64
-    errors, edges = [], np.array([16e-3, 12e-3, 8e-3, 5e-3])
+    errors, edges = [], np.array([8e-3, 5e-3, 3.5e-3, 2.5e-3])
     for edge in edges:
         specimen = make_specimen(DISC_RIG, edge=edge, grading=1)
         rest = specimen.mesh.rest
@@ -109,8 +109,8 @@ def test_stiff_disc_sags_like_a_plate_at_least_to_second_order():
         border = np.isclose(np.linalg.norm(rest, axis=1), a)
         errors.append(-found.state.positions[border, 2].mean() / expected - 1)
     rate = np.polyfit(np.log(edges), np.log(np.abs(errors)), 1)[0]
-    assert rate > 1.9  # more where the corrected clamp leaves little of the second order
-    assert abs(errors[-1]) < 0.005
+    assert rate > 1.6  # second order, less the remainder of the clamp's correction
+    assert abs(errors[1]) < 0.004
 
 
 def test_hung_square_sags_between_its_corners_and_mirrors_itself():
@@ -269,12 +269,14 @@ def test_a_coarse_mesh_that_an_offset_leaves_no_room_for_is_left_out():
 
 
 def test_softer_cloth_gets_a_finer_mesh_whatever_its_density():
-    chosen = [default_edge(isotropic(alpha), Rig()) for alpha in (1000, 100, 20, 10, 3, 0.1)]
-    assert chosen == sorted(chosen, reverse=True)
-    assert chosen == [0.004, 0.004, 0.0025, 0.002, 0.002, 0.002]
-    assert 6.5 * 0.0025 <= (20e-6 / (0.3 * 9.81)) ** (1 / 3) < 6.5 * 0.003
-    assert default_edge(isotropic(20).at_density(0.1), Rig()) == 0.0025
-    assert default_edge(isotropic(20), HUNG_SQUARE) == pytest.approx(0.010)
+    chosen = [default_edge(isotropic(alpha), Rig()) for alpha in (1000, 100, 30, 15, 6, 3, 0.1)]
+    assert chosen == [0.006, 0.006, 0.004, 0.003, 0.0025, 0.002, 0.002]
+    assert 5 * 0.004 <= (30e-6 / (0.3 * 9.81)) ** (1 / 3) < 5 * 0.005
+    assert default_edge(isotropic(30).at_density(0.1), Rig()) == 0.004
+    assert default_edge(isotropic(30), HUNG_SQUARE) == pytest.approx(0.016)
+    narrow = Rig((0.14, 0.14), 0.1)
+    assert default_edge(isotropic(1000), narrow, offset=(0.012, 0.0)) == 0.004
+    assert default_edge(isotropic(1000), narrow, offset=(0.0, 0.017)) == pytest.approx(0.0015)
 
 
 def test_levels_grow_finer_by_one_factor_and_start_where_they_may():
