@@ -23,9 +23,9 @@ from sim.energies.membrane import Corotational, OrthotropicStVK
 from sim.energies.self_contact import self_intersections
 from sim.equilibrium import Equilibrium
 from sim.lowering import LOWERING_MESHES
-from sim.material import Fabric
+from sim.material import Fabric, bending_length
 from sim.mesh import Mesh
-from sim.mesh.specimen import GRADING, bending_length, default_edge, longest_edge
+from sim.mesh.specimen import GRADING, default_edge, longest_edge
 from sim.rig import Rig
 from sim.scene import Scene
 from sim.solver.newton import NewtonOptions, Status
@@ -99,8 +99,9 @@ def _run(
     options: NewtonOptions | None = None, **_: object
 ) -> _Run:
     rig = rig or Rig()
-    return _Run(fabric, rig, laws or Laws(), default_edge(fabric, rig) if edge is None else edge,
-                seed, tuple(offset), options or single.FINE_OPTIONS)
+    edge = default_edge(fabric, rig, offset=offset) if edge is None else edge
+    return _Run(fabric, rig, laws or Laws(), edge, seed, tuple(offset),
+                options or single.FINE_OPTIONS)
 
 
 def _coarse_edges(run: _Run) -> list[float]:
@@ -112,11 +113,12 @@ def _draped(runs: Sequence[_Run], device: str | torch.device) -> list[Drape]:
     """The drapes of a group. Limp cloth, and cloth without an equilibrium, is lowered on a finer
     mesh, as in :meth:`sim.drape._Run.lowered`."""
     drapes: list[Drape | None] = [None] * len(runs)
+    folds = [bending_length(run.fabric.alpha.min(), run.fabric.density) for run in runs]
     for (edge, grading), coarse in zip(LOWERING_MESHES, _coarse_edges(runs[0]), strict=True):
         limp = grading != GRADING
         chosen = [k for k, (run, made) in enumerate(zip(runs, drapes, strict=True))
                   if not (made and (made.converged or made.status in _UNFINISHED))
-                  and (limp or edge <= single._EDGES_OF_LIMP * bending_length(run.fabric))]
+                  and (limp or edge <= single._EDGES_OF_LIMP * folds[k])]
         if chosen:
             settled = _settled([runs[k] for k in chosen], coarse, grading, device)
             for k, made in zip(chosen, settled, strict=True):

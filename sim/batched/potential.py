@@ -70,14 +70,23 @@ class BatchedPotential:
         held = counts & ~active[beside]
         counts &= held | ~held.any(axis=1, keepdims=True)
         self._around = place(mesh.faces.T), place(beside.T), place(counts.T[:, :, None])
-        self._targets, self._diagonal = place(bending.dofs.T), place(potential.pattern.diagonal)
+        count = self.faces.shape[1]
+        self._targets = place(bending.dofs[:count, :12].T)
+        self._diagonal, self._pairs = place(potential.pattern.diagonal), place(bending._pairs.T)
         slots = [np.where(slot < 0, self._nonzeros, slot).T.astype(int)
                  for slot in potential.pattern.slots]
         row, column = _UPPER
-        self._slots = [place(slots[1][kind]) for kind in (
+        self._slots = [place(slots[1][_place(row, column)[kind], :count]) for kind in (
             column < 9, (row < 9) & (column >= 9), row >= 9)]
         row, column = (index[column < 9] for index in _UPPER)
-        self._pairs = place(row), place(column), place(np.flatnonzero(row % 3 == column % 3))
+        self._upper = place(row), place(column), place(np.flatnonzero(row % 3 == column % 3))
+        # The blocks between the unknowns of pairs: rows of the first triangle's coordinates x, y
+        # and z at its corners, then of its edges' rotations
+        one, other = bending._places.transpose(1, 2, 0)
+        between = np.take_along_axis(slots[1][:, None, None, count:], _place(
+            np.minimum(one[:, None], other), np.maximum(one[:, None], other))[None], 0)[0]
+        self._between = [place(between[rows].reshape(-1)) for rows in (
+            [0, 3, 6], [1, 4, 7], [2, 5, 8], [9, 10, 11])]
         vertices, middles = (contact.dofs[:, ::3].T // 3 for contact in first.obstacles)
         # Ends of the points in contact, equal for a vertex; slots of the two kinds' blocks
         self._points = place(np.hstack([vertices.repeat(2, 0), middles]))
@@ -127,13 +136,17 @@ class BatchedPotential:
         areas, square, double = areas[active], square[:, active], double[active]
         first, second = (torch.from_numpy(rows).to(device) for rows in rows_at_clamp(
             mesh, scene.active, bending.pole == np.pi))
-        # As sim.energies.midedge.bending_areas weights them
+        # As sim.energies.midedge.clamp_weights
         near, behind = areas[first].sum(0), areas[second].sum(0)
-        bent = torch.where(first[:, None], CLAMP * areas, areas)
-        bent[second] = bent[second] / (1 + (1 - 1 / CLAMP) * near / behind)
+        bent = torch.where(first[:, None], CLAMP, torch.ones_like(areas))
+        bent[second] = 1 / (1 + (1 - 1 / CLAMP) * near / behind)
+        maps = torch.stack([nx * nx, ny * ny, nx * ny])[:, :, active] * square.sqrt() * bent
+        bent = areas / bent
+        jumps = bent[self._pairs].sum(0) / 6
+        shares = bent.index_add(0, self._pairs.ravel(), jumps.repeat(2, 1))
         return {
-            "areas": areas, "bending_areas": bent, "slenderness": square / double,
-            "maps": torch.stack([nx * nx, ny * ny, nx * ny])[:, :, active] * square.sqrt(),
+            "areas": areas, "bending_areas": bent, "slenderness": square / double, "maps": maps,
+            "jumps": jumps, "shares": shares,
             "gradients": (-across[:, :, active] / double).transpose(0, 1), "radius": radius,
             "weights": weight * on_vertices, "contact": pressure * torch.cat(
                 [on_vertices[free], on_edges[free[self.ends].any(0)]]),
@@ -173,14 +186,34 @@ class BatchedPotential:
         if "origin" in self.own:
             self.own["origin"] = laws.slid_origin(_Shape(self, x, n).curvatures, self.own)
 
+    def _plate(self, shape: "_Shape", *, tangent: bool = False) -> laws.Response:
+        """The plate law at the curvatures of the T triangles, then at the means of the pairs."""
+        own = self.own
+        if "origin" in own:
+            own = own | {"origin": self._with_means(own["origin"])}
+        return laws.plate(self._with_means(shape.curvatures), own, tangent=tangent)
+
+    def _with_means(self, values: Tensor) -> Tensor:
+        """Values (3, T, B) of the triangles, then their means of the pairs."""
+        return torch.cat([values, values[:, self._pairs].mean(1)], 1)
+
+    def _moment(self, stress: Tensor, scale: Tensor, slope: Tensor) -> Tensor:
+        """Derivatives (3, T, B), J/rad, of plate and barrier by the angles."""
+        count, own = self.faces.shape[1], self.own
+        jump, moments = own["jumps"] * stress[:, count:], own["shares"] * stress[:, :count]
+        for side in self._pairs:
+            moments.index_add_(1, side, jump, alpha=-1.0)
+        return scale * slope + _contracted(own["maps"], moments[:, None])[:, 0]
+
     def evaluate(self, x: Tensor, n: Tensor) -> Value:
         """Energy, gradient and angles."""
         own, shape = self.own, _Shape(self, x, n)
-        density, stress, _ = laws.plate(shape.curvatures, own)
+        density, stress, _ = self._plate(shape)
         value, slope, _ = laws.barrier(shape.angles, own["pole"])
         scale, areas = own["softest"] * own["slenderness"], own["areas"]
-        energy = (own["bending_areas"] * density + (scale * value).sum(0)).sum(0)
-        moment = scale * slope + own["bending_areas"] * (own["maps"] * stress[:, None]).sum(0)
+        weights = torch.cat([own["shares"], -2 * own["jumps"]])
+        energy = (weights * density).sum(0) + (scale * value).sum((0, 1))
+        moment = self._moment(stress, scale, slope)
         density, stress, _ = laws.membrane(shape.strains, own["membrane"])
         energy = energy + (areas * density).sum(0) + (own["weights"] * x[2]).sum(0)
         # By corner and coordinate
@@ -206,21 +239,28 @@ class BatchedPotential:
 
     def hessian(self, x: Tensor, n: Tensor, convexity: Tensor, shift: Tensor) -> Tensor:
         """CSR data (nnz, B) of the Hessians with each drape's ``convexity`` and ``shift`` (B,), as
-        :meth:`sim.solver.potential.QuadraticModel.hessian` blends them."""
+        :meth:`sim.solver.potential.QuadraticModel.hessian` blends them: in-plane up to 1/2, all
+        else at 1."""
         own, shape = self.own, _Shape(self, x, n)
         in_plane, other = (2 * convexity).clamp(0, 1), (2 * convexity - 1).clamp(0, 1)
-        _, moment, bent = laws.plate(shape.curvatures, own, tangent=True)
+        _, moment, bent = self._plate(shape, tangent=True)
         _, stress, strained = laws.membrane(shape.strains, own["membrane"], tangent=True)
         floor = CONVEX_FLOOR * own["form"].diagonal(dim1=0, dim2=1).amin(-1)
-        tangents = torch.stack([strained, bent], 2)  # (3, 3, 2, T, B)
-        laws.raise_eigenvalues(tangents, torch.stack([torch.zeros_like(floor), floor])[:, None],
-                               torch.stack([in_plane, other])[:, None])
-        strained, bent = tangents.unbind(2)
-        row, column, same = self._pairs
+        tangents, count = torch.cat([strained, bent], 2), len(own["areas"])
+        plate = torch.arange(tangents.shape[2], device=x.device)[:, None] >= count
+        laws.raise_eigenvalues(tangents, plate * floor, torch.where(plate, other, in_plane))
+        strained, bent, at_pairs = tangents.split([count, count, len(own["jumps"])], 2)
+        at_pairs = -0.5 * own["jumps"] * at_pairs
+        bent = bent * (own["shares"] + other * (own["bending_areas"] - own["shares"]))
+        for side in self._pairs:
+            bent.index_add_(2, side, (1 - 2 * other) * at_pairs)
+        data = x.new_zeros(self._nonzeros + 1, self.count)  # last: entries of held unknowns
+        self._couple(data, shape, at_pairs)
+        row, column, same = self._upper
         a, k, b, m = row // 3, row % 3, column // 3, column % 3
         # In-plane: the strain's derivatives, and the stress times its second derivatives
         rows = shape.strain_rows(own).flatten(1, 2)  # (3, 9, T, B)
-        turned = own["areas"] * (strained[:, :, None] * rows).sum(1)
+        turned = own["areas"] * _contracted(strained, rows)
         entries = rows[0, row] * turned[0, column]
         for i in (1, 2):
             entries += rows[i, row] * turned[i, column]
@@ -230,19 +270,18 @@ class BatchedPotential:
         entries[same] += fu[a[same]] * gu[b[same]] + fv[a[same]] * gv[b[same]]
         # Bending: levers times stiffness, and moments times second derivatives of angles
         _, slope, fold = laws.barrier(shape.angles, own["pole"])
-        scale, maps, areas = own["softest"] * own["slenderness"], own["maps"], own["bending_areas"]
-        moment = scale * slope + areas * (maps * moment[:, None]).sum(0)
-        stiff = areas * (maps[:, :, None] * (bent[:, :, None] * maps).sum(1)[:, None]).sum(0)
+        scale, maps = own["softest"] * own["slenderness"], own["maps"]
+        moment = self._moment(moment, scale, slope)
+        stiff = _contracted(_contracted(bent, maps), maps)
         stiff.diagonal(dim1=0, dim2=1).add_((scale * fold).movedim(0, -1))
-        turned = (stiff[:, :, None] * shape.levers).sum(1)  # by angle and corner
-        spread = 0.5 * (shape.levers[:, :, None] * turned[:, None]).sum(0)
+        turned = _contracted(stiff, shape.levers)  # by angle and corner
+        spread = 0.5 * _contracted(shape.levers, turned)
         vectors = shape.bends((1 - other) * moment) + spread[:, :, None] * shape.unit
         entries += shape.unit[k] * vectors[a, b, m] + vectors[b, a, k] * shape.unit[m]
         sign = own["sign"]
         mixed = (sign * turned.transpose(0, 1))[:, None] * shape.unit[:, None]  # corner, k, angle
         stiff = stiff * sign[:, None] * sign
         stiff = torch.stack([stiff[i, j] for i in range(3) for j in range(i, 3)])
-        data = x.new_zeros(self._nonzeros + 1, self.count)  # last: entries of held unknowns
         for slots, values in zip(self._slots, (entries, mixed, stiff), strict=True):
             data.index_add_(0, slots.ravel(), values.reshape(-1, self.count))
         points = x[:, self._points].mean(1)
@@ -261,6 +300,20 @@ class BatchedPotential:
             on_vertices[:, 2] += 2 * own["ring"] * (own["height"] - x[2]).clamp(min=0)
         shift = shift * own["force_scale"] / own["length_scale"]
         return data.index_add_(0, self._diagonal, diagonal[self.free] + shift)[:-1]
+
+    def _couple(self, data: Tensor, shape: "_Shape", tangents: Tensor) -> None:
+        """Add the blocks between the unknowns of the two triangles of pairs to zero ``data``, with
+        the ``tangents`` (3, 3, M, B) by their curvatures."""
+        maps, (one, other) = self.own["maps"], self._pairs
+        turns = torch.cat([_contracted(maps.transpose(0, 1), shape.levers), (
+            maps * self.own["sign"]).expand(3, 3, *shape.levers.shape[2:])], 1)  # (3, 6, T, B)
+        block = _contracted(_contracted(tangents, turns[:, :, one]), turns[:, :, other])
+        block = torch.cat([(block[:, :3, None] * shape.unit[:, other]).flatten(1, 2),
+                           block[:, 3:]], 1)  # (6, 12, M, B)
+        parts = [*(block[:3] * unit for unit in shape.unit[:, one]), block[3:]]
+        for slots, part in zip(self._between, parts, strict=True):
+            data.index_add_(0, slots, part.flatten(0, 2))
+        data[self._diagonal] *= 2  # of unknowns of both triangles
 
     def _on_vertices(self, values: Tensor) -> Tensor:
         """A view (V, 3, B) of the coordinates' part of values (U, B) of all unknowns."""
@@ -340,6 +393,19 @@ class _Shape:
                 for other, vector in zip(order, row, strict=True):
                     result[one, other] += vector[:, i]
         return result
+
+
+def _place(row: np.ndarray, column: np.ndarray) -> np.ndarray:
+    """Places in the upper triangle, row by row, of a block of 17 unknowns."""
+    return row * (33 - row) // 2 + column
+
+
+def _contracted(one: Tensor, other: Tensor) -> Tensor:
+    """Products of (K, P, ...) and (K, Q, ...), added up over K: (P, Q, ...)."""
+    total = one[0][:, None] * other[0]
+    for a, b in zip(one[1:], other[1:], strict=True):
+        total = total.addcmul(a[:, None], b)
+    return total
 
 
 def _unit(vectors: Tensor) -> Tensor:
