@@ -32,11 +32,13 @@ from sim.solver.newton import NewtonOptions, Status
 from sim.solver.state import State
 from sim.start import LOWERED, interpolate_positions
 
-BATCH = 500
-"""Largest number of drapes at once, which need about 25 GB on meshes of 4 000 unknowns, and have
-fewer than 65 536 fronts on a level, a limit of some libraries."""
-_STRAGGLERS = 0.03
-"""Share of drapes whose minimisation on a coarser mesh is ended when the others have converged."""
+BATCH = 1000
+"""Largest number of drapes at once, which have fewer than 65 536 fronts on a level, a limit of some
+libraries."""
+_STRAGGLERS = (0.1, 0.02)
+"""Shares of drapes whose minimisation, on a coarser and the final mesh, is ended when the others
+have converged: a few take as long as many. Then they are continued on the final mesh, or on the
+CPU."""
 _MAX_ITERATIONS = 150  # on the final mesh, after which a drape is continued on the CPU
 _UNFINISHED = (Status.MAX_ITERATIONS, Status.SADDLE)
 
@@ -157,7 +159,7 @@ def _settled(
         options = runs[0].options if last else single.COARSE_OPTIONS
         options = replace(options, max_iterations=min(options.max_iterations, _MAX_ITERATIONS))
         outcomes.append(minimise(potential, x, potential.normals(x), options,
-                                 least=0 if last else int(_STRAGGLERS * len(runs))))
+                                 least=int(_STRAGGLERS[last] * len(runs))))
         outcomes[-1].origin = potential.own.get("origin")
         x, before = outcomes[-1].x, scene.mesh
     found = [_found(k, run, scenes[-1], outcomes)

@@ -14,7 +14,6 @@ from sim.energies.membrane import _TOLERANCE as EQUAL
 from sim.material import SOFTENING_LIMIT as LIMIT
 from sim.material import Fabric
 
-_SWEEPS = 4  # of Jacobi rotations, which suffice for 3 x 3 matrices
 Response = tuple[Tensor, Tensor, Tensor | None]
 """Density (T, B), stress (3, T, B) and, if wanted, tangent (3, 3, T, B)."""
 
@@ -49,7 +48,7 @@ def plate(s: Tensor, law: dict[str, Tensor], *, tangent: bool = False) -> Respon
     bent = a > 0
     n = torch.where(bent, a, 1.0).sqrt()
     u = 0.5 * (soft * s * s).sum(0) / n
-    shape, slope, bend = _shape(u)
+    shape, slope = _shape(u)
     dn = 0.5 * da / n
     du = (soft * s - u * dn) / n
     stress = torch.where(bent, 0.5 * (shape * da + a * slope * du), 0.0)
@@ -58,7 +57,7 @@ def plate(s: Tensor, law: dict[str, Tensor], *, tangent: bool = False) -> Respon
     side = torch.stack([along, along, twist])
     k, side = side.abs(), side.sign()
     rate = law["rates"][:, :, None] * k
-    (fast, slow), slopes, _ = _shape(rate)
+    (fast, slow), slopes = _shape(rate)
     excess = slow - fast
     work = 0.5 * alpha * k * k * excess
     force = side * alpha * k * (excess + 0.5 * (rate[1] * slopes[1] - rate[0] * slopes[0]))
@@ -76,6 +75,8 @@ def plate(s: Tensor, law: dict[str, Tensor], *, tangent: bool = False) -> Respon
     density = torch.where(bent, 0.5 * a * shape, 0.0) + work[1] + w * more + work[2]
     if not tangent:
         return density + _variant(s, law, stress, None), stress, None
+    over = u.clamp(min=LIMIT)
+    bend = 4 * (1 - LIMIT / over) * (LIMIT / over) ** 2 / over
     both = du[:, None] * dn
     ddu = u * (dn[:, None] * dn - form) / n - both - both.transpose(0, 1)
     ddu.diagonal(dim1=0, dim2=1).add_(soft.movedim(0, -1))
@@ -128,13 +129,13 @@ def slid_origin(s: Tensor, law: dict[str, Tensor]) -> Tensor:
     return torch.where(law["slid"] > 0, s - kept * change, law["origin"])
 
 
-def _shape(u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """:func:`sim.material.softening_shape`."""
+def _shape(u: Tensor) -> tuple[Tensor, Tensor]:
+    """H and its slope of :func:`sim.material.softening_shape`."""
     over = u.clamp(min=LIMIT)
     beyond = over - LIMIT
     share = beyond / over
-    return (1 - 2 / 3 * (u - share * share * beyond),
-            -2 / 3 * (1 - share * share * (3 - 2 * share)), 4 * share * (1 - share) ** 2 / over)
+    square = share * share
+    return 1 - 2 / 3 * (u - square * beyond), (square * (3 - 2 * share) - 1) * (2 / 3)
 
 
 def membrane(e: Tensor, law: Tensor, *, tangent: bool = False) -> Response:
@@ -182,41 +183,45 @@ def tension(stress: Tensor) -> Tensor:
 
 def raise_eigenvalues(matrix: Tensor, floor: Tensor, share: Tensor) -> None:
     """Raise eigenvalues of symmetric matrices (3, 3, ...) to at least ``floor``, in place; only the
-    ``share`` of the change is added. Most need none, as their pivots show."""
-    first = matrix[0, 0] - floor
-    second = (matrix[1, 1] - floor) * first - matrix[0, 1] ** 2
-    cross = matrix[1, 2] * first - matrix[0, 1] * matrix[0, 2]
-    third = ((matrix[2, 2] - floor) * first - matrix[0, 2] ** 2) * second - cross * cross
-    sound = (first > 0) & (second > 0) & (third > 0)
-    places = torch.nonzero((~sound & (share > 0)).ravel())[:, 0]
-    if not len(places):
-        return
-    floor, share = (one.expand_as(first).reshape(-1)[places] for one in (floor, share))
-    flat = matrix.view(3, 3, -1)
-    values, vectors = _eigen(flat[:, :, places])
-    lift = (floor - values).clamp(min=0) * share
-    flat[:, :, places] += (vectors[:, None] * vectors * lift).sum(2)
+    ``share`` of the change is added.
+
+    The change is a polynomial of matrix - floor that interpolates max(-x, 0) at its eigenvalues.
+    Where they cluster it is exact, as then all but its linear terms vanish or are small.
+    """
+    moved = matrix.clone()
+    moved.diagonal(dim1=0, dim2=1).sub_(floor[..., None])
+    a, b, c = (moved[k, k] for k in range(3))
+    mean = (a + b + c) / 3
+    one, two, three = a - mean, b - mean, c - mean
+    d, e, f = moved[1, 2], moved[0, 2], moved[0, 1]
+    dd, ee, ff = d * d, e * e, f * f
+    size = ((one * one + two * two + three * three) / 6 + (dd + ee + ff) / 3).sqrt()
+    size = size.clamp(min=1e-150)
+    half = 0.5 * (one * two * three - one * dd - two * ee - three * ff) + d * e * f
+    angle = (half / size / size / size).clamp(-1, 1).acos() / 3
+    high, low = (mean + 2 * size * (angle + turn).cos() for turn in (0.0, 2 / 3 * torch.pi))
+    middle = torch.minimum(torch.maximum(3 * mean - high - low, low), high)
+    at = [(-x).clamp(min=0) for x in (low, middle, high)]
+
+    def slope(first: Tensor, second: Tensor, change: Tensor) -> Tensor:
+        return torch.where(second > first, change / (second - first), 0.0)
+
+    first, second = slope(low, middle, at[1] - at[0]), slope(middle, high, at[2] - at[1])
+    first = torch.where(middle > low, first, -(low < 0).to(first))
+    second = torch.where(high > middle, second, first)
+    curve = share * slope(low, high, second - first)
+    line, level = share * first - curve * (low + middle), share * (at[0] - first * low)
+    level = level + curve * low * middle
+    matrix.addcmul_(line, moved).addcmul_(curve, contracted(moved, moved))
+    matrix.diagonal(dim1=0, dim2=1).add_(level[..., None])
 
 
-def _eigen(matrix: Tensor) -> tuple[Tensor, Tensor]:
-    """Eigenvalues (3, M) and, as columns, eigenvectors (3, 3, M) of matrices (3, 3, M), by cyclic
-    Jacobi rotations: libraries are slow for so many small matrices."""
-    a = {(i, j): matrix[i, j] for i in range(3) for j in range(i, 3)}
-    v = list(torch.eye(3).to(matrix)[..., None].expand_as(matrix).unbind(1))
-    for _ in range(_SWEEPS):
-        for p, q, r in ((0, 1, 2), (0, 2, 1), (1, 2, 0)):
-            apart, mixed = a[q, q] - a[p, p], 2 * a[p, q]
-            # The smaller of two rotations; copysign, as apart may be zero
-            root = torch.hypot(apart, mixed).clamp(min=1e-300)
-            t = mixed / (apart + torch.copysign(root, apart))
-            c = (1 + t * t).rsqrt()
-            s = t * c
-            change = 0.5 * t * mixed
-            a[p, p], a[q, q], a[p, q] = a[p, p] - change, a[q, q] + change, 0 * change
-            one, other = (min(p, r), max(p, r)), (min(q, r), max(q, r))
-            a[one], a[other] = c * a[one] - s * a[other], s * a[one] + c * a[other]
-            v[p], v[q] = c * v[p] - s * v[q], s * v[p] + c * v[q]
-    return torch.stack([a[k, k] for k in range(3)]), torch.stack(v, 1)
+def contracted(one: Tensor, other: Tensor) -> Tensor:
+    """Products of (K, P, ...) and (K, Q, ...), added up over K: (P, Q, ...)."""
+    total = one[0][:, None] * other[0]
+    for a, b in zip(one[1:], other[1:], strict=True):
+        total = total.addcmul(a[:, None], b)
+    return total
 
 
 def barrier(angle: Tensor, pole: Tensor) -> tuple[Tensor, Tensor, Tensor]:

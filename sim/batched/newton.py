@@ -73,19 +73,21 @@ class _Minimisation:
     def iterate(self, least: int) -> bool:
         """One iteration of all; False if none is left."""
         track, options = self.track, self.options
-        track.residual = _host(self._largest(self.value.gradient, "force_scale"))
-        finite = np.isfinite(track.residual) & _host(self.value.energy.isfinite())
+        track.residual, energy = _host(torch.stack([
+            self._largest(self.value.gradient, "force_scale"), self.value.energy]))
+        finite = np.isfinite(track.residual) & np.isfinite(energy)
         over = self.iterations >= options.max_iterations or len(finite) <= least
         if not self._leave({Status.NOT_FINITE: ~finite, Status.MAX_ITERATIONS: finite & over}):
             return False
         small = track.residual < options.residual
         steps, found = self._directions(small)
-        length = _host(self._largest(steps, "length_scale"))
+        slopes = (self.value.gradient * steps).sum(0)
+        length, slope = _host(torch.stack([self._largest(steps, "length_scale"), slopes]))
         track.definite = small & found
         track.step = np.where(track.definite, length, track.step)
         track.level[track.definite] = 0
         converged = track.definite & (length < options.step)
-        factor = self._search(np.flatnonzero(found & ~converged), steps)
+        factor = self._search(np.flatnonzero(found & ~converged & (slope < 0)), steps, slopes)
         improved = factor > 0
         track.step = np.where(improved, factor * length, track.step)
         track.shift[improved] = 0
@@ -147,14 +149,13 @@ class _Minimisation:
         track.level = np.where(small, track.level, trial)
         return steps, found
 
-    def _search(self, chosen: np.ndarray, steps: Tensor) -> np.ndarray:
-        """Line searches of the ``chosen`` drapes, which are moved; their lengths (B,), 0: none."""
+    def _search(self, pending: np.ndarray, steps: Tensor, slopes: Tensor) -> np.ndarray:
+        """Line searches of ``pending`` drapes along steps with negative slopes (B,); the lengths
+        (B,) by which they are moved, 0: none."""
         value = self.value
-        slope = (value.gradient * steps).sum(0)
-        start = self.x, self.n, value.energy, value.angles, value.gradient, steps, slope
-        factor, length = np.zeros(len(slope)), np.ones(len(slope))
-        pending, steep = chosen[_host(slope)[chosen] < 0], np.zeros(len(slope), dtype=bool)
-        trials = 1
+        start = self.x, self.n, value.energy, value.angles, value.gradient, steps, slopes
+        factor, length = np.zeros(len(slopes)), np.ones(len(slopes))
+        steep, trials = np.zeros(len(slopes), dtype=bool), 1
         while len(pending):
             sizes = length[pending, None] / 2.0 ** np.arange(trials)
             index, more = self._try(pending, sizes, start, equal=True)
@@ -193,12 +194,13 @@ class _Minimisation:
             scale = part.own["force_scale"]
             smaller = (new.gradient / scale).abs().amax(0) < (gradient / scale).abs().amax(0)
             falls |= ((size * slope).abs() < rounding) & (new.energy < energy + rounding) & smaller
-        good = _host(falls & keeps_distance(angles, new.angles, part.own["pole"]))
+        good, steep = _host(torch.stack([
+            falls & keeps_distance(angles, new.angles, part.own["pole"]), steep]))
         good = good.reshape(sizes.shape)
         index = np.where(good.any(axis=1), good.argmax(axis=1), -1)
         flat = np.arange(len(chosen)) * sizes.shape[1] + index
         self._accept(chosen[index >= 0], x, n, new, flat[index >= 0])
-        return index, _host(steep)[flat] & (index >= 0)
+        return index, steep[flat] & (index >= 0)
 
     def _accept(
         self, chosen: np.ndarray, x: Tensor, n: Tensor, value: Value, columns: np.ndarray

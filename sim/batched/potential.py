@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from sim.batched import laws
+from sim.batched.laws import contracted
 from sim.batched.solver import BatchedSolver
 from sim.cloth import STEP_UNIT, Cloth
 from sim.energies.bending_law import Variant
@@ -23,6 +24,7 @@ from sim.rig import GRAVITY, RIM
 from sim.scene import Scene
 
 _UPPER = np.triu_indices(12)
+_BETWEEN = [0, 3, 6, 1, 4, 7, 2, 5, 8, 9, 10, 11]
 _ORDERS = ((1, 2, 0), (2, 0, 1), (0, 1, 2))
 """Start and end of each side of a triangle, and the corner opposite."""
 
@@ -71,27 +73,37 @@ class BatchedPotential:
         counts &= held | ~held.any(axis=1, keepdims=True)
         self._around = place(mesh.faces.T), place(beside.T), place(counts.T[:, :, None])
         count = self.faces.shape[1]
-        self._targets = place(bending.dofs[:count, :12].T)
-        self._diagonal, self._pairs = place(potential.pattern.diagonal), place(bending._pairs.T)
-        slots = [np.where(slot < 0, self._nonzeros, slot).T.astype(int)
-                 for slot in potential.pattern.slots]
+        slots, pairs = potential.pattern.slots[1], bending._pairs
+        self._diagonal, self._pairs = place(potential.pattern.diagonal), place(pairs.T)
+        self._forces = Sums(bending.dofs[:count, :12].T.ravel(), self.unknowns, device)
         row, column = _UPPER
-        self._slots = [place(slots[1][_place(row, column)[kind], :count]) for kind in (
-            column < 9, (row < 9) & (column >= 9), row >= 9)]
-        row, column = (index[column < 9] for index in _UPPER)
+        kinds = column < 9, (row < 9) & (column >= 9), row >= 9
+        targets = [slots[:count, _place(row[kind], column[kind])].T for kind in kinds]
+        row, column = row[kinds[0]], column[kinds[0]]
         self._upper = place(row), place(column), place(np.flatnonzero(row % 3 == column % 3))
         # The blocks between the unknowns of pairs: rows of the first triangle's coordinates x, y
         # and z at its corners, then of its edges' rotations
-        one, other = bending._places.transpose(1, 2, 0)
-        between = np.take_along_axis(slots[1][:, None, None, count:], _place(
-            np.minimum(one[:, None], other), np.maximum(one[:, None], other))[None], 0)[0]
-        self._between = [place(between[rows].reshape(-1)) for rows in (
-            [0, 3, 6], [1, 4, 7], [2, 5, 8], [9, 10, 11])]
+        one, other = bending._places[:, 0, :, None], bending._places[:, 1, None]
+        between = np.take_along_axis(slots[count:, :, None], _place(
+            np.minimum(one, other), np.maximum(one, other)).reshape(len(pairs), 144, 1), 1)
+        between, twice = (one.reshape(-1, 12, 12).transpose(1, 2, 0)[_BETWEEN]
+                          for one in (between, one == other))
+        targets = np.concatenate([one.ravel() for one in (*targets, between)])
+        # An unknown of both triangles counts twice on the diagonal.
+        twice = np.flatnonzero(twice) + targets.size - twice.size
+        self._entries = Sums(np.concatenate([targets, targets[twice]]), self._nonzeros, device,
+                             rows=np.concatenate([np.arange(targets.size), twice]))
+        sides = pairs.T + np.arange(9)[:, None, None] * count  # of moments, and of tangents
+        rows = np.arange(9 * len(pairs)).reshape(9, 1, -1).repeat(2, 1)
+        self._to_sides = [Sums(sides[:size].ravel(), size * count, device, rows[:size].ravel())
+                          for size in (3, 9)]
+        slots = [np.where(slot < 0, self._nonzeros, slot).T.astype(int)
+                 for slot in potential.pattern.slots[-2:]]
         vertices, middles = (contact.dofs[:, ::3].T // 3 for contact in first.obstacles)
         # Ends of the points in contact, equal for a vertex; slots of the two kinds' blocks
         self._points = place(np.hstack([vertices.repeat(2, 0), middles]))
         self._point_slots = [(place(slot), *(place(index % 3) for index in np.triu_indices(size)))
-                             for slot, size in zip(slots[-2:], (3, 6), strict=True)]
+                             for slot, size in zip(slots, (3, 6), strict=True)]
         rows = [laws.plate_rows(cloth.fabric) | {"membrane": cloth.laws.membrane.matrix}
                 for cloth in cloths]
         if isinstance(bending, HystereticBending):
@@ -200,10 +212,9 @@ class BatchedPotential:
     def _moment(self, stress: Tensor, scale: Tensor, slope: Tensor) -> Tensor:
         """Derivatives (3, T, B), J/rad, of plate and barrier by the angles."""
         count, own = self.faces.shape[1], self.own
-        jump, moments = own["jumps"] * stress[:, count:], own["shares"] * stress[:, :count]
-        for side in self._pairs:
-            moments.index_add_(1, side, jump, alpha=-1.0)
-        return scale * slope + _contracted(own["maps"], moments[:, None])[:, 0]
+        moments = own["shares"] * stress[:, :count]
+        moments -= self._to_sides[0](own["jumps"] * stress[:, count:]).view_as(moments)
+        return scale * slope + contracted(own["maps"], moments[:, None])[:, 0]
 
     def evaluate(self, x: Tensor, n: Tensor) -> Value:
         """Energy, gradient and angles."""
@@ -219,9 +230,7 @@ class BatchedPotential:
         # By corner and coordinate
         pulls = (moment[:, None] * shape.levers).sum(0)[:, None] * shape.unit
         pulls += areas * (shape.strain_rows(own) * stress[:, None, None]).sum(0)
-        forces = x.new_zeros(self.unknowns, self.count)
-        forces.index_add_(0, self._targets.ravel(), torch.cat(
-            [pulls.flatten(0, 2), (moment * own["sign"]).flatten(0, 1)]))
+        forces = self._forces(torch.cat([pulls.flatten(0, 1), moment * own["sign"]]))
         on_vertices = self._on_vertices(forces)
         on_vertices[:, 2] += own["weights"]
         depth, normal, _ = self._contact(x[:, self._points].mean(1))
@@ -252,15 +261,12 @@ class BatchedPotential:
         strained, bent, at_pairs = tangents.split([count, count, len(own["jumps"])], 2)
         at_pairs = -0.5 * own["jumps"] * at_pairs
         bent = bent * (own["shares"] + other * (own["bending_areas"] - own["shares"]))
-        for side in self._pairs:
-            bent.index_add_(2, side, (1 - 2 * other) * at_pairs)
-        data = x.new_zeros(self._nonzeros + 1, self.count)  # last: entries of held unknowns
-        self._couple(data, shape, at_pairs)
+        bent += (1 - 2 * other) * self._to_sides[1](at_pairs).view_as(bent)
         row, column, same = self._upper
         a, k, b, m = row // 3, row % 3, column // 3, column % 3
         # In-plane: the strain's derivatives, and the stress times its second derivatives
         rows = shape.strain_rows(own).flatten(1, 2)  # (3, 9, T, B)
-        turned = own["areas"] * _contracted(strained, rows)
+        turned = own["areas"] * contracted(strained, rows)
         entries = rows[0, row] * turned[0, column]
         for i in (1, 2):
             entries += rows[i, row] * turned[i, column]
@@ -272,18 +278,19 @@ class BatchedPotential:
         _, slope, fold = laws.barrier(shape.angles, own["pole"])
         scale, maps = own["softest"] * own["slenderness"], own["maps"]
         moment = self._moment(moment, scale, slope)
-        stiff = _contracted(_contracted(bent, maps), maps)
+        stiff = contracted(contracted(bent, maps), maps)
         stiff.diagonal(dim1=0, dim2=1).add_((scale * fold).movedim(0, -1))
-        turned = _contracted(stiff, shape.levers)  # by angle and corner
-        spread = 0.5 * _contracted(shape.levers, turned)
+        turned = contracted(stiff, shape.levers)  # by angle and corner
+        spread = 0.5 * contracted(shape.levers, turned)
         vectors = shape.bends((1 - other) * moment) + spread[:, :, None] * shape.unit
         entries += shape.unit[k] * vectors[a, b, m] + vectors[b, a, k] * shape.unit[m]
         sign = own["sign"]
         mixed = (sign * turned.transpose(0, 1))[:, None] * shape.unit[:, None]  # corner, k, angle
         stiff = stiff * sign[:, None] * sign
         stiff = torch.stack([stiff[i, j] for i in range(3) for j in range(i, 3)])
-        for slots, values in zip(self._slots, (entries, mixed, stiff), strict=True):
-            data.index_add_(0, slots.ravel(), values.reshape(-1, self.count))
+        data = x.new_empty(self._nonzeros + 1, self.count)  # last: entries of held unknowns
+        data[:-1] = self._entries(torch.cat([values.reshape(-1, self.count) for values in (
+            entries, mixed, stiff, *self._between(shape, at_pairs))]))
         points = x[:, self._points].mean(1)
         touching, first = (self._contact(points)[0] > 0).any(1), 0
         for slots, row, column in self._point_slots:
@@ -301,19 +308,16 @@ class BatchedPotential:
         shift = shift * own["force_scale"] / own["length_scale"]
         return data.index_add_(0, self._diagonal, diagonal[self.free] + shift)[:-1]
 
-    def _couple(self, data: Tensor, shape: "_Shape", tangents: Tensor) -> None:
-        """Add the blocks between the unknowns of the two triangles of pairs to zero ``data``, with
+    def _between(self, shape: "_Shape", tangents: Tensor) -> list[Tensor]:
+        """Blocks between the unknowns of the two triangles of pairs, by the rows of the first, with
         the ``tangents`` (3, 3, M, B) by their curvatures."""
         maps, (one, other) = self.own["maps"], self._pairs
-        turns = torch.cat([_contracted(maps.transpose(0, 1), shape.levers), (
-            maps * self.own["sign"]).expand(3, 3, *shape.levers.shape[2:])], 1)  # (3, 6, T, B)
-        block = _contracted(_contracted(tangents, turns[:, :, one]), turns[:, :, other])
+        turns = torch.cat([contracted(maps.transpose(0, 1), shape.levers), (
+            maps * self.own["sign"]).expand_as(shape.levers)], 1)  # (3, 6, T, B)
+        block = contracted(contracted(tangents, turns[:, :, one]), turns[:, :, other])
         block = torch.cat([(block[:, :3, None] * shape.unit[:, other]).flatten(1, 2),
                            block[:, 3:]], 1)  # (6, 12, M, B)
-        parts = [*(block[:3] * unit for unit in shape.unit[:, one]), block[3:]]
-        for slots, part in zip(self._between, parts, strict=True):
-            data.index_add_(0, slots, part.flatten(0, 2))
-        data[self._diagonal] *= 2  # of unknowns of both triangles
+        return [*(block[:3] * unit for unit in shape.unit[:, one]), block[3:]]
 
     def _on_vertices(self, values: Tensor) -> Tensor:
         """A view (V, 3, B) of the coordinates' part of values (U, B) of all unknowns."""
@@ -341,6 +345,25 @@ class BatchedPotential:
         meridian = torch.stack([-along * x, -along * y, across])
         return depth, normal, -(across / distance * around[:, None] * around
                                 + curved * meridian[:, None] * meridian)
+
+
+class Sums:
+    """Sums (``count``, B) of the ``rows`` (N,), all by default, of values (M, B), over those with
+    the same of the ``targets`` (N,), -1: none. Threads that add to one place would be slower."""
+
+    def __init__(
+        self, targets: np.ndarray, count: int, device: str | torch.device,
+        rows: np.ndarray | None = None
+    ) -> None:
+        order = np.argsort(targets, kind="stable")
+        starts = np.searchsorted(targets[order], np.arange(count + 1))
+        rows = (order if rows is None else rows[order])[starts[0] :]
+        self._rows, self._starts = (torch.from_numpy(one.astype(np.int64)).to(device) for one in (
+            rows, starts - starts[0]))
+
+    def __call__(self, values: Tensor) -> Tensor:
+        return torch.embedding_bag(values.reshape(-1, values.shape[-1]), self._rows, self._starts,
+                                   include_last_offset=True)[0]
 
 
 class _Shape:
@@ -398,14 +421,6 @@ class _Shape:
 def _place(row: np.ndarray, column: np.ndarray) -> np.ndarray:
     """Places in the upper triangle, row by row, of a block of 17 unknowns."""
     return row * (33 - row) // 2 + column
-
-
-def _contracted(one: Tensor, other: Tensor) -> Tensor:
-    """Products of (K, P, ...) and (K, Q, ...), added up over K: (P, Q, ...)."""
-    total = one[0][:, None] * other[0]
-    for a, b in zip(one[1:], other[1:], strict=True):
-        total = total.addcmul(a[:, None], b)
-    return total
 
 
 def _unit(vectors: Tensor) -> Tensor:

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from sim.solver.linear import SparsePattern
 
-LEAF = 32
+LEAF = 64
 """Unknowns of a matrix for each leaf of the tree; with fewer, the fronts above outweigh them."""
 BLOCK = 32
 """Largest matrix that a library factors and inverts; larger ones are split, as products are faster
