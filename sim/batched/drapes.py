@@ -32,9 +32,9 @@ from sim.solver.newton import NewtonOptions, Status
 from sim.solver.state import State
 from sim.start import LOWERED, interpolate_positions
 
-BATCH = 1000
-"""Largest number of drapes at once, which have fewer than 65 536 fronts on a level, a limit of some
-libraries."""
+BATCH = 2_900_000
+"""Most unknowns of drapes at once, which have fewer than 65 536 fronts on a level, a limit of some
+libraries: 580 drapes of a mesh of 5 000."""
 _STRAGGLERS = (0.1, 0.02)
 """Shares of drapes whose minimisation, on a coarser and the final mesh, is ended when the others
 have converged: a few take as long as many. Then they are continued on the final mesh, or on the
@@ -65,8 +65,9 @@ def drape_batch(
                    type(run.laws.bending), type(run.laws.membrane))
             groups.setdefault(key, []).append((index, run))
         for group in groups.values():
-            for first in range(0, len(group), BATCH):
-                indices, runs = zip(*group[first : first + BATCH], strict=True)
+            size = _batch(group[0][1].scene(group[0][1].edge).mesh)
+            for first in range(0, len(group), size):
+                indices, runs = zip(*group[first : first + size], strict=True)
                 for index, run, made in zip(indices, runs, _draped(runs, device), strict=True):
                     drapes[index] = made
                     if made.status in _UNFINISHED or (made.converged and len(
@@ -75,6 +76,11 @@ def drape_batch(
         for index, call in calls.items():
             drapes[index] = call.result()
     return drapes
+
+
+def _batch(mesh: Mesh) -> int:
+    """Largest number of drapes at once on a mesh."""
+    return max(1, BATCH // (3 * len(mesh.rest) + len(mesh.edges)))
 
 
 def _continued(made: Drape, options: NewtonOptions) -> Drape:

@@ -47,11 +47,11 @@ def plate(s: Tensor, law: dict[str, Tensor], *, tangent: bool = False) -> Respon
     a = 0.5 * (da * s).sum(0)
     bent = a > 0
     n = torch.where(bent, a, 1.0).sqrt()
-    u = 0.5 * (soft * s * s).sum(0) / n
+    weight = soft * s
+    u = 0.5 * (weight * s).sum(0) / n
     shape, slope = _shape(u)
-    dn = 0.5 * da / n
-    du = (soft * s - u * dn) / n
-    stress = torch.where(bent, 0.5 * (shape * da + a * slope * du), 0.0)
+    du = (weight - 0.5 * u / n * da) / n
+    stress = 0.5 * (shape * da + a * slope * du)
     # The corrections along warp, weft and bias
     along, twist = s[0] - s[1], 2 * s[2]
     side = torch.stack([along, along, twist])
@@ -72,18 +72,18 @@ def plate(s: Tensor, law: dict[str, Tensor], *, tangent: bool = False) -> Respon
     mean = force[1] + w * pull
     stress += torch.stack([mean, -mean, 2 * force[2]])
     stress[:2] += dw * more
-    density = torch.where(bent, 0.5 * a * shape, 0.0) + work[1] + w * more + work[2]
+    density = 0.5 * a * shape + work[1] + w * more + work[2]
     if not tangent:
         return density + _variant(s, law, stress, None), stress, None
     over = u.clamp(min=LIMIT)
     bend = 4 * (1 - LIMIT / over) * (LIMIT / over) ** 2 / over
-    both = du[:, None] * dn
-    ddu = u * (dn[:, None] * dn - form) / n - both - both.transpose(0, 1)
-    ddu.diagonal(dim1=0, dim2=1).add_(soft.movedim(0, -1))
-    both = da[:, None] * du
-    stiff = shape * form + 0.5 * (slope * (both + both.transpose(0, 1) + a / n * ddu)
-                                  + a * bend * du[:, None] * du)
-    stiff = torch.where(bent, stiff, form)
+    # With u's second derivatives, all terms are products of the slopes of a and u, or forms.
+    half = 0.25 * (slope * da + a * bend * du)
+    stiff = (shape - 0.5 * slope * u) * form
+    stiff.addcmul_(du[:, None], half).addcmul_(half[:, None], du)
+    stiff.addcmul_((0.125 * slope * u / (n * n) * da)[:, None], da)
+    plain = torch.where(bent, 0.5 * n * slope, 0.0) * soft
+    stiff.diagonal(dim1=0, dim2=1).add_(plain.movedim(0, -1))
     limited = rate.clamp(max=LIMIT)
     along = 2 * alpha * (limited[0] - limited[1])
     mean = along[1] + w * (along[0] - along[1])

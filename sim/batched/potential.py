@@ -23,10 +23,9 @@ from sim.energies.midedge import CLAMP, CONVEX_FLOOR, rows_at_clamp
 from sim.rig import GRAVITY, RIM
 from sim.scene import Scene
 
-_UPPER = np.triu_indices(12)
 _BETWEEN = [0, 3, 6, 1, 4, 7, 2, 5, 8, 9, 10, 11]
-_ORDERS = ((1, 2, 0), (2, 0, 1), (0, 1, 2))
-"""Start and end of each side of a triangle, and the corner opposite."""
+_PLACES = np.array([[2, 0, 1], [1, 2, 0], [0, 1, 2]])
+"""Of the corners of a triangle on its sides: at the start, 0, the end, 1, or opposite, 2."""
 
 
 @dataclass
@@ -66,6 +65,7 @@ class BatchedPotential:
             return torch.from_numpy(np.ascontiguousarray(array)).to(device)
 
         self.faces, self.sides = place(mesh.faces[active].T), place(mesh.face_edges[active].T)
+        self.places = place(_PLACES)
         self.ends, self.free = place(mesh.edges.T), place(potential._free)
         beside = mesh.edge_faces
         counts = beside >= 0
@@ -76,11 +76,10 @@ class BatchedPotential:
         slots, pairs = potential.pattern.slots[1], bending._pairs
         self._diagonal, self._pairs = place(potential.pattern.diagonal), place(pairs.T)
         self._forces = Sums(bending.dofs[:count, :12].T.ravel(), self.unknowns, device)
-        row, column = _UPPER
-        kinds = column < 9, (row < 9) & (column >= 9), row >= 9
-        targets = [slots[:count, _place(row[kind], column[kind])].T for kind in kinds]
-        row, column = row[kinds[0]], column[kinds[0]]
-        self._upper = place(row), place(column), place(np.flatnonzero(row % 3 == column % 3))
+        at = np.arange(12)
+        own = np.where(at[:, None] > at, -1, slots[:count, _place(at[:, None], at)])
+        own = own.transpose(1, 2, 0)  # -1 also below the diagonal
+        targets = own[:9, :9], own[:9, 9:], own[9:, 9:]
         # The blocks between the unknowns of pairs: rows of the first triangle's coordinates x, y
         # and z at its corners, then of its edges' rotations
         one, other = bending._places[:, 0, :, None], bending._places[:, 1, None]
@@ -262,18 +261,15 @@ class BatchedPotential:
         at_pairs = -0.5 * own["jumps"] * at_pairs
         bent = bent * (own["shares"] + other * (own["bending_areas"] - own["shares"]))
         bent += (1 - 2 * other) * self._to_sides[1](at_pairs).view_as(bent)
-        row, column, same = self._upper
-        a, k, b, m = row // 3, row % 3, column // 3, column % 3
         # In-plane: the strain's derivatives, and the stress times its second derivatives
         rows = shape.strain_rows(own).flatten(1, 2)  # (3, 9, T, B)
-        turned = own["areas"] * contracted(strained, rows)
-        entries = rows[0, row] * turned[0, column]
-        for i in (1, 2):
-            entries += rows[i, row] * turned[i, column]
+        entries = contracted(rows, own["areas"] * contracted(strained, rows))
+        entries = entries.unflatten(1, (3, 3)).unflatten(0, (3, 3))  # corner, coordinate, again
         stress = own["areas"] * (stress + in_plane * (laws.tension(stress) - stress))
-        gu, gv = own["gradients"].unbind(1)
-        fu, fv = stress[0] * gu + stress[2] * gv, stress[2] * gu + stress[1] * gv
-        entries[same] += fu[a[same]] * gu[b[same]] + fv[a[same]] * gv[b[same]]
+        stress = torch.stack([stress[0], stress[2], stress[2], stress[1]]).unflatten(0, (2, 2))
+        gradients = own["gradients"].transpose(0, 1)
+        entries.diagonal(dim1=1, dim2=3).add_(
+            contracted(contracted(stress, gradients), gradients)[..., None])
         # Bending: levers times stiffness, and moments times second derivatives of angles
         _, slope, fold = laws.barrier(shape.angles, own["pole"])
         scale, maps = own["softest"] * own["slenderness"], own["maps"]
@@ -283,11 +279,11 @@ class BatchedPotential:
         turned = contracted(stiff, shape.levers)  # by angle and corner
         spread = 0.5 * contracted(shape.levers, turned)
         vectors = shape.bends((1 - other) * moment) + spread[:, :, None] * shape.unit
-        entries += shape.unit[k] * vectors[a, b, m] + vectors[b, a, k] * shape.unit[m]
+        entries.addcmul_(shape.unit[:, None, None], vectors[:, None])
+        entries.addcmul_(vectors.permute(1, 2, 0, 3, 4)[:, :, :, None], shape.unit)
         sign = own["sign"]
         mixed = (sign * turned.transpose(0, 1))[:, None] * shape.unit[:, None]  # corner, k, angle
         stiff = stiff * sign[:, None] * sign
-        stiff = torch.stack([stiff[i, j] for i in range(3) for j in range(i, 3)])
         data = x.new_empty(self._nonzeros + 1, self.count)  # last: entries of held unknowns
         data[:-1] = self._entries(torch.cat([values.reshape(-1, self.count) for values in (
             entries, mixed, stiff, *self._between(shape, at_pairs))]))
@@ -384,10 +380,8 @@ class _Shape:
         self.foot = (self.arm * self.side).sum(0) / self.square
         slope = length / -double
         parts = (self.foot - 1) * slope, -self.foot * slope, slope  # at start, end and corner
-        self.levers = torch.empty(3, 3, *slope.shape[1:], dtype=x.dtype, device=x.device)
-        for i, order in enumerate(_ORDERS):
-            for corner, part in zip(order, parts, strict=True):
-                self.levers[i, corner] = part[i]
+        self._places, self._sides = potential.places, torch.arange(3, device=x.device)
+        self.levers = torch.stack(parts)[self._places, self._sides[:, None]]
         self._deformation = (corners[:, :, None] * own["gradients"]).sum(1)  # (3, 2, T, B)
         u, v = self._deformation.unbind(1)
         self.strains = torch.stack([0.5 * (u.square().sum(0) - 1), 0.5 * (v.square().sum(0) - 1),
@@ -408,14 +402,11 @@ class _Shape:
         weight = moment / (height * self.square)
         high, long, mixed = moment / height**3 * up, weight * self.side, 0.5 * weight * up
         near, far = r * high + long, t * high - long
-        vectors = ((r * near + mixed, t * near - mixed, -near),  # start, end, corner
-                   (r * far - mixed, t * far + mixed, -far), (-r * high, -t * high, high))
-        result = torch.zeros(3, *high.shape, dtype=high.dtype, device=high.device)
-        for i, order in enumerate(_ORDERS):
-            for one, row in zip(order, vectors, strict=True):
-                for other, vector in zip(order, row, strict=True):
-                    result[one, other] += vector[:, i]
-        return result
+        vectors = torch.stack([  # by start, end and corner
+            r * near + mixed, t * near - mixed, -near, r * far - mixed, t * far + mixed, -far,
+            -r * high, -t * high, high]).unflatten(0, (3, 3))
+        one = self._places.T
+        return vectors[one[:, None], one, :, self._sides].sum(2)
 
 
 def _place(row: np.ndarray, column: np.ndarray) -> np.ndarray:
