@@ -2,6 +2,8 @@
 
 import time
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any
@@ -44,18 +46,19 @@ _UNFINISHED = (Status.MAX_ITERATIONS, Status.SADDLE)
 
 
 def drape_batch(
-    plans: Sequence[Mapping[str, Any]], device: str | torch.device = "cuda", *, workers: int = 1
+    plans: Sequence[Mapping[str, Any]], device: str | torch.device = "cuda", *, workers: int = 1,
+    pool: Executor | None = None
 ) -> list[Drape]:
     """The drapes of ``plans``, arguments of :func:`sim.drape.drape` by name, in their order, as
     :func:`sim.batch.drape_batch` gives them up to rounding, which may choose other folds.
 
-    Meanwhile ``workers`` processes on the CPU simulate those that are not covered (:func:`covers`),
-    and continue those that intersect themselves or are not finished. A script calls this below
-    ``if __name__ == "__main__":``.
+    Meanwhile ``workers`` processes on the CPU, or those of a ``pool``, simulate those that are not
+    covered (:func:`covers`), and continue those that intersect themselves or are not finished. A
+    script calls this below ``if __name__ == "__main__":``.
     """
     groups: dict[tuple, list[tuple[int, _Run]]] = {}
     drapes: list[Drape | None] = [None] * len(plans)
-    with worker_pool(workers) as pool:
+    with nullcontext(pool) if pool else worker_pool(workers) as pool:
         calls = {index: pool.submit(single.drape, **plan)
                  for index, plan in enumerate(plans) if not covers(plan)}
         for index in sorted(set(range(len(plans))) - set(calls)):
