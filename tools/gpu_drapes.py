@@ -1,12 +1,14 @@
 """Measure batches of drapes on an accelerator, and compare some with the CPU's:
 
     python tools/gpu_drapes.py prepare FILE            # fabrics of the prior, minima of the CPU
-    python tools/gpu_drapes.py run FILE [--device cuda] [--count 256] [--out DIR] [--compile]
+    python tools/gpu_drapes.py run FILE [--device cuda] [--count 256] [--cores N] [--out DIR]
+                                       [--compile]
 
 ``run`` writes ``gpu_drapes.json`` and the drapes' positions, ``drapes.npz``, to DIR or $OUT. It
-needs PyTorch, NumPy, SciPy, Numba and tqdm only. Without ipctk, self-intersections are not looked
-for, and drapes that are not finished are not continued on the CPU; ``check FILE --out DIR`` looks
-for intersections later.
+needs PyTorch, NumPy, SciPy, Numba and tqdm only. With --cores N, N processes simulate the same
+drapes on the CPU, which needs pypardiso, too. Without ipctk, self-intersections are not looked for,
+and drapes that are not finished are not continued on the CPU; ``check FILE --out DIR`` looks for
+intersections later.
 """
 
 import argparse
@@ -17,7 +19,8 @@ import time
 import types
 from collections import Counter, defaultdict
 from collections.abc import Callable
-from contextlib import contextmanager
+from concurrent.futures import Executor
+from contextlib import contextmanager, nullcontext
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -31,16 +34,20 @@ if find_spec("threadpoolctl") is None:  # which only limits threads
 
 import torch
 
+from common.workers import worker_pool
+from sim import equilibrium
 from sim.batched import drapes as batched
 from sim.batched import newton, solver
 from sim.batched.lowering import columns
 from sim.batched.potential import BatchedPotential
 from sim.batched.solver import BatchedSolver
 from sim.cloth import Cloth
+from sim.drape import Drape, drape, follow
 from sim.material import Fabric
 from sim.mesh.specimen import TOPOLOGIES
 from sim.rig import DISC_RIG, SQUARE_RIG
 from sim.scene import make_specimen
+from sim.solver.linear import make_solver
 from sim.solver.newton import NewtonOptions
 
 RIGS = (DISC_RIG, SQUARE_RIG)
@@ -55,7 +62,6 @@ def prepare(file: Path, count: int, near: int) -> None:
     from data.dataset.plan import Stream, stream
     from data.fabrics.fabrics import from_theta
     from data.fabrics.prior import load_prior, sample_admissible
-    from sim.drape import drape, follow
 
     prior = load_prior("gaussian")
     thetas = [sample_admissible(prior, stream(SEED, Stream.FABRIC, k))[0] for k in range(count)]
@@ -119,7 +125,7 @@ KERNELS = tuple((owner, name, lambda a, *_, name=name: f"{name} {a.shape[0]}x{tu
                 for owner, name in ((torch.linalg, "cholesky_ex"), (torch, "bmm"),
                                     (torch.linalg, "solve_triangular"), (torch, "baddbmm")))
 REPEATS = 5
-BLOCKS = (8, 16, 24, 32, 48, 1000)
+BLOCKS, LEAVES = (16, 24, 32, 48), (32, 64, 128)
 
 
 @contextmanager
@@ -134,11 +140,39 @@ def watched(clock: Clock, places: tuple):
             setattr(owner, attribute, function)
 
 
+def planned(rig, fabrics: list[Fabric]) -> list[dict]:
+    """The arguments of their drapes."""
+    return [{"fabric": fabric, "rig": rig, "edge": EDGE, "seed": k * TOPOLOGIES}
+            for k, fabric in enumerate(fabrics)]
+
+
+def on_cpu(plan: dict) -> Drape:
+    """A drape by the simulator on the CPU, as its self-intersections can be found."""
+    if find_spec("ipctk") is None:
+        equilibrium.self_intersections = lambda *_: ()
+    return drape(**plan)
+
+
+def on_cores(rig, fabrics: list[Fabric], cores: int, pool: Executor) -> dict:
+    """Speed of processes on the CPU, as of :func:`sim.batch.drape_batch` once they have begun."""
+    plans = planned(rig, fabrics)
+    list(pool.map(on_cpu, [plans[0]] * 2 * cores))
+    began = time.perf_counter()
+    made = list(pool.map(on_cpu, plans))
+    seconds = time.perf_counter() - began
+    pattern = Cloth(made[0].scene, fabrics[0]).potential.pattern
+    iterations = np.percentile([one.iterations for one in made], (0, 50, 90, 100))
+    return {"cores": cores, "solver": type(make_solver(pattern)).__name__,
+            "seconds": round(seconds, 2),
+            "drapes_per_s": round(sum(one.converged for one in made) / seconds, 2),
+            "verified": sum(one.converged for one in made),
+            "cpu_s_per_drape": round(float(np.mean([one.outcome.seconds for one in made])), 3),
+            "iterations": iterations.tolist()}
+
+
 def measure(rig, fabrics: list[Fabric], device: str) -> tuple[dict, np.ndarray]:
     """Speed of a batch, by stage, then by part of an iteration; its positions."""
-    plans = [{"fabric": fabric, "rig": rig, "edge": EDGE, "seed": k * TOPOLOGIES}
-             for k, fabric in enumerate(fabrics)]
-    report = {}
+    plans, report = planned(rig, fabrics), {}
     for kind, places in (("stages", STAGES), ("parts", PARTS)):
         if device != "cpu":
             torch.cuda.reset_peak_memory_stats()
@@ -218,7 +252,12 @@ def iteration(
     for solver.BLOCK in BLOCKS:
         result[f"factorise, blocks of {solver.BLOCK}"] = timed(
             lambda: potential.solver.factorise(data), clock)
-    solver.BLOCK = kept
+    solver.BLOCK, kept = kept, solver.LEAF
+    for solver.LEAF in LEAVES:
+        other = BatchedPotential([Cloth(scene, fabrics[0])], device).solver
+        result[f"factorise, leaves of {solver.LEAF}"] = timed(
+            lambda other=other: other.factorise(data), clock)
+    solver.LEAF = kept
     with watched(clock, KERNELS):
         potential.solver.factorise(data)
     kernels = {name: round(1e3 * seconds, 2) for name, seconds in clock.seconds.items()}
@@ -226,7 +265,10 @@ def iteration(
             "kernels_ms": kernels}
 
 
-def run(file: Path, device: str, count: int, out: Path, *, compiled: bool) -> None:
+def run(
+    file: Path, device: str, count: int, out: Path, *, compiled: bool, cores: int,
+    pool: Executor | None
+) -> None:
     """All measurements; the first, of few drapes, is to warm up."""
     intersections = find_spec("ipctk") is not None
     if not intersections:
@@ -237,18 +279,21 @@ def run(file: Path, device: str, count: int, out: Path, *, compiled: bool) -> No
               torch.cuda.get_device_name(), "intersections_checked": intersections}
     print(report, flush=True)
     positions = {}
+    if pool:  # compiles the simulator meanwhile
+        pool.submit(on_cpu, planned(RIGS[0], fabrics[:1])[0])
     for rig in RIGS:
         began = time.perf_counter()
         comparison = compare(rig, fabrics, data[rig.name], device)
         if device != "cpu":
-            batched.drape_batch([{"fabric": fabric, "rig": rig, "edge": EDGE, "seed": 0}
-                                 for fabric in fabrics[:2]], device)
+            batched.drape_batch(planned(rig, fabrics[:2]), device)
         warm_up = time.perf_counter() - began
         once = iteration(rig, fabrics[:count], data[rig.name], device, compiled=compiled)
         print(rig.name, json.dumps(once), flush=True)
         measured, positions[rig.name] = measure(rig, fabrics[:count], device)
         report[rig.name] = {"warm_up_s": round(warm_up, 2), "beside": comparison,
                             "iteration": once} | measured
+        if pool:
+            report[rig.name]["on_cores"] = on_cores(rig, fabrics[:count], cores, pool)
         print(rig.name, json.dumps(report[rig.name], indent=1), flush=True)
         (out / "gpu_drapes.json").write_text(json.dumps(report, indent=1))
         np.savez_compressed(out / "drapes.npz", **positions)
@@ -271,6 +316,7 @@ def main() -> None:
     parser.add_argument("file", type=Path)
     parser.add_argument("--device", default="cuda")
     parser.add_argument("--count", type=int, default=256)
+    parser.add_argument("--cores", type=int, default=0)
     parser.add_argument("--near", type=int, default=NEAR)
     parser.add_argument("--compile", action="store_true", help="also time compiled parts")
     parser.add_argument("--out", type=Path, default=Path(os.environ.get("OUT", ".")))
@@ -278,7 +324,9 @@ def main() -> None:
     if words.what == "prepare":
         prepare(words.file, FABRICS, words.near)
     elif words.what == "run":
-        run(words.file, words.device, words.count, words.out, compiled=words.compile)
+        with worker_pool(words.cores) if words.cores else nullcontext() as pool:
+            run(words.file, words.device, words.count, words.out, compiled=words.compile,
+                cores=words.cores, pool=pool)
     else:
         check(words.out)
 

@@ -1,24 +1,24 @@
 """Many drapes at once on an accelerator, in PyTorch: :func:`sim.batched.drapes.drape_batch`.
 
-Drapes of one triangulation take the same steps as on the CPU, all in double precision: six of them,
-compared with those of an exact solver on the CPU, agreed to 3e-8 m. Element-wise work is vectorised
-over elements and drapes, linear systems are factored front by front (:mod:`sim.batched.solver`).
+Drapes of one triangulation take the same steps as on the CPU, all in double precision. Element-wise
+work is vectorised over elements and drapes, linear systems are factored front by front
+(:mod:`sim.batched.solver`).
 
 Estimate of an iteration of 256 drapes on an H100 (3 TB/s; matrix products of this size at 5
 TFLOP/s, factors and substitutions of small matrices at 0.3 TFLOP/s), for a disc of 300 mm with
-4 047 unknowns, 1 359 triangles and 49 294 non-zeros, before it was measured:
+4 047 unknowns, 1 359 triangles, 1 952 pairs of them and 93 066 non-zeros:
 
 =============  =========================================================  ========  ========
 Part           Per drape                                                  Launches  256
 =============  =========================================================  ========  ========
-Evaluation     30 MB moved                                                     350  3 ms
-Hessian        75 MB moved, 106 000 atomic additions                           500  8 ms
-Factor         89 MFLOP, 13 of them in small factors, 62 MB moved              150  20 ms
-Solution       11 MB moved                                                     100  2 ms
+Evaluation     33 MB moved                                                     320  3 ms
+Hessian        125 MB moved                                                    800  11 ms
+Factor         202 MFLOP, 9 of them in small factors, 87 MB moved              270  26 ms
+Solution       17 MB moved                                                      70  2 ms
 =============  =========================================================  ========  ========
 
-A dense factor would take 22 GFLOP. With 1.2 factors and 1.5 evaluations, an iteration takes 40 ms,
-and at least 12 ms for few drapes, as launches take 7 µs each. A batch of 96 took 60 time steps, 90
-iterations on the coarse and 86 on the final mesh, with the work of 120 factors of all its drapes.
-The factors of 256 drapes take 1.4 GB (square of 300 mm: 1.8 GB), a factorisation less than 12 GB.
+A dense factor would take 22 GFLOP. With 1.2 factors and 1.5 evaluations, an iteration takes 50 ms,
+and at least 13 ms for few drapes, as launches take 7 µs each: that is why batches are large, and
+the last few drapes of a minimisation are not waited for. The factors of 256 drapes take 1.8 GB
+(square of 300 mm: 2.4 GB), the entries of their Hessians, before they are added up, 0.9 GB.
 """

@@ -18,11 +18,12 @@ from torch import Tensor
 from sim.solver.linear import SparsePattern
 
 LEAF = 64
-"""Unknowns of a matrix for each leaf of the tree; with fewer, the fronts above outweigh them."""
+"""Unknowns of a matrix for each leaf of the tree; with fewer, more is moved between fronts."""
 BLOCK = 32
 """Largest matrix that a library factors and inverts; larger ones are split, as products are faster
 than factors and substitutions."""
-_CUTS = np.linspace(0.42, 0.58, 9)  # shares of the elements in the first half
+_CUTS = np.linspace(0.47, 0.53, 9)
+"""Shares of the elements in the first half: nearly equal, as fronts of a level have one size."""
 
 
 @dataclass
