@@ -12,13 +12,13 @@ TFLOP/s, factors and substitutions of small matrices at 0.3 TFLOP/s), for a disc
 Part           Per drape                                                  Launches  256
 =============  =========================================================  ========  ========
 Evaluation     33 MB moved                                                     320  3 ms
-Hessian        125 MB moved                                                    800  11 ms
+Hessian        122 MB moved                                                    700  11 ms
 Factor         202 MFLOP, 9 of them in small factors, 87 MB moved              270  26 ms
 Solution       17 MB moved                                                      70  2 ms
 =============  =========================================================  ========  ========
 
 A dense factor would take 22 GFLOP. With 1.2 factors and 1.5 evaluations, an iteration takes 50 ms,
-and at least 13 ms for few drapes, as launches take 7 µs each: that is why batches are large, and
+and at least 12 ms for few drapes, as launches take 7 µs each: that is why batches are large, and
 the last few drapes of a minimisation are not waited for. The factors of 256 drapes take 1.8 GB
 (square of 300 mm: 2.4 GB), the entries of their Hessians, before they are added up, 0.9 GB.
 """

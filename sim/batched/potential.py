@@ -75,7 +75,8 @@ class BatchedPotential:
         count = self.faces.shape[1]
         slots, pairs = potential.pattern.slots[1], bending._pairs
         self._diagonal, self._pairs = place(potential.pattern.diagonal), place(pairs.T)
-        self._forces = Sums(bending.dofs[:count, :12].T.ravel(), self.unknowns, device)
+        forces = bending.dofs[:count, :12].T.ravel()
+        self._forces = Sums(forces, np.arange(forces.size), self.unknowns, device)
         at = np.arange(12)
         own = np.where(at[:, None] > at, -1, slots[:count, _place(at[:, None], at)])
         own = own.transpose(1, 2, 0)  # -1 also below the diagonal
@@ -90,19 +91,22 @@ class BatchedPotential:
         targets = np.concatenate([one.ravel() for one in (*targets, between)])
         # An unknown of both triangles counts twice on the diagonal.
         twice = np.flatnonzero(twice) + targets.size - twice.size
-        self._entries = Sums(np.concatenate([targets, targets[twice]]), self._nonzeros, device,
-                             rows=np.concatenate([np.arange(targets.size), twice]))
+        rows, targets = [np.arange(targets.size), twice], [targets, targets[twice]]
+        # The ends of points in contact, equal for a vertex, share the blocks (3, 3) of the points.
+        vertices, middles = (contact.dofs[:, ::3].T // 3 for contact in first.obstacles)
+        self._points = place(np.hstack([vertices.repeat(2, 0), middles]))
+        points, of_vertices = np.arange(self._points.shape[1]), vertices.shape[1]
+        self._of_ends = place(np.where(points < of_vertices, 1.0, 0.25)[:, None])
+        for own, at, size in zip(potential.pattern.slots[-2:], np.split(points, [of_vertices]),
+                                 (3, 6), strict=True):
+            row, column = (index[:, None] % 3 for index in np.triu_indices(size))
+            rows.append((len(rows[0]) + (3 * row + column) * len(points) + at).ravel())
+            targets.append(own.T.ravel())
+        self._entries = Sums(*map(np.concatenate, (targets, rows)), self._nonzeros, device)
         sides = pairs.T + np.arange(9)[:, None, None] * count  # of moments, and of tangents
         rows = np.arange(9 * len(pairs)).reshape(9, 1, -1).repeat(2, 1)
-        self._to_sides = [Sums(sides[:size].ravel(), size * count, device, rows[:size].ravel())
+        self._to_sides = [Sums(sides[:size].ravel(), rows[:size].ravel(), size * count, device)
                           for size in (3, 9)]
-        slots = [np.where(slot < 0, self._nonzeros, slot).T.astype(int)
-                 for slot in potential.pattern.slots[-2:]]
-        vertices, middles = (contact.dofs[:, ::3].T // 3 for contact in first.obstacles)
-        # Ends of the points in contact, equal for a vertex; slots of the two kinds' blocks
-        self._points = place(np.hstack([vertices.repeat(2, 0), middles]))
-        self._point_slots = [(place(slot), *(place(index % 3) for index in np.triu_indices(size)))
-                             for slot, size in zip(slots, (3, 6), strict=True)]
         rows = [laws.plate_rows(cloth.fabric) | {"membrane": cloth.laws.membrane.matrix}
                 for cloth in cloths]
         if isinstance(bending, HystereticBending):
@@ -284,25 +288,18 @@ class BatchedPotential:
         sign = own["sign"]
         mixed = (sign * turned.transpose(0, 1))[:, None] * shape.unit[:, None]  # corner, k, angle
         stiff = stiff * sign[:, None] * sign
-        data = x.new_empty(self._nonzeros + 1, self.count)  # last: entries of held unknowns
-        data[:-1] = self._entries(torch.cat([values.reshape(-1, self.count) for values in (
-            entries, mixed, stiff, *self._between(shape, at_pairs))]))
-        points = x[:, self._points].mean(1)
-        touching, first = (self._contact(points)[0] > 0).any(1), 0
-        for slots, row, column in self._point_slots:
-            near = torch.nonzero(touching[first : first + slots.shape[1]])[:, 0]
-            depth, normal, bend = self._contact(points[:, first + near], bend=True)
-            scale = own["contact"][first + near] * depth * (1.0 if first == 0 else 0.25)
-            block = scale * (2 * normal[:, None] * normal + (1 - other) * depth * bend)
-            data.index_add_(0, slots[:, near].ravel(), block[row, column].flatten(0, 1))
-            first = slots.shape[1]
+        depth, normal, bend = self._contact(x[:, self._points].mean(1), bend=True)
+        block = 2 * normal[:, None] * normal + (1 - other) * depth * bend
+        block *= self._of_ends * own["contact"] * depth
+        data = self._entries(torch.cat([values.reshape(-1, self.count) for values in (
+            entries, mixed, stiff, *self._between(shape, at_pairs), block)]))
         diagonal = x.new_zeros(self.unknowns, self.count)
         if "aim" in own:
             on_vertices = self._on_vertices(diagonal)
             on_vertices += own["inertia"][:, None]
             on_vertices[:, 2] += 2 * own["ring"] * (own["height"] - x[2]).clamp(min=0)
         shift = shift * own["force_scale"] / own["length_scale"]
-        return data.index_add_(0, self._diagonal, diagonal[self.free] + shift)[:-1]
+        return data.index_add_(0, self._diagonal, diagonal[self.free] + shift)
 
     def _between(self, shape: "_Shape", tangents: Tensor) -> list[Tensor]:
         """Blocks between the unknowns of the two triangles of pairs, by the rows of the first, with
@@ -329,7 +326,7 @@ class BatchedPotential:
         out, up = distance - (radius - rim), point[2] + rim
         rounded, side = (out > 0) & (up > 0), (out > up).to(point)
         over = torch.where(rounded, torch.hypot(out, up), torch.maximum(out, up))
-        curved = rounded / over
+        curved = rounded / torch.where(rounded, over, 1.0)
         across = torch.where(rounded, out * curved, side)
         along = torch.where(rounded, up * curved, 1 - side)
         distance = torch.where(distance > 0, distance, 1.0)
@@ -344,18 +341,16 @@ class BatchedPotential:
 
 
 class Sums:
-    """Sums (``count``, B) of the ``rows`` (N,), all by default, of values (M, B), over those with
-    the same of the ``targets`` (N,), -1: none. Threads that add to one place would be slower."""
+    """Sums (``count``, B) of the ``rows`` (N,) of values (M, B), over those with the same of the
+    ``targets`` (N,), -1: none. Threads that add to one place would be slower."""
 
     def __init__(
-        self, targets: np.ndarray, count: int, device: str | torch.device,
-        rows: np.ndarray | None = None
+        self, targets: np.ndarray, rows: np.ndarray, count: int, device: str | torch.device
     ) -> None:
         order = np.argsort(targets, kind="stable")
         starts = np.searchsorted(targets[order], np.arange(count + 1))
-        rows = (order if rows is None else rows[order])[starts[0] :]
         self._rows, self._starts = (torch.from_numpy(one.astype(np.int64)).to(device) for one in (
-            rows, starts - starts[0]))
+            rows[order[starts[0] :]], starts - starts[0]))
 
     def __call__(self, values: Tensor) -> Tensor:
         return torch.embedding_bag(values.reshape(-1, values.shape[-1]), self._rows, self._starts,
