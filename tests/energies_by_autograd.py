@@ -118,10 +118,10 @@ class ReferenceEnergy:
 
     def _jumps(self, curvatures: Tensor, areas: Tensor) -> Tensor:
         """() J of the jumps of curvature at inner edges."""
-        one, other = curvatures[self._pairs].unbind(1)
-        means = plate_density((one + other) / 2, self.law)
-        mean = (plate_density(one, self.law) + plate_density(other, self.law)) / 2
-        return (areas[self._pairs].sum(1) / 3 * (mean - means)).sum()
+        x, y, twist = (curvatures[self._pairs[:, 0]] - curvatures[self._pairs[:, 1]]).unbind(-1)
+        law = self.law
+        form = (law.A11 * x**2 + law.A22 * y**2 + 2 * law.A12 * x * y + 4 * law.A66 * twist**2)
+        return (areas[self._pairs].sum(1) / 24 * form).sum()
 
     def _fold_barrier(self, angles: Tensor) -> Tensor:
         """(N, 3) the barrier of :mod:`sim.energies.fold_barrier` per unit of its scale."""

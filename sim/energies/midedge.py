@@ -13,13 +13,13 @@ For small angles this is the Morley plate element; unlike hinge energies it conv
 plate it discretises, on any triangulation (docs/physics.md).
 
 That element is too soft for short waves, by 0.07 (k h)² of the buckling load of a wave number k on
-edges h, so that coarse cloth buckles early. An inner edge therefore adds the difference between the
-mean energy of its triangles and the energy of their mean curvature,
+edges h, so that coarse cloth buckles early. An inner edge therefore stores the jump of curvature,
 
-    A_e ((psi(S1) + psi(S2))/2 - psi((S1 + S2)/2)),   A_e = (A1 + A2)/3,
+    A_e/8 (S1 - S2) : A : (S1 - S2),   A_e = (A1 + A2)/3,
 
-an eighth of the square of the jump S1 - S2 in the plate's form. It vanishes for constant curvature,
-and is of second order in h otherwise.
+in the form A of flat cloth. For a linear fabric that is the difference between the mean energy of
+the triangles and the energy of their mean curvature. It vanishes for constant curvature, and is of
+second order in h otherwise.
 
 Without a barrier, meshes too coarse for the cloth fold through themselves, where phi jumps. The
 barrier of :mod:`sim.energies.fold_barrier` prevents that, times the smallest alpha and the edge's
@@ -72,9 +72,8 @@ class MidEdgeBending(FusedEnergy):
         self._sign = np.where(forward, 1.0, -1.0)
         weights = clamp_weights(mesh, active, clamped)
         self.areas = mesh.areas[active] / weights
-        self._jumps = self.areas[self._pairs].sum(axis=1) / 6
-        self._shares = self.areas + np.bincount(
-            self._pairs.ravel(), np.repeat(self._jumps, 2), minlength=len(faces))
+        self._jumps = self.areas[self._pairs].sum(axis=1) / 12
+        self._around = np.bincount(self._pairs.ravel(), np.repeat(self._jumps, 2), count)
         self.maps = weights[:, None, None] * curvature_maps(mesh)[active]
         pole = np.where(clamped, np.pi, np.pi / 2)
         self.pole = np.where(boundary, np.inf, pole)
@@ -93,50 +92,38 @@ class MidEdgeBending(FusedEnergy):
         other._set_fabric(fabric)
         return other
 
-    def _responses(
-        self, phi: np.ndarray, tangents: bool
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """:meth:`response` of the N triangles, then at the mean curvatures of the M pairs."""
-        both = (_with_means(values, self._pairs) for values in
-                (_curvatures(self.maps, phi), self.origin))
-        return self.response(*both, tangents)
-
-    def _moments(self, stress: np.ndarray) -> np.ndarray:
-        """Derivatives (N, 3), N·m², of the plate's energy by the triangles' curvatures."""
-        count = len(self.areas)
-        moments = self._shares[:, None] * stress[:count]
-        _add_to_sides(moments, stress[count:], -self._jumps, self._pairs)
-        return moments
-
     def _add_forces(self, q: StateVector, targets: np.ndarray, forces: np.ndarray) -> float:
         phi = self.angles(q)
-        density, stress, _ = self._responses(phi, False)
-        barrier = _add_forces(q, phi, self._moments(stress), self._corners, self._sign, self.maps,
-                              self._barrier, self.pole, targets, forces)
-        count = len(self.areas)
-        return float(self._shares @ density[:count] - 2 * self._jumps @ density[count:]) + barrier
+        value, moments, _ = self._of_curvatures(_curvatures(self.maps, phi), tangents=False)
+        return value + _add_forces(q, phi, moments, self._corners, self._sign, self.maps,
+                                   self._barrier, self.pole, targets, forces)
 
     def add_stiffness(
         self, q: StateVector, slots: np.ndarray, exact: np.ndarray, convex: np.ndarray
     ) -> None:
         phi = self.angles(q)
-        _, stress, tangent = self._responses(phi, True)
-        moments, count = self._moments(stress), len(self.areas)
+        _, moments, tangent = self._of_curvatures(_curvatures(self.maps, phi), tangents=True)
         for data, is_convex in ((exact, False), (convex, True)):
             if not len(data):
                 continue
             if is_convex:
                 # Edge rotations have no other stiffness: their lower bound must be positive.
-                floor = CONVEX_FLOOR * min(self.law.A11, self.law.A22, 4.0 * self.law.A66)
-                raise_eigenvalues(tangent, floor)
-            at_pairs = -0.5 * self._jumps[:, None, None] * tangent[count:]
-            at_triangles = tangent[:count] * (
-                self.areas if is_convex else self._shares)[:, None, None]
-            _add_to_sides(at_triangles.reshape(count, 9), at_pairs.reshape(-1, 9),
-                          np.full(len(at_pairs), -1.0 if is_convex else 1.0), self._pairs)
-            _add_stiffness(q, phi, moments, at_triangles, at_pairs, self._corners, self._sign,
-                           self.maps, self._barrier, self.pole, self._pairs, self._places,
-                           slots, data, is_convex)
+                raise_eigenvalues(tangent, CONVEX_FLOOR * self.form.diagonal().min())
+            both = (self.areas[:, None, None] * tangent
+                    + self._around[:, None, None] * self.form)
+            _add_stiffness(q, phi, moments, both, self.form, self._jumps, self._corners,
+                           self._sign, self.maps, self._barrier, self.pole, self._pairs,
+                           self._places, slots, data, is_convex)
+
+    def _of_curvatures(
+        self, curvatures: Curvatures, *, tangents: bool
+    ) -> tuple[float, np.ndarray, np.ndarray]:
+        """The plate's energy, its derivatives (N, 3), N·m², by the curvatures, and the tangents
+        (N, 3, 3), N·m, of :meth:`response`."""
+        density, stress, tangent = self.response(curvatures, tangents)
+        moments = self.areas[:, None] * stress
+        jumps = _add_jumps(curvatures, self.form, self._jumps, self._pairs, moments)
+        return float(self.areas @ density) + jumps, moments, tangent
 
     def allows(self, old: StateVector, new: StateVector) -> bool:
         return _keep_distance(old, new, self._corners, self._normals, self.pole)
@@ -150,12 +137,18 @@ class MidEdgeBending(FusedEnergy):
         return _curvatures(self.maps, self.angles(q))
 
     def response(
-        self, curvatures: Curvatures, origins: Curvatures, tangents: bool = True
+        self, curvatures: Curvatures, tangents: bool = True
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Energies (P,), J/m², at curvatures (P, 3) and ``origins`` (P, 3) of the hysteresis, and
-        first (P, 3), N, and second (P, 3, 3), N·m, derivatives by the curvatures, the second only
-        with ``tangents``: all that another plate law overrides."""
-        return bending_law.respond(curvatures, origins, self.law, self.variant, tangents)
+        """Energies (N,), J/m², of the active triangles, and first (N, 3), N, and second (N, 3, 3),
+        N·m, derivatives by their curvatures, the second only with ``tangents``. Another plate law
+        overrides this, and :attr:`form`."""
+        return bending_law.respond(curvatures, self.origin, self.law, self.variant, tangents)
+
+    @property
+    def form(self) -> np.ndarray:
+        """(3, 3) N·m, the tangent of flat cloth."""
+        a11, a22, a12, a66 = self.law[:4]
+        return np.array([[a11, a12, 0.0], [a12, a22, 0.0], [0.0, 0.0, 4.0 * a66]])
 
 
 def clamp_weights(mesh: Mesh, active: FaceMask, clamped: np.ndarray) -> np.ndarray:
@@ -299,23 +292,19 @@ def _moment(maps, moments, i):
 
 
 @_compiled
-def _with_means(values, pairs):
-    """Values (N, 3) of triangles, then the means (M, 3) of pairs."""
-    result = np.empty((len(values) + len(pairs), 3))
-    result[: len(values)] = values
+def _add_jumps(curvatures, form, jumps, pairs, moments):
+    """Energy of the jumps of curvature; its derivatives are added to moments (N, 3)."""
+    total, jump = 0.0, np.empty(3)
     for p in range(len(pairs)):
+        one, other = pairs[p]
         for a in range(3):
-            result[len(values) + p, a] = 0.5 * (values[pairs[p, 0], a] + values[pairs[p, 1], a])
-    return result
-
-
-@_compiled
-def _add_to_sides(totals, values, weights, pairs):
-    """Add ``weights`` (M,) times the values (M, K) of pairs to the totals (N, K) of triangles."""
-    for p in range(len(pairs)):
-        for t in pairs[p]:
-            for a in range(values.shape[1]):
-                totals[t, a] += weights[p] * values[p, a]
+            jump[a] = jumps[p] * (curvatures[one, a] - curvatures[other, a])
+        for a in range(3):
+            moment = form[a, 0] * jump[0] + form[a, 1] * jump[1] + form[a, 2] * jump[2]
+            total += 0.5 * moment * (curvatures[one, a] - curvatures[other, a])
+            moments[one, a] += moment
+            moments[other, a] -= moment
+    return total
 
 
 @_compiled
@@ -339,8 +328,8 @@ def _add_forces(q, phi, moments, corners, sign, maps, barrier, pole, targets, fo
 
 @_compiled
 def _add_stiffness(
-    q, phi, moments, tangent, between, corners, sign, maps, barrier, pole, pairs, places, slots,
-    data, convex
+    q, phi, moments, tangent, form, jumps, corners, sign, maps, barrier, pole, pairs, places,
+    slots, data, convex
 ):
     # d²E = K_ij dphi_i dphi_j + m_i d²phi_i: a tangent term, convex if the law is, and an
     # indefinite term of the moments m, which the convex form omits.
@@ -372,7 +361,8 @@ def _add_stiffness(
         add_block(data, slots[t], block)
     for p in range(len(pairs)):
         one, other = pairs[p]
-        _between_angles(maps[one], between[p], maps[other], stiffness)
+        _between_angles(maps[one], form, maps[other], stiffness)
+        stiffness *= -jumps[p]
         _fill_factors(turns[one], stiffness, turns[other], units[one], units[other], factors)
         for i in range(12):
             u = places[p, 0, i]

@@ -38,7 +38,7 @@ def sound() -> SyntheticCapture:
     # Lowered squares of this fabric are too symmetric to show that the table was reversed.
     shape = drape(FABRIC, edge=6e-3, seed=3, start="sine")
     assert shape.converged
-    return CLEAN.capture(shape.positions, shape.faces, np.random.default_rng(4),
+    return CLEAN.capture(shape.positions, shape.faces, np.random.default_rng(5),
                          rig=RIG)
 
 
@@ -138,7 +138,7 @@ def test_a_tester_of_another_size_is_refused(sound, stated, said):
 
 def test_a_specimen_off_the_axis_is_measured():
     shape = drape(FABRIC, edge=6e-3, seed=3, offset=(0.016, -0.012))
-    seen = CLEAN.capture(shape.positions, shape.faces, np.random.default_rng(4),
+    seen = CLEAN.capture(shape.positions, shape.faces, np.random.default_rng(5),
                          rig=RIG)
     measured = quality(seen)
     assert measured.offset == pytest.approx(0.02, abs=4e-3)

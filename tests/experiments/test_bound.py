@@ -149,7 +149,7 @@ def test_what_is_unknown_costs(specimen):
     for a, b in zip(less, more, strict=True):
         difference = (b - a) / np.outer(scale, scale)
         assert np.linalg.eigvalsh(difference).min() > -1e-8
-        assert (bounds(b) > 1.0001 * bounds(a)).all()
+        assert (bounds(b) > 1.00001 * bounds(a)).all()
     assert (bounds(less[-1]) < scale).all()
     # A prior that leaves everything open, or nothing.
     known = dict.fromkeys(own, 1e-12)

@@ -214,6 +214,10 @@ def test_a_plate_law_of_the_users_overrides_the_response_alone():
         def response(self, *arguments):
             return tuple(2.0 * part for part in super().response(*arguments))
 
+        @property
+        def form(self):
+            return 2.0 * super().form
+
     mesh, active, q = crumpled_strip(seed=2)
     linear = Fabric(ANISOTROPIC.alpha)
     twice = Fabric(2 * ANISOTROPIC.alpha)

@@ -116,10 +116,10 @@ def test_stress_and_tangent_are_derivatives(added):
     energy.origin = rng.normal(0, 30, energy.origin.shape)
     energy.origin[::2] = 0.0
     curvatures = energy.origin + rng.normal(0, 20, energy.origin.shape)
-    _, stress, tangent = energy.response(curvatures, energy.origin)
+    _, stress, tangent = energy.response(curvatures)
     for k, step in enumerate(1e-4 * np.eye(3)):
         ahead, behind = curvatures + step, curvatures - step
-        ahead, behind = (energy.response(s, energy.origin) for s in (ahead, behind))
+        ahead, behind = energy.response(ahead), energy.response(behind)
         slope = (ahead[0] - behind[0]) / 2e-4
         assert np.allclose(slope, stress[:, k], atol=1e-8 * np.abs(stress).max())
         bend = (ahead[1] - behind[1]) / 2e-4
@@ -132,7 +132,7 @@ def test_weights_of_friction_apply_to_its_energy_as_to_its_derivatives():
 
     def response(slid: float, returned: float) -> tuple[np.ndarray, ...]:
         energy.variant = energy.variant._replace(slid=slid, returned=returned)
-        return energy.response(curvatures, energy.origin)
+        return energy.response(curvatures)
 
     parts = zip(response(0, 0), response(1, 0), response(0, 1), response(0.5, 0.3), strict=True)
     for plain, slid, returned, both in parts:
