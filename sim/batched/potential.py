@@ -103,10 +103,8 @@ class BatchedPotential:
             rows.append((len(rows[0]) + (3 * row + column) * len(points) + at).ravel())
             targets.append(own.T.ravel())
         self._entries = Sums(*map(np.concatenate, (targets, rows)), self._nonzeros, device)
-        sides = pairs.T + np.arange(9)[:, None, None] * count  # of moments, and of tangents
-        rows = np.arange(9 * len(pairs)).reshape(9, 1, -1).repeat(2, 1)
-        self._to_sides = [Sums(sides[:size].ravel(), rows[:size].ravel(), size * count, device)
-                          for size in (3, 9)]
+        sides = (pairs.T.ravel() + count * np.arange(3)[:, None]).ravel()
+        self._of_pairs = Sums(sides, np.arange(sides.size), 3 * count, device)
         rows = [laws.plate_rows(cloth.fabric) | {"membrane": cloth.laws.membrane.matrix}
                 for cloth in cloths]
         if isinstance(bending, HystereticBending):
@@ -157,11 +155,11 @@ class BatchedPotential:
         bent[second] = 1 / (1 + (1 - 1 / CLAMP) * near / behind)
         maps = torch.stack([nx * nx, ny * ny, nx * ny])[:, :, active] * square.sqrt() * bent
         bent = areas / bent
-        jumps = bent[self._pairs].sum(0) / 6
-        shares = bent.index_add(0, self._pairs.ravel(), jumps.repeat(2, 1))
+        jumps = bent[self._pairs].sum(0) / 12
+        around = torch.zeros_like(bent).index_add_(0, self._pairs.ravel(), jumps.repeat(2, 1))
         return {
             "areas": areas, "bending_areas": bent, "slenderness": square / double, "maps": maps,
-            "jumps": jumps, "shares": shares,
+            "jumps": jumps, "around": around,
             "gradients": (-across[:, :, active] / double).transpose(0, 1), "radius": radius,
             "weights": weight * on_vertices, "contact": pressure * torch.cat(
                 [on_vertices[free], on_edges[free[self.ends].any(0)]]),
@@ -201,33 +199,23 @@ class BatchedPotential:
         if "origin" in self.own:
             self.own["origin"] = laws.slid_origin(_Shape(self, x, n).curvatures, self.own)
 
-    def _plate(self, shape: "_Shape", *, tangent: bool = False) -> laws.Response:
-        """The plate law at the curvatures of the T triangles, then at the means of the pairs."""
-        own = self.own
-        if "origin" in own:
-            own = own | {"origin": self._with_means(own["origin"])}
-        return laws.plate(self._with_means(shape.curvatures), own, tangent=tangent)
-
-    def _with_means(self, values: Tensor) -> Tensor:
-        """Values (3, T, B) of the triangles, then their means of the pairs."""
-        return torch.cat([values, values[:, self._pairs].mean(1)], 1)
-
-    def _moment(self, stress: Tensor, scale: Tensor, slope: Tensor) -> Tensor:
-        """Derivatives (3, T, B), J/rad, of plate and barrier by the angles."""
-        count, own = self.faces.shape[1], self.own
-        moments = own["shares"] * stress[:, :count]
-        moments -= self._to_sides[0](own["jumps"] * stress[:, count:]).view_as(moments)
-        return scale * slope + contracted(own["maps"], moments[:, None])[:, 0]
+    def _jumps(self, curvatures: Tensor) -> Tensor:
+        """Derivatives (3, T, B), N·m², of the energy of jumps by the curvatures."""
+        one, other = curvatures[:, self._pairs].unbind(1)
+        jump = self.own["jumps"] * (one - other)
+        moments = self._of_pairs(torch.cat([jump, -jump], 1)).view_as(curvatures)
+        return contracted(self.own["form"][:, :, None], moments[:, None])[:, 0]
 
     def evaluate(self, x: Tensor, n: Tensor) -> Value:
         """Energy, gradient and angles."""
         own, shape = self.own, _Shape(self, x, n)
-        density, stress, _ = self._plate(shape)
+        density, stress, _ = laws.plate(shape.curvatures, own)
         value, slope, _ = laws.barrier(shape.angles, own["pole"])
-        scale, areas = own["softest"] * own["slenderness"], own["areas"]
-        weights = torch.cat([own["shares"], -2 * own["jumps"]])
-        energy = (weights * density).sum(0) + (scale * value).sum((0, 1))
-        moment = self._moment(stress, scale, slope)
+        scale, areas, bent = own["softest"] * own["slenderness"], own["areas"], own["bending_areas"]
+        jumps = self._jumps(shape.curvatures)
+        energy = (scale * value + 0.5 * jumps * shape.curvatures).sum((0, 1))
+        energy = energy + (bent * density).sum(0)
+        moment = scale * slope + contracted(own["maps"], (bent * stress + jumps)[:, None])[:, 0]
         density, stress, _ = laws.membrane(shape.strains, own["membrane"])
         energy = energy + (areas * density).sum(0) + (own["weights"] * x[2]).sum(0)
         # By corner and coordinate
@@ -251,20 +239,18 @@ class BatchedPotential:
 
     def hessian(self, x: Tensor, n: Tensor, convexity: Tensor, shift: Tensor) -> Tensor:
         """CSR data (nnz, B) of the Hessians with each drape's ``convexity`` and ``shift`` (B,), as
-        :meth:`sim.solver.potential.QuadraticModel.hessian` blends them: in-plane up to 1/2, all
-        else at 1."""
+        :meth:`sim.solver.potential.QuadraticModel.hessian` blends them."""
         own, shape = self.own, _Shape(self, x, n)
         in_plane, other = (2 * convexity).clamp(0, 1), (2 * convexity - 1).clamp(0, 1)
-        _, moment, bent = self._plate(shape, tangent=True)
+        _, moment, bent = laws.plate(shape.curvatures, own, tangent=True)
         _, stress, strained = laws.membrane(shape.strains, own["membrane"], tangent=True)
         floor = CONVEX_FLOOR * own["form"].diagonal(dim1=0, dim2=1).amin(-1)
-        tangents, count = torch.cat([strained, bent], 2), len(own["areas"])
-        plate = torch.arange(tangents.shape[2], device=x.device)[:, None] >= count
-        laws.raise_eigenvalues(tangents, plate * floor, torch.where(plate, other, in_plane))
-        strained, bent, at_pairs = tangents.split([count, count, len(own["jumps"])], 2)
-        at_pairs = -0.5 * own["jumps"] * at_pairs
-        bent = bent * (own["shares"] + other * (own["bending_areas"] - own["shares"]))
-        bent += (1 - 2 * other) * self._to_sides[1](at_pairs).view_as(bent)
+        tangents = torch.stack([strained, bent], 2)  # (3, 3, 2, T, B)
+        laws.raise_eigenvalues(tangents, torch.stack([torch.zeros_like(floor), floor])[:, None],
+                               torch.stack([in_plane, other])[:, None])
+        strained, bent = tangents.unbind(2)
+        form = own["form"][:, :, None]
+        bent = own["bending_areas"] * bent + own["around"] * form
         # In-plane: the strain's derivatives, and the stress times its second derivatives
         rows = shape.strain_rows(own).flatten(1, 2)  # (3, 9, T, B)
         entries = contracted(rows, own["areas"] * contracted(strained, rows))
@@ -277,7 +263,8 @@ class BatchedPotential:
         # Bending: levers times stiffness, and moments times second derivatives of angles
         _, slope, fold = laws.barrier(shape.angles, own["pole"])
         scale, maps = own["softest"] * own["slenderness"], own["maps"]
-        moment = self._moment(moment, scale, slope)
+        moment = own["bending_areas"] * moment + self._jumps(shape.curvatures)
+        moment = scale * slope + contracted(maps, moment[:, None])[:, 0]
         stiff = contracted(contracted(bent, maps), maps)
         stiff.diagonal(dim1=0, dim2=1).add_((scale * fold).movedim(0, -1))
         turned = contracted(stiff, shape.levers)  # by angle and corner
@@ -292,7 +279,7 @@ class BatchedPotential:
         block = 2 * normal[:, None] * normal + (1 - other) * depth * bend
         block *= self._of_ends * own["contact"] * depth
         data = self._entries(torch.cat([values.reshape(-1, self.count) for values in (
-            entries, mixed, stiff, *self._between(shape, at_pairs), block)]))
+            entries, mixed, stiff, *self._between(shape, form), block)]))
         diagonal = x.new_zeros(self.unknowns, self.count)
         if "aim" in own:
             on_vertices = self._on_vertices(diagonal)
@@ -301,13 +288,13 @@ class BatchedPotential:
         shift = shift * own["force_scale"] / own["length_scale"]
         return data.index_add_(0, self._diagonal, diagonal[self.free] + shift)
 
-    def _between(self, shape: "_Shape", tangents: Tensor) -> list[Tensor]:
-        """Blocks between the unknowns of the two triangles of pairs, by the rows of the first, with
-        the ``tangents`` (3, 3, M, B) by their curvatures."""
+    def _between(self, shape: "_Shape", form: Tensor) -> list[Tensor]:
+        """Blocks between the unknowns of the two triangles of pairs, by the rows of the first."""
         maps, (one, other) = self.own["maps"], self._pairs
         turns = torch.cat([contracted(maps.transpose(0, 1), shape.levers), (
             maps * self.own["sign"]).expand_as(shape.levers)], 1)  # (3, 6, T, B)
-        block = contracted(contracted(tangents, turns[:, :, one]), turns[:, :, other])
+        block = contracted(-self.own["jumps"] * contracted(form, turns)[:, :, one],
+                           turns[:, :, other])
         block = torch.cat([(block[:, :3, None] * shape.unit[:, other]).flatten(1, 2),
                            block[:, 3:]], 1)  # (6, 12, M, B)
         return [*(block[:3] * unit for unit in shape.unit[:, one]), block[3:]]
