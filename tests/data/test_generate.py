@@ -96,7 +96,7 @@ def test_records_of_simulated_drapes_hold_their_derivatives():
 def test_batches_on_a_device_make_the_same_records(tmp_path, monkeypatch):
     monkeypatch.setattr(batches, "WINDOW", 1)
     config = replace(small_config(drapes=2, starts=("lowered",), testers=(DISC_RIG.name,)),
-                     edge=0.012, drapes_per_shard=1)
+                     edge=0.014, drapes_per_shard=1)
     for name, device in (("one", None), ("batch", "cpu")):
         assert generate(tmp_path / name, config, solver=None, device=device)["complete"]
         assert generate(tmp_path / name, config, solver=fake_drapes.killed, device=device)
