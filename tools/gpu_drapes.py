@@ -6,9 +6,9 @@
 
 ``run`` writes ``gpu_drapes.json`` and the drapes' positions, ``drapes.npz``, to DIR or $OUT. It
 needs PyTorch, NumPy, SciPy, Numba and tqdm only. With --cores N, N processes simulate the same
-drapes on the CPU, which needs pypardiso, too. Without ipctk, self-intersections are not looked for,
-and drapes that are not finished are not continued on the CPU; ``check FILE --out DIR`` looks for
-intersections later.
+drapes on the CPU, which needs pypardiso, too, and continue those that the accelerator does not
+finish. Without ipctk, self-intersections are not looked for, and without both, unfinished drapes
+are not continued; ``check FILE --out DIR`` looks for intersections later.
 """
 
 import argparse
@@ -21,6 +21,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable
 from concurrent.futures import Executor
 from contextlib import contextmanager, nullcontext
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -146,11 +147,16 @@ def planned(rig, fabrics: list[Fabric]) -> list[dict]:
             for k, fabric in enumerate(fabrics)]
 
 
-def on_cpu(plan: dict) -> Drape:
-    """A drape by the simulator on the CPU, as its self-intersections can be found."""
+def as_here(function: Callable[..., Drape], *arguments: object, **settings: object) -> Drape:
+    """The result of a function, without self-intersections where they cannot be found."""
     if find_spec("ipctk") is None:
         equilibrium.self_intersections = lambda *_: ()
-    return drape(**plan)
+    return function(*arguments, **settings)
+
+
+def on_cpu(plan: dict) -> Drape:
+    """A drape by the simulator on the CPU."""
+    return as_here(drape, **plan)
 
 
 def on_cores(rig, fabrics: list[Fabric], cores: int, pool: Executor) -> dict:
@@ -279,8 +285,10 @@ def run(
               torch.cuda.get_device_name(), "intersections_checked": intersections}
     print(report, flush=True)
     positions = {}
-    if pool:  # compiles the simulator meanwhile
-        pool.submit(on_cpu, planned(RIGS[0], fabrics[:1])[0])
+    if pool:
+        batched.worker_pool = lambda _: nullcontext(types.SimpleNamespace(
+            submit=partial(pool.submit, as_here)))
+        pool.submit(on_cpu, planned(RIGS[0], fabrics[:1])[0])  # compiles the simulator meanwhile
     for rig in RIGS:
         began = time.perf_counter()
         comparison = compare(rig, fabrics, data[rig.name], device)
