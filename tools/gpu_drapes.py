@@ -55,7 +55,7 @@ RIGS = (DISC_RIG, SQUARE_RIG)
 EDGE = 6e-3  # m
 TIGHT = NewtonOptions(residual=1e-7, step=1e-5, max_iterations=100)
 SEED, FABRICS, NEAR = 77, 512, 8
-BESIDE = 1e-4  # m, deviation of a start from its minimum
+BESIDE = 2e-5  # m, deviation of a start from its minimum
 
 
 def prepare(file: Path, count: int, near: int) -> None:
