@@ -161,6 +161,7 @@ class Options:
     parts: Count
     seed: Seed
     edge_mm: float
+    device: str | None
     dataset: DatasetOptions
     prior: PriorOptions
     nuisances: NuisanceOptions

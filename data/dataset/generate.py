@@ -12,7 +12,8 @@ A shard depends only on the dataset's configuration and its number, so any numbe
 any number of machines, write the same files. After an interruption the same command resumes, and
 replaces damaged shards; with a larger drapes= it extends the dataset.
 
-``launcher=slurm parts=40 workers=8`` runs 40 jobs on a cluster: docs/cluster.md.
+``launcher=slurm parts=40 workers=8`` runs 40 jobs on a cluster, ``device=cuda`` batches on an
+accelerator: docs/cluster.md.
 """
 
 import common.interrupt  # noqa: F401
@@ -30,6 +31,7 @@ from common.command import command
 from common.errors import InputError, one_line
 from common.files import folder_named
 from common.workers import worker_pool
+from data.dataset.batches import check_device, finished_drapes, windows
 from data.dataset.config import DatasetConfig, Options, config_from_options
 from data.dataset.folder import DatasetFolder, over_shards
 from data.dataset.simulate import Solver
@@ -39,17 +41,19 @@ POLL_INTERVAL = 0.3  # s, at which the progress of workers is reported
 
 def generate_dataset(
     config: DatasetConfig, out: Path, *, workers: int = 1, part: int = 0, parts: int = 1,
-    solver: Solver | None = None,
+    solver: Solver | None = None, device: str | None = None,
 ) -> dict:
     """Generate, complete or extend the dataset in the folder ``out``; return ``dataset.json``.
 
     Only every ``parts``-th shard is made, from the ``part``-th on, counted from 0. Parts can be
     made at the same time on any machines; the last one finishes the dataset, the result of others
     has ``complete: False`` and no counts. ``solver`` replaces :func:`sim.drape.drape` and must be
-    importable.
+    importable. With a ``device`` of PyTorch, drapes are made there (:mod:`data.dataset.batches`).
     """
     if part >= parts:
         raise InputError(f"part={part} of parts={parts}: parts are counted from 0 to parts - 1")
+    if device:
+        check_device(config, device)
     folder = DatasetFolder(Path(out), config)
     try:
         folder.claim()
@@ -62,7 +66,8 @@ def generate_dataset(
                            for group in (shards, missing))
             with progress_bar(total=total, initial=total - left, unit="drape",
                               smoothing=0.05) as bar:
-                make_shards(folder, missing, workers=workers, solver=solver, bar=bar)
+                make_shards(folder, missing, workers=workers, solver=solver, device=device,
+                            bar=bar)
         manifest = folder.finish()
     except OSError as error:
         raise InputError(f"cannot write the dataset {out}: {one_line(error)}") from None
@@ -73,7 +78,8 @@ def generate_dataset(
 
 
 def make_shards(
-    folder: DatasetFolder, shards: list[int], *, workers: int, solver: Solver | None, bar: tqdm
+    folder: DatasetFolder, shards: list[int], *, workers: int, solver: Solver | None,
+    device: str | None, bar: tqdm
 ) -> None:
     """Make ``shards`` in ``workers`` processes, which in jobs of a launcher cannot import functions
     of this module, ``__main__``."""
@@ -81,9 +87,14 @@ def make_shards(
     try:
         with tempfile.NamedTemporaryFile() as file, worker_pool(min(workers, len(shards))) as pool:
             counts = np.memmap(file, np.int64, "w+", shape=(len(shards), 2))
-            running = {pool.submit(folder.make, shard, file.name, place, solver)
-                       for place, shard in enumerate(shards)}
-            while running:
+            running, left = set(), windows(folder.config, len(shards), device)
+            while running or left:
+                if left:
+                    places = left.pop(0)
+                    solvers = finished_drapes(folder.config, [shards[k] for k in places], device,
+                                              pool) if device else [solver] * len(places)
+                    running |= {pool.submit(folder.make, shards[place], file.name, place, one)
+                                for place, one in zip(places, solvers, strict=True)}
                 done, running = wait(running, timeout=POLL_INTERVAL, return_when=FIRST_COMPLETED)
                 drapes, failed = counts.sum(axis=0).tolist()
                 bar.set_postfix_str(f"{failed} failed", refresh=False)
@@ -100,7 +111,7 @@ def main(options: Options) -> None:
     """Generate the dataset, or part of it, and print a summary."""
     out = folder_named(options.out)
     manifest = generate_dataset(config_from_options(options), out, workers=options.workers,
-                                part=options.part, parts=options.parts)
+                                part=options.part, parts=options.parts, device=options.device)
     if not manifest["complete"]:
         print(f"part {options.part} of {options.parts} of {out} is done, other parts are not; the "
               "last one writes dataset.json")

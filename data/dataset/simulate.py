@@ -88,16 +88,23 @@ def _drape(
     plan: DrapePlan, config: DatasetConfig, solver: Solver, lender: Record | None, record: dict
 ) -> object:
     """The solver's result; density and edge are added to the record."""
-    start: dict = {"start": plan.fallback}
+    words = drape_words(plan, config)
     if lender is not None:
         # Rounded as stored, so that the drape can be repeated from the shard alone.
-        start = {"borrowed": (lender["rest"] * LENGTH_UNIT, lender["positions"] * LENGTH_UNIT)}
-    fabric = fabric_from_theta(plan.theta)
+        del words["start"]
+        words["borrowed"] = lender["rest"] * LENGTH_UNIT, lender["positions"] * LENGTH_UNIT
+    record |= {"density": words["fabric"].density, "edge": words["edge"]}
+    return solver(**words)
+
+
+def drape_words(plan: DrapePlan, config: DatasetConfig) -> dict:
+    """Arguments of :func:`sim.drape.drape` by name for a planned drape that borrows nothing."""
+    fabric, rig = fabric_from_theta(plan.theta), plan.nuisances.rig(plan.rig)
     edges = [factor * config.edge for factor in COARSER] if config.edge else DEFAULT_EDGES
-    rig, offset = plan.nuisances.rig(plan.rig), tuple(plan.offset)
-    record |= {"density": fabric.density, "edge": default_edge(fabric, rig, edges, offset)}
-    return solver(fabric, rig=rig, edge=record["edge"], seed=plan.seed, offset=offset,
-                  laws=plan.nuisances.laws, **start)
+    offset = tuple(plan.offset)
+    return {"fabric": fabric, "rig": rig, "edge": default_edge(fabric, rig, edges, offset),
+            "seed": plan.seed, "offset": offset, "laws": plan.nuisances.laws,
+            "start": plan.fallback}
 
 
 def _planned(plan: DrapePlan, lender: Record | None) -> dict:

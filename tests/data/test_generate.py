@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from common.errors import InputError
+from data.dataset import batches
 from data.dataset.config import DatasetConfig, SamplingConfig
 from data.dataset.folder import DatasetFolder
 from data.dataset.generate import generate_dataset, main
@@ -16,6 +17,7 @@ from data.dataset.shards import MOVED_BY, Shard
 from data.dataset.simulate import make_record
 from data.fabrics.prior import load_prior
 from sim.drape import drape
+from sim.rig import DISC_RIG
 from sim.sensitivity import sensitivities
 from sim.solver import linear
 from sim.solver.linear import PardisoSolver, SparsePattern, available_solvers
@@ -89,6 +91,33 @@ def test_records_of_simulated_drapes_hold_their_derivatives():
     found = (record["moves"] * record["move_units"][:, None]).transpose(1, 0, 2)
     for near, one in zip(found, exact, strict=True):
         assert np.abs(near - one).max() < 0.0040 * np.abs(one).max()
+
+
+def test_batches_on_a_device_make_the_same_records(tmp_path, monkeypatch):
+    monkeypatch.setattr(batches, "WINDOW", 1)
+    config = replace(small_config(drapes=2, starts=("lowered",), testers=(DISC_RIG.name,)),
+                     edge=0.014, drapes_per_shard=1)
+    for name, device in (("one", None), ("batch", "cpu")):
+        assert generate(tmp_path / name, config, solver=None, device=device)["complete"]
+        assert generate(tmp_path / name, config, solver=fake_drapes.killed, device=device)
+    names = [path.name for path in shards(tmp_path / "one")]
+    assert names == [path.name for path in shards(tmp_path / "batch")] and len(names) == 2
+    for one, batch in ((Shard(tmp_path / kind / name) for kind in ("one", "batch"))
+                       for name in names):
+        for row in range(len(one.column("index"))):
+            moved = one.mesh(row)[0] - batch.mesh(row)[0]
+            assert np.abs(moved).max() < 2e-6
+        for name in ("index", "status", "edge", "density", "seed", "start", "folds", "theta"):
+            assert one.column(name).tolist() == batch.column(name).tolist()
+        assert np.allclose(one.column("move_units"), batch.column("move_units"), rtol=1e-3)
+
+
+def test_only_lowered_drapes_are_made_in_batches(tmp_path):
+    for device, starts, complaint in (("cpu", ("lowered", "sine"), "only lowered drapes"),
+                                      ("none", ("lowered",), "device=none: ")):
+        with pytest.raises(InputError, match=complaint):
+            generate(tmp_path / "set", small_config(starts=starts), device=device)
+    assert not (tmp_path / "set").exists()
 
 
 def test_manifest_counts_everything(finished):

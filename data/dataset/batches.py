@@ -1,0 +1,62 @@
+"""Drapes of a dataset made in batches on an accelerator (:mod:`sim.batched`).
+
+A window of shards is planned at once, so that batches are large: many drapes share a mesh. Worker
+processes then make the records, whose derivatives need factors of their own, and write the shards,
+while the drapes of the next window are made. An interruption costs a window.
+"""
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+
+from common.errors import InputError, one_line
+from data.dataset.config import DatasetConfig
+from data.dataset.plan import plan_drape
+from data.dataset.simulate import drape_words
+from sim.start import LOWERED
+
+WINDOW = 2000
+"""Drapes, at least, of a window; a batch holds those of one triangulation."""
+
+
+class Finished:
+    """A solver that returns finished drapes, one after the other."""
+
+    def __init__(self, drapes: Sequence) -> None:
+        self._drapes = list(drapes)
+
+    def __call__(self, **_: object) -> object:
+        return self._drapes.pop(0)
+
+
+def check_device(config: DatasetConfig, device: str) -> None:
+    """InputError if PyTorch has no such device, or cannot make the drapes there."""
+    import torch  # late: the simulator on the CPU does without
+
+    starts = list(config.sampling.starts)
+    if set(starts) != {LOWERED}:
+        raise InputError(f"device={device}: only lowered drapes are made in batches, not "
+                         f"starts={starts}")
+    try:
+        torch.zeros(1, device=device)
+    except (RuntimeError, AssertionError) as error:
+        raise InputError(f"device={device}: {one_line(str(error).splitlines()[0])}") from None
+
+
+def windows(config: DatasetConfig, shards: int, device: str | None) -> list[range]:
+    """The places of a number of ``shards`` by window; without a ``device``, one of all."""
+    size = -(-WINDOW // config.drapes_per_shard) if device else max(shards, 1)
+    return [range(first, min(first + size, shards)) for first in range(0, shards, size)]
+
+
+def finished_drapes(
+    config: DatasetConfig, shards: Sequence[int], device: str, pool: Executor
+) -> list[Finished]:
+    """A solver for each of the ``shards`` that returns its drapes, made on ``device``; those that
+    are not finished there, in processes of the ``pool``."""
+    from sim.batched.drapes import drape_batch  # late: it loads PyTorch
+
+    rows = [config.rows(shard) for shard in shards]
+    plans = [drape_words(plan_drape(index, config=config.sampling, prior=config.prior), config)
+             for row in rows for index in row]
+    drapes = iter(drape_batch(plans, device, pool=pool))
+    return [Finished([next(drapes) for _ in row]) for row in rows]

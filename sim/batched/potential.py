@@ -1,0 +1,407 @@
+"""The energy of a batch of cloths on one triangulation, its gradient and its Hessian, in PyTorch.
+
+A state is positions x (3, V, B), m, and edge normals n (3, E, B) (:mod:`sim.solver.state`); steps
+and gradients are (n, B), in the order of the free unknowns of a cloth. Components come first, then
+the T elements, then the B drapes. Arrays of the geometry end with 1 where the drapes share it.
+"""
+
+import copy
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from sim.batched import laws
+from sim.batched.laws import contracted
+from sim.batched.solver import BatchedSolver
+from sim.cloth import STEP_UNIT, Cloth
+from sim.energies.bending_law import Variant
+from sim.energies.bending_variants import HystereticBending
+from sim.energies.external import DEPTH
+from sim.energies.midedge import CLAMP, CONVEX_FLOOR, rows_at_clamp
+from sim.rig import GRAVITY, RIM
+from sim.scene import Scene
+
+_BETWEEN = [0, 3, 6, 1, 4, 7, 2, 5, 8, 9, 10, 11]
+_PLACES = np.array([[2, 0, 1], [1, 2, 0], [0, 1, 2]])
+"""Of the corners of a triangle on its sides: at the start, 0, the end, 1, or opposite, 2."""
+
+
+@dataclass
+class Value:
+    """Energy (B,), J, its gradient (n, B) and the triangles' angles (3, T, B), rad."""
+
+    energy: Tensor
+    gradient: Tensor
+    angles: Tensor
+
+    def take(self, drapes: Tensor) -> "Value":
+        """The values of some of the drapes, by index."""
+        return Value(*(value[..., drapes] for value in vars(self).values()))
+
+    def replaced(self, drapes: Tensor, new: "Value") -> "Value":
+        """A copy with other values of some of the drapes."""
+        return Value(*(old.index_copy(-1, drapes, value) for old, value in
+                       zip(vars(self).values(), vars(new).values(), strict=True)))
+
+
+class BatchedPotential:
+    """The energies of ``cloths`` with the default laws, on meshes of the same faces.
+
+    Attributes:
+        own: tensors (..., B) or (..., 1) of the drapes by name. Those of a motion may be added: the
+            aim (3, V, B) and stiffness (V, B) of its inertia, the ring's (V, 1) and height (B,).
+        solver: of the Hessians, shared.
+    """
+
+    def __init__(self, cloths: list[Cloth], device: str | torch.device = "cpu") -> None:
+        first, bending, self.count = cloths[0], cloths[0].bending, len(cloths)
+        mesh, active, potential = first.scene.mesh, first.scene.active, first.potential
+        self.vertices, self.unknowns = len(mesh.rest), potential.unknowns
+        self.energy_scale, self._nonzeros = potential.energy_scale, len(potential.pattern.indices)
+
+        def place(array: np.ndarray) -> Tensor:
+            return torch.from_numpy(np.ascontiguousarray(array)).to(device)
+
+        self.faces, self.sides = place(mesh.faces[active].T), place(mesh.face_edges[active].T)
+        self.places = place(_PLACES)
+        self.ends, self.free = place(mesh.edges.T), place(potential._free)
+        beside = mesh.edge_faces
+        counts = beside >= 0
+        held = counts & ~active[beside]
+        counts &= held | ~held.any(axis=1, keepdims=True)
+        self._around = place(mesh.faces.T), place(beside.T), place(counts.T[:, :, None])
+        count = self.faces.shape[1]
+        slots, pairs = potential.pattern.slots[1], bending._pairs
+        self._diagonal, self._pairs = place(potential.pattern.diagonal), place(pairs.T)
+        forces = bending.dofs[:count, :12].T.ravel()
+        self._forces = Sums(forces, np.arange(forces.size), self.unknowns, device)
+        at = np.arange(12)
+        own = np.where(at[:, None] > at, -1, slots[:count, _place(at[:, None], at)])
+        own = own.transpose(1, 2, 0)  # -1 also below the diagonal
+        targets = own[:9, :9], own[:9, 9:], own[9:, 9:]
+        # The blocks between the unknowns of pairs: rows of the first triangle's coordinates x, y
+        # and z at its corners, then of its edges' rotations
+        one, other = bending._places[:, 0, :, None], bending._places[:, 1, None]
+        between = np.take_along_axis(slots[count:, :, None], _place(
+            np.minimum(one, other), np.maximum(one, other)).reshape(len(pairs), 144, 1), 1)
+        between, twice = (one.reshape(-1, 12, 12).transpose(1, 2, 0)[_BETWEEN]
+                          for one in (between, one == other))
+        targets = np.concatenate([one.ravel() for one in (*targets, between)])
+        # An unknown of both triangles counts twice on the diagonal.
+        twice = np.flatnonzero(twice) + targets.size - twice.size
+        rows, targets = [np.arange(targets.size), twice], [targets, targets[twice]]
+        # The ends of points in contact, equal for a vertex, share the blocks (3, 3) of the points.
+        vertices, middles = (contact.dofs[:, ::3].T // 3 for contact in first.obstacles)
+        self._points = place(np.hstack([vertices.repeat(2, 0), middles]))
+        points, of_vertices = np.arange(self._points.shape[1]), vertices.shape[1]
+        self._of_ends = place(np.where(points < of_vertices, 1.0, 0.25)[:, None])
+        for own, at, size in zip(potential.pattern.slots[-2:], np.split(points, [of_vertices]),
+                                 (3, 6), strict=True):
+            row, column = (index[:, None] % 3 for index in np.triu_indices(size))
+            rows.append((len(rows[0]) + (3 * row + column) * len(points) + at).ravel())
+            targets.append(own.T.ravel())
+        self._entries = Sums(*map(np.concatenate, (targets, rows)), self._nonzeros, device)
+        sides = (pairs.T.ravel() + count * np.arange(3)[:, None]).ravel()
+        self._of_pairs = Sums(sides, np.arange(sides.size), 3 * count, device)
+        rows = [laws.plate_rows(cloth.fabric) | {"membrane": cloth.laws.membrane.matrix}
+                for cloth in cloths]
+        if isinstance(bending, HystereticBending):
+            rows = [row | laws.variant_rows(_variant(bending, cloth)) for row, cloth in
+                    zip(rows, cloths, strict=True)]
+        self.own = {name: place(np.stack([row[name] for row in rows], -1)) for name in rows[0]}
+        scenes = [cloth.scene for cloth in cloths]
+        shared = all(scene.mesh is mesh for scene in scenes)
+        self.own |= self._geometry(first, scenes[:1] if shared else scenes)
+        if isinstance(bending, HystereticBending):
+            self.own["origin"] = self.own["areas"].new_zeros(3, self.faces.shape[1], self.count)
+        places = np.concatenate([np.repeat(mesh.rest, 3, axis=0), mesh.rest[mesh.edges].mean(1)])
+        rows = np.full(self.unknowns + 1, -1)
+        rows[potential._free] = np.arange(potential.size)
+        self.solver = BatchedSolver(potential.pattern, [rows[bending.dofs]],
+                                    places[potential._free], device)
+
+    def _geometry(self, cloth: Cloth, scenes: list[Scene]) -> dict[str, Tensor]:
+        """Arrays (..., G) of the meshes and rigs of G scenes by name, as those of the energies of
+        one ``cloth`` among them."""
+        scene, bending, device = cloth.scene, cloth.bending, self.faces.device
+        mesh, active = scene.mesh, torch.from_numpy(np.flatnonzero(scene.active)).to(device)
+        rest = torch.from_numpy(np.stack([one.mesh.rest.T for one in scenes], -1)).to(device)
+        corners = rest[:, self._around[0]]  # (2, 3, F, G)
+        side = corners.roll(1, 1) - corners.roll(-1, 1)
+        double = side[0, 0] * side[1, 1] - side[1, 0] * side[0, 1]
+        square = side.square().sum(0)
+        areas, across = double / 2, torch.stack([side[1], -side[0]])
+        on_vertices = areas.new_zeros(self.vertices, len(scenes)).index_add_(
+            0, self._around[0].ravel(), (areas / 3).repeat(3, 1))
+        sides = torch.from_numpy(mesh.face_edges.T.copy()).to(device)
+        on_edges = areas.new_zeros(len(mesh.edges), len(scenes)).index_add_(
+            0, sides.ravel(), areas.repeat(3, 1))
+        lengths = (rest[:, self.ends[1]] - rest[:, self.ends[0]]).square().sum(0).sqrt().mean(0)
+        weight = cloth.fabric.density * scene.gravity
+        units = torch.ones(self.unknowns, 1).to(areas)[self.free] * lengths
+        units[self.free < 3 * self.vertices] = 1.0
+        radius = areas.new_tensor([one.obstacles[0].radius for one in scenes])
+        pressure = scene.contact_pressure * weight / 4 / (DEPTH * radius) ** 2
+        free = torch.from_numpy(~scene.held).to(device)
+        nx, ny = across / (square * areas).sqrt()
+        areas, square, double = areas[active], square[:, active], double[active]
+        first, second = (torch.from_numpy(rows).to(device) for rows in rows_at_clamp(
+            mesh, scene.active, bending.pole == np.pi))
+        # As sim.energies.midedge.clamp_weights
+        near, behind = areas[first].sum(0), areas[second].sum(0)
+        bent = torch.where(first[:, None], CLAMP, torch.ones_like(areas))
+        bent[second] = 1 / (1 + (1 - 1 / CLAMP) * near / behind)
+        maps = torch.stack([nx * nx, ny * ny, nx * ny])[:, :, active] * square.sqrt() * bent
+        bent = areas / bent
+        jumps = bent[self._pairs].sum(0) / 12
+        around = torch.zeros_like(bent).index_add_(0, self._pairs.ravel(), jumps.repeat(2, 1))
+        return {
+            "areas": areas, "bending_areas": bent, "slenderness": square / double, "maps": maps,
+            "jumps": jumps, "around": around,
+            "gradients": (-across[:, :, active] / double).transpose(0, 1), "radius": radius,
+            "weights": weight * on_vertices, "contact": pressure * torch.cat(
+                [on_vertices[free], on_edges[free[self.ends].any(0)]]),
+            "force_scale": cloth.fabric.density * GRAVITY * on_vertices.mean(0) * units,
+            "length_scale": STEP_UNIT / units,
+            "pole": torch.from_numpy(np.minimum(bending.pole, 1e3).T[..., None]).to(device),
+            "sign": torch.from_numpy(bending._sign.T[..., None]).to(device)}
+
+    def take(self, drapes: Tensor) -> "BatchedPotential":
+        """The potential of some of the drapes, by index."""
+        part = copy.copy(self)
+        part.count = len(drapes)
+        part.own = {name: value[..., drapes] if value.shape[-1] > 1 else value
+                    for name, value in self.own.items()}
+        return part
+
+    def normals(self, x: Tensor) -> Tensor:
+        """Normals (3, E, B) that bisect the angles, as :meth:`sim.solver.state.State.at`."""
+        faces, beside, counts = self._around
+        a, b, c = x[:, faces].unbind(1)
+        unit = _unit(torch.linalg.cross(b - a, c - a, dim=0))
+        total = (unit[:, beside] * counts).sum(1)
+        return _unit(torch.where(total.square().sum(0) > 1e-18, total, unit[:, beside[0]]))
+
+    def moved(self, x: Tensor, n: Tensor, step: Tensor) -> tuple[Tensor, Tensor]:
+        """The states after steps (n, B), as :func:`sim.solver.state.moved`."""
+        full = step.new_zeros(self.unknowns, step.shape[1]).index_copy(0, self.free, step)
+        ahead = x + self._on_vertices(full).transpose(0, 1)
+        before, after = (_unit(y[:, self.ends[1]] - y[:, self.ends[0]]) for y in (x, ahead))
+        scale = (n * after).sum(0) / (1 + (before * after).sum(0)).clamp(min=1e-12)
+        n, turn = n - scale * (before + after), full[3 * self.vertices :]
+        n = turn.cos() * n + turn.sin() * torch.linalg.cross(after, n, dim=0)
+        return ahead, _unit(n - (n * after).sum(0) * after)
+
+    def slide(self, x: Tensor, n: Tensor) -> None:
+        """Let the origins of the hysteresis, if there is any, follow the cloth to a state."""
+        if "origin" in self.own:
+            self.own["origin"] = laws.slid_origin(_Shape(self, x, n).curvatures, self.own)
+
+    def _jumps(self, curvatures: Tensor) -> Tensor:
+        """Derivatives (3, T, B), N·m², of the energy of jumps by the curvatures."""
+        one, other = curvatures[:, self._pairs].unbind(1)
+        jump = self.own["jumps"] * (one - other)
+        moments = self._of_pairs(torch.cat([jump, -jump], 1)).view_as(curvatures)
+        return contracted(self.own["form"][:, :, None], moments[:, None])[:, 0]
+
+    def evaluate(self, x: Tensor, n: Tensor) -> Value:
+        """Energy, gradient and angles."""
+        own, shape = self.own, _Shape(self, x, n)
+        density, stress, _ = laws.plate(shape.curvatures, own)
+        value, slope, _ = laws.barrier(shape.angles, own["pole"])
+        scale, areas, bent = own["softest"] * own["slenderness"], own["areas"], own["bending_areas"]
+        jumps = self._jumps(shape.curvatures)
+        energy = (scale * value + 0.5 * jumps * shape.curvatures).sum((0, 1))
+        energy = energy + (bent * density).sum(0)
+        moment = scale * slope + contracted(own["maps"], (bent * stress + jumps)[:, None])[:, 0]
+        density, stress, _ = laws.membrane(shape.strains, own["membrane"])
+        energy = energy + (areas * density).sum(0) + (own["weights"] * x[2]).sum(0)
+        # By corner and coordinate
+        pulls = (moment[:, None] * shape.levers).sum(0)[:, None] * shape.unit
+        pulls += areas * (shape.strain_rows(own) * stress[:, None, None]).sum(0)
+        forces = self._forces(torch.cat([pulls.flatten(0, 1), moment * own["sign"]]))
+        on_vertices = self._on_vertices(forces)
+        on_vertices[:, 2] += own["weights"]
+        depth, normal, _ = self._contact(x[:, self._points].mean(1))
+        energy = energy + (own["contact"] * depth**3).sum(0) / 3
+        push = (-0.5 * own["contact"] * depth**2 * normal).transpose(0, 1)
+        for end in self._points:
+            on_vertices.index_add_(0, end, push)
+        if "aim" in own:
+            off, below = x - own["aim"], (own["height"] - x[2]).clamp(min=0)
+            energy = energy + 0.5 * (own["inertia"] * off**2).sum((0, 1))
+            energy = energy + (own["ring"] * below**3).sum(0) / 3
+            on_vertices += (own["inertia"] * off).transpose(0, 1)
+            on_vertices[:, 2] -= own["ring"] * below**2
+        return Value(energy, forces[self.free], shape.angles)
+
+    def hessian(self, x: Tensor, n: Tensor, convexity: Tensor, shift: Tensor) -> Tensor:
+        """CSR data (nnz, B) of the Hessians with each drape's ``convexity`` and ``shift`` (B,), as
+        :meth:`sim.solver.potential.QuadraticModel.hessian` blends them."""
+        own, shape = self.own, _Shape(self, x, n)
+        in_plane, other = (2 * convexity).clamp(0, 1), (2 * convexity - 1).clamp(0, 1)
+        _, moment, bent = laws.plate(shape.curvatures, own, tangent=True)
+        _, stress, strained = laws.membrane(shape.strains, own["membrane"], tangent=True)
+        floor = CONVEX_FLOOR * own["form"].diagonal(dim1=0, dim2=1).amin(-1)
+        tangents = torch.stack([strained, bent], 2)  # (3, 3, 2, T, B)
+        laws.raise_eigenvalues(tangents, torch.stack([torch.zeros_like(floor), floor])[:, None],
+                               torch.stack([in_plane, other])[:, None])
+        strained, bent = tangents.unbind(2)
+        form = own["form"][:, :, None]
+        bent = own["bending_areas"] * bent + own["around"] * form
+        # In-plane: the strain's derivatives, and the stress times its second derivatives
+        rows = shape.strain_rows(own).flatten(1, 2)  # (3, 9, T, B)
+        entries = contracted(rows, own["areas"] * contracted(strained, rows))
+        entries = entries.unflatten(1, (3, 3)).unflatten(0, (3, 3))  # corner, coordinate, again
+        stress = own["areas"] * (stress + in_plane * (laws.tension(stress) - stress))
+        stress = torch.stack([stress[0], stress[2], stress[2], stress[1]]).unflatten(0, (2, 2))
+        gradients = own["gradients"].transpose(0, 1)
+        entries.diagonal(dim1=1, dim2=3).add_(
+            contracted(contracted(stress, gradients), gradients)[..., None])
+        # Bending: levers times stiffness, and moments times second derivatives of angles
+        _, slope, fold = laws.barrier(shape.angles, own["pole"])
+        scale, maps = own["softest"] * own["slenderness"], own["maps"]
+        moment = own["bending_areas"] * moment + self._jumps(shape.curvatures)
+        moment = scale * slope + contracted(maps, moment[:, None])[:, 0]
+        stiff = contracted(contracted(bent, maps), maps)
+        stiff.diagonal(dim1=0, dim2=1).add_((scale * fold).movedim(0, -1))
+        turned = contracted(stiff, shape.levers)  # by angle and corner
+        spread = 0.5 * contracted(shape.levers, turned)
+        vectors = shape.bends((1 - other) * moment) + spread[:, :, None] * shape.unit
+        entries.addcmul_(shape.unit[:, None, None], vectors[:, None])
+        entries.addcmul_(vectors.permute(1, 2, 0, 3, 4)[:, :, :, None], shape.unit)
+        sign = own["sign"]
+        mixed = (sign * turned.transpose(0, 1))[:, None] * shape.unit[:, None]  # corner, k, angle
+        stiff = stiff * sign[:, None] * sign
+        depth, normal, bend = self._contact(x[:, self._points].mean(1), bend=True)
+        block = 2 * normal[:, None] * normal + (1 - other) * depth * bend
+        block *= self._of_ends * own["contact"] * depth
+        data = self._entries(torch.cat([values.reshape(-1, self.count) for values in (
+            entries, mixed, stiff, *self._between(shape, form), block)]))
+        diagonal = x.new_zeros(self.unknowns, self.count)
+        if "aim" in own:
+            on_vertices = self._on_vertices(diagonal)
+            on_vertices += own["inertia"][:, None]
+            on_vertices[:, 2] += 2 * own["ring"] * (own["height"] - x[2]).clamp(min=0)
+        shift = shift * own["force_scale"] / own["length_scale"]
+        return data.index_add_(0, self._diagonal, diagonal[self.free] + shift)
+
+    def _between(self, shape: "_Shape", form: Tensor) -> list[Tensor]:
+        """Blocks between the unknowns of the two triangles of pairs, by the rows of the first."""
+        maps, (one, other) = self.own["maps"], self._pairs
+        turns = torch.cat([contracted(maps.transpose(0, 1), shape.levers), (
+            maps * self.own["sign"]).expand_as(shape.levers)], 1)  # (3, 6, T, B)
+        block = contracted(-self.own["jumps"] * contracted(form, turns)[:, :, one],
+                           turns[:, :, other])
+        block = torch.cat([(block[:, :3, None] * shape.unit[:, other]).flatten(1, 2),
+                           block[:, 3:]], 1)  # (6, 12, M, B)
+        return [*(block[:3] * unit for unit in shape.unit[:, one]), block[3:]]
+
+    def _on_vertices(self, values: Tensor) -> Tensor:
+        """A view (V, 3, B) of the coordinates' part of values (U, B) of all unknowns."""
+        return values[: 3 * self.vertices].unflatten(0, (self.vertices, 3))
+
+    def _contact(
+        self, point: Tensor, *, bend: bool = False
+    ) -> tuple[Tensor, Tensor, Tensor | None]:
+        """Depths (N, B) of points (3, N, B) in the plate's cylinder, normals (3, N, B) and, if
+        wanted, second derivatives (3, 3, N, B) of the depths; see :class:`sim.rig.Cylinder`."""
+        radius, distance = self.own["radius"], torch.hypot(point[0], point[1])
+        rim = RIM * radius
+        out, up = distance - (radius - rim), point[2] + rim
+        rounded, side = (out > 0) & (up > 0), (out > up).to(point)
+        over = torch.where(rounded, torch.hypot(out, up), torch.maximum(out, up))
+        curved = rounded / torch.where(rounded, over, 1.0)
+        across = torch.where(rounded, out * curved, side)
+        along = torch.where(rounded, up * curved, 1 - side)
+        distance = torch.where(distance > 0, distance, 1.0)
+        x, y = point[:2] / distance
+        depth, normal = (rim - over).clamp(min=0), torch.stack([across * x, across * y, along])
+        if not bend:
+            return depth, normal, None
+        around = torch.stack([-y, x, 0 * x])
+        meridian = torch.stack([-along * x, -along * y, across])
+        return depth, normal, -(across / distance * around[:, None] * around
+                                + curved * meridian[:, None] * meridian)
+
+
+class Sums:
+    """Sums (``count``, B) of the ``rows`` (N,) of values (M, B), over those with the same of the
+    ``targets`` (N,), -1: none. Threads that add to one place would be slower."""
+
+    def __init__(
+        self, targets: np.ndarray, rows: np.ndarray, count: int, device: str | torch.device
+    ) -> None:
+        order = np.argsort(targets, kind="stable")
+        starts = np.searchsorted(targets[order], np.arange(count + 1))
+        self._rows, self._starts = (torch.from_numpy(one.astype(np.int64)).to(device) for one in (
+            rows[order[starts[0] :]], starts - starts[0]))
+
+    def __call__(self, values: Tensor) -> Tensor:
+        return torch.embedding_bag(values.reshape(-1, values.shape[-1]), self._rows, self._starts,
+                                   include_last_offset=True)[0]
+
+
+class _Shape:
+    """What energies need of the triangles: sides and arms, area vectors, angles, strains."""
+
+    def __init__(self, potential: BatchedPotential, x: Tensor, n: Tensor) -> None:
+        own, corners = potential.own, x[:, potential.faces]  # (3, 3, T, B): coordinate, corner
+        after = corners.roll(-1, 1)
+        self.side, self.arm = corners.roll(1, 1) - after, corners - after
+        across = torch.linalg.cross(self.side[:, 0], self.arm[:, 0], dim=0)
+        double = across.square().sum(0).sqrt()
+        self.unit, self.square = across / double, self.side.square().sum(0)
+        normals, length = n[:, potential.sides], self.square.sqrt()
+        outwards = torch.linalg.cross(self.side, self.unit[:, None].expand_as(self.side), dim=0)
+        self.angles = torch.atan2((normals * outwards).sum(0), length * (
+            normals * self.unit[:, None]).sum(0))
+        self.curvatures = (own["maps"] * self.angles).sum(1)
+        self.foot = (self.arm * self.side).sum(0) / self.square
+        slope = length / -double
+        parts = (self.foot - 1) * slope, -self.foot * slope, slope  # at start, end and corner
+        self._places, self._sides = potential.places, torch.arange(3, device=x.device)
+        self.levers = torch.stack(parts)[self._places, self._sides[:, None]]
+        self._deformation = (corners[:, :, None] * own["gradients"]).sum(1)  # (3, 2, T, B)
+        u, v = self._deformation.unbind(1)
+        self.strains = torch.stack([0.5 * (u.square().sum(0) - 1), 0.5 * (v.square().sum(0) - 1),
+                                    (u * v).sum(0)])
+
+    def strain_rows(self, own: dict[str, Tensor]) -> Tensor:
+        """Derivatives (3, 3, 3, T, B) of the strains by corner and coordinate."""
+        u, v = self._deformation.unbind(1)
+        gu, gv = own["gradients"][:, :, None].unbind(1)
+        return torch.stack([u * gu, v * gv, u * gv + v * gu])
+
+    def bends(self, moment: Tensor) -> Tensor:
+        """(3, 3, 3, T, B) by two corners and coordinate: the vectors of the moments' second
+        derivatives, see :func:`sim.energies.dihedral.add_side_bends`."""
+        t, r = self.foot, 1 - self.foot
+        up = self.arm - t * self.side
+        height = up.square().sum(0).sqrt()
+        weight = moment / (height * self.square)
+        high, long, mixed = moment / height**3 * up, weight * self.side, 0.5 * weight * up
+        near, far = r * high + long, t * high - long
+        vectors = torch.stack([  # by start, end and corner
+            r * near + mixed, t * near - mixed, -near, r * far - mixed, t * far + mixed, -far,
+            -r * high, -t * high, high]).unflatten(0, (3, 3))
+        one = self._places.T
+        return vectors[one[:, None], one, :, self._sides].sum(2)
+
+
+def _place(row: np.ndarray, column: np.ndarray) -> np.ndarray:
+    """Places in the upper triangle, row by row, of a block of 17 unknowns."""
+    return row * (33 - row) // 2 + column
+
+
+def _unit(vectors: Tensor) -> Tensor:
+    return vectors / vectors.square().sum(0).sqrt()
+
+
+def _variant(bending: HystereticBending, cloth: Cloth) -> Variant:
+    """That of another cloth on the mesh of ``bending``."""
+    other = copy.copy(bending)
+    other._hysteresis = cloth.laws.bending
+    return other.with_fabric(cloth.fabric).variant

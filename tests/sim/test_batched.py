@@ -1,0 +1,199 @@
+"""Batches of drapes: the energies, steps and minima of the compiled simulator, one by one."""
+
+import numpy as np
+import pytest
+import torch
+
+from sim.batched import drapes
+from sim.batched.drapes import covers, drape_batch
+from sim.batched.laws import raise_eigenvalues
+from sim.batched.lowering import columns
+from sim.batched.lowering import lowered as batch_lowered
+from sim.batched.newton import minimise
+from sim.batched.potential import BatchedPotential
+from sim.cloth import Cloth, Laws
+from sim.drape import COARSE_MEMBRANE, drape
+from sim.energies.bending_variants import Hysteresis
+from sim.energies.fold_barrier import is_bent
+from sim.energies.membrane import OrthotropicStVK
+from sim.lowering import lowered
+from sim.material import Fabric
+from sim.rig import DISC_RIG, Rig
+from sim.scene import make_specimen
+from sim.solver.linear import SuperLUSolver
+from sim.solver.newton import NewtonOptions, Status
+from sim.solver.state import State
+
+FABRICS = (
+    Fabric(np.array([5e-5, 2e-5, 1e-5]), np.array([-5e-8, -4e-8, -1e-8])),  # limp bias
+    Fabric(np.array([5e-6, 4e-6, 1e-5]), np.array([-5e-9, -1e-8, 1e-9])),
+    Fabric(np.array([5e-5, 1e-4, 6e-5]), np.array([-5e-8, -4e-8, -1e-8])),  # stiff bias
+)
+EXACT = NewtonOptions(residual=1e-7, step=1e-5, max_iterations=60)
+
+
+@pytest.fixture(scope="module", params=["plain", "real"])
+def crumpled(request):
+    """Cloths, a state of each (nearly flat, creased, folded) and their batch; real specimens differ
+    in size and offset, have hysteresis, curl and orthotropic membranes."""
+    rng, cloths, states = np.random.default_rng(0), [], []
+    for fabric, size in zip(FABRICS, (1e-4, 2e-3, 4e-3), strict=True):
+        scene, laws = make_specimen(DISC_RIG, edge=12e-3), Laws()
+        if request.param == "real":
+            sides, plate = rng.normal((0.3, 0.18), 5e-4)
+            scene = make_specimen(Rig((sides, sides), plate, "disc"), edge=12e-3,
+                                  offset=rng.normal(0, 2e-3, 2))
+            origin = rng.normal(0, 3.0, (scene.active.sum(), 3))
+            laws = Laws(Hysteresis(rng.uniform(0.1, 0.3), curvature=tuple(rng.normal(0, 4, 3)),
+                                   origin=origin),
+                        OrthotropicStVK(warp=rng.uniform(200, 900), shear=rng.uniform(20, 80)))
+        mesh, free = scene.mesh, ~scene.held
+        cloth = Cloth(scene, fabric, laws=laws)
+        x = np.column_stack([mesh.rest * np.where(free, 0.95, 1.0)[:, None], -1e-3 * free])
+        turns = np.zeros(cloth.potential.unknowns)
+        turns[x.size:] = rng.normal(0, 0.1, len(mesh.edges))
+        turns = cloth.potential.free_unknowns(turns)
+        start = scene.state(x + rng.normal(0, size, x.shape) * free[:, None])
+        states.append((start, turns, cloth.potential.moved(start.q, turns)))
+        cloths.append(cloth)
+    x = columns([start.positions for start, _, _ in states])
+    batch = BatchedPotential(cloths)
+    if request.param == "real":
+        batch.own["origin"] = columns([cloth.bending.origin for cloth in cloths])
+    n = batch.normals(x)
+    assert torch.allclose(n, columns([start.normals for start, _, _ in states]), atol=1e-12)
+    moved = batch.moved(x, n, torch.from_numpy(np.stack([turns for _, turns, _ in states], 1)))
+    return cloths, [q for _, _, q in states], batch, moved
+
+
+def test_energies_and_gradients_are_those_of_one_cloth(crumpled):
+    cloths, states, batch, now = crumpled
+    value = batch.evaluate(*now)
+    bending = cloths[2].bending
+    assert "origin" in batch.own or is_bent(bending.angles(states[2]), bending.pole).any()
+    for k, (cloth, q) in enumerate(zip(cloths, states, strict=True)):
+        energy, gradient = cloth.potential.evaluate(q)
+        assert float(value.energy[k]) == pytest.approx(energy, rel=1e-12)
+        assert np.abs(value.gradient[:, k].numpy() - gradient).max() < 1e-12 * np.abs(
+            gradient).max()
+
+
+def test_each_has_the_hessian_of_its_convexity(crumpled):
+    cloths, states, batch, now = crumpled
+    for blends in ((0.0, 0.1, 1.0), (1.0, 0.0, 0.5), (0.5, 1.0, 0.0)):
+        data = batch.hessian(*now, *(torch.tensor(one, dtype=torch.float64)
+                                     for one in (blends, (0.0, 0.1, 1e3))))
+        for k, (cloth, q) in enumerate(zip(cloths, states, strict=True)):
+            expected = cloth.potential.model(q).hessian(blends[k], (0.0, 0.1, 1e3)[k])
+            assert np.abs(data[:, k].numpy() - expected).max() < 1e-10 * np.abs(expected).max()
+
+
+def test_only_low_eigenvalues_are_raised():
+    rng = np.random.default_rng(3)
+    draws = rng.standard_normal((3, 3, 2, 50))
+    matrix = draws + draws.swapaxes(0, 1)
+    matrix[..., 0, 0], matrix[..., 0, 1] = np.diag([1.0, -2.0, 1.0]), np.zeros((3, 3))
+    floor, share = rng.uniform(0, 1, (2, 50))
+    value, vector = np.linalg.eigh(np.moveaxis(matrix, (0, 1), (2, 3)))
+    lift = share[:, None] * np.maximum(floor[:, None] - value, 0.0)
+    expected = matrix + np.einsum("...ik,...k,...jk->ij...", vector, lift, vector)
+    found = torch.from_numpy(matrix.copy())
+    raise_eigenvalues(found, torch.from_numpy(floor), torch.from_numpy(share))
+    assert np.abs(found.numpy() - expected).max() < 1e-13
+
+
+def test_solutions_are_those_of_a_sparse_solver_and_indefinite_matrices_are_named(crumpled):
+    cloths, states, batch, _ = crumpled
+    rng, potential = np.random.default_rng(1), cloths[1].potential
+    convex, exact = (potential.model(states[1]).hessian(blend) for blend in (1.0, 0.0))
+    broken = np.where(np.arange(len(convex)) == 7, np.nan, convex)
+    stiff = cloths[2].potential.model(states[2]).hessian(1.0)
+    data = torch.from_numpy(np.stack([convex, exact, broken, stiff], axis=1))
+    rhs = rng.standard_normal((potential.size, 4))
+    assert batch.solver.factorise(data).tolist() == [True, False, False, True]
+    solved = batch.solver.solve(torch.from_numpy(rhs)).numpy()
+    for k, matrix in ((0, convex), (3, stiff)):
+        one = SuperLUSolver(potential.pattern)
+        assert one.factorise(matrix)
+        expected = one.solve(rhs[:, k])
+        assert np.abs(solved[:, k] - expected).max() < 1e-8 * np.abs(expected).max()
+
+
+def test_drapes_converge_to_the_minima_of_one_and_a_failure_stays_alone():
+    near = [drape(fabric, rig=DISC_RIG, edge=14e-3) for fabric in (FABRICS[1], FABRICS[2])]
+    scene, rng = near[0].scene, np.random.default_rng(0)
+    start = [one.positions + rng.normal(0, 1e-4, one.positions.shape) * ~scene.held[:, None]
+             for one in near]
+    x = columns([start[0], np.full_like(start[0], np.nan), start[1]])
+    batch = BatchedPotential([Cloth(scene, FABRICS[k]) for k in (1, 0, 2)])
+    found = minimise(batch, x, batch.normals(x), EXACT)
+    assert [one.status for one in found.results] == [
+        Status.CONVERGED, Status.NOT_FINITE, Status.CONVERGED]
+    for k, one in ((0, near[0]), (2, near[1])):
+        assert found.results[k].positive_definite
+        exact = drape_near(one)
+        assert np.abs(found.x[..., k].numpy().T - exact).max() < 1e-6
+
+
+def drape_near(one):
+    """Positions of the minimum that the compiled simulator finds from a drape."""
+    from sim.solver.newton import minimise as minimise_one
+
+    result = minimise_one(one.cloth.potential, one.state.q, EXACT)
+    assert result.status is Status.CONVERGED
+    return State.of(result.q, len(one.positions)).positions
+
+
+@pytest.mark.parametrize("crumpled", ["real"], indirect=True)
+def test_origins_slide_as_those_of_one_cloth(crumpled):
+    cloths, states, batch, now = crumpled
+    part = batch.take(torch.arange(3))
+    part.slide(*now)
+    for k, (cloth, q) in enumerate(zip(cloths, states, strict=True)):
+        origin = cloth.bending.origin_at(q)
+        assert np.abs(part.own["origin"][..., k].numpy().T - origin).max() < 1e-9 * np.abs(
+            origin).max()
+        assert not np.allclose(origin, cloth.bending.origin)
+
+
+def test_cloth_is_lowered_by_the_same_steps():
+    scene, laws = make_specimen(DISC_RIG, edge=14e-3), Laws().softened(COARSE_MEMBRANE)
+    cloth = Cloth(scene, FABRICS[2], laws=laws)
+    one = lowered(scene, FABRICS[2], DISC_RIG, seed=5, laws=laws)
+    batch = batch_lowered(BatchedPotential([cloth] * 2), [scene] * 2, [DISC_RIG] * 2, [5] * 2)
+    assert [result.iterations for result in batch.results] == [one.searched.iterations] * 2
+    for k in range(2):
+        assert np.abs(batch.x[..., k].numpy().T - one.positions).max() < 1e-6
+
+
+def test_a_batch_is_complete_and_in_order():
+    plans = [{"fabric": FABRICS[k], "rig": DISC_RIG, "edge": 14e-3, "seed": seed} | more
+             for k, seed, more in ((2, 0, {}), (2, 0, {"start": "sine"}), (0, 1, {}))]
+    assert [covers(plan) for plan in plans] == [True, False, True]
+    made = drape_batch(plans, device="cpu")
+    assert [one.fabric for one in made] == [plan["fabric"] for plan in plans]
+    assert all(one.converged for one in made)
+    exact = drape(**plans[0])
+    assert np.abs(made[0].positions - exact.positions).max() < 1e-6
+
+
+def test_what_is_not_finished_is_continued(monkeypatch):
+    monkeypatch.setattr(drapes, "_MAX_ITERATIONS", 1)
+    plan = {"fabric": FABRICS[2], "rig": DISC_RIG, "edge": 14e-3}
+    made, exact = drape_batch([plan], device="cpu")[0], drape(**plan)
+    assert made.converged and made.coarse == (Status.MAX_ITERATIONS,)
+    assert made.outcome.positive_definite
+    assert np.abs(made.positions - exact.positions).max() < 1e-6
+
+
+def test_real_specimens_are_those_of_one():
+    """Of different sizes, with hysteresis, curl and an orthotropic membrane."""
+    plans = [{"fabric": FABRICS[2], "rig": Rig((0.3 + size,) * 2, 0.18, "disc"), "edge": 14e-3,
+              "laws": Laws(Hysteresis(0.15, curvature=(4.0, -3.0, 0.0)), OrthotropicStVK(
+                  warp=700.0, weft=700.0, shear=100.0)), "seed": 3} for size in (1e-3, -1e-3)]
+    for made, plan in zip(drape_batch(plans, device="cpu"), plans, strict=True):
+        one = drape(**plan)
+        assert made.converged and made.rig == plan["rig"] and one.converged
+        assert np.abs(made.positions - one.positions).max() < 1e-6
+        origin, expected = (drape.laws.bending.origin for drape in (made, one))
+        assert np.abs(origin - expected).max() < 1e-4 * np.abs(expected).max()
