@@ -36,7 +36,7 @@ from sim.rig import Rig
 SOURCES = (
     "configs/camera.yaml", "configs/sensor/*.yaml", "data/captures/*.py", "data/dataset/shards.py",
     "data/fabrics/*.py", "data/render/*.py", "data/rigs.py", "drapenet/network/dataset.py",
-    "drapenet/views/*.py", "sim/mesh/*.py", "sim/rig.py",
+    "drapenet/views/*.py", "sim/*.py", "sim/energies/*.py", "sim/mesh/*.py", "sim/solver/*.py",
 )
 """Files of the code that determines maps, and of the settings that it reads."""
 _COLUMNS = ("index", "fabric", "theta", "nuisances", "face", "folds", "edge", "seed", "offset",
