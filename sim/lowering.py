@@ -35,8 +35,8 @@ RELAXATION = 0.16
 """Relaxation time of the cloth's viscosity in units of sqrt(o/g): 12.5 ms for 60 mm, a loss factor
 of 0.4 at the pace of a forming fold, a fifth of a second."""
 STEP = 0.16
-"""Time step in the same units. Half of it changes the mean number of folds by less than 0.2
-(docs/physics.md)."""
+"""Time step in the same units. Half of it changes the mean number of folds of six drapes by
+0.4 at most (docs/physics.md)."""
 SETTLING = 2.5
 """Time from the ring's last contact to the search for the equilibrium, in the same units."""
 _WAVINESS = 3e-4  # m
