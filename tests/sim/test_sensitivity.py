@@ -273,11 +273,13 @@ def test_what_a_law_makes_of_the_moduli_itself_counts(bending):
     fabric = Fabric([80e-6, 40e-6, 50e-6], [-80e-9, -40e-9, -50e-9])
     result = drape(fabric, edge=0.016, laws=laws, options=TIGHT)
     moves = sensitivities(result, parameters=("log_alpha",))
-    factors = np.array([np.exp(1e-3), 1.0, 1.0])  # of the warp, beta/alpha kept
+    # Of the warp, beta/alpha kept. The drape of the hysteretic law has several minima; in the
+    # softest the error of a difference over 1e-3 is 0.4 %, over 1e-4 a hundredth of that.
+    factors = np.array([np.exp(1e-4), 1.0, 1.0])
     stiffer, softer = (follow(result, Fabric(fabric.alpha * f, fabric.beta * f), laws=laws,
                               options=TIGHT)
                        for f in (factors, 1 / factors))
-    difference = (stiffer.positions - softer.positions) / 2e-3
+    difference = (stiffer.positions - softer.positions) / 2e-4
     assert np.linalg.norm(moves.positions[0] - difference) < 1e-3 * np.linalg.norm(difference)
 
 
