@@ -21,8 +21,9 @@ from typing import Any
 from common.command import command
 from common.errors import InputError
 from common.files import folder_named
-from data.captures.capture import Capture, captures_in, read_capture
+from data.captures.capture import captures_in, read_capture
 from data.captures.description import Specimen
+from data.strips.folder import StripSet, read_strips
 from drapenet.config import EstimateOptions, InferConfig
 from drapenet.network.checkpoint import read_header
 from drapenet.result.document import EstimateDocument
@@ -50,21 +51,19 @@ def main(config: InferConfig) -> None:
 
 
 def estimate_one(config: InferConfig, options: EstimateOptions) -> Path:
-    """Estimate the captures of one fabric; the file of the, or of their joint, estimate."""
-    sources, strips = read_sources(config), None
-    if config.strips:
-        from data.strips.folder import read_strips  # half a second
-
-        strips = read_strips(config.strips)
+    """Estimate a fabric from its captures and strips; the file of the, or of the joint, estimate.
+    """
+    sources = read_sources(config)
     header = read_header(config.checkpoint)
-    paths = [capture.path for capture, _ in sources] + ([strips.folder] if strips else [])
+    paths = [source.folder if isinstance(source, StripSet) else
+             (source[0] if isinstance(source, tuple) else source).path for source in sources]
     out = Path(config.out or Path("outputs/infer") / result_name(paths))
     require_output(out, paths)
-    if sources and sys.stderr.isatty():
+    if sys.stderr.isatty():
         print("the estimate of a capture takes about half a minute", file=sys.stderr, flush=True)
     from drapenet.inference import estimate_fabric  # torch: seconds, after faults of the input
 
-    estimate_fabric(sources, header, options, strips=strips, out=out, on_estimate=print_estimate)
+    estimate_fabric(sources, header, options, out=out, on_estimate=print_estimate)
     return out / ESTIMATE
 
 
@@ -110,18 +109,19 @@ def options_of(config: InferConfig) -> EstimateOptions:
         edge=1e-3 * config.edge_mm, strict=config.strict)
 
 
-def read_sources(config: InferConfig) -> list[tuple[Capture, Any]]:
-    """Read the captures named in ``config``, each with its scan or None."""
+def read_sources(config: InferConfig) -> list[Any]:
+    """Read the captures, scans and strips that are named in ``config``."""
     named = config.scan or config.capture
     paths = [Path(str(path)) for path in (named if isinstance(named, list) else [named]) if named]
+    strips = [read_strips(config.strips)] if config.strips else []
     if not config.scan:
-        return [(read_capture(path), None) for place in paths for path in captures_in(place)]
+        return [read_capture(path) for place in paths for path in captures_in(place)] + strips
     stated = {key: value for key in Specimen.model_fields
               if (value := getattr(config, key)) is not None}
     specimen = Specimen.of(stated, "")
     from drapenet.surface.registration import read_scan_capture
 
-    return [read_scan_capture(path, specimen) for path in paths]
+    return [*(read_scan_capture(path, specimen) for path in paths), *strips]
 
 
 if __name__ == "__main__":

@@ -9,9 +9,7 @@ first row is the clamp's edge; several strips of a direction are joined by comma
 
     python -m apps.cantilever estimate warp=a.csv,b.csv bias=c.csv weft=d.csv density=150
 
-Or from photographs, in a folder with ``strips.yaml`` (docs/use.md), with their intervals:
-
-    python -m apps.cantilever estimate strips=FOLDER
+Photographs of strips, with the errors of the moduli, are estimated by ``infer.py strips=FOLDER``.
 
 ``hang --help`` and ``estimate --help`` list the keys of each.
 """
@@ -30,10 +28,9 @@ from common.command import command, commands
 from common.errors import InputError
 from common.files import replace_file, replace_json, require_file
 from common.types import Density
-from data.strips.folder import StripSet, read_strips
-from data.strips.posterior import StripPosterior
 from sim.cantilever import aspect_ratio, elastica, fabric_of_gamma, hang
 from sim.cantilever.moduli import (
+    MAX_ROUNDS,
     METHODS,
     RATIO_RANGE,
     StripModuli,
@@ -64,11 +61,10 @@ class EstimateConfig:
     warp: str
     bias: str
     weft: str
-    strips: str
     density: float
     method: str
     slope: float
-    rounds: int
+    rounds: int | None
     width: float
     out: str
 
@@ -112,36 +108,28 @@ def simulate(gamma: float) -> dict:
 def print_estimate(config: EstimateConfig) -> None:
     """Estimate, print a table, and write JSON to the file ``out`` if given."""
     files = {d: named.split(",") for d in DIRECTIONS if (named := getattr(config, d))}
-    if config.strips and (files or config.density):
-        raise InputError(f"strips={config.strips} states the directions and the density; leave "
-                         "out warp=, bias=, weft= and density=")
-    if not (files or config.strips):
-        raise InputError("no curves; give some of warp=FILE, bias=FILE, weft=FILE, or "
-                         "strips=FOLDER")
+    if not files:
+        raise InputError("no curves; give some of warp=FILE, bias=FILE, weft=FILE")
     for direction, names in files.items():
         if not all(names):
             raise InputError(f"{direction}={','.join(names)} has an empty file name; separate "
                              "names by single commas")
     if config.method not in METHODS:
         raise InputError(f"unknown method '{config.method}'; choose from {', '.join(METHODS)}")
-    if not (config.density > 0 or config.strips):
+    if not config.density > 0:
         raise InputError("the fabric's density is needed, in g/m²: density=150")
-    if config.density:
-        check_density(1e-3 * config.density)
-    if config.rounds < 0:
+    check_density(1e-3 * config.density)
+    if config.rounds is not None and config.rounds < 0:
         raise InputError(f"rounds={config.rounds} must not be negative")
     if not 0 < config.width <= 500:
         raise InputError(f"width={config.width:g} must lie between 0 and 500 mm")
     if config.out:
         require_file(Path(config.out))
-    if config.strips:
-        strips = read_strips(config.strips, slope=float(np.radians(config.slope)))
-        density, report = 1e3 * strips.density, photographed_moduli(strips, config)
-    else:
-        curves = {d: [read_curve(file) for file in each] for d, each in files.items()}
-        density, report = config.density, moduli(curves, config)
+    curves = {d: [read_curve(file) for file in each] for d, each in files.items()}
+    report = moduli(curves, config)
     if config.out:
-        replace_json(Path(config.out), {"density_g_m2": density, "method": config.method, **report})
+        replace_json(Path(config.out), {"density_g_m2": config.density, "method": config.method,
+                                        **report})
 
 
 def moduli(strips: Strips, config: EstimateConfig) -> dict:
@@ -149,8 +137,11 @@ def moduli(strips: Strips, config: EstimateConfig) -> dict:
     options = estimator_options(config, 1e-3 * config.density)
     estimates = estimate_moduli(strips, **options)
     rows = {direction: estimate_row(e) for direction, e in estimates.items()}
-    if config.rounds:
-        fabric = correct(strips, estimates, rounds=config.rounds, width=1e-3 * config.width,
+    rounds = config.rounds
+    if rounds is None:
+        rounds = MAX_ROUNDS * (len(strips) == len(DIRECTIONS))
+    if rounds:
+        fabric = correct(strips, estimates, rounds=rounds, width=1e-3 * config.width,
                          **options)
         for k, direction in enumerate(DIRECTIONS):
             rows[direction]["alpha_uN_m"] = float(fabric.alpha[k] / MICRO)
@@ -162,7 +153,7 @@ def moduli(strips: Strips, config: EstimateConfig) -> dict:
     for direction in (direction for direction, e in estimates.items() if e.bounded):
         print(f"{direction}: beta/alpha is at a limit of its search, {RATIO_RANGE[0]:g} to "
               f"{RATIO_RANGE[1]:g} m; these curves do not determine beta")
-    return {"rounds": config.rounds, "moduli": rows}
+    return {"rounds": rounds, "moduli": rows}
 
 
 def estimator_options(config: EstimateConfig, density: Density) -> dict:
@@ -180,49 +171,6 @@ def estimate_row(estimate: StripModuli) -> dict:
         "largest_curvature_1_m": estimate.curvature,
         "largest_reduced_curvature": -estimate.beta / estimate.alpha * estimate.curvature,
         "beta_found": not estimate.bounded,
-    }
-
-
-def photographed_moduli(strips: StripSet, config: EstimateConfig) -> dict:
-    """Estimate and print alpha and beta of each direction with their intervals, and of each strip
-    by itself; entries of the report."""
-    for warning in strips.warnings:
-        print(f"note: {warning}")
-    options = estimator_options(config, strips.density)
-    found = strips.posteriors(rounds=config.rounds)
-    rows = {direction: posterior_row(posterior) for direction, posterior in found.items()}
-    for direction, row in rows.items():
-        row["strips"] = [
-            {"file": strip.name, **estimate_row(estimate_moduli(
-                {direction: [strip.measured.curve]}, **options)[direction])}
-            for strip in strips.photographs if strip.direction == direction]
-    print(f"{'':6}{'alpha [µN·m]':>14}{'68 % interval':>18}{'beta [nN·m²]':>14}"
-          f"{'68 % interval':>18}{'misfit':>8}")
-    for direction, row in rows.items():
-        spans = ["{:.3g} to {:.3g}".format(*row[f"{name}_interval_68"])
-                 for name in ("alpha_uN_m", "beta_nN_m2")]
-        print(f"{direction:6}{row['alpha_uN_m']:14.3g}{spans[0]:>18}{row['beta_nN_m2']:14.3g}"
-              f"{spans[1]:>18}{row['misfit']:8.2f}")
-        print("  natural curvature {:.2g} ± {:.1g} 1/m".format(*row["natural_curvature_1_m"]))
-        for strip in row["strips"]:
-            print(f"  {strip['file']} alone: {strip['alpha_uN_m']:.3g} µN·m, "
-                  f"{strip['beta_nN_m2']:.3g} nN·m²")
-    return {"rounds": config.rounds, "moduli": rows}
-
-
-def posterior_row(posterior: StripPosterior) -> dict:
-    """Entries of the report for the posterior of one direction."""
-    units = {"alpha_uN_m": MICRO, "beta_nN_m2": NANO}
-    row = {"alpha_uN_m": posterior.alpha / MICRO, "beta_nN_m2": posterior.beta / NANO}
-    for level in (68, 90):
-        row |= {f"{name}_interval_{level}": (interval / unit).tolist()
-                for (name, unit), interval in zip(units.items(), posterior.intervals(level / 100),
-                                                  strict=True)}
-    return row | {
-        "log_alpha_ratio_m_curl_1_m": posterior.mean.tolist(),
-        "covariance": posterior.covariance.tolist(),
-        "natural_curvature_1_m": list(posterior.curl),
-        "misfit": posterior.misfit,
     }
 
 

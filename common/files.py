@@ -119,3 +119,9 @@ def remove_partial(folder: Path, pattern: str) -> None:
     """
     for leftover in folder.glob(pattern + "*" + PARTIAL_SUFFIX):
         leftover.unlink(missing_ok=True)
+
+
+def printable(path: str | Path) -> str:
+    """The path with its bytes that are not UTF-8 replaced: neither JSON nor a page may hold them.
+    """
+    return os.fsencode(path).decode(errors="replace")

@@ -58,8 +58,8 @@ def estimate(
                          "several captures are several arguments")
     options = EstimateOptions(refine=read_option("refine", "simulation") if refine else None,
                               drapes=0)
-    read = [(capture, None) for each in captures for capture in (
+    read = [capture for each in captures for capture in (
         map(read_capture, captures_in(Path(each))) if isinstance(each, str | Path) else
         [checked_capture(each)])]
-    return estimate_fabric(read, read_header(checkpoint), options,
-                           strips=read_strips(strips) if strips else None)
+    return estimate_fabric([*read, *([read_strips(strips)] if strips else [])],
+                           read_header(checkpoint), options)

@@ -123,6 +123,6 @@ def posterior_bound() -> float:
 
 def infer(synthetic: "SyntheticCapture", rig: Rig = RIG) -> "CaptureEstimate":
     """Estimate the moduli from a capture with the network, with the warnings of ``infer.py``."""
-    from drapenet.inference import check, network_estimate
+    from drapenet.stages import check, network_estimate
 
     return check(network_estimate(as_read(synthetic, rig), header()))

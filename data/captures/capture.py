@@ -43,7 +43,7 @@ from data.captures.description import (
     whole_turns,
 )
 from data.captures.frames import join_views, numbered, read_frames, read_picture, views_in
-from data.captures.known import Known
+from data.captures.reported import Reported
 from data.render.cameras import Intrinsics, nominal_camera
 from data.rigs import MISSING_TESTER, described_tester
 from sim.rig import SQUARE_RIG, Rig
@@ -91,7 +91,7 @@ class Capture:
     cut: CutOut | None = None
     face: str = "up"
     outline: "PhotographedOutline | None" = None
-    known: Known | None = None
+    known: Reported | None = None
     labels: Labels = UNLABELLED
 
     @property

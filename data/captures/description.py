@@ -13,7 +13,7 @@ from common.documents import Schema, shown
 from common.errors import InputError
 from common.types import Density, Metres, Radians, Turns
 from data.captures.depth import Lens
-from data.captures.known import Known
+from data.captures.reported import Reported
 from data.render.cameras import Intrinsics
 from data.rigs import Tester
 
@@ -174,10 +174,7 @@ class Description(Specimen, Labels):
     outline: OutlineSource | None = Field(
         None, description="outline is such as {plate_px: {x: 960, y: 540, diameter: 700}, "
                           "camera_height_mm: 1200}")
-    known: Known | None = Field(
-        None, description="known has bending_length_mm, kes_b_gf_cm2_per_cm and kes_2hb_gf_cm_per_"
-                          "cm, each such as {warp: 0.08, weft: 0.05}, membrane_n_per_m, hysteresis_"
-                          "share, drape_coefficient_percent, nodes, error_percent")
+    known: Reported | None = Field(None, description=Reported.remedy)
 
     @property
     def labels(self) -> Labels:

@@ -9,7 +9,8 @@ from pydantic import Field, model_validator
 from common.documents import Schema, read_yaml
 from common.errors import InputError
 from common.types import Metres
-from data.captures.description import Weighed
+from data.captures.description import MAX_LABEL_LENGTH, Labels, Weighed
+from data.readings.known import Known
 
 FILE = "strips.yaml"
 MAX_STRIPS = 60
@@ -56,13 +57,17 @@ class View(Schema):
 
 
 class StripEntry(View):
-    """One strip: a photograph, or the bending length that a laboratory has read at 41.5°."""
+    """One strip: a photograph, or the bending length that a laboratory has read at 41.5°.
+
+    ``specimen``: name of the strip, if several entries are of the same; specimens differ.
+    """
 
     direction: Literal["warp", "bias", "weft"]
     face: Literal["up", "down"] = "up"
     file: str | None = Field(None, min_length=1, max_length=200)
     free_length_mm: float | None = Field(None, ge=FREE_LENGTHS[0], le=FREE_LENGTHS[1])
     bending_length_mm: float | None = Field(None, ge=BENDING_LENGTHS[0], le=BENDING_LENGTHS[1])
+    specimen: str = Field("", max_length=MAX_LABEL_LENGTH)
 
     @property
     def sign(self) -> int:
@@ -78,20 +83,36 @@ class StripEntry(View):
             raise ValueError("free_length_mm is missing: the length from clamp to tip, measured "
                              "on the flat strip")
         if self.file is None and (wrong := sorted(self.model_fields_set - {
-                "direction", "face", "bending_length_mm"})):
+                "direction", "face", "specimen", "bending_length_mm"})):
             raise ValueError(f"{wrong[0]} is of a photograph, but the entry is a bending length; "
                              "leave it out")
         return self
 
 
-class StripsDescription(Weighed, View):
-    """``strips.yaml``; numbers of a view are those of all strips that do not state them."""
+class StripsDescription(Weighed, View, Labels):
+    """``strips.yaml``; numbers of a view are those of all strips that do not state them.
+
+    Values of testers alone, without strips, are ``known``.
+    """
 
     remedy = "docs/use.md shows an example"
     thickness_mm: float | None = Field(None, ge=0.03, le=10)
     width_mm: float = Field(30.0, ge=5, le=100)
     clamp_width_mm: float = Field(40.0, ge=5, le=200)
-    strips: list[StripEntry] = Field(min_length=1, max_length=MAX_STRIPS)
+    clamp_slope_deg: float = Field(0.0, ge=-45, le=90)
+    strips: list[StripEntry] = Field([], max_length=MAX_STRIPS)
+    known: Known | None = Field(None, description=Known.remedy)
+
+    @model_validator(mode="after")
+    def _something(self) -> "StripsDescription":
+        if not (self.strips or (self.known and self.known.values())):
+            raise ValueError("nothing is measured; give strips, or known values")
+        return self
+
+    @property
+    def labels(self) -> Labels:
+        """What a report states."""
+        return Labels(**self.stated())
 
     def view(self, entry: StripEntry) -> View:
         """The view of one strip."""

@@ -1,20 +1,25 @@
-"""A folder of strips of one fabric, and the posterior of its moduli by direction."""
+"""A folder of strips of one fabric, and the evidence of its moduli by direction."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from common.errors import InputError
+from common.normal import Normal
 from common.types import DeflectionCurve, Density, Metres, Radians
-from data.strips.description import StripsDescription, read_description
+from data.captures.description import Labels
+from data.readings.known import Known
+from data.strips.description import FILE, StripsDescription, read_description
 from data.strips.photograph import PhotographedStrip, read_strip
-from data.strips.posterior import BendingLength, StripPosterior, direction_posterior
+from data.strips.posterior import BendingLength, StripEvidence, direction_evidence
 from sim.cantilever.moduli import StripModuli, correct
 from sim.material import BIAS, DIRECTIONS
 from sim.rig import GRAVITY
 
-BENDING_LENGTH_ERROR = 0.02  # relative standard deviation of one read at 41.5°
+BENDING_LENGTH_ERROR = 0.02  # relative standard deviation of a reading at 41.5°
+ROUNDS = 6  # of the correction for the twist of free strips
 
 
 @dataclass(frozen=True)
@@ -24,6 +29,7 @@ class StripSet:
     Attributes:
         lengths: direction and value of each bending length that was typed in.
         slope: of all clamps below the horizontal.
+        known: other values of the fabric.
     """
 
     folder: Path
@@ -32,6 +38,8 @@ class StripSet:
     lengths: tuple[tuple[str, BendingLength], ...]
     slope: Radians
     width: Metres
+    known: Known | None
+    labels: Labels
 
     def __len__(self) -> int:
         return len(self.photographs) + len(self.lengths)
@@ -56,12 +64,16 @@ class StripSet:
         """Whether all three directions were photographed."""
         return set(self.curves) == set(DIRECTIONS)
 
-    def posteriors(self, *, rounds: int = 0) -> dict[str, StripPosterior]:
-        """Posterior of log alpha (N·m) and beta/alpha (m) of each direction that was measured, at
-        the density of the fabric; InputError if the strips of one do not fit each other.
+    def evidence(self, priors: Mapping[str, Normal]) -> dict[str, StripEvidence]:
+        """Evidence of log alpha (N·m), beta/alpha (m) and natural curvature (1/m) of each direction
+        that was measured, at the density of the fabric; InputError if the strips of one do not fit
+        each other.
 
-        ``rounds`` of simulated strips correct the means for the twist of free strips
-        (:func:`sim.cantilever.moduli.correct`); curves of all directions are needed.
+        Where all directions were photographed, simulated strips correct the means for the twist of
+        free strips (:func:`sim.cantilever.moduli.correct`).
+
+        Args:
+            priors: of these three at that density, by direction.
         """
         found = {}
         for direction in DIRECTIONS:
@@ -70,35 +82,37 @@ class StripSet:
             if not (strips or lengths):
                 continue
             try:
-                found[direction] = direction_posterior(
-                    strips, lengths, weight=self.density * GRAVITY, slope=self.slope)
+                found[direction] = direction_evidence(
+                    strips, lengths, weight=self.density * GRAVITY, prior=priors[direction],
+                    slope=self.slope)
             except InputError as error:
-                raise InputError(f"{direction}: {error}") from None
-        if rounds:
+                raise InputError(f"{self.folder / FILE}: {direction}: {error}") from None
+        if self.complete:
             # Curves contain the natural curvature, which these moduli do not.
             flat = {direction: StripModuli(found[direction].alpha, found[direction].beta,
                                            found[direction].misfit, np.nan)
                     for direction in self.curves}
-            fabric = correct(self.curves, flat, density=self.density, rounds=rounds,
+            fabric = correct(self.curves, flat, density=self.density, rounds=ROUNDS,
                              width=self.width, slope=self.slope)
             for k, direction in enumerate(DIRECTIONS):
                 found[direction] = found[direction].moved_to(fabric.alpha[k], fabric.beta[k])
         return found
 
 
-def read_strips(folder: str | Path, *, slope: Radians = 0.0) -> StripSet:
+def read_strips(folder: str | Path) -> StripSet:
     """Read ``strips.yaml`` and the photographs it names; InputError for the first fault."""
     folder = Path(folder)
     description = read_description(folder)
+    slope = float(np.radians(description.clamp_slope_deg))
     photographs = tuple(read_strip(folder, entry, description, slope=slope)
                         for entry in description.strips if entry.file)
     return StripSet(folder, description.density, photographs, _lengths(description), slope,
-                    1e-3 * description.width_mm)
+                    1e-3 * description.width_mm, description.known, description.labels)
 
 
 def _lengths(description: StripsDescription) -> tuple[tuple[str, BendingLength], ...]:
     return tuple(
         (entry.direction, BendingLength(1e-3 * entry.bending_length_mm,
                                         1e-3 * entry.bending_length_mm * BENDING_LENGTH_ERROR,
-                                        entry.sign))
+                                        entry.sign, entry.specimen))
         for entry in description.strips if entry.bending_length_mm)

@@ -129,7 +129,7 @@ def _read(
         tip=tip_error, edge=edge_error, pixel=pixel,
         tilt=BOARD_TILT if view.scale.by == "board" else TILT)
     measured = MeasuredStrip(curve, covariance, length, np.inf if by_length else LENGTH_ERROR,
-                             entry.sign)
+                             entry.sign, entry.specimen)
     return PhotographedStrip(
         file.name, entry.direction, measured, grey.astype(np.uint8), pixels, band,
         tuple(f"{file.name}: {warning}" for warning in warnings))

@@ -1,38 +1,41 @@
-"""The posterior of one direction's moduli from measured strips with known errors.
+"""Evidence of one direction's moduli from measured strips with known errors.
 
 Elastica curves are fitted to the curves of all strips together. Unknown are log alpha, beta/alpha
-and the natural curvature, and for each strip its length and the slope of its clamp. Errors of the
-curves, correlated as a scale's are, enter by their covariance; the result is the normal
-distribution at the best fit (Laplace's approximation).
+and the natural curvature, for each specimen the difference of its log alpha from the fabric's, and
+for each photographed strip its length and the slope of its clamp. Errors of the curves, correlated
+as a scale's are, enter by their covariance. At the best fit everything is normal (Laplace's
+approximation), but the scatter of specimens, which the repeats of the direction tell by a grid.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from scipy.optimize import least_squares
+from scipy.special import softmax
 
 from common.errors import InputError
+from common.normal import Linear, Normal
 from common.types import DeflectionCurve, Metres, Radians
+from data.readings.quantity import SPECIMEN_SCATTER
 from sim.cantilever.elastica import MAX_GAMMA, aspect_ratio, gamma_of_aspect_ratio, heavy_elastica
 from sim.cantilever.moduli import NOT_A_STRIP, RATIO_RANGE, distance_across
 
 INCLINE = np.radians(41.5)
 """Of the plane that the tip of a strip of two bending lengths reaches (Peirce; ISO 9073-7)."""
-RATIO_PRIOR = (-2.6e-3, 3e-3)
-"""m, mean and standard deviation of beta/alpha; those of 201 published fabrics are -2.6 and 1.3
-mm. It matters for bending lengths and for short strips, which determine one modulus."""
-CURL_PRIOR = 7.1
-"""1/m, standard deviation of the natural curvature: that of fabrics in
-``configs/nuisances/real.yaml``. Strips of one face alone do not separate it from the moduli."""
 SLOPE_ERROR = np.radians(0.5)  # of a clamp
 MAX_MISFIT = 4.0  # largest error of a fit, in standard deviations, root mean square
+MAX_SCATTER = 0.45  # of log alpha, root mean square over the specimens of a direction
+SCATTERS = SPECIMEN_SCATTER * np.exp(np.linspace(-1.4, 1.4, 9))
+SCATTER_SPREAD = 0.6
+"""Standard deviation of the logarithm of a fabric's scatter of specimens about that of
+:data:`~data.readings.quantity.SPECIMEN_SCATTER`. Assumed."""
 _POINTS, _STEPS = 81, 240  # of elastica curves
 _BEYOND = 0.2  # of the length, by which a model is extended
 _STEP = 1e-3  # of an unknown, in differences
-_CURL_UNIT = 10.0  # 1/m; unknowns of a fit have similar magnitudes
-_SHARED = 3  # unknowns of all strips of a direction
+_UNITS = np.array([1.0, 1e-3, 10.0])  # of what all strips share; unknowns have like magnitudes
+_SHARED = len(_UNITS)
 _LIMITS = (0.5, 1.5)  # of a strip's length, relative
 
 
@@ -46,6 +49,7 @@ class MeasuredStrip:
         length: free length that is known besides the curve, with its standard deviation
             ``length_error``, m, infinite if it is not.
         sign: 1 if the marked face is up, else -1.
+        specimen: name of the specimen; '' if nothing else was measured of it.
     """
 
     curve: DeflectionCurve
@@ -53,6 +57,7 @@ class MeasuredStrip:
     length: Metres
     length_error: Metres
     sign: int = 1
+    specimen: str = ""
 
 
 @dataclass(frozen=True)
@@ -62,48 +67,51 @@ class BendingLength:
     length: Metres
     error: Metres
     sign: int = 1
+    specimen: str = ""
 
 
 @dataclass(frozen=True)
-class StripPosterior:
-    """Normal distribution of one direction's log alpha (alpha in N·m), beta/alpha, m, and natural
-    curvature, 1/m, positive if cloth with the marked face up bends down by itself.
-
-    It contains the priors :data:`RATIO_PRIOR` and :data:`CURL_PRIOR`; :meth:`likelihood` does not.
+class StripEvidence:
+    """What the strips of one direction tell of log alpha (alpha in N·m), beta/alpha, m, and the
+    natural curvature, 1/m, positive if cloth with the marked face up bends down by itself.
 
     Attributes:
-        mean, covariance: (3,) and (3, 3).
+        measured: evidence of these three, of the fabric, without any prior.
+        posterior: of them with the prior that was given.
         misfit: root mean square of the residuals, in standard deviations; if larger than 1, the
-            covariance is larger by its square.
+            errors of the measurements are larger by it.
+        scatter: mean of the standard deviation of log alpha between specimens.
     """
 
-    mean: np.ndarray
-    covariance: np.ndarray
+    measured: Linear
+    posterior: Normal
     misfit: float
+    scatter: float
 
     @property
     def alpha(self) -> float:
         """Linear modulus, N·m, at the mean."""
-        return float(np.exp(self.mean[0]))
+        return float(np.exp(self.posterior.mean[0]))
 
     @property
     def beta(self) -> float:
         """Quadratic modulus, N·m², at the mean."""
-        return float(self.alpha * self.mean[1])
+        return float(self.alpha * self.posterior.mean[1])
 
     @property
     def curl(self) -> tuple[float, float]:
         """Mean and standard deviation of the natural curvature, 1/m."""
-        return float(self.mean[2]), float(np.sqrt(self.covariance[2, 2]))
+        return float(self.posterior.mean[2]), float(np.sqrt(self.posterior.covariance[2, 2]))
 
-    def moved_to(self, alpha: float, beta: float) -> "StripPosterior":
+    def moved_to(self, alpha: float, beta: float) -> "StripEvidence":
         """The same with other moduli, N·m and N·m², at the mean."""
-        return replace(self, mean=np.array([np.log(alpha), beta / alpha, self.mean[2]]))
+        mean = np.array([np.log(alpha), beta / alpha, self.posterior.mean[2]])
+        return replace(self, measured=self.measured.moved(mean - self.posterior.mean),
+                       posterior=Normal(mean, self.posterior.covariance))
 
     def samples(self, count: int = 4000) -> tuple[np.ndarray, np.ndarray]:
         """Samples of alpha, N·m, and beta, N·m², (count,) each, by a fixed seed."""
-        white = np.random.default_rng(0).standard_normal((count, 3))
-        log_alpha, ratio, _ = (self.mean + white @ np.linalg.cholesky(self.covariance).T).T
+        log_alpha, ratio, _ = self.posterior.samples(count).T
         return np.exp(log_alpha), np.exp(log_alpha) * ratio
 
     def intervals(self, level: float) -> np.ndarray:
@@ -112,73 +120,77 @@ class StripPosterior:
         ends = [(1 - level) / 2, (1 + level) / 2]
         return np.stack([np.quantile(values, ends) for values in self.samples()])
 
-    def likelihood(self) -> tuple[np.ndarray, np.ndarray]:
-        """Precision matrix P (3, 3) and vector h (3,) of the measurements alone, without the
-        priors: their log likelihood is -x'P x/2 + h'x of x = (log alpha, beta/alpha, natural
-        curvature). Of one strip P is nearly singular."""
-        precision = np.linalg.inv(self.covariance)
-        prior = np.diag([0.0, RATIO_PRIOR[1] ** -2, CURL_PRIOR**-2])
-        return precision - prior, precision @ self.mean - prior @ [0.0, RATIO_PRIOR[0], 0.0]
 
-
-def direction_posterior(
+def direction_evidence(
     strips: Sequence[MeasuredStrip], lengths: Sequence[BendingLength] = (), *, weight: float,
-    slope: Radians = 0.0
-) -> StripPosterior:
-    """Posterior from the strips and bending lengths of one direction; ``weight`` is rho g, N/m².
+    prior: Normal, slope: Radians = 0.0
+) -> StripEvidence:
+    """Evidence from the strips and bending lengths of one direction.
 
-    InputError if no elastica is near the curves.
+    InputError if no elastica is near the curves, or if the specimens differ more than those of one
+    fabric do.
+
+    Args:
+        weight: rho g, N/m².
+        prior: of log alpha, beta/alpha and natural curvature, where what is measured is silent.
     """
     first = np.log([*(_linear_modulus(strip, weight) for strip in strips),
                     *(weight * each.length**3 for each in lengths)]).mean()
-    fit = _Fit(strips, lengths, weight, slope)
+    fit = _Fit(strips, lengths, weight, slope, prior)
     longest = max([strip.length for strip in strips] + [2 * each.length for each in lengths])
     stiffest = np.log(weight * (_LIMITS[1] * longest) ** 3 / MAX_GAMMA)
-    ratios, count = 1e3 * np.array(RATIO_RANGE), len(strips)
-    bounds = np.array([[stiffest, np.inf], ratios, [-5.0, 5.0]] + [_LIMITS] * count
-                      + [[-8.0, 8.0]] * count).T
-    guess = np.array([first, 1e3 * RATIO_PRIOR[0], 0.0] + [1.0] * count + [0.0] * count)
-    result = least_squares(fit.residuals, guess, jac=fit.jacobian, bounds=bounds,
+    ratios, scatters, count = 1e3 * np.array(RATIO_RANGE), fit.specimens, len(strips)
+    bounds = np.array([[stiffest, np.inf], ratios, [-5.0, 5.0]] + [[-np.inf, np.inf]] * scatters
+                      + [_LIMITS] * count + [[-8.0, 8.0]] * count).T
+    guess = np.concatenate([[first, *prior.mean[1:] / _UNITS[1:]], np.zeros(scatters),
+                            np.ones(count), np.zeros(count)])
+    result = least_squares(fit.residuals, guess.clip(*bounds), jac=fit.jacobian, bounds=bounds,
                            x_scale="jac", xtol=1e-6, ftol=1e-6, max_nfev=60)
     degrees = max(len(result.fun) - len(guess), 1)
     misfit = float(np.sqrt(np.square(result.fun).sum() / degrees))
+    apart = SPECIMEN_SCATTER * np.sqrt(np.square(result.x[fit.scatter]).mean())
+    if apart > MAX_SCATTER:
+        raise InputError(f"the strips differ by {np.expm1(apart):.0%} in alpha, those of one "
+                         f"fabric by about {SPECIMEN_SCATTER:.0%}: check that they are of one "
+                         "direction, their lengths, and the density")
     if misfit > MAX_MISFIT:
         raise InputError(f"{NOT_A_STRIP}; the nearest one is {misfit:.1f} standard deviations from "
                          "them: check that the strips are of one direction, their lengths, and the "
                          "density")
-    covariance = np.linalg.inv(result.jac.T @ result.jac) * max(misfit, 1.0) ** 2
-    unit = np.array([1.0, 1e-3, _CURL_UNIT])
-    return StripPosterior(result.x[:_SHARED] * unit,
-                          covariance[:_SHARED, :_SHARED] * np.outer(unit, unit), misfit)
+    posterior, scatter = fit.posterior(result.x, max(misfit, 1.0))
+    return StripEvidence(Linear.between(prior, posterior), posterior, misfit, scatter)
 
 
 class _Fit:
     """Residuals, in standard deviations, of the unknowns log alpha, beta/alpha in mm, natural
-    curvature in :data:`_CURL_UNIT`, relative lengths of the strips, and slopes of their clamps in
-    :data:`SLOPE_ERROR`."""
+    curvature in :data:`_UNITS`, differences of the specimens' log alpha in
+    :data:`~data.readings.quantity.SPECIMEN_SCATTER`, relative lengths of the strips, and slopes of
+    their clamps in :data:`SLOPE_ERROR`."""
 
     def __init__(self, strips: Sequence[MeasuredStrip], lengths: Sequence[BendingLength],
-                 weight: float, slope: Radians) -> None:
+                 weight: float, slope: Radians, prior: Normal) -> None:
         self.strips, self.lengths, self.weight, self.slope = strips, lengths, weight, slope
         self.white = [_whitening(strip) for strip in strips]
+        self.prior = prior
+        self.root = np.linalg.inv(np.linalg.cholesky(prior.covariance)) * _UNITS
+        names = [each.specimen or f"entry {k}" for k, each in enumerate((*strips, *lengths))]
+        self.specimen = [_SHARED + list(dict.fromkeys(names)).index(name) for name in names]
+        self.specimens = len(set(names))
+        self.scatter = slice(_SHARED, _SHARED + self.specimens)
 
     def residuals(self, unknowns: np.ndarray) -> np.ndarray:
-        """(R,) priors, then those of each strip and each bending length."""
-        mean, error = (1e3 * value for value in RATIO_PRIOR)
+        """(R,) of the prior and the specimens, then of each strip and each bending length."""
         shared = unknowns[:_SHARED]
-        priors = [(shared[1] - mean) / error, shared[2] * _CURL_UNIT / CURL_PRIOR]
-        return np.concatenate([priors, *(self._strip(k, unknowns[self._columns(k)])
-                                         for k in range(len(self.strips))),
-                               *(self._length(each, shared) for each in self.lengths)])
+        return np.concatenate([
+            self.root @ (shared - self.prior.mean / _UNITS), unknowns[self.scatter],
+            *(part(unknowns[columns]) for part, columns in self._parts())])
 
     def jacobian(self, unknowns: np.ndarray) -> np.ndarray:
-        """(R, U) derivatives by differences; a strip depends on its own length and slope alone."""
-        rows = [np.eye(len(unknowns))[1:_SHARED]]
-        rows[0][0] /= 1e3 * RATIO_PRIOR[1]
-        rows[0][1] *= _CURL_UNIT / CURL_PRIOR
-        parts = [(partial(self._strip, k), self._columns(k)) for k in range(len(self.strips))]
-        parts += [(partial(self._length, each), np.arange(_SHARED)) for each in self.lengths]
-        for part, columns in parts:
+        """(R, U) derivatives by differences; a strip depends on its own specimen, length and slope
+        alone."""
+        rows = [np.eye(len(unknowns))[: self.scatter.stop]]
+        rows[0][:_SHARED, :_SHARED] = self.root
+        for part, columns in self._parts():
             at = unknowns[columns]
             block = np.stack([(part(at + step) - part(at - step)) / (2 * _STEP)
                               for step in _STEP * np.eye(len(at))], axis=1)
@@ -186,15 +198,46 @@ class _Fit:
             rows[-1][:, columns] = block
         return np.vstack(rows)
 
-    def _columns(self, k: int) -> np.ndarray:
-        """Unknowns on which strip ``k`` depends."""
-        return np.array([*range(_SHARED), _SHARED + k, _SHARED + len(self.strips) + k])
+    def posterior(self, unknowns: np.ndarray, misfit: float) -> tuple[Normal, float]:
+        """Normal distribution of log alpha, beta/alpha in m and curvature in 1/m, over all scatters
+        of specimens, and the mean scatter; errors of measurements are larger by ``misfit``."""
+        rows, residuals = self.jacobian(unknowns), self.residuals(unknowns)
+        rows[self.scatter.stop :] /= misfit
+        residuals[self.scatter.stop :] /= misfit
+        parts, logs = [], []
+        for scatter in SCATTERS:
+            ratio = SPECIMEN_SCATTER / scatter
+            scale = np.ones(len(rows))
+            scale[self.scatter] = ratio
+            q, r = np.linalg.qr(scale[:, None] * rows)
+            told = -q.T @ (scale * residuals)
+            inverse = np.linalg.inv(r)
+            covariance = (inverse @ inverse.T)[:_SHARED, :_SHARED]
+            parts.append(Normal(_UNITS * (unknowns + inverse @ told)[:_SHARED],
+                                covariance * np.outer(_UNITS, _UNITS)))
+            cost = np.square(scale * residuals).sum() - np.square(told).sum()
+            logs.append(-0.5 * cost - np.log(np.abs(np.diag(r))).sum()
+                        + self.specimens * np.log(ratio)
+                        - 0.5 * (np.log(ratio) / SCATTER_SPREAD) ** 2)
+        shares = softmax(logs)
+        return Normal.mixed(parts, shares), float(shares @ SCATTERS)
+
+    def _parts(self) -> Iterator[tuple[Callable[[np.ndarray], np.ndarray], np.ndarray]]:
+        """Residuals of each strip and bending length, and the unknowns on which they depend."""
+        for k in range(len(self.strips)):
+            length = self.scatter.stop + k
+            yield partial(self._strip, k), np.array(
+                [*range(_SHARED), self.specimen[k], length, length + len(self.strips)])
+        for each, place in zip(self.lengths, self.specimen[len(self.strips):], strict=True):
+            yield partial(self._length, each), np.array([*range(_SHARED), place])
 
     def _shape(self, shared: np.ndarray, sign: int, length: Metres, slope: Radians
                ) -> DeflectionCurve:
-        alpha, curl = np.exp(shared[0]), sign * _CURL_UNIT * shared[2]
+        """Of log alpha, beta/alpha, curvature and difference of the specimen."""
+        alpha = np.exp(shared[0] + SPECIMEN_SCATTER * shared[3])
         return heavy_elastica(alpha, 1e-3 * shared[1] * alpha, weight=self.weight, length=length,
-                              curl=curl, slope=slope, points=_POINTS, steps=_STEPS)
+                              curl=sign * _UNITS[2] * shared[2], slope=slope, points=_POINTS,
+                              steps=_STEPS)
 
     def _strip(self, k: int, unknowns: np.ndarray) -> np.ndarray:
         strip, (*shared, stretch, tilt) = self.strips[k], unknowns

@@ -4,20 +4,42 @@ Each capture is a case (:mod:`common.cases`) with a folder under OUT. An interru
 and gives the same tables as an uninterrupted one.
 """
 
+from collections.abc import Sequence
+from itertools import groupby
 from pathlib import Path
 
 import joblib
+import numpy as np
 
 from common.cases import run_cases
 from common.errors import InputError
 from common.files import remove_file, replace_file, require_folder
-from data.captures.capture import read_capture
+from data.captures.capture import Capture, read_capture
 from data.captures.preview import thumbnail
-from drapenet.batch.captures import entries_of
+from data.strips.description import FILE as STRIPS
+from data.strips.folder import read_strips
+from drapenet.batch.captures import Entry, entries_of
 from drapenet.config import EstimateOptions
-from drapenet.network.checkpoint import read_header
-from drapenet.report.overview import RESULTS, THUMBNAIL, fabrics_text, write_overview
-from drapenet.result.files import ESTIMATE, OBSERVATION, SAMPLES, remove_report
+from drapenet.network.checkpoint import Header, read_header
+from drapenet.report.overview import (
+    FAILURE,
+    INDEX,
+    RESULTS,
+    SPREAD,
+    THUMBNAIL,
+    FabricEstimate,
+    fabrics_text,
+    write_overview,
+)
+from drapenet.result.files import (
+    ESTIMATE,
+    OBSERVATION,
+    PDF,
+    SAMPLES,
+    read_estimate,
+    remove_report,
+    write_estimate,
+)
 
 DONE = "done"
 """Name of the case of a capture's folder; its file is ``done.json``."""
@@ -28,8 +50,8 @@ def estimate_fabrics(
     source: Path, out: Path, options: EstimateOptions, *, checkpoint: str = "",
     workers: int | None = None,
 ) -> list[Path]:
-    """Estimate all captures of ``source``; write tables, a page for each fabric and an overview to
-    ``out``; return the fabrics' files ``estimate.json``.
+    """Estimate all captures and strips of ``source``; write tables, a page for each fabric and an
+    overview to ``out``; return the fabrics' files ``estimate.json``.
 
     Args:
         checkpoint: empty: the bundled one.
@@ -51,7 +73,8 @@ def estimate_fabrics(
     run_cases(estimate_entry, cases, folder=out, workers=workers or joblib.cpu_count(),
               sources=SOURCES, failures=failures, unit="capture")
     outcomes = [(entry, failures.get(f"{entry.place}/{DONE}", "")) for entry in entries]
-    fabrics = write_overview(out, outcomes, header)
+    fabrics, rows = join_fabrics(out, outcomes, header, strict=options.strict)
+    write_overview(out, fabrics, rows)
     apart = len({entry.fabric for entry, failure in outcomes if not failure}) - len(fabrics)
     if fabrics:
         print(fabrics_text(fabrics))
@@ -69,14 +92,63 @@ def estimate_fabrics(
 def estimate_entry(
     capture: Path, folder: str, options: EstimateOptions, weights: Path
 ) -> None:
-    """Estimate one capture into its folder."""
+    """Estimate one capture, or the strips of a folder, into its folder of results."""
     out = Path(folder)
     for name in (ESTIMATE, SAMPLES, OBSERVATION, THUMBNAIL):
         remove_file(out / name)
     remove_report(out)
-    source = read_capture(capture)
+    source = read_strips(capture) if (capture / STRIPS).exists() else read_capture(capture)
     header = read_header(weights)
-    from drapenet.inference import estimate_capture  # torch, which faulty captures need not
+    from drapenet.inference import estimate_source  # torch, which faulty captures need not
 
-    estimate_capture(source, header, options, out=out)
-    replace_file(out / THUMBNAIL, thumbnail(source))
+    estimate_source(source, header, options, out=out)
+    if isinstance(source, Capture):
+        replace_file(out / THUMBNAIL, thumbnail(source))
+
+
+def join_fabrics(
+    out: Path, outcomes: Sequence[tuple[Entry, str]], header: Header, *, strict: bool
+) -> tuple[list[FabricEstimate], list[dict[str, str]]]:
+    """Estimates of the fabrics from their finished captures and strips, written to their folders,
+    and rows of what failed, by :data:`~drapenet.report.overview.FAILURE`.
+
+    Args:
+        outcomes: captures and strips, each with the reason of its failure, or ''.
+    """
+    failures = [dict(zip(FAILURE, (entry.fabric, entry.sample, entry.capture, str(entry.path),
+                                   failure.removeprefix(f"{entry.path}: ")), strict=True))
+                for entry, failure in outcomes if failure]
+    fabrics = []
+    ordered = sorted((entry for entry, failure in outcomes if not failure),
+                     key=lambda entry: (entry.fabric, entry.place))
+    for name, entries in groupby(ordered, key=lambda entry: entry.fabric):
+        try:
+            fabrics.append(_joined(name, list(entries), out, header, strict))
+        except InputError as error:
+            failures.append(dict.fromkeys(FAILURE, "") | {"fabric": name, "reason": str(error)})
+    places = {Path(entry.place.parts[0]) for entry, _ in outcomes}
+    for place in places - {fabric.place for fabric in fabrics}:  # of an earlier run
+        for file in (ESTIMATE, SAMPLES, SPREAD, INDEX, PDF):
+            remove_file(out / place / file)
+    return fabrics, failures
+
+
+def _joined(
+    name: str, entries: Sequence[Entry], out: Path, header: Header, strict: bool
+) -> FabricEstimate:
+    """Join the captures and strips of a fabric; write its estimate."""
+    from drapenet.inference import joint_estimate, read_part  # torch
+
+    parts = [read_part(out / entry.place) for entry in entries]
+    place, scatter = Path(entries[0].place.parts[0]), None
+    if len(parts) == 1:
+        estimate, document = read_estimate(out / entries[0].place)
+    else:
+        estimate, document = joint_estimate(parts, header, strict=strict)
+        middles = [np.log([moduli.alpha_uN_m.median for moduli in part.document.moduli.values()])
+                   for part in parts if part.observation]
+        scatter = np.exp(np.std(middles, axis=0, ddof=1)) if len(middles) > 1 else None
+    write_estimate(out / place, estimate, document)
+    return FabricEstimate(
+        name, place, [(entry, part.document) for entry, part in zip(entries, parts, strict=True)],
+        document, scatter)

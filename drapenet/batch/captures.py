@@ -10,6 +10,7 @@ from pathlib import Path
 from common.documents import read_table, shown
 from common.errors import InputError, one_line
 from data.captures.capture import CAPTURE_FILES
+from data.strips.description import FILE as STRIPS
 
 COLUMNS = ("fabric", "sample", "capture")
 """Columns of a list; ``sample`` is optional, ``capture`` a folder relative to that of the list."""
@@ -35,8 +36,9 @@ class Entry:
 def entries_of(source: Path) -> list[Entry]:
     """The captures of a tree FABRIC/SAMPLE/CAPTURE or of a CSV list, in a fixed order.
 
-    In a tree, every folder that contains a file and no folders is a capture; faults are reported
-    when it is read. FABRIC/CAPTURE and CAPTURE alone are trees, too.
+    In a tree, every folder that contains a file and no folders is a capture, or, with
+    ``strips.yaml``, strips of the fabric; faults are reported when it is read. FABRIC/CAPTURE and
+    CAPTURE alone are trees, too.
     """
     if any((source / mark).exists() for mark in CAPTURE_FILES):
         raise InputError(f"{source} is one capture: give capture={source}, or the folder of the "
@@ -62,7 +64,7 @@ def _tree(root: Path) -> Iterator[tuple[tuple[str, str, str], Path]]:
         # Links to a parent folder would recurse.
         folders[:] = sorted(inner for inner in folders if not inner.startswith(".") and
                             not folder.resolve().is_relative_to((folder / inner).resolve()))
-        if any(mark in files for mark in CAPTURE_FILES):
+        if any(mark in files for mark in (*CAPTURE_FILES, STRIPS)):
             folders.clear()
         elif folders or all(file.startswith(".") for file in files):
             continue

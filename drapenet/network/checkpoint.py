@@ -15,6 +15,7 @@ from common.errors import InputError, one_line
 from common.files import replace_file
 from common.types import Theta
 from data.fabrics.fabrics import THETA_NAMES
+from data.fabrics.nuisances import NuisanceConfig
 from data.rigs import DIAMETERS
 from sim.material import SWAPPED
 from sim.rig import Rig
@@ -97,6 +98,13 @@ class Header(Excerpt):
         # The first yarns of an estimate need not be the dataset's warp.
         spread = np.array(self.fabrics.deviation)
         return (spread + spread[SWAPPED]) / 2
+
+    @property
+    def nuisances(self) -> NuisanceConfig:
+        """Distribution of the other properties of the specimens that it was trained on."""
+        stated = self.dataset.generation[0]["sampling"].get("nuisances", {})
+        return NuisanceConfig(**{name: tuple(value) if isinstance(value, list) else value
+                                 for name, value in stated.items()})
 
     @property
     def setups(self) -> Setups:

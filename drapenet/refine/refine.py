@@ -7,22 +7,22 @@ large and differ (docs/validation.md).
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 from tqdm import tqdm
 
-from common.command import compose_config
 from common.configs import read_option
+from common.normal import Normal
 from common.types import Density, Radians
-from data.dataset.config import Options, config_from_options
 from data.fabrics.fabrics import THETA_NAMES
-from data.fabrics.nuisances import LOGARITHMIC, NuisanceConfig, at_density
-from data.fabrics.prior import load_prior
+from data.fabrics.nuisances import LOGARITHMIC, at_density
+from data.fabrics.prior import GaussianPrior
 from data.fabrics.properties import ClothProperties
 from data.render.rays import DepthRenderer
-from drapenet.evidence import STATE, Normal, cloth_of_state, state_of
+from drapenet.evidence.state import STATE, cloth_of_state, fabric_prior, state_of
+from drapenet.network.checkpoint import Header
 from drapenet.network.predict import Draws
 from drapenet.refine.objective import fit_nuisances
 from drapenet.refine.positions import Fidelity, fidelity
@@ -35,7 +35,7 @@ from drapenet.refine.search import (
 )
 from drapenet.refine.unknowns import LAW_NAMES, NAMES, OFFSET_NAMES, SpecimenPrior, Unknowns
 from drapenet.report.drape import Resimulation, turned
-from drapenet.result.estimate import Estimate
+from drapenet.result.estimate import central
 from drapenet.surface.registration import flat_turn
 from drapenet.surface.shape import CapturedShape
 from drapenet.views.located import LocatedViews
@@ -43,6 +43,7 @@ from sim.material import REFERENCE_DENSITY
 
 MAX_REDUCED_CHI2 = 10.0  # beyond, no cloth fits the capture; correct captures have 0.8 to 2.5
 MAX_DISPLACEMENT_MM = 6.0  # of the estimate's drape from the scan; 20 simulated scans: up to 2.7
+SEARCHED = STATE[:-1]  # all but hysteresis
 NARROWED = 0.85
 """Width of the pooled posteriors relative to their original one: a pool of calibrated posteriors is
 too wide. Of 40 squares, 54, 72 and 90 % of the true moduli lie in its 50, 68 and 90 % intervals."""
@@ -64,13 +65,16 @@ class Refinement:
 
 
 def refine_capture(
-    estimate: Estimate, captured: LocatedViews, *, warp: Radians,
-    face: int = 1, scan: CapturedShape | None = None, settings: Mapping[str, Any] | None = None,
+    network: ClothProperties, captured: LocatedViews, header: Header, *, density: Density,
+    warp: Radians, face: int = 1, scan: CapturedShape | None = None,
+    settings: Mapping[str, Any] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Refinement | None:
-    """Refine an ``estimate`` by simulation, with a progress bar; None if no cloth converges.
+    """Refine an estimate by simulation, with a progress bar; None if no cloth converges.
 
     Args:
+        network: samples of the network's posterior.
+        header: of the network, whose fabrics are the prior.
         warp: its direction in the first view.
         face: 1 if the marked face is up, else -1.
         scan: whose rendered views are ``captured``; None for a capture.
@@ -81,18 +85,18 @@ def refine_capture(
     axis = flat_turn(scan) if scan else 0.0
     observation: Observation = CapturedScan(scan) if scan else CapturedViews(
         captured, turn=warp, edge=1e-3 * settings["edge_mm"], coarse=1e-3 * settings["coarse_mm"])
-    result = _search(estimate, observation, warp=warp - axis if scan else None,
+    result = _search(network, header, observation, warp=warp - axis if scan else None,
                      count=int(settings["starts"]), progress=progress)
     if result is None:
         return None
     resimulation = _beside(result, captured, axis, scan is not None)
     near = fidelity(scan, result.released) if scan and result.released else None
     warnings = _search_warnings(result)
-    draws, searched, content = None, None, _content(result, near, estimate.density)
+    draws, searched, content = None, None, _content(result, near, density)
     if not warnings:
         searched = _posterior(result, face)
-        draws = Draws.possible(_cloth(estimate.cloth, searched), known=True)
-        content["posterior"] = Normal.of(state_of(draws.cloth)).as_dict()
+        draws = Draws.possible(_cloth(network, searched), known=True)
+        content["posterior"] = _record(Normal.of(state_of(draws.cloth)[:, :len(SEARCHED)]))
     if scan:
         warnings += _scan_warnings(near)
     return Refinement(draws, searched, content, resimulation, tuple(warnings))
@@ -116,11 +120,11 @@ def _beside(
 
 
 def _posterior(result: SearchResult, face: int) -> Normal:
-    """The normal posterior of :data:`drapenet.evidence.STATE` with the marked face up."""
+    """The normal posterior of :data:`SEARCHED` with the marked face up."""
     names = result.uncertainty.names
-    places = [names.index(name) for name in STATE]
-    sign = np.where([name.startswith("curl") for name in STATE], face, 1)
-    mean = np.array([result.best.unknowns[name] for name in STATE])
+    places = [names.index(name) for name in SEARCHED]
+    sign = np.where([name.startswith("curl") for name in SEARCHED], face, 1)
+    mean = np.array([result.best.unknowns[name] for name in SEARCHED])
     covariance = result.uncertainty.covariance[np.ix_(places, places)]
     return Normal(sign * mean, sign[:, None] * covariance * sign)
 
@@ -137,24 +141,33 @@ def _cloth(network: ClothProperties, searched: Normal) -> ClothProperties:
     """Their pool, with the network's shares of hysteresis."""
     drawn = np.random.default_rng(0).multivariate_normal(
         searched.mean, searched.covariance, size=len(network.theta))
-    return cloth_of_state(pooled(state_of(network), drawn), np.tile(network.hysteresis, 2))
+    cloth = cloth_of_state(pooled(state_of(network), np.column_stack([drawn, network.hysteresis])))
+    return replace(cloth, hysteresis=np.tile(network.hysteresis, 2))
+
+
+def _record(posterior: Normal) -> dict[str, list]:
+    """In JSON's types."""
+    return {"names": list(SEARCHED), "mean": posterior.mean.tolist(),
+            "covariance": posterior.covariance.tolist()}
 
 
 def _search(
-    estimate: Estimate, observation: Observation, *, warp: Radians | None, count: int,
-    progress: Callable[[int, int], None] | None,
+    network: ClothProperties, header: Header, observation: Observation, *, warp: Radians | None,
+    count: int, progress: Callable[[int, int], None] | None,
 ) -> SearchResult | None:
     """The search from ``count`` fabrics; ``warp``: initial guess, None if it is not free."""
-    prior = SpecimenPrior.of(load_prior("gaussian"), specimen_spread())
+    fabrics = Normal.of(fabric_prior(header).theta)
+    prior = SpecimenPrior.of(GaussianPrior(fabrics.mean, fabrics.covariance, fabrics=0),
+                             header.nuisances)
     free = [*THETA_NAMES, *LAW_NAMES, *OFFSET_NAMES]
     first = prior.mean.copy()
     if warp is not None:
         free.append("warp")
         first[NAMES.index("warp")] = warp
     rng = np.random.default_rng(0)
-    rows = rng.integers(len(estimate.samples), size=count - 1)
+    rows = rng.integers(len(network.theta), size=count - 1)
     starts = [Unknowns(first).with_theta(theta)
-              for theta in (estimate.theta, *estimate.samples[rows])]
+              for theta in (central(network.theta, header.spread), *network.theta[rows])]
     total = count + 2 + sum((level.evaluations + 1) * len(level.pulls)
                             for level in observation.rounds)
     with tqdm(total=total, desc="refining", unit="sim", leave=False,
@@ -165,12 +178,6 @@ def _search(
                 progress(simulations, total)
 
         return search(observation, starts, free=free, prior=prior, progress=show)
-
-
-def specimen_spread() -> NuisanceConfig:
-    """Distribution of the nuisances over specimens, ``configs/nuisances/real.yaml``."""
-    options = compose_config("generate", ["nuisances=real"], schema=Options)
-    return config_from_options(options).sampling.nuisances
 
 
 def _search_warnings(result: SearchResult) -> list[str]:

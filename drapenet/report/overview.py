@@ -1,4 +1,4 @@
-"""Tables and pages of batch inference, from the files of finished captures: ``results.xlsx``,
+"""Tables and pages of batch inference, from estimates of fabrics: ``results.xlsx``,
 ``summary.csv``, ``fabrics.csv``, ``captures.csv``, ``failures.csv``, a report of each fabric, and
 ``index.html``.
 """
@@ -6,32 +6,19 @@
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import groupby
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from common.errors import InputError
-from common.files import remove_file, replace_file
-from data.captures.capture import require_one_fabric
+from common.files import replace_file
 from drapenet.batch.captures import COLUMNS, Entry
-from drapenet.network.checkpoint import Header
 from drapenet.report.figures import COLOURS
 from drapenet.report.pages import render
 from drapenet.report.report import ShownCapture, write_report
 from drapenet.report.workbook import Sample, workbook
 from drapenet.result.document import ROLES, EstimateDocument, csv_number, csv_table
-from drapenet.result.files import (
-    ESTIMATE,
-    PDF,
-    REPORT,
-    SAMPLES,
-    read_estimate,
-    read_observation,
-    write_estimate,
-)
-from sim.material import LINEAR
+from drapenet.result.files import REPORT
 
 FAILURE = ("fabric", "sample", "capture", "path", "reason")
 SPREAD, INDEX, THUMBNAIL, RESULTS = "captures.png", "index.html", "view.png", "results.xlsx"
@@ -57,7 +44,7 @@ class FabricEstimate:
     def means(self) -> dict[str, float | None]:
         """Drape coefficient and nodes, means over the captures that have them; None if they are of
         several testers."""
-        one = len({document.capture.rig for _, document in self.captures}) == 1
+        one = len({document.capture.rig for _, document in self.captures} - {""}) == 1
         seen = {name: [value for _, document in self.captures
                        if one and (value := getattr(document.capture, name)) is not None]
                 for name in ("drape_coefficient_percent", "nodes")}
@@ -66,22 +53,10 @@ class FabricEstimate:
 
 
 def write_overview(
-    out: Path, outcomes: Sequence[tuple[Entry, str]], header: Header
-) -> list[FabricEstimate]:
-    """Write all tables and pages for captures, each with the reason for a failure or ''; return the
-    estimates of fabrics whose captures can be joined.
-    """
-    failures = [dict(zip(FAILURE, (entry.fabric, entry.sample, entry.capture, str(entry.path),
-                                   failure.removeprefix(f"{entry.path}: ")), strict=True))
-                for entry, failure in outcomes if failure]
-    fabrics = []
-    ordered = sorted((entry for entry, failure in outcomes if not failure),
-                     key=lambda entry: (entry.fabric, entry.place))
-    for name, entries in groupby(ordered, key=lambda entry: entry.fabric):
-        try:
-            fabrics.append(_write_fabric(name, list(entries), out, header))
-        except InputError as error:
-            failures.append(dict.fromkeys(FAILURE, "") | {"fabric": name, "reason": str(error)})
+    out: Path, fabrics: Sequence[FabricEstimate], failures: Sequence[dict[str, str]]
+) -> None:
+    """Write all tables and pages for the estimates of ``fabrics``, and for ``failures`` by
+    :data:`FAILURE`."""
     for name, rows, columns in (
             ("summary", [_summary_row(fabric) for fabric in fabrics], ()),
             ("fabrics", [_fabric_row(fabric) for fabric in fabrics], ()),
@@ -96,43 +71,21 @@ def write_overview(
         "captures": [Sample({name: getattr(entry, name) for name in COLUMNS}, document,
                             document.capture.drape_coefficient_percent, document.capture.nodes)
                      for fabric in fabrics for entry, document in fabric.captures]}))
-    places = {Path(entry.place.parts[0]) for entry, _ in outcomes}
-    for place in places - {fabric.place for fabric in fabrics}:  # of an earlier run
-        for name in (ESTIMATE, SAMPLES, SPREAD, INDEX, PDF):
-            remove_file(out / place / name)
+    for fabric in fabrics:
+        _write_page(fabric, out)
     replace_file(out / INDEX, render("index.html", fabrics=fabrics, failures=failures, page=INDEX,
                                      thumbnail=THUMBNAIL))
-    return fabrics
 
 
-def _write_fabric(
-    name: str, entries: Sequence[Entry], out: Path, header: Header
-) -> FabricEstimate:
-    """Join the captures of a fabric; write its estimate and its page."""
-    estimates, documents = zip(*(read_estimate(out / entry.place) for entry in entries),
-                               strict=True)
-    require_one_fabric([estimate.density for estimate in estimates],
-                       [(document.capture.source or "", document.capture.views_sha256)
-                        for document in documents])
-    estimate, document, scatter = estimates[0], documents[0], None
-    if len(entries) > 1:
-        from drapenet.inference import joint_estimate  # torch
-
-        seen = [read_observation(out / entry.place) for entry in entries]
-        estimate, document = joint_estimate(seen, documents, header)
-        middles = [capture.samples[:, LINEAR].mean(axis=0) for capture in estimates]
-        scatter = np.exp(np.std(middles, axis=0, ddof=1))
-    fabric = FabricEstimate(name, Path(entries[0].place.parts[0]),
-                            list(zip(entries, documents, strict=True)), document, scatter)
-    folder = out / fabric.place
-    write_estimate(folder, estimate, document)
+def _write_page(fabric: FabricEstimate, out: Path) -> None:
+    """Write the page of a fabric, and its report if its captures have pictures."""
+    folder, document = out / fabric.place, fabric.document
     spread = _spread(fabric)
     replace_file(folder / SPREAD, spread)
     shown = [_shown(out, *capture) for capture in fabric.captures]
-    write_report(folder, document.capture.labels.fabric or name, document, shown, page=INDEX,
-                 pdf=any(capture.large for capture in shown), spread=spread, scatter=scatter,
-                 back="../index.html")
-    return fabric
+    write_report(folder, document.capture.labels.fabric or fabric.name, document, shown,
+                 page=INDEX, pdf=any(capture.large for capture in shown), spread=spread,
+                 scatter=fabric.scatter, back="../index.html")
 
 
 def _shown(out: Path, entry: Entry, document: EstimateDocument) -> ShownCapture:

@@ -10,19 +10,22 @@ import numpy as np
 from pydantic import BeforeValidator, Field, InstanceOf, model_validator
 
 from common.documents import Excerpt, shown
+from common.files import printable
 from common.types import Density
 from data.captures.description import Labels
-from data.captures.known import Known
+from data.captures.reported import Reported
+from data.readings.cantilever import MG_CM, bending_length, flexural_rigidity
+from data.readings.kes import GF_CM, GF_CM_PER_CM, kes
+from data.readings.known import Known
 from drapenet.result.estimate import Estimate
-from drapenet.result.readings import GF_CM, GF_CM_PER_CM, MG_CM, bending_length, kes
 from sim.material import DIRECTIONS, MICRO, NANO, REFERENCE_DENSITY, STIFF_SOFT
-from sim.rig import GRAVITY
 
 if TYPE_CHECKING:
-    from data.strips.posterior import StripPosterior
+    from data.strips.folder import StripSet
+    from data.strips.posterior import StripEvidence
 
 SCHEMA = "drapenet-estimate"
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 POORLY_CONSTRAINED = 0.7  # above this ratio of standard deviation and spread over fabrics
 CURVATURES = np.array([25.0, 50.0, 100.0, 200.0, 400.0])  # 1/m, of the tabulated law
 INTERVALS = {"interval_68": 0.68, "interval_90": 0.90}
@@ -94,7 +97,7 @@ class CaptureAbout(Excerpt):
     turns_deg: list[float] | None = None
     drape_coefficient_percent: float | None = None
     nodes: int | None = None
-    known: Known | None = None
+    known: Reported | None = None
     labels: Labels = Labels()
 
 
@@ -108,7 +111,8 @@ class Cloth(Excerpt):
 
 
 class PosteriorRecord(Excerpt):
-    """Normal posterior of :data:`drapenet.evidence.STATE` from one capture and the prior."""
+    """Normal posterior of :data:`drapenet.evidence.state.STATE` without hysteresis, from one
+    capture and the prior."""
 
     names: list[str]
     mean: list[float]
@@ -139,37 +143,49 @@ class CaptureRecord(Excerpt):
     warnings: list[Text]
 
 
-class StripModuli(Excerpt):
+class LinearRecord(Excerpt):
+    """Evidence of log alpha (N·m), beta/alpha (m) and natural curvature (1/m) at the fabric's
+    density: :class:`common.normal.Linear`."""
+
+    rows: list[list[float]]
+    values: list[float]
+
+
+class DirectionStrips(Excerpt):
     """Moduli along one direction by its strips alone."""
 
     alpha_uN_m: Quantity  # noqa: N815
     beta_nN_m2: Quantity  # noqa: N815
     natural_curvature_1_m: list[float]  # and its standard deviation
     misfit: float
+    scatter_of_specimens_percent: float
+    evidence: LinearRecord
 
 
 class StripsRecord(Excerpt):
-    """Strips beside the captures, and the moduli without them if there are captures."""
+    """Strips of a folder."""
 
     source: Text
+    density_g_m2: float
     strips: int
-    moduli: dict[str, StripModuli]
-    before: dict[str, DirectionModuli] | None = None
+    moduli: dict[str, DirectionStrips]
+    known: Known | None = None
 
     @classmethod
-    def of(
-        cls, source: str, count: int, strips: Mapping[str, "StripPosterior"],
-        before: Estimate | None,
-    ) -> "StripsRecord":
-        """Of ``count`` strips with their posteriors by direction."""
+    def of(cls, strips: "StripSet", found: Mapping[str, "StripEvidence"]) -> "StripsRecord":
+        """Of strips with their evidence by direction."""
         moduli = {}
-        for direction, strip in strips.items():
+        for direction, strip in found.items():
             alpha, beta = strip.samples()
             moduli[direction] = {
                 "alpha_uN_m": _intervals(alpha / MICRO), "beta_nN_m2": _intervals(beta / NANO),
-                "natural_curvature_1_m": list(strip.curl), "misfit": strip.misfit}
-        return cls.model_validate({"source": source, "strips": count, "moduli": moduli} | (
-            {"before": _moduli(before, before.density)} if before else {}))
+                "natural_curvature_1_m": list(strip.curl), "misfit": strip.misfit,
+                "scatter_of_specimens_percent": round(100 * strip.scatter, 1),
+                "evidence": {"rows": strip.measured.rows.tolist(),
+                             "values": strip.measured.values.tolist()}}
+        return cls.model_validate({
+            "source": printable(strips.folder), "density_g_m2": round(1e3 * strips.density, 6),
+            "strips": len(strips), "moduli": moduli, "known": strips.known})
 
 
 class EstimateDocument(Excerpt):
@@ -190,7 +206,7 @@ class EstimateDocument(Excerpt):
     cloth: Cloth
     checkpoint: dict[str, Text]
     captures: list[CaptureRecord] | None = None
-    strips: StripsRecord | None = None
+    strips: list[StripsRecord] | None = None
     refined: RefinementRecord | None = None
     resimulation: dict[str, Any] | None = None
     warnings: list[Text]
@@ -243,7 +259,7 @@ class EstimateDocument(Excerpt):
     def parts(self) -> str:
         """Captures and strips of a joint estimate; empty for that of a single capture."""
         counts = {"capture": len(self.captures or []),
-                  "strip": self.strips.strips if self.strips else 0}
+                  "strip": sum(each.strips for each in self.strips or [])}
         return " and ".join(f"{count} {name}{'s' * (count > 1)}"
                             for name, count in counts.items() if count)
 
@@ -272,15 +288,10 @@ class EstimateDocument(Excerpt):
                       f"misfit {misfit} before, {refined.misfit:.0f} after "
                       f"{refined.simulations} simulations ({refined.status}): half the sum of "
                       "squared deviations over their errors"]
-        if self.strips:
-            lines += [f"by strips alone, along the {name}: alpha {moduli.alpha_uN_m} µN·m, beta "
-                      f"{moduli.beta_nN_m2} nN·m², natural curvature "
-                      "{:.2g} ± {:.1g} 1/m".format(*moduli.natural_curvature_1_m)
-                      for name, moduli in self.strips.moduli.items()]
-            if self.strips.before:
-                alone = (f"{name} {moduli.alpha_uN_m}"
-                         for name, moduli in self.strips.before.items())
-                lines.append(f"alpha without the strips: {', '.join(alone)}")
+        lines += [f"by strips alone, along the {name}: alpha {moduli.alpha_uN_m} µN·m, beta "
+                  f"{moduli.beta_nN_m2} nN·m², natural curvature "
+                  "{:.2g} ± {:.1g} 1/m".format(*moduli.natural_curvature_1_m)
+                  for each in self.strips or [] for name, moduli in each.moduli.items()]
         lines.append(f"{'':8}{'bending length':>14}{'rigidity G':>14}{'KES B':>18}{'KES 2HB':>18}")
         for name, readings in self.laboratory.items():
             secant, hysteresis = readings.kes_b_gf_cm2_per_cm, readings.kes_2hb_gf_cm_per_cm
@@ -352,7 +363,7 @@ def _properties(estimate: Estimate) -> dict[str, Any]:
 def _readings(estimate: Estimate) -> dict[str, Any]:
     alpha, beta = estimate.moduli()
     length = bending_length(alpha, beta, estimate.density)
-    rigidity = estimate.density * GRAVITY * length**3
+    rigidity = flexural_rigidity(alpha, beta, estimate.density)
     secant, hysteresis, outside = kes(alpha, beta)
     strip = {"bending_length_mm": 1e3 * length, "flexural_rigidity_uN_m": rigidity / MICRO,
              "flexural_rigidity_mg_cm": rigidity / MG_CM}

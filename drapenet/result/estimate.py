@@ -8,7 +8,6 @@ import numpy as np
 from common.types import Density, Theta
 from data.fabrics.fabrics import fabric_from_theta, from_theta
 from data.fabrics.nuisances import Nuisances
-from data.fabrics.prior import GaussianPrior
 from data.fabrics.properties import ClothProperties
 from sim.material import (
     DIRECTIONS,
@@ -36,6 +35,7 @@ class Estimate:
         names: of the directions: warp, bias, weft or stiff, bias, soft.
         spread: standard deviation of theta over fabrics.
         warnings: of the samples alone, one line each.
+        contradictions: a line for each source that contradicts others.
     """
 
     cloth: ClothProperties
@@ -43,6 +43,7 @@ class Estimate:
     density: Density
     spread: Theta
     warnings: tuple[str, ...] = ()
+    contradictions: tuple[str, ...] = ()
 
     @property
     def samples(self) -> Theta:
@@ -51,12 +52,8 @@ class Estimate:
 
     @property
     def theta(self) -> Theta:
-        """Medians; if these are not admissible, the sample nearest to them."""
-        middle = np.median(self.samples, axis=0)
-        if is_admissible(*from_theta(middle)):
-            return middle
-        away = (self.samples - middle) / self.spread
-        return self.samples[np.square(away).sum(axis=1).argmin()]
+        """The fabric in the middle of the samples."""
+        return central(self.samples, self.spread)
 
     @property
     def fabric(self) -> Fabric:
@@ -69,11 +66,6 @@ class Estimate:
         curl = np.median(self.cloth.curl, axis=0)
         return Nuisances(membrane=float(np.median(self.cloth.membrane)), curl_warp=curl[0],
                          curl_weft=curl[1], hysteresis=float(np.median(self.cloth.hysteresis)))
-
-    @property
-    def normal(self) -> GaussianPrior:
-        """The normal distribution with the samples' mean and covariance."""
-        return GaussianPrior(self.samples.mean(axis=0), np.cov(self.samples.T), fabrics=0)
 
     @property
     def modulus_names(self) -> list[str]:
@@ -94,6 +86,16 @@ class Estimate:
     def torques(self, direction: int, curvature: np.ndarray) -> np.ndarray:
         """(S, C) torque per width, N, of each sample at ``curvature`` (C,), 1/m."""
         return torque(curvature, *(part[:, direction, None] for part in self.moduli()))
+
+
+def central(samples: Theta, spread: Theta) -> Theta:
+    """Medians of samples; if these are not admissible, the sample nearest to them, in units of the
+    ``spread``."""
+    middle = np.median(samples, axis=0)
+    if is_admissible(*from_theta(middle)):
+        return middle
+    away = (samples - middle) / spread
+    return samples[np.square(away).sum(axis=1).argmin()]
 
 
 def make_estimate(draws: "Draws", *, density: Density, header: "Header") -> Estimate:

@@ -9,7 +9,7 @@ import numpy as np
 
 from common.documents import read_arrays, read_json, reading
 from common.errors import InputError
-from common.files import remove_file, replace_json, replacing, require_file
+from common.files import printable, remove_file, replace_json, replacing, require_file
 from data.fabrics.properties import ClothProperties
 from drapenet.result.document import EstimateDocument
 from drapenet.result.estimate import Estimate
@@ -20,6 +20,8 @@ from sim.material import MICRO
 from sim.rig import Rig
 
 ESTIMATE, SAMPLES, OBSERVATION = "estimate.json", "samples.npz", "observation.npz"
+FAULTS = "faults.txt"
+"""Traceback of a stage that failed."""
 REPORT, PAGE, PDF = "report.png", "report.html", "report.pdf"
 SHAPES, TORQUES = "drape.glb", "torque.svg"
 SHOWN = (REPORT, PAGE, PDF, SHAPES, TORQUES)
@@ -57,8 +59,8 @@ def read_observation(out: Path) -> Observation:
 
 
 def remove_report(out: Path) -> None:
-    """Remove the report files of an earlier estimate."""
-    for name in SHOWN:
+    """Remove the report files of an earlier estimate, and what it says of its faults."""
+    for name in (*SHOWN, FAULTS):
         remove_file(out / name)
 
 
@@ -110,9 +112,10 @@ def capture_names(document: EstimateDocument) -> list[str]:
 
 
 def _sources(document: EstimateDocument) -> list[Path]:
-    strips = document.strips.source if document.strips else ""
+    strips = [each.source for each in document.strips or []]
     about = document.capture
-    return [Path(source) for source in about.sources or [about.source or strips]]
+    return [Path(source) for source in
+            about.sources or ([about.source] if about.source else strips or [""])]
 
 
 def _place(sources: Sequence[Path]) -> Path:
@@ -120,12 +123,6 @@ def _place(sources: Sequence[Path]) -> Path:
     places = [Path(os.path.abspath(source)) for source in sources]
     return (places[0] if len(places) == 1 else
             Path(os.path.commonpath([place.parent for place in places])))
-
-
-def printable(path: str | Path) -> str:
-    """The path with its bytes that are not UTF-8 replaced: neither JSON nor a page may hold them.
-    """
-    return os.fsencode(path).decode(errors="replace")
 
 
 def last_parts(path: Path) -> list[str]:

@@ -63,23 +63,14 @@ def _estimate(
     folder: Path, row: dict[str, Any], header: Any, record: Callable
 ) -> tuple[Any, list[str]]:
     """The estimate of an upload, and its warnings."""
-    from data.captures.capture import read_capture
-    from data.captures.description import Specimen
-    from drapenet.inference import estimate_capture
+    from drapenet.inference import estimate_source
     from drapenet.result.files import ESTIMATE
-    from drapenet.surface.registration import read_scan_capture
 
-    task, registered = row["task"], None
+    task = row["task"]
     record(stage="reading")
-    if scan := task["scan"]:
-        specimen = Specimen.of(task["specimen"], "")
-        capture, registered = read_scan_capture(folder / UPLOADED / scan, specimen)
-    else:
-        capture = read_capture(folder / UPLOADED)
-    replace_file(folder / PREVIEW, preview(capture))
-    # Results must not reveal paths of the server.
-    capture = replace(capture, path=Path(*map(plain_name, (row["fabric_name"], row["name"]))))
-    record(stage="estimating", warnings=list(capture.warnings))
+    source = _read(folder, row)
+    plain = source[0] if isinstance(source, tuple) else source
+    record(stage="estimating", warnings=list(plain.warnings))
     refine = task["refine"] and dict(read_option("refine", "simulation"))
     latest = 0.0
 
@@ -89,32 +80,50 @@ def _estimate(
             record(progress={"made": made, "expected": max(expected, made)})
             latest = time.monotonic()
 
-    result = estimate_capture(
-        capture, header, EstimateOptions(refine=refine or None), out=folder, scan=registered,
+    estimate, part = estimate_source(
+        source, header, EstimateOptions(refine=refine or None), out=folder,
         on_stage=lambda stage, found: record(stage=stage, warnings=found.document.warnings,
                                              estimate=read_json(folder / ESTIMATE)),
         progress=progress)
-    return result.estimate, result.document.warnings
+    return estimate, part.document.warnings
+
+
+def _read(folder: Path, row: dict[str, Any]) -> Any:
+    """The capture, scan or strips of an upload, named as they are shown: results must not reveal
+    paths of the server."""
+    from data.captures.capture import read_capture
+    from data.captures.description import Specimen
+    from data.strips.description import FILE
+    from data.strips.folder import read_strips
+    from drapenet.surface.registration import read_scan_capture
+
+    task, uploaded = row["task"], folder / UPLOADED
+    shown = Path(*map(plain_name, (row["fabric_name"], row["name"])))
+    if (uploaded / FILE).exists():
+        return replace(read_strips(uploaded), folder=shown)
+    if scan := task["scan"]:
+        capture, registered = read_scan_capture(uploaded / scan, Specimen.of(task["specimen"], ""))
+    else:
+        capture, registered = read_capture(uploaded), None
+    replace_file(folder / PREVIEW, preview(capture))
+    capture = replace(capture, path=shown)
+    return (capture, registered) if registered else capture
 
 
 def _estimate_jointly(
     folder: Path, row: dict[str, Any], header: Any, record: Callable
 ) -> tuple[Any, list[str]]:
-    """The joint estimate of a fabric's captures, and its warnings."""
-    from data.captures.capture import require_one_fabric
-    from drapenet.inference import joint_estimate
+    """The joint estimate of a fabric's captures and strips, and its warnings."""
+    from drapenet.inference import joint_estimate, read_part, write_joint
     from drapenet.report.figures import draw_torques
-    from drapenet.result import files
+    from drapenet.result.files import TORQUES
 
     record(stage="joining")
     places = [folder.parent / member for member in row["members"]]
-    documents = [files.read_document(place / files.ESTIMATE) for place in places]
-    require_one_fabric([document.density for document in documents], [
-        (document.capture.source, document.capture.views_sha256) for document in documents])
-    estimate, document = joint_estimate(
-        [files.read_observation(place) for place in places], documents, header)
-    files.write_estimate(folder, estimate, document)
-    replace_file(folder / files.TORQUES, draw_torques(estimate))
+    parts = [read_part(place) for place in places]
+    estimate, document = joint_estimate(parts, header)
+    write_joint(folder, estimate, document, parts, places, drawn=True)
+    replace_file(folder / TORQUES, draw_torques(estimate))
     return estimate, document.warnings
 
 

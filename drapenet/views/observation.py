@@ -8,7 +8,7 @@ import numpy as np
 from common.errors import InputError
 from common.types import Radians
 from data.captures.capture import Capture
-from data.captures.known import Known
+from data.captures.reported import Reported
 from drapenet.views.directions import AZIMUTHS
 from drapenet.views.located import LocatedViews
 from drapenet.views.outline import DrapeOutline, outline_of_curve, outline_of_map
@@ -46,7 +46,7 @@ class Observation:
         return cls(rig, face, warp is not None, drape, outline_of_map(drape, rig))
 
     @classmethod
-    def of_numbers(cls, rig: Rig, face: int, known: bool, reported: Known) -> "Observation":
+    def of_numbers(cls, rig: Rig, face: int, known: bool, reported: Reported) -> "Observation":
         """Of a reported drape coefficient and number of nodes."""
         nodes = np.nan if reported.nodes is None else reported.nodes
         return cls(rig, face, known, coefficient=reported.drape_coefficient_percent / 100,

@@ -11,14 +11,15 @@ from pathlib import Path
 import numpy as np
 
 from common.errors import InputError
-from data.captures.known import ERRORS, ByDirection, Known
 from data.dataset.generate import generate_dataset
 from data.fabrics.properties import ClothProperties
-from data.strips.posterior import StripPosterior
+from data.readings import QUANTITIES
+from data.readings.known import ByDirection, Known
+from data.strips.posterior import StripEvidence
 from drapenet.config import EvaluateConfig
-from drapenet.evidence import with_strips
-from drapenet.inference import network_of
-from drapenet.known import predicted, weigh
+from drapenet.evidence.fabric import joined, network_of
+from drapenet.evidence.source import of_strips, of_values
+from drapenet.evidence.state import fabric_prior, prior_along
 from drapenet.network.checkpoint import Header, read_header
 from drapenet.network.dataset import Maps, make_maps
 from drapenet.network.evaluate import DEPTH, DRAPES_PER_FABRIC, make_config, require_unseen
@@ -66,9 +67,14 @@ def run(config: Config) -> Result:
         alone, rng = estimates[ONE], np.random.default_rng([config["seed"], fabric])
         truth = ClothProperties(one.theta[0], first.curl[drapes].mean(axis=0), one.membrane[0],
                                 one.hysteresis[0])
-        estimates["one drape, KES B of warp and weft"] = weigh(alone, _sheet(truth, alone, rng))
-        if strips := _strips(truth, rng):
-            estimates[STRIPS] = with_strips(alone, strips)
+        added = {"one drape, KES B of warp and weft": of_values(_sheet(truth, rng),
+                                                                REFERENCE_DENSITY)}
+        if strips := _strips(truth, header, rng):
+            added[STRIPS] = [of_strips(direction, found.measured, REFERENCE_DENSITY)
+                             for direction, found in strips.items()]
+        draws = Draws(alone.cloth, True, 0.0)
+        estimates |= {name: joined(draws, sources, REFERENCE_DENSITY, header, name="the drape")
+                      for name, sources in added.items()}
         for name, estimate in estimates.items():
             gap = (estimate.samples.mean(axis=0) - truth.theta) / header.spread
             errors.setdefault(name, []).append(gap)
@@ -110,18 +116,20 @@ def _estimate(header: Header, maps: Maps) -> Estimate:
     return make_estimate(draws, density=REFERENCE_DENSITY, header=header)
 
 
-def _sheet(truth: ClothProperties, like: Estimate, rng: np.random.Generator) -> Known:
+def _sheet(truth: ClothProperties, rng: np.random.Generator) -> Known:
     """KES B as measured, with the error that is assumed of it."""
-    exact = Estimate(ClothProperties(*(np.asarray(part)[None] for part in vars(truth).values())),
-                     DIRECTIONS, like.density, like.spread)
-    name = "kes_b_gf_cm2_per_cm"
-    values = predicted(exact)[name][0] * np.exp(ERRORS[name] * rng.standard_normal(3))
-    return Known(**{name: ByDirection(**{
+    exact = ClothProperties(*(np.asarray(part)[None] for part in vars(truth).values()))
+    quantity = QUANTITIES["kes_b_gf_cm2_per_cm"]
+    values = (quantity.predict(exact, REFERENCE_DENSITY)[0]
+              * np.exp(quantity.error * rng.standard_normal(3)))
+    return Known(**{quantity.name: ByDirection(**{
         DIRECTIONS[k]: float(values[k]) for k in YARNS if np.isfinite(values[k])})})
 
 
-def _strips(truth: ClothProperties, rng: np.random.Generator) -> dict[str, StripPosterior] | None:
-    """Posteriors of photographed strips along warp and weft; None if one is refused."""
+def _strips(
+    truth: ClothProperties, header: Header, rng: np.random.Generator
+) -> dict[str, StripEvidence] | None:
+    """Evidence of photographed strips along warp and weft; None if one is refused."""
     pictures, entries = {}, []
     for k in YARNS:
         alpha, ratio = float(np.exp(truth.theta[k])), float(truth.theta[3 + k])
@@ -134,7 +142,8 @@ def _strips(truth: ClothProperties, rng: np.random.Generator) -> dict[str, Strip
             entries.append(entry_of(scene, name, length, "mm_per_px", rng)
                            | {"direction": DIRECTIONS[k], "face": face})
     try:
-        return read_pictures(pictures, entries).posteriors()
+        return read_pictures(pictures, entries).evidence(
+            prior_along(fabric_prior(header), REFERENCE_DENSITY))
     except InputError:
         return None
 

@@ -109,7 +109,7 @@ def posterior_shifts(
     views: np.ndarray, perfect: np.ndarray, scene: RawScene, rig: Rig
 ) -> list[float]:
     """Differences (3,) of log alpha between two cut-outs, in posterior standard deviations."""
-    from drapenet.inference import network_estimate
+    from drapenet.stages import network_estimate
 
     samples = []
     for one in (views, perfect):

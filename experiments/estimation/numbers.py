@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from data.captures.known import Known
-from drapenet.inference import network_of
-from drapenet.known import predicted
+from data.captures.reported import Reported
+from data.readings import QUANTITIES
+from data.readings.kes import GF_CM
+from drapenet.evidence.fabric import network_of
 from drapenet.network.checkpoint import read_header
 from drapenet.network.predict import predict
 from drapenet.result.estimate import make_estimate
-from drapenet.result.readings import GF_CM
 from drapenet.views.observation import Observation
 from experiments.physics.laboratory import bending, read_fabrics
 from experiments.result import Config, Result
@@ -29,14 +29,15 @@ def run(config: Config) -> Result:
     rows = read_fabrics(Path(config["fabrics"]))
     sets = []
     for row in rows:
-        stated = Known(drape_coefficient_percent=float(row["dc_real_percent"]),
+        stated = Reported(drape_coefficient_percent=float(row["dc_real_percent"]),
                        nodes=int(row["nodes_real"]) if row["nodes_real"] else None)
         rig = Rig.from_name(config["testers"][row["source"]])
         sets.append([Observation.of_numbers(rig, 1, True, stated)])
     found = []
     for row, draws in zip(rows, predict(network_of(header), header, sets), strict=True):
         estimate = make_estimate(draws, density=1e-3 * float(row["weight_g_m2"]), header=header)
-        samples = GF_CM * predicted(estimate)["kes_b_gf_cm2_per_cm"]
+        samples = GF_CM * QUANTITIES["kes_b_gf_cm2_per_cm"].predict(estimate.cloth,
+                                                                   estimate.density)
         found.append(_compared(row, samples[:, [FIRST, SECOND]].mean(axis=1)))
     widths = [one["high"] / one["low"] for one in found]
     return Result({"fabrics": found, "inside": sum(one["inside"] for one in found),

@@ -46,8 +46,8 @@ def simulated(*, number: int, noise_mm: float, seed: int) -> dict:
 
 def refine_scan(scan: "ScanRegistration") -> dict:
     """Estimate a scan whose x axis is the warp, as by ``infer.py scan=FILE refine=simulation``."""
-    from drapenet.inference import network_estimate
     from drapenet.refine.refine import refine_capture
+    from drapenet.stages import network_estimate
     from drapenet.surface.registration import scan_capture
 
     shape = scan.shape
@@ -55,7 +55,8 @@ def refine_scan(scan: "ScanRegistration") -> dict:
     inferred = network_estimate(capture, header())
     estimate = inferred.estimate
     began = time.perf_counter()
-    result = refine_capture(estimate, inferred.located, warp=0.0, scan=shape)
+    result = refine_capture(inferred.draws.cloth, inferred.located, header(),
+                            density=capture.density, warp=0.0, scan=shape)
     if result is None:
         raise InputError("no simulated cloth converges at the scan")
     return {"refined": result.content, "gained": result.draws is not None,

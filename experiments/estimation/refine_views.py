@@ -72,8 +72,8 @@ def case(
 ) -> dict:
     """Estimate one capture with the network and with the refinement, in a world without the
     nuisances ``absent``, of :data:`ABSENT`."""
-    from drapenet.inference import network_estimate
     from drapenet.refine.refine import refine_capture
+    from drapenet.stages import network_estimate
 
     tester = Rig.from_name(rig)
     plan = plan_specimen(number, rig=tester, nuisances=nuisances, seed=seed)
@@ -92,7 +92,8 @@ def case(
     estimate = inferred.estimate
     began = time.perf_counter()
     settings = read_option("refine", "simulation") | ({"edge_mm": edge_mm} if edge_mm else {})
-    refined = refine_capture(estimate, inferred.located, warp=capture.warp_direction,
+    refined = refine_capture(inferred.draws.cloth, inferred.located, header(),
+                             density=capture.density, warp=capture.warp_direction,
                              settings=settings)
     seconds = time.perf_counter() - began
     gained = refined is not None and refined.draws is not None
@@ -134,9 +135,7 @@ def nuisance_errors(results: list[dict]) -> dict[str, dict[str, float]]:
 
     In units of their spread over specimens.
     """
-    from drapenet.refine.refine import specimen_spread
-
-    deviations = specimen_spread().deviations
+    deviations = header().nuisances.deviations
     found = {}
     for name in ("curl_warp", "curl_weft"):
         label = f"{name}_per_m"

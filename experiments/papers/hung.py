@@ -1,17 +1,14 @@
 """Estimation of an anisotropic membrane from a square hung by two corners (004, section 5)."""
 
 import math
-from functools import cache
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from data.fabrics.fabrics import fabric_from_theta, from_theta
-from data.fabrics.nuisances import NuisanceConfig
 from drapenet.refine.minimise import Limits, minimise
 from drapenet.refine.objective import value
-from drapenet.refine.refine import specimen_spread
 from experiments.drapes import header, plan_specimen
 from experiments.page import Section
 from experiments.result import Config, Report, Result, label_log_axes, rms, run_fabrics
@@ -34,18 +31,12 @@ _STEP = 1e-4  # of an unknown, in central differences of the forces
 _POISSON = (0.0, 0.4)
 
 
-@cache
-def specimen_nuisances() -> NuisanceConfig:
-    """Distribution of the nuisances of specimens."""
-    return specimen_spread()
-
-
 def prior() -> tuple[np.ndarray, np.ndarray]:
     """Mean and standard deviation (4,) of the unknowns over specimens of all fabrics.
 
     Warp and weft have independent membranes, and shear is relative to their geometric mean.
     """
-    nuisances = specimen_nuisances()
+    nuisances = header().nuisances
     (membrane, shear), (spread, more) = ([table[name] for name in ("membrane", "shear")]
                                          for table in (nuisances.means, nuisances.deviations))
     poisson = np.mean(_POISSON)
@@ -56,7 +47,7 @@ def prior() -> tuple[np.ndarray, np.ndarray]:
 
 def sample_unknowns(rng: np.random.Generator) -> np.ndarray:
     """Draw unknowns (4,) of one fabric."""
-    nuisances = specimen_nuisances()
+    nuisances = header().nuisances
     low, high = np.log(nuisances.shear)
     while True:
         yarns = (nuisances.means["membrane"]

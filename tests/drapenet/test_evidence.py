@@ -1,103 +1,241 @@
-"""Strips as evidence beside captures, and alone."""
-
-from dataclasses import replace
+"""Sources of evidence: what they move, what contradicts, and that nothing narrows by error."""
 
 import numpy as np
 import pytest
-from estimates import estimate_of
 
 from common.errors import InputError
-from data.fabrics.properties import ClothProperties
-from data.strips.posterior import CURL_PRIOR, RATIO_PRIOR, StripPosterior
-from drapenet.evidence import (
-    Normal,
-    contradicting_strips,
-    prior_estimate,
-    state_of,
-    with_refined,
-    with_strips,
-)
-from drapenet.result.estimate import Estimate
-from sim.material import MICRO, STIFF_SOFT
+from common.normal import Linear, Normal
+from data.readings import QUANTITIES
+from data.readings.cantilever import bending_length
+from data.readings.known import ByDirection, Known
+from data.readings.quantity import SPECIMEN_SCATTER
+from drapenet.evidence.combine import combine, consistent, updated
+from drapenet.evidence.fabric import StripsMeasured, fabric_estimate, require_directions
+from drapenet.evidence.source import of_capture, of_refined, of_strips, of_values
+from drapenet.evidence.state import cloth_of_state, fabric_prior, prior_along, state_of
+from drapenet.network.checkpoint import read_header
+from sim.material import DIRECTIONS, MICRO
 
-DENSITY = 0.21
-SPREAD = 0.3  # standard deviation of log alpha; 0.8 between two directions
-
-
-def posterior(count: int = 40_000) -> Estimate:
-    """Normal samples; log alpha of warp and weft are correlated, and curl with that of the warp."""
-    rng, estimate = np.random.default_rng(0), estimate_of(
-        np.full(3, 50 * MICRO), np.full(3, -1e-7), density=DENSITY)
-    theta = np.tile(estimate.samples[0], (count, 1))
-    white = rng.standard_normal((count, 9))
-    theta[:, 0] += SPREAD * white[:, 0]
-    theta[:, 1] += SPREAD * (0.6 * white[:, 0] + 0.8 * white[:, 1])
-    theta[:, 2] += SPREAD * (0.8 * white[:, 0] + 0.6 * white[:, 2])
-    theta[:, 3:] += 1e-4 * white[:, 3:6]
-    curl = np.column_stack([3 * (0.5 * white[:, 0] + white[:, 6]), 3 * white[:, 7]])
-    return replace(estimate, cloth=ClothProperties(
-        theta, curl, 600 * np.exp(0.2 * white[:, 8]), np.full(count, 0.2)))
+DENSITY = 0.3
+SPREAD = 0.3  # standard deviation of log alpha and of log membrane
+MEMBRANE, NAME = 8, "the captures"
 
 
-def strip(alpha: float, deviation: float) -> StripPosterior:
-    """The posterior of strips that determine alpha, N·m, alone."""
-    prior = np.diag([0.0, RATIO_PRIOR[1] ** -2, CURL_PRIOR**-2])
-    return StripPosterior(np.array([np.log(alpha), RATIO_PRIOR[0], 0.0]),
-                          np.linalg.inv(prior + np.diag([deviation**-2, 0, 0])), 1.0)
+@pytest.fixture(scope="module")
+def header():
+    return read_header()
+
+
+def states(count: int = 10_000) -> np.ndarray:
+    """Normal posterior of captures: alpha 60 µN·m; warp and weft are correlated, and curl with the
+    warp."""
+    white = np.random.default_rng(0).standard_normal((count, 10))
+    log_alpha = np.log(60 * MICRO) + SPREAD * np.column_stack([
+        white[:, 0], 0.6 * white[:, 0] + 0.8 * white[:, 1], 0.8 * white[:, 0] + 0.6 * white[:, 2]])
+    return np.column_stack([
+        log_alpha, 1e-4 * white[:, 3:6], 3 * (0.5 * white[:, 0] + white[:, 6]), 3 * white[:, 7],
+        np.log(600) + SPREAD * white[:, 8], 0.2 + 0.02 * white[:, 9]])
+
+
+def strips(direction: str, alpha: float, deviation: float):
+    """Strips that determine alpha, N·m, alone."""
+    return of_strips(direction, Linear(np.array([[1.0, 0, 0]]) / deviation,
+                                       np.array([np.log(alpha) / deviation])), DENSITY)
 
 
 def test_a_strip_moves_what_is_correlated_with_its_direction():
-    before, measured = posterior(), strip(60 * MICRO, SPREAD)
-    after = with_strips(before, {"warp": measured})
-    gap = np.log(60 / 50)
-    mean = after.samples.mean(axis=0) - before.samples.mean(axis=0)
+    before, gap = states(), np.log(80 / 60)
+    after = updated(before, [strips("warp", 80 * MICRO, SPREAD)])
+    moved = after.mean(axis=0) - before.mean(axis=0)
     # Both have the same deviation: halfway, and narrower by the root of 2.
-    assert mean[:3] == pytest.approx([gap / 2, 0.6 * gap / 2, 0.8 * gap / 2], abs=0.004)
-    assert after.samples[:, 0].std() == pytest.approx(SPREAD / np.sqrt(2), rel=0.02)
-    assert after.cloth.curl[:, 0].mean() == pytest.approx(1.5 * gap / 2 / SPREAD, abs=0.05)
-    assert np.corrcoef(after.samples[:, 1], before.samples[:, 1])[0, 1] > 0.98
-    exact = with_strips(before, {"warp": strip(60 * MICRO, 1e-3)})
-    assert np.median(exact.moduli()[0][:, 0]) == pytest.approx(60 * MICRO, rel=2e-3)
+    assert moved[:3] == pytest.approx([gap / 2, 0.6 * gap / 2, 0.8 * gap / 2], abs=0.004)
+    assert after[:, 0].std() == pytest.approx(SPREAD / np.sqrt(2), rel=0.02)
+    assert moved[6] == pytest.approx(1.5 * gap / 2 / SPREAD, abs=0.05)
 
 
-def test_strips_alone_leave_the_other_directions_to_the_prior():
-    spread = np.array([0.9] * 3 + [1.4e-3] * 3)
-    before = prior_estimate(DENSITY, spread)
-    after = with_strips(before, {"weft": strip(40 * MICRO, 0.02)})
-    assert after.density == DENSITY and after.constraint[2] == pytest.approx(0.02 / 0.9, rel=0.2)
-    assert 0.2 < after.constraint[0] < before.constraint[0]
+def test_a_value_of_a_tester_is_a_normal_logarithm():
+    known = Known(membrane_n_per_m=900.0, error_percent={"membrane_n_per_m": 100 * SPREAD})
+    after = updated(states(), of_values(known, DENSITY))
+    assert after[:, MEMBRANE].mean() == pytest.approx(np.log(np.sqrt(600 * 900)), abs=0.01)
+    assert after[:, MEMBRANE].std() == pytest.approx(SPREAD / np.sqrt(2), rel=0.03)
+    assert after[:, :3].mean(axis=0) == pytest.approx(states()[:, :3].mean(axis=0), abs=0.01)
 
 
-def test_contradictions_and_directions_that_are_not_known():
-    before = posterior()
-    assert not contradicting_strips(before, {"warp": strip(60 * MICRO, 0.02)})
-    line, = contradicting_strips(before, {"warp": strip(52 * MICRO, 0.02),
-                                          "weft": strip(200 * MICRO, 0.02)})
-    assert "along the weft contradict" in line and "200 against 50 µN·m" in line
+@pytest.mark.parametrize(("name", "error"), [("bending_length_mm", 0.15),
+                                             ("flexural_rigidity_uN_m", 0.15),
+                                             ("kes_b_gf_cm2_per_cm", 0.10)])
+def test_values_equal_importance_weights(name, error):
+    """Of a linear law a bending length goes with the cube root of alpha (Peirce): its error of 5 %
+    is one of 15 % of alpha."""
+    before, true = states(), np.log(70 * MICRO)
+    exact = before[:1].copy()
+    exact[0, :6] = [true] * 3 + [0.0] * 3
+    value = float(QUANTITIES[name].predict(cloth_of_state(exact), DENSITY)[0, 2])
+    known = Known(**{name: ByDirection(weft=value)})
+    after = updated(before, of_values(known, DENSITY))
+    gap = of_values(known, DENSITY)[0].residuals(before)[:, 0]
+    weights = np.exp(-0.5 * np.nan_to_num(gap, nan=np.inf) ** 2)
+    mean = weights @ before[:, 2] / weights.sum()
+    assert after[:, 2].mean() == pytest.approx(mean, abs=0.01)
+    share = SPREAD**2 / (SPREAD**2 + error**2)
+    assert after[:, 2].mean() == pytest.approx(
+        np.log(60 * MICRO) + share * (true - np.log(60 * MICRO)), abs=0.02)
+
+
+def lengths(warp: float, weft: float) -> Known:
+    """Bending lengths of linear cloth with these alphas, µN·m."""
+    warp, weft = (1e3 * float(bending_length(np.array(a * MICRO), np.array(0.0), DENSITY))
+                  for a in (warp, weft))
+    return Known(bending_length_mm=ByDirection(warp=warp, weft=weft))
+
+
+WRONG = {
+    "KES B in another unit": Known(kes_b_gf_cm2_per_cm=ByDirection(warp=6.0, weft=6.0)),
+    "KES B ten times": Known(kes_b_gf_cm2_per_cm=ByDirection(bias=6.2)),
+    "KES B a tenth": Known(kes_b_gf_cm2_per_cm=ByDirection(weft=0.06)),
+    "2HB in N": Known(kes_2hb_gf_cm_per_cm=ByDirection(warp=900.0)),
+    "bending length in cm": Known(bending_length_mm=ByDirection(warp=2.7)),
+    "overhang as bending length": Known(bending_length_mm=ByDirection(warp=55.0)),
+    "of another fabric, softer": lengths(12, 12),
+    "of another fabric, stiffer": lengths(300, 300),
+    "rigidity in mg cm": Known(flexural_rigidity_uN_m=ByDirection(warp=600.0)),
+    "rigidity a third": Known(flexural_rigidity_uN_m=ByDirection(weft=15.0)),
+    "membrane of the yarn": Known(membrane_n_per_m=9000.0),
+    "membrane in N/mm": Known(membrane_n_per_m=6.0),
+    "hysteresis in per cent": Known(hysteresis_share=0.9),
+    "supplier's B in nN·m": Known(bending_stiffness_uN_m=60000.0),
+    "supplier's B of another cloth": Known(bending_stiffness_uN_m=8.0),
+    "two right, one wrong": Known(membrane_n_per_m=610.0, hysteresis_share=0.2,
+                                  kes_b_gf_cm2_per_cm=ByDirection(warp=0.06)),
+}
+STRIPS = {
+    "of another fabric": [strips("warp", 200 * MICRO, 0.05)],
+    "of warp and weft, exchanged": [strips("warp", 180 * MICRO, 0.05),
+                                    strips("weft", 20 * MICRO, 0.05)],
+    "bias too soft": [strips("bias", 15 * MICRO, 0.05), strips("warp", 62 * MICRO, 0.05)],
+    "density in other units": [strips(name, 2 * MICRO, 0.05) for name in DIRECTIONS],
+}
+
+
+@pytest.mark.parametrize("sources", [*(of_values(known, DENSITY) for known in WRONG.values()),
+                                     *STRIPS.values()], ids=[*WRONG, *STRIPS])
+def test_what_contradicts_the_captures_is_named_and_left_out(sources):
+    before = states()
+    found = combine(before, sources, NAME)
+    assert found.contradictions and all(NAME in line and "left out" in line and "\n" not in line
+                                        for line in found.contradictions)
+    kept = [source for source in sources if not any(
+        line.startswith(source.label) for line in found.contradictions)]
+    assert (found.states == updated(before, kept)).all()
+    assert len(found.states) > 0.9 * len(before)
+    if not kept:
+        assert (found.states == before).all(), "nothing is narrower"
+
+
+def test_right_values_are_used_and_repeats_rarely_contradict():
+    rng, alarms, before = np.random.default_rng(1), 0, states(2000)
+    for _ in range(100):
+        true = before[rng.integers(len(before))]
+        exact = cloth_of_state(true[None])
+        known = Known(**{name: (ByDirection(**dict(zip(DIRECTIONS, values.tolist(), strict=True)))
+                                if len(values) > 1 else float(values[0]))
+                         for name, quantity in QUANTITIES.items()
+                         if name in ("bending_length_mm", "membrane_n_per_m", "hysteresis_share")
+                         for values in [quantity.predict(exact, DENSITY)[0] * np.exp(
+                             quantity.error * rng.standard_normal(quantity.directions))]})
+        alarms += bool(combine(before, of_values(known, DENSITY), NAME).contradictions)
+    assert alarms <= 6  # 1 to 2 expected of 100
+
+
+def test_values_that_contradict_each_other_and_not_the_captures():
+    wide = np.array(states(4000))
+    wide[:, :3] += 3 * (wide[:, :3] - wide[:, :3].mean(axis=0))
+    known = Known(bending_length_mm=lengths(60, 60).bending_length_mm,
+                  flexural_rigidity_uN_m=ByDirection(warp=62.0, weft=220.0))
+    line, = combine(wide, of_values(known, DENSITY), NAME).contradictions
+    assert "weft" in line
+
+
+def test_no_number_of_sources_leaves_few_samples():
+    before = states(4000)
+    known = Known(membrane_n_per_m=700.0, error_percent={"membrane_n_per_m": 0.1})
+    after = updated(before, [*of_values(known, DENSITY), strips("warp", 75 * MICRO, 1e-3)])
+    assert len(after) == len(before) and len(np.unique(after[:, 2])) == len(before)
+    impossible = [strips(name, alpha * MICRO, 1e-3)
+                  for name, alpha in zip(DIRECTIONS, (400, 30, 2), strict=True)]
+    with pytest.raises(InputError, match="hardly any plate"):
+        updated(before, impossible)
+
+
+def test_refined_captures_count_the_prior_once(header):
+    prior = Normal.of(state_of(fabric_prior(header)))
+    seen = Linear(np.diag([5.0] * 3 + [300] * 3 + [0.3] * 2 + [2]), np.zeros(9))
+    part = prior.only(range(9))
+    seen = Linear(seen.rows, seen.rows @ (part.mean + np.array([0.4, 0.3, 0.5, 0, 0, 0, 2, 0,
+                                                                0.1])))
+    source = of_refined("a", part.updated(seen), prior, DIRECTIONS)
+    before = prior.samples(4000)
+    expected = part.updated(Linear.stacked([seen] * 2))
+    twice = Normal.of(updated(before, [source] * 2))
+    deviation = np.sqrt(np.diag(expected.covariance))
+    assert np.abs((twice.mean[:9] - expected.mean) / deviation).max() < 0.3
+    assert np.diag(twice.covariance)[:9] == pytest.approx(np.diag(expected.covariance), rel=0.3)
+
+
+def test_strips_alone_leave_the_other_directions_to_the_prior(header):
+    density = 0.21
+    prior = prior_along(fabric_prior(header), density)["weft"]
+    measured = Linear(np.array([[1 / 0.02, 0, 0]]), np.array([np.log(40 * MICRO) / 0.02]))
+    found = fabric_estimate([], [StripsMeasured(density, {"weft": measured})], density, header)
+    assert np.median(found.moduli()[0][:, 2]) == pytest.approx(40 * MICRO, rel=0.01)
+    assert prior.mean[0] != pytest.approx(np.log(40 * MICRO), abs=0.1)
+    assert found.constraint[2] < 0.05 < 0.2 < found.constraint[0] < 1
     with pytest.raises(InputError, match="warp_direction_deg"):
-        with_strips(replace(before, names=STIFF_SOFT), {"warp": strip(60 * MICRO, 0.02)})
+        require_directions(False, True, [])
+    with pytest.raises(InputError, match="known values along the yarns"):
+        require_directions(False, False, [lengths(60, 60)])
+    require_directions(False, False, [Known(membrane_n_per_m=600.0)])
 
 
-def test_refined_captures_count_the_prior_once():
-    spread = np.array([0.9] * 3 + [1.4e-3] * 3)
-    prior = Normal.of(state_of(prior_estimate(DENSITY, spread).cloth))
-    known, seen = np.linalg.inv(prior.covariance), np.diag([25.0] * 3 + [1e5] * 3 + [0.1] * 2 + [4])
-    measured = prior.mean + np.array([0.4, 0.3, 0.5, 0, 0, 0, 2, 0, 0.1])
-    once = Normal(*_product(known, prior.mean, seen, measured))
-    base = prior_estimate(DENSITY, spread)
-    alone = Normal.of(state_of(with_refined(base, [once]).cloth))
-    twice = Normal.of(state_of(with_refined(base, [once, once]).cloth))
-    # Samples that no plate can have are removed, which moves the others a little.
-    deviation = np.sqrt(np.diag(once.covariance))
-    assert np.abs(alone.mean - once.mean).max() < 0.2 * deviation.max()
-    expected = _product(known, prior.mean, 2 * seen, measured)
-    assert np.abs((twice.mean - expected[0]) / deviation).max() < 0.3
-    assert np.diag(twice.covariance) == pytest.approx(np.diag(expected[1]), rel=0.3)
+ERROR, PRIOR = 0.15, Normal(np.zeros(10), np.diag([0.9] * 3 + [1.0] * 7) ** 2)
 
 
-def _product(
-    precision: np.ndarray, mean: np.ndarray, other: np.ndarray, at: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and covariance of the product of two normal densities."""
-    covariance = np.linalg.inv(precision + other)
-    return covariance @ (precision @ mean + other @ at), covariance
+class Captures:
+    """Normal posteriors of captures of one fabric, each with an observed value of log alpha."""
+
+    def __init__(self, seen: np.ndarray) -> None:
+        self.seen = seen
+        self.draws = np.random.default_rng(0).normal(size=(400, 10))
+
+    def of(self, numbers: list[int]) -> np.ndarray:
+        variance = 1 / (1 / 0.9**2 + len(numbers) / ERROR**2)
+        mean = variance * self.seen[numbers].sum(axis=0) / ERROR**2
+        samples = self.draws.copy()
+        samples[:, :3] = mean + np.sqrt(variance) * self.draws[:, :3]
+        return samples
+
+    def lines(self, labels: str) -> list[str]:
+        sources = [of_capture(label, self.of([k]), PRIOR, DIRECTIONS)
+                   for k, label in enumerate(labels)]
+        return consistent(sources, lambda left: Normal.of(self.of(
+            [labels.index(source.label) for source in left])))[1]
+
+
+def test_captures_of_another_fabric_are_named_and_no_other():
+    same, other = np.zeros(3), np.full(3, 1.2)
+    line, = Captures(np.array([same, same, other])).lines("ABC")
+    assert line.startswith("C contradicts the other 2 captures: alpha ")
+    line, = Captures(np.array([same, other])).lines("AB")
+    assert "contradicts" in line
+    assert {text[0] for text in Captures(np.array([same, other, same, other, same])).lines(
+        "ABCDE")} == {"B", "D"}
+
+
+def test_repeats_contradict_each_other_as_rarely_as_is_stated():
+    rng, alarms = np.random.default_rng(3), {2: 0, 4: 0}
+    for count in alarms:
+        for _ in range(200):
+            fabric = 0.9 * rng.normal(size=3)
+            errors = np.hypot(ERROR, SPECIMEN_SCATTER) * rng.normal(size=(count, 3))
+            alarms[count] += bool(Captures(fabric + errors).lines("ABCD"[:count]))
+    assert all(share <= 7 for share in alarms.values())  # 2 expected of 200

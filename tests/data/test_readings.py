@@ -4,16 +4,15 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from data.strips.posterior import INCLINE
-from drapenet.result.readings import (
-    GF_CM,
-    KES_CURVATURES,
+from data.readings.cantilever import (
     MG_CM,
     SOFTENING,
     bending_length,
-    kes,
+    flexural_rigidity,
     strip_lengths,
 )
+from data.readings.kes import GF_CM, KES_CURVATURES, kes
+from data.strips.posterior import INCLINE
 from sim.cantilever import hang
 from sim.cantilever.elastica import MAX_GAMMA, aspect_ratio, elastica, heavy_elastica
 from sim.energies import bending_law
@@ -25,6 +24,7 @@ def test_a_linear_fabric_reads_its_own_rigidity_within_peirce_s_approximation():
     alpha = np.array([5.0, 30.0, 200.0]) * MICRO
     length = bending_length(alpha, 0 * alpha, 0.2)
     assert 0.2 * GRAVITY * length**3 == pytest.approx(alpha, rel=2e-3)
+    assert flexural_rigidity(alpha, 0 * alpha, 0.2) == pytest.approx(alpha, rel=2e-3)
     # Peirce's c = L (cos(theta/2) / (8 tan theta))^(1/3) approximates L/2 at 41.5 degrees.
     peirce = np.cbrt(np.cos(INCLINE / 2) / (8 * np.tan(INCLINE)))
     assert 2 * peirce * length == pytest.approx(np.cbrt(alpha / (0.2 * GRAVITY)), rel=0.02)

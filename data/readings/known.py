@@ -1,0 +1,63 @@
+"""What a laboratory knows already of a fabric: the key ``known`` of ``capture.yaml`` and
+``strips.yaml``, with the keys of :data:`data.readings.QUANTITIES`."""
+
+from typing import Annotated, Any
+
+from pydantic import Field, create_model, field_validator
+
+from common.documents import Schema
+from data.readings import QUANTITIES
+from data.readings.quantity import Quantity
+from sim.material import DIRECTIONS
+
+_Positive = Annotated[float, Field(gt=0)]
+
+
+class ByDirection(Schema):
+    """Values along warp, bias and weft."""
+
+    warp: _Positive | None = None
+    bias: _Positive | None = None
+    weft: _Positive | None = None
+
+
+class _Stated(Schema):
+    """At the fabric's density."""
+
+    remedy = ("known has values such as bending_length_mm: {warp: 22, weft: 18} or "
+              "membrane_n_per_m: 600, and error_percent")
+    error_percent: dict[str, Annotated[float, Field(gt=0, le=100)]] = Field(default_factory=dict)
+
+    @field_validator("error_percent")
+    @classmethod
+    def _of_quantities(cls, errors: dict[str, float]) -> dict[str, float]:
+        for name in errors:
+            if name not in QUANTITIES:
+                raise ValueError(f"has no quantity {name}; it has {', '.join(QUANTITIES)}")
+        return errors
+
+    def values(self) -> dict[tuple[str, int], float]:
+        """Values by quantity and direction, 0 for those without one."""
+        found: dict[tuple[str, int], float] = {}
+        for name in QUANTITIES:
+            stated = getattr(self, name)
+            if isinstance(stated, ByDirection):
+                found |= {(name, k): value for k, direction in enumerate(DIRECTIONS)
+                          if (value := getattr(stated, direction)) is not None}
+            elif stated is not None:
+                found[name, 0] = stated
+        return found
+
+    def error(self, name: str) -> float:
+        """Relative standard deviation of a quantity."""
+        return self.error_percent.get(name, 100 * QUANTITIES[name].error) / 100
+
+
+def _field(quantity: Quantity) -> tuple[Any, Any]:
+    """Pydantic's type and default of a quantity."""
+    return (ByDirection | None if quantity.directions > 1 else _Positive | None), None
+
+
+Known = create_model("Known", __base__=_Stated,
+                     **{name: _field(each) for name, each in QUANTITIES.items()})
+"""Content of the key ``known``."""

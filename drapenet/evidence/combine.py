@@ -1,0 +1,157 @@
+"""Samples of a posterior from samples of a prior and any number of sources.
+
+The prior's samples are moved by the affine map that takes the normal distribution of their mean and
+covariance to its product with the sources' likelihoods, each linearised by regression over the
+posterior's samples; what the regression leaves is added to the errors (iterated posterior
+linearisation, García-Fernández et al. 2015). No source, however accurate or wrong, leaves fewer
+samples.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from common.errors import InputError
+from common.normal import Linear, Normal
+from drapenet.evidence.source import CAPTURES, STRIPS, VALUES, Source
+from drapenet.evidence.state import possible
+
+LEVEL = 0.01  # probability that sources of one fabric are said to contradict each other
+MIN_SAMPLES = 400  # that a plate can have; fewer make quantiles uncertain
+_ROUNDS = 4  # of linearisation
+_TESTED = 1000  # samples of the others' posterior, over which a tested source is linearised
+_NAMES = {CAPTURES: "captures", STRIPS: "strips", VALUES: "known values"}
+
+
+@dataclass(frozen=True)
+class Combined:
+    """A posterior: states (S, 10), and a line for each source that is left out of it."""
+
+    states: np.ndarray
+    contradictions: tuple[str, ...] = ()
+
+
+def combine(prior: np.ndarray, sources: Sequence[Source], prior_name: str = "") -> Combined:
+    """The posterior of prior states (S, 10) and ``sources``, without those that contradict it.
+
+    A source of a kind is tested against the prior and all sources of more trusted kinds, then
+    against the others of its own kind.
+
+    Args:
+        prior_name: of what the prior's samples come from; '': fabrics in general.
+    """
+    kept: list[Source] = []
+    lines: list[str] = []
+    for kind in sorted({source.kind for source in sources}):
+        own = [source for source in sources if source.kind == kind]
+        rivals = filter(None, [prior_name, *dict.fromkeys(_NAMES[one.kind] for one in kept)])
+        states = updated(prior, kept)
+        base = Normal.of(states)
+        # Whatever contradicts the more trusted sources goes first, all at once.
+        wrong = [source for source in own if probability(source, base) < LEVEL / len(own)]
+        rival = " and ".join(rivals) or "fabrics in general"
+        lines += [_line(source, rival, base) for source in wrong]
+        sound = [source for source in own if source not in wrong]
+        told = {id(source): _evidence(source, states) for source in sound}
+
+        def others(left: Sequence[Source], base: Normal = base,
+                   told: Mapping[int, Linear] = told) -> Normal:
+            return base.updated(Linear.stacked([told[id(source)] for source in left]))
+
+        sound, found = consistent(sound, others)
+        kept += sound
+        lines += found
+    return Combined(updated(prior, kept), tuple(lines))
+
+
+def consistent(
+    sources: Sequence[Source], others: Callable[[Sequence[Source]], Normal]
+) -> tuple[list[Source], list[str]]:
+    """The sources that agree with each other, and a line for each of the rest.
+
+    The least probable source is removed, and the test repeated with the remaining ones.
+
+    Args:
+        others: the posterior of some sources.
+    """
+    left, lines = list(sources), []
+    while len(left) > 1:
+        limit = LEVEL / (len(left) if len(left) > 2 else 1)  # Bonferroni
+        rest = [others([one for one in left if one is not source]) for source in left]
+        found = [probability(source, other) for source, other in zip(left, rest, strict=True)]
+        k = len(left) - 1 - int(np.argmin(found[::-1]))  # of equals the last
+        if found[k] >= limit:
+            break
+        worst = left.pop(k)
+        rival = left[0].label if len(left) == 1 else f"the other {len(left)} {_NAMES[worst.kind]}"
+        lines.append(_line(worst, rival, rest[k]))
+    return left, lines
+
+
+def probability(source: Source, cloth: Normal) -> float:
+    """Probability of a source as far from a cloth, whose state other sources tell, as this one, or
+    farther; 0 if the cloth cannot give what it measured."""
+    linearised = _linearised(source, cloth.samples(_TESTED))
+    if linearised is None:
+        return 0.0
+    rows, offset, left = linearised
+    total = np.eye(len(rows)) + left + rows @ cloth.covariance @ rows.T
+    gap = offset + rows @ cloth.mean
+    return float(chi2.sf(gap @ np.linalg.solve(total, gap), len(rows)))
+
+
+def updated(prior: np.ndarray, sources: Sequence[Source]) -> np.ndarray:
+    """States of the posterior of prior states (S, 10) and all ``sources``, possible plates only.
+
+    InputError if no plate is possible.
+    """
+    if not sources:
+        return prior
+    before, states = Normal.of(prior), prior
+    factor = np.linalg.cholesky(before.covariance)
+    for _ in range(_ROUNDS):
+        evidence = Linear.stacked([_evidence(source, states) for source in sources])
+        after = before.updated(evidence)
+        scale = np.linalg.cholesky(after.covariance) @ np.linalg.inv(factor)
+        states = after.mean + (prior - before.mean) @ scale.T
+    kept = possible(states)
+    if kept.sum() < min(MIN_SAMPLES, len(prior) // 4):
+        raise InputError("hardly any plate has moduli that agree with everything measured: check "
+                         "directions, lengths, units and the density")
+    return states[kept]
+
+
+def _evidence(source: Source, states: np.ndarray) -> Linear:
+    """A source linearised over states (S, 10); nothing where it cannot be."""
+    linearised = _linearised(source, states)
+    if linearised is None:
+        return Linear(np.zeros((0, states.shape[1])), np.zeros(0))
+    rows, offset, left = linearised
+    root = np.linalg.cholesky(np.eye(len(rows)) + left)
+    return Linear(np.linalg.solve(root, rows), np.linalg.solve(root, -offset))
+
+
+def _linearised(
+    source: Source, states: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Rows (m, 10) and offset (m,) of the residuals' regression on states (S, 10), and the
+    covariance (m, m) that it leaves; None if too few of the states can give what was measured."""
+    residuals = source.residuals(states)
+    usable = np.isfinite(residuals).all(axis=1)
+    if usable.sum() < len(states) / 20 or usable.sum() < 3 * states.shape[1]:
+        return None
+    seen, given = states[usable], residuals[usable]
+    middle, offset = seen.mean(axis=0), given.mean(axis=0)
+    around, apart = seen - middle, given - offset
+    slopes = np.linalg.solve(Normal.of(seen).covariance, around.T @ apart / (len(seen) - 1))
+    left = np.cov((apart - around @ slopes).T)
+    return slopes.T, offset - slopes.T @ middle, np.atleast_2d(left)
+
+
+def _line(source: Source, rival: str, cloth: Normal) -> str:
+    """Sentence that names a source which is left out."""
+    verb = "contradict" if source.kind == STRIPS else "contradicts"
+    return (f"{source.label} {verb} {rival}: {source.against(cloth.samples(_TESTED))}; left out: check fabric, "
+            "direction, side, unit, density and specimen")
