@@ -45,12 +45,13 @@ def run(*words: str | Path, cwd: Path) -> str:
     done = subprocess.run(words, cwd=cwd, env=ENVIRONMENT, text=True, stdout=subprocess.PIPE,
                           stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL)
     if done.returncode:
-        raise TrialError(f"{done.stdout}\nexit code {done.returncode}: {' '.join(map(str, words[:8]))}")
+        command = " ".join(map(str, words[:8]))
+        raise TrialError(f"{done.stdout}\nexit code {done.returncode}: {command}")
     return done.stdout
 
 
 def built_wheel(folder: Path) -> tuple[Path, Path]:
-    """The tree of git's index and its wheel, both in ``folder``; TrialError unless it has all files."""
+    """The tree of git's index and its wheel, in ``folder``; TrialError unless it has all files."""
     source = folder / "source"
     run("git", "checkout-index", "--all", f"--prefix={source}/", cwd=ROOT)
     expected = files_of(source)  # before files of the build are added
@@ -71,8 +72,9 @@ def require_files(wheel: Path, expected: set[str]) -> None:
     """TrialError unless the files of a wheel are those ``expected`` and its description."""
     found = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
     if expected != found:
-        raise TrialError(f"the wheel lacks {sorted(expected - found)} and has {sorted(found - expected)}"
-                    " in addition; see [tool.setuptools] in pyproject.toml")
+        raise TrialError(f"the wheel lacks {sorted(expected - found)} and has "
+                         f"{sorted(found - expected)} in addition; see [tool.setuptools] in "
+                         "pyproject.toml")
 
 
 def modules(wheel: Path) -> list[str]:
@@ -95,7 +97,7 @@ def borrowing(environment: Path, wheel: Path) -> Path:
 
 
 def trial(scripts: Path, captures: Path, folder: Path) -> Iterator[str]:
-    """Use the installed ``scripts`` in a new ``folder``; yield the name of each use, or TrialError."""
+    """Use the installed ``scripts`` in a new ``folder``; yield the name of each use."""
     folder.mkdir()
     run(scripts / "drapenet-sim", "alpha=60,40,30", "edge_mm=12", "out=drape", cwd=folder)
     if (status := _content(folder / "drape" / "drape.json")["status"]) != "converged":
@@ -120,7 +122,7 @@ def require_whole(
     if missing := [*(part for part in parts if not estimate.get(part)),
                    *(name for name in REPORT if name not in files)]:
         raise TrialError(f"the estimate lacks {', '.join(missing)}; its warnings: "
-                    f"{estimate['warnings'] or 'none'}")
+                         f"{estimate['warnings'] or 'none'}")
 
 
 def serve(scripts: Path, capture: Path, folder: Path) -> None:
