@@ -146,13 +146,12 @@ def serve(scripts: Path, capture: Path, folder: Path) -> None:
 
 def upload(process: subprocess.Popen, log: Path, capture: Path) -> None:
     """Upload a capture to a service that starts, and wait for its result."""
-    client, deadline = httpx.Client(timeout=30), time.monotonic() + SECONDS
-    while not (printed := re.search(r"http://\S+", log.read_text())) or not _answers(
-            client, printed[0]):
+    deadline = time.monotonic() + SECONDS
+    while not (printed := re.search(r"http://\S+", log.read_text())) or not _answers(printed[0]):
         if process.poll() is not None or time.monotonic() > deadline:
             raise TrialError(f"the service does not start:\n{log.read_text()}")
         time.sleep(0.1)
-    client.base_url = printed[0]
+    client = httpx.Client(base_url=printed[0], timeout=30)
     files = [("files", (file.name, file.read_bytes())) for file in sorted(capture.iterdir())
              if file.name in ("capture.yaml", "outline.png")]
     begun = client.post("/estimates", files=files).raise_for_status().json()
@@ -169,9 +168,9 @@ def upload(process: subprocess.Popen, log: Path, capture: Path) -> None:
         client.get(address).raise_for_status()
 
 
-def _answers(client: httpx.Client, address: str) -> bool:
+def _answers(address: str) -> bool:
     try:
-        return client.get(address).is_success
+        return httpx.get(address).is_success
     except httpx.TransportError:
         return False
 

@@ -11,8 +11,8 @@ from pathlib import Path
 from sqlite3 import Error as SQLError
 from tempfile import TemporaryDirectory
 
-from starlette.concurrency import iterate_in_threadpool, run_in_threadpool
-from starlette.responses import StreamingResponse
+from starlette.concurrency import run_in_threadpool
+from starlette.responses import Response, StreamingResponse
 from starlette.types import Receive, Scope, Send
 
 from common.errors import one_line
@@ -24,7 +24,7 @@ _LOG = logging.getLogger(__name__)
 _PART = 1 << 20  # bytes
 
 
-class Archive(StreamingResponse):
+class Archive(Response):
     """A zip of the folder ``results``, without a limit of size or duration.
 
     Args:
@@ -32,11 +32,8 @@ class Archive(StreamingResponse):
         seconds: for which a client may take nothing before it counts as gone.
     """
 
-    media_type = "application/zip"
-
     def __init__(self, results: Path, place: AbstractContextManager, seconds: float) -> None:
-        super().__init__((), headers={"Content-Disposition": 'attachment; filename="fabrics.zip"',
-                                      "Cache-Control": "no-store"})
+        super().__init__()
         self._parts, self._place, self._seconds = archive(results), place, seconds
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -50,9 +47,12 @@ class Archive(StreamingResponse):
                 _LOG.error("the database cannot be copied: %s", one_line(error))
                 raise RequestError(507, "the database cannot be copied; say so to whoever runs "
                                    "this service, whose log states the reason") from None
-            self.body_iterator = iterate_in_threadpool(chain([first], self._parts))
+            response = StreamingResponse(
+                chain([first], self._parts), media_type="application/zip",
+                headers={"Content-Disposition": 'attachment; filename="fabrics.zip"',
+                         "Cache-Control": "no-store"})
             with suppress(asyncio.TimeoutError):
-                await super().__call__(scope, receive, sent)
+                await response(scope, receive, sent)
 
 
 def archive(results: Path) -> Iterator[bytes]:
