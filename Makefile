@@ -10,7 +10,7 @@ CAPTURE ?= examples/captures/twill
 PHOTOGRAPH ?= examples/captures/twill_photograph
 PACKAGES := apps common configs data drapenet examples experiments sim tests tools
 
-.PHONY: help setup demo test test-rounding test-slow test-slurm test-browser campaign serve lint sim prior dataset train evaluate bench-sim bench docs reference studies example validate matrix clean
+.PHONY: help setup demo test test-rounding test-wheel test-slow test-slurm test-browser campaign serve lint sim prior dataset train evaluate bench-sim bench docs reference studies example validate matrix clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
@@ -37,6 +37,9 @@ test: $(STAMP)  ## fast tests, 4 minutes on two cores
 test-rounding: $(STAMP)  ## tests of drapes, captures and estimates with the rounding of an old processor, 4 minutes
 	$(BIN)/python tools/other_processor.py $(BIN)/python -m pytest -q -n logical --maxprocesses 8 \
 	  --dist worksteal tests/sim tests/data tests/drapenet
+
+test-wheel: $(STAMP)  ## build the wheel and use it without the checkout, 2 minutes
+	$(BIN)/python tools/wheel_trial.py
 
 test-slow: $(STAMP)  ## tests that take minutes
 	$(BIN)/python -m pytest -q -m slow

@@ -1,6 +1,7 @@
 """Serve the estimator: a web page and an HTTP interface.
 
     python serve.py [port=8000] [results=DIR] [workers=N] [queue=N] [checkpoint=FILE]
+    DRAPENET_PASSWORD=... python serve.py host=0.0.0.0     for other machines
 
 Open http://localhost:8000 and drop a capture; ``/docs`` describes the interface. Limits are in
 ``configs/serve.yaml``. Finished results stay in ``results`` when the service is started again.

@@ -127,7 +127,9 @@ class ExportConfig:
 class ServeConfig:
     """``configs/serve.yaml``, and derived sizes in bytes and pixels and times in seconds."""
 
-    host: str
+    host: Annotated[str, Field(min_length=1)]
+    password: str
+    open: bool
     port: Annotated[int, Field(ge=0, le=65535)]
     names: str
     results: str

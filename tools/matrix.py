@@ -3,9 +3,9 @@
     python tools/matrix.py [PYTHON ...]  # names or paths of interpreters, else python3.10 to 3.13
 
 For each interpreter, an environment is created with the wheel and its pinned dependencies; then
-every module is imported, every command is run with --help, the bundled capture is estimated, and
-fast tests are run, all outside the source tree. An environment takes 9 GB and is deleted before the
-next is created. Missing interpreters are listed as absent. The wheel is built from git's index.
+every module is imported, every command is run with --help, the wheel is used as in wheel_trial.py,
+and fast tests are run, all outside the source tree. An environment takes 9 GB and is deleted before
+the next is created. Missing interpreters are listed as absent.
 """
 
 import os
@@ -14,26 +14,17 @@ import subprocess
 import sys
 import tempfile
 import time
-import zipfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
+from wheel_trial import IMPORT, TrialError, built_wheel, modules, run, trial
+
 PYTHONS = [f"python3.{minor}" for minor in range(10, 14)]
 TESTS = ["apps/test_cantilever_command.py", "common/test_documents.py", "common/test_files.py",
          "data/test_bad_captures.py", "data/test_cameras.py", "data/test_captures.py",
          "data/test_fabrics.py", "data/test_prior.py", "drapenet/test_checkpoint.py",
          "drapenet/test_posterior.py", "sim/test_energies.py", "sim/test_material.py",
          "sim/test_newton.py"]
-IMPORT = """import importlib, sys
-for name in sys.argv[1:]:
-    assert "site-packages" in (importlib.import_module(name).__file__), name"""
-
-
-def run(*words: str | Path, cwd: Path) -> str:
-    """Run a command; its output, or CalledProcessError if it fails."""
-    return subprocess.run(words, cwd=cwd, check=True, text=True, stdout=subprocess.PIPE,
-                          stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL).stdout
 
 
 def steps(python: Path, wheel: Path, source: Path, place: Path) -> Iterator[tuple[str, str]]:
@@ -48,15 +39,11 @@ def steps(python: Path, wheel: Path, source: Path, place: Path) -> Iterator[tupl
     yield done("environment", python, "-m", "venv", environment)
     yield done("wheel", own, "-m", "pip", "install", "-qq", "--constraint",
                source / "constraints.txt", wheel, "pytest", "hypothesis", "httpx")
-    with zipfile.ZipFile(wheel) as content:
-        names = [Path(name).with_suffix("").parts for name in content.namelist()
-                 if name.endswith(".py")]
-    modules = [".".join(name[:-1] if name[-1] == "__init__" else name) for name in names]
-    yield done(f"{len(modules)} modules", own, "-I", "-c", IMPORT, *modules)
+    yield done("modules", own, "-I", "-c", IMPORT, *modules(wheel))
     for script in sorted(scripts.glob("drapenet-*")):
         yield done(f"{script.name} --help", script, "--help")
-    yield done("demo", scripts / "drapenet-infer", "out=demo",
-               f"capture={source / 'examples' / 'captures' / 'twill'}")
+    for step in trial(scripts, source / "examples" / "captures", place / "trial"):
+        yield step, ""
     for folder in ("tests", "examples"):
         shutil.copytree(source / folder, elsewhere / folder)
     yield done("tests", own, "-m", "pytest", "-q", "-W", "ignore", "-m",
@@ -82,8 +69,8 @@ def outcome(name: str, wheel: Path, source: Path, place: Path) -> str:
         for step, said in steps(python, wheel, source, place):
             print(f"  {time.monotonic() - start:5.0f} s  {step}"
                   + (f": {said}" if step == "tests" else ""), flush=True)
-    except subprocess.CalledProcessError as error:
-        print(error.output, f"failed: {' '.join(map(str, error.cmd[:8]))}", sep="\n", flush=True)
+    except TrialError as error:
+        print(error, flush=True)
         return "FAILED"
     finally:
         shutil.rmtree(place, ignore_errors=True)
@@ -93,11 +80,7 @@ def outcome(name: str, wheel: Path, source: Path, place: Path) -> str:
 def main(pythons: Sequence[str]) -> int:
     """Print the outcome for each of ``pythons``; 1 if one failed or all are absent."""
     with tempfile.TemporaryDirectory() as folder:
-        source = Path(folder) / "source"
-        run("git", "checkout-index", "--all", f"--prefix={source}/", cwd=ROOT)
-        run(sys.executable, "-m", "pip", "wheel", "--no-deps", "-q", "-w", folder, source,
-            cwd=ROOT)
-        (wheel,) = Path(folder).glob("*.whl")
+        source, wheel = built_wheel(Path(folder))
         found = {python: outcome(python, wheel, source, Path(folder) / f"on_{number}")
                  for number, python in enumerate(pythons)}
     print("\n".join(f"{python}: {word}" for python, word in found.items()))

@@ -12,7 +12,7 @@ import uvicorn
 from fastapi import APIRouter, FastAPI, Query, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.middleware.trustedhost import TrustedHostMiddleware
-from fastapi.responses import FileResponse, JSONResponse, Response, StreamingResponse
+from fastapi.responses import FileResponse, JSONResponse, Response
 from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
@@ -25,8 +25,10 @@ from drapenet.export.formats import TARGETS
 from drapenet.network.checkpoint import read_header
 from drapenet.report.pages import render
 from drapenet.result.files import ESTIMATE, SHOWN
-from drapenet.service.database import DONE, new_identity
-from drapenet.service.exports import archive, export_file
+from drapenet.service.access import CHALLENGE, is_admitted, require_decision
+from drapenet.service.archive import Archive
+from drapenet.service.database import DONE
+from drapenet.service.exports import export_file
 from drapenet.service.jobs import Jobs
 from drapenet.service.limits import RequestError, drain, length_fault, read_form
 from drapenet.service.pages import POLICY, add_pages
@@ -47,12 +49,14 @@ _FORM = {"required": True, "content": {"multipart/form-data": {"schema": {
 _FRESH = {"Cache-Control": "no-store"}
 _MAX_BODY = 1 << 16  # bytes of a JSON body
 router = APIRouter(responses={status: {"description": HTTPStatus(status).phrase}
-                              for status in (404, 408, 409, 411, 413, 415, 422, 429, 503)})
+                              for status in (401, 404, 408, 409, 411, 413, 415, 422, 429, 503)})
 
 
 def serve(settings: ServeConfig) -> None:
     """Serve until interrupted."""
     require_folder(folder_named(settings.results))
+    require_decision(settings)
+    address = f"[{settings.host}]" if ":" in settings.host else settings.host
     read_header(settings.checkpoint)  # workers need it: an InputError here is seen
     server = uvicorn.Server(uvicorn.Config(
         create_app(settings), host=settings.host, port=settings.port, log_level="warning",
@@ -62,10 +66,10 @@ def serve(settings: ServeConfig) -> None:
     try:
         listening = server.config.bind_socket()
     except SystemExit:
-        raise InputError(f"cannot listen at {settings.host}:{settings.port}; choose another port="
-                         ) from None
-    print(f"http://{settings.host}:{listening.getsockname()[1]}   (results in {settings.folder}; "
-          "Ctrl-C ends)", flush=True)
+        raise InputError(f"cannot listen at {address} with port={settings.port}; choose another "
+                         "port=") from None
+    print(f"http://{address}:{listening.getsockname()[1]}   (results in {settings.folder}; Ctrl-C "
+          "ends)", flush=True)
     server.run(sockets=[listening])
 
 
@@ -82,6 +86,7 @@ def create_app(settings: ServeConfig) -> FastAPI:
 
     app = FastAPI(title="DrapeNet", version=version("drapenet"), lifespan=lifespan, docs_url=None,
                   redoc_url=None, description=render("service.md", settings=settings).decode())
+    app.state.password = settings.password
     app.openapi_version = "3.0.3"  # as swagger-ui-bundle's page reads it
     allowed = [settings.host, "localhost", "127.0.0.1", "[::1]", *settings.hosts]
     app.add_middleware(TrustedHostMiddleware,
@@ -178,17 +183,11 @@ def fabrics(request: Request, search: str = Query("", max_length=200),
 
 
 @router.get("/fabrics.zip", response_class=Response)
-def everything(request: Request) -> StreamingResponse:
+def everything(request: Request) -> Archive:
     """All fabrics with their files and database, as a folder of results of another service."""
     jobs: Jobs = request.app.state.jobs
-    file = jobs.settings.folder / f"{new_identity()}.zip"
-    try:
-        jobs.export(request.client.host, archive, jobs.settings.folder, file)
-        stream = file.open("rb")
-    finally:
-        file.unlink(missing_ok=True)  # its content lasts until the stream is closed
-    return StreamingResponse(iter(lambda: stream.read(1 << 20), b""), headers=_FRESH | {
-        "Content-Disposition": "attachment; filename=\"fabrics.zip\""})
+    return Archive(jobs.settings.folder, jobs.exports.taken(request.client.host),
+                   jobs.settings.export_seconds)
 
 
 @router.get("/fabrics/{identity}")
@@ -216,7 +215,12 @@ def remove(kind: Literal["estimates", "fabrics"], identity: str, request: Reques
 async def _guarded(
     request: Request, call_next: Callable[[Request], Awaitable[Response]]
 ) -> Response:
-    """Refuse requests from pages of other sites, and add security headers to responses."""
+    """Refuse requests without the password and from pages of other sites, and add security headers
+    to responses.
+    """
+    if not is_admitted(request, request.app.state.password):
+        await drain(request)
+        return _answer(401, "this service has a password; give it with any user name")
     origin = request.headers.get("origin")
     if request.method not in ("GET", "HEAD") and origin is not None and (
             urlsplit(origin).netloc != request.headers.get("host")):
@@ -230,8 +234,8 @@ async def _guarded(
 
 
 def _answer(status: int, sentence: str) -> JSONResponse:
-    headers = _SECURE | ({"Retry-After": "30"} if status == 429 else {})
-    return JSONResponse({"error": sentence}, status_code=status, headers=headers)
+    headers = {401: CHALLENGE, 429: {"Retry-After": "30"}}.get(status, {})
+    return JSONResponse({"error": sentence}, status_code=status, headers=_SECURE | headers)
 
 
 _ANSWERS = {

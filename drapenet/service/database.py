@@ -42,6 +42,10 @@ class Database:
         """Write the present content to a new file."""
         self._read("VACUUM INTO ?", str(file))
 
+    def close(self) -> None:
+        """Close the connection."""
+        self._connection.close()
+
     def _read(self, query: str, *values: object) -> list[dict[str, Any]]:
         with self._lock:
             rows = self._connection.execute(query, values).fetchall()

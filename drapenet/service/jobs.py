@@ -6,9 +6,10 @@ import os
 import shutil
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent import futures
 from contextlib import suppress
+from functools import partial
 from itertools import count
 from sqlite3 import Error as SQLError
 from typing import Any
@@ -17,6 +18,7 @@ from pebble import ProcessPool
 
 from common.errors import InputError, one_line
 from drapenet.config import ServeConfig
+from drapenet.service.archive import COPY
 from drapenet.service.database import DONE, ENDED, FAILED, LOST, QUEUED, Database, new_identity
 from drapenet.service.exports import prepare
 from drapenet.service.limits import Places, RequestError
@@ -36,19 +38,22 @@ class Jobs:
     def __init__(self, settings: ServeConfig):
         self.settings = settings
         self.places = Places("estimates", total=settings.queue, each=settings.queue_each)
-        self._exporting = Places("exports", total=16, each=4)
+        self.exports = Places("exports", total=16, each=4)
         self._changing = threading.Lock()  # the captures of a fabric
-        self._starting = threading.Lock()  # workers and their tasks
+        self._starting = threading.Lock()  # pools of processes and their tasks
         settings.folder.mkdir(parents=True, exist_ok=True)
         self.database = Database(settings.folder)
+        for copy in settings.folder.glob(f"{COPY}*"):  # of a service that was killed
+            shutil.rmtree(copy, ignore_errors=True)
         for upload in settings.folder.glob(f"*/{UPLOADED}"):
             row = self.database.estimate(upload.parent.name)
             if row is None or row["state"] in ENDED:  # never complete, or no longer needed
                 shutil.rmtree(upload if row else upload.parent, ignore_errors=True)
         self._closed = False
         self._unfinished: set[futures.Future] = set()
-        self._workers = _pool(settings.processes, warm_up, settings.checkpoint)
-        self._exporters = _pool(1, prepare)
+        self._workers_pool = partial(_pool, settings.processes, warm_up, settings.checkpoint)
+        self._exporters_pool = partial(_pool, 1, prepare)
+        self._workers, self._exporters = self._workers_pool(), self._exporters_pool()
         for row in self.database.estimates():
             if row["state"] not in ENDED and row["tries"] < _MAX_TRIES:
                 self.database.change("estimate", row["id"], state=QUEUED, stage=None)
@@ -96,20 +101,23 @@ class Jobs:
         """The label of a capture, which no other of its fabric has."""
         rows = self.row("fabric", upload.fabric)["estimates"] if upload.fabric else []
         labels, label = {row["name"] for row in rows}, upload.about.label
-        if label in labels or len(labels) > _MAX_CAPTURES:
-            raise RequestError(422, f"label={label} is that of another capture of this fabric, or "
-                               f"it has {_MAX_CAPTURES} captures, the most that are joined")
+        if label in labels:
+            raise RequestError(422, f"label={label} is that of another capture of this fabric; "
+                               "give another")
+        captures = sum(row["members"] is None and row["state"] not in (FAILED, LOST)
+                       for row in rows)
+        if captures >= _MAX_CAPTURES:
+            raise RequestError(422, f"the fabric has {captures} captures, the most that are joined;"
+                               " remove one, or send this capture as another fabric")
         return label or next(free for k in count(1) if (free := f"capture {k}") not in labels)
 
     def _schedule(self, identity: str, client: str | None = None) -> None:
         """Start an estimate; the place of a client, if any, is given back at the end."""
         lost: set[futures.Future] = set()
         with self._starting:
-            if not self._workers.active:  # a thread of the pool has died: it finishes no estimate
+            before, self._workers = self._workers, _living(self._workers, self._workers_pool)
+            if self._workers is not before:
                 lost, self._unfinished = self._unfinished, set()
-                self._workers.stop()
-                self._workers.join(timeout=5)
-                self._workers = _pool(self.settings.processes, warm_up, self.settings.checkpoint)
             future = self._workers.schedule(
                 work, args=[self.settings.folder / identity, self.settings.checkpoint],
                 timeout=self.settings.job_seconds)
@@ -130,7 +138,7 @@ class Jobs:
                 return
             identity = joint["id"] if joint else new_identity()
             if not members:
-                self.database.remove("estimate", identity)
+                self._forget("estimate", identity, [identity])
                 return
             self.database.add_estimate(identity, fabric, JOINT, members=members)
         self._schedule(identity)
@@ -144,15 +152,23 @@ class Jobs:
 
     def remove(self, table: str, identity: str) -> None:
         """Remove a fabric with its estimates, or an estimate: the others are joined again."""
-        found = self.row(table, identity)
-        rows = found.get("estimates", [found])
-        if any(row["state"] not in ENDED for row in rows):
-            raise RequestError(409, "an estimate is under way; wait for its end")
-        self.database.remove(table, identity)
-        for row in rows:
-            shutil.rmtree(self.settings.folder / row["id"], ignore_errors=True)
+        with self._changing:  # until then no capture is added, and no joint estimate begun
+            fabric = identity if table == "fabric" else self.row(table, identity)["fabric"]
+            rows = self.row("fabric", fabric)["estimates"]
+            removed = [row["id"] for row in rows if identity in (fabric, row["id"])]
+            if any(row["state"] not in ENDED and (
+                    row["id"] in removed or not set(removed).isdisjoint(row["members"] or ()))
+                    for row in rows):
+                raise RequestError(409, "an estimate is under way; wait for its end")
+            self._forget(table, identity, removed)
         if table == "estimate":
-            self._join(found["fabric"])
+            self._join(fabric)
+
+    def _forget(self, table: str, identity: str, estimates: Iterable[str]) -> None:
+        """Remove a fabric or an estimate from the database, and the files of ``estimates``."""
+        self.database.remove(table, identity)
+        for each in estimates:
+            shutil.rmtree(self.settings.folder / each, ignore_errors=True)
 
     def tidy(self) -> None:
         """Remove fabrics that are too old or too many."""
@@ -166,18 +182,17 @@ class Jobs:
     def export(self, client: str, task: Callable, *arguments: object) -> Any:
         """Outcome of a task of the process for exports; InputError for those of the task."""
         seconds = self.settings.export_seconds
-        self._exporting.take(client)
         try:
-            if not self._exporters.active:
-                self._exporters = _pool(1, prepare)
-            return self._exporters.schedule(task, args=arguments, timeout=seconds).result()
+            with self.exports.taken(client):
+                with self._starting:
+                    self._exporters = _living(self._exporters, self._exporters_pool)
+                    future = self._exporters.schedule(task, args=arguments, timeout=seconds)
+                return future.result()
         except InputError as error:
             sentence = str(error).replace(f"{self.settings.folder}/", "")
             raise RequestError(422, sentence) from None
         except futures.TimeoutError:
             raise RequestError(503, f"not exported in {seconds:g} s; try again") from None
-        finally:
-            self._exporting.give(client)
 
     def _ended(self, identity: str, client: str | None, done: futures.Future) -> None:
         """Release the place and record failures, at the end of a task or at its cancellation."""
@@ -204,6 +219,15 @@ class Jobs:
         with suppress(Exception):  # a full disk must not end the thread that serves all others
             self.database.change("estimate", identity, state=state, error=sentence)
         shutil.rmtree(self.settings.folder / identity / UPLOADED, ignore_errors=True)
+
+
+def _living(pool: ProcessPool, another: Callable[[], ProcessPool]) -> ProcessPool:
+    """The pool, or ``another`` if a thread of it has died: it finishes no task."""
+    if pool.active:
+        return pool
+    pool.stop()
+    pool.join(timeout=5)
+    return another()
 
 
 def _pool(processes: int, prepare: Callable[..., None], *arguments: object) -> ProcessPool:

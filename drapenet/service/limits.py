@@ -3,7 +3,8 @@
 import asyncio
 import threading
 from collections import Counter
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 
 from fastapi import Request
 from starlette.datastructures import UploadFile
@@ -36,6 +37,15 @@ class Places:
                     raise RequestError(429, f"{most} {self._what}{whose} are waiting or under way, "
                                        "as many as this service takes; try again in a minute")
             self._taken[client] += 1
+
+    @contextmanager
+    def taken(self, client: str) -> Iterator[None]:
+        """A place for a client until the end of the block; RequestError if there is none."""
+        self.take(client)
+        try:
+            yield
+        finally:
+            self.give(client)
 
     def give(self, client: str) -> None:
         """Give a place of a client back."""

@@ -9,12 +9,15 @@ radius, and its spectrum. How the pictures were taken is not documented: both pa
 camera above the plate are tried.
 """
 
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import least_squares
 
@@ -43,6 +46,7 @@ MAX_MISFIT = 1e-3  # of the drape coefficient, beyond which no fabric of the gri
 READINGS = ("parallel", "camera")
 SPECIMENS = "specimens"
 VARIED = (SPECIMENS, "fabrics")
+_FACES = {True: "up", False: "down"}
 
 
 def drape_case(
@@ -90,11 +94,20 @@ def features(radii: np.ndarray) -> np.ndarray:
 
 
 def read_outlines(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Fabrics (N,), whether the marked face is up (N,), and outlines (N, POINTS), m."""
+    """Fabrics (N,), whether the marked face is up (N,), and outlines (N, POINTS), m; InputError
+    unless each face has two, whose spread the comparison needs."""
     arrays = read_arrays(path, ("fabric", "face_up", "outline"),
                          expected="an npz file of outlines with fabric, face_up and outline")
+    fabrics, up = arrays["fabric"], arrays["face_up"].astype(bool)
+    numbers = Counter(zip(fabrics.tolist(), up.tolist(), strict=True))
+    if not numbers:
+        raise InputError(f"{path} has no outlines; give at least two of a fabric")
+    for (fabric, face), number in numbers.items():
+        if number < 2:
+            raise InputError(f"{path}: fabric {fabric} has one outline with its face "
+                             f"{_FACES[face]}; give at least two, or leave it out")
     radii = [radii_of(points) for points in arrays["outline"].astype(float)]
-    return arrays["fabric"], arrays["face_up"].astype(bool), np.array(radii)
+    return fabrics, up, np.array(radii)
 
 
 def radii_of(curve: Outline) -> np.ndarray:
@@ -155,7 +168,7 @@ def compare(
         together = simulated.fitted(coefficients, curled=True) if both else None
         for (face, mine), coefficient in zip(faces.items(), coefficients, strict=True):
             fit = together if both else simulated.fitted([coefficient], curled=False)
-            row = {"fabric": int(fabric), "face": "up" if face else "down", "outlines": len(mine),
+            row = {"fabric": int(fabric), "face": _FACES[face], "outlines": len(mine),
                    "real": mine.mean(axis=0).tolist(), "spread": mine.std(axis=0, ddof=1).tolist()}
             rows.append(row | _found(row, simulated, fit, 1 if face else -1))
     return rows
@@ -233,37 +246,46 @@ def run(config: Config) -> Result:
                                           == (part == "calibration")])
                          for part in ("all", "calibration", "test")}
                   for name, rows in report[reading].items()} for reading in READINGS}
-    return Result(report, _figure(fabrics, up, radii, report, folder))
+    straight = min(curls, key=abs)
+    drapes = {alpha: load_arrays(folder, f"lowered_{alpha:g}_{straight:g}")["parallel"]
+              for alpha in alphas}
+    return Result(report, _figure(fabrics, up, radii, report["parallel"]["flat"], drapes))
 
 
 def _figure(
-    fabrics: np.ndarray, up: np.ndarray, radii: np.ndarray, report: dict[str, Any], folder: Path
-) -> Figure:
-    """Outlines side by side: two real ones of each fabric inside the grid, two of the nearest
-    simulated one."""
-    rows = [row for row in report["parallel"]["flat"]
-            if row["face"] == "up" and row["simulated"] is not None]
-    figure = Figure(figsize=(1.5 * len(rows), 6.4), layout="constrained")
-    panels = figure.subplots(4, len(rows), squeeze=False)
-    azimuths = 2 * np.pi * np.arange(POINTS) / POINTS
-    names = {float(path.stem.split("_")[1]): path for path in folder.glob("lowered_*_0.npz")}
-    for column, row in zip(panels.T, rows, strict=True):
-        near = min(names, key=lambda alpha: abs(np.log(alpha / row["alpha_uN_m"])))
-        chosen = np.flatnonzero((fabrics == row["fabric"]) & up)
-        shown = [*radii[chosen[[0, len(chosen) // 2]]],
-                 *load_arrays(folder, names[near].stem)["parallel"][:2]]
-        for k, (axes, radius) in enumerate(zip(column, shown, strict=True)):
-            coefficient, folds = features(radius[None])[0, :2]
-            axes.fill(radius * np.cos(azimuths), radius * np.sin(azimuths),
-                      color="black" if k < 2 else "tab:blue")
-            axes.add_patch(_circle())
-            axes.set(xlim=(-0.15, 0.15), ylim=(-0.15, 0.15), xticks=[], yticks=[], aspect="equal")
-            axes.set_title(f"{'fabric ' + str(row['fabric']) if k < 2 else f'{near:g} µN·m'}\n"
-                           f"{100 * coefficient:.0f} %, {folds:.0f} folds", fontsize=7)
+    fabrics: np.ndarray, up: np.ndarray, radii: np.ndarray, rows: list[dict[str, Any]],
+    drapes: dict[float, np.ndarray],
+) -> Figure | None:
+    """Outlines side by side: two real ones of each fabric inside the grid, (N, POINTS) m, and up to
+    two of the simulated ``drapes`` by alpha, (M, POINTS) m, of the nearest; None without a fabric.
+
+    Its marked face is up, unless only the other one is inside the grid; ``rows`` are those of
+    :func:`compare`, which have that face first.
+    """
+    shown = {row["fabric"]: row for row in reversed(rows) if row["simulated"] is not None}
+    if not shown:
+        return None
+    figure = Figure(figsize=(1.5 * len(shown), 6.4), layout="constrained")
+    panels = figure.subplots(4, len(shown), squeeze=False)
+    for column, fabric in zip(panels.T, sorted(shown), strict=True):
+        row = shown[fabric]
+        near = min(drapes, key=lambda alpha: abs(np.log(alpha / row["alpha_uN_m"])))
+        real = radii[(fabrics == fabric) & (up == (row["face"] == "up"))]
+        outlines = [*real[[0, len(real) // 2]], *drapes[near][:2]]
+        for k, axes in enumerate(column):
+            if k < len(outlines):
+                _draw(axes, outlines[k], *((f"fabric {fabric}", "black") if k < 2 else
+                                           (f"{near:g} µN·m", "tab:blue")))
+            else:  # only one drape has converged
+                axes.set_axis_off()
     return figure
 
 
-def _circle() -> Any:
-    from matplotlib.patches import Circle
-
-    return Circle((0, 0), DISC_RIG.plate_radius, fill=False, color="white", lw=0.8)
+def _draw(axes: Axes, radius: np.ndarray, name: str, color: str) -> None:
+    """An outline (POINTS,), m, its drape coefficient and its folds."""
+    azimuths = 2 * np.pi * np.arange(POINTS) / POINTS
+    coefficient, folds = features(radius[None])[0, :2]
+    axes.fill(radius * np.cos(azimuths), radius * np.sin(azimuths), color=color)
+    axes.add_patch(Circle((0, 0), DISC_RIG.plate_radius, fill=False, color="white", lw=0.8))
+    axes.set(xlim=(-0.15, 0.15), ylim=(-0.15, 0.15), xticks=[], yticks=[], aspect="equal")
+    axes.set_title(f"{name}\n{100 * coefficient:.0f} %, {folds:.0f} folds", fontsize=7)

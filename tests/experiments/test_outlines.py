@@ -144,6 +144,46 @@ def test_outlines_without_the_calibration_fabrics_are_compared(config):
     assert len(figure.axes) == 4  # of the one fabric inside the grid
 
 
+@pytest.fixture
+def only(config):
+    """A function that keeps some of the outlines in the file, given a mask of (fabric, up)."""
+    def keep(chosen) -> None:
+        arrays = dict(np.load(config["outlines"]))
+        kept = np.flatnonzero(chosen(arrays["fabric"], arrays["face_up"]))
+        np.savez(config["outlines"], **{name: array[kept] for name, array in arrays.items()})
+
+    return keep
+
+
+def test_a_fabric_with_one_face_and_one_simulated_drape_is_shown(config, only):
+    only(lambda fabric, up: ~up)
+    report, figure = run(config | {"seeds": 1, "specimens": 1})
+    assert [row["face"] for row in report["parallel"]["flat"]] == ["down", "down"]
+    titles = [axes.get_title().partition("\n")[0] for axes in figure.axes if axes.axison]
+    assert titles == ["fabric 2", "fabric 2", "30 µN·m"]
+
+
+def test_fabrics_outside_the_grid_alone_have_no_figure(config, only):
+    only(lambda fabric, up: fabric == 7)
+    report, figure = run(config)
+    assert figure is None
+    assert report["summary"]["camera"]["flat"]["all"]["outside"] == ["7 up", "7 down"]
+
+
+def test_a_face_with_one_outline_and_an_empty_file_are_sentences(config, only):
+    only(lambda fabric, up: (fabric == 7) | (np.cumsum((fabric == 2) & up) == 1))
+    with pytest.raises(InputError, match=r"fabric 2 has one outline with its face up; give"):
+        run(config)
+    only(lambda fabric, up: fabric == 0)
+    with pytest.raises(InputError, match="has no outlines; give at least two"):
+        run(config)
+
+
+def test_the_figure_is_of_the_least_natural_curvature(config):
+    _, figure = run(config | {"curls": [-12.0, 6.0]})
+    assert len(figure.axes) == 4
+
+
 def test_a_place_of_the_grid_without_drapes_is_named(config):
     with pytest.raises(InputError, match=r"converged of lowered_1\.5_-12, lowered_1\.5_12 "):
         run(config | {"alphas": [1.5, 3.0, 30.0]})

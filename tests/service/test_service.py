@@ -7,7 +7,6 @@ import os
 import signal
 import time
 import zipfile
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,37 +15,28 @@ import numpy as np
 import pytest
 import trimesh
 from fastapi.testclient import TestClient
-from pebble import ProcessFuture
+from services import BreakablePool, settings_for
 from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
-from common.command import compose_config
 from data.captures.capture import read_capture
 from data.captures.preview import outline_picture
-from drapenet.config import ServeConfig
 from drapenet.export.formats import TARGETS
 from drapenet.inference import joint_estimate, network_estimate
 from drapenet.network.checkpoint import read_header
 from drapenet.result.files import read_document, read_observation
 from drapenet.service.app import create_app
-from drapenet.service.database import database_in
 from drapenet.service.jobs import Jobs
-from drapenet.service.limits import Places, RequestError
-from drapenet.service.uploads import About, Upload
+from drapenet.service.limits import Places
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "captures" / "twill"
 PHOTOGRAPH = EXAMPLE.parent / "twill_photograph"
 PICTURES = sorted(EXAMPLE.glob("*.png"))
 
 
-def settings_for(results: Path, checkpoint: Path | str = "") -> ServeConfig:
-    words = [f"results={results}", f"checkpoint={checkpoint}", "workers=1", "queue=3"]
-    return compose_config("serve", words, schema=ServeConfig)
-
-
 @pytest.fixture(scope="module")
 def client(tmp_path_factory, untrained_checkpoint):
     results = tmp_path_factory.mktemp("results")
-    app = create_app(settings_for(results, untrained_checkpoint))
+    app = create_app(settings_for(results, f"checkpoint={untrained_checkpoint}"))
     with TestClient(app, base_url="http://localhost") as client:
         yield client
 
@@ -197,19 +187,6 @@ def test_refusals_are_sentences(client):
             jobs.places.give(f"client {k}")
 
 
-def test_a_client_has_some_of_the_places():
-    places = Places("estimates", total=3, each=2)
-    places.take("a")
-    places.take("a")
-    with pytest.raises(RequestError, match="2 estimates of your address"):
-        places.take("a")
-    places.take("b")
-    with pytest.raises(RequestError, match="3 estimates are waiting"):
-        places.take("c")
-    places.give("a")
-    places.take("a")
-
-
 def test_a_trusted_proxy_states_the_client(tmp_path, monkeypatch):
     seen = []
     monkeypatch.setattr(Places, "take", lambda self, client: seen.append(client))
@@ -237,92 +214,6 @@ def test_page_and_interface_ask_no_other_host(client):
     sizes = sum(len(client.get(address).content) for address in (
         "/", "/static/app.js", "/static/viewer.js", "/static/style.css", "/static/three.js"))
     assert sizes < 2_000_000
-
-
-def test_a_restart_goes_on_with_what_was_under_way(tmp_path, monkeypatch):
-    monkeypatch.setattr("drapenet.service.jobs.ProcessPool", BreakablePool)
-    settings = settings_for(tmp_path)
-    database = database_in(tmp_path)
-    kept, waiting, lost, joint = (letter * 22 for letter in "kwlj")
-    for identity, values in ((kept, {"state": "done", "ended": time.time()}),
-                             (waiting, {"state": "running", "tries": 1}),
-                             (lost, {"state": "running", "tries": 3})):
-        (tmp_path / identity / "uploaded").mkdir(parents=True)
-        database.add_estimate(identity, identity, "a", about=(identity, ""), task={}, **values)
-    database.add_estimate(joint, kept, "b", state="done")  # two captures, not yet joined
-    torn = tmp_path / ("t" * 22) / "uploaded"
-    torn.mkdir(parents=True)
-    (tmp_path / "photographs").mkdir()  # not of the service
-    jobs = Jobs(settings)
-    assert {key: jobs.row("estimate", key)["state"] for key in (kept, waiting, lost)} == {
-        kept: "done", waiting: "queued", lost: "interrupted"}
-    assert not torn.exists() and (tmp_path / "photographs").exists()
-    assert (tmp_path / waiting / "uploaded").exists()
-    assert not (tmp_path / lost / "uploaded").exists()
-    assert jobs.row("fabric", kept)["estimates"][-1]["members"] == [kept, joint]
-
-
-def test_the_oldest_fabrics_go(tmp_path, monkeypatch):
-    monkeypatch.setattr("drapenet.service.jobs.ProcessPool", BreakablePool)
-    jobs = Jobs(replace(settings_for(tmp_path), keep=2, keep_hours=100 / 3600))
-    for letter, age in (("a", 200), ("b", 50), ("c", 20), ("d", 10)):
-        identity = letter * 22
-        (tmp_path / identity).mkdir()
-        jobs.database.add_estimate(identity, identity, "x", about=(letter, ""), state="done",
-                                   created=time.time() - 1000, ended=time.time() - age)
-    jobs.database.add_estimate("e" * 22, "f" * 22, "x", about=("under way", ""), created=0.0)
-    jobs.tidy()  # "a" is too old, "b" the oldest of three
-    assert {one.name[0] for one in tmp_path.iterdir() if one.is_dir()} == {"c", "d"}
-    assert {row["name"] for row in jobs.database.fabrics([], 0, 9)} == {"c", "d", "under way"}
-
-
-class BreakablePool:
-    """A pool of workers that finish no task, ``active`` until a test breaks it."""
-
-    def __init__(self, **options: object) -> None:
-        self.active, self.joined = True, False
-
-    def schedule(self, function: Callable, **options: object) -> ProcessFuture:
-        return ProcessFuture()
-
-    def stop(self) -> None:
-        """Nothing: the status of a broken pool does not change."""
-
-    def join(self, **options: object) -> None:
-        self.joined = True
-
-
-def test_a_broken_pool_is_replaced_and_its_places_come_back(tmp_path, monkeypatch):
-    monkeypatch.setattr("drapenet.service.jobs.ProcessPool", BreakablePool)
-    jobs = Jobs(settings_for(tmp_path))
-
-    def submitted() -> str:
-        jobs.places.take("x")
-        return jobs.submit(Upload({"scan.obj": b"v 0 0 0"}, "scan.obj", "a", About()), "x")["id"]
-
-    first, second, broken = submitted(), submitted(), jobs._workers
-    broken.active = False
-    third = submitted()
-    assert broken.joined and jobs._workers is not broken
-    assert [jobs.row("estimate", one)["state"] for one in (first, second, third)] == [
-        "failed", "failed", "queued"]
-    assert "report this capture" in jobs.row("estimate", first)["error"]
-    for _ in range(jobs.settings.queue - 1):
-        jobs.places.take("y")
-    with pytest.raises(RequestError):
-        jobs.places.take("y")
-
-
-def test_the_text_of_an_exception_is_for_the_log(tmp_path, monkeypatch, caplog):
-    monkeypatch.setattr("drapenet.service.jobs.ProcessPool", BreakablePool)
-    jobs = Jobs(settings_for(tmp_path))
-    jobs.places.take("x")
-    identity = jobs.submit(Upload({"scan.obj": b"v 0 0 0"}, "scan.obj", "a", About()), "x")["id"]
-    future, = jobs._unfinished
-    future.set_exception(OSError(f"cannot open {tmp_path}/secret"))
-    state = jobs.row("estimate", identity)
-    assert state["state"] == "failed" and "secret" not in state["error"]
-    assert "secret" in caplog.text and identity in caplog.text
 
 
 @pytest.mark.slow
@@ -418,8 +309,7 @@ def test_fabrics_are_named_noted_searched_and_removed(client, finished):
 
 def test_the_zip_of_all_fabrics_is_a_folder_of_results(client, finished, tmp_path, monkeypatch):
     answer = client.get("/fabrics.zip")
-    assert answer.status_code == 200 and not list(
-        client.app.state.jobs.settings.folder.glob("*.zip"))
+    assert answer.status_code == 200 and answer.headers["content-type"] == "application/zip"
     with zipfile.ZipFile(io.BytesIO(answer.content)) as packed:
         packed.extractall(tmp_path)
         table = packed.read("fabrics.csv").decode().splitlines()

@@ -1,0 +1,115 @@
+"""The zip of all fabrics, made while it is sent: it may be large, and its client slow."""
+
+import asyncio
+import logging
+import os
+import zipfile
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, closing, suppress
+from itertools import chain
+from pathlib import Path
+from sqlite3 import Error as SQLError
+from tempfile import TemporaryDirectory
+
+from starlette.concurrency import run_in_threadpool
+from starlette.responses import Response, StreamingResponse
+from starlette.types import Receive, Scope, Send
+
+from common.errors import one_line
+from drapenet.service.database import DATABASE, Database, database_in
+from drapenet.service.limits import RequestError
+
+COPY = ".fabrics.zip-"  # beginning of the name of a folder with a copy of the database
+_LOG = logging.getLogger(__name__)
+_PART = 1 << 20  # bytes
+
+
+class Archive(Response):
+    """A zip of the folder ``results``, without a limit of size or duration.
+
+    Args:
+        place: held until the zip is sent or its client has gone.
+        seconds: for which a client may take nothing before it counts as gone.
+    """
+
+    def __init__(self, results: Path, place: AbstractContextManager, seconds: float) -> None:
+        super().__init__()
+        self._parts, self._place, self._seconds = archive(results), place, seconds
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        async def sent(message: dict) -> None:
+            await asyncio.wait_for(send(message), self._seconds)
+
+        with self._place, closing(self._parts):  # its temporary files go with it
+            try:  # the first part comes after the copy of the database, which may fail
+                first = await run_in_threadpool(next, self._parts)
+            except (OSError, SQLError) as error:
+                _LOG.error("the database cannot be copied: %s", one_line(error))
+                raise RequestError(507, "the database cannot be copied; say so to whoever runs "
+                                   "this service, whose log states the reason") from None
+            response = StreamingResponse(
+                chain([first], self._parts), media_type="application/zip",
+                headers={"Content-Disposition": 'attachment; filename="fabrics.zip"',
+                         "Cache-Control": "no-store"})
+            with suppress(asyncio.TimeoutError):
+                await response(scope, receive, sent)
+
+
+def archive(results: Path) -> Iterator[bytes]:
+    """Parts of about a mebibyte of a zip of all fabrics, with the database as it is now: it can be
+    unpacked as the folder of another service. OSError or sqlite3.Error, before the first part, if
+    the database cannot be copied.
+
+    ``fabrics.csv`` has the moduli and readings of each estimate.
+    """
+    from drapenet.result.document import EstimateDocument, csv_table
+
+    written = _Written()
+    with TemporaryDirectory(prefix=COPY, dir=results) as name, zipfile.ZipFile(
+            written, "w") as target:
+        folder = Path(name)
+        table = folder / "fabrics.csv"
+        database_in(results).copy(folder / DATABASE)
+        yield from _packed(target, written, folder / DATABASE, folder)
+        with closing(Database(folder)) as copy, table.open("w", encoding="utf-8") as lines:
+            for row in (copy.estimate(one["id"]) for one in copy.estimates()):
+                if row["estimate"]:
+                    head, _, line = csv_table([{
+                        "fabric": row["fabric_name"], "capture": row["name"], "folder": row["id"],
+                        **EstimateDocument.of(row["estimate"], "").row()}]).partition("\n")
+                    lines.write(line if lines.tell() else f"{head}\n{line}")
+                for place, _, files in os.walk(results / row["id"]):
+                    for file in sorted(files):
+                        yield from _packed(target, written, Path(place, file), results)
+        yield from _packed(target, written, table, folder)
+    yield written.taken()
+
+
+class _Written:
+    """What a zip file has written, and nobody has taken."""
+
+    def __init__(self) -> None:
+        self._bytes = bytearray()
+
+    def write(self, data: bytes) -> int:
+        self._bytes += data
+        return len(data)
+
+    def flush(self) -> None:
+        """Nothing: a zip file calls it."""
+
+    def taken(self) -> bytes:
+        taken, self._bytes = bytes(self._bytes), bytearray()
+        return taken
+
+
+def _packed(
+    target: zipfile.ZipFile, written: _Written, file: Path, root: Path
+) -> Iterator[bytes]:
+    """Add a file by its name in the folder ``root``, part by part; most are compressed already."""
+    with suppress(FileNotFoundError), file.open("rb") as source:  # of what is now removed
+        entry = zipfile.ZipInfo.from_file(file, file.relative_to(root), strict_timestamps=False)
+        with target.open(entry, "w") as packed:
+            while part := source.read(_PART):
+                packed.write(part)
+                yield written.taken()

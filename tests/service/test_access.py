@@ -1,0 +1,94 @@
+"""Who may use the service: what it asks of whoever runs it, and of its clients."""
+
+import base64
+from types import SimpleNamespace
+
+import pytest
+from fastapi.testclient import TestClient
+from services import BreakablePool, settings_for
+
+import drapenet.service.app
+from common.errors import InputError
+from drapenet.service.app import create_app, serve
+
+PASSWORD = "Öl: 8 Rollen"
+ADDRESSES = ("/", "/docs", "/openapi.json", "/static/app.js", "/manual/service.md",
+             "/examples/twill.zip", "/fabrics", "/fabrics.zip", "/fabrics/x", "/estimates/x",
+             "/estimates/x/report.pdf", "/estimates/x/export/jfab", "/nothing")
+
+
+@pytest.fixture
+def served(monkeypatch, capsys):
+    """A function of a host's words that starts and ends a service there; the line it prints."""
+    class Server:
+        def __init__(self, config: object) -> None:
+            self.config = SimpleNamespace(bind_socket=lambda: SimpleNamespace(
+                getsockname=lambda: ("", 8123)))
+
+        def run(self, **options: object) -> None:
+            """Nothing: the service ends at once."""
+
+    monkeypatch.setattr(drapenet.service.app.uvicorn, "Server", Server)
+
+    def start(folder, *words: str) -> str:
+        serve(settings_for(folder, *words))
+        return capsys.readouterr().out
+
+    return start
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.0.2.7", "fe80::1", "lab.example.org"])
+def test_a_host_that_others_can_reach_needs_a_decision(host, served, tmp_path, monkeypatch):
+    monkeypatch.delenv("DRAPENET_PASSWORD", raising=False)
+    with pytest.raises(InputError, match=f"^host={host}: .* DRAPENET_PASSWORD .* open=true"):
+        served(tmp_path, f"host={host}")
+    assert served(tmp_path, f"host={host}", "open=true")
+    assert served(tmp_path, f"host={host}", f"password={PASSWORD}")
+    monkeypatch.setenv("DRAPENET_PASSWORD", PASSWORD)
+    assert served(tmp_path, f"host={host}")
+    with pytest.raises(InputError, match="open=true is for a service without a password"):
+        served(tmp_path, f"host={host}", "open=true")
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "127.1.2.3", "::1", "localhost"])
+def test_this_machine_needs_none(host, served, tmp_path):
+    address = "[::1]" if host == "::1" else host
+    assert served(tmp_path, f"host={host}").startswith(f"http://{address}:8123 ")
+
+
+def test_a_short_password_is_refused_without_being_printed(served, tmp_path):
+    with pytest.raises(InputError, match=r"^the password has 7 characters; give at least 8$"):
+        served(tmp_path, "password=secret7")
+
+
+@pytest.fixture
+def client(tmp_path, monkeypatch):
+    monkeypatch.setattr("drapenet.service.jobs.ProcessPool", BreakablePool)
+    app = create_app(settings_for(tmp_path, "host=0.0.0.0", f"password={PASSWORD}"))
+    with TestClient(app, base_url="http://localhost") as client:
+        yield client
+
+
+def stating(text: bytes, scheme: str = "Basic") -> dict[str, str]:
+    return {"authorization": f"{scheme} {base64.b64encode(text).decode()}"}
+
+
+def test_every_address_asks_for_the_password(client):
+    right = stating(f"anybody:{PASSWORD}".encode())
+    for method, address in (*(("GET", one) for one in ADDRESSES), ("POST", "/estimates"),
+                            ("PATCH", "/fabrics/x"), ("DELETE", "/fabrics/x"),
+                            ("DELETE", "/estimates/x")):
+        answer = client.request(method, address)
+        assert answer.status_code == 401, address
+        assert answer.headers["www-authenticate"].startswith("Basic "), address
+        assert "password" in answer.json()["error"]
+        assert client.request(method, address, headers=right).status_code != 401, address
+
+
+@pytest.mark.parametrize("headers", [
+    stating(f"x:{PASSWORD} ".encode()), stating(b"x:"), stating(PASSWORD.encode()), stating(b""),
+    stating(f"x:{PASSWORD}".encode(), "Bearer"), {"authorization": "Basic"},
+    {"authorization": "Basic é"}, {"authorization": "Basic a"}, {"authorization": ""}])
+def test_other_credentials_are_refused(client, headers):
+    raw = {name: value.encode("latin-1") for name, value in headers.items()}
+    assert client.get("/fabrics", headers=raw).status_code == 401

@@ -1,0 +1,202 @@
+"""Fabrics and estimates of a service whose workers finish nothing, and its pools of processes."""
+
+import threading
+import time
+from dataclasses import replace
+
+import pytest
+from pebble import ProcessFuture
+from services import BreakablePool, settings_for
+
+from drapenet.service.archive import COPY
+from drapenet.service.database import database_in
+from drapenet.service.jobs import Jobs
+from drapenet.service.limits import Places, RequestError
+from drapenet.service.uploads import About, Upload
+
+
+@pytest.fixture(autouse=True)
+def without_workers(monkeypatch):
+    monkeypatch.setattr("drapenet.service.jobs.ProcessPool", BreakablePool)
+
+
+@pytest.fixture
+def jobs(tmp_path) -> Jobs:
+    return Jobs(settings_for(tmp_path))
+
+
+def submitted(jobs: Jobs, fabric: str = "", label: str = "") -> dict[str, str]:
+    jobs.places.take("x")
+    return jobs.submit(Upload({"scan.obj": b"v 0 0 0"}, "scan.obj", "a", About(label=label),
+                              fabric=fabric), "x")
+
+
+def with_captures(jobs: Jobs, states: list[str], members: list[str] | None = None) -> str:
+    """A fabric with captures 0, 1 and so on, and a joint estimate of ``members``, under way."""
+    for k, state in enumerate(states):
+        (jobs.settings.folder / str(k)).mkdir()
+        jobs.database.add_estimate(str(k), "f", f"label {k}", state=state, ended=time.time(),
+                                   about=None if k else ("fabric", ""))
+    if members:
+        jobs.database.add_estimate("joint", "f", "all captures", members=members)
+    return "f"
+
+
+@pytest.mark.parametrize("joined", [False, True])
+def test_a_fabric_takes_16_captures_beside_those_that_failed(jobs, joined):
+    states = ["done"] * 15 + ["failed", "interrupted"]
+    fabric = with_captures(jobs, states, ["0", "1"] if joined else None)
+    assert submitted(jobs, fabric)["fabric"] == fabric  # the sixteenth
+    with pytest.raises(RequestError, match="has 16 captures, the most that are joined; remove"):
+        submitted(jobs, fabric)
+
+
+def test_a_label_is_of_one_capture(jobs):
+    fabric = with_captures(jobs, ["done"])
+    with pytest.raises(RequestError, match="label=label 0 is that of another capture"):
+        submitted(jobs, fabric, "label 0")
+
+
+def test_a_capture_is_not_lost_in_a_removal_of_its_fabric(jobs, monkeypatch):
+    """It is sent after the fabric has been checked, and before it is removed."""
+    fabric, remove, outcome = with_captures(jobs, ["done"]), jobs.database.remove, []
+
+    def submit() -> None:
+        try:
+            outcome.append(submitted(jobs, fabric)["id"])
+        except RequestError as error:
+            outcome.append(error.status_code)
+
+    sending = threading.Thread(target=submit)
+
+    def slowly(table: str, identity: str) -> None:
+        sending.start()
+        sending.join(0.5)  # a capture that is taken meanwhile would be removed
+        remove(table, identity)
+
+    monkeypatch.setattr(jobs.database, "remove", slowly)
+    jobs.remove("fabric", fabric)
+    sending.join()
+    assert outcome == [404]
+
+
+def test_what_a_joint_estimate_reads_stays_until_its_end(jobs):
+    with_captures(jobs, ["done", "done", "done", "failed"], ["0", "1", "2"])
+    for table, identity in (("estimate", "1"), ("estimate", "joint"), ("fabric", "f")):
+        with pytest.raises(RequestError, match="under way"):
+            jobs.remove(table, identity)
+    jobs.remove("estimate", "3")
+    jobs.database.change("estimate", "joint", state="done")
+    (jobs.settings.folder / "joint").mkdir()
+    jobs.remove("estimate", "1")
+    assert jobs.row("estimate", "joint")["members"] == ["0", "2"]
+    jobs.database.change("estimate", "joint", state="done")
+    jobs.remove("estimate", "2")  # one capture is left: nothing to join
+    assert [row["id"] for row in jobs.row("fabric", "f")["estimates"]] == ["0"]
+    assert [one.name for one in jobs.settings.folder.iterdir() if one.is_dir()] == ["0"]
+
+
+def test_a_broken_pool_of_exports_is_replaced_once(jobs, monkeypatch):
+    made = []
+
+    class Pool(BreakablePool):
+        def __init__(self, **options: object) -> None:
+            super().__init__(**options)
+            made.append(self)
+            time.sleep(0.2)  # in which another export may come
+
+        def schedule(self, function: object, **options: object) -> ProcessFuture:
+            future = ProcessFuture()
+            future.set_result("exported")
+            return future
+
+    monkeypatch.setattr("drapenet.service.jobs.ProcessPool", Pool)
+    broken, outcomes = jobs._exporters, []
+    broken.active = False
+    threads = [threading.Thread(target=lambda: outcomes.append(jobs.export("x", print)))
+               for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert outcomes == ["exported"] * 3
+    assert made == [jobs._exporters] and broken.joined
+
+
+def test_copies_of_the_database_of_a_killed_service_are_removed(tmp_path):
+    (tmp_path / f"{COPY}abc").mkdir()
+    (tmp_path / f"{COPY}abc" / "fabrics.sqlite").write_bytes(b"x")
+    Jobs(settings_for(tmp_path))
+    assert not list(tmp_path.glob(f"{COPY}*"))
+
+
+def test_a_client_has_some_of_the_places():
+    places = Places("estimates", total=3, each=2)
+    places.take("a")
+    places.take("a")
+    with pytest.raises(RequestError, match="2 estimates of your address"):
+        places.take("a")
+    places.take("b")
+    with pytest.raises(RequestError, match="3 estimates are waiting"):
+        places.take("c")
+    places.give("a")
+    places.take("a")
+
+
+def test_a_restart_goes_on_with_what_was_under_way(tmp_path):
+    settings = settings_for(tmp_path)
+    database = database_in(tmp_path)
+    kept, waiting, lost, joint = (letter * 22 for letter in "kwlj")
+    for identity, values in ((kept, {"state": "done", "ended": time.time()}),
+                             (waiting, {"state": "running", "tries": 1}),
+                             (lost, {"state": "running", "tries": 3})):
+        (tmp_path / identity / "uploaded").mkdir(parents=True)
+        database.add_estimate(identity, identity, "a", about=(identity, ""), task={}, **values)
+    database.add_estimate(joint, kept, "b", state="done")  # two captures, not yet joined
+    torn = tmp_path / ("t" * 22) / "uploaded"
+    torn.mkdir(parents=True)
+    (tmp_path / "photographs").mkdir()  # not of the service
+    jobs = Jobs(settings)
+    assert {key: jobs.row("estimate", key)["state"] for key in (kept, waiting, lost)} == {
+        kept: "done", waiting: "queued", lost: "interrupted"}
+    assert not torn.exists() and (tmp_path / "photographs").exists()
+    assert (tmp_path / waiting / "uploaded").exists()
+    assert not (tmp_path / lost / "uploaded").exists()
+    assert jobs.row("fabric", kept)["estimates"][-1]["members"] == [kept, joint]
+
+
+def test_the_oldest_fabrics_go(tmp_path):
+    jobs = Jobs(replace(settings_for(tmp_path), keep=2, keep_hours=100 / 3600))
+    for letter, age in (("a", 200), ("b", 50), ("c", 20), ("d", 10)):
+        identity = letter * 22
+        (tmp_path / identity).mkdir()
+        jobs.database.add_estimate(identity, identity, "x", about=(letter, ""), state="done",
+                                   created=time.time() - 1000, ended=time.time() - age)
+    jobs.database.add_estimate("e" * 22, "f" * 22, "x", about=("under way", ""), created=0.0)
+    jobs.tidy()  # "a" is too old, "b" the oldest of three
+    assert {one.name[0] for one in tmp_path.iterdir() if one.is_dir()} == {"c", "d"}
+    assert {row["name"] for row in jobs.database.fabrics([], 0, 9)} == {"c", "d", "under way"}
+
+
+def test_a_broken_pool_is_replaced_and_its_places_come_back(jobs):
+    first, second = (submitted(jobs)["id"] for _ in range(2))
+    broken = jobs._workers
+    broken.active = False
+    third = submitted(jobs)["id"]
+    assert broken.joined and jobs._workers is not broken
+    assert [jobs.row("estimate", one)["state"] for one in (first, second, third)] == [
+        "failed", "failed", "queued"]
+    assert "report this capture" in jobs.row("estimate", first)["error"]
+    for _ in range(jobs.settings.queue - 1):
+        jobs.places.take("y")
+    with pytest.raises(RequestError):
+        jobs.places.take("y")
+
+
+def test_the_text_of_an_exception_is_for_the_log(jobs, tmp_path, caplog):
+    identity = submitted(jobs)["id"]
+    future, = jobs._unfinished
+    future.set_exception(OSError(f"cannot open {tmp_path}/secret"))
+    state = jobs.row("estimate", identity)
+    assert state["state"] == "failed" and "secret" not in state["error"]
+    assert "secret" in caplog.text and identity in caplog.text
