@@ -4,11 +4,15 @@ from pathlib import Path
 
 import numpy as np
 
+from common.normal import Normal
 from sim.cantilever import heavy_elastica
-from sim.material import bending_length
+from sim.material import DIRECTIONS, bending_length
 from sim.rig import GRAVITY
 
 WEIGHT = 0.3 * GRAVITY
+PRIOR = Normal(np.array([np.log(30e-6), -2.6e-3, 0.0]), np.diag([1.0, 3e-3, 7.1]) ** 2)
+"""Of a direction's log alpha, beta/alpha and natural curvature."""
+PRIORS = dict.fromkeys(DIRECTIONS, PRIOR)
 LAWS = [(20e-6, -50e-9), (80e-6, -150e-9), (20e-6, 40e-9), (5e-6, -30e-9)]
 
 

@@ -5,6 +5,7 @@ import runpy
 from pathlib import Path
 
 import pytest
+from elastica_curves import PRIORS
 from words import last
 
 from common.errors import InputError
@@ -85,6 +86,6 @@ def test_mistakes_of_practice_strips_are_told_before_they_are_simulated(
 def test_practice_strips_are_estimated(tmp_path):
     main = runpy.run_path(str(ROOT / "examples" / "make_strips.py"))["main"]
     main([f"out={tmp_path}", "alpha=30,30,30", "beta=-60,-60,-60", "curl=3,-3"])
-    found = read_strips(tmp_path).posteriors()["warp"]
+    found = read_strips(tmp_path).evidence(PRIORS)["warp"]
     assert found.alpha == pytest.approx(30e-6, rel=0.12)
     assert found.curl[0] == pytest.approx(3.0, abs=1.0)

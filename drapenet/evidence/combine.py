@@ -153,5 +153,6 @@ def _linearised(
 def _line(source: Source, rival: str, cloth: Normal) -> str:
     """Sentence that names a source which is left out."""
     verb = "contradict" if source.kind == STRIPS else "contradicts"
-    return (f"{source.label} {verb} {rival}: {source.against(cloth.samples(_TESTED))}; left out: check fabric, "
-            "direction, side, unit, density and specimen")
+    against = source.against(cloth.samples(_TESTED))
+    return (f"{source.label} {verb} {rival}: {against}; left out: check fabric, direction, side, "
+            "unit, density and specimen")

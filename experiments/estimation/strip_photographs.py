@@ -1,11 +1,12 @@
 """Curves and moduli from simulated photographs of cantilever strips, and faulty photographs.
 
 Directions of fabrics from the prior have two strips each, of 1.5 and 2.5 bending lengths, at least
-20 mm: elasticas with a natural curvature, photographed from a random pose. In half of the
-directions the longer strip hangs with the other face up; in the others one face is measured. Clamp,
-scale, free length and the camera's distance have the errors that the reader assumes. The moduli of
-a direction are estimated from its strips together. Faults are those of :data:`FAULTS`; one is found
-if the photograph is refused, or has a warning.
+20 mm: elasticas with a natural curvature, photographed from a random pose. The strips' alphas
+differ from the fabric's by 5 to 10 %, as those of specimens do. In half of the directions the
+longer strip hangs with the other face up; in the others one face is measured. Clamp, scale, free
+length and the camera's distance have the errors that the reader assumes. The moduli of a
+direction's fabric are estimated from its strips together. Faults are those of :data:`FAULTS`; one
+is found if the photograph is refused, or has a warning.
 """
 
 import tempfile
@@ -18,12 +19,14 @@ import numpy as np
 import yaml
 
 from common.errors import InputError
+from common.normal import Normal
 from data.render.strips import StripScene, posed
 from data.strips.description import FILE
 from data.strips.folder import StripSet, read_strips
 from data.strips.photograph import CLAMP_ERROR, LENGTH_ERROR, ROLL_ERROR, SCALE_ERROR
 from data.strips.posterior import SLOPE_ERROR
-from experiments.drapes import prior_theta
+from drapenet.evidence.state import fabric_prior, prior_along
+from experiments.drapes import header, prior_theta
 from experiments.result import Config, Result, run_cases
 from sim.cantilever import heavy_elastica
 from sim.cantilever.moduli import distance_across, match
@@ -36,6 +39,7 @@ WEIGHT = REFERENCE_DENSITY * GRAVITY
 SCALES = ("mm_per_px", "ruler_px", "free_length")  # of the directions in turn
 CURL = 5.0  # 1/m, scale of the Laplace distribution of natural curvatures
 FACES = ("one face", "both faces")
+SCATTER = (0.05, 0.10)  # standard deviations of the specimens' log alpha, uniform over fabrics
 MIN_RATIO = 1e-3  # m; errors of beta are relative to the larger of |beta| and this times alpha
 DISTANCE_ERROR = 0.02  # relative, of the stated distance of the camera
 LEVELS = (0.68, 0.9)
@@ -45,6 +49,11 @@ def direction_of(number: int) -> tuple[float, float]:
     """alpha, N·m, and beta/alpha, m, of a direction of a fabric of the prior."""
     theta, k = prior_theta(number // len(DIRECTIONS), SEED), number % len(DIRECTIONS)
     return float(np.exp(theta[k])), float(theta[len(DIRECTIONS) + k])
+
+
+def priors() -> dict[str, Normal]:
+    """What is known of each direction before any strip."""
+    return prior_along(fabric_prior(header()), REFERENCE_DENSITY)
 
 
 def draw_scene(
@@ -99,17 +108,18 @@ def estimate_case(*, number: int) -> dict:
     curl = float(rng.laplace(0, CURL))
     truth = {"alpha": alpha, "ratio": ratio, "scale": scale, "curl": curl,
              "faces": FACES[number % 2]}
-    pictures, entries, scenes = {}, [], []
+    pictures, entries, scenes, scatter = {}, [], [], rng.uniform(*SCATTER)
     for k, share in enumerate(LENGTHS):
         length = max(share * bending_length(alpha, REFERENCE_DENSITY), LEAST_LENGTH)
         down = number % 2 and k
-        scenes.append(draw_scene(alpha, ratio, length, rng, curl=-curl if down else curl))
+        scenes.append(draw_scene(alpha * np.exp(scatter * rng.standard_normal()), ratio, length,
+                                 rng, curl=-curl if down else curl))
         pictures[f"{k}.png"] = scenes[-1].photograph(rng)
         entries.append(entry_of(scenes[-1], f"{k}.png", length, scale, rng)
                        | {"face": "down" if down else "up"})
     try:
         strips = read_pictures(pictures, entries)
-        (found,) = strips.posteriors().values()
+        (found,) = strips.evidence(priors()).values()
     except InputError as error:
         return truth | {"failed": str(error)}
     off = [distance_across(strip.measured.curve[1:], scene.curve)
@@ -125,7 +135,8 @@ def estimate_case(*, number: int) -> dict:
         "curve_largest_mm": [1e3 * float(np.abs(each).max()) for each in off],
         "errors": ((np.array([found.alpha, found.beta]) - true) / size).tolist(),
         "errors_table": ((np.array([plain.alpha, plain.beta]) - true) / size).tolist(),
-        "deviations": np.sqrt(np.diag(found.covariance)).tolist(),
+        "deviations": np.sqrt(np.diag(found.posterior.covariance)).tolist(),
+        "scatter": found.scatter,
         "inside": [((spans[:, 0] < true) & (true < spans[:, 1])).tolist()
                    for spans in map(found.intervals, LEVELS)], "misfit": found.misfit}
 
@@ -246,7 +257,7 @@ def fault_case(*, kind: str, number: int) -> dict:
     picture = FAULTS[kind](scene, entry, rng)
     try:
         strips = read_pictures({"strip.png": picture}, [entry])
-        strips.posteriors()
+        strips.evidence(priors())
     except InputError as error:
         return {"answer": str(error).partition("strip.png: ")[2] or str(error)}
     return {"answer": "; ".join(strips.photographs[0].warnings)}
@@ -256,7 +267,7 @@ def run(config: Config) -> Result:
     """Estimate all directions, and read all faulty photographs."""
     estimated = run_cases(estimate_case, {f"direction_{k:03}": {"number": k}
                                           for k in range(config["directions"])},
-                          config, sources=("sim", "data"))
+                          config, sources=("sim", "data", "drapenet/evidence"))
     answers = run_cases(fault_case, {f"{kind} {k}": {"kind": kind, "number": k}
                                      for kind in FAULTS for k in range(config["repeats"])},
                         config, folder=Path(config["cases"]) / "faults", sources=("sim", "data"))

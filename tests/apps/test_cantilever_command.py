@@ -5,7 +5,6 @@ import json
 import numpy as np
 import pytest
 from elastica_curves import LAWS, curves_of, write_curve
-from strip_photographs import ALPHA, BETA, DENSITY, LONG, SHORT, entry, photograph, write
 from words import last
 
 from apps.cantilever import main
@@ -46,33 +45,6 @@ def test_a_curve_that_does_not_determine_beta_is_named(tmp_path, capsys):
     curve = write_curve(tmp_path / "long.csv", curves_of(*LAWS[0])[1])
     main(["estimate", f"warp={curve}", "density=300"])
     assert "do not determine beta" not in capsys.readouterr().out
-
-
-def test_photographs_give_moduli_with_intervals(tmp_path, capsys):
-    folder = write(tmp_path / "strips",
-                   {"a.png": photograph(SHORT), "b.png": photograph(LONG)},
-                   [entry(SHORT, "a.png"), entry(LONG, "b.png", camera_distance_mm=None),
-                    {"direction": "bias", "face": "down", "bending_length_mm": 21.0}])
-    out = tmp_path / "moduli.json"
-    main(["estimate", f"strips={folder}", f"out={out}"])
-    report = json.loads(out.read_text())
-    warp, bias = (report["moduli"][direction] for direction in ("warp", "bias"))
-    assert report["density_g_m2"] == pytest.approx(1e3 * DENSITY)
-    assert [strip["file"] for strip in warp["strips"]] == ["a.png", "b.png"] and not bias["strips"]
-    for name, true in (("alpha_uN_m", 1e6 * ALPHA), ("beta_nN_m2", 1e9 * BETA)):
-        (low, high), (lower, higher) = (warp[f"{name}_interval_{level}"] for level in (68, 90))
-        assert lower < low < warp[name] < high < higher and lower < true < higher
-        assert bias[f"{name}_interval_68"][1] - bias[f"{name}_interval_68"][0] > high - low
-    assert np.array(warp["covariance"]).shape == (3, 3)
-    assert abs(warp["natural_curvature_1_m"][0]) < warp["natural_curvature_1_m"][1] < 1
-    printed = capsys.readouterr().out
-    assert "note: b.png: camera_distance_mm is missing" in printed and "a.png alone" in printed
-    with pytest.raises(InputError, match="all three directions; bias"):
-        main(["estimate", f"strips={folder}", "rounds=1"])
-    for words, said in ((["density=200"], "leave out"), ([f"warp={out}"], "leave out"),
-                        (["slope=40"], "the strip leaves the clamp")):
-        with pytest.raises(InputError, match=said):
-            main(["estimate", f"strips={folder}", *words])
 
 
 @pytest.mark.parametrize("words", [

@@ -5,6 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from elastica_curves import PRIORS
 from PIL import Image
 from strip_photographs import (
     ALPHA,
@@ -72,12 +73,15 @@ def test_a_large_photograph_is_reduced(tmp_path):
 
 
 def test_a_sloping_clamp_is_read_as_stated(tmp_path):
-    folder = write(tmp_path / "strips", {"strip.png": photograph(SLOPED)}, [entry(SLOPED)])
-    strips = read_strips(folder, slope=SLOPED.slope)
+    pictures = {"strip.png": photograph(SLOPED)}
+    folder = write(tmp_path / "strips", pictures, [entry(SLOPED)],
+                   clamp_slope_deg=float(np.degrees(SLOPED.slope)))
+    strips = read_strips(folder)
     assert largest_error_mm(strips.photographs[0].measured.curve, SLOPED) < 0.4
-    (found,) = strips.posteriors().values()
+    (found,) = strips.evidence(PRIORS).values()
     assert not strips.warnings and found.alpha == pytest.approx(ALPHA, rel=0.15)
-    assert any("no horizontal edge" in line for line in read_strips(folder).warnings)
+    level = write(tmp_path / "level", pictures, [entry(SLOPED)])
+    assert any("no horizontal edge" in line for line in read_strips(level).warnings)
 
 
 def test_a_board_gives_the_scale_in_the_plane_of_the_strip(tmp_path):
@@ -98,13 +102,14 @@ def test_photographs_of_one_direction_give_its_moduli(tmp_path):
     folder = write(tmp_path / "strips", {"a.png": photograph(SHORT), "b.png": photograph(LONG)},
                    [entry(SHORT, "a.png"), entry(LONG, "b.png"),
                     {"direction": "weft", "bending_length_mm": 21.0}])
-    found = read_strips(folder).posteriors()
+    found = read_strips(folder).evidence(PRIORS)
     assert found["warp"].alpha == pytest.approx(ALPHA, rel=0.05)
     assert found["warp"].beta == pytest.approx(BETA, rel=0.35)
     for level, count in ((0.9, 2), (0.01, 0)):
         spans = found["warp"].intervals(level)
         assert ((spans[:, 0] < [ALPHA, BETA]) & (spans[:, 1] > [ALPHA, BETA])).sum() >= count
-    assert found["warp"].covariance[0, 0] < found["weft"].covariance[0, 0]
+    one, other = (found[name].posterior.covariance[0, 0] for name in ("warp", "weft"))
+    assert one < other
     assert found["weft"].alpha == pytest.approx(0.2 * 9.81 * 0.021**3, rel=0.3)
 
 
@@ -128,7 +133,7 @@ STATED = {
     "elsewhere": ({"file": "other.png"}, {}, "other.png cannot be read"),
     "outside": ({"clamp_px": [5000.0, 3.0]}, {}, "is not in the picture"),
     "density": ({}, {"density_g_m2": 0.2}, "density_g_m2=0.2.*weigh"),
-    "no strips": ({}, {"strips": []}, r"strips=\[\]"),
+    "nothing": ({}, {"strips": []}, "nothing is measured; give strips, or known"),
 }
 
 

@@ -169,9 +169,8 @@ WARNINGS = {
         "border has one and the same depth", "a pixel spans",
         "the drape coefficient is", "of its silhouette in common",
         "has a drape coefficient of", "outside the fabrics of the training set",
-        "of the posterior samples", "contradicts {rival}", "contradict the captures",
-        "state different densities",
-        "the known {name}", "the known values agree with", "no drape of the estimate converged",
+        "of the posterior samples", "contradict", "state different densities",
+        "the known {name}", "no drape of the estimate converged",
         "the estimate is not refined", "the network's estimate is not refined",
         "there is no report", "the report shows no simulated drape"),
 }
