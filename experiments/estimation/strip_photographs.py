@@ -101,19 +101,21 @@ def read_pictures(pictures: dict[str, np.ndarray], entries: list[dict], **keys) 
 
 
 def estimate_case(*, number: int) -> dict:
-    """Errors of the curves and of the moduli of one direction."""
+    """Errors of the curves and of the moduli of one direction: the errors are those of its strips,
+    the intervals those of the fabric."""
     alpha, ratio = direction_of(number)
     rng = np.random.default_rng([SEED, number])
     scale = SCALES[number // 2 % len(SCALES)]
     curl = float(rng.laplace(0, CURL))
     truth = {"alpha": alpha, "ratio": ratio, "scale": scale, "curl": curl,
              "faces": FACES[number % 2]}
-    pictures, entries, scenes, scatter = {}, [], [], rng.uniform(*SCATTER)
+    pictures, entries, scenes = {}, [], []
+    apart = rng.uniform(*SCATTER) * rng.standard_normal(len(LENGTHS))
     for k, share in enumerate(LENGTHS):
         length = max(share * bending_length(alpha, REFERENCE_DENSITY), LEAST_LENGTH)
         down = number % 2 and k
-        scenes.append(draw_scene(alpha * np.exp(scatter * rng.standard_normal()), ratio, length,
-                                 rng, curl=-curl if down else curl))
+        scenes.append(draw_scene(alpha * np.exp(apart[k]), ratio, length, rng,
+                                 curl=-curl if down else curl))
         pictures[f"{k}.png"] = scenes[-1].photograph(rng)
         entries.append(entry_of(scenes[-1], f"{k}.png", length, scale, rng)
                        | {"face": "down" if down else "up"})
@@ -125,16 +127,18 @@ def estimate_case(*, number: int) -> dict:
     off = [distance_across(strip.measured.curve[1:], scene.curve)
            for strip, scene in zip(strips.photographs, scenes, strict=True)]
     plain = match([strip.measured.curve for strip in strips.photographs], weight=WEIGHT)
-    true = np.array([alpha, ratio * alpha])
-    size = np.array([alpha, alpha * max(abs(ratio), MIN_RATIO)])
+    true = np.array([alpha, ratio * alpha])  # of the fabric
+    measured = alpha * np.exp(apart.mean())  # of its strips
+    shown = np.array([measured, ratio * measured])
+    size = np.array([measured, measured * max(abs(ratio), MIN_RATIO)])
     return truth | {
         "failed": "",
         "warnings": [line for strip in strips.photographs for line in strip.warnings],
         "curl_found": found.curl,
         "curve_mm": [1e3 * float(np.sqrt((each**2).mean())) for each in off],
         "curve_largest_mm": [1e3 * float(np.abs(each).max()) for each in off],
-        "errors": ((np.array([found.alpha, found.beta]) - true) / size).tolist(),
-        "errors_table": ((np.array([plain.alpha, plain.beta]) - true) / size).tolist(),
+        "errors": ((np.array([found.alpha, found.beta]) - shown) / size).tolist(),
+        "errors_table": ((np.array([plain.alpha, plain.beta]) - shown) / size).tolist(),
         "deviations": np.sqrt(np.diag(found.posterior.covariance)).tolist(),
         "scatter": found.scatter,
         "inside": [((spans[:, 0] < true) & (true < spans[:, 1])).tolist()
