@@ -11,7 +11,7 @@ from safetensors.torch import load, save_file
 from common.configs import read_option
 from data.fabrics.properties import ClothProperties
 from drapenet.network.checkpoint import SCHEMA, save_checkpoint
-from drapenet.network.model import DrapeNet
+from drapenet.network.model import make_network
 from drapenet.network.targets import targets_of
 
 
@@ -43,7 +43,7 @@ def save_untrained(path: Path, width: int = 8) -> Path:
     deviations = [*std[:3], *np.array(std[3:]) / 0.3, 2.0, 2.0, 0.6, 0.1]
     generation = {"sampling": {"seed": 999, "starts": ["sine", "fold"]}, "prior": "blobs",
                   "solver": {"edge_mm": 8.0}}
-    save_checkpoint(path, model=DrapeNet(**model), half=False, description={
+    save_checkpoint(path, model=make_network(**model), half=False, description={
         "model": model, "targets": {"mean": targets.tolist(), "std": deviations},
         "fabrics": {"low": [m - 2 * s for m, s in zip(mean, std, strict=True)],
                     "high": [m + 2 * s for m, s in zip(mean, std, strict=True)],

@@ -17,13 +17,12 @@ from data.dataset.folder import finished_manifest
 from data.render.setups import Setups
 from drapenet.config import ModelConfig, OptimConfig, TrainConfig
 from drapenet.network import training as steps
+from drapenet.network.captures import CaptureSet, Condition
 from drapenet.network.checkpoint import load_model, read_header
 from drapenet.network.dataset import Maps
 from drapenet.network.evaluate import DEPTH, OUTLINE
-from drapenet.network.model import DrapeNet
+from drapenet.network.model import make_network
 from drapenet.network.training import (
-    CaptureSet,
-    Condition,
     fit,
     learning_rate,
     load_state,
@@ -102,6 +101,12 @@ def test_another_setting_in_the_same_folder_is_refused(words, trained, tmp_path,
     ("optim.batch_size=1000", "batch"),
     ("data=/nowhere", "not a dataset"),
     ("captures=0", "captures"),
+    ("fabrics=0", "fabrics"),
+    ("inputs=[]", "inputs"),
+    ("inputs=[sound]", "inputs"),
+    ("model=lines", "lines"),
+    ("model.backbone=resnet19", "backbone"),
+    ("model.backbone=resnet18", r"inputs=\[depth,outline,numbers\].*give inputs=\[depth\]"),
     ("setup=nowhere", "nowhere"),
     ("setup.pitch_deg=[50,25]", "pitch"),
     ("workers=0", "workers"),
@@ -171,22 +176,25 @@ def stiff_maps(count: int, *, seed: int) -> Maps:
     one = np.ones(count)
     return Maps(
         *compressed(distance, np.ones_like(distance)), hem=radius.astype(np.float16),
-        silhouettes=np.repeat(radius[:, None], len(PERSPECTIVES), axis=1), theta=theta,
+        silhouettes=np.repeat(radius[:, None], len(PERSPECTIVES), axis=1),
+        pictures=np.zeros((count, 0, 0, 0), np.float16), angle=np.zeros(count), theta=theta,
         curl=rng.normal(0, 2, (count, 2)), membrane=rng.lognormal(6, 0.5, count),
         hysteresis=rng.uniform(0.1, 0.3, count), size=0.3 * one, plate=0.6 * one, disc=one > 0,
         aspect=one, face=one, views=4 * one, folds=7 * one, fabric=np.arange(count),
         index=np.arange(count), moved=one < 0)
 
 
-@pytest.mark.parametrize(("kinds", "known", "most"), [
-    (DEPTH, 1.0, 0.5), (DEPTH, 0.0, 0.7), (OUTLINE, 1.0, 0.7)])
-def test_training_learns_all_three_directions(kinds, known, most):
+@pytest.mark.parametrize(("kinds", "known", "most", "output"), [
+    (DEPTH, 1.0, 0.5, "posterior"), (DEPTH, 0.0, 0.7, "posterior"), (OUTLINE, 1.0, 0.7, "posterior"),
+    (DEPTH, 1.0, 0.5, "regression")])
+def test_training_learns_all_three_directions(kinds, known, most, output):
     """Without the directions the errors would be 0.8, without anything 1."""
     condition = Condition(kinds, (1.0,), known=known, parallel=1.0)
     training = CaptureSet(stiff_maps(320, seed=0))
     unseen = CaptureSet(stiff_maps(128, seed=1), scale=training.scale)
     torch.manual_seed(0)
-    network = DrapeNet(**training.network(ModelConfig(width=4, components=1, dropout=0.0)))
+    network = make_network(**training.network(ModelConfig(
+        backbone=None, output=output, width=4, components=1, dropout=0.0)))
     batches = [batch for epoch in range(20) for batch in training.epoch(
         seed=0, epoch=epoch, size=OPTIM.batch_size, condition=condition)]
     fit(network, ((step / len(batches), batch) for step, batch in enumerate(batches)),
