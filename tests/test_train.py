@@ -255,8 +255,8 @@ def stiff_maps(count: int, *, seed: int) -> Maps:
 
 
 @pytest.mark.parametrize(("kinds", "known", "most", "output"), [
-    (DEPTH, 1.0, 0.5, "posterior"), (DEPTH, 0.0, 0.7, "posterior"), (OUTLINE, 1.0, 0.7, "posterior"),
-    (DEPTH, 1.0, 0.5, "regression")])
+    (DEPTH, 1.0, 0.5, "posterior"), (DEPTH, 0.0, 0.7, "posterior"),
+    (OUTLINE, 1.0, 0.7, "posterior"), (DEPTH, 1.0, 0.5, "regression")])
 def test_training_learns_all_three_directions(kinds, known, most, output):
     """Without the directions the errors would be 0.8, without anything 1."""
     condition = Condition(kinds, (1.0,), known=known, parallel=1.0)

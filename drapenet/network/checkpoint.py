@@ -46,7 +46,7 @@ class _Model(Schema):
     width: int = Field(ge=1, le=512)
     components: int = Field(ge=1, le=32)
     dropout: float = Field(ge=0, lt=1)
-    distance: _Positive
+    distance: float
     spread: _Positive
     rectangles: bool = False
 
