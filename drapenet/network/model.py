@@ -109,7 +109,7 @@ class Batch:
     def of(cls, distance: np.ndarray, weight: np.ndarray, outline: np.ndarray, facts: Facts,
            pictures: np.ndarray, angle: np.ndarray, targets: torch.Tensor | None = None) -> "Batch":
         """Batch of N stored maps (:func:`drapenet.views.radial_map.compressed`), (N, AZIMUTHS)
-        outlines in half sizes (m/m), NaN where not seen, pictures and their angles."""
+        outlines in half sizes (m/m), NaN where not seen, pictures and their angles, rad."""
         return cls(torch.from_numpy(distance).float(), torch.from_numpy(weight) * WEIGHT_UNIT,
                    torch.from_numpy(np.nan_to_num(outline).astype(np.float32)),
                    torch.from_numpy(facts.face.astype(np.float32)), facts.columns(),
@@ -196,11 +196,11 @@ class Network(torch.nn.Module):
             self.factor = None
 
     def columns(self, facts: torch.Tensor) -> torch.Tensor:
-        """(N, self.facts) columns that the network reads of a batch's ``facts``."""
+        """(N, F) columns that the network reads of a batch's ``facts`` (N, FACTS + ASPECTS)."""
         return facts[:, : self.facts]
 
     def captures(self, batch: Batch) -> torch.Tensor:
-        """(N, features) of each capture."""
+        """(N, F) features of each capture."""
         raise NotImplementedError
 
     def forward(self, batch: Batch) -> Mixture:
@@ -257,7 +257,7 @@ class DrapeNet(Network):
                         components=components, dropout=dropout)
 
     def captures(self, batch: Batch) -> torch.Tensor:
-        """(N, POOLED 8 width) features of maps and outlines."""
+        """(N, F) features of maps and outlines."""
         distance, outline = batch.distance, batch.outline
         azimuth = (torch.arange(AZIMUTHS) + 0.5) * (2 * torch.pi / AZIMUTHS)
         place = torch.stack([torch.cos(2 * azimuth), torch.sin(2 * azimuth),
@@ -296,12 +296,13 @@ class ViewNet(Network):
                         components=components, dropout=dropout)
 
     def columns(self, facts: torch.Tensor) -> torch.Tensor:
-        """Tester, warp and aspect: what the drape is like is to be read of the pictures."""
+        """(N, F) columns of tester, warp and aspect, of (N, FACTS + ASPECTS): what the drape is
+        like is to be read of the pictures."""
         return torch.cat([facts[:, :_TESTER], facts[:, FACTS:]], dim=1)[:, : self.facts]
 
     def captures(self, batch: Batch) -> torch.Tensor:
-        """(N, width + 1) features of pictures, and the angle of azimuth 0, which has no meaning for
-        a disc whose warp is not stated."""
+        """(N, F) features of pictures, the last the angle of azimuth 0, which has no meaning for a
+        disc whose warp is not stated."""
         depth = (batch.pictures - self.distance) / self.spread
         depth = torch.where(depth.isnan(), _BACKGROUND, depth)
         with torch.autocast(depth.device.type, torch.bfloat16,

@@ -114,7 +114,7 @@ class Symmetry:
         return torch.where(self.mirror[:, None, None, None], turned.flip(-1), turned)
 
     def of_angles(self, angle: torch.Tensor) -> torch.Tensor:
-        """Apply to angles (N,) of azimuth 0 in the first picture."""
+        """Apply to angles (N,), rad, of azimuth 0 in the first picture."""
         return torch.where(self.mirror, -angle, angle)
 
 
