@@ -58,9 +58,9 @@ class Condition:
         return cls(tuple(share / sum(shares) for share in shares))
 
 
-def readable(maps: Maps, inputs: Sequence[Input]) -> Maps:
-    """The captures of use to a network of ``inputs``: without depth views there is an outline."""
-    return maps.chosen(maps.views > 0) if set(inputs) == {"depth"} else maps
+def readable(maps: Maps, inputs: Sequence[Input]) -> np.ndarray:
+    """Mask (N,) of the captures of use to a network of ``inputs``: of all there is an outline."""
+    return (maps.views > 0) | (set(inputs) != {"depth"})
 
 
 class CaptureSet:

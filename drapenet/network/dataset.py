@@ -94,7 +94,10 @@ class Maps:
 
     @classmethod
     def joined(cls, parts: Iterable["Maps"]) -> "Maps":
-        """The rows of all ``parts``."""
+        """The rows of all ``parts``; a single one is not copied, as it may fill the memory."""
+        parts = list(parts)
+        if len(parts) == 1:
+            return parts[0]
         return cls(*(np.concatenate(columns) for columns in
                      zip(*(vars(part).values() for part in parts), strict=True)))
 

@@ -103,7 +103,7 @@ def judge(
     network: Network, header: Header, maps: Maps, condition: Condition, *, seed: int
 ) -> dict[str, Any]:
     """Errors and coverage on sets of captures of unseen fabrics."""
-    captures = CaptureSet(readable(maps, header.config.inputs), scale=header.scale)
+    captures = CaptureSet(maps.chosen(readable(maps, header.config.inputs)), scale=header.scale)
     rng = np.random.default_rng(seed)
     cloths = np.tile(np.arange(len(captures)), _REPEATS)
     errors, places, fabric = [], [], []

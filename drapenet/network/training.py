@@ -69,14 +69,15 @@ def open_captures(config: TrainConfig) -> tuple[CaptureSet, CaptureSet, dict]:
         # Fabrics and drapes of different datasets are different.
         parts.append(replace(part, fabric=part.fabric + number * _APART,
                              index=part.index + number * _APART))
-    maps = readable(Maps.joined(parts), config.inputs)
+    maps = Maps.joined(parts)
     described = {"sha256": [manifest["hash"] for manifest in manifests],
                  "generation": [manifest["config"] for manifest in manifests],
                  "maps": sources_digest(*SOURCES)}
     shares = {"train": 1 - config.validation_fraction, "validation": config.validation_fraction}
     split = split_by_fabric(maps.fabric, fractions=shares)
-    unseen = maps.chosen((split == "validation") & ~maps.moved)
-    training = chosen_drapes(maps.chosen(split == "train"), config)
+    usable = readable(maps, config.inputs)
+    unseen = maps.chosen(usable & (split == "validation") & ~maps.moved)
+    training = maps.chosen(first_drapes(maps, usable & (split == "train"), config))
     captures = CaptureSet(training) if len(training) else None
     if not captures or len(captures) < config.optim.batch_size or not len(unseen):
         raise InputError(f"{', '.join(folders)}: {len(captures or ())} fabrics and neighbours to "
@@ -87,11 +88,16 @@ def open_captures(config: TrainConfig) -> tuple[CaptureSet, CaptureSet, dict]:
     return captures, CaptureSet(unseen, scale=captures.scale), described
 
 
-def chosen_drapes(maps: Maps, config: TrainConfig) -> Maps:
-    """The captures of the first ``fabrics`` fabrics and of the first ``drapes`` drapes of each."""
-    fabrics = np.unique(maps.fabric)[: config.fabrics]
-    drapes = [np.unique(maps.index[maps.fabric == fabric])[: config.drapes] for fabric in fabrics]
-    return maps.chosen(np.isin(maps.index, np.concatenate(drapes)) if drapes else maps.index < 0)
+def first_drapes(maps: Maps, rows: np.ndarray, config: TrainConfig) -> np.ndarray:
+    """Mask (N,) of those ``rows`` (N,), a mask, that show one of the first ``fabrics`` fabrics, and
+    of its drapes one of the first ``drapes``."""
+    fabric, index = np.unique(np.column_stack([maps.fabric, maps.index])[rows], axis=0).T
+    _, first, which = np.unique(fabric, return_index=True, return_inverse=True)
+    within = np.arange(len(fabric)) - first[which]  # number of a drape among those of its fabric
+    kept = np.ones(len(fabric), bool)
+    for number, most in ((which, config.fabrics), (within, config.drapes)):
+        kept &= most is None or number < most
+    return rows & np.isin(maps.index, index[kept])
 
 
 def learning_rate(optim: OptimConfig, progress: float) -> float:
