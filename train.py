@@ -3,7 +3,8 @@
     python train.py data=outputs/dataset out=outputs/train
 
 After an interruption the same command resumes from the last finished epoch and gives the same
-weights. Settings are in ``configs/train.yaml``; override any of them by ``key=value``.
+weights; with a larger ``epochs=`` it extends the training. Settings are in ``configs/train.yaml``;
+override any of them by ``key=value``. ``model=views`` trains the network of Feng et al. 2022.
 """
 
 import common.interrupt  # noqa: F401
@@ -29,39 +30,43 @@ def train(config: TrainConfig) -> Path:
 
     from drapenet.network import training as steps
     from drapenet.network.checkpoint import save_checkpoint
-    from drapenet.network.model import DrapeNet
+    from drapenet.network.model import make_network
 
     device = steps.choose_device(config)
     training, unseen, datasets = steps.open_captures(config)
     checkpoint, state = out / "drapenet.safetensors", out / "state.pt"
 
     torch.manual_seed(config.seed)  # used for the initial weights only
-    network = DrapeNet(**training.network(config.model)).to(device)
+    network = make_network(**training.network(config.model)).to(device)
     network.bfloat16 = config.bfloat16
     optimizer = torch.optim.AdamW(network.parameters(), weight_decay=config.optim.weight_decay)
 
     # Must agree with an existing state for a resume.
-    run = {"settings": config.defining(), "datasets": datasets["sha256"], "maps": datasets["maps"]}
-    record = {"run": run, "epochs_done": 0, "best_loss": None}
+    settings = {name: one for name, one in config.defining().items() if name != "epochs"}
+    run = {"settings": settings, "datasets": datasets["sha256"], "maps": datasets["maps"]}
+    record = {"run": run, "cycles": [], "epochs_done": 0, "best_loss": None}
     if state.exists():
         record = steps.load_state(state, run=run, model=network, optimizer=optimizer)
+    record["cycles"] = steps.cycles_of(record, config.epochs)
 
     count = len(training.turns) // config.optim.batch_size
     bar = tqdm(total=config.epochs * count, initial=record["epochs_done"] * count, unit="batch")
     with SummaryWriter(out / "tensorboard", purge_step=record["epochs_done"]) as board, bar:
         for epoch in range(record["epochs_done"], config.epochs):
-            schedule = steps.schedule(training, config, epoch=epoch, bar=bar)
+            schedule = steps.schedule(training, config, cycles=record["cycles"], epoch=epoch,
+                                      bar=bar)
             loss = steps.fit(network, schedule, optimizer=optimizer, optim=config.optim)
             finite = all(part.isfinite().all() for part in network.parameters())
             if not math.isfinite(loss) or not finite:
                 raise InputError(f"the loss of epoch {epoch} is not finite; train again with a "
                                  "smaller optim.learning_rate and another out=")
-            metrics = steps.validate(network, unseen)
+            metrics = steps.validate(network, unseen, steps.Condition.of_inputs(config.inputs))
             steps.log_metrics(board, bar, metrics, epoch=epoch, train_loss=loss,
                               rate=optimizer.param_groups[0]["lr"])
             if record["best_loss"] is None or metrics["loss"] < record["best_loss"]:
                 record["best_loss"] = metrics["loss"]
-                content = steps.describe(config, training, datasets, metrics, epoch)
+                content = steps.describe(config, training, datasets, metrics, epoch=epoch,
+                                         cycles=record["cycles"])
                 save_checkpoint(checkpoint, model=network, half=config.half_precision,
                                 description=content)
             # Last, so that an interruption before this line repeats the epoch and nothing else.

@@ -1,6 +1,11 @@
 """Resumable work: a case is done when its result file exists, with the key of the case.
 
 The key is a digest of its settings and of the sources that the result depends on.
+
+Two kinds of work are no cases. A training's state is refused, not made again, where settings or
+maps have changed, because hours may be in it (:mod:`drapenet.network.training`); a dataset's shards
+are written by many machines, are refused for the same reason, and state their own settings and
+checksum (:mod:`data.dataset.folder`).
 """
 
 import hashlib

@@ -2,6 +2,8 @@
 
 ``configs/NAME.yaml`` and its groups hold the defaults with their comments, the schema, a dataclass,
 the types and ranges. Texts need no quotes and lists no brackets, except in a sweep.
+Groups of one command alone are in ``configs/NAME``: of a group in ``configs``, no command may have
+a key of the same name, which Hydra would take for a choice of it.
 """
 
 import errno
@@ -117,13 +119,20 @@ def _overrides(name: str, schema: type, words: list[str]) -> list[str]:
     content = read_config(name)
     keys = {word.partition("=")[0] for word in words}
     parts = content.get("hydra", {}).get("sweeper", {}).get("params", {})
-    replaced = [f"~hydra.sweeper.params.{key}" for key in parts if key in keys]
+    replaced = [*_own_groups(name),
+                *(f"~hydra.sweeper.params.{key}" for key in parts if key in keys)]
     if not {"-m", "--multirun"} & set(words):
         return [*replaced, *(quoted(word, schema) for word in words)]
     if content.get("out") and not parts and "out" not in keys:
         out = Path(content["out"])
-        replaced = ["out=${hydra:runtime.output_dir}" + f"/{out.name}" * bool(out.suffix)]
+        replaced += ["out=${hydra:runtime.output_dir}" + f"/{out.name}" * bool(out.suffix)]
     return [*replaced, *words]
+
+
+def _own_groups(name: str) -> list[str]:
+    """Hydra's word for the groups of one command, if it has any."""
+    folder = CONFIG_DIR / name
+    return [f"hydra.searchpath=['file://{folder}']"] if folder.is_dir() else []
 
 
 def quoted(word: str, schema: type) -> str:
@@ -166,7 +175,7 @@ def _compose(name: str, words: list[str]) -> Any:
     from hydra import compose, initialize_config_dir
 
     with initialize_config_dir(version_base="1.3", config_dir=str(CONFIG_DIR)):
-        return compose(name, overrides=words)
+        return compose(name, overrides=[*_own_groups(name), *words])
 
 
 def checked(config: Any, schema: type) -> Any:
@@ -195,9 +204,10 @@ def help_text(name: str, usage: str) -> str:
             files.append(f"{Path(name).parent / default.partition('@')[0]}")
     parts = [usage.rstrip(), *(f"\nKeys (configs/{file}.yaml):\n\n{_keys(file)}" for file in files)]
     for group, default in groups.items():
-        for option in group_options(group):
+        folder = f"{name}/{group}" if group_options(f"{name}/{group}") else group
+        for option in group_options(folder):
             mark = ", the default" if option == default else ""
-            text = textwrap.indent(_keys(f"{group}/{option}"), "    ")
+            text = textwrap.indent(_keys(f"{folder}/{option}"), "    ")
             parts.append(f"\n{group}={option}{mark}\n{text}")
     return "\n".join([*parts, _HYDRA])
 

@@ -2,7 +2,7 @@
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -12,12 +12,19 @@ from common.types import Metres
 FromOne = Annotated[int, Field(ge=1)]
 FromZero = Annotated[int, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]
+Backbone = Literal["resnet18", "resnet34", "alexnet", "efficientnet_b0", "vgg16"]
+"""Networks of torchvision that read depth views."""
+Output = Literal["posterior", "regression"]
+Input = Literal["depth", "outline", "numbers"]
+"""What is read of a capture: depth views, an outline, or drape coefficient and nodes."""
 
 
 @dataclass
 class ModelConfig:
-    """See :class:`drapenet.network.model.DrapeNet`."""
+    """See :class:`drapenet.network.model.Network`."""
 
+    backbone: Backbone | None
+    output: Output
     width: Annotated[int, Field(ge=1, le=512)]
     components: Annotated[int, Field(ge=1, le=32)]
     dropout: Annotated[float, Field(ge=0, lt=1)]
@@ -25,7 +32,7 @@ class ModelConfig:
 
 @dataclass
 class OptimConfig:
-    """AdamW with a one-cycle cosine schedule of the learning rate."""
+    """AdamW with one cosine cycle of the learning rate, see `training.learning_rate`."""
 
     learning_rate: Positive
     warm_up: Annotated[float, Field(ge=0, lt=1)]
@@ -43,14 +50,16 @@ class TrainConfig:
     maps: str
     seed: Seed
     epochs: FromOne
+    inputs: Annotated[list[Input], Field(min_length=1)]
     captures: FromOne
     neighbours: bool
     outlines: FromZero
     validation_fraction: Annotated[float, Field(gt=0, lt=1)]
-    fabrics: FromZero
+    fabrics: FromOne | None
+    drapes: FromOne | None
     device: Annotated[str, Field(pattern="^(auto|cpu|cuda)$")]
     workers: Workers
-    threads: Threads
+    threads: Annotated[int | None, Field(ge=1, le=1024)]
     bfloat16: bool
     half_precision: bool
     setup: dict[str, Any]

@@ -111,7 +111,7 @@ def run_fabrics(
     subfolder: str = "",
 ) -> dict[str, dict]:
     """Run ``case(number=k, ...)`` for every fabric, with the keys of ``config`` that change it."""
-    others = (*EXECUTION_KEYS, "fabrics", "learned")
+    others = (*EXECUTION_KEYS, "fabrics")
     settings = {key: value for key, value in config.items() if key not in others}
     return run_cases(case, {f"fabric_{k:02}": settings | {"number": k}
                             for k in range(config["fabrics"])},

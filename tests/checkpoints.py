@@ -12,7 +12,7 @@ from common.configs import read_option
 from data.fabrics.prior import load_prior, prior_content
 from data.fabrics.properties import ClothProperties
 from drapenet.network.checkpoint import SCHEMA, save_checkpoint
-from drapenet.network.model import DrapeNet
+from drapenet.network.model import make_network
 from drapenet.network.targets import targets_of
 
 
@@ -47,7 +47,7 @@ def save_untrained(path: Path, width: int = 8) -> Path:
             "membrane": [200.0, 2000.0], "shear": [0.2, 1.0], "hysteresis": [5.0, 60.0],
             "curl": 5.0, "curl_specimen": 1.0}},
         "prior": prior_content(load_prior("gaussian")), "solver": {"edge_mm": 8.0}}
-    save_checkpoint(path, model=DrapeNet(**model), half=False, description={
+    save_checkpoint(path, model=make_network(**model), half=False, description={
         "model": model, "targets": {"mean": targets.tolist(), "std": deviations},
         "fabrics": {"low": [m - 2 * s for m, s in zip(mean, std, strict=True)],
                     "high": [m + 2 * s for m, s in zip(mean, std, strict=True)],

@@ -69,10 +69,11 @@ def skirt(
 
 
 def write_dataset(root: Path, *, drapes: int, edge: float = 0.012, **sampling: object) -> Path:
-    """Drapes of one fabric each, in shards of 8."""
+    """Drapes, of one fabric each unless ``sampling`` states others, in shards of 8."""
     config = DatasetConfig(
         drapes=drapes, prior=load_prior("gaussian"),
-        sampling=SamplingConfig(starts_per_fabric=1, **sampling), edge=edge, drapes_per_shard=8,
+        sampling=SamplingConfig(**{"starts_per_fabric": 1} | sampling), edge=edge,
+        drapes_per_shard=8,
     )
     root.mkdir(parents=True)
     for shard in range(config.shards):

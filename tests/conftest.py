@@ -13,14 +13,13 @@ from here import here
 import common.cases
 import common.interrupt
 import data.dataset.generate
-import drapenet.network.dataset
 from sim.rig import DISC_RIG
 from sim.scene import Scene, make_specimen
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # pytest's
 torch.set_num_threads(1)  # of each worker; sums of several may differ by rounding from run to run
 
-for module in (common.cases, data.dataset.generate, drapenet.network.dataset):
+for module in (common.cases, data.dataset.generate):
     module.worker_pool = here
 
 

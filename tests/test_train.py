@@ -17,13 +17,12 @@ from data.dataset.folder import finished_manifest
 from data.render.setups import Setups
 from drapenet.config import ModelConfig, OptimConfig, TrainConfig
 from drapenet.network import training as steps
+from drapenet.network.captures import CaptureSet, Condition
 from drapenet.network.checkpoint import load_model, read_header
 from drapenet.network.dataset import Maps
 from drapenet.network.evaluate import DEPTH, OUTLINE
-from drapenet.network.model import DrapeNet
+from drapenet.network.model import make_network
 from drapenet.network.training import (
-    CaptureSet,
-    Condition,
     fit,
     learning_rate,
     load_state,
@@ -79,6 +78,41 @@ def test_a_resumed_training_ends_bit_for_bit_like_an_uninterrupted_one(
     assert first.read_bytes() == second.read_bytes()
 
 
+def test_an_extended_training_is_the_same_however_it_was_interrupted(
+    words, trained, tmp_path, monkeypatch
+):
+    """From two epochs to three: after the second, or decided within it; and interrupted again."""
+    whole, broken = tmp_path / "whole", tmp_path / "broken"
+    shutil.copytree(trained, whole)
+    train.main(last(*words, f"out={whole}", "epochs=3"))
+    rates = []
+
+    def interrupt(*args: object) -> float:
+        rates.append(learning_rate(*args))
+        if len(rates) in (4, 7):  # within the second epoch, and the third
+            raise KeyboardInterrupt
+        return rates[-1]
+
+    monkeypatch.setattr(steps, "learning_rate", interrupt)
+    for epochs in (2, 3):
+        with pytest.raises(KeyboardInterrupt):
+            train.main(last(*words, f"out={broken}", f"epochs={epochs}"))
+    train.main(last(*words, f"out={broken}", "epochs=3"))
+    first, second = (torch.load(run / "state.pt") for run in (whole, broken))
+    assert first["record"] == second["record"] and first["record"]["cycles"] == [2, 3]
+    torch.testing.assert_close(first["model"], second["model"], rtol=0, atol=0)
+    # The rate has fallen at the end of the second epoch, and rises again.
+    assert rates[-2] == learning_rate(compose_config("train", words, schema=TrainConfig).optim, 0.0)
+    before = torch.load(trained / "state.pt")
+    assert not torch.equal(before["model"]["stem.0.weight"], first["model"]["stem.0.weight"])
+
+
+def test_a_training_is_not_shortened(words, trained, tmp_path):
+    shutil.copy(trained / "state.pt", tmp_path)
+    with pytest.raises(InputError, match="epochs=1: this training is one of 2; give as many"):
+        train.main(last(*words, f"out={tmp_path}", "epochs=1"))
+
+
 def test_a_checkpoint_describes_its_training(trained, cloth_dataset):
     header = read_header(trained / "drapenet.safetensors")
     assert load_model(header).training is False
@@ -102,6 +136,12 @@ def test_another_setting_in_the_same_folder_is_refused(words, trained, tmp_path,
     ("optim.batch_size=1000", "batch"),
     ("data=/nowhere", "not a dataset"),
     ("captures=0", "captures"),
+    ("fabrics=0", "fabrics"),
+    ("inputs=[]", "inputs"),
+    ("inputs=[sound]", "inputs"),
+    ("model=lines", "lines"),
+    ("model.backbone=resnet19", "backbone"),
+    ("model.backbone=resnet18", r"inputs=\[depth,outline,numbers\].*give inputs=\[depth\]"),
     ("setup=nowhere", "nowhere"),
     ("setup.pitch_deg=[50,25]", "pitch"),
     ("workers=0", "workers"),
@@ -127,6 +167,41 @@ def test_validation_has_other_fabrics_and_epochs_other_orders(words):
     other = next(training.epoch(seed=1, epoch=3, size=8))
     assert torch.equal(first.distance, again.distance)
     assert not torch.equal(first.distance, other.distance)
+
+
+def test_fabrics_and_drapes_to_train_on_are_the_first(tmp_path):
+    folder = write_dataset(tmp_path / "set", drapes=24, seed=8, starts=("sine",),
+                           starts_per_fabric=3)
+    few = [f"data={folder}", f"maps={tmp_path / 'maps'}", *SMALL, "optim.batch_size=4"]
+    found = {}
+    for name, more in {"all": [], "fabrics": ["fabrics=4"], "drapes": ["drapes=2"]}.items():
+        training, unseen, _ = open_captures(
+            compose_config("train", last(*few, *more), schema=TrainConfig))
+        found[name] = training.maps, set(unseen.maps.index)
+    every = found["all"][0]
+    assert set(found["fabrics"][0].fabric) == set(np.unique(every.fabric)[:4])
+    assert set(found["drapes"][0].index) == {i for i in every.index if i % 3 < 2}
+    assert set(found["drapes"][0].fabric) == set(every.fabric)
+    assert found["all"][1] == found["fabrics"][1] == found["drapes"][1]  # validation is the same
+
+
+@pytest.mark.parametrize(("inputs", "seen"), [
+    ("depth", {"depth"}), ("outline", {"outline"}), ("numbers", {"numbers"}),
+    ("depth,numbers", {"depth", "numbers"})])
+def test_a_network_is_trained_on_the_inputs_asked_for_alone(words, inputs, seen):
+    config = compose_config("train", [*words, f"inputs=[{inputs}]"], schema=TrainConfig)
+    training, _, _ = open_captures(config)
+    condition = Condition.of_inputs(config.inputs)
+    assert sum(condition.kinds) == pytest.approx(1)
+    rng, found = np.random.default_rng(0), set()
+    for _ in range(8):
+        _, facts = training.batch(np.arange(len(training)), condition, rng)
+        deep = facts.views > 0
+        counted = ~deep & np.isnan(facts.perspective)
+        found |= {"depth"} if deep.any() else set()
+        found |= {"numbers"} if np.isfinite(facts.nodes).any() else set()
+        found |= {"outline"} if (~deep & ~counted).any() else set()
+    assert found == seen
 
 
 def test_several_datasets_of_other_testers_are_one(words, tmp_path):
@@ -171,22 +246,25 @@ def stiff_maps(count: int, *, seed: int) -> Maps:
     one = np.ones(count)
     return Maps(
         *compressed(distance, np.ones_like(distance)), hem=radius.astype(np.float16),
-        silhouettes=np.repeat(radius[:, None], len(PERSPECTIVES), axis=1), theta=theta,
+        silhouettes=np.repeat(radius[:, None], len(PERSPECTIVES), axis=1),
+        pictures=np.zeros((count, 0, 0, 0), np.float16), angle=np.zeros(count), theta=theta,
         curl=rng.normal(0, 2, (count, 2)), membrane=rng.lognormal(6, 0.5, count),
         hysteresis=rng.uniform(0.1, 0.3, count), size=0.3 * one, plate=0.6 * one, disc=one > 0,
         aspect=one, face=one, views=4 * one, folds=7 * one, fabric=np.arange(count),
         index=np.arange(count), moved=one < 0)
 
 
-@pytest.mark.parametrize(("kinds", "known", "most"), [
-    (DEPTH, 1.0, 0.5), (DEPTH, 0.0, 0.7), (OUTLINE, 1.0, 0.7)])
-def test_training_learns_all_three_directions(kinds, known, most):
+@pytest.mark.parametrize(("kinds", "known", "most", "output"), [
+    (DEPTH, 1.0, 0.5, "posterior"), (DEPTH, 0.0, 0.7, "posterior"),
+    (OUTLINE, 1.0, 0.7, "posterior"), (DEPTH, 1.0, 0.5, "regression")])
+def test_training_learns_all_three_directions(kinds, known, most, output):
     """Without the directions the errors would be 0.8, without anything 1."""
     condition = Condition(kinds, (1.0,), known=known, parallel=1.0)
     training = CaptureSet(stiff_maps(320, seed=0))
     unseen = CaptureSet(stiff_maps(128, seed=1), scale=training.scale)
     torch.manual_seed(0)
-    network = DrapeNet(**training.network(ModelConfig(width=4, components=1, dropout=0.0)))
+    network = make_network(**training.network(ModelConfig(
+        backbone=None, output=output, width=4, components=1, dropout=0.0)))
     batches = [batch for epoch in range(20) for batch in training.epoch(
         seed=0, epoch=epoch, size=OPTIM.batch_size, condition=condition)]
     fit(network, ((step / len(batches), batch) for step, batch in enumerate(batches)),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import numpy as np
 from pydantic import Field
@@ -17,6 +17,7 @@ from common.types import Theta
 from data.fabrics.fabrics import THETA_NAMES
 from data.fabrics.nuisances import NuisanceConfig
 from data.rigs import DIAMETERS
+from drapenet.config import Backbone, Input, Output
 from sim.material import SWAPPED
 from sim.rig import Rig
 
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     import torch
 
     from data.render.setups import Setups
-    from drapenet.network.model import DrapeNet
+    from drapenet.network.model import Network
     from drapenet.network.targets import TargetScale
 
 SCHEMA = "drapenet-checkpoint"
@@ -39,10 +40,14 @@ _Positive = Annotated[float, Field(gt=0)]
 
 
 class _Model(Schema):
+    """Arguments of :func:`drapenet.network.model.make_network`."""
+
+    backbone: Backbone | None = None
+    output: Output = "posterior"
     width: int = Field(ge=1, le=512)
     components: int = Field(ge=1, le=32)
     dropout: float = Field(ge=0, lt=1)
-    distance: _Positive
+    distance: float
     spread: _Positive
     rectangles: bool = False
 
@@ -65,6 +70,7 @@ class _Dataset(Excerpt):
 
 class _Config(Excerpt):
     setup: dict[str, Any]
+    inputs: list[Input] = Field(default_factory=lambda: list(get_args(Input)))
 
 
 class Header(Excerpt):
@@ -121,6 +127,18 @@ class Header(Excerpt):
                 f"{DIAMETERS[0]:g} mm and more, no rectangles; give a specimen that it knows, or "
                 "the checkpoint of a network that was trained on rectangles")
 
+    def require_input(self, kind: Input, *, pictures: bool = False) -> None:
+        """InputError for a capture of a kind that the network was not trained on, or without the
+        ``pictures`` of its views that it reads."""
+        if kind not in self.config.inputs:
+            raise InputError(f"the network {self.path.name} was trained to read "
+                             f"{', '.join(self.config.inputs)}, not {kind} alone; give a capture "
+                             "that it reads, or the checkpoint of a network that was trained with "
+                             f"inputs=[{kind}]")
+        if self.model.backbone and not pictures:
+            raise InputError(f"the network {self.path.name} reads the pictures of depth views, "
+                             "which are not kept beside an estimate; estimate the capture itself")
+
     @property
     def identity(self) -> dict[str, str]:
         """Name and hash of the file, and hash of the dataset."""
@@ -151,15 +169,15 @@ def read_header(path: str | Path = "") -> Header:
     return header.model_copy(update={"path": path, "sha256": digest})
 
 
-def load_model(header: Header) -> DrapeNet:
+def load_model(header: Header) -> Network:
     """The network of a checkpoint, in float32 on the CPU, in evaluation mode."""
     from safetensors import SafetensorError
     from safetensors.torch import load_file
 
-    from drapenet.network.model import DrapeNet
+    from drapenet.network.model import make_network
 
     try:
-        model = DrapeNet(**header.model.model_dump())
+        model = make_network(**header.model.model_dump())
         model.load_state_dict(load_file(header.path))  # converts to float32
     except (SafetensorError, RuntimeError, TypeError) as error:
         reason = str(error).splitlines()[0]

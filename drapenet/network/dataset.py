@@ -4,22 +4,18 @@ For small changes of its moduli and its membrane stiffness, a stored drape moves
 of the moved drape shows a neighbouring fabric with the same folds, at a fiftieth of a simulation.
 """
 
-import io
 import math
 from collections.abc import Iterable
-from concurrent.futures import as_completed
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
+from common.cases import run_cases
 from common.errors import InputError
-from common.files import remove_partial, replace_file
 from common.provenance import sources_digest
 from common.types import Faces, Points, Radians, Theta
-from common.workers import worker_pool
 from data.captures.capture import CLOTH_SHARE
 from data.dataset.folder import MANIFEST, json_digest
 from data.dataset.shards import Shard
@@ -29,14 +25,16 @@ from drapenet.views.directions import AZIMUTHS, ELEVATIONS
 from drapenet.views.located import LocatedViews
 from drapenet.views.observation import map_along
 from drapenet.views.outline import PERSPECTIVES, contour, outline_of_map, silhouettes
+from drapenet.views.pictures import PICTURES, SIDE, DepthPictures
 from drapenet.views.radial_map import compressed
 from sim.mesh import Mesh
 from sim.rig import Rig
 
 SOURCES = (
     "configs/camera.yaml", "configs/sensor/*.yaml", "data/captures/*.py", "data/dataset/shards.py",
-    "data/fabrics/*.py", "data/render/*.py", "data/rigs.py", "drapenet/network/dataset.py",
-    "drapenet/views/*.py", "sim/*.py", "sim/energies/*.py", "sim/mesh/*.py", "sim/solver/*.py",
+    "data/fabrics/*.py", "data/readings/*.py", "data/render/*.py", "data/rigs.py",
+    "drapenet/network/dataset.py", "drapenet/views/*.py", "sim/*.py", "sim/energies/*.py",
+    "sim/mesh/*.py", "sim/solver/*.py",
 )
 """Files of the code that determines maps, and of the settings that it reads."""
 _COLUMNS = ("index", "fabric", "theta", "nuisances", "face", "folds", "edge", "seed", "offset",
@@ -62,6 +60,8 @@ class Maps:
     weight: np.ndarray
     hem: np.ndarray  # (N, AZIMUTHS) half sizes, outline of the captured cloth, NaN where not seen
     silhouettes: np.ndarray  # (N, P, AZIMUTHS) half sizes, from each of PERSPECTIVES, exact
+    pictures: np.ndarray  # (N, PICTURES or 0, SIDE, SIDE), and, (N,), their angles, as in
+    angle: np.ndarray  # :class:`drapenet.views.pictures.DepthPictures`
     theta: Theta
     curl: np.ndarray  # (N, 2) 1/m, of this specimen with the marked face up
     membrane: np.ndarray  # (N,) N/m
@@ -95,14 +95,18 @@ class Maps:
 
     @classmethod
     def joined(cls, parts: Iterable["Maps"]) -> "Maps":
-        """The rows of all ``parts``."""
+        """The rows of all ``parts``; a single one is not copied, as it may fill the memory."""
+        parts = list(parts)
+        if len(parts) == 1:
+            return parts[0]
         return cls(*(np.concatenate(columns) for columns in
                      zip(*(vars(part).values() for part in parts), strict=True)))
 
 
 def make_maps(
     root: str | Path, manifest: dict, out: Path, *, setups: Setups, captures: int, seed: int,
-    neighbours: bool = False, outlines: int = 0, workers: int = 1, shards: int | None = None,
+    neighbours: bool = False, outlines: int = 0, pictures: bool = False, workers: int = 1,
+    shards: int | None = None,
 ) -> Maps:
     """Maps of ``captures`` captures of each converged drape of the dataset ``root``, cached in
     ``out``, where an interrupted run is resumed; they are made again where a shard, a setting or
@@ -112,39 +116,33 @@ def make_maps(
         neighbours: all captures of a drape but the first show neighbours of its fabric, the same
             for all drapes of a fabric.
         outlines: further neighbours of each fabric, of which there are outlines only.
+        pictures: whether the maps have the depth views as pictures, eight times as many bytes.
         shards: number of shards used; None: all.
     """
     options = {"setups": setups, "captures": captures, "seed": seed, "neighbours": neighbours,
-               "outlines": outlines}
-    settings = options | {"sources": sources_digest(*SOURCES), "setups": asdict(setups)}
-    folder = out / f"maps_{json_digest(settings)[:12]}"
-    folder.mkdir(parents=True, exist_ok=True)
+               "outlines": outlines, "pictures": pictures}
+    folder = out / f"maps_{json_digest(options | {'setups': asdict(setups)})[:12]}"
     # By content: shards grow when a dataset is extended, and are made again.
-    digests = dict(list(manifest["shards"].items())[:shards])
-    files = {name: folder / f"{digest[:16]}.npz" for name, digest in digests.items()}
-    missing = [name for name, file in files.items() if not file.exists()]
-    if missing:
-        with worker_pool(workers) as pool:
-            running = [pool.submit(_write_maps, Path(root) / name, digests[name], files[name],
-                                   **options) for name in missing]
-            for done in tqdm(as_completed(running), total=len(running), unit="shard", desc="maps"):
-                done.result()
-    return Maps.read(files.values())
+    cases = {digest[:16]: {"path": Path(root) / name, "digest": digest, "options": options,
+                           "code": sources_digest(*SOURCES)}
+             for name, digest in list(manifest["shards"].items())[:shards]}
+    run_cases(_shard_case, cases, folder=folder, workers=workers, unit="shard")
+    return Maps.read(folder / f"{name}.npz" for name in cases)
 
 
-def _write_maps(path: Path, digest: str, out: Path, **options: Any) -> None:
-    """Write the maps of the shard ``path`` to ``out``; InputError if its digest is another one."""
+def _shard_case(*, path: Path, digest: str, options: dict[str, Any], code: str) -> dict[str, Any]:
+    """Number of rows, and the maps as arrays, of the shard ``path``; InputError if its digest is
+    another one; ``code`` is a part of the key."""
     shard = Shard(path)
     if shard.digest != digest:
         raise InputError(f"{path} differs from {MANIFEST}; remove it and generate it again")
-    content = io.BytesIO()
-    np.savez(content, **vars(maps_of_shard(shard, **options)))
-    remove_partial(out.parent, out.name)
-    replace_file(out, content.getvalue())
+    maps = maps_of_shard(shard, **options)
+    return {"rows": len(maps), "code": code, "arrays": vars(maps)}
 
 
 def maps_of_shard(
-    shard: Shard, *, setups: Setups, captures: int, seed: int, neighbours: bool, outlines: int
+    shard: Shard, *, setups: Setups, captures: int, seed: int, neighbours: bool, outlines: int,
+    pictures: bool = False,
 ) -> Maps:
     """Maps of one shard; arguments as for :func:`make_maps`."""
     table = {name: shard.column(name) for name in _COLUMNS}
@@ -170,16 +168,19 @@ def maps_of_shard(
                 moved = positions + move
             rng = np.random.default_rng([seed, int(drape["index"]), number])
             wrong = DIRECTION_ERROR * rng.standard_normal()
-            picture = _NO_DEPTH
+            depth = _NO_DEPTH
             if number < captures:
-                picture, wrong = _depth(moved, faces, rig, setups, rng, wrong)
-            rows.append(picture | _shadows(moved, mesh, rig, wrong) | _truth(drape, rig, step))
+                depth, wrong = _depth(moved, faces, rig, setups, rng, wrong)
+            if not pictures:
+                depth = depth | {"pictures": _NO_DEPTH["pictures"][:0]}
+            rows.append(depth | _shadows(moved, mesh, rig, wrong) | _truth(drape, rig, step))
     return Maps(**{name.name: np.array([row[name.name] for row in rows]) for name in fields(Maps)})
 
 
 _NO_DEPTH = {"distance": np.zeros((AZIMUTHS, ELEVATIONS), np.float16),
              "weight": np.zeros((AZIMUTHS, ELEVATIONS), np.uint8),
-             "hem": np.full(AZIMUTHS, np.nan, np.float16), "views": 0}
+             "hem": np.full(AZIMUTHS, np.nan, np.float16), "views": 0, "angle": 0.0,
+             "pictures": np.full((PICTURES, SIDE, SIDE), np.nan, np.float16)}
 
 
 def _depth(
@@ -195,8 +196,10 @@ def _depth(
     drape = map_along(capture.orientation + wrong, located)
     hem = outline_of_map(drape, rig).radius / (rig.specimen_size / 2)
     distance, weight = compressed(drape.distance / rig.specimen_size, drape.weight)
+    seen = DepthPictures.of(located, drape.zero)
     return {"distance": distance, "weight": weight, "views": len(capture.views),
-            "hem": hem.astype(np.float16)}, drape.zero - capture.orientation
+            "hem": hem.astype(np.float16), "pictures": seen.depth, "angle": seen.angle,
+            }, drape.zero - capture.orientation
 
 
 def _shadows(positions: Points, mesh: Mesh, rig: Rig, wrong: Radians) -> dict[str, Any]:

@@ -3,7 +3,8 @@
     python -m drapenet.network.evaluate [checkpoint=FILE] [testers=[NAME,...]] [bounds=FILE]
 
 Four drapes of each of a number of new fabrics are simulated on each tester and estimated as by
-``infer.py``: single captures and sets, from depth views and from outlines, one condition at a time.
+``infer.py``: single captures and sets, from depth views and from outlines, one condition at a time,
+of those conditions whose captures the network has learned to read.
 Errors are root mean squares of the posterior's mean over the standard deviation of the training
 fabrics; beside them stands the smallest possible error where it is known (``python -m experiments
 bounds``).
@@ -15,7 +16,7 @@ import common.interrupt  # noqa: F401
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from tqdm import tqdm
@@ -29,14 +30,14 @@ from data.dataset.generate import generate_dataset
 from data.fabrics.fabrics import read_fabric_table
 from data.fabrics.prior import TablePrior
 from data.rigs import named_tester
-from drapenet.config import EvaluateConfig
+from drapenet.config import EvaluateConfig, Input
+from drapenet.network.captures import CaptureSet, Condition, readable
 from drapenet.network.checkpoint import Header, load_model, read_header
 from drapenet.network.dataset import Maps, make_maps
-from drapenet.network.model import DrapeNet
+from drapenet.network.model import Network
 from drapenet.network.posterior import covered, inside, ranks
 from drapenet.network.predict import sample_targets
 from drapenet.network.targets import cloth_of, stiffer_first, targets_of
-from drapenet.network.training import CaptureSet, Condition
 
 DRAPES_PER_FABRIC = 4
 _BATCH_SIZE = 32  # sets
@@ -52,6 +53,11 @@ class Cell:
     condition: Condition
     setups: dict[str, Any] = field(default_factory=dict)  # replacements for those trained on
     rows: Callable[[Maps], np.ndarray] | None = None  # mask of the captures used; None: all
+
+    @property
+    def kind(self) -> Input:
+        """The one kind of its captures."""
+        return get_args(Input)[self.condition.kinds.index(1.0)]
 
 
 def _sets(size: int) -> tuple[float, ...]:
@@ -94,10 +100,10 @@ CELLS: dict[str, Cell] = {
 
 
 def judge(
-    network: DrapeNet, header: Header, maps: Maps, condition: Condition, *, seed: int
+    network: Network, header: Header, maps: Maps, condition: Condition, *, seed: int
 ) -> dict[str, Any]:
     """Errors and coverage on sets of captures of unseen fabrics."""
-    captures = CaptureSet(maps, scale=header.scale)
+    captures = CaptureSet(maps.chosen(readable(maps, header.config.inputs)), scale=header.scale)
     rng = np.random.default_rng(seed)
     cloths = np.tile(np.arange(len(captures)), _REPEATS)
     errors, places, fabric = [], [], []
@@ -160,10 +166,12 @@ def main(config: EvaluateConfig) -> None:
         require_unseen(header, base.as_dict())
         folder, results[tester] = out / tester, {}
         manifest = generate_dataset(base, folder, workers=config.workers)
-        for name, cell in tqdm(CELLS.items(), desc=tester, unit="cell", leave=False):
+        cells = {name: cell for name, cell in CELLS.items() if cell.kind in header.config.inputs}
+        for name, cell in tqdm(cells.items(), desc=tester, unit="cell", leave=False):
             maps = make_maps(
                 folder, manifest, folder, setups=replace(header.setups, **cell.setups),
-                captures=config.captures, seed=config.seed, workers=config.workers)
+                captures=config.captures, seed=config.seed, workers=config.workers,
+                pictures=header.model.backbone is not None)
             if cell.rows:
                 maps = maps.chosen(cell.rows(maps))
             results[tester][name] = judge(

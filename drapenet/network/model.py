@@ -1,24 +1,23 @@
-"""The network and its input: a ResNet-18 over azimuth, and sets of captures.
+"""The networks and their input: sets of captures, read as maps or as pictures.
 
-A column of a map, the cloth at one azimuth, is a feature vector; convolutions run around the axis.
-
-Each capture of a set is read alone, from its map, its outline, or its drape coefficient; features
-of the captures are averaged with weights that the network gives them (after Zaheer et al. 2017,
-Deep Sets), and the average, the mean of the weights and the number of captures give one posterior
-of the fabric.
+Each capture of a set is read alone, from its map, its outline, or its drape coefficient, or from
+its depth views; features of the captures are averaged with weights that the network gives them
+(after Zaheer et al. 2017, Deep Sets), and the average, the mean of the weights and the number of
+captures give one posterior of the fabric.
 """
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import torch
 from torch.nn.functional import softplus
 
-from drapenet.network.posterior import Mixture, outputs_of
+from drapenet.network.posterior import Mixture, factor_of, outputs_of
 from drapenet.network.targets import TARGETS, Symmetry
 from drapenet.views.directions import AZIMUTHS, ELEVATIONS
+from drapenet.views.pictures import PICTURES
 from drapenet.views.radial_map import WEIGHT_UNIT
 
 CHANNELS = 2 * ELEVATIONS + 5
@@ -87,6 +86,9 @@ FACTS, ASPECTS = 19, 2
 """Numbers of scalar inputs: of every network, and, after them, of one that reads rectangles."""
 _WARP = 5  # column: 1 if azimuth 0 is along the warp, -1 along the weft, 0 not known
 _ODD = (_WARP, FACTS)  # columns that a quarter turn gives the opposite sign: that, and the aspect's
+_DISC, _KNOWN = 3, 4  # columns
+_TESTER = 6  # the first columns, which state specimen, tester and warp, and nothing of the drape
+_BACKGROUND = 3.0  # standardised depth where a picture shows no cloth: far behind it
 
 
 @dataclass(frozen=True)
@@ -99,31 +101,36 @@ class Batch:
     face: torch.Tensor  # (N,) 1 or -1
     facts: torch.Tensor  # (N, FACTS + ASPECTS)
     group: torch.Tensor  # (N,)
+    pictures: torch.Tensor  # (N, PICTURES or 0, SIDE, SIDE) in sizes, NaN where there is no cloth
+    angle: torch.Tensor  # (N,) of azimuth 0 in the first picture, rad
     targets: torch.Tensor | None = None  # (M, TARGETS) standardised; None in inference
 
     @classmethod
     def of(cls, distance: np.ndarray, weight: np.ndarray, outline: np.ndarray, facts: Facts,
-           targets: torch.Tensor | None = None) -> "Batch":
-        """Batch of N stored maps (:func:`drapenet.views.radial_map.compressed`) and (N, AZIMUTHS)
-        outlines in half sizes (m/m), NaN where not seen."""
+           pictures: np.ndarray, angle: np.ndarray, targets: torch.Tensor | None = None) -> "Batch":
+        """Batch of N stored maps (:func:`drapenet.views.radial_map.compressed`), (N, AZIMUTHS)
+        outlines in half sizes (m/m), NaN where not seen, pictures and their angles, rad."""
         return cls(torch.from_numpy(distance).float(), torch.from_numpy(weight) * WEIGHT_UNIT,
                    torch.from_numpy(np.nan_to_num(outline).astype(np.float32)),
                    torch.from_numpy(facts.face.astype(np.float32)), facts.columns(),
-                   torch.from_numpy(facts.group), targets)
+                   torch.from_numpy(facts.group), torch.from_numpy(pictures).float(),
+                   torch.from_numpy(angle.astype(np.float32)), targets)
 
     def turned(self, symmetry: Symmetry) -> "Batch":
         """The batch with ``symmetry`` applied to its captures, not to its targets."""
         facts = self.facts.clone()
         for column in _ODD:
             facts[symmetry.exchanged, column] *= -1
-        return replace(self, facts=facts, **{name: symmetry.of_rows(getattr(self, name))
-                                             for name in ("distance", "weight", "outline")})
+        return replace(self, facts=facts, pictures=symmetry.of_pictures(self.pictures),
+                       angle=symmetry.of_angles(self.angle),
+                       **{name: symmetry.of_rows(getattr(self, name))
+                          for name in ("distance", "weight", "outline")})
 
     def through(self, network: torch.nn.Module) -> Mixture:
         """The network's posterior, on its device."""
         device = next(network.parameters()).device
-        parts = (self.distance, self.weight, self.outline, self.face, self.facts, self.group)
-        return network(*(part.to(device) for part in parts))
+        return network(replace(self, **{name: part.to(device) for name, part in vars(self).items()
+                                        if part is not None}))
 
 
 def circular(inputs: int, outputs: int, stride: int = 1, width: int = 3) -> torch.nn.Conv1d:
@@ -155,22 +162,89 @@ class BasicBlock(torch.nn.Module):
         return (residual + self.downsample(rows)).relu()
 
 
-class DrapeNet(torch.nn.Module):
-    """Network from sets of captures to a mixture of ``components`` Gaussians.
+class Network(torch.nn.Module):
+    """From sets of captures to the posterior of their fabric; a subclass reads a capture.
 
-    ``width``: features of the first stage, 64 in ResNet-18; ``distance``, ``spread``: mean and
-    standard deviation of the training distances; ``rectangles``: whether it reads the specimens'
-    aspect, as networks do that were trained on rectangles.
+    ``distance``, ``spread``: mean and standard deviation of the training distances or depths;
+    ``rectangles``: whether it reads the specimens' aspect, as networks do that were trained on
+    rectangles.
+    """
+
+    def __init__(self, *, distance: float, spread: float, rectangles: bool) -> None:
+        super().__init__()
+        self.distance, self.spread, self.rectangles = distance, spread, rectangles
+        self.bfloat16 = False  # whether convolutions of a training step are in bfloat16
+
+    def add_layers(self, features: int, *, facts: int, output: str, components: int,
+                   dropout: float) -> None:
+        """Layers from the ``features`` of each capture and ``facts`` columns to the posterior: a
+        mixture of ``components`` Gaussians, or means ("regression")."""
+        self.facts, self.components = facts, components
+        self.embed = torch.nn.Sequential(
+            torch.nn.Dropout(dropout), torch.nn.Linear(features + facts, _EMBEDDING),
+            torch.nn.ReLU(), torch.nn.Linear(_EMBEDDING, 2 * _EMBEDDING))
+        self.curl = torch.nn.Linear(_EMBEDDING, 2 * 32)
+        self.direct = torch.nn.Linear(facts, TARGETS)  # to the means of the posterior
+        self.head = torch.nn.Sequential(
+            torch.nn.Dropout(dropout), torch.nn.Linear(2 * _EMBEDDING + 32 + 1, _EMBEDDING),
+            torch.nn.ReLU(), torch.nn.Dropout(dropout), torch.nn.Linear(
+                _EMBEDDING, TARGETS if output == "regression" else
+                outputs_of(components=components, targets=TARGETS)))
+        if output == "regression":
+            self.register_buffer("factor", torch.eye(TARGETS))
+        else:
+            self.factor = None
+
+    def columns(self, facts: torch.Tensor) -> torch.Tensor:
+        """(N, F) columns that the network reads of a batch's ``facts`` (N, FACTS + ASPECTS)."""
+        return facts[:, : self.facts]
+
+    def captures(self, batch: Batch) -> torch.Tensor:
+        """(N, F) features of each capture."""
+        raise NotImplementedError
+
+    def forward(self, batch: Batch) -> Mixture:
+        """The posterior of a batch. That of a regression has unit variances in training, so that
+        its likelihood is the mean square error, and then those of :meth:`calibrated`."""
+        facts, group = self.columns(batch.facts), batch.group
+        features = torch.cat([self.captures(batch), facts], dim=1)
+        value, gate = self.embed(features).chunk(2, dim=1)
+        signed, trust = self.curl(value.relu()).chunk(2, dim=1)
+        sets = int(group.max()) + 1
+        mean, weight = _average(value, softplus(gate), group, sets)
+        # Turned over, a fabric's natural curvature has the opposite sign.
+        curl, _ = _average(batch.face[:, None] * signed, softplus(trust), group, sets)
+        count = torch.bincount(group, minlength=sets).to(mean).log2()[:, None]
+        outputs = self.head(torch.cat([mean, weight.log(), curl, count], dim=1))
+        if self.factor is None:
+            mixture = Mixture.of_outputs(outputs, components=self.components, targets=TARGETS)
+        else:
+            unit = torch.eye(TARGETS, device=outputs.device)
+            mixture = Mixture.around(outputs, unit if self.training else self.factor)
+        known, _ = _average(facts, torch.ones_like(facts), group, sets)
+        return replace(mixture, means=mixture.means + self.direct(known)[:, None])
+
+    def calibrated(self, answer: Mixture, targets: torch.Tensor) -> Mixture:
+        """The ``answer`` for ``targets`` (N, TARGETS) of validation; a regression states the
+        covariance of its residuals from now on, a posterior its own."""
+        if self.factor is None:
+            return answer
+        self.factor.copy_(factor_of(targets - answer.mean))
+        return Mixture.around(answer.mean, self.factor.cpu())
+
+
+class DrapeNet(Network):
+    """Network of maps, a ResNet-18 over azimuth.
+
+    A column of a map, the cloth at one azimuth, is a feature vector; convolutions run around the
+    axis. ``width``: features of the first stage, 64 in ResNet-18.
     """
 
     def __init__(
         self, *, width: int, components: int, dropout: float, distance: float, spread: float,
-        rectangles: bool = False,
+        rectangles: bool = False, output: str = "posterior",
     ) -> None:
-        super().__init__()
-        self.facts = FACTS + ASPECTS * rectangles
-        self.distance, self.spread = distance, spread
-        self.bfloat16 = False  # whether convolutions of a training step are in bfloat16
+        super().__init__(distance=distance, spread=spread, rectangles=rectangles)
         widths = [width, width, 2 * width, 4 * width, 8 * width]
         self.stem = torch.nn.Sequential(
             circular(CHANNELS, width, stride=2, width=7), norm(width),
@@ -179,42 +253,12 @@ class DrapeNet(torch.nn.Module):
             torch.nn.Sequential(BasicBlock(before, after, stride=2 if k else 1),
                                 BasicBlock(after, after, stride=1))
             for k, (before, after) in enumerate(pairwise(widths))))
-        self.components = components
-        features = POOLED * widths[-1] + self.facts
-        self.embed = torch.nn.Sequential(
-            torch.nn.Dropout(dropout), torch.nn.Linear(features, _EMBEDDING), torch.nn.ReLU(),
-            torch.nn.Linear(_EMBEDDING, 2 * _EMBEDDING))
-        self.curl = torch.nn.Linear(_EMBEDDING, 2 * 32)
-        self.direct = torch.nn.Linear(self.facts, TARGETS)  # to the means of the posterior
-        self.head = torch.nn.Sequential(
-            torch.nn.Dropout(dropout), torch.nn.Linear(2 * _EMBEDDING + 32 + 1, _EMBEDDING),
-            torch.nn.ReLU(), torch.nn.Dropout(dropout),
-            torch.nn.Linear(_EMBEDDING, outputs_of(components=components, targets=TARGETS)))
+        self.add_layers(POOLED * widths[-1], facts=FACTS + ASPECTS * rectangles, output=output,
+                        components=components, dropout=dropout)
 
-    def forward(
-        self, distance: MapTensor, weight: MapTensor, outline: torch.Tensor, face: torch.Tensor,
-        facts: torch.Tensor, group: torch.Tensor,
-    ) -> Mixture:
-        """The posterior of a :class:`Batch`, with outlines (N, AZIMUTHS); lengths in sizes (m/m).
-        """
-        facts = facts[:, : self.facts]
-        features = self.captures(distance, weight, outline, facts)
-        value, gate = self.embed(features).chunk(2, dim=1)
-        signed, trust = self.curl(value.relu()).chunk(2, dim=1)
-        sets = int(group.max()) + 1
-        mean, weight = _average(value, softplus(gate), group, sets)
-        # Turned over, a fabric's natural curvature has the opposite sign.
-        curl, _ = _average(face[:, None] * signed, softplus(trust), group, sets)
-        count = torch.bincount(group, minlength=sets).to(mean).log2()[:, None]
-        outputs = self.head(torch.cat([mean, weight.log(), curl, count], dim=1))
-        mixture = Mixture.of_outputs(outputs, components=self.components, targets=TARGETS)
-        known, _ = _average(facts, torch.ones_like(facts), group, sets)
-        return replace(mixture, means=mixture.means + self.direct(known)[:, None])
-
-    def captures(
-        self, distance: MapTensor, weight: MapTensor, outline: torch.Tensor, facts: torch.Tensor,
-    ) -> torch.Tensor:
-        """(N, F) features of each capture; arguments as in :class:`Batch`."""
+    def captures(self, batch: Batch) -> torch.Tensor:
+        """(N, F) features of maps and outlines."""
+        distance, outline = batch.distance, batch.outline
         azimuth = (torch.arange(AZIMUTHS) + 0.5) * (2 * torch.pi / AZIMUTHS)
         place = torch.stack([torch.cos(2 * azimuth), torch.sin(2 * azimuth),
                              torch.cos(4 * azimuth)]).to(distance)
@@ -222,11 +266,55 @@ class DrapeNet(torch.nn.Module):
         rows = torch.stack([(outline - 0.75) / 0.15 * seen, seen], dim=1)
         rows = torch.cat([rows, place.expand(len(outline), *place.shape)], dim=1)
         maps = torch.cat([(distance - self.distance) / self.spread * (distance > 0).float(),
-                          weight.clamp(max=4.0) - 1.0], dim=2).transpose(1, 2)
-        with torch.autocast(facts.device.type, torch.bfloat16,
+                          batch.weight.clamp(max=4.0) - 1.0], dim=2).transpose(1, 2)
+        with torch.autocast(distance.device.type, torch.bfloat16,
                             enabled=self.bfloat16 and self.training):
             features = self.stages(self.stem(torch.cat([maps, rows], dim=1)))
-        return torch.cat([pooled(features.float()), facts], dim=1)
+        return pooled(features.float())
+
+
+class ViewNet(Network):
+    """Network of four stacked depth views, the one of Feng et al. 2022.
+
+    ``backbone``: a network of torchvision, whose classes are ``width`` features.
+    """
+
+    def __init__(
+        self, *, backbone: str, width: int, components: int, dropout: float, distance: float,
+        spread: float, rectangles: bool = False, output: str = "posterior",
+    ) -> None:
+        from torchvision.models import get_model  # takes a second
+
+        super().__init__(distance=distance, spread=spread, rectangles=rectangles)
+        self.backbone = get_model(backbone, weights=None, num_classes=width)
+        name, first = next((name, part) for name, part in self.backbone.named_modules()
+                           if isinstance(part, torch.nn.Conv2d))
+        self.backbone.set_submodule(name, torch.nn.Conv2d(
+            PICTURES, first.out_channels, first.kernel_size, first.stride, first.padding,
+            bias=first.bias is not None))
+        self.add_layers(width + 1, facts=_TESTER + ASPECTS * rectangles, output=output,
+                        components=components, dropout=dropout)
+
+    def columns(self, facts: torch.Tensor) -> torch.Tensor:
+        """(N, F) columns of tester, warp and aspect, of (N, FACTS + ASPECTS): what the drape is
+        like is to be read of the pictures."""
+        return torch.cat([facts[:, :_TESTER], facts[:, FACTS:]], dim=1)[:, : self.facts]
+
+    def captures(self, batch: Batch) -> torch.Tensor:
+        """(N, F) features of pictures, the last the angle of azimuth 0, which has no meaning for a
+        disc whose warp is not stated."""
+        depth = (batch.pictures - self.distance) / self.spread
+        depth = torch.where(depth.isnan(), _BACKGROUND, depth)
+        with torch.autocast(depth.device.type, torch.bfloat16,
+                            enabled=self.bfloat16 and self.training):
+            features = self.backbone(depth)
+        sure = torch.maximum(batch.facts[:, _KNOWN], 1 - batch.facts[:, _DISC])
+        return torch.cat([features.float(), (batch.angle * sure)[:, None]], dim=1)
+
+
+def make_network(*, backbone: str | None = None, **options: Any) -> Network:
+    """The network of a checkpoint's description (``model``), with random weights."""
+    return ViewNet(backbone=backbone, **options) if backbone else DrapeNet(**options)
 
 
 def pooled(features: torch.Tensor) -> torch.Tensor:

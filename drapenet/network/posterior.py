@@ -1,6 +1,7 @@
 """Posterior of the standardised targets as a mixture of Gaussians, and its calibration."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -35,6 +36,18 @@ class Mixture:
             rows == columns, softplus(entries) + _MIN_DIAGONAL, entries)
         return cls(logits[..., 0], means, factors)
 
+    @classmethod
+    def around(cls, means: torch.Tensor, factor: torch.Tensor) -> "Mixture":
+        """Normal distributions about means (N, T), all with the precision of ``factor`` (T, T)."""
+        return cls(means.new_zeros(len(means), 1), means[:, None],
+                   factor.expand(len(means), 1, *factor.shape))
+
+    @classmethod
+    def joined(cls, parts: Sequence["Mixture"]) -> "Mixture":
+        """The mixtures of all ``parts``."""
+        return cls(*(torch.cat(rows) for rows in
+                     zip(*(vars(part).values() for part in parts), strict=True)))
+
     def log_likelihood(self, targets: torch.Tensor) -> torch.Tensor:
         """(N,) log density at targets (N, T)."""
         gap = targets[:, None] - self.means
@@ -67,6 +80,19 @@ class Mixture:
 def outputs_of(*, components: int, targets: int) -> int:
     """Number of parameters of a mixture."""
     return components * (1 + targets + targets * (targets + 1) // 2)
+
+
+def factor_of(residuals: torch.Tensor) -> torch.Tensor:
+    """(T, T) factor, as in :class:`Mixture`, of the precision of residuals (N, T).
+
+    Correlations are shrunk by as many pseudo-residuals without any as there are targets, so that
+    few residuals give a covariance, too.
+    """
+    count, targets = residuals.shape
+    moments = residuals.T @ residuals / count
+    alone = targets / (targets + count)
+    moments = (1 - alone) * moments + alone * moments.diagonal().diag()
+    return torch.linalg.cholesky(torch.linalg.inv(moments.double())).float()
 
 
 def ranks(draws: Samples, truth: np.ndarray) -> Ranks:

@@ -13,11 +13,12 @@ import torch
 from data.fabrics.fabrics import from_theta
 from data.fabrics.properties import ClothProperties
 from drapenet.network.checkpoint import Header
-from drapenet.network.model import Batch, DrapeNet, Facts
+from drapenet.network.model import Batch, Facts, Network
 from drapenet.network.posterior import Samples
 from drapenet.network.targets import SYMMETRIES, Symmetry, cloth_of, exchanged
 from drapenet.views.directions import AZIMUTHS, ELEVATIONS
 from drapenet.views.observation import Observation
+from drapenet.views.pictures import SIDE
 from drapenet.views.radial_map import compressed
 from sim.material import is_admissible
 
@@ -42,7 +43,7 @@ class Draws:
 
 
 @torch.no_grad()
-def sample_targets(network: DrapeNet, header: Header, batch: Batch, known: np.ndarray) -> Samples:
+def sample_targets(network: Network, header: Header, batch: Batch, known: np.ndarray) -> Samples:
     """:data:`DRAWS` samples of the targets of each set, not standardised; ``known``: (N,) of the
     captures, as in :class:`drapenet.network.model.Facts`."""
     drawn = []
@@ -57,9 +58,13 @@ def sample_targets(network: DrapeNet, header: Header, batch: Batch, known: np.nd
 
 
 def predict(
-    network: DrapeNet, header: Header, sets: Sequence[Sequence[Observation]]
+    network: Network, header: Header, sets: Sequence[Sequence[Observation]]
 ) -> list[Draws]:
-    """Posterior samples of each of the ``sets`` of captures of one fabric each."""
+    """Posterior samples of each of the ``sets`` of captures of one fabric each; InputError if the
+    network has not learned to read one of them."""
+    for capture in (capture for captures in sets for capture in captures):
+        header.require_input("depth" if capture.map else "outline" if capture.outline else
+                             "numbers", pictures=capture.pictures is not None)
     batch, facts = batch_of(sets)
     samples = sample_targets(network, header, batch, facts.known)
     known = [all(part.known for part in captures) for captures in sets]
@@ -91,4 +96,8 @@ def batch_of(sets: Sequence[Sequence[Observation]]) -> tuple[Batch, Facts]:
                               part.coefficient for part in captures]),
         nodes=np.array([part.nodes for part in captures]), group=group)
     distance, weight = compressed(*(np.array(part) for part in zip(*maps, strict=True)))
-    return Batch.of(distance, weight, np.array(outlines), facts), facts
+    depth, angle = np.zeros((len(captures), 0, SIDE, SIDE), np.float16), np.zeros(len(captures))
+    if all(part.pictures for part in captures):  # what does not read them need not have them
+        depth = np.array([part.pictures.depth for part in captures])
+        angle = np.array([part.pictures.angle for part in captures])
+    return Batch.of(distance, weight, np.array(outlines), facts, depth, angle), facts

@@ -16,6 +16,7 @@ import torch
 
 from data.fabrics.properties import ClothProperties
 from drapenet.views.directions import AZIMUTHS
+from drapenet.views.pictures import PICTURES
 from sim.material import FIRST, REFERENCE_DENSITY, SECOND, SWAPPED
 from sim.rig import GRAVITY
 
@@ -100,6 +101,21 @@ class Symmetry:
         azimuth = (torch.arange(AZIMUTHS) - self.cells[:, None]) % AZIMUTHS
         azimuth = torch.where(self.mirror[:, None], AZIMUTHS - 1 - azimuth, azimuth)
         return rows[torch.arange(len(rows))[:, None], azimuth.to(rows.device)]
+
+    def of_pictures(self, pictures: torch.Tensor) -> torch.Tensor:
+        """Apply, in quarter turns, to pictures (N, PICTURES, SIDE, SIDE) of
+        :class:`drapenet.views.pictures.DepthPictures`, or to none, (N, 0, ...)."""
+        if not pictures.shape[1]:
+            return pictures
+        order = torch.arange(PICTURES) + self.cells[:, None] // QUARTER
+        # Seen in a mirror, azimuth 0 is k quarter turns away where it was 2 - k.
+        order = torch.where(self.mirror[:, None], 2 - order, order) % PICTURES
+        turned = pictures[torch.arange(len(pictures))[:, None], order]
+        return torch.where(self.mirror[:, None, None, None], turned.flip(-1), turned)
+
+    def of_angles(self, angle: torch.Tensor) -> torch.Tensor:
+        """Apply to angles (N,), rad, of azimuth 0 in the first picture."""
+        return torch.where(self.mirror, -angle, angle)
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,5 @@
-"""What the network reads of a capture: map or outline with azimuth 0 along the warp, and numbers.
-"""
+"""What a network reads of a capture: map or pictures of depth views, or outline, with azimuth 0
+along the warp, and numbers."""
 
 from dataclasses import dataclass, replace
 
@@ -12,6 +12,7 @@ from data.captures.reported import Reported
 from drapenet.views.directions import AZIMUTHS
 from drapenet.views.located import LocatedViews
 from drapenet.views.outline import DrapeOutline, outline_of_curve, outline_of_map
+from drapenet.views.pictures import DepthPictures
 from drapenet.views.radial_map import RadialMap, radial_map
 from sim.rig import Rig
 
@@ -25,6 +26,7 @@ class Observation:
         known: whether the direction of the warp is stated; else azimuth 0 is a side of a square,
             the first side of a rectangle, any direction of a disc.
         outline: of a depth capture, that of its visible cloth.
+        pictures: of a depth capture, for networks that read views.
         coefficient, nodes: drape coefficient, from 0 to 1, and number of folds, of a capture that
             has nothing else; NaN: unknown.
     """
@@ -36,6 +38,7 @@ class Observation:
     outline: DrapeOutline | None = None
     coefficient: float = np.nan
     nodes: float = np.nan
+    pictures: DepthPictures | None = None
 
     @classmethod
     def of_views(cls, located: LocatedViews, face: int, warp: Radians | None) -> "Observation":
@@ -43,7 +46,8 @@ class Observation:
         """
         rig = located.rig
         drape = map_along(warp, located)
-        return cls(rig, face, warp is not None, drape, outline_of_map(drape, rig))
+        return cls(rig, face, warp is not None, drape, outline_of_map(drape, rig),
+                   pictures=DepthPictures.of(located, drape.zero))
 
     @classmethod
     def of_numbers(cls, rig: Rig, face: int, known: bool, reported: Reported) -> "Observation":

@@ -20,13 +20,13 @@ from drapenet.config import EvaluateConfig
 from drapenet.evidence.fabric import joined, network_of
 from drapenet.evidence.source import of_strips, of_values
 from drapenet.evidence.state import fabric_prior, prior_along
+from drapenet.network.captures import CaptureSet, Condition
 from drapenet.network.checkpoint import Header, read_header
 from drapenet.network.dataset import Maps, make_maps
 from drapenet.network.evaluate import DEPTH, DRAPES_PER_FABRIC, make_config, require_unseen
 from drapenet.network.posterior import inside, ranks
 from drapenet.network.predict import Draws, sample_targets
 from drapenet.network.targets import cloth_of
-from drapenet.network.training import CaptureSet, Condition
 from drapenet.result.estimate import Estimate, make_estimate
 from experiments.estimation.strip_photographs import (
     LEAST_LENGTH,
@@ -99,7 +99,8 @@ def _maps(header: Header, tester: str, config: Config) -> Maps:
     require_unseen(header, base.as_dict())
     manifest = generate_dataset(base, folder, workers=config["workers"])
     return make_maps(folder, manifest, folder, setups=header.setups, captures=1,
-                     seed=config["seed"], workers=config["workers"])
+                     seed=config["seed"], workers=config["workers"],
+                     pictures=header.model.backbone is not None)
 
 
 def _estimate(header: Header, maps: Maps) -> Estimate:

@@ -17,8 +17,8 @@ from data.fabrics.fabrics import THETA_NAMES, fabric_from_theta
 from data.fabrics.nuisances import NAMES
 from data.fabrics.prior import load_prior
 from data.render.cameras import nominal_camera
+from drapenet.network.captures import PICTURE_NOISE, PICTURE_OFFSET, PICTURE_SCALE
 from drapenet.network.dataset import DIRECTION_ERROR
-from drapenet.network.training import PICTURE_NOISE, PICTURE_OFFSET, PICTURE_SCALE
 from experiments.estimation.bound import (
     CAMERA,
     PICTURE,

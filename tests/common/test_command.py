@@ -197,6 +197,24 @@ def test_one_run_leaves_nothing_behind_and_each_job_of_a_sweep_has_its_out(run, 
     assert [job.out for job in run("-m", "count=1,2", "out=x/${count}")] == ["x/1", "x/2"]
 
 
+@pytest.mark.parametrize("name", SCHEMAS)
+def test_no_key_has_the_name_of_a_group_that_hydra_would_take_it_for(name):
+    chosen = {group for default in read_config(name)["defaults"] if isinstance(default, dict)
+              for group in default}
+    keys = {field.name for field in fields(SCHEMAS[name])}
+    assert not {key for key in keys - chosen if group_options(key)}
+
+
+def test_a_group_of_one_command_is_chosen_by_it_alone(run, tmp_path):
+    folder = tmp_path / "words" / "inner"
+    folder.mkdir(parents=True)
+    for name, number in (("low", -1), ("high", 2)):
+        (folder / f"{name}.yaml").write_text(f"text: {name}\nnumber: {number}\n")
+    assert [word.inner.text for word in run("-m", "+inner=low,high", "hydra.sweep.dir=logs")] == [
+        "low", "high"]
+    assert run("inner.text=a")[0].inner.text == "a"
+
+
 def test_parts_of_a_dataset_share_its_folder(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     parts = []

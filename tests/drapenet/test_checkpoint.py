@@ -9,7 +9,7 @@ from safetensors.torch import load, save_file
 
 from common.errors import InputError
 from drapenet.network.checkpoint import BUNDLED, load_model, read_header, save_checkpoint
-from drapenet.network.model import FACTS, DrapeNet
+from drapenet.network.model import ASPECTS, FACTS, Batch, make_network
 from drapenet.views.directions import AZIMUTHS, ELEVATIONS
 
 
@@ -29,13 +29,14 @@ def test_a_checkpoint_is_one_file_with_its_hash(checkpoint):
 def test_a_loaded_network_predicts_the_same(checkpoint, half):
     content = description(checkpoint)
     torch.manual_seed(5)
-    model = DrapeNet(**content["model"]).eval()
+    model = make_network(**content["model"]).eval()
     save_checkpoint(checkpoint, model=model, description=content, half=half)
     shape = (2, AZIMUTHS, ELEVATIONS)
-    batch = [0.3 + 0.1 * torch.rand(shape), torch.rand(shape), torch.rand(shape[:2]),
-             torch.ones(2), torch.zeros(2, FACTS), torch.tensor([0, 0])]
+    batch = Batch(0.3 + 0.1 * torch.rand(shape), torch.rand(shape), torch.rand(shape[:2]),
+                  torch.ones(2), torch.zeros(2, FACTS + ASPECTS), torch.tensor([0, 0]),
+                  torch.zeros(2, 0, 0, 0), torch.zeros(2))
     with torch.no_grad():
-        first, second = (network(*batch).means for network in (model, load_model(
+        first, second = (batch.through(network).means for network in (model, load_model(
             read_header(checkpoint))))
     assert (first - second).abs().max() <= (2e-2 if half else 0)
 

@@ -1,5 +1,6 @@
 """Captures of drapes as maps, and the neighbours of a drape."""
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,8 +17,9 @@ from data.fabrics.nuisances import Nuisances
 from data.fabrics.prior import load_prior
 from data.render.setups import Setups
 from drapenet.network import dataset
+from drapenet.network.captures import CaptureSet
 from drapenet.network.dataset import make_maps, maps_of_shard, neighbour
-from drapenet.network.training import CaptureSet
+from drapenet.views.pictures import SIDE
 from sim.drape import drape, follow
 from sim.material import MICRO, Fabric
 from sim.rig import SMALL_DISC_RIG, SQUARE_RIG
@@ -39,7 +41,7 @@ def test_files_do_not_depend_on_workers_or_interruptions(files, cloth_dataset):
     folder, = files.iterdir()
     made = sorted(folder.iterdir())
     bytes_of = {file: file.read_bytes() for file in made}
-    made[1].unlink()
+    sorted(folder.glob("*.json"))[1].unlink()
     maps = make_maps(cloth_dataset, finished_manifest(cloth_dataset), files, setups=SETUPS,
                      captures=1, seed=3, shards=2)
     assert {file: file.read_bytes() for file in sorted(folder.iterdir())} == bytes_of
@@ -56,14 +58,29 @@ def test_maps_of_an_extended_dataset_are_those_of_all_its_drapes(tmp_path):
         maps = make_maps(folder, manifest, tmp_path / "maps", setups=SETUPS, captures=1, seed=3)
         assert maps.index.tolist() == list(range(drapes))
     made, = (tmp_path / "maps").iterdir()
-    assert len(list(made.iterdir())) == 3  # those of the first shard once
+    assert len(list(made.glob("*.npz"))) == 3  # those of the first shard once
 
 
-def test_maps_are_made_again_by_other_code(files, cloth_dataset, monkeypatch):
-    monkeypatch.setattr(dataset, "sources_digest", lambda *_: "0" * 64)
-    make_maps(cloth_dataset, finished_manifest(cloth_dataset), files, setups=SETUPS, captures=1,
-              seed=3, shards=1)
-    assert sorted(len(list(folder.iterdir())) for folder in files.iterdir()) == [1, 2]
+def test_maps_are_made_again_by_other_code(files, cloth_dataset, tmp_path, monkeypatch, capsys):
+    copy = shutil.copytree(files, tmp_path / "maps")
+    for digest, made in (("0", True), ("0", False), ("1", True)):
+        monkeypatch.setattr(dataset, "sources_digest", lambda *_, digest=digest: digest)
+        make_maps(cloth_dataset, finished_manifest(cloth_dataset), copy, setups=SETUPS, captures=1,
+                  seed=3, shards=1)
+        assert ("1 to go" in capsys.readouterr().out) == made
+
+
+def test_pictures_are_beside_the_maps_where_they_are_asked_for(files, cloth_dataset, tmp_path):
+    manifest = finished_manifest(cloth_dataset)
+    plain, seen = (make_maps(cloth_dataset, manifest, folder, setups=SETUPS, captures=1, seed=3,
+                             shards=1, pictures=pictures)
+                   for folder, pictures in ((files, False), (tmp_path, True)))
+    assert plain.pictures.shape[:2] == (8, 0) and seen.pictures.shape == (8, 4, SIDE, SIDE)
+    np.testing.assert_array_equal(plain.distance, seen.distance)
+    shown = np.isfinite(seen.pictures).mean(axis=(2, 3))
+    many = {2: 2, 4: 4, 6: 2, 8: 4}  # others are between quarter turns of the first
+    for views, row in zip(seen.views, shown, strict=True):
+        assert (row > 0.05).sum() == many.get(views, 1)
 
 
 def test_maps_of_a_shard_that_is_not_listed_are_refused(cloth_dataset, tmp_path):

@@ -5,7 +5,7 @@ import pytest
 import torch
 from scipy.stats import multivariate_normal
 
-from drapenet.network.posterior import LEVELS, Mixture, covered, outputs_of, ranks
+from drapenet.network.posterior import LEVELS, Mixture, covered, factor_of, outputs_of, ranks
 
 
 @pytest.fixture
@@ -44,3 +44,22 @@ def test_samples_have_the_density_s_moments_and_their_intervals_hold(mixture):
     places = ranks(draws[:4000, :1], truth)
     assert covered(places).mean(axis=1) == pytest.approx(LEVELS, abs=0.04)
     assert covered(0.5 + (places - 0.5) / 2)[1].mean() > 0.95  # intervals twice too wide
+
+
+def test_the_factor_of_residuals_is_that_of_their_precision():
+    rng = np.random.default_rng(0)
+    mixing = np.array([[1.0, 0.0], [0.6, 0.3]])
+    residuals = torch.from_numpy(rng.standard_normal((4000, 2)) @ mixing.T).float()
+    covariance = torch.linalg.inv(factor_of(residuals) @ factor_of(residuals).T)
+    assert covariance.numpy() == pytest.approx(mixing @ mixing.T, rel=0.05)
+    few = factor_of(residuals[:1])  # one residual has variances, but no correlation
+    variances = torch.linalg.inv(few @ few.T).diagonal()
+    assert variances.numpy() == pytest.approx(residuals[0].square().numpy(), rel=1e-4)
+
+
+def test_a_regressions_likelihood_in_training_is_its_square_error():
+    means, targets = torch.tensor([[0.5, -1.0]]), torch.tensor([[0.0, 1.0]])
+    found = Mixture.around(means, torch.eye(2)).log_likelihood(targets)
+    assert found.item() == pytest.approx(-(0.25 + 4) / 2 - np.log(2 * np.pi))
+    both = Mixture.joined([Mixture.around(means, torch.eye(2))] * 2)
+    assert both.mean.tolist() == [[0.5, -1.0]] * 2

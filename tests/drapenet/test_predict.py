@@ -9,7 +9,7 @@ import pytest
 from common.errors import InputError
 from data.fabrics.fabrics import from_theta
 from drapenet.network.checkpoint import Header, load_model, read_header
-from drapenet.network.model import DrapeNet
+from drapenet.network.model import Network
 from drapenet.network.predict import DRAWS, predict
 from drapenet.result.files import read_observation, write_observation
 from drapenet.views.directions import AZIMUTHS, ELEVATIONS
@@ -34,12 +34,12 @@ def outline(known: bool = True, face: int = 1) -> Observation:
 
 
 @pytest.fixture(scope="module")
-def network(untrained_checkpoint: Path) -> tuple[DrapeNet, Header]:
+def network(untrained_checkpoint: Path) -> tuple[Network, Header]:
     header = read_header(untrained_checkpoint)
     return load_model(header), header
 
 
-def theta(network: tuple[DrapeNet, Header], *captures: Observation) -> np.ndarray:
+def theta(network: tuple[Network, Header], *captures: Observation) -> np.ndarray:
     return predict(*network, [captures])[0].cloth.theta
 
 

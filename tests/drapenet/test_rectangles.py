@@ -15,12 +15,12 @@ from data.render.cameras import nominal_camera
 from data.render.rays import QUARTERS, DepthRenderer
 from data.render.setups import Setups
 from drapenet.config import ModelConfig
+from drapenet.network.captures import CaptureSet, Condition
 from drapenet.network.checkpoint import read_header
 from drapenet.network.dataset import make_maps
-from drapenet.network.model import FACTS, DrapeNet
+from drapenet.network.model import FACTS, make_network
 from drapenet.network.predict import batch_of, predict
 from drapenet.network.targets import Symmetry
-from drapenet.network.training import CaptureSet, Condition
 from drapenet.views.checks import REFUSED_SIZE_ERROR, size_checks
 from drapenet.views.directions import AZIMUTH, AZIMUTHS
 from drapenet.views.located import LocatedViews
@@ -111,7 +111,7 @@ def reader(untrained_checkpoint: Path) -> tuple:
     header = read_header(untrained_checkpoint)
     model = header.model.model_copy(update={"rectangles": True})
     torch.manual_seed(1)
-    return DrapeNet(**model.model_dump()).eval(), header.model_copy(update={"model": model})
+    return make_network(**model.model_dump()).eval(), header.model_copy(update={"model": model})
 
 
 def test_a_rectangle_read_across_is_the_one_of_exchanged_sides(reader):
@@ -128,7 +128,7 @@ def test_a_rectangle_read_across_is_the_one_of_exchanged_sides(reader):
 
 def test_the_aspect_is_read_by_networks_that_know_rectangles_alone(reader, untrained_checkpoint):
     network, header = reader
-    plain = DrapeNet(**read_header(untrained_checkpoint).model.model_dump()).eval()
+    plain = make_network(**read_header(untrained_checkpoint).model.model_dump()).eval()
     batches = [batch_of([[seen(rig, RADIUS, True)]])[0] for rig in (RIG, ACROSS)]
     with torch.no_grad():
         along, across = (batch.through(network).means for batch in batches)
@@ -155,7 +155,8 @@ def test_training_on_rectangles_turns_their_input_on(tmp_path):
         maps = make_maps(folder, finished_manifest(folder), tmp_path, setups=Setups.load("real"),
                          captures=1, seed=1)
         captures = CaptureSet(maps)
-        networks.append(captures.network(ModelConfig(width=4, components=1, dropout=0.0)))
+        networks.append(captures.network(ModelConfig(
+            backbone=None, output="posterior", width=4, components=1, dropout=0.0)))
     assert [network["rectangles"] for network in networks] == [False, True]
     stated = np.isclose(maps.aspect, 25 / 17)
     assert 2 <= stated.sum() <= 14 and (maps.aspect[~stated] != 1).all()

@@ -13,7 +13,6 @@ from experiments.drapes import (
     posterior_bound,
     spread,
 )
-from experiments.papers.recognition import DESCRIPTORS, identification_rates
 from experiments.result import read_report, rms
 
 trained = pytest.mark.skipif(not BUNDLED.exists(), reason="no network is bundled")
@@ -38,12 +37,3 @@ def test_estimates_are_along_the_true_warp_for_all_orientations():
         found = infer(capture_drape(shape, ideal_setups(), np.random.default_rng(number)))
         mean = found.estimate.samples.mean(axis=0)
         assert mean[0] > mean[2] + 0.5
-
-
-def test_identification_uses_the_nearest_drape():
-    values = [0.0, 0.1, 5.0, 9.0, 8.9, 8.7]
-    found = [{name: [value] for name in DESCRIPTORS} for value in values]
-    result = identification_rates(found, np.array([0, 0, 1, 1, 2, 2]))
-    assert result["drapes"] == 6 and result["fabrics"] == 3
-    assert result["shares"]["rings"] == pytest.approx(3 / 6)  # 8.9 is nearer to 9.0 than to 8.7
-    assert result["chance"] == pytest.approx(1 / 5)

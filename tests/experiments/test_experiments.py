@@ -82,7 +82,7 @@ def test_an_experiment_resumes_and_leaves_the_page_unchanged_with_another_output
     (["elastica", "gammas=many"], "gammas"), (["meshes", "fabrics=[silk]"], "silk"),
     (["views", "workers=0", "cases=/tmp/none"], "workers=0"), (["render", "repeats=0"], "repeats"),
     (["prior", "models=[oracle]"], "oracle"), (["prior", "fabrics=nowhere.csv"], "nowhere"),
-    (["repeatability", "learned.drapse=3"], "drapse"), (["page", "out=a"], "out=a"),
+    (["page", "out=a"], "out=a"),
 ])
 def test_invalid_words_are_reported_in_one_line(words, complaint):
     with pytest.raises(InputError, match=complaint) as refusal:

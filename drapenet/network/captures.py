@@ -1,0 +1,179 @@
+"""Captures as a network reads them, in training, validation and evaluation: random sets of them,
+with photographs, reported numbers and marked faces drawn at random."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from typing import get_args
+
+import numpy as np
+import torch
+
+from data.fabrics.properties import ClothProperties
+from drapenet.config import Input, ModelConfig
+from drapenet.network.dataset import Maps
+from drapenet.network.model import Batch, Facts
+from drapenet.network.targets import (
+    CURL,
+    Symmetry,
+    TargetScale,
+    exchanged,
+    stiffer_first,
+    targets_of,
+)
+from drapenet.views.directions import AZIMUTH
+from drapenet.views.outline import PERSPECTIVES, drape_coefficients
+
+_MEAN_SAMPLE = 1000  # captures used for mean and deviation of the distances
+LEAST_HEIGHT = 0.5  # m, of the camera above the plate
+PICTURE_OFFSET = 0.010  # of the outline's centre, in half sizes: 1.5 mm of a specimen of 300 mm
+PICTURE_SCALE = 0.007  # of millimetres per pixel
+PICTURE_NOISE = 0.008  # largest deviation of a radius, in half sizes
+COEFFICIENT_ERROR = 0.010  # of drape coefficients as reported
+
+
+@dataclass(frozen=True)
+class Condition:
+    """What the captures of a set are.
+
+    Attributes:
+        kinds: shares of depth captures, outlines, and numbers (drape coefficient and nodes) alone.
+        sizes: shares of sets of 1, 2, ... captures, each of another drape.
+        known: share of the sets in which the direction of the warp is stated.
+        parallel, stated: shares of outlines under parallel light, and, of the others, of those
+            whose camera's height is stated.
+    """
+
+    kinds: tuple[float, float, float] = (0.5, 0.42, 0.08)
+    sizes: tuple[float, ...] = (0.5, 0.2, 0.1, 0.2)
+    known: float = 0.7
+    parallel: float = 0.3
+    stated: float = 0.8
+
+    @classmethod
+    def of_inputs(cls, inputs: Sequence[Input]) -> "Condition":
+        """The default, with the shares of the kinds of captures that are ``inputs``."""
+        shares = [share * (kind in inputs)
+                  for kind, share in zip(get_args(Input), cls.kinds, strict=True)]
+        return cls(tuple(share / sum(shares) for share in shares))
+
+
+def readable(maps: Maps, inputs: Sequence[Input]) -> np.ndarray:
+    """Mask (N,) of the captures of use to a network of ``inputs``: of all there is an outline."""
+    return (maps.views > 0) | (set(inputs) != {"depth"})
+
+
+class CaptureSet:
+    """Captures with the fabrics they show; ``scale`` of the targets is fitted if None."""
+
+    def __init__(self, maps: Maps, *, scale: TargetScale | None = None) -> None:
+        self.maps = maps
+        # Neighbours of a fabric may have the same moduli by chance.
+        _, first, which = np.unique(np.column_stack([maps.theta, maps.membrane]), axis=0,
+                                    return_index=True, return_inverse=True)
+        order = np.argsort(which.ravel(), kind="stable")
+        self.members = np.split(order, np.cumsum(np.bincount(which.ravel()))[:-1])
+        drapes = [len(np.unique(maps.index[rows])) for rows in self.members]
+        self.turns = np.repeat(np.arange(len(self.members)), drapes)
+        curl = np.array([maps.curl[rows].mean(axis=0) for rows in self.members])
+        self.cloth = ClothProperties(maps.theta[first], curl, maps.membrane[first],
+                                     maps.hysteresis[first])
+        middle = np.exp(np.array([np.log(maps.size[rows]).mean() for rows in self.members]))
+        self.scale = scale or TargetScale.fit(targets_of(self.cloth, middle))
+
+    def __len__(self) -> int:
+        return len(self.members)
+
+    def network(self, config: ModelConfig) -> dict:
+        """Arguments of :func:`drapenet.network.model.make_network` for these captures."""
+        read = self.maps.pictures if config.backbone else self.maps.distance
+        sample = read[self.maps.views > 0][:_MEAN_SAMPLE].astype(np.float32)
+        return {**asdict(config), "distance": round(float(np.nanmean(sample)), 4),
+                "spread": round(float(np.nanstd(sample)), 4),
+                "rectangles": bool((self.maps.aspect != 1).any())}
+
+    def batch(
+        self, cloths: np.ndarray, condition: Condition, rng: np.random.Generator, *,
+        symmetric: bool = True,
+    ) -> tuple[Batch, Facts]:
+        """A random set of captures of each of ``cloths`` (M,), and the facts of its captures;
+        ``symmetric``: whether captures are turned at random."""
+        maps, rows, group = self.maps, [], []
+        sizes = rng.choice(len(condition.sizes), size=len(cloths), p=condition.sizes) + 1
+        for number, (cloth, size) in enumerate(zip(cloths, sizes, strict=True)):
+            candidates = rng.permutation(self.members[cloth])
+            _, first = np.unique(maps.index[candidates], return_index=True)
+            rows.append(candidates[rng.permutation(first)[:size]])
+            group += [number] * len(rows[-1])
+        rows, group = np.concatenate(rows), np.array(group)
+        known = rng.random(len(cloths)) < condition.known
+        flip = rng.choice([-1, 1], size=len(cloths))  # the face that is marked is arbitrary
+        kind = np.array([rng.choice(3, p=condition.kinds) for _ in rows])
+        other = 2 if condition.kinds[2] and not condition.kinds[1] else 1
+        kind[(maps.views[rows] == 0) & (kind == 0)] = other
+        deep, seen = kind == 0, kind == 1
+        ratio, stated = _perspectives(maps.size[rows], condition, rng)
+        outline = np.where(deep[:, None], maps.hem[rows].astype(np.float32), np.nan)
+        outline[seen] = _photographed(maps.silhouettes[rows[seen]], ratio[seen], rng)
+        radius = np.where((kind == 2)[:, None], maps.silhouettes[rows, 0], outline)
+        coefficient = drape_coefficients(radius, maps.plate[rows], maps.disc[rows])
+        coefficient += COEFFICIENT_ERROR * rng.standard_normal(len(rows)) * (kind == 2)
+        counted = (kind == 2) & (rng.random(len(rows)) < 2 / 3)
+        facts = Facts(
+            size=maps.size[rows], plate=maps.plate[rows], disc=maps.disc[rows],
+            aspect=maps.aspect[rows], face=maps.face[rows] * flip[group], known=known[group],
+            views=np.where(deep, maps.views[rows], 0), perspective=np.where(
+                deep, 0.0, np.where(seen & stated, ratio, np.nan)),
+            coefficient=coefficient, nodes=np.where(counted, maps.folds[rows], np.nan),
+            group=group)
+        targets = targets_of(self.cloth.chosen(cloths), facts.sizes)
+        targets[flip < 0, CURL] *= -1
+        targets[~known] = stiffer_first(targets[~known])
+        weft = symmetric & known & (rng.random(len(cloths)) < 0.5)  # along azimuth 0
+        targets = exchanged(targets, weft)
+        batch = Batch.of(
+            np.where(deep[:, None, None], maps.distance[rows], np.float16(0)),
+            np.where(deep[:, None, None], maps.weight[rows], np.uint8(0)), outline, facts,
+            maps.pictures[rows], maps.angle[rows],
+            torch.from_numpy(self.scale.encode(targets)).float())
+        if symmetric:
+            batch = batch.turned(
+                Symmetry.draw(known=known[group], disc=maps.disc[rows], exchanged=weft[group],
+                              rng=rng))
+        return batch, facts
+
+    def epoch(
+        self, *, seed: int, epoch: int, size: int, condition: Condition = Condition()
+    ) -> Iterator[Batch]:
+        """As many sets of each fabric and neighbour as it has drapes in random order, a function of
+        (seed, epoch)."""
+        rng = np.random.default_rng([seed, epoch])
+        order = rng.permutation(self.turns)
+        for start in range(0, len(order) - size + 1, size):
+            yield self.batch(order[start : start + size], condition, rng)[0]
+
+
+def _perspectives(
+    size: np.ndarray, condition: Condition, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sizes (N,) over the camera's height, and whether they are stated, with an error of 3 %."""
+    parallel = rng.random(len(size)) < condition.parallel
+    ratio = np.where(parallel, 0.0, size * rng.uniform(0, 1 / LEAST_HEIGHT, len(size)))
+    return ratio, rng.random(len(size)) < condition.stated
+
+
+def _photographed(
+    silhouettes: np.ndarray, ratio: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
+    """Outlines (N, AZIMUTHS) of photographs, from exact ones (N, P, AZIMUTHS), in half sizes."""
+    place = np.interp(ratio, PERSPECTIVES, np.arange(len(PERSPECTIVES)))
+    low = np.minimum(place.astype(int), len(PERSPECTIVES) - 2)
+    share = (place - low)[:, None]
+    rows = np.arange(len(ratio))
+    radius = silhouettes[rows, low] * (1 - share) + silhouettes[rows, low + 1] * share
+    aside = rng.normal(0, PICTURE_OFFSET, (len(ratio), 2))
+    radius = radius + aside[:, :1] * np.cos(AZIMUTH) + aside[:, 1:] * np.sin(AZIMUTH)
+    radius *= 1 + rng.normal(0, PICTURE_SCALE, (len(ratio), 1))
+    noise = rng.standard_normal(radius.shape)
+    smooth = (np.roll(noise, 1, axis=1) + noise + np.roll(noise, -1, axis=1)) / math.sqrt(3)
+    return radius + PICTURE_NOISE * rng.random((len(ratio), 1)) * smooth
