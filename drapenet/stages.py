@@ -174,7 +174,10 @@ def network_estimate(capture: Capture, header: Header) -> CaptureEstimate:
         located = LocatedViews.of(capture)
         seen = Observation.of_views(located, capture.sign, capture.warp_direction)
     evidence = CaptureEvidence(str(capture.path), seen, capture.known)
-    draws, = predict(network_of(header), header, [evidence.observations])
+    try:
+        draws, = predict(network_of(header), header, [evidence.observations])
+    except InputError as error:
+        raise InputError(f"{capture.path}: {error}") from None
     return CaptureEstimate(capture, header, located, seen, draws)
 
 

@@ -127,17 +127,13 @@ class Header(Excerpt):
                 f"{DIAMETERS[0]:g} mm and more, no rectangles; give a specimen that it knows, or "
                 "the checkpoint of a network that was trained on rectangles")
 
-    def require_input(self, kind: Input, *, pictures: bool = False) -> None:
-        """InputError for a capture of a kind that the network was not trained on, or without the
-        ``pictures`` of its views that it reads."""
+    def require_input(self, kind: Input) -> None:
+        """InputError for a capture of a kind that the network was not trained on."""
         if kind not in self.config.inputs:
             raise InputError(f"the network {self.path.name} was trained to read "
                              f"{', '.join(self.config.inputs)}, not {kind} alone; give a capture "
                              "that it reads, or the checkpoint of a network that was trained with "
                              f"inputs=[{kind}]")
-        if self.model.backbone and not pictures:
-            raise InputError(f"the network {self.path.name} reads the pictures of depth views, "
-                             "which are not kept beside an estimate; estimate the capture itself")
 
     @property
     def identity(self) -> dict[str, str]:

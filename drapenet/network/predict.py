@@ -64,7 +64,7 @@ def predict(
     network has not learned to read one of them."""
     for capture in (capture for captures in sets for capture in captures):
         header.require_input("depth" if capture.map else "outline" if capture.outline else
-                             "numbers", pictures=capture.pictures is not None)
+                             "numbers")
     batch, facts = batch_of(sets)
     samples = sample_targets(network, header, batch, facts.known)
     known = [all(part.known for part in captures) for captures in sets]

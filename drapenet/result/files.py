@@ -15,6 +15,7 @@ from drapenet.result.document import EstimateDocument
 from drapenet.result.estimate import Estimate
 from drapenet.views.observation import Observation
 from drapenet.views.outline import DrapeOutline
+from drapenet.views.pictures import DepthPictures
 from drapenet.views.radial_map import RadialMap
 from sim.material import MICRO
 from sim.rig import Rig
@@ -38,6 +39,8 @@ def write_observation(out: Path, seen: Observation) -> None:
     """Write what the network reads of a capture, for joint estimates with others."""
     arrays = {"distance": np.float32(seen.map.distance), "weight": np.float32(seen.map.weight),
               "views": seen.map.views} if seen.map else {}
+    if seen.pictures:
+        arrays |= {"pictures": seen.pictures.depth, "angle": seen.pictures.angle}
     if seen.outline:
         arrays |= {"radius": seen.outline.radius, "height": seen.outline.height}
     with replacing(out / OBSERVATION) as stream:
@@ -54,8 +57,11 @@ def read_observation(out: Path) -> Observation:
         "distance" in arrays) else None
     outline = DrapeOutline(arrays["radius"], float(arrays["height"])) if (
         "radius" in arrays) else None
+    pictures = DepthPictures(arrays["pictures"], float(arrays["angle"])) if (
+        "pictures" in arrays) else None
     return Observation(Rig.from_name(arrays["rig"].item().decode()), int(arrays["face"]),
-                       bool(arrays["known"]), drape, outline, *map(float, arrays["numbers"]))
+                       bool(arrays["known"]), drape, outline, *map(float, arrays["numbers"]),
+                       pictures)
 
 
 def remove_report(out: Path) -> None:
