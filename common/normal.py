@@ -28,15 +28,6 @@ class Normal:
         floor = np.square(_FLOOR * (np.abs(mean) + _FLOOR))
         return cls(mean, np.cov(samples.T).reshape(samples.shape[1:] * 2) + np.diag(floor))
 
-    @classmethod
-    def mixed(cls, parts: Sequence["Normal"], shares: np.ndarray) -> "Normal":
-        """The normal distribution with the moments of a mixture; ``shares`` (K,) have the sum 1."""
-        means = np.array([part.mean for part in parts])
-        mean = shares @ means
-        within = np.tensordot(shares, [part.covariance for part in parts], axes=1)
-        apart = means - mean
-        return cls(mean, within + (shares[:, None] * apart).T @ apart)
-
     def only(self, places: Sequence[int]) -> "Normal":
         """The marginal distribution of the entries at ``places``."""
         return Normal(self.mean[list(places)], self.covariance[np.ix_(places, places)])

@@ -40,6 +40,7 @@ from drapenet.result.files import (
 )
 from drapenet.stages import CaptureEstimate, Progress, estimate_capture, require_sound
 from drapenet.views.observation import Observation
+from sim.material import MICRO
 
 if TYPE_CHECKING:
     from data.strips.folder import StripSet
@@ -153,7 +154,8 @@ def _strips_alone(strips: "StripSet", header: Header) -> tuple[Estimate, Estimat
 
 def _measured(record: StripsRecord) -> StripsMeasured:
     return StripsMeasured(1e-3 * record.density_g_m2, {
-        direction: Linear(np.array(moduli.evidence.rows), np.array(moduli.evidence.values))
+        direction: (Linear(np.array(moduli.evidence.rows), np.array(moduli.evidence.values)),
+                    MICRO * moduli.alpha_uN_m.median)
         for direction, moduli in record.moduli.items()}, record.known)
 
 

@@ -1,5 +1,6 @@
 """Fixtures that several folders of tests share."""
 
+import os
 import signal
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,10 +14,12 @@ from here import here
 import common.cases
 import common.interrupt
 import data.dataset.generate
+from drapenet.stages import RAISE
 from sim.rig import DISC_RIG
 from sim.scene import Scene, make_specimen
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # pytest's
+os.environ[RAISE] = "1"  # an error of a stage is no warning
 torch.set_num_threads(1)  # of each worker; sums of several may differ by rounding from run to run
 
 for module in (common.cases, data.dataset.generate):

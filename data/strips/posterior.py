@@ -80,7 +80,7 @@ class StripEvidence:
         posterior: of them with the prior that was given.
         misfit: root mean square of the residuals, in standard deviations; if larger than 1, the
             errors of the measurements are larger by it.
-        scatter: mean of the standard deviation of log alpha between specimens.
+        scatter: standard deviation of log alpha between specimens.
     """
 
     measured: Linear
@@ -157,8 +157,8 @@ def direction_evidence(
         raise InputError(f"{NOT_A_STRIP}; the nearest one is {misfit:.1f} standard deviations from "
                          "them: check that the strips are of one direction, their lengths, and the "
                          "density")
-    posterior, scatter = fit.posterior(result.x, max(misfit, 1.0))
-    return StripEvidence(Linear.between(prior, posterior), posterior, misfit, scatter)
+    measured, scatter = fit.measured(result.x, max(misfit, 1.0))
+    return StripEvidence(measured, prior.updated(measured), misfit, scatter)
 
 
 class _Fit:
@@ -198,29 +198,36 @@ class _Fit:
             rows[-1][:, columns] = block
         return np.vstack(rows)
 
-    def posterior(self, unknowns: np.ndarray, misfit: float) -> tuple[Normal, float]:
-        """Normal distribution of log alpha, beta/alpha in m and curvature in 1/m, over all scatters
-        of specimens, and the mean scatter; errors of measurements are larger by ``misfit``."""
+    def measured(self, unknowns: np.ndarray, misfit: float) -> tuple[Linear, float]:
+        """What is told of log alpha, beta/alpha in m and curvature in 1/m, without the prior, and
+        the specimens' scatter; errors of measurements are larger by ``misfit``."""
         rows, residuals = self.jacobian(unknowns), self.residuals(unknowns)
         rows[self.scatter.stop :] /= misfit
         residuals[self.scatter.stop :] /= misfit
-        parts, logs = [], []
-        for scatter in SCATTERS:
-            ratio = SPECIMEN_SCATTER / scatter
-            scale = np.ones(len(rows))
-            scale[self.scatter] = ratio
-            q, r = np.linalg.qr(scale[:, None] * rows)
-            told = -q.T @ (scale * residuals)
-            inverse = np.linalg.inv(r)
-            covariance = (inverse @ inverse.T)[:_SHARED, :_SHARED]
-            parts.append(Normal(_UNITS * (unknowns + inverse @ told)[:_SHARED],
-                                covariance * np.outer(_UNITS, _UNITS)))
-            cost = np.square(scale * residuals).sum() - np.square(told).sum()
-            logs.append(-0.5 * cost - np.log(np.abs(np.diag(r))).sum()
-                        + self.specimens * np.log(ratio)
-                        - 0.5 * (np.log(ratio) / SCATTER_SPREAD) ** 2)
-        shares = softmax(logs)
-        return Normal.mixed(parts, shares), float(shares @ SCATTERS)
+        values = rows @ unknowns - residuals
+        logs = [self._log_evidence(rows, values, scatter) for scatter in SCATTERS]
+        scatter = float(np.sqrt(softmax(logs) @ np.square(SCATTERS)))
+        scale = self._scale(len(rows), scatter)[_SHARED:]
+        # The unknowns of single strips first, and eliminated.
+        ordered = np.roll(rows[_SHARED:], -_SHARED, axis=1)
+        q, r = np.linalg.qr(scale[:, None] * ordered)
+        own = len(unknowns) - _SHARED
+        told = (q.T @ (scale * values[_SHARED:]))[own:]
+        return Linear(r[own:, own:] / _UNITS, told), scatter
+
+    def _log_evidence(self, rows: np.ndarray, values: np.ndarray, scatter: float) -> float:
+        """Logarithm, but for a constant, of the probability density of ``scatter`` given all."""
+        scale, ratio = self._scale(len(rows), scatter), SPECIMEN_SCATTER / scatter
+        q, r = np.linalg.qr(scale[:, None] * rows)
+        cost = np.square(scale * values).sum() - np.square(q.T @ (scale * values)).sum()
+        return (-0.5 * cost - np.log(np.abs(np.diag(r))).sum() + self.specimens * np.log(ratio)
+                - 0.5 * (np.log(ratio) / SCATTER_SPREAD) ** 2)
+
+    def _scale(self, rows: int, scatter: float) -> np.ndarray:
+        """(rows,) factors of the residuals if specimens have this scatter."""
+        scale = np.ones(rows)
+        scale[self.scatter] = SPECIMEN_SCATTER / scatter
+        return scale
 
     def _parts(self) -> Iterator[tuple[Callable[[np.ndarray], np.ndarray], np.ndarray]]:
         """Residuals of each strip and bending length, and the unknowns on which they depend."""

@@ -54,11 +54,12 @@ class StripsMeasured:
     """Strips of a fabric of a density, or no strips and values alone.
 
     Attributes:
-        measured: evidence of log alpha, beta/alpha and natural curvature, by direction.
+        measured: by direction evidence of log alpha, beta/alpha and natural curvature, and alpha,
+            N·m, by the strips alone.
     """
 
     density: Density
-    measured: dict[str, Linear]
+    measured: dict[str, tuple[Linear, float]]
     known: Known | None = None
 
 
@@ -76,8 +77,8 @@ def fabric_estimate(
     captures = [replace(capture, seen=replace(capture.seen, known=known)) for capture in captures]
     draws, lines = (_captured(captures, header) if captures else
                     (Draws(fabric_prior(header), True, 0.0), []))
-    sources = [of_strips(direction, measured, each.density) for each in strips
-               for direction, measured in each.measured.items()]
+    sources = [of_strips(direction, measured, alpha, each.density) for each in strips
+               for direction, (measured, alpha) in each.measured.items()]
     # Every capture of a folder repeats what is known of the fabric.
     stated = {str(each.known): each.known for each in (*captures, *strips) if each.known}
     values = {source.label: source for each in stated.values()

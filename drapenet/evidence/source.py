@@ -47,17 +47,17 @@ def linear(label: str, kind: int, evidence: Linear, against: Callable[[np.ndarra
     return Source(label, kind, lambda states: states @ evidence.rows.T - evidence.values, against)
 
 
-def of_strips(direction: str, measured: Linear, density: Density) -> Source:
-    """Strips along a direction, which measured log alpha at a density, beta/alpha and curvature."""
+def of_strips(direction: str, measured: Linear, alpha: float, density: Density) -> Source:
+    """Strips along a direction, which measured log alpha at a density, beta/alpha and curvature;
+    ``alpha``, N·m: what they say alone."""
     seen, k = seen_along(direction), DIRECTIONS.index(direction)
-    told = measured.moved(-heavier(density))
-    best = np.linalg.lstsq(told.rows, told.values, rcond=None)[0][0]
 
     def against(states: np.ndarray) -> str:
-        alpha, others = np.exp([best, states[:, k].mean()]) * density / REFERENCE_DENSITY / MICRO
-        return f"alpha is {alpha:.3g} against {others:.3g} µN·m"
+        others = np.exp(states[:, k].mean()) * density / REFERENCE_DENSITY
+        return f"alpha is {alpha / MICRO:.3g} against {others / MICRO:.3g} µN·m"
 
-    return linear(f"the strips along the {direction}", STRIPS, told.of_part(seen), against)
+    return linear(f"the strips along the {direction}", STRIPS,
+                  measured.moved(-heavier(density)).of_part(seen), against)
 
 
 def of_values(known: Known | None, density: Density) -> list[Source]:

@@ -70,7 +70,7 @@ def run(config: Config) -> Result:
         added = {"one drape, KES B of warp and weft": of_values(_sheet(truth, rng),
                                                                 REFERENCE_DENSITY)}
         if strips := _strips(truth, header, rng):
-            added[STRIPS] = [of_strips(direction, found.measured, REFERENCE_DENSITY)
+            added[STRIPS] = [of_strips(direction, found.measured, found.alpha, REFERENCE_DENSITY)
                              for direction, found in strips.items()]
         draws = Draws(alone.cloth, True, 0.0)
         estimates |= {name: joined(draws, sources, REFERENCE_DENSITY, header, name="the drape")

@@ -58,13 +58,8 @@ def test_parts_steps_and_scatter_are_those_of_the_measured_state():
     assert np.sqrt(np.diag(flat.covariance)) == pytest.approx([np.sqrt(0.25 + 0.09), 0.25])
 
 
-def test_the_normal_of_a_mixture_has_its_moments():
-    first, second = RNG.multivariate_normal([0, 0], [[1, 0.5], [0.5, 2]], 60_000), \
-        RNG.multivariate_normal([3, -1], np.eye(2), 20_000)
-    both = Normal.mixed([Normal.of(first), Normal.of(second)], np.array([0.75, 0.25]))
-    direct = Normal.of(np.vstack([first, second]))
-    assert both.mean == pytest.approx(direct.mean, abs=1e-6)
-    assert both.covariance == pytest.approx(direct.covariance, rel=1e-3)
-    assert both.only([1]).covariance == pytest.approx(direct.covariance[1:, 1:], rel=1e-3)
-    drawn = Normal.of(both.samples(50_000))
-    assert drawn.covariance == pytest.approx(both.covariance, abs=0.04)
+def test_samples_have_the_moments_and_parts_are_marginal():
+    drawn = Normal.of(PRIOR.samples(50_000))
+    assert drawn.mean == pytest.approx(PRIOR.mean, abs=0.05)
+    assert drawn.covariance == pytest.approx(PRIOR.covariance, abs=0.2)
+    assert PRIOR.only([2, 0]).covariance[0, 1] == PRIOR.covariance[2, 0]

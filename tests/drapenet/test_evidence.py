@@ -40,7 +40,7 @@ def states(count: int = 10_000) -> np.ndarray:
 def strips(direction: str, alpha: float, deviation: float):
     """Strips that determine alpha, N·m, alone."""
     return of_strips(direction, Linear(np.array([[1.0, 0, 0]]) / deviation,
-                                       np.array([np.log(alpha) / deviation])), DENSITY)
+                                       np.array([np.log(alpha) / deviation])), alpha, DENSITY)
 
 
 def test_a_strip_moves_what_is_correlated_with_its_direction():
@@ -186,7 +186,8 @@ def test_strips_alone_leave_the_other_directions_to_the_prior(header):
     density = 0.21
     prior = prior_along(fabric_prior(header), density)["weft"]
     measured = Linear(np.array([[1 / 0.02, 0, 0]]), np.array([np.log(40 * MICRO) / 0.02]))
-    found = fabric_estimate([], [StripsMeasured(density, {"weft": measured})], density, header)
+    found = fabric_estimate([], [StripsMeasured(density, {"weft": (measured, 40 * MICRO)})],
+                            density, header)
     assert np.median(found.moduli()[0][:, 2]) == pytest.approx(40 * MICRO, rel=0.01)
     assert prior.mean[0] != pytest.approx(np.log(40 * MICRO), abs=0.1)
     assert found.constraint[2] < 0.05 < 0.2 < found.constraint[0] < 1

@@ -1,0 +1,169 @@
+"""A fabric's estimate from captures, strips and known values: in one command, in batches, in
+Python."""
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+import drapenet
+import infer
+from common.errors import InputError
+from data.captures.capture import read_capture
+from drapenet import stages
+from drapenet.config import EstimateOptions
+from drapenet.evidence import fabric
+from drapenet.inference import estimate_fabric, joint_estimate, read_part
+from drapenet.network.checkpoint import read_header
+from drapenet.network.predict import Draws
+from drapenet.result.files import FAULTS
+
+TWILL = Path(__file__).parents[2] / "examples" / "captures" / "twill"
+RIGHT = {"bending_length_mm": {"warp": 28.0, "weft": 19.5}}
+EXCHANGED = {"bending_length_mm": {"warp": 17.0, "weft": 31.0}}
+
+
+def capture(folder: Path, known: dict | None = None) -> Path:
+    """A copy of the bundled capture, with what is known of it."""
+    shutil.copytree(TWILL, folder)
+    file = folder / "capture.yaml"
+    if known:
+        file.write_text(file.read_text() + yaml.safe_dump({"known": known}))
+    return folder
+
+
+def strips(folder: Path, known: dict | None = None, **lengths: list[float]) -> Path:
+    """A folder with bending lengths in mm by direction, read on either face."""
+    folder.mkdir(parents=True)
+    entries = [{"direction": name, "bending_length_mm": value, "face": face}
+               for name, values in lengths.items() for value in values for face in ("up", "down")]
+    (folder / "strips.yaml").write_text(yaml.safe_dump(
+        {"density_g_m2": 210, "fabric": "Twill 7", "strips": entries}
+        | ({"known": known} if known else {})))
+    return folder
+
+
+def content(folder: Path) -> dict:
+    return json.loads((folder / "estimate.json").read_text())
+
+
+def medians(found: dict) -> list[float]:
+    return [moduli["alpha_uN_m"]["median"] for moduli in found["moduli"].values()]
+
+
+def width(found: dict, name: str = "warp") -> float:
+    low, high = found["moduli"][name]["alpha_uN_m"]["interval_68"]
+    return high / low
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory) -> dict:
+    """The estimate of the bundled capture."""
+    out = tmp_path_factory.mktemp("plain")
+    infer.main([f"capture={TWILL}", f"out={out}", "drapes=0"])
+    return content(out)
+
+
+def test_right_values_narrow_and_wrong_ones_are_named_and_change_nothing(tmp_path, plain, capsys):
+    for name, known in (("right", RIGHT), ("wrong", EXCHANGED)):
+        infer.main([f"capture={capture(tmp_path / name, known)}", f"out={tmp_path / 'o' / name}",
+                    "drapes=0"])
+    right, wrong = (content(tmp_path / "o" / name) for name in ("right", "wrong"))
+    assert not right["warnings"] and width(right) < 0.95 * width(plain)
+    assert wrong["moduli"] == plain["moduli"] and wrong["capture"]["known"]
+    assert [line.partition(" contradicts")[0] for line in wrong["warnings"]] == [
+        "the known bending_length_mm warp = 17", "the known bending_length_mm weft = 31"]
+    assert "warning: the known bending_length_mm warp = 17 contradicts the capture: they say " in (
+        capsys.readouterr().out)
+    with pytest.raises(InputError, match="refused because strict=true: the known bending_length"):
+        infer.main([f"capture={tmp_path / 'wrong'}", f"out={tmp_path / 'strict'}", "strict=true"])
+    assert not (tmp_path / "strict" / "estimate.json").exists()
+
+
+def test_strips_and_values_work_in_a_batch(tmp_path, plain):
+    capture(tmp_path / "root" / "twill" / "a")
+    strips(tmp_path / "root" / "twill" / "strips", warp=[27.0, 29.0, 31.0], weft=[18, 20, 19.0])
+    strips(tmp_path / "root" / "lengths" / "only", warp=[22.0], weft=[25.0])
+    strips(tmp_path / "root" / "values", known={"kes_b_gf_cm2_per_cm": {"warp": 0.2, "weft": 0.1}})
+    capture(tmp_path / "root" / "other" / "a")
+    strips(tmp_path / "root" / "other" / "b", warp=[60.0, 61.0])
+    infer.main([f"captures={tmp_path / 'root'}", f"out={tmp_path / 'out'}", "workers=1"])
+    found = {name: content(tmp_path / "out" / name)
+             for name in ("twill", "lengths", "values", "other")}
+    joint = found["twill"]
+    assert not joint["warnings"] and joint["strips"][0]["strips"] == 12
+    assert width(joint) < 0.8 * width(plain) and width(joint, "bias") < width(plain, "bias")
+    assert found["lengths"]["capture"]["labels"]["fabric"] == "Twill 7"
+    assert width(found["lengths"]) < 1.6 < 2.5 < width(found["values"], "bias")
+    assert found["values"]["laboratory"]["warp"]["kes_b_gf_cm2_per_cm"]["median"] == pytest.approx(
+        0.2, rel=0.15)
+    # The network's input is kept in single precision.
+    assert medians(found["other"]) == pytest.approx(medians(plain), rel=1e-4)
+    line, = found["other"]["warnings"]
+    assert line.startswith("the strips along the warp contradict the capture: alpha is ")
+    table = (tmp_path / "out" / "fabrics.csv").read_text("utf-8-sig")
+    assert len(table.splitlines()) == 5 and "contradict the capture" in table
+    page = (tmp_path / "out" / "twill" / "index.html").read_text()
+    assert "12 hanging strips alone" in page
+
+
+def test_parts_in_files_give_the_estimate_of_those_in_memory(tmp_path):
+    sources = [capture(tmp_path / "a", RIGHT), strips(tmp_path / "b", warp=[28.0, 29.0])]
+    infer.main([f"capture={sources[0]}", f"strips={sources[1]}", f"out={tmp_path / 'o'}",
+                "drapes=0"])
+    header = read_header()
+    parts = [read_part(tmp_path / "o" / name) for name in ("capture_0", "strips_1")]
+    estimate, document = joint_estimate(parts, header)
+    assert medians(document.content()) == pytest.approx(medians(content(tmp_path / "o")), rel=1e-4)
+    python = drapenet.estimate(sources[0], strips=sources[1])
+    assert python.samples == pytest.approx(estimate.samples, rel=1e-3)
+    alone = drapenet.estimate(strips=sources[1])
+    assert alone.constraint[0] < 0.3 < alone.constraint[1]
+    with pytest.raises(InputError, match="nothing is known"):
+        estimate_fabric([], header, EstimateOptions())
+
+
+def test_two_captures_that_contradict_each_other_leave_both_possible(tmp_path, plain, monkeypatch):
+    """The second is the first as of a fabric of a fifth of the stiffness."""
+    parts = [stages.network_estimate(read_capture(capture(tmp_path / name)), read_header())
+             for name in ("a", "b")]
+    true = fabric.predict
+    changed = id(parts[1].observation.map)
+
+    def predict(network, header, sets):
+        found = true(network, header, sets)
+        for place, members in enumerate(sets):
+            share = sum(id(one.map) == changed for one in members) / len(members)
+            theta = found[place].cloth.theta.copy()
+            theta[:, :3] -= np.log(5.0) * share
+            found[place] = Draws(replace(found[place].cloth, theta=theta), True, 0.0)
+        return found
+
+    monkeypatch.setattr(fabric, "predict", predict)
+    estimate = fabric.fabric_estimate(
+        [fabric.CaptureEvidence(name, part.observation) for name, part in
+         zip("ab", parts, strict=True)], [], 0.21, read_header())
+    line, = estimate.contradictions
+    assert "contradicts" in line and "the estimate holds for either" in line
+    low, high = 1e6 * np.quantile(estimate.moduli()[0][:, 0], [0.1, 0.9])
+    median = plain["moduli"]["warp"]["alpha_uN_m"]["median"]
+    assert low < 0.4 * median and high > 0.9 * median
+
+
+def test_a_stage_that_fails_leaves_its_traceback(tmp_path, monkeypatch):
+    def broken(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("of a fault")
+
+    monkeypatch.setattr(stages, "simulate", broken)
+    words = [f"capture={TWILL}", f"out={tmp_path}", "drapes=1"]
+    with pytest.raises(ZeroDivisionError):
+        infer.main(words)  # tests see faults of the program
+    monkeypatch.delenv(stages.RAISE)
+    infer.main(words)
+    line, = content(tmp_path)["warnings"]
+    assert "ZeroDivisionError, of a fault; please report it with the file faults.txt" in line
+    assert "in broken" in (tmp_path / FAULTS).read_text()
