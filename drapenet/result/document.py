@@ -210,6 +210,7 @@ class EstimateDocument(Excerpt):
     refined: RefinementRecord | None = None
     resimulation: dict[str, Any] | None = None
     warnings: list[Text]
+    contradictions: list[Text] = []  # those of the warnings that name what is left out
 
     @model_validator(mode="after")
     def _require_directions(self) -> "EstimateDocument":
@@ -243,7 +244,8 @@ class EstimateDocument(Excerpt):
                 if share > POORLY_CONSTRAINED],
             "torque_mN": torque_table(estimate, CURVATURES),
             "cloth": _properties(estimate),
-            "checkpoint": checkpoint, **sections, "warnings": list(warnings)})
+            "checkpoint": checkpoint, **sections, "warnings": list(warnings),
+            "contradictions": list(estimate.contradictions)})
 
     @property
     def names(self) -> tuple[str, str, str]:

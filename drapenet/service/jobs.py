@@ -75,27 +75,35 @@ class Jobs:
         """Start the estimate of an upload in the client's place; its ``id`` and its ``fabric``."""
         identity = new_identity()
         folder = self.settings.folder / identity
+        fabric = upload.fabric or new_identity()
+        about = upload.specimen
         task = {"refine": upload.refine, "scan": upload.scan,
-                "specimen": upload.specimen and upload.specimen.model_dump()}
+                "specimen": about and about.model_dump(exclude_unset=True)}
         try:
             (folder / UPLOADED).mkdir(parents=True)
             for name, data in upload.files.items():
                 (folder / UPLOADED / name).write_bytes(data)
             with self._changing:
-                fabric = upload.fabric or new_identity()
                 self.database.add_estimate(
                     identity, fabric, self._label(upload), task=task,
                     about=None if upload.fabric else (upload.name, upload.about.notes))
             self._schedule(identity, client)
         except BaseException as error:
             self.places.give(client)
-            shutil.rmtree(folder, ignore_errors=True)
+            self._withdraw(identity, fabric, is_new=not upload.fabric)
             if isinstance(error, (OSError, SQLError)):
                 _LOG.error("an upload cannot be stored: %s", one_line(error))
                 raise RequestError(507, "the upload cannot be stored; say so to whoever runs this "
                                    "service, whose log states the reason") from None
             raise
         return {"id": identity, "fabric": fabric}
+
+    def _withdraw(self, identity: str, fabric: str, *, is_new: bool) -> None:
+        """Remove an estimate that was not begun, so that none waits without its files, and the
+        fabric that ``is_new`` with it."""
+        with suppress(SQLError):  # as of a full disk, which the caller reports
+            self._forget(*(("fabric", fabric) if is_new else ("estimate", identity)), [])
+        shutil.rmtree(self.settings.folder / identity, ignore_errors=True)
 
     def _label(self, upload: Upload) -> str:
         """The label of a capture, which no other of its fabric has."""
@@ -109,7 +117,8 @@ class Jobs:
         if captures >= _MAX_CAPTURES:
             raise RequestError(422, f"the fabric has {captures} captures, the most that are joined;"
                                " remove one, or send this capture as another fabric")
-        return label or next(free for k in count(1) if (free := f"capture {k}") not in labels)
+        return label or next(free for k in count(1) if (free := f"{upload.kind} {k}")
+                             not in labels)
 
     def _schedule(self, identity: str, client: str | None = None) -> None:
         """Start an estimate; the place of a client, if any, is given back at the end."""
