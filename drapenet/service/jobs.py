@@ -87,23 +87,22 @@ class Jobs:
                 self.database.add_estimate(
                     identity, fabric, self._label(upload), task=task,
                     about=None if upload.fabric else (upload.name, upload.about.notes))
-            self._schedule(identity, client)
+            try:
+                self._schedule(identity, client)
+            except BaseException:  # it must not wait without its files
+                with suppress(SQLError):  # of a full disk
+                    self.database.remove(*(("estimate", identity) if upload.fabric else
+                                           ("fabric", fabric)))
+                raise
         except BaseException as error:
             self.places.give(client)
-            self._withdraw(identity, fabric, is_new=not upload.fabric)
+            shutil.rmtree(folder, ignore_errors=True)
             if isinstance(error, (OSError, SQLError)):
                 _LOG.error("an upload cannot be stored: %s", one_line(error))
                 raise RequestError(507, "the upload cannot be stored; say so to whoever runs this "
                                    "service, whose log states the reason") from None
             raise
         return {"id": identity, "fabric": fabric}
-
-    def _withdraw(self, identity: str, fabric: str, *, is_new: bool) -> None:
-        """Remove an estimate that was not begun, so that none waits without its files, and the
-        fabric that ``is_new`` with it."""
-        with suppress(SQLError):  # as of a full disk, which the caller reports
-            self._forget(*(("fabric", fabric) if is_new else ("estimate", identity)), [])
-        shutil.rmtree(self.settings.folder / identity, ignore_errors=True)
 
     def _label(self, upload: Upload) -> str:
         """The label of a capture, which no other of its fabric has."""

@@ -27,7 +27,7 @@ def warm_up(checkpoint: str) -> None:
     """Import and cache, in a worker, what the first estimate needs."""
     end_with_parent()
     from data.render.rays import import_open3d
-    from drapenet.inference import network_of
+    from drapenet.evidence.fabric import network_of
     from drapenet.network.checkpoint import read_header
     from drapenet.report.figures import draw_report  # noqa: F401
     from sim.drape import drape
