@@ -210,7 +210,7 @@ class EstimateDocument(Excerpt):
     refined: RefinementRecord | None = None
     resimulation: dict[str, Any] | None = None
     warnings: list[Text]
-    contradictions: list[Text] = []  # those of the warnings that name what is left out
+    contradictions: list[Text] | None = None  # the warnings that name what is left out
 
     @model_validator(mode="after")
     def _require_directions(self) -> "EstimateDocument":

@@ -100,7 +100,7 @@ def described_strips(document: bytes, fields: Mapping[str, str]
 
 def _completed(document: bytes, file: str, fields: Mapping[str, str]) -> dict[str, Any]:
     """The content of a description, in which a form's fields replace values, but not known ones:
-    which of two measurements is right cannot be told."""
+    nobody can say which of two measurements is right."""
     if len(document) > MAX_TEXT_BYTES:
         raise RequestError(413, f"{file} has {len(document)} bytes; at most {MAX_TEXT_BYTES}")
     try:

@@ -44,7 +44,7 @@ def add_pages(app: FastAPI, settings: ServeConfig) -> None:
     page = render("service.html", settings=settings, targets=TARGETS, meshes=MESHES,
                   testers={name: RIGS[name] for name in TESTERS}, kinds=KINDS,
                   examples=examples, manual=MANUAL.is_dir(), directions=DIRECTIONS,
-                  known=[(each, value_fields(each), error_field(each))
+                  known=[(each.in_words, value_fields(each), 100 * each.error, error_field(each))
                          for each in QUANTITIES.values()])
     app.mount("/static", StaticFiles(directory=STATIC), name="static")
     app.mount("/swagger", StaticFiles(directory=swagger_ui_bundle.swagger_ui_path), name="swagger")

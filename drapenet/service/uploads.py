@@ -36,8 +36,8 @@ from drapenet.service.received import (
 )
 
 _NAMED = re.compile(r"view_\d+(_\d+)?\.(png|npy|ply)")
-_NO_FILES = ("no files; give the views of a drape, its photograph or outline from above, a zip with "
-             "them, a scan, strips.yaml, or known values")
+_NO_FILES = ("no files; give the views of a drape, its photograph or outline from above, a zip "
+             "with them, a scan, strips.yaml, or known values")
 
 
 @dataclass(frozen=True)

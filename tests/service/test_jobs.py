@@ -10,9 +10,9 @@ from services import BreakablePool, settings_for
 
 from drapenet.service.archive import COPY
 from drapenet.service.database import database_in
+from drapenet.service.forms import About
 from drapenet.service.jobs import Jobs
 from drapenet.service.limits import Places, RequestError
-from drapenet.service.forms import About
 from drapenet.service.uploads import Upload
 
 

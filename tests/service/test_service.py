@@ -236,7 +236,8 @@ def test_captures_of_a_fabric_have_one_joint_estimate(client, finished, joined):
     assert document["capture"]["sources"] == ["Twill_b_7/capture_1", "Twill_b_7/two_views"]
     folder = client.app.state.jobs.settings.folder
     expected, _ = joint_estimate(
-        [read_part(folder / member) for member in joined["members"]], read_header(client.app.state.jobs.settings.checkpoint))
+        [read_part(folder / member) for member in joined["members"]],
+        read_header(client.app.state.jobs.settings.checkpoint))
     assert document["moduli"]["warp"]["alpha_uN_m"]["median"] == pytest.approx(
         np.median(expected.moduli()[0][:, 0]) * 1e6)
     assert len(joined["curves"]["warp"]["median"]) == len(joined["curves"]["curvature_1_m"])

@@ -219,8 +219,7 @@ async function showShapes(address) {
 async function fetchExport(name) {
   at('error-export').textContent = '';
   const id = location.hash.slice(1);
-  const edge = at('edge').value.trim().replace(',', '.');
-  const query = new URLSearchParams({ mesh: at('mesh').value, edge_mm: edge });
+  const query = new URLSearchParams({ mesh: at('mesh').value, edge_mm: at('edge').value.trim().replace(',', '.') });
   try {
     const answer = await fetch(`/estimates/${id}/export/${name}?${query}`);
     if (!answer.ok) {
