@@ -73,6 +73,8 @@ def test_values_alone_tell_of_a_fabric(client):
     assert length["interval_68"][0] < 22 < length["interval_68"][1] < 25
     page = client.get(f"/estimates/{found['id']}/report.html").text
     assert "from known values of testers" in page and "<h1>twill</h1>" in page
+    assert "<li>bending length [mm] warp: 22</li>" in page
+    assert "<li>bending stiffness by the supplier [µN·m]: 25</li>" in page
 
 
 def test_a_value_that_contradicts_is_named_and_left_out(client, lengths):
