@@ -1,8 +1,11 @@
-"""Settings of services in tests, and workers that finish nothing."""
+"""Settings of services in tests, requests to them, and workers that finish nothing."""
 
+import time
 from collections.abc import Callable
 from pathlib import Path
 
+from fastapi.testclient import TestClient
+from httpx import Response
 from pebble import ProcessFuture
 
 from common.command import compose_config
@@ -13,6 +16,32 @@ def settings_for(results: Path, *words: str) -> ServeConfig:
     """Settings of a service of one worker, with further ``words``."""
     return compose_config("serve", [f"results={results}", "workers=1", "queue=3", *words],
                           schema=ServeConfig)
+
+
+def post(client: TestClient, files: list[Path], **fields: str) -> Response:
+    """The answer to a form with files."""
+    parts = [("files", (file.name, file.read_bytes())) for file in files]
+    return client.post("/estimates", files=parts, data=fields)
+
+
+def ended(client: TestClient, identity: str) -> dict:
+    """An estimate after its end."""
+    for _ in range(1200):
+        found = client.get(f"/estimates/{identity}").json()
+        if found["state"] in ("done", "failed", "interrupted"):
+            return found
+        time.sleep(0.1)
+    raise AssertionError(f"not finished: {found}")
+
+
+def joint_estimate_of(client: TestClient, fabric: str) -> dict:
+    """The joint estimate of a fabric after its end."""
+    for _ in range(600):
+        rows = client.get(f"/fabrics/{fabric}").json()["estimates"]
+        if rows[-1]["members"]:
+            return ended(client, rows[-1]["id"])
+        time.sleep(0.1)
+    raise AssertionError(rows)
 
 
 class BreakablePool:

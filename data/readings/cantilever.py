@@ -54,6 +54,7 @@ def _rigidity_micro(cloth: ClothProperties, density: Density) -> np.ndarray:
 
 # Assumed errors: the standards at hand state none.
 QUANTITIES = (
-    Quantity("bending_length_mm", 3, 0.05, _length_mm),
-    Quantity("flexural_rigidity_uN_m", 3, 0.15, _rigidity_micro),
+    Quantity("bending_length_mm", 3, 0.05, _length_mm, "bending length [mm]"),
+    Quantity("flexural_rigidity_uN_m", 3, 0.15, _rigidity_micro,
+             "flexural rigidity G [µN·m]"),
 )

@@ -39,5 +39,5 @@ def _2hb(cloth: ClothProperties, density: Density) -> np.ndarray:
     return _within_law(cloth, density)[1] / GF_CM_PER_CM
 
 
-QUANTITIES = (Quantity("kes_b_gf_cm2_per_cm", 3, 0.10, _b),
-              Quantity("kes_2hb_gf_cm_per_cm", 3, 0.15, _2hb))
+QUANTITIES = (Quantity("kes_b_gf_cm2_per_cm", 3, 0.10, _b, "KES B [gf·cm²/cm]"),
+              Quantity("kes_2hb_gf_cm_per_cm", 3, 0.15, _2hb, "KES 2HB [gf·cm/cm]"))

@@ -32,12 +32,19 @@ class Quantity:
             stated one.
         predict: gives it of S fabrics, (S, directions), in the unit of the name, at their moduli of
             300 g/m² and the density of the fabric; NaN of a fabric that cannot have it.
+        title: its name and unit for people, by default its key.
     """
 
     name: str
     directions: int
     error: float
     predict: Callable[[ClothProperties, Density], np.ndarray]
+    title: str = ""
+
+    @property
+    def in_words(self) -> str:
+        """Names it for people."""
+        return self.title or self.name
 
 
 def moduli_at(cloth: ClothProperties, density: Density) -> tuple[np.ndarray, np.ndarray]:

@@ -46,12 +46,14 @@ def combine(prior: np.ndarray, sources: Sequence[Source], prior_name: str = "") 
     lines: list[str] = []
     for kind in sorted({source.kind for source in sources}):
         own = [source for source in sources if source.kind == kind]
-        rivals = filter(None, [prior_name, *dict.fromkeys(_NAMES[one.kind] for one in kept)])
+        rivals = [prior_name, *dict.fromkeys(_NAMES[one.kind] for one in kept)]
+        rival = " and ".join(filter(None, rivals))
         states = updated(prior, kept)
         base = Normal.of(states)
-        # Whatever contradicts the more trusted sources goes first, all at once.
-        wrong = [source for source in own if probability(source, base) < LEVEL / len(own)]
-        rival = " and ".join(rivals) or "fabrics in general"
+        # Whatever contradicts the more trusted sources goes first, all at once. An unusual fabric
+        # is no contradiction.
+        wrong = [source for source in own
+                 if rival and probability(source, base) < LEVEL / len(own)]
         lines += [_line(source, rival, base) for source in wrong]
         sound = [source for source in own if source not in wrong]
         told = {id(source): _evidence(source, states) for source in sound}

@@ -35,7 +35,7 @@ def write_report(
     and ``back`` is the address of the page of all fabrics.
     """
     values = {"title": title, "document": document, "captures": captures, "spread": spread,
-              "scatter": scatter, "back": back, "width": WIDTH}
+              "scatter": scatter, "back": back, "width": WIDTH, "known": document.known_values}
     replace_file(out / page, render("report.html", layout="base.html", **values))
     if pdf:
         body = render("report.html", layout="print.html", **values).decode()

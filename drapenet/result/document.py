@@ -14,6 +14,7 @@ from common.files import printable
 from common.types import Density
 from data.captures.description import Labels
 from data.captures.reported import Reported
+from data.readings import QUANTITIES
 from data.readings.cantilever import MG_CM, bending_length, flexural_rigidity
 from data.readings.kes import GF_CM, GF_CM_PER_CM, kes
 from data.readings.known import Known
@@ -210,6 +211,7 @@ class EstimateDocument(Excerpt):
     refined: RefinementRecord | None = None
     resimulation: dict[str, Any] | None = None
     warnings: list[Text]
+    contradictions: list[Text] | None = None  # the warnings that name what is left out
 
     @model_validator(mode="after")
     def _require_directions(self) -> "EstimateDocument":
@@ -243,7 +245,8 @@ class EstimateDocument(Excerpt):
                 if share > POORLY_CONSTRAINED],
             "torque_mN": torque_table(estimate, CURVATURES),
             "cloth": _properties(estimate),
-            "checkpoint": checkpoint, **sections, "warnings": list(warnings)})
+            "checkpoint": checkpoint, **sections, "warnings": list(warnings),
+            "contradictions": list(estimate.contradictions)})
 
     @property
     def names(self) -> tuple[str, str, str]:
@@ -262,6 +265,16 @@ class EstimateDocument(Excerpt):
                   "strip": sum(each.strips for each in self.strips or [])}
         return " and ".join(f"{count} {name}{'s' * (count > 1)}"
                             for name, count in counts.items() if count)
+
+    @property
+    def known_values(self) -> list[str]:
+        """Known values of the fabric in words, each once."""
+        stated = [one.known for one in (
+            self.capture, *(part.capture for part in self.captures or []), *(self.strips or []))]
+        return list(dict.fromkeys(
+            f"{QUANTITIES[name].in_words}{f' {DIRECTIONS[k]}' * (QUANTITIES[name].directions > 1)}:"
+            f" {value:g}" for known in stated if known
+            for (name, k), value in known.values().items()))
 
     def content(self) -> dict[str, Any]:
         """The document in JSON's types."""

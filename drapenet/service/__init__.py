@@ -1,4 +1,4 @@
-"""The service: requests (app), who may send them (access), pages, limits, uploads, fabrics and
-results (database), the zip of all (archive), estimates under way (jobs), and what worker processes
-compute and write (work, exports).
+"""The service: requests (app), who may send them (access), pages, limits, uploads (received files,
+forms), fabrics and results (database), the zip of all (archive), estimates under way (jobs), and
+what worker processes compute and write (work, exports).
 """

@@ -29,10 +29,12 @@ from drapenet.service.access import CHALLENGE, is_admitted, require_decision
 from drapenet.service.archive import Archive
 from drapenet.service.database import DONE
 from drapenet.service.exports import export_file
+from drapenet.service.forms import NUMBERS, TEXTS, About
 from drapenet.service.jobs import Jobs
 from drapenet.service.limits import RequestError, drain, length_fault, read_form
 from drapenet.service.pages import POLICY, add_pages
-from drapenet.service.uploads import KINDS, NUMBERS, TEXTS, About, checked_upload
+from drapenet.service.received import KINDS
+from drapenet.service.uploads import checked_upload
 from drapenet.service.work import PREVIEW
 
 FILES = (ESTIMATE, PREVIEW, *SHOWN)
@@ -40,12 +42,13 @@ _TIDY_INTERVAL = 600.0  # s between removals of old results
 _SECURE = {"X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer",
            "Content-Security-Policy": POLICY}
 _FORM = {"required": True, "content": {"multipart/form-data": {"schema": {
-    "type": "object", "required": ["files"], "properties": {
+    "type": "object", "properties": {
         **{name: {"type": "number"} for name in NUMBERS},
         **{name: {"type": "string"} for name in TEXTS},
         "files": {"type": "array", "items": {"type": "string", "format": "binary"},
-                  "description": f"views, a photograph or table of an outline, a zip with "
-                                 f"them, or a scan: {', '.join(KINDS)}"}}}}}}
+                  "description": f"views, a photograph or table of an outline, strips.yaml "
+                                 f"with its photographs, a zip with them, or a scan: "
+                                 f"{', '.join(KINDS)}; none for known values alone"}}}}}}
 _FRESH = {"Cache-Control": "no-store"}
 _MAX_BODY = 1 << 16  # bytes of a JSON body
 router = APIRouter(responses={status: {"description": HTTPStatus(status).phrase}
@@ -101,7 +104,9 @@ def create_app(settings: ServeConfig) -> FastAPI:
 
 @router.post("/estimates", status_code=202, openapi_extra={"requestBody": _FORM})
 async def begin(request: Request) -> dict[str, str]:
-    """Upload a capture or a scan and start its estimate; `fabric` adds it to a fabric."""
+    """Upload a capture, a scan, strips or known values and start their estimate; `fabric` adds
+    them to a fabric.
+    """
     jobs: Jobs = request.app.state.jobs
     client = request.client.host
     try:
@@ -125,7 +130,7 @@ def state(identity: str, request: Request) -> JSONResponse:
     """State and result of an estimate: `state` is queued, running, done, failed or interrupted;
     `estimate` has the content of estimate.json as soon as the network's estimate is available,
     `curves` the torques; `members` are the captures of a joint estimate, `captures` all estimates
-    of the fabric.
+    of the fabric with their `contradictions`.
     """
     jobs: Jobs = request.app.state.jobs
     folder, content = jobs.settings.folder / identity, jobs.row("estimate", identity)
@@ -192,7 +197,7 @@ def everything(request: Request) -> Archive:
 
 @router.get("/fabrics/{identity}")
 def fabric(identity: str, request: Request) -> JSONResponse:
-    """A fabric with the states of its captures and of their joint estimate."""
+    """A fabric with the states and contradictions of its captures and of their joint estimate."""
     return JSONResponse(request.app.state.jobs.row("fabric", identity), headers=_FRESH)
 
 

@@ -16,7 +16,7 @@ from typing import Any
 DATABASE = "fabrics.sqlite"
 QUEUED, RUNNING, DONE, FAILED, LOST = "queued", "running", "done", "failed", "interrupted"
 ENDED = (DONE, FAILED, LOST)
-_JSON = ("progress", "warnings", "estimate", "curves", "members", "task")  # columns
+_JSON = ("progress", "warnings", "contradictions", "estimate", "curves", "members", "task")
 _WAIT = 60.0  # s, for another process's transaction
 
 
@@ -59,10 +59,14 @@ class Database:
                 self._connection.execute(query, values)
 
     def fabric(self, identity: str) -> dict[str, Any] | None:
-        """A fabric with its ``estimates``, without their content, the oldest first."""
+        """A fabric with its ``estimates``, the oldest first; of their content the contradictions,
+        and the tester, which is empty if no drape was seen.
+        """
         rows = self._read("SELECT * FROM fabric WHERE id = ?", identity)
         return rows[0] | {"estimates": self._read(
-            "SELECT id, name, state, error, members, created, ended FROM estimate "
+            "SELECT id, name, state, error, members, created, ended, "
+            "json_extract(estimate, '$.contradictions') AS contradictions, "
+            "json_extract(estimate, '$.capture.rig') AS rig FROM estimate "
             "WHERE fabric = ? ORDER BY created, rowid", identity)} if rows else None
 
     def fabrics(self, words: Iterable[str], first: int, count: int) -> list[dict[str, Any]]:

@@ -75,18 +75,25 @@ class Jobs:
         """Start the estimate of an upload in the client's place; its ``id`` and its ``fabric``."""
         identity = new_identity()
         folder = self.settings.folder / identity
+        fabric = upload.fabric or new_identity()
+        about = upload.specimen
         task = {"refine": upload.refine, "scan": upload.scan,
-                "specimen": upload.specimen and upload.specimen.model_dump()}
+                "specimen": about and about.model_dump(exclude_unset=True)}
         try:
             (folder / UPLOADED).mkdir(parents=True)
             for name, data in upload.files.items():
                 (folder / UPLOADED / name).write_bytes(data)
             with self._changing:
-                fabric = upload.fabric or new_identity()
                 self.database.add_estimate(
                     identity, fabric, self._label(upload), task=task,
                     about=None if upload.fabric else (upload.name, upload.about.notes))
-            self._schedule(identity, client)
+            try:
+                self._schedule(identity, client)
+            except BaseException:  # it must not wait without its files
+                with suppress(SQLError):  # of a full disk
+                    self.database.remove(*(("estimate", identity) if upload.fabric else
+                                           ("fabric", fabric)))
+                raise
         except BaseException as error:
             self.places.give(client)
             shutil.rmtree(folder, ignore_errors=True)
@@ -109,7 +116,8 @@ class Jobs:
         if captures >= _MAX_CAPTURES:
             raise RequestError(422, f"the fabric has {captures} captures, the most that are joined;"
                                " remove one, or send this capture as another fabric")
-        return label or next(free for k in count(1) if (free := f"capture {k}") not in labels)
+        return label or next(free for k in count(1) if (free := f"{upload.kind} {k}")
+                             not in labels)
 
     def _schedule(self, identity: str, client: str | None = None) -> None:
         """Start an estimate; the place of a client, if any, is given back at the end."""

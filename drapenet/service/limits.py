@@ -13,6 +13,7 @@ from starlette.exceptions import HTTPException
 from drapenet.config import ServeConfig
 
 MAX_FORM = 1 << 20  # bytes of a request beside its files
+_MAX_FIELDS = 200  # of a form
 _DRAIN_TIMEOUT = 2.0  # s, for which a refused upload is read, so that the client reads the answer
 
 
@@ -64,7 +65,7 @@ async def read_form(
         raise RequestError(415, "send the files as multipart/form-data, in the field files")
     try:
         form = await asyncio.wait_for(
-            request.form(max_files=settings.files, max_fields=40, max_part_size=1 << 16),
+            request.form(max_files=settings.files, max_fields=_MAX_FIELDS, max_part_size=1 << 16),
             settings.upload_seconds)
     except asyncio.TimeoutError:
         raise RequestError(408, f"the upload took more than {settings.upload_seconds:g} s; try "

@@ -14,14 +14,17 @@ from markdown.extensions.toc import TocExtension, slugify_unicode
 from markupsafe import Markup
 
 from data.captures.capture import CAPTURE_FILES
+from data.readings import QUANTITIES
 from data.rigs import TESTERS
 from drapenet.config import ServeConfig
 from drapenet.export.formats import TARGETS
 from drapenet.export.material import MESHES
 from drapenet.report.pages import render
 from drapenet.service.exports import zipped
+from drapenet.service.forms import error_field, value_fields
 from drapenet.service.limits import RequestError
-from drapenet.service.uploads import KINDS, About
+from drapenet.service.received import KINDS
+from sim.material import DIRECTIONS
 from sim.rig import RIGS
 
 STATIC = Path(__file__).parent / "static"
@@ -40,7 +43,9 @@ def add_pages(app: FastAPI, settings: ServeConfig) -> None:
         for name in ("twill", "twill_photograph") if (EXAMPLES / name).is_dir()}
     page = render("service.html", settings=settings, targets=TARGETS, meshes=MESHES,
                   testers={name: RIGS[name] for name in TESTERS}, kinds=KINDS,
-                  examples=examples, manual=MANUAL.is_dir(), about=About)
+                  examples=examples, manual=MANUAL.is_dir(), directions=DIRECTIONS,
+                  known=[(each.in_words, value_fields(each), 100 * each.error, error_field(each))
+                         for each in QUANTITIES.values()])
     app.mount("/static", StaticFiles(directory=STATIC), name="static")
     app.mount("/swagger", StaticFiles(directory=swagger_ui_bundle.swagger_ui_path), name="swagger")
 

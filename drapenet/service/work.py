@@ -1,4 +1,4 @@
-"""Task of a worker process: the estimate of a capture, or of all captures of a fabric."""
+"""Task of a worker process: the estimate of a capture, strips or values, or of all of a fabric."""
 
 import time
 from collections.abc import Callable
@@ -27,7 +27,7 @@ def warm_up(checkpoint: str) -> None:
     """Import and cache, in a worker, what the first estimate needs."""
     end_with_parent()
     from data.render.rays import import_open3d
-    from drapenet.inference import network_of
+    from drapenet.evidence.fabric import network_of
     from drapenet.network.checkpoint import read_header
     from drapenet.report.figures import draw_report  # noqa: F401
     from sim.drape import drape
@@ -64,7 +64,8 @@ def _estimate(
 ) -> tuple[Any, list[str]]:
     """The estimate of an upload, and its warnings."""
     from drapenet.inference import estimate_source
-    from drapenet.result.files import ESTIMATE
+    from drapenet.report.figures import draw_torques
+    from drapenet.result.files import ESTIMATE, TORQUES
 
     task = row["task"]
     record(stage="reading")
@@ -85,6 +86,8 @@ def _estimate(
         on_stage=lambda stage, found: record(stage=stage, warnings=found.document.warnings,
                                              estimate=read_json(folder / ESTIMATE)),
         progress=progress)
+    if not (folder / TORQUES).exists():  # without pictures of a drape
+        replace_file(folder / TORQUES, draw_torques(estimate))
     return estimate, part.document.warnings
 
 
@@ -92,22 +95,43 @@ def _read(folder: Path, row: dict[str, Any]) -> Any:
     """The capture, scan or strips of an upload, named as they are shown: results must not reveal
     paths of the server."""
     from data.captures.capture import read_capture
-    from data.captures.description import Specimen
+    from data.captures.description import Description
+    from data.captures.preview import png
     from data.strips.description import FILE
     from data.strips.folder import read_strips
+    from data.strips.preview import strips_figure
     from drapenet.surface.registration import read_scan_capture
 
     task, uploaded = row["task"], folder / UPLOADED
     shown = Path(*map(plain_name, (row["fabric_name"], row["name"])))
     if (uploaded / FILE).exists():
-        return replace(read_strips(uploaded), folder=shown)
+        strips = read_strips(uploaded)
+        if strips.photographs:
+            replace_file(folder / PREVIEW, png(strips_figure(strips)))
+        return replace(strips, folder=shown, labels=_named(strips.labels, row["fabric_name"]))
     if scan := task["scan"]:
-        capture, registered = read_scan_capture(uploaded / scan, Specimen.of(task["specimen"], ""))
+        stated = Description.of(task["specimen"], "")
+        capture, registered = read_scan_capture(uploaded / scan, stated)
+        capture = replace(capture, known=stated.known, labels=stated.labels)
     else:
         capture, registered = read_capture(uploaded), None
     replace_file(folder / PREVIEW, preview(capture))
-    capture = replace(capture, path=shown)
+    capture = replace(capture, path=shown, labels=_named(capture.labels, row["fabric_name"]))
     return (capture, registered) if registered else capture
+
+
+def _named(labels: Any, fabric: str) -> Any:
+    """Labels with the name that the fabric has here, under which its report is filed."""
+    from data.captures.description import Labels
+
+    return Labels(**labels.stated() | ({"fabric": fabric} if fabric else {}))
+
+
+def _as_named(part: Any, fabric: str) -> Any:
+    """A part with the present name of its fabric, which may have changed since its estimate."""
+    about = part.document.capture
+    about = about.model_copy(update={"labels": _named(about.labels, fabric)})
+    return replace(part, document=part.document.model_copy(update={"capture": about}))
 
 
 def _estimate_jointly(
@@ -120,7 +144,7 @@ def _estimate_jointly(
 
     record(stage="joining")
     places = [folder.parent / member for member in row["members"]]
-    parts = [read_part(place) for place in places]
+    parts = [_as_named(read_part(place), row["fabric_name"]) for place in places]
     estimate, document = joint_estimate(parts, header)
     write_joint(folder, estimate, document, parts, places, drawn=True)
     replace_file(folder / TORQUES, draw_torques(estimate))

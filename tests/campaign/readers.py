@@ -55,7 +55,8 @@ from drapenet.export.material import read_material
 from drapenet.network.checkpoint import load_model, read_header
 from drapenet.network.training import load_state, save_state
 from drapenet.result.files import write_estimate
-from drapenet.service.uploads import RequestError, checked_upload
+from drapenet.service.limits import RequestError
+from drapenet.service.uploads import checked_upload
 from sim.material import MICRO
 from sim.rig import Rig
 

@@ -156,6 +156,12 @@ def test_values_that_contradict_each_other_and_not_the_captures():
     assert "weft" in line
 
 
+def test_an_unusual_fabric_is_no_contradiction():
+    before = states()
+    found = combine(before, [strips("warp", 600 * MICRO, 0.05)])
+    assert not found.contradictions and found.states[:, 0].mean() > np.log(400 * MICRO)
+
+
 def test_no_number_of_sources_leaves_few_samples():
     before = states(4000)
     known = Known(membrane_n_per_m=700.0, error_percent={"membrane_n_per_m": 0.1})

@@ -205,6 +205,39 @@ def test_a_photograph_has_no_captured_surface(page):
     keep(page, "page_photograph.png")
 
 
+def test_strips_and_values_join_and_what_contradicts_is_shown_at_once(page, tmp_path):
+    file = tmp_path / "strips.yaml"
+    file.write_text("density_g_m2: 210\nstrips:\n- {direction: warp, bending_length_mm: 21.5}\n",
+                    encoding="utf-8")
+    page.set_input_files("#files", [str(file)])
+    page.fill("#form [name=name]", "olive serge")
+    page.fill("#warp", "30")  # of a capture, and not sent
+    page.evaluate("document.querySelector('[name=operator]').closest('details').open = true")
+    page.fill("#form [name=operator]", "M. Muster")
+    page.click("#submit")
+    page.wait_for_selector("#downloads:not([hidden])")
+    assert "1 strip" in page.inner_text("#facts") and "M. Muster" in page.inner_text("#facts")
+    page.click("#more")
+    page.evaluate("document.getElementById('known').closest('details').open = true")
+    keep(page, "page_values.png")
+    name = "known.flexural_rigidity_uN_m.warp"
+    page.fill(f"[name='{name}']", "-600")
+    page.click("#submit")
+    page.locator(f"[id='error-{name}']", has_text="greater than 0").wait_for()
+    page.fill(f"[name='{name}']", "600")
+    page.click("#submit")
+    page.locator("#contradictions", has_text="left out").wait_for()
+    assert "all captures: the known flexural_rigidity_uN_m warp = 600 contradicts" in (
+        page.inner_text("#contradictions"))
+    assert page.input_value(f"[name='{name}']") == ""
+    page.click("#captures a:has-text('all captures')")
+    page.locator("#warnings .contradiction", has_text="left out").wait_for()
+    page.locator("#links", has_text="Report (PDF)").wait_for()
+    page.click("header a:has-text('Fabrics')")
+    page.locator("#fabrics", has_text="left out").wait_for()
+    assert fits(page)
+
+
 def test_errors_stand_where_they_arise(page):
     page.click("#submit")
     assert "No files yet" in page.inner_text("#error-files")

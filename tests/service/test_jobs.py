@@ -10,9 +10,10 @@ from services import BreakablePool, settings_for
 
 from drapenet.service.archive import COPY
 from drapenet.service.database import database_in
+from drapenet.service.forms import About
 from drapenet.service.jobs import Jobs
 from drapenet.service.limits import Places, RequestError
-from drapenet.service.uploads import About, Upload
+from drapenet.service.uploads import Upload
 
 
 @pytest.fixture(autouse=True)
@@ -191,6 +192,34 @@ def test_a_broken_pool_is_replaced_and_its_places_come_back(jobs):
         jobs.places.take("y")
     with pytest.raises(RequestError):
         jobs.places.take("y")
+
+
+@pytest.mark.parametrize("added", [False, True])
+def test_an_estimate_that_cannot_be_begun_does_not_wait_without_its_files(jobs, monkeypatch, added):
+    fabric = with_captures(jobs, ["done"]) if added else ""
+
+    def refuse(self: Jobs, *arguments: object) -> None:
+        raise OSError("no process can be started")
+
+    monkeypatch.setattr(Jobs, "_schedule", refuse)
+    with pytest.raises(RequestError) as refused:
+        submitted(jobs, fabric)
+    assert refused.value.status_code == 507
+    assert [row["id"] for row in jobs.database.estimates()] == ["0"] * added
+    assert len(jobs.database.fabrics([], 0, 9)) == added
+    assert [one.name for one in jobs.settings.folder.iterdir() if one.is_dir()] == ["0"] * added
+    for _ in range(jobs.settings.queue):  # its place is free again
+        jobs.places.take("y")
+
+
+def test_what_is_not_named_is_numbered_by_its_kind(jobs):
+    fabric = with_captures(jobs, ["done"])
+    for kind in ("capture", "strips", "values", "values"):
+        jobs.places.take("x")
+        jobs.submit(Upload({}, "", "a", About(), fabric=fabric, kind=kind), "x")
+        jobs.places.give("x")
+    assert [row["name"] for row in jobs.row("fabric", fabric)["estimates"]][1:] == [
+        "capture 1", "strips 1", "values 1", "values 2"]
 
 
 def test_the_text_of_an_exception_is_for_the_log(jobs, tmp_path, caplog):

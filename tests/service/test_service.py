@@ -15,18 +15,18 @@ import numpy as np
 import pytest
 import trimesh
 from fastapi.testclient import TestClient
-from services import BreakablePool, settings_for
+from services import BreakablePool, ended, joint_estimate_of, post, settings_for
 from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
 from data.captures.capture import read_capture
 from data.captures.preview import outline_picture
 from drapenet.export.formats import TARGETS
-from drapenet.inference import joint_estimate, network_estimate
+from drapenet.inference import joint_estimate, read_part
 from drapenet.network.checkpoint import read_header
-from drapenet.result.files import read_document, read_observation
 from drapenet.service.app import create_app
 from drapenet.service.jobs import Jobs
 from drapenet.service.limits import Places
+from drapenet.stages import network_estimate
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "captures" / "twill"
 PHOTOGRAPH = EXAMPLE.parent / "twill_photograph"
@@ -39,20 +39,6 @@ def client(tmp_path_factory, untrained_checkpoint):
     app = create_app(settings_for(results, f"checkpoint={untrained_checkpoint}"))
     with TestClient(app, base_url="http://localhost") as client:
         yield client
-
-
-def post(client: TestClient, files: list[Path], **fields: str):
-    parts = [("files", (file.name, file.read_bytes())) for file in files]
-    return client.post("/estimates", files=parts, data=fields)
-
-
-def ended(client: TestClient, identity: str) -> dict:
-    for _ in range(1200):
-        found = client.get(f"/estimates/{identity}").json()
-        if found["state"] in ("done", "failed", "interrupted"):
-            return found
-        time.sleep(0.1)
-    raise AssertionError(f"not finished: {found}")
 
 
 @pytest.fixture(scope="module")
@@ -239,12 +225,7 @@ def joined(client, finished) -> dict:
                 label="two views", turns_deg="0, 90")
     assert more.json()["fabric"] == identity, more.text
     assert ended(client, more.json()["id"])["state"] == "done"
-    for _ in range(600):
-        rows = client.get(f"/fabrics/{identity}").json()["estimates"]
-        if rows[-1]["members"]:
-            return ended(client, rows[-1]["id"])
-        time.sleep(0.1)
-    raise AssertionError(rows)
+    return joint_estimate_of(client, identity)
 
 
 def test_captures_of_a_fabric_have_one_joint_estimate(client, finished, joined):
@@ -255,8 +236,7 @@ def test_captures_of_a_fabric_have_one_joint_estimate(client, finished, joined):
     assert document["capture"]["sources"] == ["Twill_b_7/capture_1", "Twill_b_7/two_views"]
     folder = client.app.state.jobs.settings.folder
     expected, _ = joint_estimate(
-        [read_observation(folder / member) for member in joined["members"]],
-        [read_document(folder / member / "estimate.json") for member in joined["members"]],
+        [read_part(folder / member) for member in joined["members"]],
         read_header(client.app.state.jobs.settings.checkpoint))
     assert document["moduli"]["warp"]["alpha_uN_m"]["median"] == pytest.approx(
         np.median(expected.moduli()[0][:, 0]) * 1e6)

@@ -14,9 +14,13 @@ from PIL import Image
 
 from common.command import compose_config
 from data.captures.capture import Capture, read_capture
+from data.readings import QUANTITIES
+from data.strips.description import StripsDescription, read_description
 from drapenet.config import ServeConfig
+from drapenet.service.forms import error_field, value_fields
 from drapenet.service.limits import RequestError
 from drapenet.service.uploads import Upload, checked_upload
+from sim.material import DIRECTIONS
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "captures" / "twill"
 PHOTOGRAPH = EXAMPLE.parent / "twill_photograph"
@@ -71,7 +75,7 @@ def test_files_and_a_zip_of_their_folder_make_the_same_capture(settings, tmp_pat
         *((f"twill/{name}", data) for name, data in (*VIEWS, YAML)),
         ("twill/truth.json", b"{}"), ("__MACOSX/twill/._view_0.png", b"x")]))], {}, settings)
     assert plain.files == packed.files
-    assert (plain.name, packed.name) == ("capture", "My_fabric")
+    assert plain.name == packed.name == "Twill, simulated"  # as capture.yaml states
     read, expected = capture_of(plain, tmp_path / "a"), read_capture(EXAMPLE)
     assert np.array_equal(read.views, expected.views)
     assert read.density == expected.density and read.warp_direction == expected.warp_direction
@@ -179,6 +183,92 @@ def test_names_are_never_paths(settings):
         assert sorted(upload.files) == ["capture.yaml", *(f"view_{k}.png" for k in range(4))]
 
 
+LENGTHS = b"""
+density_g_m2: 210
+operator: M. Muster
+date: 2026-11-26
+strips:
+  - {direction: warp, bending_length_mm: 21.5}
+  - {direction: weft, bending_length_mm: 18}
+"""
+PHOTOGRAPHED = b"""
+density_g_m2: 200
+fabric: Serge
+scale: {mm_per_px: 0.1}
+strips:
+  - {file: "shots/warp 1.PNG", direction: warp, free_length_mm: 60}
+  - {file: weft.jpg, direction: weft, free_length_mm: 50}
+"""
+
+
+def strips_of(upload: Upload, folder: Path) -> StripsDescription:
+    folder.mkdir()
+    (folder / "strips.yaml").write_bytes(upload.files["strips.yaml"])
+    return read_description(folder)
+
+
+def test_bending_lengths_need_no_picture(settings, tmp_path):
+    upload = checked_upload([("strips.yaml", LENGTHS)], {"laboratory": "Textile lab 7",
+                                                         "density_g_m2": "205,5"}, settings)
+    read = strips_of(upload, tmp_path / "strips")
+    assert (upload.kind, upload.name, list(upload.files)) == ("strips", "strips", ["strips.yaml"])
+    assert [entry.bending_length_mm for entry in read.strips] == [21.5, 18]
+    assert read.density_g_m2 == 205.5
+    assert read.labels.stated() == {"date": "2026-11-26", "operator": "M. Muster",
+                                    "laboratory": "Textile lab 7"}
+
+
+def test_photographs_of_strips_are_those_that_the_description_names(settings, tmp_path):
+    sent = [("strips.yml", PHOTOGRAPHED), ("warp 1.PNG", png_of_size(6000, 4000)),
+            ("weft.jpg", jpeg(PICTURE)), ("ruler.jpg", b"not read")]
+    packed = [("strips.zip", zipped([(f"serge/{name}", data) for name, data in sent]))]
+    for files in (sent, packed):
+        upload = checked_upload(files, {}, settings)
+        assert (upload.kind, upload.name) == ("strips", "Serge")
+        assert sorted(upload.files) == ["strips.yaml", "warp_1.png", "weft.jpg"]
+    read = strips_of(upload, tmp_path / "strips")
+    assert [entry.file for entry in read.strips] == ["warp_1.png", "weft.jpg"]
+
+
+VALUES = {"known.bending_length_mm.warp": "21,5", "known.membrane_n_per_m": "600",
+          "known.error_percent.bending_length_mm": "3"}
+KNOWN = {"bending_length_mm": {"warp": 21.5}, "membrane_n_per_m": 600,
+         "error_percent": {"bending_length_mm": 3}}
+
+
+def test_values_are_sent_alone_or_with_a_capture_a_scan_or_strips(settings, tmp_path):
+    alone = checked_upload([], {"density_g_m2": "210", "name": "twill", **VALUES}, settings)
+    assert (alone.kind, alone.name) == ("values", "twill")
+    strips = checked_upload([("strips.yaml", LENGTHS)], VALUES, settings)
+    for upload, name in ((alone, "values"), (strips, "strips")):
+        known = strips_of(upload, tmp_path / name).known
+        assert known.model_dump(exclude_unset=True) == KNOWN
+    views = capture_of(checked_upload([*VIEWS, YAML], VALUES, settings), tmp_path / "views")
+    scan = checked_upload([("a.obj", b"v 0 0 0")], {"density_g_m2": "210", "fx": "1", **VALUES},
+                          settings).specimen
+    for known in (views.known, scan.known):
+        assert known.model_dump(exclude_unset=True) == KNOWN
+
+
+def test_a_drape_coefficient_alone_is_a_capture(settings, tmp_path):
+    upload = checked_upload([], {"density_g_m2": "210", "tester": "disc300_support180",
+                                 "known.drape_coefficient_percent": "52", "known.nodes": "7"},
+                            settings)
+    read = capture_of(upload, tmp_path / "capture")
+    assert read.numbers and read.known.nodes == 7
+
+
+def test_each_quantity_of_the_registry_is_a_field(settings, tmp_path):
+    for quantity in QUANTITIES.values():
+        names = value_fields(quantity)
+        upload = checked_upload([], {"density_g_m2": "210", error_field(quantity): "7",
+                                     **{name: f"{k + 1}" for k, name in enumerate(names)}},
+                                settings)
+        known = strips_of(upload, tmp_path / quantity.name).known
+        assert known.values() == {(quantity.name, k): k + 1 for k in range(len(names))}
+        assert known.error(quantity.name) == 0.07 and len(names) in (1, len(DIRECTIONS))
+
+
 CAMERA = {"density_g_m2": "90", "fx": "305", "fy": "305", "cx": "119.5", "cy": "89.5"}
 BOMB = zipped([("view_0.png", b"\0" * 20_000_000)])
 REFUSED = {
@@ -210,6 +300,39 @@ REFUSED = {
     "turns in words": (VIEWS, {"turns_deg": "a quarter"}, 422, "turns_deg.0='a'"),
     "half a camera": (VIEWS, {"density_g_m2": "90", "fx": "300"}, 422, "fy is missing"),
     "no tester": (VIEWS, CAMERA, 422, "tester is missing; give tester: square300_cylinder100, "),
+    "values without density": ([], VALUES, 422, "density_g_m2 is missing; weigh the specimen"),
+    "values along nothing": ([], {"density_g_m2": "210", "known.kes_b_gf_cm2_per_cm": "0.1"}, 422,
+                             "known.kes_b_gf_cm2_per_cm=0.1 must be 'key: value' pairs"),
+    "negative value": ([*VIEWS, YAML], {"known.kes_b_gf_cm2_per_cm.warp": "-0.1"}, 422,
+                       "known.kes_b_gf_cm2_per_cm.warp=-0.1: Input should be greater than 0; "
+                       "known has values such as"),
+    "value with unit": ([], {"density_g_m2": "210", "known.membrane_n_per_m": "600 N/m"}, 422,
+                        "known.membrane_n_per_m='600 N/m' is not a number; write digits alone"),
+    "unknown quantity": ([], {"density_g_m2": "210", "known.handle": "4"}, 422,
+                         "unknown key 'known.handle'"),
+    "error of 200 %": ([], {"density_g_m2": "210", **VALUES,
+                            "known.error_percent.bending_length_mm": "200"}, 422,
+                       "known.error_percent.bending_length_mm=200"),
+    "known twice": ([("strips.yaml", LENGTHS + b"known: {membrane_n_per_m: 500}\n")], VALUES, 422,
+                    "known is in strips.yaml and in the form; give the values in one of them"),
+    "known of a capture twice": (
+        [*VIEWS, ("capture.yaml", YAML[1] + b"known: {membrane_n_per_m: 500}\n")], VALUES, 422,
+        "known is in capture.yaml and in the form"),
+    "photograph that is missing": ([("strips.yaml", PHOTOGRAPHED), ("weft.jpg", b"")], {}, 422,
+                                   "strips.yaml names 'shots/warp 1.PNG', which is not among"),
+    "strips and capture": ([*VIEWS, YAML, ("strips.yaml", LENGTHS)], {}, 422,
+                           "capture.yaml and strips.yaml: give the capture and the strips one"),
+    "strips on a tester": ([("strips.yaml", LENGTHS)], {"tester": "disc300_support180"}, 422,
+                           "unknown key 'tester'"),
+    "refined strips": ([("strips.yaml", LENGTHS)], {"refine": "yes"}, 422,
+                       "refine=yes is for captures, but these are strips"),
+    "enormous photograph of a strip": ([
+        ("strips.yaml", PHOTOGRAPHED), ("warp 1.png", png_of_size(9000, 9000))], {}, 413,
+        "warp_1.png has more than 50 million pixels"),
+    "date in words": ([*VIEWS, YAML], {"date": "yesterday"}, 422,
+                      "date='yesterday' is not a date; give YYYY-MM-DD"),
+    "fields beside density.txt": ([("0.png", PICTURE), ("density.txt", b"0.2")], VALUES, 422,
+                                  "known.bending_length_mm.warp cannot be stated beside"),
     "unknown field": (VIEWS, {"__class__": "1"}, 422, "unknown key"),
     "long name": (VIEWS, {"name": "x" * 81}, 422, "80"),
     "long notes": (VIEWS, {"notes": "x" * 2001}, 422, "2000"),

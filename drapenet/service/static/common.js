@@ -62,16 +62,33 @@ export function tester(rig) {
     /^([a-z]+)([\d.x]+)_[a-z]+([\d.]+)$/, '$1 of $2 mm on $3 mm')).join('; ');
 }
 
+// What an estimate was made of.
+function seen({ capture, captures, strips }) {
+  const count = (strips ?? []).reduce((sum, one) => sum + one.strips, 0);
+  const several = (number, name) => number && `${number} ${name}${number > 1 ? 's' : ''}`;
+  if (captures || strips) return [several(captures?.length, 'capture'), several(count, 'strip')].filter(Boolean).join(', ');
+  return capture.views ? `${capture.views} views` : capture.known?.drape_coefficient_percent ? 'drape coefficient' : 'outline from above';
+}
+
+// Known values as text, with their keys, which end in the unit.
+function known(values) {
+  const text = (value) => (typeof value === 'object' ? Object.entries(value).filter(([, one]) => one != null).map((one) => one.join(' ')).join(', ') : value);
+  return Object.entries(values ?? {}).filter(([name, value]) => value != null && name !== 'error_percent')
+    .map(([name, value]) => `${name} ${text(value)}`).join('; ');
+}
+
 // Facts of an estimate beside its moduli: name and text.
 export function facts(estimate) {
-  const { capture, resimulation: drape, captures } = estimate;
+  const { capture, resimulation: drape, captures, strips } = estimate;
   const both = (seen, made) => [seen && `${seen} captured`, made && `${made} simulated`].filter(Boolean).join(', ');
   const range = (values) => [...new Set(values.filter(Boolean))].join(', ');
   return [
     ['Tester', tester(capture.rig)],
     ['Density', `${capture.density_g_m2} g/m²`],
-    ['Face on top', captures ? range(captures.map((one) => one.capture.face)) : capture.face],
-    ['Seen', captures ? `${captures.length} captures` : capture.views ? `${capture.views} views` : 'outline from above'],
+    ['Face on top', captures ? range(captures.map((one) => one.capture.face)) : strips ? '' : capture.face],
+    ['Seen', seen(estimate)],
+    ['Known values', range([capture, ...(captures ?? []).map((one) => one.capture), ...(strips ?? [])].map((one) => known(one.known)))],
+    ...['date', 'operator', 'laboratory', 'camera'].map((key) => [key[0].toUpperCase() + key.slice(1), capture.labels?.[key]]),
     ['Drape coefficient', captures ? range(captures.map((one) => percent(one.capture.drape_coefficient_percent)))
       : both(percent(capture.drape_coefficient_percent), percent(drape?.drape_coefficient_percent))],
     ['Nodes', both(drape && String(drape.folds_captured), drape && String(drape.folds_simulated))],

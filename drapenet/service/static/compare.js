@@ -40,7 +40,7 @@ function showTable(all) {
     return row;
   };
   const known = all.map((one) => new Map(facts(one.estimate)));
-  const names = ['Tester', 'Density', 'Face on top', 'Seen', 'Drape coefficient', 'Nodes'];
+  const names = [...new Set(known.flatMap((one) => [...one.keys()]))];
   const rows = names.map((name) => line(name, known.map((one) => element('td', one.get(name) ?? ''))));
   for (const [part, quantity, name, unit] of QUANTITIES) {
     for (let k = 0; k < 3; k += 1) {
@@ -95,14 +95,20 @@ function showCurves(all) {
   }));
 }
 
-// A joint estimate has no drape: that of its latest capture is shown.
+// A joint estimate has no drape: that of its latest capture is shown. Strips and values have none.
 async function showDrapes(all) {
-  const parts = all.map((one) => (one.members ? one.captures.find((part) => part.id === one.members.at(-1)) : one));
+  const draped = all.map((one) => [one, one.captures.filter((part) => part.rig && (one.members ?? [one.id]).includes(part.id)).at(-1)])
+    .filter(([, part]) => part);
+  const parts = draped.map(([, part]) => part);
+  if (!parts.length) {
+    at('help-drapes').textContent = 'No drape was seen of these fabrics.';
+    return;
+  }
   const columns = parts.length > 2 && at('drapes').clientWidth < 600 ? 2 : parts.length;
   at('tiles').style.gridTemplateColumns = `repeat(${columns}, 1fr)`;
-  at('tiles').replaceChildren(...all.map((one, k) => {
-    const label = element('span', one.members ? `${one.fabric_name}: ${parts[k].name}` : one.fabric_name);
-    label.style.color = COLOURS[k];
+  at('tiles').replaceChildren(...draped.map(([one, part]) => {
+    const label = element('span', one.members ? `${one.fabric_name}: ${part.name}` : one.fabric_name);
+    label.style.color = COLOURS[all.indexOf(one)];
     return label;
   }));
   try {

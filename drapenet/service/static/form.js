@@ -13,14 +13,14 @@ let broken = null; // the new fabric whose only capture failed; sending again re
 // ---- errors
 
 const PARTS = { intrinsics: 'fx', plate_px: 'plate_x', 'plate_px.x': 'plate_x', 'plate_px.y': 'plate_y', 'plate_px.diameter': 'plate_diameter' };
-const WORDS = ['name', 'notes', 'label', 'face', 'unit', 'tester', 'centred', 'kind', 'files'];
+const WORDS = ['name', 'notes', 'label', 'face', 'unit', 'tester', 'centred', 'kind', 'files', 'date', 'operator', 'laboratory', 'camera'];
 
 // The field that a sentence of the service names first; words of sentences only where they have a value.
 export function fieldOf(sentence) {
   const names = [...new Set([...form.elements].map((field) => field.name).filter(Boolean)), ...Object.keys(PARTS)];
   const found = names.map((name) => {
     const after = WORDS.includes(name) ? '(?==| is missing)' : '(?![\\w.]*[a-z_])';
-    return [name, sentence.search(new RegExp(`(?<![\\w])${name.replace('.', '\\.')}${after}`))];
+    return [name, sentence.search(new RegExp(`(?<![\\w])${name.replaceAll('.', '\\.')}${after}`))];
   }).filter(([, place]) => place >= 0).sort(([, a], [, b]) => a - b);
   return found.length ? PARTS[found[0][0]] ?? found[0][0] : null;
 }
@@ -31,14 +31,15 @@ export function complain(sentence, name, focus = true) {
     at('error').textContent = sentence;
     return;
   }
-  const place = form.querySelector(`[data-error="${name}"]`) ?? field.closest('label');
+  const place = form.querySelector(`[data-error="${name}"]`) ?? field.closest('label, table');
   const error = element('p', sentence, 'error wide');
   error.id = `error-${name}`;
   error.setAttribute('role', 'alert');
   place.after(error);
   const hidden = field.closest('[data-kind]');
   if (hidden?.hidden) choose(hidden.dataset.kind);
-  if (at('camera').contains(field)) at('camera').open = true;
+  const fold = field.closest('details');
+  if (fold) fold.open = true;
   field.setAttribute('aria-invalid', 'true');
   field.setAttribute('aria-describedby', [error.id, field.getAttribute('aria-describedby')].filter(Boolean).join(' '));
   if (focus) field.focus();
@@ -55,9 +56,12 @@ function clear() {
   }
 }
 
-// Mark the field of an estimate's error, if this form has sent its capture.
-export function failed(id, sentence) {
+// If this form has sent an estimate that has ended: its values are not those of the next fabric, or
+// the field of its error is marked.
+export function ended(id, { state, error: sentence }) {
   if (id !== sent?.id) return;
+  if (state === 'done') for (const field of values()) field.value = '';
+  if (!sentence) return;
   broken = sent.added ? null : sent.fabric;
   sent = null;
   const scale = form.elements.mm_per_px.value ? 'mm_per_px' : 'plate_diameter';
@@ -70,9 +74,12 @@ export function failed(id, sentence) {
 const suffix = (name) => name.slice(name.lastIndexOf('.')).toLowerCase().replace('.yml', '.yaml');
 const chosen = () => [...at('files').files];
 const isDescribed = () => chosen().some((file) => ['.zip', '.yaml'].includes(suffix(file.name)) || file.name === 'density.txt');
+const isStrips = () => chosen().some((file) => /^strips\.ya?ml$/i.test(file.name));
+const values = () => [...at('known').querySelectorAll('input')].filter((field) => field.value.trim());
+const isDrape = () => chosen().length > 0 && !isStrips();
 const isScan = () => chosen().length === 1 && !/^view_\d/.test(chosen()[0].name)
   && ['.npz', '.obj', '.ply', '.stl'].includes(suffix(chosen()[0].name));
-const usesSetup = () => !isDescribed() || at('override').querySelector('input').checked;
+const usesSetup = () => isDrape() && (!isDescribed() || at('override').querySelector('input').checked);
 const number = (field) => Number(field.value.trim().replace(',', '.'));
 const isOtherSize = () => at('tester').value.includes('_') && !/\d/.test(at('tester').value);
 const kind = () => form.elements.kind.value;
@@ -85,7 +92,7 @@ function choose(value) {
 function check() {
   clear();
   const files = chosen();
-  at('override').hidden = !isDescribed();
+  at('override').hidden = !isDescribed() || isStrips();
   if (files.length && !isDescribed()) {
     at('camera').open = true;
     if (['.jpg', '.jpeg', '.tif', '.tiff', '.csv', '.txt'].includes(suffix(files[0].name)) || /^outline\./i.test(files[0].name)) choose('above');
@@ -95,7 +102,7 @@ function check() {
 // Sentence and field of the first fault, or null.
 function fault() {
   const files = chosen();
-  if (!files.length) return ['No files yet: drop the views of a drape, or its photograph, here, or choose them.', 'files'];
+  if (!files.length && !values().length) return ['No files yet: drop the views of a drape, or its photograph, here, or choose them; or give values from other tests.', 'files'];
   const wrong = files.find((file) => !limits.kinds.split(',').includes(suffix(file.name)));
   if (wrong) return [`${wrong.name}: files of this kind are not taken.`, 'files'];
   const bytes = files.reduce((sum, file) => sum + file.size, 0);
@@ -126,12 +133,12 @@ function content() {
   for (const file of chosen()) data.append('files', file, file.name);
   for (const field of form.querySelectorAll('[name]:not([type=file]):not([type=radio])')) {
     const left = field.closest('[data-kind]')?.hidden || (at('setup').contains(field) && !usesSetup())
-      || (fabric && field.closest('[data-new]'));
+      || (fabric && field.closest('[data-new]')) || (!isDrape() && field.closest('[data-capture]'));
     const value = field.name === 'tester' ? tester() : field.value.trim();
     if (value && !left) data.append(field.name, value);
   }
   if (fabric) data.append('fabric', fabric);
-  data.append('refine', at('refine').checked ? 'yes' : 'no');
+  data.append('refine', at('refine').checked && isDrape() ? 'yes' : 'no');
   return data;
 }
 
@@ -172,13 +179,15 @@ async function tryExample(name) {
   }
 }
 
-// The next capture is of this fabric, with its density and tester; null: of a new one.
+// What is sent next is of this fabric, with its density and tester; null: of a new one.
 export function addTo(identity, name = '', capture = null) {
   fabric = identity;
   at('into').hidden = !identity;
   at('into-name').textContent = name;
   for (const label of form.querySelectorAll('[data-new]')) label.hidden = Boolean(identity);
   if (!identity) return;
+  at('files').value = ''; // not the same files again
+  check();
   if (capture && !at('density').value) at('density').value = capture.density_g_m2;
   if (capture && !at('tester').value && at('tester').querySelector(`[value="${capture.rig}"]`)) at('tester').value = capture.rig;
   at('files').focus();

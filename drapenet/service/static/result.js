@@ -1,19 +1,18 @@
 // The result of an estimate: followed until its fabric is settled, shown, exported.
 
 import { ask, at, element, facts, link, QUANTITIES, texts } from './common.js';
-import { addTo, failed } from './form.js';
+import { addTo, ended } from './form.js';
 
 const POLL = 400; // ms between two looks at a running estimate
 const LONGEST_WAIT = 5000; // ms between two tries where the service does not answer
 const ENDED = ['done', 'failed', 'interrupted'];
 const STAGES = {
-  reading: 'Reading and checking the capture', estimating: 'Estimating', joining: 'Joining the captures',
+  reading: 'Reading and checking the files', estimating: 'Estimating', joining: 'Joining all that is known of the fabric',
   refining: 'The simulator refines the estimate', simulating: 'Draping the estimate for the report',
 };
 const FILES = {
   'report.html': 'Report (HTML)', 'report.pdf': 'Report (PDF)', 'report.png': 'Report (PNG)',
-  'estimate.json': 'Estimate (JSON)',
-  'drape.glb': 'Drape (GLB)', 'torque.svg': 'Torque curves (SVG)',
+  'estimate.json': 'Estimate (JSON)', 'drape.glb': 'Drape (GLB)', 'torque.svg': 'Torque curves (SVG)',
 };
 
 let following = 0; // counts the estimates that were followed, so that an older one stops
@@ -81,9 +80,10 @@ function show(id, content) {
   at('status').textContent = finished ? '' : content.state === 'queued' ? 'Waiting; the first estimate after a start of the service takes up to a minute more …'
     : content.state === 'running' ? stage(content) : '';
   at('failure').textContent = content.error ?? '';
-  if (content.error && before?.state !== content.state) failed(id, content.error);
+  if (before?.state !== content.state) ended(id, content);
   const warnings = content.estimate?.warnings ?? content.warnings ?? [];
-  at('warnings').replaceChildren(...warnings.map((line) => element('li', line)));
+  const contradictions = content.estimate?.contradictions ?? [];
+  at('warnings').replaceChildren(...warnings.map((line) => element('li', line, contradictions.includes(line) ? 'contradiction' : '')));
   if (content.estimate) showNumbers(content.estimate);
   for (const [figure, file] of [['preview', 'preview.png'], ['torque', 'torque.svg']]) {
     if (content.files.includes(file) && !shown[file]) {
@@ -106,6 +106,7 @@ function showFabric(id, content) {
   at('notes').textContent = content.notes;
   at('notes').hidden = !content.notes;
   at('remove-capture').hidden = content.captures.length < 2 || Boolean(content.members);
+  showContradictions(id, content.captures);
   const list = element('ul');
   for (const one of [...content.captures].sort((a, b) => Boolean(b.members) - Boolean(a.members))) {
     const item = element('li');
@@ -118,6 +119,12 @@ function showFabric(id, content) {
   if (shown.captures !== key) at('captures').replaceChildren(list); // a link keeps its focus
   shown.captures = key;
   at('fabric').hidden = false;
+}
+
+// Those that the fabric's other estimates have found, above all the joint one.
+function showContradictions(id, captures) {
+  at('contradictions').replaceChildren(...captures.filter((one) => one.id !== id).flatMap((one) => (one.contradictions ?? [])
+    .map((line) => element('li', `${one.name}: ${line}`, 'contradiction'))));
 }
 
 function stage(content) {
@@ -157,7 +164,7 @@ function showNumbers(estimate) {
     return row;
   }));
   at('poor').textContent = estimate.poorly_constrained.length
-    ? `Poorly constrained by this drape: ${estimate.poorly_constrained.join(', ').replaceAll('beta', 'β').replaceAll('alpha', 'α')}.` : '';
+    ? `Poorly constrained: ${estimate.poorly_constrained.join(', ').replaceAll('beta', 'β').replaceAll('alpha', 'α')}.` : '';
   at('numbers').hidden = false;
 }
 
@@ -212,8 +219,7 @@ async function showShapes(address) {
 async function fetchExport(name) {
   at('error-export').textContent = '';
   const id = location.hash.slice(1);
-  const edge = at('edge').value.trim().replace(',', '.');
-  const query = new URLSearchParams({ mesh: at('mesh').value, edge_mm: edge });
+  const query = new URLSearchParams({ mesh: at('mesh').value, edge_mm: at('edge').value.trim().replace(',', '.') });
   try {
     const answer = await fetch(`/estimates/${id}/export/${name}?${query}`);
     if (!answer.ok) {
@@ -266,7 +272,7 @@ at('editor').addEventListener('submit', (event) => {
   });
 });
 at('more').addEventListener('click', () => {
-  const first = current.estimate?.captures?.[0] ?? current.estimate;
+  const first = current.estimate?.captures?.[0] ?? current.estimate ?? null;
   addTo(current.fabric, current.fabric_name, first?.capture);
 });
 at('remove-capture').addEventListener('click', () => {

@@ -1,0 +1,137 @@
+"""Fields of a form, and the descriptions that they make or complete: ``capture.yaml`` and
+``strips.yaml``."""
+
+import re
+from collections.abc import Mapping
+from contextlib import suppress
+from typing import Annotated, Any
+
+import yaml
+from pydantic import Field
+
+from common.documents import MAX_TEXT_BYTES, Schema, number, parse_yaml
+from common.errors import InputError
+from data.captures.capture import INTRINSICS_KEYS
+from data.captures.description import (
+    MAX_LABEL_LENGTH,
+    PRINTABLE,
+    Description,
+    Labels,
+    PlateInPicture,
+    Specimen,
+)
+from data.readings import QUANTITIES
+from data.readings.quantity import Quantity
+from data.rigs import MISSING_TESTER
+from data.strips.description import FILE as STRIPS
+from data.strips.description import StripsDescription
+from drapenet.service.limits import RequestError
+from sim.material import DIRECTIONS
+
+CAPTURE = "capture.yaml"
+PLACES = {**{key: ("intrinsics", key) for key in INTRINSICS_KEYS},
+          **{f"plate_{key}": ("outline", "plate_px", key) for key in PlateInPicture.model_fields},
+          **{key: ("outline", key) for key in ("mm_per_px", "camera_height_mm", "unit", "centred")}}
+"""Where capture.yaml has the fields of a form that are not at its top; a point in the name of
+another field stands between its keys."""
+LABELS = tuple(key for key in Labels.model_fields if key != "fabric")
+"""Fields that a report shows; the label ``fabric`` is the name of the fabric."""
+TEXTS = ("turns_deg", "tester", "face", "camera_height_mm", "unit", "centred", "refine", "fabric",
+         "name", "notes", "label", *LABELS)
+KNOWN, COEFFICIENT = "known.", "known.drape_coefficient_percent"
+_ERROR = f"{KNOWN}error_percent."
+
+
+class About(Schema):
+    """What a user states of a fabric: ``name``, ``notes``; and the ``label`` of its capture."""
+
+    name: str = Field("", max_length=MAX_LABEL_LENGTH, pattern=PRINTABLE,
+                      description=f"up to {MAX_LABEL_LENGTH} printable characters")
+    notes: Annotated[str, Field(max_length=2000)] = ""
+    label: str = Field("", max_length=40, pattern=PRINTABLE,
+                       description="up to 40 printable characters")
+
+
+def value_fields(quantity: Quantity) -> list[str]:
+    """Fields of the known values of a quantity: along warp, bias and weft, or one."""
+    name = f"{KNOWN}{quantity.name}"
+    return [f"{name}.{key}" for key in DIRECTIONS] if quantity.directions > 1 else [name]
+
+
+def error_field(quantity: Quantity) -> str:
+    """Field of the relative error, %, of the known values of a quantity."""
+    return f"{_ERROR}{quantity.name}"
+
+
+NUMBERS = ("density_g_m2", "warp_direction_deg", "depth_unit_m",
+           *(key for key in PLACES if key not in TEXTS),
+           *(field for each in QUANTITIES.values() for field in
+             (*value_fields(each), error_field(each))),
+           COEFFICIENT, f"{KNOWN}nodes")
+
+
+def states_values(fields: Mapping[str, str]) -> bool:
+    """Whether a form has known values."""
+    return any(key.startswith(KNOWN) for key in fields)
+
+
+def described_capture(document: bytes, fields: Mapping[str, str]) -> tuple[bytes, Description]:
+    """The content of ``capture.yaml`` with the fields of a form, checked."""
+    content = _completed(document, CAPTURE, fields)
+    description = Description.of(content, "")
+    if description.tester is None:
+        raise RequestError(422, f"tester is missing; {MISSING_TESTER}")
+    return yaml.safe_dump(content).encode(), description
+
+
+def described_scan(fields: Mapping[str, str]) -> Description:
+    """What a form states of a scan; fields of testers and cameras are not read."""
+    keys = {*Specimen.model_fields, *Labels.model_fields}
+    return Description.of(_completed(b"{}", "", {
+        key: text for key, text in fields.items() if key in keys or key.startswith(KNOWN)}), "")
+
+
+def described_strips(document: bytes, fields: Mapping[str, str]
+                     ) -> tuple[dict[str, Any], StripsDescription]:
+    """The content of ``strips.yaml`` with the fields of a form, checked."""
+    content = _completed(document, STRIPS, fields)
+    return content, StripsDescription.of(content, "")
+
+
+def _completed(document: bytes, file: str, fields: Mapping[str, str]) -> dict[str, Any]:
+    """The content of a description, in which a form's fields replace values, but not known ones:
+    nobody can say which of two measurements is right."""
+    if len(document) > MAX_TEXT_BYTES:
+        raise RequestError(413, f"{file} has {len(document)} bytes; at most {MAX_TEXT_BYTES}")
+    try:
+        content = dict(parse_yaml(document.decode("utf-8-sig"), file))
+    except UnicodeDecodeError:
+        raise RequestError(422, f"{file} is not text in UTF-8; save it as such") from None
+    if content.get("known") and states_values(fields):
+        raise InputError(f"known is in {file} and in the form; give the values in one of them")
+    for key, text in fields.items():
+        *groups, name = PLACES.get(key) or key.split(".")
+        place = content
+        for group in groups:
+            stated = place.get(group)
+            place[group] = dict(stated) if isinstance(stated, Mapping) else {}
+            place = place[group]
+        place[name] = _value(key, text)
+    return content
+
+
+def _value(field: str, text: str) -> Any:
+    """What a field states, in YAML's types."""
+    if field in LABELS:
+        return text
+    if field == "turns_deg":
+        return [_plain(word) for word in re.split(r"[,;\s]+", text.strip("[] "))]
+    return _plain(text)
+
+
+def _plain(text: str) -> Any:
+    """The number, also with a decimal comma, or true or false that a text states, or the text."""
+    with suppress(ValueError):
+        value = number(text)
+        return int(value) if value.is_integer() else value
+    return {"true": True, "false": False}.get(text, text)

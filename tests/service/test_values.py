@@ -1,0 +1,158 @@
+"""Strips and known values of a fabric through the service: alone, with captures, contradicting."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import strip_photographs
+import yaml
+from fastapi.testclient import TestClient
+from services import ended, joint_estimate_of, post, settings_for
+
+from data.captures.capture import read_capture
+from data.readings import QUANTITIES
+from data.readings.quantity import Quantity
+from drapenet.export.formats import TARGETS
+from drapenet.network.checkpoint import read_header
+from drapenet.service.app import create_app
+from drapenet.stages import network_estimate
+
+PHOTOGRAPH = Path(__file__).resolve().parents[2] / "examples" / "captures" / "twill_photograph"
+FILES = [PHOTOGRAPH / "outline.png", PHOTOGRAPH / "capture.yaml"]
+LABELS = {"date": "2026-11-26", "operator": "M. Muster", "laboratory": "Textile laboratory 7"}
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory, untrained_checkpoint):
+    results = tmp_path_factory.mktemp("results")
+    app = create_app(settings_for(results, f"checkpoint={untrained_checkpoint}"))
+    with TestClient(app, base_url="http://localhost") as client:
+        yield client
+
+
+def state_values(client: TestClient, **fields: str) -> dict:
+    """The estimate after known values without a file, at 210 g/m²."""
+    form = {key.replace("__", "."): (None, value) for key, value in fields.items()}
+    begun = client.post("/estimates", files={"density_g_m2": (None, "210"), **form})
+    assert begun.status_code == 202, begun.text
+    return ended(client, begun.json()["id"])
+
+
+@pytest.fixture(scope="module")
+def lengths(client, tmp_path_factory) -> dict:
+    """The estimate by strips.yaml of bending lengths alone."""
+    file = tmp_path_factory.mktemp("strips") / "strips.yaml"
+    file.write_text(yaml.safe_dump({"density_g_m2": 210, "strips": [
+        {"direction": name, "bending_length_mm": value} for name, value in (
+            ("warp", 21.5), ("weft", 18.0))]}), encoding="utf-8")
+    begun = post(client, [file], name="Grey serge", **LABELS)
+    assert begun.status_code == 202, begun.text
+    return ended(client, begun.json()["id"])
+
+
+def test_bending_lengths_alone_give_moduli_and_a_labelled_report(client, lengths):
+    assert lengths["state"] == "done" and lengths["name"] == "strips 1", lengths["error"]
+    length = lengths["estimate"]["laboratory"]["warp"]["bending_length_mm"]
+    assert length["interval_68"][0] < 21.5 < length["interval_68"][1] < 25
+    assert lengths["estimate"]["capture"]["labels"] == LABELS | {"fabric": "Grey serge"}
+    assert {"report.html", "report.pdf", "torque.svg"} <= set(lengths["files"])
+    assert "preview.png" not in lengths["files"]
+    page = client.get(f"/estimates/{lengths['id']}/report.html").text
+    assert "<h1>Grey serge</h1>" in page and "from 2 strips" in page
+    assert all(value in page for value in LABELS.values())
+    for name in TARGETS:
+        assert client.get(f"/estimates/{lengths['id']}/export/{name}").status_code == 200, name
+
+
+def test_values_alone_tell_of_a_fabric(client):
+    found = state_values(client, known__bending_length_mm__warp="22", name="twill",
+                         known__bending_stiffness_uN_m="25")
+    assert found["state"] == "done" and found["name"] == "values 1", found["error"]
+    length = found["estimate"]["laboratory"]["warp"]["bending_length_mm"]
+    assert length["interval_68"][0] < 22 < length["interval_68"][1] < 25
+    page = client.get(f"/estimates/{found['id']}/report.html").text
+    assert "from known values of testers" in page and "<h1>twill</h1>" in page
+    assert "<li>bending length [mm] warp: 22</li>" in page
+    assert "<li>bending stiffness by the supplier [µN·m]: 25</li>" in page
+
+
+def test_a_value_that_contradicts_is_named_and_left_out(client, lengths):
+    fabric = lengths["fabric"]
+    kept = state_values(client, fabric=fabric, known__flexural_rigidity_uN_m__warp="600")
+    assert kept["state"] == "done", kept["error"]
+    joint = joint_estimate_of(client, fabric)
+    line, = joint["estimate"]["contradictions"]
+    assert line in joint["warnings"]
+    assert line.startswith("the known flexural_rigidity_uN_m warp = 600 contradicts strips")
+    assert "; left out: " in line and "\n" not in line
+    for place in (f"/fabrics/{fabric}", f"/estimates/{lengths['id']}"):
+        content = client.get(place).json()
+        rows = content.get("estimates") or content["captures"]
+        assert [row["contradictions"] for row in rows if row["members"]] == [[line]], place
+    without, widths = lengths["estimate"], []
+    for one in (joint["estimate"], without):
+        low, high = one["moduli"]["warp"]["alpha_uN_m"]["interval_68"]
+        widths.append(np.log(high / low))
+    assert widths[0] > 0.99 * widths[1]
+    assert "<h1>Grey serge</h1>" in client.get(f"/estimates/{joint['id']}/report.html").text
+    assert client.get(f"/estimates/{joint['id']}/report.pdf").content.startswith(b"%PDF")
+    found = client.get("/fabrics", params={"search": "serge"}).json()["fabrics"]
+    assert found[0]["estimate"]["contradictions"] == [line]
+
+
+def test_values_with_a_capture_move_its_estimate(client, untrained_checkpoint):
+    capture = read_capture(PHOTOGRAPH)
+    before = network_estimate(capture, read_header(untrained_checkpoint)).document
+    before = before.laboratory["warp"].bending_length_mm
+    value = before.interval_68[1]
+    begun = post(client, FILES, **{"known.bending_length_mm.warp": f"{value:.2f}",
+                                   "known.error_percent.bending_length_mm": "2"})
+    found = ended(client, begun.json()["id"])
+    assert found["state"] == "done" and not found["estimate"]["contradictions"], found["error"]
+    after = found["estimate"]["laboratory"]["warp"]["bending_length_mm"]
+    assert before.median < after["median"] < 1.02 * value
+    assert np.ptp(after["interval_68"]) < np.ptp(before.interval_68) / 2
+    assert found["estimate"]["capture"]["known"]["bending_length_mm"]["warp"] == round(value, 2)
+    assert found["estimate"]["capture"]["labels"]["fabric"] == found["fabric_name"]
+
+
+def test_photographed_strips_show_their_curves(client, tmp_path):
+    scenes = {"warp 1.png": strip_photographs.LONG, "warp 2.png": strip_photographs.SHORT}
+    folder = strip_photographs.write(
+        tmp_path / "strips", {name: strip_photographs.photograph(scene)
+                              for name, scene in scenes.items()},
+        [strip_photographs.entry(scene, name) for name, scene in scenes.items()])
+    found = ended(client, post(client, sorted(folder.iterdir())).json()["id"])
+    assert found["state"] == "done" and "preview.png" in found["files"], found["error"]
+    preview = client.get(f"/estimates/{found['id']}/preview.png").content
+    picture = cv2.imdecode(np.frombuffer(preview, np.uint8), cv2.IMREAD_COLOR).astype(int)
+    green = (picture[..., 1] > 180) & (picture[..., [0, 2]] < 120).all(axis=-1)
+    assert green.sum() > 500
+    alpha = found["estimate"]["moduli"]["warp"]["alpha_uN_m"]["median"]
+    assert alpha == pytest.approx(1e6 * strip_photographs.ALPHA, rel=0.15)
+
+
+def test_a_photograph_without_a_strip_fails_with_its_sentence(client, tmp_path):
+    folder = strip_photographs.write(
+        tmp_path / "strips", {"a.png": np.full((900, 1200), 40, np.uint8)},
+        [strip_photographs.entry(strip_photographs.LONG, "a.png")])
+    found = ended(client, post(client, sorted(folder.iterdir())).json()["id"])
+    assert found["state"] == "failed" and found["error"].startswith("a.png: ")
+
+
+def test_a_new_quantity_appears_on_the_page(tmp_path, monkeypatch):
+    def of_nothing(*arguments: object) -> np.ndarray:
+        raise AssertionError
+
+    new = Quantity("handle_n", 3, 0.25, of_nothing, "handle <n>")
+    monkeypatch.setattr("drapenet.service.pages.QUANTITIES", {**QUANTITIES, new.name: new})
+    with TestClient(create_app(settings_for(tmp_path)), base_url="http://localhost") as client:
+        page = client.get("/").text
+        fields = client.get("/openapi.json").json()["paths"]["/estimates"]["post"]["requestBody"]
+    for name in ("handle_n.warp", "handle_n.weft", "error_percent.handle_n"):
+        assert f'name="known.{name}"' in page
+    assert 'placeholder="25"' in page and "handle &lt;n&gt;" in page
+    assert "bending length [mm]" in page and 'name="known.membrane_n_per_m"' in page
+    properties = fields["content"]["multipart/form-data"]["schema"]["properties"]
+    assert {"known.bending_length_mm.bias", "known.membrane_n_per_m", "operator"} <= set(properties)
