@@ -65,8 +65,8 @@ class Linear:
         telling = 1 / shares - 1 > least
         to_axes, shares = axes.T[telling], shares[telling]
         rows = np.sqrt(1 / shares - 1)[:, None] * to_axes
-        told = to_axes @ (posterior.mean - prior.mean) / shares
-        return cls(rows, told / np.sqrt(1 / shares - 1) + rows @ prior.mean)
+        moved = to_axes @ (posterior.mean - prior.mean) / shares
+        return cls(rows, moved / np.sqrt(1 / shares - 1) + rows @ prior.mean)
 
     @classmethod
     def stacked(cls, parts: Sequence["Linear"]) -> "Linear":

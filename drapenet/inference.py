@@ -53,7 +53,7 @@ Stage = Callable[[str, CaptureEstimate], None]
 
 @dataclass(frozen=True)
 class Part:
-    """What one source tells of a fabric: the document of its estimate alone, and what the network
+    """What one source says of a fabric: the document of its estimate alone, and what the network
     reads of a capture."""
 
     document: EstimateDocument

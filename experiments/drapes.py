@@ -24,8 +24,8 @@ from sim.rig import SQUARE_RIG, Rig
 
 if TYPE_CHECKING:  # imported on use, because speed and memory are measured without them
     from data.render.setups import Setups, SyntheticCapture
-    from drapenet.inference import CaptureEstimate
     from drapenet.network.checkpoint import Header
+    from drapenet.stages import CaptureEstimate
 
 RIG = SQUARE_RIG
 CLEAN = {"views": (0.0, 0.0, 0.0, 1.0), "sensors": {"smooth": 1.0}, "turn": 0.0, "focal": 0.0,

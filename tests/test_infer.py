@@ -27,9 +27,9 @@ from common.errors import InputError
 from data.captures.capture import captures_in, read_capture, write_capture
 from data.render.cameras import Intrinsics
 from drapenet.config import EstimateOptions
-from drapenet.inference import CaptureEstimate, estimate_capture
 from drapenet.network.checkpoint import BUNDLED, read_header
 from drapenet.result.files import SHOWN, read_estimate
+from drapenet.stages import CaptureEstimate, estimate_capture
 from sim.material import DIRECTIONS, MICRO, is_admissible
 from sim.rig import SQUARE_RIG
 

@@ -17,7 +17,6 @@ from common.errors import InputError
 from data.captures.capture import read_capture
 from data.dataset.folder import finished_manifest
 from drapenet.config import ModelConfig
-from drapenet.inference import network_estimate
 from drapenet.network.captures import CaptureSet, Condition
 from drapenet.network.checkpoint import Header, load_model, read_header
 from drapenet.network.evaluate import CELLS, DEPTH
@@ -25,6 +24,7 @@ from drapenet.network.model import make_network
 from drapenet.network.predict import predict
 from drapenet.network.targets import TARGETS
 from drapenet.network.training import fit, validate
+from drapenet.stages import network_estimate
 from drapenet.views.observation import Observation
 from drapenet.views.outline import DrapeOutline
 from drapenet.views.pictures import PICTURES, SIDE, DepthPictures

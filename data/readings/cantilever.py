@@ -40,7 +40,8 @@ def bending_length(alpha: np.ndarray, beta: np.ndarray, density: Density) -> np.
 
 
 def flexural_rigidity(alpha: np.ndarray, beta: np.ndarray, density: Density) -> np.ndarray:
-    """Flexural rigidity G, N·m, of the standards: rho g times the bending length's cube."""
+    """Flexural rigidity G, N·m, of the standards: rho g times the bending length's cube. Moduli,
+    N·m and N·m², have the same shape."""
     return density * GRAVITY * bending_length(alpha, beta, density) ** 3
 
 

@@ -4,7 +4,7 @@ Elastica curves are fitted to the curves of all strips together. Unknown are log
 and the natural curvature, for each specimen the difference of its log alpha from the fabric's, and
 for each photographed strip its length and the slope of its clamp. Errors of the curves, correlated
 as a scale's are, enter by their covariance. At the best fit everything is normal (Laplace's
-approximation), but the scatter of specimens, which the repeats of the direction tell by a grid.
+approximation), but the scatter of specimens, which the repeats of the direction show, over a grid.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -72,7 +72,7 @@ class BendingLength:
 
 @dataclass(frozen=True)
 class StripEvidence:
-    """What the strips of one direction tell of log alpha (alpha in N·m), beta/alpha, m, and the
+    """What the strips of one direction say of log alpha (alpha in N·m), beta/alpha, m, and the
     natural curvature, 1/m, positive if cloth with the marked face up bends down by itself.
 
     Attributes:
@@ -199,8 +199,8 @@ class _Fit:
         return np.vstack(rows)
 
     def measured(self, unknowns: np.ndarray, misfit: float) -> tuple[Linear, float]:
-        """What is told of log alpha, beta/alpha in m and curvature in 1/m, without the prior, and
-        the specimens' scatter; errors of measurements are larger by ``misfit``."""
+        """Evidence of log alpha, beta/alpha in m and curvature in 1/m, without the prior, and the
+        specimens' scatter; errors of measurements are larger by ``misfit``."""
         rows, residuals = self.jacobian(unknowns), self.residuals(unknowns)
         rows[self.scatter.stop :] /= misfit
         residuals[self.scatter.stop :] /= misfit
@@ -212,8 +212,8 @@ class _Fit:
         ordered = np.roll(rows[_SHARED:], -_SHARED, axis=1)
         q, r = np.linalg.qr(scale[:, None] * ordered)
         own = len(unknowns) - _SHARED
-        told = (q.T @ (scale * values[_SHARED:]))[own:]
-        return Linear(r[own:, own:] / _UNITS, told), scatter
+        return Linear(r[own:, own:] / _UNITS,
+                      (q.T @ (scale * values[_SHARED:]))[own:]), scatter
 
     def _log_evidence(self, rows: np.ndarray, values: np.ndarray, scatter: float) -> float:
         """Logarithm, but for a constant, of the probability density of ``scatter`` given all."""

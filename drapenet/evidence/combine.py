@@ -56,11 +56,11 @@ def combine(prior: np.ndarray, sources: Sequence[Source], prior_name: str = "") 
                  if rival and probability(source, base) < LEVEL / len(own)]
         lines += [_line(source, rival, base) for source in wrong]
         sound = [source for source in own if source not in wrong]
-        told = {id(source): _evidence(source, states) for source in sound}
+        linear = {id(source): _evidence(source, states) for source in sound}
 
         def others(left: Sequence[Source], base: Normal = base,
-                   told: Mapping[int, Linear] = told) -> Normal:
-            return base.updated(Linear.stacked([told[id(source)] for source in left]))
+                   linear: Mapping[int, Linear] = linear) -> Normal:
+            return base.updated(Linear.stacked([linear[id(source)] for source in left]))
 
         sound, found = consistent(sound, others)
         kept += sound
@@ -93,7 +93,7 @@ def consistent(
 
 
 def probability(source: Source, cloth: Normal) -> float:
-    """Probability of a source as far from a cloth, whose state other sources tell, as this one, or
+    """Probability of a source as far from a cloth, whose state other sources give, as this one, or
     farther; 0 if the cloth cannot give what it measured."""
     linearised = _linearised(source, cloth.samples(_TESTED))
     if linearised is None:

@@ -43,7 +43,8 @@ class Source:
 
 def linear(label: str, kind: int, evidence: Linear, against: Callable[[np.ndarray], str]
            ) -> Source:
-    """A source whose evidence is linear in the state."""
+    """A source whose evidence is linear in the state; ``against`` is a function of states (S, 10).
+    """
     return Source(label, kind, lambda states: states @ evidence.rows.T - evidence.values, against)
 
 
