@@ -29,7 +29,8 @@ def state_of(cloth: ClothProperties) -> np.ndarray:
 
 
 def cloth_of_state(state: np.ndarray) -> ClothProperties:
-    """The inverse of :func:`state_of` for states (S, 10); shares of hysteresis outside of 0 to 1 are its ends."""
+    """The inverse of :func:`state_of` for states (S, 10); shares of hysteresis are limited to 0 to
+    1."""
     return ClothProperties(state[:, :6], state[:, 6:8], np.exp(state[:, 8]),
                            state[:, 9].clip(0.0, 1.0))
 
