@@ -28,7 +28,7 @@ SLOPE_ERROR = np.radians(0.5)  # of a clamp
 MAX_MISFIT = 4.0  # largest error of a fit, in standard deviations, root mean square
 MAX_SCATTER = 0.45  # of log alpha, root mean square over the specimens of a direction
 SCATTERS = SPECIMEN_SCATTER * np.exp(np.linspace(-1.4, 1.4, 9))
-SCATTER_SPREAD = 0.4
+SCATTER_SPREAD = 0.3
 """Standard deviation of the logarithm of a fabric's scatter of specimens about that of
 :data:`~data.readings.quantity.SPECIMEN_SCATTER`. Assumed."""
 _POINTS, _STEPS = 81, 240  # of elastica curves
