@@ -148,12 +148,13 @@ def _attempt(
     try:
         return stage(result, **settings)
     except Exception as error:
-        if RAISE in os.environ:
-            raise
         place = ""
-        if out:
-            replace_file(out / FAULTS, traceback.format_exc().encode())
-            place = f"; please report it with the file {FAULTS} beside estimate.json"
+        if not isinstance(error, InputError):  # a fault of the program
+            if RAISE in os.environ:
+                raise
+            if out:
+                replace_file(out / FAULTS, traceback.format_exc().encode())
+                place = f"; please report it with the file {FAULTS} beside estimate.json"
         return result.with_warnings(f"{loss}: {type(error).__name__}, {one_line(error)}{place}")
 
 

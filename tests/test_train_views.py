@@ -24,6 +24,7 @@ from drapenet.network.model import make_network
 from drapenet.network.predict import predict
 from drapenet.network.targets import TARGETS
 from drapenet.network.training import fit, validate
+from drapenet.result.files import read_observation, write_observation
 from drapenet.stages import network_estimate
 from drapenet.views.observation import Observation
 from drapenet.views.outline import DrapeOutline
@@ -86,11 +87,16 @@ def test_what_it_has_not_learned_to_read_is_refused(header, observation, message
     assert "\n" not in str(refusal.value)
 
 
-def test_views_that_were_not_kept_are_refused(header, tmp_path):
+def test_views_are_kept_with_an_estimate_and_join_captures(header, tmp_path):
     seen = network_estimate(read_capture(cloths.write_skirt(tmp_path, warp_direction=0.4)),
                             header).observation
-    with pytest.raises(InputError, match="not kept beside an estimate; estimate the capture"):
-        predict(load_model(header), header, [[Observation(**vars(seen) | {"pictures": None})]])
+    write_observation(tmp_path, seen)
+    kept = read_observation(tmp_path)
+    assert (np.nan_to_num(kept.pictures.depth) == np.nan_to_num(seen.pictures.depth)).all()
+    network = load_model(header)
+    one, again = (predict(network, header, [[part, part]])[0].cloth.theta
+                  for part in (seen, kept))
+    assert again == pytest.approx(one, rel=1e-6)
 
 
 def test_it_is_evaluated_on_what_it_reads(header, tmp_path, monkeypatch):
