@@ -282,13 +282,13 @@ def run(config: Config) -> Result:
     missed = {name: case for name, case in answers.items() if not case["answer"]}
     return Result({
         "photographs": len(LENGTHS) * len(estimated),
-        "failed": {name: case["failed"] for name, case in estimated.items() if case["failed"]},
+        "failed": {name: case["failed"].rpartition("/")[2] for name, case in estimated.items()
+                   if case["failed"]},
         "with_warnings": sum(bool(case["warnings"]) for case in done),
         "summary": {name: summarise(cases) for name, cases in groups.items() if cases},
         "faults": {"kinds": len(FAULTS), "photographs": len(answers),
                    "share_found": 1 - len(missed) / len(answers), "missed": sorted(missed)},
-        "answers": {name: case["answer"] for name, case in answers.items()},
-        "cases": estimated})
+        "answers": {name: case["answer"] for name, case in answers.items()}})
 
 
 def summarise(cases: list[dict]) -> dict:
