@@ -164,7 +164,8 @@ def _settled(
                                         for run, one in zip(runs, scenes, strict=True)]).to(x)
         if outcomes[0].origin is not None:
             near, weight = _nearest(by_run[0][0], scene)
-            potential.own["origin"] = (outcomes[0].origin[:, near] * weight.to(x)).sum(2)
+            potential = potential.having(
+                origin=(outcomes[0].origin[:, near] * weight.to(x)).sum(2))
         options = runs[0].options if last else single.COARSE_OPTIONS
         options = replace(options, max_iterations=min(options.max_iterations, _MAX_ITERATIONS))
         outcomes.append(minimise(potential, x, potential.normals(x), options,
