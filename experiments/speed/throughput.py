@@ -26,8 +26,8 @@ from drapenet.config import TrainConfig
 from drapenet.network.dataset import maps_of_shard
 from experiments.drapes import prior_fabric
 from experiments.result import Config, Result
-from sim.batch import drape_batch
 from sim.drape import Drape, drape
+from sim.many import drape_many
 from sim.material import Fabric
 
 
@@ -45,8 +45,8 @@ def throughput(
         single.append((time.perf_counter() - began, time.process_time() - busy))
         start_seconds(fabrics[0], workers)  # ensures that the processes are running
         began = time.perf_counter()
-        made = drape_batch([{"fabric": fabric, "edge": edge, "seed": seed}
-                            for seed, fabric in enumerate(fabrics)], workers=workers)
+        made = drape_many([{"fabric": fabric, "edge": edge, "seed": seed}
+                           for seed, fabric in enumerate(fabrics)], workers=workers)
         several.append(time.perf_counter() - began)
         print(f"  round {repeat + 1} of {repeats}: one core {single[-1][0]:.1f} s, "
               f"{workers} processes {several[-1]:.1f} s", flush=True)

@@ -50,7 +50,7 @@ def drape_batch(
     pool: Executor | None = None
 ) -> list[Drape]:
     """The drapes of ``plans``, arguments of :func:`sim.drape.drape` by name, in their order, as
-    :func:`sim.batch.drape_batch` gives them up to rounding, which may choose other folds.
+    :func:`sim.many.drape_many` gives them up to rounding, which may choose other folds.
 
     Meanwhile ``workers`` processes on the CPU, or those of a ``pool``, simulate those that are not
     covered (:func:`covers`), and continue those that intersect themselves or are not finished. A

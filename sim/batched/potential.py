@@ -18,7 +18,7 @@ from sim.batched.solver import BatchedSolver
 from sim.cloth import STEP_UNIT, Cloth
 from sim.energies.bending_variants import HystereticBending
 from sim.energies.external import DEPTH
-from sim.energies.midedge import CLAMP, CONVEX_FLOOR, rows_at_clamp
+from sim.energies.midedge import CLAMP, CONVEX_FLOOR, rows_at_clamp, weight_behind
 from sim.rig import GRAVITY, RIM
 from sim.scene import Scene
 
@@ -149,10 +149,9 @@ class BatchedPotential:
         areas, square, double = areas[active], square[:, active], double[active]
         first, second = (torch.from_numpy(rows).to(device) for rows in rows_at_clamp(
             mesh, scene.active, bending.pole == np.pi))
-        # As sim.energies.midedge.clamp_weights
-        near, behind = areas[first].sum(0), areas[second].sum(0)
+        # As sim.energies.midedge.clamp_weights; there are triangles of both kinds around a plate.
         bent = torch.where(first[:, None], CLAMP, torch.ones_like(areas))
-        bent[second] = 1 / (1 + (1 - 1 / CLAMP) * near / behind)
+        bent[second] = weight_behind(areas[first].sum(0), areas[second].sum(0))
         maps = torch.stack([nx * nx, ny * ny, nx * ny])[:, :, active] * square.sqrt() * bent
         bent = areas / bent
         jumps = bent[self._pairs].sum(0) / 12
