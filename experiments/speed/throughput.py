@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from common.command import compose_config
+from common.configs import metres
 from common.errors import InputError
 from common.workers import worker_pool
 from data.dataset.config import Options, config_from_options
@@ -32,11 +33,11 @@ from sim.material import Fabric
 
 
 def throughput(
-    fabrics: list[Fabric], *, edge_mm: float, workers: int, repeats: int
+    fabrics: list[Fabric], *, edge_mm: float | None, workers: int, repeats: int
 ) -> dict:
-    """Time one core and several processes in turn; ``edge_mm`` 0 for the default mesh."""
+    """Time one core and several processes in turn; ``edge_mm`` None for the default mesh."""
     drape(fabrics[0], edge=4e-3)  # compiles or loads the kernels
-    edge = 1e-3 * edge_mm or None
+    edge = metres(edge_mm)
     start = start_seconds(fabrics[0], workers)
     single, several = [], []
     for repeat in range(repeats):
