@@ -61,7 +61,7 @@ class EstimateConfig:
     warp: str
     bias: str
     weft: str
-    density: float
+    density: float | None
     method: str
     slope: float
     rounds: int | None
@@ -116,7 +116,7 @@ def print_estimate(config: EstimateConfig) -> None:
                              "names by single commas")
     if config.method not in METHODS:
         raise InputError(f"unknown method '{config.method}'; choose from {', '.join(METHODS)}")
-    if not config.density > 0:
+    if config.density is None:
         raise InputError("the fabric's density is needed, in g/m²: density=150")
     check_density(1e-3 * config.density)
     if config.rounds is not None and config.rounds < 0:

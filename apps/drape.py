@@ -13,6 +13,7 @@ import numpy as np
 
 from apps.drape_file import read_borrowed, write_drape
 from common.command import command
+from common.configs import metres
 from common.errors import InputError
 from common.files import folder_named, replace_file, replace_json, require_folder
 from sim.drape import Drape, drape
@@ -31,7 +32,7 @@ class DrapeConfig:
     start: str
     borrow: str
     seed: int
-    edge_mm: float
+    edge_mm: float | None
     offset: list[float]
     out: str
 
@@ -49,7 +50,7 @@ def main(config: DrapeConfig) -> None:
     result = drape(
         fabric,
         rig=Rig.from_name(config.rig),
-        edge=config.edge_mm * 1e-3 or None,
+        edge=metres(config.edge_mm),
         start=config.start,
         borrowed=read_borrowed(Path(config.borrow)) if config.borrow else None,
         seed=config.seed,

@@ -25,7 +25,6 @@ from common.documents import faults
 from common.errors import InputError, one_line
 
 Workers = Annotated[int, Field(ge=1, le=1024)]
-Threads = Annotated[int, Field(ge=0, le=1024)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
 _FULL_ERROR = "HYDRA_FULL_ERROR"
 
@@ -159,12 +158,14 @@ def compose_config(name: str, words: Sequence[str], *, schema: type) -> Any:
 
 
 def schema_of(name: str) -> type:
-    """Derive a schema for ``configs/NAME.yaml`` and included files from their values."""
+    """Derive a schema for ``configs/NAME.yaml`` and included files from their values; those that
+    are null, alone or in a list, may be numbers."""
     def kind(value: Any) -> Any:
         if isinstance(value, Mapping):
             return make_dataclass("Settings", [(key, kind(item)) for key, item in value.items()])
-        return list[type(value[0])] if isinstance(value, Sequence | list) and not isinstance(
-            value, str) else type(value)
+        if isinstance(value, Sequence | list) and not isinstance(value, str):
+            return list[kind(None if None in value else value[0])]
+        return float | None if value is None else type(value)
 
     from omegaconf import OmegaConf
 

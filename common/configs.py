@@ -9,6 +9,7 @@ import yaml
 from pydantic import AfterValidator, Field
 
 from common.errors import InputError
+from common.types import Metres
 
 CONFIG_DIR = Path(__file__).resolve().parent.parent / "configs"
 _UNITS: dict[str, Callable[[float], float]] = {
@@ -41,6 +42,11 @@ def read_option(group: str, name: str) -> dict:
         raise InputError(f"unknown {group} {name!r}; known {group}s: "
                          f"{', '.join(group_options(group))}")
     return read_config(f"{group}/{name}")
+
+
+def metres(millimetres: float | None) -> Metres | None:
+    """The length of a key ``_mm``; null, for a default or nothing, remains None."""
+    return None if millimetres is None else 1e-3 * millimetres
 
 
 def si(settings: Mapping[str, object]) -> dict:

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from common.command import Seed, Threads, Workers
+from common.command import Seed, Workers
 from common.types import Metres
 
 FromOne = Annotated[int, Field(ge=1)]
@@ -143,7 +143,7 @@ class ServeConfig:
     names: str
     results: str
     checkpoint: str
-    workers: Threads
+    workers: Workers | None
     proxies: str
     queue: FromOne
     queue_each: FromOne

@@ -55,7 +55,7 @@ class MakeCaptureConfig:
     sensor: str
     seed: int
     raw: bool
-    photograph_mm: float
+    photograph_mm: float | None
 
 
 @command("make_capture", MakeCaptureConfig)
@@ -67,7 +67,8 @@ def main(config: MakeCaptureConfig) -> None:
         raise InputError(f"{out} contains other files than a capture made by this program; choose "
                          "another out=")
     low, high = CAMERA_HEIGHTS
-    if config.photograph_mm and (config.raw or not low <= config.photograph_mm <= high):
+    photograph = config.photograph_mm is not None
+    if photograph and (config.raw or not low <= config.photograph_mm <= high):
         raise InputError(f"photograph_mm={config.photograph_mm:g}: give {low:g} to {high:g} mm, "
                          "without raw=true")
     require_folder(out)
@@ -89,13 +90,13 @@ def main(config: MakeCaptureConfig) -> None:
                           turns=whole_turns(VIEWS), sensor=config.sensor)
         views, background, direction = scene.frames, scene.background, scene.orientation
         camera = scene.camera
-    elif not config.photograph_mm:
+    elif not photograph:
         camera = Setups.load().camera(rng, tester)
         views = DepthRenderer(result.positions, result.faces).views(camera, direction)
         views = noise(views, camera, config.seed)
     for file in old:
         file.unlink()
-    if config.photograph_mm:
+    if photograph:
         write_photograph(out, result, tester, direction, 1e-3 * config.photograph_mm, rng,
                          density=config.density)
     else:

@@ -53,7 +53,7 @@ def run_experiment(name: str, words: list[str]) -> None:
     @command(f"experiment/{name}", schema_of(f"experiment/{name}"))
     @wraps(module.run)  # the help is the docstring of its module
     def run(settings: Any) -> None:
-        from experiments.figures import shown
+        from experiments.figures.pages import shown
         from experiments.result import EXECUTION_KEYS, REPORTS, write_figure, write_report
 
         config, stored = asdict(settings), REPORTS / f"{name}.json"

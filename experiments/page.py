@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from matplotlib.figure import Figure
 
-from experiments.figures import slug
+from experiments.figures.claims import slug
 from experiments.result import ROOT, Report, table
 
 PAGE = ROOT / "docs" / "studies.md"

@@ -7,17 +7,17 @@
     print(cloth.converged, drape_coefficient(cloth.positions, cloth.faces, cloth.rig))
 
 A fabric is a :class:`sim.material.Fabric`, a tester a :class:`sim.rig.Rig`, the laws of bending and
-stretch a :class:`sim.cloth.Laws`; ``sim.drape_batch`` makes many drapes on all cores
-(:mod:`sim.batch`), :mod:`sim.sensitivity` differentiates an equilibrium and
+stretch a :class:`sim.cloth.Laws`; ``sim.drape_many`` makes many drapes on all cores
+(:mod:`sim.many`), :mod:`sim.sensitivity` differentiates an equilibrium and
 :mod:`sim.cantilever` hangs strips.
 """
 
-__all__ = ["batch", "cantilever", "cloth", "drape", "material", "measures", "rig", "sensitivity"]
+__all__ = ["cantilever", "cloth", "drape", "many", "material", "measures", "rig", "sensitivity"]
 
 
 def __getattr__(name: str) -> object:
-    if name != "drape_batch":
+    if name != "drape_many":
         raise AttributeError(f"module 'sim' has no attribute '{name}'")
-    from sim.batch import drape_batch  # on use: it loads the simulator
+    from sim.many import drape_many  # on use: it loads the simulator
 
-    return drape_batch
+    return drape_many

@@ -6,15 +6,16 @@ hem, which becomes too long for the circle in which it hangs. Their number is th
 and depends on the speed, as in the test (docs/physics.md).
 """
 
+import copy
 from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from common.types import StateVector
+from common.types import Metres, StateVector
 from sim.cloth import Cloth, Laws
 from sim.energies.base import Energy
-from sim.energies.bending_variants import HystereticBending
+from sim.energies.bending_variants import Hysteresis, HystereticBending
 from sim.equilibrium import Equilibrium
 from sim.material import REFERENCE_DENSITY, Fabric
 from sim.mesh.specimen import GRADING
@@ -47,12 +48,18 @@ _MAX_STEPS = 400
 
 class Ring(Energy):
     """Plane that supports vertices (M,) of weights (M,), N: the penalty k d³/3 on the depth d below
-    its ``height``, m, which may be changed between minimisations."""
+    its ``height``, m; 0 at first."""
 
     def __init__(self, vertices: np.ndarray, weights: np.ndarray) -> None:
         self.dofs = 3 * vertices[:, None] + 2
         self._stiffness = _PRESSURE / 1e-6 * weights  # N/m²
         self.height = 0.0
+
+    def lowered_to(self, height: Metres) -> "Ring":
+        """The ring at another ``height``."""
+        other = copy.copy(self)
+        other.height = height
+        return other
 
     def depths(self, q: StateVector) -> np.ndarray:
         """Depths (M,), m, of the vertices below the plane; 0 above it."""
@@ -73,9 +80,9 @@ def lowered(
     step: float = STEP, relaxation: float = RELAXATION
 ) -> Equilibrium:
     """Cloth lowered over the plate of ``rig``, in motion close to its equilibrium: the status is
-    NOT_FINITE if a time step fails, else MAX_ITERATIONS. The ``seed`` is that of waviness and
-    ``speed``, in the unit of :data:`SPEEDS`; ``step`` and ``relaxation`` are in that of
-    :data:`STEP`."""
+    NOT_FINITE if a time step fails, else MAX_ITERATIONS; its laws have the origins of hysteresis
+    that the cloth has reached. The ``seed`` is that of waviness and ``speed``, in the unit of
+    :data:`SPEEDS`; ``step`` and ``relaxation`` are in that of :data:`STEP`."""
     rng = np.random.default_rng([seed, 1])
     overhang = (rig.specimen_size - rig.plate_diameter) / 2
     time = np.sqrt(overhang / GRAVITY)
@@ -88,27 +95,33 @@ def lowered(
     ring = Ring(np.flatnonzero(~held), inertia.masses[~held] * GRAVITY)
     cloth = Cloth(scene, fabric, laws=laws, extra=[inertia, ring])
     solver = make_solver(cloth.potential.pattern)
-    motion, free, last = Motion.at_rest(scene.state(flat)), 0.0, None
+    motion, free, last, bending = Motion.at_rest(scene.state(flat)), 0.0, None, cloth.bending
     for _ in range(_MAX_STEPS):
-        ring.height = -_GAP - speed * (motion.time + relaxation)
-        motion, result = motion.advanced(cloth.potential, inertia, step, relaxation=relaxation,
+        now = ring.lowered_to(-_GAP - speed * (motion.time + relaxation))
+        potential = cloth.potential.exchanged({ring: now, cloth.bending: bending})
+        motion, result = motion.advanced(potential, inertia, step, relaxation=relaxation,
                                          solver=solver)
         last = Equilibrium(cloth=cloth, state=motion.state, outcome=result).after(last)
         if result.status is Status.NOT_FINITE:
-            return last
-        if isinstance(cloth.bending, HystereticBending):
-            cloth.bending.origin = cloth.bending.origin_at(motion.state.q)
-        free = 0.0 if ring.depths(result.q).any() else free + step
+            break
+        if isinstance(bending, HystereticBending):
+            bending = bending.with_origin(bending.origin_at(motion.state.q))
+        free = 0.0 if now.depths(result.q).any() else free + step
         if free >= SETTLING * time:
             break
-    return last.ended(Status.MAX_ITERATIONS, "in motion")
+    if last.status is not Status.NOT_FINITE:
+        last = last.ended(Status.MAX_ITERATIONS, "in motion")
+    if isinstance(laws.bending, Hysteresis):
+        laws = replace(laws, bending=replace(laws.bending, origin=bending.origin))
+        last = replace(last, cloth=replace(cloth, laws=laws))
+    return last
 
 
 def with_origins(laws: Laws, lowered: Equilibrium, scene: Scene) -> Laws:
     """``laws`` for the mesh of ``scene``, with the hysteresis of ``lowered`` cloth: each triangle
     has the mean S0 of the three nearest ones, weighted by their inverse distances."""
-    bending = lowered.cloth.bending
-    if not (isinstance(bending, HystereticBending) and bending.origin.any()):
+    law = lowered.cloth.laws.bending
+    if not (isinstance(law, Hysteresis) and law.origin is not None and law.origin.any()):
         return laws
     before = lowered.cloth.scene
     centres, places = (one.mesh.rest[one.mesh.faces[one.active]].mean(axis=1)
@@ -116,5 +129,5 @@ def with_origins(laws: Laws, lowered: Equilibrium, scene: Scene) -> Laws:
     distance, near = cKDTree(centres).query(places, k=3)
     weight = 1 / (distance + 1e-6)
     weight /= weight.sum(axis=1, keepdims=True)
-    origin = (bending.origin[near] * weight[:, :, None]).sum(axis=1)
+    origin = (law.origin[near] * weight[:, :, None]).sum(axis=1)
     return replace(laws, bending=replace(laws.bending, origin=origin))

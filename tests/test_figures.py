@@ -6,7 +6,9 @@ from pathlib import Path
 import pytest
 
 from common.errors import InputError
-from experiments.figures import BLOCKS, MARK, PAGES, ROOT, fill_blocks, slug
+from experiments.figures.claims import slug
+from experiments.figures.pages import BLOCKS, MARK, PAGES, fill_blocks
+from experiments.result import ROOT
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

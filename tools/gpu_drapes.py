@@ -160,7 +160,7 @@ def on_cpu(plan: dict) -> Drape:
 
 
 def on_cores(rig, fabrics: list[Fabric], cores: int, pool: Executor) -> dict:
-    """Speed of processes on the CPU, as of :func:`sim.batch.drape_batch` once they have begun."""
+    """Speed of processes on the CPU, as of :func:`sim.many.drape_many` once they have begun."""
     plans = planned(rig, fabrics)
     list(pool.map(on_cpu, [plans[0]] * 2 * cores))
     began = time.perf_counter()

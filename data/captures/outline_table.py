@@ -18,7 +18,7 @@ _HEADING = re.compile(r"#?\s*(x|y|angle|radius)(?![a-z])[ _(\[]*(?:(mm|m)\b)?.*"
 _LETTERS = re.compile("[a-df-z]")  # e is part of numbers
 
 
-def read_table(file: Path, unit: str | None) -> Outline:
+def read_closed_curve(file: Path, unit: str | None) -> Outline:
     """Read the curve of a text file; ``unit`` of :data:`UNITS`, if the header has none."""
     lines = [line.strip().lower() for line in
              read_text(file, MAX_TABLE_BYTES, "outline").splitlines() if line.strip()]

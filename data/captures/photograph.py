@@ -15,7 +15,7 @@ from common.errors import InputError
 from common.types import Metres, Outline
 from data.captures.board import MAX_REPROJECTION_ERROR, PAPER, SQUARE, SQUARES, find_corners
 from data.captures.description import OUTLINE_TABLES, OutlineSource
-from data.captures.outline_table import read_table
+from data.captures.outline_table import read_closed_curve
 from data.captures.shadow import cut_drape, read_grey
 from sim.measures import coefficient_of_area, farthest, folds_around
 from sim.rig import Rig
@@ -98,7 +98,7 @@ def read_outline(file: Path, source: OutlineSource, rig: Rig) -> PhotographedOut
 
 
 def _tabulated(file: Path, source: OutlineSource, rig: Rig) -> PhotographedOutline:
-    curve = read_table(file, source.unit)
+    curve = read_closed_curve(file, source.unit)
     curve = curve[:-1] if np.array_equal(curve[0], curve[-1]) else curve
     return PhotographedOutline(_oriented(curve if source.centred else curve - _centroid(curve)),
                                source.height, source.centred, rig)

@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field
 
 from common.command import Seed, Workers
-from common.configs import limits, si
+from common.configs import limits, metres, si
 from common.errors import InputError
 from common.provenance import sources_digest
 from common.types import Metres
@@ -81,14 +81,14 @@ class DatasetConfig:
     drapes: int
     sampling: SamplingConfig
     prior: Prior
-    edge: Metres = 0.0  # of the finest meshes at the plate's rim; 0: as of single drapes
+    edge: Metres | None = None  # of the finest meshes at the rim; None: as of single drapes
     drapes_per_shard: int = 64
     # Of the code in memory: files may change during a run.
     sources: str = field(default_factory=partial(sources_digest, *SOURCES))
 
     def __post_init__(self) -> None:
-        if self.edge and not EDGE_RANGE[0] <= self.edge <= EDGE_RANGE[1]:
-            raise InputError(f"edge_mm={1e3 * self.edge:g}: give 0, for a mesh that suits each "
+        if self.edge is not None and not EDGE_RANGE[0] <= self.edge <= EDGE_RANGE[1]:
+            raise InputError(f"edge_mm={1e3 * self.edge:g}: give null, for a mesh that suits each "
                              f"fabric, or {1e3 * EDGE_RANGE[0]:g} to {1e3 * EDGE_RANGE[1]:g} mm")
 
     def as_dict(self) -> dict:
@@ -96,7 +96,7 @@ class DatasetConfig:
         settings = {
             "sampling": asdict(self.sampling),
             "prior": prior_content(self.prior),
-            "solver": {"edge_mm": round(1e3 * self.edge, 6)},
+            "solver": {"edge_mm": None if self.edge is None else round(1e3 * self.edge, 6)},
             "storage": {"drapes_per_shard": self.drapes_per_shard},
             "sources": self.sources,
         }
@@ -160,7 +160,7 @@ class Options:
     part: Annotated[int, Field(ge=0)]
     parts: Count
     seed: Seed
-    edge_mm: float
+    edge_mm: float | None
     device: str | None
     dataset: DatasetOptions
     prior: PriorOptions
@@ -176,5 +176,5 @@ def config_from_options(options: Options) -> DatasetConfig:
         sampling=SamplingConfig(seed=options.seed, **dataset,
                                 nuisances=NuisanceConfig(**si(asdict(options.nuisances)))),
         prior=load_prior(options.prior.file),
-        edge=options.edge_mm * 1e-3,
+        edge=metres(options.edge_mm),
     )

@@ -100,7 +100,8 @@ def _drape(
 def drape_words(plan: DrapePlan, config: DatasetConfig) -> dict:
     """Arguments of :func:`sim.drape.drape` by name for a planned drape that borrows nothing."""
     fabric, rig = fabric_from_theta(plan.theta), plan.nuisances.rig(plan.rig)
-    edges = [factor * config.edge for factor in COARSER] if config.edge else DEFAULT_EDGES
+    edges = (DEFAULT_EDGES if config.edge is None else
+             [factor * config.edge for factor in COARSER])
     offset = tuple(plan.offset)
     return {"fabric": fabric, "rig": rig, "edge": default_edge(fabric, rig, edges, offset),
             "seed": plan.seed, "offset": offset, "laws": plan.nuisances.laws,

@@ -48,7 +48,8 @@ class CentreLine:
         band, thinnest: median and nearly smallest width of the strip as seen, pixels.
         clamp: (2,) where the centre line leaves the clamp, pixels.
         roll: of the horizontal, by the clamp's edges, clockwise; NaN if they are not seen.
-        uneven: how far the clamp's edges above and below the strip differ, pixels; 0 if unknown.
+        uneven: how far the clamp's edges above and below the strip differ, pixels; None if the
+            clamp is not looked for.
     """
 
     points: Pixels
@@ -57,7 +58,7 @@ class CentreLine:
     thinnest: float
     clamp: np.ndarray
     roll: Radians
-    uneven: float = 0.0
+    uneven: float | None = None
 
 
 def trace_strip(
@@ -106,7 +107,7 @@ def trace_strip(
                          f"at least {MIN_CONTRAST:.0%} is needed; use a ground of another "
                          "brightness, or more light")
     path = _to_the_tip(field, path, band, peak)
-    uneven = 0.0
+    uneven = None
     if clamp is None:
         clamp, uneven = _clamp_edge(np.abs(contrast), solid, path[0], out, band, level)
     traced, path = path, path[(path - clamp) @ out > max(band, 3.0)]

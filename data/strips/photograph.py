@@ -311,7 +311,7 @@ def _notes(
     if description.thickness and band < 0.5 * description.thickness - 2 * pixel:
         notes.append(f"the strip is seen {1e3 * band:.2f} mm wide, thinner than its thickness of "
                      f"{description.thickness_mm:g} mm; check the scale")
-    if line.uneven * pixel > 2e-3:
+    if line.uneven is not None and line.uneven * pixel > 2e-3:
         notes.append(f"the clamp's edges above and below the strip differ by "
                      f"{1e3 * line.uneven * pixel:.1f} mm, the lower one counts; state clamp_px if "
                      "the strip leaves it elsewhere")

@@ -184,11 +184,12 @@ def main(config: EvaluateConfig) -> None:
 
 def make_config(header: Header, tester: str, config: EvaluateConfig) -> DatasetConfig:
     """Configuration of new drapes on a ``tester``, with the nuisances of the training set's."""
+    edge_mm = header.dataset.generation[0]["solver"]["edge_mm"]
     words = [f"drapes={DRAPES_PER_FABRIC * config.fabrics_per_tester}", f"seed={config.seed}",
              "dataset=testers", "dataset.even_share=0", f"dataset.testers=[{tester}]",
              "dataset.random_testers=0", "dataset.rectangles=0", "dataset.testers_per_fabric=1",
              f"dataset.starts_per_fabric={DRAPES_PER_FABRIC}",
-             f"edge_mm={header.dataset.generation[0]['solver']['edge_mm']}"]
+             f"edge_mm={edge_mm or 'null'}"]  # 0 in older datasets
     base = config_from_options(compose_config("generate", words, schema=Options))
     if not config.fabrics:
         return base

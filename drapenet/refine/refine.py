@@ -27,9 +27,9 @@ from drapenet.network.predict import Draws
 from drapenet.refine.objective import fit_nuisances
 from drapenet.refine.positions import Fidelity, fidelity
 from drapenet.refine.search import (
+    CapturedDrape,
     CapturedScan,
     CapturedViews,
-    Observation,
     SearchResult,
     search,
 )
@@ -83,9 +83,9 @@ def refine_capture(
     """
     settings = settings or read_option("refine", "simulation")
     axis = flat_turn(scan) if scan else 0.0
-    observation: Observation = CapturedScan(scan) if scan else CapturedViews(
+    sought: CapturedDrape = CapturedScan(scan) if scan else CapturedViews(
         captured, turn=warp, edge=1e-3 * settings["edge_mm"], coarse=1e-3 * settings["coarse_mm"])
-    result = _search(network, header, observation, warp=warp - axis if scan else None,
+    result = _search(network, header, sought, warp=warp - axis if scan else None,
                      count=int(settings["starts"]), progress=progress)
     if result is None:
         return None
@@ -152,7 +152,7 @@ def _record(posterior: Normal) -> dict[str, list]:
 
 
 def _search(
-    network: ClothProperties, header: Header, observation: Observation, *, warp: Radians | None,
+    network: ClothProperties, header: Header, sought: CapturedDrape, *, warp: Radians | None,
     count: int, progress: Callable[[int, int], None] | None,
 ) -> SearchResult | None:
     """The search from ``count`` fabrics; ``warp``: initial guess, None if it is not free."""
@@ -169,7 +169,7 @@ def _search(
     starts = [Unknowns(first).with_theta(theta)
               for theta in (central(network.theta, header.spread), *network.theta[rows])]
     total = count + 2 + sum((level.evaluations + 1) * len(level.pulls)
-                            for level in observation.rounds)
+                            for level in sought.rounds)
     with tqdm(total=total, desc="refining", unit="sim", leave=False,
               disable=progress is not None) as bar:
         def show(simulations: int) -> None:
@@ -177,7 +177,7 @@ def _search(
             if progress:
                 progress(simulations, total)
 
-        return search(observation, starts, free=free, prior=prior, progress=show)
+        return search(sought, starts, free=free, prior=prior, progress=show)
 
 
 def _search_warnings(result: SearchResult) -> list[str]:

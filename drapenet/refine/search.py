@@ -65,7 +65,7 @@ class Anchored:
     springs: Callable[[float, Nuisance], Springs]
 
 
-class Observation(Protocol):
+class CapturedDrape(Protocol):
     """A captured drape, as views or as a scan, and the rounds of the search."""
 
     rounds: tuple[Round, ...]
@@ -111,7 +111,7 @@ class CapturedViews:
 
 
 class CapturedScan:
-    """A registered scan of a drape (:class:`Observation`)."""
+    """A registered scan of a drape (:class:`CapturedDrape`)."""
 
     rounds = (Round(0.0, (0.05,), 6),)  # of its own mesh
 
@@ -148,7 +148,7 @@ class SearchResult:
 
 
 def search(
-    observation: Observation, starts: Sequence[Unknowns], *, free: Collection[str],
+    sought: CapturedDrape, starts: Sequence[Unknowns], *, free: Collection[str],
     prior: SpecimenPrior | None = None, progress: Progress | None = None,
 ) -> SearchResult | None:
     """Search for the observed specimen; None if no cloth converges on its surface.
@@ -156,10 +156,10 @@ def search(
     All ``starts`` are evaluated, and Levenberg-Marquardt continues from the best. ``free``: names
     of the free parameters of :data:`.unknowns.NAMES`.
     """
-    run = _Run(observation, free, prior, progress)
+    run = _Run(sought, free, prior, progress)
     guesses: Sequence[Unknowns] = starts
-    for level in observation.rounds:
-        last = level is observation.rounds[-1]
+    for level in sought.rounds:
+        last = level is sought.rounds[-1]
         run.round(level, guesses, first=starts[0] if last else None)
         if run.problem is None:
             return None
@@ -180,7 +180,7 @@ def search(
 class _Run:
     """State of a search."""
 
-    observation: Observation
+    sought: CapturedDrape
     free: Collection[str]
     prior: SpecimenPrior | None
     progress: Progress | None
@@ -193,7 +193,7 @@ class _Run:
         """Optimise from the best of ``guesses`` with softer and softer springs, evaluate ``first``.
         """
         nuisance = self.problem.best.nuisance if self.problem else None
-        anchored = self.observation.anchored(level, guesses[0], nuisance)
+        anchored = self.sought.anchored(level, guesses[0], nuisance)
         problems = [self.problem_at(anchored, anchored.near, guess, nuisance, level.pulls[0])
                     for guess in guesses]
         values = [problem.best.value if problem.best else math.inf for problem in problems]

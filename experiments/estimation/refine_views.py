@@ -67,7 +67,7 @@ ABSENT = (*NUISANCES, OFFSET, *SETUPS)
 
 
 def case(
-    *, number: int, rig: str, nuisances: str, edge_mm: float, truth_mm: float, seed: int,
+    *, number: int, rig: str, nuisances: str, edge_mm: float | None, truth_mm: float, seed: int,
     absent: Sequence[str] = (),
 ) -> dict:
     """Estimate one capture with the network and with the refinement, in a world without the
@@ -91,7 +91,9 @@ def case(
     inferred = network_estimate(capture, header())
     estimate = inferred.estimate
     began = time.perf_counter()
-    settings = read_option("refine", "simulation") | ({"edge_mm": edge_mm} if edge_mm else {})
+    settings = read_option("refine", "simulation")
+    if edge_mm is not None:
+        settings["edge_mm"] = edge_mm
     refined = refine_capture(inferred.draws.cloth, inferred.located, header(),
                              density=capture.density, warp=capture.warp_direction,
                              settings=settings)

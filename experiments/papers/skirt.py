@@ -32,7 +32,7 @@ NEWTON = "Newton, "
 _CAPTURE_EDGE = 2e-3  # m, at the rim of the captured specimen
 
 
-def case(*, number: int, edge_mm: float, seconds: float, seed: int) -> dict[str, Any]:
+def case(*, number: int, edge_mm: float, seconds: float | None, seed: int) -> dict[str, Any]:
     """Skirts of one fabric, from its moduli and from those estimated from one depth capture.
 
     Of each: mean distance from the skirt of the true moduli and mean difference of their outlines
@@ -47,7 +47,7 @@ def case(*, number: int, edge_mm: float, seconds: float, seed: int) -> dict[str,
         shapes[name] = Shape.of(scene, settled(scene, fabric, worn))
     result = {name: difference(scene, worn, shape) for name, shape in shapes.items()}
     result[TRUE] = {"folds": fold_count(worn, scene.mesh.rest, SKIRT)}
-    if seconds and style3d.installed():
+    if seconds is not None and style3d.installed():
         positions, first = worn, None
         for name, fabric in ((TRUE, truth), (ESTIMATED, estimate)):
             state = style3d.simulate(scene, positions, density=fabric.density,

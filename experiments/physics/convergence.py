@@ -9,6 +9,7 @@ from collections import Counter
 import numpy as np
 from matplotlib.figure import Figure
 
+from common.configs import metres
 from data.dataset.config import SamplingConfig
 from data.dataset.plan import plan_drape
 from data.fabrics.fabrics import fabric_from_theta
@@ -25,12 +26,12 @@ MIN_SHARE = 0.99  # of the drapes
 STARTS = ("sine", "fold")
 
 
-def one_drape(index: int, seed: int, edge_mm: float) -> dict:
+def one_drape(index: int, seed: int, edge_mm: float | None) -> dict:
     """Simulate drape ``index`` of the plan."""
     config = SamplingConfig(seed=seed, starts=STARTS, starts_per_fabric=len(STARTS))
     plan = plan_drape(index, config=config, prior=load_prior("gaussian"))
     fabric = fabric_from_theta(plan.theta)
-    result = drape(fabric, edge=1e-3 * edge_mm or None, start=plan.start, seed=plan.seed,
+    result = drape(fabric, edge=metres(edge_mm), start=plan.start, seed=plan.seed,
                    offset=tuple(plan.offset))
     return {
         "fabric": plan.fabric,

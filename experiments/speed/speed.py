@@ -15,6 +15,7 @@ import time
 
 import numpy as np
 
+from common.configs import metres
 from experiments.drapes import prior_fabric
 from experiments.result import Config, Result
 from sim.drape import drape
@@ -25,10 +26,10 @@ from sim.solver.linear import available_solvers
 MEDIAN = Fabric(np.full(3, 20 * MICRO), np.full(3, -2.5e-3 * 20 * MICRO))
 
 
-def time_drape(fabric: Fabric, *, rig: Rig, edge_mm: float, seed: int) -> dict:
-    """Time one lowered drape; ``edge_mm`` 0 for the default mesh."""
+def time_drape(fabric: Fabric, *, rig: Rig, edge_mm: float | None, seed: int) -> dict:
+    """Time one lowered drape; ``edge_mm`` None for the default mesh."""
     began = time.process_time()
-    result = drape(fabric, rig=rig, edge=1e-3 * edge_mm or None, seed=seed)
+    result = drape(fabric, rig=rig, edge=metres(edge_mm), seed=seed)
     return {
         "alpha_uN_m": (fabric.alpha / MICRO).round(2).tolist(),
         "edge_mm": 1e3 * result.edge,
@@ -40,7 +41,7 @@ def time_drape(fabric: Fabric, *, rig: Rig, edge_mm: float, seed: int) -> dict:
     }
 
 
-def time_drapes(fabrics: list[Fabric], rig: Rig, edge_mm: float) -> dict:
+def time_drapes(fabrics: list[Fabric], rig: Rig, edge_mm: float | None) -> dict:
     """Time the drapes of all fabrics; summary and single results."""
     runs = []
     for seed, fabric in enumerate(fabrics):
@@ -76,7 +77,7 @@ def run(config: Config) -> Result:
             report[name] = time_drapes(fabrics, rig, edge_mm)
     report["peak_memory_GiB"] = peak_memory()
     report["growth"] = [time_drape(MEDIAN, rig=DISC_RIG, edge_mm=edge, seed=0)
-                        for edge in config["growth_mm"] if edge]
+                        for edge in config["growth_mm"]]
     report["peak_memory_of_growth_GiB"] = peak_memory()
 
     return Result(report)

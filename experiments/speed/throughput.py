@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from common.command import compose_config
+from common.configs import metres
 from common.errors import InputError
 from common.workers import worker_pool
 from data.dataset.config import Options, config_from_options
@@ -26,17 +27,17 @@ from drapenet.config import TrainConfig
 from drapenet.network.dataset import maps_of_shard
 from experiments.drapes import prior_fabric
 from experiments.result import Config, Result
-from sim.batch import drape_batch
 from sim.drape import Drape, drape
+from sim.many import drape_many
 from sim.material import Fabric
 
 
 def throughput(
-    fabrics: list[Fabric], *, edge_mm: float, workers: int, repeats: int
+    fabrics: list[Fabric], *, edge_mm: float | None, workers: int, repeats: int
 ) -> dict:
-    """Time one core and several processes in turn; ``edge_mm`` 0 for the default mesh."""
+    """Time one core and several processes in turn; ``edge_mm`` None for the default mesh."""
     drape(fabrics[0], edge=4e-3)  # compiles or loads the kernels
-    edge = 1e-3 * edge_mm or None
+    edge = metres(edge_mm)
     start = start_seconds(fabrics[0], workers)
     single, several = [], []
     for repeat in range(repeats):
@@ -45,8 +46,8 @@ def throughput(
         single.append((time.perf_counter() - began, time.process_time() - busy))
         start_seconds(fabrics[0], workers)  # ensures that the processes are running
         began = time.perf_counter()
-        made = drape_batch([{"fabric": fabric, "edge": edge, "seed": seed}
-                            for seed, fabric in enumerate(fabrics)], workers=workers)
+        made = drape_many([{"fabric": fabric, "edge": edge, "seed": seed}
+                           for seed, fabric in enumerate(fabrics)], workers=workers)
         several.append(time.perf_counter() - began)
         print(f"  round {repeat + 1} of {repeats}: one core {single[-1][0]:.1f} s, "
               f"{workers} processes {several[-1]:.1f} s", flush=True)

@@ -50,7 +50,7 @@ def drape_batch(
     pool: Executor | None = None
 ) -> list[Drape]:
     """The drapes of ``plans``, arguments of :func:`sim.drape.drape` by name, in their order, as
-    :func:`sim.batch.drape_batch` gives them up to rounding, which may choose other folds.
+    :func:`sim.many.drape_many` gives them up to rounding, which may choose other folds.
 
     Meanwhile ``workers`` processes on the CPU, or those of a ``pool``, simulate those that are not
     covered (:func:`covers`), and continue those that intersect themselves or are not finished. A
@@ -164,7 +164,8 @@ def _settled(
                                         for run, one in zip(runs, scenes, strict=True)]).to(x)
         if outcomes[0].origin is not None:
             near, weight = _nearest(by_run[0][0], scene)
-            potential.own["origin"] = (outcomes[0].origin[:, near] * weight.to(x)).sum(2)
+            potential = potential.having(
+                origin=(outcomes[0].origin[:, near] * weight.to(x)).sum(2))
         options = runs[0].options if last else single.COARSE_OPTIONS
         options = replace(options, max_iterations=min(options.max_iterations, _MAX_ITERATIONS))
         outcomes.append(minimise(potential, x, potential.normals(x), options,

@@ -36,24 +36,23 @@ def lowered(
     n, step, live = potential.normals(x), single.STEP * step, np.arange(len(seeds))
     free = torch.from_numpy(~scenes[0].held).to(x)[:, None]
     weights = potential.own["weights"]
-    potential = potential.take(torch.from_numpy(live).to(x.device))  # a copy
-    potential.own |= {
-        "inertia": weights / GRAVITY / step**2, "ring": single._PRESSURE / 1e-6 * weights * free,
-        "speed": speed, "step": step, "still": 0 * step, "velocity": torch.zeros_like(x)}
+    potential = potential.having(
+        inertia=weights / GRAVITY / step**2, ring=single._PRESSURE / 1e-6 * weights * free,
+        speed=speed, step=step, still=0 * step, velocity=torch.zeros_like(x))
     origin = potential.own.get("origin")
     end = Outcome(x.clone(), n.clone(), [None] * len(live),
                   None if origin is None else origin.clone())
     for count in range(1, single._MAX_STEPS + 1):
         own = potential.own
         step, height = own["step"], -single._GAP - own["speed"] * own["step"] * count
-        own |= {"aim": x + step * own["velocity"], "height": height}
+        potential = potential.having(aim=x + step * own["velocity"], height=height)
         after = minimise(potential, x, n, STEP_OPTIONS)
-        own["velocity"] = (after.x - x) / step
+        velocity = (after.x - x) / step
         x, n = after.x, after.n
-        potential.slide(x, n)
         touched = ((height > x[2]) & (free > 0)).any(0)
-        own["still"] = torch.where(touched, 0.0, own["still"] + 1)
-        over = (own["still"] >= single.SETTLING / single.STEP).cpu().numpy()
+        still = torch.where(touched, 0.0, own["still"] + 1)
+        potential = potential.slid(x, n).having(velocity=velocity, still=still)
+        over = (still >= single.SETTLING / single.STEP).cpu().numpy()
         over |= [result.status is Status.NOT_FINITE for result in after.results]
         over |= count == single._MAX_STEPS
         for k in np.flatnonzero(over):
@@ -62,7 +61,7 @@ def lowered(
             np.flatnonzero(over), np.flatnonzero(~over), live[over]))
         end.x[..., where], end.n[..., where] = x[..., gone], n[..., gone]
         if end.origin is not None:
-            end.origin[..., where] = own["origin"][..., gone]
+            end.origin[..., where] = potential.own["origin"][..., gone]
         if over.all():
             break
         if over.any():

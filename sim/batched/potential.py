@@ -16,10 +16,9 @@ from sim.batched import laws
 from sim.batched.laws import contracted
 from sim.batched.solver import BatchedSolver
 from sim.cloth import STEP_UNIT, Cloth
-from sim.energies.bending_law import Variant
 from sim.energies.bending_variants import HystereticBending
 from sim.energies.external import DEPTH
-from sim.energies.midedge import CLAMP, CONVEX_FLOOR, rows_at_clamp
+from sim.energies.midedge import CLAMP, CONVEX_FLOOR, rows_at_clamp, weight_behind
 from sim.rig import GRAVITY, RIM
 from sim.scene import Scene
 
@@ -50,8 +49,9 @@ class BatchedPotential:
     """The energies of ``cloths`` with the default laws, on meshes of the same faces.
 
     Attributes:
-        own: tensors (..., B) or (..., 1) of the drapes by name. Those of a motion may be added: the
-            aim (3, V, B) and stiffness (V, B) of its inertia, the ring's (V, 1) and height (B,).
+        own: tensors (..., B) or (..., 1) of the drapes by name, constant. :meth:`having` adds those
+            of a motion: the aim (3, V, B) and stiffness (V, B) of its inertia, the ring's (V, 1)
+            and height (B,).
         solver: of the Hessians, shared.
     """
 
@@ -108,8 +108,8 @@ class BatchedPotential:
         rows = [laws.plate_rows(cloth.fabric) | {"membrane": cloth.laws.membrane.matrix}
                 for cloth in cloths]
         if isinstance(bending, HystereticBending):
-            rows = [row | laws.variant_rows(_variant(bending, cloth)) for row, cloth in
-                    zip(rows, cloths, strict=True)]
+            rows = [row | laws.variant_rows(cloth.laws.bending.variant(cloth.fabric))
+                    for row, cloth in zip(rows, cloths, strict=True)]
         self.own = {name: place(np.stack([row[name] for row in rows], -1)) for name in rows[0]}
         scenes = [cloth.scene for cloth in cloths]
         shared = all(scene.mesh is mesh for scene in scenes)
@@ -149,10 +149,9 @@ class BatchedPotential:
         areas, square, double = areas[active], square[:, active], double[active]
         first, second = (torch.from_numpy(rows).to(device) for rows in rows_at_clamp(
             mesh, scene.active, bending.pole == np.pi))
-        # As sim.energies.midedge.clamp_weights
-        near, behind = areas[first].sum(0), areas[second].sum(0)
+        # As sim.energies.midedge.clamp_weights; there are triangles of both kinds around a plate.
         bent = torch.where(first[:, None], CLAMP, torch.ones_like(areas))
-        bent[second] = 1 / (1 + (1 - 1 / CLAMP) * near / behind)
+        bent[second] = weight_behind(areas[first].sum(0), areas[second].sum(0))
         maps = torch.stack([nx * nx, ny * ny, nx * ny])[:, :, active] * square.sqrt() * bent
         bent = areas / bent
         jumps = bent[self._pairs].sum(0) / 12
@@ -176,6 +175,12 @@ class BatchedPotential:
                     for name, value in self.own.items()}
         return part
 
+    def having(self, **own: Tensor) -> "BatchedPotential":
+        """The potential with other, or further, tensors of :attr:`own`."""
+        other = copy.copy(self)
+        other.own = self.own | own
+        return other
+
     def normals(self, x: Tensor) -> Tensor:
         """Normals (3, E, B) that bisect the angles, as :meth:`sim.solver.state.State.at`."""
         faces, beside, counts = self._around
@@ -194,10 +199,12 @@ class BatchedPotential:
         n = turn.cos() * n + turn.sin() * torch.linalg.cross(after, n, dim=0)
         return ahead, _unit(n - (n * after).sum(0) * after)
 
-    def slide(self, x: Tensor, n: Tensor) -> None:
-        """Let the origins of the hysteresis, if there is any, follow the cloth to a state."""
-        if "origin" in self.own:
-            self.own["origin"] = laws.slid_origin(_Shape(self, x, n).curvatures, self.own)
+    def slid(self, x: Tensor, n: Tensor) -> "BatchedPotential":
+        """The potential whose origins of hysteresis, if there is any, have followed the cloth to a
+        state."""
+        if "origin" not in self.own:
+            return self
+        return self.having(origin=laws.slid_origin(_Shape(self, x, n).curvatures, self.own))
 
     def _jumps(self, curvatures: Tensor) -> Tensor:
         """Derivatives (3, T, B), N·m², of the energy of jumps by the curvatures."""
@@ -398,10 +405,3 @@ def _place(row: np.ndarray, column: np.ndarray) -> np.ndarray:
 
 def _unit(vectors: Tensor) -> Tensor:
     return vectors / vectors.square().sum(0).sqrt()
-
-
-def _variant(bending: HystereticBending, cloth: Cloth) -> Variant:
-    """That of another cloth on the mesh of ``bending``."""
-    other = copy.copy(bending)
-    other._hysteresis = cloth.laws.bending
-    return other.with_fabric(cloth.fabric).variant

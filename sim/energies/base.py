@@ -26,6 +26,10 @@ class Energy(Protocol):
     ones are free. User-defined energies enter a drape by :attr:`sim.cloth.Laws.others`
     (docs/extending.md) and derive from this class.
 
+    An energy is constant: what changes between minimisations, such as the origins of hysteresis or
+    the aim of a time step, makes another energy with the same ``dofs``, which takes its place in a
+    potential (:meth:`sim.solver.potential.Potential.exchanged`).
+
     Attributes:
         dofs: (N, K) int64, unknowns of each of the N elements; -1 marks an absent one, whose
             gradient and Hessian entries are ignored.

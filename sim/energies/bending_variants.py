@@ -29,6 +29,7 @@ not (the radial return of plasticity). Beyond the build-up, bending back from an
 which are shares of 0.05 to 0.37 (docs/physics.md).
 """
 
+import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,10 +87,31 @@ class Hysteresis:
         scale = share / (1 - share) if self.added else share
         return scale * torque(self.at, fabric.alpha, fabric.beta)
 
+    def variant(self, fabric: Fabric) -> Variant:
+        """Constants of natural curvature and hysteresis of ``fabric``."""
+        friction = self.friction(fabric)
+        a11, a22, a12, a66 = plate_constants(fabric.alpha)
+        xx, yy, xy = self.curvature
+        moment = a11 * xx + a12 * yy, a12 * xx + a22 * yy, 4 * a66 * xy
+        variant = Variant(*map(float, moment))
+        if not friction.any():
+            return variant
+        # A plate form exists only above this friction along the bias (sim.material.bias_limit).
+        least = 0.51 * abs(friction[WARP] - friction[WEFT])
+        friction[BIAS] = max(friction[BIAS], least)
+        a11, a22, a12, a66 = plate_constants(friction**2)
+        limit = BUILD_UP * self.at * float(friction.mean())
+        if not self.added:
+            # The elastic part of flat cloth keeps a positive stiffness.
+            stiffness = float((friction**2 / fabric.alpha).max())
+            limit = max(limit, 1.25 * stiffness / _MAX_SHARE_OF_STIFFNESS)
+        return variant._replace(
+            p_xx=a11, p_yy=a22, p_mixed=a12, p_xy=4 * a66, limit=limit, slid=1.0,
+            returned=0.0 if self.added else 1.0)
+
 
 class HystereticBending(MidEdgeBending):
-    """Plate energy of the free triangles with the ``law`` :class:`Hysteresis`. Its ``origin``
-    (N, 3), S1, 1/m, may be changed between minimisations, not during them."""
+    """Plate energy of the free triangles with the ``law`` :class:`Hysteresis`."""
 
     def __init__(self, mesh: Mesh, active: FaceMask, *, fabric: Fabric, law: Hysteresis) -> None:
         self._hysteresis = law
@@ -102,25 +124,13 @@ class HystereticBending(MidEdgeBending):
 
     def _set_fabric(self, fabric: Fabric) -> None:
         super()._set_fabric(fabric)
-        law, friction = self._hysteresis, self._hysteresis.friction(fabric)
-        a11, a22, a12, a66 = plate_constants(fabric.alpha)
-        xx, yy, xy = law.curvature
-        moment = a11 * xx + a12 * yy, a12 * xx + a22 * yy, 4 * a66 * xy
-        self.variant = Variant(*map(float, moment))
-        if not friction.any():
-            return
-        # A plate form exists only above this friction along the bias (sim.material.bias_limit).
-        least = 0.51 * abs(friction[WARP] - friction[WEFT])
-        friction[BIAS] = max(friction[BIAS], least)
-        a11, a22, a12, a66 = plate_constants(friction**2)
-        limit = BUILD_UP * law.at * float(friction.mean())
-        if not law.added:
-            # The elastic part of flat cloth keeps a positive stiffness.
-            stiffness = float((friction**2 / fabric.alpha).max())
-            limit = max(limit, 1.25 * stiffness / _MAX_SHARE_OF_STIFFNESS)
-        self.variant = self.variant._replace(
-            p_xx=a11, p_yy=a22, p_mixed=a12, p_xy=4 * a66, limit=limit, slid=1.0,
-            returned=0.0 if law.added else 1.0)
+        self.variant = self._hysteresis.variant(fabric)
+
+    def with_origin(self, origin: Curvatures) -> "HystereticBending":
+        """The energy with another ``origin`` S1 (N, 3), 1/m, which shares all else."""
+        other = copy.copy(self)
+        other.origin = origin
+        return other
 
     def origin_at(self, q: StateVector) -> Curvatures:
         """S1 after the cloth has reached the state ``q``."""

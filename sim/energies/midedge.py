@@ -27,6 +27,7 @@ rest length over the triangle's rest height; its pole is pi/2, at a clamp pi.
 """
 
 import copy
+from typing import Any
 
 import numba
 import numpy as np
@@ -164,10 +165,16 @@ def clamp_weights(mesh: Mesh, active: FaceMask, clamped: np.ndarray) -> np.ndarr
     weights, areas = np.ones(active.sum()), mesh.areas[active]
     first, second = rows_at_clamp(mesh, active, clamped)
     if first.any() and second.any():
-        shifted = (1 - 1 / CLAMP) * areas[first].sum() / areas[second].sum()
         weights[first] = CLAMP
-        weights[second] = 1 / (1 + shifted)
+        weights[second] = weight_behind(areas[first].sum(), areas[second].sum())
     return weights
+
+
+def weight_behind(first: Any, second: Any) -> Any:
+    """Weight of the triangles that touch the clamp with a corner, where those on its edges have
+    :data:`CLAMP`; their total areas ``second`` and ``first``, m², are numbers, arrays or tensors
+    (:mod:`sim.batched`) of one shape."""
+    return 1 / (1 + (1 - 1 / CLAMP) * first / second)
 
 
 def rows_at_clamp(

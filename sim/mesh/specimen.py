@@ -31,7 +31,7 @@ edge of the rim as diameter contains no point: the edge is part of the Delaunay 
 
 
 @dataclass(frozen=True)
-class Outline:
+class Domain:
     """Domain and edge lengths of a graded mesh; without a plate the mesh is uniform."""
 
     rig: Rig  # cut along the yarns
@@ -48,22 +48,22 @@ class Outline:
         return np.where(outside < 0, self.edge - _GROWTH_HELD * outside, grown)
 
 
-def graded_mesh(outline: Outline, rng: np.random.Generator) -> tuple[Mesh, np.ndarray]:
-    """The mesh of ``outline`` and the number of vertices on the plate: they are the first of the
+def graded_mesh(domain: Domain, rng: np.random.Generator) -> tuple[Mesh, np.ndarray]:
+    """The mesh of ``domain`` and the number of vertices on the plate: they are the first of the
     vertices (V, 2), those of the rim before the others."""
-    radius, corners = outline.rig.plate_radius, 0
-    if outline.rig.has_plate:
+    radius, corners = domain.rig.plate_radius, 0
+    if domain.rig.has_plate:
         # A polygon of the plate's area: an inscribed one would hold too little cloth.
-        corners = max(8, round(2 * np.pi * radius / outline.edge))
+        corners = max(8, round(2 * np.pi * radius / domain.edge))
         turn = 2 * np.pi / corners
         radius *= np.sqrt(turn / np.sin(turn))
-    parts = [_circle(radius, corners, rng), _rings(outline, rng, radius, -1),
-             _rings(outline, rng, radius, 1), _border(outline, rng)]
+    parts = [_circle(radius, corners, rng), _rings(domain, rng, radius, -1),
+             _rings(domain, rng, radius, 1), _border(domain, rng)]
     rim, held, free, _ = np.cumsum([len(part) for part in parts])
     points = np.concatenate(parts)
     for _ in range(_RELAXATIONS):
-        relaxed = _relaxed(points, _delaunay(points), outline)[rim:free]
-        points[rim:free] = _cleared(relaxed, outline, radius, held - rim)
+        relaxed = _relaxed(points, _delaunay(points), domain)[rim:free]
+        points[rim:free] = _cleared(relaxed, domain, radius, held - rim)
     # Rounded: the triangulation must not depend on a processor's rounding of the sine.
     points[rim:] = points[rim:].round(9)
     return Mesh(rest=points, faces=_delaunay(points)), int(held)
@@ -75,12 +75,12 @@ def _circle(radius: float, count: int, rng: np.random.Generator) -> np.ndarray:
     return radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
-def _rings(outline: Outline, rng: np.random.Generator, radius: float, sign: int) -> np.ndarray:
+def _rings(domain: Domain, rng: np.random.Generator, radius: float, sign: int) -> np.ndarray:
     """Points (N, 2) on circles beyond ``radius``, outwards (``sign`` 1) or inwards (-1)."""
-    reach = np.hypot(*outline.rig.sides) / 2 + np.hypot(*outline.centre)
+    reach = np.hypot(*domain.rig.sides) / 2 + np.hypot(*domain.centre)
 
     def length(radius: float) -> float:
-        return outline.edge_at(np.array([[max(radius, 0.0), 0.0]]))[0]
+        return domain.edge_at(np.array([[max(radius, 0.0), 0.0]]))[0]
 
     rings = [np.empty((0, 2))]
     while True:
@@ -92,27 +92,27 @@ def _rings(outline: Outline, rng: np.random.Generator, radius: float, sign: int)
         ring = _circle(radius, max(1, round(2 * np.pi * radius / edge)), rng)
         rings.append(ring + rng.uniform(-_JITTER, _JITTER, ring.shape) * edge)
     points = np.concatenate(rings)
-    clearance = _CLEARANCE * outline.edge_at(points)
-    return points[outline.rig.to_border(points, outline.centre) > clearance]
+    clearance = _CLEARANCE * domain.edge_at(points)
+    return points[domain.rig.to_border(points, domain.centre) > clearance]
 
 
-def _border(outline: Outline, rng: np.random.Generator) -> np.ndarray:
+def _border(domain: Domain, rng: np.random.Generator) -> np.ndarray:
     """Points (N, 2) on the border, spaced by the target edge length."""
-    half, centre = np.array(outline.rig.sides) / 2, np.asarray(outline.centre)
-    if outline.rig.specimen == "disc":
+    half, centre = np.array(domain.rig.sides) / 2, np.asarray(domain.centre)
+    if domain.rig.specimen == "disc":
         fine = centre + _circle(half[0], 4000, rng)
-        place = _spread(np.concatenate([fine, fine[:1]]), outline, rng)
+        place = _spread(np.concatenate([fine, fine[:1]]), domain, rng)
         out = place - centre
         return centre + half * out / np.linalg.norm(out, axis=1, keepdims=True)
     corners = centre + half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]])
     sides = (a + np.linspace(0, 1, 1000)[:, None] * (b - a) for a, b in pairwise(corners))
-    return np.concatenate([_spread(side, outline, rng) for side in sides])
+    return np.concatenate([_spread(side, domain, rng) for side in sides])
 
 
-def _spread(curve: np.ndarray, outline: Outline, rng: np.random.Generator) -> np.ndarray:
+def _spread(curve: np.ndarray, domain: Domain, rng: np.random.Generator) -> np.ndarray:
     """Points (N, 2) along a finely sampled curve (K, 2), its start included, its end excluded."""
     length = np.linalg.norm(np.diff(curve, axis=0), axis=1)
-    edges = np.append(0, np.cumsum(length / outline.edge_at(0.5 * (curve[1:] + curve[:-1]))))
+    edges = np.append(0, np.cumsum(length / domain.edge_at(0.5 * (curve[1:] + curve[:-1]))))
     count = max(1, round(edges[-1]))
     place = np.arange(count) + np.append(0, rng.uniform(-_JITTER, _JITTER, count - 1) / 2)
     return np.stack([np.interp(place * edges[-1] / count, edges, curve[:, k]) for k in range(2)], 1)
@@ -126,7 +126,7 @@ def _delaunay(points: RestPoints) -> Faces:
     return faces[np.abs(twice) > 1e-6 * np.median(np.abs(twice))]
 
 
-def _relaxed(points: np.ndarray, faces: np.ndarray, outline: Outline) -> np.ndarray:
+def _relaxed(points: np.ndarray, faces: np.ndarray, domain: Domain) -> np.ndarray:
     """Means (V, 2) of the circumcentres around each point, weighted by the triangles' areas over
     the squared target edge length."""
     a, b, c = (points[faces[:, k]] for k in range(3))
@@ -139,16 +139,16 @@ def _relaxed(points: np.ndarray, faces: np.ndarray, outline: Outline) -> np.ndar
     away = a + perpendicular / (2 * twice[:, None]) - centroid
     limit = np.sqrt(twice / 2) / np.linalg.norm(away, axis=1).clip(1e-300)
     centres = centroid + away * np.minimum(1.0, limit)[:, None]
-    weight, count = np.repeat(twice / outline.edge_at(centroid) ** 2, 3), len(points)
+    weight, count = np.repeat(twice / domain.edge_at(centroid) ** 2, 3), len(points)
     total = np.bincount(faces.ravel(), weight, count)
     return np.stack([np.bincount(faces.ravel(), weight * np.repeat(centre, 3), count)
                      for centre in centres.T], axis=1) / total[:, None]
 
 
-def _cleared(points: np.ndarray, outline: Outline, radius: float, inside: int) -> np.ndarray:
+def _cleared(points: np.ndarray, domain: Domain, radius: float, inside: int) -> np.ndarray:
     """Points (N, 2), the first ``inside`` of them on the plate, moved away from the rim."""
     distance = np.linalg.norm(points, axis=1)
-    clearance = _CLEARANCE * outline.edge
+    clearance = _CLEARANCE * domain.edge
     target = np.append(np.minimum(distance[:inside], radius - clearance),
                        np.maximum(distance[inside:], radius + clearance))
     return points * (target / distance.clip(1e-300))[:, None]
@@ -269,7 +269,7 @@ def _base_mesh(
 ) -> tuple[Mesh, VertexMask]:
     """The mesh of a specimen around ``centre``, triangulated for that offset."""
     largest = max(edge, min(grading * edge, MAX_EDGE))
-    mesh, count = graded_mesh(Outline(rig, centre, edge, largest), np.random.default_rng(topology))
+    mesh, count = graded_mesh(Domain(rig, centre, edge, largest), np.random.default_rng(topology))
     if rig.has_plate:
         return mesh, np.arange(len(mesh.rest)) < count
     corners = np.array([[-0.5, 0.5], [0.5, 0.5]]) * rig.sides

@@ -13,6 +13,7 @@ a line search, is taken towards them (Baraff and Witkin 1998, Large steps in clo
 Hessian is the exact one, or the convex one, as a viscosity must not feed an instability.
 """
 
+import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,16 +30,20 @@ STEP_OPTIONS = NewtonOptions(residual=0.0, max_iterations=1, convexities=(0.0, 1
 
 
 class Inertia(Energy):
-    """|u - y|²_M / (2 tau h) of a time step; an element is a coordinate, ``masses`` (V,) in kg."""
+    """|u - y|²_M / (2 tau h) of a time step; an element is a coordinate, ``masses`` (V,) in kg. At
+    first y is zero and tau h is 1 s²; each step has its own (:meth:`aimed`)."""
 
     def __init__(self, mesh: Mesh, *, density: Density) -> None:
         self.masses = density * mesh.vertex_areas
         self.dofs = np.arange(3 * len(self.masses))[:, None]
-        self.aim(np.zeros((len(self.masses), 3)), 1.0)
+        self._aim, self._scale = np.zeros(len(self.dofs)), np.repeat(self.masses, 3)
 
-    def aim(self, positions: Points, square: float) -> None:
-        """Set the positions y that the cloth would reach without forces, and tau h, s²."""
-        self._aim, self._scale = positions.ravel(), np.repeat(self.masses, 3) / square
+    def aimed(self, positions: Points, square: float) -> "Inertia":
+        """That of a step with the positions y (V, 3), m, which the cloth would reach without
+        forces, and tau h = ``square``, s²."""
+        other = copy.copy(self)
+        other._aim, other._scale = positions.ravel(), np.repeat(self.masses, 3) / square
+        return other
 
     def value(self, q: StateVector) -> float:
         return 0.5 * float(self._scale @ (q[: len(self._aim)] - self._aim) ** 2)
@@ -69,10 +74,11 @@ class Motion:
     ) -> tuple["Motion", NewtonResult]:
         """The motion after a ``step`` h, s, at most the ``relaxation`` time tau, s, and the outcome
         of its minimisation, whose state is the cloth's after tau; ``inertia`` is among the energies
-        of ``potential``. A ``solver`` for its pattern can be used again."""
+        of ``potential``, and is aimed here. A ``solver`` for its pattern can be used again."""
         before = self.state.positions
-        inertia.aim(before + relaxation * self.velocities, step * relaxation)
-        result = minimise(potential, self.state.q, STEP_OPTIONS, solver=solver)
+        aimed = inertia.aimed(before + relaxation * self.velocities, step * relaxation)
+        result = minimise(potential.exchanged({inertia: aimed}), self.state.q, STEP_OPTIONS,
+                          solver=solver)
         after = State.of(result.q, len(before)).positions
         velocities = (after - before) / relaxation
         back = np.zeros(potential.unknowns)

@@ -1,6 +1,7 @@
 """The total energy of a cloth as a function of its free unknowns, for the minimisation."""
 
-from collections.abc import Sequence
+import copy
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -76,6 +77,14 @@ class Potential:
         row = np.full(self.unknowns + 1, -1)  # last entry: dofs of -1
         row[self._free] = np.arange(self.size)
         return SparsePattern([row[energy.dofs] for energy in self.energies], self.size)
+
+    def exchanged(self, changes: Mapping[Energy, Energy]) -> "Potential":
+        """A copy with other energies, which have the same ``dofs``, in the places of the keys of
+        ``changes``; it shares all else, the pattern included."""
+        _ = self.pattern  # computed once, not for each copy
+        other = copy.copy(self)
+        other.energies = [changes.get(energy, energy) for energy in self.energies]
+        return other
 
     def model(self, q: np.ndarray) -> "QuadraticModel":
         """The Hessian at the state ``q`` and its convex approximations."""

@@ -37,7 +37,7 @@ def test_writes_mesh_picture_and_figures(tmp_path):
 
 @pytest.mark.parametrize("word", [
     "alpha=20,20", "alpha=20,x,20", "alpha=-1,20,20", "density=0", "density=0.21", "colour=red",
-    "edge_mm=0.2", "rig=table", "alpha", "start=wild", "offset=1"])
+    "edge_mm=0.2", "edge_mm=0", "rig=table", "alpha", "start=wild", "offset=1"])
 def test_mistakes_end_with_one_line_and_code_2(tmp_path, monkeypatch, capsys, word):
     monkeypatch.setattr(sys, "argv", ["drape", word, f"out={tmp_path / 'out'}"])
     with pytest.raises(SystemExit) as ending:

@@ -34,9 +34,9 @@ TRAINING = ["model.width=4", "optim.batch_size=16", "threads=1", "workers=1", "d
             "seed=3", "captures=2", "neighbours=false", "validation_fraction=0.2", "epochs=4"]
 
 
-def make_dataset(out: Path, *, part: int = 0, parts: int = 1, workers: int = 0) -> dict:
-    """A small dataset of drapes that cost little; ``workers`` 0 for none but this process."""
-    if not workers:
+def make_dataset(out: Path, *, part: int = 0, parts: int = 1, workers: int | None = None) -> dict:
+    """A small dataset of drapes that cost little; ``workers`` None for none but this process."""
+    if workers is None:
         data.dataset.generate.worker_pool = here
     return generate_dataset(small_config(DRAPES, PER_SHARD), out, part=part, parts=parts,
                             workers=workers or 1, solver=fake_drapes.cone)
@@ -90,7 +90,7 @@ def killed(works: list[Callable[[], object]], seconds: float) -> tuple[int, list
     return codes.count(-signal.SIGKILL), [code for code in codes if code != -signal.SIGKILL]
 
 
-def kill_dataset(work: Path, rng: random.Random, *, workers: int = 0) -> dict:
+def kill_dataset(work: Path, rng: random.Random, *, workers: int | None = None) -> dict:
     """One dataset by one to four processes, killed again and again until it is finished."""
     out, peaceful = work / "set", work / "peaceful"
     shutil.rmtree(out, ignore_errors=True)
@@ -105,7 +105,7 @@ def kill_dataset(work: Path, rng: random.Random, *, workers: int = 0) -> dict:
         parts = rng.randint(1, 4)
         count, codes = killed(
             [lambda k=k, n=parts: make_dataset(out, part=k, parts=n, workers=workers)
-             for k in range(parts)], rng.uniform(0, 0.6 * whole + 2.0 * workers))
+             for k in range(parts)], rng.uniform(0, 0.6 * whole + 2.0 * (workers or 0)))
         kills += count
         wrong += [code for code in codes if code]
         if codes and (out / "dataset.json").exists() and ended(

@@ -7,9 +7,10 @@ import fake_drapes
 import numpy as np
 import pytest
 
+from common.command import compose_config
 from common.errors import InputError
 from data.dataset import batches
-from data.dataset.config import DatasetConfig, SamplingConfig
+from data.dataset.config import DatasetConfig, Options, SamplingConfig, config_from_options
 from data.dataset.folder import DatasetFolder
 from data.dataset.generate import generate_dataset, main
 from data.dataset.plan import plan_drape
@@ -53,6 +54,13 @@ def finished(tmp_path_factory):
     """A folder with a finished dataset, and its manifest."""
     folder = tmp_path_factory.mktemp("generated") / "set"
     return folder, generate(folder)
+
+
+@pytest.mark.parametrize(("word", "stored"), [("5", 5.0), ("null", None)])
+def test_the_identity_of_a_dataset_states_the_edges_of_its_meshes(word, stored):
+    """5.0 is that of datasets made before null stood for the simulator's own meshes."""
+    options = compose_config("generate", [f"edge_mm={word}"], schema=Options)
+    assert config_from_options(options).as_dict()["solver"] == {"edge_mm": stored}
 
 
 def test_records_hold_the_plan_and_the_drape(finished):
@@ -298,6 +306,7 @@ def test_a_killed_worker_is_reported_in_one_line(tmp_path):
     (["drapes=many"], "many"),
     (["drapes"], "drapes"),
     (["edge_mm=0.4"], "edge_mm=0.4: .* 0.5 to 50 mm"),
+    (["edge_mm=0"], "edge_mm=0: give null"),
     (["workers=0"], "workers=0"),
     (["part=2", "parts=2"], "part=2 of parts=2"),
     (["parts=0"], "parts=0"),

@@ -9,7 +9,7 @@ from importlib import import_module
 import numpy as np
 import pytest
 
-from common.command import schema_of
+from common.command import compose_config, schema_of
 from common.configs import group_options
 from common.errors import InputError
 from experiments.__main__ import FILES, FOLDERS, main, module_of, usage
@@ -88,6 +88,16 @@ def test_invalid_words_are_reported_in_one_line(words, complaint):
     with pytest.raises(InputError, match=complaint) as refusal:
         main(words)
     assert "\n" not in str(refusal.value)
+
+
+def test_keys_that_are_null_may_be_numbers():
+    name = "experiment/speed"
+    words = ["edges_mm=[3,null]", "drapes=2"]
+    assert compose_config(name, words, schema=schema_of(name)).edges_mm == [3.0, None]
+    name = "experiment/convergence"
+    given, default = (compose_config(name, words, schema=schema_of(name)).edge_mm
+                      for words in (["edge_mm=3"], []))
+    assert (given, default) == (3.0, None)
 
 
 def test_the_command_lists_the_experiments_and_shows_keys():

@@ -59,7 +59,7 @@ def crumpled(request):
     x = columns([start.positions for start, _, _ in states])
     batch = BatchedPotential(cloths)
     if request.param == "real":
-        batch.own["origin"] = columns([cloth.bending.origin for cloth in cloths])
+        batch = batch.having(origin=columns([cloth.bending.origin for cloth in cloths]))
     n = batch.normals(x)
     assert torch.allclose(n, columns([start.normals for start, _, _ in states]), atol=1e-12)
     moved = batch.moved(x, n, torch.from_numpy(np.stack([turns for _, turns, _ in states], 1)))
@@ -147,8 +147,7 @@ def drape_near(one):
 @pytest.mark.parametrize("crumpled", ["real"], indirect=True)
 def test_origins_slide_as_those_of_one_cloth(crumpled):
     cloths, states, batch, now = crumpled
-    part = batch.take(torch.arange(3))
-    part.slide(*now)
+    part = batch.take(torch.arange(3)).slid(*now)
     for k, (cloth, q) in enumerate(zip(cloths, states, strict=True)):
         origin = cloth.bending.origin_at(q)
         assert np.abs(part.own["origin"][..., k].numpy().T - origin).max() < 1e-9 * np.abs(

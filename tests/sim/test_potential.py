@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 
 from sim.cloth import Cloth, Laws
+from sim.energies.bending_variants import Hysteresis
 from sim.energies.fold_barrier import LIMIT_START, is_bent, keeps_distance
 from sim.energies.midedge import MidEdgeBending
 from sim.material import Fabric
 from sim.rig import Rig
 from sim.scene import Scene, make_specimen
+from sim.solver.potential import forces
 from sim.solver.state import State, moved
 
 RIG = Rig()
@@ -37,6 +39,22 @@ def crumpled():
 
 def random_step(potential, rng):
     return rng.standard_normal(potential.size) / np.sqrt(potential.regularisation)
+
+
+def test_an_exchanged_energy_takes_its_place_in_a_copy_alone():
+    cloth, q, rng = crumpled_cloth(bending=Hysteresis(0.3))
+    before, bent = cloth.potential.evaluate(q), cloth.bending
+    slid = bent.with_origin(bent.origin_at(q))
+    other = cloth.potential.exchanged({bent: slid})
+    assert other.pattern is cloth.potential.pattern
+    assert other.value(q) - before[0] == pytest.approx(slid.value(q) - bent.value(q), rel=1e-9)
+    step = random_step(other, rng)
+    full = other.all_unknowns(step)
+    change = full @ (forces([slid], q, len(full)) - forces([bent], q, len(full)))
+    assert (other.gradient(q) - before[1]) @ step == pytest.approx(change, rel=1e-9)
+    assert change != 0.0 and not bent.origin.any()
+    again = cloth.potential.evaluate(q)
+    assert again[0] == before[0] and (again[1] == before[1]).all()
 
 
 @pytest.mark.parametrize("case", ["usual", "folded", "hinges"])

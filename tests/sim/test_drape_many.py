@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from sim.batch import drape_batch
 from sim.cloth import Laws
 from sim.energies.external import Gravity
+from sim.many import drape_many
 from sim.material import Fabric
 from sim.rig import DISC_RIG
 from sim.solver.newton import Status
@@ -31,7 +31,7 @@ def plan(alpha: float, **options: object) -> dict:
 @pytest.fixture(scope="module")
 def two():
     broken = plan(30e-6, laws=Laws(others=(raising,)))
-    return drape_batch([*map(plan, ALPHAS), broken], workers=2)
+    return drape_many([*map(plan, ALPHAS), broken], workers=2)
 
 
 def test_drapes_are_in_order_and_one_that_fails_is_a_status(two):
@@ -42,5 +42,5 @@ def test_drapes_are_in_order_and_one_that_fails_is_a_status(two):
 
 
 def test_one_core_gives_the_same_bytes_as_two(two):
-    for one, other in zip(drape_batch(list(map(plan, ALPHAS))), two, strict=False):
+    for one, other in zip(drape_many(list(map(plan, ALPHAS))), two, strict=False):
         assert one.positions.tobytes() == other.positions.tobytes()

@@ -8,7 +8,7 @@ from common.workers import worker_pool
 from sim.drape import Drape, drape
 
 
-def drape_batch(
+def drape_many(
     plans: Sequence[Mapping[str, Any]], *, workers: int = 1, unit: str = "drape",
 ) -> list[Drape]:
     """The drapes of ``plans``, arguments of :func:`sim.drape.drape` by name, in their order.

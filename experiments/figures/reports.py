@@ -1,0 +1,125 @@
+"""Reports with figures that are computed from them, and numbers as the pages state them."""
+
+from collections.abc import Callable
+from math import sqrt
+
+from drapenet.network.checkpoint import read_header
+from experiments.estimation.refine_views import METHODS
+from experiments.result import Report, read_report
+
+RIGS = {"squares": "square300_cylinder100", "discs": "disc300_support180"}
+FOUR_VIEWS = "depth, 4 views"
+"""The condition of the claims; :data:`drapenet.network.evaluate.CELLS` has all."""
+
+
+class Reports(dict[str, Report]):
+    """Reports by name of the experiment, read when used, with the figures of :data:`DERIVED`."""
+
+    def __missing__(self, name: str) -> Report:
+        return self.add(name, read_report(name))
+
+    def add(self, name: str, report: Report) -> Report:
+        """Use this report in place of a stored one."""
+        derived = DERIVED.get(name)
+        self[name] = report | derived(report) if derived else report
+        return self[name]
+
+    def cell(self, kind: str, name: str = FOUR_VIEWS) -> Report:
+        """Evaluation of the network for ``kind`` of specimens under the condition ``name``."""
+        return self["evaluation"]["cells"][RIGS[kind]][name]
+
+
+def spread() -> float:
+    """Root mean square over directions of the standard deviation of log α over fabrics."""
+    return sqrt(sum(one**2 for one in read_header().spread[:3]) / 3)
+
+
+def percent(value: float, digits: int = 0) -> str:
+    """A share as a percentage with ``digits`` decimals."""
+    return f"{100 * value:.{digits}f} %"
+
+
+def shares_inside(found: dict) -> list[float]:
+    """Percentages of true values inside the 50, 68 and 90 % intervals."""
+    return [100 * (one["mean"] if isinstance(one, dict) else one)
+            for one in found["inside"].values()]
+
+
+def coverage(found: dict) -> str:
+    """Coverage of the 50, 68 and 90 % intervals, for a table."""
+    return "{:.0f}, {:.0f}, {:.0f} %".format(*shares_inside(found))
+
+
+def coverage_error(found: dict) -> float:
+    """How far the coverage of an interval is off, percentage points."""
+    return max(abs(share - float(level.strip("%")))
+               for level, share in zip(found["inside"], shares_inside(found), strict=True))
+
+
+def strip_coverage(report: Report) -> Report:
+    """Largest difference of the coverage of all intervals from their level, points."""
+    return {"off": max(abs(share - float(level.strip("%")))
+                       for modulus in ("alpha", "beta")
+                       for level, share in report["summary"]["all"][modulus]["coverage"].items())}
+
+
+def strips(report: Report) -> Report:
+    """Largest deviations of both kinds of strips, and those of plates by their cells a side."""
+    plates = [pair for pairs in report["plates"].values() for pair in pairs]
+    return {name: max(abs(row["deviation"]) for row in report[kind])
+            for name, kind in (("bent", "nonlinear"), ("cut", "angled"))} | {
+            "plates": {str(cells): max(abs(error) for number, error in plates if number == cells)
+                       for cells, _ in plates}}
+
+
+def lowering_cost(report: Report) -> Report:
+    """CPU-seconds of a lowered drape more than of one from a ring start."""
+    cost = report["cost"]
+    return {"more": cost["lowered"]["seconds"] - cost["ring"]["seconds"]}
+
+
+def outline_folds(report: Report) -> Report:
+    """Difference of the number of folds from that of real outlines."""
+    flat = report["summary"]["parallel"]["flat"]["all"]
+    return {"off": abs(flat["folds"] - flat["folds_real"])}
+
+
+def render_speed(report: Report) -> Report:
+    """Speed of the rasteriser relative to ray casting."""
+    speeds = report["views_per_second"]["240x180"]
+    return {"ratio": speeds["rasteriser"] / speeds["rays"]}
+
+
+def evaluated(report: Report) -> Report:
+    """Results by kind of specimens, with the coverage and its largest error in points."""
+    found = {kind: report["cells"][rig][FOUR_VIEWS] for kind, rig in RIGS.items()}
+    return {kind: cell | {"coverage": coverage(cell), "off": coverage_error(cell)}
+            for kind, cell in found.items()}
+
+
+def tree_tables(report: Report) -> Report:
+    """Whether the tables of both runs are the same."""
+    same = all(report["same_tables"].values())
+    return {"same": same, "tables": "the same" if same else "other"}
+
+
+def detected_faults(report: Report) -> Report:
+    """Kinds of faults, the share that is detected, and the share of warnings without fault."""
+    found = dict(report["found"])
+    sound = found.pop("sound")
+    return {"sound": sound, "kinds": len(found), "share": sum(found.values()) / len(found)}
+
+
+def refined(report: Report) -> Report:
+    """Error of the refinement over the network's, and how far its coverage is off."""
+    network, last = (report["summary"]["all"][who] for who in (METHODS[0], METHODS[-1]))
+    return {"ratio": last["log_alpha"] / network["log_alpha"], "fabrics": last["fabrics"],
+            "coverage": coverage(last), "off": coverage_error(last)}
+
+
+DERIVED: dict[str, Callable[[Report], Report]] = {
+    "strips": strips, "strip_photographs": strip_coverage,
+    "lowering": lowering_cost, "outlines": outline_folds, "render": render_speed,
+    "evaluation": evaluated, "tree": tree_tables, "faults": detected_faults,
+    "refine_views": refined, "refine_views_real": refined}
+"""Figures of claims that are computed from a report."""
