@@ -1,6 +1,6 @@
 """What a laboratory may state of a fabric: a quantity, its error and its value of a given cloth."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,11 +27,12 @@ class Quantity:
 
     Attributes:
         name: key of ``known``, which ends in the unit.
-        directions: 3 if it is stated along warp, bias and weft each, 1 of the whole fabric.
-        error: relative standard deviation, between specimens and operators, of a value without a
-            stated one.
-        predict: gives it of S fabrics, (S, directions), in the unit of the name, at their moduli of
-            300 g/m² and the density of the fabric; NaN of a fabric that cannot have it.
+        directions: 3 if it is stated along warp, bias or weft, also of something that is never
+            measured along all of them; 1 of the whole fabric.
+        error: standard deviation of its logarithm, 0.05 for 5 %, between specimens and operators,
+            of a value without a stated one.
+        predict: gives it of S fabrics of a density, (S, directions), in the unit of the name;
+            :func:`moduli_at` gives their moduli. NaN of a fabric that cannot have it.
         title: its name and unit for people, by default its key.
     """
 
@@ -41,10 +42,32 @@ class Quantity:
     predict: Callable[[ClothProperties, Density], np.ndarray]
     title: str = ""
 
+    def __post_init__(self) -> None:
+        if self.directions not in (1, 3) or not 0 < self.error <= 1:
+            raise ValueError(f"{self.name}: directions={self.directions} must be 1 or 3, and "
+                             f"error={self.error} a share above 0 and up to 1")
+
+    def of(self, cloth: ClothProperties, density: Density) -> np.ndarray:
+        """:attr:`predict`, checked; ValueError if its result has another shape."""
+        values = self.predict(cloth, density)
+        if values.shape != (shape := (len(cloth.theta), self.directions)):
+            raise ValueError(f"{self.name}: predict gives an array {values.shape}, not {shape}")
+        return values
+
     @property
     def in_words(self) -> str:
         """Names it for people."""
         return self.title or self.name
+
+
+def by_name(quantities: Iterable[Quantity]) -> dict[str, Quantity]:
+    """Quantities by their keys; ValueError if two have the same."""
+    found: dict[str, Quantity] = {}
+    for each in quantities:
+        if each.name in found:
+            raise ValueError(f"two quantities have the key {each.name}")
+        found[each.name] = each
+    return found
 
 
 def moduli_at(cloth: ClothProperties, density: Density) -> tuple[np.ndarray, np.ndarray]:

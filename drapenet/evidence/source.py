@@ -71,7 +71,7 @@ def _of_value(name: str, k: int, value: float, error: float, density: Density) -
     quantity = QUANTITIES[name]
 
     def predicted(states: np.ndarray) -> np.ndarray:
-        return quantity.predict(cloth_of_state(states), density)[:, k]
+        return quantity.of(cloth_of_state(states), density)[:, k]
 
     def residuals(states: np.ndarray) -> np.ndarray:
         with np.errstate(invalid="ignore", divide="ignore"):

@@ -121,7 +121,7 @@ def _sheet(truth: ClothProperties, rng: np.random.Generator) -> Known:
     """KES B as measured, with the error that is assumed of it."""
     exact = ClothProperties(*(np.asarray(part)[None] for part in vars(truth).values()))
     quantity = QUANTITIES["kes_b_gf_cm2_per_cm"]
-    values = (quantity.predict(exact, REFERENCE_DENSITY)[0]
+    values = (quantity.of(exact, REFERENCE_DENSITY)[0]
               * np.exp(quantity.error * rng.standard_normal(3)))
     return Known(**{quantity.name: ByDirection(**{
         DIRECTIONS[k]: float(values[k]) for k in YARNS if np.isfinite(values[k])})})

@@ -36,7 +36,7 @@ def run(config: Config) -> Result:
     found = []
     for row, draws in zip(rows, predict(network_of(header), header, sets), strict=True):
         estimate = make_estimate(draws, density=1e-3 * float(row["weight_g_m2"]), header=header)
-        samples = GF_CM * QUANTITIES["kes_b_gf_cm2_per_cm"].predict(estimate.cloth,
+        samples = GF_CM * QUANTITIES["kes_b_gf_cm2_per_cm"].of(estimate.cloth,
                                                                    estimate.density)
         found.append(_compared(row, samples[:, [FIRST, SECOND]].mean(axis=1)))
     widths = [one["high"] / one["low"] for one in found]

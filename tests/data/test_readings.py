@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from data.fabrics.properties import ClothProperties
 from data.readings.cantilever import (
     MG_CM,
     SOFTENING,
@@ -12,6 +13,7 @@ from data.readings.cantilever import (
     strip_lengths,
 )
 from data.readings.kes import GF_CM, KES_CURVATURES, kes
+from data.readings.quantity import Quantity, by_name, moduli_at
 from data.strips.posterior import INCLINE
 from sim.cantilever import hang
 from sim.cantilever.elastica import MAX_GAMMA, aspect_ratio, elastica, heavy_elastica
@@ -89,3 +91,21 @@ def test_kes_is_the_secant_and_knows_where_the_law_ends():
     assert outside.tolist() == [False, False, True]
     # Secants of the parabola alpha kappa + beta kappa² through 50 and 150 1/m: -beta 50 150 at 0
     assert hysteresis[:2] == pytest.approx([0.0, 2 * 100e-9 * 7500], abs=1e-12)
+
+
+def loop(cloth: ClothProperties, density: float) -> np.ndarray:
+    """A laboratory's own reading."""
+    return moduli_at(cloth, density)[0] / MICRO
+
+
+def test_a_quantity_of_a_laboratory_is_checked():
+    cloth = ClothProperties(np.zeros((5, 6)), np.zeros((5, 2)), np.ones(5), np.zeros(5))
+    mine = Quantity("loop_uN_m", 3, 0.05, loop)
+    assert mine.of(cloth, 0.2).shape == (5, 3) and by_name([mine]) == {"loop_uN_m": mine}
+    with pytest.raises(ValueError, match="two quantities have the key loop_uN_m"):
+        by_name([mine, mine])
+    for directions, error in ((2, 0.05), (3, 5.0), (3, 0.0)):
+        with pytest.raises(ValueError, match="must be 1 or 3, and error"):
+            Quantity("loop_uN_m", directions, error, loop)
+    with pytest.raises(ValueError, match=r"predict gives an array \(5, 3\), not \(5, 1\)"):
+        Quantity("loop_uN_m", 1, 0.05, loop).of(cloth, 0.2)

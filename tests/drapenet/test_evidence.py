@@ -70,7 +70,7 @@ def test_values_equal_importance_weights(name, error):
     before, true = states(), np.log(70 * MICRO)
     exact = before[:1].copy()
     exact[0, :6] = [true] * 3 + [0.0] * 3
-    value = float(QUANTITIES[name].predict(cloth_of_state(exact), DENSITY)[0, 2])
+    value = float(QUANTITIES[name].of(cloth_of_state(exact), DENSITY)[0, 2])
     known = Known(**{name: ByDirection(weft=value)})
     after = updated(before, of_values(known, DENSITY))
     gap = of_values(known, DENSITY)[0].residuals(before)[:, 0]
@@ -141,7 +141,7 @@ def test_right_values_are_used_and_repeats_rarely_contradict():
                                 if len(values) > 1 else float(values[0]))
                          for name, quantity in QUANTITIES.items()
                          if name in ("bending_length_mm", "membrane_n_per_m", "hysteresis_share")
-                         for values in [quantity.predict(exact, DENSITY)[0] * np.exp(
+                         for values in [quantity.of(exact, DENSITY)[0] * np.exp(
                              quantity.error * rng.standard_normal(quantity.directions))]})
         alarms += bool(combine(before, of_values(known, DENSITY), NAME).contradictions)
     assert alarms <= 6  # 1 to 2 expected of 100
