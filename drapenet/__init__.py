@@ -12,11 +12,13 @@ The simulator is :mod:`sim`, captures are read by :mod:`data.captures`.
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from common.errors import InputError
+
 if TYPE_CHECKING:
     from data.captures.capture import Capture
     from drapenet.result.estimate import Estimate
 
-__all__ = ["estimate", "load"]
+__all__ = ["InputError", "estimate", "load"]
 
 
 def load(path: str | Path) -> "Estimate":
@@ -43,7 +45,6 @@ def estimate(
         refine: whether captures are refined by simulation, half a minute each.
     """
     from common.configs import read_option
-    from common.errors import InputError
     from data.captures.capture import Capture, captures_in, checked_capture, read_capture
     from data.strips.folder import read_strips
     from drapenet.config import EstimateOptions

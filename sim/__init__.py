@@ -1,23 +1,45 @@
 """Quasi-static cloth simulation of the drape test: physics only, no images, no networks.
 
-    from sim.drape import drape
-    from sim.material import MICRO, Fabric
-    from sim.measures import drape_coefficient
+    from sim import MICRO, Fabric, drape, drape_coefficient
     cloth = drape(Fabric(alpha=[48 * MICRO, 30 * MICRO, 22 * MICRO]), edge=4e-3)
-    print(cloth.converged, drape_coefficient(cloth.positions, cloth.faces, cloth.rig))
+    print(cloth, drape_coefficient(cloth.positions, cloth.faces, cloth.rig))
 
-A fabric is a :class:`sim.material.Fabric`, a tester a :class:`sim.rig.Rig`, the laws of bending and
-stretch a :class:`sim.cloth.Laws`; ``sim.drape_many`` makes many drapes on all cores
-(:mod:`sim.many`), :mod:`sim.sensitivity` differentiates an equilibrium and
-:mod:`sim.cantilever` hangs strips.
+A :class:`Fabric` is draped on a tester, a :class:`Rig`, with the :class:`Laws` of its bending and
+stretch; :func:`drape_many` makes many drapes on all cores. :mod:`sim.energies` has what a new law
+needs, :mod:`sim.sensitivity` differentiates an equilibrium, :mod:`sim.cantilever` hangs strips.
+
+``sim.drape`` is the function; ``from sim.drape import ...`` reads the module that it comes from.
 """
 
-__all__ = ["cantilever", "cloth", "drape", "many", "material", "measures", "rig", "sensitivity"]
+from common.errors import InputError
+from sim.cloth import BENDING, Laws
+from sim.drape import Drape, drape, follow
+from sim.many import drape_many
+from sim.material import DIRECTIONS, MICRO, NANO, Fabric, bending_length, torque
+from sim.measures import drape_coefficient, fold_count, fold_outline
+from sim.rig import DISC_RIG, SQUARE_RIG, Rig
+from sim.solver import NewtonOptions, Status
 
-
-def __getattr__(name: str) -> object:
-    if name != "drape_many":
-        raise AttributeError(f"module 'sim' has no attribute '{name}'")
-    from sim.many import drape_many  # on use: it loads the simulator
-
-    return drape_many
+__all__ = [
+    "BENDING",
+    "DIRECTIONS",
+    "DISC_RIG",
+    "MICRO",
+    "NANO",
+    "SQUARE_RIG",
+    "Drape",
+    "Fabric",
+    "InputError",
+    "Laws",
+    "NewtonOptions",
+    "Rig",
+    "Status",
+    "bending_length",
+    "drape",
+    "drape_coefficient",
+    "drape_many",
+    "fold_count",
+    "fold_outline",
+    "follow",
+    "torque",
+]

@@ -32,6 +32,7 @@ from sim.solver.newton import NewtonOptions, NewtonResult, Status
 from sim.solver.state import State
 from sim.start import (
     LOWERED,
+    Borrowed,
     borrowed_positions,
     check_start,
     initial_positions,
@@ -52,7 +53,7 @@ COARSE_OPTIONS = NewtonOptions(residual=0.1, step=1.0, max_iterations=200)
 FINE_OPTIONS = NewtonOptions(residual=1e-4, step=1e-4, max_iterations=400)
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Drape(Equilibrium):
     """A drape with its inputs, the last state of a failed simulation, or another shape of cloth.
 
@@ -116,6 +117,10 @@ class Drape(Equilibrium):
         scene = Scene.on(self.rig, mesh, self.held)
         return replace(self, cloth=replace(self.cloth, scene=scene), outcome=None)
 
+    def __repr__(self) -> str:
+        ended = self.status.value if self.status else self.message
+        return f"Drape({ended}, {self.rig.name}, {len(self.positions)} vertices, {self.fabric})"
+
     def __getstate__(self) -> dict:
         return light(self).__dict__
 
@@ -129,7 +134,7 @@ def light(drape: Drape) -> Drape:
 
 def drape(
     fabric: Fabric, *, rig: Rig | None = None, edge: Metres | None = None, start: str | None = None,
-    borrowed: tuple[RestPoints, Points] | None = None, seed: int = 0,
+    borrowed: Borrowed | None = None, seed: int = 0,
     offset: tuple[float, float] = (0.0, 0.0), laws: Laws | None = None,
     options: NewtonOptions | None = None, keep: bool = False
 ) -> Drape:
@@ -247,7 +252,7 @@ class _Run:
 
 def start_positions(
     scene: Scene, rig: Rig, *, coarse: Equilibrium | None = None, smooth: bool = True,
-    borrowed: tuple[RestPoints, Points] | None = None, start: str = "sine", seed: int = 0
+    borrowed: Borrowed | None = None, start: str = "sine", seed: int = 0
 ) -> Points:
     """Initial positions from the ``coarse`` drape, on a ``smooth`` surface or on its triangles; on
     the first mesh, ``borrowed`` or ``start``."""

@@ -10,9 +10,10 @@ continues with its slope there; see :func:`softening_shape` and ``docs/physics.m
 """
 
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from common.errors import InputError
 from common.types import Density, Metres, Moduli, QuadraticModuli
@@ -45,17 +46,19 @@ TWIST_FLOOR = 0.05
 """Smallest twisting stiffness A66 as a fraction of sqrt(A11*A22), see :func:`plate_constants`."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False, repr=False)
 class Fabric:
-    """Bending moduli and density of a fabric, compared by value. InputError if no elastic plate has
-    such moduli, or a value indicates a wrong unit. The arrays are read-only."""
+    """Bending moduli and density of a fabric, compared by value. Moduli may be given as lists.
+    InputError if no elastic plate has such moduli, or a value indicates a wrong unit. The arrays
+    are read-only."""
 
     alpha: Moduli
-    beta: QuadraticModuli = field(default_factory=lambda: np.zeros(3))
-    density: Density = REFERENCE_DENSITY
+    beta: QuadraticModuli
+    density: Density
 
-    def __post_init__(self) -> None:
-        self._set(self.alpha, self.beta, self.density)
+    def __init__(self, alpha: ArrayLike, beta: ArrayLike = (0.0, 0.0, 0.0),
+                 density: Density = REFERENCE_DENSITY) -> None:
+        self._set(alpha, beta, density)
         alpha, beta = self.alpha, self.beta
         if alpha.shape != (3,) or beta.shape != (3,):
             raise InputError("alpha and beta need three values each: warp, bias, weft")
@@ -86,11 +89,16 @@ class Fabric:
         scaled._set(self.alpha * scale, self.beta * scale, density)  # units checked before
         return scaled
 
-    def _set(self, alpha: Moduli, beta: QuadraticModuli, density: Density) -> None:
-        alpha, beta = (np.array(v, dtype=np.float64) for v in (alpha, beta))
-        alpha.flags.writeable = beta.flags.writeable = False
-        object.__setattr__(self, "alpha", alpha)
-        object.__setattr__(self, "beta", beta)
+    def __repr__(self) -> str:
+        alpha, beta = (", ".join(f"{value:.4g}" for value in moduli + 0.0)
+                       for moduli in (self.alpha / MICRO, self.beta / NANO))
+        return f"Fabric(alpha [{alpha}] µN·m, beta [{beta}] nN·m², {1e3 * self.density:g} g/m²)"
+
+    def _set(self, alpha: ArrayLike, beta: ArrayLike, density: Density) -> None:
+        for name, values in (("alpha", alpha), ("beta", beta)):
+            moduli = np.array(values, dtype=np.float64)
+            moduli.flags.writeable = False
+            object.__setattr__(self, name, moduli)
         object.__setattr__(self, "density", float(density))
 
 

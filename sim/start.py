@@ -1,5 +1,7 @@
 """Initial shapes of a drape, which determine the folds of the equilibrium (section 5.2.1)."""
 
+from typing import Annotated
+
 import numpy as np
 from scipy.interpolate import CloughTocher2DInterpolator, LinearNDInterpolator
 from scipy.optimize import brentq
@@ -16,6 +18,9 @@ STARTS = ("sine", "fold", "ring")
 
 LOWERED = "lowered"
 """The start by lowering (:mod:`sim.lowering`)."""
+
+OtherRest = Annotated[np.ndarray, "(C, 2) float, m, rest points on another mesh"]
+Borrowed = tuple[OtherRest, Annotated[np.ndarray, "(C, 3) float, m, positions on that mesh"]]
 
 _RING_WAVES = (4, 15)  # range of the number of waves, end exclusive
 
@@ -94,7 +99,7 @@ def _hung(rest: RestPoints, rig: Rig) -> np.ndarray:
 
 
 def borrowed_positions(
-    rest: RestPoints, *, rig: Rig, borrowed: tuple[RestPoints, Points]
+    rest: RestPoints, *, rig: Rig, borrowed: Borrowed
 ) -> Points:
     """Positions interpolated from rest points and positions of another fabric's drape on ``rig``.
     If the offsets of the specimens differ, points on the plate correspond to points on the plate,
@@ -115,10 +120,11 @@ def borrowed_positions(
 
 @one_blas_thread
 def interpolate_positions(
-    coarse_rest: RestPoints, coarse_positions: Points, rest: RestPoints, *, smooth: bool = True
-) -> Points:
-    """Positions of rest points on a ``smooth`` surface through those of the same specimen on a
-    coarser mesh, or on its triangles, beyond which folds as narrow as a triangle do not swing."""
+    coarse_rest: OtherRest, coarse_positions: np.ndarray, rest: RestPoints, *, smooth: bool = True
+) -> np.ndarray:
+    """Positions (V, n) of rest points on a ``smooth`` surface through those, (C, n), m, of the same
+    specimen on a coarser mesh, or on its triangles, beyond which folds as narrow as a triangle do
+    not swing. Other numbers of the vertices are interpolated like their n = 3 coordinates."""
     surface = (CloughTocher2DInterpolator if smooth else LinearNDInterpolator)(
         coarse_rest, coarse_positions)
     centre = (coarse_rest.min(0) + coarse_rest.max(0)) / 2

@@ -5,6 +5,9 @@ import signal
 from pathlib import Path
 from types import SimpleNamespace
 
+import shapes  # before what it checks
+
+# isort: split
 import cloths
 import pytest
 import torch
@@ -24,6 +27,12 @@ torch.set_num_threads(1)  # of each worker; sums of several may differ by roundi
 
 for module in (common.cases, data.dataset.generate):
     module.worker_pool = here
+
+
+@pytest.fixture
+def any_shapes(monkeypatch) -> None:
+    """Arrays of wrong shapes reach functions, which are to refuse them."""
+    monkeypatch.setattr(shapes, "enabled", False)
 
 
 @pytest.fixture(scope="session")

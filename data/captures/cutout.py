@@ -12,7 +12,7 @@ import numpy as np
 from scipy import ndimage
 
 from common.errors import InputError
-from common.types import DepthImage, Mask, Masks, Metres, Points, Views
+from common.types import DepthImage, Mask, Masks, Metres, Views
 from data.captures.plate import Plate, find_plate
 from data.render.cameras import Intrinsics
 from sim.rig import Rig
@@ -138,7 +138,7 @@ def cut_out(
     return CutOut(frames, masks, views, plate, column, tuple(warnings))
 
 
-def _scene(frames: Views, points: Points, plate: Plate, rig: Rig) -> _Scene:
+def _scene(frames: Views, points: np.ndarray, plate: Plate, rig: Rig) -> _Scene:
     local = plate.local(points)
     alike = np.abs(neighbours(frames) - frames) < _MAX_STEP * frames / 0.5
     surface = alike.sum(axis=0) >= _MIN_NEIGHBOURS  # no flying pixel between surfaces

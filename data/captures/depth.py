@@ -25,8 +25,8 @@ def unsaturated(counts: np.ndarray) -> np.ndarray:
     return np.where(counts >= SATURATED, 0, counts)
 
 
-def measured(depth: np.ndarray) -> DepthImage:
-    """Depth (H, W), m, 0 where it is not finite or positive, or a constant for missing depth."""
+def measured(depth: np.ndarray) -> np.ndarray:
+    """Depth (...,), m, 0 where it is not finite or positive, or a constant for missing depth."""
     depth = np.where(np.isfinite(depth) & (depth > 0) & (depth < _UNMEASURED), depth, 0)
     background = depth == max(depth.max(initial=0), MAX_DEPTH)
     if _MIN_BACKGROUND < background.mean() < (depth > 0).mean():

@@ -70,8 +70,8 @@ class Plate:
         """Centre without bias."""
         return self.centre + CENTRE_BIAS * _axes(self.normal)[:, 1]
 
-    def local(self, points: Points) -> Points:
-        """Points in the axes of the plate."""
+    def local(self, points: np.ndarray) -> np.ndarray:
+        """Points (..., 3), m, in the axes of the plate."""
         return (points - self.axis_centre) @ _axes(self.normal)
 
 

@@ -107,8 +107,8 @@ def _placed(points: Points, faces: Faces, rig: Rig) -> RawScan:
          "up, the plate's centre at the origin",) * bool(notes))
 
 
-def _top(points: Points, rig: Rig) -> Points:
-    """The points that are as high as a plate of ``rig`` is if the highest points lie on it."""
+def _top(points: Points, rig: Rig) -> np.ndarray:
+    """Points (M, 3), m, that are as high as a plate of ``rig`` is if the highest lie on it."""
     height, share = points[:, 2], (rig.plate_diameter / rig.specimen_size) ** 2
     return points[np.abs(height - np.quantile(height, 1 - share / 2)) < _FLAT]
 

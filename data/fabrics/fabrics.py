@@ -13,7 +13,7 @@ import numpy as np
 
 from common.documents import number, read_table
 from common.errors import InputError
-from common.types import Moduli, QuadraticModuli, Theta
+from common.types import ModuliOfMany, QuadraticModuliOfMany, Theta
 from sim.material import REFERENCE_DENSITY, Fabric
 
 THETA_NAMES = ("log_alpha_warp", "log_alpha_bias", "log_alpha_weft",
@@ -29,14 +29,14 @@ TABLE_DENSITIES = (1e-3, 10.0)  # kg/m²; outside, a density has another unit
 LINEAR_UNIT, QUADRATIC_UNIT = 1e-9, 1e-12  # N·m, N·m²
 
 
-def to_theta(alpha: Moduli, beta: QuadraticModuli) -> Theta:
-    """Parameters of moduli (..., 3) at 300 g/m²."""
+def to_theta(alpha: ModuliOfMany, beta: QuadraticModuliOfMany) -> Theta:
+    """Parameters of moduli at 300 g/m²."""
     alpha = np.asarray(alpha, dtype=np.float64)
     return np.concatenate([np.log(alpha), np.asarray(beta, np.float64) / alpha], axis=-1)
 
 
-def from_theta(theta: Theta) -> tuple[Moduli, QuadraticModuli]:
-    """Moduli (..., 3) at 300 g/m²."""
+def from_theta(theta: Theta) -> tuple[ModuliOfMany, QuadraticModuliOfMany]:
+    """Moduli at 300 g/m²."""
     theta = np.asarray(theta, dtype=np.float64)
     alpha = np.exp(theta[..., :3])
     return alpha, theta[..., 3:] * alpha
@@ -53,8 +53,8 @@ class FabricTable:
     """Distinct fabrics of a table, in order of first appearance; moduli (F, 3) at 300 g/m²."""
 
     density: np.ndarray  # (F,) kg/m², measured
-    alpha: Moduli
-    beta: QuadraticModuli
+    alpha: ModuliOfMany
+    beta: QuadraticModuliOfMany
     multiplicity: np.ndarray  # (F,) rows of each fabric
 
     def __len__(self) -> int:

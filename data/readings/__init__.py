@@ -11,6 +11,8 @@ from importlib import import_module
 
 from data.readings.quantity import Quantity, by_name
 
+__all__ = ["MODULES", "QUANTITIES", "Quantity"]
+
 MODULES = ("cantilever", "kes", "cloth")
 QUANTITIES: dict[str, Quantity] = by_name(
     each for name in MODULES for each in import_module(f"{__name__}.{name}").QUANTITIES)

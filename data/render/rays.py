@@ -16,7 +16,7 @@ from common.types import DepthImage, Faces, Points, Radians, Turns, Views
 from data.render.cameras import Camera
 
 VIEWS = 4
-QUARTERS = tuple(k * math.pi / 2 for k in range(VIEWS))
+QUARTERS: Turns = np.arange(VIEWS) * math.pi / 2
 """Turns of the table in four views, rad."""
 OPEN3D_REMEDY = "apt-get install libusb-1.0-0 libgl1 libegl1 libgomp1 libx11-6"
 

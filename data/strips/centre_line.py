@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from common.errors import InputError
-from common.types import Mask, Pixels, Radians
+from common.types import Mask, PixelPath, Radians
 from data.captures.shadow import BLUR, MIN_CONTRAST
 
 POINTS = 60  # of a centre line
@@ -52,7 +52,7 @@ class CentreLine:
             clamp is not looked for.
     """
 
-    points: Pixels
+    points: PixelPath
     error: np.ndarray
     band: float
     thinnest: float
@@ -236,7 +236,7 @@ def _to_the_right(labels: np.ndarray, sizes: np.ndarray, least: float, solid: Ma
                      for k, size in enumerate(sizes)])
 
 
-def _rough_path(strip: Mask, solid: Mask) -> Pixels:
+def _rough_path(strip: Mask, solid: Mask) -> PixelPath:
     """Middles of the pixels of a strip at equal distances within it from the clamp."""
     rows, columns = np.nonzero(strip)
     number = np.full((strip.shape[0] + 2, strip.shape[1] + 2), -1)
@@ -260,7 +260,7 @@ def _rough_path(strip: Mask, solid: Mask) -> Pixels:
     return np.column_stack([np.bincount(bins, axis) for axis in places.T]) / count[:, None]
 
 
-def _require_no_branch(strip: Mask, path: Pixels, widths: np.ndarray, band: float) -> None:
+def _require_no_branch(strip: Mask, path: PixelPath, widths: np.ndarray, band: float) -> None:
     """InputError for a strip with parts far from its centre line, over its ``widths`` (K,), pixels,
     from its start on. Its ends are left out, where the corners of an end seen obliquely are."""
     distance, nearest = cKDTree(path).query(np.argwhere(strip)[:, ::-1])
@@ -275,11 +275,11 @@ def _require_no_branch(strip: Mask, path: Pixels, widths: np.ndarray, band: floa
                          "hang from it")
 
 
-def _arc(path: Pixels) -> np.ndarray:
+def _arc(path: PixelPath) -> np.ndarray:
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
 
 
-def _resampled(path: Pixels, window: float) -> Pixels:
+def _resampled(path: PixelPath, window: float) -> PixelPath:
     """A path at equal steps, smoothed over a ``window`` in pixels."""
     arc = _arc(path)
     at = np.arange(0.0, arc[-1], _STEP)
@@ -289,8 +289,8 @@ def _resampled(path: Pixels, window: float) -> Pixels:
 
 
 def _midway(
-    field: np.ndarray, path: Pixels, band: float
-) -> tuple[Pixels, np.ndarray, float]:
+    field: np.ndarray, path: PixelPath, band: float
+) -> tuple[PixelPath, np.ndarray, float]:
     """The path half way between the edges of a strip, its widths, pixels, and its contrast."""
     along = np.gradient(path, axis=0)
     along /= np.linalg.norm(along, axis=1)[:, None]
@@ -330,7 +330,7 @@ def _sampled(field: np.ndarray, places: np.ndarray) -> np.ndarray:
     return cv2.remap(field, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
-def _to_the_tip(field: np.ndarray, path: Pixels, band: float, peak: float) -> Pixels:
+def _to_the_tip(field: np.ndarray, path: PixelPath, band: float, peak: float) -> PixelPath:
     """The path, extended straight to where the contrast is half of the strip's. Within a width of
     its end the strip may be cut obliquely, as seen, so that its middle is unknown there."""
     path = path[: -max(2, int(band / _STEP))]
@@ -377,7 +377,7 @@ def _clamp_edge(
     return root + edges[0] * out, abs(edges[0] - edges[-1])
 
 
-def _thinned(path: Pixels) -> tuple[Pixels, np.ndarray]:
+def _thinned(path: PixelPath) -> tuple[PixelPath, np.ndarray]:
     """:data:`POINTS` places of a path, from quadratics through equal parts of it, and their
     standard errors across; neighbouring places of the path depend on each other."""
     arc = _arc(path)
@@ -396,7 +396,7 @@ def _thinned(path: Pixels) -> tuple[Pixels, np.ndarray]:
     return np.vstack([*points, path[-1]]), np.maximum(np.append(errors, errors[-1]), _LEAST_ERROR)
 
 
-def _require_smooth(points: Pixels) -> None:
+def _require_smooth(points: PixelPath) -> None:
     """InputError for a line with a kink."""
     chords = np.diff(points[:: max(1, len(points) // 12)], axis=0)
     heading = np.unwrap(np.arctan2(chords[:, 1], chords[:, 0]))
@@ -406,7 +406,7 @@ def _require_smooth(points: Pixels) -> None:
                          "flat, or cut another strip")
 
 
-def _on_line(points: Pixels, clamp: np.ndarray, out: np.ndarray) -> np.ndarray:
+def _on_line(points: PixelPath, clamp: np.ndarray, out: np.ndarray) -> np.ndarray:
     """Where the line, continued, passes the clamp's edge."""
     near = points[:6]
     along, across = (near - clamp) @ out, (near - clamp) @ [-out[1], out[0]]

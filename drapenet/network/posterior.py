@@ -12,7 +12,7 @@ from torch.nn.functional import softplus
 LEVELS = (0.50, 0.68, 0.90)
 _MIN_DIAGONAL = 1e-2  # minimum of a factor's diagonal; standardised targets
 
-Samples = Annotated[np.ndarray, "(S, N, T) draws of T targets for N captures"]
+Samples = Annotated[np.ndarray, "(S, any, T) draws of T targets for N captures, or for all"]
 Ranks = Annotated[np.ndarray, "(N, T) share of the draws below the truth; uniform if calibrated"]
 
 

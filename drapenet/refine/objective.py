@@ -16,8 +16,8 @@ NUISANCE_REACH = 20.0
 """Bounds of a nuisance around its start, in its scale."""
 
 Moves = Annotated[np.ndarray, "(P, V, 3) moves of the vertices, m per unit of each parameter"]
-Nuisance = Annotated[np.ndarray, "(K,) values of an objective's nuisances, SI"]
-Residuals = Annotated[np.ndarray, "(N,) differences over their standard deviations"]
+Nuisance = Annotated[np.ndarray, "(M,) values of an objective's nuisances, SI"]
+Residuals = Annotated[np.ndarray, "(R,) differences over their standard deviations"]
 
 
 class Linearised(NamedTuple):

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 MAX_INADMISSIBLE_SHARE = 0.2  # of the network's samples
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Estimate:
     """Posterior of a fabric's moduli.
 
@@ -44,6 +44,10 @@ class Estimate:
     spread: Theta
     warnings: tuple[str, ...] = ()
     contradictions: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        return (f"Estimate({', '.join(self.names)}: {self.fabric}, {len(self.samples)} samples, "
+                f"{len(self.warnings)} warnings)")
 
     @property
     def samples(self) -> Theta:

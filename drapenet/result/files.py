@@ -85,13 +85,16 @@ def read_estimate(path: Path) -> tuple[Estimate, EstimateDocument]:
     spread = arrays.pop("spread")
     count = len(arrays["theta"]) if arrays["theta"].ndim else 0
     shapes = {"theta": (count, 6), "curl": (count, 2)}
+    fault = InputError(f"{file} does not hold the samples of {path}; estimate the capture again")
+    if spread.shape != (6,) or not count or any(
+            arrays[name].shape != shapes.get(name, (count,)) for name in names):
+        raise fault
     estimate = Estimate(ClothProperties(**arrays), document.names, document.density, spread,
                         tuple(document.warnings))
-    if spread.shape != (6,) or not count or any(
-            arrays[name].shape != shapes.get(name, (count,)) for name in names) or not np.allclose(
-            np.median(estimate.moduli()[0], axis=0) / MICRO,
-            [moduli.alpha_uN_m.median for moduli in document.moduli.values()], rtol=1e-6):
-        raise InputError(f"{file} does not hold the samples of {path}; estimate the capture again")
+    if not np.allclose(np.median(estimate.moduli()[0], axis=0) / MICRO,
+                       [moduli.alpha_uN_m.median for moduli in document.moduli.values()],
+                       rtol=1e-6):
+        raise fault
     return estimate, document
 
 

@@ -40,8 +40,9 @@ def _directions(points: Points) -> tuple[np.ndarray, np.ndarray]:
     return distance, _LOWEST + lowest * (np.pi / 2 - _LOWEST) / ELEVATIONS
 
 
-def surface_positions(rest: RestPoints, points: Points, rig: Rig) -> Points:
-    """Positions of rest points laid on the surface through ``points``, in the specimen's axes."""
+def surface_positions(rest: RestPoints, points: Points, rig: Rig) -> np.ndarray:
+    """Positions (V, 3), m, of rest points laid on the surface through ``points``, in the axes of
+    the specimen."""
     distance, hem = _directions(points)
     plate = rig.plate_radius
     beyond = np.linalg.norm(rest, axis=1) - plate

@@ -132,9 +132,10 @@ def pulled(
 
 
 def nearest_points(
-    scene: Scene, positions: Points, points: Points, normals: np.ndarray, *, reach: Metres
+    scene: Scene, positions: Points, points: np.ndarray, normals: np.ndarray, *, reach: Metres
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Free vertices (N,) within ``reach`` of a captured surface, and the captured point of each."""
+    """Free vertices (n,) within ``reach`` of a captured surface, and the captured point of each;
+    the surface has ``points`` (M, 3), m, and ``normals`` (M, 3)."""
     tree = cKDTree(np.hstack([points, NORMAL_LENGTH * normals]))
     free = np.flatnonzero(~scene.held)
     unit = vertex_normals(positions, scene.mesh.faces)[free]

@@ -14,12 +14,22 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from common.workers import worker_pool
-from sim import drape as single
 from sim.batched.lowering import columns, lowered
 from sim.batched.newton import Outcome, minimise
 from sim.batched.potential import BatchedPotential
 from sim.cloth import Cloth, Laws
-from sim.drape import Drape, _Run
+from sim.drape import (
+    _EDGES_OF_LIMP,
+    _MIDDLE,
+    COARSE_MEMBRANE,
+    COARSE_OPTIONS,
+    FINE_OPTIONS,
+    Drape,
+    _made,
+    _Run,
+    drape,
+    follow,
+)
 from sim.energies.bending_variants import Hysteresis
 from sim.energies.membrane import Corotational, OrthotropicStVK
 from sim.energies.self_contact import self_intersections
@@ -59,7 +69,7 @@ def drape_batch(
     groups: dict[tuple, list[tuple[int, _Run]]] = {}
     drapes: list[Drape | None] = [None] * len(plans)
     with nullcontext(pool) if pool else worker_pool(workers) as pool:
-        calls = {index: pool.submit(single.drape, **plan)
+        calls = {index: pool.submit(drape, **plan)
                  for index, plan in enumerate(plans) if not covers(plan)}
         for index in sorted(set(range(len(plans))) - set(calls)):
             run = _run(**plans[index])
@@ -88,7 +98,7 @@ def _batch(mesh: Mesh) -> int:
 
 def _continued(made: Drape, options: NewtonOptions) -> Drape:
     """The drape near an unfinished one, with self-contact where it is needed."""
-    near = single.follow(made, made.fabric, options=options)
+    near = follow(made, made.fabric, options=options)
     return replace(near, coarse=made.coarse, outcome=near.after(made).outcome,
                    seconds=made.seconds + near.seconds)
 
@@ -112,7 +122,7 @@ def _run(
     rig = rig or Rig()
     edge = default_edge(fabric, rig, offset=offset) if edge is None else edge
     return _Run(fabric, rig, laws or Laws(), edge, seed, tuple(offset),
-                options or single.FINE_OPTIONS)
+                options or FINE_OPTIONS)
 
 
 def _coarse_edges(run: _Run) -> list[float]:
@@ -129,7 +139,7 @@ def _draped(runs: Sequence[_Run], device: str | torch.device) -> list[Drape]:
         limp = grading != GRADING
         chosen = [k for k, (run, made) in enumerate(zip(runs, drapes, strict=True))
                   if not (made and (made.converged or made.status in _UNFINISHED))
-                  and (limp or edge <= single._EDGES_OF_LIMP * folds[k])]
+                  and (limp or edge <= _EDGES_OF_LIMP * folds[k])]
         if chosen:
             settled = _settled([runs[k] for k in chosen], coarse, grading, device)
             for k, made in zip(chosen, settled, strict=True):
@@ -144,7 +154,7 @@ def _settled(
     began, limp = time.perf_counter(), grading != GRADING
     by_run = []
     for run in runs:
-        finer = run.scenes(single._MIDDLE * coarse)
+        finer = run.scenes(_MIDDLE * coarse)
         if limp:
             finer.insert(-1, run.scene(run.edge, soft=True))
         by_run.append([run.scene(coarse, grading, soft=True), *finer])
@@ -152,7 +162,7 @@ def _settled(
     for scenes in zip(*by_run, strict=True):
         last, scene = scenes[0] is by_run[0][-1], scenes[0]
         cloths = [Cloth(one, run.fabric, laws=run.laws if last else run.laws.softened(
-            single.COARSE_MEMBRANE)) for run, one in zip(runs, scenes, strict=True)]
+            COARSE_MEMBRANE)) for run, one in zip(runs, scenes, strict=True)]
         potential = BatchedPotential(cloths, device)
         if before is None:
             outcomes.append(lowered(potential, scenes, [run.rig for run in runs],
@@ -166,7 +176,7 @@ def _settled(
             near, weight = _nearest(by_run[0][0], scene)
             potential = potential.having(
                 origin=(outcomes[0].origin[:, near] * weight.to(x)).sum(2))
-        options = runs[0].options if last else single.COARSE_OPTIONS
+        options = runs[0].options if last else COARSE_OPTIONS
         options = replace(options, max_iterations=min(options.max_iterations, _MAX_ITERATIONS))
         outcomes.append(minimise(potential, x, potential.normals(x), options,
                                  least=int(_STRAGGLERS[last] * len(runs))))
@@ -175,7 +185,7 @@ def _settled(
     found = [_found(k, run, scenes[-1], outcomes)
              for k, (run, scenes) in enumerate(zip(runs, by_run, strict=True))]
     seconds = (time.perf_counter() - began) / len(runs)
-    return [single._made(one, False, fabric=run.fabric, rig=run.rig, edge=run.edge, seconds=seconds,
+    return [_made(one, False, fabric=run.fabric, rig=run.rig, edge=run.edge, seconds=seconds,
                          coarse=tuple(outcome.results[k].status for outcome in outcomes[1:-1]))
             for k, (run, one) in enumerate(zip(runs, found, strict=True))]
 

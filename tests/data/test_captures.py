@@ -109,7 +109,7 @@ def test_arrays_are_checked_like_files(made, folder):
     ({"views": np.ones((4, 180, 240))}, "has no background"),
     ({"views": np.zeros((4, 180, 240))}, "shows no cloth"),
 ])
-def test_faults_of_arrays_are_told(made, change, complaint):
+def test_faults_of_arrays_are_told(any_shapes, made, change, complaint):
     with pytest.raises(InputError, match=complaint):
         checked_capture(replace(made, **change))
 

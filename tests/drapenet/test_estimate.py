@@ -123,6 +123,13 @@ def test_an_estimate_is_loaded_with_its_samples(tmp_path):
             drapenet.load(tmp_path / "estimate.json")
 
 
+def test_an_estimate_prints_as_one_line():
+    estimate = estimate_of(np.array([60.0, 40.0, 20.0]) * MICRO, np.zeros(3), density=0.15)
+    text, count = repr(estimate), len(estimate.samples)
+    assert text.startswith("Estimate(warp, bias, weft: Fabric(alpha [60, 40, 20] µN·m, beta [")
+    assert text.endswith(f", 150 g/m²), {count} samples, 0 warnings)") and "\n" not in text
+
+
 def test_document_is_read_as_written(tmp_path):
     document = document_of(estimate_of(np.full(3, 30 * MICRO), np.zeros(3)), warnings=["a", "b"])
     file = tmp_path / "estimate.json"

@@ -37,4 +37,3 @@ def test_a_fabric_is_estimated_as_by_the_command(untrained_checkpoint, tmp_path)
         drapenet.estimate([capture, other], **options)
     with pytest.raises(InputError, match="give a capture"):
         drapenet.estimate(**options)
-    assert set(drapenet.__all__) == {"estimate", "load"}

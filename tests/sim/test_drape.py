@@ -2,6 +2,7 @@
 
 import pickle
 from dataclasses import replace
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from sim.scene import CONTACT_PRESSURE, Scene, make_specimen
 from sim.solver.newton import NewtonOptions, Status
 from sim.start import interpolate_positions
 
+MODULE = import_module("sim.drape")  # the attribute of `sim` is the function
 EXTREME = Fabric([98.8e-6, 23.5e-6, 21.2e-6], -2.5e-3 * np.array([98.8e-6, 23.5e-6, 21.2e-6]))
 
 
@@ -110,7 +112,7 @@ def test_only_the_coarser_meshes_are_soft():
 
 
 def test_how_coarser_meshes_ended_is_kept(monkeypatch):
-    monkeypatch.setattr("sim.drape.COARSE_OPTIONS", NewtonOptions(max_iterations=1))
+    monkeypatch.setattr(MODULE, "COARSE_OPTIONS", NewtonOptions(max_iterations=1))
     result = drape(isotropic(60), edge=0.005, start="sine")
     assert result.converged and result.coarse == (Status.MAX_ITERATIONS,)
 
@@ -158,7 +160,7 @@ def test_a_failed_minimisation_is_a_status():
     ({"rig": HUNG_SQUARE, "start": "lowered"}, "start=lowered needs a plate")])
 def test_invalid_arguments_are_refused(monkeypatch, arguments, word):
     """And before any mesh is solved."""
-    monkeypatch.setattr("sim.drape.find_equilibrium", None)
+    monkeypatch.setattr(MODULE, "find_equilibrium", None)
     with pytest.raises(InputError, match=word):
         drape(isotropic(20), **arguments)
 
@@ -183,3 +185,11 @@ def test_user_defined_laws_are_called_for_every_mesh():
 def test_unknown_laws_are_refused(wrong, word):
     with pytest.raises(InputError, match=word):
         Laws(**wrong)
+
+
+def test_a_drape_prints_as_one_line():
+    made = drape(isotropic(100), edge=0.02)
+    count = len(made.positions)
+    fabric = "Fabric(alpha [100, 100, 100] µN·m, beta [0, 0, 0] nN·m², 300 g/m²)"
+    assert repr(made) == f"Drape(converged, square300_cylinder100, {count} vertices, {fabric})"
+    assert repr(made.at(made.positions)).startswith("Drape(a shape, not an equilibrium, ")
