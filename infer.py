@@ -67,7 +67,7 @@ def estimate_one(config: InferConfig, options: EstimateOptions) -> Path:
     return out / ESTIMATE
 
 
-def print_estimate(document: EstimateDocument, folder: Path) -> None:
+def print_estimate(document: EstimateDocument, folder: Path | None) -> None:
     """Print an estimate and the names of its files."""
     print(f"{document.text()}\nestimate: {folder / ESTIMATE}")
     if files := [str(folder / name) for name in SHOWN if (folder / name).exists()]:

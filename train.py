@@ -12,6 +12,7 @@ import common.interrupt  # noqa: F401
 # isort: split
 import math
 from pathlib import Path
+from typing import Any
 
 from common.command import command
 from common.errors import InputError
@@ -38,13 +39,13 @@ def train(config: TrainConfig) -> Path:
 
     torch.manual_seed(config.seed)  # used for the initial weights only
     network = make_network(**training.network(config.model)).to(device)
-    network.bfloat16 = config.bfloat16
+    network.in_bfloat16 = config.bfloat16
     optimizer = torch.optim.AdamW(network.parameters(), weight_decay=config.optim.weight_decay)
 
     # Must agree with an existing state for a resume.
     settings = {name: one for name, one in config.defining().items() if name != "epochs"}
     run = {"settings": settings, "datasets": datasets["sha256"], "maps": datasets["maps"]}
-    record = {"run": run, "cycles": [], "epochs_done": 0, "best_loss": None}
+    record: dict[str, Any] = {"run": run, "cycles": [], "epochs_done": 0, "best_loss": None}
     if state.exists():
         record = steps.load_state(state, run=run, model=network, optimizer=optimizer)
     record["cycles"] = steps.cycles_of(record, config.epochs)

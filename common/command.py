@@ -197,7 +197,8 @@ def checked(config: Any, schema: type) -> Any:
 
 def help_text(name: str, usage: str) -> str:
     """Usage, and the files of ``configs/NAME.yaml``, of those it includes and of its groups."""
-    files, groups = [name], {}
+    files: list[str] = [name]
+    groups: dict[str, str] = {}
     for default in read_config(name)["defaults"]:
         if isinstance(default, Mapping):
             groups |= default

@@ -9,6 +9,7 @@ from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import resource_tracker
+from multiprocessing.context import SpawnContext, SpawnProcess
 
 from threadpoolctl import threadpool_limits
 
@@ -33,10 +34,7 @@ SciPy's interpolation on a triangulation solves two equations for every triangle
 OpenBLAS synchronises its threads: at 31 x 31 vertices 0.03 s instead of 0.01 s, 5 s on busy cores.
 """
 
-_SPAWN = multiprocessing.get_context("spawn")
-
-
-class _Worker(_SPAWN.Process):
+class _Worker(SpawnProcess):
     """A process of one thread that ignores Ctrl-C from its start."""
 
     def start(self) -> None:
@@ -56,7 +54,7 @@ class _Worker(_SPAWN.Process):
                     os.environ[name] = value
 
 
-class _Context(type(_SPAWN)):
+class _Context(SpawnContext):
     Process = _Worker
 
 

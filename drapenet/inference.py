@@ -62,7 +62,8 @@ class Part:
     @property
     def label(self) -> str:
         """Names it in sentences."""
-        return self.document.capture.source or self.document.strips[0].source
+        source = self.document.capture.source
+        return source or next(each.source for each in self.document.strips or [])
 
 
 def read_part(folder: Path) -> Part:

@@ -180,7 +180,7 @@ def softening_shape(u, limit):
 
 
 def bending_work(
-    curvature: np.ndarray, alpha: np.ndarray | float, beta: np.ndarray | float
+    curvature: np.ndarray | float, alpha: np.ndarray | float, beta: np.ndarray | float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Energy per area (J/m²), torque per width (N) and tangent (N·m) of cloth bent one way, for
     curvature (1/m, at least 0), alpha (N·m) and beta (N·m²) of any shapes that broadcast."""
@@ -192,7 +192,7 @@ def bending_work(
 
 
 def torque(
-    curvature: np.ndarray, alpha: np.ndarray | float, beta: np.ndarray | float
+    curvature: np.ndarray | float, alpha: np.ndarray | float, beta: np.ndarray | float
 ) -> np.ndarray:
     """Torque per width (N); arguments as for :func:`bending_work`."""
     return bending_work(curvature, alpha, beta)[1]

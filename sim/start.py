@@ -90,6 +90,7 @@ def _ring(rest: RestPoints, rig: Rig, rng: np.random.Generator) -> np.ndarray:
 def _hung(rest: RestPoints, rig: Rig) -> np.ndarray:
     """A rectangle held at its upper corners, its rows bent to circular arcs between them."""
     width, height = rig.sides
+    assert rig.corners_apart, "without a plate corners hold a specimen"
     chord = rig.corners_apart / width
     turn = brentq(lambda t: np.sin(t) / t - chord, 1e-6, np.pi)
     radius = width / 2 / turn

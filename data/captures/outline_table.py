@@ -27,7 +27,8 @@ def read_closed_curve(file: Path, unit: str | None) -> Outline:
     if stated and unit and stated != unit:
         raise InputError(f"its header states {stated}, capture.yaml states unit: {unit}; correct "
                          "one of them")
-    if not (stated or unit):
+    unit = stated or unit
+    if not unit:
         raise InputError("the unit of its lengths is not stated; give outline: {unit: mm}, or m")
     if len(lines) < MIN_POINTS:
         raise InputError(f"{len(lines)} points; an outline has at least {MIN_POINTS}")
@@ -41,7 +42,7 @@ def read_closed_curve(file: Path, unit: str | None) -> Outline:
                              "give degrees, or x and y about the plate's centre")
         angle = np.radians(first)
         first, second = second * np.cos(angle), second * np.sin(angle)
-    return np.column_stack([first, second]) * UNITS[stated or unit]
+    return np.column_stack([first, second]) * UNITS[unit]
 
 
 def _header(line: str) -> tuple[list[str], str | None]:

@@ -20,7 +20,7 @@ import common.interrupt  # noqa: F401
 
 # isort: split
 import tempfile
-from concurrent.futures import FIRST_COMPLETED, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from pathlib import Path
 
 import numpy as np
@@ -87,7 +87,8 @@ def make_shards(
     try:
         with tempfile.NamedTemporaryFile() as file, worker_pool(min(workers, len(shards))) as pool:
             counts = np.memmap(file, np.int64, "w+", shape=(len(shards), 2))
-            running, left = set(), windows(folder.config, len(shards), device)
+            running: set[Future] = set()
+            left = windows(folder.config, len(shards), device)
             while running or left:
                 if left:
                     places = left.pop(0)

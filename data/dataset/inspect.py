@@ -87,7 +87,8 @@ def check_dataset(root: Path) -> dict:
     if extra := sorted(names - digests.keys()):
         raise InputError(f"{root} holds shards that {MANIFEST} does not list: {_listed(extra)}; "
                          "move them elsewhere")
-    changed, indices, outcomes = [], [], Counter()
+    changed, indices = [], []
+    outcomes: Counter[str] = Counter()
     for name, digest in over_shards(digests.items(), "checking"):
         shard = Shard(root / name)
         if shard.digest != digest or shard.attributes.get("identity") != manifest["identity"]:

@@ -116,4 +116,4 @@ def draw_faces(config: SamplingConfig, fabric: int) -> list[int]:
 def choose_lender(index: int, *, seed: int, candidates: Sequence[int]) -> int:
     """Choose the initial state of drape ``index`` among the drapes ``candidates``, uniformly."""
     rng = stream(seed, Stream.LENDER, index)
-    return candidates[rng.integers(len(candidates))]
+    return candidates[int(rng.integers(len(candidates)))]

@@ -206,7 +206,7 @@ class Shard:
         rows = self._arrays[name]
         return np.char.decode(rows, "utf-8", "replace") if rows.dtype.kind == "S" else rows
 
-    def mesh(self, row: int) -> tuple[Points, RestPoints, Faces]:
+    def mesh(self, row: int | np.integer) -> tuple[Points, RestPoints, Faces]:
         """Positions, rest points and faces of a drape."""
         vertices = slice(int(self._arrays["vertices"][row]))
         positions, rest = (self._arrays[name][row, vertices] * LENGTH_UNIT for name in COORDINATES)
@@ -218,14 +218,14 @@ class Shard:
         faces = self._arrays[FACES][self._arrays["mesh"][row]]
         return self._arrays[ORIGIN][row, : faces.any(axis=1).sum()] * ORIGIN_UNIT
 
-    def moves(self, row: int) -> np.ndarray | None:
+    def moves(self, row: int | np.integer) -> np.ndarray | None:
         """Derivatives (P, V, 3) of a drape's positions by the parameters :data:`MOVED_BY`, m per
         unit of each; None if it has none."""
         units = self._arrays[MOVE_UNITS][row]
         counts = self._arrays[MOVES][row, : int(self._arrays["vertices"][row])]
         return (counts * units[:, None]).transpose(1, 0, 2) if units.any() else None
 
-    def rig(self, row: int) -> Rig:
+    def rig(self, row: int | np.integer) -> Rig:
         """Nominal tester of a drape."""
         return Rig(tuple(self._arrays["sides"][row].tolist()),
                    float(self._arrays["plate_diameter"][row]), str(self.column("specimen")[row]))

@@ -13,7 +13,7 @@ import numpy as np
 from common.errors import InputError
 from sim.cloth import Laws
 from sim.energies.bending_variants import KES_CURVATURE, Hysteresis
-from sim.energies.membrane import Corotational, OrthotropicStVK
+from sim.energies.membrane import Corotational, Membrane, OrthotropicStVK
 from sim.rig import Rig
 
 _PERCENTILE = 1.96  # deviations of a normal distribution to its 97.5th percentile
@@ -50,7 +50,8 @@ class Nuisances:
     def laws(self) -> Laws:
         """The cloth's energies; the defaults of :class:`sim.cloth.Laws` where they are equivalent.
         """
-        membrane = isotropic = Corotational(self.membrane)
+        isotropic = Corotational(self.membrane)
+        membrane: Membrane = isotropic
         if self.shear != 1.0:
             membrane = OrthotropicStVK(warp=self.membrane, weft=self.membrane,
                                        poisson=isotropic.poisson, shear=self.shear * isotropic.mu)
@@ -130,8 +131,8 @@ class NuisanceConfig:
         return Nuisances(
             membrane=between(self.membrane, 0.5 + membrane / (2 * _PERCENTILE)),
             shear=between(self.shear, shear),
-            hysteresis=hysteresis_share(between(self.hysteresis, ratio) if any(self.hysteresis)
-                                        else 0.0),
+            hysteresis=float(hysteresis_share(
+                between(self.hysteresis, ratio) if any(self.hysteresis) else 0.0)),
             curl_warp=curls[0], curl_weft=curls[1],
             size=self.size * normal[2], plate=self.plate * normal[3], cut=self.cut * normal[4],
         )
@@ -160,4 +161,4 @@ class NuisanceConfig:
         """Equally probable shares of hysteresis."""
         if not any(self.hysteresis):
             return np.zeros(1)
-        return hysteresis_share(np.geomspace(*self.hysteresis, 201))
+        return np.asarray(hysteresis_share(np.geomspace(*self.hysteresis, 201)))

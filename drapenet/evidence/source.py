@@ -64,7 +64,7 @@ def of_strips(direction: str, measured: Linear, alpha: float, density: Density) 
 def of_values(known: Known | None, density: Density) -> list[Source]:
     """Each value that a laboratory states."""
     return [_of_value(name, k, value, known.error(name), density)
-            for (name, k), value in (known.values() if known else {}).items()]
+            for (name, k), value in known.values().items()] if known else []
 
 
 def _of_value(name: str, k: int, value: float, error: float, density: Density) -> Source:

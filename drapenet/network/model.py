@@ -173,7 +173,7 @@ class Network(torch.nn.Module):
     def __init__(self, *, distance: float, spread: float, rectangles: bool) -> None:
         super().__init__()
         self.distance, self.spread, self.rectangles = distance, spread, rectangles
-        self.bfloat16 = False  # whether convolutions of a training step are in bfloat16
+        self.in_bfloat16 = False  # whether convolutions of a training step are in bfloat16
 
     def add_layers(self, features: int, *, facts: int, output: str, components: int,
                    dropout: float) -> None:
@@ -268,7 +268,7 @@ class DrapeNet(Network):
         maps = torch.cat([(distance - self.distance) / self.spread * (distance > 0).float(),
                           batch.weight.clamp(max=4.0) - 1.0], dim=2).transpose(1, 2)
         with torch.autocast(distance.device.type, torch.bfloat16,
-                            enabled=self.bfloat16 and self.training):
+                            enabled=self.in_bfloat16 and self.training):
             features = self.stages(self.stem(torch.cat([maps, rows], dim=1)))
         return pooled(features.float())
 
@@ -306,7 +306,7 @@ class ViewNet(Network):
         depth = (batch.pictures - self.distance) / self.spread
         depth = torch.where(depth.isnan(), _BACKGROUND, depth)
         with torch.autocast(depth.device.type, torch.bfloat16,
-                            enabled=self.bfloat16 and self.training):
+                            enabled=self.in_bfloat16 and self.training):
             features = self.backbone(depth)
         sure = torch.maximum(batch.facts[:, _KNOWN], 1 - batch.facts[:, _DISC])
         return torch.cat([features.float(), (batch.angle * sure)[:, None]], dim=1)

@@ -82,7 +82,7 @@ def batch_of(sets: Sequence[Sequence[Observation]]) -> tuple[Batch, Facts]:
     nothing = np.full(AZIMUTHS, np.nan)
     outlines = [part.outline.radius / (part.rig.specimen_size / 2) if part.outline else nothing
                 for part in captures]
-    known = np.array([all(part.known for part in sets[k]) for k in group])
+    known = np.array([all(part.known for part in sets[k]) for k in group.tolist()])
     sizes = np.array([part.rig.specimen_size for part in captures])
     heights = np.array([part.outline.height if part.outline else np.nan for part in captures])
     facts = Facts(

@@ -57,7 +57,7 @@ def hang(
     columns = positions.reshape(-1, across + 1, 3)[:, :, [0, 2]] * [1.0, -1.0]
     curve = columns[np.count_nonzero(held) // (across + 1) - 1 :].mean(axis=1)
     side = positions[-1] - positions[-1 - across]
-    return HungStrip(curve, float(np.arctan2(side[2], side[1])), equilibrium.outcome)
+    return HungStrip(curve, float(np.arctan2(side[2], side[1])), equilibrium.searched)
 
 
 def simulate_strips(

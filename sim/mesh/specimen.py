@@ -48,7 +48,7 @@ class Domain:
         return np.where(outside < 0, self.edge - _GROWTH_HELD * outside, grown)
 
 
-def graded_mesh(domain: Domain, rng: np.random.Generator) -> tuple[Mesh, np.ndarray]:
+def graded_mesh(domain: Domain, rng: np.random.Generator) -> tuple[Mesh, int]:
     """The mesh of ``domain`` and the number of vertices on the plate: they are the first of the
     vertices (V, 2), those of the rim before the others."""
     radius, corners = domain.rig.plate_radius, 0
