@@ -69,6 +69,7 @@ def estimate_one(config: InferConfig, options: EstimateOptions) -> Path:
 
 def print_estimate(document: EstimateDocument, folder: Path | None) -> None:
     """Print an estimate and the names of its files."""
+    assert folder, "written before it is printed"
     print(f"{document.text()}\nestimate: {folder / ESTIMATE}")
     if files := [str(folder / name) for name in SHOWN if (folder / name).exists()]:
         print(f"report:   {', '.join(files)}")

@@ -61,7 +61,7 @@ def run_cases(
     keys = {name: _digest(json.dumps([settings, code], sort_keys=True, default=_plain))
             for name, settings in cases.items()}
     files = {name: folder / f"{name}.json" for name in cases}
-    stored = {name: _stored(files[name], keys[name], failures) for name in cases}
+    stored: dict[str, Any] = {name: _stored(files[name], keys[name], failures) for name in cases}
     missing = [name for name in cases if stored[name] is None]
     errors = []
     if missing:

@@ -16,6 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import is_dataclass, make_dataclass
 from pathlib import Path
+from types import GenericAlias
 from typing import Annotated, Any, NoReturn, get_origin, get_type_hints
 
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
@@ -164,7 +165,7 @@ def schema_of(name: str) -> type:
         if isinstance(value, Mapping):
             return make_dataclass("Settings", [(key, kind(item)) for key, item in value.items()])
         if isinstance(value, Sequence | list) and not isinstance(value, str):
-            return list[kind(None if None in value else value[0])]
+            return GenericAlias(list, kind(None if None in value else value[0]))
         return float | None if value is None else type(value)
 
     from omegaconf import OmegaConf
@@ -184,7 +185,8 @@ def checked(config: Any, schema: type) -> Any:
     from omegaconf import OmegaConf
     from omegaconf.errors import OmegaConfBaseException
 
-    schema.__pydantic_config__ = ConfigDict(  # that of nested dataclasses, too
+    # That of nested dataclasses, too.
+    schema.__pydantic_config__ = ConfigDict(  # type: ignore[attr-defined]
         extra="forbid", allow_inf_nan=False, coerce_numbers_to_str=True)
     try:
         content = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)

@@ -16,6 +16,6 @@ class InputError(ValueError):
                                  for c in message))
 
 
-def one_line(error: Exception) -> str:
+def one_line(error: Exception | str) -> str:
     """An error's message without line breaks, shortened; the class name if it is empty."""
     return " ".join(str(error).split())[:200] or type(error).__name__

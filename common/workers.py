@@ -86,5 +86,6 @@ def end_with_parent() -> None:
 
 
 def _end() -> None:
-    multiprocessing.parent_process().join()
+    if parent := multiprocessing.parent_process():
+        parent.join()
     os._exit(1)

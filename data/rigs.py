@@ -27,7 +27,7 @@ class _Numbers(Schema):
 
 
 class _Sides(_Numbers):
-    size_mm: Annotated[list[float], Field(
+    size_mm: Annotated[list[float], Field(  # type: ignore[assignment]
         min_length=2, max_length=2,
         description="give both sides of a rectangle, along warp and weft, such as [170, 250]")]
 

@@ -144,7 +144,7 @@ def estimate_source(
 def _strips_alone(strips: "StripSet", header: Header) -> tuple[Estimate, EstimateDocument]:
     """The estimate from strips, or from known values alone, and the fabric prior."""
     found = strips.evidence(prior_along(fabric_prior(header), strips.density))
-    record = StripsRecord.of(strips, found)
+    record = StripsRecord.of_evidence(strips, found)
     estimate = fabric_estimate([], [_measured(record)], strips.density, header)
     return estimate, EstimateDocument.from_estimate(
         estimate, checkpoint=header.identity, strips=[record],
@@ -172,14 +172,14 @@ def joint_estimate(
     documents = [part.document for part in captures]
     require_one_fabric([part.document.density for part in parts],
                        [(part.label, part.document.capture.views_sha256) for part in captures])
-    require_directions(all(part.observation.known for part in captures),
+    require_directions(all(part.observation.known for part in captures if part.observation),
                        any(record.moduli for record in records),
                        [known for known in (*(document.capture.known for document in documents),
                                             *(record.known for record in records)) if known])
     density = parts[0].document.density
     estimate = fabric_estimate(
         [CaptureEvidence(part.label, part.observation, part.document.capture.known,
-                         _refined(part.document)) for part in captures],
+                         _refined(part.document)) for part in captures if part.observation],
         list(map(_measured, records)), density, header)
     require_sound(list(estimate.contradictions), strict, "the fabric")
     warnings = [*estimate.warnings, *estimate.contradictions, *(

@@ -3,7 +3,7 @@
 Modules of :data:`PACKAGES` that are imported after this one have their functions, methods,
 properties and constructors wrapped: arguments and results must have the shapes and dtypes that
 their annotations state, and a letter stands for one number within a call. Outside of tests nothing
-is wrapped, and nothing is checked in worker processes, which import the modules anew.
+is wrapped, and nothing is checked in worker processes, which import the modules themselves.
 """
 
 import re
@@ -80,7 +80,7 @@ def rule_of(kind: Any) -> Rule | None:
 
 
 def _either(parts: tuple, rules: list[Rule | None]) -> Rule:
-    """The rule of a union, of which only arrays and None are told apart."""
+    """The rule of a union, which distinguishes arrays and None only."""
     others = any(rule is None and part is not NoneType
                  for part, rule in zip(parts, rules, strict=True))
 

@@ -50,7 +50,8 @@ def find_corners(picture: np.ndarray) -> tuple[Points, Pixels] | None:
     corners, numbers, _, _ = cv2.aruco.CharucoDetector(pattern).detectBoard(picture)
     if corners is None or len(corners) < MIN_CORNERS:
         return None
-    on_board, pixels = pattern.matchImagePoints(corners, numbers)
+    # OpenCV takes the arrays that it gives, which its types do not say.
+    on_board, pixels = pattern.matchImagePoints(corners, numbers)  # type: ignore[call-overload]
     return on_board.reshape(-1, 3), pixels.reshape(-1, 2)
 
 

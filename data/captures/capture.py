@@ -155,13 +155,13 @@ def _read_metric(path: Path) -> Capture:
     frames = read_frames(path, description)
     depth, background = frames.depth, frames.background
     count, height, width = depth.shape
-    board = frames.color is not None and shows_board(frames.color)
+    board = frames.color if frames.color is not None and shows_board(frames.color) else None
     intrinsics = frames.intrinsics
     if intrinsics is None:
-        intrinsics = (board_intrinsics(frames.color) if board else
+        intrinsics = (board_intrinsics(board) if board is not None else
                       description.stated_camera(width, height))
-    if board and description.turns_deg is None:
-        turns = board_turns(frames.color, intrinsics)
+    if board is not None and description.turns_deg is None:
+        turns = board_turns(board, intrinsics)
     else:
         turns = description.turns(count)
     step = max(int(intrinsics.fx / MAX_FOCAL), 1)
@@ -410,7 +410,9 @@ def write_capture(
     _write_folder(path, stated | keys, save)
 
 
-def _require_sizes(views: Views, intrinsics: Intrinsics) -> None:
+def _require_sizes(views: Views, intrinsics: Intrinsics | None) -> None:
+    if intrinsics is None:
+        raise InputError("depth views need the intrinsics of their camera")
     count, *size = np.shape(views)
     if not 1 <= count <= MAX_VIEWS or size != [intrinsics.height, intrinsics.width]:
         raise InputError(f"views have the shape {np.shape(views)}; give 1 to {MAX_VIEWS} of the "
@@ -420,6 +422,7 @@ def _require_sizes(views: Views, intrinsics: Intrinsics) -> None:
 def write_outline(capture: Capture, path: str | Path) -> None:
     """Write a capture of an outline, as numbers, to a new or empty folder, in one step."""
     outline = capture.outline
+    assert outline, "a capture of an outline"
     source: dict[str, object] = {"unit": "mm", "centred": outline.centred}
     if not math.isnan(outline.height):
         source["camera_height_mm"] = PARALLEL if math.isinf(outline.height) else round(
@@ -435,7 +438,7 @@ def _described(
     density: Density, rig: Rig, face: str, warp_direction: Radians | None, labels: Labels
 ) -> dict[str, object]:
     """The keys of capture.yaml that captures of all kinds have."""
-    marked = {} if warp_direction is None else {
+    marked: dict[str, object] = {} if warp_direction is None else {
         "warp_direction_deg": round(math.degrees(warp_direction), 6)}
     return labels.stated() | {"density_g_m2": round(density * 1e3, 6),
                               "tester": described_tester(rig), "face": face} | marked

@@ -38,7 +38,8 @@ _LABEL = f"up to {MAX_LABEL_LENGTH} printable characters, in quotes if they are 
 def _day(value: object) -> object:
     """A day, or its text, as YYYY-MM-DD."""
     try:
-        return str(value if isinstance(value, date) else date.fromisoformat(value))[:10]
+        day = value if isinstance(value, date) else date.fromisoformat(value)  # type: ignore
+        return str(day)[:10]
     except (TypeError, ValueError):
         raise ValueError("is not a date; give YYYY-MM-DD, such as 2026-11-26") from None
 

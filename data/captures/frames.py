@@ -9,9 +9,10 @@ a lens that capture.yaml or the recording states is removed.
 import io
 import itertools
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -68,12 +69,12 @@ def read_frames(folder: Path, description: Description) -> Frames:
         read = _reader(folder, kind, unit, description)
         depth = join_views({file: read(file) for file in numbered(folder, kind)})
     scene = [_background(folder / BACKGROUND, unit, depth)] if BACKGROUND in names else []
-    color = _color(folder, depth) if has_color else ()
+    color: Sequence[np.ndarray] = list(_color(folder, depth)) if has_color else ()
     if stated:
         intrinsics, lens = description.stated_camera(*depth.shape[:0:-1]), description.lens
     depth = np.minimum(depth, MAX_DEPTH).astype(np.float32)
     filled, spacings = zip(*map(between_points, [*depth, *scene]), strict=True)
-    if lens and not kind.endswith("ply"):  # points have no lens
+    if lens and intrinsics and not kind.endswith("ply"):  # points have no lens
         filled, color = ([lens.undistorted(picture, intrinsics) for picture in pictures]
                          for pictures in (filled, color))
     return Frames(np.stack(filled[: len(depth)]), filled[-1] if scene else None, intrinsics,
@@ -276,12 +277,14 @@ def read_points(file: Path, camera: Intrinsics) -> DepthImage:
 
     data = read_bytes(file, 64 * MAX_POINTS, "view")
     with reading(file, "export the view again as a PLY of points"):
-        count = int(re.search(rb"^element vertex (\d{1,12})\s*$", data[:65536], re.MULTILINE)[1])
+        (count, *_) = map(int, re.findall(
+            rb"^element vertex (\d{1,12})\s*$", data[:65536], re.MULTILINE))
         if count > MAX_POINTS:
             raise InputError(f"{file}: {count} points are too many; a view has at most "
                              f"{MAX_POINTS}: reduce the cloud")
         # From memory, so that files named in the PLY, such as textures, are not read.
-        cloud = trimesh.load(io.BytesIO(data), file_type="ply", process=False, skip_materials=True)
+        cloud: Any = trimesh.load(io.BytesIO(data), file_type="ply", process=False,
+                                  skip_materials=True)
         points = np.asarray(cloud.vertices, dtype=np.float64).reshape(-1, 3)
     depths = _metres(points[:, 2], file)
     visible = np.isfinite(points).all(axis=1) & (depths > 0)

@@ -113,8 +113,8 @@ def _photographed(file: Path, source: OutlineSource, rig: Rig) -> PhotographedOu
         to_metres = _shift(-_centroid(mapped(pixels, to_metres))) @ to_metres
     curve = mapped(pixels, to_metres)
     to_pixels = np.linalg.inv(to_metres)
-    millimetre = np.diff(mapped([[0, 0], [1e-3, 0]], to_pixels), axis=0)
-    step = 1e-3 / (factor * np.linalg.norm(millimetre))
+    millimetre = np.diff(mapped(np.array([[0, 0], [1e-3, 0]]), to_pixels), axis=0)
+    step = float(1e-3 / (factor * np.linalg.norm(millimetre)))
     warnings = []
     warnings += large_pixels(step, MAX_PIXEL)
     if tilt > MAX_TILT:

@@ -250,12 +250,12 @@ def _search(points: Points, up: Vector, rig: Rig) -> tuple[float, Vector, Vector
         grid[patch[:, 1], patch[:, 0]] = 1.0
         grid = cv2.morphologyEx(grid, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
         fit = cv2.filter2D(grid, -1, inside, borderType=cv2.BORDER_CONSTANT)
-        fit -= _RING_PENALTY * cv2.filter2D(grid, -1, around, borderType=cv2.BORDER_CONSTANT)
+        fit = fit - _RING_PENALTY * cv2.filter2D(grid, -1, around, borderType=cv2.BORDER_CONSTANT)
         row, column = np.unravel_index(fit.argmax(), fit.shape)
         middle = low + _CELL * np.array([column + 0.5, row + 0.5, level + 1.0])
         # Nothing is between the camera and the cloth: of equal candidates, the nearer one.
         score = float(fit[row, column]) + _hanging(local - middle, rig) - _DISTANCE_PENALTY * (
-            np.linalg.norm(middle))
+            float(np.linalg.norm(middle)))
         if score > best[0]:
             best = score, axes @ middle, up
     return best

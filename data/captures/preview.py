@@ -37,6 +37,7 @@ _LINE, _SPACING = 78, 11  # characters, and points between the lines, of checks
 def outline_picture(capture: Capture, checks: Sequence[Check] = ()) -> bytes:
     """PNG of a photograph from above, or of numbers, with curve, plate, warp and ``checks``."""
     outline, rig = capture.outline, capture.rig
+    assert outline, "a capture of an outline"
     figure = Figure(figsize=(2 * _WIDTH, 2 * _WIDTH), dpi=100)
     panel = figure.add_axes((0.02, 0.02, 0.96, 0.82))
     panel.set_axis_off()

@@ -3,6 +3,7 @@
 import io
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -53,7 +54,7 @@ def _read(path: Path) -> tuple[Points, Faces]:
 
     data = read_bytes(path, MAX_BYTES, "scan")
     # From memory: files that a scan refers to, such as materials, must not be read.
-    mesh = trimesh.load(io.BytesIO(data), file_type=path.suffix[1:].lower(), process=False,
+    mesh: Any = trimesh.load(io.BytesIO(data), file_type=path.suffix[1:].lower(), process=False,
                         skip_materials=True)
     if isinstance(mesh, trimesh.Scene):  # a mesh for each material
         mesh = trimesh.util.concatenate(mesh.dump())

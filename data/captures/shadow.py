@@ -5,6 +5,7 @@ that of the ground nearby, its edge is located.
 """
 
 from pathlib import Path
+from typing import Any
 
 import contourpy
 import cv2
@@ -71,7 +72,7 @@ def cut_drape(grey: np.ndarray) -> Pixels:
     middle = (_nearby(smooth, core & cloth) + _nearby(smooth, ~near & ~cloth)) / 2
     field = (smooth - middle) if is_light else (middle - smooth)
     field = np.where(core, np.abs(field), np.where(near, field, -np.abs(field)))
-    lines = contourpy.contour_generator(z=field).lines(0.0)
+    lines: Any = contourpy.contour_generator(z=field).lines(0.0)
     return max(lines, key=lambda line: cv2.contourArea(line.astype(np.float32)))[:-1]
 
 

@@ -58,7 +58,7 @@ class _Config(Excerpt):
 class _Finished(_Begun):
     """Required content of the manifest of a complete dataset."""
 
-    config: _Config
+    config: _Config  # type: ignore[assignment]
     hash: str
     shards: dict[Annotated[str, Field(pattern=r"^shard_[0-9]{5,9}\.h5$")], str] = Field(
         min_length=1)
@@ -197,7 +197,7 @@ class DatasetFolder:
         done = np.memmap(counts, np.int64, "r+").reshape(-1, 2)
         rows = self.config.rows(number)
         if self.shard(number) is None:
-            records: list[dict] = []
+            records: list[Record] = []
             for index in rows:
                 records.append(make_record(index, self.config, earlier=records, solver=solver))
                 done[place] += 1, records[-1]["status"] != b"converged"
@@ -244,7 +244,8 @@ class DatasetFolder:
 
     def _summary(self, names: list[str]) -> dict:
         """Counts over all shards, and the digest that identifies the dataset's content."""
-        outcomes, starts = Counter(), Counter()
+        outcomes: Counter[str] = Counter()
+        starts: Counter[str] = Counter()
         rejected: dict[int, int] = {}
         digests = {}
         for number, name in enumerate(over_shards(names, "checking")):

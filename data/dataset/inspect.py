@@ -126,7 +126,8 @@ class Drapes:
 def read_drapes(root: Path, manifest: dict, *, intersections: int) -> Drapes:
     """Read and measure a dataset's drapes, of which ``intersections`` for self-intersections."""
     parts: dict[str, list[np.ndarray]] = {name: [] for name in COLUMNS}
-    places, converged = [], 0
+    places: list[tuple[str, int]] = []
+    converged = 0
     checked = set(spread(np.arange(manifest["outcomes"].get("converged", 0)), intersections))
     stretch, crossings = np.full(manifest["drapes"], np.nan), np.full(manifest["drapes"], -1)
     for name in over_shards(manifest["shards"], "measuring"):

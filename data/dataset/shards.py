@@ -9,6 +9,7 @@ import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -130,7 +131,8 @@ def write_shard(
             # Fixed-length text: variable-length text goes through a heap with unused bytes.
             file.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) else value
         places, meshes = _distinct([record[FACES] for record in records])
-        rows = [{**record, "mesh": place} for record, place in zip(records, places, strict=True)]
+        rows: list[dict[str, Any]] = [
+            {**record, "mesh": place} for record, place in zip(records, places, strict=True)]
         sizes = [(int(record["vertices"]), len(record[FACES])) for record in rows]
         for name, field in fields(*map(max, zip(*sizes, strict=True))).items():
             _write_field(file, name, field, [record[name] for record in rows])

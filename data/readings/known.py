@@ -58,6 +58,6 @@ def _field(quantity: Quantity) -> tuple[Any, Any]:
     return (ByDirection | None if quantity.directions > 1 else _Positive | None), None
 
 
-Known = create_model("Known", __base__=_Stated,
-                     **{name: _field(each) for name, each in QUANTITIES.items()})
+_FIELDS: dict[str, Any] = {name: _field(each) for name, each in QUANTITIES.items()}
+Known = create_model("Known", __base__=_Stated, **_FIELDS)
 """Content of the key ``known``."""

@@ -6,6 +6,7 @@ stands between the camera and the cloth.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -79,7 +80,7 @@ def _distance(depth: np.ndarray) -> np.ndarray:
 
 
 def _depth(meshes: list[trimesh.Trimesh], camera: Camera) -> DepthImage:
-    mesh = trimesh.util.concatenate(meshes)
+    mesh: Any = trimesh.util.concatenate(meshes)
     return DepthRenderer(mesh.vertices, mesh.faces).view(camera)
 
 

@@ -277,7 +277,7 @@ def _surroundings(
             steps.append(step)
         slope = torch.where(steps[0].abs() < steps[1].abs(), -steps[0], steps[1])
         slopes.append(torch.where(slope.isinf(), 0, slope))
-    return *slopes, edge & (depth > 0), opposite
+    return slopes[0], slopes[1], edge & (depth > 0), opposite
 
 
 def _cosine(

@@ -69,7 +69,7 @@ class StripScene:
         pose = camera_pose(distance=self.distance, pitch=self.pitch, roll=self.roll)
         cos, sin = math.cos(self.yaw), math.sin(self.yaw)
         turned = np.eye(4)
-        turned[:3, :3] = [[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]
+        turned[:3, :3] = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
         moved = np.eye(4)
         moved[:3, 3] = -self.aim[0], 0, -self.aim[1]
         return Intrinsics(focal, focal, (columns - 1) / 2, (rows - 1) / 2, columns, rows).posed(

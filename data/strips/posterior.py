@@ -173,7 +173,8 @@ class _Fit:
         self.white = [_whitening(strip) for strip in strips]
         self.prior = prior
         self.root = np.linalg.inv(np.linalg.cholesky(prior.covariance)) * _UNITS
-        names = [each.specimen or f"entry {k}" for k, each in enumerate((*strips, *lengths))]
+        stated = [*(each.specimen for each in strips), *(each.specimen for each in lengths)]
+        names = [specimen or f"entry {k}" for k, specimen in enumerate(stated)]
         self.specimen = [_SHARED + list(dict.fromkeys(names)).index(name) for name in names]
         self.specimens = len(set(names))
         self.scatter = slice(_SHARED, _SHARED + self.specimens)
@@ -238,8 +239,9 @@ class _Fit:
         for each, place in zip(self.lengths, self.specimen[len(self.strips):], strict=True):
             yield partial(self._length, each), np.array([*range(_SHARED), place])
 
-    def _shape(self, shared: np.ndarray, sign: int, length: Metres, slope: Radians
-               ) -> DeflectionCurve:
+    def _shape(
+        self, shared: Sequence[float] | np.ndarray, sign: int, length: Metres, slope: Radians
+    ) -> DeflectionCurve:
         """Of log alpha, beta/alpha, curvature and difference of the specimen."""
         alpha = np.exp(shared[0] + SPECIMEN_SCATTER * shared[3])
         return heavy_elastica(alpha, 1e-3 * shared[1] * alpha, weight=self.weight, length=length,

@@ -80,7 +80,8 @@ def fabric_estimate(
     sources = [of_strips(direction, measured, alpha, each.density) for each in strips
                for direction, (measured, alpha) in each.measured.items()]
     # Every capture of a folder repeats what is known of the fabric.
-    stated = {str(each.known): each.known for each in (*captures, *strips) if each.known}
+    values_stated = [*(capture.known for capture in captures), *(each.known for each in strips)]
+    stated = {str(each): each for each in values_stated if each}
     values = {source.label: source for each in stated.values()
               for source in of_values(each, density)}
     name = ("the capture" if len(captures) == 1 else "the captures") if captures else ""

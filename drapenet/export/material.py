@@ -31,7 +31,7 @@ class ExportSettings(Schema):
     """What a user states for an export: ``configs/export.yaml``."""
 
     curvature_1_m: float = Field(0.0, ge=0, le=1000)
-    mesh: Literal[tuple(MESHES)] = "unstructured"
+    mesh: Literal[tuple(MESHES)] = "unstructured"  # type: ignore[valid-type]
     edge_mm: float = Field(5.0, ge=0.1, le=100)
     name: str = Field("", max_length=MAX_LABEL_LENGTH, pattern=PRINTABLE,
                       description=f"up to {MAX_LABEL_LENGTH} printable characters")
@@ -75,7 +75,7 @@ class Material:
     def name(self) -> str:
         """The fabric's, for display."""
         capture = self.document.capture
-        sources = capture.sources or [capture.source]
+        sources = capture.sources or [capture.source or ""]
         if name := self.settings.name or capture.labels.fabric:
             return name
         if not all(source and source.isprintable() for source in sources):

@@ -55,7 +55,9 @@ class Condition:
         """The default, with the shares of the kinds of captures that are ``inputs``."""
         shares = [share * (kind in inputs)
                   for kind, share in zip(get_args(Input), cls.kinds, strict=True)]
-        return cls(tuple(share / sum(shares) for share in shares))
+        total = sum(shares)
+        views, outline, numbers = (share / total for share in shares)
+        return cls((views, outline, numbers))
 
 
 def readable(maps: Maps, inputs: Sequence[Input]) -> np.ndarray:

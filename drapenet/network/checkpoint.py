@@ -78,7 +78,7 @@ class Header(Excerpt):
     """
 
     remedy = "copy it again"
-    schema_version: Literal[SCHEMA_VERSION] = Field(
+    schema_version: Literal[SCHEMA_VERSION] = Field(  # type: ignore[valid-type]
         description="use the program version that wrote it")
     model: _Model
     targets: _Targets
@@ -109,8 +109,9 @@ class Header(Excerpt):
     def nuisances(self) -> NuisanceConfig:
         """Distribution of the other properties of the specimens that it was trained on."""
         stated = self.dataset.generation[0]["sampling"].get("nuisances", {})
-        return NuisanceConfig(**{name: tuple(value) if isinstance(value, list) else value
-                                 for name, value in stated.items()})
+        values: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value
+                                  for name, value in stated.items()}
+        return NuisanceConfig(**values)
 
     @property
     def setups(self) -> Setups:

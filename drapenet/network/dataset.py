@@ -168,7 +168,7 @@ def maps_of_shard(
                 moved = positions + move
             rng = np.random.default_rng([seed, int(drape["index"]), number])
             wrong = DIRECTION_ERROR * rng.standard_normal()
-            depth = _NO_DEPTH
+            depth: dict[str, Any] = _NO_DEPTH
             if number < captures:
                 depth, wrong = _depth(moved, faces, rig, setups, rng, wrong)
             if not pictures:
@@ -177,10 +177,11 @@ def maps_of_shard(
     return Maps(**{name.name: np.array([row[name.name] for row in rows]) for name in fields(Maps)})
 
 
-_NO_DEPTH = {"distance": np.zeros((AZIMUTHS, ELEVATIONS), np.float16),
-             "weight": np.zeros((AZIMUTHS, ELEVATIONS), np.uint8),
-             "hem": np.full(AZIMUTHS, np.nan, np.float16), "views": 0, "angle": 0.0,
-             "pictures": np.full((PICTURES, SIDE, SIDE), np.nan, np.float16)}
+_NO_DEPTH: dict[str, Any] = {
+    "distance": np.zeros((AZIMUTHS, ELEVATIONS), np.float16),
+    "weight": np.zeros((AZIMUTHS, ELEVATIONS), np.uint8),
+    "hem": np.full(AZIMUTHS, np.nan, np.float16), "views": 0, "angle": 0.0,
+    "pictures": np.full((PICTURES, SIDE, SIDE), np.nan, np.float16)}
 
 
 def _depth(

@@ -289,9 +289,10 @@ class ViewNet(Network):
         self.backbone = get_model(backbone, weights=None, num_classes=width)
         name, first = next((name, part) for name, part in self.backbone.named_modules()
                            if isinstance(part, torch.nn.Conv2d))
+        shape: dict[str, Any] = {key: getattr(first, key)
+                                 for key in ("kernel_size", "stride", "padding")}
         self.backbone.set_submodule(name, torch.nn.Conv2d(
-            PICTURES, first.out_channels, first.kernel_size, first.stride, first.padding,
-            bias=first.bias is not None))
+            PICTURES, first.out_channels, bias=first.bias is not None, **shape))
         self.add_layers(width + 1, facts=_TESTER + ASPECTS * rectangles, output=output,
                         components=components, dropout=dropout)
 

@@ -98,6 +98,7 @@ def batch_of(sets: Sequence[Sequence[Observation]]) -> tuple[Batch, Facts]:
     distance, weight = compressed(*(np.array(part) for part in zip(*maps, strict=True)))
     depth, angle = np.zeros((len(captures), 0, SIDE, SIDE), np.float16), np.zeros(len(captures))
     if all(part.pictures for part in captures):  # what does not read them need not have them
-        depth = np.array([part.pictures.depth for part in captures])
-        angle = np.array([part.pictures.angle for part in captures])
+        pictures = [part.pictures for part in captures if part.pictures]
+        depth = np.array([picture.depth for picture in pictures])
+        angle = np.array([picture.angle for picture in pictures])
     return Batch.of(distance, weight, np.array(outlines), facts, depth, angle), facts

@@ -169,6 +169,7 @@ def validate(network: Network, captures: CaptureSet, condition: Condition) -> di
     for cloths in np.array_split(np.arange(len(captures)), -(-len(captures) // _VALIDATION_BATCH)):
         batch, _ = captures.batch(cloths, condition, rng, symmetric=False)
         answers.append(batch.through(network).cpu())
+        assert batch.targets is not None, "drapes of a dataset have true moduli"
         targets.append(batch.targets)
     truth = torch.cat(targets)
     mixture = network.calibrated(Mixture.joined(answers), truth)

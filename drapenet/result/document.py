@@ -173,7 +173,9 @@ class StripsRecord(Excerpt):
     known: Known | None = None
 
     @classmethod
-    def of(cls, strips: "StripSet", found: Mapping[str, "StripEvidence"]) -> "StripsRecord":
+    def of_evidence(
+        cls, strips: "StripSet", found: Mapping[str, "StripEvidence"]
+    ) -> "StripsRecord":
         """Of strips with their evidence by direction."""
         moduli = {}
         for direction, strip in found.items():
@@ -193,8 +195,8 @@ class EstimateDocument(Excerpt):
     """The content of ``estimate.json``."""
 
     remedy = "give the estimate.json that infer.py writes"
-    schema_: Literal[SCHEMA] = Field(alias="schema")
-    schema_version: Literal[SCHEMA_VERSION]
+    schema_: Literal[SCHEMA] = Field(alias="schema")  # type: ignore[valid-type]
+    schema_version: Literal[SCHEMA_VERSION]  # type: ignore[valid-type]
     convention: Literal["warp/weft", "stiff/soft"]
     capture: CaptureAbout
     moduli: dict[str, DirectionModuli]
@@ -251,7 +253,8 @@ class EstimateDocument(Excerpt):
     @property
     def names(self) -> tuple[str, str, str]:
         """The three directions."""
-        return tuple(self.moduli)
+        first, second, third = self.moduli
+        return first, second, third
 
     @property
     def density(self) -> Density:
@@ -269,8 +272,8 @@ class EstimateDocument(Excerpt):
     @property
     def known_values(self) -> list[str]:
         """Known values of the fabric in words, each once."""
-        stated = [one.known for one in (
-            self.capture, *(part.capture for part in self.captures or []), *(self.strips or []))]
+        stated = [self.capture.known, *(part.capture.known for part in self.captures or []),
+                  *(each.known for each in self.strips or [])]
         return list(dict.fromkeys(
             f"{QUANTITIES[name].in_words}{f' {DIRECTIONS[k]}' * (QUANTITIES[name].directions > 1)}:"
             f" {value:g}" for known in stated if known

@@ -4,6 +4,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -37,8 +38,10 @@ def write_estimate(out: Path, estimate: Estimate, document: EstimateDocument) ->
 
 def write_observation(out: Path, seen: Observation) -> None:
     """Write what the network reads of a capture, for joint estimates with others."""
-    arrays = {"distance": np.float32(seen.map.distance), "weight": np.float32(seen.map.weight),
-              "views": seen.map.views} if seen.map else {}
+    arrays: dict[str, Any] = {}
+    if seen.map:
+        arrays |= {"distance": np.float32(seen.map.distance),
+                   "weight": np.float32(seen.map.weight), "views": seen.map.views}
     if seen.pictures:
         arrays |= {"pictures": seen.pictures.depth, "angle": seen.pictures.angle}
     if seen.outline:
@@ -59,9 +62,10 @@ def read_observation(out: Path) -> Observation:
         "radius" in arrays) else None
     pictures = DepthPictures(arrays["pictures"], float(arrays["angle"])) if (
         "pictures" in arrays) else None
+    coefficient, nodes = arrays["numbers"].tolist()
     return Observation(Rig.from_name(arrays["rig"].item().decode()), int(arrays["face"]),
-                       bool(arrays["known"]), drape, outline, *map(float, arrays["numbers"]),
-                       pictures)
+                       bool(arrays["known"]), drape, outline,
+                       coefficient=coefficient, nodes=nodes, pictures=pictures)
 
 
 def remove_report(out: Path) -> None:
@@ -151,7 +155,7 @@ def require_output(out: Path, sources: Sequence[Path] = ()) -> None:
     except InputError:  # none, or damaged
         return
     places = {printable(os.path.realpath(source)) for source in sources}
-    for earlier in capture.sources or [capture.source]:
+    for earlier in capture.sources or [capture.source or ""]:
         if earlier and os.path.realpath(earlier) not in places:
             raise InputError(f"{out} holds the estimate of {earlier}, which would be overwritten; "
                              f"give another out=, or remove {out / ESTIMATE}")

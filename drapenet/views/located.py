@@ -29,6 +29,7 @@ class LocatedViews:
     def of(cls, capture: Capture) -> "LocatedViews":
         """The views of a capture."""
         views, intrinsics, rig = capture.views, capture.intrinsics, capture.rig
+        assert intrinsics, "a capture of depth views"
         plate = capture.cut.plate if capture.cut else plate_of_cloth(views, intrinsics, rig)
         return cls.registered(views, intrinsics.posed(plate.pose), rig, capture.turns)
 

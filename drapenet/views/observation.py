@@ -52,6 +52,7 @@ class Observation:
     @classmethod
     def of_numbers(cls, rig: Rig, face: int, known: bool, reported: Reported) -> "Observation":
         """Of a reported drape coefficient and number of nodes."""
+        assert reported.drape_coefficient_percent, "a reported drape coefficient"
         nodes = np.nan if reported.nodes is None else reported.nodes
         return cls(rig, face, known, coefficient=reported.drape_coefficient_percent / 100,
                    nodes=nodes)
@@ -61,6 +62,7 @@ class Observation:
         """Of the outline of a photograph; InputError without direction of the warp, but of a disc.
         """
         seen, warp, specimen = capture.outline, capture.warp_direction, capture.rig.specimen
+        assert seen, "a capture of an outline"
         if warp is None and specimen != "disc":
             raise InputError(f"{capture.path}: warp_direction_deg is missing; the outline of a "
                              f"{specimen} does not show its sides: state the direction of the warp")

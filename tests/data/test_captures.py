@@ -105,6 +105,7 @@ def test_arrays_are_checked_like_files(made, folder):
     ({"density": 150.0}, r"capture: density_g_m2=150000.0.*; weigh the specimen"),
     ({"warp_direction": 17.0}, "warp_direction_deg=974"), ({"face": "Up"}, "face='Up'"),
     ({"turns": [0.0, 1.0]}, "one angle for each of the 4 views"),
+    ({"intrinsics": None}, "need the intrinsics"),
     ({"intrinsics": CAMERA.resized(480, 360).intrinsics}, "intrinsics' size, 360 x 480 pixels"),
     ({"views": np.ones((4, 180, 240))}, "has no background"),
     ({"views": np.zeros((4, 180, 240))}, "shows no cloth"),
