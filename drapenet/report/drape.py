@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from common.types import Faces, Metres, Points, Radians, Turns, Views
+from common.types import Faces, Masks, Metres, Points, Radians, Turns, Views
 from data.render.cameras import Camera
 from data.render.raster import rasterise
 from drapenet.views.directions import AZIMUTHS
@@ -203,8 +203,8 @@ def radius_profile(views: Views, camera: Camera, turns: Turns) -> np.ndarray:
     return np.where(weight > 1e-3, total / np.maximum(weight, 1e-3), np.nan)
 
 
-def silhouette_overlap(first: Views, second: Views) -> float:
-    """Mean intersection over union of the cloth in two sets of views."""
+def silhouette_overlap(first: Views | Masks, second: Views | Masks) -> float:
+    """Mean intersection over union of the cloth in two sets of views or of their masks."""
     a, b = first > 0, second > 0
     union = (a | b).sum(axis=(1, 2))
     return float(np.mean((a & b).sum(axis=(1, 2)) / np.maximum(union, 1)))

@@ -1,11 +1,11 @@
 """Objectives: values that are known, and derivatives against differences."""
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 import pytest
 
+from common.types import Turns
 from data.render.cameras import Camera, nominal_camera
 from data.render.rays import QUARTERS, DepthRenderer
 from drapenet.refine.depth import BORDER, EDGE, FOCAL, POSE, DepthViews, DepthWeights, table_names
@@ -29,7 +29,7 @@ def dome(cells: int = 30) -> tuple[np.ndarray, np.ndarray]:
 
 
 def located(
-    views: np.ndarray, camera: Camera, turns: Sequence[float] = QUARTERS
+    views: np.ndarray, camera: Camera, turns: Turns = QUARTERS
 ) -> LocatedViews:
     return LocatedViews.exact(views, camera, Rig(), turns)
 
@@ -94,7 +94,7 @@ def test_depth_derivatives_by_pose(compared, name):
 
 def test_views_of_any_turns_are_compared(camera):
     positions, faces = dome()
-    turns = (0.0, 0.9, 2.0)
+    turns = np.array([0.0, 0.9, 2.0])
     views = DepthRenderer(positions, faces).views(camera, 0.3, turns)
     objective = DepthViews(located(views, camera, turns), faces, turn=0.3)
     assert objective.nuisances == (*POSE, "table_1", "table_2", FOCAL, BORDER)
