@@ -186,7 +186,7 @@ def _settled(
              for k, (run, scenes) in enumerate(zip(runs, by_run, strict=True))]
     seconds = (time.perf_counter() - began) / len(runs)
     return [_made(one, False, fabric=run.fabric, rig=run.rig, edge=run.edge, seconds=seconds,
-                         coarse=tuple(outcome.results[k].status for outcome in outcomes[1:-1]))
+                  coarse=tuple(outcome.results[k].status for outcome in outcomes[1:-1]))
             for k, (run, one) in enumerate(zip(runs, found, strict=True))]
 
 
