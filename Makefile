@@ -106,6 +106,7 @@ reference: $(STAMP)  ## pages of the Python interface from its docstrings, outpu
 	$(BIN)/python -W error::UserWarning -m pdoc --docformat restructuredtext -o outputs/reference \
 	  drapenet drapenet.result.estimate drapenet.inference drapenet.evidence sim sim.energies \
 	  sim.equilibrium sim.material sim.measures sim.rig sim.sensitivity sim.cantilever data.captures \
+	  '!data.captures.reported' data.readings '!data.readings.known' \
 	  data.fabrics data.strips '!data.fabrics.prior.__main__'
 
 studies: $(STAMP)  ## the papers' experiments, hours of CPU, resumed when interrupted: docs/studies.md
