@@ -128,6 +128,7 @@ def shapes(count: int, *, seed: int, side: int = SIDE) -> CaptureSet:
     return CaptureSet(replace(maps, pictures=depth))
 
 
+@pytest.mark.slow
 def test_it_tells_warp_from_weft_by_the_order_of_its_pictures():
     training, unseen = shapes(160, seed=0, side=32), shapes(64, seed=1, side=32)
     unseen = CaptureSet(unseen.maps, scale=training.scale)
