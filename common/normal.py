@@ -2,7 +2,7 @@
 
 Evidence is a list of whitened rows R and values v: of a state x, R x - v is a standard normal
 vector. Its precision R'R cannot be indefinite, and evidence of independent sources is stacked
- (Bierman 1977, Factorization methods for discrete sequential estimation).
+(Bierman 1977, Factorization methods for discrete sequential estimation).
 """
 
 from collections.abc import Sequence

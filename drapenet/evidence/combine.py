@@ -36,8 +36,8 @@ class Combined:
 def combine(prior: np.ndarray, sources: Sequence[Source], prior_name: str = "") -> Combined:
     """The posterior of prior states (S, 10) and ``sources``, without those that contradict it.
 
-    A source of a kind is tested against the prior and all sources of more trusted kinds, then
-    against the others of its own kind.
+    A source of a kind is tested against all sources of more trusted kinds, among them what the
+    prior's samples come from, then against the others of its own kind.
 
     Args:
         prior_name: of what the prior's samples come from; '': fabrics in general.

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cache, lru_cache
 
 import numpy as np
 
@@ -92,10 +92,8 @@ def joined(
     draws: Draws, sources: Sequence[Source], density: Density, header: Header, *, name: str,
     lines: Sequence[str] = (),
 ) -> Estimate:
-    """The estimate from samples and further ``sources``; ``name``: of what the samples come from.
-
-    InputError for sources along the yarns if their directions are not known.
-    """
+    """The estimate from samples and further ``sources``; ``name``: of what the samples come from,
+    whose directions are known if the sources are along the yarns (:func:`require_directions`)."""
     if sources:
         combined = combine(state_of(draws.cloth), sources, name)
         draws = replace(draws, cloth=cloth_of_state(combined.states))
@@ -125,7 +123,8 @@ def _captured(captures: Sequence[CaptureEvidence], header: Header) -> tuple[Draw
     refined = {k: of_refined(capture.label, capture.refined, prior, names)
                for k, capture in enumerate(captures) if capture.refined and known}
 
-    def together(numbers: Sequence[int]) -> Draws:
+    @cache
+    def together(*numbers: int) -> Draws:
         """The posterior of some captures."""
         read = [part for k in numbers if k not in refined for part in captures[k].observations]
         draws = (predict(network_of(header), header, [read])[0] if read else
@@ -134,16 +133,16 @@ def _captured(captures: Sequence[CaptureEvidence], header: Header) -> tuple[Draw
         states = updated(state_of(draws.cloth), better)
         return replace(draws, cloth=cloth_of_state(states))
 
-    alone = {k: together([k]) for k in range(len(captures))}
+    alone = [together(k) for k in range(len(captures))]
     sources = [of_capture(capture.label, state_of(alone[k].cloth), prior, names)
                for k, capture in enumerate(captures)]
     number = {id(source): k for k, source in enumerate(sources)}
     left, lines = consistent(sources, lambda part: Normal.of(state_of(together(
-        [number[id(source)] for source in part]).cloth)))
+        *(number[id(source)] for source in part)).cloth)))
     if len(captures) == 2 and lines:
         # Nothing says which of them is of another fabric: the samples are of both.
         first, second = (state_of(alone[k].cloth)[::2] for k in (0, 1))
         lines = [line.replace("left out: check", "the estimate holds for either: check")
                  for line in lines]
         return replace(alone[0], cloth=cloth_of_state(np.concatenate([first, second]))), lines
-    return together([number[id(source)] for source in left]), lines
+    return together(*(number[id(source)] for source in left)), lines

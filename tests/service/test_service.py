@@ -34,14 +34,6 @@ PICTURES = sorted(EXAMPLE.glob("*.png"))
 
 
 @pytest.fixture(scope="module")
-def client(tmp_path_factory, untrained_checkpoint):
-    results = tmp_path_factory.mktemp("results")
-    app = create_app(settings_for(results, f"checkpoint={untrained_checkpoint}"))
-    with TestClient(app, base_url="http://localhost") as client:
-        yield client
-
-
-@pytest.fixture(scope="module")
 def finished(client) -> dict:
     begun = post(client, [*PICTURES, EXAMPLE / "capture.yaml"], name="Twill <b> 7",
                  notes="navy, roll 12\nÖko")

@@ -23,14 +23,6 @@ FILES = [PHOTOGRAPH / "outline.png", PHOTOGRAPH / "capture.yaml"]
 LABELS = {"date": "2026-11-26", "operator": "M. Muster", "laboratory": "Textile laboratory 7"}
 
 
-@pytest.fixture(scope="module")
-def client(tmp_path_factory, untrained_checkpoint):
-    results = tmp_path_factory.mktemp("results")
-    app = create_app(settings_for(results, f"checkpoint={untrained_checkpoint}"))
-    with TestClient(app, base_url="http://localhost") as client:
-        yield client
-
-
 def state_values(client: TestClient, **fields: str) -> dict:
     """The estimate after known values without a file, at 210 g/m²."""
     form = {key.replace("__", "."): (None, value) for key, value in fields.items()}
