@@ -9,6 +9,7 @@ from PIL import Image
 from scipy.spatial import cKDTree
 
 from data.captures.capture import Capture
+from data.pictures.reading import decoded, encoded
 
 ANGLE = np.linspace(0, 2 * np.pi, 1440, endpoint=False)
 AROUND = np.column_stack([np.cos(ANGLE), np.sin(ANGLE)])
@@ -19,11 +20,14 @@ FIELD, PLACE = 0.4, (0.012, -0.007)  # m: side of a picture, plate's centre from
 
 
 def drawn(curve=CURVE, *, pixel=4e-4, cloth=50, ground=210, at=PLACE) -> np.ndarray:
+    """Grey (H, W) uint8; a pixel at the edge has the mean of the light on both sides."""
     size, fine = round(FIELD / pixel), 4
-    picture = np.full((fine * size, fine * size), ground, np.uint8)
+    share = np.zeros((fine * size, fine * size), np.uint8)
     corners = fine * ((curve + at) * [1, -1] + FIELD / 2) / pixel - 0.5
-    cv2.fillPoly(picture, [np.rint(corners * 16).astype(np.int32)], cloth, shift=4)
-    return cv2.resize(picture, (size, size), interpolation=cv2.INTER_AREA)
+    cv2.fillPoly(share, [np.rint(corners * 16).astype(np.int32)], 255, shift=4)
+    share = cv2.resize(share, (size, size), interpolation=cv2.INTER_AREA) / 255
+    light = decoded(np.array([ground, cloth]) / 255)
+    return np.rint(255 * encoded(light[0] + share * (light[1] - light[0]))).astype(np.uint8)
 
 
 def plate(pixel=4e-4, at=PLACE, down=0) -> dict:
@@ -37,8 +41,8 @@ def uneven(picture: np.ndarray) -> np.ndarray:
 
 
 def noisy(picture: np.ndarray) -> np.ndarray:
-    blurred = cv2.GaussianBlur(picture, (0, 0), 1.5)
-    return blurred + np.random.default_rng(0).normal(0, 8, picture.shape)
+    blurred = cv2.GaussianBlur(decoded(picture / 255), (0, 0), 1.5)  # a lens blurs light
+    return 255 * encoded(blurred) + np.random.default_rng(0).normal(0, 8, picture.shape)
 
 
 def write(folder: Path, content: np.ndarray | str, name: str = "outline.png", **changes) -> Path:

@@ -44,6 +44,7 @@ from data.captures.description import (
 )
 from data.captures.frames import join_views, numbered, read_frames, read_picture, views_in
 from data.captures.reported import Reported
+from data.pictures.reading import SUFFIXES
 from data.render.cameras import Intrinsics, nominal_camera
 from data.rigs import MISSING_TESTER, described_tester
 from sim.rig import SQUARE_RIG, Rig
@@ -51,7 +52,7 @@ from sim.rig import SQUARE_RIG, Rig
 if TYPE_CHECKING:
     from data.captures.photograph import PhotographedOutline
 
-OUTLINE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", *OUTLINE_TABLES)
+OUTLINE_SUFFIXES = (*SUFFIXES, *OUTLINE_TABLES)
 CAPTURE_FILES = ("capture.yaml", "density.txt")
 """Files that identify a capture folder: one for each format."""
 MAX_DENSITY_DIFFERENCE = 0.1  # between specimens of one fabric, relative to the smallest

@@ -12,11 +12,13 @@ import cv2
 import numpy as np
 
 from common.errors import InputError
-from common.types import Metres, Outline
+from common.types import GreyPicture, Mask, Metres, Outline
 from data.captures.board import MAX_REPROJECTION_ERROR, PAPER, SQUARE, SQUARES, find_corners
-from data.captures.description import OUTLINE_TABLES, OutlineSource
+from data.captures.description import OUTLINE_TABLES, OutlineSource, PlateInPicture
 from data.captures.outline_table import read_closed_curve
-from data.captures.shadow import cut_drape, read_grey
+from data.pictures.cloth import Place
+from data.pictures.edge import outline_of_cloth
+from data.pictures.reading import Photograph, read_photograph
 from sim.measures import coefficient_of_area, farthest, folds_around
 from sim.rig import Rig
 
@@ -41,7 +43,7 @@ class PhotographedOutline:
         curve: counter-clockwise about the plate's centre if ``centred``, else about its centroid; x
             to the right in the picture, y up.
         height: of the camera above the plate; infinite for parallel light, NaN if unknown.
-        picture: (H, W) uint8, grey, reduced; None if the outline is read from a text file.
+        picture: (H, W, 3) uint8, reduced; None if the outline is read from a text file.
         to_pixels: (3, 3) homography from the plane of ``curve`` to pixels of ``picture``.
         pixel: size of a pixel of the file at the plate.
     """
@@ -105,16 +107,21 @@ def _tabulated(file: Path, source: OutlineSource, rig: Rig) -> PhotographedOutli
 
 
 def _photographed(file: Path, source: OutlineSource, rig: Rig) -> PhotographedOutline:
-    grey, factor = read_grey(file)
-    to_metres, grey = _scale(grey, factor, source, rig)
-    pixels = cut_drape(grey)
+    photograph = read_photograph(file)
+    to_metres, board = _scale(photograph, source, rig)
+    height, width = photograph.grey.shape
+    here = np.array([[width, height], [width + 2, height]]) / 2
+    pixel = float(np.linalg.norm(np.diff(mapped(here, to_metres), axis=0)))
+    middle = _in_reduced(source.plate_px, photograph) if source.plate_px else None
+    pixels = outline_of_cloth(photograph, Place(
+        rig.plate_radius / pixel, rig.reach / pixel, middle, outside=board))
     to_metres, tilt = upright(to_metres, _centroid(pixels))
     if not source.plate_px:
         to_metres = _shift(-_centroid(mapped(pixels, to_metres))) @ to_metres
     curve = mapped(pixels, to_metres)
     to_pixels = np.linalg.inv(to_metres)
     millimetre = np.diff(mapped(np.array([[0, 0], [1e-3, 0]]), to_pixels), axis=0)
-    step = float(1e-3 / (factor * np.linalg.norm(millimetre)))
+    step = float(1e-3 / (photograph.factor * np.linalg.norm(millimetre)))
     warnings = []
     warnings += large_pixels(step, MAX_PIXEL)
     if tilt > MAX_TILT:
@@ -122,31 +129,34 @@ def _photographed(file: Path, source: OutlineSource, rig: Rig) -> PhotographedOu
                         f"{np.degrees(MAX_TILT):.0f}°; place the camera above its centre")
     return PhotographedOutline(
         _oriented(curve), source.height, source.plate_px is not None, rig, tuple(warnings),
-        grey.astype(np.uint8), to_pixels, float(step))
+        photograph.colour, to_pixels, float(step))
+
+
+def _in_reduced(plate: PlateInPicture, photograph: Photograph) -> np.ndarray:
+    """The plate's centre (2,) in pixels of the picture as it was reduced."""
+    return (np.array([plate.x, plate.y]) + 0.5) / photograph.factor - 0.5
 
 
 def _scale(
-    grey: np.ndarray, factor: int, source: OutlineSource, rig: Rig
-) -> tuple[np.ndarray, np.ndarray]:
+    photograph: Photograph, source: OutlineSource, rig: Rig
+) -> tuple[np.ndarray, Mask | None]:
     """Homography from pixels to the plane of the plate, m, about its centre if that is stated, and
-    the picture, in which a board is painted over."""
+    the pixels of a board."""
     if plate := source.plate_px:
-        pixel = rig.plate_diameter * factor / plate.diameter
-        centre = (np.array([plate.x, plate.y]) + 0.5) / factor - 0.5
-        return np.diag([pixel, -pixel, 1.0]) @ _shift(-centre), grey
+        pixel = rig.plate_diameter * photograph.factor / plate.diameter
+        return np.diag([pixel, -pixel, 1.0]) @ _shift(-_in_reduced(plate, photograph)), None
     if source.mm_per_px:
-        pixel = 1e-3 * source.mm_per_px * factor
-        return np.diag([pixel, -pixel, 1.0]), grey
-    if (plane := board_plane(grey)) is None:
+        pixel = 1e-3 * source.mm_per_px * photograph.factor
+        return np.diag([pixel, -pixel, 1.0]), None
+    if (plane := board_plane(photograph.grey)) is None:
         raise InputError("the scale is not known: give outline: {plate_px: {x: 960, y: 540, "
                          "diameter: 700}} or mm_per_px, or lay the board in the plane of the plate")
     return plane
 
 
-def board_plane(grey: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Homography (3, 3) from pixels to the plane of a printed board, m, and the picture (H, W),
-    0 to 255, in which the board is painted over; None if it is not seen, InputError if it is not
-    flat."""
+def board_plane(grey: GreyPicture) -> tuple[np.ndarray, Mask] | None:
+    """Homography (3, 3) from pixels to the plane of a printed board, m, and the pixels of the
+    board; None if it is not seen, InputError if it is not flat."""
     if (corners := find_corners(grey.astype(np.uint8))) is None:
         return None
     points, pixels = corners[0][:, :2].astype(np.float64), corners[1].astype(np.float64)
@@ -159,11 +169,10 @@ def board_plane(grey: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
                          "and remove the distortion of the lens")
     middle, half = np.array(SQUARES) * SQUARE / 2, np.array(PAPER) / 2 + 5e-3
     page = mapped(middle + half * [[-1, -1], [1, -1], [1, 1], [-1, 1]], from_board)
-    mask = cv2.fillConvexPoly(np.zeros(grey.shape, np.uint8), np.rint(page).astype(np.int32), 1)
-    around = (cv2.dilate(mask, np.ones((15, 15), np.uint8)) > 0) & (mask == 0)
-    if not around.any():
+    mask = cv2.fillConvexPoly(np.zeros(grey.shape, np.uint8), np.rint(page).astype(np.int32), 1) > 0
+    if mask.all():
         raise InputError("the board fills the picture; lay it beside the drape")
-    return to_metres, np.where(mask > 0, np.median(grey[around]), grey).astype(np.float32)
+    return to_metres, mask
 
 
 def upright(to_metres: np.ndarray, pixel: np.ndarray) -> tuple[np.ndarray, float]:

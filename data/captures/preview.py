@@ -43,7 +43,7 @@ def outline_picture(capture: Capture, checks: Sequence[Check] = ()) -> bytes:
     panel.set_axis_off()
     panel.set_aspect("equal")
     if outline.picture is not None:
-        panel.imshow(outline.picture, cmap="gray", vmin=0, vmax=255)
+        panel.imshow(outline.picture)
         panel.autoscale(False)
     angle = np.linspace(0, 2 * np.pi, 181)
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)

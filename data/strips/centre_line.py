@@ -19,9 +19,10 @@ from scipy.spatial import cKDTree
 
 from common.errors import InputError
 from common.types import Mask, PixelPath, Radians
-from data.captures.shadow import BLUR, MIN_CONTRAST
 
 POINTS = 60  # of a centre line
+BLUR = 1.2  # pixels, standard deviation
+MIN_CONTRAST = 0.12  # between strip and ground, of the brightest
 NOISE_LEVEL = 6.0  # standard deviations of the ground, at which something differs from it
 MAX_COVERED = 0.5  # of the picture that may differ from the ground
 MIN_EXTENT = 1.0  # of a strip, in thicknesses of the thinnest clamp

@@ -9,13 +9,14 @@ them lies the middle of its width, in whose plane the scale holds.
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 from scipy.stats import foldnorm
 
 from common.errors import InputError
 from common.types import DeflectionCurve, Metres, Pixels, Radians
 from data.captures.photograph import board_plane, large_pixels, mapped
-from data.captures.shadow import read_grey
+from data.pictures.reading import read_photograph
 from data.strips.centre_line import CentreLine, trace_strip
 from data.strips.description import StripEntry, StripsDescription, View
 from data.strips.posterior import MeasuredStrip
@@ -85,7 +86,8 @@ def _read(
     if view.scale is None:
         raise InputError("scale is missing; give scale: {mm_per_px: 0.05}, a ruler, or {by: board}"
                          " (docs/use.md)")
-    grey, factor = read_grey(file, side=WORKING_SIDE, brightest=BRIGHTEST)
+    photograph = read_photograph(file, side=WORKING_SIDE, brightest=BRIGHTEST)
+    grey, factor = photograph.grey, photograph.factor
     to_metres, shown, scale_error = _scale(grey, factor, view)
     left = view.hangs == "left"
     line = _trace(shown, grey != shown, view, factor, slope, left,
@@ -147,7 +149,10 @@ def _scale(
         if (plane := board_plane(grey)) is None:
             raise InputError("the printed board is not seen; place it beside the strip, in the "
                              "plane of the middle of its width, or give another scale")
-        return *plane, SCALE_ERROR["board"]
+        to_metres, board = plane
+        around = cv2.dilate(board.astype(np.uint8), np.ones((15, 15), np.uint8)) > 0
+        painted = np.where(board, np.median(grey[around & ~board]), grey).astype(np.float32)
+        return to_metres, painted, SCALE_ERROR["board"]
     if scale.mm_per_px:
         pixel, error = 1e-3 * scale.mm_per_px, SCALE_ERROR["mm_per_px"]
     else:

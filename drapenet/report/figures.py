@@ -80,7 +80,7 @@ def _photograph(
 ) -> None:
     """The photograph, if there is one, with the outline and that of the simulated drape."""
     if outline.picture is not None:
-        axes.imshow(outline.picture, cmap="gray", vmin=0, vmax=255)
+        axes.imshow(outline.picture)
     axes.set(aspect="equal", xticks=[], yticks=[])
     closed = np.vstack([outline.curve, outline.curve[:1]])
     axes.plot(*outline.drawn(closed).T, color=CAPTURED, lw=2, label="photographed")

@@ -1,0 +1,260 @@
+"""Cloth cut out of its ground in a photograph: which pixels show it.
+
+    light relative to the ground -> ground by its soft changes -> cloth and ground by their colours
+
+The ground's light is a smooth function of place, fitted to what surely is ground. Relative to it,
+a shadow is darker and has no colour; cloth has a colour, a texture, or a sharp edge. What is
+joined to the border without a sharp edge is ground, also where it is shaded; the rest is cloth or
+a shadow with a sharp edge. GrabCut (Rother et al. 2004) decides by what the colours of both have
+in common, and along edges.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from common.errors import InputError
+from common.types import LinearLight, Mask
+from data.pictures.reading import Photograph
+
+SIDE = 600  # pixels, of the picture in which cloth is told from ground
+BORDER = 0.1  # of the smaller side: the ground, where nothing else is known of it
+ON_PLATE = 0.85  # of the plate's radius, surely cloth
+BEYOND = 1.08  # of the flat specimen's reach, surely ground
+SHADE_EDGES = (5.0, 3.0)  # times the ground's median edge strength; soft changes are weaker
+LEAST_EDGE = 0.02  # of log light per pixel
+GREYNESS = 0.06  # of log light between colours, that shadows may have
+DARKER = 0.05  # of log light, that shadows at least are
+_DARKEST, _LIGHTEST = -0.75, 0.7  # log light of cloth, beyond which it is dark or light alike
+THREADS = (9.0, 15.0, 21.0)  # pixels, of widths of threads at a hem, or bridges to other things
+FLOOR = 0.01  # of light, below which noise rules
+_TERMS = [(i, j) for i in range(4) for j in range(4 - i)]  # of the ground's polynomial in x and y
+_ROUNDS = 5  # of fits and of GrabCut
+_SAMPLES = 6000
+MIN_COVERED = 0.9  # of the plate
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where cloth may be: sizes and places in pixels of the picture.
+
+    Attributes:
+        plate, reach: radii of the plate and of the flat specimen.
+        middle: (2,) the plate's centre; None if it is not known.
+        ground: what surely shows the ground near the cloth; None for the picture's border.
+        outside: what surely is not cloth.
+    """
+
+    plate: float
+    reach: float
+    middle: np.ndarray | None = None
+    ground: Mask | None = None
+    outside: Mask | None = None
+
+
+def cut_cloth(photograph: Photograph, place: Place, edge: float = SHADE_EDGES[0]) -> Mask:
+    """The cloth without holes; InputError where none differs from the ground. ``edge``: strength of
+    an edge that separates them, of the ground's median."""
+    height, width = photograph.light.shape[:2]
+    scale = min(1.0, SIDE / max(height, width))
+    size = round(scale * width), round(scale * height)
+
+    def small(mask: Mask | None) -> Mask:
+        if mask is None:
+            return np.zeros(size[::-1], bool)
+        return cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_AREA) > 0
+
+    if 2 * place.plate > min(height, width):
+        raise InputError(f"the plate has {2 * place.plate * photograph.factor:.0f} pixels of the "
+                         f"file, more than the picture's {min(height, width) * photograph.factor}; "
+                         "check the scale and the tester")
+    light = cv2.resize(photograph.light, size, interpolation=cv2.INTER_AREA)
+    outside = small(photograph.transparent) | small(place.outside)
+    ground = small(place.ground) if place.ground is not None else _border(size)
+    middle = None if place.middle is None else (np.asarray(place.middle) + 0.5) * scale - 0.5
+    cloth = _cut(light, ground, outside, middle, scale * place.plate, scale * place.reach,
+                 edge)
+    return cv2.resize(cloth.astype(np.float32), (width, height)) > 0.5
+
+
+def _border(size: tuple[int, int]) -> Mask:
+    wide = round(BORDER * min(size))
+    border = np.ones(size[::-1], bool)
+    border[wide:-wide, wide:-wide] = False
+    return border
+
+
+def _cut(
+    light: LinearLight, ground: Mask, outside: Mask, middle: np.ndarray | None, plate: float,
+    reach: float, edge: float, *, on_sheet: bool = False
+) -> Mask:
+    opaque = ground & ~outside
+    shade, tint = _relative(light, opaque if opaque.sum() > _SAMPLES / 10 else ground)
+    raised = _raised(_edges(shade, tint), edge, ground, outside)
+    centre = _best_place(raised, plate) if middle is None else middle
+    far = _distances(ground.shape, centre)
+    piece = _piece(raised, centre)
+    _require_covered(piece, far < 0.95 * plate, stated=middle is not None)
+    if not on_sheet and (far[piece] > BEYOND * reach).any():
+        # What differs from the border may be a sheet under the drape, or a lit table in the dark.
+        rim = piece & ~_eroded(piece, 0.15 * reach) & _eroded(piece, 0.03 * reach)
+        try:
+            return _cut(light, rim, outside | ~piece, middle, plate, reach, edge, on_sheet=True)
+        except InputError:
+            pass
+    return _by_colours(shade, tint, piece, outside, centre, plate, reach)
+
+
+def _relative(light: LinearLight, ground: Mask) -> tuple[np.ndarray, np.ndarray]:
+    """Log light (H, W) and its differences between colours (H, W, 3), over the ground's."""
+    logs = np.log(light + FLOOR)
+    rows, columns = np.indices(ground.shape, dtype=np.float32)
+    y, x = 2 * rows / ground.shape[0] - 1, 2 * columns / ground.shape[1] - 1
+    terms = np.stack([x**i * y**j for i, j in _TERMS], axis=2)
+    places = np.flatnonzero(ground)
+    places = places[:: max(len(places) // _SAMPLES, 1)]
+    if not len(places):
+        raise InputError("no ground is seen around the cloth; move the camera up")
+    design, seen = terms.reshape(-1, len(_TERMS))[places], logs.reshape(-1, 3)[places]
+    kept = np.ones(len(places), bool)
+    for _ in range(_ROUNDS):
+        fit = np.linalg.lstsq(design[kept], seen[kept], rcond=None)[0]
+        off = np.abs(seen - design @ fit)
+        kept = (off < 3 * (1.4826 * np.median(off[kept], axis=0) + 0.01)).all(axis=1)
+    over = (logs - terms @ fit).astype(np.float32)
+    shade = over.mean(axis=2)
+    return shade, over - shade[..., None]
+
+
+def _edges(shade: np.ndarray, tint: np.ndarray) -> np.ndarray:
+    """Strength (H, W) of the edges, log light per pixel."""
+    layers = [np.clip(shade, -1.2, 1.0), *np.moveaxis(2 * tint, 2, 0)]
+    total = np.zeros(shade.shape, np.float32)
+    for layer in layers:
+        smooth = cv2.GaussianBlur(np.ascontiguousarray(layer), (0, 0), 1.0)
+        for axis in ((1, 0), (0, 1)):
+            total += np.square(cv2.Scharr(smooth, -1, *axis, scale=1 / 32))
+    return np.sqrt(total)
+
+
+def _raised(edges: np.ndarray, level: float, ground: Mask, outside: Mask) -> Mask:
+    """What sharp edges separate from the ground, filled."""
+    soft = edges < max(level * float(np.median(edges[ground])), LEAST_EDGE)
+    _, labels = cv2.connectedComponents(soft.astype(np.uint8), connectivity=4)
+    shares = np.bincount(labels[ground])
+    shares[0] = 0
+    joined = np.flatnonzero(shares > 0.05 * ground.sum())
+    rest = ~(np.isin(labels, joined) | outside)
+    rest = cv2.erode(rest.astype(np.uint8), np.ones((3, 3), np.uint8))
+    return _opened(_filled(rest), 7)
+
+
+def _best_place(raised: Mask, plate: float) -> np.ndarray:
+    """Where (2,) a disc of the plate's radius is covered best; the middle of such places."""
+    radius = max(round(plate), 1)
+    disc = cv2.circle(np.zeros((2 * radius + 1, 2 * radius + 1), np.float32), (radius, radius),
+                      radius, 1, cv2.FILLED)
+    covered = cv2.filter2D(raised.astype(np.float32), -1, disc / disc.sum(),
+                           borderType=cv2.BORDER_CONSTANT)
+    rows, columns = np.nonzero(covered > covered.max() - 3e-3)
+    return np.array([columns.mean(), rows.mean()])
+
+
+def _piece(mask: Mask, centre: np.ndarray) -> Mask:
+    """The piece of a mask around a place, filled; empty if there is none."""
+    _, labels = cv2.connectedComponents(mask.astype(np.uint8))
+    column, row = np.clip(np.rint(centre).astype(int), 0, np.array(mask.shape[::-1]) - 1)
+    label = labels[row, column]
+    return _filled((labels == label).astype(np.uint8)) if label else np.zeros(mask.shape, bool)
+
+
+def _require_covered(piece: Mask, plate: Mask, *, stated: bool) -> None:
+    """InputError where cloth cannot lie on the plate."""
+    covered = piece[plate].mean() if plate.any() else 0.0
+    if covered < MIN_COVERED:
+        place, what = ("its stated place", "plate_px") if stated else ("any place", "the scale")
+        raise InputError(
+            f"what differs from the ground covers {covered:.0%} of the plate at {place}, at least "
+            f"{MIN_COVERED:.0%} is needed: if the cloth is as light as the ground or its shadow, "
+            "light it from below or use a ground of another colour; move the camera up if the "
+            f"drape touches the border; check {what} and the tester")
+
+
+def _distances(shape: tuple[int, ...], centre: np.ndarray) -> np.ndarray:
+    rows, columns = np.indices(shape)
+    return np.hypot(columns - centre[0], rows - centre[1])
+
+
+def _by_colours(
+    shade: np.ndarray, tint: np.ndarray, piece: Mask, outside: Mask, centre: np.ndarray,
+    plate: float, reach: float
+) -> Mask:
+    """The cloth of a piece that is cloth and shadows, by GrabCut."""
+    far = _distances(piece.shape, centre)
+    on_plate = far < ON_PLATE * plate
+    mean_tint = tint[on_plate].mean(axis=0)
+    along = tint @ (mean_tint / max(float(np.linalg.norm(mean_tint)), 0.02))
+    grain = _grain(shade)
+    picture = np.dstack([128 + 170 * np.clip(shade, _DARKEST, _LIGHTEST),
+                         128 + 400 * np.clip(along, -0.3, 0.3), np.minimum(1500 * grain, 200)])
+    colour = np.abs(tint).max(axis=2)
+    usual, spread = np.median(shade[on_plate]), 1.4826 * _deviation(shade[on_plate])
+    shadow = (colour < GREYNESS) & (shade < -DARKER) & (shade > usual + max(3 * spread, 0.2)) & (
+        grain < 2 * max(float(np.median(grain[~piece])), 4e-3))
+    labels = np.where(piece & ~shadow, cv2.GC_PR_FGD, cv2.GC_PR_BGD)
+    labels[outside | ~_grown(piece, 4) | (far > BEYOND * reach)] = cv2.GC_BGD
+    labels[on_plate] = cv2.GC_FGD
+    mask = labels.astype(np.uint8)
+    models = np.zeros((1, 65)), np.zeros((1, 65))
+    cv2.setRNGSeed(0)
+    cv2.grabCut(np.clip(picture, 0, 255).astype(np.uint8), mask, (0, 0, 1, 1), *models, _ROUNDS,
+                cv2.GC_INIT_WITH_MASK)
+    found = (mask == cv2.GC_FGD) | (mask == cv2.GC_PR_FGD)
+    # Without threads, and without what a bridge joins to the cloth and the picture's border.
+    for width in THREADS:
+        body = _piece(_opened(found, width), centre)
+        if (body & (far > BEYOND * reach - 2)).sum() > 0.02 * 2 * np.pi * reach:
+            raise InputError("what differs from the ground reaches beyond the flat specimen; check "
+                             "the scale, the specimen's size and the tester, and take away what is "
+                             "not cloth, such as a shadow with a sharp edge")
+        if not _touches_border(body):
+            return _filled(found & _grown(body, width / 2))
+    raise InputError("the drape touches the border of the picture; move the camera up, or use a "
+                     "ground that fills the picture")
+
+
+def _touches_border(mask: Mask) -> bool:
+    return bool(mask[0].any() or mask[-1].any() or mask[:, 0].any() or mask[:, -1].any())
+
+
+def _grain(shade: np.ndarray) -> np.ndarray:
+    """Texture: mean deviation (H, W) from the surroundings, without that of single edges."""
+    fine = np.abs(shade - cv2.GaussianBlur(shade, (0, 0), 2.0))
+    return cv2.erode(cv2.blur(fine, (7, 7)), np.ones((7, 7), np.uint8))
+
+
+def _deviation(values: np.ndarray) -> float:
+    return float(np.median(np.abs(values - np.median(values))))
+
+
+def _filled(piece: np.ndarray) -> Mask:
+    outer, _ = cv2.findContours(piece.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    return cv2.drawContours(np.zeros(piece.shape, np.uint8), outer, -1, 1, cv2.FILLED) > 0
+
+
+def _disc(size: float) -> np.ndarray:
+    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (int(size) | 1,) * 2)
+
+
+def _opened(mask: Mask, size: float) -> Mask:
+    return cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, _disc(size)) > 0
+
+
+def _eroded(mask: Mask, distance: float) -> Mask:
+    padded = cv2.copyMakeBorder(mask.astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
+    return cv2.distanceTransform(padded, cv2.DIST_L2, 3)[1:-1, 1:-1] > distance
+
+
+def _grown(mask: Mask, distance: float) -> Mask:
+    return cv2.dilate(mask.astype(np.uint8), _disc(2 * distance + 1)) > 0

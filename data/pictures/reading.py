@@ -1,0 +1,131 @@
+"""Photographs as cameras and phones write them, in linear light."""
+
+import io
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pillow_heif
+from PIL import Image, ImageCms, ImageOps
+
+from common.documents import read_bytes, reading
+from common.errors import InputError
+from common.types import ColourPicture, GreyPicture, LinearLight, Mask
+
+MAX_FILE_BYTES = 160 << 20
+SIDES = (100, 10_000)  # pixels
+WORKING_SIDE = 1500  # pixels, to which larger photographs are reduced
+FORMATS = ("PNG", "JPEG", "TIFF", "HEIF")
+SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".heic", ".heif")
+FULL_FRAME = 43.27  # mm, diagonal of the film that equivalent focal lengths refer to
+_BRIGHTEST = 0.995  # quantile that a picture is scaled to
+_EXIF, _EQUIVALENT_FOCAL = 0x8769, 41989  # tags
+
+pillow_heif.register_heif_opener()
+
+
+@dataclass(frozen=True)
+class Photograph:
+    """A photograph, reduced.
+
+    Attributes:
+        light: proportional to the light of red, green and blue, about 1 for the brightest.
+        transparent: pixels that an editor has made transparent, which are not cloth; ``light`` is
+            that of the paper or the table on which they would show best.
+        factor: how many pixels of a row of the file were averaged to each.
+        focal: length, pixels of ``light``, as the camera states it; None if it does not.
+    """
+
+    light: LinearLight
+    transparent: Mask
+    factor: int = 1
+    focal: float | None = None
+
+    @cached_property
+    def colour(self) -> ColourPicture:
+        """The picture to look at."""
+        return np.rint(255 * encoded(self.light)).astype(np.uint8)
+
+    @cached_property
+    def grey(self) -> GreyPicture:
+        """Brightness as it is looked at, 0 to 255."""
+        return 255 * encoded(cv2.cvtColor(self.light, cv2.COLOR_RGB2GRAY))
+
+
+def read_photograph(
+    file: Path, *, side: int = WORKING_SIDE, brightest: float = _BRIGHTEST
+) -> Photograph:
+    """Read a photograph, turned upright, with at most ``side`` pixels on a side; the quantile
+    ``brightest`` of its light becomes 1."""
+    data = read_bytes(file, MAX_FILE_BYTES, "photograph")
+    with reading(file, "save it again as PNG, JPEG, TIFF or HEIC"):
+        # From memory: of files, Pillow maps some TIFF with the size that they have when turned.
+        with Image.open(io.BytesIO(data), formats=FORMATS) as picture:
+            width, height = picture.size
+            if not SIDES[0] <= min(picture.size) <= max(picture.size) <= SIDES[1]:
+                raise InputError(f"{width}x{height} pixels; photographs have {SIDES[0]} to "
+                                 f"{SIDES[1]} on each side")
+            equivalent = picture.getexif().get_ifd(_EXIF).get(_EQUIVALENT_FOCAL)
+            values, transparent = _values(ImageOps.exif_transpose(picture))
+    factor = -(-max(values.shape) // side)
+    light = _reduced(values, factor)
+    white = max(float(np.quantile(light.max(axis=2), brightest)), 1e-6)
+    light = np.minimum(light / white, 1)
+    rows, columns = light.shape[:2]
+    transparent = transparent[factor // 2 :: factor, factor // 2 :: factor][:rows, :columns]
+    if transparent.any() and not transparent.all():
+        light[transparent] = 0.0 if np.median(light[~transparent]) > 0.3 else 1.0
+    focal = float(equivalent) * float(np.hypot(rows, columns)) / FULL_FRAME if equivalent else None
+    return Photograph(light, transparent, factor, focal)
+
+
+def _values(picture: Image.Image) -> tuple[np.ndarray, np.ndarray]:
+    """Values (H, W, C) as encoded, of any type, and which pixels are transparent."""
+    if picture.mode[0] in "IF":  # more than 8 bits
+        grey = np.nan_to_num(np.asarray(picture, np.float32))
+        grey = np.clip(grey / max(float(grey.max()), 1e-6), 0, 1)
+        return grey[..., None], np.zeros(grey.shape, bool)
+    opaque = picture.convert("RGBA").getchannel("A") if picture.has_transparency_data else None
+    if (profile := picture.info.get("icc_profile")) and picture.mode in ("RGB", "RGBA", "CMYK"):
+        picture = _in_srgb(picture, profile)
+    values = np.asarray(picture.convert("RGB"))
+    transparent = np.zeros(values.shape[:2], bool) if opaque is None else np.asarray(opaque) < 128
+    return values, transparent
+
+
+def _in_srgb(picture: Image.Image, profile: bytes) -> Image.Image:
+    """The picture in the colours of sRGB; as it is if its profile is damaged."""
+    try:
+        stated = ImageCms.ImageCmsProfile(io.BytesIO(profile))
+        if picture.mode == "RGBA":
+            picture = picture.convert("RGB")
+        changed = ImageCms.profileToProfile(
+            picture, stated, ImageCms.createProfile("sRGB"), outputMode="RGB")
+    except (ImageCms.PyCMSError, OSError):
+        return picture
+    return changed or picture
+
+
+def _reduced(values: np.ndarray, factor: int) -> LinearLight:
+    """Light (H, W, 3) of values as encoded, averaged over squares of ``factor`` pixels."""
+    rows, columns = (n // factor for n in values.shape[:2])
+    total = np.zeros((rows, columns, values.shape[2]), np.float32)
+    table = decoded(np.arange(256, dtype=np.float32) / 255)
+    for k in range(factor * factor):
+        part = values[k // factor : rows * factor : factor, k % factor : columns * factor : factor]
+        total += table[part] if values.dtype == np.uint8 else decoded(part)
+    return np.ascontiguousarray(np.broadcast_to(total / factor**2, (rows, columns, 3)))
+
+
+def decoded(value: np.ndarray) -> np.ndarray:
+    """Light, 0 to 1, of values 0 to 1 as sRGB encodes them (IEC 61966-2-1)."""
+    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(
+        np.float32)
+
+
+def encoded(light: np.ndarray) -> np.ndarray:
+    """Values, 0 to 1, that sRGB encodes light with."""
+    return np.where(light <= 0.0031308, 12.92 * light,
+                    1.055 * np.maximum(light, 1e-9) ** (1 / 2.4) - 0.055).astype(np.float32)
