@@ -14,17 +14,13 @@ import numpy as np
 from common.types import Edges, Metres, Outline, Points, Radians
 from drapenet.views.directions import AZIMUTH, AZIMUTHS, elevations
 from drapenet.views.radial_map import PIXEL, RadialMap
-from sim.measures import farthest, folds_around
+from sim.measures import farthest, folds_around, hem_depth
 from sim.mesh import Mesh
 from sim.rig import Rig
 
 PERSPECTIVES = (0.0, 0.2, 0.4, 0.6, 0.8)
 """Sizes of the specimen over the camera's height at which outlines of drapes are stored; between
 them radii are interpolated linearly, to 0.1 mm."""
-_DEPTH_SHARE = 0.88
-"""Depth of a hem over that of a straight line of cloth from the plate: simulated discs of 240, 300
-and 360 mm and squares of 300 mm, seen from 1 m and 1.2 m, have 0.85 to 0.95, and drape
-coefficients corrected with this value are wrong by 0.4 to 0.8 points rms, uncorrected by 4 to 8."""
 _FINE = 8  # azimuths for each of the stored ones, at which a shape's silhouette is sampled
 
 Radii = Annotated[np.ndarray, "(AZIMUTHS,) m, on the plate's plane; NaN where the hem is not seen"]
@@ -56,9 +52,7 @@ class DrapeOutline:
             return self
         flat, radius = rig.border(AZIMUTH), self.radius
         for _ in range(30):  # damped, as the depth changes fast near the flat specimen's border
-            out = np.maximum(radius - rig.plate_radius, 0)
-            depth = _DEPTH_SHARE * np.sqrt(
-                np.maximum(np.square(flat - rig.plate_radius) - np.square(out), 0))
+            depth = hem_depth(radius, flat, rig)
             radius = (radius + self.radius * (1 + depth / self.height)) / 2
         return DrapeOutline(np.minimum(radius, np.maximum(flat, self.radius)))
 

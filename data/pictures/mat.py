@@ -1,0 +1,181 @@
+"""A printed mat under the plate's stand: its picture, pages to print, and its markers in pictures.
+
+A ring of fiducial markers (AprilTag 36h11) surrounds a plain middle with circles for the foot of
+the stand. Coordinates are in the plane of the mat: x along its arrow, y to the left of it, the
+centre of the circles the origin, m.
+"""
+
+import io
+from dataclasses import dataclass
+from functools import cache
+
+import cv2
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from common.errors import InputError
+from common.types import GreyPicture, Metres, Pixels, Points
+
+DPI = 300
+PIXEL = 25.4e-3 / DPI  # m, of the mat's picture
+MARKER = 24e-3  # m, side of its black square
+MIN_MARKERS = 6
+BAR = 200e-3  # m, length of the scale on the mat
+_DICTIONARY = cv2.aruco.DICT_APRILTAG_36h11
+_CIRCLES = np.arange(30, 91, 10) * 1e-3  # m, radii
+_LINE, _TEXT = 150, 90  # grey of lines and letters
+_MARGIN = 5e-3  # m, white, around the markers
+_OVERLAP = 2e-3  # m, by which parts on several pages overlap
+_PAGES = {"a2": (594, 420), "a3": (420, 297), "tabloid": (431.8, 279.4), "a4": (297, 210),
+          "letter": (279.4, 215.9)}
+"""Papers, mm, wide and high."""
+
+
+@dataclass(frozen=True)
+class Mat:
+    """A mat's layout: width and height, m, number of markers along them, and the first's number."""
+
+    size: tuple[Metres, Metres]
+    along: tuple[int, int]
+    first: int
+
+    @property
+    def numbers(self) -> range:
+        """Numbers of the markers."""
+        wide, high = self.along
+        return range(self.first, self.first + 2 * wide + 2 * (high - 2))
+
+    @property
+    def centres(self) -> np.ndarray:
+        """Centres (M, 2) of the markers, m."""
+        x, y = ((side - MARKER) / 2 for side in self.size)
+        columns, rows = np.linspace(-x, x, self.along[0]), np.linspace(-y, y, self.along[1])[1:-1]
+        return np.array([*((c, y) for c in columns), *((c, -y) for c in columns),
+                         *((-x, r) for r in rows), *((x, r) for r in rows)])
+
+
+MATS = {"a3": Mat((0.396, 0.262), (10, 7), 0), "a2": Mat((0.530, 0.396), (13, 10), 100)}
+PARTS = {("a3", "a3"): (1, 1), ("a3", "tabloid"): (1, 1), ("a3", "a4"): (2, 1),
+         ("a3", "letter"): (2, 1), ("a2", "a2"): (1, 1), ("a2", "a4"): (2, 2),
+         ("a2", "letter"): (2, 2)}
+"""Columns and rows of pages, by mat and paper."""
+
+
+@cache
+def mat_picture(name: str) -> np.ndarray:
+    """The mat (H, W) uint8, grey, :data:`PIXEL` a pixel, its arrow to the right."""
+    mat = MATS[name]
+    width, height = (round((side + 2 * _MARGIN) / PIXEL) for side in mat.size)
+    page = Image.new("L", (width, height), 255)
+    draw = ImageDraw.Draw(page)
+
+    def at(x: Metres, y: Metres) -> tuple[float, float]:
+        return width / 2 + x / PIXEL, height / 2 - y / PIXEL
+
+    def line(*points: tuple[Metres, Metres], wide: int = 3) -> None:
+        draw.line([at(*point) for point in points], fill=_LINE, width=wide)
+
+    def write(x: Metres, y: Metres, text: str, size: Metres = 3.2e-3) -> None:
+        draw.text(at(x, y), text, fill=_TEXT, anchor="mm",
+                  font=ImageFont.load_default(size / PIXEL))
+
+    for radius in _CIRCLES:
+        draw.ellipse([*at(-radius, radius), *at(radius, -radius)], outline=_LINE, width=3)
+        write(*(radius * np.array([0.71, -0.71]) + [5e-3, -2e-3]), f"{2e3 * radius:g}", 2.5e-3)
+    line((-0.1, 0), (0.1, 0))
+    line((0, -0.1), (0, 0.1))
+    inner_x, inner_y = (side / 2 - MARKER for side in mat.size)
+    tip = inner_x - 4e-3
+    line((0.11, 0), (tip, 0), wide=12)
+    line((tip - 8e-3, 5e-3), (tip, 0), (tip - 8e-3, -5e-3), wide=12)
+    write(tip - 22e-3, 6e-3, "WARP")
+    write(0, inner_y - 5e-3, f"mat {name}: print at 100 %, lay flat on a plain table; centre the "
+          "foot on the circles, warp along the arrow")
+    low = -inner_y + 4e-3
+    line((-BAR / 2, low), (BAR / 2, low))
+    for tick in np.linspace(-BAR / 2, BAR / 2, 21):
+        line((tick, low), (tick, low + 3e-3))
+    write(BAR / 2 + 22e-3, low + 1e-3, f"{1e3 * BAR:g} mm: measure it")
+    for number, centre in zip(mat.numbers, mat.centres, strict=True):
+        side = round(MARKER / PIXEL)
+        marker = cv2.aruco.generateImageMarker(
+            cv2.aruco.getPredefinedDictionary(_DICTIONARY), number, side)
+        left, top = np.rint(np.array(at(*centre)) - side / 2).astype(int)
+        page.paste(Image.fromarray(marker), (int(left), int(top)))
+    return np.asarray(page)
+
+
+def mat_pages(name: str, paper: str) -> bytes:
+    """PDF of a mat, in as many pages as it needs on a paper; to be printed at 100 %."""
+    from fpdf import FPDF
+
+    if (name, paper) not in PARTS:
+        choices = ", ".join(f"mat={one} paper={other}" for one, other in PARTS)
+        raise InputError(f"mat={name} paper={paper} does not fit; choose {choices}")
+    columns, rows = PARTS[name, paper]
+    picture = mat_picture(name)
+    extra = round(_OVERLAP / PIXEL)
+    wide, high = picture.shape[1] // columns, picture.shape[0] // rows
+    sheet = max(_PAGES[paper]), min(_PAGES[paper])
+    if wide < high:
+        sheet = sheet[::-1]
+    pages = FPDF(unit="mm", format=sheet)
+    pages.set_auto_page_break(False)
+    for row in range(rows):
+        for column in range(columns):
+            top, left = max(row * high - extra, 0), max(column * wide - extra, 0)
+            part = picture[top : (row + 1) * high + extra, left : (column + 1) * wide + extra]
+            size = [1e3 * PIXEL * n for n in part.shape[::-1]]
+            x, y = ((outer - inner) / 2 for outer, inner in zip(sheet, size, strict=True))
+            pages.add_page()
+            stream = io.BytesIO()
+            Image.fromarray(part).save(stream, format="PNG")
+            pages.image(stream, x, y, *size)
+            _seams(pages, column, row, columns, rows, (x, y), size)
+    return bytes(pages.output())
+
+
+def _seams(pages, column, row, columns, rows, corner, size) -> None:  # type: ignore[no-untyped-def]
+    """Lines at which a page is cut (right, below) to be laid on the next page's line."""
+    margin, (x, y), (wide, high) = 1e3 * _OVERLAP, corner, size
+    pages.set_draw_color(120)
+    pages.set_line_width(0.15)
+    for inside, place in ((column + 1 < columns, x + wide - margin), (column > 0, x + margin)):
+        if inside:
+            for start, end in ((0, y - 1), (y + high + 1, y + high + 6)):
+                pages.line(place, max(start, y - 6), place, end)
+    for inside, place in ((row + 1 < rows, y + high - margin), (row > 0, y + margin)):
+        if inside:
+            for start, end in ((x - 6, x - 1), (x + wide + 1, x + wide + 6)):
+                pages.line(start, place, end, place)
+
+
+def find_mat(grey: GreyPicture) -> tuple[str, Points, Pixels] | None:
+    """Which mat a picture shows, centres of markers that are seen, and their pixels; None if there
+    are fewer than :data:`MIN_MARKERS`.
+
+    White paper outshines ink, so that markers look smaller than they are: their corners move, the
+    intersection of their diagonals does not.
+    """
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_CONTOUR
+    detector = cv2.aruco.ArucoDetector(
+        cv2.aruco.getPredefinedDictionary(_DICTIONARY), parameters)
+    found, numbers, _ = detector.detectMarkers(grey.astype(np.uint8))
+    if numbers is None:
+        return None
+    seen = dict(zip(numbers.ravel().tolist(), found, strict=True))
+    for name, mat in MATS.items():
+        present = [number for number in mat.numbers if number in seen]
+        if len(present) >= MIN_MARKERS:
+            centres = mat.centres[[number - mat.first for number in present]]
+            pixels = np.stack([_crossing(seen[number].reshape(4, 2)) for number in present])
+            return name, np.column_stack([centres, np.zeros(len(centres))]), pixels
+    return None
+
+
+def _crossing(corners: np.ndarray) -> np.ndarray:
+    """Where (2,) the diagonals of a quadrangle (4, 2) meet."""
+    start, across = corners[0].astype(float), corners[1].astype(float)
+    sides = np.column_stack([corners[2] - corners[0], corners[1] - corners[3]])
+    return start + sides[:, 0] * np.linalg.solve(sides.astype(float), across - start)[0]

@@ -1,0 +1,129 @@
+"""Where a camera was, from the markers of a mat in one or several of its pictures."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.optimize import least_squares
+
+from common.errors import InputError
+from common.types import Metres, Pixels, Points, Vector
+
+STATED_FOCAL = 0.03  # relative error of a focal length that a file states
+MAX_FOCAL_ERROR = 0.06
+DISTORTION = 0.03  # standard deviation of k1 (Brown), of phones that correct their pictures
+SEEN, PRINT = 0.15, 1.5e-4  # pixels and m, errors of a marker as seen and as printed
+MAX_ERROR = 3.0  # times the expected error of the markers, root mean square
+_GUESS = 0.65  # focal length over the picture's diagonal, of most phones
+
+
+@dataclass(frozen=True)
+class Pose:
+    """A camera's place and lens; its picture has (width, height) pixels.
+
+    Attributes:
+        focal: length, pixels.
+        distortion: coefficient k1 of Brown's lens.
+        turn, shift: (3,) rotation and translation from the mat to the camera, as OpenCV has them.
+        focal_error, height_error: standard deviations, relative, and m.
+    """
+
+    size: tuple[int, int]
+    focal: float
+    distortion: float
+    turn: np.ndarray
+    shift: np.ndarray
+    focal_error: float
+    height_error: Metres
+
+    @property
+    def place(self) -> Vector:
+        """The camera over the mat."""
+        return -cv2.Rodrigues(self.turn)[0].T @ self.shift
+
+    @property
+    def tilt(self) -> float:
+        """Angle, rad, between the camera's axis and the vertical."""
+        return float(np.arccos(min(-cv2.Rodrigues(self.turn)[0][2, 2], 1.0)))
+
+    def project(self, points: Points) -> Pixels:
+        """Pixels (N, 2) of points over the mat."""
+        return _projected(points, self.turn, self.shift, self.focal, self.distortion, self.size)
+
+
+def _projected(
+    points: Points, turn: np.ndarray, shift: np.ndarray, focal: float, distortion: float,
+    size: tuple[int, int]
+) -> np.ndarray:
+    matrix = np.array([[focal, 0, (size[0] - 1) / 2], [0, focal, (size[1] - 1) / 2], [0, 0, 1]])
+    lens = np.array([distortion, 0, 0, 0])
+    return cv2.projectPoints(np.ascontiguousarray(points), turn, shift, matrix, lens)[0][:, 0]
+
+
+def camera_pose(
+    size: tuple[int, int], seen: Sequence[tuple[Points, Pixels]], focal: float | None
+) -> Pose:
+    """Pose of the first picture from centres of markers and their pixels, in it and in others
+    of the same camera and ``size``; ``focal``: length as its file states it, pixels. InputError
+    where the markers do not lie in a plane, or leave the focal length open.
+
+    Focal length and distortion are unknowns that all pictures share, with what is known of phones
+    as prior; the picture's middle is the principal point.
+    """
+    diagonal = float(np.hypot(*size))
+    start = focal or _GUESS * diagonal
+    poses = [_first_pose(points, pixels, start, size) for points, pixels in seen]
+    spread = STATED_FOCAL if focal else 1.0
+    scales = [np.hypot(SEEN, PRINT * _pixels_per_metre(points, pixels)) for points, pixels in seen]
+
+    def residuals(unknowns: np.ndarray) -> np.ndarray:
+        parts = [unknowns[:1] / spread, unknowns[1:2] / DISTORTION]
+        for k, (points, pixels) in enumerate(seen):
+            turn, shift = unknowns[2 + 6 * k : 8 + 6 * k].reshape(2, 3)
+            found = _projected(points, turn, shift, start * np.exp(unknowns[0]), unknowns[1], size)
+            parts.append((found - pixels).ravel() / scales[k])
+        return np.concatenate(parts)
+
+    first = np.concatenate([[0.0, 0.0], *(np.concatenate(pose) for pose in poses)])
+    steps = np.concatenate([[1e-2, 1e-2], np.tile([1e-2] * 3 + [1e-2] * 3, len(seen))])
+    solved = least_squares(residuals, first, x_scale=steps, loss="soft_l1", f_scale=3.0)
+    count = sum(2 * len(points) for points, _ in seen)
+    error = float(np.sqrt(2 * solved.cost / count))
+    if error > MAX_ERROR:
+        raise InputError(f"the mat's markers lie {error:.1f} times as far from those of a flat mat "
+                         f"as they should, at most {MAX_ERROR:g} is allowed: lay it flat, print it "
+                         "at 100 %, join its parts at their lines, and hold the phone still")
+    covariance = np.linalg.inv(solved.jac.T @ solved.jac) * max(1.0, error) ** 2
+    turn, shift = solved.x[2:8].reshape(2, 3)
+    focal_error = float(np.sqrt(covariance[0, 0]))
+    if focal_error > MAX_FOCAL_ERROR:
+        raise InputError(
+            "the focal length is not known: the file does not state it (messengers remove that), "
+            "and one picture from above does not tell; give the file as the camera wrote it, or "
+            "take two more pictures of the mat from the sides, mat_1.jpg and mat_2.jpg")
+    heights = _height_gradient(solved.x[2:8])
+    height_error = float(np.sqrt(heights @ covariance[2:8, 2:8] @ heights))
+    return Pose(size, start * float(np.exp(solved.x[0])), float(solved.x[1]), turn, shift,
+                focal_error, height_error)
+
+
+def _first_pose(
+    points: Points, pixels: Pixels, focal: float, size: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
+    matrix = np.array([[focal, 0, (size[0] - 1) / 2], [0, focal, (size[1] - 1) / 2], [0, 0, 1]])
+    _, turn, shift = cv2.solvePnP(points, pixels, matrix, None, flags=cv2.SOLVEPNP_IPPE)
+    return turn.ravel(), shift.ravel()
+
+
+def _pixels_per_metre(points: Points, pixels: Pixels) -> float:
+    spans = (np.linalg.norm(np.ptp(one, axis=0)) for one in (pixels, points))
+    return float(next(spans) / next(spans))
+
+
+def _height_gradient(pose: np.ndarray) -> np.ndarray:
+    """Derivative (6,) of the camera's height by turn and shift."""
+    def height(values: np.ndarray) -> float:
+        return float((-cv2.Rodrigues(values[:3])[0].T @ values[3:])[2])
+    return np.array([(height(pose + step) - height(pose - step)) / 2e-5 for step in
+                     1e-5 * np.eye(6)])

@@ -1,0 +1,99 @@
+"""A photograph with a mat, as a camera straight above would see the plane of the plate."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from common.errors import InputError
+from common.types import Mask, Metres
+from data.pictures.mat import PIXEL, find_mat, mat_picture
+from data.pictures.pose import Pose, camera_pose
+from data.pictures.reading import Photograph, decoded, encoded
+
+AROUND = 1.3  # of the flat specimen's reach, shown
+SIDE = 1500  # pixels, at most
+INK = 220  # grey of the mat, below which it is printed
+_BLEED = 6e-4  # m, of print and its blur
+_INPAINTED = 3  # pixels, radius
+
+
+@dataclass(frozen=True)
+class OverMat:
+    """A photograph as seen straight from above, its middle the plate's centre, x along the mat's
+    arrow to the right.
+
+    Attributes:
+        photograph: the picture, without what is printed on the mat.
+        pixel: size of a pixel in the plane of the plate.
+        ground: (H, W) what surely shows mat or table.
+        markers: how many are seen.
+    """
+
+    photograph: Photograph
+    pixel: Metres
+    ground: Mask
+    pose: Pose
+    markers: int
+
+
+def straight_from_above(
+    photograph: Photograph, others: list[Photograph], mat: str, *, plate_height: Metres,
+    plate: Metres, reach: Metres
+) -> OverMat:
+    """Rectify a photograph of a drape over a ``mat``; InputError if it is not seen. ``others``:
+    pictures of the mat by the same camera; ``plate``, ``reach``: radii of the plate and of the flat
+    specimen."""
+    seen = []
+    for one in (photograph, *others):
+        found = find_mat(one.grey)
+        if found is None or found[0] != mat:
+            which = f"the mat {found[0]}" if found else "fewer than six markers"
+            raise InputError(f"it shows {which}, not the mat {mat}; show the mat with its corners, "
+                             "sharp and without glare, or correct outline.mat")
+        seen.append(found[1:])
+    height, width = photograph.light.shape[:2]
+    if any(one.light.shape != photograph.light.shape for one in others):
+        raise InputError("the pictures of the mat have different sizes; take all with one camera, "
+                         "in one mode, all upright or all sideways")
+    pose = camera_pose((width, height), seen, photograph.focal)
+    above = pose.place[2] - plate_height
+    if above < 0.15:
+        raise InputError(f"the camera was {1e3 * pose.place[2]:.0f} mm over the mat, the plate is "
+                         f"at {1e3 * plate_height:.0f}; check plate_height_mm, and hold the camera "
+                         "at least 0.4 m above the plate")
+    pixel = max(above / pose.focal, 2 * AROUND * reach / SIDE)
+    count = int(2 * AROUND * reach / pixel)
+    steps = (np.arange(count) - (count - 1) / 2) * pixel
+    x, y = np.meshgrid(steps, -steps)
+    points = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, plate_height)])
+    columns, rows = pose.project(points).T.reshape(2, count, count).astype(np.float32)
+    missing = (columns < 0) | (rows < 0) | (columns > width - 1) | (rows > height - 1)
+    light = cv2.remap(photograph.light, columns, rows, cv2.INTER_LINEAR,
+                      borderMode=cv2.BORDER_REPLICATE)
+    far = np.hypot(x, y)
+    # What is printed, seen through the plane of the plate.
+    on_mat = pose.place[:2] + (np.dstack([x, y]) - pose.place[:2]) * (pose.place[2] / above)
+    printed = _printed(mat, on_mat) & (far > plate)
+    light = _without(light, printed)
+    transparent = missing | (cv2.remap(photograph.transparent.astype(np.float32), columns, rows,
+                                       cv2.INTER_LINEAR) > 0.5)
+    ground = (far > 1.08 * reach) & ~missing
+    return OverMat(Photograph(light, transparent), pixel, ground, pose, len(seen[0][0]))
+
+
+def _printed(mat: str, on_mat: np.ndarray) -> Mask:
+    """Where (H, W) ink is printed, at places (H, W, 2), m."""
+    picture = mat_picture(mat)
+    ink = cv2.dilate((picture < INK).astype(np.uint8), np.ones((2 * round(_BLEED / PIXEL) + 1,) * 2))
+    height, width = ink.shape
+    columns = (on_mat[..., 0] / PIXEL + (width - 1) / 2).astype(np.float32)
+    rows = (-on_mat[..., 1] / PIXEL + (height - 1) / 2).astype(np.float32)
+    return cv2.remap(ink, columns, rows, cv2.INTER_NEAREST, borderValue=0) > 0
+
+
+def _without(light: np.ndarray, printed: Mask) -> np.ndarray:
+    """Light (H, W, 3) in which places that are printed have that of their surroundings."""
+    picture = np.rint(255 * encoded(light)).astype(np.uint8)
+    painted = cv2.inpaint(picture, printed.astype(np.uint8), _INPAINTED, cv2.INPAINT_TELEA)
+    return np.where(printed[..., None], decoded(painted / 255), light).astype(np.float32)
