@@ -13,6 +13,7 @@ import numpy as np
 from scipy.stats import foldnorm
 
 from common.errors import InputError
+from common.files import path_named
 from common.types import DeflectionCurve, Metres, Pixels, Radians
 from data.captures.photograph import board_plane, large_pixels, mapped
 from data.captures.shadow import read_grey
@@ -71,7 +72,7 @@ def read_strip(
 
     ``slope``: of the clamp below the horizontal, rad.
     """
-    file = folder / entry.file
+    file = path_named(folder, entry.file)
     try:
         return _read(file, entry, description, slope)
     except InputError as error:
