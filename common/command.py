@@ -118,7 +118,7 @@ def _fault(error: Exception, words: Sequence[str]) -> InputError:
 
     if isinstance(error, OverrideParseException):
         key, _, value = error.override.partition("=")
-        return InputError(f"{error.override} cannot be read; put texts in quotes of their own, such "
+        return InputError(f"{error.override} cannot be read; put each text in it in quotes, such "
                           f"as \"{key}='{value.strip('[]').split(',')[0]}'\"")
     return InputError(f"{one_line(error)}; see {' '.join(words)}")
 

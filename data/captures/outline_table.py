@@ -15,7 +15,7 @@ from data.captures.description import OutlineSource
 UNITS = {"mm": 1e-3, "m": 1.0}
 MIN_POINTS = 36
 MIN_TURN = 270.0  # degrees, that angles span at least
-MIN_RETURN = 0.25  # of the steps of x around a curve go back; fewer may be those of disordered angles
+MIN_RETURN = 0.25  # of the steps of x around a curve go back; fewer may be of disordered angles
 CARTESIAN, POLAR = ("x", "y"), ("angle", "radius")
 _HEADING = re.compile(r"(x|y|angle|radius)(?![a-z])[ _(\[]*(?:(mm|m)\b)?.*")
 _UNIT_ROW = re.compile(r"[(\[]?(mm|m)[)\]]?")
@@ -114,8 +114,8 @@ def _guessed(first: np.ndarray, second: np.ndarray) -> tuple[str, str]:
     if back <= 1:  # where angles begin again
         return POLAR
     if back < MIN_RETURN * len(steps):
-        raise InputError("its columns may be x and y, or angle and radius; name them in a first line"
-                         ", such as x_mm;y_mm")
+        raise InputError("its columns may be x and y, or angle and radius; name them in a first "
+                         "line, such as x_mm;y_mm")
     return CARTESIAN
 
 
@@ -144,7 +144,7 @@ def _from_coordinates(
         raise InputError("outline.angles is of angle and radius, but the file has x and y; give "
                          "outline: {y_axis: up}, or down")
     outside = any(column.min() > 0 or column.max() < 0 for column in (x, y))
-    positive = x.min() >= 0 and y.min() >= 0
+    positive = bool(min(x.min(), y.min()) >= 0)
     missing = ["centred: false"] * (outside and "centred" not in source.model_fields_set)
     doubtful = handed and positive and not source.y_axis
     if doubtful:
