@@ -112,7 +112,7 @@ class _Loader(yaml.SafeLoader):
         for key_node, value_node in node.value:
             key = self.construct_object(key_node, deep=True)
             if value_node.value == "" and _DECIMALS.fullmatch(str(key_node.value)):
-                raise InputError(f"a decimal comma before {shown(key_node.value)}; write a point, "
+                raise InputError(f"a decimal comma before {key_node.value}; write a point, "
                                  "such as 305.0")
             if comment := _glued_comment(value_node):
                 raise InputError(f"{key_node.value}: {comment} is a comment there and would be "
