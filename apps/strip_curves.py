@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from common.documents import number, read_table
 from common.errors import InputError
+from common.tables import number, read_table
 from common.types import DeflectionCurve
 
 COLUMNS = ("x_mm", "y_mm")

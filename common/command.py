@@ -17,7 +17,7 @@ from contextlib import suppress
 from dataclasses import is_dataclass, make_dataclass
 from pathlib import Path
 from types import GenericAlias
-from typing import Annotated, Any, NoReturn, get_origin, get_type_hints
+from typing import Annotated, Any, NoReturn, get_args, get_origin, get_type_hints
 
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
@@ -105,11 +105,22 @@ def _run(task: Callable[[Any], None], name: str, schema: type, words: list[str])
         if bare := [word for word in words if "=" not in word and word[:1] not in ("-", "~")]:
             raise InputError(f"{bare[0]}: write KEY=VALUE without spaces around =, in quotes if "
                              "it has spaces: 'KEY=MY VALUE'; --help lists the keys") from None
-        raise InputError(f"{one_line(error)}; see {' '.join(words)}") from error
+        raise _fault(error, words) from error
     finally:
         sys.argv, os.environ[_FULL_ERROR] = argv, full
     for config in composed:
         task(checked(config, schema))
+
+
+def _fault(error: Exception, words: Sequence[str]) -> InputError:
+    """An error of Hydra that names what to write in place of ``words``."""
+    from hydra.errors import OverrideParseException
+
+    if isinstance(error, OverrideParseException):
+        key, _, value = error.override.partition("=")
+        return InputError(f"{error.override} cannot be read; put each text in it in quotes, such "
+                          f"as \"{key}='{value.strip('[]').split(',')[0]}'\"")
+    return InputError(f"{one_line(error)}; see {' '.join(words)}")
 
 
 def _overrides(name: str, schema: type, words: list[str]) -> list[str]:
@@ -136,17 +147,38 @@ def _own_groups(name: str) -> list[str]:
 
 
 def quoted(word: str, schema: type) -> str:
-    """An argument in Hydra's grammar: texts in quotes, lists in brackets."""
+    """An argument in Hydra's grammar, which takes few characters without quotes: texts, also those
+    of a list, in quotes, lists in brackets."""
     key, equals, value = word.partition("=")
     kind: Any = schema
     for part in key.split("."):
         kind = get_type_hints(kind).get(part) if is_dataclass(kind) else None
-    if not equals or (len(value) > 1 and value[0] in "'\"" and value[-1] == value[0]):
+    if not equals or _is_quoted(value):
         return word
-    if kind is str or (kind is Any and not value.startswith("[")):
-        value = re.sub(r"(\\+)$", r"\1\1", re.sub(r"(\\*)'", r"\1\1\\'", value))
-        return f"{key}='{value}'"
-    return f"{key}=[{value}]" if get_origin(kind) is list and value[:1] != "[" else word
+    if get_origin(kind) is list and value[:1] != "[":
+        value = f"[{value}]"
+    listed = value[:1] == "[" and value[-1:] == "]"
+    if kind is str or (kind is Any and not listed):
+        return f"{key}={_in_quotes(value)}"
+    if listed and (kind is Any or str in get_args(kind)):
+        texts = [text for text, _ in _ITEM.findall(value[1:-1]) if text]
+        return f"{key}=[{','.join(map(_in_quotes, texts))}]"
+    return f"{key}={value}"
+
+
+_ITEM = re.compile(r"""\s*('(?:\\.|[^'\\])*'|"(?:\\.|[^"\\])*"|(?:\$\{[^}]*\}|[^,])*?)\s*(,|$)""")
+"""One text of a list, in quotes or without commas, and what ends it."""
+
+
+def _is_quoted(value: str) -> bool:
+    return len(value) > 1 and value[0] in "'\"" and value[-1] == value[0]
+
+
+def _in_quotes(text: str) -> str:
+    """A text in single quotes, unless it has quotes."""
+    if _is_quoted(text):
+        return text
+    return "'" + re.sub(r"(\\+)$", r"\1\1", re.sub(r"(\\*)'", r"\1\1\\'", text)) + "'"
 
 
 def compose_config(name: str, words: Sequence[str], *, schema: type) -> Any:
@@ -154,7 +186,7 @@ def compose_config(name: str, words: Sequence[str], *, schema: type) -> Any:
     try:
         config = _compose(name, [quoted(word, schema) for word in words])
     except Exception as error:
-        raise InputError(f"{one_line(error)}; see {' '.join(words)}") from error
+        raise _fault(error, words) from error
     return checked(config, schema)
 
 

@@ -1,13 +1,13 @@
-"""Reading of YAML, JSON, CSV and NPZ files: regular files of bounded size.
+"""Reading of YAML, JSON, text and NPZ files: regular files of bounded size.
 
 Contents are validated by a :class:`Schema`; every fault raises an InputError of one line.
 """
 
-import csv
+import codecs
 import re
 import reprlib
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
@@ -20,7 +20,6 @@ from pydantic_core import from_json
 from common.errors import InputError, one_line
 
 MAX_TEXT_BYTES = 1 << 16  # written by people
-MAX_TABLE_BYTES = 8 << 20
 MAX_DOCUMENT_BYTES = 64 << 20  # written by programs; also each array of an npz file
 T = TypeVar("T", bound="Schema")
 
@@ -85,6 +84,19 @@ def faults(error: ValidationError) -> str:
     return "; ".join([*keys, *lines][:3])
 
 
+_DECIMALS = re.compile(r"\d+([eE][-+]?\d+)?")
+
+
+def _glued_comment(node: Any) -> str:
+    """The comment, such as #42, after a text or nothing, that a name may have been meant to be."""
+    plain = isinstance(node, yaml.ScalarNode) and not node.style
+    if not plain or node.tag.rpartition(":")[2] not in ("str", "null"):
+        return ""
+    mark = node.end_mark
+    found = re.compile(r"[ \t]*(#\w[^\s\0]*)").match(mark.buffer, mark.pointer)
+    return found[1] if found else ""
+
+
 class _Loader(yaml.SafeLoader):
     """Refuses aliases, which may expand exponentially, and repeated keys."""
 
@@ -99,9 +111,12 @@ class _Loader(yaml.SafeLoader):
         mapping = {}
         for key_node, value_node in node.value:
             key = self.construct_object(key_node, deep=True)
-            if str(key).isdigit() and value_node.value == "":
-                raise yaml.YAMLError(f"a decimal comma before {shown(key)}; write a point, such as "
-                                     "305.0")
+            if value_node.value == "" and _DECIMALS.fullmatch(str(key_node.value)):
+                raise InputError(f"a decimal comma before {key_node.value}; write a point, "
+                                 "such as 305.0")
+            if comment := _glued_comment(value_node):
+                raise InputError(f"{key_node.value}: {comment} is a comment there and would be "
+                                 "dropped; put the whole value in quotes, or a space after #")
             if key in mapping:
                 raise yaml.YAMLError(f"the key {shown(key)} occurs twice; remove one")
             mapping[key] = self.construct_object(value_node, deep=True)
@@ -115,11 +130,24 @@ def parse_yaml(text: str, what: str | Path) -> Mapping:
     """Parse YAML text of ``key: value`` lines, named ``what`` in errors."""
     try:
         content = yaml.load(text, _Loader)
+    except InputError as error:
+        raise InputError(f"{what}: {error}") from None
     except Exception as error:  # PyYAML raises any for values that contradict their tag: "!!int ''"
-        raise InputError(f"{what} is not valid YAML ({one_line(error)})") from None
+        raise InputError(f"{what} is not valid YAML ({_syntax_fault(error, text)})") from None
     if not isinstance(content, Mapping):
         raise InputError(f"{what} must hold 'key: value' lines, such as 'density_g_m2: 150'")
     return content
+
+
+def _syntax_fault(error: Exception, text: str) -> str:
+    """What is wrong with a YAML text, with the line and what to do about it."""
+    mark = getattr(error, "problem_mark", None)
+    lines = text.splitlines()
+    if mark is None or mark.line >= len(lines):
+        return one_line(error)
+    return (f"line {mark.line + 1}, {shown(lines[mark.line].strip())}: "
+            f"{getattr(error, 'problem', None) or one_line(error)}; put texts with : # @ and other "
+            "marks in quotes, and indent with spaces")
 
 
 def parse_json(data: bytes | str, what: str | Path, remedy: str = "copy it again") -> Any:
@@ -142,30 +170,47 @@ def read_json(file: Path, *, remedy: str = "copy it again") -> Any:
 
 
 def read_text(file: Path, max_bytes: int = MAX_TEXT_BYTES, kind: str = "description") -> str:
-    """Read a text file in UTF-8, with or without byte order mark, of up to ``max_bytes`` bytes."""
+    """Read a text file of up to ``max_bytes`` bytes, see :func:`decoded_text`."""
+    return decoded_text(read_bytes(file, max_bytes, kind), file)
+
+
+def decoded_text(data: bytes, what: str | Path) -> str:
+    """Text in UTF-8, or in what its byte order mark states; ``what`` begins errors."""
+    marked = data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
     try:
-        return read_bytes(file, max_bytes, kind).decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise InputError(f"{file} is not UTF-8 text; save it in this encoding, in a "
-                         "spreadsheet as CSV UTF-8") from None
+        text = data.decode("utf-16" if marked else "utf-8-sig")
+    except UnicodeDecodeError as error:
+        line, word = 1 + data.count(b"\n", 0, error.start), shown(_around(data, error.start))
+        found = "UTF-16, as its first bytes state" if marked else (
+            f"UTF-8 (line {line} has {word} if it is in Windows-1252)")
+        raise InputError(f"{what} is not text in {found}; save it in UTF-8, in a spreadsheet as CSV"
+                         " UTF-8") from None
+    if "\0" in text:
+        raise InputError(f"{what} is not text in UTF-8: it has zero bytes, as UTF-16 without a byte"
+                         " order mark; save it in UTF-8, in a spreadsheet as CSV UTF-8")
+    return text
 
 
-def read_table(
-    file: Path, kind: str, max_bytes: int = MAX_TABLE_BYTES
-) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """Read a CSV file: its header, and line number and cells of each further row that has some."""
-    lines = read_text(file, max_bytes, kind).splitlines()
-    # In locales with a decimal comma, spreadsheets separate cells by semicolons or tabs.
-    separator = max(",;\t", key=lines[0].count) if lines else ","
-    reader = csv.reader(lines, delimiter=separator, skipinitialspace=True, strict=True)
-    with reading(file, "give a CSV file"):
-        rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
-    return [cell.strip() for cell in rows[0][1]] if rows else [], rows[1:]
+def _around(data: bytes, place: int) -> str:
+    """The word around a byte, as Windows-1252."""
+    before = re.split(rb"\s", data[max(place - 20, 0) : place])[-1]
+    after = re.split(rb"\s", data[place : place + 20])[0]
+    return (before + after).decode("cp1252", errors="replace")
 
 
-def number(text: str) -> float:
-    """The number in a cell, also with a decimal comma; ValueError if there is none."""
-    return float(text if "." in text else text.replace(",", "."))
+def misnamed(names: Iterable[str], file: str) -> str:
+    """The one of ``names`` that stands for ``file``, NAME.yaml, with another suffix or case; or ''.
+
+    Editors append .txt, which Windows hides.
+    """
+    stem = file.removesuffix(".yaml")
+    meant = {stem + suffix for suffix in (".yaml", ".yml", ".yaml.txt", ".yml.txt")}
+    return next((name for name in sorted(names) if name.lower() in meant), "")
+
+
+def rename_remedy(file: str) -> str:
+    """What to do with a file that is :func:`misnamed`."""
+    return f"rename it to {file} (Windows shows suffixes under View, File name extensions)"
 
 
 def read_bytes(file: Path, max_bytes: int, kind: str) -> bytes:

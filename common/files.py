@@ -5,6 +5,7 @@ import math
 import os
 import secrets
 import tempfile
+import unicodedata
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -119,6 +120,29 @@ def remove_partial(folder: Path, pattern: str) -> None:
     """
     for leftover in folder.glob(pattern + "*" + PARTIAL_SUFFIX):
         leftover.unlink(missing_ok=True)
+
+
+def path_named(folder: Path, text: str) -> Path:
+    """The path that a text from any system names, from ``folder`` on; as written if it is absent.
+
+    Backslashes may stand for slashes, and letters with marks be composed or in parts (NFC, NFD).
+    """
+    written = folder / text
+    parts = Path(text.replace("\\", "/")).parts
+    with suppress(OSError, ValueError, StopIteration):  # too long a name; none like it
+        if written.exists():
+            return written
+        place = folder
+        for part in parts:
+            place = place / part if part == ".." or os.path.lexists(place / part) else next(
+                place / name for name in os.listdir(place) if composed(name) == composed(part))
+        return place
+    return written
+
+
+def composed(name: str) -> str:
+    """A name with composed letters (NFC): file systems and archives also have them in parts."""
+    return unicodedata.normalize("NFC", name)
 
 
 def printable(path: str | Path) -> str:

@@ -160,6 +160,7 @@ class ServeConfig:
     def __post_init__(self) -> None:
         import joblib
 
+        self.host = self.host.strip("[]")  # of an IPv6 address, as in a URL
         self.folder = Path(self.results).resolve()
         self.hosts = [name.strip() for name in self.names.split(",") if name.strip()]
         self.processes = self.workers or joblib.cpu_count()

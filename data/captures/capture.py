@@ -24,8 +24,9 @@ import yaml
 from PIL import Image
 from scipy import ndimage
 
-from common.documents import read_text, read_yaml
+from common.documents import misnamed, read_text, read_yaml, rename_remedy
 from common.errors import InputError, one_line
+from common.files import path_named
 from common.types import Density, DepthImage, Metres, Radians, Turns, Views
 from data.captures.board import board_intrinsics, board_turns, shows_board
 from data.captures.cutout import CutOut, cut_out, neighbours
@@ -53,7 +54,8 @@ if TYPE_CHECKING:
     from data.captures.photograph import PhotographedOutline
 
 OUTLINE_SUFFIXES = (*SUFFIXES, *OUTLINE_TABLES)
-CAPTURE_FILES = ("capture.yaml", "density.txt")
+DESCRIPTION = "capture.yaml"
+CAPTURE_FILES = (DESCRIPTION, "density.txt")
 """Files that identify a capture folder: one for each format."""
 MAX_DENSITY_DIFFERENCE = 0.1  # between specimens of one fabric, relative to the smallest
 DISTANCE_RANGE = (0.2, 2.0)  # m, of the cloth; otherwise the depth unit is wrong
@@ -126,8 +128,8 @@ def read_capture(path: str | Path) -> Capture:
             return _read_metric(path)
         if (path / "density.txt").exists():
             return _read_published(path)
-        if (path / "capture.yml").exists():
-            raise InputError(f"{path / 'capture.yml'}: rename it to capture.yaml")
+        if other := misnamed(os.listdir(path), DESCRIPTION):
+            raise InputError(f"{path / other}: {rename_remedy(DESCRIPTION)}")
         raise InputError("the folder has neither capture.yaml nor density.txt; write capture.yaml "
                          "with density_g_m2, tester, and intrinsics or outline")
     except OSError as error:
@@ -219,7 +221,8 @@ def _read_outline(path: Path, file: Path, description: Description) -> Capture:
     rig = _tester(path, description)
     from data.captures.photograph import read_outline  # half a second, which views need not spend
 
-    outline = read_outline(file, description.outline or OutlineSource(), rig)
+    outline = read_outline(file, description.outline or OutlineSource(), rig,
+                           description.warp_direction)
     return Capture(np.zeros((0, 0, 0), np.float32), None, np.zeros(0), description.density,
                    description.warp_direction, rig, path,
                    (*description.questions, *outline.warnings), face=description.face,
@@ -334,12 +337,16 @@ def _remove_specks(view: DepthImage, name: str) -> list[str]:
 
 
 def captures_in(path: Path) -> list[Path]:
-    """Capture folders in ``path``, sorted: itself, or those in a folder of captures or samples."""
+    """Capture folders in ``path``, sorted: itself, or those in a folder of captures or samples.
+
+    Those whose description is misnamed are among them, so that none is left out in silence.
+    """
+    path = path_named(Path(), str(path))
     if not path.is_dir() or any((path / name).exists() for name in CAPTURE_FILES):
         return [path]
     for below in ("*", "*/*", "*/*/*"):
-        folders = sorted({file.parent for name in CAPTURE_FILES
-                          for file in path.glob(f"{below}/{name}")})
+        folders = sorted({file.parent for file in path.glob(f"{below}/*")
+                          if file.name in CAPTURE_FILES or misnamed([file.name], DESCRIPTION)})
         if folders and below.count("/") == 2:
             raise InputError(f"{path} looks like FABRIC/SAMPLE/CAPTURE ({folders[0]}): give "
                              f"captures={path} for an estimate of each fabric")

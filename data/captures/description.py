@@ -4,7 +4,7 @@ import math
 from contextlib import suppress
 from datetime import date
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import BeforeValidator, Field, PlainValidator, model_validator
@@ -137,15 +137,20 @@ def _height(value: object) -> float:
 class OutlineSource(Schema):
     """Key ``outline``: how a drape was seen from above, or what the numbers of a file mean.
 
-    A photograph has ``mm_per_px`` or ``plate_px``, or shows a board; a text file has ``unit``.
-    ``centred``: whether the origin of a text file is the plate's centre.
+    A photograph has ``mm_per_px`` or ``plate_px``, or shows a board; a text file has the keys
+    ``OF_TABLES``. ``centred``: whether its origin is the plate's centre; ``y_axis``: where y points
+    in x and y; ``angles``: which way angles are counted, seen from above.
     """
+
+    OF_TABLES: ClassVar = ("unit", "centred", "y_axis", "angles")
 
     mm_per_px: float | None = Field(None, gt=0, le=10)
     plate_px: PlateInPicture | None = None
     camera_height_mm: Annotated[float, PlainValidator(_height)] | None = None
     unit: Literal["mm", "m"] | None = None
     centred: bool = True
+    y_axis: Literal["up", "down"] | None = None
+    angles: Literal["counter-clockwise", "clockwise"] | None = None
 
     @model_validator(mode="after")
     def _one_scale(self) -> "OutlineSource":

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from common.errors import InputError
-from common.types import GreyPicture, Mask, Metres, Outline
+from common.types import GreyPicture, Mask, Metres, Outline, Radians
 from data.captures.board import MAX_REPROJECTION_ERROR, PAPER, SQUARE, SQUARES, find_corners
 from data.captures.description import OUTLINE_TABLES, OutlineSource, PlateInPicture
 from data.captures.outline_table import read_closed_curve
@@ -30,6 +30,7 @@ MIN_RADIUS = {True: 0.97, False: 0.9}  # over the plate's, by whether its centre
 MAX_OVERLAP, MAX_DISORDER = 0.03, 0.5  # of azimuth
 MAX_GAP = np.radians(15.0)
 AZIMUTHS = 720
+MAX_SKEW = np.sin(np.radians(2.0))  # a mirrored warp is then at most 2° off, as it is stated
 _PERSPECTIVE = (
     "camera_height_mm is missing: from 1 m, a hem 50 mm below the plate looks 6 mm smaller, ten "
     "points of drape coefficient; measure the camera's height above the plate, or state parallel")
@@ -78,29 +79,42 @@ class PhotographedOutline:
         return points if self.to_pixels is None else mapped(points, self.to_pixels)
 
 
-def read_outline(file: Path, source: OutlineSource, rig: Rig) -> PhotographedOutline:
-    """Read an outline from a photograph or a text file; InputError if it is not of a drape."""
+def read_outline(
+    file: Path, source: OutlineSource, rig: Rig, warp_direction: Radians | None = None
+) -> PhotographedOutline:
+    """Read an outline from a photograph or a text file; InputError if it is not of a drape.
+
+    ``warp_direction`` of the cloth, None if it is not marked, is that of its mirror image, too, if
+    it lies along x or y.
+    """
     is_table = file.suffix.lower() in OUTLINE_TABLES
-    others = {"mm_per_px", "plate_px"} if is_table else {"unit", "centred"}
-    if wrong := sorted(others & source.model_fields_set):
+    others = ("mm_per_px", "plate_px") if is_table else source.OF_TABLES
+    if wrong := sorted(source.model_fields_set.intersection(others)):
         kind = "a photograph" if is_table else "a text file"
         raise InputError(f"outline.{wrong[0]} is of {kind}, but the outline is {file.name}; "
                          "leave it out")
     try:
-        found = (_tabulated if is_table else _photographed)(file, source, rig)
+        if is_table:
+            handed = warp_direction is not None and abs(np.sin(2 * warp_direction)) > MAX_SKEW
+            found = _tabulated(file, source, rig, handed=handed)
+        else:
+            found = _photographed(file, source, rig)
         warnings = (*found.warnings, *_checked(found))
     except InputError as error:
         raise InputError(str(error) if str(file) in str(error) else f"{file}: {error}") from None
     if np.isnan(source.height):
         warnings += (_PERSPECTIVE,)
     if not found.centred:
+        remedy = "give numbers" if is_table else "state plate_px to measure"
         warnings += ("the plate's centre is not known, so that distances are measured from the "
-                     "outline's centroid; state plate_px to measure from the plate's centre",)
+                     f"outline's centroid; {remedy} from the plate's centre",)
     return replace(found, warnings=warnings)
 
 
-def _tabulated(file: Path, source: OutlineSource, rig: Rig) -> PhotographedOutline:
-    curve = read_closed_curve(file, source.unit)
+def _tabulated(
+    file: Path, source: OutlineSource, rig: Rig, *, handed: bool
+) -> PhotographedOutline:
+    curve = read_closed_curve(file, source, handed=handed)
     curve = curve[:-1] if np.array_equal(curve[0], curve[-1]) else curve
     return PhotographedOutline(_oriented(curve if source.centred else curve - _centroid(curve)),
                                source.height, source.centred, rig)
@@ -212,7 +226,7 @@ def _checked(outline: PhotographedOutline) -> list[str]:
     steps = (np.diff(angle, append=angle[0]) + np.pi) % (2 * np.pi) - np.pi
     if abs(steps.sum() - 2 * np.pi) > 1:
         raise InputError("the outline does not go once around the plate's centre; check plate_px, "
-                         "or list the points around the plate")
+                         "or centred of a table, or list the points around the plate")
     if (disorder := (np.abs(steps).sum() / (2 * np.pi) - 1) / 2) > MAX_DISORDER:
         raise InputError(f"the outline turns back over {disorder:.0%} of the azimuth, at most "
                          f"{MAX_DISORDER:.0%} is possible; list the points in order")

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from common.documents import number, read_table
 from common.errors import InputError
+from common.tables import number, read_table
 from common.types import ModuliOfMany, QuadraticModuliOfMany, Theta
 from sim.material import REFERENCE_DENSITY, Fabric
 

@@ -1,12 +1,13 @@
 """What a folder of strips states of them, in ``strips.yaml``."""
 
 import math
+import os
 from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from common.documents import Schema, read_yaml
+from common.documents import Schema, misnamed, read_yaml, rename_remedy
 from common.errors import InputError
 from common.types import Metres
 from data.captures.description import MAX_LABEL_LENGTH, Labels, Weighed
@@ -132,6 +133,8 @@ def read_description(folder: Path) -> StripsDescription:
         raise InputError(f"{folder} is not a folder; give the one that holds {FILE}")
     file = folder / FILE
     if not file.exists():
+        if other := misnamed(os.listdir(folder), FILE):
+            raise InputError(f"{folder / other}: {rename_remedy(FILE)}")
         raise InputError(f"{folder} has no {FILE}; write it with density_g_m2, scale and strips "
                          "(docs/use.md)")
     description = StripsDescription.of(read_yaml(file), file)

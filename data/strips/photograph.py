@@ -14,6 +14,7 @@ import numpy as np
 from scipy.stats import foldnorm
 
 from common.errors import InputError
+from common.files import path_named
 from common.types import DeflectionCurve, Metres, Pixels, Radians
 from data.captures.photograph import board_plane, large_pixels, mapped
 from data.pictures.reading import read_photograph
@@ -72,7 +73,7 @@ def read_strip(
 
     ``slope``: of the clamp below the horizontal, rad.
     """
-    file = folder / entry.file
+    file = path_named(folder, entry.file)
     try:
         return _read(file, entry, description, slope)
     except InputError as error:

@@ -7,8 +7,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from common.documents import read_table, shown
+from common.documents import shown
 from common.errors import InputError, one_line
+from common.files import composed, path_named
+from common.tables import read_table
 from data.captures.capture import CAPTURE_FILES
 from data.strips.description import FILE as STRIPS
 
@@ -46,7 +48,9 @@ def entries_of(source: Path) -> list[Entry]:
     if not source.exists():
         raise InputError(f"captures={source} does not exist; give the folder of the fabrics, or a "
                          "CSV list")
-    captures = list(_tree(source) if source.is_dir() else _list(source))
+    found = _tree(source) if source.is_dir() else _list(source)
+    captures = [((composed(fabric), composed(sample), composed(capture)), path)
+                for (fabric, sample, capture), path in found]
     if not captures:
         raise InputError(f"{source} holds no captures: folders FABRIC/SAMPLE/CAPTURE with "
                          "capture.yaml and pictures in them")
@@ -85,7 +89,7 @@ def _list(file: Path) -> Iterator[tuple[tuple[str, str, str], Path]]:
         if not fabric or not capture:
             raise InputError(f"{file}, line {line}: fabric={shown(fabric)} and "
                              f"capture={shown(capture)} must both be given")
-        yield (fabric, sample, capture), file.parent / capture
+        yield (fabric, sample, capture), path_named(file.parent, capture)
 
 
 def _place(names: tuple[str, str, str], taken: dict[tuple[str, ...], tuple[str, ...]]) -> Path:
@@ -108,5 +112,5 @@ def _place(names: tuple[str, str, str], taken: dict[tuple[str, ...], tuple[str, 
 
 def plain_name(name: str) -> str:
     """``name`` as a folder name without characters special to file systems, URLs or shells."""
-    plain = re.sub(r"[^\w.-]+", "_", name).strip("._-")[:MAX_NAME_LENGTH]
+    plain = re.sub(r"[^\w.-]+", "_", composed(name)).strip("._-")[:MAX_NAME_LENGTH]
     return plain or "unnamed"

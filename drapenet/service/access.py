@@ -36,6 +36,21 @@ def is_loopback(host: str) -> bool:
         return False
 
 
+def is_unspecified(host: str) -> bool:
+    """Whether an address, 0.0.0.0 or ::, stands for all of this machine's."""
+    try:
+        return ip_address(host).is_unspecified
+    except ValueError:
+        return False
+
+
+def url_host(host: str) -> str:
+    """What the URL of a service at an address has in its place: browsers open no 0.0.0.0 or ::."""
+    if is_unspecified(host):
+        return "localhost"
+    return f"[{host}]" if ":" in host else host
+
+
 def is_admitted(request: Request, password: str) -> bool:
     """Whether a request states the password, with any user name, or there is none."""
     scheme, _, coded = request.headers.get("authorization", "").partition(" ")

@@ -5,6 +5,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from http import HTTPStatus
 from importlib.metadata import version
+from socket import gethostname
 from typing import Literal
 from urllib.parse import urlsplit
 
@@ -25,7 +26,13 @@ from drapenet.export.formats import TARGETS
 from drapenet.network.checkpoint import read_header
 from drapenet.report.pages import render
 from drapenet.result.files import ESTIMATE, SHOWN
-from drapenet.service.access import CHALLENGE, is_admitted, require_decision
+from drapenet.service.access import (
+    CHALLENGE,
+    is_admitted,
+    is_unspecified,
+    require_decision,
+    url_host,
+)
 from drapenet.service.archive import Archive
 from drapenet.service.database import DONE
 from drapenet.service.exports import export_file
@@ -59,7 +66,6 @@ def serve(settings: ServeConfig) -> None:
     """Serve until interrupted."""
     require_folder(folder_named(settings.results))
     require_decision(settings)
-    address = f"[{settings.host}]" if ":" in settings.host else settings.host
     read_header(settings.checkpoint)  # workers need it: an InputError here is seen
     server = uvicorn.Server(uvicorn.Config(
         create_app(settings), host=settings.host, port=settings.port, log_level="warning",
@@ -68,11 +74,15 @@ def serve(settings: ServeConfig) -> None:
         proxy_headers=bool(settings.proxies), forwarded_allow_ips=settings.proxies))
     try:
         listening = server.config.bind_socket()
-    except SystemExit:
-        raise InputError(f"cannot listen at {address} with port={settings.port}; choose another "
-                         "port=") from None
-    print(f"http://{address}:{listening.getsockname()[1]}   (results in {settings.folder}; Ctrl-C "
-          "ends)", flush=True)
+    except SystemExit as stop:
+        reason = getattr(stop.__context__, "strerror", None)
+        raise InputError(f"cannot listen at host={settings.host} with port={settings.port}"
+                         + f" ({reason})" * bool(reason) + "; choose another port=, or an address "
+                         "of this machine") from None
+    port = listening.getsockname()[1]
+    others = f"from other machines http://{gethostname()}:{port}; " * is_unspecified(settings.host)
+    print(f"http://{url_host(settings.host)}:{port}   ({others}results in {settings.folder}; "
+          "Ctrl-C ends)", flush=True)
     server.run(sockets=[listening])
 
 
@@ -91,9 +101,9 @@ def create_app(settings: ServeConfig) -> FastAPI:
                   redoc_url=None, description=render("service.md", settings=settings).decode())
     app.state.password = settings.password
     app.openapi_version = "3.0.3"  # as swagger-ui-bundle's page reads it
-    allowed = [settings.host, "localhost", "127.0.0.1", "[::1]", *settings.hosts]
+    allowed = [url_host(settings.host), "localhost", "127.0.0.1", "[::1]", *settings.hosts]
     app.add_middleware(TrustedHostMiddleware,
-                       allowed_hosts=["*"] if settings.host in ("0.0.0.0", "::") else allowed)
+                       allowed_hosts=["*"] if is_unspecified(settings.host) else allowed)
     app.middleware("http")(_guarded)
     for kind, answer in _ANSWERS.items():
         app.exception_handler(kind)(answer)

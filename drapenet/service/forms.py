@@ -9,14 +9,17 @@ from typing import Annotated, Any
 import yaml
 from pydantic import Field
 
-from common.documents import MAX_TEXT_BYTES, Schema, number, parse_yaml
+from common.documents import MAX_TEXT_BYTES, Schema, decoded_text, parse_yaml
 from common.errors import InputError
+from common.tables import number
+from data.captures.capture import DESCRIPTION as CAPTURE
 from data.captures.capture import INTRINSICS_KEYS
 from data.captures.description import (
     MAX_LABEL_LENGTH,
     PRINTABLE,
     Description,
     Labels,
+    OutlineSource,
     PlateInPicture,
     Specimen,
 )
@@ -28,16 +31,16 @@ from data.strips.description import StripsDescription
 from drapenet.service.limits import RequestError
 from sim.material import DIRECTIONS
 
-CAPTURE = "capture.yaml"
 PLACES = {**{key: ("intrinsics", key) for key in INTRINSICS_KEYS},
           **{f"plate_{key}": ("outline", "plate_px", key) for key in PlateInPicture.model_fields},
-          **{key: ("outline", key) for key in ("mm_per_px", "camera_height_mm", "unit", "centred")}}
+          **{key: ("outline", key) for key in ("mm_per_px", "camera_height_mm",
+                                               *OutlineSource.OF_TABLES)}}
 """Where capture.yaml has the fields of a form that are not at its top; a point in the name of
 another field stands between its keys."""
 LABELS = tuple(key for key in Labels.model_fields if key != "fabric")
 """Fields that a report shows; the label ``fabric`` is the name of the fabric."""
-TEXTS = ("turns_deg", "tester", "face", "camera_height_mm", "unit", "centred", "refine", "fabric",
-         "name", "notes", "label", *LABELS)
+TEXTS = ("turns_deg", "tester", "face", "camera_height_mm", *OutlineSource.OF_TABLES, "refine",
+         "fabric", "name", "notes", "label", *LABELS)
 KNOWN, COEFFICIENT = "known.", "known.drape_coefficient_percent"
 _ERROR = f"{KNOWN}error_percent."
 
@@ -103,10 +106,7 @@ def _completed(document: bytes, file: str, fields: Mapping[str, str]) -> dict[st
     nobody can say which of two measurements is right."""
     if len(document) > MAX_TEXT_BYTES:
         raise RequestError(413, f"{file} has {len(document)} bytes; at most {MAX_TEXT_BYTES}")
-    try:
-        content = dict(parse_yaml(document.decode("utf-8-sig"), file))
-    except UnicodeDecodeError:
-        raise RequestError(422, f"{file} is not text in UTF-8; save it as such") from None
+    content = dict(parse_yaml(decoded_text(document, file), file))
     if content.get("known") and states_values(fields):
         raise InputError(f"known is in {file} and in the form; give the values in one of them")
     for key, text in fields.items():

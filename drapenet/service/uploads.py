@@ -7,7 +7,7 @@ from pathlib import Path
 
 import yaml
 
-from common.documents import shown
+from common.documents import misnamed, rename_remedy, shown
 from common.errors import InputError
 from data.captures.capture import CAPTURE_FILES, OUTLINE_SUFFIXES
 from data.captures.description import UNLABELLED, Description, Labels
@@ -103,6 +103,9 @@ def _content(
     received: dict[str, bytes], fields: Mapping[str, str], settings: ServeConfig
 ) -> _Content:
     """What was sent: strips.yaml, or nothing but known values, a scan, or else a capture."""
+    for name in (CAPTURE, STRIPS):
+        if name not in received and (other := misnamed(received, name)):
+            raise RequestError(422, f"{other}: {rename_remedy(name)}")
     if STRIPS in received or not (received or COEFFICIENT in fields):
         return _strips(received, fields, settings)
     scans = [file for file in received if Path(file).suffix in SCANS

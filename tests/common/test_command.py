@@ -123,6 +123,20 @@ def test_lists_and_interpolations(run):
     assert run("name='a, b'", "numbers=5")[0].numbers == [5.0]
 
 
+def test_texts_of_a_list_are_taken_as_they_are_written(run):
+    texts = ["A", "Köper", "my fabrics/twill 12", "Bob's (2)#3", "C:\\a b\\", "007", "日本", "x=y"]
+    assert run(f"names=[{','.join(texts)}]")[0].names == texts
+    assert run("names=[ A , 'b, c',${count}/ä]")[0].names == ["A", "b, c", "1/ä"]
+    assert run("names=[]")[0].names == []
+
+
+def test_a_text_that_hydra_cannot_read_in_a_sweep_is_answered_with_quotes(run):
+    with pytest.raises(InputError, match=r"cannot be read; put .* as \"names='Köper'\""):
+        run("-m", "names=Köper,b")
+    jobs = run("-m", "name='Köper',b", "hydra.sweep.dir=logs")
+    assert [job.name for job in jobs] == ["Köper", "b"]
+
+
 @pytest.mark.parametrize(("words", "complaint"), [
     (["cuont=1"], "cuont"), (["+cuont=1"], "cuont"), (["inner.txt=a"], "inner.txt"),
     (["count"], "count"), (["count=1.5"], "count=1.5"), (["count=1001"], "count=1001.*1000"),

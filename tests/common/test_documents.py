@@ -86,6 +86,36 @@ def test_messages_name_quantity_value_limit_and_remedy(content, words):
     assert all(word in str(refusal.value) for word in words)
 
 
+@pytest.mark.parametrize(("text", "words"), [
+    ("fabric: Twill: navy", "line 1, 'fabric: Twill: navy'.* in quotes"),
+    ("fabric: #42", "fabric: #42 is a comment there and would be dropped; put .* in quotes"),
+    ("density: 1\nfabric: Denim #3\n", "fabric: #3 is a comment"),
+    ("{fabric: Denim #3\n}", "fabric: #3 is a comment"),
+    ("camera: {fx: 305,0, fy: 304,5}", "a decimal comma before 0; write a point"),
+    ("lens: {k1: 0,9e-3}", "a decimal comma before 9e-3"),
+])
+def test_what_yaml_reads_as_something_else_is_refused(text, words):
+    with pytest.raises(InputError, match=words) as refusal:
+        parse_yaml(text, "capture.yaml")
+    assert str(refusal.value).startswith("capture.yaml") and str(refusal.value).isprintable()
+
+
+@pytest.mark.parametrize("text", [
+    "fabric: Denim  # 3 of 7", "fabric: 'Denim #3'", 'fabric: "#3" #quoted', "fabric: Denim#3",
+    "density: 150 #weighed", "outline: #photograph\n  unit: mm"])
+def test_comments_and_quoted_texts_are_taken(text):
+    assert parse_yaml(text, "x")
+
+
+def test_byte_order_marks_name_the_encoding(tmp_path):
+    for encoding in ("utf-8-sig", "utf-16"):
+        (tmp_path / "a.yaml").write_bytes("fabric: Köper".encode(encoding))
+        assert read_yaml(tmp_path / "a.yaml") == {"fabric": "Köper"}
+    (tmp_path / "a.yaml").write_bytes("density: 1\nfabric: Köper".encode("cp1252"))
+    with pytest.raises(InputError, match=r"line 2 has 'Köper' if .* Windows-1252.* in UTF-8"):
+        read_yaml(tmp_path / "a.yaml")
+
+
 def test_sound_documents_are_taken_as_they_are():
     cloth = Cloth.of(parse_yaml("density: 150\nnames: [a, b]", "x"), "x")
     assert cloth.density == 150.0 and isinstance(cloth.density, float) and cloth.names == ["a", "b"]

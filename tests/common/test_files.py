@@ -3,6 +3,7 @@
 import json
 import os
 import tempfile
+import unicodedata
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from common.errors import InputError, one_line
 from common.files import (
+    path_named,
     remove_file,
     remove_partial,
     replace_file,
@@ -129,3 +131,17 @@ def test_leftovers_of_killed_writers_are_removed(tmp_path):
     remove_partial(tmp_path, "shard_*.h5")
     remove_file(tmp_path / "report.png")
     assert {path.name for path in tmp_path.iterdir()} == {"shard_1.h5", "film.part"}
+
+
+@pytest.mark.parametrize("text", ["Köper/first", "Köper\\first", "K\u006f\u0308per\\first",
+                                  "./K\u006f\u0308per/first", "Köper/../Köper/first"])
+@pytest.mark.parametrize("form", ["NFC", "NFD"])
+def test_a_path_is_found_however_it_is_written(tmp_path, text, form):
+    folder = tmp_path / unicodedata.normalize(form, "Köper") / "first"
+    folder.mkdir(parents=True)
+    assert path_named(tmp_path, text).samefile(folder)
+
+
+@pytest.mark.parametrize("text", ["gone", "gone\\first", "x" * 5000, "a\0b"])
+def test_a_path_that_is_absent_stays_as_written(tmp_path, text):
+    assert path_named(tmp_path, text) == tmp_path / text

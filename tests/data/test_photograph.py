@@ -1,6 +1,7 @@
 """Captures of an outline from above: the curve to 0.3 mm, and each fault in one line."""
 
 import io
+import re
 from pathlib import Path
 
 import cv2
@@ -24,7 +25,7 @@ from PIL import Image
 from apps.capture import main
 from common.errors import InputError
 from data.captures.board import PAPER, board_picture
-from data.captures.capture import read_capture
+from data.captures.capture import captures_in, read_capture
 
 OUTLINES = Path(__file__).resolve().parents[3] / "shared" / "outlines.npz"
 
@@ -109,6 +110,82 @@ def test_numbers_of_a_drapemeter_are_read(tmp_path, text, unit):
     assert error_mm(capture) < 0.05 and not capture.warnings and capture.outline.folds == 7
 
 
+R_ROWS = "".join(f'"{k}",{x:.4f},{y:.4f}\n' for k, (x, y) in enumerate(1e3 * CURVE[::4], 1))
+CORNER = [200.0, 200.0]  # mm, of a picture's corner from the plate's centre
+DOWN = rows(X + CORNER[0], CORNER[1] - Y, "{:.4f}\t{:.4f}\n")
+CLOCKWISE = "angle;radius_mm\n" + rows(360 - DEGREES, 1e3 * RADIUS, "{:.4f};{:.4f}\n")
+SKEW = {"warp_direction_deg": 25}
+
+
+@pytest.mark.parametrize("text", [
+    '"","x_mm","y_mm"\n' + R_ROWS, '"x_mm","y_mm"\n' + R_ROWS,
+    '"x_mm","y_mm"\n' + rows(X, Y), "sep=;\nx;y\nmm;mm\n" + rows(X, Y, "{:.4f};{:.4f}\n"),
+    "x_mm;y_mm;\n" + rows(X, Y, "{:.4f};{:.4f};\n") + ";;\n;;\n",
+    "Drape 7; light box\n;X [mm];Y [mm]\n" + rows(X, Y, "p;{:.4f};{:.4f}\n"),
+    "# written by hand\n# x_mm y_mm\n" + rows(X, Y, "{:.4f} {:.4f}\n"),
+    "radius_mm,angle\n" + rows(1e3 * RADIUS, DEGREES),
+    "sep=\t\nx_mm\ty_mm\n" + rows(X, Y, "{:.4f}\t{:.4f}\n").replace(".", ","),
+], ids=["R", "R without corner", "quoted", "Excel and units", "empty", "title", "comments",
+        "radius first", "tab"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+def test_tables_of_other_programs_are_read(tmp_path, text, encoding):
+    folder = write(tmp_path / "capture", "", "outline.csv", **SKEW,
+                   outline={"camera_height_mm": "parallel"})
+    (folder / "outline.csv").write_bytes(text.encode(encoding))
+    assert error_mm(read_capture(folder)) < 0.05
+
+
+def test_columns_without_names_are_recognised_by_their_values(tmp_path):
+    def read(text: str, **source: object):
+        return read_capture(write(tmp_path / "capture", text, "outline.txt", outline={
+            "unit": "mm", "camera_height_mm": "parallel"} | source))
+
+    turned = np.roll(np.column_stack([DEGREES, 1e3 * RADIUS]), 400, axis=0).T
+    assert error_mm(read(rows(*turned))) < 0.05
+    assert error_mm(read(DOWN, centred=False, y_axis="down"), CURVE - CENTROID) < 0.05
+    overlapping = DEGREES.copy()
+    overlapping[::40], overlapping[8::40] = DEGREES[8::40], DEGREES[::40]
+    with pytest.raises(InputError, match="may be x and y, or angle and radius; name them"):
+        read(rows(overlapping, 1e3 * RADIUS))
+
+
+@pytest.mark.parametrize(("text", "source", "question", "answer"), [
+    (DOWN, {}, "state outline: {centred: false, y_axis: down}, or y_axis: up",
+     {"centred": False, "y_axis": "down"}),
+    (DOWN, {"centred": False}, "state outline: {y_axis: down}, or y_axis: up", {"y_axis": "down"}),
+    (rows(X - 300, Y), {}, "lies outside of the outline; state outline: {centred: false}",
+     {"centred": False}),
+    (CLOCKWISE, {}, "{angles: clockwise}, or counter-clockwise", {"angles": "clockwise"}),
+], ids=["corner", "corner, stated", "beside", "clockwise"])
+def test_a_doubtful_sense_or_origin_is_asked_for(tmp_path, text, source, question, answer):
+    def read(**more: object):
+        return read_capture(write(tmp_path / "capture", text, "outline.csv", **SKEW,
+                                  outline={"unit": "mm", "camera_height_mm": "parallel"} | more))
+
+    with pytest.raises(InputError, match=re.escape(question)):
+        read(**source)
+    capture = read(**source, **answer)
+    assert error_mm(capture, CURVE if capture.outline.centred else CURVE - CENTROID) < 0.05
+
+
+@pytest.mark.parametrize("direction", [None, 0, 89.5, 180])
+def test_a_mirrored_outline_is_no_question_where_it_is_that_of_the_same_fabric(
+    tmp_path, direction
+):
+    marked = {} if direction is None else {"warp_direction_deg": direction}
+    for text in (DOWN, CLOCKWISE):
+        read_capture(write(tmp_path / "capture", text, "outline.csv", **marked, outline={
+            "unit": "mm", "centred": False, "camera_height_mm": "parallel"}))
+
+
+@pytest.mark.parametrize(("text", "key"), [
+    (CLOCKWISE, {"y_axis": "down"}), (rows(X, Y), {"angles": "clockwise"})])
+def test_a_sense_of_the_other_kind_of_table_is_refused(tmp_path, text, key):
+    folder = write(tmp_path / "capture", text, "outline.csv", outline={"unit": "mm"} | key)
+    with pytest.raises(InputError, match=f"outline.{next(iter(key))} is of"):
+        read_capture(folder)
+
+
 def test_real_outlines_pass_the_checks(tmp_path):
     if not OUTLINES.exists():
         pytest.skip(f"{OUTLINES} is absent")
@@ -145,6 +222,8 @@ FAULTS = {
     "unit": (drawn, SCALE | MM, "outline.unit is of a text file"),
     "no unit": (lambda: rows(X, Y), {}, "unit of its lengths is not stated"),
     "two units": (lambda: "x_m,y_m\n" + rows(X, Y), MM, "states m, capture.yaml .* mm"),
+    "columns twice": (lambda: "x_mm,y_mm,x_mm\n" + rows(X, Y, "{0:.4f},{1:.4f},{0:.4f}\n"), {},
+                      "has two columns x"),
     "columns": (lambda: "a_mm,b_mm\n" + rows(X, Y), {}, "neither x and y nor angle and radius"),
     "comma": (lambda: rows(X, Y).replace(".", ","), MM, "does not have 2 numbers"),
     "radians": (lambda: rows(ANGLE, 1e3 * RADIUS), MM, "span 6.266°, at least 270°"),
@@ -207,3 +286,16 @@ def test_the_preview_is_a_picture_and_a_capture_of_numbers(tmp_path, capsys):
     assert again.digest != capture.digest == read_capture(folder).digest
     with Image.open(tmp_path / "out" / "capture.png") as picture:
         assert picture.size == (960, 960)
+
+
+@pytest.mark.parametrize("name", [
+    "capture.yml", "capture.yaml.txt", "Capture.YAML", "capture.yml.txt"])
+def test_a_misnamed_description_is_named_with_the_remedy(tmp_path, name):
+    fabric = tmp_path / "fabric"
+    fabric.mkdir()
+    for k in range(2):
+        folder = write(fabric / str(k), drawn(), outline=PLATE)
+    (folder / "capture.yaml").rename(folder / name)
+    with pytest.raises(InputError, match=rf"{name}: rename it to capture\.yaml \(Windows"):
+        read_capture(folder)
+    assert captures_in(fabric) == [fabric / "0", fabric / "1"]  # none is left out in silence

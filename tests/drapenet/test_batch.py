@@ -250,12 +250,23 @@ def test_a_list_may_have_semicolons(tmp_path):
         ("silk", "", "one"), ("silk", "", "one"), ("silk, red", "", "one")]
 
 
+def test_a_list_names_folders_as_windows_and_macos_write_them(tmp_path):
+    (tmp_path / "Ko\u0308per" / "first").mkdir(parents=True)
+    (tmp_path / "list.csv").write_bytes("\r\n".join([
+        "sep=;", "fabric;capture", "K\u00f6per;K\u00f6per\\first",
+        "Ko\u0308per;Ko\u0308per/first", ";",
+    ]).encode("utf-16"))
+    found = entries_of(tmp_path / "list.csv")
+    assert all(one.path.is_dir() for one in found) and len(found) == 2
+    assert {one.fabric for one in found} == {"K\u00f6per"}  # one fabric
+
+
 @pytest.mark.parametrize(("text", "message"), [
     ("name,capture\na,b\n", "no column 'fabric'"),
     ("fabric,capture\nsilk,one\n\nsilk,\n", "line 4: fabric='silk' and capture='' must"),
     ("fabric,capture\n", "holds no captures"),
     ("fabric,capture\n\"a,b\n", "cannot be read"),
-    (b"\xff\xfe\x00", "UTF-8"),
+    (b"\xff\xfe\x00", "UTF-8"), ("fabric,capture\nK\u00f6per,a".encode("cp1252"), "Windows-1252"),
 ])
 def test_bad_lists_are_refused_in_one_line(tmp_path, text, message):
     file = tmp_path / "list.csv"

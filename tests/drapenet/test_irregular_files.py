@@ -11,6 +11,7 @@ from apps.drape_file import read_borrowed
 from apps.strip_curves import read_curve
 from common.errors import InputError
 from data.captures.capture import read_capture
+from data.captures.description import OutlineSource
 from data.captures.frames import read_array, read_exr, read_picture, read_points
 from data.captures.outline_table import read_closed_curve
 from data.captures.raw_scans import read_raw_scan
@@ -36,7 +37,7 @@ def _state(file: Path) -> None:
 READERS: dict[str, Callable[[Path], object]] = {
     "capture.yaml": lambda file: read_capture(file.parent),
     "density.txt": lambda file: read_capture(file.parent),
-    "outline.csv": lambda file: read_closed_curve(file, "mm"),
+    "outline.csv": lambda file: read_closed_curve(file, OutlineSource(unit="mm")),
     "outline.jpg": read_grey,
     "view_0.png": lambda file: read_picture(file, modes={"I;16"}, kind="16-bit grey"),
     "view_0.npy": read_array,

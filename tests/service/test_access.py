@@ -1,6 +1,7 @@
 """Who may use the service: what it asks of whoever runs it, and of its clients."""
 
 import base64
+from socket import gethostname
 from types import SimpleNamespace
 
 import pytest
@@ -54,6 +55,28 @@ def test_a_host_that_others_can_reach_needs_a_decision(host, served, tmp_path, m
 def test_this_machine_needs_none(host, served, tmp_path):
     address = "[::1]" if host == "::1" else host
     assert served(tmp_path, f"host={host}").startswith(f"http://{address}:8123 ")
+
+
+@pytest.mark.parametrize(("host", "address"), [
+    ("::", "localhost"), ("0.0.0.0", "localhost"), ("0::0", "localhost"), ("[::1]", "[::1]"),
+    ("fe80::1", "[fe80::1]")])
+def test_the_printed_address_can_be_opened(host, address, served, tmp_path):
+    printed = served(tmp_path, f"host={host}", f"password={PASSWORD}")
+    assert printed.startswith(f"http://{address}:8123 ")
+    assert (f"from other machines http://{gethostname()}:8123;" in printed) == (
+        address == "localhost")
+
+
+def test_an_address_of_ipv6_is_a_host_of_requests(tmp_path, monkeypatch):
+    monkeypatch.setattr("drapenet.service.jobs.ProcessPool", BreakablePool)
+    app = create_app(settings_for(tmp_path, "host=fd00::7", "open=true"))
+    with TestClient(app, base_url="http://[fd00::7]:8000") as client:
+        assert client.get("/fabrics").status_code == 200
+
+
+def test_an_address_of_another_machine_is_refused_with_the_reason(tmp_path):
+    with pytest.raises(InputError, match=r"host=192\.0\.2\.7 with port=0 \(.*\); choose"):
+        serve(settings_for(tmp_path, "host=192.0.2.7", "port=0", "open=true"))
 
 
 def test_a_short_password_is_refused_without_being_printed(served, tmp_path):

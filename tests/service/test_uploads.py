@@ -13,6 +13,7 @@ import yaml
 from PIL import Image
 
 from common.command import compose_config
+from common.errors import InputError
 from data.captures.capture import Capture, read_capture
 from data.readings import QUANTITIES
 from data.strips.description import StripsDescription, read_description
@@ -145,6 +146,41 @@ def test_a_table_of_an_outline_has_a_unit_and_an_origin(name, settings, tmp_path
     outline = capture_of(checked_upload([(name, table)], fields, settings), tmp_path / "c").outline
     assert np.isinf(outline.height) and not outline.centred
     assert outline.radii.max() < 0.15  # from the centroid
+
+
+def test_a_table_of_a_picture_has_a_sense(settings, tmp_path):
+    curve = [200, 200] + 1e3 * read_capture(PHOTOGRAPH).outline.curve[::4] * [1, -1]
+    table = "".join(f"{x:.2f};{y:.2f};\r\n" for x, y in curve).encode("utf-16")
+    fields = {"density_g_m2": "210", "tester": "disc300_support180", "unit": "mm",
+              "warp_direction_deg": "25"}
+    with pytest.raises(InputError, match=r"state outline: {centred: false, y_axis: down}"):
+        capture_of(checked_upload([("a.csv", table)], fields, settings), tmp_path / "a")
+    stated = fields | {"centred": "false", "y_axis": "down"}
+    upload = checked_upload([("a.zip", zipped([("drape/a.csv", table)]))], stated, settings)
+    radii = capture_of(upload, tmp_path / "b").outline.radii
+    expected = capture_of(checked_upload([("a.csv", table)], stated, settings), tmp_path / "c")
+    assert np.array_equal(radii, expected.outline.radii)
+
+
+@pytest.mark.parametrize(("name", "data", "sentence"), [
+    ("capture.yaml.txt", YAML[1], "capture.yaml.txt: rename it to capture.yaml"),
+    ("Capture.yaml", YAML[1], "Capture.yaml: rename it to capture.yaml"),
+    ("strips.yaml.txt", b"density_g_m2: 210", "strips.yaml.txt: rename it to strips.yaml"),
+    ("capture.yaml", b"fabric: #42\n" + YAML[1], "fabric: #42 is a comment"),
+    ("capture.yaml", "operator: M\u00fcller\n".encode("cp1252") + YAML[1], "Windows-1252"),
+])
+def test_sentences_about_descriptions_reach_the_page(settings, name, data, sentence):
+    for sent in ([*VIEWS, (name, data)], [("a.zip", zipped([*VIEWS, (f"a/{name}", data)]))]):
+        with pytest.raises(RequestError, match=sentence) as refusal:
+            checked_upload(sent, {}, settings)
+        assert refusal.value.status_code == 422
+
+
+def test_a_photograph_of_a_strip_is_found_by_its_name_in_another_normal_form(settings):
+    document = PHOTOGRAPHED.replace(b"weft.jpg", "K\u00f6per.jpg".encode())
+    upload = checked_upload([("strips.yaml", document), ("warp 1.PNG", png_of_size(6000, 4000)),
+                             ("Ko\u0308per.jpg", jpeg(PICTURE))], {}, settings)
+    assert "K\u00f6per.jpg" in upload.files
 
 
 def test_a_field_replaces_its_value_alone(settings):

@@ -13,13 +13,13 @@ let broken = null; // the new fabric whose only capture failed; sending again re
 // ---- errors
 
 const PARTS = { intrinsics: 'fx', plate_px: 'plate_x', 'plate_px.x': 'plate_x', 'plate_px.y': 'plate_y', 'plate_px.diameter': 'plate_diameter' };
-const WORDS = ['name', 'notes', 'label', 'face', 'unit', 'tester', 'centred', 'kind', 'files', 'date', 'operator', 'laboratory', 'camera'];
+const WORDS = ['name', 'notes', 'label', 'face', 'unit', 'tester', 'centred', 'angles', 'kind', 'files', 'date', 'operator', 'laboratory', 'camera'];
 
 // The field that a sentence of the service names first; words of sentences only where they have a value.
 export function fieldOf(sentence) {
   const names = [...new Set([...form.elements].map((field) => field.name).filter(Boolean)), ...Object.keys(PARTS)];
   const found = names.map((name) => {
-    const after = WORDS.includes(name) ? '(?==| is missing)' : '(?![\\w.]*[a-z_])';
+    const after = WORDS.includes(name) ? '(?==| is missing|: (?:false|mm|clockwise))' : '(?![\\w.]*[a-z_])';
     return [name, sentence.search(new RegExp(`(?<![\\w])${name.replaceAll('.', '\\.')}${after}`))];
   }).filter(([, place]) => place >= 0).sort(([, a], [, b]) => a - b);
   return found.length ? PARTS[found[0][0]] ?? found[0][0] : null;
@@ -103,6 +103,8 @@ function check() {
 function fault() {
   const files = chosen();
   if (!files.length && !values().length) return ['No files yet: drop the views of a drape, or its photograph, here, or choose them; or give values from other tests.', 'files'];
+  const hidden = files.find((file) => /^(capture|strips)\.ya?ml\.txt$/i.test(file.name));
+  if (hidden) return [`${hidden.name}: rename it to ${hidden.name.split('.')[0]}.yaml (Windows shows suffixes under View, File name extensions).`, 'files'];
   const wrong = files.find((file) => !limits.kinds.split(',').includes(suffix(file.name)));
   if (wrong) return [`${wrong.name}: files of this kind are not taken.`, 'files'];
   const bytes = files.reduce((sum, file) => sum + file.size, 0);
