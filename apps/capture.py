@@ -1,6 +1,7 @@
 """Check a capture while the specimen hangs, and cut out the cloth.
 
     python -m apps.capture frames=FOLDER out=DIR
+    python -m apps.capture mat=a3 out=mat.pdf [paper=a4]
     python -m apps.capture board=board.png
 
 FOLDER has capture.yaml and frames of the full scene, or of the cloth alone (docs/use.md), or its
@@ -26,6 +27,7 @@ from data.captures.check import Check, warnings_of
 from data.captures.cutout import CutOut
 from data.captures.plate import plate_of_cloth
 from data.captures.preview import outline_picture, picture, png
+from data.pictures.mat import BAR, mat_pages
 from data.strips.description import FILE as STRIPS
 from data.strips.folder import read_strips
 from data.strips.preview import strips_figure, write_curves
@@ -45,11 +47,18 @@ class CaptureConfig:
     frames: str
     out: str
     board: str
+    mat: str
+    paper: str
 
 
 @command("capture", CaptureConfig)
 def main(config: CaptureConfig) -> None:
-    """Write the capture and its picture, and print its checks; or write a board."""
+    """Write the capture and its picture, and print its checks; or write a mat or a board."""
+    if config.mat:
+        file = Path(config.out or f"mat_{config.mat}.pdf")
+        replace_file(file, mat_pages(config.mat, config.paper or config.mat))
+        print(f"mat: {file}; print it at 100 %, and measure its scale of {1e3 * BAR:g} mm")
+        return
     if config.board:
         replace_file(Path(config.board), board_picture())
         print(f"board: {config.board}; print it on A4 at 100 %: squares of {1e3 * SQUARE:g} mm")

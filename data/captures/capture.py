@@ -147,9 +147,10 @@ def _read_metric(path: Path) -> Capture:
         return _read_outline(path, outline, description)
     if description.outline:
         others = sorted(set(found.name for found in path.iterdir()) - {file.name})
-        raise InputError(f"{file} has the key outline, but there is no outline.png, .jpg, .tif, "
-                         f".csv or .txt (the folder holds {', '.join(others)[:80] or 'no other'}); "
-                         "name the photograph so, save HEIC as JPEG, or leave the key out")
+        raise InputError(f"{file} has the key outline, but there is no outline.jpg, .heic, .png, "
+                         f".tif, .csv or .txt (the folder holds "
+                         f"{', '.join(others)[:80] or 'no other'}); name the photograph so, or "
+                         "leave the key out")
     if description.reported and not views_in(path):
         return Capture(np.zeros((0, 0, 0), np.float32), None, np.zeros(0), description.density,
                        description.warp_direction, _tester(path, description), path,
@@ -221,10 +222,12 @@ def _read_outline(path: Path, file: Path, description: Description) -> Capture:
     rig = _tester(path, description)
     from data.captures.photograph import read_outline  # half a second, which views need not spend
 
-    outline = read_outline(file, description.outline or OutlineSource(), rig,
-                           description.warp_direction)
-    return Capture(np.zeros((0, 0, 0), np.float32), None, np.zeros(0), description.density,
-                   description.warp_direction, rig, path,
+    source, warp = description.outline or OutlineSource(), description.warp_direction
+    if warp is None and source.mat and source.arrow == "warp":
+        warp = 0.0
+    outline = read_outline(file, source, rig, warp)
+    return Capture(np.zeros((0, 0, 0), np.float32), None, np.zeros(0), description.density, warp,
+                   rig, path,
                    (*description.questions, *outline.warnings), face=description.face,
                    outline=outline, known=description.known, labels=description.labels)
 

@@ -25,6 +25,7 @@ MILLIMETRE = 1e-3  # m per count
 INTRINSICS_KEYS = ("fx", "fy", "cx", "cy")
 MIN_EQUAL_TURNS = 4  # views, from which on equally spaced turns are the default
 MIN_TURN = 6.3  # degrees; the largest turn given in radians is 6.28
+PLATE_HEIGHTS = (20.0, 600.0)  # mm above the mat
 CAMERA_HEIGHTS = (200.0, 20_000.0)  # mm above the plate, of a photograph's camera
 OUTLINE_TABLES = (".csv", ".txt")  # suffixes of outlines in numbers
 PARALLEL = "parallel"
@@ -137,13 +138,20 @@ def _height(value: object) -> float:
 class OutlineSource(Schema):
     """Key ``outline``: how a drape was seen from above, or what the numbers of a file mean.
 
-    A photograph has ``mm_per_px`` or ``plate_px``, or shows a board; a text file has the keys
-    ``OF_TABLES``. ``centred``: whether its origin is the plate's centre; ``y_axis``: where y points
-    in x and y; ``angles``: which way angles are counted, seen from above.
+    A photograph has the keys ``OF_PHOTOGRAPHS``: a ``mat`` under the stand, ``plate_px`` or
+    ``mm_per_px``, or none of them, with a board in the picture or ``plate.jpg`` beside it; a text
+    file has the keys ``OF_TABLES``. ``plate_height_mm``: of the plate's top above the mat;
+    ``arrow``: what lies along the mat's arrow; ``centred``: whether the origin of a text file is
+    the plate's centre; ``y_axis``: where y points in x and y; ``angles``: which way angles are
+    counted, seen from above.
     """
 
+    OF_PHOTOGRAPHS: ClassVar = ("mat", "plate_height_mm", "arrow", "mm_per_px", "plate_px")
     OF_TABLES: ClassVar = ("unit", "centred", "y_axis", "angles")
 
+    mat: Literal["a3", "a2"] | None = None
+    plate_height_mm: float | None = Field(None, ge=PLATE_HEIGHTS[0], le=PLATE_HEIGHTS[1])
+    arrow: Literal["warp", "none"] = "warp"
     mm_per_px: float | None = Field(None, gt=0, le=10)
     plate_px: PlateInPicture | None = None
     camera_height_mm: Annotated[float, PlainValidator(_height)] | None = None
@@ -156,6 +164,12 @@ class OutlineSource(Schema):
     def _one_scale(self) -> "OutlineSource":
         if self.mm_per_px and self.plate_px:
             raise ValueError("mm_per_px and plate_px both state the scale; give one of them")
+        if self.mat and (self.mm_per_px or self.plate_px or self.camera_height_mm):
+            raise ValueError("the mat states scale, centre and camera height; leave out mm_per_px, "
+                             "plate_px and camera_height_mm")
+        if bool(self.mat) != bool(self.plate_height_mm):
+            raise ValueError("mat and plate_height_mm belong together: the height of the plate's "
+                             "top above the mat, such as {mat: a3, plate_height_mm: 150}")
         return self
 
     @property
@@ -178,8 +192,8 @@ class Description(Specimen, Labels):
     size_px: list[Annotated[int, Field(ge=1, le=max(MAX_PICTURE))]] | None = Field(
         None, min_length=2, max_length=2, description="width and height, such as [640, 480]")
     outline: OutlineSource | None = Field(
-        None, description="outline is such as {plate_px: {x: 960, y: 540, diameter: 700}, "
-                          "camera_height_mm: 1200}")
+        None, description="outline is such as {mat: a3, plate_height_mm: 150}, or {plate_px: {x: "
+                          "960, y: 540, diameter: 700}, camera_height_mm: 1200}")
     known: Reported | None = Field(None, description=Reported.remedy)
 
     @property

@@ -1,6 +1,6 @@
 """Outlines of drapes from above, cut out of a photograph or read from a text file, and checked.
 
-    picture -> scale (plate, pixel or board) -> cut-out -> curve in the plane of the plate
+    picture -> scale (mat, plate, pixel or board) -> cut-out -> curve in the plane of the plate
 
 Coordinates of pixels are those of their centres, from 0 on.
 """
@@ -12,13 +12,13 @@ import cv2
 import numpy as np
 
 from common.errors import InputError
-from common.types import GreyPicture, Mask, Metres, Outline, Radians
-from data.captures.board import MAX_REPROJECTION_ERROR, PAPER, SQUARE, SQUARES, find_corners
-from data.captures.description import OUTLINE_TABLES, OutlineSource, PlateInPicture
+from common.types import Metres, Outline, PixelPath, Radians
+from data.captures.description import OUTLINE_TABLES, OutlineSource
+from data.captures.off_axis import seen_from_axis
 from data.captures.outline_table import read_closed_curve
+from data.captures.scale import large_pixels, mapped, scaled_photograph, shifted, upright
 from data.pictures.cloth import Place
 from data.pictures.edge import outline_of_cloth
-from data.pictures.reading import Photograph, read_photograph
 from sim.measures import coefficient_of_area, farthest, folds_around
 from sim.rig import Rig
 
@@ -47,6 +47,7 @@ class PhotographedOutline:
         picture: (H, W, 3) uint8, reduced; None if the outline is read from a text file.
         to_pixels: (3, 3) homography from the plane of ``curve`` to pixels of ``picture``.
         pixel: size of a pixel of the file at the plate.
+        hem: the outline as it was seen, in pixels of ``picture``.
     """
 
     curve: Outline
@@ -57,6 +58,7 @@ class PhotographedOutline:
     picture: np.ndarray | None = None
     to_pixels: np.ndarray | None = None
     pixel: Metres = np.nan
+    hem: PixelPath | None = None
 
     @property
     def radii(self) -> np.ndarray:
@@ -88,7 +90,7 @@ def read_outline(
     it lies along x or y.
     """
     is_table = file.suffix.lower() in OUTLINE_TABLES
-    others = ("mm_per_px", "plate_px") if is_table else source.OF_TABLES
+    others = source.OF_PHOTOGRAPHS if is_table else source.OF_TABLES
     if wrong := sorted(source.model_fields_set.intersection(others)):
         kind = "a photograph" if is_table else "a text file"
         raise InputError(f"outline.{wrong[0]} is of {kind}, but the outline is {file.name}; "
@@ -102,10 +104,10 @@ def read_outline(
         warnings = (*found.warnings, *_checked(found))
     except InputError as error:
         raise InputError(str(error) if str(file) in str(error) else f"{file}: {error}") from None
-    if np.isnan(source.height):
+    if np.isnan(found.height):
         warnings += (_PERSPECTIVE,)
     if not found.centred:
-        remedy = "give numbers" if is_table else "state plate_px to measure"
+        remedy = "give numbers" if is_table else "add plate.jpg, or use the mat, to measure"
         warnings += ("the plate's centre is not known, so that distances are measured from the "
                      f"outline's centroid; {remedy} from the plate's centre",)
     return replace(found, warnings=warnings)
@@ -121,102 +123,28 @@ def _tabulated(
 
 
 def _photographed(file: Path, source: OutlineSource, rig: Rig) -> PhotographedOutline:
-    photograph = read_photograph(file)
-    to_metres, board = _scale(photograph, source, rig)
-    height, width = photograph.grey.shape
-    here = np.array([[width, height], [width + 2, height]]) / 2
-    pixel = float(np.linalg.norm(np.diff(mapped(here, to_metres), axis=0)))
-    middle = _in_reduced(source.plate_px, photograph) if source.plate_px else None
+    seen = scaled_photograph(file, source, rig)
+    photograph, to_metres = seen.photograph, seen.to_metres
     pixels = outline_of_cloth(photograph, Place(
-        rig.plate_radius / pixel, rig.reach / pixel, middle, outside=board))
-    to_metres, tilt = upright(to_metres, _centroid(pixels))
-    if not source.plate_px:
-        to_metres = _shift(-_centroid(mapped(pixels, to_metres))) @ to_metres
-    curve = mapped(pixels, to_metres)
+        rig.plate_radius / seen.pixel, rig.reach / seen.pixel, seen.middle, seen.ground,
+        seen.outside))
+    tilt = 0.0
+    if seen.middle is None:
+        to_metres, tilt = upright(to_metres, _centroid(pixels))
+        to_metres = shifted(-_centroid(mapped(pixels, to_metres))) @ to_metres
+    curve = _oriented(mapped(pixels, to_metres))
     to_pixels = np.linalg.inv(to_metres)
     millimetre = np.diff(mapped(np.array([[0, 0], [1e-3, 0]]), to_pixels), axis=0)
     step = float(1e-3 / (photograph.factor * np.linalg.norm(millimetre)))
-    warnings = []
-    warnings += large_pixels(step, MAX_PIXEL)
+    warnings = [*seen.notes, *large_pixels(step, MAX_PIXEL)]
     if tilt > MAX_TILT:
         warnings.append(f"the plate is seen {np.degrees(tilt):.0f}° off the vertical, more than "
                         f"{np.degrees(MAX_TILT):.0f}°; place the camera above its centre")
+    if seen.beside is not None:
+        curve = seen_from_axis(curve, seen.beside, seen.height, rig)
     return PhotographedOutline(
-        _oriented(curve), source.height, source.plate_px is not None, rig, tuple(warnings),
-        photograph.colour, to_pixels, float(step))
-
-
-def _in_reduced(plate: PlateInPicture, photograph: Photograph) -> np.ndarray:
-    """The plate's centre (2,) in pixels of the picture as it was reduced."""
-    return (np.array([plate.x, plate.y]) + 0.5) / photograph.factor - 0.5
-
-
-def _scale(
-    photograph: Photograph, source: OutlineSource, rig: Rig
-) -> tuple[np.ndarray, Mask | None]:
-    """Homography from pixels to the plane of the plate, m, about its centre if that is stated, and
-    the pixels of a board."""
-    if plate := source.plate_px:
-        pixel = rig.plate_diameter * photograph.factor / plate.diameter
-        return np.diag([pixel, -pixel, 1.0]) @ _shift(-_in_reduced(plate, photograph)), None
-    if source.mm_per_px:
-        pixel = 1e-3 * source.mm_per_px * photograph.factor
-        return np.diag([pixel, -pixel, 1.0]), None
-    if (plane := board_plane(photograph.grey)) is None:
-        raise InputError("the scale is not known: give outline: {plate_px: {x: 960, y: 540, "
-                         "diameter: 700}} or mm_per_px, or lay the board in the plane of the plate")
-    return plane
-
-
-def board_plane(grey: GreyPicture) -> tuple[np.ndarray, Mask] | None:
-    """Homography (3, 3) from pixels to the plane of a printed board, m, and the pixels of the
-    board; None if it is not seen, InputError if it is not flat."""
-    if (corners := find_corners(grey.astype(np.uint8))) is None:
-        return None
-    points, pixels = corners[0][:, :2].astype(np.float64), corners[1].astype(np.float64)
-    to_metres = cv2.findHomography(pixels, points)[0]
-    from_board = np.linalg.inv(to_metres)
-    error = np.sqrt(np.square(mapped(points, from_board) - pixels).sum(axis=1).mean())
-    if error > MAX_REPROJECTION_ERROR:
-        raise InputError(f"the board's corners lie {error:.1f} pixels from those of a flat board, "
-                         f"at most {MAX_REPROJECTION_ERROR:g} is allowed; glue it to a flat plate, "
-                         "and remove the distortion of the lens")
-    middle, half = np.array(SQUARES) * SQUARE / 2, np.array(PAPER) / 2 + 5e-3
-    page = mapped(middle + half * [[-1, -1], [1, -1], [1, 1], [-1, 1]], from_board)
-    mask = cv2.fillConvexPoly(np.zeros(grey.shape, np.uint8), np.rint(page).astype(np.int32), 1) > 0
-    if mask.all():
-        raise InputError("the board fills the picture; lay it beside the drape")
-    return to_metres, mask
-
-
-def upright(to_metres: np.ndarray, pixel: np.ndarray) -> tuple[np.ndarray, float]:
-    """A homography (3, 3) turned such that at a ``pixel`` (2,) x is to the right and y up in the
-    picture, and the angle, rad, between line of sight and vertical there, by the ratio of its
-    scales."""
-    points = mapped(pixel + np.array([[0, 0], [1, 0], [0, 1]]), to_metres)
-    right, down = points[1:] - points[0]
-    flip = 1.0 if right[0] * down[1] < right[1] * down[0] else -1.0
-    cos, sin = right * [1, flip] / np.linalg.norm(right)
-    turn = np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]])
-    scales = np.linalg.svd(np.stack([right, down]), compute_uv=False)
-    return turn @ np.diag([1, flip, 1]) @ to_metres, float(np.arccos(scales[1] / scales[0]))
-
-
-def _shift(offset: np.ndarray) -> np.ndarray:
-    return np.array([[1, 0, offset[0]], [0, 1, offset[1]], [0, 0, 1]])
-
-
-def large_pixels(size: Metres, limit: Metres) -> list[str]:
-    """One line if a pixel covers more than the ``limit``."""
-    if size <= limit:
-        return []
-    return [f"a pixel covers {1e3 * size:.2g} mm, more than {1e3 * limit:g} mm; take a larger "
-            "picture, or move the camera nearer"]
-
-
-def mapped(points: np.ndarray, homography: np.ndarray) -> np.ndarray:
-    """Points (N, 2), m or pixels, mapped by a homography (3, 3)."""
-    return cv2.perspectiveTransform(np.asarray(points, np.float64)[:, None], homography)[:, 0]
+        curve, seen.height, seen.middle is not None, rig, tuple(warnings), photograph.colour,
+        to_pixels, step, pixels)
 
 
 def _checked(outline: PhotographedOutline) -> list[str]:

@@ -54,6 +54,10 @@ def outline_picture(capture: Capture, checks: Sequence[Check] = ()) -> bytes:
     if capture.warp_direction is not None:
         along = np.array([np.cos(capture.warp_direction), np.sin(capture.warp_direction)])
         lines.append(("warp", rig.plate_radius * np.stack([-along, along]), _AXES[0], "-"))
+    if outline.hem is not None:  # as it was seen, also from beside the axis
+        panel.plot(*np.vstack([outline.hem, outline.hem[:1]]).T, "-", color=_OUTLINE, linewidth=1,
+                   label="outline")
+        lines = lines[1:]
     for label, points, colour, style in lines:
         panel.plot(*outline.drawn(points).T, style, color=colour, linewidth=1, label=label)
     scale = "" if np.isnan(outline.pixel) else f", {1e3 * outline.pixel:.3g} mm per pixel"

@@ -78,6 +78,22 @@ def cut_cloth(photograph: Photograph, place: Place, edge: float = SHADE_EDGES[0]
     return cv2.resize(cloth.astype(np.float32), (width, height)) > 0.5
 
 
+def pieces(photograph: Photograph) -> list[Mask]:
+    """What sharp edges separate from the ground at the picture's border: each piece, filled."""
+    height, width = photograph.light.shape[:2]
+    scale = min(1.0, SIDE / max(height, width))
+    size = round(scale * width), round(scale * height)
+    light = cv2.resize(photograph.light, size, interpolation=cv2.INTER_AREA)
+    ground, outside = _border(size), np.zeros(size[::-1], bool)
+    found = []
+    for level in SHADE_EDGES:
+        raised = _raised(_edges(*_relative(light, ground)), level, ground, outside)
+        count, labels = cv2.connectedComponents(raised.astype(np.uint8))
+        found += [cv2.resize((labels == k).astype(np.float32), (width, height)) > 0.5
+                  for k in range(1, count)]
+    return found
+
+
 def _border(size: tuple[int, int]) -> Mask:
     wide = round(BORDER * min(size))
     border = np.ones(size[::-1], bool)

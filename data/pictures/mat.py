@@ -81,7 +81,7 @@ def mat_picture(name: str) -> np.ndarray:
 
     for radius in _CIRCLES:
         draw.ellipse([*at(-radius, radius), *at(radius, -radius)], outline=_LINE, width=3)
-        write(*(radius * np.array([0.71, -0.71]) + [5e-3, -2e-3]), f"{2e3 * radius:g}", 2.5e-3)
+        write(0.71 * radius + 5e-3, -0.71 * radius - 2e-3, f"{2e3 * radius:g}", 2.5e-3)
     line((-0.1, 0), (0.1, 0))
     line((0, -0.1), (0, 0.1))
     inner_x, inner_y = (side / 2 - MARKER for side in mat.size)

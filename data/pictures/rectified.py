@@ -35,6 +35,7 @@ class OverMat:
     ground: Mask
     pose: Pose
     markers: int
+    warnings: tuple[str, ...] = ()
 
 
 def straight_from_above(
@@ -85,7 +86,8 @@ def straight_from_above(
 def _printed(mat: str, on_mat: np.ndarray) -> Mask:
     """Where (H, W) ink is printed, at places (H, W, 2), m."""
     picture = mat_picture(mat)
-    ink = cv2.dilate((picture < INK).astype(np.uint8), np.ones((2 * round(_BLEED / PIXEL) + 1,) * 2))
+    spread = np.ones((2 * round(_BLEED / PIXEL) + 1,) * 2)
+    ink = cv2.dilate((picture < INK).astype(np.uint8), spread)
     height, width = ink.shape
     columns = (on_mat[..., 0] / PIXEL + (width - 1) / 2).astype(np.float32)
     rows = (-on_mat[..., 1] / PIXEL + (height - 1) / 2).astype(np.float32)

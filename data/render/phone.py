@@ -50,7 +50,7 @@ def phone_picture(
     warp = float(rng.uniform(0, 2 * np.pi)) if rng.random() < 0.5 else 0.0
     cos, sin = np.cos(warp), np.sin(warp)
     turned = positions @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1.0]])
-    cloth = turned + [0, 0, plate_height]
+    cloth = turned + np.array([0, 0, plate_height])
     size = _SIZE if rng.random() < 0.7 else _SIZE[::-1]
     pose, stated = _random_pose(rng, size, plate_height)
     stand = trimesh.creation.cylinder(0.4 * plate_radius, plate_height - _GAP)
@@ -65,7 +65,8 @@ def phone_picture(
         size[1], size[0], 3)
     hits = scene.cast(pose.place, rays)
     places = pose.place + np.minimum(hits.distance, 20)[..., None] * rays
-    kind = {"pattern": str(rng.choice(PATTERNS)), "lamp": float(rng.choice([0.0, 0.5, 1.0, 2.0])),
+    pattern = str(rng.choice(PATTERNS))
+    kind = {"pattern": pattern, "lamp": float(rng.choice([0.0, 0.5, 1.0, 2.0])),
             "lamp_size": float(rng.uniform(0.02, 0.3))}
     albedo = _ground(places, mat, rng)
     albedo[hits.mesh == 1] = rng.uniform(0.2, 0.7)
@@ -74,7 +75,7 @@ def phone_picture(
     corners, weights = faces[hits.face[shown]], hits.uv[shown]
     weights = np.column_stack([1 - weights.sum(axis=1), weights])
     flat = (weights[..., None] * rest[corners]).sum(axis=1)
-    albedo[shown] = _pattern(flat, kind["pattern"], rng)
+    albedo[shown] = _pattern(flat, pattern, rng)
     normals = _normals(hits, [cloth, plate.vertices, stand.vertices, table],
                        [faces, plate.faces, stand.faces, np.array([[0, 1, 2], [0, 2, 3]])], rays)
     light = albedo * _light(scene, places, normals, kind, rng)[..., None]

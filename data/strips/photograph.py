@@ -16,7 +16,7 @@ from scipy.stats import foldnorm
 from common.errors import InputError
 from common.files import path_named
 from common.types import DeflectionCurve, Metres, Pixels, Radians
-from data.captures.photograph import board_plane, large_pixels, mapped
+from data.captures.scale import board_plane, large_pixels, mapped
 from data.pictures.reading import read_photograph
 from data.strips.centre_line import CentreLine, trace_strip
 from data.strips.description import StripEntry, StripsDescription, View

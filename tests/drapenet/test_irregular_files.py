@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from data.captures.shadow import read_grey
 
 from apps.drape_file import read_borrowed
 from apps.strip_curves import read_curve
@@ -17,7 +18,6 @@ from data.captures.outline_table import read_closed_curve
 from data.captures.raw_scans import read_raw_scan
 from data.captures.rosbag import read_recording
 from data.captures.scans import read_scan
-from data.captures.shadow import read_grey
 from data.dataset.folder import read_manifest
 from data.dataset.shards import Shard
 from data.fabrics.fabrics import read_fabric_table

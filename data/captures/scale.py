@@ -1,0 +1,176 @@
+"""How a photograph's pixels lie in the plane of the plate.
+
+By a mat under the stand, by the plate's place and size, in numbers or in a picture of the plate
+without cloth, by the size of a pixel, or by a board in the plane of the plate.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from common.errors import InputError
+from common.types import GreyPicture, Mask, Metres
+from data.captures.board import MAX_REPROJECTION_ERROR, PAPER, SQUARE, SQUARES, find_corners
+from data.captures.description import OutlineSource
+from data.pictures.plate import find_plate
+from data.pictures.reading import SUFFIXES, Photograph, read_photograph
+from data.pictures.rectified import straight_from_above
+from sim.rig import Rig
+
+MAT_SIDE = 4500  # pixels, to which larger photographs with a mat are reduced
+MAX_SCALE_DIFFERENCE = 0.03  # between the plate's diameter as seen and as a stated scale has it
+
+
+@dataclass(frozen=True)
+class Scaled:
+    """A photograph, and where it shows the plane of the plate.
+
+    Attributes:
+        to_metres: (3, 3) homography from pixels to that plane, about the plate's centre if
+            ``middle`` is known: its place (2,), pixels.
+        height: of the camera above the plate; NaN if it is not known.
+        beside: place (2,) of the camera beside the axis, m; None if it is not known.
+        ground: what surely shows the ground; None for the picture's border.
+        outside: what is neither ground nor cloth.
+        notes: warnings.
+    """
+
+    photograph: Photograph
+    to_metres: np.ndarray
+    height: Metres
+    middle: np.ndarray | None = None
+    beside: np.ndarray | None = None
+    ground: Mask | None = None
+    outside: Mask | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def pixel(self) -> Metres:
+        """Size of a pixel in the middle of the picture."""
+        height, width = self.photograph.light.shape[:2]
+        here = np.array([[width, height], [width + 2, height]]) / 2
+        return float(np.linalg.norm(np.diff(mapped(here, self.to_metres), axis=0)))
+
+
+def scaled_photograph(file: Path, source: OutlineSource, rig: Rig) -> Scaled:
+    """Read a photograph, and its scale from what ``source`` states, from the picture, or from those
+    beside it: ``plate.*``, and ``mat_*``."""
+    if source.mat:
+        return _by_mat(file, source, rig)
+    photograph = read_photograph(file)
+    if beside := _beside(file, "plate"):
+        return _by_plate(photograph, beside[0], source, rig)
+    if plate := source.plate_px:
+        centre = (np.array([plate.x, plate.y]) + 0.5) / photograph.factor - 0.5
+        pixel = rig.plate_diameter * photograph.factor / plate.diameter
+        return Scaled(photograph, _about(centre, pixel), source.height, centre)
+    if source.mm_per_px:
+        pixel = 1e-3 * source.mm_per_px * photograph.factor
+        return Scaled(photograph, np.diag([pixel, -pixel, 1.0]), source.height)
+    if plane := board_plane(photograph.grey):
+        return Scaled(photograph, plane[0], source.height, outside=plane[1])
+    raise InputError("the scale is not known: lay the printed mat under the stand (outline: {mat: "
+                     "a3, plate_height_mm: 150}), add plate.jpg, the same picture without cloth, "
+                     "or give outline: {plate_px: {x: 960, y: 540, diameter: 700}} or mm_per_px")
+
+
+def _by_mat(file: Path, source: OutlineSource, rig: Rig) -> Scaled:
+    files = file, *_beside(file, "mat_*")
+    first, *others = (read_photograph(one, side=MAT_SIDE) for one in files)
+    assert source.mat and source.plate_height_mm
+    over = straight_from_above(first, others, source.mat,
+                               plate_height=1e-3 * source.plate_height_mm,
+                               plate=rig.plate_radius, reach=rig.reach)
+    height, width = over.photograph.light.shape[:2]
+    middle = np.array([width - 1, height - 1]) / 2
+    above = over.pose.place[2] - 1e-3 * source.plate_height_mm
+    return Scaled(over.photograph, _about(middle, over.pixel), above, middle, over.pose.place[:2],
+                  over.ground, notes=over.warnings)
+
+
+def _by_plate(photograph: Photograph, file: Path, source: OutlineSource, rig: Rig) -> Scaled:
+    """The scale by a picture of the plate without cloth."""
+    empty = read_photograph(file)
+    if empty.light.shape != photograph.light.shape:
+        raise InputError(f"{file.name} has another size; take both pictures with one camera that "
+                         "does not move")
+    try:
+        centre, radius = find_plate(empty)
+    except InputError as error:
+        raise InputError(f"{file.name}: {error}") from None
+    pixel = rig.plate_radius / radius
+    for name, stated in (
+            ("plate_px.diameter", source.plate_px and
+             rig.plate_diameter * photograph.factor / source.plate_px.diameter),
+            ("mm_per_px", source.mm_per_px and 1e-3 * source.mm_per_px * photograph.factor)):
+        if stated and abs(pixel / stated - 1) > MAX_SCALE_DIFFERENCE:
+            raise InputError(
+                f"{file.name} shows a plate of {2 * radius * photograph.factor:.0f} pixels, by "
+                f"{name} one of {1e3 * rig.plate_diameter:g} mm has "
+                f"{rig.plate_diameter * photograph.factor / stated:.0f}; leave {name} out, or "
+                "correct the tester")
+    return Scaled(photograph, _about(centre, pixel), source.height, centre)
+
+
+def _beside(file: Path, name: str) -> list[Path]:
+    """Pictures of a name beside a file, in order."""
+    return sorted(one for one in file.parent.glob(f"{name}.*") if one.suffix.lower() in SUFFIXES)
+
+
+def _about(centre: np.ndarray, pixel: Metres) -> np.ndarray:
+    """Homography from pixels to m about a centre (2,), y up."""
+    return np.diag([pixel, -pixel, 1.0]) @ shifted(-centre)
+
+
+def board_plane(grey: GreyPicture) -> tuple[np.ndarray, Mask] | None:
+    """Homography (3, 3) from pixels to the plane of a printed board, m, and the pixels of the
+    board; None if it is not seen, InputError if it is not flat."""
+    if (corners := find_corners(grey.astype(np.uint8))) is None:
+        return None
+    points, pixels = corners[0][:, :2].astype(np.float64), corners[1].astype(np.float64)
+    to_metres = cv2.findHomography(pixels, points)[0]
+    from_board = np.linalg.inv(to_metres)
+    error = np.sqrt(np.square(mapped(points, from_board) - pixels).sum(axis=1).mean())
+    if error > MAX_REPROJECTION_ERROR:
+        raise InputError(f"the board's corners lie {error:.1f} pixels from those of a flat board, "
+                         f"at most {MAX_REPROJECTION_ERROR:g} is allowed; glue it to a flat plate, "
+                         "and remove the distortion of the lens")
+    middle, half = np.array(SQUARES) * SQUARE / 2, np.array(PAPER) / 2 + 5e-3
+    page = mapped(middle + half * [[-1, -1], [1, -1], [1, 1], [-1, 1]], from_board)
+    mask = cv2.fillConvexPoly(np.zeros(grey.shape, np.uint8), np.rint(page).astype(np.int32), 1) > 0
+    if mask.all():
+        raise InputError("the board fills the picture; lay it beside the drape")
+    return to_metres, mask
+
+
+def upright(to_metres: np.ndarray, pixel: np.ndarray) -> tuple[np.ndarray, float]:
+    """A homography (3, 3) turned such that at a ``pixel`` (2,) x is to the right and y up in the
+    picture, and the angle, rad, between line of sight and vertical there, by the ratio of its
+    scales."""
+    points = mapped(pixel + np.array([[0, 0], [1, 0], [0, 1]]), to_metres)
+    right, down = points[1:] - points[0]
+    flip = 1.0 if right[0] * down[1] < right[1] * down[0] else -1.0
+    cos, sin = right * [1, flip] / np.linalg.norm(right)
+    turn = np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]])
+    scales = np.linalg.svd(np.stack([right, down]), compute_uv=False)
+    return turn @ np.diag([1, flip, 1]) @ to_metres, float(np.arccos(scales[1] / scales[0]))
+
+
+def shifted(offset: np.ndarray) -> np.ndarray:
+    """Homography (3, 3) that moves points by an offset (2,)."""
+    return np.array([[1, 0, offset[0]], [0, 1, offset[1]], [0, 0, 1]])
+
+
+def large_pixels(size: Metres, limit: Metres) -> list[str]:
+    """One line if a pixel covers more than the ``limit``."""
+    if size <= limit:
+        return []
+    return [f"a pixel covers {1e3 * size:.2g} mm, more than {1e3 * limit:g} mm; take a larger "
+            "picture, or move the camera nearer"]
+
+
+def mapped(points: np.ndarray, homography: np.ndarray) -> np.ndarray:
+    """Points (N, 2), m or pixels, mapped by a homography (3, 3)."""
+    return cv2.perspectiveTransform(np.asarray(points, np.float64)[:, None], homography)[:, 0]
