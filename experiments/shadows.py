@@ -4,6 +4,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Circle
 from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import least_squares
 
@@ -98,3 +100,16 @@ class Simulated:
         if np.abs(fit.fun).max() > MAX_MISFIT:
             return None
         return float(fit.x[0]), float(curl(fit.x))
+
+
+def draw_outline(
+    axes: Axes, radius: np.ndarray, name: str, color: str, rig: Rig = DISC_RIG
+) -> None:
+    """An outline (POINTS,), m, its drape coefficient, its folds and the plate."""
+    azimuths = 2 * np.pi * np.arange(POINTS) / POINTS
+    coefficient, folds = features(radius[None], rig)[0, :2]
+    axes.fill(radius * np.cos(azimuths), radius * np.sin(azimuths), color=color)
+    axes.add_patch(Circle((0, 0), rig.plate_radius, fill=False, color="white", lw=0.8))
+    reach = (-rig.reach, rig.reach)
+    axes.set(xlim=reach, ylim=reach, xticks=[], yticks=[], aspect="equal")
+    axes.set_title(f"{name}\n{100 * coefficient:.0f} %, {folds:.0f} folds", fontsize=7)

@@ -14,9 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle
 
 from common.documents import read_arrays
 from common.errors import InputError
@@ -24,8 +22,8 @@ from data.fabrics.fabrics import fabric_from_theta
 from experiments.drapes import plan_specimen
 from experiments.result import Config, Result, load_arrays, run_cases
 from experiments.shadows import (
-    POINTS,
     Simulated,
+    draw_outline,
     features,
     isotropic_fabric,
     radii_of,
@@ -212,18 +210,8 @@ def _figure(
         outlines = [*real[[0, len(real) // 2]], *drapes[near][:2]]
         for k, axes in enumerate(column):
             if k < len(outlines):
-                _draw(axes, outlines[k], *((f"fabric {fabric}", "black") if k < 2 else
+                draw_outline(axes, outlines[k], *((f"fabric {fabric}", "black") if k < 2 else
                                            (f"{near:g} µN·m", "tab:blue")))
             else:  # only one drape has converged
                 axes.set_axis_off()
     return figure
-
-
-def _draw(axes: Axes, radius: np.ndarray, name: str, color: str) -> None:
-    """An outline (POINTS,), m, its drape coefficient and its folds."""
-    azimuths = 2 * np.pi * np.arange(POINTS) / POINTS
-    coefficient, folds = features(radius[None])[0, :2]
-    axes.fill(radius * np.cos(azimuths), radius * np.sin(azimuths), color=color)
-    axes.add_patch(Circle((0, 0), DISC_RIG.plate_radius, fill=False, color="white", lw=0.8))
-    axes.set(xlim=(-0.15, 0.15), ylim=(-0.15, 0.15), xticks=[], yticks=[], aspect="equal")
-    axes.set_title(f"{name}\n{100 * coefficient:.0f} %, {folds:.0f} folds", fontsize=7)
