@@ -1,4 +1,4 @@
-"""Outlines of drapes as seen from above: radii, their features, and fabrics that have them."""
+"""Outlines of drapes as seen from above: drapes to compare with, radii, and their features."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle
-from scipy.interpolate import RegularGridInterpolator
-from scipy.optimize import least_squares
 
 from common.types import Metres, Outline
-from sim.drape import Drape
+from data.fabrics.fabrics import fabric_from_theta
+from experiments.drapes import plan_specimen
+from sim.drape import Drape, drape
 from sim.material import MICRO, Fabric
 from sim.measures import coefficient_of_area, folds_around, shadow_radius
 from sim.mesh import Mesh
@@ -19,7 +19,6 @@ from sim.rig import DISC_RIG, Rig
 POINTS = 360  # azimuths of an outline
 SIGMA = 2.0  # of the smoothing before folds are counted, azimuths
 HARMONICS = np.arange(2, 17)
-MAX_MISFIT = 1e-3  # of the drape coefficient, beyond which no fabric of the grid has it
 
 
 def isotropic_fabric(alpha: float, ratio_mm: float) -> Fabric:
@@ -27,6 +26,18 @@ def isotropic_fabric(alpha: float, ratio_mm: float) -> Fabric:
     ``ratio_mm``, beta over alpha."""
     alphas = np.full(3, alpha * MICRO)
     return Fabric(alphas, 1e-3 * ratio_mm * alphas)
+
+
+def specimen(
+    alpha: float, fabric: Fabric | None, seed: int, edge: Metres, rig: Rig = DISC_RIG
+) -> Drape:
+    """A lowered drape, off-centre and with the nuisances of datasets, of a specimen of ``fabric``;
+    None: of one of the prior, scaled to the geometric mean ``alpha``, µN·m."""
+    plan = plan_specimen(seed, seed=0, nuisances="real", rig=rig)
+    theta = plan.theta.copy()
+    theta[:3] += np.log(alpha * MICRO) - theta[:3].mean()
+    return drape(fabric or fabric_from_theta(theta), rig=plan.nuisances.rig(rig), edge=edge,
+                 seed=seed, offset=tuple(plan.offset), laws=plan.nuisances.laws)
 
 
 def shadows(shapes: Sequence[Drape], heights: Mapping[str, Metres]) -> dict[str, Any]:
@@ -65,41 +76,6 @@ def about_centroid(radii: np.ndarray) -> np.ndarray:
     around = np.column_stack([np.cos(azimuths), np.sin(azimuths)])
     centroid = radii**3 @ around / (1.5 * (radii**2).sum())
     return radii_of(radii[:, None] * around - centroid)
-
-
-class Simulated:
-    """Mean features of simulated drapes as a function of log alpha and natural curvature."""
-
-    def __init__(self, alphas: Sequence[float], curls: Sequence[float], means: np.ndarray) -> None:
-        self._axes = np.log(alphas), np.asarray(curls, dtype=np.float64)
-        self._means = RegularGridInterpolator(self._axes, means)
-
-    def at(self, log_alpha: float, curl: float) -> np.ndarray:
-        """Features (3 + H,) of a fabric of ``log_alpha``, µN·m, and natural curvature, 1/m, both
-        inside the grid."""
-        return self._means([log_alpha, curl])[0]
-
-    def fitted(self, coefficients: Sequence[float], *, curled: bool) -> tuple[float, float] | None:
-        """Log alpha and natural curvature, 1/m, at the drape coefficients of the face up and the
-        other face; without ``curled``: at a single one, and no natural curvature. None if no fabric
-        inside the grid has them."""
-        alphas, curls = self._axes
-        reach = min(-curls[0], curls[-1])
-        low, high = [alphas[0], -1.0], [alphas[-1], 1.0]  # of log alpha and curl over its reach
-        unknowns = slice(2 if curled else 1)
-
-        def curl(x: np.ndarray) -> float:
-            return reach * x[1] if curled else 0.0
-
-        def misfit(x: np.ndarray) -> np.ndarray:
-            return np.array([self.at(x[0], sign * curl(x))[0] - coefficient
-                             for sign, coefficient in zip((1, -1), coefficients, strict=False)])
-
-        start = np.array([alphas.mean(), 0.0])[unknowns]
-        fit = least_squares(misfit, start, bounds=(low[unknowns], high[unknowns]), diff_step=1e-2)
-        if np.abs(fit.fun).max() > MAX_MISFIT:
-            return None
-        return float(fit.x[0]), float(curl(fit.x))
 
 
 def draw_outline(

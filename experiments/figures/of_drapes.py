@@ -73,14 +73,15 @@ def lowering(reports: Reports) -> str:
 
 def photographs(reports: Reports) -> str:
     """Coefficients, folds, radii and spectra of real and simulated rectangles, by reading."""
-    rows = [[reading, found["photographs"], f"{found['alpha_uN_m']:.0f}",
+    rows = [[reading, kind, found["photographs"], f"{found['alpha_uN_m']:.0f}",
              *(f"{factor * found[name][key]:.{digits}f}" for name, factor, digits, keys in (
                  ("coefficient", 100, 0, ("real",)),
                  ("folds", 1, 1, ("real", "simulated", "rms", "scatter")),
                  ("deviation_mm", 1, 1, ("real", "simulated", "rms", "scatter")))
                for key in keys),
              f"{rms(found['spectrum_mm']['rms']):.1f}, {rms(found['spectrum_mm']['scatter']):.1f}"]
-            for reading, found in reports["photographs"]["summary"].items()]
-    return table(["pictures read as", "fabrics", "α, median", "DC, %", "folds, real", "simulated",
-                  "rms difference", "scatter", "deviation of the radius, mm, real", "simulated",
+            for reading, kinds in reports["photographs"]["summary"].items()
+            for kind, found in kinds.items()]
+    return table(["pictures read as", "simulated", "photographs", "α, µN·m, median", "DC, %",
+                  "folds, real", "simulated", "rms difference", "scatter", "deviation of the radius, mm, real", "simulated",
                   "rms difference", "scatter", "harmonics 1 to 12, mm: difference, scatter"], rows)

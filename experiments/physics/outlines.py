@@ -10,35 +10,36 @@ camera above the plate are tried.
 """
 
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from scipy.interpolate import RegularGridInterpolator
+from scipy.optimize import least_squares
 
 from common.documents import read_arrays
 from common.errors import InputError
-from data.fabrics.fabrics import fabric_from_theta
-from experiments.drapes import plan_specimen
 from experiments.result import Config, Result, load_arrays, run_cases
 from experiments.shadows import (
-    Simulated,
     draw_outline,
     features,
     isotropic_fabric,
     radii_of,
     shadows,
+    specimen,
 )
 from sim.cloth import Laws
-from sim.drape import Drape, drape
+from sim.drape import drape
 from sim.energies.bending_variants import Hysteresis
-from sim.material import MICRO, Fabric
 from sim.rig import DISC_RIG
 
 MIN_COEFFICIENT = 0.40  # of the drapes whose folds are compared in the summary
 CALIBRATION = (1, 4, 6, 11, 21)
 """Fabrics set apart for choosing the speeds of lowering, which needed no change; the other four are
 the test."""
+MAX_MISFIT = 1e-3  # of the drape coefficient, beyond which no fabric of the grid has it
 READINGS = ("parallel", "camera")
 SPECIMENS = "specimens"
 VARIED = (SPECIMENS, "fabrics")
@@ -54,22 +55,12 @@ def drape_case(
     edge, fabric = 1e-3 * edge_mm, isotropic_fabric(alpha, ratio_mm)
     if start in VARIED:
         known = fabric if start == SPECIMENS else None
-        shapes = [_specimen(alpha * MICRO, known, seed, edge) for seed in range(seeds)]
+        shapes = [specimen(alpha, known, seed, edge) for seed in range(seeds)]
     else:
         laws = Laws(bending=Hysteresis(hysteresis, curvature=(curl, curl, 0.0)))
         shapes = [drape(fabric, rig=DISC_RIG, edge=edge, start=start, seed=seed, laws=laws)
                   for seed in range(seeds)]
     return shadows(shapes, dict(zip(READINGS, (np.inf, 1e-3 * camera_mm), strict=True)))
-
-
-def _specimen(alpha: float, fabric: Fabric | None, seed: int, edge: float) -> Drape:
-    """A lowered drape of a specimen of ``fabric``; None: of the prior, scaled to the geometric mean
-    ``alpha``, N·m."""
-    plan = plan_specimen(seed, seed=0, nuisances="real", rig=DISC_RIG)
-    theta = plan.theta.copy()
-    theta[:3] += np.log(alpha) - theta[:3].mean()
-    return drape(fabric or fabric_from_theta(theta), rig=plan.nuisances.rig(DISC_RIG), edge=edge,
-                 seed=seed, offset=tuple(plan.offset), laws=plan.nuisances.laws)
 
 
 def read_outlines(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -87,6 +78,41 @@ def read_outlines(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
                              f"{_FACES[face]}; give at least two, or leave it out")
     radii = [radii_of(points) for points in arrays["outline"].astype(float)]
     return fabrics, up, np.array(radii)
+
+
+class Simulated:
+    """Mean features of simulated drapes as a function of log alpha and natural curvature."""
+
+    def __init__(self, alphas: Sequence[float], curls: Sequence[float], means: np.ndarray) -> None:
+        self._axes = np.log(alphas), np.asarray(curls, dtype=np.float64)
+        self._means = RegularGridInterpolator(self._axes, means)
+
+    def at(self, log_alpha: float, curl: float) -> np.ndarray:
+        """Features (3 + H,) of a fabric of ``log_alpha``, µN·m, and natural curvature, 1/m, both
+        inside the grid."""
+        return self._means([log_alpha, curl])[0]
+
+    def fitted(self, coefficients: Sequence[float], *, curled: bool) -> tuple[float, float] | None:
+        """Log alpha and natural curvature, 1/m, at the drape coefficients of the face up and the
+        other face; without ``curled``: at a single one, and no natural curvature. None if no fabric
+        inside the grid has them."""
+        alphas, curls = self._axes
+        reach = min(-curls[0], curls[-1])
+        low, high = [alphas[0], -1.0], [alphas[-1], 1.0]  # of log alpha and curl over its reach
+        unknowns = slice(2 if curled else 1)
+
+        def curl(x: np.ndarray) -> float:
+            return reach * x[1] if curled else 0.0
+
+        def misfit(x: np.ndarray) -> np.ndarray:
+            return np.array([self.at(x[0], sign * curl(x))[0] - coefficient
+                             for sign, coefficient in zip((1, -1), coefficients, strict=False)])
+
+        start = np.array([alphas.mean(), 0.0])[unknowns]
+        fit = least_squares(misfit, start, bounds=(low[unknowns], high[unknowns]), diff_step=1e-2)
+        if np.abs(fit.fun).max() > MAX_MISFIT:
+            return None
+        return float(fit.x[0]), float(curl(fit.x))
 
 
 def compare(

@@ -7,15 +7,15 @@ import pytest
 
 import experiments.physics.outlines
 from common.errors import InputError
-from experiments.physics.outlines import CALIBRATION, READINGS, compare, run, summarise
-from experiments.shadows import (
-    HARMONICS,
-    POINTS,
+from experiments.physics.outlines import (
+    CALIBRATION,
+    READINGS,
     Simulated,
-    about_centroid,
-    features,
-    radii_of,
+    compare,
+    run,
+    summarise,
 )
+from experiments.shadows import HARMONICS, POINTS, about_centroid, features, radii_of
 from sim.measures import shadow_radius
 from sim.mesh import Mesh
 from sim.rig import Rig

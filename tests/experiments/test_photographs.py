@@ -8,7 +8,16 @@ import pytest
 import experiments.physics.photographs
 from common.errors import InputError
 from data.captures.photograph import signed_area
-from experiments.physics.photographs import HARMONICS, READINGS, TABLE, Row, run
+from experiments.physics.photographs import (
+    HARMONICS,
+    KINDS,
+    READINGS,
+    TABLE,
+    Row,
+    crossings,
+    drape_case,
+    run,
+)
 from experiments.shadows import POINTS
 from tests.photographs import CURVE, RADIUS, drawn, write
 
@@ -58,9 +67,10 @@ def test_photographs_are_read_or_refused_and_the_sound_ones_compared(config, tmp
     for name, reason in (("bare", "cloth and ground differ"), ("missing", "cannot be read")):
         assert reason in photographs[f"{name}.png"]["reason"]
         assert photographs[f"{name}.png"]["ratio"] is None
-    assert (report["read"], report["sound"], report["of"], report["failed"]) == (2, 1, 4, 3)
+    assert (report["read"], report["sound"], report["of"], report["failed"]) == (2, 1, 4, 6)
     assert (tmp_path / "cases" / "contact_sheet.png").stat().st_size > 10_000
-    for summary in report["summary"].values():
+    summaries = [report["summary"][reading][kind] for reading in READINGS for kind in KINDS]
+    for summary in summaries:
         assert summary["photographs"] == 1 and summary["outside"] == []
         assert summary["alpha_uN_m"] == pytest.approx(10, rel=0.15)
         assert summary["folds"] == {"real": 7, "simulated": 7, "rms": 0, "scatter": 0}
@@ -68,18 +78,44 @@ def test_photographs_are_read_or_refused_and_the_sound_ones_compared(config, tmp
             assert len(summary["spectrum_mm"][name]) == len(HARMONICS)
             assert np.argmax(summary["spectrum_mm"][name]) == 6
     scale = READINGS["as the bare plate shows"][1]
-    deviations = [one["deviation_mm"]["real"] for one in report["summary"].values()]
+    deviations = [summary["deviation_mm"]["real"] for summary in summaries]
     assert deviations[-1] == pytest.approx(scale * deviations[0])
     assert len(figure.axes) == 3
 
 
 def test_a_coefficient_outside_of_the_grid_is_named(config):
     report, figure = run(config | {"alphas": [1.0, 5.0]})
-    assert figure is None
-    for name, summary in report["summary"].items():
-        assert summary == {"photographs": 0, "outside": ["sound.png"]}
-        low, high = report["readings"][name]["sound.png"]["coefficients"]
-        assert low < high < report["readings"][name]["sound.png"]["real"][0]
+    assert [axes.axison for axes in figure.axes] == [True, False, False]
+    for name, kinds in report["summary"].items():
+        for kind, summary in kinds.items():
+            assert summary == {"photographs": 0, "outside": ["sound.png"]}
+            row = report["readings"][name][kind]["sound.png"]
+            assert row["alphas_uN_m"] == [] and max(row["coefficients"]) < row["real"][0]
+
+
+def test_the_softest_fabric_counts_where_the_coefficient_is_not_monotonic():
+    places, values = np.arange(5.0), np.array([0.1, 0.3, 0.2, 0.4, 0.5])
+    assert crossings(places, values, 0.25) == pytest.approx([0.75, 1.5, 2.25])
+    assert crossings(places, values, 0.45) == pytest.approx([3.5])
+    assert not len(crossings(places, values, 0.6))
+
+
+def test_no_sound_photograph_leaves_no_comparison(config, tmp_path):
+    fill(tmp_path / "pictures", ("bare.png", {}))
+    report, figure = run(config)
+    assert figure is None and report["sound"] == 0
+    assert {summary["photographs"] for kinds in report["summary"].values()
+            for summary in kinds.values()} == {0}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_drapes_of_both_kinds_are_seen_in_all_readings(kind):
+    found = drape_case(kind=kind, tester="rectangle160x200_cylinder100", alpha=100.0,
+                       ratio_mm=-2.5, hysteresis=0.17, edge_mm=10.0, seeds=1)
+    assert found["failed"] == 0 and 20 < found["depths_mm"][0] < 90
+    means = [radii.mean() for radii in found["arrays"].values()]
+    assert list(found["arrays"]) == list(READINGS)
+    assert means == sorted(means, reverse=True) and means[-1] > 0.05  # the nearer, the smaller
 
 
 @pytest.mark.parametrize(("changes", "complaint"), [
