@@ -83,5 +83,6 @@ def photographs(reports: Reports) -> str:
             for reading, kinds in reports["photographs"]["summary"].items()
             for kind, found in kinds.items()]
     return table(["pictures read as", "simulated", "photographs", "α, µN·m, median", "DC, %",
-                  "folds, real", "simulated", "rms difference", "scatter", "deviation of the radius, mm, real", "simulated",
-                  "rms difference", "scatter", "harmonics 1 to 12, mm: difference, scatter"], rows)
+                  "folds, real", "simulated", "rms difference", "scatter",
+                  "deviation of the radius, mm, real", "simulated", "rms difference", "scatter",
+                  "harmonics 1 to 12, mm: difference, scatter"], rows)

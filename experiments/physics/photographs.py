@@ -61,7 +61,8 @@ The last one is measured. The set (github.com/igarcica/TextileCharacterization, 
 picture, IMG_20230815_184706.jpg, of a bare plate of 110 mm, 936 pixels wide, beside markers of
 50 mm on the table, 323 pixels wide, taken with a lens of 25 mm (equivalent). So the camera was
 0.34 m above the plate and the plate 0.107 m above the table, whose scale ``mm_per_px`` is. The
-plates that show through four of the fabrics have the same scale within 3 %."""
+plates that show through four of the fabrics have the same scale within 3 %. Off the axis, the
+camera was 28 mm, which is neglected."""
 KINDS = ("isotropic", "fabrics")
 PLATE_HEIGHT = 0.107  # m, above the table, which simulated cloth does not touch
 ACROSS = 6  # pictures of a row of the contact sheet
@@ -107,12 +108,22 @@ class Photograph(NamedTuple):
         return self.area_cm2 / self.row.area_cm2_published if self.outline else None
 
     @property
+    def narrowest_mm(self) -> float | None:
+        """Width of the outline in the direction in which it is least; seen under parallel light, at
+        most the specimen's short side."""
+        if self.outline is None:
+            return None
+        angle = np.linspace(0, np.pi, 360, endpoint=False)
+        widths = np.ptp(self.outline.curve @ np.stack([np.cos(angle), np.sin(angle)]), axis=0)
+        return 1e3 * float(widths.min())
+
+    @property
     def report(self) -> Report:
         """What is read, and what was published."""
         found = self.outline
         return {"tester": self.rig.name, "read": found is not None, "reason": self.reason,
                 "area_cm2": self.area_cm2, "published_cm2": self.row.area_cm2_published,
-                "ratio": self.ratio,
+                "ratio": self.ratio, "narrowest_mm": self.narrowest_mm,
                 "coefficient_percent": 100 * found.drape_coefficient if found else None,
                 "published_percent": self.row.drape_coefficient_percent_published,
                 "warnings": list(found.warnings) if found else []}
@@ -187,7 +198,9 @@ def run(config: Config) -> Result:
     sound = [one for one in found if one.ratio and abs(one.ratio - 1) <= MAX_OFF]
     simulated, failed = _simulated(sound, config)
     report |= {"read": sum(one.outline is not None for one in found), "sound": len(sound),
-               "of": len(found), "failed": failed}
+               "of": len(found), "failed": failed, "wider_than_the_specimen": {
+                   reading: sum(scale * (one.narrowest_mm or 0.0) > one.row.short_mm
+                                for one in found) for reading, (_, scale) in READINGS.items()}}
     report["readings"] = {reading: {kind: {
         one.row.file: _compared(one, reading, kind, simulated, config) for one in sound}
         for kind in KINDS} for reading in READINGS}
