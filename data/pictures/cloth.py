@@ -160,7 +160,7 @@ def _raised(edges: np.ndarray, level: float, ground: Mask, outside: Mask) -> Mas
     _, labels = cv2.connectedComponents(soft.astype(np.uint8), connectivity=4)
     shares = np.bincount(labels[ground])
     shares[0] = 0
-    joined = np.flatnonzero(shares > 0.05 * ground.sum())
+    joined = np.flatnonzero(shares > 0.01 * ground.sum())
     rest = ~(np.isin(labels, joined) | outside)
     rest = cv2.erode(rest.astype(np.uint8), np.ones((3, 3), np.uint8))
     return _opened(_filled(rest), 7)

@@ -16,8 +16,8 @@ import numpy as np
 from common.documents import read_arrays
 from data.fabrics.fabrics import fabric_from_theta
 from data.fabrics.nuisances import Nuisances
-from experiments.physics.outlines import features, radii_of
 from experiments.result import ESTIMATOR, Config, Result, run_cases
+from experiments.shadows import features, radii_of
 from sim.drape import drape
 from sim.material import LINEAR
 from sim.measures import shadow_radius

@@ -1,7 +1,7 @@
 """Blocks about simulated cloth: meshes, strips, testers, lowering, real outlines and fabrics."""
 
 from experiments.figures.reports import RIGS, Reports
-from experiments.result import table
+from experiments.result import rms, table
 
 
 def testers(reports: Reports) -> str:
@@ -69,3 +69,20 @@ def lowering(reports: Reports) -> str:
         row["folds"], row["coefficients"], strict=True))] for row in found["variants"]]
     return table(["folds, drape coefficient in %",
                   *(f"{alpha:g} µN·m" for alpha in found["settings"]["alphas"])], rows)
+
+
+def photographs(reports: Reports) -> str:
+    """Coefficients, folds, radii and spectra of real and simulated rectangles, by reading."""
+    rows = [[reading, kind, found["photographs"], f"{found['alpha_uN_m']:.0f}",
+             *(f"{factor * found[name][key]:.{digits}f}" for name, factor, digits, keys in (
+                 ("coefficient", 100, 0, ("real",)),
+                 ("folds", 1, 1, ("real", "simulated", "rms", "scatter")),
+                 ("deviation_mm", 1, 1, ("real", "simulated", "rms", "scatter")))
+               for key in keys),
+             f"{rms(found['spectrum_mm']['rms']):.1f}, {rms(found['spectrum_mm']['scatter']):.1f}"]
+            for reading, kinds in reports["photographs"]["summary"].items()
+            for kind, found in kinds.items()]
+    return table(["pictures read as", "simulated", "photographs", "α, µN·m, median", "DC, %",
+                  "folds, real", "simulated", "rms difference", "scatter",
+                  "deviation of the radius, mm, real", "simulated", "rms difference", "scatter",
+                  "harmonics 1 to 12, mm: difference, scatter"], rows)

@@ -15,29 +15,26 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle
 from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import least_squares
 
 from common.documents import read_arrays
 from common.errors import InputError
-from common.types import Outline
-from data.fabrics.fabrics import fabric_from_theta
-from experiments.drapes import plan_specimen
 from experiments.result import Config, Result, load_arrays, run_cases
+from experiments.shadows import (
+    draw_outline,
+    features,
+    isotropic_fabric,
+    radii_of,
+    shadows,
+    specimen,
+)
 from sim.cloth import Laws
-from sim.drape import Drape, drape
+from sim.drape import drape
 from sim.energies.bending_variants import Hysteresis
-from sim.material import MICRO, Fabric
-from sim.measures import folds_around, shadow_radius
-from sim.mesh import Mesh
 from sim.rig import DISC_RIG
 
-POINTS = 360  # azimuths of an outline
-SIGMA = 2.0  # of the smoothing before folds are counted, azimuths
-HARMONICS = np.arange(2, 17)
 MIN_COEFFICIENT = 0.40  # of the drapes whose folds are compared in the summary
 CALIBRATION = (1, 4, 6, 11, 21)
 """Fabrics set apart for choosing the speeds of lowering, which needed no change; the other four are
@@ -55,42 +52,15 @@ def drape_case(
 ) -> dict[str, Any]:
     """Outlines (seeds, POINTS), m, of drapes of a fabric in both readings of the pictures;
     ``start`` in :data:`VARIED`: lowered, of specimens with nuisances."""
-    alphas, edge = np.full(3, alpha * MICRO), 1e-3 * edge_mm
-    fabric = Fabric(alphas, 1e-3 * ratio_mm * alphas)
+    edge, fabric = 1e-3 * edge_mm, isotropic_fabric(alpha, ratio_mm)
     if start in VARIED:
         known = fabric if start == SPECIMENS else None
-        shapes = [_specimen(alpha * MICRO, known, seed, edge) for seed in range(seeds)]
+        shapes = [specimen(alpha, known, seed, edge) for seed in range(seeds)]
     else:
         laws = Laws(bending=Hysteresis(hysteresis, curvature=(curl, curl, 0.0)))
         shapes = [drape(fabric, rig=DISC_RIG, edge=edge, start=start, seed=seed, laws=laws)
                   for seed in range(seeds)]
-    shapes = [shape for shape in shapes if shape.converged]
-    heights = dict(zip(READINGS, (np.inf, 1e-3 * camera_mm), strict=True))
-    radii = {name: [shadow_radius(shape.positions, Mesh(shape.rest, shape.faces), height=height,
-                                  points=POINTS) for shape in shapes]
-             for name, height in heights.items()}
-    return {"failed": seeds - len(shapes),
-            "arrays": {name: np.reshape(each, (-1, POINTS)) for name, each in radii.items()}}
-
-
-def _specimen(alpha: float, fabric: Fabric | None, seed: int, edge: float) -> Drape:
-    """A lowered drape of a specimen of ``fabric``; None: of the prior, scaled to the geometric mean
-    ``alpha``, N·m."""
-    plan = plan_specimen(seed, seed=0, nuisances="real", rig=DISC_RIG)
-    theta = plan.theta.copy()
-    theta[:3] += np.log(alpha) - theta[:3].mean()
-    return drape(fabric or fabric_from_theta(theta), rig=plan.nuisances.rig(DISC_RIG), edge=edge,
-                 seed=seed, offset=tuple(plan.offset), laws=plan.nuisances.laws)
-
-
-def features(radii: np.ndarray) -> np.ndarray:
-    """(N, 3 + H) drape coefficient, folds, standard deviation (mm), and amplitudes (mm) of the
-    :data:`HARMONICS`, of outlines (N, POINTS) m."""
-    plate, whole = DISC_RIG.plate_radius**2, (DISC_RIG.specimen_size / 2) ** 2
-    coefficient = ((radii**2).mean(axis=1) - plate) / (whole - plate)
-    folds = [len(folds_around(radius, SIGMA)) for radius in radii]
-    amplitudes = 2 * np.abs(np.fft.rfft(radii, axis=1))[:, HARMONICS] / POINTS
-    return np.column_stack([coefficient, folds, 1e3 * radii.std(axis=1), 1e3 * amplitudes])
+    return shadows(shapes, dict(zip(READINGS, (np.inf, 1e-3 * camera_mm), strict=True)))
 
 
 def read_outlines(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -108,14 +78,6 @@ def read_outlines(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
                              f"{_FACES[face]}; give at least two, or leave it out")
     radii = [radii_of(points) for points in arrays["outline"].astype(float)]
     return fabrics, up, np.array(radii)
-
-
-def radii_of(curve: Outline) -> np.ndarray:
-    """Radii (POINTS,), m, of an outline at equally spaced azimuths."""
-    azimuth = np.arctan2(curve[:, 1], curve[:, 0])
-    order = azimuth.argsort()
-    return np.interp(2 * np.pi * np.arange(POINTS) / POINTS, azimuth[order],
-                     np.linalg.norm(curve, axis=1)[order], period=2 * np.pi)
 
 
 class Simulated:
@@ -274,18 +236,8 @@ def _figure(
         outlines = [*real[[0, len(real) // 2]], *drapes[near][:2]]
         for k, axes in enumerate(column):
             if k < len(outlines):
-                _draw(axes, outlines[k], *((f"fabric {fabric}", "black") if k < 2 else
+                draw_outline(axes, outlines[k], *((f"fabric {fabric}", "black") if k < 2 else
                                            (f"{near:g} µN·m", "tab:blue")))
             else:  # only one drape has converged
                 axes.set_axis_off()
     return figure
-
-
-def _draw(axes: Axes, radius: np.ndarray, name: str, color: str) -> None:
-    """An outline (POINTS,), m, its drape coefficient and its folds."""
-    azimuths = 2 * np.pi * np.arange(POINTS) / POINTS
-    coefficient, folds = features(radius[None])[0, :2]
-    axes.fill(radius * np.cos(azimuths), radius * np.sin(azimuths), color=color)
-    axes.add_patch(Circle((0, 0), DISC_RIG.plate_radius, fill=False, color="white", lw=0.8))
-    axes.set(xlim=(-0.15, 0.15), ylim=(-0.15, 0.15), xticks=[], yticks=[], aspect="equal")
-    axes.set_title(f"{name}\n{100 * coefficient:.0f} %, {folds:.0f} folds", fontsize=7)

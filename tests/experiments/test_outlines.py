@@ -9,16 +9,13 @@ import experiments.physics.outlines
 from common.errors import InputError
 from experiments.physics.outlines import (
     CALIBRATION,
-    HARMONICS,
-    POINTS,
     READINGS,
     Simulated,
     compare,
-    features,
-    radii_of,
     run,
     summarise,
 )
+from experiments.shadows import HARMONICS, POINTS, about_centroid, features, radii_of
 from sim.measures import shadow_radius
 from sim.mesh import Mesh
 from sim.rig import Rig
@@ -195,3 +192,11 @@ def test_the_mean_radius_of_an_outline_is_its_coefficient():
     found = features(radii[None])[0]
     assert found[0] == pytest.approx((0.12**2 - 0.09**2) / (0.15**2 - 0.09**2), rel=1e-6)
     assert found[1] == 0 and found[2] == pytest.approx(0, abs=1e-6)
+
+
+def test_an_outline_is_measured_from_its_centroid():
+    """An ellipse seen from beside its middle."""
+    angle = np.linspace(0, 2 * np.pi, 4000, endpoint=False)
+    ellipse = np.column_stack([0.12 * np.cos(angle), 0.09 * np.sin(angle)])
+    aside = radii_of(ellipse + np.array([0.004, -0.007]))
+    assert np.allclose(about_centroid(aside), radii_of(ellipse), atol=2e-5)
