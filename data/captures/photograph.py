@@ -127,7 +127,7 @@ def _photographed(file: Path, source: OutlineSource, rig: Rig) -> PhotographedOu
     photograph, to_metres = seen.photograph, seen.to_metres
     pixels = outline_of_cloth(photograph, Place(
         rig.plate_radius / seen.pixel, rig.reach / seen.pixel, seen.middle, seen.ground,
-        seen.outside))
+        seen.paper, seen.outside))
     tilt = 0.0
     if seen.middle is None:
         to_metres, tilt = upright(to_metres, _centroid(pixels))

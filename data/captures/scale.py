@@ -33,6 +33,7 @@ class Scaled:
         height: of the camera above the plate; NaN if it is not known.
         beside: place (2,) of the camera beside the axis, m; None if it is not known.
         ground: what surely shows the ground; None for the picture's border.
+        paper: where the ground is another one, if there are two.
         outside: what is neither ground nor cloth.
         notes: warnings.
     """
@@ -43,6 +44,7 @@ class Scaled:
     middle: np.ndarray | None = None
     beside: np.ndarray | None = None
     ground: Mask | None = None
+    paper: Mask | None = None
     outside: Mask | None = None
     notes: tuple[str, ...] = ()
 
@@ -87,7 +89,7 @@ def _by_mat(file: Path, source: OutlineSource, rig: Rig) -> Scaled:
     middle = np.array([width - 1, height - 1]) / 2
     above = over.pose.place[2] - 1e-3 * source.plate_height_mm
     return Scaled(over.photograph, _about(middle, over.pixel), above, middle, over.pose.place[:2],
-                  over.ground, notes=over.warnings)
+                  over.ground, over.paper, notes=over.warnings)
 
 
 def _by_plate(photograph: Photograph, file: Path, source: OutlineSource, rig: Rig) -> Scaled:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy.spatial import cKDTree
 
 from common.errors import InputError
 from common.types import LinearLight, Mask
@@ -25,11 +26,12 @@ BEYOND = 1.08  # of the flat specimen's reach, surely ground
 SHADE_EDGES = (5.0, 3.0)  # times the ground's median edge strength; soft changes are weaker
 LEAST_EDGE = 0.02  # of log light per pixel
 GREYNESS = 0.06  # of log light between colours, that shadows may have
+_SHADING = 0.5  # of log light, between places of one cloth in different light
 DARKER = 0.05  # of log light, that shadows at least are
 _DARKEST, _LIGHTEST = -0.75, 0.7  # log light of cloth, beyond which it is dark or light alike
 THREADS = (9.0, 15.0, 21.0)  # pixels, of widths of threads at a hem, or bridges to other things
 FLOOR = 0.01  # of light, below which noise rules
-_TERMS = [(i, j) for i in range(4) for j in range(4 - i)]  # of the ground's polynomial in x and y
+_DEGREE = 3  # of the ground's polynomial in x and y
 _ROUNDS = 5  # of fits and of GrabCut
 _SAMPLES = 6000
 MIN_COVERED = 0.9  # of the plate
@@ -43,6 +45,7 @@ class Place:
         plate, reach: radii of the plate and of the flat specimen.
         middle: (2,) the plate's centre; None if it is not known.
         ground: what surely shows the ground near the cloth; None for the picture's border.
+        paper: where the ground is another one, if there are two: paper on a table.
         outside: what surely is not cloth.
     """
 
@@ -50,6 +53,7 @@ class Place:
     reach: float
     middle: np.ndarray | None = None
     ground: Mask | None = None
+    paper: Mask | None = None
     outside: Mask | None = None
 
 
@@ -73,7 +77,8 @@ def cut_cloth(photograph: Photograph, place: Place, edge: float = SHADE_EDGES[0]
     outside = small(photograph.transparent) | small(place.outside)
     ground = small(place.ground) if place.ground is not None else _border(size)
     middle = None if place.middle is None else (np.asarray(place.middle) + 0.5) * scale - 0.5
-    cloth = _cut(light, ground, outside, middle, scale * place.plate, scale * place.reach,
+    zones = np.zeros(size[::-1], bool) if place.paper is None else small(place.paper)
+    cloth = _cut(light, ground, zones, outside, middle, scale * place.plate, scale * place.reach,
                  edge)
     return cv2.resize(cloth.astype(np.float32), (width, height)) > 0.5
 
@@ -87,7 +92,7 @@ def pieces(photograph: Photograph) -> list[Mask]:
     ground, outside = _border(size), np.zeros(size[::-1], bool)
     found = []
     for level in SHADE_EDGES:
-        raised = _raised(_edges(*_relative(light, ground)), level, ground, outside)
+        raised = _raised(_edges(*_relative(np.log(light + FLOOR), ground, outside)), level, ground, outside)
         count, labels = cv2.connectedComponents(raised.astype(np.uint8))
         found += [cv2.resize((labels == k).astype(np.float32), (width, height)) > 0.5
                   for k in range(1, count)]
@@ -102,11 +107,12 @@ def _border(size: tuple[int, int]) -> Mask:
 
 
 def _cut(
-    light: LinearLight, ground: Mask, outside: Mask, middle: np.ndarray | None, plate: float,
+    light: LinearLight, ground: Mask, paper: Mask, outside: Mask, middle: np.ndarray | None, plate: float,
     reach: float, edge: float, *, on_sheet: bool = False
 ) -> Mask:
     opaque = ground & ~outside
-    shade, tint = _relative(light, opaque if opaque.sum() > _SAMPLES / 10 else ground)
+    logs = np.log(light + FLOOR)
+    shade, tint = _relative(logs, opaque if opaque.sum() > _SAMPLES / 10 else ground, paper)
     raised = _raised(_edges(shade, tint), edge, ground, outside)
     centre = _best_place(raised, plate) if middle is None else middle
     far = _distances(ground.shape, centre)
@@ -116,31 +122,42 @@ def _cut(
         # What differs from the border may be a sheet under the drape, or a lit table in the dark.
         rim = piece & ~_eroded(piece, 0.15 * reach) & _eroded(piece, 0.03 * reach)
         try:
-            return _cut(light, rim, outside | ~piece, middle, plate, reach, edge, on_sheet=True)
+            return _cut(light, rim, paper, outside | ~piece, middle, plate, reach, edge, on_sheet=True)
         except InputError:
             pass
-    return _by_colours(shade, tint, piece, outside, centre, plate, reach)
+    return _by_colours(logs, shade, tint, piece, outside, centre, plate, reach)
 
 
-def _relative(light: LinearLight, ground: Mask) -> tuple[np.ndarray, np.ndarray]:
+def _relative(
+    logs: np.ndarray, ground: Mask, paper: Mask
+) -> tuple[np.ndarray, np.ndarray]:
     """Log light (H, W) and its differences between colours (H, W, 3), over the ground's."""
-    logs = np.log(light + FLOOR)
+    over = np.empty_like(logs)
+    for zone in (~paper, paper):
+        if zone.any():  # a plane where few places show one of two grounds
+            degree = 1 if paper.any() else _DEGREE
+            over[zone] = (logs - _smooth(logs, ground & zone, degree))[zone]
+    shade = over.mean(axis=2)
+    return shade, over - shade[..., None]
+
+
+def _smooth(logs: np.ndarray, ground: Mask, degree: int) -> np.ndarray:
+    """A polynomial (H, W, 3) of place through what most places of the ground show."""
     rows, columns = np.indices(ground.shape, dtype=np.float32)
     y, x = 2 * rows / ground.shape[0] - 1, 2 * columns / ground.shape[1] - 1
-    terms = np.stack([x**i * y**j for i, j in _TERMS], axis=2)
+    terms = np.stack([x**i * y**j for i in range(degree + 1) for j in range(degree + 1 - i)],
+                     axis=2)
     places = np.flatnonzero(ground)
     places = places[:: max(len(places) // _SAMPLES, 1)]
     if not len(places):
         raise InputError("no ground is seen around the cloth; move the camera up")
-    design, seen = terms.reshape(-1, len(_TERMS))[places], logs.reshape(-1, 3)[places]
+    design, seen = terms.reshape(-1, terms.shape[2])[places], logs.reshape(-1, 3)[places]
     kept = np.ones(len(places), bool)
     for _ in range(_ROUNDS):
         fit = np.linalg.lstsq(design[kept], seen[kept], rcond=None)[0]
         off = np.abs(seen - design @ fit)
         kept = (off < 3 * (1.4826 * np.median(off[kept], axis=0) + 0.01)).all(axis=1)
-    over = (logs - terms @ fit).astype(np.float32)
-    shade = over.mean(axis=2)
-    return shade, over - shade[..., None]
+    return (terms @ fit).astype(np.float32)
 
 
 def _edges(shade: np.ndarray, tint: np.ndarray) -> np.ndarray:
@@ -203,7 +220,7 @@ def _distances(shape: tuple[int, ...], centre: np.ndarray) -> np.ndarray:
 
 
 def _by_colours(
-    shade: np.ndarray, tint: np.ndarray, piece: Mask, outside: Mask, centre: np.ndarray,
+    logs: np.ndarray, shade: np.ndarray, tint: np.ndarray, piece: Mask, outside: Mask, centre: np.ndarray,
     plate: float, reach: float
 ) -> Mask:
     """The cloth of a piece that is cloth and shadows, by GrabCut."""
@@ -215,9 +232,9 @@ def _by_colours(
     picture = np.dstack([128 + 170 * np.clip(shade, _DARKEST, _LIGHTEST),
                          128 + 400 * np.clip(along, -0.3, 0.3), np.minimum(1500 * grain, 200)])
     colour = np.abs(tint).max(axis=2)
-    usual, spread = np.median(shade[on_plate]), 1.4826 * _deviation(shade[on_plate])
-    shadow = (colour < GREYNESS) & (shade < -DARKER) & (shade > usual + max(3 * spread, 0.2)) & (
+    shadow = piece & (colour < GREYNESS) & (shade < -DARKER) & (
         grain < 2 * max(float(np.median(grain[~piece])), 4e-3))
+    shadow[shadow] = _unlike(logs, shadow, on_plate)
     labels = np.where(piece & ~shadow, cv2.GC_PR_FGD, cv2.GC_PR_BGD)
     labels[outside | ~_grown(piece, 4) | (far > BEYOND * reach)] = cv2.GC_BGD
     labels[on_plate] = cv2.GC_FGD
@@ -250,8 +267,13 @@ def _grain(shade: np.ndarray) -> np.ndarray:
     return cv2.erode(cv2.blur(fine, (7, 7)), np.ones((7, 7), np.uint8))
 
 
-def _deviation(values: np.ndarray) -> float:
-    return float(np.median(np.abs(values - np.median(values))))
+def _unlike(logs: np.ndarray, asked: Mask, known: Mask) -> np.ndarray:
+    """Whether each place that is ``asked`` has other log light (H, W, 3) than all ``known``."""
+    shade = logs.mean(axis=2)[..., None]
+    features = np.dstack([shade / _SHADING, (logs - shade) / GREYNESS])
+    examples = features[known]
+    tree = cKDTree(examples[:: max(len(examples) // 1000, 1)])
+    return tree.query(features[asked], distance_upper_bound=1.0)[0] > 1
 
 
 def _filled(piece: np.ndarray) -> Mask:

@@ -14,7 +14,8 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from common.errors import InputError
-from common.types import GreyPicture, Metres, Pixels, Points
+from common.types import Metres, Pixels, Points
+from data.pictures.reading import Photograph
 
 DPI = 300
 PIXEL = 25.4e-3 / DPI  # m, of the mat's picture
@@ -24,7 +25,7 @@ BAR = 200e-3  # m, length of the scale on the mat
 _DICTIONARY = cv2.aruco.DICT_APRILTAG_36h11
 _CIRCLES = np.arange(30, 91, 10) * 1e-3  # m, radii
 _LINE, _TEXT = 150, 90  # grey of lines and letters
-_MARGIN = 5e-3  # m, white, around the markers
+QUIET = 5e-3  # m, white, around the markers
 _OVERLAP = 2e-3  # m, by which parts on several pages overlap
 _PAGES = {"a2": (594, 420), "a3": (420, 297), "tabloid": (431.8, 279.4), "a4": (297, 210),
           "letter": (279.4, 215.9)}
@@ -65,7 +66,7 @@ PARTS = {("a3", "a3"): (1, 1), ("a3", "tabloid"): (1, 1), ("a3", "a4"): (2, 1),
 def mat_picture(name: str) -> np.ndarray:
     """The mat (H, W) uint8, grey, :data:`PIXEL` a pixel, its arrow to the right."""
     mat = MATS[name]
-    width, height = (round((side + 2 * _MARGIN) / PIXEL) for side in mat.size)
+    width, height = (round((side + 2 * QUIET) / PIXEL) for side in mat.size)
     page = Image.new("L", (width, height), 255)
     draw = ImageDraw.Draw(page)
 
@@ -150,8 +151,8 @@ def _seams(pages, column, row, columns, rows, corner, size) -> None:  # type: ig
                 pages.line(start, place, end, place)
 
 
-def find_mat(grey: GreyPicture) -> tuple[str, Points, Pixels] | None:
-    """Which mat a picture shows, centres of markers that are seen, and their pixels; None if there
+def find_mat(photograph: Photograph) -> tuple[str, Points, Pixels] | None:
+    """Which mat a photograph shows, centres of markers that are seen, and their pixels; None if there
     are fewer than :data:`MIN_MARKERS`.
 
     White paper outshines ink, so that markers look smaller than they are: their corners move, the
@@ -159,9 +160,14 @@ def find_mat(grey: GreyPicture) -> tuple[str, Points, Pixels] | None:
     """
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_CONTOUR
+    # Of blurred and overexposed markers, the middles of the modules are read.
+    parameters.errorCorrectionRate = 1.0
+    parameters.perspectiveRemovePixelPerCell = 8
+    parameters.perspectiveRemoveIgnoredMarginPerCell = 0.25
     detector = cv2.aruco.ArucoDetector(
         cv2.aruco.getPredefinedDictionary(_DICTIONARY), parameters)
-    found, numbers, _ = detector.detectMarkers(grey.astype(np.uint8))
+    found, numbers, _ = detector.detectMarkers(
+        (255 * cv2.cvtColor(photograph.light, cv2.COLOR_RGB2GRAY)).astype(np.uint8))
     if numbers is None:
         return None
     seen = dict(zip(numbers.ravel().tolist(), found, strict=True))

@@ -7,7 +7,8 @@ import numpy as np
 
 from common.errors import InputError
 from common.types import Mask, Metres
-from data.pictures.mat import PIXEL, find_mat, mat_picture
+from data.pictures.cloth import BEYOND
+from data.pictures.mat import MARKER, MATS, PIXEL, QUIET, find_mat, mat_picture
 from data.pictures.pose import Pose, camera_pose
 from data.pictures.reading import Photograph, decoded, encoded
 
@@ -15,6 +16,7 @@ AROUND = 1.3  # of the flat specimen's reach, shown
 SIDE = 1500  # pixels, at most
 INK = 220  # grey of the mat, below which it is printed
 _BLEED = 6e-4  # m, of print and its blur
+_INK_COLOUR, _INK_LIGHT = 0.12, 0.5  # of the paper's light
 _INPAINTED = 3  # pixels, radius
 
 
@@ -27,12 +29,14 @@ class OverMat:
         photograph: the picture, without what is printed on the mat.
         pixel: size of a pixel in the plane of the plate.
         ground: (H, W) what surely shows mat or table.
+        paper: (H, W) where the mat is, covered or not.
         markers: how many are seen.
     """
 
     photograph: Photograph
     pixel: Metres
     ground: Mask
+    paper: Mask
     pose: Pose
     markers: int
     warnings: tuple[str, ...] = ()
@@ -47,7 +51,7 @@ def straight_from_above(
     specimen."""
     seen = []
     for one in (photograph, *others):
-        found = find_mat(one.grey)
+        found = find_mat(one)
         if found is None or found[0] != mat:
             which = f"the mat {found[0]}" if found else "fewer than six markers"
             raise InputError(f"it shows {which}, not the mat {mat}; show the mat with its corners, "
@@ -75,23 +79,38 @@ def straight_from_above(
     far = np.hypot(x, y)
     # What is printed, seen through the plane of the plate.
     on_mat = pose.place[:2] + (np.dstack([x, y]) - pose.place[:2]) * (pose.place[2] / above)
-    printed = _printed(mat, on_mat) & (far > plate)
-    light = _without(light, printed)
     transparent = missing | (cv2.remap(photograph.transparent.astype(np.float32), columns, rows,
                                        cv2.INTER_LINEAR) > 0.5)
-    ground = (far > 1.08 * reach) & ~missing
-    return OverMat(Photograph(light, transparent), pixel, ground, pose, len(seen[0][0]))
+    # Of markers that are read, nothing is covered.
+    markers = seen[0][0][:, :2]
+    apart = np.abs(on_mat[:, :, None] - markers).max(axis=3).min(axis=2)
+    ground = ((far > BEYOND * reach) | (apart < MARKER / 2 + QUIET)) & ~missing
+    half = np.array(MATS[mat].size) / 2 + QUIET
+    paper = (np.abs(on_mat) < half).all(axis=2)
+    white = np.quantile(light[ground & paper], 0.9, axis=0)
+    printed = _seen_ink(light, mat, on_mat, pixel, ground, white) & (far > plate)
+    return OverMat(Photograph(_without(light, printed), transparent), pixel, ground, paper, pose, len(markers))
 
 
-def _printed(mat: str, on_mat: np.ndarray) -> Mask:
-    """Where (H, W) ink is printed, at places (H, W, 2), m."""
-    picture = mat_picture(mat)
-    spread = np.ones((2 * round(_BLEED / PIXEL) + 1,) * 2)
-    ink = cv2.dilate((picture < INK).astype(np.uint8), spread)
-    height, width = ink.shape
+def _seen_ink(
+    light: np.ndarray, mat: str, on_mat: np.ndarray, pixel: Metres, read: Mask, white: np.ndarray
+) -> Mask:
+    """Where (H, W) ink of a mat is seen, at places (H, W, 2), m, and not cloth above it.
+
+    Of markers that are ``read`` all ink is seen; elsewhere what is dark, over ``white`` paper, and
+    has no colour.
+    """
+    bleed = max(_BLEED, 1.5 * pixel)
+    spread = np.ones((2 * round(bleed / PIXEL) + 1,) * 2, np.uint8)
+    picture = cv2.erode(mat_picture(mat), spread)
+    height, width = picture.shape
     columns = (on_mat[..., 0] / PIXEL + (width - 1) / 2).astype(np.float32)
     rows = (-on_mat[..., 1] / PIXEL + (height - 1) / 2).astype(np.float32)
-    return cv2.remap(ink, columns, rows, cv2.INTER_NEAREST, borderValue=0) > 0
+    printed = cv2.remap(picture, columns, rows, cv2.INTER_NEAREST, borderValue=255) < INK
+    share = light / np.maximum(white, 1e-3)
+    dark = printed & (np.ptp(share, axis=2) < _INK_COLOUR) & (share.mean(axis=2) < _INK_LIGHT)
+    around = np.ones((2 * round(bleed / pixel) + 1,) * 2, np.uint8)
+    return printed & (read | (cv2.dilate(dark.astype(np.uint8), around) > 0))
 
 
 def _without(light: np.ndarray, printed: Mask) -> np.ndarray:

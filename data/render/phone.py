@@ -188,12 +188,12 @@ def _light(
         lamp = np.array([0.9 * np.cos(azimuth), 0.9 * np.sin(azimuth), rng.uniform(0.8, 2.0)])
         lit = np.zeros((height, width), np.float32)
         for _ in range(_LAMP_RAYS):
-            way = lamp + kind["lamp_size"] * rng.normal(0, 0.5, 3) - places
+            way = lamp + kind["lamp_size"] * rng.normal(0, 0.5, places.shape) - places
             way /= np.linalg.norm(way, axis=2, keepdims=True)
             free = ~np.isfinite(scene.cast(places + 1e-3 * normals, way).distance)
             lit += (free * np.maximum((normals * way).sum(axis=2), 0) / _LAMP_RAYS).astype(
                 np.float32)
-        total = total + 0.5 * kind["lamp"] * cv2.GaussianBlur(lit, (0, 0), 1.5)
+        total = total + 0.5 * kind["lamp"] * cv2.GaussianBlur(lit, (0, 0), 2.0)
     return total
 
 
