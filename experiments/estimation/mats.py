@@ -1,0 +1,177 @@
+"""Photographs by phones of drapes over the printed mat: outline, camera height and estimate.
+
+Fabrics drawn evenly from limp to stiff are draped and photographed (:mod:`data.render.phone`) from
+0.4 to 1.5 m above the plate, up to 250 mm beside its axis, up to 15 degrees off the vertical, with
+two focal lengths' worth of phones, lenses that distort, soft and hard shadows, patterns and JPEG;
+each picture is read as a user's. The outline is compared with the true one as seen from the
+camera's true place (reading) and from the axis (what is estimated from); log alpha with that of the
+true outline from the axis.
+"""
+
+import tempfile
+from pathlib import Path
+
+import cv2
+import numpy as np
+import yaml
+
+from common.errors import InputError
+from common.files import replace_file
+from common.types import Metres, Outline
+from data.captures.capture import Capture, read_capture
+from data.captures.photograph import PhotographedOutline
+from data.render.phone import PhonePicture, phone_picture
+from drapenet.stages import network_estimate
+from experiments.drapes import drape_as_planned, header, plan_specimen
+from experiments.result import ESTIMATOR, Config, Result, run_cases
+from sim.drape import Drape
+from sim.material import LINEAR, REFERENCE_DENSITY
+from sim.measures import farthest
+from sim.rig import Rig
+
+MATS = {True: "a3", False: "a2"}
+"""By whether a specimen reaches no farther than 150 mm."""
+MARGIN = (0.02, 0.12)  # m, of the lowest cloth above the mat
+TARGETS = {"outline_mm": (0.5, 1.0), "alpha": (0.03, 0.08), "silent": 1 / 200}
+WRONG = 0.15  # of alpha
+AZIMUTHS = 720
+
+
+def case(*, number: int, rig: str, edge_mm: float, seed: int, sheet: str) -> dict:
+    """Errors of one photograph; ``refused`` has the sentence if it is not read."""
+    tester = Rig.from_name(rig)
+    plan = plan_specimen(number, "dataset.even_share=0.8", rig=tester, seed=seed)
+    shape = drape_as_planned(plan, edge=1e-3 * edge_mm)
+    rng = np.random.default_rng([seed, number])
+    plate_height = float(-shape.positions[:, 2].min() + rng.uniform(*MARGIN))
+    mat = MATS[tester.reach < 0.151]
+    picture = phone_picture(shape.positions, shape.mesh.rest, shape.faces, rng, mat=mat,
+                            plate_radius=tester.plate_radius, plate_height=plate_height)
+    place = picture.pose.place - [0, 0, plate_height]
+    known = {**picture.kind, "height_m": place[2], "beside_m": float(np.hypot(*place[:2])),
+             "tilt_deg": float(np.degrees(picture.pose.tilt))}
+    with tempfile.TemporaryDirectory() as folder:
+        capture = _as_user(Path(folder), picture, rig, mat, plate_height)
+        try:
+            read = read_capture(capture)
+        except InputError as error:
+            if sheet:
+                replace_file(Path(sheet), picture.jpeg)
+            return known | {"refused": str(error).split("outline.jpg: ")[-1]}
+    assert read.outline and read.outline.hem is not None and read.outline.to_pixels is not None
+    if sheet:
+        replace_file(Path(sheet), _drawn(read.outline))
+    seen = _mapped(read.outline.hem, np.linalg.inv(read.outline.to_pixels))
+    true_seen = silhouette(shape, picture.warp, place[:2], place[2])
+    true_axis = silhouette(shape, picture.warp, np.zeros(2), place[2])
+    perfect = PhotographedOutline(curve_of(true_axis), place[2], True, tester)
+    alpha, sure = _log_alpha(read.outline, tester, picture.warp)
+    best, _ = _log_alpha(perfect, tester, picture.warp)
+    return known | {
+        "refused": "", "warnings": list(read.warnings),
+        "reading_mm": _rms(radii(seen) - true_seen), "outline_mm": _rms(
+            radii(read.outline.curve) - true_axis),
+        "height_error": read.outline.height / place[2] - 1,
+        "coefficient": perfect.drape_coefficient,
+        "coefficient_error": read.outline.drape_coefficient - perfect.drape_coefficient,
+        "alpha_error": (alpha - best).tolist(), "alpha_deviation": sure.tolist()}
+
+
+def _as_user(
+    folder: Path, picture: PhonePicture, rig: str, mat: str, plate_height: Metres
+) -> Path:
+    (folder / "outline.jpg").write_bytes(picture.jpeg)
+    (folder / "capture.yaml").write_text(yaml.safe_dump({
+        "density_g_m2": 1e3 * REFERENCE_DENSITY, "tester": rig,
+        "warp_direction_deg": float(np.degrees(picture.warp)),
+        "outline": {"mat": mat, "plate_height_mm": round(1e3 * plate_height, 1)}}))
+    return folder
+
+
+def silhouette(shape: Drape, warp: float, beside: np.ndarray, height: Metres) -> np.ndarray:
+    """Radii (720,), m, in the plane of the plate, of what a camera sees from a ``height`` above it
+    and a place (2,) ``beside`` its axis, with the warp turned."""
+    cos, sin = np.cos(warp), np.sin(warp)
+    points = shape.positions @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1.0]])
+    seen = beside + (points[:, :2] - beside) * height / (height - points[:, 2:])
+    return farthest(seen[shape.mesh.edges], AZIMUTHS)
+
+
+def curve_of(radius: np.ndarray) -> Outline:
+    """The curve of radii (N,) at equal steps of azimuth."""
+    angle = np.arange(len(radius)) * (2 * np.pi / len(radius))
+    return radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def radii(curve: Outline) -> np.ndarray:
+    """Outermost distances (720,) of a curve, m."""
+    return farthest(np.stack([curve, np.roll(curve, -1, axis=0)], axis=1), AZIMUTHS)
+
+
+def _mapped(points: np.ndarray, homography: np.ndarray) -> np.ndarray:
+    return cv2.perspectiveTransform(points[:, None], homography)[:, 0]
+
+
+def _rms(error: np.ndarray) -> float:
+    """Root mean square, mm."""
+    return 1e3 * float(np.sqrt(np.square(error).mean()))
+
+
+def _log_alpha(
+    outline: PhotographedOutline, rig: Rig, warp: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and deviation (3,) of log alpha that the network estimates."""
+    capture = Capture(np.zeros((0, 0, 0), np.float32), None, np.zeros(0), REFERENCE_DENSITY,
+                      warp % np.pi, rig, outline=outline)
+    samples = network_estimate(capture, header()).estimate.samples[:, LINEAR]
+    return samples.mean(axis=0), samples.std(axis=0)
+
+
+def _drawn(outline: PhotographedOutline) -> bytes:
+    """JPEG of the picture with the outline as it was seen."""
+    assert outline.picture is not None and outline.hem is not None
+    picture = np.ascontiguousarray(outline.picture[..., ::-1])
+    cv2.polylines(picture, [np.rint(16 * outline.hem).astype(np.int32)], True, (0, 200, 0), 2,
+                  cv2.LINE_AA, 4)
+    small = cv2.resize(picture, (500, 500), interpolation=cv2.INTER_AREA)
+    return cv2.imencode(".jpg", small)[1].tobytes()
+
+
+def run(config: Config) -> Result:
+    """Evaluate all photographs."""
+    folder = Path(config["cases"])
+    shown = config["pictures"]
+    cases = {f"{k}": {
+        "number": k, "rig": config["testers"][k % len(config["testers"])],
+        "edge_mm": config["edge_mm"], "seed": config["seed"],
+        "sheet": str(folder / f"{k:03}.jpg") if k < shown else ""}
+        for k in range(config["photographs"])}
+    results = run_cases(case, cases, config, sources=ESTIMATOR)
+    groups = {"all": list(results)} | {
+        tester: [k for k in results if cases[k]["rig"] == tester] for tester in config["testers"]}
+    groups |= {f"beside {low:g} to {high:g} of the height": [
+        k for k, one in results.items() if low <= one["beside_m"] / one["height_m"] < high]
+        for low, high in ((0, 0.1), (0.1, 0.2), (0.2, 0.4), (0.4, 1.0))}
+    return Result({"targets": TARGETS, "cases": results, "summary": {
+        name: summarise([results[key] for key in keys]) for name, keys in groups.items() if keys}})
+
+
+def summarise(results: list[dict]) -> dict:
+    """Counts, and median and ninth decile of each error; relative errors of alpha of all three
+    directions together."""
+    read = [one for one in results if not one["refused"]]
+    found: dict = {"photographs": len(results), "refused": len(results) - len(read)}
+    if not read:
+        return found
+    for name in ("reading_mm", "outline_mm", "height_error", "coefficient_error"):
+        found[name] = _deciles(np.abs([one[name] for one in read]))
+    worst = np.array([np.abs(np.expm1(one["alpha_error"])).max() for one in read])
+    found["alpha"] = _deciles(np.abs(np.expm1([one["alpha_error"] for one in read])).ravel())
+    silent = [not one["warnings"] for one in read]
+    return found | {"warned": int(len(read) - sum(silent)),
+                    "wrong": int((worst > WRONG).sum()),
+                    "wrong_in_silence": int(((worst > WRONG) & silent).sum())}
+
+
+def _deciles(values: np.ndarray) -> list[float]:
+    return [float(np.quantile(values, q)) for q in (0.5, 0.9)]
