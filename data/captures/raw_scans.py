@@ -48,8 +48,8 @@ def _placed(points: Points, faces: Faces, rig: Rig) -> RawScan:
              "metres, z up, the plate level, its centre at the origin"] * bool(changes)
     cloth, others = cut_away(points, faces, rig)
     if others:
-        notes.append(f"{(~cloth).sum()} of the scan's {len(points)} points were cut away, which are "
-                     f"not cloth: {', '.join(others)}")
+        notes.append(f"{(~cloth).sum()} of the scan's {len(points)} points are not cloth and were "
+                     f"cut away: {', '.join(others)}")
         if cloth.sum() < MIN_POINTS:
             raise InputError(f"{cloth.sum()} points of it are cloth, at least {MIN_POINTS} are "
                              "needed; scan more densely")

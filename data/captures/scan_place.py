@@ -26,17 +26,19 @@ MAX_OFFSET = 5e-3  # m, of a plate's centre; the measured centre is 1 mm off, at
 MIN_FALL = 5e-3  # m, of the lowest cloth below the plate
 _MIN_TILT, _MIN_LIFT = 0.25, 0.5e-3  # degrees, m: less is left as it is
 _MAX_EXTENT = 10.0  # m, of a scan with all that is around the tester
-_SAMPLED, _SEARCHED = 200_000, 20_000  # points of a surface; those of them that planes are sought in
+_SAMPLED, _SEARCHED = 200_000, 20_000  # points of a surface; of these, where planes are sought
 _PLANES, _TRIALS = 6, 4000  # sought one after the other; draws of three points for each
 _FLAT = 1.5e-3  # m, between the heights of points on the plate
 _PLATE_RATIO = 0.85, 1.6  # of the flat part's radius over the plate's
 _INNER = 0.95  # of the plate's radius, within which all cloth is on it
 _REFITS = 12
 _SURE = 0.9  # of the points within the specimen's reach: no other plane is the plate's
-_SECTORS, _MIN_HANGING = 36, 1 / 3  # of azimuth; share of them in which cloth hangs
-_MAX_RAISED = 0.2  # of the points within reach, above the plate
+_RIM = 1.03  # of the plate's radius, within which cloth shows the plate's height
+_SECTORS, _MIN_HELD, _MIN_HANGING = 36, 1 / 2, 1 / 3
+"""Of azimuth; shares of them in which cloth is on the plate or its rim, and hangs."""
+_MAX_RAISED = 0.2  # points above the plate, over those within the specimen's reach
 _MIN_REACH = 0.7  # of the overhang, the distance of the hem from the plate
-_MAX_BEYOND = 0.25  # of the points connected with the plate, beyond the specimen's reach
+_MAX_BEYOND = 0.1  # of the points connected with the plate, beyond the specimen's reach
 _SLACK = 0.05, 5e-3  # of the overhang, and m: cloth is sought that far beyond it
 _COLUMN = 2 / 3, 10e-3  # of the plate's radius and m: no cloth is as near the axis and as low
 _TABLE_TILT, _TABLE_DEPTH = 5.0, 4e-3  # degrees against the plate; m, half the surface's thickness
@@ -73,9 +75,9 @@ class Plate:
         changed; InputError for a plate that is too far off level."""
         if self.tilt > MAX_TILT:
             raise InputError(
-                f"the plate is tilted by {self.tilt:.0f}° against the axis {self.up}, at most "
-                f"{MAX_TILT:g}° is levelled; turn the scan until the plate is level, and export it "
-                "again")
+                f"no level plate was found; what is most like it is tilted by {self.tilt:.0f}° "
+                f"against the axis {self.up}, at most {MAX_TILT:g}° is levelled: turn the scan "
+                "until the plate is level, and cut away all that is not cloth")
         turn = _UPRIGHT[self.up]
         notes = [f"lengths in {self.unit}"] * (self.unit != "m")
         notes += [f"{self.up} up"] * (self.up != "z")
@@ -163,9 +165,10 @@ def _plate_in(
     """Normal and centre of the plate in a plane, and the share of points that are within reach of
     the specimen on it; 0 if it is not like a plate."""
     none = normal, normal, 0.0
+    slab = cloud[np.abs(cloud @ normal - height) < 0.2 * rig.plate_radius]
     for refit in range(_REFITS):
-        above = cloud @ normal - height
-        flat = cloud[np.abs(above) < _FLAT]
+        above = slab @ normal - height
+        flat = slab[np.abs(above) < _FLAT]
         if len(flat) < _SECTORS:
             return none
         centre, radius = _flat_part(flat, normal, height, rig)
@@ -173,8 +176,8 @@ def _plate_in(
             return none
         # Stiff cloth is nearly flat beyond the rim, too: the plane is that of its middle alone.
         tolerance = max(_FLAT, 4e-3 / (1 + refit))
-        held = cloud[(np.abs(above) < tolerance)
-                     & (_across(cloud - centre, normal) < _INNER * rig.plate_radius)]
+        held = slab[(np.abs(above) < tolerance)
+                    & (_across(slab - centre, normal) < _INNER * rig.plate_radius)]
         if len(held) < _SECTORS:
             held = _innermost(flat, centre, normal)
         middle = held.mean(axis=0)
@@ -186,13 +189,16 @@ def _plate_in(
     near = distance < _far(rig)
     if above[near].mean() > 0:
         normal, height, above = -normal, -height, -above
-    if ((above[near] > 2 * _FLAT).mean() > _MAX_RAISED
+    raised = (above > 2 * _FLAT) & (across < rig.reach)
+    if (raised.sum() > _MAX_RAISED * near.sum()
             or distance[near].max() < _MIN_REACH * overhang(rig)):
         return none
+    held = (np.abs(above) < 2 * _FLAT) & (across < _RIM * rig.plate_radius)
     hanging = near & (above < -0.8 * MIN_FALL) & (across > _COLUMN[0] * rig.plate_radius)
-    sectors = _sectors((cloud[hanging] - centre) @ _axes(normal).T)
-    if len(np.unique(sectors)) < _MIN_HANGING * _SECTORS:
-        return none
+    for part, share in ((held, _MIN_HELD), (hanging, _MIN_HANGING)):
+        sectors = _sectors((cloud[part] - centre) @ _axes(normal).T)
+        if len(np.unique(sectors)) < share * _SECTORS:
+            return none
     return normal, centre + (height - centre @ normal) * normal, float(near.mean())
 
 
@@ -263,25 +269,24 @@ def cut_away(points: Points, faces: Faces, rig: Rig) -> tuple[np.ndarray, list[s
     the column are not cloth.
     """
     radius, height = np.hypot(points[:, 0], points[:, 1]), points[:, 2]
-    column = (radius < _COLUMN[0] * rig.plate_radius) & (height < -_COLUMN[1])
     beyond = np.hypot(np.maximum(radius - rig.plate_radius, 0), height) > _far(rig)
-    keep, notes = ~column, ["the column"] * bool(column.any())
-    table, depth = _table(points, beyond & keep)
-    if table.any():
-        keep &= ~table
-        notes.append(f"the table {1e3 * depth:.0f} mm below the plate")
+    table, depth = _table(points, beyond & (radius > rig.reach))
+    column = (radius < _COLUMN[0] * rig.plate_radius) & (height < -_COLUMN[1])
+    keep = ~table & ~column
     if (beyond & keep).any():
         piece = _pieces(points, faces, keep)
         home = np.bincount(piece[keep & (radius < rig.plate_radius) & (np.abs(height) < 2 * _FLAT)]
                            ).argmax()
         apart = keep & (piece != home) & np.isin(piece, piece[beyond & keep])
         keep &= ~apart
-        notes += ["pieces apart from the cloth"] * bool(apart.any())
     if (share := float((beyond & keep).sum() / keep.sum())) > _MAX_BEYOND:
         raise InputError(
             f"{share:.0%} of its points do not lie on a specimen of {rig.name}, but are connected "
             "with the cloth; cut away all that is not cloth, such as the table, or drape a "
             "specimen of that size")
+    notes = [f"the table {1e3 * depth:.0f} mm below the plate"] * bool(table.any())
+    if not (keep | table).all():
+        notes.append("what lies below the plate or apart from the cloth")
     return keep, notes
 
 
