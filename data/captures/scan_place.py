@@ -26,8 +26,8 @@ MAX_OFFSET = 5e-3  # m, of a plate's centre; the measured centre is 1 mm off, at
 MIN_FALL = 5e-3  # m, of the lowest cloth below the plate
 _MIN_TILT, _MIN_LIFT = 0.25, 0.5e-3  # degrees, m: less is left as it is
 _MAX_EXTENT = 10.0  # m, of a scan with all that is around the tester
-_SAMPLED, _SEARCHED = 200_000, 20_000  # points of a surface; of these, where planes are sought
-_PLANES, _TRIALS = 6, 4000  # sought one after the other; draws of three points for each
+_SAMPLED, _SEARCHED = 100_000, 10_000  # points of a surface; of these, where planes are sought
+_PLANES, _TRIALS = 6, 2000  # sought one after the other; draws of three points for each
 _FLAT = 1.5e-3  # m, between the heights of points on the plate
 _PLATE_RATIO = 0.85, 1.6  # of the flat part's radius over the plate's
 _INNER = 0.95  # of the plate's radius, within which all cloth is on it
@@ -109,15 +109,17 @@ def find_plate(points: Points, faces: Faces, rig: Rig) -> Plate:
     cloud = _surface_points(points, faces)
     extent = np.ptp(cloud, axis=0).max()
     best, most = None, 0.0
-    for unit, metres in UNITS.items():
+    # A drape alone shows its unit: that in which it is as large as the specimen.
+    for unit, metres in sorted(UNITS.items(), key=lambda item: abs(
+            math.log(item[1] * extent / rig.specimen_size)) if extent else 0.0):
         if not 0.9 * rig.plate_diameter < metres * extent < _MAX_EXTENT:
             continue
         for plane in _planes(metres * cloud):
             normal, centre, share = _plate_in(metres * cloud, *plane, rig)
             if share > most:
                 best, most = Plate(unit, normal, centre), share
-            if most > _SURE:
-                break
+            if most > _SURE and best:
+                return best
     if best:
         return best
     raise InputError(
@@ -127,8 +129,9 @@ def find_plate(points: Points, faces: Faces, rig: Rig) -> Plate:
         "cloth on the plate, at least around its rim")
 
 
-def _surface_points(points: Points, faces: Faces) -> Points:
-    """At most :data:`_SAMPLED` points of a scan; those of a mesh are spread evenly over it."""
+def _surface_points(points: Points, faces: Faces) -> np.ndarray:
+    """At most :data:`_SAMPLED` points (M, 3) of a scan; those of a mesh are spread evenly over it.
+    """
     import trimesh
 
     if len(faces):
@@ -231,8 +234,8 @@ def _flat_part(flat: Points, normal: Vector, height: float, rig: Rig) -> tuple[V
     return middle @ axes + height * normal, math.sqrt(hull["m00"] / np.pi)
 
 
-def _innermost(flat: Points, centre: Vector, normal: Vector) -> Points:
-    """The points of the flat part that are nearest to the axis, of each sector."""
+def _innermost(flat: Points, centre: Vector, normal: Vector) -> np.ndarray:
+    """The points (M, 3), m, of the flat part that are nearest to the axis, of each sector."""
     seen = (flat - centre) @ _axes(normal).T
     sector = _sectors(seen)
     order = np.lexsort([np.linalg.norm(seen, axis=1), sector])
@@ -322,8 +325,11 @@ def _pieces(points: Points, faces: Faces, keep: np.ndarray) -> np.ndarray:
     return connected_components(graph, directed=False)[1][of.ravel()]
 
 
-def plate_filled(points: Points, faces: Faces, rig: Rig) -> tuple[Points, Faces, list[str]]:
-    """A placed scan with points of the plate's plane where it has none on the plate, and a note."""
+def plate_filled(
+    points: Points, faces: Faces, rig: Rig
+) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Points (M, 3), m, and faces (G, 3) of a placed scan with points of the plate's plane where it
+    has none on the plate, and a note."""
     cloud = _surface_points(points, faces)
     on_plate = cloud[np.abs(cloud[:, 2]) < 2 * _FLAT]
     places = _unseen(on_plate[:, :2], rig)

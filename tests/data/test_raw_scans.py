@@ -83,12 +83,12 @@ def draped(request) -> Drape:
     return result
 
 
-@pytest.mark.parametrize("degrees", [1.0, 5.0, 9.7])
-def test_a_tilted_scan_is_levelled_at_every_axis_up(draped, degrees):
-    rng = np.random.default_rng(int(10 * degrees))
+def test_a_tilted_scan_is_levelled_at_every_axis_up(draped):
+    rng = np.random.default_rng(0)
     held = np.linalg.norm(draped.rest, axis=1) < 0.95 * draped.rig.plate_radius
-    for unit, up, faces in zip(UNITS, ("z", "y", "x", "-z", "-y", "-x"),
-                               2 * [draped.faces, draped.faces, draped.faces[:0]], strict=True):
+    for unit, up, degrees, faces in zip(
+            UNITS, ("z", "y", "x", "-z", "-y", "-x"), (1.0, 9.7, 5.0, 0.6, 3.0, 8.0),
+            2 * [draped.faces, draped.faces[:0], draped.faces], strict=True):
         noisy = draped.positions + rng.normal(0, 3e-4, draped.positions.shape)
         upright = np.roll(np.eye(3), "zxy".index(up[-1]), axis=1).T * (-1 if "-" in up else 1)
         points = noisy @ tilted(degrees, rng.uniform(0, 6)).T @ upright.T + rng.uniform(-0.3, 0.3, 3)
