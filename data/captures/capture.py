@@ -273,14 +273,14 @@ def checked_capture(capture: Capture) -> Capture:
         Description.of(stated, capture.path)
         return replace(capture, rig=rig, density=density, warp_direction=warp)
     views = _metres(capture.views)
-    _require_sizes(views, capture.intrinsics)
+    camera = _require_sizes(views, capture.intrinsics)
     turns = _numbers("turns", capture.turns)
     if (largest := np.abs(turns).max(initial=0)) > MAX_TURN:
         raise InputError(f"turns reach {largest:g}, more than a full turn of 6.283 rad; give "
                          "radians: np.radians([0, 90, 180, 270])")
     turns = Description.of(stated | {"turns_deg": np.degrees(turns).tolist()},
                            capture.path).turns(len(views))
-    views, warnings = checked_views(views, capture.intrinsics)
+    views, warnings = checked_views(views, camera)
     return replace(capture, views=views, turns=turns, rig=rig, density=density, warp_direction=warp,
                    warnings=tuple(dict.fromkeys((*capture.warnings, *warnings))))
 
@@ -305,7 +305,7 @@ def _number(name: str, value: object, unit: str) -> float:
 def _metres(views: object) -> Views:
     """Depth of an argument, m, 0 for what is no measurement; InputError for other arrays."""
     try:
-        found = np.ma.filled(np.ma.asarray(views), 0)
+        found: np.ndarray = np.ma.filled(np.ma.asarray(views), 0)
     except (TypeError, ValueError) as error:
         raise InputError(f"views are no array ({one_line(error)}); give views of one size"
                          ) from None
@@ -472,7 +472,8 @@ def write_capture(
     _write_folder(path, stated | keys, save)
 
 
-def _require_sizes(views: Views, intrinsics: Intrinsics | None) -> None:
+def _require_sizes(views: Views, intrinsics: Intrinsics | None) -> Intrinsics:
+    """The intrinsics; InputError unless the views are of their size."""
     if not isinstance(intrinsics, Intrinsics):
         raise InputError("depth views need the intrinsics of their camera, Intrinsics(fx=..., "
                          f"fy=..., cx=..., cy=..., width=..., height=...), not {shown(intrinsics)}")
@@ -480,6 +481,7 @@ def _require_sizes(views: Views, intrinsics: Intrinsics | None) -> None:
     if not 1 <= count <= MAX_VIEWS or size != [intrinsics.height, intrinsics.width]:
         raise InputError(f"views have the shape {np.shape(views)}; give 1 to {MAX_VIEWS} of the "
                          f"intrinsics' size, {intrinsics.height} x {intrinsics.width} pixels")
+    return intrinsics
 
 
 def write_outline(capture: Capture, path: str | Path) -> None:
