@@ -155,7 +155,7 @@ def without(cloth: trimesh.Trimesh, gone: np.ndarray) -> trimesh.Trimesh:
 @pytest.mark.parametrize(("share", "unseen"), [(0.0, ""), (0.5, r"[23]\d%"), (0.75, r"[5678]\d%")])
 def test_the_plate_is_filled_where_its_rim_shows_its_plane(tmp_path, draped, share, unseen):
     if draped.rig != DISC_RIG:
-        pytest.skip("commands read scans of the disc rig alone; gaps on smaller plates are untested")
+        pytest.skip("commands read scans of the disc rig alone; smaller plates are untested")
     mesh = trimesh.Trimesh(draped.positions, draped.faces, process=False)
     plate = draped.rig.plate_radius
     hole = without(mesh, np.linalg.norm(draped.rest, axis=1) < share * plate)
