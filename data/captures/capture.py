@@ -15,6 +15,7 @@ import math
 import os
 import tempfile
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,12 +25,13 @@ import yaml
 from PIL import Image
 from scipy import ndimage
 
-from common.documents import misnamed, read_text, read_yaml, rename_remedy
+from common.documents import misnamed, read_text, read_yaml, rename_remedy, shown
 from common.errors import InputError, one_line
 from common.files import path_named
 from common.types import Density, DepthImage, Metres, Radians, Turns, Views
 from data.captures.board import board_intrinsics, board_turns, shows_board
 from data.captures.cutout import CutOut, cut_out, neighbours
+from data.captures.depth import measured
 from data.captures.description import (
     INTRINSICS_KEYS,
     MAX_VIEWS,
@@ -47,7 +49,7 @@ from data.captures.frames import join_views, numbered, read_frames, read_picture
 from data.captures.reported import Reported
 from data.pictures.reading import SUFFIXES
 from data.render.cameras import Intrinsics, nominal_camera
-from data.rigs import MISSING_TESTER, described_tester
+from data.rigs import MISSING_TESTER, TESTERS, described_tester, named_tester
 from sim.rig import SQUARE_RIG, Rig
 
 if TYPE_CHECKING:
@@ -68,6 +70,9 @@ MAX_OUTLIER_SHARE = 0.003  # of the cloth's pixels, usual for sensors; more caus
 MIN_SPECK_GAP = 3.0  # pixels from the cloth; nearer specks are harmless noise at its edge
 PUBLISHED_SIZES = {(240, 180): 1, (480, 360): 2}  # size: keep every n-th pixel
 PUBLISHED_BACKGROUND = 250  # counts above are background
+MAX_DENSITY = 1.0  # kg/m², of captures made of arrays: larger numbers are g/m²
+MAX_TURN = 6.3  # rad, of captures made of arrays: larger numbers are degrees
+MAX_ARRAY_DEPTH = 20.0  # m, of captures made of arrays: larger numbers are millimetres
 MAX_FOCAL = 238.0  # pixels, 2.1 mm a pixel at 0.5 m; finer pictures are subsampled to no less
 
 
@@ -178,7 +183,7 @@ def _read_metric(path: Path) -> Capture:
         intrinsics = Intrinsics(**numbers, width=depth.shape[2], height=depth.shape[1])
     rig = _tester(path, description)
     cut = cut_out(depth, intrinsics, rig, background)
-    views, warnings = checked_views(cut.views if cut else depth)
+    views, warnings = checked_views(cut.views if cut else depth, intrinsics)
     notes = (*description.questions, *(cut.warnings if cut else ()), *warnings, *_sparse(
         frames.spacing, float(np.median(views[views > 0])) / (step * intrinsics.fx)))
     return Capture(views, intrinsics, turns, description.density, description.warp_direction,
@@ -247,28 +252,85 @@ def _read_published(path: Path) -> Capture:
     keep = PUBLISHED_SIZES[width, height]
     counts = counts[:, ::keep, ::keep]
     depth = np.where(counts > PUBLISHED_BACKGROUND, 0, counts / 255).astype(np.float32)
-    views, warnings = checked_views(depth)
+    camera = nominal_camera(SQUARE_RIG).intrinsics
+    views, warnings = checked_views(depth, camera)
     coarse = "8-bit depth: steps of 3.9 mm; 16-bit pictures in millimetres carry more"
-    return Capture(views, nominal_camera(SQUARE_RIG).intrinsics, whole_turns(len(views)), density,
-                   None, SQUARE_RIG, path, (coarse, *warnings))
+    return Capture(views, camera, whole_turns(len(views)), density, None, SQUARE_RIG, path,
+                   (coarse, *warnings))
 
 
 def checked_capture(capture: Capture) -> Capture:
-    """A capture made of arrays, checked like one that is read; InputError for a fault."""
-    if capture.numbers or capture.outline:
-        return capture
-    _require_sizes(capture.views, capture.intrinsics)
-    stated = _described(capture.density, capture.rig, capture.face, capture.warp_direction,
-                        capture.labels) | {"turns_deg": np.degrees(capture.turns).tolist()}
-    turns = Description.of(stated, capture.path).turns(len(capture.views))
-    views, warnings = checked_views(np.nan_to_num(capture.views, posinf=0.0).astype(np.float32))
-    return replace(capture, views=views, turns=turns,
+    """A capture made of arrays, checked like one that is read; InputError for a fault.
+
+    ``rig`` may be the name of a tester. Depth that is masked, not finite or not positive is
+    background.
+    """
+    rig = named_tester(capture.rig) if isinstance(capture.rig, str) else capture.rig
+    if not isinstance(rig, Rig):
+        raise InputError(f"rig={shown(rig)} is not a tester; give Rig.from_name(NAME) or a name "
+                         f"such as {TESTERS[0]}")
+    density = _number("density", capture.density, "kg/m²")
+    if density > MAX_DENSITY:
+        raise InputError(f"density={density:g} is more than {MAX_DENSITY:g} kg/m², as of g/m²; "
+                         "give kg/m²: 0.21 for 210 g/m²")
+    warp = capture.warp_direction
+    warp = None if warp is None else _number("warp_direction", warp, "rad, or None")
+    stated = _described(density, rig, capture.face, warp, capture.labels)
+    if capture.outline or (capture.known and not np.size(capture.views)):
+        Description.of(stated, capture.path)
+        return replace(capture, rig=rig, density=density, warp_direction=warp)
+    views = _metres(capture.views)
+    camera = _require_sizes(views, capture.intrinsics)
+    turns = _numbers("turns", capture.turns)
+    if (largest := np.abs(turns).max(initial=0)) > MAX_TURN:
+        raise InputError(f"turns reach {largest:g}, more than a full turn of 6.283 rad; give "
+                         "radians: np.radians([0, 90, 180, 270])")
+    turns = Description.of(stated | {"turns_deg": np.degrees(turns).tolist()},
+                           capture.path).turns(len(views))
+    views, warnings = checked_views(views, camera)
+    return replace(capture, views=views, turns=turns, rig=rig, density=density, warp_direction=warp,
                    warnings=tuple(dict.fromkeys((*capture.warnings, *warnings))))
 
 
-def checked_views(views: Views) -> tuple[Views, tuple[str, ...]]:
-    """Views without specks, and warnings; InputError for a wrong size or distance of the cloth."""
-    views, warnings = views.copy(), []
+def _numbers(name: str, values: object) -> np.ndarray:
+    """An argument of numbers (N,); InputError for others, and for masked ones."""
+    with suppress(TypeError, ValueError):
+        found = np.asarray(values, dtype=float)
+        if found.ndim == 1 and np.isfinite(found).all() and not np.ma.is_masked(values):
+            return found
+    raise InputError(f"{name}={shown(values)}: give a list of finite numbers")
+
+
+def _number(name: str, value: object, unit: str) -> float:
+    """An argument of one number; InputError for others."""
+    with suppress(InputError):
+        if not isinstance(value, (str, bool)):
+            return float(_numbers(name, [value])[0])
+    raise InputError(f"{name}={shown(value)}: give a finite number, {unit}")
+
+
+def _metres(views: object) -> Views:
+    """Depth of an argument, m, 0 for what is no measurement; InputError for other arrays."""
+    try:
+        found: np.ndarray = np.ma.filled(np.ma.asarray(views), 0)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"views are no array ({one_line(error)}); give views of one size"
+                         ) from None
+    if found.dtype.kind != "f":
+        raise InputError(f"views are of the type {found.dtype}; give metres as floating-point "
+                         "numbers, of millimetres 1e-3 * views")
+    found = measured(found)
+    middle = float(np.median(found[found > 0])) if found.any() else 0.0
+    if middle > MAX_ARRAY_DEPTH:
+        raise InputError(f"views have a median depth of {middle:.4g}, which cannot be metres (at "
+                         f"most {MAX_ARRAY_DEPTH:g}); of millimetres give 1e-3 * views")
+    return found
+
+
+def checked_views(views: Views, camera: Intrinsics) -> tuple[Views, tuple[str, ...]]:
+    """Views without specks, and warnings of them and their camera; InputError for a wrong size or
+    distance of the cloth."""
+    views, warnings = views.copy(), [*camera.questions]
     for k, view in enumerate(views):
         warnings += _remove_isolated(view, f"view {k}")
         warnings += _remove_specks(view, f"view {k}")
@@ -421,13 +483,16 @@ def write_capture(
     _write_folder(path, stated | keys, save)
 
 
-def _require_sizes(views: Views, intrinsics: Intrinsics | None) -> None:
-    if intrinsics is None:
-        raise InputError("depth views need the intrinsics of their camera")
+def _require_sizes(views: Views, intrinsics: Intrinsics | None) -> Intrinsics:
+    """The intrinsics; InputError unless the views are of their size."""
+    if not isinstance(intrinsics, Intrinsics):
+        raise InputError("depth views need the intrinsics of their camera, Intrinsics(fx=..., "
+                         f"fy=..., cx=..., cy=..., width=..., height=...), not {shown(intrinsics)}")
     count, *size = np.shape(views)
     if not 1 <= count <= MAX_VIEWS or size != [intrinsics.height, intrinsics.width]:
         raise InputError(f"views have the shape {np.shape(views)}; give 1 to {MAX_VIEWS} of the "
                          f"intrinsics' size, {intrinsics.height} x {intrinsics.width} pixels")
+    return intrinsics
 
 
 def write_outline(capture: Capture, path: str | Path) -> None:

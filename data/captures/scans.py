@@ -34,7 +34,7 @@ class Scan:
 def read_scan(path: Path, rig: Rig) -> Scan:
     """Read an npz file with ``vertices`` (V, 3) m, ``rest`` (V, 2) m and ``faces`` (F, 3)."""
     arrays = read_arrays(path, ("vertices", "rest", "faces"), expected=(
-        "an npz file of a scan with vertices, rest and faces; raw scans end in .ply, .obj or .stl"))
+        "an npz file of a scan with vertices, rest and faces"))
     positions, rest, faces = arrays["vertices"], arrays["rest"], arrays["faces"]
     if fault := (_array_fault(positions, rest, faces) or _mesh_fault(rest, faces)
                  or _placement_fault(positions, rest, faces, rig)):

@@ -17,6 +17,8 @@ from common.errors import InputError
 from common.types import DepthImage, Metres, Pixels, Points, Pose, Radians
 from sim.rig import DISC_RIG, SQUARE_RIG, Rig
 
+_MAX_OFF_MIDDLE = 0.1  # of the picture's width and height; the Azure Kinect's is 9 % off
+
 
 @dataclass(frozen=True)
 class Intrinsics:
@@ -43,6 +45,16 @@ class Intrinsics:
                 raise InputError(f"principal point ({self.cx:g}, {self.cy:g}) is not in the inner "
                                  f"part of the {self.width}x{self.height} picture; give the "
                                  "intrinsics of this picture size")
+
+    @property
+    def questions(self) -> tuple[str, ...]:
+        """A warning of a principal point that few pictures have."""
+        off = max(abs((self.cx + 0.5) / self.width - 0.5), abs((self.cy + 0.5) / self.height - 0.5))
+        return (f"the principal point ({self.cx:g}, {self.cy:g}) lies {off:.0%} of the picture of "
+                f"{self.width}x{self.height} pixels off its middle (usual: up to "
+                f"{_MAX_OFF_MIDDLE:.0%}): intrinsics of another mode or size, such as those of "
+                "848x480 for 640x480, or of an uncropped picture? Give those of this picture",
+                ) * (off > _MAX_OFF_MIDDLE)
 
     def posed(self, world_to_camera: Pose) -> "Camera":
         """The camera with a pose."""

@@ -22,7 +22,7 @@ from drapenet.batch.captures import plain_name
 from drapenet.config import ServeConfig
 from drapenet.service.limits import RequestError
 
-PICTURES, SCANS = (".png", ".npy", ".ply"), (".npz", ".obj", ".stl")
+PICTURES, SCANS = (".png", ".npy", ".ply"), (".npz", ".obj", ".stl", ".glb")
 PHOTOGRAPHS = tuple(kind for kind in OUTLINE_SUFFIXES if kind not in OUTLINE_TABLES)
 PACKED = tuple(dict.fromkeys((*PICTURES, *OUTLINE_SUFFIXES, *SCANS, ".yaml")))
 KINDS = (*PACKED, ".zip")

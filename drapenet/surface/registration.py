@@ -15,7 +15,7 @@ from common.errors import InputError
 from common.types import Density, Metres, Radians
 from data.captures.capture import Capture
 from data.captures.description import Specimen
-from data.captures.raw_scans import RAW, read_raw_scan
+from data.captures.raw_scans import KINDS, RAW, read_raw_scan
 from data.captures.scans import check_rim, read_scan
 from data.render.cameras import nominal_camera
 from data.render.rays import QUARTERS, DepthRenderer
@@ -47,7 +47,8 @@ class ScanRegistration:
 
 
 def read_shape(path: Path, rig: Rig, *, edge: Metres = EDGE) -> ScanRegistration:
-    """The captured shape of a scan: npz with vertices, rest and faces, or raw PLY, OBJ or STL.
+    """The captured shape of a scan: npz with vertices, rest and faces, or a raw one
+    (:data:`~data.captures.raw_scans.RAW`).
 
     Raw scans, and scans whose vertices have slid along the cloth, are registered to a mesh with
     edges of ``edge`` at the rim.
@@ -64,6 +65,9 @@ def read_shape(path: Path, rig: Rig, *, edge: Metres = EDGE) -> ScanRegistration
             raise InputError(f"{path}: {foreign:.0%} of its points do not lie on a specimen of "
                              f"{rig.name}; cut away all that is not cloth, such as the table, or "
                              "drape a specimen of that size")
+    elif path.suffix.lower() != ".npz":
+        raise InputError(f"{path} is not a scan of a kind that is read; export it as {KINDS}, or "
+                         "give an .npz with vertices, rest and faces")
     else:
         scan = read_scan(path, rig)
         surface = Cloud.of_mesh(scan.positions, scan.faces)

@@ -97,12 +97,39 @@ def test_arrays_are_checked_like_files(made, folder):
     checked, read = checked_capture(made), read_capture(folder)
     assert np.abs(checked.views - read.views).max() < 0.51e-3
     assert checked.turns == pytest.approx(read.turns) and checked.warnings == ()
-    background = np.where(made.views > 0, made.views, np.nan)
-    assert checked_capture(replace(made, views=background)).digest == checked.digest
+    for background in (np.where(made.views > 0, made.views, np.nan),
+                       np.ma.masked_equal(made.views, 0), made.views.astype(np.float64)):
+        assert checked_capture(replace(made, views=background)).digest == checked.digest
+    named = checked_capture(replace(made, rig=SQUARE_RIG.name, density=np.float64(0.15)))
+    assert named.rig == SQUARE_RIG and named.digest == checked.digest
+
+
+@pytest.mark.parametrize(("change", "asked"), [
+    ({}, False), ({"cy": 0.59}, False), ({"cx": 0.66}, True), ({"cy": 0.38}, True)])
+def test_a_principal_point_off_the_middle_is_a_question(made, folder, change, asked):
+    at = {key: share * (240 if key == "cx" else 180) for key, share in change.items()}
+    camera = replace(CAMERA.intrinsics, **at)
+    describe(folder, intrinsics={key: float(getattr(camera, key))
+                                 for key in ("fx", "fy", "cx", "cy")})
+    for found in (checked_capture(replace(made, intrinsics=camera)), read_capture(folder)):
+        assert ["intrinsics of another mode or size" in line
+                for line in found.warnings] == [True] * asked
 
 
 @pytest.mark.parametrize(("change", "complaint"), [
-    ({"density": 150.0}, r"capture: density_g_m2=150000.0.*; weigh the specimen"),
+    ({"density": 150.0}, r"density=150 is more than 1 kg/m².* 0\.21 for 210 g/m²"),
+    ({"density": 0.002}, r"capture: density_g_m2=2.0.*; weigh the specimen"),
+    ({"density": None}, "density=None: give a finite number, kg/m²"),
+    ({"density": np.nan}, "density=nan"), ({"density": "0.2"}, "density='0.2'"),
+    ({"turns": np.array([0.0, 90.0, 180.0, 270.0])}, r"radians: np\.radians\(\[0, 90"),
+    ({"turns": None}, "turns=None: give a list"), ({"turns": [0, 1, np.nan, 3]}, "finite numbers"),
+    ({"warp_direction": "x"}, "warp_direction='x'"), ({"rig": None}, "rig=None is not a tester"),
+    ({"rig": "cusick"}, "tester=cusick is not a tester; give square300_cylinder100"),
+    ({"intrinsics": (1, 2, 3, 4)}, r"Intrinsics\(fx=.*not \(1, 2, 3, 4\)"),
+    ({"views": np.full((4, 180, 240), 500)}, "of the type int64; .* 1e-3"),
+    ({"views": np.full((4, 180, 240), 500.0)}, "median depth of 500, which cannot be metres"),
+    ({"views": None}, "type object; give metres"),
+    ({"views": [np.ones((2, 2)), np.ones((3, 2))]}, "views are no array"),
     ({"warp_direction": 17.0}, "warp_direction_deg=974"), ({"face": "Up"}, "face='Up'"),
     ({"turns": [0.0, 1.0]}, "one angle for each of the 4 views"),
     ({"intrinsics": None}, "need the intrinsics"),

@@ -29,7 +29,7 @@ def test_a_fabric_is_estimated_as_by_the_command(untrained_checkpoint, tmp_path)
     infer.main([f"capture=[{capture},{other}]", f"out={tmp_path / 'both'}", "drapes=0",
                 f"checkpoint={untrained_checkpoint}"])
     np.testing.assert_array_equal(both.samples, drapenet.load(tmp_path / "both").samples)
-    with pytest.raises(InputError, match="density_g_m2=150000"):
+    with pytest.raises(InputError, match="density=150 is more than 1 kg/m²"):
         drapenet.estimate(replace(read_capture(capture), density=150.0), **options)
     with pytest.raises(InputError, match="same views"):
         drapenet.estimate(capture, capture, **options)

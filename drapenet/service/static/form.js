@@ -78,7 +78,7 @@ const isStrips = () => chosen().some((file) => /^strips\.ya?ml$/i.test(file.name
 const values = () => [...at('known').querySelectorAll('input')].filter((field) => field.value.trim());
 const isDrape = () => chosen().length > 0 && !isStrips();
 const isScan = () => chosen().length === 1 && !/^view_\d/.test(chosen()[0].name)
-  && ['.npz', '.obj', '.ply', '.stl'].includes(suffix(chosen()[0].name));
+  && ['.npz', '.obj', '.ply', '.stl', '.glb'].includes(suffix(chosen()[0].name));
 const usesSetup = () => isDrape() && (!isDescribed() || at('override').querySelector('input').checked);
 const number = (field) => Number(field.value.trim().replace(',', '.'));
 const isOtherSize = () => at('tester').value.includes('_') && !/\d/.test(at('tester').value);
