@@ -28,7 +28,6 @@ LEAST_EDGE = 0.02  # of log light per pixel
 GREYNESS = 0.06  # of log light between colours, that shadows may have
 _SHADING = 0.5  # of log light, between places of one cloth in different light
 DARKER = 0.05  # of log light, that shadows at least are
-_DARKEST, _LIGHTEST = -0.75, 0.7  # log light of cloth, beyond which it is dark or light alike
 THREADS = (9.0, 15.0, 21.0)  # pixels, of widths of threads at a hem, or bridges to other things
 FLOOR = 0.01  # of light, below which noise rules
 _DEGREE = 3  # of the ground's polynomial in x and y
@@ -229,7 +228,7 @@ def _by_colours(
     mean_tint = tint[on_plate].mean(axis=0)
     along = tint @ (mean_tint / max(float(np.linalg.norm(mean_tint)), 0.02))
     grain = _grain(shade)
-    picture = np.dstack([128 + 170 * np.clip(shade, _DARKEST, _LIGHTEST),
+    picture = np.dstack([128 + 38 * np.arcsinh(3 * shade),  # fine near the ground's light
                          128 + 400 * np.clip(along, -0.3, 0.3), np.minimum(1500 * grain, 200)])
     colour = np.abs(tint).max(axis=2)
     shadow = piece & (colour < GREYNESS) & (shade < -DARKER) & (

@@ -17,6 +17,7 @@ _BAND = 4.0  # pixels of the mask, on both sides of its edge, within which the e
 _NEARBY = 1 / 60  # of a side: half of the window over which light beside the edge is averaged
 MIN_CONTRAST = 0.1  # of log light, across the edge
 MAX_FAINT = 0.03  # of the edge's length, that may have less
+_MIN_SEEN = 0.3  # of a line's points
 _ACROSS = 3.0  # pixels, on both sides of an edge, between which its contrast is measured
 _STEP = 2.0  # pixels
 
@@ -26,7 +27,8 @@ def outline_of_cloth(photograph: Photograph, place: Place) -> PixelPath:
     found, fault = [], None
     for level in SHADE_EDGES:
         try:
-            line = edge_of(photograph.light, cut_cloth(photograph, place, level))
+            line = _seen(edge_of(photograph.light, cut_cloth(photograph, place, level)),
+                         photograph.painted)
         except InputError as error:
             fault = fault or error
             continue
@@ -43,6 +45,19 @@ def outline_of_cloth(photograph: Photograph, place: Place) -> PixelPath:
             f"{MAX_FAINT:.0%} is possible: use light from below, or a ground of another colour, and"
             " lamps that cast no shadow beside the cloth")
     return line
+
+
+def _seen(line: PixelPath, painted: Mask | None) -> PixelPath:
+    """A line that is straight where the picture is painted over."""
+    if painted is None:
+        return line
+    columns, rows = np.rint(line).astype(int).T
+    seen = ~(cv2.dilate(painted.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0)[rows, columns]
+    if seen.mean() < _MIN_SEEN:
+        return line
+    places = np.arange(len(line))
+    return np.column_stack([np.interp(places, places[seen], column[seen], period=len(line))
+                            for column in line.T])
 
 
 def faint_share(light: LinearLight, line: PixelPath) -> float:

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 from common.errors import InputError
 from common.types import Metres, Pixels, Points, Vector
 
-STATED_FOCAL = 0.03  # relative error of a focal length that a file states
+STATED_FOCAL = 0.015  # relative error of a focal length that a file states, in whole millimetres
 MAX_FOCAL_ERROR = 0.06
 DISTORTION = 0.03  # standard deviation of k1 (Brown), of phones that correct their pictures
 SEEN, PRINT = 0.15, 1.5e-4  # pixels and m, errors of a marker as seen and as printed

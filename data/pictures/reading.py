@@ -36,12 +36,14 @@ class Photograph:
             that of the paper or the table on which they would show best.
         factor: how many pixels of a row of the file were averaged to each.
         focal: length, pixels of ``light``, as the camera states it; None if it does not.
+        painted: where light is guessed from its surroundings; None if it is not.
     """
 
     light: LinearLight
     transparent: Mask
     factor: int = 1
     focal: float | None = None
+    painted: Mask | None = None
 
     @cached_property
     def colour(self) -> ColourPicture:

@@ -16,7 +16,7 @@ AROUND = 1.3  # of the flat specimen's reach, shown
 SIDE = 1500  # pixels, at most
 INK = 220  # grey of the mat, below which it is printed
 _BLEED = 6e-4  # m, of print and its blur
-_INK_COLOUR, _INK_LIGHT = 0.12, 0.5  # of the paper's light
+_INK_COLOUR, _INK_LIGHT = 0.12, 0.8  # of the paper's light
 _INPAINTED = 3  # pixels, radius
 
 
@@ -89,7 +89,7 @@ def straight_from_above(
     paper = (np.abs(on_mat) < half).all(axis=2)
     white = np.quantile(light[ground & paper], 0.9, axis=0)
     printed = _seen_ink(light, mat, on_mat, pixel, ground, white) & (far > plate)
-    return OverMat(Photograph(_without(light, printed), transparent), pixel, ground, paper, pose, len(markers))
+    return OverMat(Photograph(_without(light, printed), transparent, painted=printed), pixel, ground, paper, pose, len(markers))
 
 
 def _seen_ink(

@@ -262,7 +262,7 @@ def test_folders_hold_views_or_one_outline(tmp_path):
     write(folder, "", "unrelated.txt", outline=PLATE)
     refused("save it again as PNG")
     (folder / "outline.png").unlink()
-    refused(r"has the key outline, but there is no outline\.png")
+    refused(r"has the key outline, but there is no outline\.jpg")
 
 
 def test_cloth_that_swings_back_under_its_folds_is_a_warning(tmp_path):
