@@ -17,7 +17,7 @@ from data.captures.description import OUTLINE_TABLES, OutlineSource
 from data.captures.off_axis import seen_from_axis
 from data.captures.outline_table import read_closed_curve
 from data.captures.scale import large_pixels, mapped, scaled_photograph, shifted, upright
-from data.pictures.cloth import Place
+from data.pictures.cloth import Place, like_ground
 from data.pictures.edge import outline_of_cloth
 from sim.measures import coefficient_of_area, farthest, folds_around
 from sim.rig import Rig
@@ -25,6 +25,7 @@ from sim.rig import Rig
 MAX_PIXEL = 1.5e-3  # m
 MIN_COEFFICIENT = 0.02  # of cloth on a plate; the plate alone has 0
 MAX_TILT = np.radians(10.0)
+MAX_LIKE_GROUND = 0.03  # of the cloth on the plate
 MAX_REACH = 1.03  # over the flat specimen's
 MIN_RADIUS = {True: 0.97, False: 0.9}  # over the plate's, by whether its centre is known
 MAX_OVERLAP, MAX_DISORDER = 0.03, 0.5  # of azimuth
@@ -125,9 +126,9 @@ def _tabulated(
 def _photographed(file: Path, source: OutlineSource, rig: Rig) -> PhotographedOutline:
     seen = scaled_photograph(file, source, rig)
     photograph, to_metres = seen.photograph, seen.to_metres
-    pixels = outline_of_cloth(photograph, Place(
-        rig.plate_radius / seen.pixel, rig.reach / seen.pixel, seen.middle, seen.ground,
-        seen.paper, seen.outside))
+    place = Place(rig.plate_radius / seen.pixel, rig.reach / seen.pixel, seen.middle, seen.ground,
+                  seen.paper, seen.outside)
+    pixels = outline_of_cloth(photograph, place)
     tilt = 0.0
     if seen.middle is None:
         to_metres, tilt = upright(to_metres, _centroid(pixels))
@@ -140,6 +141,10 @@ def _photographed(file: Path, source: OutlineSource, rig: Rig) -> PhotographedOu
     if tilt > MAX_TILT:
         warnings.append(f"the plate is seen {np.degrees(tilt):.0f}° off the vertical, more than "
                         f"{np.degrees(MAX_TILT):.0f}°; place the camera above its centre")
+    if seen.middle is not None and (share := like_ground(photograph, place)) > MAX_LIKE_GROUND:
+        warnings.append(f"{share:.0%} of the cloth on the plate has the ground's light and colour, "
+                        f"more than {MAX_LIKE_GROUND:.0%}: check the outline in capture.png, or "
+                        "use a ground of another colour")
     if seen.beside is not None:
         curve = seen_from_axis(curve, seen.beside, seen.height, rig)
     return PhotographedOutline(

@@ -9,7 +9,8 @@ a shadow with a sharp edge. GrabCut (Rother et al. 2004) decides by what the col
 in common, and along edges.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -26,6 +27,7 @@ BEYOND = 1.08  # of the flat specimen's reach, surely ground
 SHADE_EDGES = (5.0, 3.0)  # times the ground's median edge strength; soft changes are weaker
 LEAST_EDGE = 0.02  # of log light per pixel
 GREYNESS = 0.06  # of log light between colours, that shadows may have
+_USUAL = 0.15  # of log light, between places of the ground without shadow
 _SHADING = 0.5  # of log light, between places of one cloth in different light
 DARKER = 0.05  # of log light, that shadows at least are
 THREADS = (9.0, 15.0, 21.0)  # pixels, of widths of threads at a hem, or bridges to other things
@@ -56,75 +58,112 @@ class Place:
     outside: Mask | None = None
 
 
+@dataclass(frozen=True)
+class _Scene:
+    """A photograph and a place, reduced to :data:`SIDE`."""
+
+    light: LinearLight
+    ground: Mask
+    paper: Mask
+    outside: Mask
+    middle: np.ndarray | None
+    plate: float
+    reach: float
+
+    @classmethod
+    def of(cls, photograph: Photograph, place: Place) -> "_Scene":
+        height, width = photograph.light.shape[:2]
+        if 2 * place.plate > min(height, width):
+            raise InputError(
+                f"the plate has {2 * place.plate * photograph.factor:.0f} pixels of the file, more "
+                f"than the picture's {min(height, width) * photograph.factor}; check the scale and "
+                "the tester")
+        scale = min(1.0, SIDE / max(height, width))
+        size = round(scale * width), round(scale * height)
+
+        def small(mask: Mask | None, default: Mask) -> Mask:
+            return default if mask is None else cv2.resize(
+                mask.astype(np.uint8), size, interpolation=cv2.INTER_AREA) > 0
+
+        none = np.zeros(size[::-1], bool)
+        wide = round(BORDER * min(size))
+        border = ~none
+        border[wide:-wide, wide:-wide] = False
+        middle = None if place.middle is None else (np.asarray(place.middle) + 0.5) * scale - 0.5
+        return cls(cv2.resize(photograph.light, size, interpolation=cv2.INTER_AREA),
+                   small(place.ground, border), small(place.paper, none),
+                   small(photograph.transparent, none) | small(place.outside, none), middle,
+                   scale * place.plate, scale * place.reach)
+
+    @cached_property
+    def logs(self) -> np.ndarray:
+        """Log light (H, W, 3)."""
+        return np.log(self.light + FLOOR)
+
+    @cached_property
+    def relative(self) -> tuple[np.ndarray, np.ndarray]:
+        """Log light (H, W) and its differences between colours (H, W, 3), over the ground's."""
+        opaque = self.ground & ~self.outside
+        return _relative(self.logs, opaque if opaque.sum() > _SAMPLES / 10 else self.ground,
+                         self.paper)
+
+    @cached_property
+    def edges(self) -> np.ndarray:
+        """Strength (H, W) of the edges."""
+        return _edges(*self.relative)
+
+    def distances(self, centre: np.ndarray) -> np.ndarray:
+        """Distances (H, W) from a place, pixels."""
+        rows, columns = np.indices(self.ground.shape)
+        return np.hypot(columns - centre[0], rows - centre[1])
+
+
 def cut_cloth(photograph: Photograph, place: Place, edge: float = SHADE_EDGES[0]) -> Mask:
     """The cloth without holes; InputError where none differs from the ground. ``edge``: strength of
     an edge that separates them, of the ground's median."""
     height, width = photograph.light.shape[:2]
-    scale = min(1.0, SIDE / max(height, width))
-    size = round(scale * width), round(scale * height)
-
-    def small(mask: Mask | None) -> Mask:
-        if mask is None:
-            return np.zeros(size[::-1], bool)
-        return cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_AREA) > 0
-
-    if 2 * place.plate > min(height, width):
-        raise InputError(f"the plate has {2 * place.plate * photograph.factor:.0f} pixels of the "
-                         f"file, more than the picture's {min(height, width) * photograph.factor}; "
-                         "check the scale and the tester")
-    light = cv2.resize(photograph.light, size, interpolation=cv2.INTER_AREA)
-    outside = small(photograph.transparent) | small(place.outside)
-    ground = small(place.ground) if place.ground is not None else _border(size)
-    middle = None if place.middle is None else (np.asarray(place.middle) + 0.5) * scale - 0.5
-    zones = np.zeros(size[::-1], bool) if place.paper is None else small(place.paper)
-    cloth = _cut(light, ground, zones, outside, middle, scale * place.plate, scale * place.reach,
-                 edge)
+    cloth = _cut(_Scene.of(photograph, place), edge)
     return cv2.resize(cloth.astype(np.float32), (width, height)) > 0.5
+
+
+def like_ground(photograph: Photograph, place: Place) -> float:
+    """Share of the cloth on the plate, whose place is known, with the ground's light and colour."""
+    scene = _Scene.of(photograph, place)
+    assert scene.middle is not None
+    on_plate = scene.distances(scene.middle) < ON_PLATE * scene.plate
+    shade, tint = scene.relative
+    usual = scene.ground & ~scene.outside & (np.abs(shade) < _USUAL) & (
+        np.abs(tint).max(axis=2) < GREYNESS)
+    return float(1 - _unlike(scene.logs, on_plate, usual, _USUAL).mean()) if usual.any() else 0.0
 
 
 def pieces(photograph: Photograph) -> list[Mask]:
     """What sharp edges separate from the ground at the picture's border: each piece, filled."""
     height, width = photograph.light.shape[:2]
-    scale = min(1.0, SIDE / max(height, width))
-    size = round(scale * width), round(scale * height)
-    light = cv2.resize(photograph.light, size, interpolation=cv2.INTER_AREA)
-    ground, outside = _border(size), np.zeros(size[::-1], bool)
+    scene = _Scene.of(photograph, Place(0.0, 0.0))
     found = []
-    for level in SHADE_EDGES:
-        raised = _raised(_edges(*_relative(np.log(light + FLOOR), ground, outside)), level, ground, outside)
-        count, labels = cv2.connectedComponents(raised.astype(np.uint8))
+    for edge in SHADE_EDGES:
+        count, labels = cv2.connectedComponents(_raised(scene, edge).astype(np.uint8))
         found += [cv2.resize((labels == k).astype(np.float32), (width, height)) > 0.5
                   for k in range(1, count)]
     return found
 
 
-def _border(size: tuple[int, int]) -> Mask:
-    wide = round(BORDER * min(size))
-    border = np.ones(size[::-1], bool)
-    border[wide:-wide, wide:-wide] = False
-    return border
-
-
-def _cut(
-    light: LinearLight, ground: Mask, paper: Mask, outside: Mask, middle: np.ndarray | None, plate: float,
-    reach: float, edge: float, *, on_sheet: bool = False
-) -> Mask:
-    opaque = ground & ~outside
-    logs = np.log(light + FLOOR)
-    shade, tint = _relative(logs, opaque if opaque.sum() > _SAMPLES / 10 else ground, paper)
-    raised = _raised(_edges(shade, tint), edge, ground, outside)
-    centre = _best_place(raised, plate) if middle is None else middle
-    far = _distances(ground.shape, centre)
+def _cut(scene: _Scene, edge: float, *, on_sheet: bool = False) -> Mask:
+    raised = _raised(scene, edge)
+    centre = _best_place(raised, scene.plate) if scene.middle is None else scene.middle
+    far = scene.distances(centre)
     piece = _piece(raised, centre)
-    _require_covered(piece, far < 0.95 * plate, stated=middle is not None)
-    if not on_sheet and (far[piece] > BEYOND * reach).any():
+    _require_covered(piece, far < 0.95 * scene.plate, stated=scene.middle is not None)
+    if not on_sheet and (far[piece] > BEYOND * scene.reach).any():
         # What differs from the border may be a sheet under the drape, or a lit table in the dark.
-        rim = piece & ~_eroded(piece, 0.15 * reach) & _eroded(piece, 0.03 * reach)
+        rim = piece & ~_eroded(piece, 0.15 * scene.reach) & _eroded(piece, 0.03 * scene.reach)
         try:
-            return _cut(light, rim, paper, outside | ~piece, middle, plate, reach, edge, on_sheet=True)
+            return _cut(replace(scene, ground=rim, outside=scene.outside | ~piece), edge,
+                        on_sheet=True)
         except InputError:
             pass
-    return _by_colours(logs, shade, tint, piece, outside, centre, plate, reach)
+    return _by_colours(scene, piece, centre, far)
 
 
 def _relative(
@@ -170,15 +209,16 @@ def _edges(shade: np.ndarray, tint: np.ndarray) -> np.ndarray:
     return np.sqrt(total)
 
 
-def _raised(edges: np.ndarray, level: float, ground: Mask, outside: Mask) -> Mask:
+def _raised(scene: _Scene, edge: float) -> Mask:
     """What sharp edges separate from the ground, filled."""
-    soft = edges < max(level * float(np.median(edges[ground])), LEAST_EDGE)
+    edges, ground = scene.edges, scene.ground
+    soft = edges < max(edge * float(np.median(edges[ground])), LEAST_EDGE)
     _, labels = cv2.connectedComponents(soft.astype(np.uint8), connectivity=4)
     shares = np.bincount(labels[ground])
     shares[0] = 0
     joined = np.flatnonzero(shares > 0.01 * ground.sum())
-    rest = ~(np.isin(labels, joined) | outside)
-    rest = cv2.erode(rest.astype(np.uint8), np.ones((3, 3), np.uint8))
+    rest = ~(np.isin(labels, joined) | scene.outside)
+    rest = cv2.erode(rest.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     return _opened(_filled(rest), 7)
 
 
@@ -213,17 +253,10 @@ def _require_covered(piece: Mask, plate: Mask, *, stated: bool) -> None:
             f"drape touches the border; check {what} and the tester")
 
 
-def _distances(shape: tuple[int, ...], centre: np.ndarray) -> np.ndarray:
-    rows, columns = np.indices(shape)
-    return np.hypot(columns - centre[0], rows - centre[1])
-
-
-def _by_colours(
-    logs: np.ndarray, shade: np.ndarray, tint: np.ndarray, piece: Mask, outside: Mask, centre: np.ndarray,
-    plate: float, reach: float
-) -> Mask:
-    """The cloth of a piece that is cloth and shadows, by GrabCut."""
-    far = _distances(piece.shape, centre)
+def _by_colours(scene: _Scene, piece: Mask, centre: np.ndarray, far: np.ndarray) -> Mask:
+    """The cloth of a piece that is cloth and shadows, by GrabCut; ``far``: distances (H, W) from
+    the plate's centre."""
+    (shade, tint), plate, reach = scene.relative, scene.plate, scene.reach
     on_plate = far < ON_PLATE * plate
     mean_tint = tint[on_plate].mean(axis=0)
     along = tint @ (mean_tint / max(float(np.linalg.norm(mean_tint)), 0.02))
@@ -233,9 +266,9 @@ def _by_colours(
     colour = np.abs(tint).max(axis=2)
     shadow = piece & (colour < GREYNESS) & (shade < -DARKER) & (
         grain < 2 * max(float(np.median(grain[~piece])), 4e-3))
-    shadow[shadow] = _unlike(logs, shadow, on_plate)
+    shadow[shadow] = _unlike(scene.logs, shadow, on_plate, _SHADING)
     labels = np.where(piece & ~shadow, cv2.GC_PR_FGD, cv2.GC_PR_BGD)
-    labels[outside | ~_grown(piece, 4) | (far > BEYOND * reach)] = cv2.GC_BGD
+    labels[scene.outside | ~_grown(piece, 4) | (far > BEYOND * reach)] = cv2.GC_BGD
     labels[on_plate] = cv2.GC_FGD
     mask = labels.astype(np.uint8)
     models = np.zeros((1, 65)), np.zeros((1, 65))
@@ -266,10 +299,11 @@ def _grain(shade: np.ndarray) -> np.ndarray:
     return cv2.erode(cv2.blur(fine, (7, 7)), np.ones((7, 7), np.uint8))
 
 
-def _unlike(logs: np.ndarray, asked: Mask, known: Mask) -> np.ndarray:
-    """Whether each place that is ``asked`` has other log light (H, W, 3) than all ``known``."""
+def _unlike(logs: np.ndarray, asked: Mask, known: Mask, shading: float) -> np.ndarray:
+    """Whether each place that is ``asked`` has other log light (H, W, 3) than all ``known``, by
+    more than ``shading`` or by its colour."""
     shade = logs.mean(axis=2)[..., None]
-    features = np.dstack([shade / _SHADING, (logs - shade) / GREYNESS])
+    features = np.dstack([shade / shading, (logs - shade) / GREYNESS])
     examples = features[known]
     tree = cKDTree(examples[:: max(len(examples) // 1000, 1)])
     return tree.query(features[asked], distance_upper_bound=1.0)[0] > 1

@@ -27,8 +27,8 @@ def outline_of_cloth(photograph: Photograph, place: Place) -> PixelPath:
     found, fault = [], None
     for level in SHADE_EDGES:
         try:
-            line = _seen(edge_of(photograph.light, cut_cloth(photograph, place, level)),
-                         photograph.painted)
+            line = _seen(edge_of(photograph.light, cut_cloth(photograph, place, level),
+                                 place.paper), photograph.painted)
         except InputError as error:
             fault = fault or error
             continue
@@ -76,8 +76,9 @@ def faint_share(light: LinearLight, line: PixelPath) -> float:
     return float((np.linalg.norm(across, axis=1) < MIN_CONTRAST).mean())
 
 
-def edge_of(light: LinearLight, cloth: Mask) -> Pixels:
-    """The closed line half way between the light of the cloth and that of the ground beside it."""
+def edge_of(light: LinearLight, cloth: Mask, paper: Mask | None = None) -> Pixels:
+    """The closed line half way between the light of the cloth and that of the ground beside it;
+    ``paper``: where the ground is another one, if there are two."""
     smooth = cv2.GaussianBlur(light, (0, 0), _BLUR)
     band = max(_BAND * max(cloth.shape) / SIDE, 4.0)
     inner = cv2.distanceTransform(cloth.astype(np.uint8), cv2.DIST_L2, 5)
@@ -86,11 +87,15 @@ def edge_of(light: LinearLight, cloth: Mask) -> Pixels:
         raise InputError("no drape was found, but lines; use a plain ground")
     near = max(cloth.shape) * _NEARBY
     size = (2 * int(near) + 1,) * 2
-    beside = [_nearby(smooth, (far > band) & (far < band + near), size)
-              for far in (inner, outer)]
-    across = beside[0] - beside[1]
+    inside, around = ((far > band) & (far < band + near) for far in (inner, outer))
+    if paper is None:
+        ground = _nearby(smooth, around, size)
+    else:
+        ground = np.where(paper[..., None], _nearby(smooth, around & paper, size),
+                          _nearby(smooth, around & ~paper, size))
+    across = _nearby(smooth, inside, size) - ground
     contrast = np.maximum((across**2).sum(axis=2), 1e-9)
-    field = ((smooth - beside[1]) * across).sum(axis=2) / contrast - 0.5
+    field = ((smooth - ground) * across).sum(axis=2) / contrast - 0.5
     field = np.where(inner > band, np.abs(field) + 1e-3, field)
     field = np.where(outer > band, -np.abs(field) - 1e-3, field)
     lines: Any = contourpy.contour_generator(z=field).lines(0.0)
@@ -101,4 +106,5 @@ def _nearby(light: LinearLight, mask: Mask, size: tuple[int, int]) -> LinearLigh
     """Mean of the light of ``mask`` in a window around each pixel, or of all of it."""
     weight = cv2.blur(mask.astype(np.float32), size)[..., None]
     total = cv2.blur(np.where(mask[..., None], light, np.float32(0)), size)
-    return np.where(weight > 1e-3, total / np.maximum(weight, 1e-3), light[mask].mean(axis=0))
+    mean = light[mask].mean(axis=0) if mask.any() else light.mean(axis=(0, 1))
+    return np.where(weight > 1e-3, total / np.maximum(weight, 1e-3), mean)

@@ -152,8 +152,8 @@ def _seams(pages, column, row, columns, rows, corner, size) -> None:  # type: ig
 
 
 def find_mat(photograph: Photograph) -> tuple[str, Points, Pixels] | None:
-    """Which mat a photograph shows, centres of markers that are seen, and their pixels; None if there
-    are fewer than :data:`MIN_MARKERS`.
+    """Which mat a photograph shows, centres of markers that are seen, and their pixels; None if
+    there are fewer than :data:`MIN_MARKERS`.
 
     White paper outshines ink, so that markers look smaller than they are: their corners move, the
     intersection of their diagonals does not.

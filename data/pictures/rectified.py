@@ -14,6 +14,7 @@ from data.pictures.reading import Photograph, decoded, encoded
 
 AROUND = 1.3  # of the flat specimen's reach, shown
 SIDE = 1500  # pixels, at most
+MAX_SCALE_ERROR = 0.006  # standard deviation, relative
 INK = 220  # grey of the mat, below which it is printed
 _BLEED = 6e-4  # m, of print and its blur
 _INK_COLOUR, _INK_LIGHT = 0.12, 0.8  # of the paper's light
@@ -89,7 +90,13 @@ def straight_from_above(
     paper = (np.abs(on_mat) < half).all(axis=2)
     white = np.quantile(light[ground & paper], 0.9, axis=0)
     printed = _seen_ink(light, mat, on_mat, pixel, ground, white) & (far > plate)
-    return OverMat(Photograph(_without(light, printed), transparent, painted=printed), pixel, ground, paper, pose, len(markers))
+    cleared = Photograph(_without(light, printed), transparent, painted=printed)
+    notes = []
+    if (error := pose.focal_error * plate_height / above) > MAX_SCALE_ERROR:
+        notes.append(f"the focal length is known to {pose.focal_error:.1%}, the scale at the plate "
+                     f"to {error:.1%}, more than {MAX_SCALE_ERROR:.1%}: take the picture from "
+                     "higher up, or add two of the mat from the sides, mat_1.jpg and mat_2.jpg")
+    return OverMat(cleared, pixel, ground, paper, pose, len(markers), tuple(notes))
 
 
 def _seen_ink(
