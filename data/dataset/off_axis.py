@@ -68,8 +68,8 @@ class Pairs:
 def main(config: OffAxisConfig) -> None:
     """Train and write the network; print its errors."""
     if not config.data or read_manifest(Path(config.data)) is None:
-        raise InputError(f"data={config.data}: there is no dataset; give the folder of one, of "
-                         "python -m data.dataset.generate")
+        raise InputError(f"data={config.data}: dataset.json is missing; give the folder of a "
+                         "dataset of python -m data.dataset.generate")
     require_file(Path(config.out))
     torch.set_num_threads(1)
     torch.manual_seed(config.seed)
@@ -152,7 +152,7 @@ def train(pairs: Pairs, config: OffAxisConfig) -> OffAxisNetwork:
 
 
 def mirrored(seen: Seen, radius: torch.Tensor) -> tuple[Seen, torch.Tensor]:
-    """The same outlines reflected in the axis of x."""
+    """The same outlines, and ``radius`` (N, AZIMUTHS) in sizes, reflected in the axis of x."""
     back = -torch.arange(AZIMUTHS) % AZIMUTHS
     return seen._replace(radius=seen.radius[:, back], border=seen.border[:, back],
                          lean=seen.lean * torch.tensor([1.0, -1.0])), radius[:, back]

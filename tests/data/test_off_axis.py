@@ -90,7 +90,7 @@ def test_silhouettes_are_those_of_points_on_the_plane_of_the_plate():
 
 def test_without_drapes_one_line_names_the_command(cloth_dataset, tmp_path):
     out = f"out={tmp_path / 'net.safetensors'}"
-    with pytest.raises(InputError, match=r"no dataset.*data\.dataset\.generate"):
+    with pytest.raises(InputError, match=r"dataset\.json is missing.*data\.dataset\.generate"):
         main([f"data={tmp_path}", out])
     (tmp_path / MANIFEST).write_bytes((cloth_dataset / MANIFEST).read_bytes())
     with pytest.raises(InputError, match="no drapes to train on"):
