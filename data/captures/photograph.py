@@ -14,7 +14,7 @@ import numpy as np
 from common.errors import InputError
 from common.types import Metres, Outline, PixelPath, Radians
 from data.captures.description import OUTLINE_TABLES, OutlineSource
-from data.captures.off_axis import seen_from_axis
+from data.captures.off_axis import MAX_LEAN, seen_from_axis
 from data.captures.outline_table import read_closed_curve
 from data.captures.scale import large_pixels, mapped, scaled_photograph, shifted, upright
 from data.pictures.cloth import Place, like_ground
@@ -101,7 +101,7 @@ def read_outline(
             handed = warp_direction is not None and abs(np.sin(2 * warp_direction)) > MAX_SKEW
             found = _tabulated(file, source, rig, handed=handed)
         else:
-            found = _photographed(file, source, rig)
+            found = _photographed(file, source, rig, warp_direction)
         warnings = (*found.warnings, *_checked(found))
     except InputError as error:
         raise InputError(str(error) if str(file) in str(error) else f"{file}: {error}") from None
@@ -123,7 +123,15 @@ def _tabulated(
                                source.height, source.centred, rig)
 
 
-def _photographed(file: Path, source: OutlineSource, rig: Rig) -> PhotographedOutline:
+def _turned(points: Outline, angle: Radians) -> Outline:
+    """Points turned counter-clockwise."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    return points @ np.array([[cos, sin], [-sin, cos]])
+
+
+def _photographed(
+    file: Path, source: OutlineSource, rig: Rig, warp_direction: Radians | None
+) -> PhotographedOutline:
     seen = scaled_photograph(file, source, rig)
     photograph, to_metres = seen.photograph, seen.to_metres
     place = Place(rig.plate_radius / seen.pixel, rig.reach / seen.pixel, seen.middle, seen.ground,
@@ -146,7 +154,15 @@ def _photographed(file: Path, source: OutlineSource, rig: Rig) -> PhotographedOu
                         f"more than {MAX_LIKE_GROUND:.0%}: check the outline in capture.png, or "
                         "use a ground of another colour")
     if seen.beside is not None:
-        curve = seen_from_axis(curve, seen.beside, seen.height, rig)
+        lean = float(np.linalg.norm(seen.beside)) / seen.height
+        if lean > MAX_LEAN:
+            warnings.append(
+                f"the camera was {1e3 * np.linalg.norm(seen.beside):.0f} mm beside the plate's "
+                f"axis, {1e3 * seen.height:.0f} mm above it, {lean:.0%}, more than {MAX_LEAN:.0%}: "
+                "hems that are hidden are guessed; take the picture from straight above")
+        first_side = (warp_direction or 0.0) + rig.cut
+        curve = _turned(seen_from_axis(_turned(curve, -first_side), _turned(
+            seen.beside[None], -first_side)[0], seen.height, rig), first_side)
     return PhotographedOutline(
         curve, seen.height, seen.middle is not None, rig, tuple(warnings), photograph.colour,
         to_pixels, step, pixels)

@@ -22,6 +22,7 @@ from common.errors import InputError
 from data.dataset import generate
 from data.dataset.config import Options
 from data.dataset.inspect import InspectConfig
+from data.dataset.off_axis import OffAxisConfig
 from data.fabrics.prior.__main__ import FitConfig
 from drapenet.config import EvaluateConfig, ExportConfig, InferConfig, ServeConfig, TrainConfig
 from experiments.estimation.specimen_offset import SpecimenOffsetConfig
@@ -30,7 +31,8 @@ ROOT = Path(__file__).parents[2]
 SCHEMAS = {"cantilever_estimate": EstimateConfig, "cantilever_hang": HangConfig,
            "capture": CaptureConfig, "drape": DrapeConfig, "evaluate": EvaluateConfig,
            "export": ExportConfig, "generate": Options,
-           "infer": InferConfig, "inspect": InspectConfig, "specimen_offset": SpecimenOffsetConfig,
+           "infer": InferConfig, "inspect": InspectConfig, "off_axis": OffAxisConfig,
+           "specimen_offset": SpecimenOffsetConfig,
            "prior_fit": FitConfig, "serve": ServeConfig, "train": TrainConfig}
 
 
