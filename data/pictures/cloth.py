@@ -101,16 +101,29 @@ class _Scene:
         return np.log(self.light + FLOOR)
 
     @cached_property
+    def flat(self) -> tuple[np.ndarray, np.ndarray]:
+        """Log light (H, W) and its differences between colours (H, W, 3), over that of the ground,
+        or of the paper, with which both grounds are lit."""
+        return _parted(self.logs - self._smooth(self.paper if self.paper.any() else ~self.paper))
+
+    @cached_property
     def relative(self) -> tuple[np.ndarray, np.ndarray]:
-        """Log light (H, W) and its differences between colours (H, W, 3), over the ground's."""
-        opaque = self.ground & ~self.outside
-        return _relative(self.logs, opaque if opaque.sum() > _SAMPLES / 10 else self.ground,
-                         self.paper)
+        """The same over that of the ground at each place."""
+        if not self.paper.any():
+            return self.flat
+        grounds = self._smooth(self.paper), self._smooth(~self.paper)
+        return _parted(self.logs - np.where(self.paper[..., None], *grounds))
+
+    def _smooth(self, zone: Mask) -> np.ndarray:
+        """Log light (H, W, 3) of the ground of a zone, continued smoothly."""
+        opaque = self.ground & zone & ~self.outside
+        degree = 1 if self.paper.any() else _DEGREE  # few places show one of two grounds
+        return _smooth(self.logs, opaque if opaque.any() else self.ground, degree)
 
     @cached_property
     def edges(self) -> np.ndarray:
         """Strength (H, W) of the edges."""
-        return _edges(*self.relative)
+        return _edges(*self.flat)
 
     def distances(self, centre: np.ndarray) -> np.ndarray:
         """Distances (H, W) from a place, pixels."""
@@ -166,17 +179,10 @@ def _cut(scene: _Scene, edge: float, *, on_sheet: bool = False) -> Mask:
     return _by_colours(scene, piece, centre, far)
 
 
-def _relative(
-    logs: np.ndarray, ground: Mask, paper: Mask
-) -> tuple[np.ndarray, np.ndarray]:
-    """Log light (H, W) and its differences between colours (H, W, 3), over the ground's."""
-    over = np.empty_like(logs)
-    for zone in (~paper, paper):
-        if zone.any():  # a plane where few places show one of two grounds
-            degree = 1 if paper.any() else _DEGREE
-            over[zone] = (logs - _smooth(logs, ground & zone, degree))[zone]
-    shade = over.mean(axis=2)
-    return shade, over - shade[..., None]
+def _parted(logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean (H, W) of three colours, and their differences from it."""
+    shade = logs.mean(axis=2)
+    return shade, logs - shade[..., None]
 
 
 def _smooth(logs: np.ndarray, ground: Mask, degree: int) -> np.ndarray:
@@ -256,15 +262,15 @@ def _require_covered(piece: Mask, plate: Mask, *, stated: bool) -> None:
 def _by_colours(scene: _Scene, piece: Mask, centre: np.ndarray, far: np.ndarray) -> Mask:
     """The cloth of a piece that is cloth and shadows, by GrabCut; ``far``: distances (H, W) from
     the plate's centre."""
-    (shade, tint), plate, reach = scene.relative, scene.plate, scene.reach
+    (shade, tint), plate, reach = scene.flat, scene.plate, scene.reach
     on_plate = far < ON_PLATE * plate
     mean_tint = tint[on_plate].mean(axis=0)
     along = tint @ (mean_tint / max(float(np.linalg.norm(mean_tint)), 0.02))
     grain = _grain(shade)
     picture = np.dstack([128 + 38 * np.arcsinh(3 * shade),  # fine near the ground's light
                          128 + 400 * np.clip(along, -0.3, 0.3), np.minimum(1500 * grain, 200)])
-    colour = np.abs(tint).max(axis=2)
-    shadow = piece & (colour < GREYNESS) & (shade < -DARKER) & (
+    darker, colour = scene.relative
+    shadow = piece & (np.abs(colour).max(axis=2) < GREYNESS) & (darker < -DARKER) & (
         grain < 2 * max(float(np.median(grain[~piece])), 4e-3))
     shadow[shadow] = _unlike(scene.logs, shadow, on_plate, _SHADING)
     labels = np.where(piece & ~shadow, cv2.GC_PR_FGD, cv2.GC_PR_BGD)
