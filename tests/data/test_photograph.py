@@ -12,6 +12,7 @@ from photographs import (
     AROUND,
     CENTROID,
     CURVE,
+    PLACE,
     RADIUS,
     drawn,
     error_mm,
@@ -26,6 +27,7 @@ from apps.capture import main
 from common.errors import InputError
 from data.captures.board import PAPER, board_picture
 from data.captures.capture import captures_in, read_capture
+from data.pictures.reading import decoded, encoded
 
 OUTLINES = Path(__file__).resolve().parents[3] / "shared" / "outlines.npz"
 
@@ -33,6 +35,11 @@ OUTLINES = Path(__file__).resolve().parents[3] / "shared" / "outlines.npz"
 def on_paper() -> np.ndarray:
     """A dark table around three sides of the ground."""
     return cv2.copyMakeBorder(drawn(), 100, 100, 0, 100, cv2.BORDER_CONSTANT, value=30)
+
+
+def striped() -> np.ndarray:
+    """Broad stripes, dark and as light as a ground in shadow."""
+    return np.where(np.arange(1000) // 40 % 2, drawn(cloth=60), drawn(cloth=150))
 
 
 PLATE = {"plate_px": plate(), "camera_height_mm": 1200}
@@ -200,6 +207,72 @@ def test_what_lies_beside_the_drape_is_not_cloth(tmp_path):
     beside = np.minimum(drawn(), drawn(0.03 * AROUND, at=(-0.16, 0.16)))
     capture = read_capture(write(tmp_path / "capture", beside, outline=PLATE))
     assert error_mm(capture) < 0.3 and not capture.warnings
+
+
+def shadowed(cloth=(60, 90, 160), hard=True, left=0.6, aside=0.02) -> np.ndarray:
+    """Coloured cloth on a grey ground with its shadow beside it."""
+    share = drawn(ground=0, cloth=255) / 255.0
+    shadow = drawn(at=(PLACE[0] + aside, PLACE[1] - aside), ground=0, cloth=255) / 255.0
+    shadow = shadow if hard else cv2.GaussianBlur(shadow, (0, 0), 20)
+    light = 0.6 * (1 - (1 - left) * shadow)[..., None] * np.ones(3)
+    light += decoded(share)[..., None] * (decoded(np.array(cloth) / 255) - light)
+    return np.rint(255 * encoded(light.astype(np.float32)))
+
+
+@pytest.mark.parametrize("picture", [
+    shadowed, lambda: shadowed(hard=False), lambda: shadowed(cloth=(25, 25, 25)), striped],
+    ids=["hard shadow", "soft shadow", "black cloth", "stripes"])
+def test_shadows_are_ground_and_patterns_are_cloth(tmp_path, picture):
+    capture = read_capture(write(tmp_path / "capture", picture(), outline=PLATE))
+    assert error_mm(capture) < 1.3
+    expected = ((RADIUS**2).mean() - 0.09**2) / (0.15**2 - 0.09**2)
+    assert capture.outline.drape_coefficient == pytest.approx(expected, abs=0.01)
+
+
+def test_a_shadow_of_the_cloths_own_grey_is_refused(tmp_path):
+    with pytest.raises(InputError, match="as light as the ground"):
+        read_capture(write(tmp_path / "capture", shadowed(
+            (154, 154, 154), hard=False, left=0.54, aside=0.04), outline=PLATE))
+
+
+def test_transparent_pixels_are_ground(tmp_path):
+    picture = np.dstack([shadowed()] * 1 + [np.where(drawn(ground=0, cloth=255) > 127, 255, 0)])
+    folder = write(tmp_path / "capture", picture, outline=PLATE)
+    assert error_mm(read_capture(folder)) < 0.5
+
+
+@pytest.mark.parametrize("name, options", [
+    ("outline.heic", {"format": "HEIF", "quality": 90}), ("outline.jpg", {"format": "HEIF"}),
+    ("outline.jpg", {"format": "JPEG", "exif": 6}), ("outline.tif", {"format": "TIFF", "exif": 8})])
+def test_files_of_phones_are_read_upright(tmp_path, name, options):
+    folder = write(tmp_path / "capture", drawn(), "unrelated.png", outline=PLATE)
+    picture = Image.fromarray(drawn())
+    if turn := options.pop("exif", None):
+        picture = picture.transpose({6: Image.Transpose.ROTATE_90, 8: Image.Transpose.ROTATE_270}[
+            turn])
+        exif = picture.getexif()
+        exif[274] = turn
+        options["exif"] = exif
+    if options["format"] == "HEIF":
+        picture = picture.convert("RGB")
+    picture.save(folder / name, **options)
+    assert error_mm(read_capture(folder)) < 0.4
+
+
+def test_a_picture_of_the_plate_gives_scale_and_centre(tmp_path):
+    folder = write(tmp_path / "capture", drawn(), outline={"camera_height_mm": 1200})
+    Image.fromarray(drawn(0.09 * AROUND, cloth=120)).save(folder / "plate.png")
+    capture = read_capture(folder)
+    assert error_mm(capture) < 0.4 and capture.outline.centred and not capture.warnings
+    write(folder, drawn(), outline=PLATE | {"plate_px": plate() | {"diameter": 500}})
+    with pytest.raises(InputError, match=r"shows a plate of 45\d pixels.* has 500"):
+        read_capture(folder)
+    Image.fromarray(drawn()).save(folder / "plate.png")
+    with pytest.raises(InputError, match=r"plate\.png: no plate was found .* out of round"):
+        read_capture(folder)
+    Image.fromarray(drawn()[:900]).save(folder / "plate.png")
+    with pytest.raises(InputError, match=r"plate\.png has another size"):
+        read_capture(folder)
 
 
 MM, SCALE = {"unit": "mm"}, {"mm_per_px": 0.4}

@@ -1,0 +1,163 @@
+"""Photographs over the printed mat: its pages, its markers, the camera's pose, and the outline."""
+
+import io
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from PIL import Image
+
+from apps.capture import main
+from common.errors import InputError
+from data.captures.capture import read_capture
+from data.dataset.off_axis import silhouette
+from data.pictures.mat import MATS, PARTS, PIXEL, find_mat, mat_pages, mat_picture
+from data.pictures.pose import camera_pose
+from data.pictures.reading import Photograph, decoded
+from data.render.phone import phone_picture
+from sim.drape import drape
+from sim.material import Fabric
+from sim.mesh import Mesh
+from sim.rig import DISC_RIG
+
+PLATE_HEIGHT = 0.12
+
+
+@pytest.fixture(scope="module")
+def shape():
+    fabric = Fabric(alpha=[30e-6, 22e-6, 18e-6], beta=[-30e-9] * 3, density=0.15)
+    return drape(fabric, rig=DISC_RIG, edge=9e-3)
+
+
+@pytest.fixture(scope="module")
+def picture(shape):
+    return phone_picture(shape.positions, shape.rest, shape.faces, np.random.default_rng(3),
+                         plate_radius=DISC_RIG.plate_radius, plate_height=PLATE_HEIGHT)
+
+
+def over_mat(folder, jpeg: bytes, **changes):
+    """A capture of a photograph over the mat."""
+    folder.mkdir()
+    (folder / "outline.jpg").write_bytes(jpeg)
+    source = {"mat": "a3", "plate_height_mm": 1e3 * PLATE_HEIGHT} | changes
+    (folder / "capture.yaml").write_text(yaml.safe_dump({
+        "density_g_m2": 150, "tester": "disc300_support180", "outline": source}))
+    return folder
+
+
+def without_exif(jpeg: bytes) -> bytes:
+    """A picture as a messenger hands it on."""
+    stream = io.BytesIO()
+    Image.open(io.BytesIO(jpeg)).save(stream, format="JPEG", quality=92)
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize("name", MATS)
+def test_all_markers_of_a_mat_are_read_to_a_tenth_of_a_millimetre(name):
+    page = mat_picture(name)
+    light = np.repeat(decoded(page / 255)[..., None], 3, axis=2)
+    found, centres, pixels = find_mat(Photograph(light, np.zeros(page.shape, bool)))
+    assert found == name and len(centres) == len(MATS[name].numbers)
+    places = (pixels - (np.array(page.shape[::-1]) - 1) / 2) * PIXEL * [1, -1]
+    np.testing.assert_allclose(places, centres[:, :2], atol=1e-4)
+
+
+@pytest.mark.parametrize("mat, paper", PARTS)
+def test_a_mat_fits_its_paper_in_parts(mat, paper):
+    assert mat_pages(mat, paper).startswith(b"%PDF")
+
+
+def test_the_command_writes_a_mat_or_names_the_papers(tmp_path, capsys):
+    main(["mat=a3", "paper=a4", f"out={tmp_path / 'mat.pdf'}"])
+    assert "at 100 %" in capsys.readouterr().out and (tmp_path / "mat.pdf").stat().st_size > 1e5
+    with pytest.raises(InputError, match="mat=a3 paper=letter"):
+        main(["mat=a3", "paper=a2", f"out={tmp_path / 'other.pdf'}"])
+    assert not (tmp_path / "other.pdf").exists()
+
+
+def test_one_photograph_gives_the_outline_and_the_height(tmp_path, shape, picture):
+    capture = read_capture(over_mat(tmp_path / "capture", picture.jpeg, arrow="none"))
+    outline, place = capture.outline, picture.pose.place - [0, 0, PLATE_HEIGHT]
+    assert outline.height == pytest.approx(place[2], rel=0.03) and outline.centred
+    turn = np.array([[np.cos(picture.warp), np.sin(picture.warp), 0],
+                     [-np.sin(picture.warp), np.cos(picture.warp), 0], [0, 0, 1]])
+    true = silhouette(shape.positions @ turn, Mesh(shape.rest, shape.faces).edges, np.zeros(2),
+                      place[2], azimuths=720)
+    assert 1e3 * np.sqrt(np.square(outline.radii - true).mean()) < 1.0
+    assert capture.warp_direction is None
+
+
+def test_the_arrow_is_the_warp_if_nothing_else_is_stated(tmp_path, picture):
+    assert read_capture(over_mat(tmp_path / "capture", picture.jpeg)).warp_direction == 0
+
+
+def test_pictures_from_the_sides_stand_for_a_focal_length_that_is_missing(tmp_path, picture):
+    folder = over_mat(tmp_path / "capture", without_exif(picture.jpeg))
+    width, height = picture.pose.size
+    for k, tilt in enumerate((0.6, -0.6)):
+        (folder / f"mat_{k + 1}.jpg").write_bytes(bare_mat(width, height, picture.pose.focal, tilt))
+    found = read_capture(folder).outline.height
+    assert found == pytest.approx(picture.pose.place[2] - PLATE_HEIGHT, rel=0.03)
+
+
+def bare_mat(width: int, height: int, focal: float, tilt: float) -> bytes:
+    """The mat alone from the side, 0.7 m away."""
+    page = mat_picture("a3")
+    rows, columns = page.shape
+    to_mat = np.array([[PIXEL, 0, -PIXEL * columns / 2], [0, -PIXEL, PIXEL * rows / 2], [0, 0, 1]])
+    turn = cv2.Rodrigues(np.array([np.pi, 0, 0]))[0]
+    turn = cv2.Rodrigues(np.array([0, tilt, 0]))[0] @ turn
+    matrix = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
+    from_mat = matrix @ np.column_stack([turn[:, :2], [0, 0, 0.7]])
+    seen = cv2.warpPerspective(page, from_mat @ to_mat, (width, height), flags=cv2.INTER_AREA,
+                               borderValue=120)
+    return cv2.imencode(".jpg", seen)[1].tobytes()
+
+
+def test_a_pose_states_its_errors():
+    mat = MATS["a3"]
+    points = np.column_stack([mat.centres, np.zeros(len(mat.centres))])
+    rng = np.random.default_rng(0)
+    exact = camera_pose((2000, 1500), [(points, ideal(points))], 1500.0)
+    off = []
+    for _ in range(20):
+        stated = 1500.0 * np.exp(0.01 * rng.normal())
+        seen = ideal(points) + rng.normal(0, 0.15, (len(points), 2))
+        pose = camera_pose((2000, 1500), [(points, seen)], stated)
+        off.append((pose.place[2] - 0.8) / pose.height_error)
+    with pytest.raises(InputError, match=r"focal length is not known.*mat_1\.jpg"):
+        camera_pose((2000, 1500), [(points, ideal(points))], None)
+    assert exact.place == pytest.approx([0.05, -0.02, 0.8], abs=2e-3)
+    assert np.sqrt(np.square(off).mean()) < 1.3
+
+
+def ideal(points: np.ndarray) -> np.ndarray:
+    """Pixels of points on the mat from 0.8 m above it."""
+    return 1500 / 0.8 * (points[:, :2] - [0.05, -0.02]) * [1, -1] + [999.5, 749.5]
+
+
+@pytest.mark.parametrize("changes, fault", [
+    ({"mat": "a2"}, "it shows the mat a3, not the mat a2"),
+    ({"mat": "a4"}, "a3"),
+    ({"plate_height_mm": 600.0}, "check plate_height_mm|differs from the ground|inside the plate"),
+    ({"plate_height_mm": 5.0}, "plate_height_mm=5"),
+    ({"plate_height_mm": None}, "belong together"),
+    ({"camera_height_mm": 900}, "leave out mm_per_px"),
+])
+def test_faults_of_a_mat_have_a_line(tmp_path, picture, changes, fault):
+    with pytest.raises(InputError, match=fault):
+        read_capture(over_mat(tmp_path / "capture", picture.jpeg, **changes))
+
+
+def test_a_picture_without_the_mat_is_named(tmp_path):
+    stream = io.BytesIO()
+    Image.new("RGB", (800, 600), (200, 190, 180)).save(stream, format="JPEG")
+    with pytest.raises(InputError, match="fewer than six markers"):
+        read_capture(over_mat(tmp_path / "capture", stream.getvalue()))
+
+
+def test_photographs_with_a_seed_are_the_same(shape, picture):
+    again = phone_picture(shape.positions, shape.rest, shape.faces, np.random.default_rng(3),
+                          plate_radius=DISC_RIG.plate_radius, plate_height=PLATE_HEIGHT)
+    assert again.jpeg == picture.jpeg
