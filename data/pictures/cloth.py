@@ -20,7 +20,7 @@ from common.errors import InputError
 from common.types import LinearLight, Mask
 from data.pictures.reading import Photograph
 
-SIDE = 600  # pixels, of the picture in which cloth is told from ground
+SIDE = 600  # pixels, of the picture in which cloth is cut out
 BORDER = 0.1  # of the smaller side: the ground, where nothing else is known of it
 ON_PLATE = 0.85  # of the plate's radius, surely cloth
 BEYOND = 1.08  # of the flat specimen's reach, surely ground

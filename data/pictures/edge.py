@@ -23,7 +23,7 @@ _STEP = 2.0  # pixels
 
 
 def outline_of_cloth(photograph: Photograph, place: Place) -> PixelPath:
-    """The outline of the cloth; InputError where it cannot be told from the ground."""
+    """The outline of the cloth; InputError where both are alike."""
     found, fault = [], None
     for level in SHADE_EDGES:
         try:
@@ -61,7 +61,7 @@ def _seen(line: PixelPath, painted: Mask | None) -> PixelPath:
 
 
 def faint_share(light: LinearLight, line: PixelPath) -> float:
-    """Share of a closed line along which light hardly changes across it."""
+    """Share of a closed line along which light changes little across it."""
     closed = np.vstack([line, line[:1]])
     length = np.append(0, np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1)))
     places = np.arange(0, length[-1], _STEP)

@@ -23,6 +23,10 @@ MARKER = 24e-3  # m, side of its black square
 MIN_MARKERS = 6
 BAR = 200e-3  # m, length of the scale on the mat
 _DICTIONARY = cv2.aruco.DICT_APRILTAG_36h11
+_DETECTION = {"cornerRefinementMethod": cv2.aruco.CORNER_REFINE_CONTOUR,
+              "errorCorrectionRate": 1.0, "perspectiveRemovePixelPerCell": 8,
+              "perspectiveRemoveIgnoredMarginPerCell": 0.25}
+"""Of blurred and overexposed markers, the middles of the modules are read."""
 _CIRCLES = np.arange(30, 91, 10) * 1e-3  # m, radii
 _LINE, _TEXT = 150, 90  # grey of lines and letters
 QUIET = 5e-3  # m, white, around the markers
@@ -159,11 +163,8 @@ def find_mat(photograph: Photograph) -> tuple[str, Points, Pixels] | None:
     intersection of their diagonals does not.
     """
     parameters = cv2.aruco.DetectorParameters()
-    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_CONTOUR
-    # Of blurred and overexposed markers, the middles of the modules are read.
-    parameters.errorCorrectionRate = 1.0
-    parameters.perspectiveRemovePixelPerCell = 8
-    parameters.perspectiveRemoveIgnoredMarginPerCell = 0.25
+    for name, value in _DETECTION.items():
+        setattr(parameters, name, value)
     detector = cv2.aruco.ArucoDetector(
         cv2.aruco.getPredefinedDictionary(_DICTIONARY), parameters)
     found, numbers, _ = detector.detectMarkers(

@@ -100,7 +100,7 @@ def camera_pose(
     if focal_error > MAX_FOCAL_ERROR:
         raise InputError(
             "the focal length is not known: the file does not state it (messengers remove that), "
-            "and one picture from above does not tell; give the file as the camera wrote it, or "
+            "and one picture from above does not show it; give the file as the camera wrote it, or "
             "take two more pictures of the mat from the sides, mat_1.jpg and mat_2.jpg")
     heights = _height_gradient(solved.x[2:8])
     height_error = float(np.sqrt(heights @ covariance[2:8, 2:8] @ heights))

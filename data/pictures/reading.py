@@ -122,12 +122,12 @@ def _reduced(values: np.ndarray, factor: int) -> LinearLight:
 
 
 def decoded(value: np.ndarray) -> np.ndarray:
-    """Light, 0 to 1, of values 0 to 1 as sRGB encodes them (IEC 61966-2-1)."""
+    """Light (...,), 0 to 1, of values (...,) as sRGB encodes them (IEC 61966-2-1)."""
     return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(
         np.float32)
 
 
 def encoded(light: np.ndarray) -> np.ndarray:
-    """Values, 0 to 1, that sRGB encodes light with."""
+    """Values (...,), 0 to 1, that sRGB encodes light (...,) with."""
     return np.where(light <= 0.0031308, 12.92 * light,
                     1.055 * np.maximum(light, 1e-9) ** (1 / 2.4) - 0.055).astype(np.float32)
