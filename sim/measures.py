@@ -102,8 +102,8 @@ def farthest(segments, points):
 
 
 def hem_depth(radius: np.ndarray, flat: np.ndarray, rig: Rig) -> np.ndarray:
-    """Depths (...,), m, of a hem below the plate at distances ``radius`` (...,) from the axis, where
-    the flat specimen reaches to ``flat`` (...,), m: cloth does not stretch."""
+    """Depths (...,), m, of a hem below the plate at distances ``radius`` (...,), m, from the axis,
+    where the flat specimen reaches to ``flat`` (...,), m: cloth does not stretch."""
     out = np.maximum(radius - rig.plate_radius, 0)
     return _DEPTH_SHARE * np.sqrt(
         np.maximum(np.square(flat - rig.plate_radius) - np.square(out), 0))

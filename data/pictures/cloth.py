@@ -225,7 +225,8 @@ def _raised(scene: _Scene, edge: float) -> Mask:
     joined = np.flatnonzero(shares > 0.01 * ground.sum())
     rest = ~(np.isin(labels, joined) | scene.outside)
     rest = cv2.erode(rest.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    return _opened(_filled(rest), 7)
+    # Lines, such as the edge of the paper, surround what is not cloth.
+    return _filled(_opened(rest, 7))
 
 
 def _best_place(raised: Mask, plate: float) -> np.ndarray:
