@@ -49,5 +49,6 @@ def seen_from_axis(curve: Outline, beside: np.ndarray, height: Metres, rig: Rig)
         found = bundled()(Seen(one(radius / size), one(rig.border(azimuth) / size),
                                one(rig.plate_radius / size), one(height / size),
                                one(np.asarray(beside) / height)))
-    moved = found[0].numpy() * size
+    # Nothing is seen inside the plate; what was, stays for the checks of outlines.
+    moved = np.maximum(found[0].numpy() * size, np.minimum(radius, rig.plate_radius))
     return moved[:, None] * np.column_stack([np.cos(azimuth), np.sin(azimuth)])

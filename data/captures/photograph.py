@@ -18,13 +18,14 @@ from data.captures.off_axis import MAX_LEAN, seen_from_axis
 from data.captures.outline_table import read_closed_curve
 from data.captures.scale import large_pixels, mapped, scaled_photograph, shifted, upright
 from data.pictures.cloth import Place, like_ground
-from data.pictures.edge import outline_of_cloth
+from data.pictures.edge import outline_of_cloth, within
 from sim.measures import coefficient_of_area, farthest, folds_around
 from sim.rig import Rig
 
 MAX_PIXEL = 1.5e-3  # m
 MIN_COEFFICIENT = 0.02  # of cloth on a plate; the plate alone has 0
 MAX_TILT = np.radians(10.0)
+MAX_CUT_OFF = 0.003  # of an outline's points
 MAX_LIKE_GROUND = 0.03  # of the cloth on the plate
 MAX_REACH = 1.03  # over the flat specimen's
 MIN_RADIUS = {True: 0.97, False: 0.9}  # over the plate's, by whether its centre is known
@@ -137,6 +138,9 @@ def _photographed(
     place = Place(rig.plate_radius / seen.pixel, rig.reach / seen.pixel, seen.middle, seen.ground,
                   seen.paper, seen.outside)
     pixels = outline_of_cloth(photograph, place)
+    if seen.beside is not None and within(pixels, photograph.transparent).mean() > MAX_CUT_OFF:
+        raise InputError("the drape reaches beyond the border of the picture; take it again with "
+                         "the whole hem in the picture")
     tilt = 0.0
     if seen.middle is None:
         to_metres, tilt = upright(to_metres, _centroid(pixels))

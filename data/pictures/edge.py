@@ -32,7 +32,7 @@ def outline_of_cloth(photograph: Photograph, place: Place) -> PixelPath:
         except InputError as error:
             fault = fault or error
             continue
-        found.append((faint_share(photograph.light, line), line))
+        found.append((faint_share(photograph.light, line, photograph.painted), line))
         if found[-1][0] < MAX_FAINT / 3:
             break
     if not found:
@@ -51,8 +51,7 @@ def _seen(line: PixelPath, painted: Mask | None) -> PixelPath:
     """A line that is straight where the picture is painted over."""
     if painted is None:
         return line
-    columns, rows = np.rint(line).astype(int).T
-    seen = ~(cv2.dilate(painted.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0)[rows, columns]
+    seen = ~within(line, painted)
     if seen.mean() < _MIN_SEEN:
         return line
     places = np.arange(len(line))
@@ -60,8 +59,8 @@ def _seen(line: PixelPath, painted: Mask | None) -> PixelPath:
                             for column in line.T])
 
 
-def faint_share(light: LinearLight, line: PixelPath) -> float:
-    """Share of a closed line along which light changes little across it."""
+def faint_share(light: LinearLight, line: PixelPath, painted: Mask | None = None) -> float:
+    """Share of a closed line along which light changes little across it, of what is not painted."""
     closed = np.vstack([line, line[:1]])
     length = np.append(0, np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1)))
     places = np.arange(0, length[-1], _STEP)
@@ -73,7 +72,15 @@ def faint_share(light: LinearLight, line: PixelPath) -> float:
         logs[..., k], (points + _ACROSS * sign * normal)[:, ::-1].T, order=1, mode="nearest")
         for k in range(3)], axis=1) for sign in (1, -1)]
     across = cv2.blur(sides[0] - sides[1], (1, 5), borderType=cv2.BORDER_REFLECT)
-    return float((np.linalg.norm(across, axis=1) < MIN_CONTRAST).mean())
+    faint = np.linalg.norm(across, axis=1) < MIN_CONTRAST
+    seen = np.ones(len(points), bool) if painted is None else ~within(points, painted)
+    return float(faint[seen].mean()) if seen.any() else 1.0
+
+
+def within(points: PixelPath, mask: Mask) -> np.ndarray:
+    """Whether points (N, 2) lie in a mask or beside it."""
+    columns, rows = np.rint(points).astype(int).T
+    return (cv2.dilate(mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0)[rows, columns]
 
 
 def edge_of(light: LinearLight, cloth: Mask, paper: Mask | None = None) -> Pixels:
