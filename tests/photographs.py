@@ -60,7 +60,12 @@ def write(folder: Path, content: np.ndarray | str, name: str = "outline.png", **
 
 def error_mm(capture: Capture, curve: np.ndarray = CURVE) -> float:
     """Largest distance of a point of ``curve``, m, from the outline of a capture, mm."""
+    return float(distances_mm(capture, curve).max())
+
+
+def distances_mm(capture: Capture, curve: np.ndarray = CURVE) -> np.ndarray:
+    """Distances (N,), mm, of points of ``curve`` (N, 2), m, from the outline of a capture."""
     found = capture.outline.curve
     steps = np.linspace(0, 1, 20, endpoint=False)[:, None, None]
     dense = (found + steps * (np.roll(found, -1, axis=0) - found)).reshape(-1, 2)
-    return 1e3 * cKDTree(dense).query(curve)[0].max()
+    return 1e3 * cKDTree(dense).query(curve)[0]
