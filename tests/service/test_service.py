@@ -287,7 +287,7 @@ def test_the_zip_of_all_fabrics_is_a_folder_of_results(client, finished, tmp_pat
         table = packed.read("fabrics.csv").decode().splitlines()
     assert table[0].startswith("fabric,capture,folder,density_g_m2,")
     assert any(line.startswith(f"Twill <b> 7,capture 1,{finished['id']},210,") for line in table)
-    monkeypatch.setattr("drapenet.service.jobs.ProcessPool", BreakablePool)
+    monkeypatch.setattr("drapenet.service.pools.ProcessPool", BreakablePool)
     content = Jobs(settings_for(tmp_path)).row("estimate", finished["id"])
     assert content["estimate"] == finished["estimate"]
     assert (tmp_path / finished["id"] / "drape.glb").exists()
