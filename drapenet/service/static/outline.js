@@ -14,7 +14,8 @@ const [image, hem, plate] = svg.children;
 const [rim, knob] = plate.children;
 const form = at('form');
 let timer = null;
-let request = null; // that is waited for
+let next = null; // content of the form, to be read
+let reading = false;
 let seen = null; // the last answer with a picture
 let circle = null; // of the plate, pixels of the picture
 
@@ -23,22 +24,26 @@ let circle = null; // of the plate, pixels of the picture
 // Reads the photograph of a form's content, or shows none.
 export function look(data) {
   clearTimeout(timer);
-  request?.abort();
-  if (!data) show(null);
-  else timer = setTimeout(read, DELAY, data);
+  next = data;
+  if (data) timer = setTimeout(read, DELAY);
+  else show(null);
 }
 
-async function read(data) {
-  request = new AbortController();
-  const { signal } = request;
+// One at a time; what has changed meanwhile is read next, in place of what is then no longer asked.
+async function read() {
+  if (reading || !next) return;
+  reading = true;
   at('seen').hidden = false;
   at('seen-status').textContent = 'Reading the photograph …';
-  try {
-    const found = await ask('/outline', { method: 'POST', body: data, signal });
-    if (!signal.aborted) show(found);
-  } catch (error) {
-    if (!signal.aborted) show({ warnings: [], refusal: error.message });
+  while (next) {
+    const data = next;
+    const found = await ask('/outline', { method: 'POST', body: data }).catch(({ message }) => ({ refusal: message }));
+    if (data === next) {
+      next = null;
+      show(found);
+    }
   }
+  reading = false;
 }
 
 function show(found) {
@@ -107,6 +112,9 @@ plate.addEventListener('pointerdown', (event) => {
     else move(x + to.x - start.x, y + to.y - start.y, diameter);
   };
 });
+plate.addEventListener('touchstart', (event) => { // the page does not scroll; touch-action is not for parts of an SVG
+  if (seen.movable) event.preventDefault();
+}, { passive: false });
 for (const end of ['pointerup', 'pointercancel']) {
   plate.addEventListener(end, () => {
     plate.onpointermove = null;
