@@ -180,7 +180,8 @@ def test_a_trusted_proxy_states_the_client(tmp_path, monkeypatch):
 
 
 def test_page_and_interface_ask_no_other_host(client):
-    for address in ("/", "/docs", "/static/app.js", "/static/viewer.js", "/static/style.css"):
+    for address in ("/", "/docs", "/static/app.js", "/static/outline.js", "/static/viewer.js",
+                    "/static/style.css"):
         answer = client.get(address)
         assert answer.status_code == 200
         assert "http://" not in answer.text.replace("http://www.w3.org", ""), address
