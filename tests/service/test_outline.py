@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 from httpx import Response
-from photographs import CURVE, PLACE, drawn, over_mat, plate
+from photographs import CURVE, drawn, over_mat, plate
 from PIL import Image
 from services import settings_for
 

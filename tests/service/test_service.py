@@ -118,7 +118,7 @@ def test_photograph_of_unknown_scale_fails_with_its_sentence(client):
                  tester="disc300_support180")
     found = ended(client, begun.json()["id"])
     assert found["state"] == "failed"
-    assert found["error"].startswith("outline.png: the scale is not known: give")
+    assert found["error"].startswith("outline.png: the scale is not known: lay the printed mat")
 
 
 def test_unknown_addresses_are_404_and_unfinished_files_409(client, finished):
