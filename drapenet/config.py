@@ -149,6 +149,7 @@ class ServeConfig:
     queue_each: FromOne
     job_seconds: Positive
     export_seconds: Positive
+    look_seconds: Positive
     upload_seconds: Positive
     megabytes: Positive
     files: FromOne

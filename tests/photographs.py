@@ -1,5 +1,6 @@
 """Drawn photographs of a drape of seven folds from above, and captures of them."""
 
+import io
 from pathlib import Path
 
 import cv2
@@ -9,7 +10,8 @@ from PIL import Image
 from scipy.spatial import cKDTree
 
 from data.captures.capture import Capture
-from data.pictures.reading import decoded, encoded
+from data.pictures.mat import PIXEL, mat_picture
+from data.pictures.reading import FULL_FRAME, decoded, encoded
 
 ANGLE = np.linspace(0, 2 * np.pi, 1440, endpoint=False)
 AROUND = np.column_stack([np.cos(ANGLE), np.sin(ANGLE)])
@@ -69,3 +71,21 @@ def distances_mm(capture: Capture, curve: np.ndarray = CURVE) -> np.ndarray:
     steps = np.linspace(0, 1, 20, endpoint=False)[:, None, None]
     dense = (found + steps * (np.roll(found, -1, axis=0) - found)).reshape(-1, 2)
     return 1e3 * cKDTree(dense).query(curve)[0]
+
+
+def over_mat(curve=CURVE, *, mat="a2", above=0.15, camera=1.2, focal=1800) -> bytes:
+    """JPEG of cloth with an outline in the plane of a plate ``above`` a printed mat, seen straight
+    from a ``camera``'s height, both m, and a focal length in pixels, which EXIF states."""
+    size = np.array([1600, 1200])
+    paper = mat_picture(mat)
+    middle = (np.array(paper.shape[::-1]) - 1) / 2
+    scale = focal * PIXEL / camera
+    place = np.column_stack([scale * np.eye(2), (size - 1) / 2 - scale * middle])
+    picture = cv2.warpAffine(paper, place, size.tolist(), flags=cv2.INTER_AREA, borderValue=170)
+    corners = (size - 1) / 2 + curve * [1, -1] * focal / (camera - above)
+    cv2.fillPoly(picture, [np.rint(corners * 16).astype(np.int32)], 60, cv2.LINE_AA, 4)
+    exif = Image.Exif()
+    exif.get_ifd(0x8769)[41989] = round(focal * FULL_FRAME / np.hypot(*size))
+    stream = io.BytesIO()
+    Image.fromarray(picture).convert("RGB").save(stream, "JPEG", quality=95, exif=exif)
+    return stream.getvalue()

@@ -148,7 +148,7 @@ def read_capture(path: str | Path) -> Capture:
 def _read_metric(path: Path) -> Capture:
     file = path / "capture.yaml"
     description = Description.of(read_yaml(file), file)
-    if outline := _find_outline(path):
+    if outline := find_outline(path):
         return _read_outline(path, outline, description)
     if description.outline:
         others = sorted(set(found.name for found in path.iterdir()) - {file.name})
@@ -207,7 +207,7 @@ def _tester(path: Path, description: Description) -> Rig:
     return description.tester
 
 
-def _find_outline(folder: Path) -> Path | None:
+def find_outline(folder: Path) -> Path | None:
     """The file ``outline.*`` in the folder of a capture."""
     files = sorted(file for file in folder.glob("outline.*")
                    if file.suffix.lower() in OUTLINE_SUFFIXES)

@@ -49,6 +49,7 @@ class PhotographedOutline:
         picture: (H, W, 3) uint8, reduced; None if the outline is read from a text file.
         to_pixels: (3, 3) homography from the plane of ``curve`` to pixels of ``picture``.
         pixel: size of a pixel of the file at the plate.
+        factor: how many pixels of a row of the file were averaged to each of ``picture``.
         hem: the outline as it was seen, in pixels of ``picture``.
     """
 
@@ -61,6 +62,7 @@ class PhotographedOutline:
     to_pixels: np.ndarray | None = None
     pixel: Metres = np.nan
     hem: PixelPath | None = None
+    factor: int = 1
 
     @property
     def radii(self) -> np.ndarray:
@@ -169,7 +171,7 @@ def _photographed(
             seen.beside[None], -first_side)[0], seen.height, rig), first_side)
     return PhotographedOutline(
         curve, seen.height, seen.middle is not None, rig, tuple(warnings), photograph.colour,
-        to_pixels, step, pixels)
+        to_pixels, step, pixels, photograph.factor)
 
 
 def _checked(outline: PhotographedOutline) -> list[str]:

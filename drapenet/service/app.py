@@ -41,7 +41,8 @@ from drapenet.service.jobs import Jobs
 from drapenet.service.limits import RequestError, drain, length_fault, read_form
 from drapenet.service.pages import POLICY, add_pages
 from drapenet.service.received import KINDS
-from drapenet.service.uploads import checked_upload
+from drapenet.service.seen import mat_pdf
+from drapenet.service.uploads import checked_photograph, checked_upload
 from drapenet.service.work import PREVIEW
 
 FILES = (ESTIMATE, PREVIEW, *SHOWN)
@@ -135,6 +136,37 @@ async def begin(request: Request) -> dict[str, str]:
     return begun | {"url": f"/estimates/{begun['id']}", "page": f"/#{begun['id']}"}
 
 
+@router.post("/outline", openapi_extra={"requestBody": _FORM}, response_model=None)
+async def outline(request: Request) -> Response:
+    """How the photograph of a capture is read, before its estimate: `picture`, at most 1000 pixels
+    wide and high, with `outline`, the points of the hem, and `plate` in its pixels, `warnings`, and
+    `refusal`, a sentence if there is no outline; `scale` is the number of pixels of the file to
+    each. The density may be missing. 204 if there is no photograph from above.
+    """
+    jobs: Jobs = request.app.state.jobs
+    try:
+        with jobs.looks.places.taken(request.client.host):
+            files, texts = await read_form(request, jobs.settings)
+            checked = await run_in_threadpool(checked_photograph, files, texts, jobs.settings)
+            seen = checked and await run_in_threadpool(jobs.look, checked)
+    except RequestError:
+        await drain(request)
+        raise
+    return JSONResponse(seen, headers=_FRESH) if seen else Response(status_code=204)
+
+
+@router.get("/mat.pdf", response_class=Response)
+def mat_to_print(request: Request, mat: str = "a3", paper: str = "") -> Response:
+    """The mat that lies under the stand, to be printed at 100 %: `mat` is a3 or a2, `paper` that
+    of the printer; by default that of the mat.
+    """
+    jobs: Jobs = request.app.state.jobs
+    with jobs.looks.places.taken(request.client.host):
+        data = jobs.looks.outcome(mat_pdf, mat, paper or mat)
+    return Response(data, media_type="application/pdf",
+                    headers={"Content-Disposition": 'inline; filename="mat.pdf"'})
+
+
 @router.get("/estimates/{identity}")
 def state(identity: str, request: Request) -> JSONResponse:
     """State and result of an estimate: `state` is queued, running, done, failed or interrupted;
@@ -179,8 +211,9 @@ def export(identity: str, name: str, request: Request, mesh: str = "unstructured
     title = f"{plain_name(content['fabric_name'])}-{TARGETS[name].file}"
     settings = {"mesh": mesh, "edge_mm": edge_mm, "curvature_1_m": curvature_1_m,
                 "name": content["fabric_name"]}
-    title, data = jobs.export(request.client.host, export_file,
-                              jobs.settings.folder / identity, name, title, settings)
+    with jobs.exports.places.taken(request.client.host):
+        title, data = jobs.exports.outcome(export_file, jobs.settings.folder / identity, name,
+                                           title, settings)
     ascii_title = title.encode("ascii", "replace").decode().replace("?", "_")
     return Response(data, media_type="application/octet-stream",
                     headers={"Content-Disposition": f"attachment; filename=\"{ascii_title}\""})
@@ -201,7 +234,7 @@ def fabrics(request: Request, search: str = Query("", max_length=200),
 def everything(request: Request) -> Archive:
     """All fabrics with their files and database, as a folder of results of another service."""
     jobs: Jobs = request.app.state.jobs
-    return Archive(jobs.settings.folder, jobs.exports.taken(request.client.host),
+    return Archive(jobs.settings.folder, jobs.exports.places.taken(request.client.host),
                    jobs.settings.export_seconds)
 
 

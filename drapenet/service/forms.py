@@ -33,14 +33,14 @@ from sim.material import DIRECTIONS
 
 PLACES = {**{key: ("intrinsics", key) for key in INTRINSICS_KEYS},
           **{f"plate_{key}": ("outline", "plate_px", key) for key in PlateInPicture.model_fields},
-          **{key: ("outline", key) for key in ("mm_per_px", "camera_height_mm",
-                                               *OutlineSource.OF_TABLES)}}
+          **{key: ("outline", key) for key in OutlineSource.model_fields if key != "plate_px"}}
 """Where capture.yaml has the fields of a form that are not at its top; a point in the name of
 another field stands between its keys."""
 LABELS = tuple(key for key in Labels.model_fields if key != "fabric")
 """Fields that a report shows; the label ``fabric`` is the name of the fabric."""
-TEXTS = ("turns_deg", "tester", "face", "camera_height_mm", *OutlineSource.OF_TABLES, "refine",
-         "fabric", "name", "notes", "label", *LABELS)
+TEXTS = ("turns_deg", "tester", "face", "mat", "arrow", "camera_height_mm",
+         *OutlineSource.OF_TABLES, "refine", "fabric", "name", "notes", "label", *LABELS)
+_ANY_DENSITY = "100"  # g/m², of which no outline depends
 KNOWN, COEFFICIENT = "known.", "known.drape_coefficient_percent"
 _ERROR = f"{KNOWN}error_percent."
 
@@ -85,6 +85,18 @@ def described_capture(document: bytes, fields: Mapping[str, str]) -> tuple[bytes
     if description.tester is None:
         raise RequestError(422, f"tester is missing; {MISSING_TESTER}")
     return yaml.safe_dump(content).encode(), description
+
+
+def states_plate(fields: Mapping[str, str]) -> bool:
+    """Whether a form says where the plate is in a photograph."""
+    return any(PLACES.get(key, ())[:2] == ("outline", "plate_px") for key in fields)
+
+
+def fields_of_outline(fields: Mapping[str, str]) -> dict[str, str]:
+    """The fields that change how an outline is read, with any density."""
+    return {"density_g_m2": _ANY_DENSITY} | {
+        key: text for key, text in fields.items()
+        if key == "tester" or PLACES.get(key, ("",))[0] == "outline"}
 
 
 def described_scan(fields: Mapping[str, str]) -> Description:

@@ -1,32 +1,30 @@
 """Estimates and exports of the service: worker processes, and the folders of results."""
 
 import logging
-import multiprocessing
-import os
 import shutil
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable, Mapping
 from concurrent import futures
 from contextlib import suppress
 from functools import partial
 from itertools import count
+from pathlib import Path
 from sqlite3 import Error as SQLError
+from tempfile import TemporaryDirectory
 from typing import Any
 
-from pebble import ProcessPool
-
-from common.errors import InputError, one_line
+from common.errors import one_line
 from drapenet.config import ServeConfig
+from drapenet.service import exports, seen
 from drapenet.service.archive import COPY
 from drapenet.service.database import DONE, ENDED, FAILED, LOST, QUEUED, Database, new_identity
-from drapenet.service.exports import prepare
 from drapenet.service.limits import Places, RequestError
+from drapenet.service.pools import Process, end, living, new_pool
 from drapenet.service.uploads import Upload
 from drapenet.service.work import UPLOADED, warm_up, work
 
 _LOG = logging.getLogger(__name__)
-_MAX_TASKS = 500  # estimates after which a worker process is replaced
 _MAX_TRIES = 3  # of an estimate that a service was ended during
 _MAX_CAPTURES = 16  # of a fabric
 JOINT = "all captures"
@@ -38,22 +36,25 @@ class Jobs:
     def __init__(self, settings: ServeConfig):
         self.settings = settings
         self.places = Places("estimates", total=settings.queue, each=settings.queue_each)
-        self.exports = Places("exports", total=16, each=4)
         self._changing = threading.Lock()  # the captures of a fabric
-        self._starting = threading.Lock()  # pools of processes and their tasks
+        self._starting = threading.Lock()  # the pool of workers and its tasks
         settings.folder.mkdir(parents=True, exist_ok=True)
         self.database = Database(settings.folder)
-        for copy in settings.folder.glob(f"{COPY}*"):  # of a service that was killed
-            shutil.rmtree(copy, ignore_errors=True)
+        for begun in (COPY, seen.LOOK):  # of a service that was killed
+            for left in settings.folder.glob(f"{begun}*"):
+                shutil.rmtree(left, ignore_errors=True)
         for upload in settings.folder.glob(f"*/{UPLOADED}"):
             row = self.database.estimate(upload.parent.name)
             if row is None or row["state"] in ENDED:  # never complete, or no longer needed
                 shutil.rmtree(upload if row else upload.parent, ignore_errors=True)
         self._closed = False
         self._unfinished: set[futures.Future] = set()
-        self._workers_pool = partial(_pool, settings.processes, warm_up, settings.checkpoint)
-        self._exporters_pool = partial(_pool, 1, prepare)
-        self._workers, self._exporters = self._workers_pool(), self._exporters_pool()
+        self._workers_pool = partial(new_pool, settings.processes, warm_up, settings.checkpoint)
+        self._workers = self._workers_pool()
+        self.exports = Process("exports", "exported", exports.prepare, root=settings.folder,
+                               seconds=settings.export_seconds)
+        self.looks = Process("photographs", "read", seen.prepare, root=settings.folder,
+                             seconds=settings.look_seconds)
         for row in self.database.estimates():
             if row["state"] not in ENDED and row["tries"] < _MAX_TRIES:
                 self.database.change("estimate", row["id"], state=QUEUED, stage=None)
@@ -67,9 +68,8 @@ class Jobs:
     def close(self) -> None:
         """End all worker processes; the next service goes on with their estimates."""
         self._closed = True
-        for pool in (self._workers, self._exporters):
-            pool.stop()
-            pool.join(timeout=5)
+        for pool in (self._workers, self.exports.pool, self.looks.pool):
+            end(pool)
 
     def submit(self, upload: Upload, client: str) -> dict[str, str]:
         """Start the estimate of an upload in the client's place; its ``id`` and its ``fabric``."""
@@ -98,11 +98,19 @@ class Jobs:
             self.places.give(client)
             shutil.rmtree(folder, ignore_errors=True)
             if isinstance(error, (OSError, SQLError)):
-                _LOG.error("an upload cannot be stored: %s", one_line(error))
-                raise RequestError(507, "the upload cannot be stored; say so to whoever runs this "
-                                   "service, whose log states the reason") from None
+                raise _not_stored(error) from None
             raise
         return {"id": identity, "fabric": fabric}
+
+    def look(self, files: Mapping[str, bytes]) -> dict[str, Any]:
+        """What is found in the photograph of a capture's ``files``, which are not kept."""
+        try:
+            with TemporaryDirectory(prefix=seen.LOOK, dir=self.settings.folder) as name:
+                for file, data in files.items():
+                    Path(name, file).write_bytes(data)
+                return self.looks.outcome(seen.photograph_as_read, Path(name))
+        except OSError as error:
+            raise _not_stored(error) from None
 
     def _label(self, upload: Upload) -> str:
         """The label of a capture, which no other of its fabric has."""
@@ -123,7 +131,7 @@ class Jobs:
         """Start an estimate; the place of a client, if any, is given back at the end."""
         lost: set[futures.Future] = set()
         with self._starting:
-            before, self._workers = self._workers, _living(self._workers, self._workers_pool)
+            before, self._workers = self._workers, living(self._workers, self._workers_pool)
             if self._workers is not before:
                 lost, self._unfinished = self._unfinished, set()
             future = self._workers.schedule(
@@ -187,21 +195,6 @@ class Jobs:
                 with suppress(RequestError):  # a capture has been added, or it was removed
                     self.remove("fabric", row["id"])
 
-    def export(self, client: str, task: Callable, *arguments: object) -> Any:
-        """Outcome of a task of the process for exports; InputError for those of the task."""
-        seconds = self.settings.export_seconds
-        try:
-            with self.exports.taken(client):
-                with self._starting:
-                    self._exporters = _living(self._exporters, self._exporters_pool)
-                    future = self._exporters.schedule(task, args=arguments, timeout=seconds)
-                return future.result()
-        except InputError as error:
-            sentence = str(error).replace(f"{self.settings.folder}/", "")
-            raise RequestError(422, sentence) from None
-        except futures.TimeoutError:
-            raise RequestError(503, f"not exported in {seconds:g} s; try again") from None
-
     def _ended(self, identity: str, client: str | None, done: futures.Future) -> None:
         """Release the place and record failures, at the end of a task or at its cancellation."""
         self._unfinished.discard(done)
@@ -229,17 +222,7 @@ class Jobs:
         shutil.rmtree(self.settings.folder / identity / UPLOADED, ignore_errors=True)
 
 
-def _living(pool: ProcessPool, another: Callable[[], ProcessPool]) -> ProcessPool:
-    """The pool, or ``another`` if a thread of it has died: it finishes no task."""
-    if pool.active:
-        return pool
-    pool.stop()
-    pool.join(timeout=5)
-    return another()
-
-
-def _pool(processes: int, prepare: Callable[..., None], *arguments: object) -> ProcessPool:
-    pool = ProcessPool(max_workers=processes, max_tasks=_MAX_TASKS, initializer=prepare,
-                       initargs=arguments, context=multiprocessing.get_context("spawn"))
-    pool.schedule(os.getpid)  # starts the processes
-    return pool
+def _not_stored(error: Exception) -> RequestError:
+    _LOG.error("an upload cannot be stored: %s", one_line(error))
+    return RequestError(507, "the upload cannot be stored; say so to whoever runs this service, "
+                        "whose log states the reason")

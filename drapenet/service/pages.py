@@ -14,6 +14,8 @@ from markdown.extensions.toc import TocExtension, slugify_unicode
 from markupsafe import Markup
 
 from data.captures.capture import CAPTURE_FILES
+from data.captures.description import PLATE_HEIGHTS
+from data.pictures.mat import PARTS
 from data.readings import QUANTITIES
 from data.rigs import TESTERS
 from drapenet.config import ServeConfig
@@ -23,7 +25,7 @@ from drapenet.report.pages import render
 from drapenet.service.exports import zipped
 from drapenet.service.forms import error_field, value_fields
 from drapenet.service.limits import RequestError
-from drapenet.service.received import KINDS
+from drapenet.service.received import KINDS, PHOTOGRAPHS
 from sim.material import DIRECTIONS
 from sim.rig import RIGS
 
@@ -44,6 +46,9 @@ def add_pages(app: FastAPI, settings: ServeConfig) -> None:
     page = render("service.html", settings=settings, targets=TARGETS, meshes=MESHES,
                   testers={name: RIGS[name] for name in TESTERS}, kinds=KINDS,
                   examples=examples, manual=MANUAL.is_dir(), directions=DIRECTIONS,
+                  photographs=PHOTOGRAPHS, plate_heights=PLATE_HEIGHTS,
+                  mats=[(mat, paper, columns * rows) for (mat, paper), (columns, rows)
+                        in PARTS.items()],
                   known=[(each.in_words, value_fields(each), 100 * each.error, error_field(each))
                          for each in QUANTITIES.values()])
     app.mount("/static", StaticFiles(directory=STATIC), name="static")

@@ -22,6 +22,8 @@ from drapenet.service.forms import (
     described_capture,
     described_scan,
     described_strips,
+    fields_of_outline,
+    states_plate,
     states_values,
 )
 from drapenet.service.limits import RequestError
@@ -36,6 +38,10 @@ from drapenet.service.received import (
 )
 
 _NAMED = re.compile(r"view_\d+(_\d+)?\.(png|npy|ply)")
+_PLATE, _MAT = (re.compile(rf"(?<![a-z])({words})(?![a-z])", re.IGNORECASE)
+                for words in ("plate|empty", "mat"))
+"""In names of pictures from above: of the plate without cloth, and of the mat."""
+_BESIDE = re.compile(r"plate|mat_.*")  # stems of pictures beside a photograph
 _NO_FILES = ("no files; give the views of a drape, its photograph or outline from above, a zip "
              "with them, a scan, strips.yaml, or known values")
 
@@ -99,6 +105,24 @@ def checked_upload(
                   refine == "yes", content.specimen, fabric, content.kind)
 
 
+def checked_photograph(
+    files: list[tuple[str, bytes]], texts: Mapping[str, str], settings: ServeConfig
+) -> dict[str, bytes] | None:
+    """Check the files of a form and the fields that state how its photograph from above is read,
+    which need not be complete for an estimate; None if there is no photograph from above."""
+    fields = {key: text.strip() for key, text in texts.items() if text.strip()}
+    received = unpacked([(decoded(name), data) for name, data in files], settings) if files else {}
+    if not received.keys().isdisjoint({STRIPS, *CAPTURE_FILES} - {CAPTURE}) or _scans(received):
+        return None
+    try:
+        content = _capture(received, fields_of_outline(fields), settings)
+    except InputError as error:
+        raise RequestError(422, str(error)) from None
+    photographs = [name for name in content.files if Path(name).stem == "outline"
+                   and Path(name).suffix in PHOTOGRAPHS]
+    return content.files if photographs else None
+
+
 def _content(
     received: dict[str, bytes], fields: Mapping[str, str], settings: ServeConfig
 ) -> _Content:
@@ -108,8 +132,7 @@ def _content(
             raise RequestError(422, f"{other}: {rename_remedy(name)}")
     if STRIPS in received or not (received or COEFFICIENT in fields):
         return _strips(received, fields, settings)
-    scans = [file for file in received if Path(file).suffix in SCANS
-             or (Path(file).suffix == ".ply" and not _NAMED.fullmatch(file))]
+    scans = _scans(received)
     if scans and len(received) > 1:
         raise RequestError(422, f"{scans[0]} is a scan and must come alone; views are called "
                            "view_0.png and so on")
@@ -117,6 +140,12 @@ def _content(
         specimen = described_scan(fields)
         return _Content(received, specimen.labels, scan=scans[0], specimen=specimen)
     return _capture(received, fields, settings)
+
+
+def _scans(received: dict[str, bytes]) -> list[str]:
+    """Names of the files that are scans."""
+    return [file for file in received if Path(file).suffix in SCANS
+            or (Path(file).suffix == ".ply" and not _NAMED.fullmatch(file))]
 
 
 def _capture(
@@ -127,12 +156,17 @@ def _capture(
     if received.keys().isdisjoint(CAPTURE_FILES) or CAPTURE in received:
         document, description = described_capture(received.get(CAPTURE, b"{}"), fields)
         received = _named(received, from_above=description.outline is not None)
+        if states_plate(fields):  # a field replaces what files state
+            received = {name: data for name, data in received.items()
+                        if Path(name).stem != "plate"}
         received[CAPTURE], labels = document, description.labels
     elif fields:
         raise RequestError(422, f"{next(iter(fields))} cannot be stated beside density.txt; give "
                            f"{CAPTURE} in its place")
     for file, data in received.items():
-        require_pixels(file, data, settings, photograph=Path(file).stem == "outline")
+        stem = Path(file).stem
+        require_pixels(file, data, settings,
+                       photograph=stem == "outline" or bool(_BESIDE.fullmatch(stem)))
     return _Content(received, labels)
 
 
@@ -160,18 +194,45 @@ def _strips(
 
 def _named(files: dict[str, bytes], *, from_above: bool) -> dict[str, bytes]:
     """Rename images to view_0 and so on, in the order of their names, or what shows or lists an
-    outline to outline, unless named so already; ``from_above``: whether a PNG is a photograph."""
+    outline to outline, and pictures beside it to plate or mat_1 and so on, unless named so already;
+    ``from_above``: whether a PNG is a photograph."""
     images = [name for name in files if Path(name).suffix in PICTURES and name != BACKGROUND]
-    if any(_NAMED.fullmatch(name) or Path(name).stem == "outline" for name in files):
+    stems = {Path(name).stem for name in files}
+    if any(map(_NAMED.fullmatch, files)):
         return files
-    if from_above or not images:
-        outlines = [name for name in files if Path(name).suffix in OUTLINE_SUFFIXES]
-        if len(outlines) > 1:
-            raise RequestError(422, f"{outlines[0]} and {outlines[1]}: a capture has one photograph"
-                               " or table of an outline; give the other by itself")
-        return {f"outline{Path(name).suffix}" if name in outlines else name: data
-                for name, data in files.items()}
-    images.sort(key=lambda name: [int(part) if part.isdigit() else part
-                                  for part in re.split(r"(\d+)", name)])
-    renamed = {name: f"view_{k}{Path(name).suffix}" for k, name in enumerate(images)}
+    if from_above or not images or "outline" in stems or any(map(_PLATE.search, stems)):
+        return _from_above(files)
+    renamed = {name: f"view_{k}{Path(name).suffix}" for k, name in enumerate(_sorted(images))}
     return {renamed.get(name, name): data for name, data in files.items()}
+
+
+def _from_above(files: dict[str, bytes]) -> dict[str, bytes]:
+    """Files of a drape seen from above, called outline, plate, and mat_1 and so on."""
+    taken = [name for name in files if Path(name).suffix in OUTLINE_SUFFIXES]
+    outlines = [name for name in taken if Path(name).stem == "outline"] or taken
+    beside = [name for name in taken if Path(name).suffix in PHOTOGRAPHS
+              and len(taken) > 1 and Path(name).stem != "outline"]
+    plates = [name for name in beside if _PLATE.search(Path(name).stem)]
+    mats = [name for name in _sorted(beside) if name not in plates and _MAT.search(Path(name).stem)]
+    outlines = [name for name in outlines if name not in (*plates, *mats)]
+    if len(plates) > 1:
+        raise RequestError(422, f"{plates[0]} and {plates[1]}: give one picture of the plate "
+                           "without cloth")
+    if len(outlines) > 1:
+        raise RequestError(422, f"{outlines[0]} and {outlines[1]}: which of them shows the drape? "
+                           "A capture has one photograph or table of an outline; call that outline"
+                           f"{Path(outlines[0]).suffix}, the plate without cloth plate.jpg, and "
+                           "further pictures of the mat mat_1.jpg, mat_2.jpg")
+    if beside and not outlines:
+        raise RequestError(422, f"{', '.join(taken)}: no photograph of the drape is among them; "
+                           f"call it outline{Path(taken[0]).suffix}")
+    stems = dict.fromkeys(outlines, "outline") | dict.fromkeys(plates, "plate") | {
+        name: f"mat_{k}" for k, name in enumerate(mats, 1)}
+    return {f"{stems[name]}{Path(name).suffix}" if name in stems else name: data
+            for name, data in files.items()}
+
+
+def _sorted(names: list[str]) -> list[str]:
+    """Names, with their numbers in order."""
+    return sorted(names, key=lambda name: [int(part) if part.isdigit() else part
+                                           for part in re.split(r"(\d+)", name)])

@@ -24,8 +24,9 @@ from matplotlib.figure import Figure
 from PIL import Image, ImageOps
 from pydantic import Field
 
-from common.documents import MAX_TABLE_BYTES, Schema, number, read_table
+from common.documents import Schema
 from common.errors import InputError
+from common.tables import number, read_table
 from data.captures.description import OutlineSource
 from data.captures.photograph import PhotographedOutline, read_outline, signed_area
 from data.rigs import read_tester
@@ -136,7 +137,7 @@ class Photograph(NamedTuple):
 def read_rows(folder: Path) -> list[tuple[Row, Rig]]:
     """Rows of the folder's table and their testers."""
     file = folder / TABLE
-    header, lines = read_table(file, "table of photographs", MAX_TABLE_BYTES)
+    header, lines = read_table(file, "table of photographs")
     if missing := [name for name in Row.model_fields if name not in header]:
         raise InputError(f"{file} has no column {missing[0]}; the columns are "
                          f"{', '.join(Row.model_fields)}")

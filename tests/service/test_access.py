@@ -68,7 +68,7 @@ def test_the_printed_address_can_be_opened(host, address, served, tmp_path):
 
 
 def test_an_address_of_ipv6_is_a_host_of_requests(tmp_path, monkeypatch):
-    monkeypatch.setattr("drapenet.service.jobs.ProcessPool", BreakablePool)
+    monkeypatch.setattr("drapenet.service.pools.ProcessPool", BreakablePool)
     app = create_app(settings_for(tmp_path, "host=fd00::7", "open=true"))
     with TestClient(app, base_url="http://[fd00::7]:8000") as client:
         assert client.get("/fabrics").status_code == 200
@@ -86,7 +86,7 @@ def test_a_short_password_is_refused_without_being_printed(served, tmp_path):
 
 @pytest.fixture
 def client(tmp_path, monkeypatch):
-    monkeypatch.setattr("drapenet.service.jobs.ProcessPool", BreakablePool)
+    monkeypatch.setattr("drapenet.service.pools.ProcessPool", BreakablePool)
     app = create_app(settings_for(tmp_path, "host=0.0.0.0", f"password={PASSWORD}"))
     with TestClient(app, base_url="http://localhost") as client:
         yield client

@@ -1,12 +1,15 @@
 """The page in a real browser: ``make test-browser``. Screenshots go to $DRAPENET_SCREENS."""
 
 import os
+import re
 import shutil
 import signal
 import time
 from pathlib import Path
 
 import pytest
+from photographs import drawn, plate
+from PIL import Image
 
 from drapenet.network.checkpoint import BUNDLED
 from experiments.speed.service import EXAMPLE, Service, post, wait_until_ended
@@ -203,6 +206,67 @@ def test_a_photograph_has_no_captured_surface(page):
     assert "outline from above" in page.inner_text("#facts")
     assert page.evaluate("document.querySelector('#preview img').naturalWidth") > 500
     keep(page, "page_photograph.png")
+
+
+def drag(page, selector: str, right: float, down: float) -> None:
+    """Drag the middle of what is seen of an element by pixels of the screen."""
+    page.locator(selector).scroll_into_view_if_needed()
+    box = page.locator(selector).bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x + right / 2, y + down / 2)
+    page.mouse.move(x + right, y + down)
+    page.mouse.up()
+
+
+def placed(page) -> dict[str, float]:
+    """Where the form has the plate."""
+    return {key: float(page.input_value(f"[name=plate_{key}]")) for key in ("x", "y", "diameter")}
+
+
+def test_the_plate_is_moved_in_the_photograph_before_its_estimate(page, tmp_path):
+    file = tmp_path / "IMG_0007.jpg"
+    Image.fromarray(drawn(pixel=2e-4)).save(file, quality=95)
+    page.set_input_files("#files", [str(file)])
+    assert page.is_hidden("#seen")  # the tester is not known
+    page.select_option("#tester", "disc300_support180")
+    page.locator("#seen-refusal", has_text="the scale is not known").wait_for()
+    assert page.input_value("[name=plate_x]") == ""
+    true, view = plate(pixel=2e-4), page.locator("#seen-picture").bounding_box()
+    across = view["width"] / 2000  # pixels of the screen to one of the file
+    drag(page, "#seen-picture .knob", (true["diameter"] / 2 - 450) * across, 0)
+    assert placed(page)["diameter"] == pytest.approx(true["diameter"], abs=3 / across)
+    drag(page, "#seen-picture circle:first-child", (true["x"] - 999.5) * across,
+         (true["y"] - 999.5) * across)
+    assert placed(page) == pytest.approx(true, abs=3 / across)
+    page.locator("#seen-status", has_text="Outline found: 7 nodes").wait_for()
+    assert page.locator("#seen-picture polygon").get_attribute("points")
+    keep(page, "page_outline.png")
+    before, status = placed(page), page.inner_text("#seen-status")
+    page.focus("#seen-picture g")
+    page.keyboard.press("ArrowRight")  # a pixel of the picture, which has half of the file's
+    page.keyboard.press("Shift+ArrowUp")
+    for _ in range(10):
+        page.keyboard.press("+")
+    moved = {"x": before["x"] + 2, "y": before["y"] - 20, "diameter": before["diameter"] + 40}
+    assert placed(page) == pytest.approx(moved, abs=0.2)
+    page.wait_for_function("before => !['', before].includes(document.getElementById("
+                           "'seen-status').textContent) && !document.getElementById("
+                           "'seen-status').textContent.startsWith('Reading')", arg=status)
+    seen = re.search(r"Outline found.* ([\d.]+ %)", page.inner_text("#seen-status"))
+    page.fill("[name=camera_height_mm]", "parallel")
+    page.fill("#density", "150")
+    page.click("#submit")
+    page.wait_for_selector("#numbers:not([hidden])")
+    assert f"{seen[1]} captured" in page.inner_text("#facts")
+    assert fits(page)
+    keep(page, "page_outline_phone.png")
+    page.select_option("[name=mat]", "a3")
+    assert page.is_hidden("[name=plate_x]") and page.is_visible("[name=plate_height_mm]")
+    page.set_input_files("#files", FILES)
+    page.wait_for_selector("#seen", state="hidden")
+    assert page.input_value("[name=plate_x]") == ""
 
 
 def test_strips_and_values_join_and_what_contradicts_is_shown_at_once(page, tmp_path):

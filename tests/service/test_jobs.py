@@ -13,12 +13,13 @@ from drapenet.service.database import database_in
 from drapenet.service.forms import About
 from drapenet.service.jobs import Jobs
 from drapenet.service.limits import Places, RequestError
+from drapenet.service.seen import LOOK
 from drapenet.service.uploads import Upload
 
 
 @pytest.fixture(autouse=True)
 def without_workers(monkeypatch):
-    monkeypatch.setattr("drapenet.service.jobs.ProcessPool", BreakablePool)
+    monkeypatch.setattr("drapenet.service.pools.ProcessPool", BreakablePool)
 
 
 @pytest.fixture
@@ -111,24 +112,25 @@ def test_a_broken_pool_of_exports_is_replaced_once(jobs, monkeypatch):
             future.set_result("exported")
             return future
 
-    monkeypatch.setattr("drapenet.service.jobs.ProcessPool", Pool)
-    broken, outcomes = jobs._exporters, []
+    monkeypatch.setattr("drapenet.service.pools.ProcessPool", Pool)
+    broken, outcomes = jobs.exports.pool, []
     broken.active = False
-    threads = [threading.Thread(target=lambda: outcomes.append(jobs.export("x", print)))
+    threads = [threading.Thread(target=lambda: outcomes.append(jobs.exports.outcome(print)))
                for _ in range(3)]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
     assert outcomes == ["exported"] * 3
-    assert made == [jobs._exporters] and broken.joined
+    assert made == [jobs.exports.pool] and broken.joined
 
 
-def test_copies_of_the_database_of_a_killed_service_are_removed(tmp_path):
-    (tmp_path / f"{COPY}abc").mkdir()
-    (tmp_path / f"{COPY}abc" / "fabrics.sqlite").write_bytes(b"x")
+@pytest.mark.parametrize("begun", [COPY, LOOK])
+def test_temporary_files_of_a_killed_service_are_removed(tmp_path, begun):
+    (tmp_path / f"{begun}abc").mkdir()
+    (tmp_path / f"{begun}abc" / "file").write_bytes(b"x")
     Jobs(settings_for(tmp_path))
-    assert not list(tmp_path.glob(f"{COPY}*"))
+    assert not list(tmp_path.glob(f"{begun}*"))
 
 
 def test_a_client_has_some_of_the_places():

@@ -118,7 +118,7 @@ def test_photograph_of_unknown_scale_fails_with_its_sentence(client):
                  tester="disc300_support180")
     found = ended(client, begun.json()["id"])
     assert found["state"] == "failed"
-    assert found["error"].startswith("outline.png: the scale is not known: give")
+    assert found["error"].startswith("outline.png: the scale is not known: lay the printed mat")
 
 
 def test_unknown_addresses_are_404_and_unfinished_files_409(client, finished):
@@ -180,7 +180,8 @@ def test_a_trusted_proxy_states_the_client(tmp_path, monkeypatch):
 
 
 def test_page_and_interface_ask_no_other_host(client):
-    for address in ("/", "/docs", "/static/app.js", "/static/viewer.js", "/static/style.css"):
+    for address in ("/", "/docs", "/static/app.js", "/static/outline.js", "/static/viewer.js",
+                    "/static/style.css"):
         answer = client.get(address)
         assert answer.status_code == 200
         assert "http://" not in answer.text.replace("http://www.w3.org", ""), address
@@ -287,7 +288,7 @@ def test_the_zip_of_all_fabrics_is_a_folder_of_results(client, finished, tmp_pat
         table = packed.read("fabrics.csv").decode().splitlines()
     assert table[0].startswith("fabric,capture,folder,density_g_m2,")
     assert any(line.startswith(f"Twill <b> 7,capture 1,{finished['id']},210,") for line in table)
-    monkeypatch.setattr("drapenet.service.jobs.ProcessPool", BreakablePool)
+    monkeypatch.setattr("drapenet.service.pools.ProcessPool", BreakablePool)
     content = Jobs(settings_for(tmp_path)).row("estimate", finished["id"])
     assert content["estimate"] == finished["estimate"]
     assert (tmp_path / finished["id"] / "drape.glb").exists()

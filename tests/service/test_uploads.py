@@ -325,7 +325,7 @@ REFUSED = {
     "enormous photograph": ([("a.png", png_of_size(9000, 9000))], photograph_fields(), 413,
                             "outline.png has more than 50 million pixels"),
     "two photographs": ([("a.jpg", b""), ("b.jpg", b"")], photograph_fields(), 422,
-                        "a.jpg and b.jpg: a capture has one photograph or table"),
+                        "a.jpg and b.jpg: which of them shows the drape?"),
     "half a plate": ([("a.jpg", b"")], {"plate_x": "900"}, 422, "outline.plate_px.y is missing"),
     "camera height in metres": ([("a.jpg", b"")], {"camera_height_mm": "1.2"}, 422,
                                 "give 200 to 20000 mm, or parallel"),

@@ -1,6 +1,7 @@
 // The form: what is checked before it is sent, presets, and errors beside their fields.
 
 import { ask, at, element } from './common.js';
+import { look } from './outline.js';
 
 const PRESETS = 'drapenet.presets';
 const LAST = 'drapenet.preset';
@@ -13,7 +14,7 @@ let broken = null; // the new fabric whose only capture failed; sending again re
 // ---- errors
 
 const PARTS = { intrinsics: 'fx', plate_px: 'plate_x', 'plate_px.x': 'plate_x', 'plate_px.y': 'plate_y', 'plate_px.diameter': 'plate_diameter' };
-const WORDS = ['name', 'notes', 'label', 'face', 'unit', 'tester', 'centred', 'angles', 'kind', 'files', 'date', 'operator', 'laboratory', 'camera'];
+const WORDS = ['name', 'notes', 'label', 'face', 'unit', 'tester', 'mat', 'arrow', 'centred', 'angles', 'kind', 'files', 'date', 'operator', 'laboratory', 'camera'];
 
 // The field that a sentence of the service names first; words of sentences only where they have a value.
 export function fieldOf(sentence) {
@@ -26,7 +27,8 @@ export function fieldOf(sentence) {
 }
 
 export function complain(sentence, name, focus = true) {
-  const field = name && form.elements[name] && [...form.querySelectorAll(`[name="${name}"]`)][0];
+  let field = name && form.elements[name] && [...form.querySelectorAll(`[name="${name}"]`)][0];
+  if (field?.closest('label[hidden]')) field = form.elements.mat; // on which it depends what is shown
   if (!field) {
     at('error').textContent = sentence;
     return;
@@ -79,10 +81,21 @@ const values = () => [...at('known').querySelectorAll('input')].filter((field) =
 const isDrape = () => chosen().length > 0 && !isStrips();
 const isScan = () => chosen().length === 1 && !/^view_\d/.test(chosen()[0].name)
   && ['.npz', '.obj', '.ply', '.stl', '.glb'].includes(suffix(chosen()[0].name));
+const isPhotograph = (file) => limits.photographs.split(',').includes(suffix(file.name));
+const isCertainlyPhotograph = (file) => (isPhotograph(file) && suffix(file.name) !== '.png') || /^outline\./i.test(file.name);
 const usesSetup = () => isDrape() && (!isDescribed() || at('override').querySelector('input').checked);
 const number = (field) => Number(field.value.trim().replace(',', '.'));
 const isOtherSize = () => at('tester').value.includes('_') && !/\d/.test(at('tester').value);
 const kind = () => form.elements.kind.value;
+
+// Whether the service is asked how it reads a photograph: it has what it needs for that.
+function hasPhotograph() {
+  const files = chosen();
+  if (!isDrape() || isScan()) return false;
+  if (!usesSetup()) return files.some((file) => isCertainlyPhotograph(file) || suffix(file.name) === '.zip');
+  return kind() === 'above' && files.some((file) => isPhotograph(file) || suffix(file.name) === '.zip')
+    && (!form.elements.mat.value || form.elements.plate_height_mm.value !== '') && !fileFault() && !testerFault();
+}
 
 function choose(value) {
   form.elements.kind.value = value;
@@ -91,18 +104,21 @@ function choose(value) {
 
 function check() {
   clear();
+  for (const field of form.querySelectorAll('[data-placed]')) { // in another photograph
+    field.value = '';
+    delete field.dataset.placed;
+  }
   const files = chosen();
   at('override').hidden = !isDescribed() || isStrips();
   if (files.length && !isDescribed()) {
     at('camera').open = true;
-    if (['.jpg', '.jpeg', '.tif', '.tiff', '.csv', '.txt'].includes(suffix(files[0].name)) || /^outline\./i.test(files[0].name)) choose('above');
+    if (files.some(isCertainlyPhotograph) || ['.csv', '.txt'].includes(suffix(files[0].name))) choose('above');
   }
 }
 
-// Sentence and field of the first fault, or null.
-function fault() {
+// Sentence and field of the first fault, or null: of the files, of the tester, and of all.
+function fileFault() {
   const files = chosen();
-  if (!files.length && !values().length) return ['No files yet: drop the views of a drape, or its photograph, here, or choose them; or give values from other tests.', 'files'];
   const hidden = files.find((file) => /^(capture|strips)\.ya?ml\.txt$/i.test(file.name));
   if (hidden) return [`${hidden.name}: rename it to ${hidden.name.split('.')[0]}.yaml (Windows shows suffixes under View, File name extensions).`, 'files'];
   const wrong = files.find((file) => !limits.kinds.split(',').includes(suffix(file.name)));
@@ -112,16 +128,25 @@ function fault() {
     return [`${files.length} files with ${(bytes / 1e6).toFixed(0)} MB; at most ${limits.files} files with `
       + `${(limits.bytes / 1e6).toFixed(0)} MB.`, 'files'];
   }
-  const density = at('density').value.trim().replace(',', '.');
-  if ((density === '' && !isDescribed()) || Number.isNaN(Number(density))) {
-    return ['Weigh the specimen and give its density in g/m², such as 210.', 'density_g_m2'];
-  }
-  if (!usesSetup()) return null;
+  return null;
+}
+
+function testerFault() {
   if (at('tester').value === '' && !isDescribed() && !isScan()) return ['Choose the tester: the specimen and the plate under it.', 'tester'];
   if (isOtherSize() && [at('size'), at('plate')].some((field) => !(number(field) > 0))) {
     return ['Give the diameter or side of the specimen and the diameter of the plate in mm.', 'tester'];
   }
   return null;
+}
+
+function fault() {
+  if (!chosen().length && !values().length) return ['No files yet: drop the views of a drape, or its photograph, here, or choose them; or give values from other tests.', 'files'];
+  if (fileFault()) return fileFault();
+  const density = at('density').value.trim().replace(',', '.');
+  if ((density === '' && !isDescribed()) || Number.isNaN(Number(density))) {
+    return ['Weigh the specimen and give its density in g/m², such as 210.', 'density_g_m2'];
+  }
+  return usesSetup() ? testerFault() : null;
 }
 
 // The name of the chosen tester, such as disc254_support127; empty where capture.yaml states it.
@@ -130,15 +155,22 @@ function tester() {
   return isOtherSize() ? `${specimen}${number(at('size'))}_${holder}${number(at('plate'))}` : at('tester').value;
 }
 
-function content() {
+// Files and those fields that are within a part of the form. The plate that is placed in a
+// photograph replaces what its files state.
+function described(part) {
   const data = new FormData();
   for (const file of chosen()) data.append('files', file, file.name);
-  for (const field of form.querySelectorAll('[name]:not([type=file]):not([type=radio])')) {
-    const left = field.closest('[data-kind]')?.hidden || (at('setup').contains(field) && !usesSetup())
-      || (fabric && field.closest('[data-new]')) || (!isDrape() && field.closest('[data-capture]'));
+  for (const field of part.querySelectorAll('[name]:not([type=file]):not([type=radio])')) {
+    const left = !('placed' in field.dataset) && (field.closest('[hidden]')
+      || (at('setup').contains(field) && !usesSetup()) || (!isDrape() && field.closest('[data-capture]')));
     const value = field.name === 'tester' ? tester() : field.value.trim();
     if (value && !left) data.append(field.name, value);
   }
+  return data;
+}
+
+function content() {
+  const data = described(form);
   if (fabric) data.append('fabric', fabric);
   data.append('refine', at('refine').checked && isDrape() ? 'yes' : 'no');
   return data;
@@ -175,6 +207,7 @@ async function tryExample(name) {
     transfer.items.add(new File([await answer.blob()], `${name}.zip`));
     at('files').files = transfer.files;
     check();
+    look(null);
     await send();
   } catch {
     complain('The service cannot be reached; try again.');
@@ -190,10 +223,15 @@ export function addTo(identity, name = '', capture = null) {
   if (!identity) return;
   at('files').value = ''; // not the same files again
   check();
+  look(null);
   if (capture && !at('density').value) at('density').value = capture.density_g_m2;
   if (capture && !at('tester').value && at('tester').querySelector(`[value="${capture.rig}"]`)) at('tester').value = capture.rig;
   at('files').focus();
   form.scrollIntoView();
+}
+
+function lookAgain() {
+  look(hasPhotograph() ? described(at('setup')) : null);
 }
 
 // ---- presets: the fields of the tester and the camera, in this browser
@@ -217,7 +255,7 @@ function applyPreset() {
   for (const field of setup()) field.value = values[field.name || field.id] ?? '';
   at('preset-name').value = at('preset').value;
   choose(values.kind ?? 'depth');
-  showSizes();
+  showFields();
   localStorage.setItem(LAST, at('preset').value);
 }
 
@@ -240,14 +278,18 @@ function removePreset() {
   applyPreset();
 }
 
-function showSizes() {
+// The fields that others make necessary.
+function showFields() {
   for (const label of form.querySelectorAll('.sizes')) label.hidden = !isOtherSize();
+  for (const part of form.querySelectorAll('[data-mat]')) part.hidden = !form.elements.mat.value;
+  for (const part of form.querySelectorAll('[data-no-mat]')) part.hidden = Boolean(form.elements.mat.value);
 }
 
 // ---- events
 
 at('files').addEventListener('change', check);
-at('tester').addEventListener('change', showSizes);
+for (const field of [at('tester'), form.elements.mat]) field.addEventListener('change', showFields);
+for (const part of [at('drop'), at('camera')]) part.addEventListener('change', lookAgain);
 at('preset').addEventListener('change', applyPreset);
 at('preset-save').addEventListener('click', savePreset);
 at('preset-remove').addEventListener('click', removePreset);
@@ -265,6 +307,7 @@ document.addEventListener('drop', (event) => {
   at('drop').classList.remove('over');
   at('files').files = event.dataTransfer.files;
   check();
+  lookAgain();
 });
 form.addEventListener('submit', (event) => {
   event.preventDefault();
@@ -273,5 +316,6 @@ form.addEventListener('submit', (event) => {
 for (const button of document.querySelectorAll('[data-example]')) {
   button.addEventListener('click', () => tryExample(button.dataset.example));
 }
+showFields();
 listPresets(localStorage.getItem(LAST) ?? '');
 if (at('preset').value) applyPreset();

@@ -1,0 +1,73 @@
+"""Tasks of the process that reads photographs before an estimate, so that the web process reads
+none."""
+
+import base64
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from common.errors import InputError
+from common.workers import end_with_parent
+
+LOOK = ".photograph-"  # beginning of the name of a folder with a photograph
+MAX_SIDE = 1000  # pixels, of the picture that is shown
+_QUALITY = 85  # of its JPEG
+
+
+def prepare() -> None:
+    """Import what the first photograph needs."""
+    end_with_parent()
+    import data.captures.seen
+    import data.pictures.mat  # noqa: F401
+
+
+def photograph_as_read(folder: Path) -> dict[str, Any]:
+    """What is found in the photograph of a capture folder, in pixels of a picture of it.
+
+    ``picture`` is a JPEG as a data URL, of ``width`` and ``height``; ``scale`` is the number of
+    pixels of a row of the file to each. Coordinates are those of the centres of pixels, from 0 on.
+    """
+    import cv2
+    import numpy as np
+
+    from data.captures.seen import seen_photograph
+
+    try:
+        seen = seen_photograph(folder)
+    except InputError as error:
+        raise InputError(_without(folder, str(error))) from None
+    high, wide = seen.picture.shape[:2]
+    share = min(1.0, MAX_SIDE / max(high, wide))
+    width, height = round(share * wide), round(share * high)
+    small = cv2.resize(seen.picture, (width, height), interpolation=cv2.INTER_AREA)
+    coded = cv2.imencode(".jpg", small[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1]
+    answer: dict[str, Any] = {
+        "picture": "data:image/jpeg;base64," + base64.b64encode(coded.tobytes()).decode(),
+        "width": width, "height": height, "scale": seen.factor * wide / width,
+        "plate": None, "centred": seen.centred, "movable": seen.movable, "outline": None,
+        "drape_coefficient_percent": None, "nodes": None, "warnings": [],
+        "refusal": _without(folder, seen.refusal) or None}
+    if seen.plate:
+        x, y, diameter = seen.plate
+        answer["plate"] = {"x": round((x + 0.5) * share - 0.5, 2),
+                           "y": round((y + 0.5) * share - 0.5, 2),
+                           "diameter": round(diameter * share, 2)}
+    if seen.hem is not None:
+        answer["outline"] = np.round((seen.hem + 0.5) * share - 0.5, 1).tolist()
+    if seen.outline:
+        answer |= {"drape_coefficient_percent": round(100 * seen.outline.drape_coefficient, 1),
+                   "nodes": seen.outline.folds, "warnings": list(seen.outline.warnings)}
+    return answer
+
+
+def _without(folder: Path, sentence: str) -> str:
+    """A sentence that reveals no path of the server."""
+    return sentence.replace(f"{folder}/", "").replace(f"{folder}: ", "")
+
+
+@cache
+def mat_pdf(mat: str, paper: str) -> bytes:
+    """PDF of a mat, to be printed at 100 %."""
+    from data.pictures.mat import mat_pages
+
+    return mat_pages(mat, paper)

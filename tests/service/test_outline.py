@@ -1,0 +1,203 @@
+"""How a photograph is read before its estimate, what is taken with it, and the mat to print."""
+
+import base64
+import io
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+from httpx import Response
+from photographs import CURVE, drawn, over_mat, plate
+from PIL import Image
+from services import settings_for
+
+from data.captures.capture import read_capture
+from data.captures.photograph import PhotographedOutline, signed_area
+from drapenet.service.limits import RequestError
+from drapenet.service.uploads import checked_photograph, checked_upload
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "captures"
+SETUP = {"tester": "disc300_support180", "camera_height_mm": "parallel"}
+DISC = 0.09 * np.column_stack([np.cos(t := np.linspace(0, 2 * np.pi, 720, endpoint=False)),
+                               np.sin(t)])
+Files = dict[str, bytes]
+
+
+def picture(*arguments: object, kind: str = "JPEG", **options: object) -> bytes:
+    """The file of a drawn photograph."""
+    stream = io.BytesIO()
+    Image.fromarray(drawn(*arguments, **options)).convert("RGB").save(stream, kind, quality=95)
+    return stream.getvalue()
+
+
+def placed(**changes: float) -> dict[str, str]:
+    """Fields that state where the plate is."""
+    return {f"plate_{key}": str(value) for key, value in (plate(pixel=2e-4) | changes).items()}
+
+
+FINE = picture(pixel=2e-4)  # 2000 pixels wide
+
+
+def ask(client: TestClient, files: Files, **fields: str) -> Response:
+    return client.post("/outline", files=[("files", one) for one in files.items()], data=fields)
+
+
+def shown(answer: Response) -> tuple[int, int]:
+    """Size of the picture of an answer."""
+    kind, _, data = answer.json()["picture"].partition(",")
+    assert kind == "data:image/jpeg;base64"
+    return Image.open(io.BytesIO(base64.b64decode(data))).size
+
+
+def test_outline_and_plate_are_in_pixels_of_the_picture(client):
+    answer = ask(client, {"IMG 7.JPG": FINE}, **SETUP, **placed())
+    found = answer.json()
+    assert answer.status_code == 200 and found["refusal"] is None
+    assert shown(answer) == (found["width"], found["height"]) == (1000, 1000)
+    assert (found["scale"], found["movable"], found["centred"]) == (2, True, True)
+    stated = plate(pixel=4e-4)  # a pixel of the picture
+    assert [found["plate"][key] for key in stated] == pytest.approx(list(stated.values()), abs=0.02)
+    line = 4e-4 * (np.array(found["outline"]) - [stated["x"], stated["y"]]) * [1, -1]
+    assert abs(signed_area(line)) == pytest.approx(signed_area(CURVE), rel=2e-3)
+    assert np.abs(line.mean(axis=0)) == pytest.approx(np.abs(CURVE.mean(axis=0)), abs=2e-3)
+    assert found["nodes"] == 7 and found["warnings"] == []
+
+
+def test_what_is_refused_is_shown_with_its_sentence(client):
+    found = ask(client, {"a.jpg": FINE}, **SETUP).json()
+    assert found["picture"] and found["plate"] is None and found["outline"] is None
+    assert found["refusal"].startswith("outline.jpg: the scale is not known: lay the printed mat")
+    found = ask(client, {"a.jpg": FINE}, **SETUP, **placed(x=1900.0)).json()
+    assert found["plate"]["x"] == pytest.approx(949.75) and found["outline"] is None
+    assert "/" not in found["refusal"].partition(";")[0]
+
+
+def test_a_scale_alone_leaves_the_plate_to_be_placed(client):
+    found = ask(client, {"a.jpg": FINE}, **SETUP, mm_per_px="0.2").json()
+    assert not found["centred"] and found["movable"]
+    assert found["plate"]["diameter"] == pytest.approx(450, abs=0.1)
+    assert "the plate's centre is not known" in found["warnings"][0]
+
+
+def test_the_plate_is_found_beside_the_photograph_unless_it_is_stated(client):
+    files = {"drape.jpg": FINE, "plate only.jpg": picture(DISC, pixel=2e-4)}
+    found = ask(client, files, **SETUP).json()
+    true = plate(pixel=4e-4)
+    assert [found["plate"][key] for key in true] == pytest.approx(list(true.values()), abs=0.5)
+    moved = ask(client, files, **SETUP, **placed(x=1050.0)).json()
+    assert moved["plate"]["x"] == pytest.approx(524.75)
+    assert moved["drape_coefficient_percent"] == found["drape_coefficient_percent"]
+
+
+def test_a_mat_shows_the_plate_which_cannot_be_moved(client):
+    files = {"drape.jpg": over_mat()}
+    fields = {"tester": "disc300_support180", "mat": "a2", "plate_height_mm": "150"}
+    found = ask(client, files, **fields).json()
+    assert not found["movable"] and found["refusal"] is None, found["refusal"]
+    middle = (np.array([found["width"], found["height"]]) - 1) / 2
+    assert [found["plate"]["x"], found["plate"]["y"]] == pytest.approx(middle.tolist(), abs=0.1)
+    other = ask(client, files, **fields | {"mat": "a3"}).json()
+    assert other["picture"] and other["plate"] is None and not other["movable"]
+    assert "it shows the mat a2, not the mat a3" in other["refusal"]
+    half = ask(client, files, tester="disc300_support180", mat="a2").json()
+    assert "mat and plate_height_mm belong together" in half["error"]
+
+
+def test_capture_yaml_is_read_and_other_captures_have_no_photograph(client):
+    folder = EXAMPLES / "twill_photograph"
+    files = {name: (folder / name).read_bytes() for name in ("outline.png", "capture.yaml")}
+    found, read = ask(client, files).json(), read_capture(folder).outline
+    assert isinstance(read, PhotographedOutline)
+    assert found["nodes"] == read.folds
+    views = {file.name: file.read_bytes() for file in (EXAMPLES / "twill").iterdir()
+             if file.suffix in (".png", ".yaml")}
+    for others in (views, {"a.obj": b"v 0 0 0"}, {"strips.yaml": b"density_g_m2: 210"},
+                   {"0.png": b"", "density.txt": b"d 200"}):
+        assert ask(client, others).status_code == 204
+
+
+def test_its_limits_are_those_of_uploads(client, monkeypatch):
+    assert client.post("/outline", content=b"x").status_code == 415
+    answer = ask(client, {"a.jpg": b"GIF89a"}, **SETUP)
+    assert answer.status_code == 422 and "cannot be read" in answer.json()["error"]
+    assert ask(client, {"a.jpg": FINE}).json()["error"].startswith("tester is missing")
+    foreign = client.post("/outline", headers={"origin": "http://elsewhere.example"})
+    assert foreign.status_code == 403
+    places = client.app.state.jobs.looks.places
+    for _ in range(4):
+        places.take("testclient")
+    try:
+        assert ask(client, {"a.jpg": FINE}, **SETUP).status_code == 429
+    finally:
+        for _ in range(4):
+            places.give("testclient")
+    looks = client.app.state.jobs.looks
+    with monkeypatch.context() as patch:
+        patch.setattr(looks, "_seconds", 0.2)
+        with pytest.raises(RequestError, match=r"not read in 0.2 s; try again"):
+            looks.outcome(time.sleep, 5)
+    assert ask(client, {"a.jpg": FINE}, **SETUP).status_code == 200
+    assert not list(client.app.state.jobs.settings.folder.glob(".photograph-*"))
+
+
+@pytest.mark.parametrize(("names", "expected"), [
+    (["IMG_1.HEIC"], ["outline.heic"]),
+    (["template.jpg"], ["outline.jpg"]),
+    (["plate.jpg"], ["outline.jpg"]),
+    (["a.jpg", "Plate 2.heif"], ["outline.jpg", "plate.heif"]),
+    (["matte satin.jpg", "empty.png"], ["outline.jpg", "plate.png"]),
+    (["drape.png", "plate.png"], ["outline.png", "plate.png"]),
+    (["mat_10.jpg", "mat 9.jpg", "x.jpg"], ["mat_1.jpg", "mat_2.jpg", "outline.jpg"]),
+    (["outline.jpg", "MAT.jpg", "plate.jpg", "ruler.jpg"],
+     ["mat_1.jpg", "outline.jpg", "plate.jpg", "ruler.jpg"]),
+])
+def test_pictures_from_above_are_named_by_what_they_show(tmp_path, names, expected):
+    checked = checked_photograph([(name, pixel(name)) for name in names], SETUP,
+                                 settings_for(tmp_path))
+    assert checked is not None and sorted(checked) == sorted(["capture.yaml", *expected])
+    if "mat_2.jpg" in checked:
+        assert checked["mat_1.jpg"] == pixel("mat 9.jpg")
+
+
+def pixel(name: str) -> bytes:
+    """A picture whose size depends on its name."""
+    stream = io.BytesIO()
+    kind = {".heic": "HEIF", ".heif": "HEIF", ".png": "PNG"}.get(Path(name).suffix.lower(), "JPEG")
+    Image.new("RGB", (64 + 2 * len(name), 64)).save(stream, kind)
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize(("names", "sentence"), [
+    (["a.jpg", "b.jpg"], "a.jpg and b.jpg: which of them shows the drape"),
+    (["a.jpg", "plate.jpg", "empty.jpg"], "plate.jpg and empty.jpg: give one picture"),
+    (["mat.jpg", "plate.jpg"], "no photograph of the drape is among them; call it outline.jpg"),
+])
+def test_pictures_that_are_not_named_are_asked_for(tmp_path, names, sentence):
+    with pytest.raises(RequestError, match=sentence):
+        checked_upload([(name, pixel(name)) for name in names], SETUP | {"density_g_m2": "100"},
+                       settings_for(tmp_path))
+
+
+def test_heic_becomes_the_capture_of_its_folder(tmp_path):
+    fields = SETUP | placed() | {"density_g_m2": "100"}
+    upload = checked_upload([("IMG.HEIC", picture(pixel=2e-4, kind="HEIF"))], fields,
+                            settings_for(tmp_path / "results"))
+    for name, data in upload.files.items():
+        (tmp_path / name).write_bytes(data)
+    outline = read_capture(tmp_path).outline
+    assert outline and outline.folds == 7
+
+
+def test_the_mat_is_a_pdf_of_its_pages(client):
+    whole = client.get("/mat.pdf")
+    assert whole.headers["content-type"] == "application/pdf" and whole.content[:5] == b"%PDF-"
+    parts = client.get("/mat.pdf?mat=a3&paper=a4").content
+    assert b"/Count 2" in parts and b"/Count 1" in whole.content
+    for query in ("mat=../a3", "mat=a3&paper=a9", "mat=a2&paper=tabloid"):
+        answer = client.get(f"/mat.pdf?{query}")
+        assert answer.status_code == 422
+        assert answer.json()["error"].endswith("mat=a2 paper=letter")
+    page = client.get("/").text
+    assert 'href="/mat.pdf?mat=a3&amp;paper=a4"' in page
