@@ -32,9 +32,9 @@ from sim.rig import Rig
 
 SOURCES = (
     "configs/camera.yaml", "configs/sensor/*.yaml", "data/captures/*.py", "data/dataset/shards.py",
-    "data/fabrics/*.py", "data/readings/*.py", "data/render/*.py", "data/rigs.py",
-    "drapenet/network/dataset.py", "drapenet/views/*.py", "sim/*.py", "sim/energies/*.py",
-    "sim/mesh/*.py", "sim/solver/*.py",
+    "data/fabrics/*.py", "data/pictures/*.py", "data/readings/*.py", "data/render/*.py",
+    "data/rigs.py", "drapenet/network/dataset.py", "drapenet/views/*.py", "sim/*.py",
+    "sim/energies/*.py", "sim/mesh/*.py", "sim/solver/*.py",
 )
 """Files of the code that determines maps, and of the settings that it reads."""
 _COLUMNS = ("index", "fabric", "theta", "nuisances", "face", "folds", "edge", "seed", "offset",

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 import torch
-from data.captures.shadow import read_grey
 
 from apps.drape_file import read_borrowed
 from apps.strip_curves import read_curve
@@ -22,6 +21,7 @@ from data.dataset.folder import read_manifest
 from data.dataset.shards import Shard
 from data.fabrics.fabrics import read_fabric_table
 from data.fabrics.prior import load_prior
+from data.pictures.reading import read_photograph
 from drapenet.batch.captures import entries_of
 from drapenet.export.material import read_material
 from drapenet.network.checkpoint import read_header
@@ -38,7 +38,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "capture.yaml": lambda file: read_capture(file.parent),
     "density.txt": lambda file: read_capture(file.parent),
     "outline.csv": lambda file: read_closed_curve(file, OutlineSource(unit="mm")),
-    "outline.jpg": read_grey,
+    "outline.jpg": read_photograph,
     "view_0.png": lambda file: read_picture(file, modes={"I;16"}, kind="16-bit grey"),
     "view_0.npy": read_array,
     "view_0.exr": read_exr,
