@@ -81,6 +81,11 @@ def shadow_radius(
     return farthest(seen[hem], points)
 
 
+def closed(curve: Outline) -> np.ndarray:
+    """Segments (N, 2, 2) of a closed curve (N, 2), as :func:`farthest` takes them."""
+    return np.stack([curve, np.roll(curve, -1, axis=0)], axis=1)
+
+
 @numba.njit(cache=True)
 def farthest(segments, points):
     """Largest distance from the origin of segments (N, 2, 2) along ``points`` azimuths."""

@@ -10,7 +10,7 @@ that the outline shows how it hangs. A network has learned this from simulated d
 import numpy as np
 
 from common.types import Metres, Outline
-from sim.measures import farthest
+from sim.measures import closed, farthest
 from sim.rig import Rig
 
 MAX_LEAN = 0.08
@@ -40,7 +40,7 @@ def seen_from_axis(curve: Outline, beside: np.ndarray, height: Metres, rig: Rig)
 
     size = rig.specimen_size
     azimuth = np.arange(_AZIMUTHS) * (2 * np.pi / _AZIMUTHS)
-    radius = farthest(np.stack([curve, np.roll(curve, -1, axis=0)], axis=1), _AZIMUTHS)
+    radius = farthest(closed(curve), _AZIMUTHS)
 
     def one(values: np.ndarray | float) -> torch.Tensor:
         return torch.tensor(np.asarray(values, np.float32))[None]

@@ -17,9 +17,9 @@ from data.captures.description import OUTLINE_TABLES, OutlineSource
 from data.captures.off_axis import MAX_LEAN, seen_from_axis
 from data.captures.outline_table import read_closed_curve
 from data.captures.scale import large_pixels, mapped, scaled_photograph, shifted, upright
-from data.pictures.cloth import Place, like_ground
+from data.pictures.cloth import Place, Scene, like_ground
 from data.pictures.edge import outline_of_cloth, within
-from sim.measures import coefficient_of_area, farthest, folds_around
+from sim.measures import closed, coefficient_of_area, farthest, folds_around
 from sim.rig import Rig
 
 MAX_PIXEL = 1.5e-3  # m
@@ -67,8 +67,7 @@ class PhotographedOutline:
     @property
     def radii(self) -> np.ndarray:
         """Outermost distances (720,), m, from the origin at equally spaced azimuths from x on."""
-        after = np.roll(self.curve, -1, axis=0)
-        return farthest(np.stack([self.curve, after], axis=1), AZIMUTHS)
+        return farthest(closed(self.curve), AZIMUTHS)
 
     @property
     def drape_coefficient(self) -> float:
@@ -137,9 +136,10 @@ def _photographed(
 ) -> PhotographedOutline:
     seen = scaled_photograph(file, source, rig)
     photograph, to_metres = seen.photograph, seen.to_metres
-    place = Place(rig.plate_radius / seen.pixel, rig.reach / seen.pixel, seen.middle, seen.ground,
-                  seen.paper, seen.outside)
-    pixels = outline_of_cloth(photograph, place)
+    scene = Scene.of(photograph, Place(
+        rig.plate_radius / seen.pixel, rig.reach / seen.pixel, seen.middle, seen.ground,
+        seen.paper, seen.outside))
+    pixels = outline_of_cloth(photograph, scene, seen.paper)
     if seen.beside is not None and within(pixels, photograph.transparent).mean() > MAX_CUT_OFF:
         raise InputError("the drape reaches beyond the border of the picture; take it again with "
                          "the whole hem in the picture")
@@ -155,7 +155,7 @@ def _photographed(
     if tilt > MAX_TILT:
         warnings.append(f"the plate is seen {np.degrees(tilt):.0f}° off the vertical, more than "
                         f"{np.degrees(MAX_TILT):.0f}°; place the camera above its centre")
-    if seen.middle is not None and (share := like_ground(photograph, place)) > MAX_LIKE_GROUND:
+    if seen.middle is not None and (share := like_ground(scene)) > MAX_LIKE_GROUND:
         warnings.append(f"{share:.0%} of the cloth on the plate has the ground's light and colour, "
                         f"more than {MAX_LIKE_GROUND:.0%}: check the outline in capture.png, or "
                         "use a ground of another colour")

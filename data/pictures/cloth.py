@@ -59,9 +59,11 @@ class Place:
 
 
 @dataclass(frozen=True)
-class _Scene:
-    """A photograph and a place, reduced to :data:`SIDE`."""
+class Scene:
+    """A photograph and a place, reduced to :data:`SIDE`; ``size``: of the photograph, rows and
+    columns. What all cuts of a photograph share is computed once."""
 
+    size: tuple[int, int]
     light: LinearLight
     ground: Mask
     paper: Mask
@@ -71,7 +73,8 @@ class _Scene:
     reach: float
 
     @classmethod
-    def of(cls, photograph: Photograph, place: Place) -> "_Scene":
+    def of(cls, photograph: Photograph, place: Place) -> "Scene":
+        """The scene of a photograph; InputError for a plate larger than its picture."""
         height, width = photograph.light.shape[:2]
         if 2 * place.plate > min(height, width):
             raise InputError(
@@ -90,7 +93,8 @@ class _Scene:
         border = ~none
         border[wide:-wide, wide:-wide] = False
         middle = None if place.middle is None else (np.asarray(place.middle) + 0.5) * scale - 0.5
-        return cls(cv2.resize(photograph.light, size, interpolation=cv2.INTER_AREA),
+        light = cv2.resize(photograph.light, size, interpolation=cv2.INTER_AREA)
+        return cls((height, width), light,
                    small(place.ground, border), small(place.paper, none),
                    small(photograph.transparent, none) | small(place.outside, none), middle,
                    scale * place.plate, scale * place.reach)
@@ -108,7 +112,7 @@ class _Scene:
 
     @cached_property
     def relative(self) -> tuple[np.ndarray, np.ndarray]:
-        """The same over that of the ground at each place."""
+        """The same (H, W) and (H, W, 3) over that of the ground at each place."""
         if not self.paper.any():
             return self.flat
         grounds = self._smooth(self.paper), self._smooth(~self.paper)
@@ -131,17 +135,14 @@ class _Scene:
         return np.hypot(columns - centre[0], rows - centre[1])
 
 
-def cut_cloth(photograph: Photograph, place: Place, edge: float = SHADE_EDGES[0]) -> Mask:
-    """The cloth without holes; InputError where none differs from the ground. ``edge``: strength of
-    an edge that separates them, of the ground's median."""
-    height, width = photograph.light.shape[:2]
-    cloth = _cut(_Scene.of(photograph, place), edge)
-    return cv2.resize(cloth.astype(np.float32), (width, height)) > 0.5
+def cut_cloth(scene: Scene, edge: float) -> Mask:
+    """The cloth of a photograph without holes; InputError where none differs from the ground.
+    ``edge``: strength of an edge that separates them, of the ground's median."""
+    return _enlarged(_cut(scene, edge), scene)
 
 
-def like_ground(photograph: Photograph, place: Place) -> float:
+def like_ground(scene: Scene) -> float:
     """Share of the cloth on the plate, whose place is known, with the ground's light and colour."""
-    scene = _Scene.of(photograph, place)
     assert scene.middle is not None
     on_plate = scene.distances(scene.middle) < ON_PLATE * scene.plate
     shade, tint = scene.relative
@@ -152,17 +153,20 @@ def like_ground(photograph: Photograph, place: Place) -> float:
 
 def pieces(photograph: Photograph) -> list[Mask]:
     """What sharp edges separate from the ground at the picture's border: each piece, filled."""
-    height, width = photograph.light.shape[:2]
-    scene = _Scene.of(photograph, Place(0.0, 0.0))
+    scene = Scene.of(photograph, Place(0.0, 0.0))
     found = []
     for edge in SHADE_EDGES:
         count, labels = cv2.connectedComponents(_raised(scene, edge).astype(np.uint8))
-        found += [cv2.resize((labels == k).astype(np.float32), (width, height)) > 0.5
-                  for k in range(1, count)]
+        found += [_enlarged(labels == k, scene) for k in range(1, count)]
     return found
 
 
-def _cut(scene: _Scene, edge: float, *, on_sheet: bool = False) -> Mask:
+def _enlarged(mask: Mask, scene: Scene) -> np.ndarray:
+    """A mask of the scene in pixels of its photograph."""
+    return cv2.resize(mask.astype(np.float32), scene.size[::-1]) > 0.5
+
+
+def _cut(scene: Scene, edge: float, *, on_sheet: bool = False) -> Mask:
     raised = _raised(scene, edge)
     centre = _best_place(raised, scene.plate) if scene.middle is None else scene.middle
     far = scene.distances(centre)
@@ -215,7 +219,7 @@ def _edges(shade: np.ndarray, tint: np.ndarray) -> np.ndarray:
     return np.sqrt(total)
 
 
-def _raised(scene: _Scene, edge: float) -> Mask:
+def _raised(scene: Scene, edge: float) -> Mask:
     """What sharp edges separate from the ground, filled."""
     edges, ground = scene.edges, scene.ground
     soft = edges < max(edge * float(np.median(edges[ground])), LEAST_EDGE)
@@ -262,7 +266,7 @@ def _require_covered(piece: Mask, plate: Mask, *, stated: bool) -> None:
             f"drape touches the border; check {what} and the tester")
 
 
-def _by_colours(scene: _Scene, piece: Mask, centre: np.ndarray, far: np.ndarray) -> Mask:
+def _by_colours(scene: Scene, piece: Mask, centre: np.ndarray, far: np.ndarray) -> Mask:
     """The cloth of a piece that is cloth and shadows, by GrabCut; ``far``: distances (H, W) from
     the plate's centre."""
     (shade, tint), plate, reach = scene.flat, scene.plate, scene.reach

@@ -9,7 +9,7 @@ from scipy.ndimage import map_coordinates
 
 from common.errors import InputError
 from common.types import LinearLight, Mask, PixelPath, Pixels
-from data.pictures.cloth import FLOOR, SHADE_EDGES, SIDE, Place, cut_cloth
+from data.pictures.cloth import FLOOR, SHADE_EDGES, SIDE, Scene, cut_cloth
 from data.pictures.reading import Photograph
 
 _BLUR = 1.6  # pixels, standard deviation
@@ -22,13 +22,14 @@ _ACROSS = 3.0  # pixels, on both sides of an edge, between which its contrast is
 _STEP = 2.0  # pixels
 
 
-def outline_of_cloth(photograph: Photograph, place: Place) -> PixelPath:
-    """The outline of the cloth; InputError where both are alike."""
+def outline_of_cloth(photograph: Photograph, scene: Scene, paper: Mask | None) -> PixelPath:
+    """The outline of the cloth in a photograph and its ``scene``; InputError where cloth and ground
+    are alike. ``paper``: see :func:`edge_of`."""
     found, fault = [], None
     for level in SHADE_EDGES:
         try:
-            line = _seen(edge_of(photograph.light, cut_cloth(photograph, place, level),
-                                 place.paper), photograph.painted)
+            cloth = cut_cloth(scene, level)
+            line = _seen(edge_of(photograph.light, cloth, paper), photograph.painted)
         except InputError as error:
             fault = fault or error
             continue

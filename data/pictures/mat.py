@@ -110,6 +110,13 @@ def mat_picture(name: str) -> np.ndarray:
     return np.asarray(page)
 
 
+def mat_pixels(name: str, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Columns and rows (...,) float32, in pixels of :func:`mat_picture`, of places (..., 2), m."""
+    height, width = mat_picture(name).shape
+    return ((places[..., 0] / PIXEL + (width - 1) / 2).astype(np.float32),
+            (-places[..., 1] / PIXEL + (height - 1) / 2).astype(np.float32))
+
+
 def mat_pages(name: str, paper: str) -> bytes:
     """PDF of a mat, in as many pages as it needs on a paper; to be printed at 100 %."""
     from fpdf import FPDF

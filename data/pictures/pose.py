@@ -52,11 +52,16 @@ class Pose:
         return _projected(points, self.turn, self.shift, self.focal, self.distortion, self.size)
 
 
+def camera_matrix(focal: float, size: tuple[int, int]) -> np.ndarray:
+    """Intrinsics (3, 3), pixels, of a camera whose principal point is its picture's middle."""
+    return np.array([[focal, 0, (size[0] - 1) / 2], [0, focal, (size[1] - 1) / 2], [0, 0, 1.0]])
+
+
 def _projected(
     points: Points, turn: np.ndarray, shift: np.ndarray, focal: float, distortion: float,
     size: tuple[int, int]
 ) -> np.ndarray:
-    matrix = np.array([[focal, 0, (size[0] - 1) / 2], [0, focal, (size[1] - 1) / 2], [0, 0, 1]])
+    matrix = camera_matrix(focal, size)
     lens = np.array([distortion, 0, 0, 0])
     return cv2.projectPoints(np.ascontiguousarray(points), turn, shift, matrix, lens)[0][:, 0]
 
@@ -111,7 +116,7 @@ def camera_pose(
 def _first_pose(
     points: Points, pixels: Pixels, focal: float, size: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    matrix = np.array([[focal, 0, (size[0] - 1) / 2], [0, focal, (size[1] - 1) / 2], [0, 0, 1]])
+    matrix = camera_matrix(focal, size)
     _, turn, shift = cv2.solvePnP(points, pixels, matrix, None, flags=cv2.SOLVEPNP_IPPE)
     return turn.ravel(), shift.ravel()
 

@@ -8,7 +8,7 @@ import numpy as np
 from common.errors import InputError
 from common.types import Mask, Metres
 from data.pictures.cloth import BEYOND
-from data.pictures.mat import MARKER, MATS, PIXEL, QUIET, find_mat, mat_picture
+from data.pictures.mat import MARKER, MATS, PIXEL, QUIET, find_mat, mat_picture, mat_pixels
 from data.pictures.pose import Pose, camera_pose
 from data.pictures.reading import Photograph, decoded, encoded
 
@@ -31,7 +31,6 @@ class OverMat:
         pixel: size of a pixel in the plane of the plate.
         ground: (H, W) what surely shows mat or table.
         paper: (H, W) where the mat is, covered or not.
-        markers: how many are seen.
     """
 
     photograph: Photograph
@@ -39,7 +38,6 @@ class OverMat:
     ground: Mask
     paper: Mask
     pose: Pose
-    markers: int
     warnings: tuple[str, ...] = ()
 
 
@@ -96,7 +94,7 @@ def straight_from_above(
         notes.append(f"the focal length is known to {pose.focal_error:.1%}, the scale at the plate "
                      f"to {error:.1%}, more than {MAX_SCALE_ERROR:.1%}: take the picture from "
                      "higher up, or add two of the mat from the sides, mat_1.jpg and mat_2.jpg")
-    return OverMat(cleared, pixel, ground, paper, pose, len(markers), tuple(notes))
+    return OverMat(cleared, pixel, ground, paper, pose, tuple(notes))
 
 
 def _seen_ink(
@@ -110,10 +108,8 @@ def _seen_ink(
     bleed = max(_BLEED, 1.5 * pixel)
     spread = np.ones((2 * round(bleed / PIXEL) + 1,) * 2, np.uint8)
     picture = cv2.erode(mat_picture(mat), spread)
-    height, width = picture.shape
-    columns = (on_mat[..., 0] / PIXEL + (width - 1) / 2).astype(np.float32)
-    rows = (-on_mat[..., 1] / PIXEL + (height - 1) / 2).astype(np.float32)
-    printed = cv2.remap(picture, columns, rows, cv2.INTER_NEAREST, borderValue=255) < INK
+    printed = cv2.remap(picture, *mat_pixels(mat, on_mat), cv2.INTER_NEAREST,
+                        borderValue=255) < INK
     share = light / np.maximum(white, 1e-3)
     dark = printed & (np.ptp(share, axis=2) < _INK_COLOUR) & (share.mean(axis=2) < _INK_LIGHT)
     around = np.ones((2 * round(bleed / pixel) + 1,) * 2, np.uint8)

@@ -13,10 +13,10 @@ import trimesh
 from PIL import Image
 
 from common.types import Faces, Metres, Points, Radians, RestPoints
-from data.pictures.mat import PIXEL, mat_picture
-from data.pictures.pose import Pose
+from data.pictures.mat import mat_picture, mat_pixels
+from data.pictures.pose import Pose, camera_matrix
 from data.pictures.reading import FULL_FRAME, encoded
-from data.render.rays import RayScene
+from data.render.rays import Hits, RayScene
 
 PATTERNS = ("plain", "stripes", "checks", "dots", "weave")
 _SIZE = (2016, 1512)  # pixels, or upright
@@ -72,10 +72,7 @@ def phone_picture(
     albedo[hits.mesh == 1] = rng.uniform(0.2, 0.7)
     albedo[hits.mesh == 2] = 0.3
     shown = hits.mesh == 0
-    corners, weights = faces[hits.face[shown]], hits.uv[shown]
-    weights = np.column_stack([1 - weights.sum(axis=1), weights])
-    flat = (weights[..., None] * rest[corners]).sum(axis=1)
-    albedo[shown] = _pattern(flat, pattern, rng)
+    albedo[shown] = _pattern(_between(rest, faces, hits, shown), pattern, rng)
     normals = _normals(hits, [cloth, plate.vertices, stand.vertices, table],
                        [faces, plate.faces, stand.faces, np.array([[0, 1, 2], [0, 2, 3]])], rays)
     light = albedo * _light(scene, places, normals, kind, rng)[..., None]
@@ -111,10 +108,9 @@ def _random_pose(
 
 def _directions(pose: Pose, pixels: np.ndarray) -> np.ndarray:
     """Directions (N, 3) of the rays of pixels, over the mat."""
-    matrix = np.array([[pose.focal, 0, (pose.size[0] - 1) / 2],
-                       [0, pose.focal, (pose.size[1] - 1) / 2], [0, 0, 1]])
     lens = np.array([pose.distortion, 0, 0, 0])
-    flat = cv2.undistortPoints(pixels[:, None], matrix, lens)[:, 0]
+    flat = cv2.undistortPoints(
+        pixels[:, None], camera_matrix(pose.focal, pose.size), lens)[:, 0]
     rays = np.column_stack([flat, np.ones(len(flat))]) @ cv2.Rodrigues(pose.turn)[0]
     return rays / np.linalg.norm(rays, axis=1)[:, None]
 
@@ -127,8 +123,7 @@ def _ground(places: np.ndarray, mat: str, rng: np.random.Generator) -> np.ndarra
     albedo = np.clip(tone * grain[..., None], 0.02, 0.95)
     picture = cv2.GaussianBlur(mat_picture(mat), (0, 0), 1.0)
     height, width = picture.shape
-    columns = (places[..., 0] / PIXEL + (width - 1) / 2).astype(np.float32)
-    rows = (-places[..., 1] / PIXEL + (height - 1) / 2).astype(np.float32)
+    columns, rows = mat_pixels(mat, places)
     paper = cv2.remap(picture, columns, rows, cv2.INTER_LINEAR, borderValue=0) / 255.0
     on = (columns >= 0) & (rows >= 0) & (columns <= width - 1) & (rows <= height - 1)
     albedo[on] = (0.04 + 0.81 * paper[on])[:, None]
@@ -147,16 +142,20 @@ def _pattern(flat: np.ndarray, kind: str, rng: np.random.Generator) -> np.ndarra
     return np.clip(first + share[:, None] * (second - first), 0.02, 0.92)
 
 
+def _between(values: np.ndarray, faces: Faces, hits: Hits, shown: np.ndarray) -> np.ndarray:
+    """Values (V, C) of vertices, interpolated where hits (H, W) are ``shown``."""
+    weights = hits.uv[shown]
+    weights = np.column_stack([1 - weights.sum(axis=1), weights])
+    return (weights[..., None] * values[faces[hits.face[shown]]]).sum(axis=1)
+
+
 def _normals(hits, points, triangles, rays) -> np.ndarray:  # type: ignore[no-untyped-def]
     normals = np.zeros(rays.shape)
     for k, (vertices, faces) in enumerate(zip(points, triangles, strict=True)):
         mesh = trimesh.Trimesh(vertices, faces, process=False)
         shown = hits.mesh == k
         if k == 0:  # smooth
-            weights = hits.uv[shown]
-            weights = np.column_stack([1 - weights.sum(axis=1), weights])
-            corners = faces[hits.face[shown]]
-            normals[shown] = (weights[..., None] * mesh.vertex_normals[corners]).sum(axis=1)
+            normals[shown] = _between(mesh.vertex_normals, faces, hits, shown)
         else:
             normals[shown] = mesh.face_normals[hits.face[shown]]
     normals /= np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-9)

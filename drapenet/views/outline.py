@@ -14,7 +14,7 @@ import numpy as np
 from common.types import Edges, Metres, Outline, Points, Radians
 from drapenet.views.directions import AZIMUTH, AZIMUTHS, elevations
 from drapenet.views.radial_map import PIXEL, RadialMap
-from sim.measures import farthest, folds_around, hem_depth
+from sim.measures import closed, farthest, folds_around, hem_depth
 from sim.mesh import Mesh
 from sim.rig import Rig
 
@@ -91,7 +91,7 @@ def outline_of_curve(
 ) -> DrapeOutline:
     """Outline of a curve about the plate's centre; where a ray from the centre crosses it several
     times, the outermost crossing counts."""
-    return DrapeOutline(_radii(np.stack([curve, np.roll(curve, -1, axis=0)], axis=1), zero), height)
+    return DrapeOutline(_radii(closed(curve), zero), height)
 
 
 def outline_of_map(drape: RadialMap, rig: Rig) -> DrapeOutline:

@@ -9,6 +9,7 @@ true outline from the axis.
 """
 
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -19,14 +20,15 @@ from common.errors import InputError
 from common.files import replace_file
 from common.types import Metres, Outline
 from data.captures.capture import Capture, read_capture
-from data.captures.photograph import PhotographedOutline
+from data.captures.photograph import AZIMUTHS, PhotographedOutline
+from data.captures.scale import mapped
+from data.dataset.off_axis import silhouette
 from data.render.phone import PhonePicture, phone_picture
 from drapenet.stages import network_estimate
 from experiments.drapes import drape_as_planned, header, plan_specimen
 from experiments.result import ESTIMATOR, Config, Result, run_cases
 from sim.drape import Drape
 from sim.material import LINEAR, REFERENCE_DENSITY
-from sim.measures import farthest
 from sim.rig import Rig
 
 MATS = {True: "a3", False: "a2"}
@@ -34,7 +36,6 @@ MATS = {True: "a3", False: "a2"}
 MARGIN = (0.02, 0.12)  # m, of the lowest cloth above the mat
 TARGETS = {"outline_mm": (0.5, 1.0), "alpha": (0.03, 0.08), "silent": 1 / 200}
 WRONG = 0.15  # of alpha
-AZIMUTHS = 720
 
 
 def case(*, number: int, rig: str, edge_mm: float, seed: int, sheet: str) -> dict:
@@ -61,16 +62,16 @@ def case(*, number: int, rig: str, edge_mm: float, seed: int, sheet: str) -> dic
     assert read.outline and read.outline.hem is not None and read.outline.to_pixels is not None
     if sheet:
         replace_file(Path(sheet), _drawn(read.outline))
-    seen = _mapped(read.outline.hem, np.linalg.inv(read.outline.to_pixels))
-    true_seen = silhouette(shape, picture.warp, place[:2], place[2])
-    true_axis = silhouette(shape, picture.warp, np.zeros(2), place[2])
+    seen = mapped(read.outline.hem, np.linalg.inv(read.outline.to_pixels))
+    true_seen = true_radii(shape, picture.warp, place[:2], place[2])
+    true_axis = true_radii(shape, picture.warp, np.zeros(2), place[2])
     perfect = PhotographedOutline(curve_of(true_axis), place[2], True, tester)
     alpha, sure = _log_alpha(read.outline, tester, picture.warp)
     best, _ = _log_alpha(perfect, tester, picture.warp)
     return known | {
         "refused": "", "warnings": list(read.warnings),
-        "reading_mm": _rms(radii(seen) - true_seen), "outline_mm": _rms(
-            radii(read.outline.curve) - true_axis),
+        "reading_mm": _rms(replace(read.outline, curve=seen).radii - true_seen), "outline_mm": _rms(
+            read.outline.radii - true_axis),
         "height_error": read.outline.height / place[2] - 1,
         "coefficient": perfect.drape_coefficient,
         "coefficient_error": read.outline.drape_coefficient - perfect.drape_coefficient,
@@ -88,28 +89,18 @@ def _as_user(
     return folder
 
 
-def silhouette(shape: Drape, warp: float, beside: np.ndarray, height: Metres) -> np.ndarray:
+def true_radii(shape: Drape, warp: float, beside: np.ndarray, height: Metres) -> np.ndarray:
     """Radii (720,), m, in the plane of the plate, of what a camera sees from a ``height`` above it
     and a place (2,) ``beside`` its axis, with the warp turned."""
     cos, sin = np.cos(warp), np.sin(warp)
     points = shape.positions @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1.0]])
-    seen = beside + (points[:, :2] - beside) * height / (height - points[:, 2:])
-    return farthest(seen[shape.mesh.edges], AZIMUTHS)
+    return silhouette(points, shape.mesh.edges, beside, height, azimuths=AZIMUTHS)
 
 
 def curve_of(radius: np.ndarray) -> Outline:
     """The curve of radii (N,) at equal steps of azimuth."""
     angle = np.arange(len(radius)) * (2 * np.pi / len(radius))
     return radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-
-
-def radii(curve: Outline) -> np.ndarray:
-    """Outermost distances (720,) of a curve, m."""
-    return farthest(np.stack([curve, np.roll(curve, -1, axis=0)], axis=1), AZIMUTHS)
-
-
-def _mapped(points: np.ndarray, homography: np.ndarray) -> np.ndarray:
-    return cv2.perspectiveTransform(points[:, None], homography)[:, 0]
 
 
 def _rms(error: np.ndarray) -> float:
