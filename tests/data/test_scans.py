@@ -159,7 +159,7 @@ def test_a_file_with_a_kink_at_the_rim_is_refused(tmp_path, soft_drape, kind):
     else:
         trimesh.Trimesh(points, faces, process=False).export(file)
     with pytest.raises(InputError, match="it has a kink there"):
-        read_shape(file, RIG)
+        read_shape(file, DISC_RIG)
 
 
 @pytest.mark.skipif(not RULED.is_dir(), reason="no surfaces computed from outlines here")
