@@ -139,7 +139,7 @@ def _photographed(
     scene = Scene.of(photograph, Place(
         rig.plate_radius / seen.pixel, rig.reach / seen.pixel, seen.middle, seen.ground,
         seen.paper, seen.outside))
-    pixels = outline_of_cloth(photograph, scene, seen.paper)
+    pixels = outline_of_cloth(photograph, scene)
     if seen.beside is not None and within(pixels, photograph.transparent).mean() > MAX_CUT_OFF:
         raise InputError("the drape reaches beyond the border of the picture; take it again with "
                          "the whole hem in the picture")

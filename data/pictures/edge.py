@@ -1,11 +1,8 @@
 """The edge of cloth in a photograph, to a fraction of a pixel."""
 
-from typing import Any
-
-import contourpy
 import cv2
 import numpy as np
-from scipy.ndimage import map_coordinates
+from scipy.ndimage import gaussian_filter1d, map_coordinates
 
 from common.errors import InputError
 from common.types import LinearLight, Mask, PixelPath, Pixels
@@ -13,23 +10,27 @@ from data.pictures.cloth import FLOOR, SHADE_EDGES, SIDE, Scene, cut_cloth
 from data.pictures.reading import Photograph
 
 _BLUR = 1.6  # pixels, standard deviation
-_BAND = 4.0  # pixels of the mask, on both sides of its edge, within which the edge is looked for
-_NEARBY = 1 / 60  # of a side: half of the window over which light beside the edge is averaged
+_BAND = 4.0  # pixels of the mask, on both sides of its border, within which the edge is looked for
+_SMOOTH = 1.5  # pixels of the mask, of its border
+_FINE = 0.5  # pixels, between places across the border
+_STRONG = 0.3  # of a usual edge, whose cost is half of that of none
+_AWAY = 0.3  # cost at the band's ends
+_STEP_COST, _STEEPEST = 0.7, 2  # of a pixel across; places
+_NEAR, _EVEN = 2.5, 1.0  # pixels: across, over which an edge is centred, and along, smoothed
 MIN_CONTRAST = 0.1  # of log light, across the edge
 MAX_FAINT = 0.03  # of the edge's length, that may have less
-_MIN_SEEN = 0.3  # of a line's points
 _ACROSS = 3.0  # pixels, on both sides of an edge, between which its contrast is measured
 _STEP = 2.0  # pixels
 
 
-def outline_of_cloth(photograph: Photograph, scene: Scene, paper: Mask | None) -> PixelPath:
+def outline_of_cloth(photograph: Photograph, scene: Scene) -> PixelPath:
     """The outline of the cloth in a photograph and its ``scene``; InputError where cloth and ground
-    are alike. ``paper``: see :func:`edge_of`."""
+    are alike."""
     found, fault = [], None
     for level in SHADE_EDGES:
         try:
             cloth = cut_cloth(scene, level)
-            line = _seen(edge_of(photograph.light, cloth, paper), photograph.painted)
+            line = edge_of(photograph.light, cloth, photograph.painted)
         except InputError as error:
             fault = fault or error
             continue
@@ -48,26 +49,10 @@ def outline_of_cloth(photograph: Photograph, scene: Scene, paper: Mask | None) -
     return line
 
 
-def _seen(line: PixelPath, painted: Mask | None) -> PixelPath:
-    """A line that is straight where the picture is painted over."""
-    if painted is None:
-        return line
-    seen = ~within(line, painted)
-    if seen.mean() < _MIN_SEEN:
-        return line
-    places = np.arange(len(line))
-    return np.column_stack([np.interp(places, places[seen], column[seen], period=len(line))
-                            for column in line.T])
-
-
 def faint_share(light: LinearLight, line: PixelPath, painted: Mask | None = None) -> float:
     """Share of a closed line along which light changes little across it, of what is not painted."""
-    closed = np.vstack([line, line[:1]])
-    length = np.append(0, np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1)))
-    places = np.arange(0, length[-1], _STEP)
-    points = np.column_stack([np.interp(places, length, column) for column in closed.T])
-    along = np.roll(points, -2, axis=0) - np.roll(points, 2, axis=0)
-    normal = along[:, ::-1] * [1, -1] / np.maximum(np.linalg.norm(along, axis=1), 1e-9)[:, None]
+    points = _spaced(line, _STEP)
+    normal = _normals(points)
     logs = np.log(cv2.GaussianBlur(light, (0, 0), _BLUR) + FLOOR)
     sides = [np.stack([map_coordinates(
         logs[..., k], (points + _ACROSS * sign * normal)[:, ::-1].T, order=1, mode="nearest")
@@ -84,35 +69,85 @@ def within(points: PixelPath, mask: Mask) -> np.ndarray:
     return (cv2.dilate(mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0)[rows, columns]
 
 
-def edge_of(light: LinearLight, cloth: Mask, paper: Mask | None = None) -> Pixels:
-    """The closed line half way between the light of the cloth and that of the ground beside it;
-    ``paper``: where the ground is another one, if there are two."""
-    smooth = cv2.GaussianBlur(light, (0, 0), _BLUR)
-    band = max(_BAND * max(cloth.shape) / SIDE, 4.0)
-    inner = cv2.distanceTransform(cloth.astype(np.uint8), cv2.DIST_L2, 5)
-    outer = cv2.distanceTransform((~cloth).astype(np.uint8), cv2.DIST_L2, 5)
-    if inner.max() <= band:
+def edge_of(light: LinearLight, cloth: Mask, unsure: Mask | None = None) -> Pixels:
+    """The closed line along which light changes most, near the border of a mask.
+
+    It is the shortest path around in a band: a stronger edge costs less, and so does a path that
+    keeps its distance from the border. Where light is ``unsure``, it goes on as the border does.
+    """
+    scale = max(max(cloth.shape) / SIDE, 1.0)
+    border = _border(cloth, _SMOOTH * scale)
+    normal = _normals(border)
+    offsets = np.arange(-_BAND * scale, _BAND * scale + _FINE / 2, _FINE)
+    places = border[:, None] + offsets[:, None] * normal[:, None]
+    across = _sampled(cv2.GaussianBlur(light, (0, 0), _BLUR), places)
+    change = _change(np.sqrt(across + FLOOR))
+    usual = max(float(np.median(change.max(axis=1))), 1e-6)
+    cost = 1 / (1 + np.square(change / (_STRONG * usual)))
+    if unsure is not None:
+        hidden = _sampled(unsure.astype(np.float32), places) > 0.01
+        cost[hidden] = 1.0
+    path = _shortest(cost + _AWAY * np.square(offsets / offsets[-1]))
+    weight = np.square(_change(across)) * (np.abs(offsets - offsets[path][:, None]) < _NEAR)
+    if unsure is not None:
+        weight[hidden] = 0.0
+    total = weight.sum(axis=1)
+    found = np.where(total > 0, (weight @ offsets) / np.maximum(total, 1e-12), offsets[path])
+    return border + gaussian_filter1d(found, _EVEN, mode="wrap")[:, None] * normal
+
+
+def _border(cloth: Mask, smooth: float) -> PixelPath:
+    """Points a pixel apart along the smoothed border of a mask."""
+    outer, _ = cv2.findContours(cloth.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    largest = max(outer, key=cv2.contourArea)[:, 0].astype(float)
+    if len(largest) < 8 * smooth:
         raise InputError("no drape was found, but lines; use a plain ground")
-    near = max(cloth.shape) * _NEARBY
-    size = (2 * int(near) + 1,) * 2
-    inside, around = ((far > band) & (far < band + near) for far in (inner, outer))
-    if paper is None:
-        ground = _nearby(smooth, around, size)
-    else:
-        ground = np.where(paper[..., None], _nearby(smooth, around & paper, size),
-                          _nearby(smooth, around & ~paper, size))
-    across = _nearby(smooth, inside, size) - ground
-    contrast = np.maximum((across**2).sum(axis=2), 1e-9)
-    field = ((smooth - ground) * across).sum(axis=2) / contrast - 0.5
-    field = np.where(inner > band, np.abs(field) + 1e-3, field)
-    field = np.where(outer > band, -np.abs(field) - 1e-3, field)
-    lines: Any = contourpy.contour_generator(z=field).lines(0.0)
-    return max(lines, key=lambda line: cv2.contourArea(line.astype(np.float32)))[:-1]
+    even = gaussian_filter1d(_spaced(largest, 1.0), smooth, axis=0, mode="wrap")
+    return _spaced(even, 1.0)
 
 
-def _nearby(light: LinearLight, mask: Mask, size: tuple[int, int]) -> LinearLight:
-    """Mean of the light of ``mask`` in a window around each pixel, or of all of it."""
-    weight = cv2.blur(mask.astype(np.float32), size)[..., None]
-    total = cv2.blur(np.where(mask[..., None], light, np.float32(0)), size)
-    mean = light[mask].mean(axis=0) if mask.any() else light.mean(axis=(0, 1))
-    return np.where(weight > 1e-3, total / np.maximum(weight, 1e-3), mean)
+def _spaced(line: PixelPath, step: float) -> PixelPath:
+    """Points on a closed line about a ``step`` apart."""
+    closed = np.vstack([line, line[:1]])
+    length = np.append(0, np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1)))
+    places = np.linspace(0, length[-1], max(round(length[-1] / step), 3), endpoint=False)
+    return np.column_stack([np.interp(places, length, column) for column in closed.T])
+
+
+def _normals(line: PixelPath) -> PixelPath:
+    """Outward normals of a closed line."""
+    along = np.roll(line, -2, axis=0) - np.roll(line, 2, axis=0)
+    normal = along[:, ::-1] * [1, -1] / np.maximum(np.linalg.norm(along, axis=1), 1e-9)[:, None]
+    return normal * np.sign(cv2.contourArea(line.astype(np.float32), oriented=True))
+
+
+def _sampled(values: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Values (H, W, ...) at places (N, M, 2)."""
+    columns, rows = np.moveaxis(places, 2, 0).astype(np.float32)
+    return cv2.remap(values, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+
+def _change(across: np.ndarray) -> np.ndarray:
+    """Change (N, M) of values (N, M, 3) along lines."""
+    return np.linalg.norm(np.gradient(across, axis=1), axis=2)
+
+
+def _shortest(cost: np.ndarray) -> np.ndarray:
+    """Columns (N,) of the closed path through all rows of a cost (N, M) whose cost, with that of
+    its steps between columns, is least."""
+    count, width = cost.shape
+    steps = np.arange(-_STEEPEST, _STEEPEST + 1)
+    price = _STEP_COST * _FINE * np.abs(steps)
+    best = np.zeros(width)
+    chosen = np.zeros((2 * count, width), int)
+    for row in range(2 * count):  # the second turn does not know where the first began
+        padded = np.pad(best, _STEEPEST, constant_values=np.inf)
+        options = np.stack([padded[_STEEPEST + step : _STEEPEST + step + width] for step in steps])
+        options += price[:, None]
+        chosen[row] = options.argmin(axis=0)
+        best = options[chosen[row], np.arange(width)] + cost[row % count]
+    path = np.zeros(2 * count, int)
+    path[-1] = best.argmin()
+    for row in range(2 * count - 1, 0, -1):
+        path[row - 1] = path[row] + steps[chosen[row][path[row]]]
+    return np.roll(path[count // 2 : count // 2 + count], count // 2)
