@@ -271,8 +271,9 @@ def _by_colours(scene: Scene, piece: Mask, centre: np.ndarray, far: np.ndarray) 
     the plate's centre."""
     (shade, tint), plate, reach = scene.flat, scene.plate, scene.reach
     on_plate = far < ON_PLATE * plate
-    mean_tint = tint[on_plate].mean(axis=0)
-    along = tint @ (mean_tint / max(float(np.linalg.norm(mean_tint)), 0.02))
+    # The direction along which the colours of the cloth differ most from the ground's.
+    spread, ways = np.linalg.eigh(tint[on_plate].T @ tint[on_plate] / max(on_plate.sum(), 1))
+    along = tint @ ways[:, -1] * min(1.0, np.sqrt(spread[-1]) / 0.02)
     grain = _grain(shade)
     picture = np.dstack([128 + 38 * np.arcsinh(3 * shade),  # fine near the ground's light
                          128 + 400 * np.clip(along, -0.3, 0.3), np.minimum(1500 * grain, 200)])

@@ -28,7 +28,7 @@ _DETECTION = {"cornerRefinementMethod": cv2.aruco.CORNER_REFINE_CONTOUR,
               "perspectiveRemoveIgnoredMarginPerCell": 0.25}
 """Of blurred and overexposed markers, the middles of the modules are read."""
 _CIRCLES = np.arange(30, 91, 10) * 1e-3  # m, radii
-_LINE, _TEXT = 150, 90  # grey of lines and letters
+_LINE, _TEXT = 205, 150  # grey of lines and letters
 QUIET = 5e-3  # m, white, around the markers
 _OVERLAP = 2e-3  # m, by which parts on several pages overlap
 _PAGES = {"a2": (594, 420), "a3": (420, 297), "tabloid": (431.8, 279.4), "a4": (297, 210),

@@ -15,10 +15,12 @@ from data.pictures.reading import Photograph, decoded, encoded
 AROUND = 1.3  # of the flat specimen's reach, shown
 SIDE = 1500  # pixels, at most
 MAX_SCALE_ERROR = 0.006  # standard deviation, relative
-INK = 220  # grey of the mat, below which it is printed
+INK = 60  # grey of the mat, below which it is printed: markers; lines are light and thin
 _BLEED = 6e-4  # m, of print and its blur
-_INK_COLOUR, _INK_LIGHT = 0.12, 0.8  # of the paper's light
+_INK_COLOUR, _INK_LIGHT = 0.12, 0.35  # of the paper's light
+_MAX_INKY = 0.05  # of the cloth on the plate, that is like ink
 _INPAINTED = 3  # pixels, radius
+_PAPER_AROUND = 4e-3  # m, over which the paper around ink is averaged
 
 
 @dataclass(frozen=True)
@@ -87,8 +89,9 @@ def straight_from_above(
     half = np.array(MATS[mat].size) / 2 + QUIET
     paper = (np.abs(on_mat) < half).all(axis=2)
     white = np.quantile(light[ground & paper], 0.9, axis=0)
-    printed = _seen_ink(light, mat, on_mat, pixel, ground, white) & (far > plate)
-    cleared = Photograph(_without(light, printed), transparent, painted=printed)
+    cleared, unsure = _without_print(light / np.maximum(white, 1e-3), mat, on_mat, pixel,
+                                     read=apart < MARKER / 2 + QUIET, on_plate=far < plate)
+    cleared = Photograph(white * cleared, transparent, painted=unsure)
     notes = []
     if (error := pose.focal_error * plate_height / above) > MAX_SCALE_ERROR:
         notes.append(f"the focal length is known to {pose.focal_error:.1%}, the scale at the plate "
@@ -97,27 +100,41 @@ def straight_from_above(
     return OverMat(cleared, pixel, ground, paper, pose, tuple(notes))
 
 
-def _seen_ink(
-    light: np.ndarray, mat: str, on_mat: np.ndarray, pixel: Metres, read: Mask, white: np.ndarray
-) -> Mask:
-    """Where (H, W) ink of a mat is seen, at places (H, W, 2), m, and not cloth above it.
+def _without_print(
+    light: np.ndarray, mat: str, on_mat: np.ndarray, pixel: Metres, *, read: Mask, on_plate: Mask
+) -> tuple[np.ndarray, Mask | None]:
+    """Light (H, W, 3), of that of white paper, without what is printed on a mat at places (H, W,
+    2), m; and where it is guessed, if it is.
 
-    Of markers that are ``read`` all ink is seen; elsewhere what is dark, over ``white`` paper, and
-    has no colour.
+    Ink of markers that are ``read`` is seen. Elsewhere cloth may lie above it: what is dark without
+    colour is ink, unless the cloth on the plate is so, too.
     """
     bleed = max(_BLEED, 1.5 * pixel)
-    spread = np.ones((2 * round(bleed / PIXEL) + 1,) * 2, np.uint8)
-    picture = cv2.erode(mat_picture(mat), spread)
-    printed = cv2.remap(picture, *mat_pixels(mat, on_mat), cv2.INTER_NEAREST,
-                        borderValue=255) < INK
-    share = light / np.maximum(white, 1e-3)
-    dark = printed & (np.ptp(share, axis=2) < _INK_COLOUR) & (share.mean(axis=2) < _INK_LIGHT)
-    around = np.ones((2 * round(bleed / pixel) + 1,) * 2, np.uint8)
-    return printed & (read | (cv2.dilate(dark.astype(np.uint8), around) > 0))
-
-
-def _without(light: np.ndarray, printed: Mask) -> np.ndarray:
-    """Light (H, W, 3) in which places that are printed have that of their surroundings."""
-    picture = np.rint(255 * encoded(light)).astype(np.uint8)
-    painted = cv2.inpaint(picture, printed.astype(np.uint8), _INPAINTED, cv2.INPAINT_TELEA)
-    return np.where(printed[..., None], decoded(painted / 255), light).astype(np.float32)
+    wide = 2 * round(bleed / PIXEL) + 1
+    picture = mat_picture(mat)
+    printed, core = (cv2.remap(one, *mat_pixels(mat, on_mat), cv2.INTER_NEAREST,
+                               borderValue=255) < INK
+                     for one in (cv2.erode(picture, np.ones((wide, wide), np.uint8)),
+                                 cv2.dilate(picture, np.ones((wide // 2 | 1,) * 2, np.uint8))))
+    printed &= ~on_plate
+    tinted = np.ptp(light, axis=2) > _INK_COLOUR
+    dark = ~tinted & (light.mean(axis=2) < _INK_LIGHT)
+    if dark[on_plate].mean() > _MAX_INKY:
+        around = np.ones((2 * round(bleed / pixel) + 1,) * 2, np.uint8)
+        seen = printed & (read | (cv2.dilate((dark & printed).astype(np.uint8), around) > 0))
+        shown = np.rint(255 * encoded(np.clip(light, 0, 1))).astype(np.uint8)
+        filled = decoded(cv2.inpaint(shown, seen.astype(np.uint8), _INPAINTED, cv2.INPAINT_TELEA)
+                         / 255)
+        return np.where(seen[..., None], filled, light).astype(np.float32), seen
+    # Of what is printed around a core, as much is seen as of the core.
+    _, nearest = cv2.distanceTransformWithLabels(
+        (~core).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    covered = np.append(False, ~dark[core])[nearest] if core.any() else ~dark
+    seen = printed & (read | ~covered)
+    paper = ~printed & ~tinted & ~on_plate
+    weight = paper * np.power(light.mean(axis=2), 4)
+    sigma = _PAPER_AROUND / pixel
+    total = cv2.GaussianBlur(weight.astype(np.float32), (0, 0), sigma)[..., None]
+    mean = cv2.GaussianBlur((weight[..., None] * light).astype(np.float32), (0, 0), sigma)
+    mean = np.where(total > 1e-6, mean / np.maximum(total, 1e-6), 1.0)
+    return np.where(seen[..., None], mean, light).astype(np.float32), None
