@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy.ndimage import distance_transform_edt
 
 from common.errors import InputError
 from common.types import Mask, Metres
@@ -109,7 +110,7 @@ def _without_print(
     Ink of markers that are ``read`` is seen. Elsewhere cloth may lie above it: what is dark without
     colour is ink, unless the cloth on the plate is so, too.
     """
-    bleed = max(_BLEED, 1.5 * pixel)
+    bleed = max(_BLEED, 2 * pixel)
     wide = 2 * round(bleed / PIXEL) + 1
     picture = mat_picture(mat)
     printed, core = (cv2.remap(one, *mat_pixels(mat, on_mat), cv2.INTER_NEAREST,
@@ -127,10 +128,8 @@ def _without_print(
                          / 255)
         return np.where(seen[..., None], filled, light).astype(np.float32), seen
     # Of what is printed around a core, as much is seen as of the core.
-    _, nearest = cv2.distanceTransformWithLabels(
-        (~core).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
-    covered = np.append(False, ~dark[core])[nearest] if core.any() else ~dark
-    seen = printed & (read | ~covered)
+    rows, columns = distance_transform_edt(~core, return_distances=False, return_indices=True)
+    seen = printed & (read | dark[rows, columns] & ~tinted)
     paper = ~printed & ~tinted & ~on_plate
     weight = paper * np.power(light.mean(axis=2), 4)
     sigma = _PAPER_AROUND / pixel
