@@ -27,6 +27,7 @@ BEYOND = 1.08  # of the flat specimen's reach, surely ground
 SHADE_EDGES = (5.0, 3.0)  # times the ground's median edge strength; soft changes are weaker
 LEAST_EDGE = 0.02  # of log light per pixel
 GREYNESS = 0.06  # of log light between colours, that shadows may have
+_NO_GREY = 0.05  # of the cloth on the plate: all of it has a colour
 _USUAL = 0.15  # of log light, between places of the ground without shadow
 _SHADING = 0.5  # of log light, between places of one cloth in different light
 DARKER = 0.05  # of log light, that shadows at least are
@@ -278,11 +279,15 @@ def _by_colours(scene: Scene, piece: Mask, centre: np.ndarray, far: np.ndarray) 
     picture = np.dstack([128 + 38 * np.arcsinh(3 * shade),  # fine near the ground's light
                          128 + 400 * np.clip(along, -0.3, 0.3), np.minimum(1500 * grain, 200)])
     darker, colour = scene.relative
-    shadow = piece & (np.abs(colour).max(axis=2) < GREYNESS) & (darker < -DARKER) & (
-        grain < 2 * max(float(np.median(grain[~piece])), 4e-3))
-    shadow[shadow] = _unlike(scene.logs, shadow, on_plate, _SHADING)
+    grey = np.abs(colour).max(axis=2)
+    shadow = piece & (grey < GREYNESS) & (darker < -DARKER)
+    shadow &= grain < 2 * max(float(np.median(grain[~piece])), 4e-3)
+    vivid = (grey[on_plate] < 2 * GREYNESS).mean() < _NO_GREY  # then nothing grey is cloth
+    if not vivid:
+        shadow[shadow] = _unlike(scene.logs, shadow, on_plate, _SHADING)
     labels = np.where(piece & ~shadow, cv2.GC_PR_FGD, cv2.GC_PR_BGD)
-    labels[scene.outside | ~_grown(piece, 4) | (far > BEYOND * reach)] = cv2.GC_BGD
+    labels[scene.outside | ~_grown(piece, 4) | (far > BEYOND * reach) | (shadow & vivid)] = (
+        cv2.GC_BGD)
     labels[on_plate] = cv2.GC_FGD
     mask = labels.astype(np.uint8)
     models = np.zeros((1, 65)), np.zeros((1, 65))
