@@ -16,7 +16,8 @@ _FINE = 0.5  # pixels, between places across the border
 _STRONG = 0.3  # of a usual edge, whose cost is half of that of none
 _AWAY = 0.3  # cost at the band's ends
 _STEP_COST, _STEEPEST = 0.7, 2  # of a pixel across; places
-_NEAR, _EVEN = 2.5, 1.0  # pixels: across, over which an edge is centred, and along, smoothed
+_NEAR, _EVEN = 2.0, 1.0  # pixels: across, over which an edge is centred, and along, smoothed
+_ROUNDS = 5
 MIN_CONTRAST = 0.1  # of log light, across the edge
 MAX_FAINT = 0.03  # of the edge's length, that may have less
 _ACROSS = 3.0  # pixels, on both sides of an edge, between which its contrast is measured
@@ -88,11 +89,14 @@ def edge_of(light: LinearLight, cloth: Mask, unsure: Mask | None = None) -> Pixe
         hidden = _sampled(unsure.astype(np.float32), places) > 0.01
         cost[hidden] = 1.0
     path = _shortest(cost + _AWAY * np.square(offsets / offsets[-1]))
-    weight = np.square(_change(across)) * (np.abs(offsets - offsets[path][:, None]) < _NEAR)
+    weight = np.square(_change(across))
     if unsure is not None:
         weight[hidden] = 0.0
-    total = weight.sum(axis=1)
-    found = np.where(total > 0, (weight @ offsets) / np.maximum(total, 1e-12), offsets[path])
+    found = offsets[path]
+    for _ in range(_ROUNDS):  # to the middle of the edge, where light is half way
+        near = weight * np.exp(-np.square((offsets - found[:, None]) / _NEAR))
+        total = near.sum(axis=1)
+        found = np.where(total > 0, (near @ offsets) / np.maximum(total, 1e-12), found)
     return border + gaussian_filter1d(found, _EVEN, mode="wrap")[:, None] * normal
 
 

@@ -105,7 +105,7 @@ def _without_print(
     light: np.ndarray, mat: str, on_mat: np.ndarray, pixel: Metres, *, read: Mask, on_plate: Mask
 ) -> tuple[np.ndarray, Mask | None]:
     """Light (H, W, 3), of that of white paper, without what is printed on a mat at places (H, W,
-    2), m; and where it is guessed, if it is.
+    2), m; and where it is guessed, None if nowhere.
 
     Ink of markers that are ``read`` is seen. Elsewhere cloth may lie above it: what is dark without
     colour is ink, unless the cloth on the plate is so, too.
