@@ -27,6 +27,7 @@ MIN_COEFFICIENT = 0.02  # of cloth on a plate; the plate alone has 0
 MAX_TILT = np.radians(10.0)
 MAX_CUT_OFF = 0.003  # of an outline's points
 MAX_LIKE_GROUND = 0.03  # of the cloth on the plate
+MAX_OVER_PRINT = 0.05  # of the hem
 MAX_REACH = 1.03  # over the flat specimen's
 MIN_RADIUS = {True: 0.97, False: 0.9}  # over the plate's, by whether its centre is known
 MAX_OVERLAP, MAX_DISORDER = 0.03, 0.5  # of azimuth
@@ -159,6 +160,11 @@ def _photographed(
         warnings.append(f"{share:.0%} of the cloth on the plate has the ground's light and colour, "
                         f"more than {MAX_LIKE_GROUND:.0%}: check the outline in capture.png, or "
                         "use a ground of another colour")
+    if photograph.painted is not None and (
+            share := float(within(pixels, photograph.painted).mean())) > MAX_OVER_PRINT:
+        warnings.append(f"{share:.0%} of the hem lies over markers that are as dark as the cloth, "
+                        f"more than {MAX_OVER_PRINT:.0%}: check the outline in capture.png, or use "
+                        "a larger mat")
     if seen.beside is not None:
         lean = float(np.linalg.norm(seen.beside)) / seen.height
         if lean > MAX_LEAN:
