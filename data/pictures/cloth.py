@@ -32,6 +32,7 @@ _USUAL = 0.15  # of log light, between places of the ground without shadow
 _SHADING = 0.5  # of log light, between places of one cloth in different light
 DARKER = 0.05  # of log light, that shadows at least are
 THREADS = (9.0, 15.0, 21.0)  # pixels, of widths of threads at a hem, or bridges to other things
+SLIVERS = 8.0  # pixels, from the paper's edge
 FLOOR = 0.01  # of light, below which noise rules
 _DEGREE = 3  # of the ground's polynomial in x and y
 _ROUNDS = 5  # of fits and of GrabCut
@@ -303,7 +304,11 @@ def _by_colours(scene: Scene, piece: Mask, centre: np.ndarray, far: np.ndarray) 
                              "the scale, the specimen's size and the tester, and take away what is "
                              "not cloth, such as a shadow with a sharp edge")
         if not _touches_border(body):
-            return _filled(found & _grown(body, width / 2))
+            found &= _grown(body, width / 2)
+            if scene.paper.any():  # slivers of paper between cloth and table are not cloth
+                rim = _grown(scene.paper, SLIVERS) & ~_eroded(scene.paper, SLIVERS)
+                found &= ~rim | _opened(found, THREADS[2])
+            return _filled(found)
     raise InputError("the drape touches the border of the picture; move the camera up, or use a "
                      "ground that fills the picture")
 

@@ -93,7 +93,7 @@ def mat_picture(name: str) -> np.ndarray:
     tip = inner_x - 4e-3
     line((0.11, 0), (tip, 0), wide=12)
     line((tip - 8e-3, 5e-3), (tip, 0), (tip - 8e-3, -5e-3), wide=12)
-    write(tip - 22e-3, 6e-3, "WARP")
+    write(tip - 8e-3, 9e-3, "WARP")
     write(0, inner_y - 5e-3, f"mat {name}: print at 100 %, lay flat on a plain table; centre the "
           "foot on the circles, warp along the arrow")
     low = -inner_y + 4e-3

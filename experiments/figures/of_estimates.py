@@ -87,6 +87,19 @@ def strip_photographs(reports: Reports) -> str:
          for name, found in reports["strip_photographs"]["summary"].items()])
 
 
+def mats(reports: Reports) -> str:
+    """Errors of photographs over the mat, by tester and by the camera's place."""
+    return table(
+        ["photographs", "number", "refused", "with a warning", "outline as seen, mm: median",
+         "9 of 10", "from the axis: median", "9 of 10", "camera height: median", "α: median",
+         "9 of 10", "α off by 15 %, no warning"],
+        [[name, f"{found['photographs']}", f"{found['refused']}", f"{found['warned']}",
+          *(f"{error:.2f}" for key in ("reading_mm", "outline_mm") for error in found[key]),
+          f"{found['height_error'][0]:.1%}", *(f"{error:.1%}" for error in found["alpha"]),
+          f"{found['wrong_in_silence']}"]
+         for name, found in reports["mats"]["summary"].items()])
+
+
 def cutouts(reports: Reports) -> str:
     """Errors of cut-outs by sensor, medians and worst cases."""
     rows = [[name, f"{found['iou'][1]:.3f}",
