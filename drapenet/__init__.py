@@ -45,7 +45,8 @@ def estimate(
         refine: whether captures are refined by simulation, half a minute each.
     """
     from common.configs import read_option
-    from data.captures.capture import Capture, captures_in, checked_capture, read_capture
+    from data.captures.arrays import checked_capture
+    from data.captures.capture import Capture, captures_in, read_capture
     from data.strips.folder import read_strips
     from drapenet.config import EstimateOptions
     from drapenet.inference import estimate_fabric

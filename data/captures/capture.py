@@ -15,26 +15,22 @@ import math
 import os
 import tempfile
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import yaml
 from PIL import Image
-from scipy import ndimage
 
-from common.documents import misnamed, read_text, read_yaml, rename_remedy, shown
+from common.documents import misnamed, read_text, read_yaml, rename_remedy
 from common.errors import InputError, one_line
 from common.files import path_named
 from common.types import Density, DepthImage, Metres, Radians, Turns, Views
 from data.captures.board import board_intrinsics, board_turns, shows_board
-from data.captures.cutout import CutOut, cut_out, neighbours
-from data.captures.depth import measured
+from data.captures.cutout import CutOut, cut_out
 from data.captures.description import (
     INTRINSICS_KEYS,
-    MAX_VIEWS,
     MIN_EQUAL_TURNS,
     OUTLINE_TABLES,
     PARALLEL,
@@ -47,9 +43,10 @@ from data.captures.description import (
 )
 from data.captures.frames import join_views, numbered, read_frames, read_picture, views_in
 from data.captures.reported import Reported
+from data.captures.view_checks import checked_views, require_sizes
 from data.pictures.reading import SUFFIXES
 from data.render.cameras import Intrinsics, nominal_camera
-from data.rigs import MISSING_TESTER, TESTERS, described_tester, named_tester
+from data.rigs import MISSING_TESTER, described_tester
 from sim.rig import SQUARE_RIG, Rig
 
 if TYPE_CHECKING:
@@ -60,19 +57,9 @@ DESCRIPTION = "capture.yaml"
 CAPTURE_FILES = (DESCRIPTION, "density.txt")
 """Files that identify a capture folder: one for each format."""
 MAX_DENSITY_DIFFERENCE = 0.1  # between specimens of one fabric, relative to the smallest
-DISTANCE_RANGE = (0.2, 2.0)  # m, of the cloth; otherwise the depth unit is wrong
-CLOTH_SHARE = (0.005, 0.9)  # of a picture's pixels
 MAX_SPACING = 3.5e-3  # m, between points on the cloth
-MIN_AREA = 0.6  # of the median of the views' cloth
-MAX_SPECK_SHARE = 0.01  # of the cloth's pixels; smaller separate pieces are removed
-OUTLIER_STEP = 0.025  # m, depth difference from the neighbours
-MAX_OUTLIER_SHARE = 0.003  # of the cloth's pixels, usual for sensors; more cause a warning
-MIN_SPECK_GAP = 3.0  # pixels from the cloth; nearer specks are harmless noise at its edge
 PUBLISHED_SIZES = {(240, 180): 1, (480, 360): 2}  # size: keep every n-th pixel
 PUBLISHED_BACKGROUND = 250  # counts above are background
-MAX_DENSITY = 1.0  # kg/m², of captures made of arrays: larger numbers are g/m²
-MAX_TURN = 6.3  # rad, of captures made of arrays: larger numbers are degrees
-MAX_ARRAY_DEPTH = 20.0  # m, of captures made of arrays: larger numbers are millimetres
 MAX_FOCAL = 238.0  # pixels, 2.1 mm a pixel at 0.5 m; finer pictures are subsampled to no less
 
 
@@ -259,148 +246,6 @@ def _read_published(path: Path) -> Capture:
                    (coarse, *warnings))
 
 
-def checked_capture(capture: Capture) -> Capture:
-    """A capture made of arrays, checked like one that is read; InputError for a fault.
-
-    ``rig`` may be the name of a tester. Depth that is masked, not finite or not positive is
-    background.
-    """
-    rig = named_tester(capture.rig) if isinstance(capture.rig, str) else capture.rig
-    if not isinstance(rig, Rig):
-        raise InputError(f"rig={shown(rig)} is not a tester; give Rig.from_name(NAME) or a name "
-                         f"such as {TESTERS[0]}")
-    density = _number("density", capture.density, "kg/m²")
-    if density > MAX_DENSITY:
-        raise InputError(f"density={density:g} is more than {MAX_DENSITY:g} kg/m², as of g/m²; "
-                         "give kg/m²: 0.21 for 210 g/m²")
-    warp = capture.warp_direction
-    warp = None if warp is None else _number("warp_direction", warp, "rad, or None")
-    stated = _described(density, rig, capture.face, warp, capture.labels)
-    if capture.outline or (capture.known and not np.size(capture.views)):
-        Description.of(stated, capture.path)
-        return replace(capture, rig=rig, density=density, warp_direction=warp)
-    views = _metres(capture.views)
-    camera = _require_sizes(views, capture.intrinsics)
-    turns = _numbers("turns", capture.turns)
-    if (largest := np.abs(turns).max(initial=0)) > MAX_TURN:
-        raise InputError(f"turns reach {largest:g}, more than a full turn of 6.283 rad; give "
-                         "radians: np.radians([0, 90, 180, 270])")
-    turns = Description.of(stated | {"turns_deg": np.degrees(turns).tolist()},
-                           capture.path).turns(len(views))
-    views, warnings = checked_views(views, camera)
-    return replace(capture, views=views, turns=turns, rig=rig, density=density, warp_direction=warp,
-                   warnings=tuple(dict.fromkeys((*capture.warnings, *warnings))))
-
-
-def _numbers(name: str, values: object) -> np.ndarray:
-    """An argument of numbers (N,); InputError for others, and for masked ones."""
-    with suppress(TypeError, ValueError):
-        found = np.asarray(values, dtype=float)
-        if found.ndim == 1 and np.isfinite(found).all() and not np.ma.is_masked(values):
-            return found
-    raise InputError(f"{name}={shown(values)}: give a list of finite numbers")
-
-
-def _number(name: str, value: object, unit: str) -> float:
-    """An argument of one number; InputError for others."""
-    with suppress(InputError):
-        if not isinstance(value, (str, bool)):
-            return float(_numbers(name, [value])[0])
-    raise InputError(f"{name}={shown(value)}: give a finite number, {unit}")
-
-
-def _metres(views: object) -> Views:
-    """Depth of an argument, m, 0 for what is no measurement; InputError for other arrays."""
-    try:
-        found: np.ndarray = np.ma.filled(np.ma.asarray(views), 0)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"views are no array ({one_line(error)}); give views of one size"
-                         ) from None
-    if found.dtype.kind != "f":
-        raise InputError(f"views are of the type {found.dtype}; give metres as floating-point "
-                         "numbers, of millimetres 1e-3 * views")
-    found = measured(found)
-    middle = float(np.median(found[found > 0])) if found.any() else 0.0
-    if middle > MAX_ARRAY_DEPTH:
-        raise InputError(f"views have a median depth of {middle:.4g}, which cannot be metres (at "
-                         f"most {MAX_ARRAY_DEPTH:g}); of millimetres give 1e-3 * views")
-    return found
-
-
-def checked_views(views: Views, camera: Intrinsics) -> tuple[Views, tuple[str, ...]]:
-    """Views without specks, and warnings of them and their camera; InputError for a wrong size or
-    distance of the cloth."""
-    views, warnings = views.copy(), [*camera.questions]
-    for k, view in enumerate(views):
-        warnings += _remove_isolated(view, f"view {k}")
-        warnings += _remove_specks(view, f"view {k}")
-        cloth = view > 0
-        if not cloth.any():
-            raise InputError(f"view {k} shows no cloth: all pixels are background or specks; take "
-                             "the view again")
-        if cloth.mean() < CLOTH_SHARE[0]:
-            raise InputError(
-                f"view {k} shows only {cloth.sum()} pixels of cloth, at least "
-                f"{CLOTH_SHARE[0] * cloth.size:.0f} are needed; move the camera nearer")
-        distance = float(np.median(view[cloth]))
-        if not DISTANCE_RANGE[0] <= distance <= DISTANCE_RANGE[1]:
-            raise InputError(
-                f"view {k}: the cloth is {distance:.4g} m from the camera; it must be "
-                f"{DISTANCE_RANGE[0]:g} to {DISTANCE_RANGE[1]:g} m away: check depth_unit_m "
-                "(0.001 for millimetres)")
-        if cloth.mean() > CLOTH_SHARE[1]:
-            raise InputError(
-                f"view {k} has no background; set every pixel that is not cloth to 0")
-        if np.concatenate([cloth[0], cloth[-1], cloth[:, 0], cloth[:, -1]]).any():
-            warnings.append(f"view {k}: the cloth touches the picture's border")
-    areas = (views > 0).sum(axis=(1, 2))
-    if areas.min() < MIN_AREA * np.median(areas):
-        warnings.append(f"view {areas.argmin()} shows {areas.min()} pixels of cloth, less than "
-                        f"{MIN_AREA:.0%} of the median of the views, {np.median(areas):.0f}: take "
-                        "it again if the cloth was missing or hidden")
-    return views, tuple(warnings)
-
-
-def _remove_isolated(view: DepthImage, name: str) -> list[str]:
-    """Set isolated outliers of a view to background, in place; return warnings.
-
-    Depth also jumps at folds, but there a pixel has two neighbours of similar depth.
-    """
-    cloth = view > 0
-    adjacent = neighbours(view)
-    near = ((np.abs(adjacent - view) < OUTLIER_STEP) & (adjacent > 0)).sum(axis=0)
-    isolated = cloth & (near < 2) & (ndimage.median_filter(cloth.astype(np.uint8), 3) > 0)
-    view[isolated] = 0
-    if isolated.sum() <= MAX_OUTLIER_SHARE * cloth.sum():
-        return []
-    return [f"{name}: {isolated.sum()} pixels left out whose depth differs from their neighbours'; "
-            "check the sensor's settings"]
-
-
-def _remove_specks(view: DepthImage, name: str) -> list[str]:
-    """Set small pieces of a view apart from its cloth to background, in place; return warnings.
-
-    A single distant pixel, as from a time-of-flight sensor, may move the measured hem.
-    """
-    pieces, count = ndimage.label(view > 0, structure=np.ones((3, 3)))
-    if count < 2:
-        return []
-    sizes = np.bincount(pieces.ravel())[1:]
-    cloth = 1 + int(sizes.argmax())
-    gap = ndimage.minimum(ndimage.distance_transform_edt(pieces != cloth), pieces,
-                          index=np.arange(1, count + 1))
-    apart = gap > MIN_SPECK_GAP
-    specks = apart & (sizes < MAX_SPECK_SHARE * sizes.max())
-    warnings = []
-    view[np.isin(pieces, 1 + np.flatnonzero(specks))] = 0
-    if (removed := int(sizes[specks].sum())) > MAX_OUTLIER_SHARE * sizes.sum():
-        warnings.append(f"{name}: {removed} pixels left out that lie apart from the cloth")
-    if large := int(sizes[apart & ~specks].sum()):
-        warnings.append(f"{name}: {large} pixels lie apart from the cloth; set to 0 what is not "
-                        "cloth")
-    return warnings
-
-
 def captures_in(path: Path) -> list[Path]:
     """Capture folders in ``path``, sorted: itself, or those in a folder of captures or samples.
 
@@ -457,7 +302,7 @@ def write_capture(
     what :func:`read_capture` would refuse, and for depth that does not fit 16 bits.
     """
     path = Path(path)
-    _require_sizes(views, intrinsics)
+    require_sizes(views, intrinsics)
     pictures = {f"view_{k}": view for k, view in enumerate(views)}
     if background is not None:
         pictures["background"] = background
@@ -478,21 +323,9 @@ def write_capture(
         for name, picture in zip(pictures, counts.astype(np.uint16), strict=True):
             Image.fromarray(picture).save(folder / f"{name}.png")
 
-    stated = _described(density, rig, face, warp_direction, labels)
+    stated = described(density, rig, face, warp_direction, labels)
     Description.of(stated | keys, path)
     _write_folder(path, stated | keys, save)
-
-
-def _require_sizes(views: Views, intrinsics: Intrinsics | None) -> Intrinsics:
-    """The intrinsics; InputError unless the views are of their size."""
-    if not isinstance(intrinsics, Intrinsics):
-        raise InputError("depth views need the intrinsics of their camera, Intrinsics(fx=..., "
-                         f"fy=..., cx=..., cy=..., width=..., height=...), not {shown(intrinsics)}")
-    count, *size = np.shape(views)
-    if not 1 <= count <= MAX_VIEWS or size != [intrinsics.height, intrinsics.width]:
-        raise InputError(f"views have the shape {np.shape(views)}; give 1 to {MAX_VIEWS} of the "
-                         f"intrinsics' size, {intrinsics.height} x {intrinsics.width} pixels")
-    return intrinsics
 
 
 def write_outline(capture: Capture, path: str | Path) -> None:
@@ -503,14 +336,14 @@ def write_outline(capture: Capture, path: str | Path) -> None:
     if not math.isnan(outline.height):
         source["camera_height_mm"] = PARALLEL if math.isinf(outline.height) else round(
             1e3 * outline.height, 6)
-    description = _described(capture.density, capture.rig, capture.face, capture.warp_direction,
+    description = described(capture.density, capture.rig, capture.face, capture.warp_direction,
                              capture.labels)
     _write_folder(Path(path), description | {"outline": source}, lambda folder: np.savetxt(
         folder / "outline.csv", 1e3 * outline.curve, fmt="%.3f", delimiter=",", header="x_mm,y_mm",
         comments=""))
 
 
-def _described(
+def described(
     density: Density, rig: Rig, face: str, warp_direction: Radians | None, labels: Labels
 ) -> dict[str, object]:
     """The keys of capture.yaml that captures of all kinds have."""

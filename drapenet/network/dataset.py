@@ -16,7 +16,7 @@ from common.cases import run_cases
 from common.errors import InputError
 from common.provenance import sources_digest
 from common.types import Faces, Points, Radians, Theta
-from data.captures.capture import CLOTH_SHARE
+from data.captures.view_checks import CLOTH_SHARE
 from data.dataset.folder import MANIFEST, json_digest
 from data.dataset.shards import Shard
 from data.fabrics.nuisances import Nuisances

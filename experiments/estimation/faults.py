@@ -14,7 +14,8 @@ from scipy import ndimage
 from tqdm import tqdm
 
 from common.errors import InputError
-from data.captures.capture import Capture, checked_views
+from data.captures.capture import Capture
+from data.captures.view_checks import checked_views
 from data.dataset.folder import finished_manifest
 from data.dataset.shards import Shard
 from data.fabrics.fabrics import fabric_from_theta
@@ -141,7 +142,7 @@ MOVED_CLOTH = "cloth moved between the views"
 
 def check_capture(capture: SyntheticCapture) -> Capture:
     """Check the capture as ``infer.py`` does when it reads one."""
-    views, warnings = checked_views(capture.views)
+    views, warnings = checked_views(capture.views, capture.intrinsics)
     return Capture(views, capture.intrinsics, capture.turns, REFERENCE_DENSITY, None, Rig(),
                    Path("capture"), warnings)
 

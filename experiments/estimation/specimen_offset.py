@@ -19,7 +19,7 @@ from sklearn.preprocessing import StandardScaler
 from common.command import command
 from common.errors import InputError
 from common.files import replace_file, require_file
-from data.captures.capture import CLOTH_SHARE
+from data.captures.view_checks import CLOTH_SHARE
 from data.dataset.folder import finished_manifest
 from data.dataset.shards import Shard
 from data.render.setups import Setups

@@ -13,7 +13,8 @@ from PIL import Image
 from scipy import ndimage
 
 from common.errors import InputError
-from data.captures.capture import Capture, checked_capture, read_capture, write_capture
+from data.captures.arrays import checked_capture
+from data.captures.capture import Capture, read_capture, write_capture
 from data.captures.description import whole_turns
 from data.render.cameras import nominal_camera
 from data.rigs import TESTERS
