@@ -87,7 +87,7 @@ def _by_mat(file: Path, source: OutlineSource, rig: Rig) -> Scaled:
                                plate=rig.plate_radius, reach=rig.reach)
     height, width = over.photograph.light.shape[:2]
     middle = np.array([width - 1, height - 1]) / 2
-    above = over.pose.place[2] - 1e-3 * source.plate_height_mm
+    above = float(over.pose.place[2]) - 1e-3 * source.plate_height_mm
     return Scaled(over.photograph, _about(middle, over.pixel), above, middle, over.pose.place[:2],
                   over.ground, over.paper, notes=over.warnings)
 

@@ -89,6 +89,13 @@ def test_one_photograph_gives_the_outline_and_the_height(tmp_path, shape, pictur
     assert capture.warp_direction is None
 
 
+def test_the_check_writes_what_was_read(tmp_path, picture):
+    main([f"frames={over_mat(tmp_path / 'taken', picture.jpeg)}", f"out={tmp_path / 'cut'}"])
+    taken, cut = (read_capture(tmp_path / name).outline for name in ("taken", "cut"))
+    assert cut.height == pytest.approx(taken.height)
+    assert np.abs(cut.radii - taken.radii).max() < 1e-5
+
+
 def test_the_arrow_is_the_warp_if_nothing_else_is_stated(tmp_path, picture):
     assert read_capture(over_mat(tmp_path / "capture", picture.jpeg)).warp_direction == 0
 
