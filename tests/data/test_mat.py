@@ -89,8 +89,9 @@ def test_one_photograph_gives_the_outline_and_the_height(tmp_path, shape, pictur
     assert capture.warp_direction is None
 
 
-def test_the_check_writes_what_was_read(tmp_path, picture):
-    main([f"frames={over_mat(tmp_path / 'taken', picture.jpeg)}", f"out={tmp_path / 'cut'}"])
+def test_the_check_writes_what_was_read(tmp_path):
+    folder = over_mat(tmp_path / "taken", photographs.over_mat(), mat="a2", plate_height_mm=150)
+    main([f"frames={folder}", f"out={tmp_path / 'cut'}"])
     taken, cut = (read_capture(tmp_path / name).outline for name in ("taken", "cut"))
     assert cut.height == pytest.approx(taken.height)
     assert np.abs(cut.radii - taken.radii).max() < 1e-5
