@@ -226,7 +226,7 @@ def _strip_beside(
     if rivals.any() or pieces.any():
         raise InputError(f"{1 + (rivals | pieces).sum()} pieces differ from the ground, the strip "
                          "and its clamp must be the only ones; take away what is not cloth, or "
-                         "light the strip evenly")
+                         "light the strip evenly and without a shadow on the ground")
     return labels == 1 + chosen
 
 
@@ -272,8 +272,8 @@ def _require_no_branch(strip: Mask, path: PixelPath, widths: np.ndarray, band: f
     away = (distance > 0.7 * local + 3) & within
     if away.mean() > MAX_BRANCH:
         raise InputError(f"{away.mean():.1%} of the strip lie away from its centre line, more than "
-                         f"{MAX_BRANCH:.1%}; take away what is not cloth, and cut threads that "
-                         "hang from it")
+                         f"{MAX_BRANCH:.1%}; take away what is not cloth, such as a shadow, and "
+                         "cut threads that hang from it")
 
 
 def _arc(path: PixelPath) -> np.ndarray:
@@ -342,7 +342,8 @@ def _to_the_tip(field: np.ndarray, path: PixelPath, band: float, peak: float) ->
     profile = _sampled(field, (path[-1] + at[:, None] * along)[None])[0]
     (inside,) = np.nonzero(profile > peak / 2)
     if not len(inside) or inside[-1] == len(at) - 1:
-        raise InputError("the tip of the strip is not clear; leave plain ground around it")
+        raise InputError("the tip of the strip is not clear; leave plain ground around it, "
+                         "without a shadow")
     last = inside[-1]
     end = at[last] + 0.25 * (profile[last] - peak / 2) / (profile[last] - profile[last + 1])
     return np.vstack([path, path[-1] + np.arange(_STEP, end, _STEP)[:, None] * along,
@@ -404,7 +405,7 @@ def _require_smooth(points: PixelPath) -> None:
     if (turn := np.abs(np.diff(heading)).max()) > MAX_TURN:
         raise InputError(f"the strip has a kink of {np.degrees(turn):.0f}°, more than "
                          f"{np.degrees(MAX_TURN):.0f}° within a twelfth of its length; press it "
-                         "flat, or cut another strip")
+                         "flat, cut another strip, or light it without a shadow beside it")
 
 
 def _on_line(points: PixelPath, clamp: np.ndarray, out: np.ndarray) -> np.ndarray:
