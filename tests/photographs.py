@@ -74,20 +74,22 @@ def distances_mm(capture: Capture, curve: np.ndarray = CURVE) -> np.ndarray:
 
 
 def over_mat(
-    curve=CURVE, *, mat="a2", above=0.15, camera=1.2, focal=1800, cloth=60
+    curve=CURVE, *, mat="a2", above=0.15, camera=1.2, focal=1800, cloth=(60, 60, 60)
 ) -> bytes:
-    """JPEG of cloth with an outline in the plane of a plate ``above`` a printed mat, seen straight
-    from a ``camera``'s height, both m, and a focal length in pixels, which EXIF states."""
+    """JPEG of cloth of a colour with an outline in the plane of a plate ``above`` a printed mat,
+    seen straight from a ``camera``'s height, both m, and a focal length in pixels, which EXIF
+    states."""
     size = np.array([1600, 1200])
     paper = mat_picture(mat)
     middle = (np.array(paper.shape[::-1]) - 1) / 2
     scale = focal * PIXEL / camera
     place = np.column_stack([scale * np.eye(2), (size - 1) / 2 - scale * middle])
     picture = cv2.warpAffine(paper, place, size.tolist(), flags=cv2.INTER_AREA, borderValue=170)
+    picture = cv2.cvtColor(picture, cv2.COLOR_GRAY2RGB)
     corners = (size - 1) / 2 + curve * [1, -1] * focal / (camera - above)
     cv2.fillPoly(picture, [np.rint(corners * 16).astype(np.int32)], cloth, cv2.LINE_AA, 4)
     exif = Image.Exif()
     exif.get_ifd(0x8769)[41989] = round(focal * FULL_FRAME / np.hypot(*size))
     stream = io.BytesIO()
-    Image.fromarray(picture).convert("RGB").save(stream, "JPEG", quality=95, exif=exif)
+    Image.fromarray(picture).save(stream, "JPEG", quality=95, exif=exif)
     return stream.getvalue()

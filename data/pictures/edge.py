@@ -2,7 +2,7 @@
 
 import cv2
 import numpy as np
-from scipy.ndimage import gaussian_filter1d, map_coordinates
+from scipy.ndimage import gaussian_filter1d
 
 from common.errors import InputError
 from common.types import LinearLight, Mask, PixelPath, Pixels
@@ -28,14 +28,15 @@ def outline_of_cloth(photograph: Photograph, scene: Scene) -> PixelPath:
     """The outline of the cloth in a photograph and its ``scene``; InputError where cloth and ground
     are alike."""
     found, fault = [], None
+    smooth = smoothed(photograph.light)
     for level in SHADE_EDGES:
         try:
             cloth = cut_cloth(scene, level)
-            line = edge_of(photograph.light, cloth, photograph.painted)
+            line = edge_of(smooth, cloth, photograph.painted)
         except InputError as error:
             fault = fault or error
             continue
-        found.append((faint_share(photograph.light, line, photograph.painted), line))
+        found.append((_faint_share(smooth, line, photograph.painted), line))
         if found[-1][0] < MAX_FAINT / 3:
             break
     if not found:
@@ -50,15 +51,17 @@ def outline_of_cloth(photograph: Photograph, scene: Scene) -> PixelPath:
     return line
 
 
-def faint_share(light: LinearLight, line: PixelPath, painted: Mask | None = None) -> float:
+def smoothed(light: LinearLight) -> LinearLight:
+    """Light without noise, as edges are looked for in it."""
+    return cv2.GaussianBlur(light, (0, 0), _BLUR)
+
+
+def _faint_share(smooth: LinearLight, line: PixelPath, painted: Mask | None) -> float:
     """Share of a closed line along which light changes little across it, of what is not painted."""
     points = _spaced(line, _STEP)
-    normal = _normals(points)
-    logs = np.log(cv2.GaussianBlur(light, (0, 0), _BLUR) + FLOOR)
-    sides = [np.stack([map_coordinates(
-        logs[..., k], (points + _ACROSS * sign * normal)[:, ::-1].T, order=1, mode="nearest")
-        for k in range(3)], axis=1) for sign in (1, -1)]
-    across = cv2.blur(sides[0] - sides[1], (1, 5), borderType=cv2.BORDER_REFLECT)
+    sides = points[:, None] + _ACROSS * np.array([[1], [-1]]) * _normals(points)[:, None]
+    across = np.diff(sampled(np.log(smooth + FLOOR), sides), axis=1)[:, 0]
+    across = cv2.blur(across, (1, 5), borderType=cv2.BORDER_REFLECT)
     faint = np.linalg.norm(across, axis=1) < MIN_CONTRAST
     seen = np.ones(len(points), bool) if painted is None else ~within(points, painted)
     return float(faint[seen].mean()) if seen.any() else 1.0
@@ -70,8 +73,8 @@ def within(points: PixelPath, mask: Mask) -> np.ndarray:
     return (cv2.dilate(mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0)[rows, columns]
 
 
-def edge_of(light: LinearLight, cloth: Mask, unsure: Mask | None = None) -> Pixels:
-    """The closed line along which light changes most, near the border of a mask.
+def edge_of(smooth: LinearLight, cloth: Mask, unsure: Mask | None = None) -> Pixels:
+    """The closed line along which light, :func:`smoothed`, changes most, near the border of a mask.
 
     It is the shortest path around in a band: a stronger edge costs less, and so does a path that
     keeps its distance from the border. Where light is ``unsure``, it goes on as the border does.
@@ -81,12 +84,12 @@ def edge_of(light: LinearLight, cloth: Mask, unsure: Mask | None = None) -> Pixe
     normal = _normals(border)
     offsets = np.arange(-_BAND * scale, _BAND * scale + _FINE / 2, _FINE)
     places = border[:, None] + offsets[:, None] * normal[:, None]
-    across = _sampled(cv2.GaussianBlur(light, (0, 0), _BLUR), places)
+    across = sampled(smooth, places)
     change = _change(np.sqrt(across + FLOOR))
     usual = max(float(np.median(change.max(axis=1))), 1e-6)
     cost = 1 / (1 + np.square(change / (_STRONG * usual)))
     if unsure is not None:
-        hidden = _sampled(unsure.astype(np.float32), places) > 0.01
+        hidden = sampled(unsure.astype(np.float32), places) > 0.01
         cost[hidden] = 1.0
     path = _shortest(cost + _AWAY * np.square(offsets / offsets[-1]))
     weight = np.square(_change(across))
@@ -125,8 +128,8 @@ def _normals(line: PixelPath) -> PixelPath:
     return normal * np.sign(cv2.contourArea(line.astype(np.float32), oriented=True))
 
 
-def _sampled(values: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Values (H, W, ...) at places (N, M, 2)."""
+def sampled(values: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Values (N, M, ...) of a picture (H, W, ...) at places (N, M, 2), between its pixels."""
     columns, rows = np.moveaxis(places, 2, 0).astype(np.float32)
     return cv2.remap(values, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from common.errors import InputError
 from data.pictures.cloth import pieces
-from data.pictures.edge import edge_of
+from data.pictures.edge import edge_of, smoothed
 from data.pictures.reading import Photograph
 
 MAX_OUT_OF_ROUND = 0.02  # of the radius, root mean square
@@ -15,9 +15,10 @@ def find_plate(photograph: Photograph) -> tuple[np.ndarray, float]:
     """Centre (2,) and radius of the largest disc, in pixels of the picture; InputError if it shows
     none that differs from the ground."""
     best, least = None, np.inf
+    smooth = smoothed(photograph.light)
     for piece in pieces(photograph):
         try:
-            line = edge_of(photograph.light, piece)
+            line = edge_of(smooth, piece)
         except InputError:
             continue
         centre, radius = _circle(line)

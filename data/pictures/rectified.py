@@ -85,14 +85,14 @@ def straight_from_above(
                                        cv2.INTER_LINEAR) > 0.5)
     # Of markers that are read, nothing is covered.
     markers = seen[0][0][:, :2]
-    apart = np.abs(on_mat[:, :, None] - markers).max(axis=3).min(axis=2)
-    ground = ((far > BEYOND * reach) | (apart < MARKER / 2 + QUIET)) & ~missing
+    read = np.abs(on_mat[:, :, None] - markers).max(axis=3).min(axis=2) < MARKER / 2 + QUIET
+    ground = ((far > BEYOND * reach) | read) & ~missing
     half = np.array(MATS[mat].size) / 2 + QUIET
     paper = (np.abs(on_mat) < half).all(axis=2)
     white = np.quantile(light[ground & paper], 0.9, axis=0)
-    cleared, unsure = _without_print(light / np.maximum(white, 1e-3), mat, on_mat, pixel,
-                                     read=apart < MARKER / 2 + QUIET, on_plate=far < plate)
-    cleared = Photograph(white * cleared, transparent, painted=unsure)
+    share, painted = _without_print(light / np.maximum(white, 1e-3), mat, on_mat, pixel, read=read,
+                                    on_plate=far < plate)
+    cleared = Photograph(white * share, transparent, painted=painted)
     notes = []
     if (error := pose.focal_error * plate_height / above) > MAX_SCALE_ERROR:
         notes.append(f"the focal length is known to {pose.focal_error:.1%}, the scale at the plate "

@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 
 from common.errors import InputError
 from common.types import Mask, PixelPath, Radians
+from data.pictures.edge import sampled
 
 POINTS = 60  # of a centre line
 BLUR = 1.2  # pixels, standard deviation
@@ -298,7 +299,7 @@ def _midway(
     normal = np.column_stack([-along[:, 1], along[:, 0]])
     half = int(np.ceil(1.2 * band + 8))
     offsets = np.arange(-4 * half, 4 * half + 1) / 4
-    profile = _sampled(field, path[:, None] + offsets[:, None] * normal[:, None])
+    profile = sampled(field, path[:, None] + offsets[:, None] * normal[:, None])
     inner = np.abs(offsets) <= max(0.6 * band, 2.0)
     peaks = profile[:, inner].max(axis=1)
     peaks = median_filter(peaks, min(31, len(peaks)))
@@ -326,11 +327,6 @@ def _midway(
             float(np.median(peaks)))
 
 
-def _sampled(field: np.ndarray, places: np.ndarray) -> np.ndarray:
-    x, y = (np.ascontiguousarray(places[..., k], np.float32) for k in (0, 1))
-    return cv2.remap(field, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-
-
 def _to_the_tip(field: np.ndarray, path: PixelPath, band: float, peak: float) -> PixelPath:
     """The path, extended straight to where the contrast is half of the strip's. Within a width of
     its end the strip may be cut obliquely, as seen, so that its middle is unknown there."""
@@ -339,7 +335,7 @@ def _to_the_tip(field: np.ndarray, path: PixelPath, band: float, peak: float) ->
     along = near[-1] - near[0]
     along = along / np.linalg.norm(along)
     at = np.arange(-2 * band, 5 * band + 12, 0.25)
-    profile = _sampled(field, (path[-1] + at[:, None] * along)[None])[0]
+    profile = sampled(field, (path[-1] + at[:, None] * along)[None])[0]
     (inside,) = np.nonzero(profile > peak / 2)
     if not len(inside) or inside[-1] == len(at) - 1:
         raise InputError("the tip of the strip is not clear; leave plain ground around it, "
@@ -361,7 +357,7 @@ def _clamp_edge(
         rows = side * (band + 4 + np.arange(0.0, max(2 * band, 24.0)))
         at = np.arange(-40.0, 40.0, 0.25)
         places = root + rows[:, None, None] * down + at[:, None] * out
-        profile, inside = _sampled(strength, places), _sampled(solid.astype(np.float32), places)
+        profile, inside = sampled(strength, places), sampled(solid.astype(np.float32), places)
         found = []
         for values, covered in zip(profile, inside, strict=True):
             (last,) = np.nonzero(covered[:-1] > 0.5)
