@@ -89,7 +89,7 @@ class CaptureSet:
     def network(self, config: ModelConfig) -> dict:
         """Arguments of :func:`drapenet.network.model.make_network` for these captures."""
         read = self.maps.pictures if config.backbone else self.maps.distance
-        sample = read[self.maps.views > 0][:_MEAN_SAMPLE].astype(np.float32)
+        sample = read[self.maps.depth[self.maps.depth >= 0][:_MEAN_SAMPLE]].astype(np.float32)
         return {**asdict(config), "distance": round(float(np.nanmean(sample)), 4),
                 "spread": round(float(np.nanstd(sample)), 4),
                 "rectangles": bool((self.maps.aspect != 1).any())}
@@ -115,7 +115,8 @@ class CaptureSet:
         kind[(maps.views[rows] == 0) & (kind == 0)] = other
         deep, seen = kind == 0, kind == 1
         ratio, stated = _perspectives(maps.size[rows], condition, rng)
-        outline = np.where(deep[:, None], maps.hem[rows].astype(np.float32), np.nan)
+        views = maps.depth_views(rows, deep)
+        outline = views["hem"].astype(np.float32)
         outline[seen] = _photographed(maps.silhouettes[rows[seen]], ratio[seen], rng)
         radius = np.where((kind == 2)[:, None], maps.silhouettes[rows, 0], outline)
         coefficient = drape_coefficients(radius, maps.plate[rows], maps.disc[rows])
@@ -134,9 +135,7 @@ class CaptureSet:
         weft = symmetric & known & (rng.random(len(cloths)) < 0.5)  # along azimuth 0
         targets = exchanged(targets, weft)
         batch = Batch.of(
-            np.where(deep[:, None, None], maps.distance[rows], np.float16(0)),
-            np.where(deep[:, None, None], maps.weight[rows], np.uint8(0)), outline, facts,
-            maps.pictures[rows], maps.angle[rows],
+            views["distance"], views["weight"], outline, facts, views["pictures"], views["angle"],
             torch.from_numpy(self.scale.encode(targets)).float())
         if symmetric:
             batch = batch.turned(

@@ -6,7 +6,7 @@ of the moved drape shows a neighbouring fabric with the same folds, at a fiftiet
 
 import math
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -51,17 +51,18 @@ _MEMBRANE = np.log(10.0) / (2 * 1.96)  # standard deviation of the logarithm, as
 
 @dataclass(frozen=True)
 class Maps:
-    """N synthetic depth captures of drapes, the outlines of the same drapes, and their truth.
+    """N synthetic captures of drapes: the outlines of all, depth views of D of them, and the truth.
 
     Azimuth 0 is the direction of the warp as an operator states it.
     """
 
-    distance: np.ndarray  # (N, AZIMUTHS, ELEVATIONS), :func:`drapenet.views.radial_map.compressed`
+    distance: np.ndarray  # (D, AZIMUTHS, ELEVATIONS), :func:`drapenet.views.radial_map.compressed`
     weight: np.ndarray
-    hem: np.ndarray  # (N, AZIMUTHS) half sizes, outline of the captured cloth, NaN where not seen
-    silhouettes: np.ndarray  # (N, P, AZIMUTHS) half sizes, from each of PERSPECTIVES, exact
-    pictures: np.ndarray  # (N, PICTURES or 0, SIDE, SIDE), and, (N,), their angles, as in
+    hem: np.ndarray  # (D, AZIMUTHS) half sizes, outline of the captured cloth, NaN where not seen
+    pictures: np.ndarray  # (D, PICTURES or 0, SIDE, SIDE), and, (D,), their angles, as in
     angle: np.ndarray  # :class:`drapenet.views.pictures.DepthPictures`
+    depth: np.ndarray  # (N,) row of the depth capture in the fields above, -1 without
+    silhouettes: np.ndarray  # (N, P, AZIMUTHS) half sizes, from each of PERSPECTIVES, exact
     theta: Theta
     curl: np.ndarray  # (N, 2) 1/m, of this specimen with the marked face up
     membrane: np.ndarray  # (N,) N/m
@@ -81,8 +82,20 @@ class Maps:
         return len(self.index)
 
     def chosen(self, rows: np.ndarray) -> "Maps":
-        """The captures of ``rows`` (M,), indices, or (N,), a mask."""
-        return Maps(*(column[rows] for column in vars(self).values()))
+        """The captures of ``rows`` (M,), indices, or (N,), a mask; depth views, which may fill the
+        memory, are not copied."""
+        return replace(self, **{name: column[rows] for name, column in vars(self).items()
+                                if name not in _OF_DEPTH})
+
+    def depth_views(self, rows: np.ndarray, used: np.ndarray) -> dict[str, np.ndarray]:
+        """Fields of depth captures, with a row for each of ``rows`` (M,): what shows nothing where
+        ``used`` (M,), a mask, is not set."""
+        found = {}
+        for name, nothing in _OF_DEPTH.items():
+            column = getattr(self, name)
+            found[name] = np.full((len(rows), *column.shape[1:]), nothing.flat[0], column.dtype)
+            found[name][used] = column[self.depth[rows[used]]]
+        return found
 
     @classmethod
     def read(cls, files: Iterable[Path]) -> "Maps":
@@ -99,8 +112,19 @@ class Maps:
         parts = list(parts)
         if len(parts) == 1:
             return parts[0]
+        before = np.cumsum([0, *(len(part.distance) for part in parts)])
+        parts = [replace(part, depth=np.where(part.depth < 0, -1, part.depth + rows))
+                 for part, rows in zip(parts, before[:-1], strict=True)]
         return cls(*(np.concatenate(columns) for columns in
                      zip(*(vars(part).values() for part in parts), strict=True)))
+
+
+_OF_DEPTH: dict[str, np.ndarray] = {
+    "distance": np.zeros((AZIMUTHS, ELEVATIONS), np.float16),
+    "weight": np.zeros((AZIMUTHS, ELEVATIONS), np.uint8),
+    "hem": np.full(AZIMUTHS, np.nan, np.float16),
+    "pictures": np.full((PICTURES, SIDE, SIDE), np.nan, np.float16), "angle": np.zeros(())}
+"""Fields of depth captures, as of a capture that shows nothing."""
 
 
 def make_maps(
@@ -147,7 +171,7 @@ def maps_of_shard(
     """Maps of one shard; arguments as for :func:`make_maps`."""
     table = {name: shard.column(name) for name in _COLUMNS}
     converged = np.flatnonzero(table["status"] == "converged")
-    rows = []
+    rows, depths = [], []
     for row in converged:
         drape = {name: column[row] for name, column in table.items()}
         rig = shard.rig(row)
@@ -168,39 +192,38 @@ def maps_of_shard(
                 moved = positions + move
             rng = np.random.default_rng([seed, int(drape["index"]), number])
             wrong = DIRECTION_ERROR * rng.standard_normal()
-            depth: dict[str, Any] = _NO_DEPTH
+            depth, views = None, 0
             if number < captures:
-                depth, wrong = _depth(moved, faces, rig, setups, rng, wrong)
-            if not pictures:
-                depth = depth | {"pictures": _NO_DEPTH["pictures"][:0]}
-            rows.append(depth | _shadows(moved, mesh, rig, wrong) | _truth(drape, rig, step))
-    return Maps(**{name.name: np.array([row[name.name] for row in rows]) for name in fields(Maps)})
-
-
-_NO_DEPTH: dict[str, Any] = {
-    "distance": np.zeros((AZIMUTHS, ELEVATIONS), np.float16),
-    "weight": np.zeros((AZIMUTHS, ELEVATIONS), np.uint8),
-    "hem": np.full(AZIMUTHS, np.nan, np.float16), "views": 0, "angle": 0.0,
-    "pictures": np.full((PICTURES, SIDE, SIDE), np.nan, np.float16)}
+                depth, views, wrong = _depth(moved, faces, rig, setups, rng, wrong)
+            rows.append(_shadows(moved, mesh, rig, wrong) | _truth(drape, rig, step) | {
+                "views": views, "depth": len(depths) if depth else -1})
+            depths += [depth] if depth else []
+    seen = {name: np.stack([nothing, *(depth[name] for depth in depths)])[1:]
+            for name, nothing in _OF_DEPTH.items()}
+    if not pictures:
+        seen["pictures"] = seen["pictures"][:, :0]
+    return Maps(**seen, **{field.name: np.array([row[field.name] for row in rows])
+                           for field in fields(Maps) if field.name not in seen})
 
 
 def _depth(
     positions: Points, faces: Faces, rig: Rig, setups: Setups, rng: np.random.Generator,
     wrong: Radians,
-) -> tuple[dict[str, Any], Radians]:
-    """A synthetic depth capture, fields of :class:`Maps`, and the error of its azimuth 0: that of
-    the stated warp of a disc, ``wrong``, and of the measured side of a rectangle."""
+) -> tuple[dict[str, Any] | None, int, Radians]:
+    """A synthetic depth capture, fields of :class:`Maps`, its number of views, and the error of its
+    azimuth 0: that of the stated warp of a disc, ``wrong``, and of the measured side of a
+    rectangle; None and no views if it would be refused when it is read."""
     capture = setups.capture(positions, faces, rng, rig=rig)
     if (capture.views > 0).mean(axis=(1, 2)).min() < CLOTH_SHARE[0]:
-        return _NO_DEPTH, wrong  # refused when it is read: a flat drape seen along its surface
+        return None, 0, wrong  # a flat drape seen along its surface
     located = LocatedViews.cut_out(capture.views, capture.intrinsics, rig, capture.turns)
     drape = map_along(capture.orientation + wrong, located)
     hem = outline_of_map(drape, rig).radius / (rig.specimen_size / 2)
     distance, weight = compressed(drape.distance / rig.specimen_size, drape.weight)
     seen = DepthPictures.of(located, drape.zero)
-    return {"distance": distance, "weight": weight, "views": len(capture.views),
-            "hem": hem.astype(np.float16), "pictures": seen.depth, "angle": seen.angle,
-            }, drape.zero - capture.orientation
+    return {"distance": distance, "weight": weight, "hem": hem.astype(np.float16),
+            "pictures": seen.depth, "angle": seen.angle,
+            }, len(capture.views), drape.zero - capture.orientation
 
 
 def _shadows(positions: Points, mesh: Mesh, rig: Rig, wrong: Radians) -> dict[str, Any]:

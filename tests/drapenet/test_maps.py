@@ -112,8 +112,11 @@ def test_drapes_of_several_testers_have_depth_captures_and_outlines(tmp_path, mo
     assert (maps.disc == (maps.size == SMALL_DISC_RIG.specimen_size)).all()
     shadow = maps.views == 0  # outlines only
     assert shadow.sum() == 16 and maps.moved.sum() == 24
-    assert (maps.weight.max(axis=(1, 2)) > 0).tolist() == (~shadow).tolist()
-    assert np.isnan(maps.hem[shadow]).all() and np.isfinite(maps.hem[~shadow]).mean() > 0.7
+    assert sorted(maps.depth[~shadow]) == list(range(16)) and (maps.depth[shadow] == -1).all()
+    assert (maps.weight.max(axis=(1, 2)) > 0).all() and np.isfinite(maps.hem).mean() > 0.7
+    views = maps.depth_views(np.arange(32), ~shadow)
+    assert (views["weight"].max(axis=(1, 2)) > 0).tolist() == (~shadow).tolist()
+    assert np.isnan(views["hem"][shadow]).all()
     assert (maps.silhouettes[:, -1] <= maps.silhouettes[:, 0]).all()  # from the lowest camera
     assert len(CaptureSet(maps)) == 8 * 4
 
