@@ -100,7 +100,8 @@ class Header(Excerpt):
 
     @property
     def spread(self) -> Theta:
-        """Standard deviation of theta over the training fabrics, mean of both orders of yarns."""
+        """Standard deviation of theta over the fabrics of the prior, mean of both orders of yarns.
+        """
         # The first yarns of an estimate need not be the dataset's warp.
         spread = np.array(self.fabrics.deviation)
         return (spread + spread[SWAPPED]) / 2

@@ -171,7 +171,8 @@ def maps_of_shard(
     """Maps of one shard; arguments as for :func:`make_maps`."""
     table = {name: shard.column(name) for name in _COLUMNS}
     converged = np.flatnonzero(table["status"] == "converged")
-    rows, depths = [], []
+    rows: list[dict[str, Any]] = []
+    depths: list[dict[str, Any]] = []
     for row in converged:
         drape = {name: column[row] for name, column in table.items()}
         rig = shard.rig(row)

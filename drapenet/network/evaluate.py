@@ -2,19 +2,22 @@
 
     python -m drapenet.network.evaluate [checkpoint=FILE] [testers=[NAME,...]] [bounds=FILE]
 
-Four drapes of each of a number of new fabrics are simulated on each tester and estimated as by
-``infer.py``: single captures and sets, from depth views and from outlines, one condition at a time,
-of those conditions whose captures the network has learned to read.
-Errors are root mean squares of the posterior's mean over the standard deviation of the training
-fabrics; beside them stands the smallest possible error where it is known (``python -m experiments
-bounds``).
+Four drapes of each of a number of new fabrics of the prior are simulated on each tester and
+estimated as by ``infer.py``: single captures and sets, from depth views and from outlines, one
+condition at a time, of those conditions whose captures the network has learned to read. Then
+fabrics of evenly distributed stiffness are, by drape coefficient and by stiffness.
+
+Errors of alpha are those of the posterior's geometric mean, as factors: 10 % is 1.1 times too much
+or too little. Root mean squares are over the standard deviation of the prior's fabrics; beside them
+stands the smallest possible error where it is known (``python -m experiments bounds``).
 """
 
 import common.interrupt  # noqa: F401
 
 # isort: split
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, get_args
 
@@ -25,24 +28,30 @@ from common.command import command, compose_config
 from common.documents import read_json
 from common.errors import InputError
 from common.files import folder_named, replace_json, require_folder
+from common.types import Theta
 from data.dataset.config import DatasetConfig, Options, config_from_options
 from data.dataset.generate import generate_dataset
 from data.fabrics.fabrics import read_fabric_table
-from data.fabrics.prior import TablePrior
+from data.fabrics.prior import TablePrior, log_stiffness
 from data.rigs import named_tester
 from drapenet.config import EvaluateConfig, Input
 from drapenet.network.captures import CaptureSet, Condition, readable
 from drapenet.network.checkpoint import Header, load_model, read_header
 from drapenet.network.dataset import Maps, make_maps
 from drapenet.network.model import Network
-from drapenet.network.posterior import covered, inside, ranks
+from drapenet.network.posterior import Ranks, covered, inside, ranks
 from drapenet.network.predict import sample_targets
 from drapenet.network.targets import cloth_of, stiffer_first, targets_of
+from sim.material import MICRO
 
-DRAPES_PER_FABRIC = 4
+DRAPES_PER_FABRIC, DRAPES_PER_EVEN_FABRIC = 4, 2
 _BATCH_SIZE = 32  # sets
 _REPEATS = 2  # sets of each fabric and size, of other drapes or other captures of them
 _RESAMPLES = 400  # of the bootstrap
+COEFFICIENTS = (20.0, 40.0, 60.0, 80.0)
+"""Borders of the bands of drape coefficients, %."""
+STIFFNESSES = (4.0, 16.0, 64.0, 200.0)
+"""Borders of the bands of stiffness, µN·m at 300 g/m²."""
 DEPTH, OUTLINE, NUMBERS = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 
 
@@ -97,16 +106,73 @@ CELLS: dict[str, Cell] = {
        for size in (2, 4)},
     "drape coefficient and nodes": Cell(replace(_PARALLEL, kinds=NUMBERS)),
 }
+SINGLES = ("depth, 4 views", "outline, parallel light", "drape coefficient and nodes")
+"""Cells that are judged by band."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Estimates of N sets of captures of known fabrics."""
+
+    error: np.ndarray  # (N, 6) of the posterior's mean, log alpha and beta/alpha, m
+    places: Ranks
+    fabric: np.ndarray  # (N,) number
+    stiffness: np.ndarray  # (N,) true mean alpha (geometric), N·m at 300 g/m²
+    coefficient: np.ndarray  # (N,) mean drape coefficient of the captures as the network reads it
+
+    @classmethod
+    def joined(cls, parts: Sequence["Judged"]) -> "Judged":
+        """Those of all ``parts``, whose fabrics are different."""
+        before = np.cumsum([0, *(part.fabric.max() + 1 for part in parts)])
+        parts = [replace(part, fabric=part.fabric + first)
+                 for part, first in zip(parts, before[:-1], strict=True)]
+        return cls(*(np.concatenate(columns) for columns in
+                     zip(*(vars(part).values() for part in parts), strict=True)))
+
+    def summary(self, spread: Theta, rows: np.ndarray | slice = slice(None)) -> dict[str, Any]:
+        """Errors and coverage of the sets ``rows``, a mask; ``spread``: (6,) unit of errors."""
+        error, places, fabric = (column[rows] / unit for column, unit in (
+            (self.error, spread), (self.places, 1), (self.fabric, 1)))
+        factor = np.expm1(np.abs(self.error[rows, :3]))
+        return {
+            "log_alpha": rms_with_interval(error[:, :3], fabric),
+            "beta_over_alpha": rms_with_interval(error[:, 3:], fabric),
+            "alpha": {"median": float(np.median(factor)),
+                      "ninth_decile": float(np.quantile(factor, 0.9))},
+            "inside": {level: {"mean": mean, "each": each.round(3).tolist()}
+                       for (level, mean), each in
+                       zip(inside(places).items(), covered(places), strict=True)},
+            "outside_99": float((np.abs(places - 0.5) > 0.495).mean()),
+            "sets": len(error), "fabrics": len(np.unique(fabric)),
+        }
+
+    def by_band(self, spread: Theta) -> dict[str, dict[str, dict[str, Any]]]:
+        """Summaries by drape coefficient and by stiffness, of bands that have any sets."""
+        found: dict[str, dict[str, dict[str, Any]]] = {}
+        for name, values, borders, unit in (
+                ("drape coefficient", 100 * self.coefficient, COEFFICIENTS, "%"),
+                ("stiffness", self.stiffness / MICRO, STIFFNESSES, "µN·m")):
+            band = np.where(np.isfinite(values), np.digitize(values, borders), -1)
+            found[name] = {label: self.summary(spread, band == k)
+                           for k, label in enumerate(_labels(borders, unit)) if (band == k).any()}
+        return found
+
+
+def _labels(borders: Sequence[float], unit: str) -> list[str]:
+    """Names of the bands between ``borders`` (B,), below the first and above the last."""
+    return [f"below {borders[0]:g} {unit}",
+            *(f"{low:g} to {high:g} {unit}" for low, high in pairwise(borders)),
+            f"above {borders[-1]:g} {unit}"]
 
 
 def judge(
     network: Network, header: Header, maps: Maps, condition: Condition, *, seed: int
-) -> dict[str, Any]:
-    """Errors and coverage on sets of captures of unseen fabrics."""
+) -> Judged:
+    """Estimates of sets of captures of unseen fabrics."""
     captures = CaptureSet(maps.chosen(readable(maps, header.config.inputs)), scale=header.scale)
     rng = np.random.default_rng(seed)
     cloths = np.tile(np.arange(len(captures)), _REPEATS)
-    errors, places, fabric = [], [], []
+    parts = []
     for rows in np.array_split(cloths, -(-len(cloths) // _BATCH_SIZE)):
         batch, facts = captures.batch(rows, condition, rng, symmetric=False)
         samples = sample_targets(network, header, batch, facts.known)
@@ -115,18 +181,10 @@ def judge(
             truth = stiffer_first(truth)
         drawn = cloth_of(samples, facts.sizes).theta
         theta = cloth_of(truth, facts.sizes).theta
-        errors.append((drawn.mean(axis=0) - theta) / header.spread)
-        places.append(ranks(drawn, theta))
-        fabric.append(rows)
-    errors, places = np.concatenate(errors), np.concatenate(places)
-    fabric = np.concatenate(fabric)
-    return {
-        "log_alpha": rms_with_interval(errors[:, :3], fabric),
-        "beta_over_alpha": rms_with_interval(errors[:, 3:], fabric),
-        "inside": {level: {"mean": mean, "each": each.round(3).tolist()} for (level, mean), each
-                   in zip(inside(places).items(), covered(places), strict=True)},
-        "sets": len(errors), "fabrics": len(captures),
-    }
+        coefficient = (np.bincount(facts.group, facts.coefficient) / np.bincount(facts.group))
+        parts.append((drawn.mean(axis=0) - theta, ranks(drawn, theta), rows,
+                      np.exp(log_stiffness(theta)), coefficient))
+    return Judged(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
 def rms_with_interval(errors: np.ndarray, fabric: np.ndarray) -> dict[str, Any]:
@@ -152,43 +210,71 @@ def require_unseen(header: Header, generation: dict) -> None:
 
 @command("evaluate", EvaluateConfig)
 def main(config: EvaluateConfig) -> None:
-    """Evaluate all cells, print their results and write ``evaluation.json``."""
+    """Evaluate all cells and bands, print their results and write ``evaluation.json``."""
     header = read_header(config.checkpoint)
     out = folder_named(config.out)
     require_folder(out)
     for tester in config.testers:
         header.require_learned(named_tester(tester))
     network = load_model(header)
-    results: dict[str, dict] = {}
     bounds = read_json(Path(config.bounds))["cells"] if config.bounds else {}
-    for tester in config.testers:
-        base = make_config(header, tester, config)
+    known = {name: cell for name, cell in CELLS.items() if cell.kind in header.config.inputs}
+
+    def judged(tester: str, cells: dict[str, Cell], *, even: bool) -> Iterator[tuple[str, Judged]]:
+        base = make_config(header, tester, config, even=even)
         require_unseen(header, base.as_dict())
-        folder, results[tester] = out / tester, {}
+        folder = out / (f"{tester}_even" if even else tester)
         manifest = generate_dataset(base, folder, workers=config.workers)
-        cells = {name: cell for name, cell in CELLS.items() if cell.kind in header.config.inputs}
-        for name, cell in tqdm(cells.items(), desc=tester, unit="cell", leave=False):
+        for name, cell in tqdm(cells.items(), desc=folder.name, unit="cell", leave=False):
             maps = make_maps(
                 folder, manifest, folder, setups=replace(header.setups, **cell.setups),
                 captures=config.captures, seed=config.seed, workers=config.workers,
                 pictures=header.model.backbone is not None)
             if cell.rows:
                 maps = maps.chosen(cell.rows(maps))
-            results[tester][name] = judge(
-                network, header, maps, cell.condition, seed=config.seed) | {
+            yield name, judge(network, header, maps, cell.condition, seed=config.seed)
+
+    results: dict[str, dict] = {}
+    for tester in config.testers:
+        results[tester] = {}
+        for name, found in judged(tester, known, even=False):
+            results[tester][name] = found.summary(header.spread) | {
                 "bound": bounds.get(tester, {}).get(name)}
             tqdm.write(format_cell(f"{tester}, {name}", results[tester][name]))
-    replace_json(out / "evaluation.json", {"checkpoint": header.identity, "cells": results})
+    content: dict[str, Any] = {"checkpoint": header.identity, "spread": header.spread.tolist(),
+                               "cells": results}
+    if config.even_fabrics:
+        singles = {name: known[name] for name in SINGLES if name in known}
+        everything: dict[str, list[Judged]] = {name: [] for name in singles}
+        content["even"] = {}
+        for tester in config.testers:
+            content["even"][tester] = {}
+            for name, found in judged(tester, singles, even=True):
+                everything[name].append(found)
+                content["even"][tester][name] = {
+                    "all": found.summary(header.spread), **found.by_band(header.spread)}
+        content["bands"] = {name: Judged.joined(parts).by_band(header.spread)
+                            for name, parts in everything.items()}
+        for name, kinds in content["bands"].items():
+            for kind, bands in kinds.items():
+                for label, result in bands.items():
+                    print(format_cell(f"{name}, {kind} {label}", result))
+    replace_json(out / "evaluation.json", content)
     print(f"written to {out / 'evaluation.json'}")
 
 
-def make_config(header: Header, tester: str, config: EvaluateConfig) -> DatasetConfig:
-    """Configuration of new drapes on a ``tester``, with the nuisances of the training set's."""
+def make_config(
+    header: Header, tester: str, config: EvaluateConfig, *, even: bool = False
+) -> DatasetConfig:
+    """Configuration of new drapes on a ``tester``, with the nuisances of the training set's;
+    ``even``: of fabrics of evenly distributed stiffness."""
     edge_mm = header.dataset.generation[0]["solver"]["edge_mm"]
-    words = [f"drapes={DRAPES_PER_FABRIC * config.fabrics_per_tester}", f"seed={config.seed}",
-             "dataset=testers", "dataset.even_share=0", f"dataset.testers=[{tester}]",
+    drapes = DRAPES_PER_EVEN_FABRIC if even else DRAPES_PER_FABRIC
+    fabrics = config.even_fabrics if even else config.fabrics_per_tester
+    words = [f"drapes={drapes * fabrics}", f"seed={config.seed + even}",
+             "dataset=testers", f"dataset.even_share={float(even)}", f"dataset.testers=[{tester}]",
              "dataset.random_testers=0", "dataset.rectangles=0", "dataset.testers_per_fabric=1",
-             f"dataset.starts_per_fabric={DRAPES_PER_FABRIC}",
+             f"dataset.starts_per_fabric={drapes}",
              f"edge_mm={edge_mm or 'null'}"]  # 0 in older datasets
     base = config_from_options(compose_config("generate", words, schema=Options))
     if not config.fabrics:
@@ -197,13 +283,17 @@ def make_config(header: Header, tester: str, config: EvaluateConfig) -> DatasetC
 
 
 def format_cell(name: str, result: dict[str, Any]) -> str:
-    within = ", ".join(f"inside {level[:-1]} %: {share['mean']:.3f}"
+    within = ", ".join(f"{level[:-1]} %: {share['mean']:.3f}"
                        for level, share in result["inside"].items())
-    bound = result["bound"]
-    least = f"{bound['log_alpha']:.3f}, {bound['beta_over_alpha']:.3f}" if bound else "–"
-    return (f"{name}: log alpha {result['log_alpha']['rmse']:.3f}, "
-            f"beta/alpha {result['beta_over_alpha']['rmse']:.3f}, bound {least}, {within}, "
-            f"n {result['sets']}")
+    bound = result.get("bound")
+    least = f" (bound {bound['log_alpha']:.3f})" if bound else ""
+    least_ratio = f" (bound {bound['beta_over_alpha']:.3f})" if bound else ""
+    alpha = result["alpha"]
+    return (f"{name}: alpha off by {alpha['median']:.1%} in the median, "
+            f"{alpha['ninth_decile']:.1%} in nine of ten; of the spread: log alpha "
+            f"{result['log_alpha']['rmse']:.3f}{least}, beta/alpha "
+            f"{result['beta_over_alpha']['rmse']:.3f}{least_ratio}; inside {within}; "
+            f"{result['sets']} sets of {result['fabrics']} fabrics")
 
 
 if __name__ == "__main__":

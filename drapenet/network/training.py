@@ -21,6 +21,8 @@ from common.errors import InputError, one_line
 from common.files import remove_partial, replacing
 from common.provenance import release, sources_digest
 from data.dataset.folder import finished_manifest, split_by_fabric
+from data.fabrics.prior import prior_from_content
+from data.fabrics.prior.even import spread_of
 from data.render.setups import Setups
 from drapenet.config import OptimConfig, TrainConfig
 from drapenet.network.captures import CaptureSet, Condition, readable
@@ -206,15 +208,16 @@ def describe(
     cycles: list[int],
 ) -> dict:
     """Description of a checkpoint's network, see :mod:`drapenet.network.checkpoint`."""
-    theta = training.cloth.theta
-    low, high = np.quantile(theta, [0.01, 0.99], axis=0)
+    low, high = np.quantile(training.cloth.theta, [0.01, 0.99], axis=0)
+    prior = prior_from_content(datasets["generation"][0]["prior"], origin="the dataset's prior")
     return {
         "reference_density_g_m2": REFERENCE_DENSITY * 1e3,
         "model": training.network(config.model),
         "targets": {name: part.tolist() for name, part in vars(training.scale).items()},
-        # Of theta in the dataset's order: warp, bias, weft.
+        # Of theta in the dataset's order: warp, bias, weft. The deviation is the prior's, which
+        # errors are compared with; fabrics that were moved to even stiffness are not typical.
         "fabrics": {"low": low.tolist(), "high": high.tolist(),
-                    "deviation": theta.std(axis=0).tolist()},
+                    "deviation": spread_of(prior).tolist()},
         "dataset": {
             **datasets,
             "drapes": len(np.unique(training.maps.index)),

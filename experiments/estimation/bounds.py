@@ -16,6 +16,7 @@ from data.dataset.plan import plan_drape
 from data.fabrics.fabrics import THETA_NAMES, fabric_from_theta
 from data.fabrics.nuisances import NAMES
 from data.fabrics.prior import load_prior
+from data.fabrics.prior.even import spread_of
 from data.render.cameras import nominal_camera
 from drapenet.network.captures import PICTURE_NOISE, PICTURE_OFFSET, PICTURE_SCALE
 from drapenet.network.dataset import DIRECTION_ERROR
@@ -93,7 +94,7 @@ def run(config: Config) -> Result:
                                   "edge_mm": config["edge_mm"]}
              for tester in config["testers"] for k in range(config["fabrics"])}
     results = run_cases(bounds_of_fabric, cases, config, sources=ESTIMATOR)
-    spread = load_prior("gaussian").deviation
+    spread = spread_of(load_prior("vae"))
     cells: dict[str, dict] = {}
     for tester in config["testers"]:
         cells[tester] = {}

@@ -16,6 +16,8 @@ STIFFNESS = (0.7e-6, 700e-6)
 """Range of the mean alpha (geometric mean of warp, bias and weft) of moved fabrics, N·m at
 300 g/m²: bending lengths from 6 mm, chiffon, to 62 mm, canvas."""
 
+_SPREAD_SAMPLES = 4000
+
 
 def draw_fabric(
     prior: Prior, rng: np.random.Generator, *, even_share: float = 0.0
@@ -38,6 +40,11 @@ def draw_fabrics(prior: Prior, count: int, *, even_share: float = 0.0) -> tuple[
     theta, rejected, _ = zip(*(draw_fabric(prior, rng, even_share=even_share)
                                for _ in range(count)), strict=True)
     return np.array(theta), sum(rejected) / (sum(rejected) + count)
+
+
+def spread_of(prior: Prior) -> Theta:
+    """(6,) standard deviation of theta over the fabrics of ``prior``, none of them moved."""
+    return draw_fabrics(prior, _SPREAD_SAMPLES)[0].std(axis=0)
 
 
 def moved(theta: Theta, shift: float, softening: float) -> Theta:
