@@ -47,6 +47,7 @@ SETUP = (*table_names(len(QUARTERS)), FOCAL)
 """Errors of the turns of the table, rad, and logarithm of the focal length."""
 PICTURE = ("picture_x", "picture_y", "picture_scale")
 """Errors of an outline's centre, m, and of its scale."""
+_WAVES, _YARN_WAVES = 16, (2, 4)  # around an outline
 _RADIUS_STEP = 2e-4  # m, largest move of a vertex for the difference of two outlines
 
 
@@ -149,16 +150,78 @@ def depth_information(
     return Information(names, jacobian.T @ jacobian, int(used.sum()), True, "")
 
 
+OUTLINE = (*THETA_NAMES, *SPECIMEN, *PICTURE, *NAMES)
+"""Unknowns of an outline."""
+
+
 def outline_information(
     result: Drape, *, nuisances: Nuisances, noise: Metres, cells_per_measurement: float
 ) -> Information:
     """Fisher information of the outline of a drape under parallel light, whose radii have the
     standard deviation ``noise``; one azimuth in so many is an independent measurement."""
-    names = (*THETA_NAMES, *SPECIMEN, *PICTURE, *NAMES)
     tangent = Tangent.of(result)
     if not tangent.ok:
-        none = np.full((len(names), len(names)), np.nan)
-        return Information(names, none, 0, False, tangent.message)
+        none = np.full((len(OUTLINE), len(OUTLINE)), np.nan)
+        return Information(OUTLINE, none, 0, False, tangent.message)
+    _, jacobian = _outline_moves(tangent, result, nuisances)
+    scale = noise * cells_per_measurement**0.5
+    return Information(OUTLINE, jacobian.T @ jacobian / scale**2, AZIMUTHS, True, "")
+
+
+def start_information(
+    drapes: Sequence[Drape], *, nuisances: Nuisances, noise: Metres, cells_per_measurement: float
+) -> Information:
+    """Fisher information of the outline of a drape whose start is not known, by the mean and the
+    covariance of its features (:func:`_features`) over ``drapes`` of one specimen from many starts.
+
+    The covariance is shrunk (Ledoit and Wolf 2004), as there are fewer drapes than features.
+    """
+    from sklearn.covariance import ledoit_wolf
+
+    values, slopes = [], []
+    for result in drapes:
+        tangent = Tangent.of(result)
+        if not tangent.ok:
+            continue
+        radius, jacobian = _outline_moves(tangent, result, nuisances)
+        value, slope = _features(radius)
+        values.append(value)
+        slopes.append((slope @ jacobian, slope @ slope.T))
+    if len(values) < 3:
+        none = np.full((len(OUTLINE), len(OUTLINE)), np.nan)
+        return Information(OUTLINE, none, 0, False, "too few drapes have derivatives")
+    jacobian, white = (np.mean(part, axis=0) for part in zip(*slopes, strict=True))
+    # Features have different units: shrunk as correlations.
+    scale = np.std(values, axis=0)
+    of_start = ledoit_wolf(np.array(values) / scale)[0] * np.outer(scale, scale)
+    covariance = of_start + noise**2 * cells_per_measurement * white
+    return Information(OUTLINE, jacobian.T @ np.linalg.solve(covariance, jacobian), AZIMUTHS, True,
+                       "")
+
+
+def _features(radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Features (F,) of an outline (A,), and their derivatives (F, A): the mean, waves twice and
+    four times around in the axes of the yarns, and the logarithms of the amplitudes of all other
+    waves, whose place depends on the start."""
+    waves = np.exp(-1j * np.outer(np.arange(_WAVES + 1), AZIMUTH)) / AZIMUTHS
+    complex_ = waves @ radius
+    values, slopes = [complex_[0].real], [waves[0].real]
+    for order in range(1, _WAVES + 1):
+        if order in _YARN_WAVES:
+            values += [complex_[order].real, complex_[order].imag]
+            slopes += [waves[order].real, waves[order].imag]
+        else:
+            size = abs(complex_[order])
+            values.append(np.log(size))
+            slopes.append((complex_[order].conj() * waves[order]).real / size**2)
+    return np.array(values), np.array(slopes)
+
+
+def _outline_moves(
+    tangent: Tangent, result: Drape, nuisances: Nuisances
+) -> tuple[np.ndarray, np.ndarray]:
+    """Radii (A,) of a drape's outline under parallel light, m, and their derivatives (A, P) by
+    :data:`OUTLINE`."""
     edges, here = result.mesh.edges[result.mesh.edge_faces[:, 1] < 0], tangent.positions
     moves = drape_moves(tangent, result, nuisances)
     moves["turn"] = np.column_stack([-here[:, 1], here[:, 0], np.zeros(len(here))])
@@ -170,9 +233,7 @@ def outline_information(
         columns[name] = (ahead - behind) / (2 * step)
     radius = silhouettes(here, edges, np.array([np.inf]), zero=0.0)[0]
     columns |= zip(PICTURE, (np.cos(AZIMUTH), np.sin(AZIMUTH), radius), strict=True)
-    jacobian = np.stack([columns[name] for name in names], axis=1)
-    scale = noise * cells_per_measurement**0.5
-    return Information(names, jacobian.T @ jacobian / scale**2, AZIMUTHS, True, "")
+    return radius, np.stack([columns[name] for name in OUTLINE], axis=1)
 
 
 def drape_moves(
