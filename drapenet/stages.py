@@ -183,7 +183,8 @@ def network_estimate(capture: Capture, header: Header) -> CaptureEstimate:
 
 
 def check(result: CaptureEstimate, strict: bool = False) -> CaptureEstimate:
-    """Add the warnings of the views; InputError if they show no drape, or if ``strict``."""
+    """Add the warnings of the views and of a drape that is unlike its estimate; InputError if the
+    views show no drape, or if ``strict``."""
     path, located = result.capture.path, result.located
     if located:
         try:
@@ -191,6 +192,8 @@ def check(result: CaptureEstimate, strict: bool = False) -> CaptureEstimate:
                 *view_warnings(located, result.observation.map, result.header.setups))
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
+    unlike = [one.warning(result.capture.rig.specimen_size) for one in result.draws.likeness]
+    result = result.with_warnings(*filter(None, unlike))
     require_sound([*result.warnings, *result.capture.warnings, *result.estimate.contradictions],
                   strict, str(path))
     return result

@@ -92,7 +92,7 @@ class CaptureSet:
         sample = read[self.maps.depth[self.maps.depth >= 0][:_MEAN_SAMPLE]].astype(np.float32)
         return {**asdict(config), "distance": round(float(np.nanmean(sample)), 4),
                 "spread": round(float(np.nanstd(sample)), 4),
-                "rectangles": bool((self.maps.aspect != 1).any())}
+                "rectangles": bool((self.maps.aspect != 1).any()), "expected": True}
 
     def batch(
         self, cloths: np.ndarray, condition: Condition, rng: np.random.Generator, *,

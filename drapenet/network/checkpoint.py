@@ -50,6 +50,7 @@ class _Model(Schema):
     distance: float
     spread: _Positive
     rectangles: bool = False
+    expected: bool = False
 
 
 class _Targets(Schema):

@@ -38,9 +38,10 @@ from drapenet.config import EvaluateConfig, Input
 from drapenet.network.captures import CaptureSet, Condition, readable
 from drapenet.network.checkpoint import Header, load_model, read_header
 from drapenet.network.dataset import Maps, make_maps
+from drapenet.network.expected import LEVEL
 from drapenet.network.model import Network
 from drapenet.network.posterior import Ranks, covered, inside, ranks
-from drapenet.network.predict import sample_targets
+from drapenet.network.predict import likeness_of, sample_targets
 from drapenet.network.targets import cloth_of, stiffer_first, targets_of
 from sim.material import MICRO
 
@@ -119,6 +120,7 @@ class Judged:
     fabric: np.ndarray  # (N,) number
     stiffness: np.ndarray  # (N,) true mean alpha (geometric), N·m at 300 g/m²
     coefficient: np.ndarray  # (N,) mean drape coefficient of the captures as the network reads it
+    likeness: np.ndarray  # (N,) of the captures, the least probability, NaN if it is not known
 
     @classmethod
     def joined(cls, parts: Sequence["Judged"]) -> "Judged":
@@ -143,6 +145,7 @@ class Judged:
                        for (level, mean), each in
                        zip(inside(places).items(), covered(places), strict=True)},
             "outside_99": float((np.abs(places - 0.5) > 0.495).mean()),
+            "alarms": float((self.likeness[rows] < LEVEL).mean()),
             "sets": len(error), "fabrics": len(np.unique(fabric)),
         }
 
@@ -182,8 +185,11 @@ def judge(
         drawn = cloth_of(samples, facts.sizes).theta
         theta = cloth_of(truth, facts.sizes).theta
         coefficient = (np.bincount(facts.group, facts.coefficient) / np.bincount(facts.group))
+        least = np.full(len(rows), np.nan)
+        for group, found in zip(facts.group, likeness_of(network, header, batch, samples)):
+            least[group] = np.fmin(least[group], found.probability)
         parts.append((drawn.mean(axis=0) - theta, ranks(drawn, theta), rows,
-                      np.exp(log_stiffness(theta)), coefficient))
+                      np.exp(log_stiffness(theta)), coefficient, least))
     return Judged(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
@@ -293,7 +299,8 @@ def format_cell(name: str, result: dict[str, Any]) -> str:
             f"{alpha['ninth_decile']:.1%} in nine of ten; of the spread: log alpha "
             f"{result['log_alpha']['rmse']:.3f}{least}, beta/alpha "
             f"{result['beta_over_alpha']['rmse']:.3f}{least_ratio}; inside {within}; "
-            f"{result['sets']} sets of {result['fabrics']} fabrics")
+            f"false alarms {result['alarms']:.1%}; {result['sets']} sets of {result['fabrics']} "
+            "fabrics")
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from torch.nn.functional import softplus
 
+from drapenet.network.expected import Expected, shape_of
 from drapenet.network.posterior import Mixture, factor_of, outputs_of
 from drapenet.network.targets import TARGETS, Symmetry
 from drapenet.views.directions import AZIMUTHS, ELEVATIONS
@@ -88,6 +89,7 @@ _WARP = 5  # column: 1 if azimuth 0 is along the warp, -1 along the weft, 0 not 
 _ODD = (_WARP, FACTS)  # columns that a quarter turn gives the opposite sign: that, and the aspect's
 _DISC, _KNOWN = 3, 4  # columns
 _TESTER = 6  # the first columns, which state specimen, tester and warp, and nothing of the drape
+_CIRCUMSTANCES = 10  # the first columns: those, number of views and perspective
 _BACKGROUND = 3.0  # standardised depth where a picture shows no cloth: far behind it
 
 
@@ -103,6 +105,7 @@ class Batch:
     group: torch.Tensor  # (N,)
     pictures: torch.Tensor  # (N, PICTURES or 0, SIDE, SIDE) in sizes, NaN where there is no cloth
     angle: torch.Tensor  # (N,) of azimuth 0 in the first picture, rad
+    shape: torch.Tensor  # (N, SHAPE), see :mod:`drapenet.network.expected`
     targets: torch.Tensor | None = None  # (M, TARGETS) standardised; None in inference
 
     @classmethod
@@ -114,7 +117,9 @@ class Batch:
                    torch.from_numpy(np.nan_to_num(outline).astype(np.float32)),
                    torch.from_numpy(facts.face.astype(np.float32)), facts.columns(),
                    torch.from_numpy(facts.group), torch.from_numpy(pictures).float(),
-                   torch.from_numpy(angle.astype(np.float32)), targets)
+                   torch.from_numpy(angle.astype(np.float32)), torch.from_numpy(
+                       shape_of(outline, facts.coefficient, facts.nodes).astype(np.float32)),
+                   targets)
 
     def turned(self, symmetry: Symmetry) -> "Batch":
         """The batch with ``symmetry`` applied to its captures, not to its targets."""
@@ -126,11 +131,14 @@ class Batch:
                        **{name: symmetry.of_rows(getattr(self, name))
                           for name in ("distance", "weight", "outline")})
 
+    def on(self, device: torch.device) -> "Batch":
+        """The batch on a ``device``."""
+        return replace(self, **{name: part.to(device) for name, part in vars(self).items()
+                                if part is not None})
+
     def through(self, network: torch.nn.Module) -> Mixture:
         """The network's posterior, on its device."""
-        device = next(network.parameters()).device
-        return network(replace(self, **{name: part.to(device) for name, part in vars(self).items()
-                                        if part is not None}))
+        return network(self.on(next(network.parameters()).device))
 
 
 def circular(inputs: int, outputs: int, stride: int = 1, width: int = 3) -> torch.nn.Conv1d:
@@ -167,12 +175,15 @@ class Network(torch.nn.Module):
 
     ``distance``, ``spread``: mean and standard deviation of the training distances or depths;
     ``rectangles``: whether it reads the specimens' aspect, as networks do that were trained on
-    rectangles.
+    rectangles; ``expected``: whether it knows how captures of a cloth look.
     """
 
-    def __init__(self, *, distance: float, spread: float, rectangles: bool) -> None:
+    def __init__(
+        self, *, distance: float, spread: float, rectangles: bool, expected: bool
+    ) -> None:
         super().__init__()
         self.distance, self.spread, self.rectangles = distance, spread, rectangles
+        self.expected = Expected(_CIRCUMSTANCES + ASPECTS) if expected else None
         self.in_bfloat16 = False  # whether convolutions of a training step are in bfloat16
 
     def add_layers(self, features: int, *, facts: int, output: str, components: int,
@@ -202,6 +213,19 @@ class Network(torch.nn.Module):
     def captures(self, batch: Batch) -> torch.Tensor:
         """(N, F) features of each capture."""
         raise NotImplementedError
+
+    def separate_parts(self) -> list[list[torch.nn.Parameter]]:
+        """Parameters that have nothing to do with each other, whose gradients are clipped apart."""
+        expected = list(self.expected.parameters()) if self.expected else []
+        others = {id(one) for one in expected}
+        return [expected, [one for one in self.parameters() if id(one) not in others]]
+
+    def log_density_of_shapes(self, batch: Batch) -> torch.Tensor:
+        """(N,) of the captures' shapes, of the true cloth; 0 of a network that expects none."""
+        if self.expected is None or batch.targets is None:
+            return torch.zeros(len(batch.group), device=batch.facts.device)
+        return self.expected.log_density(batch.shape, batch.targets[batch.group],
+                                         circumstances(batch), batch.face)
 
     def forward(self, batch: Batch) -> Mixture:
         """The posterior of a batch. That of a regression has unit variances in training, so that
@@ -242,9 +266,10 @@ class DrapeNet(Network):
 
     def __init__(
         self, *, width: int, components: int, dropout: float, distance: float, spread: float,
-        rectangles: bool = False, output: str = "posterior",
+        rectangles: bool = False, output: str = "posterior", expected: bool = False,
     ) -> None:
-        super().__init__(distance=distance, spread=spread, rectangles=rectangles)
+        super().__init__(distance=distance, spread=spread, rectangles=rectangles,
+                         expected=expected)
         widths = [width, width, 2 * width, 4 * width, 8 * width]
         self.stem = torch.nn.Sequential(
             circular(CHANNELS, width, stride=2, width=7), norm(width),
@@ -282,10 +307,12 @@ class ViewNet(Network):
     def __init__(
         self, *, backbone: str, width: int, components: int, dropout: float, distance: float,
         spread: float, rectangles: bool = False, output: str = "posterior",
+        expected: bool = False,
     ) -> None:
         from torchvision.models import get_model  # takes a second
 
-        super().__init__(distance=distance, spread=spread, rectangles=rectangles)
+        super().__init__(distance=distance, spread=spread, rectangles=rectangles,
+                         expected=expected)
         self.backbone = get_model(backbone, weights=None, num_classes=width)
         name, first = next((name, part) for name, part in self.backbone.named_modules()
                            if isinstance(part, torch.nn.Conv2d))
@@ -311,6 +338,11 @@ class ViewNet(Network):
             features = self.backbone(depth)
         sure = torch.maximum(batch.facts[:, _KNOWN], 1 - batch.facts[:, _DISC])
         return torch.cat([features.float(), (batch.angle * sure)[:, None]], dim=1)
+
+
+def circumstances(batch: Batch) -> torch.Tensor:
+    """(N, _CIRCUMSTANCES + ASPECTS) columns of the facts that say nothing of the drape."""
+    return torch.cat([batch.facts[:, :_CIRCUMSTANCES], batch.facts[:, FACTS:]], dim=1)
 
 
 def make_network(*, backbone: str | None = None, **options: Any) -> Network:

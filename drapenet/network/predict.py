@@ -13,7 +13,8 @@ import torch
 from data.fabrics.fabrics import from_theta
 from data.fabrics.properties import ClothProperties
 from drapenet.network.checkpoint import Header
-from drapenet.network.model import Batch, Facts, Network
+from drapenet.network.expected import Likeness
+from drapenet.network.model import Batch, Facts, Network, circumstances
 from drapenet.network.posterior import Samples
 from drapenet.network.targets import SYMMETRIES, Symmetry, cloth_of, exchanged
 from drapenet.views.directions import AZIMUTHS, ELEVATIONS
@@ -33,13 +34,16 @@ class Draws:
     cloth: ClothProperties
     known: bool
     impossible: float  # share of all samples that was not admissible and is removed
+    likeness: tuple[Likeness, ...] = ()  # of each capture, of networks that know it
 
     @classmethod
-    def possible(cls, cloth: ClothProperties, known: bool) -> "Draws":
+    def possible(
+        cls, cloth: ClothProperties, known: bool, likeness: Sequence[Likeness] = ()
+    ) -> "Draws":
         """The admissible samples; all if none is."""
         possible = is_admissible(*from_theta(cloth.theta))
         kept = possible if possible.any() else ~possible
-        return cls(cloth.chosen(kept), known, float(1 - possible.mean()))
+        return cls(cloth.chosen(kept), known, float(1 - possible.mean()), tuple(likeness))
 
 
 @torch.no_grad()
@@ -57,6 +61,17 @@ def sample_targets(network: Network, header: Header, batch: Batch, known: np.nda
     return np.concatenate(drawn)
 
 
+def likeness_of(
+    network: Network, header: Header, batch: Batch, samples: Samples
+) -> list[Likeness]:
+    """How each capture compares with drapes of the ``samples`` of its set's targets; none of a
+    network that does not know it."""
+    if network.expected is None:
+        return []
+    cloths = torch.from_numpy(header.scale.encode(samples)).float()[:, batch.group]
+    return network.expected.likeness(batch.shape, cloths, circumstances(batch), batch.face)
+
+
 def predict(
     network: Network, header: Header, sets: Sequence[Sequence[Observation]]
 ) -> list[Draws]:
@@ -68,7 +83,9 @@ def predict(
     batch, facts = batch_of(sets)
     samples = sample_targets(network, header, batch, facts.known)
     known = [all(part.known for part in captures) for captures in sets]
-    return [Draws.possible(cloth_of(samples[:, k], np.full(len(samples), size)), known[k])
+    likeness = likeness_of(network, header, batch, samples)
+    return [Draws.possible(cloth_of(samples[:, k], np.full(len(samples), size)), known[k],
+                           [one for one, group in zip(likeness, facts.group) if group == k])
             for k, size in enumerate(facts.sizes)]
 
 

@@ -139,10 +139,10 @@ def schedule(
 
 
 def fit(
-    network: torch.nn.Module, schedule: Iterable[tuple[float, Any]], *,
+    network: Network, schedule: Iterable[tuple[float, Batch]], *,
     optimizer: torch.optim.Optimizer, optim: OptimConfig,
 ) -> float:
-    """Train ``network`` by maximum likelihood; return the mean loss.
+    """Train ``network`` by maximum likelihood; return the mean loss of its posterior.
 
     ``schedule``: completed share of the cycle and :class:`Batch` of each step.
     """
@@ -152,10 +152,12 @@ def fit(
     for progress, batch in schedule:
         for group in optimizer.param_groups:
             group["lr"] = learning_rate(optim, progress)
-        loss = -batch.through(network).log_likelihood(batch.targets.to(device)).mean()
+        batch = batch.on(device)
+        loss = -network(batch).log_likelihood(batch.targets).mean()
         optimizer.zero_grad()
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(network.parameters(), optim.clip)
+        (loss - network.log_density_of_shapes(batch).mean()).backward()
+        for part in network.separate_parts():
+            torch.nn.utils.clip_grad_norm_(part, optim.clip)
         optimizer.step()
         losses.append(loss.detach())
     return torch.stack(losses).mean().item()

@@ -60,7 +60,7 @@ def test_sets_are_in_the_band_of_their_coefficient_and_stiffness():
     error = np.zeros((4, 6))
     error[2:, :3] = np.log(1.5)
     judged = Judged(error, np.full((4, 6), 0.5), np.arange(4), 1e-6 * np.array([20, 50, 300, 900]),
-                    np.array([0.25, 0.39, 0.85, np.nan]))
+                    np.array([0.25, 0.39, 0.85, np.nan]), np.full(4, np.nan))
     bands = judged.by_band(np.ones(6))
     assert {name: band["alpha"]["median"] for name, band in bands["stiffness"].items()} == {
         "16 to 64 µN·m": 0.0, "above 200 µN·m": pytest.approx(0.5)}

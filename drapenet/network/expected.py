@@ -1,0 +1,159 @@
+"""How the drapes of a cloth look: what a network expects of a capture whose cloth is known.
+
+A capture is described by a few numbers, its *shape*. The network of a checkpoint has beside the
+posterior of the cloth given a capture the distribution of the shape given cloth and specimen,
+learned from the same drapes. If a capture's shape is improbable for all cloths of its posterior, the
+capture is unlike the drapes that were learned: a posterior predictive check (Gelman et al. 1996).
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from common.types import Metres
+from drapenet.network.targets import CURL, TARGETS
+from drapenet.views.directions import AZIMUTH
+
+SHAPE = 5
+"""Numbers of a shape: the drape coefficient, the logarithms of the rms of waves around the outline
+and of its distance from the axis, the mean order of the waves, and the number of nodes."""
+_WAVES = np.arange(2, 21)
+_LEAST = 1e-3  # half sizes, of a wave
+_UNIT = np.array([0.25, 1.0, 1.0, 3.0, 3.0])
+_COMPONENTS = 4
+_HIDDEN = 64
+_REPLICATES = 500
+LEVEL = 0.01
+"""Largest share of a posterior's own drapes that may be less probable than a capture's."""
+
+
+def shape_of(outline: np.ndarray, coefficient: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """(N, SHAPE) numbers, about 1, of outlines (N, AZIMUTHS) in half sizes, NaN where not seen,
+    and of the coefficients and nodes (N,) that are known; NaN: not known."""
+    shape = np.full((len(outline), SHAPE), np.nan)
+    shape[:, 0], shape[:, 4] = coefficient, nodes
+    seen = np.isfinite(outline)
+    cells = np.arange(outline.shape[1])
+    for row in np.flatnonzero(seen.mean(axis=1) >= 0.5):
+        part = seen[row]
+        radius = np.interp(cells, cells[part], outline[row, part], period=len(cells))
+        waves = np.abs(_TURNS @ radius)
+        power = np.square(waves[1:]) + _LEAST**2 / len(_WAVES)
+        shape[row, 1:4] = (math.log(power.sum()) / 2, math.log(waves[0] + _LEAST),
+                           power @ _WAVES / power.sum())
+    return shape / _UNIT
+
+
+_TURNS = 2 * np.exp(-1j * np.outer(np.r_[1, _WAVES], AZIMUTH)) / len(AZIMUTH)
+
+
+@dataclass(frozen=True)
+class Likeness:
+    """How a capture compares with drapes of its posterior.
+
+    Attributes:
+        probability: share of these drapes that are less probable than the capture.
+        number: the number of its shape that deviates most.
+        value, low, high: this number, and where 99 % of those drapes have it.
+    """
+
+    probability: float
+    number: int
+    value: float
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, probability: float, shape: np.ndarray, drawn: np.ndarray) -> "Likeness":
+        """Of a capture's shape (SHAPE,), beside drapes' (S, SHAPE)."""
+        low, middle, high = np.quantile(drawn, [0.005, 0.5, 0.995], axis=0)
+        away = np.where(np.isfinite(shape), np.abs(shape - middle) / (high - low), -1.0)
+        worst = int(away.argmax())
+        return cls(probability, worst, *(float(each[worst] * _UNIT[worst])
+                                         for each in (shape, low, high)))
+
+    def warning(self, size: Metres) -> str | None:
+        """A line if the capture of a specimen of ``size`` is unlike its posterior's drapes."""
+        if self.probability >= LEVEL:
+            return None
+        what, of, unit = _NAMES[self.number]
+        value, low, high = (of(each, size) for each in (self.value, self.low, self.high))
+        return (f"the capture is unlike the drapes of its estimate: its {what} is {value:.3g}{unit}, "
+                f"theirs {low:.3g} to {high:.3g}{unit} (the check is wrong for {LEVEL:.0%} of sound "
+                "captures at most). Look for cloth that is cut out wrongly, and check tester, "
+                "density and plate; if they are right, the fabric is unlike those trained on, and "
+                "its estimate may be wrong")
+
+
+def _millimetres(value: float, size: Metres) -> float:
+    return 1e3 * np.exp(value) * size / 2
+
+
+_NAMES: tuple[tuple[str, Callable[[float, Metres], float], str], ...] = (
+    ("drape coefficient", lambda value, size: 100 * value, " %"),
+    ("depth of folds", _millimetres, " mm rms"),
+    ("distance from the plate's axis", _millimetres, " mm"),
+    ("number of folds", lambda value, size: value, ""),
+    ("number of nodes", lambda value, size: value, ""))
+
+
+class Expected(torch.nn.Module):
+    """Mixture of normal distributions, each with independent entries, of a shape given the
+    standardised targets of its cloth and ``facts`` numbers of the capture."""
+
+    def __init__(self, facts: int) -> None:
+        super().__init__()
+        self.layers = torch.nn.Sequential(
+            torch.nn.Linear(TARGETS + facts, _HIDDEN), torch.nn.ReLU(),
+            torch.nn.Linear(_HIDDEN, _HIDDEN), torch.nn.ReLU(),
+            torch.nn.Linear(_HIDDEN, _COMPONENTS * (1 + 2 * SHAPE)))
+
+    def forward(self, targets: torch.Tensor, facts: torch.Tensor, face: torch.Tensor
+                ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Logarithms of the components' weights (..., K), means and logarithms of deviations
+        (..., K, SHAPE) for targets (..., TARGETS) of the marked face, captures' facts and faces."""
+        turned = targets.clone()
+        turned[..., CURL] = targets[..., CURL] * face[..., None]
+        out = self.layers(torch.cat([turned, facts], dim=-1))
+        out = out.view(*out.shape[:-1], _COMPONENTS, 1 + 2 * SHAPE)
+        return (out[..., 0].log_softmax(dim=-1), out[..., 1 : 1 + SHAPE],
+                out[..., 1 + SHAPE :].clamp(-5.0, 3.0))
+
+    def log_density(self, shape: torch.Tensor, targets: torch.Tensor, facts: torch.Tensor,
+                    face: torch.Tensor) -> torch.Tensor:
+        """(...) log density of the known numbers of shapes (..., SHAPE)."""
+        return _log_density(shape, *self(targets, facts, face))
+
+    @torch.no_grad()
+    def likeness(self, shape: torch.Tensor, samples: torch.Tensor, facts: torch.Tensor,
+                 face: torch.Tensor) -> list["Likeness"]:
+        """How N captures with shapes (N, SHAPE) compare with drapes of cloths drawn from their
+        posteriors (S, N, TARGETS)."""
+        generator = torch.Generator().manual_seed(0)
+        samples = samples[:: max(1, len(samples) // _REPLICATES)]
+        count = len(samples)
+        weights, means, deviations = self(samples, facts.expand(count, *facts.shape),
+                                          face.expand(count, *face.shape))
+        found = []
+        for n in range(len(shape)):
+            parts = weights[:, n], means[:, n], deviations[:, n]
+            chosen = torch.multinomial(parts[0].exp(), 1, generator=generator)[:, 0]
+            rows = torch.arange(count)
+            drawn = parts[1][rows, chosen] + parts[2][rows, chosen].exp() * torch.randn(
+                count, SHAPE, generator=generator)
+            both = torch.cat([torch.where(shape[n].isnan(), shape[n], drawn), shape[n : n + 1]])
+            density = _log_density(both[:, None], *parts).logsumexp(dim=1)
+            less = (1 + (density[:-1] <= density[-1]).sum()) / (1 + count)
+            found.append(Likeness.of(float(less), shape[n].numpy(), drawn.numpy()))
+        return found
+
+
+def _log_density(shape: torch.Tensor, weights: torch.Tensor, means: torch.Tensor,
+                 deviations: torch.Tensor) -> torch.Tensor:
+    gap = (shape[..., None, :] - means) / deviations.exp()
+    each = -gap.square() / 2 - deviations - math.log(2 * math.pi) / 2
+    each = torch.where(shape.isnan()[..., None, :], 0.0, each)
+    return (weights + each.sum(dim=-1)).logsumexp(dim=-1)
