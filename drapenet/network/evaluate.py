@@ -186,8 +186,8 @@ def judge(
         theta = cloth_of(truth, facts.sizes).theta
         coefficient = (np.bincount(facts.group, facts.coefficient) / np.bincount(facts.group))
         least = np.full(len(rows), np.nan)
-        for group, found in zip(facts.group, likeness_of(network, header, batch, samples)):
-            least[group] = np.fmin(least[group], found.probability)
+        for k, found in enumerate(likeness_of(network, header, batch, samples)):
+            least[facts.group[k]] = np.fmin(least[facts.group[k]], found.probability)
         parts.append((drawn.mean(axis=0) - theta, ranks(drawn, theta), rows,
                       np.exp(log_stiffness(theta)), coefficient, least))
     return Judged(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))

@@ -2,8 +2,9 @@
 
 A capture is described by a few numbers, its *shape*. The network of a checkpoint has beside the
 posterior of the cloth given a capture the distribution of the shape given cloth and specimen,
-learned from the same drapes. If a capture's shape is improbable for all cloths of its posterior, the
-capture is unlike the drapes that were learned: a posterior predictive check (Gelman et al. 1996).
+learned from the same drapes. If a capture's shape is improbable for all cloths of its posterior,
+the capture is unlike the drapes that were learned: a posterior predictive check (Gelman et al.
+1996).
 """
 
 import math
@@ -81,11 +82,10 @@ class Likeness:
             return None
         what, of, unit = _NAMES[self.number]
         value, low, high = (of(each, size) for each in (self.value, self.low, self.high))
-        return (f"the capture is unlike the drapes of its estimate: its {what} is {value:.3g}{unit}, "
-                f"theirs {low:.3g} to {high:.3g}{unit} (the check is wrong for {LEVEL:.0%} of sound "
-                "captures at most). Look for cloth that is cut out wrongly, and check tester, "
-                "density and plate; if they are right, the fabric is unlike those trained on, and "
-                "its estimate may be wrong")
+        return ("the capture is unlike the drapes of its estimate, which may be wrong: its "
+                f"{what} is {value:.3g}{unit}, theirs {low:.3g} to {high:.3g}{unit}; check that "
+                "the cloth is cut out rightly, the tester and the density; if they are right, the "
+                "fabric is unlike those trained on")
 
 
 def _millimetres(value: float, size: Metres) -> float:
@@ -153,7 +153,7 @@ class Expected(torch.nn.Module):
 
 def _log_density(shape: torch.Tensor, weights: torch.Tensor, means: torch.Tensor,
                  deviations: torch.Tensor) -> torch.Tensor:
-    gap = (shape[..., None, :] - means) / deviations.exp()
-    each = -gap.square() / 2 - deviations - math.log(2 * math.pi) / 2
-    each = torch.where(shape.isnan()[..., None, :], 0.0, each)
+    known = shape.isfinite()[..., None, :]
+    gap = (shape.nan_to_num()[..., None, :] - means) / deviations.exp()
+    each = (-gap.square() / 2 - deviations - math.log(2 * math.pi) / 2) * known
     return (weights + each.sum(dim=-1)).logsumexp(dim=-1)

@@ -85,7 +85,7 @@ def predict(
     known = [all(part.known for part in captures) for captures in sets]
     likeness = likeness_of(network, header, batch, samples)
     return [Draws.possible(cloth_of(samples[:, k], np.full(len(samples), size)), known[k],
-                           [one for one, group in zip(likeness, facts.group) if group == k])
+                           [one for n, one in enumerate(likeness) if facts.group[n] == k])
             for k, size in enumerate(facts.sizes)]
 
 
