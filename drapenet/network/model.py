@@ -72,7 +72,9 @@ class Facts:
         size = self.sizes[self.group]
         columns = [np.log(size / _SIZE), np.log(self.size / size), 2 * self.plate - 1, self.disc,
                    self.known, self.known, self.views / 4 - 1, self.views > 0]
-        for part, unit in ((self.perspective, 0.4), (self.coefficient, 0.5), (self.nodes, 8.0)):
+        # A few depth maps of nearly flat cloth have a hem far out.
+        share = self.coefficient.clip(0.0, MAX_COEFFICIENT)
+        for part, unit in ((self.perspective, 0.4), (share, 0.5), (self.nodes, 8.0)):
             finite = np.isfinite(part)
             columns += [finite, np.where(finite, part, unit) / unit - 1]
         # What a regression on the drape coefficient needs.
@@ -83,6 +85,7 @@ class Facts:
         return torch.from_numpy(np.column_stack(columns).astype(np.float32))
 
 
+MAX_COEFFICIENT = 1.05  # that a network reads
 FACTS, ASPECTS = 19, 2
 """Numbers of scalar inputs: of every network, and, after them, of one that reads rectangles."""
 _WARP = 5  # column: 1 if azimuth 0 is along the warp, -1 along the weft, 0 not known
@@ -118,7 +121,8 @@ class Batch:
                    torch.from_numpy(facts.face.astype(np.float32)), facts.columns(),
                    torch.from_numpy(facts.group), torch.from_numpy(pictures).float(),
                    torch.from_numpy(angle.astype(np.float32)), torch.from_numpy(
-                       shape_of(outline, facts.coefficient, facts.nodes).astype(np.float32)),
+                       shape_of(outline, facts.coefficient.clip(0.0, MAX_COEFFICIENT),
+                                facts.nodes).astype(np.float32)),
                    targets)
 
     def turned(self, symmetry: Symmetry) -> "Batch":
