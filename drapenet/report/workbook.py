@@ -22,8 +22,9 @@ NOTES = (
     "All values are at the mass per area of the fabric; those of testers are computed from α and "
     "β. A fabric's drape coefficient and nodes are means over its captures, empty if these "
     "are of several testers.",
-    "KES B and 2HB are empty where most of the samples of the estimate are outside the law; "
-    "'KES outside the law' is their share. Do not compare B where it exceeds 5 %.")
+    "KES B and 2HB are empty where most of the samples of the estimate soften below 1.5 1/cm, so "
+    "that the moduli do not determine them; 'KES not determined' is their share. Do not compare B "
+    "where it exceeds 5 %.")
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ def _fill(book: xlsxwriter.Workbook, sheet: Worksheet, samples: Sequence[Sample]
     columns = {**dict.fromkeys(names, "0"),
                **{f"{name} {end} [{unit}]": text for name, unit, text in QUANTITIES.values()
                   for end in ("median", "low", "high")},
-               "KES outside the law [%]": "0.0", "drape coefficient [%]": "0.0", "nodes": "0.0",
+               "KES not determined [%]": "0.0", "drape coefficient [%]": "0.0", "nodes": "0.0",
                "warnings": "0"}
     for column, (name, text) in enumerate(columns.items()):
         sheet.write_string(0, column, name, head)

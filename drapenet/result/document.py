@@ -308,7 +308,10 @@ class EstimateDocument(Excerpt):
                   f"{moduli.beta_nN_m2} nN·m², natural curvature "
                   "{:.2g} ± {:.1g} 1/m".format(*moduli.natural_curvature_1_m)
                   for each in self.strips or [] for name, moduli in each.moduli.items()]
-        lines.append(f"{'':8}{'bending length':>14}{'rigidity G':>14}{'KES B':>18}{'KES 2HB':>18}")
+        head = [f"{'':8}{'bending length':>14}{'rigidity G':>14}"]
+        if self.has_kes:
+            head.append(f"{'KES B':>18}{'KES 2HB':>18}")
+        lines.append("".join(head))
         for name, readings in self.laboratory.items():
             secant, hysteresis = readings.kes_b_gf_cm2_per_cm, readings.kes_2hb_gf_cm_per_cm
             cells = [f"{readings.bending_length_mm.texts()[0] + ' mm':>14}",
@@ -316,9 +319,11 @@ class EstimateDocument(Excerpt):
             if secant and hysteresis:
                 cells += [f"{secant.texts()[0] + ' gf·cm²/cm':>18}",
                           f"{hysteresis.texts()[0] + ' gf·cm/cm':>18}"]
-            else:
-                cells.append("  outside the law")
+            elif self.has_kes:
+                cells.append(f"{'–':>18}{'–':>18}")
             lines.append(f"{name:8}{''.join(cells)}")
+        if not self.has_kes:
+            lines.append("KES B and 2HB are not determined: the fabric softens below 1.5 1/cm")
         cloth = self.cloth
         curvature = cloth.natural_curvature_warp_1_m, cloth.natural_curvature_weft_1_m
         lines.append(f"natural curvature {curvature[0]} 1/m along {self.names[0]}, "
@@ -328,6 +333,11 @@ class EstimateDocument(Excerpt):
             lines.append(f"drape coefficient {coefficient:.1f} %, as captured"
                          + (f", {simulated:.1f} % simulated" if simulated else ""))
         return "\n".join(lines + [f"warning: {line}" for line in self.warnings])
+
+    @property
+    def has_kes(self) -> bool:
+        """Whether the moduli determine KES B along any direction."""
+        return any(readings.kes_b_gf_cm2_per_cm for readings in self.laboratory.values())
 
     def row(self) -> dict[str, str]:
         """Columns of a CSV table: moduli, at the fabric's density and at 300 g/m², and readings."""

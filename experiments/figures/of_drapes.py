@@ -58,8 +58,13 @@ def laboratory(reports: Reports) -> str:
              f"{one['coefficient']:.1f} ({one['coefficient'] - one['measured']:+.1f})",
              "" if one["nodes_measured"] is None else f"{one['nodes_measured']:.0f}",
              f"{one['nodes']:.1f}"] for one in reports["laboratory"]["fabrics"]]
-    return table(["fabric", "", "tester", "stretch and shear", "2HB", "DC measured, %",
-                  "simulated", "nodes measured", "simulated"], rows)
+    changes = [[one["change"], f"{one['mean']:+.1f}", f"{one['rms']:.1f}", f"{one['clo']:+.1f}"]
+               for one in reports["laboratory"].get("explanations", [])]
+    return "\n\n".join((
+        table(["fabric", "", "tester", "stretch and shear", "2HB", "DC measured, %", "simulated",
+               "nodes measured", "simulated"], rows),
+        table(["P1 to P6 with", "simulated less measured, points", "rms", "CLO less simulated"],
+              changes)))
 
 
 def lowering(reports: Reports) -> str:

@@ -4,6 +4,9 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from data.fabrics.fabrics import from_theta
+from data.fabrics.prior import load_prior, log_stiffness
+from data.fabrics.prior.even import draw_fabrics
 from data.fabrics.properties import ClothProperties
 from data.readings.cantilever import (
     MG_CM,
@@ -80,6 +83,19 @@ def test_kes_reads_the_secant_of_the_simulated_cloth():
         torques = -np.diff(energies.reshape(-1, 2))[:, 0] / 2e-2
         expected = (torques[1] - torques[0]) / (KES_CURVATURES[1] - KES_CURVATURES[0])
         assert kes(fabric.alpha[k], fabric.beta[k])[0] == pytest.approx(expected, rel=1e-6)
+
+
+def test_kes_is_determined_of_limp_cloth_and_not_of_stiff_as_the_notation_says():
+    theta, _ = draw_fabrics(load_prior("vae"), 3000, even_share=1.0)
+    alpha, beta = from_theta(theta)
+    stiffness, outside = np.exp(log_stiffness(theta)), kes(alpha, beta)[2]
+    shares = [outside[(low <= stiffness) & (stiffness < high)].mean()
+              for low, high in ((0.0, 4e-6), (16e-6, 64e-6), (200e-6, 1.0))]
+    assert np.allclose(shares, [0.02, 0.31, 0.83], atol=0.03)
+    # The parabola nearest to a line of slope B with the intercept HB, up to a curvature.
+    line, end, at = (20e-6, 0.4e-3), 120.0, np.linspace(0, 120.0, 4001)[:, None]
+    fitted, *_ = np.linalg.lstsq(np.hstack([at, at**2]), line[0] * at[:, 0] + line[1], rcond=None)
+    assert np.allclose(fitted, [line[0] + 4 * line[1] / end, -10 / 3 * line[1] / end**2], rtol=2e-3)
 
 
 def test_kes_is_the_secant_and_knows_where_the_law_ends():

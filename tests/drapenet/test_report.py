@@ -66,7 +66,7 @@ def test_a_report_is_titled_by_the_fabric_and_states_the_test(tmp_path, picture)
     length = part.laboratory["warp"].bending_length_mm
     alpha = part.moduli["weft"].alpha_uN_m.texts()[1]
     assert f">{length}</td>" in page and f">{alpha}</td>" in page
-    assert "outside the law" not in page  # of a fabric that KES can measure
+    assert "KES B" in page and ">–</td>" not in page  # of a fabric that KES can measure
     assert pdf.startswith(b"%PDF-") and b"/Count 2" in pdf and pdf.count(b"/DCTDecode") == 1
     assert "Twill 7/8, navy".encode("utf-16-be") in pdf or b"(Twill 7/8, navy)" in pdf
 
@@ -74,8 +74,14 @@ def test_a_report_is_titled_by_the_fabric_and_states_the_test(tmp_path, picture)
 def test_values_of_kes_outside_the_law_are_neither_given_nor_compared(tmp_path):
     part = document(beta=SOFTENING)
     page, _ = written(tmp_path, part, [ShownCapture("navy", part, b"")])
-    assert page.count(">outside the law</td>") == 2
+    assert page.count(">–</td>") == 2
     assert "Do not compare B and 2HB with measured values along warp (100 % of the samples" in page
+    assert part.text().count("   –") == 2
+    part = document(beta=3 * SOFTENING)  # nowhere determined
+    page, _ = written(tmp_path, part, [ShownCapture("navy", part, b"")])
+    assert "KES 2HB [" not in page and "Do not compare" not in page
+    assert "KES B and 2HB are not given" in page
+    assert "KES B and 2HB are not determined" in part.text() and "KES 2HB  " not in part.text()
 
 
 def test_a_joint_report_has_its_captures_both_faces_and_their_pictures(tmp_path, picture):

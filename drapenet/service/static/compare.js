@@ -46,7 +46,7 @@ function showTable(all) {
     for (let k = 0; k < 3; k += 1) {
       rows.push(line(`${name} ${direction(all, k)}, ${unit}`, all.map((one) => {
         const value = Object.values(one.estimate[part])[k][quantity];
-        const cell = element('td', value ? '' : 'outside the law');
+        const cell = element('td', value ? '' : 'not determined');
         if (value) cell.append(element('b', texts(value).median), element('span', texts(value).near, 'near'));
         return cell;
       })));

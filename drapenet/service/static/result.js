@@ -158,7 +158,7 @@ function showNumbers(estimate) {
       if (value) {
         const { median, near, wide } = texts(value);
         cell.append(element('b', median), element('span', near, 'near'), element('span', wide, 'wide'));
-      } else cell.append(element('span', 'outside the law', 'wide'));
+      } else cell.append(element('span', 'not determined', 'wide'));
       row.append(cell);
     }
     return row;

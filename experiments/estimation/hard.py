@@ -1,0 +1,91 @@
+"""Fabrics chosen by hand, limp, stiff and with different yarns: estimates, intervals and warnings.
+
+Each fabric is draped once on each tester, as a specimen with all nuisances, and estimated from four
+depth views and from its outline under parallel light. Counted are the directions whose true alpha
+lies outside the 99 % interval, and the estimates with such directions that have no warning.
+"""
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from data.fabrics.fabrics import to_theta
+from data.render.setups import Setups
+from data.rigs import named_tester
+from drapenet.evidence.fabric import network_of
+from drapenet.network.predict import Draws, predict
+from drapenet.result.estimate import make_estimate
+from drapenet.views.observation import Observation
+from drapenet.views.outline import DrapeOutline, silhouettes
+from experiments.drapes import capture_drape, drape_as_planned, header, infer, plan_specimen
+from experiments.result import ESTIMATOR, Config, Result, run_cases
+from sim.material import DIRECTIONS, LINEAR, MICRO, NANO, REFERENCE_DENSITY, is_admissible
+from sim.measures import drape_coefficient
+
+
+def read_fabrics(path: Path) -> dict[str, list[float]]:
+    """Theta of fabrics at 300 g/m² by name; lines that begin with # are comments."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    found = {}
+    for row in csv.DictReader(line for line in lines if not line.startswith("#")):
+        scale = 1e3 * REFERENCE_DENSITY / float(row["weight"])
+        alpha, beta = (scale * unit * np.array([float(row[f"{name}_{d}"]) for d in DIRECTIONS])
+                       for name, unit in (("alpha", MICRO), ("beta", NANO)))
+        assert is_admissible(alpha, beta), f"no plate has the moduli of {row['name']}"
+        found[row["name"]] = to_theta(alpha, beta).tolist()
+    return found
+
+
+def estimated(
+    *, theta: list[float], tester: str, number: int, seed: int, edge_mm: float
+) -> dict[str, Any]:
+    """Both estimates of a drape of a fabric."""
+    rig = named_tester(tester)
+    plan = replace(plan_specimen(number, "dataset=testers", "dataset.rectangles=0",
+                                 "dataset.random_testers=0", seed=seed, nuisances="real", rig=rig),
+                   theta=np.array(theta))
+    shape = drape_as_planned(plan, edge=1e-3 * edge_mm)
+    setups = replace(Setups.load("real"), views=(0.0, 0.0, 0.0, 1.0))
+    views = infer(capture_drape(shape, setups, np.random.default_rng([seed, number]), rig), rig)
+    border = shape.mesh.edges[shape.mesh.edge_faces[:, 1] < 0]
+    radius = silhouettes(shape.positions, border, np.array([np.inf]), zero=0.0)[0]
+    seen = Observation(rig, 1, True, outline=DrapeOutline(radius))
+    draws, = predict(network_of(header()), header(), [[seen]])
+    shown = make_estimate(draws, density=REFERENCE_DENSITY, header=header())
+    lines = [*shown.warnings, *filter(None, (one.warning(rig.specimen_size)
+                                             for one in draws.likeness))]
+    return {"coefficient": drape_coefficient(shape.positions, shape.faces, rig),
+            "depth": _judged(views.draws, theta, views.document.warnings),
+            "outline": _judged(draws, theta, lines)}
+
+
+def _judged(draws: Draws, theta: list[float], warnings: list[str]) -> dict[str, Any]:
+    samples, true = draws.cloth.theta[:, LINEAR], np.array(theta)[LINEAR]
+    low, high = np.quantile(samples, [0.005, 0.995], axis=0)
+    return {"error": (samples.mean(axis=0) - true).tolist(),
+            "outside": int(((true < low) | (true > high)).sum()), "warnings": warnings}
+
+
+def run(config: Config) -> Result:
+    """Drape and estimate all fabrics."""
+    cases = {f"{name}, {tester}": {"theta": theta, "tester": tester, "number": number,
+                                   "seed": config["seed"], "edge_mm": config["edge_mm"]}
+             for number, (name, theta) in enumerate(read_fabrics(Path(config["fabrics"])).items())
+             for tester in config["testers"]}
+    results = run_cases(estimated, cases, config, sources=ESTIMATOR)
+    summary = {}
+    for kind in ("depth", "outline"):
+        found = {label: result[kind] for label, result in results.items()}
+        errors = np.abs([one["error"] for one in found.values()])
+        missed = [label for label, one in found.items() if one["outside"]]
+        summary[kind] = {
+            "estimates": len(found), "directions_outside": sum(
+                one["outside"] for one in found.values()), "missed": missed,
+            "in_silence": [label for label in missed if not found[label]["warnings"]],
+            "with_a_warning": sum(bool(one["warnings"]) for one in found.values()),
+            "median": float(np.expm1(np.median(errors))),
+            "ninth_decile": float(np.expm1(np.quantile(errors, 0.9)))}
+    return Result({"summary": summary, "fabrics": results})
