@@ -22,6 +22,7 @@ from drapenet.evidence.fabric import CaptureEvidence, joined, network_of, requir
 from drapenet.evidence.source import of_values
 from drapenet.network.checkpoint import Header
 from drapenet.network.predict import Draws, predict
+from drapenet.result.advice import advice_of
 from drapenet.result.document import CaptureAbout, EstimateDocument
 from drapenet.result.estimate import Estimate
 from drapenet.result.files import (
@@ -98,7 +99,9 @@ class CaptureEstimate:
             nodes=nodes, known=capture.known, labels=capture.labels)
         warnings = [*capture.warnings, *self.estimate.warnings, *self.estimate.contradictions,
                     *self.warnings]
-        optional = {"refined": self.refined} if self.refined else {}
+        optional: dict[str, Any] = {"refined": self.refined} if self.refined else {}
+        if advice := advice_of(capture.rig, share):
+            optional["advice"] = advice
         if self.drape:
             warnings += self.drape.warnings(share)
             optional["resimulation"] = self.drape.as_dict()

@@ -212,6 +212,7 @@ class EstimateDocument(Excerpt):
     strips: list[StripsRecord] | None = None
     refined: RefinementRecord | None = None
     resimulation: dict[str, Any] | None = None
+    advice: list[Text] | None = None
     warnings: list[Text]
     contradictions: list[Text] | None = None  # the warnings that name what is left out
 
@@ -332,6 +333,7 @@ class EstimateDocument(Excerpt):
             simulated = (self.resimulation or {}).get("drape_coefficient_percent")
             lines.append(f"drape coefficient {coefficient:.1f} %, as captured"
                          + (f", {simulated:.1f} % simulated" if simulated else ""))
+        lines += [f"advice: {line}" for line in self.advice or []]
         return "\n".join(lines + [f"warning: {line}" for line in self.warnings])
 
     @property

@@ -163,8 +163,9 @@ function showNumbers(estimate) {
     }
     return row;
   }));
-  at('poor').textContent = estimate.poorly_constrained.length
-    ? `Poorly constrained: ${estimate.poorly_constrained.join(', ').replaceAll('beta', 'β').replaceAll('alpha', 'α')}.` : '';
+  const poor = estimate.poorly_constrained.length
+    ? `Poorly constrained: ${estimate.poorly_constrained.join(', ').replaceAll('beta', 'β').replaceAll('alpha', 'α')}. ` : '';
+  at('poor').textContent = poor + (estimate.advice ?? []).map((line) => `Advice: ${line}.`).join(' ');
   at('numbers').hidden = false;
 }
 

@@ -1,0 +1,85 @@
+"""What a network expects of a capture: shapes of known curves, and a check that can fail."""
+
+import numpy as np
+import pytest
+import torch
+
+from drapenet.network.expected import LEVEL, SHAPE, Expected, shape_of
+from drapenet.network.targets import CURL, TARGETS
+from drapenet.result.advice import advice_of
+from drapenet.views.directions import AZIMUTH
+from sim.rig import Rig
+
+UNIT = np.array([0.25, 1.0, 1.0, 3.0, 3.0])
+
+
+def test_the_shape_of_a_wavy_outline_is_its_waves():
+    radius = 0.75 + 0.06 * np.cos(7 * AZIMUTH - 1) + 0.01 * np.cos(AZIMUTH)
+    radius[5:12] = np.nan  # not seen
+    shape, = shape_of(radius[None], np.array([0.4]), np.array([np.nan])) * UNIT
+    assert shape[0] == pytest.approx(0.4) and np.isnan(shape[4])
+    assert np.exp(shape[1]) == pytest.approx(0.06, rel=0.05)
+    assert np.exp(shape[2]) == pytest.approx(0.011, rel=0.2)
+    assert shape[3] == pytest.approx(7, abs=0.1)
+    radius[20:90] = np.nan
+    assert np.isnan(shape_of(radius[None], np.array([0.4]), np.array([6.0]))[0, 1:4]).all()
+
+
+@pytest.fixture(scope="module")
+def expected() -> Expected:
+    """It has learned that the coefficient follows the first target with a deviation of 0.3, and
+    that the other numbers depend on the curl that is up."""
+    torch.manual_seed(0)
+    found = Expected(facts=2)
+    optimizer = torch.optim.Adam(found.parameters(), 5e-3)
+    for _ in range(400):
+        targets, facts = torch.randn(256, TARGETS), torch.randn(256, 2)
+        face = torch.sign(torch.randn(256))
+        shape = 0.3 * torch.randn(256, SHAPE) + (face * targets[:, CURL.start])[:, None]
+        shape[:, 0] = targets[:, 0] + 0.3 * torch.randn(256)
+        shape[torch.rand(256, SHAPE) < 0.2] = torch.nan
+        loss = -found.log_density(shape, targets, facts, face).mean()
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+    return found
+
+
+def drawn(count: int, seed: int) -> tuple[torch.Tensor, ...]:
+    """Shapes, posterior samples about their cloths, facts and faces of captures."""
+    generator = torch.Generator().manual_seed(seed)
+    targets = torch.randn(count, TARGETS, generator=generator)
+    face = torch.sign(torch.randn(count, generator=generator))
+    shape = 0.3 * torch.randn(count, SHAPE, generator=generator) + (
+        face * targets[:, CURL.start])[:, None]
+    shape[:, 0] = targets[:, 0] + 0.3 * torch.randn(count, generator=generator)
+    samples = targets + 0.1 * torch.randn(400, count, TARGETS, generator=generator)
+    return shape, samples, torch.zeros(count, 2), face
+
+
+def test_captures_like_their_estimate_are_seldom_named(expected):
+    found = expected.likeness(*drawn(200, 1))
+    shares = np.array([one.probability for one in found])
+    assert (shares < LEVEL).mean() <= 0.03 and 0.35 < shares.mean() < 0.65
+    assert all(one.warning(0.3) is None for one in found if one.probability >= LEVEL)
+
+
+def test_a_capture_that_no_cloth_of_its_estimate_gives_is_named_with_the_number(expected):
+    shape, samples, facts, face = drawn(20, 2)
+    shape[:, 0] += 3.0  # 75 points of drape coefficient
+    shape[:, 4] = torch.nan
+    for one in expected.likeness(shape, samples, facts, face):
+        assert one.probability < LEVEL
+        line = one.warning(0.3)
+        assert "its drape coefficient is" in line and "\n" not in line
+    turned = expected.likeness(*drawn(20, 2)[:3], -drawn(20, 2)[3])  # the other face up
+    assert np.median([one.probability for one in turned]) < 0.1
+
+
+@pytest.mark.parametrize(("name", "coefficient", "advice"), [
+    ("disc300_support180", 0.86, "drape a disc of 360 mm"), ("disc360_support180", 0.9, "strips"),
+    ("square300_cylinder100", 0.1, "disc of 240 mm"), ("disc300_support180", 0.5, ""),
+    ("disc240_support180", 0.1, ""), ("disc300_support180", np.nan, "")])
+def test_a_specimen_that_says_little_is_named_with_a_better_one(name, coefficient, advice):
+    lines = advice_of(Rig.from_name(name), coefficient)
+    assert (advice in lines[0]) if advice else not lines
