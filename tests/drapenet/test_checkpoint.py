@@ -9,6 +9,7 @@ from safetensors.torch import load, save_file
 
 from common.errors import InputError
 from drapenet.network.checkpoint import BUNDLED, load_model, read_header, save_checkpoint
+from drapenet.network.expected import SHAPE
 from drapenet.network.model import ASPECTS, FACTS, Batch, make_network
 from drapenet.views.directions import AZIMUTHS, ELEVATIONS
 
@@ -34,7 +35,7 @@ def test_a_loaded_network_predicts_the_same(checkpoint, half):
     shape = (2, AZIMUTHS, ELEVATIONS)
     batch = Batch(0.3 + 0.1 * torch.rand(shape), torch.rand(shape), torch.rand(shape[:2]),
                   torch.ones(2), torch.zeros(2, FACTS + ASPECTS), torch.tensor([0, 0]),
-                  torch.zeros(2, 0, 0, 0), torch.zeros(2))
+                  torch.zeros(2, 0, 0, 0), torch.zeros(2), torch.zeros(2, SHAPE))
     with torch.no_grad():
         first, second = (batch.through(network).means for network in (model, load_model(
             read_header(checkpoint))))
