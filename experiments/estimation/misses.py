@@ -1,0 +1,104 @@
+"""How far captures lie from the simulated drapes of their estimates, and how often that is named.
+
+Unseen fabrics of evenly distributed stiffness are draped on each tester, as specimens with all
+nuisances, and captured in depth views and as an outline under parallel light. Each capture is
+estimated, and two drapes of the estimate are simulated as for a report. False alarms are the shares
+of these captures that a check names: that of :mod:`drapenet.network.expected`, which costs nothing,
+and those of the simulated drape. The same outlines with a fault show how many a check finds: a
+shadow that is read as cloth over an eighth of the outline, and a tester of another size.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from common.command import compose_config
+from data.dataset.config import Options, config_from_options
+from data.dataset.plan import plan_drape
+from data.render.setups import Setups
+from drapenet.evidence.fabric import network_of
+from drapenet.network.predict import predict
+from drapenet.report.drape import Resimulation, resimulate_outline
+from drapenet.result.estimate import make_estimate
+from drapenet.stages import simulate
+from drapenet.views.directions import AZIMUTH
+from drapenet.views.observation import Observation
+from drapenet.views.outline import DrapeOutline, silhouettes
+from experiments.drapes import capture_drape, drape_as_planned, header, infer
+from experiments.result import ESTIMATOR, Config, Result, run_cases
+from sim.material import REFERENCE_DENSITY
+from sim.rig import Rig
+
+SHADOW = math.pi / 8  # half of the azimuths that it covers
+OTHER = {"disc300_support180": "disc360_support180", "disc360_support180": "disc300_support180",
+         "disc240_support180": "disc300_support180",
+         "square300_cylinder100": "square350_cylinder120"}
+"""A tester that might be stated in place of each."""
+
+
+def captured(*, tester: str, number: int, seed: int, edge_mm: float) -> dict[str, Any]:
+    """Deviations and checks of both captures of a drape, and of the faulty outlines."""
+    config = config_from_options(compose_config("generate", [
+        "dataset=testers", "dataset.even_share=1", f"dataset.testers=[{tester}]", f"seed={seed}",
+        "dataset.random_testers=0", "dataset.rectangles=0"], schema=Options))
+    plan = plan_drape(number, config=config.sampling, prior=config.prior)
+    shape = drape_as_planned(plan, edge=1e-3 * edge_mm)
+    rng = np.random.default_rng([seed, number])
+    views = simulate(infer(capture_drape(shape, Setups.load("real"), rng, plan.rig), plan.rig),
+                     drapes=2, edge=4e-3)
+    seen = views.observation.outline
+    found = {}
+    if views.drape and seen:
+        found["depth views"] = _compared(views.drape, seen.coefficient(plan.rig)) | {
+            "unlike": [one.warning(plan.rig.specimen_size) for one in views.draws.likeness]}
+    border = shape.mesh.edges[shape.mesh.edge_faces[:, 1] < 0]
+    radius = silhouettes(shape.positions, border, np.array([np.inf]), zero=0.0)[0]
+    found["outline"] = _outline(radius, plan.rig)
+    middle = rng.uniform(0, 2 * np.pi)
+    shadow = np.abs(np.angle(np.exp(1j * (AZIMUTH - middle)))) < SHADOW
+    found["shadow"] = _outline(np.where(shadow, np.maximum(radius, radius.max() * 1.05), radius),
+                               plan.rig)
+    found["other tester"] = _outline(radius, Rig.from_name(OTHER[tester]))
+    return found
+
+
+def _outline(radius: np.ndarray, rig: Rig) -> dict[str, Any]:
+    outline = DrapeOutline(radius)
+    draws, = predict(network_of(header()), header(), [[Observation(rig, 1, True, outline=outline)]])
+    estimate = make_estimate(draws, density=REFERENCE_DENSITY, header=header())
+    drape = resimulate_outline(estimate.fabric, outline, rig, edge=4e-3, drapes=2,
+                               laws=estimate.nuisances.laws)
+    compared = _compared(drape, outline.coefficient(rig)) if drape else {}
+    return compared | {"unlike": [one.warning(rig.specimen_size) for one in draws.likeness],
+                       "extrapolated": bool(estimate.warnings)}
+
+
+def _compared(drape: Resimulation, coefficient: float) -> dict[str, Any]:
+    folds = drape.folds
+    return {"gap": drape.coefficient - coefficient, "overlap": drape.overlap,
+            "folds": None if None in folds else folds[1] - folds[0],  # type: ignore[operator]
+            "named": bool(drape.warnings(coefficient))}
+
+
+def run(config: Config) -> Result:
+    """Compare all captures."""
+    cases = {f"{tester}_{k:03}": {"tester": tester, "number": 8 * k, "seed": config["seed"],
+                                  "edge_mm": config["edge_mm"]}
+             for tester in config["testers"] for k in range(config["fabrics"])}
+    results = run_cases(captured, cases, config, sources=ESTIMATOR)
+    return Result({"summary": {kind: _summary([found[kind] for found in results.values()
+                                               if kind in found])
+                               for kind in ("depth views", "outline", "shadow", "other tester")},
+                   "captures": results})
+
+
+def _summary(found: list[dict[str, Any]]) -> dict[str, Any]:
+    draped = [one for one in found if "gap" in one]
+    gaps = np.abs([one["gap"] for one in draped])
+    unlike, named = (np.array([bool(test(one)) for one in found]) for test in (
+        lambda one: any(one["unlike"]), lambda one: one.get("named")))
+    return {"captures": len(found), "unlike": float(unlike.mean()), "named": float(named.mean()),
+            "either": float((unlike | named).mean()),
+            "gap": np.quantile(gaps, [0.5, 0.9, 0.99]).tolist(),
+            "overlap": np.quantile([one["overlap"] for one in draped], [0.5, 0.1, 0.01]).tolist()}
