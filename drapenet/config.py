@@ -114,6 +114,7 @@ class EvaluateConfig:
     out: str
     fabrics: str
     fabrics_per_tester: FromOne
+    drapes_per_fabric: FromOne
     even_fabrics: FromZero
     captures: FromOne
     seed: Seed

@@ -45,7 +45,7 @@ from drapenet.network.predict import likeness_of, sample_targets
 from drapenet.network.targets import cloth_of, stiffer_first, targets_of
 from sim.material import MICRO
 
-DRAPES_PER_FABRIC, DRAPES_PER_EVEN_FABRIC = 4, 2
+DRAPES_PER_EVEN_FABRIC = 2
 _BATCH_SIZE = 32  # sets
 _REPEATS = 2  # sets of each fabric and size, of other drapes or other captures of them
 _RESAMPLES = 400  # of the bootstrap
@@ -71,7 +71,7 @@ class Cell:
 
 
 def _sets(size: int) -> tuple[float, ...]:
-    return tuple(float(k == size) for k in range(1, DRAPES_PER_FABRIC + 1))
+    return (*[0.0] * (size - 1), 1.0)
 
 
 def _views(count: int) -> dict[str, Any]:
@@ -104,7 +104,7 @@ CELLS: dict[str, Cell] = {
     "outline, height not stated": Cell(replace(_PARALLEL, parallel=0.0, stated=0.0)),
     "outline, warp not stated": Cell(replace(_PARALLEL, known=0.0)),
     **{f"outline, sets of {size}": Cell(replace(_PARALLEL, sizes=_sets(size)))
-       for size in (2, 4)},
+       for size in (2, 4, 10)},
     "drape coefficient and nodes": Cell(replace(_PARALLEL, kinds=NUMBERS)),
 }
 SINGLES = ("depth, 4 views", "outline, parallel light", "drape coefficient and nodes")
@@ -224,7 +224,8 @@ def main(config: EvaluateConfig) -> None:
         header.require_learned(named_tester(tester))
     network = load_model(header)
     bounds = read_json(Path(config.bounds))["cells"] if config.bounds else {}
-    known = {name: cell for name, cell in CELLS.items() if cell.kind in header.config.inputs}
+    known = {name: cell for name, cell in CELLS.items() if cell.kind in header.config.inputs
+             and len(cell.condition.sizes) <= config.drapes_per_fabric}
 
     def judged(tester: str, cells: dict[str, Cell], *, even: bool) -> Iterator[tuple[str, Judged]]:
         base = make_config(header, tester, config, even=even)
@@ -275,7 +276,7 @@ def make_config(
     """Configuration of new drapes on a ``tester``, with the nuisances of the training set's;
     ``even``: of fabrics of evenly distributed stiffness."""
     edge_mm = header.dataset.generation[0]["solver"]["edge_mm"]
-    drapes = DRAPES_PER_EVEN_FABRIC if even else DRAPES_PER_FABRIC
+    drapes = DRAPES_PER_EVEN_FABRIC if even else config.drapes_per_fabric
     fabrics = config.even_fabrics if even else config.fabrics_per_tester
     words = [f"drapes={drapes * fabrics}", f"seed={config.seed + even}",
              "dataset=testers", f"dataset.even_share={float(even)}", f"dataset.testers=[{tester}]",

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from common.command import compose_config
 from common.errors import InputError
 from data.dataset.generate import generate_dataset
 from data.fabrics.properties import ClothProperties
@@ -23,7 +24,7 @@ from drapenet.evidence.state import fabric_prior, prior_along
 from drapenet.network.captures import CaptureSet, Condition
 from drapenet.network.checkpoint import Header, read_header
 from drapenet.network.dataset import Maps, make_maps
-from drapenet.network.evaluate import DEPTH, DRAPES_PER_FABRIC, make_config, require_unseen
+from drapenet.network.evaluate import DEPTH, make_config, require_unseen
 from drapenet.network.posterior import inside, ranks
 from drapenet.network.predict import Draws, sample_targets
 from drapenet.network.targets import cloth_of
@@ -38,6 +39,7 @@ from experiments.estimation.strip_photographs import (
 from experiments.result import Config, Result, read_report, rms
 from sim.material import DIRECTIONS, FIRST, LINEAR, RATIO, REFERENCE_DENSITY, SECOND, bending_length
 
+DRAPES = 4  # of each fabric, at most in a set
 ONE = "one drape"
 STRIPS = "one drape, a strip along warp and weft"
 YARNS = [FIRST, SECOND]
@@ -55,7 +57,7 @@ def run(config: Config) -> Result:
     places: dict[str, list[np.ndarray]] = {}
     for fabric in np.intersect1d(first.fabric, second.fabric):
         drapes, others = (np.flatnonzero(maps.fabric == fabric) for maps in (first, second))
-        if len(drapes) < DRAPES_PER_FABRIC or not len(others):
+        if len(drapes) < DRAPES or not len(others):
             continue  # a drape did not converge
         one = first.chosen(drapes[:1])
         turned = drapes[first.face[drapes] != first.face[drapes[0]]]
@@ -91,10 +93,9 @@ def run(config: Config) -> Result:
 
 def _maps(header: Header, tester: str, config: Config) -> Maps:
     """One capture of each drape of new fabrics on a tester."""
-    options = EvaluateConfig(
-        checkpoint=config["checkpoint"], testers=[tester], bounds="", out=config["work"],
-        fabrics="", fabrics_per_tester=config["fabrics"], captures=1, seed=config["seed"],
-        workers=config["workers"])
+    options = compose_config("evaluate", [
+        f"testers=[{tester}]", f"fabrics_per_tester={config['fabrics']}",
+        f"drapes_per_fabric={DRAPES}", f"seed={config['seed']}"], schema=EvaluateConfig)
     base, folder = make_config(header, tester, options), Path(config["work"]) / tester
     require_unseen(header, base.as_dict())
     manifest = generate_dataset(base, folder, workers=config["workers"])
@@ -106,7 +107,7 @@ def _maps(header: Header, tester: str, config: Config) -> Maps:
 def _estimate(header: Header, maps: Maps) -> Estimate:
     """The network's estimate from one depth capture of each drape of one fabric."""
     captures = CaptureSet(maps, scale=header.scale)
-    sizes = tuple(float(k + 1 == len(maps)) for k in range(DRAPES_PER_FABRIC))
+    sizes = tuple(float(k + 1 == len(maps)) for k in range(DRAPES))
     batch, facts = captures.batch(np.array([0]), Condition(DEPTH, sizes, known=1.0),
                                   np.random.default_rng(0), symmetric=False)
     samples = sample_targets(network_of(header), header, batch, facts.known)[:, 0]
