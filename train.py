@@ -3,7 +3,8 @@
     python train.py data=outputs/dataset out=outputs/train
 
 After an interruption the same command resumes from the last finished epoch and gives the same
-weights; with a larger ``epochs=`` it extends the training. Settings are in ``configs/train.yaml``;
+weights; with a larger ``epochs=`` it extends the training, and ``start=FILE`` begins another from
+the weights of a checkpoint. Settings are in ``configs/train.yaml``;
 override any of them by ``key=value``. ``model=views`` trains the network of Feng et al. 2022.
 """
 
@@ -31,20 +32,20 @@ def train(config: TrainConfig) -> Path:
 
     from drapenet.network import training as steps
     from drapenet.network.checkpoint import save_checkpoint
-    from drapenet.network.model import make_network
 
     device = steps.choose_device(config)
     training, unseen, datasets = steps.open_captures(config)
     checkpoint, state = out / "drapenet.safetensors", out / "state.pt"
 
     torch.manual_seed(config.seed)  # used for the initial weights only
-    network = make_network(**training.network(config.model)).to(device)
+    network = steps.initial_network(config, training).to(device)
     network.in_bfloat16 = config.bfloat16
     optimizer = torch.optim.AdamW(network.parameters(), weight_decay=config.optim.weight_decay)
 
     # Must agree with an existing state for a resume.
     settings = {name: one for name, one in config.defining().items() if name != "epochs"}
-    run = {"settings": settings, "datasets": datasets["sha256"], "maps": datasets["maps"]}
+    run = {"settings": settings, "datasets": datasets["sha256"],
+           **{name: datasets[name] for name in ("maps", "start") if name in datasets}}
     record: dict[str, Any] = {"run": run, "cycles": [], "epochs_done": 0, "best_loss": None}
     if state.exists():
         record = steps.load_state(state, run=run, model=network, optimizer=optimizer)

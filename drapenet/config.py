@@ -48,6 +48,7 @@ class TrainConfig:
     data: Any  # a folder or a list of them
     out: str
     maps: str
+    start: str
     seed: Seed
     epochs: FromOne
     inputs: Annotated[list[Input], Field(min_length=1)]
@@ -69,7 +70,8 @@ class TrainConfig:
     def defining(self) -> dict:
         """Settings that a resumed run must share: all but paths, device and processes."""
         settings = asdict(self)
-        for name in ("data", "out", "maps", "device", "workers", "threads", "half_precision"):
+        for name in ("data", "out", "maps", "start", "device", "workers", "threads",
+                     "half_precision"):
             del settings[name]
         return settings
 

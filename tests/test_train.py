@@ -107,6 +107,23 @@ def test_an_extended_training_is_the_same_however_it_was_interrupted(
     assert not torch.equal(before["model"]["stem.0.weight"], first["model"]["stem.0.weight"])
 
 
+def test_a_training_begins_with_the_weights_of_a_checkpoint(words, trained, tmp_path):
+    start = trained / "drapenet.safetensors"
+    begun = last(*words, f"start={start}", "optim.learning_rate=1e-12", "epochs=1",
+                 f"out={tmp_path / 'begun'}", "drapes=2")
+    train.main(begun)
+    first, second = (read_header(folder / "drapenet.safetensors")
+                     for folder in (trained, tmp_path / "begun"))
+    assert first.targets == second.targets and first.model.width == second.model.width
+    weights = [dict(load_model(header).named_parameters()) for header in (first, second)]
+    for name, value in weights[0].items():
+        assert torch.allclose(value, weights[1][name], atol=1e-3), name
+    with pytest.raises(InputError, match=r"contains a training with other settings.*start"):
+        train.main(last(*[word for word in begun if not word.startswith("start=")]))
+    with pytest.raises(InputError, match=r"start=.* has a network of width=4.* ask for 8"):
+        train.main(last(*begun, "model.width=8", f"out={tmp_path / 'other'}"))
+
+
 def test_a_training_is_not_shortened(words, trained, tmp_path):
     shutil.copy(trained / "state.pt", tmp_path)
     with pytest.raises(InputError, match="epochs=1: this training is one of 2; give as many"):

@@ -26,9 +26,9 @@ from data.fabrics.prior.even import spread_of
 from data.render.setups import Setups
 from drapenet.config import OptimConfig, TrainConfig
 from drapenet.network.captures import CaptureSet, Condition, readable
-from drapenet.network.checkpoint import MAX_WEIGHTS_BYTES
+from drapenet.network.checkpoint import MAX_WEIGHTS_BYTES, load_model, read_header
 from drapenet.network.dataset import SOURCES, Maps, make_maps
-from drapenet.network.model import Batch, Network
+from drapenet.network.model import Batch, Network, make_network
 from drapenet.network.posterior import Mixture, inside, ranks
 from drapenet.network.targets import MODULI
 from sim.material import REFERENCE_DENSITY
@@ -75,12 +75,15 @@ def open_captures(config: TrainConfig) -> tuple[CaptureSet, CaptureSet, dict]:
     described = {"sha256": [manifest["hash"] for manifest in manifests],
                  "generation": [manifest["config"] for manifest in manifests],
                  "maps": sources_digest(*SOURCES)}
+    if config.start:
+        described["start"] = read_header(config.start).sha256
     shares = {"train": 1 - config.validation_fraction, "validation": config.validation_fraction}
     split = split_by_fabric(maps.fabric, fractions=shares)
     usable = readable(maps, config.inputs)
     unseen = maps.chosen(usable & (split == "validation") & ~maps.moved)
     training = maps.chosen(first_drapes(maps, usable & (split == "train"), config))
-    captures = CaptureSet(training) if len(training) else None
+    scale = read_header(config.start).scale if config.start else None
+    captures = CaptureSet(training, scale=scale) if len(training) else None
     if not captures or len(captures) < config.optim.batch_size or not len(unseen):
         raise InputError(f"{', '.join(folders)}: {len(captures or ())} fabrics and neighbours to "
                          f"train on and {len(unseen)} captures to validate with, but at least "
@@ -88,6 +91,22 @@ def open_captures(config: TrainConfig) -> tuple[CaptureSet, CaptureSet, dict]:
                          "more drapes, lower optim.batch_size or change "
                          f"validation_fraction={config.validation_fraction:g}")
     return captures, CaptureSet(unseen, scale=captures.scale), described
+
+
+def initial_network(config: TrainConfig, captures: CaptureSet) -> Network:
+    """The network that the training begins with: with random weights, or those of ``start``, whose
+    scale the ``captures`` have; InputError if that has other layers than the settings ask for."""
+    asked = captures.network(config.model)
+    if not config.start:
+        return make_network(**asked)
+    header = read_header(config.start)
+    found = header.model.model_dump()
+    for name in sorted({"backbone", "output", "width", "components", "rectangles", "expected"}):
+        if found[name] != asked[name]:
+            raise InputError(f"start={config.start} has a network of {name}={found[name]}, the "
+                             f"settings and drapes ask for {asked[name]}; start from another "
+                             "checkpoint, or from none")
+    return load_model(header)
 
 
 def first_drapes(maps: Maps, rows: np.ndarray, config: TrainConfig) -> np.ndarray:
