@@ -345,7 +345,7 @@ class ViewNet(Network):
 
 
 def circumstances(batch: Batch) -> torch.Tensor:
-    """(N, _CIRCUMSTANCES + ASPECTS) columns of the facts that say nothing of the drape."""
+    """(N, F) columns of the facts that say nothing of the drape, F = _CIRCUMSTANCES + ASPECTS."""
     return torch.cat([batch.facts[:, :_CIRCUMSTANCES], batch.facts[:, FACTS:]], dim=1)
 
 

@@ -9,7 +9,7 @@ shear and hysteresis are common to all captures.
 
 A reader does not know the start of a drape, on which its folds depend. The cell "outline, start
 unknown" takes it as an error of the outline's mean and waves, with their covariance over many
-starts of one specimen; what the places of the folds tell beyond that is left out. A reader's
+starts of one specimen; what the places of the folds add to that is left out. A reader's
 smallest error lies between both figures.
 """
 
