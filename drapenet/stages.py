@@ -179,7 +179,7 @@ def network_estimate(capture: Capture, header: Header) -> CaptureEstimate:
         seen = Observation.of_views(located, capture.sign, capture.warp_direction)
     evidence = CaptureEvidence(str(capture.path), seen, capture.known)
     try:
-        draws, = predict(network_of(header), header, [evidence.observations])
+        draws, = predict(network_of(header), header, [evidence.observations], compared=True)
     except InputError as error:
         raise InputError(f"{capture.path}: {error}") from None
     return CaptureEstimate(capture, header, located, seen, draws)

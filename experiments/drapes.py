@@ -25,7 +25,10 @@ from sim.rig import SQUARE_RIG, Rig
 if TYPE_CHECKING:  # imported on use, because speed and memory are measured without them
     from data.render.setups import Setups, SyntheticCapture
     from drapenet.network.checkpoint import Header
+    from drapenet.network.predict import Draws
+    from drapenet.result.estimate import Estimate
     from drapenet.stages import CaptureEstimate
+    from drapenet.views.outline import DrapeOutline
 
 RIG = SQUARE_RIG
 CLEAN = {"views": (0.0, 0.0, 0.0, 1.0), "sensors": {"smooth": 1.0}, "turn": 0.0, "focal": 0.0,
@@ -126,3 +129,26 @@ def infer(synthetic: "SyntheticCapture", rig: Rig = RIG) -> "CaptureEstimate":
     from drapenet.stages import check, network_estimate
 
     return check(network_estimate(as_read(synthetic, rig), header()))
+
+
+def outline_of(shape: Drape) -> "DrapeOutline":
+    """The exact outline of a drape under parallel light."""
+    from drapenet.views.outline import DrapeOutline, silhouettes
+
+    border = shape.mesh.edges[shape.mesh.edge_faces[:, 1] < 0]
+    return DrapeOutline(silhouettes(shape.positions, border, np.array([np.inf]), zero=0.0)[0])
+
+
+def infer_outline(outline: "DrapeOutline", rig: Rig) -> tuple["Draws", "Estimate", list[str]]:
+    """The samples and estimate of an outline along the warp, and a warning if it is unlike
+    them."""
+    from drapenet.evidence.fabric import network_of
+    from drapenet.network.predict import predict
+    from drapenet.result.estimate import make_estimate
+    from drapenet.views.observation import Observation
+
+    draws, = predict(network_of(header()), header(), [[Observation(rig, 1, True, outline=outline)]],
+                     compared=True)
+    estimate = make_estimate(draws, density=REFERENCE_DENSITY, header=header())
+    return draws, estimate, list(filter(None, (one.warning(rig.specimen_size)
+                                               for one in draws.likeness)))

@@ -36,15 +36,17 @@ def shape_of(outline: np.ndarray, coefficient: np.ndarray, nodes: np.ndarray) ->
     and of the coefficients and nodes (N,) that are known; NaN: not known."""
     shape = np.full((len(outline), SHAPE), np.nan)
     shape[:, 0], shape[:, 4] = coefficient, nodes
-    seen = np.isfinite(outline)
-    cells = np.arange(outline.shape[1])
-    for row in np.flatnonzero(seen.mean(axis=1) >= 0.5):
-        part = seen[row]
-        radius = np.interp(cells, cells[part], outline[row, part], period=len(cells))
-        waves = np.abs(_TURNS @ radius)
-        power = np.square(waves[1:]) + _LEAST**2 / len(_WAVES)
-        shape[row, 1:4] = (math.log(power.sum()) / 2, math.log(waves[0] + _LEAST),
-                           power @ _WAVES / power.sum())
+    seen, cells = np.isfinite(outline), np.arange(outline.shape[1])
+    rows = np.flatnonzero(seen.mean(axis=1) >= 0.5)
+    radius = np.array(outline[rows], float)
+    for one, part in zip(radius, seen[rows], strict=True):
+        if not part.all():
+            one[:] = np.interp(cells, cells[part], one[part], period=len(cells))
+    waves = np.abs(radius @ _TURNS.T)
+    power = np.square(waves[:, 1:]) + _LEAST**2 / len(_WAVES)
+    total = power.sum(axis=1)
+    shape[rows, 1:4] = np.column_stack([np.log(total) / 2, np.log(waves[:, 0] + _LEAST),
+                                        power @ _WAVES / total])
     return shape / _UNIT
 
 

@@ -67,14 +67,18 @@ class Facts:
         count = np.bincount(self.group)
         return np.exp(np.bincount(self.group, np.log(self.size)) / count)
 
+    @property
+    def share(self) -> np.ndarray:
+        """(N,) drape coefficients as a network reads them: a few depth maps of nearly flat cloth
+        have a hem far out."""
+        return self.coefficient.clip(0.0, _MAX_COEFFICIENT)
+
     def columns(self) -> torch.Tensor:
         """(N, :data:`FACTS` + :data:`ASPECTS`) scalar inputs of the network."""
         size = self.sizes[self.group]
         columns = [np.log(size / _SIZE), np.log(self.size / size), 2 * self.plate - 1, self.disc,
                    self.known, self.known, self.views / 4 - 1, self.views > 0]
-        # A few depth maps of nearly flat cloth have a hem far out.
-        share = self.coefficient.clip(0.0, MAX_COEFFICIENT)
-        for part, unit in ((self.perspective, 0.4), (share, 0.5), (self.nodes, 8.0)):
+        for part, unit in ((self.perspective, 0.4), (self.share, 0.5), (self.nodes, 8.0)):
             finite = np.isfinite(part)
             columns += [finite, np.where(finite, part, unit) / unit - 1]
         # What a regression on the drape coefficient needs.
@@ -85,7 +89,7 @@ class Facts:
         return torch.from_numpy(np.column_stack(columns).astype(np.float32))
 
 
-MAX_COEFFICIENT = 1.05  # that a network reads
+_MAX_COEFFICIENT = 1.05
 FACTS, ASPECTS = 19, 2
 """Numbers of scalar inputs: of every network, and, after them, of one that reads rectangles."""
 _WARP = 5  # column: 1 if azimuth 0 is along the warp, -1 along the weft, 0 not known
@@ -121,9 +125,7 @@ class Batch:
                    torch.from_numpy(facts.face.astype(np.float32)), facts.columns(),
                    torch.from_numpy(facts.group), torch.from_numpy(pictures).float(),
                    torch.from_numpy(angle.astype(np.float32)), torch.from_numpy(
-                       shape_of(outline, facts.coefficient.clip(0.0, MAX_COEFFICIENT),
-                                facts.nodes).astype(np.float32)),
-                   targets)
+                       shape_of(outline, facts.share, facts.nodes).astype(np.float32)), targets)
 
     def turned(self, symmetry: Symmetry) -> "Batch":
         """The batch with ``symmetry`` applied to its captures, not to its targets."""

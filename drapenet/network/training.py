@@ -60,6 +60,7 @@ def open_captures(config: TrainConfig) -> tuple[CaptureSet, CaptureSet, dict]:
         raise InputError(f"inputs=[{','.join(config.inputs)}]: a network with a backbone reads "
                          "depth views alone; give inputs=[depth], or model=map")
     folders = config.data if isinstance(config.data, list) else [config.data]
+    start = read_header(config.start) if config.start else None
     manifests, parts = [], []
     for number, folder in enumerate(folders):
         manifests.append(finished_manifest(Path(folder)))
@@ -75,15 +76,14 @@ def open_captures(config: TrainConfig) -> tuple[CaptureSet, CaptureSet, dict]:
     described = {"sha256": [manifest["hash"] for manifest in manifests],
                  "generation": [manifest["config"] for manifest in manifests],
                  "maps": sources_digest(*SOURCES)}
-    if config.start:
-        described["start"] = read_header(config.start).sha256
+    if start:
+        described["start"] = start.sha256
     shares = {"train": 1 - config.validation_fraction, "validation": config.validation_fraction}
     split = split_by_fabric(maps.fabric, fractions=shares)
     usable = readable(maps, config.inputs)
     unseen = maps.chosen(usable & (split == "validation") & ~maps.moved)
     training = maps.chosen(first_drapes(maps, usable & (split == "train"), config))
-    scale = read_header(config.start).scale if config.start else None
-    captures = CaptureSet(training, scale=scale) if len(training) else None
+    captures = CaptureSet(training, scale=start.scale if start else None) if len(training) else None
     if not captures or len(captures) < config.optim.batch_size or not len(unseen):
         raise InputError(f"{', '.join(folders)}: {len(captures or ())} fabrics and neighbours to "
                          f"train on and {len(unseen)} captures to validate with, but at least "

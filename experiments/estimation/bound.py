@@ -62,6 +62,11 @@ class Information:
     ok: bool
     message: str
 
+    @classmethod
+    def missing(cls, names: tuple[str, ...], message: str) -> "Information":
+        """That of a drape without derivatives."""
+        return cls(names, np.full((len(names), len(names)), np.nan), 0, False, message)
+
     def covariance(self, unknown: Iterable[str] = SPECIMEN) -> np.ndarray:
         """Smallest covariance (6, 6) of theta; ``unknown`` parameters are free, others known."""
         return joint_covariance([self], np.zeros((6, 6)), separate=dict.fromkeys(unknown, np.inf))
@@ -130,8 +135,7 @@ def depth_information(
     names = (*THETA_NAMES, *SPECIMEN, *CAMERA, *SETUP, *NAMES)
     tangent = Tangent.of(result)
     if not tangent.ok:
-        none = np.full((len(names), len(names)), np.nan)
-        return Information(names, none, 0, False, tangent.message)
+        return Information.missing(names, tangent.message)
     moves = drape_moves(tangent, result, nuisances)
     views = DepthRenderer(tangent.positions, result.faces).views(camera, orientation)
     objective = DepthViews(
@@ -161,8 +165,7 @@ def outline_information(
     standard deviation ``noise``; one azimuth in so many is an independent measurement."""
     tangent = Tangent.of(result)
     if not tangent.ok:
-        none = np.full((len(OUTLINE), len(OUTLINE)), np.nan)
-        return Information(OUTLINE, none, 0, False, tangent.message)
+        return Information.missing(OUTLINE, tangent.message)
     _, jacobian = _outline_moves(tangent, result, nuisances)
     scale = noise * cells_per_measurement**0.5
     return Information(OUTLINE, jacobian.T @ jacobian / scale**2, AZIMUTHS, True, "")
@@ -188,8 +191,7 @@ def start_information(
         values.append(value)
         slopes.append((slope @ jacobian, slope @ slope.T))
     if len(values) < 3:
-        none = np.full((len(OUTLINE), len(OUTLINE)), np.nan)
-        return Information(OUTLINE, none, 0, False, "too few drapes have derivatives")
+        return Information.missing(OUTLINE, "too few drapes have derivatives")
     jacobian, white = (np.mean(part, axis=0) for part in zip(*slopes, strict=True))
     # Features have different units: shrunk as correlations.
     scale = np.std(values, axis=0)

@@ -15,12 +15,15 @@ import numpy as np
 from data.fabrics.fabrics import to_theta
 from data.render.setups import Setups
 from data.rigs import named_tester
-from drapenet.evidence.fabric import network_of
-from drapenet.network.predict import Draws, predict
-from drapenet.result.estimate import make_estimate
-from drapenet.views.observation import Observation
-from drapenet.views.outline import DrapeOutline, silhouettes
-from experiments.drapes import capture_drape, drape_as_planned, header, infer, plan_specimen
+from drapenet.network.predict import Draws
+from experiments.drapes import (
+    capture_drape,
+    drape_as_planned,
+    infer,
+    infer_outline,
+    outline_of,
+    plan_specimen,
+)
 from experiments.result import ESTIMATOR, Config, Result, run_cases
 from sim.material import DIRECTIONS, LINEAR, MICRO, NANO, REFERENCE_DENSITY, is_admissible
 from sim.measures import drape_coefficient
@@ -50,16 +53,10 @@ def estimated(
     shape = drape_as_planned(plan, edge=1e-3 * edge_mm)
     setups = replace(Setups.load("real"), views=(0.0, 0.0, 0.0, 1.0))
     views = infer(capture_drape(shape, setups, np.random.default_rng([seed, number]), rig), rig)
-    border = shape.mesh.edges[shape.mesh.edge_faces[:, 1] < 0]
-    radius = silhouettes(shape.positions, border, np.array([np.inf]), zero=0.0)[0]
-    seen = Observation(rig, 1, True, outline=DrapeOutline(radius))
-    draws, = predict(network_of(header()), header(), [[seen]])
-    shown = make_estimate(draws, density=REFERENCE_DENSITY, header=header())
-    lines = [*shown.warnings, *filter(None, (one.warning(rig.specimen_size)
-                                             for one in draws.likeness))]
+    draws, estimate, unlike = infer_outline(outline_of(shape), rig)
     return {"coefficient": drape_coefficient(shape.positions, shape.faces, rig),
             "depth": _judged(views.draws, theta, views.document.warnings),
-            "outline": _judged(draws, theta, lines)}
+            "outline": _judged(draws, theta, [*estimate.warnings, *unlike])}
 
 
 def _judged(draws: Draws, theta: list[float], warnings: list[str]) -> dict[str, Any]:

@@ -7,6 +7,7 @@ squares of log alpha, over the spread of the prior's fabrics, and medians of the
 dataset's fabrics may be stiffer and limper than the prior's.
 """
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ import torch
 from matplotlib.figure import Figure
 
 from common.command import compose_config
+from data.dataset.folder import finished_manifest
 from data.rigs import named_tester
 from drapenet.config import TrainConfig
 from drapenet.network.captures import PICTURE_NOISE, CaptureSet
@@ -73,7 +75,9 @@ def train_and_judge(
     words = [f"data={data}", f"maps={maps}", f"model.width={width}", f"seed={seed}", "threads=1",
              "workers=1", f"out={work}/{share:g}_{steps}_{width}"]
     config = compose_config("train", words, schema=TrainConfig)
-    config.fabrics = round(share * len(np.unique(open_captures(config)[0].maps.fabric)))
+    manifest = finished_manifest(Path(data))
+    fabrics = manifest["drapes"] / manifest["config"]["sampling"]["starts_per_fabric"]
+    config.fabrics = round(share * fabrics * (1 - config.validation_fraction))
     training, unseen, _ = open_captures(config)
     in_epoch = len(training.turns) // config.optim.batch_size
     config.epochs = max(1, round(steps / in_epoch))

@@ -17,17 +17,12 @@ from common.command import compose_config
 from data.dataset.config import Options, config_from_options
 from data.dataset.plan import plan_drape
 from data.render.setups import Setups
-from drapenet.evidence.fabric import network_of
-from drapenet.network.predict import predict
 from drapenet.report.drape import Resimulation, resimulate_outline
-from drapenet.result.estimate import make_estimate
 from drapenet.stages import simulate
 from drapenet.views.directions import AZIMUTH
-from drapenet.views.observation import Observation
-from drapenet.views.outline import DrapeOutline, silhouettes
-from experiments.drapes import capture_drape, drape_as_planned, header, infer
+from drapenet.views.outline import DrapeOutline
+from experiments.drapes import capture_drape, drape_as_planned, infer, infer_outline, outline_of
 from experiments.result import ESTIMATOR, Config, Result, run_cases
-from sim.material import REFERENCE_DENSITY
 from sim.rig import Rig
 
 SHADOW = math.pi / 8  # half of the azimuths that it covers
@@ -52,8 +47,7 @@ def captured(*, tester: str, number: int, seed: int, edge_mm: float) -> dict[str
     if views.drape and seen:
         found["depth views"] = _compared(views.drape, seen.coefficient(plan.rig)) | {
             "unlike": [one.warning(plan.rig.specimen_size) for one in views.draws.likeness]}
-    border = shape.mesh.edges[shape.mesh.edge_faces[:, 1] < 0]
-    radius = silhouettes(shape.positions, border, np.array([np.inf]), zero=0.0)[0]
+    radius = outline_of(shape).radius
     found["outline"] = _outline(radius, plan.rig)
     middle = rng.uniform(0, 2 * np.pi)
     shadow = np.abs(np.angle(np.exp(1j * (AZIMUTH - middle)))) < SHADOW
@@ -65,13 +59,11 @@ def captured(*, tester: str, number: int, seed: int, edge_mm: float) -> dict[str
 
 def _outline(radius: np.ndarray, rig: Rig) -> dict[str, Any]:
     outline = DrapeOutline(radius)
-    draws, = predict(network_of(header()), header(), [[Observation(rig, 1, True, outline=outline)]])
-    estimate = make_estimate(draws, density=REFERENCE_DENSITY, header=header())
+    _, estimate, unlike = infer_outline(outline, rig)
     drape = resimulate_outline(estimate.fabric, outline, rig, edge=4e-3, drapes=2,
                                laws=estimate.nuisances.laws)
     compared = _compared(drape, outline.coefficient(rig)) if drape else {}
-    return compared | {"unlike": [one.warning(rig.specimen_size) for one in draws.likeness],
-                       "extrapolated": bool(estimate.warnings)}
+    return compared | {"unlike": unlike, "extrapolated": bool(estimate.warnings)}
 
 
 def _compared(drape: Resimulation, coefficient: float) -> dict[str, Any]:
