@@ -32,6 +32,7 @@ def train(config: TrainConfig) -> Path:
 
     from drapenet.network import training as steps
     from drapenet.network.checkpoint import save_checkpoint
+    from drapenet.network.optimizer import Optimizer
 
     device = steps.choose_device(config)
     training, unseen, datasets = steps.open_captures(config)
@@ -40,7 +41,7 @@ def train(config: TrainConfig) -> Path:
     torch.manual_seed(config.seed)  # used for the initial weights only
     network = steps.initial_network(config, training).to(device)
     network.in_bfloat16 = config.bfloat16
-    optimizer = torch.optim.AdamW(network.parameters(), weight_decay=config.optim.weight_decay)
+    optimizer = Optimizer(network, weight_decay=config.optim.weight_decay)
 
     # Must agree with an existing state for a resume.
     settings = {name: one for name, one in config.defining().items() if name != "epochs"}
@@ -64,7 +65,7 @@ def train(config: TrainConfig) -> Path:
                                  "smaller optim.learning_rate and another out=")
             metrics = steps.validate(network, unseen, steps.Condition.of_inputs(config.inputs))
             steps.log_metrics(board, bar, metrics, epoch=epoch, train_loss=loss,
-                              rate=optimizer.param_groups[0]["lr"])
+                              rate=optimizer.rate)
             if record["best_loss"] is None or metrics["loss"] < record["best_loss"]:
                 record["best_loss"] = metrics["loss"]
                 content = steps.describe(config, training, datasets, metrics, epoch=epoch,

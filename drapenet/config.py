@@ -32,7 +32,7 @@ class ModelConfig:
 
 @dataclass
 class OptimConfig:
-    """AdamW with one cosine cycle of the learning rate, see `training.learning_rate`."""
+    """Muon and AdamW with one cosine cycle of the learning rate, see `training.learning_rate`."""
 
     learning_rate: Positive
     warm_up: Annotated[float, Field(ge=0, lt=1)]

@@ -21,6 +21,7 @@ from drapenet.network.captures import CaptureSet, Condition
 from drapenet.network.checkpoint import Header, load_model, read_header
 from drapenet.network.evaluate import CELLS, DEPTH
 from drapenet.network.model import make_network
+from drapenet.network.optimizer import Optimizer
 from drapenet.network.predict import predict
 from drapenet.network.targets import TARGETS
 from drapenet.network.training import fit, validate
@@ -138,7 +139,7 @@ def test_it_tells_warp_from_weft_by_the_order_of_its_pictures():
     batches = [batch for epoch in range(8) for batch in training.epoch(
         seed=0, epoch=epoch, size=32, condition=ALONE)]
     fit(network, ((step / len(batches), batch) for step, batch in enumerate(batches)),
-        optimizer=torch.optim.AdamW(network.parameters()),
+        optimizer=Optimizer(network, weight_decay=OPTIM.weight_decay),
         optim=replace(OPTIM, learning_rate=1e-3))
     metrics = validate(network, unseen, ALONE)
     assert metrics["rmse_log_alpha"] < 0.6  # 1 without the pictures, 0.8 without their order

@@ -226,6 +226,11 @@ class Network(torch.nn.Module):
         others = {id(one) for one in expected}
         return [expected, [one for one in self.parameters() if id(one) not in others]]
 
+    def hidden_weights(self) -> list[torch.nn.Parameter]:
+        """Weights from features to features of the posterior's network, (outputs, inputs, ...)."""
+        ends = {id(layer.weight) for layer in (self.direct, self.head[-1])}
+        return [one for one in self.separate_parts()[1] if one.ndim > 1 and id(one) not in ends]
+
     def log_density_of_shapes(self, batch: Batch) -> torch.Tensor:
         """(N,) of the captures' shapes, of the true cloth; 0 of a network that expects none."""
         if self.expected is None or batch.targets is None:

@@ -29,6 +29,7 @@ from drapenet.network.captures import CaptureSet, Condition, readable
 from drapenet.network.checkpoint import MAX_WEIGHTS_BYTES, load_model, read_header
 from drapenet.network.dataset import SOURCES, Maps, make_maps
 from drapenet.network.model import Batch, Network, make_network
+from drapenet.network.optimizer import Optimizer
 from drapenet.network.posterior import Mixture, inside, ranks
 from drapenet.network.targets import MODULI
 from sim.material import REFERENCE_DENSITY
@@ -159,7 +160,7 @@ def schedule(
 
 def fit(
     network: Network, schedule: Iterable[tuple[float, Batch]], *,
-    optimizer: torch.optim.Optimizer, optim: OptimConfig,
+    optimizer: Optimizer, optim: OptimConfig,
 ) -> float:
     """Train ``network`` by maximum likelihood; return the mean loss of its posterior.
 
@@ -169,15 +170,12 @@ def fit(
     network.train()
     losses = []
     for progress, batch in schedule:
-        for group in optimizer.param_groups:
-            group["lr"] = learning_rate(optim, progress)
         batch = batch.on(device)
         loss = -network(batch).log_likelihood(batch.targets).mean()
-        optimizer.zero_grad()
         (loss - network.log_density_of_shapes(batch).mean()).backward()
         for part in network.separate_parts():
             torch.nn.utils.clip_grad_norm_(part, optim.clip)
-        optimizer.step()
+        optimizer.step(learning_rate(optim, progress))
         losses.append(loss.detach())
     return torch.stack(losses).mean().item()
 
@@ -253,7 +251,7 @@ def describe(
 
 
 def save_state(
-    path: Path, *, model: torch.nn.Module, optimizer: torch.optim.Optimizer, record: dict[str, Any]
+    path: Path, *, model: torch.nn.Module, optimizer: Optimizer, record: dict[str, Any]
 ) -> None:
     """Write the state of a training run for an exact resume."""
     for pattern in ("*.safetensors", path.name):  # of runs killed during a write
@@ -264,7 +262,7 @@ def save_state(
 
 
 def load_state(
-    path: Path, *, run: dict[str, Any], model: torch.nn.Module, optimizer: torch.optim.Optimizer
+    path: Path, *, run: dict[str, Any], model: torch.nn.Module, optimizer: Optimizer
 ) -> dict[str, Any]:
     """Load the state of :func:`save_state`, of the same ``run``; return its record."""
     require_regular(path, MAX_WEIGHTS_BYTES, "training's state")

@@ -53,6 +53,8 @@ from drapenet.config import ServeConfig
 from drapenet.export.formats import TARGETS
 from drapenet.export.material import read_material
 from drapenet.network.checkpoint import load_model, read_header
+from drapenet.network.model import Network, make_network
+from drapenet.network.optimizer import Optimizer
 from drapenet.network.training import load_state, save_state
 from drapenet.result.files import write_estimate
 from drapenet.service.limits import RequestError
@@ -222,16 +224,15 @@ def _read_checkpoint(folder: Path) -> None:
     load_model(header)
 
 
-def _training() -> tuple[torch.nn.Module, torch.optim.Optimizer]:
+def _training() -> tuple[Network, Optimizer]:
     torch.manual_seed(0)
-    model = torch.nn.Linear(3, 2)
-    return model, torch.optim.AdamW(model.parameters(), lr=0.1)
+    model = make_network(width=2, components=1, dropout=0.0, distance=0.5, spread=0.1)
+    return model, Optimizer(model, weight_decay=0.1)
 
 
-def _step(model: torch.nn.Module, optimizer: torch.optim.Optimizer) -> None:
-    optimizer.zero_grad()
-    model(torch.ones(2, 3)).square().sum().backward()
-    optimizer.step()
+def _step(model: Network, optimizer: Optimizer) -> None:
+    sum(part.square().sum() for part in model.parameters()).backward()
+    optimizer.step(0.1)
 
 
 _RUN = {"settings": {"seed": 0}, "datasets": ["0" * 64]}

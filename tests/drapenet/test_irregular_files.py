@@ -5,7 +5,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-import torch
 
 from apps.drape_file import read_borrowed
 from apps.strip_curves import read_curve
@@ -25,13 +24,15 @@ from data.pictures.reading import read_photograph
 from drapenet.batch.captures import entries_of
 from drapenet.export.material import read_material
 from drapenet.network.checkpoint import read_header
+from drapenet.network.model import make_network
+from drapenet.network.optimizer import Optimizer
 from drapenet.network.training import load_state
 from sim.rig import DISC_RIG
 
 
 def _state(file: Path) -> None:
-    model = torch.nn.Linear(1, 1)
-    load_state(file, run={}, model=model, optimizer=torch.optim.Adam(model.parameters()))
+    model = make_network(width=2, components=1, dropout=0.0, distance=0.5, spread=0.1)
+    load_state(file, run={}, model=model, optimizer=Optimizer(model, weight_decay=0.1))
 
 
 READERS: dict[str, Callable[[Path], object]] = {
