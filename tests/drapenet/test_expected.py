@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 import torch
 
-from drapenet.network.expected import LEVEL, SHAPE, Expected, shape_of
+from drapenet.network.expected import (
+    LEVEL,
+    SHAPE,
+    Expected,
+    _log_density,
+    _log_density_of_all,
+    shape_of,
+)
 from drapenet.network.targets import CURL, TARGETS
 from drapenet.result.advice import advice_of
 from drapenet.views.directions import AZIMUTH
@@ -83,3 +90,13 @@ def test_a_capture_that_no_cloth_of_its_estimate_gives_is_named_with_the_number(
 def test_a_specimen_that_says_little_is_named_with_a_better_one(name, coefficient, advice):
     lines = advice_of(Rig.from_name(name), coefficient)
     assert (advice in lines[0]) if advice else not lines
+
+
+def test_densities_by_matrix_products_are_those_of_each_cloth(expected):
+    shape, samples, facts, face = drawn(30, 3)
+    known = torch.tensor([True, True, False, True, False])
+    parts = [part.detach() for part in expected(
+        samples[:, 0], facts[:1].expand(400, 2), face[:1].expand(400))]
+    shape[:, ~known] = torch.nan
+    each = _log_density(shape[:, None], *parts).logsumexp(dim=1)
+    torch.testing.assert_close(_log_density_of_all(shape, known, *parts), each, rtol=0, atol=2e-3)
