@@ -10,7 +10,7 @@ CAPTURE ?= examples/captures/twill
 PHOTOGRAPH ?= examples/captures/twill_photograph
 PACKAGES := apps common configs data drapenet examples experiments sim tests tools
 
-.PHONY: help setup demo test test-rounding test-wheel test-slow test-slurm test-browser campaign serve lint sim prior dataset train evaluate bench-sim bench docs reference studies example validate matrix clean
+.PHONY: help setup demo test test-rounding test-wheel test-slow test-slurm test-browser campaign serve lint sim prior dataset train evaluate bench-sim bench docs reference studies example validate blender matrix clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
@@ -116,6 +116,11 @@ example: $(STAMP)  ## make the bundled capture again
 	$(BIN)/python examples/make_capture.py out=$(CAPTURE)
 	$(BIN)/python examples/make_capture.py out=$(PHOTOGRAPH) photograph_mm=1200 \
 	  tester=disc300_support180 seed=2023 warp_direction=70
+
+blender: $(STAMP)  ## drapes of exported fabrics in Blender, installed for Python 3.11 into .venv-blender (1 GB)
+	test -x .venv-blender/bin/python || python3.11 -m venv .venv-blender
+	.venv-blender/bin/python -m pip install -qq 'bpy>=5,<6'
+	$(BIN)/python -m experiments blender
 
 clean:  ## remove outputs and build (not .venv)
 	rm -rf outputs build

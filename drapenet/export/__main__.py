@@ -12,7 +12,15 @@ from common.command import command
 from common.errors import InputError
 from common.files import require_file, require_folder
 from drapenet.config import ExportConfig
-from drapenet.export.formats import TARGETS, export, export_all, table, targets_named
+from drapenet.export.cards import card_lines
+from drapenet.export.formats import (
+    TARGETS,
+    cards_of,
+    export,
+    export_all,
+    table,
+    targets_named,
+)
 from drapenet.export.material import read_material
 
 
@@ -41,6 +49,9 @@ def main(config: ExportConfig) -> None:
         written = export_all(material, names, out)
     for file in written:
         print(file)
+    for card in cards_of(material):
+        if card["tool"].lower().replace(" ", "") in config.to.lower().replace(" ", "").split(","):
+            print("\n".join(card_lines(card)))
     for warning in material.about["warnings"]:
         print(f"warning: {warning}")
 

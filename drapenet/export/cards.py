@@ -7,19 +7,27 @@ from typing import Any
 import numpy as np
 import yaml
 
-CELL = 1e-2  # m, of the grid of Blender's vertex mass
 SLIDER = ((0.0, 10.0, 28.0, 48.0, 65.0, 83.0, 100.0), (0.0, 1e2, 1e3, 3e3, 2e4, 2e5, 2e6))
 """CLO's scale of 0 to 100 and its bending stiffness, linear between these."""
 
 
 def cards(values: Mapping[str, float]) -> list[dict[str, Any]]:
     """The content of ``cards.yaml`` with these values of its quantities; a field without a value
-    has None.
-    """
+    has None."""
     text = Path(__file__).with_name("cards.yaml").read_text(encoding="utf-8")
     return [card | {"fields": [field | {
         "value": _digits(values[field["value"]]) if "value" in field else None,
     } for field in card["fields"]]} for card in yaml.safe_load(text)]
+
+
+def card_lines(card: Mapping[str, Any]) -> list[str]:
+    """A card as text."""
+    width = max(len(field["field"]) for field in card["fields"])
+    fields = [f"  {field['field']:<{width}}  "
+              + (f"{field['value']} {field.get('unit', '')}".rstrip() if field["value"] else
+                 "not known") + (f"   ({field['note']})" if "note" in field else "")
+              for field in card["fields"]]
+    return [f"{card['tool']}, {card['where']}:", *fields, f"  {card['unknown']}"]
 
 
 def _digits(value: float) -> str:

@@ -9,13 +9,16 @@ import uuid
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from common.errors import InputError
 from common.files import replace_file
-from drapenet.export.cards import CELL, SLIDER, cards
-from drapenet.export.material import Material
+from drapenet.export.blender import at_8_mm, blender_settings
+from drapenet.export.cards import SLIDER, cards
+from drapenet.export.material import STIFFER_FIRST, Material
+from drapenet.report.pages import render
 from drapenet.result.document import csv_number, csv_table, interval_columns
 from sim.energies.hinges import ARCSIM, mean_modulus
 from sim.material import BIAS, DIRECTIONS, WARP, WEFT, torque
@@ -138,14 +141,23 @@ def _ppf(material: Material, name: str) -> dict[str, bytes]:
     return {name: ("\n".join(lines) + "\n").encode()}
 
 
+def _script(template: str, content: dict) -> bytes:
+    """A module from a ``template`` beside this one, with the ``content`` of its MATERIAL."""
+    text = Path(__file__).with_name(template).read_text(encoding="utf-8")
+    values = pprint.pformat(content, width=96, sort_dicts=False)
+    return text.replace("{MATERIAL}", values).encode()
+
+
 def _newton(material: Material, name: str) -> dict[str, bytes]:
     modulus = material.modulus * material.ratio
-    content = {"density_kg_m2": material.density, "alpha_N_m": modulus.tolist(),
-               "edge_aniso_ke": (modulus[[WEFT, WARP, BIAS]] / STYLE3D).tolist(),
-               "about": material.about_hinges}
-    template = Path(__file__).with_name("newton.txt").read_text(encoding="utf-8")
-    text = template.replace("{MATERIAL}", pprint.pformat(content, width=96, sort_dicts=False))
-    return {name: text.encode()}
+    return {name: _script("newton.txt", {
+        "density_kg_m2": material.density, "alpha_N_m": modulus.tolist(),
+        "edge_aniso_ke": (modulus[[WEFT, WARP, BIAS]] / STYLE3D).tolist(),
+        "about": material.about_hinges})}
+
+
+def _blender(material: Material, name: str) -> dict[str, bytes]:
+    return {name: _script("blender.txt", blender_settings(material) | {"about": material.about})}
 
 
 def _neutral(material: Material, name: str) -> dict[str, bytes]:
@@ -156,15 +168,28 @@ def _neutral(material: Material, name: str) -> dict[str, bytes]:
         "drapenet": material.about})}
 
 
-def _cards(material: Material, name: str) -> dict[str, bytes]:
+def cards_of(material: Material) -> list[dict[str, Any]]:
+    """The cards of all tools with the values of a material."""
     density, stiffness = material.density, _clo_bending(material)
     columns = {"clo": stiffness, "slider": np.interp(stiffness, *SLIDER[::-1]),
                "dyn_cm": material.modulus * BROWZWEAR, "unreal": material.modulus * UNREAL}
     values = {f"{column}_{direction}": value for column, row in columns.items()
               for direction, value in zip(DIRECTIONS, row, strict=True)}
     values |= {"kg_per_m2": density, "g_per_m2": 1e3 * density, "g_per_mm2": 1e-3 * density,
-               "vertex_mass": density * CELL**2}
-    return {name: _json({"cards": cards(values), "drapenet": material.about})}
+               **at_8_mm(material)}
+    return cards(values)
+
+
+def _fields(material: Material, name: str) -> dict[str, bytes]:
+    return {name: _json({"cards": cards_of(material), "drapenet": material.about})}
+
+
+def _cards(material: Material, name: str) -> dict[str, bytes]:
+    about = material.about
+    directions = "" if material.document.names == DIRECTIONS else STIFFER_FIRST
+    return {name: render("cards.html", cards=cards_of(material), name=material.name,
+                         curvature=material.settings.curvature_1_m, directions=directions,
+                         warnings=[line for line in about["warnings"] if line != directions])}
 
 
 def _table(material: Material, name: str) -> dict[str, bytes]:
@@ -198,17 +223,20 @@ TARGETS = {
         "β < 0 stiffens; add `stretching` and damping yourself", _arcsim),
     "newton": Target("newton_fabric.py", "Newton 1.8",
                      "β; Style3D's own law between the directions", _newton),
+    "blender": Target("fabric_blender.py", "Blender 4 and 5, a script",
+                      "β; differences between warp, bias and weft", _blender),
     "ppf": Target("ppf.toml", "ppf-contact-solver",
                   "β; bias, which is the mean of warp and weft there", _ppf),
     "json": Target("material.json", "any", "nothing", _neutral),
-    "cards": Target("cards.json", "what to type into CLO, VStitcher, Blender, Houdini, Unreal",
+    "cards": Target("cards.html", "what to type into CLO, VStitcher, Blender, Houdini, Unreal",
                     "β; what is not known of a field is said there", _cards),
+    "fields": Target("fields.json", "the cards, as data", "β", _fields),
     "csv": Target("material.csv", "spreadsheets", "origin and warnings; the name is kept", _table),
     "torque": Target("torque.csv", "tools with a curve", "intervals", _torque),
 }
 ALIASES = {"clo": "jfab", "clo3d": "jfab", "marvelous": "jfab", "marvelousdesigner": "jfab",
            "browzwear": "u3m", "vstitcher": "u3m", "unreal": "usd", "style3d": "newton",
-           "vbd": "newton", "blender": "cards", "houdini": "cards"}
+           "vbd": "newton", "houdini": "cards"}
 
 
 def table() -> str:

@@ -26,6 +26,10 @@ MESHES = {"unstructured": ("random", 0.2), "alternating": ("alternating", 0.0),
 MIN_CELLS, MAX_CELLS = 6, 40  # along the strip that calibrates a mesh
 GAMMA = 10.0  # rho g L³/alpha of that strip, similar to that of hanging cloth in a drape
 
+STIFFER_FIRST = ("warp stands for the stiffer yarns and weft for the softer: the capture does not "
+                 "mark the warp")
+"""What the names of directions mean where the warp is not known."""
+
 
 class ExportSettings(Schema):
     """What a user states for an export: ``configs/export.yaml``."""
@@ -99,8 +103,7 @@ class Material:
         content, curvature = self.document.content(), self.settings.curvature_1_m
         capture, warnings = content["capture"], content["warnings"]
         if self.document.names != DIRECTIONS:
-            warnings.append("warp stands for the stiffer yarns and weft for the softer: the "
-                            "capture does not mark the warp")
+            warnings.append(STIFFER_FIRST)
         if np.any(-self.beta * curvature > SOFTENING_LIMIT * self.alpha):
             warnings.append(f"curvature_1_m={curvature:g} is outside the law: the torque is "
                             "continued as a straight line there")

@@ -152,7 +152,7 @@ def test_the_secant_stands_for_the_law_where_it_is_wanted(estimate):
 
 
 def test_cards_say_what_to_type_and_what_is_not_known(estimate):
-    content = json.loads(exported(estimate, "cards").read_text())
+    content = json.loads(exported(estimate, "fields").read_text())
     cards = {card["tool"]: card for card in content["cards"]}
     assert set(cards) == {"CLO", "Marvelous Designer", "VStitcher", "Blender", "Houdini", "Unreal"}
     typed = {tool: {field["field"]: field["value"] for field in card["fields"]}
@@ -162,9 +162,12 @@ def test_cards_say_what_to_type_and_what_is_not_known(estimate):
     assert typed["CLO"]["Bending-Warp as 0 to 100"] == "68.2"
     assert typed["VStitcher"]["Bend Length"] == "520" and typed["VStitcher"]["Mass"] == "210"
     assert typed["Unreal"]["Bending Stiffness Bias"] == "0.31"
-    assert typed["Blender"]["Vertex Mass"] == "0.000021"  # of 1 cm²
-    assert typed["Blender"]["Bending"] is None and typed["Houdini"]["Bend Stiffness"] is None
+    assert typed["Blender"]["Vertex Mass"] == "0.0116"  # a thousand times 55.4 mm²
+    assert typed["Houdini"]["Bend Stiffness"] is None
     assert all(card["unknown"] and card["source"] and card["where"] for card in cards.values())
+    page = exported(estimate, "cards").read_text()
+    assert "<th scope=\"row\">Bending-Weft</th><td class=\"number\">22000 g·mm²/s²</td>" in page
+    assert "not known" in page and "warp stands for" not in page
 
 
 def test_neutral_files_return_what_was_estimated(estimate):

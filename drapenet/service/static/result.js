@@ -182,7 +182,7 @@ function showLinks(id, files) {
 async function showCards(id) {
   at('cards').replaceChildren();
   try {
-    const { cards, drapenet: { directions } } = await ask(`/estimates/${id}/export/cards`);
+    const { cards, drapenet: { directions } } = await ask(`/estimates/${id}/export/fields`);
     at('cards').replaceChildren(...cards.map((card) => {
       const made = element('details');
       made.append(element('summary', card.tool), element('p', card.where, 'help'));

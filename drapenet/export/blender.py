@@ -1,0 +1,40 @@
+"""Settings of Blender's cloth for a fabric.
+
+Blender multiplies gravity by 1/1000 and divides no force by it, so that a physical drape needs
+masses a thousand times those of the cloth, or forces of a thousandth. An angular spring at an edge
+of length l turns the triangle beside it by a force of 0.1 k l a radian, k its stiffness, shared by
+the three corners (``SIM_mass_spring.cc``, ``BPH_mass_spring.cc``), which on triangles of equal
+sides is a plate of modulus 28.9 k A / 1000, A being the area for each vertex. Drapes on triangles
+of 8 mm, whose springs of tension must be weak for them to fold, have the coefficients of this
+project's with 20 in place of 28.9 (``python -m experiments blender``).
+"""
+
+from typing import Any
+
+from drapenet.export.material import Material
+from sim.energies.hinges import mean_modulus
+
+MASS = 1000.0
+"""Blender's mass over the cloth's."""
+PLATE = 20.0
+"""Modulus of the plate over stiffness and area for each vertex, times MASS."""
+TENSION = 2.0
+QUALITY = 15
+VERTEX = 0.008**2 * 3**0.5 / 2
+"""Area for each vertex of triangles of 8 mm, m²."""
+
+
+def blender_settings(material: Material) -> dict[str, Any]:
+    """Settings of a mesh of triangles; mass of a vertex and bending stiffness depend on its area.
+    """
+    return {"mass_over_area": MASS * material.density,
+            "bending_times_area": MASS * mean_modulus(material.modulus) / PLATE,
+            "tension": TENSION, "quality": QUALITY}
+
+
+def at_8_mm(material: Material) -> dict[str, float]:
+    """What to type for a mesh of triangles of 8 mm, by quantity of ``cards.yaml``."""
+    settings = blender_settings(material)
+    return {"blender_mass": settings["mass_over_area"] * VERTEX,
+            "blender_bending": settings["bending_times_area"] / VERTEX,
+            "blender_tension": TENSION, "blender_quality": QUALITY}
