@@ -3,12 +3,14 @@
     import drapenet
     estimate = drapenet.estimate("examples/captures/twill")   # or several captures of a fabric
     alpha, beta = estimate.moduli()                            # N·m, N·m²: samples, by direction
-    print(estimate.names, 1e6 * estimate.fabric.alpha, estimate.warnings)
+    print(estimate.names, 1e6 * estimate.fabric.alpha, 1e6 * drapenet.interval(alpha))
+    print(estimate.reading("bending_length_mm").mean(axis=0), estimate.warnings)
     again = drapenet.load("outputs/demo")                      # what infer.py has written
 
 The simulator is :mod:`sim`, captures are read by :mod:`data.captures`.
 """
 
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,9 +18,18 @@ from common.errors import InputError
 
 if TYPE_CHECKING:
     from data.captures.capture import Capture
-    from drapenet.result.estimate import Estimate
+    from drapenet.result.estimate import Estimate, interval
 
-__all__ = ["InputError", "estimate", "load"]
+__all__ = ["Capture", "Estimate", "InputError", "estimate", "interval", "load"]
+_MODULES = {"Capture": "data.captures.capture", "Estimate": "drapenet.result.estimate",
+            "interval": "drapenet.result.estimate"}
+
+
+def __getattr__(name: str) -> object:
+    """A public name of another module, which is imported when it is asked for."""
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_MODULES[name]), name)
 
 
 def load(path: str | Path) -> "Estimate":

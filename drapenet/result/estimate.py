@@ -5,10 +5,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from common.errors import InputError
 from common.types import Density, Theta
 from data.fabrics.fabrics import fabric_from_theta, from_theta
 from data.fabrics.nuisances import Nuisances
 from data.fabrics.properties import ClothProperties
+from data.readings import QUANTITIES
 from sim.material import (
     DIRECTIONS,
     REFERENCE_DENSITY,
@@ -87,9 +89,24 @@ class Estimate:
         scale = (self.density if density is None else density) / REFERENCE_DENSITY
         return alpha * scale, beta * scale
 
+    def reading(self, quantity: str) -> np.ndarray:
+        """(S, 3) samples along the directions, or (S, 1), of what a tester would measure, by its
+        key in :data:`data.readings.QUANTITIES`, such as ``bending_length_mm`` and
+        ``kes_b_gf_cm2_per_cm``, in the unit that the key names; NaN where the moduli do not
+        determine it. InputError for an unknown key."""
+        if quantity not in QUANTITIES:
+            raise InputError(f"no tester reads {quantity}; choose from {', '.join(QUANTITIES)}")
+        return QUANTITIES[quantity].of(self.cloth, self.density)
+
     def torques(self, direction: int, curvature: np.ndarray) -> np.ndarray:
         """(S, C) torque per width, N, of each sample at ``curvature`` (C,), 1/m."""
         return torque(curvature, *(part[:, direction, None] for part in self.moduli()))
+
+
+def interval(samples: np.ndarray, level: float = 0.68) -> np.ndarray:
+    """(2, ...) ends of the interval that contains the middle share ``level`` of samples (S, ...),
+    of those that are not NaN."""
+    return np.nanquantile(samples, [0.5 - level / 2, 0.5 + level / 2], axis=0)
 
 
 def central(samples: Theta, spread: Theta) -> Theta:

@@ -123,6 +123,24 @@ def test_an_estimate_is_loaded_with_its_samples(tmp_path):
             drapenet.load(tmp_path / "estimate.json")
 
 
+def test_readings_and_intervals_of_an_estimate_are_those_of_its_document():
+    estimate = estimate_of(np.array([60.0, 40.0, 20.0]) * MICRO, np.zeros(3), density=0.15,
+                           deviation=0.1)
+    found = document_of(estimate).laboratory
+    for key in ("bending_length_mm", "kes_b_gf_cm2_per_cm"):
+        samples = estimate.reading(key)
+        for k, name in enumerate(DIRECTIONS):
+            stated = getattr(found[name], key)
+            assert np.median(samples[:, k]) == pytest.approx(stated.median)
+            assert drapenet.interval(samples)[:, k] == pytest.approx(stated.interval_68)
+            assert drapenet.interval(samples, 0.9)[:, k] == pytest.approx(stated.interval_90)
+    with pytest.raises(InputError, match="no tester reads softness; choose from bending_length_mm"):
+        estimate.reading("softness")
+    assert {"Capture", "Estimate", "interval"} <= set(drapenet.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'intervals'"):
+        drapenet.intervals  # noqa: B018
+
+
 def test_an_estimate_prints_as_one_line():
     estimate = estimate_of(np.array([60.0, 40.0, 20.0]) * MICRO, np.zeros(3), density=0.15)
     text, count = repr(estimate), len(estimate.samples)
