@@ -32,6 +32,10 @@ def __getattr__(name: str) -> object:
     return getattr(import_module(_MODULES[name]), name)
 
 
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
 def load(path: str | Path) -> "Estimate":
     """The estimate of an ``estimate.json``, or of that in a folder, with its posterior samples.
 

@@ -17,16 +17,21 @@ from drapenet.views.radial_map import radial_map
 from sim.rig import Rig
 
 ROOT = Path(__file__).resolve().parent.parent
-TEXT = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
-SECTIONS = {part.splitlines()[0]: part for part in re.split(r"^## ", TEXT, flags=re.MULTILINE)[1:]}
-SCRIPTS = [name for name, part in SECTIONS.items() if "```python" in part]
+TEXT, GALLERY = ((ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
+                 for name in ("extending", "gallery"))
+SECTIONS = {part.splitlines()[0]: part for text in (TEXT, GALLERY)
+            for part in re.split(r"^## ", text, flags=re.MULTILINE)[1:]}
+SCRIPTS = [pytest.param(name, marks=[pytest.mark.slow] * ("minutes" in name))
+           for name, part in SECTIONS.items() if "```python" in part]
 FOLDERS = [ROOT, ROOT / "drapenet", ROOT / "data" / "captures", ROOT / "sim" / "energies"]
 """In which the names of files in the text are relative."""
 
 
 @pytest.mark.parametrize("name", SCRIPTS)
-def test_a_section_runs_as_one_script(name, tmp_path):
+def test_a_section_runs_as_one_script(name, tmp_path, monkeypatch):
     blocks = re.findall(r"^```python\n(.*?)^```", SECTIONS[name], flags=re.MULTILINE | re.DOTALL)
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    monkeypatch.chdir(tmp_path)
     script = tmp_path / "script.py"
     script.write_text("\n".join(blocks), encoding="utf-8")
     runpy.run_path(str(script), run_name="__main__")
