@@ -25,6 +25,12 @@ from sim.material import BIAS, DIRECTIONS, WARP, WEFT, torque
 
 CLO = 1e9  # g·mm²/s² per N·m
 MAX_CLO = 2e6  # g·mm²/s², CLO's maximum bending stiffness
+CLO_DEFAULTS: dict[str, Any] = {
+    "fBuLR": 0.8, "fBvLR": 0.8, "fBhLR": 0.8, "fBucklingStiffnessU": 0.8,
+    "fBucklingStiffnessV": 0.8, "fBucklingStiffnessH": 0.8, "fSuK": 1e5, "fSvK": 1e5, "fHK": 1e4,
+    "fThickness": 0.5, "fFriction": 0.03, "fIDS": 1e-4, "listNonlinearSuK": [],
+    "listNonlinearSvK": [], "listNonlinearHK": []}
+"""What a drape does not identify, as CLO has it by default."""
 BROWZWEAR = 1e7  # dyn·cm per N·m
 UNREAL = 1e4  # kg·cm²/s² per N·m
 PPF = 1.28e-5  # m²/s²: BEND_SCALE of ppf-contact-solver's energy.cu
@@ -63,19 +69,14 @@ def _clo_bending(material: Material) -> np.ndarray:
 def _jfab(material: Material, name: str) -> dict[str, bytes]:
     warp, bias, weft = _clo_bending(material).tolist()
     label = material.name
+    # A key that is missing would be reset to CLO's default, and the name cleared.
     physical = {
         "enFabricType": 0, "fBuK": weft, "fBvK": warp, "fBhK": bias,
-        "fDensity": 1e-3 * material.density,
-        # CLO's defaults for missing keys; they are not identifiable from a drape.
-        "fBuLR": 0.8, "fBvLR": 0.8, "fBhLR": 0.8, "fBucklingStiffnessU": 0.8,
-        "fBucklingStiffnessV": 0.8, "fBucklingStiffnessH": 0.8, "fSuK": 1e5, "fSvK": 1e5,
-        "fHK": 1e4, "fThickness": 0.5, "fFriction": 0.03, "fIDS": 1e-4,
-        "listNonlinearSuK": [], "listNonlinearSvK": [], "listNonlinearHK": [],
-        "qsPhysicalPropertyName": label, "qsPhysicalPropertyNameUTF8": label,
-    }
+        "fDensity": 1e-3 * material.density, "qsPhysicalPropertyName": label,
+        "qsPhysicalPropertyNameUTF8": label, **CLO_DEFAULTS}
     return {name: _json({"qsFabricName": label, "qsFabricNameUTF8": label,
                          "uiFabricVersion": 100, "uiVersion": 100, "mapPhysical": physical,
-                         "drapenet": material.about})}
+                         "drapenet": material.about | {"clo_defaults": sorted(CLO_DEFAULTS)}})}
 
 
 def _u3m(material: Material, name: str) -> dict[str, bytes]:
@@ -189,6 +190,8 @@ def _cards(material: Material, name: str) -> dict[str, bytes]:
     directions = "" if material.document.names == DIRECTIONS else STIFFER_FIRST
     return {name: render("cards.html", cards=cards_of(material), name=material.name,
                          curvature=material.settings.curvature_1_m, directions=directions,
+                         bent=", ".join(f"{share:.0%}" for share in about["bent_to_50_1_m"]),
+                         names=", ".join(material.document.names),
                          warnings=[line for line in about["warnings"] if line != directions])}
 
 

@@ -26,6 +26,7 @@ MESHES = {"unstructured": ("random", 0.2), "alternating": ("alternating", 0.0),
 MIN_CELLS, MAX_CELLS = 6, 40  # along the strip that calibrates a mesh
 GAMMA = 10.0  # rho g L³/alpha of that strip, similar to that of hanging cloth in a drape
 
+BENT = 50.0  # 1/m, a radius of 20 mm, which cloth has in the folds of a garment
 STIFFER_FIRST = ("warp stands for the stiffer yarns and weft for the softer: the capture does not "
                  "mark the warp")
 """What the names of directions mean where the warp is not known."""
@@ -70,7 +71,10 @@ class Material:
     @property
     def modulus(self) -> Moduli:
         """Alpha, or the secant of the torque at the stated curvature."""
-        curvature = self.settings.curvature_1_m
+        return self.secant(self.settings.curvature_1_m)
+
+    def secant(self, curvature: float) -> Moduli:
+        """The secant of the torque at a ``curvature``, 1/m; alpha at zero."""
         if not curvature:
             return self.alpha
         return torque(np.array(curvature), self.alpha, self.beta) / curvature
@@ -112,6 +116,7 @@ class Material:
             "source": capture.get("source") or capture.get("sources"),
             "density_g_m2": capture["density_g_m2"], "directions": content["convention"],
             "moduli": content["moduli"], "modulus_at_curvature_1_m": curvature,
+            "bent_to_50_1_m": (self.secant(BENT) / self.modulus).round(3).tolist(),
             "warnings": warnings,
         }
 

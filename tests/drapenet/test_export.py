@@ -57,6 +57,7 @@ def test_clo_gets_the_weft_along_u(estimate):
     physical = json.loads(exported(estimate, "jfab").read_text())["mapPhysical"]
     found = [physical[key] for key in ("fBvK", "fBhK", "fBuK")]
     assert np.array(found) * 1e-3 * 1e-6 == pytest.approx(ALPHA)  # g to kg, mm² to m²
+    assert "fSuK" in json.loads(exported(estimate, "jfab").read_text())["drapenet"]["clo_defaults"]
     assert physical["fDensity"] * 1e-3 / 1e-6 == pytest.approx(DENSITY)
 
 
@@ -168,6 +169,9 @@ def test_cards_say_what_to_type_and_what_is_not_known(estimate):
     page = exported(estimate, "cards").read_text()
     assert "<th scope=\"row\">Bending-Weft</th><td class=\"number\">22000 g·mm²/s²</td>" in page
     assert "not known" in page and "warp stands for" not in page
+    ratios = 1 + 50 * BETA / ALPHA
+    assert content["drapenet"]["bent_to_50_1_m"] == pytest.approx(ratios, abs=1e-3)
+    assert ", ".join(f"{ratio:.0%}" for ratio in ratios) in page
 
 
 def test_neutral_files_return_what_was_estimated(estimate):

@@ -109,7 +109,7 @@ def test_upload_gives_numbers_in_seconds_then_files_and_a_drape_that_turns(page)
     page.check("#overlay")
     assert canvas.screenshot() != after
     page.click("#cards summary:has-text('Blender')")
-    assert "Bending\tnot known" in page.inner_text("#cards details[open]")
+    assert "Vertex Mass\t" in page.inner_text("#cards details[open]")
     with page.expect_download() as download:
         page.click("[data-export=jfab]")
     assert download.value.suggested_filename == "navy_twill-fabric.jfab"
