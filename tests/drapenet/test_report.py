@@ -95,6 +95,8 @@ def test_a_joint_report_has_its_captures_both_faces_and_their_pictures(tmp_path,
     assert "from 2 captures." in page and page.count(WARNING) == 1
     assert re.search(r"1/first</th> ?<td>marked face</td>.*?54\.3 %.*?2/second</th> ?"
                      r"<td>reverse</td>.*?61\.0 %", page)
+    assert ("mean drape coefficient 57.6 %, standard deviation 4.7 points over 2 captures: 54.3 % "
+            "with the marked face on top (1); 61.0 % with the reverse on top (1).") in page
     assert page.count("data:image/png") == 2 and pdf.count(b"/DCTDecode") >= 1
     assert b"/Count 3" in pdf  # each capture on a page
 
