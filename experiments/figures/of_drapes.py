@@ -91,3 +91,13 @@ def photographs(reports: Reports) -> str:
                   "folds, real", "simulated", "rms difference", "scatter",
                   "deviation of the radius, mm, real", "simulated", "rms difference", "scatter",
                   "harmonics 1 to 12, mm: difference, scatter"], rows)
+
+
+def blender(reports: Reports) -> str:
+    """Drapes of exported fabrics in Blender and in this simulator."""
+    report = reports["blender"]
+    rows = [[f"{float(alpha):g}", *(f"{one['coefficient'][k]:.1f} %" for k in range(2)),
+             *(f"{one['folds'][k]:.1f}" for k in range(2))]
+            for alpha, one in report["alpha_uN_m"].items()]
+    return table(["α [µN·m]", "drape coefficient here", "in Blender", "folds here",
+                  "in Blender"], rows)

@@ -17,7 +17,7 @@ BLOCKS: dict[str, Callable[[Reports], str]] = {
         of_estimates.information, of_estimates.cells, of_estimates.refinement,
         of_estimates.causes, of_estimates.additions,
         of_estimates.prior, of_drapes.testers, of_drapes.default_mesh, of_drapes.outlines,
-        of_drapes.laboratory, of_drapes.lowering, of_drapes.photographs)
+        of_drapes.laboratory, of_drapes.lowering, of_drapes.photographs, of_drapes.blender)
 }
 
 
