@@ -28,8 +28,8 @@ $(STAMP): pyproject.toml constraints.txt tools/system_libraries.sh tools/cpu_tor
 	$(BIN)/python -m pip install -qq --constraint constraints.txt --editable '.[dev]'
 	touch $@
 
-demo: $(STAMP)  ## estimate a fabric from two bundled captures: depth views and a photograph
-	$(BIN)/python infer.py capture=[$(CAPTURE),$(PHOTOGRAPH)] out=outputs/demo
+demo: $(STAMP)  ## estimate a fabric from two bundled captures: a photograph and depth views
+	$(BIN)/python infer.py capture=[$(PHOTOGRAPH),$(CAPTURE)] out=outputs/demo
 
 test: $(STAMP)  ## fast tests, 4 minutes on two cores
 	$(BIN)/python -m pytest -q -n logical --maxprocesses 8 --dist worksteal
@@ -98,7 +98,7 @@ validate: $(STAMP)  ## figures of docs/validation.md, about 3 hours of CPU, resu
 
 docs: $(STAMP)  ## update the figures in README.md and docs/*.md from the demo and the reports
 	mkdir -p outputs
-	$(BIN)/python infer.py capture=[$(CAPTURE),$(PHOTOGRAPH)] out=outputs/demo > outputs/demo.txt
+	$(BIN)/python infer.py capture=[$(PHOTOGRAPH),$(CAPTURE)] out=outputs/demo > outputs/demo.txt
 	cp outputs/demo.txt docs/validation/demo.txt
 	$(BIN)/python -m experiments.figures
 
@@ -114,8 +114,8 @@ studies: $(STAMP)  ## the papers' experiments, hours of CPU, resumed when interr
 
 example: $(STAMP)  ## make the bundled capture again
 	$(BIN)/python examples/make_capture.py out=$(CAPTURE)
-	$(BIN)/python examples/make_capture.py out=$(PHOTOGRAPH) photograph_mm=1200 \
-	  tester=disc300_support180 seed=2023 warp_direction=70
+	$(BIN)/python examples/make_capture.py out=$(PHOTOGRAPH) photograph=true \
+	  tester=disc300_support180 seed=3
 
 blender: $(STAMP)  ## drapes of exported fabrics in Blender, installed for Python 3.11 into .venv-blender (1 GB)
 	test -x .venv-blender/bin/python || python3.11 -m venv .venv-blender

@@ -69,9 +69,9 @@ def test_the_example_makes_whole_scenes_of_the_same_drape(tmp_path, seed):
     assert (tmp_path / "c" / "background.png").is_file()
     assert capture.cut and len(capture.views) == 4
     assert coefficients[1] == pytest.approx(coefficients[0], abs=0.02)
-    main([f"out={tmp_path / 'c'}", "photograph_mm=20000", "edge_mm=12", f"seed={seed}"])
-    photograph = read_capture(tmp_path / "c").outline  # from so far, nearly without perspective
-    assert photograph.drape_coefficient == pytest.approx(coefficients[0], abs=0.03)
+    main([f"out={tmp_path / 'c'}", "photograph=true", "edge_mm=12", f"seed={seed}"])
+    photograph = read_capture(tmp_path / "c").outline  # the deep hem looks smaller to a camera
+    assert coefficients[0] - 0.12 < photograph.drape_coefficient < coefficients[0] + 0.02
 
 
 @pytest.mark.parametrize(("word", "complaint"), [

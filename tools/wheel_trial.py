@@ -153,7 +153,7 @@ def upload(process: subprocess.Popen, log: Path, capture: Path) -> None:
         time.sleep(0.1)
     client = httpx.Client(base_url=printed[0], timeout=30)
     files = [("files", (file.name, file.read_bytes())) for file in sorted(capture.iterdir())
-             if file.name in ("capture.yaml", "outline.png")]
+             if file.name in ("capture.yaml", "outline.jpg")]
     begun = client.post("/estimates", files=files).raise_for_status().json()
     found = {"state": "queued"}
     while found["state"] in ("queued", "running"):

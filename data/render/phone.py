@@ -43,16 +43,16 @@ class PhonePicture:
 
 def phone_picture(
     positions: Points, rest: RestPoints, faces: Faces, rng: np.random.Generator, *,
-    plate_radius: Metres, plate_height: Metres, mat: str = "a3"
+    plate_radius: Metres, plate_height: Metres, mat: str = "a3", beside: Metres = 0.25
 ) -> PhonePicture:
-    """A photograph by a random phone from a random place; ``positions`` with the plate's centre as
-    origin, z up, the warp along x."""
+    """A photograph by a random phone from a random place, at most ``beside`` the plate's axis;
+    ``positions`` with the plate's centre as origin, z up, the warp along x."""
     warp = float(rng.uniform(0, 2 * np.pi)) if rng.random() < 0.5 else 0.0
     cos, sin = np.cos(warp), np.sin(warp)
     turned = positions @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1.0]])
     cloth = turned + np.array([0, 0, plate_height])
     size = _SIZE if rng.random() < 0.7 else _SIZE[::-1]
-    pose, stated = _random_pose(rng, size, plate_height)
+    pose, stated = _random_pose(rng, size, plate_height, beside)
     stand = trimesh.creation.cylinder(0.4 * plate_radius, plate_height - _GAP)
     stand.apply_translation([0, 0, (plate_height - _GAP) / 2])
     plate = trimesh.creation.cylinder(plate_radius - _GAP, 3e-3, sections=96)
@@ -80,13 +80,13 @@ def phone_picture(
 
 
 def _random_pose(
-    rng: np.random.Generator, size: tuple[int, int], plate_height: Metres
+    rng: np.random.Generator, size: tuple[int, int], plate_height: Metres, beside: Metres
 ) -> tuple[Pose, float]:
     """A pose, and the focal length, mm of full frame, that the file states."""
     equivalent = rng.uniform(24, 30)
     focal = equivalent / FULL_FRAME * float(np.hypot(*size))
     height = plate_height + rng.uniform(0.4, 1.5)
-    aside, around = rng.uniform(0, 0.25), rng.uniform(0, 2 * np.pi)
+    aside, around = rng.uniform(0, beside), rng.uniform(0, 2 * np.pi)
     place = np.array([aside * np.cos(around), aside * np.sin(around), height])
     # It looks near the plate, at most 15 degrees off the vertical.
     aim = -place / np.linalg.norm(place)

@@ -41,8 +41,8 @@ def add_pages(app: FastAPI, settings: ServeConfig) -> None:
     """Add the pages to the application."""
     examples = {name: zipped({
         file.name: file.read_bytes() for file in sorted((EXAMPLES / name).iterdir())
-        if file.suffix == ".png" or file.name in CAPTURE_FILES})
-        for name in ("twill", "twill_photograph") if (EXAMPLES / name).is_dir()}
+        if file.suffix in (".jpg", ".png") or file.name in CAPTURE_FILES})
+        for name in ("twill_photograph", "twill") if (EXAMPLES / name).is_dir()}
     page = render("service.html", settings=settings, targets=TARGETS, meshes=MESHES,
                   testers={name: RIGS[name] for name in TESTERS}, kinds=KINDS,
                   examples=examples, manual=MANUAL.is_dir(), directions=DIRECTIONS,

@@ -108,7 +108,7 @@ def test_a_mat_shows_the_plate_which_cannot_be_moved(client):
 
 def test_capture_yaml_is_read_and_other_captures_have_no_photograph(client):
     folder = EXAMPLES / "twill_photograph"
-    files = {name: (folder / name).read_bytes() for name in ("outline.png", "capture.yaml")}
+    files = {name: (folder / name).read_bytes() for name in ("outline.jpg", "capture.yaml")}
     found, read = ask(client, files).json(), read_capture(folder).outline
     assert isinstance(read, PhotographedOutline)
     assert found["nodes"] == read.folds

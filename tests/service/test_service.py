@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import trimesh
 from fastapi.testclient import TestClient
+from photographs import drawn, write
 from services import BreakablePool, ended, joint_estimate_of, post, settings_for
 from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
@@ -86,8 +87,8 @@ def test_a_photograph_is_shown_with_its_outline_and_has_a_report(client, photogr
     assert "from the outline of the drape from above" in client.get(f"{address}/report.html").text
     seen = photographed["estimate"]["capture"]
     assert seen["views"] == 0
-    # The hem lies below the plate, so that it looks smaller than it is.
-    assert 0 < seen["drape_coefficient_percent"] - 100 * read.outline.drape_coefficient < 10
+    # The hem lies below the plate, so that it looks smaller than it is to a phone at 0.5 m.
+    assert 0 < seen["drape_coefficient_percent"] - 100 * read.outline.drape_coefficient < 20
 
 
 def test_exports_can_be_fetched(client, finished):
@@ -113,8 +114,9 @@ def test_bad_capture_fails_with_its_sentence(client):
     assert "depth" in found["error"] and "/" not in found["error"].split(";")[0]
 
 
-def test_photograph_of_unknown_scale_fails_with_its_sentence(client):
-    begun = post(client, [PHOTOGRAPH / "outline.png"], density_g_m2="200", camera_height_mm="1200",
+def test_photograph_of_unknown_scale_fails_with_its_sentence(client, tmp_path):
+    folder = write(tmp_path / "drawn", drawn())
+    begun = post(client, [folder / "outline.png"], density_g_m2="200", camera_height_mm="1200",
                  tester="disc300_support180")
     found = ended(client, begun.json()["id"])
     assert found["state"] == "failed"

@@ -3,6 +3,7 @@
 import base64
 import io
 import struct
+import tempfile
 import zipfile
 import zlib
 from pathlib import Path
@@ -10,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from photographs import drawn, plate, write
 from PIL import Image
 
 from common.command import compose_config
@@ -24,7 +26,8 @@ from drapenet.service.uploads import Upload, checked_upload
 from sim.material import DIRECTIONS
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "captures" / "twill"
-PHOTOGRAPH = EXAMPLE.parent / "twill_photograph"
+PHOTOGRAPH = write(Path(tempfile.mkdtemp()) / "drawn", drawn(), warp_direction_deg=70,
+                   outline={"plate_px": plate(), "camera_height_mm": 1200})
 PICTURE = (PHOTOGRAPH / "outline.png").read_bytes()
 VIEWS = [(file.name, file.read_bytes()) for file in sorted(EXAMPLE.glob("view_*.png"))]
 YAML = ("capture.yaml", (EXAMPLE / "capture.yaml").read_bytes())

@@ -19,7 +19,7 @@ from drapenet.service.app import create_app
 from drapenet.stages import network_estimate
 
 PHOTOGRAPH = Path(__file__).resolve().parents[2] / "examples" / "captures" / "twill_photograph"
-FILES = [PHOTOGRAPH / "outline.png", PHOTOGRAPH / "capture.yaml"]
+FILES = [PHOTOGRAPH / "outline.jpg", PHOTOGRAPH / "capture.yaml"]
 LABELS = {"date": "2026-11-26", "operator": "M. Muster", "laboratory": "Textile laboratory 7"}
 
 
