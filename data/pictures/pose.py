@@ -52,6 +52,17 @@ class Pose:
         return _projected(points, self.turn, self.shift, self.focal, self.distortion, self.size)
 
 
+    def pixels_of_plane(self, height: Metres, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Columns and rows (N, N), float32, at which the camera sees the places of a plane at a
+        ``height`` over the mat whose x are equal ``steps`` (N,), m, and whose y are minus these."""
+        turn, (pixel, first) = cv2.Rodrigues(self.turn)[0], (steps[1] - steps[0], steps[0])
+        middle = turn @ [first, -first, height] + self.shift
+        plane = np.column_stack([turn[:, 0] * pixel, -turn[:, 1] * pixel, middle])
+        return cv2.initUndistortRectifyMap(
+            camera_matrix(self.focal, self.size), np.array([self.distortion, 0, 0, 0]),
+            np.linalg.inv(plane), np.eye(3), (len(steps),) * 2, cv2.CV_32FC1)
+
+
 def camera_matrix(focal: float, size: tuple[int, int]) -> np.ndarray:
     """Intrinsics (3, 3), pixels, of a camera whose principal point is its picture's middle."""
     return np.array([[focal, 0, (size[0] - 1) / 2], [0, focal, (size[1] - 1) / 2], [0, 0, 1.0]])

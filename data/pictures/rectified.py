@@ -72,23 +72,24 @@ def straight_from_above(
     pixel = max(above / pose.focal, 2 * AROUND * reach / SIDE)
     count = int(2 * AROUND * reach / pixel)
     steps = (np.arange(count) - (count - 1) / 2) * pixel
-    x, y = np.meshgrid(steps, -steps)
-    points = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, plate_height)])
-    columns, rows = pose.project(points).T.reshape(2, count, count).astype(np.float32)
+    columns, rows = pose.pixels_of_plane(plate_height, steps)
     missing = (columns < 0) | (rows < 0) | (columns > width - 1) | (rows > height - 1)
     light = cv2.remap(photograph.light, columns, rows, cv2.INTER_LINEAR,
                       borderMode=cv2.BORDER_REPLICATE)
-    far = np.hypot(x, y)
-    # What is printed, seen through the plane of the plate.
-    on_mat = pose.place[:2] + (np.dstack([x, y]) - pose.place[:2]) * (pose.place[2] / above)
+    far = np.hypot(steps, steps[:, None])
+    # What is printed, seen through the plane of the plate: a column has one x, a row one y.
+    axes = [at + (along - at) * (pose.place[2] / above)
+            for at, along in zip(pose.place[:2], (steps, -steps), strict=True)]
+    on_mat = np.dstack(np.meshgrid(*axes))
     transparent = missing | (cv2.remap(photograph.transparent.astype(np.float32), columns, rows,
                                        cv2.INTER_LINEAR) > 0.5)
     # Of markers that are read, nothing is covered.
-    markers = seen[0][0][:, :2]
-    read = np.abs(on_mat[:, :, None] - markers).max(axis=3).min(axis=2) < MARKER / 2 + QUIET
+    in_column, in_row = (np.abs(along[:, None] - markers) < MARKER / 2 + QUIET
+                         for along, markers in zip(axes, seen[0][0].T[:2], strict=True))
+    read = in_row.astype(np.float32) @ in_column.T.astype(np.float32) > 0
     ground = ((far > BEYOND * reach) | read) & ~missing
     half = np.array(MATS[mat].size) / 2 + QUIET
-    paper = (np.abs(on_mat) < half).all(axis=2)
+    paper = (np.abs(axes[1]) < half[1])[:, None] & (np.abs(axes[0]) < half[0])
     white = np.quantile(light[ground & paper], 0.9, axis=0)
     share, painted = _without_print(light / np.maximum(white, 1e-3), mat, on_mat, pixel, read=read,
                                     on_plate=far < plate)
