@@ -13,7 +13,6 @@ import cv2
 import numpy as np
 from scipy import sparse
 from scipy.ndimage import median_filter
-from scipy.signal import savgol_filter
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
@@ -287,6 +286,8 @@ def _resampled(path: PixelPath, window: float) -> PixelPath:
     at = np.arange(0.0, arc[-1], _STEP)
     even = np.column_stack([np.interp(at, arc, axis) for axis in path.T])
     odd = min(int(window / _STEP) // 2 * 2 + 1, (len(even) - 1) // 2 * 2 + 1)
+    from scipy.signal import savgol_filter  # importing it takes a third of a second
+
     return savgol_filter(even, odd, 2, axis=0) if odd > 3 else even
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from scipy.stats import foldnorm
+from scipy.special import erf
 
 from common.errors import InputError
 from common.files import path_named
@@ -219,10 +219,12 @@ def _true_edge(
     """
     half = clamp_width / 2
     mean, spread = half * abs(float(aim[0])) / distance, half * TILT
-    hidden = float(foldnorm.mean(mean / spread, scale=spread))
+    # Mean and deviation of the folded normal distribution (Leone et al. 1961).
+    hidden = float(np.sqrt(2 / np.pi) * spread * np.exp(-((mean / spread) ** 2) / 2)
+                   + mean * erf(mean / spread / np.sqrt(2)))
     moved = curve + np.array([hidden, 0.0])
     moved[0] = 0.0
-    unsure = float(foldnorm.std(mean / spread, scale=spread))
+    unsure = float(np.sqrt(mean**2 + spread**2 - hidden**2))
     return moved, float(np.hypot(CLAMP_ERROR, unsure))
 
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from common.errors import InputError
 from common.normal import Linear, Normal
@@ -101,7 +101,7 @@ def probability(source: Source, cloth: Normal) -> float:
     rows, offset, left = linearised
     total = np.eye(len(rows)) + left + rows @ cloth.covariance @ rows.T
     gap = offset + rows @ cloth.mean
-    return float(chi2.sf(gap @ np.linalg.solve(total, gap), len(rows)))
+    return float(chdtrc(len(rows), gap @ np.linalg.solve(total, gap)))
 
 
 def updated(prior: np.ndarray, sources: Sequence[Source]) -> np.ndarray:
