@@ -95,7 +95,7 @@ def test_seen_fabrics_are_refused_before_they_are_made(untrained_checkpoint, tmp
                                   "prior": prior_content(load_prior("vae"))})
     change_description(copy, dataset=dataset)
     monkeypatch.setattr(drapenet.network.evaluate, "generate_dataset", None)
-    words = [f"checkpoint={copy}", f"out={tmp_path}", "seed=5"]
+    words = [f"checkpoint={copy}", f"out={tmp_path}", "seed=5", "testers=[disc300_support180]"]
     with pytest.raises(InputError, match="not unseen"):
         drapenet.network.evaluate.main(words)
     measured = write_fabrics(tmp_path / "table.csv")
