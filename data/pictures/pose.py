@@ -47,11 +47,6 @@ class Pose:
         """Angle, rad, between the camera's axis and the vertical."""
         return float(np.arccos(min(-cv2.Rodrigues(self.turn)[0][2, 2], 1.0)))
 
-    def project(self, points: Points) -> Pixels:
-        """Pixels (N, 2) of points over the mat."""
-        return _projected(points, self.turn, self.shift, self.focal, self.distortion, self.size)
-
-
     def pixels_of_plane(self, height: Metres, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Columns and rows (N, N), float32, at which the camera sees the places of a plane at a
         ``height`` over the mat whose x are equal ``steps`` (N,), m, and whose y are minus these."""

@@ -282,12 +282,12 @@ def _arc(path: PixelPath) -> np.ndarray:
 
 def _resampled(path: PixelPath, window: float) -> PixelPath:
     """A path at equal steps, smoothed over a ``window`` in pixels."""
+    from scipy.signal import savgol_filter  # importing it takes a third of a second
+
     arc = _arc(path)
     at = np.arange(0.0, arc[-1], _STEP)
     even = np.column_stack([np.interp(at, arc, axis) for axis in path.T])
     odd = min(int(window / _STEP) // 2 * 2 + 1, (len(even) - 1) // 2 * 2 + 1)
-    from scipy.signal import savgol_filter  # importing it takes a third of a second
-
     return savgol_filter(even, odd, 2, axis=0) if odd > 3 else even
 
 

@@ -12,12 +12,13 @@ from common.command import command
 from common.errors import InputError
 from common.files import require_file, require_folder
 from drapenet.config import ExportConfig
-from drapenet.export.cards import card_lines
+from drapenet.export.cards import PROGRAMS, card_lines
 from drapenet.export.formats import (
     TARGETS,
     cards_of,
     export,
     export_all,
+    names_in,
     table,
     targets_named,
 )
@@ -49,8 +50,9 @@ def main(config: ExportConfig) -> None:
         written = export_all(material, names, out)
     for file in written:
         print(file)
+    tools = {PROGRAMS.get(name) for name in names_in(config.to)}
     for card in cards_of(material):
-        if card["tool"].lower().replace(" ", "") in config.to.lower().replace(" ", "").split(","):
+        if card["tool"] in tools:
             print("\n".join(card_lines(card)))
     for warning in material.about["warnings"]:
         print(f"warning: {warning}")

@@ -10,6 +10,12 @@ import yaml
 SLIDER = ((0.0, 10.0, 28.0, 48.0, 65.0, 83.0, 100.0), (0.0, 1e2, 1e3, 3e3, 2e4, 2e5, 2e6))
 """CLO's scale of 0 to 100 and its bending stiffness, linear between these."""
 
+PROGRAMS = {"clo": "CLO", "clo3d": "CLO", "marvelous": "Marvelous Designer",
+            "marvelousdesigner": "Marvelous Designer", "browzwear": "VStitcher",
+            "vstitcher": "VStitcher", "blender": "Blender", "houdini": "Houdini",
+            "unreal": "Unreal"}
+"""Cards by the names of programs."""
+
 
 def cards(values: Mapping[str, float]) -> list[dict[str, Any]]:
     """The content of ``cards.yaml`` with these values of its quantities; a field without a value

@@ -17,7 +17,7 @@ from common.errors import InputError
 from common.files import replace_file
 from drapenet.export.blender import at_8_mm, blender_settings
 from drapenet.export.cards import SLIDER, cards
-from drapenet.export.material import STIFFER_FIRST, Material
+from drapenet.export.material import BENT, Material
 from drapenet.report.pages import render
 from drapenet.result.document import csv_number, csv_table, interval_columns
 from sim.energies.hinges import ARCSIM, mean_modulus
@@ -181,18 +181,21 @@ def cards_of(material: Material) -> list[dict[str, Any]]:
     return cards(values)
 
 
+def _in_folds(material: Material) -> str:
+    shares = ", ".join(f"{share:.0%}" for share in material.about["bent_to_50_1_m"])
+    return (f"Bent to a radius of {1e3 / BENT:g} mm, as in the folds of a garment, this cloth has "
+            f"{shares} of these stiffnesses along {', '.join(material.document.names)}.")
+
+
 def _fields(material: Material, name: str) -> dict[str, bytes]:
-    return {name: _json({"cards": cards_of(material), "drapenet": material.about})}
+    return {name: _json({"cards": cards_of(material), "in_folds": _in_folds(material),
+                         "drapenet": material.about})}
 
 
 def _cards(material: Material, name: str) -> dict[str, bytes]:
-    about = material.about
-    directions = "" if material.document.names == DIRECTIONS else STIFFER_FIRST
     return {name: render("cards.html", cards=cards_of(material), name=material.name,
-                         curvature=material.settings.curvature_1_m, directions=directions,
-                         bent=", ".join(f"{share:.0%}" for share in about["bent_to_50_1_m"]),
-                         names=", ".join(material.document.names),
-                         warnings=[line for line in about["warnings"] if line != directions])}
+                         curvature=material.settings.curvature_1_m,
+                         in_folds=_in_folds(material), warnings=material.about["warnings"])}
 
 
 def _table(material: Material, name: str) -> dict[str, bytes]:
@@ -252,11 +255,16 @@ def _programs() -> str:
     return ", ".join(f"{name} ({target})" for name, target in ALIASES.items())
 
 
+def names_in(words: str) -> list[str]:
+    """Names with commas, in brackets or not."""
+    return [word.strip().lower() for word in words.strip("[]").split(",")]
+
+
 def targets_named(words: str, key: str = "to") -> list[str]:
     """Parse ``words``, the value of ``key``: names of targets with commas, or ``all``."""
     if words == "all":
         return list(TARGETS)
-    names = [word.strip().lower() for word in words.strip("[]").split(",")]
+    names = names_in(words)
     for name in names:
         if name not in TARGETS and name not in ALIASES:
             raise InputError(f"{key}={name}: unknown; choose from {', '.join(TARGETS)}, all, or a "

@@ -27,9 +27,6 @@ MIN_CELLS, MAX_CELLS = 6, 40  # along the strip that calibrates a mesh
 GAMMA = 10.0  # rho g L³/alpha of that strip, similar to that of hanging cloth in a drape
 
 BENT = 50.0  # 1/m, a radius of 20 mm, which cloth has in the folds of a garment
-STIFFER_FIRST = ("warp stands for the stiffer yarns and weft for the softer: the capture does not "
-                 "mark the warp")
-"""What the names of directions mean where the warp is not known."""
 
 
 class ExportSettings(Schema):
@@ -107,7 +104,8 @@ class Material:
         content, curvature = self.document.content(), self.settings.curvature_1_m
         capture, warnings = content["capture"], content["warnings"]
         if self.document.names != DIRECTIONS:
-            warnings.append(STIFFER_FIRST)
+            warnings.append("warp stands for the stiffer yarns and weft for the softer: the "
+                            "capture does not mark the warp")
         if np.any(-self.beta * curvature > SOFTENING_LIMIT * self.alpha):
             warnings.append(f"curvature_1_m={curvature:g} is outside the law: the torque is "
                             "continued as a straight line there")

@@ -52,14 +52,14 @@ def draped(*, alpha: float, seed: int, python: str, edge_mm: float) -> dict[str,
             theirs = {name: content[name] for name in content.files}
     fabric = Fabric([alpha * MICRO] * 3, density=1e-3 * DENSITY)
     ours = drape(fabric, rig=DISC_RIG, edge=1e-3 * edge_mm, seed=seed)
+    rim = np.hypot(*ours.rest.T) > DISC_RIG.reach - 1e-6
     return {
         "version": str(theirs["version"]), "converged": ours.converged,
         "coefficient": [100 * drape_coefficient(ours.positions, ours.faces, DISC_RIG),
                         float(theirs["coefficient"])],
         "folds": [fold_count(ours.positions, ours.rest, DISC_RIG),
                   fold_count(theirs["drape"], theirs["flat"], DISC_RIG)],
-        "hems": [ours.positions[np.hypot(*ours.rest.T) > 0.15 - 1e-6, :2].round(4).tolist(),
-                 theirs["hem"].round(4).tolist()]}
+        "hems": [ours.positions[rim, :2].round(4).tolist(), theirs["hem"].round(4).tolist()]}
 
 
 def run(config: Config) -> Result:

@@ -26,7 +26,8 @@ from drapenet.service.uploads import Upload, checked_upload
 from sim.material import DIRECTIONS
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "captures" / "twill"
-PHOTOGRAPH = write(Path(tempfile.mkdtemp()) / "drawn", drawn(), warp_direction_deg=70,
+_FOLDER = tempfile.TemporaryDirectory()  # until the end of the process
+PHOTOGRAPH = write(Path(_FOLDER.name) / "drawn", drawn(), warp_direction_deg=70,
                    outline={"plate_px": plate(), "camera_height_mm": 1200})
 PICTURE = (PHOTOGRAPH / "outline.png").read_bytes()
 VIEWS = [(file.name, file.read_bytes()) for file in sorted(EXAMPLE.glob("view_*.png"))]

@@ -182,9 +182,7 @@ function showLinks(id, files) {
 async function showCards(id) {
   at('cards').replaceChildren();
   try {
-    const { cards, drapenet: { directions, bent_to_50_1_m: bent } } = await ask(`/estimates/${id}/export/fields`);
-    const softer = bent.map((share) => `${Math.round(100 * share)} %`).join(', ');
-    const folds = `Bent to a radius of 20 mm, as in the folds of a garment, this cloth has ${softer} of these stiffnesses along ${directions.replace('/', ', bias and ')}.`;
+    const { cards, in_folds: folds, drapenet: { directions } } = await ask(`/estimates/${id}/export/fields`);
     at('cards').replaceChildren(element('p', folds, 'help'), ...cards.map((card) => {
       const made = element('details');
       made.append(element('summary', card.tool), element('p', card.where, 'help'));
