@@ -17,14 +17,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import yaml
 
 from common.command import command
 from common.errors import InputError
 from common.files import folder_named, replace_file, require_folder
 from data.captures.capture import write_capture
 from data.captures.description import checked_density, whole_turns
-from data.render.phone import phone_picture
+from data.render.phone import mat_around, phone_picture
 from data.render.rays import VIEWS, DepthRenderer
 from data.render.scenes import raw_scene
 from data.render.sensors import StructuredLight, load_sensor
@@ -92,7 +91,7 @@ def main(config: MakeCaptureConfig) -> None:
     for file in old:
         file.unlink()
     if config.photograph:
-        write_photograph(out, result, rng, density=config.density)
+        write_photograph(out, result, rng)
     else:
         write_capture(out, views=views, intrinsics=camera.intrinsics, density=density,
                       rig=tester, warp_direction=direction, background=background)
@@ -105,22 +104,14 @@ def main(config: MakeCaptureConfig) -> None:
     print(f"capture: {out}")
 
 
-def write_photograph(
-    out: Path, drape: Drape, rng: np.random.Generator, *, density: float
-) -> None:
-    """Write a phone's photograph of a drape over the mat, and its ``capture.yaml``; ``density`` in
-    g/m²."""
-    mat = "a3" if drape.rig.reach < 0.151 else "a2"
-    height = ABOVE_MAT - float(drape.positions[:, 2].min())
+def write_photograph(out: Path, drape: Drape, rng: np.random.Generator) -> None:
+    """Write a phone's photograph of a drape over the mat, and its ``capture.yaml``."""
+    mat, height = mat_around(drape.rig.reach), ABOVE_MAT - float(drape.positions[:, 2].min())
     picture = phone_picture(drape.positions, drape.rest, drape.faces, rng, mat=mat,
                             plate_radius=drape.rig.plate_radius, plate_height=height,
                             beside=BESIDE)
-    replace_file(out / "outline.jpg", picture.jpeg)
-    replace_file(out / "capture.yaml", yaml.safe_dump({
-        "density_g_m2": density, "tester": drape.rig.name,
-        "warp_direction_deg": round(math.degrees(picture.warp), 3),
-        "outline": {"mat": mat, "plate_height_mm": round(1e3 * height, 1)}},
-        sort_keys=False).encode())
+    picture.write(out, density=drape.fabric.density, tester=drape.rig.name, mat=mat,
+                  plate_height=height)
 
 
 if __name__ == "__main__":

@@ -6,13 +6,16 @@ shadows; patterned cloth; a lens that distorts, blur, noise and JPEG.
 
 import io
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
 import trimesh
+import yaml
 from PIL import Image
 
-from common.types import Faces, Metres, Points, Radians, RestPoints
+from common.files import replace_file
+from common.types import Density, Faces, Metres, Points, Radians, RestPoints
 from data.pictures.mat import mat_picture, mat_pixels
 from data.pictures.pose import Pose, camera_matrix
 from data.pictures.reading import FULL_FRAME, encoded
@@ -20,6 +23,7 @@ from data.render.rays import Hits, RayScene
 
 PATTERNS = ("plain", "stripes", "checks", "dots", "weave")
 _SIZE = (2016, 1512)  # pixels, or upright
+_REACH_A3 = 0.151  # m
 _GAP = 0.4e-3  # m, of plate and stand from the cloth
 _SKY, _LAMP_RAYS = 12, 6  # directions and points that shadows are averaged over
 _COARSE = 4  # pixels between places at which the sky is seen
@@ -39,6 +43,21 @@ class PhonePicture:
     pose: Pose
     warp: Radians
     kind: dict
+
+    def write(self, folder: Path, *, density: Density, tester: str, mat: str, plate_height: Metres
+              ) -> None:
+        """Write it to a ``folder`` as a user would, with ``capture.yaml``."""
+        replace_file(folder / "outline.jpg", self.jpeg)
+        replace_file(folder / "capture.yaml", yaml.safe_dump({
+            "density_g_m2": round(1e3 * density, 6), "tester": tester,
+            "warp_direction_deg": round(float(np.degrees(self.warp)), 3),
+            "outline": {"mat": mat, "plate_height_mm": round(1e3 * plate_height, 1)}},
+            sort_keys=False).encode())
+
+
+def mat_around(reach: Metres) -> str:
+    """The smallest mat that is seen around a flat specimen of this ``reach``."""
+    return "a3" if reach < _REACH_A3 else "a2"
 
 
 def phone_picture(

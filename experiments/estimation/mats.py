@@ -14,7 +14,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import yaml
 
 from common.errors import InputError
 from common.files import replace_file
@@ -23,7 +22,7 @@ from data.captures.capture import Capture, read_capture
 from data.captures.photograph import AZIMUTHS, PhotographedOutline
 from data.captures.scale import mapped
 from data.dataset.off_axis import silhouette
-from data.render.phone import PhonePicture, phone_picture
+from data.render.phone import mat_around, phone_picture
 from drapenet.stages import network_estimate
 from experiments.drapes import drape_as_planned, header, plan_specimen
 from experiments.result import ESTIMATOR, Config, Result, run_cases
@@ -31,8 +30,6 @@ from sim.drape import Drape
 from sim.material import LINEAR, REFERENCE_DENSITY
 from sim.rig import Rig
 
-MATS = {True: "a3", False: "a2"}
-"""By whether a specimen reaches no farther than 150 mm."""
 MARGIN = (0.02, 0.12)  # m, of the lowest cloth above the mat
 TARGETS = {"outline_mm": (0.5, 1.0), "alpha": (0.03, 0.08), "silent": 1 / 200}
 WRONG = 0.15  # of alpha
@@ -45,16 +42,17 @@ def case(*, number: int, rig: str, edge_mm: float, seed: int, sheet: str) -> dic
     shape = drape_as_planned(plan, edge=1e-3 * edge_mm)
     rng = np.random.default_rng([seed, number])
     plate_height = float(-shape.positions[:, 2].min() + rng.uniform(*MARGIN))
-    mat = MATS[tester.reach < 0.151]
+    mat = mat_around(tester.reach)
     picture = phone_picture(shape.positions, shape.mesh.rest, shape.faces, rng, mat=mat,
                             plate_radius=tester.plate_radius, plate_height=plate_height)
     place = picture.pose.place - [0, 0, plate_height]
     known = {**picture.kind, "height_m": place[2], "beside_m": float(np.hypot(*place[:2])),
              "tilt_deg": float(np.degrees(picture.pose.tilt))}
     with tempfile.TemporaryDirectory() as folder:
-        capture = _as_user(Path(folder), picture, rig, mat, plate_height)
+        picture.write(Path(folder), density=REFERENCE_DENSITY, tester=rig, mat=mat,
+                      plate_height=plate_height)
         try:
-            read = read_capture(capture)
+            read = read_capture(Path(folder))
         except InputError as error:
             if sheet:
                 replace_file(Path(sheet), picture.jpeg)
@@ -76,17 +74,6 @@ def case(*, number: int, rig: str, edge_mm: float, seed: int, sheet: str) -> dic
         "coefficient": perfect.drape_coefficient,
         "coefficient_error": read.outline.drape_coefficient - perfect.drape_coefficient,
         "alpha_error": (alpha - best).tolist(), "alpha_deviation": sure.tolist()}
-
-
-def _as_user(
-    folder: Path, picture: PhonePicture, rig: str, mat: str, plate_height: Metres
-) -> Path:
-    (folder / "outline.jpg").write_bytes(picture.jpeg)
-    (folder / "capture.yaml").write_text(yaml.safe_dump({
-        "density_g_m2": 1e3 * REFERENCE_DENSITY, "tester": rig,
-        "warp_direction_deg": float(np.degrees(picture.warp)),
-        "outline": {"mat": mat, "plate_height_mm": round(1e3 * plate_height, 1)}}))
-    return folder
 
 
 def true_radii(shape: Drape, warp: float, beside: np.ndarray, height: Metres) -> np.ndarray:
