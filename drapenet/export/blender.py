@@ -1,9 +1,9 @@
 """Settings of Blender's cloth for a fabric.
 
-Blender multiplies gravity by 1/1000 and divides no force by it, so that a physical drape needs
-masses a thousand times those of the cloth, or forces of a thousandth. An angular spring at an edge
+Blender multiplies gravity by 1/1000 and no other force, so that a physical drape needs masses a
+thousand times those of the cloth, or stiffnesses of a thousandth. An angular spring at an edge
 of length l turns the triangle beside it by a force of 0.1 k l a radian, k its stiffness, shared by
-the three corners (``SIM_mass_spring.cc``, ``BPH_mass_spring.cc``), which on triangles of equal
+the three corners (``SIM_mass_spring.cc``, ``implicit_blender.cc``), which on triangles of equal
 sides is a plate of modulus 28.9 k A / 1000, A being the area for each vertex. Drapes on triangles
 of 8 mm, whose springs of tension must be weak for them to fold, have the coefficients of this
 project's with 20 in place of 28.9 (``python -m experiments blender``).
