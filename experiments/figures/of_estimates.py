@@ -2,7 +2,6 @@
 
 import json
 import re
-from math import exp
 
 from experiments.estimation.refine_views import METHODS
 from experiments.figures.reports import FOUR_VIEWS, RIGS, Reports, coverage, percent, spread
@@ -32,23 +31,20 @@ def demo(reports: Reports) -> str:
 
 
 def accuracy(reports: Reports) -> str:
-    """List of items: errors, what was compared with real cloth, limits."""
+    """Errors of single captures and of sets, and items: real cloth, limits."""
     squares, discs = reports.cell("squares"), reports.cell("discs")
-
-    def errors(name: str) -> str:
-        found = [reports.cell(kind, name)["log_alpha"]["rmse"] * spread() for kind in RIGS]
-        return " and ".join(f"{percent(exp(error) - 1)} for {kind}"
-                            for kind, error in zip(RIGS, found, strict=True))
-
+    names = {"four depth views": FOUR_VIEWS, "an outline": "outline, parallel light",
+             "outlines of four drapes": "outline, sets of 4",
+             "drape coefficient and nodes alone": "drape coefficient and nodes"}
+    rows = [[f"{kind[:-1]} of 300 mm, {what}", *_off(reports.cell(kind, name)),
+             coverage(reports.cell(kind, name))]
+            for what, name in names.items() for kind in ("discs", "squares")]
     drapes = reports["outlines"]["summary"]["parallel"]["flat"]["all"]
     bent = next(iter(reports["laboratory"]["summary"].values()))
     alone, known = reports["outlines_real"]["alone"], reports["numbers"]
     return "\n".join([
-        f"- **Simulated fabrics** outside the training set, with the variation of real "
-        f"specimens and cameras: the typical error of α is {errors(FOUR_VIEWS)} with four depth "
-        f"views, {errors('outline, parallel light')} with an outline. The 68 % intervals contain "
-        f"{percent(squares['inside']['68%']['mean'])} and "
-        f"{percent(discs['inside']['68%']['mean'])} of the true moduli with four depth views.",
+        table(["fabrics never shown, simulated with the variation of real specimens and cameras",
+               "α off by, half of them", "nine of ten", "inside 50, 68, 90 %"], rows), "",
         f"- **Real outlines** ({alone['of']} pictures of nine fabrics with unknown moduli): "
         f"estimates of α from one picture each agree within a factor of {alone['captures']:.2f} "
         f"between pictures of a sample, {alone['samples']:.2f} between samples and "
@@ -62,6 +58,48 @@ def accuracy(reports: Reports) -> str:
         f"- **Limits**: β/α is poorly constrained by a drape: its error is "
         f"{squares['beta_over_alpha']['rmse']:.2f} (squares) and "
         f"{discs['beta_over_alpha']['rmse']:.2f} (discs) of its spread over fabrics."])
+
+
+def _off(found: Report) -> list[str]:
+    """Median and ninth decile of the error of α."""
+    return [percent(found["alpha"][key]) for key in ("median", "ninth_decile")]
+
+
+def bands(reports: Reports) -> str:
+    """Errors and coverage of single captures by drape coefficient and by stiffness."""
+    found = reports["evaluation"]["bands"]
+    names = [name for name in found if name != "drape coefficient and nodes"]
+    return "\n\n".join(
+        table([kind, "fabrics", *(f"{name}: {what}" for name in names for what in
+                                  ("α off by, median", "9 of 10", "inside"))],
+              [[label, min(found[name][kind][label]["fabrics"] for name in names
+                           if label in found[name][kind]),
+                *(cell for name in names for cell in
+                  ([*_off(found[name][kind][label]), coverage(found[name][kind][label])]
+                   if label in found[name][kind] else ["–"] * 3))]
+               for label in found[names[0]][kind]])
+        for kind in ("drape coefficient", "stiffness"))
+
+
+def learning(reports: Reports) -> str:
+    """Errors of networks by drapes, steps and width, and of the nearest simulated outline."""
+    found = reports["learning"]
+    rows = []
+    for run in found["runs"].values():
+        row = [str(run["drapes"]), str(run["steps"]), str(run["width"])]
+        for whose in ("unseen", "own"):
+            row += [" / ".join(f"{run[whose][name][shape]['log_alpha']['rmse']:.2f}"
+                               for shape in ("discs", "squares", "rectangles"))
+                    for name in run[whose]]
+        rows.append(row)
+    inputs = list(next(iter(found["runs"].values()))["unseen"])
+    head = ["drapes", "steps", "width", *(f"{whose}, {name}" for whose in (
+        "unseen fabrics", "trained on") for name in inputs)]
+    nearest = [[tester.replace("_", " "), str(one["drapes"]), f"{one['rms']:.2f}",
+                percent(one["median"])]
+               for tester, shares in found["nearest"].items() for one in shares.values()]
+    return "\n\n".join((table(head, rows), table(
+        ["nearest simulated outline", "drapes", "log α, rms", "α off by, median"], nearest)))
 
 
 def views(reports: Reports) -> str:
@@ -130,13 +168,15 @@ def cells(reports: Reports) -> str:
         low, high = found["log_alpha"]["interval_95"]
         bound = found["bound"]
         least = f"{bound['log_alpha']:.3f}, {bound['beta_over_alpha']:.2f}" if bound else "–"
-        return [f"{found['log_alpha']['rmse']:.3f} ({low:.3f} to {high:.3f})",
+        return [", ".join(_off(found)),
+                f"{found['log_alpha']['rmse']:.3f} ({low:.3f} to {high:.3f})",
                 f"{found['beta_over_alpha']['rmse']:.2f}", least, coverage(found)]
 
     results = reports["evaluation"]["cells"]
     names = list(results[RIGS["squares"]])
     head = ["condition", *(f"{kind}: {what}" for kind in RIGS for what in
-                           ("log α / spread (95 %)", "β/α / spread", "bounds", "inside"))]
+                           ("α off by, median, 9 of 10", "log α / spread (95 %)",
+                            "β/α / spread", "bounds", "inside"))]
     return "\n\n".join((
         table(head, [[name, *(cell for kind in RIGS for cell in columns(reports.cell(kind, name)))]
                      for name in names]),
