@@ -57,7 +57,7 @@ def _fill(book: xlsxwriter.Workbook, sheet: Worksheet, samples: Sequence[Sample]
                **{f"{name} {end} [{unit}]": text for name, unit, text in QUANTITIES.values()
                   for end in ("median", "low", "high")},
                "KES not determined [%]": "0.0", "drape coefficient [%]": "0.0", "nodes": "0.0",
-               "warnings": "0"}
+               "warnings": "0", "warnings in words": "@"}
     for column, (name, text) in enumerate(columns.items()):
         sheet.write_string(0, column, name, head)
         sheet.set_column(column, column, 11 if column else 24,
@@ -83,7 +83,7 @@ def _rows(sample: Sample) -> list[list[str | float | None]]:
         numbers = [number for key in QUANTITIES for number in _ends(quantities[key])]
         rows.append([*sample.names.values(), about.density_g_m2, about.rig, face, name, *numbers,
                      100 * readings.kes_b_outside_law_probability, sample.coefficient,
-                     sample.nodes, len(document.warnings)])
+                     sample.nodes, len(document.warnings), "; ".join(document.warnings)])
     return rows
 
 

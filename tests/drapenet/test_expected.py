@@ -12,9 +12,10 @@ from drapenet.network.expected import (
     _log_density_of_all,
     shape_of,
 )
+from drapenet.network.model import Batch, Facts
 from drapenet.network.targets import CURL, TARGETS
 from drapenet.result.advice import advice_of
-from drapenet.views.directions import AZIMUTH
+from drapenet.views.directions import AZIMUTH, ELEVATIONS
 from sim.rig import Rig
 
 UNIT = np.array([0.25, 1.0, 1.0, 3.0, 3.0])
@@ -30,6 +31,17 @@ def test_the_shape_of_a_wavy_outline_is_its_waves():
     assert shape[3] == pytest.approx(7, abs=0.1)
     radius[20:90] = np.nan
     assert np.isnan(shape_of(radius[None], np.array([0.4]), np.array([6.0]))[0, 1:4]).all()
+
+
+def test_of_a_single_view_the_coefficient_alone_is_compared():
+    nothing, two = np.full(2, np.nan), np.ones(2)
+    facts = Facts(size=0.3 * two, plate=0.6 * two, disc=two > 0, aspect=two, face=two,
+                  known=two > 0, views=np.array([1, 4]), perspective=0 * two,
+                  coefficient=0.4 * two, nodes=nothing, group=np.arange(2))
+    maps = np.zeros((2, len(AZIMUTH), ELEVATIONS))
+    outline = np.tile(0.75 + 0.06 * np.cos(7 * AZIMUTH), (2, 1))
+    batch = Batch.of(maps, maps, outline, facts, np.zeros((2, 0, 1, 1)), 0 * two)
+    assert batch.shape.isfinite().tolist() == [[True, *[False] * 4], [*[True] * 4, False]]
 
 
 @pytest.fixture(scope="module")
