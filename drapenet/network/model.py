@@ -120,7 +120,7 @@ class Batch:
            pictures: np.ndarray, angle: np.ndarray, targets: torch.Tensor | None = None) -> "Batch":
         """Batch of N stored maps (:func:`drapenet.views.radial_map.compressed`), (N, AZIMUTHS)
         outlines in half sizes (m/m), NaN where not seen, pictures and their angles, rad."""
-        # Of a single view, the hem behind the plate is guessed, and with it all but the coefficient.
+        # Of a single view, much of the hem is guessed, and with it all but the coefficient.
         hem = np.where((facts.views == 1)[:, None], np.nan, outline)
         return cls(torch.from_numpy(distance).float(), torch.from_numpy(weight) * WEIGHT_UNIT,
                    torch.from_numpy(np.nan_to_num(outline).astype(np.float32)),

@@ -294,8 +294,8 @@ class EstimateDocument(Excerpt):
             (alpha, alphas), (beta, betas) = moduli.alpha_uN_m.texts(), moduli.beta_nN_m2.texts()
             lines.append(f"{name:8}{alpha:>14}{alphas:>20}{beta:>16}{betas:>20}")
         if self.poorly_constrained:
-            lines.append("poorly constrained, so that the values are mostly those of usual fabrics: "
-                         + ", ".join(self.poorly_constrained))
+            lines.append("poorly constrained, so that the values are mostly those of usual "
+                         f"fabrics: {', '.join(self.poorly_constrained)}")
         if refined := self.refined:
             before = ", ".join(f"{name} {moduli.alpha_uN_m.texts()[0]}"
                                for name, moduli in refined.before.items())

@@ -4,7 +4,15 @@ import json
 import re
 
 from experiments.estimation.refine_views import METHODS
-from experiments.figures.reports import FOUR_VIEWS, RIGS, Reports, coverage, percent, spread
+from experiments.figures.reports import (
+    FOUR_VIEWS,
+    OUTLINE,
+    RIGS,
+    Reports,
+    coverage,
+    percent,
+    spread,
+)
 from experiments.result import REPORTS, ROOT, Report, table
 
 
@@ -33,7 +41,7 @@ def demo(reports: Reports) -> str:
 def accuracy(reports: Reports) -> str:
     """Errors of single captures and of sets, and items: real cloth, limits."""
     squares, discs = reports.cell("squares"), reports.cell("discs")
-    names = {"four depth views": FOUR_VIEWS, "an outline": "outline, parallel light",
+    names = {"four depth views": FOUR_VIEWS, "an outline": OUTLINE,
              "outlines of four drapes": "outline, sets of 4",
              "drape coefficient and nodes alone": "drape coefficient and nodes"}
     rows = [[f"{kind[:-1]} of 300 mm, {what}", *_off(reports.cell(kind, name)),

@@ -8,8 +8,8 @@ from experiments.estimation.refine_views import METHODS
 from experiments.result import Report, read_report
 
 RIGS = {"squares": "square300_cylinder100", "discs": "disc300_support180"}
-FOUR_VIEWS = "depth, 4 views"
-"""The condition of the claims; :data:`drapenet.network.evaluate.CELLS` has all."""
+FOUR_VIEWS, OUTLINE = "depth, 4 views", "outline, parallel light"
+"""Conditions of the claims; :data:`drapenet.network.evaluate.CELLS` has all."""
 
 
 class Reports(dict[str, Report]):
@@ -91,10 +91,16 @@ def render_speed(report: Report) -> Report:
 
 
 def evaluated(report: Report) -> Report:
-    """Results by kind of specimens, with the coverage and its largest error in points."""
-    found = {kind: report["cells"][rig][FOUR_VIEWS] for kind, rig in RIGS.items()}
-    return {kind: cell | {"coverage": coverage(cell), "off": coverage_error(cell)}
-            for kind, cell in found.items()}
+    """Results by kind of specimens and captures, and how far the coverage of single captures is off
+    in the worst band of coefficient or stiffness, points."""
+    kinds = {"depth": FOUR_VIEWS, "outline": OUTLINE, "views of four": "depth, sets of 4",
+             "outlines of four": "outline, sets of 4"}
+    bands = [band for name in (FOUR_VIEWS, OUTLINE) for bands in report["bands"][name].values()
+             for band in bands.values()]
+    return {rig: {kind: report["cells"][tester][name] | {"coverage": coverage(
+        report["cells"][tester][name])} for kind, name in kinds.items()}
+        for rig, tester in (RIGS | {"wide": "disc360_support180"}).items()} | {
+        "off": max(map(coverage_error, bands))}
 
 
 def tree_tables(report: Report) -> Report:
