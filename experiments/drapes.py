@@ -133,10 +133,10 @@ def infer(synthetic: "SyntheticCapture", rig: Rig = RIG) -> "CaptureEstimate":
 
 def outline_of(shape: Drape) -> "DrapeOutline":
     """The exact outline of a drape under parallel light."""
-    from drapenet.views.outline import DrapeOutline, silhouettes
+    from drapenet.views.outline import DrapeOutline, contour, silhouettes
 
-    border = shape.mesh.edges[shape.mesh.edge_faces[:, 1] < 0]
-    return DrapeOutline(silhouettes(shape.positions, border, np.array([np.inf]), zero=0.0)[0])
+    edges = contour(shape.positions, shape.mesh, np.inf)
+    return DrapeOutline(silhouettes(shape.positions, edges, np.array([np.inf]), zero=0.0)[0])
 
 
 def infer_outline(outline: "DrapeOutline", rig: Rig) -> tuple["Draws", "Estimate", list[str]]:

@@ -23,6 +23,7 @@ SHAPE = 5
 and of its distance from the axis, the mean order of the waves, and the number of nodes."""
 _WAVES = np.arange(2, 21)
 _LEAST = 1e-3  # half sizes, of a wave
+_LEAST_DISTANCE = 1e-2  # below it, a drape is as good as centred
 _UNIT = np.array([0.25, 1.0, 1.0, 3.0, 3.0])
 _COMPONENTS = 4
 _HIDDEN = 64
@@ -45,7 +46,8 @@ def shape_of(outline: np.ndarray, coefficient: np.ndarray, nodes: np.ndarray) ->
     waves = np.abs(radius @ _TURNS.T)
     power = np.square(waves[:, 1:]) + _LEAST**2 / len(_WAVES)
     total = power.sum(axis=1)
-    shape[rows, 1:4] = np.column_stack([np.log(total) / 2, np.log(waves[:, 0] + _LEAST),
+    shape[rows, 1:4] = np.column_stack([np.log(total) / 2,
+                                        np.log(np.hypot(waves[:, 0], _LEAST_DISTANCE)),
                                         power @ _WAVES / total])
     return shape / _UNIT
 

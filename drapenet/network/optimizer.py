@@ -6,6 +6,10 @@ import torch
 
 from drapenet.network.model import Network
 
+_DECAY_OF_EXPECTED = 0.01
+"""Weight decay of the few layers that say how drapes of a cloth look: with that of the posterior's
+network they expect too little of captures of rare kinds, such as single views."""
+
 
 class Optimizer:
     """Muon (Jordan et al. 2024) with steps of AdamW's size (Liu et al. 2025) for weights from
@@ -20,9 +24,11 @@ class Optimizer:
         self.hidden = network.hidden_weights()
         # Views: a step on them is one on the network's weights.
         self.matrices = [torch.nn.Parameter(one.detach().flatten(1)) for one in self.hidden]
-        others = {id(one) for one in self.hidden}
+        expected, posterior = network.separate_parts()
+        hidden = {id(one) for one in self.hidden}
         self.parts: list[torch.optim.Optimizer] = [
-            torch.optim.AdamW([one for one in network.parameters() if id(one) not in others],
+            torch.optim.AdamW([{"params": [one for one in posterior if id(one) not in hidden]},
+                               {"params": expected, "weight_decay": _DECAY_OF_EXPECTED}],
                               weight_decay=weight_decay),
             torch.optim.Muon(self.matrices, weight_decay=weight_decay,
                              adjust_lr_fn="match_rms_adamw")]
