@@ -26,7 +26,7 @@ from drapenet.refine.depth import FOCAL, POSE, DepthViews, DepthWeights, table_n
 from drapenet.refine.unknowns import LAW_NAMES, law_moves
 from drapenet.views.directions import AZIMUTH, AZIMUTHS
 from drapenet.views.located import LocatedViews
-from drapenet.views.outline import silhouettes
+from drapenet.views.outline import contour, silhouettes
 from sim.drape import Drape
 from sim.rig import Rig
 from sim.sensitivity import Tangent
@@ -224,7 +224,8 @@ def _outline_moves(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Radii (A,) of a drape's outline under parallel light, m, and their derivatives (A, P) by
     :data:`OUTLINE`."""
-    edges, here = result.mesh.edges[result.mesh.edge_faces[:, 1] < 0], tangent.positions
+    here = tangent.positions
+    edges = contour(here, result.mesh, np.inf)
     moves = drape_moves(tangent, result, nuisances)
     moves["turn"] = np.column_stack([-here[:, 1], here[:, 0], np.zeros(len(here))])
     columns = {}
