@@ -120,6 +120,8 @@ def _fault(error: Exception, words: Sequence[str]) -> InputError:
         key, _, value = error.override.partition("=")
         return InputError(f"{error.override} cannot be read; put each text in it in quotes, such "
                           f"as \"{key}='{value.strip('[]').split(',')[0]}'\"")
+    if unknown := re.match(r"Could not override '([^']+)'", str(error)):
+        return InputError(f"unknown key {unknown[1]!r}; --help lists the keys")
     return InputError(f"{one_line(error)}; see {' '.join(words)}")
 
 

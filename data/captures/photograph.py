@@ -158,12 +158,12 @@ def _photographed(
                         f"{np.degrees(MAX_TILT):.0f}°; place the camera above its centre")
     if seen.middle is not None and (share := like_ground(scene)) > MAX_LIKE_GROUND:
         warnings.append(f"{share:.0%} of the cloth on the plate has the ground's light and colour, "
-                        f"more than {MAX_LIKE_GROUND:.0%}: check the outline in capture.png, or "
+                        f"more than {MAX_LIKE_GROUND:.0%}: check the outline in the picture of the capture, or "
                         "use a ground of another colour")
     if photograph.painted is not None and (
             share := float(within(pixels, photograph.painted).mean())) > MAX_OVER_PRINT:
         warnings.append(f"{share:.0%} of the hem lies over markers that are as dark as the cloth, "
-                        f"more than {MAX_OVER_PRINT:.0%}: check the outline in capture.png, or use "
+                        f"more than {MAX_OVER_PRINT:.0%}: check the outline in the picture of the capture, or use "
                         "a larger mat")
     if seen.beside is not None:
         lean = float(np.linalg.norm(seen.beside)) / seen.height

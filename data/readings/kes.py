@@ -18,7 +18,8 @@ def kes(alpha: np.ndarray, beta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
 
     B is the secant of the torque between 0.5 and 1.5 cm⁻¹, alpha + 200/m beta within the quadratic
     law. KES's loading curve is B kappa + HB: 2HB is twice the torque of that secant at zero
-    curvature. Beyond the peak of alpha kappa + beta kappa² the moduli do not determine the torque.
+    curvature. Beyond the peak of alpha kappa + beta kappa² the moduli do not determine the torque;
+    it is that of the law's straight line there.
     """
     low, high = (torque(np.asarray(at), alpha, beta) for at in KES_CURVATURES)
     secant = (high - low) / (KES_CURVATURES[1] - KES_CURVATURES[0])
@@ -26,17 +27,12 @@ def kes(alpha: np.ndarray, beta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
             alpha + 2 * beta * KES_CURVATURES[1] < 0)
 
 
-def _within_law(cloth: ClothProperties, density: Density) -> tuple[np.ndarray, np.ndarray]:
-    secant, hysteresis, outside = kes(*moduli_at(cloth, density))
-    return np.where(outside, np.nan, secant), np.where(outside, np.nan, hysteresis)
-
-
 def _b(cloth: ClothProperties, density: Density) -> np.ndarray:
-    return _within_law(cloth, density)[0] / GF_CM
+    return kes(*moduli_at(cloth, density))[0] / GF_CM
 
 
 def _2hb(cloth: ClothProperties, density: Density) -> np.ndarray:
-    return _within_law(cloth, density)[1] / GF_CM_PER_CM
+    return kes(*moduli_at(cloth, density))[1] / GF_CM_PER_CM
 
 
 QUANTITIES = (Quantity("kes_b_gf_cm2_per_cm", 3, 0.10, _b, "KES B [gf·cm²/cm]"),

@@ -56,7 +56,7 @@ def combine(prior: np.ndarray, sources: Sequence[Source], prior_name: str = "") 
                  if rival and probability(source, base) < LEVEL / len(own)]
         lines += [_line(source, rival, base) for source in wrong]
         sound = [source for source in own if source not in wrong]
-        linear = {id(source): _evidence(source, states) for source in sound}
+        linear = {id(source): _evidence(source, states) or _nothing(states) for source in sound}
 
         def others(left: Sequence[Source], base: Normal = base,
                    linear: Mapping[int, Linear] = linear) -> Normal:
@@ -113,9 +113,12 @@ def updated(prior: np.ndarray, sources: Sequence[Source]) -> np.ndarray:
         return prior
     before, states = Normal.of(prior), prior
     factor = np.linalg.cholesky(before.covariance)
+    found = [_nothing(states)] * len(sources)
     for _ in range(_ROUNDS):
-        evidence = Linear.stacked([_evidence(source, states) for source in sources])
-        after = before.updated(evidence)
+        # Of a source that hardly any of these states can give, what earlier states said of it.
+        found = [_evidence(source, states) or last
+                 for source, last in zip(sources, found, strict=True)]
+        after = before.updated(Linear.stacked(found))
         scale = np.linalg.cholesky(after.covariance) @ np.linalg.inv(factor)
         states = after.mean + (prior - before.mean) @ scale.T
     kept = possible(states)
@@ -125,11 +128,15 @@ def updated(prior: np.ndarray, sources: Sequence[Source]) -> np.ndarray:
     return states[kept]
 
 
-def _evidence(source: Source, states: np.ndarray) -> Linear:
-    """A source linearised over states (S, 10); nothing where it cannot be."""
+def _nothing(states: np.ndarray) -> Linear:
+    return Linear(np.zeros((0, states.shape[1])), np.zeros(0))
+
+
+def _evidence(source: Source, states: np.ndarray) -> Linear | None:
+    """A source linearised over states (S, 10); None where it cannot be."""
     linearised = _linearised(source, states)
     if linearised is None:
-        return Linear(np.zeros((0, states.shape[1])), np.zeros(0))
+        return None
     rows, offset, left = linearised
     root = np.linalg.cholesky(np.eye(len(rows)) + left)
     return Linear(np.linalg.solve(root, rows), np.linalg.solve(root, -offset))

@@ -102,6 +102,7 @@ def _usd(material: Material, name: str) -> dict[str, bytes]:
 
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
     label = Tf.MakeValidIdentifier(material.name)
     shade = UsdShade.Material.Define(stage, f"/{label}").GetPrim()
@@ -195,7 +196,8 @@ def _fields(material: Material, name: str) -> dict[str, bytes]:
 def _cards(material: Material, name: str) -> dict[str, bytes]:
     return {name: render("cards.html", cards=cards_of(material), name=material.name,
                          curvature=material.settings.curvature_1_m,
-                         in_folds=_in_folds(material), warnings=material.about["warnings"])}
+                         in_folds=_in_folds(material), about=material.about,
+                         moduli=material.document.moduli)}
 
 
 def _table(material: Material, name: str) -> dict[str, bytes]:

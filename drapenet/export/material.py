@@ -102,7 +102,10 @@ class Material:
     def about(self) -> dict[str, Any]:
         """Metadata in JSON's types."""
         content, curvature = self.document.content(), self.settings.curvature_1_m
-        capture, warnings = content["capture"], content["warnings"]
+        capture = content["capture"]
+        warnings = [*content["warnings"], *(self.document.advice or [])]
+        if self.document.poorly_constrained:
+            warnings.append(self.document.mostly_usual)
         if self.document.names != DIRECTIONS:
             warnings.append("warp stands for the stiffer yarns and weft for the softer: the "
                             "capture does not mark the warp")
@@ -113,6 +116,8 @@ class Material:
             "made_by": "drapenet", "name": self.name, "estimate_sha256": self.identity,
             "source": capture.get("source") or capture.get("sources"),
             "density_g_m2": capture["density_g_m2"], "directions": content["convention"],
+            "rig": capture["rig"],
+            "drape_coefficient_percent": capture.get("drape_coefficient_percent"),
             "moduli": content["moduli"], "modulus_at_curvature_1_m": curvature,
             "bent_to_50_1_m": (self.secant(BENT) / self.modulus).round(3).tolist(),
             "warnings": warnings,

@@ -280,6 +280,12 @@ class EstimateDocument(Excerpt):
             f" {value:g}" for known in stated if known
             for (name, k), value in known.values().items()))
 
+    @property
+    def mostly_usual(self) -> str:
+        """What is poorly constrained, in words."""
+        return ("poorly constrained, so that the values are mostly those of usual fabrics: "
+                + ", ".join(self.poorly_constrained))
+
     def content(self) -> dict[str, Any]:
         """The document in JSON's types."""
         return self.model_dump(by_alias=True, exclude_unset=True)
@@ -294,8 +300,7 @@ class EstimateDocument(Excerpt):
             (alpha, alphas), (beta, betas) = moduli.alpha_uN_m.texts(), moduli.beta_nN_m2.texts()
             lines.append(f"{name:8}{alpha:>14}{alphas:>20}{beta:>16}{betas:>20}")
         if self.poorly_constrained:
-            lines.append("poorly constrained, so that the values are mostly those of usual "
-                         f"fabrics: {', '.join(self.poorly_constrained)}")
+            lines.append(self.mostly_usual)
         if refined := self.refined:
             before = ", ".join(f"{name} {moduli.alpha_uN_m.texts()[0]}"
                                for name, moduli in refined.before.items())

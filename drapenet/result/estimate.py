@@ -92,8 +92,8 @@ class Estimate:
     def reading(self, quantity: str) -> np.ndarray:
         """(S, 3) samples along the directions, or (S, 1), of what a tester would measure, by its
         key in :data:`data.readings.QUANTITIES`, such as ``bending_length_mm`` and
-        ``kes_b_gf_cm2_per_cm``, in the unit that the key names; NaN where the moduli do not
-        determine it. InputError for an unknown key."""
+        ``kes_b_gf_cm2_per_cm``, in the unit that the key names; of cloth bent beyond the
+        law, that of its straight line. InputError for an unknown key."""
         if quantity not in QUANTITIES:
             raise InputError(f"no tester reads {quantity}; choose from {', '.join(QUANTITIES)}")
         return QUANTITIES[quantity].of(self.cloth, self.density)

@@ -82,6 +82,23 @@ def test_values_equal_importance_weights(name, error):
         np.log(60 * MICRO) + share * (true - np.log(60 * MICRO)), abs=0.02)
 
 
+@pytest.mark.parametrize("share", [0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.2, 1.5])
+def test_a_kes_reading_of_softening_cloth_counts_or_is_named(share):
+    """At 1.5 cm⁻¹ half of these cloths are beyond their law."""
+    before = states()
+    before[:, 3:6] = -3.2e-3 + 8 * before[:, 3:6]
+
+    def reading(states: np.ndarray) -> float:
+        return float(np.median(QUANTITIES["kes_b_gf_cm2_per_cm"].of(
+            cloth_of_state(states), DENSITY)[:, 0]))
+
+    value = share * reading(before)
+    known = Known(kes_b_gf_cm2_per_cm=ByDirection(warp=value))
+    found = combine(before, of_values(known, DENSITY), NAME)
+    if not found.contradictions:
+        assert abs(np.log(reading(found.states) / value)) < 0.6 * abs(np.log(share))
+
+
 def lengths(warp: float, weft: float) -> Known:
     """Bending lengths of linear cloth with these alphas, µN·m."""
     warp, weft = (1e3 * float(bending_length(np.array(a * MICRO), np.array(0.0), DENSITY))
