@@ -42,6 +42,7 @@ def run_cases(
     sources: Sequence[str] = (),
     failures: dict[str, str] | None = None,
     unit: str = "case",
+    title: Callable[[str], str] = str,
 ) -> dict[str, Any]:
     """Results of ``work(**settings)`` by name; only those without a file are computed.
 
@@ -52,6 +53,7 @@ def run_cases(
             the content of the file or folder.
         folder: of the result files ``NAME.json``.
         sources: folders and files of the project that the results depend on, beside ``work``.
+        title: of a case, by its name.
         failures: receives the cases that fail, in one line each; they are recorded and not tried
             again. None: they are, and the first error is raised when all other cases are done.
     """
@@ -79,7 +81,7 @@ def run_cases(
                     errors.append(error)
                     stored[name] = {"failure": one_line(error)}
                 if failure := stored[name].get("failure"):
-                    bar.write(f"{name} failed: {failure}")
+                    bar.write(f"{title(name)} failed: {failure}")
                 bar.update()
     if errors:
         raise errors[0]

@@ -255,6 +255,7 @@ def reading(file: Path, remedy: str) -> Iterator[None]:
         raise
     except Exception as error:  # of zipfile, zlib, tokenize and others, some without a class
         reason = getattr(error, "strerror", None) or one_line(error)
+        reason = re.sub(r" <_io\.\w+ object at \w+>", "", reason)  # of Pillow, other at each run
         raise InputError(f"{file} cannot be read ({reason}); {remedy}") from None
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from common.errors import InputError
 from common.normal import Linear, Normal
 from data.captures.capture import Capture, require_one_fabric
-from data.captures.description import Labels
+from data.captures.description import MAX_LABEL_LENGTH, Labels
 from drapenet.config import EstimateOptions
 from drapenet.evidence.fabric import (
     CaptureEvidence,
@@ -190,16 +190,31 @@ def joint_estimate(
         warnings.append("the captures state different densities: moduli are those at "
                         f"{1e3 * density:g} g/m²")
     rigs = dict.fromkeys(document.capture.rig for document in documents)
-    stated = [set(part.document.capture.labels.stated().items()) for part in parts]
+    labels = joined_labels([part.document.capture.labels for part in parts])
+    named = {part.document.capture.labels.fabric for part in parts} - {None}
+    if len(named) > 1:
+        warnings.append(f"the captures state different fabrics ({labels.fabric}): check that all "
+                        "are of one")
     sections = {"captures": [
         CaptureRecord(capture=document.capture, moduli=document.moduli, warnings=document.warnings)
         for document in documents]} if documents else {}
     return estimate, EstimateDocument.from_estimate(
         estimate, capture={"sources": [part.label for part in captures], "rig": ", ".join(rigs),
-                           "labels": Labels(**dict(set.intersection(*stated))),
+                           "labels": labels,
                            "density_g_m2": round(density * 1e3, 6)},
         checkpoint=header.identity, warnings=warnings, **sections,
         **({"strips": records} if records else {}))
+
+
+def joined_labels(labels: Sequence[Labels]) -> Labels:
+    """What captures of one fabric state, different values separated by " / "; no date if they have
+    different ones."""
+    found: dict[str, dict[str, None]] = {}
+    for each in labels:
+        for key, value in each.stated().items():
+            found.setdefault(key, {})[value] = None
+    return Labels(**{key: " / ".join(values)[:MAX_LABEL_LENGTH] for key, values in found.items()
+                     if key != "date" or len(values) == 1})
 
 
 def _refined(document: EstimateDocument) -> Normal | None:

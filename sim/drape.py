@@ -154,6 +154,9 @@ def drape(
         keep: whether the drape keeps its energies and factor, for derivatives.
     """
     rig, laws = rig or Rig(), laws or Laws()
+    if not (isinstance(fabric, Fabric) and isinstance(rig, Rig) and isinstance(laws, Laws)):
+        raise InputError("give a Fabric, a Rig, such as Rig.from_name('disc300_support180'), and "
+                         "Laws")
     start = start or (LOWERED if rig.has_plate else "sine")
     check_start(start, rig)
     if seed < 0:

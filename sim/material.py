@@ -11,6 +11,7 @@ continues with its slope there; see :func:`softening_shape` and ``docs/physics.m
 
 from copy import copy
 from dataclasses import dataclass
+from numbers import Real
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -95,8 +96,16 @@ class Fabric:
         return f"Fabric(alpha [{alpha}] µN·m, beta [{beta}] nN·m², {1e3 * self.density:g} g/m²)"
 
     def _set(self, alpha: ArrayLike, beta: ArrayLike, density: Density) -> None:
+        if not isinstance(density, Real):
+            raise InputError(f"density={density!r}: give a number, kg/m²")
         for name, values in (("alpha", alpha), ("beta", beta)):
-            moduli = np.array(values, dtype=np.float64)
+            if np.ma.is_masked(values) or np.iscomplexobj(values):
+                raise InputError(f"{name} has masked or complex values; give three real numbers")
+            try:
+                moduli = np.array(values, dtype=np.float64)
+            except (TypeError, ValueError):
+                raise InputError(f"{name}={values!r}: give three numbers: warp, bias, weft"
+                                 ) from None
             moduli.flags.writeable = False
             object.__setattr__(self, name, moduli)
         object.__setattr__(self, "density", float(density))

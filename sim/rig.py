@@ -15,6 +15,7 @@ GRAVITY = 9.81  # m/s²
 RIM = 0.01
 """Radius of the rounded rim over that of the plate: 0.5 mm for 100 mm of diameter. At a sharp rim
 the nearest surface would jump from top to side; the penetration of cloth is smaller than it."""
+_LARGEST = 5.0  # m
 _NAME = re.compile(r"(?P<specimen>square|rectangle|disc)(?P<sides>[\d.]+(x[\d.]+)?)_"
                    r"(?P<holder>cylinder|support|corners)(?P<held>[\d.]+)(_cut(?P<cut>-?[\d.]+))?")
 
@@ -98,7 +99,10 @@ class Rig:
         if not abs(self.cut) <= np.pi / 4 or (self.cut and not self.has_plate):
             raise InputError(f"a cut of {np.degrees(self.cut):g}° from the warp: give at most 45°, "
                              "and 0 without a plate")
-        if not (0 <= self.plate_diameter < np.min(sides) and np.max(sides) < np.inf):
+        if not max(sides) <= _LARGEST:
+            raise InputError(f"a specimen of {self.millimetres} mm: sizes are in metres, at most "
+                             f"{_LARGEST:g}")
+        if not 0 <= self.plate_diameter < np.min(sides):
             raise InputError(f"a plate of {1e3 * self.plate_diameter:g} mm under a specimen of "
                              f"{self.millimetres} mm: it must be smaller")
         if self.has_plate:
@@ -214,7 +218,9 @@ class Rig:
         """The rig with this :attr:`name`; InputError if ``name`` is not of this form."""
         words = _NAME.fullmatch(name)
         with suppress(ValueError):  # numbers such as 1.2.3, sizes that no rig can have
-            if words and (rig := _rig_of(words)).name == name:
+            # People say support and cylinder of either.
+            if words and (rig := _rig_of(words)).name in (
+                    name, name.replace("cylinder", "support"), name.replace("support", "cylinder")):
                 return rig
         raise InputError(f"unknown rig '{name}'; known rigs: {', '.join(RIGS)}, and others of "
                          "this form with sizes in mm")

@@ -5,6 +5,7 @@ and gives the same tables as an uninterrupted one.
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from itertools import groupby
 from pathlib import Path
 
@@ -71,7 +72,8 @@ def estimate_fabrics(
           "the first one the network is loaded, up to a minute", flush=True)
     failures: dict[str, str] = {}
     run_cases(estimate_entry, cases, folder=out, workers=workers or joblib.cpu_count(),
-              sources=SOURCES, failures=failures, unit="capture")
+              sources=SOURCES, failures=failures, unit="capture",
+              title=lambda name: name.removesuffix(f"/{DONE}"))
     outcomes = [(entry, failures.get(f"{entry.place}/{DONE}", "")) for entry in entries]
     fabrics, rows = join_fabrics(out, outcomes, header, strict=options.strict)
     write_overview(out, fabrics, rows)
@@ -121,9 +123,10 @@ def join_fabrics(
     fabrics = []
     ordered = sorted((entry for entry, failure in outcomes if not failure),
                      key=lambda entry: (entry.fabric, entry.place))
+    twins = _twins(ordered, out)
     for name, entries in groupby(ordered, key=lambda entry: entry.fabric):
         try:
-            fabrics.append(_joined(name, list(entries), out, header, strict))
+            fabrics.append(_joined(name, list(entries), out, header, strict, twins.get(name, [])))
         except InputError as error:
             failures.append(dict.fromkeys(FAILURE, "") | {"fabric": name, "reason": str(error)})
     places = {Path(entry.place.parts[0]) for entry, _ in outcomes}
@@ -133,11 +136,32 @@ def join_fabrics(
     return fabrics, failures
 
 
+def _twins(entries: Sequence[Entry], out: Path) -> dict[str, list[str]]:
+    """A line for each capture whose pictures are those of another fabric, by fabric."""
+    first: dict[str, Entry] = {}
+    lines: dict[str, list[str]] = {}
+    for entry in entries:
+        digest = ""
+        with suppress(InputError):  # of damaged files, which is said where they are joined
+            digest = read_estimate(out / entry.place)[1].capture.views_sha256
+        other = first.setdefault(digest, entry) if digest else entry
+        if other.fabric != entry.fabric:
+            for one, two in ((entry, other), (other, entry)):
+                lines.setdefault(one.fabric, []).append(
+                    f"{one.place} has the same pictures as {two.place}, of another fabric: one of "
+                    "them is a copy in a wrong folder")
+    return lines
+
+
 def _joined(
-    name: str, entries: Sequence[Entry], out: Path, header: Header, strict: bool
+    name: str, entries: Sequence[Entry], out: Path, header: Header, strict: bool,
+    twins: Sequence[str]
 ) -> FabricEstimate:
-    """Join the captures and strips of a fabric; write its estimate."""
+    """Join the captures and strips of a fabric; write its estimate, with the lines of ``twins``."""
     from drapenet.inference import joint_estimate, read_part  # torch
+    from drapenet.stages import require_sound
+
+    require_sound(list(twins), strict, "the fabric")
 
     parts = [read_part(out / entry.place) for entry in entries]
     place, scatter = Path(entries[0].place.parts[0]), None
@@ -148,6 +172,8 @@ def _joined(
         middles = [np.log([moduli.alpha_uN_m.median for moduli in part.document.moduli.values()])
                    for part in parts if part.observation]
         scatter = np.exp(np.std(middles, axis=0, ddof=1)) if len(middles) > 1 else None
+    if twins:
+        document = document.model_copy(update={"warnings": [*document.warnings, *twins]})
     write_estimate(out / place, estimate, document)
     return FabricEstimate(
         name, place, [(entry, part.document) for entry, part in zip(entries, parts, strict=True)],

@@ -1,7 +1,7 @@
 """Equilibria as differentiable functions for PyTorch."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -31,23 +31,25 @@ class Equilibria:
 
 def equilibria(
     starts: Sequence[Drape], *, alpha: Tensor, beta: Tensor,
-    density: Tensor | float = REFERENCE_DENSITY, membrane: Tensor | float | None = None,
-    bending: str | Law = "midedge", others: tuple[Law, ...] = (),
+    density: Tensor | float | None = None, membrane: Tensor | float | None = None,
+    bending: str | Law | None = None, others: tuple[Law, ...] | None = None,
     options: NewtonOptions | None = None
 ) -> Equilibria:
     """Equilibria of cloths with other parameters near those of ``starts``, on the same meshes, with
-    ``bending`` and ``others`` as in :class:`sim.cloth.Laws`.
+    ``bending`` and ``others`` as in :class:`sim.cloth.Laws`; None: those of each start.
 
     The backward pass takes one solve per sample, with the factor that verified its minimum. A
     numerical failure affects only its sample.
 
     Args:
         alpha, beta: (B, 3) moduli warp, bias, weft, N·m and N·m².
-        density: (B,) or one for all, kg/m².
+        density: (B,) or one for all, kg/m²; None: that of each start.
         membrane: (B,) or one for all, N/m, in-plane stiffness of the cloth at this density. None:
             as in a drape, proportional to the density, also in the derivatives by the density.
     """
     count = len(starts)
+    if density is None:
+        density = [start.fabric.density for start in starts]
     density = torch.as_tensor(density, dtype=torch.float64)
     if membrane is None:
         membrane = Corotational().stiffness / REFERENCE_DENSITY * density
@@ -58,13 +60,14 @@ def equilibria(
         if len(values) != count:
             raise InputError(f"{name} has {len(values)} entries for {count} cloths")
     inputs = list(zip(*given.values(), strict=True))
-    laws = Laws(bending=bending, others=others)
     results = []
     for start, values in zip(starts, inputs, strict=True):
         alpha, beta, density, membrane = map(_array, values)
         fabric = Fabric(alpha, beta, float(density))
         stiffness = float(membrane) * REFERENCE_DENSITY / fabric.density
-        used = replace(laws, membrane=Corotational(stiffness=stiffness))
+        used = Laws(start.laws.bending if bending is None else bending,
+                    Corotational(stiffness=stiffness),
+                    start.laws.others if others is None else others)
         results.append(follow(start, fabric, laws=used, options=options, keep=True))
     tangents = [Tangent.of(result) for result in results]
     return Equilibria(

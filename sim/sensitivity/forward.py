@@ -97,6 +97,7 @@ def tangent_sensitivities(
 def combinations(names: Sequence[str], fabric: Fabric) -> tuple[tuple[str, ...], np.ndarray]:
     """Labels (P,) of the parameters ``names`` of ``fabric``, and (P, BASIC) the derivatives of the
     basic parameters by each; InputError for an unknown name."""
+    names = (names,) if isinstance(names, str) else names
     basic, alpha = np.eye(BASIC), fabric.alpha[:, None]
     log_alpha, ratio = basic[:3], basic[3:6]
     rows = {"log_alpha": log_alpha, "ratio": ratio,

@@ -281,3 +281,17 @@ def test_cells_are_no_formulas_but_numbers_stay():
     text = csv_table([dict(enumerate(values))])
     assert list(csv.reader(text.splitlines(keepends=True)))[1] == [
         "'=1+1", "'@x", "'\tx", "-2.5", "+3", "-2.5", "", "plain", 'x,"y"\nz']
+
+
+def test_copies_in_another_fabric_and_other_labels_are_named(words, tmp_path):
+    made = Path(words[0].partition("=")[2]).parent
+    for place, capture, label in (("one/a", "0", ""), ("two/a", "0", "fabric: Twill\n"),
+                                  ("two/b", "1", "fabric: Denim\noperator: M. M.\n")):
+        shutil.copytree(made / capture, tmp_path / "root" / place)
+        with (tmp_path / "root" / place / "capture.yaml").open("a") as file:
+            file.write(label)
+    infer.main([f"captures={tmp_path / 'root'}", f"out={tmp_path / 'out'}", *words[2:]])
+    one, two = (row["flags"] for row in rows(tmp_path / "out" / "fabrics.csv"))
+    assert "one/a has the same pictures as two/a, of another fabric" in one
+    assert "two/a has the same pictures as one/a" in two
+    assert "the captures state different fabrics (Twill / Denim)" in two

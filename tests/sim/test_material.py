@@ -203,6 +203,9 @@ def test_softest_possible_bias():
 
 @pytest.mark.parametrize(("alpha", "beta", "density", "word"), [
     ([1e-5, 1e-5], [0, 0, 0], 0.3, "three values"),
+    (np.ma.masked_array([1e-5, 1e-5, 1e-5], [1, 0, 0]), [0, 0, 0], 0.3, "masked"),
+    (["a", "b", "c"], [0, 0, 0], 0.3, "give three numbers"),
+    ([1e-5, 1e-5, 1e-5], [0, 0, 0], None, "density=None: give a number"),
     ([1e-5, 1e-5, np.nan], [0, 0, 0], 0.3, "finite"),
     ([1e-5, -1e-5, 1e-5], [0, 0, 0], 0.3, "positive"),
     ([1e-5, 1e-5, 1e-5], [0, 0, np.inf], 0.3, "finite"),

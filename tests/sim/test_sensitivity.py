@@ -325,6 +325,15 @@ def test_energies_beside_the_laws_count_in_all_derivatives(draped):
             assert float(value) == pytest.approx(float(ends[0] - ends[1]) / (2 * step), rel=1e-3)
 
 
+def test_equilibria_have_density_and_laws_of_their_starts(draped):
+    start = follow(draped, FABRIC, laws=Laws(others=(Draught,)), options=TIGHT)
+    for near in (draped, start):
+        found = equilibria([near], alpha=torch.tensor(FABRIC.alpha)[None],
+                           beta=torch.tensor(FABRIC.beta)[None], options=TIGHT)
+        assert found.results[0].fabric.density == FABRIC.density != REFERENCE_DENSITY
+        assert np.abs(found.positions[0].numpy() - near.positions).max() < 1e-7
+
+
 def test_mistakes_are_named(draped):
     with pytest.raises(InputError, match="unknown parameter 'gamma'"):
         sensitivities(draped, parameters=("gamma",))
