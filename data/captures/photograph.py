@@ -28,6 +28,7 @@ MAX_TILT = np.radians(10.0)
 MAX_CUT_OFF = 0.003  # of an outline's points
 MAX_LIKE_GROUND = 0.03  # of the cloth on the plate
 MAX_OVER_PRINT = 0.05  # of the hem
+HANGING = 0.010  # m, allowed to reach below the mat, of specimens that are not centred
 MAX_REACH = 1.03  # over the flat specimen's
 MIN_RADIUS = {True: 0.97, False: 0.9}  # over the plate's, by whether its centre is known
 MAX_OVERLAP, MAX_DISORDER = 0.03, 0.5  # of azimuth
@@ -158,13 +159,13 @@ def _photographed(
                         f"{np.degrees(MAX_TILT):.0f}°; place the camera above its centre")
     if seen.middle is not None and (share := like_ground(scene)) > MAX_LIKE_GROUND:
         warnings.append(f"{share:.0%} of the cloth on the plate has the ground's light and colour, "
-                        f"more than {MAX_LIKE_GROUND:.0%}: check the outline in the picture of the capture, or "
-                        "use a ground of another colour")
+                        f"more than {MAX_LIKE_GROUND:.0%}: check the outline in the picture of the "
+                        "capture, or use a ground of another colour")
     if photograph.painted is not None and (
             share := float(within(pixels, photograph.painted).mean())) > MAX_OVER_PRINT:
         warnings.append(f"{share:.0%} of the hem lies over markers that are as dark as the cloth, "
-                        f"more than {MAX_OVER_PRINT:.0%}: check the outline in the picture of the capture, or use "
-                        "a larger mat")
+                        f"more than {MAX_OVER_PRINT:.0%}: check the outline in the picture of the "
+                        "capture, or use a larger mat")
     if seen.beside is not None:
         lean = float(np.linalg.norm(seen.beside)) / seen.height
         if lean > MAX_LEAN:
@@ -172,12 +173,24 @@ def _photographed(
                 f"the camera was {1e3 * np.linalg.norm(seen.beside):.0f} mm beside the plate's "
                 f"axis, {1e3 * seen.height:.0f} mm above it, {lean:.0%}, more than {MAX_LEAN:.0%}: "
                 "hems that are hidden are guessed; take the picture from straight above")
+        warnings += below_the_mat(curve, rig, 1e-3 * (source.plate_height_mm or np.inf))
         first_side = (warp_direction or 0.0) + rig.cut
         curve = _turned(seen_from_axis(_turned(curve, -first_side), _turned(
             seen.beside[None], -first_side)[0], seen.height, rig), first_side)
     return PhotographedOutline(
         curve, seen.height, seen.middle is not None, rig, tuple(warnings), photograph.colour,
         to_pixels, step, pixels, photograph.factor)
+
+
+def below_the_mat(curve: Outline, rig: Rig, plate_height: Metres) -> list[str]:
+    """A line if cloth that is seen as near to the plate as the outline must hang through the mat,
+    ``plate_height`` below the plate: what does not reach outwards hangs down."""
+    nearest = float(np.linalg.norm(curve, axis=1).min())
+    hanging = rig.least_overhang - (nearest - rig.plate_radius)
+    return [] if hanging <= plate_height + HANGING else [
+        f"cloth that looks as short as this hangs {1e3 * hanging:.0f} mm below the plate, which is "
+        f"{1e3 * plate_height:.0f} mm above the mat: check plate_height_mm and the tester, and "
+        "that no cloth lies on the mat"]
 
 
 def _checked(outline: PhotographedOutline) -> list[str]:

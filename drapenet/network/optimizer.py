@@ -26,10 +26,11 @@ class Optimizer:
         self.matrices = [torch.nn.Parameter(one.detach().flatten(1)) for one in self.hidden]
         expected, posterior = network.separate_parts()
         hidden = {id(one) for one in self.hidden}
+        groups: list[dict[str, Any]] = [
+            {"params": [one for one in posterior if id(one) not in hidden]},
+            {"params": expected, "weight_decay": _DECAY_OF_EXPECTED}]
         self.parts: list[torch.optim.Optimizer] = [
-            torch.optim.AdamW([{"params": [one for one in posterior if id(one) not in hidden]},
-                               {"params": expected, "weight_decay": _DECAY_OF_EXPECTED}],
-                              weight_decay=weight_decay),
+            torch.optim.AdamW(groups, weight_decay=weight_decay),
             torch.optim.Muon(self.matrices, weight_decay=weight_decay,
                              adjust_lr_fn="match_rms_adamw")]
 

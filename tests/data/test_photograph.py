@@ -28,7 +28,9 @@ from apps.capture import main
 from common.errors import InputError
 from data.captures.board import PAPER, board_picture
 from data.captures.capture import captures_in, read_capture
+from data.captures.photograph import below_the_mat
 from data.pictures.reading import decoded, encoded
+from sim.rig import Rig
 
 OUTLINES = Path(__file__).resolve().parents[3] / "shared" / "outlines.npz"
 
@@ -374,3 +376,13 @@ def test_a_misnamed_description_is_named_with_the_remedy(tmp_path, name):
     with pytest.raises(InputError, match=rf"{name}: rename it to capture\.yaml \(Windows"):
         read_capture(folder)
     assert captures_in(fabric) == [fabric / "0", fabric / "1"]  # none is left out in silence
+
+
+@pytest.mark.parametrize(("nearest", "height", "named"), [(58, 139, 0), (58, 60, 1), (120, 20, 0)])
+def test_cloth_that_would_hang_through_the_mat_is_named(nearest, height, named):
+    """100.5 mm of cloth beyond the rim of 49.5 mm that reach 8.5 mm outwards hang 92 mm down."""
+    turn = np.linspace(0, 2 * np.pi, 90, endpoint=False)
+    radius = 1e-3 * (nearest + 20 * (1 - np.cos(5 * turn)))
+    curve = radius[:, None] * np.column_stack([np.cos(turn), np.sin(turn)])
+    lines = below_the_mat(curve, Rig((0.3, 0.3), 0.099, "disc"), 1e-3 * height)
+    assert len(lines) == named and all("hangs 92 mm" in line for line in lines)
