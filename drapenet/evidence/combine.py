@@ -115,7 +115,7 @@ def updated(prior: np.ndarray, sources: Sequence[Source]) -> np.ndarray:
     factor = np.linalg.cholesky(before.covariance)
     found = [_nothing(states)] * len(sources)
     for _ in range(_ROUNDS):
-        # Of a source that hardly any of these states can give, what earlier states said of it.
+        # Of a source that nearly none of these states can give, what earlier states said of it.
         found = [_evidence(source, states) or last
                  for source, last in zip(sources, found, strict=True)]
         after = before.updated(Linear.stacked(found))

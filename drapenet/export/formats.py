@@ -219,7 +219,8 @@ def _torque(material: Material, name: str) -> dict[str, bytes]:
 TARGETS = {
     "jfab": Target(
         "fabric.jfab", "CLO, Marvelous Designer",
-        "β; stretch, shear, buckling, thickness and friction, which get CLO's defaults; not opened in CLO",
+        "β; stretch, shear, buckling, thickness and friction, which get CLO's defaults; not opened "
+        "in CLO",
         _jfab),
     "u3m": Target("fabric.u3m", "Browzwear, U3M 1.1",
                   "bias, β, stretch; not opened in VStitcher", _u3m),

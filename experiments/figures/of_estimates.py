@@ -94,7 +94,7 @@ def learning(reports: Reports) -> str:
     found = reports["learning"]
     rows = []
     for run in found["runs"].values():
-        row = [str(run["drapes"]), str(run["steps"]), str(run["width"])]
+        row = [str(run["drapes"]), str(run["steps"]), f"{run['width']:g}"]
         for whose in ("unseen", "own"):
             row += [" / ".join(f"{run[whose][name][shape]['log_alpha']['rmse']:.2f}"
                                for shape in ("discs", "squares", "rectangles"))
