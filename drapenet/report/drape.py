@@ -31,9 +31,9 @@ BINS = 180  # of a radius profile
 MIN_OVERLAP = 0.7
 """Of the silhouettes. Correct captures have at least 0.82 (0.74 on a coarse mesh), those with
 a focal length a fifth too short or too long 0.6 to 0.7, views upside down 0.45."""
-MAX_COEFFICIENT_GAP = 0.12
+MAX_COEFFICIENT_GAP = 0.15
 """Largest difference of the captured and the simulated drape coefficient, from 0 to 1, without a
-warning: of 52 sound captures on four testers two differ by more, discs of 240 mm."""
+warning: of 64 sound captures on four testers one differs by more (``experiments misses``)."""
 STARTS = (("sine", 0), ("sine", 1), ("fold", 0), ("fold", 1))
 
 
