@@ -121,7 +121,8 @@ def _fault(error: Exception, words: Sequence[str]) -> InputError:
         return InputError(f"{error.override} cannot be read; put each text in it in quotes, such "
                           f"as \"{key}='{value.strip('[]').split(',')[0]}'\"")
     if unknown := re.match(r"Could not override '([^']+)'", str(error)):
-        return InputError(f"unknown key {unknown[1]!r}; --help lists the keys")
+        word = next((word for word in words if word.startswith(unknown[1])), unknown[1])
+        return InputError(f"{word}: unknown key; --help lists the keys")
     return InputError(f"{one_line(error)}; see {' '.join(words)}")
 
 

@@ -230,7 +230,7 @@ def test_captures_of_one_fabric_give_one_estimate(checkpoint, tmp_path, out, cap
         "estimate.json", "samples.npz", "report.html", "report.pdf"}
     page = (out / "report.html").read_text("utf-8")
     assert "<h1>Navy 7</h1>" in page and page.count("data:image/png") == 2
-    assert content_of(out)["capture"]["labels"] == {"fabric": "Navy 7"}  # that both state
+    assert content_of(out)["capture"]["labels"] == {"fabric": "Navy 7", "operator": "A / B"}
     assert content_of(out / "capture_1")["capture"]["labels"]["operator"] == "B"
     assert 3 <= content_of(out / "capture_1")["capture"]["nodes"] <= 9  # five folds, four corners
     infer.main(words(tmp_path / "fabric", checkpoint, "drapes=0"))
