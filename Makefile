@@ -8,6 +8,7 @@ STAMP := .venv/installed
 DATASET ?= outputs/dataset
 CAPTURE ?= examples/captures/twill
 PHOTOGRAPH ?= examples/captures/twill_photograph
+ROUNDED ?= tests/sim tests/data tests/drapenet
 PACKAGES := apps common configs data drapenet examples experiments sim tests tools
 
 .PHONY: help setup demo test test-rounding test-wheel test-slow test-slurm test-browser campaign serve lint sim prior dataset train evaluate bench-sim bench docs reference studies example validate blender matrix clean
@@ -36,7 +37,7 @@ test: $(STAMP)  ## fast tests, 4 minutes on two cores
 
 test-rounding: $(STAMP)  ## tests of drapes, captures and estimates with the rounding of an old processor, 4 minutes
 	$(BIN)/python tools/other_processor.py $(BIN)/python -m pytest -q -n logical --maxprocesses 8 \
-	  --dist worksteal tests/sim tests/data tests/drapenet
+	  --dist worksteal $(ROUNDED)
 
 test-wheel: $(STAMP)  ## build the wheel and use it without the checkout, 2 minutes
 	$(BIN)/python tools/wheel_trial.py

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from common.errors import InputError
 from data.render.setups import Setups
 from drapenet.network.posterior import inside, ranks
 from experiments.drapes import (
@@ -20,6 +21,8 @@ from experiments.result import Config, Report, Result, rms, run_fabrics
 from sim.material import LINEAR, RATIO
 
 VIEWS = (1, 2, 3, 4, 6, 8)
+_MAX_REFUSED = 5
+"""Captures of a drape that may be refused; others take their place, and are counted."""
 
 
 def case(*, number: int, captures: int, edge_mm: float, seed: int) -> dict[str, Any]:
@@ -32,9 +35,16 @@ def case(*, number: int, captures: int, edge_mm: float, seed: int) -> dict[str, 
     for count in VIEWS:
         setups = replace(Setups.load("real"),
                          views=tuple(float(k == count) for k in range(1, 9)))
-        found = [infer(capture_drape(shape, setups, np.random.default_rng([seed, number, k])))
-                 .estimate.samples for k in range(captures)]  # the same cameras for each number
+        found: list[np.ndarray] = []
+        refused = 0
+        while len(found) < captures and refused < _MAX_REFUSED:  # the same cameras for each number
+            rng = np.random.default_rng([seed, number, len(found) + refused])
+            try:
+                found.append(infer(capture_drape(shape, setups, rng)).estimate.samples)
+            except InputError:
+                refused += 1
         result[str(count)] = {
+            "refused": refused,
             "error": [((one.mean(axis=0) - plan.theta) / spread()).tolist() for one in found],
             "deviation": [(one.std(axis=0) / spread()).tolist() for one in found],
             "rank": [ranks(one[:, None], plan.theta[None])[0].tolist() for one in found]}
@@ -57,6 +67,8 @@ def run(config: Config) -> Result:
             "beta_over_alpha": rms(error[..., RATIO]),
             "deviation": rms(deviation[..., LINEAR]),
             "inside": inside(rank.reshape(-1, 6))}
+    report["refused"] = {count: sum(one[count]["refused"] for one in found.values())
+                         for count in map(str, VIEWS)}
     report["bound"] = posterior_bound()
     return Result(report)
 
