@@ -121,7 +121,7 @@ def outline_checks(capture: Capture) -> list[Check]:
         Check("nodes", f"{outline.folds}"),
         Check("hem", f"{1e3 * outline.radii.min():.0f} to {1e3 * outline.radii.max():.0f} mm from "
               f"the centre{'' if outline.centred else ' of the outline'} (plate: "
-              f"{1e3 * rig.plate_radius:g}, flat specimen: {1e3 * rig.reach:g})")]
+              f"{1e3 * rig.plate_radius:g}, flat specimen: {1e3 * rig.reach:.4g})")]
 
 
 if __name__ == "__main__":

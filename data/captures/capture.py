@@ -347,6 +347,8 @@ def described(
     density: Density, rig: Rig, face: str, warp_direction: Radians | None, labels: Labels
 ) -> dict[str, object]:
     """The keys of capture.yaml that captures of all kinds have."""
+    if warp_direction is not None and not abs(warp_direction) <= 2 * np.pi:
+        raise InputError(f"warp_direction={warp_direction:g} is more than a turn; give radians")
     marked: dict[str, object] = {} if warp_direction is None else {
         "warp_direction_deg": round(math.degrees(warp_direction), 6)}
     return labels.stated() | {"density_g_m2": round(density * 1e3, 6),

@@ -68,8 +68,10 @@ def estimate_fabrics(
     cases = {f"{entry.place}/{DONE}": {
         "capture": entry.path, "folder": str((out / entry.place).resolve()), "options": options,
         "weights": header.path} for entry in entries}
-    print(f"{len(entries)} captures of {len({entry.fabric for entry in entries})} fabrics; before "
-          "the first one the network is loaded, up to a minute", flush=True)
+    fabrics_found = len({entry.fabric for entry in entries})
+    print(f"{len(entries)} capture{'s' * (len(entries) > 1)} of {fabrics_found} "
+          f"fabric{'s' * (fabrics_found > 1)}; before the first one the network is loaded, up to a "
+          "minute", flush=True)
     failures: dict[str, str] = {}
     run_cases(estimate_entry, cases, folder=out, workers=workers or joblib.cpu_count(),
               sources=SOURCES, failures=failures, unit="capture",
@@ -143,7 +145,9 @@ def _twins(entries: Sequence[Entry], out: Path) -> dict[str, list[str]]:
     for entry in entries:
         digest = ""
         with suppress(InputError):  # of damaged files, which is said where they are joined
-            digest = read_estimate(out / entry.place)[1].capture.views_sha256
+            capture = read_estimate(out / entry.place)[1].capture
+            if capture.views or not (capture.known and capture.known.drape_coefficient_percent):
+                digest = capture.views_sha256  # two fabrics may have the same numbers
         other = first.setdefault(digest, entry) if digest else entry
         if other.fabric != entry.fabric:
             for one, two in ((entry, other), (other, entry)):

@@ -106,6 +106,8 @@ class Estimate:
 def interval(samples: np.ndarray, level: float = 0.68) -> np.ndarray:
     """(2, ...) ends of the interval that contains the middle share ``level`` of samples (S, ...),
     of those that are not NaN."""
+    if not 0 < level < 1:
+        raise InputError(f"level={level:g}: give a share, such as 0.9 for 90 %")
     return np.nanquantile(samples, [0.5 - level / 2, 0.5 + level / 2], axis=0)
 
 

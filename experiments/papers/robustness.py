@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy import ndimage
 
+from common.errors import InputError
 from data.fabrics.nuisances import Nuisances
 from data.render.setups import SyntheticCapture
 from experiments.drapes import (
@@ -79,7 +80,10 @@ def case(*, number: int, edge_mm: float, seed: int) -> dict[str, Any]:
     truth = plan.theta[LINEAR]
 
     def evaluate(found: SyntheticCapture) -> list[Any]:
-        result = infer(found)
+        try:
+            result = infer(found)
+        except InputError:
+            return [None, None]
         mean = result.estimate.samples[:, LINEAR].mean(axis=0)
         warnings = [*result.estimate.warnings, *result.warnings]
         return [((mean - truth) / spread()[LINEAR]).tolist(), len(warnings)]
@@ -103,12 +107,19 @@ def case(*, number: int, edge_mm: float, seed: int) -> dict[str, Any]:
 def run(config: Config) -> Result:
     """Run all fabrics."""
     found = run_fabrics(case, config)
-    first = next(iter(found.values()))
-    return Result({"faults": {name: {value: {
-        "error": rms(np.array([one[name][value][0] for one in found.values()])),
-        "bias": float(np.mean([one[name][value][0] for one in found.values()])),
-        "doubted": float(np.mean([one[name][value][1] > 0 for one in found.values()]))}
-        for value in values} for name, values in first.items()}})
+    return Result({"faults": {name: {
+        value: _summary([one[name][value] for one in found.values()]) for value in values}
+        for name, values in next(iter(found.values())).items()}})
+
+
+def _summary(cases: list[list[Any]]) -> dict[str, float | None]:
+    """Error and bias of the captures that are read, and the shares that are refused, or that are
+    refused or have a warning."""
+    errors = np.array([error for error, _ in cases if error])
+    return {"error": rms(errors) if len(errors) else None,
+            "bias": float(errors.mean()) if len(errors) else None,
+            "refused": 1 - len(errors) / len(cases),
+            "doubted": float(np.mean([warnings != 0 for _, warnings in cases]))}
 
 
 def _shown(name: str, value: str) -> str:
@@ -123,7 +134,7 @@ def summarise(report: Report) -> str:
     plain = report["faults"]["none"]["0"]["error"]
     doubted = {f"{name} {_shown(name, value)}": one["doubted"]
                for name, values in report["faults"].items() for value, one in values.items()
-               if one["error"] > 1.5 * plain}
+               if one["error"] and one["error"] > 1.5 * plain}
     missed = [name for name, share in doubted.items() if share < 0.5]
     noted = (f"the checks report fewer than half of the captures with {', '.join(missed)}"
              if missed else "the checks report each of them in at least half of the captures")
@@ -134,9 +145,10 @@ def summarise(report: Report) -> str:
 
 def rows(report: Report) -> tuple[list[str], list[list[object]]]:
     """Table of errors by fault and value."""
-    return (["fault", "value", "error of log α", "bias", "with a warning"],
-            [[name, _shown(name, value), f"{one['error']:.3f}", f"{one['bias']:+.3f}",
-              f"{one['doubted']:.0%}"]
+    return (["fault", "value", "error of log α", "bias", "refused", "refused, or with a warning"],
+            [[name, _shown(name, value), *([f"{one['error']:.3f}", f"{one['bias']:+.3f}"]
+                                           if one["error"] else ["–", "–"]),
+              f"{one['refused']:.0%}", f"{one['doubted']:.0%}"]
              for name, values in report["faults"].items() for value, one in values.items()])
 
 
@@ -148,7 +160,7 @@ def draw(report: Report) -> Figure:
     panels = figure.subplots(2, -(-len(faults) // 2), sharey=True).ravel()
     for axes, (name, values) in zip(panels, faults.items(), strict=False):
         x = [float(value) for value in values]
-        y = [one["error"] for one in values.values()]
+        y = [one["error"] if one["error"] else np.nan for one in values.values()]
         axes.axhline(plain, color="0.7", lw=1)
         axes.plot(x, y, "-", color="#2f6da8")
         for place, value, one in zip(x, y, values.values(), strict=True):
