@@ -166,7 +166,6 @@ def _joined(
     from drapenet.stages import require_sound
 
     require_sound(list(twins), strict, "the fabric")
-
     parts = [read_part(out / entry.place) for entry in entries]
     place, scatter = Path(entries[0].place.parts[0]), None
     if len(parts) == 1:
