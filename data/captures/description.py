@@ -58,6 +58,11 @@ class Labels(Schema):
         """The labels that are given, by key."""
         return {key: value for key in Labels.model_fields if (value := getattr(self, key))}
 
+    @property
+    def circumstances(self) -> dict[str, str]:
+        """All labels but the fabric's name, by key; empty where not given."""
+        return {key: getattr(self, key) or "" for key in Labels.model_fields if key != "fabric"}
+
 
 UNLABELLED = Labels()
 

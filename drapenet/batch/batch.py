@@ -4,8 +4,10 @@ Each capture is a case (:mod:`common.cases`) with a folder under OUT. An interru
 and gives the same tables as an uninterrupted one.
 """
 
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
 
@@ -122,13 +124,14 @@ def join_fabrics(
     failures = [dict(zip(FAILURE, (entry.fabric, entry.sample, entry.capture, str(entry.path),
                                    failure.removeprefix(f"{entry.path}: ")), strict=True))
                 for entry, failure in outcomes if failure]
-    fabrics = []
+    fabrics, failed = [], Counter(row["fabric"] for row in failures)
     ordered = sorted((entry for entry, failure in outcomes if not failure),
                      key=lambda entry: (entry.fabric, entry.place))
     twins = _twins(ordered, out)
     for name, entries in groupby(ordered, key=lambda entry: entry.fabric):
         try:
-            fabrics.append(_joined(name, list(entries), out, header, strict, twins.get(name, [])))
+            fabric = _joined(name, list(entries), out, header, strict, twins.get(name, []))
+            fabrics.append(replace(fabric, failed=failed[name]))
         except InputError as error:
             failures.append(dict.fromkeys(FAILURE, "") | {"fabric": name, "reason": str(error)})
     places = {Path(entry.place.parts[0]) for entry, _ in outcomes}

@@ -32,6 +32,7 @@ class FabricEstimate:
     Attributes:
         document: of the joint estimate of several captures, or of the only one.
         scatter: (3,) geometric standard deviation of the captures' alpha; None for one capture.
+        failed: number of captures without an estimate.
     """
 
     name: str
@@ -39,6 +40,12 @@ class FabricEstimate:
     captures: list[tuple[Entry, EstimateDocument]]
     document: EstimateDocument
     scatter: np.ndarray | None
+    failed: int = 0
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Numbers of captures."""
+        return {"captures": len(self.captures), "captures_failed": self.failed}
 
     @property
     def means(self) -> dict[str, float | None]:
@@ -66,7 +73,7 @@ def write_overview(
         # Excel needs the byte order mark to detect UTF-8.
         replace_file(out / f"{name}.csv", csv_table(rows, columns).encode("utf-8-sig"))
     replace_file(out / RESULTS, workbook({
-        "fabrics": [Sample({"fabric": fabric.name, "captures": len(fabric.captures)},
+        "fabrics": [Sample({"fabric": fabric.name} | fabric.counts,
                            fabric.document, *fabric.means.values()) for fabric in fabrics],
         "captures": [Sample({name: getattr(entry, name) for name in COLUMNS}, document,
                             document.capture.drape_coefficient_percent, document.capture.nodes)
@@ -117,8 +124,8 @@ def _shortened(name: str) -> str:
 
 def _summary_row(fabric: FabricEstimate) -> dict[str, object]:
     """Row of the short table: alpha with its 68 % interval as text."""
-    row: dict[str, object] = {"fabric": fabric.name, "captures": len(fabric.captures),
-                              "density_g_m2": csv_number(fabric.document.capture.density_g_m2)}
+    row: dict[str, object] = {"fabric": fabric.name, **fabric.counts, "density_g_m2": csv_number(
+        fabric.document.capture.density_g_m2)}
     for role, moduli in zip(ROLES, fabric.document.moduli.values(), strict=True):
         row[f"{role}_alpha_uN_m"], row[f"{role}_68"] = moduli.alpha_uN_m.texts()
     return row | fabric.means | {"warnings": len(fabric.document.warnings)}
@@ -129,7 +136,7 @@ def _fabric_row(fabric: FabricEstimate) -> dict[str, object]:
     return {
         "fabric": fabric.name,
         "samples": len({entry.sample for entry, _ in fabric.captures}),
-        "captures": len(fabric.captures),
+        **fabric.counts,
         "captures_with_warnings": sum(bool(capture.warnings) for _, capture in fabric.captures),
         "rig": document.capture.rig, "directions": document.convention, **document.row(),
         **fabric.means,
@@ -137,6 +144,7 @@ def _fabric_row(fabric: FabricEstimate) -> dict[str, object]:
            "" if fabric.scatter is None else csv_number(fabric.scatter[k])
            for k, role in enumerate(ROLES)},
         "poorly_constrained": "; ".join(document.poorly_constrained),
+        **document.capture.labels.circumstances,
         "flags": "; ".join(document.warnings),
     }
 
@@ -145,7 +153,8 @@ def _capture_row(entry: Entry, document: EstimateDocument) -> dict[str, object]:
     return {"fabric": entry.fabric, "sample": entry.sample, "capture": entry.capture,
             "directions": document.convention, **document.row(),
             "drape_coefficient_percent": document.capture.drape_coefficient_percent,
-            "nodes": document.capture.nodes, "flags": "; ".join(document.warnings)}
+            "nodes": document.capture.nodes, **document.capture.labels.circumstances,
+            "flags": "; ".join(document.warnings)}
 
 
 def _spread(fabric: FabricEstimate) -> bytes:

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import xlsxwriter
 from xlsxwriter.worksheet import Worksheet
 
-from drapenet.result.document import EstimateDocument, Quantity
+from data.captures.description import UNLABELLED
+from drapenet.result.document import MAX_COMPARED_SHARE, EstimateDocument, Quantity
 
 QUANTITIES = {"alpha_uN_m": ("α", "µN·m", "0.0"), "beta_nN_m2": ("β", "nN·m²", "0"),
               "bending_length_mm": ("bending length", "mm", "0.0"),
@@ -23,8 +24,8 @@ NOTES = (
     "β. A fabric's drape coefficient and nodes are means over its captures, empty if these "
     "are of several testers.",
     "KES B and 2HB are empty where most of the samples of the estimate soften below 1.5 1/cm, so "
-    "that the moduli do not determine them; 'KES not determined' is their share. Do not compare B "
-    "where it exceeds 5 %.")
+    "that the moduli do not determine them; 'KES not determined' is their share. Do not compare "
+    f"them with measured values where it exceeds {100 * MAX_COMPARED_SHARE:g} %.")
 
 
 @dataclass(frozen=True)
@@ -57,9 +58,10 @@ def _fill(book: xlsxwriter.Workbook, sheet: Worksheet, samples: Sequence[Sample]
                **{f"{name} {end} [{unit}]": text for name, unit, text in QUANTITIES.values()
                   for end in ("median", "low", "high")},
                "KES not determined [%]": "0.0", "drape coefficient [%]": "0.0", "nodes": "0.0",
+               **dict.fromkeys(UNLABELLED.circumstances, "@"),
                "warnings": "0", "warnings in words": "@"}
     for column, (name, text) in enumerate(columns.items()):
-        sheet.write_string(0, column, name, head)
+        sheet.write_string(0, column, name.replace("_", " "), head)
         sheet.set_column(column, column, 11 if column else 24,
                          book.add_format({"num_format": text}))
     rows = [row for sample in samples for row in _rows(sample)]
@@ -83,7 +85,8 @@ def _rows(sample: Sample) -> list[list[str | float | None]]:
         numbers = [number for key in QUANTITIES for number in _ends(quantities[key])]
         rows.append([*sample.names.values(), about.density_g_m2, about.rig, face, name, *numbers,
                      100 * readings.kes_b_outside_law_probability, sample.coefficient,
-                     sample.nodes, len(document.warnings), "; ".join(document.warnings)])
+                     sample.nodes, *about.labels.circumstances.values(), len(document.warnings),
+                     "; ".join(document.warnings)])
     return rows
 
 

@@ -31,6 +31,7 @@ POORLY_CONSTRAINED = 0.7  # above this ratio of standard deviation and spread ov
 CURVATURES = np.array([25.0, 50.0, 100.0, 200.0, 400.0])  # 1/m, of the tabulated law
 INTERVALS = {"interval_68": 0.68, "interval_90": 0.90}
 MAX_OUTSIDE_SHARE = 0.5  # of samples outside KES's range; beyond, its readings are not given
+MAX_COMPARED_SHARE = 0.05  # beyond, its readings are given, but not to be compared
 ROLES = ("warp_or_stiff", "bias", "weft_or_soft")
 """Directions in tables whose fabrics need not all have a marked warp."""
 _FORMULA = tuple("=+-@\t\r\n")  # first characters of cells that spreadsheets evaluate
@@ -202,6 +203,7 @@ class EstimateDocument(Excerpt):
     moduli: dict[str, DirectionModuli]
     moduli_at_300_g_m2: dict[str, DirectionModuli]
     laboratory: dict[str, Readings]
+    kes_note: Text = ""  # where KES readings are not given, or not to be compared
     correlations: dict[str, Any]
     share_of_spread_over_fabrics: dict[str, float]
     poorly_constrained: list[str]
@@ -233,12 +235,13 @@ class EstimateDocument(Excerpt):
         names, first = estimate.names, estimate.names[0]
         shares = dict(zip(estimate.modulus_names, estimate.constraint.round(3).tolist(),
                           strict=True))
+        laboratory = _readings(estimate)
         return cls.model_validate({
             "schema": SCHEMA, "schema_version": SCHEMA_VERSION,
             "convention": f"{first}/{names[2]}", "capture": capture,
             "moduli": _moduli(estimate, estimate.density),
             "moduli_at_300_g_m2": _moduli(estimate, REFERENCE_DENSITY),
-            "laboratory": _readings(estimate),
+            "laboratory": laboratory, "kes_note": _kes_note(laboratory),
             "correlations": {
                 "of": [f"{'log ' if k < 3 else ''}{name}" for k, name in enumerate(shares)],
                 "matrix": np.corrcoef(estimate.samples.T).round(3).tolist()},
@@ -327,8 +330,7 @@ class EstimateDocument(Excerpt):
             elif self.has_kes:
                 cells.append(f"{'–':>18}{'–':>18}")
             lines.append(f"{name:8}{''.join(cells)}")
-        if not self.has_kes:
-            lines.append("KES B and 2HB are not determined: the fabric softens below 1.5 1/cm")
+        lines += [self.kes_note] * bool(self.kes_note)
         cloth = self.cloth
         curvature = cloth.natural_curvature_warp_1_m, cloth.natural_curvature_weft_1_m
         lines.append(f"natural curvature {curvature[0]} 1/m along {self.names[0]}, "
@@ -410,6 +412,19 @@ def _readings(estimate: Estimate) -> dict[str, Any]:
             **(_quantities(bending, k) if within else dict.fromkeys(bending)),
             "kes_b_outside_law_probability": round(share, 3)}
     return readings
+
+
+def _kes_note(laboratory: Mapping[str, Mapping[str, Any]]) -> str:
+    """Directions along which KES readings are not given or not to be compared; empty if none."""
+    share = "kes_b_outside_law_probability"
+    groups: dict[str, list[str]] = {"not given": [], "not to be compared with measured values": []}
+    for name, readings in laboratory.items():
+        if readings[share] > MAX_COMPARED_SHARE:
+            groups["not to be compared with measured values" if readings["kes_b_gf_cm2_per_cm"]
+                   else "not given"].append(f"{name} ({100 * readings[share]:.0f} %)")
+    parts = [f"{what} along {', '.join(names)}" for what, names in groups.items() if names]
+    return f"KES B and 2HB are {' and '.join(parts)}: in that share of the samples the fabric " \
+           "softens below 1.5 1/cm, so that its moduli do not determine them" if parts else ""
 
 
 def interval_columns(name: str, quantity: Quantity | None) -> dict[str, str]:

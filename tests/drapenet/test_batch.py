@@ -26,6 +26,7 @@ LIST = f"""fabric,sample,capture
 "{SCRIPT}",$x^,2
 gone,,nowhere
 sound,,{TWILL}
+sound,,lost
 twice,,3
 twice,,4
 photo,,5
@@ -38,7 +39,7 @@ def rows(file: Path) -> list[dict[str, str]]:
 
 @pytest.fixture(scope="module")
 def words(tmp_path_factory, untrained_checkpoint) -> list[str]:
-    """Command line for five small captures, a photograph, a missing one and the bundled one."""
+    """Command line for five small captures, a photograph, two missing ones and the bundled one."""
     root = tmp_path_factory.mktemp("root")
     views, intrinsics = capture_views(orientation=0.4)
     for k in range(5):
@@ -46,7 +47,8 @@ def words(tmp_path_factory, untrained_checkpoint) -> list[str]:
             views[0, 45, 60] += 1e-3
         write_capture(root / str(k), views=views, intrinsics=intrinsics, density=0.15,
                       rig=SQUARE_RIG)
-    write(root / "5", drawn(), outline={"plate_px": plate(), "camera_height_mm": 1000})
+    write(root / "5", drawn(), outline={"plate_px": plate(), "camera_height_mm": 1000},
+          operator=FORMULA)
     (root / "list.csv").write_text(LIST, "utf-8")
     return [f"captures={root / 'list.csv'}", f"out={root / 'out'}", "workers=1",
             f"checkpoint={untrained_checkpoint}"]
@@ -78,10 +80,22 @@ def test_the_tables_hold_every_fabric(out, printed):
     assert float(joint["alpha_bias_scatter_factor"]) == pytest.approx(1.0, abs=0.02)
     summary = {row["fabric"]: row for row in rows(out / "summary.csv")}["'" + FORMULA]
     low, high = summary["bias_68"].split(" to ")
-    assert len(summary) == 12
+    assert len(summary) == 13
     assert float(low) < float(summary["bias_alpha_uN_m"]) < float(high)
-    assert summary["bias_68"] in printed and "captures: 7 estimated, 1 failed" in printed
+    assert summary["bias_68"] in printed and "captures: 7 estimated, 2 failed" in printed
     assert len(rows(out / "captures.csv")) == 5
+
+
+def test_the_tables_state_failed_captures_and_operators(out):
+    sheets = [cells(out / "results.xlsx", sheet) for sheet in (1, 2)]
+    for table, key in ((rows(out / "fabrics.csv"), "captures_failed"),
+                       (rows(out / "summary.csv"), "captures_failed"),
+                       (sheets[0], "captures failed")):
+        assert {row["fabric"]: int(row[key]) for row in table} == {
+            row["fabric"]: int(row["fabric"] == "sound") for row in table}
+    for table in (rows(out / "fabrics.csv"), rows(out / "captures.csv"), *sheets):
+        operators = {row["fabric"]: row["operator"] for row in table}
+        assert operators.pop("photo").endswith(FORMULA) and not any(operators.values())
 
 
 def cells(file: Path, sheet: int) -> list[dict[str, str | float]]:
@@ -138,8 +152,9 @@ def test_a_fabric_has_a_report_of_its_captures(out):
 
 
 def test_failures_are_listed_with_their_reasons(out):
-    gone, twice = rows(out / "failures.csv")
+    gone, lost, twice = rows(out / "failures.csv")
     assert gone["fabric"] == "gone" and "does not exist" in gone["reason"]
+    assert lost["fabric"] == "sound" and "does not exist" in lost["reason"]
     assert twice["fabric"] == "twice" and "have the same views" in twice["reason"]
 
 
@@ -165,16 +180,16 @@ def test_only_unfinished_and_changed_captures_are_estimated_again(out, words, ca
     tables = {name: (out / name).read_bytes() for name in ("captures.csv", "failures.csv")}
     done = sorted(out.rglob("done.json"))
     times = {file: file.stat().st_mtime_ns for file in done}
-    assert len(done) == 8
+    assert len(done) == 9
     done[0].unlink()
     infer.main(words)
-    assert "7 of 8 captures are finished; 1 to go" in capsys.readouterr().out
+    assert "8 of 9 captures are finished; 1 to go" in capsys.readouterr().out
     assert all(file.stat().st_mtime_ns == times[file] for file in done[1:])
     assert {name: (out / name).read_bytes() for name in tables} == tables
     file = out.parent / "2" / "capture.yaml"
     file.write_text(file.read_text().replace("150.0", "300.0"))
     infer.main(words)
-    assert "7 of 8 captures are finished" in capsys.readouterr().out
+    assert "8 of 9 captures are finished" in capsys.readouterr().out
     assert {row["density_g_m2"] for row in rows(out / "fabrics.csv")
             if row["fabric"] == SCRIPT} == {"300"}
 

@@ -15,7 +15,7 @@ from drapenet.result.document import EstimateDocument
 from drapenet.result.files import PAGE, PDF, capture_names, fabric_name
 
 ALPHA, BETA = np.array([52e-6, 31e-6, 22e-6]), np.array([-158e-9, -101e-9, -69e-9])
-SOFTENING = np.array([-300e-9, -101e-9, -69e-9])  # the torque of the warp falls within KES's range
+SOFTENING = np.array([-300e-9, -102e-9, -69e-9])  # within KES's range: all samples along warp, some along bias
 LABELS = {"fabric": "Twill 7/8, navy", "date": "2026-11-26", "laboratory": "Textile laboratory",
           "operator": "M. Muster", "camera": "D435i, no. 12"}
 WARNING = "a pixel spans 2.9 mm on the plate (at most 2.6 mm): move the camera nearer"
@@ -75,13 +75,16 @@ def test_values_of_kes_outside_the_law_are_neither_given_nor_compared(tmp_path):
     part = document(beta=SOFTENING)
     page, _ = written(tmp_path, part, [ShownCapture("navy", part, b"")])
     assert page.count(">–</td>") == 2
-    assert "Do not compare B and 2HB with measured values along warp (100 % of the samples" in page
+    note = part.content()["kes_note"]
+    assert re.match(r"KES B and 2HB are not given along warp \(100 %\) and not to be compared with "
+                    r"measured values along bias \(\d+ %\)", note)
+    assert f"<li>{note}.</li>" in page and note in part.text()
     assert part.text().count("   –") == 2
     part = document(beta=3 * SOFTENING)  # nowhere determined
     page, _ = written(tmp_path, part, [ShownCapture("navy", part, b"")])
-    assert "KES 2HB [" not in page and "Do not compare" not in page
-    assert "KES B and 2HB are not given" in page
-    assert "KES B and 2HB are not determined" in part.text() and "KES 2HB  " not in part.text()
+    assert "KES 2HB [" not in page and "not to be compared" not in part.kes_note
+    assert "not given along warp (100 %), bias (100 %), weft (100 %)" in part.kes_note
+    assert part.kes_note in part.text() and "KES 2HB  " not in part.text()
 
 
 def test_a_joint_report_has_its_captures_both_faces_and_their_pictures(tmp_path, picture):

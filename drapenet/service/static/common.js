@@ -82,8 +82,6 @@ export function facts(estimate) {
   const { capture, resimulation: drape, captures, strips } = estimate;
   const both = (seen, made) => [seen && `${seen} captured`, made && `${made} simulated`].filter(Boolean).join(', ');
   const range = (values) => [...new Set(values.filter(Boolean))].join(', ');
-  const beyond = Object.entries(estimate.laboratory).filter(([, one]) => one.kes_b_gf_cm2_per_cm && one.kes_b_outside_law_probability >= 0.05)
-    .map(([name, one]) => `${name} (${(100 * one.kes_b_outside_law_probability).toFixed(0)} %)`).join(', ');
   return [
     ['Tester', tester(capture.rig)],
     ['Density', `${capture.density_g_m2} g/m²`],
@@ -93,7 +91,7 @@ export function facts(estimate) {
     ...['date', 'operator', 'laboratory', 'camera'].map((key) => [key[0].toUpperCase() + key.slice(1), capture.labels?.[key]]),
     ['Drape coefficient', captures ? range(captures.map((one) => percent(one.capture.drape_coefficient_percent)))
       : both(percent(capture.drape_coefficient_percent), percent(drape?.drape_coefficient_percent))],
-    ['KES B, 2HB', beyond && `not to be compared with a tester's along ${beyond}: that share of the samples softens below 1.5 cm⁻¹`],
+    ['KES B, 2HB', estimate.kes_note],
     ['Nodes', both(drape && String(drape.folds_captured), drape && String(drape.folds_simulated))],
   ].filter(([, text]) => text);
 }
