@@ -57,7 +57,8 @@ def main(config: CaptureConfig) -> None:
     if config.mat:
         file = Path(config.out or f"mat_{config.mat}.pdf")
         replace_file(file, mat_pages(config.mat, config.paper or config.mat))
-        print(f"mat: {file}; print it at 100 %, and measure its scale of {1e3 * BAR:g} mm")
+        print(f"mat: {file}; print it at 100 %, join its pages if there are several, and measure "
+              f"its scale of {1e3 * BAR:g} mm")
         return
     if config.board:
         replace_file(Path(config.board), board_picture())
