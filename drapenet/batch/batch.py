@@ -28,7 +28,6 @@ from drapenet.report.overview import (
     FAILURE,
     INDEX,
     RESULTS,
-    SPREAD,
     THUMBNAIL,
     FabricEstimate,
     fabrics_text,
@@ -136,7 +135,7 @@ def join_fabrics(
             failures.append(dict.fromkeys(FAILURE, "") | {"fabric": name, "reason": str(error)})
     places = {Path(entry.place.parts[0]) for entry, _ in outcomes}
     for place in places - {fabric.place for fabric in fabrics}:  # of an earlier run
-        for file in (ESTIMATE, SAMPLES, SPREAD, INDEX, PDF):
+        for file in (ESTIMATE, SAMPLES, INDEX, PDF):
             remove_file(out / place / file)
     return fabrics, failures
 

@@ -2,13 +2,17 @@
 
 import io
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LightSource
-from matplotlib.figure import Figure, SubFigure
+from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
+from matplotlib.ticker import MaxNLocator
+from PIL import Image
 
 from common.types import DepthImage, Views
 from data.captures.capture import Capture
@@ -21,7 +25,9 @@ from drapenet.result.estimate import Estimate
 
 MAX_CURVATURE = 400.0  # 1/m, about the sharpest folds of a drape
 COLOURS = ("#b5403a", "#6b6b6b", "#2f6da8")  # of the three directions of a fabric
+DASHES = ("-", (0, (6, 1.5)), (0, (2, 1.5)))  # of their curves, which are also printed in grey
 CAPTURED, SIMULATED, PLATE = "#8a8a8a", "#d9762b", "#f2b400"
+_WIDE, _HIGH, _CURVES_HIGH, _DPI = 10.4, 6.4, 3.8, 125  # inches, and pixels of an inch
 _SHAPE = 3  # size of the picture of a shape over that of a view
 
 
@@ -29,32 +35,53 @@ def draw_report(
     estimate: Estimate, document: EstimateDocument, capture: Capture,
     resimulation: Resimulation | None, *, title: str,
 ) -> bytes:
-    """The report as a PNG file; ``resimulation`` is None if no simulated drape converged."""
-    figure = Figure(figsize=(10.4, 10), layout="constrained")
-    figure.get_layout_engine().set(w_pad=0.1)
-    upper, lower = figure.subfigures(2, 1, height_ratios=(3, 1.7))
+    """The report as a PNG file: the capture, and below it the curves; ``resimulation`` is None if
+    no simulated drape converged."""
+    seen = Figure(figsize=(_WIDE, _HIGH), layout="constrained")
     if capture.outline:
-        _photograph(upper.subplots(), capture.outline, resimulation)
+        _photograph(seen.subplots(), capture.outline, resimulation)
     else:
-        _views(upper, capture.views, resimulation)
-    grid = lower.add_gridspec(1, 3, width_ratios=(1.4, 1.1, 1.3))
-    _torques(lower.add_subplot(grid[0]), estimate)
-    _from_above(lower.add_subplot(grid[1], projection="polar"), capture, resimulation)
-    _shape(lower.add_subplot(grid[2]), resimulation)
-    figure.suptitle(title, fontsize=14, parse_math=False)
+        _views(seen, capture.views, resimulation)
+    seen.suptitle(title, fontsize=14, parse_math=False)
+    curves = Figure(figsize=(_WIDE, _CURVES_HIGH), layout="constrained")
+    curves.get_layout_engine().set(w_pad=0.1, h_pad=0.12)
+    grid = curves.add_gridspec(1, 3, width_ratios=(1.4, 1.1, 1.3))
+    _torques(curves.add_subplot(grid[0]), estimate)
+    _from_above(curves.add_subplot(grid[1], projection="polar"), capture, resimulation)
+    _shape(curves.add_subplot(grid[2]), resimulation)
     about, count = document.capture, len(document.warnings)
     parts = [f"{about.density_g_m2:g} g/m²",
              *[f"drape coefficient {value:.1f} %"
                for value in [about.drape_coefficient_percent] if value is not None],
              *[f"{value} nodes" for value in [about.nodes] if value is not None],
              *[f"{count} warning{'s' * (count > 1)}"] * bool(count)]
-    figure.supxlabel(", ".join(parts), fontsize=11)
-    picture = io.BytesIO()
-    figure.savefig(picture, format="png", dpi=125)
-    return picture.getvalue()
+    curves.supxlabel(", ".join(parts), fontsize=11)
+    return _png(np.vstack([_pixels(seen), _pixels(curves)]))
 
 
-def _views(figure: SubFigure, views: Views, resimulation: Resimulation | None) -> None:
+def capture_and_curves(report: bytes) -> tuple[bytes, bytes]:
+    """The two parts of a picture of :func:`draw_report`, PNG."""
+    pixels = np.asarray(Image.open(io.BytesIO(report)).convert("RGB"))
+    height = len(pixels) - round(_CURVES_HIGH * _DPI)
+    return _png(pixels[:height]), _png(pixels[height:])
+
+
+def _pixels(figure: Figure) -> np.ndarray:
+    """A figure drawn, (H, W, 3) uint8."""
+    figure.set_dpi(_DPI)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3]
+
+
+def _png(pixels: np.ndarray) -> bytes:
+    """PNG of pixels (H, W, 3)."""
+    stream = io.BytesIO()
+    Image.fromarray(pixels).save(stream, format="PNG")
+    return stream.getvalue()
+
+
+def _views(figure: Figure, views: Views, resimulation: Resimulation | None) -> None:
     """Captured views above simulated ones and their silhouettes."""
     simulated = np.zeros_like(views) if resimulation is None else resimulation.views
     window = _window(np.concatenate([views, simulated]))
@@ -89,11 +116,11 @@ def _photograph(
         angle = (np.arange(len(radius) + 1) + 0.5) * (2 * np.pi / len(radius))
         curve = np.append(radius, radius[0])[:, None] * np.column_stack(
             [np.cos(angle), np.sin(angle)])
-        axes.plot(*outline.drawn(curve).T, color=SIMULATED, lw=1.5,
+        axes.plot(*outline.drawn(curve).T, color=SIMULATED, lw=1.5, ls=DASHES[1],
                   label="simulated with the estimate")
     angle = np.linspace(0, 2 * np.pi, 90)
     rim = outline.rig.plate_radius * np.column_stack([np.cos(angle), np.sin(angle)])
-    axes.plot(*outline.drawn(rim).T, color=PLATE, lw=1, label="plate")
+    axes.plot(*outline.drawn(rim).T, color=PLATE, lw=1, ls=DASHES[2], label="plate")
     axes.legend(frameon=False, loc="upper left", bbox_to_anchor=(1, 1))
 
 
@@ -105,6 +132,28 @@ def draw_torques(estimate: Estimate) -> bytes:
         picture = io.BytesIO()
         figure.savefig(picture, format="svg", transparent=True,
                        metadata={"Date": None, "Creator": None})
+    return picture.getvalue()
+
+
+def draw_spread(
+    joint: EstimateDocument, names: Sequence[str], captures: Sequence[EstimateDocument]
+) -> bytes:
+    """PNG: alpha of every capture, by its name, with its 68 % interval, and the fabric's as a
+    band."""
+    figure = Figure(figsize=(9, 2.2 + 0.22 * len(captures)), layout="constrained")
+    panels = figure.subplots(1, 3, sharey=True)
+    for k, (axes, name, colour) in enumerate(zip(panels, joint.names, COLOURS, strict=True)):
+        band = joint.moduli[name].alpha_uN_m
+        axes.axvspan(*band.interval_68, color=colour, alpha=0.2, lw=0)
+        axes.axvline(band.median, color=colour, lw=1)
+        for row, document in enumerate(captures):
+            alpha = document.moduli[document.names[k]].alpha_uN_m
+            axes.plot(alpha.interval_68, [row, row], color=colour, lw=1.5)
+            axes.plot(alpha.median, row, "o", color=colour, ms=4)
+        axes.set(title=f"alpha {name} [µN·m]", ylim=(len(captures) - 0.4, -0.6))
+        axes.set_yticks(range(len(captures)), names, fontsize=8, parse_math=False)
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png", dpi=100, metadata={"Software": None})
     return picture.getvalue()
 
 
@@ -134,9 +183,9 @@ def _silhouettes(axes: Axes, captured: DepthImage, simulated: DepthImage) -> Non
 
 def _torques(axes: Axes, estimate: Estimate) -> None:
     curvature = np.linspace(0, MAX_CURVATURE, 100)
-    for k, (name, colour) in enumerate(zip(estimate.names, COLOURS, strict=True)):
+    for k, (name, colour, dashes) in enumerate(zip(estimate.names, COLOURS, DASHES, strict=True)):
         curves = estimate.torques(k, curvature) * 1e3
-        axes.plot(curvature, np.median(curves, axis=0), color=colour, lw=2, label=name)
+        axes.plot(curvature, np.median(curves, axis=0), color=colour, lw=2, ls=dashes, label=name)
         axes.fill_between(curvature, *np.quantile(curves, [0.16, 0.84], axis=0), color=colour,
                           alpha=0.15, lw=0)
     axes.set(xlabel="curvature [1/m]", ylabel="torque per width [mN]", xlim=(0, MAX_CURVATURE),
@@ -153,15 +202,18 @@ def _from_above(axes: Axes, capture: Capture, resimulation: Resimulation | None)
     largest = 80.0
     if resimulation is not None:
         azimuth = np.linspace(0, 2 * np.pi, len(resimulation.profiles[0]) + 1)
-        for profile, name, colour in zip(resimulation.profiles, ("captured", "simulated"),
-                                         (CAPTURED, SIMULATED), strict=True):
-            axes.plot(azimuth, np.append(profile, profile[0]) * 1e3, color=colour, label=name)
+        for profile, name, colour, dashes in zip(
+                resimulation.profiles, ("captured", "simulated"), (CAPTURED, SIMULATED), DASHES,
+                strict=False):
+            axes.plot(azimuth, np.append(profile, profile[0]) * 1e3, color=colour, ls=dashes,
+                      label=name)
         largest = 1.05e3 * np.nanmax(np.concatenate(resimulation.profiles), initial=largest / 1e3)
     warp = capture.warp_direction
     if warp is not None:
         axes.plot([warp, warp + math.pi], [largest] * 2, color=COLOURS[0], lw=2.5, label="warp")
         axes.set_rlabel_position(math.degrees(warp) + 90)
     axes.set_ylim(0, largest)
+    axes.yaxis.set_major_locator(MaxNLocator(4))
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), frameon=False, fontsize=7.5,
                 ncols=3, handlelength=1, columnspacing=1)
 

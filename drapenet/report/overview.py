@@ -3,26 +3,22 @@
 ``index.html``.
 """
 
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from common.files import replace_file
 from drapenet.batch.captures import COLUMNS, Entry
-from drapenet.report.figures import COLOURS
 from drapenet.report.pages import render
-from drapenet.report.report import ShownCapture, write_report
+from drapenet.report.report import ShownCapture, shortened, write_report
 from drapenet.report.workbook import Sample, workbook
 from drapenet.result.document import ROLES, EstimateDocument, csv_number, csv_table
 from drapenet.result.files import REPORT
 
 FAILURE = ("fabric", "sample", "capture", "path", "reason")
-SPREAD, INDEX, THUMBNAIL, RESULTS = "captures.png", "index.html", "view.png", "results.xlsx"
-MAX_NAME_WIDTH = 28  # characters of a name in a table or picture
+INDEX, THUMBNAIL, RESULTS = "index.html", "view.png", "results.xlsx"
 
 
 @dataclass(frozen=True)
@@ -87,11 +83,9 @@ def write_overview(
 def _write_page(fabric: FabricEstimate, out: Path) -> None:
     """Write the page of a fabric, and its report if its captures have pictures."""
     folder, document = out / fabric.place, fabric.document
-    spread = _spread(fabric)
-    replace_file(folder / SPREAD, spread)
     shown = [_shown(out, *capture) for capture in fabric.captures]
     write_report(folder, document.capture.labels.fabric or fabric.name, document, shown,
-                 page=INDEX, pdf=any(capture.large for capture in shown), spread=spread,
+                 page=INDEX, pdf=any(capture.large for capture in shown),
                  scatter=fabric.scatter, back="../index.html")
 
 
@@ -105,7 +99,7 @@ def _shown(out: Path, entry: Entry, document: EstimateDocument) -> ShownCapture:
 
 def fabrics_text(fabrics: Sequence[FabricEstimate]) -> str:
     """A line for each fabric: name, number of captures, alpha, number of warnings."""
-    names = [_shortened(fabric.name) for fabric in fabrics]
+    names = [shortened(fabric.name) for fabric in fabrics]
     width = max(len("fabric"), *map(len, names))
     lines = [f"{'fabric':{width}}{'captures':>10}"
              + "".join(f"{f'alpha {role}':>24}" for role in ("warp/stiff", "bias", "weft/soft"))
@@ -116,10 +110,6 @@ def fabrics_text(fabrics: Sequence[FabricEstimate]) -> str:
         lines.append(f"{name:{width}}{len(fabric.captures):>10}{figures}"
                      f"{len(fabric.document.warnings) or '-':>10}")
     return "\n".join(lines)
-
-
-def _shortened(name: str) -> str:
-    return name if len(name) <= MAX_NAME_WIDTH else f"{name[:MAX_NAME_WIDTH - 1]}…"
 
 
 def _summary_row(fabric: FabricEstimate) -> dict[str, object]:
@@ -155,25 +145,3 @@ def _capture_row(entry: Entry, document: EstimateDocument) -> dict[str, object]:
             "drape_coefficient_percent": document.capture.drape_coefficient_percent,
             "nodes": document.capture.nodes, **document.capture.labels.circumstances,
             "flags": "; ".join(document.warnings)}
-
-
-def _spread(fabric: FabricEstimate) -> bytes:
-    """PNG: alpha of every capture with its 68 % interval, and the fabric's as a band."""
-    figure = Figure(figsize=(9, 2.2 + 0.22 * len(fabric.captures)), layout="constrained")
-    labels = [_shortened(f"{entry.sample}/{entry.capture}".strip("/"))
-              for entry, _ in fabric.captures]
-    panels = figure.subplots(1, 3, sharey=True)
-    for k, (axes, name, colour) in enumerate(zip(panels, fabric.document.names, COLOURS,
-                                                 strict=True)):
-        joint = fabric.document.moduli[name].alpha_uN_m
-        axes.axvspan(*joint.interval_68, color=colour, alpha=0.2, lw=0)
-        axes.axvline(joint.median, color=colour, lw=1)
-        for row, (_, document) in enumerate(fabric.captures):
-            alpha = document.moduli[document.names[k]].alpha_uN_m
-            axes.plot(alpha.interval_68, [row, row], color=colour, lw=1.5)
-            axes.plot(alpha.median, row, "o", color=colour, ms=4)
-        axes.set(title=f"alpha {name} [µN·m]", ylim=(len(fabric.captures) - 0.4, -0.6))
-        axes.set_yticks(range(len(labels)), labels, fontsize=8, parse_math=False)
-    picture = io.BytesIO()
-    figure.savefig(picture, format="png", dpi=100, metadata={"Software": None})
-    return picture.getvalue()

@@ -1,16 +1,19 @@
 """``report.html`` and ``report.pdf`` of an estimate, from one template."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from common.files import replace_file
-from drapenet.report.pages import render
+from drapenet.report.figures import capture_and_curves, draw_spread
+from drapenet.report.pages import in_words, render
 from drapenet.report.pdf import WIDTH, as_pdf
-from drapenet.result.document import EstimateDocument
+from drapenet.result.document import CaptureAbout, EstimateDocument
 from drapenet.result.files import PAGE, PDF
+
+MAX_NAME_WIDTH = 28  # characters of a name in a table or picture
 
 
 @dataclass(frozen=True)
@@ -24,36 +27,55 @@ class ShownCapture:
     large: bool = True
 
 
-def in_all(captures: Sequence[ShownCapture]) -> str:
+def shortened(name: str) -> str:
+    """A name for a table or a picture."""
+    return name if len(name) <= MAX_NAME_WIDTH else f"{name[:MAX_NAME_WIDTH - 1]}…"
+
+
+def in_all(captures: Sequence[ShownCapture]) -> list[str]:
     """Number of captures, their mean drape coefficient and its spread, in words, as ISO 9073-9 asks
-    for them; empty if fewer than two have a drape coefficient."""
-    seen: dict[str, list[float]] = {}
-    for each in captures:
-        about = each.document.capture
+    for them; of each tester that has at least two captures with a drape coefficient."""
+    testers: dict[str, list[CaptureAbout]] = {}
+    for about in (each.document.capture for each in captures):
         if about.drape_coefficient_percent is not None:
-            face = "the marked face" if about.face == "up" else "the reverse"
-            seen.setdefault(face, []).append(about.drape_coefficient_percent)
-    every = [value for values in seen.values() for value in values]
-    if len(every) < 2:
-        return ""
-    faces = "; ".join(f"{np.mean(values):.1f} % with {face} on top ({len(values)})"
-                      for face, values in seen.items())
+            testers.setdefault(about.rig, []).append(about)
+    return [f"{_mean_coefficient(group)}{f', {in_words(rig)}' * (len(testers) > 1)}"
+            for rig, group in testers.items() if len(group) > 1]
+
+
+def _mean_coefficient(captures: Sequence[CaptureAbout]) -> str:
+    """Mean drape coefficient of captures on one tester and its spread, also by face, in words."""
+    faces: dict[str, list[float]] = {}
+    for about in captures:
+        face = "the marked face" if about.face == "up" else "the reverse"
+        faces.setdefault(face, []).append(about.drape_coefficient_percent)
+    every = [value for values in faces.values() for value in values]
+    by_face = "; ".join(f"{np.mean(values):.1f} % with {face} on top ({len(values)})"
+                        for face, values in faces.items())
     return (f"mean drape coefficient {np.mean(every):.1f} %, standard deviation "
             f"{np.std(every, ddof=1):.1f} points over {len(every)} captures"
-            + (f": {faces}" if len(seen) > 1 else ""))
+            + (f": {by_face}" if len(faces) > 1 else ""))
 
 
 def write_report(
     out: Path, title: str, document: EstimateDocument, captures: Sequence[ShownCapture], *,
-    page: str = PAGE, pdf: bool = True, spread: bytes = b"", scatter: np.ndarray | None = None,
-    back: str = "",
+    page: str = PAGE, pdf: bool = True, scatter: np.ndarray | None = None, back: str = "",
 ) -> None:
     """Write the report of an estimate and its ``captures`` as a page, and as PDF.
 
-    ``spread`` is a PNG of the captures' moduli, ``scatter`` (3,) are factors by which alpha varies,
-    and ``back`` is the address of the page of all fabrics.
+    ``scatter`` (3,) are factors by which alpha of the captures varies, ``back`` is the address of
+    the page of all fabrics.
     """
+    spread = b"" if len(captures) < 2 else draw_spread(
+        document, [shortened(each.name) for each in captures],
+        [each.document for each in captures])
+    if len(captures) == 1 and captures[0].large and captures[0].picture:  # curves on the first page
+        upper, curves = capture_and_curves(captures[0].picture)
+        captures = [replace(captures[0], picture=upper)]
+    else:
+        curves = b""
     values = {"title": title, "document": document, "captures": captures, "spread": spread,
+              "curves": curves,
               "scatter": scatter, "back": back, "width": WIDTH, "known": document.known_values,
               "in_all": in_all(captures)}
     replace_file(out / page, render("report.html", layout="base.html", **values))

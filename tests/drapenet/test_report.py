@@ -15,7 +15,7 @@ from drapenet.result.document import EstimateDocument
 from drapenet.result.files import PAGE, PDF, capture_names, fabric_name
 
 ALPHA, BETA = np.array([52e-6, 31e-6, 22e-6]), np.array([-158e-9, -101e-9, -69e-9])
-SOFTENING = np.array([-300e-9, -102e-9, -69e-9])  # within KES's range: all samples along warp, some along bias
+SOFTENING = np.array([-300e-9, -102e-9, -69e-9])  # within KES's range, in part along the bias
 LABELS = {"fabric": "Twill 7/8, navy", "date": "2026-11-26", "laboratory": "Textile laboratory",
           "operator": "M. Muster", "camera": "D435i, no. 12"}
 WARNING = "a pixel spans 2.9 mm on the plate (at most 2.6 mm): move the camera nearer"
@@ -67,7 +67,7 @@ def test_a_report_is_titled_by_the_fabric_and_states_the_test(tmp_path, picture)
     alpha = part.moduli["weft"].alpha_uN_m.texts()[1]
     assert f">{length}</td>" in page and f">{alpha}</td>" in page
     assert "KES B" in page and ">–</td>" not in page  # of a fabric that KES can measure
-    assert pdf.startswith(b"%PDF-") and b"/Count 2" in pdf and pdf.count(b"/DCTDecode") == 1
+    assert pdf.startswith(b"%PDF-") and b"/Count 2" in pdf and pdf.count(b"/DCTDecode") == 2
     assert "Twill 7/8, navy".encode("utf-16-be") in pdf or b"(Twill 7/8, navy)" in pdf
 
 
@@ -100,8 +100,19 @@ def test_a_joint_report_has_its_captures_both_faces_and_their_pictures(tmp_path,
                      r"<td>reverse</td>.*?61\.0 %", page)
     assert ("mean drape coefficient 57.6 %, standard deviation 4.7 points over 2 captures: 54.3 % "
             "with the marked face on top (1); 61.0 % with the reverse on top (1).") in page
-    assert page.count("data:image/png") == 2 and pdf.count(b"/DCTDecode") >= 1
+    assert page.count("data:image/png") == 3 and pdf.count(b"/DCTDecode") >= 1  # and their moduli
     assert b"/Count 3" in pdf  # each capture on a page
+
+
+def test_drape_coefficients_are_averaged_by_tester(tmp_path):
+    parts = [document(source=f"/data/navy/{k}", rig=rig, drape_coefficient_percent=percent)
+             for k, (rig, percent) in enumerate([("disc300_support180", 54.0),
+                                                 ("square300_cylinder100", 24.0),
+                                                 ("disc300_support180", 58.0)])]
+    page, _ = written(tmp_path, joint(*parts), [ShownCapture(str(k), part, b"")
+                                                for k, part in enumerate(parts)])
+    assert ("mean drape coefficient 56.0 %, standard deviation 2.8 points over 2 captures, disc of "
+            "300 mm on a plate of 180 mm.") in page and page.count("mean drape coefficient") == 1
 
 
 def test_without_a_stated_fabric_the_folder_is_the_title():

@@ -15,7 +15,7 @@ def render(template: str, **values: object) -> bytes:
     return _environment().get_template(template).render(values).encode(errors="replace")
 
 
-def _in_words(names: str) -> str:
+def in_words(names: str) -> str:
     """Testers, names with commas, in words."""
     rigs = [Rig.from_name(name) for name in names.split(", ")]
     return "; ".join(f"{rig.specimen} of {rig.millimetres} mm on a plate of "
@@ -27,5 +27,5 @@ def _environment() -> jinja2.Environment:
     pages = jinja2.Environment(loader=jinja2.PackageLoader("drapenet", "report/pages"),
                                autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
     pages.filters |= {"address": lambda path: quote(Path(path).as_posix()),
-                      "base64": lambda data: b64encode(data).decode(), "tester": _in_words}
+                      "base64": lambda data: b64encode(data).decode(), "tester": in_words}
     return pages
