@@ -5,10 +5,9 @@ Contents are validated by a :class:`Schema`; every fault raises an InputError of
 
 import codecs
 import re
-import reprlib
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
@@ -17,7 +16,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import from_json
 
-from common.errors import InputError, one_line
+from common.errors import InputError, one_line, shown
 
 MAX_TEXT_BYTES = 1 << 16  # written by people
 MAX_DOCUMENT_BYTES = 64 << 20  # written by programs; also each array of an npz file
@@ -257,13 +256,6 @@ def reading(file: Path, remedy: str) -> Iterator[None]:
         reason = getattr(error, "strerror", None) or one_line(error)
         reason = re.sub(r" <_io\.\w+ object at \w+>", "", reason)  # of Pillow, other at each run
         raise InputError(f"{file} cannot be read ({reason}); {remedy}") from None
-
-
-def shown(value: object) -> str:
-    """``repr`` of a value, shortened: values from files may be long or contain line breaks."""
-    with suppress(ValueError):  # integers of thousands of digits
-        return reprlib.repr(value)[:60]
-    return "a number of thousands of digits"
 
 
 def differences(old: object, new: object, prefix: str = "") -> list[str]:

@@ -1,5 +1,8 @@
 """The exception for invalid input."""
 
+import reprlib
+from contextlib import suppress
+
 MAX_LENGTH, MAX_LIST_LENGTH = 700, 4000  # characters of a message; of a list of faults
 
 
@@ -19,3 +22,10 @@ class InputError(ValueError):
 def one_line(error: Exception | str) -> str:
     """An error's message without line breaks, shortened; the class name if it is empty."""
     return " ".join(str(error).split())[:200] or type(error).__name__
+
+
+def shown(value: object) -> str:
+    """``repr`` of a value, shortened: values from files may be long or contain line breaks."""
+    with suppress(ValueError):  # integers of thousands of digits
+        return reprlib.repr(value)[:60]
+    return "a number of thousands of digits"

@@ -9,8 +9,8 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field, PlainValidator, model_validator
 
-from common.documents import Schema, shown
-from common.errors import InputError
+from common.documents import Schema
+from common.errors import InputError, shown
 from common.types import Density, Metres, Radians, Turns
 from data.captures.depth import Lens
 from data.captures.reported import Reported

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from common.documents import read_bytes, reading, require_regular, shown
-from common.errors import InputError
+from common.documents import read_bytes, reading, require_regular
+from common.errors import InputError, shown
 from common.types import DepthImage, GreyViews, Views
 from data.captures.depth import MAX_DEPTH, between_points, measured, median_depth, unsaturated
 from data.captures.description import MAX_PICTURE, MAX_VIEWS, MILLIMETRE, Description, require_size

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from common.documents import shown
-from common.errors import InputError
+from common.errors import InputError, shown
 from common.tables import Row, named_columns, number, read_rows
 from common.types import Outline
 from data.captures.description import OutlineSource

@@ -17,8 +17,8 @@ import cv2
 import numpy as np
 from scipy import ndimage
 
-from common.documents import reading, require_regular, shown
-from common.errors import InputError
+from common.documents import reading, require_regular
+from common.errors import InputError, shown
 from common.types import DepthImage, Views
 from data.captures.depth import Lens, measured, median_depth, unsaturated
 from data.captures.description import MAX_VIEWS, MILLIMETRE, require_size

@@ -3,8 +3,7 @@
 import numpy as np
 from scipy import ndimage
 
-from common.documents import shown
-from common.errors import InputError
+from common.errors import InputError, shown
 from common.types import DepthImage, Views
 from data.captures.cutout import neighbours
 from data.captures.description import MAX_VIEWS

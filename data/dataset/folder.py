@@ -20,8 +20,8 @@ from pydantic import Field
 from tqdm import tqdm
 
 from common.cases import progress_bar
-from common.documents import Excerpt, differences, read_json, shown
-from common.errors import InputError
+from common.documents import Excerpt, differences, read_json
+from common.errors import InputError, shown
 from common.files import PARTIAL_SUFFIX, remove_partial, replace_json
 from common.provenance import environment
 from data.dataset.config import DatasetConfig

@@ -7,8 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from common.documents import shown
-from common.errors import InputError, one_line
+from common.errors import InputError, one_line, shown
 from common.files import composed, path_named
 from common.tables import read_table
 from data.captures.capture import CAPTURE_FILES

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field, InstanceOf, model_validator
 
-from common.documents import Excerpt, shown
+from common.documents import Excerpt
+from common.errors import shown
 from common.files import printable
 from common.types import Density
 from data.captures.description import Labels

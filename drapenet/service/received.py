@@ -13,8 +13,7 @@ from pathlib import Path
 
 from PIL import Image
 
-from common.documents import shown
-from common.errors import one_line
+from common.errors import one_line, shown
 from data.captures.capture import OUTLINE_SUFFIXES
 from data.captures.description import OUTLINE_TABLES
 from data.captures.frames import header_of

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import yaml
 
-from common.documents import misnamed, rename_remedy, shown
-from common.errors import InputError
+from common.documents import misnamed, rename_remedy
+from common.errors import InputError, shown
 from data.captures.capture import CAPTURE_FILES, OUTLINE_SUFFIXES
 from data.captures.description import UNLABELLED, Description, Labels
 from data.captures.frames import BACKGROUND

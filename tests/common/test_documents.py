@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import Field
 
-from common.documents import Schema, parse_json, parse_yaml, read_bytes, read_json, read_yaml, shown
-from common.errors import InputError
+from common.documents import Schema, parse_json, parse_yaml, read_bytes, read_json, read_yaml
+from common.errors import InputError, shown
 
 
 class Cloth(Schema):

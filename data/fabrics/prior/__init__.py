@@ -19,8 +19,8 @@ from pydantic import AfterValidator, Field, PlainValidator, TypeAdapter, Validat
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from common.documents import read_json, shown
-from common.errors import InputError, one_line
+from common.documents import read_json
+from common.errors import InputError, one_line, shown
 from common.files import replace_json
 from common.types import Theta
 from data.fabrics.fabrics import THETA_NAMES, from_theta
