@@ -38,7 +38,7 @@ from sim.cantilever.moduli import (
     correct,
     estimate_moduli,
 )
-from sim.material import DIRECTIONS, MICRO, NANO, check_density
+from sim.material import DIRECTIONS, MICRO, NANO, checked_density
 from sim.solver.newton import Status
 
 LENGTH = 0.09  # m; results depend only on gamma
@@ -118,7 +118,7 @@ def print_estimate(config: EstimateConfig) -> None:
         raise InputError(f"unknown method '{config.method}'; choose from {', '.join(METHODS)}")
     if config.density is None:
         raise InputError("the fabric's density is needed, in g/m²: density=150")
-    check_density(1e-3 * config.density)
+    checked_density(1e-3 * config.density)
     if config.rounds is not None and config.rounds < 0:
         raise InputError(f"rounds={config.rounds} must not be negative")
     if not 0 < config.width <= 500:

@@ -7,6 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
+from common.arguments import require
 from common.errors import InputError
 from common.types import FaceMask
 from sim.energies.base import Energy, dofs_of
@@ -43,11 +44,13 @@ class Laws:
     others: tuple[Law, ...] = ()  # of further energies, such as a foundation or a load
 
     def __post_init__(self) -> None:
-        if not (callable(self.bending) or self.bending in BENDING):
+        if not (callable(self.bending) or self.bending in tuple(BENDING)):
             raise InputError(f"unknown bending law {self.bending!r}; give a law or choose from "
                              f"{', '.join(BENDING)}")
-        if not all(callable(law) for law in self.others):
-            raise InputError("others must be laws, each called with a mesh, not energies")
+        if not (isinstance(self.others, Sequence) and all(map(callable, self.others))):
+            raise InputError("others must be laws, each called with a mesh, not energies: (law,)")
+        require(membrane=(self.membrane, Membrane,
+                          "sim.energies.Corotational(stiffness=200.0), N/m"))
 
     @property
     def bending_law(self) -> Law:

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from common.errors import InputError, one_line
+from common.arguments import number, numbers, require, whole_number
+from common.errors import one_line
 from common.types import Faces, Metres, Points, RestPoints, VertexMask
 from sim.cloth import Cloth, Laws
 from sim.energies.base import Energy
@@ -153,17 +154,17 @@ def drape(
         options: stopping criteria of the final minimisation.
         keep: whether the drape keeps its energies and factor, for derivatives.
     """
-    rig, laws = rig or Rig(), laws or Laws()
-    if not (isinstance(fabric, Fabric) and isinstance(rig, Rig) and isinstance(laws, Laws)):
-        raise InputError("give a Fabric, a Rig, such as Rig.from_name('disc300_support180'), and "
-                         "Laws")
+    rig, laws, options = rig or Rig(), laws or Laws(), options or FINE_OPTIONS
+    require(fabric=(fabric, Fabric), laws=(laws, Laws), options=(options, NewtonOptions),
+            rig=(rig, Rig, "Rig.from_name('disc300_support180')"))
     start = start or (LOWERED if rig.has_plate else "sine")
     check_start(start, rig)
-    if seed < 0:
-        raise InputError(f"seed={seed} must not be negative")
-    edge = default_edge(fabric, rig, offset=offset) if edge is None else edge
+    seed = whole_number("seed", seed, 0)
+    warp, weft = numbers("offset", offset, "two numbers, along warp and weft, m", (2,)).tolist()
+    offset = warp, weft
+    edge = default_edge(fabric, rig, offset=offset) if edge is None else number("edge", edge, "m")
     began = time.perf_counter()
-    run = _Run(fabric, rig, laws, edge, seed, offset, options or FINE_OPTIONS)
+    run = _Run(fabric, rig, laws, edge, seed, offset, options)
     try:
         if start == LOWERED and borrowed is None:
             equilibrium, coarse = run.lowered()
@@ -284,8 +285,11 @@ def follow(
     default. ``keep`` preserves the drape's energies and factor, for derivatives.
     """
     began = time.perf_counter()
-    equilibrium = find_equilibrium(
-        near.scene, fabric, start or near.state, laws=laws or near.laws, extra=extra,
-        options=options or FINE_OPTIONS, self_contact=True, touching=near.touches)
+    require(near=(near, Drape), fabric=(fabric, Fabric))
+    laws, options = laws or near.laws, options or FINE_OPTIONS
+    start = near.state if start is None else start
+    require(laws=(laws, Laws), options=(options, NewtonOptions), start=(start, State))
+    equilibrium = find_equilibrium(near.scene, fabric, start, laws=laws, extra=extra,
+                                   options=options, self_contact=True, touching=near.touches)
     return _made(equilibrium, keep, fabric=fabric, rig=near.rig, edge=near.edge,
                  seconds=time.perf_counter() - began)

@@ -1,15 +1,18 @@
 """Many drapes at once."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
+from inspect import signature
 from typing import Any
 
+from common.arguments import whole_number
 from common.cases import progress_bar
+from common.errors import InputError, one_line
 from common.workers import worker_pool
 from sim.drape import Drape, drape
 
 
 def drape_many(
-    plans: Sequence[Mapping[str, Any]], *, workers: int = 1, unit: str = "drape",
+    plans: Iterable[Mapping[str, Any]], *, workers: int = 1, unit: str = "drape",
 ) -> list[Drape]:
     """The drapes of ``plans``, arguments of :func:`sim.drape.drape` by name, in their order.
 
@@ -17,6 +20,12 @@ def drape_many(
     are invalid raise their InputError. ``workers`` processes of one thread give the same bytes as
     one. A script calls this below ``if __name__ == "__main__":``.
     """
+    try:
+        plans = [signature(drape).bind(**plan).arguments for plan in plans]
+    except TypeError as error:
+        raise InputError("plans are a list of the arguments of drape by name, such as [{'fabric': "
+                         f"fabric, 'edge': 5e-3}}]: {one_line(error)}") from None
+    workers = whole_number("workers", workers, 1)
     with worker_pool(max(1, min(workers, len(plans)))) as pool, progress_bar(
             total=len(plans), unit=unit) as bar:
         running = [pool.submit(drape, **plan) for plan in plans]

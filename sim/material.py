@@ -11,11 +11,11 @@ continues with its slope there; see :func:`softening_shape` and ``docs/physics.m
 
 from copy import copy
 from dataclasses import dataclass
-from numbers import Real
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from common.arguments import number, numbers
 from common.errors import InputError
 from common.types import Density, Metres, Moduli, QuadraticModuli
 from sim.rig import GRAVITY
@@ -38,6 +38,7 @@ DENSITY_RANGE = (5e-3, 5.0)
 ALPHA_RANGE = (1e-9, 1.0)  # N·m
 MAX_RATIO = 0.5
 """Largest |beta|/alpha, m; in fabrics it is about 2 mm."""
+_LONGEST = 1.0  # m, bending length
 
 SOFTENING_LIMIT = 0.35
 """u_c: the reduced curvature u = -beta*kappa/alpha beyond which the torque grows linearly with
@@ -59,16 +60,13 @@ class Fabric:
 
     def __init__(self, alpha: ArrayLike, beta: ArrayLike = (0.0, 0.0, 0.0),
                  density: Density = REFERENCE_DENSITY) -> None:
-        self._set(alpha, beta, density)
-        alpha, beta = self.alpha, self.beta
-        if alpha.shape != (3,) or beta.shape != (3,):
-            raise InputError("alpha and beta need three values each: warp, bias, weft")
-        if not (np.isfinite(alpha).all() and np.isfinite(beta).all()):
-            raise InputError("alpha and beta must be finite numbers")
-        check_density(self.density)
-        if alpha.min() <= 0:
-            raise InputError("every linear modulus alpha must be positive")
-        _check_units(alpha, beta)
+        alpha, beta = (numbers(name, values, "three finite numbers: warp, bias, weft", (3,))
+                       for name, values in (("alpha", alpha), ("beta", beta)))
+        self._set(alpha, beta, checked_density(density))
+        _check_alpha(alpha)
+        for value in beta[np.abs(beta) > MAX_RATIO * alpha].tolist():
+            raise InputError(f"beta={value / NANO:g} nN·m² ({value:g} N·m²) is outside the range "
+                             f"of fabrics: |beta|/alpha exceeds {MAX_RATIO:g} m; check the unit")
         if not is_admissible(alpha, beta):
             raise InputError("no elastic plate is this soft along the bias: alpha_bias must exceed "
                              f"{float(bias_limit(alpha)) / MICRO:.3g} µN·m for these warp and weft "
@@ -86,6 +84,7 @@ class Fabric:
 
     def at_density(self, density: Density) -> "Fabric":
         """The fabric of another density with the same drape: moduli scale with it."""
+        density = checked_density(density)
         scale, scaled = density / self.density, copy(self)
         scaled._set(self.alpha * scale, self.beta * scale, density)  # units checked before
         return scaled
@@ -95,38 +94,28 @@ class Fabric:
                        for moduli in (self.alpha / MICRO, self.beta / NANO))
         return f"Fabric(alpha [{alpha}] µN·m, beta [{beta}] nN·m², {1e3 * self.density:g} g/m²)"
 
-    def _set(self, alpha: ArrayLike, beta: ArrayLike, density: Density) -> None:
-        if not isinstance(density, Real):
-            raise InputError(f"density={density!r}: give a number, kg/m²")
+    def _set(self, alpha: np.ndarray, beta: np.ndarray, density: Density) -> None:
         for name, values in (("alpha", alpha), ("beta", beta)):
-            if np.ma.is_masked(values) or np.iscomplexobj(values):
-                raise InputError(f"{name} has masked or complex values; give three real numbers")
-            try:
-                moduli = np.array(values, dtype=np.float64)
-            except (TypeError, ValueError):
-                raise InputError(f"{name}={values!r}: give three numbers: warp, bias, weft"
-                                 ) from None
+            moduli = values.copy()
             moduli.flags.writeable = False
             object.__setattr__(self, name, moduli)
-        object.__setattr__(self, "density", float(density))
+        object.__setattr__(self, "density", density)
 
 
-def check_density(density: Density) -> None:
-    """InputError for a density outside :data:`DENSITY_RANGE`, such as one in g/m²."""
-    low, high = DENSITY_RANGE
-    if not low <= density <= high:
-        raise InputError(f"density={1e3 * density:g} g/m² ({density:g} kg/m²) is outside the "
-                         f"range of fabrics, {1e3 * low:g} to {1e3 * high:g} g/m²; check the unit")
+def checked_density(density: object) -> Density:
+    """A density; InputError for one outside :data:`DENSITY_RANGE`, such as one in g/m²."""
+    value, (low, high) = number("density", density, "kg/m²"), DENSITY_RANGE
+    if low <= value <= high:
+        return value
+    raise InputError(f"density={1e3 * value:g} g/m² ({value:g} kg/m²) is outside the range of "
+                     f"fabrics, {1e3 * low:g} to {1e3 * high:g} g/m²; check the unit")
 
 
-def _check_units(alpha: np.ndarray, beta: np.ndarray) -> None:
+def _check_alpha(alpha: np.ndarray) -> None:
     low, high = ALPHA_RANGE
     for value in alpha[(alpha < low) | (alpha > high)].tolist():
         raise InputError(f"alpha={value / MICRO:g} µN·m ({value:g} N·m) is outside the range of "
                          f"fabrics, {low / MICRO:g} to {high / MICRO:g} µN·m; check the unit")
-    for value in beta[np.abs(beta) > MAX_RATIO * alpha].tolist():
-        raise InputError(f"beta={value / NANO:g} nN·m² ({value:g} N·m²) is outside the range of "
-                         f"fabrics: |beta|/alpha exceeds {MAX_RATIO:g} m; check the unit")
 
 
 def bias_limit(alpha: np.ndarray) -> np.ndarray:
@@ -171,7 +160,11 @@ def bending_length(alpha: float, density: Density) -> Metres:
     """(alpha/rho g)^⅓ of a modulus in N·m: the scale of the narrowest folds of cloth that is as
     stiff. Strips of 1.5 and 2.5 such lengths, which drop by 0.4 and 1.5 times their reach,
     determine alpha and beta well."""
-    return float((alpha / (density * GRAVITY)) ** (1 / 3))
+    cubed = number("alpha", alpha, "N·m") / (checked_density(density) * GRAVITY)
+    if not 0 < cubed <= _LONGEST**3:
+        raise InputError(f"alpha={alpha:g} N·m must be positive and give a bending length of at "
+                         f"most {_LONGEST:g} m; check the unit")
+    return cubed ** (1 / 3)
 
 
 def softening_shape(u, limit):
@@ -204,4 +197,8 @@ def torque(
     curvature: np.ndarray | float, alpha: np.ndarray | float, beta: np.ndarray | float
 ) -> np.ndarray:
     """Torque per width (N); arguments as for :func:`bending_work`."""
+    curvature, alpha, beta = (numbers(name, values, "finite numbers") for name, values in (
+        ("curvature", curvature), ("alpha", alpha), ("beta", beta)))
+    if (curvature < 0).any() or (alpha <= 0).any():
+        raise InputError("curvatures (1/m) must not be negative, and alpha (N·m) must be positive")
     return bending_work(curvature, alpha, beta)[1]

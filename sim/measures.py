@@ -7,6 +7,8 @@ import numpy as np
 from scipy.interpolate import LinearNDInterpolator
 from scipy.ndimage import gaussian_filter1d
 
+from common.arguments import numbers, require
+from common.errors import InputError
 from common.types import Faces, Metres, Outline, Points, RestPoints, VertexMask
 from common.workers import one_blas_thread
 from sim.energies.membrane import Corotational
@@ -24,8 +26,32 @@ coefficients corrected with this value are wrong by 0.4 to 0.8 points rms, uncor
 
 def drape_coefficient(positions: Points, faces: Faces, rig: Rig) -> float:
     """(projected area - plate area) / (specimen area - plate area) (BS 5058, ISO 9073-9), accurate
-    to 0.3 %; 1 for a rigid specimen, 0 for one that hangs straight down."""
+    to 0.3 %; 1 for a rigid specimen, 0 for one that hangs straight down. InputError for positions
+    that cannot be those of cloth on ``rig``."""
+    positions, faces = _placed(positions, rig), np.asarray(faces)
+    if not (faces.dtype.kind in "iu" and faces.ndim == 2 and faces.shape[1] == 3
+            and faces.max(initial=0) < len(positions)):
+        raise InputError(f"faces of the shape {faces.shape}: give indices (F, 3) of "
+                         f"{len(positions)} positions")
     return coefficient_of_area(projected_area(positions, faces), rig)
+
+
+def _placed(positions: Points, rig: Rig) -> Points:
+    """Positions of cloth on ``rig``, which covers the plate."""
+    require(rig=(rig, Rig))
+    found = numbers("positions", positions, "finite positions (V, 3), m", (None, 3))
+    _require_extent("positions", found[:, :2], rig, np.sqrt(2) * 0.9 * rig.plate_diameter)
+    return found
+
+
+def _require_extent(name: str, points: np.ndarray, rig: Rig, least: Metres) -> None:
+    """InputError for points (V, 2) from above that no specimen of ``rig`` has: the box around them
+    has a diagonal below ``least`` or above that around a disc."""
+    diagonal = np.hypot(*np.ptp(points, axis=0))
+    if not least <= diagonal <= 2.9 * rig.reach:
+        raise InputError(f"{name} extend over {diagonal:.4g} m, from {least:.3g} to "
+                         f"{2.9 * rig.reach:.3g} m with {rig.name}: give metres, and the rig of "
+                         "this drape")
 
 
 def coefficient_of_area(area: float, rig: Rig) -> float:
@@ -45,7 +71,12 @@ def projected_area(positions: Points, faces: Faces) -> float:
 @one_blas_thread
 def fold_outline(positions: Points, rest: RestPoints, rig: Rig) -> Outline:
     """The material circle of 90 % of the specimen's inradius, around its centre, seen from above:
-    720 points half a degree apart, from the warp axis towards the weft."""
+    720 points half a degree apart, from the warp axis towards the weft. InputError for points that
+    cannot be those of the specimen of ``rig``."""
+    positions = _placed(positions, rig)
+    rest = numbers("rest", rest, "finite rest points (V, 2) of the positions, m",
+                   (len(positions), 2))
+    _require_extent("rest", rest, rig, 1.8 * rig.reach)
     angle = np.linspace(0, 2 * np.pi, _OUTLINE_POINTS, endpoint=False)
     circle = 0.45 * min(rig.sides) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     centre = (rest.min(axis=0) + rest.max(axis=0)) / 2

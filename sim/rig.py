@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numba
 import numpy as np
 
+from common.arguments import number, numbers
 from common.errors import InputError
 from common.types import Metres, Points, Radians, RestPoints
 
@@ -87,8 +88,13 @@ class Rig:
     cut: Radians = 0.0  # from the warp to the first side of a rectangle, counter-clockwise
 
     def __post_init__(self) -> None:
-        sides = tuple(np.broadcast_to(self.sides, 2).tolist())
+        given = self.sides if np.ndim(self.sides) else [self.sides] * 2
+        sides = tuple(numbers("sides", given, "one number or two, along warp and weft, m",
+                              (2,)).tolist())
         object.__setattr__(self, "sides", sides)
+        for name, unit in (("plate_diameter", "m"), ("cut", "rad"),
+                           *[("corners_apart", "m")] * (self.corners_apart is not None)):
+            object.__setattr__(self, name, number(name, getattr(self, name), unit))
         if self.specimen not in ("square", "rectangle", "disc"):
             raise InputError(f"specimen={self.specimen!r}: choose square, rectangle or disc")
         if self.specimen != "disc":
@@ -96,6 +102,10 @@ class Rig:
             object.__setattr__(self, "specimen", kind)
         elif sides[0] != sides[1]:
             raise InputError(f"sides of {sides[0]:g} and {sides[1]:g} m: a disc has one diameter")
+        self._check_sizes()
+
+    def _check_sizes(self) -> None:
+        sides = self.sides
         if not abs(self.cut) <= np.pi / 4 or (self.cut and not self.has_plate):
             raise InputError(f"a cut of {np.degrees(self.cut):g}° from the warp: give at most 45°, "
                              "and 0 without a plate")
@@ -106,6 +116,9 @@ class Rig:
             raise InputError(f"a plate of {1e3 * self.plate_diameter:g} mm under a specimen of "
                              f"{self.millimetres} mm: it must be smaller")
         if self.has_plate:
+            if self.corners_apart is not None:
+                raise InputError(f"corners_apart={self.corners_apart:g} beside a plate: give "
+                                 "plate_diameter=0 too, or leave it out")
             return
         if self.specimen == "disc":
             raise InputError("a disc has no corners to hang by; give it a plate")
@@ -117,7 +130,7 @@ class Rig:
     def name(self) -> str:
         """Identifier in datasets and checkpoints: specimen and holder, sizes in mm."""
         holder, size = ("support" if self.specimen == "disc" else "cylinder"), self.plate_diameter
-        if self.corners_apart and not self.has_plate:
+        if self.corners_apart:
             holder, size = "corners", self.corners_apart
         cut = f"_cut{np.degrees(self.cut):g}" if self.cut else ""
         return f"{self.specimen}{self.millimetres}_{holder}{1e3 * size:g}{cut}"
@@ -216,7 +229,7 @@ class Rig:
     @staticmethod
     def from_name(name: str) -> "Rig":
         """The rig with this :attr:`name`; InputError if ``name`` is not of this form."""
-        words = _NAME.fullmatch(name)
+        words = _NAME.fullmatch(str(name))
         with suppress(ValueError):  # numbers such as 1.2.3, sizes that no rig can have
             # People say support and cylinder of either.
             if words and (rig := _rig_of(words)).name in (

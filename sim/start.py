@@ -7,6 +7,7 @@ from scipy.interpolate import CloughTocher2DInterpolator, LinearNDInterpolator
 from scipy.optimize import brentq
 from scipy.spatial import ConvexHull, QhullError
 
+from common.arguments import numbers, wrong
 from common.errors import InputError
 from common.types import Metres, Points, RestPoints
 from common.workers import one_blas_thread
@@ -105,7 +106,13 @@ def borrowed_positions(
     """Positions interpolated from rest points and positions of another fabric's drape on ``rig``.
     If the offsets of the specimens differ, points on the plate correspond to points on the plate,
     the border to the border, and points between are shifted in proportion."""
-    other_rest, other_positions = borrowed
+    try:
+        other_rest, other_positions = borrowed
+        count = len(other_rest)
+    except (TypeError, ValueError):
+        raise wrong("borrowed", borrowed, "(near.rest, near.positions) of a drape") from None
+    other_positions = numbers("positions", other_positions, f"finite positions ({count}, 3), m",
+                              (count, 3))
     try:
         area = ConvexHull(other_rest).volume
     except (QhullError, ValueError):

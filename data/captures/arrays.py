@@ -1,12 +1,11 @@
 """Captures made of arrays, checked like those that are read."""
 
-from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
-from common.documents import shown
-from common.errors import InputError, one_line
+from common.arguments import number, numbers
+from common.errors import InputError, one_line, shown
 from common.types import Views
 from data.captures.capture import Capture, described
 from data.captures.depth import measured
@@ -30,19 +29,19 @@ def checked_capture(capture: Capture) -> Capture:
     if not isinstance(rig, Rig):
         raise InputError(f"rig={shown(rig)} is not a tester; give Rig.from_name(NAME) or a name "
                          f"such as {TESTERS[0]}")
-    density = _number("density", capture.density, "kg/m²")
+    density = number("density", capture.density, "kg/m²")
     if density > MAX_DENSITY:
         raise InputError(f"density={density:g} is more than {MAX_DENSITY:g} kg/m², as of g/m²; "
                          "give kg/m²: 0.21 for 210 g/m²")
     warp = capture.warp_direction
-    warp = None if warp is None else _number("warp_direction", warp, "rad, or None")
+    warp = None if warp is None else number("warp_direction", warp, "rad, or None")
     stated = described(density, rig, capture.face, warp, capture.labels)
     if capture.outline or (capture.known and not np.size(capture.views)):
         Description.of(stated, capture.path)
         return replace(capture, rig=rig, density=density, warp_direction=warp)
     views = _metres(capture.views)
     camera = require_sizes(views, capture.intrinsics)
-    turns = _numbers("turns", capture.turns)
+    turns = numbers("turns", capture.turns, "a list of finite numbers", (None,))
     if (largest := np.abs(turns).max(initial=0)) > MAX_TURN:
         raise InputError(f"turns reach {largest:g}, more than a full turn of 6.283 rad; give "
                          "radians: np.radians([0, 90, 180, 270])")
@@ -51,23 +50,6 @@ def checked_capture(capture: Capture) -> Capture:
     views, warnings = checked_views(views, camera)
     return replace(capture, views=views, turns=turns, rig=rig, density=density, warp_direction=warp,
                    warnings=tuple(dict.fromkeys((*capture.warnings, *warnings))))
-
-
-def _numbers(name: str, values: object) -> np.ndarray:
-    """An argument of numbers (N,); InputError for others, and for masked ones."""
-    with suppress(TypeError, ValueError):
-        found = np.asarray(values, dtype=float)
-        if found.ndim == 1 and np.isfinite(found).all() and not np.ma.is_masked(values):
-            return found
-    raise InputError(f"{name}={shown(values)}: give a list of finite numbers")
-
-
-def _number(name: str, value: object, unit: str) -> float:
-    """An argument of one number; InputError for others."""
-    with suppress(InputError):
-        if not isinstance(value, (str, bool)):
-            return float(_numbers(name, [value])[0])
-    raise InputError(f"{name}={shown(value)}: give a finite number, {unit}")
 
 
 def _metres(views: object) -> Views:

@@ -8,7 +8,7 @@ v along weft and E = (F^T F - I)/2, or for the corotational one the principal st
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numba
 import numpy as np
@@ -215,6 +215,7 @@ def _add_stiffness(q, dofs, shape, areas, tangent, slots, stress, convex, data):
         add_block(data, slots[t], block)
 
 
+@runtime_checkable
 class Membrane(Protocol):
     """An in-plane material."""
 

@@ -5,10 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from common.errors import InputError
+from common.arguments import require, wrong
 from sim.cloth import Law, Laws
 from sim.drape import Drape, follow, light
 from sim.energies.membrane import Corotational
@@ -16,6 +17,8 @@ from sim.material import REFERENCE_DENSITY, Fabric
 from sim.sensitivity.forward import combinations, force_derivatives
 from sim.sensitivity.tangent import Tangent
 from sim.solver.newton import NewtonOptions
+
+Values = Tensor | ArrayLike
 
 
 @dataclass(frozen=True)
@@ -30,8 +33,8 @@ class Equilibria:
 
 
 def equilibria(
-    starts: Sequence[Drape], *, alpha: Tensor, beta: Tensor,
-    density: Tensor | float | None = None, membrane: Tensor | float | None = None,
+    starts: Sequence[Drape], *, alpha: Values, beta: Values, density: Values | None = None,
+    membrane: Values | None = None,
     bending: str | Law | None = None, others: tuple[Law, ...] | None = None,
     options: NewtonOptions | None = None
 ) -> Equilibria:
@@ -42,24 +45,22 @@ def equilibria(
     numerical failure affects only its sample.
 
     Args:
-        alpha, beta: (B, 3) moduli warp, bias, weft, N·m and N·m².
+        alpha, beta: (B, 3) or (3,) for all, moduli warp, bias, weft, N·m and N·m².
         density: (B,) or one for all, kg/m²; None: that of each start.
         membrane: (B,) or one for all, N/m, in-plane stiffness of the cloth at this density. None:
             as in a drape, proportional to the density, also in the derivatives by the density.
     """
+    require(starts=(starts, Sequence, "[near]"))
+    for start in starts:
+        require(start=(start, Drape))
     count = len(starts)
     if density is None:
         density = [start.fabric.density for start in starts]
-    density = torch.as_tensor(density, dtype=torch.float64)
+    density = _tensor("density", density, count)
     if membrane is None:
         membrane = Corotational().stiffness / REFERENCE_DENSITY * density
-    density, membrane = (torch.as_tensor(v, dtype=torch.float64).expand(count)
-                         for v in (density, membrane))
-    given = {"alpha": alpha, "beta": beta, "density": density, "membrane": membrane}
-    for name, values in given.items():
-        if len(values) != count:
-            raise InputError(f"{name} has {len(values)} entries for {count} cloths")
-    inputs = list(zip(*given.values(), strict=True))
+    inputs = list(zip(_tensor("alpha", alpha, count, 3), _tensor("beta", beta, count, 3), density,
+                      _tensor("membrane", membrane, count), strict=True))
     results = []
     for start, values in zip(starts, inputs, strict=True):
         alpha, beta, density, membrane = map(_array, values)
@@ -77,6 +78,16 @@ def equilibria(
         ok=[tangent.ok for tangent in tangents],
         messages=[tangent.message for tangent in tangents],
     )
+
+
+def _tensor(name: str, values: Values, *shape: int) -> Tensor:
+    """``values`` of all cloths, or one for all; in float64 unless they are a tensor."""
+    try:
+        if not isinstance(values, Tensor):
+            values = torch.from_numpy(np.array(values, dtype=np.float64))
+        return values.expand(shape)
+    except (TypeError, ValueError, RuntimeError):
+        raise wrong(name, values, f"a tensor {shape}, of each cloth, or one for all") from None
 
 
 class _Equilibrium(torch.autograd.Function):

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from common.arguments import require
 from common.types import Points, StateVector
 from sim.cloth import Cloth
 from sim.energies.self_contact import SelfContact, contact_near
@@ -43,6 +44,7 @@ class Tangent:
     @classmethod
     def of(cls, drape: Equilibrium) -> "Tangent":
         """The tangent of a drape; not ok if the drape did not converge."""
+        require(drape=(drape, Equilibrium))
         cloth, factor = drape.cloth, drape.outcome and drape.outcome.factor
         if drape.touches and factor is None:
             contact = contact_near(cloth.scene, drape.positions)

@@ -157,8 +157,14 @@ def test_a_failed_minimisation_is_a_status():
     ({"rig": HUNG_SQUARE, "edge": 0.01, "offset": (1e-3, 0.0)}, "no plate"),
     ({"rig": DISC_RIG, "edge": 0.01, "offset": (0.05, 0.0)}, "narrow"),
     ({"rig": HUNG_SQUARE, "start": "fold"}, "fold"),
-    ({"rig": HUNG_SQUARE, "start": "lowered"}, "start=lowered needs a plate")])
-def test_invalid_arguments_are_refused(monkeypatch, arguments, word):
+    ({"rig": HUNG_SQUARE, "start": "lowered"}, "start=lowered needs a plate"),
+    ({"rig": "disc300_support180"}, r"class Rig; give one such as Rig\.from_name"),
+    ({"laws": "hinge"}, "class Laws"), ({"options": {"residual": 1e-3}}, "class NewtonOptions"),
+    ({"edge": "5mm"}, "edge='5mm'"), ({"seed": 1.5}, "seed=1.5: give a whole number"),
+    ({"offset": 0.01}, "offset=0.01: give two numbers"),
+    ({"borrowed": np.zeros((9, 3))}, r"give \(near\.rest, near\.positions\)"),
+    ({"borrowed": (np.zeros((9, 2)), np.zeros((8, 3)))}, r"positions of the shape \(8, 3\)")])
+def test_invalid_arguments_are_refused(monkeypatch, any_shapes, arguments, word):
     """And before any mesh is solved."""
     monkeypatch.setattr(MODULE, "find_equilibrium", None)
     with pytest.raises(InputError, match=word):
@@ -181,10 +187,23 @@ def test_user_defined_laws_are_called_for_every_mesh():
 
 @pytest.mark.parametrize(("wrong", "word"), [({"bending": None}, "bending law None"),
                                              ({"bending": "hinges"}, "bending law 'hinges'"),
-                                             ({"others": ("midedge",)}, "others")])
+                                             ({"bending": ["hinge"]}, "bending law"),
+                                             ({"others": ("midedge",)}, "others"),
+                                             ({"others": len}, "others"),
+                                             ({"membrane": 60.0}, "Corotational")])
 def test_unknown_laws_are_refused(wrong, word):
     with pytest.raises(InputError, match=word):
         Laws(**wrong)
+
+
+def test_only_drapes_are_followed_to_fabrics():
+    near = drape(isotropic(100), edge=0.02)
+    for arguments, word in (((isotropic(60), near), "near=.* class Drape"),
+                            ((near, [60e-6] * 3), "fabric=.* class Fabric")):
+        with pytest.raises(InputError, match=word):
+            follow(*arguments)
+    with pytest.raises(InputError, match=r"start=.* class State"):
+        follow(near, near.fabric, start=near.positions)
 
 
 def test_a_drape_prints_as_one_line():

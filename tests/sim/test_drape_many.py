@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from common.errors import InputError
 from sim.cloth import Laws
 from sim.energies.external import Gravity
 from sim.many import drape_many
@@ -39,6 +40,18 @@ def test_drapes_are_in_order_and_one_that_fails_is_a_status(two):
     assert [one.status for one in two] == [Status.CONVERGED] * 3 + [Status.EXCEPTION]
     assert two[3].message == "FloatingPointError: no value"
     assert not two[3].positions[:, 2].any()
+
+
+@pytest.mark.parametrize(("plans", "options", "word"), [
+    (Fabric(np.full(3, 6e-5)), {}, "plans are a list .*'Fabric' object is not iterable"),
+    ([Fabric(np.full(3, 6e-5))], {}, "must be a mapping"), (plan(6e-5), {}, "must be a mapping"),
+    ([plan(6e-5, sed=1)], {}, "unexpected keyword argument 'sed'"),
+    ([{"edge": 12e-3}], {}, "missing a required argument: 'fabric'"),
+    ([plan(6e-5)], {"workers": "2"}, "workers='2'"), ([plan(6e-5)], {"workers": 0}, "workers=0")])
+def test_other_plans_are_refused_before_any_work(plans, options, word):
+    with pytest.raises(InputError, match=word):
+        drape_many(plans, **options)
+    assert drape_many(iter(())) == []
 
 
 def test_one_core_gives_the_same_bytes_as_two(two):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import torch
 from scipy.linalg import eigvalsh
 
 from common.errors import InputError
@@ -9,6 +10,7 @@ from sim.energies import bending_law
 from sim.material import (
     SOFTENING_LIMIT,
     Fabric,
+    bending_length,
     bending_work,
     bias_limit,
     is_admissible,
@@ -202,12 +204,13 @@ def test_softest_possible_bias():
 
 
 @pytest.mark.parametrize(("alpha", "beta", "density", "word"), [
-    ([1e-5, 1e-5], [0, 0, 0], 0.3, "three values"),
+    ([1e-5, 1e-5], [0, 0, 0], 0.3, "alpha=.*three finite numbers"), (1e-5, 0, 0.3, "alpha=1e-05"),
     (np.ma.masked_array([1e-5, 1e-5, 1e-5], [1, 0, 0]), [0, 0, 0], 0.3, "masked"),
-    (["a", "b", "c"], [0, 0, 0], 0.3, "give three numbers"),
-    ([1e-5, 1e-5, 1e-5], [0, 0, 0], None, "density=None: give a number"),
+    (["a", "b", "c"], [0, 0, 0], 0.3, "give three finite numbers"),
+    (torch.ones(3, requires_grad=True), [0, 0, 0], 0.3, "alpha: Can't .* requires grad"),
+    ([1e-5, 1e-5, 1e-5], [0, 0, 0], None, "density=None: give a finite number"),
     ([1e-5, 1e-5, np.nan], [0, 0, 0], 0.3, "finite"),
-    ([1e-5, -1e-5, 1e-5], [0, 0, 0], 0.3, "positive"),
+    ([1e-5, -1e-5, 1e-5], [0, 0, 0], 0.3, "alpha=-10 µN·m .* range"),
     ([1e-5, 1e-5, 1e-5], [0, 0, np.inf], 0.3, "finite"),
     ([1e-5, 1e-5, 1e-5], [0, 0, 0], -0.3, "density"),
     ([1e-5, 1e-5, 1e-5], [0, 0, 0], 210, r"density=210000 g/m² \(210 kg/m²\).* the unit"),
@@ -219,6 +222,25 @@ def test_softest_possible_bias():
 def test_moduli_of_no_fabric_are_refused(alpha, beta, density, word):
     with pytest.raises(InputError, match=word):
         Fabric(alpha, beta, density)
+
+
+@pytest.mark.parametrize(("call", "word"), [
+    (lambda: FABRICS[0].at_density(210), "density=210000 g/m²"),
+    (lambda: FABRICS[0].at_density("0.2"), "density='0.2'"),
+    (lambda: bending_length(20.0, 0.2), "alpha=20 N·m .* at most 1 m; check the unit"),
+    (lambda: bending_length(-1e-5, 0.2), "positive"),
+    (lambda: bending_length(1e-5, 0.0), "density=0"),
+    (lambda: bending_length([1e-5], 0.2), "alpha=.*give a finite number, N·m"),
+    (lambda: torque(-10.0, 6e-5, -5e-8), "must not be negative"),
+    (lambda: torque(10.0, [6e-5, 0.0], 0.0), "must be positive"),
+    (lambda: torque("a", 6e-5, 0.0), "curvature='a'")])
+def test_units_and_types_of_moduli_are_checked(call, word):
+    with pytest.raises(InputError, match=word):
+        call()
+
+
+def test_torques_of_lists_are_those_of_each():
+    assert torque(10.0, [6e-5, 3e-5], [0, 0]) == pytest.approx([6e-4, 3e-4])
 
 
 def test_the_limits_of_units_do_not_hold_for_a_fabric_scaled_to_another_density():

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from common.errors import InputError
 from sim.measures import (
     drape_coefficient,
     fold_angles,
@@ -54,6 +55,25 @@ def test_folds_are_counted(specimen, folds):
 def test_ripples_below_three_millimetres_are_no_folds(specimen):
     mesh, _ = specimen
     assert fold_count(skirt(mesh.rest, 6, 0.001), mesh.rest, RIG) == 0
+
+
+@pytest.mark.parametrize(("arguments", "word"), [
+    ({"scale": 1e3}, "positions extend over .* give metres"), ({"scale": 1e-3}, "give metres"),
+    ({"scale": np.nan}, r"positions of the shape .*give finite positions"),
+    ({"rig": "disc"}, "class Rig"), ({"faces": np.array([[0, 1, 10**6]])}, "faces of the shape"),
+    ({"faces": np.zeros((3, 9), int)}, r"faces of the shape \(3, 9\)")])
+def test_coefficients_of_other_units_and_arrays_are_refused(specimen, any_shapes, arguments, word):
+    given = {"scale": 1.0, "faces": specimen[0].faces, "rig": RIG} | arguments
+    positions = given.pop("scale") * skirt(specimen[0].rest, 4, 0.008)
+    with pytest.raises(InputError, match=word):
+        drape_coefficient(positions, **given)
+
+
+@pytest.mark.parametrize(("scale", "rig"), [(1e3, RIG), (1.0, Rig(0.4))])
+def test_folds_of_other_specimens_are_not_counted(specimen, scale, rig):
+    rest = specimen[0].rest
+    with pytest.raises(InputError, match=r"rest extend over .* give metres"):
+        fold_count(skirt(rest, 4, 0.008), scale * rest, rig)
 
 
 def test_outline_tells_where_the_folds_are(specimen):

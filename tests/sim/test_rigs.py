@@ -212,7 +212,12 @@ def test_soft_cloth_stays_out_of_the_cylinder_between_its_vertices_too(rig):
     ({"plate_diameter": 0.3}, "smaller"),
     ({"plate_diameter": -0.1}, "smaller"), ({"plate_diameter": 0.0}, "corners_apart=None"),
     ({"plate_diameter": 0.0, "corners_apart": 0.3}, "below 0.3 m"),
-    ({"plate_diameter": 0.0, "specimen": "disc"}, "no corners")])
+    ({"plate_diameter": 0.0, "specimen": "disc"}, "no corners"),
+    ({"corners_apart": 0.2}, "beside a plate"), ({"plate_diameter": "0.1"}, "plate_diameter='0.1'"),
+    ({"cut": None}, "cut=None: give a finite number, rad"), ({"sides": "square300"}, "sides="),
+    ({"sides": (0.3, np.nan)}, "sides="), ({"sides": (0.3, 0.3, 0.3)}, "one number or two"),
+    ({"plate_diameter": np.array([0.1, 0.1])}, "plate_diameter="),
+    ({"plate_diameter": 0.0, "corners_apart": "a"}, "corners_apart='a'")])
 def test_impossible_rigs_are_refused(arguments, word):
     with pytest.raises(InputError, match=word):
         Rig(**arguments)
@@ -225,7 +230,7 @@ def test_names_state_sizes_and_come_back(name):
     rig = Rig.from_name(name)
     assert rig.name == name and Rig.from_name(rig.name) == rig
     for other in ("rectangle300x300_cylinder100", "rectangle170_cylinder90",
-                  "square170x250_cylinder90", "disc170x250_support90"):
+                  "square170x250_cylinder90", "disc170x250_support90", 300):
         with pytest.raises(InputError, match="unknown rig"):
             Rig.from_name(other)
 

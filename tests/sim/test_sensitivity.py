@@ -337,9 +337,27 @@ def test_equilibria_have_density_and_laws_of_their_starts(draped):
 def test_mistakes_are_named(draped):
     with pytest.raises(InputError, match="unknown parameter 'gamma'"):
         sensitivities(draped, parameters=("gamma",))
-    moduli = torch.tensor(FABRIC.alpha)[None]
-    with pytest.raises(InputError, match="alpha has 1 entries for 2 cloths"):
-        equilibria([draped, draped], alpha=moduli, beta=moduli)
+    with pytest.raises(InputError, match=r"drape=.* class Equilibrium"):
+        sensitivities([draped])
+
+
+@pytest.mark.parametrize(("count", "arguments", "word"), [
+    (None, {}, r"class Sequence; give one such as \[near\]"),
+    (3, {"alpha": np.full((2, 3), 6e-5)}, r"alpha of the shape \(2, 3\): give .* \(3, 3\)"),
+    (1, {"beta": "none"}, "beta='none'"),
+    (2, {"density": [0.2, 0.3, 0.2]}, "density=.*one for all"),
+    (1, {"membrane": "stiff"}, "membrane='stiff'")])
+def test_other_arguments_of_equilibria_are_refused(draped, count, arguments, word):
+    starts = [draped] * count if count else draped
+    with pytest.raises(InputError, match=word):
+        equilibria(starts, **{"alpha": FABRIC.alpha, "beta": FABRIC.beta} | arguments)
+
+
+def test_one_fabric_may_be_that_of_all_starts_in_an_array_or_a_tensor(draped):
+    arrays = equilibria([draped] * 2, alpha=FABRIC.alpha, beta=FABRIC.beta, options=TIGHT)
+    tensor = equilibria([draped], alpha=torch.tensor(FABRIC.alpha), beta=torch.tensor(FABRIC.beta),
+                        options=TIGHT)
+    assert all(torch.equal(each, tensor.positions[0]) for each in arrays.positions)
 
 
 @pytest.mark.slow
