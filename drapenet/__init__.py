@@ -17,6 +17,9 @@ from typing import TYPE_CHECKING
 from common.errors import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from typing import Any
+
     from data.captures.capture import Capture
     from drapenet.result.estimate import Estimate, interval
 
@@ -41,15 +44,17 @@ def load(path: str | Path) -> "Estimate":
 
     InputError if it is not sound.
     """
+    from common.arguments import require
     from drapenet.result.files import read_estimate
 
+    require(path=(path, str | Path))
     found, _ = read_estimate(Path(path))
     return found
 
 
 def estimate(
     *captures: "str | Path | Capture", strips: str | Path = "", checkpoint: str | Path = "",
-    refine: bool = False,
+    refine: bool = False, known: "Mapping[str, Any] | None" = None,
 ) -> "Estimate":
     """Estimate one fabric as ``infer.py`` does, without writing files; InputError for bad input.
 
@@ -58,15 +63,19 @@ def estimate(
         strips: folder of photographed strips, beside captures or alone.
         checkpoint: FILE.safetensors of ``train.py``; empty: the bundled one.
         refine: whether captures are refined by simulation, half a minute each.
+        known: values of the fabric, with the keys and checks of ``known`` in ``capture.yaml``; a
+            drape coefficient is that of the first capture. None: what captures and strips state.
     """
+    from common.arguments import require
     from common.configs import read_option
     from data.captures.arrays import checked_capture
     from data.captures.capture import Capture, captures_in, read_capture
     from data.strips.folder import read_strips
     from drapenet.config import EstimateOptions
-    from drapenet.inference import estimate_fabric
+    from drapenet.inference import estimate_fabric, with_known
     from drapenet.network.checkpoint import read_header
 
+    require(strips=(strips, str | Path), checkpoint=(checkpoint, str | Path))
     if not (captures or strips):
         raise InputError("give a capture, or strips=FOLDER")
     if kinds := {type(each).__name__ for each in captures
@@ -78,5 +87,5 @@ def estimate(
     read = [capture for each in captures for capture in (
         map(read_capture, captures_in(Path(each))) if isinstance(each, str | Path) else
         [checked_capture(each)])]
-    return estimate_fabric([*read, *([read_strips(strips)] if strips else [])],
-                           read_header(checkpoint), options)
+    of_strips = [read_strips(strips)] if strips else []
+    return estimate_fabric(with_known([*read, *of_strips], known), read_header(checkpoint), options)

@@ -5,17 +5,18 @@ Each source, a capture or a folder of strips, is a :class:`Part` with files of i
 :func:`joint_estimate` makes the fabric's estimate from the parts.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Union
+from typing import TYPE_CHECKING, Any, Union
 
 import numpy as np
 
 from common.errors import InputError
 from common.normal import Linear, Normal
 from data.captures.capture import Capture, require_one_fabric
-from data.captures.description import MAX_LABEL_LENGTH, Labels
+from data.captures.description import MAX_LABEL_LENGTH, Description, Labels
+from data.strips.description import StripsDescription
 from drapenet.config import EstimateOptions
 from drapenet.evidence.fabric import (
     CaptureEvidence,
@@ -114,6 +115,23 @@ def estimate_fabric(
 def _folder(sources: Sequence["Capture | StripSet"], k: int) -> str:
     """Name of the folder of a source: capture_0, capture_1, strips_2."""
     return f"{'capture' if isinstance(sources[k], Capture) else 'strips'}_{k}"
+
+
+def with_known(
+    sources: Sequence["Capture | StripSet"], known: Mapping[str, Any] | None
+) -> list[Source]:
+    """The ``sources`` of a fabric, of which the first also states what is ``known`` of it, as its
+    file would: only one, for a drape coefficient is evidence of each capture that states it."""
+    if known is None:
+        return list(sources)
+    if stated := next((source for source in sources if source.known), None):
+        place = stated.path if isinstance(stated, Capture) else stated.folder
+        raise InputError(f"known is in {place} and an argument; give the values in one of them")
+    first, *others = sources
+    model = Description if isinstance(first, Capture) else StripsDescription
+    described = model.of({"density_g_m2": round(1e3 * first.density, 6), "known": known}, "")
+    checked: Any = described.known  # of the kind that the source states
+    return [replace(first, known=checked), *others]
 
 
 def estimate_source(

@@ -130,6 +130,39 @@ def test_parts_in_files_give_the_estimate_of_those_in_memory(tmp_path):
         estimate_fabric([], header, EstimateOptions())
 
 
+def test_values_are_stated_to_python_as_in_the_files(tmp_path):
+    known = RIGHT | {"drape_coefficient_percent": 55.0}
+    stated = capture(tmp_path / "stated", known)
+    for others in ((), (TWILL.with_name("twill_photograph"),)):
+        found = drapenet.estimate(TWILL, *others, known=known)
+        by_file = drapenet.estimate(stated, *others)
+        np.testing.assert_array_equal(found.samples, by_file.samples)
+    assert found.samples.std(axis=0)[0] < drapenet.estimate(TWILL).samples.std(axis=0)[0]
+    found = drapenet.estimate(read_capture(stated))
+    of_arrays = drapenet.estimate(read_capture(TWILL), known=known)
+    np.testing.assert_array_equal(of_arrays.samples, found.samples)
+    lengths = {"warp": [28.0, 29.0]}
+    np.testing.assert_array_equal(
+        drapenet.estimate(strips=strips(tmp_path / "plain", **lengths), known=RIGHT).samples,
+        drapenet.estimate(strips=strips(tmp_path / "known", RIGHT, **lengths)).samples)
+
+
+@pytest.mark.parametrize(("sources", "known", "word"), [
+    (("stated",), RIGHT, r"known is in .*stated and an argument; give the values in one"),
+    (("a",), {"bending_lenght_mm": 20}, "unknown key 'known.bending_lenght_mm'; known has values"),
+    (("a",), {"bending_length_mm": {"warp": "22 mm"}}, "'22 mm' is not a number"),
+    (("a",), {"bending_length_mm": {"warp": -22.0}}, "known.bending_length_mm.warp=-22"),
+    (("a",), 22.0, "known=22"),
+    ((), {"drape_coefficient_percent": 50}, "unknown key 'known.drape_")])
+def test_values_that_files_may_not_state_are_refused(tmp_path, sources, known, word):
+    capture(tmp_path / "a")
+    capture(tmp_path / "stated", RIGHT)
+    strips(tmp_path / "strips", warp=[28.0])
+    with pytest.raises(InputError, match=word):
+        drapenet.estimate(*(tmp_path / name for name in sources), strips=tmp_path / "strips",
+                          known=known)
+
+
 def test_two_captures_that_contradict_each_other_leave_both_possible(tmp_path, plain, monkeypatch):
     """The second is the first as of a fabric of a fifth of the stiffness."""
     parts = [stages.network_estimate(read_capture(capture(tmp_path / name)), read_header())

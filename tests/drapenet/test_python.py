@@ -37,3 +37,7 @@ def test_a_fabric_is_estimated_as_by_the_command(untrained_checkpoint, tmp_path)
         drapenet.estimate([capture, other], **options)
     with pytest.raises(InputError, match="give a capture"):
         drapenet.estimate(**options)
+    with pytest.raises(InputError, match=r"strips=3 is not of the class str | .*Path"):
+        drapenet.estimate(strips=3)
+    with pytest.raises(InputError, match=r"path=3 is not of the class"):
+        drapenet.load(3)
