@@ -57,16 +57,19 @@ def run(config: Config) -> Result:
     report: Report = {"views": {}}
     rng = np.random.default_rng(0)
     for count in map(str, VIEWS):
-        error, deviation, rank = (np.array([one[count][key] for one in found.values()])
+        # A fabric has fewer captures than others, or none, if too many of its are refused.
+        read = [one[count] for one in found.values() if one[count]["error"]]
+        error, deviation, rank = (np.concatenate([one[key] for one in read])
                                   for key in ("error", "deviation", "rank"))
-        drawn = rng.integers(len(error), size=(400, len(error)))
-        resampled = [rms(error[rows][..., LINEAR]) for rows in drawn]
+        resampled = [rms(np.concatenate([read[k]["error"] for k in rows])[:, LINEAR])
+                     for rows in rng.integers(len(read), size=(400, len(read)))]
         report["views"][count] = {
+            "captures": len(error),
             "log_alpha": rms(error[..., LINEAR]),
             "interval_95": np.quantile(resampled, [0.025, 0.975]).tolist(),
             "beta_over_alpha": rms(error[..., RATIO]),
             "deviation": rms(deviation[..., LINEAR]),
-            "inside": inside(rank.reshape(-1, 6))}
+            "inside": inside(rank)}
     report["refused"] = {count: sum(one[count]["refused"] for one in found.values())
                          for count in map(str, VIEWS)}
     report["bound"] = posterior_bound()

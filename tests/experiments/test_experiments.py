@@ -16,6 +16,7 @@ from experiments.__main__ import FILES, FOLDERS, main, module_of, usage
 from experiments.comparison import Shape, compare, equilibrium_near
 from experiments.estimation import information, refine_views
 from experiments.page import ORDER, PAGE, page_text
+from experiments.papers import views
 from experiments.physics import default_mesh
 from experiments.result import (
     EXECUTION_KEYS,
@@ -88,6 +89,20 @@ def test_invalid_words_are_reported_in_one_line(words, complaint):
     with pytest.raises(InputError, match=complaint) as refusal:
         main(words)
     assert "\n" not in str(refusal.value)
+
+
+def test_views_are_studied_with_the_captures_that_are_read(monkeypatch):
+    def fabric(error, read):
+        return {str(count): {"refused": 5, "error": np.full((n, 6), error).tolist(),
+                             "deviation": np.ones((n, 6)).tolist(), "rank": [[0.5] * 6] * n}
+                for count, n in zip(views.VIEWS, read, strict=True)}
+
+    found = {"soft": fabric(1.0, [2] * 6), "stiff": fabric(3.0, [2, 1, 0, 0, 0, 0])}
+    monkeypatch.setattr(views, "run_fabrics", lambda case, config: found)
+    report = views.run({}).report
+    assert [one["captures"] for one in report["views"].values()] == [4, 3, 2, 2, 2, 2]
+    assert report["views"]["2"]["log_alpha"] == pytest.approx(np.sqrt(11 / 3))
+    assert report["views"]["3"]["log_alpha"] == 1.0 and report["refused"]["1"] == 10
 
 
 def test_keys_that_are_null_may_be_numbers():
