@@ -23,7 +23,9 @@ from drapenet.result.document import csv_number, csv_table, interval_columns
 from sim.energies.hinges import ARCSIM, mean_modulus
 from sim.material import BIAS, DIRECTIONS, WARP, WEFT, torque
 
-CLO = 1e9  # g·mm²/s² per N·m
+CLO = 1e9  # CLO_BENDING per N·m
+CLO_BENDING, CLO_DENSITY = "g·mm²/s²", "g/mm²"
+"""Units of CLO, as files state them."""
 MAX_CLO = 2e6  # g·mm²/s², CLO's maximum bending stiffness
 CLO_DEFAULTS: dict[str, Any] = {
     "fBuLR": 0.8, "fBvLR": 0.8, "fBhLR": 0.8, "fBucklingStiffnessU": 0.8,
@@ -31,6 +33,7 @@ CLO_DEFAULTS: dict[str, Any] = {
     "fThickness": 0.5, "fFriction": 0.03, "fIDS": 1e-4, "listNonlinearSuK": [],
     "listNonlinearSvK": [], "listNonlinearHK": []}
 """What a drape does not identify, as CLO has it by default."""
+CLO_UNITS = dict.fromkeys(("fBuK", "fBvK", "fBhK"), CLO_BENDING) | {"fDensity": CLO_DENSITY}
 BROWZWEAR = 1e7  # dyn·cm per N·m
 UNREAL = 1e4  # kg·cm²/s² per N·m
 PPF = 1.28e-5  # m²/s²: BEND_SCALE of ppf-contact-solver's energy.cu
@@ -76,7 +79,8 @@ def _jfab(material: Material, name: str) -> dict[str, bytes]:
         "qsPhysicalPropertyNameUTF8": label, **CLO_DEFAULTS}
     return {name: _json({"qsFabricName": label, "qsFabricNameUTF8": label,
                          "uiFabricVersion": 100, "uiVersion": 100, "mapPhysical": physical,
-                         "drapenet": material.about | {"clo_defaults": sorted(CLO_DEFAULTS)}})}
+                         "drapenet": material.about | {
+                             "units": CLO_UNITS, "clo_defaults": sorted(CLO_DEFAULTS)}})}
 
 
 def _u3m(material: Material, name: str) -> dict[str, bytes]:
@@ -110,14 +114,19 @@ def _usd(material: Material, name: str) -> dict[str, bytes]:
     stage.SetDefaultPrim(shade)
     shade.AddAppliedSchema("PhysicsSurfaceDeformableMaterialAPI")
     shade.AddAppliedSchema("CloFabricAPI")
-    shade.CreateAttribute("physics:surfaceBendStiffness", Sdf.ValueTypeNames.Float).Set(
-        mean_modulus(material.modulus))
+    mean = shade.CreateAttribute("physics:surfaceBendStiffness", Sdf.ValueTypeNames.Float)
+    mean.Set(mean_modulus(material.modulus))
+    mean.SetDocumentation("N·m")
     warp, bias, weft = _clo_bending(material).tolist()
     primvars = UsdGeom.PrimvarsAPI(shade)
-    for key, value in (("bendingWarp", warp), ("bendingWeft", weft), ("bendingBiasLeft", bias),
-                       ("bendingBiasRight", bias), ("density", 1e-3 * material.density)):
-        primvars.CreatePrimvar(f"clo:{key}", Sdf.ValueTypeNames.FloatArray,
-                               UsdGeom.Tokens.constant).Set([value])
+    for key, value, unit in (
+            ("bendingWarp", warp, CLO_BENDING), ("bendingWeft", weft, CLO_BENDING),
+            ("bendingBiasLeft", bias, CLO_BENDING), ("bendingBiasRight", bias, CLO_BENDING),
+            ("density", 1e-3 * material.density, CLO_DENSITY)):
+        primvar = primvars.CreatePrimvar(f"clo:{key}", Sdf.ValueTypeNames.FloatArray,
+                                         UsdGeom.Tokens.constant)
+        primvar.Set([value])
+        primvar.GetAttr().SetDocumentation(unit)
     shade.SetCustomDataByKey("drapenet", json.dumps(material.about, ensure_ascii=False))
     return {name: stage.GetRootLayer().ExportToString().encode()}
 

@@ -30,6 +30,8 @@ from sim.mesh import strip
 ALPHA = np.array([52.0, 31.0, 22.0]) * MICRO
 BETA = np.array([-158.0, -101.0, -69.0]) * NANO
 DENSITY = 0.21
+SI = {"g·mm²/s²": 1e-3 * 1e-6, "g/mm²": 1e-3 / 1e-6, "N·m": 1.0}
+"""Units that files state, in SI units."""
 
 
 def write(path: Path, names: tuple[str, ...] = DIRECTIONS, **changes: object) -> Path:
@@ -54,11 +56,12 @@ def exported(estimate: Path, target: str, **options: object) -> Path:
 
 
 def test_clo_gets_the_weft_along_u(estimate):
-    physical = json.loads(exported(estimate, "jfab").read_text())["mapPhysical"]
-    found = [physical[key] for key in ("fBvK", "fBhK", "fBuK")]
-    assert np.array(found) * 1e-3 * 1e-6 == pytest.approx(ALPHA)  # g to kg, mm² to m²
-    assert "fSuK" in json.loads(exported(estimate, "jfab").read_text())["drapenet"]["clo_defaults"]
-    assert physical["fDensity"] * 1e-3 / 1e-6 == pytest.approx(DENSITY)
+    content = json.loads(exported(estimate, "jfab").read_text())
+    about, physical = content["drapenet"], content["mapPhysical"]
+    in_si = {key: SI[unit] * physical[key] for key, unit in about["units"].items()}
+    assert [in_si[key] for key in ("fBvK", "fBhK", "fBuK")] == pytest.approx(ALPHA)
+    assert in_si["fDensity"] == pytest.approx(DENSITY)
+    assert "fSuK" in about["clo_defaults"] and set(in_si).isdisjoint(about["clo_defaults"])
 
 
 def test_browzwear_gets_dyne_centimetres_and_a_main_file_that_names_them(estimate):
@@ -85,6 +88,10 @@ def test_usd_opens_with_clo_s_and_the_proposal_s_attributes(estimate):
         assert value * 1e-5 * 1e-4 == pytest.approx(alpha, rel=1e-6)
     mean = prim.GetAttribute("physics:surfaceBendStiffness").Get()
     assert mean == pytest.approx(mean_modulus(ALPHA), rel=1e-6)
+    in_si = {key: SI[attribute.GetDocumentation()] * np.ravel(attribute.Get())[0] for key in (
+        "physics:surfaceBendStiffness", "primvars:clo:bendingWarp", "primvars:clo:density")
+        for attribute in [prim.GetAttribute(key)]}
+    assert list(in_si.values()) == pytest.approx([mean, ALPHA[0], DENSITY], rel=1e-6)
     about = json.loads(prim.GetCustomDataByKey("drapenet"))
     assert about["moduli"] == json.loads(estimate.read_text())["moduli"]
 
