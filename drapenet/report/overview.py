@@ -68,16 +68,21 @@ def write_overview(
             ("failures", failures, FAILURE)):
         # Excel needs the byte order mark to detect UTF-8.
         replace_file(out / f"{name}.csv", csv_table(rows, columns).encode("utf-8-sig"))
-    replace_file(out / RESULTS, workbook({
-        "fabrics": [Sample({"fabric": fabric.name} | fabric.counts,
-                           fabric.document, *fabric.means.values()) for fabric in fabrics],
-        "captures": [Sample({name: getattr(entry, name) for name in COLUMNS}, document,
-                            document.capture.drape_coefficient_percent, document.capture.nodes)
-                     for fabric in fabrics for entry, document in fabric.captures]}))
+    replace_file(out / RESULTS, fabrics_workbook(fabrics))
     for fabric in fabrics:
         _write_page(fabric, out)
     replace_file(out / INDEX, render("index.html", fabrics=fabrics, failures=failures, page=INDEX,
                                      thumbnail=THUMBNAIL))
+
+
+def fabrics_workbook(fabrics: Sequence[FabricEstimate]) -> bytes:
+    """``results.xlsx``: a sheet of the fabrics and another of their captures."""
+    return workbook({
+        "fabrics": [Sample({"fabric": fabric.name} | fabric.counts,
+                           fabric.document, *fabric.means.values()) for fabric in fabrics],
+        "captures": [Sample({name: getattr(entry, name) for name in COLUMNS}, document,
+                            document.capture.drape_coefficient_percent, document.capture.nodes)
+                     for fabric in fabrics for entry, document in fabric.captures]})
 
 
 def _write_page(fabric: FabricEstimate, out: Path) -> None:

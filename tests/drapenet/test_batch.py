@@ -3,13 +3,12 @@
 import csv
 import re
 import shutil
-import zipfile
 from pathlib import Path
-from xml.etree import ElementTree
 
 import pytest
 from cloths import capture_views
 from photographs import drawn, plate, write
+from workbooks import cells
 
 import infer
 from common.errors import InputError
@@ -96,20 +95,6 @@ def test_the_tables_state_failed_captures_and_operators(out):
     for table in (rows(out / "fabrics.csv"), rows(out / "captures.csv"), *sheets):
         operators = {row["fabric"]: row["operator"] for row in table}
         assert operators.pop("photo").endswith(FORMULA) and not any(operators.values())
-
-
-def cells(file: Path, sheet: int) -> list[dict[str, str | float]]:
-    """Rows of a sheet of an xlsx file, numbers as such, by the names in its head."""
-    space = "{http://schemas.openxmlformats.org/spreadsheetml/2006/main}"
-    with zipfile.ZipFile(file) as archive:
-        texts = ["".join(item.itertext()) for item in
-                 ElementTree.fromstring(archive.read("xl/sharedStrings.xml"))]
-        found = ElementTree.fromstring(archive.read(f"xl/worksheets/sheet{sheet}.xml"))
-    assert found.find(f".//{space}f") is None  # a formula
-    table = [{re.sub(r"\d", "", cell.get("r")): (
-        texts[int(cell[0].text)] if cell.get("t") == "s" else float(cell[0].text))
-        for cell in row if len(cell)} for row in found.iter(f"{space}row")]
-    return [{table[0][column]: value for column, value in row.items()} for row in table[1:]]
 
 
 def test_the_spreadsheet_has_the_numbers_of_the_tables_with_units(out):
