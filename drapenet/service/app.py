@@ -6,11 +6,11 @@ from contextlib import asynccontextmanager
 from http import HTTPStatus
 from importlib.metadata import version
 from socket import gethostname
-from typing import Literal
+from typing import Annotated, Any, Literal
 from urllib.parse import urlsplit
 
 import uvicorn
-from fastapi import APIRouter, FastAPI, Query, Request
+from fastapi import APIRouter, Depends, FastAPI, Query, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.middleware.trustedhost import TrustedHostMiddleware
 from fastapi.responses import FileResponse, JSONResponse, Response
@@ -35,7 +35,7 @@ from drapenet.service.access import (
 )
 from drapenet.service.archive import Archive
 from drapenet.service.database import DONE
-from drapenet.service.exports import export_file
+from drapenet.service.exports import all_files, export_file, results_table
 from drapenet.service.forms import NUMBERS, TEXTS, About
 from drapenet.service.jobs import Jobs
 from drapenet.service.limits import RequestError, drain, length_fault, read_form
@@ -59,6 +59,8 @@ _FORM = {"required": True, "content": {"multipart/form-data": {"schema": {
                                  f"{', '.join(KINDS)}; none for known values alone"}}}}}}
 _FRESH = {"Cache-Control": "no-store"}
 _MAX_BODY = 1 << 16  # bytes of a JSON body
+Words = Annotated[str, Query(max_length=200)]
+"""Words that fabrics are searched for."""
 router = APIRouter(responses={status: {"description": HTTPStatus(status).phrase}
                               for status in (401, 404, 408, 409, 411, 413, 415, 422, 429, 503)})
 
@@ -182,6 +184,29 @@ def state(identity: str, request: Request) -> JSONResponse:
     return JSONResponse(content | {"files": files, "captures": captures}, headers=_FRESH)
 
 
+def export_settings(
+    mesh: str = "unstructured", edge_mm: float = 5.0, curvature_1_m: float = 0.0
+) -> dict[str, object]:
+    """Settings of exports in a request, which :func:`drapenet.export.material.read_material`
+    checks."""
+    return {"mesh": mesh, "edge_mm": edge_mm, "curvature_1_m": curvature_1_m}
+
+
+Settings = Annotated[dict[str, object], Depends(export_settings)]
+
+
+@router.get("/estimates/{identity}/files.zip", response_class=Response)
+def estimate_zip(identity: str, request: Request, settings: Settings) -> Response:
+    """A zip of the files of an estimate and of those for all other tools; what a tool refuses is
+    stated in `refused.txt`. `mesh`, `edge_mm` and `curvature_1_m` are those of an export.
+    """
+    jobs, content = _finished(request, identity)
+    with jobs.exports.places.taken(request.client.host):
+        data = jobs.exports.outcome(all_files, jobs.settings.folder / identity, FILES,
+                                    settings | {"name": content["fabric_name"]})
+    return _attachment(f"{plain_name(content['fabric_name'])}-files.zip", data)
+
+
 @router.get("/estimates/{identity}/{file}", response_class=FileResponse)
 def file(identity: str, file: str, request: Request) -> FileResponse:
     """A file of an estimate: estimate.json, report.png, report.html, report.pdf, drape.glb,
@@ -197,30 +222,39 @@ def file(identity: str, file: str, request: Request) -> FileResponse:
 
 
 @router.get("/estimates/{identity}/export/{name}", response_class=Response)
-def export(identity: str, name: str, request: Request, mesh: str = "unstructured",
-           edge_mm: float = 5.0, curvature_1_m: float = 0.0) -> Response:
+def export(identity: str, name: str, request: Request, settings: Settings) -> Response:
     """A file for another tool, or a zip of several files; `mesh` and `edge_mm` are for tools with
     hinges, `curvature_1_m` is that of the secant for tools with one modulus.
     """
-    jobs: Jobs = request.app.state.jobs
-    content = jobs.row("estimate", identity)
     if name not in TARGETS:
         raise RequestError(404, f"no such tool; there are {', '.join(TARGETS)}")
-    if content["state"] != DONE:
-        raise RequestError(409, "the estimate is not finished")
+    jobs, content = _finished(request, identity)
     title = f"{plain_name(content['fabric_name'])}-{TARGETS[name].file}"
-    settings = {"mesh": mesh, "edge_mm": edge_mm, "curvature_1_m": curvature_1_m,
-                "name": content["fabric_name"]}
     with jobs.exports.places.taken(request.client.host):
         title, data = jobs.exports.outcome(export_file, jobs.settings.folder / identity, name,
-                                           title, settings)
+                                           title, settings | {"name": content["fabric_name"]})
+    return _attachment(title, data)
+
+
+def _finished(request: Request, identity: str) -> tuple[Jobs, dict[str, Any]]:
+    """The jobs of the service, and a finished estimate of theirs; RequestError if there is none.
+    """
+    jobs: Jobs = request.app.state.jobs
+    content = jobs.row("estimate", identity)
+    if content["state"] != DONE:
+        raise RequestError(409, "the estimate is not finished")
+    return jobs, content
+
+
+def _attachment(title: str, data: bytes) -> Response:
+    """A file to be saved under its title, whose letters beyond ASCII a header cannot have."""
     ascii_title = title.encode("ascii", "replace").decode().replace("?", "_")
-    return Response(data, media_type="application/octet-stream",
-                    headers={"Content-Disposition": f"attachment; filename=\"{ascii_title}\""})
+    return Response(data, media_type="application/octet-stream", headers=_FRESH | {
+        "Content-Disposition": f"attachment; filename=\"{ascii_title}\""})
 
 
 @router.get("/fabrics")
-def fabrics(request: Request, search: str = Query("", max_length=200),
+def fabrics(request: Request, search: Words = "",
             first: int = Query(0, ge=0, le=10**6), count: int = Query(50, ge=1, le=200),
             ) -> JSONResponse:
     """Fabrics, the newest first, that have all words of `search` in their name, notes, testers or
@@ -228,6 +262,17 @@ def fabrics(request: Request, search: str = Query("", max_length=200),
     """
     rows = request.app.state.jobs.database.fabrics(search.split(), first, count)
     return JSONResponse({"fabrics": rows}, headers=_FRESH)
+
+
+@router.get("/fabrics.xlsx", response_class=Response)
+def spreadsheet(request: Request, search: Words = "") -> Response:
+    """A workbook of the fabrics that a search finds: a sheet of their results, and one of their
+    captures.
+    """
+    jobs: Jobs = request.app.state.jobs
+    with jobs.exports.places.taken(request.client.host):
+        return _attachment(*jobs.exports.outcome(results_table, jobs.settings.folder,
+                                                 search.split()))
 
 
 @router.get("/fabrics.zip", response_class=Response)

@@ -69,9 +69,11 @@ class Database:
             "json_extract(estimate, '$.capture.rig') AS rig FROM estimate "
             "WHERE fabric = ? ORDER BY created, rowid", identity)} if rows else None
 
-    def fabrics(self, words: Iterable[str], first: int, count: int) -> list[dict[str, Any]]:
+    def fabrics(
+        self, words: Iterable[str], first: int = 0, count: int = -1
+    ) -> list[dict[str, Any]]:
         """Fabrics, the newest first, that have all ``words`` in their name, notes, testers or names
-        of captures; with a summary of their result.
+        of captures; with a summary of their result. A negative ``count`` is all.
         """
         words = [word.casefold() for word in words]
         where = " AND ".join(["instr(folded(words), ?)"] * len(words) or ["1"])

@@ -2,10 +2,19 @@
 
 import io
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+from common.errors import InputError
 from common.workers import end_with_parent
+from drapenet.service.database import DONE, Database, database_in
+
+if TYPE_CHECKING:
+    from drapenet.report.overview import FabricEstimate
+
+REFUSED = "refused.txt"
+"""In the zip of all files of an estimate: the exports that are not in it, and why."""
 
 
 def prepare() -> None:
@@ -27,6 +36,62 @@ def export_file(
     if len(files) == 1:
         return title, files[title]
     return f"{Path(title).stem}.zip", zipped(files)
+
+
+def all_files(folder: Path, names: Iterable[str], settings: Mapping[str, object]) -> bytes:
+    """A zip of those files ``names`` of an estimate that exist, and of its exports to all tools,
+    under their usual names; :data:`REFUSED` states the sentence of each tool that refuses.
+
+    InputError if the ``settings`` of :func:`export_file` are no settings of any tool.
+    """
+    from drapenet.export.formats import TARGETS
+    from drapenet.export.material import read_material
+
+    files = {name: (folder / name).read_bytes() for name in names if (folder / name).is_file()}
+    material, refusals = read_material(folder, **settings), []
+    for target in TARGETS.values():
+        try:
+            files |= target.write(material, target.file)
+        except InputError as error:
+            refusals.append(f"{target.file} ({target.tool}): {error}\n")
+    return zipped(files | ({REFUSED: "".join(refusals).encode()} if refusals else {}))
+
+
+def results_table(results: Path, words: Sequence[str]) -> tuple[str, bytes]:
+    """Title and content of a workbook of the fabrics in the folder ``results`` that have an
+    estimate and all ``words`` of a search, the newest first.
+    """
+    from drapenet.report.overview import RESULTS, fabrics_workbook
+
+    database = database_in(results)
+    found = [_estimated(database, row) for row in database.fabrics(words) if row["result"]]
+    return RESULTS, fabrics_workbook(list(filter(None, found)))
+
+
+def _estimated(database: Database, fabric: Mapping[str, Any]) -> "FabricEstimate | None":
+    """A fabric with its finished captures, and a warning if its result is not of all of them; None
+    if its result has been removed meanwhile.
+    """
+    from drapenet.batch.captures import Entry
+    from drapenet.report.overview import FabricEstimate
+    from drapenet.result.document import EstimateDocument
+
+    estimates = (database.fabric(fabric["id"]) or {"estimates": []})["estimates"]
+    rows = {row["id"]: row for each in estimates
+            if (row := database.estimate(each["id"])) and row["state"] == DONE}
+    if not (result := rows.get(fabric["result"])):
+        return None
+    documents = {identity: EstimateDocument.of(row["estimate"], "")
+                 for identity, row in rows.items()}
+    captures = [row for row in rows.values() if row["members"] is None]
+    document, joined = documents[result["id"]], result["members"] or [result["id"]]
+    if apart := [row["name"] for row in captures if row["id"] not in joined]:
+        line = f"this estimate is made without {', '.join(apart)}, not joined with it"
+        document = document.model_copy(update={"warnings": [*document.warnings, line]})
+    return FabricEstimate(
+        fabric["name"], Path(fabric["id"]),
+        [(Entry(fabric["name"], "", row["name"], Path(), Path(row["id"])), documents[row["id"]])
+         for row in captures], document, None)
 
 
 def zipped(files: Mapping[str, bytes]) -> bytes:

@@ -1,15 +1,19 @@
 """The page in a real browser: ``make test-browser``. Screenshots go to $DRAPENET_SCREENS."""
 
+import io
+import json
 import os
 import re
 import shutil
 import signal
 import time
+import zipfile
 from pathlib import Path
 
 import pytest
 from photographs import drawn, plate
 from PIL import Image
+from workbooks import cells
 
 from drapenet.network.checkpoint import BUNDLED
 from experiments.speed.service import EXAMPLE, Service, post, wait_until_ended
@@ -117,6 +121,52 @@ def test_upload_gives_numbers_in_seconds_then_files_and_a_drape_that_turns(page)
     page.wait_for_selector("#downloads:not([hidden])")
     assert fits(page)
     keep(page, "page_phone.png")
+
+
+def bending(page) -> str:
+    """The value of CLO's card for the bending of the warp, in a card that is open."""
+    return page.inner_text("#cards details[open] tr:has-text('Bending-Warp') b >> nth=0")
+
+
+def saved(page, button: str) -> tuple[str, bytes]:
+    """Name and content of what a button saves."""
+    with page.expect_download() as download:
+        page.click(button)
+    return download.value.suggested_filename, Path(download.value.path()).read_bytes()
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_cards_and_files_have_the_curvature_and_tables_the_search(page, service, width):
+    page.set_viewport_size({"width": width, "height": 900})
+    begun = post(service, 190.0 + width / 100).json()
+    fabric = wait_until_ended(service, begun["id"])["fabric_name"]
+    page.goto(f"{service.url}/#{begun['id']}")
+    page.click("#cards summary:text-is('CLO')")
+    flat = bending(page)
+    page.fill("#curvature", "50,0")
+    page.press("#curvature", "Enter")
+    page.wait_for_function("flat => document.querySelector('#cards [open] tr b').textContent !== "
+                           "flat", arg=flat)  # the card stays open
+    assert "at a curvature of 50 1/m" in page.inner_text("#cards")
+    keep(page, f"page_exports_{width}.png")
+    name, data = saved(page, "#all-files")
+    packed = zipfile.ZipFile(io.BytesIO(data))
+    assert name.endswith("-files.zip") and {"report.pdf", "fabric.u3m"} <= set(packed.namelist())
+    assert json.loads(packed.read("fabric.jfab"))["mapPhysical"]["fBvK"] == pytest.approx(
+        float(bending(page)), rel=0.01)
+    page.fill("#edge", "0")
+    page.click("#all-files")
+    page.locator("#error-export", has_text="edge_mm").wait_for()
+    page.goto(f"{service.url}/#fabrics")
+    page.fill("#search", "jersey")
+    page.wait_for_selector("#table", state="hidden")
+    page.fill("#search", fabric)
+    page.locator("#fabrics tr:only-child").wait_for()
+    name, data = saved(page, "#table")
+    assert name == "results.xlsx"
+    assert {row["fabric"] for row in cells(io.BytesIO(data), 1)} == {fabric}
+    keep(page, f"page_table_{width}.png")
+    assert fits(page)
 
 
 def test_captures_join_and_fabrics_are_searched_and_compared(page, service):

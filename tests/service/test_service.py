@@ -18,6 +18,7 @@ from fastapi.testclient import TestClient
 from photographs import drawn, write
 from services import BreakablePool, ended, joint_estimate_of, post, settings_for
 from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
+from workbooks import cells
 
 from data.captures.capture import read_capture
 from data.captures.preview import outline_picture
@@ -135,7 +136,8 @@ def test_unknown_addresses_are_404_and_unfinished_files_409(client, finished):
     database = client.app.state.jobs.database
     database.add_estimate("b" * 22, "c" * 22, "x", about=("waiting", ""))
     assert client.get(f"/estimates/{'b' * 22}/report.png").status_code == 409
-    assert client.get(f"/estimates/{'b' * 22}/export/json").status_code == 409
+    for rest in ("export/json", "files.zip"):
+        assert client.get(f"/estimates/{'b' * 22}/{rest}").status_code == 409
     assert client.delete(f"/fabrics/{'c' * 22}").status_code == 409
     database.remove("fabric", "c" * 22)
     assert client.get(f"/estimates/{'b' * 22}").status_code == 404
@@ -296,12 +298,47 @@ def test_the_zip_of_all_fabrics_is_a_folder_of_results(client, finished, tmp_pat
     assert (tmp_path / finished["id"] / "drape.glb").exists()
 
 
-def test_the_web_process_exports_nothing(client, finished, monkeypatch):
+@pytest.fixture
+def idle(monkeypatch) -> None:
+    """The web process cannot read an estimate for an export."""
     def refuse(*arguments: object) -> None:
         raise AssertionError("computed in the web process")
 
     monkeypatch.setattr("drapenet.export.material.read_material", refuse)
+    monkeypatch.setattr("drapenet.report.overview.fabrics_workbook", refuse)
+
+
+@pytest.mark.usefixtures("idle")
+def test_the_web_process_exports_nothing(client, finished):
     assert client.get(f"/estimates/{finished['id']}/export/arcsim").status_code == 200
+
+
+@pytest.mark.usefixtures("idle")
+def test_all_files_of_an_estimate_come_in_a_zip(client, finished):
+    address = f"/estimates/{finished['id']}/files.zip"
+    answer = client.get(address, params={"curvature_1_m": 50})
+    title = answer.headers["content-disposition"].partition("filename=")[2]
+    assert title == '"Twill_b_7-files.zip"'
+    with zipfile.ZipFile(io.BytesIO(answer.content)) as packed:
+        found = {name: packed.read(name) for name in packed.namelist()}
+    for name in finished["files"]:
+        assert found[name] == client.get(f"/estimates/{finished['id']}/{name}").content, name
+    assert {target.file for target in TARGETS.values()} <= set(found)
+    assert json.loads(found["fabric.jfab"])["drapenet"]["modulus_at_curvature_1_m"] == 50
+    refused = client.get(address, params={"edge_mm": 500})
+    assert refused.status_code == 422 and "edge_mm=500" in refused.json()["error"]
+
+
+@pytest.mark.usefixtures("idle")
+def test_the_table_of_the_fabrics_that_a_search_finds(client, finished):
+    answer = client.get("/fabrics.xlsx", params={"search": "öko twill"})
+    assert 'filename="results.xlsx"' in answer.headers["content-disposition"]
+    row = cells(io.BytesIO(answer.content), 1)[0]
+    listed, = client.get("/fabrics", params={"search": "öko twill"}).json()["fabrics"]
+    assert row["fabric"] == listed["name"] == "Twill <b> 7"
+    median = listed["estimate"]["moduli"]["warp"]["alpha_uN_m"]["median"]
+    assert row["α median [µN·m]"] == pytest.approx(median)
+    assert client.get("/fabrics.xlsx", params={"search": "x" * 201}).status_code == 422
 
 
 def test_the_manual_is_a_page(client):

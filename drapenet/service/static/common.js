@@ -15,20 +15,39 @@ export function link(address, text) {
   return made;
 }
 
-// Content of an answer in JSON; an Error with the service's sentence and status if it refuses.
-export async function ask(address, options = {}) {
+const LOST = 'The service cannot be reached; try again.';
+
+// An answer; an Error with the service's sentence and status if it refuses.
+async function answered(address, options = {}) {
   let answer;
   try {
     answer = await fetch(address, options);
   } catch {
-    throw Object.assign(new Error('The service cannot be reached; try again.'), { lost: true });
+    throw Object.assign(new Error(LOST), { lost: true });
   }
-  if (answer.status === 204) return null;
-  const content = await answer.json().catch(() => ({}));
-  if (!answer.ok) {
-    throw Object.assign(new Error(content.error ?? `The service answers ${answer.status}.`), { status: answer.status });
+  if (answer.ok) return answer;
+  const { error } = await answer.json().catch(() => ({}));
+  throw Object.assign(new Error(error ?? `The service answers ${answer.status}.`), { status: answer.status });
+}
+
+// Content of an answer in JSON; an Error as above.
+export async function ask(address, options = {}) {
+  const answer = await answered(address, options);
+  return answer.status === 204 ? null : answer.json().catch(() => ({}));
+}
+
+// Save an answer under the name that the service gives it; what it refuses is said in a place.
+export async function save(address, place) {
+  at(place).textContent = '';
+  try {
+    const answer = await answered(address);
+    const made = link(URL.createObjectURL(await answer.blob()), '');
+    [, made.download] = /filename="([^"]*)"/.exec(answer.headers.get('content-disposition'));
+    made.click();
+    setTimeout(() => URL.revokeObjectURL(made.href), 10000);
+  } catch (error) {
+    at(place).textContent = error.status ? error.message : LOST;
   }
-  return content;
 }
 
 // As many digits as the interval's width deserves.

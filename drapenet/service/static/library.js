@@ -1,6 +1,6 @@
 // All fabrics: list, search, choice for a comparison.
 
-import { ask, at, element, link, percent, tester, texts } from './common.js';
+import { ask, at, element, link, percent, save, tester, texts } from './common.js';
 
 const COUNT = 50;
 const MOST = 4; // fabrics in a comparison
@@ -10,11 +10,13 @@ let searches = 0; // so that an older answer does not replace a newer one
 let timer = 0;
 let first = 0;
 
+const words = () => at('search').value.trim();
+
 export async function list(further = false) {
   const turn = ++searches;
   first = further ? first + COUNT : 0;
   at('error-library').textContent = '';
-  const query = new URLSearchParams({ search: at('search').value.trim(), first, count: COUNT });
+  const query = new URLSearchParams({ search: words(), first, count: COUNT });
   try {
     const { fabrics } = await ask(`/fabrics?${query}`);
     if (turn !== searches) return;
@@ -23,7 +25,7 @@ export async function list(further = false) {
     else at('fabrics').replaceChildren(...rows);
     at('further').hidden = fabrics.length < COUNT;
     at('none').hidden = further || fabrics.length > 0;
-    at('fabrics-table').hidden = !at('none').hidden;
+    for (const id of ['fabrics-table', 'table']) at(id).hidden = !at('none').hidden;
     choose();
   } catch (error) {
     at('error-library').textContent = error.message;
@@ -81,5 +83,6 @@ at('search').addEventListener('input', () => {
   clearTimeout(timer);
   timer = setTimeout(() => list(), QUIET);
 });
+at('table').addEventListener('click', () => save(`/fabrics.xlsx?${new URLSearchParams({ search: words() })}`, 'error-library'));
 at('further').addEventListener('click', () => list(true));
 at('compare').addEventListener('click', () => { location.hash = `compare=${[...chosen.keys()].join(',')}`; });

@@ -1,6 +1,6 @@
 // The result of an estimate: followed until its fabric is settled, shown, exported.
 
-import { ask, at, element, facts, link, QUANTITIES, texts } from './common.js';
+import { ask, at, element, facts, link, QUANTITIES, save, texts } from './common.js';
 import { addTo, ended } from './form.js';
 
 const POLL = 400; // ms between two looks at a running estimate
@@ -18,6 +18,7 @@ const FILES = {
 let following = 0; // counts the estimates that were followed, so that an older one stops
 let shown = {};
 let current = null; // the content that is shown
+let asked = 0; // counts the cards that were asked for, so that older ones do not replace newer ones
 
 export function stop() {
   following += 1;
@@ -63,7 +64,8 @@ function reset() {
   current = null;
   for (const id of ['fabric', 'editor', 'numbers', 'preview', 'torque', 'shapes', 'downloads', 'lost']) at(id).hidden = true;
   for (const id of ['failure', 'status', 'copied', 'error-export', 'error-fabric']) at(id).textContent = '';
-  at('warnings').replaceChildren();
+  for (const id of ['warnings', 'cards']) at(id).replaceChildren();
+  asked += 1;
   at('progress').hidden = false;
   at('progress').removeAttribute('value');
   at('title').textContent = 'Sending';
@@ -180,11 +182,14 @@ function showLinks(id, files) {
 
 // A card for each tool: what to type into which field, and what is not known of it.
 async function showCards(id) {
-  at('cards').replaceChildren();
+  const turn = ++asked;
   try {
-    const { cards, in_folds: folds, drapenet: { directions } } = await ask(`/estimates/${id}/export/fields`);
-    at('cards').replaceChildren(element('p', folds, 'help'), ...cards.map((card) => {
+    const { cards, in_folds: folds, drapenet: { directions, modulus_at_curvature_1_m: bend } } = await ask(`/estimates/${id}/export/fields?${new URLSearchParams(curvature())}`);
+    if (turn !== asked) return;
+    const open = [...at('cards').querySelectorAll('[open] summary')].map((summary) => summary.textContent);
+    at('cards').replaceChildren(element('p', `${bend ? `Stiffnesses at a curvature of ${bend} 1/m. ` : ''}${folds}`, 'help'), ...cards.map((card) => {
       const made = element('details');
+      made.open = open.includes(card.tool);
       made.append(element('summary', card.tool), element('p', card.where, 'help'));
       const table = element('table');
       for (const { field, value, unit = '', note } of card.fields) {
@@ -202,7 +207,7 @@ async function showCards(id) {
       return made;
     }));
   } catch (error) {
-    at('cards').replaceChildren(element('p', error.message, 'error'));
+    if (turn === asked) at('cards').replaceChildren(element('p', error.message, 'error'));
   }
 }
 
@@ -217,25 +222,13 @@ async function showShapes(address) {
   }
 }
 
-async function fetchExport(name) {
-  at('error-export').textContent = '';
-  const id = location.hash.slice(1);
-  const query = new URLSearchParams({ mesh: at('mesh').value, edge_mm: at('edge').value.trim().replace(',', '.') });
-  try {
-    const answer = await fetch(`/estimates/${id}/export/${name}?${query}`);
-    if (!answer.ok) {
-      const { error } = await answer.json();
-      at('error-export').textContent = error ?? `The service answers ${answer.status}.`;
-      return;
-    }
-    const named = /filename="([^"]*)"/.exec(answer.headers.get('content-disposition') ?? '');
-    const made = link(URL.createObjectURL(await answer.blob()), '');
-    made.download = named ? named[1] : name;
-    made.click();
-    setTimeout(() => URL.revokeObjectURL(made.href), 10000);
-  } catch {
-    at('error-export').textContent = 'The service cannot be reached; try again.';
-  }
+const number = (id) => at(id).value.trim().replace(',', '.');
+const curvature = () => ({ curvature_1_m: number('curvature') || '0' });
+
+// Save files that are made with the settings for other tools.
+function saveMade(file) {
+  const query = new URLSearchParams({ mesh: at('mesh').value, edge_mm: number('edge'), ...curvature() });
+  save(`/estimates/${current.id}/${file}?${query}`, 'error-export');
 }
 
 // ---- the fabric
@@ -297,5 +290,7 @@ at('copy').addEventListener('click', async () => {
   }
 });
 for (const button of document.querySelectorAll('[data-export]')) {
-  button.addEventListener('click', () => fetchExport(button.dataset.export));
+  button.addEventListener('click', () => saveMade(`export/${button.dataset.export}`));
 }
+at('all-files').addEventListener('click', () => saveMade('files.zip'));
+at('curvature').addEventListener('change', () => showCards(current.id));

@@ -1,0 +1,117 @@
+"""What the process for exports makes: the workbook of a search, the zip of an estimate's files."""
+
+import io
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from estimates import document_of, estimate_of
+from workbooks import cells
+
+from common.errors import InputError
+from common.files import replace_json
+from drapenet.export.formats import TARGETS, export_all
+from drapenet.export.material import read_material
+from drapenet.result.document import EstimateDocument
+from drapenet.service.database import DONE, FAILED, RUNNING, Database
+from drapenet.service.exports import REFUSED, all_files, results_table
+from drapenet.service.jobs import JOINT
+from sim.material import MICRO, NANO
+
+ALPHA = np.array([52.0, 31.0, 22.0]) * MICRO
+SETTINGS = {"mesh": "alternating", "edge_mm": 4.0, "curvature_1_m": 50.0, "name": "Köper 7"}
+
+
+def document(scale: float = 1.0, coefficient: float = 60.0) -> EstimateDocument:
+    """Of a fabric whose alpha is ``scale`` times :data:`ALPHA`."""
+    return document_of(estimate_of(scale * ALPHA, np.full(3, -100 * NANO)), capture={
+        "source": "twill", "rig": "square300_cylinder100", "density_g_m2": 210.0,
+        "drape_coefficient_percent": coefficient, "nodes": 6})
+
+
+@pytest.fixture
+def database(tmp_path) -> Database:
+    """Two fabrics, of one and two captures, and what is not an estimate of either."""
+    database = Database(tmp_path)
+
+    def add(identity: str, fabric: str, state: str = DONE, created: float = 0.0,
+            **values: object) -> None:
+        database.add_estimate(identity, fabric, values.pop("name", identity), state=state,
+                              created=created, **values)
+
+    content = {key: document(scale, coefficient).content() for key, scale, coefficient in (
+        ("a", 1.0, 60.0), ("b", 2.0, 70.0), ("c", 3.0, 50.0), ("joint", 2.4, 60.0))}
+    add("a", "twill", about=("navy twill", ""), created=1, estimate=content["a"])
+    add("b", "serge", about=("=grey serge", ""), created=2, estimate=content["b"])
+    add("c", "serge", created=3, estimate=content["c"])
+    add("failed", "serge", FAILED, created=4)
+    add("joint", "serge", name=JOINT, created=5, estimate=content["joint"], members=["b", "c"])
+    add("none", "new", RUNNING, about=("new", ""), created=6, estimate=content["a"])
+    return database
+
+
+def sheets(folder: Path, search: str = "") -> tuple[list[dict], list[dict]]:
+    title, data = results_table(folder, search.split())
+    assert title == "results.xlsx"
+    return cells(io.BytesIO(data), 1), cells(io.BytesIO(data), 2)
+
+
+def test_the_workbook_has_the_result_of_each_fabric_and_its_captures(tmp_path, database):
+    fabrics, captures = sheets(tmp_path)
+    assert [row["fabric"] for row in fabrics] == ["=grey serge"] * 3 + ["navy twill"] * 3
+    assert [row["captures"] for row in fabrics[::3]] == [2, 1]
+    assert [row["α median [µN·m]"] for row in fabrics[:3]] == pytest.approx(2.4e6 * ALPHA)
+    assert fabrics[0]["drape coefficient [%]"] == 60 and fabrics[0]["warnings"] == 0
+    assert [row["capture"] for row in captures[::3]] == ["b", "c", "a"]
+    for row, scale in zip(captures[::3], (2, 3, 1), strict=True):
+        assert row["α median [µN·m]"] == pytest.approx(scale * 52)
+
+
+def test_the_workbook_follows_the_search(tmp_path, database):
+    fabrics, captures = sheets(tmp_path, "TWILL square300")
+    assert {row["fabric"] for row in [*fabrics, *captures]} == {"navy twill"}
+    assert sheets(tmp_path, "jersey") == ([], [])
+
+
+def test_the_workbook_says_which_captures_a_result_leaves_out(tmp_path, database):
+    database.change("estimate", "joint", state=FAILED, error="the same views")
+    fabrics, captures = sheets(tmp_path, "serge")
+    assert fabrics[0]["α median [µN·m]"] == pytest.approx(3 * 52)  # of the latest
+    assert fabrics[0]["warnings in words"] == "this estimate is made without b, not joined with it"
+    assert len(captures) == 6
+
+
+@pytest.fixture
+def folder(tmp_path) -> Path:
+    """The folder of an estimate with a report and a file that is not for its user."""
+    folder = tmp_path / "estimate"
+    folder.mkdir()
+    replace_json(folder / "estimate.json", document().content())
+    (folder / "report.html").write_text("<p>report", encoding="utf-8")
+    (folder / "samples.npz").write_bytes(b"")
+    return folder
+
+
+def zip_of(folder: Path, **changes: object) -> dict[str, bytes]:
+    data = all_files(folder, ["estimate.json", "report.html", "report.pdf"], SETTINGS | changes)
+    with zipfile.ZipFile(io.BytesIO(data)) as packed:
+        return {name: packed.read(name) for name in packed.namelist()}
+
+
+def test_the_zip_has_the_report_and_the_files_of_all_tools(folder, tmp_path):
+    found = zip_of(folder)
+    expected = export_all(read_material(folder, **SETTINGS), list(TARGETS), tmp_path / "all")
+    assert found == {file.name: file.read_bytes() for file in [
+        folder / "estimate.json", folder / "report.html", *expected]}
+
+
+def test_a_tool_that_refuses_is_named_in_the_zip_with_its_sentence(folder):
+    found = zip_of(folder, edge_mm=40.0)
+    lines = found[REFUSED].decode().splitlines()
+    assert [line.partition(" (")[0] for line in lines] == [
+        "arcsim.json", "newton_fabric.py", "ppf.toml"]
+    assert all("): edge_mm=40 is too coarse for this fabric" in line for line in lines)
+    assert {"fabric.jfab", "report.html"} <= set(found) and "ppf.toml" not in found
+    with pytest.raises(InputError, match="mesh='hexagons'"):
+        zip_of(folder, mesh="hexagons")
