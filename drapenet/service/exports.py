@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from common.errors import InputError
 from common.workers import end_with_parent
-from drapenet.service.database import DONE, Database, database_in
+from drapenet.service.database import DONE, FAILED, LOST, Database, database_in
 
 if TYPE_CHECKING:
     from drapenet.report.overview import FabricEstimate
@@ -91,7 +91,8 @@ def _estimated(database: Database, fabric: Mapping[str, Any]) -> "FabricEstimate
     return FabricEstimate(
         fabric["name"], Path(fabric["id"]),
         [(Entry(fabric["name"], "", row["name"], Path(), Path(row["id"])), documents[row["id"]])
-         for row in captures], document, None)
+         for row in captures], document, None,
+        failed=sum(each["state"] in (FAILED, LOST) for each in estimates if not each["members"]))
 
 
 def zipped(files: Mapping[str, bytes]) -> bytes:

@@ -61,6 +61,7 @@ def test_the_workbook_has_the_result_of_each_fabric_and_its_captures(tmp_path, d
     fabrics, captures = sheets(tmp_path)
     assert [row["fabric"] for row in fabrics] == ["=grey serge"] * 3 + ["navy twill"] * 3
     assert [row["captures"] for row in fabrics[::3]] == [2, 1]
+    assert [row["captures failed"] for row in fabrics[::3]] == [1, 0]
     assert [row["α median [µN·m]"] for row in fabrics[:3]] == pytest.approx(2.4e6 * ALPHA)
     assert fabrics[0]["drape coefficient [%]"] == 60 and fabrics[0]["warnings"] == 0
     assert [row["capture"] for row in captures[::3]] == ["b", "c", "a"]
