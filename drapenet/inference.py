@@ -15,7 +15,7 @@ import numpy as np
 from common.errors import InputError
 from common.normal import Linear, Normal
 from data.captures.capture import Capture, require_one_fabric
-from data.captures.description import MAX_LABEL_LENGTH, Description, Labels
+from data.captures.description import Description, Labels
 from data.strips.description import StripsDescription
 from drapenet.config import EstimateOptions
 from drapenet.evidence.fabric import (
@@ -206,9 +206,10 @@ def joint_estimate(
         for part in parts if part.document.warnings)]
     if any(part.document.density != density for part in parts):
         warnings.append("the captures state different densities: moduli are those at "
-                        f"{1e3 * density:g} g/m²")
+                        f"{1e3 * density:g} g/m², that of the first; weigh the fabric once, and "
+                        "state the same density_g_m2 for all")
     rigs = dict.fromkeys(document.capture.rig for document in documents)
-    labels = joined_labels([part.document.capture.labels for part in parts])
+    labels = Labels.joined([part.document.capture.labels for part in parts])
     named = {part.document.capture.labels.fabric for part in parts} - {None}
     if len(named) > 1:
         warnings.append(f"the captures state different fabrics ({labels.fabric}): check that all "
@@ -222,17 +223,6 @@ def joint_estimate(
                            "density_g_m2": round(density * 1e3, 6)},
         checkpoint=header.identity, warnings=warnings, **sections,
         **({"strips": records} if records else {}))
-
-
-def joined_labels(labels: Sequence[Labels]) -> Labels:
-    """What captures of one fabric state, different values separated by " / "; no date if they have
-    different ones."""
-    found: dict[str, dict[str, None]] = {}
-    for each in labels:
-        for key, value in each.stated().items():
-            found.setdefault(key, {})[value] = None
-    return Labels(**{key: " / ".join(values)[:MAX_LABEL_LENGTH] for key, values in found.items()
-                     if key != "date" or len(values) == 1})
 
 
 def _refined(document: EstimateDocument) -> Normal | None:

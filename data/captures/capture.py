@@ -215,7 +215,7 @@ def _read_outline(path: Path, file: Path, description: Description) -> Capture:
     from data.captures.photograph import read_outline  # half a second, which views need not spend
 
     source, warp = description.outline or OutlineSource(), description.warp_direction
-    if warp is None and source.mat and source.arrow == "warp":
+    if warp is None and description.marked:
         warp = 0.0
     outline = read_outline(file, source, rig, warp)
     return Capture(np.zeros((0, 0, 0), np.float32), None, np.zeros(0), description.density, warp,

@@ -1,6 +1,7 @@
 """What a capture states of itself, in ``capture.yaml`` or a form of the service."""
 
 import math
+from collections.abc import Sequence
 from contextlib import suppress
 from datetime import date
 from pathlib import Path
@@ -30,38 +31,66 @@ CAMERA_HEIGHTS = (200.0, 20_000.0)  # mm above the plate, of a photograph's came
 OUTLINE_TABLES = (".csv", ".txt")  # suffixes of outlines in numbers
 PARALLEL = "parallel"
 """Height of a camera infinitely far away, such as the light of a drapemeter."""
+NEED_WARP = ("need captures whose warp is marked: state its direction (warp_direction_deg; on the "
+             "page, Warp in the picture)")
 MAX_LABEL_LENGTH = 80  # characters
 PRINTABLE = r"^[^\p{C}\p{Zl}\p{Zp}]*$"
 _Label = Annotated[str, Field(min_length=1, max_length=MAX_LABEL_LENGTH, pattern=PRINTABLE)]
+_UNTIL = " to "  # between the first and the last day
 _LABEL = f"up to {MAX_LABEL_LENGTH} printable characters, in quotes if they are a number"
 
 
-def _day(value: object) -> object:
-    """A day, or its text, as YYYY-MM-DD."""
+def _days(value: object) -> object:
+    """A day, or its text, as YYYY-MM-DD, or the first and the last of several."""
     try:
-        day = value if isinstance(value, date) else date.fromisoformat(value)  # type: ignore
-        return str(day)[:10]
-    except (TypeError, ValueError):
+        if isinstance(value, date):
+            return str(value)[:10]
+        return _UNTIL.join(str(date.fromisoformat(day)) for day in value.split(_UNTIL))  # type: ignore
+    except (AttributeError, TypeError, ValueError):
         raise ValueError("is not a date; give YYYY-MM-DD, such as 2026-11-26") from None
+
+
+def _period(dates: Sequence[str]) -> str:
+    """The first and the last day of dates."""
+    days = sorted(day for each in dates for day in each.split(_UNTIL))
+    return _UNTIL.join(dict.fromkeys([days[0], days[-1]]))
+
+
+def _shortened(label: str) -> str:
+    return label if len(label) <= MAX_LABEL_LENGTH else f"{label[:MAX_LABEL_LENGTH - 1]}…"
 
 
 class Labels(Schema):
     """What a report states of a capture, as it was given."""
 
     fabric: _Label | None = Field(None, description=_LABEL)
-    date: Annotated[str, BeforeValidator(_day)] | None = None
+    date: Annotated[str, BeforeValidator(_days)] | None = None
     laboratory: _Label | None = Field(None, description=_LABEL)
     operator: _Label | None = Field(None, description=_LABEL)
     camera: _Label | None = Field(None, description=_LABEL)
+    remarks: _Label | None = Field(None, description=_LABEL)
+
+    @classmethod
+    def joined(cls, labels: Sequence["Labels"]) -> "Labels":
+        """What captures of one fabric state: different values separated by " / ", shortened, and
+        the first and the last date."""
+        found: dict[str, dict[str, None]] = {}
+        for each in labels:
+            for key, value in each.stated().items():
+                found.setdefault(key, {})[value] = None
+        return cls(**{key: _period([*values]) if key == "date" else
+                      _shortened(" / ".join(values)) for key, values in found.items()})
 
     def stated(self) -> dict[str, str]:
         """The labels that are given, by key."""
         return {key: value for key in Labels.model_fields if (value := getattr(self, key))}
 
     @property
-    def circumstances(self) -> dict[str, str]:
-        """All labels but the fabric's name, by key; empty where not given."""
-        return {key: getattr(self, key) or "" for key in Labels.model_fields if key != "fabric"}
+    def columns(self) -> dict[str, str]:
+        """All labels as columns of a table, empty where not given; the fabric's name is its label,
+        beside the name of its folder."""
+        return {"label" if key == "fabric" else key: getattr(self, key) or ""
+                for key in Labels.model_fields}
 
 
 UNLABELLED = Labels()
@@ -205,6 +234,13 @@ class Description(Specimen, Labels):
     def labels(self) -> Labels:
         """What a report states."""
         return Labels(**self.stated())
+
+    @property
+    def marked(self) -> bool:
+        """Whether the direction of the warp is stated, or that of the mat's arrow."""
+        source = self.outline
+        return self.warp_direction_deg is not None or bool(
+            source and source.mat and source.arrow == "warp")
 
     @property
     def reported(self) -> bool:

@@ -48,6 +48,11 @@ class _Stated(Schema):
                 found[name, 0] = stated
         return found
 
+    @property
+    def along_yarns(self) -> bool:
+        """Whether any value is along warp, bias or weft."""
+        return any(QUANTITIES[name].directions > 1 for name, _ in self.values())
+
     def error(self, name: str) -> float:
         """Relative standard deviation of a quantity."""
         return self.error_percent.get(name, 100 * QUANTITIES[name].error) / 100

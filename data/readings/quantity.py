@@ -8,7 +8,7 @@ import numpy as np
 from common.types import Density
 from data.fabrics.fabrics import from_theta
 from data.fabrics.properties import ClothProperties
-from sim.material import REFERENCE_DENSITY
+from sim.material import DIRECTIONS, REFERENCE_DENSITY
 
 STANDARD_GRAVITY = 9.80665  # m/s², of gram-force
 SPECIMEN_SCATTER = 0.07
@@ -58,6 +58,10 @@ class Quantity:
     def in_words(self) -> str:
         """Names it for people."""
         return self.title or self.name
+
+    def along(self, k: int) -> str:
+        """Names it along the direction of this number, of quantities that have directions."""
+        return f"{self.in_words}{f' {DIRECTIONS[k]}' * (self.directions > 1)}"
 
 
 def by_name(quantities: Iterable[Quantity]) -> dict[str, Quantity]:

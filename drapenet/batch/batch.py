@@ -5,7 +5,7 @@ and gives the same tables as an uninterrupted one.
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import groupby
@@ -30,14 +30,17 @@ from drapenet.report.overview import (
     RESULTS,
     THUMBNAIL,
     FabricEstimate,
+    Joined,
     fabrics_text,
     write_overview,
 )
+from drapenet.result.document import EstimateDocument
 from drapenet.result.files import (
     ESTIMATE,
     OBSERVATION,
     PDF,
     SAMPLES,
+    read_document,
     read_estimate,
     remove_report,
     write_estimate,
@@ -78,9 +81,9 @@ def estimate_fabrics(
               sources=SOURCES, failures=failures, unit="capture",
               title=lambda name: name.removesuffix(f"/{DONE}"))
     outcomes = [(entry, failures.get(f"{entry.place}/{DONE}", "")) for entry in entries]
-    fabrics, rows = join_fabrics(out, outcomes, header, strict=options.strict)
-    write_overview(out, fabrics, rows)
-    apart = len({entry.fabric for entry, failure in outcomes if not failure}) - len(fabrics)
+    joined = join_fabrics(out, outcomes, header, strict=options.strict)
+    write_overview(out, joined)
+    fabrics, apart = joined.fabrics, len({entry.fabric for entry, _ in joined.apart})
     if fabrics:
         print(fabrics_text(fabrics))
     print(f"captures: {len(outcomes) - len(failures)} estimated, {len(failures)} failed"
@@ -113,9 +116,8 @@ def estimate_entry(
 
 def join_fabrics(
     out: Path, outcomes: Sequence[tuple[Entry, str]], header: Header, *, strict: bool
-) -> tuple[list[FabricEstimate], list[dict[str, str]]]:
-    """Estimates of the fabrics from their finished captures and strips, written to their folders,
-    and rows of what failed, by :data:`~drapenet.report.overview.FAILURE`.
+) -> Joined:
+    """Estimates of the fabrics from their finished captures and strips, written to their folders.
 
     Args:
         outcomes: captures and strips, each with the reason of its failure, or ''.
@@ -123,63 +125,83 @@ def join_fabrics(
     failures = [dict(zip(FAILURE, (entry.fabric, entry.sample, entry.capture, str(entry.path),
                                    failure.removeprefix(f"{entry.path}: ")), strict=True))
                 for entry, failure in outcomes if failure]
-    fabrics, failed = [], Counter(row["fabric"] for row in failures)
+    fabrics, apart, failed = [], [], Counter(row["fabric"] for row in failures)
     ordered = sorted((entry for entry, failure in outcomes if not failure),
                      key=lambda entry: (entry.fabric, entry.place))
     twins = _twins(ordered, out)
-    for name, entries in groupby(ordered, key=lambda entry: entry.fabric):
+    for name, group in groupby(ordered, key=lambda entry: entry.fabric):
+        entries = list(group)
         try:
-            fabric = _joined(name, list(entries), out, header, strict, twins.get(name, []))
+            fabric = _joined(name, entries, out, header, strict, *twins)
             fabrics.append(replace(fabric, failed=failed[name]))
         except InputError as error:
+            apart += _apart(entries, out)
             failures.append(dict.fromkeys(FAILURE, "") | {"fabric": name, "reason": str(error)})
     places = {Path(entry.place.parts[0]) for entry, _ in outcomes}
     for place in places - {fabric.place for fabric in fabrics}:  # of an earlier run
         for file in (ESTIMATE, SAMPLES, INDEX, PDF):
             remove_file(out / place / file)
-    return fabrics, failures
+    return Joined(fabrics, apart, failures)
 
 
-def _twins(entries: Sequence[Entry], out: Path) -> dict[str, list[str]]:
-    """A line for each capture whose pictures are those of another fabric, by fabric."""
+def _twins(entries: Sequence[Entry], out: Path) -> tuple[dict[Path, list[str]], set[Path]]:
+    """A line for each capture whose pictures another one has, by its place, and the places of those
+    that repeat a capture of their fabric."""
     first: dict[str, Entry] = {}
-    lines: dict[str, list[str]] = {}
+    lines: dict[Path, list[str]] = {}
+    repeated: set[Path] = set()
     for entry in entries:
         digest = ""
         with suppress(InputError):  # of damaged files, which is said where they are joined
-            capture = read_estimate(out / entry.place)[1].capture
+            capture = read_document(out / entry.place / ESTIMATE).capture
             if capture.views or not (capture.known and capture.known.drape_coefficient_percent):
                 digest = capture.views_sha256  # two fabrics may have the same numbers
         other = first.setdefault(digest, entry) if digest else entry
-        if other.fabric != entry.fabric:
+        if other is not entry and other.fabric == entry.fabric:
+            repeated.add(entry.place)
+            lines[entry.place] = [f"{entry.place} has the same pictures as {other.place} and is "
+                                  "left out: give each capture once"]
+        elif other is not entry:
             for one, two in ((entry, other), (other, entry)):
-                lines.setdefault(one.fabric, []).append(
+                lines.setdefault(one.place, []).append(
                     f"{one.place} has the same pictures as {two.place}, of another fabric: one of "
                     "them is a copy in a wrong folder")
-    return lines
+    return lines, repeated
 
 
 def _joined(
     name: str, entries: Sequence[Entry], out: Path, header: Header, strict: bool,
-    twins: Sequence[str]
+    lines: Mapping[Path, Sequence[str]], repeated: set[Path]
 ) -> FabricEstimate:
-    """Join the captures and strips of a fabric; write its estimate, with the lines of ``twins``."""
+    """Join the captures and strips of a fabric but ``repeated`` ones; write its estimate, with the
+    ``lines`` of :func:`_twins`."""
     from drapenet.inference import joint_estimate, read_part  # torch
     from drapenet.stages import require_sound
 
-    require_sound(list(twins), strict, "the fabric")
-    parts = [read_part(out / entry.place) for entry in entries]
+    twins = [line for entry in entries for line in lines.get(entry.place, ())]
+    require_sound(twins, strict, "the fabric")
+    parts = {entry.place: read_part(out / entry.place) for entry in entries}
+    joined = [part for place, part in parts.items() if place not in repeated]
     place, scatter = Path(entries[0].place.parts[0]), None
-    if len(parts) == 1:
+    if len(joined) == 1:
         estimate, document = read_estimate(out / entries[0].place)
     else:
-        estimate, document = joint_estimate(parts, header, strict=strict)
-        middles = [np.log([moduli.alpha_uN_m.median for moduli in part.document.moduli.values()])
-                   for part in parts if part.observation]
+        estimate, document = joint_estimate(joined, header, strict=strict)
+        middles = [np.log([moduli.alpha_uN_m.median for moduli in
+                           part.document.moduli_at_300_g_m2.values()])
+                   for part in joined if part.observation]
         scatter = np.exp(np.std(middles, axis=0, ddof=1)) if len(middles) > 1 else None
-    if twins:
-        document = document.model_copy(update={"warnings": [*document.warnings, *twins]})
+    document = document.warned(*twins)
     write_estimate(out / place, estimate, document)
     return FabricEstimate(
-        name, place, [(entry, part.document) for entry, part in zip(entries, parts, strict=True)],
-        document, scatter)
+        name, place, [(entry, parts[entry.place].document.warned(*lines.get(entry.place, ())))
+                      for entry in entries], document, scatter)
+
+
+def _apart(entries: Sequence[Entry], out: Path) -> list[tuple[Entry, EstimateDocument]]:
+    """The captures of a fabric that are not joined, but those whose files are damaged."""
+    found = []
+    for entry in entries:
+        with suppress(InputError):
+            found.append((entry, read_document(out / entry.place / ESTIMATE)))
+    return found

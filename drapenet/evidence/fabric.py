@@ -9,8 +9,9 @@ import numpy as np
 from common.errors import InputError
 from common.normal import Linear, Normal
 from common.types import Density
+from data.captures.description import NEED_WARP
 from data.captures.reported import Reported
-from data.readings.known import ByDirection, Known
+from data.readings.known import Known
 from drapenet.evidence.combine import combine, consistent, updated
 from drapenet.evidence.source import Source, of_capture, of_refined, of_strips, of_values
 from drapenet.evidence.state import cloth_of_state, fabric_prior, state_of
@@ -107,10 +108,9 @@ def require_directions(marked: bool, strips: bool, stated: Sequence[Known]) -> N
     if marked:
         return
     if strips:
-        raise InputError("strips along the yarns need warp_direction_deg in every capture.yaml")
-    if any(isinstance(getattr(each, name), ByDirection) for each in stated
-           for name, _ in each.values()):
-        raise InputError("known values along the yarns need warp_direction_deg in capture.yaml")
+        raise InputError(f"strips along the yarns {NEED_WARP}")
+    if any(each.along_yarns for each in stated):
+        raise InputError(f"known values along the yarns {NEED_WARP}")
 
 
 def _captured(captures: Sequence[CaptureEvidence], header: Header) -> tuple[Draws, list[str]]:

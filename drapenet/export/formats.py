@@ -193,6 +193,8 @@ def cards_of(material: Material) -> list[dict[str, Any]]:
 
 def _in_folds(material: Material) -> str:
     shares = ", ".join(f"{share:.0%}" for share in material.about["bent_to_50_1_m"])
+    if material.settings.curvature_1_m:
+        return "These are the stiffnesses of cloth that is bent so far."
     return (f"Bent to a radius of {1e3 / BENT:g} mm, as in the folds of a garment, this cloth has "
             f"{shares} of these stiffnesses along {', '.join(material.document.names)}.")
 

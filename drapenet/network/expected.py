@@ -88,8 +88,8 @@ class Likeness:
         value, low, high = (of(each, size) for each in (self.value, self.low, self.high))
         return ("the capture is unlike the drapes of its estimate, which may be wrong: its "
                 f"{what} is {value:.3g}{unit}, theirs {low:.3g} to {high:.3g}{unit}; check that "
-                "the cloth is cut out rightly, the tester and the density; if they are right, the "
-                "fabric is unlike those trained on")
+                "the cloth is cut out rightly, the tester, the direction of the warp and the "
+                "density; if they are right, the fabric is unlike those trained on")
 
 
 def _millimetres(value: float, size: Metres) -> float:
@@ -97,7 +97,7 @@ def _millimetres(value: float, size: Metres) -> float:
 
 
 _NAMES: tuple[tuple[str, Callable[[float, Metres], float], str], ...] = (
-    ("drape coefficient", lambda value, size: 100 * value, " %"),
+    ("drape coefficient, as seen from the camera,", lambda value, size: 100 * value, " %"),
     ("depth of folds", _millimetres, " mm rms"),
     ("distance from the plate's axis", _millimetres, " mm"),
     ("number of folds", lambda value, size: value, ""),

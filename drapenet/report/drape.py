@@ -96,14 +96,14 @@ class Resimulation:
         if self.overlap < MIN_OVERLAP:
             lines.append(
                 f"the simulated drape has only {self.overlap:.0%} of its silhouette in common with "
-                "the captured one: check the pictures, their intrinsics and the tester; if they "
-                "are right, the fabric is unlike those trained on")
+                "the captured one: check the pictures, their intrinsics, the tester and the "
+                "direction of the warp; if they are right, the fabric is unlike those trained on")
         if abs(self.coefficient - captured) > MAX_COEFFICIENT_GAP:
             lines.append(
-                f"the simulated drape has a drape coefficient of {self.coefficient:.0%}, the "
-                f"captured one {captured:.0%} (limit {100 * MAX_COEFFICIENT_GAP:g} points apart): "
-                "check the specimen's size, the tester and the density; if they are right, the "
-                "fabric is unlike those trained on")
+                f"the simulated drape has a drape coefficient of {100 * self.coefficient:.1f} %, "
+                f"the captured one {100 * captured:.1f} % (limit {100 * MAX_COEFFICIENT_GAP:g} "
+                "points apart): check the specimen's sides, the tester, the direction of the warp "
+                "and the density; if they are right, the fabric is unlike those trained on")
         return lines
 
     def as_dict(self) -> dict:

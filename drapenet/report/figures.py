@@ -20,7 +20,7 @@ from data.captures.photograph import PhotographedOutline
 from data.render.cameras import nominal_camera
 from data.render.raster import rasterise
 from drapenet.report.drape import PROFILE_HEIGHT, Resimulation
-from drapenet.result.document import EstimateDocument
+from drapenet.result.document import EstimateDocument, Quantity
 from drapenet.result.estimate import Estimate
 
 MAX_CURVATURE = 400.0  # 1/m, about the sharpest folds of a drape
@@ -121,7 +121,7 @@ def _photograph(
     angle = np.linspace(0, 2 * np.pi, 90)
     rim = outline.rig.plate_radius * np.column_stack([np.cos(angle), np.sin(angle)])
     axes.plot(*outline.drawn(rim).T, color=PLATE, lw=1, ls=DASHES[2], label="plate")
-    axes.legend(frameon=False, loc="upper left", bbox_to_anchor=(1, 1))
+    axes.legend(frameon=False, loc="upper center", bbox_to_anchor=(0.5, 0), ncols=3)
 
 
 def draw_torques(estimate: Estimate) -> bytes:
@@ -136,18 +136,18 @@ def draw_torques(estimate: Estimate) -> bytes:
 
 
 def draw_spread(
-    joint: EstimateDocument, names: Sequence[str], captures: Sequence[EstimateDocument]
+    joint: EstimateDocument, names: Sequence[str], captures: Sequence[Sequence[Quantity]]
 ) -> bytes:
-    """PNG: alpha of every capture, by its name, with its 68 % interval, and the fabric's as a
-    band."""
+    """PNG: alpha of every capture, by its name, in the three directions, with its 68 % interval,
+    and the fabric's as a band."""
     figure = Figure(figsize=(9, 2.2 + 0.22 * len(captures)), layout="constrained")
     panels = figure.subplots(1, 3, sharey=True)
     for k, (axes, name, colour) in enumerate(zip(panels, joint.names, COLOURS, strict=True)):
         band = joint.moduli[name].alpha_uN_m
         axes.axvspan(*band.interval_68, color=colour, alpha=0.2, lw=0)
         axes.axvline(band.median, color=colour, lw=1)
-        for row, document in enumerate(captures):
-            alpha = document.moduli[document.names[k]].alpha_uN_m
+        for row, alphas in enumerate(captures):
+            alpha = alphas[k]
             axes.plot(alpha.interval_68, [row, row], color=colour, lw=1.5)
             axes.plot(alpha.median, row, "o", color=colour, ms=4)
         axes.set(title=f"alpha {name} [µN·m]", ylim=(len(captures) - 0.4, -0.6))

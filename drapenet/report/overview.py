@@ -5,6 +5,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -54,35 +55,53 @@ class FabricEstimate:
         return {name: round(float(np.mean(values)), 2) if values else None
                 for name, values in seen.items()}
 
+    @property
+    def means_text(self) -> dict[str, str]:
+        """The means for a CSV table."""
+        return {name: "" if value is None else csv_number(value)
+                for name, value in self.means.items()}
 
-def write_overview(
-    out: Path, fabrics: Sequence[FabricEstimate], failures: Sequence[dict[str, str]]
-) -> None:
-    """Write all tables and pages for the estimates of ``fabrics``, and for ``failures`` by
+
+@dataclass(frozen=True)
+class Joined:
+    """Estimates of fabrics, captures of fabrics that are not joined, and rows of what failed, by
     :data:`FAILURE`."""
+
+    fabrics: list[FabricEstimate]
+    apart: list[tuple[Entry, EstimateDocument]]
+    failures: list[dict[str, str]]
+
+    @property
+    def captures(self) -> list[tuple[Entry, EstimateDocument]]:
+        """All captures that have an estimate."""
+        return [*chain.from_iterable(fabric.captures for fabric in self.fabrics), *self.apart]
+
+
+def write_overview(out: Path, joined: Joined) -> None:
+    """Write all tables and pages."""
+    fabrics, failures = joined.fabrics, joined.failures
     for name, rows, columns in (
             ("summary", [_summary_row(fabric) for fabric in fabrics], ()),
             ("fabrics", [_fabric_row(fabric) for fabric in fabrics], ()),
-            ("captures", [_capture_row(*capture) for fabric in fabrics
-                          for capture in fabric.captures], ()),
+            ("captures", [_capture_row(*capture) for capture in joined.captures], ()),
             ("failures", failures, FAILURE)):
         # Excel needs the byte order mark to detect UTF-8.
         replace_file(out / f"{name}.csv", csv_table(rows, columns).encode("utf-8-sig"))
-    replace_file(out / RESULTS, fabrics_workbook(fabrics))
+    replace_file(out / RESULTS, fabrics_workbook(joined))
     for fabric in fabrics:
         _write_page(fabric, out)
     replace_file(out / INDEX, render("index.html", fabrics=fabrics, failures=failures, page=INDEX,
                                      thumbnail=THUMBNAIL))
 
 
-def fabrics_workbook(fabrics: Sequence[FabricEstimate]) -> bytes:
+def fabrics_workbook(joined: Joined) -> bytes:
     """``results.xlsx``: a sheet of the fabrics and another of their captures."""
     return workbook({
         "fabrics": [Sample({"fabric": fabric.name} | fabric.counts,
-                           fabric.document, *fabric.means.values()) for fabric in fabrics],
+                           fabric.document, *fabric.means.values()) for fabric in joined.fabrics],
         "captures": [Sample({name: getattr(entry, name) for name in COLUMNS}, document,
                             document.capture.drape_coefficient_percent, document.capture.nodes)
-                     for fabric in fabrics for entry, document in fabric.captures]})
+                     for entry, document in joined.captures]})
 
 
 def _write_page(fabric: FabricEstimate, out: Path) -> None:
@@ -91,7 +110,7 @@ def _write_page(fabric: FabricEstimate, out: Path) -> None:
     shown = [_shown(out, *capture) for capture in fabric.captures]
     write_report(folder, document.capture.labels.fabric or fabric.name, document, shown,
                  page=INDEX, pdf=any(capture.large for capture in shown),
-                 scatter=fabric.scatter, back="../index.html")
+                 scatter=fabric.scatter, failed=fabric.failed, back="../index.html")
 
 
 def _shown(out: Path, entry: Entry, document: EstimateDocument) -> ShownCapture:
@@ -123,7 +142,7 @@ def _summary_row(fabric: FabricEstimate) -> dict[str, object]:
         fabric.document.capture.density_g_m2)}
     for role, moduli in zip(ROLES, fabric.document.moduli.values(), strict=True):
         row[f"{role}_alpha_uN_m"], row[f"{role}_68"] = moduli.alpha_uN_m.texts()
-    return row | fabric.means | {"warnings": len(fabric.document.warnings)}
+    return row | fabric.means_text | {"warnings": len(fabric.document.warnings)}
 
 
 def _fabric_row(fabric: FabricEstimate) -> dict[str, object]:
@@ -134,12 +153,12 @@ def _fabric_row(fabric: FabricEstimate) -> dict[str, object]:
         **fabric.counts,
         "captures_with_warnings": sum(bool(capture.warnings) for _, capture in fabric.captures),
         "rig": document.capture.rig, "directions": document.convention, **document.row(),
-        **fabric.means,
+        **fabric.means_text,
         **{f"alpha_{role}_scatter_factor":
            "" if fabric.scatter is None else csv_number(fabric.scatter[k])
            for k, role in enumerate(ROLES)},
         "poorly_constrained": "; ".join(document.poorly_constrained),
-        **document.capture.labels.circumstances,
+        **document.capture.labels.columns,
         "flags": "; ".join(document.warnings),
     }
 
@@ -148,5 +167,5 @@ def _capture_row(entry: Entry, document: EstimateDocument) -> dict[str, object]:
     return {"fabric": entry.fabric, "sample": entry.sample, "capture": entry.capture,
             "directions": document.convention, **document.row(),
             "drape_coefficient_percent": document.capture.drape_coefficient_percent,
-            "nodes": document.capture.nodes, **document.capture.labels.circumstances,
+            "nodes": document.capture.nodes, **document.capture.labels.columns,
             "flags": "; ".join(document.warnings)}

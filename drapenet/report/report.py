@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -59,25 +60,27 @@ def _mean_coefficient(captures: Sequence[CaptureAbout]) -> str:
 
 def write_report(
     out: Path, title: str, document: EstimateDocument, captures: Sequence[ShownCapture], *,
-    page: str = PAGE, pdf: bool = True, scatter: np.ndarray | None = None, back: str = "",
+    page: str = PAGE, pdf: bool = True, scatter: np.ndarray | None = None, failed: int = 0,
+    back: str = "",
 ) -> None:
     """Write the report of an estimate and its ``captures`` as a page, and as PDF.
 
-    ``scatter`` (3,) are factors by which alpha of the captures varies, ``back`` is the address of
-    the page of all fabrics.
+    ``scatter`` (3,) are factors by which alpha of the captures varies, ``failed`` is the number of
+    captures without an estimate, and ``back`` the address of the page of all fabrics.
     """
+    alone = [each.document.alphas_at(document.density) for each in captures]
     spread = b"" if len(captures) < 2 else draw_spread(
-        document, [shortened(each.name) for each in captures],
-        [each.document for each in captures])
+        document, [shortened(each.name) for each in captures], alone)
     if len(captures) == 1 and captures[0].large and captures[0].picture:  # curves on the first page
         upper, curves = capture_and_curves(captures[0].picture)
         captures = [replace(captures[0], picture=upper)]
     else:
         curves = b""
-    values = {"title": title, "document": document, "captures": captures, "spread": spread,
-              "curves": curves,
-              "scatter": scatter, "back": back, "width": WIDTH, "known": document.known_values,
-              "in_all": in_all(captures)}
+    values = {
+        "title": title, "document": document, "captures": captures, "alone": alone,
+        "spread": spread, "curves": curves, "scatter": scatter, "failed": failed, "back": back,
+        "width": WIDTH, "known": document.known_values, "in_all": in_all(captures),
+        "version": version("drapenet")}
     replace_file(out / page, render("report.html", layout="base.html", **values))
     if pdf:
         body = render("report.html", layout="print.html", **values).decode()

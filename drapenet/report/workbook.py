@@ -58,7 +58,7 @@ def _fill(book: xlsxwriter.Workbook, sheet: Worksheet, samples: Sequence[Sample]
                **{f"{name} {end} [{unit}]": text for name, unit, text in QUANTITIES.values()
                   for end in ("median", "low", "high")},
                "KES not determined [%]": "0.0", "drape coefficient [%]": "0.0", "nodes": "0.0",
-               **dict.fromkeys(UNLABELLED.circumstances, "@"),
+               **dict.fromkeys(UNLABELLED.columns, "@"),
                "warnings": "0", "warnings in words": "@"}
     for column, (name, text) in enumerate(columns.items()):
         sheet.write_string(0, column, name.replace("_", " "), head)
@@ -85,7 +85,7 @@ def _rows(sample: Sample) -> list[list[str | float | None]]:
         numbers = [number for key in QUANTITIES for number in _ends(quantities[key])]
         rows.append([*sample.names.values(), about.density_g_m2, about.rig, face, name, *numbers,
                      100 * readings.kes_b_outside_law_probability, sample.coefficient,
-                     sample.nodes, *about.labels.circumstances.values(), len(document.warnings),
+                     sample.nodes, *about.labels.columns.values(), len(document.warnings),
                      "; ".join(document.warnings)])
     return rows
 

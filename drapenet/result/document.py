@@ -52,6 +52,12 @@ class Quantity(Excerpt):
     interval_68: Interval
     interval_90: Interval
 
+    def times(self, factor: float) -> "Quantity":
+        """The quantity multiplied by a positive factor."""
+        return Quantity(median=factor * self.median,
+                        interval_68=[factor * end for end in self.interval_68],
+                        interval_90=[factor * end for end in self.interval_90])
+
     def texts(self, key: str = "interval_68") -> tuple[str, str]:
         """Median and interval as text, with decimals according to the interval's width."""
         low, high = getattr(self, key)
@@ -255,6 +261,10 @@ class EstimateDocument(Excerpt):
             "checkpoint": checkpoint, **sections, "warnings": list(warnings),
             "contradictions": list(estimate.contradictions)})
 
+    def warned(self, *lines: str) -> "EstimateDocument":
+        """The document with further warnings."""
+        return self.model_copy(update={"warnings": [*self.warnings, *lines]}) if lines else self
+
     @property
     def names(self) -> tuple[str, str, str]:
         """The three directions."""
@@ -265,6 +275,10 @@ class EstimateDocument(Excerpt):
     def density(self) -> Density:
         """Of the fabric."""
         return 1e-3 * self.capture.density_g_m2
+
+    def alphas_at(self, density: Density) -> list[Quantity]:
+        """Alpha of the three directions, µN·m, of this cloth at another density."""
+        return [moduli.alpha_uN_m.times(density / self.density) for moduli in self.moduli.values()]
 
     @property
     def parts(self) -> str:
@@ -279,10 +293,11 @@ class EstimateDocument(Excerpt):
         """Known values of the fabric in words, each once."""
         stated = [self.capture.known, *(part.capture.known for part in self.captures or []),
                   *(each.known for each in self.strips or [])]
-        return list(dict.fromkeys(
-            f"{QUANTITIES[name].in_words}{f' {DIRECTIONS[k]}' * (QUANTITIES[name].directions > 1)}:"
-            f" {value:g}" for known in stated if known
-            for (name, k), value in known.values().items()))
+        lines = dict.fromkeys(f"{QUANTITIES[name].along(k)} = {value:g}" for known in stated
+                              if known for (name, k), value in known.values().items())
+        return [line + " (left out, see the warnings)" * any(
+            f"the known {line} " in reason for reason in self.contradictions or [])
+            for line in lines]
 
     @property
     def mostly_usual(self) -> str:

@@ -66,19 +66,21 @@ class Database:
         return rows[0] | {"estimates": self._read(
             "SELECT id, name, state, error, members, created, ended, "
             "json_extract(estimate, '$.contradictions') AS contradictions, "
-            "json_extract(estimate, '$.capture.rig') AS rig FROM estimate "
+            "json_extract(estimate, '$.capture.rig') AS rig, "
+            "json_extract(task, '$.directions') AS directions FROM estimate "
             "WHERE fabric = ? ORDER BY created, rowid", identity)} if rows else None
 
     def fabrics(
         self, words: Iterable[str], first: int = 0, count: int = -1
     ) -> list[dict[str, Any]]:
         """Fabrics, the newest first, that have all ``words`` in their name, notes, testers or names
-        of captures; with a summary of their result. A negative ``count`` is all.
+        of captures; with a summary of their result, and ``apart``, why their captures are not
+        joined. A negative ``count`` is all.
         """
         words = [word.casefold() for word in words]
         where = " AND ".join(["instr(folded(words), ?)"] * len(words) or ["1"])
         return self._read(
-            "SELECT id, name, notes, created, captures, result, estimate FROM summary "
+            "SELECT id, name, notes, created, captures, result, estimate, apart FROM overview "
             f"WHERE {where} ORDER BY created DESC LIMIT ? OFFSET ?", *words, count, first)
 
     def estimate(self, identity: str) -> dict[str, Any] | None:

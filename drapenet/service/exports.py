@@ -61,11 +61,11 @@ def results_table(results: Path, words: Sequence[str]) -> tuple[str, bytes]:
     """Title and content of a workbook of the fabrics in the folder ``results`` that have an
     estimate and all ``words`` of a search, the newest first.
     """
-    from drapenet.report.overview import RESULTS, fabrics_workbook
+    from drapenet.report.overview import RESULTS, Joined, fabrics_workbook
 
     database = database_in(results)
     found = [_estimated(database, row) for row in database.fabrics(words) if row["result"]]
-    return RESULTS, fabrics_workbook(list(filter(None, found)))
+    return RESULTS, fabrics_workbook(Joined([*filter(None, found)], [], []))
 
 
 def _estimated(database: Database, fabric: Mapping[str, Any]) -> "FabricEstimate | None":
@@ -86,8 +86,8 @@ def _estimated(database: Database, fabric: Mapping[str, Any]) -> "FabricEstimate
     captures = [row for row in rows.values() if row["members"] is None]
     document, joined = documents[result["id"]], result["members"] or [result["id"]]
     if apart := [row["name"] for row in captures if row["id"] not in joined]:
-        line = f"this estimate is made without {', '.join(apart)}, not joined with it"
-        document = document.model_copy(update={"warnings": [*document.warnings, line]})
+        document = document.warned(
+            f"this estimate is made without {', '.join(apart)}, not joined with it")
     return FabricEstimate(
         fabric["name"], Path(fabric["id"]),
         [(Entry(fabric["name"], "", row["name"], Path(), Path(row["id"])), documents[row["id"]])

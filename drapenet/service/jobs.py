@@ -15,13 +15,14 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from common.errors import one_line
+from data.captures.description import NEED_WARP
 from drapenet.config import ServeConfig
 from drapenet.service import exports, seen
 from drapenet.service.archive import COPY
 from drapenet.service.database import DONE, ENDED, FAILED, LOST, QUEUED, Database, new_identity
 from drapenet.service.limits import Places, RequestError
 from drapenet.service.pools import Process, end, living, new_pool
-from drapenet.service.uploads import Upload
+from drapenet.service.uploads import UNMARKED, YARNS, Upload
 from drapenet.service.work import UPLOADED, warm_up, work
 
 _LOG = logging.getLogger(__name__)
@@ -77,7 +78,7 @@ class Jobs:
         folder = self.settings.folder / identity
         fabric = upload.fabric or new_identity()
         about = upload.specimen
-        task = {"refine": upload.refine, "scan": upload.scan,
+        task = {"refine": upload.refine, "scan": upload.scan, "directions": upload.directions,
                 "specimen": about and about.model_dump(exclude_unset=True)}
         try:
             (folder / UPLOADED).mkdir(parents=True)
@@ -119,6 +120,8 @@ class Jobs:
         if label in labels:
             raise RequestError(422, f"label={label} is that of another capture of this fabric; "
                                "give another")
+        if {YARNS, UNMARKED} <= {upload.directions, *(row["directions"] for row in rows)}:
+            raise RequestError(422, f"strips, and values along the yarns, of a fabric {NEED_WARP}")
         captures = sum(row["members"] is None and row["state"] not in (FAILED, LOST)
                        for row in rows)
         if captures >= _MAX_CAPTURES:

@@ -11,18 +11,21 @@ CREATE TABLE IF NOT EXISTS estimate (
     warnings TEXT NOT NULL DEFAULT '[]', estimate TEXT, curves TEXT, members TEXT, task TEXT,
     tries INTEGER NOT NULL DEFAULT 0, created REAL NOT NULL, ended REAL);
 CREATE INDEX IF NOT EXISTS estimate_fabric ON estimate (fabric);
--- The result of a fabric is its joint or else its latest estimate; words are searched.
-CREATE VIEW IF NOT EXISTS summary AS
+-- The result of a fabric is its joint or else its latest estimate, from a drape if there is one;
+-- words are searched.
+CREATE VIEW IF NOT EXISTS overview AS
 SELECT f.*, e.id AS result,
     json_remove(e.estimate, '$.correlations', '$.torque_mN', '$.moduli_at_300_g_m2',
         '$.share_of_spread_over_fabrics', '$.captures', '$.warnings') AS estimate,
     (SELECT count(*) FROM estimate WHERE fabric = f.id AND members IS NULL) AS captures,
+    (SELECT error FROM estimate WHERE fabric = f.id AND members IS NOT NULL) AS apart,
     f.name || ' ' || f.notes || ' ' || coalesce((
         SELECT group_concat(name || ' ' || coalesce(json_extract(estimate, '$.capture.rig'), ''), ' ')
         FROM estimate WHERE fabric = f.id), '') AS words
 FROM fabric f LEFT JOIN estimate e ON e.id = (
     SELECT id FROM estimate WHERE fabric = f.id AND state = 'done'
-    ORDER BY members IS NULL, created DESC LIMIT 1);
+    ORDER BY members IS NULL, coalesce(json_extract(estimate, '$.capture.rig'), '') = '',
+        created DESC LIMIT 1);
 -- Fabrics without unfinished estimates, and the time of their last event.
 CREATE VIEW IF NOT EXISTS settled AS
 SELECT f.id, max(f.created, coalesce(max(e.ended), 0)) AS latest

@@ -10,7 +10,7 @@ import yaml
 from common.documents import misnamed, rename_remedy
 from common.errors import InputError, shown
 from data.captures.capture import CAPTURE_FILES, OUTLINE_SUFFIXES
-from data.captures.description import UNLABELLED, Description, Labels
+from data.captures.description import NEED_WARP, UNLABELLED, Description, Labels
 from data.captures.frames import BACKGROUND
 from drapenet.batch.captures import plain_name
 from drapenet.config import ServeConfig
@@ -42,6 +42,7 @@ _PLATE, _MAT = (re.compile(rf"(?<![a-z])({words})(?![a-z])", re.IGNORECASE)
                 for words in ("plate|empty", "mat"))
 """In names of pictures from above: of the plate without cloth, and of the mat."""
 _BESIDE = re.compile(r"plate|mat_.*")  # stems of pictures beside a photograph
+MARKED, UNMARKED, YARNS = "marked", "unmarked", "yarns"
 _NO_FILES = ("no files; give the views of a drape, its photograph or outline from above, a zip "
              "with them, a scan, strips.yaml, or known values")
 
@@ -52,6 +53,8 @@ class Upload:
 
     Attributes:
         scan: name of the file that is a scan; empty for others.
+        directions: :data:`MARKED` or :data:`UNMARKED` for a capture by its warp, :data:`YARNS` for
+            strips or values along the yarns; empty for other values.
         name: of a new fabric, if ``fabric``, the identity of an earlier one, is empty.
         about: its notes, and the label of the capture, which may be empty.
         kind: capture, strips, or values; names what has no label.
@@ -66,6 +69,7 @@ class Upload:
     specimen: Description | None = None
     fabric: str = ""
     kind: str = "capture"
+    directions: str = ""
 
 
 @dataclass(frozen=True)
@@ -77,6 +81,7 @@ class _Content:
     kind: str = "capture"
     scan: str = ""
     specimen: Description | None = None
+    directions: str = ""
 
 
 def checked_upload(
@@ -102,7 +107,7 @@ def checked_upload(
     title = Path(files[0][0].replace("\\", "/")).stem if len(files) == 1 else content.kind
     return Upload(content.files, content.scan,
                   about.name or content.labels.fabric or plain_name(title)[:40], about,
-                  refine == "yes", content.specimen, fabric, content.kind)
+                  refine == "yes", content.specimen, fabric, content.kind, content.directions)
 
 
 def checked_photograph(
@@ -138,7 +143,8 @@ def _content(
                            "view_0.png and so on")
     if scans:
         specimen = described_scan(fields)
-        return _Content(received, specimen.labels, scan=scans[0], specimen=specimen)
+        return _Content(received, specimen.labels, scan=scans[0], specimen=specimen,
+                        directions=_directions(specimen))
     return _capture(received, fields, settings)
 
 
@@ -152,7 +158,7 @@ def _capture(
     received: dict[str, bytes], fields: Mapping[str, str], settings: ServeConfig
 ) -> _Content:
     """A capture, whose pictures are called as in a capture folder."""
-    labels = UNLABELLED
+    labels, directions = UNLABELLED, UNMARKED
     if received.keys().isdisjoint(CAPTURE_FILES) or CAPTURE in received:
         document, description = described_capture(received.get(CAPTURE, b"{}"), fields)
         received = _named(received, from_above=description.outline is not None)
@@ -160,6 +166,7 @@ def _capture(
             received = {name: data for name, data in received.items()
                         if Path(name).stem != "plate"}
         received[CAPTURE], labels = document, description.labels
+        directions = _directions(description)
     elif fields:
         raise RequestError(422, f"{next(iter(fields))} cannot be stated beside density.txt; give "
                            f"{CAPTURE} in its place")
@@ -167,7 +174,14 @@ def _capture(
         stem = Path(file).stem
         require_pixels(file, data, settings,
                        photograph=stem == "outline" or bool(_BESIDE.fullmatch(stem)))
-    return _Content(received, labels)
+    return _Content(received, labels, directions=directions)
+
+
+def _directions(description: Description) -> str:
+    """Whether the warp of a capture is marked, as its known values may need."""
+    if description.known and description.known.along_yarns and not description.marked:
+        raise RequestError(422, f"known values along the yarns {NEED_WARP}")
+    return MARKED if description.marked else UNMARKED
 
 
 def _strips(
@@ -189,7 +203,8 @@ def _strips(
             pictures[name], entry["file"] = received[name], name
     document = {STRIPS: yaml.safe_dump(content, allow_unicode=True).encode()}
     return _Content(pictures | document, description.labels,
-                    "strips" if description.strips else "values")
+                    "strips" if description.strips else "values", directions=YARNS * bool(
+                        description.strips or description.known.along_yarns))
 
 
 def _named(files: dict[str, bytes], *, from_above: bool) -> dict[str, bytes]:

@@ -71,7 +71,7 @@ def out(words, printed) -> Path:
 def test_the_tables_hold_every_fabric(out, printed):
     fabrics = {row["fabric"]: row for row in rows(out / "fabrics.csv")}
     assert {name: row["captures"] for name, row in fabrics.items()} == {
-        SCRIPT: "1", "'" + FORMULA: "2", "sound": "1", "photo": "1"}
+        SCRIPT: "1", "'" + FORMULA: "2", "sound": "1", "photo": "1", "twice": "2"}
     joint, single = fabrics["'" + FORMULA], fabrics[SCRIPT]
     # The fabric's density is half of 300 g/m², and so are its moduli; equal drapes do not vary.
     assert float(single["bias_alpha_uN_m_at_300_g_m2"]) == pytest.approx(
@@ -82,7 +82,7 @@ def test_the_tables_hold_every_fabric(out, printed):
     assert len(summary) == 13
     assert float(low) < float(summary["bias_alpha_uN_m"]) < float(high)
     assert summary["bias_68"] in printed and "captures: 7 estimated, 2 failed" in printed
-    assert len(rows(out / "captures.csv")) == 5
+    assert len(rows(out / "captures.csv")) == 7
 
 
 def test_the_tables_state_failed_captures_and_operators(out):
@@ -101,7 +101,7 @@ def test_the_spreadsheet_has_the_numbers_of_the_tables_with_units(out):
     fabrics = {row["fabric"]: row for row in rows(out / "fabrics.csv")}
     sheet = cells(out / "results.xlsx", 1)
     assert [row["direction"] for row in sheet] == ["stiff", "bias", "soft"] * 3 + [
-        "warp", "bias", "weft"]
+        "warp", "bias", "weft"] + ["stiff", "bias", "soft"]
     for number, row in enumerate(sheet):
         role = ROLES[number % 3]
         table = fabrics["'" + row["fabric"] if row["fabric"] == FORMULA else row["fabric"]]
@@ -137,10 +137,18 @@ def test_a_fabric_has_a_report_of_its_captures(out):
 
 
 def test_failures_are_listed_with_their_reasons(out):
-    gone, lost, twice = rows(out / "failures.csv")
+    gone, lost = rows(out / "failures.csv")
     assert gone["fabric"] == "gone" and "does not exist" in gone["reason"]
     assert lost["fabric"] == "sound" and "does not exist" in lost["reason"]
-    assert twice["fabric"] == "twice" and "have the same views" in twice["reason"]
+
+
+def test_a_capture_that_repeats_another_is_left_out_and_named(out):
+    line = "twice/4 has the same pictures as twice/3 and is left out: give each capture once"
+    fabric = next(row for row in rows(out / "fabrics.csv") if row["fabric"] == "twice")
+    assert line in fabric["flags"]
+    first, second = [row for row in rows(out / "captures.csv") if row["fabric"] == "twice"]
+    assert line not in first["flags"] and line in second["flags"]
+    assert fabric["bias_alpha_uN_m"] == first["bias_alpha_uN_m"]
 
 
 def test_a_fabric_with_warnings_is_marked_wherever_it_is_shown(out, printed):
@@ -152,12 +160,12 @@ def test_a_fabric_with_warnings_is_marked_wherever_it_is_shown(out, printed):
     lines = printed.splitlines()
     assert any(line.startswith("sound") and line.endswith(" -") for line in lines)
     page = (out / "index.html").read_text("utf-8")
-    assert page.count('<tr class="doubted">') == 2
+    assert page.count('<tr class="doubted">') == 3
 
 
 def test_names_are_text_in_the_pages(out):
     pages = [file.read_text("utf-8") for file in out.rglob("*.html")]
-    assert len(pages) == 5 and not any("<script>" in page for page in pages)
+    assert len(pages) == 6 and not any("<script>" in page for page in pages)
     assert "&lt;script&gt;" in (out / "index.html").read_text("utf-8")
 
 
@@ -186,9 +194,11 @@ def test_damaged_samples_cost_their_fabric_and_no_other(out, words, capsys):
     fabric = out / samples.relative_to(out).parts[0]
     assert (fabric / "estimate.json").exists()
     infer.main([*words, "export=csv"])
-    assert {row["fabric"] for row in rows(out / "fabrics.csv")} == {"'" + FORMULA, "sound", "photo"}
+    joined = {"'" + FORMULA, "sound", "photo", "twice"}
+    assert {row["fabric"] for row in rows(out / "fabrics.csv")} == joined
+    assert {row["fabric"] for row in rows(out / "captures.csv")} == joined | {SCRIPT}
     assert not (fabric / "estimate.json").exists() and not (fabric / "index.html").exists()
-    assert capsys.readouterr().out.count("exports: ") == len(list(out.rglob("material.csv"))) == 3
+    assert capsys.readouterr().out.count("exports: ") == len(list(out.rglob("material.csv"))) == 4
     assert any(str(samples) in row["reason"] for row in rows(out / "failures.csv"))
 
 

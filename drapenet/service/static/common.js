@@ -107,7 +107,7 @@ export function facts(estimate) {
     ['Face on top', captures ? range(captures.map((one) => one.capture.face)) : strips ? '' : capture.face],
     ['Seen', seen(estimate)],
     ['Known values', range([capture, ...(captures ?? []).map((one) => one.capture), ...(strips ?? [])].map((one) => known(one.known)))],
-    ...['date', 'operator', 'laboratory', 'camera'].map((key) => [key[0].toUpperCase() + key.slice(1), capture.labels?.[key]]),
+    ...['date', 'operator', 'laboratory', 'camera', 'remarks'].map((key) => [key[0].toUpperCase() + key.slice(1), capture.labels?.[key]]),
     ['Drape coefficient', captures ? range(captures.map((one) => percent(one.capture.drape_coefficient_percent)))
       : both(percent(capture.drape_coefficient_percent), percent(drape?.drape_coefficient_percent))],
     ['KES B, 2HB', estimate.kes_note],

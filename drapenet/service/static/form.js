@@ -14,7 +14,7 @@ let broken = null; // the new fabric whose only capture failed; sending again re
 // ---- errors
 
 const PARTS = { intrinsics: 'fx', plate_px: 'plate_x', 'plate_px.x': 'plate_x', 'plate_px.y': 'plate_y', 'plate_px.diameter': 'plate_diameter' };
-const WORDS = ['name', 'notes', 'label', 'face', 'unit', 'tester', 'mat', 'arrow', 'centred', 'angles', 'kind', 'files', 'date', 'operator', 'laboratory', 'camera'];
+const WORDS = ['name', 'notes', 'label', 'face', 'unit', 'tester', 'mat', 'arrow', 'centred', 'angles', 'kind', 'files', 'date', 'operator', 'laboratory', 'camera', 'remarks'];
 
 // The field that a sentence of the service names first; words of sentences only where they have a value.
 export function fieldOf(sentence) {
