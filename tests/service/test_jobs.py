@@ -14,7 +14,7 @@ from drapenet.service.forms import About
 from drapenet.service.jobs import Jobs
 from drapenet.service.limits import Places, RequestError
 from drapenet.service.seen import LOOK
-from drapenet.service.uploads import Upload
+from drapenet.service.uploads import MARKED, UNMARKED, YARNS, Upload
 
 
 @pytest.fixture(autouse=True)
@@ -27,10 +27,12 @@ def jobs(tmp_path) -> Jobs:
     return Jobs(settings_for(tmp_path))
 
 
-def submitted(jobs: Jobs, fabric: str = "", label: str = "") -> dict[str, str]:
+def submitted(
+    jobs: Jobs, fabric: str = "", label: str = "", directions: str = ""
+) -> dict[str, str]:
     jobs.places.take("x")
     return jobs.submit(Upload({"scan.obj": b"v 0 0 0"}, "scan.obj", "a", About(label=label),
-                              fabric=fabric), "x")
+                              fabric=fabric, directions=directions), "x")
 
 
 def with_captures(jobs: Jobs, states: list[str], members: list[str] | None = None) -> str:
@@ -57,6 +59,27 @@ def test_a_label_is_of_one_capture(jobs):
     fabric = with_captures(jobs, ["done"])
     with pytest.raises(RequestError, match="label=label 0 is that of another capture"):
         submitted(jobs, fabric, "label 0")
+
+
+@pytest.mark.parametrize("kinds", [(UNMARKED, YARNS), (YARNS, UNMARKED)])
+def test_values_along_the_yarns_and_captures_without_a_warp_are_kept_apart(jobs, kinds):
+    for one, other in ((MARKED, YARNS), (UNMARKED, ""), (UNMARKED, UNMARKED)):
+        submitted(jobs, submitted(jobs, directions=one)["fabric"], directions=other)
+        for _ in (one, other):
+            jobs.places.give("x")
+    fabric = submitted(jobs, directions=kinds[0])["fabric"]
+    with pytest.raises(RequestError, match="values along the yarns, of a fabric need captures whose "
+                                           "warp is marked: state its direction"):
+        submitted(jobs, fabric, directions=kinds[1])
+
+
+def test_a_fabric_that_cannot_be_joined_stands_for_its_drape_and_says_so(jobs):
+    fabric = with_captures(jobs, ["done", "done"], ["0", "1"])
+    jobs.database.change("estimate", "0", estimate={"capture": {"rig": "disc300_support180"}})
+    jobs.database.change("estimate", "1", estimate={"capture": {"rig": ""}})
+    jobs.database.change("estimate", "joint", state="failed", error="no warp")
+    (row,) = jobs.database.fabrics([])
+    assert row["id"] == fabric and row["result"] == "0" and row["apart"] == "no warp"
 
 
 def test_a_capture_is_not_lost_in_a_removal_of_its_fabric(jobs, monkeypatch):

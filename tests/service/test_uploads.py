@@ -2,6 +2,7 @@
 
 import base64
 import io
+import re
 import struct
 import tempfile
 import zipfile
@@ -284,10 +285,25 @@ def test_values_are_sent_alone_or_with_a_capture_a_scan_or_strips(settings, tmp_
         known = strips_of(upload, tmp_path / name).known
         assert known.model_dump(exclude_unset=True) == KNOWN
     views = capture_of(checked_upload([*VIEWS, YAML], VALUES, settings), tmp_path / "views")
-    scan = checked_upload([("a.obj", b"v 0 0 0")], {"density_g_m2": "210", "fx": "1", **VALUES},
+    form = {"density_g_m2": "210", "fx": "1", **VALUES}
+    scan = checked_upload([("a.obj", b"v 0 0 0")], form | {"warp_direction_deg": "30"},
                           settings).specimen
     for known in (views.known, scan.known):
         assert known.model_dump(exclude_unset=True) == KNOWN
+    with pytest.raises(RequestError, match="along the yarns need captures whose warp is marked"):
+        checked_upload([("a.obj", b"v 0 0 0")], form, settings)
+
+
+def test_uploads_state_whether_their_directions_are_known(settings):
+    def directions(*files: tuple[str, bytes], **form: str) -> str:
+        return checked_upload([*files], form, settings).directions
+
+    bare = (YAML[0], re.sub(rb"warp_direction_deg:.*", b"", YAML[1]))
+    assert directions(*VIEWS, YAML) == directions(*VIEWS, bare, warp_direction_deg="0") == "marked"
+    assert directions(*VIEWS, bare) == "unmarked"
+    values = {"known.bending_length_mm.warp": "21", "density_g_m2": "210"}
+    assert directions(**values) == directions(("strips.yaml", LENGTHS)) == "yarns"
+    assert directions(**{"known.membrane_n_per_m": "600", "density_g_m2": "210"}) == ""
 
 
 def test_a_drape_coefficient_alone_is_a_capture(settings, tmp_path):
