@@ -295,7 +295,7 @@ class EstimateDocument(Excerpt):
                   *(each.known for each in self.strips or [])]
         lines = dict.fromkeys(f"{QUANTITIES[name].along(k)} = {value:g}" for known in stated
                               if known for (name, k), value in known.values().items())
-        return [line + " (left out, see the warnings)" * any(
+        return [line.replace(" = ", ": ") + " (left out, see the warnings)" * any(
             f"the known {line} " in reason for reason in self.contradictions or [])
             for line in lines]
 

@@ -90,7 +90,7 @@ def test_a_capture_that_no_cloth_of_its_estimate_gives_is_named_with_the_number(
     for one in expected.likeness(shape, samples, facts, face):
         assert one.probability < LEVEL
         line = one.warning(0.3)
-        assert "its drape coefficient is" in line and "\n" not in line
+        assert "its drape coefficient, as seen from the camera, is" in line and "\n" not in line
     turned = expected.likeness(*drawn(20, 2)[:3], -drawn(20, 2)[3])  # the other face up
     assert np.median([one.probability for one in turned]) < 0.1
 

@@ -170,7 +170,7 @@ WARNINGS = {
         "the drape coefficient is", "of its silhouette in common",
         "has a drape coefficient of", "outside the fabrics of the training set",
         "of the posterior samples", "contradict", "state different densities",
-        "the known {name}", "no drape of the estimate converged",
+        "the known {quantity", "no drape of the estimate converged",
         "the estimate is not refined", "the network's estimate is not refined",
         "there is no report", "the report shows no simulated drape"),
 }

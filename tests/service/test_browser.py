@@ -341,7 +341,7 @@ def test_strips_and_values_join_and_what_contradicts_is_shown_at_once(page, tmp_
     page.fill(f"[name='{name}']", "600")
     page.click("#submit")
     page.locator("#contradictions", has_text="left out").wait_for()
-    assert "all captures: the known flexural_rigidity_uN_m warp = 600 contradicts" in (
+    assert "all captures: the known flexural rigidity G [µN·m] warp = 600 contradicts" in (
         page.inner_text("#contradictions"))
     assert page.input_value(f"[name='{name}']") == ""
     page.click("#captures a:has-text('all captures')")
