@@ -229,7 +229,7 @@ def test_captures_of_one_fabric_give_one_estimate(checkpoint, tmp_path, out, cap
     assert {file.name for file in out.iterdir() if file.is_file()} == {
         "estimate.json", "samples.npz", "report.html", "report.pdf"}
     page = (out / "report.html").read_text("utf-8")
-    assert "<h1>Navy 7</h1>" in page and page.count("data:image/png") == 2
+    assert "<h1>Navy 7</h1>" in page and page.count("data:image/png") == 3  # and their moduli
     assert content_of(out)["capture"]["labels"] == {"fabric": "Navy 7", "operator": "A / B"}
     assert content_of(out / "capture_1")["capture"]["labels"]["operator"] == "B"
     assert 3 <= content_of(out / "capture_1")["capture"]["nodes"] <= 9  # five folds, four corners
@@ -432,6 +432,6 @@ def test_strips_are_estimated_alone_and_beside_a_capture(capture, checkpoint, ou
     assert content_of(out / "joint" / "strips_1")["moduli"] == alone["moduli"]
     assert read_estimate(out / "joint")[0].names == DIRECTIONS
     describe(capture, warp_direction_deg=None)
-    with pytest.raises(InputError, match="need warp_direction_deg"):
+    with pytest.raises(InputError, match="need captures whose warp is marked"):
         infer.main([*options, f"capture={capture}", f"out={out / 'unmarked'}"])
     assert not (out / "unmarked").exists()
