@@ -77,8 +77,8 @@ def test_right_values_narrow_and_wrong_ones_are_named_and_change_nothing(tmp_pat
     assert wrong["moduli"] == plain["moduli"] and wrong["capture"]["known"]
     assert [line.partition(" contradicts")[0] for line in wrong["warnings"]] == [
         "the known bending length [mm] warp = 17", "the known bending length [mm] weft = 31"]
-    assert "warning: the known bending length [mm] warp = 17 contradicts the capture: they say " in (
-        capsys.readouterr().out)
+    assert "warning: the known bending length [mm] warp = 17 contradicts the capture: they say " \
+        in capsys.readouterr().out
     with pytest.raises(InputError, match="refused because strict=true: the known bending length"):
         infer.main([f"capture={tmp_path / 'wrong'}", f"out={tmp_path / 'strict'}", "strict=true"])
     assert not (tmp_path / "strict" / "estimate.json").exists()

@@ -68,8 +68,8 @@ def test_values_along_the_yarns_and_captures_without_a_warp_are_kept_apart(jobs,
         for _ in (one, other):
             jobs.places.give("x")
     fabric = submitted(jobs, directions=kinds[0])["fabric"]
-    with pytest.raises(RequestError, match="values along the yarns, of a fabric need captures whose "
-                                           "warp is marked: state its direction"):
+    with pytest.raises(RequestError, match="values along the yarns, of a fabric need captures "
+                                           "whose warp is marked: state its direction"):
         submitted(jobs, fabric, directions=kinds[1])
 
 
