@@ -20,8 +20,7 @@ otherwise, errors of log α and β/α are root mean squares of posterior mean mi
 the standard deviation over fabrics, and displacements are distances between the positions of the
 same material point in two drapes, averaged over the specimen including its part on the plate. 002
 is Feng et al. 2022, 000 Larionov et al., 001 DiffCloth, 004 Miguel et al. 2012.
-[validation.md](validation.md) validates and times the simulator. The last study has
-figures of the network before the bundled one.
+[validation.md](validation.md) validates and times the simulator.
 [The last section](#networks-and-searches) has figures of studies that are no experiments any more.
 """
 _TAIL = """## Networks and searches
