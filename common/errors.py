@@ -24,6 +24,11 @@ def one_line(error: Exception | str) -> str:
     return " ".join(str(error).split())[:200] or type(error).__name__
 
 
+def shortened(text: str, length: int) -> str:
+    """A text of at most ``length`` characters, with an ellipsis in place of its end."""
+    return text if len(text) <= length else f"{text[: length - 1]}…"
+
+
 def shown(value: object) -> str:
     """``repr`` of a value, shortened: values from files may be long or contain line breaks."""
     with suppress(ValueError):  # integers of thousands of digits

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field, PlainValidator, model_validator
 
 from common.documents import Schema
-from common.errors import InputError, shown
+from common.errors import InputError, shortened, shown
 from common.types import Density, Metres, Radians, Turns
 from data.captures.depth import Lens
 from data.captures.reported import Reported
@@ -56,10 +56,6 @@ def _period(dates: Sequence[str]) -> str:
     return _UNTIL.join(dict.fromkeys([days[0], days[-1]]))
 
 
-def _shortened(label: str) -> str:
-    return label if len(label) <= MAX_LABEL_LENGTH else f"{label[:MAX_LABEL_LENGTH - 1]}…"
-
-
 class Labels(Schema):
     """What a report states of a capture, as it was given."""
 
@@ -79,7 +75,8 @@ class Labels(Schema):
             for key, value in each.stated().items():
                 found.setdefault(key, {})[value] = None
         return cls(**{key: _period([*values]) if key == "date" else
-                      _shortened(" / ".join(values)) for key, values in found.items()})
+                      shortened(" / ".join(values), MAX_LABEL_LENGTH)
+                      for key, values in found.items()})
 
     def stated(self) -> dict[str, str]:
         """The labels that are given, by key."""

@@ -59,9 +59,9 @@ class Quantity:
         """Names it for people."""
         return self.title or self.name
 
-    def along(self, k: int) -> str:
-        """Names it along the direction of this number, of quantities that have directions."""
-        return f"{self.in_words}{f' {DIRECTIONS[k]}' * (self.directions > 1)}"
+    def stated(self, k: int, value: float) -> str:
+        """A value along the direction of this number, if it has directions, in words."""
+        return f"{self.in_words}{f' {DIRECTIONS[k]}' * (self.directions > 1)} = {value:g}"
 
 
 def by_name(quantities: Iterable[Quantity]) -> dict[str, Quantity]:

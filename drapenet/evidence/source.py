@@ -83,7 +83,7 @@ def _of_value(name: str, k: int, value: float, error: float, density: Density) -
         return (f"they say {np.nanmedian(values):.3g}" if np.isfinite(values).any() else
                 "their cloth lies outside the range in which it can be measured")
 
-    return Source(f"the known {quantity.along(k)} = {value:g}", VALUES, residuals, against)
+    return Source(f"the known {quantity.stated(k, value)}", VALUES, residuals, against)
 
 
 def of_refined(label: str, refined: Normal, prior: Normal, names: Sequence[str]) -> Source:

@@ -10,10 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
+from common.errors import shortened
 from common.files import replace_file
 from drapenet.batch.captures import COLUMNS, Entry
 from drapenet.report.pages import render
-from drapenet.report.report import ShownCapture, shortened, write_report
+from drapenet.report.report import MAX_NAME_WIDTH, ShownCapture, write_report
 from drapenet.report.workbook import Sample, workbook
 from drapenet.result.document import ROLES, EstimateDocument, csv_number, csv_table
 from drapenet.result.files import REPORT
@@ -123,7 +124,7 @@ def _shown(out: Path, entry: Entry, document: EstimateDocument) -> ShownCapture:
 
 def fabrics_text(fabrics: Sequence[FabricEstimate]) -> str:
     """A line for each fabric: name, number of captures, alpha, number of warnings."""
-    names = [shortened(fabric.name) for fabric in fabrics]
+    names = [shortened(fabric.name, MAX_NAME_WIDTH) for fabric in fabrics]
     width = max(len("fabric"), *map(len, names))
     lines = [f"{'fabric':{width}}{'captures':>10}"
              + "".join(f"{f'alpha {role}':>24}" for role in ("warp/stiff", "bias", "weft/soft"))

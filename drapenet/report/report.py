@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from common.errors import shortened
 from common.files import replace_file
 from drapenet.report.figures import capture_and_curves, draw_spread
 from drapenet.report.pages import in_words, render
@@ -26,11 +27,6 @@ class ShownCapture:
     document: EstimateDocument
     picture: bytes
     large: bool = True
-
-
-def shortened(name: str) -> str:
-    """A name for a table or a picture."""
-    return name if len(name) <= MAX_NAME_WIDTH else f"{name[:MAX_NAME_WIDTH - 1]}…"
 
 
 def in_all(captures: Sequence[ShownCapture]) -> list[str]:
@@ -70,7 +66,7 @@ def write_report(
     """
     alone = [each.document.alphas_at(document.density) for each in captures]
     spread = b"" if len(captures) < 2 else draw_spread(
-        document, [shortened(each.name) for each in captures], alone)
+        document, [shortened(each.name, MAX_NAME_WIDTH) for each in captures], alone)
     if len(captures) == 1 and captures[0].large and captures[0].picture:  # curves on the first page
         upper, curves = capture_and_curves(captures[0].picture)
         captures = [replace(captures[0], picture=upper)]

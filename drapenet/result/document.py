@@ -293,8 +293,8 @@ class EstimateDocument(Excerpt):
         """Known values of the fabric in words, each once."""
         stated = [self.capture.known, *(part.capture.known for part in self.captures or []),
                   *(each.known for each in self.strips or [])]
-        lines = dict.fromkeys(f"{QUANTITIES[name].along(k)} = {value:g}" for known in stated
-                              if known for (name, k), value in known.values().items())
+        lines = dict.fromkeys(QUANTITIES[name].stated(k, value) for known in stated if known
+                              for (name, k), value in known.values().items())
         return [line.replace(" = ", ": ") + " (left out, see the warnings)" * any(
             f"the known {line} " in reason for reason in self.contradictions or [])
             for line in lines]
@@ -433,12 +433,13 @@ def _readings(estimate: Estimate) -> dict[str, Any]:
 def _kes_note(laboratory: Mapping[str, Mapping[str, Any]]) -> str:
     """Directions along which KES readings are not given or not to be compared; empty if none."""
     share = "kes_b_outside_law_probability"
-    groups: dict[str, list[str]] = {"not given": [], "not to be compared with measured values": []}
-    for name, readings in laboratory.items():
-        if readings[share] > MAX_COMPARED_SHARE:
-            groups["not to be compared with measured values" if readings["kes_b_gf_cm2_per_cm"]
-                   else "not given"].append(f"{name} ({100 * readings[share]:.0f} %)")
-    parts = [f"{what} along {', '.join(names)}" for what, names in groups.items() if names]
+    doubtful = {name: readings for name, readings in laboratory.items()
+                if readings[share] > MAX_COMPARED_SHARE}
+    parts = []
+    for what, given in (("not given", False), ("not to be compared with measured values", True)):
+        names = [f"{name} ({100 * readings[share]:.0f} %)" for name, readings in doubtful.items()
+                 if bool(readings["kes_b_gf_cm2_per_cm"]) == given]
+        parts += [f"{what} along {', '.join(names)}"] * bool(names)
     return f"KES B and 2HB are {' and '.join(parts)}: in that share of the samples the fabric " \
            "softens below 1.5 1/cm, so that its moduli do not determine them" if parts else ""
 
