@@ -1,0 +1,49 @@
+"""What is to be said of a capture, a value or an estimate, as a record: a fact, not a sentence.
+
+A finding is made where its fact is known, and travels as it is. Its words are made at the view, by
+:attr:`Finding.text`, from the sentences of ``findings.yaml``, the one place of all of them.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+SENTENCES = Path(__file__).with_suffix(".yaml")
+
+
+@cache
+def sentences() -> dict[str, str]:
+    """The sentence of each code, with the names of its values in braces, as in str.format."""
+    found: dict[str, str] = yaml.safe_load(SENTENCES.read_text(encoding="utf-8"))
+    return found
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A warning, a contradiction or the reason of a refusal.
+
+    Attributes:
+        code: names the kind, a key of ``findings.yaml``.
+        values: what its sentence states: numbers in the unit that people see, and names; ``value``
+            and ``limit`` where a measured value has a limit.
+        source: the file, strip, capture or stated value that it is of; '': what is estimated.
+    """
+
+    code: str
+    values: Mapping[str, Any] = field(default_factory=dict)
+    source: str = ""
+
+    @property
+    def text(self) -> str:
+        """The line for people: source, fact, remedy."""
+        line = sentences()[self.code].format(**self.values)
+        return f"{self.source}: {line}" if self.source else line
+
+
+def finding(code: str, *, source: str = "", **values: Any) -> Finding:
+    """A finding of these values."""
+    return Finding(code, values, source)
