@@ -16,15 +16,13 @@ import common.interrupt  # noqa: F401
 # isort: split
 import sys
 from pathlib import Path
-from typing import Any
 
 from common.command import command
 from common.errors import InputError
 from common.files import folder_named
-from data.captures.capture import captures_in, read_capture
 from data.captures.description import Specimen
-from data.strips.folder import StripSet, read_strips
 from drapenet.config import EstimateOptions, InferConfig
+from drapenet.estimator.read import Source, read_scans, read_sources
 from drapenet.network.checkpoint import read_header
 from drapenet.result.document import EstimateDocument
 from drapenet.result.files import ESTIMATE, SHOWN, require_output, result_name
@@ -45,26 +43,31 @@ def main(config: InferConfig) -> None:
         files = estimate_fabrics(Path(config.captures), folder_named(config.out), options,
                                  checkpoint=config.checkpoint, workers=config.workers)
     else:
-        files = [estimate_one(config, options)]
+        sources = sources_of(config)
+        header = read_header(config.checkpoint)
+        paths = [source.path for source in sources]
+        out = Path(config.out or Path("outputs/infer") / result_name(paths))
+        require_output(out, paths)
+        if sys.stderr.isatty():
+            print("the estimate of a capture takes about half a minute", file=sys.stderr,
+                  flush=True)
+        from drapenet.estimator.estimate import estimate_fabric  # torch: seconds, after faults
+
+        estimate_fabric(sources, header, options, out=out, on_estimate=print_estimate)
+        files = [out / ESTIMATE]
     if config.export:
         export_estimates(files, config.export)
 
 
-def estimate_one(config: InferConfig, options: EstimateOptions) -> Path:
-    """Estimate a fabric from its captures and strips; the file of the, or of the joint, estimate.
-    """
-    sources = read_sources(config)
-    header = read_header(config.checkpoint)
-    paths = [source.folder if isinstance(source, StripSet) else
-             (source[0] if isinstance(source, tuple) else source).path for source in sources]
-    out = Path(config.out or Path("outputs/infer") / result_name(paths))
-    require_output(out, paths)
-    if sys.stderr.isatty():
-        print("the estimate of a capture takes about half a minute", file=sys.stderr, flush=True)
-    from drapenet.inference import estimate_fabric  # torch: seconds, after faults of the input
-
-    estimate_fabric(sources, header, options, out=out, on_estimate=print_estimate)
-    return out / ESTIMATE
+def sources_of(config: InferConfig) -> list[Source]:
+    """Read the captures, scans and strips that are named in ``config``."""
+    named = config.scan or config.capture
+    paths = [Path(str(path)) for path in (named if isinstance(named, list) else [named]) if named]
+    if not config.scan:
+        return read_sources(paths, config.strips)
+    stated = {key: value for key in Specimen.model_fields
+              if (value := getattr(config, key)) is not None}
+    return read_scans(paths, Specimen.of(stated, ""), config.strips)
 
 
 def print_estimate(document: EstimateDocument, folder: Path | None) -> None:
@@ -108,21 +111,6 @@ def options_of(config: InferConfig) -> EstimateOptions:
         refine=None if config.refine["by"] == "none" else config.refine,
         drapes=(0 if config.captures else 2) if config.drapes is None else config.drapes,
         edge=1e-3 * config.edge_mm, strict=config.strict)
-
-
-def read_sources(config: InferConfig) -> list[Any]:
-    """Read the captures, scans and strips that are named in ``config``."""
-    named = config.scan or config.capture
-    paths = [Path(str(path)) for path in (named if isinstance(named, list) else [named]) if named]
-    strips = [read_strips(config.strips)] if config.strips else []
-    if not config.scan:
-        return [read_capture(path) for place in paths for path in captures_in(place)] + strips
-    stated = {key: value for key in Specimen.model_fields
-              if (value := getattr(config, key)) is not None}
-    specimen = Specimen.of(stated, "")
-    from drapenet.surface.registration import read_scan_capture
-
-    return [*(read_scan_capture(path, specimen) for path in paths), *strips]
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ frame, rotated back by turns_deg; and all checks that an estimate makes of a cap
 measured, green or red. The exit code is 0 if all are green.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -22,19 +22,20 @@ from common.command import command
 from common.errors import InputError
 from common.files import folder_named, replace_file, require_folder
 from data.captures.board import SQUARE, board_picture
-from data.captures.capture import Capture, read_capture, write_capture, write_outline
+from data.captures.capture import Capture, DepthCapture, OutlineCapture
 from data.captures.check import Check, warnings_of
 from data.captures.cutout import CutOut
 from data.captures.plate import plate_of_cloth
-from data.captures.preview import outline_picture, picture, png
+from data.captures.preview import png, show
+from data.captures.reader import read_capture
+from data.captures.writer import write_capture, write_outline
 from data.pictures.mat import BAR, mat_pages
 from data.strips.description import FILE as STRIPS
 from data.strips.folder import read_strips
 from data.strips.preview import strips_figure, write_curves
+from drapenet.estimator.observe import observe
 from drapenet.network.checkpoint import read_header
 from drapenet.views.checks import measure, require_plate, view_checks
-from drapenet.views.located import LocatedViews
-from drapenet.views.observation import Observation
 
 DEPTH_UNIT = 1e-4  # m per count, finer than those of input files
 PICTURE = "capture.png"
@@ -86,34 +87,31 @@ def main(config: CaptureConfig) -> None:
 def check_capture(capture: Capture, out: Path) -> list[Check]:
     """The checks of a capture, which is written to ``out`` with its picture."""
     checks = [Check("capture", "", line) for line in capture.warnings]
-    if capture.numbers:
-        raise InputError(f"{capture.path} states a drape coefficient and holds no picture; nothing "
-                         "can be checked")
-    if capture.outline:
+    if isinstance(capture, OutlineCapture):
         checks += outline_checks(capture)
         write_outline(capture, out)
-        replace_file(out / PICTURE, outline_picture(capture, checks))
-    else:
-        cut = capture.cut or CutOut(
-            capture.views, capture.views > 0, capture.views,
-            plate_of_cloth(capture.views, capture.intrinsics, capture.rig))
-        located = LocatedViews.of(capture)
-        drape = Observation.of_views(located, capture.sign, capture.warp_direction).map
-        quality = measure(located, drape)
-        checks += view_checks(located, quality, read_header("").setups)
+        replace_file(out / PICTURE, show(capture, checks))
+    elif isinstance(capture, DepthCapture):
+        views, observed = capture.views, observe(capture)
+        quality = measure(observed.views, observed.seen.map)
+        checks += view_checks(observed.views, quality, read_header("").setups)
         write_capture(
-            out, views=capture.views, intrinsics=capture.intrinsics, density=capture.density,
+            out, views=views, intrinsics=capture.intrinsics, density=capture.density,
             warp_direction=capture.warp_direction, turns=capture.turns, rig=capture.rig,
             face=capture.face, depth_unit=DEPTH_UNIT, labels=capture.labels)
-        shown = picture(cut, capture.intrinsics, capture.rig, turns=capture.turns, checks=checks)
-        replace_file(out / PICTURE, shown)
+        cut = capture.cut or CutOut(views, views > 0, views, plate_of_cloth(
+            views, capture.intrinsics, capture.rig))
+        replace_file(out / PICTURE, show(replace(capture, cut=cut), checks))
         require_plate(quality)  # last, as the picture shows what is wrong
+    else:
+        raise InputError(f"{capture.path} states a drape coefficient and holds no picture; nothing "
+                         "can be checked")
     return checks
 
 
-def outline_checks(capture: Capture) -> list[Check]:
+def outline_checks(capture: OutlineCapture) -> list[Check]:
     """What is measured of an outline from above; reading it has refused what is impossible."""
-    seen = Observation.of_outline(capture).outline  # refuses a square whose warp is not marked
+    seen = observe(capture).seen.outline  # refuses a square whose warp is not marked
     outline, rig = capture.outline, capture.rig
     known = f"; {100 * outline.drape_coefficient:.1f} % as the camera sees it"
     return [

@@ -20,12 +20,12 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from typing import Any
 
-    from data.captures.capture import Capture
+    from data.captures.capture import Capture, DepthCapture
     from drapenet.result.estimate import Estimate, interval
 
-__all__ = ["Capture", "Estimate", "InputError", "estimate", "interval", "load"]
-_MODULES = {"Capture": "data.captures.capture", "Estimate": "drapenet.result.estimate",
-            "interval": "drapenet.result.estimate"}
+__all__ = ["Capture", "DepthCapture", "Estimate", "InputError", "estimate", "interval", "load"]
+_MODULES = {"Capture": "data.captures.capture", "DepthCapture": "data.captures.capture",
+            "Estimate": "drapenet.result.estimate", "interval": "drapenet.result.estimate"}
 
 
 def __getattr__(name: str) -> object:
@@ -69,10 +69,10 @@ def estimate(
     from common.arguments import require
     from common.configs import read_option
     from data.captures.arrays import checked_capture
-    from data.captures.capture import Capture, captures_in, read_capture
-    from data.strips.folder import read_strips
+    from data.captures.capture import Capture
     from drapenet.config import EstimateOptions
-    from drapenet.inference import estimate_fabric, with_known
+    from drapenet.estimator.estimate import estimate_fabric
+    from drapenet.estimator.read import read_sources, with_known
     from drapenet.network.checkpoint import read_header
 
     require(strips=(strips, str | Path), checkpoint=(checkpoint, str | Path))
@@ -84,8 +84,8 @@ def estimate(
                          "several captures are several arguments")
     options = EstimateOptions(refine=read_option("refine", "simulation") if refine else None,
                               drapes=0)
-    read = [capture for each in captures for capture in (
-        map(read_capture, captures_in(Path(each))) if isinstance(each, str | Path) else
-        [checked_capture(each)])]
-    of_strips = [read_strips(strips)] if strips else []
-    return estimate_fabric(with_known([*read, *of_strips], known), read_header(checkpoint), options)
+    read = [source for given in captures for source in (
+        read_sources([Path(given)]) if isinstance(given, str | Path) else
+        [checked_capture(given)])]
+    sources = with_known([*read, *read_sources([], strips)], known)
+    return estimate_fabric(sources, read_header(checkpoint), options)

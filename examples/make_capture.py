@@ -21,8 +21,8 @@ import numpy as np
 from common.command import command
 from common.errors import InputError
 from common.files import folder_named, replace_file, require_folder
-from data.captures.capture import write_capture
 from data.captures.description import checked_density, whole_turns
+from data.captures.writer import write_capture
 from data.render.phone import mat_around, phone_picture
 from data.render.rays import VIEWS, DepthRenderer
 from data.render.scenes import raw_scene

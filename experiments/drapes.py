@@ -10,7 +10,7 @@ import numpy as np
 from common.command import compose_config
 from common.errors import InputError
 from common.types import Theta
-from data.captures.capture import Capture
+from data.captures.capture import DepthCapture
 from data.dataset.config import Options, config_from_options
 from data.dataset.plan import DrapePlan, Stream, plan_drape, stream
 from data.fabrics.fabrics import fabric_from_theta
@@ -24,10 +24,10 @@ from sim.rig import SQUARE_RIG, Rig
 
 if TYPE_CHECKING:  # imported on use, because speed and memory are measured without them
     from data.render.setups import Setups, SyntheticCapture
+    from drapenet.estimator.stages import CaptureEstimate
     from drapenet.network.checkpoint import Header
     from drapenet.network.predict import Draws
     from drapenet.result.estimate import Estimate
-    from drapenet.stages import CaptureEstimate
     from drapenet.views.outline import DrapeOutline
 
 RIG = SQUARE_RIG
@@ -98,10 +98,11 @@ def capture_drape(
     return setups.capture(shape.positions, shape.faces, rng, rig=rig)
 
 
-def as_read(synthetic: "SyntheticCapture", rig: Rig = RIG) -> Capture:
+def as_read(synthetic: "SyntheticCapture", rig: Rig = RIG) -> DepthCapture:
     """A synthetic capture as if it were read from a folder, with the direction of the warp."""
-    return Capture(synthetic.views, synthetic.intrinsics, synthetic.turns, REFERENCE_DENSITY,
-                   synthetic.orientation % np.pi, rig, Path(), ())
+    return DepthCapture(synthetic.views, synthetic.intrinsics, synthetic.turns,
+                        density=REFERENCE_DENSITY, rig=rig, path=Path(),
+                        warp_direction=synthetic.orientation % np.pi)
 
 
 @cache
@@ -126,9 +127,9 @@ def posterior_bound() -> float:
 
 def infer(synthetic: "SyntheticCapture", rig: Rig = RIG) -> "CaptureEstimate":
     """Estimate the moduli from a capture with the network, with the warnings of ``infer.py``."""
-    from drapenet.stages import check, network_estimate
+    from drapenet.estimator.stages import by_network
 
-    return check(network_estimate(as_read(synthetic, rig), header()))
+    return by_network(as_read(synthetic, rig), header())
 
 
 def outline_of(shape: Drape) -> "DrapeOutline":
@@ -142,7 +143,7 @@ def outline_of(shape: Drape) -> "DrapeOutline":
 def infer_outline(outline: "DrapeOutline", rig: Rig) -> tuple["Draws", "Estimate", list[str]]:
     """The samples and estimate of an outline along the warp, and a warning if it is unlike
     them."""
-    from drapenet.evidence.fabric import network_of
+    from drapenet.estimator.infer import network_of
     from drapenet.network.predict import predict
     from drapenet.result.estimate import make_estimate
     from drapenet.views.observation import Observation

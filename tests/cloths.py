@@ -9,7 +9,7 @@ import numpy as np
 import yaml
 
 from common.files import replace_json
-from data.captures.capture import write_capture
+from data.captures.writer import write_capture
 from data.dataset.config import DatasetConfig, SamplingConfig
 from data.dataset.folder import MANIFEST, json_digest
 from data.dataset.shards import SCHEMA_VERSION, Shard, shard_name, write_shard

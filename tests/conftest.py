@@ -17,7 +17,7 @@ from here import here
 import common.cases
 import common.interrupt
 import data.dataset.generate
-from drapenet.stages import RAISE
+from drapenet.estimator.stages import RAISE
 from sim.rig import DISC_RIG
 from sim.scene import Scene, make_specimen
 

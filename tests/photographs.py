@@ -9,7 +9,7 @@ import yaml
 from PIL import Image
 from scipy.spatial import cKDTree
 
-from data.captures.capture import Capture
+from data.captures.capture import OutlineCapture
 from data.pictures.mat import PIXEL, mat_picture
 from data.pictures.reading import FULL_FRAME, decoded, encoded
 
@@ -60,12 +60,12 @@ def write(folder: Path, content: np.ndarray | str, name: str = "outline.png", **
     return folder
 
 
-def error_mm(capture: Capture, curve: np.ndarray = CURVE) -> float:
+def error_mm(capture: OutlineCapture, curve: np.ndarray = CURVE) -> float:
     """Largest distance of a point of ``curve``, m, from the outline of a capture, mm."""
     return float(distances_mm(capture, curve).max())
 
 
-def distances_mm(capture: Capture, curve: np.ndarray = CURVE) -> np.ndarray:
+def distances_mm(capture: OutlineCapture, curve: np.ndarray = CURVE) -> np.ndarray:
     """Distances (N,), mm, of points of ``curve`` (N, 2), m, from the outline of a capture."""
     found = capture.outline.curve
     steps = np.linspace(0, 1, 20, endpoint=False)[:, None, None]

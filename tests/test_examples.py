@@ -9,7 +9,7 @@ from elastica_curves import PRIORS
 from words import last
 
 from common.errors import InputError
-from data.captures.capture import read_capture
+from data.captures.reader import read_capture
 from data.strips.folder import read_strips
 from drapenet.views.located import LocatedViews
 from drapenet.views.outline import outline_of_map

@@ -24,12 +24,13 @@ from words import last
 import infer
 from common.command import run_command
 from common.errors import InputError
-from data.captures.capture import captures_in, read_capture, write_capture
+from data.captures.reader import captures_in, read_capture
+from data.captures.writer import write_capture
 from data.render.cameras import Intrinsics
 from drapenet.config import EstimateOptions
+from drapenet.estimator.stages import RAISE, CaptureEstimate, estimate_capture
 from drapenet.network.checkpoint import BUNDLED, read_header
 from drapenet.result.files import SHOWN, read_estimate
-from drapenet.stages import RAISE, CaptureEstimate, estimate_capture
 from sim.material import DIRECTIONS, MICRO, is_admissible
 from sim.rig import SQUARE_RIG
 

@@ -14,9 +14,10 @@ from words import last
 import drapenet.network.evaluate
 import train
 from common.errors import InputError
-from data.captures.capture import read_capture
+from data.captures.reader import read_capture
 from data.dataset.folder import finished_manifest
 from drapenet.config import ModelConfig
+from drapenet.estimator.stages import by_network
 from drapenet.network.captures import CaptureSet, Condition
 from drapenet.network.checkpoint import Header, load_model, read_header
 from drapenet.network.evaluate import CELLS, DEPTH
@@ -26,7 +27,6 @@ from drapenet.network.predict import predict
 from drapenet.network.targets import TARGETS
 from drapenet.network.training import fit, validate
 from drapenet.result.files import read_observation, write_observation
-from drapenet.stages import network_estimate
 from drapenet.views.observation import Observation
 from drapenet.views.outline import DrapeOutline
 from drapenet.views.pictures import PICTURES, SIDE, DepthPictures
@@ -63,7 +63,7 @@ def test_the_papers_network_is_a_configuration_of_the_command(header):
 
 
 def test_a_capture_is_estimated_from_its_pictures(header, tmp_path):
-    one, other = (network_estimate(read_capture(cloths.write_skirt(
+    one, other = (by_network(read_capture(cloths.write_skirt(
         tmp_path / str(orientation), orientation=orientation, warp_direction=orientation)), header)
         for orientation in (0.4, 0.4 + np.pi / 2))
     middle, there = (found.estimate.samples.mean(axis=0) for found in (one, other))
@@ -89,7 +89,7 @@ def test_what_it_has_not_learned_to_read_is_refused(header, observation, message
 
 
 def test_views_are_kept_with_an_estimate_and_join_captures(header, tmp_path):
-    seen = network_estimate(read_capture(cloths.write_skirt(tmp_path, warp_direction=0.4)),
+    seen = by_network(read_capture(cloths.write_skirt(tmp_path, warp_direction=0.4)),
                             header).observation
     write_observation(tmp_path, seen)
     kept = read_observation(tmp_path)

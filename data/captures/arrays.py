@@ -7,10 +7,11 @@ import numpy as np
 from common.arguments import number, numbers
 from common.errors import InputError, one_line, shown
 from common.types import Views
-from data.captures.capture import Capture, described
+from data.captures.capture import Capture, DepthCapture
 from data.captures.depth import measured
 from data.captures.description import Description
 from data.captures.view_checks import checked_views, require_sizes
+from data.captures.writer import described
 from data.rigs import TESTERS, named_tester
 from sim.rig import Rig
 
@@ -36,7 +37,7 @@ def checked_capture(capture: Capture) -> Capture:
     warp = capture.warp_direction
     warp = None if warp is None else number("warp_direction", warp, "rad, or None")
     stated = described(density, rig, capture.face, warp, capture.labels)
-    if capture.outline or (capture.known and not np.size(capture.views)):
+    if not isinstance(capture, DepthCapture):
         Description.of(stated, capture.path)
         return replace(capture, rig=rig, density=density, warp_direction=warp)
     views = _metres(capture.views)

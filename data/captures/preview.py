@@ -7,6 +7,7 @@ turns of the table differ from those stated, or the cloth has moved.
 import io
 import textwrap
 from collections.abc import Sequence
+from functools import singledispatch
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from common.types import Outline, Radians, Turns
-from data.captures.capture import Capture
+from data.captures.capture import Capture, DepthCapture, OutlineCapture
 from data.captures.check import Check
 from data.captures.cutout import CutOut
 from data.render.cameras import Camera, Intrinsics
@@ -34,10 +35,18 @@ _SOUND, _FAULTY = "#1a7f37", "#b5202a"
 _LINE, _SPACING = 78, 11  # characters, and points between the lines, of checks
 
 
-def outline_picture(capture: Capture, checks: Sequence[Check] = ()) -> bytes:
-    """PNG of a photograph from above, or of numbers, with curve, plate, warp and ``checks``."""
+@singledispatch
+def show(capture: Capture, checks: Sequence[Check] = (), *, small: bool = False) -> bytes:
+    """PNG of a capture as it was read, with ``checks``; ``small``: a thumbnail without them."""
+    return silhouette(None)
+
+
+@show.register
+def _(capture: OutlineCapture, checks: Sequence[Check] = (), *, small: bool = False) -> bytes:
+    """Photograph from above, or curve of numbers, with plate, warp and ``checks``."""
     outline, rig = capture.outline, capture.rig
-    assert outline, "a capture of an outline"
+    if small:
+        return silhouette(outline.curve)
     figure = Figure(figsize=(2 * _WIDTH, 2 * _WIDTH), dpi=100)
     panel = figure.add_axes((0.02, 0.02, 0.96, 0.82))
     panel.set_axis_off()
@@ -68,10 +77,13 @@ def outline_picture(capture: Capture, checks: Sequence[Check] = ()) -> bytes:
     return png(figure)
 
 
-def picture(
-    cut: CutOut, intrinsics: Intrinsics, rig: Rig, *, turns: Turns, checks: Sequence[Check] = ()
-) -> bytes:
-    """PNG of the frames, two per row, of the hems from above, and of ``checks``."""
+@show.register
+def _(capture: DepthCapture, checks: Sequence[Check] = (), *, small: bool = False) -> bytes:
+    """Frames, two per row, the hems from above, and ``checks``; of views that show only cloth, and
+    if ``small`` of the first one, the cloth."""
+    cut, intrinsics, rig = capture.cut, capture.intrinsics, capture.rig
+    if small or not cut:
+        return thumbnails(capture.views[:1] if small else capture.views)
     rows = -(-(len(cut.frames) + 1 + bool(checks)) // 2)
     height = _WIDTH * intrinsics.height / intrinsics.width
     figure = Figure(figsize=(2 * _WIDTH, rows * height), dpi=100)
@@ -90,7 +102,7 @@ def picture(
         if mask.any():
             panel.contour(mask, [0.5], colors=_OUTLINE, linewidths=1)
         _draw_plate(panel, intrinsics.posed(cut.plate.pose), rig)
-    _draw_hems(panels[len(cut.frames)], cut, intrinsics, rig, turns)
+    _draw_hems(panels[len(cut.frames)], cut, intrinsics, rig, capture.turns)
     if checks:
         _draw_checks(panels[len(cut.frames) + 1], rig.name, checks)
     return png(figure)
@@ -107,13 +119,6 @@ def _draw_checks(panel: Axes, title: str, checks: Sequence[Check]) -> None:
     for k, (line, colour) in enumerate(lines):
         panel.annotate(line, (0.02, 0.98), (0, -_SPACING * k), "axes fraction", "offset points",
                        color=colour, fontsize=8, va="top", parse_math=False)
-
-
-def thumbnail(capture: Capture, views: int = 1) -> bytes:
-    """PNG of the first views, or of the outline of a photograph."""
-    if len(capture.views):
-        return thumbnails(capture.views[:views])
-    return silhouette(capture.outline.curve if capture.outline else None)
 
 
 def png(figure: Figure) -> bytes:

@@ -8,9 +8,9 @@ import numpy as np
 from common.documents import read_yaml
 from common.errors import InputError
 from common.types import ColourPicture, PixelPath
-from data.captures.capture import DESCRIPTION, find_outline
 from data.captures.description import Description, OutlineSource
 from data.captures.photograph import PhotographedOutline, read_outline
+from data.captures.reader import DESCRIPTION, find_outline
 from data.captures.scale import Scaled, mapped, scaled_photograph
 from data.pictures.reading import read_photograph
 from sim.rig import Rig

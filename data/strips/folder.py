@@ -32,7 +32,7 @@ class StripSet:
         known: other values of the fabric.
     """
 
-    folder: Path
+    path: Path
     density: Density
     photographs: tuple[PhotographedStrip, ...]
     lengths: tuple[tuple[str, BendingLength], ...]
@@ -86,7 +86,7 @@ class StripSet:
                     strips, lengths, weight=self.density * GRAVITY, prior=priors[direction],
                     slope=self.slope)
             except InputError as error:
-                raise InputError(f"{self.folder / FILE}: {direction}: {error}") from None
+                raise InputError(f"{self.path / FILE}: {direction}: {error}") from None
         if self.complete:
             # Curves contain the natural curvature, which these moduli do not.
             flat = {direction: StripModuli(found[direction].alpha, found[direction].beta,

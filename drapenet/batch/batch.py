@@ -17,12 +17,11 @@ import numpy as np
 from common.cases import run_cases
 from common.errors import InputError
 from common.files import remove_file, replace_file, require_folder
-from data.captures.capture import Capture, read_capture
-from data.captures.preview import thumbnail
-from data.strips.description import FILE as STRIPS
-from data.strips.folder import read_strips
+from data.captures.capture import Capture
+from data.captures.preview import show
 from drapenet.batch.captures import Entry, entries_of
 from drapenet.config import EstimateOptions
+from drapenet.estimator.read import read_source
 from drapenet.network.checkpoint import Header, read_header
 from drapenet.report.overview import (
     FAILURE,
@@ -105,13 +104,13 @@ def estimate_entry(
     for name in (ESTIMATE, SAMPLES, OBSERVATION, THUMBNAIL):
         remove_file(out / name)
     remove_report(out)
-    source = read_strips(capture) if (capture / STRIPS).exists() else read_capture(capture)
+    source = read_source(capture)
     header = read_header(weights)
-    from drapenet.inference import estimate_source  # torch, which faulty captures need not
+    from drapenet.estimator.estimate import estimate_source  # torch, which faulty captures need not
 
     estimate_source(source, header, options, out=out)
     if isinstance(source, Capture):
-        replace_file(out / THUMBNAIL, thumbnail(source))
+        replace_file(out / THUMBNAIL, show(source, small=True))
 
 
 def join_fabrics(
@@ -175,8 +174,8 @@ def _joined(
 ) -> FabricEstimate:
     """Join the captures and strips of a fabric but ``repeated`` ones; write its estimate, with the
     ``lines`` of :func:`_twins`."""
-    from drapenet.inference import joint_estimate, read_part  # torch
-    from drapenet.stages import require_sound
+    from drapenet.estimator.estimate import join, read_part  # torch
+    from drapenet.estimator.stages import require_sound
 
     twins = [line for entry in entries for line in lines.get(entry.place, ())]
     require_sound(twins, strict, "the fabric")
@@ -186,7 +185,7 @@ def _joined(
     if len(joined) == 1:
         estimate, document = read_estimate(out / entries[0].place)
     else:
-        estimate, document = joint_estimate(joined, header, strict=strict)
+        estimate, document = join(joined, header, strict=strict)
         middles = [np.log([moduli.alpha_uN_m.median for moduli in
                            part.document.moduli_at_300_g_m2.values()])
                    for part in joined if part.observation]

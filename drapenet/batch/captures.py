@@ -10,7 +10,7 @@ from pathlib import Path
 from common.errors import InputError, one_line, shown
 from common.files import composed, path_named
 from common.tables import read_table
-from data.captures.capture import CAPTURE_FILES
+from data.captures.reader import CAPTURE_FILES
 from data.strips.description import FILE as STRIPS
 
 COLUMNS = ("fabric", "sample", "capture")

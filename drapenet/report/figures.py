@@ -15,7 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from PIL import Image
 
 from common.types import DepthImage, Views
-from data.captures.capture import Capture
+from data.captures.capture import Capture, DepthCapture, OutlineCapture
 from data.captures.photograph import PhotographedOutline
 from data.render.cameras import nominal_camera
 from data.render.raster import rasterise
@@ -38,9 +38,9 @@ def draw_report(
     """The report as a PNG file: the capture, and below it the curves; ``resimulation`` is None if
     no simulated drape converged."""
     seen = Figure(figsize=(_WIDE, _HIGH), layout="constrained")
-    if capture.outline:
+    if isinstance(capture, OutlineCapture):
         _photograph(seen.subplots(), capture.outline, resimulation)
-    else:
+    elif isinstance(capture, DepthCapture):
         _views(seen, capture.views, resimulation)
     seen.suptitle(title, fontsize=14, parse_math=False)
     curves = Figure(figsize=(_WIDE, _CURVES_HIGH), layout="constrained")
@@ -196,7 +196,8 @@ def _torques(axes: Axes, estimate: Estimate) -> None:
 
 def _from_above(axes: Axes, capture: Capture, resimulation: Resimulation | None) -> None:
     """Draw radius profiles and the first yarns; angles as in the first view, 0 to the right."""
-    depth = "" if capture.outline else f" {-PROFILE_HEIGHT * 1e3:.0f} mm below the plate"
+    seen = isinstance(capture, OutlineCapture)
+    depth = "" if seen else f" {-PROFILE_HEIGHT * 1e3:.0f} mm below the plate"
     axes.set_title(f"from above: radius{depth} [mm]", fontsize=10)
     axes.tick_params(labelsize=7)
     largest = 80.0

@@ -195,7 +195,7 @@ class StripsRecord(Excerpt):
                 "evidence": {"rows": strip.measured.rows.tolist(),
                              "values": strip.measured.values.tolist()}}
         return cls.model_validate({
-            "source": printable(strips.folder), "density_g_m2": round(1e3 * strips.density, 6),
+            "source": printable(strips.path), "density_g_m2": round(1e3 * strips.density, 6),
             "strips": len(strips), "moduli": moduli, "known": strips.known})
 
 
@@ -235,8 +235,8 @@ class EstimateDocument(Excerpt):
 
     @classmethod
     def from_estimate(
-        cls, estimate: Estimate, *, capture: Mapping[str, Any], checkpoint: Mapping[str, str],
-        warnings: Sequence[str] = (), **sections: Any,
+        cls, estimate: Estimate, *, capture: CaptureAbout | Mapping[str, Any],
+        checkpoint: Mapping[str, str], warnings: Sequence[str] = (), **sections: Any,
     ) -> "EstimateDocument":
         """The document of an estimate, with all ``warnings`` and optional ``sections``."""
         names, first = estimate.names, estimate.names[0]
@@ -270,6 +270,11 @@ class EstimateDocument(Excerpt):
         """The three directions."""
         first, second, third = self.moduli
         return first, second, third
+
+    @property
+    def label(self) -> str:
+        """Names the capture or the strips in sentences."""
+        return self.capture.source or next(record.source for record in self.strips or [])
 
     @property
     def density(self) -> Density:

@@ -12,9 +12,8 @@ from pydantic import Field
 from common.documents import MAX_TEXT_BYTES, Schema, decoded_text, parse_yaml
 from common.errors import InputError
 from common.tables import number
-from data.captures.capture import DESCRIPTION as CAPTURE
-from data.captures.capture import INTRINSICS_KEYS
 from data.captures.description import (
+    INTRINSICS_KEYS,
     MAX_LABEL_LENGTH,
     PRINTABLE,
     Description,
@@ -23,6 +22,7 @@ from data.captures.description import (
     PlateInPicture,
     Specimen,
 )
+from data.captures.reader import DESCRIPTION as CAPTURE
 from data.readings import QUANTITIES
 from data.readings.quantity import Quantity
 from data.rigs import MISSING_TESTER

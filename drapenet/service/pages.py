@@ -13,8 +13,8 @@ from markdown import markdown
 from markdown.extensions.toc import TocExtension, slugify_unicode
 from markupsafe import Markup
 
-from data.captures.capture import CAPTURE_FILES
 from data.captures.description import PLATE_HEIGHTS
+from data.captures.reader import CAPTURE_FILES
 from data.pictures.mat import PARTS
 from data.readings import QUANTITIES
 from data.rigs import TESTERS

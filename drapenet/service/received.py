@@ -14,9 +14,9 @@ from pathlib import Path
 from PIL import Image
 
 from common.errors import one_line, shown
-from data.captures.capture import OUTLINE_SUFFIXES
 from data.captures.description import OUTLINE_TABLES
 from data.captures.frames import header_of
+from data.captures.reader import OUTLINE_SUFFIXES
 from data.pictures.reading import FORMATS
 from drapenet.batch.captures import plain_name
 from drapenet.config import ServeConfig

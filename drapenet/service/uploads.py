@@ -9,9 +9,9 @@ import yaml
 
 from common.documents import misnamed, rename_remedy
 from common.errors import InputError, shown
-from data.captures.capture import CAPTURE_FILES, OUTLINE_SUFFIXES
 from data.captures.description import NEED_WARP, UNLABELLED, Description, Labels
 from data.captures.frames import BACKGROUND
+from data.captures.reader import CAPTURE_FILES, OUTLINE_SUFFIXES
 from drapenet.batch.captures import plain_name
 from drapenet.config import ServeConfig
 from drapenet.service.forms import (

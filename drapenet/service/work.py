@@ -27,7 +27,7 @@ def warm_up(checkpoint: str) -> None:
     """Import and cache, in a worker, what the first estimate needs."""
     end_with_parent()
     from data.render.rays import import_open3d
-    from drapenet.evidence.fabric import network_of
+    from drapenet.estimator.infer import network_of
     from drapenet.network.checkpoint import read_header
     from drapenet.report.figures import draw_report  # noqa: F401
     from sim.drape import drape
@@ -63,15 +63,14 @@ def _estimate(
     folder: Path, row: dict[str, Any], header: Any, record: Callable
 ) -> tuple[Any, list[str]]:
     """The estimate of an upload, and its warnings."""
-    from drapenet.inference import estimate_source
+    from drapenet.estimator.estimate import estimate_source
     from drapenet.report.figures import draw_torques
     from drapenet.result.files import ESTIMATE, TORQUES
 
     task = row["task"]
     record(stage="reading")
     source = _read(folder, row)
-    plain = source[0] if isinstance(source, tuple) else source
-    record(stage="estimating", warnings=list(plain.warnings))
+    record(stage="estimating", warnings=list(source.warnings))
     refine = task["refine"] and dict(read_option("refine", "simulation"))
     latest = 0.0
 
@@ -94,30 +93,26 @@ def _estimate(
 def _read(folder: Path, row: dict[str, Any]) -> Any:
     """The capture, scan or strips of an upload, named as they are shown: results must not reveal
     paths of the server."""
-    from data.captures.capture import read_capture
     from data.captures.description import Description
-    from data.captures.preview import png
-    from data.strips.description import FILE
-    from data.strips.folder import read_strips
+    from data.captures.preview import png, show
+    from data.strips.folder import StripSet
     from data.strips.preview import strips_figure
+    from drapenet.estimator.read import read_source
     from drapenet.surface.registration import read_scan_capture
 
     task, uploaded = row["task"], folder / UPLOADED
     shown = Path(*map(plain_name, (row["fabric_name"], row["name"])))
-    if (uploaded / FILE).exists():
-        strips = read_strips(uploaded)
-        if strips.photographs:
-            replace_file(folder / PREVIEW, png(strips_figure(strips)))
-        return replace(strips, folder=shown, labels=_named(strips.labels, row["fabric_name"]))
     if scan := task["scan"]:
         stated = Description.of(task["specimen"], "")
-        capture, registered = read_scan_capture(uploaded / scan, stated)
-        capture = replace(capture, known=stated.known, labels=stated.labels)
+        source = replace(read_scan_capture(uploaded / scan, stated), known=stated.known,
+                         labels=stated.labels)
     else:
-        capture, registered = read_capture(uploaded), None
-    replace_file(folder / PREVIEW, preview(capture))
-    capture = replace(capture, path=shown, labels=_named(capture.labels, row["fabric_name"]))
-    return (capture, registered) if registered else capture
+        source = read_source(uploaded)
+    if not isinstance(source, StripSet):
+        replace_file(folder / PREVIEW, show(source))
+    elif source.photographs:
+        replace_file(folder / PREVIEW, png(strips_figure(source)))
+    return replace(source, path=shown, labels=_named(source.labels, row["fabric_name"]))
 
 
 def _named(labels: Any, fabric: str) -> Any:
@@ -138,25 +133,15 @@ def _estimate_jointly(
     folder: Path, row: dict[str, Any], header: Any, record: Callable
 ) -> tuple[Any, list[str]]:
     """The joint estimate of a fabric's captures and strips, and its warnings."""
-    from drapenet.inference import joint_estimate, read_part, write_joint
+    from drapenet.estimator.estimate import join, read_part, write_joint
     from drapenet.report.figures import draw_torques
     from drapenet.result.files import TORQUES
 
     record(stage="joining")
     places = [folder.parent / member for member in row["members"]]
     parts = [_as_named(read_part(place), row["fabric_name"]) for place in places]
-    estimate, document = joint_estimate(parts, header)
+    estimate, document = join(parts, header)
     write_joint(folder, estimate, document, parts, places, drawn=True)
     replace_file(folder / TORQUES, draw_torques(estimate))
     return estimate, document.warnings
 
-
-def preview(capture: Any) -> bytes:
-    """PNG of frames with the cloth outlined, of the cloth in each view, or of an outline."""
-    from data.captures.preview import outline_picture, picture, thumbnail
-
-    if capture.outline:
-        return outline_picture(capture)
-    if capture.cut:
-        return picture(capture.cut, capture.intrinsics, capture.rig, turns=capture.turns)
-    return thumbnail(capture, len(capture.views))

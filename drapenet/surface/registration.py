@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from common.errors import InputError
 from common.types import Density, Metres, Radians
-from data.captures.capture import Capture
+from data.captures.capture import DepthCapture
 from data.captures.description import Specimen
 from data.captures.raw_scans import KINDS, RAW, read_raw_scan
 from data.captures.scans import check_rim, read_scan
@@ -83,21 +83,33 @@ def read_shape(path: Path, rig: Rig, *, edge: Metres = EDGE) -> ScanRegistration
     return registration
 
 
-def read_scan_capture(path: Path, specimen: Specimen) -> tuple[Capture, CapturedShape]:
-    """A scan of a drape on the disc rig as a capture, and its shape."""
+@dataclass(frozen=True, kw_only=True)
+class ScannedCapture(DepthCapture):
+    """The scan of a drape, as four rendered views of its surface.
+
+    Attributes:
+        shape: a mesh of the specimen on the surface.
+    """
+
+    shape: CapturedShape
+
+
+def read_scan_capture(path: Path, specimen: Specimen) -> ScannedCapture:
+    """A scan of a drape on the disc rig as a capture."""
     scan = read_shape(path, DISC_RIG)
     capture = scan_capture(path, scan.shape, specimen.density, specimen.warp_direction)
-    return replace(capture, warnings=specimen.questions + scan.notes), scan.shape
+    return replace(capture, warnings=specimen.questions + scan.notes)
 
 
 def scan_capture(
     path: Path, shape: CapturedShape, density: Density, warp: Radians | None
-) -> Capture:
+) -> ScannedCapture:
     """A scan as a capture of four views without noise, from the rig's nominal camera."""
     camera = nominal_camera(shape.rig)
     views = DepthRenderer(shape.positions, shape.faces).views(camera, 0.0)
-    return Capture(views.astype(np.float32), camera.intrinsics, np.array(QUARTERS), density, warp,
-                   shape.rig, path, ())
+    return ScannedCapture(views.astype(np.float32), camera.intrinsics, np.array(QUARTERS),
+                          density=density, warp_direction=warp, rig=shape.rig, path=path,
+                          shape=shape)
 
 
 def flat_turn(shape: CapturedShape) -> Radians:

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from common.types import Points, Turns, Views
-from data.captures.capture import Capture
+from data.captures.capture import DepthCapture
 from data.captures.plate import plate_of_cloth
 from data.render.cameras import Camera, Intrinsics
 from drapenet.views.turns import register
@@ -26,10 +26,9 @@ class LocatedViews:
     centre: np.ndarray  # (2,) m, of the plate in the camera's world axes
 
     @classmethod
-    def of(cls, capture: Capture) -> "LocatedViews":
+    def of(cls, capture: DepthCapture) -> "LocatedViews":
         """The views of a capture."""
         views, intrinsics, rig = capture.views, capture.intrinsics, capture.rig
-        assert intrinsics, "a capture of depth views"
         plate = capture.cut.plate if capture.cut else plate_of_cloth(views, intrinsics, rig)
         return cls.registered(views, intrinsics.posed(plate.pose), rig, capture.turns)
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from common.errors import InputError
 from common.types import Radians
-from data.captures.capture import Capture
+from data.captures.capture import OutlineCapture
 from data.captures.reported import Reported
 from drapenet.views.directions import AZIMUTHS
 from drapenet.views.located import LocatedViews
@@ -50,19 +50,20 @@ class Observation:
                    pictures=DepthPictures.of(located, drape.zero))
 
     @classmethod
-    def of_numbers(cls, rig: Rig, face: int, known: bool, reported: Reported) -> "Observation":
+    def of_numbers(
+        cls, rig: Rig, face: int, known: bool, reported: Reported | None
+    ) -> "Observation":
         """Of a reported drape coefficient and number of nodes."""
-        assert reported.drape_coefficient_percent, "a reported drape coefficient"
+        assert reported and reported.drape_coefficient_percent, "a reported drape coefficient"
         nodes = np.nan if reported.nodes is None else reported.nodes
         return cls(rig, face, known, coefficient=reported.drape_coefficient_percent / 100,
                    nodes=nodes)
 
     @classmethod
-    def of_outline(cls, capture: Capture) -> "Observation":
+    def of_outline(cls, capture: OutlineCapture) -> "Observation":
         """Of the outline of a photograph; InputError without direction of the warp, but of a disc.
         """
         seen, warp, specimen = capture.outline, capture.warp_direction, capture.rig.specimen
-        assert seen, "a capture of an outline"
         if warp is None and specimen != "disc":
             raise InputError(f"{capture.path}: warp_direction_deg is missing; the outline of a "
                              f"{specimen} does not show its sides: state the direction of the warp")

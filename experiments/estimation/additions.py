@@ -18,7 +18,8 @@ from data.readings import QUANTITIES
 from data.readings.known import ByDirection, Known
 from data.strips.posterior import StripEvidence
 from drapenet.config import EvaluateConfig
-from drapenet.evidence.fabric import joined, network_of
+from drapenet.estimator.combine import combine
+from drapenet.estimator.infer import network_of
 from drapenet.evidence.source import of_strips, of_values
 from drapenet.evidence.state import fabric_prior, prior_along
 from drapenet.network.captures import CaptureSet, Condition
@@ -75,7 +76,7 @@ def run(config: Config) -> Result:
             added[STRIPS] = [of_strips(direction, found.measured, found.alpha, REFERENCE_DENSITY)
                              for direction, found in strips.items()]
         draws = Draws(alone.cloth, True, 0.0)
-        estimates |= {name: joined(draws, sources, REFERENCE_DENSITY, header, name="the drape")
+        estimates |= {name: combine(draws, sources, REFERENCE_DENSITY, header, name="the drape")
                       for name, sources in added.items()}
         for name, estimate in estimates.items():
             gap = (estimate.samples.mean(axis=0) - truth.theta) / header.spread

@@ -18,7 +18,7 @@ import numpy as np
 
 from common.errors import InputError
 from common.vectors import angle_between
-from data.captures.capture import Capture
+from data.captures.capture import DepthCapture
 from data.captures.cutout import CutOut, cut_out
 from data.render.rays import QUARTERS
 from data.render.scenes import CLUTTER, RawScene, raw_scene
@@ -109,13 +109,13 @@ def posterior_shifts(
     views: np.ndarray, perfect: np.ndarray, scene: RawScene, rig: Rig
 ) -> list[float]:
     """Differences (3,) of log alpha between two cut-outs, in posterior standard deviations."""
-    from drapenet.stages import network_estimate
+    from drapenet.estimator.stages import by_network
 
     samples = []
     for one in (views, perfect):
-        capture = Capture(one, scene.camera.intrinsics, np.array(QUARTERS), REFERENCE_DENSITY,
-                          None, rig, Path(), ())
-        samples.append(network_estimate(capture, header()).estimate.samples[:, LINEAR])
+        capture = DepthCapture(one, scene.camera.intrinsics, np.array(QUARTERS),
+                               density=REFERENCE_DENSITY, rig=rig, path=Path())
+        samples.append(by_network(capture, header()).estimate.samples[:, LINEAR])
     found, ideal = samples
     return (np.abs(found.mean(axis=0) - ideal.mean(axis=0)) / ideal.std(axis=0)).tolist()
 

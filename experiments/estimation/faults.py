@@ -14,7 +14,7 @@ from scipy import ndimage
 from tqdm import tqdm
 
 from common.errors import InputError
-from data.captures.capture import Capture
+from data.captures.capture import DepthCapture
 from data.captures.view_checks import checked_views
 from data.dataset.folder import finished_manifest
 from data.dataset.shards import Shard
@@ -140,11 +140,11 @@ SIMULATED = {
 MOVED_CLOTH = "cloth moved between the views"
 
 
-def check_capture(capture: SyntheticCapture) -> Capture:
+def check_capture(capture: SyntheticCapture) -> DepthCapture:
     """Check the capture as ``infer.py`` does when it reads one."""
     views, warnings = checked_views(capture.views, capture.intrinsics)
-    return Capture(views, capture.intrinsics, capture.turns, REFERENCE_DENSITY, None, Rig(),
-                   Path("capture"), warnings)
+    return DepthCapture(views, capture.intrinsics, capture.turns, density=REFERENCE_DENSITY,
+                        rig=Rig(), warnings=warnings)
 
 
 def find_warnings(

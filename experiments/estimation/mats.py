@@ -18,12 +18,13 @@ import numpy as np
 from common.errors import InputError
 from common.files import replace_file
 from common.types import Metres, Outline
-from data.captures.capture import Capture, read_capture
+from data.captures.capture import OutlineCapture
 from data.captures.photograph import AZIMUTHS, PhotographedOutline
+from data.captures.reader import read_capture
 from data.captures.scale import mapped
 from data.dataset.off_axis import silhouette
 from data.render.phone import mat_around, phone_picture
-from drapenet.stages import network_estimate
+from drapenet.estimator.stages import by_network
 from experiments.drapes import drape_as_planned, header, plan_specimen
 from experiments.result import ESTIMATOR, Config, Result, run_cases
 from sim.drape import Drape
@@ -99,9 +100,9 @@ def _log_alpha(
     outline: PhotographedOutline, rig: Rig, warp: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Mean and deviation (3,) of log alpha that the network estimates."""
-    capture = Capture(np.zeros((0, 0, 0), np.float32), None, np.zeros(0), REFERENCE_DENSITY,
-                      warp % np.pi, rig, outline=outline)
-    samples = network_estimate(capture, header()).estimate.samples[:, LINEAR]
+    capture = OutlineCapture(outline, density=REFERENCE_DENSITY, rig=rig,
+                             warp_direction=warp % np.pi)
+    samples = by_network(capture, header()).estimate.samples[:, LINEAR]
     return samples.mean(axis=0), samples.std(axis=0)
 
 

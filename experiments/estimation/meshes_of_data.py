@@ -34,7 +34,7 @@ def run_case(
     checkpoint: str,
 ) -> dict[str, Any]:
     """Drapes of one fabric on all testers and meshes, and their estimates."""
-    from drapenet.evidence.fabric import network_of
+    from drapenet.estimator.infer import network_of
     from drapenet.network.checkpoint import read_header
     from drapenet.network.predict import predict
 

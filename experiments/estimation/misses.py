@@ -17,8 +17,8 @@ from common.command import compose_config
 from data.dataset.config import Options, config_from_options
 from data.dataset.plan import plan_drape
 from data.render.setups import Setups
+from drapenet.estimator.stages import simulate
 from drapenet.report.drape import Resimulation, resimulate_outline
-from drapenet.stages import simulate
 from drapenet.views.directions import AZIMUTH
 from drapenet.views.outline import DrapeOutline
 from experiments.drapes import capture_drape, drape_as_planned, infer, infer_outline, outline_of
@@ -42,7 +42,7 @@ def captured(*, tester: str, number: int, seed: int, edge_mm: float) -> dict[str
     rng = np.random.default_rng([seed, number])
     views = simulate(infer(capture_drape(shape, Setups.load("real"), rng, plan.rig), plan.rig),
                      drapes=2, edge=4e-3)
-    seen = views.observation.outline
+    seen = views.observed.seen.outline
     found = {}
     if views.drape and seen:
         found["depth views"] = _compared(views.drape, seen.coefficient(plan.rig)) | {

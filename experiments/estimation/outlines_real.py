@@ -27,7 +27,7 @@ from sim.rig import DISC_RIG
 
 def run(config: Config) -> Result:
     """Estimate all outlines and simulate a drape of each sample and face."""
-    from drapenet.evidence.fabric import network_of
+    from drapenet.estimator.infer import network_of
     from drapenet.network.checkpoint import read_header
     from drapenet.network.predict import Draws, predict
     from drapenet.views.observation import Observation

@@ -46,16 +46,16 @@ def simulated(*, number: int, noise_mm: float, seed: int) -> dict:
 
 def refine_scan(scan: "ScanRegistration") -> dict:
     """Estimate a scan whose x axis is the warp, as by ``infer.py scan=FILE refine=simulation``."""
+    from drapenet.estimator.stages import by_network
     from drapenet.refine.refine import refine_capture
-    from drapenet.stages import network_estimate
     from drapenet.surface.registration import scan_capture
 
     shape = scan.shape
     capture = scan_capture(Path("scan"), shape, REFERENCE_DENSITY, 0.0)
-    inferred = network_estimate(capture, header())
+    inferred = by_network(capture, header())
     estimate = inferred.estimate
     began = time.perf_counter()
-    result = refine_capture(inferred.draws.cloth, inferred.located, header(),
+    result = refine_capture(inferred.draws.cloth, inferred.observed.views, header(),
                             density=capture.density, warp=0.0, scan=shape)
     if result is None:
         raise InputError("no simulated cloth converges at the scan")

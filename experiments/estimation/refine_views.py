@@ -72,8 +72,8 @@ def case(
 ) -> dict:
     """Estimate one capture with the network and with the refinement, in a world without the
     nuisances ``absent``, of :data:`ABSENT`."""
+    from drapenet.estimator.stages import by_network
     from drapenet.refine.refine import refine_capture
-    from drapenet.stages import network_estimate
 
     tester = Rig.from_name(rig)
     plan = plan_specimen(number, rig=tester, nuisances=nuisances, seed=seed)
@@ -88,13 +88,13 @@ def case(
         setups = replace(setups, **CLEAN)
     rng = np.random.default_rng([seed, number])
     capture = as_read(capture_drape(shape, setups, rng, tester), tester)
-    inferred = network_estimate(capture, header())
+    inferred = by_network(capture, header())
     estimate = inferred.estimate
     began = time.perf_counter()
     settings = read_option("refine", "simulation")
     if edge_mm is not None:
         settings["edge_mm"] = edge_mm
-    refined = refine_capture(inferred.draws.cloth, inferred.located, header(),
+    refined = refine_capture(inferred.draws.cloth, inferred.observed.views, header(),
                              density=capture.density, warp=capture.warp_direction,
                              settings=settings)
     seconds = time.perf_counter() - began

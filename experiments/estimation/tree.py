@@ -18,7 +18,7 @@ import numpy as np
 from tqdm import tqdm
 
 from common.errors import InputError
-from data.captures.capture import write_capture
+from data.captures.writer import write_capture
 from data.render.rays import QUARTERS
 from data.render.scenes import CLUTTER, raw_scene
 from drapenet.batch.batch import DONE

@@ -37,8 +37,8 @@ from apps.strip_curves import read_curve
 from common.configs import read_config, read_option
 from common.documents import read_bytes, read_json
 from common.errors import InputError
-from data.captures.capture import read_capture
 from data.captures.raw_scans import read_raw_scan
+from data.captures.reader import read_capture
 from data.captures.rosbag import read_recording
 from data.captures.scans import read_scan
 from data.dataset import inspect

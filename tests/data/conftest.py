@@ -7,7 +7,7 @@ import pytest
 from cloths import revolved
 from PIL import Image
 
-from data.captures.capture import write_capture
+from data.captures.writer import write_capture
 from data.render.cameras import nominal_camera
 from data.render.rays import DepthRenderer
 from sim.rig import SQUARE_RIG

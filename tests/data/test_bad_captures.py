@@ -10,7 +10,7 @@ from cloths import describe
 from PIL import Image
 
 from common.errors import InputError
-from data.captures.capture import read_capture
+from data.captures.reader import read_capture
 
 
 def remove(name: str) -> Callable[[Path], None]:

@@ -8,8 +8,8 @@ import pytest
 from cloths import varied_camera
 
 from common.errors import InputError
-from data.captures.capture import read_capture
 from data.captures.plate import plate_of_cloth
+from data.captures.reader import read_capture
 from data.render.cameras import Camera, Intrinsics, camera_pose, nominal_camera
 from data.render.setups import Setups
 from sim.rig import DISC_RIG, SQUARE_RIG, Rig

@@ -14,8 +14,10 @@ from scipy import ndimage
 
 from common.errors import InputError
 from data.captures.arrays import checked_capture
-from data.captures.capture import Capture, read_capture, write_capture
+from data.captures.capture import DepthCapture
 from data.captures.description import whole_turns
+from data.captures.reader import read_capture
+from data.captures.writer import write_capture
 from data.render.cameras import nominal_camera
 from data.rigs import TESTERS
 from sim.rig import SQUARE_RIG, Rig
@@ -89,9 +91,10 @@ def test_writing_refuses_and_leaves_nothing_behind(tmp_path, views):
 
 
 @pytest.fixture
-def made(views) -> Capture:
+def made(views) -> DepthCapture:
     """A sound capture made of arrays."""
-    return Capture(views, CAMERA.intrinsics, whole_turns(4), 0.15, 0.3, SQUARE_RIG)
+    return DepthCapture(views, CAMERA.intrinsics, whole_turns(4), density=0.15,
+                        warp_direction=0.3, rig=SQUARE_RIG)
 
 
 def test_arrays_are_checked_like_files(made, folder):
@@ -256,7 +259,7 @@ def test_a_large_piece_beside_the_cloth_stays_and_is_told(folder):
 @pytest.mark.parametrize("name", ["mesh0", "mesh1"])
 def test_the_published_captures_are_read(name):
     capture = read_capture(CAPTURES / name)
-    assert isinstance(capture, Capture) and capture.views.shape == (4, 180, 240)
+    assert isinstance(capture, DepthCapture) and capture.views.shape == (4, 180, 240)
     assert capture.density == pytest.approx(0.3)
     cloth = capture.views[capture.views > 0]
     assert 0.45 < cloth.min() and cloth.max() < 0.66

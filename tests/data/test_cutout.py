@@ -16,9 +16,9 @@ import data.captures.preview
 from apps.capture import main
 from common.errors import InputError
 from common.vectors import angle_between
-from data.captures.capture import read_capture
 from data.captures.cutout import cut_out
 from data.captures.description import Description
+from data.captures.reader import read_capture
 from data.render.scenes import RawScene, raw_scene
 from sim.rig import DISC_RIG, Rig
 

@@ -13,8 +13,8 @@ from PIL import Image
 from test_recordings import bent
 
 from common.errors import InputError
-from data.captures.capture import read_capture
 from data.captures.depth import between_points, measured
+from data.captures.reader import read_capture
 from data.render.cameras import nominal_camera
 
 CASES = Path(__file__).resolve().parents[3] / "shared" / "cases"

@@ -11,7 +11,7 @@ from PIL import Image
 
 from apps.capture import main
 from common.errors import InputError
-from data.captures.capture import read_capture
+from data.captures.reader import read_capture
 from data.dataset.off_axis import silhouette
 from data.pictures.mat import MATS, PARTS, PIXEL, find_mat, mat_pages, mat_picture
 from data.pictures.pose import camera_pose

@@ -27,8 +27,8 @@ from PIL import Image
 from apps.capture import main
 from common.errors import InputError
 from data.captures.board import PAPER, board_picture
-from data.captures.capture import captures_in, read_capture
 from data.captures.photograph import below_the_mat
+from data.captures.reader import captures_in, read_capture
 from data.pictures.reading import decoded, encoded
 from sim.rig import Rig
 

@@ -19,10 +19,10 @@ from turntable import (
 )
 
 from common.errors import InputError
-from data.captures.capture import read_capture
 from data.captures.depth import Lens, median_depth
 from data.captures.description import Description
 from data.captures.frames import read_frames
+from data.captures.reader import read_capture
 from data.captures.rosbag import find_rests, read_recording, recordings
 
 

@@ -5,8 +5,9 @@ import pytest
 from cloths import describe
 
 from common.errors import InputError
-from data.captures.capture import read_capture, write_capture
 from data.captures.description import whole_turns
+from data.captures.reader import read_capture
+from data.captures.writer import write_capture
 from data.render.cameras import nominal_camera
 from data.render.rays import VIEWS, DepthRenderer
 from data.render.scenes import raw_scene

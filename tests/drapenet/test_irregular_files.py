@@ -9,11 +9,11 @@ import pytest
 from apps.drape_file import read_borrowed
 from apps.strip_curves import read_curve
 from common.errors import InputError
-from data.captures.capture import read_capture
 from data.captures.description import OutlineSource
 from data.captures.frames import read_array, read_exr, read_picture, read_points
 from data.captures.outline_table import read_closed_curve
 from data.captures.raw_scans import read_raw_scan
+from data.captures.reader import read_capture
 from data.captures.rosbag import read_recording
 from data.captures.scans import read_scan
 from data.dataset.folder import read_manifest

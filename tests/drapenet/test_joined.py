@@ -13,11 +13,12 @@ import yaml
 import drapenet
 import infer
 from common.errors import InputError
-from data.captures.capture import read_capture
-from drapenet import stages
+from data.captures.reader import read_capture
 from drapenet.config import EstimateOptions
-from drapenet.evidence import fabric
-from drapenet.inference import estimate_fabric, joint_estimate, read_part
+from drapenet.estimator import infer as inferring
+from drapenet.estimator import stages
+from drapenet.estimator.combine import combine_all
+from drapenet.estimator.estimate import estimate_fabric, join, read_part
 from drapenet.network.checkpoint import read_header
 from drapenet.network.predict import Draws
 from drapenet.result.files import FAULTS
@@ -120,7 +121,7 @@ def test_parts_in_files_give_the_estimate_of_those_in_memory(tmp_path):
                 "drapes=0"])
     header = read_header()
     parts = [read_part(tmp_path / "o" / name) for name in ("capture_0", "strips_1")]
-    estimate, document = joint_estimate(parts, header)
+    estimate, document = join(parts, header)
     assert medians(document.content()) == pytest.approx(medians(content(tmp_path / "o")), rel=1e-4)
     python = drapenet.estimate(sources[0], strips=sources[1])
     assert python.samples == pytest.approx(estimate.samples, rel=1e-3, abs=1e-6)
@@ -165,10 +166,10 @@ def test_values_that_files_may_not_state_are_refused(tmp_path, sources, known, w
 
 def test_two_captures_that_contradict_each_other_leave_both_possible(tmp_path, plain, monkeypatch):
     """The second is the first as of a fabric of a fifth of the stiffness."""
-    parts = [stages.network_estimate(read_capture(capture(tmp_path / name)), read_header())
+    parts = [stages.by_network(read_capture(capture(tmp_path / name)), read_header())
              for name in ("a", "b")]
-    true = fabric.predict
-    changed = id(parts[1].observation.map)
+    true = inferring.predict
+    changed = id(parts[1].observed.seen.map)
 
     def predict(network, header, sets):
         found = true(network, header, sets)
@@ -179,9 +180,9 @@ def test_two_captures_that_contradict_each_other_leave_both_possible(tmp_path, p
             found[place] = Draws(replace(found[place].cloth, theta=theta), True, 0.0)
         return found
 
-    monkeypatch.setattr(fabric, "predict", predict)
-    estimate = fabric.fabric_estimate(
-        [fabric.CaptureEvidence(name, part.observation) for name, part in
+    monkeypatch.setattr(inferring, "predict", predict)
+    estimate = combine_all(
+        [inferring.CaptureEvidence(name, part.observed.seen) for name, part in
          zip("ab", parts, strict=True)], [], 0.21, read_header())
     line, = estimate.contradictions
     assert "contradicts" in line and "the estimate holds for either" in line

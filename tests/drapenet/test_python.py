@@ -9,7 +9,7 @@ from cloths import describe, write_skirt
 import drapenet
 import infer
 from common.errors import InputError
-from data.captures.capture import read_capture
+from data.captures.reader import read_capture
 
 
 def test_a_fabric_is_estimated_as_by_the_command(untrained_checkpoint, tmp_path):

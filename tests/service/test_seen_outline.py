@@ -14,8 +14,8 @@ from PIL import Image
 from scipy.spatial import cKDTree
 from services import settings_for
 
-from data.captures.capture import read_capture
 from data.captures.photograph import PhotographedOutline, signed_area
+from data.captures.reader import read_capture
 from drapenet.service.limits import RequestError
 from drapenet.service.uploads import checked_photograph, checked_upload
 

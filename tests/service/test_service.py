@@ -20,15 +20,15 @@ from services import BreakablePool, ended, joint_estimate_of, post, settings_for
 from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 from workbooks import cells
 
-from data.captures.capture import read_capture
 from data.captures.preview import outline_picture
+from data.captures.reader import read_capture
+from drapenet.estimator.estimate import join, read_part
+from drapenet.estimator.stages import by_network
 from drapenet.export.formats import TARGETS
-from drapenet.inference import joint_estimate, read_part
 from drapenet.network.checkpoint import read_header
 from drapenet.service.app import create_app
 from drapenet.service.jobs import Jobs
 from drapenet.service.limits import Places
-from drapenet.stages import network_estimate
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "captures" / "twill"
 PHOTOGRAPH = EXAMPLE.parent / "twill_photograph"
@@ -55,7 +55,7 @@ def photographed(client) -> dict:
 def test_numbers_are_those_of_the_command(name, request, untrained_checkpoint):
     found = request.getfixturevalue(name)
     capture = read_capture(EXAMPLE if name == "finished" else PHOTOGRAPH)
-    expected = network_estimate(capture, read_header(untrained_checkpoint)).estimate
+    expected = by_network(capture, read_header(untrained_checkpoint)).estimate
     assert found["state"] == "done" and found["error"] is None
     moduli = found["estimate"]["moduli"]
     for k, direction in enumerate(("warp", "bias", "weft")):
@@ -225,14 +225,14 @@ def joined(client, finished) -> dict:
     return joint_estimate_of(client, identity)
 
 
-def test_captures_of_a_fabric_have_one_joint_estimate(client, finished, joined):
+def test_captures_of_a_fabric_have_one_join(client, finished, joined):
     assert joined["state"] == "done", joined["error"]
     document = joined["estimate"]
     assert joined["members"] == [part["id"] for part in client.get(
         f"/fabrics/{finished['fabric']}").json()["estimates"][:2]]
     assert document["capture"]["sources"] == ["Twill_b_7/capture_1", "Twill_b_7/two_views"]
     folder = client.app.state.jobs.settings.folder
-    expected, _ = joint_estimate(
+    expected, _ = join(
         [read_part(folder / member) for member in joined["members"]],
         read_header(client.app.state.jobs.settings.checkpoint))
     assert document["moduli"]["warp"]["alpha_uN_m"]["median"] == pytest.approx(

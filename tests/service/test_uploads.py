@@ -17,7 +17,8 @@ from PIL import Image
 
 from common.command import compose_config
 from common.errors import InputError
-from data.captures.capture import Capture, read_capture
+from data.captures.capture import Capture
+from data.captures.reader import read_capture
 from data.readings import QUANTITIES
 from data.strips.description import StripsDescription, read_description
 from drapenet.config import ServeConfig

@@ -10,13 +10,13 @@ import yaml
 from fastapi.testclient import TestClient
 from services import ended, joint_estimate_of, post, settings_for
 
-from data.captures.capture import read_capture
+from data.captures.reader import read_capture
 from data.readings import QUANTITIES
 from data.readings.quantity import Quantity
+from drapenet.estimator.stages import by_network
 from drapenet.export.formats import TARGETS
 from drapenet.network.checkpoint import read_header
 from drapenet.service.app import create_app
-from drapenet.stages import network_estimate
 
 PHOTOGRAPH = Path(__file__).resolve().parents[2] / "examples" / "captures" / "twill_photograph"
 FILES = [PHOTOGRAPH / "outline.jpg", PHOTOGRAPH / "capture.yaml"]
@@ -95,7 +95,7 @@ def test_a_value_that_contradicts_is_named_and_left_out(client, lengths):
 
 def test_values_with_a_capture_move_its_estimate(client, untrained_checkpoint):
     capture = read_capture(PHOTOGRAPH)
-    before = network_estimate(capture, read_header(untrained_checkpoint)).document
+    before = by_network(capture, read_header(untrained_checkpoint)).document
     before = before.laboratory["warp"].bending_length_mm
     value = before.interval_68[1]
     begun = post(client, FILES, **{"known.bending_length_mm.warp": f"{value:.2f}",

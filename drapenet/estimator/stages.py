@@ -1,4 +1,4 @@
-"""The stages of a capture's estimate: network, checks, refinement, drape, report.
+"""A capture's estimate in stages: network, checks, refinement, drape, report.
 
 An error in one of the last three leaves the estimate of those before, with a warning.
 """
@@ -11,19 +11,19 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from common.errors import MAX_LIST_LENGTH, InputError, one_line
-from common.files import printable, replace_file
+from common.files import replace_file
 from common.types import Metres
-from data.captures.capture import Capture
+from data.captures.capture import Capture, OutlineCapture, ReportedCapture
 from drapenet.config import EstimateOptions
-from drapenet.evidence.fabric import CaptureEvidence, joined, network_of, require_directions
+from drapenet.estimator.combine import combine
+from drapenet.estimator.describe import describe_capture
+from drapenet.estimator.infer import infer
+from drapenet.estimator.observe import Observed, observe
 from drapenet.evidence.source import of_values
 from drapenet.network.checkpoint import Header
-from drapenet.network.predict import Draws, predict
-from drapenet.result.advice import advice_of
-from drapenet.result.document import CaptureAbout, EstimateDocument
+from drapenet.network.predict import Draws
+from drapenet.result.document import EstimateDocument
 from drapenet.result.estimate import Estimate
 from drapenet.result.files import (
     FAULTS,
@@ -35,14 +35,10 @@ from drapenet.result.files import (
     write_estimate,
     write_observation,
 )
-from drapenet.views.checks import view_warnings
-from drapenet.views.located import LocatedViews
-from drapenet.views.observation import Observation
 from drapenet.views.outline import outline_of_curve
 
 if TYPE_CHECKING:
     from drapenet.report.drape import Resimulation
-    from drapenet.surface.shape import CapturedShape
 
 Progress = Callable[[int, int], None]
 """Called with the simulated and the expected number of drapes."""
@@ -55,20 +51,22 @@ class CaptureEstimate:
     """The estimate of one capture after one of its stages.
 
     Attributes:
-        observation: the network's input.
         draws: samples from the pictures alone, without what is known of the fabric.
         warnings: beside those of capture, samples and drape.
         refined: outcome of a refinement, for the document.
     """
 
-    capture: Capture
+    observed: Observed
     header: Header
-    located: LocatedViews | None  # None: a photograph
-    observation: Observation
     draws: Draws
     warnings: tuple[str, ...] = ()
     refined: dict[str, Any] | None = None
     drape: "Resimulation | None" = None
+
+    @property
+    def capture(self) -> Capture:
+        """What was captured."""
+        return self.observed.capture
 
     def with_warnings(self, *lines: str) -> "CaptureEstimate":
         """The same estimate with these warnings as well."""
@@ -78,64 +76,41 @@ class CaptureEstimate:
     def estimate(self) -> Estimate:
         """From the pictures and what is known of the fabric."""
         capture = self.capture
-        return joined(self.draws, of_values(capture.known, capture.density), capture.density,
-                      self.header, name="the capture")
+        return combine(self.draws, of_values(capture.known, capture.density), capture.density,
+                       self.header, name="the capture")
 
     @cached_property
     def document(self) -> EstimateDocument:
         """The content of ``estimate.json``."""
-        capture, seen = self.capture, self.observation
-        outline = seen.outline
-        share = (outline.corrected(capture.rig).coefficient(capture.rig) if outline else
-                 seen.coefficient)
-        nodes = outline.folds if outline else None if np.isnan(seen.nodes) else int(seen.nodes)
-        about = CaptureAbout(
-            source=printable(capture.path), density_g_m2=round(capture.density * 1e3, 6),
-            rig=capture.rig.name, face=capture.face, views=len(capture.views),
-            views_sha256=capture.digest,
-            turns_deg=self.located and (  # no -0.0
-                np.degrees(self.located.turns).round(1) + 0.0).tolist(),
-            drape_coefficient_percent=round(100 * share, 1) if np.isfinite(share) else None,
-            nodes=nodes, known=capture.known, labels=capture.labels)
-        warnings = [*capture.warnings, *self.estimate.warnings, *self.estimate.contradictions,
-                    *self.warnings]
-        optional: dict[str, Any] = {"refined": self.refined} if self.refined else {}
-        if advice := advice_of(capture.rig, share):
-            optional["advice"] = advice
-        if self.drape:
-            warnings += self.drape.warnings(share)
-            optional["resimulation"] = self.drape.as_dict()
-        return EstimateDocument.from_estimate(
-            self.estimate, capture=about, checkpoint=self.header.identity, warnings=warnings,
-            **optional)
+        return describe_capture(self.estimate, self.observed, self.header, self.warnings,
+                                refined=self.refined, drape=self.drape)
 
 
 def estimate_capture(
     capture: Capture, header: Header, options: EstimateOptions, *, out: Path | None = None,
-    scan: "CapturedShape | None" = None, progress: Progress | None = None,
+    progress: Progress | None = None,
     on_stage: Callable[[str, CaptureEstimate], None] = lambda name, result: None,
 ) -> CaptureEstimate:
     """Estimate a capture, refine the estimate and report it as the ``options`` say.
 
     Args:
         out: folder of the files, if any; the network's estimate is written before any simulation.
-        scan: the surface whose rendered views are those of ``capture``.
         on_stage: called when the stages "refining" and "simulating" begin.
     """
-    result = check(network_estimate(capture, header), options.strict)
+    result = by_network(capture, header, strict=options.strict)
     if out:
         remove_report(out)
         write_estimate(out, result.estimate, result.document)
-        write_observation(out, result.observation)
+        write_observation(out, result.observed.seen)
     if options.refine:
         on_stage("refining", result)
         result = _attempt(refine, result, "the network's estimate is not refined", out,
-                          settings=options.refine, scan=scan, progress=progress)
+                          settings=options.refine, progress=progress)
     if options.drapes:
         on_stage("simulating", result)
         result = _attempt(simulate, result, "the report shows no simulated drape", out,
                           drapes=options.drapes, edge=options.edge)
-    if options.drapes and out and not capture.numbers:
+    if options.drapes and out and not isinstance(capture, ReportedCapture):
         result = _attempt(report, result, "there is no report", out, folder=out)
     if out:
         write_estimate(out, result.estimate, result.document)
@@ -161,44 +136,20 @@ def _attempt(
         return result.with_warnings(f"{loss}: {type(error).__name__}, {one_line(error)}{place}")
 
 
-def network_estimate(capture: Capture, header: Header) -> CaptureEstimate:
-    """Estimate a capture by the network of ``header``; InputError for a tester unknown to it."""
+def by_network(capture: Capture, header: Header, *, strict: bool = False) -> CaptureEstimate:
+    """Observe a capture and infer its estimate by the network of ``header``, with the warnings of
+    its views and of a drape that is unlike its estimate; InputError if the views show no drape, or,
+    if ``strict``, for a warning."""
+    observed = observe(capture)
+    result = CaptureEstimate(observed, header, infer(observed, header))
+    unlike = [likeness.warning(capture.rig.specimen_size) for likeness in result.draws.likeness]
     try:
-        header.require_learned(capture.rig)
-        require_directions(capture.warp_direction is not None, False,
-                           [capture.known] if capture.known else [])
+        faults = observed.warnings(header.setups)
     except InputError as error:
         raise InputError(f"{capture.path}: {error}") from None
-    located, marked = None, capture.warp_direction is not None
-    if capture.outline:
-        seen = Observation.of_outline(capture)
-    elif capture.numbers:
-        seen = Observation.of_numbers(capture.rig, capture.sign, marked, capture.known)
-    else:
-        located = LocatedViews.of(capture)
-        seen = Observation.of_views(located, capture.sign, capture.warp_direction)
-    evidence = CaptureEvidence(str(capture.path), seen, capture.known)
-    try:
-        draws, = predict(network_of(header), header, [evidence.observations], compared=True)
-    except InputError as error:
-        raise InputError(f"{capture.path}: {error}") from None
-    return CaptureEstimate(capture, header, located, seen, draws)
-
-
-def check(result: CaptureEstimate, strict: bool = False) -> CaptureEstimate:
-    """Add the warnings of the views and of a drape that is unlike its estimate; InputError if the
-    views show no drape, or if ``strict``."""
-    path, located = result.capture.path, result.located
-    if located:
-        try:
-            result = result.with_warnings(
-                *view_warnings(located, result.observation.map, result.header.setups))
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from None
-    unlike = [one.warning(result.capture.rig.specimen_size) for one in result.draws.likeness]
-    result = result.with_warnings(*filter(None, unlike))
-    require_sound([*result.warnings, *result.capture.warnings, *result.estimate.contradictions],
-                  strict, str(path))
+    result = result.with_warnings(*faults, *filter(None, unlike))
+    require_sound([*result.warnings, *capture.warnings, *result.estimate.contradictions], strict,
+                  str(capture.path))
     return result
 
 
@@ -210,17 +161,18 @@ def require_sound(faults: list[str], strict: bool, what: str) -> None:
 
 
 def refine(
-    result: CaptureEstimate, *, settings: Mapping[str, Any], scan: "CapturedShape | None",
-    progress: Progress | None,
+    result: CaptureEstimate, *, settings: Mapping[str, Any], progress: Progress | None,
 ) -> CaptureEstimate:
     """Refine the estimate by simulation, which keeps the network's if there is no improvement."""
     from drapenet.refine.refine import refine_capture
+    from drapenet.surface.registration import ScannedCapture
 
-    capture = result.capture
-    if capture.warp_direction is None or not result.located:
-        missing = "give warp_direction_deg" if result.located else "it shows no depth"
+    capture, views = result.capture, result.observed.views
+    if capture.warp_direction is None or not views:
+        missing = "give warp_direction_deg" if views else "it shows no depth"
         return result.with_warnings(f"the estimate is not refined: {missing}")
-    outcome = refine_capture(result.draws.cloth, result.located, result.header,
+    scan = capture.shape if isinstance(capture, ScannedCapture) else None
+    outcome = refine_capture(result.draws.cloth, views, result.header,
                              density=capture.density, warp=capture.warp_direction,
                              face=capture.sign, scan=scan, settings=settings, progress=progress)
     if outcome is None:
@@ -236,14 +188,19 @@ def simulate(result: CaptureEstimate, *, drapes: int, edge: Metres) -> CaptureEs
     """Simulate drapes of the estimate, unless a refinement has, and keep that of the best fit."""
     from drapenet.report.drape import resimulate, resimulate_outline
 
-    if result.drape is not None or result.capture.numbers:
+    capture, views, fabric = result.capture, result.observed.views, result.estimate.fabric
+    settings: dict[str, Any] = {
+        "edge": edge, "drapes": drapes,
+        "laws": result.estimate.nuisances.turned(capture.sign).laws}
+    if result.drape is not None:
         return result
-    fabric, rig, outline = result.estimate.fabric, result.capture.rig, result.capture.outline
-    settings = {"edge": edge, "drapes": drapes,
-                "laws": result.estimate.nuisances.turned(result.capture.sign).laws}
-    drape = (resimulate(fabric, result.located, **settings) if result.located else
-             resimulate_outline(fabric, outline_of_curve(outline.curve, height=outline.height),
-                                rig, **settings))
+    if isinstance(capture, OutlineCapture):
+        seen = outline_of_curve(capture.outline.curve, height=capture.outline.height)
+        drape = resimulate_outline(fabric, seen, capture.rig, **settings)
+    elif views:
+        drape = resimulate(fabric, views, **settings)
+    else:
+        return result
     if drape is None:
         return result.with_warnings("no drape of the estimate converged; the report shows none")
     return replace(result, drape=drape)
@@ -260,6 +217,6 @@ def report(result: CaptureEstimate, *, folder: Path) -> CaptureEstimate:
     picture = draw_report(result.estimate, document, capture, result.drape, title=name)
     replace_file(folder / REPORT, picture)
     replace_file(folder / TORQUES, draw_torques(result.estimate))
-    replace_file(folder / SHAPES, drape_glb(capture.rig, result.located, result.drape))
+    replace_file(folder / SHAPES, drape_glb(capture.rig, result.observed.views, result.drape))
     write_report(folder, name, document, [ShownCapture(name, document, picture)])
     return result

@@ -1,0 +1,100 @@
+"""Describe: the document of an estimate, ``estimate.json``."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from common.files import printable
+from data.captures.capture import DepthCapture
+from data.captures.description import Labels
+from drapenet.estimator.observe import Observed
+from drapenet.network.checkpoint import Header
+from drapenet.result.advice import advice_of
+from drapenet.result.document import (
+    CaptureAbout,
+    CaptureRecord,
+    EstimateDocument,
+    StripsRecord,
+)
+from drapenet.result.estimate import Estimate
+
+if TYPE_CHECKING:
+    from data.strips.folder import StripSet
+    from drapenet.report.drape import Resimulation
+
+
+def describe_capture(
+    estimate: Estimate, observed: Observed, header: Header, warnings: Sequence[str], *,
+    refined: dict[str, Any] | None, drape: "Resimulation | None",
+) -> EstimateDocument:
+    """The document of one capture's estimate.
+
+    Args:
+        warnings: beside those of capture, samples and drape.
+        refined: outcome of a refinement.
+    """
+    capture, seen, located = observed.capture, observed.seen, observed.views
+    outline = seen.outline
+    share = (outline.corrected(capture.rig).coefficient(capture.rig) if outline else
+             seen.coefficient)
+    nodes = outline.folds if outline else None if np.isnan(seen.nodes) else int(seen.nodes)
+    about = CaptureAbout(
+        source=printable(capture.path), density_g_m2=round(capture.density * 1e3, 6),
+        rig=capture.rig.name, face=capture.face,
+        views=len(capture.views) if isinstance(capture, DepthCapture) else 0,
+        views_sha256=capture.digest,
+        turns_deg=(np.degrees(located.turns).round(1) + 0.0).tolist() if located else None,  # no -0
+        drape_coefficient_percent=round(100 * share, 1) if np.isfinite(share) else None,
+        nodes=nodes, known=capture.known, labels=capture.labels)
+    lines = [*capture.warnings, *estimate.warnings, *estimate.contradictions, *warnings]
+    optional: dict[str, Any] = {"refined": refined} if refined else {}
+    if advice := advice_of(capture.rig, share):
+        optional["advice"] = advice
+    if drape:
+        lines += drape.warnings(share)
+        optional["resimulation"] = drape.as_dict()
+    return EstimateDocument.from_estimate(estimate, capture=about, checkpoint=header.identity,
+                                          warnings=lines, **optional)
+
+
+def describe_strips(
+    estimate: Estimate, strips: "StripSet", record: StripsRecord, header: Header
+) -> EstimateDocument:
+    """The document of the estimate from strips, or from known values, alone."""
+    return EstimateDocument.from_estimate(
+        estimate, checkpoint=header.identity, strips=[record],
+        capture=CaptureAbout(sources=[], rig="", labels=strips.labels,
+                             density_g_m2=round(strips.density * 1e3, 6)),
+        warnings=[*estimate.warnings, *strips.warnings, *estimate.contradictions])
+
+
+def describe_jointly(
+    estimate: Estimate, documents: Sequence[EstimateDocument], header: Header
+) -> EstimateDocument:
+    """The document of a fabric's estimate from its parts, with the moduli of each."""
+    captures = [document for document in documents if document.capture.source]
+    records = [record for document in documents for record in document.strips or []]
+    density = documents[0].density
+    warnings = [*estimate.warnings, *estimate.contradictions, *(
+        f"{document.label} has {len(document.warnings)} "
+        f"warning{'s' * (len(document.warnings) > 1)} by itself: {document.warnings[0]}"
+        for document in documents if document.warnings)]
+    if any(document.density != density for document in documents):
+        warnings.append("the captures state different densities: moduli are those at "
+                        f"{1e3 * density:g} g/m², that of the first; weigh the fabric once, and "
+                        "state the same density_g_m2 for all")
+    labels = Labels.joined([document.capture.labels for document in documents])
+    if len({document.capture.labels.fabric for document in documents} - {None}) > 1:
+        warnings.append(f"the captures state different fabrics ({labels.fabric}): check that all "
+                        "are of one")
+    sections: dict[str, Any] = {"captures": [
+        CaptureRecord(capture=document.capture, moduli=document.moduli, warnings=document.warnings)
+        for document in captures]} if captures else {}
+    sections |= {"strips": records} if records else {}
+    rigs = dict.fromkeys(document.capture.rig for document in captures)
+    return EstimateDocument.from_estimate(
+        estimate, capture=CaptureAbout(
+            sources=[document.label for document in captures], rig=", ".join(rigs), labels=labels,
+            density_g_m2=round(density * 1e3, 6)),
+        checkpoint=header.identity, warnings=warnings, **sections)

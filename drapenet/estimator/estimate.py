@@ -1,0 +1,191 @@
+"""The estimate of a fabric from whatever is known of it: the one way for the command, batches, the
+service and Python.
+
+Each source, a capture or a folder of strips, is a :class:`Part` with files of its own;
+:func:`join` makes the fabric's estimate from the parts.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from common.errors import InputError
+from common.normal import Linear, Normal
+from data.captures.capture import Capture
+from data.strips.folder import StripSet
+from drapenet.config import EstimateOptions
+from drapenet.estimator.combine import StripsMeasured, combine_all
+from drapenet.estimator.describe import describe_jointly, describe_strips
+from drapenet.estimator.infer import CaptureEvidence
+from drapenet.estimator.read import Source, require_directions, require_one_fabric
+from drapenet.estimator.stages import (
+    CaptureEstimate,
+    Progress,
+    estimate_capture,
+    require_sound,
+)
+from drapenet.evidence.state import fabric_prior, prior_along
+from drapenet.network.checkpoint import Header
+from drapenet.result.document import EstimateDocument, StripsRecord
+from drapenet.result.estimate import Estimate
+from drapenet.result.files import (
+    ESTIMATE,
+    REPORT,
+    capture_names,
+    fabric_name,
+    read_document,
+    read_observation,
+    remove_report,
+    require_output,
+    write_estimate,
+)
+from drapenet.views.observation import Observation
+from sim.material import MICRO
+
+Stage = Callable[[str, CaptureEstimate], None]
+
+
+@dataclass(frozen=True)
+class Part:
+    """What one source says of a fabric: the document of its estimate alone, and what the network
+    reads of a capture."""
+
+    document: EstimateDocument
+    observation: Observation | None = None
+
+    @property
+    def evidence(self) -> CaptureEvidence | None:
+        """Of a capture."""
+        if self.observation is None:
+            return None
+        refined = self.document.refined and self.document.refined.posterior
+        return CaptureEvidence(
+            self.document.label, self.observation, self.document.capture.known,
+            Normal(np.array(refined.mean), np.array(refined.covariance)) if refined else None)
+
+
+def read_part(folder: Path) -> Part:
+    """The part whose files :func:`estimate_source` has written to a folder."""
+    document = read_document(folder / ESTIMATE)
+    return Part(document, None if document.strips else read_observation(folder))
+
+
+def estimate_fabric(
+    sources: Sequence[Source], header: Header, options: EstimateOptions, *,
+    out: Path | None = None,
+    on_estimate: Callable[[EstimateDocument, Path | None], None] = lambda document, folder: None,
+) -> Estimate:
+    """Estimate a fabric from all its ``sources``, and each of several by itself.
+
+    Args:
+        out: folder of the files, if any; several sources have folders in it.
+        on_estimate: called with each document and its folder.
+    """
+    if not sources:
+        raise InputError("nothing is known of the fabric; give captures or strips")
+    captures = [source for source in sources if isinstance(source, Capture)]
+    require_one_fabric([source.density for source in sources],
+                       [(str(capture.path), capture.digest) for capture in captures])
+    require_directions(all(capture.warp_direction is not None for capture in captures),
+                       any(len(source) for source in sources if isinstance(source, StripSet)),
+                       [source.known for source in sources])
+    if len(sources) == 1:
+        estimate, part = estimate_source(sources[0], header, options, out=out)
+        on_estimate(part.document, out)
+        return replace(estimate, warnings=tuple(part.document.warnings))
+    folders = [out / f"{'capture' if isinstance(source, Capture) else 'strips'}_{k}" if out
+               else None for k, source in enumerate(sources)]
+    for folder in filter(None, folders):
+        require_output(folder)
+    parts = []
+    for source, folder in zip(sources, folders, strict=True):
+        _, part = estimate_source(source, header, options, out=folder)
+        parts.append(part)
+        on_estimate(part.document, folder)
+    estimate, document = join(parts, header, strict=options.strict)
+    if out:
+        write_joint(out, estimate, document, parts, folders, drawn=bool(options.drapes))
+    on_estimate(document, out)
+    return replace(estimate, warnings=tuple(document.warnings))
+
+
+def estimate_source(
+    source: Source, header: Header, options: EstimateOptions, *, out: Path | None = None,
+    progress: Progress | None = None, on_stage: Stage = lambda name, result: None,
+) -> tuple[Estimate, Part]:
+    """The estimate of one source by itself, with its files in ``out``, if any.
+
+    Args:
+        progress, on_stage: see :func:`drapenet.estimator.stages.estimate_capture`.
+    """
+    if isinstance(source, Capture):
+        result = estimate_capture(source, header, options, out=out, progress=progress,
+                                  on_stage=on_stage)
+        return result.estimate, Part(result.document, result.observed.seen)
+    record = StripsRecord.of_evidence(
+        source, source.evidence(prior_along(fabric_prior(header), source.density)))
+    estimate = combine_all([], [_measured(record)], source.density, header)
+    document = describe_strips(estimate, source, record, header)
+    require_sound([*estimate.contradictions, *source.warnings], options.strict, str(source.path))
+    if out:
+        remove_report(out)
+        write_estimate(out, estimate, document)
+        if options.drapes:
+            _report(document, [], out)
+    return estimate, Part(document)
+
+
+def _measured(record: StripsRecord) -> StripsMeasured:
+    return StripsMeasured(1e-3 * record.density_g_m2, {
+        direction: (Linear(np.array(moduli.evidence.rows), np.array(moduli.evidence.values)),
+                    MICRO * moduli.alpha_uN_m.median)
+        for direction, moduli in record.moduli.items()}, record.known)
+
+
+def join(
+    parts: Sequence[Part], header: Header, *, strict: bool = False
+) -> tuple[Estimate, EstimateDocument]:
+    """The estimate of a fabric from its parts, and its document with the moduli of each.
+
+    InputError for parts that cannot be of one fabric, or, if ``strict``, that contradict others.
+    """
+    documents = [part.document for part in parts]
+    captures = [evidence for part in parts if (evidence := part.evidence)]
+    records = [record for document in documents for record in document.strips or []]
+    require_one_fabric([document.density for document in documents],
+                       [(document.label, document.capture.views_sha256)
+                        for document in documents if document.capture.source])
+    require_directions(all(capture.seen.known for capture in captures),
+                       any(record.moduli for record in records),
+                       [*(capture.stated for capture in captures),
+                        *(record.known for record in records)])
+    estimate = combine_all(captures, list(map(_measured, records)), documents[0].density, header)
+    require_sound(list(estimate.contradictions), strict, "the fabric")
+    return estimate, describe_jointly(estimate, documents, header)
+
+
+def write_joint(
+    out: Path, estimate: Estimate, document: EstimateDocument, parts: Sequence[Part],
+    folders: Sequence[Path | None], *, drawn: bool,
+) -> None:
+    """Write a joint estimate, and if it is ``drawn`` its report with the captures' pictures."""
+    remove_report(out)
+    write_estimate(out, estimate, document)
+    if drawn:
+        _report(document, [(part.document, folder) for part, folder in
+                           zip(parts, folders, strict=True) if part.observation and folder], out)
+
+
+def _report(
+    document: EstimateDocument, captures: Sequence[tuple[EstimateDocument, Path]], out: Path
+) -> None:
+    """Write the report of an estimate, with the pictures in its captures' folders."""
+    from drapenet.report.report import ShownCapture, write_report
+
+    files = [folder / REPORT for _, folder in captures]
+    shown = [ShownCapture(name, part, file.read_bytes() if file.exists() else b"")
+             for name, (part, _), file in zip(capture_names(document), captures, files,
+                                              strict=True)]
+    write_report(out, fabric_name(document), document, shown)

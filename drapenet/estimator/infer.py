@@ -1,0 +1,106 @@
+"""Infer: samples of the posterior of a fabric by the network, from one capture or several."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache, lru_cache
+
+import numpy as np
+
+from common.errors import InputError
+from common.normal import Normal
+from data.captures.reported import Reported
+from drapenet.estimator.observe import Observed
+from drapenet.estimator.read import require_directions
+from drapenet.evidence.combine import consistent, updated
+from drapenet.evidence.source import of_capture, of_refined
+from drapenet.evidence.state import cloth_of_state, fabric_prior, state_of
+from drapenet.network.checkpoint import Header, load_model
+from drapenet.network.predict import Draws, predict
+from drapenet.views.observation import Observation
+from sim.material import DIRECTIONS, STIFF_SOFT
+
+network_of = lru_cache(maxsize=2)(load_model)
+
+
+@dataclass(frozen=True)
+class CaptureEvidence:
+    """A capture as the network reads it.
+
+    Attributes:
+        label: names it in sentences.
+        stated: what its laboratory states of the fabric.
+        refined: posterior of all but hysteresis after a refinement by simulation, which takes the
+            network's place.
+    """
+
+    label: str
+    seen: Observation
+    stated: Reported | None = None
+    refined: Normal | None = None
+
+    @property
+    def observations(self) -> list[Observation]:
+        """The capture, and the drape coefficient that is stated beside its pictures."""
+        seen, stated = self.seen, self.stated
+        if stated is None or stated.drape_coefficient_percent is None or (
+                np.isfinite(seen.coefficient)):
+            return [seen]
+        return [seen, Observation.of_numbers(seen.rig, seen.face, seen.known, stated)]
+
+
+def infer(observed: Observed, header: Header) -> Draws:
+    """Samples from one capture, and how it compares with drapes of them; InputError for a tester or
+    a kind of capture that the network of ``header`` has not learned."""
+    capture = observed.capture
+    try:
+        header.require_learned(capture.rig)
+        require_directions(capture.warp_direction is not None, False, [capture.known])
+        evidence = CaptureEvidence(str(capture.path), observed.seen, capture.known)
+        draws, = predict(network_of(header), header, [evidence.observations], compared=True)
+    except InputError as error:
+        raise InputError(f"{capture.path}: {error}") from None
+    return draws
+
+
+def infer_jointly(
+    captures: Sequence[CaptureEvidence], header: Header
+) -> tuple[Draws, list[str]]:
+    """Samples from captures of one fabric, of the prior if there are none, and a line for each
+    capture that contradicts the others.
+
+    Where the direction of the warp is not stated for all captures, it is taken as unknown for all.
+    """
+    if not captures:
+        return Draws(fabric_prior(header), True, 0.0), []
+    marked = all(capture.seen.known for capture in captures)
+    captures = [replace(capture, seen=replace(capture.seen, known=marked)) for capture in captures]
+    if len(captures) == 1 and not captures[0].refined:
+        return predict(network_of(header), header, [captures[0].observations])[0], []
+    names = DIRECTIONS if marked else STIFF_SOFT
+    prior = Normal.of(state_of(fabric_prior(header)))
+    refined = {k: of_refined(capture.label, capture.refined, prior, names)
+               for k, capture in enumerate(captures) if capture.refined and marked}
+
+    @cache
+    def together(*numbers: int) -> Draws:
+        """The posterior of some captures."""
+        read = [part for k in numbers if k not in refined for part in captures[k].observations]
+        draws = (predict(network_of(header), header, [read])[0] if read else
+                 Draws(fabric_prior(header), True, 0.0))
+        better = [refined[k] for k in numbers if k in refined]
+        states = updated(state_of(draws.cloth), better)
+        return replace(draws, cloth=cloth_of_state(states))
+
+    alone = [together(k) for k in range(len(captures))]
+    sources = [of_capture(capture.label, state_of(alone[k].cloth), prior, names)
+               for k, capture in enumerate(captures)]
+    number = {id(source): k for k, source in enumerate(sources)}
+    left, lines = consistent(sources, lambda part: Normal.of(state_of(together(
+        *(number[id(source)] for source in part)).cloth)))
+    if len(captures) == 2 and lines:
+        # Nothing says which of them is of another fabric: the samples are of both.
+        first, second = (state_of(alone[k].cloth)[::2] for k in (0, 1))
+        lines = [line.replace("left out: check", "the estimate holds for either: check")
+                 for line in lines]
+        return replace(alone[0], cloth=cloth_of_state(np.concatenate([first, second]))), lines
+    return together(*(number[id(source)] for source in left)), lines

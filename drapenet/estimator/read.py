@@ -1,0 +1,81 @@
+"""Read: captures, scans and strips of a fabric, with what is stated of it."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from common.errors import InputError
+from common.types import Density
+from data.captures.capture import Capture
+from data.captures.description import NEED_WARP, Description, Specimen
+from data.captures.reader import captures_in, read_capture
+from data.readings.known import Known
+from data.strips.description import FILE as STRIPS
+from data.strips.description import StripsDescription
+from data.strips.folder import StripSet, read_strips
+
+Source = Capture | StripSet
+"""What an estimate is made from."""
+MAX_DENSITY_DIFFERENCE = 0.1  # between specimens of one fabric, relative to the smallest
+
+
+def read_source(folder: Path) -> Source:
+    """The strips of a folder with ``strips.yaml``, else its capture."""
+    return read_strips(folder) if (folder / STRIPS).exists() else read_capture(folder)
+
+
+def read_sources(places: Iterable[Path], strips: str | Path = "") -> list[Source]:
+    """The captures in the ``places``, and the strips of a folder."""
+    of_strips = [read_strips(strips)] if strips else []
+    return [*(read_capture(path) for place in places for path in captures_in(place)), *of_strips]
+
+
+def read_scans(files: Iterable[Path], specimen: Specimen, strips: str | Path = "") -> list[Source]:
+    """The captures made of scans of a ``specimen``, and the strips of a folder."""
+    of_strips = [read_strips(strips)] if strips else []  # first: scans need seconds
+    from drapenet.surface.registration import read_scan_capture
+
+    return [*(read_scan_capture(file, specimen) for file in files), *of_strips]
+
+
+def with_known(sources: Sequence[Source], known: Mapping[str, Any] | None) -> list[Source]:
+    """The ``sources`` of a fabric, of which the first also states what is ``known`` of it, as its
+    file would: only one, for a drape coefficient is evidence of each capture that states it."""
+    if known is None:
+        return list(sources)
+    if stated := next((source for source in sources if source.known), None):
+        raise InputError(f"known is in {stated.path} and an argument; give the values in one of "
+                         "them")
+    first, *others = sources
+    model = Description if isinstance(first, Capture) else StripsDescription
+    described = model.of({"density_g_m2": round(1e3 * first.density, 6), "known": known}, "")
+    checked: Any = described.known  # of the kind that the source states
+    return [replace(first, known=checked), *others]
+
+
+def require_one_fabric(densities: Sequence[Density], digests: Iterable[tuple[str, str]]) -> None:
+    """InputError for captures that cannot be combined; ``digests``: name and
+    :attr:`~data.captures.capture.Capture.digest` of each.
+    """
+    names: dict[str, str] = {}
+    for name, digest in digests:
+        if digest in names:
+            raise InputError(f"{names[digest]} and {name} have the same views, which are not "
+                             "independent; give each capture once")
+        names[digest] = name
+    low, high = min(densities), max(densities)
+    if high > (1 + MAX_DENSITY_DIFFERENCE) * low:
+        raise InputError(f"captures and strips of one fabric state densities from {1e3 * low:g} to "
+                         f"{1e3 * high:g} g/m², more than {MAX_DENSITY_DIFFERENCE:.0%} apart; "
+                         "correct density_g_m2, or give different fabrics apart")
+
+
+def require_directions(marked: bool, strips: bool, stated: Iterable[Known | None]) -> None:
+    """InputError if strips or values along the yarns meet captures without the warp's direction."""
+    if marked:
+        return
+    if strips:
+        raise InputError(f"strips along the yarns {NEED_WARP}")
+    if any(known.along_yarns for known in stated if known):
+        raise InputError(f"known values along the yarns {NEED_WARP}")
