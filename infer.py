@@ -33,10 +33,11 @@ from sim.mesh.specimen import check_edge
 def main(config: InferConfig) -> None:
     """Estimate one fabric or many, print the estimates, and write the files."""
     options = options_of(config)
+    targets = []
     if config.export:
         from drapenet.export.formats import targets_named
 
-        targets_named(config.export, "export")  # refuses an unknown name before any work
+        targets = targets_named(config.export, "export")  # unknown ones are refused before any work
     if config.captures:
         from drapenet.batch.batch import estimate_fabrics
 
@@ -55,8 +56,8 @@ def main(config: InferConfig) -> None:
 
         estimate_fabric(sources, header, options, out=out, on_estimate=print_estimate)
         files = [out / ESTIMATE]
-    if config.export:
-        export_estimates(files, config.export)
+    if targets:
+        export_estimates(files, targets)
 
 
 def sources_of(config: InferConfig) -> list[Source]:
@@ -78,13 +79,13 @@ def print_estimate(document: EstimateDocument, folder: Path | None) -> None:
         print(f"report:   {', '.join(files)}")
 
 
-def export_estimates(files: list[Path], names: str) -> None:
+def export_estimates(files: list[Path], targets: list[str]) -> None:
     """Write files for other tools beside each ``estimate.json``."""
-    from drapenet.export.formats import export_all, targets_named
+    from drapenet.export.formats import export_all
     from drapenet.export.material import read_material
 
     for file in files:
-        written = export_all(read_material(file), targets_named(names, "export"), file.parent)
+        written = export_all(read_material(file), targets, file.parent)
         print(f"exports:  {file.parent}: {', '.join(path.name for path in written)}")
 
 

@@ -2,41 +2,34 @@
 first, then strips and known values."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+
+import numpy as np
 
 from common.normal import Linear
 from common.types import Density
 from data.readings.known import Known
-from drapenet.estimator.infer import CaptureEvidence, infer_jointly
 from drapenet.evidence.combine import combine as combined
 from drapenet.evidence.source import Source, of_strips, of_values
 from drapenet.evidence.state import cloth_of_state, state_of
 from drapenet.network.checkpoint import Header
 from drapenet.network.predict import Draws
+from drapenet.result.document import StripsRecord
 from drapenet.result.estimate import Estimate, make_estimate
-
-
-@dataclass(frozen=True)
-class StripsMeasured:
-    """Strips of a fabric of a density, or no strips and values alone.
-
-    Attributes:
-        measured: by direction evidence of log alpha, beta/alpha and natural curvature, and alpha,
-            N·m, by the strips alone.
-    """
-
-    density: Density
-    measured: dict[str, tuple[Linear, float]]
-    known: Known | None = None
+from sim.material import MICRO
 
 
 def combine(
     draws: Draws, sources: Sequence[Source], density: Density, header: Header, *, name: str,
     lines: Sequence[str] = (),
 ) -> Estimate:
-    """The estimate from samples and further ``sources``; ``name``: of what the samples come from,
-    whose directions are known if the sources are along the yarns
-    (:func:`drapenet.estimator.read.require_directions`)."""
+    """The estimate from samples and further ``sources``, those along the yarns only if the samples
+    know the direction of the warp (:func:`drapenet.estimator.read.require_directions`).
+
+    Args:
+        name: of what the samples come from; '': the prior.
+        lines: contradictions among what the samples come from.
+    """
     if sources:
         found = combined(state_of(draws.cloth), sources, name)
         draws = replace(draws, cloth=cloth_of_state(found.states))
@@ -45,20 +38,17 @@ def combine(
     return replace(estimate, contradictions=tuple(lines))
 
 
-def combine_all(
-    captures: Sequence[CaptureEvidence], strips: Sequence[StripsMeasured], density: Density,
-    header: Header,
-) -> Estimate:
-    """The estimate of a fabric from everything that is known of it; its contradictions name the
-    sources that are left out. Strips and values along the yarns need the direction of the warp.
-    """
-    draws, lines = infer_jointly(captures, header)
-    sources = [of_strips(direction, measured, alpha, part.density) for part in strips
-               for direction, (measured, alpha) in part.measured.items()]
+def sources_of(
+    strips: Sequence[StripsRecord], stated: Sequence[Known | None], density: Density
+) -> list[Source]:
+    """What strips and stated values say of a fabric of a density."""
+    sources = [of_strips(direction, Linear(np.array(moduli.evidence.rows),
+                                           np.array(moduli.evidence.values)),
+                         MICRO * moduli.alpha_uN_m.median, 1e-3 * record.density_g_m2)
+               for record in strips for direction, moduli in record.moduli.items()]
     # Every capture of a folder repeats what is known of the fabric.
-    values_stated = [*(capture.stated for capture in captures), *(part.known for part in strips)]
-    stated = {str(known): known for known in values_stated if known}
-    values = {source.label: source for known in stated.values()
+    different = {str(known): known for known in (*stated, *(record.known for record in strips))
+                 if known}
+    values = {source.label: source for known in different.values()
               for source in of_values(known, density)}
-    name = ("the capture" if len(captures) == 1 else "the captures") if captures else ""
-    return combine(draws, [*sources, *values.values()], density, header, name=name, lines=lines)
+    return [*sources, *values.values()]

@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 
 from common.errors import InputError
-from common.normal import Linear, Normal
+from common.normal import Normal
 from data.captures.capture import Capture
 from data.strips.folder import StripSet
 from drapenet.config import EstimateOptions
-from drapenet.estimator.combine import StripsMeasured, combine_all
+from drapenet.estimator.combine import combine, sources_of
 from drapenet.estimator.describe import describe_jointly, describe_strips
-from drapenet.estimator.infer import CaptureEvidence
+from drapenet.estimator.infer import CaptureEvidence, infer_jointly, prior_draws
 from drapenet.estimator.read import Source, require_directions, require_one_fabric
 from drapenet.estimator.stages import (
     CaptureEstimate,
@@ -42,7 +42,6 @@ from drapenet.result.files import (
     write_estimate,
 )
 from drapenet.views.observation import Observation
-from sim.material import MICRO
 
 Stage = Callable[[str, CaptureEstimate], None]
 
@@ -126,7 +125,8 @@ def estimate_source(
         return result.estimate, Part(result.document, result.observed.seen)
     record = StripsRecord.of_evidence(
         source, source.evidence(prior_along(fabric_prior(header), source.density)))
-    estimate = combine_all([], [_measured(record)], source.density, header)
+    estimate = combine(prior_draws(header), sources_of([record], [], source.density),
+                       source.density, header, name="")
     document = describe_strips(estimate, source, record, header)
     require_sound([*estimate.contradictions, *source.warnings], options.strict, str(source.path))
     if out:
@@ -135,13 +135,6 @@ def estimate_source(
         if options.drapes:
             _report(document, [], out)
     return estimate, Part(document)
-
-
-def _measured(record: StripsRecord) -> StripsMeasured:
-    return StripsMeasured(1e-3 * record.density_g_m2, {
-        direction: (Linear(np.array(moduli.evidence.rows), np.array(moduli.evidence.values)),
-                    MICRO * moduli.alpha_uN_m.median)
-        for direction, moduli in record.moduli.items()}, record.known)
 
 
 def join(
@@ -157,11 +150,14 @@ def join(
     require_one_fabric([document.density for document in documents],
                        [(document.label, document.capture.views_sha256)
                         for document in documents if document.capture.source])
+    stated = [capture.stated for capture in captures]
     require_directions(all(capture.seen.known for capture in captures),
                        any(record.moduli for record in records),
-                       [*(capture.stated for capture in captures),
-                        *(record.known for record in records)])
-    estimate = combine_all(captures, list(map(_measured, records)), documents[0].density, header)
+                       [*stated, *(record.known for record in records)])
+    density, names = documents[0].density, ("", "the capture", "the captures")
+    draws, lines = infer_jointly(captures, header)
+    estimate = combine(draws, sources_of(records, stated, density), density, header,
+                       name=names[min(len(captures), 2)], lines=lines)
     require_sound(list(estimate.contradictions), strict, "the fabric")
     return estimate, describe_jointly(estimate, documents, header)
 

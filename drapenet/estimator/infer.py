@@ -62,16 +62,20 @@ def infer(observed: Observed, header: Header) -> Draws:
     return draws
 
 
+def prior_draws(header: Header) -> Draws:
+    """Samples of a fabric of which nothing is captured."""
+    return Draws(fabric_prior(header), True, 0.0)
+
+
 def infer_jointly(
     captures: Sequence[CaptureEvidence], header: Header
 ) -> tuple[Draws, list[str]]:
-    """Samples from captures of one fabric, of the prior if there are none, and a line for each
-    capture that contradicts the others.
+    """Samples from captures of one fabric, and a line for each that contradicts the others.
 
     Where the direction of the warp is not stated for all captures, it is taken as unknown for all.
     """
     if not captures:
-        return Draws(fabric_prior(header), True, 0.0), []
+        return prior_draws(header), []
     marked = all(capture.seen.known for capture in captures)
     captures = [replace(capture, seen=replace(capture.seen, known=marked)) for capture in captures]
     if len(captures) == 1 and not captures[0].refined:
@@ -86,7 +90,7 @@ def infer_jointly(
         """The posterior of some captures."""
         read = [part for k in numbers if k not in refined for part in captures[k].observations]
         draws = (predict(network_of(header), header, [read])[0] if read else
-                 Draws(fabric_prior(header), True, 0.0))
+                 prior_draws(header))
         better = [refined[k] for k in numbers if k in refined]
         states = updated(state_of(draws.cloth), better)
         return replace(draws, cloth=cloth_of_state(states))

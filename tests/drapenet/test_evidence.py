@@ -9,7 +9,8 @@ from data.readings import QUANTITIES
 from data.readings.cantilever import bending_length
 from data.readings.known import ByDirection, Known
 from data.readings.quantity import SPECIMEN_SCATTER
-from drapenet.estimator.combine import StripsMeasured, combine_all
+from drapenet.estimator.combine import combine as estimated
+from drapenet.estimator.infer import prior_draws
 from drapenet.estimator.read import require_directions
 from drapenet.evidence.combine import combine, consistent, updated
 from drapenet.evidence.source import of_capture, of_refined, of_strips, of_values
@@ -210,8 +211,8 @@ def test_strips_alone_leave_the_other_directions_to_the_prior(header):
     density = 0.21
     prior = prior_along(fabric_prior(header), density)["weft"]
     measured = Linear(np.array([[1 / 0.02, 0, 0]]), np.array([np.log(40 * MICRO) / 0.02]))
-    found = combine_all([], [StripsMeasured(density, {"weft": (measured, 40 * MICRO)})],
-                            density, header)
+    found = estimated(prior_draws(header), [of_strips("weft", measured, 40 * MICRO, density)],
+                      density, header, name="")
     assert np.median(found.moduli()[0][:, 2]) == pytest.approx(40 * MICRO, rel=0.01)
     assert prior.mean[0] != pytest.approx(np.log(40 * MICRO), abs=0.1)
     assert found.constraint[2] < 0.05 < 0.2 < found.constraint[0] < 1

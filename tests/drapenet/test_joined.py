@@ -17,7 +17,7 @@ from data.captures.reader import read_capture
 from drapenet.config import EstimateOptions
 from drapenet.estimator import infer as inferring
 from drapenet.estimator import stages
-from drapenet.estimator.combine import combine_all
+from drapenet.estimator.combine import combine
 from drapenet.estimator.estimate import estimate_fabric, join, read_part
 from drapenet.network.checkpoint import read_header
 from drapenet.network.predict import Draws
@@ -181,9 +181,10 @@ def test_two_captures_that_contradict_each_other_leave_both_possible(tmp_path, p
         return found
 
     monkeypatch.setattr(inferring, "predict", predict)
-    estimate = combine_all(
+    draws, lines = inferring.infer_jointly(
         [inferring.CaptureEvidence(name, part.observed.seen) for name, part in
-         zip("ab", parts, strict=True)], [], 0.21, read_header())
+         zip("ab", parts, strict=True)], read_header())
+    estimate = combine(draws, [], 0.21, read_header(), name="the captures", lines=lines)
     line, = estimate.contradictions
     assert "contradicts" in line and "the estimate holds for either" in line
     low, high = 1e6 * np.quantile(estimate.moduli()[0][:, 0], [0.1, 0.9])
