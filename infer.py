@@ -20,7 +20,7 @@ from typing import Any
 
 from common.command import command
 from common.errors import InputError
-from common.files import folder_named
+from common.files import folder_named, locked
 from data.captures.capture import captures_in, read_capture
 from data.captures.description import Specimen
 from data.strips.folder import StripSet, read_strips
@@ -42,8 +42,10 @@ def main(config: InferConfig) -> None:
     if config.captures:
         from drapenet.batch.batch import estimate_fabrics
 
-        files = estimate_fabrics(Path(config.captures), folder_named(config.out), options,
-                                 checkpoint=config.checkpoint, workers=config.workers)
+        out = folder_named(config.out)
+        with locked(out):
+            files = estimate_fabrics(Path(config.captures), out, options,
+                                     checkpoint=config.checkpoint, workers=config.workers)
     else:
         files = [estimate_one(config, options)]
     if config.export:
@@ -58,12 +60,14 @@ def estimate_one(config: InferConfig, options: EstimateOptions) -> Path:
     paths = [source.folder if isinstance(source, StripSet) else
              (source[0] if isinstance(source, tuple) else source).path for source in sources]
     out = Path(config.out or Path("outputs/infer") / result_name(paths))
-    require_output(out, paths)
-    if sys.stderr.isatty():
-        print("the estimate of a capture takes about half a minute", file=sys.stderr, flush=True)
-    from drapenet.inference import estimate_fabric  # torch: seconds, after faults of the input
+    with locked(out):
+        require_output(out, paths)
+        if sys.stderr.isatty():
+            print("the estimate of a capture takes about half a minute", file=sys.stderr,
+                  flush=True)
+        from drapenet.inference import estimate_fabric  # torch: seconds, after faults of the input
 
-    estimate_fabric(sources, header, options, out=out, on_estimate=print_estimate)
+        estimate_fabric(sources, header, options, out=out, on_estimate=print_estimate)
     return out / ESTIMATE
 
 
