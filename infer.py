@@ -19,7 +19,7 @@ from pathlib import Path
 
 from common.command import command
 from common.errors import InputError
-from common.files import folder_named
+from common.files import folder_named, locked
 from data.captures.description import Specimen
 from drapenet.config import EstimateOptions, InferConfig
 from drapenet.estimator.read import Source, read_scans, read_sources
@@ -41,20 +41,23 @@ def main(config: InferConfig) -> None:
     if config.captures:
         from drapenet.batch.batch import estimate_fabrics
 
-        files = estimate_fabrics(Path(config.captures), folder_named(config.out), options,
-                                 checkpoint=config.checkpoint, workers=config.workers)
+        out = folder_named(config.out)
+        with locked(out):
+            files = estimate_fabrics(Path(config.captures), out, options,
+                                     checkpoint=config.checkpoint, workers=config.workers)
     else:
         sources = sources_of(config)
         header = read_header(config.checkpoint)
         paths = [source.path for source in sources]
         out = Path(config.out or Path("outputs/infer") / result_name(paths))
-        require_output(out, paths)
-        if sys.stderr.isatty():
-            print("the estimate of a capture takes about half a minute", file=sys.stderr,
-                  flush=True)
-        from drapenet.estimator.estimate import estimate_fabric  # torch: seconds, after faults
+        with locked(out):
+            require_output(out, paths)
+            if sys.stderr.isatty():
+                print("the estimate of a capture takes about half a minute", file=sys.stderr,
+                      flush=True)
+            from drapenet.estimator.estimate import estimate_fabric  # torch: seconds, after faults
 
-        estimate_fabric(sources, header, options, out=out, on_estimate=print_estimate)
+            estimate_fabric(sources, header, options, out=out, on_estimate=print_estimate)
         files = [out / ESTIMATE]
     if targets:
         export_estimates(files, targets)

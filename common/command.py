@@ -22,12 +22,21 @@ from typing import Annotated, Any, NoReturn, get_args, get_origin, get_type_hint
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from common.configs import CONFIG_DIR, config_text, group_options, read_config
-from common.documents import faults
+from common.documents import decimal, faults
 from common.errors import InputError, one_line
 
 Workers = Annotated[int, Field(ge=1, le=1024)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
 _FULL_ERROR = "HYDRA_FULL_ERROR"
+
+
+@functools.cache
+def _read_decimals() -> None:
+    """Let OmegaConf, which has no setting for it, read decimal numbers in files of settings."""
+    from omegaconf import _utils
+
+    made = _utils.get_yaml_loader
+    _utils.get_yaml_loader = lambda: decimal(made())
 
 
 def command(
@@ -87,6 +96,7 @@ def _run(task: Callable[[Any], None], name: str, schema: type, words: list[str])
         if word.startswith("-") and key in get_type_hints(schema):
             raise InputError(f"{word}: write {key}=VALUE, without dashes")
     composed: list[Any] = []
+    _read_decimals()
 
     @functools.wraps(task)  # Hydra reads the task's module
     def job(config: Any) -> None:
@@ -211,6 +221,7 @@ def schema_of(name: str) -> type:
 def _compose(name: str, words: list[str]) -> Any:
     from hydra import compose, initialize_config_dir
 
+    _read_decimals()
     with initialize_config_dir(version_base="1.3", config_dir=str(CONFIG_DIR)):
         return compose(name, overrides=[*_own_groups(name), *words])
 

@@ -5,9 +5,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-import yaml
 from pydantic import AfterValidator, Field
 
+from common.documents import parse_yaml
 from common.errors import InputError
 from common.types import Metres
 
@@ -28,7 +28,7 @@ def config_text(name: str) -> str:
 
 def read_config(name: str) -> dict:
     """The content of ``configs/NAME.yaml``."""
-    return yaml.safe_load(config_text(name))
+    return dict(parse_yaml(config_text(name), f"configs/{name}.yaml"))
 
 
 def group_options(group: str) -> list[str]:

@@ -96,6 +96,46 @@ def _glued_comment(node: Any) -> str:
     return found[1] if found else ""
 
 
+_NUMBERS = {
+    "int": (re.compile(r"[-+]?[0-9]+(_[0-9]+)*$"), int),
+    "float": (re.compile(r"[-+]?(([0-9]+(_[0-9]+)*\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?"
+                         r"|\.(inf|Inf|INF))$|\.(nan|NaN|NAN)$"),
+              lambda text: float(re.sub(r"\.(?=inf|nan)", "", text.lower())))}
+"""Decimal numbers, and what makes them of their text."""
+_NUMBER_TAGS = {f"tag:yaml.org,2002:{name}": number for name, number in _NUMBERS.items()}
+_Numbered = TypeVar("_Numbered", bound=type)
+
+
+def decimal(kind: _Numbered) -> _Numbered:
+    """A class of PyYAML's loaders or dumpers with decimal numbers, as people write them.
+
+    YAML 1.1 reads 0150 as 104, 1:30 as 90, and 1e3 as a text. Here they are 150, a text, as 0x10
+    and dates are, and 1000.
+    """
+    dropped = {*_NUMBER_TAGS, "tag:yaml.org,2002:timestamp"} if hasattr(
+        kind, "construct_object") else {}  # a dumper quotes texts that others read as numbers
+    kind.yaml_implicit_resolvers = {
+        first: [(tag, pattern) for tag, pattern in resolvers if tag not in dropped]
+        for first, resolvers in kind.yaml_implicit_resolvers.items()}
+    for tag, (pattern, make) in _NUMBER_TAGS.items():
+        kind.add_implicit_resolver(tag, pattern, [*"-+.0123456789"])
+        if dropped:
+            kind.add_constructor(tag, lambda loader, node, make=make: make(
+                loader.construct_scalar(node)))
+    return kind
+
+
+@decimal
+class _Dumper(yaml.SafeDumper):
+    """Quotes texts that :class:`_Loader` would read as numbers."""
+
+
+def yaml_text(content: Mapping) -> str:
+    """The YAML text that :func:`parse_yaml` reads as ``content``, with its keys in their order."""
+    return yaml.dump(content, Dumper=_Dumper, sort_keys=False)
+
+
+@decimal
 class _Loader(yaml.SafeLoader):
     """Refuses aliases, which may expand exponentially, and repeated keys."""
 

@@ -14,6 +14,7 @@ from typing import BinaryIO
 from common.errors import InputError, one_line
 
 PARTIAL_SUFFIX = ".part"  # of a file while it is being written
+LOCK = ".lock"  # in an output folder, while a run writes to it
 _unfinished: set[Path] = set()
 
 
@@ -68,6 +69,43 @@ def require_folder(folder: Path) -> None:
         reason = reason or error.strerror or one_line(error)
     if reason:
         raise InputError(f"cannot write to the folder {folder}: {reason}; choose another place")
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Make an output ``folder`` and keep other runs out of it until the end of the block.
+
+    The lock is the system's: it ends with its process, even a killed one, and a file that such a
+    process leaves does not count. A folder that is empty at the end, of a failed run, is removed.
+
+    Raises:
+        InputError: another run holds the folder, or it cannot be written to.
+    """
+    from filelock import FileLock, Timeout  # a quarter of a second, which few modules need
+
+    require_folder(folder)
+    made, file = not folder.exists(), folder / LOCK
+    folder.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(file, timeout=0)
+    try:
+        lock.acquire()
+    except Timeout:
+        raise InputError(f"{folder}: another run is writing to this folder; wait for its end, or "
+                         "give another out=") from None
+    except OSError as error:
+        raise InputError(f"cannot write {file}: {error.strerror or one_line(error)}; choose "
+                         "another place") from None
+    _unfinished.add(file)
+    try:
+        yield
+    finally:
+        with suppress(OSError):  # while it is held: another run must not have opened it since
+            file.unlink()
+        lock.release()
+        _unfinished.discard(file)
+        if made:
+            with suppress(OSError):  # not empty
+                folder.rmdir()
 
 
 def require_file(path: Path) -> None:

@@ -24,6 +24,7 @@ from words import last
 import infer
 from common.command import run_command
 from common.errors import InputError
+from common.files import locked
 from data.captures.reader import captures_in, read_capture
 from data.captures.writer import write_capture
 from data.render.cameras import Intrinsics
@@ -294,6 +295,14 @@ def test_a_reported_drape_coefficient_is_a_capture(checkpoint, tmp_path, out):
     assert content["convention"] == "stiff/soft" and "resimulation" not in content
     assert content["cloth"]["membrane_n_per_m"]["median"] == pytest.approx(300, rel=0.25)
     assert {file.name for file in out.iterdir()} == NUMBERS
+
+
+@pytest.mark.parametrize("key", ["capture", "captures"])
+def test_a_folder_that_another_run_writes_to_is_refused(capture, checkpoint, out, key):
+    source = capture if key == "capture" else capture.parent
+    with locked(out), pytest.raises(InputError, match="another run is writing to this folder"):
+        infer.main([f"{key}={source}", f"checkpoint={checkpoint}", f"out={out}", "drapes=0"])
+    assert not out.exists()
 
 
 def test_results_are_named_after_their_capture_and_not_overwritten_by_another(

@@ -37,7 +37,7 @@ from drapenet.service.archive import Archive
 from drapenet.service.database import DONE
 from drapenet.service.exports import all_files, export_file, results_table
 from drapenet.service.forms import NUMBERS, TEXTS, About
-from drapenet.service.jobs import Jobs
+from drapenet.service.jobs import Jobs, logged
 from drapenet.service.limits import RequestError, drain, length_fault, read_form
 from drapenet.service.pages import POLICY, add_pages
 from drapenet.service.received import KINDS
@@ -342,5 +342,6 @@ _ANSWERS = {
 
 async def _tidy(jobs: Jobs) -> None:
     while True:
-        await run_in_threadpool(jobs.tidy)
+        with logged("old results are not removed"):  # such as by a full disk
+            await run_in_threadpool(jobs.tidy)
         await asyncio.sleep(_TIDY_INTERVAL)

@@ -6,10 +6,9 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Annotated, Any
 
-import yaml
 from pydantic import Field
 
-from common.documents import MAX_TEXT_BYTES, Schema, decoded_text, parse_yaml
+from common.documents import MAX_TEXT_BYTES, Schema, decoded_text, parse_yaml, yaml_text
 from common.errors import InputError
 from common.tables import number
 from data.captures.description import (
@@ -84,7 +83,7 @@ def described_capture(document: bytes, fields: Mapping[str, str]) -> tuple[bytes
     description = Description.of(content, "")
     if description.tester is None:
         raise RequestError(422, f"tester is missing; {MISSING_TESTER}")
-    return yaml.safe_dump(content).encode(), description
+    return yaml_text(content).encode(), description
 
 
 def states_plate(fields: Mapping[str, str]) -> bool:

@@ -4,9 +4,9 @@ import logging
 import shutil
 import threading
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent import futures
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from functools import partial
 from itertools import count
 from pathlib import Path
@@ -19,7 +19,16 @@ from data.captures.description import NEED_WARP
 from drapenet.config import ServeConfig
 from drapenet.service import exports, seen
 from drapenet.service.archive import COPY
-from drapenet.service.database import DONE, ENDED, FAILED, LOST, QUEUED, Database, new_identity
+from drapenet.service.database import (
+    DONE,
+    ENDED,
+    FAILED,
+    LOST,
+    QUEUED,
+    RUNNING,
+    Database,
+    new_identity,
+)
 from drapenet.service.limits import Places, RequestError
 from drapenet.service.pools import Process, end, living, new_pool
 from drapenet.service.uploads import UNMARKED, YARNS, Upload
@@ -29,6 +38,18 @@ _LOG = logging.getLogger(__name__)
 _MAX_TRIES = 3  # of an estimate that a service was ended during
 _MAX_CAPTURES = 16  # of a fabric
 JOINT = "all captures"
+_FAULT = ("the estimate failed by a fault of the program, which the service's log states; please "
+          "report this capture")
+
+
+@contextmanager
+def logged(what: str, *values: object) -> Iterator[None]:
+    """Log an exception of the block as the failure of ``what``, with ``values`` for its %, and go
+    on: whoever runs it serves all others, too."""
+    try:
+        yield
+    except Exception:
+        _LOG.exception(what, *values)
 
 
 class Jobs:
@@ -146,21 +167,40 @@ class Jobs:
             waiting.cancel()  # calls _ended
 
     def _join(self, fabric: str) -> None:
-        """Start the joint estimate of a fabric if its captures are no longer those of the last."""
-        with self._changing:
-            rows = (self.database.fabric(fabric) or {"estimates": []})["estimates"]
-            joint = next((row for row in rows if row["members"] is not None), None)
-            members = [row["id"] for row in rows if row["members"] is None and row["state"] == DONE]
-            members = members if len(members) > 1 else []
-            if any(row["state"] not in ENDED for row in rows) or (
-                    members == (joint["members"] if joint else [])):
-                return
-            identity = joint["id"] if joint else new_identity()
-            if not members:
-                self._forget("estimate", identity, [identity])
-                return
-            self.database.add_estimate(identity, fabric, JOINT, members=members)
-        self._schedule(identity)
+        """Start the joint estimate of a fabric if its captures are no longer those of the last; the
+        fabric states, as the log does, what hinders it."""
+        with logged("the captures of the fabric %s are not joined", fabric):
+            try:
+                with self._changing:
+                    joint, members, busy = self._captures(fabric)
+                    if busy or members == (joint["members"] if joint else []):
+                        return
+                    identity = joint["id"] if joint else new_identity()
+                    if not members:
+                        self._forget("estimate", identity, [identity])
+                        return
+                    self.database.add_estimate(identity, fabric, JOINT, members=members)
+                self._schedule(identity)
+            except Exception:
+                self._not_joined(fabric)
+                raise
+
+    def _not_joined(self, fabric: str) -> None:
+        """Make the joint estimate of a fabric one that has failed, unless it is under way."""
+        with self._changing, logged("nor does the fabric %s state it", fabric):
+            joint, members, _ = self._captures(fabric)
+            if members and (joint is None or joint["state"] != RUNNING):
+                self.database.add_estimate(
+                    joint["id"] if joint else new_identity(), fabric, JOINT, members=members,
+                    state=FAILED, ended=time.time(), error=_FAULT)
+
+    def _captures(self, fabric: str) -> tuple[dict[str, Any] | None, list[str], bool]:
+        """A fabric's joint estimate, if any, the captures to be joined, if there are several, and
+        whether an estimate is under way."""
+        rows = (self.database.fabric(fabric) or {"estimates": []})["estimates"]
+        done = [row["id"] for row in rows if row["members"] is None and row["state"] == DONE]
+        return (next((row for row in rows if row["members"] is not None), None),
+                done if len(done) > 1 else [], any(row["state"] not in ENDED for row in rows))
 
     def row(self, table: str, identity: str) -> dict[str, Any]:
         """An estimate, or a fabric with its estimates."""
@@ -214,13 +254,13 @@ class Jobs:
         else:
             # The text of an error may contain paths: it is for the log only.
             _LOG.error("the estimate %s failed", identity, exc_info=error)
-            self._end(identity, FAILED, "the estimate failed by a fault of the program, which the "
-                      "service's log states; please report this capture")
-        with suppress(Exception):  # as in _end
-            self._join(self.row("estimate", identity)["fabric"])
+            self._end(identity, FAILED, _FAULT)
+        with logged("the end of the estimate %s is not known to its fabric", identity):
+            if row := self.database.estimate(identity):  # it may have been removed
+                self._join(row["fabric"])
 
     def _end(self, identity: str, state: str, sentence: str) -> None:
-        with suppress(Exception):  # a full disk must not end the thread that serves all others
+        with logged("the end of the estimate %s is not stored", identity):
             self.database.change("estimate", identity, state=state, error=sentence)
         shutil.rmtree(self.settings.folder / identity / UPLOADED, ignore_errors=True)
 

@@ -5,9 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import yaml
-
-from common.documents import misnamed, rename_remedy
+from common.documents import misnamed, rename_remedy, yaml_text
 from common.errors import InputError, shown
 from data.captures.description import NEED_WARP, UNLABELLED, Description, Labels
 from data.captures.frames import BACKGROUND
@@ -201,7 +199,7 @@ def _strips(
                                    f" the photographs sent ({', '.join(PHOTOGRAPHS)}); add it")
             require_pixels(name, received[name], settings, photograph=True)
             pictures[name], entry["file"] = received[name], name
-    document = {STRIPS: yaml.safe_dump(content, allow_unicode=True).encode()}
+    document = {STRIPS: yaml_text(content).encode()}
     return _Content(pictures | document, description.labels,
                     "strips" if description.strips else "values", directions=YARNS * bool(
                         description.strips or description.known.along_yarns))

@@ -116,6 +116,27 @@ def test_a_text_is_taken_as_it_is_written(run, text):
     assert words.name == words.inner.text == text
 
 
+@pytest.mark.parametrize(("text", "number"), [("03", 3.0), ("-004.5", -4.5), ("1e0", 1.0)])
+def test_numbers_are_decimal(run, tmp_path, text, number):
+    """On the command line and in files of settings."""
+    (words,) = run(f"inner.number={text}")
+    assert words.inner.number == number
+    file = tmp_path / "words.yaml"
+    file.write_text(file.read_text().replace("number: 0.0", f"number: {text}"))
+    (words,) = run()
+    assert words.inner.number == number
+
+
+@pytest.mark.parametrize("text", ["1:03", "0x3", "0o3"])
+def test_other_numbers_are_refused(run, tmp_path, text):
+    with pytest.raises(InputError, match="inner.number='?" + text):
+        run(f"inner.number={text}")
+    file = tmp_path / "words.yaml"
+    file.write_text(file.read_text().replace("number: 0.0", f"number: {text}"))
+    with pytest.raises(InputError, match=f"inner.number='?{text}"):
+        run()
+
+
 def test_lists_and_interpolations(run):
     (words,) = run("name=a b", "names=['a, b',\"c\"]", "numbers=1,2.5", "inner.text=${count} x")
     assert (words.name, words.names) == ("a b", ["a, b", "c"])

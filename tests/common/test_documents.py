@@ -8,7 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import Field
 
-from common.documents import Schema, parse_json, parse_yaml, read_bytes, read_json, read_yaml
+from common.documents import (
+    Schema,
+    parse_json,
+    parse_yaml,
+    read_bytes,
+    read_json,
+    read_yaml,
+    yaml_text,
+)
 from common.errors import InputError, shown
 
 
@@ -98,6 +106,31 @@ def test_what_yaml_reads_as_something_else_is_refused(text, words):
     with pytest.raises(InputError, match=words) as refusal:
         parse_yaml(text, "capture.yaml")
     assert str(refusal.value).startswith("capture.yaml") and str(refusal.value).isprintable()
+
+
+@pytest.mark.parametrize(("text", "number"), [
+    ("0150", 150), ("-045", -45), ("+09", 9), ("0150.5", 150.5), ("1_000", 1000), (".5", 0.5),
+    ("5.", 5.0), ("1e3", 1000.0), ("1e-05", 1e-5), ("1.5E+3", 1500.0), ("!!int 010", 10),
+    ("!!float 010", 10.0)])
+def test_numbers_are_decimal(text, number):
+    value = parse_yaml(f"density: {text}", "x")["density"]
+    assert value == number and type(value) is type(number)
+
+
+@pytest.mark.parametrize("text", ["1:30", "1:30.5", "0x96", "0o17", "0b11", "2026-11-26", "1__0"])
+def test_what_is_no_decimal_number_is_a_text(text):
+    """As such, it is refused in place of a number: 1:30 was 90 in YAML 1.1."""
+    assert parse_yaml(f"density: {text}", "x") == {"density": text}
+    with pytest.raises(InputError, match=f"density='{text}' is not a number; write digits"):
+        Cloth.of(parse_yaml(f"density: {text}", "x"), "x")
+
+
+@settings(max_examples=200, derandomize=True, deadline=None, database=None)
+@given(st.dictionaries(st.text("abc", min_size=1), st.integers() | st.booleans() | st.floats(
+    allow_nan=False) | st.text(max_size=9) | st.from_regex(
+        r"[-+]?[0-9][0-9_:.xoe]{0,6}|20[0-9]{2}-[01][0-9]-[0-3][0-9]", fullmatch=True)))
+def test_yaml_that_is_written_is_read_as_it_was(content):
+    assert parse_yaml(yaml_text(content), "x") == content
 
 
 @pytest.mark.parametrize("text", [

@@ -2,6 +2,8 @@
 
 import json
 import os
+import subprocess
+import sys
 import tempfile
 import unicodedata
 from pathlib import Path
@@ -11,6 +13,7 @@ import pytest
 
 from common.errors import InputError, one_line
 from common.files import (
+    locked,
     path_named,
     remove_file,
     remove_partial,
@@ -145,3 +148,31 @@ def test_a_path_is_found_however_it_is_written(tmp_path, text, form):
 @pytest.mark.parametrize("text", ["gone", "gone\\first", "x" * 5000, "a\0b"])
 def test_a_path_that_is_absent_stays_as_written(tmp_path, text):
     assert path_named(tmp_path, text) == tmp_path / text
+
+
+def test_a_folder_is_of_one_run_and_free_after_its_end(tmp_path):
+    out = tmp_path / "out"
+    with locked(out), pytest.raises(InputError, match=r"another run .*another out="):
+        with locked(out):
+            pytest.fail("two runs")
+    assert not out.exists()  # nothing was written
+    with locked(out):
+        replace_file(out / "estimate.json", b"{}")
+    assert [file.name for file in out.iterdir()] == ["estimate.json"]
+
+
+def test_a_killed_run_locks_nothing(tmp_path):
+    """Neither the lock of its process, nor the file that it leaves."""
+    held = subprocess.Popen([sys.executable, "-c", (
+        "import sys, time; from pathlib import Path; from common.files import locked\n"
+        "with locked(Path(sys.argv[1])): print('locked', flush=True); time.sleep(60)"),
+        str(tmp_path)], stdout=subprocess.PIPE)
+    assert held.stdout.readline() == b"locked\n"
+    with pytest.raises(InputError, match="another run"), locked(tmp_path):
+        pass
+    held.kill()
+    held.wait()
+    assert list(tmp_path.iterdir())
+    with locked(tmp_path):
+        pass
+    assert not list(tmp_path.iterdir())

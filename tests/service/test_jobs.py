@@ -1,13 +1,16 @@
 """Fabrics and estimates of a service whose workers finish nothing, and its pools of processes."""
 
+import asyncio
 import threading
 import time
 from dataclasses import replace
+from sqlite3 import OperationalError
 
 import pytest
 from pebble import ProcessFuture
 from services import BreakablePool, settings_for
 
+from drapenet.service import app
 from drapenet.service.archive import COPY
 from drapenet.service.database import database_in
 from drapenet.service.forms import About
@@ -254,3 +257,49 @@ def test_the_text_of_an_exception_is_for_the_log(jobs, tmp_path, caplog):
     state = jobs.row("estimate", identity)
     assert state["state"] == "failed" and "secret" not in state["error"]
     assert "secret" in caplog.text and identity in caplog.text
+
+
+def test_what_hinders_a_joint_estimate_is_logged_and_stated(jobs, monkeypatch, caplog):
+    with_captures(jobs, ["done", "queued"])
+    schedule = jobs._schedule
+
+    def broken(identity: str, client: str | None = None) -> None:
+        raise RuntimeError("no worker for it")
+
+    monkeypatch.setattr(jobs, "_schedule", broken)
+    jobs.database.change("estimate", "1", state="done")
+    future = ProcessFuture()
+    future.set_result(None)
+    jobs._ended("1", None, future)
+    (row,) = jobs.database.fabrics([])
+    assert "no worker for it" in caplog.text and row["id"] in caplog.text
+    assert "report this capture" in row["apart"] and row["result"] == "1"
+    monkeypatch.setattr(jobs, "_schedule", schedule)
+    with_third = submitted(jobs, "f")["id"]  # then all are joined anew
+    jobs.database.change("estimate", with_third, state="done")
+    jobs._join("f")
+    assert jobs.row("fabric", "f")["estimates"][-1]["state"] == "queued"
+
+
+def test_an_end_that_cannot_be_stored_is_logged(jobs, monkeypatch, caplog):
+    def full(*arguments: object, **values: object) -> None:
+        raise OperationalError("database or disk is full")
+
+    monkeypatch.setattr(jobs.database, "change", full)
+    jobs._end("a", "failed", "not finished")
+    assert "the end of the estimate a is not stored" in caplog.text and "full" in caplog.text
+
+
+def test_tidying_goes_on_after_an_error(monkeypatch, caplog):
+    """Of the database, say, on a full disk: the case that old results are removed for."""
+    calls = []
+
+    class Full:
+        def tidy(self) -> None:
+            calls.append("tidy")
+            raise OperationalError("database or disk is full")
+
+    monkeypatch.setattr(app, "_TIDY_INTERVAL", 0.01)
+    with pytest.raises(TimeoutError):
+        asyncio.run(asyncio.wait_for(app._tidy(Full()), timeout=1))
+    assert len(calls) > 1 and "database or disk is full" in caplog.text
