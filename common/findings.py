@@ -4,7 +4,7 @@ A finding is made where its fact is known, and travels as it is. Its words are m
 :attr:`Finding.text`, from the sentences of ``findings.yaml``, the one place of all of them.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -30,7 +30,7 @@ class Finding:
         code: names the kind, a key of ``findings.yaml``.
         values: what its sentence states: numbers in the unit that people see, and names; ``value``
             and ``limit`` where a measured value has a limit.
-        source: the file, strip, capture or stated value that it is of; '': what is estimated.
+        source: key of the capture, strip or stated value that it is of; '': what is estimated.
     """
 
     code: str
@@ -39,11 +39,10 @@ class Finding:
 
     @property
     def text(self) -> str:
-        """The line for people: source, fact, remedy."""
-        line = sentences()[self.code].format(**self.values)
-        return f"{self.source}: {line}" if self.source else line
+        """The line for people: fact, limit, remedy."""
+        return sentences()[self.code].format(**self.values)
 
 
-def finding(code: str, *, source: str = "", **values: Any) -> Finding:
-    """A finding of these values."""
-    return Finding(code, values, source)
+def texts(findings: Iterable[Finding]) -> list[str]:
+    """The lines of findings."""
+    return [found.text for found in findings]

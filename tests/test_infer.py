@@ -172,7 +172,7 @@ def test_estimate_says_what_it_is_and_is_the_same_again(capture, checkpoint, out
     files = {file.name: file.read_bytes() for file in out.iterdir()}
     assert set(files) == NUMBERS | {"fabric.jfab", "torque.csv"}
     content = content_of(out)
-    assert (content["schema"], content["schema_version"]) == ("drapenet-estimate", 4)
+    assert (content["schema"], content["schema_version"]) == ("drapenet-estimate", 5)
     assert content["capture"]["density_g_m2"] == 150
     assert list(content["moduli"]) == ["warp", "bias", "weft"]
     for name, moduli in content["moduli"].items():

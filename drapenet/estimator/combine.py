@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from common.findings import Finding
 from common.normal import Linear
 from common.types import Density
 from data.readings.known import Known
@@ -21,21 +22,21 @@ from sim.material import MICRO
 
 def combine(
     draws: Draws, sources: Sequence[Source], density: Density, header: Header, *, name: str,
-    lines: Sequence[str] = (),
+    contradictions: Sequence[Finding] = (),
 ) -> Estimate:
     """The estimate from samples and further ``sources``, those along the yarns only if the samples
     know the direction of the warp (:func:`drapenet.estimator.read.require_directions`).
 
     Args:
         name: of what the samples come from; '': the prior.
-        lines: contradictions among what the samples come from.
+        contradictions: among what the samples come from.
     """
     if sources:
         found = combined(state_of(draws.cloth), sources, name)
         draws = replace(draws, cloth=cloth_of_state(found.states))
-        lines = [*lines, *found.contradictions]
+        contradictions = [*contradictions, *found.contradictions]
     estimate = make_estimate(draws, density=density, header=header)
-    return replace(estimate, contradictions=tuple(lines))
+    return replace(estimate, contradictions=tuple(contradictions))
 
 
 def sources_of(

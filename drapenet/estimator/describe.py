@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from common.files import printable
+from common.findings import texts
 from data.captures.capture import DepthCapture
 from data.captures.description import Labels
 from drapenet.estimator.observe import Observed
@@ -47,7 +48,7 @@ def describe_capture(
         turns_deg=(np.degrees(located.turns).round(1) + 0.0).tolist() if located else None,  # no -0
         drape_coefficient_percent=round(100 * share, 1) if np.isfinite(share) else None,
         nodes=nodes, known=capture.known, labels=capture.labels)
-    lines = [*capture.warnings, *estimate.warnings, *estimate.contradictions, *warnings]
+    lines = [*capture.warnings, *estimate.warnings, *texts(estimate.contradictions), *warnings]
     optional: dict[str, Any] = {"refined": refined} if refined else {}
     if advice := advice_of(capture.rig, share):
         optional["advice"] = advice
@@ -66,7 +67,7 @@ def describe_strips(
         estimate, checkpoint=header.identity, strips=[record],
         capture=CaptureAbout(sources=[], rig="", labels=strips.labels,
                              density_g_m2=round(strips.density * 1e3, 6)),
-        warnings=[*estimate.warnings, *strips.warnings, *estimate.contradictions])
+        warnings=[*estimate.warnings, *strips.warnings, *texts(estimate.contradictions)])
 
 
 def describe_jointly(
@@ -76,7 +77,7 @@ def describe_jointly(
     captures = [document for document in documents if document.capture.source]
     records = [record for document in documents for record in document.strips or []]
     density = documents[0].density
-    warnings = [*estimate.warnings, *estimate.contradictions, *(
+    warnings = [*estimate.warnings, *texts(estimate.contradictions), *(
         f"{document.label} has {len(document.warnings)} "
         f"warning{'s' * (len(document.warnings) > 1)} by itself: {document.warnings[0]}"
         for document in documents if document.warnings)]

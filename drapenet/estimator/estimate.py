@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from common.errors import InputError
+from common.findings import texts
 from common.normal import Normal
 from data.captures.capture import Capture
 from data.strips.folder import StripSet
@@ -128,7 +129,8 @@ def estimate_source(
     estimate = combine(prior_draws(header), sources_of([record], [], source.density),
                        source.density, header, name="")
     document = describe_strips(estimate, source, record, header)
-    require_sound([*estimate.contradictions, *source.warnings], options.strict, str(source.path))
+    require_sound([*texts(estimate.contradictions), *source.warnings], options.strict,
+                  str(source.path))
     if out:
         remove_report(out)
         write_estimate(out, estimate, document)
@@ -155,10 +157,10 @@ def join(
                        any(record.moduli for record in records),
                        [*stated, *(record.known for record in records)])
     density, names = documents[0].density, ("", "the capture", "the captures")
-    draws, lines = infer_jointly(captures, header)
+    draws, contradictions = infer_jointly(captures, header)
     estimate = combine(draws, sources_of(records, stated, density), density, header,
-                       name=names[min(len(captures), 2)], lines=lines)
-    require_sound(list(estimate.contradictions), strict, "the fabric")
+                       name=names[min(len(captures), 2)], contradictions=contradictions)
+    require_sound(texts(estimate.contradictions), strict, "the fabric")
     return estimate, describe_jointly(estimate, documents, header)
 
 

@@ -7,6 +7,7 @@ from functools import cache, lru_cache
 import numpy as np
 
 from common.errors import InputError
+from common.findings import Finding
 from common.normal import Normal
 from data.captures.reported import Reported
 from drapenet.estimator.observe import Observed
@@ -69,8 +70,8 @@ def prior_draws(header: Header) -> Draws:
 
 def infer_jointly(
     captures: Sequence[CaptureEvidence], header: Header
-) -> tuple[Draws, list[str]]:
-    """Samples from captures of one fabric, and a line for each that contradicts the others.
+) -> tuple[Draws, list[Finding]]:
+    """Samples from captures of one fabric, and a finding for each that contradicts the others.
 
     Where the direction of the warp is not stated for all captures, it is taken as unknown for all.
     """
@@ -99,12 +100,11 @@ def infer_jointly(
     sources = [of_capture(capture.label, state_of(alone[k].cloth), prior, names)
                for k, capture in enumerate(captures)]
     number = {id(source): k for k, source in enumerate(sources)}
-    left, lines = consistent(sources, lambda part: Normal.of(state_of(together(
+    left, contradictions = consistent(sources, lambda part: Normal.of(state_of(together(
         *(number[id(source)] for source in part)).cloth)))
-    if len(captures) == 2 and lines:
+    if len(captures) == 2 and contradictions:
         # Nothing says which of them is of another fabric: the samples are of both.
         first, second = (state_of(alone[k].cloth)[::2] for k in (0, 1))
-        lines = [line.replace("left out: check", "the estimate holds for either: check")
-                 for line in lines]
-        return replace(alone[0], cloth=cloth_of_state(np.concatenate([first, second]))), lines
-    return together(*(number[id(source)] for source in left)), lines
+        return (replace(alone[0], cloth=cloth_of_state(np.concatenate([first, second]))),
+                [replace(found, code="captures_differ") for found in contradictions])
+    return together(*(number[id(source)] for source in left)), contradictions

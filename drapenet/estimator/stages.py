@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from common.errors import MAX_LIST_LENGTH, InputError, one_line
 from common.files import replace_file
+from common.findings import texts
 from common.types import Metres
 from data.captures.capture import Capture, OutlineCapture, ReportedCapture
 from drapenet.config import EstimateOptions
@@ -148,8 +149,8 @@ def by_network(capture: Capture, header: Header, *, strict: bool = False) -> Cap
     except InputError as error:
         raise InputError(f"{capture.path}: {error}") from None
     result = result.with_warnings(*faults, *filter(None, unlike))
-    require_sound([*result.warnings, *capture.warnings, *result.estimate.contradictions], strict,
-                  str(capture.path))
+    require_sound([*result.warnings, *capture.warnings, *texts(result.estimate.contradictions)],
+                  strict, str(capture.path))
     return result
 
 

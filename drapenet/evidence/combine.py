@@ -14,6 +14,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from common.errors import InputError
+from common.findings import Finding
 from common.normal import Linear, Normal
 from drapenet.evidence.source import CAPTURES, STRIPS, VALUES, Source
 from drapenet.evidence.state import possible
@@ -27,10 +28,10 @@ _NAMES = {CAPTURES: "captures", STRIPS: "strips", VALUES: "known values"}
 
 @dataclass(frozen=True)
 class Combined:
-    """A posterior: states (S, 10), and a line for each source that is left out of it."""
+    """A posterior: states (S, 10), and a finding for each source that is left out of it."""
 
     states: np.ndarray
-    contradictions: tuple[str, ...] = ()
+    contradictions: tuple[Finding, ...] = ()
 
 
 def combine(prior: np.ndarray, sources: Sequence[Source], prior_name: str = "") -> Combined:
@@ -43,10 +44,10 @@ def combine(prior: np.ndarray, sources: Sequence[Source], prior_name: str = "") 
         prior_name: of what the prior's samples come from; '': fabrics in general.
     """
     kept: list[Source] = []
-    lines: list[str] = []
+    contradictions: list[Finding] = []
     for kind in sorted({source.kind for source in sources}):
         own = [source for source in sources if source.kind == kind]
-        rivals = [prior_name, *dict.fromkeys(_NAMES[one.kind] for one in kept)]
+        rivals = [prior_name, *dict.fromkeys(_NAMES[source.kind] for source in kept)]
         rival = " and ".join(filter(None, rivals))
         states = updated(prior, kept)
         base = Normal.of(states)
@@ -54,7 +55,7 @@ def combine(prior: np.ndarray, sources: Sequence[Source], prior_name: str = "") 
         # is no contradiction.
         wrong = [source for source in own
                  if rival and probability(source, base) < LEVEL / len(own)]
-        lines += [_line(source, rival, base) for source in wrong]
+        contradictions += [source.contradiction(rival, base.samples(_TESTED)) for source in wrong]
         sound = [source for source in own if source not in wrong]
         linear = {id(source): _evidence(source, states) or _nothing(states) for source in sound}
 
@@ -62,23 +63,24 @@ def combine(prior: np.ndarray, sources: Sequence[Source], prior_name: str = "") 
                    linear: Mapping[int, Linear] = linear) -> Normal:
             return base.updated(Linear.stacked([linear[id(source)] for source in left]))
 
-        sound, found = consistent(sound, others)
+        sound, differing = consistent(sound, others)
         kept += sound
-        lines += found
-    return Combined(updated(prior, kept), tuple(lines))
+        contradictions += differing
+    return Combined(updated(prior, kept), tuple(contradictions))
 
 
 def consistent(
     sources: Sequence[Source], others: Callable[[Sequence[Source]], Normal]
-) -> tuple[list[Source], list[str]]:
-    """The sources that agree with each other, and a line for each of the rest.
+) -> tuple[list[Source], list[Finding]]:
+    """The sources that agree with each other, and a finding for each of the rest.
 
     The least probable source is removed, and the test repeated with the remaining ones.
 
     Args:
         others: the posterior of some sources.
     """
-    left, lines = list(sources), []
+    left: list[Source] = list(sources)
+    contradictions: list[Finding] = []
     while len(left) > 1:
         limit = LEVEL / (len(left) if len(left) > 2 else 1)  # Bonferroni
         rest = [others([one for one in left if one is not source]) for source in left]
@@ -88,8 +90,8 @@ def consistent(
             break
         worst = left.pop(k)
         rival = left[0].label if len(left) == 1 else f"the other {len(left)} {_NAMES[worst.kind]}"
-        lines.append(_line(worst, rival, rest[k]))
-    return left, lines
+        contradictions.append(worst.contradiction(rival, rest[k].samples(_TESTED)))
+    return left, contradictions
 
 
 def probability(source: Source, cloth: Normal) -> float:
@@ -158,10 +160,3 @@ def _linearised(
     left = np.cov((apart - around @ slopes).T)
     return slopes.T, offset - slopes.T @ middle, np.atleast_2d(left)
 
-
-def _line(source: Source, rival: str, cloth: Normal) -> str:
-    """Sentence that names a source which is left out."""
-    verb = "contradict" if source.kind == STRIPS else "contradicts"
-    against = source.against(cloth.samples(_TESTED))
-    return (f"{source.label} {verb} {rival}: {against}; left out: check fabric, direction, side, "
-            "unit, density and specimen")

@@ -2,9 +2,11 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from common.findings import Finding
 from common.normal import Linear, Normal
 from common.types import Density
 from data.readings import QUANTITIES
@@ -29,23 +31,32 @@ class Source:
 
     Attributes:
         label: subject of a sentence, such as "the strips along the warp".
+        key: of the source among those of a fabric.
         kind: of :data:`CAPTURES`, :data:`STRIPS`, :data:`VALUES`.
         residuals: (S, m) of states (S, 10): what was measured less what a cloth of this state
             gives, in standard deviations, independent; NaN of a state that cannot give it.
-        against: clause on what was measured beside what states (S, 10) of other sources say.
+        against: what was measured beside what states (S, 10) of other sources say: code and values.
     """
 
     label: str
+    key: str
     kind: int
     residuals: Callable[[np.ndarray], np.ndarray]
-    against: Callable[[np.ndarray], str]
+    against: "Against"
+
+    def contradiction(self, rival: str, states: np.ndarray) -> Finding:
+        """That it contradicts the ``rival``, of whose states (S, 10) are."""
+        code, values = self.against(states)
+        return Finding(code, {"label": self.label, "rival": rival} | values, self.key)
 
 
-def linear(label: str, kind: int, evidence: Linear, against: Callable[[np.ndarray], str]
-           ) -> Source:
-    """A source whose evidence is linear in the state; ``against`` is a function of states (S, 10).
-    """
-    return Source(label, kind, lambda states: states @ evidence.rows.T - evidence.values, against)
+Against = Callable[[np.ndarray], tuple[str, dict[str, Any]]]
+
+
+def linear(label: str, key: str, kind: int, evidence: Linear, against: Against) -> Source:
+    """A source whose evidence is linear in the state."""
+    return Source(label, key, kind, lambda states: states @ evidence.rows.T - evidence.values,
+                  against)
 
 
 def of_strips(direction: str, measured: Linear, alpha: float, density: Density) -> Source:
@@ -53,11 +64,11 @@ def of_strips(direction: str, measured: Linear, alpha: float, density: Density) 
     ``alpha``, N·m: what they say alone."""
     seen, k = seen_along(direction), DIRECTIONS.index(direction)
 
-    def against(states: np.ndarray) -> str:
+    def against(states: np.ndarray) -> tuple[str, dict[str, Any]]:
         others = np.exp(states[:, k].mean()) * density / REFERENCE_DENSITY
-        return f"alpha is {alpha / MICRO:.3g} against {others / MICRO:.3g} µN·m"
+        return "strips_contradict", {"value": alpha / MICRO, "expected": others / MICRO}
 
-    return linear(f"the strips along the {direction}", STRIPS,
+    return linear(f"the strips along the {direction}", f"strips.{direction}", STRIPS,
                   measured.moved(-heavier(density)).of_part(seen), against)
 
 
@@ -78,12 +89,19 @@ def _of_value(name: str, k: int, value: float, error: float, density: Density) -
             gap = np.log(predicted(states)) - np.log(value)
         return np.where(np.isfinite(gap), gap / error, np.nan)[:, None]
 
-    def against(states: np.ndarray) -> str:
+    def against(states: np.ndarray) -> tuple[str, dict[str, Any]]:
         values = predicted(states)
-        return (f"they say {np.nanmedian(values):.3g}" if np.isfinite(values).any() else
-                "their cloth lies outside the range in which it can be measured")
+        if not np.isfinite(values).any():
+            return "value_cannot_be_measured", {"value": value}
+        return "value_contradicts", {"value": value, "expected": float(np.nanmedian(values))}
 
-    return Source(f"the known {quantity.stated(k, value)}", VALUES, residuals, against)
+    return Source(f"the known {quantity.stated(k, value)}", value_key(name, k), VALUES, residuals,
+                  against)
+
+
+def value_key(name: str, k: int) -> str:
+    """Key of a stated value of this quantity along the direction of this number."""
+    return f"known.{name}.{k}"
 
 
 def of_refined(label: str, refined: Normal, prior: Normal, names: Sequence[str]) -> Source:
@@ -91,7 +109,8 @@ def of_refined(label: str, refined: Normal, prior: Normal, names: Sequence[str])
     part = range(len(refined.mean))
     evidence = Linear.between(prior.only(part), refined)
     seen = np.eye(len(part), len(STATE))
-    return linear(label, CAPTURES, evidence.of_part(seen), _alpha_against(refined.mean, names))
+    return linear(label, label, CAPTURES, evidence.of_part(seen),
+                  _alpha_against(refined.mean, names))
 
 
 def of_capture(label: str, alone: np.ndarray, prior: Normal, names: Sequence[str]) -> Source:
@@ -100,16 +119,17 @@ def of_capture(label: str, alone: np.ndarray, prior: Normal, names: Sequence[str
     posterior, part = Normal.of(alone[:, LINEAR]), range(3)
     evidence = Linear.between(prior.only(part), posterior, least=0.1).scattered(
         SPECIMEN_SCATTER**2 * np.eye(3))
-    return linear(label, CAPTURES, evidence.of_part(np.eye(3, len(STATE))),
+    return linear(label, label, CAPTURES, evidence.of_part(np.eye(3, len(STATE))),
                   _alpha_against(posterior.mean, names))
 
 
-def _alpha_against(mean: np.ndarray, names: Sequence[str]) -> Callable[[np.ndarray], str]:
-    """Text of the alpha, at 300 g/m², that differs most from that of others."""
-    def against(states: np.ndarray) -> str:
+def _alpha_against(mean: np.ndarray, names: Sequence[str]) -> Against:
+    """The alpha, at 300 g/m², that differs most from that of others."""
+    def against(states: np.ndarray) -> tuple[str, dict[str, Any]]:
         others = states[:, LINEAR].mean(axis=0)
         worst = int(np.abs(mean[LINEAR] - others).argmax())
         alpha, expected = np.exp([mean[worst], others[worst]]) / MICRO
-        return (f"alpha {names[worst]} at 300 g/m² is {alpha:.3g} against {expected:.3g} µN·m")
+        return "capture_contradicts", {"direction": names[worst], "value": float(alpha),
+                                       "expected": float(expected)}
 
     return against

@@ -19,6 +19,7 @@ from data.readings import QUANTITIES
 from data.readings.cantilever import MG_CM, bending_length, flexural_rigidity
 from data.readings.kes import GF_CM, GF_CM_PER_CM, kes
 from data.readings.known import Known
+from drapenet.evidence.source import value_key
 from drapenet.result.estimate import Estimate
 from sim.material import DIRECTIONS, MICRO, NANO, REFERENCE_DENSITY, STIFF_SOFT
 
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from data.strips.posterior import StripEvidence
 
 SCHEMA = "drapenet-estimate"
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 POORLY_CONSTRAINED = 0.7  # above this ratio of standard deviation and spread over fabrics
 CURVATURES = np.array([25.0, 50.0, 100.0, 200.0, 400.0])  # 1/m, of the tabulated law
 INTERVALS = {"interval_68": 0.68, "interval_90": 0.90}
@@ -199,6 +200,15 @@ class StripsRecord(Excerpt):
             "strips": len(strips), "moduli": moduli, "known": strips.known})
 
 
+class FindingRecord(Excerpt):
+    """A finding: its code, what it is of, its line for people, and the numbers in it."""
+
+    code: str
+    source: Text
+    text: Text
+    values: dict[str, Any]
+
+
 class EstimateDocument(Excerpt):
     """The content of ``estimate.json``."""
 
@@ -223,7 +233,7 @@ class EstimateDocument(Excerpt):
     resimulation: dict[str, Any] | None = None
     advice: list[Text] | None = None
     warnings: list[Text]
-    contradictions: list[Text] | None = None  # the warnings that name what is left out
+    contradictions: list[FindingRecord] | None = None  # their texts are among the warnings
 
     @model_validator(mode="after")
     def _require_directions(self) -> "EstimateDocument":
@@ -259,7 +269,9 @@ class EstimateDocument(Excerpt):
             "torque_mN": torque_table(estimate, CURVATURES),
             "cloth": _properties(estimate),
             "checkpoint": checkpoint, **sections, "warnings": list(warnings),
-            "contradictions": list(estimate.contradictions)})
+            "contradictions": [{"code": found.code, "source": printable(found.source),
+                                "text": found.text, "values": found.values}
+                               for found in estimate.contradictions]})
 
     def warned(self, *lines: str) -> "EstimateDocument":
         """The document with further warnings."""
@@ -298,11 +310,11 @@ class EstimateDocument(Excerpt):
         """Known values of the fabric in words, each once."""
         stated = [self.capture.known, *(part.capture.known for part in self.captures or []),
                   *(each.known for each in self.strips or [])]
-        lines = dict.fromkeys(QUANTITIES[name].stated(k, value) for known in stated if known
-                              for (name, k), value in known.values().items())
-        return [line.replace(" = ", ": ") + " (left out, see the warnings)" * any(
-            f"the known {line} " in reason for reason in self.contradictions or [])
-            for line in lines]
+        left_out = {(found.source, found.values["value"]) for found in self.contradictions or []}
+        return list(dict.fromkeys(
+            QUANTITIES[name].stated(k, value).replace(" = ", ": ")
+            + " (left out, see the warnings)" * ((value_key(name, k), value) in left_out)
+            for known in stated if known for (name, k), value in known.values().items()))
 
     @property
     def mostly_usual(self) -> str:

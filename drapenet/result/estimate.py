@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from common.errors import InputError
+from common.findings import Finding
 from common.types import Density, Theta
 from data.fabrics.fabrics import fabric_from_theta, from_theta
 from data.fabrics.nuisances import Nuisances
@@ -37,7 +38,7 @@ class Estimate:
         names: of the directions: warp, bias, weft or stiff, bias, soft.
         spread: standard deviation of theta over fabrics.
         warnings: of the samples alone, one line each.
-        contradictions: a line for each source that contradicts others.
+        contradictions: a finding for each source that contradicts others.
     """
 
     cloth: ClothProperties
@@ -45,7 +46,7 @@ class Estimate:
     density: Density
     spread: Theta
     warnings: tuple[str, ...] = ()
-    contradictions: tuple[str, ...] = ()
+    contradictions: tuple[Finding, ...] = ()
 
     def __repr__(self) -> str:
         return (f"Estimate({', '.join(self.names)}: {self.fabric}, {len(self.samples)} samples, "

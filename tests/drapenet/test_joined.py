@@ -13,6 +13,7 @@ import yaml
 import drapenet
 import infer
 from common.errors import InputError
+from common.findings import texts
 from data.captures.reader import read_capture
 from drapenet.config import EstimateOptions
 from drapenet.estimator import infer as inferring
@@ -181,11 +182,12 @@ def test_two_captures_that_contradict_each_other_leave_both_possible(tmp_path, p
         return found
 
     monkeypatch.setattr(inferring, "predict", predict)
-    draws, lines = inferring.infer_jointly(
+    draws, contradictions = inferring.infer_jointly(
         [inferring.CaptureEvidence(name, part.observed.seen) for name, part in
          zip("ab", parts, strict=True)], read_header())
-    estimate = combine(draws, [], 0.21, read_header(), name="the captures", lines=lines)
-    line, = estimate.contradictions
+    estimate = combine(draws, [], 0.21, read_header(), name="the captures",
+                       contradictions=contradictions)
+    line, = texts(estimate.contradictions)
     assert "contradicts" in line and "the estimate holds for either" in line
     low, high = 1e6 * np.quantile(estimate.moduli()[0][:, 0], [0.1, 0.9])
     median = plain["moduli"]["warp"]["alpha_uN_m"]["median"]

@@ -74,14 +74,15 @@ def test_a_value_that_contradicts_is_named_and_left_out(client, lengths):
     kept = state_values(client, fabric=fabric, known__flexural_rigidity_uN_m__warp="600")
     assert kept["state"] == "done", kept["error"]
     joint = joint_estimate_of(client, fabric)
-    line, = joint["estimate"]["contradictions"]
+    contradiction, = joint["estimate"]["contradictions"]
+    line = contradiction["text"]
     assert line in joint["warnings"]
     assert line.startswith("the known flexural rigidity G [µN·m] warp = 600 contradicts strips")
     assert "; left out: " in line and "\n" not in line
     for place in (f"/fabrics/{fabric}", f"/estimates/{lengths['id']}"):
         content = client.get(place).json()
         rows = content.get("estimates") or content["captures"]
-        assert [row["contradictions"] for row in rows if row["members"]] == [[line]], place
+        assert [row["contradictions"] for row in rows if row["members"]] == [[contradiction]], place
     without, widths = lengths["estimate"], []
     for one in (joint["estimate"], without):
         low, high = one["moduli"]["warp"]["alpha_uN_m"]["interval_68"]
@@ -90,7 +91,7 @@ def test_a_value_that_contradicts_is_named_and_left_out(client, lengths):
     assert "<h1>Grey serge</h1>" in client.get(f"/estimates/{joint['id']}/report.html").text
     assert client.get(f"/estimates/{joint['id']}/report.pdf").content.startswith(b"%PDF")
     found = client.get("/fabrics", params={"search": "serge"}).json()["fabrics"]
-    assert found[0]["estimate"]["contradictions"] == [line]
+    assert found[0]["estimate"]["contradictions"] == [contradiction]
 
 
 def test_values_with_a_capture_move_its_estimate(client, untrained_checkpoint):

@@ -57,7 +57,7 @@ function row(fabric) {
   name.append(result ? link(`#${result}`, fabric.name) : link(`#fabric=${fabric.id}`, fabric.name));
   if (fabric.notes) name.append(element('span', fabric.notes, 'wide'));
   if (fabric.apart) name.append(element('span', `not joined: ${fabric.apart}`, 'wide warnings'));
-  if (estimate?.contradictions?.length) name.append(element('span', estimate.contradictions[0], 'wide warnings'));
+  if (estimate?.contradictions?.length) name.append(element('span', estimate.contradictions[0].text, 'wide warnings'));
   const moduli = element('div', estimate ? '' : 'no estimate', 'moduli');
   for (const [direction, { alpha_uN_m: alpha }] of Object.entries(estimate?.moduli ?? {})) {
     moduli.append(element('span', `${direction} ${texts(alpha).median}`));

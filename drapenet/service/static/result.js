@@ -85,7 +85,7 @@ function show(id, content) {
   if (before?.state !== content.state) ended(id, content);
   const warnings = content.estimate?.warnings ?? content.warnings ?? [];
   const contradictions = content.estimate?.contradictions ?? [];
-  at('warnings').replaceChildren(...warnings.map((line) => element('li', line, contradictions.includes(line) ? 'contradiction' : '')));
+  at('warnings').replaceChildren(...warnings.map((line) => element('li', line, contradictions.some(({ text }) => text === line) ? 'contradiction' : '')));
   if (content.estimate) showNumbers(content.estimate);
   for (const [figure, file] of [['preview', 'preview.png'], ['torque', 'torque.svg']]) {
     if (content.files.includes(file) && !shown[file]) {
@@ -126,7 +126,7 @@ function showFabric(id, content) {
 // Those that the fabric's other estimates have found, above all the joint one.
 function showContradictions(id, captures) {
   at('contradictions').replaceChildren(...captures.filter((one) => one.id !== id).flatMap((one) => (one.contradictions ?? [])
-    .map((line) => element('li', `${one.name}: ${line}`, 'contradiction'))));
+    .map(({ text }) => element('li', `${one.name}: ${text}`, 'contradiction'))));
 }
 
 function stage(content) {
