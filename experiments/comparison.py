@@ -14,11 +14,10 @@ from sim.cloth import Laws
 from sim.drape import FINE_OPTIONS
 from sim.equilibrium import Equilibrium, find_equilibrium
 from sim.material import Fabric
-from sim.measures import fold_angles, fold_outline
+from sim.measures import fold_angles
 from sim.mesh import Mesh
-from sim.rig import SQUARE_RIG, Rig
+from sim.rig import Rig
 from sim.scene import Scene
-from sim.solver.newton import Status
 from sim.start import interpolate_positions
 
 ALIGNMENTS = ("none", "turn", "rigid")
@@ -188,30 +187,6 @@ def same_folds(outline: np.ndarray, other: np.ndarray) -> bool:
     shifts = [np.roll(others, k) - folds for k in (-1, 0, 1)]
     gap = min(np.abs((shift + np.pi) % (2 * np.pi) - np.pi).max() for shift in shifts)
     return bool(gap < _MAX_FOLD_SHIFT * 2 * np.pi / len(folds))
-
-
-class FinishedDrapes:
-    """Results and shapes of finished cases of drapes on the square rig, by name."""
-
-    def __init__(self, folder: Path, results: dict[str, dict]) -> None:
-        self.results = results
-        self.shapes = {name: Shape.load(folder, name) for name in results}
-        self.outlines = {name: fold_outline(shape.positions, shape.rest, SQUARE_RIG)
-                         for name, shape in self.shapes.items()}
-
-    def converged(self, *names: str) -> bool:
-        """Whether all these drapes have converged."""
-        return all(self.results[name]["status"] == Status.CONVERGED.value for name in names)
-
-    def displacement(self, one: str, two: str) -> float:
-        """Mean displacement between two drapes, mm; NaN if one has not converged."""
-        if not self.converged(one, two):
-            return float("nan")
-        return 1e3 * compare(self.shapes[one], self.shapes[two]).displacement
-
-    def same_folds(self, one: str, two: str) -> bool:
-        """Whether two drapes have the same fold configuration."""
-        return same_folds(self.outlines[one], self.outlines[two])
 
 
 def equilibrium_near(

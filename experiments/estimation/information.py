@@ -14,7 +14,6 @@ no columns.
 """
 
 import numpy as np
-from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from common.command import compose_config
@@ -26,7 +25,7 @@ from data.fabrics.prior import load_prior
 from data.render.cameras import nominal_camera
 from data.render.setups import Setups
 from experiments.estimation.bound import CAMERA, SETUP, SPECIMEN, bounds, depth_information
-from experiments.result import Config, Result, label_log_axes, rms
+from experiments.result import Config, Result, rms
 from sim.drape import drape
 from sim.rig import Rig
 
@@ -110,25 +109,4 @@ def run(config: Config) -> Result:
         "fabrics": [case | {"bounds": {row: case["bounds"][row] for row in PLOTTED}}
                     for case in complete],
     }
-    return Result(report, draw(report) if complete else None)
-
-
-def draw(report: dict) -> Figure:
-    """Plot the bounds of the fabrics in a report against their stiffness."""
-    figure = Figure(figsize=(8.0, 3.6), layout="constrained")
-    theta = np.array([case["theta"] for case in report["fabrics"]])
-    stiffness = 1e6 * np.exp(theta[:, :3].mean(axis=1))
-    spread = np.array(report["spread"])
-    for axis, (name, part) in zip(figure.subplots(1, 2), MODULI.items(), strict=True):
-        for row, mark in zip(PLOTTED, "o^s", strict=True):
-            values = np.array([case["bounds"][row] for case in report["fabrics"]])[:, part]
-            axis.loglog(stiffness, np.sqrt(((values / spread[part]) ** 2).mean(axis=1)), mark,
-                        ms=3, label=row)
-        axis.axhline(1.0, color="0.5", lw=0.8, ls="--")
-        axis.set_ylim(0.02, 1.5)
-        label_log_axes(axis.xaxis, axis.yaxis)
-        axis.set_xlabel("geometric mean of α, µN·m", fontsize=8)
-        axis.set_title(f"bound of {'log α' if name == 'log_alpha' else 'β/α'}, "
-                       "of the spread over fabrics", fontsize=9)
-        axis.legend(fontsize=7, frameon=False)
-    return figure
+    return Result(report)

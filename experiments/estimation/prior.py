@@ -15,8 +15,6 @@ from typing import ClassVar
 
 import numpy as np
 import ot
-from matplotlib.figure import Figure
-from scipy.spatial import cKDTree
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 from sklearn.mixture import GaussianMixture
@@ -39,10 +37,7 @@ from experiments.result import Config, Result
 from sim.material import is_admissible
 
 FITTED = 0.8  # share of the fabrics that is fitted, as in the paper
-RADII = (0.75, 1.0, 1.25)  # radii of the coverage, in standard deviations of the table
 PER_MILLIMETRE = 3 * np.log(1e-3)  # log of the volume of (mm)³ in m³
-NAMES = {"gaussian": "Gaussian of theta"} | {f"gmm{k}": f"GMM (K = {k})" for k in range(3, 8)} | {
-    f"vae{k}": f"VAE-{k}" for k in range(1, 5)}
 
 
 ITERATIONS = 200  # of expectation maximisation, as in the paper
@@ -183,13 +178,6 @@ def distance(samples: np.ndarray, split: Split) -> float:
     return float(np.sqrt(ot.emd2(ot.unif(len(a)), ot.unif(len(b)), cost, numItermax=10**6)))
 
 
-def coverage(samples: np.ndarray, split: Split) -> list[float]:
-    """Share of unseen fabrics with a sample (of N, 6) within each of ``RADII``."""
-    nearest, _ = cKDTree(split.coordinates.encode(samples)).query(
-        split.coordinates.encode(split.clipped()[1]))
-    return [float((nearest <= radius).mean()) for radius in RADII]
-
-
 def evaluate(model: str, split: Split, samples: int) -> dict:
     """Fit a model and evaluate it; figures by name."""
     start = time.process_time()
@@ -204,8 +192,6 @@ def evaluate(model: str, split: Split, samples: int) -> dict:
         possible = np.array([is_admissible(*from_theta(row)) for row in theta])
         figures |= {f"wasserstein{name}": distance(theta[possible], split),
                     f"rejected{name}": float(1 - possible.mean())}
-        for radius, share in zip(RADII, coverage(theta[possible], split), strict=True):
-            figures[f"within_{radius:g}{name}"] = share
     return figures | {"fit_cpu_s": seconds}
 
 
@@ -250,38 +236,6 @@ def compare(fabrics: FabricTable, models: list[str], splits: int, samples: int) 
     }
 
 
-def plot_samples(fabrics: FabricTable, samples: int, models: tuple[str, ...]) -> Figure:
-    """Figure 15: fabrics and samples of models fitted to all fabrics, in three projections."""
-    views = (("alpha warp, µN·m", "alpha weft, µN·m"), ("alpha bias, µN·m", "beta/alpha bias, mm"),
-             ("beta/alpha warp, mm", "beta/alpha weft, mm"))
-    columns = ((0, 2), (1, 4), (3, 5))
-
-    def shown(theta: np.ndarray) -> np.ndarray:
-        return np.concatenate([np.exp(theta[:, :3]) * 1e6, theta[:, 3:] * 1e3], axis=1)
-
-    figure = Figure(figsize=(12, 4 * len(models)), layout="constrained")
-    axes = figure.subplots(len(models), 3, squeeze=False, sharex="col", sharey="col")
-    for row, model in zip(axes, models, strict=True):
-        drawn = shown(FITS[model](fabrics.theta).sample(samples, np.random.default_rng(0)))
-        real = shown(fabrics.theta)
-        for k, (axis, (x, y), labels) in enumerate(
-                zip(row, columns, views, strict=True)):
-            axis.scatter(drawn[:, x], drawn[:, y], s=3, color="tab:blue", alpha=0.4, lw=0,
-                         label="samples")
-            axis.scatter(real[:, x], real[:, y], s=9, color="tab:orange", lw=0, label="fabrics")
-            axis.set(xlabel=labels[0], ylabel=labels[1], title=NAMES[model] if k == 0 else "")
-            if k < 2:
-                axis.set_xscale("log")
-            if k == 0:
-                axis.set_yscale("log")
-                axis.legend(loc="upper left", markerscale=2)
-            if k == 1:
-                axis.set_ylim(-14, 2)
-            if k == 2:
-                axis.set(xlim=(-14, 2), ylim=(-14, 2))
-    return figure
-
-
 def run(config: Config) -> Result:
     """Compare the models."""
     if unknown := [name for name in config["models"] if name not in FITS]:
@@ -290,4 +244,4 @@ def run(config: Config) -> Result:
         raise InputError("splits must be at least 1, samples at least 10")
     fabrics = read_fabric_table(config["fabrics"])
     result = compare(fabrics, config["models"], config["splits"], config["samples"])
-    return Result(result, plot_samples(fabrics, config["samples"], ("gmm3", "vae4")))
+    return Result(result)

@@ -89,27 +89,6 @@ def bands(reports: Reports) -> str:
         for kind in ("drape coefficient", "stiffness"))
 
 
-def learning(reports: Reports) -> str:
-    """Errors of networks by drapes, steps and width, and of the nearest simulated outline."""
-    found = reports["learning"]
-    rows = []
-    for run in found["runs"].values():
-        row = [str(run["drapes"]), str(run["steps"]), f"{run['width']:g}"]
-        for whose in ("unseen", "own"):
-            row += [" / ".join(f"{run[whose][name][shape]['log_alpha']['rmse']:.2f}"
-                               for shape in ("discs", "squares", "rectangles"))
-                    for name in run[whose]]
-        rows.append(row)
-    inputs = list(next(iter(found["runs"].values()))["unseen"])
-    head = ["drapes", "steps", "width", *(f"{whose}, {name}" for whose in (
-        "unseen fabrics", "trained on") for name in inputs)]
-    nearest = [[tester.replace("_", " "), str(one["drapes"]), f"{one['rms']:.2f}",
-                percent(one["median"])]
-               for tester, shares in found["nearest"].items() for one in shares.values()]
-    return "\n\n".join((table(head, rows), table(
-        ["nearest simulated outline", "drapes", "log α, rms", "α off by, median"], nearest)))
-
-
 def views(reports: Reports) -> str:
     """Error of log α by number of views and by number of drapes."""
     cells = {"1 view": "depth, 1 view", "2 views": "depth, 2 views", "4 views": FOUR_VIEWS,
@@ -206,16 +185,6 @@ def refinement(reports: Reports) -> str:
             for name, found in sets.items() for who in METHODS if who in found]
     return table(["captures", "fabrics", "", "log α, rms", "median", "worst fabric", "β/α, mm",
                   "inside"], rows)
-
-
-def causes(reports: Reports) -> str:
-    """Errors of the search in worlds without some nuisances."""
-    names = {"all": "all of these", "none": "nothing", "friction": "hysteresis"}
-    rows = [[names.get(world, world), found["search"]["fabrics"],
-             *(f"{found[who]['log_alpha']:.3f}" for who in METHODS), coverage(found["search"])]
-            for world, found in reports["refine_causes"]["summary"].items()]
-    return table(["world without", "fabrics", *(f"{who}, log α, rms" for who in METHODS),
-                  "inside of the search"], rows)
 
 
 def additions(reports: Reports) -> str:

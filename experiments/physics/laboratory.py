@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from scipy.stats import spearmanr
 
 from common.errors import InputError
@@ -119,8 +118,7 @@ def run(config: Config) -> Result:
     summary = {tester: _summary(found, tester, config["testers"][-1])
                for tester in config["testers"]}
     return Result({"fabrics": found, "summary": summary,
-                   "explanations": _explanations(rows, results, changed, config["testers"][-1])},
-                  _figure(found, config["testers"][0]))
+                   "explanations": _explanations(rows, results, changed, config["testers"][-1])})
 
 
 def _changes(plain: dict[str, Any], config: Config) -> dict[str, dict[str, Any]]:
@@ -180,25 +178,3 @@ def _summary(found: list[dict], tester: str, known: str) -> dict[str, float]:
                                     [one["coefficient"] for one in chosen]).statistic),
             "nodes": float(np.sqrt(np.mean([(one["nodes"] - one["nodes_measured"]) ** 2
                                             for one in own])))}
-
-
-def _figure(found: list[dict], tester: str) -> Figure:
-    """Simulated against measured drape coefficients."""
-    figure = Figure(figsize=(5, 5), layout="constrained")
-    axes = figure.add_subplot()
-    axes.plot([0, 100], [0, 100], color="0.7", lw=1)
-    for hysteresis, membrane, marker, label in (
-            ("measured", "default", "o", "2HB measured"),
-            ("assumed", "default", "s", "2HB assumed"),
-            ("assumed", "measured", "^", "2HB assumed, stretch and shear measured")):
-        rows = [one for one in found if (one["hysteresis"], one["membrane"]) == (
-            hysteresis, membrane) and (one["tester"] == tester or hysteresis == "assumed")]
-        axes.errorbar([one["measured"] for one in rows], [one["coefficient"] for one in rows],
-                      [one["spread"] for one in rows], fmt=marker, capsize=2, label=label)
-        for one in rows if membrane == "default" else ():
-            axes.annotate(one["fabric"], (one["measured"], one["coefficient"]),
-                          textcoords="offset points", xytext=(6, -4), fontsize=8)
-    axes.set(xlabel="drape coefficient measured, %", ylabel="simulated, %", xlim=(0, 100),
-             ylim=(0, 100), aspect="equal")
-    axes.legend(fontsize=8)
-    return figure

@@ -17,9 +17,8 @@ import time
 
 import numpy as np
 import torch
-from matplotlib.figure import Figure
 
-from data.fabrics.fabrics import THETA_NAMES, fabric_from_theta
+from data.fabrics.fabrics import fabric_from_theta
 from experiments.drapes import prior_theta
 from experiments.result import Config, Result, run_cases
 from sim.drape import Drape, drape, follow
@@ -162,32 +161,4 @@ def run(config: Config) -> Result:
     cases = {f"fabric_{k}": {"index": k, **settings} for k in range(config["fabrics"])}
     rows = list(run_cases(one_fabric, cases, config).values())
     summary = summarise(rows)
-    return Result({"limit": MAX_ERROR, "cost_limit": MAX_COST, **summary, "rows": rows},
-                  draw([row for row in rows if "forward" in row]))
-
-
-def draw(rows: list[dict]) -> Figure:
-    """Plot the errors by modulus, and the cost of a backward pass against that of the drape."""
-    figure = Figure(figsize=(9.0, 3.4), layout="constrained")
-    left, right = figure.subplots(1, 2, width_ratios=[1.6, 1])
-    for shift, way in ((-0.12, "forward"), (0.12, "adjoint")):
-        values = np.array([row[way] for row in rows]).reshape(-1, 6)
-        at = np.arange(6) + shift + np.linspace(-0.06, 0.06, max(len(values), 1))[:, None]
-        left.semilogy(at[: len(values)].ravel(), np.maximum(values, 1e-12).ravel(), ".",
-                      label=way, ms=4)
-    left.axhline(MAX_ERROR, color="k", lw=0.7, ls="--")
-    left.set_xticks(range(6), [name.replace("log_alpha", "log α").replace("beta_over_alpha", "β/α")
-                               .replace("_", "\n") for name in THETA_NAMES], fontsize=7)
-    left.set_title("relative difference from the central difference", fontsize=9)
-    left.legend(fontsize=7, frameon=False, loc="upper right", bbox_to_anchor=(1.0, 0.9))
-    seconds = np.array([[row["seconds"]["drape"], row["seconds"]["backward"]]
-                        for row in rows]).reshape(-1, 2)
-    right.plot(seconds[:, 0], seconds[:, 1], ".")
-    limits = np.array([0.0, 1.05 * seconds[:, 0].max(initial=1.0)])
-    right.plot(limits, MAX_COST * limits, "k--", lw=0.7, label="15 % of the drape")
-    right.set_xlim(limits)
-    right.set_ylim(0, None)
-    right.set_xlabel("drape, CPU-seconds", fontsize=8)
-    right.set_title("backward pass, CPU-seconds", fontsize=9)
-    right.legend(fontsize=7, frameon=False)
-    return figure
+    return Result({"limit": MAX_ERROR, "cost_limit": MAX_COST, **summary, "rows": rows})

@@ -9,7 +9,6 @@
 """
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from common.errors import InputError
 from experiments.physics.guides import guided
@@ -261,56 +260,4 @@ def run(config: Config) -> Result:
            for r in parts["angled"] if "modulus" in r["guided"]]
     plates = {kind: [(r["cells"], r["error"]) for r in parts["plate"] if r["kind"] == kind]
               for kind in PLATES}
-    return Result({"nonlinear": bent, "angled": cut, "plates": plates}, draw(bent, cut, plates))
-
-
-def draw(bent: list[dict], cut: list[dict], plates: dict) -> Figure:
-    """Plot k(phi) with measurements, Eq. 8 compared with the law, and convergence of plates."""
-    figure = Figure(figsize=(14, 4.6), layout="constrained")
-    left, middle, right = figure.subplots(1, 3)
-    phi = np.linspace(0, 90, 181)
-    shown = "soft bias"
-    cloth = make_fabric(shown)
-    law = [cylinder_moduli(cloth, a)[0] / MICRO for a in np.radians(phi)]
-    left.plot(phi, law, label="law, cylinder: k(φ)")
-    left.plot(phi, modulus_along(cloth.alpha, np.radians(phi)) / MICRO, "--", label="Eq. 8")
-    left.plot(phi, [free_modulus(cloth, a) / MICRO for a in np.radians(phi)], ":",
-              label="law, free: compliance")
-    for key, marker, label in (("guided", "o", "guided strip"), ("free", "x", "free, 30 mm wide"),
-                               ("narrow", "s", "free, narrow, small load")):
-        points = [(r["angle"], r[key]["modulus"]) for r in cut
-                  if r["fabric"] == shown and "modulus" in r[key]]
-        left.plot(*np.transpose(points), marker, color="k", mfc="none", label=label)
-    left.set(xlabel="φ, degrees from warp", ylabel="modulus, µN·m", title=f"fabric '{shown}'")
-    curves: list[tuple[list[str], str, np.ndarray]] = []  # names of fabrics with the same curve
-    for name in FABRICS:
-        cloth = make_fabric(name)
-        for k, style in ((0, "-"), (1, ":")):
-            moduli = (cloth.alpha, cloth.beta)[k]
-            if not moduli.any():
-                continue
-            law = np.array([cylinder_moduli(cloth, a)[k] for a in np.radians(phi)])
-            eq8 = modulus_along(moduli, np.radians(phi))
-            curve = 100 * (eq8 / law - 1)
-            same = [names for names, drawn, other in curves
-                    if drawn == style and np.allclose(other, curve, atol=0.1)]
-            if same:
-                same[0].append(name)
-            else:
-                curves.append(([name], style, curve))
-    for names, style, curve in curves:
-        middle.plot(phi, curve, style, label=f"{', '.join(names)}: {'α' if style == '-' else 'β'}")
-    middle.set(xlabel="φ, degrees from warp", ylabel="deviation of Eq. 8 from the law, %",
-               title="between the sample directions")
-    for kind, pairs in plates.items():
-        n, error = np.array(pairs).T
-        right.loglog(n, 100 * np.abs(error), "o-", label=kind)
-    right.set_xticks(n, [f"{count:g}" for count in n])
-    right.minorticks_off()
-    right.set(xlabel="cells along the plate", ylabel="error of the centre's deflection, %",
-              title="square plates")
-    middle.set_ylim(top=70)  # room for the legend
-    for axis in (left, middle, right):
-        axis.legend(fontsize=8)
-        axis.grid(alpha=0.3)
-    return figure
+    return Result({"nonlinear": bent, "angled": cut, "plates": plates})
