@@ -5,7 +5,6 @@ solution, and order of convergence.
 """
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from common.errors import InputError
 from experiments.physics.hinges import free_end
@@ -121,7 +120,7 @@ def run(config: Config) -> Result:
         "order": {"gammas": list(RATE_GAMMAS), "membrane_N_m": RATE_MEMBRANE, **order},
         "strips": hung,
         "strips_of_order": rates,
-    }, draw(gammas, deviations))
+    })
 
 
 def _at(rows: list[dict], gamma: float) -> float | None:
@@ -134,24 +133,3 @@ def _largest(by_mesh: dict[str, list]) -> float | None:
     """Largest absolute deviation, None without strips or if one did not converge."""
     values = [value for line in by_mesh.values() for value in line]
     return max(map(abs, values)) if values and None not in values else None
-
-
-def draw(gammas: list[float], deviations: dict[str, list[float | None]]) -> Figure:
-    """Plot strips on the master curve of the elastica, and their deviations from it."""
-    figure = Figure(figsize=(11, 4.2), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    fine = np.geomspace(min(gammas) / 4, max(gammas), 200)
-    ratios = np.array([aspect_ratio(elastica(gamma, 101)[-1]) for gamma in gammas])
-    left.loglog(fine, [aspect_ratio(elastica(g, 101)[-1]) for g in fine], "k-", lw=1,
-                label="heavy elastica")
-    mesh, first = next(iter(deviations.items()))
-    left.plot(gammas, ratios * (1 + np.array(first, dtype=float)), "o", ms=5, label="strips")
-    left.set(xlabel="Γ = ρgL³/α", ylabel="H/W", title=f"strips, {mesh} mesh")
-    left.set_xlim(min(gammas) / 1.5, 1.5 * max(gammas))
-    left.legend(frameon=False, fontsize=8)
-    for name, values in deviations.items():
-        right.semilogx(gammas, 100 * np.array(values, dtype=float), lw=1.5, label=name)
-    right.axhline(0, color="k", lw=0.8)
-    right.set(xlabel="Γ", ylabel="deviation of H/W, %")
-    right.legend(frameon=False, fontsize=8)
-    return figure
