@@ -20,7 +20,7 @@ from sim.rig import Rig
 from sim.scene import Scene
 from sim.start import interpolate_positions
 
-ALIGNMENTS = ("none", "turn", "rigid")
+ALIGNMENTS = ("none", "turn")
 _MAX_FOLD_SHIFT = 0.25
 """Largest shift of a fold, as a fraction of the mean angle between folds."""
 _AREA_TOLERANCE = 0.03  # relative difference of area; the boundary of a coarse disc is a polygon
@@ -73,7 +73,7 @@ class Difference:
 
 
 def compare(reference: Draped, other: Draped, *, align: str = "none") -> Difference:
-    """Compare two drapes of one specimen, with optional rigid alignment.
+    """Compare two drapes of one specimen, turned for the best fit if asked for.
 
     The material points at the vertices of the coarser mesh are compared, held ones included,
     weighted by their rest areas. The finer drape is interpolated to them unless the meshes are
@@ -81,8 +81,7 @@ def compare(reference: Draped, other: Draped, *, align: str = "none") -> Differe
     resolve bending between its vertices.
 
     Args:
-        align: "none"; "turn" for the best rotation about the vertical axis; "rigid" for the best
-            rotation and translation.
+        align: "none", or "turn" for the best rotation about the vertical axis.
     """
     coarse, fine = sorted((reference, other), key=lambda drape: len(drape.rest))
     mesh = Mesh(rest=coarse.rest, faces=coarse.faces)
@@ -128,12 +127,6 @@ def align_positions(
         product = weight @ (flat.conj() * goal)
         turned = flat * product / abs(product)
         return np.column_stack([turned.real, turned.imag, positions[:, 2]])
-    if align == "rigid":
-        share = weight / weight.sum()
-        middle, goal = share @ positions, share @ target
-        u, _, vt = np.linalg.svd((positions - middle).T * share @ (target - goal))
-        proper = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])  # no reflection
-        return (positions - middle) @ (u * proper) @ vt + goal
     raise InputError(f"unknown alignment '{align}'; choose from {', '.join(ALIGNMENTS)}")
 
 

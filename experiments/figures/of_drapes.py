@@ -24,7 +24,7 @@ def outlines(reports: Reports) -> str:
               "specimens": "lowered, nuisances of specimens",
               "fabrics": "lowered, fabrics of the prior with nuisances", "ring": "ring"}
     summary = reports["outlines"]["summary"]["parallel"]
-    rows = [[label, *(f"{summary[name]['all'][key]:.{digits}f}" for key, digits in (
+    rows = [[label, *(f"{summary[name][key]:.{digits}f}" for key, digits in (
         ("folds_real", 2), ("folds", 2), ("folds_rms", 2), ("deviation_real_mm", 1),
         ("deviation_mm", 1), ("spectrum", 2)))] for name, label in starts.items()]
     return table(["start", "folds, real", "simulated", "rms difference",

@@ -47,7 +47,7 @@ def accuracy(reports: Reports) -> str:
     rows = [[f"{kind[:-1]} of 300 mm, {what}", *_off(reports.cell(kind, name)),
              coverage(reports.cell(kind, name))]
             for what, name in names.items() for kind in ("discs", "squares")]
-    drapes = reports["outlines"]["summary"]["parallel"]["flat"]["all"]
+    drapes = reports["outlines"]["summary"]["parallel"]["flat"]
     bent = next(iter(reports["laboratory"]["summary"].values()))
     alone, known = reports["outlines_real"]["alone"], reports["numbers"]
     return "\n".join([

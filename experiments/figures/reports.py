@@ -80,7 +80,7 @@ def lowering_cost(report: Report) -> Report:
 
 def outline_folds(report: Report) -> Report:
     """Difference of the number of folds from that of real outlines."""
-    flat = report["summary"]["parallel"]["flat"]["all"]
+    flat = report["summary"]["parallel"]["flat"]
     return {"off": abs(flat["folds"] - flat["folds_real"])}
 
 

@@ -93,7 +93,6 @@ def run(config: Config) -> Result:
              for index in range(len(STARTS) * config["fabrics"])}
     runs = list(run_cases(one_drape, cases, config).values())
     summary = summarise(runs)
-    by_start = {start: summarise([r for r in runs if r["start"] == start]) for start in STARTS}
     passed = (
         summary["share_reached"] >= MIN_SHARE
         and summary["accepted_that_intersect_themselves"] == 0
@@ -102,5 +101,5 @@ def run(config: Config) -> Result:
     return Result({
         "criterion": {"residual": MAX_RESIDUAL, "step_mm": MAX_STEP, "entry_mm": MAX_PENETRATION,
                       "share": MIN_SHARE},
-        "passed": passed, "all": summary, "by_start": by_start, "drapes": runs,
+        "passed": passed, "all": summary, "drapes": runs,
     })

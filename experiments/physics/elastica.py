@@ -1,7 +1,7 @@
 """Hanging strips compared with the heavy elastica.
 
 Clamped strips on four triangulations: deviation of drop over reach (H/W) from the boundary-value
-solution, and order of convergence.
+solution.
 """
 
 import numpy as np
@@ -11,8 +11,6 @@ from experiments.physics.hinges import free_end
 from experiments.result import Config, Result, run_cases
 from sim.cantilever import aspect_ratio, elastica, fabric_of_gamma
 from sim.cantilever.strip import TIGHT
-from sim.cloth import Laws
-from sim.energies.membrane import Corotational
 from sim.equilibrium import find_equilibrium
 from sim.mesh import Mesh, strip
 from sim.scene import Scene
@@ -25,10 +23,6 @@ CELLS = (20, 40, 80, 160)  # along the free length
 CLAMP = 2 * LENGTH / CELLS[0]  # m, equal on all meshes
 TABLE_CELLS = ((40.0, 40), (200.0, 80), (np.inf, 160))
 """Upper limits of gamma, and cells along the strip in the table up to that limit."""
-RATE_GAMMAS = (1.0, 10.0, 100.0, 1000.0)
-RATE_MEMBRANE = 2000.0
-"""N/m, for the orders of convergence: at 200 N/m the weight stretches a strip by up to 0.04 %,
-which exceeds the error of the bending law on the finest meshes."""
 
 MESHES = {
     "alternating": {"diagonals": "alternating"},
@@ -49,14 +43,13 @@ def cells_for(gamma: float) -> int:
 
 
 def hang_series(
-    mesh: str, gammas: list[float], cells: list[int], membrane: float
+    mesh: str, gammas: list[float], cells: list[int]
 ) -> dict:
     """Deviations of H/W from the elastica for all ``gammas`` on successively finer meshes.
 
     A strip starts from its shape on the next coarser mesh, on the coarsest mesh from the shape of
     the next smaller gamma. ``cells`` gives the finest mesh of each gamma.
     """
-    laws = Laws(membrane=Corotational(stiffness=membrane))
     rows, coarse = [], None
     for level in CELLS:
         grid, held = make_strip(mesh, edge=LENGTH / level, width=WIDTH, clamp=CLAMP)
@@ -70,7 +63,7 @@ def hang_series(
                 positions = interpolate_positions(coarse[0], coarse[1][gamma], grid.rest)
                 positions[held] = flat[held]
                 state = scene.state(positions)  # normals of the clamp follow from the positions
-            found = find_equilibrium(scene, fabric_of_gamma(gamma, LENGTH), state, laws=laws,
+            found = find_equilibrium(scene, fabric_of_gamma(gamma, LENGTH), state,
                                      options=TIGHT)
             state = found.state
             shapes[gamma] = state.positions
@@ -87,13 +80,6 @@ def hang_series(
     return {"rows": rows}
 
 
-def fitted_rate(rows: list[dict]) -> float:
-    """Order of convergence fitted to the three finest meshes of one gamma."""
-    last = sorted(rows, key=lambda row: row["cells"])[-3:]
-    errors = [abs(row["deviation"]) for row in last]
-    return float(-np.polyfit(np.log([row["cells"] for row in last]), np.log(errors), 1)[0])
-
-
 def run(config: Config) -> Result:
     """Simulate all strips."""
     unknown = set(config["meshes"]) - set(MESHES)
@@ -102,14 +88,9 @@ def run(config: Config) -> Result:
     meshes, gammas = config["meshes"], sorted(config["gammas"])
     cells = [cells_for(gamma) for gamma in gammas]
     hung = run_cases(hang_series, {
-        mesh: {"mesh": mesh, "gammas": gammas, "membrane": 200.0, "cells": cells}
+        mesh: {"mesh": mesh, "gammas": gammas, "cells": cells}
         for mesh in meshes}, config)
-    rates = run_cases(hang_series, {
-        f"rate_{mesh}": {"mesh": mesh, "gammas": list(RATE_GAMMAS), "cells": [80, 80, 80, 160],
-                         "membrane": RATE_MEMBRANE} for mesh in meshes}, config)
     deviations = {mesh: [_at(hung[mesh]["rows"], gamma) for gamma in gammas] for mesh in meshes}
-    order = {mesh: [fitted_rate([r for r in rates[f"rate_{mesh}"]["rows"] if r["gamma"] == gamma])
-                    for gamma in RATE_GAMMAS] for mesh in meshes}
     largest = _largest(deviations)
     return Result({
         "length_m": LENGTH, "width_m": WIDTH,
@@ -117,9 +98,7 @@ def run(config: Config) -> Result:
         "passed": largest is not None and largest <= MAX_DEVIATION,
         "largest_deviation": largest,
         "deviations": deviations,
-        "order": {"gammas": list(RATE_GAMMAS), "membrane_N_m": RATE_MEMBRANE, **order},
         "strips": hung,
-        "strips_of_order": rates,
     })
 
 

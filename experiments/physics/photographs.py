@@ -97,22 +97,12 @@ class Photograph(NamedTuple):
         return self.area_cm2 / self.row.area_cm2_published if self.outline else None
 
     @property
-    def narrowest_mm(self) -> float | None:
-        """Width of the outline in the direction in which it is least; seen under parallel light, at
-        most the specimen's short side."""
-        if self.outline is None:
-            return None
-        angle = np.linspace(0, np.pi, 360, endpoint=False)
-        widths = np.ptp(self.outline.curve @ np.stack([np.cos(angle), np.sin(angle)]), axis=0)
-        return 1e3 * float(widths.min())
-
-    @property
     def report(self) -> Report:
         """What is read, and what was published."""
         found = self.outline
         return {"tester": self.rig.name, "read": found is not None, "reason": self.reason,
                 "area_cm2": self.area_cm2, "published_cm2": self.row.area_cm2_published,
-                "ratio": self.ratio, "narrowest_mm": self.narrowest_mm,
+                "ratio": self.ratio,
                 "coefficient_percent": 100 * found.drape_coefficient if found else None,
                 "published_percent": self.row.drape_coefficient_percent_published,
                 "warnings": list(found.warnings) if found else []}
@@ -186,9 +176,7 @@ def run(config: Config) -> Result:
     sound = [one for one in found if one.ratio and abs(one.ratio - 1) <= MAX_OFF]
     simulated, failed = _simulated(sound, config)
     report |= {"read": sum(one.outline is not None for one in found), "sound": len(sound),
-               "of": len(found), "failed": failed, "wider_than_the_specimen": {
-                   reading: sum(scale * (one.narrowest_mm or 0.0) > one.row.short_mm
-                                for one in found) for reading, (_, scale) in READINGS.items()}}
+               "of": len(found), "failed": failed}
     report["readings"] = {reading: {kind: {
         one.row.file: _compared(one, reading, kind, simulated, config) for one in sound}
         for kind in KINDS} for reading in READINGS}

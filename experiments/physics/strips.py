@@ -2,8 +2,7 @@
 
 1. Strips with beta < 0 and beta > 0, compared with the non-linear heavy elastica.
 2. Strips cut at 0 to 90 degrees from anisotropic fabrics: *guided*, constrained to cylinders,
-   compared with k(phi) of the law; *free*, as in a tester; *narrow* and free under a thousandth of
-   gravity, compared with the plate's compliance.
+   compared with k(phi) of the law, and *free*, as in a tester.
 3. Square plates under a small uniform load on finer and finer meshes, compared with series
    solutions.
 """
@@ -129,10 +128,6 @@ def navier(fabric: Fabric) -> float:
 
 
 LENGTH, WIDTH = 0.09, 0.03  # m
-NARROW_WIDTHS = (0.009, 0.0045)  # m
-"""Widths from which the modulus of an infinitely narrow strip is extrapolated linearly, because
-the clamp prevents twisting over a length of about the width."""
-NARROW_EDGE = 0.0015  # m
 WEIGHT = REFERENCE_DENSITY * GRAVITY
 MAX_CURVATURE = 400.0  # 1/m, above that of any strip
 GAMMAS = (1.0, 10.0, 50.0, 200.0)
@@ -195,7 +190,7 @@ def nonlinear(*, gamma: float, ratio: float, cells: int) -> dict:
 
 
 def angled(*, fabric: str, angle: float, cells: int) -> dict:
-    """Moduli, µN·m, of a strip cut at ``angle`` degrees: guided, free and narrow."""
+    """Moduli, µN·m, of a strip cut at ``angle`` degrees, guided and free."""
     cloth, radians = make_fabric(fabric), float(np.radians(angle))
     alpha, _ = cylinder_moduli(cloth, radians)
     edge = edge_for(alpha, cells)
@@ -212,25 +207,11 @@ def angled(*, fabric: str, angle: float, cells: int) -> dict:
         "angle": angle,
         "alpha": alpha / MICRO,
         "apparent": apparent_modulus(aspect_ratio(cylinder[-1])) / MICRO,
-        "compliance": free_modulus(cloth, radians) / MICRO,
         "eq8": float(modulus_along(cloth.alpha, np.array(radians))) / MICRO,
     }
     for name, strip in shapes.items():
         result[name] = strip_modulus(strip)
-    limit = [narrow(cloth, radians, width) for width in NARROW_WIDTHS]
-    result["narrow"] = {"status": limit[0]["status"]}
-    if all("modulus" in figures for figures in limit):
-        result["narrow"]["modulus"] = 2 * limit[1]["modulus"] - limit[0]["modulus"]
     return result
-
-
-def narrow(fabric: Fabric, angle: float, width: float) -> dict:
-    """Simulate a free strip under a load so small that it can curve in two directions."""
-    strip = hang(
-        fabric, angle=angle, length=LENGTH, edge=NARROW_EDGE, width=width, across=4,
-        gravity=SMALL_GRAVITY, laws=Laws(membrane=Corotational(SOFT_MEMBRANE)),
-    )
-    return strip_modulus(strip, SMALL_GRAVITY)
 
 
 def run_case(*, part: str, **settings) -> dict:

@@ -120,25 +120,11 @@ def test_halving_the_size_of_a_shape_doubles_its_curvature():
     assert compare(smaller, drape).curvature == pytest.approx(0.5)
 
 
-def test_alignment_removes_a_turn_and_a_rigid_motion():
+def test_alignment_removes_a_turn():
     drape = bell(specimen(31))
     other = turned(drape, 0.3)
     assert compare(drape, other).displacement > 0.01
     assert compare(drape, other, align="turn").largest < 1e-12
-    c, s = np.cos(0.2), np.sin(0.2)
-    tilted = turned(drape, 2.0)
-    tilt = np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
-    tilted = replace(tilted, positions=tilted.positions @ tilt + 0.01)
-    assert compare(drape, tilted, align="turn").displacement > 0.01
-    assert compare(drape, tilted, align="rigid").largest < 1e-12
-    assert compare(drape, tilted, align="rigid").curvature < 1e-9
-
-
-def test_a_mirror_image_is_no_rigid_motion():
-    mesh = specimen(31)
-    drape, mirrored = bell(mesh), bell(mesh)
-    mirrored = replace(mirrored, positions=mirrored.positions * [1, 1, -1])
-    assert compare(drape, mirrored, align="rigid").displacement > 0.005
 
 
 @pytest.mark.parametrize(("folds", "phase", "same"), [
@@ -163,5 +149,5 @@ def test_other_specimens_and_words_are_refused():
     with pytest.raises(InputError, match="not drapes of one specimen"):
         compare(drape, Shape(positions=drape.positions[:500], rest=drape.rest[:500],
                                        faces=drape.faces[(drape.faces < 500).all(axis=1)]))
-    with pytest.raises(InputError, match="none, turn, rigid"):
+    with pytest.raises(InputError, match="none, turn"):
         compare(drape, drape, align="best")

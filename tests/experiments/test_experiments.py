@@ -132,13 +132,11 @@ def test_table_is_aligned():
 @pytest.mark.slow
 def test_worker_processes_are_timed_against_one_core(tmp_path):
     out = tmp_path / "throughput.json"
-    main(["throughput", "drapes=2", "edge_mm=10", "repeats=1", "workers=2", "maps_drapes=4",
-          "maps_edge_mm=8", f"out={out}"])
+    main(["throughput", "drapes=2", "edge_mm=10", "repeats=1", "workers=2", f"out={out}"])
     found = json.loads(out.read_text())
     assert found["converged"] == 2 and found["largest_difference_m"] < 1e-6
     rates = found["drapes_per_second_workers"], found["drapes_per_second_one_core"]
     assert found["ratio"] == pytest.approx(rates[0] / rates[1])
-    assert found["maps"]["rows_per_drape"] > 5 and found["maps"]["cpu_seconds_per_drape"] < 0.3
 
 
 @pytest.fixture(scope="module")
