@@ -4,9 +4,8 @@ Drapes of fabrics from the prior are rendered in synthetic scenes (:mod:`data.re
 table, column, wall and clutter of three densities, with three sensors per camera pose. The turns of
 the table deviate from 90 degrees by up to 5 degrees. Targets: :data:`TARGETS`.
 
-Depth errors of the sensor shift and tilt the measured plate. Therefore errors of the centre are
-given across the line of sight, and along it after subtraction of the mean depth error; the tilt is
-also compared with that of the plane through the pixels that show the plate.
+Depth errors of the sensor shift the measured plate along the line of sight. Therefore errors of the
+centre are given across it.
 """
 
 from pathlib import Path
@@ -48,7 +47,7 @@ def case(*, number: int, sensor: str, clutter: str, rig: str, edge_mm: float, se
              "iou_background": overlap(empty.masks, scene.cloth), "warnings": list(cut.warnings),
              "column_mm": 1e3 * scene.column,
              "column_found_mm": 1e3 * cut.column if cut.column else None,
-             **plate_errors(cut, scene, tester)}
+             **plate_errors(cut, scene)}
     measured = LocatedViews.cut_out(cut.views, intrinsics, tester, np.array(QUARTERS)).turns
     return found | {"turn_deg": float(np.degrees(np.abs(measured - turns)).max())}
 
@@ -59,24 +58,14 @@ def overlap(masks: np.ndarray, truth: np.ndarray) -> list[float]:
     return (both / either).tolist()
 
 
-def plate_errors(cut: CutOut, scene: RawScene, rig: Rig) -> dict:
-    """Errors of the plate's centre, mm, and normal, degrees."""
-    pose, points = scene.camera.world_to_camera, scene.camera.back_project(scene.frames)
-    centre, up = pose[:3, 3], pose[:3, 2]
+def plate_errors(cut: CutOut, scene: RawScene) -> dict[str, float]:
+    """Errors of the plate's centre across the line of sight, mm, and of its normal, degrees."""
+    pose = scene.camera.world_to_camera
+    centre = pose[:3, 3]
     sight = centre / np.linalg.norm(centre)
     error = cut.plate.axis_centre - centre
-    along = float(error @ sight)
-    # Pixels that show the flat plate according to the noise-free depth.
-    true = (scene.camera.back_project(scene.clean) - centre) @ pose[:3, :3]
-    top = scene.cloth & (scene.clean > 0) & (scene.frames > 0) & (
-        np.hypot(true[..., 0], true[..., 1]) < 0.75 * rig.plate_radius) & (true[..., 2] > -2e-3)
-    bias = float(np.median((scene.frames - scene.clean)[top]) / sight[2])
-    shown = points[top][np.abs((scene.frames - scene.clean)[top] - bias) < 0.01]
-    measured = np.linalg.eigh(np.cov(shown.T))[1][:, 0]
-    return {"across_mm": 1e3 * float(np.linalg.norm(error - along * sight)),
-            "along_mm": 1e3 * (along - bias), "bias_mm": 1e3 * bias,
-            "tilt_deg": angle(cut.plate.normal, up), "tilt_sensor_deg": angle(measured, up),
-            "tilt_from_shown_deg": angle(cut.plate.normal, measured)}
+    return {"across_mm": 1e3 * float(np.linalg.norm(error - (error @ sight) * sight)),
+            "tilt_deg": angle(cut.plate.normal, pose[:3, 2])}
 
 
 def angle(one: np.ndarray, other: np.ndarray) -> float:
@@ -106,8 +95,7 @@ def summarise(results: list[dict]) -> dict:
     """Median and worst case of each error over captures; 'n/a' without values."""
     done = [one for one in results if not one["failed"]]
     found = {"captures": len(results), "failed": len(results) - len(done)}
-    for name in ("iou", "iou_background", "across_mm", "along_mm", "tilt_deg", "tilt_sensor_deg",
-                 "tilt_from_shown_deg", "turn_deg"):
+    for name in ("iou", "iou_background", "across_mm", "tilt_deg", "turn_deg"):
         values = np.abs(np.concatenate([np.atleast_1d(one[name]) for one in done if name in one]
                                        or [np.zeros(0)]))
         worst = np.min if name.startswith("iou") else np.max

@@ -4,7 +4,6 @@ A ridge regression on captures of a dataset's drapes on all testers; the report 
 ``drapenet/weights/specimen_offset.json``.
 """
 
-from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
 
@@ -16,12 +15,11 @@ from sklearn.preprocessing import StandardScaler
 
 from common.errors import InputError
 from data.captures.view_checks import CLOTH_SHARE
-from data.dataset.folder import finished_manifest
-from data.dataset.shards import Shard
 from data.render.setups import Setups
 from drapenet.views.checks import offset_features
 from drapenet.views.located import LocatedViews
 from drapenet.views.radial_map import radial_map
+from experiments.drapes import converged_drapes
 from experiments.result import Config, Result
 
 RIDGE = 0.1  # of standardised features
@@ -39,21 +37,12 @@ def fit(features: np.ndarray, values: np.ndarray, groups: np.ndarray) -> dict:
             "deviation": float(np.std(unbiased * unseen - values))}
 
 
-def drapes(root: Path) -> Iterator[tuple[Shard, int]]:
-    """Converged drapes of a dataset; the last shards first, as networks are trained on the first.
-    """
-    for name in reversed(list(finished_manifest(root)["shards"])):
-        shard = Shard(root / name)
-        for row in np.flatnonzero(shard.column("status") == "converged"):
-            yield shard, row
-
-
 def run(config: Config) -> Result:
     """Fit the coefficients."""
     if not config["data"]:
         raise InputError("data= is missing; give the folder of a dataset: data=DIR")
     setups, rows = Setups.load(), []
-    found = islice(drapes(Path(config["data"])), config["captures"])
+    found = islice(converged_drapes(Path(config["data"])), config["captures"])
     for number, (shard, row) in enumerate(found):
         positions, _, faces = shard.mesh(row)
         rig = shard.rig(row)
