@@ -78,14 +78,6 @@ def test_mean_curvature_of_a_cylinder_converges_at_second_order(angle):
     assert (rates > 1.8).all() and errors[-1] < 1e-3
 
 
-def test_perturbed_meshes_find_the_curvature_on_average():
-    mesh = specimen(41)
-    found = mean_curvature(cylinder(mesh, 0.08, 0.3), mesh)
-    inner = np.isfinite(found)
-    assert found[inner] @ mesh.vertex_areas[inner] == pytest.approx(
-        0.5 / 0.08 * mesh.vertex_areas[inner].sum(), rel=0.01)
-
-
 @pytest.mark.parametrize("resolutions", [(41, 41), (41, 81), (81, 41)])
 def test_one_shape_on_two_meshes_hardly_differs(resolutions):
     one, two = (bell(specimen(n, seed=seed)) for seed, n in enumerate(resolutions))
@@ -137,11 +129,8 @@ def test_fold_configurations(folds, phase, same):
     other = bell(mesh, folds=folds, phase=phase)
     assert same_folds(outline(drape), outline(other)) is same
     assert same_folds(outline(other), outline(drape)) is same
-
-
-def test_flat_outlines_have_the_same_folds():
-    circle = outline(bell(specimen(31), depth=0.0))
-    assert same_folds(circle, circle)
+    flat = outline(bell(mesh, depth=0.0))
+    assert same_folds(flat, flat) and not same_folds(flat, outline(drape))
 
 
 def test_other_specimens_and_words_are_refused():
