@@ -94,7 +94,7 @@ bench: $(STAMP)  ## all timings on this machine, JSON in docs/validation
 	for name in speed render throughput; do $(BIN)/python -m experiments $$name || exit 1; done
 
 validate: $(STAMP)  ## figures of docs/validation.md, about 3 hours of CPU, resumes when interrupted
-	for name in elastica strips testers membranes meshes default_mesh convergence; do \
+	for name in elastica strips testers meshes default_mesh convergence; do \
 	  $(BIN)/python -m experiments $$name || exit 1; done
 
 docs: $(STAMP)  ## update the figures in README.md and docs/*.md from the demo and the reports

@@ -14,14 +14,13 @@ from sim.cloth import Laws
 from sim.drape import FINE_OPTIONS
 from sim.equilibrium import Equilibrium, find_equilibrium
 from sim.material import Fabric
-from sim.measures import fold_angles, fold_outline
+from sim.measures import fold_angles
 from sim.mesh import Mesh
-from sim.rig import SQUARE_RIG, Rig
+from sim.rig import Rig
 from sim.scene import Scene
-from sim.solver.newton import Status
 from sim.start import interpolate_positions
 
-ALIGNMENTS = ("none", "turn", "rigid")
+ALIGNMENTS = ("none", "turn")
 _MAX_FOLD_SHIFT = 0.25
 """Largest shift of a fold, as a fraction of the mean angle between folds."""
 _AREA_TOLERANCE = 0.03  # relative difference of area; the boundary of a coarse disc is a polygon
@@ -74,7 +73,7 @@ class Difference:
 
 
 def compare(reference: Draped, other: Draped, *, align: str = "none") -> Difference:
-    """Compare two drapes of one specimen, with optional rigid alignment.
+    """Compare two drapes of one specimen, turned for the best fit if asked for.
 
     The material points at the vertices of the coarser mesh are compared, held ones included,
     weighted by their rest areas. The finer drape is interpolated to them unless the meshes are
@@ -82,8 +81,7 @@ def compare(reference: Draped, other: Draped, *, align: str = "none") -> Differe
     resolve bending between its vertices.
 
     Args:
-        align: "none"; "turn" for the best rotation about the vertical axis; "rigid" for the best
-            rotation and translation.
+        align: "none", or "turn" for the best rotation about the vertical axis.
     """
     coarse, fine = sorted((reference, other), key=lambda drape: len(drape.rest))
     mesh = Mesh(rest=coarse.rest, faces=coarse.faces)
@@ -129,12 +127,6 @@ def align_positions(
         product = weight @ (flat.conj() * goal)
         turned = flat * product / abs(product)
         return np.column_stack([turned.real, turned.imag, positions[:, 2]])
-    if align == "rigid":
-        share = weight / weight.sum()
-        middle, goal = share @ positions, share @ target
-        u, _, vt = np.linalg.svd((positions - middle).T * share @ (target - goal))
-        proper = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])  # no reflection
-        return (positions - middle) @ (u * proper) @ vt + goal
     raise InputError(f"unknown alignment '{align}'; choose from {', '.join(ALIGNMENTS)}")
 
 
@@ -188,30 +180,6 @@ def same_folds(outline: np.ndarray, other: np.ndarray) -> bool:
     shifts = [np.roll(others, k) - folds for k in (-1, 0, 1)]
     gap = min(np.abs((shift + np.pi) % (2 * np.pi) - np.pi).max() for shift in shifts)
     return bool(gap < _MAX_FOLD_SHIFT * 2 * np.pi / len(folds))
-
-
-class FinishedDrapes:
-    """Results and shapes of finished cases of drapes on the square rig, by name."""
-
-    def __init__(self, folder: Path, results: dict[str, dict]) -> None:
-        self.results = results
-        self.shapes = {name: Shape.load(folder, name) for name in results}
-        self.outlines = {name: fold_outline(shape.positions, shape.rest, SQUARE_RIG)
-                         for name, shape in self.shapes.items()}
-
-    def converged(self, *names: str) -> bool:
-        """Whether all these drapes have converged."""
-        return all(self.results[name]["status"] == Status.CONVERGED.value for name in names)
-
-    def displacement(self, one: str, two: str) -> float:
-        """Mean displacement between two drapes, mm; NaN if one has not converged."""
-        if not self.converged(one, two):
-            return float("nan")
-        return 1e3 * compare(self.shapes[one], self.shapes[two]).displacement
-
-    def same_folds(self, one: str, two: str) -> bool:
-        """Whether two drapes have the same fold configuration."""
-        return same_folds(self.outlines[one], self.outlines[two])
 
 
 def equilibrium_near(

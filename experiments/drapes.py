@@ -1,5 +1,6 @@
 """Fabrics of the prior: drawn, draped, captured, and estimated by the bundled network."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -12,7 +13,9 @@ from common.errors import InputError
 from common.types import Theta
 from data.captures.capture import DepthCapture
 from data.dataset.config import Options, config_from_options
+from data.dataset.folder import finished_manifest
 from data.dataset.plan import DrapePlan, Stream, plan_drape, stream
+from data.dataset.shards import Shard
 from data.fabrics.fabrics import fabric_from_theta
 from data.fabrics.nuisances import Nuisances
 from data.fabrics.prior import load_prior, sample_admissible
@@ -82,6 +85,15 @@ def drape_specimen(
 def drape_as_planned(plan: DrapePlan, *, edge: float) -> Drape:
     """Simulate a specimen with the offset and the start of its plan."""
     return drape_specimen(plan, edge=edge, start=plan.start, offset=tuple(plan.offset))
+
+
+def converged_drapes(root: Path) -> Iterator[tuple[Shard, int]]:
+    """Converged drapes of a dataset by shard and row; the last shards first, as networks are
+    trained on the first."""
+    for name in reversed(list(finished_manifest(root)["shards"])):
+        shard = Shard(root / name)
+        for row in np.flatnonzero(shard.column("status") == "converged"):
+            yield shard, row
 
 
 def ideal_setups(**changes: object) -> "Setups":

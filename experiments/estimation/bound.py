@@ -47,7 +47,6 @@ SETUP = (*table_names(len(QUARTERS)), FOCAL)
 """Errors of the turns of the table, rad, and logarithm of the focal length."""
 PICTURE = ("picture_x", "picture_y", "picture_scale")
 """Errors of an outline's centre, m, and of its scale."""
-_WAVES, _YARN_WAVES = 16, (2, 4)  # around an outline
 _RADIUS_STEP = 2e-4  # m, largest move of a vertex for the difference of two outlines
 
 
@@ -169,54 +168,6 @@ def outline_information(
     _, jacobian = _outline_moves(tangent, result, nuisances)
     scale = noise * cells_per_measurement**0.5
     return Information(OUTLINE, jacobian.T @ jacobian / scale**2, AZIMUTHS, True, "")
-
-
-def start_information(
-    drapes: Sequence[Drape], *, nuisances: Nuisances, noise: Metres, cells_per_measurement: float
-) -> Information:
-    """Fisher information of the outline of a drape whose start is not known, by the mean and the
-    covariance of its features (:func:`_features`) over ``drapes`` of one specimen from many starts.
-
-    The covariance is shrunk (Ledoit and Wolf 2004), as there are fewer drapes than features.
-    """
-    from sklearn.covariance import ledoit_wolf
-
-    values, slopes = [], []
-    for result in drapes:
-        tangent = Tangent.of(result)
-        if not tangent.ok:
-            continue
-        radius, jacobian = _outline_moves(tangent, result, nuisances)
-        value, slope = _features(radius)
-        values.append(value)
-        slopes.append((slope @ jacobian, slope @ slope.T))
-    if len(values) < 3:
-        return Information.missing(OUTLINE, "too few drapes have derivatives")
-    jacobian, white = (np.mean(part, axis=0) for part in zip(*slopes, strict=True))
-    # Features have different units: shrunk as correlations.
-    scale = np.std(values, axis=0)
-    of_start = ledoit_wolf(np.array(values) / scale)[0] * np.outer(scale, scale)
-    covariance = of_start + noise**2 * cells_per_measurement * white
-    return Information(OUTLINE, jacobian.T @ np.linalg.solve(covariance, jacobian), AZIMUTHS, True,
-                       "")
-
-
-def _features(radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Features (F,) of an outline (A,), and their derivatives (F, A): the mean, waves twice and
-    four times around in the axes of the yarns, and the logarithms of the amplitudes of all other
-    waves, whose place depends on the start."""
-    waves = np.exp(-1j * np.outer(np.arange(_WAVES + 1), AZIMUTH)) / AZIMUTHS
-    complex_ = waves @ radius
-    values, slopes = [complex_[0].real], [waves[0].real]
-    for order in range(1, _WAVES + 1):
-        if order in _YARN_WAVES:
-            values += [complex_[order].real, complex_[order].imag]
-            slopes += [waves[order].real, waves[order].imag]
-        else:
-            size = abs(complex_[order])
-            values.append(np.log(size))
-            slopes.append((complex_[order].conj() * waves[order]).real / size**2)
-    return np.array(values), np.array(slopes)
 
 
 def _outline_moves(

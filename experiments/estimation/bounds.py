@@ -6,11 +6,6 @@ deviation of an estimate that uses the prior of moduli and nuisances (the experi
 ``information``), over the spread. The errors of an outline are those of training pictures under
 parallel light, with one radius in three as an independent measurement. In sets, fabric, membrane,
 shear and hysteresis are common to all captures.
-
-A reader does not know the start of a drape, on which its folds depend. The cell "outline, start
-unknown" takes it as an error of the outline's mean and waves, with their covariance over many
-starts of one specimen; what the places of the folds add to that is left out. A reader's
-smallest error lies between both figures.
 """
 
 from typing import Any
@@ -19,7 +14,7 @@ import numpy as np
 
 from common.command import compose_config
 from data.dataset.config import Options, SamplingConfig, config_from_options
-from data.dataset.plan import DrapePlan, Stream, plan_drape, stream
+from data.dataset.plan import plan_drape
 from data.fabrics.fabrics import THETA_NAMES, fabric_from_theta
 from data.fabrics.nuisances import NAMES
 from data.fabrics.prior import load_prior
@@ -35,17 +30,14 @@ from experiments.estimation.bound import (
     depth_information,
     joint_covariance,
     outline_information,
-    start_information,
 )
 from experiments.result import ESTIMATOR, Config, Result, rms, run_cases
-from sim.drape import Drape, drape
+from sim.drape import drape
 
 SHARED = ("membrane", "shear", "hysteresis")
 DRAPES = 4
 SETS = (1, 2, DRAPES)
 INPUTS = {"depth": "4 views", "outline": "parallel light"}
-START = "outline, start unknown"
-"""Cell without a counterpart in the evaluation."""
 
 
 def sampling_of(tester: str, seed: int) -> SamplingConfig:
@@ -62,14 +54,16 @@ def cell_name(kind: str, captures: int) -> str:
 
 
 def bounds_of_fabric(
-    *, tester: str, fabric: int, seed: int, edge_mm: float, starts: int
+    *, tester: str, fabric: int, seed: int, edge_mm: float
 ) -> dict[str, list]:
     """Smallest standard deviations (6,) of theta by cell; none where a drape has no derivatives."""
     config, prior = sampling_of(tester, seed), load_prior("gaussian").covariance
     captures: dict[str, list[Information]] = {kind: [] for kind in INPUTS}
     for index in range(DRAPES * fabric, DRAPES * (fabric + 1)):
         plan = plan_drape(index, config=config, prior=load_prior("vae"))
-        shape = _drape(plan, plan.seed, edge_mm)
+        shape = drape(fabric_from_theta(plan.theta), rig=plan.nuisances.rig(plan.rig),
+                      edge=1e-3 * edge_mm, start=plan.start, seed=plan.seed,
+                      offset=tuple(plan.offset), laws=plan.nuisances.laws)
         captures["depth"].append(depth_information(shape, nominal_camera(),
                                                    nuisances=plan.nuisances))
         # Deviations of training pictures are uniform up to the largest.
@@ -77,8 +71,6 @@ def bounds_of_fabric(
             "noise": PICTURE_NOISE / 3**0.5 * plan.rig.specimen_size / 2,
             "cells_per_measurement": 3, "nuisances": plan.nuisances}
         captures["outline"].append(outline_information(shape, **picture))
-    seeds = stream(seed, Stream.VIEWS, fabric).integers(1 << 31, size=starts)
-    unknown = start_information([_drape(plan, int(one), edge_mm) for one in seeds], **picture)
     deviations = config.nuisances.deviations
     common = {name: deviations[name] for name in SHARED}
     single = {name: deviations[name] for name in NAMES if name not in SHARED}
@@ -97,31 +89,20 @@ def bounds_of_fabric(
                 covariance = joint_covariance(good[:count], np.linalg.inv(prior),
                                               separate=separate[kind], shared=common)
                 found[cell_name(kind, count)] = np.sqrt(np.diag(covariance)[:6]).tolist()
-    if unknown.ok:
-        covariance = joint_covariance([unknown], np.linalg.inv(prior),
-                                      separate=separate["outline"], shared=common)
-        found[START] = np.sqrt(np.diag(covariance)[:6]).tolist()
     return found
-
-
-def _drape(plan: DrapePlan, seed: int, edge_mm: float) -> Drape:
-    """The drape of a ``plan``, from a start of ``seed``."""
-    return drape(fabric_from_theta(plan.theta), rig=plan.nuisances.rig(plan.rig),
-                 edge=1e-3 * edge_mm, start=plan.start, seed=seed, offset=tuple(plan.offset),
-                 laws=plan.nuisances.laws)
 
 
 def run(config: Config) -> Result:
     """Compute the bounds."""
     cases = {f"{tester}_{k:02}": {"tester": tester, "fabric": k, "seed": config["seed"],
-                                  "edge_mm": config["edge_mm"], "starts": config["starts"]}
+                                  "edge_mm": config["edge_mm"]}
              for tester in config["testers"] for k in range(config["fabrics"])}
     results = run_cases(bounds_of_fabric, cases, config, sources=ESTIMATOR)
     spread = spread_of(load_prior("vae"))
     cells: dict[str, dict] = {}
     for tester in config["testers"]:
         cells[tester] = {}
-        for name in (*(cell_name(kind, count) for kind in INPUTS for count in SETS), START):
+        for name in (cell_name(kind, count) for kind in INPUTS for count in SETS):
             values = np.array([found[name] for label, found in results.items()
                                if name in found and cases[label]["tester"] == tester]) / spread
             if len(values):

@@ -5,7 +5,7 @@ may cause are applied to the captures. Captures without faults should have no wa
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,13 +16,12 @@ from tqdm import tqdm
 from common.errors import InputError
 from data.captures.capture import DepthCapture
 from data.captures.view_checks import checked_views
-from data.dataset.folder import finished_manifest
-from data.dataset.shards import Shard
 from data.fabrics.fabrics import fabric_from_theta
 from data.render.setups import Setups, SyntheticCapture
 from drapenet.views.checks import view_warnings
 from drapenet.views.located import LocatedViews
 from drapenet.views.radial_map import radial_map
+from experiments.drapes import converged_drapes
 from experiments.result import Config, Result
 from sim.drape import drape
 from sim.material import REFERENCE_DENSITY
@@ -171,23 +170,11 @@ def find_warnings(
         return [str(error)]
 
 
-def drapes(root: Path) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Yield theta (6,), positions (V, 3) and faces (F, 3) of the drapes of a dataset.
-
-    The last shards come first, because networks are trained on the first.
-    """
-    for name in reversed(list(finished_manifest(root)["shards"])):
-        shard = Shard(root / name)
-        for row in np.flatnonzero(shard.column("status") == "converged"):
-            positions, _, faces = shard.mesh(row)
-            yield shard.column("theta")[row], positions, faces
-
-
 def run(config: Config) -> Result:
     """Check captures without and with faults."""
     rig = Rig()
     setups = replace(Setups.load(), views=(0.0, 0.0, 0.0, 1.0))
-    source = drapes(Path(config["data"]))
+    source = converged_drapes(Path(config["data"]))
 
     def capture(positions: np.ndarray, faces: np.ndarray, rng: Rng) -> SyntheticCapture:
         return setups.capture(positions, faces, rng, rig=rig)
@@ -195,11 +182,14 @@ def run(config: Config) -> Result:
     messages: dict[str, list[list[str]]] = {}
     for number in tqdm(range(config["sound"]), desc="sound", mininterval=5):
         rng = np.random.default_rng([config["seed"], number])
-        seen = capture(*next(source)[1:], rng)
+        shard, row = next(source)
+        positions, _, faces = shard.mesh(row)
+        seen = capture(positions, faces, rng)
         messages.setdefault("sound", []).append(find_warnings(seen, rig, setups))
     for number in tqdm(range(config["spoiled"]), desc="spoiled"):
         rng = np.random.default_rng([config["seed"], 1, number])
-        theta, positions, faces = next(source)
+        shard, row = next(source)
+        theta, (positions, _, faces) = shard.column("theta")[row], shard.mesh(row)
         seen = capture(positions, faces, rng)
         for name, apply in FAULTS.items():
             messages.setdefault(name, []).append(

@@ -14,7 +14,6 @@ no columns.
 """
 
 import numpy as np
-from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from common.command import compose_config
@@ -24,9 +23,8 @@ from data.fabrics.fabrics import THETA_NAMES, fabric_from_theta
 from data.fabrics.nuisances import NAMES, Nuisances
 from data.fabrics.prior import load_prior
 from data.render.cameras import nominal_camera
-from data.render.setups import Setups
-from experiments.estimation.bound import CAMERA, SETUP, SPECIMEN, bounds, depth_information
-from experiments.result import Config, Result, label_log_axes, rms
+from experiments.estimation.bound import CAMERA, SPECIMEN, bounds, depth_information
+from experiments.result import Config, Result, rms
 from sim.drape import drape
 from sim.rig import Rig
 
@@ -34,9 +32,6 @@ MM = 1e3
 MODULI = {"log_alpha": slice(0, 3), "beta_over_alpha": slice(3, 6)}
 NO_NUISANCES = "no nuisances"
 ALL_KNOWN, ALL_UNKNOWN = "all nuisances known", "all nuisances unknown"
-PLOTTED = (NO_NUISANCES, ALL_KNOWN, ALL_UNKNOWN)
-MEASURABLE = ("membrane", "hysteresis")
-"""Nuisances that laboratories measure by KES."""
 
 
 def sampling_config(seed: int) -> SamplingConfig:
@@ -45,32 +40,17 @@ def sampling_config(seed: int) -> SamplingConfig:
     return config_from_options(compose_config("generate", words, schema=Options)).sampling
 
 
-def unknowns(config: SamplingConfig) -> dict[str, dict[str, float]]:
-    """Unknown parameters of each row for drapes with nuisances, with their standard deviations."""
-    pose = dict.fromkeys((SPECIMEN[0], *CAMERA), np.inf)
-    pose |= dict.fromkeys(SPECIMEN[1:], config.drift)
-    spread, setup = config.nuisances.deviations, Setups.load()
-    table_and_focal = dict(zip(SETUP, (*[setup.turn] * 3, setup.focal), strict=True))
-    rest = {name: spread[name] for name in NAMES if name not in MEASURABLE}
-    return {
-        ALL_KNOWN: pose,
-        **{name: pose | {name: spread[name]} for name in NAMES},
-        f"all but {' and '.join(MEASURABLE)}": pose | rest,
-        ALL_UNKNOWN: pose | spread,
-        f"{ALL_UNKNOWN}, turntable and focal length too": pose | spread | table_and_focal,
-    }
-
-
 def bounds_of_fabric(index: int, seed: int, edge_mm: float, noise_mm: float, pixels: float) -> dict:
     """Bounds (6,) of fabric ``index`` by row; None if a drape has no derivatives."""
     config, prior = sampling_config(seed), load_prior("gaussian").covariance
+    pose = dict.fromkeys((SPECIMEN[0], *CAMERA), np.inf) | dict.fromkeys(SPECIMEN[1:], config.drift)
     plan = plan_drape(index, config=config, prior=load_prior("vae"))
-    fabric, rows = fabric_from_theta(plan.theta), unknowns(config)
+    fabric = fabric_from_theta(plan.theta)
     turn = 2 * np.pi * float(stream(seed, Stream.VIEWS, index).random())
     case = {"theta": plan.theta.tolist(), "nuisances": plan.nuisances.vector.tolist(),
             "bounds": {}, "messages": []}
-    ideal = {NO_NUISANCES: rows[ALL_KNOWN]}
-    for nuisances, cases in ((Nuisances(), ideal), (plan.nuisances, rows)):
+    rows = {ALL_KNOWN: pose, ALL_UNKNOWN: pose | config.nuisances.deviations}
+    for nuisances, cases in ((Nuisances(), {NO_NUISANCES: pose}), (plan.nuisances, rows)):
         result = drape(fabric, rig=nuisances.rig(Rig()), edge=1e-3 * edge_mm, start=plan.start,
                        seed=plan.seed, offset=tuple(plan.offset), laws=nuisances.laws)
         found = depth_information(result, nominal_camera(), nuisances=nuisances,
@@ -107,28 +87,6 @@ def run(config: Config) -> Result:
         "spread": spread.tolist(),
         "without_derivatives": failed,
         "rms": summarise(complete, spread) if complete else {},
-        "fabrics": [case | {"bounds": {row: case["bounds"][row] for row in PLOTTED}}
-                    for case in complete],
+        "fabrics": complete,
     }
-    return Result(report, draw(report) if complete else None)
-
-
-def draw(report: dict) -> Figure:
-    """Plot the bounds of the fabrics in a report against their stiffness."""
-    figure = Figure(figsize=(8.0, 3.6), layout="constrained")
-    theta = np.array([case["theta"] for case in report["fabrics"]])
-    stiffness = 1e6 * np.exp(theta[:, :3].mean(axis=1))
-    spread = np.array(report["spread"])
-    for axis, (name, part) in zip(figure.subplots(1, 2), MODULI.items(), strict=True):
-        for row, mark in zip(PLOTTED, "o^s", strict=True):
-            values = np.array([case["bounds"][row] for case in report["fabrics"]])[:, part]
-            axis.loglog(stiffness, np.sqrt(((values / spread[part]) ** 2).mean(axis=1)), mark,
-                        ms=3, label=row)
-        axis.axhline(1.0, color="0.5", lw=0.8, ls="--")
-        axis.set_ylim(0.02, 1.5)
-        label_log_axes(axis.xaxis, axis.yaxis)
-        axis.set_xlabel("geometric mean of α, µN·m", fontsize=8)
-        axis.set_title(f"bound of {'log α' if name == 'log_alpha' else 'β/α'}, "
-                       "of the spread over fabrics", fontsize=9)
-        axis.legend(fontsize=7, frameon=False)
-    return figure
+    return Result(report)

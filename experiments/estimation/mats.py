@@ -12,11 +12,9 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from common.errors import InputError
-from common.files import replace_file
 from common.types import Metres, Outline
 from data.captures.capture import OutlineCapture
 from data.captures.photograph import AZIMUTHS, PhotographedOutline
@@ -36,7 +34,7 @@ TARGETS = {"outline_mm": (0.5, 1.0), "alpha": (0.03, 0.08), "silent": 1 / 200}
 WRONG = 0.15  # of alpha
 
 
-def case(*, number: int, rig: str, edge_mm: float, seed: int, sheet: str) -> dict:
+def case(*, number: int, rig: str, edge_mm: float, seed: int) -> dict:
     """Errors of one photograph; ``refused`` has the sentence if it is not read."""
     tester = Rig.from_name(rig)
     plan = plan_specimen(number, "dataset.even_share=0.8", rig=tester, seed=seed)
@@ -55,12 +53,8 @@ def case(*, number: int, rig: str, edge_mm: float, seed: int, sheet: str) -> dic
         try:
             read = read_capture(Path(folder))
         except InputError as error:
-            if sheet:
-                replace_file(Path(sheet), picture.jpeg)
             return known | {"refused": str(error).split("outline.jpg: ")[-1]}
     assert read.outline and read.outline.hem is not None and read.outline.to_pixels is not None
-    if sheet:
-        replace_file(Path(sheet), _drawn(read.outline))
     seen = mapped(read.outline.hem, np.linalg.inv(read.outline.to_pixels))
     true_seen = true_radii(shape, picture.warp, place[:2], place[2])
     true_axis = true_radii(shape, picture.warp, np.zeros(2), place[2])
@@ -106,24 +100,11 @@ def _log_alpha(
     return samples.mean(axis=0), samples.std(axis=0)
 
 
-def _drawn(outline: PhotographedOutline) -> bytes:
-    """JPEG of the picture with the outline as it was seen."""
-    assert outline.picture is not None and outline.hem is not None
-    picture = np.ascontiguousarray(outline.picture[..., ::-1])
-    cv2.polylines(picture, [np.rint(16 * outline.hem).astype(np.int32)], True, (0, 200, 0), 2,
-                  cv2.LINE_AA, 4)
-    small = cv2.resize(picture, (500, 500), interpolation=cv2.INTER_AREA)
-    return cv2.imencode(".jpg", small)[1].tobytes()
-
-
 def run(config: Config) -> Result:
     """Evaluate all photographs."""
-    folder = Path(config["cases"])
-    shown = config["pictures"]
     cases = {f"{k}": {
         "number": k, "rig": config["testers"][k % len(config["testers"])],
-        "edge_mm": config["edge_mm"], "seed": config["seed"],
-        "sheet": str(folder / f"{k:03}.jpg") if k < shown else ""}
+        "edge_mm": config["edge_mm"], "seed": config["seed"]}
         for k in range(config["photographs"])}
     results = run_cases(case, cases, config, sources=ESTIMATOR)
     groups = {"all": list(results)} | {

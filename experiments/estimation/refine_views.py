@@ -8,19 +8,17 @@ an exact cut-out and a random camera pose.
 """
 
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 from itertools import compress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from common.configs import read_option
 from common.types import Theta
 from data.fabrics.fabrics import THETA_NAMES
-from data.fabrics.nuisances import NAMES, Nuisances
+from data.fabrics.nuisances import NAMES
 from data.render.setups import Setups
 from drapenet.network.posterior import inside, ranks
 from experiments.comparison import same_folds
@@ -36,13 +34,12 @@ from experiments.result import (
     ESTIMATOR,
     Config,
     Result,
-    label_log_axes,
     load_arrays,
     rms,
     run_cases,
 )
 from sim.drape import drape
-from sim.material import LINEAR, MICRO, RATIO
+from sim.material import LINEAR, RATIO
 from sim.measures import fold_outline
 from sim.rig import Rig
 
@@ -53,39 +50,17 @@ if TYPE_CHECKING:
 METHODS = ("network", "search", "refined")
 
 
-NUISANCES: dict[str, dict[str, float]] = {
-    "stretch and shear": {"membrane": Nuisances().membrane, "shear": 0.45},  # middle of the range
-    "friction": {"hysteresis": 0.0}, "natural curvature": {"curl_warp": 0.0, "curl_weft": 0.0},
-    "size": {"size": 0.0, "plate": 0.0, "cut": 0.0}}
-"""Properties of specimens, at their usual values."""
-SETUPS: dict[str, dict[str, Any]] = {
-    "camera": {"turn": 0.0, "focal": 0.0}, "cut-out": {"border": 0, "holes": 0, "hem_share": 0.0},
-    "sensor": {"sensors": {"smooth": 1.0}}}
-OFFSET = "offset"
-ABSENT = (*NUISANCES, OFFSET, *SETUPS)
-"""Groups of nuisances that a world may be without."""
-
-
 def case(
-    *, number: int, rig: str, nuisances: str, edge_mm: float | None, truth_mm: float, seed: int,
-    absent: Sequence[str] = (),
+    *, number: int, rig: str, nuisances: str, edge_mm: float | None, truth_mm: float, seed: int
 ) -> dict:
-    """Estimate one capture with the network and with the refinement, in a world without the
-    nuisances ``absent``, of :data:`ABSENT`."""
+    """Estimate one capture with the network and with the refinement."""
     from drapenet.estimator.stages import by_network
     from drapenet.refine.refine import refine_capture
 
     tester = Rig.from_name(rig)
     plan = plan_specimen(number, rig=tester, nuisances=nuisances, seed=seed)
-    changes, setups = {}, Setups.load("real")
-    for group in absent:
-        changes |= NUISANCES.get(group, {})
-        setups = replace(setups, **SETUPS.get(group, {}))
-    plan = replace(plan, nuisances=replace(plan.nuisances, **changes),
-                   offset=np.zeros(2) if OFFSET in absent else plan.offset)
     shape = drape_as_planned(plan, edge=1e-3 * truth_mm)
-    if nuisances == "none":
-        setups = replace(setups, **CLEAN)
+    setups = replace(Setups.load("real"), **(CLEAN if nuisances == "none" else {}))
     rng = np.random.default_rng([seed, number])
     capture = as_read(capture_drape(shape, setups, rng, tester), tester)
     inferred = by_network(capture, header())
@@ -188,22 +163,4 @@ def run(config: Config) -> Result:
     specimen = nuisance_errors(list(results.values()))
     return Result({"summary": summary, "specimen": specimen,
                    "seconds": {"median": float(np.median(seconds)),
-                               "largest": float(seconds.max())}, "cases": results},
-                  draw(truth, samples))
-
-
-def draw(truth: np.ndarray, samples: dict[str, list[np.ndarray]]) -> Figure:
-    """Plot estimated against true alpha."""
-    figure = Figure(figsize=(5.5, 4.6), layout="constrained")
-    axis = figure.subplots()
-    for name, colour in zip((METHODS[0], METHODS[-1]), ("0.6", "C1"), strict=True):
-        found = np.exp([s[:, LINEAR].mean(axis=0) for s in samples[name]]) / MICRO
-        for k, marker in enumerate("os^"):
-            axis.plot(np.exp(truth[:, k]) / MICRO, found[:, k], marker, color=colour, ms=4,
-                      label=f"{name}, {('warp', 'bias', 'weft')[k]}")
-    axis.set(xscale="log", yscale="log", xlabel="true alpha [µN·m]", ylabel="estimated [µN·m]")
-    label_log_axes(axis.xaxis, axis.yaxis)
-    ends = np.array(axis.get_xlim())
-    axis.plot(ends, ends, color="k", lw=0.8)
-    axis.legend(fontsize=7, frameon=False)
-    return figure
+                               "largest": float(seconds.max())}, "cases": results})

@@ -29,7 +29,7 @@ from drapenet.evidence.state import fabric_prior, prior_along
 from experiments.drapes import header, prior_theta
 from experiments.result import Config, Result, run_cases
 from sim.cantilever import heavy_elastica
-from sim.cantilever.moduli import distance_across, match
+from sim.cantilever.moduli import distance_across
 from sim.material import DIRECTIONS, REFERENCE_DENSITY, bending_length
 from sim.rig import GRAVITY
 
@@ -126,7 +126,6 @@ def estimate_case(*, number: int) -> dict:
         return truth | {"failed": str(error)}
     off = [distance_across(strip.measured.curve[1:], scene.curve)
            for strip, scene in zip(strips.photographs, scenes, strict=True)]
-    plain = match([strip.measured.curve for strip in strips.photographs], weight=WEIGHT)
     true = np.array([alpha, ratio * alpha])  # of the fabric
     measured = alpha * np.exp(apart.mean())  # of its strips
     shown = np.array([measured, ratio * measured])
@@ -138,7 +137,6 @@ def estimate_case(*, number: int) -> dict:
         "curve_mm": [1e3 * float(np.sqrt((each**2).mean())) for each in off],
         "curve_largest_mm": [1e3 * float(np.abs(each).max()) for each in off],
         "errors": ((np.array([found.alpha, found.beta]) - shown) / size).tolist(),
-        "errors_table": ((np.array([plain.alpha, plain.beta]) - shown) / size).tolist(),
         "deviations": np.sqrt(np.diag(found.posterior.covariance)).tolist(),
         "scatter": found.scatter,
         "inside": [((spans[:, 0] < true) & (true < spans[:, 1])).tolist()
@@ -299,13 +297,11 @@ def summarise(cases: list[dict]) -> dict:
         "largest": float(max(max(case["curve_largest_mm"]) for case in cases))}}
     inside = 100 * np.mean([case["inside"] for case in cases], axis=0)
     for k, name in enumerate(("alpha", "beta")):
-        errors, table = (100 * np.array([case[key][k] for case in cases])
-                         for key in ("errors", "errors_table"))
+        errors = 100 * np.array([case["errors"][k] for case in cases])
         summary[name] = {
             "median": float(np.median(np.abs(errors))),
             "quantile_90": float(np.quantile(np.abs(errors), 0.9)),
             "median_signed": float(np.median(errors)),
-            "median_table": float(np.median(np.abs(table))),
             "coverage": {f"{level:.0%}": float(share)
                          for level, share in zip(LEVELS, inside[:, k], strict=True)}}
     summary["misfit"] = float(np.median([case["misfit"] for case in cases]))

@@ -47,7 +47,7 @@ def accuracy(reports: Reports) -> str:
     rows = [[f"{kind[:-1]} of 300 mm, {what}", *_off(reports.cell(kind, name)),
              coverage(reports.cell(kind, name))]
             for what, name in names.items() for kind in ("discs", "squares")]
-    drapes = reports["outlines"]["summary"]["parallel"]["flat"]["all"]
+    drapes = reports["outlines"]["summary"]["parallel"]["flat"]
     bent = next(iter(reports["laboratory"]["summary"].values()))
     alone, known = reports["outlines_real"]["alone"], reports["numbers"]
     return "\n".join([
@@ -74,40 +74,14 @@ def _off(found: Report) -> list[str]:
 
 
 def bands(reports: Reports) -> str:
-    """Errors and coverage of single captures by drape coefficient and by stiffness."""
+    """Errors of single captures by drape coefficient and by stiffness."""
     found = reports["evaluation"]["bands"]
     names = [name for name in found if name != "drape coefficient and nodes"]
     return "\n\n".join(
-        table([kind, "fabrics", *(f"{name}: {what}" for name in names for what in
-                                  ("α off by, median", "9 of 10", "inside"))],
-              [[label, min(found[name][kind][label]["fabrics"] for name in names
-                           if label in found[name][kind]),
-                *(cell for name in names for cell in
-                  ([*_off(found[name][kind][label]), coverage(found[name][kind][label])]
-                   if label in found[name][kind] else ["–"] * 3))]
+        table([kind, *(f"{name}: α off by, median, 9 of 10" for name in names)],
+              [[label, *(", ".join(_off(found[name][kind][label])) for name in names)]
                for label in found[names[0]][kind]])
         for kind in ("drape coefficient", "stiffness"))
-
-
-def learning(reports: Reports) -> str:
-    """Errors of networks by drapes, steps and width, and of the nearest simulated outline."""
-    found = reports["learning"]
-    rows = []
-    for run in found["runs"].values():
-        row = [str(run["drapes"]), str(run["steps"]), f"{run['width']:g}"]
-        for whose in ("unseen", "own"):
-            row += [" / ".join(f"{run[whose][name][shape]['log_alpha']['rmse']:.2f}"
-                               for shape in ("discs", "squares", "rectangles"))
-                    for name in run[whose]]
-        rows.append(row)
-    inputs = list(next(iter(found["runs"].values()))["unseen"])
-    head = ["drapes", "steps", "width", *(f"{whose}, {name}" for whose in (
-        "unseen fabrics", "trained on") for name in inputs)]
-    nearest = [[tester.replace("_", " "), str(one["drapes"]), f"{one['rms']:.2f}",
-                percent(one["median"])]
-               for tester, shares in found["nearest"].items() for one in shares.values()]
-    return "\n\n".join((table(head, rows), table(
-        ["nearest simulated outline", "drapes", "log α, rms", "α off by, median"], nearest)))
 
 
 def views(reports: Reports) -> str:
@@ -123,99 +97,47 @@ def views(reports: Reports) -> str:
 def strip_photographs(reports: Reports) -> str:
     """Errors of moduli from photographs of strips, and their coverage."""
     return table(
-        ["strips", "directions", "curve, mm", "α: median", "9 of 10", "β: median", "9 of 10",
-         "α inside 68, 90 %", "β inside"],
-        [[name, found["directions"], f"{found['curve_mm']['median']:.2f}",
-          *(f"{found[modulus][key]:.2g} %" for modulus in ("alpha", "beta")
-            for key in ("median", "quantile_90")),
+        ["strips", "curve, mm", *(f"{modulus}: median, 9 of 10" for modulus in "αβ"),
+         *(f"{modulus} inside 68, 90 %" for modulus in "αβ")],
+        [[name, f"{found['curve_mm']['median']:.2f}",
+          *(", ".join(f"{found[modulus][key]:.2g} %" for key in ("median", "quantile_90"))
+            for modulus in ("alpha", "beta")),
           *(", ".join(f"{share:.0f}" for share in found[modulus]["coverage"].values())
             for modulus in ("alpha", "beta"))]
-         for name, found in reports["strip_photographs"]["summary"].items()])
+         for name, found in reports["strip_photographs"]["summary"].items()
+         if "face" not in name])
 
 
 def mats(reports: Reports) -> str:
-    """Errors of photographs over the mat, by tester and by the camera's place."""
+    """Errors of photographs over the mat, by tester."""
     return table(
-        ["photographs", "number", "refused", "with a warning", "outline as seen, mm: median",
-         "9 of 10", "from the axis: median", "9 of 10", "camera height: median", "α: median",
-         "9 of 10", "α off by 15 %, no warning"],
+        ["photographs", "number", "refused", "with a warning",
+         "outline as seen, mm: median, 9 of 10", "from the axis", "α: median, 9 of 10",
+         "α off by 15 %, no warning"],
         [[name, f"{found['photographs']}", f"{found['refused']}", f"{found['warned']}",
-          *(f"{error:.2f}" for key in ("reading_mm", "outline_mm") for error in found[key]),
-          f"{found['height_error'][0]:.1%}", *(f"{error:.1%}" for error in found["alpha"]),
-          f"{found['wrong_in_silence']}"]
-         for name, found in reports["mats"]["summary"].items()])
-
-
-def cutouts(reports: Reports) -> str:
-    """Errors of cut-outs by sensor, medians and worst cases."""
-    rows = [[name, f"{found['iou'][1]:.3f}",
-             *("{:.2f}, {:.2f}".format(*found[key]) for key in ("across_mm", "tilt_deg",
-                                                                "turn_deg", "shift"))]
-            for name, found in reports["cutouts"]["summary"].items()
-            if name in ("smooth", "paper", "tof")]
-    return table(["sensor", "intersection over union, worst",
-                  *(f"{what}: median, worst" for what in
-                    ("plate's centre, mm", "tilt, °", "turn, °", "log α, standard deviations"))],
-                 rows)
-
-
-def information(reports: Reports) -> str:
-    """Posterior bounds by unknown nuisances."""
-    rows = [[name.replace("_", " along "), f"{found['log_alpha']:.3f}",
-             f"{1e3 * found['beta_over_alpha']:.2f}",
-             f"{found['standardised_log_alpha']:.3f}",
-             f"{found['standardised_beta_over_alpha']:.3f}"]
-            for name, found in reports["information"]["rms"].items()]
-    return table(["unknown", "log α", "β/α, mm", "log α, of the spread", "β/α, of the spread"],
-                 rows)
+          *("{:.1f}, {:.1f}".format(*found[key]) for key in ("reading_mm", "outline_mm")),
+          ", ".join(map(percent, found["alpha"])), f"{found['wrong_in_silence']}"]
+         for name, found in reports["mats"]["summary"].items() if "beside" not in name])
 
 
 def cells(reports: Reports) -> str:
-    """Errors and coverage of the network by condition, and errors on all testers."""
-    def columns(found: Report) -> list[str]:
-        low, high = found["log_alpha"]["interval_95"]
-        bound = found["bound"]
-        least = f"{bound['log_alpha']:.3f}, {bound['beta_over_alpha']:.2f}" if bound else "–"
-        return [", ".join(_off(found)),
-                f"{found['log_alpha']['rmse']:.3f} ({low:.3f} to {high:.3f})",
-                f"{found['beta_over_alpha']['rmse']:.2f}", least, coverage(found)]
-
-    results = reports["evaluation"]["cells"]
-    names = list(results[RIGS["squares"]])
-    head = ["condition", *(f"{kind}: {what}" for kind in RIGS for what in
-                           ("α off by, median, 9 of 10", "log α / spread (95 %)",
-                            "β/α / spread", "bounds", "inside"))]
-    return "\n\n".join((
-        table(head, [[name, *(cell for kind in RIGS for cell in columns(reports.cell(kind, name)))]
-                     for name in names]),
-        table(["log α / spread", *(tester.replace("_", " ") for tester in results)],
-              [[name, *(f"{found[name]['log_alpha']['rmse']:.3f}" for found in results.values())]
-               for name in names])))
+    """Errors of the network by condition."""
+    return table(["α off by, median, 9 of 10", *RIGS],
+                 [[name, *(", ".join(_off(reports.cell(kind, name))) for kind in RIGS)]
+                  for name in reports["evaluation"]["cells"][RIGS["squares"]]])
 
 
 def refinement(reports: Reports) -> str:
     """Errors of the network and of the refinement on simulated captures and scans."""
     sets = {"views, no nuisances": reports["refine_views"]["summary"]["all"],
             "views, all nuisances": reports["refine_views_real"]["summary"]["all"],
-            "views, all nuisances, other folds":
-                reports["refine_views_real"]["summary"]["other folds"],
             "scans, all nuisances": reports["refine_scans"]["summary"]}
     rows = [[name, found[who]["fabrics"], who, f"{found[who]['log_alpha']:.3f}",
              f"{found[who]['log_alpha_median']:.3f}", f"{found[who]['log_alpha_worst_fabric']:.2f}",
              f"{found[who]['beta_over_alpha_mm']:.2f}", coverage(found[who])]
-            for name, found in sets.items() for who in METHODS if who in found]
+            for name, found in sets.items() for who in (METHODS[0], METHODS[-1])]
     return table(["captures", "fabrics", "", "log α, rms", "median", "worst fabric", "β/α, mm",
                   "inside"], rows)
-
-
-def causes(reports: Reports) -> str:
-    """Errors of the search in worlds without some nuisances."""
-    names = {"all": "all of these", "none": "nothing", "friction": "hysteresis"}
-    rows = [[names.get(world, world), found["search"]["fabrics"],
-             *(f"{found[who]['log_alpha']:.3f}" for who in METHODS), coverage(found["search"])]
-            for world, found in reports["refine_causes"]["summary"].items()]
-    return table(["world without", "fabrics", *(f"{who}, log α, rms" for who in METHODS),
-                  "inside of the search"], rows)
 
 
 def additions(reports: Reports) -> str:
@@ -229,16 +151,3 @@ def additions(reports: Reports) -> str:
             coverage(found)])
     return table(["measured", "error of α", "smallest possible", "… along warp and weft",
                   "… of β/α along warp and weft", "inside"], rows)
-
-
-def prior(reports: Reports) -> str:
-    """Likelihoods and distances of the priors on fitted and unseen fabrics."""
-    found = reports["prior"]
-    names = {**{f"gmm{k}": f"mixture of {k} normal distributions" for k in (3, 7)},
-             **{f"vae{k}": f"VAE-{k}" for k in range(1, 5)}, "gaussian": "one normal distribution"}
-    keys = ("log_likelihood_fitted", "log_likelihood_unseen", "wasserstein")
-    rows = [[names[name], *("{:.2f} ± {:.2f}".format(*model[key]) for key in keys),
-             "{:.2f} ± {:.2f}".format(*found["by_row"][name]["log_likelihood_unseen"])]
-            for name, model in found["models"].items() if name in names]
-    return table(["model", "fitted fabrics, nats", "unseen fabrics", "Wasserstein distance",
-                  "split by row"], rows)

@@ -80,7 +80,7 @@ def lowering_cost(report: Report) -> Report:
 
 def outline_folds(report: Report) -> Report:
     """Difference of the number of folds from that of real outlines."""
-    flat = report["summary"]["parallel"]["flat"]["all"]
+    flat = report["summary"]["parallel"]["flat"]
     return {"off": abs(flat["folds"] - flat["folds_real"])}
 
 
@@ -103,12 +103,6 @@ def evaluated(report: Report) -> Report:
         "off": max(map(coverage_error, bands))}
 
 
-def tree_tables(report: Report) -> Report:
-    """Whether the tables of both runs are the same."""
-    same = all(report["same_tables"].values())
-    return {"same": same, "tables": "the same" if same else "other"}
-
-
 def detected_faults(report: Report) -> Report:
     """Kinds of faults, the share that is detected, and the share of warnings without fault."""
     found = dict(report["found"])
@@ -126,6 +120,6 @@ def refined(report: Report) -> Report:
 DERIVED: dict[str, Callable[[Report], Report]] = {
     "strips": strips, "strip_photographs": strip_coverage,
     "lowering": lowering_cost, "outlines": outline_folds, "render": render_speed,
-    "evaluation": evaluated, "tree": tree_tables, "faults": detected_faults,
+    "evaluation": evaluated, "faults": detected_faults,
     "refine_views": refined, "refine_views_real": refined}
 """Figures of claims that are computed from a report."""

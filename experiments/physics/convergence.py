@@ -7,14 +7,13 @@ Fabrics, starts, seeds and offsets are planned as for a dataset (:mod:`data.data
 from collections import Counter
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from common.configs import metres
 from data.dataset.config import SamplingConfig
 from data.dataset.plan import plan_drape
 from data.fabrics.fabrics import fabric_from_theta
 from data.fabrics.prior import load_prior
-from experiments.result import Config, Result, label_log_axes, run_cases
+from experiments.result import Config, Result, run_cases
 from sim.drape import drape
 from sim.measures import drape_coefficient, fold_count, max_penetration, maximum_stretch
 
@@ -94,7 +93,6 @@ def run(config: Config) -> Result:
              for index in range(len(STARTS) * config["fabrics"])}
     runs = list(run_cases(one_drape, cases, config).values())
     summary = summarise(runs)
-    by_start = {start: summarise([r for r in runs if r["start"] == start]) for start in STARTS}
     passed = (
         summary["share_reached"] >= MIN_SHARE
         and summary["accepted_that_intersect_themselves"] == 0
@@ -103,22 +101,5 @@ def run(config: Config) -> Result:
     return Result({
         "criterion": {"residual": MAX_RESIDUAL, "step_mm": MAX_STEP, "entry_mm": MAX_PENETRATION,
                       "share": MIN_SHARE},
-        "passed": passed, "all": summary, "by_start": by_start, "drapes": runs,
-    }, draw(runs))
-
-
-def draw(runs: list[dict]) -> Figure:
-    """Plot final residual and Newton steps against the smallest modulus."""
-    figure = Figure(figsize=(9.6, 3.6), layout="constrained")
-    axes = figure.subplots(1, 2)
-    for start, marker in zip(STARTS, "o^", strict=True):
-        chosen = [r for r in runs if r["start"] == start and r["residual"] is not None]
-        softest = [min(r["alpha_uN_m"]) for r in chosen]
-        for axis, key in zip(axes, ("residual", "iterations"), strict=True):
-            axis.loglog(softest, [r[key] for r in chosen], marker, ms=4, alpha=0.7, label=start)
-    axes[0].axhline(MAX_RESIDUAL, color="grey", lw=0.8)
-    label_log_axes(*(axis.xaxis for axis in axes), axes[1].yaxis)
-    axes[0].set(xlabel="smallest α, µN·m", ylabel="largest force / vertex weight")
-    axes[1].set(xlabel="smallest α, µN·m", ylabel="Newton steps, all meshes")
-    axes[1].legend(title="start", frameon=False)
-    return figure
+        "passed": passed, "all": summary, "drapes": runs,
+    })

@@ -9,11 +9,10 @@ displacements are due to the meshes. The cost is that of a drape from a sine sta
 import time
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from experiments.comparison import Draped, Shape, compare, equilibrium_near, same_folds
 from experiments.drapes import prior_fabric
-from experiments.result import Config, Result, label_log_axes, run_cases
+from experiments.result import Config, Result, run_cases
 from sim.drape import Drape, drape
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
 from sim.measures import fold_outline
@@ -101,25 +100,6 @@ def summarise(fabrics: list[dict]) -> list[dict]:
     return rows
 
 
-def plot(fabrics: dict[str, list[dict]]) -> Figure:
-    """Plot displacements from the fine drape against the smallest alpha, one colour per mesh."""
-    figure = Figure(figsize=(5.2 * len(fabrics), 4.0), layout="constrained")
-    axes = figure.subplots(1, len(fabrics), squeeze=False)[0]
-    for axis, (rig, results) in zip(axes, fabrics.items(), strict=True):
-        softest = [min(fabric["alpha_uN_m"]) for fabric in results]
-        meshes = zip(*(fabric["meshes"] for fabric in results), strict=True)
-        for number, rows in enumerate(meshes):
-            name = rows[0]["mesh"]
-            axis.scatter(softest, [m["apart_mm"] for m in rows], s=18, color=f"C{number}",
-                         label=name if name.startswith("default") else f"{name} mm at the rim")
-        axis.axhline(MAX_DISPLACEMENT, color="0.6", linewidth=0.8)
-        axis.set(xscale="log", yscale="log", xlabel="smallest α, µN·m",
-                 ylabel="mean displacement from the fine drape, mm", title=rig)
-        label_log_axes(axis.xaxis, axis.yaxis)
-    axes[0].legend(frameon=False)
-    return figure
-
-
 def run(config: Config) -> Result:
     """Simulate and compare all drapes."""
     settings = {k: config[k] for k in ("seed", "edges_mm")}
@@ -130,5 +110,4 @@ def run(config: Config) -> Result:
     fabrics = {rig: [f for f in found.values() if f["rig"] == rig]
                for rig, count in counts.items() if count}
     rows = {rig: summarise(results) for rig, results in fabrics.items()}
-    return Result({"limit_mm": MAX_DISPLACEMENT, "meshes": rows, "fabrics": list(found.values())},
-                  plot(fabrics))
+    return Result({"limit_mm": MAX_DISPLACEMENT, "meshes": rows, "fabrics": list(found.values())})

@@ -1,21 +1,16 @@
 """Hanging strips compared with the heavy elastica.
 
-Clamped strips of the default bending law and of the hinge laws on four triangulations: deviation of
-drop over reach (H/W) from the boundary-value solution, order of convergence of the default law, and
-the modulus with which a strip of hinges has the physical deflection.
+Clamped strips on four triangulations: deviation of drop over reach (H/W) from the boundary-value
+solution.
 """
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from common.errors import InputError
-from experiments.physics.hinges import equivalent_modulus, free_end
+from experiments.physics.hinges import free_end
 from experiments.result import Config, Result, run_cases
 from sim.cantilever import aspect_ratio, elastica, fabric_of_gamma
 from sim.cantilever.strip import TIGHT
-from sim.cloth import Laws
-from sim.energies.hinges import ARCSIM, DISCRETE_SHELLS
-from sim.energies.membrane import Corotational
 from sim.equilibrium import find_equilibrium
 from sim.mesh import Mesh, strip
 from sim.scene import Scene
@@ -23,17 +18,11 @@ from sim.solver.newton import Status
 from sim.start import interpolate_positions
 
 LENGTH, WIDTH = 0.09, 0.027  # m
-MAX_DEVIATION = 0.005  # relative deviation of H/W with the default law
+MAX_DEVIATION = 0.005  # relative deviation of H/W
 CELLS = (20, 40, 80, 160)  # along the free length
 CLAMP = 2 * LENGTH / CELLS[0]  # m, equal on all meshes
 TABLE_CELLS = ((40.0, 40), (200.0, 80), (np.inf, 160))
 """Upper limits of gamma, and cells along the strip in the table up to that limit."""
-RATE_GAMMAS = (1.0, 10.0, 100.0, 1000.0)
-RATE_MEMBRANE = 2000.0
-"""N/m, for the orders of convergence: at 200 N/m the weight stretches a strip by up to 0.04 %,
-which exceeds the error of the bending law on the finest meshes."""
-EQUIVALENT_PAIRS = ((6e-3, 10.0), (3e-3, 10.0), (1.5e-3, 10.0), (3e-3, 1.0), (3e-3, 100.0))
-"""Edges, m, and gamma of the strips of 90 × 30 mm used for equivalent moduli."""
 
 MESHES = {
     "alternating": {"diagonals": "alternating"},
@@ -54,14 +43,13 @@ def cells_for(gamma: float) -> int:
 
 
 def hang_series(
-    mesh: str, law: str, gammas: list[float], cells: list[int], membrane: float
+    mesh: str, gammas: list[float], cells: list[int]
 ) -> dict:
     """Deviations of H/W from the elastica for all ``gammas`` on successively finer meshes.
 
     A strip starts from its shape on the next coarser mesh, on the coarsest mesh from the shape of
     the next smaller gamma. ``cells`` gives the finest mesh of each gamma.
     """
-    laws = Laws(bending=law, membrane=Corotational(stiffness=membrane))
     rows, coarse = [], None
     for level in CELLS:
         grid, held = make_strip(mesh, edge=LENGTH / level, width=WIDTH, clamp=CLAMP)
@@ -75,7 +63,7 @@ def hang_series(
                 positions = interpolate_positions(coarse[0], coarse[1][gamma], grid.rest)
                 positions[held] = flat[held]
                 state = scene.state(positions)  # normals of the clamp follow from the positions
-            found = find_equilibrium(scene, fabric_of_gamma(gamma, LENGTH), state, laws=laws,
+            found = find_equilibrium(scene, fabric_of_gamma(gamma, LENGTH), state,
                                      options=TIGHT)
             state = found.state
             shapes[gamma] = state.positions
@@ -92,58 +80,26 @@ def hang_series(
     return {"rows": rows}
 
 
-def equivalents(mesh: str, law: str, edge: float, gamma: float) -> dict:
-    """Equivalent modulus of a hinge law on a strip of 90 × 30 mm, relative to the physical one."""
-    grid, held = make_strip(mesh, edge=edge, width=0.03, clamp=2 * edge)
-    found = equivalent_modulus(grid, held, gamma=gamma, laws=Laws(bending=law))
-    return {"ratio": found.ratio if found.found else None, "message": found.message}
-
-
-def fitted_rate(rows: list[dict]) -> float:
-    """Order of convergence fitted to the three finest meshes of one gamma."""
-    last = sorted(rows, key=lambda row: row["cells"])[-3:]
-    errors = [abs(row["deviation"]) for row in last]
-    return float(-np.polyfit(np.log([row["cells"] for row in last]), np.log(errors), 1)[0])
-
-
 def run(config: Config) -> Result:
     """Simulate all strips."""
     unknown = set(config["meshes"]) - set(MESHES)
     if unknown:
         raise InputError(f"unknown mesh '{unknown.pop()}'; choose from {', '.join(MESHES)}")
-    meshes, laws, gammas = config["meshes"], config["laws"], sorted(config["gammas"])
-
-    def series(law: str, mesh: str) -> dict:
-        return {"mesh": mesh, "law": law, "gammas": gammas, "membrane": 200.0,
-                "cells": [cells_for(gamma) for gamma in gammas]}
-
-    hung = run_cases(hang_series, {f"{law}_{mesh}": series(law, mesh)
-                                   for law in laws for mesh in meshes}, config)
-    rates = run_cases(hang_series, {
-        f"rate_{mesh}": {"mesh": mesh, "law": "midedge", "gammas": list(RATE_GAMMAS),
-                         "cells": [80, 80, 80, 160], "membrane": RATE_MEMBRANE}
+    meshes, gammas = config["meshes"], sorted(config["gammas"])
+    cells = [cells_for(gamma) for gamma in gammas]
+    hung = run_cases(hang_series, {
+        mesh: {"mesh": mesh, "gammas": gammas, "cells": cells}
         for mesh in meshes}, config)
-    moduli = run_cases(equivalents, {
-        f"equivalent_{law}_{mesh}_{1e3 * edge:g}mm_{gamma:g}":
-            {"mesh": mesh, "law": law, "edge": edge, "gamma": gamma}
-        for law in laws if law != "midedge" for mesh in meshes
-        for edge, gamma in EQUIVALENT_PAIRS}, config)
-    deviations = {law: {mesh: [_at(hung[f"{law}_{mesh}"]["rows"], gamma) for gamma in gammas]
-                        for mesh in meshes} for law in laws}
-    order = {mesh: [fitted_rate([r for r in rates[f"rate_{mesh}"]["rows"] if r["gamma"] == gamma])
-                    for gamma in RATE_GAMMAS] for mesh in meshes}
-    largest = _largest(deviations.get("midedge", {}))
+    deviations = {mesh: [_at(hung[mesh]["rows"], gamma) for gamma in gammas] for mesh in meshes}
+    largest = _largest(deviations)
     return Result({
         "length_m": LENGTH, "width_m": WIDTH,
-        "cells_along": [cells_for(gamma) for gamma in gammas],
+        "cells_along": cells,
         "passed": largest is not None and largest <= MAX_DEVIATION,
         "largest_deviation": largest,
         "deviations": deviations,
-        "order": {"gammas": list(RATE_GAMMAS), "membrane_N_m": RATE_MEMBRANE, **order},
-        "equivalent_moduli": moduli,
         "strips": hung,
-        "strips_of_order": rates,
-    }, draw(gammas, deviations))
+    })
 
 
 def _at(rows: list[dict], gamma: float) -> float | None:
@@ -156,41 +112,3 @@ def _largest(by_mesh: dict[str, list]) -> float | None:
     """Largest absolute deviation, None without strips or if one did not converge."""
     values = [value for line in by_mesh.values() for value in line]
     return max(map(abs, values)) if values and None not in values else None
-
-
-def draw(gammas: list[float], deviations: dict) -> Figure:
-    """Plot strips on the master curve of the elastica, and their deviations from it."""
-    figure = Figure(figsize=(11, 4.2), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    fine = np.geomspace(min(gammas) / 4, max(gammas), 200)
-    ratios = np.array([aspect_ratio(elastica(gamma, 101)[-1]) for gamma in gammas])
-    left.loglog(fine, [aspect_ratio(elastica(g, 101)[-1]) for g in fine], "k-", lw=1,
-                label="heavy elastica")
-    mesh = next(iter(next(iter(deviations.values()))))
-
-    def strips(law: str) -> np.ndarray:
-        return ratios * (1 + np.array(deviations[law][mesh], dtype=float))
-
-    if "midedge" in deviations:
-        left.plot(gammas, strips("midedge"), "o", color="C0", ms=5, label="default law")
-    if "hinge_linear" in deviations:
-        hinge = strips("hinge_linear")
-        left.plot(gammas, hinge, "^", color="C3", ms=5, mfc="none", label="hinges")
-        # In a simulator with another convention, the value alpha is the modulus f alpha here.
-        for name, curvature, marker in (("ARCSim", ARCSIM, "s"),
-                                        ("discrete shells", DISCRETE_SHELLS, "d")):
-            left.plot(np.array(gammas) * curvature, hinge, marker, color="grey", ms=4,
-                      mfc="none", label=f"hinges, α read as in {name}")
-    left.set(xlabel="Γ = ρgL³/α", ylabel="H/W", title=f"strips, {mesh} mesh")
-    left.set_xlim(min(gammas) / 1.5, 1.5 * max(gammas))
-    left.legend(frameon=False, fontsize=8)
-    for law, style in (("midedge", "-"), ("hinge_linear", "--")):
-        for k, (name, values) in enumerate(deviations.get(law, {}).items()):
-            label = name if law == next(iter(deviations)) else None
-            right.semilogx(gammas, 100 * np.array(values, dtype=float), style, color=f"C{k}",
-                           lw=1.5, label=label)
-    right.axhline(0, color="k", lw=0.8)
-    right.set(xlabel="Γ", ylabel="deviation of H/W, %",
-              title="default law —, hinges - -")
-    right.legend(frameon=False, fontsize=8)
-    return figure

@@ -3,10 +3,6 @@
 A fabric has the loading curve B kappa + HB of its KES readings. Where 2HB was not measured, HB is
 assumed in proportion to B. Fabrics with measured stretch and shear are draped with the default
 membrane and with theirs. Nothing is fitted.
-
-The fabrics of one source also have drape coefficients by CLO; their B was converted to CLO's units,
-and their tester is not stated. They are draped with other factors of B and on other testers as
-well, to see what would explain both differences.
 """
 
 import csv
@@ -14,12 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from scipy.stats import spearmanr
 
 from common.errors import InputError
 from common.types import Density, Moduli
-from experiments.result import Config, Result, rms, run_cases
+from experiments.result import Config, Result, run_cases
 from sim.cloth import Laws
 from sim.drape import drape
 from sim.energies.bending_variants import KES_CURVATURE, Hysteresis
@@ -105,51 +100,12 @@ def run(config: Config) -> Result:
                 label = f"{name}_{tester}" + "_membrane" * bool(membrane)
                 cases[label] = {"weight": float(row["weight_g_m2"]), "b": b, "two_hb": two_hb,
                                 "tester": tester, "membrane": membrane, "seeds": config["seeds"]}
-    others = {}
-    for name, row in rows.items():
-        if not row["dc_sim_clo_percent"]:
-            continue
-        plain = cases[f"{name}_{config['testers'][-1]}"]
-        for change, settings in _changes(plain, config).items():
-            others[f"{name}, {change}"] = plain | settings
-    results = run_cases(drape_case, cases | others, config)
-    changed = {label: results.pop(label) for label in others}
+    results = run_cases(drape_case, cases, config)
     found = [_compared(rows[label.split("_")[0]], cases[label], result) | {"case": label}
              for label, result in results.items()]
     summary = {tester: _summary(found, tester, config["testers"][-1])
                for tester in config["testers"]}
-    return Result({"fabrics": found, "summary": summary,
-                   "explanations": _explanations(rows, results, changed, config["testers"][-1])},
-                  _figure(found, config["testers"][0]))
-
-
-def _changes(plain: dict[str, Any], config: Config) -> dict[str, dict[str, Any]]:
-    """Settings of a case by what is changed."""
-    def times(factor: float) -> dict[str, Any]:
-        return {name: [factor * one for one in plain[name]] for name in ("b", "two_hb")}
-
-    return {**{f"B {factor:g} times": times(factor) for factor in config["factors"]},
-            **{f"tester {tester.replace('_', ' ')}": {"tester": tester}
-               for tester in config["other_testers"]}}
-
-
-def _explanations(
-    rows: dict[str, dict[str, str]], plain: dict[str, dict], changed: dict[str, dict], tester: str
-) -> list[dict[str, Any]]:
-    """By change the mean and root mean square of simulated less measured coefficients, points, and
-    the mean of CLO's less those simulated here."""
-    found: dict[str, list[tuple[float, float]]] = {}
-    named = {f"{name}, as stated": plain[f"{name}_{tester}"] for name in rows
-             if rows[name]["dc_sim_clo_percent"]} | changed
-    for label, result in named.items():
-        name, _, change = label.partition(", ")
-        here = float(np.mean(result["coefficients"]))
-        found.setdefault(change, []).append((
-            here - float(rows[name]["dc_real_percent"]),
-            float(rows[name]["dc_sim_clo_percent"]) - here))
-    return [{"change": change, "mean": float(np.mean([one for one, _ in gaps])),
-             "rms": rms([one for one, _ in gaps]), "clo": float(np.mean([clo for _, clo in gaps])),
-             "fabrics": len(gaps)} for change, gaps in found.items()]
+    return Result({"fabrics": found, "summary": summary})
 
 
 def _compared(row: dict[str, str], case: dict, result: dict) -> dict[str, Any]:
@@ -180,25 +136,3 @@ def _summary(found: list[dict], tester: str, known: str) -> dict[str, float]:
                                     [one["coefficient"] for one in chosen]).statistic),
             "nodes": float(np.sqrt(np.mean([(one["nodes"] - one["nodes_measured"]) ** 2
                                             for one in own])))}
-
-
-def _figure(found: list[dict], tester: str) -> Figure:
-    """Simulated against measured drape coefficients."""
-    figure = Figure(figsize=(5, 5), layout="constrained")
-    axes = figure.add_subplot()
-    axes.plot([0, 100], [0, 100], color="0.7", lw=1)
-    for hysteresis, membrane, marker, label in (
-            ("measured", "default", "o", "2HB measured"),
-            ("assumed", "default", "s", "2HB assumed"),
-            ("assumed", "measured", "^", "2HB assumed, stretch and shear measured")):
-        rows = [one for one in found if (one["hysteresis"], one["membrane"]) == (
-            hysteresis, membrane) and (one["tester"] == tester or hysteresis == "assumed")]
-        axes.errorbar([one["measured"] for one in rows], [one["coefficient"] for one in rows],
-                      [one["spread"] for one in rows], fmt=marker, capsize=2, label=label)
-        for one in rows if membrane == "default" else ():
-            axes.annotate(one["fabric"], (one["measured"], one["coefficient"]),
-                          textcoords="offset points", xytext=(6, -4), fontsize=8)
-    axes.set(xlabel="drape coefficient measured, %", ylabel="simulated, %", xlim=(0, 100),
-             ylim=(0, 100), aspect="equal")
-    axes.legend(fontsize=8)
-    return figure

@@ -4,7 +4,6 @@ The specimen is the disc of textile laboratories. Every variant differs from the
 single setting.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -89,8 +88,7 @@ def run(config: Config) -> Result:
                 for name, change in VARIANTS.items() for alpha in config["alphas"]}
     costs = {f"{start}_{index}": {"index": index, "start": start}
              for index in range(config["drapes"]) for start in ("ring", "lowered")}
-    found, spent = (_run(work, cases, config) for work, cases in ((variant_case, variants),
-                                                                  (cost_case, costs)))
+    found, spent = run_cases(variant_case, variants, config), run_cases(cost_case, costs, config)
     each = len(config["alphas"])
     rows = [{"variant": name, **{
         key: [float(np.mean(one[key])) for one in list(found.values())[each * k: each * (k + 1)]]
@@ -99,7 +97,3 @@ def run(config: Config) -> Result:
                                         if name.startswith(start)]))
                     for key in ("seconds", "iterations", "folds")} for start in ("ring", "lowered")}
     return Result({"variants": rows, "cost": cost})
-
-
-def _run(work: Callable[..., dict], cases: dict[str, dict], config: Config) -> dict[str, dict]:
-    return run_cases(work, cases, config)

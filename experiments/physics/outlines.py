@@ -36,9 +36,6 @@ from sim.energies.bending_variants import Hysteresis
 from sim.rig import DISC_RIG
 
 MIN_COEFFICIENT = 0.40  # of the drapes whose folds are compared in the summary
-CALIBRATION = (1, 4, 6, 11, 21)
-"""Fabrics set apart for choosing the speeds of lowering, which needed no change; the other four are
-the test."""
 MAX_MISFIT = 1e-3  # of the drape coefficient, beyond which no fabric of the grid has it
 READINGS = ("parallel", "camera")
 SPECIMENS = "specimens"
@@ -203,11 +200,8 @@ def run(config: Config) -> Result:
                                                     *((start, by, False)
                                                       for start, by in others.items()))}
     report["summary"] = {
-        reading: {name: {part: summarise([row for row in rows if part == "all"
-                                          or (row["fabric"] in CALIBRATION)
-                                          == (part == "calibration")])
-                         for part in ("all", "calibration", "test")}
-                  for name, rows in report[reading].items()} for reading in READINGS}
+        reading: {name: summarise(rows) for name, rows in report[reading].items()}
+        for reading in READINGS}
     straight = min(curls, key=abs)
     drapes = {alpha: load_arrays(folder, f"lowered_{alpha:g}_{straight:g}")["parallel"]
               for alpha in alphas}

@@ -2,8 +2,7 @@
 
 The folder ``photographs`` has pictures from above and photographs.csv: file, short_mm and long_mm
 of the specimen, plate_mm, the published area_cm2_published and drape_coefficient_percent_published,
-and mm_per_px. Each picture is read as that of a capture, or refused. The contact sheet, in the
-folder ``cases``, shows the outlines on the pictures, with their area in per cent of the published.
+and mm_per_px. Each picture is read as that of a capture, or refused.
 
 For each outline close to the published area, the fabric is found whose lowered drapes have the same
 mean drape coefficient: *isotropic*, exactly centred, and *fabrics* of the prior, scaled to a mean
@@ -14,14 +13,12 @@ folds, the standard deviation of the radius about the centroid, and its spectrum
 height was not published: :data:`READINGS` lists those tried.
 """
 
-import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
-from PIL import Image, ImageOps
 from pydantic import Field
 
 from common.documents import Schema
@@ -30,14 +27,7 @@ from common.tables import number, read_table
 from data.captures.description import OutlineSource
 from data.captures.photograph import PhotographedOutline, read_outline, signed_area
 from data.rigs import read_tester
-from experiments.result import (
-    Config,
-    Report,
-    Result,
-    load_arrays,
-    run_cases,
-    write_figure,
-)
+from experiments.result import Config, Report, Result, load_arrays, run_cases
 from experiments.shadows import (
     about_centroid,
     draw_outline,
@@ -66,8 +56,6 @@ plates that show through four of the fabrics have the same scale within 3 %. Off
 camera was 28 mm, which is neglected."""
 KINDS = ("isotropic", "fabrics")
 PLATE_HEIGHT = 0.107  # m, above the table, which simulated cloth does not touch
-ACROSS = 6  # pictures of a row of the contact sheet
-_SIZE = 600  # pixels, of a picture there
 
 
 class Row(Schema):
@@ -109,22 +97,12 @@ class Photograph(NamedTuple):
         return self.area_cm2 / self.row.area_cm2_published if self.outline else None
 
     @property
-    def narrowest_mm(self) -> float | None:
-        """Width of the outline in the direction in which it is least; seen under parallel light, at
-        most the specimen's short side."""
-        if self.outline is None:
-            return None
-        angle = np.linspace(0, np.pi, 360, endpoint=False)
-        widths = np.ptp(self.outline.curve @ np.stack([np.cos(angle), np.sin(angle)]), axis=0)
-        return 1e3 * float(widths.min())
-
-    @property
     def report(self) -> Report:
         """What is read, and what was published."""
         found = self.outline
         return {"tester": self.rig.name, "read": found is not None, "reason": self.reason,
                 "area_cm2": self.area_cm2, "published_cm2": self.row.area_cm2_published,
-                "ratio": self.ratio, "narrowest_mm": self.narrowest_mm,
+                "ratio": self.ratio,
                 "coefficient_percent": 100 * found.drape_coefficient if found else None,
                 "published_percent": self.row.drape_coefficient_percent_published,
                 "warnings": list(found.warnings) if found else []}
@@ -192,16 +170,13 @@ def drape_case(
 
 def run(config: Config) -> Result:
     """Read all photographs; simulate, fit and compare those that agree with the published area."""
-    folder, cases = Path(config["photographs"]), Path(config["cases"])
+    folder = Path(config["photographs"])
     found = [read_photograph(folder, *row) for row in read_rows(folder)]
-    write_figure(cases / "contact_sheet.png", contact_sheet(folder, found))
     report: dict[str, Any] = {"photographs": {one.row.file: one.report for one in found}}
     sound = [one for one in found if one.ratio and abs(one.ratio - 1) <= MAX_OFF]
     simulated, failed = _simulated(sound, config)
     report |= {"read": sum(one.outline is not None for one in found), "sound": len(sound),
-               "of": len(found), "failed": failed, "wider_than_the_specimen": {
-                   reading: sum(scale * (one.narrowest_mm or 0.0) > one.row.short_mm
-                                for one in found) for reading, (_, scale) in READINGS.items()}}
+               "of": len(found), "failed": failed}
     report["readings"] = {reading: {kind: {
         one.row.file: _compared(one, reading, kind, simulated, config) for one in sound}
         for kind in KINDS} for reading in READINGS}
@@ -286,40 +261,6 @@ def summarise(rows: dict[str, dict[str, Any]]) -> dict[str, Any]:
         "alpha_uN_m": float(np.median([row["alphas_uN_m"][0] for row in inside])),
         "ambiguous": sum(len(row["alphas_uN_m"]) > 1 for row in inside),
         "on_table": sum(row["depth_mm"] > 1e3 * PLATE_HEIGHT for row in inside)}
-
-
-def contact_sheet(folder: Path, found: Sequence[Photograph]) -> Figure:
-    """All pictures with their outlines, and areas in per cent of the published, or the reason."""
-    across = min(ACROSS, len(found))
-    down = -(-len(found) // across)
-    figure = Figure(figsize=(2.6 * across, 3.6 * down), layout="constrained")
-    panels = figure.subplots(down, across, squeeze=False).ravel()
-    for panel in panels:
-        panel.set_axis_off()
-    for panel, one in zip(panels, found, strict=False):
-        if one.outline:
-            panel.imshow(one.outline.picture, cmap="gray", vmin=0, vmax=255)
-            closed = np.append(one.outline.curve, one.outline.curve[:1], axis=0)
-            panel.plot(*one.outline.drawn(closed).T, color="#e00000", linewidth=1)
-            text, sound = f"{100 * one.ratio:.1f} %", abs(one.ratio - 1) <= MAX_OFF
-        else:
-            if picture := _picture(folder / one.row.file):
-                panel.imshow(picture, cmap="gray")
-            text, sound = textwrap.fill(one.reason, 40, max_lines=3, placeholder=" …"), False
-        panel.set_title(f"{one.row.file}\n{text}", fontsize=7, parse_math=False,
-                        color="black" if sound else "#b5202a")
-    return figure
-
-
-def _picture(file: Path) -> Image.Image | None:
-    """A refused picture, reduced; None if it cannot be read."""
-    try:
-        with Image.open(file, formats=["PNG", "JPEG", "TIFF"]) as picture:
-            picture.draft("L", (_SIZE, _SIZE))
-            picture.thumbnail((_SIZE, _SIZE))
-            return ImageOps.exif_transpose(picture).convert("L")
-    except (OSError, ValueError, Image.DecompressionBombError):
-        return None
 
 
 def _figure(sound: Sequence[Photograph], report: Report, config: Config) -> Figure | None:

@@ -2,14 +2,12 @@
 
 1. Strips with beta < 0 and beta > 0, compared with the non-linear heavy elastica.
 2. Strips cut at 0 to 90 degrees from anisotropic fabrics: *guided*, constrained to cylinders,
-   compared with k(phi) of the law; *free*, as in a tester; *narrow* and free under a thousandth of
-   gravity, compared with the plate's compliance.
+   compared with k(phi) of the law, and *free*, as in a tester.
 3. Square plates under a small uniform load on finer and finer meshes, compared with series
    solutions.
 """
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from common.errors import InputError
 from experiments.physics.guides import guided
@@ -130,10 +128,6 @@ def navier(fabric: Fabric) -> float:
 
 
 LENGTH, WIDTH = 0.09, 0.03  # m
-NARROW_WIDTHS = (0.009, 0.0045)  # m
-"""Widths from which the modulus of an infinitely narrow strip is extrapolated linearly, because
-the clamp prevents twisting over a length of about the width."""
-NARROW_EDGE = 0.0015  # m
 WEIGHT = REFERENCE_DENSITY * GRAVITY
 MAX_CURVATURE = 400.0  # 1/m, above that of any strip
 GAMMAS = (1.0, 10.0, 50.0, 200.0)
@@ -196,7 +190,7 @@ def nonlinear(*, gamma: float, ratio: float, cells: int) -> dict:
 
 
 def angled(*, fabric: str, angle: float, cells: int) -> dict:
-    """Moduli, µN·m, of a strip cut at ``angle`` degrees: guided, free and narrow."""
+    """Moduli, µN·m, of a strip cut at ``angle`` degrees, guided and free."""
     cloth, radians = make_fabric(fabric), float(np.radians(angle))
     alpha, _ = cylinder_moduli(cloth, radians)
     edge = edge_for(alpha, cells)
@@ -213,25 +207,11 @@ def angled(*, fabric: str, angle: float, cells: int) -> dict:
         "angle": angle,
         "alpha": alpha / MICRO,
         "apparent": apparent_modulus(aspect_ratio(cylinder[-1])) / MICRO,
-        "compliance": free_modulus(cloth, radians) / MICRO,
         "eq8": float(modulus_along(cloth.alpha, np.array(radians))) / MICRO,
     }
     for name, strip in shapes.items():
         result[name] = strip_modulus(strip)
-    limit = [narrow(cloth, radians, width) for width in NARROW_WIDTHS]
-    result["narrow"] = {"status": limit[0]["status"]}
-    if all("modulus" in figures for figures in limit):
-        result["narrow"]["modulus"] = 2 * limit[1]["modulus"] - limit[0]["modulus"]
     return result
-
-
-def narrow(fabric: Fabric, angle: float, width: float) -> dict:
-    """Simulate a free strip under a load so small that it can curve in two directions."""
-    strip = hang(
-        fabric, angle=angle, length=LENGTH, edge=NARROW_EDGE, width=width, across=4,
-        gravity=SMALL_GRAVITY, laws=Laws(membrane=Corotational(SOFT_MEMBRANE)),
-    )
-    return strip_modulus(strip, SMALL_GRAVITY)
 
 
 def run_case(*, part: str, **settings) -> dict:
@@ -261,56 +241,4 @@ def run(config: Config) -> Result:
            for r in parts["angled"] if "modulus" in r["guided"]]
     plates = {kind: [(r["cells"], r["error"]) for r in parts["plate"] if r["kind"] == kind]
               for kind in PLATES}
-    return Result({"nonlinear": bent, "angled": cut, "plates": plates}, draw(bent, cut, plates))
-
-
-def draw(bent: list[dict], cut: list[dict], plates: dict) -> Figure:
-    """Plot k(phi) with measurements, Eq. 8 compared with the law, and convergence of plates."""
-    figure = Figure(figsize=(14, 4.6), layout="constrained")
-    left, middle, right = figure.subplots(1, 3)
-    phi = np.linspace(0, 90, 181)
-    shown = "soft bias"
-    cloth = make_fabric(shown)
-    law = [cylinder_moduli(cloth, a)[0] / MICRO for a in np.radians(phi)]
-    left.plot(phi, law, label="law, cylinder: k(φ)")
-    left.plot(phi, modulus_along(cloth.alpha, np.radians(phi)) / MICRO, "--", label="Eq. 8")
-    left.plot(phi, [free_modulus(cloth, a) / MICRO for a in np.radians(phi)], ":",
-              label="law, free: compliance")
-    for key, marker, label in (("guided", "o", "guided strip"), ("free", "x", "free, 30 mm wide"),
-                               ("narrow", "s", "free, narrow, small load")):
-        points = [(r["angle"], r[key]["modulus"]) for r in cut
-                  if r["fabric"] == shown and "modulus" in r[key]]
-        left.plot(*np.transpose(points), marker, color="k", mfc="none", label=label)
-    left.set(xlabel="φ, degrees from warp", ylabel="modulus, µN·m", title=f"fabric '{shown}'")
-    curves: list[tuple[list[str], str, np.ndarray]] = []  # names of fabrics with the same curve
-    for name in FABRICS:
-        cloth = make_fabric(name)
-        for k, style in ((0, "-"), (1, ":")):
-            moduli = (cloth.alpha, cloth.beta)[k]
-            if not moduli.any():
-                continue
-            law = np.array([cylinder_moduli(cloth, a)[k] for a in np.radians(phi)])
-            eq8 = modulus_along(moduli, np.radians(phi))
-            curve = 100 * (eq8 / law - 1)
-            same = [names for names, drawn, other in curves
-                    if drawn == style and np.allclose(other, curve, atol=0.1)]
-            if same:
-                same[0].append(name)
-            else:
-                curves.append(([name], style, curve))
-    for names, style, curve in curves:
-        middle.plot(phi, curve, style, label=f"{', '.join(names)}: {'α' if style == '-' else 'β'}")
-    middle.set(xlabel="φ, degrees from warp", ylabel="deviation of Eq. 8 from the law, %",
-               title="between the sample directions")
-    for kind, pairs in plates.items():
-        n, error = np.array(pairs).T
-        right.loglog(n, 100 * np.abs(error), "o-", label=kind)
-    right.set_xticks(n, [f"{count:g}" for count in n])
-    right.minorticks_off()
-    right.set(xlabel="cells along the plate", ylabel="error of the centre's deflection, %",
-              title="square plates")
-    middle.set_ylim(top=70)  # room for the legend
-    for axis in (left, middle, right):
-        axis.legend(fontsize=8)
-        axis.grid(alpha=0.3)
-    return figure
+    return Result({"nonlinear": bent, "angled": cut, "plates": plates})

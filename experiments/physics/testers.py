@@ -8,8 +8,6 @@ their curves are evaluated without and with the simulated correction.
 
 
 import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.ticker import NullFormatter
 
 from common.errors import InputError
 from data.fabrics.fabrics import fabric_from_theta
@@ -171,42 +169,4 @@ def run(config: Config) -> Result:
         "failures": {name: result["failure"] for name, result in by_fabric.items()
                      if "failure" in result},
         "fabrics": results,
-    }, draw(results))
-
-
-def draw(results: list[dict]) -> Figure:
-    """Plot estimated against true moduli for guided, noisy and free strips."""
-    figure = Figure(figsize=(12, 7.5), layout="constrained")
-    axes = figure.subplots(2, 3)
-    panels = (
-        ("guided strips, no noise", ("guided regression", "guided table")),
-        ("guided strips, noise", ("noisy regression", "noisy table")),
-        ("free strips, no noise", ("free table", "free corrected")),
-    )
-    for column, (title, kinds) in enumerate(panels):
-        for row, (name, unit) in enumerate((("α", "µN·m"), ("β", "nN·m²"))):
-            axis = axes[row, column]
-            lowest, highest = np.inf, -np.inf
-            for kind, marker in zip(kinds, "ox", strict=True):
-                pairs = [(true[row], found[row]) for result in results if kind in result
-                         for each in np.array(result[kind]).reshape(-1, 3, 2)
-                         for true, found, stable in zip(result["moduli"], each, result["stable"],
-                                                        strict=True) if stable]
-                if not pairs:
-                    continue
-                true, found = np.array(pairs).T
-                axis.plot(true, found, marker, ms=4, alpha=0.6, label=kind.split()[1])
-                lowest, highest = min(lowest, true.min()), max(highest, true.max())
-            if row == 0:
-                axis.set(xscale="log", yscale="log", title=title)
-                axis.xaxis.set_minor_formatter(NullFormatter())
-                axis.yaxis.set_minor_formatter(NullFormatter())
-            else:
-                axis.set_xscale("symlog", linthresh=10)
-                axis.set_yscale("symlog", linthresh=10)
-            if np.isfinite(lowest):
-                axis.plot([lowest, highest], [lowest, highest], "k-", lw=0.7)
-            axis.set(xlabel=f"true {name}, {unit}", ylabel=f"estimated {name}, {unit}")
-            if axis.get_legend_handles_labels()[0]:
-                axis.legend()
-    return figure
+    })

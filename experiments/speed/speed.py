@@ -1,10 +1,9 @@
 """CPU-seconds of a drape on one core.
 
 Fabrics from the bundled prior, each lowered on the testers of ``testers`` and meshes of
-``edges_mm``: CPU-seconds and Newton steps; then a median fabric on finer and finer meshes.
-References: 19.8 CPU-seconds per drape
-with 100 × 100 vertices (Feng et al. 2022, section 5.2: 48 000 drapes, 12 hours, 22 CPUs), 329 with
-the Style3D solver of Newton 1.8.
+``edges_mm``: CPU-seconds and Newton steps. References: 19.8 CPU-seconds per drape with 100 × 100
+vertices (Feng et al. 2022, section 5.2: 48 000 drapes, 12 hours, 22 CPUs), 329 with the Style3D
+solver of Newton 1.8.
 """
 
 import experiments.one_thread  # noqa: F401
@@ -20,10 +19,8 @@ from experiments.drapes import prior_fabric
 from experiments.result import Config, Result
 from sim.drape import drape
 from sim.material import MICRO, Fabric
-from sim.rig import DISC_RIG, Rig
+from sim.rig import Rig
 from sim.solver.linear import available_solvers
-
-MEDIAN = Fabric(np.full(3, 20 * MICRO), np.full(3, -2.5e-3 * 20 * MICRO))
 
 
 def time_drape(fabric: Fabric, *, rig: Rig, edge_mm: float | None, seed: int) -> dict:
@@ -59,25 +56,17 @@ def time_drapes(fabrics: list[Fabric], rig: Rig, edge_mm: float | None) -> dict:
     }
 
 
-def peak_memory() -> float:
-    """Peak memory of this process, GiB."""
-    return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024**2, 2)
-
-
 def run(config: Config) -> Result:
     """Time all drapes."""
     fabrics = [prior_fabric(k, config["seed"]) for k in range(config["drapes"])]
     rigs = [Rig.from_name(name) for name in config["testers"]]
     report = {"dtype": "float64", "linear_solver": available_solvers()[0].__name__, "threads": 1}
     for rig in rigs:
-        drape(MEDIAN, rig=rig, edge=4e-3)  # compiles or loads the kernels of all meshes
+        drape(fabrics[0], rig=rig, edge=4e-3)  # compiles or loads the kernels of all meshes
         for edge_mm in config["edges_mm"]:
             print(f"{rig.name}, edges of {edge_mm or 'the default number of'} mm", flush=True)
             name = f"{rig.name}_{f'{edge_mm:g}mm' if edge_mm else 'default'}"
             report[name] = time_drapes(fabrics, rig, edge_mm)
-    report["peak_memory_GiB"] = peak_memory()
-    report["growth"] = [time_drape(MEDIAN, rig=DISC_RIG, edge_mm=edge, seed=0)
-                        for edge in config["growth_mm"]]
-    report["peak_memory_of_growth_GiB"] = peak_memory()
-
+    report["peak_memory_GiB"] = round(
+        resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024**2, 2)
     return Result(report)

@@ -1,30 +1,21 @@
-"""Drapes per second of several processes compared with one core, and CPU-seconds of maps.
+"""Drapes per second of several processes compared with one core.
 
 The fabrics of :mod:`experiments.speed.speed` are draped by running worker processes (they persist
 between calls) and one by one on a single core, in turn, several times. The shortest times are
-reported. Maps are made, on one core, of a dataset of several testers as train.py makes them.
+reported.
 """
 
 import experiments.one_thread  # noqa: F401
 
 # isort: split
-import tempfile
 import time
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 
-from common.command import compose_config
 from common.configs import metres
 from common.errors import InputError
 from common.workers import worker_pool
-from data.dataset.config import Options, config_from_options
-from data.dataset.generate import generate_dataset
-from data.dataset.shards import Shard
-from data.render.setups import Setups
-from drapenet.config import TrainConfig
-from drapenet.network.dataset import maps_of_shard
 from experiments.drapes import prior_fabric
 from experiments.result import Config, Result
 from sim.drape import Drape, drape
@@ -72,32 +63,6 @@ def throughput(
     }
 
 
-def maps_seconds(drapes: int, *, edge_mm: float, seed: int, repeats: int) -> dict:
-    """CPU-seconds of the maps of a drape with the settings of configs/train.yaml, of a new dataset
-    with ``drapes`` drapes; the shortest of all rounds after one that compiles the kernels."""
-    dataset = config_from_options(compose_config("generate", [
-        "dataset=testers", f"drapes={drapes}", f"edge_mm={edge_mm}", f"seed={seed}"],
-        schema=Options))
-    train = compose_config("train", [], schema=TrainConfig)
-    options = {name: getattr(train, name)
-               for name in ("captures", "neighbours", "outlines", "seed")}
-    rounds = []
-    with tempfile.TemporaryDirectory() as folder:
-        manifest = generate_dataset(dataset, Path(folder))
-        shards = [Shard(Path(folder) / name) for name in manifest["shards"]]
-    for _ in range(1 + repeats):
-        began = time.process_time()
-        made = [maps_of_shard(shard, setups=Setups.from_config(train.setup), **options)
-                for shard in shards]
-        rounds.append(time.process_time() - began)
-    used = sum(len(np.unique(maps.index)) for maps in made)
-    seconds = [spent / used for spent in rounds[1:]]
-    print(f"  maps: {min(seconds):.3f} CPU-seconds a drape", flush=True)
-    return {"drapes": used, "edge_mm": edge_mm, **options,
-            "rows_per_drape": sum(map(len, made)) / used, "cpu_seconds_per_drape": min(seconds),
-            "cpu_seconds_of_rounds": seconds}
-
-
 def start_seconds(fabric: Fabric, workers: int) -> float:
     """Seconds until the worker processes have started; they persist for the next call."""
     began = time.perf_counter()
@@ -112,13 +77,10 @@ def largest_distance(a: Drape, b: Drape) -> float:
 
 
 def run(config: Config) -> Result:
-    """Time one core and several processes, then maps."""
-    for key in ("drapes", "workers", "repeats", "maps_drapes"):
+    """Time one core and several processes."""
+    for key in ("drapes", "workers", "repeats"):
         if config[key] < 1:
             raise InputError(f"{key}={config[key]} must be at least 1")
     fabrics = [prior_fabric(k, config["seed"]) for k in range(config["drapes"])]
-    found = throughput(fabrics, edge_mm=config["edge_mm"], workers=config["workers"],
-                       repeats=config["repeats"])
-    maps = maps_seconds(config["maps_drapes"], edge_mm=config["maps_edge_mm"], seed=config["seed"],
-                        repeats=config["repeats"])
-    return Result({"dtype": "float64", **found, "maps": maps})
+    return Result(throughput(fabrics, edge_mm=config["edge_mm"], workers=config["workers"],
+                             repeats=config["repeats"]))

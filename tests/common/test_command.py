@@ -25,14 +25,12 @@ from data.dataset.inspect import InspectConfig
 from data.dataset.off_axis import OffAxisConfig
 from data.fabrics.prior.__main__ import FitConfig
 from drapenet.config import EvaluateConfig, ExportConfig, InferConfig, ServeConfig, TrainConfig
-from experiments.estimation.specimen_offset import SpecimenOffsetConfig
 
 ROOT = Path(__file__).parents[2]
 SCHEMAS = {"cantilever_estimate": EstimateConfig, "cantilever_hang": HangConfig,
            "capture": CaptureConfig, "drape": DrapeConfig, "evaluate": EvaluateConfig,
            "export": ExportConfig, "generate": Options,
            "infer": InferConfig, "inspect": InspectConfig, "off_axis": OffAxisConfig,
-           "specimen_offset": SpecimenOffsetConfig,
            "prior_fit": FitConfig, "serve": ServeConfig, "train": TrainConfig}
 
 

@@ -100,7 +100,7 @@ def test_arcsim_s_table_gives_the_torque_by_arcsim_s_rules(estimate):
     """Linear interpolation over the curvature's half in steps of 5/m, rows by the edge's angle."""
     material = read_material(estimate, mesh="alternating")
     data = json.loads(export(material, "arcsim", estimate.parent / "a.json")[0].read_text())
-    assert material.ratio == pytest.approx(1.21, abs=0.03)  # docs/validation.md
+    assert material.ratio == pytest.approx(1.21, abs=0.03)  # docs/exports.md
     for row, direction in ((0, 2), (1, 1), (2, 0)):  # an edge along the warp bends the weft
         for kappa in (0.5, 17.0, 39.0, -17.0):  # below 0 the first interval is extrapolated
             at = min(kappa / 2 / 5, 4)

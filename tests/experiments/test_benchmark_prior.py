@@ -8,13 +8,9 @@ from data.fabrics.fabrics import FabricTable, from_theta
 from data.fabrics.prior import Architecture, Coordinates, VaePrior, load_prior, plausible_range
 from experiments.estimation.prior import (
     MixturePrior,
-    Split,
     compare,
-    coverage,
-    distance,
     log_likelihood,
     log_volume,
-    mean_and_error,
     split_rows,
 )
 from tests.data.test_prior import linear_vae
@@ -26,42 +22,23 @@ def theta():
 
 
 def test_a_split_takes_every_row_once(theta):
-    split = split_rows(theta, 3, Coordinates.fit(theta)[0])
+    split = split_rows(theta, 3)
     assert (len(split.fitted), len(split.unseen)) == (96, 24)
     both = np.vstack([split.fitted, split.unseen])
     np.testing.assert_array_equal(np.sort(both, axis=0), np.sort(theta, axis=0))
-    assert (split_rows(theta, 4, split.coordinates).unseen != split.unseen).any()
+    assert (split_rows(theta, 4).unseen != split.unseen).any()
 
 
-def test_distance_and_coverage_of_a_shifted_copy(theta):
-    coordinates = Coordinates.fit(theta)[0]
-    split = Split(theta, theta, coordinates)
-    inside = split.clipped()[1]
-    assert distance(inside, split) == pytest.approx(0, abs=1e-6)
-    assert coverage(inside, split) == [1, 1, 1]
-    # Every fabric moves by 0.9; no other pairing is shorter than moving them all alike.
-    shifted = coordinates.decode(coordinates.encode(inside) + 0.9 * np.eye(6)[0])
-    assert distance(shifted, split) == pytest.approx(0.9, rel=1e-6)
-    far = coordinates.decode(coordinates.encode(inside) + 20)
-    assert coverage(far, split) == [0, 0, 0]
-
-
-def test_mean_and_standard_error():
-    assert mean_and_error([{"a": 1.0}, {"a": 3.0}]) == {"a": [2.0, 1.0]}
-
-
-def test_rows_leak_and_fabrics_do_not(theta):
+def test_models_are_compared_by_mean_and_standard_error(theta):
     alpha, beta = from_theta(theta)
     table = FabricTable(np.full(120, 0.3), alpha, beta, np.full(120, 5))
-    result = compare(table, ["gaussian"], splits=2, samples=50)
-    assert (result["fabrics"], result["rows"], result["unseen"]) == (120, 600, 24)
-    # A row's four copies are all on its own side once in 600.
-    assert all(leaked > 110 for leaked in result["leaked_rows"]["leaked"])
-    assert result["leaked_rows"]["of"] == 120
-    by_fabric = result["models"]["gaussian"]
-    gap = by_fabric["log_likelihood_fitted"][0] - by_fabric["log_likelihood_unseen"][0]
-    by_row = result["by_row"]["gaussian"]
-    assert by_row["log_likelihood_fitted"][0] - by_row["log_likelihood_unseen"][0] < 0.5 * gap
+    found = compare(table, ["gaussian"], splits=3)
+    assert (found["fabrics"], found["unseen"]) == (120, 24)
+    runs, (mean, error) = found["runs"]["gaussian"], found["models"]["gaussian"][
+        "log_likelihood_unseen"]
+    assert mean == pytest.approx(np.mean(runs))
+    assert error == pytest.approx(np.std(runs, ddof=1) / 3**0.5)
+    assert found["models"]["gaussian"]["log_likelihood_fitted"][0] > mean
 
 
 @pytest.fixture(scope="module")

@@ -78,14 +78,6 @@ def test_mean_curvature_of_a_cylinder_converges_at_second_order(angle):
     assert (rates > 1.8).all() and errors[-1] < 1e-3
 
 
-def test_perturbed_meshes_find_the_curvature_on_average():
-    mesh = specimen(41)
-    found = mean_curvature(cylinder(mesh, 0.08, 0.3), mesh)
-    inner = np.isfinite(found)
-    assert found[inner] @ mesh.vertex_areas[inner] == pytest.approx(
-        0.5 / 0.08 * mesh.vertex_areas[inner].sum(), rel=0.01)
-
-
 @pytest.mark.parametrize("resolutions", [(41, 41), (41, 81), (81, 41)])
 def test_one_shape_on_two_meshes_hardly_differs(resolutions):
     one, two = (bell(specimen(n, seed=seed)) for seed, n in enumerate(resolutions))
@@ -120,25 +112,11 @@ def test_halving_the_size_of_a_shape_doubles_its_curvature():
     assert compare(smaller, drape).curvature == pytest.approx(0.5)
 
 
-def test_alignment_removes_a_turn_and_a_rigid_motion():
+def test_alignment_removes_a_turn():
     drape = bell(specimen(31))
     other = turned(drape, 0.3)
     assert compare(drape, other).displacement > 0.01
     assert compare(drape, other, align="turn").largest < 1e-12
-    c, s = np.cos(0.2), np.sin(0.2)
-    tilted = turned(drape, 2.0)
-    tilt = np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
-    tilted = replace(tilted, positions=tilted.positions @ tilt + 0.01)
-    assert compare(drape, tilted, align="turn").displacement > 0.01
-    assert compare(drape, tilted, align="rigid").largest < 1e-12
-    assert compare(drape, tilted, align="rigid").curvature < 1e-9
-
-
-def test_a_mirror_image_is_no_rigid_motion():
-    mesh = specimen(31)
-    drape, mirrored = bell(mesh), bell(mesh)
-    mirrored = replace(mirrored, positions=mirrored.positions * [1, 1, -1])
-    assert compare(drape, mirrored, align="rigid").displacement > 0.005
 
 
 @pytest.mark.parametrize(("folds", "phase", "same"), [
@@ -151,11 +129,8 @@ def test_fold_configurations(folds, phase, same):
     other = bell(mesh, folds=folds, phase=phase)
     assert same_folds(outline(drape), outline(other)) is same
     assert same_folds(outline(other), outline(drape)) is same
-
-
-def test_flat_outlines_have_the_same_folds():
-    circle = outline(bell(specimen(31), depth=0.0))
-    assert same_folds(circle, circle)
+    flat = outline(bell(mesh, depth=0.0))
+    assert same_folds(flat, flat) and not same_folds(flat, outline(drape))
 
 
 def test_other_specimens_and_words_are_refused():
@@ -163,5 +138,5 @@ def test_other_specimens_and_words_are_refused():
     with pytest.raises(InputError, match="not drapes of one specimen"):
         compare(drape, Shape(positions=drape.positions[:500], rest=drape.rest[:500],
                                        faces=drape.faces[(drape.faces < 500).all(axis=1)]))
-    with pytest.raises(InputError, match="none, turn, rigid"):
+    with pytest.raises(InputError, match="none, turn"):
         compare(drape, drape, align="best")

@@ -35,7 +35,7 @@ def test_places_that_cannot_be_written_to_are_refused_before_the_work(tmp_path):
     (tmp_path / "file").touch()
     for words in (["convergence", "out=/proc/report.json"], ["convergence", f"out={tmp_path}"],
                   ["views", f"out={tmp_path}/file/report.json"],
-                  ["views", f"cases={tmp_path}/file"], ["tree", "work=/proc/runs"]):
+                  ["views", f"cases={tmp_path}/file"], ["additions", "work=/proc/runs"]):
         with pytest.raises(InputError, match="cannot write"):
             main(words)
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
@@ -132,13 +132,11 @@ def test_table_is_aligned():
 @pytest.mark.slow
 def test_worker_processes_are_timed_against_one_core(tmp_path):
     out = tmp_path / "throughput.json"
-    main(["throughput", "drapes=2", "edge_mm=10", "repeats=1", "workers=2", "maps_drapes=4",
-          "maps_edge_mm=8", f"out={out}"])
+    main(["throughput", "drapes=2", "edge_mm=10", "repeats=1", "workers=2", f"out={out}"])
     found = json.loads(out.read_text())
     assert found["converged"] == 2 and found["largest_difference_m"] < 1e-6
     rates = found["drapes_per_second_workers"], found["drapes_per_second_one_core"]
     assert found["ratio"] == pytest.approx(rates[0] / rates[1])
-    assert found["maps"]["rows_per_drape"] > 5 and found["maps"]["cpu_seconds_per_drape"] < 0.3
 
 
 @pytest.fixture(scope="module")
@@ -178,15 +176,16 @@ def test_posteriors_are_judged_by_errors_and_coverage():
     assert list(found["inside"].values()) == pytest.approx([0.50, 0.68, 0.90], abs=0.03)
 
 
-def test_meshes_are_compared_at_every_spacing(tmp_path, capsys):
-    out = tmp_path / "meshes.json"
-    main(["meshes", "fabrics=[stiff]", "laws=[midedge]", "edge_mm=4", "refinement_mm=8,4",
-          "start_mm=4", f"cases={tmp_path / 'cases'}", f"out={out}"])
-    content = json.loads(out.read_text(encoding="utf-8"))
-    coarse, fine = content["spacings"][:3], content["spacings"][3:]
-    assert fine == content["meshes"]
-    assert {row["edge_mm"] for row in coarse} == {8.0}
+def test_drapes_of_three_meshes_are_compared(tmp_path):
+    reports = []
+    for edge in (8, 4):
+        out = tmp_path / f"meshes_{edge}.json"
+        main(["meshes", "fabrics=[stiff]", f"edge_mm={edge}", "start_mm=4",
+              f"cases={tmp_path / str(edge)}", f"out={out}"])
+        reports.append(json.loads(out.read_text(encoding="utf-8")))
+    coarse, fine = reports
+    assert fine["pairs"] == 3 and fine["largest_mean_mm"] > 0
+    assert fine["passed"] is (fine["same_folds"] > 0 and fine["largest_mean_mm"] < 0.7)
     # The coarser the mesh, the more the drape depends on it.
-    assert max(row["mean_mm"] for row in coarse) > max(row["mean_mm"] for row in fine) > 0.0
-    assert content["summary"]["midedge"]["pairs"] == 3
-    assert "three kinds of meshes" not in capsys.readouterr().out  # without the hinge law
+    assert (max(row["mean_mm"] for row in coarse["meshes"])
+            > max(row["mean_mm"] for row in fine["meshes"]))
