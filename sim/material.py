@@ -156,7 +156,7 @@ def plate_constants(alpha: Moduli) -> tuple[float, float, float, float]:
     return a11, a22, (c - 4 * a66) / 2, a66
 
 
-def bending_length(alpha: float, density: Density) -> Metres:
+def gravity_length(alpha: float, density: Density) -> Metres:
     """(alpha/rho g)^⅓ of a modulus in N·m: the scale of the narrowest folds of cloth that is as
     stiff. Strips of 1.5 and 2.5 such lengths, which drop by 0.4 and 1.5 times their reach,
     determine alpha and beta well."""

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from sim.energies.bending_law import Variant, constants
 from sim.energies.fold_barrier import LIMIT_START, MIN_REMAINING
-from sim.energies.membrane import _TOLERANCE as EQUAL
+from sim.energies.membrane import EQUAL
 from sim.material import SOFTENING_LIMIT as LIMIT
 from sim.material import Fabric
 

@@ -9,7 +9,7 @@ from common.errors import InputError
 from common.types import DeflectionCurve, Metres, Radians
 from sim.cloth import Laws
 from sim.equilibrium import find_equilibrium
-from sim.material import DIRECTIONS, REFERENCE_DENSITY, Fabric, bending_length
+from sim.material import DIRECTIONS, REFERENCE_DENSITY, Fabric, gravity_length
 from sim.mesh import Mesh, strip
 from sim.rig import GRAVITY
 from sim.scene import Scene
@@ -72,7 +72,7 @@ def simulate_strips(
     strips: dict[str, list[DeflectionCurve]] = {direction: [] for direction in lengths}
     for direction, length in ((d, length) for d, each in lengths.items() for length in each):
         alpha = fabric.alpha[DIRECTIONS.index(direction)]
-        count = length * cells / bending_length(alpha, fabric.density)
+        count = length * cells / gravity_length(alpha, fabric.density)
         edge = length / np.ceil(count - 1e-9)  # an integer may have been rounded up
         hung = hang(fabric, angle=ANGLES[direction], length=length, edge=edge, across=across,
                     width=across * edge if width is None else width, diagonals="random",

@@ -19,7 +19,7 @@ from sim.energies.base import Energy, FusedEnergy, raise_eigenvalues
 from sim.mesh import Mesh
 from sim.solver.linear import add_block
 
-_TOLERANCE = 1e-9  # difference of stretches below which they count as equal
+EQUAL = 1e-9  # difference of stretches below which they count as equal
 
 
 class StrainLaw(Protocol):
@@ -128,7 +128,7 @@ def _of_stretches(stretches, turn, p, pp):
         axes[1, 0], axes[1, 1], axes[1, 2] = (1.0 - cosine) / 2.0, (1.0 + cosine) / 2.0, -sine / 2.0
         axes[2, 0], axes[2, 1], axes[2, 2] = -sine / 2.0, sine / 2.0, cosine / 2.0
         apart = a - b
-        slope = (p[t, 0] - p[t, 1]) / apart if apart > _TOLERANCE else pp[t, 0, 0] - pp[t, 0, 1]
+        slope = (p[t, 0] - p[t, 1]) / apart if apart > EQUAL else pp[t, 0, 0] - pp[t, 0, 1]
         first = (pp[t, 0, 0] - p[t, 0] / a) / (a * a)
         second = (pp[t, 1, 1] - p[t, 1] / b) / (b * b)
         mixed = pp[t, 0, 1] / (a * b)

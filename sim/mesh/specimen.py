@@ -16,7 +16,7 @@ from scipy.spatial import Delaunay
 
 from common.errors import InputError
 from common.types import Faces, Metres, RestPoints, VertexMask
-from sim.material import Fabric, bending_length
+from sim.material import Fabric, gravity_length
 from sim.mesh.topology import Mesh, doubled_areas
 from sim.rig import Rig
 
@@ -292,7 +292,7 @@ def default_edge(
     """Default edge length at the rim for a fabric: the largest of few ``edges``, so that drapes
     share meshes, of which :data:`EDGES_PER_LENGTH` fit into the bending length and two into the
     narrowest overhang. Without a plate, that of the hem."""
-    length = bending_length(fabric.alpha.min(), fabric.density)
+    length = gravity_length(fabric.alpha.min(), fabric.density)
     longest = longest_edge(rig, offset)
     fits = [edge for edge in edges if edge <= min(length / EDGES_PER_LENGTH, longest)]
     edge = max(fits, default=min(*edges, longest))

@@ -139,7 +139,7 @@ class PardisoSolver(CholeskySolver):
 
     def __init__(self, pattern: SparsePattern) -> None:
         self._pattern = pattern
-        self._factors: dict[bool, _Factor] = {}  # by whether it is in single precision
+        self._factors: dict[bool, PardisoFactor] = {}  # by whether it is in single precision
         self._single_suffices = True
         self._checks = _CHECKS
         self._refined = False
@@ -163,11 +163,11 @@ class PardisoSolver(CholeskySolver):
     def solve(self, rhs: np.ndarray, *, rough: bool = False) -> np.ndarray:
         return self._refine(rhs, rough) if self._refined else self._factor().solve(rhs)
 
-    def _factor(self, *, single: bool = False) -> "_Factor":
+    def _factor(self, *, single: bool = False) -> "PardisoFactor":
         """The factor of one precision, analysed when it is first needed."""
         if single not in self._factors:
             order = next((factor.order for factor in self._factors.values()), None)
-            self._factors[single] = _Factor(self._pattern, order=order, single=single)
+            self._factors[single] = PardisoFactor(self._pattern, order=order, single=single)
         return self._factors[single]
 
     def _refine(self, rhs: np.ndarray, rough: bool) -> np.ndarray:
@@ -197,7 +197,7 @@ class PardisoSolver(CholeskySolver):
         return x
 
 
-class _Factor:
+class PardisoFactor:
     """A PARDISO factor in double or ``single`` precision, on one thread, bitwise reproducible;
     ``order`` (n,) is the elimination order of an earlier analysis."""
 

@@ -7,8 +7,8 @@ import torch
 from sim.batched import drapes
 from sim.batched.drapes import covers, drape_batch
 from sim.batched.laws import raise_eigenvalues
-from sim.batched.lowering import columns
-from sim.batched.lowering import lowered as batch_lowered
+from sim.batched.lowered import columns
+from sim.batched.lowered import lowered as batch_lowered
 from sim.batched.newton import minimise
 from sim.batched.potential import BatchedPotential
 from sim.cloth import Cloth, Laws
@@ -70,7 +70,7 @@ def test_energies_and_gradients_are_those_of_one_cloth(crumpled):
     cloths, states, batch, now = crumpled
     value = batch.evaluate(*now)
     bending = cloths[2].bending
-    assert "origin" in batch.own or is_bent(bending.angles(states[2]), bending.pole).any()
+    assert "origin" in batch.tensors or is_bent(bending.angles(states[2]), bending.pole).any()
     for k, (cloth, q) in enumerate(zip(cloths, states, strict=True)):
         energy, gradient = cloth.potential.evaluate(q)
         assert float(value.energy[k]) == pytest.approx(energy, rel=1e-12)
@@ -150,7 +150,7 @@ def test_origins_slide_as_those_of_one_cloth(crumpled):
     part = batch.take(torch.arange(3)).slid(*now)
     for k, (cloth, q) in enumerate(zip(cloths, states, strict=True)):
         origin = cloth.bending.origin_at(q)
-        assert np.abs(part.own["origin"][..., k].numpy().T - origin).max() < 1e-9 * np.abs(
+        assert np.abs(part.tensors["origin"][..., k].numpy().T - origin).max() < 1e-9 * np.abs(
             origin).max()
         assert not np.allclose(origin, cloth.bending.origin)
 
@@ -177,7 +177,7 @@ def test_a_batch_is_complete_and_in_order():
 
 
 def test_what_is_not_finished_is_continued(monkeypatch):
-    monkeypatch.setattr(drapes, "_MAX_ITERATIONS", 1)
+    monkeypatch.setattr(drapes, "MAX_ITERATIONS", 1)
     plan = {"fabric": FABRICS[2], "rig": DISC_RIG, "edge": 14e-3}
     made, exact = drape_batch([plan], device="cpu")[0], drape(**plan)
     assert made.converged and made.coarse == (Status.MAX_ITERATIONS,)
