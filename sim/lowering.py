@@ -24,7 +24,7 @@ from sim.rig import GRAVITY, Rig
 from sim.scene import Scene
 from sim.solver.dynamics import Inertia, Motion
 from sim.solver.linear import make_solver
-from sim.solver.newton import Status
+from sim.solver.newton import NewtonResult, Status
 from sim.start import waves
 
 
@@ -98,7 +98,9 @@ def lowered(
     ring = Ring(np.flatnonzero(~held), inertia.masses[~held] * GRAVITY)
     cloth = Cloth(scene, fabric, laws=laws, extra=[inertia, ring])
     solver = make_solver(cloth.potential.pattern)
-    motion, free, last, bending = Motion.at_rest(scene.state(flat)), 0.0, None, cloth.bending
+    motion, free, bending = Motion.at_rest(scene.state(flat)), 0.0, cloth.bending
+    last = Equilibrium(cloth=cloth, state=motion.state,
+                       outcome=NewtonResult(motion.state.q, Status.MAX_ITERATIONS, "at rest"))
     for _ in range(MAX_STEPS):
         now = ring.lowered_to(-GAP - ring_speed * (motion.time + relaxation))
         potential = cloth.potential.exchanged({ring: now, cloth.bending: bending})
@@ -114,9 +116,8 @@ def lowered(
             break
     if last.status is not Status.NOT_FINITE:
         last = last.ended(Status.MAX_ITERATIONS, "in motion")
-    if isinstance(laws.bending, Hysteresis):
-        laws = replace(laws, bending=replace(laws.bending, origin=bending.origin))
-        last = replace(last, cloth=replace(cloth, laws=laws))
+    if isinstance(laws.bending, Hysteresis) and isinstance(bending, HystereticBending):
+        last = replace(last, cloth=replace(cloth, laws=laws.with_origin(bending.origin)))
     return last
 
 
@@ -153,4 +154,4 @@ def with_origins(laws: Laws, lowered: Equilibrium, scene: Scene) -> Laws:
         return laws
     near, weight = nearest_triangles(lowered.cloth.scene, scene)
     origin = (law.origin[near] * weight[:, :, None]).sum(axis=1)
-    return replace(laws, bending=replace(laws.bending, origin=origin))
+    return laws.with_origin(origin)

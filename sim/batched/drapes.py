@@ -159,7 +159,7 @@ def equilibrium_of(k: int, run: Run, scene: Scene, outcomes: list[Outcome]) -> E
     steps = sum(outcome.results[k].iterations for outcome in outcomes)
     if last.origin is not None and last.origin[..., k].any():
         origin = last.origin[..., k].T.cpu().numpy().copy()
-        laws = replace(laws, bending=replace(laws.bending, origin=origin))
+        laws = laws.with_origin(origin)
     state = State(positions, normals)
     return Equilibrium(cloth=Cloth(scene, run.fabric, laws=laws), state=state,
                        outcome=replace(last.results[k], q=state.q, iterations=steps))

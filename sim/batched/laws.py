@@ -14,8 +14,8 @@ from sim.energies.membrane import EQUAL
 from sim.material import SOFTENING_LIMIT as LIMIT
 from sim.material import Fabric
 
-Response = tuple[Tensor, Tensor, Tensor | None]
-"""Density (T, B), stress (3, T, B) and, if wanted, tangent (3, 3, T, B)."""
+Response = tuple[Tensor, Tensor, Tensor]
+"""Density (T, B), stress (3, T, B) and tangent (3, 3, T, B), empty if it is not wanted."""
 
 
 def plate_rows(fabric: Fabric) -> dict[str, np.ndarray]:
@@ -74,7 +74,8 @@ def plate(s: Tensor, law: dict[str, Tensor], *, tangent: bool = False) -> Respon
     stress[:2] += dw * more
     density = 0.5 * a * shape + work[1] + w * more + work[2]
     if not tangent:
-        return density + _variant(s, law, stress, None), stress, None
+        none = s.new_empty(0)
+        return density + _variant(s, law, stress, none), stress, none
     over = u.clamp(min=LIMIT)
     bend = 4 * (1 - LIMIT / over) * (LIMIT / over) ** 2 / over
     # With u's second derivatives, all terms are products of the slopes of a and u, or forms.
@@ -99,7 +100,7 @@ def plate(s: Tensor, law: dict[str, Tensor], *, tangent: bool = False) -> Respon
 
 
 def _variant(
-    s: Tensor, law: dict[str, Tensor], stress: Tensor, stiff: Tensor | None
+    s: Tensor, law: dict[str, Tensor], stress: Tensor, stiff: Tensor
 ) -> Tensor | float:
     """Energy of natural curvature and friction; its derivatives are added."""
     if "moment" not in law:
@@ -115,7 +116,7 @@ def _variant(
         work = torch.where(stuck, 0.625 * ratio**2 - ratio**6 / 24, ratio - 0.375 - 1 / 24)
         density += share * limit * work
         stress += share * over * force
-        if stiff is not None:
+        if len(stiff):
             bend = torch.where(stuck, -(ratio**2), -1 / ratio**3) / limit
             stiff += share * (over * pull + bend * force[:, None] * force)
     return density
@@ -144,7 +145,7 @@ def membrane(e: Tensor, law: Tensor, *, tangent: bool = False) -> Response:
     if len(law) == 3:
         stiff = law[:, :, None]
         stress = (stiff * e).sum(1)
-        return 0.5 * (e * stress).sum(0), stress, stiff.expand(3, *e.shape) if tangent else None
+        return 0.5 * (e * stress).sum(0), stress, stiff.expand(3, *e.shape)
     own, mixed = law[0]
     total, across, shear = e[0] + e[1], e[0] - e[1], e[2]
     apart = torch.hypot(across, shear)
@@ -158,7 +159,7 @@ def membrane(e: Tensor, law: Tensor, *, tangent: bool = False) -> Response:
     mean, half = (one + two) / 2, (one - two) / 2
     stress = torch.stack([mean + half * cosine, mean - half * cosine, half * sine])
     if not tangent:
-        return density, stress, None
+        return density, stress, e.new_empty(0)
     first, second, turn = (0.5 * torch.stack(axis) for axis in (
         [1 + cosine, 1 - cosine, sine], [1 - cosine, 1 + cosine, -sine], [-sine, sine, cosine]))
     near = a - b <= EQUAL
@@ -234,7 +235,8 @@ def barrier(angle: Tensor, pole: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     ratio = over / remaining
     terms = (-over * over * log, angle.sign() * over * (ratio - 2 * log),
              (4 + ratio) * ratio - 2 * log)
-    return tuple(torch.where(bent, term, 0.0) for term in terms)
+    value, slope, bend = (torch.where(bent, term, 0.0) for term in terms)
+    return value, slope, bend
 
 
 def keeps_distance(before: Tensor, after: Tensor, pole: Tensor) -> Tensor:

@@ -76,7 +76,8 @@ class Minimisation:
         self.blends = np.array(options.convexities)
         self.last = len(self.blends) - 1
         self.track = _Track(potential.count, self.last)
-        self.results: list[NewtonResult | None] = [None] * potential.count
+        unfinished = NewtonResult(np.empty(0), Status.MAX_ITERATIONS, "")
+        self.results = [unfinished] * potential.count
         self.value = potential.evaluate(x, n)
 
     def iterate(self, least: int) -> bool:

@@ -18,7 +18,14 @@ from sim.batched.solver import BatchedSolver
 from sim.cloth import STEP_UNIT, Cloth
 from sim.energies.bending_variants import HystereticBending
 from sim.energies.external import DEPTH
-from sim.energies.midedge import CLAMP, CONVEX_FLOOR, rows_at_clamp, weight_behind
+from sim.energies.membrane import LinearMembrane
+from sim.energies.midedge import (
+    CLAMP,
+    CONVEX_FLOOR,
+    MidEdgeBending,
+    rows_at_clamp,
+    weight_behind,
+)
 from sim.rig import GRAVITY, RIM
 from sim.scene import Scene
 
@@ -56,7 +63,10 @@ class BatchedPotential:
     """
 
     def __init__(self, cloths: list[Cloth], device: str | torch.device = "cpu") -> None:
-        first, bending, self.count = cloths[0], cloths[0].bending, len(cloths)
+        bendings = [cloth.bending for cloth in cloths if isinstance(cloth.bending, MidEdgeBending)]
+        membranes = [cloth.laws.membrane for cloth in cloths
+                     if isinstance(cloth.laws.membrane, LinearMembrane)]
+        first, bending, self.count = cloths[0], bendings[0], len(cloths)
         mesh, active, potential = first.scene.mesh, first.scene.active, first.potential
         self.vertices, self.unknowns = len(mesh.rest), potential.unknowns
         self.energy_scale, self._nonzeros = potential.energy_scale, len(potential.pattern.indices)
@@ -102,19 +112,19 @@ class BatchedPotential:
             row, column = (index[:, None] % 3 for index in np.triu_indices(size))
             rows.append((len(rows[0]) + (3 * row + column) * len(points) + at).ravel())
             targets.append(place_of.T.ravel())
-        self._entries = Sums(*map(np.concatenate, (targets, rows)), self._nonzeros, device)
+        self._entries = Sums(np.concatenate(targets), np.concatenate(rows), self._nonzeros, device)
         sides = (pairs.T.ravel() + count * np.arange(3)[:, None]).ravel()
         self._of_pairs = Sums(sides, np.arange(sides.size), 3 * count, device)
-        constants = [laws.plate_rows(cloth.fabric) | {"membrane": cloth.laws.membrane.matrix}
-                     for cloth in cloths]
+        constants = [laws.plate_rows(cloth.fabric) | {"membrane": membrane.matrix}
+                     for cloth, membrane in zip(cloths, membranes, strict=True)]
         if isinstance(bending, HystereticBending):
-            constants = [row | laws.variant_rows(cloth.bending.variant)
-                         for row, cloth in zip(constants, cloths, strict=True)]
+            constants = [row | laws.variant_rows(bent.variant)
+                         for row, bent in zip(constants, bendings, strict=True)]
         self.tensors = {name: place(np.stack([row[name] for row in constants], -1))
                         for name in constants[0]}
         scenes = [cloth.scene for cloth in cloths]
         shared = all(scene.mesh is mesh for scene in scenes)
-        self.tensors |= self._geometry(first, scenes[:1] if shared else scenes)
+        self.tensors |= self._geometry(first, bending, scenes[:1] if shared else scenes)
         if isinstance(bending, HystereticBending):
             self.tensors["origin"] = torch.zeros(3, count, self.count).to(self.tensors["areas"])
         places = np.concatenate([np.repeat(mesh.rest, 3, axis=0), mesh.rest[mesh.edges].mean(1)])
@@ -123,10 +133,12 @@ class BatchedPotential:
         self.solver = BatchedSolver(potential.pattern, [row_of[bending.dofs]],
                                     places[potential.free], device)
 
-    def _geometry(self, cloth: Cloth, scenes: list[Scene]) -> dict[str, Tensor]:
+    def _geometry(
+        self, cloth: Cloth, bending: MidEdgeBending, scenes: list[Scene]
+    ) -> dict[str, Tensor]:
         """Arrays (..., G) of the meshes and rigs of G scenes by name, as those of the energies of
-        one ``cloth`` among them."""
-        scene, bending, device = cloth.scene, cloth.bending, self.faces.device
+        a ``cloth`` among them, with its ``bending``."""
+        scene, device = cloth.scene, self.faces.device
         mesh, active = scene.mesh, torch.from_numpy(np.flatnonzero(scene.active)).to(device)
         rest = torch.from_numpy(np.stack([one.mesh.rest.T for one in scenes], -1)).to(device)
         corners = rest[:, self._around[0]]  # (2, 3, F, G)
@@ -311,11 +323,10 @@ class BatchedPotential:
         """A view (V, 3, B) of the coordinates' part of values (U, B) of all unknowns."""
         return values[: 3 * self.vertices].unflatten(0, (self.vertices, 3))
 
-    def _contact(
-        self, point: Tensor, *, bend: bool = False
-    ) -> tuple[Tensor, Tensor, Tensor | None]:
-        """Depths (N, B) of points (3, N, B) in the plate's cylinder, normals (3, N, B) and, if
-        wanted, second derivatives (3, 3, N, B) of the depths; see :class:`sim.rig.Cylinder`."""
+    def _contact(self, point: Tensor, *, bend: bool = False) -> tuple[Tensor, Tensor, Tensor]:
+        """Depths (N, B) of points (3, N, B) in the plate's cylinder, normals (3, N, B) and second
+        derivatives (3, 3, N, B) of the depths, empty if they are not wanted; see
+        :class:`sim.rig.Cylinder`."""
         radius, distance = self.tensors["radius"], torch.hypot(point[0], point[1])
         rim = RIM * radius
         out, up = distance - (radius - rim), point[2] + rim
@@ -328,7 +339,7 @@ class BatchedPotential:
         x, y = point[:2] / distance
         depth, normal = (rim - over).clamp(min=0), torch.stack([across * x, across * y, along])
         if not bend:
-            return depth, normal, None
+            return depth, normal, point.new_empty(0)
         around = torch.stack([-y, x, 0 * x])
         meridian = torch.stack([-along * x, -along * y, across])
         return depth, normal, -(across / distance * around[:, None] * around
@@ -344,8 +355,8 @@ class Sums:
     ) -> None:
         order = np.argsort(targets, kind="stable")
         starts = np.searchsorted(targets[order], np.arange(count + 1))
-        self._rows, self._starts = (torch.from_numpy(one.astype(np.int64)).to(device) for one in (
-            rows[order[starts[0] :]], starts - starts[0]))
+        self._rows, self._starts = (torch.from_numpy(index.astype(np.int64)).to(device)
+                                     for index in (rows[order[starts[0] :]], starts - starts[0]))
 
     def __call__(self, values: Tensor) -> Tensor:
         return torch.embedding_bag(values.reshape(-1, values.shape[-1]), self._rows, self._starts,

@@ -56,7 +56,7 @@ class BatchedSolver:
     def factorise(self, data: Tensor) -> Tensor:
         """Factor matrices of CSR data (nnz, B); whether each (B,) is positive definite. The factors
         of those that are not are meaningless."""
-        self._panels, below = [], None
+        self._panels, below = [], data.new_zeros(0)
         data, batch = data.T.contiguous(), data.shape[1]
         definite = torch.ones(batch, dtype=torch.bool, device=data.device)
         for level in reversed(self.levels):
@@ -73,12 +73,11 @@ class BatchedSolver:
             definite &= sound.view(batch, fronts).all(1)
             strip = torch.bmm(panel[:, p:], inverse.mT)
             self._panels.append((inverse, strip))
-            if level.joins:  # what is subtracted from the parents: that of the children, too
+            if q and level.joins:  # what is subtracted from the parents: that of the children, too
                 below = torch.baddbmm(front[:, (p + q) * p :].unflatten(1, (q, q)), strip,
-                                      strip.mT, beta=-1.0) if q else None
-            else:
-                below = torch.bmm(strip, strip.mT)
-            below = below.view(batch, -1) if q else None
+                                      strip.mT, beta=-1.0).view(batch, -1)
+            elif q:
+                below = torch.bmm(strip, strip.mT).view(batch, -1)
         return definite
 
     def solve(self, rhs: Tensor) -> Tensor:
@@ -158,7 +157,7 @@ def _bisected(
     x, y = centres[part].T
     mean = np.arctan2(y.sum(), x.sum())
     azimuth = (np.arctan2(y, x) - mean + np.pi) % (2 * np.pi)
-    best = None
+    cuts = []
     for key in (azimuth,) if ring else (azimuth, np.hypot(x, y)):
         order = part[np.argsort(key, kind="stable")]
         for share in _CUTS:
@@ -171,9 +170,8 @@ def _bisected(
                 count[elements[half].ravel()] += 1
             # += counts an unknown once per half
             separator = np.flatnonzero((count == 2) & ~eliminated)
-            if best is None or len(separator) < len(best[2]):
-                best = *halves, separator
-    return best
+            cuts.append((*halves, separator))
+    return min(cuts, key=lambda cut: len(cut[2]))
 
 
 def _levels(pattern: SparsePattern, tree: list, device: str | torch.device) -> list[Level]:
@@ -211,10 +209,12 @@ def _levels(pattern: SparsePattern, tree: list, device: str | torch.device) -> l
                 (one, other), target = np.tril_indices(len(outer)), local[child // 2, outer]
                 parts.append((child * width**2 + one * width + other,
                               place(child // 2, target[one], target[other])))
-            joins.append(tuple(placed(np.concatenate(part)) for part in zip(*parts, strict=True)))
+            of_child, of_parent = (placed(np.concatenate(part))
+                                   for part in zip(*parts, strict=True))
+            joins.append((of_child, of_parent))
         entries = np.flatnonzero(depth_of[owner] == depth)
         front, (padded, index) = front_of[owner[entries]], np.nonzero(pivots == size)
         places = place(front, local[front, rows[entries]], local[front, columns[entries]])
-        levels.append(Level(*map(placed, (
-            pivots, boundary, entries, places, place(padded, index, index))), joins))
+        levels.append(Level(placed(pivots), placed(boundary), placed(entries), placed(places),
+                            placed(place(padded, index, index)), joins))
     return levels

@@ -6,6 +6,7 @@ v along weft and E = (F^T F - I)/2, or for the corotational one the principal st
 (N, 2). The stress of the Green strain is S_uu, S_vv, S_uv (second Piola-Kirchhoff times thickness).
 """
 
+from abc import abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol, runtime_checkable
@@ -226,10 +227,13 @@ class Membrane(Protocol):
         """A copy of the material, ``factor`` times as stiff."""
 
 
-class _Linear:
-    """Stress linear in the Green strain, by a symmetric ``matrix`` (K, K), N/m."""
+class LinearMembrane:
+    """Stress linear in the strain."""
 
-    matrix: np.ndarray
+    @property
+    @abstractmethod
+    def matrix(self) -> np.ndarray:
+        """Symmetric (K, K), N/m, from strain to stress."""
 
     def energy(self, mesh: Mesh, active: FaceMask) -> Energy:
         return StrainMembrane(mesh, active, self)
@@ -241,7 +245,7 @@ class _Linear:
 
 
 @dataclass(frozen=True)
-class Corotational(_Linear):
+class Corotational(LinearMembrane):
     """Isotropic corotational membrane (section 4.1), the default.
 
     Its density mu |F - R|² + lambda/2 tr(R^T F - I)², R the isometry closest to the deformation
@@ -278,7 +282,7 @@ class Corotational(_Linear):
 
 
 @dataclass(frozen=True)
-class OrthotropicStVK(_Linear):
+class OrthotropicStVK(LinearMembrane):
     """Orthotropic St. Venant-Kirchhoff membrane (Larionov et al., Eq. 5 and 6).
 
     S_uu = (E_warp e_uu + n E_weft e_vv)/d, S_vv = (n E_weft e_uu + E_weft e_vv)/d,

@@ -191,7 +191,7 @@ def rows_at_clamp(
     """Masks (N,) bool of the triangles on clamped edges, and of others that touch these edges."""
     rim = np.zeros(len(mesh.rest), dtype=bool)
     rim[mesh.edges[mesh.face_edges[active][clamped]]] = True
-    first = clamped.any(axis=1)
+    first = clamped[:, 0] | clamped[:, 1] | clamped[:, 2]
     return first, rim[mesh.faces[active]].any(axis=1) & ~first
 
 

@@ -6,8 +6,9 @@ import functools
 import importlib.metadata
 import os
 import sys
+from collections.abc import Callable
 from contextlib import suppress
-from typing import Protocol
+from typing import Any, Protocol
 
 import numba
 import numpy as np
@@ -105,7 +106,7 @@ class SuperLUSolver(CholeskySolver):
 
     def __init__(self, pattern: SparsePattern) -> None:
         self._pattern = pattern
-        self._factor = None
+        self._factor: Any = None  # of SciPy, without types
 
     def factorise(self, data: np.ndarray, *, rough: bool = False) -> bool:
         if not np.isfinite(data).all():
@@ -302,7 +303,7 @@ def _times(data, indices, indptr, x):
 
 
 @functools.cache
-def available_solvers() -> tuple[type[CholeskySolver], ...]:
+def available_solvers() -> tuple[Callable[[SparsePattern], CholeskySolver], ...]:
     """The solvers available on this machine, fastest first."""
     try:
         find_mkl()

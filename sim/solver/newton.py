@@ -139,7 +139,7 @@ class _Minimisation:
         self.wait, self.patience = 0, 1  # steps before less convexity is tried, now and next time
         self.result = NewtonResult(q=q, status=Status.MAX_ITERATIONS, message="")
         self.rng = np.random.default_rng(0)
-        self.solver = solver
+        self.solver = solver or make_solver(objective.pattern)
         self.model: Model | None = None  # at the present state
 
     def iterate(self) -> None:
@@ -196,7 +196,6 @@ class _Minimisation:
         if self.model is None:
             self.model = self.objective.model(self.result.q)
         data = self.model.hessian(convexity, shift)
-        self.solver = self.solver or make_solver(self.objective.pattern)
         return self.solver.factorise(data, rough=not proof)
 
     def _direction(self, gradient: np.ndarray) -> np.ndarray | None:
