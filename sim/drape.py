@@ -266,7 +266,7 @@ class Run:
         """The equilibrium in the last of ``scenes``, coarse to fine, and the statuses in those
         before, from cloth that was lowered ``before``, whose hysteresis is kept, or by the other
         ``options`` of :func:`start_positions`."""
-        coarse, found = before, []
+        coarse, settled_on = before, []
         for scene in scenes:
             last = scene is scenes[-1]
             laws = with_origins(self.laws, before, scene) if before else self.laws
@@ -275,8 +275,8 @@ class Run:
                 scene, self.fabric, scene.state(positions), self_contact=last,
                 laws=laws if last else laws.softened(COARSE_MEMBRANE),
                 options=self.options if last else COARSE_OPTIONS).after(coarse)
-            found.append(coarse)
-        return found[-1], [earlier.searched.status for earlier in found[:-1]]
+            settled_on.append(coarse)
+        return settled_on[-1], [earlier.searched.status for earlier in settled_on[:-1]]
 
 
 def start_positions(

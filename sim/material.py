@@ -38,7 +38,7 @@ DENSITY_RANGE = (5e-3, 5.0)
 ALPHA_RANGE = (1e-9, 1.0)  # N·m
 MAX_RATIO = 0.5
 """Largest |beta|/alpha, m; in fabrics it is about 2 mm."""
-_LONGEST = 1.0  # m, bending length
+_LONGEST = 1.0  # m, gravity length
 
 SOFTENING_LIMIT = 0.35
 """u_c: the reduced curvature u = -beta*kappa/alpha beyond which the torque grows linearly with
@@ -162,7 +162,7 @@ def gravity_length(alpha: float, density: Density) -> Metres:
     determine alpha and beta well."""
     cubed = number("alpha", alpha, "N·m") / (checked_density(density) * GRAVITY)
     if not 0 < cubed <= _LONGEST**3:
-        raise InputError(f"alpha={alpha:g} N·m must be positive and give a bending length of at "
+        raise InputError(f"alpha={alpha:g} N·m must be positive and give a gravity length of at "
                          f"most {_LONGEST:g} m; check the unit")
     return cubed ** (1 / 3)
 

@@ -140,12 +140,12 @@ class Minimisation:
         trial, pending = lowest.copy(), np.arange(len(small))
         while len(pending):
             shift = np.where(trial == last, np.array(SHIFTS)[track.shift], 0.0)[pending]
-            part, x, n, gradient = self._part(pending, self.x, self.n, self.value.gradient)
-            blend, shift = (torch.from_numpy(one).to(x) for one in (
+            subset, x, n, gradient = self._part(pending, self.x, self.n, self.value.gradient)
+            blend, shift = (torch.from_numpy(values).to(x) for values in (
                 self.blends[trial[pending]], shift))
-            definite = _host(part.solver.factorise(part.hessian(x, n, blend, shift)))
+            definite = _host(subset.solver.factorise(subset.hessian(x, n, blend, shift)))
             good, bad = pending[definite], pending[~definite]
-            steps[:, self._index(good)] = part.solver.solve(-gradient)[:, self._index(definite)]
+            steps[:, self._index(good)] = subset.solver.solve(-gradient)[:, self._index(definite)]
             found[good] = True
             bad = bad[~small[bad] & ((trial[bad] < last) | (track.shift[bad] < len(SHIFTS) - 1))]
             track.shift[bad[trial[bad] == last]] += 1
@@ -192,20 +192,20 @@ class Minimisation:
         and whether the energy still falls steeply. With ``equal``, of energies that differ by
         rounding errors only, the smaller gradient is taken."""
         many = np.repeat(chosen, sizes.shape[1])
-        part, x, n, energy, angles, gradient, step, slope, now = self._part(
+        subset, x, n, energy, angles, gradient, step, slope, now = self._part(
             many, *start, self.value.energy)
         size = torch.from_numpy(sizes.ravel()).to(x)
-        x, n = part.moved(x, n, size * step)
-        new = part.evaluate(x, n)
-        limit, rounding = energy + ARMIJO * size * slope, ROUNDING * part.energy_scale
+        x, n = subset.moved(x, n, size * step)
+        new = subset.evaluate(x, n)
+        limit, rounding = energy + ARMIJO * size * slope, ROUNDING * subset.energy_scale
         falls = new.energy <= limit if equal else new.energy < torch.minimum(now, limit)
         steep = falls & ((new.gradient * step).sum(0) < STILL_STEEP * slope)
         if equal:
-            scale = part.tensors["force_scale"]
+            scale = subset.tensors["force_scale"]
             smaller = (new.gradient / scale).abs().amax(0) < (gradient / scale).abs().amax(0)
             falls |= ((size * slope).abs() < rounding) & (new.energy < energy + rounding) & smaller
         good, steep = _host(torch.stack([
-            falls & keeps_distance(angles, new.angles, part.tensors["pole"]), steep]))
+            falls & keeps_distance(angles, new.angles, subset.tensors["pole"]), steep]))
         good = good.reshape(sizes.shape)
         index = np.where(good.any(axis=1), good.argmax(axis=1), -1)
         flat = np.arange(len(chosen)) * sizes.shape[1] + index

@@ -93,11 +93,11 @@ class BatchedPotential:
         parts = [inside[:9, :9], inside[:9, 9:], inside[9:, 9:]]
         # The blocks between the unknowns of pairs: rows of the first triangle's coordinates x, y
         # and z at its corners, then of its edges' rotations
-        one, other = bending.places[:, 0, :, None], bending.places[:, 1, None]
+        row, column = bending.places[:, 0, :, None], bending.places[:, 1, None]
         between = np.take_along_axis(slots[count:, :, None], _place(
-            np.minimum(one, other), np.maximum(one, other)).reshape(len(pairs), 144, 1), 1)
+            np.minimum(row, column), np.maximum(row, column)).reshape(len(pairs), 144, 1), 1)
         between, equal = (block.reshape(-1, 12, 12).transpose(1, 2, 0)[_BETWEEN]
-                          for block in (between, one == other))
+                          for block in (between, row == column))
         entries = np.concatenate([part.ravel() for part in (*parts, between)])
         # An unknown of both triangles counts twice on the diagonal.
         twice = np.flatnonzero(equal) + entries.size - equal.size
@@ -140,7 +140,7 @@ class BatchedPotential:
         a ``cloth`` among them, with its ``bending``."""
         scene, device = cloth.scene, self.faces.device
         mesh, active = scene.mesh, torch.from_numpy(np.flatnonzero(scene.active)).to(device)
-        rest = torch.from_numpy(np.stack([one.mesh.rest.T for one in scenes], -1)).to(device)
+        rest = torch.from_numpy(np.stack([of.mesh.rest.T for of in scenes], -1)).to(device)
         corners = rest[:, self._around[0]]  # (2, 3, F, G)
         side = corners.roll(1, 1) - corners.roll(-1, 1)
         double = side[0, 0] * side[1, 1] - side[1, 0] * side[0, 1]
@@ -155,7 +155,7 @@ class BatchedPotential:
         weight = cloth.fabric.density * scene.gravity
         units = torch.ones(self.unknowns, 1).to(areas)[self.free] * lengths
         units[self.free < 3 * self.vertices] = 1.0
-        radius = areas.new_tensor([one.obstacles[0].radius for one in scenes])
+        radius = areas.new_tensor([of.obstacles[0].radius for of in scenes])
         pressure = scene.contact_pressure * weight / 4 / (DEPTH * radius) ** 2
         free = torch.from_numpy(~scene.held).to(device)
         nx, ny = across / (square * areas).sqrt()
@@ -221,8 +221,8 @@ class BatchedPotential:
 
     def _jumps(self, curvatures: Tensor) -> Tensor:
         """Derivatives (3, T, B), N·m², of the energy of jumps by the curvatures."""
-        one, other = curvatures[:, self._pairs].unbind(1)
-        jump = self.tensors["jumps"] * (one - other)
+        first, second = curvatures[:, self._pairs].unbind(1)
+        jump = self.tensors["jumps"] * (first - second)
         moments = self._of_pairs(torch.cat([jump, -jump], 1)).view_as(curvatures)
         return contracted(self.tensors["form"][:, :, None], moments[:, None])[:, 0]
 
@@ -310,14 +310,14 @@ class BatchedPotential:
 
     def _between(self, shape: "_Shape", form: Tensor) -> list[Tensor]:
         """Blocks between the unknowns of the two triangles of pairs, by the rows of the first."""
-        maps, (one, other) = self.tensors["maps"], self._pairs
+        maps, (first, second) = self.tensors["maps"], self._pairs
         turns = torch.cat([contracted(maps.transpose(0, 1), shape.levers), (
             maps * self.tensors["sign"]).expand_as(shape.levers)], 1)  # (3, 6, T, B)
-        block = contracted(-self.tensors["jumps"] * contracted(form, turns)[:, :, one],
-                           turns[:, :, other])
-        block = torch.cat([(block[:, :3, None] * shape.unit[:, other]).flatten(1, 2),
+        block = contracted(-self.tensors["jumps"] * contracted(form, turns)[:, :, first],
+                           turns[:, :, second])
+        block = torch.cat([(block[:, :3, None] * shape.unit[:, second]).flatten(1, 2),
                            block[:, 3:]], 1)  # (6, 12, M, B)
-        return [*(block[:3] * unit for unit in shape.unit[:, one]), block[3:]]
+        return [*(block[:3] * unit for unit in shape.unit[:, first]), block[3:]]
 
     def _on_vertices(self, values: Tensor) -> Tensor:
         """A view (V, 3, B) of the coordinates' part of values (U, B) of all unknowns."""
@@ -407,8 +407,8 @@ class _Shape:
         vectors = torch.stack([  # by start, end and corner
             r * near + mixed, t * near - mixed, -near, r * far - mixed, t * far + mixed, -far,
             -r * high, -t * high, high]).unflatten(0, (3, 3))
-        one = self._places.T
-        return vectors[one[:, None], one, :, self._sides].sum(2)
+        at = self._places.T
+        return vectors[at[:, None], at, :, self._sides].sum(2)
 
 
 def _place(row: np.ndarray, column: np.ndarray) -> np.ndarray:

@@ -83,17 +83,17 @@ class BatchedSolver:
     def solve(self, rhs: Tensor) -> Tensor:
         """Solutions (n, B) for right-hand sides (n, B) with the last factors."""
         rest = torch.cat([rhs, rhs.new_zeros(1, rhs.shape[1])]).T.contiguous()
-        batch, parts = len(rest), []
+        batch, pieces = len(rest), []
         for level, (inverse, strip) in zip(reversed(self.levels), self._panels, strict=True):
-            part = inverse @ rest[:, level.pivots].view(len(inverse), -1, 1)
-            parts.append(part)
-            rest.index_add_(1, level.boundary.ravel(), (strip @ part).view(batch, -1), alpha=-1.0)
+            piece = inverse @ rest[:, level.pivots].view(len(inverse), -1, 1)
+            pieces.append(piece)
+            rest.index_add_(1, level.boundary.ravel(), (strip @ piece).view(batch, -1), alpha=-1.0)
         solution = torch.zeros_like(rest)
         for level in self.levels:
-            part, (inverse, strip) = parts.pop(), self._panels[len(parts)]
+            piece, (inverse, strip) = pieces.pop(), self._panels[len(pieces)]
             known = solution[:, level.boundary].view(len(inverse), -1, 1)
-            part = inverse.mT @ (part - strip.mT @ known)
-            solution[:, level.pivots.ravel()] = part.view(batch, -1)
+            piece = inverse.mT @ (piece - strip.mT @ known)
+            solution[:, level.pivots.ravel()] = piece.view(batch, -1)
         return solution.T[:-1].contiguous()
 
 
@@ -107,12 +107,12 @@ def _inverse_factors(matrices: Tensor) -> tuple[Tensor, Tensor]:
         return (torch.linalg.solve_triangular(factor, identity, upper=False),
                 (info == 0) & (factor.diagonal(dim1=1, dim2=2) > 0).all(1))
     half, inverse = p // 2, matrices.new_zeros(matrices.shape)
-    one, sound = _inverse_factors(matrices[:, :half, :half])
-    strip = torch.bmm(matrices[:, half:, :half], one.mT)
-    other, more = _inverse_factors(torch.baddbmm(matrices[:, half:, half:], strip, strip.mT,
+    first, sound = _inverse_factors(matrices[:, :half, :half])
+    strip = torch.bmm(matrices[:, half:, :half], first.mT)
+    second, more = _inverse_factors(torch.baddbmm(matrices[:, half:, half:], strip, strip.mT,
                                                  alpha=-1.0))
-    inverse[:, :half, :half], inverse[:, half:, half:] = one, other
-    inverse[:, half:, :half] = -torch.bmm(other, torch.bmm(strip, one))
+    inverse[:, :half, :half], inverse[:, half:, half:] = first, second
+    inverse[:, half:, :half] = -torch.bmm(second, torch.bmm(strip, first))
     return inverse, sound & more
 
 
@@ -190,9 +190,10 @@ def _levels(pattern: SparsePattern, tree: list, device: str | torch.device) -> l
         p, q = (max(len(front[k]) for front in fronts) for k in range(2))
         pivots, boundary = (np.full((len(fronts), width), size) for width in (p, q))
         local = np.full((len(fronts), size), -1)
-        for front, (own, outer) in enumerate(fronts):
-            pivots[front, : len(own)], boundary[front, : len(outer)] = own, outer
-            local[front, own], local[front, outer] = np.arange(len(own)), p + np.arange(len(outer))
+        for front, (inner, outer) in enumerate(fronts):
+            pivots[front, : len(inner)], boundary[front, : len(outer)] = inner, outer
+            local[front, inner] = np.arange(len(inner))
+            local[front, outer] = p + np.arange(len(outer))
         children = tree[depth + 1] if depth < len(tree) - 1 else []
         step = (p + q) * p + (q * q if children else 0)
 

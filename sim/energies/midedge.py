@@ -311,14 +311,14 @@ def _add_jumps(curvatures, form, jumps, pairs, moments):
     """Energy of the jumps of curvature; its derivatives are added to moments (N, 3)."""
     total, jump = 0.0, np.empty(3)
     for p in range(len(pairs)):
-        one, other = pairs[p]
+        first, second = pairs[p]
         for a in range(3):
-            jump[a] = jumps[p] * (curvatures[one, a] - curvatures[other, a])
+            jump[a] = jumps[p] * (curvatures[first, a] - curvatures[second, a])
         for a in range(3):
             moment = form[a, 0] * jump[0] + form[a, 1] * jump[1] + form[a, 2] * jump[2]
-            total += 0.5 * moment * (curvatures[one, a] - curvatures[other, a])
-            moments[one, a] += moment
-            moments[other, a] -= moment
+            total += 0.5 * moment * (curvatures[first, a] - curvatures[second, a])
+            moments[first, a] += moment
+            moments[second, a] -= moment
     return total
 
 
@@ -402,9 +402,9 @@ def _between_angles(left, tangent, right, stiffness):
 
 
 @numba.njit(inline="always")
-def _fill_factors(left, stiffness, right, one, other, factors):
+def _fill_factors(left, stiffness, right, left_unit, right_unit, factors):
     """Fill factors (12, 12) with second derivatives by the unknowns of two triangles with the
-    normals ``one`` and ``other``, of the ``stiffness`` between their angles."""
+    normals ``left_unit`` and ``right_unit``, of the ``stiffness`` between their angles."""
     for i in range(6):
         along = (left[0, i] * stiffness[0, 0] + left[1, i] * stiffness[1, 0]
                  + left[2, i] * stiffness[2, 0],
@@ -417,12 +417,12 @@ def _fill_factors(left, stiffness, right, one, other, factors):
             if i < 3 and j < 3:
                 for k in range(3):
                     for m in range(3):
-                        factors[3 * i + k, 3 * j + m] = value * one[k] * other[m]
+                        factors[3 * i + k, 3 * j + m] = value * left_unit[k] * right_unit[m]
             elif i < 3:
                 for k in range(3):
-                    factors[3 * i + k, 6 + j] = value * one[k]
+                    factors[3 * i + k, 6 + j] = value * left_unit[k]
             elif j < 3:
                 for m in range(3):
-                    factors[6 + i, 3 * j + m] = value * other[m]
+                    factors[6 + i, 3 * j + m] = value * right_unit[m]
             else:
                 factors[6 + i, 6 + j] = value

@@ -77,21 +77,6 @@ def test_derivatives_are_those_of_steps(case):
     assert step @ matrix @ step == pytest.approx(bend, rel=1e-4)
 
 
-def test_normals_stay_unit_and_perpendicular(crumpled):
-    cloth, q, rng = crumpled
-    mesh = cloth.scene.mesh
-    for _ in range(20):
-        step = random_step(cloth.potential, rng)
-        q = cloth.potential.moved(q, 2.0 * step / cloth.potential.step_length(step))
-    state = State.of(q, len(mesh.rest))
-    along = np.diff(state.positions[mesh.edges], axis=1)[:, 0]
-    assert np.abs(np.einsum("ei,ei->e", along, state.normals)).max() < 1e-12
-    assert np.allclose(np.linalg.norm(state.normals, axis=1), 1, atol=1e-12)
-    normals = q.reshape(-1, 3)[len(mesh.rest):]
-    assert np.array_equal(normals[cloth.scene.held_edges],
-                          crumpled[1].reshape(-1, 3)[len(mesh.rest):][cloth.scene.held_edges])
-
-
 def test_a_rigid_motion_carries_normals_along():
     """Parallel transport: turning cloth in small steps turns its normals with it."""
     cloth, q, _ = crumpled_cloth()
