@@ -86,7 +86,7 @@ class NewtonResult:
     seconds: float = 0.0  # CPU time
 
     def end(self, status: Status) -> None:
-        """Set the outcome, and the message that tells it."""
+        """Set the outcome and its message."""
         self.status, self.message = status, _ENDINGS[status].format(**vars(self))
 
 
