@@ -43,7 +43,7 @@ from sim.solver.newton import Status
 
 LENGTH = 0.09  # m; results depend only on gamma
 MAX_SIMULATED_GAMMA = 2000.0
-CELLS = 14.0  # per bending length, for an error of H/W below 0.4 % up to gamma = 1000
+CELLS = 14.0  # per gravity length, for an error of H/W below 0.4 % up to gamma = 1000
 
 
 @dataclass

@@ -24,7 +24,7 @@ from data.strips.description import FILE
 from sim.cantilever.strip import simulate_strips
 from sim.cloth import Laws
 from sim.energies.bending_variants import Hysteresis
-from sim.material import DIRECTIONS, MICRO, NANO, Fabric, bending_length
+from sim.material import DIRECTIONS, MICRO, NANO, Fabric, gravity_length
 
 STRIPS = ((1.5, "up"), (2.5, "down"))  # bending lengths, and face
 DISTANCES = (300.0, 5000.0)  # mm
@@ -62,7 +62,7 @@ def main(config: MakeStripsConfig) -> None:
     rng = np.random.default_rng(config.seed)
     entries = []
     for bending_lengths, face in STRIPS:
-        lengths = {direction: [round(bending_lengths * bending_length(alpha, fabric.density), 4)]
+        lengths = {direction: [round(bending_lengths * gravity_length(alpha, fabric.density), 4)]
                    for direction, alpha in zip(DIRECTIONS, fabric.alpha, strict=True)}
         warp, weft = (curl if face == "up" else -curl for curl in config.curl)
         laws = Laws(Hysteresis(curvature=(warp, weft, 0.0)))

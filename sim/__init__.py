@@ -15,7 +15,7 @@ from common.errors import InputError
 from sim.cloth import BENDING, Laws
 from sim.drape import Drape, drape, follow
 from sim.many import drape_many
-from sim.material import DIRECTIONS, MICRO, NANO, Fabric, bending_length, torque
+from sim.material import DIRECTIONS, MICRO, NANO, Fabric, gravity_length, torque
 from sim.measures import drape_coefficient, fold_count, fold_outline
 from sim.rig import DISC_RIG, SQUARE_RIG, Rig
 from sim.solver import NewtonOptions, Status
@@ -34,12 +34,12 @@ __all__ = [
     "NewtonOptions",
     "Rig",
     "Status",
-    "bending_length",
     "drape",
     "drape_coefficient",
     "drape_many",
     "fold_count",
     "fold_outline",
     "follow",
+    "gravity_length",
     "torque",
 ]

@@ -2,17 +2,18 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Protocol
 
 import numpy as np
 
 from common.arguments import require
 from common.errors import InputError
-from common.types import FaceMask
+from common.types import Curvatures, FaceMask
 from sim.energies.base import Energy, dofs_of
+from sim.energies.bending_variants import Hysteresis
 from sim.energies.external import Gravity, ObstacleContact
-from sim.energies.hinges import HINGE_LAWS
+from sim.energies.hinges import HingeBending
 from sim.energies.membrane import Corotational, Membrane
 from sim.energies.midedge import MidEdgeBending
 from sim.material import REFERENCE_DENSITY, Fabric
@@ -31,8 +32,11 @@ class Law(Protocol):
         density, and loads and stiffnesses must be those of cloth of 300 g/m²."""
 
 
-BENDING: dict[str, Law] = {"midedge": MidEdgeBending, **HINGE_LAWS}
-"""Bending laws by name."""
+BENDING: dict[str, Law] = {
+    "midedge": MidEdgeBending, "hinge": HingeBending,
+    "hinge_edge": partial(HingeBending, directed=True),
+    "hinge_linear": partial(HingeBending, linear=True)}
+"""Bending laws by name; those of hinges are for comparison (:mod:`sim.energies.hinges`)."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +60,11 @@ class Laws:
     def bending_law(self) -> Law:
         """The bending law given by ``bending``."""
         return BENDING[self.bending] if isinstance(self.bending, str) else self.bending
+
+    def with_origin(self, origin: Curvatures) -> "Laws":
+        """A copy whose hysteresis has the ``origin`` S1 (N, 3), 1/m, of the triangles of a mesh."""
+        assert isinstance(self.bending, Hysteresis), "plates without hysteresis have no origin"
+        return replace(self, bending=replace(self.bending, origin=origin))
 
     def softened(self, factor: float) -> "Laws":
         """A copy with ``factor`` times the membrane's stiffness."""

@@ -14,8 +14,8 @@ from sim.cloth import Cloth, Laws
 from sim.energies.base import Energy
 from sim.energies.self_contact import SelfContact, self_intersections
 from sim.equilibrium import Equilibrium, find_equilibrium
-from sim.lowering import LOWERING_MESHES, lowered, with_origins
-from sim.material import Fabric, bending_length
+from sim.lowering import LOWERING_MESHES, LoweringMesh, lowered, with_origins
+from sim.material import Fabric, gravity_length
 from sim.mesh import Mesh
 from sim.mesh.specimen import (
     GRADING,
@@ -46,7 +46,7 @@ little effect on the shape but limits the length of Newton steps (docs/physics.m
 COARSE_CONTACT = 0.003
 """The same for the obstacles' pressure: most steps of falling cloth end inside the cylinder."""
 _EDGES_OF_LIMP = 1.3
-"""Longest edge at the rim, in bending lengths, of a mesh on which cloth is lowered, if there is a
+"""Longest edge at the rim, in gravity lengths, of a mesh on which cloth is lowered, if there is a
 finer one."""
 _MIDDLE = 0.7
 """Largest edge of a mesh between lowering and the final one, relative to that of the lowering."""
@@ -154,39 +154,26 @@ def drape(
         options: stopping criteria of the final minimisation.
         keep: whether the drape keeps its energies and factor, for derivatives.
     """
-    rig, laws, options = rig or Rig(), laws or Laws(), options or FINE_OPTIONS
-    require(fabric=(fabric, Fabric), laws=(laws, Laws), options=(options, NewtonOptions),
-            rig=(rig, Rig, "Rig.from_name('disc300_support180')"))
-    start = start or (LOWERED if rig.has_plate else "sine")
-    check_start(start, rig)
-    seed = whole_number("seed", seed, 0)
-    warp, weft = numbers("offset", offset, "two numbers, along warp and weft, m", (2,)).tolist()
-    offset = warp, weft
-    edge = default_edge(fabric, rig, offset=offset) if edge is None else number("edge", edge, "m")
+    run = Run.of(fabric, rig=rig, edge=edge, seed=seed, offset=offset, laws=laws, options=options)
+    start = start or (LOWERED if run.rig.has_plate else "sine")
+    check_start(start, run.rig)
     began = time.perf_counter()
-    run = _Run(fabric, rig, laws, edge, seed, offset, options)
     try:
         if start == LOWERED and borrowed is None:
             equilibrium, coarse = run.lowered()
         else:
             coarsest = MAX_COARSE_EDGE if borrowed is None else MAX_BORROWED_EDGE
-            scenes = run.scenes(min(coarsest, longest_edge(rig, offset)))
-            equilibrium, coarse = run.settled(scenes, borrowed=borrowed, start=start, seed=seed)
+            scenes = run.scenes(min(coarsest, longest_edge(run.rig, run.offset)))
+            equilibrium, coarse = run.settled(scenes, borrowed=borrowed, start=start,
+                                              seed=run.seed)
     except (ArithmeticError, np.linalg.LinAlgError) as error:
         equilibrium, coarse = run.failed(error), []
-    return _made(equilibrium, keep, fabric=fabric, rig=rig, edge=edge, coarse=tuple(coarse),
-                 seconds=time.perf_counter() - began)
-
-
-def _made(equilibrium: Equilibrium, keep: bool, **inputs: Any) -> Drape:
-    """The drape of a simulation, with its energies and factor only if they are to be kept."""
-    made = Drape(**vars(equilibrium), **inputs)
-    return made if keep else light(made)
+    return run.made(equilibrium, coarse, time.perf_counter() - began, keep=keep)
 
 
 @dataclass(frozen=True)
-class _Run:
-    """Arguments of :func:`drape`."""
+class Run:
+    """A simulation by its arguments, those of :func:`drape`."""
 
     fabric: Fabric
     rig: Rig
@@ -195,6 +182,33 @@ class _Run:
     seed: int
     offset: tuple[float, float]
     options: NewtonOptions
+
+    @staticmethod
+    def of(
+        fabric: Fabric, *, rig: Rig | None = None, edge: Metres | None = None, seed: int = 0,
+        offset: tuple[float, float] = (0.0, 0.0), laws: Laws | None = None,
+        options: NewtonOptions | None = None
+    ) -> "Run":
+        """The simulation with the arguments of :func:`drape`, checked, or their defaults."""
+        rig, laws, options = rig or Rig(), laws or Laws(), options or FINE_OPTIONS
+        require(fabric=(fabric, Fabric), laws=(laws, Laws), options=(options, NewtonOptions),
+                rig=(rig, Rig, "Rig.from_name('disc300_support180')"))
+        seed = whole_number("seed", seed, 0)
+        warp, weft = numbers("offset", offset, "two numbers, along warp and weft, m",
+                             (2,)).tolist()
+        edge = default_edge(fabric, rig, offset=(warp, weft)) if edge is None else number(
+            "edge", edge, "m")
+        return Run(fabric, rig, laws, edge, seed, (warp, weft), options)
+
+    def made(
+        self, equilibrium: Equilibrium, coarse: Sequence[Status], seconds: float, *,
+        keep: bool = False
+    ) -> Drape:
+        """The drape of this simulation, with its energies and factor only if they are to be kept;
+        ``coarse`` are the statuses on coarser meshes, ``seconds`` its wall time."""
+        made = Drape(**vars(equilibrium), fabric=self.fabric, rig=self.rig, edge=self.edge,
+                     coarse=tuple(coarse), seconds=seconds)
+        return made if keep else light(made)
 
     def scene(self, edge: Metres, grading: float = GRADING, *, soft: bool = False) -> Scene:
         """The specimen, meshed, on its rig."""
@@ -205,21 +219,32 @@ class _Run:
     def lowered(self) -> tuple[Equilibrium, list[Status]]:
         """The equilibrium of lowered cloth, as :meth:`settled`. Limp cloth, and cloth without any,
         is lowered on a finer mesh."""
-        fold = bending_length(self.fabric.alpha.min(), self.fabric.density)
-        meshes = [mesh for mesh in LOWERING_MESHES[:-1] if mesh[0] <= _EDGES_OF_LIMP * fold]
-        for coarse, grading in (*meshes, LOWERING_MESHES[-1]):
-            coarse = min(max(coarse, self.edge), longest_edge(self.rig, self.offset))
-            scene = self.scene(coarse, grading, soft=True)
-            before = lowered(scene, self.fabric, self.rig, seed=self.seed,
+        for mesh in filter(self.is_lowered_on, LOWERING_MESHES):
+            scenes = self.lowering_scenes(mesh)
+            before = lowered(scenes[0], self.fabric, self.rig, seed=self.seed,
                              laws=self.laws.softened(COARSE_MEMBRANE))
-            finer, limp = self.scenes(_MIDDLE * coarse), grading != GRADING
-            if limp:
-                # Between meshes limp cloth is strained so much that a stiff membrane tears it away.
-                finer.insert(-1, self.scene(self.edge, soft=True))
-            settled = self.settled([scene, *finer], before=before, smooth=not limp)
+            settled = self.settled(scenes, before=before, smooth=not mesh.limp)
             if settled[0].converged:
                 break
         return settled
+
+    def is_lowered_on(self, mesh: LoweringMesh) -> bool:
+        """Whether folds of this fabric are wide enough for a mesh of lowering."""
+        fold = gravity_length(self.fabric.alpha.min(), self.fabric.density)
+        return mesh.limp or mesh.edge <= _EDGES_OF_LIMP * fold
+
+    def lowering_edge(self, mesh: LoweringMesh) -> Metres:
+        """Edge length at the rim of a mesh of lowering, at most that for which there is room."""
+        return min(max(mesh.edge, self.edge), longest_edge(self.rig, self.offset))
+
+    def lowering_scenes(self, mesh: LoweringMesh) -> list[Scene]:
+        """The specimen on ``mesh``, on which it is lowered, and on finer ones to the final one."""
+        coarse = self.lowering_edge(mesh)
+        finer = self.scenes(_MIDDLE * coarse)
+        if mesh.limp:
+            # Between meshes limp cloth is strained so much that a stiff membrane tears it away.
+            finer.insert(-1, self.scene(self.edge, soft=True))
+        return [self.scene(coarse, mesh.grading, soft=True), *finer]
 
     def failed(self, error: Exception) -> Equilibrium:
         """The flat specimen in place of a drape that was ended by an ``error``."""
@@ -241,7 +266,7 @@ class _Run:
         """The equilibrium in the last of ``scenes``, coarse to fine, and the statuses in those
         before, from cloth that was lowered ``before``, whose hysteresis is kept, or by the other
         ``options`` of :func:`start_positions`."""
-        coarse, found = before, []
+        coarse, settled_on = before, []
         for scene in scenes:
             last = scene is scenes[-1]
             laws = with_origins(self.laws, before, scene) if before else self.laws
@@ -250,8 +275,8 @@ class _Run:
                 scene, self.fabric, scene.state(positions), self_contact=last,
                 laws=laws if last else laws.softened(COARSE_MEMBRANE),
                 options=self.options if last else COARSE_OPTIONS).after(coarse)
-            found.append(coarse)
-        return found[-1], [earlier.searched.status for earlier in found[:-1]]
+            settled_on.append(coarse)
+        return settled_on[-1], [earlier.searched.status for earlier in settled_on[:-1]]
 
 
 def start_positions(
@@ -291,5 +316,6 @@ def follow(
     require(laws=(laws, Laws), options=(options, NewtonOptions), start=(start, State))
     equilibrium = find_equilibrium(near.scene, fabric, start, laws=laws, extra=extra,
                                    options=options, self_contact=True, touching=near.touches)
-    return _made(equilibrium, keep, fabric=fabric, rig=near.rig, edge=near.edge,
+    made = Drape(**vars(equilibrium), fabric=fabric, rig=near.rig, edge=near.edge,
                  seconds=time.perf_counter() - began)
+    return made if keep else light(made)

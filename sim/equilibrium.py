@@ -137,9 +137,9 @@ def _with_contact(
     while True:
         contact = contact_near(scene, state.positions)
         steps = min(_STEPS_PER_ROUND, options.max_iterations - iterations)
-        part = minimised(state, contact, replace(options, max_iterations=steps))
-        iterations += max(part.searched.iterations, 1)  # rounds without a step count, too
-        last = part.after(last)
+        reached = minimised(state, contact, replace(options, max_iterations=steps))
+        iterations += max(reached.searched.iterations, 1)  # rounds without a step count, too
+        last = reached.after(last)
         state = last.state
         exact = contact.is_complete(state.q)
         ended = last.status is not Status.MAX_ITERATIONS and exact

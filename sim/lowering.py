@@ -8,11 +8,12 @@ and depends on the speed, as in the test (docs/physics.md).
 
 import copy
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from common.types import Metres, StateVector
+from common.types import Metres, Points, StateVector
 from sim.cloth import Cloth, Laws
 from sim.energies.base import Energy
 from sim.energies.bending_variants import Hysteresis, HystereticBending
@@ -23,12 +24,20 @@ from sim.rig import GRAVITY, Rig
 from sim.scene import Scene
 from sim.solver.dynamics import Inertia, Motion
 from sim.solver.linear import make_solver
-from sim.solver.newton import Status
+from sim.solver.newton import NewtonResult, Status
 from sim.start import waves
 
-LOWERING_MESHES = ((10e-3, GRADING), (7e-3, 2.0))
-"""Edge length at the rim, m, and grading of the mesh on which cloth is lowered; the second where
-the first is too coarse for limp cloth."""
+
+class LoweringMesh(NamedTuple):
+    """A mesh on which cloth is lowered."""
+
+    edge: Metres  # at the rim
+    grading: float
+    limp: bool  # whether it is for limp cloth, too
+
+
+LOWERING_MESHES = LoweringMesh(10e-3, GRADING, False), LoweringMesh(7e-3, 2.0, True)
+"""The second where the first is too coarse."""
 SPEEDS = (0.13, 0.39)
 """Range of the ring's speed, log-uniform, in units of sqrt(g o) with the overhang o: 0.1 to 0.3 m/s
 for the standard 60 mm, which a hand lowers in 0.2 to 0.6 s."""
@@ -40,10 +49,10 @@ STEP = 0.16
 0.4 at most (docs/physics.md)."""
 SETTLING = 2.5
 """Time from the ring's last contact to the search for the equilibrium, in the same units."""
+GAP = 1e-3  # m, of the ring below the cloth at the start
+RING_STIFFNESS = 50.0 / 1e-6  # 1/m²: cloth 1 mm inside the ring feels 50 times its weight
+MAX_STEPS = 400
 _WAVINESS = 3e-4  # m
-_GAP = 1e-3  # m, of the ring below the cloth at the start
-_PRESSURE = 50.0  # of the ring on cloth 1 mm inside it, as a multiple of the cloth's weight
-_MAX_STEPS = 400
 
 
 class Ring(Energy):
@@ -52,7 +61,7 @@ class Ring(Energy):
 
     def __init__(self, vertices: np.ndarray, weights: np.ndarray) -> None:
         self.dofs = 3 * vertices[:, None] + 2
-        self._stiffness = _PRESSURE / 1e-6 * weights  # N/m²
+        self._stiffness = RING_STIFFNESS * weights  # N/m²
         self.height = 0.0
 
     def lowered_to(self, height: Metres) -> "Ring":
@@ -83,21 +92,17 @@ def lowered(
     NOT_FINITE if a time step fails, else MAX_ITERATIONS; its laws have the origins of hysteresis
     that the cloth has reached. The ``seed`` is that of waviness and ``speed``, in the unit of
     :data:`SPEEDS`; ``step`` and ``relaxation`` are in that of :data:`STEP`."""
-    rng = np.random.default_rng([seed, 1])
-    overhang = (rig.specimen_size - rig.plate_diameter) / 2
-    time = np.sqrt(overhang / GRAVITY)
-    speed = (speed or np.exp(rng.uniform(*np.log(SPEEDS)))) * overhang / time
-    step, relaxation = step * time, relaxation * time
-    rest, held = scene.mesh.rest, scene.held
-    flat = np.column_stack([rest, np.zeros(len(rest))])
-    flat[~held] += waves(rest, rig, rng, amplitude=_WAVINESS)[~held]
+    flat, ring_speed, time = on_ring(scene, rig, seed=seed, speed=speed)
+    step, relaxation, held = step * time, relaxation * time, scene.held
     inertia = Inertia(scene.mesh, density=REFERENCE_DENSITY)
     ring = Ring(np.flatnonzero(~held), inertia.masses[~held] * GRAVITY)
     cloth = Cloth(scene, fabric, laws=laws, extra=[inertia, ring])
     solver = make_solver(cloth.potential.pattern)
-    motion, free, last, bending = Motion.at_rest(scene.state(flat)), 0.0, None, cloth.bending
-    for _ in range(_MAX_STEPS):
-        now = ring.lowered_to(-_GAP - speed * (motion.time + relaxation))
+    motion, free, bending = Motion.at_rest(scene.state(flat)), 0.0, cloth.bending
+    last = Equilibrium(cloth=cloth, state=motion.state,
+                       outcome=NewtonResult(motion.state.q, Status.MAX_ITERATIONS, "at rest"))
+    for _ in range(MAX_STEPS):
+        now = ring.lowered_to(-GAP - ring_speed * (motion.time + relaxation))
         potential = cloth.potential.exchanged({ring: now, cloth.bending: bending})
         motion, result = motion.advanced(potential, inertia, step, relaxation=relaxation,
                                          solver=solver)
@@ -111,23 +116,42 @@ def lowered(
             break
     if last.status is not Status.NOT_FINITE:
         last = last.ended(Status.MAX_ITERATIONS, "in motion")
-    if isinstance(laws.bending, Hysteresis):
-        laws = replace(laws, bending=replace(laws.bending, origin=bending.origin))
-        last = replace(last, cloth=replace(cloth, laws=laws))
+    if isinstance(laws.bending, Hysteresis) and isinstance(bending, HystereticBending):
+        last = replace(last, cloth=replace(cloth, laws=laws.with_origin(bending.origin)))
     return last
+
+
+def on_ring(
+    scene: Scene, rig: Rig, *, seed: int, speed: float | None = None
+) -> tuple[Points, float, float]:
+    """Flat cloth with the waviness of its ``seed``, m; the ring's speed, m/s, from ``speed`` in the
+    unit of :data:`SPEEDS` or from the seed; the unit of time sqrt(o/g), s."""
+    rng = np.random.default_rng([seed, 1])
+    overhang = (rig.specimen_size - rig.plate_diameter) / 2
+    time = float(np.sqrt(overhang / GRAVITY))
+    speed = float((speed or np.exp(rng.uniform(*np.log(SPEEDS)))) * overhang / time)
+    rest, free = scene.mesh.rest, ~scene.held
+    flat = np.column_stack([rest, np.zeros(len(rest))])
+    flat[free] += waves(rest, rig, rng, amplitude=_WAVINESS)[free]
+    return flat, speed, time
+
+
+def nearest_triangles(before: Scene, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """The three active triangles (T, 3) of ``before`` nearest to each of ``scene``, and weights
+    (T, 3) of their means, the inverse distances."""
+    centres, places = (at.mesh.rest[at.mesh.faces[at.active]].mean(axis=1)
+                       for at in (before, scene))
+    distance, near = cKDTree(centres).query(places, k=3)
+    weight = 1 / (distance + 1e-6)
+    return near, weight / weight.sum(axis=1, keepdims=True)
 
 
 def with_origins(laws: Laws, lowered: Equilibrium, scene: Scene) -> Laws:
     """``laws`` for the mesh of ``scene``, with the hysteresis of ``lowered`` cloth: each triangle
-    has the mean S0 of the three nearest ones, weighted by their inverse distances."""
+    has the mean origin S1 of :func:`nearest_triangles`."""
     law = lowered.cloth.laws.bending
     if not (isinstance(law, Hysteresis) and law.origin is not None and law.origin.any()):
         return laws
-    before = lowered.cloth.scene
-    centres, places = (one.mesh.rest[one.mesh.faces[one.active]].mean(axis=1)
-                       for one in (before, scene))
-    distance, near = cKDTree(centres).query(places, k=3)
-    weight = 1 / (distance + 1e-6)
-    weight /= weight.sum(axis=1, keepdims=True)
+    near, weight = nearest_triangles(lowered.cloth.scene, scene)
     origin = (law.origin[near] * weight[:, :, None]).sum(axis=1)
-    return replace(laws, bending=replace(laws.bending, origin=origin))
+    return laws.with_origin(origin)

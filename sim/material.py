@@ -38,7 +38,7 @@ DENSITY_RANGE = (5e-3, 5.0)
 ALPHA_RANGE = (1e-9, 1.0)  # N·m
 MAX_RATIO = 0.5
 """Largest |beta|/alpha, m; in fabrics it is about 2 mm."""
-_LONGEST = 1.0  # m, bending length
+_LONGEST = 1.0  # m, gravity length
 
 SOFTENING_LIMIT = 0.35
 """u_c: the reduced curvature u = -beta*kappa/alpha beyond which the torque grows linearly with
@@ -156,13 +156,13 @@ def plate_constants(alpha: Moduli) -> tuple[float, float, float, float]:
     return a11, a22, (c - 4 * a66) / 2, a66
 
 
-def bending_length(alpha: float, density: Density) -> Metres:
+def gravity_length(alpha: float, density: Density) -> Metres:
     """(alpha/rho g)^⅓ of a modulus in N·m: the scale of the narrowest folds of cloth that is as
     stiff. Strips of 1.5 and 2.5 such lengths, which drop by 0.4 and 1.5 times their reach,
     determine alpha and beta well."""
     cubed = number("alpha", alpha, "N·m") / (checked_density(density) * GRAVITY)
     if not 0 < cubed <= _LONGEST**3:
-        raise InputError(f"alpha={alpha:g} N·m must be positive and give a bending length of at "
+        raise InputError(f"alpha={alpha:g} N·m must be positive and give a gravity length of at "
                          f"most {_LONGEST:g} m; check the unit")
     return cubed ** (1 / 3)
 

@@ -39,9 +39,9 @@ def drape_coefficient(positions: Points, faces: Faces, rig: Rig) -> float:
 def _placed(positions: Points, rig: Rig) -> Points:
     """Positions of cloth on ``rig``, which covers the plate."""
     require(rig=(rig, Rig))
-    found = numbers("positions", positions, "finite positions (V, 3), m", (None, 3))
-    _require_extent("positions", found[:, :2], rig, np.sqrt(2) * 0.9 * rig.plate_diameter)
-    return found
+    positions = numbers("positions", positions, "finite positions (V, 3), m", (None, 3))
+    _require_extent("positions", positions[:, :2], rig, np.sqrt(2) * 0.9 * rig.plate_diameter)
+    return positions
 
 
 def _require_extent(name: str, points: np.ndarray, rig: Rig, least: Metres) -> None:

@@ -2,7 +2,6 @@
 
     python tools/gpu_drapes.py prepare FILE            # fabrics of the prior, minima of the CPU
     python tools/gpu_drapes.py run FILE [--device cuda] [--count 256] [--cores N] [--out DIR]
-                                       [--compile]
 
 ``run`` writes ``gpu_drapes.json`` and the drapes' positions, ``drapes.npz``, to DIR or $OUT. It
 needs PyTorch, NumPy, SciPy, Numba and tqdm only. With --cores N, N processes simulate the same
@@ -38,8 +37,8 @@ import torch
 from common.workers import worker_pool
 from sim import equilibrium
 from sim.batched import drapes as batched
-from sim.batched import newton, solver
-from sim.batched.lowering import columns
+from sim.batched import newton
+from sim.batched.lowered import columns
 from sim.batched.potential import BatchedPotential
 from sim.batched.solver import BatchedSolver
 from sim.cloth import Cloth
@@ -116,17 +115,12 @@ class Clock:
 
 
 STAGES = ((batched, "lowered", "lowering"), (batched, "BatchedPotential", "potentials"),
-          (batched, "_prolonged", "prolongation"), (batched, "_found", "results"),
+          (batched, "prolonged", "prolongation"), (batched, "equilibrium_of", "results"),
           (batched, "self_intersections", "intersections"),
           (batched, "minimise", lambda p, *_: f"minimise {p.unknowns}"))
 PARTS = ((BatchedPotential, "evaluate", "evaluate"), (BatchedPotential, "hessian", "hessian"),
          (BatchedPotential, "moved", "move"), (BatchedSolver, "factorise", "factorise"),
-         (BatchedSolver, "solve", "solve"), (newton._Minimisation, "iterate", "iterations"))
-KERNELS = tuple((owner, name, lambda a, *_, name=name: f"{name} {a.shape[0]}x{tuple(a.shape[1:])}")
-                for owner, name in ((torch.linalg, "cholesky_ex"), (torch, "bmm"),
-                                    (torch.linalg, "solve_triangular"), (torch, "baddbmm")))
-REPEATS = 5
-BLOCKS, LEAVES = (16, 24, 32, 48), (32, 64, 128)
+         (BatchedSolver, "solve", "solve"), (newton.Minimisation, "iterate", "iterations"))
 
 
 @contextmanager
@@ -220,60 +214,8 @@ def compare(rig, fabrics: list[Fabric], minima: np.ndarray, device: str) -> dict
             "statuses": [one.status.value for one in found.results]}
 
 
-def timed(part: Callable[[], object], clock: Clock) -> float:
-    """Milliseconds of a part, after a first time."""
-    part()
-    clock.wait()
-    began = time.perf_counter()
-    for _ in range(REPEATS):
-        part()
-    clock.wait()
-    return round(1e3 * (time.perf_counter() - began) / REPEATS, 2)
-
-
-def iteration(
-    rig, fabrics: list[Fabric], minima: np.ndarray, device: str, *, compiled: bool
-) -> dict:
-    """Milliseconds of the parts of one iteration of all fabrics, and of the solver's kernels."""
-    scene, rng = make_specimen(rig, edge=EDGE), np.random.default_rng(0)
-    potential = BatchedPotential([Cloth(scene, fabric) for fabric in fabrics], device)
-    noise = rng.normal(0, BESIDE, (len(fabrics), *minima.shape[1:])) * ~scene.held[:, None]
-    x = columns(list(minima[np.arange(len(fabrics)) % len(minima)] + noise)).to(
-        potential.free.device)
-    n, ones = potential.normals(x), torch.ones(len(fabrics)).to(x)
-    gradient = potential.evaluate(x, n).gradient
-    data = potential.hessian(x, n, ones, 0 * ones)
-    parts = {"evaluate": lambda: potential.evaluate(x, n), "hessian": lambda: potential.hessian(
-        x, n, ones, 0 * ones), "factorise": lambda: potential.solver.factorise(data),
-        "solve": lambda: potential.solver.solve(gradient)}
-    if compiled:
-        for name in ("evaluate", "hessian"):
-            call = torch.compile(getattr(BatchedPotential, name), dynamic=True)
-            more = () if name == "evaluate" else (ones, 0 * ones)
-            parts[f"{name} compiled"] = lambda call=call, more=more: call(potential, x, n, *more)
-    result, clock = {}, Clock(device)
-    for name, part in parts.items():
-        result[name] = timed(part, clock)
-    kept = solver.BLOCK
-    for solver.BLOCK in BLOCKS:
-        result[f"factorise, blocks of {solver.BLOCK}"] = timed(
-            lambda: potential.solver.factorise(data), clock)
-    solver.BLOCK, kept = kept, solver.LEAF
-    for solver.LEAF in LEAVES:
-        other = BatchedPotential([Cloth(scene, fabrics[0])], device).solver
-        result[f"factorise, leaves of {solver.LEAF}"] = timed(
-            lambda other=other: other.factorise(data), clock)
-    solver.LEAF = kept
-    with watched(clock, KERNELS):
-        potential.solver.factorise(data)
-    kernels = {name: round(1e3 * seconds, 2) for name, seconds in clock.seconds.items()}
-    return {"ms": result, "definite": int(potential.solver.factorise(data).sum()),
-            "kernels_ms": kernels}
-
-
 def run(
-    file: Path, device: str, count: int, out: Path, *, compiled: bool, cores: int,
-    pool: Executor | None
+    file: Path, device: str, count: int, out: Path, *, cores: int, pool: Executor | None
 ) -> None:
     """All measurements; the first, of few drapes, is to warm up."""
     intersections = find_spec("ipctk") is not None
@@ -295,11 +237,8 @@ def run(
         if device != "cpu":
             batched.drape_batch(planned(rig, fabrics[:2]), device)
         warm_up = time.perf_counter() - began
-        once = iteration(rig, fabrics[:count], data[rig.name], device, compiled=compiled)
-        print(rig.name, json.dumps(once), flush=True)
         measured, positions[rig.name] = measure(rig, fabrics[:count], device)
-        report[rig.name] = {"warm_up_s": round(warm_up, 2), "beside": comparison,
-                            "iteration": once} | measured
+        report[rig.name] = {"warm_up_s": round(warm_up, 2), "beside": comparison} | measured
         if pool:
             report[rig.name]["on_cores"] = on_cores(rig, fabrics[:count], cores, pool)
         print(rig.name, json.dumps(report[rig.name], indent=1), flush=True)
@@ -326,15 +265,13 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=256)
     parser.add_argument("--cores", type=int, default=0)
     parser.add_argument("--near", type=int, default=NEAR)
-    parser.add_argument("--compile", action="store_true", help="also time compiled parts")
     parser.add_argument("--out", type=Path, default=Path(os.environ.get("OUT", ".")))
     words = parser.parse_args()
     if words.what == "prepare":
         prepare(words.file, FABRICS, words.near)
     elif words.what == "run":
         with worker_pool(words.cores) if words.cores else nullcontext() as pool:
-            run(words.file, words.device, words.count, words.out, compiled=words.compile,
-                cores=words.cores, pool=pool)
+            run(words.file, words.device, words.count, words.out, cores=words.cores, pool=pool)
     else:
         check(words.out)
 

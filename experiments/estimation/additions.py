@@ -38,7 +38,7 @@ from experiments.estimation.strip_photographs import (
     read_pictures,
 )
 from experiments.result import Config, Result, read_report, rms
-from sim.material import DIRECTIONS, FIRST, LINEAR, RATIO, REFERENCE_DENSITY, SECOND, bending_length
+from sim.material import DIRECTIONS, FIRST, LINEAR, RATIO, REFERENCE_DENSITY, SECOND, gravity_length
 
 DRAPES = 4  # of each fabric, at most in a set
 ONE = "one drape"
@@ -137,7 +137,7 @@ def _strips(
     for k in YARNS:
         alpha, ratio = float(np.exp(truth.theta[k])), float(truth.theta[3 + k])
         for face, share in zip(("up", "down"), LENGTHS, strict=True):
-            length = max(share * bending_length(alpha, REFERENCE_DENSITY), LEAST_LENGTH)
+            length = max(share * gravity_length(alpha, REFERENCE_DENSITY), LEAST_LENGTH)
             curl = float(truth.curl[YARNS.index(k)]) * (1 if face == "up" else -1)
             scene = draw_scene(alpha, ratio, length, rng, curl=curl)
             name = f"{DIRECTIONS[k]}_{face}.png"

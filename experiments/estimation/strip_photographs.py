@@ -30,7 +30,7 @@ from experiments.drapes import header, prior_theta
 from experiments.result import Config, Result, run_cases
 from sim.cantilever import heavy_elastica
 from sim.cantilever.moduli import distance_across
-from sim.material import DIRECTIONS, REFERENCE_DENSITY, bending_length
+from sim.material import DIRECTIONS, REFERENCE_DENSITY, gravity_length
 from sim.rig import GRAVITY
 
 SEED = 47
@@ -112,7 +112,7 @@ def estimate_case(*, number: int) -> dict:
     pictures, entries, scenes = {}, [], []
     apart = rng.uniform(*SCATTER) * rng.standard_normal(len(LENGTHS))
     for k, share in enumerate(LENGTHS):
-        length = max(share * bending_length(alpha, REFERENCE_DENSITY), LEAST_LENGTH)
+        length = max(share * gravity_length(alpha, REFERENCE_DENSITY), LEAST_LENGTH)
         down = number % 2 and k
         scenes.append(draw_scene(alpha * np.exp(apart[k]), ratio, length, rng,
                                  curl=-curl if down else curl))
@@ -253,7 +253,7 @@ def fault_case(*, kind: str, number: int) -> dict:
     """What a photograph with a fault of :data:`FAULTS` is answered with: '' if it is estimated."""
     alpha, ratio = direction_of(7 * number)
     rng = np.random.default_rng([SEED, 1, number])
-    length = max(LENGTHS[1] * bending_length(alpha, REFERENCE_DENSITY), LEAST_LENGTH)
+    length = max(LENGTHS[1] * gravity_length(alpha, REFERENCE_DENSITY), LEAST_LENGTH)
     scene = draw_scene(alpha, ratio, length, rng)
     entry = entry_of(scene, "strip.png", length, "mm_per_px", rng)
     picture = FAULTS[kind](scene, entry, rng)

@@ -20,7 +20,7 @@ from sim.energies import bending_law
 from sim.energies.hinges import modulus_along
 from sim.energies.membrane import Corotational
 from sim.equilibrium import find_equilibrium
-from sim.material import MICRO, REFERENCE_DENSITY, Fabric, bending_length, plate_constants
+from sim.material import MICRO, REFERENCE_DENSITY, Fabric, gravity_length, plate_constants
 from sim.mesh import Mesh, choose_diagonals, grid_faces, grid_points
 from sim.rig import GRAVITY
 from sim.scene import Scene
@@ -169,7 +169,7 @@ def apparent_modulus(ratio: float, gravity: float = GRAVITY) -> float:
 
 def edge_for(alpha: float, cells: int) -> float:
     """Mesh edge, m, with at least ``cells`` per bending length and an integer number in all."""
-    spacing = min(bending_length(alpha, REFERENCE_DENSITY) / cells, LENGTH / 40)
+    spacing = min(gravity_length(alpha, REFERENCE_DENSITY) / cells, LENGTH / 40)
     return LENGTH / np.ceil(LENGTH / spacing)
 
 

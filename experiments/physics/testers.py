@@ -19,7 +19,7 @@ from sim.cantilever.moduli import METHODS, Strips, correct, estimate_moduli
 from sim.cantilever.strip import ANGLES, simulate_strips
 from sim.cloth import Laws
 from sim.energies import bending_law
-from sim.material import DIRECTIONS, MICRO, NANO, Fabric, bending_length
+from sim.material import DIRECTIONS, MICRO, NANO, Fabric, gravity_length
 from sim.rig import GRAVITY
 
 SEED = 3  # of the fabrics
@@ -69,7 +69,7 @@ def run_case(
 
 def strip_lengths(fabric: Fabric) -> dict[str, list[float]]:
     """Lengths, m, of the strips by direction."""
-    return {direction: [x * bending_length(alpha, fabric.density) for x in LENGTHS]
+    return {direction: [x * gravity_length(alpha, fabric.density) for x in LENGTHS]
             for direction, alpha in zip(DIRECTIONS, fabric.alpha, strict=True)}
 
 
@@ -83,7 +83,7 @@ def stable_directions(fabric: Fabric) -> list[bool]:
     stable = []
     for direction, alpha, beta in zip(DIRECTIONS, fabric.alpha, fabric.beta, strict=True):
         weight = fabric.density * GRAVITY
-        longest = max(LENGTHS) * bending_length(alpha, fabric.density)
+        longest = max(LENGTHS) * gravity_length(alpha, fabric.density)
         curve = heavy_elastica(alpha, beta, weight=weight, length=longest)
         steepest = np.gradient(np.unwrap(np.arctan2(*np.gradient(curve, axis=0).T[::-1])))
         largest = steepest.max() * (len(curve) - 1) / longest

@@ -10,12 +10,12 @@ from torch import Tensor
 
 from sim.energies.bending_law import Variant, constants
 from sim.energies.fold_barrier import LIMIT_START, MIN_REMAINING
-from sim.energies.membrane import _TOLERANCE as EQUAL
+from sim.energies.membrane import EQUAL
 from sim.material import SOFTENING_LIMIT as LIMIT
 from sim.material import Fabric
 
-Response = tuple[Tensor, Tensor, Tensor | None]
-"""Density (T, B), stress (3, T, B) and, if wanted, tangent (3, 3, T, B)."""
+Response = tuple[Tensor, Tensor, Tensor]
+"""Density (T, B), stress (3, T, B) and tangent (3, 3, T, B), empty if it is not wanted."""
 
 
 def plate_rows(fabric: Fabric) -> dict[str, np.ndarray]:
@@ -30,12 +30,14 @@ def plate_rows(fabric: Fabric) -> dict[str, np.ndarray]:
     return {name: np.array(row) for name, row in rows.items()}
 
 
-def variant_rows(one: Variant) -> dict[str, np.ndarray]:
+def variant_rows(variant: Variant) -> dict[str, np.ndarray]:
     """The same of natural curvature and friction (:mod:`sim.energies.bending_variants`): moment
     (3,), P over the limit (3, 3), and three numbers."""
-    pull = [[one.p_xx, one.p_mixed, 0.0], [one.p_mixed, one.p_yy, 0.0], [0.0, 0.0, one.p_xy]]
-    rows = {"moment": (one.m_xx, one.m_yy, one.m_xy), "pull": np.array(pull) / one.limit,
-            "limit": one.limit, "slid": one.slid, "returned": one.returned}
+    pull = [[variant.p_xx, variant.p_mixed, 0.0], [variant.p_mixed, variant.p_yy, 0.0],
+            [0.0, 0.0, variant.p_xy]]
+    rows = {"moment": (variant.m_xx, variant.m_yy, variant.m_xy),
+            "pull": np.array(pull) / variant.limit,
+            "limit": variant.limit, "slid": variant.slid, "returned": variant.returned}
     return {name: np.array(row) for name, row in rows.items()}
 
 
@@ -74,7 +76,8 @@ def plate(s: Tensor, law: dict[str, Tensor], *, tangent: bool = False) -> Respon
     stress[:2] += dw * more
     density = 0.5 * a * shape + work[1] + w * more + work[2]
     if not tangent:
-        return density + _variant(s, law, stress, None), stress, None
+        none = s.new_empty(0)
+        return density + _variant(s, law, stress, none), stress, none
     over = u.clamp(min=LIMIT)
     bend = 4 * (1 - LIMIT / over) * (LIMIT / over) ** 2 / over
     # With u's second derivatives, all terms are products of the slopes of a and u, or forms.
@@ -99,7 +102,7 @@ def plate(s: Tensor, law: dict[str, Tensor], *, tangent: bool = False) -> Respon
 
 
 def _variant(
-    s: Tensor, law: dict[str, Tensor], stress: Tensor, stiff: Tensor | None
+    s: Tensor, law: dict[str, Tensor], stress: Tensor, stiff: Tensor
 ) -> Tensor | float:
     """Energy of natural curvature and friction; its derivatives are added."""
     if "moment" not in law:
@@ -115,7 +118,7 @@ def _variant(
         work = torch.where(stuck, 0.625 * ratio**2 - ratio**6 / 24, ratio - 0.375 - 1 / 24)
         density += share * limit * work
         stress += share * over * force
-        if stiff is not None:
+        if len(stiff):
             bend = torch.where(stuck, -(ratio**2), -1 / ratio**3) / limit
             stiff += share * (over * pull + bend * force[:, None] * force)
     return density
@@ -144,30 +147,30 @@ def membrane(e: Tensor, law: Tensor, *, tangent: bool = False) -> Response:
     if len(law) == 3:
         stiff = law[:, :, None]
         stress = (stiff * e).sum(1)
-        return 0.5 * (e * stress).sum(0), stress, stiff.expand(3, *e.shape) if tangent else None
-    own, mixed = law[0]
+        return 0.5 * (e * stress).sum(0), stress, stiff.expand(3, *e.shape)
+    direct, mixed = law[0]
     total, across, shear = e[0] + e[1], e[0] - e[1], e[2]
     apart = torch.hypot(across, shear)
     a, b = ((1 + total + sign * apart).clamp(min=1e-24).sqrt() for sign in (1, -1))
     isotropic = apart == 0
     safe = torch.where(isotropic, 1.0, apart)
     cosine, sine = torch.where(isotropic, 1.0, across / safe), shear / safe
-    p, r = own * (a - 1) + mixed * (b - 1), mixed * (a - 1) + own * (b - 1)
+    p, r = direct * (a - 1) + mixed * (b - 1), mixed * (a - 1) + direct * (b - 1)
     density = 0.5 * (p * (a - 1) + r * (b - 1))
-    one, two = p / a, r / b
-    mean, half = (one + two) / 2, (one - two) / 2
+    larger, smaller = p / a, r / b
+    mean, half = (larger + smaller) / 2, (larger - smaller) / 2
     stress = torch.stack([mean + half * cosine, mean - half * cosine, half * sine])
     if not tangent:
-        return density, stress, None
+        return density, stress, e.new_empty(0)
     first, second, turn = (0.5 * torch.stack(axis) for axis in (
         [1 + cosine, 1 - cosine, sine], [1 - cosine, 1 + cosine, -sine], [-sine, sine, cosine]))
     near = a - b <= EQUAL
-    slope = torch.where(near, own - mixed, (p - r) / torch.where(near, 1.0, a - b))
+    slope = torch.where(near, direct - mixed, (p - r) / torch.where(near, 1.0, a - b))
     turning = 4 * (slope * b - r) / (a * b * (a + b))
     cross = first[:, None] * second
     return density, stress, (
-        (own - one) / (a * a) * first[:, None] * first
-        + (own - two) / (b * b) * second[:, None] * second
+        (direct - larger) / (a * a) * first[:, None] * first
+        + (direct - smaller) / (b * b) * second[:, None] * second
         + mixed / (a * b) * (cross + cross.transpose(0, 1)) + turning * turn[:, None] * turn)
 
 
@@ -192,12 +195,12 @@ def raise_eigenvalues(matrix: Tensor, floor: Tensor, share: Tensor) -> None:
     moved.diagonal(dim1=0, dim2=1).sub_(floor[..., None])
     a, b, c = (moved[k, k] for k in range(3))
     mean = (a + b + c) / 3
-    one, two, three = a - mean, b - mean, c - mean
+    p, q, r = a - mean, b - mean, c - mean
     d, e, f = moved[1, 2], moved[0, 2], moved[0, 1]
     dd, ee, ff = d * d, e * e, f * f
-    size = ((one * one + two * two + three * three) / 6 + (dd + ee + ff) / 3).sqrt()
+    size = ((p * p + q * q + r * r) / 6 + (dd + ee + ff) / 3).sqrt()
     size = size.clamp(min=1e-150)
-    half = 0.5 * (one * two * three - one * dd - two * ee - three * ff) + d * e * f
+    half = 0.5 * (p * q * r - p * dd - q * ee - r * ff) + d * e * f
     angle = (half / size / size / size).clamp(-1, 1).acos() / 3
     high, low = (mean + 2 * size * (angle + turn).cos() for turn in (0.0, 2 / 3 * torch.pi))
     middle = torch.minimum(torch.maximum(3 * mean - high - low, low), high)
@@ -216,10 +219,10 @@ def raise_eigenvalues(matrix: Tensor, floor: Tensor, share: Tensor) -> None:
     matrix.diagonal(dim1=0, dim2=1).add_(level[..., None])
 
 
-def contracted(one: Tensor, other: Tensor) -> Tensor:
+def contracted(left: Tensor, right: Tensor) -> Tensor:
     """Products of (K, P, ...) and (K, Q, ...), added up over K: (P, Q, ...)."""
-    total = one[0][:, None] * other[0]
-    for a, b in zip(one[1:], other[1:], strict=True):
+    total = left[0][:, None] * right[0]
+    for a, b in zip(left[1:], right[1:], strict=True):
         total = total.addcmul(a[:, None], b)
     return total
 
@@ -234,7 +237,8 @@ def barrier(angle: Tensor, pole: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     ratio = over / remaining
     terms = (-over * over * log, angle.sign() * over * (ratio - 2 * log),
              (4 + ratio) * ratio - 2 * log)
-    return tuple(torch.where(bent, term, 0.0) for term in terms)
+    value, slope, bend = (torch.where(bent, term, 0.0) for term in terms)
+    return value, slope, bend
 
 
 def keeps_distance(before: Tensor, after: Tensor, pole: Tensor) -> Tensor:

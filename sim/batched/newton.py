@@ -9,8 +9,17 @@ from torch import Tensor
 
 from sim.batched.laws import keeps_distance
 from sim.batched.potential import BatchedPotential, Value
-from sim.solver import newton as single
-from sim.solver.newton import ARMIJO, SHIFTS, NewtonOptions, NewtonResult, Status
+from sim.solver.newton import (
+    ARMIJO,
+    MAX_PATIENCE,
+    MIN_STEP_FACTOR,
+    ROUNDING,
+    SHIFTS,
+    STILL_STEEP,
+    NewtonOptions,
+    NewtonResult,
+    Status,
+)
 
 _TRIALS = 4  # step lengths tried at once, each half of the one before, if
 _FEW = 32  # drapes at most still search: so few cost no more
@@ -49,13 +58,13 @@ def minimise(
 ) -> Outcome:
     """Find local minima near the states; as :func:`sim.solver.newton.minimise`, no failure raises
     an exception or affects another drape. When only ``least`` are left, they are given up."""
-    run = _Minimisation(potential, x, n, options or NewtonOptions())
+    run = Minimisation(potential, x, n, options or NewtonOptions())
     while run.iterate(least):
         pass
     return Outcome(run.end_x, run.end_n, run.results)
 
 
-class _Minimisation:
+class Minimisation:
     """A running minimisation. Its arrays hold the drapes that have not ended, ``live`` (B,)."""
 
     def __init__(
@@ -67,7 +76,8 @@ class _Minimisation:
         self.blends = np.array(options.convexities)
         self.last = len(self.blends) - 1
         self.track = _Track(potential.count, self.last)
-        self.results: list[NewtonResult | None] = [None] * potential.count
+        unfinished = NewtonResult(np.empty(0), Status.MAX_ITERATIONS, "")
+        self.results = [unfinished] * potential.count
         self.value = potential.evaluate(x, n)
 
     def iterate(self, least: int) -> bool:
@@ -109,7 +119,7 @@ class _Minimisation:
                 result = self.results[self.live[k]] = NewtonResult(
                     np.empty(0), status, "", self.iterations, float(track.residual[k]),
                     float(track.step[k]), bool(track.definite[k]))
-                result.message = single._ENDINGS[status].format(**vars(result))
+                result.end(status)
         if not kept.all():
             gone, stay, where = map(self._index, (~kept, kept, self.live[~kept]))
             self.end_x[..., where], self.end_n[..., where] = self.x[..., gone], self.n[..., gone]
@@ -130,12 +140,12 @@ class _Minimisation:
         trial, pending = lowest.copy(), np.arange(len(small))
         while len(pending):
             shift = np.where(trial == last, np.array(SHIFTS)[track.shift], 0.0)[pending]
-            part, x, n, gradient = self._part(pending, self.x, self.n, self.value.gradient)
-            blend, shift = (torch.from_numpy(one).to(x) for one in (
+            subset, x, n, gradient = self._part(pending, self.x, self.n, self.value.gradient)
+            blend, shift = (torch.from_numpy(values).to(x) for values in (
                 self.blends[trial[pending]], shift))
-            definite = _host(part.solver.factorise(part.hessian(x, n, blend, shift)))
+            definite = _host(subset.solver.factorise(subset.hessian(x, n, blend, shift)))
             good, bad = pending[definite], pending[~definite]
-            steps[:, self._index(good)] = part.solver.solve(-gradient)[:, self._index(definite)]
+            steps[:, self._index(good)] = subset.solver.solve(-gradient)[:, self._index(definite)]
             found[good] = True
             bad = bad[~small[bad] & ((trial[bad] < last) | (track.shift[bad] < len(SHIFTS) - 1))]
             track.shift[bad[trial[bad] == last]] += 1
@@ -144,7 +154,7 @@ class _Minimisation:
         kept, tried = trial == track.level, lowest < track.level
         again = ~small & kept & tried
         track.wait = np.where(again, track.patience, track.wait)
-        track.patience = np.where(again, np.minimum(2 * track.patience, single.MAX_PATIENCE),
+        track.patience = np.where(again, np.minimum(2 * track.patience, MAX_PATIENCE),
                                   np.where(small | kept, track.patience, 1))
         track.level = np.where(small, track.level, trial)
         return steps, found
@@ -164,7 +174,7 @@ class _Minimisation:
             factor[taken], steep[taken] = sizes[good, index[good]], more[good]
             pending = pending[~good]
             length[pending] /= 2**trials
-            pending = pending[length[pending] > single.MIN_STEP_FACTOR]
+            pending = pending[length[pending] > MIN_STEP_FACTOR]
             trials = _TRIALS if len(pending) <= _FEW else 1
         # Where the energy falls along the step as steeply as before, the step is too short.
         pending = np.flatnonzero(steep & (factor >= 1.0)) if self.options.extend else pending
@@ -182,20 +192,20 @@ class _Minimisation:
         and whether the energy still falls steeply. With ``equal``, of energies that differ by
         rounding errors only, the smaller gradient is taken."""
         many = np.repeat(chosen, sizes.shape[1])
-        part, x, n, energy, angles, gradient, step, slope, now = self._part(
+        subset, x, n, energy, angles, gradient, step, slope, now = self._part(
             many, *start, self.value.energy)
         size = torch.from_numpy(sizes.ravel()).to(x)
-        x, n = part.moved(x, n, size * step)
-        new = part.evaluate(x, n)
-        limit, rounding = energy + ARMIJO * size * slope, single.ROUNDING * part.energy_scale
+        x, n = subset.moved(x, n, size * step)
+        new = subset.evaluate(x, n)
+        limit, rounding = energy + ARMIJO * size * slope, ROUNDING * subset.energy_scale
         falls = new.energy <= limit if equal else new.energy < torch.minimum(now, limit)
-        steep = falls & ((new.gradient * step).sum(0) < single.STILL_STEEP * slope)
+        steep = falls & ((new.gradient * step).sum(0) < STILL_STEEP * slope)
         if equal:
-            scale = part.own["force_scale"]
+            scale = subset.tensors["force_scale"]
             smaller = (new.gradient / scale).abs().amax(0) < (gradient / scale).abs().amax(0)
             falls |= ((size * slope).abs() < rounding) & (new.energy < energy + rounding) & smaller
         good, steep = _host(torch.stack([
-            falls & keeps_distance(angles, new.angles, part.own["pole"]), steep]))
+            falls & keeps_distance(angles, new.angles, subset.tensors["pole"]), steep]))
         good = good.reshape(sizes.shape)
         index = np.where(good.any(axis=1), good.argmax(axis=1), -1)
         flat = np.arange(len(chosen)) * sizes.shape[1] + index
@@ -226,7 +236,7 @@ class _Minimisation:
 
     def _largest(self, values: Tensor, scale: str) -> Tensor:
         """Largest entries (B,) of values (n, B) in units of a scale."""
-        return (values / self.potential.own[scale]).abs().amax(0)
+        return (values / self.potential.tensors[scale]).abs().amax(0)
 
 
 def _host(values: Tensor) -> np.ndarray:

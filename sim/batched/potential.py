@@ -18,7 +18,14 @@ from sim.batched.solver import BatchedSolver
 from sim.cloth import STEP_UNIT, Cloth
 from sim.energies.bending_variants import HystereticBending
 from sim.energies.external import DEPTH
-from sim.energies.midedge import CLAMP, CONVEX_FLOOR, rows_at_clamp, weight_behind
+from sim.energies.membrane import LinearMembrane
+from sim.energies.midedge import (
+    CLAMP,
+    CONVEX_FLOOR,
+    MidEdgeBending,
+    rows_at_clamp,
+    weight_behind,
+)
 from sim.rig import GRAVITY, RIM
 from sim.scene import Scene
 
@@ -49,14 +56,17 @@ class BatchedPotential:
     """The energies of ``cloths`` with the default laws, on meshes of the same faces.
 
     Attributes:
-        own: tensors (..., B) or (..., 1) of the drapes by name, constant. :meth:`having` adds those
-            of a motion: the aim (3, V, B) and stiffness (V, B) of its inertia, the ring's (V, 1)
-            and height (B,).
+        tensors: (..., B) or (..., 1) of the drapes by name, constant. :meth:`having` adds those of
+            a motion: the aim (3, V, B) and stiffness (V, B) of its inertia, the ring's (V, 1) and
+            height (B,).
         solver: of the Hessians, shared.
     """
 
     def __init__(self, cloths: list[Cloth], device: str | torch.device = "cpu") -> None:
-        first, bending, self.count = cloths[0], cloths[0].bending, len(cloths)
+        bendings = [cloth.bending for cloth in cloths if isinstance(cloth.bending, MidEdgeBending)]
+        membranes = [cloth.laws.membrane for cloth in cloths
+                     if isinstance(cloth.laws.membrane, LinearMembrane)]
+        first, bending, self.count = cloths[0], bendings[0], len(cloths)
         mesh, active, potential = first.scene.mesh, first.scene.active, first.potential
         self.vertices, self.unknowns = len(mesh.rest), potential.unknowns
         self.energy_scale, self._nonzeros = potential.energy_scale, len(potential.pattern.indices)
@@ -66,68 +76,71 @@ class BatchedPotential:
 
         self.faces, self.sides = place(mesh.faces[active].T), place(mesh.face_edges[active].T)
         self.places = place(_PLACES)
-        self.ends, self.free = place(mesh.edges.T), place(potential._free)
+        self.ends, self.free = place(mesh.edges.T), place(potential.free)
         beside = mesh.edge_faces
         counts = beside >= 0
         held = counts & ~active[beside]
         counts &= held | ~held.any(axis=1, keepdims=True)
         self._around = place(mesh.faces.T), place(beside.T), place(counts.T[:, :, None])
         count = self.faces.shape[1]
-        slots, pairs = potential.pattern.slots[1], bending._pairs
+        slots, pairs = potential.pattern.slots[1], bending.pairs
         self._diagonal, self._pairs = place(potential.pattern.diagonal), place(pairs.T)
         forces = bending.dofs[:count, :12].T.ravel()
         self._forces = Sums(forces, np.arange(forces.size), self.unknowns, device)
         at = np.arange(12)
-        own = np.where(at[:, None] > at, -1, slots[:count, _place(at[:, None], at)])
-        own = own.transpose(1, 2, 0)  # -1 also below the diagonal
-        targets = own[:9, :9], own[:9, 9:], own[9:, 9:]
+        inside = np.where(at[:, None] > at, -1, slots[:count, _place(at[:, None], at)])
+        inside = inside.transpose(1, 2, 0)  # -1 also below the diagonal
+        parts = [inside[:9, :9], inside[:9, 9:], inside[9:, 9:]]
         # The blocks between the unknowns of pairs: rows of the first triangle's coordinates x, y
         # and z at its corners, then of its edges' rotations
-        one, other = bending._places[:, 0, :, None], bending._places[:, 1, None]
+        row, column = bending.places[:, 0, :, None], bending.places[:, 1, None]
         between = np.take_along_axis(slots[count:, :, None], _place(
-            np.minimum(one, other), np.maximum(one, other)).reshape(len(pairs), 144, 1), 1)
-        between, twice = (one.reshape(-1, 12, 12).transpose(1, 2, 0)[_BETWEEN]
-                          for one in (between, one == other))
-        targets = np.concatenate([one.ravel() for one in (*targets, between)])
+            np.minimum(row, column), np.maximum(row, column)).reshape(len(pairs), 144, 1), 1)
+        between, equal = (block.reshape(-1, 12, 12).transpose(1, 2, 0)[_BETWEEN]
+                          for block in (between, row == column))
+        entries = np.concatenate([part.ravel() for part in (*parts, between)])
         # An unknown of both triangles counts twice on the diagonal.
-        twice = np.flatnonzero(twice) + targets.size - twice.size
-        rows, targets = [np.arange(targets.size), twice], [targets, targets[twice]]
+        twice = np.flatnonzero(equal) + entries.size - equal.size
+        rows, targets = [np.arange(entries.size), twice], [entries, entries[twice]]
         # The ends of points in contact, equal for a vertex, share the blocks (3, 3) of the points.
         vertices, middles = (contact.dofs[:, ::3].T // 3 for contact in first.obstacles)
         self._points = place(np.hstack([vertices.repeat(2, 0), middles]))
         points, of_vertices = np.arange(self._points.shape[1]), vertices.shape[1]
         self._of_ends = place(np.where(points < of_vertices, 1.0, 0.25)[:, None])
-        for own, at, size in zip(potential.pattern.slots[-2:], np.split(points, [of_vertices]),
-                                 (3, 6), strict=True):
+        for place_of, at, size in zip(potential.pattern.slots[-2:], np.split(points, [of_vertices]),
+                                      (3, 6), strict=True):
             row, column = (index[:, None] % 3 for index in np.triu_indices(size))
             rows.append((len(rows[0]) + (3 * row + column) * len(points) + at).ravel())
-            targets.append(own.T.ravel())
-        self._entries = Sums(*map(np.concatenate, (targets, rows)), self._nonzeros, device)
+            targets.append(place_of.T.ravel())
+        self._entries = Sums(np.concatenate(targets), np.concatenate(rows), self._nonzeros, device)
         sides = (pairs.T.ravel() + count * np.arange(3)[:, None]).ravel()
         self._of_pairs = Sums(sides, np.arange(sides.size), 3 * count, device)
-        rows = [laws.plate_rows(cloth.fabric) | {"membrane": cloth.laws.membrane.matrix}
-                for cloth in cloths]
+        constants = [laws.plate_rows(cloth.fabric) | {"membrane": membrane.matrix}
+                     for cloth, membrane in zip(cloths, membranes, strict=True)]
         if isinstance(bending, HystereticBending):
-            rows = [row | laws.variant_rows(cloth.laws.bending.variant(cloth.fabric))
-                    for row, cloth in zip(rows, cloths, strict=True)]
-        self.own = {name: place(np.stack([row[name] for row in rows], -1)) for name in rows[0]}
+            constants = [row | laws.variant_rows(bent.variant)
+                         for row, bent in zip(constants, bendings, strict=True)]
+        self.tensors = {name: place(np.stack([row[name] for row in constants], -1))
+                        for name in constants[0]}
         scenes = [cloth.scene for cloth in cloths]
         shared = all(scene.mesh is mesh for scene in scenes)
-        self.own |= self._geometry(first, scenes[:1] if shared else scenes)
+        self.tensors |= self._geometry(first, bending, scenes[:1] if shared else scenes)
         if isinstance(bending, HystereticBending):
-            self.own["origin"] = self.own["areas"].new_zeros(3, self.faces.shape[1], self.count)
+            self.tensors["origin"] = torch.zeros(3, count, self.count).to(self.tensors["areas"])
         places = np.concatenate([np.repeat(mesh.rest, 3, axis=0), mesh.rest[mesh.edges].mean(1)])
-        rows = np.full(self.unknowns + 1, -1)
-        rows[potential._free] = np.arange(potential.size)
-        self.solver = BatchedSolver(potential.pattern, [rows[bending.dofs]],
-                                    places[potential._free], device)
+        row_of = np.full(self.unknowns + 1, -1)
+        row_of[potential.free] = np.arange(potential.size)
+        self.solver = BatchedSolver(potential.pattern, [row_of[bending.dofs]],
+                                    places[potential.free], device)
 
-    def _geometry(self, cloth: Cloth, scenes: list[Scene]) -> dict[str, Tensor]:
+    def _geometry(
+        self, cloth: Cloth, bending: MidEdgeBending, scenes: list[Scene]
+    ) -> dict[str, Tensor]:
         """Arrays (..., G) of the meshes and rigs of G scenes by name, as those of the energies of
-        one ``cloth`` among them."""
-        scene, bending, device = cloth.scene, cloth.bending, self.faces.device
+        a ``cloth`` among them, with its ``bending``."""
+        scene, device = cloth.scene, self.faces.device
         mesh, active = scene.mesh, torch.from_numpy(np.flatnonzero(scene.active)).to(device)
-        rest = torch.from_numpy(np.stack([one.mesh.rest.T for one in scenes], -1)).to(device)
+        rest = torch.from_numpy(np.stack([of.mesh.rest.T for of in scenes], -1)).to(device)
         corners = rest[:, self._around[0]]  # (2, 3, F, G)
         side = corners.roll(1, 1) - corners.roll(-1, 1)
         double = side[0, 0] * side[1, 1] - side[1, 0] * side[0, 1]
@@ -142,7 +155,7 @@ class BatchedPotential:
         weight = cloth.fabric.density * scene.gravity
         units = torch.ones(self.unknowns, 1).to(areas)[self.free] * lengths
         units[self.free < 3 * self.vertices] = 1.0
-        radius = areas.new_tensor([one.obstacles[0].radius for one in scenes])
+        radius = areas.new_tensor([of.obstacles[0].radius for of in scenes])
         pressure = scene.contact_pressure * weight / 4 / (DEPTH * radius) ** 2
         free = torch.from_numpy(~scene.held).to(device)
         nx, ny = across / (square * areas).sqrt()
@@ -165,20 +178,20 @@ class BatchedPotential:
             "force_scale": cloth.fabric.density * GRAVITY * on_vertices.mean(0) * units,
             "length_scale": STEP_UNIT / units,
             "pole": torch.from_numpy(np.minimum(bending.pole, 1e3).T[..., None]).to(device),
-            "sign": torch.from_numpy(bending._sign.T[..., None]).to(device)}
+            "sign": torch.from_numpy(bending.signs.T[..., None]).to(device)}
 
     def take(self, drapes: Tensor) -> "BatchedPotential":
         """The potential of some of the drapes, by index."""
         part = copy.copy(self)
         part.count = len(drapes)
-        part.own = {name: value[..., drapes] if value.shape[-1] > 1 else value
-                    for name, value in self.own.items()}
+        part.tensors = {name: value[..., drapes] if value.shape[-1] > 1 else value
+                    for name, value in self.tensors.items()}
         return part
 
-    def having(self, **own: Tensor) -> "BatchedPotential":
-        """The potential with other, or further, tensors of :attr:`own`."""
+    def having(self, **tensors: Tensor) -> "BatchedPotential":
+        """The potential with other, or further, tensors of :attr:`tensors`."""
         other = copy.copy(self)
-        other.own = self.own | own
+        other.tensors = self.tensors | tensors
         return other
 
     def normals(self, x: Tensor) -> Tensor:
@@ -202,75 +215,75 @@ class BatchedPotential:
     def slid(self, x: Tensor, n: Tensor) -> "BatchedPotential":
         """The potential whose origins of hysteresis, if there is any, have followed the cloth to a
         state."""
-        if "origin" not in self.own:
+        if "origin" not in self.tensors:
             return self
-        return self.having(origin=laws.slid_origin(_Shape(self, x, n).curvatures, self.own))
+        return self.having(origin=laws.slid_origin(_Shape(self, x, n).curvatures, self.tensors))
 
     def _jumps(self, curvatures: Tensor) -> Tensor:
         """Derivatives (3, T, B), N·m², of the energy of jumps by the curvatures."""
-        one, other = curvatures[:, self._pairs].unbind(1)
-        jump = self.own["jumps"] * (one - other)
+        first, second = curvatures[:, self._pairs].unbind(1)
+        jump = self.tensors["jumps"] * (first - second)
         moments = self._of_pairs(torch.cat([jump, -jump], 1)).view_as(curvatures)
-        return contracted(self.own["form"][:, :, None], moments[:, None])[:, 0]
+        return contracted(self.tensors["form"][:, :, None], moments[:, None])[:, 0]
 
     def evaluate(self, x: Tensor, n: Tensor) -> Value:
         """Energy, gradient and angles."""
-        own, shape = self.own, _Shape(self, x, n)
-        density, stress, _ = laws.plate(shape.curvatures, own)
-        value, slope, _ = laws.barrier(shape.angles, own["pole"])
-        scale, areas, bent = own["softest"] * own["slenderness"], own["areas"], own["bending_areas"]
+        tensors, shape = self.tensors, _Shape(self, x, n)
+        density, stress, _ = laws.plate(shape.curvatures, tensors)
+        value, slope, _ = laws.barrier(shape.angles, tensors["pole"])
+        scale, bent = tensors["softest"] * tensors["slenderness"], tensors["bending_areas"]
         jumps = self._jumps(shape.curvatures)
         energy = (scale * value + 0.5 * jumps * shape.curvatures).sum((0, 1))
         energy = energy + (bent * density).sum(0)
-        moment = scale * slope + contracted(own["maps"], (bent * stress + jumps)[:, None])[:, 0]
-        density, stress, _ = laws.membrane(shape.strains, own["membrane"])
-        energy = energy + (areas * density).sum(0) + (own["weights"] * x[2]).sum(0)
+        moment = scale * slope + contracted(tensors["maps"], (bent * stress + jumps)[:, None])[:, 0]
+        density, stress, _ = laws.membrane(shape.strains, tensors["membrane"])
+        energy = energy + (tensors["areas"] * density).sum(0) + (tensors["weights"] * x[2]).sum(0)
         # By corner and coordinate
         pulls = (moment[:, None] * shape.levers).sum(0)[:, None] * shape.unit
-        pulls += areas * (shape.strain_rows(own) * stress[:, None, None]).sum(0)
-        forces = self._forces(torch.cat([pulls.flatten(0, 1), moment * own["sign"]]))
+        pulls += tensors["areas"] * (shape.strain_rows(tensors) * stress[:, None, None]).sum(0)
+        forces = self._forces(torch.cat([pulls.flatten(0, 1), moment * tensors["sign"]]))
         on_vertices = self._on_vertices(forces)
-        on_vertices[:, 2] += own["weights"]
+        on_vertices[:, 2] += tensors["weights"]
         depth, normal, _ = self._contact(x[:, self._points].mean(1))
-        energy = energy + (own["contact"] * depth**3).sum(0) / 3
-        push = (-0.5 * own["contact"] * depth**2 * normal).transpose(0, 1)
+        energy = energy + (tensors["contact"] * depth**3).sum(0) / 3
+        push = (-0.5 * tensors["contact"] * depth**2 * normal).transpose(0, 1)
         for end in self._points:
             on_vertices.index_add_(0, end, push)
-        if "aim" in own:
-            off, below = x - own["aim"], (own["height"] - x[2]).clamp(min=0)
-            energy = energy + 0.5 * (own["inertia"] * off**2).sum((0, 1))
-            energy = energy + (own["ring"] * below**3).sum(0) / 3
-            on_vertices += (own["inertia"] * off).transpose(0, 1)
-            on_vertices[:, 2] -= own["ring"] * below**2
+        if "aim" in tensors:
+            off, below = x - tensors["aim"], (tensors["height"] - x[2]).clamp(min=0)
+            energy = energy + 0.5 * (tensors["inertia"] * off**2).sum((0, 1))
+            energy = energy + (tensors["ring"] * below**3).sum(0) / 3
+            on_vertices += (tensors["inertia"] * off).transpose(0, 1)
+            on_vertices[:, 2] -= tensors["ring"] * below**2
         return Value(energy, forces[self.free], shape.angles)
 
     def hessian(self, x: Tensor, n: Tensor, convexity: Tensor, shift: Tensor) -> Tensor:
         """CSR data (nnz, B) of the Hessians with each drape's ``convexity`` and ``shift`` (B,), as
         :meth:`sim.solver.potential.QuadraticModel.hessian` blends them."""
-        own, shape = self.own, _Shape(self, x, n)
+        tensors, shape = self.tensors, _Shape(self, x, n)
         in_plane, other = (2 * convexity).clamp(0, 1), (2 * convexity - 1).clamp(0, 1)
-        _, moment, bent = laws.plate(shape.curvatures, own, tangent=True)
-        _, stress, strained = laws.membrane(shape.strains, own["membrane"], tangent=True)
-        floor = CONVEX_FLOOR * own["form"].diagonal(dim1=0, dim2=1).amin(-1)
+        _, moment, bent = laws.plate(shape.curvatures, tensors, tangent=True)
+        _, stress, strained = laws.membrane(shape.strains, tensors["membrane"], tangent=True)
+        floor = CONVEX_FLOOR * tensors["form"].diagonal(dim1=0, dim2=1).amin(-1)
         tangents = torch.stack([strained, bent], 2)  # (3, 3, 2, T, B)
         laws.raise_eigenvalues(tangents, torch.stack([torch.zeros_like(floor), floor])[:, None],
                                torch.stack([in_plane, other])[:, None])
         strained, bent = tangents.unbind(2)
-        form = own["form"][:, :, None]
-        bent = own["bending_areas"] * bent + own["around"] * form
+        form = tensors["form"][:, :, None]
+        bent = tensors["bending_areas"] * bent + tensors["around"] * form
         # In-plane: the strain's derivatives, and the stress times its second derivatives
-        rows = shape.strain_rows(own).flatten(1, 2)  # (3, 9, T, B)
-        entries = contracted(rows, own["areas"] * contracted(strained, rows))
+        rows = shape.strain_rows(tensors).flatten(1, 2)  # (3, 9, T, B)
+        entries = contracted(rows, tensors["areas"] * contracted(strained, rows))
         entries = entries.unflatten(1, (3, 3)).unflatten(0, (3, 3))  # corner, coordinate, again
-        stress = own["areas"] * (stress + in_plane * (laws.tension(stress) - stress))
+        stress = tensors["areas"] * (stress + in_plane * (laws.tension(stress) - stress))
         stress = torch.stack([stress[0], stress[2], stress[2], stress[1]]).unflatten(0, (2, 2))
-        gradients = own["gradients"].transpose(0, 1)
+        gradients = tensors["gradients"].transpose(0, 1)
         entries.diagonal(dim1=1, dim2=3).add_(
             contracted(contracted(stress, gradients), gradients)[..., None])
         # Bending: levers times stiffness, and moments times second derivatives of angles
-        _, slope, fold = laws.barrier(shape.angles, own["pole"])
-        scale, maps = own["softest"] * own["slenderness"], own["maps"]
-        moment = own["bending_areas"] * moment + self._jumps(shape.curvatures)
+        _, slope, fold = laws.barrier(shape.angles, tensors["pole"])
+        scale, maps = tensors["softest"] * tensors["slenderness"], tensors["maps"]
+        moment = tensors["bending_areas"] * moment + self._jumps(shape.curvatures)
         moment = scale * slope + contracted(maps, moment[:, None])[:, 0]
         stiff = contracted(contracted(bent, maps), maps)
         stiff.diagonal(dim1=0, dim2=1).add_((scale * fold).movedim(0, -1))
@@ -279,43 +292,42 @@ class BatchedPotential:
         vectors = shape.bends((1 - other) * moment) + spread[:, :, None] * shape.unit
         entries.addcmul_(shape.unit[:, None, None], vectors[:, None])
         entries.addcmul_(vectors.permute(1, 2, 0, 3, 4)[:, :, :, None], shape.unit)
-        sign = own["sign"]
+        sign = tensors["sign"]
         mixed = (sign * turned.transpose(0, 1))[:, None] * shape.unit[:, None]  # corner, k, angle
         stiff = stiff * sign[:, None] * sign
         depth, normal, bend = self._contact(x[:, self._points].mean(1), bend=True)
         block = 2 * normal[:, None] * normal + (1 - other) * depth * bend
-        block *= self._of_ends * own["contact"] * depth
+        block *= self._of_ends * tensors["contact"] * depth
         data = self._entries(torch.cat([values.reshape(-1, self.count) for values in (
             entries, mixed, stiff, *self._between(shape, form), block)]))
         diagonal = x.new_zeros(self.unknowns, self.count)
-        if "aim" in own:
+        if "aim" in tensors:
             on_vertices = self._on_vertices(diagonal)
-            on_vertices += own["inertia"][:, None]
-            on_vertices[:, 2] += 2 * own["ring"] * (own["height"] - x[2]).clamp(min=0)
-        shift = shift * own["force_scale"] / own["length_scale"]
+            on_vertices += tensors["inertia"][:, None]
+            on_vertices[:, 2] += 2 * tensors["ring"] * (tensors["height"] - x[2]).clamp(min=0)
+        shift = shift * tensors["force_scale"] / tensors["length_scale"]
         return data.index_add_(0, self._diagonal, diagonal[self.free] + shift)
 
     def _between(self, shape: "_Shape", form: Tensor) -> list[Tensor]:
         """Blocks between the unknowns of the two triangles of pairs, by the rows of the first."""
-        maps, (one, other) = self.own["maps"], self._pairs
+        maps, (first, second) = self.tensors["maps"], self._pairs
         turns = torch.cat([contracted(maps.transpose(0, 1), shape.levers), (
-            maps * self.own["sign"]).expand_as(shape.levers)], 1)  # (3, 6, T, B)
-        block = contracted(-self.own["jumps"] * contracted(form, turns)[:, :, one],
-                           turns[:, :, other])
-        block = torch.cat([(block[:, :3, None] * shape.unit[:, other]).flatten(1, 2),
+            maps * self.tensors["sign"]).expand_as(shape.levers)], 1)  # (3, 6, T, B)
+        block = contracted(-self.tensors["jumps"] * contracted(form, turns)[:, :, first],
+                           turns[:, :, second])
+        block = torch.cat([(block[:, :3, None] * shape.unit[:, second]).flatten(1, 2),
                            block[:, 3:]], 1)  # (6, 12, M, B)
-        return [*(block[:3] * unit for unit in shape.unit[:, one]), block[3:]]
+        return [*(block[:3] * unit for unit in shape.unit[:, first]), block[3:]]
 
     def _on_vertices(self, values: Tensor) -> Tensor:
         """A view (V, 3, B) of the coordinates' part of values (U, B) of all unknowns."""
         return values[: 3 * self.vertices].unflatten(0, (self.vertices, 3))
 
-    def _contact(
-        self, point: Tensor, *, bend: bool = False
-    ) -> tuple[Tensor, Tensor, Tensor | None]:
-        """Depths (N, B) of points (3, N, B) in the plate's cylinder, normals (3, N, B) and, if
-        wanted, second derivatives (3, 3, N, B) of the depths; see :class:`sim.rig.Cylinder`."""
-        radius, distance = self.own["radius"], torch.hypot(point[0], point[1])
+    def _contact(self, point: Tensor, *, bend: bool = False) -> tuple[Tensor, Tensor, Tensor]:
+        """Depths (N, B) of points (3, N, B) in the plate's cylinder, normals (3, N, B) and second
+        derivatives (3, 3, N, B) of the depths, empty if they are not wanted; see
+        :class:`sim.rig.Cylinder`."""
+        radius, distance = self.tensors["radius"], torch.hypot(point[0], point[1])
         rim = RIM * radius
         out, up = distance - (radius - rim), point[2] + rim
         rounded, side = (out > 0) & (up > 0), (out > up).to(point)
@@ -327,7 +339,7 @@ class BatchedPotential:
         x, y = point[:2] / distance
         depth, normal = (rim - over).clamp(min=0), torch.stack([across * x, across * y, along])
         if not bend:
-            return depth, normal, None
+            return depth, normal, point.new_empty(0)
         around = torch.stack([-y, x, 0 * x])
         meridian = torch.stack([-along * x, -along * y, across])
         return depth, normal, -(across / distance * around[:, None] * around
@@ -343,8 +355,8 @@ class Sums:
     ) -> None:
         order = np.argsort(targets, kind="stable")
         starts = np.searchsorted(targets[order], np.arange(count + 1))
-        self._rows, self._starts = (torch.from_numpy(one.astype(np.int64)).to(device) for one in (
-            rows[order[starts[0] :]], starts - starts[0]))
+        self._rows, self._starts = (torch.from_numpy(index.astype(np.int64)).to(device)
+                                     for index in (rows[order[starts[0] :]], starts - starts[0]))
 
     def __call__(self, values: Tensor) -> Tensor:
         return torch.embedding_bag(values.reshape(-1, values.shape[-1]), self._rows, self._starts,
@@ -355,7 +367,8 @@ class _Shape:
     """What energies need of the triangles: sides and arms, area vectors, angles, strains."""
 
     def __init__(self, potential: BatchedPotential, x: Tensor, n: Tensor) -> None:
-        own, corners = potential.own, x[:, potential.faces]  # (3, 3, T, B): coordinate, corner
+        tensors = potential.tensors
+        corners = x[:, potential.faces]  # (3, 3, T, B): coordinate, corner
         after = corners.roll(-1, 1)
         self.side, self.arm = corners.roll(1, 1) - after, corners - after
         across = torch.linalg.cross(self.side[:, 0], self.arm[:, 0], dim=0)
@@ -365,21 +378,21 @@ class _Shape:
         outwards = torch.linalg.cross(self.side, self.unit[:, None].expand_as(self.side), dim=0)
         self.angles = torch.atan2((normals * outwards).sum(0), length * (
             normals * self.unit[:, None]).sum(0))
-        self.curvatures = (own["maps"] * self.angles).sum(1)
+        self.curvatures = (tensors["maps"] * self.angles).sum(1)
         self.foot = (self.arm * self.side).sum(0) / self.square
         slope = length / -double
         parts = (self.foot - 1) * slope, -self.foot * slope, slope  # at start, end and corner
         self._places, self._sides = potential.places, torch.arange(3, device=x.device)
         self.levers = torch.stack(parts)[self._places, self._sides[:, None]]
-        self._deformation = (corners[:, :, None] * own["gradients"]).sum(1)  # (3, 2, T, B)
+        self._deformation = (corners[:, :, None] * tensors["gradients"]).sum(1)  # (3, 2, T, B)
         u, v = self._deformation.unbind(1)
         self.strains = torch.stack([0.5 * (u.square().sum(0) - 1), 0.5 * (v.square().sum(0) - 1),
                                     (u * v).sum(0)])
 
-    def strain_rows(self, own: dict[str, Tensor]) -> Tensor:
+    def strain_rows(self, tensors: dict[str, Tensor]) -> Tensor:
         """Derivatives (3, 3, 3, T, B) of the strains by corner and coordinate."""
         u, v = self._deformation.unbind(1)
-        gu, gv = own["gradients"][:, :, None].unbind(1)
+        gu, gv = tensors["gradients"][:, :, None].unbind(1)
         return torch.stack([u * gu, v * gv, u * gv + v * gu])
 
     def bends(self, moment: Tensor) -> Tensor:
@@ -394,8 +407,8 @@ class _Shape:
         vectors = torch.stack([  # by start, end and corner
             r * near + mixed, t * near - mixed, -near, r * far - mixed, t * far + mixed, -far,
             -r * high, -t * high, high]).unflatten(0, (3, 3))
-        one = self._places.T
-        return vectors[one[:, None], one, :, self._sides].sum(2)
+        at = self._places.T
+        return vectors[at[:, None], at, :, self._sides].sum(2)
 
 
 def _place(row: np.ndarray, column: np.ndarray) -> np.ndarray:

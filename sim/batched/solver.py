@@ -56,7 +56,7 @@ class BatchedSolver:
     def factorise(self, data: Tensor) -> Tensor:
         """Factor matrices of CSR data (nnz, B); whether each (B,) is positive definite. The factors
         of those that are not are meaningless."""
-        self._panels, below = [], None
+        self._panels, below = [], data.new_zeros(0)
         data, batch = data.T.contiguous(), data.shape[1]
         definite = torch.ones(batch, dtype=torch.bool, device=data.device)
         for level in reversed(self.levels):
@@ -73,28 +73,27 @@ class BatchedSolver:
             definite &= sound.view(batch, fronts).all(1)
             strip = torch.bmm(panel[:, p:], inverse.mT)
             self._panels.append((inverse, strip))
-            if level.joins:  # what is subtracted from the parents: that of the children, too
+            if q and level.joins:  # what is subtracted from the parents: that of the children, too
                 below = torch.baddbmm(front[:, (p + q) * p :].unflatten(1, (q, q)), strip,
-                                      strip.mT, beta=-1.0) if q else None
-            else:
-                below = torch.bmm(strip, strip.mT)
-            below = below.view(batch, -1) if q else None
+                                      strip.mT, beta=-1.0).view(batch, -1)
+            elif q:
+                below = torch.bmm(strip, strip.mT).view(batch, -1)
         return definite
 
     def solve(self, rhs: Tensor) -> Tensor:
         """Solutions (n, B) for right-hand sides (n, B) with the last factors."""
         rest = torch.cat([rhs, rhs.new_zeros(1, rhs.shape[1])]).T.contiguous()
-        batch, parts = len(rest), []
+        batch, pieces = len(rest), []
         for level, (inverse, strip) in zip(reversed(self.levels), self._panels, strict=True):
-            part = inverse @ rest[:, level.pivots].view(len(inverse), -1, 1)
-            parts.append(part)
-            rest.index_add_(1, level.boundary.ravel(), (strip @ part).view(batch, -1), alpha=-1.0)
+            piece = inverse @ rest[:, level.pivots].view(len(inverse), -1, 1)
+            pieces.append(piece)
+            rest.index_add_(1, level.boundary.ravel(), (strip @ piece).view(batch, -1), alpha=-1.0)
         solution = torch.zeros_like(rest)
         for level in self.levels:
-            part, (inverse, strip) = parts.pop(), self._panels[len(parts)]
+            piece, (inverse, strip) = pieces.pop(), self._panels[len(pieces)]
             known = solution[:, level.boundary].view(len(inverse), -1, 1)
-            part = inverse.mT @ (part - strip.mT @ known)
-            solution[:, level.pivots.ravel()] = part.view(batch, -1)
+            piece = inverse.mT @ (piece - strip.mT @ known)
+            solution[:, level.pivots.ravel()] = piece.view(batch, -1)
         return solution.T[:-1].contiguous()
 
 
@@ -108,12 +107,12 @@ def _inverse_factors(matrices: Tensor) -> tuple[Tensor, Tensor]:
         return (torch.linalg.solve_triangular(factor, identity, upper=False),
                 (info == 0) & (factor.diagonal(dim1=1, dim2=2) > 0).all(1))
     half, inverse = p // 2, matrices.new_zeros(matrices.shape)
-    one, sound = _inverse_factors(matrices[:, :half, :half])
-    strip = torch.bmm(matrices[:, half:, :half], one.mT)
-    other, more = _inverse_factors(torch.baddbmm(matrices[:, half:, half:], strip, strip.mT,
+    first, sound = _inverse_factors(matrices[:, :half, :half])
+    strip = torch.bmm(matrices[:, half:, :half], first.mT)
+    second, more = _inverse_factors(torch.baddbmm(matrices[:, half:, half:], strip, strip.mT,
                                                  alpha=-1.0))
-    inverse[:, :half, :half], inverse[:, half:, half:] = one, other
-    inverse[:, half:, :half] = -torch.bmm(other, torch.bmm(strip, one))
+    inverse[:, :half, :half], inverse[:, half:, half:] = first, second
+    inverse[:, half:, :half] = -torch.bmm(second, torch.bmm(strip, first))
     return inverse, sound & more
 
 
@@ -158,7 +157,7 @@ def _bisected(
     x, y = centres[part].T
     mean = np.arctan2(y.sum(), x.sum())
     azimuth = (np.arctan2(y, x) - mean + np.pi) % (2 * np.pi)
-    best = None
+    cuts = []
     for key in (azimuth,) if ring else (azimuth, np.hypot(x, y)):
         order = part[np.argsort(key, kind="stable")]
         for share in _CUTS:
@@ -171,9 +170,8 @@ def _bisected(
                 count[elements[half].ravel()] += 1
             # += counts an unknown once per half
             separator = np.flatnonzero((count == 2) & ~eliminated)
-            if best is None or len(separator) < len(best[2]):
-                best = *halves, separator
-    return best
+            cuts.append((*halves, separator))
+    return min(cuts, key=lambda cut: len(cut[2]))
 
 
 def _levels(pattern: SparsePattern, tree: list, device: str | torch.device) -> list[Level]:
@@ -192,9 +190,10 @@ def _levels(pattern: SparsePattern, tree: list, device: str | torch.device) -> l
         p, q = (max(len(front[k]) for front in fronts) for k in range(2))
         pivots, boundary = (np.full((len(fronts), width), size) for width in (p, q))
         local = np.full((len(fronts), size), -1)
-        for front, (own, outer) in enumerate(fronts):
-            pivots[front, : len(own)], boundary[front, : len(outer)] = own, outer
-            local[front, own], local[front, outer] = np.arange(len(own)), p + np.arange(len(outer))
+        for front, (inner, outer) in enumerate(fronts):
+            pivots[front, : len(inner)], boundary[front, : len(outer)] = inner, outer
+            local[front, inner] = np.arange(len(inner))
+            local[front, outer] = p + np.arange(len(outer))
         children = tree[depth + 1] if depth < len(tree) - 1 else []
         step = (p + q) * p + (q * q if children else 0)
 
@@ -211,10 +210,12 @@ def _levels(pattern: SparsePattern, tree: list, device: str | torch.device) -> l
                 (one, other), target = np.tril_indices(len(outer)), local[child // 2, outer]
                 parts.append((child * width**2 + one * width + other,
                               place(child // 2, target[one], target[other])))
-            joins.append(tuple(placed(np.concatenate(part)) for part in zip(*parts, strict=True)))
+            of_child, of_parent = (placed(np.concatenate(part))
+                                   for part in zip(*parts, strict=True))
+            joins.append((of_child, of_parent))
         entries = np.flatnonzero(depth_of[owner] == depth)
         front, (padded, index) = front_of[owner[entries]], np.nonzero(pivots == size)
         places = place(front, local[front, rows[entries]], local[front, columns[entries]])
-        levels.append(Level(*map(placed, (
-            pivots, boundary, entries, places, place(padded, index, index))), joins))
+        levels.append(Level(placed(pivots), placed(boundary), placed(entries), placed(places),
+                            placed(place(padded, index, index)), joins))
     return levels

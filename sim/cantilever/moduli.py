@@ -211,9 +211,10 @@ def match(curves: Sequence[DeflectionCurve], *, weight: float, slope: Radians = 
 
     def strips(unknowns: np.ndarray, points: int, steps: int) -> list[np.ndarray]:
         # beta/alpha and lengths in mm: all unknowns have similar magnitudes
-        alpha, each = np.exp(unknowns[0]), 1e-3 * unknowns[2:]
+        alpha = np.exp(unknowns[0])
         return [heavy_elastica(alpha, 1e-3 * unknowns[1] * alpha, weight=weight, length=length,
-                               slope=slope, points=points, steps=steps) for length in each]
+                               slope=slope, points=points, steps=steps)
+                for length in 1e-3 * unknowns[2:]]
 
     def mean_gap(candidate: tuple[float, float]) -> float:
         models = strips(np.array([*candidate, *1e3 * lengths]), POINTS, _CANDIDATE_STEPS)
@@ -321,8 +322,8 @@ def correct(
 
 def _unknowns(moduli: Mapping[str, StripModuli]) -> np.ndarray:
     """(6,) ten times log alpha, and beta/alpha in mm: both vary by similar amounts."""
-    each = [moduli[direction] for direction in DIRECTIONS]
-    return np.array([10 * np.log(e.alpha) for e in each] + [1e3 * e.beta / e.alpha for e in each])
+    alpha, beta = np.array([(moduli[d].alpha, moduli[d].beta) for d in DIRECTIONS]).T
+    return np.concatenate([10 * np.log(alpha), 1e3 * beta / alpha])
 
 
 def _moduli(unknowns: np.ndarray) -> tuple[Moduli, QuadraticModuli]:

@@ -9,7 +9,7 @@ from common.errors import InputError
 from common.types import DeflectionCurve, Metres, Radians
 from sim.cloth import Laws
 from sim.equilibrium import find_equilibrium
-from sim.material import DIRECTIONS, REFERENCE_DENSITY, Fabric, bending_length
+from sim.material import DIRECTIONS, REFERENCE_DENSITY, Fabric, gravity_length
 from sim.mesh import Mesh, strip
 from sim.rig import GRAVITY
 from sim.scene import Scene
@@ -18,7 +18,7 @@ from sim.solver.newton import NewtonOptions, NewtonResult, Status
 ANGLES = dict(zip(DIRECTIONS, (0.0, np.pi / 4, np.pi / 2), strict=True))
 TIGHT = NewtonOptions(residual=1e-6, step=1e-6)
 CELLS, CELLS_ACROSS = 20, 10
-"""Mesh cells along the bending length of a strip's direction, and across it; the error of alpha is
+"""Mesh cells along the gravity length of a strip's direction, and across it; the error of alpha is
 then 1 %."""
 
 
@@ -66,13 +66,13 @@ def simulate_strips(
 ) -> dict[str, list[DeflectionCurve]]:
     """Curves of simulated strips by direction; InputError if one does not reach equilibrium.
 
-    ``cells`` are those along the bending length; a ``width`` of None makes them square. ``options``
+    ``cells`` are those along the gravity length; a ``width`` of None makes them square. ``options``
     are further arguments of :func:`hang`.
     """
     strips: dict[str, list[DeflectionCurve]] = {direction: [] for direction in lengths}
-    for direction, length in ((d, length) for d, each in lengths.items() for length in each):
+    for direction, length in ((d, length) for d in lengths for length in lengths[d]):
         alpha = fabric.alpha[DIRECTIONS.index(direction)]
-        count = length * cells / bending_length(alpha, fabric.density)
+        count = length * cells / gravity_length(alpha, fabric.density)
         edge = length / np.ceil(count - 1e-9)  # an integer may have been rounded up
         hung = hang(fabric, angle=ANGLES[direction], length=length, edge=edge, across=across,
                     width=across * edge if width is None else width, diagonals="random",

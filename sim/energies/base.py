@@ -164,8 +164,8 @@ def check(energy: Energy, q: StateVector, edges: Edges, *, seed: int = 0) -> Non
         rounding = 1e-15 * np.abs(gradient).max(initial=0.0) / STEP
         # The symmetric part alone: rotations of normals about turning edges do not commute.
         _compare(f"{name}.hessian", "gradient", step @ (matrix @ step),
-                 step @ (slopes - back) / (2 * STEP), np.abs(step) @ (abs(matrix) @ np.abs(step)),
-                 rounding * np.abs(step).sum())
+                 float(step @ (slopes - back)) / (2 * STEP),
+                 np.abs(step) @ (abs(matrix) @ np.abs(step)), rounding * np.abs(step).sum())
     convex[pattern.diagonal] += 1e-9 * np.abs(convex).max(initial=1e-300)
     if not make_solver(pattern).factorise(convex):
         raise InputError(f"{name}.hessian(q, convex=True) has a negative eigenvalue; it must be "

@@ -134,13 +134,13 @@ class HystereticBending(MidEdgeBending):
 
     def origin_at(self, q: StateVector) -> Curvatures:
         """S1 after the cloth has reached the state ``q``."""
-        one = self.variant
-        if not one.slid:
+        variant = self.variant
+        if not variant.slid:
             return self.origin
         curvatures = self.curvatures(q)
         change = curvatures - self.origin
         x, y, z = change.T
-        size = np.sqrt(one.p_xx * x * x + 2 * one.p_mixed * x * y + one.p_yy * y * y
-                       + one.p_xy * z * z)
-        kept = np.minimum(one.limit / np.maximum(size, 1e-300), 1.0)
+        size = np.sqrt(variant.p_xx * x * x + 2 * variant.p_mixed * x * y + variant.p_yy * y * y
+                       + variant.p_xy * z * z)
+        kept = np.minimum(variant.limit / np.maximum(size, 1e-300), 1.0)
         return curvatures - kept[:, None] * change

@@ -26,15 +26,12 @@ The conversion is for the energy a theta² e / (2 h), h = (H0 + H1)/6. Codes wit
 a theta² e / h need half of a: alpha / 6.
 """
 
-from dataclasses import dataclass
-
 import numba
 import numpy as np
 
 from common.types import FaceMask, StateVector
 from sim.energies import dihedral
-from sim.energies.base import Energy, FusedEnergy, add_elements
-from sim.energies.fold_barrier import barrier_at, keeps_distance
+from sim.energies.base import FusedEnergy, add_elements
 from sim.material import BIAS, WARP, WEFT, Fabric, bending_work
 from sim.mesh import Mesh
 
@@ -43,94 +40,72 @@ class Hinges:
     """The N edges between two triangles, at least one of them active, in the order of the mesh.
 
     Attributes:
-        edge: (N,) indices among the mesh's edges.
         corners: (N, 4) vertices in the order of :mod:`sim.energies.dihedral`: the edge's ends,
             then the opposite corners, that of a triangle that can move first.
-        rest: (N, 4, 2) m, rest points of the corners.
         dofs: (N, 12) unknowns of the corners.
         lengths, normals: (N,) m, rest lengths of the edges, and (N, 2) unit vectors across them.
-        areas, bent_areas: (N,) m², rest areas of both triangles, and of those that can move.
+        areas: (N,) m², rest areas of the triangles that can move.
     """
 
     def __init__(self, mesh: Mesh, active: FaceMask) -> None:
         pair = mesh.edge_faces
-        self.edge = np.flatnonzero((pair[:, 1] >= 0) & active[pair].any(axis=1))
-        pair = pair[self.edge]
+        edge = np.flatnonzero((pair[:, 1] >= 0) & active[pair].any(axis=1))
+        pair = pair[edge]
         pair = np.where(active[pair[:, :1]], pair, pair[:, ::-1])
         # Corners of the first triangle in cyclic order, starting opposite the edge
-        side = (mesh.face_edges[pair[:, 0]] == self.edge[:, None]).argmax(axis=1)
+        side = (mesh.face_edges[pair[:, 0]] == edge[:, None]).argmax(axis=1)
         opposite, start, end = mesh.faces[pair[:, :1], (side[:, None] + np.arange(3)) % 3].T
         across = mesh.faces[pair[:, 1]].sum(axis=1) - start - end
         self.corners = np.stack([start, end, opposite, across], axis=1)
         self.dofs = (3 * self.corners[:, :, None] + np.arange(3)).reshape(-1, 12)
-        self.rest = mesh.rest[self.corners]
-        x, y = (self.rest[:, 1] - self.rest[:, 0]).T
+        x, y = (mesh.rest[end] - mesh.rest[start]).T
         self.lengths = np.hypot(x, y)
         self.normals = np.stack([y, -x], axis=1) / self.lengths[:, None]
-        self.areas = mesh.areas[pair].sum(axis=1)
-        self.bent_areas = (mesh.areas[pair] * active[pair]).sum(axis=1)
+        self.areas = (mesh.areas[pair] * active[pair]).sum(axis=1)
 
 
-class DihedralBending(FusedEnergy):
-    """Energy e integral of tau(kappa) d theta of N hinges (Feng et al. 2022, Eq. 1 to 3), tau the
-    torque of :func:`sim.material.bending_work` with the moduli (N,), N·m and N·m².
+class HingeBending(FusedEnergy):
+    """Energy e integral of tau(kappa) d theta of all hinges (Feng et al. 2022, Eq. 1 to 3), with
+    the moduli of the ``fabric`` averaged over all directions or, if ``directed``, those across the
+    edge (Wang et al. 2011); ``linear``: without beta.
 
-    The barrier of :mod:`sim.energies.fold_barrier` acts on theta, times ``barrier_modulus``, N·m,
-    and e²/(A0 + A1) with the rest areas A of both triangles.
+    The modulus along the curvature of an earlier solution (section 4.4) is omitted: its torque
+    does not derive from an energy.
     """
 
     def __init__(
-        self, hinges: Hinges, *, alpha: np.ndarray, beta: np.ndarray, barrier_modulus: float
+        self, mesh: Mesh, active: FaceMask, *, fabric: Fabric, directed: bool = False,
+        linear: bool = False
     ) -> None:
-        self.dofs = hinges.dofs
-        self._alpha, self._beta = alpha, beta
-        self._areas, self._lengths = hinges.bent_areas, hinges.lengths
+        hinges = Hinges(mesh, active)
+        angle = np.arctan2(hinges.normals[:, 1], hinges.normals[:, 0])
+        self._alpha, self._beta = (
+            modulus_along(moduli, angle) if directed else np.full(len(angle), mean_modulus(moduli))
+            for moduli in (fabric.alpha, 0.0 * fabric.beta if linear else fabric.beta))
+        self.dofs, self._areas, self._lengths = hinges.dofs, hinges.areas, hinges.lengths
         # kappa = spread * |theta|, 1/m per rad; e H / 2 is the area
         self._spread = self._lengths / self._areas
-        self._barrier = barrier_modulus * self._lengths**2 / hinges.areas
 
     def _add_forces(self, q: StateVector, targets: np.ndarray, forces: np.ndarray) -> float:
-        value, slope, _ = self._of_angles(q)
+        work, slope, _ = self._of_angles(q)
         add_elements(forces, targets, slope[:, None] * _angle_derivatives(
             q, self.dofs, slope, np.empty((0, 12, 12))))
-        return float(value.sum())
+        return float(work.sum())
 
     def hessian(self, q: StateVector, convex: bool = False) -> np.ndarray:
-        # Torque and barrier increase with the angle: only its second derivatives are indefinite.
+        # The torque increases with the angle: only the angle's second derivatives are indefinite.
         _, slope, bend = self._of_angles(q)
         bends = np.zeros((0 if convex else len(slope), 12, 12))
         rows = _angle_derivatives(q, self.dofs, slope, bends)
         blocks = np.einsum("n,ni,nj->nij", bend, rows, rows)
         return blocks if convex else blocks + bends
 
-    def allows(self, old: StateVector, new: StateVector) -> bool:
-        """False if a hinge folds through itself, or covers most of the distance to it."""
-        return _keep_distance(hinge_angles(old, self.dofs), hinge_angles(new, self.dofs))
-
     def _of_angles(self, q: StateVector) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(N,) energies, J, and their first two derivatives by the dihedral angles."""
         angle = hinge_angles(q, self.dofs)
         work, torque, tangent = bending_work(self._spread * np.abs(angle), self._alpha, self._beta)
-        value, slope, bend = _barrier(angle)
-        return (self._areas * work + self._barrier * value,
-                self._lengths * np.sign(angle) * torque + self._barrier * slope,
-                self._lengths * self._spread * tangent + self._barrier * bend)
-
-
-@numba.njit(cache=True)
-def _barrier(angles):
-    result = np.empty((3, len(angles)))
-    for t in range(len(angles)):
-        result[:, t] = barrier_at(angles[t], np.pi)
-    return result
-
-
-@numba.njit(cache=True)
-def _keep_distance(before, after):
-    for t in range(len(before)):
-        if not keeps_distance(before[t], after[t], np.pi):
-            return False
-    return True
+        return (self._areas * work, self._lengths * np.sign(angle) * torque,
+                self._lengths * self._spread * tangent)
 
 
 @numba.njit(cache=True)
@@ -170,33 +145,6 @@ def _angle_derivatives(q, dofs, slope, blocks):
                             blocks[t, 3 * a + k, 3 * b + m] += (
                                 unit[k] * bends[a, b, m] + bends[b, a, k] * unit[m])
     return result
-
-
-FORMS = ("hinge", "hinge_linear")
-WEIGHTINGS = ("mean", "edge")
-
-
-@dataclass(frozen=True)
-class HingeLaw:
-    """A hinge law. The modulus along the curvature of an earlier solution (section 4.4) is omitted:
-    its torque does not derive from an energy."""
-
-    form: str = "hinge"  # alpha kappa + beta kappa²; hinge_linear: beta = 0
-    direction: str = "mean"  # modulus over all directions, or across the edge (Wang et al. 2011)
-
-    def __call__(self, mesh: Mesh, active: FaceMask, *, fabric: Fabric) -> Energy:
-        hinges = Hinges(mesh, active)
-        x, y = hinges.normals.T
-        alpha, beta = (
-            np.full(len(x), mean_modulus(moduli)) if self.direction == "mean"
-            else modulus_along(moduli, np.arctan2(y, x)) for moduli in (fabric.alpha, fabric.beta))
-        return DihedralBending(hinges, alpha=alpha, beta=beta * (self.form == "hinge"),
-                               barrier_modulus=fabric.alpha.min())
-
-
-HINGE_LAWS = {form if direction == "mean" else f"{form}_{direction}": HingeLaw(form, direction)
-              for form in FORMS for direction in WEIGHTINGS}
-"""hinge, hinge_edge, hinge_linear, hinge_linear_edge."""
 
 
 def modulus_along(moduli: np.ndarray, angle: np.ndarray) -> np.ndarray:

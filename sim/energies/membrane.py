@@ -6,6 +6,7 @@ v along weft and E = (F^T F - I)/2, or for the corotational one the principal st
 (N, 2). The stress of the Green strain is S_uu, S_vv, S_uv (second Piola-Kirchhoff times thickness).
 """
 
+from abc import abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol, runtime_checkable
@@ -19,7 +20,7 @@ from sim.energies.base import Energy, FusedEnergy, raise_eigenvalues
 from sim.mesh import Mesh
 from sim.solver.linear import add_block
 
-_TOLERANCE = 1e-9  # difference of stretches below which they count as equal
+EQUAL = 1e-9  # difference of stretches below which they count as equal
 
 
 class StrainLaw(Protocol):
@@ -128,7 +129,7 @@ def _of_stretches(stretches, turn, p, pp):
         axes[1, 0], axes[1, 1], axes[1, 2] = (1.0 - cosine) / 2.0, (1.0 + cosine) / 2.0, -sine / 2.0
         axes[2, 0], axes[2, 1], axes[2, 2] = -sine / 2.0, sine / 2.0, cosine / 2.0
         apart = a - b
-        slope = (p[t, 0] - p[t, 1]) / apart if apart > _TOLERANCE else pp[t, 0, 0] - pp[t, 0, 1]
+        slope = (p[t, 0] - p[t, 1]) / apart if apart > EQUAL else pp[t, 0, 0] - pp[t, 0, 1]
         first = (pp[t, 0, 0] - p[t, 0] / a) / (a * a)
         second = (pp[t, 1, 1] - p[t, 1] / b) / (b * b)
         mixed = pp[t, 0, 1] / (a * b)
@@ -226,10 +227,13 @@ class Membrane(Protocol):
         """A copy of the material, ``factor`` times as stiff."""
 
 
-class _Linear:
-    """Stress linear in the Green strain, by a symmetric ``matrix`` (K, K), N/m."""
+class LinearMembrane:
+    """Stress linear in the strain."""
 
-    matrix: np.ndarray
+    @property
+    @abstractmethod
+    def matrix(self) -> np.ndarray:
+        """Symmetric (K, K), N/m, from strain to stress."""
 
     def energy(self, mesh: Mesh, active: FaceMask) -> Energy:
         return StrainMembrane(mesh, active, self)
@@ -241,7 +245,7 @@ class _Linear:
 
 
 @dataclass(frozen=True)
-class Corotational(_Linear):
+class Corotational(LinearMembrane):
     """Isotropic corotational membrane (section 4.1), the default.
 
     Its density mu |F - R|² + lambda/2 tr(R^T F - I)², R the isometry closest to the deformation
@@ -278,7 +282,7 @@ class Corotational(_Linear):
 
 
 @dataclass(frozen=True)
-class OrthotropicStVK(_Linear):
+class OrthotropicStVK(LinearMembrane):
     """Orthotropic St. Venant-Kirchhoff membrane (Larionov et al., Eq. 5 and 6).
 
     S_uu = (E_warp e_uu + n E_weft e_vv)/d, S_vv = (n E_weft e_uu + E_weft e_vv)/d,

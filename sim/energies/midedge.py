@@ -51,6 +51,14 @@ class MidEdgeBending(FusedEnergy):
     The first N elements are triangles with 12 unknowns: the coordinates of their corners and the
     rotations of the normals of the edges opposite them. The other M are pairs of triangles at inner
     edges with their 17. Normals between held and free cloth must be held, too.
+
+    Attributes:
+        pairs, places: (M, 2) numbers of a pair's triangles among the N, and (M, 2, 12) the places
+            of their unknowns among the pair's 17.
+        signs: (N, 3) of the edges' rotations, seen from a triangle.
+        areas: (N,) m², of the bending energy (:func:`clamp_weights`).
+        maps: (N, 3, 3) 1/m, from angles to curvatures.
+        pole: (N, 3) rad, of the barrier at each edge; infinite: none.
     """
 
     def __init__(self, mesh: Mesh, active: FaceMask, *, fabric: Fabric) -> None:
@@ -61,20 +69,20 @@ class MidEdgeBending(FusedEnergy):
         coordinates = 3 * len(mesh.rest)
         self._normals = coordinates + 3 * edges
         self._corners = (3 * faces[:, :, None] + np.arange(3)).reshape(-1, 9)
-        self._pairs, self._places = _pairs(mesh, active)
+        self.pairs, self.places = _pairs(mesh, active)
         own, count = np.concatenate([self._corners, coordinates + edges], axis=1), len(faces)
-        self.dofs = np.full((count + len(self._pairs), 17), -1)
+        self.dofs = np.full((count + len(self.pairs), 17), -1)
         self.dofs[:count, :12] = own
         for side in (0, 1):
             rows = np.arange(count, len(self.dofs))[:, None]
-            self.dofs[rows, self._places[:, side]] = own[self._pairs[:, side]]
+            self.dofs[rows, self.places[:, side]] = own[self.pairs[:, side]]
         # Rotations are about mesh.edges, directed from the smaller vertex index to the larger.
         forward = np.roll(faces, -1, axis=1) < np.roll(faces, -2, axis=1)
-        self._sign = np.where(forward, 1.0, -1.0)
+        self.signs = np.where(forward, 1.0, -1.0)
         weights = clamp_weights(mesh, active, clamped)
         self.areas = mesh.areas[active] / weights
-        self._jumps = self.areas[self._pairs].sum(axis=1) / 12
-        self._around = np.bincount(self._pairs.ravel(), np.repeat(self._jumps, 2), count)
+        self._jumps = self.areas[self.pairs].sum(axis=1) / 12
+        self._around = np.bincount(self.pairs.ravel(), np.repeat(self._jumps, 2), count)
         self.maps = weights[:, None, None] * curvature_maps(mesh)[active]
         pole = np.where(clamped, np.pi, np.pi / 2)
         self.pole = np.where(boundary, np.inf, pole)
@@ -96,7 +104,7 @@ class MidEdgeBending(FusedEnergy):
     def _add_forces(self, q: StateVector, targets: np.ndarray, forces: np.ndarray) -> float:
         phi = self.angles(q)
         value, moments, _ = self._of_curvatures(_curvatures(self.maps, phi), tangents=False)
-        return value + _add_forces(q, phi, moments, self._corners, self._sign, self.maps,
+        return value + _add_forces(q, phi, moments, self._corners, self.signs, self.maps,
                                    self._barrier, self.pole, targets, forces)
 
     def add_stiffness(
@@ -113,8 +121,8 @@ class MidEdgeBending(FusedEnergy):
             both = (self.areas[:, None, None] * tangent
                     + self._around[:, None, None] * self.form)
             _add_stiffness(q, phi, moments, both, self.form, self._jumps, self._corners,
-                           self._sign, self.maps, self._barrier, self.pole, self._pairs,
-                           self._places, slots, data, is_convex)
+                           self.signs, self.maps, self._barrier, self.pole, self.pairs,
+                           self.places, slots, data, is_convex)
 
     def _of_curvatures(
         self, curvatures: Curvatures, *, tangents: bool
@@ -123,7 +131,7 @@ class MidEdgeBending(FusedEnergy):
         (N, 3, 3), N·m, of :meth:`response`."""
         density, stress, tangent = self.response(curvatures, tangents)
         moments = self.areas[:, None] * stress
-        jumps = _add_jumps(curvatures, self.form, self._jumps, self._pairs, moments)
+        jumps = _add_jumps(curvatures, self.form, self._jumps, self.pairs, moments)
         return float(self.areas @ density) + jumps, moments, tangent
 
     def allows(self, old: StateVector, new: StateVector) -> bool:
@@ -183,7 +191,7 @@ def rows_at_clamp(
     """Masks (N,) bool of the triangles on clamped edges, and of others that touch these edges."""
     rim = np.zeros(len(mesh.rest), dtype=bool)
     rim[mesh.edges[mesh.face_edges[active][clamped]]] = True
-    first = clamped.any(axis=1)
+    first = clamped[:, 0] | clamped[:, 1] | clamped[:, 2]
     return first, rim[mesh.faces[active]].any(axis=1) & ~first
 
 
@@ -303,14 +311,14 @@ def _add_jumps(curvatures, form, jumps, pairs, moments):
     """Energy of the jumps of curvature; its derivatives are added to moments (N, 3)."""
     total, jump = 0.0, np.empty(3)
     for p in range(len(pairs)):
-        one, other = pairs[p]
+        first, second = pairs[p]
         for a in range(3):
-            jump[a] = jumps[p] * (curvatures[one, a] - curvatures[other, a])
+            jump[a] = jumps[p] * (curvatures[first, a] - curvatures[second, a])
         for a in range(3):
             moment = form[a, 0] * jump[0] + form[a, 1] * jump[1] + form[a, 2] * jump[2]
-            total += 0.5 * moment * (curvatures[one, a] - curvatures[other, a])
-            moments[one, a] += moment
-            moments[other, a] -= moment
+            total += 0.5 * moment * (curvatures[first, a] - curvatures[second, a])
+            moments[first, a] += moment
+            moments[second, a] -= moment
     return total
 
 
@@ -394,9 +402,9 @@ def _between_angles(left, tangent, right, stiffness):
 
 
 @numba.njit(inline="always")
-def _fill_factors(left, stiffness, right, one, other, factors):
+def _fill_factors(left, stiffness, right, left_unit, right_unit, factors):
     """Fill factors (12, 12) with second derivatives by the unknowns of two triangles with the
-    normals ``one`` and ``other``, of the ``stiffness`` between their angles."""
+    normals ``left_unit`` and ``right_unit``, of the ``stiffness`` between their angles."""
     for i in range(6):
         along = (left[0, i] * stiffness[0, 0] + left[1, i] * stiffness[1, 0]
                  + left[2, i] * stiffness[2, 0],
@@ -409,12 +417,12 @@ def _fill_factors(left, stiffness, right, one, other, factors):
             if i < 3 and j < 3:
                 for k in range(3):
                     for m in range(3):
-                        factors[3 * i + k, 3 * j + m] = value * one[k] * other[m]
+                        factors[3 * i + k, 3 * j + m] = value * left_unit[k] * right_unit[m]
             elif i < 3:
                 for k in range(3):
-                    factors[3 * i + k, 6 + j] = value * one[k]
+                    factors[3 * i + k, 6 + j] = value * left_unit[k]
             elif j < 3:
                 for m in range(3):
-                    factors[6 + i, 3 * j + m] = value * other[m]
+                    factors[6 + i, 3 * j + m] = value * right_unit[m]
             else:
                 factors[6 + i, 6 + j] = value

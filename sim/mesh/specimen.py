@@ -16,7 +16,7 @@ from scipy.spatial import Delaunay
 
 from common.errors import InputError
 from common.types import Faces, Metres, RestPoints, VertexMask
-from sim.material import Fabric, bending_length
+from sim.material import Fabric, gravity_length
 from sim.mesh.topology import Mesh, doubled_areas
 from sim.rig import Rig
 
@@ -200,8 +200,8 @@ def mesh_specimen(
     along_sides = np.asarray(offset, dtype=float) @ rig.directions
     shared = np.hypot(*along_sides) <= MAX_SHARED_OFFSET * rig.least_overhang
     base = _base_rig(rig)
-    mesh, held = _base_mesh(base, float(edge), int(topology),
-                            (0.0, 0.0) if shared else tuple(along_sides.tolist()), float(grading))
+    mesh, held = base_mesh(base, float(edge), int(topology),
+                           (0.0, 0.0) if shared else tuple(along_sides.tolist()), float(grading))
     if rig == base and not (shared and along_sides.any()):
         return mesh, held
     rest = mesh.rest
@@ -264,7 +264,7 @@ def check_edge(edge: Metres) -> None:
 
 
 @lru_cache(maxsize=128)
-def _base_mesh(
+def base_mesh(
     rig: Rig, edge: Metres, topology: int, centre: tuple[float, float], grading: float
 ) -> tuple[Mesh, VertexMask]:
     """The mesh of a specimen around ``centre``, triangulated for that offset."""
@@ -290,9 +290,9 @@ def default_edge(
     offset: tuple[float, float] = (0.0, 0.0)
 ) -> Metres:
     """Default edge length at the rim for a fabric: the largest of few ``edges``, so that drapes
-    share meshes, of which :data:`EDGES_PER_LENGTH` fit into the bending length and two into the
+    share meshes, of which :data:`EDGES_PER_LENGTH` fit into the gravity length and two into the
     narrowest overhang. Without a plate, that of the hem."""
-    length = bending_length(fabric.alpha.min(), fabric.density)
+    length = gravity_length(fabric.alpha.min(), fabric.density)
     longest = longest_edge(rig, offset)
     fits = [edge for edge in edges if edge <= min(length / EDGES_PER_LENGTH, longest)]
     edge = max(fits, default=min(*edges, longest))

@@ -125,8 +125,8 @@ def force_derivatives(cloth: Cloth, q: np.ndarray) -> np.ndarray:
 
     def made(fabric: Fabric) -> tuple[list[Energy], list[Energy]]:
         # Only if the law is the energy's own: other laws may use the fabric in another way.
-        own = type(laws.bending_law) is Hysteresis or laws.bending_law is type(cloth.bending)
-        if own and hasattr(cloth.bending, "with_fabric"):
+        is_own = type(laws.bending_law) is Hysteresis or laws.bending_law is type(cloth.bending)
+        if is_own and hasattr(cloth.bending, "with_fabric"):
             bending = cloth.bending.with_fabric(fabric)
         else:
             bending = laws.bending_law(scene.mesh, scene.active, fabric=fabric)

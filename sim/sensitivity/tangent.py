@@ -38,14 +38,14 @@ class Tangent:
     def __init__(self, cloth: Cloth, q: StateVector, factor: CholeskySolver | None = None) -> None:
         self.cloth, self.q = cloth, q
         self.softest = 0.0
-        self._factor = factor
-        self.ok, self.message = self._approach()
+        self._factor = factor or make_solver(cloth.potential.pattern)
+        self.ok, self.message = self._approach(outdated=factor is None)
 
     @classmethod
     def of(cls, drape: Equilibrium) -> "Tangent":
         """The tangent of a drape; not ok if the drape did not converge."""
         require(drape=(drape, Equilibrium))
-        cloth, factor = drape.cloth, drape.outcome and drape.outcome.factor
+        cloth, factor = drape.cloth, drape.outcome.factor if drape.outcome else None
         if drape.touches and factor is None:
             contact = contact_near(cloth.scene, drape.positions)
             cloth = replace(cloth, extra=[*cloth.extra, contact])
@@ -76,13 +76,13 @@ class Tangent:
         potential = self.cloth.potential
         return potential.all_unknowns(self._factor.solve(potential.free_unknowns(force)))
 
-    def _approach(self) -> tuple[bool, str]:
-        """Take the last Newton steps and factorise; returns ``ok`` and ``message``."""
-        potential, outdated = self.cloth.potential, self._factor is None
+    def _approach(self, *, outdated: bool) -> tuple[bool, str]:
+        """Take the last Newton steps and factorise; returns ``ok`` and ``message``. The factor is
+        ``outdated`` if it is not that of the state."""
+        potential = self.cloth.potential
         for _ in range(_MAX_STEPS):
             if outdated:
                 data = potential.model(self.q).hessian()
-                self._factor = self._factor or make_solver(potential.pattern)
                 if not self._factor.factorise(data):
                     return False, "the Hessian is not positive definite: no minimum, or a fold"
             gradient = potential.gradient(self.q)

@@ -6,8 +6,9 @@ import functools
 import importlib.metadata
 import os
 import sys
+from collections.abc import Callable
 from contextlib import suppress
-from typing import Protocol
+from typing import Any, Protocol
 
 import numba
 import numpy as np
@@ -105,7 +106,7 @@ class SuperLUSolver(CholeskySolver):
 
     def __init__(self, pattern: SparsePattern) -> None:
         self._pattern = pattern
-        self._factor = None
+        self._factor: Any = None  # of SciPy, without types
 
     def factorise(self, data: np.ndarray, *, rough: bool = False) -> bool:
         if not np.isfinite(data).all():
@@ -139,7 +140,7 @@ class PardisoSolver(CholeskySolver):
 
     def __init__(self, pattern: SparsePattern) -> None:
         self._pattern = pattern
-        self._factors: dict[bool, _Factor] = {}  # by whether it is in single precision
+        self._factors: dict[bool, PardisoFactor] = {}  # by whether it is in single precision
         self._single_suffices = True
         self._checks = _CHECKS
         self._refined = False
@@ -163,11 +164,11 @@ class PardisoSolver(CholeskySolver):
     def solve(self, rhs: np.ndarray, *, rough: bool = False) -> np.ndarray:
         return self._refine(rhs, rough) if self._refined else self._factor().solve(rhs)
 
-    def _factor(self, *, single: bool = False) -> "_Factor":
+    def _factor(self, *, single: bool = False) -> "PardisoFactor":
         """The factor of one precision, analysed when it is first needed."""
         if single not in self._factors:
             order = next((factor.order for factor in self._factors.values()), None)
-            self._factors[single] = _Factor(self._pattern, order=order, single=single)
+            self._factors[single] = PardisoFactor(self._pattern, order=order, single=single)
         return self._factors[single]
 
     def _refine(self, rhs: np.ndarray, rough: bool) -> np.ndarray:
@@ -197,7 +198,7 @@ class PardisoSolver(CholeskySolver):
         return x
 
 
-class _Factor:
+class PardisoFactor:
     """A PARDISO factor in double or ``single`` precision, on one thread, bitwise reproducible;
     ``order`` (n,) is the elimination order of an earlier analysis."""
 
@@ -302,7 +303,7 @@ def _times(data, indices, indptr, x):
 
 
 @functools.cache
-def available_solvers() -> tuple[type[CholeskySolver], ...]:
+def available_solvers() -> tuple[Callable[[SparsePattern], CholeskySolver], ...]:
     """The solvers available on this machine, fastest first."""
     try:
         find_mkl()

@@ -85,6 +85,10 @@ class NewtonResult:
     factor: CholeskySolver | None = None  # that holds it
     seconds: float = 0.0  # CPU time
 
+    def end(self, status: Status) -> None:
+        """Set the outcome and its message."""
+        self.status, self.message = status, _ENDINGS[status].format(**vars(self))
+
 
 MAX_PATIENCE = 4  # steps
 SHIFTS = (0.0, 1e-3, 1e-1, 1e1, 1e3)  # of the diagonal, in units of the regularisation
@@ -135,7 +139,7 @@ class _Minimisation:
         self.wait, self.patience = 0, 1  # steps before less convexity is tried, now and next time
         self.result = NewtonResult(q=q, status=Status.MAX_ITERATIONS, message="")
         self.rng = np.random.default_rng(0)
-        self.solver = solver
+        self.solver = solver or make_solver(objective.pattern)
         self.model: Model | None = None  # at the present state
 
     def iterate(self) -> None:
@@ -144,7 +148,7 @@ class _Minimisation:
         while result.iterations < options.max_iterations:
             result.residual = self.objective.residual(gradient)
             if not np.isfinite(value) or not np.isfinite(result.residual):
-                return self._end(Status.NOT_FINITE)
+                return result.end(Status.NOT_FINITE)
             if result.residual < options.residual:
                 # Only the exact Hessian distinguishes a minimum from a saddle.
                 result.positive_definite = self._factorise(0.0, proof=True)
@@ -153,7 +157,7 @@ class _Minimisation:
                     result.step = self.objective.step_length(step)
                     if result.step < options.step:
                         result.factor = self.solver
-                        return self._end(Status.CONVERGED)
+                        return result.end(Status.CONVERGED)
                     self.convexity = 0.0
                 elif perturbations < MAX_PERTURBATIONS:
                     result.q, self.model = self._perturbed(perturbations), None
@@ -163,18 +167,18 @@ class _Minimisation:
                     result.iterations += 1
                     continue
                 else:
-                    return self._end(Status.SADDLE)
+                    return result.end(Status.SADDLE)
             else:
                 step = self._direction(gradient)
             if step is None:
-                return self._end(Status.SINGULAR)
+                return result.end(Status.SINGULAR)
             improved = self._search(value, gradient, step)
             if improved is None:
                 # The step of a nearly singular model leaves the range in which the model is valid:
                 # use a stiffer model at this state. At a stationary point no model is stiffer.
                 stationary = result.residual < options.residual
                 if stationary or (self.convexity == 1.0 and self.shift == len(SHIFTS) - 1):
-                    return self._end(Status.LINE_SEARCH)
+                    return result.end(Status.LINE_SEARCH)
                 if self.convexity == 1.0:
                     self.shift += 1
                 self.convexity, self.wait = 1.0, 1
@@ -186,17 +190,12 @@ class _Minimisation:
             result.step = length * self.objective.step_length(step)
             result.iterations += 1
         result.residual = self.objective.residual(gradient)
-        return self._end(Status.MAX_ITERATIONS)
-
-    def _end(self, status: Status) -> None:
-        self.result.status = status
-        self.result.message = _ENDINGS[status].format(**vars(self.result))
+        return result.end(Status.MAX_ITERATIONS)
 
     def _factorise(self, convexity: float, shift: float = 0.0, *, proof: bool = False) -> bool:
         if self.model is None:
             self.model = self.objective.model(self.result.q)
         data = self.model.hessian(convexity, shift)
-        self.solver = self.solver or make_solver(self.objective.pattern)
         return self.solver.factorise(data, rough=not proof)
 
     def _direction(self, gradient: np.ndarray) -> np.ndarray | None:

@@ -26,6 +26,7 @@ class Potential:
 
     Attributes:
         energies, stage_of: all energies, and the stage of each among :attr:`stages` of them.
+        free: (n,) indices of the free unknowns.
         unknowns, size: the numbers U and n.
         regularisation: (n,) stiffness of a unit of force per unit of length.
     """
@@ -37,21 +38,21 @@ class Potential:
         self.energies = [energy for stage in stages for energy in stage]
         self.stages = len(stages)
         self.stage_of = np.repeat(np.arange(len(stages)), [len(stage) for stage in stages])
-        self._edges, self._free = edges, np.flatnonzero(free)
-        self.unknowns, self.size = len(free), len(self._free)
-        self._force_scale, self._length_scale = force_scale[self._free], length_scale[self._free]
+        self._edges, self.free = edges, np.flatnonzero(free)
+        self.unknowns, self.size = len(free), len(self.free)
+        self._force_scale, self._length_scale = force_scale[self.free], length_scale[self.free]
         self.regularisation = self._force_scale / self._length_scale
         self.energy_scale = energy_scale
 
     def all_unknowns(self, step: np.ndarray) -> np.ndarray:
         """Step (U,) of all unknowns from that of the free ones (n,), zero for the others."""
         full = np.zeros(self.unknowns)
-        full[self._free] = step
+        full[self.free] = step
         return full
 
     def free_unknowns(self, values: np.ndarray) -> np.ndarray:
         """Entries (n,) of values (U,) that belong to free unknowns."""
-        return values[self._free]
+        return values[self.free]
 
     def moved(self, q: np.ndarray, step: np.ndarray) -> np.ndarray:
         """The state after a step (n,) from the state ``q``."""
@@ -75,7 +76,7 @@ class Potential:
     def pattern(self) -> SparsePattern:
         """Sparsity pattern of the Hessian."""
         row = np.full(self.unknowns + 1, -1)  # last entry: dofs of -1
-        row[self._free] = np.arange(self.size)
+        row[self.free] = np.arange(self.size)
         return SparsePattern([row[energy.dofs] for energy in self.energies], self.size)
 
     def exchanged(self, changes: Mapping[Energy, Energy]) -> "Potential":

@@ -74,13 +74,13 @@ def moved(q, edges, move):
             still = still and before[i] == after[i]
         if still:
             continue
-        one = np.sqrt(before @ before)
-        other = np.sqrt(after @ after)
+        length = np.sqrt(before @ before)
+        new_length = np.sqrt(after @ after)
         scale = cosine_of_edges = 0.0
         at = coordinates + 3 * e
         for i in range(3):
-            before[i] /= one
-            after[i] /= other
+            before[i] /= length
+            after[i] /= new_length
             scale += q[at + i] * after[i]
             cosine_of_edges += before[i] * after[i]
         scale /= max(1.0 + cosine_of_edges, 1e-12)

@@ -7,7 +7,7 @@ from elastica_curves import LAWS, WEIGHT, curves_of, write_curve
 from apps.strip_curves import oriented_curve, read_curve
 from common.errors import InputError
 from sim.cantilever import elastica, heavy_elastica
-from sim.material import bending_length
+from sim.material import gravity_length
 
 
 def test_a_curve_reads_the_same_whichever_way_its_axes_point(tmp_path):
@@ -64,7 +64,7 @@ def test_a_curve_that_rises_first_is_still_a_curve():
 @pytest.mark.parametrize("noise", [0.0, 3e-4])
 def test_a_curve_listed_from_the_free_end_is_refused(length, noise):
     curve = heavy_elastica(20e-6, -50e-9, weight=WEIGHT, points=81,
-                           length=length * bending_length(20e-6, 0.3))
+                           length=length * gravity_length(20e-6, 0.3))
     curve[1:] += np.random.default_rng(0).normal(0, noise, (80, 2))
     assert np.allclose(oriented_curve(curve), curve)
     for scale in ((1, 1), (-1, 1), (1, -1)):

@@ -288,10 +288,10 @@ def test_only_running_out_of_memory_ends_more_than_a_drape(monkeypatch):
         PardisoSolver(SparsePattern([np.arange(3)[None]], 3)).factorise(np.ones(6))
 
     for code in (-1, -3, -7):
-        monkeypatch.setattr(linear._Factor, "_call", lambda *_, code=code: code)
+        monkeypatch.setattr(linear.PardisoFactor, "_call", lambda *_, code=code: code)
         message = make_record(0, small_config(), solver=factor)["message"]
         assert message == f"LinAlgError: PARDISO ended with error {code}".encode()
-    monkeypatch.setattr(linear._Factor, "_call", lambda *_: -2)
+    monkeypatch.setattr(linear.PardisoFactor, "_call", lambda *_: -2)
     with pytest.raises(MemoryError):
         make_record(0, small_config(), solver=factor)
 

@@ -23,7 +23,7 @@ from drapenet.export.material import (
     read_material,
 )
 from experiments.physics.hinges import simulated_ratio
-from sim.energies.hinges import HingeLaw, mean_modulus
+from sim.energies.hinges import HingeBending, mean_modulus
 from sim.material import DIRECTIONS, MICRO, NANO, STIFF_SOFT, Fabric, torque
 from sim.mesh import strip
 
@@ -147,8 +147,8 @@ def test_newton_s_edges_store_the_energy_of_hinges(material, tmp_path):
     theta = angle_between(normal[pairs[:, 0]], normal[pairs[:, 1]])
     lengths = np.linalg.norm(np.diff(mesh.rest[mesh.edges[inner]], axis=1)[:, 0], axis=1)
     stiffness = np.array(builder.edge_bending_properties)[:, 0]
-    law = HingeLaw("hinge_linear", "edge")(mesh, np.ones(len(mesh.faces), bool),
-                                           fabric=Fabric(ALPHA * material.ratio))
+    law = HingeBending(mesh, np.ones(len(mesh.faces), bool), directed=True,
+                       fabric=Fabric(ALPHA * material.ratio))
     unknowns = np.concatenate([bent.ravel(), np.zeros(len(mesh.edges))])
     assert 0.5 * (stiffness * lengths * theta**2).sum() == pytest.approx(
         law.value(unknowns), rel=1e-5)

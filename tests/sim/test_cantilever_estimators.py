@@ -21,7 +21,7 @@ from sim.cantilever.moduli import (
 )
 from sim.cantilever.strip import simulate_strips
 from sim.cloth import Laws
-from sim.material import DIRECTIONS, SOFTENING_LIMIT, Fabric, bending_length, torque
+from sim.material import DIRECTIONS, SOFTENING_LIMIT, Fabric, gravity_length, torque
 
 
 def test_a_bezier_arc_has_the_length_and_curvature_of_a_circle():
@@ -126,7 +126,7 @@ FABRIC = Fabric(alpha=[30e-6, 18e-6, 20e-6], beta=[-60e-9, -45e-9, -30e-9])
 @pytest.mark.slow
 def test_three_free_strips_give_six_moduli():
     """Simulated on one triangulation, corrected on another."""
-    lengths = {d: [x * bending_length(a, 0.3) for x in (1.5, 2.5)]
+    lengths = {d: [x * gravity_length(a, 0.3) for x in (1.5, 2.5)]
                for d, a in zip(DIRECTIONS, FABRIC.alpha, strict=True)}
     strips = simulate_strips(FABRIC, lengths, cells=24, seed=5)
     found = estimate_moduli(strips, density=0.3, method="table")
@@ -139,7 +139,7 @@ def test_three_free_strips_give_six_moduli():
 
 def test_guided_simulated_strips_are_read():
     alpha = FABRIC.alpha[2]
-    lengths = {"weft": [x * bending_length(alpha, 0.3) for x in (1.5, 2.5)]}
+    lengths = {"weft": [x * gravity_length(alpha, 0.3) for x in (1.5, 2.5)]}
     strips = simulate_strips(FABRIC, lengths, cells=24, width=None, across=3,
                              laws=guided(Laws(), 3))
     for method in ("regression", "table"):

@@ -26,7 +26,9 @@ def raising(mesh, active, *, fabric):
 
 
 def plan(alpha: float, **options: object) -> dict:
-    return {"fabric": Fabric(np.full(3, alpha)), "rig": DISC_RIG, "edge": 12e-3} | options
+    start = "lowered" if alpha == ALPHAS[0] else "sine"
+    return {"fabric": Fabric(np.full(3, alpha)), "rig": DISC_RIG, "edge": 12e-3,
+            "start": start} | options
 
 
 @pytest.fixture(scope="module")

@@ -4,28 +4,17 @@ from functools import partial
 
 import numpy as np
 import pytest
+from test_energies import crumpled_strip
 
 from common.errors import InputError
 from sim.cloth import Laws
 from sim.drape import drape
 from sim.energies.base import Energy, check
-from sim.energies.midedge import MidEdgeBending
 from sim.material import Fabric
-from sim.mesh import strip
-from sim.solver.state import State, moved
+from sim.solver.newton import NewtonOptions
 
-MESH, HELD = strip(length=0.04, width=0.03, edge=0.01, clamp=0.01, diagonals="random", jitter=0.2)
-ACTIVE = ~HELD[MESH.faces].all(axis=1)
+MESH, ACTIVE, BENT = crumpled_strip(amplitude=1e-4, turn=0.1)
 FABRIC = Fabric([60e-6, 30e-6, 40e-6], [-90e-9, -40e-9, -60e-9])
-
-
-def bent_state() -> np.ndarray:
-    rng = np.random.default_rng(0)
-    x, y = MESH.rest.T
-    positions = np.column_stack([x, y, -8 * x**2 + 5 * x * y])
-    positions += rng.normal(0, 1e-4, positions.shape)
-    turns = np.append(np.zeros(positions.size), rng.normal(0, 0.1, len(MESH.edges)))
-    return moved(State.at(MESH, positions, ACTIVE).q, MESH.edges, turns)
 
 
 class Quartic(Energy):
@@ -50,11 +39,8 @@ class Aimless(Quartic):
         pass
 
 
-@pytest.mark.parametrize("energy", [
-    MidEdgeBending(MESH, ACTIVE, fabric=FABRIC), Quartic(MESH, ACTIVE, fabric=FABRIC)],
-    ids=lambda energy: type(energy).__name__)
-def test_right_derivatives_pass(energy):
-    check(energy, bent_state(), MESH.edges)
+def test_right_derivatives_pass():
+    check(Quartic(MESH, ACTIVE, fabric=FABRIC), BENT, MESH.edges)
 
 
 @pytest.mark.parametrize(("factors", "complaint"), [
@@ -64,7 +50,7 @@ def test_right_derivatives_pass(energy):
 ])
 def test_wrong_derivatives_are_named(factors, complaint):
     with pytest.raises(InputError, match=complaint):
-        check(Quartic(MESH, ACTIVE, fabric=FABRIC, **factors), bent_state(), MESH.edges)
+        check(Quartic(MESH, ACTIVE, fabric=FABRIC, **factors), BENT, MESH.edges)
 
 
 def test_a_gradient_of_another_shape_is_named():
@@ -73,17 +59,18 @@ def test_a_gradient_of_another_shape_is_named():
             return super().gradient(q)[:-1]
 
     with pytest.raises(InputError, match=r"Short.gradient has the shape \(\d+, 1\)"):
-        check(Short(MESH, ACTIVE, fabric=FABRIC), bent_state(), MESH.edges)
+        check(Short(MESH, ACTIVE, fabric=FABRIC), BENT, MESH.edges)
 
 
 def test_an_energy_without_dofs_is_named_by_a_drape_and_by_the_check():
     for failing in (lambda: drape(FABRIC, edge=0.02, laws=Laws(others=(Aimless,))),
-                    lambda: check(Aimless(MESH, ACTIVE, fabric=FABRIC), bent_state(), MESH.edges)):
+                    lambda: check(Aimless(MESH, ACTIVE, fabric=FABRIC), BENT, MESH.edges)):
         with pytest.raises(InputError, match=r"Aimless\.dofs must be an array"):
             failing()
 
 
 def test_a_drape_that_fails_by_a_wrong_derivative_points_to_the_check():
     law = partial(Quartic, slope=-1.0)
-    result = drape(FABRIC, edge=0.02, laws=Laws(others=(law,)))
+    result = drape(FABRIC, edge=0.02, laws=Laws(others=(law,)),
+                   options=NewtonOptions(max_iterations=10))
     assert not result.converged and "sim.energies.base" in result.message

@@ -10,9 +10,9 @@ from sim.energies import bending_law
 from sim.material import (
     SOFTENING_LIMIT,
     Fabric,
-    bending_length,
     bending_work,
     bias_limit,
+    gravity_length,
     is_admissible,
     plate_constants,
     torque,
@@ -227,10 +227,10 @@ def test_moduli_of_no_fabric_are_refused(alpha, beta, density, word):
 @pytest.mark.parametrize(("call", "word"), [
     (lambda: FABRICS[0].at_density(210), "density=210000 g/m²"),
     (lambda: FABRICS[0].at_density("0.2"), "density='0.2'"),
-    (lambda: bending_length(20.0, 0.2), "alpha=20 N·m .* at most 1 m; check the unit"),
-    (lambda: bending_length(-1e-5, 0.2), "positive"),
-    (lambda: bending_length(1e-5, 0.0), "density=0"),
-    (lambda: bending_length([1e-5], 0.2), "alpha=.*give a finite number, N·m"),
+    (lambda: gravity_length(20.0, 0.2), "alpha=20 N·m .* at most 1 m; check the unit"),
+    (lambda: gravity_length(-1e-5, 0.2), "positive"),
+    (lambda: gravity_length(1e-5, 0.0), "density=0"),
+    (lambda: gravity_length([1e-5], 0.2), "alpha=.*give a finite number, N·m"),
     (lambda: torque(-10.0, 6e-5, -5e-8), "must not be negative"),
     (lambda: torque(10.0, [6e-5, 0.0], 0.0), "must be positive"),
     (lambda: torque("a", 6e-5, 0.0), "curvature='a'")])

@@ -13,7 +13,7 @@ from sim.mesh.specimen import (
     MAX_EDGE,
     MAX_SHARED_OFFSET,
     TOPOLOGIES,
-    _base_mesh,
+    base_mesh,
 )
 from sim.rig import DISC_RIG, HUNG_SQUARE, Rig
 from sim.scene import Scene, make_specimen
@@ -198,7 +198,7 @@ def test_a_hung_square_has_even_edges_and_two_held_corners():
 
 def test_same_topology_same_bytes_other_topology_other_mesh():
     first, other = (make_specimen(Rig(), edge=0.008, topology=t).mesh for t in (1, 2))
-    _base_mesh.cache_clear()
+    base_mesh.cache_clear()
     again = make_specimen(Rig(), edge=0.008, topology=1).mesh
     assert again is not first
     assert again.rest.tobytes() == first.rest.tobytes()

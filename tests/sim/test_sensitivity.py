@@ -12,7 +12,6 @@ from sim.cloth import Cloth, Laws
 from sim.drape import FINE_OPTIONS, Drape, drape, follow
 from sim.energies.base import Energy
 from sim.energies.bending_variants import Hysteresis
-from sim.energies.membrane import Corotational
 from sim.energies.midedge import MidEdgeBending
 from sim.equilibrium import find_equilibrium
 from sim.material import REFERENCE_DENSITY, Fabric
@@ -135,8 +134,9 @@ def test_backwards_agrees_with_forwards(draped, tangent):
 def test_the_offset_of_the_specimen_against_drapes_with_it():
     """Of other meshes, of which each holds its disc as well as it can: 28 % off, 8 % at 71."""
     stiff = Fabric(np.full(3, 100e-6), np.full(3, -200e-9))
-    there = [drape(stiff, offset=(0.0, y), edge=0.006)
-             for y in (0.0, 1e-3, -1e-3)]
+    there = [drape(stiff, edge=0.006)]
+    there += [drape(stiff, offset=(0.0, y), edge=0.006, borrowed=(
+        there[0].rest, there[0].positions)) for y in (1e-3, -1e-3)]
     moves = moves_with_offset(Tangent.of(there[0]), there[0].rig)[1]
     expected = (there[1].positions - there[2].positions) / 2e-3
     edge = np.abs(there[0].rest).max(axis=1) > 0.15 - 1e-6  # where the mesh follows the cloth
@@ -191,7 +191,7 @@ def test_a_failure_affects_its_own_sample_only(draped):
 
 def test_light_cloth_is_as_inextensible_as_drapes_have_it():
     light = Fabric(FABRIC.alpha / 2, FABRIC.beta / 2, density=0.15)
-    start = drape(light, edge=0.016, options=TIGHT)
+    start = drape(light, edge=0.016, start="sine", options=TIGHT)
     found = equilibria([start], alpha=torch.tensor(light.alpha)[None], options=TIGHT,
                        beta=torch.tensor(light.beta)[None], density=0.15)
     assert np.abs(found.positions[0].numpy() - start.positions).max() < 1e-7
@@ -249,17 +249,6 @@ def test_following_finds_the_equilibrium_of_the_new_moduli(draped):
     assert error < 0.02 * size
 
 
-def test_other_laws_have_derivatives_too():
-    laws = Laws(bending="hinge", membrane=Corotational(stiffness=100.0))
-    isotropic = Fabric(np.full(3, 50e-6), np.full(3, -100e-9))
-    result = drape(isotropic, edge=0.016, laws=laws, options=TIGHT)
-    moves = sensitivities(result, parameters=("membrane",))
-    stiffer, softer = (follow(result, isotropic, laws=laws.softened(np.exp(s)), options=TIGHT)
-                       for s in (1e-3, -1e-3))
-    difference = (stiffer.positions - softer.positions) / 2e-3
-    assert np.linalg.norm(moves.positions[0] - difference) < 1e-3 * np.linalg.norm(difference)
-
-
 def averaged(mesh, active, *, fabric):
     """The plate of an isotropic fabric with the mean moduli."""
     return MidEdgeBending(mesh, active, fabric=Fabric(np.full(3, fabric.alpha.mean()),
@@ -271,7 +260,7 @@ def test_what_a_law_makes_of_the_moduli_itself_counts(bending):
     """As the torque of a natural curvature, or moduli that are means of the fabric's."""
     laws = Laws(bending=bending)
     fabric = Fabric([80e-6, 40e-6, 50e-6], [-80e-9, -40e-9, -50e-9])
-    result = drape(fabric, edge=0.016, laws=laws, options=TIGHT)
+    result = drape(fabric, edge=0.016, start="sine", laws=laws, options=TIGHT)
     moves = sensitivities(result, parameters=("log_alpha",))
     # Of the warp, beta/alpha kept. The drape of the hysteretic law has several minima; in the
     # softest the error of a difference over 1e-3 is 0.4 %, over 1e-4 a hundredth of that.

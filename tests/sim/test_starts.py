@@ -44,16 +44,16 @@ def test_the_same_fabric_stays_where_its_drape_was(lender):
 
 
 def test_folds_survive_in_another_fabric_on_another_mesh(lender):
-    own, lent = [], []
-    for seed in (8, 9, 10):
-        settings = {"rig": DISC_RIG, "edge": 0.006, "seed": seed}
+    others, lent = [], []
+    for seed in (8, 9):
+        settings = {"rig": DISC_RIG, "edge": 0.008, "seed": seed}
         borrowed = drape(isotropic(17), **settings, borrowed=(lender.rest, lender.positions))
         assert borrowed.converged and len(folds(borrowed)) == len(folds(lender))
         apart = np.exp(1j * folds(borrowed)[:, None]) / np.exp(1j * folds(lender))
         assert np.degrees(np.abs(np.angle(apart)).min(axis=1)).max() < 9
         lent.append(mean_distance(borrowed, lender))
-        own.append(mean_distance(drape(isotropic(17), **settings), lender))
-    assert max(own) > 2 * max(lent)  # other starts may find the same folds, not all do
+        others.append(mean_distance(drape(isotropic(17), **settings, start="ring"), lender))
+    assert max(others) > 2 * max(lent)  # other starts may find the same folds, not all do
 
 
 def test_borrowed_drape_drifts_with_the_specimen(lender):
@@ -134,7 +134,7 @@ def test_drapes_of_other_specimens_are_not_borrowed(lender, rig, word):
 def test_a_ring_start_has_waves_all_around_and_leads_to_more_than_one_number_of_folds():
     """Folds as deep on all sides; of one fabric, the number depends on the start's."""
     found = set()
-    for seed in range(4):
+    for seed in range(3):
         rng = np.random.default_rng([seed, 1])
         rest = make_specimen(DISC_RIG, edge=0.008, topology=0, offset=(0.0, 0.0)).mesh.rest
         start = initial_positions(rest, rig=DISC_RIG, start="ring", rng=rng)
@@ -144,7 +144,7 @@ def test_a_ring_start_has_waves_all_around_and_leads_to_more_than_one_number_of_
         angle = np.arctan2(hem[:, 1], hem[:, 0])
         spectrum = [abs((hem[:, 2] * np.exp(-1j * k * angle)).mean()) for k in range(1, 20)]
         assert 4 <= 1 + int(np.argmax(spectrum)) <= 14
-        result = drape(isotropic(15), rig=DISC_RIG, edge=0.008, seed=seed, start="ring")
+        result = drape(isotropic(15), rig=DISC_RIG, edge=0.01, seed=seed, start="ring")
         assert result.converged
         found.add(len(folds(result)))
     assert len(found) > 1 and min(found) >= 4
