@@ -104,11 +104,7 @@ docs: $(STAMP)  ## update the figures in README.md and docs/*.md from the demo a
 	$(BIN)/python -m experiments.figures
 
 reference: $(STAMP)  ## pages of the Python interface from its docstrings, outputs/reference/index.html
-	$(BIN)/python -W error::UserWarning -m pdoc --docformat restructuredtext -o outputs/reference \
-	  drapenet drapenet.result.estimate drapenet.inference drapenet.evidence sim sim.energies \
-	  sim.equilibrium sim.material sim.measures sim.rig sim.sensitivity sim.cantilever data.captures \
-	  '!data.captures.reported' data.readings '!data.readings.known' \
-	  data.fabrics data.strips '!data.fabrics.prior.__main__'
+	$(BIN)/python tools/reference.py outputs/reference
 
 studies: $(STAMP)  ## the papers' experiments, hours of CPU, resumed when interrupted: docs/studies.md
 	$(BIN)/python -m experiments papers
