@@ -11,7 +11,7 @@ PHOTOGRAPH ?= examples/captures/twill_photograph
 ROUNDED ?= tests/sim tests/data tests/drapenet
 PACKAGES := apps common configs data drapenet examples experiments sim tests tools
 
-.PHONY: help setup demo test test-rounding test-wheel test-slow test-slurm test-browser campaign serve lint sim prior dataset train evaluate bench-sim bench docs reference studies example validate blender matrix clean
+.PHONY: help setup demo test test-rounding test-wheel test-slow test-slurm test-browser serve lint sim prior dataset train evaluate bench-sim bench docs reference studies example validate blender matrix clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
@@ -53,20 +53,16 @@ test-browser: $(STAMP)  ## tests of the page in Chromium, installed if run as ro
 	$(BIN)/python -m pip install -qq --constraint constraints.txt --editable '.[dev,browser]'
 	$(BIN)/python -m pytest -q -rs -m browser tests/service/test_browser.py
 
-campaign: $(STAMP)  ## robustness tests: damaged input, kills, full disks; an hour
-	$(BIN)/python tests/campaign
-
 serve: $(STAMP)  ## run the page and the HTTP interface on http://localhost:8000
 	$(BIN)/python serve.py
 
 matrix: $(STAMP)  ## test the installed wheel with each Python from 3.10 to 3.13, 9 GB and minutes each
 	$(BIN)/python tools/matrix.py
 
-lint: $(STAMP)  ## check style, imports between packages, units in docstrings, unused code, types, spelling, words
+lint: $(STAMP)  ## check style, imports between packages, units in docstrings, unused code, types, spelling
 	$(BIN)/ruff check .
 	$(BIN)/vermin -q --target=3.10- --violations --eval-annotations --exclude file $(PACKAGES) *.py
 	$(BIN)/python tools/check_layers.py
-	$(BIN)/python tools/check_words.py
 	$(BIN)/python tools/check_docstrings.py
 	$(BIN)/python -m vulture
 	$(BIN)/python -m mypy
