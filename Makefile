@@ -10,8 +10,9 @@ CAPTURE ?= examples/captures/twill
 PHOTOGRAPH ?= examples/captures/twill_photograph
 ROUNDED ?= tests/sim tests/data tests/drapenet
 PACKAGES := apps common configs data drapenet examples experiments sim tests tools
+CHECKS := check-types check-versions check-unused check-layers check-docstrings check-spelling check-style
 
-.PHONY: help setup demo test test-rounding test-wheel test-slow test-slurm test-browser serve lint sim prior dataset train evaluate bench-sim bench docs reference studies example validate blender matrix clean
+.PHONY: $(CHECKS) help setup demo test test-rounding test-wheel test-slow test-slurm test-browser serve lint sim prior dataset train evaluate bench-sim bench docs reference studies example validate blender matrix clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
@@ -60,12 +61,21 @@ matrix: $(STAMP)  ## test the installed wheel with each Python from 3.10 to 3.13
 	$(BIN)/python tools/matrix.py
 
 lint: $(STAMP)  ## check style, imports between packages, units in docstrings, unused code, types, spelling
+	@$(MAKE) --no-print-directory --jobs --keep-going --output-sync=target $(CHECKS)
+
+check-style:
 	$(BIN)/ruff check .
-	$(BIN)/vermin -q --target=3.10- --violations --eval-annotations --exclude file $(PACKAGES) *.py
+check-versions:
+	$(BIN)/vermin -q --target=3.10- --violations --eval-annotations --no-parse-comments --exclude file $(PACKAGES) *.py
+check-layers:
 	$(BIN)/python tools/check_layers.py
+check-docstrings:
 	$(BIN)/python tools/check_docstrings.py
+check-unused:
 	$(BIN)/python -m vulture
+check-types:
 	$(BIN)/python -m mypy
+check-spelling:
 	$(BIN)/python -m codespell_lib README.md docs/*.md *.py $(PACKAGES)
 
 sim: $(STAMP)  ## simulate one drape, results in outputs/drape

@@ -88,7 +88,8 @@ def _run(task: Callable[[Any], None], name: str, schema: type, words: list[str])
     overrides = (_of_sweep(name, given.overrides) if given.multirun else
                  [quoted(word, schema) for word in given.overrides])
     with _hydra(name, words, given.config_dir) as (hydra, places):
-        asked = {"config_name": given.config_name or name, "overrides": [*places, *overrides]}
+        asked: dict[str, Any] = {"config_name": given.config_name or name,
+                                 "overrides": [*places, *overrides]}
         if given.hydra_help:
             hydra.hydra_help(asked["config_name"], get_args_parser(), given)
         elif given.cfg:
