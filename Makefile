@@ -58,7 +58,7 @@ serve: $(STAMP)  ## run the page and the HTTP interface on http://localhost:8000
 	$(BIN)/python serve.py
 
 matrix: $(STAMP)  ## test the installed wheel with each Python from 3.10 to 3.13, 9 GB and minutes each
-	$(BIN)/python tools/matrix.py
+	$(BIN)/python -m nox -f tools/matrix.py
 
 lint: $(STAMP)  ## check style, imports between packages, units in docstrings, unused code, types, spelling
 	@$(MAKE) --no-print-directory --jobs --keep-going --output-sync=target $(CHECKS)
