@@ -10,8 +10,9 @@ CAPTURE ?= examples/captures/twill
 PHOTOGRAPH ?= examples/captures/twill_photograph
 ROUNDED ?= tests/sim tests/data tests/drapenet
 PACKAGES := apps common configs data drapenet examples experiments sim tests tools
+CHECKS := check-types check-versions check-unused check-layers check-docstrings check-spelling check-style
 
-.PHONY: help setup demo test test-rounding test-wheel test-slow test-slurm test-browser campaign serve lint sim prior dataset train evaluate bench-sim bench docs reference studies example validate blender matrix clean
+.PHONY: $(CHECKS) help setup demo test test-rounding test-wheel test-slow test-slurm test-browser serve lint sim prior dataset train evaluate bench-sim bench docs reference studies example validate blender matrix clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
@@ -53,23 +54,28 @@ test-browser: $(STAMP)  ## tests of the page in Chromium, installed if run as ro
 	$(BIN)/python -m pip install -qq --constraint constraints.txt --editable '.[dev,browser]'
 	$(BIN)/python -m pytest -q -rs -m browser tests/service/test_browser.py
 
-campaign: $(STAMP)  ## robustness tests: damaged input, kills, full disks; an hour
-	$(BIN)/python tests/campaign
-
 serve: $(STAMP)  ## run the page and the HTTP interface on http://localhost:8000
 	$(BIN)/python serve.py
 
 matrix: $(STAMP)  ## test the installed wheel with each Python from 3.10 to 3.13, 9 GB and minutes each
-	$(BIN)/python tools/matrix.py
+	$(BIN)/python -m nox -f tools/matrix.py
 
-lint: $(STAMP)  ## check style, imports between packages, units in docstrings, unused code, types, spelling, words
+lint: $(STAMP)  ## check style, imports between packages, units in docstrings, unused code, types, spelling
+	@$(MAKE) --no-print-directory --jobs --keep-going --output-sync=target $(CHECKS)
+
+check-style:
 	$(BIN)/ruff check .
-	$(BIN)/vermin -q --target=3.10- --violations --eval-annotations --exclude file $(PACKAGES) *.py
+check-versions:
+	$(BIN)/vermin -q --target=3.10- --violations --eval-annotations --no-parse-comments --exclude file $(PACKAGES) *.py
+check-layers:
 	$(BIN)/python tools/check_layers.py
-	$(BIN)/python tools/check_words.py
+check-docstrings:
 	$(BIN)/python tools/check_docstrings.py
+check-unused:
 	$(BIN)/python -m vulture
+check-types:
 	$(BIN)/python -m mypy
+check-spelling:
 	$(BIN)/python -m codespell_lib README.md docs/*.md *.py $(PACKAGES)
 
 sim: $(STAMP)  ## simulate one drape, results in outputs/drape
@@ -104,11 +110,7 @@ docs: $(STAMP)  ## update the figures in README.md and docs/*.md from the demo a
 	$(BIN)/python -m experiments.figures
 
 reference: $(STAMP)  ## pages of the Python interface from its docstrings, outputs/reference/index.html
-	$(BIN)/python -W error::UserWarning -m pdoc --docformat restructuredtext -o outputs/reference \
-	  drapenet drapenet.result.estimate drapenet.estimator drapenet.evidence sim sim.energies \
-	  sim.equilibrium sim.material sim.measures sim.rig sim.sensitivity sim.cantilever data.captures \
-	  '!data.captures.reported' data.readings '!data.readings.known' \
-	  data.fabrics data.strips '!data.fabrics.prior.__main__'
+	$(BIN)/python tools/reference.py outputs/reference
 
 studies: $(STAMP)  ## the papers' experiments, hours of CPU, resumed when interrupted: docs/studies.md
 	$(BIN)/python -m experiments papers

@@ -12,9 +12,10 @@ import os
 import re
 import sys
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import is_dataclass, make_dataclass
+from functools import partial
 from pathlib import Path
 from types import GenericAlias
 from typing import Annotated, Any, NoReturn, get_args, get_origin, get_type_hints
@@ -27,7 +28,6 @@ from common.errors import InputError, one_line
 
 Workers = Annotated[int, Field(ge=1, le=1024)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
-_FULL_ERROR = "HYDRA_FULL_ERROR"
 
 
 @functools.cache
@@ -45,17 +45,7 @@ def command(
     """Decorator: make a function of a ``schema`` object the command of ``configs/NAME.yaml``; its
     help begins with its module's docstring.
     """
-
-    def decorate(task: Callable[[Any], None]) -> Callable[..., None]:
-        def run(words: list[str]) -> None:
-            if {"-h", "--help"} & set(words):
-                print(help_text(name, sys.modules[task.__module__].__doc__ or ""))
-            else:
-                _run(task, name, schema, words)
-
-        return functools.wraps(task)(_main(run))
-
-    return decorate
+    return lambda task: functools.wraps(task)(_main(partial(_run, task, name, schema)))
 
 
 def commands(
@@ -86,40 +76,66 @@ def _main(run: Callable[[list[str]], None]) -> Callable[..., None]:
 
 
 def _run(task: Callable[[Any], None], name: str, schema: type, words: list[str]) -> None:
-    """Compose the settings as Hydra does and call ``task``, in a sweep once for each job."""
-    from hydra import main
-    from hydra.core.hydra_config import HydraConfig
+    """Call ``task`` with the settings that Hydra composes, in a sweep once for each job."""
+    if {"-h", "--help"} & set(words):
+        print(help_text(name, sys.modules[task.__module__].__doc__ or ""))
+        return
+    from hydra import compose
+    from hydra._internal.utils import get_args_parser  # of what hydra.main takes from sys.argv
     from hydra.types import RunMode
 
     for word in words:
         key = word.strip("-").partition("=")[0]
         if word.startswith("-") and key in get_type_hints(schema):
             raise InputError(f"{word}: write {key}=VALUE, without dashes")
-    composed: list[Any] = []
-    _read_decimals()
-
-    @functools.wraps(task)  # Hydra reads the task's module
-    def job(config: Any) -> None:
-        if HydraConfig.get().mode is RunMode.MULTIRUN:
-            task(checked(config, schema))
+    given = get_args_parser().parse_intermixed_args(words)
+    for word in given.overrides:
+        if "=" not in word and word[:1] != "~":
+            raise InputError(f"{word}: write KEY=VALUE without spaces around =, in quotes if it "
+                             "has spaces: 'KEY=MY VALUE'; --help lists the keys")
+    config = None
+    overrides = (_of_sweep(name, given.overrides) if given.multirun else
+                 [quoted(word, schema) for word in given.overrides])
+    with _hydra(name, words, given.config_dir) as (hydra, places):
+        asked: dict[str, Any] = {"config_name": given.config_name or name,
+                                 "overrides": [*places, *overrides]}
+        if given.hydra_help:
+            hydra.hydra_help(asked["config_name"], get_args_parser(), given)
+        elif given.cfg:
+            hydra.show_cfg(**asked, cfg_type=given.cfg, package=given.package,
+                           resolve=given.resolve)
+        elif given.info:
+            hydra.show_info(given.info, **asked)
+        elif given.multirun or hydra.get_mode(**asked) is RunMode.MULTIRUN:
+            job = functools.wraps(task)(lambda config: task(checked(config, schema)))
+            hydra.multirun(**asked, task_function=job)
         else:
-            composed.append(config)  # the task runs outside of Hydra, which would print its errors
+            config = checked(compose(**asked), schema)
+    if config is not None:  # outside of Hydra, which has words of its own for errors
+        task(config)
 
-    argv, full = sys.argv, os.environ.get(_FULL_ERROR, "0")
-    try:  # Hydra reads sys.argv, and raises its errors if the variable is set
-        sys.argv, os.environ[_FULL_ERROR] = [argv[0], *_overrides(name, schema, words)], "1"
-        main(version_base="1.3", config_path=str(CONFIG_DIR), config_name=name)(job)()
+
+@contextmanager
+def _hydra(name: str, words: Sequence[str], folder: str | None = None
+           ) -> Iterator[tuple[Any, list[str]]]:
+    """Hydra, with the settings of a ``folder``, of ``configs`` and of groups of one command, and
+    the override that states their places; its errors say what to write in place of ``words``."""
+    from hydra import initialize_config_dir
+    from hydra.core.global_hydra import GlobalHydra
+
+    _read_decimals()
+    folders = [Path(folder).absolute()] if folder else []
+    folders += filter(Path.is_dir, (CONFIG_DIR, CONFIG_DIR / name))
+    if not folders[0].is_dir():
+        raise InputError(f"--config-dir {folder}: there is no such folder")
+    places = ",".join(f"'file://{place}'" for place in folders[1:])
+    try:
+        with initialize_config_dir(str(folders[0]), Path(name).name, version_base="1.3"):
+            yield GlobalHydra.instance().hydra, [f"hydra.searchpath=[{places}]"] * bool(places)
     except InputError:
         raise
     except Exception as error:
-        if bare := [word for word in words if "=" not in word and word[:1] not in ("-", "~")]:
-            raise InputError(f"{bare[0]}: write KEY=VALUE without spaces around =, in quotes if "
-                             "it has spaces: 'KEY=MY VALUE'; --help lists the keys") from None
         raise _fault(error, words) from error
-    finally:
-        sys.argv, os.environ[_FULL_ERROR] = argv, full
-    for config in composed:
-        task(checked(config, schema))
 
 
 def _fault(error: Exception, words: Sequence[str]) -> InputError:
@@ -136,27 +152,15 @@ def _fault(error: Exception, words: Sequence[str]) -> InputError:
     return InputError(f"{one_line(error)}; see {' '.join(words)}")
 
 
-def _overrides(name: str, schema: type, words: list[str]) -> list[str]:
-    """Arguments for Hydra; in a sweep the default of ``out`` is in the folder of each job."""
-    settings = [word for word in words if ("=" in word and word[0] != "-") or word[:1] == "~"]
-    words = [*settings, *(word for word in words if word not in settings)]  # as Hydra takes them
-    content = read_config(name)
-    keys = {word.partition("=")[0] for word in words}
+def _of_sweep(name: str, words: list[str]) -> list[str]:
+    """Overrides of a sweep, whose default of ``out`` is in the folder of each job."""
+    content, keys = read_config(name), {word.partition("=")[0] for word in words}
     parts = content.get("hydra", {}).get("sweeper", {}).get("params", {})
-    replaced = [*_own_groups(name),
-                *(f"~hydra.sweeper.params.{key}" for key in parts if key in keys)]
-    if not {"-m", "--multirun"} & set(words):
-        return [*replaced, *(quoted(word, schema) for word in words)]
+    replaced = [f"~hydra.sweeper.params.{key}" for key in parts if key in keys]
     if content.get("out") and not parts and "out" not in keys:
         out = Path(content["out"])
-        replaced += ["out=${hydra:runtime.output_dir}" + f"/{out.name}" * bool(out.suffix)]
+        replaced.append("out=${hydra:runtime.output_dir}" + f"/{out.name}" * bool(out.suffix))
     return [*replaced, *words]
-
-
-def _own_groups(name: str) -> list[str]:
-    """Hydra's word for the groups of one command, if it has any."""
-    folder = CONFIG_DIR / name
-    return [f"hydra.searchpath=['file://{folder}']"] if folder.is_dir() else []
 
 
 def quoted(word: str, schema: type) -> str:
@@ -196,34 +200,27 @@ def _in_quotes(text: str) -> str:
 
 def compose_config(name: str, words: Sequence[str], *, schema: type) -> Any:
     """Compose ``configs/NAME.yaml`` with the overrides ``words`` into an instance of ``schema``."""
-    try:
-        config = _compose(name, [quoted(word, schema) for word in words])
-    except Exception as error:
-        raise _fault(error, words) from error
-    return checked(config, schema)
+    from hydra import compose
+
+    with _hydra(name, words) as (_, places):
+        return checked(compose(name, [*places, *(quoted(word, schema) for word in words)]), schema)
 
 
 def schema_of(name: str) -> type:
     """Derive a schema for ``configs/NAME.yaml`` and included files from their values; those that
     are null, alone or in a list, may be numbers."""
+    from hydra import compose
+    from omegaconf import OmegaConf
+
     def kind(value: Any) -> Any:
         if isinstance(value, Mapping):
             return make_dataclass("Settings", [(key, kind(item)) for key, item in value.items()])
-        if isinstance(value, Sequence | list) and not isinstance(value, str):
+        if isinstance(value, list):
             return GenericAlias(list, kind(None if None in value else value[0]))
         return float | None if value is None else type(value)
 
-    from omegaconf import OmegaConf
-
-    return kind(OmegaConf.to_container(_compose(name, [])))
-
-
-def _compose(name: str, words: list[str]) -> Any:
-    from hydra import compose, initialize_config_dir
-
-    _read_decimals()
-    with initialize_config_dir(version_base="1.3", config_dir=str(CONFIG_DIR)):
-        return compose(name, overrides=[*_own_groups(name), *words])
+    with _hydra(name, []) as (_, places):
+        return kind(OmegaConf.to_container(compose(name, places)))
 
 
 def checked(config: Any, schema: type) -> Any:

@@ -2,6 +2,7 @@
 
 import reprlib
 from contextlib import suppress
+from errno import ENOMEM
 
 MAX_LENGTH, MAX_LIST_LENGTH = 700, 4000  # characters of a message; of a list of faults
 
@@ -19,9 +20,16 @@ class InputError(ValueError):
                                  for c in message))
 
 
-def one_line(error: Exception | str) -> str:
+def one_line(error: BaseException | str) -> str:
     """An error's message without line breaks, shortened; the class name if it is empty."""
     return " ".join(str(error).split())[:200] or type(error).__name__
+
+
+def lacks_memory(error: BaseException | None) -> bool:
+    """Whether the system refused memory, to an array or a library that was to be loaded."""
+    return error is not None and (
+        isinstance(error, MemoryError) or "failed to map segment" in str(error)
+        or getattr(error, "errno", None) == ENOMEM or lacks_memory(error.__context__))
 
 
 def shortened(text: str, length: int) -> str:

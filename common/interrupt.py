@@ -1,4 +1,4 @@
-"""Ctrl-C ends a command at once, with one line and exit code 130.
+"""Ctrl-C ends a command at once, with one line and exit code 130; a lack of memory with one and 2.
 
 A command imports this module before all others, whose imports take seconds; libraries never import
 it. No exception passes through compiled functions and half-loaded libraries: files are complete
@@ -10,8 +10,9 @@ import signal
 import sys
 import threading
 from contextlib import suppress
-from types import FrameType
+from types import FrameType, TracebackType
 
+from common.errors import lacks_memory, one_line
 from common.files import remove_unfinished
 
 
@@ -25,8 +26,21 @@ def end(number: int, frame: FrameType | None) -> None:
     os._exit(130)
 
 
+def report(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """Exception hook that prints one line and ends the process where memory is refused."""
+    if not lacks_memory(error):
+        sys.__excepthook__(kind, error, trace)
+        return
+    remove_unfinished()
+    os.write(2, f"error: too little memory ({one_line(error)}); a command needs up to 5 GB for "
+                "each process: raise its limit (ulimit -v), or end other programs\n".encode())
+    os._exit(2)
+
+
 # The process that releases the semaphores of ended processes would report that it does.
 os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker")
 if (threading.current_thread() is threading.main_thread()
         and signal.getsignal(signal.SIGINT) is signal.default_int_handler):
     signal.signal(signal.SIGINT, end)
+    if sys.excepthook is sys.__excepthook__:
+        sys.excepthook = report

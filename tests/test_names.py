@@ -12,6 +12,9 @@ from pathlib import Path
 
 import pytest
 
+import drapenet
+from tools import reference
+
 ROOT = Path(__file__).resolve().parent.parent
 SOURCES = [file for folder in ("apps", "common", "data", "drapenet", "sim")
            for file in sorted((ROOT / folder).rglob("*.py"))]
@@ -61,3 +64,11 @@ def test_the_simulator_loads_without_what_only_networks_and_reports_need():
             "print({'torch', 'open3d', 'matplotlib', 'hydra', 'cv2'} & set(sys.modules))")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
     assert done.stdout == "set()\n", done.stdout + done.stderr
+
+
+def test_the_reference_has_a_page_of_each_public_name(tmp_path):
+    reference.main(tmp_path, show_source=False)
+    page = (tmp_path / "drapenet.html").read_text("utf-8")
+    for name in drapenet.__all__:
+        assert f'id="{name}"' in page
+    assert (tmp_path / "data" / "captures.html").exists()

@@ -14,6 +14,8 @@ SCRIPTS = ("train", "infer", "serve")
 FORBIDDEN = {
     "common": ("apps", "data", "drapenet", "sim", *SCRIPTS),
     "sim": ("apps", "data", "drapenet", *SCRIPTS),
+    "data": ("apps", "drapenet", *SCRIPTS),
+    "drapenet": ("apps", *SCRIPTS),
 }
 """What a package must not import."""
 

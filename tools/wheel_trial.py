@@ -51,30 +51,17 @@ def run(*words: str | Path, cwd: Path) -> str:
 
 
 def built_wheel(folder: Path) -> tuple[Path, Path]:
-    """The tree of git's index and its wheel, in ``folder``; TrialError unless it has all files."""
+    """The tree of git's index and its wheel, in ``folder``; TrialError unless it has all files of
+    the tree but those of :data:`LEFT`, and no others."""
     source = folder / "source"
     run("git", "checkout-index", "--all", f"--prefix={source}/", cwd=ROOT)
-    expected = files_of(source)  # before files of the build are added
+    parts = [part for part in source.iterdir() if part.suffix == ".py" or (
+        part.is_dir() and part.name not in LEFT)]  # before the build adds folders
     run(sys.executable, "-m", "pip", "wheel", "--no-deps", "-q", "-w", folder, source, cwd=folder)
     (wheel,) = folder.glob("*.whl")
-    require_files(wheel, expected)
+    run(sys.executable, "-m", "check_wheel_contents", "--no-config", "--select=W101,W102",
+        *(f"--package={part}" for part in parts), wheel, cwd=folder)
     return source, wheel
-
-
-def files_of(source: Path) -> set[str]:
-    """Names of the files of a tree that belong to its wheel."""
-    inner = {file.relative_to(source) for file in source.rglob("*") if file.is_file()}
-    return {str(file) for file in inner if (file.parts[0] not in LEFT if file.parts[1:] else
-                                            file.suffix == ".py")}
-
-
-def require_files(wheel: Path, expected: set[str]) -> None:
-    """TrialError unless the files of a wheel are those ``expected`` and its description."""
-    found = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
-    if expected != found:
-        raise TrialError(f"the wheel lacks {sorted(expected - found)} and has "
-                         f"{sorted(found - expected)} in addition; see [tool.setuptools] in "
-                         "pyproject.toml")
 
 
 def modules(wheel: Path) -> list[str]:

@@ -11,7 +11,7 @@ from types import ModuleType
 
 import numpy as np
 
-from common.errors import InputError, one_line
+from common.errors import InputError, lacks_memory, one_line
 from common.types import DepthImage, Faces, Points, Radians, Turns, Views
 from data.render.cameras import Camera
 
@@ -27,6 +27,8 @@ def import_open3d() -> ModuleType:
     try:
         import open3d
     except (ImportError, OSError) as error:
+        if lacks_memory(error):
+            raise
         raise InputError(f"open3d cannot be imported ({one_line(error)}); install its libraries "
                          f"with: {OPEN3D_REMEDY}") from None
     return open3d

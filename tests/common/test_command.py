@@ -93,6 +93,8 @@ def test_schema_and_file_have_the_same_commented_keys_and_every_default_fits_its
 
     same(SCHEMAS[name], read_config(name), groups)
     assert isinstance(compose_config(name, [], schema=SCHEMAS[name]), SCHEMAS[name])
+    keys = {field.name for field in fields(SCHEMAS[name])} - groups
+    assert not any(map(group_options, keys))  # Hydra would take the key for a choice of a group
     for line in common.configs.config_text(name).splitlines():
         key = line.partition(":")[0]
         if key in read_config(name) and key not in ("defaults", "hydra", "port", "model", "optim"):
@@ -136,19 +138,15 @@ def test_other_numbers_are_refused(run, tmp_path, text):
 
 
 def test_lists_and_interpolations(run):
-    (words,) = run("name=a b", "names=['a, b',\"c\"]", "numbers=1,2.5", "inner.text=${count} x")
-    assert (words.name, words.names) == ("a b", ["a, b", "c"])
-    assert words.numbers == [1.0, 2.5] and words.inner.text == "1 x"
-    assert run("numbers=[3,4]")[0].numbers == [3.0, 4.0] and run("names=[c/d,e]")[0].names[0] == (
-        "c/d")
-    assert run("name='a, b'", "numbers=5")[0].numbers == [5.0]
-
-
-def test_texts_of_a_list_are_taken_as_they_are_written(run):
     texts = ["A", "Köper", "my fabrics/twill 12", "Bob's (2)#3", "C:\\a b\\", "007", "日本", "x=y"]
     assert run(f"names=[{','.join(texts)}]")[0].names == texts
     assert run("names=[ A , 'b, c',${count}/ä]")[0].names == ["A", "b, c", "1/ä"]
     assert run("names=[]")[0].names == []
+    (words,) = run("name=a b", "names=['a, b',\"c\"]", "numbers=1,2.5", "inner.text=${count} x")
+    assert (words.name, words.names) == ("a b", ["a, b", "c"])
+    assert words.numbers == [1.0, 2.5] and words.inner.text == "1 x"
+    assert run("numbers=[3,4]")[0].numbers == [3.0, 4.0]
+    assert run("name='a, b'", "numbers=5")[0].numbers == [5.0]
 
 
 def test_a_text_that_hydra_cannot_read_in_a_sweep_is_answered_with_quotes(run):
@@ -230,14 +228,6 @@ def test_one_run_leaves_nothing_behind_and_each_job_of_a_sweep_has_its_out(run, 
         (1, "a", "x_1"), (1, "b", "x_1"), (2, "a", "x_2"), (2, "b", "x_2")]
     assert [Path(job.out) for job in jobs] == [tmp_path / "logs" / str(k) for k in range(4)]
     assert [job.out for job in run("-m", "count=1,2", "out=x/${count}")] == ["x/1", "x/2"]
-
-
-@pytest.mark.parametrize("name", SCHEMAS)
-def test_no_key_has_the_name_of_a_group_that_hydra_would_take_it_for(name):
-    chosen = {group for default in read_config(name)["defaults"] if isinstance(default, dict)
-              for group in default}
-    keys = {field.name for field in fields(SCHEMAS[name])}
-    assert not {key for key in keys - chosen if group_options(key)}
 
 
 def test_a_group_of_one_command_is_chosen_by_it_alone(run, tmp_path):

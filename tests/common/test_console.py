@@ -1,6 +1,7 @@
 """What commands print where the output is full, closed, or knows ASCII only."""
 
 import os
+import resource
 import subprocess
 import sys
 from pathlib import Path
@@ -45,3 +46,19 @@ def test_undecodable_names_and_ascii_outputs_are_escaped():
                 PYTHONIOENCODING="ascii", PYTHONUTF8="0", LC_ALL="C")
     assert found.stdout == b"\\xb5 \\udcff\n"
     assert (found.returncode, found.stderr) == (2, b"error: \\xb5\\n\n")
+
+
+@pytest.mark.parametrize("room", [4e8, 2.6e9])
+def test_a_limit_of_memory_is_one_line(room, tmp_path):
+    """While the command is loaded, and its network."""
+    done = subprocess.run(
+        [sys.executable, "infer.py", "capture=examples/captures/twill_photograph", "drapes=0",
+         f"out={tmp_path}"], cwd=ROOT, capture_output=True, text=True,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (int(room), int(room))))
+    assert done.returncode == 2 and done.stderr.startswith("error: too little memory (")
+    assert done.stderr.count("\n") == 1 and "ulimit -v" in done.stderr
+
+
+def test_other_faults_keep_their_traceback():
+    done = run("raise ImportError('no such module')", "")
+    assert done.returncode == 1 and b"Traceback" in done.stderr
