@@ -35,7 +35,7 @@ INPUTS = {"depth views": CELLS["depth, 4 views"].condition,
 """Conditions of the evaluation; the number of views varies as in training."""
 SHAPES = ("squares", "discs", "rectangles")
 """Specimens of any size on any plate."""
-SOURCES = ("drapenet/network", "train.py")
+SOURCES = ("drapenet.network", "train")
 
 
 def of_tester(maps: Maps, tester: str) -> np.ndarray:

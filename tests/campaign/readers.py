@@ -37,13 +37,14 @@ from apps.strip_curves import read_curve
 from common.configs import read_config, read_option
 from common.documents import read_bytes, read_json
 from common.errors import InputError
+from common.provenance import digest
 from data.captures.capture import read_capture
 from data.captures.raw_scans import read_raw_scan
 from data.captures.rosbag import read_recording
 from data.captures.scans import read_scan
 from data.dataset import inspect
 from data.dataset.config import DatasetConfig, SamplingConfig
-from data.dataset.folder import DatasetFolder, json_digest
+from data.dataset.folder import DatasetFolder
 from data.dataset.simulate import make_record
 from data.fabrics.fabrics import TABLE_COLUMNS, read_fabric_table
 from data.fabrics.prior import load_prior
@@ -294,10 +295,10 @@ def _mend_dataset(folder: Path) -> None:
     """Digests that fit what is there; damage of shards shows by their seals."""
     try:
         manifest = json.loads((folder / "dataset.json").read_text())
-        manifest["identity"] = json_digest(manifest["config"])
+        manifest["identity"] = digest(manifest["config"])
         manifest["shards"] = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest()
                               for name in manifest["shards"]}
-        manifest["hash"] = json_digest(manifest["shards"])
+        manifest["hash"] = digest(manifest["shards"])
         (folder / "dataset.json").write_text(json.dumps(manifest))
     except Exception:  # damage that cannot be hidden
         pass

@@ -106,8 +106,9 @@ def test_batches_on_a_device_make_the_same_records(tmp_path, monkeypatch):
     config = replace(small_config(drapes=2, starts=("lowered",), testers=(DISC_RIG.name,)),
                      edge=0.014, drapes_per_shard=1)
     for name, device in (("one", None), ("batch", "cpu")):
-        assert generate(tmp_path / name, config, solver=None, device=device)["complete"]
-        assert generate(tmp_path / name, config, solver=fake_drapes.killed, device=device)
+        made = replace(config, device=device)
+        assert generate(tmp_path / name, made, solver=None)["complete"]
+        assert generate(tmp_path / name, made, solver=fake_drapes.killed)
     names = [path.name for path in shards(tmp_path / "one")]
     assert names == [path.name for path in shards(tmp_path / "batch")] and len(names) == 2
     for one, batch in ((Shard(tmp_path / kind / name) for kind in ("one", "batch"))
@@ -124,7 +125,7 @@ def test_only_lowered_drapes_are_made_in_batches(tmp_path):
     for device, starts, complaint in (("cpu", ("lowered", "sine"), "only lowered drapes"),
                                       ("none", ("lowered",), "device=none: ")):
         with pytest.raises(InputError, match=complaint):
-            generate(tmp_path / "set", small_config(starts=starts), device=device)
+            generate(tmp_path / "set", replace(small_config(starts=starts), device=device))
     assert not (tmp_path / "set").exists()
 
 
