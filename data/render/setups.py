@@ -92,7 +92,8 @@ class Setups:
         orientation = float(rng.uniform(*self.orientation))
         from data.render.raster import rasterise  # Numba, which a reader of set-ups need not load
 
-        views = rasterise(positions, faces, camera, orientation + turns + wrong)
+        views = rasterise(positions, faces, camera,
+                          (orientation + turns + wrong).tolist())
         name = str(rng.choice(list(self.sensors), p=list(self.sensors.values())))
         noisy = load_sensor(name)(views, camera, int(rng.integers(2**63)))
         self._cut_out(noisy, views, camera, rng)
@@ -141,6 +142,7 @@ class _SetupFile(Schema):
     remedy = "see configs/setup/real.yaml"
 
 
-_File = create_model("_File", __base__=_SetupFile, **{
-    key: (kind, ...) for key, kind in keys_of(Setups, without=["orientation"]).items()})
+_KEYS: dict[str, Any] = {key: (kind, ...) for key, kind in
+                         keys_of(Setups, without=["orientation"]).items()}
+_File = create_model("_File", __base__=_SetupFile, **_KEYS)
 """``configs/setup/NAME.yaml``, where the keys are documented."""
