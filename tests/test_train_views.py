@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 from checkpoints import use_skirts
-from test_train import SMALL, learned, stiff_maps
+from test_train import SMALL, few_features, learned, stiff_maps  # noqa: F401
 from words import last
 
 import drapenet.network.evaluate

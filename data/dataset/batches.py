@@ -2,7 +2,8 @@
 
 A window of shards is planned at once, so that batches are large: many drapes share a mesh. Worker
 processes then make the records, whose derivatives need factors of their own, and write the shards,
-while the drapes of the next window are made. An interruption costs a window.
+while the drapes of the next window are made. An interruption costs a window. Drapes equal those of
+the CPU up to rounding, which may choose other folds, so that the device is a setting of a dataset.
 """
 
 from collections.abc import Sequence

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -87,7 +87,7 @@ def _train(points: "torch.Tensor", architecture: Architecture) -> dict[str, np.n
         loss.backward()
         optimiser.step()
         schedule.step()
-    weights: dict[str, torch.Tensor] = {}
+    weights: dict[str, Any] = {}
     for name, network in (("encoder", encoder), ("decoder", decoder)):
         for k, layer in enumerate(network[::2]):
             weights |= {f"{name}.{k}.weight": layer.weight, f"{name}.{k}.bias": layer.bias}
