@@ -13,6 +13,8 @@ from pydantic import AfterValidator, Field
 from common.errors import InputError
 from common.types import Metres
 
+Workers = Annotated[int, Field(ge=1, le=1024)]
+Seed = Annotated[int, Field(ge=0, lt=2**63)]
 CONFIG_DIR = Path(__file__).resolve().parent.parent / "configs"
 _UNITS: dict[str, Callable[[float], float]] = {
     "_mm": lambda value: 1e-3 * value,

@@ -7,8 +7,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from common.command import Seed, Workers
-from common.configs import Key, keys_of, metres, si, up_to
+from common.configs import Key, Seed, Workers, keys_of, metres, si, up_to
 from common.errors import InputError
 from common.provenance import sources_digest
 from common.types import Metres
@@ -40,7 +39,7 @@ class SamplingConfig:
     testers_per_fabric: int = 1
     both_faces: bool = False
     drift: Annotated[Metres, Key("mm", up_to(20))] = 0.003
-    even_share: Annotated[float, Key("", up_to(1))] = 0.0
+    even_share: Annotated[float, Field(ge=0, le=1)] = 0.0
     nuisances: NuisanceConfig = field(default_factory=NuisanceConfig)
 
     def __post_init__(self) -> None:

@@ -144,11 +144,6 @@ def test_a_run_without_parts_completes_what_parts_have_left(finished, tmp_path):
     assert files(tmp_path / "set") == files(finished[0])
 
 
-def test_bytes_do_not_depend_on_workers(finished, tmp_path):
-    generate(tmp_path / "two", workers=2)
-    assert files(tmp_path / "two") == files(finished[0])
-
-
 @pytest.mark.parametrize("damage", ["missing", "cut", "empty", "bit", "seal", "foreign"])
 def test_missing_and_damaged_shards_are_made_again(finished, tmp_path, damage):
     folder = tmp_path / "set"

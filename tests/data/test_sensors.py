@@ -47,6 +47,9 @@ def test_no_strength_changes_nothing():
                   TimeOfFlight(strength=0)):
         result = noise(views, INTRINSICS, 0)
         assert np.array_equal(result, views) and result is not views
+    view = plane(tilt_deg=50)
+    view[:, :, :40] = 0
+    torch.testing.assert_close(measured(NOTHING, view)[0], view, rtol=0, atol=1e-7)
 
 
 @pytest.mark.parametrize("name", ["smooth", "paper", "tof"])
@@ -181,15 +184,6 @@ def test_silhouettes_take_the_nearest_pixel_and_mix_nothing():
     assert (moved[:, :-1] == depth[:, 1:]).all()
 
 
-def test_outside_of_the_picture_is_background():
-    u, v = grid(6, 8)
-    depth = np.full((6, 8), 0.5, dtype=np.float32)
-    moved = remapped(depth, u - 3, v + 100)
-    assert not moved.any()
-    moved = remapped(depth, u - 3, v)
-    assert not moved[:, :3].any() and (moved[:, 3:] == 0.5).all()
-
-
 NOTHING = TimeOfFlight(
     axial_mm=0, bias_mm=0, scale_percent=0, edge_invalid_least=0, edge_invalid_most=0,
     edge_blend=0, grazing_invalid=0, hole_percent=0, step_mm=0,
@@ -208,12 +202,6 @@ def plane(depth: float = 0.5, tilt_deg: float = 0.0) -> torch.Tensor:
 def measured(noise: Sensor, views: torch.Tensor, *, captures: int = 1) -> torch.Tensor:
     """Noisy copies (captures, K, H, W)."""
     return torch.from_numpy(noise(views.expand(captures, *views.shape).numpy(), MIDDLE, 3))
-
-
-def test_nothing_changes_where_every_figure_is_zero():
-    view = plane(tilt_deg=50)
-    view[:, :, :40] = 0
-    torch.testing.assert_close(measured(NOTHING, view)[0], view, rtol=0, atol=1e-7)
 
 
 @pytest.mark.parametrize(("exponent", "power"), [(0.5, 1.0), (1.0, 2.0)])
