@@ -8,14 +8,12 @@ are written by many machines, are refused for the same reason, and state their o
 checksum (:mod:`data.dataset.folder`).
 """
 
-import hashlib
 import inspect
 import json
 import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import as_completed
-from dataclasses import asdict, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,9 +22,9 @@ from tqdm import tqdm
 
 from common.errors import InputError, one_line
 from common.files import remove_file, replace_file, replacing
+from common.imports import plain_code
+from common.provenance import digest, sources_digest
 from common.workers import worker_pool
-
-ROOT = Path(__file__).resolve().parents[1]
 
 # One process draws. tqdm's default lock is shared with forked processes, and stays locked if one of
 # them is killed while it holds it.
@@ -52,16 +50,17 @@ def run_cases(
         cases: settings by name, of JSON types, paths and dataclasses of these; a path stands for
             the content of the file or folder.
         folder: of the result files ``NAME.json``.
-        sources: folders and files of the project that the results depend on, beside ``work``.
+        sources: what the results depend on, beside the text of ``work``: modules of the project and
+            files, see :func:`common.provenance.sources_digest`.
         title: of a case, by its name.
         failures: receives the cases that fail, in one line each; they are recorded and not tried
             again. None: they are, and the first error is raised when all other cases are done.
     """
     if workers < 1:
         raise InputError(f"workers={workers}: at least one process is needed")
-    code = [inspect.getsource(work), *(content_digest(ROOT / name) for name in sources)]
-    keys = {name: _digest(json.dumps([settings, code], sort_keys=True, default=_plain))
-            for name, settings in cases.items()}
+    code = [plain_code(inspect.getsource(work).encode()).decode(),
+            sources_digest(*sources) if sources else ""]
+    keys = {name: digest([settings, code]) for name, settings in cases.items()}
     files = {name: folder / f"{name}.json" for name in cases}
     stored: dict[str, Any] = {name: _stored(files[name], keys[name], failures) for name in cases}
     missing = [name for name in cases if stored[name] is None]
@@ -96,37 +95,9 @@ def load_arrays(folder: Path, name: str) -> dict[str, np.ndarray]:
         return dict(file)
 
 
-def content_digest(path: Path) -> str:
-    """Digest of a file's content, or of the names and contents of all files of a folder."""
-    files = [path] if path.is_file() else sorted(
-        file for file in path.rglob("*") if file.is_file() and "__pycache__" not in file.parts)
-    parts = []
-    for file in files:
-        try:
-            content = hashlib.sha256(file.read_bytes()).hexdigest()
-        except OSError as error:  # reported by who reads the file
-            content = type(error).__name__
-        parts.append([file.relative_to(path).as_posix(), content])
-    return _digest(json.dumps(parts))
-
-
-def _digest(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
 def progress_bar(items: Any = None, **options: Any) -> tqdm:
     """A tqdm bar with an update interval of 0.1 s on a terminal and 10 s in a log file."""
     return tqdm(items, mininterval=0.1 if sys.stderr.isatty() else 10.0, **options)
-
-
-def _plain(value: object) -> object:
-    if isinstance(value, Path):
-        return content_digest(value)
-    if is_dataclass(value) and not isinstance(value, type):
-        return asdict(value)
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    raise TypeError(f"{type(value).__name__} is not a setting of a case")
 
 
 def _stored(file: Path, key: str, failures: Mapping[str, str] | None) -> dict[str, Any] | None:

@@ -18,16 +18,15 @@ from dataclasses import is_dataclass, make_dataclass
 from functools import partial
 from pathlib import Path
 from types import GenericAlias
-from typing import Annotated, Any, NoReturn, get_args, get_origin, get_type_hints
+from typing import Any, NoReturn, get_args, get_origin, get_type_hints
 
-from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from common.configs import CONFIG_DIR, config_text, group_options, read_config
+from common.configs import Seed as Seed
+from common.configs import Workers as Workers
 from common.documents import decimal, faults
 from common.errors import InputError, one_line
-
-Workers = Annotated[int, Field(ge=1, le=1024)]
-Seed = Annotated[int, Field(ge=0, lt=2**63)]
 
 
 @functools.cache

@@ -1,9 +1,11 @@
 """Files in ``configs/``, read without Hydra, and their values in SI units."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, Any
+from types import GenericAlias
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 from pydantic import AfterValidator, Field
 
@@ -11,6 +13,8 @@ from common.documents import parse_yaml
 from common.errors import InputError
 from common.types import Metres
 
+Workers = Annotated[int, Field(ge=1, le=1024)]
+Seed = Annotated[int, Field(ge=0, lt=2**63)]
 CONFIG_DIR = Path(__file__).resolve().parent.parent / "configs"
 _UNITS: dict[str, Callable[[float], float]] = {
     "_mm": lambda value: 1e-3 * value,
@@ -61,6 +65,36 @@ def si(settings: Mapping[str, object]) -> dict:
         converted[key.removesuffix(unit)] = (
             tuple(map(convert, value)) if isinstance(value, list | tuple) else convert(value))
     return converted
+
+
+@dataclass(frozen=True)
+class Key:
+    """How a file in ``configs/`` states a setting, in the annotation of its type in SI units: in
+    which unit, the suffix of its key, and of which type there."""
+
+    unit: str
+    kind: Any
+
+
+def keys_of(settings: type, *, without: Collection[str] = ()) -> dict[str, Any]:
+    """Types by key of the ``settings``, a dataclass in SI units, as a file states them; those
+    without a :class:`Key` have the same name, and lists for tuples."""
+    hints = get_type_hints(settings, include_extras=True)
+    found = {}
+    for name in [field.name for field in fields(settings) if field.name not in without]:
+        hint = hints[name]
+        keys = [mark for mark in getattr(hint, "__metadata__", ()) if isinstance(mark, Key)]
+        if keys:
+            found[f"{name}_{keys[0].unit}".rstrip("_")] = keys[0].kind
+        else:
+            found[name] = (GenericAlias(list, get_args(hint)[0]) if get_origin(hint) is tuple
+                           else hint)
+    return found
+
+
+def up_to(most: float) -> Any:
+    """Type of a number from 0 to ``most``."""
+    return Annotated[float, Field(ge=0, le=most)]
 
 
 def limits(least: float, most: float) -> Any:

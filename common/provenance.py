@@ -1,12 +1,18 @@
-"""Provenance of results: release, commit, sources, versions of packages, processor."""
+"""Provenance of results: release, commit, sources, versions of packages, processor; digests."""
 
 import functools
 import hashlib
+import json
 import platform
 import subprocess
 from contextlib import suppress
+from dataclasses import asdict, is_dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+
+import numpy as np
+
+from common.imports import closure, modules
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("numpy", "scipy", "numba", "llvmlite", "mkl", "pypardiso", "ipctk", "open3d", "h5py",
@@ -27,17 +33,58 @@ def code_state(root: Path = ROOT) -> dict[str, object]:
             "dirty": bool(commit and _git(root, "status", "--porcelain"))}
 
 
+def digest(content: object) -> str:
+    """SHA-256 of JSON types, in which dataclasses and arrays stand for their values and a path for
+    the content of a file, or for the names and contents of all files of a folder; hexadecimal."""
+    return hashlib.sha256(json_text(content).encode()).hexdigest()
+
+
+def json_text(content: object) -> str:
+    """The canonical text of a JSON value; see :func:`digest`."""
+    return json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False,
+                      default=_plain)
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, Path):
+        files = [value] if value.is_file() else sorted(
+            file for file in value.rglob("*") if file.is_file() and "__pycache__" not in file.parts)
+        return [[file.relative_to(value).as_posix(), _file_digest(file)] for file in files]
+    if is_dataclass(value) and not isinstance(value, type):
+        return asdict(value)
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} has no digest")
+
+
+def _file_digest(file: Path) -> str:
+    try:
+        return hashlib.sha256(file.read_bytes()).hexdigest()
+    except OSError as error:  # reported by who reads the file
+        return type(error).__name__
+
+
 @functools.cache
-def sources_digest(*patterns: str, root: Path = ROOT) -> str:
-    """SHA-256 of the names and bytes of the project's Python files that match ``patterns`` such as
-    "sim/*.py", hexadecimal: the same in a checkout and where the project is installed."""
-    files = {file.relative_to(root).as_posix(): file
-             for pattern in patterns for file in root.glob(pattern)}
-    digest = hashlib.sha256()
-    for name in sorted(files):
-        content = files[name].read_bytes()
-        digest.update(f"{name} {len(content)}\n".encode() + content)
-    return digest.hexdigest()
+def sources_digest(*sources: str, root: Path = ROOT) -> str:
+    """SHA-256 of what results are made by, hexadecimal: the same in a checkout and where the
+    project is installed.
+
+    Each of ``sources`` is a module or package of the project, such as "sim.drape", which stands for
+    its code and that of all modules that it imports, also within functions, without docstrings and
+    comments (:mod:`common.imports`); or one or more files, such as "configs/sensor/*.yaml".
+    """
+    known = modules(root)
+    named = {source: [name for name in known if f"{name}.".startswith(f"{source}.")]
+             for source in sources}
+    content: dict[str, object] = {
+        module.name: hashlib.sha256(module.code).hexdigest()
+        for module in closure({name for names in named.values() for name in names}, known)}
+    for source, names in named.items():
+        files = [] if names else sorted(root.glob(source))
+        if not names and not files:
+            raise ValueError(f"{source} is neither a module nor a file of the project")
+        content |= {file.relative_to(root).as_posix(): file for file in files}
+    return digest(content)
 
 
 def _git(root: Path, *words: str) -> str:

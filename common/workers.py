@@ -10,6 +10,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import resource_tracker
 from multiprocessing.context import SpawnContext, SpawnProcess
+from typing import Any
 
 from threadpoolctl import threadpool_limits
 
@@ -55,7 +56,16 @@ class _Worker(SpawnProcess):
 
 
 class _Context(SpawnContext):
-    Process = _Worker
+    """That of a pool, which knows its processes."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.started: list[_Worker] = []
+
+    def Process(self, *arguments: Any, **options: Any) -> _Worker:  # type: ignore[override] # noqa: N802
+        """A process of the pool."""
+        self.started.append(_Worker(*arguments, **options))
+        return self.started[-1]
 
 
 @contextmanager
@@ -65,12 +75,13 @@ def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     """
     if multiprocessing.get_start_method() not in multiprocessing.get_all_start_methods():
         multiprocessing.set_start_method("spawn", force=True)  # a job of joblib's launcher
-    pool = ProcessPoolExecutor(workers, mp_context=_Context(), initializer=end_with_parent)
+    context = _Context()
+    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=end_with_parent)
     try:
         yield pool
     except BaseException as error:
-        for process in multiprocessing.active_children():
-            if isinstance(process, _Worker):
+        for process in context.started:
+            if process.is_alive():
                 process.kill()
         if isinstance(error, BrokenProcessPool):
             raise InputError("a worker process was killed, perhaps because memory ran out; run "

@@ -3,15 +3,20 @@
 import json
 from pathlib import Path
 
+import cloths
 import numpy as np
+import pytest
 import torch
 from safetensors import safe_open
 from safetensors.torch import load, save_file
 
+import drapenet.network.evaluate
 from common.configs import read_option
+from data.dataset.folder import finished_manifest
 from data.fabrics.prior import load_prior, prior_content
 from data.fabrics.properties import ClothProperties
 from drapenet.network.checkpoint import SCHEMA, save_checkpoint
+from drapenet.network.evaluate import CELLS
 from drapenet.network.model import make_network
 from drapenet.network.targets import targets_of
 
@@ -55,3 +60,14 @@ def save_untrained(path: Path, width: int = 8) -> Path:
         "dataset": {"sha256": ["0" * 64], "generation": [generation]}, "validation": {},
         "config": {"setup": {**read_option("setup", "real"), "sensors": {"none": 1.0}}}})
     return path
+
+
+def use_skirts(monkeypatch: pytest.MonkeyPatch, *names: str) -> None:
+    """Evaluate the cells of these ``names`` by cloth that costs nothing."""
+    def make(config: object, out: Path, *, workers: int) -> dict:
+        if not out.exists():
+            cloths.write_dataset(out, drapes=3, seed=config.sampling.seed)
+        return finished_manifest(out)
+
+    monkeypatch.setattr(drapenet.network.evaluate, "generate_dataset", make)
+    monkeypatch.setattr(drapenet.network.evaluate, "CELLS", {name: CELLS[name] for name in names})

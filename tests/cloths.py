@@ -9,9 +9,10 @@ import numpy as np
 import yaml
 
 from common.files import replace_json
+from common.provenance import digest
 from data.captures.writer import write_capture
 from data.dataset.config import DatasetConfig, SamplingConfig
-from data.dataset.folder import MANIFEST, json_digest
+from data.dataset.folder import MANIFEST
 from data.dataset.shards import SCHEMA_VERSION, Shard, shard_name, write_shard
 from data.dataset.simulate import make_record
 from data.fabrics.prior import load_prior
@@ -83,8 +84,8 @@ def write_dataset(root: Path, *, drapes: int, edge: float = 0.012, **sampling: o
     digests = {name: Shard(root / name).digest for name in map(shard_name, range(config.shards))}
     replace_json(root / MANIFEST, {
         "schema_version": SCHEMA_VERSION, "complete": True, "drapes": drapes,
-        "hash": json_digest(digests), "config": config.as_dict(),
-        "identity": json_digest(config.as_dict()), "shards": digests,
+        "hash": digest(digests), "config": config.as_dict(),
+        "identity": digest(config.as_dict()), "shards": digests,
     })
     return root
 

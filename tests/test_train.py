@@ -1,6 +1,7 @@
 """train.py as a user runs it: it learns, and an interruption changes nothing."""
 
 import shutil
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,12 +17,13 @@ from common.errors import InputError
 from data.dataset.folder import finished_manifest
 from data.render.setups import Setups
 from drapenet.config import ModelConfig, OptimConfig, TrainConfig
+from drapenet.network import model
 from drapenet.network import training as steps
 from drapenet.network.captures import CaptureSet, Condition
 from drapenet.network.checkpoint import load_model, read_header
 from drapenet.network.dataset import Maps
 from drapenet.network.evaluate import DEPTH, OUTLINE
-from drapenet.network.model import make_network
+from drapenet.network.model import Network, make_network
 from drapenet.network.optimizer import Optimizer
 from drapenet.network.training import (
     fit,
@@ -39,6 +41,14 @@ SMALL = ["model.width=4", "optim.batch_size=8", "threads=1", "workers=1", "devic
          "captures=2", "neighbours=false", "validation_fraction=0.2", "optim.learning_rate=0.003",
          "epochs=2", *(f"setup.sensors.{name}=0" for name in ("smooth", "paper", "tof")),
          "+setup.sensors.none=1"]  # captures without noise cost less
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_features() -> Iterator[None]:
+    """Networks of small layers: most of a step's time is Muon's, for the largest of them."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(model, "_EMBEDDING", 32)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -155,8 +165,6 @@ def test_another_setting_in_the_same_folder_is_refused(words, trained, tmp_path,
     ("device=tpu", "device"),
     ("optim.batch_size=1000", "batch"),
     ("data=/nowhere", "not a dataset"),
-    ("captures=0", "captures"),
-    ("fabrics=0", "fabrics"),
     ("inputs=[]", "inputs"),
     ("inputs=[sound]", "inputs"),
     ("model=lines", "lines"),
@@ -164,11 +172,8 @@ def test_another_setting_in_the_same_folder_is_refused(words, trained, tmp_path,
     ("model.backbone=resnet18", r"inputs=\[depth,outline,numbers\].*give inputs=\[depth\]"),
     ("setup=nowhere", "nowhere"),
     ("setup.pitch_deg=[50,25]", "pitch"),
-    ("workers=0", "workers"),
     ("seed=12345678901234567890123", "seed"),
-    ("threads=100000000", "threads"),
     ("model.width=100000", "width"),
-    ("optim.weight_decay=-0.1", "weight_decay"),
     ("optim.warm_up=1", "warm_up"),
     (f"out={__file__}", "cannot write to the folder"),
 ])
@@ -206,8 +211,7 @@ def test_fabrics_and_drapes_to_train_on_are_the_first(tmp_path):
 
 
 @pytest.mark.parametrize(("inputs", "seen"), [
-    ("depth", {"depth"}), ("outline", {"outline"}), ("numbers", {"numbers"}),
-    ("depth,numbers", {"depth", "numbers"})])
+    ("outline", {"outline"}), ("numbers", {"numbers"}), ("depth,numbers", {"depth", "numbers"})])
 def test_a_network_is_trained_on_the_inputs_asked_for_alone(words, inputs, seen):
     config = compose_config("train", [*words, f"inputs=[{inputs}]"], schema=TrainConfig)
     training, _, _ = open_captures(config)
@@ -275,26 +279,39 @@ def stiff_maps(count: int, *, seed: int) -> Maps:
         index=np.arange(count), moved=one < 0)
 
 
-@pytest.mark.parametrize(("kinds", "known", "most", "output"), [
-    (DEPTH, 1.0, 0.5, "posterior"), (DEPTH, 0.0, 0.7, "posterior"),
-    (OUTLINE, 1.0, 0.7, "posterior"), (DEPTH, 1.0, 0.5, "regression")])
-def test_training_learns_all_three_directions(kinds, known, most, output):
-    """Without the directions the errors would be 0.8, without anything 1."""
-    condition = Condition(kinds, (1.0,), known=known, parallel=1.0)
-    training = CaptureSet(stiff_maps(320, seed=0))
-    unseen = CaptureSet(stiff_maps(128, seed=1), scale=training.scale)
+def learned(
+    training: CaptureSet, unseen: CaptureSet, condition: Condition, *, epochs: int,
+    rate: float = OPTIM.learning_rate, **layers: object
+) -> tuple[Network, CaptureSet]:
+    """A network of one Gaussian trained on captures, and the unseen ones in its scale."""
     torch.manual_seed(0)
-    network = make_network(**training.network(ModelConfig(
-        backbone=None, output=output, width=4, components=1, dropout=0.0)))
-    batches = [batch for epoch in range(20) for batch in training.epoch(
+    network = make_network(**training.network(ModelConfig(components=1, dropout=0.0, **layers)))
+    batches = [batch for epoch in range(epochs) for batch in training.epoch(
         seed=0, epoch=epoch, size=OPTIM.batch_size, condition=condition)]
     fit(network, ((step / len(batches), batch) for step, batch in enumerate(batches)),
         optimizer=Optimizer(network, weight_decay=OPTIM.weight_decay),
-        optim=OPTIM)
-    metrics = validate(network, unseen, condition)
-    assert metrics["rmse_log_alpha"] < most
-    assert 0.85 < metrics["rmse_beta_over_alpha"] < 1.2  # the captures do not show it
-    assert 0.4 < metrics["inside"]["68%"] < 0.9
+        optim=replace(OPTIM, learning_rate=rate))
+    return network, CaptureSet(unseen.maps, scale=training.scale)
+
+
+def condition(kinds: tuple[float, float, float], known: float = 1.0) -> Condition:
+    return Condition(kinds, (1.0,), known=known, parallel=1.0)
+
+
+@pytest.mark.parametrize(("output", "epochs", "seen", "conditions"), [
+    ("posterior", 40, condition((0.5, 0.5, 0.0), 0.5), {
+        condition(DEPTH): 0.5, condition(DEPTH, 0.0): 0.7, condition(OUTLINE): 0.7}),
+    ("regression", 20, condition(DEPTH), {condition(DEPTH): 0.5})])
+def test_training_learns_all_three_directions(output, epochs, seen, conditions):
+    """Without the directions the errors would be 0.8, without anything 1."""
+    network, unseen = learned(CaptureSet(stiff_maps(320, seed=0)),
+                              CaptureSet(stiff_maps(128, seed=1)), seen, epochs=epochs,
+                              backbone=None, output=output, width=4)
+    for shown, most in conditions.items():
+        metrics = validate(network, unseen, shown)
+        assert metrics["rmse_log_alpha"] < most
+        assert 0.85 < metrics["rmse_beta_over_alpha"] < 1.2  # the captures do not show it
+        assert 0.4 < metrics["inside"]["68%"] < 0.9
 
 
 class Code:

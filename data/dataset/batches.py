@@ -2,7 +2,8 @@
 
 A window of shards is planned at once, so that batches are large: many drapes share a mesh. Worker
 processes then make the records, whose derivatives need factors of their own, and write the shards,
-while the drapes of the next window are made. An interruption costs a window.
+while the drapes of the next window are made. An interruption costs a window. Drapes equal those of
+the CPU up to rounding, which may choose other folds, so that the device is a setting of a dataset.
 """
 
 from collections.abc import Sequence
@@ -19,8 +20,8 @@ WINDOW = 16000
 and one of fewer than 100 drapes is slower than the cores of a CPU."""
 
 
-class Finished:
-    """A solver that returns finished drapes, one after the other."""
+class ReadyDrapes:
+    """Hands out drapes that are made, one after the other, where a solver would make them."""
 
     def __init__(self, drapes: Sequence) -> None:
         self._drapes = list(drapes)
@@ -29,8 +30,11 @@ class Finished:
         return self._drapes.pop(0)
 
 
-def check_device(config: DatasetConfig, device: str) -> None:
+def check_device(config: DatasetConfig) -> None:
     """InputError if PyTorch has no such device, or cannot make the drapes there."""
+    device = config.device
+    if not device:
+        return
     import torch  # late: the simulator on the CPU does without
 
     starts = list(config.sampling.starts)
@@ -43,21 +47,28 @@ def check_device(config: DatasetConfig, device: str) -> None:
         raise InputError(f"device={device}: {one_line(str(error).splitlines()[0])}") from None
 
 
-def windows(config: DatasetConfig, shards: int, device: str | None) -> list[range]:
-    """The places of a number of ``shards`` by window; without a ``device``, one of all."""
-    size = -(-WINDOW // config.drapes_per_shard) if device else max(shards, 1)
+def device_name(device: str) -> str:
+    """The model of an accelerator, which may change the last digits of a drape."""
+    import torch
+
+    return f"{device}: {torch.cuda.get_device_name(device)}" if "cuda" in device else device
+
+
+def windows(config: DatasetConfig, shards: int) -> list[range]:
+    """The places of a number of ``shards`` by window; without a device, one of all."""
+    size = -(-WINDOW // config.drapes_per_shard) if config.device else max(shards, 1)
     return [range(first, min(first + size, shards)) for first in range(0, shards, size)]
 
 
-def finished_drapes(
-    config: DatasetConfig, shards: Sequence[int], device: str, pool: Executor
-) -> list[Finished]:
-    """A solver for each of the ``shards`` that returns its drapes, made on ``device``; those that
-    are not finished there, in processes of the ``pool``."""
+def ready_drapes(
+    config: DatasetConfig, shards: Sequence[int], pool: Executor
+) -> list[ReadyDrapes]:
+    """The drapes of each of the ``shards``, made on the device of ``config``; those that are not
+    finished there, in processes of the ``pool``."""
     from sim.batched.drapes import drape_batch  # late: it loads PyTorch
 
     rows = [config.rows(shard) for shard in shards]
     plans = [drape_words(plan_drape(index, config=config.sampling, prior=config.prior), config)
              for row in rows for index in row]
-    drapes = iter(drape_batch(plans, device, pool=pool))
-    return [Finished([next(drapes) for _ in row]) for row in rows]
+    drapes = iter(drape_batch(plans, config.device or "cpu", pool=pool))
+    return [ReadyDrapes([next(drapes) for _ in row]) for row in rows]

@@ -1,21 +1,19 @@
 """Settings that determine the bytes of a dataset, and the keys of ``configs/generate.yaml``."""
 
 import json
-from dataclasses import asdict, dataclass, field
-from functools import partial
+from dataclasses import asdict, dataclass, field, make_dataclass
+from functools import cached_property
 from typing import Annotated
 
 from pydantic import Field
 
-from common.command import Seed, Workers
-from common.configs import limits, metres, si
+from common.configs import Key, Seed, Workers, keys_of, metres, si, up_to
 from common.errors import InputError
 from common.provenance import sources_digest
 from common.types import Metres
 from data.fabrics.nuisances import NuisanceConfig
 from data.fabrics.prior import Prior, load_prior, prior_content
 from data.rigs import named_tester
-from sim.energies.bending_variants import KES_CURVATURE
 from sim.mesh.specimen import EDGE_RANGE
 from sim.rig import SQUARE_RIG
 from sim.start import LOWERED
@@ -23,12 +21,6 @@ from sim.start import STARTS as SHAPES
 
 STARTS = (LOWERED, *SHAPES)  # initial states that need no other drape
 BORROWED = "borrowed"  # an earlier drape of another fabric in the same shard
-SOURCES = (
-    "data/dataset/config.py", "data/dataset/plan.py", "data/dataset/shards.py",
-    "data/dataset/simulate.py", "data/fabrics/**/*.py", "data/rigs.py", "sim/*.py",
-    "sim/energies/*.py", "sim/mesh/*.py", "sim/sensitivity/*.py", "sim/solver/*.py",
-)
-"""Files of the code that determines a drape and its record."""
 Count = Annotated[int, Field(ge=1)]
 
 
@@ -39,15 +31,15 @@ class SamplingConfig:
     """
 
     seed: int = 0
-    starts_per_fabric: int = 2
+    starts_per_fabric: Count = 2
     starts: tuple[str, ...] = (LOWERED,)
     testers: tuple[str, ...] = (SQUARE_RIG.name,)
     random_testers: float = 0.0
     rectangles: float = 0.0
     testers_per_fabric: int = 1
     both_faces: bool = False
-    drift: Metres = 0.003
-    even_share: float = 0.0
+    drift: Annotated[Metres, Key("mm", up_to(20))] = 0.003
+    even_share: Annotated[float, Field(ge=0, le=1)] = 0.0
     nuisances: NuisanceConfig = field(default_factory=NuisanceConfig)
 
     def __post_init__(self) -> None:
@@ -83,20 +75,31 @@ class DatasetConfig:
     prior: Prior
     edge: Metres | None = None  # of the finest meshes at the rim; None: as of single drapes
     drapes_per_shard: int = 64
-    # Of the code in memory: files may change during a run.
-    sources: str = field(default_factory=partial(sources_digest, *SOURCES))
+    # Of PyTorch, on which drapes are made in batches (:mod:`data.dataset.batches`); None: none.
+    device: str | None = None
 
     def __post_init__(self) -> None:
         if self.edge is not None and not EDGE_RANGE[0] <= self.edge <= EDGE_RANGE[1]:
             raise InputError(f"edge_mm={1e3 * self.edge:g}: give null, for a mesh that suits each "
                              f"fabric, or {1e3 * EDGE_RANGE[0]:g} to {1e3 * EDGE_RANGE[1]:g} mm")
 
+    @cached_property
+    def sources(self) -> str:
+        """Digest of the code that makes a drape and its record, in its present state: files may
+        change during a run."""
+        makers = ["data.dataset.simulate", *(["data.dataset.batches"] if self.device else [])]
+        return sources_digest(*makers)
+
     def as_dict(self) -> dict:
         """Settings that determine each drape and its record, in JSON types."""
+        solver: dict[str, object] = {
+            "edge_mm": None if self.edge is None else round(1e3 * self.edge, 6)}
+        if self.device:
+            solver["device"] = self.device.partition(":")[0]
         settings = {
             "sampling": asdict(self.sampling),
             "prior": prior_content(self.prior),
-            "solver": {"edge_mm": None if self.edge is None else round(1e3 * self.edge, 6)},
+            "solver": solver,
             "storage": {"drapes_per_shard": self.drapes_per_shard},
             "sources": self.sources,
         }
@@ -113,20 +116,11 @@ class DatasetConfig:
         return -(-self.drapes // self.drapes_per_shard)
 
 
-@dataclass
-class DatasetOptions:
-    """The group ``dataset``; see ``configs/dataset``."""
-
-    starts_per_fabric: Count
-    starts: list[str]
-    testers: list[str]
-    random_testers: float
-    rectangles: float
-    testers_per_fabric: int
-    both_faces: bool
-    drift_mm: Annotated[float, Field(ge=0, le=20)]
-    even_share: Annotated[float, Field(ge=0, le=1)]
-    drapes_per_shard: Count
+DatasetOptions = make_dataclass("DatasetOptions", [
+    *keys_of(SamplingConfig, without=("seed", "nuisances")).items(), ("drapes_per_shard", Count)])
+"""The group ``dataset``; see ``configs/dataset``."""
+NuisanceOptions = make_dataclass("NuisanceOptions", keys_of(NuisanceConfig).items())
+"""The group ``nuisances``; see ``configs/nuisances``."""
 
 
 @dataclass
@@ -134,20 +128,6 @@ class PriorOptions:
     """The group ``prior``; see ``configs/prior``."""
 
     file: str
-
-
-@dataclass
-class NuisanceOptions:
-    """The group ``nuisances``; see ``configs/nuisances``."""
-
-    membrane_n_per_m: limits(1e-3, 1e9)
-    shear: limits(1e-6, 1e6)
-    hysteresis_per_m: limits(0, KES_CURVATURE)
-    curl_per_m: Annotated[float, Field(ge=0, le=1e3)]
-    curl_specimen_per_m: Annotated[float, Field(ge=0, le=1e3)]
-    size_mm: Annotated[float, Field(ge=0, le=5)]
-    plate_mm: Annotated[float, Field(ge=0, le=5)]
-    cut_deg: Annotated[float, Field(ge=0, le=10)]
 
 
 @dataclass
@@ -162,9 +142,9 @@ class Options:
     seed: Seed
     edge_mm: float | None
     device: str | None
-    dataset: DatasetOptions
+    dataset: DatasetOptions  # type: ignore[valid-type]
     prior: PriorOptions
-    nuisances: NuisanceOptions
+    nuisances: NuisanceOptions  # type: ignore[valid-type]
 
 
 def config_from_options(options: Options) -> DatasetConfig:
@@ -177,4 +157,5 @@ def config_from_options(options: Options) -> DatasetConfig:
                                 nuisances=NuisanceConfig(**si(asdict(options.nuisances)))),
         prior=load_prior(options.prior.file),
         edge=metres(options.edge_mm),
+        device=options.device,
     )

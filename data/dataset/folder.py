@@ -2,11 +2,11 @@
 
 Any number of processes may work in a folder without a lock, which would be unreliable on the file
 systems of clusters: files are renamed to their final names when they are complete, and all
-processes write the same bytes of a shard; the manifest reveals different settings.
+processes on machines of one kind write the same bytes of a shard. The manifest reveals different
+settings, among them the device on which drapes are made and the code that makes them.
 """
 
 import hashlib
-import json
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterable, Mapping
@@ -23,7 +23,8 @@ from common.cases import progress_bar
 from common.documents import Excerpt, differences, read_json
 from common.errors import InputError, shown
 from common.files import PARTIAL_SUFFIX, remove_partial, replace_json
-from common.provenance import environment
+from common.provenance import digest, environment, json_text
+from data.dataset.batches import device_name
 from data.dataset.config import DatasetConfig
 from data.dataset.shards import SCHEMA_VERSION, SHARDS, Shard, shard_name, write_shard
 from data.dataset.simulate import Record, Solver, make_record
@@ -88,20 +89,10 @@ def finished_manifest(root: Path) -> dict:
     if not manifest["complete"]:
         raise InputError(f"{root} is unfinished; complete it with python -m data.dataset.generate "
                          f"out={root} and its original settings")
-    if (json_digest(manifest["config"]) != manifest["identity"]
-            or json_digest(manifest["shards"]) != manifest["hash"]):
+    if (digest(manifest["config"]) != manifest["identity"]
+            or digest(manifest["shards"]) != manifest["hash"]):
         raise InputError(f"{root / MANIFEST}: its digests do not match its content; {REMEDY}")
     return manifest
-
-
-def json_text(content: object) -> str:
-    """The canonical text of a JSON value."""
-    return json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
-
-
-def json_digest(content: object) -> str:
-    """SHA-256 of a JSON value, hexadecimal."""
-    return hashlib.sha256(json_text(content).encode()).hexdigest()
 
 
 @dataclass(frozen=True)
@@ -114,12 +105,12 @@ class DatasetFolder:
     @cached_property
     def identity(self) -> str:
         """SHA-256 of the configuration."""
-        return json_digest(self.config.as_dict())
+        return digest(self.config.as_dict())
 
     @cached_property
     def _prior(self) -> dict:
         prior = self.config.prior
-        return {"kind": prior.kind, "sha256": json_digest(prior_content(prior))}
+        return {"kind": prior.kind, "sha256": digest(prior_content(prior))}
 
     @cached_property
     def _settings(self) -> dict:
@@ -208,6 +199,8 @@ class DatasetFolder:
         """Mark the dataset as incomplete in the manifest, made in the present environment."""
         manifest = self.claim()
         provenance, here = manifest.get("provenance", []), environment()
+        if self.config.device:
+            here = here | {"device": device_name(self.config.device)}
         if here not in provenance:
             provenance = [*provenance, here]
         self._update(manifest, {"complete": False}, provenance)
@@ -264,7 +257,7 @@ class DatasetFolder:
             "outcomes": dict(sorted(outcomes.items())),
             "starts": dict(sorted(starts.items())),
             "rejection_rate": sum(rejected.values()) / samples,
-            "hash": json_digest(digests),
+            "hash": digest(digests),
             "shards": digests,
         }
 

@@ -9,7 +9,8 @@ core, and 30 kB, with edge_mm=5. ``python -m data.dataset.inspect data=OUT`` sum
     prior -> plan of a drape -> equilibrium -> record -> shard
 
 A shard depends only on the dataset's configuration and its number, so any number of processes, on
-any number of machines, write the same files. After an interruption the same command resumes, and
+any number of machines of one kind, write the same files; ``device=cuda`` makes another dataset,
+whose drapes may differ from those of the CPU. After an interruption the same command resumes, and
 replaces damaged shards; with a larger drapes= it extends the dataset.
 
 ``launcher=slurm parts=40 workers=8`` runs 40 jobs on a cluster, ``device=cuda`` batches on an
@@ -31,7 +32,7 @@ from common.command import command
 from common.errors import InputError, one_line
 from common.files import folder_named
 from common.workers import worker_pool
-from data.dataset.batches import check_device, finished_drapes, windows
+from data.dataset.batches import check_device, ready_drapes, windows
 from data.dataset.config import DatasetConfig, Options, config_from_options
 from data.dataset.folder import DatasetFolder, over_shards
 from data.dataset.simulate import Solver
@@ -41,19 +42,18 @@ POLL_INTERVAL = 0.3  # s, at which the progress of workers is reported
 
 def generate_dataset(
     config: DatasetConfig, out: Path, *, workers: int = 1, part: int = 0, parts: int = 1,
-    solver: Solver | None = None, device: str | None = None,
+    solver: Solver | None = None,
 ) -> dict:
     """Generate, complete or extend the dataset in the folder ``out``; return ``dataset.json``.
 
     Only every ``parts``-th shard is made, from the ``part``-th on, counted from 0. Parts can be
     made at the same time on any machines; the last one finishes the dataset, the result of others
     has ``complete: False`` and no counts. ``solver`` replaces :func:`sim.drape.drape` and must be
-    importable. With a ``device`` of PyTorch, drapes are made there (:mod:`data.dataset.batches`).
+    importable.
     """
     if part >= parts:
         raise InputError(f"part={part} of parts={parts}: parts are counted from 0 to parts - 1")
-    if device:
-        check_device(config, device)
+    check_device(config)
     folder = DatasetFolder(Path(out), config)
     try:
         folder.claim()
@@ -66,8 +66,7 @@ def generate_dataset(
                            for group in (shards, missing))
             with progress_bar(total=total, initial=total - left, unit="drape",
                               smoothing=0.05) as bar:
-                make_shards(folder, missing, workers=workers, solver=solver, device=device,
-                            bar=bar)
+                make_shards(folder, missing, workers=workers, solver=solver, bar=bar)
         manifest = folder.finish()
     except OSError as error:
         raise InputError(f"cannot write the dataset {out}: {one_line(error)}") from None
@@ -78,8 +77,7 @@ def generate_dataset(
 
 
 def make_shards(
-    folder: DatasetFolder, shards: list[int], *, workers: int, solver: Solver | None,
-    device: str | None, bar: tqdm
+    folder: DatasetFolder, shards: list[int], *, workers: int, solver: Solver | None, bar: tqdm
 ) -> None:
     """Make ``shards`` in ``workers`` processes, which in jobs of a launcher cannot import functions
     of this module, ``__main__``."""
@@ -88,12 +86,12 @@ def make_shards(
         with tempfile.NamedTemporaryFile() as file, worker_pool(min(workers, len(shards))) as pool:
             counts = np.memmap(file, np.int64, "w+", shape=(len(shards), 2))
             running: set[Future] = set()
-            left = windows(folder.config, len(shards), device)
+            left = windows(folder.config, len(shards))
             while running or left:
                 if left:
                     places = left.pop(0)
-                    solvers = finished_drapes(folder.config, [shards[k] for k in places], device,
-                                              pool) if device else [solver] * len(places)
+                    solvers = (ready_drapes(folder.config, [shards[k] for k in places], pool)
+                               if folder.config.device else [solver] * len(places))
                     running |= {pool.submit(folder.make, shards[place], file.name, place, one)
                                 for place, one in zip(places, solvers, strict=True)}
                 done, running = wait(running, timeout=POLL_INTERVAL, return_when=FIRST_COMPLETED)
@@ -112,7 +110,7 @@ def main(options: Options) -> None:
     """Generate the dataset, or part of it, and print a summary."""
     out = folder_named(options.out)
     manifest = generate_dataset(config_from_options(options), out, workers=options.workers,
-                                part=options.part, parts=options.parts, device=options.device)
+                                part=options.part, parts=options.parts)
     if not manifest["complete"]:
         print(f"part {options.part} of {options.parts} of {out} is done, other parts are not; the "
               "last one writes dataset.json")

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from data.dataset.shards import (
 from data.fabrics.fabrics import fabric_from_theta
 from sim.mesh.specimen import DEFAULT_EDGES, default_edge
 
-Solver = Callable[..., object]
+Solver = Callable[..., Any]
 """A function such as :func:`sim.drape.drape`."""
 Record = Mapping[str, np.ndarray]
 """One drape of a shard by field, see :func:`data.dataset.shards.write_shard`."""
@@ -86,7 +87,7 @@ def load_solver() -> Solver:
 
 def _drape(
     plan: DrapePlan, config: DatasetConfig, solver: Solver, lender: Record | None, record: dict
-) -> object:
+) -> Any:
     """The solver's result; density and edge are added to the record."""
     words = drape_words(plan, config)
     if lender is not None:
@@ -138,7 +139,7 @@ def _outcome(status: str, message: str) -> dict:
             "message": message.encode("ascii", "replace")[:160]}
 
 
-def _mesh(result: object) -> dict:
+def _mesh(result: Any) -> dict:
     """Mesh and, in counts of :data:`ORIGIN_UNIT`, curvatures without friction of all triangles."""
     origins = np.zeros(result.faces.shape)
     origin = getattr(result.laws.bending, "origin", None)

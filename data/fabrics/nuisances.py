@@ -7,15 +7,18 @@ states their distributions with reasons.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from typing import Annotated
 
 import numpy as np
 
+from common.configs import Key, limits, up_to
 from common.errors import InputError
 from sim.cloth import Laws
 from sim.energies.bending_variants import KES_CURVATURE, Hysteresis
 from sim.energies.membrane import Corotational, Membrane, OrthotropicStVK
 from sim.rig import Rig
 
+_Pair = tuple[float, float]
 _PERCENTILE = 1.96  # deviations of a normal distribution to its 97.5th percentile
 
 
@@ -102,14 +105,14 @@ class NuisanceConfig:
         curl_specimen, size, plate, cut: standard deviations between specimens.
     """
 
-    membrane: tuple[float, float] = (Corotational().stiffness,) * 2
-    shear: tuple[float, float] = (1.0, 1.0)
-    hysteresis: tuple[float, float] = (0.0, 0.0)
-    curl: float = 0.0
-    curl_specimen: float = 0.0
-    size: float = 0.0
-    plate: float = 0.0
-    cut: float = 0.0
+    membrane: Annotated[_Pair, Key("n_per_m", limits(1e-3, 1e9))] = (Corotational().stiffness,) * 2
+    shear: Annotated[_Pair, Key("", limits(1e-6, 1e6))] = (1.0, 1.0)
+    hysteresis: Annotated[_Pair, Key("per_m", limits(0, KES_CURVATURE))] = (0.0, 0.0)
+    curl: Annotated[float, Key("per_m", up_to(1e3))] = 0.0
+    curl_specimen: Annotated[float, Key("per_m", up_to(1e3))] = 0.0
+    size: Annotated[float, Key("mm", up_to(5))] = 0.0
+    plate: Annotated[float, Key("mm", up_to(5))] = 0.0
+    cut: Annotated[float, Key("deg", up_to(10))] = 0.0
 
     def __post_init__(self) -> None:
         least, most = self.hysteresis

@@ -7,12 +7,13 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import AfterValidator, Field, create_model
 
-from common.configs import limits, read_option, si
+from common.configs import Key, keys_of, limits, read_option, si, up_to
 from common.documents import Schema
 from common.types import Faces, Points, Radians, Turns, Views
 from data.captures.description import MAX_VIEWS
@@ -37,53 +38,37 @@ class SyntheticCapture:
     sensor: str  # name of its file in configs/sensor
 
 
-class SetupFile(Schema):
-    """``configs/setup/NAME.yaml``, where the keys are documented."""
+def _adding_up(shares: Any) -> Any:
+    total = sum(shares.values() if isinstance(shares, dict) else shares)
+    if abs(total - 1) >= 1e-6:
+        raise ValueError(f"the shares add up to {total:g}; they must add up to 1")
+    return shares
 
-    remedy = "see configs/setup/real.yaml"
-    views: list[Share] = Field(max_length=MAX_VIEWS)
-    distance_mm: limits(1, 100_000)
-    pitch_deg: limits(-90, 90)
-    fill: limits(0.01, 100)
-    above_mm: limits(-200, 200)
-    aside_mm: limits(-200, 200)
-    roll_deg: float = Field(ge=0, le=90)
-    focal_percent: float = Field(ge=0, le=50)
-    turn_deg: float = Field(ge=0, le=90)
-    sensors: dict[str, Share] = Field(max_length=100)
-    border_px: int = Field(ge=0, le=100)
-    holes: int = Field(ge=0, le=1000)
-    hem_share: Share
-    hem_mm: float = Field(ge=0, le=1000)
 
-    @field_validator("views", "sensors")
-    @classmethod
-    def _add_up(cls, shares: list[float] | dict[str, float]) -> list[float] | dict[str, float]:
-        total = sum(shares.values() if isinstance(shares, dict) else shares)
-        if abs(total - 1) >= 1e-6:
-            raise ValueError(f"the shares add up to {total:g}; they must add up to 1")
-        return shares
+_ADD_UP = AfterValidator(_adding_up)
+_Pair = tuple[float, float]
 
 
 @dataclass(frozen=True)
 class Setups:
     """Distribution of set-ups; SI units and radians, see ``configs/setup``."""
 
-    views: tuple[float, ...]
-    distance: tuple[float, float]
-    pitch: tuple[float, float]
-    fill: tuple[float, float]
-    above: tuple[float, float]
-    aside: tuple[float, float]
-    roll: float
-    focal: float
-    turn: float
-    sensors: dict[str, float]
-    border: int
-    holes: int
-    hem_share: float
-    hem: float
-    orientation: tuple[float, float] = (0.0, 2 * np.pi)
+    views: Annotated[tuple[float, ...],
+                     Key("", Annotated[list[Share], Field(max_length=MAX_VIEWS), _ADD_UP])]
+    distance: Annotated[_Pair, Key("mm", limits(1, 100_000))]
+    pitch: Annotated[_Pair, Key("deg", limits(-90, 90))]
+    fill: Annotated[_Pair, Key("", limits(0.01, 100))]
+    above: Annotated[_Pair, Key("mm", limits(-200, 200))]
+    aside: Annotated[_Pair, Key("mm", limits(-200, 200))]
+    roll: Annotated[float, Key("deg", up_to(90))]
+    focal: Annotated[float, Key("percent", up_to(50))]
+    turn: Annotated[float, Key("deg", up_to(90))]
+    sensors: Annotated[dict[str, Share], Field(max_length=100), _ADD_UP]
+    border: Annotated[int, Key("px", Annotated[int, Field(ge=0, le=100)])]
+    holes: Annotated[int, Field(ge=0, le=1000)]
+    hem_share: Share
+    hem: Annotated[float, Key("mm", up_to(1000))]
+    orientation: _Pair = (0.0, 2 * np.pi)
 
     @classmethod
     def load(cls, name: str = "real") -> "Setups":
@@ -92,8 +77,8 @@ class Setups:
 
     @classmethod
     def from_config(cls, config: Mapping) -> "Setups":
-        """Build from the mapping of such a file, see :class:`SetupFile`."""
-        return cls(**si(SetupFile.of(config, "setup").model_dump()))
+        """Build from the mapping of such a file."""
+        return cls(**si(_File.of(config, "setup").model_dump()))
 
     def capture(
         self, positions: Points, faces: Faces, rng: np.random.Generator, *, rig: Rig = SQUARE_RIG
@@ -107,7 +92,8 @@ class Setups:
         orientation = float(rng.uniform(*self.orientation))
         from data.render.raster import rasterise  # Numba, which a reader of set-ups need not load
 
-        views = rasterise(positions, faces, camera, orientation + turns + wrong)
+        views = rasterise(positions, faces, camera,
+                          (orientation + turns + wrong).tolist())
         name = str(rng.choice(list(self.sensors), p=list(self.sensors.values())))
         noisy = load_sensor(name)(views, camera, int(rng.integers(2**63)))
         self._cut_out(noisy, views, camera, rng)
@@ -150,3 +136,13 @@ class Setups:
                 top, left = rows[middle], columns[middle]
                 size = int(rng.integers(2, 7))
                 view[top : top + size, left : left + size] = 0.0
+
+
+class _SetupFile(Schema):
+    remedy = "see configs/setup/real.yaml"
+
+
+_KEYS: dict[str, Any] = {key: (kind, ...) for key, kind in
+                         keys_of(Setups, without=["orientation"]).items()}
+_File = create_model("_File", __base__=_SetupFile, **_KEYS)
+"""``configs/setup/NAME.yaml``, where the keys are documented."""

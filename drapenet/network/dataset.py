@@ -6,7 +6,7 @@ of the moved drape shows a neighbouring fabric with the same folds, at a fiftiet
 
 import math
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +14,10 @@ import numpy as np
 
 from common.cases import run_cases
 from common.errors import InputError
-from common.provenance import sources_digest
+from common.provenance import digest
 from common.types import Faces, Points, Radians, Theta
 from data.captures.view_checks import CLOTH_SHARE
-from data.dataset.folder import MANIFEST, json_digest
+from data.dataset.folder import MANIFEST
 from data.dataset.shards import Shard
 from data.fabrics.nuisances import Nuisances
 from data.render.setups import Setups
@@ -30,13 +30,8 @@ from drapenet.views.radial_map import compressed
 from sim.mesh import Mesh
 from sim.rig import Rig
 
-SOURCES = (
-    "configs/camera.yaml", "configs/sensor/*.yaml", "data/captures/*.py", "data/dataset/shards.py",
-    "data/fabrics/*.py", "data/pictures/*.py", "data/readings/*.py", "data/render/*.py",
-    "data/rigs.py", "drapenet/network/dataset.py", "drapenet/views/*.py", "sim/*.py",
-    "sim/energies/*.py", "sim/mesh/*.py", "sim/solver/*.py",
-)
-"""Files of the code that determines maps, and of the settings that it reads."""
+SOURCES = ("drapenet.network.dataset", "configs/camera.yaml", "configs/sensor/*.yaml")
+"""The code that determines maps, and the files of settings that it reads."""
 _COLUMNS = ("index", "fabric", "theta", "nuisances", "face", "folds", "edge", "seed", "offset",
             "status")
 DIRECTION_ERROR = math.radians(2.0)  # of the warp as stated, standard deviation
@@ -145,23 +140,22 @@ def make_maps(
     """
     options = {"setups": setups, "captures": captures, "seed": seed, "neighbours": neighbours,
                "outlines": outlines, "pictures": pictures}
-    folder = out / f"maps_{json_digest(options | {'setups': asdict(setups)})[:12]}"
+    folder = out / f"maps_{digest(options)[:12]}"
     # By content: shards grow when a dataset is extended, and are made again.
-    cases = {digest[:16]: {"path": Path(root) / name, "digest": digest, "options": options,
-                           "code": sources_digest(*SOURCES)}
-             for name, digest in list(manifest["shards"].items())[:shards]}
-    run_cases(_shard_case, cases, folder=folder, workers=workers, unit="shard")
+    cases = {sha256[:16]: {"path": Path(root) / name, "sha256": sha256, "options": options}
+             for name, sha256 in list(manifest["shards"].items())[:shards]}
+    run_cases(_shard_case, cases, folder=folder, workers=workers, unit="shard", sources=SOURCES)
     return Maps.read(folder / f"{name}.npz" for name in cases)
 
 
-def _shard_case(*, path: Path, digest: str, options: dict[str, Any], code: str) -> dict[str, Any]:
+def _shard_case(*, path: Path, sha256: str, options: dict[str, Any]) -> dict[str, Any]:
     """Number of rows, and the maps as arrays, of the shard ``path``; InputError if its digest is
-    another one; ``code`` is a part of the key."""
+    another one."""
     shard = Shard(path)
-    if shard.digest != digest:
+    if shard.digest != sha256:
         raise InputError(f"{path} differs from {MANIFEST}; remove it and generate it again")
     maps = maps_of_shard(shard, **options)
-    return {"rows": len(maps), "code": code, "arrays": vars(maps)}
+    return {"rows": len(maps), "arrays": vars(maps)}
 
 
 def maps_of_shard(

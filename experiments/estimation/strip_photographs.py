@@ -269,7 +269,7 @@ def run(config: Config) -> Result:
     """Estimate all directions, and read all faulty photographs."""
     estimated = run_cases(estimate_case, {f"direction_{k:03}": {"number": k}
                                           for k in range(config["directions"])},
-                          config, sources=("sim", "data", "drapenet/evidence"))
+                          config, sources=("sim", "data", "drapenet.evidence"))
     answers = run_cases(fault_case, {f"{kind} {k}": {"kind": kind, "number": k}
                                      for kind in FAULTS for k in range(config["repeats"])},
                         config, folder=Path(config["cases"]) / "faults", sources=("sim", "data"))

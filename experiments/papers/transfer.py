@@ -104,7 +104,7 @@ def run(config: Config) -> Result:
     if not style3d.missing("rows of Style3D are"):
         report["style3d"] = run_fabrics(
             style3d_case, settings | {"fabrics": other.pop("style3d_fabrics")} | other,
-            sources=("sim", "experiments/physics/style3d.py"), subfolder="style3d")
+            sources=("sim", "experiments.physics.style3d"), subfolder="style3d")
     return Result(report)
 
 

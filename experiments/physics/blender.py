@@ -24,7 +24,7 @@ from sim.material import MICRO, Fabric
 from sim.measures import drape_coefficient, fold_count
 from sim.rig import DISC_RIG
 
-SOURCES = ("drapenet/export", "sim")
+SOURCES = ("drapenet.export", "sim")
 CALL = """
 import runpy, sys
 import bpy

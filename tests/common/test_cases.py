@@ -50,7 +50,7 @@ def test_only_missing_damaged_and_changed_cases_are_computed(tmp_path, log, monk
     (capture / "view.png").write_bytes(b"2")  # a path stands for its content
     run()
     assert len(values(log)) == 6
-    monkeypatch.setattr(cases.inspect, "getsource", lambda work: "other code")
+    monkeypatch.setattr(cases.inspect, "getsource", lambda work: "other_code()")
     run()
     assert len(values(log)) == 8
 

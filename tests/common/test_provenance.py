@@ -1,17 +1,14 @@
+import io
 import json
-import shutil
 import subprocess
+import tokenize
 
+import numpy as np
 import pytest
 
-import data.dataset.config
-import drapenet.network.dataset
 from common import provenance
-from common.provenance import ROOT, sources_digest
-from tools.check_layers import imports, modules
-
-SOURCES = {"data.dataset.simulate": data.dataset.config.SOURCES,
-           "drapenet.network.dataset": drapenet.network.dataset.SOURCES}
+from common.imports import closure, modules
+from common.provenance import ROOT, digest, sources_digest
 
 
 def git(folder, *words):
@@ -60,41 +57,74 @@ def test_no_checkout_no_commit(checkout, tmp_path, monkeypatch):
     assert provenance.code_state(checkout) == outside
 
 
-@pytest.mark.parametrize("entry", SOURCES)
-def test_sources_are_all_that_is_imported(entry):
-    """Besides ``common``, which computes nothing, and the folder of a dataset."""
-    files = modules(ROOT)
-    reached, found = [entry], {entry, "data.dataset.folder"}
-    while reached:
-        new = imports(name := reached.pop(), files[name], set(files)) - found
-        reached += [name for name in new if not name.startswith("common.")]
-        found |= new
-    named = {file for pattern in SOURCES[entry] for file in ROOT.glob(pattern)}
-    assert all(any(ROOT.glob(pattern)) for pattern in SOURCES[entry])
-    assert {name for name in found if files[name] not in named
-            and not name.startswith("common.")} == {"data.dataset.folder"}
+PROJECT = {"sim/__init__.py": "", "sim/mesh.py": "SIZE = 1\n", "data/__init__.py": "",
+           "data/reader.py": "import sim.drape\n", "sim/drape.py": """
+def drape():
+    "Drapes."
+    from sim import mesh  # late
+    return mesh.SIZE
+"""}
 
 
-def test_sources_are_known_by_name_and_content_wherever_they_are(tmp_path):
-    patterns = SOURCES["data.dataset.simulate"]
+@pytest.mark.parametrize(("name", "old", "new", "same"), [
+    ("sim/drape.py", "Drapes.", "Drapes # cloth.", True),
+    ("sim/drape.py", "# late", "#  'later", True),
+    ("sim/mesh.py", "SIZE = 1", '"""Of meshes.\n\n  # too\n"""\n\nSIZE = 1  # edge', True),
+    ("sim/mesh.py", "SIZE = 1", 'SIZE = 1\n"""Of edges."""\n', True),
+    ("data/reader.py", "import", "import sys\nimport", True),
+    ("sim/mesh.py", "1", "2", False),
+    ("sim/mesh.py", "1", "'1 # one'", False),
+    ("sim/drape.py", "mesh.SIZE", "2 * mesh.SIZE", False),
+])
+def test_code_is_known_by_what_it_does_and_imports(tmp_path, name, old, new, same):
+    def digest_of(folder, **changed: str) -> str:
+        for file, text in (PROJECT | changed).items():
+            (folder / file).parent.mkdir(parents=True, exist_ok=True)
+            (folder / file).write_text(text, encoding="utf-8")
+        return sources_digest("sim.drape", root=folder)
 
-    def changed(name: str = "", text: str = "") -> str:
-        """Digest in a copy of the project with a file of this text."""
-        copy = tmp_path / f"copy_{len(list(tmp_path.iterdir()))}"
-        for package in ("data", "sim"):
-            shutil.copytree(ROOT / package, copy / package)
-        if name:
-            (copy / name).parent.mkdir(exist_ok=True)
-            (copy / name).write_text(text)
-        return sources_digest(*patterns, root=copy)
+    changed = digest_of(tmp_path / "b", **{name: PROJECT[name].replace(old, new)})
+    assert (changed == digest_of(tmp_path / "a")) == same
 
-    here = sources_digest(*patterns)
-    assert here == changed() == sources_digest(*reversed(patterns))
-    assert here == changed("sim/solver/__pycache__/newton.nbi", "cache")
-    assert here == changed("data/captures/capture.py", "another reader")
-    newton = (ROOT / "sim/solver/newton.py").read_text(encoding="utf-8")
-    assert len({here, changed("sim/solver/newton.py", newton + "\n"),
-                changed("sim/solver/other.py", newton)}) == 3
+
+def test_packages_and_files_of_settings_are_named_too():
+    named = {sources_digest(*names) for names in (
+        ["sim"], ["sim.drape"], ["sim.drape", "configs/sensor/*.yaml"])}
+    assert len(named) == 3
+    with pytest.raises(ValueError, match="sim/drapes"):
+        sources_digest("sim/drapes")
+
+
+def words(code: bytes) -> list[str]:
+    """The tokens of code that has an effect."""
+    layout = (tokenize.COMMENT, tokenize.NL, tokenize.INDENT, tokenize.DEDENT, tokenize.ENCODING)
+    found = [(token.type, token.string) for token in tokenize.tokenize(io.BytesIO(code).readline)
+             if token.type not in layout]
+    return [text for (before, _), (kind, text), (after, _) in zip(
+        [(tokenize.NEWLINE, ""), *found], found, [*found[1:], (0, "")], strict=False)
+        if kind != tokenize.NEWLINE and not (kind == tokenize.STRING and before == after == (
+            tokenize.NEWLINE))]
+
+
+@pytest.mark.parametrize("entry", ["data.dataset.batches", "drapenet.network.dataset"])
+def test_code_without_comments_is_the_same_code(entry):
+    """Of all that makes shards and maps."""
+    found = closure([entry], modules(ROOT))
+    assert {"sim.energies.midedge", "data.fabrics.nuisances"} < {module.name for module in found}
+    for module in found:
+        assert words(module.code) == words(module.file.read_bytes()), module.name
+
+
+def test_digests_are_those_of_contents(tmp_path):
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "file").write_text("1")
+    assert digest({"path": tmp_path / "a", "x": np.arange(2)}) == digest(
+        {"x": [0, 1], "path": tmp_path / "b"})
+    (tmp_path / "b" / "file").write_text("2")
+    assert digest(tmp_path / "a") != digest(tmp_path / "b")
+    with pytest.raises(TypeError, match="object has no digest"):
+        digest(object())
 
 
 def test_versions_of_what_is_installed():

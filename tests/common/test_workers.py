@@ -44,6 +44,15 @@ def test_workers_have_one_thread_ignore_ctrl_c_and_end_with_a_failing_block():
     assert os.environ == environment
 
 
+def test_a_failing_block_leaves_the_workers_of_other_pools_alone():
+    with worker_pool(1) as other:
+        process = other.submit(os.getpid).result()
+        with pytest.raises(ZeroDivisionError), worker_pool(1) as pool:
+            pool.submit(os.getpid).result()
+            raise ZeroDivisionError
+        assert other.submit(os.getpid).result() == process
+
+
 def test_a_killed_worker_is_an_input_error():
     with pytest.raises(InputError, match="was killed"), worker_pool(1) as pool:
         os.kill(pool.submit(os.getpid).result(), signal.SIGKILL)

@@ -10,12 +10,11 @@ from test_generate import generate, shards, small_config
 import data.dataset.folder
 from common.errors import InputError
 from common.files import replace_json
-from common.provenance import environment, release, sources_digest
-from data.dataset.config import SOURCES
+from common.provenance import digest, environment, release
 from data.dataset.folder import (
     MANIFEST,
+    DatasetFolder,
     finished_manifest,
-    json_digest,
     read_manifest,
     split_by_fabric,
 )
@@ -38,13 +37,6 @@ def elsewhere():
 def dataset(tmp_path_factory):
     folder = tmp_path_factory.mktemp("dataset") / "set"
     return folder, generate(folder, small_config(drapes=6))
-
-
-def test_manifests_are_read_begun_and_finished(tmp_path):
-    assert read_manifest(tmp_path) is None
-    for content in (BEGUN, FINISHED):
-        replace_json(tmp_path / MANIFEST, content)
-        assert read_manifest(tmp_path) == content
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "[" * 100_000, *map(json.dumps, [
@@ -88,43 +80,51 @@ def test_the_manifest_says_where_the_dataset_comes_from(dataset):
     assert manifest["provenance"][0]["code"]["release"] == release()
     assert manifest["config"]["sampling"]["seed"] == 0
     assert manifest["prior"] == {"kind": small_config().prior.kind,
-                                 "sha256": json_digest(manifest["config"]["prior"])}
+                                 "sha256": digest(manifest["config"]["prior"])}
 
 
-def test_no_digest_depends_on_the_environment(dataset, tmp_path, monkeypatch):
-    monkeypatch.setattr(data.dataset.folder, "environment", elsewhere)
-    manifest = generate(tmp_path, small_config(drapes=6))
-    assert manifest["provenance"] == [elsewhere()]
-    assert manifest | {"provenance": dataset[1]["provenance"]} == dataset[1]
-    for there, path in zip(shards(tmp_path), shards(dataset[0]), strict=True):
-        assert there.read_bytes() == path.read_bytes()
-
-
-def test_every_environment_that_made_shards_is_named_once(tmp_path, monkeypatch):
+def test_every_environment_that_made_shards_is_named_once(dataset, tmp_path, monkeypatch):
     generate(tmp_path, small_config(drapes=4))
     monkeypatch.setattr(data.dataset.folder, "environment", elsewhere)
     assert generate(tmp_path, small_config(drapes=4))["provenance"] == [environment()]
     for drapes in (6, 8):
         manifest = generate(tmp_path, small_config(drapes=drapes))
         assert manifest["provenance"] == [environment(), elsewhere()]
+        if drapes == 6:  # no digest depends on it
+            assert manifest | {"provenance": dataset[1]["provenance"]} == dataset[1]
+            for there, path in zip(shards(tmp_path), shards(dataset[0]), strict=True):
+                assert there.read_bytes() == path.read_bytes()
     assert json.loads((tmp_path / MANIFEST).read_text(encoding="utf-8")) == manifest
 
 
-def test_another_simulator_neither_resumes_nor_extends_a_dataset(tmp_path):
+def test_another_simulator_neither_resumes_nor_extends_a_dataset(tmp_path, monkeypatch):
     """Its drapes would be mixed with those of the first."""
-    begun = small_config(drapes=8)
-    assert begun.as_dict()["sources"] == sources_digest(*SOURCES)
-    generate(tmp_path / "begun", begun, part=1, parts=2)
-    manifest = generate(tmp_path / "finished", begun)
+    generate(tmp_path / "begun", small_config(drapes=8), part=1, parts=2)
+    manifest = generate(tmp_path / "finished", small_config(drapes=8))
+    monkeypatch.setattr(data.dataset.config, "sources_digest", lambda *_: "0" * 64)
     for folder in (tmp_path / "begun", tmp_path / "finished"):
         kept = {path: path.read_bytes() for path in folder.iterdir()}
         for drapes in (8, 12):
             with pytest.raises(InputError, match=r"another version of the simulator.*"
                                                  r"finish it with that version") as refusal:
-                generate(folder, replace(small_config(drapes=drapes), sources="0" * 64))
+                generate(folder, small_config(drapes=drapes))
             assert "\n" not in str(refusal.value)
         assert kept == {path: path.read_bytes() for path in folder.iterdir()}
     assert finished_manifest(tmp_path / "finished") == manifest
+
+
+def test_a_device_makes_another_dataset_and_is_recorded(tmp_path):
+    """Its drapes equal those of the CPU up to rounding, which may choose other folds."""
+    config = small_config(drapes=6, starts=("lowered",))
+    cpu, batched, cuda, second = (DatasetFolder(tmp_path, replace(config, device=device))
+                                  for device in (None, "cpu", "cuda", "cuda:1"))
+    assert cuda.identity == second.identity
+    assert len({folder.identity for folder in (cpu, batched, cuda)}) == 3
+    assert cuda.config.sources != cpu.config.sources, "the code of the batches"
+    batched.begin()
+    assert read_manifest(tmp_path)["provenance"] == [environment() | {"device": "cpu"}]
+    with pytest.raises(InputError, match=r"other settings \(solver\.device, sources\)"):
+        cpu.claim()
 
 
 def test_splits_are_stable_and_have_their_fractions():

@@ -67,7 +67,9 @@ def test_records_hold_the_plan_and_the_drape(finished):
     folder, manifest = finished
     config = small_config()
     assert list(manifest["shards"]) == ["shard_00000.h5", "shard_00001.h5", "shard_00002.h5"]
-    seen = []
+    assert manifest["complete"] and manifest["drapes"] == 10 and manifest["fabrics"] == 5
+    assert 0 <= manifest["rejection_rate"] < 0.2 and manifest["starts"] == {"fold": 5, "sine": 5}
+    seen, failures = [], 0
     for name in manifest["shards"]:
         shard = Shard(folder / name)
         for row, index in enumerate(shard.column("index")):
@@ -78,13 +80,18 @@ def test_records_hold_the_plan_and_the_drape(finished):
             assert shard.column("start")[row] == plan.start
             assert shard.column("seed")[row] == plan.seed
             failed = plan.seed % fake_drapes.FAIL_SEED_MODULUS == 0
+            failures += failed
             expected = "max_iterations" if failed else "converged"
             assert shard.column("status")[row] == expected
             assert np.isnan(shard.column("drape_coefficient")[row]) == failed
             assert (shard.column("folds")[row] < 0) == failed
             # A failed drape keeps its mesh, for whoever wants to know why.
             assert shard.mesh(row)[0][:, 2].min() < -0.01
-    assert seen == list(range(10))
+    assert seen == list(range(10)) and 0 < failures < 10
+    assert manifest["outcomes"] == {"converged": 10 - failures, "max_iterations": failures}
+    # Machine and command line leave no trace.
+    assert json.loads((folder / "dataset.json").read_text()) == manifest
+    assert not {str(folder), "workers"} & set(json.dumps(manifest).split('"'))
 
 
 def test_records_of_simulated_drapes_hold_their_derivatives():
@@ -106,8 +113,9 @@ def test_batches_on_a_device_make_the_same_records(tmp_path, monkeypatch):
     config = replace(small_config(drapes=2, starts=("lowered",), testers=(DISC_RIG.name,)),
                      edge=0.014, drapes_per_shard=1)
     for name, device in (("one", None), ("batch", "cpu")):
-        assert generate(tmp_path / name, config, solver=None, device=device)["complete"]
-        assert generate(tmp_path / name, config, solver=fake_drapes.killed, device=device)
+        made = replace(config, device=device)
+        assert generate(tmp_path / name, made, solver=None)["complete"]
+        assert generate(tmp_path / name, made, solver=fake_drapes.killed)
     names = [path.name for path in shards(tmp_path / "one")]
     assert names == [path.name for path in shards(tmp_path / "batch")] and len(names) == 2
     for one, batch in ((Shard(tmp_path / kind / name) for kind in ("one", "batch"))
@@ -124,31 +132,8 @@ def test_only_lowered_drapes_are_made_in_batches(tmp_path):
     for device, starts, complaint in (("cpu", ("lowered", "sine"), "only lowered drapes"),
                                       ("none", ("lowered",), "device=none: ")):
         with pytest.raises(InputError, match=complaint):
-            generate(tmp_path / "set", small_config(starts=starts), device=device)
+            generate(tmp_path / "set", replace(small_config(starts=starts), device=device))
     assert not (tmp_path / "set").exists()
-
-
-def test_manifest_counts_everything(finished):
-    folder, manifest = finished
-    assert json.loads((folder / "dataset.json").read_text()) == manifest
-    statuses = [plan_drape(i, config=small_config().sampling, prior=load_prior("gaussian")).seed
-                % fake_drapes.FAIL_SEED_MODULUS == 0 for i in range(10)]
-    assert manifest["outcomes"] == {"converged": 10 - sum(statuses),
-                                    "max_iterations": sum(statuses)}
-    assert 0 < sum(statuses) < 10  # else this dataset tests nothing
-    assert manifest["complete"] and manifest["drapes"] == 10 and manifest["fabrics"] == 5
-    assert 0 <= manifest["rejection_rate"] < 0.2
-    assert manifest["starts"] == {"fold": 5, "sine": 5}
-    # Machine and command line leave no trace.
-    text = json.dumps(manifest)
-    assert str(folder) not in text and "workers" not in text
-
-
-def test_bytes_do_not_depend_on_parts_and_their_order(finished, tmp_path):
-    assert not generate(tmp_path / "set", part=1, parts=2)["complete"]
-    assert [path.name for path in shards(tmp_path / "set")] == ["shard_00001.h5"]
-    assert generate(tmp_path / "set", part=0, parts=2)["complete"]
-    assert files(tmp_path / "set") == files(finished[0])
 
 
 def test_a_run_without_parts_completes_what_parts_have_left(finished, tmp_path):
@@ -157,17 +142,6 @@ def test_a_run_without_parts_completes_what_parts_have_left(finished, tmp_path):
     assert not json.loads((tmp_path / "set" / "dataset.json").read_text())["complete"]
     generate(tmp_path / "set")
     assert files(tmp_path / "set") == files(finished[0])
-
-
-def test_bytes_do_not_depend_on_workers(finished, tmp_path):
-    generate(tmp_path / "two", workers=2)
-    assert files(tmp_path / "two") == files(finished[0])
-
-
-def test_another_seed_gives_another_dataset(finished, tmp_path):
-    manifest = generate(tmp_path / "other", small_config(drapes=1, seed=1))
-    assert manifest["hash"] != finished[1]["hash"]
-    assert manifest["identity"] != finished[1]["identity"]
 
 
 @pytest.mark.parametrize("damage", ["missing", "cut", "empty", "bit", "seal", "foreign"])
@@ -194,11 +168,6 @@ def test_missing_and_damaged_shards_are_made_again(finished, tmp_path, damage):
     (folder / "film.mkv.part").unlink()
     assert files(folder) == files(finished[0])
     assert (folder / "shard_00002.h5").stat().st_mtime_ns == untouched
-
-
-def test_a_finished_dataset_is_not_made_again(finished, tmp_path):
-    shutil.copytree(finished[0], tmp_path / "set")
-    assert generate(tmp_path / "set", solver=fake_drapes.killed) == finished[1]
 
 
 def test_a_dataset_grows(finished, tmp_path):
@@ -233,19 +202,14 @@ def test_another_configuration_is_refused(tmp_path):
 
 
 def test_a_folder_of_other_things_is_not_a_datasets(tmp_path):
-    (tmp_path / "notes.md").touch()
-    with pytest.raises(InputError, match=r"holds notes\.md and no dataset"):
-        generate(tmp_path)
-    assert [file.name for file in tmp_path.iterdir()] == ["notes.md"]
-    (tmp_path / "notes.md").rename(tmp_path / ".hidden")
+    for name in ("notes.md", "shard_00000.h5"):
+        (tmp_path / name).write_text("mine")
+        with pytest.raises(InputError, match=rf"holds {name} and no dataset"):
+            generate(tmp_path)
+        assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {name: "mine"}
+        (tmp_path / name).unlink()
+    (tmp_path / ".hidden").touch()
     assert generate(tmp_path, small_config(drapes=2))["drapes"] == 2
-
-
-def test_shards_of_unknown_origin_are_not_touched(tmp_path):
-    (tmp_path / "shard_00000.h5").write_text("mine")
-    with pytest.raises(InputError, match=r"holds shard_00000\.h5 and no dataset"):
-        generate(tmp_path)
-    assert (tmp_path / "shard_00000.h5").read_text() == "mine"
 
 
 def test_shards_without_a_manifest_are_taken_up_if_they_are_the_datasets(finished, tmp_path):
@@ -303,24 +267,18 @@ def test_a_killed_worker_is_reported_in_one_line(tmp_path):
 
 @pytest.mark.parametrize(("words", "complaint"), [
     (["drapes=0"], "drapes=0"),
-    (["drapes=many"], "many"),
-    (["drapes"], "drapes"),
     (["edge_mm=0.4"], "edge_mm=0.4: .* 0.5 to 50 mm"),
     (["edge_mm=0"], "edge_mm=0: give null"),
     (["workers=0"], "workers=0"),
     (["part=2", "parts=2"], "part=2 of parts=2"),
-    (["parts=0"], "parts=0"),
-    (["seed=-1"], "seed=-1"),
     (["prior.file=nowhere.json"], "nowhere.json"),
     (["dataset.testers=[square600_corners500]"], "square600_corners500"),
     (["dataset.testers_per_fabric=2"], "testers_per_fabric=2 must lie between 1"),
     (["dataset.drift_mm=100"], "dataset.drift_mm"),
-    (["dataset.even_share=1.1"], "dataset.even_share"),
     (["nuisances.shear=[1]"], "nuisances.shear"),
     (["nuisances.membrane_n_per_m=[300,200]"], "smaller one first"),
     (["nuisances.hysteresis_per_m=[5,200]"], "nuisances.hysteresis_per_m"),
     (["nuisances.hysteresis_per_m=[0,60]"], "nuisances.hysteresis"),
-    (["nuisances.curl_per_m=-1"], "nuisances.curl_per_m"),
     (["nuisances.cut_deg=20"], "nuisances.cut_deg"),
 ])
 def test_mistakes_on_the_command_line(tmp_path, words, complaint):

@@ -14,7 +14,8 @@ from test_generate import generate, small_config
 
 from common.errors import InputError
 from common.files import replace_json
-from data.dataset.folder import MANIFEST, json_digest, read_manifest
+from common.provenance import digest
+from data.dataset.folder import MANIFEST, read_manifest
 from data.dataset.inspect import (
     Shot,
     check_dataset,
@@ -196,7 +197,7 @@ def rewrite(folder, **changes):
 def relist(folder):
     """Let the manifest say of its shards what they are."""
     digests = {name: Shard(folder / name).digest for name in read_manifest(folder)["shards"]}
-    rewrite(folder, shards=digests, hash=json_digest(digests))
+    rewrite(folder, shards=digests, hash=digest(digests))
 
 
 def flipped(folder):

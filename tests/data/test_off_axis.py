@@ -38,11 +38,10 @@ def corrected(radius: np.ndarray, beside: np.ndarray, rig: Rig = DISC_RIG) -> np
     return np.linalg.norm(found, axis=1)
 
 
-@pytest.mark.parametrize("turn", [0.3, 2.0, 4.5])
-def test_most_of_what_a_camera_beside_the_axis_changes_is_taken_back(shape, turn):
+def test_most_of_what_a_camera_beside_the_axis_changes_is_taken_back(shape):
     edges = Mesh(shape.rest, shape.faces).edges
     exact = silhouette(shape.positions, edges, np.zeros(2), HEIGHT, azimuths=720)
-    for distance in (0.06, 0.12, 0.2):
+    for distance, turn in ((0.06, 0.3), (0.12, 2.0), (0.2, 4.5)):
         beside = distance * np.array([np.cos(turn), np.sin(turn)])
         seen = silhouette(shape.positions, edges, beside, HEIGHT, azimuths=720)
         assert rms_mm(seen, exact) > 1.5

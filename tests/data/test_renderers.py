@@ -9,7 +9,7 @@ from cloths import varied_camera
 
 from common.errors import InputError
 from data.render.cameras import Camera, nominal_camera
-from data.render.raster import camera_points, draw, rasterise
+from data.render.raster import draw, rasterise
 from data.render.rays import DepthRenderer
 from data.render.shade import shade
 from sim.mesh import grid_faces
@@ -127,16 +127,6 @@ def test_triangles_behind_the_camera_or_not_finite_are_omitted():
     half = raster(points[:3], faces[:1])
     for wrong in ((0.0, 0.0, -0.1), (0.0, 0.0, 0.0), (math.nan, 0.0, 0.5), (0.0, 0.0, math.inf)):
         assert np.array_equal(raster([*points[:3], wrong], faces), half)
-
-
-def test_points_turn_counter_clockwise_with_the_specimen():
-    positions, camera = folded(0.02, 5)[0], varied_camera(np.random.default_rng(1))
-    angles = np.array([0.0, 0.7, -2.0])
-    for points, angle in zip(camera_points(positions, camera, angles), angles, strict=True):
-        c, s = math.cos(angle), math.sin(angle)
-        turned = positions @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
-        pose = camera.world_to_camera
-        assert np.abs(points - (turned @ pose[:3, :3].T + pose[:3, 3])).max() < 1e-15
 
 
 def marker_places(*centre: float) -> np.ndarray:

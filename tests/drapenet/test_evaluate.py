@@ -4,10 +4,9 @@ import json
 import shutil
 from pathlib import Path
 
-import cloths
 import numpy as np
 import pytest
-from checkpoints import change_description, description
+from checkpoints import change_description, description, use_skirts
 
 import drapenet.network.evaluate
 from common.command import compose_config
@@ -103,24 +102,13 @@ def test_seen_fabrics_are_refused_before_they_are_made(untrained_checkpoint, tmp
         drapenet.network.evaluate.main([*words, f"fabrics={measured}"])
 
 
-@pytest.mark.parametrize("table", [False, True])
-def test_the_command_prints_a_line_a_cell(
-    untrained_checkpoint, tmp_path, monkeypatch, capsys, table
-):
-    def make(config: object, out: Path, *, workers: int) -> dict:
-        if not out.exists():
-            cloths.write_dataset(out, drapes=3, seed=config.sampling.seed)
-        return finished_manifest(out)
-
-    monkeypatch.setattr(drapenet.network.evaluate, "generate_dataset", make)
+def test_the_command_prints_a_line_a_cell(untrained_checkpoint, tmp_path, monkeypatch, capsys):
     names = ("depth, 8 views", "outline, parallel light")
-    monkeypatch.setattr(drapenet.network.evaluate, "CELLS", {name: CELLS[name] for name in names})
+    use_skirts(monkeypatch, *names)
     tester = Rig().name
     words = [f"checkpoint={untrained_checkpoint}", f"out={tmp_path / 'out'}",
              f"testers=[{tester}]", "fabrics_per_tester=1", "even_fabrics=1", "captures=1",
-             "seed=7", "workers=1"]
-    if table:
-        words.append(f"fabrics={write_fabrics(tmp_path / 'table.csv')}")
+             "seed=7", "workers=1", f"fabrics={write_fabrics(tmp_path / 'table.csv')}"]
     drapenet.network.evaluate.main(words)
     lines = capsys.readouterr().out.splitlines()
     for name in names:

@@ -9,7 +9,7 @@ its three alphas get one factor, so that the ratios between directions, on which
 import numpy as np
 
 from common.types import Theta
-from data.fabrics.prior import DECIMALS, Prior, log_stiffness, sample_admissible
+from data.fabrics.prior.base import DECIMALS, Prior, log_stiffness, sample_admissible
 from sim.material import LINEAR, RATIO
 
 STIFFNESS = (0.7e-6, 700e-6)
