@@ -103,10 +103,9 @@ _NUMBERS = {
               lambda text: float(re.sub(r"\.(?=inf|nan)", "", text.lower())))}
 """Decimal numbers, and what makes them of their text."""
 _NUMBER_TAGS = {f"tag:yaml.org,2002:{name}": number for name, number in _NUMBERS.items()}
-_Numbered = TypeVar("_Numbered", bound=type)
 
 
-def decimal(kind: _Numbered) -> _Numbered:
+def decimal(kind: Any) -> Any:
     """A class of PyYAML's loaders or dumpers with decimal numbers, as people write them.
 
     YAML 1.1 reads 0150 as 104, 1:30 as 90, and 1e3 as a text. Here they are 150, a text, as 0x10

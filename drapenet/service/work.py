@@ -48,6 +48,7 @@ def work(folder: Path, checkpoint: str) -> None:
 
     database, uploaded = database_in(folder.parent), folder / UPLOADED
     row, record = database.estimate(folder.name), partial(database.change, "estimate", folder.name)
+    assert row, "an estimate is not removed while it is under way"
     record(state=RUNNING, tries=row["tries"] + 1)
     try:
         make = _estimate if row["members"] is None else _estimate_jointly
