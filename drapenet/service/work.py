@@ -56,8 +56,7 @@ def work(folder: Path, checkpoint: str) -> None:
         record(state=DONE, warnings=warnings, estimate=read_json(folder / ESTIMATE),
                curves=torque_table(estimate, CURVATURES))
     except InputError as error:
-        sentence = str(error).replace(f"{uploaded}/", "").replace(str(uploaded), row["name"])
-        record(state=FAILED, error=sentence.replace(f"{folder.parent}/", ""))
+        record(state=FAILED, error=str(error.within(uploaded, row["name"]).within(folder.parent)))
 
 
 def _estimate(
