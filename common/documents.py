@@ -44,8 +44,8 @@ class Schema(BaseModel):
             if any(len(fault["loc"]) == 1 and fault["type"] == "extra_forbidden"
                    for fault in error.errors()):
                 remedies.append(f"the keys are {', '.join(cls.model_fields)}")
-            prefix = f"{what}: " if what else ""
-            raise InputError("; ".join([prefix + faults(error), *filter(None, remedies)])) from None
+            raise InputError("; ".join([faults(error), *filter(None, remedies)]), source=what
+                             ) from None
 
 
 class Excerpt(Schema):
@@ -103,10 +103,9 @@ _NUMBERS = {
               lambda text: float(re.sub(r"\.(?=inf|nan)", "", text.lower())))}
 """Decimal numbers, and what makes them of their text."""
 _NUMBER_TAGS = {f"tag:yaml.org,2002:{name}": number for name, number in _NUMBERS.items()}
-_Numbered = TypeVar("_Numbered", bound=type)
 
 
-def decimal(kind: _Numbered) -> _Numbered:
+def decimal(kind: Any) -> Any:
     """A class of PyYAML's loaders or dumpers with decimal numbers, as people write them.
 
     YAML 1.1 reads 0150 as 104, 1:30 as 90, and 1e3 as a text. Here they are 150, a text, as 0x10
@@ -170,11 +169,13 @@ def parse_yaml(text: str, what: str | Path) -> Mapping:
     try:
         content = yaml.load(text, _Loader)
     except InputError as error:
-        raise InputError(f"{what}: {error}") from None
+        raise InputError(error.message, source=what) from None
     except Exception as error:  # PyYAML raises any for values that contradict their tag: "!!int ''"
-        raise InputError(f"{what} is not valid YAML ({_syntax_fault(error, text)})") from None
+        raise InputError(f"is not valid YAML ({_syntax_fault(error, text)})", source=what,
+                         joint=" ") from None
     if not isinstance(content, Mapping):
-        raise InputError(f"{what} must hold 'key: value' lines, such as 'density_g_m2: 150'")
+        raise InputError("must hold 'key: value' lines, such as 'density_g_m2: 150'",
+                         source=what, joint=" ")
     return content
 
 
@@ -194,8 +195,8 @@ def parse_json(data: bytes | str, what: str | Path, remedy: str = "copy it again
     try:
         return from_json(data, allow_inf_nan=False)
     except ValueError as error:
-        raise InputError(f"{what} is damaged or not a JSON document ({one_line(error)}); "
-                         f"{remedy}") from None
+        raise InputError(f"is damaged or not a JSON document ({one_line(error)}); {remedy}",
+                         source=what, joint=" ") from None
 
 
 def read_yaml(file: Path) -> Mapping:
@@ -213,6 +214,9 @@ def read_text(file: Path, max_bytes: int = MAX_TEXT_BYTES, kind: str = "descript
     return decoded_text(read_bytes(file, max_bytes, kind), file)
 
 
+_IN_UTF8 = "save it in UTF-8, in a spreadsheet as CSV UTF-8"
+
+
 def decoded_text(data: bytes, what: str | Path) -> str:
     """Text in UTF-8, or in what its byte order mark states; ``what`` begins errors."""
     marked = data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
@@ -222,11 +226,10 @@ def decoded_text(data: bytes, what: str | Path) -> str:
         line, word = 1 + data.count(b"\n", 0, error.start), shown(_around(data, error.start))
         found = "UTF-16, as its first bytes state" if marked else (
             f"UTF-8 (line {line} has {word} if it is in Windows-1252)")
-        raise InputError(f"{what} is not text in {found}; save it in UTF-8, in a spreadsheet as CSV"
-                         " UTF-8") from None
+        raise InputError(f"is not text in {found}; {_IN_UTF8}", source=what, joint=" ") from None
     if "\0" in text:
-        raise InputError(f"{what} is not text in UTF-8: it has zero bytes, as UTF-16 without a byte"
-                         " order mark; save it in UTF-8, in a spreadsheet as CSV UTF-8")
+        raise InputError("is not text in UTF-8: it has zero bytes, as UTF-16 without a byte order "
+                         f"mark; {_IN_UTF8}", source=what, joint=" ")
     return text
 
 
@@ -264,9 +267,10 @@ def require_regular(file: Path, max_bytes: int, kind: str) -> None:
     with reading(file, "check the path and the permissions"):
         size = file.stat().st_size
     if not file.is_file():
-        raise InputError(f"{file} is not a regular file; give a {kind}")
+        raise InputError(f"is not a regular file; give a {kind}", source=file, joint=" ")
     if size > max_bytes:
-        raise InputError(f"{file} has {size} bytes; a {kind} has at most {max_bytes}")
+        raise InputError(f"has {size} bytes; a {kind} has at most {max_bytes}", source=file,
+                         joint=" ")
 
 
 def read_arrays(file: Path, names: Sequence[str], *, expected: str) -> dict[str, np.ndarray]:
@@ -276,7 +280,7 @@ def read_arrays(file: Path, names: Sequence[str], *, expected: str) -> dict[str,
     with reading(file, f"give {expected}"), zipfile.ZipFile(file) as archive:
         for name in names:
             if f"{name}.npy" not in archive.namelist():
-                raise InputError(f"{file} has no array '{name}'; give {expected}")
+                raise InputError(f"has no array '{name}'; give {expected}", source=file, joint=" ")
             member = archive.getinfo(f"{name}.npy")
             if member.file_size > MAX_DOCUMENT_BYTES:
                 raise ValueError(f"{name} is too large")
@@ -295,7 +299,7 @@ def reading(file: Path, remedy: str) -> Iterator[None]:
     except Exception as error:  # of zipfile, zlib, tokenize and others, some without a class
         reason = getattr(error, "strerror", None) or one_line(error)
         reason = re.sub(r" <_io\.\w+ object at \w+>", "", reason)  # of Pillow, other at each run
-        raise InputError(f"{file} cannot be read ({reason}); {remedy}") from None
+        raise InputError(f"cannot be read ({reason}); {remedy}", source=file, joint=" ") from None
 
 
 def differences(old: object, new: object, prefix: str = "") -> list[str]:

@@ -1,8 +1,10 @@
 """The exception for invalid input."""
 
 import reprlib
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from errno import ENOMEM
+from pathlib import Path
 
 MAX_LENGTH, MAX_LIST_LENGTH = 700, 4000  # characters of a message; of a list of faults
 
@@ -11,13 +13,45 @@ class InputError(ValueError):
     """Invalid input: a line that states the fault and its remedy; commands exit with code 2.
 
     Unprintable characters of names in it are escaped, and it is shortened to ``max_length``.
+
+    Attributes:
+        source: path that the line begins with; '': it is of no file, or names it in its message.
+        joint: what stands between source and message: a colon, or a space before a verb.
+        message: the rest of the line.
     """
 
-    def __init__(self, message: str, *, max_length: int = MAX_LENGTH) -> None:
-        if len(message) > max_length:
-            message = f"{message[: max_length // 2]} … {message[-max_length // 2 :]}"
+    def __init__(self, message: str, *, source: str | Path = "", joint: str = ": ",
+                 max_length: int = MAX_LENGTH) -> None:
+        self.source, self.joint, self.message = str(source), joint, message
+        line = f"{source}{joint}{message}" if self.source else message
+        if len(line) > max_length:
+            line = f"{line[: max_length // 2]} … {line[-max_length // 2 :]}"
         super().__init__("".join(c if c.isprintable() else c.encode("unicode_escape").decode()
-                                 for c in message))
+                                 for c in line))
+
+    def within(self, folder: Path, name: str = "") -> "InputError":
+        """The error with its source as it is called in ``folder``, which is itself ``name``: a
+        client of a service must not see its paths."""
+        place = Path(self.source)
+        inside = self.source and place.is_relative_to(folder)
+        called = self.source if not inside else name if place == folder else (
+            place.relative_to(folder))
+        # Messages that name a path in their middle.
+        message = self.message.replace(f"{folder}/", "").replace(f"{folder}: ", f"{name}: " * bool(
+            name)).replace(str(folder), name)
+        return InputError(message, source=called, joint=self.joint,
+                          max_length=max(MAX_LENGTH, len(str(self))))
+
+
+@contextmanager
+def of(source: str | Path) -> Iterator[None]:
+    """State the file or folder that an InputError of the block is of, unless it has a source."""
+    try:
+        yield
+    except InputError as error:
+        if error.source:
+            raise
+        raise InputError(error.message, source=source) from None
 
 
 def one_line(error: BaseException | str) -> str:

@@ -1,6 +1,6 @@
 """Types and ranges of the keys in ``configs/``, where they are documented and have defaults."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -161,6 +161,13 @@ class ServeConfig:
     photograph_megapixels: Positive
     keep_hours: Positive
     keep: FromOne
+    folder: Path = field(init=False)
+    hosts: list[str] = field(init=False)
+    processes: int = field(init=False)
+    bytes: int = field(init=False)
+    pixels: int = field(init=False)
+    photograph_pixels: int = field(init=False)
+    keep_seconds: float = field(init=False)
 
     def __post_init__(self) -> None:
         import joblib

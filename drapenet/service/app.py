@@ -121,7 +121,7 @@ async def begin(request: Request) -> dict[str, str]:
     them to a fabric.
     """
     jobs: Jobs = request.app.state.jobs
-    client = request.client.host
+    client = _client(request)
     try:
         jobs.places.take(client)
         try:
@@ -147,7 +147,7 @@ async def outline(request: Request) -> Response:
     """
     jobs: Jobs = request.app.state.jobs
     try:
-        with jobs.looks.places.taken(request.client.host):
+        with jobs.looks.places.taken(_client(request)):
             files, texts = await read_form(request, jobs.settings)
             checked = await run_in_threadpool(checked_photograph, files, texts, jobs.settings)
             seen = checked and await run_in_threadpool(jobs.look, checked)
@@ -163,7 +163,7 @@ def mat_to_print(request: Request, mat: str = "a3", paper: str = "") -> Response
     of the printer; by default that of the mat.
     """
     jobs: Jobs = request.app.state.jobs
-    with jobs.looks.places.taken(request.client.host):
+    with jobs.looks.places.taken(_client(request)):
         data = jobs.looks.outcome(mat_pdf, mat, paper or mat)
     return Response(data, media_type="application/pdf",
                     headers={"Content-Disposition": 'inline; filename="mat.pdf"'})
@@ -201,7 +201,7 @@ def estimate_zip(identity: str, request: Request, settings: Settings) -> Respons
     stated in `refused.txt`. `mesh`, `edge_mm` and `curvature_1_m` are those of an export.
     """
     jobs, content = _finished(request, identity)
-    with jobs.exports.places.taken(request.client.host):
+    with jobs.exports.places.taken(_client(request)):
         data = jobs.exports.outcome(all_files, jobs.settings.folder / identity, FILES,
                                     settings | {"name": content["fabric_name"]})
     return _attachment(f"{plain_name(content['fabric_name'])}-files.zip", data)
@@ -230,7 +230,7 @@ def export(identity: str, name: str, request: Request, settings: Settings) -> Re
         raise RequestError(404, f"no such tool; there are {', '.join(TARGETS)}")
     jobs, content = _finished(request, identity)
     title = f"{plain_name(content['fabric_name'])}-{TARGETS[name].file}"
-    with jobs.exports.places.taken(request.client.host):
+    with jobs.exports.places.taken(_client(request)):
         title, data = jobs.exports.outcome(export_file, jobs.settings.folder / identity, name,
                                            title, settings | {"name": content["fabric_name"]})
     return _attachment(title, data)
@@ -244,6 +244,11 @@ def _finished(request: Request, identity: str) -> tuple[Jobs, dict[str, Any]]:
     if content["state"] != DONE:
         raise RequestError(409, "the estimate is not finished")
     return jobs, content
+
+
+def _client(request: Request) -> str:
+    """The address whose places a request takes."""
+    return request.client.host if request.client else ""
 
 
 def _attachment(title: str, data: bytes) -> Response:
@@ -270,7 +275,7 @@ def spreadsheet(request: Request, search: Words = "") -> Response:
     captures.
     """
     jobs: Jobs = request.app.state.jobs
-    with jobs.exports.places.taken(request.client.host):
+    with jobs.exports.places.taken(_client(request)):
         return _attachment(*jobs.exports.outcome(results_table, jobs.settings.folder,
                                                  search.split()))
 
@@ -279,7 +284,7 @@ def spreadsheet(request: Request, search: Words = "") -> Response:
 def everything(request: Request) -> Archive:
     """All fabrics with their files and database, as a folder of results of another service."""
     jobs: Jobs = request.app.state.jobs
-    return Archive(jobs.settings.folder, jobs.exports.places.taken(request.client.host),
+    return Archive(jobs.settings.folder, jobs.exports.places.taken(_client(request)),
                    jobs.settings.export_seconds)
 
 

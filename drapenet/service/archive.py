@@ -1,19 +1,21 @@
 """The zip of all fabrics, made while it is sent: it may be large, and its client slow."""
 
 import asyncio
+import io
 import logging
 import os
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import AbstractContextManager, closing, suppress
 from itertools import chain
 from pathlib import Path
 from sqlite3 import Error as SQLError
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response, StreamingResponse
-from starlette.types import Receive, Scope, Send
+from starlette.types import Message, Receive, Scope, Send
 
 from common.errors import one_line
 from drapenet.service.database import DATABASE, Database, database_in
@@ -37,7 +39,7 @@ class Archive(Response):
         self._parts, self._place, self._seconds = archive(results), place, seconds
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        async def sent(message: dict) -> None:
+        async def sent(message: Message) -> None:
             await asyncio.wait_for(send(message), self._seconds)
 
         with self._place, closing(self._parts):  # its temporary files go with it
@@ -55,7 +57,7 @@ class Archive(Response):
                 await response(scope, receive, sent)
 
 
-def archive(results: Path) -> Iterator[bytes]:
+def archive(results: Path) -> Generator[bytes]:
     """Parts of about a mebibyte of a zip of all fabrics, with the database as it is now: it can be
     unpacked as the folder of another service. OSError or sqlite3.Error, before the first part, if
     the database cannot be copied.
@@ -72,7 +74,7 @@ def archive(results: Path) -> Iterator[bytes]:
         database_in(results).copy(folder / DATABASE)
         yield from _packed(target, written, folder / DATABASE, folder)
         with closing(Database(folder)) as copy, table.open("w", encoding="utf-8") as lines:
-            for row in (copy.estimate(one["id"]) for one in copy.estimates()):
+            for row in filter(None, (copy.estimate(one["id"]) for one in copy.estimates())):
                 if row["estimate"]:
                     head, _, line = csv_table([{
                         "fabric": row["fabric_name"], "capture": row["name"], "folder": row["id"],
@@ -85,18 +87,15 @@ def archive(results: Path) -> Iterator[bytes]:
     yield written.taken()
 
 
-class _Written:
+class _Written(io.RawIOBase):
     """What a zip file has written, and nobody has taken."""
 
     def __init__(self) -> None:
         self._bytes = bytearray()
 
-    def write(self, data: bytes) -> int:
+    def write(self, data: Any) -> int:
         self._bytes += data
         return len(data)
-
-    def flush(self) -> None:
-        """Nothing: a zip file calls it."""
 
     def taken(self) -> bytes:
         taken, self._bytes = bytes(self._bytes), bytearray()

@@ -43,7 +43,7 @@ class Process:
                 future = self.pool.schedule(task, args=arguments, timeout=self._seconds)
             return future.result()
         except InputError as error:
-            raise RequestError(422, str(error).replace(f"{self._root}/", "")) from None
+            raise RequestError(422, str(error.within(self._root))) from None
         except futures.TimeoutError:
             raise RequestError(503, f"not {self._late} in {self._seconds:g} s; try again"
                                ) from None

@@ -8,6 +8,7 @@ import email.header
 import io
 import math
 import zipfile
+import zlib
 from contextlib import suppress
 from pathlib import Path
 
@@ -86,7 +87,7 @@ def _members(data: bytes, settings: ServeConfig) -> list[tuple[str, bytes]]:
                                        f"{settings.bytes / 1e6:g} MB")
                 members.append((entry.filename, content))
     except (zipfile.BadZipFile, NotImplementedError, RuntimeError, OSError, EOFError, ValueError,
-            zipfile.zlib.error) as error:
+            zlib.error) as error:
         raise RequestError(422, f"the zip cannot be read ({one_line(error)}); pack it again"
                            ) from None
     return members

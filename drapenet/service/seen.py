@@ -35,7 +35,7 @@ def photograph_as_read(folder: Path) -> dict[str, Any]:
     try:
         seen = seen_photograph(folder)
     except InputError as error:
-        raise InputError(_without(folder, str(error))) from None
+        raise error.within(folder) from None
     high, wide = seen.picture.shape[:2]
     share = min(1.0, MAX_SIDE / max(high, wide))
     width, height = round(share * wide), round(share * high)
@@ -46,7 +46,7 @@ def photograph_as_read(folder: Path) -> dict[str, Any]:
         "width": width, "height": height, "scale": seen.factor * wide / width,
         "plate": None, "centred": seen.centred, "movable": seen.movable, "outline": None,
         "drape_coefficient_percent": None, "nodes": None, "warnings": [],
-        "refusal": _without(folder, seen.refusal) or None}
+        "refusal": str(InputError(seen.refusal).within(folder)) or None}
     if seen.plate:
         x, y, diameter = seen.plate
         answer["plate"] = {"x": round((x + 0.5) * share - 0.5, 2),
@@ -58,11 +58,6 @@ def photograph_as_read(folder: Path) -> dict[str, Any]:
         answer |= {"drape_coefficient_percent": round(100 * seen.outline.drape_coefficient, 1),
                    "nodes": seen.outline.folds, "warnings": list(seen.outline.warnings)}
     return answer
-
-
-def _without(folder: Path, sentence: str) -> str:
-    """A sentence that reveals no path of the server."""
-    return sentence.replace(f"{folder}/", "").replace(f"{folder}: ", "")
 
 
 @cache

@@ -190,7 +190,7 @@ def _strips(
         raise RequestError(422, f"{capture} and {STRIPS}: give the capture and the strips one "
                            "after the other")
     content, description = described_strips(received.get(STRIPS, b"{}"), fields)
-    pictures = {}
+    pictures, known = {}, description.known
     for entry in content.get("strips") or []:
         if entry.get("file"):
             name = plain_file(entry["file"])
@@ -202,7 +202,7 @@ def _strips(
     document = {STRIPS: yaml_text(content).encode()}
     return _Content(pictures | document, description.labels,
                     "strips" if description.strips else "values", directions=YARNS * bool(
-                        description.strips or description.known.along_yarns))
+                        description.strips or (known and known.along_yarns)))
 
 
 def _named(files: dict[str, bytes], *, from_above: bool) -> dict[str, bytes]:

@@ -48,6 +48,7 @@ def work(folder: Path, checkpoint: str) -> None:
 
     database, uploaded = database_in(folder.parent), folder / UPLOADED
     row, record = database.estimate(folder.name), partial(database.change, "estimate", folder.name)
+    assert row, "an estimate is not removed while it is under way"
     record(state=RUNNING, tries=row["tries"] + 1)
     try:
         make = _estimate if row["members"] is None else _estimate_jointly
@@ -55,8 +56,7 @@ def work(folder: Path, checkpoint: str) -> None:
         record(state=DONE, warnings=warnings, estimate=read_json(folder / ESTIMATE),
                curves=torque_table(estimate, CURVATURES))
     except InputError as error:
-        sentence = str(error).replace(f"{uploaded}/", "").replace(str(uploaded), row["name"])
-        record(state=FAILED, error=sentence.replace(f"{folder.parent}/", ""))
+        record(state=FAILED, error=str(error.within(uploaded, row["name"]).within(folder.parent)))
 
 
 def _estimate(

@@ -85,7 +85,7 @@ def test_schema_and_file_have_the_same_commented_keys_and_every_default_fits_its
               for group in default}
 
     def same(schema: type, content: dict, groups: set[str]) -> None:
-        kinds = {field.name: field.type for field in fields(schema)}
+        kinds = {field.name: field.type for field in fields(schema) if field.init}
         assert kinds.keys() == (content.keys() | groups) - {"defaults", "hydra", "launcher"}
         for key, kind in kinds.items():
             if is_dataclass(kind) and key not in groups:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import pickle
 import subprocess
 import sys
 import tempfile
@@ -11,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from common.errors import InputError, one_line
+from common.errors import InputError, of, one_line
 from common.files import (
     locked,
     path_named,
@@ -92,6 +93,24 @@ def test_errors_become_one_line():
     assert one_line(ValueError("two\n  lines")) == "two lines"
     assert one_line(KeyError()) == "KeyError"
     assert len(one_line(ValueError("x" * 1000))) == 200
+
+
+def test_an_error_states_the_nearest_source():
+    with pytest.raises(InputError) as refused, of("capture"), of("capture/view_0.png"):
+        raise InputError("two sizes; take it again")
+    error = refused.value
+    assert str(error) == "capture/view_0.png: two sizes; take it again"
+    assert (error.source, error.message) == ("capture/view_0.png", "two sizes; take it again")
+
+
+@pytest.mark.parametrize(("error", "told"), [
+    (InputError("has no views", source=Path("/srv/in/a.png"), joint=" "), "a.png has no views"),
+    (InputError("no views", source="/srv/in"), "capture 1: no views"),
+    (InputError("/srv/in: no views; see /srv/in/a"), "capture 1: no views; see a"),
+    (InputError("no views", source="b.png"), "b.png: no views"), (InputError("none"), "none")])
+def test_an_error_is_told_without_the_paths_of_its_machine(error, told):
+    again = pickle.loads(pickle.dumps(error))  # as from another process
+    assert str(again) == str(error) and str(again.within(Path("/srv/in"), "capture 1")) == told
 
 
 def test_links_that_wait_where_a_file_will_be_written_are_not_followed(tmp_path):

@@ -40,8 +40,8 @@ from apps.strip_curves import read_curve
 from common.configs import read_option
 from common.documents import read_json
 from common.errors import MAX_LENGTH, InputError
-from data.captures.reader import read_capture
 from data.captures.raw_scans import read_raw_scan
+from data.captures.reader import read_capture
 from data.captures.rosbag import read_recording
 from data.captures.scans import read_scan
 from data.dataset import inspect

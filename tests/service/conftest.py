@@ -1,4 +1,4 @@
-"""The service that the tests of a module share."""
+"""The service that the tests share: its processes take seconds of computing to start."""
 
 import pytest
 from fastapi.testclient import TestClient
@@ -7,7 +7,7 @@ from services import settings_for
 from drapenet.service.app import create_app
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def client(tmp_path_factory, untrained_checkpoint):
     results = tmp_path_factory.mktemp("results")
     app = create_app(settings_for(results, f"checkpoint={untrained_checkpoint}"))

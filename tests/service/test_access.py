@@ -51,20 +51,16 @@ def test_a_host_that_others_can_reach_needs_a_decision(host, served, tmp_path, m
         served(tmp_path, f"host={host}", "open=true")
 
 
-@pytest.mark.parametrize("host", ["127.0.0.1", "127.1.2.3", "::1", "localhost"])
-def test_this_machine_needs_none(host, served, tmp_path):
-    address = "[::1]" if host == "::1" else host
-    assert served(tmp_path, f"host={host}").startswith(f"http://{address}:8123 ")
-
-
-@pytest.mark.parametrize(("host", "address"), [
-    ("::", "localhost"), ("0.0.0.0", "localhost"), ("0::0", "localhost"), ("[::1]", "[::1]"),
-    ("fe80::1", "[fe80::1]")])
-def test_the_printed_address_can_be_opened(host, address, served, tmp_path):
-    printed = served(tmp_path, f"host={host}", f"password={PASSWORD}")
+@pytest.mark.parametrize(("host", "address", "words"), [
+    *((host, host, []) for host in ("127.0.0.1", "127.1.2.3", "localhost")), ("::1", "[::1]", []),
+    *((host, "localhost", ["open=true"]) for host in ("::", "0.0.0.0", "0::0")),
+    ("[::1]", "[::1]", []), ("fe80::1", "[fe80::1]", ["open=true"])])
+def test_the_printed_address_can_be_opened(host, address, words, served, tmp_path):
+    """That of this machine needs no decision."""
+    printed = served(tmp_path, f"host={host}", *words)
     assert printed.startswith(f"http://{address}:8123 ")
     assert (f"from other machines http://{gethostname()}:8123;" in printed) == (
-        address == "localhost")
+        host in ("::", "0.0.0.0", "0::0"))
 
 
 def test_an_address_of_ipv6_is_a_host_of_requests(tmp_path, monkeypatch):

@@ -4,6 +4,7 @@ import io
 import json
 import multiprocessing
 import os
+import shutil
 import signal
 import time
 import zipfile
@@ -20,12 +21,14 @@ from services import BreakablePool, ended, joint_estimate_of, post, settings_for
 from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 from workbooks import cells
 
-from data.captures.preview import outline_picture
+from common.documents import yaml_text
+from data.captures.preview import show
 from data.captures.reader import read_capture
 from drapenet.estimator.estimate import join, read_part
 from drapenet.estimator.stages import by_network
 from drapenet.export.formats import TARGETS
 from drapenet.network.checkpoint import read_header
+from drapenet.result.document import EstimateDocument
 from drapenet.service.app import create_app
 from drapenet.service.jobs import Jobs
 from drapenet.service.limits import Places
@@ -44,17 +47,38 @@ def finished(client) -> dict:
 
 
 @pytest.fixture(scope="module")
-def photographed(client) -> dict:
+def unstated(untrained_checkpoint) -> EstimateDocument:
+    """The estimate of the photograph alone."""
+    return by_network(read_capture(PHOTOGRAPH), read_header(untrained_checkpoint)).document
+
+
+@pytest.fixture(scope="module")
+def known(unstated) -> dict:
+    """A known value at the upper end of what the photograph lets expect."""
+    length = unstated.laboratory["warp"].bending_length_mm.interval_68[1]
+    return {"bending_length_mm": {"warp": round(length, 2)},
+            "error_percent": {"bending_length_mm": 2}}
+
+
+@pytest.fixture(scope="module")
+def photographed(client, known) -> dict:
+    """The estimate of the photograph and the known value."""
     content = client.get("/examples/twill_photograph.zip").content
-    begun = client.post("/estimates", files=[("files", ("a.zip", content))])
+    begun = client.post("/estimates", files=[("files", ("a.zip", content))], data={
+        f"known.{key}.{name}": str(value) for key, values in known.items()
+        for name, value in values.items()})
     assert begun.status_code == 202, begun.text
     return ended(client, begun.json()["id"])
 
 
 @pytest.mark.parametrize("name", ["finished", "photographed"])
-def test_numbers_are_those_of_the_command(name, request, untrained_checkpoint):
+def test_numbers_are_those_of_the_command(name, request, untrained_checkpoint, known, tmp_path):
     found = request.getfixturevalue(name)
-    capture = read_capture(EXAMPLE if name == "finished" else PHOTOGRAPH)
+    folder = shutil.copytree(EXAMPLE if name == "finished" else PHOTOGRAPH, tmp_path / "capture")
+    if name == "photographed":
+        with (folder / "capture.yaml").open("a") as description:
+            description.write(yaml_text({"known": known}))
+    capture = read_capture(folder)
     expected = by_network(capture, read_header(untrained_checkpoint)).estimate
     assert found["state"] == "done" and found["error"] is None
     moduli = found["estimate"]["moduli"]
@@ -80,7 +104,7 @@ def test_files_are_whole_and_say_nothing_of_the_server(client, finished):
 
 def test_a_photograph_is_shown_with_its_outline_and_has_a_report(client, photographed):
     address, read = f"/estimates/{photographed['id']}", read_capture(PHOTOGRAPH)
-    assert client.get(f"{address}/preview.png").content == outline_picture(read)
+    assert client.get(f"{address}/preview.png").content == show(read)
     shapes = client.get(f"{address}/drape.glb").content
     assert set(trimesh.load(io.BytesIO(shapes), file_type="glb").geometry) == {
         "simulated", "support"}
@@ -92,6 +116,28 @@ def test_a_photograph_is_shown_with_its_outline_and_has_a_report(client, photogr
     assert 0 < seen["drape_coefficient_percent"] - 100 * read.outline.drape_coefficient < 20
 
 
+@pytest.fixture
+def idle(monkeypatch) -> None:
+    """The web process cannot read an estimate for an export."""
+    def refuse(*arguments: object) -> None:
+        raise AssertionError("computed in the web process")
+
+    monkeypatch.setattr("drapenet.export.material.read_material", refuse)
+    monkeypatch.setattr("drapenet.report.overview.fabrics_workbook", refuse)
+
+
+def test_values_with_a_capture_move_its_estimate(unstated, known, photographed):
+    before = unstated.laboratory["warp"].bending_length_mm
+    found, value = photographed["estimate"], known["bending_length_mm"]["warp"]
+    after = found["laboratory"]["warp"]["bending_length_mm"]
+    assert before.median < after["median"] < 1.02 * value
+    assert np.ptp(after["interval_68"]) < np.ptp(before.interval_68) / 2
+    assert found["capture"]["known"]["bending_length_mm"]["warp"] == value
+    assert found["capture"]["labels"]["fabric"] == photographed["fabric_name"]
+    assert not found["contradictions"]
+
+
+@pytest.mark.usefixtures("idle")
 def test_exports_can_be_fetched(client, finished):
     for name, target in TARGETS.items():
         answer = client.get(f"/estimates/{finished['id']}/export/{name}")
@@ -107,12 +153,15 @@ def test_exports_can_be_fetched(client, finished):
     assert answer.status_code == 422 and "edge_mm" in answer.json()["error"]
 
 
-def test_bad_capture_fails_with_its_sentence(client):
+def test_bad_capture_fails_with_its_sentence_and_can_be_removed(client):
     begun = post(client, [PICTURES[0]], density_g_m2="200", fx="305", fy="305", cx="119.5",
                  cy="89.5", depth_unit_m="1", tester="square300_cylinder100")
     found = ended(client, begun.json()["id"])
     assert found["state"] == "failed" and found["estimate"] is None
     assert "depth" in found["error"] and "/" not in found["error"].split(";")[0]
+    assert client.delete(f"/fabrics/{found['fabric']}").status_code == 204
+    assert client.get(f"/estimates/{found['id']}").status_code == 404
+    assert not (client.app.state.jobs.settings.folder / found["id"]).exists()
 
 
 def test_photograph_of_unknown_scale_fails_with_its_sentence(client, tmp_path):
@@ -245,20 +294,23 @@ def test_the_same_views_are_not_joined_and_can_be_removed(client, finished, join
     taken = post(client, [*PICTURES, EXAMPLE / "capture.yaml"], fabric=finished["fabric"],
                  label="two views")
     assert taken.status_code == 422 and taken.json()["error"].startswith("label=two views")
-    again = post(client, [*PICTURES, EXAMPLE / "capture.yaml"], fabric=finished["fabric"]).json()
-    ended(client, again["id"])
+    jobs, again = client.app.state.jobs, "a" * 32  # as its estimate would be
+    shutil.copytree(jobs.settings.folder / finished["id"], jobs.settings.folder / again)
+    jobs.database.add_estimate(again, finished["fabric"], "capture 2", state="done",
+                               estimate=finished["estimate"])
+    jobs._join(finished["fabric"])
     for _ in range(600):
         if client.get(f"/estimates/{joined['id']}").json()["state"] == "failed":
             break
         time.sleep(0.1)
     found = client.get(f"/estimates/{joined['id']}").json()
     assert "have the same views" in found["error"] and "/root" not in found["error"]
-    assert client.delete(f"/estimates/{again['id']}").status_code == 204
+    assert client.delete(f"/estimates/{again}").status_code == 204
     assert ended(client, joined["id"])["state"] == "done"
-    assert client.get(f"/estimates/{again['id']}").status_code == 404
+    assert client.get(f"/estimates/{again}").status_code == 404
 
 
-def test_fabrics_are_named_noted_searched_and_removed(client, finished):
+def test_fabrics_are_named_noted_and_searched(client, finished):
     identity = finished["fabric"]
     found = client.get("/fabrics", params={"search": "öko TWILL square300"}).json()["fabrics"]
     assert [row["id"] for row in found] == [identity]
@@ -276,12 +328,6 @@ def test_fabrics_are_named_noted_searched_and_removed(client, finished):
         assert answer.json()["error"]
     assert client.patch(f"/fabrics/{'q' * 22}", json={}).status_code == 404
     assert client.get("/fabrics?count=0").status_code == 422
-    short = post(client, [PICTURES[0]], density_g_m2="200", name="short", fx="305", fy="305",
-                 cx="119.5", cy="89.5", depth_unit_m="1", tester="square300_cylinder100").json()
-    ended(client, short["id"])
-    assert client.delete(f"/fabrics/{short['fabric']}").status_code == 204
-    assert client.get(short["url"]).status_code == 404
-    assert not (client.app.state.jobs.settings.folder / short["id"]).exists()
 
 
 def test_the_zip_of_all_fabrics_is_a_folder_of_results(client, finished, tmp_path, monkeypatch):
@@ -296,21 +342,6 @@ def test_the_zip_of_all_fabrics_is_a_folder_of_results(client, finished, tmp_pat
     content = Jobs(settings_for(tmp_path)).row("estimate", finished["id"])
     assert content["estimate"] == finished["estimate"]
     assert (tmp_path / finished["id"] / "drape.glb").exists()
-
-
-@pytest.fixture
-def idle(monkeypatch) -> None:
-    """The web process cannot read an estimate for an export."""
-    def refuse(*arguments: object) -> None:
-        raise AssertionError("computed in the web process")
-
-    monkeypatch.setattr("drapenet.export.material.read_material", refuse)
-    monkeypatch.setattr("drapenet.report.overview.fabrics_workbook", refuse)
-
-
-@pytest.mark.usefixtures("idle")
-def test_the_web_process_exports_nothing(client, finished):
-    assert client.get(f"/estimates/{finished['id']}/export/arcsim").status_code == 200
 
 
 @pytest.mark.usefixtures("idle")

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from photographs import drawn, plate, write
+from photographs import CURVE, drawn, plate, write
 from PIL import Image
 
 from common.command import compose_config
@@ -88,36 +88,17 @@ def test_files_and_a_zip_of_their_folder_make_the_same_capture(settings, tmp_pat
     assert read.density == expected.density and read.warp_direction == expected.warp_direction
 
 
-def test_fields_stand_for_the_description_and_pictures_are_numbered(settings, tmp_path):
+@pytest.mark.parametrize("turns", ["0, 90, 180, 270", "0;90;180;270", "[0 90.0 180 270]"])
+def test_fields_stand_for_the_description_and_pictures_are_numbered(settings, tmp_path, turns):
     intrinsics = yaml.safe_load(YAML[1])["intrinsics"]
     renamed = [(f"shot {k + 9}.png", data) for k, (_, data) in enumerate(VIEWS)]  # 9, 10, 11, 12
-    upload = checked_upload(renamed[::-1], {"density_g_m2": "123,5", "refine": "yes",
-                                            "tester": "square300_cylinder100",
-                                            **{key: str(intrinsics[key]) for key in intrinsics}},
-                            settings)
+    fields = {"density_g_m2": "123,5", "refine": "yes", "tester": "square300_cylinder100",
+              "turns_deg": turns, **{key: str(value) for key, value in intrinsics.items()}}
+    upload = checked_upload(renamed[::-1], fields, settings)
     assert upload.refine
+    assert yaml.safe_load(upload.files["capture.yaml"])["turns_deg"] == [0, 90, 180, 270]
     assert [upload.files[f"view_{k}.png"] for k in range(4)] == [data for _, data in VIEWS]
     assert capture_of(upload, tmp_path / "capture").density == pytest.approx(0.1235)
-
-
-def test_a_field_overrides_the_description(settings):
-    upload = checked_upload([*VIEWS, YAML], {"density_g_m2": "90", "warp_direction_deg": "12"},
-                            settings)
-    content = yaml.safe_load(upload.files["capture.yaml"])
-    before = yaml.safe_load(YAML[1])
-    assert content["density_g_m2"] == 90 and content["warp_direction_deg"] == 12
-    assert content["intrinsics"] == before["intrinsics"]
-
-
-@pytest.mark.parametrize("text", ["0, 90, 180", "0;90;180", "[0 90.0 180]"])
-def test_turns_of_the_table_are_a_list(settings, text):
-    intrinsics = yaml.safe_load(YAML[1])["intrinsics"]
-    upload = checked_upload(VIEWS[:3], {"density_g_m2": "90", "turns_deg": text,
-                                        "tester": "square300_cylinder100",
-                                        **{key: str(intrinsics[key]) for key in intrinsics}},
-                            settings)
-    turns = yaml.safe_load(upload.files["capture.yaml"])["turns_deg"]
-    assert turns == [0, 90, 180]
 
 
 def jpeg(png: bytes) -> bytes:
@@ -133,9 +114,9 @@ def photograph_fields() -> dict[str, str]:
     return {key: str(value) for key, value in (content | outline | plate).items()}
 
 
-@pytest.mark.parametrize("name", ["IMG 0007.JPG", "shot.png", "outline.png"])
-def test_a_photograph_and_the_form_make_the_capture_of_its_folder(name, settings, tmp_path):
-    data = jpeg(PICTURE) if name.endswith("JPG") else PICTURE
+@pytest.mark.parametrize(("name", "data"), [("IMG 0007.JPG", jpeg(PICTURE)),
+                                            ("shot.png", PICTURE)])
+def test_a_photograph_and_the_form_make_the_capture_of_its_folder(name, data, settings, tmp_path):
     upload = checked_upload([(name, data)], photograph_fields(), settings)
     read, expected = capture_of(upload, tmp_path / "capture"), read_capture(PHOTOGRAPH)
     assert np.abs(read.outline.radii - expected.outline.radii).max() < 2e-4
@@ -145,7 +126,7 @@ def test_a_photograph_and_the_form_make_the_capture_of_its_folder(name, settings
 
 @pytest.mark.parametrize("name", ["drape 3.csv", "drape 3.txt"])
 def test_a_table_of_an_outline_has_a_unit_and_an_origin(name, settings, tmp_path):
-    curve = 1e3 * read_capture(PHOTOGRAPH).outline.curve[::4] + [40, 0]
+    curve = 1e3 * CURVE[::4] + [40, 0]
     table = "\n".join(f"{x:.2f};{y:.2f}" for x, y in curve).encode()
     fields = {"density_g_m2": "210", "tester": "disc300_support180", "unit": "mm",
               "centred": "false", "camera_height_mm": "parallel"}
@@ -155,7 +136,7 @@ def test_a_table_of_an_outline_has_a_unit_and_an_origin(name, settings, tmp_path
 
 
 def test_a_table_of_a_picture_has_a_sense(settings, tmp_path):
-    curve = [200, 200] + 1e3 * read_capture(PHOTOGRAPH).outline.curve[::4] * [1, -1]
+    curve = [200, 200] + 1e3 * CURVE[::4] * [1, -1]
     table = "".join(f"{x:.2f};{y:.2f};\r\n" for x, y in curve).encode("utf-16")
     fields = {"density_g_m2": "210", "tester": "disc300_support180", "unit": "mm",
               "warp_direction_deg": "25"}
@@ -191,21 +172,17 @@ def test_a_photograph_of_a_strip_is_found_by_its_name_in_another_normal_form(set
 
 def test_a_field_replaces_its_value_alone(settings):
     document = (PHOTOGRAPH / "capture.yaml").read_bytes()
-    upload = checked_upload([("a.png", PICTURE), ("capture.yaml", document)],
-                            {"camera_height_mm": "1500,5"}, settings)
-    outline = yaml.safe_load(upload.files["capture.yaml"])["outline"]
-    assert outline == yaml.safe_load(document)["outline"] | {"camera_height_mm": 1500.5}
+    upload = checked_upload([("a.png", png_of_size(6000, 4000)), ("capture.yaml", document)],
+                            {"camera_height_mm": "1500,5", "density_g_m2": "90"}, settings)
+    before, content = yaml.safe_load(document), yaml.safe_load(upload.files["capture.yaml"])
+    assert content == before | {"density_g_m2": 90, "outline": before["outline"] | {
+        "camera_height_mm": 1500.5}}
 
 
 def test_pictures_among_views_are_no_outline(settings):
     files = [*VIEWS, YAML, ("table.jpg", b"not read"), ("log.csv", b"a;b")]
     upload = checked_upload([("a.zip", zipped(files))], {}, settings)
     assert not any(name.startswith("outline") for name in upload.files)
-
-
-def test_photographs_may_have_more_pixels_than_views(settings):
-    upload = checked_upload([("a.png", png_of_size(6000, 4000))], photograph_fields(), settings)
-    assert "outline.png" in upload.files
 
 
 def test_a_name_as_in_mail_is_that_of_its_file(settings):
@@ -347,6 +324,10 @@ REFUSED = {
                             "outline.png has more than 50 million pixels"),
     "two photographs": ([("a.jpg", b""), ("b.jpg", b"")], photograph_fields(), 422,
                         "a.jpg and b.jpg: which of them shows the drape?"),
+    "two plates": ([(f"{name}.jpg", b"") for name in ("a", "plate", "empty")], photograph_fields(),
+                   422, "plate.jpg and empty.jpg: give one picture"),
+    "no drape": ([("mat.jpg", b""), ("plate.jpg", b"")], photograph_fields(), 422,
+                 "no photograph of the drape is among them; call it outline.jpg"),
     "half a plate": ([("a.jpg", b"")], {"plate_x": "900"}, 422, "outline.plate_px.y is missing"),
     "camera height in metres": ([("a.jpg", b"")], {"camera_height_mm": "1.2"}, 422,
                                 "give 200 to 20000 mm, or parallel"),

@@ -1,25 +1,18 @@
 """Strips and known values of a fabric through the service: alone, with captures, contradicting."""
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
 import strip_photographs
 import yaml
 from fastapi.testclient import TestClient
-from services import ended, joint_estimate_of, post, settings_for
+from services import BreakablePool, ended, joint_estimate_of, post, settings_for
 
-from data.captures.reader import read_capture
 from data.readings import QUANTITIES
 from data.readings.quantity import Quantity
-from drapenet.estimator.stages import by_network
 from drapenet.export.formats import TARGETS
-from drapenet.network.checkpoint import read_header
 from drapenet.service.app import create_app
 
-PHOTOGRAPH = Path(__file__).resolve().parents[2] / "examples" / "captures" / "twill_photograph"
-FILES = [PHOTOGRAPH / "outline.jpg", PHOTOGRAPH / "capture.yaml"]
 LABELS = {"date": "2026-11-26", "operator": "M. Muster", "laboratory": "Textile laboratory 7"}
 
 
@@ -94,22 +87,6 @@ def test_a_value_that_contradicts_is_named_and_left_out(client, lengths):
     assert found[0]["estimate"]["contradictions"] == [contradiction]
 
 
-def test_values_with_a_capture_move_its_estimate(client, untrained_checkpoint):
-    capture = read_capture(PHOTOGRAPH)
-    before = by_network(capture, read_header(untrained_checkpoint)).document
-    before = before.laboratory["warp"].bending_length_mm
-    value = before.interval_68[1]
-    begun = post(client, FILES, **{"known.bending_length_mm.warp": f"{value:.2f}",
-                                   "known.error_percent.bending_length_mm": "2"})
-    found = ended(client, begun.json()["id"])
-    assert found["state"] == "done" and not found["estimate"]["contradictions"], found["error"]
-    after = found["estimate"]["laboratory"]["warp"]["bending_length_mm"]
-    assert before.median < after["median"] < 1.02 * value
-    assert np.ptp(after["interval_68"]) < np.ptp(before.interval_68) / 2
-    assert found["estimate"]["capture"]["known"]["bending_length_mm"]["warp"] == round(value, 2)
-    assert found["estimate"]["capture"]["labels"]["fabric"] == found["fabric_name"]
-
-
 def test_photographed_strips_show_their_curves(client, tmp_path):
     scenes = {"warp 1.png": strip_photographs.LONG, "warp 2.png": strip_photographs.SHORT}
     folder = strip_photographs.write(
@@ -139,6 +116,7 @@ def test_a_new_quantity_appears_on_the_page(tmp_path, monkeypatch):
         raise AssertionError
 
     new = Quantity("handle_n", 3, 0.25, of_nothing, "handle <n>")
+    monkeypatch.setattr("drapenet.service.pools.ProcessPool", BreakablePool)
     monkeypatch.setattr("drapenet.service.pages.QUANTITIES", {**QUANTITIES, new.name: new})
     with TestClient(create_app(settings_for(tmp_path)), base_url="http://localhost") as client:
         page = client.get("/").text
