@@ -12,17 +12,15 @@ from experiments.comparison import Shape, compare, equilibrium_near
 from experiments.drapes import RIG, drape_specimen, plan_specimen
 from experiments.page import Section
 from experiments.physics import style3d
-from experiments.physics.hinges import equivalent_modulus
+from experiments.physics.hinges import simulated_ratio
 from experiments.result import Config, Report, Result, label_log_axes, run_fabrics
 from sim.cloth import Laws
 from sim.drape import Drape
 from sim.material import Fabric, torque
-from sim.mesh import strip
 from sim.mesh.specimen import TOPOLOGIES
 from sim.scene import Scene, make_specimen
 from sim.solver.newton import Status
 
-_CELLS, _SAMPLES = 30, 6  # of the strips for the ratio of moduli
 LAWS = {"hinges along the edge": "hinge_edge", "hinges, mean modulus": "hinge"}
 LINEAR, OTHER_MESH = "the plate's law without β", "the plate's law on another mesh"
 _SECANT = 50.0  # 1/m, curvature of the secant modulus
@@ -31,12 +29,7 @@ _SECANT = 50.0  # 1/m, curvature of the secant modulus
 @cache
 def ratio() -> float:
     """Ratio of hinge modulus to plate modulus for the same strip shape on unstructured meshes."""
-    length = 0.09
-    edge = length / _CELLS
-    found = [equivalent_modulus(*strip(
-        length=length, width=round(_CELLS / 2) * edge, edge=edge, clamp=2 * edge,
-        diagonals="random", jitter=0.2, seed=seed), gamma=10.0) for seed in range(_SAMPLES)]
-    return float(np.mean([one.ratio for one in found if one.found]))
+    return simulated_ratio("unstructured", cells=30)
 
 
 def exported_modulus(fabric: Fabric) -> np.ndarray:
