@@ -19,12 +19,19 @@ from data.fabrics.prior import load_prior
 from data.render.cameras import Camera, camera_pose, nominal_camera
 from data.render.rays import QUARTERS, DepthRenderer
 from sim.cloth import Laws
+from sim.material import Fabric
 from sim.mesh import grid_faces
 from sim.mesh.specimen import TOPOLOGIES
 from sim.rig import DISC_RIG, SQUARE_RIG
 from sim.scene import make_specimen
 
 SOFT = SimpleNamespace(alpha=np.full(3, 20e-6))
+
+
+def isotropic(alpha: float, softening: float = 0.0) -> Fabric:
+    """A fabric of alpha µN·m at 300 g/m² in all directions, with beta/alpha = -softening mm."""
+    moduli = np.full(3, alpha * 1e-6)
+    return Fabric(moduli, -softening * 1e-3 * moduli)
 
 
 def waves(

@@ -6,6 +6,7 @@ from importlib import import_module
 
 import numpy as np
 import pytest
+from cloths import isotropic
 
 from common.errors import InputError
 from sim.cloth import Cloth, Corotational, Laws
@@ -21,12 +22,6 @@ from sim.start import interpolate_positions
 
 MODULE = import_module("sim.drape")  # the attribute of `sim` is the function
 EXTREME = Fabric([98.8e-6, 23.5e-6, 21.2e-6], -2.5e-3 * np.array([98.8e-6, 23.5e-6, 21.2e-6]))
-
-
-def isotropic(alpha: float, softening: float = 0.0) -> Fabric:
-    """Fabric of alpha µN·m with beta/alpha = -softening mm."""
-    moduli = np.full(3, alpha * 1e-6)
-    return Fabric(moduli, -softening * 1e-3 * moduli)
 
 
 @pytest.fixture(scope="module")

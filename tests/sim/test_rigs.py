@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from cloths import isotropic
 
 from common.errors import InputError
 from sim.cantilever import elastica
@@ -40,11 +41,6 @@ class Ramp:
 
     def depth_hessians(self, points: np.ndarray) -> np.ndarray:
         return np.zeros((len(points), 3, 3))
-
-
-def isotropic(alpha: float) -> Fabric:
-    """Linear fabric of alpha µN·m at 300 g/m²."""
-    return Fabric(np.full(3, alpha * 1e-6))
 
 
 @pytest.mark.parametrize("name", RIGS)

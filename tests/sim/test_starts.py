@@ -2,20 +2,15 @@
 
 import numpy as np
 import pytest
+from cloths import isotropic
 
 from apps.drape_file import read_borrowed, write_drape
 from common.errors import InputError
 from sim.drape import drape
-from sim.material import Fabric
 from sim.measures import fold_angles, fold_outline
 from sim.rig import DISC_RIG, HUNG_SQUARE, Rig
 from sim.scene import make_specimen
 from sim.start import borrowed_positions, initial_positions, interpolate_positions
-
-
-def isotropic(alpha: float) -> Fabric:
-    """Linear fabric of alpha µN·m at 300 g/m²."""
-    return Fabric(np.full(3, alpha * 1e-6))
 
 
 @pytest.fixture(scope="module")
