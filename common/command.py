@@ -88,6 +88,9 @@ def _run(task: Callable[[Any], None], name: str, schema: type, words: list[str])
         if word.startswith("-") and key in get_type_hints(schema):
             raise InputError(f"{word}: write {key}=VALUE, without dashes")
     given = get_args_parser().parse_intermixed_args(words)
+    for option in ("config_path", "experimental_rerun", "shell_completion"):
+        if getattr(given, option):
+            raise InputError(f"--{option.replace('_', '-')} is not taken; see --help")
     for word in given.overrides:
         if "=" not in word and word[:1] != "~":
             raise InputError(f"{word}: write KEY=VALUE without spaces around =, in quotes if it "

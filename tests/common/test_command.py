@@ -279,7 +279,7 @@ def test_mistakes_and_help_do_not_wait_for_torch(script):
     (["outputs/twill"], "^outputs/twill: write KEY=VALUE without spaces"),
     (["name=my", "fabrics/twill"], "^fabrics/twill: write KEY=VALUE .* 'KEY=MY VALUE'"),
     (["--name", "x"], "^--name: write name=VALUE, without dashes"),
-    (["--name=x"], "^--name=x: write name=VALUE")])
+    (["--name=x"], "^--name=x: write name=VALUE"), (["-sc"], "^--shell-completion is not taken")])
 def test_a_word_that_is_no_setting_is_answered_with_the_form(run, words, message):
     with pytest.raises(InputError, match=message):
         run(*words)
