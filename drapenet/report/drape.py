@@ -1,6 +1,7 @@
 """Simulates drapes of an estimate; the one that fits the captured silhouettes best is shown.
 
-A fabric has many drapes, and which of them a specimen takes is random. The mirror image of a drape
+The cloth is lowered, as a specimen is on a tester and as the networks have learned. A fabric has
+many drapes, and which of them a specimen takes is random. The mirror image of a drape
 is an equally likely drape of the same fabric, at no cost.
 """
 
@@ -23,6 +24,7 @@ from sim.material import Fabric
 from sim.measures import drape_coefficient
 from sim.mesh import Mesh
 from sim.rig import Rig
+from sim.start import LOWERED
 
 TURNS = 48  # orientations tried in the fit
 FIT_WIDTH = 120  # pixels, width of the images compared in it
@@ -34,7 +36,6 @@ a focal length a fifth too short or too long 0.6 to 0.7, views upside down 0.45.
 MAX_COEFFICIENT_GAP = 0.15
 """Largest difference of the captured and the simulated drape coefficient, from 0 to 1, without a
 warning: of 64 sound captures on four testers one differs by more (``experiments misses``)."""
-STARTS = (("sine", 0), ("sine", 1), ("fold", 0), ("fold", 1))
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class Resimulation:
         views: of the simulated drape; of a photograph's, none.
         drape: possibly before reflection.
         positions: of its vertices, in the orientation of the first view or the photograph.
-        statuses: of all simulated drapes, in the order of :data:`STARTS`.
+        statuses: of all simulated drapes, in the order of their seeds, from 0.
         profiles: radii (bins,), m, by azimuth, captured and simulated.
         overlap: intersection over union of the silhouettes, or of the outlines.
     """
@@ -116,7 +117,7 @@ class Resimulation:
 def resimulate(
     fabric: Fabric, located: LocatedViews, *, edge: Metres, drapes: int, laws: Laws | None = None
 ) -> Resimulation | None:
-    """Simulate up to four drapes of ``fabric`` and fit them to captured views; None if none
+    """Lower ``drapes`` drapes of ``fabric`` and fit them to captured views; None if none
     converges. ``laws`` are those of cloth of 300 g/m².
     """
     views, camera, turns = located.views, located.camera, located.turns
@@ -169,8 +170,8 @@ def _nearest(
 ) -> tuple[Drape, Points, Radians, tuple[str, ...]] | None:
     """The simulated drape with the largest overlap by ``fit``, itself or as mirror image, its
     vertices, its orientation, and the statuses of all; None if none converges."""
-    results = [drape(fabric, rig=rig, edge=edge, start=start, seed=seed, laws=laws)
-               for start, seed in STARTS[:drapes]]
+    results = [drape(fabric, rig=rig, edge=edge, start=LOWERED, seed=seed, laws=laws)
+               for seed in range(drapes)]
     found = [(*fit(result.positions * [side, 1, 1], result.faces), side, result)
              for result in results if result.converged for side in (1, -1)]
     if not found:

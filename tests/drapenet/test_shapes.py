@@ -8,12 +8,13 @@ from scipy.spatial import cKDTree
 
 from data.render.cameras import nominal_camera
 from data.render.rays import DepthRenderer
-from drapenet.report.drape import Resimulation, turned
+from drapenet.report.drape import Resimulation, resimulate_outline, turned
 from drapenet.report.shapes import drape_glb
 from drapenet.views.located import LocatedViews
+from drapenet.views.outline import DrapeOutline, silhouettes
 from sim.drape import drape
 from sim.material import MICRO, Fabric
-from sim.rig import Rig
+from sim.rig import DISC_RIG, Rig
 
 RIG = Rig.from_name("square300_cylinder100")
 
@@ -41,3 +42,13 @@ def test_captured_surface_lies_on_the_drape_that_was_captured():
     hanging = lies[lies[:, 1] < -0.01]  # and the views go all around
     nearest, _ = cKDTree(captured.vertices).query(hanging)
     assert np.quantile(nearest, 0.8) < 8e-3
+
+
+def test_drapes_shown_are_of_lowered_cloth():
+    fabric = Fabric(np.full(3, 20 * MICRO))
+    captured = drape(fabric, rig=DISC_RIG, edge=9e-3, start="lowered", seed=1)
+    radius, = silhouettes(captured.positions, captured.mesh.edges, np.array([np.inf]), zero=0.0)
+    shown = resimulate_outline(fabric, DrapeOutline(radius), DISC_RIG, edge=9e-3, drapes=2)
+    # Artificial starts fall into other folds; the captured drape is the second that is lowered.
+    np.testing.assert_array_equal(shown.drape.positions, captured.positions)
+    assert shown.folds[0] == shown.folds[1]
