@@ -19,6 +19,7 @@ from common.files import folder_named, replace_file, replace_json, require_folde
 from sim.drape import Drape, drape
 from sim.material import DIRECTIONS, MICRO, NANO, Fabric
 from sim.rig import Rig
+from sim.start import LOWERED
 
 
 @dataclass
@@ -29,7 +30,7 @@ class DrapeConfig:
     beta: list[float]
     density: float
     rig: str
-    start: str
+    start: str | None
     borrow: str
     seed: int
     edge_mm: float | None
@@ -79,7 +80,8 @@ def summarise(result: Drape, config: DrapeConfig) -> dict:
             "beta_nN_m2": dict(zip(DIRECTIONS, config.beta, strict=True)),
             "density_g_m2": config.density,
             **{key: getattr(config, key) for key in ("rig", "borrow", "seed")},
-            "start": None if config.borrow else config.start,
+            "start": None if config.borrow else config.start or (
+                LOWERED if rig.has_plate else "sine"),
             "edge_mm": round(1e3 * result.edge, 6),
             "offset_mm": config.offset,
         },

@@ -47,7 +47,7 @@ from drapenet.result.files import (
 
 DONE = "done"
 """Name of the case of a capture's folder; its file is ``done.json``."""
-SOURCES = (__name__, "drapenet/report/pages/*.html")
+SOURCES = (__name__, "configs/camera.yaml", "data/weights/*", "drapenet/report/pages/*.html")
 
 
 def estimate_fabrics(

@@ -65,7 +65,7 @@ class Refinement:
 
 
 def refine_capture(
-    network: ClothProperties, captured: LocatedViews, header: Header, *, density: Density,
+    samples: ClothProperties, captured: LocatedViews, header: Header, *, density: Density,
     warp: Radians, face: int = 1, scan: CapturedShape | None = None,
     settings: Mapping[str, Any] | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -73,7 +73,7 @@ def refine_capture(
     """Refine an estimate by simulation, with a progress bar; None if no cloth converges.
 
     Args:
-        network: samples of the network's posterior.
+        samples: of the network's posterior.
         header: of the network, whose fabrics are the prior.
         warp: its direction in the first view.
         face: 1 if the marked face is up, else -1.
@@ -85,7 +85,7 @@ def refine_capture(
     axis = flat_turn(scan) if scan else 0.0
     sought: CapturedDrape = CapturedScan(scan) if scan else CapturedViews(
         captured, turn=warp, edge=1e-3 * settings["edge_mm"], coarse=1e-3 * settings["coarse_mm"])
-    result = _search(network, header, sought, warp=warp - axis if scan else None,
+    result = _search(samples, header, sought, warp=warp - axis if scan else None,
                      count=int(settings["starts"]), progress=progress)
     if result is None:
         return None
@@ -95,7 +95,7 @@ def refine_capture(
     draws, searched, content = None, None, _content(result, near, density)
     if not warnings:
         searched = _posterior(result, face)
-        draws = Draws.possible(_cloth(network, searched), known=True)
+        draws = Draws.possible(_cloth(samples, searched), known=True)
         content["posterior"] = _record(Normal.of(state_of(draws.cloth)[:, :len(SEARCHED)]))
     if scan:
         warnings += _scan_warnings(near)
@@ -137,12 +137,12 @@ def pooled(network: np.ndarray, searched: np.ndarray) -> np.ndarray:
         for samples in (network, searched)])
 
 
-def _cloth(network: ClothProperties, searched: Normal) -> ClothProperties:
+def _cloth(samples: ClothProperties, searched: Normal) -> ClothProperties:
     """Their pool, with the network's shares of hysteresis."""
     drawn = np.random.default_rng(0).multivariate_normal(
-        searched.mean, searched.covariance, size=len(network.theta))
-    cloth = cloth_of_state(pooled(state_of(network), np.column_stack([drawn, network.hysteresis])))
-    return replace(cloth, hysteresis=np.tile(network.hysteresis, 2))
+        searched.mean, searched.covariance, size=len(samples.theta))
+    cloth = cloth_of_state(pooled(state_of(samples), np.column_stack([drawn, samples.hysteresis])))
+    return replace(cloth, hysteresis=np.tile(samples.hysteresis, 2))
 
 
 def _record(posterior: Normal) -> dict[str, list]:
@@ -152,7 +152,7 @@ def _record(posterior: Normal) -> dict[str, list]:
 
 
 def _search(
-    network: ClothProperties, header: Header, sought: CapturedDrape, *, warp: Radians | None,
+    samples: ClothProperties, header: Header, sought: CapturedDrape, *, warp: Radians | None,
     count: int, progress: Callable[[int, int], None] | None,
 ) -> SearchResult | None:
     """The search from ``count`` fabrics; ``warp``: initial guess, None if it is not free."""
@@ -165,9 +165,9 @@ def _search(
         free.append("warp")
         first[NAMES.index("warp")] = warp
     rng = np.random.default_rng(0)
-    rows = rng.integers(len(network.theta), size=count - 1)
+    rows = rng.integers(len(samples.theta), size=count - 1)
     starts = [Unknowns(first).with_theta(theta)
-              for theta in (central(network.theta, header.spread), *network.theta[rows])]
+              for theta in (central(samples.theta, header.spread), *samples.theta[rows])]
     total = count + 2 + sum((level.evaluations + 1) * len(level.pulls)
                             for level in sought.rounds)
     with tqdm(total=total, desc="refining", unit="sim", leave=False,
