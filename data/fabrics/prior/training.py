@@ -40,7 +40,7 @@ deviation of the table, is between 0.08 and 1.65. This prevents overfitting and 
 
 
 def train(points: np.ndarray, architecture: Architecture, seed: int) -> dict[str, np.ndarray]:
-    """Train an autoencoder on points (F, 6); return its weights, as those of ``VaePrior``.
+    """Train an autoencoder on standardised points (F, 6); return its weights, as ``VaePrior`` has.
 
     Adam maximises the importance-weighted bound on the likelihood with ``DRAWS`` latent vectors per
     fabric (Burda, Grosse and Salakhutdinov 2016); with one, the usual bound, more latent variables
