@@ -71,7 +71,7 @@ def test_a_capture_is_estimated_from_its_pictures(header, tmp_path):
     spread = one.estimate.samples.std(axis=0)
     # The same views, later: the same answer. Another cloth: another answer.
     assert (there - middle) / spread == pytest.approx(np.zeros(6), abs=0.1)
-    seen, network = one.observation, load_model(header)
+    seen, network = one.observed.seen, load_model(header)
     flipped = np.ascontiguousarray(seen.pictures.depth[:, ::-1])
     changed = Observation(**vars(seen) | {"pictures": DepthPictures(flipped, 0.0)})
     drawn, = predict(network, header, [[changed]])
@@ -91,7 +91,7 @@ def test_what_it_has_not_learned_to_read_is_refused(header, observation, message
 
 def test_views_are_kept_with_an_estimate_and_join_captures(header, tmp_path):
     seen = by_network(read_capture(cloths.write_skirt(tmp_path, warp_direction=0.4)),
-                            header).observation
+                            header).observed.seen
     write_observation(tmp_path, seen)
     kept = read_observation(tmp_path)
     assert (np.nan_to_num(kept.pictures.depth) == np.nan_to_num(seen.pictures.depth)).all()

@@ -29,8 +29,8 @@ from data.fabrics.prior import (
     VaePrior,
     plausible_range,
     require_fabrics,
-    run_layers,
 )
+from data.fabrics.prior.vae import run_layers
 from experiments.result import Config, Result
 
 FITTED = 0.8  # share of the fabrics that is fitted, as in the paper

@@ -24,7 +24,7 @@ def test_writes_mesh_picture_and_figures(tmp_path):
     assert figures["status"] == "converged" and figures["positive_definite"]
     assert figures["parameters"]["alpha_uN_m"] == {"warp": 60.0, "bias": 60.0, "weft": 60.0}
     assert 0 < figures["drape_coefficient"] < 1
-    assert figures["parameters"]["edge_mm"] == 12 and figures["coarser_meshes"] == []
+    assert figures["parameters"]["edge_mm"] == 12 and figures["coarser_meshes"] == ["converged"]
 
     import trimesh
 
@@ -57,7 +57,7 @@ def test_a_place_that_cannot_be_written_to_is_told_before_the_drape(tmp_path, mo
 
 def test_figures_of_a_failure_are_json(tmp_path, monkeypatch):
     monkeypatch.setattr("sim.material.ALPHA_RANGE", (0.0, np.inf))
-    main(["alpha=1e300,1e300,1e300", "edge_mm=12", f"out={tmp_path}"])
+    main(["alpha=1e300,1e300,1e300", "edge_mm=12", "start=sine", f"out={tmp_path}"])
 
     def refuse(word: str) -> None:
         raise ValueError(word)

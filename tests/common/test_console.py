@@ -48,7 +48,8 @@ def test_undecodable_names_and_ascii_outputs_are_escaped():
     assert (found.returncode, found.stderr) == (2, b"error: \\xb5\\n\n")
 
 
-@pytest.mark.parametrize("room", [4e8, 2.6e9])
+# In between, from some 0.35 GB on, libraries may end the process themselves while they are loaded.
+@pytest.mark.parametrize("room", [2e8, 2.6e9])
 def test_a_limit_of_memory_is_one_line(room, tmp_path):
     """While the command is loaded, and its network."""
     done = subprocess.run(

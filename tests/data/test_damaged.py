@@ -45,7 +45,7 @@ from data.captures.reader import read_capture
 from data.captures.rosbag import read_recording
 from data.captures.scans import read_scan
 from data.dataset import inspect
-from data.dataset.folder import DatasetFolder, json_digest
+from data.dataset.folder import DatasetFolder
 from data.dataset.simulate import make_record
 from data.fabrics.fabrics import TABLE_COLUMNS, read_fabric_table
 from data.fabrics.prior import load_prior
@@ -312,8 +312,8 @@ def _read_dataset(folder: Path) -> None:
         shards = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest()
                   for name in manifest["shards"]}
         (folder / "dataset.json").write_text(json.dumps(manifest | {
-            "identity": json_digest(manifest["config"]), "shards": shards,
-            "hash": json_digest(shards)}))
+            "identity": digest(manifest["config"]), "shards": shards,
+            "hash": digest(shards)}))
     manifest = inspect.check_dataset(folder)
     inspect.report(manifest, inspect.read_drapes(folder, manifest, intersections=1),
                    inspect.prior_samples(manifest))
