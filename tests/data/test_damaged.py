@@ -40,6 +40,7 @@ from apps.strip_curves import read_curve
 from common.configs import read_option
 from common.documents import read_json
 from common.errors import MAX_LENGTH, InputError
+from common.provenance import digest
 from data.captures.raw_scans import read_raw_scan
 from data.captures.reader import read_capture
 from data.captures.rosbag import read_recording
