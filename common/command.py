@@ -23,8 +23,6 @@ from typing import Any, NoReturn, get_args, get_origin, get_type_hints
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from common.configs import CONFIG_DIR, config_text, group_options, read_config
-from common.configs import Seed as Seed
-from common.configs import Workers as Workers
 from common.documents import decimal, faults
 from common.errors import InputError, one_line
 

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from common.command import Seed, Workers
+from common.configs import Seed, Workers
 from common.types import Metres
 
 FromOne = Annotated[int, Field(ge=1)]

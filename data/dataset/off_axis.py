@@ -17,7 +17,8 @@ from pydantic import Field
 from safetensors.torch import save
 
 from common.cases import progress_bar
-from common.command import Seed, command
+from common.command import command
+from common.configs import Seed
 from common.errors import InputError
 from common.files import replace_file, require_file
 from common.types import Edges, Metres, Points

@@ -10,7 +10,7 @@ from common.findings import Finding
 from common.normal import Linear
 from common.types import Density
 from data.readings.known import Known
-from drapenet.evidence.combine import combine as combined
+from drapenet.evidence.combine import posterior
 from drapenet.evidence.source import Source, of_strips, of_values
 from drapenet.evidence.state import cloth_of_state, state_of
 from drapenet.network.checkpoint import Header
@@ -32,14 +32,14 @@ def combine(
         contradictions: among what the samples come from.
     """
     if sources:
-        found = combined(state_of(draws.cloth), sources, name)
+        found = posterior(state_of(draws.cloth), sources, name)
         draws = replace(draws, cloth=cloth_of_state(found.states))
         contradictions = [*contradictions, *found.contradictions]
     estimate = make_estimate(draws, density=density, header=header)
     return replace(estimate, contradictions=tuple(contradictions))
 
 
-def sources_of(
+def evidence_of(
     strips: Sequence[StripsRecord], stated: Sequence[Known | None], density: Density
 ) -> list[Source]:
     """What strips and stated values say of a fabric of a density."""

@@ -17,7 +17,7 @@ from common.normal import Normal
 from data.captures.capture import Capture
 from data.strips.folder import StripSet
 from drapenet.config import EstimateOptions
-from drapenet.estimator.combine import combine, sources_of
+from drapenet.estimator.combine import combine, evidence_of
 from drapenet.estimator.describe import describe_jointly, describe_strips
 from drapenet.estimator.infer import CaptureEvidence, infer_jointly, prior_draws
 from drapenet.estimator.read import Source, require_directions, require_one_fabric
@@ -126,7 +126,7 @@ def estimate_source(
         return result.estimate, Part(result.document, result.observed.seen)
     record = StripsRecord.of_evidence(
         source, source.evidence(prior_along(fabric_prior(header), source.density)))
-    estimate = combine(prior_draws(header), sources_of([record], [], source.density),
+    estimate = combine(prior_draws(header), evidence_of([record], [], source.density),
                        source.density, header, name="")
     document = describe_strips(estimate, source, record, header)
     require_sound([*texts(estimate.contradictions), *source.warnings], options.strict,
@@ -158,7 +158,7 @@ def join(
                        [*stated, *(record.known for record in records)])
     density, names = documents[0].density, ("", "the capture", "the captures")
     draws, contradictions = infer_jointly(captures, header)
-    estimate = combine(draws, sources_of(records, stated, density), density, header,
+    estimate = combine(draws, evidence_of(records, stated, density), density, header,
                        name=names[min(len(captures), 2)], contradictions=contradictions)
     require_sound(texts(estimate.contradictions), strict, "the fabric")
     return estimate, describe_jointly(estimate, documents, header)

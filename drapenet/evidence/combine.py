@@ -34,7 +34,7 @@ class Combined:
     contradictions: tuple[Finding, ...] = ()
 
 
-def combine(prior: np.ndarray, sources: Sequence[Source], prior_name: str = "") -> Combined:
+def posterior(prior: np.ndarray, sources: Sequence[Source], prior_name: str = "") -> Combined:
     """The posterior of prior states (S, 10) and ``sources``, without those that contradict it.
 
     A source of a kind is tested against all sources of more trusted kinds, among them what the

@@ -10,10 +10,10 @@ from data.readings import QUANTITIES
 from data.readings.cantilever import bending_length
 from data.readings.known import ByDirection, Known
 from data.readings.quantity import SPECIMEN_SCATTER
-from drapenet.estimator.combine import combine as estimated
+from drapenet.estimator.combine import combine
 from drapenet.estimator.infer import prior_draws
 from drapenet.estimator.read import require_directions
-from drapenet.evidence.combine import combine, consistent, updated
+from drapenet.evidence.combine import consistent, posterior, updated
 from drapenet.evidence.source import of_capture, of_refined, of_strips, of_values
 from drapenet.evidence.state import cloth_of_state, fabric_prior, prior_along, state_of
 from drapenet.network.checkpoint import read_header
@@ -97,7 +97,7 @@ def test_a_kes_reading_of_softening_cloth_counts_or_is_named(share):
 
     value = share * reading(before)
     known = Known(kes_b_gf_cm2_per_cm=ByDirection(warp=value))
-    found = combine(before, of_values(known, DENSITY), NAME)
+    found = posterior(before, of_values(known, DENSITY), NAME)
     if not found.contradictions:
         assert abs(np.log(reading(found.states) / value)) < 0.6 * abs(np.log(share))
 
@@ -141,7 +141,7 @@ STRIPS = {
                                      *STRIPS.values()], ids=[*WRONG, *STRIPS])
 def test_what_contradicts_the_captures_is_named_and_left_out(sources):
     before = states()
-    found = combine(before, sources, NAME)
+    found = posterior(before, sources, NAME)
     assert found.contradictions and all(NAME in line and "left out" in line and "\n" not in line
                                         for line in texts(found.contradictions))
     left_out = {contradiction.source for contradiction in found.contradictions}
@@ -163,7 +163,7 @@ def test_right_values_are_used_and_repeats_rarely_contradict():
                          if name in ("bending_length_mm", "membrane_n_per_m", "hysteresis_share")
                          for values in [quantity.of(exact, DENSITY)[0] * np.exp(
                              quantity.error * rng.standard_normal(quantity.directions))]})
-        alarms += bool(combine(before, of_values(known, DENSITY), NAME).contradictions)
+        alarms += bool(posterior(before, of_values(known, DENSITY), NAME).contradictions)
     assert alarms <= 6  # 1 to 2 expected of 100
 
 
@@ -172,14 +172,14 @@ def test_values_that_contradict_each_other_and_not_the_captures():
     wide[:, :3] += 3 * (wide[:, :3] - wide[:, :3].mean(axis=0))
     known = Known(bending_length_mm=lengths(60, 60).bending_length_mm,
                   flexural_rigidity_uN_m=ByDirection(warp=62.0, weft=220.0))
-    contradiction, = combine(wide, of_values(known, DENSITY), NAME).contradictions
+    contradiction, = posterior(wide, of_values(known, DENSITY), NAME).contradictions
     assert contradiction.source == "known.flexural_rigidity_uN_m.2"
     assert contradiction.values["value"] == 220 > contradiction.values["expected"]
 
 
 def test_an_unusual_fabric_is_no_contradiction():
     before = states()
-    found = combine(before, [strips("warp", 600 * MICRO, 0.05)])
+    found = posterior(before, [strips("warp", 600 * MICRO, 0.05)])
     assert not found.contradictions and found.states[:, 0].mean() > np.log(400 * MICRO)
 
 
@@ -213,8 +213,8 @@ def test_strips_alone_leave_the_other_directions_to_the_prior(header):
     density = 0.21
     prior = prior_along(fabric_prior(header), density)["weft"]
     measured = Linear(np.array([[1 / 0.02, 0, 0]]), np.array([np.log(40 * MICRO) / 0.02]))
-    found = estimated(prior_draws(header), [of_strips("weft", measured, 40 * MICRO, density)],
-                      density, header, name="")
+    found = combine(prior_draws(header), [of_strips("weft", measured, 40 * MICRO, density)],
+                    density, header, name="")
     assert np.median(found.moduli()[0][:, 2]) == pytest.approx(40 * MICRO, rel=0.01)
     assert prior.mean[0] != pytest.approx(np.log(40 * MICRO), abs=0.1)
     assert found.constraint[2] < 0.05 < 0.2 < found.constraint[0] < 1
