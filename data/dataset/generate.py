@@ -4,7 +4,7 @@
     python -m data.dataset.generate out=outputs/small drapes=16 edge_mm=5
 
 Writes OUT/shard_*.h5 and OUT/dataset.json (docs/data_format.md). A drape takes about 1 s on one
-core, and 30 kB, with edge_mm=5. ``python -m data.dataset.inspect data=OUT`` summarises a dataset.
+core, and 8 kB, with edge_mm=5. ``python -m data.dataset.inspect data=OUT`` summarises a dataset.
 
     prior -> plan of a drape -> equilibrium -> record -> shard
 

@@ -6,10 +6,11 @@ bytes depend only on its content; its first 512 bytes hold the checksum of the r
 
 import hashlib
 import io
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -17,15 +18,16 @@ import numpy as np
 from common.documents import read_bytes
 from common.errors import InputError, one_line
 from common.files import replace_file
-from common.types import Curvatures, Faces, Points, RestPoints
-from data.fabrics.nuisances import NAMES
+from common.types import Faces, Metres, Points, RestPoints
+from data.dataset.levels import Levels
+from data.fabrics.nuisances import NAMES, Nuisances
+from sim.mesh.specimen import TOPOLOGIES, mesh_specimen
 from sim.rig import Rig
 
-SCHEMA_VERSION = 8  # of manifests and shards
+SCHEMA_VERSION = 9  # of manifests and shards
 SEAL_SIZE = 512  # bytes, of the header with the checksum: HDF5's smallest user block
 LENGTH_UNIT = 1e-5  # m per count of stored coordinates
-ORIGIN_UNIT = 0.1  # 1/m per count of stored curvatures
-COMPRESSION = 4  # gzip level
+COMPRESSION = 9  # gzip level
 MAX_SHARD_BYTES = 4 << 30
 
 
@@ -39,19 +41,21 @@ class Field:
     meaning: str
 
 
-COORDINATES = ("positions", "rest")  # with a row per vertex of a drape's mesh
-ORIGIN = "origin"  # with a row per triangle of a drape's mesh
-FACES = "faces"  # distinct triangulations of a shard
-MOVES, MOVE_UNITS = "moves", "move_units"  # absent in earlier datasets
+MOVES, MOVE_UNITS = "moves", "move_units"
 MOVED_BY = ("log_alpha", "ratio", "membrane")
 """Groups of parameters by which positions are differentiated, see :mod:`sim.sensitivity.forward`:
 theta and the logarithm of the membrane stiffness, seven in all."""
 _PARAMETERS = 7
-PADDED = (*COORDINATES, ORIGIN, FACES, MOVES)  # in a file, with zeros
+MOVE_COUNTS = 63  # of the largest derivative by a parameter
+MOVED_SHARE = 0.35
+"""Share of the vertices, at least, whose derivatives are stored; those of the others are predicted,
+with an error of a tenth (root mean square)."""
+PADDED = ("positions", MOVES)  # in a file, with zeros
 
 
-def fields(vertices: int, triangles: int) -> dict[str, Field]:
-    """The arrays of a shard with one row per drape, for the sizes of its largest mesh."""
+def fields(vertices: int, moved: int) -> dict[str, Field]:
+    """The arrays of a shard with one row per drape, for the ``vertices`` of its largest mesh, of
+    which ``moved`` have derivatives."""
     return {
         "index": Field("i8", (), "", "index of the drape in the dataset"),
         "fabric": Field("i8", (), "", "fabric in the dataset; its drapes share theta"),
@@ -77,12 +81,10 @@ def fields(vertices: int, triangles: int) -> dict[str, Field]:
         "folds": Field("i4", (), "", "number of folds; -1 unless converged"),
         "edge": Field("f8", (), "m", "edge length of the mesh at the plate's rim"),
         "vertices": Field("i4", (), "", "number of vertices of the drape's mesh"),
-        "mesh": Field("i4", (), "", "index of the drape's triangulation in the shard"),
-        "positions": Field("i2", (vertices, 3), "1e-5 m", "vertices, z up, plate's top at 0"),
-        "rest": Field("i2", (vertices, 2), "1e-5 m", "the flat specimen: along warp, weft"),
-        ORIGIN: Field("i2", (triangles, 3), "0.1 1/m", "curvature without friction, Sxx, Syy, Sxy"),
-        MOVES: Field("i1", (vertices, _PARAMETERS, 3), "",
-                     "derivatives of positions by theta and the logarithm of the membrane"),
+        "check": Field("u4", (), "", "CRC-32 of the mesh, as int16 counts of 1e-5 m"),
+        "positions": Field("i2", (vertices, 3), "1e-5 m", "coded by data.dataset.levels"),
+        MOVES: Field("i1", (moved, _PARAMETERS, 3), "",
+                     "derivatives of positions by theta and the logarithm of the membrane, coded"),
         MOVE_UNITS: Field("f8", (_PARAMETERS,), "m per unit of the parameter",
                           "unit of moves by each parameter; 0: not differentiable"),
     }
@@ -102,8 +104,8 @@ def to_counts(coordinates: np.ndarray) -> np.ndarray:
 
 def to_moves(derivatives: np.ndarray) -> dict[str, np.ndarray]:
     """The fields "moves" and "move_units" of derivatives (P, V, 3) of positions; they are rounded
-    to 1/127 of the largest of each parameter."""
-    units = np.abs(derivatives).max(axis=(1, 2)) / np.iinfo(np.int8).max
+    to 1/63 of the largest of each parameter."""
+    units = np.abs(derivatives).max(axis=(1, 2)) / MOVE_COUNTS
     counts = np.rint(derivatives / np.maximum(units, 1e-300)[:, None, None])
     return {MOVES: counts.astype(np.int8).transpose(1, 0, 2), MOVE_UNITS: units}
 
@@ -122,7 +124,8 @@ def write_shard(
 ) -> None:
     """Write ``records`` to ``path`` in one step; several processes may write the same file.
 
-    A record maps each name of :func:`fields` but "mesh" to its row, "faces" to triangles (F, 3).
+    A record maps each name of :func:`fields` but "check" to its row, with positions and moves of
+    all vertices as counts, and "rest" to the counts (V, 2) of the flat specimen.
     """
     # In memory first, because HDF5 crashes if the disk is full.
     memory = io.BytesIO()
@@ -130,31 +133,33 @@ def write_shard(
         for name, value in attributes.items():
             # Fixed-length text: variable-length text goes through a heap with unused bytes.
             file.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) else value
-        places, meshes = _distinct([record[FACES] for record in records])
-        rows: list[dict[str, Any]] = [
-            {**record, "mesh": place} for record, place in zip(records, places, strict=True)]
-        sizes = [(int(record["vertices"]), len(record[FACES])) for record in rows]
-        for name, field in fields(*map(max, zip(*sizes, strict=True))).items():
-            _write_field(file, name, field, [record[name] for record in rows])
-        triangles = max(len(mesh) for mesh in meshes)
-        _write_field(file, FACES, Field("i4", (triangles, 3), "", ""), meshes)
+        rows = [_coded(record) for record in records]
+        sizes = (max(len(row[name]) for row in rows) for name in PADDED)
+        for name, field in fields(*sizes).items():
+            _write_field(file, name, field, [row[name] for row in rows])
     content = memory.getbuffer()[SEAL_SIZE:]
     replace_file(path, _seal(hashlib.sha256(content).hexdigest()) + content)
 
 
-def _distinct(faces: Sequence[np.ndarray]) -> tuple[list[int], list[np.ndarray]]:
-    """Index of each triangulation among the distinct ones, and these."""
-    places: dict[bytes, int] = {}
-    which = [places.setdefault(np.asarray(f, np.int32).tobytes(), len(places)) for f in faces]
-    return which, [faces[which.index(place)] for place in range(len(places))]
+def _coded(record: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The row of a record."""
+    rest, positions, moves = (np.asarray(record[name], dtype) for name, dtype in (
+        ("rest", np.int16), ("positions", np.int16), (MOVES, np.int8)))
+    levels = Levels(rest.astype(np.int64))
+    return {**record, "check": _check(rest, positions), "positions": levels.coded(positions),
+            MOVES: levels.coded(moves, levels.size(MOVED_SHARE)) if len(moves) else moves}
+
+
+def _check(rest: np.ndarray, positions: np.ndarray) -> int:
+    """Checksum of a mesh, counts (V, 2) and (V, 3) of type int16."""
+    return zlib.crc32(positions.astype("<i2").tobytes(), zlib.crc32(rest.astype("<i2").tobytes()))
 
 
 def _write_field(file: h5py.File, name: str, field: Field, rows: Sequence[np.ndarray]) -> None:
     """Write one array; shorter rows are padded with zeros."""
     options = {}
     if field.shape and np.prod(field.shape) > 64:
-        # A chunk is read at a time: the mesh of one drape.
-        options = {"chunks": (1, *field.shape), "compression": "gzip", "shuffle": True,
+        options = {"chunks": (len(rows), *field.shape), "compression": "gzip", "shuffle": True,
                    "compression_opts": COMPRESSION}
     data = file.create_dataset(name, (len(rows), *field.shape), field.dtype, **options)
     for i, row in enumerate(rows):
@@ -172,12 +177,20 @@ def _seal(digest: str) -> bytes:
 
 def _require_layout(file: h5py.File) -> None:
     """ValueError unless all arrays have the types and shapes of :func:`fields`."""
-    (rows, vertices, _), (meshes, triangles, _) = file["positions"].shape, file[FACES].shape
-    layout = {name: (field.dtype, (rows, *field.shape))
-              for name, field in fields(vertices, triangles).items()}
-    for name, expected in (layout | {FACES: ("i4", (meshes, triangles, 3))}).items():
-        if (file[name].dtype, file[name].shape) != (np.dtype(expected[0]), expected[1]):
+    rows, vertices = file["positions"].shape[:2]
+    for name, field in fields(vertices, file[MOVES].shape[1]).items():
+        if (file[name].dtype, file[name].shape) != (np.dtype(field.dtype), (rows, *field.shape)):
             raise ValueError(f"{name} does not have the type or shape of docs/data_format.md")
+
+
+@lru_cache(maxsize=8)  # a drape's mesh and its derivatives are asked for one after the other
+def _specimen(
+    rig: Rig, edge: Metres, topology: int, offset: tuple[float, float]
+) -> tuple[np.ndarray, Faces, Levels]:
+    """Rest points (V, 2), counts, triangles and levels of a flat specimen."""
+    mesh, _ = mesh_specimen(rig, edge=edge, topology=topology, offset=offset)
+    rest = to_counts(mesh.rest)
+    return rest, mesh.faces, Levels(rest.astype(np.int64))
 
 
 class Shard:
@@ -208,24 +221,35 @@ class Shard:
         rows = self._arrays[name]
         return np.char.decode(rows, "utf-8", "replace") if rows.dtype.kind == "S" else rows
 
-    def mesh(self, row: int | np.integer) -> tuple[Points, RestPoints, Faces]:
-        """Positions, rest points and faces of a drape."""
-        vertices = slice(int(self._arrays["vertices"][row]))
-        positions, rest = (self._arrays[name][row, vertices] * LENGTH_UNIT for name in COORDINATES)
-        faces = self._arrays[FACES][self._arrays["mesh"][row]]
-        return positions, rest, faces[faces.any(axis=1)].astype(np.int64)
+    def _flat(self, row: int | np.integer) -> tuple[np.ndarray, Faces, Levels]:
+        """:func:`_specimen` of a drape."""
+        arrays = self._arrays
+        if not arrays["vertices"][row]:
+            return np.zeros((0, 2), np.int16), np.zeros((0, 3), np.int64), Levels(np.zeros((0, 2)))
+        rig = Nuisances(*arrays["nuisances"][row].tolist()).rig(self.rig(row))
+        return _specimen(rig, float(arrays["edge"][row]), int(arrays["seed"][row] % TOPOLOGIES),
+                         tuple(arrays["offset"][row].tolist()))
 
-    def origin(self, row: int) -> Curvatures:
-        """Curvatures without friction of a drape's triangles."""
-        faces = self._arrays[FACES][self._arrays["mesh"][row]]
-        return self._arrays[ORIGIN][row, : faces.any(axis=1).sum()] * ORIGIN_UNIT
+    def mesh(self, row: int | np.integer) -> tuple[Points, RestPoints, Faces]:
+        """Positions, rest points and faces of a drape; InputError if this code makes another mesh
+        of its specimen than the code that made the shard."""
+        rest, faces, levels = self._flat(row)
+        if len(rest) == self._arrays["vertices"][row]:
+            positions = levels.decoded(self._arrays["positions"][row, : len(rest)])
+            if _check(rest, positions) == self._arrays["check"][row]:
+                return positions * LENGTH_UNIT, rest * LENGTH_UNIT, faces
+        raise InputError(f"{self.path}: drape {self._arrays['index'][row]} is on a mesh that this "
+                         "version does not make; generate the shard again")
 
     def moves(self, row: int | np.integer) -> np.ndarray | None:
         """Derivatives (P, V, 3) of a drape's positions by the parameters :data:`MOVED_BY`, m per
         unit of each; None if it has none."""
         units = self._arrays[MOVE_UNITS][row]
-        counts = self._arrays[MOVES][row, : int(self._arrays["vertices"][row])]
-        return (counts * units[:, None]).transpose(1, 0, 2) if units.any() else None
+        if not units.any():
+            return None
+        levels = self._flat(row)[2]
+        counts = levels.decoded(self._arrays[MOVES][row, : levels.size(MOVED_SHARE)])
+        return (counts * units[:, None]).transpose(1, 0, 2)
 
     def rig(self, row: int | np.integer) -> Rig:
         """Nominal tester of a drape."""

@@ -9,11 +9,8 @@ import numpy as np
 from data.dataset.config import BORROWED, DatasetConfig
 from data.dataset.plan import DrapePlan, choose_lender, plan_drape
 from data.dataset.shards import (
-    FACES,
     LENGTH_UNIT,
     MOVED_BY,
-    ORIGIN,
-    ORIGIN_UNIT,
     fields,
     to_counts,
     to_moves,
@@ -112,7 +109,7 @@ def drape_words(plan: DrapePlan, config: DatasetConfig) -> dict:
 def _planned(plan: DrapePlan, lender: Record | None) -> dict:
     """The record of a drape before its simulation."""
     return {name: np.zeros(field.shape, field.dtype) for name, field in fields(0, 0).items()} | {
-        FACES: np.zeros((0, 3), np.int32),
+        "rest": np.zeros((0, 2), np.int16),
         "index": plan.index,
         "fabric": plan.fabric,
         "theta": plan.theta,
@@ -140,19 +137,8 @@ def _outcome(status: str, message: str) -> dict:
 
 
 def _mesh(result: Any) -> dict:
-    """Mesh and, in counts of :data:`ORIGIN_UNIT`, curvatures without friction of all triangles."""
-    origins = np.zeros(result.faces.shape)
-    origin = getattr(result.laws.bending, "origin", None)
-    if origin is not None:
-        origins[result.scene.active] = origin
-    limit = np.iinfo(np.int16).max
-    return {
-        "positions": to_counts(result.positions),
-        "rest": to_counts(result.rest),
-        "vertices": len(result.rest),
-        FACES: result.faces,
-        ORIGIN: np.clip(np.rint(origins / ORIGIN_UNIT), -limit, limit).astype(np.int16),
-    }
+    return {"positions": to_counts(result.positions), "rest": to_counts(result.rest),
+            "vertices": len(result.rest)}
 
 
 def _moves(result: object) -> dict:

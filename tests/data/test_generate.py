@@ -105,7 +105,7 @@ def test_records_of_simulated_drapes_hold_their_derivatives():
     exact = sensitivities(made[0], parameters=MOVED_BY).positions
     found = (record["moves"] * record["move_units"][:, None]).transpose(1, 0, 2)
     for near, one in zip(found, exact, strict=True):
-        assert np.abs(near - one).max() < 0.0040 * np.abs(one).max()
+        assert np.abs(near - one).max() < 0.0080 * np.abs(one).max()
 
 
 def test_batches_on_a_device_make_the_same_records(tmp_path, monkeypatch):
