@@ -1,7 +1,7 @@
 """Blocks about simulated cloth: strips, testers, lowering, real outlines and fabrics."""
 
 from experiments.figures.reports import Reports
-from experiments.result import table
+from experiments.result import Report, table
 
 
 def testers(reports: Reports) -> str:
@@ -27,9 +27,20 @@ def outlines(reports: Reports) -> str:
     rows = [[label, *(f"{summary[name][key]:.{digits}f}" for key, digits in (
         ("folds_real", 2), ("folds", 2), ("folds_rms", 2), ("deviation_real_mm", 1),
         ("deviation_mm", 1), ("spectrum", 2)))] for name, label in starts.items()]
-    return table(["start", "folds, real", "simulated", "rms difference",
-                  "deviation of the radius, mm, real", "simulated",
-                  "spectra differ by, deviations"], rows)
+    whole = table(["start", "folds, real", "simulated", "rms difference",
+                   "deviation of the radius, mm, real", "simulated",
+                   "spectra differ by, deviations"], rows)
+    bands = [band for band, found in summary["flat"]["bands"].items() if found["faces"]]
+
+    def each(found: Report, kind: str) -> str:
+        second, fourth = (found[f"harmonics{kind}_mm"][number] for number in ("2", "4"))
+        return f"{found[f'folds{kind}']:.1f}; {second:.1f}, {fourth:.1f}"
+
+    return whole + "\n\n" + table(
+        ["folds; harmonics 2 and 4 in mm, at drape coefficients of", *bands],
+        [["real", *(each(summary["flat"]["bands"][band], "_real") for band in bands)],
+         *([label, *(each(summary[name]["bands"][band], "") for band in bands)]
+           for name, label in starts.items())])
 
 
 def laboratory(reports: Reports) -> str:

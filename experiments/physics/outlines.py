@@ -36,6 +36,9 @@ from sim.energies.bending_variants import Hysteresis
 from sim.rig import DISC_RIG
 
 MIN_COEFFICIENT = 0.40  # of the drapes whose folds are compared in the summary
+BANDS = ((0.4, 0.6), (0.6, 0.8), (0.8, 1.0))
+"""Drape coefficients from and to which folds are compared apart: their mean hides that limp cloth
+may have too many and stiff cloth too few."""
 MAX_MISFIT = 1e-3  # of the drape coefficient, beyond which no fabric of the grid has it
 READINGS = ("parallel", "camera")
 SPECIMENS = "specimens"
@@ -147,9 +150,17 @@ def _found(
 
 
 def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Means over the fabrics and faces with a drape coefficient above the minimum, without those
-    outside the grid, which are named; of none: their number alone."""
+    """:func:`means` of all fabrics and faces with a drape coefficient above the minimum, and of
+    those in each of :data:`BANDS`."""
     rows = [row for row in rows if row["real"][0] > MIN_COEFFICIENT]
+    bands = {f"{100 * low:.0f}-{100 * high:.0f} %": means(
+        [row for row in rows if low <= row["real"][0] < high]) for low, high in BANDS}
+    return means(rows) | {"bands": bands}
+
+
+def means(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Means over fabrics and faces, without those outside the grid, which are named; of none: their
+    number alone."""
     inside = [row for row in rows if row["simulated"] is not None]
     number = {"faces": len(inside), "outside": [f"{row['fabric']} {row['face']}" for row in rows
                                                 if row["simulated"] is None]}
@@ -161,6 +172,8 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "folds_rms": float(np.sqrt(((found - real)[:, 1] ** 2).mean())),
         "deviation_real_mm": float(real[:, 2].mean()),
         "deviation_mm": float(found[:, 2].mean()),
+        "harmonics_real_mm": {str(k): float(real[:, 1 + k].mean()) for k in (2, 4)},
+        "harmonics_mm": {str(k): float(found[:, 1 + k].mean()) for k in (2, 4)},
         "spectrum": float(np.median([row["spectrum"] for row in inside])),
         "coefficient_off": float(np.abs((found - real)[:, 0]).mean())}
 

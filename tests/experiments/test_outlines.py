@@ -7,7 +7,7 @@ import pytest
 
 import experiments.physics.outlines
 from common.errors import InputError
-from experiments.physics.outlines import READINGS, Simulated, compare, run, summarise
+from experiments.physics.outlines import READINGS, Simulated, compare, means, run, summarise
 from experiments.shadows import HARMONICS, POINTS, about_centroid, features, radii_of
 from sim.measures import shadow_radius
 from sim.mesh import Mesh
@@ -85,9 +85,13 @@ def test_summaries_leave_out_fabrics_outside_the_grid_by_name(simulated):
     rows = compare(fabrics, up, real, simulated, curled=True)
     summary = summarise(rows)
     assert summary["outside"] == ["5 up", "5 down"] and summary["faces"] == 4
-    assert summary == summarise(rows[:4]) | {"outside": ["5 up", "5 down"]}
+    assert summary == summarise(rows[:4]) | {"outside": ["5 up", "5 down"],
+                                             "bands": summary["bands"]}
+    # Drape coefficients of 56, 64 and 76 %
+    assert [found["faces"] for found in summary["bands"].values()] == [2, 2, 0]
+    assert summary["bands"]["60-80 %"] == means(rows[2:])
     assert [row["alpha_uN_m"] for row in rows[:4]] == pytest.approx([20, 20, 50, 50], rel=1e-3)
-    assert summarise(rows[4:]) == {"faces": 0, "outside": ["5 up", "5 down"]}
+    assert means(rows[4:]) == {"faces": 0, "outside": ["5 up", "5 down"]}
 
 
 def wavy(radius, folds=7, amplitude=5e-3):
