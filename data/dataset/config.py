@@ -40,6 +40,7 @@ class SamplingConfig:
     both_faces: bool = False
     drift: Annotated[Metres, Key("mm", up_to(20))] = 0.003
     even_share: Annotated[float, Field(ge=0, le=1)] = 0.0
+    bias_deviation: Annotated[float, Field(ge=0, le=1)] = 1.0
     nuisances: NuisanceConfig = field(default_factory=NuisanceConfig)
 
     def __post_init__(self) -> None:

@@ -158,7 +158,8 @@ def prior_samples(manifest: dict) -> tuple[Theta, float]:
     rejected samples."""
     config = manifest["config"]
     return draw_fabrics(prior_from_content(config["prior"], origin="the dataset's prior"),
-                        PRIOR_SAMPLES, even_share=config["sampling"]["even_share"])
+                        PRIOR_SAMPLES, **{key: config["sampling"][key]
+                                          for key in ("even_share", "bias_deviation")})
 
 
 def in_display_units(theta: Theta) -> np.ndarray:

@@ -46,7 +46,9 @@ def fabric_prior(header: "Header") -> ClothProperties:
     generation = header.dataset.generation[0]
     sampling, rng = generation["sampling"], np.random.default_rng(0)
     prior = prior_from_content(generation["prior"], origin=str(header.path))
-    theta, _ = draw_fabrics(prior, _PRIOR_SAMPLES, even_share=sampling.get("even_share", 0.0))
+    # A checkpoint may be older than these settings.
+    theta, _ = draw_fabrics(prior, _PRIOR_SAMPLES, even_share=sampling.get("even_share", 0.0),
+                            bias_deviation=sampling.get("bias_deviation", 1.0))
     drawn = [header.nuisances.sample(rng, rng) for _ in theta]
     return ClothProperties(
         theta, np.array([[each.curl_warp, each.curl_weft] for each in drawn]),

@@ -3,12 +3,14 @@ from functools import cache
 import numpy as np
 import pytest
 
-from data.dataset.config import SamplingConfig
+from common.command import compose_config
+from common.errors import InputError
+from data.dataset.config import Options, SamplingConfig, config_from_options
 from data.dataset.plan import Stream, plan_drape, stream
 from data.fabrics.fabrics import from_theta
 from data.fabrics.prior import TablePrior, load_prior, log_stiffness, sample_admissible
 from data.fabrics.prior.even import STIFFNESS, draw_fabric, draw_fabrics, moved
-from sim.material import LINEAR, RATIO, Fabric, is_admissible
+from sim.material import BIAS, LINEAR, RATIO, WARP, WEFT, Fabric, is_admissible
 
 PRIOR = load_prior("vae")
 COUNT = 2000
@@ -52,6 +54,25 @@ def test_a_move_keeps_the_ratios_between_directions():
     stiffer = moved(plain, 2.0, 0.25)
     np.testing.assert_allclose(stiffer[:, LINEAR] - plain[:, LINEAR], 2.0, atol=1e-11)
     np.testing.assert_allclose(stiffer[:, RATIO], np.exp(0.5) * plain[:, RATIO], atol=1e-11)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_a_share_of_the_difference_along_the_bias_is_kept(share):
+    plain = draw_fabrics(PRIOR, 300)[0]
+    found = draw_fabrics(PRIOR, 300, bias_deviation=share)[0]
+
+    def off(theta):
+        return theta[:, BIAS] - theta[:, [WARP, WEFT]].mean(axis=1)
+
+    np.testing.assert_allclose(off(found), share * off(plain), atol=1e-11)
+    np.testing.assert_allclose(log_stiffness(found), log_stiffness(plain), atol=1e-11)
+    np.testing.assert_allclose(found[:, WARP] - found[:, WEFT], plain[:, WARP] - plain[:, WEFT],
+                               atol=1e-11)
+    np.testing.assert_array_equal(found[:, RATIO], plain[:, RATIO])
+    assert is_admissible(*from_theta(found)).all()
+    with pytest.raises(InputError, match="bias_deviation"):
+        config_from_options(compose_config("generate", ["dataset.bias_deviation=1.5"],
+                                           schema=Options))
 
 
 def test_the_exponent_of_a_known_power_is_found():
