@@ -12,6 +12,8 @@ from typing import Any
 
 import yaml
 
+from common.files import printable
+
 SENTENCES = Path(__file__).with_suffix(".yaml")
 
 
@@ -24,12 +26,12 @@ def sentences() -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Finding:
-    """A warning, a contradiction or the reason of a refusal.
+    """A warning, a contradiction, an advice or the reason of a refusal.
 
     Attributes:
         code: names the kind, a key of ``findings.yaml``.
-        values: what its sentence states: numbers in the unit that people see, and names; ``value``
-            and ``limit`` where a measured value has a limit.
+        values: what its sentence states, in JSON's types: numbers in the unit that people see, and
+            names; ``value`` and ``limit`` where a measured value has a limit.
         source: key of the capture, strip or stated value that it is of; '': what is estimated.
     """
 
@@ -42,7 +44,18 @@ class Finding:
         """The line for people: fact, limit, remedy."""
         return sentences()[self.code].format(**self.values)
 
+    @property
+    def record(self) -> dict[str, Any]:
+        """In JSON's types, with its text."""
+        return {"code": self.code, "source": printable(self.source), "text": self.text,
+                "values": dict(self.values)}
+
 
 def texts(findings: Iterable[Finding]) -> list[str]:
     """The lines of findings."""
     return [found.text for found in findings]
+
+
+def records(findings: Iterable[Finding]) -> list[dict[str, Any]]:
+    """The records of findings."""
+    return [found.record for found in findings]
