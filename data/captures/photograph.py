@@ -177,8 +177,8 @@ def _photographed(
 
 
 def below_the_mat(curve: Outline, rig: Rig, plate_height: Metres) -> list[Finding]:
-    """A warning if cloth that is seen as near to the plate as the outline must hang through the mat,
-    ``plate_height`` below the plate: what does not reach outwards hangs down."""
+    """A warning if cloth that is seen as near to the plate as the outline must hang through the
+    mat, ``plate_height`` below the plate: what does not reach outwards hangs down."""
     nearest = float(np.linalg.norm(curve, axis=1).min())
     hanging = rig.least_overhang - (nearest - rig.plate_radius)
     return [] if hanging <= plate_height + HANGING else [Finding(

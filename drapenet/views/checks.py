@@ -8,7 +8,7 @@ the same cloth. Few correct simulated captures exceed the limits (``python -m ex
 import json
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -50,6 +50,9 @@ MAX_TURN_ERROR = np.radians(7.5)  # rad: 3 standard deviations of the training c
 TILT, SHIFT = np.radians(2.0), 0.020  # rad and m, errors of the estimated pose
 MIN_IMPROVEMENT = 1.35  # factor by which another reading must reduce the disagreement of the views
 MAX_SWAPPED_VIEWS = 4  # maximum number of views for which all pairs are tried swapped
+
+Reading = tuple[str, dict[str, int]]
+"""Another reading of the views: code and values of its finding."""
 
 
 @dataclass(frozen=True)
@@ -134,27 +137,27 @@ def _misread(located: LocatedViews, gap: float) -> Finding | None:
     along = located.views / np.linalg.norm(camera.directions(), axis=2)
     clouds = [camera.cloth_points(view) for view in along]
     gaps.append((disagreement(clouds, *register(clouds, located.stated_turns, rig), rig),
-                 Finding("depth_along_rays")))
-    least, best = min(gaps, key=lambda found: np.nan_to_num(found[0], nan=np.inf))
-    return replace(best, values={"value": 1e3 * gap, "factor": MIN_IMPROVEMENT} | {**best.values}
+                 ("depth_along_rays", {})))
+    least, (code, values) = min(gaps, key=lambda found: np.nan_to_num(found[0], nan=np.inf))
+    return Finding(code, {"value": 1e3 * gap, "factor": MIN_IMPROVEMENT} | values
                    ) if gap > MIN_IMPROVEMENT * least else None
 
 
-def _turn_readings(stated: Turns) -> list[tuple[Finding, Turns]]:
+def _turn_readings(stated: Turns) -> list[tuple[Reading, Turns]]:
     """Other turns of the table, each different, with their explanations."""
-    readings = [(Finding("turned_backwards"), -stated)]
+    readings: list[tuple[Reading, Turns]] = [(("turned_backwards", {}), -stated)]
     count = len(stated)
     for later in range(1, count):
         stayed = stated.copy()
         stayed[later] = stated[later - 1]
-        readings.append((Finding("table_did_not_turn", {"view": later}), stayed))
+        readings.append((("table_did_not_turn", {"view": later}), stayed))
         for earlier in range(later):
             if count <= MAX_SWAPPED_VIEWS or later == earlier + 1:
                 swapped = stated.copy()
                 swapped[[earlier, later]] = stated[[later, earlier]]
-                readings.append((Finding("views_swapped", {"earlier": earlier, "later": later}),
+                readings.append((("views_swapped", {"earlier": earlier, "later": later}),
                                  swapped - swapped[0]))
-    distinct: list[tuple[Finding, Turns]] = []
+    distinct: list[tuple[Reading, Turns]] = []
     for reading, turns in readings:  # four quarter turns backwards: views 1, 3 swapped
         if not any(np.allclose(np.exp(1j * turns), np.exp(1j * former))
                    for _, former in distinct):
