@@ -4,6 +4,7 @@ A finding is made where its fact is known, and travels as it is. Its words are m
 :attr:`Finding.text`, from the sentences of ``findings.yaml``, the one place of all of them.
 """
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
@@ -42,13 +43,16 @@ class Finding:
     @property
     def text(self) -> str:
         """The line for people: fact, limit, remedy."""
-        return sentences()[self.code].format(**self.values)
+        return sentences()[self.code].format(**{
+            name: math.nan if value is None else value for name, value in self.values.items()})
 
     @property
     def record(self) -> dict[str, Any]:
-        """In JSON's types, with its text."""
+        """In JSON's types, with its text; a number that is not finite is None."""
+        values = {name: None if isinstance(value, float) and not math.isfinite(value) else value
+                  for name, value in self.values.items()}
         return {"code": self.code, "source": printable(self.source), "text": self.text,
-                "values": dict(self.values)}
+                "values": values}
 
 
 def texts(findings: Iterable[Finding]) -> list[str]:

@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from pydantic import (
-    AfterValidator,
     BeforeValidator,
     Field,
     InstanceOf,
     PlainSerializer,
+    PlainValidator,
     model_validator,
 )
 
 from common.documents import Excerpt
 from common.errors import shown
 from common.files import printable
-from common.findings import Finding, texts
+from common.findings import Finding, records, texts
 from common.types import Density
 from data.captures.description import Labels
 from data.captures.reported import Reported
@@ -54,15 +54,20 @@ Finite = Annotated[float | None, BeforeValidator(
 Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
 
 
-def _spoken(found: Finding) -> Finding:
+def _finding(content: Any) -> Finding:
+    """The finding of a record that has a code with a sentence, and its values."""
+    if isinstance(content, Finding):
+        return content
     try:
-        texts([found])
+        code, values, source = (content[key] for key in ("code", "values", "source"))
+        records([found := Finding(code, values, source)])
     except (AttributeError, IndexError, KeyError, TypeError, ValueError):
-        raise ValueError(f"has not the values of a finding {shown(found.code)}") from None
+        raise ValueError("is not the record of a finding") from None
     return found
 
 
-Spoken = Annotated[Finding, AfterValidator(_spoken), PlainSerializer(lambda found: found.record)]
+Recorded = Annotated[Finding, PlainValidator(_finding),
+                     PlainSerializer(lambda found: found.record)]
 """A finding; in JSON its :attr:`~common.findings.Finding.record`."""
 
 
@@ -170,7 +175,7 @@ class CaptureRecord(Excerpt):
 
     capture: CaptureAbout
     moduli: dict[str, DirectionModuli]
-    warnings: list[Spoken]
+    warnings: list[Recorded]
 
 
 class LinearRecord(Excerpt):
@@ -242,9 +247,9 @@ class EstimateDocument(Excerpt):
     strips: list[StripsRecord] | None = None
     refined: RefinementRecord | None = None
     resimulation: dict[str, Any] | None = None
-    advice: list[Spoken] | None = None
-    warnings: list[Spoken]
-    contradictions: list[Spoken] | None = None  # those among the warnings
+    advice: list[Recorded] | None = None
+    warnings: list[Recorded]
+    contradictions: list[Recorded] | None = None  # those among the warnings
 
     @model_validator(mode="after")
     def _require_directions(self) -> "EstimateDocument":

@@ -38,6 +38,12 @@ def test_every_sentence_is_used_and_gives_a_line(code):
     assert found.record == {"code": code, "source": "source", "text": found.text, "values": values}
 
 
+def test_a_number_that_is_not_finite_is_kept_as_none():
+    record = Finding("pixel_large", {"value": float("inf"), "limit": 1.5}).record
+    assert record["values"] == {"value": None, "limit": 1.5}
+    assert "covers nan mm" in Finding(record["code"], record["values"]).text
+
+
 def test_every_code_has_a_sentence_with_its_values():
     calls = [node for tree in TREES.values() for node in ast.walk(tree)
              if isinstance(node, ast.Call) and getattr(node.func, "id", "") in MAKERS]

@@ -162,9 +162,10 @@ def test_document_is_read_as_written(tmp_path):
 
 
 @pytest.mark.parametrize("change", [
-    {"code": "none"}, {"values": {"value": 2.9}}, {"values": {"value": "x", "limit": 2.6}}])
+    {"code": "none"}, {"code": []}, {"values": {"value": 2.9}}, {"values": 2.9}, {"source": 2},
+    {"values": {"value": "x", "limit": 2.6}}])
 def test_a_finding_that_cannot_be_said_is_refused(tmp_path, change):
     content = document_of(estimate_of(np.full(3, 30 * MICRO), np.zeros(3))).content()
     replace_json(tmp_path / "estimate.json", content | {"warnings": [DOUBT.record | change]})
-    with pytest.raises(InputError, match=r"warnings\.0.* has not the values of a finding"):
+    with pytest.raises(InputError, match=r"warnings\.0.* is not the record of a finding"):
         read_document(tmp_path / "estimate.json")
