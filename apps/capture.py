@@ -21,6 +21,7 @@ import numpy as np
 from common.command import command
 from common.errors import InputError
 from common.files import folder_named, replace_file, require_folder
+from common.findings import texts
 from data.captures.board import SQUARE, board_picture
 from data.captures.capture import Capture, DepthCapture, OutlineCapture
 from data.captures.check import Check, warnings_of
@@ -73,11 +74,11 @@ def main(config: CaptureConfig) -> None:
         strips = read_strips(config.frames)
         write_curves(strips, out)
         replace_file(out / PICTURE, png(strips_figure(strips)))
-        lines, checks = [f"note: {line}" for line in strips.warnings], []
+        lines, checks = [f"note: {line}" for line in texts(strips.warnings)], []
     else:
         checks = check_capture(read_capture(config.frames), out)
-        lines = [f"warning: {check.warning}" if check.warning else f"{check.name}: {check.value}"
-                 for check in checks]
+        lines = [f"warning: {check.warning.text}" if check.warning else
+                 f"{check.name}: {check.value}" for check in checks]
     print("\n".join([*lines, f"capture: {out}", f"picture: {out / PICTURE}"]))
     if faults := warnings_of(checks):
         raise InputError(f"{len(faults)} of {len(checks)} checks of {config.frames} failed; "
@@ -86,7 +87,7 @@ def main(config: CaptureConfig) -> None:
 
 def check_capture(capture: Capture, out: Path) -> list[Check]:
     """The checks of a capture, which is written to ``out`` with its picture."""
-    checks = [Check("capture", "", line) for line in capture.warnings]
+    checks = [Check("capture", "", found) for found in capture.warnings]
     if isinstance(capture, OutlineCapture):
         checks += outline_checks(capture)
         write_outline(capture, out)

@@ -4,6 +4,7 @@ A finding is made where its fact is known, and travels as it is. Its words are m
 :attr:`Finding.text`, from the sentences of ``findings.yaml``, the one place of all of them.
 """
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
@@ -11,6 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+
+from common.files import printable
 
 SENTENCES = Path(__file__).with_suffix(".yaml")
 
@@ -24,12 +27,12 @@ def sentences() -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Finding:
-    """A warning, a contradiction or the reason of a refusal.
+    """A warning, a contradiction, an advice or the reason of a refusal.
 
     Attributes:
         code: names the kind, a key of ``findings.yaml``.
-        values: what its sentence states: numbers in the unit that people see, and names; ``value``
-            and ``limit`` where a measured value has a limit.
+        values: what its sentence states, in JSON's types: numbers in the unit that people see, and
+            names; ``value`` and ``limit`` where a measured value has a limit.
         source: key of the capture, strip or stated value that it is of; '': what is estimated.
     """
 
@@ -40,9 +43,23 @@ class Finding:
     @property
     def text(self) -> str:
         """The line for people: fact, limit, remedy."""
-        return sentences()[self.code].format(**self.values)
+        return sentences()[self.code].format(**{
+            name: math.nan if value is None else value for name, value in self.values.items()})
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """In JSON's types, with its text; a number that is not finite is None."""
+        values = {name: None if isinstance(value, float) and not math.isfinite(value) else value
+                  for name, value in self.values.items()}
+        return {"code": self.code, "source": printable(self.source), "text": self.text,
+                "values": values}
 
 
 def texts(findings: Iterable[Finding]) -> list[str]:
     """The lines of findings."""
     return [found.text for found in findings]
+
+
+def records(findings: Iterable[Finding]) -> list[dict[str, Any]]:
+    """The records of findings."""
+    return [found.record for found in findings]

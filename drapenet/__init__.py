@@ -4,7 +4,8 @@
     estimate = drapenet.estimate("examples/captures/twill")   # or several captures of a fabric
     alpha, beta = estimate.moduli()                            # N·m, N·m²: samples, by direction
     print(estimate.names, 1e6 * estimate.fabric.alpha, 1e6 * drapenet.interval(alpha))
-    print(estimate.reading("bending_length_mm").mean(axis=0), estimate.warnings)
+    print(estimate.reading("bending_length_mm").mean(axis=0))  # mm
+    print(*(found.text for found in estimate.warnings), sep="\n")
     again = drapenet.load("outputs/demo")                      # what infer.py has written
 
 The simulator is :mod:`sim`, captures are read by :mod:`data.captures`.

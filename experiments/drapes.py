@@ -10,6 +10,7 @@ import numpy as np
 
 from common.command import compose_config
 from common.errors import InputError
+from common.findings import Finding
 from common.types import Theta
 from data.captures.capture import DepthCapture
 from data.dataset.config import Options, config_from_options
@@ -152,7 +153,7 @@ def outline_of(shape: Drape) -> "DrapeOutline":
     return DrapeOutline(silhouettes(shape.positions, edges, np.array([np.inf]), zero=0.0)[0])
 
 
-def infer_outline(outline: "DrapeOutline", rig: Rig) -> tuple["Draws", "Estimate", list[str]]:
+def infer_outline(outline: "DrapeOutline", rig: Rig) -> tuple["Draws", "Estimate", list[Finding]]:
     """The samples and estimate of an outline along the warp, and a warning if it is unlike
     them."""
     from drapenet.estimator.infer import network_of
@@ -163,5 +164,4 @@ def infer_outline(outline: "DrapeOutline", rig: Rig) -> tuple["Draws", "Estimate
     draws, = predict(network_of(header()), header(), [[Observation(rig, 1, True, outline=outline)]],
                      compared=True)
     estimate = make_estimate(draws, density=REFERENCE_DENSITY, header=header())
-    return draws, estimate, list(filter(None, (one.warning(rig.specimen_size)
-                                               for one in draws.likeness)))
+    return draws, estimate, draws.unlike(rig.specimen_size)

@@ -2,12 +2,14 @@
 
 import numpy as np
 
+from common.findings import Finding
 from data.fabrics.fabrics import to_theta
 from data.fabrics.properties import ClothProperties
 from drapenet.result.document import EstimateDocument
 from drapenet.result.estimate import Estimate
 from sim.material import DIRECTIONS, REFERENCE_DENSITY
 
+DOUBT = Finding("pixel_on_plate_large", {"value": 2.9, "limit": 2.6})
 CHECKPOINT = {"file": "net.safetensors", "sha256": "0" * 64, "dataset_sha256": "0" * 64}
 
 

@@ -25,6 +25,7 @@ import infer
 from common.command import run_command
 from common.errors import InputError
 from common.files import locked
+from common.findings import Finding
 from data.captures.reader import captures_in, read_capture
 from data.captures.writer import write_capture
 from data.render.cameras import Intrinsics
@@ -151,7 +152,7 @@ def test_a_doubtful_capture_is_refused_if_strict(capture, checkpoint, out):
     assert not out.exists()
     infer.main(words(capture, checkpoint, "drapes=0"))
     warnings = content_of(out)["warnings"]
-    assert len(warnings) > 1 and all(line in str(refusal.value) for line in warnings)
+    assert len(warnings) > 1 and all(one["text"] in str(refusal.value) for one in warnings)
 
 
 # --- Captures and estimates -------------------------------------------------------------------
@@ -172,7 +173,7 @@ def test_estimate_says_what_it_is_and_is_the_same_again(capture, checkpoint, out
     files = {file.name: file.read_bytes() for file in out.iterdir()}
     assert set(files) == NUMBERS | {"fabric.jfab", "torque.csv"}
     content = content_of(out)
-    assert (content["schema"], content["schema_version"]) == ("drapenet-estimate", 5)
+    assert (content["schema"], content["schema_version"]) == ("drapenet-estimate", 6)
     assert content["capture"]["density_g_m2"] == 150
     assert list(content["moduli"]) == ["warp", "bias", "weft"]
     for name, moduli in content["moduli"].items():
@@ -260,7 +261,7 @@ def test_a_photograph_and_depth_views_of_other_testers_are_joined(capture, check
     content = content_of(out)
     assert content["capture"]["rig"] == "square300_cylinder100, disc300_support180"
     assert content["convention"] == "stiff/soft"
-    assert any("different densities" in line for line in content["warnings"])
+    assert "densities_differ" in [found["code"] for found in content["warnings"]]
 
 
 @pytest.mark.parametrize("name", ["outline.csv", "outline.png"])
@@ -275,7 +276,7 @@ def test_a_photograph_has_an_estimate_and_a_report(checkpoint, tmp_path, out, na
     assert content["capture"]["views"] == 0 and content["capture"]["turns_deg"] is None
     assert list(content["moduli"]) == ["warp", "bias", "weft"]
     # The network is untrained, so that the simulated drape is another.
-    assert not [line for line in content["warnings"] if "points apart" not in line]
+    assert {found["code"] for found in content["warnings"]} <= {"coefficient_differs"}
     found, seen = content["resimulation"], read_capture(folder).outline.drape_coefficient
     assert found["statuses"] == ["converged"] and found["folds_captured"] == 7
     raised = content["capture"]["drape_coefficient_percent"] - 100 * seen
@@ -333,10 +334,10 @@ def test_the_published_format_runs_as_it_is(name, turns, checkpoint, out):
     infer.main([f"capture={SHARED / name}", f"checkpoint={checkpoint}", f"out={out}", "drapes=0"])
     content = content_of(out)
     assert content["capture"]["density_g_m2"] == 300
-    assert any("8-bit" in warning for warning in content["warnings"])
+    found = {one["code"]: one["text"] for one in content["warnings"]}
+    assert "depth_coarse" in found
     assert np.diff(content["capture"]["turns_deg"]) == pytest.approx(turns, abs=1.5)
-    warned = any("turned by 82° in view 1" in warning for warning in content["warnings"])
-    assert warned == (turns[0] == 82)
+    assert ("turned by 82° in view 1" in found.get("table_turned", "")) == (turns[0] == 82)
 
 
 # --- Report and refinement --------------------------------------------------------------------
@@ -368,8 +369,8 @@ def test_a_report_that_cannot_be_written_does_not_lose_the_estimate(capture, che
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     names = {file.name for file in out.iterdir()}
     assert NUMBERS <= names and "drape.glb" not in names
-    assert content_of(out)["warnings"][-1].startswith("there is no report: InputError, cannot "
-                                                      f"write {out}")
+    assert content_of(out)["warnings"][-1]["text"].startswith(
+        f"there is no report: InputError, cannot write {out}")
 
 
 def test_a_refinement_that_fails_leaves_the_network_s_estimate(
@@ -384,7 +385,8 @@ def test_a_refinement_that_fails_leaves_the_network_s_estimate(
     estimate_capture(read, header, EstimateOptions(refine={"by": "simulation"}, drapes=0), out=out,
                      on_stage=read_written)  # a setting is missing
     alone, content = written[0], content_of(out)
-    assert content.pop("warnings")[-1].startswith("the network's estimate is not refined: KeyError")
+    assert content.pop("warnings")[-1]["text"].startswith(
+        "the network's estimate is not refined: KeyError")
     assert alone.pop("warnings") is not None and content == alone
 
 
@@ -394,15 +396,16 @@ def test_a_rejected_refinement_is_not_shown_as_the_estimate(
     rejected = SimpleNamespace(draws=None, content={
         "misfit_before": math.inf, "misfit": 20.0, "simulations": 15,
         "failed_simulations": 0, "status": "interrupted", "message": "", "specimen": {}},
-        warnings=("the network's estimate stands",),
-        resimulation=SimpleNamespace(as_dict=dict, warnings=["another drape"]))
+        warnings=(Finding("refinement_no_better"),),
+        resimulation=SimpleNamespace(as_dict=dict, warnings=[Finding("silhouette_differs")]))
     monkeypatch.setattr("drapenet.refine.refine.refine_capture", lambda *_, **__: rejected)
     infer.main(words(capture, checkpoint, "drapes=0", "refine=simulation"))
     content = content_of(out)
-    assert "resimulation" not in content and "another drape" not in content["warnings"]
+    codes = [found["code"] for found in content["warnings"]]
+    assert "resimulation" not in content and "silhouette_differs" not in codes
     assert "misfit - before, 20 after 15 simulations (interrupted): half the" in (
         capsys.readouterr().out)
-    assert "the network's estimate stands" in content["warnings"]
+    assert "refinement_no_better" in codes
     assert content["refined"]["misfit_before"] is None
     assert content["refined"]["before"] == content["moduli"]
 

@@ -109,7 +109,7 @@ def require_whole(
     if missing := [*(part for part in parts if not estimate.get(part)),
                    *(name for name in REPORT if name not in files)]:
         raise TrialError(f"the estimate lacks {', '.join(missing)}; its warnings: "
-                         f"{estimate['warnings'] or 'none'}")
+                         f"{[found['text'] for found in estimate['warnings']] or 'none'}")
 
 
 def serve(scripts: Path, capture: Path, folder: Path) -> None:

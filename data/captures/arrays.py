@@ -49,8 +49,9 @@ def checked_capture(capture: Capture) -> Capture:
     turns = Description.of(stated | {"turns_deg": np.degrees(turns).tolist()},
                            capture.path).turns(len(views))
     views, warnings = checked_views(views, camera)
+    new = tuple(found for found in warnings if found not in capture.warnings)
     return replace(capture, views=views, turns=turns, rig=rig, density=density, warp_direction=warp,
-                   warnings=tuple(dict.fromkeys((*capture.warnings, *warnings))))
+                   warnings=capture.warnings + new)
 
 
 def _metres(views: object) -> Views:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from common.findings import Finding
 from common.types import Density, Radians, Turns, Views
 from data.captures.cutout import CutOut
 from data.captures.description import UNLABELLED, Labels
@@ -38,7 +39,7 @@ class Capture:
     face: str = "up"
     known: Reported | None = None
     labels: Labels = UNLABELLED
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Finding, ...] = ()
 
     @property
     def sign(self) -> int:

@@ -3,16 +3,18 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from common.findings import Finding
+
 
 @dataclass(frozen=True)
 class Check:
-    """What is measured of a capture, as text; a warning with its remedy, empty if it is sound."""
+    """What is measured of a capture, as text; a warning, None if it is sound."""
 
     name: str
     value: str
-    warning: str = ""
+    warning: Finding | None = None
 
 
-def warnings_of(checks: Iterable[Check]) -> list[str]:
+def warnings_of(checks: Iterable[Check]) -> list[Finding]:
     """The warnings of those checks that have one."""
     return [check.warning for check in checks if check.warning]

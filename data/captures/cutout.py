@@ -12,6 +12,7 @@ import numpy as np
 from scipy import ndimage
 
 from common.errors import InputError
+from common.findings import Finding
 from common.types import DepthImage, Mask, Masks, Metres, Views
 from data.captures.plate import Plate, find_plate
 from data.render.cameras import Intrinsics
@@ -36,7 +37,6 @@ _COLUMN_MARGIN = 1.5e-3, 4e-3  # m, limits of the tolerance added to the column'
 _MIN_CHANGE = 4e-3  # m at 0.5 m, by which cloth is nearer than the empty scene
 _MAX_SAME_SHARE = 0.5  # of the candidate cloth; above it the background shows cloth
 _MAX_MOVED_SHARE = 0.3  # of the static pixels; above it the camera has moved
-_LOOK = "python -m apps.capture"
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class CutOut:
     views: Views  # depth of the cloth
     plate: Plate
     column: Metres | None = None  # radius, if it is visible
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Finding, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -113,16 +113,14 @@ def cut_out(
             f"the frames (median depth {np.median(frames[frames > 0]):.3g} m); check tester, "
             "depth_unit_m and intrinsics, or set every pixel that is not cloth to 0")
     scene = _scene(frames, points, plate, rig)
-    warnings = [] if plate.table is not None else [
-        f"no table is seen below the plate; look with {_LOOK} whether only cloth is cut out"]
+    warnings = [] if plate.table is not None else [Finding("table_unseen")]
     cloth, column = scene.solid & scene.within_reach & (scene.over > _TABLE_TOLERANCE), None
     if background is None:
         column = _column_radius(scene)
         if column is not None:
             cloth &= ~_column(cloth, scene, column)
             if column > rig.plate_radius - 2 * _COLUMN_MARGIN[1]:
-                warnings.append("the column is nearly as wide as the plate: where cloth touches it "
-                                f"the hem may be wrong; look at it with {_LOOK}")
+                warnings.append(Finding("column_wide"))
     else:
         same = _unchanged(cloth, scene, background)
         warnings += _background_warnings(scene, background, cloth, same)
@@ -132,8 +130,7 @@ def cut_out(
         cloth[k], apart = _one_piece(cloth[k], on_plate)
         masks[k] = _completed(cloth[k], scene.solid[k])
         if apart:
-            warnings.append(f"view {k}: {apart} pixels within the cloth's reach are apart from it "
-                            f"and left out; look at them with {_LOOK}")
+            warnings.append(Finding("pieces_left_out", {"view": k, "value": int(apart)}))
     views = np.where(cloth & masks, frames, np.float32(0.0))
     return CutOut(frames, masks, views, plate, column, tuple(warnings))
 
@@ -167,19 +164,17 @@ def _unchanged(cloth: Masks, scene: _Scene, background: DepthImage) -> Masks:
 
 def _background_warnings(
     scene: _Scene, background: DepthImage, cloth: Masks, same: Masks
-) -> list[str]:
+) -> list[Finding]:
     """Warnings if the background does not belong to the frames; ``same``: :func:`_unchanged`."""
     warnings = []
-    share = (same.sum(axis=(1, 2)) / np.maximum(cloth.sum(axis=(1, 2)), 1)).max()
+    share = float((same.sum(axis=(1, 2)) / np.maximum(cloth.sum(axis=(1, 2)), 1)).max())
     if share > _MAX_SAME_SHARE:
-        warnings.append(f"background.png shows {share:.0%} of what a view has within the cloth's "
-                        f"reach (limit {_MAX_SAME_SHARE:.0%}): take it without cloth, and every "
-                        "view with it")
+        warnings.append(Finding("background_with_cloth",
+                                {"value": share, "limit": _MAX_SAME_SHARE}))
     static = scene.solid & (background > 0) & ~scene.within_reach
     moved = np.abs(scene.frames - background) > 3 * _MIN_CHANGE * scene.frames / 0.5
     if static.any() and moved[static].mean() > _MAX_MOVED_SHARE:
-        warnings.append("background.png does not fit the frames: the camera or the scene has "
-                        "moved between them; take it again")
+        warnings.append(Finding("background_moved"))
     return warnings
 
 

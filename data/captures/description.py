@@ -12,6 +12,7 @@ from pydantic import BeforeValidator, Field, PlainValidator, model_validator
 
 from common.documents import Schema
 from common.errors import InputError, shortened, shown
+from common.findings import Finding
 from common.types import Density, Metres, Radians, Turns
 from data.captures.depth import Lens
 from data.captures.reported import Reported
@@ -107,10 +108,10 @@ class Weighed(Schema):
         return 1e-3 * self.density_g_m2
 
     @property
-    def questions(self) -> tuple[str, ...]:
+    def questions(self) -> tuple[Finding, ...]:
         """A warning of a density that few fabrics have."""
-        return (f"density_g_m2={self.density_g_m2:g} is that of a very light fabric: check that it "
-                "is in g/m², not in oz/yd² or momme",) * (self.density_g_m2 < LIGHT_DENSITY)
+        light = self.density_g_m2 < LIGHT_DENSITY
+        return (Finding("density_light", {"value": self.density_g_m2}),) * light
 
 
 class Specimen(Weighed):

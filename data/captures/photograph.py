@@ -12,11 +12,12 @@ import cv2
 import numpy as np
 
 from common.errors import InputError
+from common.findings import Finding
 from common.types import Metres, Outline, PixelPath, Radians
 from data.captures.description import OUTLINE_TABLES, OutlineSource
 from data.captures.off_axis import MAX_LEAN, seen_from_axis
 from data.captures.outline_table import read_closed_curve
-from data.captures.scale import large_pixels, mapped, scaled_photograph, shifted, upright
+from data.captures.scale import mapped, scaled_photograph, shifted, upright
 from data.pictures.cloth import Place, Scene, like_ground
 from data.pictures.edge import outline_of_cloth, within
 from sim.measures import closed, coefficient_of_area, farthest, folds_around
@@ -35,9 +36,6 @@ MAX_OVERLAP, MAX_DISORDER = 0.03, 0.5  # of azimuth
 MAX_GAP = np.radians(15.0)
 AZIMUTHS = 720
 MAX_SKEW = np.sin(np.radians(2.0))  # a mirrored warp is then at most 2° off, as it is stated
-_PERSPECTIVE = (
-    "camera_height_mm is missing: from 1 m, a hem 50 mm below the plate looks 6 mm smaller, ten "
-    "points of drape coefficient; measure the camera's height above the plate, or state parallel")
 
 
 @dataclass(frozen=True)
@@ -59,7 +57,7 @@ class PhotographedOutline:
     height: Metres
     centred: bool
     rig: Rig
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Finding, ...] = ()
     picture: np.ndarray | None = None
     to_pixels: np.ndarray | None = None
     pixel: Metres = np.nan
@@ -110,11 +108,10 @@ def read_outline(
     except InputError as error:
         raise InputError(str(error) if str(file) in str(error) else f"{file}: {error}") from None
     if np.isnan(found.height):
-        warnings += (_PERSPECTIVE,)
+        warnings += (Finding("camera_height_missing"),)
     if not found.centred:
-        remedy = "give numbers" if is_table else "add plate.jpg, or use the mat, to measure"
-        warnings += ("the plate's centre is not known, so that distances are measured from the "
-                     f"outline's centroid; {remedy} from the plate's centre",)
+        warnings += (Finding("centre_unknown_in_table" if is_table else
+                             "centre_unknown_in_picture"),)
     return replace(found, warnings=warnings)
 
 
@@ -153,26 +150,23 @@ def _photographed(
     to_pixels = np.linalg.inv(to_metres)
     millimetre = np.diff(mapped(np.array([[0, 0], [1e-3, 0]]), to_pixels), axis=0)
     step = float(1e-3 / (photograph.factor * np.linalg.norm(millimetre)))
-    warnings = [*seen.notes, *large_pixels(step, MAX_PIXEL)]
+    warnings = [*seen.warnings]
+    if step > MAX_PIXEL:
+        warnings.append(Finding("pixel_large", {"value": 1e3 * step, "limit": 1e3 * MAX_PIXEL}))
     if tilt > MAX_TILT:
-        warnings.append(f"the plate is seen {np.degrees(tilt):.0f}° off the vertical, more than "
-                        f"{np.degrees(MAX_TILT):.0f}°; place the camera above its centre")
-    if seen.middle is not None and (share := like_ground(scene)) > MAX_LIKE_GROUND:
-        warnings.append(f"{share:.0%} of the cloth on the plate has the ground's light and colour, "
-                        f"more than {MAX_LIKE_GROUND:.0%}: check the outline in the picture of the "
-                        "capture, or use a ground of another colour")
+        warnings.append(Finding("plate_tilted", {"value": float(np.degrees(tilt)),
+                                                 "limit": float(np.degrees(MAX_TILT))}))
+    if seen.middle is not None and (share := float(like_ground(scene))) > MAX_LIKE_GROUND:
+        warnings.append(Finding("cloth_like_ground", {"value": share, "limit": MAX_LIKE_GROUND}))
     if photograph.painted is not None and (
             share := float(within(pixels, photograph.painted).mean())) > MAX_OVER_PRINT:
-        warnings.append(f"{share:.0%} of the hem lies over markers that are as dark as the cloth, "
-                        f"more than {MAX_OVER_PRINT:.0%}: check the outline in the picture of the "
-                        "capture, or use a larger mat")
+        warnings.append(Finding("hem_over_print", {"value": share, "limit": MAX_OVER_PRINT}))
     if seen.beside is not None:
-        lean = float(np.linalg.norm(seen.beside)) / seen.height
-        if lean > MAX_LEAN:
-            warnings.append(
-                f"the camera was {1e3 * np.linalg.norm(seen.beside):.0f} mm beside the plate's "
-                f"axis, {1e3 * seen.height:.0f} mm above it, {lean:.0%}, more than {MAX_LEAN:.0%}: "
-                "hems that are hidden are guessed; take the picture from straight above")
+        beside = float(np.linalg.norm(seen.beside))
+        if (lean := beside / seen.height) > MAX_LEAN:
+            warnings.append(Finding("camera_beside", {
+                "value": lean, "limit": MAX_LEAN, "beside": 1e3 * beside,
+                "height": 1e3 * seen.height}))
         warnings += below_the_mat(curve, rig, 1e-3 * (source.plate_height_mm or np.inf))
         first_side = (warp_direction or 0.0) + rig.cut
         curve = _turned(seen_from_axis(_turned(curve, -first_side), _turned(
@@ -182,18 +176,16 @@ def _photographed(
         to_pixels, step, pixels, photograph.factor)
 
 
-def below_the_mat(curve: Outline, rig: Rig, plate_height: Metres) -> list[str]:
-    """A line if cloth that is seen as near to the plate as the outline must hang through the mat,
-    ``plate_height`` below the plate: what does not reach outwards hangs down."""
+def below_the_mat(curve: Outline, rig: Rig, plate_height: Metres) -> list[Finding]:
+    """A warning if cloth that is seen as near to the plate as the outline must hang through the
+    mat, ``plate_height`` below the plate: what does not reach outwards hangs down."""
     nearest = float(np.linalg.norm(curve, axis=1).min())
     hanging = rig.least_overhang - (nearest - rig.plate_radius)
-    return [] if hanging <= plate_height + HANGING else [
-        f"cloth that looks as short as this hangs {1e3 * hanging:.0f} mm below the plate, which is "
-        f"{1e3 * plate_height:.0f} mm above the mat: check plate_height_mm and the tester, and "
-        "that no cloth lies on the mat"]
+    return [] if hanging <= plate_height + HANGING else [Finding(
+        "hangs_through_mat", {"value": 1e3 * hanging, "plate_height": 1e3 * plate_height})]
 
 
-def _checked(outline: PhotographedOutline) -> list[str]:
+def _checked(outline: PhotographedOutline) -> list[Finding]:
     """Warnings; InputError for a curve that cannot be of a drape on this plate."""
     curve, rig = outline.curve, outline.rig
     angle = np.arctan2(curve[:, 1], curve[:, 0])
@@ -221,9 +213,8 @@ def _checked(outline: PhotographedOutline) -> list[str]:
         raise InputError(f"the drape coefficient is {coefficient:.1%}, only {MIN_COEFFICIENT:.0%} "
                          "to 100% is possible; check the scale, the size of the specimen, the "
                          "tester, and that the outline is not that of the plate or of a hole")
-    return [] if disorder <= MAX_OVERLAP else [
-        f"the outline turns back over {disorder:.0%} of the azimuth, more than {MAX_OVERLAP:.0%}; "
-        "its outermost point counts: check the picture for shadows of folds"]
+    return [] if disorder <= MAX_OVERLAP else [Finding(
+        "outline_turns_back", {"value": float(disorder), "limit": MAX_OVERLAP})]
 
 
 def signed_area(curve: Outline) -> float:

@@ -113,9 +113,9 @@ def _draw_checks(panel: Axes, title: str, checks: Sequence[Check]) -> None:
     lines = [(title, "black")]
     for check in sorted(checks, key=lambda check: not check.warning):
         mark, colour = ("✗", _FAULTY) if check.warning else ("✓", _SOUND)
-        text = f"{mark} {check.warning or f'{check.name}: {check.value}'}"
-        lines += [(line, colour) for line in
-                  textwrap.wrap(text, _LINE, subsequent_indent="    ", drop_whitespace=False)]
+        said = check.warning.text if check.warning else f"{check.name}: {check.value}"
+        lines += [(line, colour) for line in textwrap.wrap(
+            f"{mark} {said}", _LINE, subsequent_indent="    ", drop_whitespace=False)]
     for k, (line, colour) in enumerate(lines):
         panel.annotate(line, (0.02, 0.98), (0, -_SPACING * k), "axes fraction", "offset points",
                        color=colour, fontsize=8, va="top", parse_math=False)

@@ -9,6 +9,7 @@ import numpy as np
 
 from common.documents import read_bytes, reading
 from common.errors import InputError
+from common.findings import Finding
 from common.types import Faces, Points
 from data.captures.scan_place import cut_away, find_plate, plate_filled
 from data.captures.scans import MAX_SCAN_SIZE
@@ -23,11 +24,11 @@ MIN_POINTS = 200
 @dataclass(frozen=True)
 class RawScan:
     """A scanned surface in metres, z up, the centre of the plate's top its origin; ``faces`` may be
-    none, ``notes`` state what was measured and changed."""
+    none, ``warnings`` state what was measured and changed."""
 
     points: Points
     faces: Faces
-    notes: tuple[str, ...] = ()
+    warnings: tuple[Finding, ...] = ()
 
 
 def read_raw_scan(path: Path, rig: Rig) -> RawScan:
@@ -44,19 +45,15 @@ def read_raw_scan(path: Path, rig: Rig) -> RawScan:
 
 def _placed(points: Points, faces: Faces, rig: Rig) -> RawScan:
     points, changes = find_plate(points, faces, rig).placed(points)
-    notes = [f"the scan has {', '.join(changes)}, as its flat part shows, and was brought to "
-             "metres, z up, the plate level, its centre at the origin"] * bool(changes)
     cloth, others = cut_away(points, faces, rig)
     if others:
-        notes.append(f"{(~cloth).sum()} of the scan's {len(points)} points are not cloth and were "
-                     f"cut away: {', '.join(others)}")
         if cloth.sum() < MIN_POINTS:
             raise InputError(f"{cloth.sum()} points of it are cloth, at least {MIN_POINTS} are "
                              "needed; scan more densely")
         faces = np.cumsum(cloth)[faces[cloth[faces].all(axis=1)]] - 1
         points = points[cloth]
     points, faces, filled = plate_filled(points, faces, rig)
-    return RawScan(points, faces, (*notes, *filled))
+    return RawScan(points, faces, (*changes, *others, *filled))
 
 
 def _read(path: Path) -> tuple[Points, Faces]:

@@ -19,6 +19,7 @@ import numpy as np
 from common.documents import misnamed, read_text, read_yaml, rename_remedy
 from common.errors import InputError, one_line
 from common.files import path_named
+from common.findings import Finding
 from common.types import Metres
 from data.captures.board import board_intrinsics, board_turns, shows_board
 from data.captures.capture import Capture, DepthCapture, OutlineCapture, ReportedCapture
@@ -108,18 +109,17 @@ def _read_metric(path: Path) -> Capture:
     stated = _stated(path, description)
     cut = cut_out(depth, intrinsics, stated["rig"], background)
     views, warnings = checked_views(cut.views if cut else depth, intrinsics)
-    notes = (*description.questions, *(cut.warnings if cut else ()), *warnings, *_sparse(
+    warnings = (*description.questions, *(cut.warnings if cut else ()), *warnings, *_sparse(
         frames.spacing, float(np.median(views[views > 0])) / (step * intrinsics.fx)))
-    return DepthCapture(views, intrinsics, turns, cut, **stated, warnings=notes)
+    return DepthCapture(views, intrinsics, turns, cut, **stated, warnings=warnings)
 
 
-def _sparse(spacing: float, pixel: Metres) -> tuple[str, ...]:
+def _sparse(spacing: float, pixel: Metres) -> tuple[Finding, ...]:
     """A warning of points ``spacing`` pixels apart on the cloth; InputError if that is too far."""
-    apart = (f"depth is sparser than its pictures, a point every {spacing:.1f} pixels, "
-             f"{1e3 * spacing * pixel:.1f} mm (at most {1e3 * MAX_SPACING:g} mm): record without "
-             "decimation, without thinning of the cloud, not aligned to a larger picture")
+    apart = Finding("depth_sparse", {"value": 1e3 * spacing * pixel, "limit": 1e3 * MAX_SPACING,
+                                     "pixels": float(spacing)})
     if spacing > 1 and spacing * pixel > MAX_SPACING:
-        raise InputError(apart)
+        raise InputError(apart.text)
     return (apart,) * (spacing > 1)
 
 
@@ -177,9 +177,8 @@ def _read_published(path: Path) -> DepthCapture:
     depth = np.where(counts > PUBLISHED_BACKGROUND, 0, counts / 255).astype(np.float32)
     camera = nominal_camera(SQUARE_RIG).intrinsics
     views, warnings = checked_views(depth, camera)
-    coarse = "8-bit depth: steps of 3.9 mm; 16-bit pictures in millimetres carry more"
     return DepthCapture(views, camera, whole_turns(len(views)), density=density, rig=SQUARE_RIG,
-                        path=path, warnings=(coarse, *warnings))
+                        path=path, warnings=(Finding("depth_coarse"), *warnings))
 
 
 def captures_in(path: Path) -> list[Path]:

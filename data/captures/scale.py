@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from common.errors import InputError
+from common.findings import Finding
 from common.types import GreyPicture, Mask, Metres
 from data.captures.board import MAX_REPROJECTION_ERROR, PAPER, SQUARE, SQUARES, find_corners
 from data.captures.description import OutlineSource
@@ -35,7 +36,6 @@ class Scaled:
         ground: what surely shows the ground; None for the picture's border.
         paper: where the ground is another one, if there are two.
         outside: what is neither ground nor cloth.
-        notes: warnings.
     """
 
     photograph: Photograph
@@ -46,7 +46,7 @@ class Scaled:
     ground: Mask | None = None
     paper: Mask | None = None
     outside: Mask | None = None
-    notes: tuple[str, ...] = ()
+    warnings: tuple[Finding, ...] = ()
 
     @property
     def pixel(self) -> Metres:
@@ -89,7 +89,7 @@ def _by_mat(file: Path, source: OutlineSource, rig: Rig) -> Scaled:
     middle = np.array([width - 1, height - 1]) / 2
     above = float(over.pose.place[2]) - 1e-3 * source.plate_height_mm
     return Scaled(over.photograph, _about(middle, over.pixel), above, middle, over.pose.place[:2],
-                  over.ground, over.paper, notes=over.warnings)
+                  over.ground, over.paper, warnings=over.warnings)
 
 
 def _by_plate(photograph: Photograph, file: Path, source: OutlineSource, rig: Rig) -> Scaled:
@@ -163,14 +163,6 @@ def upright(to_metres: np.ndarray, pixel: np.ndarray) -> tuple[np.ndarray, float
 def shifted(offset: np.ndarray) -> np.ndarray:
     """Homography (3, 3) that moves points by an offset (2,)."""
     return np.array([[1, 0, offset[0]], [0, 1, offset[1]], [0, 0, 1]])
-
-
-def large_pixels(size: Metres, limit: Metres) -> list[str]:
-    """One line if a pixel covers more than the ``limit``."""
-    if size <= limit:
-        return []
-    return [f"a pixel covers {1e3 * size:.2g} mm, more than {1e3 * limit:g} mm; take a larger "
-            "picture, or move the camera nearer"]
 
 
 def mapped(points: np.ndarray, homography: np.ndarray) -> np.ndarray:

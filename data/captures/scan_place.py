@@ -16,6 +16,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import Delaunay, cKDTree
 
 from common.errors import InputError
+from common.findings import Finding
 from common.types import Faces, Metres, Points, Vector
 from data.render.rays import import_open3d
 from sim.rig import Rig
@@ -70,7 +71,7 @@ class Plate:
         """Angle, degrees, between the vertical and that axis."""
         return math.degrees(math.acos(min((_UPRIGHT[self.up] @ self.normal)[2], 1.0)))
 
-    def placed(self, points: Points) -> tuple[Points, list[str]]:
+    def placed(self, points: Points) -> tuple[Points, list[Finding]]:
         """Points in units of the scan in metres, z up, the plate's centre the origin, and what that
         changed; InputError for a plate that is too far off level."""
         if self.tilt > MAX_TILT:
@@ -79,18 +80,18 @@ class Plate:
                 f"against the axis {self.up}, at most {MAX_TILT:g}° is levelled: turn the scan "
                 "until the plate is level, and cut away all that is not cloth")
         turn = _UPRIGHT[self.up]
-        notes = [f"lengths in {self.unit}"] * (self.unit != "m")
-        notes += [f"{self.up} up"] * (self.up != "z")
+        changes = [Finding("scan_unit", {"unit": self.unit})] * (self.unit != "m")
+        changes += [Finding("scan_axis", {"axis": self.up})] * (self.up != "z")
         if self.tilt > _MIN_TILT:
-            notes.append(f"the plate tilted by {self.tilt:.1f}°")
+            changes.append(Finding("scan_tilted", {"value": self.tilt}))
             turn = _shortest_turn(turn @ self.normal) @ turn
         centre = turn @ self.centre
         centre[:2] *= np.linalg.norm(centre[:2]) > MAX_OFFSET
         centre[2] *= abs(centre[2]) > _MIN_LIFT
-        if (off := np.linalg.norm(centre)) > 0:
-            notes.append(f"the plate's centre {1e3 * off:.{int(off < MAX_OFFSET)}f} mm from the "
-                         "origin")
-        return UNITS[self.unit] * points @ turn.T - centre, notes
+        if (off := float(np.linalg.norm(centre))) > 0:
+            changes.append(Finding("scan_off_origin", {
+                "value": round(1e3 * off, 1 if off < MAX_OFFSET else None)}))
+        return UNITS[self.unit] * points @ turn.T - centre, changes
 
 
 def _shortest_turn(normal: Vector) -> np.ndarray:
@@ -264,7 +265,7 @@ def _gap(points: np.ndarray) -> Metres:
     return max(_GAP, _SPACINGS * float(spacing))
 
 
-def cut_away(points: Points, faces: Faces, rig: Rig) -> tuple[np.ndarray, list[str]]:
+def cut_away(points: Points, faces: Faces, rig: Rig) -> tuple[np.ndarray, list[Finding]]:
     """Which points (N,) bool of a placed scan are cloth, and what the others are; InputError if
     much that is connected with the plate lies where no cloth of ``rig`` can be.
 
@@ -287,10 +288,10 @@ def cut_away(points: Points, faces: Faces, rig: Rig) -> tuple[np.ndarray, list[s
             f"{share:.0%} of its points do not lie on a specimen of {rig.name}, but are connected "
             "with the cloth; cut away all that is not cloth, such as the table, or drape a "
             "specimen of that size")
-    notes = [f"the table {1e3 * depth:.0f} mm below the plate"] * bool(table.any())
-    if not (keep | table).all():
-        notes.append("what lies below the plate or apart from the cloth")
-    return keep, notes
+    others = [("scan_table", table, {"depth": 1e3 * float(depth)}),
+              ("scan_pieces", ~(keep | table), {})]
+    return keep, [Finding(code, {"value": int(part.sum()), "points": len(points)} | values)
+                  for code, part, values in others if part.any()]
 
 
 def _table(points: Points, beyond: np.ndarray) -> tuple[np.ndarray, Metres]:
@@ -327,9 +328,9 @@ def _pieces(points: Points, faces: Faces, keep: np.ndarray) -> np.ndarray:
 
 def plate_filled(
     points: Points, faces: Faces, rig: Rig
-) -> tuple[np.ndarray, np.ndarray, list[str]]:
+) -> tuple[np.ndarray, np.ndarray, list[Finding]]:
     """Points (M, 3), m, and faces (G, 3) of a placed scan with points of the plate's plane where it
-    has none on the plate, and a note."""
+    has none on the plate, and a warning."""
     cloud = _surface_points(points, faces)
     on_plate = cloud[np.abs(cloud[:, 2]) < 2 * _FLAT]
     places = _unseen(on_plate[:, :2], rig)
@@ -341,6 +342,4 @@ def plate_filled(
         longest = np.linalg.norm(places[corners] - places[np.roll(corners, 1, axis=1)], axis=2)
         faces = np.concatenate([faces, len(points) + corners[longest.max(axis=1) < 1.5 * _CELL]])
     points = np.concatenate([points, np.column_stack([places, np.zeros(len(places))])])
-    return points, faces, [
-        f"the scan has no points on {len(places) / area:.0%} of the plate; its plane, which the "
-        "cloth around shows, stands for them"]
+    return points, faces, [Finding("scan_plate_unseen", {"value": len(places) / area})]

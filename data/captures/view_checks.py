@@ -4,6 +4,7 @@ import numpy as np
 from scipy import ndimage
 
 from common.errors import InputError, shown
+from common.findings import Finding
 from common.types import DepthImage, Views
 from data.captures.cutout import neighbours
 from data.captures.description import MAX_VIEWS
@@ -30,13 +31,13 @@ def require_sizes(views: Views, intrinsics: Intrinsics | None) -> Intrinsics:
     return intrinsics
 
 
-def checked_views(views: Views, camera: Intrinsics) -> tuple[Views, tuple[str, ...]]:
+def checked_views(views: Views, camera: Intrinsics) -> tuple[Views, tuple[Finding, ...]]:
     """Views without specks, and warnings of them and their camera; InputError for a wrong size or
     distance of the cloth."""
     views, warnings = views.copy(), [*camera.questions]
     for k, view in enumerate(views):
-        warnings += _remove_isolated(view, f"view {k}")
-        warnings += _remove_specks(view, f"view {k}")
+        warnings += _remove_isolated(view, k)
+        warnings += _remove_specks(view, k)
         cloth = view > 0
         if not cloth.any():
             raise InputError(f"view {k} shows no cloth: all pixels are background or specks; take "
@@ -55,16 +56,16 @@ def checked_views(views: Views, camera: Intrinsics) -> tuple[Views, tuple[str, .
             raise InputError(
                 f"view {k} has no background; set every pixel that is not cloth to 0")
         if np.concatenate([cloth[0], cloth[-1], cloth[:, 0], cloth[:, -1]]).any():
-            warnings.append(f"view {k}: the cloth touches the picture's border")
+            warnings.append(Finding("border_touched", {"view": k}))
     areas = (views > 0).sum(axis=(1, 2))
     if areas.min() < MIN_AREA * np.median(areas):
-        warnings.append(f"view {areas.argmin()} shows {areas.min()} pixels of cloth, less than "
-                        f"{MIN_AREA:.0%} of the median of the views, {np.median(areas):.0f}: take "
-                        "it again if the cloth was missing or hidden")
+        warnings.append(Finding("view_small", {
+            "view": int(areas.argmin()), "value": int(areas.min()), "limit": MIN_AREA,
+            "median": float(np.median(areas))}))
     return views, tuple(warnings)
 
 
-def _remove_isolated(view: DepthImage, name: str) -> list[str]:
+def _remove_isolated(view: DepthImage, number: int) -> list[Finding]:
     """Set isolated outliers of a view to background, in place; return warnings.
 
     Depth also jumps at folds, but there a pixel has two neighbours of similar depth.
@@ -76,11 +77,10 @@ def _remove_isolated(view: DepthImage, name: str) -> list[str]:
     view[isolated] = 0
     if isolated.sum() <= MAX_OUTLIER_SHARE * cloth.sum():
         return []
-    return [f"{name}: {isolated.sum()} pixels left out whose depth differs from their neighbours'; "
-            "check the sensor's settings"]
+    return [Finding("outliers_left_out", {"view": number, "value": int(isolated.sum())})]
 
 
-def _remove_specks(view: DepthImage, name: str) -> list[str]:
+def _remove_specks(view: DepthImage, number: int) -> list[Finding]:
     """Set small pieces of a view apart from its cloth to background, in place; return warnings.
 
     A single distant pixel, as from a time-of-flight sensor, may move the measured hem.
@@ -97,8 +97,7 @@ def _remove_specks(view: DepthImage, name: str) -> list[str]:
     warnings = []
     view[np.isin(pieces, 1 + np.flatnonzero(specks))] = 0
     if (removed := int(sizes[specks].sum())) > MAX_OUTLIER_SHARE * sizes.sum():
-        warnings.append(f"{name}: {removed} pixels left out that lie apart from the cloth")
+        warnings.append(Finding("specks_left_out", {"view": number, "value": removed}))
     if large := int(sizes[apart & ~specks].sum()):
-        warnings.append(f"{name}: {large} pixels lie apart from the cloth; set to 0 what is not "
-                        "cloth")
+        warnings.append(Finding("pieces_apart", {"view": number, "value": large}))
     return warnings

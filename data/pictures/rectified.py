@@ -7,6 +7,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from common.errors import InputError
+from common.findings import Finding
 from common.types import Mask, Metres
 from data.pictures.cloth import BEYOND
 from data.pictures.mat import MARKER, MATS, PIXEL, QUIET, find_mat, mat_picture, mat_pixels
@@ -41,7 +42,7 @@ class OverMat:
     ground: Mask
     paper: Mask
     pose: Pose
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Finding, ...] = ()
 
 
 def straight_from_above(
@@ -94,12 +95,10 @@ def straight_from_above(
     share, painted = _without_print(light / np.maximum(white, 1e-3), mat, on_mat, pixel, read=read,
                                     on_plate=far < plate)
     cleared = Photograph(white * share, transparent, painted=painted)
-    notes = []
-    if (error := pose.focal_error * plate_height / above) > MAX_SCALE_ERROR:
-        notes.append(f"the focal length is known to {pose.focal_error:.1%}, the scale at the plate "
-                     f"to {error:.1%}, more than {MAX_SCALE_ERROR:.1%}: take the picture from "
-                     "higher up, or add two of the mat from the sides, mat_1.jpg and mat_2.jpg")
-    return OverMat(cleared, pixel, ground, paper, pose, tuple(notes))
+    error = float(pose.focal_error * plate_height / above)
+    unsure = Finding("focal_length_unsure", {"value": error, "limit": MAX_SCALE_ERROR,
+                                             "focal": float(pose.focal_error)})
+    return OverMat(cleared, pixel, ground, paper, pose, (unsure,) * (error > MAX_SCALE_ERROR))
 
 
 def _without_print(

@@ -14,6 +14,7 @@ import numpy as np
 
 from common.configs import read_config, si
 from common.errors import InputError
+from common.findings import Finding
 from common.types import DepthImage, Metres, Pixels, Points, Pose, Radians
 from sim.rig import DISC_RIG, SQUARE_RIG, Rig
 
@@ -47,14 +48,12 @@ class Intrinsics:
                                  "intrinsics of this picture size")
 
     @property
-    def questions(self) -> tuple[str, ...]:
+    def questions(self) -> tuple[Finding, ...]:
         """A warning of a principal point that few pictures have."""
         off = max(abs((self.cx + 0.5) / self.width - 0.5), abs((self.cy + 0.5) / self.height - 0.5))
-        return (f"the principal point ({self.cx:g}, {self.cy:g}) lies {off:.0%} of the picture of "
-                f"{self.width}x{self.height} pixels off its middle (usual: up to "
-                f"{_MAX_OFF_MIDDLE:.0%}): intrinsics of another mode or size, such as those of "
-                "848x480 for 640x480, or of an uncropped picture? Give those of this picture",
-                ) * (off > _MAX_OFF_MIDDLE)
+        return (Finding("principal_point_off", {
+            "value": off, "limit": _MAX_OFF_MIDDLE, "cx": self.cx, "cy": self.cy,
+            "width": self.width, "height": self.height}),) * (off > _MAX_OFF_MIDDLE)
 
     def posed(self, world_to_camera: Pose) -> "Camera":
         """The camera with a pose."""

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from common.errors import InputError
+from common.findings import Finding
 from common.normal import Normal
 from common.types import DeflectionCurve, Density, Metres, Radians
 from data.captures.description import Labels
@@ -51,13 +52,12 @@ class StripSet:
             strip.measured.curve for strip in self.photographs if strip.direction == direction])}
 
     @property
-    def warnings(self) -> tuple[str, ...]:
+    def warnings(self) -> tuple[Finding, ...]:
         """Those of all photographs, and of twist that cannot be corrected."""
-        lines = [line for strip in self.photographs for line in strip.warnings]
+        found = [one for strip in self.photographs for one in strip.warnings]
         if (bias := DIRECTIONS[BIAS]) in self.curves and not self.complete:
-            lines.append(f"{bias}: free strips cut along it twist and hang lower, as if alpha were "
-                         "0.4 to 15 % smaller; measure all three directions, and this is corrected")
-        return tuple(lines)
+            found.append(Finding("strips_twist", {"direction": bias}))
+        return tuple(found)
 
     @property
     def complete(self) -> bool:

@@ -6,7 +6,7 @@ From a finite distance a strip is seen as a band between its near and its far ed
 them lies the middle of its width, in whose plane the scale holds.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -15,8 +15,9 @@ from scipy.special import erf
 
 from common.errors import InputError
 from common.files import path_named
+from common.findings import Finding
 from common.types import DeflectionCurve, Metres, Pixels, Radians
-from data.captures.scale import board_plane, large_pixels, mapped
+from data.captures.scale import board_plane, mapped
 from data.pictures.reading import read_photograph
 from data.strips.centre_line import CentreLine, trace_strip
 from data.strips.description import StripEntry, StripsDescription, View
@@ -63,7 +64,7 @@ class PhotographedStrip:
     picture: np.ndarray
     pixels: Pixels
     band: Metres
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Finding, ...] = ()
 
 
 def read_strip(
@@ -126,7 +127,7 @@ def _read(
         _require_length(arc, length)
     _require_hanging(curve, slope)
     band = line.band * pixel
-    warnings += _notes(line, view, pixel / factor, band, pixel, description)
+    warnings += _doubts(line, view, pixel / factor, band, pixel, description)
     covariance = _covariance(
         curve, pixel * line.error, band, aim, distance, scale=scale_error, roll=roll_error,
         tip=tip_error, edge=edge_error, pixel=pixel,
@@ -135,7 +136,7 @@ def _read(
                              entry.sign, entry.specimen)
     return PhotographedStrip(
         file.name, entry.direction, measured, grey.astype(np.uint8), pixels, band,
-        tuple(f"{file.name}: {warning}" for warning in warnings))
+        tuple(replace(found, values={"file": file.name, **found.values}) for found in warnings))
 
 
 def _scale(
@@ -193,14 +194,12 @@ def _trace(
 
 def _horizontal(
     line: CentreLine, view: View, left: bool
-) -> tuple[Radians, Radians, list[str]]:
+) -> tuple[Radians, Radians, list[Finding]]:
     """Roll of the true horizontal in the picture as traced, its error, and warnings."""
     if view.roll_deg is not None:
         return (-1 if left else 1) * np.radians(view.roll_deg), ROLL_ERROR, []
     if np.isnan(line.roll):
-        return 0.0, UNKNOWN_ROLL, [
-            "no horizontal edge of the clamp is seen, the picture's rows are taken as horizontal; "
-            "show the clamp's upper or lower edge, or state roll_deg"]
+        return 0.0, UNKNOWN_ROLL, [Finding("strip_not_level")]
     return line.roll, ROLL_ERROR, []
 
 
@@ -307,23 +306,22 @@ def _require_hanging(curve: DeflectionCurve, slope: Radians) -> None:
                          "vertical; it curls, or something touches it")
 
 
-def _notes(
+def _doubts(
     line: CentreLine, view: View, file_pixel: Metres, band: Metres, pixel: Metres,
     description: StripsDescription
-) -> list[str]:
+) -> list[Finding]:
     """Warnings of a strip that is read all the same."""
-    notes = large_pixels(file_pixel, MAX_PIXEL)
+    width, found = 1e3 * float(band), []
+    if file_pixel > MAX_PIXEL:
+        found.append(Finding("strip_pixel_large", {"value": 1e3 * float(file_pixel),
+                                                   "limit": 1e3 * MAX_PIXEL}))
     if band > MAX_BAND:
-        notes.append(f"the strip is seen {1e3 * band:.1f} mm wide, more than {1e3 * MAX_BAND:g} "
-                     "mm; look along its width, from farther away")
+        found.append(Finding("strip_wide", {"value": width, "limit": 1e3 * MAX_BAND}))
     if description.thickness and band < 0.5 * description.thickness - 2 * pixel:
-        notes.append(f"the strip is seen {1e3 * band:.2f} mm wide, thinner than its thickness of "
-                     f"{description.thickness_mm:g} mm; check the scale")
+        found.append(Finding("strip_thin", {"value": width,
+                                            "thickness": description.thickness_mm}))
     if line.uneven is not None and line.uneven * pixel > 2e-3:
-        notes.append(f"the clamp's edges above and below the strip differ by "
-                     f"{1e3 * line.uneven * pixel:.1f} mm, the lower one counts; state clamp_px if "
-                     "the strip leaves it elsewhere")
+        found.append(Finding("clamp_uneven", {"value": 1e3 * float(line.uneven * pixel)}))
     if view.camera_distance_mm is None:
-        notes.append("camera_distance_mm is missing, and taken as "
-                     f"{1e3 * DISTANCE:g} mm; measure it from lens to strip")
-    return notes
+        found.append(Finding("camera_distance_missing", {"taken": 1e3 * DISTANCE}))
+    return found

@@ -17,6 +17,7 @@ import numpy as np
 from common.cases import run_cases
 from common.errors import InputError
 from common.files import remove_file, replace_file, require_folder
+from common.findings import Finding
 from data.captures.capture import Capture
 from data.captures.preview import show
 from drapenet.batch.captures import Entry, entries_of
@@ -143,11 +144,11 @@ def join_fabrics(
     return Joined(fabrics, apart, failures)
 
 
-def _twins(entries: Sequence[Entry], out: Path) -> tuple[dict[Path, list[str]], set[Path]]:
-    """A line for each capture whose pictures another one has, by its place, and the places of those
-    that repeat a capture of their fabric."""
+def _twins(entries: Sequence[Entry], out: Path) -> tuple[dict[Path, list[Finding]], set[Path]]:
+    """A finding for each capture whose pictures another one has, by its place, and the places of
+    those that repeat a capture of their fabric."""
     first: dict[str, Entry] = {}
-    lines: dict[Path, list[str]] = {}
+    found: dict[Path, list[Finding]] = {}
     repeated: set[Path] = set()
     for entry in entries:
         digest = ""
@@ -158,26 +159,27 @@ def _twins(entries: Sequence[Entry], out: Path) -> tuple[dict[Path, list[str]], 
         other = first.setdefault(digest, entry) if digest else entry
         if other is not entry and other.fabric == entry.fabric:
             repeated.add(entry.place)
-            lines[entry.place] = [f"{entry.place} has the same pictures as {other.place} and is "
-                                  "left out: give each capture once"]
+            found[entry.place] = [_twin("twin_left_out", entry, other)]
         elif other is not entry:
             for one, two in ((entry, other), (other, entry)):
-                lines.setdefault(one.place, []).append(
-                    f"{one.place} has the same pictures as {two.place}, of another fabric: one of "
-                    "them is a copy in a wrong folder")
-    return lines, repeated
+                found.setdefault(one.place, []).append(_twin("twin_elsewhere", one, two))
+    return found, repeated
+
+
+def _twin(code: str, entry: Entry, other: Entry) -> Finding:
+    return Finding(code, {"capture": str(entry.place), "other": str(other.place)})
 
 
 def _joined(
     name: str, entries: Sequence[Entry], out: Path, header: Header, strict: bool,
-    lines: Mapping[Path, Sequence[str]], repeated: set[Path]
+    found: Mapping[Path, Sequence[Finding]], repeated: set[Path]
 ) -> FabricEstimate:
     """Join the captures and strips of a fabric but ``repeated`` ones; write its estimate, with the
-    ``lines`` of :func:`_twins`."""
+    findings of :func:`_twins`."""
     from drapenet.estimator.estimate import join, read_part  # torch
     from drapenet.estimator.stages import require_sound
 
-    twins = [line for entry in entries for line in lines.get(entry.place, ())]
+    twins = [one for entry in entries for one in found.get(entry.place, ())]
     require_sound(twins, strict, "the fabric")
     parts = {entry.place: read_part(out / entry.place) for entry in entries}
     joined = [part for place, part in parts.items() if place not in repeated]
@@ -193,7 +195,7 @@ def _joined(
     document = document.warned(*twins)
     write_estimate(out / place, estimate, document)
     return FabricEstimate(
-        name, place, [(entry, parts[entry.place].document.warned(*lines.get(entry.place, ())))
+        name, place, [(entry, parts[entry.place].document.warned(*found.get(entry.place, ())))
                       for entry in entries], document, scatter)
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from common.files import printable
-from common.findings import texts
+from common.findings import Finding
 from data.captures.capture import DepthCapture
 from data.captures.description import Labels
 from drapenet.estimator.observe import Observed
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def describe_capture(
-    estimate: Estimate, observed: Observed, header: Header, warnings: Sequence[str], *,
+    estimate: Estimate, observed: Observed, header: Header, warnings: Sequence[Finding], *,
     refined: dict[str, Any] | None, drape: "Resimulation | None",
 ) -> EstimateDocument:
     """The document of one capture's estimate.
@@ -48,15 +48,15 @@ def describe_capture(
         turns_deg=(np.degrees(located.turns).round(1) + 0.0).tolist() if located else None,  # no -0
         drape_coefficient_percent=round(100 * share, 1) if np.isfinite(share) else None,
         nodes=nodes, known=capture.known, labels=capture.labels)
-    lines = [*capture.warnings, *estimate.warnings, *texts(estimate.contradictions), *warnings]
+    found = [*capture.warnings, *estimate.warnings, *estimate.contradictions, *warnings]
     optional: dict[str, Any] = {"refined": refined} if refined else {}
     if advice := advice_of(capture.rig, share):
         optional["advice"] = advice
     if drape:
-        lines += drape.warnings(share)
+        found += drape.warnings(share)
         optional["resimulation"] = drape.as_dict()
     return EstimateDocument.from_estimate(estimate, capture=about, checkpoint=header.identity,
-                                          warnings=lines, **optional)
+                                          warnings=found, **optional)
 
 
 def describe_strips(
@@ -67,7 +67,7 @@ def describe_strips(
         estimate, checkpoint=header.identity, strips=[record],
         capture=CaptureAbout(sources=[], rig="", labels=strips.labels,
                              density_g_m2=round(strips.density * 1e3, 6)),
-        warnings=[*estimate.warnings, *strips.warnings, *texts(estimate.contradictions)])
+        warnings=[*estimate.warnings, *strips.warnings, *estimate.contradictions])
 
 
 def describe_jointly(
@@ -77,18 +77,16 @@ def describe_jointly(
     captures = [document for document in documents if document.capture.source]
     records = [record for document in documents for record in document.strips or []]
     density = documents[0].density
-    warnings = [*estimate.warnings, *texts(estimate.contradictions), *(
-        f"{document.label} has {len(document.warnings)} "
-        f"warning{'s' * (len(document.warnings) > 1)} by itself: {document.warnings[0]}"
+    warnings = [*estimate.warnings, *estimate.contradictions, *(
+        Finding("part_has_warnings" if document.warnings[1:] else "part_has_warning", {
+            "label": document.label, "count": len(document.warnings),
+            "first": document.warnings[0].record})
         for document in documents if document.warnings)]
     if any(document.density != density for document in documents):
-        warnings.append("the captures state different densities: moduli are those at "
-                        f"{1e3 * density:g} g/m², that of the first; weigh the fabric once, and "
-                        "state the same density_g_m2 for all")
+        warnings.append(Finding("densities_differ", {"taken": 1e3 * density}))
     labels = Labels.joined([document.capture.labels for document in documents])
     if len({document.capture.labels.fabric for document in documents} - {None}) > 1:
-        warnings.append(f"the captures state different fabrics ({labels.fabric}): check that all "
-                        "are of one")
+        warnings.append(Finding("fabrics_differ", {"fabrics": labels.fabric}))
     sections: dict[str, Any] = {"captures": [
         CaptureRecord(capture=document.capture, moduli=document.moduli, warnings=document.warnings)
         for document in captures]} if captures else {}

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 
 from common.errors import InputError
-from common.findings import texts
 from common.normal import Normal
 from data.captures.capture import Capture
 from data.strips.folder import StripSet
@@ -129,8 +128,7 @@ def estimate_source(
     estimate = combine(prior_draws(header), evidence_of([record], [], source.density),
                        source.density, header, name="")
     document = describe_strips(estimate, source, record, header)
-    require_sound([*texts(estimate.contradictions), *source.warnings], options.strict,
-                  str(source.path))
+    require_sound([*estimate.contradictions, *source.warnings], options.strict, str(source.path))
     if out:
         remove_report(out)
         write_estimate(out, estimate, document)
@@ -160,7 +158,7 @@ def join(
     draws, contradictions = infer_jointly(captures, header)
     estimate = combine(draws, evidence_of(records, stated, density), density, header,
                        name=names[min(len(captures), 2)], contradictions=contradictions)
-    require_sound(texts(estimate.contradictions), strict, "the fabric")
+    require_sound(estimate.contradictions, strict, "the fabric")
     return estimate, describe_jointly(estimate, documents, header)
 
 

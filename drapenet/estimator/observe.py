@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import singledispatch
 
 from common.errors import InputError
+from common.findings import Finding
 from data.captures.capture import Capture, DepthCapture, OutlineCapture, ReportedCapture
 from data.render.setups import Setups
 from drapenet.views.checks import view_warnings
@@ -24,7 +25,7 @@ class Observed:
     seen: Observation
     views: LocatedViews | None = None
 
-    def warnings(self, setups: Setups) -> list[str]:
+    def warnings(self, setups: Setups) -> list[Finding]:
         """Faults of depth views, posed as the ``setups`` that were trained on or not; InputError if
         they show no drape."""
         if not (self.views and self.seen.map):

@@ -5,7 +5,7 @@ An error in one of the last three leaves the estimate of those before, with a wa
 
 import os
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from common.errors import MAX_LIST_LENGTH, InputError, one_line
 from common.files import replace_file
-from common.findings import texts
+from common.findings import Finding, texts
 from common.types import Metres
 from data.captures.capture import Capture, OutlineCapture, ReportedCapture
 from drapenet.config import EstimateOptions
@@ -60,7 +60,7 @@ class CaptureEstimate:
     observed: Observed
     header: Header
     draws: Draws
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Finding, ...] = ()
     refined: dict[str, Any] | None = None
     drape: "Resimulation | None" = None
 
@@ -69,9 +69,9 @@ class CaptureEstimate:
         """What was captured."""
         return self.observed.capture
 
-    def with_warnings(self, *lines: str) -> "CaptureEstimate":
+    def with_warnings(self, *found: Finding) -> "CaptureEstimate":
         """The same estimate with these warnings as well."""
-        return replace(self, warnings=(*self.warnings, *lines))
+        return replace(self, warnings=(*self.warnings, *found))
 
     @cached_property
     def estimate(self) -> Estimate:
@@ -105,36 +105,36 @@ def estimate_capture(
         write_observation(out, result.observed.seen)
     if options.refine:
         on_stage("refining", result)
-        result = _attempt(refine, result, "the network's estimate is not refined", out,
+        result = _attempt(refine, result, ("refinement_failed", "refinement_fault"), out,
                           settings=options.refine, progress=progress)
     if options.drapes:
         on_stage("simulating", result)
-        result = _attempt(simulate, result, "the report shows no simulated drape", out,
+        result = _attempt(simulate, result, ("drape_failed", "drape_fault"), out,
                           drapes=options.drapes, edge=options.edge)
     if options.drapes and out and not isinstance(capture, ReportedCapture):
-        result = _attempt(report, result, "there is no report", out, folder=out)
+        result = _attempt(report, result, ("report_failed", "report_fault"), out, folder=out)
     if out:
         write_estimate(out, result.estimate, result.document)
     return result
 
 
 def _attempt(
-    stage: Callable[..., CaptureEstimate], result: CaptureEstimate, loss: str, out: Path | None,
-    **settings: Any,
+    stage: Callable[..., CaptureEstimate], result: CaptureEstimate, codes: tuple[str, str],
+    out: Path | None, **settings: Any,
 ) -> CaptureEstimate:
-    """Outcome of a stage; if it fails, that of those before with a warning of the ``loss``, which
-    names the file with the traceback."""
+    """Outcome of a stage; if it fails, that of those before with a warning of the first of the
+    ``codes``, or of the second, which names a file with the traceback."""
     try:
         return stage(result, **settings)
     except Exception as error:
-        place = ""
+        values = {"error": f"{type(error).__name__}, {one_line(error)}"}
         if not isinstance(error, InputError):  # a fault of the program
             if RAISE in os.environ:
                 raise
             if out:
                 replace_file(out / FAULTS, traceback.format_exc().encode())
-                place = f"; please report it with the file {FAULTS} beside estimate.json"
-        return result.with_warnings(f"{loss}: {type(error).__name__}, {one_line(error)}{place}")
+                return result.with_warnings(Finding(codes[1], values | {"file": FAULTS}))
+        return result.with_warnings(Finding(codes[0], values))
 
 
 def by_network(capture: Capture, header: Header, *, strict: bool = False) -> CaptureEstimate:
@@ -143,22 +143,21 @@ def by_network(capture: Capture, header: Header, *, strict: bool = False) -> Cap
     if ``strict``, for a warning."""
     observed = observe(capture)
     result = CaptureEstimate(observed, header, infer(observed, header))
-    unlike = [likeness.warning(capture.rig.specimen_size) for likeness in result.draws.likeness]
     try:
         faults = observed.warnings(header.setups)
     except InputError as error:
         raise InputError(f"{capture.path}: {error}") from None
-    result = result.with_warnings(*faults, *filter(None, unlike))
-    require_sound([*result.warnings, *capture.warnings, *texts(result.estimate.contradictions)],
-                  strict, str(capture.path))
+    result = result.with_warnings(*faults, *result.draws.unlike(capture.rig.specimen_size))
+    require_sound([*result.warnings, *capture.warnings, *result.estimate.contradictions], strict,
+                  str(capture.path))
     return result
 
 
-def require_sound(faults: list[str], strict: bool, what: str) -> None:
+def require_sound(faults: Sequence[Finding], strict: bool, what: str) -> None:
     """InputError if there are faults and the user wants none."""
     if strict and faults:
-        raise InputError(f"{what}: refused because strict=true: {'; '.join(faults)}; strict=false "
-                         "estimates it with a warning", max_length=MAX_LIST_LENGTH)
+        raise InputError(f"{what}: refused because strict=true: {'; '.join(texts(faults))}; "
+                         "strict=false estimates it with a warning", max_length=MAX_LIST_LENGTH)
 
 
 def refine(
@@ -170,14 +169,14 @@ def refine(
 
     capture, views = result.capture, result.observed.views
     if capture.warp_direction is None or not views:
-        missing = "give warp_direction_deg" if views else "it shows no depth"
-        return result.with_warnings(f"the estimate is not refined: {missing}")
+        return result.with_warnings(Finding("refinement_unmarked" if views else
+                                            "refinement_without_depth"))
     scan = capture.shape if isinstance(capture, ScannedCapture) else None
     outcome = refine_capture(result.draws.cloth, views, result.header,
                              density=capture.density, warp=capture.warp_direction,
                              face=capture.sign, scan=scan, settings=settings, progress=progress)
     if outcome is None:
-        return result.with_warnings("no drape of the estimate converged; it is not refined")
+        return result.with_warnings(Finding("refinement_without_drape"))
     result = replace(result.with_warnings(*outcome.warnings),
                      refined=outcome.content | {"before": result.document.moduli})
     if not outcome.draws:
@@ -203,7 +202,7 @@ def simulate(result: CaptureEstimate, *, drapes: int, edge: Metres) -> CaptureEs
     else:
         return result
     if drape is None:
-        return result.with_warnings("no drape of the estimate converged; the report shows none")
+        return result.with_warnings(Finding("drape_missing"))
     return replace(result, drape=drape)
 
 

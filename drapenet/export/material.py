@@ -12,6 +12,7 @@ from pydantic import Field
 
 from common.documents import Schema
 from common.errors import InputError
+from common.findings import Finding, texts
 from common.types import Density, Moduli, QuadraticModuli
 from data.captures.description import MAX_LABEL_LENGTH, PRINTABLE
 from drapenet.result.document import EstimateDocument
@@ -103,15 +104,12 @@ class Material:
         """Metadata in JSON's types."""
         content, curvature = self.document.content(), self.settings.curvature_1_m
         capture = content["capture"]
-        warnings = [*content["warnings"], *(self.document.advice or [])]
-        if self.document.poorly_constrained:
-            warnings.append(self.document.mostly_usual)
-        if self.document.names != DIRECTIONS:
-            warnings.append("warp stands for the stiffer yarns and weft for the softer: the "
-                            "capture does not mark the warp")
+        document = self.document
+        found = [*document.warnings, *(document.advice or []), *document.mostly_usual]
+        if document.names != DIRECTIONS:
+            found.append(Finding("warp_unmarked"))
         if np.any(-self.beta * curvature > SOFTENING_LIMIT * self.alpha):
-            warnings.append(f"curvature_1_m={curvature:g} is outside the law: the torque is "
-                            "continued as a straight line there")
+            found.append(Finding("curvature_outside_law", {"value": curvature}))
         return {
             "made_by": "drapenet", "name": self.name, "estimate_sha256": self.identity,
             "source": capture.get("source") or capture.get("sources"),
@@ -120,7 +118,7 @@ class Material:
             "drape_coefficient_percent": capture.get("drape_coefficient_percent"),
             "moduli": content["moduli"], "modulus_at_curvature_1_m": curvature,
             "bent_to_50_1_m": (self.secant(BENT) / self.modulus).round(3).tolist(),
-            "warnings": warnings,
+            "warnings": texts(found),
         }
 
     @property

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from common.findings import Finding
 from common.types import Metres
 from drapenet.network.targets import CURL, TARGETS
 from drapenet.views.directions import AZIMUTH
@@ -80,28 +81,23 @@ class Likeness:
         return cls(probability, worst, *(float(each[worst] * _UNIT[worst])
                                          for each in (shape, low, high)))
 
-    def warning(self, size: Metres) -> str | None:
-        """A line if the capture of a specimen of ``size`` is unlike its posterior's drapes."""
+    def warning(self, size: Metres) -> Finding | None:
+        """A finding if the capture of a specimen of ``size`` is unlike its posterior's drapes."""
         if self.probability >= LEVEL:
             return None
-        what, of, unit = _NAMES[self.number]
-        value, low, high = (of(each, size) for each in (self.value, self.low, self.high))
-        return ("the capture is unlike the drapes of its estimate, which may be wrong: its "
-                f"{what} is {value:.3g}{unit}, theirs {low:.3g} to {high:.3g}{unit}; check that "
-                "the cloth is cut out rightly, the tester, the direction of the warp and the "
-                "density; if they are right, the fabric is unlike those trained on")
+        code, of = _CODES[self.number]
+        return Finding(code, {"value": of(self.value, size), "low": of(self.low, size),
+                              "high": of(self.high, size)})
 
 
 def _millimetres(value: float, size: Metres) -> float:
-    return 1e3 * np.exp(value) * size / 2
+    return 1e3 * math.exp(value) * size / 2
 
 
-_NAMES: tuple[tuple[str, Callable[[float, Metres], float], str], ...] = (
-    ("drape coefficient, as seen from the camera,", lambda value, size: 100 * value, " %"),
-    ("depth of folds", _millimetres, " mm rms"),
-    ("distance from the plate's axis", _millimetres, " mm"),
-    ("number of folds", lambda value, size: value, ""),
-    ("number of nodes", lambda value, size: value, ""))
+_CODES: tuple[tuple[str, Callable[[float, Metres], float]], ...] = (
+    ("unlike_coefficient", lambda value, size: 100 * value), ("unlike_depth", _millimetres),
+    ("unlike_offset", _millimetres), ("unlike_folds", lambda value, size: value),
+    ("unlike_nodes", lambda value, size: value))
 
 
 class Expected(torch.nn.Module):

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from common.findings import Finding
+from common.types import Metres
 from data.fabrics.fabrics import from_theta
 from data.fabrics.properties import ClothProperties
 from drapenet.network.checkpoint import Header
@@ -35,6 +37,11 @@ class Draws:
     known: bool
     impossible: float  # share of all samples that was not admissible and is removed
     likeness: tuple[Likeness, ...] = ()  # of each capture, if compared by a network that can
+
+    def unlike(self, size: Metres) -> list[Finding]:
+        """A finding for each capture, of specimens of a ``size``, that is unlike drapes of these
+        samples."""
+        return [found for one in self.likeness if (found := one.warning(size))]
 
     @classmethod
     def possible(

@@ -14,6 +14,7 @@ import numpy as np
 from tqdm import tqdm
 
 from common.configs import read_option
+from common.findings import Finding
 from common.normal import Normal
 from common.types import Density, Radians
 from data.fabrics.fabrics import THETA_NAMES
@@ -61,7 +62,7 @@ class Refinement:
     searched: Normal | None  # the posterior of the search alone
     content: dict[str, Any]  # the part ``refined`` of ``estimate.json``
     resimulation: Resimulation  # the refined drape beside the capture
-    warnings: tuple[str, ...]
+    warnings: tuple[Finding, ...]
 
 
 def refine_capture(
@@ -180,31 +181,26 @@ def _search(
         return search(sought, starts, free=free, prior=prior, progress=show)
 
 
-def _search_warnings(result: SearchResult) -> list[str]:
+def _search_warnings(result: SearchResult) -> list[Finding]:
     """Why the network's estimate stands; empty if it does not."""
     uncertainty = result.uncertainty
     certain = uncertainty is not None and np.isfinite(uncertainty.theta).all()
     if certain and uncertainty.reduced_chi2 >= MAX_REDUCED_CHI2:
-        return ["no simulated cloth fits the captured surface (squared misfit "
-                f"{uncertainty.reduced_chi2:.0f} times the measurement's errors, at "
-                f"most {MAX_REDUCED_CHI2:g}): the network's estimate stands; check tester, "
-                "specimen, cut-out and intrinsics"]
+        return [Finding("refinement_fits_nothing", {"value": float(uncertainty.reduced_chi2),
+                                                    "limit": MAX_REDUCED_CHI2})]
     if not result.improved:
-        return ["the refinement found no fabric that agrees better with the capture: the "
-                "network's estimate stands"]
+        return [Finding("refinement_no_better")]
     if not certain:
-        return ["the refinement gives no uncertainty: the network's estimate stands"]
+        return [Finding("refinement_uncertain")]
     return []
 
 
-def _scan_warnings(near: Fidelity | None) -> list[str]:
-    """A line if the released drape does not stay at the scan."""
-    if near and near.displacement_mm <= MAX_DISPLACEMENT_MM:
-        return []
-    end = (f"comes to rest {near.displacement_mm:.0f} mm from the scan (sound scans: up to "
-           f"{MAX_DISPLACEMENT_MM:g} mm)" if near else "does not come to rest at the scan")
-    return [f"the estimate's drape {end}: check the specimen's size and the support, and that the "
-            "cloth hung freely"]
+def _scan_warnings(near: Fidelity | None) -> list[Finding]:
+    """A warning if the released drape does not stay at the scan."""
+    if not near:
+        return [Finding("drape_leaves_scan")]
+    return [] if near.displacement_mm <= MAX_DISPLACEMENT_MM else [Finding("drape_off_scan", {
+        "value": float(near.displacement_mm), "limit": MAX_DISPLACEMENT_MM})]
 
 
 def _content(result: SearchResult, near: Fidelity | None, density: Density) -> dict[str, Any]:

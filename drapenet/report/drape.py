@@ -11,6 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
+from common.findings import Finding
 from common.types import Faces, Masks, Metres, Points, Radians, Turns, Views
 from data.render.cameras import Camera
 from data.render.raster import rasterise
@@ -90,22 +91,18 @@ class Resimulation:
         """Drape coefficient of the simulated drape, from 0 to 1."""
         return drape_coefficient(self.drape.positions, self.drape.faces, self.drape.rig)
 
-    def warnings(self, captured: float) -> list[str]:
-        """One line if the silhouettes overlap too little, and one if the simulated drape
+    def warnings(self, captured: float) -> list[Finding]:
+        """One if the silhouettes overlap too little, and one if the simulated drape
         coefficient is far from the ``captured`` one, from 0 to 1, NaN: unknown."""
-        lines = []
+        found = []
         if self.overlap < MIN_OVERLAP:
-            lines.append(
-                f"the simulated drape has only {self.overlap:.0%} of its silhouette in common with "
-                "the captured one: check the pictures, their intrinsics, the tester and the "
-                "direction of the warp; if they are right, the fabric is unlike those trained on")
+            found.append(Finding("silhouette_differs", {"value": float(self.overlap),
+                                                        "limit": MIN_OVERLAP}))
         if abs(self.coefficient - captured) > MAX_COEFFICIENT_GAP:
-            lines.append(
-                f"the simulated drape has a drape coefficient of {100 * self.coefficient:.1f} %, "
-                f"the captured one {100 * captured:.1f} % (limit {100 * MAX_COEFFICIENT_GAP:g} "
-                "points apart): check the specimen's sides, the tester, the direction of the warp "
-                "and the density; if they are right, the fabric is unlike those trained on")
-        return lines
+            found.append(Finding("coefficient_differs", {
+                "value": 100 * float(self.coefficient), "expected": 100 * float(captured),
+                "limit": 100 * MAX_COEFFICIENT_GAP}))
+        return found
 
     def as_dict(self) -> dict:
         """Drape coefficient, folds, overlap and statuses in JSON's types."""

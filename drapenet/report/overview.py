@@ -12,6 +12,7 @@ import numpy as np
 
 from common.errors import shortened
 from common.files import replace_file
+from common.findings import texts
 from drapenet.batch.captures import COLUMNS, Entry
 from drapenet.report.pages import render
 from drapenet.report.report import MAX_NAME_WIDTH, ShownCapture, write_report
@@ -160,7 +161,7 @@ def _fabric_row(fabric: FabricEstimate) -> dict[str, object]:
            for k, role in enumerate(ROLES)},
         "poorly_constrained": "; ".join(document.poorly_constrained),
         **document.capture.labels.columns,
-        "flags": "; ".join(document.warnings),
+        "flags": "; ".join(texts(document.warnings)),
     }
 
 
@@ -169,4 +170,4 @@ def _capture_row(entry: Entry, document: EstimateDocument) -> dict[str, object]:
             "directions": document.convention, **document.row(),
             "drape_coefficient_percent": document.capture.drape_coefficient_percent,
             "nodes": document.capture.nodes, **document.capture.labels.columns,
-            "flags": "; ".join(document.warnings)}
+            "flags": "; ".join(texts(document.warnings))}

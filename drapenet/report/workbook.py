@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import xlsxwriter
 from xlsxwriter.worksheet import Worksheet
 
+from common.findings import texts
 from data.captures.description import UNLABELLED
 from drapenet.result.document import MAX_COMPARED_SHARE, EstimateDocument, Quantity
 
@@ -86,7 +87,7 @@ def _rows(sample: Sample) -> list[list[str | float | None]]:
         rows.append([*sample.names.values(), about.density_g_m2, about.rig, face, name, *numbers,
                      100 * readings.kes_b_outside_law_probability, sample.coefficient,
                      sample.nodes, *about.labels.columns.values(), len(document.warnings),
-                     "; ".join(document.warnings)])
+                     "; ".join(texts(document.warnings))])
     return rows
 
 

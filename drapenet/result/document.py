@@ -7,11 +7,19 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field, InstanceOf, model_validator
+from pydantic import (
+    BeforeValidator,
+    Field,
+    InstanceOf,
+    PlainSerializer,
+    PlainValidator,
+    model_validator,
+)
 
 from common.documents import Excerpt
 from common.errors import shown
 from common.files import printable
+from common.findings import Finding, records, texts
 from common.types import Density
 from data.captures.description import Labels
 from data.captures.reported import Reported
@@ -28,7 +36,7 @@ if TYPE_CHECKING:
     from data.strips.posterior import StripEvidence
 
 SCHEMA = "drapenet-estimate"
-SCHEMA_VERSION = 5
+SCHEMA_VERSION = 6
 POORLY_CONSTRAINED = 0.7  # above this ratio of standard deviation and spread over fabrics
 CURVATURES = np.array([25.0, 50.0, 100.0, 200.0, 400.0])  # 1/m, of the tabulated law
 INTERVALS = {"interval_68": 0.68, "interval_90": 0.90}
@@ -44,6 +52,23 @@ Finite = Annotated[float | None, BeforeValidator(
     lambda value: None if isinstance(value, float) and not math.isfinite(value) else value)]
 """A number, None where it is not finite, for which JSON has no notation."""
 Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
+
+
+def _finding(content: Any) -> Finding:
+    """The finding of a record that has a code with a sentence, and its values."""
+    if isinstance(content, Finding):
+        return content
+    try:
+        code, values, source = (content[key] for key in ("code", "values", "source"))
+        records([found := Finding(code, values, source)])
+    except (AttributeError, IndexError, KeyError, TypeError, ValueError):
+        raise ValueError("is not the record of a finding") from None
+    return found
+
+
+Recorded = Annotated[Finding, PlainValidator(_finding),
+                     PlainSerializer(lambda found: found.record)]
+"""A finding; in JSON its :attr:`~common.findings.Finding.record`."""
 
 
 class Quantity(Excerpt):
@@ -150,7 +175,7 @@ class CaptureRecord(Excerpt):
 
     capture: CaptureAbout
     moduli: dict[str, DirectionModuli]
-    warnings: list[Text]
+    warnings: list[Recorded]
 
 
 class LinearRecord(Excerpt):
@@ -200,15 +225,6 @@ class StripsRecord(Excerpt):
             "strips": len(strips), "moduli": moduli, "known": strips.known})
 
 
-class FindingRecord(Excerpt):
-    """A finding: its code, what it is of, its line for people, and the numbers in it."""
-
-    code: str
-    source: Text
-    text: Text
-    values: dict[str, Any]
-
-
 class EstimateDocument(Excerpt):
     """The content of ``estimate.json``."""
 
@@ -231,9 +247,9 @@ class EstimateDocument(Excerpt):
     strips: list[StripsRecord] | None = None
     refined: RefinementRecord | None = None
     resimulation: dict[str, Any] | None = None
-    advice: list[Text] | None = None
-    warnings: list[Text]
-    contradictions: list[FindingRecord] | None = None  # their texts are among the warnings
+    advice: list[Recorded] | None = None
+    warnings: list[Recorded]
+    contradictions: list[Recorded] | None = None  # those among the warnings
 
     @model_validator(mode="after")
     def _require_directions(self) -> "EstimateDocument":
@@ -246,7 +262,7 @@ class EstimateDocument(Excerpt):
     @classmethod
     def from_estimate(
         cls, estimate: Estimate, *, capture: CaptureAbout | Mapping[str, Any],
-        checkpoint: Mapping[str, str], warnings: Sequence[str] = (), **sections: Any,
+        checkpoint: Mapping[str, str], warnings: Sequence[Finding] = (), **sections: Any,
     ) -> "EstimateDocument":
         """The document of an estimate, with all ``warnings`` and optional ``sections``."""
         names, first = estimate.names, estimate.names[0]
@@ -269,13 +285,11 @@ class EstimateDocument(Excerpt):
             "torque_mN": torque_table(estimate, CURVATURES),
             "cloth": _properties(estimate),
             "checkpoint": checkpoint, **sections, "warnings": list(warnings),
-            "contradictions": [{"code": found.code, "source": printable(found.source),
-                                "text": found.text, "values": found.values}
-                               for found in estimate.contradictions]})
+            "contradictions": list(estimate.contradictions)})
 
-    def warned(self, *lines: str) -> "EstimateDocument":
+    def warned(self, *found: Finding) -> "EstimateDocument":
         """The document with further warnings."""
-        return self.model_copy(update={"warnings": [*self.warnings, *lines]}) if lines else self
+        return self.model_copy(update={"warnings": [*self.warnings, *found]}) if found else self
 
     @property
     def names(self) -> tuple[str, str, str]:
@@ -317,10 +331,10 @@ class EstimateDocument(Excerpt):
             for known in stated if known for (name, k), value in known.values().items()))
 
     @property
-    def mostly_usual(self) -> str:
-        """What is poorly constrained, in words."""
-        return ("poorly constrained, so that the values are mostly those of usual fabrics: "
-                + ", ".join(self.poorly_constrained))
+    def mostly_usual(self) -> list[Finding]:
+        """What is poorly constrained, if anything."""
+        return [Finding("mostly_usual", {"moduli": ", ".join(self.poorly_constrained)})
+                ] * bool(self.poorly_constrained)
 
     def content(self) -> dict[str, Any]:
         """The document in JSON's types."""
@@ -335,8 +349,7 @@ class EstimateDocument(Excerpt):
         for name, moduli in self.moduli.items():
             (alpha, alphas), (beta, betas) = moduli.alpha_uN_m.texts(), moduli.beta_nN_m2.texts()
             lines.append(f"{name:8}{alpha:>14}{alphas:>20}{beta:>16}{betas:>20}")
-        if self.poorly_constrained:
-            lines.append(self.mostly_usual)
+        lines += texts(self.mostly_usual)
         if refined := self.refined:
             before = ", ".join(f"{name} {moduli.alpha_uN_m.texts()[0]}"
                                for name, moduli in refined.before.items())
@@ -372,8 +385,8 @@ class EstimateDocument(Excerpt):
             simulated = (self.resimulation or {}).get("drape_coefficient_percent")
             lines.append(f"drape coefficient {coefficient:.1f} %, as captured"
                          + (f", {simulated:.1f} % simulated" if simulated else ""))
-        lines += [f"advice: {line}" for line in self.advice or []]
-        return "\n".join(lines + [f"warning: {line}" for line in self.warnings])
+        lines += [f"advice: {line}" for line in texts(self.advice or [])]
+        return "\n".join(lines + [f"warning: {line}" for line in texts(self.warnings)])
 
     @property
     def has_kes(self) -> bool:

@@ -37,7 +37,7 @@ class Estimate:
         cloth: S samples.
         names: of the directions: warp, bias, weft or stiff, bias, soft.
         spread: standard deviation of theta over fabrics.
-        warnings: of the samples alone, one line each.
+        warnings: of the samples alone.
         contradictions: a finding for each source that contradicts others.
     """
 
@@ -45,7 +45,7 @@ class Estimate:
     names: tuple[str, str, str]
     density: Density
     spread: Theta
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Finding, ...] = ()
     contradictions: tuple[Finding, ...] = ()
 
     def __repr__(self) -> str:
@@ -130,15 +130,15 @@ def make_estimate(draws: "Draws", *, density: Density, header: "Header") -> Esti
     estimate = Estimate(draws.cloth, names, density, header.spread)
     warnings = _extrapolations(estimate, header)
     if draws.impossible > MAX_INADMISSIBLE_SHARE:
-        warnings.append(f"{draws.impossible:.0%} of the posterior samples had moduli that no plate "
-                        "can have, and were removed: check the specimen and the pictures")
+        warnings.append(Finding("samples_impossible", {"value": float(draws.impossible),
+                                                       "limit": MAX_INADMISSIBLE_SHARE}))
     return replace(estimate, warnings=tuple(warnings))
 
 
-def _extrapolations(estimate: Estimate, header: "Header") -> list[str]:
-    """One line for each modulus outside the fabrics trained on, in either order of the yarns."""
+def _extrapolations(estimate: Estimate, header: "Header") -> list[Finding]:
+    """A finding for each modulus outside the fabrics trained on, in either order of the yarns."""
     edges = np.array([header.fabrics.low, header.fabrics.high])
     low, high = np.stack([edges, edges[:, SWAPPED]], axis=1)
     outside = (estimate.theta < low.min(axis=0)) | (estimate.theta > high.max(axis=0))
-    return [f"{name} lies outside the fabrics of the training set: an extrapolation"
+    return [Finding("modulus_extrapolated", {"modulus": name})
             for name, out in zip(estimate.modulus_names, outside, strict=True) if out]

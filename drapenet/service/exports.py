@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from common.errors import InputError
+from common.findings import Finding
 from common.workers import end_with_parent
 from drapenet.service.database import DONE, FAILED, LOST, Database, database_in
 
@@ -86,8 +87,7 @@ def _estimated(database: Database, fabric: Mapping[str, Any]) -> "FabricEstimate
     captures = [row for row in rows.values() if row["members"] is None]
     document, joined = documents[result["id"]], result["members"] or [result["id"]]
     if apart := [row["name"] for row in captures if row["id"] not in joined]:
-        document = document.warned(
-            f"this estimate is made without {', '.join(apart)}, not joined with it")
+        document = document.warned(Finding("captures_apart", {"captures": ", ".join(apart)}))
     return FabricEstimate(
         fabric["name"], Path(fabric["id"]),
         [(Entry(fabric["name"], "", row["name"], Path(), Path(row["id"])), documents[row["id"]])

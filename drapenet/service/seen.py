@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from common.errors import InputError
+from common.findings import records
 from common.workers import end_with_parent
 
 LOOK = ".photograph-"  # beginning of the name of a folder with a photograph
@@ -56,7 +57,7 @@ def photograph_as_read(folder: Path) -> dict[str, Any]:
         answer["outline"] = np.round((seen.hem + 0.5) * share - 0.5, 1).tolist()
     if seen.outline:
         answer |= {"drape_coefficient_percent": round(100 * seen.outline.drape_coefficient, 1),
-                   "nodes": seen.outline.folds, "warnings": list(seen.outline.warnings)}
+                   "nodes": seen.outline.folds, "warnings": records(seen.outline.warnings)}
     return answer
 
 

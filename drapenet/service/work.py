@@ -13,6 +13,7 @@ from common.configs import read_option
 from common.documents import read_json
 from common.errors import InputError
 from common.files import replace_file
+from common.findings import Finding, records
 from common.workers import end_with_parent
 from drapenet.batch.captures import plain_name
 from drapenet.config import EstimateOptions
@@ -53,7 +54,7 @@ def work(folder: Path, checkpoint: str) -> None:
     try:
         make = _estimate if row["members"] is None else _estimate_jointly
         estimate, warnings = make(folder, row, read_header(checkpoint), record)
-        record(state=DONE, warnings=warnings, estimate=read_json(folder / ESTIMATE),
+        record(state=DONE, warnings=records(warnings), estimate=read_json(folder / ESTIMATE),
                curves=torque_table(estimate, CURVATURES))
     except InputError as error:
         record(state=FAILED, error=str(error.within(uploaded, row["name"]).within(folder.parent)))
@@ -61,7 +62,7 @@ def work(folder: Path, checkpoint: str) -> None:
 
 def _estimate(
     folder: Path, row: dict[str, Any], header: Any, record: Callable
-) -> tuple[Any, list[str]]:
+) -> tuple[Any, list[Finding]]:
     """The estimate of an upload, and its warnings."""
     from drapenet.estimator.estimate import estimate_source
     from drapenet.report.figures import draw_torques
@@ -70,7 +71,7 @@ def _estimate(
     task = row["task"]
     record(stage="reading")
     source = _read(folder, row)
-    record(stage="estimating", warnings=list(source.warnings))
+    record(stage="estimating", warnings=records(source.warnings))
     refine = task["refine"] and dict(read_option("refine", "simulation"))
     latest = 0.0
 
@@ -82,8 +83,9 @@ def _estimate(
 
     estimate, part = estimate_source(
         source, header, EstimateOptions(refine=refine or None), out=folder,
-        on_stage=lambda stage, found: record(stage=stage, warnings=found.document.warnings,
-                                             estimate=read_json(folder / ESTIMATE)),
+        on_stage=lambda stage, found: record(
+            stage=stage, warnings=records(found.document.warnings),
+            estimate=read_json(folder / ESTIMATE)),
         progress=progress)
     if not (folder / TORQUES).exists():  # without pictures of a drape
         replace_file(folder / TORQUES, draw_torques(estimate))
@@ -131,7 +133,7 @@ def _as_named(part: Any, fabric: str) -> Any:
 
 def _estimate_jointly(
     folder: Path, row: dict[str, Any], header: Any, record: Callable
-) -> tuple[Any, list[str]]:
+) -> tuple[Any, list[Finding]]:
     """The joint estimate of a fabric's captures and strips, and its warnings."""
     from drapenet.estimator.estimate import join, read_part, write_joint
     from drapenet.report.figures import draw_torques

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from common.errors import InputError
+from common.findings import Finding
 from common.types import Density, Metres, Radians
 from data.captures.capture import DepthCapture
 from data.captures.description import Specimen
@@ -43,7 +44,7 @@ class ScanRegistration:
 
     shape: CapturedShape
     distance: Metres  # mean of hanging vertices from the scanned surface; 0 for its own vertices
-    notes: tuple[str, ...] = ()  # what was changed of a raw scan
+    warnings: tuple[Finding, ...] = ()  # what was changed of a raw scan
 
 
 def read_shape(path: Path, rig: Rig, *, edge: Metres = EDGE) -> ScanRegistration:
@@ -58,7 +59,7 @@ def read_shape(path: Path, rig: Rig, *, edge: Metres = EDGE) -> ScanRegistration
         cloud = (Cloud.of_mesh(raw.points, raw.faces) if len(raw.faces)
                  else Cloud.of_points(raw.points))
         check_rim(cloud.points, path, rig)
-        registration = replace(register(cloud, rig, edge=edge), notes=raw.notes)
+        registration = replace(register(cloud, rig, edge=edge), warnings=raw.warnings)
         laid = Cloud.of_mesh(registration.shape.positions, registration.shape.faces)
         away = cKDTree(laid.points).query(cloud.points)[0]
         if (foreign := float((away > _FOREIGN_DISTANCE).mean())) > _MAX_FOREIGN_SHARE:
@@ -98,7 +99,7 @@ def read_scan_capture(path: Path, specimen: Specimen) -> ScannedCapture:
     """A scan of a drape on the disc rig as a capture."""
     scan = read_shape(path, DISC_RIG)
     capture = scan_capture(path, scan.shape, specimen.density, specimen.warp_direction)
-    return replace(capture, warnings=specimen.questions + scan.notes)
+    return replace(capture, warnings=specimen.questions + scan.warnings)
 
 
 def scan_capture(

@@ -6,6 +6,7 @@ the same cloth. Few correct simulated captures exceed the limits (``python -m ex
 """
 
 import json
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -15,6 +16,7 @@ import numpy as np
 from scipy.ndimage import binary_erosion, binary_fill_holes, label
 
 from common.errors import InputError
+from common.findings import Finding
 from common.types import Metres, Turns
 from data.captures.check import Check, warnings_of
 from data.captures.plate import INNER_SHARE
@@ -47,8 +49,10 @@ MAX_PIXEL = 2.6e-3  # m; training captures have up to 2.1 mm
 MAX_TURN_ERROR = np.radians(7.5)  # rad: 3 standard deviations of the training captures
 TILT, SHIFT = np.radians(2.0), 0.020  # rad and m, errors of the estimated pose
 MIN_IMPROVEMENT = 1.35  # factor by which another reading must reduce the disagreement of the views
-RAYS = "depth is the length of the ray; give depth along the optical axis"
 MAX_SWAPPED_VIEWS = 4  # maximum number of views for which all pairs are tried swapped
+
+Reading = tuple[str, dict[str, int]]
+"""Another reading of the views: code and values of its finding."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +64,7 @@ class Quality:
     bulge: Metres  # height of the middle of the cloth on the plate over its edge
     off_plate: float  # share of the points over the plate's middle that are off its plane
     disagreement: Metres  # between views of the same cloth
-    misread: str  # explanation of a disagreement with its remedy; empty if there is none
+    misread: Finding | None  # explanation of a disagreement with its remedy
     holes: float  # share of the cloth's pixels that have no depth
     hole: int  # pixels of the largest
     cut: float  # share of a view's border that has the same depth, maximum over views
@@ -68,8 +72,8 @@ class Quality:
     coefficient: float  # of the drape, from 0 to 1
 
 
-def view_warnings(located: LocatedViews, drape: RadialMap, setups: Setups) -> list[str]:
-    """One line for each possible fault of a capture; InputError if its views show no plate."""
+def view_warnings(located: LocatedViews, drape: RadialMap, setups: Setups) -> list[Finding]:
+    """A finding for each possible fault of a capture; InputError if its views show no plate."""
     quality = measure(located, drape)
     require_plate(quality)
     return warnings_of(view_checks(located, quality, setups))
@@ -86,17 +90,14 @@ def pose_checks(camera: Camera, setups: Setups) -> Iterator[Check]:
     up, centre = camera.world_to_camera[:3, 2], camera.world_to_camera[:3, 3]
     pitch = np.arcsin(np.clip(-up[2], -1.0, 1.0))
     distance = float(np.linalg.norm(centre))
-    low, high = np.degrees(setups.pitch)
+    low, high = setups.pitch
     near, far = setups.distance
-    sound = setups.pitch[0] - TILT < pitch < setups.pitch[1] + TILT
-    yield Check("camera looks down by", f"{np.degrees(pitch):.0f}°", "" if sound else (
-        f"the plate is seen from {np.degrees(pitch):.0f}° above the horizontal (limits "
-        f"{low:.0f}° to {high:.0f}°): check that the pictures are upright, their intrinsics, and "
-        "the camera's position"))
-    sound = near - SHIFT < distance < far + SHIFT
-    yield Check("distance of the plate", f"{1e3 * distance:.0f} mm", "" if sound else (
-        f"the plate is {1e3 * distance:.0f} mm away (limits {1e3 * near:.0f} to "
-        f"{1e3 * far:.0f} mm): check the depth unit, the intrinsics and the camera's position"))
+    yield Check("camera looks down by", f"{np.degrees(pitch):.0f}°", Finding("camera_pitch", {
+        "value": math.degrees(pitch), "low": math.degrees(low), "high": math.degrees(high)})
+        if not low - TILT < pitch < high + TILT else None)
+    yield Check("distance of the plate", f"{1e3 * distance:.0f} mm", Finding("camera_distance", {
+        "value": 1e3 * distance, "low": 1e3 * near, "high": 1e3 * far})
+        if not near - SHIFT < distance < far + SHIFT else None)
 
 
 def turn_checks(located: LocatedViews) -> Iterator[Check]:
@@ -104,10 +105,9 @@ def turn_checks(located: LocatedViews) -> Iterator[Check]:
     pairs = zip(located.turns, located.stated_turns, strict=True)
     for k, (turn, stated) in enumerate(pairs):
         if k:
-            sound = abs(turn - stated) < MAX_TURN_ERROR
-            yield Check(f"table in view {k}", f"{np.degrees(turn):.0f}°", "" if sound else (
-                f"the table was turned by {np.degrees(turn):.0f}° in view {k}, not by "
-                f"{np.degrees(stated):.0f}°: the estimate may be wrong; take the views again"))
+            yield Check(f"table in view {k}", f"{np.degrees(turn):.0f}°", Finding("table_turned", {
+                "view": k, "value": math.degrees(turn), "stated": math.degrees(stated)})
+                if abs(turn - stated) >= MAX_TURN_ERROR else None)
 
 
 def measure(located: LocatedViews, drape: RadialMap) -> Quality:
@@ -127,74 +127,67 @@ def measure(located: LocatedViews, drape: RadialMap) -> Quality:
         coefficient=outline_of_map(drape, rig).coefficient(rig))
 
 
-def _misread(located: LocatedViews, gap: float) -> str:
-    """The reading of the views that reduces their disagreement by far the most; empty if none."""
+def _misread(located: LocatedViews, gap: float) -> Finding | None:
+    """The reading of the views that reduces their disagreement by far the most."""
     if not np.isfinite(gap):
-        return ""
+        return None
     clouds, camera, rig = located.clouds, located.camera, located.rig
-    gaps = {reading: disagreement(clouds, *register(clouds, turns, rig), rig)
-            for reading, turns in _turn_readings(located.stated_turns).items()}
+    gaps = [(disagreement(clouds, *register(clouds, turns, rig), rig), reading)
+            for reading, turns in _turn_readings(located.stated_turns)]
     along = located.views / np.linalg.norm(camera.directions(), axis=2)
     clouds = [camera.cloth_points(view) for view in along]
-    gaps[RAYS] = disagreement(clouds, *register(clouds, located.stated_turns, rig), rig)
-    best = min(gaps, key=lambda reading: np.nan_to_num(gaps[reading], nan=np.inf))
-    return best if gap > MIN_IMPROVEMENT * gaps[best] else ""
+    gaps.append((disagreement(clouds, *register(clouds, located.stated_turns, rig), rig),
+                 ("depth_along_rays", {})))
+    least, (code, values) = min(gaps, key=lambda found: np.nan_to_num(found[0], nan=np.inf))
+    return Finding(code, {"value": 1e3 * gap, "factor": MIN_IMPROVEMENT} | values
+                   ) if gap > MIN_IMPROVEMENT * least else None
 
 
-def _turn_readings(stated: Turns) -> dict[str, Turns]:
-    """Other turns of the table, each different, by an explanation with its remedy."""
-    readings = {"the table turned the other way, or the pictures are mirrored; give turns_deg, "
-                "number the views backwards, or switch off the mirroring": -stated}
+def _turn_readings(stated: Turns) -> list[tuple[Reading, Turns]]:
+    """Other turns of the table, each different, with their explanations."""
+    readings: list[tuple[Reading, Turns]] = [(("turned_backwards", {}), -stated)]
     count = len(stated)
     for later in range(1, count):
         stayed = stated.copy()
         stayed[later] = stated[later - 1]
-        readings[f"the table did not turn before view {later}; take it again"] = stayed
+        readings.append((("table_did_not_turn", {"view": later}), stayed))
         for earlier in range(later):
             if count <= MAX_SWAPPED_VIEWS or later == earlier + 1:
                 swapped = stated.copy()
                 swapped[[earlier, later]] = stated[[later, earlier]]
-                readings[f"views {earlier} and {later} are swapped; number them as they were taken"
-                         ] = swapped - swapped[0]
-    distinct: dict[str, Turns] = {}
-    for reading, turns in readings.items():  # four quarter turns backwards: views 1, 3 swapped
+                readings.append((("views_swapped", {"earlier": earlier, "later": later}),
+                                 swapped - swapped[0]))
+    distinct: list[tuple[Reading, Turns]] = []
+    for reading, turns in readings:  # four quarter turns backwards: views 1, 3 swapped
         if not any(np.allclose(np.exp(1j * turns), np.exp(1j * former))
-                   for former in distinct.values()):
-            distinct[reading] = turns
+                   for _, former in distinct):
+            distinct.append((reading, turns))
     return distinct
 
 
 def quality_checks(q: Quality) -> Iterator[Check]:
-    """Checks of the quality of views; a warning has quantity, limit, remedy."""
+    """Checks of the quality of views."""
     yield from size_checks(q.sizes, MAX_SIZE_ERROR)
-    yield Check("specimen's centre off the axis", _shown(1e3 * q.offset, "mm"), (
-        f"the specimen's centre lies {1e3 * q.offset:.0f} mm from the plate's axis (at most "
-        f"{1e3 * MAX_OFFSET:g} mm): place it on the plate again") * bool(q.offset > MAX_OFFSET))
-    yield Check("bulge of the plate", _shown(1e3 * q.bulge, "mm", 1), (
-        f"the plate looks curved by {1e3 * q.bulge:.1f} mm (sound captures: within "
-        f"{1e3 * MAX_BULGE:g} mm): depth must be along the optical axis, not the length of "
-        "the ray; check the lens's distortion") * bool(abs(q.bulge) > MAX_BULGE))
-    gap = f"views differ by {1e3 * q.disagreement:.1f} mm where they show the same cloth"
-    apart = ""
-    if q.misread:
-        apart = f"{gap}, but fit better by a factor of more than {MIN_IMPROVEMENT:g} if {q.misread}"
-    elif q.disagreement > MAX_DISAGREEMENT:
-        apart = (f"{gap} (sound captures: up to {1e3 * MAX_DISAGREEMENT:g} mm): check turns_deg, "
-                 "fx and fy, and that the cloth did not move")
-    yield Check("difference of views", _shown(1e3 * q.disagreement, "mm", 1), apart)
-    holed = q.holes > MAX_HOLES_SHARE or q.hole > MAX_HOLE_PIXELS
-    yield Check("cloth without depth", f"{q.holes:.1%}, {q.hole} px in one hole", (
-        f"{q.holes:.1%} of the cloth's pixels have no depth, {q.hole} in one hole (sound "
-        f"captures: up to {MAX_HOLES_SHARE:.0%} and {MAX_HOLE_PIXELS}): change exposure, "
-        "light or distance") * holed)
-    yield Check("border of one depth", _shown(100 * q.cut, "%"), (
-        f"{q.cut:.0%} of a view's border has one and the same depth (sound captures: up to "
-        f"{MAX_CUT_SHARE:.0%}): a threshold of the depth has cut off the cloth; cut it out "
-        "by geometry or colour") * bool(q.cut > MAX_CUT_SHARE))
-    yield Check("pixel on the plate", _shown(1e3 * q.pixel, "mm", 1), (
-        f"a pixel spans {1e3 * q.pixel:.1f} mm on the plate (at most {1e3 * MAX_PIXEL:g} "
-        "mm): move the camera nearer") * (q.pixel > MAX_PIXEL))
+    yield Check("specimen's centre off the axis", _shown(1e3 * q.offset, "mm"), _beyond(
+        "specimen_off_axis", 1e3 * q.offset, 1e3 * MAX_OFFSET))
+    yield Check("bulge of the plate", _shown(1e3 * q.bulge, "mm", 1), _beyond(
+        "plate_curved", 1e3 * q.bulge, 1e3 * MAX_BULGE))
+    yield Check("difference of views", _shown(1e3 * q.disagreement, "mm", 1), q.misread or _beyond(
+        "views_differ", 1e3 * q.disagreement, 1e3 * MAX_DISAGREEMENT))
+    yield Check("cloth without depth", f"{q.holes:.1%}, {q.hole} px in one hole", Finding(
+        "depth_holes", {"value": q.holes, "limit": MAX_HOLES_SHARE, "pixels": q.hole,
+                        "limit_pixels": MAX_HOLE_PIXELS})
+        if q.holes > MAX_HOLES_SHARE or q.hole > MAX_HOLE_PIXELS else None)
+    yield Check("border of one depth", _shown(100 * q.cut, "%"), _beyond(
+        "border_cut", q.cut, MAX_CUT_SHARE))
+    yield Check("pixel on the plate", _shown(1e3 * q.pixel, "mm", 1), _beyond(
+        "pixel_on_plate_large", 1e3 * q.pixel, 1e3 * MAX_PIXEL))
     yield coefficient_check(q.coefficient, 1.0)
+
+
+def _beyond(code: str, value: float, limit: float) -> Finding | None:
+    """A finding if a value is larger than its limit; not if it is NaN."""
+    return Finding(code, {"value": value, "limit": limit}) if abs(value) > limit else None
 
 
 def _shown(value: float, unit: str, places: int = 0) -> str:
@@ -206,25 +199,22 @@ def size_checks(sizes: Sizes, limit: float) -> Iterator[Check]:
     ``limit``."""
     low, high = np.exp(-limit), np.exp(limit)
     rig = sizes.rig
-    parts = (("specimen", sizes.specimen, rig.specimen_size, rig.millimetres),
-             ("plate", sizes.plate, rig.plate_diameter, f"{1e3 * rig.plate_diameter:g}"))
-    for name, size, one, stated in parts:
+    parts = (("specimen", "specimen_size", sizes.specimen, rig.specimen_size, rig.millimetres),
+             ("plate", "plate_size", sizes.plate, rig.plate_diameter,
+              f"{1e3 * rig.plate_diameter:g}"))
+    for name, code, size, one, stated in parts:
         ratio = size / one
         measured = "x".join(f"{ratio * float(side):.0f}" for side in stated.split("x"))
         shown = f"{measured} mm (stated: {stated})" if np.isfinite(size) else "not seen"
-        yield Check(name, shown, (
-            f"the {name} measures {measured} mm, {ratio:.2f} times the stated "
-            f"{stated} mm (limits {low:.2f} to {high:.2f}): state the "
-            "tester with its sizes; if they are right, check depth unit and scale, fx and fy, the "
-            "cut-out, and that the pictures are upright") * bool(ratio < low or ratio > high))
+        yield Check(name, shown, Finding(code, {
+            "value": float(ratio), "low": float(low), "high": float(high), "measured": measured,
+            "stated": stated}) if ratio < low or ratio > high else None)
 
 
 def coefficient_check(coefficient: float, limit: float) -> Check:
     """Check of a drape coefficient, from 0 to 1: a warning if it exceeds a ``limit``."""
-    return Check("drape coefficient", _shown(100 * coefficient, "%"), (
-        f"the drape coefficient is {coefficient:.0%}, only 0 to 100 % is possible: check that the "
-        "pictures are depth, the specimen's size, the tester and the scale"
-    ) * bool(coefficient > limit))
+    return Check("drape coefficient", _shown(100 * coefficient, "%"), _beyond(
+        "coefficient_impossible", float(coefficient), limit))
 
 
 def require_plate(quality: Quality) -> None:
@@ -232,7 +222,7 @@ def require_plate(quality: Quality) -> None:
     sizes = size_checks(quality.sizes, REFUSED_SIZE_ERROR) if quality.sizes.views > 1 else ()
     coefficient = coefficient_check(quality.coefficient, REFUSED_COEFFICIENT)
     if wrong := warnings_of([*sizes, coefficient]):
-        raise InputError(wrong[0])
+        raise InputError(wrong[0].text)
     if quality.off_plate > MAX_OFF_PLATE:
         raise InputError(
             f"{quality.off_plate:.0%} of the points over the plate's middle lie more than "

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from common.errors import InputError
+from common.findings import texts
 from common.vectors import angle_between
 from data.captures.cutout import CutOut, cut_out
 from data.render.rays import QUARTERS
@@ -44,7 +45,7 @@ def case(*, number: int, sensor: str, clutter: str, rig: str, edge_mm: float, se
         return {"failed": str(error)}
     empty = cut_out(scene.frames, intrinsics, tester, scene.background)
     found = {"failed": "", "iou": overlap(cut.masks, scene.cloth),
-             "iou_background": overlap(empty.masks, scene.cloth), "warnings": list(cut.warnings),
+             "iou_background": overlap(empty.masks, scene.cloth), "warnings": texts(cut.warnings),
              "column_mm": 1e3 * scene.column,
              "column_found_mm": 1e3 * cut.column if cut.column else None,
              **plate_errors(cut, scene)}

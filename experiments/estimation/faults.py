@@ -14,6 +14,7 @@ from scipy import ndimage
 from tqdm import tqdm
 
 from common.errors import InputError
+from common.findings import texts
 from data.captures.capture import DepthCapture
 from data.captures.view_checks import checked_views
 from data.fabrics.fabrics import fabric_from_theta
@@ -165,7 +166,7 @@ def find_warnings(
             return ["corrected"]
     located = LocatedViews.cut_out(checked.views, checked.intrinsics, rig, checked.turns)
     try:
-        return [*checked.warnings, *view_warnings(located, radial_map(located), setups)]
+        return texts([*checked.warnings, *view_warnings(located, radial_map(located), setups)])
     except InputError as error:
         return [str(error)]
 

@@ -6,12 +6,14 @@ lies outside the 99 % interval, and the estimates with such directions that have
 """
 
 import csv
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from common.findings import Finding, texts
 from data.fabrics.fabrics import to_theta
 from data.render.setups import Setups
 from data.rigs import named_tester
@@ -59,11 +61,11 @@ def estimated(
             "outline": _judged(draws, theta, [*estimate.warnings, *unlike])}
 
 
-def _judged(draws: Draws, theta: list[float], warnings: list[str]) -> dict[str, Any]:
+def _judged(draws: Draws, theta: list[float], warnings: Sequence[Finding]) -> dict[str, Any]:
     samples, true = draws.cloth.theta[:, LINEAR], np.array(theta)[LINEAR]
     low, high = np.quantile(samples, [0.005, 0.995], axis=0)
     return {"error": (samples.mean(axis=0) - true).tolist(),
-            "outside": int(((true < low) | (true > high)).sum()), "warnings": warnings}
+            "outside": int(((true < low) | (true > high)).sum()), "warnings": texts(warnings)}
 
 
 def run(config: Config) -> Result:

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from common.errors import InputError
+from common.findings import texts
 from common.types import Metres, Outline
 from data.captures.capture import OutlineCapture
 from data.captures.photograph import AZIMUTHS, PhotographedOutline
@@ -62,7 +63,7 @@ def case(*, number: int, rig: str, edge_mm: float, seed: int) -> dict:
     alpha, sure = _log_alpha(read.outline, tester, picture.warp)
     best, _ = _log_alpha(perfect, tester, picture.warp)
     return known | {
-        "refused": "", "warnings": list(read.warnings),
+        "refused": "", "warnings": texts(read.warnings),
         "reading_mm": _rms(replace(read.outline, curve=seen).radii - true_seen), "outline_mm": _rms(
             read.outline.radii - true_axis),
         "height_error": read.outline.height / place[2] - 1,

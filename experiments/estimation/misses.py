@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from common.command import compose_config
+from common.findings import texts
 from data.dataset.config import Options, config_from_options
 from data.dataset.plan import plan_drape
 from data.render.setups import Setups
@@ -46,7 +47,7 @@ def captured(*, tester: str, number: int, seed: int, edge_mm: float) -> dict[str
     found = {}
     if views.drape and seen:
         found["depth views"] = _compared(views.drape, seen.coefficient(plan.rig)) | {
-            "unlike": [one.warning(plan.rig.specimen_size) for one in views.draws.likeness]}
+            "unlike": texts(views.draws.unlike(plan.rig.specimen_size))}
     radius = outline_of(shape).radius
     found["outline"] = _outline(radius, plan.rig)
     middle = rng.uniform(0, 2 * np.pi)
@@ -63,7 +64,7 @@ def _outline(radius: np.ndarray, rig: Rig) -> dict[str, Any]:
     drape = resimulate_outline(estimate.fabric, outline, rig, edge=4e-3, drapes=2,
                                laws=estimate.nuisances.laws)
     compared = _compared(drape, outline.coefficient(rig)) if drape else {}
-    return compared | {"unlike": unlike, "extrapolated": bool(estimate.warnings)}
+    return compared | {"unlike": texts(unlike), "extrapolated": bool(estimate.warnings)}
 
 
 def _compared(drape: Resimulation, coefficient: float) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from common.errors import InputError
+from common.findings import texts
 from experiments.drapes import drape_as_planned, header, plan_specimen
 from experiments.estimation.refine_views import (
     METHODS,
@@ -61,7 +62,7 @@ def refine_scan(scan: "ScanRegistration") -> dict:
         raise InputError("no simulated cloth converges at the scan")
     return {"refined": result.content, "gained": result.draws is not None,
             "seconds": time.perf_counter() - began, "registered_mm": 1e3 * scan.distance,
-            "spread": estimate.spread.tolist(), "warnings": list(result.warnings),
+            "spread": estimate.spread.tolist(), "warnings": texts(result.warnings),
             "arrays": searched_samples(result, estimate)}
 
 

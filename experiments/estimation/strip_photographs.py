@@ -19,6 +19,7 @@ import numpy as np
 import yaml
 
 from common.errors import InputError
+from common.findings import texts
 from common.normal import Normal
 from data.render.strips import StripScene, posed
 from data.strips.description import FILE
@@ -132,7 +133,7 @@ def estimate_case(*, number: int) -> dict:
     size = np.array([measured, measured * max(abs(ratio), MIN_RATIO)])
     return truth | {
         "failed": "",
-        "warnings": [line for strip in strips.photographs for line in strip.warnings],
+        "warnings": texts(one for strip in strips.photographs for one in strip.warnings),
         "curl_found": found.curl,
         "curve_mm": [1e3 * float(np.sqrt((each**2).mean())) for each in off],
         "curve_largest_mm": [1e3 * float(np.abs(each).max()) for each in off],
@@ -262,7 +263,7 @@ def fault_case(*, kind: str, number: int) -> dict:
         strips.evidence(priors())
     except InputError as error:
         return {"answer": str(error).partition("strip.png: ")[2] or str(error)}
-    return {"answer": "; ".join(strips.photographs[0].warnings)}
+    return {"answer": "; ".join(texts(strips.photographs[0].warnings))}
 
 
 def run(config: Config) -> Result:

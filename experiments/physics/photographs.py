@@ -23,6 +23,7 @@ from pydantic import Field
 
 from common.documents import Schema
 from common.errors import InputError
+from common.findings import texts
 from common.tables import number, read_table
 from data.captures.description import OutlineSource
 from data.captures.photograph import PhotographedOutline, read_outline, signed_area
@@ -105,7 +106,7 @@ class Photograph(NamedTuple):
                 "ratio": self.ratio,
                 "coefficient_percent": 100 * found.drape_coefficient if found else None,
                 "published_percent": self.row.drape_coefficient_percent_published,
-                "warnings": list(found.warnings) if found else []}
+                "warnings": texts(found.warnings) if found else []}
 
     def radii(self, scale: float) -> np.ndarray:
         """Radii (POINTS,), m, about the centroid, ``scale`` times those read."""

@@ -14,7 +14,7 @@ def test_an_estimate_that_has_all_is_none():
 
 @pytest.mark.parametrize("part", ["refined", "resimulation", "report.pdf", "drape.glb"])
 def test_a_part_left_out_with_a_warning_is_one(part):
-    lost = "the network's estimate is not refined: ModuleNotFoundError, drapenet.surface"
+    lost = {"text": "the network's estimate is not refined: ModuleNotFoundError, drapenet.surface"}
     estimate = {key: value for key, value in ESTIMATE.items() if key != part}
     with pytest.raises(TrialError, match=rf"lacks {part}; its warnings: .*ModuleNotFoundError"):
         require_whole(estimate | {"warnings": [lost]}, [name for name in REPORT if name != part],

@@ -26,7 +26,7 @@ import trimesh
 import yaml
 from checkpoints import save_untrained
 from cloths import waves
-from estimates import document_of, estimate_of
+from estimates import DOUBT, document_of, estimate_of
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from PIL import Image
@@ -287,7 +287,7 @@ def _read_checkpoint(folder: Path) -> None:
 def _estimate(folder: Path) -> None:
     alpha = np.array([52e-6, 31e-6, 22e-6])
     estimate = estimate_of(alpha, -3e-3 * alpha, deviation=0.1)
-    write_estimate(folder, estimate, document_of(estimate, warnings=["holes"]))
+    write_estimate(folder, estimate, document_of(estimate, warnings=[DOUBT]))
 
 
 def _read_estimate(folder: Path) -> None:

@@ -26,6 +26,7 @@ from PIL import Image
 
 from apps.capture import main
 from common.errors import InputError
+from common.findings import texts
 from data.captures.board import PAPER, board_picture
 from data.captures.capture import OutlineCapture
 from data.captures.photograph import below_the_mat
@@ -65,8 +66,8 @@ def test_the_curve_of_a_photograph_is_exact_to_0_3_mm(tmp_path, picture, name, s
     assert error_mm(capture) < 0.3 and outline.centred and outline.folds == 7
     expected = ((RADIUS**2).mean() - 0.09**2) / (0.15**2 - 0.09**2)
     assert outline.drape_coefficient == pytest.approx(expected, abs=4e-3)
-    assert ("camera_height_mm" not in source) == any(
-        line.startswith("camera_height_mm is missing") for line in capture.warnings)
+    assert ("camera_height_mm" not in source) == (
+        "camera_height_missing" in [found.code for found in capture.warnings])
     assert isinstance(capture, OutlineCapture)
 
 
@@ -74,7 +75,7 @@ def test_without_the_plate_the_centroid_is_the_centre(tmp_path):
     capture = read_capture(write(tmp_path / "capture", drawn(), outline={
         "mm_per_px": 0.4, "camera_height_mm": "parallel"}))
     assert not capture.outline.centred and capture.outline.height == np.inf
-    assert len(capture.warnings) == 1 and "centroid" in capture.warnings[0]
+    assert [found.code for found in capture.warnings] == ["centre_unknown_in_picture"]
     assert np.linalg.norm(CENTROID) > 4e-3 and error_mm(capture, CURVE - CENTROID) < 0.3
 
 
@@ -93,7 +94,7 @@ def test_a_board_gives_the_scale_of_an_inclined_picture(tmp_path, tilt):
         scene, np.linalg.inv(middle) @ np.diag([focal, focal, 1]) @ tilted @ middle,
         (width, height), borderMode=cv2.BORDER_REPLICATE)
     capture = read_capture(write(tmp_path / "capture", picture, outline={}))
-    assert any("off the vertical" in line for line in capture.warnings) == (tilt > 0.2)
+    assert ("plate_tilted" in [found.code for found in capture.warnings]) == (tilt > 0.2)
     assert error_mm(capture, CURVE - CENTROID) < 0.5
     assert capture.outline.pixel == pytest.approx(pixel, rel=0.1)
 
@@ -347,7 +348,7 @@ def test_cloth_that_swings_back_under_its_folds_is_a_warning(tmp_path):
     angle = ANGLE + 0.25 * np.sin(7 * ANGLE)
     swung = RADIUS[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
     capture = read_capture(write(tmp_path / "capture", drawn(swung), outline=PLATE))
-    assert len(capture.warnings) == 1 and "turns back over" in capture.warnings[0]
+    assert [found.code for found in capture.warnings] == ["outline_turns_back"]
 
 
 def test_the_preview_is_a_picture_and_a_capture_of_numbers(tmp_path, capsys):
@@ -385,5 +386,5 @@ def test_cloth_that_would_hang_through_the_mat_is_named(nearest, height, named):
     turn = np.linspace(0, 2 * np.pi, 90, endpoint=False)
     radius = 1e-3 * (nearest + 20 * (1 - np.cos(5 * turn)))
     curve = radius[:, None] * np.column_stack([np.cos(turn), np.sin(turn)])
-    lines = below_the_mat(curve, Rig((0.3, 0.3), 0.099, "disc"), 1e-3 * height)
+    lines = texts(below_the_mat(curve, Rig((0.3, 0.3), 0.099, "disc"), 1e-3 * height))
     assert len(lines) == named and all("hangs 92 mm" in line for line in lines)

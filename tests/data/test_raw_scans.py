@@ -9,6 +9,7 @@ from cloths import waves
 from scipy.spatial.transform import Rotation
 
 from common.errors import InputError
+from common.findings import Finding, texts
 from data.captures.raw_scans import read_raw_scan
 from data.captures.scan_place import UNITS, Plate, find_plate
 from sim.drape import Drape, drape
@@ -40,17 +41,18 @@ def moved(cloth: trimesh.Trimesh, *, scale: float = 1.0, turn: np.ndarray = Z_UP
     (".obj", {"turn": Y_UP}, "has y up"), (".ply", {"turn": np.diag([1, -1, -1])}, "has -z up"),
     (".ply", {"centre": (0, 6e-3, 0)}, "the plate's centre [56] mm from the origin"),
     (".stl", {"scale": 1e3, "turn": Y_UP, "centre": (0.3, 0.2, 0.1)},
-     r"lengths in mm, y up, the plate's centre 37\d mm")])
+     r"lengths in mm, as .* has y up, as .* the plate's centre 37\d mm")])
 def test_unit_orientation_and_place_are_measured(tmp_path, cloth, suffix, change, note):
     file = tmp_path / f"scan{suffix}"
     moved(cloth, **change).export(file)
     scan = read_raw_scan(file, DISC_RIG)
     assert len(scan.points) == len(cloth.vertices)  # also of STL
-    assert "°" not in "".join(scan.notes)
+    said = "".join(texts(scan.warnings))
+    assert "°" not in said
     bounds = np.stack([scan.points.min(axis=0), scan.points.max(axis=0)])
     off = np.abs(bounds - cloth.bounds).max()
     assert off < (1e-6 if not change else 3.1e-3 if not note else 1.5e-3)
-    assert bool(scan.notes) == bool(note) and re.search(note, "".join(scan.notes))
+    assert bool(scan.warnings) == bool(note) and re.search(note, said)
 
 
 def test_every_material_of_an_obj_is_read(tmp_path, cloth):
@@ -59,7 +61,7 @@ def test_every_material_of_an_obj_is_read(tmp_path, cloth):
         lines += [f"usemtl m{k % 2}"] * (k % 500 == 0) + ["f {} {} {}".format(*face)]
     (tmp_path / "scan.obj").write_text("\n".join(lines))
     scan = read_raw_scan(tmp_path / "scan.obj", DISC_RIG)
-    assert scan.notes == () and len(scan.faces) == len(cloth.faces)
+    assert scan.warnings == () and len(scan.faces) == len(cloth.faces)
     assert trimesh.Trimesh(scan.points, scan.faces).area == pytest.approx(cloth.area)
 
 
@@ -94,10 +96,10 @@ def test_a_tilted_scan_is_levelled_at_every_axis_up(draped):
         turn = upright @ tilted(degrees, rng.uniform(0, 6))
         points = noisy @ turn.T + rng.uniform(-0.3, 0.3, 3)
         plate = find_plate(points / UNITS[unit], faces, draped.rig)
-        placed, notes = plate.placed(points / UNITS[unit])
+        placed, changes = plate.placed(points / UNITS[unit])
         assert (plate.unit, plate.up) == (unit, up)
         assert plate.tilt == pytest.approx(degrees, abs=0.3)
-        assert f"the plate tilted by {plate.tilt:.1f}°" in notes
+        assert Finding("scan_tilted", {"value": plate.tilt}) in changes
         flat = placed[held] - placed[held].mean(axis=0)
         assert np.degrees(np.arccos(abs(np.linalg.svd(flat)[2][2, 2]))) < 0.3
         assert np.abs(placed[held].mean(axis=0)[:2]).max() < 5e-3
@@ -108,9 +110,8 @@ def test_a_tilt_moves_no_centre_and_a_large_one_is_refused(tmp_path, cloth):
     for degrees in (2.0, 5.0):
         moved(cloth, turn=tilted(degrees)).export(tmp_path / "scan.ply")
         scan = read_raw_scan(tmp_path / "scan.ply", DISC_RIG)
-        assert scan.notes == (f"the scan has the plate tilted by {degrees:.1f}°, as its flat part "
-                              "shows, and was brought to metres, z up, the plate level, its centre "
-                              "at the origin",)
+        assert texts(scan.warnings) == [f"the scan has the plate tilted by {degrees:.1f}°, as its "
+                                        "flat part shows, and was levelled"]
         assert np.abs(scan.points - cloth.vertices).max() < 0.2e-3
     moved(cloth, turn=tilted(14.0)).export(tmp_path / "scan.ply")
     with pytest.raises(InputError, match=r"tilted by 14° against the axis z, at most 10° .* level"):
@@ -139,10 +140,13 @@ def test_what_is_not_cloth_is_cut_away(tmp_path, cloth, scene, faces):
     scan = read_raw_scan(tmp_path / "scan.ply", DISC_RIG)
     assert np.abs(scan.points.min(axis=0) - cloth.vertices.min(axis=0)).max() < 3e-3
     assert np.abs(scan.points.max(axis=0) - cloth.vertices.max(axis=0)).max() < 3e-3
-    level, cut = scan.notes
-    assert "the plate tilted by 4.0°" in level and "are not cloth and were cut away: " in cut
+    unit, level, *cut = scan.warnings
+    assert "the plate tilted by 4.0°" in level.text and unit.values == {"unit": "mm"}
+    assert cut and all("are not cloth and were cut away: " in line for line in texts(cut))
+    assert sum(one.values["value"] for one in cut) == cut[0].values["points"] - len(scan.points)
     assert not faces or len(scan.points) == len(cloth.vertices)
-    assert faces or ("the table 210 mm below the plate" in cut) == (scene != "pillar")
+    assert faces or ("the table 210 mm below the plate" in "".join(texts(cut))) == (
+        scene != "pillar")
 
 
 def without(cloth: trimesh.Trimesh, gone: np.ndarray) -> trimesh.Trimesh:
@@ -162,7 +166,8 @@ def test_the_plate_is_filled_where_its_rim_shows_its_plane(tmp_path, draped, sha
     moved(hole, turn=tilted(3.0)).export(tmp_path / "scan.ply")
     scan = read_raw_scan(tmp_path / "scan.ply", draped.rig)
     assert np.abs(scan.points[: len(hole.vertices)] - hole.vertices).max() < 0.5e-3
-    assert re.search(f"no points on {unseen} of the plate" if unseen else "level", scan.notes[-1])
+    assert re.search(f"no points on {unseen} of the plate" if unseen else "level",
+                     scan.warnings[-1].text)
     filled = trimesh.Trimesh(scan.points, scan.faces, process=False)
     assert filled.area == pytest.approx(mesh.area, rel=0.1)
 

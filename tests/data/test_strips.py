@@ -22,6 +22,7 @@ from strip_photographs import (
 from apps.capture import main
 from apps.strip_curves import read_curve
 from common.errors import InputError
+from common.findings import texts
 from data.strips.folder import read_strips
 from experiments.estimation.strip_photographs import FAULTS, fault_case
 
@@ -81,7 +82,7 @@ def test_a_sloping_clamp_is_read_as_stated(tmp_path):
     (found,) = strips.evidence(PRIORS).values()
     assert not strips.warnings and found.alpha == pytest.approx(ALPHA, rel=0.15)
     level = write(tmp_path / "level", pictures, [entry(SLOPED)])
-    assert any("no horizontal edge" in line for line in read_strips(level).warnings)
+    assert "strip_not_level" in [found.code for found in read_strips(level).warnings]
 
 
 def test_a_board_gives_the_scale_in_the_plane_of_the_strip(tmp_path):
@@ -158,13 +159,14 @@ def test_a_folder_without_description_and_a_repeated_file_are_named(tmp_path):
 
 
 def test_what_is_uncertain_is_a_warning(tmp_path):
-    def warnings(**keys):
+    def codes(**keys):
         changes = keys.pop("changes", {})
-        return read(tmp_path, LONG, picture=PICTURE, keys=keys, **changes)[1]
+        found = read(tmp_path, LONG, picture=PICTURE, keys=keys, **changes)[1]
+        assert all(line.startswith("strip.png: ") for line in texts(found))
+        return [one.code for one in found]
 
-    assert any("camera_distance_mm is missing" in line
-               for line in warnings(changes={"camera_distance_mm": None}))
-    assert any("thinner than its thickness" in line for line in warnings(thickness_mm=5.0))
+    assert "camera_distance_missing" in codes(changes={"camera_distance_mm": None})
+    assert "strip_thin" in codes(thickness_mm=5.0)
 
 
 def test_the_preview_writes_curves_that_the_estimate_reads(tmp_path, capsys):

@@ -68,7 +68,7 @@ def test_the_map_does_not_know_the_camera_nor_the_specimen_s_turn(renderer):
 def test_a_table_that_turns_wrongly_gives_a_warning(renderer):
     wrong = np.radians([0.0, 9.0, -1.0, 2.0])
     warning, = warnings_of(turn_checks(located(renderer, seen_from(40, 0.5), 0.1, wrong=wrong)))
-    assert "99° in view 1, not by 90°" in warning
+    assert "99° in view 1, not by 90°" in warning.text
     sound = list(turn_checks(located(renderer, seen_from(40, 0.5), 0.1, wrong=np.zeros(4))))
     assert len(sound) == 3 and not warnings_of(sound)
 

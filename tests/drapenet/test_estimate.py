@@ -5,11 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from estimates import document_of, estimate_of
+from estimates import DOUBT, document_of, estimate_of
 
 import drapenet
 from common.errors import InputError
 from common.files import replace_json
+from common.findings import Finding, texts
 from data.fabrics.properties import ClothProperties
 from drapenet.network.checkpoint import Header, read_header
 from drapenet.network.predict import Draws
@@ -51,7 +52,7 @@ def test_a_stated_warp_names_the_directions(header, known, names):
 def test_what_is_doubtful_is_told(header, alpha, impossible, doubt, times):
     draws = replace(drawn(alpha), impossible=impossible)
     estimate = make_estimate(draws, density=DENSITY, header=header)
-    assert sum(doubt in line for line in estimate.warnings) == times
+    assert sum(doubt in line for line in texts(estimate.warnings)) == times
 
 
 def test_the_median_is_a_possible_fabric(header):
@@ -110,11 +111,11 @@ def test_an_estimate_is_loaded_with_its_samples(tmp_path):
     """As docs/use.md shows it."""
     alpha = np.array([60.0, 40.0, 20.0]) * MICRO
     estimate = estimate_of(alpha, np.zeros(3), density=0.15, deviation=0.1)
-    write_estimate(tmp_path, estimate, document_of(estimate, warnings=["holes"]))
+    write_estimate(tmp_path, estimate, document_of(estimate, warnings=[DOUBT]))
     loaded = drapenet.load(tmp_path)
     np.testing.assert_array_equal(loaded.samples, estimate.samples)
     assert np.median(loaded.moduli()[0], axis=0) == pytest.approx(alpha)  # N·m
-    assert (loaded.names, loaded.density, loaded.warnings) == (DIRECTIONS, 0.15, ("holes",))
+    assert (loaded.names, loaded.density, loaded.warnings) == (DIRECTIONS, 0.15, (DOUBT,))
     cloth = vars(estimate.cloth) | {"spread": estimate.spread}
     for change in ({"theta": estimate.samples + 1}, {"theta": np.zeros((9, 5))},
                    {"spread": np.ones(5)}, {"curl": np.zeros(13)}, {"theta": np.array([{}])}):
@@ -149,8 +150,22 @@ def test_an_estimate_prints_as_one_line():
 
 
 def test_document_is_read_as_written(tmp_path):
-    document = document_of(estimate_of(np.full(3, 30 * MICRO), np.zeros(3)), warnings=["a", "b"])
+    part = Finding("part_has_warning", {"label": "a", "count": 1, "first": DOUBT.record})
+    document = document_of(estimate_of(np.full(3, 30 * MICRO), np.zeros(3)),
+                           warnings=[part, DOUBT])
     file = tmp_path / "estimate.json"
     replace_json(file, document.content())
     assert read_document(file) == document
     assert read_document(file).content() == document.content()
+    assert read_document(file).warnings == [part, DOUBT]
+    assert part.text.endswith(f"by itself: {DOUBT.text}")
+
+
+@pytest.mark.parametrize("change", [
+    {"code": "none"}, {"code": []}, {"values": {"value": 2.9}}, {"values": 2.9}, {"source": 2},
+    {"values": {"value": "x", "limit": 2.6}}])
+def test_a_finding_that_cannot_be_said_is_refused(tmp_path, change):
+    content = document_of(estimate_of(np.full(3, 30 * MICRO), np.zeros(3))).content()
+    replace_json(tmp_path / "estimate.json", content | {"warnings": [DOUBT.record | change]})
+    with pytest.raises(InputError, match=r"warnings\.0.* is not the record of a finding"):
+        read_document(tmp_path / "estimate.json")

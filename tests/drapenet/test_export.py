@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from estimates import document_of, estimate_of
+from estimates import DOUBT, document_of, estimate_of
 
 from common.errors import InputError
 from common.files import replace_json
@@ -36,7 +36,7 @@ SI = {"g·mm²/s²": 1e-3 * 1e-6, "g/mm²": 1e-3 / 1e-6, "N·m": 1.0}
 
 def write(path: Path, names: tuple[str, ...] = DIRECTIONS, **changes: object) -> Path:
     estimate = estimate_of(ALPHA, BETA, density=DENSITY, names=names, deviation=0.01)
-    replace_json(path, document_of(estimate, warnings=["holes"]).content() | changes)
+    replace_json(path, document_of(estimate, warnings=[DOUBT]).content() | changes)
     return path
 
 

@@ -77,7 +77,7 @@ def test_right_values_narrow_and_wrong_ones_are_named_and_change_nothing(tmp_pat
     right, wrong = (content(tmp_path / "o" / name) for name in ("right", "wrong"))
     assert not right["warnings"] and width(right) < 0.95 * width(plain)
     assert wrong["moduli"] == plain["moduli"] and wrong["capture"]["known"]
-    assert [line.partition(" contradicts")[0] for line in wrong["warnings"]] == [
+    assert [found["values"]["label"] for found in wrong["warnings"]] == [
         "the known bending length [mm] warp = 17", "the known bending length [mm] weft = 31"]
     assert "warning: the known bending length [mm] warp = 17 contradicts the capture: they say " \
         in capsys.readouterr().out
@@ -96,8 +96,8 @@ def test_strips_and_values_work_in_a_batch(tmp_path, plain):
     infer.main([f"captures={tmp_path / 'root'}", f"out={tmp_path / 'out'}", "workers=1"])
     found = {name: content(tmp_path / "out" / name)
              for name in ("twill", "lengths", "values", "other")}
-    joint, copied = found["twill"], ("same pictures", "different fabrics")
-    assert all(any(text in line for text in copied) for line in joint["warnings"])
+    joint, copied = found["twill"], {"twin_elsewhere", "fabrics_differ"}
+    assert {one["code"] for one in joint["warnings"]} == copied
     assert len(joint["warnings"]) == 2 and joint["strips"][0]["strips"] == 12
     assert width(joint) < width(plain) ** 0.8 and width(joint, "bias") < width(plain, "bias")
     assert found["lengths"]["capture"]["labels"]["fabric"] == "Twill 7"
@@ -106,10 +106,9 @@ def test_strips_and_values_work_in_a_batch(tmp_path, plain):
         0.2, rel=0.15)
     # The network's input is kept in single precision.
     assert medians(found["other"]) == pytest.approx(medians(plain), rel=1e-4)
-    line, *others = (line for line in found["other"]["warnings"]
-                     if not any(text in line for text in copied))
-    assert all("by itself" in other for other in others)
-    assert line.startswith("the strips along the warp contradict the capture: alpha is ")
+    first, *others = (one for one in found["other"]["warnings"] if one["code"] not in copied)
+    assert all("by itself" in other["text"] for other in others)
+    assert first["text"].startswith("the strips along the warp contradict the capture: alpha is ")
     table = (tmp_path / "out" / "fabrics.csv").read_text("utf-8-sig")
     assert len(table.splitlines()) == 5 and "contradict the capture" in table
     page = (tmp_path / "out" / "twill" / "index.html").read_text()
@@ -204,6 +203,6 @@ def test_a_stage_that_fails_leaves_its_traceback(tmp_path, monkeypatch):
         infer.main(words)  # tests see faults of the program
     monkeypatch.delenv(stages.RAISE)
     infer.main(words)
-    line, = content(tmp_path)["warnings"]
+    line, = (found["text"] for found in content(tmp_path)["warnings"])
     assert "ZeroDivisionError, of a fault; please report it with the file faults.txt" in line
     assert "in broken" in (tmp_path / FAULTS).read_text()

@@ -145,7 +145,7 @@ def test_a_surface_that_no_specimen_can_be_laid_on_is_refused(tmp_path, scanned)
     table[:, 2] = scanned.positions[:, 2].min() - 0.03
     trimesh.PointCloud(np.concatenate([scanned.positions, table])).export(tmp_path / "table.ply")
     found = read_shape(tmp_path / "table.ply", DISC_RIG, edge=6e-3)
-    assert found.distance < 1e-3 and "cut away: the table" in found.notes[0]
+    assert found.distance < 1e-3 and found.warnings[0].code == "scan_table"
     trimesh.Trimesh(1.2 * scanned.positions, scanned.faces).export(tmp_path / "large.ply")
     with pytest.raises(InputError, match="of its points do not lie on a specimen of disc300"):
         read_shape(tmp_path / "large.ply", DISC_RIG, edge=6e-3)

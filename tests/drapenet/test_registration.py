@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from cloths import revolved, varied_camera
 
+from common.findings import texts
 from data.captures.check import warnings_of
 from data.captures.plate import plate_of_cloth
 from data.render.cameras import nominal_camera
@@ -39,7 +40,7 @@ def test_a_camera_outside_the_set_ups_gives_a_warning():
     def warnings(pictures: np.ndarray, **changes: float) -> str:
         nominal = replace(nominal_camera().intrinsics, **changes)
         camera = nominal.posed(plate_of_cloth(pictures, nominal, Rig()).pose)
-        return "; ".join(warnings_of(pose_checks(camera, Setups.load())))
+        return "; ".join(texts(warnings_of(pose_checks(camera, Setups.load()))))
 
     assert warnings(views) == ""
     assert "upright" in warnings(views[:, ::-1])

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from estimates import document_of, estimate_of
+from estimates import DOUBT, document_of, estimate_of
 from matplotlib.figure import Figure
 
+from common.findings import Finding
 from drapenet.report.pdf import as_pdf
 from drapenet.report.report import ShownCapture, write_report
 from drapenet.result.document import EstimateDocument
@@ -18,11 +19,10 @@ ALPHA, BETA = np.array([52e-6, 31e-6, 22e-6]), np.array([-158e-9, -101e-9, -69e-
 SOFTENING = np.array([-300e-9, -102e-9, -69e-9])  # within KES's range, in part along the bias
 LABELS = {"fabric": "Twill 7/8, navy", "date": "2026-11-26", "laboratory": "Textile laboratory",
           "operator": "M. Muster", "camera": "D435i, no. 12"}
-WARNING = "a pixel spans 2.9 mm on the plate (at most 2.6 mm): move the camera nearer"
 
 
 def document(
-    *, beta: np.ndarray = BETA, warnings: tuple[str, ...] = (), **about: object
+    *, beta: np.ndarray = BETA, warnings: tuple[Finding, ...] = (), **about: object
 ) -> EstimateDocument:
     capture = {"source": "/data/navy/1/first", "rig": "disc300_support180", "density_g_m2": 210.0,
                "views": 4, "drape_coefficient_percent": 54.3, "nodes": 5, "labels": LABELS}
@@ -57,10 +57,10 @@ def written(
 
 
 def test_a_report_is_titled_by_the_fabric_and_states_the_test(tmp_path, picture):
-    part = document(warnings=(WARNING,))
+    part = document(warnings=(DOUBT,))
     page, pdf = written(tmp_path, part, [ShownCapture("navy", part, picture)])
     assert "<h1>Twill 7/8, navy</h1>" in page and "/data" not in page
-    for text in ("4 depth views", "disc of 300 mm on a plate of 180 mm", "210 g/m²", WARNING,
+    for text in ("4 depth views", "disc of 300 mm on a plate of 180 mm", "210 g/m²", DOUBT.text,
                  "54.3 %", "55.5 %", *(value for key, value in LABELS.items() if key != "fabric")):
         assert text in page
     length = part.laboratory["warp"].bending_length_mm
@@ -89,13 +89,13 @@ def test_values_of_kes_outside_the_law_are_neither_given_nor_compared(tmp_path):
 
 def test_a_joint_report_has_its_captures_both_faces_and_their_pictures(tmp_path, picture):
     parts = [document(), document(source="/data/navy/2/second", face="down", nodes=None,
-                                  drape_coefficient_percent=61.0, warnings=(WARNING,))]
+                                  drape_coefficient_percent=61.0, warnings=(DOUBT,))]
     whole = joint(*parts)
     names = capture_names(whole)
     assert names == ["1/first", "2/second"]
     page, pdf = written(tmp_path, whole, [ShownCapture(name, part, picture)
                                           for name, part in zip(names, parts, strict=True)])
-    assert "from 2 captures." in page and page.count(WARNING) == 1
+    assert "from 2 captures." in page and page.count(DOUBT.text) == 1
     assert re.search(r"1/first</th> ?<td>marked face</td>.*?54\.3 %.*?2/second</th> ?"
                      r"<td>reverse</td>.*?61\.0 %", page)
     assert ("mean drape coefficient 57.6 %, standard deviation 4.7 points over 2 captures: 54.3 % "

@@ -42,9 +42,8 @@ def test_sizes_do_not_depend_on_the_stated_ones(size, plate):
     found = measured(size=size, plate=plate)
     assert found.specimen == pytest.approx(size, rel=0.07)
     assert found.plate == pytest.approx(plate, rel=0.07)
-    lines = warnings_of(size_checks(found, MAX_SIZE_ERROR))
-    assert [line.split()[1] for line in lines] == [
-        *["specimen"] * (size != 0.30), *["plate"] * (plate != 0.18)]
+    assert [one.code for one in warnings_of(size_checks(found, MAX_SIZE_ERROR))] == [
+        *["specimen_size"] * (size != 0.30), *["plate_size"] * (plate != 0.18)]
 
 
 def test_a_tenth_of_a_drape_has_no_size():

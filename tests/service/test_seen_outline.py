@@ -80,7 +80,7 @@ def test_a_scale_alone_leaves_the_plate_to_be_placed(client):
     found = ask(client, {"a.jpg": DRAPE}, **SETUP, mm_per_px="0.4").json()
     assert not found["centred"] and found["movable"]
     assert found["plate"]["diameter"] == pytest.approx(450, abs=0.1)
-    assert "the plate's centre is not known" in found["warnings"][0]
+    assert "the plate's centre is not known" in found["warnings"][0]["text"]
 
 
 def test_the_plate_is_found_beside_the_photograph_unless_it_is_stated(client):

@@ -67,7 +67,7 @@ function show(found) {
   at('seen-move').hidden = !seen?.movable;
   at('seen-refusal').textContent = found?.refusal ?? '';
   at('seen-status').textContent = seen?.outline ? `Outline found: ${seen.nodes} nodes, drape coefficient ${seen.drape_coefficient_percent.toFixed(1)} % as the camera sees it.` : '';
-  at('seen-warnings').replaceChildren(...(found?.warnings ?? []).map((line) => element('li', line)));
+  at('seen-warnings').replaceChildren(...(found?.warnings ?? []).map(({ text }) => element('li', text)));
 }
 
 // ---- the circle

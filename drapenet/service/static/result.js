@@ -85,7 +85,7 @@ function show(id, content) {
   if (before?.state !== content.state) ended(id, content);
   const warnings = content.estimate?.warnings ?? content.warnings ?? [];
   const contradictions = content.estimate?.contradictions ?? [];
-  at('warnings').replaceChildren(...warnings.map((line) => element('li', line, contradictions.some(({ text }) => text === line) ? 'contradiction' : '')));
+  at('warnings').replaceChildren(...warnings.map(({ text }) => element('li', text, contradictions.some((found) => found.text === text) ? 'contradiction' : '')));
   if (content.estimate) showNumbers(content.estimate);
   for (const [figure, file] of [['preview', 'preview.png'], ['torque', 'torque.svg']]) {
     if (content.files.includes(file) && !shown[file]) {
@@ -167,7 +167,7 @@ function showNumbers(estimate) {
   }));
   const poor = estimate.poorly_constrained.length
     ? `Poorly constrained: ${estimate.poorly_constrained.join(', ').replaceAll('beta', 'β').replaceAll('alpha', 'α')}. ` : '';
-  at('poor').textContent = poor + (estimate.advice ?? []).map((line) => `Advice: ${line}.`).join(' ');
+  at('poor').textContent = poor + (estimate.advice ?? []).map(({ text }) => `Advice: ${text}.`).join(' ');
   at('numbers').hidden = false;
 }
 
