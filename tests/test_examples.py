@@ -13,6 +13,7 @@ import common.cases
 import sim.many
 from common.errors import InputError
 from data.captures.reader import read_capture
+from data.render import phone
 from data.strips.folder import read_strips
 from drapenet.views.located import LocatedViews
 from drapenet.views.outline import outline_of_map
@@ -79,6 +80,7 @@ def test_the_example_makes_whole_scenes_of_the_same_drape(tmp_path, monkeypatch)
         return simulated[0]
 
     monkeypatch.setitem(main.__globals__, "drape", once)
+    monkeypatch.setattr(phone, "_SIZE", (1008, 756))
     coefficients = []
     for raw in ("false", "true"):  # the second replaces the first
         main([*words, f"raw={raw}"])
