@@ -46,7 +46,7 @@ SMALL = ["model.width=4", "optim.batch_size=8", "threads=1", "workers=1", "devic
 
 @pytest.fixture(scope="module", autouse=True)
 def few_features() -> Iterator[None]:
-    """Networks of small layers: most of a step's time is Muon's, for the largest of them."""
+    """Networks of small layers, whose steps cost less."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(model, "_EMBEDDING", 32)
         yield
