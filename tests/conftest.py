@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -23,6 +24,10 @@ from sim.scene import Scene, make_specimen
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # pytest's
 os.environ[RAISE] = "1"  # an error of a stage is no warning
+# Without bytecode each worker compiles all tests, in 15 s, and each process that a test starts all
+# sources.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 torch.set_num_threads(1)  # of each worker; sums of several may differ by rounding from run to run
 
 for module in (common.cases, data.dataset.generate):

@@ -1,5 +1,7 @@
 """Optimiser of the network: Muon for its hidden layers, AdamW for the rest."""
 
+import math
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -9,6 +11,36 @@ from drapenet.network.model import Network
 _DECAY_OF_EXPECTED = 0.01
 """Weight decay of the few layers that say how drapes of a cloth look: with that of the posterior's
 network they expect too little of captures of rare kinds, such as single views."""
+
+
+class _Muon(torch.optim.Muon):
+    """That of torch, whose Newton-Schulz steps are in bfloat16; on a processor they are in single
+    precision, which takes a twentieth of the time on those that do not multiply bfloat16."""
+
+    @torch.no_grad()
+    def step(self, closure: Callable[[], float] | None = None) -> float | None:  # type: ignore[override]
+        """A step along the gradients."""
+        group, = self.param_groups
+        if any(part.is_cuda for part in group["params"]):
+            return super().step(closure)
+        first, second, third = group["ns_coefficients"]
+        for part in group["params"]:
+            if part.grad is None:
+                continue
+            momentum = self.state[part].setdefault("momentum_buffer", torch.zeros_like(part))
+            momentum.lerp_(part.grad, 1 - group["momentum"])
+            wide = part.grad.lerp(momentum, group["momentum"])
+            tall = len(wide) > wide.shape[1]
+            wide = wide.T if tall else wide
+            wide = wide / wide.norm().clamp(min=group["eps"])
+            for _ in range(group["ns_steps"]):
+                gram = wide @ wide.T
+                wide = torch.addmm(wide, torch.addmm(gram, gram, gram, beta=second, alpha=third),
+                                   wide, beta=first)
+            part.mul_(1 - group["lr"] * group["weight_decay"])
+            part.add_(wide.T if tall else wide,
+                      alpha=-0.2 * group["lr"] * math.sqrt(max(wide.shape)))
+        return None
 
 
 class Optimizer:
@@ -31,8 +63,7 @@ class Optimizer:
             {"params": expected, "weight_decay": _DECAY_OF_EXPECTED}]
         self.parts: list[torch.optim.Optimizer] = [
             torch.optim.AdamW(groups, weight_decay=weight_decay),
-            torch.optim.Muon(self.matrices, weight_decay=weight_decay,
-                             adjust_lr_fn="match_rms_adamw")]
+            _Muon(self.matrices, weight_decay=weight_decay, adjust_lr_fn="match_rms_adamw")]
 
     @property
     def rate(self) -> float:

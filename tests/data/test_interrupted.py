@@ -28,7 +28,8 @@ if __name__ == "__main__":
     import fake_drapes, test_interrupted
     from common.command import run_command
     run_command(lambda words: test_interrupted.make(
-        words[0], shards=int(words[1]), workers=2, solver=fake_drapes.slow_lending_cone))
+        words[0], shards=int(words[1]), workers=int(words[2]),
+        solver=fake_drapes.slow_lending_cone))
 """
 
 
@@ -42,14 +43,15 @@ def make(out, *, shards=6, solver=fake_drapes.lending_cone, **options):
     return generate(out, config(shards), solver=solver, **options)
 
 
-def start(out, *, shards=6, pause=0.03):
-    """A process, in a new session, that makes the dataset with two workers."""
+def start(out, *, shards=6, workers=1, pause=0.03):
+    """A process, in a new session, that makes the dataset with workers."""
     script = Path(out).with_name("run.py")
     script.write_text(SCRIPT.format(tests=str(Path(__file__).parent)))
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path]),
                                 "DRAPE_TEST_PAUSE": str(pause)}
-    return subprocess.Popen([sys.executable, str(script), str(out), str(shards)], env=environment,
-                            stderr=subprocess.PIPE, text=True, start_new_session=True)
+    return subprocess.Popen([sys.executable, str(script), str(out), str(shards), str(workers)],
+                            env=environment, stderr=subprocess.PIPE, text=True,
+                            start_new_session=True)
 
 
 def whole_shards(out):
@@ -122,7 +124,7 @@ def test_killed_and_continued_is_as_if_uninterrupted(peaceful, tmp_path):
 
 def test_two_runs_in_one_folder_do_no_harm(peaceful, tmp_path):
     out = tmp_path / "set"
-    process = start(out, pause=0.01)
+    process = start(out, workers=2, pause=0.01)
     assert wait_for_another_shard(out, process)
     make(out)
     assert process.wait(timeout=60) == 0

@@ -36,8 +36,8 @@ def killed_until_it_ends(begin: Callable[[], subprocess.Popen], rng: random.Rand
 @pytest.mark.slow
 def test_a_dataset(tmp_path):
     make(tmp_path / "peaceful", shards=40)
-    kills = killed_until_it_ends(lambda: start(tmp_path / "set", shards=40, pause=0.1),
-                                 random.Random(SEED))
+    kills = killed_until_it_ends(lambda: start(tmp_path / "set", shards=40, workers=2,
+                                               pause=0.1), random.Random(SEED))
     assert kills and files(tmp_path / "set") == files(tmp_path / "peaceful")
 
 

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from drapenet.network.model import make_network
-from drapenet.network.optimizer import Optimizer
+from drapenet.network.optimizer import Optimizer, _Muon
 
 
 @pytest.mark.parametrize("backbone", [None, "resnet18"])
@@ -34,3 +34,20 @@ def test_every_direction_of_a_hidden_weight_moves_as_far(backbone):
         else:
             assert moved.abs().sub(1).abs().max() < 0.01, name
         assert part.grad is None
+
+
+@pytest.mark.parametrize("shape", [(12, 40), (40, 12)])
+def test_steps_in_single_precision_are_torchs_without_its_rounding(shape):
+    torch.manual_seed(0)
+    start = torch.randn(shape)
+    one, other = (torch.nn.Parameter(start.clone()) for _ in range(2))
+    optimizers = [kind([part], lr=0.02, weight_decay=0.1, adjust_lr_fn="match_rms_adamw")
+                  for kind, part in ((_Muon, one), (torch.optim.Muon, other))]
+    for _ in range(3):
+        one.grad = torch.randn(shape)
+        other.grad = one.grad.clone()
+        for optimizer in optimizers:
+            optimizer.step()
+    assert 0 < (one - other).norm() < 0.03 * (one - start).norm()
+    momenta = (optimizer.state_dict()["state"][0]["momentum_buffer"] for optimizer in optimizers)
+    torch.testing.assert_close(*momenta)

@@ -115,11 +115,12 @@ def test_keys_that_are_null_may_be_numbers():
     assert (given, default) == (3.0, None)
 
 
-def test_the_command_lists_the_experiments_and_shows_keys():
-    listed, shown = (subprocess.run([sys.executable, "-m", "experiments", *words], cwd=ROOT,
-                                    capture_output=True, text=True, check=True).stdout
-                     for words in ([], ["information", "--help"]))
+def test_the_command_lists_the_experiments_and_shows_keys(capsys):
+    listed = subprocess.run([sys.executable, "-m", "experiments"], cwd=ROOT, capture_output=True,
+                            text=True, check=True).stdout
     assert listed.startswith("Run an experiment.")
+    main(["information", "--help"])
+    shown = capsys.readouterr().out
     assert shown.startswith(information.__doc__.splitlines()[0]) and "\npixels: 100.0  #" in shown
 
 
