@@ -43,6 +43,11 @@ IDEAL = CLEAN | {"roll": 0.0, "pitch": (np.radians(38.0),) * 2, "distance": (0.5
 """The same with the nominal pose of the camera."""
 
 
+LEARNED = ("dataset=testers", "dataset.even_share=0", "dataset.random_testers=0",
+           "dataset.rectangles=0")
+"""Overrides for fabrics of the prior on a single tester, drawn as for the network's training."""
+
+
 def prior_fabric(index: int, seed: int) -> Fabric:
     """Fabric ``index`` of the Gaussian prior."""
     return fabric_from_theta(prior_theta(index, seed))

@@ -29,11 +29,13 @@ def isotropic_fabric(alpha: float, ratio_mm: float) -> Fabric:
 
 
 def specimen(
-    alpha: float, fabric: Fabric | None, seed: int, edge: Metres, rig: Rig = DISC_RIG
+    alpha: float, fabric: Fabric | None, seed: int, edge: Metres, rig: Rig = DISC_RIG, *,
+    words: Sequence[str] = ()
 ) -> Drape:
     """A lowered drape, off-centre and with the nuisances of datasets, of a specimen of ``fabric``;
-    None: of one of the prior, scaled to the geometric mean ``alpha``, µN·m."""
-    plan = plan_specimen(seed, seed=0, nuisances="real", rig=rig)
+    None: of one of the prior, drawn with the overrides ``words`` of a dataset's config and scaled
+    to the geometric mean ``alpha``, µN·m."""
+    plan = plan_specimen(seed, *words, seed=0, nuisances="real", rig=rig)
     theta = plan.theta.copy()
     theta[:3] += np.log(alpha * MICRO) - theta[:3].mean()
     return drape(fabric or fabric_from_theta(theta), rig=plan.nuisances.rig(rig), edge=edge,

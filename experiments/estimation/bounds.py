@@ -22,6 +22,7 @@ from data.fabrics.prior.even import spread_of
 from data.render.cameras import nominal_camera
 from drapenet.network.captures import PICTURE_NOISE, PICTURE_OFFSET, PICTURE_SCALE
 from drapenet.network.dataset import DIRECTION_ERROR
+from experiments.drapes import LEARNED
 from experiments.estimation.bound import (
     CAMERA,
     PICTURE,
@@ -42,8 +43,7 @@ INPUTS = {"depth": "4 views", "outline": "parallel light"}
 
 def sampling_of(tester: str, seed: int) -> SamplingConfig:
     """Sampling of fabrics and specimens on a ``tester``."""
-    words = ["dataset=testers", "dataset.even_share=0", f"dataset.testers=[{tester}]",
-             "dataset.random_testers=0", "dataset.rectangles=0", "dataset.testers_per_fabric=1",
+    words = [*LEARNED, f"dataset.testers=[{tester}]", "dataset.testers_per_fabric=1",
              f"dataset.starts_per_fabric={DRAPES}", f"seed={seed}"]
     return config_from_options(compose_config("generate", words, schema=Options)).sampling
 

@@ -22,7 +22,14 @@ from drapenet.estimator.stages import simulate
 from drapenet.report.drape import Resimulation, resimulate_outline
 from drapenet.views.directions import AZIMUTH
 from drapenet.views.outline import DrapeOutline
-from experiments.drapes import capture_drape, drape_as_planned, infer, infer_outline, outline_of
+from experiments.drapes import (
+    LEARNED,
+    capture_drape,
+    drape_as_planned,
+    infer,
+    infer_outline,
+    outline_of,
+)
 from experiments.result import ESTIMATOR, Config, Result, run_cases
 from sim.rig import Rig
 
@@ -36,8 +43,8 @@ OTHER = {"disc300_support180": "disc360_support180", "disc360_support180": "disc
 def captured(*, tester: str, number: int, seed: int, edge_mm: float) -> dict[str, Any]:
     """Deviations and checks of both captures of a drape, and of the faulty outlines."""
     config = config_from_options(compose_config("generate", [
-        "dataset=testers", "dataset.even_share=1", f"dataset.testers=[{tester}]", f"seed={seed}",
-        "dataset.random_testers=0", "dataset.rectangles=0"], schema=Options))
+        *LEARNED, "dataset.even_share=1", f"dataset.testers=[{tester}]", f"seed={seed}"],
+        schema=Options))
     plan = plan_drape(number, config=config.sampling, prior=config.prior)
     shape = drape_as_planned(plan, edge=1e-3 * edge_mm)
     rng = np.random.default_rng([seed, number])

@@ -22,7 +22,8 @@ def outlines(reports: Reports) -> str:
     seen under parallel light."""
     starts = {"flat": "lowered", "curled": "lowered, natural curvature from both faces",
               "specimens": "lowered, nuisances of specimens",
-              "fabrics": "lowered, fabrics of the prior with nuisances", "ring": "ring"}
+              "fabrics": "lowered, fabrics of the prior with nuisances",
+              "learned": "lowered, fabrics that the network learns from", "ring": "ring"}
     summary = reports["outlines"]["summary"]["parallel"]
     rows = [[label, *(f"{summary[name][key]:.{digits}f}" for key, digits in (
         ("folds_real", 2), ("folds", 2), ("folds_rms", 2), ("deviation_real_mm", 1),

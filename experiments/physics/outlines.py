@@ -3,10 +3,10 @@
 For each real fabric and face, the isotropic fabric is found whose lowered drapes have the same mean
 drape coefficient, without natural curvature, and with that which the two faces have. Such cloth,
 exactly centred, has regular outlines. The same is therefore done with *specimens* of isotropic
-fabrics, off-centre and with the nuisances of datasets, and with those of *fabrics* of the prior,
-scaled to a mean alpha. Compared are the number of folds, the standard deviation of the outline's
-radius, and its spectrum. How the pictures were taken is not documented: both parallel light and a
-camera above the plate are tried.
+fabrics, off-centre and with the nuisances of datasets, and with those of *fabrics* of the prior, as
+it is and as networks have *learned* them, scaled to a mean alpha. Compared are the number of folds,
+the standard deviation of the outline's radius, and its spectrum. How the pictures were taken is not
+documented: both parallel light and a camera above the plate are tried.
 """
 
 from collections import Counter
@@ -21,6 +21,7 @@ from scipy.optimize import least_squares
 
 from common.documents import read_arrays
 from common.errors import InputError
+from experiments.drapes import LEARNED
 from experiments.result import Config, Result, load_arrays, run_cases
 from experiments.shadows import (
     draw_outline,
@@ -42,7 +43,10 @@ may have too many and stiff cloth too few."""
 MAX_MISFIT = 1e-3  # of the drape coefficient, beyond which no fabric of the grid has it
 READINGS = ("parallel", "camera")
 SPECIMENS = "specimens"
-VARIED = (SPECIMENS, "fabrics")
+AS_LEARNED = (*LEARNED, "dataset.starts_per_fabric=1", "dataset.testers_per_fabric=1",
+              "dataset.both_faces=false")
+VARIED: dict[str, tuple[str, ...]] = {SPECIMENS: (), "fabrics": (), "learned": AS_LEARNED}
+"""Starts of specimens with nuisances, and how their fabrics are drawn."""
 _FACES = {True: "up", False: "down"}
 
 
@@ -55,7 +59,7 @@ def drape_case(
     edge, fabric = 1e-3 * edge_mm, isotropic_fabric(alpha, ratio_mm)
     if start in VARIED:
         known = fabric if start == SPECIMENS else None
-        shapes = [specimen(alpha, known, seed, edge) for seed in range(seeds)]
+        shapes = [specimen(alpha, known, seed, edge, words=VARIED[start]) for seed in range(seeds)]
     else:
         laws = Laws(bending=Hysteresis(hysteresis, curvature=(curl, curl, 0.0)))
         shapes = [drape(fabric, rig=DISC_RIG, edge=edge, start=start, seed=seed, laws=laws)
