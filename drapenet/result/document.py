@@ -191,7 +191,8 @@ class DirectionStrips(Excerpt):
 
     alpha_uN_m: Quantity  # noqa: N815
     beta_nN_m2: Quantity  # noqa: N815
-    natural_curvature_1_m: list[float]  # and its standard deviation
+    natural_curvature_1_m: float
+    natural_curvature_deviation_1_m: float
     misfit: float
     scatter_of_specimens_percent: float
     evidence: LinearRecord
@@ -216,7 +217,8 @@ class StripsRecord(Excerpt):
             alpha, beta = strip.samples()
             moduli[direction] = {
                 "alpha_uN_m": _intervals(alpha / MICRO), "beta_nN_m2": _intervals(beta / NANO),
-                "natural_curvature_1_m": list(strip.curl), "misfit": strip.misfit,
+                "natural_curvature_1_m": strip.curl[0],
+                "natural_curvature_deviation_1_m": strip.curl[1], "misfit": strip.misfit,
                 "scatter_of_specimens_percent": round(100 * strip.scatter, 1),
                 "evidence": {"rows": strip.measured.rows.tolist(),
                              "values": strip.measured.values.tolist()}}
@@ -360,7 +362,8 @@ class EstimateDocument(Excerpt):
                       "squared deviations over their errors"]
         lines += [f"by strips alone, along the {name}: alpha {moduli.alpha_uN_m} µN·m, beta "
                   f"{moduli.beta_nN_m2} nN·m², natural curvature "
-                  "{:.2g} ± {:.1g} 1/m".format(*moduli.natural_curvature_1_m)
+                  f"{moduli.natural_curvature_1_m:.2g} ± "
+                  f"{moduli.natural_curvature_deviation_1_m:.1g} 1/m"
                   for each in self.strips or [] for name, moduli in each.moduli.items()]
         head = [f"{'':8}{'bending length':>14}{'rigidity G':>14}"]
         if self.has_kes:
