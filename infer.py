@@ -26,6 +26,7 @@ from drapenet.estimator.read import Source, read_scans, read_sources
 from drapenet.network.checkpoint import read_header
 from drapenet.result.document import EstimateDocument
 from drapenet.result.files import ESTIMATE, SHOWN, require_output, result_name
+from drapenet.result.terminal import terminal_text
 from sim.mesh.specimen import check_edge
 
 
@@ -77,7 +78,7 @@ def sources_of(config: InferConfig) -> list[Source]:
 def print_estimate(document: EstimateDocument, folder: Path | None) -> None:
     """Print an estimate and the names of its files."""
     assert folder, "written before it is printed"
-    print(f"{document.text()}\nestimate: {folder / ESTIMATE}")
+    print(f"{terminal_text(document)}\nestimate: {folder / ESTIMATE}")
     if files := [str(folder / name) for name in SHOWN if (folder / name).exists()]:
         print(f"report:   {', '.join(files)}")
 

@@ -19,7 +19,7 @@ from drapenet.export.blender import at_8_mm, blender_settings
 from drapenet.export.cards import SLIDER, cards
 from drapenet.export.material import BENT, Material
 from drapenet.report.pages import render
-from drapenet.result.document import csv_number, csv_table, interval_columns
+from drapenet.result.tables import csv_number, csv_table, interval_columns
 from sim.energies.hinges import ARCSIM, mean_modulus
 from sim.material import BIAS, DIRECTIONS, WARP, WEFT, torque
 

@@ -17,8 +17,9 @@ from drapenet.batch.captures import COLUMNS, Entry
 from drapenet.report.pages import render
 from drapenet.report.report import MAX_NAME_WIDTH, ShownCapture, write_report
 from drapenet.report.workbook import Sample, workbook
-from drapenet.result.document import ROLES, EstimateDocument, csv_number, csv_table
+from drapenet.result.document import EstimateDocument
 from drapenet.result.files import REPORT
+from drapenet.result.tables import ROLES, csv_number, csv_table, row_of
 
 FAILURE = ("fabric", "sample", "capture", "path", "reason")
 INDEX, THUMBNAIL, RESULTS = "index.html", "view.png", "results.xlsx"
@@ -154,7 +155,7 @@ def _fabric_row(fabric: FabricEstimate) -> dict[str, object]:
         "samples": len({entry.sample for entry, _ in fabric.captures}),
         **fabric.counts,
         "captures_with_warnings": sum(bool(capture.warnings) for _, capture in fabric.captures),
-        "rig": document.capture.rig, "directions": document.convention, **document.row(),
+        "rig": document.capture.rig, "directions": document.convention, **row_of(document),
         **fabric.means_text,
         **{f"alpha_{role}_scatter_factor":
            "" if fabric.scatter is None else csv_number(fabric.scatter[k])
@@ -167,7 +168,7 @@ def _fabric_row(fabric: FabricEstimate) -> dict[str, object]:
 
 def _capture_row(entry: Entry, document: EstimateDocument) -> dict[str, object]:
     return {"fabric": entry.fabric, "sample": entry.sample, "capture": entry.capture,
-            "directions": document.convention, **document.row(),
+            "directions": document.convention, **row_of(document),
             "drape_coefficient_percent": document.capture.drape_coefficient_percent,
             "nodes": document.capture.nodes, **document.capture.labels.columns,
             "flags": "; ".join(texts(document.warnings))}

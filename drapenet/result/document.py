@@ -1,7 +1,5 @@
-"""``estimate.json``: the model that is made from an estimate, written, read, printed, tabulated."""
+"""``estimate.json``: the model that is made from an estimate, written and read."""
 
-import csv
-import io
 import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -19,7 +17,7 @@ from pydantic import (
 from common.documents import Excerpt
 from common.errors import shown
 from common.files import printable
-from common.findings import Finding, records, texts
+from common.findings import Finding, records
 from common.types import Density
 from data.captures.description import Labels
 from data.captures.reported import Reported
@@ -42,9 +40,6 @@ CURVATURES = np.array([25.0, 50.0, 100.0, 200.0, 400.0])  # 1/m, of the tabulate
 INTERVALS = {"interval_68": 0.68, "interval_90": 0.90}
 MAX_OUTSIDE_SHARE = 0.5  # of samples outside KES's range; beyond, its readings are not given
 MAX_COMPARED_SHARE = 0.05  # beyond, its readings are given, but not to be compared
-ROLES = ("warp_or_stiff", "bias", "weft_or_soft")
-"""Directions in tables whose fabrics need not all have a marked warp."""
-_FORMULA = tuple("=+-@\t\r\n")  # first characters of cells that spreadsheets evaluate
 
 Text = InstanceOf[str]
 """A text that may hold a path, whose bytes need not be UTF-8."""
@@ -342,71 +337,10 @@ class EstimateDocument(Excerpt):
         """The document in JSON's types."""
         return self.model_dump(by_alias=True, exclude_unset=True)
 
-    def text(self) -> str:
-        """The estimate as lines for a terminal."""
-        lines = [f"joint estimate of {self.parts}"] if self.parts else []
-        lines += [f"at {self.capture.density_g_m2:g} g/m²:",
-                  f"{'':8}{'alpha [µN·m]':>14}{'68 % interval':>20}{'beta [nN·m²]':>16}"
-                  f"{'68 % interval':>20}"]
-        for name, moduli in self.moduli.items():
-            (alpha, alphas), (beta, betas) = moduli.alpha_uN_m.texts(), moduli.beta_nN_m2.texts()
-            lines.append(f"{name:8}{alpha:>14}{alphas:>20}{beta:>16}{betas:>20}")
-        lines += texts(self.mostly_usual)
-        if refined := self.refined:
-            before = ", ".join(f"{name} {moduli.alpha_uN_m.texts()[0]}"
-                               for name, moduli in refined.before.items())
-            misfit = "-" if refined.misfit_before is None else f"{refined.misfit_before:.0f}"
-            lines += [f"alpha before refinement: {before}",
-                      f"misfit {misfit} before, {refined.misfit:.0f} after "
-                      f"{refined.simulations} simulations ({refined.status}): half the sum of "
-                      "squared deviations over their errors"]
-        lines += [f"by strips alone, along the {name}: alpha {moduli.alpha_uN_m} µN·m, beta "
-                  f"{moduli.beta_nN_m2} nN·m², natural curvature "
-                  f"{moduli.natural_curvature_1_m:.2g} ± "
-                  f"{moduli.natural_curvature_deviation_1_m:.1g} 1/m"
-                  for each in self.strips or [] for name, moduli in each.moduli.items()]
-        head = [f"{'':8}{'bending length':>14}{'rigidity G':>14}"]
-        if self.has_kes:
-            head.append(f"{'KES B':>18}{'KES 2HB':>18}")
-        lines.append("".join(head))
-        for name, readings in self.laboratory.items():
-            secant, hysteresis = readings.kes_b_gf_cm2_per_cm, readings.kes_2hb_gf_cm_per_cm
-            cells = [f"{readings.bending_length_mm.texts()[0] + ' mm':>14}",
-                     f"{readings.flexural_rigidity_uN_m.texts()[0] + ' µN·m':>14}"]
-            if secant and hysteresis:
-                cells += [f"{secant.texts()[0] + ' gf·cm²/cm':>18}",
-                          f"{hysteresis.texts()[0] + ' gf·cm/cm':>18}"]
-            elif self.has_kes:
-                cells.append(f"{'–':>18}{'–':>18}")
-            lines.append(f"{name:8}{''.join(cells)}")
-        lines += [self.kes_note] * bool(self.kes_note)
-        cloth = self.cloth
-        curvature = cloth.natural_curvature_warp_1_m, cloth.natural_curvature_weft_1_m
-        lines.append(f"natural curvature {curvature[0]} 1/m along {self.names[0]}, "
-                     f"{curvature[1]} 1/m along {self.names[2]}")
-        if coefficient := self.capture.drape_coefficient_percent:
-            simulated = (self.resimulation or {}).get("drape_coefficient_percent")
-            lines.append(f"drape coefficient {coefficient:.1f} %, as captured"
-                         + (f", {simulated:.1f} % simulated" if simulated else ""))
-        lines += [f"advice: {line}" for line in texts(self.advice or [])]
-        return "\n".join(lines + [f"warning: {line}" for line in texts(self.warnings)])
-
     @property
     def has_kes(self) -> bool:
         """Whether the moduli determine KES B along any direction."""
         return any(readings.kes_b_gf_cm2_per_cm for readings in self.laboratory.values())
-
-    def row(self) -> dict[str, str]:
-        """Columns of a CSV table: moduli, at the fabric's density and at 300 g/m², and readings."""
-        row = {"density_g_m2": csv_number(self.capture.density_g_m2)}
-        for suffix, table in (("", self.moduli), ("_at_300_g_m2", self.moduli_at_300_g_m2),
-                              ("", self.laboratory)):
-            for role, quantities in zip(ROLES, table.values(), strict=True):
-                for quantity, value in quantities:
-                    name = f"{role}_{quantity}{suffix}"
-                    row |= ({name: csv_number(value)} if isinstance(value, float)
-                            else interval_columns(name, value))
-        return row
 
 
 def torque_table(estimate: Estimate, curvatures: np.ndarray) -> dict[str, Any]:
@@ -475,37 +409,3 @@ def _kes_note(laboratory: Mapping[str, Mapping[str, Any]]) -> str:
         parts += [f"{what} along {', '.join(names)}"] * bool(names)
     return f"KES B and 2HB are {' and '.join(parts)}: in that share of the samples the fabric " \
            "softens below 1.5 1/cm, so that its moduli do not determine them" if parts else ""
-
-
-def interval_columns(name: str, quantity: Quantity | None) -> dict[str, str]:
-    """Median and intervals as columns of a CSV table; empty for None."""
-    columns = [name, *(f"{name}_{end}{level}" for level in (68, 90) for end in ("low", "high"))]
-    if quantity is None:
-        return dict.fromkeys(columns, "")
-    values = [quantity.median, *quantity.interval_68, *quantity.interval_90]
-    return dict(zip(columns, map(csv_number, values), strict=True))
-
-
-def csv_number(value: float) -> str:
-    """A number for a CSV table."""
-    return f"{value:.6g}"
-
-
-def csv_table(rows: Sequence[Mapping[str, object]], columns: Sequence[str] = ()) -> str:
-    """CSV table for spreadsheets; ``columns`` is needed if there may be no rows."""
-    stream = io.StringIO()
-    writer = csv.DictWriter(stream, list(columns or (rows[0] if rows else ())), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows({name: _cell(value) for name, value in row.items()} for row in rows)
-    return stream.getvalue()
-
-
-def _cell(value: object) -> object:
-    """Escape text that a spreadsheet would evaluate as a formula; numbers are not changed."""
-    if not isinstance(value, str) or not value.startswith(_FORMULA):
-        return "" if value is None else value
-    try:
-        float(value)
-    except ValueError:
-        return "'" + value
-    return value

@@ -64,7 +64,8 @@ def archive(results: Path) -> Generator[bytes]:
 
     ``fabrics.csv`` has the moduli and readings of each estimate.
     """
-    from drapenet.result.document import EstimateDocument, csv_table
+    from drapenet.result.document import EstimateDocument
+    from drapenet.result.tables import csv_table, row_of
 
     written = _Written()
     with TemporaryDirectory(prefix=COPY, dir=results) as name, zipfile.ZipFile(
@@ -78,7 +79,7 @@ def archive(results: Path) -> Generator[bytes]:
                 if row["estimate"]:
                     head, _, line = csv_table([{
                         "fabric": row["fabric_name"], "capture": row["name"], "folder": row["id"],
-                        **EstimateDocument.of(row["estimate"], "").row()}]).partition("\n")
+                        **row_of(EstimateDocument.of(row["estimate"], ""))}]).partition("\n")
                     lines.write(line if lines.tell() else f"{head}\n{line}")
                 for place, _, files in os.walk(results / row["id"]):
                     for file in sorted(files):

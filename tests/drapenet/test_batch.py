@@ -14,7 +14,7 @@ import infer
 from common.errors import InputError
 from data.captures.writer import write_capture
 from drapenet.batch.captures import entries_of, plain_name
-from drapenet.result.document import ROLES, csv_table
+from drapenet.result.tables import ROLES, csv_table
 from sim.rig import SQUARE_RIG
 
 TWILL = Path(__file__).parents[2] / "examples" / "captures" / "twill"

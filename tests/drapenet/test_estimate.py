@@ -17,6 +17,7 @@ from drapenet.network.predict import Draws
 from drapenet.result.document import Quantity
 from drapenet.result.estimate import make_estimate
 from drapenet.result.files import read_document, write_estimate
+from drapenet.result.terminal import terminal_text
 from sim.material import DIRECTIONS, MICRO, is_admissible
 
 DENSITY = 0.15
@@ -94,7 +95,7 @@ def test_what_is_as_wide_as_the_prior_is_poorly_constrained(header):
                                          header=header))
     assert "alpha bias" in document.poorly_constrained
     assert "beta/alpha bias" not in document.poorly_constrained
-    assert "poorly constrained" in document.text()
+    assert "poorly constrained" in terminal_text(document)
 
 
 @pytest.mark.parametrize(("median", "low", "high", "text"), [

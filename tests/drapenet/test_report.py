@@ -14,6 +14,7 @@ from drapenet.report.pdf import as_pdf
 from drapenet.report.report import ShownCapture, write_report
 from drapenet.result.document import EstimateDocument
 from drapenet.result.files import PAGE, PDF, capture_names, fabric_name
+from drapenet.result.terminal import terminal_text
 
 ALPHA, BETA = np.array([52e-6, 31e-6, 22e-6]), np.array([-158e-9, -101e-9, -69e-9])
 SOFTENING = np.array([-300e-9, -102e-9, -69e-9])  # within KES's range, in part along the bias
@@ -78,13 +79,13 @@ def test_values_of_kes_outside_the_law_are_neither_given_nor_compared(tmp_path):
     note = part.content()["kes_note"]
     assert re.match(r"KES B and 2HB are not given along warp \(100 %\) and not to be compared with "
                     r"measured values along bias \(\d+ %\)", note)
-    assert f"<li>{note}.</li>" in page and note in part.text()
-    assert part.text().count("   –") == 2
+    assert f"<li>{note}.</li>" in page and note in terminal_text(part)
+    assert terminal_text(part).count("   –") == 2
     part = document(beta=3 * SOFTENING)  # nowhere determined
     page, _ = written(tmp_path, part, [ShownCapture("navy", part, b"")])
     assert "KES 2HB [" not in page and "not to be compared" not in part.kes_note
     assert "not given along warp (100 %), bias (100 %), weft (100 %)" in part.kes_note
-    assert part.kes_note in part.text() and "KES 2HB  " not in part.text()
+    assert part.kes_note in terminal_text(part) and "KES 2HB  " not in terminal_text(part)
 
 
 def test_a_joint_report_has_its_captures_both_faces_and_their_pictures(tmp_path, picture):

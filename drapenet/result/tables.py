@@ -1,0 +1,58 @@
+"""Estimates as rows of tables for spreadsheets."""
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+
+from drapenet.result.document import EstimateDocument, Quantity
+
+ROLES = ("warp_or_stiff", "bias", "weft_or_soft")
+"""Directions in tables whose fabrics need not all have a marked warp."""
+_FORMULA = tuple("=+-@\t\r\n")  # first characters of cells that spreadsheets evaluate
+
+
+def row_of(document: EstimateDocument) -> dict[str, str]:
+    """Columns of a CSV table: moduli, at the fabric's density and at 300 g/m², and readings."""
+    row = {"density_g_m2": csv_number(document.capture.density_g_m2)}
+    for suffix, table in (("", document.moduli), ("_at_300_g_m2", document.moduli_at_300_g_m2),
+                          ("", document.laboratory)):
+        for role, quantities in zip(ROLES, table.values(), strict=True):
+            for quantity, value in quantities:
+                name = f"{role}_{quantity}{suffix}"
+                row |= ({name: csv_number(value)} if isinstance(value, float)
+                        else interval_columns(name, value))
+    return row
+
+
+def interval_columns(name: str, quantity: Quantity | None) -> dict[str, str]:
+    """Median and intervals as columns of a CSV table; empty for None."""
+    columns = [name, *(f"{name}_{end}{level}" for level in (68, 90) for end in ("low", "high"))]
+    if quantity is None:
+        return dict.fromkeys(columns, "")
+    values = [quantity.median, *quantity.interval_68, *quantity.interval_90]
+    return dict(zip(columns, map(csv_number, values), strict=True))
+
+
+def csv_number(value: float) -> str:
+    """A number for a CSV table."""
+    return f"{value:.6g}"
+
+
+def csv_table(rows: Sequence[Mapping[str, object]], columns: Sequence[str] = ()) -> str:
+    """CSV table for spreadsheets; ``columns`` is needed if there may be no rows."""
+    stream = io.StringIO()
+    writer = csv.DictWriter(stream, list(columns or (rows[0] if rows else ())), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({name: _cell(value) for name, value in row.items()} for row in rows)
+    return stream.getvalue()
+
+
+def _cell(value: object) -> object:
+    """Escape text that a spreadsheet would evaluate as a formula; numbers are not changed."""
+    if not isinstance(value, str) or not value.startswith(_FORMULA):
+        return "" if value is None else value
+    try:
+        float(value)
+    except ValueError:
+        return "'" + value
+    return value

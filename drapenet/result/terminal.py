@@ -1,0 +1,54 @@
+"""An estimate in the words of the terminal."""
+
+from common.findings import texts
+from drapenet.result.document import EstimateDocument
+
+
+def terminal_text(document: EstimateDocument) -> str:
+    """An estimate as lines for a terminal."""
+    lines = [f"joint estimate of {document.parts}"] if document.parts else []
+    lines += [f"at {document.capture.density_g_m2:g} g/m²:",
+              f"{'':8}{'alpha [µN·m]':>14}{'68 % interval':>20}{'beta [nN·m²]':>16}"
+              f"{'68 % interval':>20}"]
+    for name, moduli in document.moduli.items():
+        (alpha, alphas), (beta, betas) = moduli.alpha_uN_m.texts(), moduli.beta_nN_m2.texts()
+        lines.append(f"{name:8}{alpha:>14}{alphas:>20}{beta:>16}{betas:>20}")
+    lines += texts(document.mostly_usual)
+    if refined := document.refined:
+        before = ", ".join(f"{name} {moduli.alpha_uN_m.texts()[0]}"
+                           for name, moduli in refined.before.items())
+        misfit = "-" if refined.misfit_before is None else f"{refined.misfit_before:.0f}"
+        lines += [f"alpha before refinement: {before}",
+                  f"misfit {misfit} before, {refined.misfit:.0f} after "
+                  f"{refined.simulations} simulations ({refined.status}): half the sum of "
+                  "squared deviations over their errors"]
+    lines += [f"by strips alone, along the {name}: alpha {moduli.alpha_uN_m} µN·m, beta "
+              f"{moduli.beta_nN_m2} nN·m², natural curvature "
+              f"{moduli.natural_curvature_1_m:.2g} ± "
+              f"{moduli.natural_curvature_deviation_1_m:.1g} 1/m"
+              for each in document.strips or [] for name, moduli in each.moduli.items()]
+    head = [f"{'':8}{'bending length':>14}{'rigidity G':>14}"]
+    if document.has_kes:
+        head.append(f"{'KES B':>18}{'KES 2HB':>18}")
+    lines.append("".join(head))
+    for name, readings in document.laboratory.items():
+        secant, hysteresis = readings.kes_b_gf_cm2_per_cm, readings.kes_2hb_gf_cm_per_cm
+        cells = [f"{readings.bending_length_mm.texts()[0] + ' mm':>14}",
+                 f"{readings.flexural_rigidity_uN_m.texts()[0] + ' µN·m':>14}"]
+        if secant and hysteresis:
+            cells += [f"{secant.texts()[0] + ' gf·cm²/cm':>18}",
+                      f"{hysteresis.texts()[0] + ' gf·cm/cm':>18}"]
+        elif document.has_kes:
+            cells.append(f"{'–':>18}{'–':>18}")
+        lines.append(f"{name:8}{''.join(cells)}")
+    lines += [document.kes_note] * bool(document.kes_note)
+    cloth = document.cloth
+    curvature = cloth.natural_curvature_warp_1_m, cloth.natural_curvature_weft_1_m
+    lines.append(f"natural curvature {curvature[0]} 1/m along {document.names[0]}, "
+                 f"{curvature[1]} 1/m along {document.names[2]}")
+    if coefficient := document.capture.drape_coefficient_percent:
+        simulated = (document.resimulation or {}).get("drape_coefficient_percent")
+        lines.append(f"drape coefficient {coefficient:.1f} %, as captured"
+                     + (f", {simulated:.1f} % simulated" if simulated else ""))
+    lines += [f"advice: {line}" for line in texts(document.advice or [])]
+    return "\n".join(lines + [f"warning: {line}" for line in texts(document.warnings)])
