@@ -97,10 +97,14 @@ def up_to(most: float) -> Any:
     return Annotated[float, Field(ge=0, le=most)]
 
 
+def pair(kind: Any) -> Any:
+    """Type of two values of a type."""
+    return Annotated[GenericAlias(list, (kind,)), Field(min_length=2, max_length=2)]
+
+
 def limits(least: float, most: float) -> Any:
     """Type of a smaller and a larger number between ``least`` and ``most``."""
-    return Annotated[list[Annotated[float, Field(ge=least, le=most)]],
-                     Field(min_length=2, max_length=2), AfterValidator(_in_order)]
+    return Annotated[pair(Annotated[float, Field(ge=least, le=most)]), AfterValidator(_in_order)]
 
 
 def _in_order(pair: list[float]) -> list[float]:

@@ -7,12 +7,13 @@ from typing import Annotated
 
 from pydantic import Field
 
-from common.configs import Key, Seed, Workers, keys_of, metres, si, up_to
+from common.configs import Key, Seed, Workers, keys_of, metres, pair, si, up_to
 from common.errors import InputError
 from common.provenance import sources_digest
 from common.types import Metres
 from data.fabrics.nuisances import NuisanceConfig
 from data.fabrics.prior import Prior, load_prior, prior_content
+from data.fabrics.prior.even import WHOLE, Shares
 from data.rigs import named_tester
 from sim.mesh.specimen import EDGE_RANGE
 from sim.rig import SQUARE_RIG
@@ -40,7 +41,7 @@ class SamplingConfig:
     both_faces: bool = False
     drift: Annotated[Metres, Key("mm", up_to(20))] = 0.003
     even_share: Annotated[float, Field(ge=0, le=1)] = 0.0
-    bias_deviation: Annotated[float, Field(ge=0, le=1)] = 1.0
+    anisotropy: Annotated[Shares, Key("", pair(up_to(1)))] = WHOLE
     nuisances: NuisanceConfig = field(default_factory=NuisanceConfig)
 
     def __post_init__(self) -> None:

@@ -159,7 +159,7 @@ def prior_samples(manifest: dict) -> tuple[Theta, float]:
     config = manifest["config"]
     return draw_fabrics(prior_from_content(config["prior"], origin="the dataset's prior"),
                         PRIOR_SAMPLES, **{key: config["sampling"][key]
-                                          for key in ("even_share", "bias_deviation")})
+                                          for key in ("even_share", "anisotropy")})
 
 
 def in_display_units(theta: Theta) -> np.ndarray:

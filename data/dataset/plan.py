@@ -67,7 +67,7 @@ def plan_drape(index: int, *, config: SamplingConfig, prior: Prior) -> DrapePlan
     fabric, start_of_fabric = divmod(index, config.starts_per_fabric)
     theta, rejected, shift = draw_fabric(prior, stream(config.seed, Stream.FABRIC, fabric),
                                          even_share=config.even_share,
-                                         bias_deviation=config.bias_deviation)
+                                         anisotropy=config.anisotropy)
     rig = draw_testers(config, fabric)[start_of_fabric % config.testers_per_fabric]
     face = draw_faces(config, fabric)[start_of_fabric]
     nuisances = config.nuisances.sample(stream(config.seed, Stream.CLOTH, fabric),

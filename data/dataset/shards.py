@@ -146,7 +146,7 @@ def _coded(record: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     rest, positions, moves = (np.asarray(record[name], dtype) for name, dtype in (
         ("rest", np.int16), ("positions", np.int16), (MOVES, np.int8)))
     levels = Levels(rest.astype(np.int64))
-    return {**record, "check": _check(rest, positions), "positions": levels.coded(positions),
+    return {**record, "check": np.uint32(_check(rest, positions)), "positions": levels.coded(positions),
             MOVES: levels.coded(moves, levels.size(MOVED_SHARE)) if len(moves) else moves}
 
 

@@ -9,7 +9,7 @@ from common.normal import Normal
 from common.types import Density
 from data.fabrics.fabrics import THETA_NAMES, from_theta
 from data.fabrics.prior import prior_from_content
-from data.fabrics.prior.even import draw_fabrics
+from data.fabrics.prior.even import WHOLE, draw_fabrics
 from data.fabrics.properties import ClothProperties
 from sim.material import DIRECTIONS, REFERENCE_DENSITY, is_admissible
 
@@ -48,7 +48,7 @@ def fabric_prior(header: "Header") -> ClothProperties:
     prior = prior_from_content(generation["prior"], origin=str(header.path))
     # A checkpoint may be older than these settings.
     theta, _ = draw_fabrics(prior, _PRIOR_SAMPLES, even_share=sampling.get("even_share", 0.0),
-                            bias_deviation=sampling.get("bias_deviation", 1.0))
+                            anisotropy=tuple(sampling.get("anisotropy", WHOLE)))
     drawn = [header.nuisances.sample(rng, rng) for _ in theta]
     return ClothProperties(
         theta, np.array([[each.curl_warp, each.curl_weft] for each in drawn]),

@@ -56,22 +56,25 @@ def test_a_move_keeps_the_ratios_between_directions():
     np.testing.assert_allclose(stiffer[:, RATIO], np.exp(0.5) * plain[:, RATIO], atol=1e-11)
 
 
-@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
-def test_a_share_of_the_difference_along_the_bias_is_kept(share):
+@pytest.mark.parametrize("anisotropy", [(0.0, 0.0), (0.8, 0.3), (0.0, 1.0), (1.0, 1.0)])
+def test_shares_of_the_anisotropy_are_kept(anisotropy):
     plain = draw_fabrics(PRIOR, 300)[0]
-    found = draw_fabrics(PRIOR, 300, bias_deviation=share)[0]
+    found = draw_fabrics(PRIOR, 300, anisotropy=anisotropy)[0]
 
-    def off(theta):
-        return theta[:, BIAS] - theta[:, [WARP, WEFT]].mean(axis=1)
+    def differences(theta):
+        across = theta[:, WARP] - theta[:, WEFT]
+        return np.stack([across, theta[:, BIAS] - theta[:, [WARP, WEFT]].mean(axis=1)], axis=1)
 
-    np.testing.assert_allclose(off(found), share * off(plain), atol=1e-11)
+    np.testing.assert_allclose(differences(found), anisotropy * differences(plain), atol=1e-11)
     np.testing.assert_allclose(log_stiffness(found), log_stiffness(plain), atol=1e-11)
-    np.testing.assert_allclose(found[:, WARP] - found[:, WEFT], plain[:, WARP] - plain[:, WEFT],
-                               atol=1e-11)
     np.testing.assert_array_equal(found[:, RATIO], plain[:, RATIO])
     assert is_admissible(*from_theta(found)).all()
-    with pytest.raises(InputError, match="bias_deviation"):
-        config_from_options(compose_config("generate", ["dataset.bias_deviation=1.5"],
+
+
+@pytest.mark.parametrize("words", ["[0.8,1.5]", "[0.8]", "0.8", "[-0.1,1]"])
+def test_other_shares_of_the_anisotropy_are_refused(words):
+    with pytest.raises(InputError, match="anisotropy"):
+        config_from_options(compose_config("generate", [f"dataset.anisotropy={words}"],
                                            schema=Options))
 
 

@@ -1,4 +1,4 @@
-"""Fabrics to learn from: samples of a prior, made stiffer or softer, and more alike in the bias.
+"""Fabrics to learn from: samples of a prior, made stiffer or softer, and less anisotropic.
 
 The published fabrics, and so the priors fitted to them, have few stiff and few limp fabrics: 90 %
 of the mean alphas at 300 g/m² lie between 4 and 60 µN·m. A sample keeps all else when it is moved:
@@ -7,7 +7,8 @@ its three alphas get one factor, so that the ratios between directions, on which
 
 Along the bias the published cantilevers differ from the mean of warp and weft by a factor of 1.65
 (standard deviation), and a drape of such cloth has a fourth harmonic that outlines of real cloth do
-not have (docs/physics.md). ``bias_deviation`` is the share of that difference which is kept.
+not have (docs/physics.md). ``anisotropy`` has the shares that are kept of the difference between
+log alpha along warp and weft, and of that between the bias and their mean.
 """
 
 import numpy as np
@@ -20,11 +21,15 @@ STIFFNESS = (0.7e-6, 700e-6)
 """Range of the mean alpha (geometric mean of warp, bias and weft) of moved fabrics, N·m at
 300 g/m²: bending lengths from 6 mm, chiffon, to 62 mm, canvas."""
 
+Shares = tuple[float, float]
+WHOLE: Shares = 1.0, 1.0  # of the prior's anisotropy
+
 _SPREAD_SAMPLES = 4000
 
 
 def draw_fabric(
-    prior: Prior, rng: np.random.Generator, *, even_share: float = 0.0, bias_deviation: float = 1.0
+    prior: Prior, rng: np.random.Generator, *, even_share: float = 0.0,
+    anisotropy: Shares = WHOLE
 ) -> tuple[Theta, int, float]:
     """An admissible fabric, :func:`narrowed`, the number of rejected samples, and its shift of log
     alpha.
@@ -33,7 +38,7 @@ def draw_fabric(
     :data:`STIFFNESS`; else it is a fabric of the prior, with a shift of 0.
     """
     theta, rejected = sample_admissible(prior, rng)
-    theta = narrowed(theta, bias_deviation)
+    theta = narrowed(theta, anisotropy)
     if not even_share or rng.random() >= even_share:
         return theta, rejected, 0.0
     shift = float(rng.uniform(*np.log(STIFFNESS)) - log_stiffness(theta))
@@ -41,12 +46,12 @@ def draw_fabric(
 
 
 def draw_fabrics(
-    prior: Prior, count: int, *, even_share: float = 0.0, bias_deviation: float = 1.0
+    prior: Prior, count: int, *, even_share: float = 0.0, anisotropy: Shares = WHOLE
 ) -> tuple[Theta, float]:
     """``count`` fabrics (count, 6) by a fixed seed, and the share of rejected samples."""
     rng = np.random.default_rng(0)
     theta, rejected, _ = zip(*(
-        draw_fabric(prior, rng, even_share=even_share, bias_deviation=bias_deviation)
+        draw_fabric(prior, rng, even_share=even_share, anisotropy=anisotropy)
         for _ in range(count)), strict=True)
     return np.array(theta), sum(rejected) / (sum(rejected) + count)
 
@@ -56,16 +61,18 @@ def spread_of(prior: Prior) -> Theta:
     return draw_fabrics(prior, _SPREAD_SAMPLES)[0].std(axis=0)
 
 
-def narrowed(theta: Theta, share: float) -> Theta:
-    """Fabrics (..., 6) with this share, 0 to 1, of the difference between log alpha along the bias
-    and its mean along warp and weft; the mean of the three stays. They are admissible if those of
-    ``theta`` are, because the mean of warp and weft is."""
-    if share == 1:
+def narrowed(theta: Theta, anisotropy: Shares) -> Theta:
+    """Fabrics (..., 6) with these shares, 0 to 1, of the difference between log alpha along warp
+    and weft, and of that between the bias and their mean; the mean of the three stays. They are
+    admissible if those of ``theta`` are: a smaller difference only widens the limits of a plate."""
+    if tuple(anisotropy) == WHOLE:
         return theta
-    theta = np.array(theta)
-    off = theta[..., BIAS] - (theta[..., WARP] + theta[..., WEFT]) / 2
-    theta[..., BIAS] -= (1 - share) * off * 2 / 3
-    theta[..., [WARP, WEFT]] += ((1 - share) * off / 3)[..., None]
+    theta, (yarns, bias) = np.array(theta), anisotropy
+    across = (1 - yarns) * (theta[..., WARP] - theta[..., WEFT]) / 2
+    off = (1 - bias) * (theta[..., BIAS] - (theta[..., WARP] + theta[..., WEFT]) / 2) / 3
+    theta[..., WARP] += off - across
+    theta[..., WEFT] += off + across
+    theta[..., BIAS] -= 2 * off
     return np.round(theta, DECIMALS)
 
 
