@@ -146,13 +146,14 @@ def _coded(record: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     rest, positions, moves = (np.asarray(record[name], dtype) for name, dtype in (
         ("rest", np.int16), ("positions", np.int16), (MOVES, np.int8)))
     levels = Levels(rest.astype(np.int64))
-    return {**record, "check": np.uint32(_check(rest, positions)), "positions": levels.coded(positions),
+    return {**record, "check": _check(rest, positions), "positions": levels.coded(positions),
             MOVES: levels.coded(moves, levels.size(MOVED_SHARE)) if len(moves) else moves}
 
 
-def _check(rest: np.ndarray, positions: np.ndarray) -> int:
-    """Checksum of a mesh, counts (V, 2) and (V, 3) of type int16."""
-    return zlib.crc32(positions.astype("<i2").tobytes(), zlib.crc32(rest.astype("<i2").tobytes()))
+def _check(rest: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """Checksum () of a mesh, counts (V, 2) and (V, 3) of type int16."""
+    first, second = (array.astype("<i2").tobytes() for array in (rest, positions))
+    return np.array(zlib.crc32(second, zlib.crc32(first)), np.uint32)
 
 
 def _write_field(file: h5py.File, name: str, field: Field, rows: Sequence[np.ndarray]) -> None:
