@@ -8,7 +8,7 @@ its three alphas get one factor, so that the ratios between directions, on which
 Along the bias the published cantilevers differ from the mean of warp and weft by a factor of 1.65
 (standard deviation), and a drape of such cloth has a fourth harmonic that outlines of real cloth do
 not have (docs/physics.md). ``anisotropy`` has the shares that are kept of the difference between
-log alpha along warp and weft, and of that between the bias and their mean.
+warp and weft, and of that between the bias and their mean.
 """
 
 import numpy as np
@@ -62,17 +62,20 @@ def spread_of(prior: Prior) -> Theta:
 
 
 def narrowed(theta: Theta, anisotropy: Shares) -> Theta:
-    """Fabrics (..., 6) with these shares, 0 to 1, of the difference between log alpha along warp
-    and weft, and of that between the bias and their mean; the mean of the three stays. They are
-    admissible if those of ``theta`` are: a smaller difference only widens the limits of a plate."""
+    """Fabrics (..., 6) with these shares, 0 to 1, of the difference between warp and weft, and of
+    that between the bias and their mean, of log alpha and of beta/alpha; the means of the three
+    directions stay. They are admissible if those of ``theta`` are: a smaller difference only widens
+    the limits of a plate."""
     if tuple(anisotropy) == WHOLE:
         return theta
     theta, (yarns, bias) = np.array(theta), anisotropy
-    across = (1 - yarns) * (theta[..., WARP] - theta[..., WEFT]) / 2
-    off = (1 - bias) * (theta[..., BIAS] - (theta[..., WARP] + theta[..., WEFT]) / 2) / 3
-    theta[..., WARP] += off - across
-    theta[..., WEFT] += off + across
-    theta[..., BIAS] -= 2 * off
+    for part in (LINEAR, RATIO):
+        values = theta[..., part]  # a view
+        mean = (values[..., WARP] + values[..., WEFT]) / 2
+        across = yarns * (values[..., WARP] - values[..., WEFT]) / 2
+        off = (1 - bias) * (values[..., BIAS] - mean) / 3
+        values[..., BIAS] -= 2 * off
+        values[..., WARP], values[..., WEFT] = mean + off + across, mean + off - across
     return np.round(theta, DECIMALS)
 
 
