@@ -11,6 +11,7 @@ from common.errors import InputError
 from common.types import Metres, Pixels, Points, Vector
 
 STATED_FOCAL = 0.015  # relative error of a focal length that a file states, in whole millimetres
+CONTRADICTED = 3.0  # times this error, by which markers seen askew may differ from it
 MAX_FOCAL_ERROR = 0.06
 DISTORTION = 0.03  # standard deviation of k1 (Brown), of phones that correct their pictures
 SEEN, PRINT = 0.15, 1.5e-4  # pixels and m, errors of a marker as seen and as printed
@@ -73,11 +74,13 @@ def _projected(
 
 
 def camera_pose(
-    size: tuple[int, int], seen: Sequence[tuple[Points, Pixels]], focal: float | None
+    size: tuple[int, int], seen: Sequence[tuple[Points, Pixels]], focal: float | None,
+    no_focal: str = ""
 ) -> Pose:
     """Pose of the first picture from centres of markers and their pixels, in it and in others
-    of the same camera and ``size``; ``focal``: length as its file states it, pixels. InputError
-    where the markers do not lie in a plane, or leave the focal length open.
+    of the same camera and ``size``; ``focal``: length as its file states it, pixels, or
+    ``no_focal``, why it is not known. InputError where the markers do not lie in a plane, or leave
+    the focal length open.
 
     Focal length and distortion are unknowns that all pictures share, with what is known of phones
     as prior; the picture's middle is the principal point.
@@ -105,14 +108,18 @@ def camera_pose(
         raise InputError(f"the mat's markers lie {error:.1f} times as far from those of a flat mat "
                          f"as they should, at most {MAX_ERROR:g} is allowed: lay it flat, print it "
                          "at 100 %, join its parts at their lines, and hold the phone still")
+    if focal and abs(solved.x[0]) > CONTRADICTED * STATED_FOCAL:
+        return camera_pose(size, seen, None, (
+            f"as the markers are seen, it is {abs(np.expm1(solved.x[0])):.0%} or more off the "
+            "length that the file states: the picture is cut or zoomed"))
     covariance = np.linalg.inv(solved.jac.T @ solved.jac) * max(1.0, error) ** 2
     turn, shift = solved.x[2:8].reshape(2, 3)
     focal_error = float(np.sqrt(covariance[0, 0]))
     if focal_error > MAX_FOCAL_ERROR:
         raise InputError(
-            "the focal length is not known: the file does not state it (messengers remove that), "
-            "and one picture from above does not show it; give the file as the camera wrote it, or "
-            "take two more pictures of the mat from the sides, mat_1.jpg and mat_2.jpg")
+            f"the focal length is not known: {no_focal}, and one picture from above does not show "
+            "it; give the file as the camera wrote it, whole and without zoom, or take two more "
+            "pictures of the mat from the sides in the same way, mat_1.jpg and mat_2.jpg")
     heights = _height_gradient(solved.x[2:8])
     height_error = float(np.sqrt(heights @ covariance[2:8, 2:8] @ heights))
     return Pose(size, start * float(np.exp(solved.x[0])), float(solved.x[1]), turn, shift,

@@ -21,7 +21,9 @@ FORMATS = ("PNG", "JPEG", "TIFF", "HEIF")
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".heic", ".heif")
 FULL_FRAME = 43.27  # mm, diagonal of the film that equivalent focal lengths refer to
 _BRIGHTEST = 0.995  # quantile that a picture is scaled to
-_EXIF, _EQUIVALENT_FOCAL = 0x8769, 41989  # tags
+_EXIF, _EQUIVALENT_FOCAL, _DIGITAL_ZOOM = 0x8769, 41989, 41988  # tags
+_WHOLE = (4 / 3, 3 / 2)  # sides of the sensors of phones and cameras
+_EVEN = 0.01  # relative difference of sides and zooms that counts as none
 
 pillow_heif.register_heif_opener()
 
@@ -35,7 +37,8 @@ class Photograph:
         transparent: pixels that an editor has made transparent, which are not cloth; ``light`` is
             that of the paper or the table on which they would show best.
         factor: how many pixels of a row of the file were averaged to each.
-        focal: length, pixels of ``light``, as the camera states it; None if it does not.
+        focal: length, pixels of ``light``, as the camera states it; None if it does not, or if the
+            picture is not the whole one of which it is stated, for the reason ``no_focal``.
         painted: where light is guessed from its surroundings; None if it is not.
     """
 
@@ -43,6 +46,7 @@ class Photograph:
     transparent: Mask
     factor: int = 1
     focal: float | None = None
+    no_focal: str = ""
     painted: Mask | None = None
 
     @cached_property
@@ -69,7 +73,7 @@ def read_photograph(
             if not SIDES[0] <= min(picture.size) <= max(picture.size) <= SIDES[1]:
                 raise InputError(f"{width}x{height} pixels; photographs have {SIDES[0]} to "
                                  f"{SIDES[1]} on each side")
-            equivalent = picture.getexif().get_ifd(_EXIF).get(_EQUIVALENT_FOCAL)
+            equivalent, no_focal = _stated_focal(picture)
             values, transparent = _values(ImageOps.exif_transpose(picture))
     factor = -(-max(values.shape) // side)
     light = _reduced(values, factor)
@@ -79,8 +83,23 @@ def read_photograph(
     transparent = transparent[factor // 2 :: factor, factor // 2 :: factor][:rows, :columns]
     if transparent.any() and not transparent.all():
         light[transparent] = 0.0 if np.median(light[~transparent]) > 0.3 else 1.0
-    focal = float(equivalent) * float(np.hypot(rows, columns)) / FULL_FRAME if equivalent else None
-    return Photograph(light, transparent, factor, focal)
+    focal = equivalent and equivalent * float(np.hypot(rows, columns)) / FULL_FRAME
+    return Photograph(light, transparent, factor, focal, no_focal)
+
+
+def _stated_focal(picture: Image.Image) -> tuple[float | None, str]:
+    """Focal length, mm of full frame, that a file states of its whole picture; else None, and why
+    not. Cameras differ in whether a digital zoom is part of it, and a cut leaves it as it was."""
+    exif, (width, height) = picture.getexif().get_ifd(_EXIF), picture.size
+    if not (equivalent := exif.get(_EQUIVALENT_FOCAL)):
+        return None, "the file does not state it (messengers remove that)"
+    zoom, shape = float(exif.get(_DIGITAL_ZOOM) or 1), max(width / height, height / width)
+    if not abs(zoom - 1) < _EVEN:
+        return None, f"the picture was taken with a digital zoom of {zoom:.3g}"
+    if min(abs(shape / whole - 1) for whole in _WHOLE) > _EVEN:
+        return None, (f"the picture of {width}x{height} pixels is cut: its sides are neither 4:3 "
+                      "nor 3:2, as those of a whole one")
+    return float(equivalent), ""
 
 
 def _values(picture: Image.Image) -> tuple[np.ndarray, np.ndarray]:

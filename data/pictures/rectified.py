@@ -64,7 +64,7 @@ def straight_from_above(
     if any(one.light.shape != photograph.light.shape for one in others):
         raise InputError("the pictures of the mat have different sizes; take all with one camera, "
                          "in one mode, all upright or all sideways")
-    pose = camera_pose((width, height), seen, photograph.focal)
+    pose = camera_pose((width, height), seen, photograph.focal, photograph.no_focal)
     above = pose.place[2] - plate_height
     if above < 0.15:
         raise InputError(f"the camera was {1e3 * pose.place[2]:.0f} mm over the mat, the plate is "

@@ -14,8 +14,8 @@ from common.errors import InputError
 from data.captures.reader import read_capture
 from data.dataset.off_axis import silhouette
 from data.pictures.mat import MATS, PARTS, PIXEL, find_mat, mat_pages, mat_picture
-from data.pictures.pose import camera_pose
-from data.pictures.reading import Photograph, decoded
+from data.pictures.pose import camera_matrix, camera_pose
+from data.pictures.reading import Photograph, decoded, read_photograph
 from data.render import phone
 from data.render.phone import phone_picture
 from sim.drape import drape
@@ -106,6 +106,45 @@ def test_pictures_from_the_sides_stand_for_a_focal_length_that_is_missing(tmp_pa
     found = read_capture(folder)
     assert found.outline.height == pytest.approx(picture.pose.place[2] - PLATE_HEIGHT, rel=0.03)
     assert found.warp_direction == 0  # along the arrow, if nothing else is stated
+
+
+def changed(jpeg: bytes, *, box=None, zoom: float | None = None) -> bytes:
+    """A picture cut to a ``box``, or with the tag of a digital ``zoom``, with the rest of its tags.
+    """
+    picture, stream = Image.open(io.BytesIO(jpeg)), io.BytesIO()
+    exif = picture.getexif()
+    if zoom:
+        exif.get_ifd(0x8769)[41988] = zoom
+    (picture.crop(box) if box else picture).save(stream, format="JPEG", quality=92, exif=exif)
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize(("change", "fault"), [
+    ({"box": (0, 252, 1512, 1764)}, r"1512x1512 pixels is cut: its sides are neither 4:3 nor 3:2"),
+    ({"box": (189, 0, 1323, 2016)}, r"1134x2016 pixels is cut"),
+    ({"zoom": 1.5}, r"a digital zoom of 1\.5, .*without zoom"),
+    ({"zoom": 1.0}, None), ({"zoom": 0.0}, None)])
+def test_a_picture_that_is_not_the_whole_one_has_another_focal_length(tmp_path, picture, change,
+                                                                      fault):
+    assert picture.pose.size == (1512, 2016)
+    folder = over_mat(tmp_path / "capture", changed(picture.jpeg, **change))
+    if fault is None:
+        assert read_photograph(folder / "outline.jpg", side=4500).focal == pytest.approx(
+            picture.pose.focal, rel=0.03)
+        return
+    with pytest.raises(InputError, match=f"focal length is not known: .*{fault}"):
+        read_capture(folder)
+
+
+def test_markers_seen_askew_contradict_the_focal_length_of_another_picture():
+    """Zoomed 1.2 times without a tag: seen from the side it is measured, from above it is not."""
+    mat, size = MATS["a3"], (2016, 1512)
+    points = np.column_stack([mat.centres, np.zeros(len(mat.centres))])
+    turn = cv2.Rodrigues(np.array([0, 0.4, 0]))[0] @ cv2.Rodrigues(np.array([np.pi, 0, 0]))[0]
+    pixels = cv2.projectPoints(points, turn, np.array([0, 0, 0.7]), camera_matrix(1800.0, size),
+                               None)[0][:, 0]
+    assert camera_pose(size, [(points, pixels)], 1500.0).focal == pytest.approx(1800, rel=0.01)
+    assert camera_pose(size, [(points, pixels)], 1790.0).focal == pytest.approx(1795, rel=0.01)
 
 
 @pytest.mark.parametrize(("cloth", "named"), [((200, 60, 90), False), ((110, 170, 200), False),
