@@ -28,6 +28,7 @@ INTRINSICS_KEYS = ("fx", "fy", "cx", "cy")
 MIN_EQUAL_TURNS = 4  # views, from which on equally spaced turns are the default
 MIN_TURN = 6.3  # degrees; the largest turn given in radians is 6.28
 PLATE_HEIGHTS = (20.0, 600.0)  # mm above the mat
+MAT_BARS = (180.0, 220.0)  # mm, of the scale of 200 mm on a mat that was not printed at 100 %
 CAMERA_HEIGHTS = (200.0, 20_000.0)  # mm above the plate, of a photograph's camera
 OUTLINE_TABLES = (".csv", ".txt")  # suffixes of outlines in numbers
 PARALLEL = "parallel"
@@ -173,16 +174,19 @@ class OutlineSource(Schema):
     A photograph has the keys ``OF_PHOTOGRAPHS``: a ``mat`` under the stand, ``plate_px`` or
     ``mm_per_px``, or none of them, with a board in the picture or ``plate.jpg`` beside it; a text
     file has the keys ``OF_TABLES``. ``plate_height_mm``: of the plate's top above the mat;
-    ``arrow``: what lies along the mat's arrow; ``centred``: whether the origin of a text file is
-    the plate's centre; ``y_axis``: where y points in x and y; ``angles``: which way angles are
-    counted, seen from above.
+    ``mat_bar_mm``: length of the mat's scale, as measured on the print; ``arrow``: what lies along
+    the mat's arrow; ``centred``: whether the origin of a text file is the plate's centre;
+    ``y_axis``: where y points in x and y; ``angles``: which way angles are counted, seen from
+    above.
     """
 
-    OF_PHOTOGRAPHS: ClassVar = ("mat", "plate_height_mm", "arrow", "mm_per_px", "plate_px")
+    OF_PHOTOGRAPHS: ClassVar = ("mat", "plate_height_mm", "mat_bar_mm", "arrow", "mm_per_px",
+                                "plate_px")
     OF_TABLES: ClassVar = ("unit", "centred", "y_axis", "angles")
 
     mat: Literal["a3", "a2"] | None = None
     plate_height_mm: float | None = Field(None, ge=PLATE_HEIGHTS[0], le=PLATE_HEIGHTS[1])
+    mat_bar_mm: float | None = Field(None, ge=MAT_BARS[0], le=MAT_BARS[1])
     arrow: Literal["warp", "none"] = "warp"
     mm_per_px: float | None = Field(None, gt=0, le=10)
     plate_px: PlateInPicture | None = None
@@ -199,6 +203,9 @@ class OutlineSource(Schema):
         if self.mat and (self.mm_per_px or self.plate_px or self.camera_height_mm):
             raise ValueError("the mat states scale, centre and camera height; leave out mm_per_px, "
                              "plate_px and camera_height_mm")
+        if self.mat_bar_mm and not self.mat:
+            raise ValueError("mat_bar_mm is the measured length of the scale on a mat; state mat, "
+                             "too")
         if bool(self.mat) != bool(self.plate_height_mm):
             raise ValueError("mat and plate_height_mm belong together: the height of the plate's "
                              "top above the mat, such as {mat: a3, plate_height_mm: 150}")

@@ -15,6 +15,7 @@ from common.findings import Finding
 from common.types import GreyPicture, Mask, Metres
 from data.captures.board import MAX_REPROJECTION_ERROR, PAPER, SQUARE, SQUARES, find_corners
 from data.captures.description import OutlineSource
+from data.pictures.mat import BAR
 from data.pictures.plate import find_plate
 from data.pictures.reading import SUFFIXES, Photograph, read_photograph
 from data.pictures.rectified import straight_from_above
@@ -82,14 +83,16 @@ def _by_mat(file: Path, source: OutlineSource, rig: Rig) -> Scaled:
     files = file, *_beside(file, "mat_*")
     first, *others = (read_photograph(one, side=MAT_SIDE) for one in files)
     assert source.mat and source.plate_height_mm
-    over = straight_from_above(first, others, source.mat,
-                               plate_height=1e-3 * source.plate_height_mm,
-                               plate=rig.plate_radius, reach=rig.reach)
+    # Lengths as the mat has them, which may be printed larger or smaller.
+    scale = 1e-3 * source.mat_bar_mm / BAR if source.mat_bar_mm else 1.0
+    plate_height = 1e-3 * source.plate_height_mm
+    over = straight_from_above(first, others, source.mat, plate_height=plate_height / scale,
+                               plate=rig.plate_radius / scale, reach=rig.reach / scale)
     height, width = over.photograph.light.shape[:2]
     middle = np.array([width - 1, height - 1]) / 2
-    above = float(over.pose.place[2]) - 1e-3 * source.plate_height_mm
-    return Scaled(over.photograph, _about(middle, over.pixel), above, middle, over.pose.place[:2],
-                  over.ground, over.paper, warnings=over.warnings)
+    place = scale * over.pose.place
+    return Scaled(over.photograph, _about(middle, scale * over.pixel), float(place[2]) -
+                  plate_height, middle, place[:2], over.ground, over.paper, warnings=over.warnings)
 
 
 def _by_plate(photograph: Photograph, file: Path, source: OutlineSource, rig: Rig) -> Scaled:

@@ -11,6 +11,8 @@ from PIL import Image
 
 from apps.capture import main
 from common.errors import InputError
+from data.captures.description import OutlineSource
+from data.captures.photograph import read_outline
 from data.captures.reader import read_capture
 from data.dataset.off_axis import silhouette
 from data.pictures.mat import MATS, PARTS, PIXEL, find_mat, mat_pages, mat_picture
@@ -21,7 +23,7 @@ from data.render.phone import phone_picture
 from sim.drape import drape
 from sim.material import Fabric
 from sim.mesh import Mesh
-from sim.rig import DISC_RIG
+from sim.rig import DISC_RIG, Rig
 
 PLATE_HEIGHT = 0.12
 
@@ -106,6 +108,18 @@ def test_pictures_from_the_sides_stand_for_a_focal_length_that_is_missing(tmp_pa
     found = read_capture(folder)
     assert found.outline.height == pytest.approx(picture.pose.place[2] - PLATE_HEIGHT, rel=0.03)
     assert found.warp_direction == 0  # along the arrow, if nothing else is stated
+
+
+def test_a_mat_that_was_not_printed_at_100_percent_is_measured(tmp_path, picture):
+    """The same picture is one of a smaller drape over a mat printed at 97 %."""
+    file = over_mat(tmp_path / "capture", picture.jpeg) / "outline.jpg"
+    small = Rig(0.97 * DISC_RIG.sides[0], 0.97 * DISC_RIG.plate_diameter, "disc")
+    found = [read_outline(file, OutlineSource(mat="a3", **source), rig) for source, rig in (
+        ({"plate_height_mm": 1e3 * PLATE_HEIGHT}, DISC_RIG),
+        ({"plate_height_mm": 970 * PLATE_HEIGHT, "mat_bar_mm": 194.0}, small))]
+    assert found[1].height == pytest.approx(0.97 * found[0].height, rel=1e-9)
+    assert np.abs(found[1].radii - 0.97 * found[0].radii).max() < 1e-4
+    assert found[1].drape_coefficient == pytest.approx(found[0].drape_coefficient, abs=1e-3)
 
 
 def changed(jpeg: bytes, *, box=None, zoom: float | None = None) -> bytes:
@@ -199,6 +213,7 @@ def ideal(points: np.ndarray) -> np.ndarray:
     ({"plate_height_mm": 5.0}, "plate_height_mm=5"),
     ({"plate_height_mm": None}, "belong together"),
     ({"camera_height_mm": 900}, "leave out mm_per_px"),
+    ({"mat_bar_mm": 97.0}, "mat_bar_mm=97"),
 ])
 def test_faults_of_a_mat_have_a_line(tmp_path, picture, changes, fault):
     with pytest.raises(InputError, match=fault):
