@@ -1,11 +1,11 @@
 """What a capture states of itself, in ``capture.yaml`` or a form of the service."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from datetime import date
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import BeforeValidator, Field, PlainValidator, model_validator
@@ -17,7 +17,7 @@ from common.types import Density, Metres, Radians, Turns
 from data.captures.depth import Lens
 from data.captures.reported import Reported
 from data.render.cameras import Intrinsics
-from data.rigs import Tester
+from data.rigs import Tester, read_tester
 
 DENSITY_RANGE = (16.0, 1000.0)  # g/m2; from 3 to 15 oz/yd² is common for heavier cloth
 LIGHT_DENSITY = 35.0  # g/m2; few fabrics are lighter, and many have this number of momme
@@ -218,8 +218,10 @@ class OutlineSource(Schema):
 
 
 class Description(Specimen, Labels):
-    """``capture.yaml``; point clouds are projected to ``size_px``, ``face`` is the upper one."""
+    """``capture.yaml``; point clouds are projected to ``size_px``, ``face`` is the upper one.
+    ``weight_g`` of the whole specimen may stand for the density."""
 
+    weight_g: float | None = Field(None, gt=0, description="the specimen's weight in grams")
     depth_unit_m: float | None = Field(None, gt=0, description="0.001 for millimetres")
     intrinsics: Pixels | None = Field(
         None, description="give fx, fy, cx and cy in pixels, as the camera's software states them "
@@ -234,6 +236,22 @@ class Description(Specimen, Labels):
         None, description="outline is such as {mat: a3, plate_height_mm: 150}, or {plate_px: {x: "
                           "960, y: 540, diameter: 700}, camera_height_mm: 1200}")
     known: Reported | None = Field(None, description=Reported.remedy)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _by_weight(cls, content: Any) -> Any:
+        """The content, with the density of a weighed specimen."""
+        weight = content.get("weight_g") if isinstance(content, Mapping) else None
+        if not isinstance(weight, int | float):
+            return content
+        if content.get("density_g_m2") is not None:
+            raise ValueError("weight_g and density_g_m2 both state the density; give one of them")
+        if (tester := content.get("tester")) is None:
+            raise ValueError("weight_g is of the whole specimen; state tester, which has its size")
+        try:
+            return {**content, "density_g_m2": weight / read_tester(tester).specimen_area}
+        except InputError as error:
+            raise ValueError(f"tester={shown(tester)} {error}") from None
 
     @property
     def labels(self) -> Labels:

@@ -163,6 +163,13 @@ BAD_METRIC = {
         "unknown keys 'intrinsics.model', 'intrinsics.ppx', 'intrinsics.ppy', 'intrinsics.width'; "
         "give fx, fy, cx and cy in pixels"),
     "NaN density": (setting(density_g_m2=float("nan")), "finite number"),
+    "weight and density": (setting(weight_g=20.0), "both state the density; give one of them"),
+    "weight of no specimen": (setting(weight_g=20.0, density_g_m2=None, tester=None),
+                              "weight_g is of the whole specimen; state tester"),
+    "weight of an unknown specimen": (setting(weight_g=20.0, density_g_m2=None, tester="disc"),
+                                      "tester='disc' is not a tester; give"),
+    "weight in words": (setting(weight_g="20 g", density_g_m2=None), "weight_g='20 g'"),
+    "weight of a kilogram": (setting(weight_g=1000.0, density_g_m2=None), "density_g_m2=11111"),
     "density in kg": (setting(density_g_m2=0.15), "density_g_m2=0.15"),
     "heavy density": (setting(density_g_m2=1000.1), "density_g_m2=1000.1"),
     "density in words": (setting(density_g_m2="light"), "density_g_m2='light'"),

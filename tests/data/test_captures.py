@@ -51,6 +51,8 @@ def test_depth_unit_and_direction_are_converted(tmp_path, views):
     assert content["density_g_m2"] == 200 and content["warp_direction_deg"] == pytest.approx(200)
     describe(path, warp_direction_deg=None)
     assert read_capture(path).warp_direction is None
+    describe(path, density_g_m2=None, weight_g=13.5)  # of the square of 300 mm
+    assert read_capture(path).density == pytest.approx(0.15)
 
 
 @pytest.mark.parametrize(("width", "kept"), [(336, 336), (480, 240), (720, 240)])
