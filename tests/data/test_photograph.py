@@ -32,7 +32,7 @@ from data.captures.capture import OutlineCapture
 from data.captures.photograph import below_the_mat
 from data.captures.reader import captures_in, read_capture
 from data.pictures.reading import decoded, encoded
-from sim.rig import Rig
+from sim.rig import DISC_RIG, Rig
 
 OUTLINES = Path(__file__).resolve().parents[3] / "shared" / "outlines.npz"
 
@@ -342,6 +342,18 @@ def test_folders_hold_views_or_one_outline(tmp_path):
     refused("save it again as PNG")
     (folder / "outline.png").unlink()
     refused(r"has the key outline, but there is no outline\.jpg")
+
+
+@pytest.mark.parametrize(("beyond", "named"), [(0.0, False), (12e-3, True)])
+def test_a_hem_that_reaches_farther_than_the_specimen_is_named(tmp_path, beyond, named):
+    """By a hard shadow beside one fold, so that the outline fits into the specimen's circle."""
+    reach = DISC_RIG.reach
+    radius = 0.125 + 0.006 * np.cos(7 * ANGLE)
+    shadow = np.abs((ANGLE + np.pi) % (2 * np.pi) - np.pi) < 0.2
+    radius[shadow] = reach + beyond
+    curve = radius[:, None] * np.column_stack([np.cos(ANGLE), np.sin(ANGLE)])
+    capture = read_capture(write(tmp_path / "capture", drawn(curve), outline=PLATE))
+    assert ("hem_beyond_specimen" in [found.code for found in capture.warnings]) == named
 
 
 def test_cloth_that_swings_back_under_its_folds_is_a_warning(tmp_path):
