@@ -351,8 +351,9 @@ def test_a_hem_that_reaches_farther_than_the_specimen_is_named(tmp_path, beyond,
     radius = 0.125 + 0.006 * np.cos(7 * ANGLE)
     shadow = np.abs((ANGLE + np.pi) % (2 * np.pi) - np.pi) < 0.2
     radius[shadow] = reach + beyond
-    curve = radius[:, None] * np.column_stack([np.cos(ANGLE), np.sin(ANGLE)])
-    capture = read_capture(write(tmp_path / "capture", drawn(curve), outline=PLATE))
+    table = "angle_deg, radius_mm\n" + rows(DEGREES, 1e3 * radius)
+    capture = read_capture(write(tmp_path / "capture", table, "outline.csv",
+                                 outline={"camera_height_mm": "parallel"}))
     assert ("hem_beyond_specimen" in [found.code for found in capture.warnings]) == named
 
 
