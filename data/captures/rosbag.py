@@ -120,7 +120,8 @@ def _depth_stream(
         place, name = _TRANSPORT.sub("", topic).rsplit("/", 1)
         beside = [info for at, info in infos.items() if at.startswith(f"{place}/")
                   and (info.height, info.width) == (height, width)]
-        matrix, lens = _calibration(beside[0], "rect" in name) if beside else (np.zeros(9), ())
+        matrix, lens = _calibration(beside[0], "rect" in name) if beside else (
+            np.zeros(9), np.zeros(0))
         streams.append((("depth" not in topic.lower(), matrix[0] <= 0, np.any(lens),
                          any(word in topic for word in _ALIGNED), ";" in kind, topic),
                         matrix, lens, (width, height), beside))
@@ -133,7 +134,7 @@ def _depth_stream(
     if fx <= 0:
         raise InputError(f"{file}: no calibrated camera_info of the size of its pictures lies "
                          f"beside {topic}; state intrinsics in capture.yaml")
-    return topic, Intrinsics(*map(float, (fx, fy, cx, cy)), *size), Lens.of(
+    return topic, Intrinsics(float(fx), float(fy), float(cx), float(cy), *size), Lens.of(
         beside[0].distortion_model, lens)
 
 
@@ -209,9 +210,9 @@ def _rvl(data: bytes) -> np.ndarray:
     counts, filled = np.zeros(width * height, np.int64), np.zeros(width * height, bool)
     start = at = 0
     while start < len(counts):
-        start, run = start + int(numbers[at]), int(numbers[at + 1])
-        run, at = slice(start, start + run), at + 2 + run
-        counts[run], filled[run], start = steps[at - run.stop + start : at], True, run.stop
+        start, length = start + int(numbers[at]), int(numbers[at + 1])
+        run, at = slice(start, start + length), at + 2 + length
+        counts[run], filled[run], start = steps[at - length : at], True, start + length
     counts[filled] = np.cumsum(counts[filled])
     return counts.reshape(height, width)
 
@@ -246,7 +247,7 @@ def _median_frames(
     frames: Iterator[tuple[float, DepthImage]], stops: list[tuple[int, int]]
 ) -> Views:
     """The median of each stop's middle frames, without zeros."""
-    wanted = {}
+    wanted: dict[int, int] = {}
     for stop, (first, last) in enumerate(stops):
         # Motion continues at the edges of a rest.
         inner = np.linspace(first + 0.3 * (last - first), last - 0.1 * (last - first),

@@ -74,15 +74,16 @@ def read_strip(
 
     ``slope``: of the clamp below the horizontal, rad.
     """
+    assert entry.file and entry.free_length_mm  # of an entry with a photograph
     file = path_named(folder, entry.file)
     try:
-        return _read(file, entry, description, slope)
+        return _read(file, entry, 1e-3 * entry.free_length_mm, description, slope)
     except InputError as error:
         raise InputError(str(error) if str(file) in str(error) else f"{file}: {error}") from None
 
 
 def _read(
-    file: Path, entry: StripEntry, description: StripsDescription, slope: Radians
+    file: Path, entry: StripEntry, length: Metres, description: StripsDescription, slope: Radians
 ) -> PhotographedStrip:
     view = description.view(entry)
     if view.scale is None:
@@ -92,13 +93,12 @@ def _read(
     grey, factor = photograph.grey, photograph.factor
     to_metres, shown, scale_error = _scale(grey, factor, view)
     left = view.hangs == "left"
-    line = _trace(shown, grey != shown, view, factor, slope, left,
-                  1e-3 * entry.free_length_mm, to_metres)
+    line = _trace(shown, grey != shown, view, factor, slope, left, length, to_metres)
     pixels = np.vstack([line.clamp, line.points])
     roll, roll_error, warnings = _horizontal(line, view, left)
     if to_metres is None:
-        length = np.linalg.norm(np.diff(pixels, axis=0), axis=1).sum()
-        to_metres = np.diag([1, 1, length / (1e-3 * entry.free_length_mm)])
+        seen = float(np.linalg.norm(np.diff(pixels, axis=0), axis=1).sum())
+        to_metres = np.diag([1.0, 1.0, seen / length])
     if left:
         pixels = pixels * [-1, 1] + [grey.shape[1] - 1, 0]
     # The true horizontal, in the plane of the strip, points from the clamp to the strip's side.
@@ -118,7 +118,6 @@ def _read(
     curve, edge_error = _true_edge(curve, aim, distance, 1e-3 * description.clamp_width_mm)
     curve, tip_error = _true_tip(curve, aim, distance, width, shares, view)
     by_length = view.scale.by == "free_length"
-    length = 1e-3 * entry.free_length_mm
     arc = float(np.linalg.norm(np.diff(curve, axis=0), axis=1).sum())
     if by_length:
         curve, scale_error = curve * length / arc, float(
@@ -145,6 +144,7 @@ def _scale(
     """Homography from pixels to the plane of the strip, m, None if its length is the scale; the
     picture, in which a board is painted over; and the scale's relative error."""
     scale = view.scale
+    assert scale  # stated, or checked where it is left out
     if scale.by == "free_length":
         return None, grey, np.nan
     if scale.by == "board":
@@ -158,7 +158,9 @@ def _scale(
     if scale.mm_per_px:
         pixel, error = 1e-3 * scale.mm_per_px, SCALE_ERROR["mm_per_px"]
     else:
-        pixels = float(np.linalg.norm(np.subtract(*scale.ruler_px)))
+        assert scale.ruler_px and scale.ruler_mm
+        start, end = np.array(scale.ruler_px)
+        pixels = float(np.linalg.norm(end - start))
         pixel = 1e-3 * scale.ruler_mm / pixels
         error = float(np.hypot(SCALE_ERROR["ruler_px"], POINT_ERROR * np.sqrt(2) / pixels))
     return np.diag([pixel * factor, pixel * factor, 1.0]), grey, error

@@ -209,7 +209,8 @@ class DepthViews:
             pixels = view.rows[both], view.columns[both]
             hits = self._hits(positions, cast.face[pixels], rays[pixels], pose)
             depths.append(self._depths(view.depth[both], hits, pose))
-            pixels = np.nonzero(_border(cloth))
+            rows, columns = np.nonzero(_border(cloth))
+            pixels = rows, columns
             hits = self._hits(positions, cast.face[pixels], rays[pixels], pose)
             borders.append(self._borders(view, pixels, rays[pixels], hits, pose, nuisance))
         return [*_normalised(depths, self._measurements[0]),

@@ -39,7 +39,7 @@ class RobustPositions:
     ``vertices`` (V,) in units of ``sigma``, times the number of ``independent`` ones.
     """
 
-    nuisances = ()
+    nuisances: tuple[str, ...] = ()
     start = scale = deviation = np.zeros(0)
 
     def __init__(

@@ -109,9 +109,15 @@ class Problem:
             self.best = trial
         return trial.value
 
+    @property
+    def optimum(self) -> Trial:
+        """The best trial, of a problem that has one."""
+        assert self.best is not None
+        return self.best
+
     def weigh(self) -> None:
         """Set :attr:`error_scale` from the best trial's residuals, and update its value."""
-        best = self.best
+        best = self.optimum
         measurements = max(self._linear(best).independent, 1.0)
         self.error_scale = math.sqrt(max(2 * best.misfit / measurements, 1.0))
         self.best = self.last = replace(best, value=self.total(best))
@@ -124,8 +130,7 @@ class Problem:
         """Residuals (N,) and derivatives (N, n) at x (n,), the last or the best trial's."""
         trial = next((t for t in (self.last, self.best)
                       if t is not None and np.array_equal(t.x, x)), None)
-        moves = None if trial is None else self._moves(trial)
-        if moves is None:
+        if trial is None or (moves := self._moves(trial)) is None:
             return None
         linear = self._linear(trial)
         self.measurements = linear.independent
@@ -171,7 +176,7 @@ class Problem:
         drape = follow(near, unknowns.fabric, keep=True, laws=unknowns.laws, extra=extra,
                        start=start)
         if not drape.converged:
-            self.effort.failures.append(f"{drape.status.value}: {drape.message}")
+            self.effort.failures.append(f"{drape.searched.status.value}: {drape.message}")
             return None
         return drape
 
@@ -192,9 +197,10 @@ class Problem:
     def _spring_moves(self, tangent: Tangent, nuisance: Nuisance) -> Moves:
         """Derivatives of the vertices by the nuisances through the springs."""
         moves = np.zeros((len(nuisance), tangent.coordinates // 3, 3))
-        steps = np.diag(_STEP * self.objective.scale)
-        for k, step in enumerate(steps if self._springs else []):
-            ahead, back = (forces([self._springs(nuisance + sign * step)], tangent.q,
+        if (springs := self._springs) is None:
+            return moves
+        for k, step in enumerate(np.diag(_STEP * self.objective.scale)):
+            ahead, back = (forces([springs(nuisance + sign * step)], tangent.q,
                                   tangent.cloth.potential.unknowns) for sign in (1, -1))
             if (push := (ahead - back) / (2 * step[k])).any():
                 moves[k] = -tangent.response(push)[: tangent.coordinates].reshape(-1, 3)

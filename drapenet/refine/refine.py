@@ -25,6 +25,7 @@ from data.render.rays import DepthRenderer
 from drapenet.evidence.state import STATE, cloth_of_state, fabric_prior, state_of
 from drapenet.network.checkpoint import Header
 from drapenet.network.predict import Draws
+from drapenet.refine.depth import DepthViews
 from drapenet.refine.objective import fit_nuisances
 from drapenet.refine.positions import Fidelity, fidelity
 from drapenet.refine.search import (
@@ -108,7 +109,7 @@ def _beside(
 ) -> Resimulation:
     """The refined drape beside the capture; ``axis``: of a scan's mesh in the first view."""
     drape = result.released or result.best.drape
-    statuses = (drape.status.value,)
+    statuses = (drape.searched.status.value,)
     if scan:
         views = DepthRenderer(drape.positions, drape.faces).views(
             captured.camera, 0.0, captured.turns)
@@ -116,12 +117,14 @@ def _beside(
         return Resimulation.beside(captured, views.astype(np.float32), drape, placed, statuses)
     placed = turned(drape.positions, float(result.best.nuisance[0]))
     nuisance = fit_nuisances(result.objective, drape.positions, result.best.nuisance)
+    assert isinstance(result.objective, DepthViews)
     views = result.objective.render(drape.positions, nuisance)
     return Resimulation.beside(captured, views.astype(np.float32), drape, placed, statuses)
 
 
 def _posterior(result: SearchResult, face: int) -> Normal:
     """The normal posterior of :data:`SEARCHED` with the marked face up."""
+    assert result.uncertainty
     names = result.uncertainty.names
     places = [names.index(name) for name in SEARCHED]
     sign = np.where([name.startswith("curl") for name in SEARCHED], face, 1)
@@ -183,16 +186,15 @@ def _search(
 
 def _search_warnings(result: SearchResult) -> list[Finding]:
     """Why the network's estimate stands; empty if it does not."""
-    uncertainty = result.uncertainty
-    certain = uncertainty is not None and np.isfinite(uncertainty.theta).all()
-    if certain and uncertainty.reduced_chi2 >= MAX_REDUCED_CHI2:
-        return [Finding("refinement_fits_nothing", {"value": float(uncertainty.reduced_chi2),
+    certain = result.uncertainty
+    if certain is not None and not np.isfinite(certain.theta).all():
+        certain = None
+    if certain and certain.reduced_chi2 >= MAX_REDUCED_CHI2:
+        return [Finding("refinement_fits_nothing", {"value": float(certain.reduced_chi2),
                                                     "limit": MAX_REDUCED_CHI2})]
     if not result.improved:
         return [Finding("refinement_no_better")]
-    if not certain:
-        return [Finding("refinement_uncertain")]
-    return []
+    return [] if certain else [Finding("refinement_uncertain")]
 
 
 def _scan_warnings(near: Fidelity | None) -> list[Finding]:

@@ -86,8 +86,9 @@ class CapturedViews:
         self._objectives: dict[float, DepthViews] = {}
         coarse = max(edge, coarse)
         # Nothing is estimated under the strongest springs, with which any moduli fit.
-        self.rounds = (Round(coarse, (0.3,), 0), Round(coarse, (0.1, 0.03, 0.01), 3),
-                       Round(edge, (0.01, 0.003), 5))
+        self.rounds: tuple[Round, ...] = (
+            Round(coarse, (0.3,), 0), Round(coarse, (0.1, 0.03, 0.01), 3),
+            Round(edge, (0.01, 0.003), 5))
 
     def objective(self, edge: Metres) -> DepthViews:
         if edge not in self._objectives:
@@ -113,7 +114,7 @@ class CapturedViews:
 class CapturedScan:
     """A registered scan of a drape (:class:`CapturedDrape`)."""
 
-    rounds = (Round(0.0, (0.05,), 6),)  # of its own mesh
+    rounds: tuple[Round, ...] = (Round(0.0, (0.05,), 6),)  # of its own mesh
 
     def __init__(self, shape: CapturedShape) -> None:
         self._shape = shape
@@ -163,17 +164,18 @@ def search(
         run.round(level, guesses, first=starts[0] if last else None)
         if run.problem is None:
             return None
-        guesses = [run.problem.best.unknowns]
-    problem = run.problem
+        guesses = [run.problem.optimum.unknowns]
+    problem, outcome = run.problem, run.outcome
+    assert problem and outcome  # of the last round
     problem.weigh()
-    best = problem.best
+    best = problem.optimum
     start_value = problem.total(run.first) if run.first else None
     uncertainty = laplace(problem, best)
     run.effort.solves += 1
     released = follow(best.drape, best.unknowns.fabric, options=RELEASE)
     return SearchResult(best, problem.objective, run.effort, start_value, uncertainty,
-                        released if released.converged else None, run.outcome.status,
-                        run.outcome.message)
+                        released if released.converged else None, outcome.status,
+                        outcome.message)
 
 
 @dataclass
@@ -192,28 +194,28 @@ class _Run:
     def round(self, level: Round, guesses: Sequence[Unknowns], *, first: Unknowns | None) -> None:
         """Optimise from the best of ``guesses`` with softer and softer springs, evaluate ``first``.
         """
-        nuisance = self.problem.best.nuisance if self.problem else None
+        nuisance = self.problem.optimum.nuisance if self.problem else None
         anchored = self.sought.anchored(level, guesses[0], nuisance)
         problems = [self.problem_at(anchored, anchored.near, guess, nuisance, level.pulls[0])
                     for guess in guesses]
         values = [problem.best.value if problem.best else math.inf for problem in problems]
         if min(values) == math.inf:
             return  # keep the result of the previous round
-        self.minimise(problems[int(np.argmin(values))], level.evaluations)
+        kept = problems[int(np.argmin(values))]
+        outcome = self.minimise(kept, level.evaluations)
         held = level.pulls[0]
         for pull in level.pulls[1:]:
-            kept, outcome = self.problem, self.outcome
-            best = kept.best
+            best = kept.optimum
             problem = self.problem_at(anchored, best.drape, best.unknowns, best.nuisance, pull)
             if problem.best is None:
                 return
-            self.minimise(problem, level.evaluations)
-            if self.problem.best.misfit > MAX_JUMP * max(best.misfit, kept.measurements / 2):
+            after = self.minimise(problem, level.evaluations)
+            if problem.optimum.misfit > MAX_JUMP * max(best.misfit, kept.measurements / 2):
                 self.problem, self.outcome = kept, outcome
                 break
-            held = pull
+            kept, outcome, held = problem, after, pull
         if first is not None:
-            best = self.problem.best
+            best = kept.optimum
             self.first = self.problem_at(anchored, best.drape, first, best.nuisance, held).best
 
     def problem_at(
@@ -234,14 +236,15 @@ class _Run:
         self.report()
         return problem
 
-    def minimise(self, problem: Problem, evaluations: int) -> None:
+    def minimise(self, problem: Problem, evaluations: int) -> Outcome:
         """Run Levenberg-Marquardt from the best trial of ``problem``, the new present problem."""
         self.problem = problem
         problem.weigh()
-        problem.start = problem.best.x
+        problem.start = problem.optimum.x
         self.outcome = minimise(
             problem, limits=Limits(evaluations=evaluations + 1, decrease=MIN_DECREASE),
             report=self.report)
+        return self.outcome
 
     def report(self) -> None:
         if self.progress:

@@ -65,9 +65,9 @@ class Resimulation:
         statuses: tuple[str, ...],
     ) -> "Resimulation":
         """Beside captured views."""
-        profiles = tuple(radius_profile(part, located.camera, located.turns)
-                         for part in (located.views, views))
-        return cls(views, drape, positions, statuses, profiles,
+        seen, simulated = (radius_profile(part, located.camera, located.turns)
+                           for part in (located.views, views))
+        return cls(views, drape, positions, statuses, (seen, simulated),
                    silhouette_overlap(located.views, views))
 
     @classmethod
@@ -176,7 +176,7 @@ def _nearest(
         return None
     _, orientation, side, result = max(found, key=lambda item: item[0])
     return (result, result.positions * [side, 1, 1], orientation,
-            tuple(each.status.value for each in results))
+            tuple(each.searched.status.value for each in results))
 
 
 def turned(points: Points, angle: Radians) -> Points:

@@ -3,6 +3,7 @@
 import io
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -11,6 +12,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LightSource
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.projections.polar import PolarAxes
 from matplotlib.ticker import MaxNLocator
 from PIL import Image
 
@@ -43,11 +46,12 @@ def draw_report(
     elif isinstance(capture, DepthCapture):
         _views(seen, capture.views, resimulation)
     seen.suptitle(title, fontsize=14, parse_math=False)
-    curves = Figure(figsize=(_WIDE, _CURVES_HIGH), layout="constrained")
-    curves.get_layout_engine().set(w_pad=0.1, h_pad=0.12)
+    curves = Figure(figsize=(_WIDE, _CURVES_HIGH),
+                    layout=ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.12))
     grid = curves.add_gridspec(1, 3, width_ratios=(1.4, 1.1, 1.3))
     _torques(curves.add_subplot(grid[0]), estimate)
-    _from_above(curves.add_subplot(grid[1], projection="polar"), capture, resimulation)
+    above: Any = curves.add_subplot(grid[1], projection="polar")
+    _from_above(above, capture, resimulation)
     _shape(curves.add_subplot(grid[2]), resimulation)
     about, count = document.capture, len(document.warnings)
     parts = [f"{about.density_g_m2:g} g/m²",
@@ -159,12 +163,10 @@ def draw_spread(
 
 def _window(views: Views) -> tuple[slice, slice, slice]:
     """Slices of view, row and column that contain the cloth, with a small margin."""
-    cloth = (views > 0).any(axis=0)
-    slices = [slice(None)]
-    for axis in (1, 0):
-        places = np.flatnonzero(cloth.any(axis=axis))
-        slices.append(slice(max(places[0] - 6, 0), places[-1] + 7))
-    return tuple(slices)
+    cloth = np.any(views > 0, axis=0)
+    rows, columns = (np.flatnonzero(np.any(cloth, axis=axis)) for axis in (1, 0))
+    down, across = (slice(max(places[0] - 6, 0), places[-1] + 7) for places in (rows, columns))
+    return slice(None), down, across
 
 
 def _depth(axes: Axes, view: DepthImage, limits: tuple[float, float]) -> AxesImage:
@@ -194,7 +196,7 @@ def _torques(axes: Axes, estimate: Estimate) -> None:
     axes.legend(frameon=False, loc="upper left")
 
 
-def _from_above(axes: Axes, capture: Capture, resimulation: Resimulation | None) -> None:
+def _from_above(axes: PolarAxes, capture: Capture, resimulation: Resimulation | None) -> None:
     """Draw radius profiles and the first yarns; angles as in the first view, 0 to the right."""
     seen = isinstance(capture, OutlineCapture)
     depth = "" if seen else f" {-PROFILE_HEIGHT * 1e3:.0f} mm below the plate"

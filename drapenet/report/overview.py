@@ -100,7 +100,7 @@ def write_overview(out: Path, joined: Joined) -> None:
 def fabrics_workbook(joined: Joined) -> bytes:
     """``results.xlsx``: a sheet of the fabrics and another of their captures."""
     return workbook({
-        "fabrics": [Sample({"fabric": fabric.name} | fabric.counts,
+        "fabrics": [Sample({"fabric": fabric.name, **fabric.counts},
                            fabric.document, *fabric.means.values()) for fabric in joined.fabrics],
         "captures": [Sample({name: getattr(entry, name) for name in COLUMNS}, document,
                             document.capture.drape_coefficient_percent, document.capture.nodes)

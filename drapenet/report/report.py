@@ -45,7 +45,8 @@ def _mean_coefficient(captures: Sequence[CaptureAbout]) -> str:
     faces: dict[str, list[float]] = {}
     for about in captures:
         face = "the marked face" if about.face == "up" else "the reverse"
-        faces.setdefault(face, []).append(about.drape_coefficient_percent)
+        if (coefficient := about.drape_coefficient_percent) is not None:
+            faces.setdefault(face, []).append(coefficient)
     every = [value for values in faces.values() for value in values]
     by_face = "; ".join(f"{np.mean(values):.1f} % with {face} on top ({len(values)})"
                         for face, values in faces.items())

@@ -72,7 +72,7 @@ def _add(
     if flat:
         mesh.unmerge_vertices()
     else:
-        mesh.vertex_normals = vertex_normals(mesh.vertices, mesh.faces)
+        mesh.vertex_normals = vertex_normals(mesh.vertices, mesh.faces)  # type: ignore[method-assign]
     mesh.visual = trimesh.visual.TextureVisuals(material=PBRMaterial(
         name=name, baseColorFactor=(*_COLOURS[name], 255), metallicFactor=0.0, roughnessFactor=0.9,
         doubleSided=True))
