@@ -130,7 +130,8 @@ def _first_pose(
     points: Points, pixels: Pixels, focal: float, size: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
     matrix = camera_matrix(focal, size)
-    _, turn, shift = cv2.solvePnP(points, pixels, matrix, None, flags=cv2.SOLVEPNP_IPPE)
+    # Of seven markers along two sides, the solution for planes (IPPE) may find no pose.
+    _, turn, shift = cv2.solvePnP(points, pixels, matrix, None, flags=cv2.SOLVEPNP_SQPNP)
     return turn.ravel(), shift.ravel()
 
 

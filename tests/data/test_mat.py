@@ -148,6 +148,16 @@ def test_the_focal_length_of_a_whole_picture_is_not_that_of_a_part(tmp_path, pic
         picture.pose.place[2] - PLATE_HEIGHT, rel=0.03)
 
 
+def test_markers_along_two_sides_are_enough():
+    """Seven that were seen in a photograph from 0.52 m above a plate of 0.2 m."""
+    points = np.array([[-0.186, 0.119], [-0.1446667, 0.119], [-0.186, -0.119], [-0.186, -0.0793333],
+                       [-0.186, -0.0396667], [-0.186, 0.0396667], [-0.186, 0.0793333]])
+    pixels = np.array([[444.9, 652.4], [541.5, 618.8], [648.6, 1184.9], [615.2, 1098.0],
+                       [581.6, 1010.4], [513.7, 832.9], [479.3, 743.1]])
+    pose = camera_pose((2016, 1512), [(np.column_stack([points, np.zeros(7)]), pixels)], 1688.93)
+    assert pose.place[2] == pytest.approx(0.723, rel=0.02)
+
+
 def test_markers_seen_askew_contradict_the_focal_length_of_another_picture():
     """Zoomed 1.2 times without a tag: seen from the side it is measured, from above it is not."""
     mat, size = MATS["a3"], (2016, 1512)
