@@ -81,7 +81,11 @@ def lowering_cost(report: Report) -> Report:
 def outline_folds(report: Report) -> Report:
     """Difference of the number of folds from that of real outlines."""
     flat = report["summary"]["parallel"]["flat"]
-    return {"off": abs(flat["folds"] - flat["folds_real"])}
+    bands = [band for band in report["summary"]["parallel"]["learned"]["bands"].values()
+             if band["faces"]]
+    return {"off": abs(flat["folds"] - flat["folds_real"]),
+            "learned": max(abs(band["folds"] - band["folds_real"]) for band in bands),
+            "limp": bands[0], "stiff": bands[1]}
 
 
 def render_speed(report: Report) -> Report:
