@@ -7,18 +7,21 @@ triangles that share an edge compute its intersection with a row by the same ope
 numbers, from the upper corner down, and spans include their ends: a mesh has no cracks.
 """
 
+from collections.abc import Sequence
 from math import isfinite
 
 import numba
 import numpy as np
 
-from common.types import Faces, Points, Turns, Views
+from common.types import Faces, Points, Views
 from data.render.cameras import Camera
 
 MIN_HEIGHT = 1e-12  # px, avoids division by 0 in the slope of a horizontal edge
 
 
-def rasterise(positions: Points, faces: Faces, camera: Camera, angles: Turns) -> Views:
+def rasterise(
+    positions: Points, faces: Faces, camera: Camera, angles: Sequence[float] | np.ndarray
+) -> Views:
     """Pictures of a drape, one for each of the specimen's ``angles`` (K,), rad, orientation plus
     turn; triangles with a corner behind the camera or not finite are skipped.
     """
@@ -27,7 +30,9 @@ def rasterise(positions: Points, faces: Faces, camera: Camera, angles: Turns) ->
     return draw(points, faces, intrinsics, camera.height, camera.width)
 
 
-def camera_points(positions: Points, camera: Camera, angles: Turns) -> np.ndarray:
+def camera_points(
+    positions: Points, camera: Camera, angles: Sequence[float] | np.ndarray
+) -> np.ndarray:
     """Vertices (K, V, 3) in camera axes, m, of positions turned by angles (K,), rad; of the type of
     ``positions``.
     """

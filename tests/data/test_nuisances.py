@@ -27,9 +27,9 @@ def test_real_specimens_spread_as_the_configuration_states():
     options = compose_config("generate", ["nuisances=real"], schema=Options)
     columns = dict(zip(NAMES, drawn(config_from_options(options).sampling.nuisances).T,
                        strict=True))
-    assert np.mean((columns["membrane"] > 200) & (columns["membrane"] < 2000)) == pytest.approx(
+    assert np.mean((columns["membrane"] > 400) & (columns["membrane"] < 2500)) == pytest.approx(
         0.95, abs=0.015)
-    assert np.log(columns["membrane"]).mean() == pytest.approx(np.log(200 * 2000) / 2, abs=0.04)
+    assert np.log(columns["membrane"]).mean() == pytest.approx(np.log(400 * 2500) / 2, abs=0.04)
     assert 0.2 <= columns["shear"].min() < 0.21 and 0.99 < columns["shear"].max() <= 1
     ratio = 100 * columns["hysteresis"] / (1 - columns["hysteresis"])  # HB/B, 1/m
     assert ratio.min() >= 5 and ratio.max() <= 60
