@@ -120,6 +120,8 @@ def _completed(document: bytes, file: str, fields: Mapping[str, str]) -> dict[st
     content = dict(parse_yaml(decoded_text(document, file), file))
     if content.get("known") and states_values(fields):
         raise InputError(f"known is in {file} and in the form; give the values in one of them")
+    if "density_g_m2" in fields:
+        content.pop("weight_g", None)  # which stands for the density
     for key, text in fields.items():
         *groups, name = PLACES.get(key) or key.split(".")
         place = content

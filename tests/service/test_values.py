@@ -12,6 +12,7 @@ from data.readings import QUANTITIES
 from data.readings.quantity import Quantity
 from drapenet.export.formats import TARGETS
 from drapenet.service.app import create_app
+from drapenet.service.forms import described_capture
 
 LABELS = {"date": "2026-11-26", "operator": "M. Muster", "laboratory": "Textile laboratory 7"}
 
@@ -127,3 +128,9 @@ def test_a_new_quantity_appears_on_the_page(tmp_path, monkeypatch):
     assert "bending length [mm]" in page and 'name="known.membrane_n_per_m"' in page
     properties = fields["content"]["multipart/form-data"]["schema"]["properties"]
     assert {"known.bending_length_mm.bias", "known.membrane_n_per_m", "operator"} <= set(properties)
+
+
+def test_a_density_in_the_form_replaces_a_weight_in_the_file():
+    document = b"weight_g: 10.6\ntester: disc300_support180\n"
+    assert described_capture(document, {})[1].density == pytest.approx(0.15, rel=1e-3)
+    assert described_capture(document, {"density_g_m2": "210"})[1].density == pytest.approx(0.21)
