@@ -213,11 +213,15 @@ def _checked(outline: PhotographedOutline) -> list[Finding]:
         raise InputError(f"the drape coefficient is {coefficient:.1%}, only {MIN_COEFFICIENT:.0%} "
                          "to 100% is possible; check the scale, the size of the specimen, the "
                          "tester, and that the outline is not that of the plate or of a hole")
+    warnings = []
+    if disorder > MAX_OVERLAP:
+        warnings.append(Finding("outline_turns_back", {"value": float(disorder),
+                                                       "limit": MAX_OVERLAP}))
     farthest_out = float(np.linalg.norm(curve - _centroid(curve), axis=1).max())
-    return [Finding("outline_turns_back", {"value": float(disorder), "limit": MAX_OVERLAP})
-            ] * bool(disorder > MAX_OVERLAP) + [Finding("hem_beyond_specimen", {
-                "value": 1e3 * farthest_out, "limit": 1e3 * rig.reach})
-            ] * bool(farthest_out > MAX_REACH * rig.reach)
+    if farthest_out > MAX_REACH * rig.reach:
+        warnings.append(Finding("hem_beyond_specimen", {"value": 1e3 * farthest_out,
+                                                        "limit": 1e3 * rig.reach}))
+    return warnings
 
 
 def signed_area(curve: Outline) -> float:

@@ -20,6 +20,7 @@ class Levels:
     """Nested levels of the vertices ``rest`` (V, 2), whole numbers of any unit."""
 
     def __init__(self, rest: np.ndarray) -> None:
+        rest = rest.astype(np.int64)
         order, sizes = _nested(rest), [len(rest)]
         while sizes[-1] > _GROWTH * _COARSEST:
             sizes.append(int(sizes[-1] / _GROWTH))
@@ -35,8 +36,8 @@ class Levels:
         """Differences (M, ...) of ``values`` (V, ...), whole numbers, from their predictions, in
         the order and of the type of which :meth:`decoded` makes them again; ``size``: M, that of a
         level."""
-        exact, parts = values.astype(np.int64), [self._order[: self._sizes[0]]]
-        found = [exact[parts[0]]]
+        exact = values.astype(np.int64)
+        found = [exact[self._order[: self._sizes[0]]]]
         for new, near, weights in self._predictions:
             found.append(exact[new] - _predicted(exact, near, weights))
         return np.concatenate(found)[:size].astype(values.dtype)  # modulo the type's range
@@ -45,13 +46,14 @@ class Levels:
         """Values (V, ...) of differences (M, ...) at the vertices of the first levels; the others
         are as predicted."""
         first = self._order[: self._sizes[0]]
-        values = np.zeros((len(self._order), *coded.shape[1:]), coded.dtype)
-        values[first] = coded[: len(first)]
+        exact = np.zeros((len(self._order), *coded.shape[1:]), np.int64)
+        exact[first] = coded[: len(first)]
         for size, (new, near, weights) in zip(self._sizes[1:], self._predictions, strict=True):
-            values[new] = _predicted(values.astype(np.int64), near, weights)
+            found = _predicted(exact, near, weights)
             if size <= len(coded):
-                values[new] += coded[size - len(new) : size]
-        return values
+                found += coded[size - len(new) : size]
+            exact[new] = found.astype(coded.dtype)  # modulo the type's range
+        return exact.astype(coded.dtype)
 
 
 def _nested(rest: np.ndarray) -> np.ndarray:

@@ -145,7 +145,7 @@ def _coded(record: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """The row of a record."""
     rest, positions, moves = (np.asarray(record[name], dtype) for name, dtype in (
         ("rest", np.int16), ("positions", np.int16), (MOVES, np.int8)))
-    levels = Levels(rest.astype(np.int64))
+    levels = Levels(rest)
     return {**record, "check": _check(rest, positions), "positions": levels.coded(positions),
             MOVES: levels.coded(moves, levels.size(MOVED_SHARE)) if len(moves) else moves}
 
@@ -191,7 +191,7 @@ def _specimen(
     """Rest points (V, 2), counts, triangles and levels of a flat specimen."""
     mesh, _ = mesh_specimen(rig, edge=edge, topology=topology, offset=offset)
     rest = to_counts(mesh.rest)
-    return rest, mesh.faces, Levels(rest.astype(np.int64))
+    return rest, mesh.faces, Levels(rest)
 
 
 class Shard:

@@ -36,10 +36,10 @@ from sim.drape import drape
 from sim.energies.bending_variants import Hysteresis
 from sim.rig import DISC_RIG
 
-MIN_COEFFICIENT = 0.40  # of the drapes whose folds are compared in the summary
 BANDS = ((0.4, 0.6), (0.6, 0.8), (0.8, 1.0))
 """Drape coefficients from and to which folds are compared apart: their mean hides that limp cloth
 may have too many and stiff cloth too few."""
+MIN_COEFFICIENT = BANDS[0][0]  # of the drapes whose folds are compared in the summary
 MAX_MISFIT = 1e-3  # of the drape coefficient, beyond which no fabric of the grid has it
 READINGS = ("parallel", "camera")
 SPECIMENS = "specimens"
