@@ -17,9 +17,9 @@ from common.types import Metres, Outline, PixelPath, Radians
 from data.captures.description import OUTLINE_TABLES, OutlineSource
 from data.captures.off_axis import MAX_LEAN, seen_from_axis
 from data.captures.outline_table import read_closed_curve
-from data.captures.scale import mapped, scaled_photograph, shifted, upright
-from data.pictures.cloth import Place, Scene, like_ground
-from data.pictures.edge import outline_of_cloth, within
+from data.captures.scale import scaled_photograph
+from data.pictures.cut import outline_of_cloth
+from data.pictures.planes import mapped, shifted, upright
 from sim.measures import closed, coefficient_of_area, farthest, folds_around
 from sim.rig import Rig
 
@@ -51,6 +51,7 @@ class PhotographedOutline:
         pixel: size of a pixel of the file at the plate.
         factor: how many pixels of a row of the file were averaged to each of ``picture``.
         hem: the outline as it was seen, in pixels of ``picture``.
+        error: (720,) m, standard deviation of :attr:`radii`; None if it is not known.
     """
 
     curve: Outline
@@ -63,6 +64,7 @@ class PhotographedOutline:
     pixel: Metres = np.nan
     hem: PixelPath | None = None
     factor: int = 1
+    error: np.ndarray | None = None
 
     @property
     def radii(self) -> np.ndarray:
@@ -135,13 +137,10 @@ def _photographed(
 ) -> PhotographedOutline:
     seen = scaled_photograph(file, source, rig)
     photograph, to_metres = seen.photograph, seen.to_metres
-    scene = Scene.of(photograph, Place(
-        rig.plate_radius / seen.pixel, rig.reach / seen.pixel, seen.middle, seen.ground,
-        seen.paper, seen.outside))
-    pixels = outline_of_cloth(photograph, scene)
-    if seen.beside is not None and within(pixels, photograph.transparent).mean() > MAX_CUT_OFF:
-        raise InputError("the drape reaches beyond the border of the picture; take it again with "
-                         "the whole hem in the picture")
+    cut = outline_of_cloth(
+        photograph, np.linalg.inv(to_metres), plate=rig.plate_radius, reach=rig.reach,
+        known=seen.middle is not None, printed=seen.printed, unsure=seen.unsure)
+    pixels = cut.hem
     tilt = 0.0
     if seen.middle is None:
         to_metres, tilt = upright(to_metres, _centroid(pixels))
@@ -156,11 +155,6 @@ def _photographed(
     if tilt > MAX_TILT:
         warnings.append(Finding("plate_tilted", {"value": float(np.degrees(tilt)),
                                                  "limit": float(np.degrees(MAX_TILT))}))
-    if seen.middle is not None and (share := float(like_ground(scene))) > MAX_LIKE_GROUND:
-        warnings.append(Finding("cloth_like_ground", {"value": share, "limit": MAX_LIKE_GROUND}))
-    if photograph.painted is not None and (
-            share := float(within(pixels, photograph.painted).mean())) > MAX_OVER_PRINT:
-        warnings.append(Finding("hem_over_print", {"value": share, "limit": MAX_OVER_PRINT}))
     if seen.beside is not None:
         beside = float(np.linalg.norm(seen.beside))
         if (lean := beside / seen.height) > MAX_LEAN:

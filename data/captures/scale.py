@@ -15,7 +15,9 @@ from common.findings import Finding
 from common.types import GreyPicture, Mask, Metres
 from data.captures.board import MAX_REPROJECTION_ERROR, PAPER, SQUARE, SQUARES, find_corners
 from data.captures.description import OutlineSource
+from data.pictures.cut import Printed
 from data.pictures.mat import BAR
+from data.pictures.planes import mapped, shifted
 from data.pictures.plate import find_plate
 from data.pictures.reading import SUFFIXES, Photograph, read_photograph
 from data.pictures.rectified import straight_from_above
@@ -34,9 +36,8 @@ class Scaled:
             ``middle`` is known: its place (2,), pixels.
         height: of the camera above the plate; NaN if it is not known.
         beside: place (2,) of the camera beside the axis, m; None if it is not known.
-        ground: what surely shows the ground; None for the picture's border.
-        paper: where the ground is another one, if there are two.
-        outside: what is neither ground nor cloth.
+        printed: what a mat shows behind that plane.
+        unsure: (H, W) where edges may not be those of cloth.
     """
 
     photograph: Photograph
@@ -44,9 +45,8 @@ class Scaled:
     height: Metres
     middle: np.ndarray | None = None
     beside: np.ndarray | None = None
-    ground: Mask | None = None
-    paper: Mask | None = None
-    outside: Mask | None = None
+    printed: Printed | None = None
+    unsure: Mask | None = None
     warnings: tuple[Finding, ...] = ()
 
     @property
@@ -73,7 +73,7 @@ def scaled_photograph(file: Path, source: OutlineSource, rig: Rig) -> Scaled:
         pixel = 1e-3 * source.mm_per_px * photograph.factor
         return Scaled(photograph, np.diag([pixel, -pixel, 1.0]), source.height)
     if plane := board_plane(photograph.grey):
-        return Scaled(photograph, plane[0], source.height, outside=plane[1])
+        return Scaled(photograph, plane[0], source.height, unsure=plane[1])
     raise InputError("the scale is not known: lay the printed mat under the stand (outline: {mat: "
                      "a3, plate_height_mm: 150}), add plate.jpg, the same picture without cloth, "
                      "or give outline: {plate_px: {x: 960, y: 540, diameter: 700}} or mm_per_px")
@@ -87,12 +87,13 @@ def _by_mat(file: Path, source: OutlineSource, rig: Rig) -> Scaled:
     scale = 1e-3 * source.mat_bar_mm / BAR if source.mat_bar_mm else 1.0
     plate_height = 1e-3 * source.plate_height_mm
     over = straight_from_above(first, others, source.mat, plate_height=plate_height / scale,
-                               plate=rig.plate_radius / scale, reach=rig.reach / scale)
+                               reach=rig.reach / scale)
     height, width = over.photograph.light.shape[:2]
     middle = np.array([width - 1, height - 1]) / 2
     place = scale * over.pose.place
     return Scaled(over.photograph, _about(middle, scale * over.pixel), float(place[2]) -
-                  plate_height, middle, place[:2], over.ground, over.paper, warnings=over.warnings)
+                  plate_height, middle, place[:2], lambda places: over.printed(places / scale),
+                  over.print_edges, over.warnings)
 
 
 def _by_plate(photograph: Photograph, file: Path, source: OutlineSource, rig: Rig) -> Scaled:
@@ -148,26 +149,3 @@ def board_plane(grey: GreyPicture) -> tuple[np.ndarray, Mask] | None:
     if mask.all():
         raise InputError("the board fills the picture; lay it beside the drape")
     return to_metres, mask
-
-
-def upright(to_metres: np.ndarray, pixel: np.ndarray) -> tuple[np.ndarray, float]:
-    """A homography (3, 3) turned such that at a ``pixel`` (2,) x is to the right and y up in the
-    picture, and the angle, rad, between line of sight and vertical there, by the ratio of its
-    scales."""
-    points = mapped(pixel + np.array([[0, 0], [1, 0], [0, 1]]), to_metres)
-    right, down = points[1:] - points[0]
-    flip = 1.0 if right[0] * down[1] < right[1] * down[0] else -1.0
-    cos, sin = right * [1, flip] / np.linalg.norm(right)
-    turn = np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]])
-    scales = np.linalg.svd(np.stack([right, down]), compute_uv=False)
-    return turn @ np.diag([1, flip, 1]) @ to_metres, float(np.arccos(scales[1] / scales[0]))
-
-
-def shifted(offset: np.ndarray) -> np.ndarray:
-    """Homography (3, 3) that moves points by an offset (2,)."""
-    return np.array([[1, 0, offset[0]], [0, 1, offset[1]], [0, 0, 1]])
-
-
-def mapped(points: np.ndarray, homography: np.ndarray) -> np.ndarray:
-    """Points (N, 2), m or pixels, mapped by a homography (3, 3)."""
-    return cv2.perspectiveTransform(np.asarray(points, np.float64)[:, None], homography)[:, 0]

@@ -11,7 +11,8 @@ from common.types import ColourPicture, PixelPath
 from data.captures.description import Description, OutlineSource
 from data.captures.photograph import PhotographedOutline, read_outline
 from data.captures.reader import DESCRIPTION, find_outline
-from data.captures.scale import Scaled, mapped, scaled_photograph
+from data.captures.scale import Scaled, scaled_photograph
+from data.pictures.planes import mapped
 from data.pictures.reading import read_photograph
 from sim.rig import Rig
 

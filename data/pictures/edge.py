@@ -5,50 +5,18 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from common.errors import InputError
-from common.types import LinearLight, Mask, PixelPath, Pixels
-from data.pictures.cloth import FLOOR, SHADE_EDGES, SIDE, Scene, cut_cloth
-from data.pictures.reading import Photograph
+from common.types import LinearLight, Mask, PixelPath
 
+FLOOR = 0.01  # of light, below which noise rules
 _BLUR = 1.6  # pixels, standard deviation
-_BAND = 4.0  # pixels of the mask, on both sides of its border, within which the edge is looked for
-_SMOOTH = 1.5  # pixels of the mask, of its border
+_BAND, _BANDS = 4.0, (4.0, 20.0)  # errors of a border, within which the edge is looked for; pixels
 _FINE = 0.5  # pixels, between places across the border
 _STRONG = 0.3  # of a usual edge, whose cost is half of that of none
 _AWAY = 0.3  # cost at the band's ends
 _STEP_COST, _STEEPEST = 0.7, 2  # of a pixel across; places
 _NEAR, _EVEN = 2.0, 1.0  # pixels: across, over which an edge is centred, and along, smoothed
 _ROUNDS = 5
-MIN_CONTRAST = 0.1  # of log light, across the edge
-MAX_FAINT = 0.03  # of the edge's length, that may have less
 _ACROSS = 3.0  # pixels, on both sides of an edge, between which its contrast is measured
-_STEP = 2.0  # pixels
-
-
-def outline_of_cloth(photograph: Photograph, scene: Scene) -> PixelPath:
-    """The outline of the cloth in a photograph and its ``scene``; InputError where cloth and ground
-    are alike."""
-    found, fault = [], None
-    smooth = smoothed(photograph.light)
-    for level in SHADE_EDGES:
-        try:
-            cloth = cut_cloth(scene, level)
-            line = edge_of(smooth, cloth, photograph.painted)
-        except InputError as error:
-            fault = fault or error
-            continue
-        found.append((_faint_share(smooth, line, photograph.painted), line))
-        if found[-1][0] < MAX_FAINT / 3:
-            break
-    if not found:
-        assert fault
-        raise fault
-    share, line = min(found, key=lambda one: one[0])
-    if share > MAX_FAINT:
-        raise InputError(
-            f"along {share:.0%} of the hem, the cloth is as light as the ground, at most "
-            f"{MAX_FAINT:.0%} is possible: use light from below, or a ground of another colour, and"
-            " lamps that cast no shadow beside the cloth")
-    return line
 
 
 def smoothed(light: LinearLight) -> LinearLight:
@@ -56,64 +24,54 @@ def smoothed(light: LinearLight) -> LinearLight:
     return cv2.GaussianBlur(light, (0, 0), _BLUR)
 
 
-def _faint_share(smooth: LinearLight, line: PixelPath, painted: Mask | None) -> float:
-    """Share of a closed line along which light changes little across it, of what is not painted."""
-    points = _spaced(line, _STEP)
-    sides = points[:, None] + _ACROSS * np.array([[1], [-1]]) * _normals(points)[:, None]
-    across = np.diff(sampled(np.log(smooth + FLOOR), sides), axis=1)[:, 0]
-    across = cv2.blur(across, (1, 5), borderType=cv2.BORDER_REFLECT)
-    faint = np.linalg.norm(across, axis=1) < MIN_CONTRAST
-    seen = np.ones(len(points), bool) if painted is None else ~within(points, painted)
-    return float(faint[seen].mean()) if seen.any() else 1.0
-
-
-def within(points: PixelPath, mask: Mask) -> np.ndarray:
-    """Whether points (N, 2) lie in a mask or beside it."""
-    columns, rows = np.rint(points).astype(int).T
-    return (cv2.dilate(mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0)[rows, columns]
-
-
-def edge_of(smooth: LinearLight, cloth: Mask, unsure: Mask | None = None) -> Pixels:
-    """The closed line along which light, :func:`smoothed`, changes most, near the border of a mask.
+def edge_of(
+    smooth: LinearLight, border: PixelPath, error: np.ndarray, unsure: Mask | None = None
+) -> tuple[PixelPath, np.ndarray]:
+    """The closed line along which light, :func:`smoothed`, changes most, near a ``border`` whose
+    points are a pixel apart and have an ``error`` (N,), pixels; and the contrast (N,) across it, of
+    log light, 0 where edges are ``unsure``.
 
     It is the shortest path around in a band: a stronger edge costs less, and so does a path that
-    keeps its distance from the border. Where light is ``unsure``, it goes on as the border does.
+    keeps its distance from the border, which it follows where edges are unsure.
     """
-    scale = max(max(cloth.shape) / SIDE, 1.0)
-    border = _border(cloth, _SMOOTH * scale)
-    normal = _normals(border)
-    offsets = np.arange(-_BAND * scale, _BAND * scale + _FINE / 2, _FINE)
+    normal = normals(border)
+    band = np.clip(_BAND * float(np.quantile(error, 0.9)), *_BANDS)
+    offsets = np.arange(-band, band + _FINE / 2, _FINE)
     places = border[:, None] + offsets[:, None] * normal[:, None]
     across = sampled(smooth, places)
     change = _change(np.sqrt(across + FLOOR))
     usual = max(float(np.median(change.max(axis=1))), 1e-6)
     cost = 1 / (1 + np.square(change / (_STRONG * usual)))
-    if unsure is not None:
-        hidden = sampled(unsure.astype(np.float32), places) > 0.01
-        cost[hidden] = 1.0
-    path = _shortest(cost + _AWAY * np.square(offsets / offsets[-1]))
     weight = np.square(_change(across))
     if unsure is not None:
-        weight[hidden] = 0.0
+        hidden = sampled(unsure.astype(np.float32), places) > 0.01
+        cost[hidden], weight[hidden] = 1.0, 0.0
+    path = _shortest(cost + _AWAY * np.square(offsets / (_BAND * error[:, None])))
     found = offsets[path]
     for _ in range(_ROUNDS):  # to the middle of the edge, where light is half way
         near = weight * np.exp(-np.square((offsets - found[:, None]) / _NEAR))
         total = near.sum(axis=1)
         found = np.where(total > 0, (near @ offsets) / np.maximum(total, 1e-12), found)
-    return border + gaussian_filter1d(found, _EVEN, mode="wrap")[:, None] * normal
+    line = border + gaussian_filter1d(found, _EVEN, mode="wrap")[:, None] * normal
+    sides = line[:, None] + _ACROSS * np.array([[1], [-1]]) * normal[:, None]
+    contrast = np.diff(sampled(np.log(smooth + FLOOR), sides), axis=1)[:, 0]
+    contrast = np.linalg.norm(gaussian_filter1d(contrast, _ACROSS, axis=0, mode="wrap"), axis=1)
+    if unsure is not None:
+        contrast[sampled(unsure.astype(np.float32), line[:, None])[:, 0] > 0.01] = 0.0
+    return line, contrast
 
 
-def _border(cloth: Mask, smooth: float) -> PixelPath:
+def border_of(cloth: Mask, smooth: float) -> PixelPath:
     """Points a pixel apart along the smoothed border of a mask."""
     outer, _ = cv2.findContours(cloth.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     largest = max(outer, key=cv2.contourArea)[:, 0].astype(float)
     if len(largest) < 8 * smooth:
         raise InputError("no drape was found, but lines; use a plain ground")
-    even = gaussian_filter1d(_spaced(largest, 1.0), smooth, axis=0, mode="wrap")
-    return _spaced(even, 1.0)
+    even = gaussian_filter1d(spaced(largest, 1.0), smooth, axis=0, mode="wrap")
+    return spaced(even, 1.0)
 
 
-def _spaced(line: PixelPath, step: float) -> PixelPath:
+def spaced(line: PixelPath, step: float) -> PixelPath:
     """Points on a closed line about a ``step`` apart."""
     closed = np.vstack([line, line[:1]])
     length = np.append(0, np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1)))
@@ -121,7 +79,7 @@ def _spaced(line: PixelPath, step: float) -> PixelPath:
     return np.column_stack([np.interp(places, length, column) for column in closed.T])
 
 
-def _normals(line: PixelPath) -> PixelPath:
+def normals(line: PixelPath) -> PixelPath:
     """Outward normals of a closed line."""
     along = np.roll(line, -2, axis=0) - np.roll(line, 2, axis=0)
     normal = along[:, ::-1] * [1, -1] / np.maximum(np.linalg.norm(along, axis=1), 1e-9)[:, None]

@@ -14,7 +14,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from common.errors import InputError
-from common.types import Metres, Pixels, Points
+from common.types import Mask, Metres, Pixels, Points
 from data.pictures.reading import Photograph
 
 DPI = 300
@@ -30,6 +30,7 @@ _DETECTION = {"cornerRefinementMethod": cv2.aruco.CORNER_REFINE_CONTOUR,
 _CIRCLES = np.arange(30, 91, 10) * 1e-3  # m, radii
 _LINE, _TEXT = 205, 150  # grey of lines and letters
 QUIET = 5e-3  # m, white, around the markers
+_BLUR = 6.0  # pixels, 0.5 mm
 _OVERLAP = 2e-3  # m, by which parts on several pages overlap
 _PAGES = {"a2": (594, 420), "a3": (420, 297), "tabloid": (431.8, 279.4), "a4": (297, 210),
           "letter": (279.4, 215.9)}
@@ -108,6 +109,27 @@ def mat_picture(name: str) -> np.ndarray:
         left, top = np.rint(np.array(at(*centre)) - side / 2).astype(int)
         page.paste(Image.fromarray(marker), (int(left), int(top)))
     return np.asarray(page)
+
+
+@cache
+def blurred_mat(name: str, blur: float) -> np.ndarray:
+    """:func:`mat_picture`, blurred by a standard deviation in its pixels."""
+    return cv2.GaussianBlur(mat_picture(name), (0, 0), blur)
+
+
+def in_middle(name: str, places: np.ndarray) -> np.ndarray:
+    """Whether places (..., 2), m, are within the ring of markers."""
+    half = np.array(MATS[name].size) / 2 - MARKER - QUIET
+    return (np.abs(places) < half).all(axis=-1)
+
+
+def printed_at(name: str, places: np.ndarray) -> tuple[np.ndarray, Mask]:
+    """The print (H, W) uint8 at places (H, W, 2), m, 0 beside the mat, a little blurred, and where
+    the mat is."""
+    printed = cv2.remap(blurred_mat(name, _BLUR), *mat_pixels(name, places), cv2.INTER_LINEAR,
+                        borderValue=0)
+    half = np.array(MATS[name].size) / 2 + QUIET
+    return printed, (np.abs(places) < half).all(axis=2)
 
 
 def mat_pixels(name: str, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

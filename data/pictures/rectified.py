@@ -4,25 +4,20 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 
 from common.errors import InputError
 from common.findings import Finding
 from common.types import Mask, Metres
-from data.pictures.cloth import BEYOND
-from data.pictures.mat import MARKER, MATS, PIXEL, QUIET, find_mat, mat_picture, mat_pixels
+from data.pictures.cut import Printed
+from data.pictures.mat import find_mat, printed_at
 from data.pictures.pose import Pose, camera_pose
-from data.pictures.reading import Photograph, decoded, encoded
+from data.pictures.reading import Photograph
 
 AROUND = 1.3  # of the flat specimen's reach, shown
 SIDE = 1500  # pixels, at most
 MAX_SCALE_ERROR = 0.006  # standard deviation, relative
-INK = 60  # grey of the mat, below which it is printed: markers; lines are light and thin
-_BLEED = 6e-4  # m, of print and its blur
-_INK_COLOUR, _INK_LIGHT = 0.12, 0.35  # of the paper's light
-_MAX_INKY = 0.05  # of the cloth on the plate, that is like ink
-_INPAINTED = 3  # pixels, radius
-_PAPER_AROUND = 4e-3  # m, over which the paper around ink is averaged
+_PRINT_EDGE = 60  # grey of the mat, over a pixel
+_BLEED = 6e-4  # m, of print and its blur, and the error of its place
 
 
 @dataclass(frozen=True)
@@ -31,27 +26,26 @@ class OverMat:
     arrow to the right.
 
     Attributes:
-        photograph: the picture, without what is printed on the mat.
+        photograph: the picture.
         pixel: size of a pixel in the plane of the plate.
-        ground: (H, W) what surely shows mat or table.
-        paper: (H, W) where the mat is, covered or not.
+        printed: what the mat shows behind places of that plane.
+        print_edges: (H, W) where edges may be those of the mat and of what is printed on it.
     """
 
     photograph: Photograph
     pixel: Metres
-    ground: Mask
-    paper: Mask
     pose: Pose
+    printed: Printed
+    print_edges: Mask
     warnings: tuple[Finding, ...] = ()
 
 
 def straight_from_above(
     photograph: Photograph, others: list[Photograph], mat: str, *, plate_height: Metres,
-    plate: Metres, reach: Metres
+    reach: Metres
 ) -> OverMat:
     """Rectify a photograph of a drape over a ``mat``; InputError if it is not seen. ``others``:
-    pictures of the mat by the same camera; ``plate``, ``reach``: radii of the plate and of the flat
-    specimen."""
+    pictures of the mat by the same camera; ``reach``: radius of the flat specimen."""
     seen = []
     for one in (photograph, *others):
         found = find_mat(one)
@@ -77,63 +71,20 @@ def straight_from_above(
     missing = (columns < 0) | (rows < 0) | (columns > width - 1) | (rows > height - 1)
     light = cv2.remap(photograph.light, columns, rows, cv2.INTER_LINEAR,
                       borderMode=cv2.BORDER_REPLICATE)
-    far = np.hypot(steps, steps[:, None])
-    # What is printed, seen through the plane of the plate: a column has one x, a row one y.
-    axes = [at + (along - at) * (pose.place[2] / above)
-            for at, along in zip(pose.place[:2], (steps, -steps), strict=True)]
-    on_mat = np.dstack(np.meshgrid(*axes))
     transparent = missing | (cv2.remap(photograph.transparent.astype(np.float32), columns, rows,
                                        cv2.INTER_LINEAR) > 0.5)
-    # Of markers that are read, nothing is covered.
-    in_column, in_row = (np.abs(along[:, None] - markers) < MARKER / 2 + QUIET
-                         for along, markers in zip(axes, seen[0][0].T[:2], strict=True))
-    read = in_row.astype(np.float32) @ in_column.T.astype(np.float32) > 0
-    ground = ((far > BEYOND * reach) | read) & ~missing
-    half = np.array(MATS[mat].size) / 2 + QUIET
-    paper = (np.abs(axes[1]) < half[1])[:, None] & (np.abs(axes[0]) < half[0])
-    white = np.quantile(light[ground & paper], 0.9, axis=0)
-    share, painted = _without_print(light / np.maximum(white, 1e-3), mat, on_mat, pixel, read=read,
-                                    on_plate=far < plate)
-    cleared = Photograph(white * share, transparent, painted=painted)
+
+    def printed(places: np.ndarray) -> tuple[np.ndarray, Mask]:
+        eye = pose.place[:2]
+        return printed_at(mat, eye + (places - eye) * (pose.place[2] / above))
+
+    shown, on_mat = printed(np.dstack(np.meshgrid(steps, -steps)))
+    shown = np.where(on_mat, shown, 0).astype(np.uint8)
+    around = 2 * round(max(_BLEED, pixel) / pixel) + 1
+    edges = cv2.morphologyEx(shown, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) > _PRINT_EDGE
+    edges = cv2.dilate(edges.astype(np.uint8), np.ones((around, around), np.uint8)) > 0
     error = float(pose.focal_error * plate_height / above)
     unsure = Finding("focal_length_unsure", {"value": error, "limit": MAX_SCALE_ERROR,
                                              "focal": float(pose.focal_error)})
-    return OverMat(cleared, pixel, ground, paper, pose, (unsure,) * (error > MAX_SCALE_ERROR))
-
-
-def _without_print(
-    light: np.ndarray, mat: str, on_mat: np.ndarray, pixel: Metres, *, read: Mask, on_plate: Mask
-) -> tuple[np.ndarray, Mask | None]:
-    """Light (H, W, 3), of that of white paper, without what is printed on a mat at places (H, W,
-    2), m; and where it is guessed, None if nowhere.
-
-    Ink of markers that are ``read`` is seen. Elsewhere cloth may lie above it: what is dark without
-    colour is ink, unless the cloth on the plate is so, too.
-    """
-    bleed = max(_BLEED, 2 * pixel)
-    wide = 2 * round(bleed / PIXEL) + 1
-    picture = mat_picture(mat)
-    printed, core = (cv2.remap(one, *mat_pixels(mat, on_mat), cv2.INTER_NEAREST,
-                               borderValue=255) < INK
-                     for one in (cv2.erode(picture, np.ones((wide, wide), np.uint8)),
-                                 cv2.dilate(picture, np.ones((wide // 2 | 1,) * 2, np.uint8))))
-    printed &= ~on_plate
-    tinted = np.ptp(light, axis=2) > _INK_COLOUR
-    dark = ~tinted & (light.mean(axis=2) < _INK_LIGHT)
-    if dark[on_plate].mean() > _MAX_INKY:
-        around = np.ones((2 * round(bleed / pixel) + 1,) * 2, np.uint8)
-        seen = printed & (read | (cv2.dilate((dark & printed).astype(np.uint8), around) > 0))
-        shown = np.rint(255 * encoded(np.clip(light, 0, 1))).astype(np.uint8)
-        filled = decoded(cv2.inpaint(shown, seen.astype(np.uint8), _INPAINTED, cv2.INPAINT_TELEA)
-                         / 255)
-        return np.where(seen[..., None], filled, light).astype(np.float32), seen
-    # Of what is printed around a core, as much is seen as of the core.
-    rows, columns = distance_transform_edt(~core, return_distances=False, return_indices=True)
-    seen = printed & (read | dark[rows, columns] & ~tinted)
-    paper = ~printed & ~tinted & ~on_plate
-    weight = paper * np.power(light.mean(axis=2), 4)
-    sigma = _PAPER_AROUND / pixel
-    total = cv2.GaussianBlur(weight.astype(np.float32), (0, 0), sigma)[..., None]
-    mean = cv2.GaussianBlur((weight[..., None] * light).astype(np.float32), (0, 0), sigma)
-    mean = np.where(total > 1e-6, mean / np.maximum(total, 1e-6), 1.0)
-    return np.where(seen[..., None], mean, light).astype(np.float32), None
+    return OverMat(Photograph(light, transparent), pixel, pose, printed, edges,
+                   (unsure,) * (error > MAX_SCALE_ERROR))

@@ -17,7 +17,8 @@ from common.errors import InputError
 from common.files import path_named
 from common.findings import Finding
 from common.types import DeflectionCurve, Metres, Pixels, Radians
-from data.captures.scale import board_plane, mapped
+from data.captures.scale import board_plane
+from data.pictures.planes import mapped
 from data.pictures.reading import read_photograph
 from data.strips.centre_line import CentreLine, trace_strip
 from data.strips.description import StripEntry, StripsDescription, View

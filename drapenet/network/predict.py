@@ -26,6 +26,7 @@ from drapenet.views.radial_map import compressed
 from sim.material import is_admissible
 
 DRAWS = 4000  # of each posterior, in all
+VARIANTS = 16  # of a capture with errors
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,26 @@ def sample_targets(network: Network, header: Header, batch: Batch, known: np.nda
     return np.concatenate(drawn)
 
 
+def _sampled(
+    network: Network, header: Header, sets: Sequence[Sequence[Observation]]
+) -> Samples:
+    """Samples (DRAWS, N, targets) of the sets; those of outlines that have errors are from
+    :data:`VARIANTS` of them."""
+    rng = np.random.default_rng(0)
+    counts = [1 if all(part.outline is None or part.outline.error is None for part in captures)
+              else VARIANTS for captures in sets]
+    varied = [[part.varied(rng) for part in captures] if count > 1 else captures
+              for captures, count in zip(sets, counts, strict=True) for _ in range(count)]
+    batch, facts = batch_of(varied)
+    samples, first = sample_targets(network, header, batch, facts.known), 0
+    found = []
+    for count in counts:
+        # Each count-th of the samples of a variant, another of the next one.
+        found.append(np.concatenate([samples[k::count, first + k] for k in range(count)]))
+        first += count
+    return np.stack(found, axis=1)
+
+
 def likeness_of(
     network: Network, header: Header, batch: Batch, samples: Samples
 ) -> list[Likeness]:
@@ -90,7 +111,7 @@ def predict(
         header.require_input("depth" if capture.map else "outline" if capture.outline else
                              "numbers")
     batch, facts = batch_of(sets)
-    samples = sample_targets(network, header, batch, facts.known)
+    samples = _sampled(network, header, sets)
     known = [all(part.known for part in captures) for captures in sets]
     likeness = likeness_of(network, header, batch, samples) if compared else []
     return [Draws.possible(cloth_of(samples[:, k], np.full(len(samples), size)), known[k],

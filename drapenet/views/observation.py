@@ -67,8 +67,13 @@ class Observation:
         if warp is None and specimen != "disc":
             raise InputError(f"{capture.path}: warp_direction_deg is missing; the outline of a "
                              f"{specimen} does not show its sides: state the direction of the warp")
-        outline = outline_of_curve(seen.curve, zero=warp or 0.0, height=seen.height)
+        outline = outline_of_curve(seen.curve, zero=warp or 0.0, height=seen.height,
+                                   error=seen.error)
         return cls(capture.rig, capture.sign, warp is not None, outline=outline)
+
+    def varied(self, rng: np.random.Generator) -> "Observation":
+        """The capture with errors as its outline may have."""
+        return self if self.outline is None else replace(self, outline=self.outline.varied(rng))
 
 
 def map_along(warp: Radians | None, located: LocatedViews) -> RadialMap:

@@ -20,8 +20,8 @@ from common.types import Metres, Outline
 from data.captures.capture import OutlineCapture
 from data.captures.photograph import AZIMUTHS, PhotographedOutline
 from data.captures.reader import read_capture
-from data.captures.scale import mapped
 from data.dataset.off_axis import silhouette
+from data.pictures.planes import mapped
 from data.render.phone import mat_around, phone_picture
 from drapenet.estimator.stages import by_network
 from experiments.drapes import drape_as_planned, header, plan_specimen

@@ -1,0 +1,217 @@
+"""Cloth cut out of a photograph by a network that has learned rendered pictures.
+
+It is given the picture in the plane of the plate, what is printed on a mat as it must appear
+there, and the distance from the plate's axis (``python -m data.dataset.cloth`` trains it).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+
+from common.errors import InputError
+from common.types import ColourPicture, Mask, Metres, PixelPath
+from data.pictures.edge import border_of, edge_of, normals, sampled, smoothed
+from data.pictures.planes import mapped
+from data.pictures.reading import Photograph, decoded
+
+SIDE = 256  # pixels
+AROUND = 1.2  # of the flat specimen's reach, shown
+FINE, COARSE = 4, 5  # inputs at each pixel, and at each square of two by two
+_FLOOR = 0.02  # of light
+_BRIGHT = 0.95  # quantile of the light that becomes 1
+_LIGHT = decoded(np.arange(256) / 255.0)
+_MOST_TIMES = 6  # pixels of a photograph that are averaged, along a side
+_FINER = 4  # places for each pixel, between which log odds are linear
+_AROUND_HEM = 1.0  # pixels, on both sides of it, between which the odds' slope is measured
+_LEAST_SLOPE = 0.2  # of log odds a pixel
+_PLACES, _CENTRED = 4, 0.03  # tries of the middle, if not known, and how near it must be, of reach
+ON_PLATE = 0.95  # of its radius
+MIN_COVERED = 0.9  # of the plate
+MAX_CUT_OFF = 0.003  # of the hem
+CONTRAST, EDGE_ERROR = 0.15, 1.0  # of log light across an edge that is seen; pixels
+
+Printed = Callable[[np.ndarray], tuple[np.ndarray, Mask]]
+"""What is printed (H, W) uint8 behind places (H, W, 2), m, of the plate's plane, and where."""
+
+
+def steps(reach: Metres) -> np.ndarray:
+    """Places (SIDE,), m, of the pixels along x, and upwards along y."""
+    return ((np.arange(SIDE) + 0.5) / SIDE * 2 - 1) * AROUND * reach
+
+
+@dataclass(frozen=True)
+class View:
+    """What the network is given: pictures of SIDE x SIDE pixels about the plate's axis, x to the
+    right, y up.
+
+    Attributes:
+        picture: (SIDE, SIDE, 3).
+        printed: (SIDE, SIDE) uint8, the mat as it would be seen without a drape; 0 beside it.
+        on_mat, unseen: where the mat is, covered or not; where there is no picture.
+        plate, reach: radii of the plate and of the flat specimen.
+        off: (2,) m, place of the middle from the plate's axis; None if that is not known.
+    """
+
+    picture: ColourPicture
+    printed: np.ndarray
+    on_mat: Mask
+    unseen: Mask
+    plate: Metres
+    reach: Metres
+    off: np.ndarray | None
+
+    def channels(self) -> tuple[np.ndarray, np.ndarray]:
+        """Inputs (FINE, SIDE, SIDE) and (COARSE, SIDE/2, SIDE/2) of the network, float32."""
+        light = _LIGHT[self.picture]
+        bright = max(float(np.quantile(light[~self.unseen].max(axis=1), _BRIGHT)), 1e-3)
+        logs = np.log(light / bright + _FLOOR)
+        logs[self.unseen] = 0.0
+        fine = np.stack([*np.moveaxis(logs, 2, 0), self.printed / 255.0]).astype(np.float32)
+        known, far = 0.0, np.zeros((SIDE, SIDE))
+        if self.off is not None:
+            along = steps(self.reach)
+            known, far = 1.0, np.hypot(along + self.off[0], (-along + self.off[1])[:, None])
+        coarse = [self.on_mat, self.unseen, np.full((SIDE, SIDE), known),
+                  known * (far / self.plate - 1), known * (far / self.reach - 1)]
+        half = [np.asarray(one, np.float32).reshape(SIDE // 2, 2, SIDE // 2, 2).mean((1, 3))
+                for one in coarse]
+        return fine, np.stack(half)
+
+
+@dataclass(frozen=True)
+class Cut:
+    """The specimen in a photograph.
+
+    Attributes:
+        hem: closed line around it, pixels of the photograph, a pixel apart.
+        error: (N,) pixels, standard deviation of the hem's points across it.
+    """
+
+    hem: PixelPath
+    error: np.ndarray
+
+
+def cut_cloth(
+    photograph: Photograph, to_pixels: np.ndarray, *, plate: Metres, reach: Metres, known: bool,
+    printed: Printed | None = None
+) -> Cut:
+    """The cloth of a photograph; InputError where none is told from its ground.
+
+    Args:
+        to_pixels: homography (3, 3) from the plate's plane.
+        plate, reach: radii of the plate and of the flat specimen.
+        known: whether the origin of this plane is the plate's centre.
+        printed: what a mat shows behind that plane; None without a mat.
+    """
+    size = np.array(photograph.light.shape[1::-1])
+    middle = np.zeros(2) if known else mapped((size[None] - 1) / 2, np.linalg.inv(to_pixels))[0]
+    along = steps(reach)
+    for _ in range(_PLACES):
+        view = _view(photograph, to_pixels, middle, plate=plate, reach=reach, known=known,
+                     printed=printed)
+        odds = _log_odds(view)
+        piece = _piece(odds)
+        rows, columns = np.nonzero(piece)
+        if known or not len(rows):
+            break
+        off = np.array([along[columns].mean(), -along[rows].mean()])
+        if np.linalg.norm(off) < _CENTRED * reach:
+            break
+        middle = middle + off
+    far = np.hypot(along, along[:, None])
+    covered = float(piece[far < ON_PLATE * plate].mean())
+    if covered < MIN_COVERED:
+        raise InputError(
+            f"cloth is told from its ground on {covered:.0%} of the plate, at least "
+            f"{MIN_COVERED:.0%} is needed: if it is as light as its ground or its shadow, use a "
+            "ground of another colour; check the scale, the tester and the plate's place")
+    hem, error = _hem(odds, piece)
+    inside = np.clip(np.rint(hem).astype(int), 2, SIDE - 3)
+    border = (np.abs(hem - (SIDE - 1) / 2) > SIDE / 2 - 2).any(axis=1)
+    border |= cv2.dilate(view.unseen.astype(np.uint8), np.ones((3, 3)))[inside[:, 1],
+                                                                        inside[:, 0]] > 0
+    if border.mean() > MAX_CUT_OFF:
+        raise InputError("the drape reaches beyond the border of the picture; take it again with "
+                         "the whole hem in the picture, and check the scale and the tester")
+    pixel = along[1] - along[0]
+    places = middle + along[0] * np.array([1, -1]) + pixel * hem * [1, -1]
+    line = mapped(places, to_pixels)
+    scale = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum()
+                  / np.linalg.norm(np.diff(hem, axis=0), axis=1).sum())
+    return Cut(line, scale * error)
+
+
+def outline_of_cloth(
+    photograph: Photograph, to_pixels: np.ndarray, *, unsure: Mask | None = None, **place: Any
+) -> Cut:
+    """The hem to a fraction of a pixel: that of :func:`cut_cloth`, whose arguments these are, moved
+    to the edge in the picture that is near to it; ``unsure``: (H, W) where edges may be others."""
+    cut = cut_cloth(photograph, to_pixels, **place)
+    line, contrast = edge_of(smoothed(photograph.light), cut.hem, cut.error, unsure)
+    return Cut(line, np.where(contrast > CONTRAST, np.minimum(EDGE_ERROR, cut.error), cut.error))
+
+
+def _view(
+    photograph: Photograph, to_pixels: np.ndarray, middle: np.ndarray, *, plate: Metres,
+    reach: Metres, known: bool, printed: Printed | None
+) -> View:
+    """The view of a photograph about the place (2,) ``middle``, m, of the plate's plane."""
+    along = steps(reach)
+    pixel = along[1] - along[0]
+    step = np.diff(mapped(np.array([middle, middle + [pixel, 0]]), to_pixels), axis=0)
+    times = int(np.clip(np.ceil(np.linalg.norm(step)), 1, _MOST_TIMES))
+    first = along[0] - pixel * (1 - 1 / times) / 2
+    fine = np.array([[pixel / times, 0, middle[0] + first],
+                     [0, -pixel / times, middle[1] - first], [0, 0, 1.0]])
+
+    def warped(picture: np.ndarray, border: int) -> np.ndarray:
+        seen = cv2.warpPerspective(
+            picture, to_pixels @ fine, (SIDE * times,) * 2, borderMode=border,
+            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
+        return cv2.resize(seen, (SIDE, SIDE), interpolation=cv2.INTER_AREA)
+
+    opaque = warped(np.uint8(255) * ~photograph.transparent, cv2.BORDER_CONSTANT)
+    if printed is None:
+        shown = np.zeros((SIDE, SIDE), np.uint8), np.zeros((SIDE, SIDE), bool)
+    else:
+        shown = printed(middle + np.dstack(np.meshgrid(along, -along)))
+    return View(warped(photograph.colour, cv2.BORDER_REPLICATE), *shown, opaque < 250, plate,
+                reach, middle if known else None)
+
+
+def _log_odds(view: View) -> np.ndarray:
+    """Logarithm (SIDE, SIDE) of the odds that pixels show the specimen."""
+    import torch  # takes seconds
+
+    from data.pictures.cloth_network import bundled
+
+    with torch.inference_mode():
+        fine, coarse = (torch.from_numpy(one)[None] for one in view.channels())
+        return bundled()(fine, coarse)[0].numpy()
+
+
+def _piece(odds: np.ndarray) -> Mask:
+    """The largest piece of the cloth, filled."""
+    outer, _ = cv2.findContours((odds > 0).astype(np.uint8), cv2.RETR_EXTERNAL,
+                                cv2.CHAIN_APPROX_NONE)
+    piece = np.zeros(odds.shape, np.uint8)
+    if outer:
+        cv2.drawContours(piece, [max(outer, key=cv2.contourArea)], -1, 1, cv2.FILLED)
+    return piece > 0
+
+
+def _hem(odds: np.ndarray, piece: Mask) -> tuple[PixelPath, np.ndarray]:
+    """The line on which odds are even, in pixels of the view, and its error (N,), pixels: that of
+    the logistic distribution of an edge, whose place has these odds."""
+    fine = cv2.resize(np.where(cv2.dilate(piece.astype(np.uint8), np.ones((5, 5))) > 0, odds, -9),
+                      None, fx=_FINER, fy=_FINER, interpolation=cv2.INTER_LINEAR)
+    line = (border_of(fine > 0, _FINER) + 0.5) / _FINER - 0.5
+    normal = normals(line)
+    across = sampled(odds.astype(np.float32),
+                     line[:, None] + _AROUND_HEM * np.array([[1], [0], [-1]]) * normal[:, None])
+    slope = np.maximum((across[:, 2] - across[:, 0]) / (2 * _AROUND_HEM), _LEAST_SLOPE)
+    moved = np.clip(across[:, 1] / slope, -1, 1)
+    return line + moved[:, None] * normal, np.pi / np.sqrt(3) / slope

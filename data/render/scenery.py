@@ -1,0 +1,286 @@
+"""What a photograph of a drape shows: cloth, tester, mat, table and things, and the light on them.
+
+Lengths are m over the table or the mat, whose x-axis is along its arrow; the plate's axis is z.
+"""
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+import trimesh
+
+from common.types import Faces, Metres, Points, RestPoints
+from data.pictures.mat import blurred_mat, in_middle, mat_pixels
+from data.render import textures
+from data.render.rays import Hits, RayScene
+from data.render.textures import Texture
+
+_GAP = 0.4e-3  # m, of plate and stand from the cloth
+_FAR = 5.0  # m, of the table's border
+_SKY, _LAMP_RAYS = 12, 6  # directions and points that shadows are averaged over
+_COARSE = 4  # pixels between places at which the sky is seen
+_SKIN = np.array([0.45, 0.28, 0.2])
+_CLOTH, _TABLE = 0, 1  # numbers of meshes
+
+
+@dataclass(frozen=True)
+class Thing:
+    """A mesh with its surface; ``over``: lies on the cloth of the plate."""
+
+    points: Points
+    faces: Faces
+    texture: Texture
+    over: bool = False
+
+
+@dataclass(frozen=True)
+class Lamp:
+    """A lamp at a place (3,), of a size, m, and its light over that of the sky."""
+
+    place: np.ndarray
+    size: Metres
+    strength: float
+
+
+@dataclass(frozen=True)
+class Scenery:
+    """A drape and all around it.
+
+    Attributes:
+        cloth, rest: points (V, 3) and the flat specimen's (V, 2).
+        mat, mat_light: its name, None for a bare table, and albedo of ink and paper.
+        mat_ground: colour (3,) over that of paper within the ring of markers.
+        through: share of the light that passes through the cloth.
+        gloss: strength and exponent of its highlights (Blinn and Phong).
+        glow: light of the table itself, such as that of a light pad.
+        kind: what is told of it in results.
+    """
+
+    cloth: Points
+    rest: RestPoints
+    faces: Faces
+    surface: Texture
+    table: Texture
+    mat: str | None
+    mat_light: tuple[float, float]
+    mat_ground: np.ndarray
+    things: list[Thing]
+    lamps: list[Lamp]
+    through: float = 0.0
+    gloss: tuple[float, float] = (0.0, 1.0)
+    glow: float = 0.0
+    kind: dict = field(default_factory=dict)
+
+    @classmethod
+    def random(
+        cls, cloth: Points, rest: RestPoints, faces: Faces, rng: np.random.Generator, *,
+        mat: str | None, plate_radius: Metres, plate_height: Metres, clutter: bool = True
+    ) -> "Scenery":
+        """A random scene around a drape; ``clutter``: with things that lie about."""
+        pattern, surface = textures.cloth(rng)
+        reach = float(np.hypot(*rest.T).max())
+        things = _tester(rng, plate_radius, plate_height, clutter=clutter)
+        if clutter:
+            things += _clutter(rng, reach, min(plate_height, float(cloth[:, 2].min())))
+        lamps = [_lamp(rng) for _ in range(rng.choice(3, p=[0.25, 0.55, 0.2]))]
+        rare = rng.random(3)
+        return cls(
+            cloth, rest, faces, surface, textures.table(rng), mat,
+            (rng.uniform(0.02, 0.1), rng.uniform(0.7, 0.9)), _mat_ground(rng), things, lamps,
+            rng.uniform(0.05, 0.5) if rare[0] < 0.12 else 0.0,
+            (rng.uniform(0.05, 0.6), rng.uniform(4, 40)) if rare[1] < 0.25 else (0.0, 1.0),
+            rng.uniform(0.5, 3.0) if rare[2] < 0.06 else 0.0,
+            {"pattern": pattern, "lamps": len(lamps), "things": len(things)})
+
+    def seen(
+        self, eye: np.ndarray, rays: np.ndarray, rng: np.random.Generator
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Light (H, W, 3) along rays (H, W, 3) from an eye (3,), and which meet the specimen, also
+        behind other things."""
+        meshes = [(self.cloth, self.faces), _square(_FAR),
+                  *((one.points, one.faces) for one in self.things)]
+        scene = RayScene(*meshes)
+        hits = scene.cast(eye, rays)
+        specimen = RayScene(meshes[_CLOTH]).cast(eye, rays).mesh == 0
+        for number, thing in enumerate(self.things, 2):
+            specimen |= thing.over & (hits.mesh == number)
+        light = self._shaded(scene, meshes, hits, eye, rays, rng)
+        if self.through:
+            behind = RayScene((np.zeros((3, 3)), np.array([[0, 1, 2]])), *meshes[1:])
+            seen = self._shaded(scene, meshes, behind.cast(eye, rays), eye, rays, rng)
+            light += self.through * (hits.mesh == _CLOTH)[..., None] * (seen - light)
+        return light, specimen
+
+    def _shaded(self, scene: RayScene, meshes: list, hits: Hits, eye: np.ndarray,
+                rays: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        places = eye + np.minimum(hits.distance, 20)[..., None] * rays
+        albedo = np.zeros(rays.shape)
+        shown = hits.mesh == _TABLE
+        albedo[shown] = self._ground(places[shown][:, :2])
+        shown = hits.mesh == _CLOTH
+        albedo[shown] = self.surface(_between(self.rest, self.faces, hits, shown))
+        for number, thing in enumerate(self.things, 2):
+            shown = hits.mesh == number
+            albedo[shown] = thing.texture(places[shown][:, :2] + places[shown][:, 2:])
+        normals = _normals(hits, meshes, rays)
+        light = albedo * self._light(scene, hits, places, normals, rng)[..., None]
+        light += (self.glow * (hits.mesh == _TABLE))[..., None] * albedo
+        strength, power = self.gloss
+        if strength:
+            for lamp in self.lamps:
+                half = _unit(lamp.place - places) - _unit(rays)
+                shine = np.maximum((_unit(half) * normals).sum(axis=2), 0) ** power
+                light += (strength * lamp.strength * shine * (hits.mesh == _CLOTH))[..., None]
+        return light
+
+    def _ground(self, places: np.ndarray) -> np.ndarray:
+        """Albedo (N, 3) of table and mat at places (N, 2)."""
+        albedo = self.table(places)
+        if self.mat:
+            picture = blurred_mat(self.mat, 1.0)
+            height, width = picture.shape
+            columns, rows = (np.rint(one).astype(int) for one in mat_pixels(self.mat, places))
+            on = (columns >= 0) & (rows >= 0) & (columns < width) & (rows < height)
+            ink, paper = self.mat_light
+            albedo[on] = (ink + (paper - ink) * picture[rows[on], columns[on]] / 255.0)[:, None]
+            middle = on & in_middle(self.mat, places)
+            albedo[middle] *= self.mat_ground
+        return albedo
+
+    def _light(self, scene: RayScene, hits: Hits, places: np.ndarray, normals: np.ndarray,
+               rng: np.random.Generator) -> np.ndarray:
+        """Light (H, W) at places with ``normals``: of the sky, and of lamps."""
+        surface = np.where(hits.mesh == _CLOTH, 1, 0)
+        coarse = slice(None, None, _COARSE), slice(None, None, _COARSE)
+        there, up = places[coarse] + 1e-3 * normals[coarse], normals[coarse]
+        sky = np.zeros(there.shape[:2])
+        for k in range(_SKY):
+            height, around = (k + 0.5) / _SKY, k * 2.399963
+            way = np.array([np.sqrt(1 - height**2) * np.cos(around),
+                            np.sqrt(1 - height**2) * np.sin(around), height])
+            spread = way + rng.normal(0, 0.2, there.shape)
+            free = ~np.isfinite(scene.cast(there, spread).distance)
+            sky += free * np.maximum(up @ way, 0) * 2 / _SKY
+        total = 0.5 * _spread(sky, surface, _COARSE)
+        half = slice(None, None, 2), slice(None, None, 2)
+        there = places[half] + 1e-3 * normals[half]
+        for lamp in self.lamps:
+            lit = np.zeros(there.shape[:2])
+            for _ in range(_LAMP_RAYS):
+                way = _unit(lamp.place + lamp.size * rng.normal(0, 0.5, there.shape) - there)
+                lit += ~np.isfinite(scene.cast(there, way).distance) / _LAMP_RAYS
+            slope = np.maximum((normals * _unit(lamp.place - places)).sum(axis=2), 0)
+            total = total + 0.5 * lamp.strength * slope * _spread(lit, surface, 2)
+        return total
+
+
+def _tester(
+    rng: np.random.Generator, plate_radius: Metres, plate_height: Metres, *, clutter: bool
+) -> list[Thing]:
+    """Stand and plate, and sometimes its base, and the upper disc on the cloth."""
+    def cylinder(radius: Metres, low: Metres, high: Metres, *, over: bool = False) -> Thing:
+        mesh = trimesh.creation.cylinder(radius, high - low, sections=64)
+        return Thing(mesh.vertices + [0, 0, (low + high) / 2], mesh.faces,
+                     textures.plain(textures.colour(rng), rng), over)
+
+    top = plate_height - _GAP
+    things = [cylinder(rng.uniform(0.2, 0.9) * plate_radius, 0, top - 1e-3),
+              cylinder(plate_radius - _GAP, top - 3e-3, top)]
+    if clutter and rng.random() < 0.3:
+        things.append(cylinder(rng.uniform(0.3, 1.1) * plate_radius, 0,
+                               min(rng.uniform(3e-3, 0.03), 0.3 * plate_height)))
+    if clutter and rng.random() < 0.2:
+        thick = rng.uniform(1e-3, 0.015)
+        things.append(cylinder(rng.uniform(0.85, 1.0) * plate_radius, plate_height + 5e-4,
+                               plate_height + thick, over=True))
+        things.append(cylinder(rng.uniform(2e-3, 0.015), plate_height + thick,
+                               plate_height + thick + rng.uniform(2e-3, 0.03), over=True))
+    return things
+
+
+def _clutter(rng: np.random.Generator, reach: Metres, below: Metres) -> list[Thing]:
+    """Things on the table beside the drape or under it, ``below`` the lowest cloth, and a hand."""
+    things = []
+    for _ in range(rng.choice([0, 0, 1, 2, 4])):
+        around, far = rng.uniform(0, 2 * np.pi), reach * rng.uniform(0.75, 1.6)
+        long = np.exp(rng.uniform(np.log(0.01), np.log(0.12)))
+        high = float(np.exp(rng.uniform(np.log(1e-3), np.log(0.1))))
+        if far - long < 1.05 * reach:
+            high = min(high, below - 2e-3)
+        if high < 5e-4:
+            continue
+        if rng.random() < 0.5:
+            mesh = trimesh.creation.box([long, long * rng.uniform(0.05, 1), high])
+        else:
+            mesh = trimesh.creation.cylinder(0.5 * long, high)
+        cos, sin = np.cos(turn := rng.uniform(0, np.pi)), np.sin(turn)
+        points = mesh.vertices @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1.0]])
+        points = points + [far * np.cos(around), far * np.sin(around), high / 2]
+        things.append(Thing(points, mesh.faces, textures.plain(textures.colour(rng), rng)))
+    if rng.random() < 0.08:  # fingers, from outside
+        around = rng.uniform(0, 2 * np.pi)
+        way = np.array([np.cos(around), np.sin(around)])
+        tip, skin = 1.06 * reach, _SKIN * np.exp(rng.normal(0, 0.4))
+        for aside in (-0.02, 0.0, 0.02):
+            mesh = trimesh.creation.capsule(0.3, 9e-3)
+            turn3 = trimesh.geometry.align_vectors([0, 0, 1], [*way, 0])[:3, :3]
+            start = [*(way * (tip + rng.uniform(0, 0.02)) + aside * way[::-1] * [-1, 1]),
+                     rng.uniform(0.01, 0.06)]
+            things.append(Thing(mesh.vertices @ turn3.T + start, mesh.faces,
+                                textures.plain(skin, rng)))
+    return things
+
+
+def _mat_ground(rng: np.random.Generator) -> np.ndarray:
+    """White, mostly; grey or a colour for white cloth."""
+    if rng.random() < 0.85:
+        return np.ones(3)
+    return rng.uniform(0.12, 0.5) * np.exp(rng.choice([0.0, 0.5]) * rng.normal(size=3))
+
+
+def _lamp(rng: np.random.Generator) -> Lamp:
+    """A lamp or a window, from nearly above to the side."""
+    around, aside, high = rng.uniform(0, 2 * np.pi), rng.uniform(0.05, 1.5), rng.uniform(0.6, 2.2)
+    return Lamp(np.array([aside * np.cos(around), aside * np.sin(around), high]),
+                float(np.exp(rng.uniform(np.log(0.01), np.log(0.8)))),
+                float(np.exp(rng.uniform(np.log(0.25), np.log(3.0)))))
+
+
+def _square(far: Metres) -> tuple[np.ndarray, np.ndarray]:
+    points = far * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0.0]])
+    return points, np.array([[0, 1, 2], [0, 2, 3]])
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)
+
+
+def _spread(values: np.ndarray, surface: np.ndarray, step: int) -> np.ndarray:
+    """Values (H/step, W/step) of every ``step``-th pixel for all (H, W): smoothed on each surface,
+    not from one to another."""
+    size, total = surface.shape[::-1], np.zeros(surface.shape, np.float32)
+    for k in (0, 1):
+        mine = (surface[::step, ::step] == k).astype(np.float32)
+        weighted, weight = (cv2.resize(cv2.GaussianBlur(one, (0, 0), 1.5), size) for one in
+                            ((values * mine).astype(np.float32), mine))
+        total += (surface == k) * weighted / np.maximum(weight, 1e-4)
+    return total
+
+
+def _between(values: np.ndarray, faces: Faces, hits: Hits, shown: np.ndarray) -> np.ndarray:
+    """Values (V, C) of vertices, interpolated where hits (H, W) are ``shown``."""
+    weights = hits.uv[shown]
+    weights = np.column_stack([1 - weights.sum(axis=1), weights])
+    return (weights[..., None] * values[faces[hits.face[shown]]]).sum(axis=1)
+
+
+def _normals(hits: Hits, meshes: list, rays: np.ndarray) -> np.ndarray:
+    """Normals (H, W, 3) towards the eye; those of cloth are smooth."""
+    normals = np.zeros(rays.shape)
+    for k, (vertices, faces) in enumerate(meshes):
+        if not (shown := hits.mesh == k).any():
+            continue
+        mesh = trimesh.Trimesh(vertices, faces, process=False)
+        normals[shown] = (_between(mesh.vertex_normals, faces, hits, shown) if k == _CLOTH
+                          else mesh.face_normals[hits.face[shown]])
+    return _unit(normals) * -np.sign((normals * rays).sum(axis=2, keepdims=True))
