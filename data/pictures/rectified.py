@@ -23,6 +23,7 @@ _INK_COLOUR, _INK_LIGHT = 0.12, 0.35  # of the paper's light
 _MAX_INKY = 0.05  # of the cloth on the plate, that is like ink
 _INPAINTED = 3  # pixels, radius
 _PAPER_AROUND = 4e-3  # m, over which the paper around ink is averaged
+_LIKE_GROUND = 1.6  # times the light of a mat's grey or coloured ground; white has four times
 
 
 @dataclass(frozen=True)
@@ -47,11 +48,11 @@ class OverMat:
 
 def straight_from_above(
     photograph: Photograph, others: list[Photograph], mat: str, *, plate_height: Metres,
-    plate: Metres, reach: Metres
+    plate: Metres, reach: Metres, colour: str = "white"
 ) -> OverMat:
     """Rectify a photograph of a drape over a ``mat``; InputError if it is not seen. ``others``:
     pictures of the mat by the same camera; ``plate``, ``reach``: radii of the plate and of the flat
-    specimen."""
+    specimen; ``colour``: of the mat's ground."""
     seen = []
     for one in (photograph, *others):
         found = find_mat(one)
@@ -84,28 +85,41 @@ def straight_from_above(
     on_mat = np.dstack(np.meshgrid(*axes))
     transparent = missing | (cv2.remap(photograph.transparent.astype(np.float32), columns, rows,
                                        cv2.INTER_LINEAR) > 0.5)
-    # Of markers that are read, nothing is covered.
-    in_column, in_row = (np.abs(along[:, None] - markers) < MARKER / 2 + QUIET
-                         for along, markers in zip(axes, seen[0][0].T[:2], strict=True))
-    read = in_row.astype(np.float32) @ in_column.T.astype(np.float32) > 0
+    read = _squares(axes, seen[0][0][:, :2], MARKER / 2 + QUIET)  # nothing is covered there
     ground = ((far > BEYOND * reach) | read) & ~missing
-    half = np.array(MATS[mat].size) / 2 + QUIET
-    paper = (np.abs(axes[1]) < half[1])[:, None] & (np.abs(axes[0]) < half[0])
-    white = np.quantile(light[ground & paper], 0.9, axis=0)
-    share, painted = _without_print(light / np.maximum(white, 1e-3), mat, on_mat, pixel, read=read,
-                                    on_plate=far < plate)
-    cleared = Photograph(white * share, transparent, painted=painted)
+    x, y = np.array(MATS[mat].size) / 2 + QUIET
+    paper = (np.abs(axes[1]) < y)[:, None] & (np.abs(axes[0]) < x)
+    squares, plain = None, ground & paper
+    if colour != "white":  # then the white around the markers is printed, too
+        half = MARKER / 2 + QUIET + max(_BLEED, 2 * pixel)
+        squares, read = (_squares(axes, centres, half)
+                         for centres in (MATS[mat].centres, seen[0][0][:, :2]))
+        plain &= ~squares
+    bare = np.quantile(light[plain], 0.9, axis=0)
+    share, painted = _without_print(light / np.maximum(bare, 1e-3), mat, on_mat, pixel, read=read,
+                                    on_plate=far < plate, squares=squares)
+    cleared = Photograph(bare * share, transparent, painted=painted)
     error = float(pose.focal_error * plate_height / above)
     unsure = Finding("focal_length_unsure", {"value": error, "limit": MAX_SCALE_ERROR,
                                              "focal": float(pose.focal_error)})
     return OverMat(cleared, pixel, ground, paper, pose, (unsure,) * (error > MAX_SCALE_ERROR))
 
 
+def _squares(axes: list[np.ndarray], centres: np.ndarray, half: Metres) -> Mask:
+    """Where (H, W) squares of a ``half`` side are, of ``centres`` (M, 2), m, on the mat, of which
+    ``axes`` are the x (W,) of columns and the y (H,) of rows, m."""
+    in_column, in_row = (np.abs(along[:, None] - middles) < half
+                         for along, middles in zip(axes, centres.T, strict=True))
+    return in_row.astype(np.float32) @ in_column.T.astype(np.float32) > 0
+
+
 def _without_print(
-    light: np.ndarray, mat: str, on_mat: np.ndarray, pixel: Metres, *, read: Mask, on_plate: Mask
+    light: np.ndarray, mat: str, on_mat: np.ndarray, pixel: Metres, *, read: Mask, on_plate: Mask,
+    squares: Mask | None
 ) -> tuple[np.ndarray, Mask | None]:
-    """Light (H, W, 3), of that of white paper, without what is printed on a mat at places (H, W,
-    2), m; and where it is guessed, None if nowhere.
+    """Light (H, W, 3), of that of the mat's bare ground, without what is printed on a mat at places
+    (H, W, 2), m; and where it is guessed, None if nowhere. ``squares``: markers with the white
+    around them, of a ground that is not white.
 
     Ink of markers that are ``read`` is seen. Elsewhere cloth may lie above it: what is dark without
     colour is ink, unless the cloth on the plate is so, too.
@@ -117,7 +131,7 @@ def _without_print(
                                borderValue=255) < INK
                      for one in (cv2.erode(picture, np.ones((wide, wide), np.uint8)),
                                  cv2.dilate(picture, np.ones((wide // 2 | 1,) * 2, np.uint8))))
-    printed &= ~on_plate
+    printed = (printed if squares is None else squares) & ~on_plate
     tinted = np.ptp(light, axis=2) > _INK_COLOUR
     dark = ~tinted & (light.mean(axis=2) < _INK_LIGHT)
     if dark[on_plate].mean() > _MAX_INKY:
@@ -131,8 +145,9 @@ def _without_print(
     rows, columns = distance_transform_edt(~core, return_distances=False, return_indices=True)
     seen = printed & (read | dark[rows, columns] & ~tinted)
     paper = ~printed & ~tinted & ~on_plate
-    weight = paper * np.power(light.mean(axis=2), 4)
-    sigma = _PAPER_AROUND / pixel
+    shade = light.mean(axis=2)
+    weight = paper * (np.power(shade, 4) if squares is None else shade < _LIKE_GROUND)
+    sigma = (_PAPER_AROUND if squares is None else MARKER / 2 + QUIET) / pixel
     total = cv2.GaussianBlur(weight.astype(np.float32), (0, 0), sigma)[..., None]
     mean = cv2.GaussianBlur((weight[..., None] * light).astype(np.float32), (0, 0), sigma)
     mean = np.where(total > 1e-6, mean / np.maximum(total, 1e-6), 1.0)

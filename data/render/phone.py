@@ -16,9 +16,9 @@ from PIL import Image
 
 from common.files import replace_file
 from common.types import Density, Faces, Metres, Points, Radians, RestPoints
-from data.pictures.mat import mat_picture, mat_pixels
+from data.pictures.mat import mat_colours, mat_pixels
 from data.pictures.pose import Pose, camera_matrix
-from data.pictures.reading import FULL_FRAME, encoded
+from data.pictures.reading import FULL_FRAME, decoded, encoded
 from data.render.rays import Hits, RayScene
 
 PATTERNS = ("plain", "stripes", "checks", "dots", "weave")
@@ -62,10 +62,12 @@ def mat_around(reach: Metres) -> str:
 
 def phone_picture(
     positions: Points, rest: RestPoints, faces: Faces, rng: np.random.Generator, *,
-    plate_radius: Metres, plate_height: Metres, mat: str = "a3", beside: Metres = 0.25
+    plate_radius: Metres, plate_height: Metres, mat: str = "a3", ground: str = "white",
+    beside: Metres = 0.25, cloth_albedo: float | None = None
 ) -> PhonePicture:
     """A photograph by a random phone from a random place, at most ``beside`` the plate's axis;
-    ``positions`` with the plate's centre as origin, z up, the warp along x."""
+    ``positions`` with the plate's centre as origin, z up, the warp along x; ``ground``: of the mat;
+    ``cloth_albedo``: of plain cloth without colour, in place of a random pattern."""
     warp = float(rng.uniform(0, 2 * np.pi)) if rng.random() < 0.5 else 0.0
     cos, sin = np.cos(warp), np.sin(warp)
     turned = positions @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1.0]])
@@ -87,11 +89,13 @@ def phone_picture(
     pattern = str(rng.choice(PATTERNS))
     kind = {"pattern": pattern, "lamp": float(rng.choice([0.0, 0.5, 1.0, 2.0])),
             "lamp_size": float(rng.uniform(0.02, 0.3))}
-    albedo = _ground(places, mat, rng)
+    albedo = _ground(places, mat, ground, rng)
     albedo[hits.mesh == 1] = rng.uniform(0.2, 0.7)
     albedo[hits.mesh == 2] = 0.3
     shown = hits.mesh == 0
     albedo[shown] = _pattern(_between(rest, faces, hits, shown), pattern, rng)
+    if cloth_albedo is not None:
+        albedo[shown] = cloth_albedo
     normals = _normals(hits, [cloth, plate.vertices, stand.vertices, table],
                        [faces, plate.faces, stand.faces, np.array([[0, 1, 2], [0, 2, 3]])], rays)
     light = albedo * _light(scene, places, normals, kind, rng)[..., None]
@@ -134,18 +138,18 @@ def _directions(pose: Pose, pixels: np.ndarray) -> np.ndarray:
     return rays / np.linalg.norm(rays, axis=1)[:, None]
 
 
-def _ground(places: np.ndarray, mat: str, rng: np.random.Generator) -> np.ndarray:
+def _ground(places: np.ndarray, mat: str, ground: str, rng: np.random.Generator) -> np.ndarray:
     """Albedo (H, W, 3) of table and mat."""
     tone = rng.uniform(0.1, 0.75) * np.exp(rng.normal(0, 0.1, 3))
     grain = 1 + rng.uniform(0, 0.08) * np.sin(
         places[..., 0] * rng.uniform(100, 400) + 3 * np.sin(30 * places[..., 1]))
     albedo = np.clip(tone * grain[..., None], 0.02, 0.95)
-    picture = cv2.GaussianBlur(mat_picture(mat), (0, 0), 1.0)
-    height, width = picture.shape
+    picture = cv2.GaussianBlur(mat_colours(mat, ground), (0, 0), 1.0)
+    height, width = picture.shape[:2]
     columns, rows = mat_pixels(mat, places)
-    paper = cv2.remap(picture, columns, rows, cv2.INTER_LINEAR, borderValue=0) / 255.0
     on = (columns >= 0) & (rows >= 0) & (columns <= width - 1) & (rows <= height - 1)
-    albedo[on] = (0.04 + 0.81 * paper[on])[:, None]
+    paper = cv2.remap(picture, columns, rows, cv2.INTER_LINEAR)[on]
+    albedo[on] = 0.04 + 0.81 * decoded(paper / 255)
     return albedo
 
 

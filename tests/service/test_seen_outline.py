@@ -187,9 +187,12 @@ def test_the_mat_is_a_pdf_of_its_pages(client):
     assert whole.headers["content-type"] == "application/pdf" and whole.content[:5] == b"%PDF-"
     parts = client.get("/mat.pdf?mat=a3&paper=a4").content
     assert b"/Count 2" in parts and b"/Count 1" in whole.content
+    assert client.get("/mat.pdf?ground=grey").content != whole.content
+    assert client.get("/mat.pdf?ground=pink").json()["error"].endswith("white, grey, blue")
     for query in ("mat=../a3", "mat=a3&paper=a9", "mat=a2&paper=tabloid"):
         answer = client.get(f"/mat.pdf?{query}")
         assert answer.status_code == 422
         assert answer.json()["error"].endswith("mat=a2 paper=letter")
     page = client.get("/").text
     assert 'href="/mat.pdf?mat=a3&amp;paper=a4"' in page
+    assert 'href="/mat.pdf?mat=a2&amp;paper=a4&amp;ground=grey"' in page
