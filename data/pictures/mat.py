@@ -96,7 +96,7 @@ def _drawn(name: str, ground: str) -> Image.Image:
     page = Image.new("RGB", (width, height), GROUNDS[ground])
     draw = ImageDraw.Draw(page)
     faint, dark = (tuple(np.rint(255 * encoded(
-        decoded(tone / 255) * decoded(colour / 255))).astype(int).tolist())
+        decoded(np.array(tone / 255)) * decoded(colour / 255))).astype(int).tolist())
         for tone in (_LINE, _TEXT))
 
     def at(x: Metres, y: Metres) -> tuple[float, float]:

@@ -1,6 +1,7 @@
 """Photographs over the printed mat: its pages, its markers, the camera's pose, and the outline."""
 
 import io
+import re
 
 import cv2
 import numpy as np
@@ -11,6 +12,7 @@ from PIL import Image
 
 from apps.capture import main
 from common.errors import InputError
+from common.findings import texts
 from data.captures.description import OutlineSource
 from data.captures.photograph import read_outline
 from data.captures.reader import read_capture
@@ -225,6 +227,30 @@ def test_a_hem_over_markers_is_exact_unless_the_cloth_is_as_dark(tmp_path, cloth
     assert ("hem_over_print" in [found.code for found in capture.warnings]) == named
     error = photographs.distances_mm(capture)
     assert named or (np.sqrt(np.square(error).mean()) < 0.7 and error.max() < 4)
+
+
+@pytest.mark.parametrize(("height", "said"), [
+    (275, r"rim of 90 mm, which hides it: check the scale first \(is the mat printed at 100 %\? "
+          r"If not, mat_bar_mm\), then plate_height_mm, then the tester"),
+    (330, r"inside the plate of 90 mm radius; check the scale first .* then plate_height_mm")])
+def test_a_plate_lower_than_stated_contradicts_the_outline(tmp_path, height, said):
+    """It is 150 mm over the mat; by 20 mm less or more, nothing contradicts."""
+    jpeg = photographs.over_mat()
+    folder = over_mat(tmp_path / "capture", jpeg, mat="a2", plate_height_mm=height)
+    try:
+        lines = texts(read_capture(folder).warnings)
+    except InputError as error:
+        lines = [str(error)]
+    assert re.search(said, " ".join(lines))
+
+
+def test_the_papers_border_along_the_hem_is_a_warning(tmp_path):
+    """Over the mat from 1.05 m, a hem of 119 mm at 150 mm is seen 136 mm from its middle."""
+    curve = 0.119 * photographs.AROUND
+    for mat, named in (("a3", True), ("a2", False)):
+        jpeg = photographs.over_mat(curve, mat=mat, cloth=(200, 60, 90))
+        found = read_capture(over_mat(tmp_path / mat, jpeg, mat=mat, plate_height_mm=150))
+        assert ("hem_along_border" in [one.code for one in found.warnings]) == named
 
 
 def bare_mat(width: int, height: int, focal: float, tilt: float) -> bytes:
