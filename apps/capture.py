@@ -1,7 +1,7 @@
 """Check a capture while the specimen hangs, and cut out the cloth.
 
     python -m apps.capture frames=FOLDER out=DIR
-    python -m apps.capture mat=a3 out=mat.pdf [paper=a4]
+    python -m apps.capture mat=a3 out=mat.pdf [paper=a4] [ground=grey]
     python -m apps.capture board=board.png
 
 FOLDER has capture.yaml and frames of the full scene, or of the cloth alone (docs/use.md), or its
@@ -30,7 +30,7 @@ from data.captures.plate import plate_of_cloth
 from data.captures.preview import png, show
 from data.captures.reader import read_capture
 from data.captures.writer import write_capture, write_outline
-from data.pictures.mat import BAR, mat_pages
+from data.pictures.mat import BAR, CLEAR, MATS, mat_pages
 from data.strips.description import FILE as STRIPS
 from data.strips.folder import read_strips
 from data.strips.preview import strips_figure, write_curves
@@ -51,6 +51,7 @@ class CaptureConfig:
     board: str
     mat: str
     paper: str
+    ground: str
 
 
 @command("capture", CaptureConfig)
@@ -58,9 +59,12 @@ def main(config: CaptureConfig) -> None:
     """Write the capture and its picture, and print its checks; or write a mat or a board."""
     if config.mat:
         file = Path(config.out or f"mat_{config.mat}.pdf")
-        replace_file(file, mat_pages(config.mat, config.paper or config.mat))
+        replace_file(file, mat_pages(config.mat, config.paper or config.mat, config.ground))
         print(f"mat: {file}; print it at 100 %, join its pages if there are several, and measure "
-              f"its scale of {1e3 * BAR:g} mm")
+              f"its scale of {1e3 * BAR:g} mm. Markers begin {1e3 * CLEAR:g} mm beyond hems that "
+              f"are seen {1e3 * MATS[config.mat].clear:.0f} mm from its middle"
+              + "; for discs of 300 mm, and white or dark cloth, take mat=a2" * (config.mat == "a3")
+              + ", and white cloth is read with ground=grey" * (config.ground == "white"))
         return
     if config.board:
         replace_file(Path(config.board), board_picture())

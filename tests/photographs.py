@@ -10,7 +10,7 @@ from PIL import Image
 from scipy.spatial import cKDTree
 
 from data.captures.capture import OutlineCapture
-from data.pictures.mat import PIXEL, mat_picture
+from data.pictures.mat import PIXEL, mat_colours
 from data.pictures.reading import FULL_FRAME, decoded, encoded
 
 ANGLE = np.linspace(0, 2 * np.pi, 1440, endpoint=False)
@@ -74,18 +74,19 @@ def distances_mm(capture: OutlineCapture, curve: np.ndarray = CURVE) -> np.ndarr
 
 
 def over_mat(
-    curve=CURVE, *, mat="a2", above=0.15, camera=1.2, focal=1800, cloth=(60, 60, 60)
+    curve=CURVE, *, mat="a2", ground="white", above=0.15, camera=1.2, focal=1800,
+    cloth=(60, 60, 60)
 ) -> bytes:
     """JPEG of cloth of a colour with an outline in the plane of a plate ``above`` a printed mat,
     seen straight from a ``camera``'s height, both m, and a focal length in pixels, which EXIF
     states."""
     size = np.array([1600, 1200])
-    paper = mat_picture(mat)
-    middle = (np.array(paper.shape[::-1]) - 1) / 2
+    paper = mat_colours(mat, ground)
+    middle = (np.array(paper.shape[1::-1]) - 1) / 2
     scale = focal * PIXEL / camera
     place = np.column_stack([scale * np.eye(2), (size - 1) / 2 - scale * middle])
-    picture = cv2.warpAffine(paper, place, size.tolist(), flags=cv2.INTER_AREA, borderValue=170)
-    picture = cv2.cvtColor(picture, cv2.COLOR_GRAY2RGB)
+    picture = cv2.warpAffine(paper, place, size.tolist(), flags=cv2.INTER_AREA,
+                             borderValue=[170] * 3)
     corners = (size - 1) / 2 + curve * [1, -1] * focal / (camera - above)
     cv2.fillPoly(picture, [np.rint(corners * 16).astype(np.int32)], cloth, cv2.LINE_AA, 4)
     exif = Image.Exif()

@@ -173,18 +173,20 @@ class OutlineSource(Schema):
 
     A photograph has the keys ``OF_PHOTOGRAPHS``: a ``mat`` under the stand, ``plate_px`` or
     ``mm_per_px``, or none of them, with a board in the picture or ``plate.jpg`` beside it; a text
-    file has the keys ``OF_TABLES``. ``plate_height_mm``: of the plate's top above the mat;
+    file has the keys ``OF_TABLES``. ``ground``: colour of the mat around its markers;
+    ``plate_height_mm``: of the plate's top above the mat;
     ``mat_bar_mm``: length of the mat's scale, as measured on the print; ``arrow``: what lies along
     the mat's arrow; ``centred``: whether the origin of a text file is the plate's centre;
     ``y_axis``: where y points in x and y; ``angles``: which way angles are counted, seen from
     above.
     """
 
-    OF_PHOTOGRAPHS: ClassVar = ("mat", "plate_height_mm", "mat_bar_mm", "arrow", "mm_per_px",
-                                "plate_px")
+    OF_PHOTOGRAPHS: ClassVar = ("mat", "ground", "plate_height_mm", "mat_bar_mm", "arrow",
+                                "mm_per_px", "plate_px")
     OF_TABLES: ClassVar = ("unit", "centred", "y_axis", "angles")
 
     mat: Literal["a3", "a2"] | None = None
+    ground: Literal["white", "grey", "blue"] = "white"
     plate_height_mm: float | None = Field(None, ge=PLATE_HEIGHTS[0], le=PLATE_HEIGHTS[1])
     mat_bar_mm: float | None = Field(None, ge=MAT_BARS[0], le=MAT_BARS[1])
     arrow: Literal["warp", "none"] = "warp"
@@ -206,6 +208,8 @@ class OutlineSource(Schema):
         if self.mat_bar_mm and not self.mat:
             raise ValueError("mat_bar_mm is the measured length of the scale on a mat; state mat, "
                              "too")
+        if self.ground != "white" and not self.mat:
+            raise ValueError("ground is the colour of a mat around its markers; state mat, too")
         if bool(self.mat) != bool(self.plate_height_mm):
             raise ValueError("mat and plate_height_mm belong together: the height of the plate's "
                              "top above the mat, such as {mat: a3, plate_height_mm: 150}")

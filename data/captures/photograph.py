@@ -17,8 +17,9 @@ from common.types import Metres, Outline, PixelPath, Radians
 from data.captures.description import OUTLINE_TABLES, OutlineSource
 from data.captures.off_axis import MAX_LEAN, seen_from_axis
 from data.captures.outline_table import read_closed_curve
-from data.captures.scale import scaled_photograph
+from data.captures.scale import mat_scale, scaled_photograph
 from data.pictures.cut import outline_of_cloth
+from data.pictures.mat import along_border
 from data.pictures.planes import mapped, shifted, upright
 from sim.measures import closed, coefficient_of_area, farthest, folds_around
 from sim.rig import Rig
@@ -29,9 +30,11 @@ MAX_TILT = np.radians(10.0)
 MAX_CUT_OFF = 0.003  # of an outline's points
 MAX_LIKE_GROUND = 0.03  # of the cloth on the plate
 MAX_OVER_PRINT = 0.05  # of the hem
+MAX_ALONG_BORDER = 0.2  # of the azimuth; 3 of 19 sound pictures with the mat a3 have more
 HANGING = 0.010  # m, allowed to reach below the mat, of specimens that are not centred
 MAX_REACH = 1.03  # over the flat specimen's; one of 1000 simulated outlines has more
 MIN_RADIUS = {True: 0.97, False: 0.9}  # over the plate's, by whether its centre is known
+USUAL_RADIUS = 0.99  # the same, where it is known: sound ones have 1.01 or more
 MAX_OVERLAP, MAX_DISORDER = 0.03, 0.5  # of azimuth
 MAX_GAP = np.radians(15.0)
 AZIMUTHS = 720
@@ -106,7 +109,7 @@ def read_outline(
             found = _tabulated(file, source, rig, handed=handed)
         else:
             found = _photographed(file, source, rig, warp_direction)
-        warnings = (*found.warnings, *_checked(found))
+        warnings = (*found.warnings, *_checked(found, _causes(source, is_table=is_table)))
     except InputError as error:
         raise InputError(str(error) if str(file) in str(error) else f"{file}: {error}") from None
     if np.isnan(found.height):
@@ -162,6 +165,7 @@ def _photographed(
                 "value": lean, "limit": MAX_LEAN, "beside": 1e3 * beside,
                 "height": 1e3 * seen.height}))
         warnings += below_the_mat(curve, rig, 1e-3 * (source.plate_height_mm or np.inf))
+        warnings += _along_the_border(curve, seen.beside, seen.height, source)
         first_side = (warp_direction or 0.0) + rig.cut
         curve = _turned(seen_from_axis(_turned(curve, -first_side), _turned(
             seen.beside[None], -first_side)[0], seen.height, rig), first_side)
@@ -179,8 +183,33 @@ def below_the_mat(curve: Outline, rig: Rig, plate_height: Metres) -> list[Findin
         "hangs_through_mat", {"value": 1e3 * hanging, "plate_height": 1e3 * plate_height})]
 
 
-def _checked(outline: PhotographedOutline) -> list[Finding]:
-    """Warnings; InputError for a curve that cannot be of a drape on this plate."""
+def _along_the_border(
+    curve: Outline, beside: np.ndarray, height: Metres, source: OutlineSource
+) -> list[Finding]:
+    """A warning if the border of the mat's paper is seen along the hem, whose edge it may be taken
+    for; the camera is at ``beside`` (2,), m, and at a ``height`` above the plate."""
+    assert source.mat and source.plate_height_mm
+    radii, azimuth = farthest(closed(curve), AZIMUTHS), np.arange(AZIMUTHS) * 2 * np.pi / AZIMUTHS
+    hem = radii[:, None] * np.column_stack([np.cos(azimuth), np.sin(azimuth)])
+    behind = hem + (hem - beside) * 1e-3 * source.plate_height_mm / height  # on the mat
+    share = float(along_border(source.mat, behind / mat_scale(source)).mean())
+    return [] if share <= MAX_ALONG_BORDER else [Finding(
+        "hem_along_border", {"value": share, "limit": MAX_ALONG_BORDER})]
+
+
+def _causes(source: OutlineSource, *, is_table: bool) -> str:
+    """What to check where an outline and what is stated contradict each other, the likeliest first.
+    """
+    if source.mat:
+        return ("check the scale first (is the mat printed at 100 %? If not, mat_bar_mm), then "
+                "plate_height_mm, then the tester")
+    scale = "unit" if is_table else "plate_px, mm_per_px"
+    return f"check the scale first ({scale}), then the tester"
+
+
+def _checked(outline: PhotographedOutline, causes: str) -> list[Finding]:
+    """Warnings; InputError for a curve that cannot be of a drape on this plate, with its
+    ``causes``."""
     curve, rig = outline.curve, outline.rig
     angle = np.arctan2(curve[:, 1], curve[:, 0])
     steps = (np.diff(angle, append=angle[0]) + np.pi) % (2 * np.pi) - np.pi
@@ -197,25 +226,37 @@ def _checked(outline: PhotographedOutline) -> list[Finding]:
     if reach > MAX_REACH * rig.reach:
         raise InputError(f"the outline fills a circle of {1e3 * reach:.0f} mm radius, more than "
                          f"{MAX_REACH:g} times that of the flat specimen, {1e3 * rig.reach:.0f} mm;"
-                         " check the scale, the size of the specimen and the tester")
+                         f" {causes}")
+    if (width := _least_width(curve)) > MAX_REACH * min(rig.sides):
+        raise InputError(f"the outline is at least {1e3 * width:.0f} mm wide in every direction, "
+                         f"more than {MAX_REACH:g} times the specimen's short side, "
+                         f"{1e3 * min(rig.sides):g} mm; {causes}")
     nearest, rim = outline.radii.min(), rig.plate_radius
     if nearest < MIN_RADIUS[outline.centred] * rim:
         raise InputError(f"the outline comes within {1e3 * nearest:.1f} mm of the plate's centre, "
-                         f"inside the plate of {1e3 * rim:g} mm radius; check the scale, the "
-                         "plate's place and the tester")
+                         f"inside the plate of {1e3 * rim:g} mm radius; {causes}")
     if not MIN_COEFFICIENT <= (coefficient := outline.drape_coefficient) <= 1:
         raise InputError(f"the drape coefficient is {coefficient:.1%}, only {MIN_COEFFICIENT:.0%} "
-                         "to 100% is possible; check the scale, the size of the specimen, the "
-                         "tester, and that the outline is not that of the plate or of a hole")
+                         f"to 100% is possible; {causes}, and that the outline is not that of the "
+                         "plate or of a hole")
     warnings = []
+    if outline.centred and nearest < USUAL_RADIUS * rim:
+        warnings.append(Finding("hem_inside_plate", {
+            "value": 1e3 * float(nearest), "limit": 1e3 * rim, "causes": causes}))
     if disorder > MAX_OVERLAP:
         warnings.append(Finding("outline_turns_back", {"value": float(disorder),
                                                        "limit": MAX_OVERLAP}))
     farthest_out = float(np.linalg.norm(curve - _centroid(curve), axis=1).max())
     if farthest_out > MAX_REACH * rig.reach:
-        warnings.append(Finding("hem_beyond_specimen", {"value": 1e3 * farthest_out,
-                                                        "limit": 1e3 * rig.reach}))
+        warnings.append(Finding("hem_beyond_specimen", {
+            "value": 1e3 * farthest_out, "limit": 1e3 * rig.reach, "causes": causes}))
     return warnings
+
+
+def _least_width(curve: Outline) -> Metres:
+    """Width of a curve in the direction in which it is least wide."""
+    angle = np.arange(180) * (np.pi / 180)
+    return float(np.ptp(curve @ np.stack([np.cos(angle), np.sin(angle)]), axis=0).min())
 
 
 def signed_area(curve: Outline) -> float:

@@ -4,7 +4,7 @@ By a mat under the stand, by the plate's place and size, in numbers or in a pict
 without cloth, by the size of a pixel, or by a board in the plane of the plate.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -24,6 +24,7 @@ from data.pictures.rectified import straight_from_above
 from sim.rig import Rig
 
 MAT_SIDE = 4500  # pixels, to which larger photographs with a mat are reduced
+MAX_HEIGHT_DIFFERENCE = 0.15  # between a camera's height as stated and by its focal length
 MAX_SCALE_DIFFERENCE = 0.03  # between the plate's diameter as seen and as a stated scale has it
 
 
@@ -62,6 +63,23 @@ def scaled_photograph(file: Path, source: OutlineSource, rig: Rig) -> Scaled:
     beside it: ``plate.*``, and ``mat_*``."""
     if source.mat:
         return _by_mat(file, source, rig)
+    found = _by_stated(file, source, rig)
+    return replace(found, warnings=(*found.warnings, *_height_contradicted(found)))
+
+
+def _height_contradicted(found: Scaled) -> list[Finding]:
+    """A warning if the scale and the focal length of the file put the camera at another height than
+    the stated one; a file that does not state it, parallel light, or no height have none."""
+    seen = (found.photograph.focal or np.nan) * found.pixel
+    if not abs(np.log(seen / found.height)) > np.log1p(MAX_HEIGHT_DIFFERENCE) or np.isinf(
+            found.height):
+        return []
+    return [Finding("height_contradicts", {
+        "value": 1e3 * seen, "stated": 1e3 * found.height, "limit": MAX_HEIGHT_DIFFERENCE})]
+
+
+def _by_stated(file: Path, source: OutlineSource, rig: Rig) -> Scaled:
+    """The scale without a mat."""
     photograph = read_photograph(file)
     if beside := _beside(file, "plate"):
         return _by_plate(photograph, beside[0], source, rig)
@@ -83,17 +101,21 @@ def _by_mat(file: Path, source: OutlineSource, rig: Rig) -> Scaled:
     files = file, *_beside(file, "mat_*")
     first, *others = (read_photograph(one, side=MAT_SIDE) for one in files)
     assert source.mat and source.plate_height_mm
-    # Lengths as the mat has them, which may be printed larger or smaller.
-    scale = 1e-3 * source.mat_bar_mm / BAR if source.mat_bar_mm else 1.0
+    scale = mat_scale(source)
     plate_height = 1e-3 * source.plate_height_mm
     over = straight_from_above(first, others, source.mat, plate_height=plate_height / scale,
-                               reach=rig.reach / scale)
+                               reach=rig.reach / scale, ground=source.ground)
     height, width = over.photograph.light.shape[:2]
     middle = np.array([width - 1, height - 1]) / 2
     place = scale * over.pose.place
     return Scaled(over.photograph, _about(middle, scale * over.pixel), float(place[2]) -
                   plate_height, middle, place[:2], lambda places: over.printed(places / scale),
                   over.print_edges, over.warnings)
+
+
+def mat_scale(source: OutlineSource) -> float:
+    """Lengths on the printed mat over those of its layout."""
+    return 1e-3 * source.mat_bar_mm / BAR if source.mat_bar_mm else 1.0
 
 
 def _by_plate(photograph: Photograph, file: Path, source: OutlineSource, rig: Rig) -> Scaled:

@@ -7,7 +7,7 @@ import numpy as np
 
 from common.documents import read_yaml
 from common.errors import InputError
-from common.types import ColourPicture, PixelPath
+from common.types import ColourPicture, PixelPath, Radians
 from data.captures.description import Description, OutlineSource
 from data.captures.photograph import PhotographedOutline, read_outline
 from data.captures.reader import DESCRIPTION, find_outline
@@ -28,6 +28,9 @@ class SeenPhotograph:
         centred: whether its centre is known; otherwise it is drawn about the outline's centroid.
         hem: the outline; None if it is refused.
         outline: what is made of it; None if it is refused.
+        specimen: border (N, 2) of the flat specimen, centred on the plate and turned by the warp;
+            None if its size or its direction in the picture is not known.
+        warp: ends (2, 2) of a line along the warp over the specimen; None if it is not stated.
         movable: whether another ``plate_px`` may be stated.
         refusal: why it cannot be estimated, or empty.
     """
@@ -40,6 +43,8 @@ class SeenPhotograph:
     outline: PhotographedOutline | None
     movable: bool
     refusal: str = ""
+    specimen: PixelPath | None = None
+    warp: PixelPath | None = None
 
 
 def seen_photograph(folder: Path) -> SeenPhotograph:
@@ -51,18 +56,23 @@ def seen_photograph(folder: Path) -> SeenPhotograph:
         raise InputError(f"{folder}: a photograph from above and its tester are missing")
     source = description.outline or OutlineSource()
     movable = source.mat is None
+    warp = description.warp_direction
+    if warp is None and description.marked:
+        warp = 0.0
     try:
-        outline = read_outline(photograph, source, rig)
+        outline = read_outline(photograph, source, rig, warp)
     except InputError as error:
-        return _refused(photograph, source, rig, str(error), movable=movable)
+        return _refused(photograph, source, rig, warp, str(error))
     if outline.picture is None or outline.to_pixels is None:
         raise InputError(f"{photograph} is a text file, of which there is no picture")
     return SeenPhotograph(outline.picture, outline.factor, _plate(outline.to_pixels, rig),
-                          outline.centred, outline.hem, outline, movable)
+                          outline.centred, outline.hem, outline, movable,
+                          specimen=_specimen(outline.to_pixels, rig, warp),
+                          warp=_along(outline.to_pixels, rig, warp))
 
 
 def _refused(
-    file: Path, source: OutlineSource, rig: Rig, refusal: str, *, movable: bool
+    file: Path, source: OutlineSource, rig: Rig, warp: Radians | None, refusal: str
 ) -> SeenPhotograph:
     """What can be shown of a photograph whose outline is refused."""
     scaled: Scaled | None = None
@@ -71,11 +81,32 @@ def _refused(
         photograph = scaled.photograph
     except InputError:
         photograph = read_photograph(file)
-    plate = None
+    plate = specimen = along = None
     if scaled is not None and scaled.middle is not None:
-        plate = _plate(np.linalg.inv(scaled.to_metres), rig)
+        to_pixels = np.linalg.inv(scaled.to_metres)
+        plate, specimen, along = (_plate(to_pixels, rig), _specimen(to_pixels, rig, warp),
+                                  _along(to_pixels, rig, warp))
     return SeenPhotograph(photograph.colour, photograph.factor, plate, plate is not None, None,
-                          None, movable, refusal)
+                          None, source.mat is None, refusal, specimen, along)
+
+
+def _specimen(to_pixels: np.ndarray, rig: Rig, warp: Radians | None) -> PixelPath | None:
+    """The flat specimen's border about the origin of a plane, in pixels of a picture; None of a
+    rectangle whose ``warp`` is not stated."""
+    if warp is None and rig.specimen != "disc":
+        return None
+    azimuth = np.linspace(0, 2 * np.pi, 361)  # a point at each corner of a square
+    turned = azimuth + (warp or 0.0) + rig.cut
+    around = np.column_stack([np.cos(turned), np.sin(turned)])
+    return mapped(rig.border(azimuth)[:, None] * around, to_pixels)
+
+
+def _along(to_pixels: np.ndarray, rig: Rig, warp: Radians | None) -> PixelPath | None:
+    """Ends of a line along the ``warp``, as long as the specimen's reach on both sides."""
+    if warp is None:
+        return None
+    end = rig.reach * np.array([[np.cos(warp), np.sin(warp)]])
+    return mapped(np.vstack([-end, end]), to_pixels)
 
 
 def _plate(to_pixels: np.ndarray, rig: Rig) -> tuple[float, float, float]:

@@ -28,7 +28,7 @@ from data.dataset.folder import read_manifest, split_by_fabric
 from data.dataset.shards import SHARDS, Shard
 from data.pictures.cloth_network import ClothNetwork
 from data.pictures.cut import SIDE, View, steps
-from data.pictures.mat import MATS, in_middle, printed_at
+from data.pictures.mat import MATS, on_ground, printed_at
 from data.pictures.reading import encoded
 from data.render.phone import exposed, mat_around
 from data.render.scenery import Scenery
@@ -151,7 +151,7 @@ def expected(mat: str | None, ground: np.ndarray, plane: np.ndarray, eye: np.nda
     behind = eye[:2] + (plane - eye[:2]) * (eye[2] / (eye[2] - height) * scale)
     printed, on_mat = printed_at(mat, behind + rng.normal(0, _PLACE, 2))
     tone = encoded(np.clip(ground.mean(), 0, 1))
-    return np.where(in_middle(mat, behind), tone * printed, printed).astype(np.uint8), on_mat
+    return np.where(on_ground(mat, behind), tone * printed, printed).astype(np.uint8), on_mat
 
 
 def _fallen(plane: np.ndarray, reach: Metres, rng: np.random.Generator) -> np.ndarray:
@@ -165,39 +165,43 @@ def _fallen(plane: np.ndarray, reach: Metres, rng: np.random.Generator) -> np.nd
 
 @dataclass(frozen=True)
 class Pictures:
-    """Arrays of N pictures by name, see :func:`scene_of`."""
+    """N pictures: inputs of the network and truth (N, SIDE, SIDE), of half precision or of 255, the
+    size of a pixel, m, and whether their fabrics are held out."""
 
-    arrays: dict[str, np.ndarray]
+    fine: np.ndarray
+    coarse: np.ndarray
+    cloth: np.ndarray
+    pixel: np.ndarray
+    held_out: np.ndarray
 
     @classmethod
     def of(cls, folder: Path, names: list[str]) -> "Pictures":
         """All pictures of the cases of a folder."""
-        parts = [part for part in (load_arrays(folder, name) for name in names) if part]
-        return cls({name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
+        found: list[tuple] = []
+        for name in progress_bar(names, desc="reading", unit="shard", leave=False):
+            arrays = load_arrays(folder, name)
+            for row in range(len(arrays.get("cloth", ()))):
+                one = {key: values[row] for key, values in arrays.items()}
+                off = None if np.isnan(one["off"]).any() else one["off"]
+                reach = float(one["reach"])
+                view = View(one["picture"], one["printed"], one["on_mat"],
+                            np.zeros((SIDE, SIDE), bool), float(one["plate"]), reach, off)
+                fine, coarse = (part.astype(np.float16) for part in view.channels())
+                found.append((fine, coarse, one["cloth"], np.diff(steps(reach))[0],
+                              one["held_out"]))
+        return cls(*(np.array(part) for part in zip(*found, strict=True)))
 
-    def rows(self, *, held_out: bool) -> np.ndarray:
-        """Numbers of the pictures of fabrics that are held out, or of the others."""
-        return np.flatnonzero(self.arrays["held_out"] == held_out)
-
-    def view(self, row: int) -> View:
-        """What the network is given of a picture."""
-        one = {name: values[row] for name, values in self.arrays.items()}
-        off = None if np.isnan(one["off"]).any() else one["off"]
-        return View(one["picture"], one["printed"], one["on_mat"],
-                    np.zeros((SIDE, SIDE), bool), float(one["plate"]), float(one["reach"]), off)
-
-    def batch(self, rows: np.ndarray) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    def batch(self, rows: np.ndarray) -> list[torch.Tensor]:
         """Inputs and truth of pictures."""
-        fine, coarse = zip(*(self.view(row).channels() for row in rows), strict=True)
-        return (torch.from_numpy(np.stack(fine)), torch.from_numpy(np.stack(coarse)),
-                torch.from_numpy(self.arrays["cloth"][rows].astype(np.float32) / 255))
+        return [*(torch.from_numpy(part[rows].astype(np.float32)) for part in (
+            self.fine, self.coarse)), torch.from_numpy(self.cloth[rows] / np.float32(255))]
 
 
 def train(pictures: Pictures, config: ClothConfig) -> ClothNetwork:
     """A network trained on the pictures of fabrics that are not held out."""
     network, rng = ClothNetwork().to(memory_format=torch.channels_last), np.random.default_rng(
         config.seed)
-    rows = pictures.rows(held_out=False)
+    rows = np.flatnonzero(~pictures.held_out)
     count = len(rows) // _BATCH
     coarse_epochs = round(_COARSE_EPOCHS * config.epochs)
     optimiser = torch.optim.AdamW(network.parameters(), weight_decay=0.02)
@@ -244,7 +248,7 @@ def varied(fine: torch.Tensor, coarse: torch.Tensor, truth: torch.Tensor,
 @torch.inference_mode()
 def errors(network: ClothNetwork, pictures: Pictures) -> list[str]:
     """Lines: area that is wrong over the length of the hem, mm, of pictures held out."""
-    rows = pictures.rows(held_out=True)
+    rows = np.flatnonzero(pictures.held_out)
     wrong = []
     for row in rows:
         fine, coarse, truth = pictures.batch(np.array([row]))
@@ -253,8 +257,7 @@ def errors(network: ClothNetwork, pictures: Pictures) -> list[str]:
         outer, _ = cv2.findContours(cloth.astype(np.uint8), cv2.RETR_EXTERNAL,
                                     cv2.CHAIN_APPROX_NONE)
         length = sum(cv2.arcLength(one, closed=True) for one in outer)
-        pixel = float(np.diff(steps(float(pictures.arrays["reach"][row])))[0])
-        wrong.append(1e3 * pixel * float((found != cloth).sum()) / max(length, 1.0))
+        wrong.append(1e3 * pictures.pixel[row] * float((found != cloth).sum()) / max(length, 1.0))
     shares = "".join(f"{np.quantile(wrong, q):8.2f}" for q in (0.5, 0.9, 0.98))
     return ["pictures   mean distance of the outlines, mm (median, 90 %, 98 %)",
             f"{len(rows):8}{shares}"]

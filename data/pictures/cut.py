@@ -161,7 +161,7 @@ def _view(
     """The view of a photograph about the place (2,) ``middle``, m, of the plate's plane."""
     along = steps(reach)
     pixel = along[1] - along[0]
-    step = np.diff(mapped(np.array([middle, middle + [pixel, 0]]), to_pixels), axis=0)
+    step = np.diff(mapped(middle + np.array([[0, 0], [pixel, 0]]), to_pixels), axis=0)
     times = int(np.clip(np.ceil(np.linalg.norm(step)), 1, _MOST_TIMES))
     first = along[0] - pixel * (1 - 1 / times) / 2
     fine = np.array([[pixel / times, 0, middle[0] + first],

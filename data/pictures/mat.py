@@ -1,8 +1,9 @@
 """A printed mat under the plate's stand: its picture, pages to print, and its markers in pictures.
 
 A ring of fiducial markers (AprilTag 36h11) surrounds a plain middle with circles for the foot of
-the stand. Coordinates are in the plane of the mat: x along its arrow, y to the left of it, the
-centre of the circles the origin, m.
+the stand. The plain part may be grey or blue, so that white cloth differs from it. Coordinates are
+in the plane of the mat: x along its arrow, y to the left of it, the centre of the circles the
+origin, m.
 """
 
 import io
@@ -15,20 +16,26 @@ from PIL import Image, ImageDraw, ImageFont
 
 from common.errors import InputError
 from common.types import Mask, Metres, Pixels, Points
-from data.pictures.reading import Photograph
+from data.pictures.reading import Photograph, decoded, encoded
 
 DPI = 300
 PIXEL = 25.4e-3 / DPI  # m, of the mat's picture
 MARKER = 24e-3  # m, side of its black square
 MIN_MARKERS = 6
 BAR = 200e-3  # m, length of the scale on the mat
+CLEAR = 10e-3  # m, of a hem from markers and from the paper's border
 _DICTIONARY = cv2.aruco.DICT_APRILTAG_36h11
 _DETECTION = {"cornerRefinementMethod": cv2.aruco.CORNER_REFINE_CONTOUR,
               "errorCorrectionRate": 1.0, "perspectiveRemovePixelPerCell": 8,
               "perspectiveRemoveIgnoredMarginPerCell": 0.25}
 """Of blurred and overexposed markers, the middles of the modules are read."""
 _CIRCLES = np.arange(30, 91, 10) * 1e-3  # m, radii
-_LINE, _TEXT = 205, 150  # grey of lines and letters
+GROUNDS = {"white": (255, 255, 255), "grey": (128, 128, 128), "blue": (70, 120, 190)}
+"""Colours, sRGB, of the mat around its markers. Grey of 128 reflects 22 % of the light of paper,
+about the geometric mean of white cloth (85 %) and black cloth (4 %), so that both differ from it by
+a factor of four or five; printers make it of fine dots without stripes. Blue is as dark, for grey
+cloth."""
+_LINE, _TEXT = 205, 150  # grey of lines and letters on white; as visible on other grounds
 QUIET = 5e-3  # m, white, around the markers
 _BLUR = 6.0  # pixels, 0.5 mm
 _OVERLAP = 2e-3  # m, by which parts on several pages overlap
@@ -52,6 +59,11 @@ class Mat:
         return range(self.first, self.first + 2 * wide + 2 * (high - 2))
 
     @property
+    def clear(self) -> Metres:
+        """Radius about its middle within which hems, as seen on it, stay clear of markers."""
+        return min(self.size) / 2 - MARKER - QUIET - CLEAR
+
+    @property
     def centres(self) -> np.ndarray:
         """Centres (M, 2) of the markers, m."""
         x, y = ((side - MARKER) / 2 for side in self.size)
@@ -68,25 +80,41 @@ PARTS = {("a3", "a3"): (1, 1), ("a3", "tabloid"): (1, 1), ("a3", "a4"): (2, 1),
 
 
 @cache
-def mat_picture(name: str) -> np.ndarray:
-    """The mat (H, W) uint8, grey, :data:`PIXEL` a pixel, its arrow to the right."""
-    mat = MATS[name]
+def mat_picture(name: str, ground: str = "white") -> np.ndarray:
+    """The mat (H, W) uint8, grey, :data:`PIXEL` a pixel, its arrow to the right; ``ground``: of
+    :data:`GROUNDS`."""
+    return np.asarray(_drawn(name, ground).convert("L"))
+
+
+def mat_colours(name: str, ground: str = "white") -> np.ndarray:
+    """The same in colours (H, W, 3) uint8, sRGB."""
+    return np.asarray(_drawn(name, ground))
+
+
+def _drawn(name: str, ground: str) -> Image.Image:
+    mat, colour = MATS[name], np.array(GROUNDS[ground])
     width, height = (round((side + 2 * QUIET) / PIXEL) for side in mat.size)
-    page = Image.new("L", (width, height), 255)
+    page = Image.new("RGB", (width, height), GROUNDS[ground])
     draw = ImageDraw.Draw(page)
+    faint, dark = (tuple(np.rint(255 * encoded(
+        decoded(np.array(tone / 255)) * decoded(colour / 255))).astype(int).tolist())
+        for tone in (_LINE, _TEXT))
 
     def at(x: Metres, y: Metres) -> tuple[float, float]:
         return width / 2 + x / PIXEL, height / 2 - y / PIXEL
 
     def line(*points: tuple[Metres, Metres], wide: int = 3) -> None:
-        draw.line([at(*point) for point in points], fill=_LINE, width=wide)
+        draw.line([at(*point) for point in points], fill=faint, width=wide)
 
     def write(x: Metres, y: Metres, text: str, size: Metres = 3.2e-3) -> None:
-        draw.text(at(x, y), text, fill=_TEXT, anchor="mm",
+        draw.text(at(x, y), text, fill=dark, anchor="mm",
                   font=ImageFont.load_default(size / PIXEL))
 
+    half = MARKER / 2 + QUIET
+    for x, y in mat.centres:
+        draw.rectangle([*at(x - half, y + half), *at(x + half, y - half)], fill="white")
     for radius in _CIRCLES:
-        draw.ellipse([*at(-radius, radius), *at(radius, -radius)], outline=_LINE, width=3)
+        draw.ellipse([*at(-radius, radius), *at(radius, -radius)], outline=faint, width=3)
         write(0.71 * radius + 5e-3, -0.71 * radius - 2e-3, f"{2e3 * radius:g}", 2.5e-3)
     line((-0.1, 0), (0.1, 0))
     line((0, -0.1), (0, 0.1))
@@ -108,25 +136,33 @@ def mat_picture(name: str) -> np.ndarray:
             cv2.aruco.getPredefinedDictionary(_DICTIONARY), number, side)
         left, top = np.rint(np.array(at(*centre)) - side / 2).astype(int)
         page.paste(Image.fromarray(marker), (int(left), int(top)))
-    return np.asarray(page)
+    return page
 
 
 @cache
-def blurred_mat(name: str, blur: float) -> np.ndarray:
-    """:func:`mat_picture`, blurred by a standard deviation in its pixels."""
-    return cv2.GaussianBlur(mat_picture(name), (0, 0), blur)
+def _ground(name: str) -> Mask:
+    """Where (H, W) a mat shows its ground in the pixels of :func:`mat_picture`, or lines on it; not
+    around its markers."""
+    return mat_picture(name, "grey") != mat_picture(name)
 
 
-def in_middle(name: str, places: np.ndarray) -> np.ndarray:
-    """Whether places (..., 2), m, are within the ring of markers."""
-    half = np.array(MATS[name].size) / 2 - MARKER - QUIET
-    return (np.abs(places) < half).all(axis=-1)
+def on_ground(name: str, places: np.ndarray) -> Mask:
+    """Whether places (..., 2), m, are on a mat, but not on its markers and the white around."""
+    height, width = (ground := _ground(name)).shape
+    columns, rows = (np.rint(one).astype(int) for one in mat_pixels(name, places))
+    on = (columns >= 0) & (rows >= 0) & (columns < width) & (rows < height)
+    return on & ground[np.where(on, rows, 0), np.where(on, columns, 0)]
 
 
-def printed_at(name: str, places: np.ndarray) -> tuple[np.ndarray, Mask]:
+@cache
+def _blurred(name: str, ground: str) -> np.ndarray:
+    return cv2.GaussianBlur(mat_picture(name, ground), (0, 0), _BLUR)
+
+
+def printed_at(name: str, places: np.ndarray, ground: str = "white") -> tuple[np.ndarray, Mask]:
     """The print (H, W) uint8 at places (H, W, 2), m, 0 beside the mat, a little blurred, and where
     the mat is."""
-    printed = cv2.remap(blurred_mat(name, _BLUR), *mat_pixels(name, places), cv2.INTER_LINEAR,
+    printed = cv2.remap(_blurred(name, ground), *mat_pixels(name, places), cv2.INTER_LINEAR,
                         borderValue=0)
     half = np.array(MATS[name].size) / 2 + QUIET
     return printed, (np.abs(places) < half).all(axis=2)
@@ -139,15 +175,23 @@ def mat_pixels(name: str, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             (-places[..., 1] / PIXEL + (height - 1) / 2).astype(np.float32))
 
 
-def mat_pages(name: str, paper: str) -> bytes:
+def along_border(name: str, places: np.ndarray) -> np.ndarray:
+    """Whether places (N, 2), m, on a mat lie within :data:`CLEAR` of the border of its paper."""
+    outside = np.abs(places) - np.array(MATS[name].size) / 2 - QUIET
+    return np.abs(outside.max(axis=1)) < CLEAR
+
+
+def mat_pages(name: str, paper: str, ground: str = "white") -> bytes:
     """PDF of a mat, in as many pages as it needs on a paper; to be printed at 100 %."""
     from fpdf import FPDF
 
     if (name, paper) not in PARTS:
         choices = ", ".join(f"mat={one} paper={other}" for one, other in PARTS)
         raise InputError(f"mat={name} paper={paper} does not fit; choose {choices}")
+    if ground not in GROUNDS:
+        raise InputError(f"ground={ground} is no colour of a mat; choose {', '.join(GROUNDS)}")
     columns, rows = PARTS[name, paper]
-    picture = mat_picture(name)
+    picture = mat_colours(name, ground)
     extra = round(_OVERLAP / PIXEL)
     wide, high = picture.shape[1] // columns, picture.shape[0] // rows
     sheet = max(_PAGES[paper]), min(_PAGES[paper])
@@ -159,7 +203,7 @@ def mat_pages(name: str, paper: str) -> bytes:
         for column in range(columns):
             top, left = max(row * high - extra, 0), max(column * wide - extra, 0)
             part = picture[top : (row + 1) * high + extra, left : (column + 1) * wide + extra]
-            size = [1e3 * PIXEL * n for n in part.shape[::-1]]
+            size = [1e3 * PIXEL * n for n in part.shape[1::-1]]
             x, y = ((outer - inner) / 2 for outer, inner in zip(sheet, size, strict=True))
             pages.add_page()
             stream = io.BytesIO()

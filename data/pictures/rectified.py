@@ -42,10 +42,11 @@ class OverMat:
 
 def straight_from_above(
     photograph: Photograph, others: list[Photograph], mat: str, *, plate_height: Metres,
-    reach: Metres
+    reach: Metres, ground: str = "white"
 ) -> OverMat:
     """Rectify a photograph of a drape over a ``mat``; InputError if it is not seen. ``others``:
-    pictures of the mat by the same camera; ``reach``: radius of the flat specimen."""
+    pictures of the mat by the same camera; ``reach``: radius of the flat specimen;
+    ``ground``: of the mat."""
     seen = []
     for one in (photograph, *others):
         found = find_mat(one)
@@ -76,7 +77,7 @@ def straight_from_above(
 
     def printed(places: np.ndarray) -> tuple[np.ndarray, Mask]:
         eye = pose.place[:2]
-        return printed_at(mat, eye + (places - eye) * (pose.place[2] / above))
+        return printed_at(mat, eye + (places - eye) * (pose.place[2] / above), ground)
 
     shown, on_mat = printed(np.dstack(np.meshgrid(steps, -steps)))
     shown = np.where(on_mat, shown, 0).astype(np.uint8)

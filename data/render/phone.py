@@ -63,19 +63,23 @@ def phone_picture(
 def phone_pictures(
     positions: Points, rest: RestPoints, faces: Faces, rng: np.random.Generator, *, count: int,
     plate_radius: Metres, plate_height: Metres, mat: str = "a3", beside: Metres = 0.25,
-    clutter: bool = False
+    ground: str = "white", **scene: Any
 ) -> list[PhonePicture]:
-    """Photographs of one scene by a random phone from random places, at most ``beside`` the plate's
-    axis; ``positions`` with the plate's centre as origin, z up, the warp along x. ``clutter``: with
-    a base, an upper disc, and things that lie about."""
+    """Photographs of one scene by a random phone from random places, at most ``beside`` the axis.
+
+    Args:
+        positions: with the plate's centre as origin, z up, the warp along x.
+        ground: of the mat.
+        scene: as for :meth:`data.render.scenery.Scenery.random`.
+    """
     warp = float(rng.uniform(0, 2 * np.pi)) if rng.random() < 0.5 else 0.0
     cos, sin = np.cos(warp), np.sin(warp)
     turned = positions @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1.0]])
     size = _SIZE if rng.random() < 0.7 else _SIZE[::-1]
     lens = rng.uniform(24, 30), float(np.clip(rng.normal(0, 0.012), -0.03, 0.03))
     scenery = Scenery.random(
-        turned + [0, 0, plate_height], rest, faces, rng, mat=mat, plate_radius=plate_radius,
-        plate_height=plate_height, clutter=clutter)
+        turned + np.array([0, 0, plate_height]), rest, faces, rng, mat=mat, ground=ground,
+        plate_radius=plate_radius, plate_height=plate_height, **{"clutter": False, **scene})
     columns, rows = np.meshgrid(np.arange(size[0], dtype=float), np.arange(size[1], dtype=float))
     pixels = np.column_stack([columns.ravel(), rows.ravel()])
     found = []

@@ -10,7 +10,8 @@ import numpy as np
 import trimesh
 
 from common.types import Faces, Metres, Points, RestPoints
-from data.pictures.mat import blurred_mat, in_middle, mat_pixels
+from data.pictures.mat import GROUNDS, mat_picture, mat_pixels, on_ground
+from data.pictures.reading import decoded
 from data.render import textures
 from data.render.rays import Hits, RayScene
 from data.render.textures import Texture
@@ -49,7 +50,7 @@ class Scenery:
     Attributes:
         cloth, rest: points (V, 3) and the flat specimen's (V, 2).
         mat, mat_light: its name, None for a bare table, and albedo of ink and paper.
-        mat_ground: colour (3,) over that of paper within the ring of markers.
+        mat_ground: light (3,) of the mat's ground, over that of paper.
         through: share of the light that passes through the cloth.
         gloss: strength and exponent of its highlights (Blinn and Phong).
         glow: light of the table itself, such as that of a light pad.
@@ -74,19 +75,24 @@ class Scenery:
     @classmethod
     def random(
         cls, cloth: Points, rest: RestPoints, faces: Faces, rng: np.random.Generator, *,
-        mat: str | None, plate_radius: Metres, plate_height: Metres, clutter: bool = True
+        mat: str | None, plate_radius: Metres, plate_height: Metres, clutter: bool = True,
+        ground: str | None = None, cloth_albedo: float | None = None
     ) -> "Scenery":
-        """A random scene around a drape; ``clutter``: with things that lie about."""
+        """A random scene around a drape; ``clutter``: with things that lie about; ``ground``: of
+        the mat, and ``cloth_albedo`` of plain cloth, in place of random ones."""
         pattern, surface = textures.cloth(rng)
         reach = float(np.hypot(*rest.T).max())
         things = _tester(rng, plate_radius, plate_height, clutter=clutter)
         if clutter:
             things += _clutter(rng, reach, min(plate_height, float(cloth[:, 2].min())))
         lamps = [_lamp(rng) for _ in range(rng.choice(3, p=[0.25, 0.55, 0.2]))]
+        if cloth_albedo is not None:
+            pattern, surface = "plain", textures.plain(cloth_albedo, rng, depth=0.0)
         rare = rng.random(3)
         return cls(
             cloth, rest, faces, surface, textures.table(rng), mat,
-            (rng.uniform(0.02, 0.1), rng.uniform(0.7, 0.9)), _mat_ground(rng), things, lamps,
+            (rng.uniform(0.02, 0.1), rng.uniform(0.7, 0.9)), _mat_ground(ground, rng), things,
+            lamps,
             rng.uniform(0.05, 0.5) if rare[0] < 0.12 else 0.0,
             (rng.uniform(0.05, 0.6), rng.uniform(4, 40)) if rare[1] < 0.25 else (0.0, 1.0),
             rng.uniform(0.5, 3.0) if rare[2] < 0.06 else 0.0,
@@ -137,14 +143,14 @@ class Scenery:
         """Albedo (N, 3) of table and mat at places (N, 2)."""
         albedo = self.table(places)
         if self.mat:
-            picture = blurred_mat(self.mat, 1.0)
+            picture = mat_picture(self.mat)
             height, width = picture.shape
             columns, rows = (np.rint(one).astype(int) for one in mat_pixels(self.mat, places))
             on = (columns >= 0) & (rows >= 0) & (columns < width) & (rows < height)
             ink, paper = self.mat_light
-            albedo[on] = (ink + (paper - ink) * picture[rows[on], columns[on]] / 255.0)[:, None]
-            middle = on & in_middle(self.mat, places)
-            albedo[middle] *= self.mat_ground
+            share = decoded(picture[rows[on], columns[on]] / 255.0)
+            albedo[on] = (ink + (paper - ink) * share)[:, None]
+            albedo[on_ground(self.mat, places)] *= self.mat_ground
         return albedo
 
     def _light(self, scene: RayScene, hits: Hits, places: np.ndarray, normals: np.ndarray,
@@ -180,7 +186,7 @@ def _tester(
     """Stand and plate, and sometimes its base, and the upper disc on the cloth."""
     def cylinder(radius: Metres, low: Metres, high: Metres, *, over: bool = False) -> Thing:
         mesh = trimesh.creation.cylinder(radius, high - low, sections=64)
-        return Thing(mesh.vertices + [0, 0, (low + high) / 2], mesh.faces,
+        return Thing(mesh.vertices + np.array([0, 0, (low + high) / 2]), mesh.faces,
                      textures.plain(textures.colour(rng), rng), over)
 
     top = plate_height - _GAP
@@ -215,7 +221,7 @@ def _clutter(rng: np.random.Generator, reach: Metres, below: Metres) -> list[Thi
             mesh = trimesh.creation.cylinder(0.5 * long, high)
         cos, sin = np.cos(turn := rng.uniform(0, np.pi)), np.sin(turn)
         points = mesh.vertices @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1.0]])
-        points = points + [far * np.cos(around), far * np.sin(around), high / 2]
+        points = points + np.array([far * np.cos(around), far * np.sin(around), high / 2])
         things.append(Thing(points, mesh.faces, textures.plain(textures.colour(rng), rng)))
     if rng.random() < 0.08:  # fingers, from outside
         around = rng.uniform(0, 2 * np.pi)
@@ -231,8 +237,10 @@ def _clutter(rng: np.random.Generator, reach: Metres, below: Metres) -> list[Thi
     return things
 
 
-def _mat_ground(rng: np.random.Generator) -> np.ndarray:
-    """White, mostly; grey or a colour for white cloth."""
+def _mat_ground(ground: str | None, rng: np.random.Generator) -> np.ndarray:
+    """Of a name of GROUNDS; else white, mostly, or dark."""
+    if ground is not None:
+        return decoded(np.array(GROUNDS[ground]) / 255)
     if rng.random() < 0.85:
         return np.ones(3)
     return rng.uniform(0.12, 0.5) * np.exp(rng.choice([0.0, 0.5]) * rng.normal(size=3))

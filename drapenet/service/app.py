@@ -141,9 +141,10 @@ async def begin(request: Request) -> dict[str, str]:
 @router.post("/outline", openapi_extra={"requestBody": _FORM}, response_model=None)
 async def outline(request: Request) -> Response:
     """How the photograph of a capture is read, before its estimate: `picture`, at most 1000 pixels
-    wide and high, with `outline`, the points of the hem, and `plate` in its pixels, `warnings`, and
-    `refusal`, a sentence if there is no outline; `scale` is the number of pixels of the file to
-    each. The density may be missing. 204 if there is no photograph from above.
+    wide and high, with `outline`, the points of the hem, `plate`, `specimen`, the border of the
+    flat specimen, and `warp`, a line along it, in its pixels, `warnings`, and `refusal`, a sentence
+    if there is no outline; `scale` is the number of pixels of the file to each. The density may be
+    missing. 204 if there is no photograph from above.
     """
     jobs: Jobs = request.app.state.jobs
     try:
@@ -158,13 +159,16 @@ async def outline(request: Request) -> Response:
 
 
 @router.get("/mat.pdf", response_class=Response)
-def mat_to_print(request: Request, mat: str = "a3", paper: str = "") -> Response:
+def mat_to_print(
+    request: Request, mat: str = "a3", paper: str = "", ground: str = "white"
+) -> Response:
     """The mat that lies under the stand, to be printed at 100 %: `mat` is a3 or a2, `paper` that
-    of the printer; by default that of the mat.
+    of the printer; by default that of the mat; `ground` is white, grey or blue, of the mat around
+    its markers.
     """
     jobs: Jobs = request.app.state.jobs
     with jobs.looks.places.taken(_client(request)):
-        data = jobs.looks.outcome(mat_pdf, mat, paper or mat)
+        data = jobs.looks.outcome(mat_pdf, mat, paper or mat, ground)
     return Response(data, media_type="application/pdf",
                     headers={"Content-Disposition": 'inline; filename="mat.pdf"'})
 

@@ -37,7 +37,7 @@ PLACES = {**{key: ("intrinsics", key) for key in INTRINSICS_KEYS},
 another field stands between its keys."""
 LABELS = tuple(key for key in Labels.model_fields if key != "fabric")
 """Fields that a report shows; the label ``fabric`` is the name of the fabric."""
-TEXTS = ("turns_deg", "tester", "face", "mat", "arrow", "camera_height_mm",
+TEXTS = ("turns_deg", "tester", "face", "mat", "ground", "arrow", "camera_height_mm",
          *OutlineSource.OF_TABLES, "refine", "fabric", "name", "notes", "label", *LABELS)
 _ANY_DENSITY = "100"  # g/m², of which no outline depends
 KNOWN, COEFFICIENT = "known.", "known.drape_coefficient_percent"
@@ -95,7 +95,7 @@ def fields_of_outline(fields: Mapping[str, str]) -> dict[str, str]:
     """The fields that change how an outline is read, with any density."""
     return {"density_g_m2": _ANY_DENSITY} | {
         key: text for key, text in fields.items()
-        if key == "tester" or PLACES.get(key, ("",))[0] == "outline"}
+        if key in ("tester", "warp_direction_deg") or PLACES.get(key, ("",))[0] == "outline"}
 
 
 def described_scan(fields: Mapping[str, str]) -> Description:

@@ -15,7 +15,7 @@ from markupsafe import Markup
 
 from data.captures.description import PLATE_HEIGHTS
 from data.captures.reader import CAPTURE_FILES
-from data.pictures.mat import PARTS
+from data.pictures.mat import GROUNDS, PARTS
 from data.readings import QUANTITIES
 from data.rigs import TESTERS
 from drapenet.config import ServeConfig
@@ -47,6 +47,7 @@ def add_pages(app: FastAPI, settings: ServeConfig) -> None:
                   testers={name: RIGS[name] for name in TESTERS}, kinds=KINDS,
                   examples=examples, manual=MANUAL.is_dir(), directions=DIRECTIONS,
                   photographs=PHOTOGRAPHS, plate_heights=PLATE_HEIGHTS,
+                  grounds=list(GROUNDS),
                   mats=[(mat, paper, columns * rows) for (mat, paper), (columns, rows)
                         in PARTS.items()],
                   known=[(each.in_words, value_fields(each), 100 * each.error, error_field(each))

@@ -45,7 +45,8 @@ def photograph_as_read(folder: Path) -> dict[str, Any]:
     answer: dict[str, Any] = {
         "picture": "data:image/jpeg;base64," + base64.b64encode(coded.tobytes()).decode(),
         "width": width, "height": height, "scale": seen.factor * wide / width,
-        "plate": None, "centred": seen.centred, "movable": seen.movable, "outline": None,
+        "plate": None, "specimen": None, "warp": None, "centred": seen.centred,
+        "movable": seen.movable, "outline": None,
         "drape_coefficient_percent": None, "nodes": None, "warnings": [],
         "refusal": str(InputError(seen.refusal).within(folder)) or None}
     if seen.plate:
@@ -53,8 +54,9 @@ def photograph_as_read(folder: Path) -> dict[str, Any]:
         answer["plate"] = {"x": round((x + 0.5) * share - 0.5, 2),
                            "y": round((y + 0.5) * share - 0.5, 2),
                            "diameter": round(diameter * share, 2)}
-    if seen.hem is not None:
-        answer["outline"] = np.round((seen.hem + 0.5) * share - 0.5, 1).tolist()
+    for name, path in (("outline", seen.hem), ("specimen", seen.specimen), ("warp", seen.warp)):
+        if path is not None:
+            answer[name] = np.round((path + 0.5) * share - 0.5, 1).tolist()
     if seen.outline:
         answer |= {"drape_coefficient_percent": round(100 * seen.outline.drape_coefficient, 1),
                    "nodes": seen.outline.folds, "warnings": records(seen.outline.warnings)}
@@ -62,8 +64,8 @@ def photograph_as_read(folder: Path) -> dict[str, Any]:
 
 
 @cache
-def mat_pdf(mat: str, paper: str) -> bytes:
+def mat_pdf(mat: str, paper: str, ground: str) -> bytes:
     """PDF of a mat, to be printed at 100 %."""
     from data.pictures.mat import mat_pages
 
-    return mat_pages(mat, paper)
+    return mat_pages(mat, paper, ground)

@@ -1,6 +1,7 @@
 """Photographs over the printed mat: its pages, its markers, the camera's pose, and the outline."""
 
 import io
+import re
 
 import cv2
 import numpy as np
@@ -11,11 +12,21 @@ from PIL import Image
 
 from apps.capture import main
 from common.errors import InputError
+from common.findings import texts
 from data.captures.description import OutlineSource
 from data.captures.photograph import read_outline
 from data.captures.reader import read_capture
 from data.dataset.off_axis import silhouette
-from data.pictures.mat import MATS, PARTS, PIXEL, find_mat, mat_pages, mat_picture
+from data.pictures.mat import (
+    GROUNDS,
+    MATS,
+    PARTS,
+    PIXEL,
+    find_mat,
+    mat_colours,
+    mat_pages,
+    mat_picture,
+)
 from data.pictures.pose import camera_matrix, camera_pose
 from data.pictures.reading import Photograph, decoded, read_photograph
 from data.render import phone
@@ -57,9 +68,10 @@ def without_exif(jpeg: bytes) -> bytes:
     return stream.getvalue()
 
 
+@pytest.mark.parametrize("ground", GROUNDS)
 @pytest.mark.parametrize("name", MATS)
-def test_all_markers_of_a_mat_are_read_to_a_tenth_of_a_millimetre(name):
-    page = mat_picture(name)
+def test_all_markers_of_a_mat_are_read_to_a_tenth_of_a_millimetre(name, ground):
+    page = mat_picture(name, ground)
     light = np.repeat(decoded(page / 255)[..., None], 3, axis=2)
     found, centres, pixels = find_mat(Photograph(light, np.zeros(page.shape, bool)))
     assert found == name and len(centres) == len(MATS[name].numbers)
@@ -77,19 +89,56 @@ def test_the_command_writes_a_mat_or_names_the_papers(tmp_path, capsys):
     assert "at 100 %" in capsys.readouterr().out and (tmp_path / "mat.pdf").stat().st_size > 1e5
     with pytest.raises(InputError, match="mat=a3 paper=letter"):
         main(["mat=a3", "paper=a2", f"out={tmp_path / 'other.pdf'}"])
+    with pytest.raises(InputError, match="ground=pink is no colour of a mat; choose white, grey"):
+        main(["mat=a3", "ground=pink", f"out={tmp_path / 'other.pdf'}"])
     assert not (tmp_path / "other.pdf").exists()
+
+
+@pytest.mark.parametrize("ground", ["grey", "blue"])
+def test_a_grey_or_coloured_ground_lies_between_white_and_black_cloth(ground):
+    """By its light, of which white cloth reflects 85 % and black cloth 4 %; lines are seen on it.
+    """
+    light = decoded(mat_colours("a3", ground) / 255).mean(axis=2)
+    plain = np.median(light)
+    assert 0.15 < plain < 0.3
+    assert 0.005 < ((light > 0.5 * plain) & (light < 0.7 * plain)).mean() < 0.05
+    assert (mat_colours("a3", "white") == mat_picture("a3")[..., None]).all()
 
 
 def test_one_photograph_gives_the_outline_and_the_height(tmp_path, shape, picture):
     capture = read_capture(over_mat(tmp_path / "capture", picture.jpeg, arrow="none"))
     outline, place = capture.outline, picture.pose.place - [0, 0, PLATE_HEIGHT]
     assert outline.height == pytest.approx(place[2], rel=0.03) and outline.centred
-    turn = np.array([[np.cos(picture.warp), np.sin(picture.warp), 0],
-                     [-np.sin(picture.warp), np.cos(picture.warp), 0], [0, 0, 1]])
-    true = silhouette(shape.positions @ turn, Mesh(shape.rest, shape.faces).edges, np.zeros(2),
-                      place[2], azimuths=720)
+    true = seen_on_axis(shape, picture)
     assert 1e3 * np.sqrt(np.square(outline.radii - true).mean()) < 1.0
     assert capture.warp_direction is None
+
+
+def seen_on_axis(shape, picture) -> np.ndarray:
+    """The true radii (720,), m, from above the plate at the height of a picture's camera."""
+    turn = np.array([[np.cos(picture.warp), np.sin(picture.warp), 0],
+                     [-np.sin(picture.warp), np.cos(picture.warp), 0], [0, 0, 1]])
+    return silhouette(shape.positions @ turn, Mesh(shape.rest, shape.faces).edges, np.zeros(2),
+                      picture.pose.place[2] - PLATE_HEIGHT, azimuths=720)
+
+
+@pytest.mark.parametrize("ground", ["grey", "blue"])
+def test_white_cloth_over_a_grey_or_coloured_mat_is_read(tmp_path, shape, ground):
+    taken = phone_picture(
+        shape.positions, shape.rest, shape.faces, np.random.default_rng(5), mat="a2",
+        plate_radius=DISC_RIG.plate_radius, plate_height=PLATE_HEIGHT, ground=ground,
+        beside=0.08, cloth_albedo=0.85)
+    found = read_capture(over_mat(tmp_path / "capture", taken.jpeg, mat="a2", ground=ground))
+    assert found.warnings == ()
+    assert 1e3 * np.sqrt(np.square(found.outline.radii - seen_on_axis(shape, taken)).mean()) < 1
+
+
+def test_what_differs_from_white_is_read_as_before_over_grey(tmp_path):
+    """Dark cloth, and a ground that is not stated: the markers are white on a plain ground."""
+    jpeg = photographs.over_mat(ground="grey", cloth=(30, 30, 30))
+    for name, source in (("stated", {"ground": "grey"}), ("not", {})):
+        folder = over_mat(tmp_path / name, jpeg, mat="a2", plate_height_mm=150, **source)
+        assert photographs.error_mm(read_capture(folder)) < 1.5
 
 
 def test_the_check_writes_what_was_read(tmp_path):
@@ -180,6 +229,30 @@ def test_a_hem_over_markers_is_exact_unless_the_cloth_is_as_dark(tmp_path, cloth
     assert named or (np.sqrt(np.square(error).mean()) < 0.7 and error.max() < 4)
 
 
+@pytest.mark.parametrize(("height", "said"), [
+    (275, r"rim of 90 mm, which hides it: check the scale first \(is the mat printed at 100 %\? "
+          r"If not, mat_bar_mm\), then plate_height_mm, then the tester"),
+    (330, r"inside the plate of 90 mm radius; check the scale first .* then plate_height_mm")])
+def test_a_plate_lower_than_stated_contradicts_the_outline(tmp_path, height, said):
+    """It is 150 mm over the mat; by 20 mm less or more, nothing contradicts."""
+    jpeg = photographs.over_mat()
+    folder = over_mat(tmp_path / "capture", jpeg, mat="a2", plate_height_mm=height)
+    try:
+        lines = texts(read_capture(folder).warnings)
+    except InputError as error:
+        lines = [str(error)]
+    assert re.search(said, " ".join(lines))
+
+
+def test_the_papers_border_along_the_hem_is_a_warning(tmp_path):
+    """Over the mat from 1.05 m, a hem of 119 mm at 150 mm is seen 136 mm from its middle."""
+    curve = 0.119 * photographs.AROUND
+    for mat, named in (("a3", True), ("a2", False)):
+        jpeg = photographs.over_mat(curve, mat=mat, cloth=(200, 60, 90))
+        found = read_capture(over_mat(tmp_path / mat, jpeg, mat=mat, plate_height_mm=150))
+        assert ("hem_along_border" in [one.code for one in found.warnings]) == named
+
+
 def bare_mat(width: int, height: int, focal: float, tilt: float) -> bytes:
     """The mat alone from the side, 0.7 m away."""
     page = mat_picture("a3")
@@ -223,6 +296,8 @@ def ideal(points: np.ndarray) -> np.ndarray:
     ({"plate_height_mm": 5.0}, "plate_height_mm=5"),
     ({"plate_height_mm": None}, "belong together"),
     ({"camera_height_mm": 900}, "leave out mm_per_px"),
+    ({"ground": "pink"}, "ground=pink|white"),
+    ({"mat": None, "plate_height_mm": None, "ground": "grey"}, "state mat, too"),
     ({"mat_bar_mm": 97.0}, "mat_bar_mm=97"),
 ])
 def test_faults_of_a_mat_have_a_line(tmp_path, picture, changes, fault):

@@ -357,6 +357,45 @@ def test_a_hem_that_reaches_farther_than_the_specimen_is_named(tmp_path, beyond,
     assert ("hem_beyond_specimen" in [found.code for found in capture.warnings]) == named
 
 
+@pytest.mark.parametrize(("nearest", "said"), [
+    (0.095, None), (0.0885, r"within 88\.5 mm .* rim of 90 mm, which hides it: check the scale "
+                            r"first \(unit\), then the tester")])
+def test_a_hem_inside_the_plates_rim_is_a_warning(tmp_path, nearest, said):
+    radius = nearest + 0.012 * (1 - np.cos(7 * ANGLE))
+    capture = read_capture(write(
+        tmp_path / "capture", "angle_deg, radius_mm\n" + rows(DEGREES, 1e3 * radius), "outline.csv",
+        outline={"camera_height_mm": "parallel"}))
+    lines = texts(capture.warnings)
+    assert not lines if said is None else re.search(said, " ".join(lines))
+
+
+def test_a_hem_is_not_wider_than_the_specimens_short_side_in_every_direction(tmp_path):
+    """By a wrong scale, though it fits into the circle of the corners."""
+    table = "angle_deg, radius_mm\n" + rows(DEGREES, 92 + 2 * np.cos(5 * ANGLE))
+    folder = write(tmp_path / "capture", table, "outline.csv", warp_direction_deg=0,
+                   tester={"specimen": "rectangle", "size_mm": [170, 250], "plate_mm": 100},
+                   outline={"camera_height_mm": "parallel"})
+    with pytest.raises(InputError, match=r"at least 18\d mm wide in every direction, more than "
+                                         r"1.03 times the specimen's short side, 170 mm; check"):
+        read_capture(folder)
+
+
+@pytest.mark.parametrize(("height", "named"), [(1200, False), (1000, True), ("parallel", False)])
+def test_scale_and_height_contradict_the_focal_length_of_the_file(tmp_path, height, named):
+    """The file's 104 mm of full frame put a camera at 1.2 m that sees 0.4 mm in a pixel."""
+    whole = drawn()[125:875]  # 4:3
+    folder = write(tmp_path / "capture", whole, outline={
+        "plate_px": plate(down=-125), "camera_height_mm": height})
+    (folder / "outline.png").unlink()
+    exif = Image.Exif()
+    exif.get_ifd(0x8769)[41989] = 104
+    Image.fromarray(whole).save(folder / "outline.jpg", quality=95, exif=exif)
+    lines = texts(read_capture(folder).warnings)
+    assert len(lines) == named
+    assert all(re.search(r"was 120\d mm above the plate, but camera_height_mm is 1000, more than "
+                         r"15% off: check the scale first \(plate_px", line) for line in lines)
+
+
 def test_cloth_that_swings_back_under_its_folds_is_a_warning(tmp_path):
     angle = ANGLE + 0.25 * np.sin(7 * ANGLE)
     swung = RADIUS[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])

@@ -108,6 +108,39 @@ def test_a_mat_shows_the_plate_which_cannot_be_moved(client):
     assert "mat and plate_height_mm belong together" in half["error"]
 
 
+def test_the_warp_and_the_flat_specimen_are_lines_in_the_picture(client):
+    """Of a square they turn with the warp, which counts from the mat's arrow, to the right."""
+    files = {"drape.jpg": over_mat()}
+    fields = {"tester": "square240_cylinder180", "mat": "a2", "plate_height_mm": "150"}
+    for stated, angle in (({}, 0.0), ({"warp_direction_deg": "30"}, 30.0)):
+        found = ask(client, files, **fields, **stated).json()
+        centre, across = [found["plate"][key] for key in ("x", "y")], found["plate"]["diameter"]
+        ends = 0.180 / across * (np.array(found["warp"]) - centre) * [1, -1]  # m, y up
+        direction = ends[1] - ends[0]
+        assert np.degrees(np.arctan2(*direction[::-1])) == pytest.approx(angle, abs=0.1)
+        assert np.linalg.norm(direction) == pytest.approx(0.24 * 2**0.5, rel=5e-3)
+        corners = 0.180 / across * (np.array(found["specimen"]) - centre) * [1, -1]
+        at = np.argmax(np.linalg.norm(corners, axis=1))
+        assert np.linalg.norm(corners[at]) == pytest.approx(0.12 * 2**0.5, rel=5e-3)
+        assert np.degrees(np.arctan2(*corners[at][::-1])) % 90 == pytest.approx(
+            (angle + 45) % 90, abs=0.3)
+    free = ask(client, files, **fields, arrow="none").json()
+    assert free["warp"] is None and free["specimen"] is None
+
+
+def test_rectangles_have_two_sides_and_the_warps_hint_follows_the_mat(client):
+    page, script = client.get("/").text, client.get("/static/form.js").text
+    assert '<option value="rectangle_cylinder">' in page and 'id="across"' in page
+    for name in ("warp-mat", "warp-picture", "warp-name"):
+        assert f'id="{name}"' in page and f"at('{name}')" in script
+    fields = SETUP | placed(diameter=250.0) | {
+        "tester": "rectangle170x250_cylinder100", "warp_direction_deg": "0"}
+    found = ask(client, {"a.jpg": picture(0.6 * CURVE)}, **fields).json()
+    sides = np.ptp(np.array(found["specimen"]), axis=0) * 0.1 / 250
+    assert found["refusal"] is None
+    assert sides == pytest.approx([0.17, 0.25], abs=2e-3)
+
+
 def test_capture_yaml_is_read_and_other_captures_have_no_photograph(client):
     folder = EXAMPLES / "twill_photograph"
     files = {name: (folder / name).read_bytes() for name in ("outline.jpg", "capture.yaml")}
@@ -187,9 +220,12 @@ def test_the_mat_is_a_pdf_of_its_pages(client):
     assert whole.headers["content-type"] == "application/pdf" and whole.content[:5] == b"%PDF-"
     parts = client.get("/mat.pdf?mat=a3&paper=a4").content
     assert b"/Count 2" in parts and b"/Count 1" in whole.content
+    assert client.get("/mat.pdf?ground=grey").content != whole.content
+    assert client.get("/mat.pdf?ground=pink").json()["error"].endswith("white, grey, blue")
     for query in ("mat=../a3", "mat=a3&paper=a9", "mat=a2&paper=tabloid"):
         answer = client.get(f"/mat.pdf?{query}")
         assert answer.status_code == 422
         assert answer.json()["error"].endswith("mat=a2 paper=letter")
     page = client.get("/").text
     assert 'href="/mat.pdf?mat=a3&amp;paper=a4"' in page
+    assert 'href="/mat.pdf?mat=a2&amp;paper=a4&amp;ground=grey"' in page

@@ -85,6 +85,7 @@ const isPhotograph = (file) => limits.photographs.split(',').includes(suffix(fil
 const isCertainlyPhotograph = (file) => (isPhotograph(file) && suffix(file.name) !== '.png') || /^outline\./i.test(file.name);
 const usesSetup = () => isDrape() && (!isDescribed() || at('override').querySelector('input').checked);
 const number = (field) => Number(field.value.trim().replace(',', '.'));
+const isRectangle = () => at('tester').value === 'rectangle_cylinder';
 const isOtherSize = () => at('tester').value.includes('_') && !/\d/.test(at('tester').value);
 const kind = () => form.elements.kind.value;
 
@@ -100,6 +101,7 @@ function hasPhotograph() {
 function choose(value) {
   form.elements.kind.value = value;
   for (const set of form.querySelectorAll('[data-kind]')) set.hidden = set.dataset.kind !== value;
+  showFields();
 }
 
 function check() {
@@ -133,8 +135,9 @@ function fileFault() {
 
 function testerFault() {
   if (at('tester').value === '' && !isDescribed() && !isScan()) return ['Choose the tester: the specimen and the plate under it.', 'tester'];
-  if (isOtherSize() && [at('size'), at('plate')].some((field) => !(number(field) > 0))) {
-    return ['Give the diameter or side of the specimen and the diameter of the plate in mm.', 'tester'];
+  const sizes = isRectangle() ? [at('size'), at('across'), at('plate')] : [at('size'), at('plate')];
+  if (isOtherSize() && sizes.some((field) => !(number(field) > 0))) {
+    return ['Give the diameter or sides of the specimen and the diameter of the plate in mm.', 'tester'];
   }
   return null;
 }
@@ -152,7 +155,8 @@ function fault() {
 // The name of the chosen tester, such as disc254_support127; empty where capture.yaml states it.
 function tester() {
   const [specimen, holder] = at('tester').value.split('_');
-  return isOtherSize() ? `${specimen}${number(at('size'))}_${holder}${number(at('plate'))}` : at('tester').value;
+  const sides = isRectangle() ? `${number(at('size'))}x${number(at('across'))}` : number(at('size'));
+  return isOtherSize() ? `${specimen}${sides}_${holder}${number(at('plate'))}` : at('tester').value;
 }
 
 // Files and those fields that are within a part of the form. The plate that is placed in a
@@ -231,7 +235,9 @@ export function addTo(identity, name = '', capture = null) {
 }
 
 function lookAgain() {
-  look(hasPhotograph() ? described(at('setup')) : null);
+  const data = hasPhotograph() ? described(at('setup')) : null;
+  if (data && at('warp').value.trim()) data.append('warp_direction_deg', at('warp').value.trim());
+  look(data);
 }
 
 // ---- presets: the fields of the tester and the camera, in this browser
@@ -281,15 +287,20 @@ function removePreset() {
 // The fields that others make necessary.
 function showFields() {
   for (const label of form.querySelectorAll('.sizes')) label.hidden = !isOtherSize();
+  for (const part of form.querySelectorAll('[data-rectangle]')) part.hidden = !isRectangle();
   for (const part of form.querySelectorAll('[data-mat]')) part.hidden = !form.elements.mat.value;
   for (const part of form.querySelectorAll('[data-no-mat]')) part.hidden = Boolean(form.elements.mat.value);
+  const fromArrow = kind() === 'above' && Boolean(form.elements.mat.value); // where the warp counts from
+  at('warp-mat').hidden = !fromArrow;
+  at('warp-picture').hidden = fromArrow;
+  at('warp-name').textContent = fromArrow ? "Warp from the mat's arrow" : 'Warp in the picture';
 }
 
 // ---- events
 
 at('files').addEventListener('change', check);
 for (const field of [at('tester'), form.elements.mat]) field.addEventListener('change', showFields);
-for (const part of [at('drop'), at('camera')]) part.addEventListener('change', lookAgain);
+for (const part of [at('drop'), at('camera'), at('warp')]) part.addEventListener('change', lookAgain);
 at('preset').addEventListener('change', applyPreset);
 at('preset-save').addEventListener('click', savePreset);
 at('preset-remove').addEventListener('click', removePreset);

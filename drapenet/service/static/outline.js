@@ -10,7 +10,7 @@ const LEAST = 20; // pixels, diameter
 const STEPS = { ArrowLeft: [-1, 0, 0], ArrowRight: [1, 0, 0], ArrowUp: [0, -1, 0], ArrowDown: [0, 1, 0],
   '+': [0, 0, 2], '=': [0, 0, 2], '*': [0, 0, 2], '-': [0, 0, -2], _: [0, 0, -2] };
 const svg = at('seen-picture');
-const [image, hem, plate] = svg.children;
+const [image, specimen, warp, hem, plate] = svg.children;
 const [rim, knob] = plate.children;
 const form = at('form');
 let timer = null;
@@ -55,7 +55,9 @@ function show(found) {
     seen = found;
     svg.setAttribute('viewBox', `-.5 -.5 ${found.width} ${found.height}`);
     for (const [key, value] of Object.entries({ width: found.width, height: found.height, href: found.picture })) image.setAttribute(key, value);
-    hem.setAttribute('points', (found.outline ?? []).join(' '));
+    for (const [line, points] of [[hem, found.outline], [specimen, found.specimen], [warp, found.warp]]) {
+      line.setAttribute('points', (points ?? []).join(' '));
+    }
     circle = found.plate ?? { x: (found.width - 1) / 2, y: (found.height - 1) / 2, diameter: GUESS * Math.min(found.width, found.height) };
     plate.toggleAttribute('hidden', !found.plate && !found.movable);
     plate.classList.toggle('movable', found.movable);
