@@ -37,10 +37,12 @@ class PhonePicture:
     warp: Radians
     kind: dict
 
-    def write(self, folder: Path, *, density: Density, tester: str, mat: str, plate_height: Metres
-              ) -> None:
-        """Write it to a ``folder`` as a user would, with ``capture.yaml``."""
-        replace_file(folder / "outline.jpg", self.jpeg)
+    def write(self, folder: Path, *, density: Density, tester: str, mat: str, plate_height: Metres,
+              number: int | None = None) -> None:
+        """Write it to a ``folder`` as a user would, with ``capture.yaml``; ``number``: of several
+        pictures, from 1 on."""
+        name = "outline.jpg" if number is None else f"outline_{number}.jpg"
+        replace_file(folder / name, self.jpeg)
         replace_file(folder / "capture.yaml", yaml.safe_dump({
             "density_g_m2": round(1e3 * density, 6), "tester": tester,
             "warp_direction_deg": round(float(np.degrees(self.warp)), 3),
@@ -63,9 +65,10 @@ def phone_picture(
 def phone_pictures(
     positions: Points, rest: RestPoints, faces: Faces, rng: np.random.Generator, *, count: int,
     plate_radius: Metres, plate_height: Metres, mat: str = "a3", beside: Metres = 0.25,
-    ground: str = "white", **scene: Any
+    lean: float = np.inf, ground: str = "white", **scene: Any
 ) -> list[PhonePicture]:
-    """Photographs of one scene by a random phone from random places, at most ``beside`` the axis.
+    """Photographs of one scene by a random phone from random places, at most ``beside`` the axis,
+    and ``lean`` times their height above the plate.
 
     Args:
         positions: with the plate's centre as origin, z up, the warp along x.
@@ -84,7 +87,7 @@ def phone_pictures(
     pixels = np.column_stack([columns.ravel(), rows.ravel()])
     found = []
     for _ in range(count):
-        pose = _random_pose(rng, size, lens, plate_height, beside)
+        pose = _random_pose(rng, size, lens, plate_height, beside, lean)
         light, _ = scenery.seen(pose.place, _directions(pose, pixels).reshape(*size[::-1], 3), rng)
         image = Image.fromarray(exposed(light, rng, blur=rng.uniform(0.5, 1.2)))
         exif = image.getexif()
@@ -97,13 +100,13 @@ def phone_pictures(
 
 def _random_pose(
     rng: np.random.Generator, size: tuple[int, int], lens: tuple[float, float],
-    plate_height: Metres, beside: Metres
+    plate_height: Metres, beside: Metres, lean: float
 ) -> Pose:
     """A pose of a ``lens``: focal length, mm of full frame, and distortion k1."""
     equivalent, distortion = lens
     focal = equivalent / FULL_FRAME * float(np.hypot(*size))
-    height = plate_height + rng.uniform(0.4, 1.5)
-    aside, around = rng.uniform(0, beside), rng.uniform(0, 2 * np.pi)
+    height = plate_height + (above := rng.uniform(0.4, 1.5))
+    aside, around = rng.uniform(0, min(beside, lean * above)), rng.uniform(0, 2 * np.pi)
     place = np.array([aside * np.cos(around), aside * np.sin(around), height])
     # It looks near the plate, at most 15 degrees off the vertical.
     aim = -place / np.linalg.norm(place)

@@ -76,27 +76,26 @@ class Scenery:
     def random(
         cls, cloth: Points, rest: RestPoints, faces: Faces, rng: np.random.Generator, *,
         mat: str | None, plate_radius: Metres, plate_height: Metres, clutter: bool = True,
-        ground: str | None = None, cloth_albedo: float | None = None
+        ground: str | None = None, surface: Texture | None = None
     ) -> "Scenery":
         """A random scene around a drape; ``clutter``: with things that lie about; ``ground``: of
-        the mat, and ``cloth_albedo`` of plain cloth, in place of random ones."""
-        pattern, surface = textures.cloth(rng)
+        the mat, and ``surface`` of the cloth, in place of random ones."""
+        pattern, random_surface = textures.cloth(rng)
         reach = float(np.hypot(*rest.T).max())
         things = _tester(rng, plate_radius, plate_height, clutter=clutter)
         if clutter:
             things += _clutter(rng, reach, min(plate_height, float(cloth[:, 2].min())))
         lamps = [_lamp(rng) for _ in range(rng.choice(3, p=[0.25, 0.55, 0.2]))]
-        if cloth_albedo is not None:
-            pattern, surface = "plain", textures.plain(cloth_albedo, rng, depth=0.0)
         rare = rng.random(3)
         return cls(
-            cloth, rest, faces, surface, textures.table(rng), mat,
+            cloth, rest, faces, surface or random_surface, textures.table(rng), mat,
             (rng.uniform(0.02, 0.1), rng.uniform(0.7, 0.9)), _mat_ground(ground, rng), things,
             lamps,
             rng.uniform(0.05, 0.5) if rare[0] < 0.12 else 0.0,
             (rng.uniform(0.05, 0.6), rng.uniform(4, 40)) if rare[1] < 0.25 else (0.0, 1.0),
             rng.uniform(0.5, 3.0) if rare[2] < 0.06 else 0.0,
-            {"pattern": pattern, "lamps": len(lamps), "things": len(things)})
+            {"pattern": "stated" if surface else pattern, "lamps": len(lamps),
+             "things": len(things)})
 
     def seen(
         self, eye: np.ndarray, rays: np.ndarray, rng: np.random.Generator

@@ -101,6 +101,18 @@ def plain(albedo: np.ndarray | float, rng: np.random.Generator, depth: float = 0
         albedo * np.exp(depth * uneven(places))[:, None] * np.ones(3), _LEAST, _MOST)
 
 
+def of_picture(albedo: np.ndarray, pixel: float) -> Texture:
+    """The surface of a picture (H, W, 3), of a size of a ``pixel``, m, mirrored at its borders."""
+    height, width = albedo.shape[:2]
+
+    def texture(places: np.ndarray) -> np.ndarray:
+        columns, rows = (np.abs((along / pixel + side) % (2 * side) - side).astype(int).clip(
+            0, side - 1) for along, side in zip(places.T, (width, height), strict=True))
+        return np.clip(albedo[rows, columns], _LEAST, _MOST)
+
+    return texture
+
+
 def colour(rng: np.random.Generator) -> np.ndarray:
     """Albedo (3,): every seventh is black, every fifth white, the rest of any lightness."""
     draw = rng.random()

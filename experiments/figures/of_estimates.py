@@ -109,15 +109,17 @@ def strip_photographs(reports: Reports) -> str:
 
 
 def mats(reports: Reports) -> str:
-    """Errors of photographs over the mat, by tester."""
+    """Errors of photographs over the mat, alone and together."""
     return table(
-        ["photographs", "number", "refused", "with a warning",
-         "outline as seen, mm: median, 9 of 10", "from the axis", "α: median, 9 of 10",
-         "α off by 15 %, no warning"],
-        [[name, f"{found['photographs']}", f"{found['refused']}", f"{found['warned']}",
+        ["pictures", "captures", "refused", "outline as seen, mm: median, 9 of 10",
+         "from the axis", "α off the true outline's: median, 9 of 10", "off by 15 %, no warning",
+         "right, with a warning", "off the truth", "inside 68 %"],
+        [[name, f"{found['captures']}", f"{found['refused']}",
           *("{:.1f}, {:.1f}".format(*found[key]) for key in ("reading_mm", "outline_mm")),
-          ", ".join(map(percent, found["alpha"])), f"{found['wrong_in_silence']}"]
-         for name, found in reports["mats"]["summary"].items() if "beside" not in name])
+          ", ".join(map(percent, found["alpha_error"])), f"{found['wrong_in_silence']}",
+          f"{found['warned_though_right']} of {found['right']}",
+          ", ".join(map(percent, found["truth_error"])), percent(found["inside_68"])]
+         for name, found in reports["mats"]["summary"].items()])
 
 
 def cells(reports: Reports) -> str:

@@ -29,7 +29,7 @@ from data.pictures.mat import (
 )
 from data.pictures.pose import camera_matrix, camera_pose
 from data.pictures.reading import Photograph, decoded, read_photograph
-from data.render import phone
+from data.render import phone, textures
 from data.render.phone import phone_picture
 from sim.drape import drape
 from sim.material import Fabric
@@ -127,7 +127,7 @@ def test_white_cloth_over_a_grey_or_coloured_mat_is_read(tmp_path, shape, ground
     taken = phone_picture(
         shape.positions, shape.rest, shape.faces, np.random.default_rng(5), mat="a2",
         plate_radius=DISC_RIG.plate_radius, plate_height=PLATE_HEIGHT, ground=ground,
-        beside=0.08, cloth_albedo=0.85)
+        beside=0.08, surface=textures.plain(0.85, np.random.default_rng(0)))
     found = read_capture(over_mat(tmp_path / "capture", taken.jpeg, mat="a2", ground=ground))
     assert found.warnings == ()
     assert 1e3 * np.sqrt(np.square(found.outline.radii - seen_on_axis(shape, taken)).mean()) < 1
