@@ -1,6 +1,7 @@
 """Outlines of drapes from above, cut out of a photograph or read from a text file, and checked.
 
     picture -> scale (mat, plate, pixel or board) -> cut-out -> curve in the plane of the plate
+    curves of several pictures over a mat -> one (:mod:`data.captures.joined_outlines`)
 
 Coordinates of pixels are those of their centres, from 0 on.
 """
@@ -15,9 +16,17 @@ from common.errors import InputError
 from common.findings import Finding
 from common.types import Metres, Outline, PixelPath, Radians
 from data.captures.description import OUTLINE_TABLES, OutlineSource
+from data.captures.joined_outlines import (
+    AZIMUTHS,
+    MAX_PARTED,
+    MAX_UNLIKE,
+    OUTWARDS,
+    View,
+    join,
+)
 from data.captures.off_axis import MAX_LEAN, seen_from_axis
 from data.captures.outline_table import read_closed_curve
-from data.captures.scale import mapped, scaled_photograph, shifted, upright
+from data.captures.scale import Scaled, mapped, scaled_photographs, shifted, upright
 from data.pictures.cloth import Place, Scene, like_ground
 from data.pictures.edge import outline_of_cloth, within
 from sim.measures import closed, coefficient_of_area, farthest, folds_around
@@ -34,7 +43,6 @@ MAX_REACH = 1.03  # over the flat specimen's; one of 1000 simulated outlines has
 MIN_RADIUS = {True: 0.97, False: 0.9}  # over the plate's, by whether its centre is known
 MAX_OVERLAP, MAX_DISORDER = 0.03, 0.5  # of azimuth
 MAX_GAP = np.radians(15.0)
-AZIMUTHS = 720
 MAX_SKEW = np.sin(np.radians(2.0))  # a mirrored warp is then at most 2° off, as it is stated
 
 
@@ -51,6 +59,7 @@ class PhotographedOutline:
         pixel: size of a pixel of the file at the plate.
         factor: how many pixels of a row of the file were averaged to each of ``picture``.
         hem: the outline as it was seen, in pixels of ``picture``.
+        error: (720,) m, standard deviation of ``radii``; None if it is not known.
     """
 
     curve: Outline
@@ -63,6 +72,7 @@ class PhotographedOutline:
     pixel: Metres = np.nan
     hem: PixelPath | None = None
     factor: int = 1
+    error: np.ndarray | None = None
 
     @property
     def radii(self) -> np.ndarray:
@@ -133,7 +143,71 @@ def _turned(points: Outline, angle: Radians) -> Outline:
 def _photographed(
     file: Path, source: OutlineSource, rig: Rig, warp_direction: Radians | None
 ) -> PhotographedOutline:
-    seen = scaled_photograph(file, source, rig)
+    """The outline of a drape from the axis, from one picture or from all that are called as it is.
+    """
+    read: dict[Path, tuple[Scaled, PhotographedOutline]] = {}
+    unread: dict[Path, InputError] = {}
+    for one, seen in sorted(scaled_photographs(file, source, rig).items()):
+        try:
+            if isinstance(seen, InputError):
+                raise seen
+            read[one] = seen, _as_seen(seen, source, rig)
+        except InputError as error:
+            unread[one] = error
+    if not read:
+        raise unread[file]
+    warnings = [Finding("picture_unread", {"picture": one.name, "reason": str(error)})
+                for one, error in unread.items()]
+    (seen, found), *others = read.values()
+    if seen.beside is None:
+        return found
+    first_side = (warp_direction or 0.0) + rig.cut
+    if others:
+        return _joined(read, first_side, warnings)
+    beside = float(np.linalg.norm(seen.beside))
+    if (lean := beside / seen.height) > MAX_LEAN:
+        warnings.append(Finding("camera_beside", {
+            "value": lean, "limit": MAX_LEAN, "beside": 1e3 * beside, "height": 1e3 * seen.height}))
+    curve = _turned(seen_from_axis(_turned(found.curve, -first_side), _turned(
+        seen.beside[None], -first_side)[0], seen.height, rig), first_side)
+    return replace(found, curve=curve, warnings=(*found.warnings, *warnings))
+
+
+def _joined(
+    read: dict[Path, tuple[Scaled, PhotographedOutline]], first_side: Radians,
+    warnings: list[Finding]
+) -> PhotographedOutline:
+    """One outline of several pictures over the mat, shown in the first that agrees with others."""
+    names, views = list(read), []
+    for seen, found in read.values():
+        assert seen.beside is not None
+        views.append(View(_turned(found.curve, -first_side), _turned(
+            seen.beside[None], -first_side)[0], seen.height))
+    rig = found.rig
+    together = join(views, rig)
+    warnings += [Finding("picture_contradicts", {"picture": file.name, "limit": MAX_UNLIKE})
+                 for k, file in enumerate(names) if k not in together.used]
+    used = [names[k] for k in together.used]
+    if together.parted:
+        azimuth, share = together.parted
+        warnings.append(Finding("pictures_differ", {
+            "first": used[0].name, "second": used[1].name, "value": share, "limit": MAX_PARTED,
+            "azimuth": float(np.degrees(azimuth + first_side)) % 360}))
+    warnings += {warning.code: warning for file in used for warning in read[file][1].warnings
+                 }.values()
+    shown = read[used[0]][1]
+    # Nothing is seen inside the plate; what was, stays for the checks.
+    radius = np.maximum(together.radius, np.minimum(together.seen, rig.plate_radius))
+    curve, hem = (_turned(one[:, None] * OUTWARDS, first_side) for one in (radius, together.seen))
+    azimuth = np.arange(AZIMUTHS) * (2 * np.pi / AZIMUTHS)
+    return replace(shown, curve=curve, hem=shown.drawn(hem), warnings=tuple(warnings),
+                   error=np.interp(azimuth - first_side, azimuth, together.error,
+                                   period=2 * np.pi))
+
+
+def _as_seen(seen: Scaled, source: OutlineSource, rig: Rig) -> PhotographedOutline:
+    """The outline of the cloth in one picture, on the plane of the plate, from where it was taken;
+    InputError if no cloth is found."""
     photograph, to_metres = seen.photograph, seen.to_metres
     scene = Scene.of(photograph, Place(
         rig.plate_radius / seen.pixel, rig.reach / seen.pixel, seen.middle, seen.ground,
@@ -162,15 +236,7 @@ def _photographed(
             share := float(within(pixels, photograph.painted).mean())) > MAX_OVER_PRINT:
         warnings.append(Finding("hem_over_print", {"value": share, "limit": MAX_OVER_PRINT}))
     if seen.beside is not None:
-        beside = float(np.linalg.norm(seen.beside))
-        if (lean := beside / seen.height) > MAX_LEAN:
-            warnings.append(Finding("camera_beside", {
-                "value": lean, "limit": MAX_LEAN, "beside": 1e3 * beside,
-                "height": 1e3 * seen.height}))
         warnings += below_the_mat(curve, rig, 1e-3 * (source.plate_height_mm or np.inf))
-        first_side = (warp_direction or 0.0) + rig.cut
-        curve = _turned(seen_from_axis(_turned(curve, -first_side), _turned(
-            seen.beside[None], -first_side)[0], seen.height, rig), first_side)
     return PhotographedOutline(
         curve, seen.height, seen.middle is not None, rig, tuple(warnings), photograph.colour,
         to_pixels, step, pixels, photograph.factor)

@@ -1,5 +1,6 @@
 """A photograph with a mat, as a camera straight above would see the plane of the plate."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -8,14 +9,15 @@ from scipy.ndimage import distance_transform_edt
 
 from common.errors import InputError
 from common.findings import Finding
-from common.types import Mask, Metres
+from common.types import Mask, Metres, Pixels, Points
 from data.pictures.cloth import BEYOND
 from data.pictures.mat import MARKER, MATS, PIXEL, QUIET, find_mat, mat_picture, mat_pixels
-from data.pictures.pose import Pose, camera_pose
+from data.pictures.pose import Pose, camera_poses
 from data.pictures.reading import Photograph, decoded, encoded
 
 AROUND = 1.3  # of the flat specimen's reach, shown
 SIDE = 1500  # pixels, at most
+SAME_FOCAL = 0.01  # relative difference of what files of one zoom state
 MAX_SCALE_ERROR = 0.006  # standard deviation, relative
 INK = 60  # grey of the mat, below which it is printed: markers; lines are light and thin
 _BLEED = 6e-4  # m, of print and its blur
@@ -45,26 +47,39 @@ class OverMat:
     warnings: tuple[Finding, ...] = ()
 
 
+def markers_in(photograph: Photograph, mat: str) -> tuple[Points, Pixels]:
+    """Centres of the markers of a ``mat`` and their pixels; InputError if it is not seen."""
+    found = find_mat(photograph)
+    if found is None or found[0] != mat:
+        which = f"the mat {found[0]}" if found else "fewer than six markers"
+        raise InputError(f"it shows {which}, not the mat {mat}; show the mat with its corners, "
+                         "sharp and without glare, or correct outline.mat")
+    return found[1:]
+
+
+def poses_of(
+    photographs: Sequence[Photograph], seen: Sequence[tuple[Points, Pixels]], drapes: int
+) -> list[Pose]:
+    """Poses of pictures by one camera, the first ``drapes`` of a drape and the rest of the mat,
+    from :func:`markers_in` each; InputError if they cannot be of one camera and one zoom."""
+    sizes = [one.light.shape[1::-1] for one in photographs]
+    focal, no_focal = photographs[0].focal, photographs[0].no_focal
+    others = [one.focal for one in photographs[1:drapes]]
+    if len({tuple(sorted(size)) for size in sizes}) > 1 or any(
+            bool(one) != bool(focal) or (focal and abs(one / focal - 1) > SAME_FOCAL)
+            for one in others):
+        raise InputError("the pictures have different sizes or focal lengths; take all with one "
+                         "camera, in one mode, without another zoom or cut")
+    return camera_poses(sizes, seen, focal, no_focal)
+
+
 def straight_from_above(
-    photograph: Photograph, others: list[Photograph], mat: str, *, plate_height: Metres,
+    photograph: Photograph, pose: Pose, markers: Points, mat: str, *, plate_height: Metres,
     plate: Metres, reach: Metres
 ) -> OverMat:
-    """Rectify a photograph of a drape over a ``mat``; InputError if it is not seen. ``others``:
-    pictures of the mat by the same camera; ``plate``, ``reach``: radii of the plate and of the flat
-    specimen."""
-    seen = []
-    for one in (photograph, *others):
-        found = find_mat(one)
-        if found is None or found[0] != mat:
-            which = f"the mat {found[0]}" if found else "fewer than six markers"
-            raise InputError(f"it shows {which}, not the mat {mat}; show the mat with its corners, "
-                             "sharp and without glare, or correct outline.mat")
-        seen.append(found[1:])
+    """Rectify a photograph of a drape over a ``mat`` whose ``markers`` it shows; ``plate``,
+    ``reach``: radii of the plate and of the flat specimen. InputError for an impossible height."""
     height, width = photograph.light.shape[:2]
-    if any(one.light.shape != photograph.light.shape for one in others):
-        raise InputError("the pictures of the mat have different sizes; take all with one camera, "
-                         "in one mode, all upright or all sideways")
-    pose = camera_pose((width, height), seen, photograph.focal, photograph.no_focal)
     above = pose.place[2] - plate_height
     if above < 0.15:
         raise InputError(f"the camera was {1e3 * pose.place[2]:.0f} mm over the mat, the plate is "
@@ -86,7 +101,7 @@ def straight_from_above(
                                        cv2.INTER_LINEAR) > 0.5)
     # Of markers that are read, nothing is covered.
     in_column, in_row = (np.abs(along[:, None] - markers) < MARKER / 2 + QUIET
-                         for along, markers in zip(axes, seen[0][0].T[:2], strict=True))
+                         for along, markers in zip(axes, markers.T[:2], strict=True))
     read = in_row.astype(np.float32) @ in_column.T.astype(np.float32) > 0
     ground = ((far > BEYOND * reach) | read) & ~missing
     half = np.array(MATS[mat].size) / 2 + QUIET
