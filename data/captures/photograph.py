@@ -6,6 +6,7 @@
 Coordinates of pixels are those of their centres, from 0 on.
 """
 
+from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -168,8 +169,8 @@ def _photographed(
     if (lean := beside / seen.height) > MAX_LEAN:
         warnings.append(Finding("camera_beside", {
             "value": lean, "limit": MAX_LEAN, "beside": 1e3 * beside, "height": 1e3 * seen.height}))
-    curve = _turned(seen_from_axis(_turned(found.curve, -first_side), _turned(
-        seen.beside[None], -first_side)[0], seen.height, rig), first_side)
+    view = View(found.curve, seen.beside, seen.height).turned(-first_side)
+    curve = _turned(seen_from_axis(*view, rig), first_side)
     return replace(found, curve=curve, warnings=(*found.warnings, *warnings))
 
 
@@ -178,23 +179,27 @@ def _joined(
     warnings: list[Finding]
 ) -> PhotographedOutline:
     """One outline of several pictures over the mat, shown in the first that agrees with others."""
-    names, views = list(read), []
-    for seen, found in read.values():
-        assert seen.beside is not None
-        views.append(View(_turned(found.curve, -first_side), _turned(
-            seen.beside[None], -first_side)[0], seen.height))
-    rig = found.rig
+    names = list(read)
+    views = [View(found.curve, seen.beside, seen.height).turned(-first_side)
+             for seen, found in read.values() if seen.beside is not None]
+    rig = read[names[0]][1].rig
     together = join(views, rig)
     warnings += [Finding("picture_contradicts", {"picture": file.name, "limit": MAX_UNLIKE})
                  for k, file in enumerate(names) if k not in together.used]
     used = [names[k] for k in together.used]
+    warnings += [Finding("picture_turned", {
+        "picture": names[k].name, "first": names[0].name,
+        "value": float(np.degrees(together.turned[k]))})
+        for k in together.used if together.turned[k]]
     if together.parted:
         azimuth, share = together.parted
         warnings.append(Finding("pictures_differ", {
             "first": used[0].name, "second": used[1].name, "value": share, "limit": MAX_PARTED,
             "azimuth": float(np.degrees(azimuth + first_side)) % 360}))
-    warnings += {warning.code: warning for file in used for warning in read[file][1].warnings
-                 }.values()
+    said = [warning for file in used for warning in read[file][1].warnings]
+    often = Counter(warning.code for warning in said)  # the others make up for one picture's fault
+    warnings += {warning.code: warning for warning in reversed(said)
+                 if 2 * often[warning.code] >= len(used)}.values()
     shown = read[used[0]][1]
     # Nothing is seen inside the plate; what was, stays for the checks.
     radius = np.maximum(together.radius, np.minimum(together.seen, rig.plate_radius))

@@ -123,6 +123,8 @@ def _by_mat(
     poses = poses_of(photographs, seen, len(files))
     for file, pose, (markers, _) in zip(files, poses, seen, strict=False):
         try:
+            if isinstance(pose, InputError):
+                raise pose
             over = straight_from_above(
                 photographs.pop(0), pose, markers, source.mat, plate_height=plate_height / scale,
                 plate=rig.plate_radius / scale, reach=rig.reach / scale)

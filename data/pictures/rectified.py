@@ -17,7 +17,6 @@ from data.pictures.reading import Photograph, decoded, encoded
 
 AROUND = 1.3  # of the flat specimen's reach, shown
 SIDE = 1500  # pixels, at most
-SAME_FOCAL = 0.01  # relative difference of what files of one zoom state
 MAX_SCALE_ERROR = 0.006  # standard deviation, relative
 INK = 60  # grey of the mat, below which it is printed: markers; lines are light and thin
 _BLEED = 6e-4  # m, of print and its blur
@@ -59,18 +58,24 @@ def markers_in(photograph: Photograph, mat: str) -> tuple[Points, Pixels]:
 
 def poses_of(
     photographs: Sequence[Photograph], seen: Sequence[tuple[Points, Pixels]], drapes: int
-) -> list[Pose]:
-    """Poses of pictures by one camera, the first ``drapes`` of a drape and the rest of the mat,
-    from :func:`markers_in` each; InputError if they cannot be of one camera and one zoom."""
+) -> list[Pose | InputError]:
+    """Poses of pictures of which the first ``drapes`` show a drape and the rest the mat, by the
+    first's camera, from :func:`markers_in` each; why there is none in its place. Pictures of one
+    size and one stated focal length are by one camera, upright or sideways."""
     sizes = [one.light.shape[1::-1] for one in photographs]
-    focal, no_focal = photographs[0].focal, photographs[0].no_focal
-    others = [one.focal for one in photographs[1:drapes]]
-    if len({tuple(sorted(size)) for size in sizes}) > 1 or any(
-            bool(one) != bool(focal) or (focal and abs(one / focal - 1) > SAME_FOCAL)
-            for one in others):
-        raise InputError("the pictures have different sizes or focal lengths; take all with one "
-                         "camera, in one mode, without another zoom or cut")
-    return camera_poses(sizes, seen, focal, no_focal)
+    lenses = [(*sorted(size), None if one.focal is None else round(one.focal)) for size, one in zip(
+        sizes, photographs, strict=True)]
+    lenses[drapes:] = [lenses[0] if one[:2] == lenses[0][:2] else one for one in lenses[drapes:]]
+    found: dict[int, Pose | InputError] = {}
+    for lens in dict.fromkeys(lenses):
+        mine = [k for k, other in enumerate(lenses) if other == lens]
+        first = photographs[mine[0]]
+        try:
+            found |= zip(mine, camera_poses([sizes[k] for k in mine], [seen[k] for k in mine],
+                                            first.focal, first.no_focal), strict=True)
+        except InputError as error:
+            found |= dict.fromkeys(mine, error)
+    return [found[k] for k in range(drapes)]
 
 
 def straight_from_above(
