@@ -32,7 +32,9 @@ _MOVED, _HIDDEN, _HANGING = 0.05, 0.12, 0.25
 """Error of moving an outline, of overhang times lean: of cloth that spreads, and added for cloth
 that hangs straight down, within this share of the overhang from the rim."""
 _TURNED = 0.5  # of the distance between two outlines, to which a turn of the plate reduces it
-_DEPTH = 0.5  # of the overhang, usual depth of the hem, for cameras at different heights
+_DEPTH, _DEPTH_ERROR = 0.5, 0.2  # of the overhang, usual depth of the hem below the plate
+_DEPTHS = np.linspace(0.0, 1.0, 21)  # tried
+_DEPTH_LEFT = 0.15  # of the overhang, by which depth differs along the hem
 _ROBUST, _ROUNDS = 2.0, 5  # times its error, from which on what is seen loses weight
 _AZIMUTH = np.arange(AZIMUTHS) * (2 * np.pi / AZIMUTHS)
 _TURNS = (np.arange(AZIMUTHS)[:, None] + np.arange(AZIMUTHS)) % AZIMUTHS  # back by each azimuth
@@ -79,26 +81,31 @@ class Joined:
 def join(views: Sequence[View], rig: Rig) -> Joined:
     """Join two or more views; of a rectangle, the x-axis is along its first side in the first."""
     overhang = rig.border(_AZIMUTH) - rig.plate_radius
-    depth = _DEPTH * overhang
+    moved, error = _moved(views, rig)
     turned = [0.0] * len(views)
-    hems, error = _moved(views, rig, depth)
     for k in range(1, len(views)):
-        limit = _UNLIKE * np.hypot(error[0], error[k].max())
-        # The plate may have been turned: as far as brings the outlines together.
-        off = np.abs(hems[k][_TURNS] - hems[0])
-        best = int(off.mean(axis=1).argmin())
-        unlike, apart = (off > limit).mean(axis=1), off.mean(axis=1)
-        if unlike[0] > MAX_PARTED and unlike[best] <= MAX_UNLIKE and (
-                apart[best] < _TURNED * apart[0]):
+        # The plate may have been turned: as far as brings the shapes of the outlines together.
+        off = np.abs(moved[k][_TURNS] - moved[0] - (moved[k] - moved[0]).mean())
+        apart = off.mean(axis=1)
+        best = int(apart.argmin())
+        unlike = (off[[0, best]] > _UNLIKE * np.hypot(error[0], error[k].max())).mean(axis=1)
+        if unlike[0] > MAX_PARTED and unlike[1] <= MAX_UNLIKE and apart[best] < _TURNED * apart[0]:
             turned[k] = float((_AZIMUTH[best] + np.pi) % (2 * np.pi) - np.pi)
     if any(turned):
         views = [view.turned(-angle) for view, angle in zip(views, turned, strict=True)]
-        hems, error = _moved(views, rig, depth)
+        moved, error = _moved(views, rig)
+    height = np.array([[view.height] for view in views])
+    # Pictures from different heights show how deep the hem hangs.
+    tried = [(moved * (1 + depth * overhang / height), depth) for depth in _DEPTHS]
+    cost = [float(np.log1p(np.square((hems - _robust_mean(hems, error)) / error)).mean()
+                  + np.square((depth - _DEPTH) / _DEPTH_ERROR) / AZIMUTHS) for hems, depth in tried]
+    hems, share = tried[int(np.argmin(cost))]
+    depth = share * overhang
+    error = np.hypot(error, _DEPTH_LEFT * overhang * moved * np.abs(1 / height - 1 / height[0]))
     used = list(range(len(views)))
     while True:
         hem = _robust_mean(hems[used], error[used])
-        off = np.abs(hems[used] - hem) / error[used]
-        unlike = (off > _UNLIKE).mean(axis=1)
+        unlike = (np.abs(hems[used] - hem) > _UNLIKE * error[used]).mean(axis=1)
         if len(used) == 2 or unlike.max() <= MAX_UNLIKE:
             break
         used.pop(int(unlike.argmax()))
@@ -117,16 +124,13 @@ def join(views: Sequence[View], rig: Rig) -> Joined:
                   np.sqrt(1 / weight.sum(axis=0) + differing), parted)
 
 
-def _moved(
-    views: Sequence[View], rig: Rig, depth: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Distances (K, A), m, of the hem, as the network has them from each view, and their errors."""
-    hems = np.array([farthest(closed(seen_from_axis(*view, rig)), AZIMUTHS) * (
-        1 + depth / view.height) for view in views])
+def _moved(views: Sequence[View], rig: Rig) -> tuple[np.ndarray, np.ndarray]:
+    """Radii (K, A), m, as the network moves each view to the axis, and their errors."""
+    moved = np.array([farthest(closed(seen_from_axis(*view, rig)), AZIMUTHS) for view in views])
     lean = np.array([[np.linalg.norm(view.beside) / view.height] for view in views])
-    overhang = depth / _DEPTH
-    hanging = np.exp(-np.maximum(hems - rig.plate_radius, 0) / overhang / _HANGING)
-    return hems, _READ + lean * overhang * (_MOVED + _HIDDEN * hanging)
+    overhang = rig.border(_AZIMUTH) - rig.plate_radius
+    hanging = np.exp(-np.maximum(moved - rig.plate_radius, 0) / overhang / _HANGING)
+    return moved, _READ + lean * overhang * (_MOVED + _HIDDEN * hanging)
 
 
 def _robust_mean(values: np.ndarray, error: np.ndarray) -> np.ndarray:
