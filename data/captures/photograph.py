@@ -178,7 +178,7 @@ def _joined(
     read: dict[Path, tuple[Scaled, PhotographedOutline]], first_side: Radians,
     warnings: list[Finding]
 ) -> PhotographedOutline:
-    """One outline of several pictures over the mat, shown in the first that agrees with others."""
+    """One outline of several pictures over the mat, shown in the one nearest to the axis."""
     names = list(read)
     views = [View(found.curve, seen.beside, seen.height).turned(-first_side)
              for seen, found in read.values() if seen.beside is not None]
@@ -200,7 +200,7 @@ def _joined(
     often = Counter(warning.code for warning in said)  # the others make up for one picture's fault
     warnings += {warning.code: warning for warning in reversed(said)
                  if 2 * often[warning.code] >= len(used)}.values()
-    shown = read[used[0]][1]
+    shown = read[names[together.reference]][1]
     # Nothing is seen inside the plate; what was, stays for the checks.
     radius = np.maximum(together.radius, np.minimum(together.seen, rig.plate_radius))
     curve, hem = (_turned(one[:, None] * OUTWARDS, first_side) for one in (radius, together.seen))
