@@ -1,10 +1,12 @@
 """Outlines of drapes from above, cut out of a photograph or read from a text file, and checked.
 
     picture -> scale (mat, plate, pixel or board) -> cut-out -> curve in the plane of the plate
+    curves of several pictures over a mat -> one (:mod:`data.captures.joined_outlines`)
 
 Coordinates of pixels are those of their centres, from 0 on.
 """
 
+from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,9 +17,17 @@ from common.errors import InputError
 from common.findings import Finding
 from common.types import Metres, Outline, PixelPath, Radians
 from data.captures.description import OUTLINE_TABLES, OutlineSource
+from data.captures.joined_outlines import (
+    AZIMUTHS,
+    MAX_PARTED,
+    MAX_UNLIKE,
+    OUTWARDS,
+    View,
+    join,
+)
 from data.captures.off_axis import MAX_LEAN, seen_from_axis
 from data.captures.outline_table import read_closed_curve
-from data.captures.scale import mat_scale, scaled_photograph
+from data.captures.scale import Scaled, mat_scale, scaled_photographs
 from data.pictures.cut import outline_of_cloth
 from data.pictures.mat import along_border
 from data.pictures.planes import mapped, shifted, upright
@@ -37,7 +47,6 @@ MIN_RADIUS = {True: 0.97, False: 0.9}  # over the plate's, by whether its centre
 USUAL_RADIUS = 0.99  # the same, where it is known: sound ones have 1.01 or more
 MAX_OVERLAP, MAX_DISORDER = 0.03, 0.5  # of azimuth
 MAX_GAP = np.radians(15.0)
-AZIMUTHS = 720
 MAX_SKEW = np.sin(np.radians(2.0))  # a mirrored warp is then at most 2° off, as it is stated
 
 
@@ -54,7 +63,7 @@ class PhotographedOutline:
         pixel: size of a pixel of the file at the plate.
         factor: how many pixels of a row of the file were averaged to each of ``picture``.
         hem: the outline as it was seen, in pixels of ``picture``.
-        error: (720,) m, standard deviation of :attr:`radii`; None if it is not known.
+        error: (720,) m, standard deviation of ``radii``; None if it is not known.
     """
 
     curve: Outline
@@ -138,7 +147,75 @@ def _turned(points: Outline, angle: Radians) -> Outline:
 def _photographed(
     file: Path, source: OutlineSource, rig: Rig, warp_direction: Radians | None
 ) -> PhotographedOutline:
-    seen = scaled_photograph(file, source, rig)
+    """The outline of a drape from the axis, from one picture or from all that are called as it is.
+    """
+    read: dict[Path, tuple[Scaled, PhotographedOutline]] = {}
+    unread: dict[Path, InputError] = {}
+    for one, seen in sorted(scaled_photographs(file, source, rig).items()):
+        try:
+            if isinstance(seen, InputError):
+                raise seen
+            read[one] = seen, _as_seen(seen, source, rig)
+        except InputError as error:
+            unread[one] = error
+    if not read:
+        raise unread[file]
+    warnings = [Finding("picture_unread", {"picture": one.name, "reason": str(error)})
+                for one, error in unread.items()]
+    (seen, found), *others = read.values()
+    if seen.beside is None:
+        return found
+    first_side = (warp_direction or 0.0) + rig.cut
+    if others:
+        return _joined(read, first_side, warnings)
+    beside = float(np.linalg.norm(seen.beside))
+    if (lean := beside / seen.height) > MAX_LEAN:
+        warnings.append(Finding("camera_beside", {
+            "value": lean, "limit": MAX_LEAN, "beside": 1e3 * beside, "height": 1e3 * seen.height}))
+    view = View(found.curve, seen.beside, seen.height).turned(-first_side)
+    curve = _turned(seen_from_axis(*view, rig), first_side)
+    return replace(found, curve=curve, warnings=(*found.warnings, *warnings))
+
+
+def _joined(
+    read: dict[Path, tuple[Scaled, PhotographedOutline]], first_side: Radians,
+    warnings: list[Finding]
+) -> PhotographedOutline:
+    """One outline of several pictures over the mat, shown in the one nearest to the axis."""
+    names = list(read)
+    views = [View(found.curve, seen.beside, seen.height).turned(-first_side)
+             for seen, found in read.values() if seen.beside is not None]
+    rig = read[names[0]][1].rig
+    together = join(views, rig)
+    warnings += [Finding("picture_contradicts", {"picture": file.name, "limit": MAX_UNLIKE})
+                 for k, file in enumerate(names) if k not in together.used]
+    used = [names[k] for k in together.used]
+    warnings += [Finding("picture_turned", {
+        "picture": names[k].name, "first": names[0].name,
+        "value": float(np.degrees(together.turned[k]))})
+        for k in together.used if together.turned[k]]
+    if together.parted:
+        azimuth, share = together.parted
+        warnings.append(Finding("pictures_differ", {
+            "first": used[0].name, "second": used[1].name, "value": share, "limit": MAX_PARTED,
+            "azimuth": float(np.degrees(azimuth + first_side)) % 360}))
+    said = [warning for file in used for warning in read[file][1].warnings]
+    often = Counter(warning.code for warning in said)  # the others make up for one picture's fault
+    warnings += {warning.code: warning for warning in reversed(said)
+                 if 2 * often[warning.code] >= len(used)}.values()
+    shown = read[names[together.reference]][1]
+    # Nothing is seen inside the plate; what was, stays for the checks.
+    radius = np.maximum(together.radius, np.minimum(together.seen, rig.plate_radius))
+    curve, hem = (_turned(one[:, None] * OUTWARDS, first_side) for one in (radius, together.seen))
+    azimuth = np.arange(AZIMUTHS) * (2 * np.pi / AZIMUTHS)
+    return replace(shown, curve=curve, hem=shown.drawn(hem), warnings=tuple(warnings),
+                   error=np.interp(azimuth - first_side, azimuth, together.error,
+                                   period=2 * np.pi))
+
+
+def _as_seen(seen: Scaled, source: OutlineSource, rig: Rig) -> PhotographedOutline:
+    """The outline of the cloth in one picture, on the plane of the plate, from where it was taken;
+    InputError if no cloth is found."""
     photograph, to_metres = seen.photograph, seen.to_metres
     cut = outline_of_cloth(
         photograph, np.linalg.inv(to_metres), plate=rig.plate_radius, reach=rig.reach,
@@ -148,10 +225,12 @@ def _photographed(
     if seen.middle is None:
         to_metres, tilt = upright(to_metres, _centroid(pixels))
         to_metres = shifted(-_centroid(mapped(pixels, to_metres))) @ to_metres
-    curve = _oriented(mapped(pixels, to_metres))
+    curve = mapped(pixels, to_metres)
     to_pixels = np.linalg.inv(to_metres)
     millimetre = np.diff(mapped(np.array([[0, 0], [1e-3, 0]]), to_pixels), axis=0)
-    step = float(1e-3 / (photograph.factor * np.linalg.norm(millimetre)))
+    pixel = float(1e-3 / np.linalg.norm(millimetre))
+    error, curve = _by_azimuth(curve, pixel * cut.error), _oriented(curve)
+    step = pixel / photograph.factor
     warnings = [*seen.warnings]
     if step > MAX_PIXEL:
         warnings.append(Finding("pixel_large", {"value": 1e3 * step, "limit": 1e3 * MAX_PIXEL}))
@@ -159,19 +238,19 @@ def _photographed(
         warnings.append(Finding("plate_tilted", {"value": float(np.degrees(tilt)),
                                                  "limit": float(np.degrees(MAX_TILT))}))
     if seen.beside is not None:
-        beside = float(np.linalg.norm(seen.beside))
-        if (lean := beside / seen.height) > MAX_LEAN:
-            warnings.append(Finding("camera_beside", {
-                "value": lean, "limit": MAX_LEAN, "beside": 1e3 * beside,
-                "height": 1e3 * seen.height}))
         warnings += below_the_mat(curve, rig, 1e-3 * (source.plate_height_mm or np.inf))
         warnings += _along_the_border(curve, seen.beside, seen.height, source)
-        first_side = (warp_direction or 0.0) + rig.cut
-        curve = _turned(seen_from_axis(_turned(curve, -first_side), _turned(
-            seen.beside[None], -first_side)[0], seen.height, rig), first_side)
     return PhotographedOutline(
         curve, seen.height, seen.middle is not None, rig, tuple(warnings), photograph.colour,
-        to_pixels, step, pixels, photograph.factor)
+        to_pixels, step, pixels, photograph.factor, error)
+
+
+def _by_azimuth(curve: Outline, error: np.ndarray) -> np.ndarray:
+    """Errors (720,) at equally spaced azimuths of those of a curve's points (N,)."""
+    angle = np.arctan2(curve[:, 1], curve[:, 0])
+    order = np.argsort(angle)
+    return np.interp(np.arange(AZIMUTHS) * (2 * np.pi / AZIMUTHS), angle[order], error[order],
+                     period=2 * np.pi)
 
 
 def below_the_mat(curve: Outline, rig: Rig, plate_height: Metres) -> list[Finding]:

@@ -11,6 +11,7 @@ Two formats are recognised by their files:
 """
 
 import os
+import re
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +44,7 @@ OUTLINE_SUFFIXES = (*SUFFIXES, *OUTLINE_TABLES)
 DESCRIPTION = "capture.yaml"
 CAPTURE_FILES = (DESCRIPTION, "density.txt")
 """Files that identify a capture folder: one for each format."""
+MAX_PICTURES = 6  # of one drape over the mat
 MAX_SPACING = 3.5e-3  # m, between points on the cloth
 PUBLISHED_SIZES = {(240, 180): 1, (480, 360): 2}  # size: keep every n-th pixel
 PUBLISHED_BACKGROUND = 250  # counts above are background
@@ -133,12 +135,23 @@ def _stated(path: Path, description: Description) -> dict[str, Any]:
 
 
 def find_outline(folder: Path) -> Path | None:
-    """The file ``outline.*`` in the folder of a capture."""
-    files = sorted(file for file in folder.glob("outline.*")
-                   if file.suffix.lower() in OUTLINE_SUFFIXES)
-    if len(files) > 1:
-        raise InputError(f"{folder} holds {files[0].name} and {files[1].name}; keep one of them")
-    return files[0] if files else None
+    """The file ``outline.*`` in the folder of a capture, or the first of its pictures of one drape,
+    ``outline_1`` to ``outline_6``, of which ``outline`` may be one."""
+    found: dict[int, Path] = {}
+    for file in sorted(folder.glob("outline*.*")):
+        stem, suffix = file.stem.removeprefix("outline"), file.suffix.lower()
+        if suffix not in (OUTLINE_SUFFIXES if not stem else SUFFIXES) or (
+                stem and not re.fullmatch(r"_\d", stem)):
+            continue
+        number = int(stem[1:] or 1)
+        table = next((one for one in found.values() if one.suffix.lower() in OUTLINE_TABLES), None)
+        if other := table or found.get(number):
+            raise InputError(f"{folder} holds {other.name} and {file.name}; keep one of them")
+        if not 1 <= number <= MAX_PICTURES:
+            raise InputError(f"{folder} holds {file.name}; pictures of one drape are called "
+                             f"outline_1 to outline_{MAX_PICTURES}")
+        found[number] = file
+    return found[min(found)] if found else None
 
 
 def _read_outline(path: Path, file: Path, description: Description) -> OutlineCapture:

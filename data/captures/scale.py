@@ -5,6 +5,7 @@ without cloth, by the size of a pixel, or by a board in the plane of the plate.
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -20,7 +21,7 @@ from data.pictures.mat import BAR
 from data.pictures.planes import mapped, shifted
 from data.pictures.plate import find_plate
 from data.pictures.reading import SUFFIXES, Photograph, read_photograph
-from data.pictures.rectified import straight_from_above
+from data.pictures.rectified import OverMat, markers_in, poses_of, straight_from_above
 from sim.rig import Rig
 
 MAT_SIDE = 4500  # pixels, to which larger photographs with a mat are reduced
@@ -60,11 +61,25 @@ class Scaled:
 
 def scaled_photograph(file: Path, source: OutlineSource, rig: Rig) -> Scaled:
     """Read a photograph, and its scale from what ``source`` states, from the picture, or from those
-    beside it: ``plate.*``, and ``mat_*``."""
+    beside it: ``plate.*``, ``mat_*``, and other pictures of the drape."""
+    if isinstance(found := scaled_photographs(file, source, rig)[file], InputError):
+        raise found
+    return found
+
+
+def scaled_photographs(
+    file: Path, source: OutlineSource, rig: Rig
+) -> dict[Path, Scaled | InputError]:
+    """The same of all pictures of a drape, ``file`` and, over a mat, those called ``outline_2`` and
+    so on beside it; what cannot be read of one, in its place."""
+    others = [one for one in _beside(file, "outline_[1-6]") if one != file]
     if source.mat:
-        return _by_mat(file, source, rig)
-    found = _by_stated(file, source, rig)
-    return replace(found, warnings=(*found.warnings, *_height_contradicted(found)))
+        return _by_mat([file, *others], source, rig)
+    if others:
+        raise InputError(f"{others[0].name} is beside it; several pictures of one drape need the "
+                         "printed mat (outline: {mat: a3, plate_height_mm: 150})")
+    found = _alone(file, source, rig)
+    return {file: replace(found, warnings=(*found.warnings, *_height_contradicted(found)))}
 
 
 def _height_contradicted(found: Scaled) -> list[Finding]:
@@ -78,7 +93,7 @@ def _height_contradicted(found: Scaled) -> list[Finding]:
         "value": 1e3 * seen, "stated": 1e3 * found.height, "limit": MAX_HEIGHT_DIFFERENCE})]
 
 
-def _by_stated(file: Path, source: OutlineSource, rig: Rig) -> Scaled:
+def _alone(file: Path, source: OutlineSource, rig: Rig) -> Scaled:
     """The scale without a mat."""
     photograph = read_photograph(file)
     if beside := _beside(file, "plate"):
@@ -97,20 +112,49 @@ def _by_stated(file: Path, source: OutlineSource, rig: Rig) -> Scaled:
                      "or give outline: {plate_px: {x: 960, y: 540, diameter: 700}} or mm_per_px")
 
 
-def _by_mat(file: Path, source: OutlineSource, rig: Rig) -> Scaled:
-    files = file, *_beside(file, "mat_*")
-    first, *others = (read_photograph(one, side=MAT_SIDE) for one in files)
+def _by_mat(
+    files: list[Path], source: OutlineSource, rig: Rig
+) -> dict[Path, Scaled | InputError]:
+    """The scale of pictures of a drape by one camera over a mat."""
     assert source.mat and source.plate_height_mm
-    scale = mat_scale(source)
-    plate_height = 1e-3 * source.plate_height_mm
-    over = straight_from_above(first, others, source.mat, plate_height=plate_height / scale,
-                               reach=rig.reach / scale, ground=source.ground)
-    height, width = over.photograph.light.shape[:2]
-    middle = np.array([width - 1, height - 1]) / 2
-    place = scale * over.pose.place
-    return Scaled(over.photograph, _about(middle, scale * over.pixel), float(place[2]) -
-                  plate_height, middle, place[:2], lambda places: over.printed(places / scale),
-                  over.print_edges, over.warnings)
+    found: dict[Path, Scaled | InputError] = {}
+    photographs, seen = [], []
+    mats = _beside(files[0], "mat_*")
+    for file in [*files, *mats]:
+        try:
+            photograph = read_photograph(file, side=MAT_SIDE)
+            seen.append(markers_in(photograph, source.mat))
+            photographs.append(photograph)
+        except InputError as error:
+            if file in mats or len(files) == 1:
+                raise
+            found[file] = error
+    files = [file for file in files if file not in found]
+    if not files:
+        return found
+    scale, plate_height = mat_scale(source), 1e-3 * source.plate_height_mm
+    for file, pose in zip(files, poses_of(photographs, seen, len(files)), strict=True):
+        try:
+            if isinstance(pose, InputError):
+                raise pose
+            over = straight_from_above(
+                photographs.pop(0), pose, source.mat, plate_height=plate_height / scale,
+                reach=rig.reach / scale, ground=source.ground)
+        except InputError as error:
+            found[file] = error
+            continue
+        height, width = over.photograph.light.shape[:2]
+        middle = np.array([width - 1, height - 1]) / 2
+        place = scale * pose.place
+        found[file] = Scaled(over.photograph, _about(middle, scale * over.pixel), float(place[2]) -
+                             plate_height, middle, place[:2], partial(_printed, over, scale),
+                             over.print_edges, over.warnings)
+    return found
+
+
+def _printed(over: OverMat, scale: float, places: np.ndarray) -> tuple[np.ndarray, Mask]:
+    """What a mat that is printed to a scale shows behind places (H, W, 2), m."""
+    return over.printed(places / scale)
 
 
 def mat_scale(source: OutlineSource) -> float:

@@ -73,21 +73,19 @@ def _projected(
     return cv2.projectPoints(np.ascontiguousarray(points), turn, shift, matrix, lens)[0][:, 0]
 
 
-def camera_pose(
-    size: tuple[int, int], seen: Sequence[tuple[Points, Pixels]], focal: float | None,
+def camera_poses(
+    sizes: Sequence[tuple[int, int]], seen: Sequence[tuple[Points, Pixels]], focal: float | None,
     no_focal: str = ""
-) -> Pose:
-    """Pose of the first picture from centres of markers and their pixels, in it and in others
-    of the same camera and ``size``; ``focal``: length as its file states it, pixels, or
-    ``no_focal``, why it is not known. InputError where the markers do not lie in a plane, or leave
-    the focal length open.
+) -> list[Pose]:
+    """Poses of pictures by one camera, upright or sideways, from centres of markers and their
+    pixels; ``focal``: length as the files state it, pixels, or ``no_focal``, why it is not known.
+    InputError where the markers do not lie in a plane, or leave the focal length open.
 
     Focal length and distortion are unknowns that all pictures share, with what is known of phones
     as prior; the picture's middle is the principal point.
     """
-    diagonal = float(np.hypot(*size))
-    start = focal or _GUESS * diagonal
-    poses = [_first_pose(points, pixels, start, size) for points, pixels in seen]
+    start = focal or _GUESS * float(np.hypot(*sizes[0]))
+    first_poses = [_first_pose(*one, start, size) for one, size in zip(seen, sizes, strict=True)]
     spread = STATED_FOCAL if focal else 1.0
     scales = [np.hypot(SEEN, PRINT * _pixels_per_metre(points, pixels)) for points, pixels in seen]
 
@@ -95,11 +93,12 @@ def camera_pose(
         parts = [unknowns[:1] / spread, unknowns[1:2] / DISTORTION]
         for k, (points, pixels) in enumerate(seen):
             turn, shift = unknowns[2 + 6 * k : 8 + 6 * k].reshape(2, 3)
-            found = _projected(points, turn, shift, start * np.exp(unknowns[0]), unknowns[1], size)
+            found = _projected(points, turn, shift, start * np.exp(unknowns[0]), unknowns[1],
+                               sizes[k])
             parts.append((found - pixels).ravel() / scales[k])
         return np.concatenate(parts)
 
-    first = np.concatenate([[0.0, 0.0], *(np.concatenate(pose) for pose in poses)])
+    first = np.concatenate([[0.0, 0.0], *(np.concatenate(pose) for pose in first_poses)])
     steps = np.concatenate([[1e-2, 1e-2], np.tile([1e-2] * 3 + [1e-2] * 3, len(seen))])
     solved = least_squares(residuals, first, x_scale=steps, loss="soft_l1", f_scale=3.0)
     count = sum(2 * len(points) for points, _ in seen)
@@ -107,23 +106,29 @@ def camera_pose(
     if error > MAX_ERROR:
         raise InputError(f"the mat's markers lie {error:.1f} times as far from those of a flat mat "
                          f"as they should, at most {MAX_ERROR:g} is allowed: lay it flat, print it "
-                         "at 100 %, join its parts at their lines, and hold the phone still")
+                         "at 100 %, join its parts at their lines, hold the phone still, and take "
+                         "all pictures with one camera and one zoom")
     if focal and abs(solved.x[0]) > CONTRADICTED * STATED_FOCAL:
-        return camera_pose(size, seen, None, (
+        return camera_poses(sizes, seen, None, (
             f"as the markers are seen, it is {abs(np.expm1(solved.x[0])):.0%} or more off the "
             "length that the file states: the picture is cut or zoomed"))
     covariance = np.linalg.inv(solved.jac.T @ solved.jac) * max(1.0, error) ** 2
-    turn, shift = solved.x[2:8].reshape(2, 3)
     focal_error = float(np.sqrt(covariance[0, 0]))
     if focal_error > MAX_FOCAL_ERROR:
         raise InputError(
-            f"the focal length is not known: {no_focal}, and one picture from above does not show "
-            "it; give the file as the camera wrote it, whole and without zoom, or take two more "
-            "pictures of the mat from the sides in the same way, mat_1.jpg and mat_2.jpg")
-    heights = _height_gradient(solved.x[2:8])
-    height_error = float(np.sqrt(heights @ covariance[2:8, 2:8] @ heights))
-    return Pose(size, start * float(np.exp(solved.x[0])), float(solved.x[1]), turn, shift,
-                focal_error, height_error)
+            f"the focal length is not known: {no_focal}, and pictures from above do not show it; "
+            "give the file as the camera wrote it, whole and without zoom, or take two more "
+            "pictures from the sides in the same way: of the drape, outline_2.jpg and "
+            "outline_3.jpg, or of the mat, mat_1.jpg and mat_2.jpg")
+    poses = []
+    for k, size in enumerate(sizes):
+        mine = slice(2 + 6 * k, 8 + 6 * k)
+        heights = _height_gradient(solved.x[mine])
+        poses.append(Pose(
+            size, start * float(np.exp(solved.x[0])), float(solved.x[1]),
+            *solved.x[mine].reshape(2, 3), focal_error,
+            float(np.sqrt(heights @ covariance[mine, mine] @ heights))))
+    return poses
 
 
 def _first_pose(

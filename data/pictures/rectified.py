@@ -1,5 +1,6 @@
 """A photograph with a mat, as a camera straight above would see the plane of the plate."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -7,10 +8,10 @@ import numpy as np
 
 from common.errors import InputError
 from common.findings import Finding
-from common.types import Mask, Metres
+from common.types import Mask, Metres, Pixels, Points
 from data.pictures.cut import Printed
 from data.pictures.mat import find_mat, printed_at
-from data.pictures.pose import Pose, camera_pose
+from data.pictures.pose import Pose, camera_poses
 from data.pictures.reading import Photograph
 
 AROUND = 1.3  # of the flat specimen's reach, shown
@@ -40,26 +41,45 @@ class OverMat:
     warnings: tuple[Finding, ...] = ()
 
 
+def markers_in(photograph: Photograph, mat: str) -> tuple[Points, Pixels]:
+    """Centres of the markers of a ``mat`` and their pixels; InputError if it is not seen."""
+    found = find_mat(photograph)
+    if found is None or found[0] != mat:
+        which = f"the mat {found[0]}" if found else "fewer than six markers"
+        raise InputError(f"it shows {which}, not the mat {mat}; show the mat with its corners, "
+                         "sharp and without glare, or correct outline.mat")
+    return found[1:]
+
+
+def poses_of(
+    photographs: Sequence[Photograph], seen: Sequence[tuple[Points, Pixels]], drapes: int
+) -> list[Pose | InputError]:
+    """Poses of pictures of which the first ``drapes`` show a drape and the rest the mat, by the
+    first's camera, from :func:`markers_in` each; why there is none in its place. Pictures of one
+    size and one stated focal length are by one camera, upright or sideways."""
+    sizes = [one.light.shape[1::-1] for one in photographs]
+    lenses = [(*sorted(size), None if one.focal is None else round(one.focal)) for size, one in zip(
+        sizes, photographs, strict=True)]
+    lenses[drapes:] = [lenses[0] if one[:2] == lenses[0][:2] else one for one in lenses[drapes:]]
+    found: dict[int, Pose | InputError] = {}
+    for lens in dict.fromkeys(lenses):
+        mine = [k for k, other in enumerate(lenses) if other == lens]
+        first = photographs[mine[0]]
+        try:
+            found |= zip(mine, camera_poses([sizes[k] for k in mine], [seen[k] for k in mine],
+                                            first.focal, first.no_focal), strict=True)
+        except InputError as error:
+            found |= dict.fromkeys(mine, error)
+    return [found[k] for k in range(drapes)]
+
+
 def straight_from_above(
-    photograph: Photograph, others: list[Photograph], mat: str, *, plate_height: Metres,
-    reach: Metres, ground: str = "white"
+    photograph: Photograph, pose: Pose, mat: str, *, plate_height: Metres, reach: Metres,
+    ground: str = "white"
 ) -> OverMat:
-    """Rectify a photograph of a drape over a ``mat``; InputError if it is not seen. ``others``:
-    pictures of the mat by the same camera; ``reach``: radius of the flat specimen;
-    ``ground``: of the mat."""
-    seen = []
-    for one in (photograph, *others):
-        found = find_mat(one)
-        if found is None or found[0] != mat:
-            which = f"the mat {found[0]}" if found else "fewer than six markers"
-            raise InputError(f"it shows {which}, not the mat {mat}; show the mat with its corners, "
-                             "sharp and without glare, or correct outline.mat")
-        seen.append(found[1:])
+    """Rectify a photograph of a drape over a ``mat`` with a ``ground``; ``reach``: radius of the
+    flat specimen. InputError for an impossible height."""
     height, width = photograph.light.shape[:2]
-    if any(one.light.shape != photograph.light.shape for one in others):
-        raise InputError("the pictures of the mat have different sizes; take all with one camera, "
-                         "in one mode, all upright or all sideways")
-    pose = camera_pose((width, height), seen, photograph.focal, photograph.no_focal)
     above = pose.place[2] - plate_height
     if above < 0.15:
         raise InputError(f"the camera was {1e3 * pose.place[2]:.0f} mm over the mat, the plate is "

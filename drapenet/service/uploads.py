@@ -9,7 +9,7 @@ from common.documents import misnamed, rename_remedy, yaml_text
 from common.errors import InputError, shown
 from data.captures.description import NEED_WARP, UNLABELLED, Description, Labels
 from data.captures.frames import BACKGROUND
-from data.captures.reader import CAPTURE_FILES, OUTLINE_SUFFIXES
+from data.captures.reader import CAPTURE_FILES, MAX_PICTURES, OUTLINE_SUFFIXES
 from drapenet.batch.captures import plain_name
 from drapenet.config import ServeConfig
 from drapenet.service.forms import (
@@ -40,6 +40,7 @@ _PLATE, _MAT = (re.compile(rf"(?<![a-z])({words})(?![a-z])", re.IGNORECASE)
                 for words in ("plate|empty", "mat"))
 """In names of pictures from above: of the plate without cloth, and of the mat."""
 _BESIDE = re.compile(r"plate|mat_.*")  # stems of pictures beside a photograph
+_OUTLINE = re.compile(r"outline(_\d)?")  # stems of pictures of a drape
 MARKED, UNMARKED, YARNS = "marked", "unmarked", "yarns"
 _NO_FILES = ("no files; give the views of a drape, its photograph or outline from above, a zip "
              "with them, a scan, strips.yaml, or known values")
@@ -121,7 +122,7 @@ def checked_photograph(
         content = _capture(received, fields_of_outline(fields), settings)
     except InputError as error:
         raise RequestError(422, str(error)) from None
-    photographs = [name for name in content.files if Path(name).stem == "outline"
+    photographs = [name for name in content.files if _OUTLINE.fullmatch(Path(name).stem)
                    and Path(name).suffix in PHOTOGRAPHS]
     return content.files if photographs else None
 
@@ -159,7 +160,9 @@ def _capture(
     labels, directions = UNLABELLED, UNMARKED
     if received.keys().isdisjoint(CAPTURE_FILES) or CAPTURE in received:
         document, description = described_capture(received.get(CAPTURE, b"{}"), fields)
-        received = _named(received, from_above=description.outline is not None)
+        source = description.outline
+        received = _named(received, from_above=source is not None,
+                          several=source is not None and source.mat is not None)
         if states_plate(fields):  # a field replaces what files state
             received = {name: data for name, data in received.items()
                         if Path(name).stem != "plate"}
@@ -171,7 +174,7 @@ def _capture(
     for file, data in received.items():
         stem = Path(file).stem
         require_pixels(file, data, settings,
-                       photograph=stem == "outline" or bool(_BESIDE.fullmatch(stem)))
+                       photograph=bool(_OUTLINE.fullmatch(stem) or _BESIDE.fullmatch(stem)))
     return _Content(received, labels, directions=directions)
 
 
@@ -205,35 +208,41 @@ def _strips(
                         description.strips or (known and known.along_yarns)))
 
 
-def _named(files: dict[str, bytes], *, from_above: bool) -> dict[str, bytes]:
+def _named(
+    files: dict[str, bytes], *, from_above: bool, several: bool
+) -> dict[str, bytes]:
     """Rename images to view_0 and so on, in the order of their names, or what shows or lists an
     outline to outline, and pictures beside it to plate or mat_1 and so on, unless named so already;
-    ``from_above``: whether a PNG is a photograph."""
+    ``from_above``: whether a PNG is a photograph, ``several``: whether the drape may be in several.
+    """
     images = [name for name in files if Path(name).suffix in PICTURES and name != BACKGROUND]
     stems = {Path(name).stem for name in files}
     if any(map(_NAMED.fullmatch, files)):
         return files
-    if from_above or not images or "outline" in stems or any(map(_PLATE.search, stems)):
-        return _from_above(files)
+    if from_above or not images or any(
+            _OUTLINE.fullmatch(stem) or _PLATE.search(stem) for stem in stems):
+        return _from_above(files, several=several)
     renamed = {name: f"view_{k}{Path(name).suffix}" for k, name in enumerate(_sorted(images))}
     return {renamed.get(name, name): data for name, data in files.items()}
 
 
-def _from_above(files: dict[str, bytes]) -> dict[str, bytes]:
-    """Files of a drape seen from above, called outline, plate, and mat_1 and so on."""
+def _from_above(files: dict[str, bytes], *, several: bool) -> dict[str, bytes]:
+    """Files of a drape seen from above, called outline, or outline_1 and so on where there may be
+    ``several``, plate, and mat_1 and so on."""
     taken = [name for name in files if Path(name).suffix in OUTLINE_SUFFIXES]
-    outlines = [name for name in taken if Path(name).stem == "outline"] or taken
+    outlines = [name for name in taken if _OUTLINE.fullmatch(Path(name).stem)] or taken
     beside = [name for name in taken if Path(name).suffix in PHOTOGRAPHS
-              and len(taken) > 1 and Path(name).stem != "outline"]
+              and len(taken) > 1 and not _OUTLINE.fullmatch(Path(name).stem)]
     plates = [name for name in beside if _PLATE.search(Path(name).stem)]
     mats = [name for name in _sorted(beside) if name not in plates and _MAT.search(Path(name).stem)]
     outlines = [name for name in outlines if name not in (*plates, *mats)]
     if len(plates) > 1:
         raise RequestError(422, f"{plates[0]} and {plates[1]}: give one picture of the plate "
                            "without cloth")
-    if len(outlines) > 1:
+    if len(outlines) > (MAX_PICTURES if several else 1):
         raise RequestError(422, f"{outlines[0]} and {outlines[1]}: which of them shows the drape? "
-                           "A capture has one photograph or table of an outline; call that outline"
+                           "A capture has one photograph or table of an outline, or with the mat "
+                           f"up to {MAX_PICTURES} photographs; call that outline"
                            f"{Path(outlines[0]).suffix}, the plate without cloth plate.jpg, and "
                            "further pictures of the mat mat_1.jpg, mat_2.jpg")
     if beside and not outlines:
@@ -241,6 +250,8 @@ def _from_above(files: dict[str, bytes]) -> dict[str, bytes]:
                            f"call it outline{Path(taken[0]).suffix}")
     stems = dict.fromkeys(outlines, "outline") | dict.fromkeys(plates, "plate") | {
         name: f"mat_{k}" for k, name in enumerate(mats, 1)}
+    if len(outlines) > 1:
+        stems |= {name: f"outline_{k}" for k, name in enumerate(_sorted(outlines), 1)}
     return {f"{stems[name]}{Path(name).suffix}" if name in stems else name: data
             for name, data in files.items()}
 

@@ -27,7 +27,7 @@ from data.pictures.mat import (
     mat_pages,
     mat_picture,
 )
-from data.pictures.pose import camera_matrix, camera_pose
+from data.pictures.pose import camera_matrix, camera_poses
 from data.pictures.reading import Photograph, decoded, read_photograph
 from data.render import phone, textures
 from data.render.phone import phone_picture
@@ -203,7 +203,8 @@ def test_markers_along_two_sides_are_enough():
                        [-0.186, -0.0396667], [-0.186, 0.0396667], [-0.186, 0.0793333]])
     pixels = np.array([[444.9, 652.4], [541.5, 618.8], [648.6, 1184.9], [615.2, 1098.0],
                        [581.6, 1010.4], [513.7, 832.9], [479.3, 743.1]])
-    pose = camera_pose((2016, 1512), [(np.column_stack([points, np.zeros(7)]), pixels)], 1688.93)
+    pose, = camera_poses([(2016, 1512)], [(np.column_stack([points, np.zeros(7)]), pixels)],
+                         1688.93)
     assert pose.place[2] == pytest.approx(0.723, rel=0.02)
 
 
@@ -214,8 +215,9 @@ def test_markers_seen_askew_contradict_the_focal_length_of_another_picture():
     turn = cv2.Rodrigues(np.array([0, 0.4, 0]))[0] @ cv2.Rodrigues(np.array([np.pi, 0, 0]))[0]
     pixels = cv2.projectPoints(points, turn, np.array([0, 0, 0.7]), camera_matrix(1800.0, size),
                                None)[0][:, 0]
-    assert camera_pose(size, [(points, pixels)], 1500.0).focal == pytest.approx(1800, rel=0.01)
-    assert camera_pose(size, [(points, pixels)], 1790.0).focal == pytest.approx(1795, rel=0.01)
+    for stated, focal in ((1500.0, 1800), (1790.0, 1795)):
+        pose, = camera_poses([size], [(points, pixels)], stated)
+        assert pose.focal == pytest.approx(focal, rel=0.01)
 
 
 @pytest.mark.parametrize(("cloth", "named"), [((200, 60, 90), False), ((110, 170, 200), False),
@@ -271,15 +273,15 @@ def test_a_pose_states_its_errors():
     mat = MATS["a3"]
     points = np.column_stack([mat.centres, np.zeros(len(mat.centres))])
     rng = np.random.default_rng(0)
-    exact = camera_pose((2000, 1500), [(points, ideal(points))], 1500.0)
+    exact, = camera_poses([(2000, 1500)], [(points, ideal(points))], 1500.0)
     off = []
     for _ in range(20):
         stated = 1500.0 * np.exp(0.01 * rng.normal())
         seen = ideal(points) + rng.normal(0, 0.15, (len(points), 2))
-        pose = camera_pose((2000, 1500), [(points, seen)], stated)
+        pose, = camera_poses([(2000, 1500)], [(points, seen)], stated)
         off.append((pose.place[2] - 0.8) / pose.height_error)
     with pytest.raises(InputError, match=r"focal length is not known: it is cut, .*mat_1\.jpg"):
-        camera_pose((2000, 1500), [(points, ideal(points))], None, "it is cut")
+        camera_poses([(2000, 1500)], [(points, ideal(points))], None, "it is cut")
     assert exact.place == pytest.approx([0.05, -0.02, 0.8], abs=2e-3)
     assert np.sqrt(np.square(off).mean()) < 1.3
 

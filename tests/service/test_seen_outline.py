@@ -179,6 +179,21 @@ def test_its_limits_are_those_of_uploads(client, monkeypatch):
 
 
 @pytest.mark.parametrize(("names", "expected"), [
+    (["IMG_1.HEIC", "IMG_2.HEIC"], ["outline_1.heic", "outline_2.heic"]),
+    (["b 10.jpg", "b 9.jpg", "mat.jpg"], ["mat_1.jpg", "outline_1.jpg", "outline_2.jpg"]),
+    (["outline.jpg", "outline_2.jpg", "ruler.jpg"],
+     ["outline_1.jpg", "outline_2.jpg", "ruler.jpg"]),
+])
+def test_several_pictures_over_the_mat_are_of_one_drape(tmp_path, names, expected):
+    stated = {"tester": "disc300_support180", "mat": "a3", "plate_height_mm": "120"}
+    checked = checked_photograph([(name, pixel(name)) for name in names], stated,
+                                 settings_for(tmp_path))
+    assert checked is not None and sorted(checked) == sorted(["capture.yaml", *expected])
+    if "b 9.jpg" in names:
+        assert checked["outline_1.jpg"] == pixel("b 9.jpg")
+
+
+@pytest.mark.parametrize(("names", "expected"), [
     (["IMG_1.HEIC"], ["outline.heic"]),
     (["template.jpg"], ["outline.jpg"]),
     (["plate.jpg"], ["outline.jpg"]),

@@ -1,0 +1,211 @@
+"""Several photographs of one drape over the mat: poses, the joined outline, contradictions."""
+
+import io
+from functools import partial
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from PIL import Image
+
+from common.errors import InputError
+from data.captures.joined_outlines import AZIMUTHS, OUTWARDS, View, join
+from data.captures.preview import show
+from data.captures.reader import find_outline, read_capture
+from data.dataset.off_axis import silhouette
+from data.pictures.mat import MATS
+from data.pictures.pose import Pose, camera_matrix, camera_poses
+from data.render import phone
+from sim.drape import drape
+from sim.material import Fabric
+from sim.rig import DISC_RIG
+
+PLATE_HEIGHT, HEIGHT, SIZE = 0.12, 0.62, (1680, 1260)
+FOCAL = 0.62 * float(np.hypot(*SIZE))
+PLACES = ((0.0, 0.12), (0.16, -0.1), (-0.17, -0.06))  # m, beside the axis
+
+
+@pytest.fixture(scope="module")
+def shape():
+    fabric = Fabric(alpha=[30e-6, 22e-6, 18e-6], beta=[-30e-9] * 3, density=0.15)
+    return drape(fabric, rig=DISC_RIG, edge=1e-2)
+
+
+def pose_at(place, size) -> Pose:
+    """A phone that looks at a point near the plate, from :data:`HEIGHT` above it."""
+    place = np.array([*place, PLATE_HEIGHT + HEIGHT])
+    aim = -place / np.linalg.norm(place)
+    right = np.cross(aim, [0, 1.0, 0.0])
+    right /= np.linalg.norm(right)
+    turn = np.stack([right, np.cross(aim, right), aim])
+    return Pose(size, FOCAL, 0.01, cv2.Rodrigues(turn)[0].ravel(), -turn @ place, 0.0, 0.0)
+
+
+def taken(shape, place, turn: float = 0.0) -> bytes:
+    """The same cloth and light from a place, with the drape turned."""
+    cos, sin = np.cos(turn), np.sin(turn)
+    positions = shape.positions @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(phone, "_SIZE", SIZE)
+        patch.setattr(phone, "_random_pose", lambda _, size, *__: (pose_at(place, size), 27))
+        return phone.phone_picture(positions, shape.rest, shape.faces, np.random.default_rng(0),
+                                   plate_radius=DISC_RIG.plate_radius,
+                                   plate_height=PLATE_HEIGHT).jpeg
+
+
+@pytest.fixture(scope="module")
+def pictures(shape):
+    return [taken(shape, place) for place in PLACES]
+
+
+def changed(jpeg: bytes, box=None) -> bytes:
+    """A picture without its tags, cut to a box."""
+    picture, stream = Image.open(io.BytesIO(jpeg)), io.BytesIO()
+    picture.crop(box).save(stream, format="JPEG", quality=92)
+    return stream.getvalue()
+
+
+def folder_of(path, pictures, **changes):
+    """A capture of pictures, from outline_1.jpg on or by names."""
+    path.mkdir()
+    named = pictures if isinstance(pictures, dict) else {
+        f"outline_{k}.jpg": jpeg for k, jpeg in enumerate(pictures, 1)}
+    for name, data in named.items():
+        (path / name).write_bytes(data)
+    (path / "capture.yaml").write_text(yaml.safe_dump({
+        "density_g_m2": 150, "tester": "disc300_support180",
+        "outline": {"mat": "a3", "plate_height_mm": 1e3 * PLATE_HEIGHT} | changes}))
+    return path
+
+
+def error_mm(capture, shape, place=(0, 0)) -> float:
+    true = silhouette(shape.positions, shape.mesh.edges, np.array(place), HEIGHT, azimuths=720)
+    return 1e3 * float(np.sqrt(np.square(capture.outline.radii - true).mean()))
+
+
+def codes(capture) -> list[str]:
+    return [found.code for found in capture.warnings]
+
+
+def test_three_pictures_show_the_drape_better_than_each_alone(tmp_path, shape, pictures):
+    alone = [read_capture(folder_of(tmp_path / f"{k}", {"outline.jpg": jpeg}))
+             for k, jpeg in enumerate(pictures)]
+    joined = read_capture(folder_of(tmp_path / "joined", pictures))
+    errors = [error_mm(capture, shape) for capture in alone]
+    assert error_mm(joined, shape) < 0.8 * np.median(errors) and error_mm(joined, shape) < 1.2
+    assert all("camera_beside" in codes(capture) for capture in alone)
+    assert "outline_2.jpg" in next(found.text for found in alone[0].warnings
+                                   if found.code == "camera_beside")
+    assert not {"camera_beside", "picture_contradicts", "pictures_differ", "picture_turned"
+                } & {*codes(joined)}
+    outline = joined.outline
+    assert outline.height == pytest.approx(HEIGHT, rel=0.02)
+    assert outline.error.shape == (720,) and 3e-4 < np.median(outline.error) < 3e-3
+    # The first picture is shown, with the outline as it is seen there.
+    first = alone[0].outline
+    assert np.abs(outline.picture.astype(int) - first.picture).mean() < 2
+    assert np.median(np.abs(outline.hem - first.drawn(OUTWARDS * silhouette(
+        shape.positions, shape.mesh.edges, np.array(PLACES[0]), HEIGHT, azimuths=720)[:, None])
+    )) * first.pixel < 3e-3
+    assert show(joined).startswith(b"\x89PNG")
+
+
+def test_the_focal_length_of_cut_pictures_is_measured_in_several(tmp_path, pictures):
+    box = (210, 0, 1470, 1260)
+    capture = read_capture(folder_of(tmp_path / "cut", [changed(one, box) for one in pictures]))
+    assert capture.outline.height == pytest.approx(HEIGHT, rel=0.03)
+
+
+def test_pictures_with_other_focal_lengths_are_of_other_cameras(tmp_path, shape, pictures):
+    stream, picture = io.BytesIO(), Image.open(io.BytesIO(pictures[1]))
+    exif = picture.getexif()
+    picture = picture.resize((1400, 1050), Image.Resampling.LANCZOS)
+    picture.save(stream, format="JPEG", quality=92, exif=exif)
+    capture = read_capture(folder_of(tmp_path / "two", [pictures[0], stream.getvalue()]))
+    assert error_mm(capture, shape) < 1.5
+
+
+def test_a_picture_that_contradicts_or_cannot_be_read_is_left_out_and_named(
+        tmp_path, shape, pictures):
+    stiff = drape(Fabric(alpha=[300e-6] * 3, beta=[0.0] * 3, density=0.15), rig=DISC_RIG,
+                  edge=1.5e-2)
+    other = taken(stiff, PLACES[2])
+    grey = io.BytesIO()
+    Image.new("RGB", SIZE, (200, 190, 180)).save(grey, format="JPEG")
+    three = read_capture(folder_of(tmp_path / "three", [
+        *pictures[:2], other, grey.getvalue()]))
+    said = {found.code: found.text for found in three.warnings}
+    assert said["picture_contradicts"].startswith("outline_3.jpg is left out")
+    assert said["picture_unread"].startswith("outline_4.jpg is left out, it cannot be read: it "
+                                             "shows fewer than six markers")
+    assert error_mm(three, shape) < 1.5
+    two = read_capture(folder_of(tmp_path / "two", [pictures[0], other]))
+    said = next(found for found in two.warnings if found.code == "pictures_differ")
+    assert said.values["value"] > 0.1 and "outline_1.jpg and outline_2.jpg contradict" in said.text
+    assert two.outline.error.max() > 5e-3
+
+
+def test_a_plate_that_was_turned_between_pictures_is_turned_back(tmp_path, shape, pictures):
+    turned = read_capture(folder_of(tmp_path / "turned", [
+        pictures[0], taken(shape, PLACES[1], np.radians(-40))]))
+    said = next(found for found in turned.warnings if found.code == "picture_turned")
+    assert said.values["value"] == pytest.approx(-40, abs=1) and error_mm(turned, shape) < 1.5
+    assert "pictures_differ" not in codes(turned)
+
+
+def test_where_one_of_three_differs_the_others_decide():
+    """A bulge of 8 mm over 15 degrees in one of three outlines of a stiff drape."""
+    azimuth = np.arange(AZIMUTHS) * (2 * np.pi / AZIMUTHS)
+    radius = 0.125 + 0.006 * np.cos(4 * azimuth)
+    bulge = radius + 8e-3 * (np.abs(azimuth - 2) < np.radians(7.5))
+    views = [View(one[:, None] * OUTWARDS, np.array([0.02, 0.01]), 0.8)
+             for one in (radius, bulge, radius)]
+    found = join(views, DISC_RIG)
+    clean = join([views[0], views[2]], DISC_RIG)
+    assert found.used == [0, 1, 2] and found.parted is None
+    assert np.abs(found.radius - clean.radius).max() < 1.5e-3
+    there = np.abs(azimuth - 2) < np.radians(6)
+    assert np.median(found.error[there]) > 3 * np.median(found.error[~there])
+    parted = join(views[:2], DISC_RIG).parted
+    assert parted is not None and parted[0] == pytest.approx(2, abs=0.05)
+
+
+def test_poses_of_pictures_upright_and_sideways_share_one_lens():
+    mat = MATS["a3"]
+    points = np.column_stack([mat.centres, np.zeros(len(mat.centres))])
+    seen, sizes, places = [], [(2000, 1500), (1500, 2000), (2000, 1500)], []
+    for size, tilt, far in zip(sizes, (0.3, -0.25, 0.0), (0.7, 0.8, 1.0), strict=True):
+        turn = cv2.Rodrigues(np.array([0, tilt, 0]))[0] @ cv2.Rodrigues(
+            np.array([np.pi, 0, 0]))[0]
+        shift = np.array([0.0, 0.0, far])
+        seen.append((points, cv2.projectPoints(points, turn, shift, camera_matrix(1400.0, size),
+                                               None)[0][:, 0]))
+        places.append(-turn.T @ shift)
+    poses = camera_poses(sizes, seen, None, "it is cut")
+    assert len({pose.focal for pose in poses}) == 1
+    assert poses[0].focal == pytest.approx(1400, rel=5e-3)
+    for pose, place in zip(poses, places, strict=True):
+        assert pose.place == pytest.approx(place, abs=5e-3)
+
+
+@pytest.mark.parametrize(("names", "fault"), [
+    (["outline.jpg", "outline_1.png"], "holds outline.jpg and outline_1.png; keep one"),
+    (["outline.csv", "outline_2.jpg"], "holds outline.csv and outline_2.jpg; keep one"),
+    (["outline_1.jpg", "outline_7.jpg"], "outline_7.jpg; pictures of one drape are called")])
+def test_names_of_pictures_that_do_not_fit_have_a_line(tmp_path, names, fault):
+    with pytest.raises(InputError, match=fault):
+        find_outline(folder_of(tmp_path / "names", dict.fromkeys(names, b"")))
+
+
+def test_the_first_of_several_pictures_is_found(tmp_path):
+    make = partial(dict.fromkeys, [], b"")
+    assert find_outline(folder_of(tmp_path / "none", make())) is None
+    several = dict.fromkeys(["outline_3.jpg", "outline_2.JPG", "outline_old.jpg"], b"")
+    assert find_outline(folder_of(tmp_path / "some", several)).name == "outline_2.JPG"
+
+
+def test_several_pictures_need_the_mat(tmp_path, pictures):
+    with pytest.raises(InputError, match=r"several pictures of one drape need the printed mat"):
+        read_capture(folder_of(tmp_path / "plate", pictures[:2], mat=None, plate_height_mm=None,
+                               mm_per_px=0.3))
