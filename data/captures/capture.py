@@ -52,6 +52,12 @@ class Capture:
         raise NotImplementedError
 
     @property
+    def doubtful(self) -> str:
+        """What may be wrong of a drape that is unlike those of its estimate, the likeliest first.
+        """
+        return "that the cloth is cut out rightly, the tester"
+
+    @property
     def digest(self) -> str:
         """SHA-256 of the content."""
         return hashlib.sha256(self.content).hexdigest()
@@ -82,6 +88,14 @@ class OutlineCapture(Capture):
     """The outline of a drape from above, of a photograph or of a table."""
 
     outline: "PhotographedOutline"
+
+    @property
+    def doubtful(self) -> str:
+        """For a photograph, its scale first."""
+        if self.outline.picture is None:
+            return super().doubtful
+        return ("the scale (of a mat, that it is printed at 100 %), plate_height_mm, the outline in "
+                "the picture of the capture, the tester")
 
     @property
     def content(self) -> bytes:

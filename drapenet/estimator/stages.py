@@ -147,7 +147,8 @@ def by_network(capture: Capture, header: Header, *, strict: bool = False) -> Cap
         faults = observed.warnings(header.setups)
     except InputError as error:
         raise InputError(f"{capture.path}: {error}") from None
-    result = result.with_warnings(*faults, *result.draws.unlike(capture.rig.specimen_size))
+    result = result.with_warnings(*faults, *result.draws.unlike(capture.rig.specimen_size,
+                                                                capture.doubtful))
     require_sound([*result.warnings, *capture.warnings, *result.estimate.contradictions], strict,
                   str(capture.path))
     return result

@@ -39,10 +39,10 @@ class Draws:
     impossible: float  # share of all samples that was not admissible and is removed
     likeness: tuple[Likeness, ...] = ()  # of each capture, if compared by a network that can
 
-    def unlike(self, size: Metres) -> list[Finding]:
+    def unlike(self, size: Metres, doubtful: str = "the tester") -> list[Finding]:
         """A finding for each capture, of specimens of a ``size``, that is unlike drapes of these
-        samples."""
-        return [found for one in self.likeness if (found := one.warning(size))]
+        samples; ``doubtful``: what may be wrong of it."""
+        return [found for one in self.likeness if (found := one.warning(size, doubtful))]
 
     @classmethod
     def possible(

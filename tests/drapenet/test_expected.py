@@ -81,7 +81,7 @@ def test_captures_like_their_estimate_are_seldom_named(expected):
     found = expected.likeness(*drawn(200, 1))
     shares = np.array([one.probability for one in found])
     assert (shares < LEVEL).mean() <= 0.03 and 0.35 < shares.mean() < 0.65
-    assert all(one.warning(0.3) is None for one in found if one.probability >= LEVEL)
+    assert all(one.warning(0.3, "the tester") is None for one in found if one.probability >= LEVEL)
 
 
 def test_a_capture_that_no_cloth_of_its_estimate_gives_is_named_with_the_number(expected):
@@ -90,7 +90,7 @@ def test_a_capture_that_no_cloth_of_its_estimate_gives_is_named_with_the_number(
     shape[:, 4] = torch.nan
     for one in expected.likeness(shape, samples, facts, face):
         assert one.probability < LEVEL
-        assert one.warning(0.3).code == "unlike_coefficient"
+        assert one.warning(0.3, "the tester").code == "unlike_coefficient"
     turned = expected.likeness(*drawn(20, 2)[:3], -drawn(20, 2)[3])  # the other face up
     assert np.median([one.probability for one in turned]) < 0.1
 
