@@ -33,7 +33,7 @@ _READ = 6e-4  # m, error of an outline as it is read
 _MOVED, _HIDDEN, _HANGING = 0.05, 0.12, 0.25
 """Error of moving an outline, of overhang times lean: of cloth that spreads, and added for cloth
 that hangs straight down, within this share of the overhang from the rim."""
-_TURNED = 0.5  # of the distance between two outlines, to which a turn of the plate reduces it
+_TURNED = 0.7  # of the distance between two outlines, to which a turn of the plate reduces it
 _DEPTH, _DEPTH_ERROR = 0.5, 0.2  # of the overhang, usual depth of the hem below the plate
 _DEPTHS = np.linspace(0.0, 1.0, 21)  # tried
 _DEPTH_LEFT = 0.15  # of the overhang, by which depth differs along the hem
