@@ -29,11 +29,10 @@ AZIMUTHS = 720
 MAX_UNLIKE = 0.08  # of the azimuth, over which a picture may differ from the others
 MAX_PARTED = 0.02  # of the azimuth, over which two pictures may differ from each other
 _UNLIKE = 4.0  # times its expected error, by which a picture differs
-_READ = 6e-4  # m, error of an outline as it is read
 _MOVED, _HIDDEN, _HANGING = 0.05, 0.12, 0.25
 """Error of moving an outline, of overhang times lean: of cloth that spreads, and added for cloth
 that hangs straight down, within this share of the overhang from the rim."""
-_TURNED = 0.5  # of the distance between two outlines, to which a turn of the plate reduces it
+_TURNED = 0.7  # of the distance between two outlines, to which a turn of the plate reduces it
 _DEPTH, _DEPTH_ERROR = 0.5, 0.2  # of the overhang, usual depth of the hem below the plate
 _DEPTHS = np.linspace(0.0, 1.0, 21)  # tried
 _DEPTH_LEFT = 0.15  # of the overhang, by which depth differs along the hem
@@ -45,17 +44,20 @@ OUTWARDS = np.column_stack([np.cos(_AZIMUTH), np.sin(_AZIMUTH)])
 
 class View(NamedTuple):
     """An outline as seen on the plane of the plate, about its centre, by a camera at the place
-    ``beside`` (2,), m, the axis and at ``height`` above the plate."""
+    ``beside`` (2,), m, the axis and at ``height`` above the plate; ``error``: (A,) m, standard
+    deviation of its radii as they were read."""
 
     curve: Outline
     beside: np.ndarray
     height: Metres
+    error: np.ndarray
 
     def turned(self, angle: Radians) -> "View":
         """The same, turned counter-clockwise."""
         cos, sin = np.cos(angle), np.sin(angle)
         turn = np.array([[cos, sin], [-sin, cos]])
-        return View(self.curve @ turn, self.beside @ turn, self.height)
+        return View(self.curve @ turn, self.beside @ turn, self.height,
+                    around(self.error, -angle))
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,7 @@ def join(views: Sequence[View], rig: Rig) -> Joined:
     """Join two or more views; of a rectangle, the x-axis is along its first side in the first."""
     overhang = rig.border(_AZIMUTH) - rig.plate_radius
     lean = np.array([np.linalg.norm(view.beside) / view.height for view in views])
-    moved, error = _moved(views, rig)
+    moved, error = on_axis(views, rig)
     turned = [0.0] * len(views)
     for k in range(1, len(views)):
         # The plate may have been turned: as far as brings the shapes of the outlines together.
@@ -98,7 +100,7 @@ def join(views: Sequence[View], rig: Rig) -> Joined:
             turned[k] = float((_AZIMUTH[best] + np.pi) % (2 * np.pi) - np.pi)
     if any(turned):
         views = [view.turned(-angle) for view, angle in zip(views, turned, strict=True)]
-        moved, error = _moved(views, rig)
+        moved, error = on_axis(views, rig)
     height = np.array([[view.height] for view in views])
     # Pictures from different heights show how deep the hem hangs: in the mean, then everywhere.
     tried = [moved * (1 + depth * overhang / height) for depth in _DEPTHS]
@@ -150,10 +152,17 @@ def _fitted(
     return radius, below, np.sqrt(second / determinant)
 
 
-def _moved(views: Sequence[View], rig: Rig) -> tuple[np.ndarray, np.ndarray]:
+def on_axis(views: Sequence[View], rig: Rig) -> tuple[np.ndarray, np.ndarray]:
     """Radii (K, A), m, as the network moves each view to the axis, and their errors."""
-    moved = np.array([farthest(closed(seen_from_axis(*view, rig)), AZIMUTHS) for view in views])
+    moved = np.array([farthest(closed(seen_from_axis(*view[:3], rig)), AZIMUTHS)
+                      for view in views])
     lean = np.array([[np.linalg.norm(view.beside) / view.height] for view in views])
     overhang = rig.border(_AZIMUTH) - rig.plate_radius
     hanging = np.exp(-np.maximum(moved - rig.plate_radius, 0) / overhang / _HANGING)
-    return moved, _READ + lean * overhang * (_MOVED + _HIDDEN * hanging)
+    read = np.array([view.error for view in views])
+    return moved, np.hypot(read, lean * overhang * (_MOVED + _HIDDEN * hanging))
+
+
+def around(values: np.ndarray, angle: Radians) -> np.ndarray:
+    """Values (A,) at equally spaced azimuths, each at an ``angle`` from its place before."""
+    return np.interp(_AZIMUTH + angle, _AZIMUTH, values, period=2 * np.pi)

@@ -23,9 +23,11 @@ from data.captures.joined_outlines import (
     MAX_UNLIKE,
     OUTWARDS,
     View,
+    around,
     join,
+    on_axis,
 )
-from data.captures.off_axis import MAX_LEAN, seen_from_axis
+from data.captures.off_axis import MAX_LEAN
 from data.captures.outline_table import read_closed_curve
 from data.captures.scale import Scaled, mat_scale, scaled_photographs
 from data.pictures.cut import outline_of_cloth
@@ -172,9 +174,10 @@ def _photographed(
     if (lean := beside / seen.height) > MAX_LEAN:
         warnings.append(Finding("camera_beside", {
             "value": lean, "limit": MAX_LEAN, "beside": 1e3 * beside, "height": 1e3 * seen.height}))
-    view = View(found.curve, seen.beside, seen.height).turned(-first_side)
-    curve = _turned(seen_from_axis(*view, rig), first_side)
-    return replace(found, curve=curve, warnings=(*found.warnings, *warnings))
+    view = View(found.curve, seen.beside, seen.height, found.error).turned(-first_side)
+    radius, error = (values[0] for values in on_axis([view], rig))
+    return replace(found, curve=_turned(radius[:, None] * OUTWARDS, first_side),
+                   error=around(error, -first_side), warnings=(*found.warnings, *warnings))
 
 
 def _joined(
@@ -183,7 +186,7 @@ def _joined(
 ) -> PhotographedOutline:
     """One outline of several pictures over the mat, shown in the one nearest to the axis."""
     names = list(read)
-    views = [View(found.curve, seen.beside, seen.height).turned(-first_side)
+    views = [View(found.curve, seen.beside, seen.height, found.error).turned(-first_side)
              for seen, found in read.values() if seen.beside is not None]
     rig = read[names[0]][1].rig
     together = join(views, rig)
@@ -207,10 +210,8 @@ def _joined(
     # Nothing is seen inside the plate; what was, stays for the checks.
     radius = np.maximum(together.radius, np.minimum(together.seen, rig.plate_radius))
     curve, hem = (_turned(one[:, None] * OUTWARDS, first_side) for one in (radius, together.seen))
-    azimuth = np.arange(AZIMUTHS) * (2 * np.pi / AZIMUTHS)
     return replace(shown, curve=curve, hem=shown.drawn(hem), warnings=tuple(warnings),
-                   error=np.interp(azimuth - first_side, azimuth, together.error,
-                                   period=2 * np.pi))
+                   error=around(together.error, -first_side))
 
 
 def _as_seen(seen: Scaled, source: OutlineSource, rig: Rig) -> PhotographedOutline:

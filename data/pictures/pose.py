@@ -124,9 +124,9 @@ def camera_poses(
     for k, size in enumerate(sizes):
         mine = slice(2 + 6 * k, 8 + 6 * k)
         heights = _height_gradient(solved.x[mine])
+        turn, shift = solved.x[mine].reshape(2, 3)
         poses.append(Pose(
-            size, start * float(np.exp(solved.x[0])), float(solved.x[1]),
-            *solved.x[mine].reshape(2, 3), focal_error,
+            size, start * float(np.exp(solved.x[0])), float(solved.x[1]), turn, shift, focal_error,
             float(np.sqrt(heights @ covariance[mine, mine] @ heights))))
     return poses
 

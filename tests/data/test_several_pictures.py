@@ -120,8 +120,8 @@ def test_the_focal_length_of_cut_pictures_is_measured_in_several(tmp_path, pictu
 def test_pictures_with_other_focal_lengths_are_of_other_cameras(tmp_path, shape, pictures):
     stream, picture = io.BytesIO(), Image.open(io.BytesIO(pictures[1]))
     exif = picture.getexif()
-    picture = picture.resize((1400, 1050), Image.Resampling.LANCZOS)
-    picture.save(stream, format="JPEG", quality=92, exif=exif)
+    small = picture.resize((1400, 1050), Image.Resampling.LANCZOS)
+    small.save(stream, format="JPEG", quality=92, exif=exif)
     capture = read_capture(folder_of(tmp_path / "two", [pictures[0], stream.getvalue()]))
     assert error_mm(capture, shape) < 1.5
 
