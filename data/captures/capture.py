@@ -94,8 +94,8 @@ class OutlineCapture(Capture):
         """For a photograph, its scale first."""
         if self.outline.picture is None:
             return super().doubtful
-        return ("the scale (of a mat, that it is printed at 100 %), plate_height_mm, the outline in "
-                "the picture of the capture, the tester")
+        return ("the scale (of a mat, that it is printed at 100 %), plate_height_mm, the outline "
+                "in the picture of the capture, the tester")
 
     @property
     def content(self) -> bytes:

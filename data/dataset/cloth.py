@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from pydantic import Field
 from safetensors.torch import save
-from torch.nn.functional import avg_pool2d, binary_cross_entropy_with_logits
+from torch.nn.functional import binary_cross_entropy_with_logits
 
 from common.cases import load_arrays, progress_bar, run_cases
 from common.command import command
@@ -35,10 +35,9 @@ from data.render.scenery import Scenery
 
 HELD_OUT = 0.05  # of the fabrics
 HIGHEST = 0.25  # m, plates over the ground
-_TIMES = 2  # pixels rendered for each of the network's, along a side
+_TIMES = 4  # pixels rendered for each of the network's, along a side
 _PLACE, _SCALE = 1e-3, 4e-3  # deviations of the mat: m, and relative
 _BATCH, _RATE = 8, 3e-3  # largest learning rate
-_COARSE_EPOCHS = 0.75  # of the epochs, with pictures of half the size, which cost a quarter
 _GAINS = 0.15, 0.25  # deviations of log light, of each colour and of all
 SOURCES = ("data.dataset.cloth", "data.render.scenery", "data.render.phone", "data.render.textures")
 
@@ -203,17 +202,14 @@ def train(pictures: Pictures, config: ClothConfig) -> ClothNetwork:
         config.seed)
     rows = np.flatnonzero(~pictures.held_out)
     count = len(rows) // _BATCH
-    coarse_epochs = round(_COARSE_EPOCHS * config.epochs)
     optimiser = torch.optim.AdamW(network.parameters(), weight_decay=0.02)
     rates = torch.optim.lr_scheduler.OneCycleLR(
         optimiser, _RATE, total_steps=config.epochs * count + 1, pct_start=0.1)
     bar = progress_bar(total=config.epochs * count, desc="training", unit="step")
-    for epoch in range(config.epochs):
-        smaller = 2 if epoch < coarse_epochs else 1
+    for _ in range(config.epochs):
         order = rng.permutation(rows)
         for k in range(count):
-            batch = varied(*pictures.batch(order[k * _BATCH:(k + 1) * _BATCH]), rng)
-            fine, coarse, truth = (avg_pool2d(one, smaller) for one in batch)
+            fine, coarse, truth = varied(*pictures.batch(order[k * _BATCH:(k + 1) * _BATCH]), rng)
             loss = binary_cross_entropy_with_logits(network(fine, coarse), truth)
             optimiser.zero_grad()
             loss.backward()

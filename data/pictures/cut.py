@@ -17,14 +17,14 @@ from data.pictures.edge import border_of, edge_of, normals, sampled, smoothed
 from data.pictures.planes import mapped
 from data.pictures.reading import Photograph, decoded
 
-SIDE = 256  # pixels
+SIDE = 128  # pixels
 AROUND = 1.2  # of the flat specimen's reach, shown
 FINE, COARSE = 4, 5  # inputs at each pixel, and at each square of two by two
 _FLOOR = 0.02  # of light
 _BRIGHT = 0.95  # quantile of the light that becomes 1
 _LIGHT = decoded(np.arange(256) / 255.0)
-_MOST_TIMES = 6  # pixels of a photograph that are averaged, along a side
-_FINER = 4  # places for each pixel, between which log odds are linear
+_MOST_TIMES = 12  # pixels of a photograph that are averaged, along a side
+_FINER = 8  # places for each pixel, between which log odds are linear
 _AROUND_HEM = 1.0  # pixels, on both sides of it, between which the odds' slope is measured
 _LEAST_SLOPE = 0.2  # of log odds a pixel
 _PLACES, _CENTRED = 4, 0.03  # tries of the middle, if not known, and how near it must be, of reach
@@ -206,9 +206,9 @@ def _piece(odds: np.ndarray) -> Mask:
 def _hem(odds: np.ndarray, piece: Mask) -> tuple[PixelPath, np.ndarray]:
     """The line on which odds are even, in pixels of the view, and its error (N,), pixels: that of
     the logistic distribution of an edge, whose place has these odds."""
-    fine = cv2.resize(np.where(cv2.dilate(piece.astype(np.uint8), np.ones((5, 5))) > 0, odds, -9),
+    fine = cv2.resize(np.where(cv2.dilate(piece.astype(np.uint8), np.ones((3, 3))) > 0, odds, -9),
                       None, fx=_FINER, fy=_FINER, interpolation=cv2.INTER_LINEAR)
-    line = (border_of(fine > 0, _FINER) + 0.5) / _FINER - 0.5
+    line = (border_of(fine > 0, _FINER / 2) + 0.5) / _FINER - 0.5
     normal = normals(line)
     across = sampled(odds.astype(np.float32),
                      line[:, None] + _AROUND_HEM * np.array([[1], [0], [-1]]) * normal[:, None])
