@@ -39,9 +39,7 @@ from sim.rig import Rig
 MAX_PIXEL = 1.5e-3  # m
 MIN_COEFFICIENT = 0.02  # of cloth on a plate; the plate alone has 0
 MAX_TILT = np.radians(10.0)
-MAX_CUT_OFF = 0.003  # of an outline's points
-MAX_LIKE_GROUND = 0.03  # of the cloth on the plate
-MAX_OVER_PRINT = 0.05  # of the hem
+DOUBTFUL, MAX_DOUBTFUL = 2e-3, 0.03  # m, error of a hem, and the share of it that may have more
 MAX_ALONG_BORDER = 0.2  # of the azimuth; 3 of 19 sound pictures with the mat a3 have more
 HANGING = 0.010  # m, allowed to reach below the mat, of specimens that are not centred
 MAX_REACH = 1.03  # over the flat specimen's; one of 1000 simulated outlines has more
@@ -238,6 +236,8 @@ def _as_seen(seen: Scaled, source: OutlineSource, rig: Rig) -> PhotographedOutli
     if tilt > MAX_TILT:
         warnings.append(Finding("plate_tilted", {"value": float(np.degrees(tilt)),
                                                  "limit": float(np.degrees(MAX_TILT))}))
+    if (share := float((error > DOUBTFUL).mean())) > MAX_DOUBTFUL:
+        warnings.append(Finding("hem_doubtful", {"value": share, "limit": MAX_DOUBTFUL}))
     if seen.beside is not None:
         warnings += below_the_mat(curve, rig, 1e-3 * (source.plate_height_mm or np.inf))
         warnings += _along_the_border(curve, seen.beside, seen.height, source)

@@ -112,7 +112,7 @@ def cut_cloth(
     for _ in range(_PLACES):
         view = _view(photograph, to_pixels, middle, plate=plate, reach=reach, known=known,
                      printed=printed)
-        odds = _log_odds(view)
+        odds, doubt = _log_odds(view)
         piece = _piece(odds)
         rows, columns = np.nonzero(piece)
         if known or not len(rows):
@@ -128,7 +128,7 @@ def cut_cloth(
             f"cloth is told from its ground on {covered:.0%} of the plate, at least "
             f"{MIN_COVERED:.0%} is needed: if it is as light as its ground or its shadow, use a "
             "ground of another colour; check the scale, the tester and the plate's place")
-    hem, error = _hem(odds, piece)
+    hem, error = _hem(odds, doubt, piece)
     inside = np.clip(np.rint(hem).astype(int), 2, SIDE - 3)
     border = (np.abs(hem - (SIDE - 1) / 2) > SIDE / 2 - 2).any(axis=1)
     border |= cv2.dilate(view.unseen.astype(np.uint8), np.ones((3, 3)))[inside[:, 1],
@@ -139,9 +139,11 @@ def cut_cloth(
     pixel = along[1] - along[0]
     places = middle + along[0] * np.array([1, -1]) + pixel * hem * [1, -1]
     line = mapped(places, to_pixels)
-    scale = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum()
-                  / np.linalg.norm(np.diff(hem, axis=0), axis=1).sum())
-    return Cut(line, scale * error)
+    length, before = (np.linalg.norm(np.diff(one, axis=0), axis=1).sum() for one in (line, hem))
+    even = np.linspace(0, len(line), round(length), endpoint=False)
+    x, y, error = (np.interp(even, np.arange(len(line)), values, period=len(line))
+                   for values in (*line.T, error * length / before))
+    return Cut(np.column_stack([x, y]), error)
 
 
 def outline_of_cloth(
@@ -182,15 +184,25 @@ def _view(
                 reach, middle if known else None)
 
 
-def _log_odds(view: View) -> np.ndarray:
-    """Logarithm (SIDE, SIDE) of the odds that pixels show the specimen."""
+def _log_odds(view: View) -> tuple[np.ndarray, np.ndarray]:
+    """Logarithm (SIDE, SIDE) of the odds that pixels show the specimen, mean of a view turned and
+    mirrored in all eight ways, and its standard deviation between them."""
     import torch  # takes seconds
 
     from data.pictures.cloth_network import bundled
 
+    def turned(values: torch.Tensor, way: int) -> torch.Tensor:
+        return torch.rot90(values.flip(-1) if way > 3 else values, way, (-2, -1))
+
+    def back(values: torch.Tensor, way: int) -> torch.Tensor:
+        upright = torch.rot90(values, -way, (-2, -1))
+        return upright.flip(-1) if way > 3 else upright
+
     with torch.inference_mode():
-        fine, coarse = (torch.from_numpy(one)[None] for one in view.channels())
-        return bundled()(fine, coarse)[0].numpy()
+        fine, coarse = (torch.stack([turned(torch.from_numpy(one), way) for way in range(8)])
+                        for one in view.channels())
+        found = torch.stack([back(one, way) for way, one in enumerate(bundled()(fine, coarse))])
+        return found.mean(0).numpy(), found.std(0).numpy()
 
 
 def _piece(odds: np.ndarray) -> Mask:
@@ -203,9 +215,9 @@ def _piece(odds: np.ndarray) -> Mask:
     return piece > 0
 
 
-def _hem(odds: np.ndarray, piece: Mask) -> tuple[PixelPath, np.ndarray]:
+def _hem(odds: np.ndarray, doubt: np.ndarray, piece: Mask) -> tuple[PixelPath, np.ndarray]:
     """The line on which odds are even, in pixels of the view, and its error (N,), pixels: that of
-    the logistic distribution of an edge, whose place has these odds."""
+    the logistic distribution of an edge whose place has these odds, and of their ``doubt``."""
     fine = cv2.resize(np.where(cv2.dilate(piece.astype(np.uint8), np.ones((3, 3))) > 0, odds, -9),
                       None, fx=_FINER, fy=_FINER, interpolation=cv2.INTER_LINEAR)
     line = (border_of(fine > 0, _FINER / 2) + 0.5) / _FINER - 0.5
@@ -214,4 +226,6 @@ def _hem(odds: np.ndarray, piece: Mask) -> tuple[PixelPath, np.ndarray]:
                      line[:, None] + _AROUND_HEM * np.array([[1], [0], [-1]]) * normal[:, None])
     slope = np.maximum((across[:, 2] - across[:, 0]) / (2 * _AROUND_HEM), _LEAST_SLOPE)
     moved = np.clip(across[:, 1] / slope, -1, 1)
-    return line + moved[:, None] * normal, np.pi / np.sqrt(3) / slope
+    unsure = sampled(doubt.astype(np.float32), line[:, None])[:, 0]
+    return (line + moved[:, None] * normal,
+            np.hypot(np.pi / np.sqrt(3), unsure) / slope)
