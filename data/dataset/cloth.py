@@ -188,6 +188,8 @@ class Pictures:
                 fine, coarse = (part.astype(np.float16) for part in view.channels())
                 found.append((fine, coarse, one["cloth"], np.diff(steps(reach))[0],
                               one["held_out"]))
+        if not found:
+            raise InputError(f"{folder} has no pictures to train on; complete more shards")
         return cls(*(np.array(part) for part in zip(*found, strict=True)))
 
     def batch(self, rows: np.ndarray) -> list[torch.Tensor]:
@@ -254,6 +256,8 @@ def errors(network: ClothNetwork, pictures: Pictures) -> list[str]:
                                     cv2.CHAIN_APPROX_NONE)
         length = sum(cv2.arcLength(one, closed=True) for one in outer)
         wrong.append(1e3 * pictures.pixel[row] * float((found != cloth).sum()) / max(length, 1.0))
+    if not wrong:
+        return ["no picture is held out"]
     shares = "".join(f"{np.quantile(wrong, q):8.2f}" for q in (0.5, 0.9, 0.98))
     return ["pictures   mean distance of the outlines, mm (median, 90 %, 98 %)",
             f"{len(rows):8}{shares}"]

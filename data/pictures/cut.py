@@ -108,6 +108,11 @@ def cut_cloth(
     """
     size = np.array(photograph.light.shape[1::-1])
     middle = np.zeros(2) if known else mapped((size[None] - 1) / 2, np.linalg.inv(to_pixels))[0]
+    ends = mapped(middle + plate * np.array([[-1, 0], [1, 0]]), to_pixels)
+    if (wide := np.linalg.norm(ends[1] - ends[0])) > min(size):
+        raise InputError(f"the plate has {wide * photograph.factor:.0f} pixels of the file, more "
+                         f"than the picture's {min(size) * photograph.factor}; check the scale and "
+                         "the tester")
     along = steps(reach)
     for _ in range(_PLACES):
         view = _view(photograph, to_pixels, middle, plate=plate, reach=reach, known=known,

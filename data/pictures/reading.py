@@ -39,7 +39,6 @@ class Photograph:
         factor: how many pixels of a row of the file were averaged to each.
         focal: length, pixels of ``light``, as the camera states it; None if it does not, or if the
             picture is not the whole one of which it is stated, for the reason ``no_focal``.
-        painted: where light is guessed from its surroundings; None if it is not.
     """
 
     light: LinearLight
@@ -47,7 +46,6 @@ class Photograph:
     factor: int = 1
     focal: float | None = None
     no_focal: str = ""
-    painted: Mask | None = None
 
     @cached_property
     def colour(self) -> ColourPicture:
