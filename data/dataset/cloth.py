@@ -23,23 +23,16 @@ from common.command import command
 from common.configs import Seed
 from common.errors import InputError
 from common.files import replace_file, require_file
-from common.types import Metres
 from data.dataset.folder import read_manifest, split_by_fabric
 from data.dataset.shards import SHARDS, Shard
 from data.pictures.cloth_network import ClothNetwork
-from data.pictures.cut import SIDE, View, steps
-from data.pictures.mat import MATS, on_ground, printed_at
-from data.pictures.reading import encoded
-from data.render.phone import exposed, mat_around
-from data.render.scenery import Scenery
+from data.pictures.cloth_view import SIDE, View, steps
+from data.render.cloth_scenes import scene_of
 
 HELD_OUT = 0.05  # of the fabrics
-HIGHEST = 0.25  # m, plates over the ground
-_TIMES = 4  # pixels rendered for each of the network's, along a side
-_PLACE, _SCALE = 1e-3, 4e-3  # deviations of the mat: m, and relative
 _BATCH, _RATE = 8, 3e-3  # largest learning rate
 _GAINS = 0.15, 0.25  # deviations of log light, of each colour and of all
-SOURCES = ("data.dataset.cloth", "data.render.scenery", "data.render.phone", "data.render.textures")
+SOURCES = ("data.render.cloth_scenes", "data.dataset.shards")
 
 
 @dataclass
@@ -94,72 +87,6 @@ def photographed(*, shard: Path, scenes: int, seed: int) -> dict:
             rows.append(one | {"held_out": split[row] == "held out"})
     return {"count": len(rows), "arrays": {name: np.stack([row[name] for row in rows])
                                            for name in (rows[0] if rows else ())}}
-
-
-def scene_of(positions: np.ndarray, rest: np.ndarray, faces: np.ndarray, plate: Metres,
-             reach: Metres, rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """A random view of a drape, as arrays: what :class:`data.pictures.cut.View` is given, and
-    ``cloth``, the share of each pixel that the specimen covers, of 255."""
-    low = float(-positions[:, 2].min())
-    spare = max(HIGHEST - low, 0.05)
-    height = low + rng.choice([rng.uniform(0, 3e-3), rng.uniform(0, 0.3) * spare,
-                               rng.uniform(0, 1) * spare], p=[0.1, 0.3, 0.6])
-    mat = None
-    if rng.random() < 0.75:
-        mat = mat_around(reach) if rng.random() < 0.8 else str(rng.choice(list(MATS)))
-    turn = rng.uniform(0, 2 * np.pi)
-    cos, sin = np.cos(turn), np.sin(turn)
-    cloth = positions @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1.0]]) + [0, 0, height]
-    scenery = Scenery.random(cloth, rest, faces, rng, mat=mat, plate_radius=plate,
-                             plate_height=height)
-    off = np.zeros(2)
-    known = mat is not None or rng.random() < 0.5
-    if not known:
-        off = rng.normal(0, 0.15 * reach, 2)
-    above = float(np.exp(rng.uniform(np.log(0.3), np.log(2.0))))
-    lean, around = 0.45 * rng.uniform() ** 2, rng.uniform(0, 2 * np.pi)
-    eye = np.array([*(above * lean * np.array([np.cos(around), np.sin(around)])), height + above])
-    fine = np.linspace(*(steps(reach)[[0, -1]] * (1 + (1 - 1 / _TIMES) / (SIDE - 1))),
-                       _TIMES * SIDE)
-    plane = np.dstack([*np.meshgrid(fine + off[0], -fine + off[1]),
-                       np.full((_TIMES * SIDE,) * 2, height)])
-    rays = plane - eye
-    rays /= np.linalg.norm(rays, axis=2, keepdims=True)
-    light, shown = scenery.seen(eye, rays, rng)
-    light *= _fallen(plane, reach, rng)[..., None]
-    picture = exposed(light.astype(np.float32), rng, blur=np.exp(rng.uniform(-1.2, 0.9)))
-    quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(50, 97))]
-    picture = cv2.imdecode(cv2.imencode(".jpg", picture, quality)[1], cv2.IMREAD_COLOR)
-    size = (SIDE, SIDE)
-    printed, on_mat = expected(mat, scenery.mat_ground, plane[::_TIMES, ::_TIMES, :2], eye, height,
-                               rng)
-    return {"picture": cv2.resize(picture, size, interpolation=cv2.INTER_AREA),
-            "printed": printed, "on_mat": on_mat,
-            "cloth": cv2.resize(np.uint8(255) * shown, size, interpolation=cv2.INTER_AREA),
-            "plate": np.array(plate), "reach": np.array(reach),
-            "off": off if known else np.full(2, np.nan)}
-
-
-def expected(mat: str | None, ground: np.ndarray, plane: np.ndarray, eye: np.ndarray,
-             height: Metres, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """The mat (SIDE, SIDE) as it must appear behind places (SIDE, SIDE, 2) of the plate's plane,
-    with errors of the pose; and where it is."""
-    if mat is None:
-        return np.zeros((SIDE, SIDE), np.uint8), np.zeros((SIDE, SIDE), bool)
-    scale = np.exp(rng.normal(0, _SCALE))
-    behind = eye[:2] + (plane - eye[:2]) * (eye[2] / (eye[2] - height) * scale)
-    printed, on_mat = printed_at(mat, behind + rng.normal(0, _PLACE, 2))
-    tone = encoded(np.clip(ground.mean(), 0, 1))
-    return np.where(on_ground(mat, behind), tone * printed, printed).astype(np.uint8), on_mat
-
-
-def _fallen(plane: np.ndarray, reach: Metres, rng: np.random.Generator) -> np.ndarray:
-    """Light (H, W) that the photographer's shadow leaves, mostly all."""
-    if rng.random() > 0.2:
-        return np.ones(plane.shape[:2])
-    way, soft = rng.normal(size=2), reach * np.exp(rng.uniform(-4, 0))
-    side = (plane[..., :2] @ way) / np.linalg.norm(way) + rng.uniform(-1, 1) * reach
-    return 1 - rng.uniform(0.1, 0.7) / (1 + np.exp(-np.clip(side / soft, -30, 30)))
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import torch
 from torch import nn
 from torch.nn.functional import interpolate, max_pool2d, pixel_shuffle, pixel_unshuffle
 
-from data.pictures.cut import COARSE, FINE
+from data.pictures.cloth_view import COARSE, FINE
 
 BUNDLED = Path(__file__).resolve().parents[1] / "weights" / "cloth.safetensors"
 _WIDTHS = (16, 24, 48, 96, 128)
