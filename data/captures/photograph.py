@@ -172,10 +172,15 @@ def _photographed(
     if (lean := beside / seen.height) > MAX_LEAN:
         warnings.append(Finding("camera_beside", {
             "value": lean, "limit": MAX_LEAN, "beside": 1e3 * beside, "height": 1e3 * seen.height}))
-    view = View(found.curve, seen.beside, seen.height, found.error).turned(-first_side)
-    radius, error = (values[0] for values in on_axis([view], rig))
+    radius, error = (values[0] for values in on_axis([_view(seen, found, first_side)], rig))
     return replace(found, curve=_turned(radius[:, None] * OUTWARDS, first_side),
                    error=around(error, -first_side), warnings=(*found.warnings, *warnings))
+
+
+def _view(seen: Scaled, found: PhotographedOutline, first_side: Radians) -> View:
+    """A picture over the mat, turned such that the first side of a rectangle is along x."""
+    assert seen.beside is not None and found.error is not None
+    return View(found.curve, seen.beside, seen.height, found.error).turned(-first_side)
 
 
 def _joined(
@@ -184,8 +189,7 @@ def _joined(
 ) -> PhotographedOutline:
     """One outline of several pictures over the mat, shown in the one nearest to the axis."""
     names = list(read)
-    views = [View(found.curve, seen.beside, seen.height, found.error).turned(-first_side)
-             for seen, found in read.values() if seen.beside is not None]
+    views = [_view(seen, found, first_side) for seen, found in read.values()]
     rig = read[names[0]][1].rig
     together = join(views, rig)
     warnings += [Finding("picture_contradicts", {"picture": file.name, "limit": MAX_UNLIKE})

@@ -119,10 +119,11 @@ class Pictures:
             raise InputError(f"{folder} has no pictures to train on; complete more shards")
         return cls(*(np.array(part) for part in zip(*found, strict=True)))
 
-    def batch(self, rows: np.ndarray) -> list[torch.Tensor]:
+    def batch(self, rows: np.ndarray) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Inputs and truth of pictures."""
-        return [*(torch.from_numpy(part[rows].astype(np.float32)) for part in (
-            self.fine, self.coarse)), torch.from_numpy(self.cloth[rows] / np.float32(255))]
+        fine, coarse = (torch.from_numpy(part[rows].astype(np.float32))
+                        for part in (self.fine, self.coarse))
+        return fine, coarse, torch.from_numpy(self.cloth[rows] / np.float32(255))
 
 
 def train(pictures: Pictures, config: ClothConfig) -> ClothNetwork:

@@ -130,11 +130,11 @@ def _view(
 
     opaque = warped(np.uint8(255) * ~photograph.transparent, cv2.BORDER_CONSTANT)
     if printed is None:
-        shown = np.zeros((SIDE, SIDE), np.uint8), np.zeros((SIDE, SIDE), bool)
+        print_there, on_mat = np.zeros((SIDE, SIDE), np.uint8), np.zeros((SIDE, SIDE), bool)
     else:
-        shown = printed(middle + np.dstack(np.meshgrid(along, -along)))
-    return View(warped(photograph.colour, cv2.BORDER_REPLICATE), *shown, opaque < 250, plate,
-                reach, middle if known else None)
+        print_there, on_mat = printed(middle + np.dstack(np.meshgrid(along, -along)))
+    return View(warped(photograph.colour, cv2.BORDER_REPLICATE), print_there, on_mat, opaque < 250,
+                plate, reach, middle if known else None)
 
 
 def _log_odds(view: View) -> tuple[np.ndarray, np.ndarray]:

@@ -38,8 +38,8 @@ def scene_of(positions: np.ndarray, rest: np.ndarray, faces: np.ndarray, plate: 
     above = float(np.exp(rng.uniform(np.log(0.3), np.log(2.0))))
     lean, around = 0.45 * rng.uniform() ** 2, rng.uniform(0, 2 * np.pi)
     eye = np.array([*(above * lean * np.array([np.cos(around), np.sin(around)])), height + above])
-    fine = np.linspace(*(steps(reach)[[0, -1]] * (1 + (1 - 1 / _TIMES) / (SIDE - 1))),
-                       _TIMES * SIDE)
+    end = steps(reach)[-1] * (1 + (1 - 1 / _TIMES) / (SIDE - 1))
+    fine = np.linspace(-end, end, _TIMES * SIDE)
     plane = np.dstack([*np.meshgrid(fine + off[0], -fine + off[1]),
                        np.full((_TIMES * SIDE,) * 2, height)])
     rays = plane - eye
@@ -48,7 +48,8 @@ def scene_of(positions: np.ndarray, rest: np.ndarray, faces: np.ndarray, plate: 
     light *= _fallen(plane, reach, rng)[..., None]
     picture = exposed(light.astype(np.float32), rng, blur=np.exp(rng.uniform(-1.2, 0.9)))
     quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(50, 97))]
-    picture = cv2.imdecode(cv2.imencode(".jpg", picture, quality)[1], cv2.IMREAD_COLOR)
+    picture = np.asarray(cv2.imdecode(cv2.imencode(".jpg", picture, quality)[1],
+                                      cv2.IMREAD_COLOR))
     size = (SIDE, SIDE)
     printed, on_mat = expected(mat, scenery.mat_ground, plane[::_TIMES, ::_TIMES, :2], eye, height,
                                rng)

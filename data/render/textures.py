@@ -138,8 +138,8 @@ def _noise(rng: np.random.Generator, *, extent: float, fall: float
         if not len(rows):
             return np.zeros(0, np.float32)
         rest = np.zeros(-len(rows) % _ROWS, np.float32)  # OpenCV's pictures are not as wide as long
-        grid = [np.append(one, rest).reshape(-1, _ROWS) for one in (columns, rows)]
-        found = cv2.remap(tile, *grid, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+        across, down = (np.append(one, rest).reshape(-1, _ROWS) for one in (columns, rows))
+        found = cv2.remap(tile, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
         return found.ravel()[: len(rows)]
 
     return noise
