@@ -152,7 +152,8 @@ def train(pictures: Pictures, config: ClothConfig) -> ClothNetwork:
 
 def varied(fine: torch.Tensor, coarse: torch.Tensor, truth: torch.Tensor,
            rng: np.random.Generator) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Pictures turned and mirrored, with other colours, and partly unseen."""
+    """Inputs (N, C, ...) and truth (N, SIDE, SIDE) turned and mirrored, with other colours, and
+    partly unseen."""
     quarter, mirror = int(rng.integers(4)), rng.random() < 0.5
     found = []
     for one in (fine, coarse, truth):

@@ -17,8 +17,9 @@ _PLACE, _SCALE = 1e-3, 4e-3  # deviations of the mat: m, and relative
 
 def scene_of(positions: np.ndarray, rest: np.ndarray, faces: np.ndarray, plate: Metres,
              reach: Metres, rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """A random view of a drape, as arrays: what :class:`data.pictures.cut.View` is given, and
-    ``cloth``, the share of each pixel that the specimen covers, of 255."""
+    """A random view of a drape (V, 3), m, flat (V, 2), with the plate's and the specimen's radii:
+    arrays of what :class:`data.pictures.cloth_view.View` is given, and ``cloth`` (SIDE, SIDE), the
+    share of each pixel that the specimen covers, of 255."""
     low = float(-positions[:, 2].min())
     spare = max(HIGHEST - low, 0.05)
     height = low + rng.choice([rng.uniform(0, 3e-3), rng.uniform(0, 0.3) * spare,
