@@ -311,10 +311,6 @@ def _checked(outline: PhotographedOutline, causes: str) -> list[Finding]:
         raise InputError(f"the outline fills a circle of {1e3 * reach:.0f} mm radius, more than "
                          f"{MAX_REACH:g} times that of the flat specimen, {1e3 * rig.reach:.0f} mm;"
                          f" {causes}")
-    if (width := _least_width(curve)) > MAX_REACH * min(rig.sides):
-        raise InputError(f"the outline is at least {1e3 * width:.0f} mm wide in every direction, "
-                         f"more than {MAX_REACH:g} times the specimen's short side, "
-                         f"{1e3 * min(rig.sides):g} mm; {causes}")
     nearest, rim = outline.radii.min(), rig.plate_radius
     if nearest < MIN_RADIUS[outline.centred] * rim:
         raise InputError(f"the outline comes within {1e3 * nearest:.1f} mm of the plate's centre, "
@@ -324,6 +320,9 @@ def _checked(outline: PhotographedOutline, causes: str) -> list[Finding]:
                          f"to 100% is possible; {causes}, and that the outline is not that of the "
                          "plate or of a hole")
     warnings = []
+    if (width := _least_width(curve)) > MAX_REACH * min(rig.sides):
+        warnings.append(Finding("hem_wide", {
+            "value": 1e3 * width, "limit": 1e3 * min(rig.sides), "causes": causes}))
     if outline.centred and nearest < USUAL_RADIUS * rim:
         warnings.append(Finding("hem_inside_plate", {
             "value": 1e3 * float(nearest), "limit": 1e3 * rim, "causes": causes}))

@@ -9,13 +9,10 @@ from common.types import LinearLight, Mask, PixelPath
 
 FLOOR = 0.01  # of light, below which noise rules
 _BLUR = 1.6  # pixels, standard deviation
-_BAND, _BANDS = 4.0, (4.0, 20.0)  # errors of a border, within which the edge is looked for; pixels
+_WINDOW, _WINDOWS = 1.2, (1.5, 12.0)  # errors of a border, about it, and pixels
 _FINE = 0.5  # pixels, between places across the border
-_STRONG = 0.3  # of a usual edge, whose cost is half of that of none
-_AWAY = 0.3  # cost at the band's ends
-_STEP_COST, _STEEPEST = 0.7, 2  # of a pixel across; places
-_NEAR, _EVEN = 2.0, 1.0  # pixels: across, over which an edge is centred, and along, smoothed
-_ROUNDS = 5
+_STAY = 2.0  # of a usual edge, that keep a point in its place
+_ROUNDS, _EVEN = 4, 2.0  # moves of a point, and pixels along the line, over which they are smoothed
 _ACROSS = 3.0  # pixels, on both sides of an edge, between which its contrast is measured
 
 
@@ -28,31 +25,27 @@ def edge_of(
     smooth: LinearLight, border: PixelPath, error: np.ndarray, unsure: Mask | None = None
 ) -> tuple[PixelPath, np.ndarray]:
     """The closed line along which light, :func:`smoothed`, changes most, near a ``border`` whose
-    points are a pixel apart and have an ``error`` (N,), pixels; and the contrast (N,) across it, of
-    log light, 0 where edges are ``unsure``.
+    points are about a pixel apart and have an ``error`` (N,), pixels; and the contrast (N,) across
+    it, of log light, 0 where edges are ``unsure``.
 
-    It is the shortest path around in a band: a stronger edge costs less, and so does a path that
-    keeps its distance from the border, which it follows where edges are unsure.
+    Each point moves to the middle of the changes about it, weighted by their squares; where they
+    are faint or unsure, it stays.
     """
     normal = normals(border)
-    band = np.clip(_BAND * float(np.quantile(error, 0.9)), *_BANDS)
-    offsets = np.arange(-band, band + _FINE / 2, _FINE)
+    window = np.clip(_WINDOW * error, *_WINDOWS)[:, None]
+    end = np.ceil(2 * window.max())
+    offsets = np.arange(-end, end + _FINE / 2, _FINE)
     places = border[:, None] + offsets[:, None] * normal[:, None]
-    across = sampled(smooth, places)
-    change = _change(np.sqrt(across + FLOOR))
-    usual = max(float(np.median(change.max(axis=1))), 1e-6)
-    cost = 1 / (1 + np.square(change / (_STRONG * usual)))
-    weight = np.square(_change(across))
+    weight = np.square(_change(np.sqrt(sampled(smooth, places) + FLOOR)))
     if unsure is not None:
-        hidden = sampled(unsure.astype(np.float32), places) > 0.01
-        cost[hidden], weight[hidden] = 1.0, 0.0
-    path = _shortest(cost + _AWAY * np.square(offsets / (_BAND * error[:, None])))
-    found = offsets[path]
-    for _ in range(_ROUNDS):  # to the middle of the edge, where light is half way
-        near = weight * np.exp(-np.square((offsets - found[:, None]) / _NEAR))
-        total = near.sum(axis=1)
-        found = np.where(total > 0, (near @ offsets) / np.maximum(total, 1e-12), found)
-    line = border + gaussian_filter1d(found, _EVEN, mode="wrap")[:, None] * normal
+        weight[sampled(unsure.astype(np.float32), places) > 0.01] = 0.0
+    stay = _STAY * max(float(np.median(weight.max(axis=1))), 1e-12)
+    found = np.zeros(len(border))
+    for _ in range(_ROUNDS):
+        near = weight * np.exp(-np.square((offsets - found[:, None]) / window)
+                               - np.square(offsets / (2 * window)))
+        found = gaussian_filter1d((near @ offsets) / (near.sum(axis=1) + stay), _EVEN, mode="wrap")
+    line = border + found[:, None] * normal
     sides = line[:, None] + _ACROSS * np.array([[1], [-1]]) * normal[:, None]
     contrast = np.diff(sampled(np.log(smooth + FLOOR), sides), axis=1)[:, 0]
     contrast = np.linalg.norm(gaussian_filter1d(contrast, _ACROSS, axis=0, mode="wrap"), axis=1)
@@ -95,24 +88,3 @@ def sampled(values: np.ndarray, places: np.ndarray) -> np.ndarray:
 def _change(across: np.ndarray) -> np.ndarray:
     """Change (N, M) of values (N, M, 3) along lines."""
     return np.linalg.norm(np.gradient(across, axis=1), axis=2)
-
-
-def _shortest(cost: np.ndarray) -> np.ndarray:
-    """Columns (N,) of the closed path through all rows of a cost (N, M) whose cost, with that of
-    its steps between columns, is least."""
-    count, width = cost.shape
-    steps = np.arange(-_STEEPEST, _STEEPEST + 1)
-    price = _STEP_COST * _FINE * np.abs(steps)
-    best = np.zeros(width)
-    chosen = np.zeros((2 * count, width), int)
-    for row in range(2 * count):  # the second turn does not know where the first began
-        padded = np.pad(best, _STEEPEST, constant_values=np.inf)
-        options = np.stack([padded[_STEEPEST + step : _STEEPEST + step + width] for step in steps])
-        options += price[:, None]
-        chosen[row] = options.argmin(axis=0)
-        best = options[chosen[row], np.arange(width)] + cost[row % count]
-    path = np.zeros(2 * count, int)
-    path[-1] = best.argmin()
-    for row in range(2 * count - 1, 0, -1):
-        path[row - 1] = path[row] + steps[chosen[row][path[row]]]
-    return np.roll(path[count // 2 : count // 2 + count], count // 2)

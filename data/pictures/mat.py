@@ -146,8 +146,8 @@ def _ground(name: str) -> Mask:
     return mat_picture(name, "grey") != mat_picture(name)
 
 
-def on_ground(name: str, places: np.ndarray) -> Mask:
-    """Whether places (..., 2), m, are on a mat, but not on its markers and the white around."""
+def on_ground(name: str, places: np.ndarray) -> np.ndarray:
+    """Whether (...,) places (..., 2), m, are on a mat, but not on its markers and the white around."""
     height, width = (ground := _ground(name)).shape
     columns, rows = (np.rint(one).astype(int) for one in mat_pixels(name, places))
     on = (columns >= 0) & (rows >= 0) & (columns < width) & (rows < height)

@@ -18,7 +18,7 @@ AROUND = 1.3  # of the flat specimen's reach, shown
 SIDE = 1500  # pixels, at most
 MAX_SCALE_ERROR = 0.006  # standard deviation, relative
 _PRINT_EDGE = 60  # grey of the mat, over a pixel
-_BLEED = 6e-4  # m, of print and its blur, and the error of its place
+_BLEED = 1.5e-3  # m, of print and its blur, and the error of its place
 
 
 @dataclass(frozen=True)
