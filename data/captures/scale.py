@@ -86,8 +86,8 @@ def _height_contradicted(found: Scaled) -> list[Finding]:
     """A warning if the scale and the focal length of the file put the camera at another height than
     the stated one; a file that does not state it, parallel light, or no height have none."""
     seen = (found.photograph.focal or np.nan) * found.pixel
-    if not abs(np.log(seen / found.height)) > np.log1p(MAX_HEIGHT_DIFFERENCE) or np.isinf(
-            found.height):
+    if not np.isfinite(found.height) or not abs(np.log(seen / found.height)) > np.log1p(
+            MAX_HEIGHT_DIFFERENCE):
         return []
     return [Finding("height_contradicts", {
         "value": 1e3 * seen, "stated": 1e3 * found.height, "limit": MAX_HEIGHT_DIFFERENCE})]

@@ -147,7 +147,8 @@ def _ground(name: str) -> Mask:
 
 
 def on_ground(name: str, places: np.ndarray) -> np.ndarray:
-    """Whether (...,) places (..., 2), m, are on a mat, but not on its markers and the white around."""
+    """Whether (...,) places (..., 2), m, are on a mat, but not on its markers or the white around
+    them."""
     height, width = (ground := _ground(name)).shape
     columns, rows = (np.rint(one).astype(int) for one in mat_pixels(name, places))
     on = (columns >= 0) & (rows >= 0) & (columns < width) & (rows < height)

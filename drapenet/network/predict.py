@@ -72,21 +72,26 @@ def sample_targets(network: Network, header: Header, batch: Batch, known: np.nda
 def _sampled(
     network: Network, header: Header, sets: Sequence[Sequence[Observation]]
 ) -> Samples:
-    """Samples (DRAWS, N, targets) of the sets; those of outlines that have errors are from
-    :data:`VARIANTS` of them."""
+    """Samples (DRAWS, N, targets) of the sets; those of outlines that have errors are spread as the
+    means of :data:`VARIANTS` of them are.
+
+    Not their mixture: errors that are added to an outline make it look like that of softer cloth.
+    """
     rng = np.random.default_rng(0)
-    counts = [1 if all(part.outline is None or part.outline.error is None for part in captures)
+    counts = [0 if all(part.outline is None or part.outline.error is None for part in captures)
               else VARIANTS for captures in sets]
-    varied = [[part.varied(rng) for part in captures] if count > 1 else captures
-              for captures, count in zip(sets, counts, strict=True) for _ in range(count)]
+    varied = [*sets, *([part.varied(rng) for part in captures]
+                       for captures, count in zip(sets, counts, strict=True)
+                       for _ in range(count))]
     batch, facts = batch_of(varied)
-    samples, first = sample_targets(network, header, batch, facts.known), 0
-    found = []
-    for count in counts:
-        # Each count-th of the samples of a variant, another of the next one.
-        found.append(np.concatenate([samples[k::count, first + k] for k in range(count)]))
+    drawn = sample_targets(network, header, batch, facts.known)
+    samples, first = drawn[:, :len(sets)].copy(), len(sets)
+    for k, count in enumerate(counts):
+        if count:
+            means = drawn[:, first : first + count].mean(axis=0)
+            samples[:, k] += np.resize(means - means.mean(axis=0), samples[:, k].shape)
         first += count
-    return np.stack(found, axis=1)
+    return samples
 
 
 def likeness_of(
