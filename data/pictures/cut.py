@@ -18,6 +18,7 @@ from data.pictures.reading import Photograph
 _MOST_TIMES = 12  # pixels of a photograph that are averaged, along a side
 _FINER = 8  # places for each pixel, between which log odds are linear
 _AROUND_HEM = 1.0  # pixels, on both sides of it, between which the odds' slope is measured
+_NO_ODDS = 9.0  # logarithm of the odds against cloth where there can be none
 _LEAST_SLOPE = 0.2  # of log odds a pixel
 _PLACES, _CENTRED = 4, 0.03  # tries of the middle, if not known, and how near it must be, of reach
 ON_PLATE = 0.95  # of its radius
@@ -63,9 +64,10 @@ def cut_cloth(
                          "the tester")
     along = steps(reach)
     for _ in range(_PLACES):
-        view = _view(photograph, to_pixels, middle, plate=plate, reach=reach, known=known,
-                     printed=printed)
+        view, transparent = _view(photograph, to_pixels, middle, plate=plate, reach=reach,
+                                  known=known, printed=printed)
         odds, doubt = _log_odds(view)
+        odds[transparent] = -_NO_ODDS
         piece = _piece(odds)
         rows, columns = np.nonzero(piece)
         if known or not len(rows):
@@ -112,8 +114,9 @@ def outline_of_cloth(
 def _view(
     photograph: Photograph, to_pixels: np.ndarray, middle: np.ndarray, *, plate: Metres,
     reach: Metres, known: bool, printed: Printed | None
-) -> View:
-    """The view of a photograph about the place (2,) ``middle``, m, of the plate's plane."""
+) -> tuple[View, Mask]:
+    """The view of a photograph about the place (2,) ``middle``, m, of the plate's plane; and what
+    an editor has made transparent in it."""
     along = steps(reach)
     pixel = along[1] - along[0]
     step = np.diff(mapped(middle + np.array([[0, 0], [pixel, 0]]), to_pixels), axis=0)
@@ -128,13 +131,18 @@ def _view(
             flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
         return cv2.resize(seen, (SIDE, SIDE), interpolation=cv2.INTER_AREA)
 
-    opaque = warped(np.uint8(255) * ~photograph.transparent, cv2.BORDER_CONSTANT)
+    shown = np.full(photograph.light.shape[:2], 255, np.uint8)
+    if photograph.missing is not None:
+        shown[photograph.missing] = 0
+    unseen = warped(shown, cv2.BORDER_CONSTANT) < 250
     if printed is None:
         print_there, on_mat = np.zeros((SIDE, SIDE), np.uint8), np.zeros((SIDE, SIDE), bool)
     else:
         print_there, on_mat = printed(middle + np.dstack(np.meshgrid(along, -along)))
-    return View(warped(photograph.colour, cv2.BORDER_REPLICATE), print_there, on_mat, opaque < 250,
+    transparent = warped(np.uint8(255) * photograph.transparent, cv2.BORDER_CONSTANT) > 127
+    view = View(warped(photograph.colour, cv2.BORDER_REPLICATE), print_there, on_mat, unseen,
                 plate, reach, middle if known else None)
+    return view, transparent
 
 
 def _log_odds(view: View) -> tuple[np.ndarray, np.ndarray]:
@@ -171,8 +179,9 @@ def _piece(odds: np.ndarray) -> Mask:
 def _hem(odds: np.ndarray, doubt: np.ndarray, piece: Mask) -> tuple[PixelPath, np.ndarray]:
     """The line on which odds are even, in pixels of the view, and its error (N,), pixels: that of
     the logistic distribution of an edge whose place has these odds, and of their ``doubt``."""
-    fine = cv2.resize(np.where(cv2.dilate(piece.astype(np.uint8), np.ones((3, 3))) > 0, odds, -9),
-                      None, fx=_FINER, fy=_FINER, interpolation=cv2.INTER_LINEAR)
+    around = cv2.dilate(piece.astype(np.uint8), np.ones((3, 3))) > 0
+    fine = cv2.resize(np.where(around, odds, -_NO_ODDS), None, fx=_FINER,
+                      fy=_FINER, interpolation=cv2.INTER_LINEAR)
     line = (border_of(fine > 0, _FINER / 2) + 0.5) / _FINER - 0.5
     normal = normals(line)
     across = sampled(odds.astype(np.float32),

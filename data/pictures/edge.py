@@ -11,8 +11,8 @@ FLOOR = 0.01  # of light, below which noise rules
 _BLUR = 1.6  # pixels, standard deviation
 _WINDOW, _WINDOWS = 1.2, (1.5, 12.0)  # errors of a border, about it, and pixels
 _FINE = 0.5  # pixels, between places across the border
-_STAY = 2.0  # of a usual edge, that keep a point in its place
-_ROUNDS, _EVEN = 4, 2.0  # moves of a point, and pixels along the line, over which they are smoothed
+_STAY, _NARROW = (2.0, 0.05), 2.0  # of a usual edge, that keep a point; pixels, last window
+_ROUNDS, _EVEN = 4, (1.5, 0.7)  # moves of a point; pixels along the line, of their smoothing
 _ACROSS = 3.0  # pixels, on both sides of an edge, between which its contrast is measured
 
 
@@ -28,23 +28,28 @@ def edge_of(
     points are about a pixel apart and have an ``error`` (N,), pixels; and the contrast (N,) across
     it, of log light, 0 where edges are ``unsure``.
 
-    Each point moves to the middle of the changes about it, weighted by their squares; where they
-    are faint or unsure, it stays.
+    Each point moves to the middle of the changes about it, weighted by their squares, then to that
+    of the nearest; where they are faint or unsure, it stays.
     """
     normal = normals(border)
     window = np.clip(_WINDOW * error, *_WINDOWS)[:, None]
     end = np.ceil(2 * window.max())
     offsets = np.arange(-end, end + _FINE / 2, _FINE)
     places = border[:, None] + offsets[:, None] * normal[:, None]
-    weight = np.square(_change(np.sqrt(sampled(smooth, places) + FLOOR)))
+    across = sampled(smooth, places)
+    allowed = np.exp(-np.square(offsets / (2 * window)))
     if unsure is not None:
-        weight[sampled(unsure.astype(np.float32), places) > 0.01] = 0.0
-    stay = _STAY * max(float(np.median(weight.max(axis=1))), 1e-12)
+        allowed[sampled(unsure.astype(np.float32), places) > 0.01] = 0.0
     found = np.zeros(len(border))
-    for _ in range(_ROUNDS):
-        near = weight * np.exp(-np.square((offsets - found[:, None]) / window)
-                               - np.square(offsets / (2 * window)))
-        found = gaussian_filter1d((near @ offsets) / (near.sum(axis=1) + stay), _EVEN, mode="wrap")
+    # Dark edges count by their contrast; the middle of an edge is where light is half way.
+    for light, wide, stay, even in zip((np.sqrt(across + FLOOR), across), (window, _NARROW), _STAY,
+                                       _EVEN, strict=True):
+        weight, start = allowed * np.square(_change(light)), found
+        held = stay * max(float(np.median(weight.max(axis=1))), 1e-12)
+        for _ in range(_ROUNDS):
+            near = weight * np.exp(-np.square((offsets - found[:, None]) / wide))
+            found = gaussian_filter1d((near @ offsets + held * start) / (near.sum(axis=1) + held),
+                                      even, mode="wrap")
     line = border + found[:, None] * normal
     sides = line[:, None] + _ACROSS * np.array([[1], [-1]]) * normal[:, None]
     contrast = np.diff(sampled(np.log(smooth + FLOOR), sides), axis=1)[:, 0]

@@ -36,6 +36,7 @@ class Photograph:
         light: proportional to the light of red, green and blue, about 1 for the brightest.
         transparent: pixels that an editor has made transparent, which are not cloth; ``light`` is
             that of the paper or the table on which they would show best.
+        missing: where there is no picture; None: nowhere.
         factor: how many pixels of a row of the file were averaged to each.
         focal: length, pixels of ``light``, as the camera states it; None if it does not, or if the
             picture is not the whole one of which it is stated, for the reason ``no_focal``.
@@ -46,6 +47,7 @@ class Photograph:
     factor: int = 1
     focal: float | None = None
     no_focal: str = ""
+    missing: Mask | None = None
 
     @cached_property
     def colour(self) -> ColourPicture:

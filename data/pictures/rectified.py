@@ -92,8 +92,8 @@ def straight_from_above(
     missing = (columns < 0) | (rows < 0) | (columns > width - 1) | (rows > height - 1)
     light = cv2.remap(photograph.light, columns, rows, cv2.INTER_LINEAR,
                       borderMode=cv2.BORDER_REPLICATE)
-    transparent = missing | (cv2.remap(photograph.transparent.astype(np.float32), columns, rows,
-                                       cv2.INTER_LINEAR) > 0.5)
+    transparent = cv2.remap(photograph.transparent.astype(np.float32), columns, rows,
+                            cv2.INTER_LINEAR) > 0.5
 
     def printed(places: np.ndarray) -> tuple[np.ndarray, Mask]:
         eye = pose.place[:2]
@@ -107,5 +107,5 @@ def straight_from_above(
     error = float(pose.focal_error * plate_height / above)
     unsure = Finding("focal_length_unsure", {"value": error, "limit": MAX_SCALE_ERROR,
                                              "focal": float(pose.focal_error)})
-    return OverMat(Photograph(light, transparent), pixel, pose, printed, edges,
+    return OverMat(Photograph(light, transparent, missing=missing), pixel, pose, printed, edges,
                    (unsure,) * (error > MAX_SCALE_ERROR))
