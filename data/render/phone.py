@@ -91,7 +91,8 @@ def phone_pictures(
         light, _ = scenery.seen(pose.place, _directions(pose, pixels).reshape(*size[::-1], 3), rng)
         image = Image.fromarray(exposed(light, rng, blur=rng.uniform(0.5, 1.2)))
         exif = image.getexif()
-        exif.get_ifd(0x8769)[41989] = round(lens[0])
+        exif.get_ifd(0x8769)[41989] = round(
+            pose.focal / float(np.hypot(*size)) * FULL_FRAME)
         stream = io.BytesIO()
         image.save(stream, format="JPEG", quality=int(rng.integers(75, 96)), exif=exif)
         found.append(PhonePicture(stream.getvalue(), pose, warp, scenery.kind))

@@ -22,6 +22,7 @@ from data.captures.capture import OutlineCapture
 from data.captures.photograph import AZIMUTHS, PhotographedOutline
 from data.captures.reader import read_capture
 from data.dataset.off_axis import silhouette
+from data.fabrics.fabrics import fabric_from_theta
 from data.pictures.planes import mapped
 from data.pictures.reading import decoded
 from data.render import textures
@@ -60,7 +61,7 @@ def case(*, number: int, rig: str, edge_mm: float, pictures: int, seed: int) -> 
     found = {**taken[0].kind, "plate_mm": 1e3 * plate_height, "mat": mat,
              "height_m": taken[0].pose.place[2] - plate_height,
              "lean": lean_of(taken[0], plate_height)}
-    truth = np.log(plan.fabric.alpha)
+    truth = np.log(fabric_from_theta(plan.theta).alpha)
     for name, chosen in (("alone", taken[:1]), ("together", taken)):
         with tempfile.TemporaryDirectory() as folder:
             for k, picture in enumerate(chosen, 1):

@@ -47,8 +47,10 @@ def shape():
 
 @pytest.fixture(scope="module")
 def picture(shape):
-    return phone_picture(shape.positions, shape.rest, shape.faces, np.random.default_rng(3),
-                         plate_radius=DISC_RIG.plate_radius, plate_height=PLATE_HEIGHT)
+    return phone_picture(shape.positions, shape.rest, shape.faces, np.random.default_rng(36),
+                         plate_radius=DISC_RIG.plate_radius, plate_height=PLATE_HEIGHT,
+                         surface=textures.plain(np.array([0.4, 0.08, 0.08]),
+                                                np.random.default_rng(0)))
 
 
 def over_mat(folder, jpeg: bytes, **changes):
@@ -105,11 +107,15 @@ def test_a_grey_or_coloured_ground_lies_between_white_and_black_cloth(ground):
     assert (mat_colours("a3", "white") == mat_picture("a3")[..., None]).all()
 
 
-def test_one_photograph_gives_the_outline_and_the_height(tmp_path, shape, picture):
-    capture = read_capture(over_mat(tmp_path / "capture", picture.jpeg, arrow="none"))
-    outline, place = capture.outline, picture.pose.place - [0, 0, PLATE_HEIGHT]
+def test_one_photograph_gives_the_outline_and_the_height(tmp_path, shape):
+    taken = phone_picture(
+        shape.positions, shape.rest, shape.faces, np.random.default_rng(3), mat="a2", beside=0.06,
+        plate_radius=DISC_RIG.plate_radius, plate_height=PLATE_HEIGHT,
+        surface=textures.plain(np.array([0.4, 0.08, 0.08]), np.random.default_rng(0)))
+    capture = read_capture(over_mat(tmp_path / "capture", taken.jpeg, mat="a2", arrow="none"))
+    outline, place = capture.outline, taken.pose.place - [0, 0, PLATE_HEIGHT]
     assert outline.height == pytest.approx(place[2], rel=0.03) and outline.centred
-    true = seen_on_axis(shape, picture)
+    true = seen_on_axis(shape, taken)
     assert 1e3 * np.sqrt(np.square(outline.radii - true).mean()) < 1.0
     assert capture.warp_direction is None
 
@@ -292,7 +298,7 @@ def ideal(points: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("changes, fault", [
     ({"mat": "a2"}, "it shows the mat a3, not the mat a2"),
     ({"mat": "a4"}, "a3"),
-    ({"plate_height_mm": 600.0}, "check plate_height_mm|differs from the ground|inside the plate"),
+    ({"plate_height_mm": 600.0}, "check plate_height_mm|told from its ground|inside the plate"),
     ({"plate_height_mm": 5.0}, "plate_height_mm=5"),
     ({"plate_height_mm": None}, "belong together"),
     ({"camera_height_mm": 900}, "leave out mm_per_px"),

@@ -16,13 +16,14 @@ from data.captures.reader import find_outline, read_capture
 from data.dataset.off_axis import silhouette
 from data.pictures.mat import MATS
 from data.pictures.pose import Pose, camera_matrix, camera_poses
-from data.render import phone
+from data.render import phone, textures
 from sim.drape import drape
 from sim.material import Fabric
 from sim.rig import DISC_RIG
 
 PLATE_HEIGHT, HEIGHT, SIZE = 0.12, 0.62, (1680, 1260)
 FOCAL = 0.62 * float(np.hypot(*SIZE))
+RED = textures.plain(np.array([0.4, 0.08, 0.08]), np.random.default_rng(0))
 PLACES = ((0.0, 0.12), (0.16, -0.1), (-0.17, -0.06))  # m, beside the axis
 
 
@@ -48,10 +49,10 @@ def taken(shape, place, turn: float = 0.0) -> bytes:
     positions = shape.positions @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]])
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(phone, "_SIZE", SIZE)
-        patch.setattr(phone, "_random_pose", lambda _, size, *__: (pose_at(place, size), 27))
+        patch.setattr(phone, "_random_pose", lambda _, size, *__: pose_at(place, size))
         return phone.phone_picture(positions, shape.rest, shape.faces, np.random.default_rng(0),
                                    plate_radius=DISC_RIG.plate_radius,
-                                   plate_height=PLATE_HEIGHT).jpeg
+                                   plate_height=PLATE_HEIGHT, mat="a2", surface=RED).jpeg
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +76,7 @@ def folder_of(path, pictures, **changes):
         (path / name).write_bytes(data)
     (path / "capture.yaml").write_text(yaml.safe_dump({
         "density_g_m2": 150, "tester": "disc300_support180",
-        "outline": {"mat": "a3", "plate_height_mm": 1e3 * PLATE_HEIGHT} | changes}))
+        "outline": {"mat": "a2", "plate_height_mm": 1e3 * PLATE_HEIGHT} | changes}))
     return path
 
 
@@ -159,7 +160,7 @@ def test_where_one_of_three_differs_the_others_decide():
     azimuth = np.arange(AZIMUTHS) * (2 * np.pi / AZIMUTHS)
     radius = 0.125 + 0.006 * np.cos(4 * azimuth)
     bulge = radius + 8e-3 * (np.abs(azimuth - 2) < np.radians(7.5))
-    views = [View(one[:, None] * OUTWARDS, np.array([0.02, 0.01]), 0.8)
+    views = [View(one[:, None] * OUTWARDS, np.array([0.02, 0.01]), 0.8, np.full(AZIMUTHS, 6e-4))
              for one in (radius, bulge, radius)]
     found = join(views, DISC_RIG)
     clean = join([views[0], views[2]], DISC_RIG)
@@ -172,7 +173,7 @@ def test_where_one_of_three_differs_the_others_decide():
 
 
 def test_poses_of_pictures_upright_and_sideways_share_one_lens():
-    mat = MATS["a3"]
+    mat = MATS["a2"]
     points = np.column_stack([mat.centres, np.zeros(len(mat.centres))])
     seen, sizes, places = [], [(2000, 1500), (1500, 2000), (2000, 1500)], []
     for size, tilt, far in zip(sizes, (0.3, -0.25, 0.0), (0.7, 0.8, 1.0), strict=True):
