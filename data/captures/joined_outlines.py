@@ -29,6 +29,7 @@ AZIMUTHS = 720
 MAX_UNLIKE = 0.08  # of the azimuth, over which a picture may differ from the others
 MAX_PARTED = 0.02  # of the azimuth, over which two pictures may differ from each other
 _UNLIKE = 4.0  # times its expected error, by which a picture differs
+_POSED = 5e-4  # m, error by pose, mat, and place and height of the plate
 _MOVED, _HIDDEN, _HANGING = 0.05, 0.12, 0.25
 """Error of moving an outline, of overhang times lean: of cloth that spreads, and added for cloth
 that hangs straight down, within this share of the overhang from the rim."""
@@ -95,7 +96,8 @@ def join(views: Sequence[View], rig: Rig) -> Joined:
         off = np.abs(moved[k][_TURNS] - moved[0] - (moved[k] - moved[0]).mean())
         apart = off.mean(axis=1)
         best = int(apart.argmin())
-        unlike = (off[[0, best]] > _UNLIKE * np.hypot(error[0], error[k].max())).mean(axis=1)
+        limit = _UNLIKE * np.hypot(error[0], np.quantile(error[k], 0.9))
+        unlike = (off[[0, best]] > limit).mean(axis=1)
         if unlike[0] > MAX_PARTED and unlike[1] <= MAX_UNLIKE and apart[best] < _TURNED * apart[0]:
             turned[k] = float((_AZIMUTH[best] + np.pi) % (2 * np.pi) - np.pi)
     if any(turned):
@@ -159,7 +161,7 @@ def on_axis(views: Sequence[View], rig: Rig) -> tuple[np.ndarray, np.ndarray]:
     lean = np.array([[np.linalg.norm(view.beside) / view.height] for view in views])
     overhang = rig.border(_AZIMUTH) - rig.plate_radius
     hanging = np.exp(-np.maximum(moved - rig.plate_radius, 0) / overhang / _HANGING)
-    read = np.array([view.error for view in views])
+    read = np.hypot([view.error for view in views], _POSED)
     return moved, np.hypot(read, lean * overhang * (_MOVED + _HIDDEN * hanging))
 
 
