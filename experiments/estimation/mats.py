@@ -150,7 +150,7 @@ def run(config: Config) -> Result:
         for k in range(config["drapes"])}
     results = run_cases(case, cases, config, sources=ESTIMATOR)
     near = [key for key, one in results.items() if one["lean"] < NEAR]
-    groups = {"one, near the axis": ("alone", near), "one": ("alone", list(results)),
+    groups = {"one near the axis": ("alone", near), "one": ("alone", list(results)),
               f"{config['pictures']} together": ("together", list(results))}
     return Result({"targets": TARGETS, "cases": results, "summary": {
         name: summarise([results[key][kind] for key in keys])
