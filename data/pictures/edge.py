@@ -42,8 +42,9 @@ def edge_of(
         allowed[sampled(unsure.astype(np.float32), places) > 0.01] = 0.0
     found = np.zeros(len(border))
     # Dark edges count by their contrast; the middle of an edge is where light is half way.
-    for light, wide, stay, even in zip((np.sqrt(across + FLOOR), across), (window, _NARROW), _STAY,
-                                       _EVEN, strict=True):
+    for light, wide, stay, even in zip(
+            (np.sqrt(across + FLOOR), across), (window, np.full_like(window, _NARROW)), _STAY,
+            _EVEN, strict=True):
         weight, start = allowed * np.square(_change(light)), found
         held = stay * max(float(np.median(weight.max(axis=1))), 1e-12)
         for _ in range(_ROUNDS):
