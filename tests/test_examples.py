@@ -80,7 +80,7 @@ def test_the_example_makes_whole_scenes_of_the_same_drape(tmp_path, monkeypatch)
         return simulated[0]
 
     monkeypatch.setitem(main.__globals__, "drape", once)
-    monkeypatch.setattr(phone, "_SIZE", (1008, 756))
+    monkeypatch.setattr(phone, "_SIZE", (1344, 1008))
     coefficients = []
     for raw in ("false", "true"):  # the second replaces the first
         main([*words, f"raw={raw}"])
