@@ -21,11 +21,10 @@ from typing import NamedTuple
 import numpy as np
 
 from common.types import Metres, Outline, Radians
-from data.captures.off_axis import seen_from_axis
+from data.captures.off_axis import AZIMUTH, AZIMUTHS, OUTWARDS, seen_from_axis
 from sim.measures import closed, farthest
 from sim.rig import Rig
 
-AZIMUTHS = 720
 MAX_UNLIKE = 0.08  # of the azimuth, over which a picture may differ from the others
 MAX_PARTED = 0.02  # of the azimuth, over which two pictures may differ from each other
 _UNLIKE = 4.0  # times its expected error, by which a picture differs
@@ -38,9 +37,7 @@ _DEPTH, _DEPTH_ERROR = 0.5, 0.2  # of the overhang, usual depth of the hem below
 _DEPTHS = np.linspace(0.0, 1.0, 21)  # tried
 _DEPTH_LEFT = 0.15  # of the overhang, by which depth differs along the hem
 _ROBUST, _ROUNDS = 2.0, 5  # times its error, from which on what is seen loses weight
-_AZIMUTH = np.arange(AZIMUTHS) * (2 * np.pi / AZIMUTHS)
 _TURNS = (np.arange(AZIMUTHS)[:, None] + np.arange(AZIMUTHS)) % AZIMUTHS  # back by each azimuth
-OUTWARDS = np.column_stack([np.cos(_AZIMUTH), np.sin(_AZIMUTH)])
 
 
 class View(NamedTuple):
@@ -55,9 +52,7 @@ class View(NamedTuple):
 
     def turned(self, angle: Radians) -> "View":
         """The same, turned counter-clockwise."""
-        cos, sin = np.cos(angle), np.sin(angle)
-        turn = np.array([[cos, sin], [-sin, cos]])
-        return View(self.curve @ turn, self.beside @ turn, self.height,
+        return View(turned(self.curve, angle), turned(self.beside, angle), self.height,
                     around(self.error, -angle))
 
 
@@ -87,10 +82,10 @@ class Joined:
 
 def join(views: Sequence[View], rig: Rig) -> Joined:
     """Join two or more views; of a rectangle, the x-axis is along its first side in the first."""
-    overhang = rig.border(_AZIMUTH) - rig.plate_radius
+    overhang = rig.border(AZIMUTH) - rig.plate_radius
     lean = np.array([np.linalg.norm(view.beside) / view.height for view in views])
     moved, error = on_axis(views, rig)
-    turned = [0.0] * len(views)
+    turns = [0.0] * len(views)
     for k in range(1, len(views)):
         # The plate may have been turned: as far as brings the shapes of the outlines together.
         off = np.abs(moved[k][_TURNS] - moved[0] - (moved[k] - moved[0]).mean())
@@ -99,9 +94,9 @@ def join(views: Sequence[View], rig: Rig) -> Joined:
         limit = _UNLIKE * np.hypot(error[0], np.quantile(error[k], 0.9))
         unlike = (off[[0, best]] > limit).mean(axis=1)
         if unlike[0] > MAX_PARTED and unlike[1] <= MAX_UNLIKE and apart[best] < _TURNED * apart[0]:
-            turned[k] = float((_AZIMUTH[best] + np.pi) % (2 * np.pi) - np.pi)
-    if any(turned):
-        views = [view.turned(-angle) for view, angle in zip(views, turned, strict=True)]
+            turns[k] = float((AZIMUTH[best] + np.pi) % (2 * np.pi) - np.pi)
+    if any(turns):
+        views = [view.turned(-angle) for view, angle in zip(views, turns, strict=True)]
         moved, error = on_axis(views, rig)
     height = np.array([[view.height] for view in views])
     # Pictures from different heights show how deep the hem hangs: in the mean, then everywhere.
@@ -128,11 +123,11 @@ def join(views: Sequence[View], rig: Rig) -> Joined:
             np.square(error[used]).sum(axis=0)
             + np.square(_DEPTH_LEFT * overhang * (deeper[one] - deeper[other])))
         if (share := float(apart.mean())) > MAX_PARTED:
-            parted = float(np.angle(apart @ np.exp(1j * _AZIMUTH))), share
+            parted = float(np.angle(apart @ np.exp(1j * AZIMUTH))), share
     differing = np.average(np.square(off), axis=0, weights=1 / np.square(error[used]))
     here = views[reference]
     shown = radius[:, None] * OUTWARDS + (depth / (here.height + depth))[:, None] * here.beside
-    return Joined(used, reference, turned, radius, farthest(closed(shown), AZIMUTHS),
+    return Joined(used, reference, turns, radius, farthest(closed(shown), AZIMUTHS),
                   np.sqrt(np.square(deviation) + differing / (len(used) - 1)), parted)
 
 
@@ -159,12 +154,18 @@ def on_axis(views: Sequence[View], rig: Rig) -> tuple[np.ndarray, np.ndarray]:
     moved = np.array([farthest(closed(seen_from_axis(*view[:3], rig)), AZIMUTHS)
                       for view in views])
     lean = np.array([[np.linalg.norm(view.beside) / view.height] for view in views])
-    overhang = rig.border(_AZIMUTH) - rig.plate_radius
+    overhang = rig.border(AZIMUTH) - rig.plate_radius
     hanging = np.exp(-np.maximum(moved - rig.plate_radius, 0) / overhang / _HANGING)
     read = np.hypot([view.error for view in views], _POSED)
     return moved, np.hypot(read, lean * overhang * (_MOVED + _HIDDEN * hanging))
 
 
+def turned(points: np.ndarray, angle: Radians) -> np.ndarray:
+    """Points (..., 2) turned counter-clockwise."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    return points @ np.array([[cos, sin], [-sin, cos]])
+
+
 def around(values: np.ndarray, angle: Radians) -> np.ndarray:
     """Values (A,) at equally spaced azimuths, each at an ``angle`` from its place before."""
-    return np.interp(_AZIMUTH + angle, _AZIMUTH, values, period=2 * np.pi)
+    return np.interp(AZIMUTH + angle, AZIMUTH, values, period=2 * np.pi)

@@ -19,7 +19,9 @@ error of the outline is a part of its own; log alpha of nine of ten of fabrics h
 that of the outline from the axis by at most 0.034 at 0.02 to 0.04, 0.056 to 0.06, 0.069 to 0.08,
 0.086 to 0.10 (0.070 on the four common testers), 0.106 to 0.15, 0.145 to 0.20 and 0.22 to 0.30,
 most of them of limp cloth, on whose far side the hem is hidden."""
-_AZIMUTHS = 720
+AZIMUTHS = 720
+AZIMUTH = np.arange(AZIMUTHS) * (2 * np.pi / AZIMUTHS)
+OUTWARDS = np.column_stack([np.cos(AZIMUTH), np.sin(AZIMUTH)])
 
 
 def seen_from_axis(curve: Outline, beside: np.ndarray, height: Metres, rig: Rig) -> Outline:
@@ -39,16 +41,15 @@ def seen_from_axis(curve: Outline, beside: np.ndarray, height: Metres, rig: Rig)
     from data.captures.off_axis_network import Seen, bundled
 
     size = rig.specimen_size
-    azimuth = np.arange(_AZIMUTHS) * (2 * np.pi / _AZIMUTHS)
-    radius = farthest(closed(curve), _AZIMUTHS)
+    radius = farthest(closed(curve), AZIMUTHS)
 
     def one(values: np.ndarray | float) -> torch.Tensor:
         return torch.tensor(np.asarray(values, np.float32))[None]
 
     with torch.inference_mode():
-        found = bundled()(Seen(one(radius / size), one(rig.border(azimuth) / size),
+        found = bundled()(Seen(one(radius / size), one(rig.border(AZIMUTH) / size),
                                one(rig.plate_radius / size), one(height / size),
                                one(np.asarray(beside) / height)))
     # Nothing is seen inside the plate; what was, stays for the checks of outlines.
     moved = np.maximum(found[0].numpy() * size, np.minimum(radius, rig.plate_radius))
-    return moved[:, None] * np.column_stack([np.cos(azimuth), np.sin(azimuth)])
+    return moved[:, None] * OUTWARDS

@@ -18,21 +18,20 @@ from common.findings import Finding
 from common.types import Metres, Outline, PixelPath, Radians
 from data.captures.description import OUTLINE_TABLES, OutlineSource
 from data.captures.joined_outlines import (
-    AZIMUTHS,
     MAX_PARTED,
     MAX_UNLIKE,
-    OUTWARDS,
     View,
     around,
     join,
     on_axis,
+    turned,
 )
-from data.captures.off_axis import MAX_LEAN
+from data.captures.off_axis import AZIMUTH, AZIMUTHS, MAX_LEAN, OUTWARDS
 from data.captures.outline_table import read_closed_curve
 from data.captures.scale import Scaled, mat_scale, scaled_photographs
 from data.pictures.cut import outline_of_cloth
 from data.pictures.mat import along_border
-from data.pictures.planes import mapped, shifted, upright
+from data.pictures.planes import behind, mapped, shifted, upright
 from sim.measures import closed, coefficient_of_area, farthest, folds_around
 from sim.rig import Rig
 
@@ -138,12 +137,6 @@ def _tabulated(
                                source.height, source.centred, rig)
 
 
-def _turned(points: Outline, angle: Radians) -> Outline:
-    """Points turned counter-clockwise."""
-    cos, sin = np.cos(angle), np.sin(angle)
-    return points @ np.array([[cos, sin], [-sin, cos]])
-
-
 def _photographed(
     file: Path, source: OutlineSource, rig: Rig, warp_direction: Radians | None
 ) -> PhotographedOutline:
@@ -173,7 +166,7 @@ def _photographed(
         warnings.append(Finding("camera_beside", {
             "value": lean, "limit": MAX_LEAN, "beside": 1e3 * beside, "height": 1e3 * seen.height}))
     radius, error = (values[0] for values in on_axis([_view(seen, found, first_side)], rig))
-    return replace(found, curve=_turned(radius[:, None] * OUTWARDS, first_side),
+    return replace(found, curve=turned(radius[:, None] * OUTWARDS, first_side),
                    error=around(error, -first_side), warnings=(*found.warnings, *warnings))
 
 
@@ -211,7 +204,7 @@ def _joined(
     shown = read[names[together.reference]][1]
     # Nothing is seen inside the plate; what was, stays for the checks.
     radius = np.maximum(together.radius, np.minimum(together.seen, rig.plate_radius))
-    curve, hem = (_turned(one[:, None] * OUTWARDS, first_side) for one in (radius, together.seen))
+    curve, hem = (turned(one[:, None] * OUTWARDS, first_side) for one in (radius, together.seen))
     return replace(shown, curve=curve, hem=shown.drawn(hem), warnings=tuple(warnings),
                    error=around(together.error, -first_side))
 
@@ -254,8 +247,7 @@ def _by_azimuth(curve: Outline, error: np.ndarray) -> np.ndarray:
     """Errors (720,) at equally spaced azimuths of those of a curve's points (N,)."""
     angle = np.arctan2(curve[:, 1], curve[:, 0])
     order = np.argsort(angle)
-    return np.interp(np.arange(AZIMUTHS) * (2 * np.pi / AZIMUTHS), angle[order], error[order],
-                     period=2 * np.pi)
+    return np.interp(AZIMUTH, angle[order], error[order], period=2 * np.pi)
 
 
 def below_the_mat(curve: Outline, rig: Rig, plate_height: Metres) -> list[Finding]:
@@ -273,10 +265,10 @@ def _along_the_border(
     """A warning if the border of the mat's paper is seen along the hem, whose edge it may be taken
     for; the camera is at ``beside`` (2,), m, and at a ``height`` above the plate."""
     assert source.mat and source.plate_height_mm
-    radii, azimuth = farthest(closed(curve), AZIMUTHS), np.arange(AZIMUTHS) * 2 * np.pi / AZIMUTHS
-    hem = radii[:, None] * np.column_stack([np.cos(azimuth), np.sin(azimuth)])
-    behind = hem + (hem - beside) * 1e-3 * source.plate_height_mm / height  # on the mat
-    share = float(along_border(source.mat, behind / mat_scale(source)).mean())
+    plate_height = 1e-3 * source.plate_height_mm
+    hem = farthest(closed(curve), AZIMUTHS)[:, None] * OUTWARDS
+    on_mat = behind(hem, np.append(beside, plate_height + height), plate_height)
+    share = float(along_border(source.mat, on_mat / mat_scale(source)).mean())
     return [] if share <= MAX_ALONG_BORDER else [Finding(
         "hem_along_border", {"value": share, "limit": MAX_ALONG_BORDER})]
 

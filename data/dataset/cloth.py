@@ -3,7 +3,7 @@
     python -m data.dataset.cloth data=FOLDER pictures=FOLDER [out=FILE]
 
 FOLDER of ``data`` is a dataset of drapes, finished or not. Each drape is photographed in random
-scenes, half a second a picture; the pictures are kept in ``pictures``, and made once. Prints the
+scenes, a second a picture; the pictures are kept in ``pictures``, and made once. Prints the
 errors on fabrics held out.
 """
 
@@ -23,7 +23,7 @@ from common.command import command
 from common.configs import Seed
 from common.errors import InputError
 from common.files import replace_file, require_file
-from data.dataset.folder import read_manifest, split_by_fabric
+from data.dataset.folder import require_dataset, split_by_fabric
 from data.dataset.shards import SHARDS, Shard
 from data.pictures.cloth_network import ClothNetwork
 from data.pictures.cloth_view import SIDE, View, steps
@@ -52,12 +52,10 @@ class ClothConfig:
 @command("cloth", ClothConfig)
 def main(config: ClothConfig) -> None:
     """Render, train and write the network; print its errors."""
-    if not config.data or read_manifest(Path(config.data)) is None:
-        raise InputError(f"data={config.data}: dataset.json is missing; give the folder of a "
-                         "dataset of python -m data.dataset.generate")
+    root = require_dataset(config.data)
     require_file(Path(config.out))
     folder = Path(config.pictures)
-    shards = sorted(Path(config.data).glob(SHARDS))[:config.shards]
+    shards = sorted(root.glob(SHARDS))[:config.shards]
     cases = {shard.stem: {"shard": shard, "scenes": config.scenes, "seed": config.seed}
              for shard in shards}
     run_cases(photographed, cases, folder=folder, workers=config.workers, sources=SOURCES,

@@ -81,6 +81,14 @@ def read_manifest(root: Path) -> dict | None:
     return content
 
 
+def require_dataset(data: str) -> Path:
+    """The folder ``data`` of a dataset, finished or not; InputError if it is none."""
+    if not data or read_manifest(Path(data)) is None:
+        raise InputError(f"data={data}: dataset.json is missing; give the folder of a dataset of "
+                         "python -m data.dataset.generate")
+    return Path(data)
+
+
 def finished_manifest(root: Path) -> dict:
     """The manifest of a complete dataset; InputError if there is none."""
     manifest = read_manifest(root)

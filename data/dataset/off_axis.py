@@ -24,7 +24,7 @@ from common.files import replace_file, require_file
 from common.types import Edges, Metres, Points
 from data.captures.off_axis import MAX_LEAN
 from data.captures.off_axis_network import AZIMUTHS, OffAxisNetwork, Seen
-from data.dataset.folder import over_shards, read_manifest, split_by_fabric
+from data.dataset.folder import over_shards, require_dataset, split_by_fabric
 from data.dataset.shards import SHARDS, Shard
 from sim.measures import farthest
 from sim.mesh import Mesh
@@ -68,13 +68,11 @@ class Pairs:
 @command("off_axis", OffAxisConfig)
 def main(config: OffAxisConfig) -> None:
     """Train and write the network; print its errors."""
-    if not config.data or read_manifest(Path(config.data)) is None:
-        raise InputError(f"data={config.data}: dataset.json is missing; give the folder of a "
-                         "dataset of python -m data.dataset.generate")
+    root = require_dataset(config.data)
     require_file(Path(config.out))
     torch.set_num_threads(1)
     torch.manual_seed(config.seed)
-    pairs = see(Path(config.data), config)
+    pairs = see(root, config)
     network = train(pairs, config)
     tensors = {name: value.half().contiguous() for name, value in network.state_dict().items()}
     replace_file(Path(config.out), save(tensors))

@@ -23,8 +23,7 @@ def steps(reach: Metres) -> np.ndarray:
 
 @dataclass(frozen=True)
 class View:
-    """Pictures of SIDE x SIDE pixels about the plate's axis, x to the
-    right, y up.
+    """Pictures of SIDE x SIDE pixels about the plate's axis, x to the right, y up.
 
     Attributes:
         picture: (SIDE, SIDE, 3).

@@ -9,6 +9,12 @@ def mapped(points: np.ndarray, homography: np.ndarray) -> np.ndarray:
     return cv2.perspectiveTransform(np.asarray(points, np.float64)[:, None], homography)[:, 0]
 
 
+def behind(places: np.ndarray, eye: np.ndarray, height: float) -> np.ndarray:
+    """Places (..., 2) on the ground that an ``eye`` (3,) over it sees behind ``places`` (..., 2) of
+    a plane at a ``height``, m."""
+    return eye[:2] + (places - eye[:2]) * (eye[2] / (eye[2] - height))
+
+
 def shifted(offset: np.ndarray) -> np.ndarray:
     """Homography (3, 3) that moves points by an offset (2,)."""
     return np.array([[1, 0, offset[0]], [0, 1, offset[1]], [0, 0, 1]])

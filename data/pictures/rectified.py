@@ -11,6 +11,7 @@ from common.findings import Finding
 from common.types import Mask, Metres, Pixels, Points
 from data.pictures.cut import Printed
 from data.pictures.mat import find_mat, printed_at
+from data.pictures.planes import behind
 from data.pictures.pose import Pose, camera_poses
 from data.pictures.reading import Photograph
 
@@ -96,8 +97,7 @@ def straight_from_above(
                             cv2.INTER_LINEAR) > 0.5
 
     def printed(places: np.ndarray) -> tuple[np.ndarray, Mask]:
-        eye = pose.place[:2]
-        return printed_at(mat, eye + (places - eye) * (pose.place[2] / above), ground)
+        return printed_at(mat, behind(places, pose.place, plate_height), ground)
 
     shown, on_mat = printed(np.dstack(np.meshgrid(steps, -steps)))
     shown = np.where(on_mat, shown, 0).astype(np.uint8)

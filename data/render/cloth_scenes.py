@@ -6,6 +6,7 @@ import numpy as np
 from common.types import Metres
 from data.pictures.cloth_view import SIDE, steps
 from data.pictures.mat import MATS, on_ground, printed_at
+from data.pictures.planes import behind
 from data.pictures.reading import encoded
 from data.render.phone import exposed, mat_around
 from data.render.scenery import Scenery
@@ -68,10 +69,10 @@ def expected(mat: str | None, ground: np.ndarray, plane: np.ndarray, eye: np.nda
     if mat is None:
         return np.zeros((SIDE, SIDE), np.uint8), np.zeros((SIDE, SIDE), bool)
     scale = np.exp(rng.normal(0, _SCALE))
-    behind = eye[:2] + (plane - eye[:2]) * (eye[2] / (eye[2] - height) * scale)
-    printed, on_mat = printed_at(mat, behind + rng.normal(0, _PLACE, 2))
+    there = eye[:2] + (behind(plane, eye, height) - eye[:2]) * scale
+    printed, on_mat = printed_at(mat, there + rng.normal(0, _PLACE, 2))
     tone = encoded(np.clip(ground.mean(), 0, 1))
-    return np.where(on_ground(mat, behind), tone * printed, printed).astype(np.uint8), on_mat
+    return np.where(on_ground(mat, there), tone * printed, printed).astype(np.uint8), on_mat
 
 
 def _fallen(plane: np.ndarray, reach: Metres, rng: np.random.Generator) -> np.ndarray:

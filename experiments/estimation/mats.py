@@ -19,7 +19,8 @@ from common.errors import InputError
 from common.findings import texts
 from common.types import Metres, Outline
 from data.captures.capture import OutlineCapture
-from data.captures.photograph import AZIMUTHS, PhotographedOutline
+from data.captures.off_axis import AZIMUTHS
+from data.captures.photograph import PhotographedOutline
 from data.captures.reader import read_capture
 from data.dataset.off_axis import silhouette
 from data.fabrics.fabrics import fabric_from_theta
@@ -93,7 +94,8 @@ def errors(folder: Path, picture: PhonePicture, shape: Drape, plate_height: Metr
         "reading_mm": _rms(PhotographedOutline(seen, np.inf, True, outline.rig).radii
                            - true_radii(shape, picture.warp, place[:2], place[2])),
         "outline_mm": _rms(off), "height_error": outline.height / place[2] - 1,
-        "stated_error": None if outline.error is None else _rms(off / outline.error) / 1e3,
+        "stated_error": None if outline.error is None else float(
+            np.sqrt(np.square(off / outline.error).mean())),
         "alpha_error": (alpha - best).tolist(), "truth_error": (alpha - truth).tolist(),
         "deviation": sure.tolist()}
 

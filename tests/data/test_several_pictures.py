@@ -10,7 +10,8 @@ import yaml
 from PIL import Image
 
 from common.errors import InputError
-from data.captures.joined_outlines import AZIMUTHS, OUTWARDS, View, join
+from data.captures.joined_outlines import View, join
+from data.captures.off_axis import AZIMUTHS, OUTWARDS
 from data.captures.preview import show
 from data.captures.reader import find_outline, read_capture
 from data.dataset.off_axis import silhouette
