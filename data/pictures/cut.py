@@ -47,7 +47,7 @@ def cut_cloth(
     photograph: Photograph, to_pixels: np.ndarray, *, plate: Metres, reach: Metres, known: bool,
     printed: Printed | None = None
 ) -> Cut:
-    """The cloth of a photograph; InputError where none is told from its ground.
+    """The cloth of a photograph; InputError where none differs from its ground.
 
     Args:
         to_pixels: homography (3, 3) from the plate's plane.
@@ -55,13 +55,13 @@ def cut_cloth(
         known: whether the origin of this plane is the plate's centre.
         printed: what a mat shows behind that plane; None without a mat.
     """
+    check = f"check the scale{', plate_height_mm' * (printed is not None)} and the tester"
     size = np.array(photograph.light.shape[1::-1])
     middle = np.zeros(2) if known else mapped((size[None] - 1) / 2, np.linalg.inv(to_pixels))[0]
     ends = mapped(middle + plate * np.array([[-1, 0], [1, 0]]), to_pixels)
     if (wide := np.linalg.norm(ends[1] - ends[0])) > min(size):
         raise InputError(f"the plate has {wide * photograph.factor:.0f} pixels of the file, more "
-                         f"than the picture's {min(size) * photograph.factor}; check the scale and "
-                         "the tester")
+                         f"than the picture's {min(size) * photograph.factor}; {check}")
     along = steps(reach)
     for _ in range(_PLACES):
         view, transparent = _view(photograph, to_pixels, middle, plate=plate, reach=reach,
@@ -80,7 +80,7 @@ def cut_cloth(
     covered = float(piece[far < ON_PLATE * plate].mean())
     if covered < MIN_COVERED:
         raise InputError(
-            f"cloth is told from its ground on {covered:.0%} of the plate, at least "
+            f"cloth differs from its ground on {covered:.0%} of the plate, at least "
             f"{MIN_COVERED:.0%} is needed: if it is as light as its ground or its shadow, use a "
             "ground of another colour; check the scale, the tester and the plate's place")
     hem, error = _hem(odds, doubt, piece)
@@ -90,7 +90,7 @@ def cut_cloth(
                                                                         inside[:, 0]] > 0
     if border.mean() > MAX_CUT_OFF:
         raise InputError("the drape reaches beyond the border of the picture; take it again with "
-                         "the whole hem in the picture, and check the scale and the tester")
+                         f"the whole hem in the picture, and {check}")
     pixel = along[1] - along[0]
     places = middle + along[0] * np.array([1, -1]) + pixel * hem * [1, -1]
     line = mapped(places, to_pixels)

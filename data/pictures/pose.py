@@ -9,6 +9,7 @@ from scipy.optimize import least_squares
 
 from common.errors import InputError
 from common.types import Metres, Pixels, Points, Vector
+from data.pictures.mat import MIN_MARKERS
 
 STATED_FOCAL = 0.015  # relative error of a focal length that a file states, in whole millimetres
 CONTRADICTED = 3.0  # times this error, by which markers seen askew may differ from it
@@ -75,14 +76,15 @@ def _projected(
 
 def camera_poses(
     sizes: Sequence[tuple[int, int]], seen: Sequence[tuple[Points, Pixels]], focal: float | None,
-    no_focal: str = ""
+    no_focal: str = "", *, bent: bool = False
 ) -> list[Pose]:
     """Poses of pictures by one camera, upright or sideways, from centres of markers and their
     pixels; ``focal``: length as the files state it, pixels, or ``no_focal``, why it is not known.
     InputError where the markers do not lie in a plane, or leave the focal length open.
 
     Focal length and distortion are unknowns that all pictures share, with what is known of phones
-    as prior; the picture's middle is the principal point.
+    as prior; the picture's middle is the principal point. Where the markers contradict each other,
+    the worst is left out, as of one that a hem half covers, unless the mat is ``bent`` without it.
     """
     start = focal or _GUESS * float(np.hypot(*sizes[0]))
     first_poses = [_first_pose(*one, start, size) for one, size in zip(seen, sizes, strict=True)]
@@ -103,6 +105,8 @@ def camera_poses(
     solved = least_squares(residuals, first, x_scale=steps, loss="soft_l1", f_scale=3.0)
     count = sum(2 * len(points) for points, _ in seen)
     error = float(np.sqrt(2 * solved.cost / count))
+    if error > MAX_ERROR and not bent and (kept := _without_worst(seen, solved.fun[2:])):
+        return camera_poses(sizes, kept, focal, no_focal, bent=True)
     if error > MAX_ERROR:
         raise InputError(f"the mat's markers lie {error:.1f} times as far from those of a flat mat "
                          f"as they should, at most {MAX_ERROR:g} is allowed: lay it flat, print it "
@@ -129,6 +133,20 @@ def camera_poses(
             size, start * float(np.exp(solved.x[0])), float(solved.x[1]), turn, shift, focal_error,
             float(np.sqrt(heights @ covariance[mine, mine] @ heights))))
     return poses
+
+
+def _without_worst(
+    seen: Sequence[tuple[Points, Pixels]], residuals: np.ndarray
+) -> list[tuple[Points, Pixels]] | None:
+    """All but the marker with the largest residual; None if its picture has too few."""
+    counts = [len(points) for points, _ in seen]
+    worst = int(np.linalg.norm(residuals.reshape(-1, 2), axis=1).argmax())
+    picture = int(np.searchsorted(np.cumsum(counts), worst, side="right"))
+    if counts[picture] <= MIN_MARKERS:
+        return None
+    kept = np.arange(counts[picture]) != worst - sum(counts[:picture])
+    return [(points[kept], pixels[kept]) if k == picture else (points, pixels)
+            for k, (points, pixels) in enumerate(seen)]
 
 
 def _first_pose(

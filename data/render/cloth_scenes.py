@@ -14,6 +14,7 @@ from data.render.scenery import Scenery
 HIGHEST = 0.25  # m, plates over the ground
 _TIMES = 4  # pixels rendered for each of the network's, along a side
 _PLACE, _SCALE = 1e-3, 4e-3  # deviations of the mat: m, and relative
+_BENT, _FAR = 5e-3, 0.2  # of its scale by the lens, at a distance in m from the middle
 
 
 def scene_of(positions: np.ndarray, rest: np.ndarray, faces: np.ndarray, plate: Metres,
@@ -68,8 +69,9 @@ def expected(mat: str | None, ground: np.ndarray, plane: np.ndarray, eye: np.nda
     with errors of the pose; and where it is."""
     if mat is None:
         return np.zeros((SIDE, SIDE), np.uint8), np.zeros((SIDE, SIDE), bool)
-    scale = np.exp(rng.normal(0, _SCALE))
-    there = eye[:2] + (behind(plane, eye, height) - eye[:2]) * scale
+    there = behind(plane, eye, height)
+    bent = rng.normal(0, _BENT) * np.square(np.linalg.norm(there, axis=2, keepdims=True) / _FAR)
+    there = eye[:2] + (there - eye[:2]) * np.exp(rng.normal(0, _SCALE) + bent)
     printed, on_mat = printed_at(mat, there + rng.normal(0, _PLACE, 2))
     tone = encoded(np.clip(ground.mean(), 0, 1))
     return np.where(on_ground(mat, there), tone * printed, printed).astype(np.uint8), on_mat

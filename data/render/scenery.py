@@ -22,6 +22,7 @@ _SKY, _LAMP_RAYS = 12, 6  # directions and points that shadows are averaged over
 _COARSE = 4  # pixels between places at which the sky is seen
 _SKIN = np.array([0.45, 0.28, 0.2])
 _CLOTH, _TABLE = 0, 1  # numbers of meshes
+_RIMMED, _DRAWN = 0.1, 0.05  # shares of scenes
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,8 @@ class Scenery:
         through: share of the light that passes through the cloth.
         gloss: strength and exponent of its highlights (Blinn and Phong).
         glow: light of the table itself, such as that of a light pad.
+        sky: its light over that of an even room.
+        shaded: whether light depends on the place; in a drawn or a copied picture it does not.
         kind: what is told of it in results.
     """
 
@@ -70,6 +73,8 @@ class Scenery:
     through: float = 0.0
     gloss: tuple[float, float] = (0.0, 1.0)
     glow: float = 0.0
+    sky: float = 1.0
+    shaded: bool = True
     kind: dict = field(default_factory=dict)
 
     @classmethod
@@ -86,7 +91,9 @@ class Scenery:
         if clutter:
             things += _clutter(rng, reach, min(plate_height, float(cloth[:, 2].min())))
         lamps = [_lamp(rng) for _ in range(rng.choice(3, p=[0.25, 0.55, 0.2]))]
-        rare = rng.random(3)
+        rare = rng.random(5)
+        if rare[3] < _RIMMED and surface is None:
+            random_surface = textures.rimmed(random_surface, rest, rng)
         return cls(
             cloth, rest, faces, surface or random_surface, textures.table(rng), mat,
             (rng.uniform(0.02, 0.1), rng.uniform(0.7, 0.9)), _mat_ground(ground, rng), things,
@@ -94,6 +101,8 @@ class Scenery:
             rng.uniform(0.05, 0.5) if rare[0] < 0.12 else 0.0,
             (rng.uniform(0.05, 0.6), rng.uniform(4, 40)) if rare[1] < 0.25 else (0.0, 1.0),
             rng.uniform(0.5, 3.0) if rare[2] < 0.06 else 0.0,
+            float(np.exp(rng.uniform(np.log(0.15), 0.0))) if lamps else 1.0,
+            not clutter or rare[4] > _DRAWN,
             {"pattern": "stated" if surface else pattern, "lamps": len(lamps),
              "things": len(things)})
 
@@ -155,6 +164,8 @@ class Scenery:
     def _light(self, scene: RayScene, hits: Hits, places: np.ndarray, normals: np.ndarray,
                rng: np.random.Generator) -> np.ndarray:
         """Light (H, W) at places with ``normals``: of the sky, and of lamps."""
+        if not self.shaded:
+            return np.ones(hits.mesh.shape)
         surface = np.where(hits.mesh == _CLOTH, 1, 0)
         coarse = slice(None, None, _COARSE), slice(None, None, _COARSE)
         there, up = places[coarse] + 1e-3 * normals[coarse], normals[coarse]
@@ -166,7 +177,7 @@ class Scenery:
             spread = way + rng.normal(0, 0.2, there.shape)
             free = ~np.isfinite(scene.cast(there, spread).distance)
             sky += free * np.maximum(up @ way, 0) * 2 / _SKY
-        total = 0.5 * _spread(sky, surface, _COARSE)
+        total = 0.5 * self.sky * _spread(sky, surface, _COARSE)
         half = slice(None, None, 2), slice(None, None, 2)
         there = places[half] + 1e-3 * normals[half]
         for lamp in self.lamps:
@@ -222,6 +233,13 @@ def _clutter(rng: np.random.Generator, reach: Metres, below: Metres) -> list[Thi
         points = mesh.vertices @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1.0]])
         points = points + np.array([far * np.cos(around), far * np.sin(around), high / 2])
         things.append(Thing(points, mesh.faces, textures.plain(textures.colour(rng), rng)))
+    for _ in range(rng.choice([0, 0, 0, 1, 3])):  # sheets of paper and stickers, also under it
+        size = np.exp(rng.uniform(np.log(0.02), np.log(0.35), 2))
+        place = reach * rng.uniform(0.4, 1.4) * _unit(rng.normal(size=2))
+        mesh = trimesh.creation.box([*size, 6e-4])
+        turn3 = trimesh.transformations.rotation_matrix(rng.uniform(0, np.pi), [0, 0, 1])[:3, :3]
+        things.append(Thing(mesh.vertices @ turn3.T + [*place, 3e-4], mesh.faces,
+                            textures.plain(textures.colour(rng), rng)))
     if rng.random() < 0.08:  # fingers, from outside
         around = rng.uniform(0, 2 * np.pi)
         way = np.array([np.cos(around), np.sin(around)])

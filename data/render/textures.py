@@ -10,7 +10,7 @@ import numpy as np
 
 Texture = Callable[[np.ndarray], np.ndarray]
 
-PATTERNS = ("plain", "stripes", "checks", "dots", "weave", "mottled", "print", "patches")
+PATTERNS = ("plain", "stripes", "bands", "checks", "dots", "weave", "mottled", "print", "patches")
 _LEAST, _MOST = 0.015, 0.93  # albedo
 _SIDE = 256  # of a tile of noise
 _BLACK, _WHITE = 0.15, 0.35  # quantiles of draws that are black, and black or white
@@ -38,6 +38,20 @@ def cloth(rng: np.random.Generator) -> tuple[str, Texture]:
     return pattern, texture
 
 
+def rimmed(surface: Texture, rest: np.ndarray, rng: np.random.Generator) -> Texture:
+    """Cloth whose cut edge, some mm of a flat specimen (V, 2), has another colour: frayed or worn.
+    """
+    half, edge = np.abs(rest).max(axis=0), colour(rng)
+    wide, round_ = rng.uniform(1e-3, 6e-3), float(np.hypot(*rest.T).max()) < 1.05 * half.max()
+
+    def texture(places: np.ndarray) -> np.ndarray:
+        inside = (half.max() - np.hypot(*places.T) if round_
+                  else (half - np.abs(places)).min(axis=1))
+        return np.where((inside < wide)[:, None], edge, surface(places))
+
+    return texture
+
+
 def _shares(pattern: str, period: float, rng: np.random.Generator
             ) -> Callable[[np.ndarray], list[np.ndarray]]:
     """How much (N,) of each further colour a pattern has at places (N, 2)."""
@@ -47,11 +61,16 @@ def _shares(pattern: str, period: float, rng: np.random.Generator
     fields = [_noise(rng, extent=period * rng.uniform(4, 20), fall=rng.uniform(1.2, 2.5))
               for _ in range(3)]
     limits = rng.uniform(-0.3, 1.5, 3)
+    edges, bands = np.sort(rng.random(6)), rng.random((3, 7)) < 0.4
+    across = rng.random() < 0.4
 
     def shares(places: np.ndarray) -> list[np.ndarray]:
         x, y = (places @ axes).T
         if pattern == "stripes":
             return [x % 1 < widths[0], (x + 0.5) % 1 < 0.3 * widths[1]]
+        if pattern == "bands":  # broad and uneven, of a tartan if they cross
+            ways = [bands[:, np.searchsorted(edges, 0.1 * way % 1)] for way in (x, y)]
+            return list(0.5 * (ways[0] + 1.0 * ways[1]) if across else ways[0])
         if pattern == "checks":
             return [0.5 * (x % 1 < widths[0]) + 0.5 * (y % 1 < widths[0]),
                     (x % 2 < 0.1) | (y % 2 < 0.1)]

@@ -77,7 +77,7 @@ def test_what_hides_the_hem_makes_its_error_larger(shape):
     try:
         doubtful = cut_cloth(alike, **place())
     except InputError as error:
-        assert "told from its ground" in str(error)
+        assert "differs from its ground" in str(error)
     else:
         assert np.quantile(doubtful.error, 0.9) > 2 * np.quantile(known.error, 0.9)
 

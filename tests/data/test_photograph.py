@@ -281,13 +281,13 @@ def test_a_picture_of_the_plate_gives_scale_and_centre(tmp_path):
 
 MM, SCALE = {"unit": "mm"}, {"mm_per_px": 0.4}
 FAULTS = {
-    "blank": (lambda: drawn(cloth=210), PLATE, "told from its ground on 0% of the plate"),
-    "small": (lambda: drawn(0.1 * CURVE), PLATE, "told from its ground on .* of the plate"),
+    "blank": (lambda: drawn(cloth=210), PLATE, "differs from its ground on 0% of the plate"),
+    "small": (lambda: drawn(0.1 * CURVE), PLATE, "differs from its ground on .* of the plate"),
     "cut off": (lambda: np.roll(drawn(), 250, axis=1), SCALE, "beyond the border of the picture"),
     "large": (drawn, {"mm_per_px": 0.6}, "fills a circle|beyond the border"),
     "tiny": (drawn, {"mm_per_px": 0.04}, "the plate has 4500 pixels .* more than .* 1000"),
-    "place": (drawn, {"plate_px": plate(at=(0.1, 0))}, "told from its ground on [67].%"),
-    "elsewhere": (drawn, {"plate_px": plate(at=(0.19, 0))}, "told from its ground on .*plate"),
+    "place": (drawn, {"plate_px": plate(at=(0.1, 0))}, "differs from its ground on [67].%"),
+    "elsewhere": (drawn, {"plate_px": plate(at=(0.19, 0))}, "differs from its ground on .*plate"),
     "faint": (lambda: np.where(np.arange(1000) < 560, drawn(cloth=207), drawn()), PLATE,
               "as light as its ground"),
     "flat": (lambda: drawn(0.152 * AROUND), PLATE, "drape coefficient is 104"),

@@ -106,7 +106,8 @@ def test_three_pictures_show_the_drape_better_than_each_alone(tmp_path, shape, p
     assert outline.error.shape == (720,) and 3e-4 < np.median(outline.error) < 3e-3
     # The first picture is shown, with the outline as it is seen there.
     first = alone[0].outline
-    assert np.abs(outline.picture.astype(int) - first.picture).mean() < 2
+    alike = cv2.resize(first.picture, outline.picture.shape[1::-1])  # lenses differ by a pixel
+    assert np.abs(outline.picture.astype(int) - alike).mean() < 2
     assert np.median(np.abs(outline.hem - first.drawn(OUTWARDS * silhouette(
         shape.positions, shape.mesh.edges, np.array(PLACES[0]), HEIGHT, azimuths=720)[:, None])
     )) * first.pixel < 3e-3

@@ -64,7 +64,7 @@ def test_photographs_are_read_or_refused_and_the_sound_ones_compared(config):
     assert photographs["sound.png"]["ratio"] == pytest.approx(1, abs=3e-3)
     assert photographs["wrong.png"]["ratio"] == pytest.approx(1 / 1.1, abs=3e-3)
     assert "plate's centre is not known" in photographs["sound.png"]["warnings"][-1]
-    for name, reason in (("bare", "told from its ground"), ("missing", "cannot be read")):
+    for name, reason in (("bare", "differs from its ground"), ("missing", "cannot be read")):
         assert reason in photographs[f"{name}.png"]["reason"]
         assert photographs[f"{name}.png"]["ratio"] is None
     assert (report["read"], report["sound"], report["of"], report["failed"]) == (2, 1, 4, 6)
