@@ -31,8 +31,9 @@ def train(config: TrainConfig) -> Path:
     from tqdm import tqdm
 
     from drapenet.network import training as steps
-    from drapenet.network.checkpoint import save_checkpoint
+    from drapenet.network.checkpoint import read_header
     from drapenet.network.optimizer import Optimizer
+    from drapenet.network.weights import save_checkpoint, save_graphs
 
     device = steps.choose_device(config)
     training, unseen, datasets = steps.open_captures(config)
@@ -75,6 +76,8 @@ def train(config: TrainConfig) -> Path:
             # Last, so that an interruption before this line repeats the epoch and nothing else.
             record["epochs_done"] = epoch + 1
             steps.save_state(state, model=network, optimizer=optimizer, record=record)
+    if config.graphs:
+        save_graphs(read_header(checkpoint))
     return checkpoint
 
 

@@ -102,6 +102,9 @@ def pair(kind: Any) -> Any:
     return Annotated[GenericAlias(list, (kind,)), Field(min_length=2, max_length=2)]
 
 
+Share = Annotated[float, Field(ge=0, le=1)]
+
+
 def limits(least: float, most: float) -> Any:
     """Type of a smaller and a larger number between ``least`` and ``most``."""
     return Annotated[pair(Annotated[float, Field(ge=least, le=most)]), AfterValidator(_in_order)]

@@ -63,6 +63,7 @@ class TrainConfig:
     threads: Annotated[int | None, Field(ge=1, le=1024)]
     bfloat16: bool
     half_precision: bool
+    graphs: bool
     setup: dict[str, Any]
     model: ModelConfig
     optim: OptimConfig
@@ -71,7 +72,7 @@ class TrainConfig:
         """Settings that a resumed run must share: all but paths, device and processes."""
         settings = asdict(self)
         for name in ("data", "out", "maps", "start", "device", "workers", "threads",
-                     "half_precision"):
+                     "half_precision", "graphs"):
             del settings[name]
         return settings
 

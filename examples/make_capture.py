@@ -23,8 +23,9 @@ from common.errors import InputError
 from common.files import folder_named, replace_file, require_folder
 from data.captures.description import checked_density, whole_turns
 from data.captures.writer import write_capture
+from data.render.cameras import VIEWS
 from data.render.phone import mat_around, phone_picture
-from data.render.rays import VIEWS, DepthRenderer
+from data.render.rays import DepthRenderer
 from data.render.scenes import raw_scene
 from data.render.sensors import StructuredLight, load_sensor
 from data.render.setups import Setups

@@ -15,10 +15,11 @@ from common.configs import read_option
 from data.dataset.folder import finished_manifest
 from data.fabrics.prior import load_prior, prior_content
 from data.fabrics.properties import ClothProperties
-from drapenet.network.checkpoint import SCHEMA, save_checkpoint
+from drapenet.network.checkpoint import SCHEMA
 from drapenet.network.evaluate import CELLS
 from drapenet.network.model import make_network
 from drapenet.network.targets import targets_of
+from drapenet.network.weights import save_checkpoint
 
 
 def description(checkpoint: Path) -> dict:

@@ -16,8 +16,8 @@ from data.dataset.folder import MANIFEST
 from data.dataset.shards import SCHEMA_VERSION, Shard, shard_name, write_shard
 from data.dataset.simulate import make_record
 from data.fabrics.prior import load_prior
-from data.render.cameras import Camera, camera_pose, nominal_camera
-from data.render.rays import QUARTERS, DepthRenderer
+from data.render.cameras import QUARTERS, Camera, camera_pose, nominal_camera
+from data.render.rays import DepthRenderer
 from sim.cloth import Laws
 from sim.material import Fabric
 from sim.mesh import grid_faces

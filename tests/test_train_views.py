@@ -18,12 +18,14 @@ from common.errors import InputError
 from data.captures.reader import read_capture
 from drapenet.estimator.stages import by_network
 from drapenet.network.captures import CaptureSet, Condition
-from drapenet.network.checkpoint import Header, load_model, read_header
+from drapenet.network.checkpoint import Header, read_header
 from drapenet.network.evaluate import DEPTH
+from drapenet.network.load import network_of
 from drapenet.network.model import make_network
 from drapenet.network.predict import predict
 from drapenet.network.targets import TARGETS
 from drapenet.network.training import validate
+from drapenet.network.weights import Loaded, load_model
 from drapenet.result.files import read_observation, write_observation
 from drapenet.views.observation import Observation
 from drapenet.views.outline import DrapeOutline
@@ -68,7 +70,7 @@ def test_a_capture_is_estimated_from_its_pictures(header, tmp_path):
     spread = one.estimate.samples.std(axis=0)
     # The same views, later: the same answer. Another cloth: another answer.
     assert (there - middle) / spread == pytest.approx(np.zeros(6), abs=0.1)
-    seen, network = one.observed.seen, load_model(header)
+    seen, network = one.observed.seen, network_of(header)
     flipped = np.ascontiguousarray(seen.pictures.depth[:, ::-1])
     changed = Observation(**vars(seen) | {"pictures": DepthPictures(flipped, 0.0)})
     drawn, = predict(network, header, [[changed]])
@@ -82,7 +84,7 @@ def test_a_capture_is_estimated_from_its_pictures(header, tmp_path):
 ])
 def test_what_it_has_not_learned_to_read_is_refused(header, observation, message):
     with pytest.raises(InputError, match=message) as refusal:
-        predict(load_model(header), header, [[observation]])
+        predict(network_of(header), header, [[observation]])
     assert "\n" not in str(refusal.value)
 
 
@@ -92,7 +94,7 @@ def test_views_are_kept_with_an_estimate_and_join_captures(header, tmp_path):
     write_observation(tmp_path, seen)
     kept = read_observation(tmp_path)
     assert (np.nan_to_num(kept.pictures.depth) == np.nan_to_num(seen.pictures.depth)).all()
-    network = load_model(header)
+    network = network_of(header)
     one, again = (predict(network, header, [[part, part]])[0].cloth.theta
                   for part in (seen, kept))
     assert again == pytest.approx(one, rel=1e-6)
@@ -136,7 +138,7 @@ def test_other_backbones_read_four_pictures(backbone):
     network = make_network(backbone=backbone, output="posterior", width=8, components=2,
                            dropout=0.0, distance=0.0, spread=0.2).eval()
     batch, _ = shapes(2, seed=0).batch(np.arange(2), ALONE, np.random.default_rng(0))
-    answer = batch.through(network)
+    answer = network.answer(batch)
     assert answer.means.shape == (2, 2, TARGETS)
     answer.means.sum().backward()
     first = next(part for part in network.modules() if isinstance(part, torch.nn.Conv2d))
@@ -150,7 +152,6 @@ def test_the_warp_of_a_disc_matters_only_where_it_is_stated():
     discs = CaptureSet(replace(shapes(2, seed=0).maps, disc=np.ones(2, bool)))
     for known in (0.0, 1.0):
         batch, _ = discs.batch(np.arange(2), replace(ALONE, known=known), np.random.default_rng(0))
-        with torch.no_grad():
-            one, other = (replace(batch, angle=torch.full((2,), angle)).through(network).means
-                          for angle in (0.0, 0.7))
-        assert torch.equal(one, other) == (not known)
+        one, other = (Loaded(network).posterior(replace(
+            batch, angle=np.full(2, angle, np.float32))).means for angle in (0.0, 0.7))
+        assert np.array_equal(one, other) == (not known)

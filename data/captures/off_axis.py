@@ -7,12 +7,16 @@ that the outline shows how it hangs. A network has learned this from simulated d
 (``python -m data.dataset.off_axis``).
 """
 
+from pathlib import Path
+
 import numpy as np
 
+from common.graphs import bundled_graph
 from common.types import Metres, Outline
 from sim.measures import closed, farthest
 from sim.rig import Rig
 
+BUNDLED = Path(__file__).resolve().parents[1] / "weights" / "off_axis.safetensors"
 MAX_LEAN = 0.1
 """Place beside the axis over height above the plate, beyond which another picture is asked for. The
 error of the outline is a part of its own; log alpha of nine of ten of fabrics held out differs from
@@ -36,20 +40,12 @@ def seen_from_axis(curve: Outline, beside: np.ndarray, height: Metres, rig: Rig)
         its outermost points (720, 2) at equally spaced azimuths; those of ``curve`` if the camera
         was on the axis.
     """
-    import torch  # takes seconds
-
-    from data.captures.off_axis_network import Seen, bundled
-
     size = rig.specimen_size
     radius = farthest(closed(curve), AZIMUTHS)
-
-    def one(values: np.ndarray | float) -> torch.Tensor:
-        return torch.tensor(np.asarray(values, np.float32))[None]
-
-    with torch.inference_mode():
-        found = bundled()(Seen(one(radius / size), one(rig.border(AZIMUTH) / size),
-                               one(rig.plate_radius / size), one(height / size),
-                               one(np.asarray(beside) / height)))
+    found, = bundled_graph(BUNDLED)(**{name: np.array([one]) for name, one in (
+        ("radius", radius / size), ("border", rig.border(AZIMUTH) / size),
+        ("plate", rig.plate_radius / size), ("height", height / size),
+        ("lean", np.asarray(beside) / height))})
     # Nothing is seen inside the plate; what was, stays for the checks of outlines.
-    moved = np.maximum(found[0].numpy() * size, np.minimum(radius, rig.plate_radius))
+    moved = np.maximum(found[0] * size, np.minimum(radius, rig.plate_radius))
     return moved[:, None] * OUTWARDS

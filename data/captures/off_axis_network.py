@@ -3,15 +3,12 @@ axis. All lengths are over the specimen's size, so that a network serves testers
 layers are convolutions around the outline, so that it does not depend on where azimuth 0 is.
 """
 
-from functools import cache
-from pathlib import Path
 from typing import NamedTuple
 
 import torch
 from torch import nn
 from torch.nn.functional import conv1d, gelu, pad
 
-BUNDLED = Path(__file__).resolve().parents[1] / "weights" / "off_axis.safetensors"
 AZIMUTHS = 360
 """Of the outlines that the network has learned, equally spaced from 0 on."""
 _COLUMNS = 180  # of its layers
@@ -52,13 +49,14 @@ class OffAxisNetwork(nn.Module):
         for value in self.last.parameters():
             nn.init.zeros_(value)
 
-    def forward(self, seen: Seen) -> torch.Tensor:
-        """Radii (N, A), in sizes, of the outlines from the axis."""
-        count = seen.radius.shape[1]
-        lean = seen.lean.norm(dim=1, keepdim=True)
+    def forward(self, radius: torch.Tensor, border: torch.Tensor, plate: torch.Tensor,
+                height: torch.Tensor, lean: torch.Tensor) -> torch.Tensor:
+        """Radii (N, A), in sizes, of the outlines from the axis, of the parts of :class:`Seen`."""
+        seen, count = Seen(radius, border, plate, height, lean), radius.shape[1]
+        far = lean.norm(dim=1, keepdim=True)
         turn, step = _spread(self._outputs(seen), count).unbind(1)
-        place = torch.arange(count) + lean * turn * (_TURN * count / (2 * torch.pi))
-        return _between(seen.radius, place) + lean * step * _STEP
+        place = torch.arange(count) + far * turn * (_TURN * count / (2 * torch.pi))
+        return _between(radius, place) + far * step * _STEP
 
     def _outputs(self, seen: Seen) -> torch.Tensor:
         """(N, 2, _COLUMNS)."""
@@ -96,13 +94,3 @@ def _between(values: torch.Tensor, place: torch.Tensor) -> torch.Tensor:
     part, index = place - low, low.long()
     return (torch.gather(values, -1, index % count) * (1 - part)
             + torch.gather(values, -1, (index + 1) % count) * part)
-
-
-@cache
-def bundled() -> OffAxisNetwork:
-    """The network that ships with the project, in single precision."""
-    from safetensors.torch import load_file
-
-    network = OffAxisNetwork()
-    network.load_state_dict(load_file(BUNDLED))
-    return network.eval()

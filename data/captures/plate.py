@@ -13,8 +13,8 @@ import numba
 import numpy as np
 
 from common.types import Metres, Points, Pose, Vector, VertexMask, Views
+from data.captures.plane_search import largest_plane
 from data.render.cameras import Intrinsics
-from data.render.rays import import_open3d
 from sim.rig import Rig
 
 DEPTH_STEP = 4e-3  # m, of the coarsest depth format
@@ -211,19 +211,19 @@ def _axes(normal: Vector) -> np.ndarray:
 
 def _level_planes(points: Points) -> list[np.ndarray]:
     """Planes, as :attr:`Plate.table`, that are horizontal for a plausible pose; largest first."""
-    open3d = import_open3d()
-    open3d.utility.random.seed(0)
-    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
-    cloud = cloud.voxel_down_sample(_VOXEL)
-    total, planes = len(cloud.points), []
+    rng, planes = np.random.default_rng(0), []
+    _, kept = np.unique(np.floor(points / _VOXEL).astype(int), axis=0, return_index=True)
+    cloud = points[np.sort(kept)]
+    total = len(cloud)
     for _ in range(_MAX_PLANES):
-        if len(cloud.points) < max(100, _MIN_PLANE_SHARE * total):
+        if len(cloud) < max(100, _MIN_PLANE_SHARE * total):
             break
-        plane, inside = cloud.segment_plane(_PLANE_TOLERANCE, ransac_n=3, num_iterations=500)
-        cloud = cloud.select_by_index(inside, invert=True)
-        if len(inside) < _MIN_PLANE_SHARE * total:
+        normal, shift = largest_plane(cloud, _PLANE_TOLERANCE, draws=500, rng=rng)
+        inside = np.abs(cloud @ normal + shift) < _PLANE_TOLERANCE
+        cloud = cloud[~inside]
+        if inside.sum() < _MIN_PLANE_SHARE * total:
             break
-        plane = np.asarray(plane) * (1.0 if plane[3] > 0 else -1.0)  # the camera is above it
+        plane = np.array([*normal, shift]) * (1.0 if shift > 0 else -1.0)  # the camera is above it
         pitch = np.arcsin(np.clip(-plane[2], -1.0, 1.0))
         if _PITCH_RANGE[0] < pitch < _PITCH_RANGE[1] and (
                 abs(np.arctan2(plane[0], -plane[1])) < _MAX_ROLL):

@@ -18,7 +18,7 @@ from scipy.spatial import Delaunay, cKDTree
 from common.errors import InputError
 from common.findings import Finding
 from common.types import Faces, Metres, Points, Vector
-from data.render.rays import import_open3d
+from data.captures.plane_search import largest_plane
 from sim.rig import Rig
 
 UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "inches": 0.0254, "feet": 0.3048, "µm": 1e-6}
@@ -150,17 +150,14 @@ def _some(points: np.ndarray, most: int) -> np.ndarray:
 
 def _planes(cloud: Points) -> Iterator[tuple[Vector, float]]:
     """Normal n and height h, m, of planes n·x = h with many points, each without those before."""
-    o3d = import_open3d()
-    o3d.utility.random.seed(0)
-    rest = cloud
+    rng, rest = np.random.default_rng(0), cloud
     for _ in range(_PLANES):
-        some = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(_some(rest, _SEARCHED)))
-        if len(some.points) < _SECTORS:
+        some = _some(rest, _SEARCHED)
+        if len(some) < _SECTORS:
             return
-        *normal, shift = some.segment_plane(_FLAT, 3, _TRIALS)[0]
-        scale = np.linalg.norm(normal)
-        yield np.array(normal) / scale, -shift / scale
-        rest = rest[np.abs(rest @ normal + shift) > 2 * _FLAT * scale]
+        normal, shift = largest_plane(some, _FLAT, draws=_TRIALS, rng=rng)
+        yield normal, -shift
+        rest = rest[np.abs(rest @ normal + shift) > 2 * _FLAT]
 
 
 def _plate_in(

@@ -15,18 +15,19 @@ import cv2
 import numpy as np
 import torch
 from pydantic import Field
-from safetensors.torch import save
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from common.cases import load_arrays, progress_bar, run_cases
 from common.command import command
 from common.configs import Seed
 from common.errors import InputError
-from common.files import replace_file, require_file
+from common.files import require_file
+from common.graph_export import save_graph, save_weights
+from common.graphs import SUFFIX
 from data.dataset.folder import require_dataset, split_by_fabric
 from data.dataset.shards import SHARDS, Shard
 from data.pictures.cloth_network import ClothNetwork
-from data.pictures.cloth_view import SIDE, View, steps
+from data.pictures.cloth_view import COARSE, FINE, SIDE, View, steps
 from data.render.cloth_scenes import scene_of
 
 HELD_OUT = 0.05  # of the fabrics
@@ -63,10 +64,17 @@ def main(config: ClothConfig) -> None:
     pictures = Pictures.of(folder, list(cases))
     torch.manual_seed(config.seed)
     network = train(pictures, config)
-    tensors = {name: value.half().contiguous() for name, value in network.state_dict().items()
-               if not name.endswith("num_batches_tracked")}
-    replace_file(Path(config.out), save(tensors))
+    save(network, Path(config.out))
     print("\n".join(errors(network, pictures)) + f"\nwritten to {config.out}")
+
+
+def save(network: ClothNetwork, file: Path) -> None:
+    """Write weights and graph."""
+    save_weights(file, network, half=True)
+    save_graph(file.with_suffix(SUFFIX), network, [
+        ("fine", "n", torch.randn(2, FINE, SIDE, SIDE)),
+        ("coarse", "n", torch.randn(2, COARSE, SIDE // 2, SIDE // 2))], ["odds"],
+        identity=file.stem)
 
 
 def photographed(*, shard: Path, scenes: int, seed: int) -> dict:

@@ -14,14 +14,16 @@ from typing import Annotated
 import numpy as np
 import torch
 from pydantic import Field
-from safetensors.torch import save
 
 from common.cases import progress_bar
 from common.command import command
 from common.configs import Seed
 from common.errors import InputError
-from common.files import replace_file, require_file
+from common.files import require_file
+from common.graph_export import save_graph, save_weights
+from common.graphs import SUFFIX
 from common.types import Edges, Metres, Points
+from data.captures.off_axis import AZIMUTHS as SAMPLES
 from data.captures.off_axis import MAX_LEAN
 from data.captures.off_axis_network import AZIMUTHS, OffAxisNetwork, Seen
 from data.dataset.folder import over_shards, require_dataset, split_by_fabric
@@ -74,9 +76,21 @@ def main(config: OffAxisConfig) -> None:
     torch.manual_seed(config.seed)
     pairs = see(root, config)
     network = train(pairs, config)
-    tensors = {name: value.half().contiguous() for name, value in network.state_dict().items()}
-    replace_file(Path(config.out), save(tensors))
+    save(network, Path(config.out))
     print("\n".join(errors(network, pairs)) + f"\nwritten to {config.out}")
+
+
+def save(network: OffAxisNetwork, file: Path) -> None:
+    """Write weights and graph."""
+    save_weights(file, network, half=True)
+    one = torch.full((2,), 0.3)
+    azimuth = torch.arange(SAMPLES) * (2 * torch.pi / SAMPLES)
+    folds = torch.cos(azimuth * torch.tensor([[4], [7]]))
+    save_graph(file.with_suffix(SUFFIX), network, [
+        ("radius", "n", 0.35 + 0.1 * folds), ("border", "n", 0.5 + 0.1 * folds),
+        ("plate", "n", one), ("height", "n", 10 * one), ("lean", "n", 0.1 * torch.rand(2, 2))],
+        ["from_axis"],
+        identity=file.stem)
 
 
 def see(root: Path, config: OffAxisConfig) -> Pairs:
@@ -134,7 +148,7 @@ def train(pairs: Pairs, config: OffAxisConfig) -> OffAxisNetwork:
         seen, radius = pairs.rows(rng.choice(rows, _BATCH))
         if step % 2:
             seen, radius = mirrored(seen, radius)
-        found = network(seen)
+        found = network(*seen)
         # An error counts the more, the shorter the part that is seen beyond the plate: of limp
         # cloth, small differences matter.
         unit = ((seen.lean.norm(dim=1) + _LEAST_LEAN)
@@ -162,7 +176,7 @@ def errors(network: OffAxisNetwork, pairs: Pairs) -> list[str]:
     """Lines of a table: rms errors of outlines of the fabrics held out, without and with it."""
     rows = np.flatnonzero(pairs.held_out)
     seen, radius = pairs.rows(rows)
-    found = torch.cat([network(Seen(*(part[k:k + _BATCH] for part in seen)))
+    found = torch.cat([network(*(part[k:k + _BATCH] for part in seen))
                        for k in range(0, len(rows), _BATCH)])
     raw, left = (1e3 * pairs.size[rows].numpy() * (part - radius).square().mean(1).sqrt().numpy()
                  for part in (seen.radius, found))

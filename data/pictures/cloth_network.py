@@ -3,16 +3,12 @@
 A U-Net (Ronneberger et al. 2015) that works on squares of two by two pixels of its picture.
 """
 
-from functools import cache
-from pathlib import Path
-
 import torch
 from torch import nn
 from torch.nn.functional import interpolate, max_pool2d, pixel_shuffle, pixel_unshuffle
 
 from data.pictures.cloth_view import COARSE, FINE
 
-BUNDLED = Path(__file__).resolve().parents[1] / "weights" / "cloth.safetensors"
 _WIDTHS = (16, 24, 48, 96, 128)
 
 
@@ -44,13 +40,3 @@ class ClothNetwork(nn.Module):
         for block, finer in zip(self.up, kept[-2::-1], strict=True):
             values = block(torch.cat([interpolate(values, scale_factor=2.0), finer], dim=1))
         return pixel_shuffle(self.last(values), 2)[:, 0]
-
-
-@cache
-def bundled() -> ClothNetwork:
-    """The network that ships with the project, in single precision."""
-    from safetensors.torch import load_file
-
-    network = ClothNetwork()
-    network.load_state_dict(load_file(BUNDLED))
-    return network.eval()

@@ -3,18 +3,21 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
 from common.errors import InputError
+from common.graphs import bundled_graph
 from common.types import Mask, Metres, PixelPath
 from data.pictures.cloth_view import SIDE, View, steps
 from data.pictures.edge import border_of, edge_of, normals, sampled, smoothed
 from data.pictures.planes import mapped
 from data.pictures.reading import Photograph
 
+BUNDLED = Path(__file__).resolve().parents[1] / "weights" / "cloth.safetensors"
 _MOST_TIMES = 12  # pixels of a photograph that are averaged, along a side
 _FINER = 8  # places for each pixel, between which log odds are linear
 _AROUND_HEM = 1.0  # pixels, on both sides of it, between which the odds' slope is measured
@@ -148,22 +151,17 @@ def _view(
 def _log_odds(view: View) -> tuple[np.ndarray, np.ndarray]:
     """Logarithm (SIDE, SIDE) of the odds that pixels show the specimen, mean of a view turned and
     mirrored in all eight ways, and its standard deviation between them."""
-    import torch  # takes seconds
+    def turned(values: np.ndarray, way: int) -> np.ndarray:
+        return np.rot90(values[..., ::-1] if way > 3 else values, way, (-2, -1))
 
-    from data.pictures.cloth_network import bundled
+    def back(values: np.ndarray, way: int) -> np.ndarray:
+        upright = np.rot90(values, -way, (-2, -1))
+        return upright[..., ::-1] if way > 3 else upright
 
-    def turned(values: torch.Tensor, way: int) -> torch.Tensor:
-        return torch.rot90(values.flip(-1) if way > 3 else values, way, (-2, -1))
-
-    def back(values: torch.Tensor, way: int) -> torch.Tensor:
-        upright = torch.rot90(values, -way, (-2, -1))
-        return upright.flip(-1) if way > 3 else upright
-
-    with torch.inference_mode():
-        fine, coarse = (torch.stack([turned(torch.from_numpy(one), way) for way in range(8)])
-                        for one in view.channels())
-        found = torch.stack([back(one, way) for way, one in enumerate(bundled()(fine, coarse))])
-        return found.mean(0).numpy(), found.std(0).numpy()
+    fine, coarse = (np.stack([turned(one, way) for way in range(8)]) for one in view.channels())
+    odds, = bundled_graph(BUNDLED)(fine=fine, coarse=coarse)
+    found = np.stack([back(one, way) for way, one in enumerate(odds)])
+    return found.mean(0), found.std(0)
 
 
 def _piece(odds: np.ndarray) -> Mask:

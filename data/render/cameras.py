@@ -15,9 +15,12 @@ import numpy as np
 from common.configs import read_config, si
 from common.errors import InputError
 from common.findings import Finding
-from common.types import DepthImage, Metres, Pixels, Points, Pose, Radians
+from common.types import DepthImage, Metres, Pixels, Points, Pose, Radians, Turns
 from sim.rig import DISC_RIG, SQUARE_RIG, Rig
 
+VIEWS = 4
+QUARTERS: Turns = np.arange(VIEWS) * math.pi / 2
+"""Turns of the table in four views, rad."""
 _MAX_OFF_MIDDLE = 0.1  # of the picture's width and height; the Azure Kinect's is 9 % off
 
 

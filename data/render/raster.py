@@ -13,7 +13,7 @@ from math import isfinite
 import numba
 import numpy as np
 
-from common.types import Faces, Points, Views
+from common.types import DepthImage, Faces, Points, Views
 from data.render.cameras import Camera
 
 MIN_HEIGHT = 1e-12  # px, avoids division by 0 in the slope of a horizontal edge
@@ -30,6 +30,17 @@ def rasterise(
     return draw(points, faces, intrinsics, camera.height, camera.width)
 
 
+def nearest_faces(
+    points: Points, faces: Faces, intrinsics: Sequence[float], height: int, width: int
+) -> tuple[DepthImage, np.ndarray]:
+    """A picture (height, width) of vertices (V, 3) in camera axes, m, with ``intrinsics`` fx, fy,
+    cx, cy, px; and the triangle that each pixel shows, -1 for none."""
+    shown = np.full((1, height, width), -1)
+    picture = _draw_all(points[None], faces, np.array(intrinsics, points.dtype), height, width,
+                        shown)
+    return picture[0], shown[0]
+
+
 def camera_points(
     positions: Points, camera: Camera, angles: Sequence[float] | np.ndarray
 ) -> np.ndarray:
@@ -43,12 +54,18 @@ def camera_points(
     return positions[:, :1] * x + positions[:, 1:2] * y + positions[:, 2:] * z + shift
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def draw(points, faces, intrinsics, height, width):
+def draw(points: np.ndarray, faces: Faces, intrinsics: np.ndarray, height: int, width: int
+         ) -> Views:
     """Pictures (K, height, width) of a mesh with vertices (K, V, 3) in camera axes, m.
 
     ``intrinsics``: (4,) fx, fy, cx, cy, px, of the type of ``points``.
     """
+    return _draw_all(points, faces, intrinsics, height, width, np.empty((0, 0, 0), int))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _draw_all(points, faces, intrinsics, height, width, shown):
+    """Pictures as of :func:`draw`, and, if ``shown`` is not empty, in it the nearest triangles."""
     views, vertices, _ = points.shape
     pictures = np.zeros((views, height, width), points.dtype)
     fx, fy, cx, cy = intrinsics
@@ -62,7 +79,8 @@ def draw(points, faces, intrinsics, height, width):
             v[i] = fy * y * w[i] + cy
         nearest = pictures[view]
         for face in range(len(faces)):
-            _draw_triangle(u, v, w, faces[face], nearest)
+            _draw_triangle(u, v, w, faces[face], nearest, face,
+                           shown[view] if len(shown) else np.empty((0, 0), np.int64))
         for row in range(height):
             for column in range(width):
                 if nearest[row, column] > 0:
@@ -71,10 +89,11 @@ def draw(points, faces, intrinsics, height, width):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _draw_triangle(u, v, w, face, nearest):
-    """Draw a triangle with corners (u, v, 1/z = w) into a picture of the largest 1/z."""
+def _draw_triangle(u, v, w, corners, nearest, face, shown):
+    """Draw a triangle with corners (u, v, 1/z = w) into a picture of the largest 1/z, and its
+    number ``face`` into that of the triangles ``shown`` unless it is empty."""
     height, width = nearest.shape
-    a, b, c = face
+    a, b, c = corners
     if v[a] > v[b]:
         a, b = b, a
     if v[b] > v[c]:
@@ -97,6 +116,8 @@ def _draw_triangle(u, v, w, face, nearest):
             inverse_depth = w_left + slope * (nearest.dtype.type(column) - left)
             if inverse_depth > nearest[row, column]:
                 nearest[row, column] = inverse_depth
+                if len(shown):
+                    shown[row, column] = face
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -13,11 +13,8 @@ import numpy as np
 
 from common.errors import InputError, lacks_memory, one_line
 from common.types import DepthImage, Faces, Points, Radians, Turns, Views
-from data.render.cameras import Camera
+from data.render.cameras import QUARTERS, Camera
 
-VIEWS = 4
-QUARTERS: Turns = np.arange(VIEWS) * math.pi / 2
-"""Turns of the table in four views, rad."""
 OPEN3D_REMEDY = "apt-get install libusb-1.0-0 libgl1 libegl1 libgomp1 libx11-6"
 
 
@@ -29,8 +26,8 @@ def import_open3d() -> ModuleType:
     except (ImportError, OSError) as error:
         if lacks_memory(error):
             raise
-        raise InputError(f"open3d cannot be imported ({one_line(error)}); install its libraries "
-                         f"with: {OPEN3D_REMEDY}") from None
+        raise InputError(f"open3d cannot be imported ({one_line(error)}); install drapenet[train], "
+                         f"and its libraries with: {OPEN3D_REMEDY}") from None
     return open3d
 
 

@@ -23,13 +23,12 @@ import torch
 from pydantic import Field, model_validator
 from torch.nn.functional import pad
 
-from common.configs import read_option
+from common.configs import Share, read_option
 from common.documents import Schema
 from common.errors import InputError
 from data.render.cameras import Intrinsics
 
 Amount = Annotated[float, Field(ge=0)]
-Share = Annotated[float, Field(ge=0, le=1)]
 
 EIGHTHS_OF_DISPARITY = 351.3  # m, K above
 EIGHT_BIT_STEP = 1 / 255  # m per count in the published captures

@@ -13,12 +13,11 @@ import cv2
 import numpy as np
 from pydantic import AfterValidator, Field, create_model
 
-from common.configs import Key, keys_of, limits, read_option, si, up_to
+from common.configs import Key, Share, keys_of, limits, read_option, si, up_to
 from common.documents import Schema
 from common.types import Faces, Points, Radians, Turns, Views
 from data.captures.description import MAX_VIEWS
 from data.render.cameras import Camera, Intrinsics, camera_pose, nominal_camera, size_ratio
-from data.render.sensors import Share, load_sensor
 from sim.rig import SQUARE_RIG, Rig
 
 REFERENCE_DISTANCE = 0.527
@@ -90,7 +89,9 @@ class Setups:
         wrong = rng.normal(0.0, self.turn, count)
         wrong[0] = 0.0
         orientation = float(rng.uniform(*self.orientation))
-        from data.render.raster import rasterise  # Numba, which a reader of set-ups need not load
+        # Numba and PyTorch, which a reader of set-ups need not load.
+        from data.render.raster import rasterise
+        from data.render.sensors import load_sensor
 
         views = rasterise(positions, faces, camera,
                           (orientation + turns + wrong).tolist())

@@ -5,7 +5,7 @@ import numpy as np
 import trimesh
 
 from common.types import Faces, Metres, Outline, Points, Vector, Views
-from data.render.rays import RayScene
+from data.render.raster import nearest_faces
 from sim.mesh import vertex_normals
 
 # Colours and intensities are linear, 0 to 1.
@@ -44,7 +44,7 @@ def shade(
         radius, top = 0.985 * plate_radius, -1e-3
         stand = trimesh.creation.revolve([[radius, floor], [radius, top], [0, top]], sections=96)
         meshes.append((stand.vertices, stand.faces))
-    normals = [vertex_normals(*mesh) for mesh in meshes]
+    normals = np.concatenate([vertex_normals(*mesh) for mesh in meshes])
     width, height = size[0] * supersampling, size[1] * supersampling
     right, up, forward = _view(elevation)
     pixel = field / width
@@ -53,20 +53,38 @@ def shade(
     # From above, the plate is always in the middle.
     middle = np.array([0.0, 0.0, _MIDDLE if elevation < 80 else 0.0])
     starts = middle - _VIEWER_DISTANCE * forward + x[None, :, None] * right + y[:, None, None] * up
-    hits = RayScene(*meshes).cast(starts, np.broadcast_to(forward, starts.shape))
+    points = np.concatenate([mesh[0] for mesh in meshes])
+    triangles = np.concatenate([faces, *(mesh[1] + len(positions) for mesh in meshes[1:])])
+    across, upwards, depth = ((points - middle) @ np.stack([right, up, forward], axis=1)).T
+    # The rasteriser divides by depth and compares inverses: these make its rays parallel.
+    inverse = 2.0 - depth
+    camera = np.column_stack([across, -upwards, np.ones(len(points))]) / inverse[:, None]
+    _, face = nearest_faces(camera, triangles, (
+        1 / pixel, 1 / pixel, (width - 1) / 2, (height - 1) / 2), height, width)
 
     image = _background(starts, forward, floor, positions)
-    for k, (colour, (_, triangles)) in enumerate(zip((_CLOTH, _STAND), meshes, strict=False)):
-        shown = hits.mesh == k
-        corners = triangles[hits.face[shown]]
-        u, v = hits.uv[shown].T[..., None]
-        n = normals[k]
-        normal = (1 - u - v) * n[corners[:, 0]] + u * n[corners[:, 1]] + v * n[corners[:, 2]]
+    for k, colour in enumerate((_CLOTH, _STAND)[:len(meshes)]):
+        shown = (face >= 0) & ((face >= len(faces)) == (k == 1))
+        corners = triangles[face[shown]]
+        weights = _barycentric(points[corners] @ np.stack([right, up], axis=1),
+                               (starts[shown] @ np.stack([right, up], axis=1)))
+        normal = (weights[..., None] * normals[corners]).sum(axis=1)
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         normal *= -np.sign(normal @ forward)[:, None]  # two-sided shading
         image[shown] = colour * _illumination(normal, right, up, forward)[:, None]
     image = image.reshape(size[1], supersampling, size[0], supersampling, 3).mean((1, 3))
     return (255 * np.clip(image, 0, 1) ** (1 / 2.2)).round().astype(np.uint8)
+
+
+def _barycentric(corners: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Weights (N, 3) of the corners (N, 3, 2) of triangles at places (N, 2) in them."""
+    a, b, c = np.moveaxis(corners, 1, 0)
+    u, v, w = b - a, c - a, places - a
+    twice = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
+    twice = np.where(np.abs(twice) < 1e-15, 1e-15, twice)
+    second = (w[:, 0] * v[:, 1] - w[:, 1] * v[:, 0]) / twice
+    third = (u[:, 0] * w[:, 1] - u[:, 1] * w[:, 0]) / twice
+    return np.clip(np.stack([1 - second - third, second, third], axis=1), 0, 1)
 
 
 def _view(elevation: float) -> tuple[Vector, Vector, Vector]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache, lru_cache
+from functools import cache
 
 import numpy as np
 
@@ -15,12 +15,11 @@ from drapenet.estimator.read import require_directions
 from drapenet.evidence.combine import consistent, updated
 from drapenet.evidence.source import of_capture, of_refined
 from drapenet.evidence.state import cloth_of_state, fabric_prior, state_of
-from drapenet.network.checkpoint import Header, load_model
+from drapenet.network.checkpoint import Header
+from drapenet.network.load import network_of
 from drapenet.network.predict import Draws, predict
 from drapenet.views.observation import Observation
 from sim.material import DIRECTIONS, STIFF_SOFT
-
-network_of = lru_cache(maxsize=2)(load_model)
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,11 @@ from dataclasses import asdict, dataclass
 from typing import get_args
 
 import numpy as np
-import torch
 
 from data.fabrics.properties import ClothProperties
 from drapenet.config import Input, ModelConfig
 from drapenet.network.dataset import Maps
-from drapenet.network.model import Batch, Facts
+from drapenet.network.inputs import Batch, Facts
 from drapenet.network.targets import (
     CURL,
     Symmetry,
@@ -136,7 +135,7 @@ class CaptureSet:
         targets = exchanged(targets, weft)
         batch = Batch.of(
             views["distance"], views["weight"], outline, facts, views["pictures"], views["angle"],
-            torch.from_numpy(self.scale.encode(targets)).float())
+            self.scale.encode(targets))
         if symmetric:
             batch = batch.turned(
                 Symmetry.draw(known=known[group], disc=maps.disc[rows], exchanged=weft[group],

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
@@ -12,7 +11,7 @@ from pydantic import Field
 
 from common.documents import Excerpt, Schema, parse_json, read_bytes
 from common.errors import InputError, one_line
-from common.files import replace_file
+from common.graphs import MAX_WEIGHTS_BYTES
 from common.types import Theta
 from data.fabrics.fabrics import THETA_NAMES
 from data.fabrics.nuisances import NuisanceConfig
@@ -22,10 +21,7 @@ from sim.material import SWAPPED
 from sim.rig import Rig
 
 if TYPE_CHECKING:
-    import torch
-
     from data.render.setups import Setups
-    from drapenet.network.model import Network
     from drapenet.network.targets import TargetScale
 
 SCHEMA = "drapenet-checkpoint"
@@ -33,7 +29,6 @@ SCHEMA = "drapenet-checkpoint"
 SCHEMA_VERSION = 4
 BUNDLED = Path(__file__).parents[1] / "weights" / "drapenet.safetensors"
 
-MAX_WEIGHTS_BYTES = 2 << 30
 _SIX = Field(min_length=len(THETA_NAMES), max_length=len(THETA_NAMES))
 _TEN = Field(min_length=10, max_length=10)
 _Positive = Annotated[float, Field(gt=0)]
@@ -166,35 +161,3 @@ def read_header(path: str | Path = "") -> Header:
                          "version has written")
     header = Header.of(parse_json(text, path, Header.remedy), path)
     return header.model_copy(update={"path": path, "sha256": digest})
-
-
-def load_model(header: Header) -> Network:
-    """The network of a checkpoint, in float32 on the CPU, in evaluation mode."""
-    from safetensors import SafetensorError
-    from safetensors.torch import load_file
-
-    from drapenet.network.model import make_network
-
-    try:
-        model = make_network(**header.model.model_dump())
-        model.load_state_dict(load_file(header.path))  # converts to float32
-    except (SafetensorError, RuntimeError, TypeError) as error:
-        reason = str(error).splitlines()[0]
-        raise InputError(f"{header.path} does not fit the network: {reason}; copy it again"
-                         ) from None
-    return model.eval()
-
-
-def save_checkpoint(
-    path: Path, *, model: torch.nn.Module, description: dict[str, Any], half: bool
-) -> None:
-    """Write the checkpoint ``path``; ``half``: all but running statistics in half precision."""
-    from safetensors.torch import save
-
-    tensors = {}
-    for name, value in model.state_dict().items():
-        # Running statistics span many orders of magnitude and are small: full precision.
-        narrow = half and value.is_floating_point() and "running" not in name
-        tensors[name] = (value.half() if narrow else value).cpu().contiguous()
-    content = {"schema_version": SCHEMA_VERSION} | description
-    replace_file(path, save(tensors, metadata={SCHEMA: json.dumps(content)}))

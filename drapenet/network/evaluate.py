@@ -36,13 +36,14 @@ from data.fabrics.prior import TablePrior, log_stiffness
 from data.rigs import named_tester
 from drapenet.config import EvaluateConfig, Input
 from drapenet.network.captures import CaptureSet, Condition, readable
-from drapenet.network.checkpoint import Header, load_model, read_header
+from drapenet.network.checkpoint import Header, read_header
 from drapenet.network.dataset import Maps, make_maps
 from drapenet.network.expected import LEVEL
-from drapenet.network.model import Network
+from drapenet.network.load import network_of
 from drapenet.network.posterior import Ranks, covered, inside, ranks
-from drapenet.network.predict import likeness_of, sample_targets
+from drapenet.network.predict import sample_targets
 from drapenet.network.targets import cloth_of, stiffer_first, targets_of
+from drapenet.network.trained import Trained
 from sim.material import MICRO
 
 DRAPES_PER_EVEN_FABRIC = 2
@@ -169,7 +170,7 @@ def _labels(borders: Sequence[float], unit: str) -> list[str]:
 
 
 def judge(
-    network: Network, header: Header, maps: Maps, condition: Condition, *, seed: int
+    network: Trained, header: Header, maps: Maps, condition: Condition, *, seed: int
 ) -> Judged:
     """Estimates of sets of captures of unseen fabrics."""
     captures = CaptureSet(maps.chosen(readable(maps, header.config.inputs)), scale=header.scale)
@@ -186,7 +187,8 @@ def judge(
         theta = cloth_of(truth, facts.sizes).theta
         coefficient = (np.bincount(facts.group, facts.coefficient) / np.bincount(facts.group))
         least = np.full(len(rows), np.nan)
-        for k, found in enumerate(likeness_of(network, header, batch, samples)):
+        for k, found in enumerate(
+                network.likeness(batch, header.scale.encode(samples))):
             least[facts.group[k]] = np.fmin(least[facts.group[k]], found.probability)
         parts.append((drawn.mean(axis=0) - theta, ranks(drawn, theta), rows,
                       np.exp(log_stiffness(theta)), coefficient, least))
@@ -222,7 +224,7 @@ def main(config: EvaluateConfig) -> None:
     require_folder(out)
     for tester in config.testers:
         header.require_learned(named_tester(tester))
-    network = load_model(header)
+    network = network_of(header)
     bounds = read_json(Path(config.bounds))["cells"] if config.bounds else {}
     known = {name: cell for name, cell in CELLS.items() if cell.kind in header.config.inputs
              and len(cell.condition.sizes) <= config.drapes_per_fabric}

@@ -12,11 +12,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
 from common.findings import Finding
 from common.types import Metres
-from drapenet.network.targets import CURL, TARGETS
+from drapenet.network.posterior import chosen_components
 from drapenet.views.directions import AZIMUTH
 
 SHAPE = 5
@@ -26,9 +25,7 @@ _WAVES = np.arange(2, 21)
 _LEAST = 1e-3  # half sizes, of a wave
 _LEAST_DISTANCE = 1e-2  # below it, a drape is as good as centred
 _UNIT = np.array([0.25, 1.0, 1.0, 3.0, 3.0])
-_COMPONENTS = 4
-_HIDDEN = 64
-_REPLICATES = 500
+REPLICATES = 500  # drapes of a posterior that a capture is compared with
 LEVEL = 0.01
 """Largest share of a posterior's own drapes that may be less probable than a capture's."""
 
@@ -101,73 +98,36 @@ _CODES: tuple[tuple[str, Callable[[float, Metres], float]], ...] = (
     ("unlike_nodes", lambda value, size: value))
 
 
-class Expected(torch.nn.Module):
-    """Mixture of normal distributions, each with independent entries, of a shape given the
-    standardised targets of its cloth and ``facts`` numbers of the capture."""
-
-    def __init__(self, facts: int) -> None:
-        super().__init__()
-        self.layers = torch.nn.Sequential(
-            torch.nn.Linear(TARGETS + facts, _HIDDEN), torch.nn.ReLU(),
-            torch.nn.Linear(_HIDDEN, _HIDDEN), torch.nn.ReLU(),
-            torch.nn.Linear(_HIDDEN, _COMPONENTS * (1 + 2 * SHAPE)))
-
-    def forward(self, targets: torch.Tensor, facts: torch.Tensor, face: torch.Tensor
-                ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Logarithms of the components' weights (..., K), means and logarithms of deviations
-        (..., K, SHAPE) for targets (..., TARGETS) of the marked face, captures' facts and faces."""
-        turned = targets.clone()
-        turned[..., CURL] = targets[..., CURL] * face[..., None]
-        out = self.layers(torch.cat([turned, facts], dim=-1))
-        out = out.view(*out.shape[:-1], _COMPONENTS, 1 + 2 * SHAPE)
-        return (out[..., 0].log_softmax(dim=-1), out[..., 1 : 1 + SHAPE],
-                out[..., 1 + SHAPE :].clamp(-5.0, 3.0))
-
-    def log_density(self, shape: torch.Tensor, targets: torch.Tensor, facts: torch.Tensor,
-                    face: torch.Tensor) -> torch.Tensor:
-        """(...) log density of the known numbers of shapes (..., SHAPE)."""
-        return _log_density(shape, *self(targets, facts, face))
-
-    @torch.no_grad()
-    def likeness(self, shape: torch.Tensor, samples: torch.Tensor, facts: torch.Tensor,
-                 face: torch.Tensor) -> list["Likeness"]:
-        """How N captures with shapes (N, SHAPE) compare with drapes of cloths drawn from their
-        posteriors (S, N, TARGETS)."""
-        generator = torch.Generator().manual_seed(0)
-        samples = samples[:: max(1, len(samples) // _REPLICATES)]
-        count = len(samples)
-        weights, means, deviations = self(samples, facts.expand(count, *facts.shape),
-                                          face.expand(count, *face.shape))
-        found = []
-        for n in range(len(shape)):
-            parts = weights[:, n], means[:, n], deviations[:, n]
-            chosen = torch.multinomial(parts[0].exp(), 1, generator=generator)[:, 0]
-            rows = torch.arange(count)
-            drawn = parts[1][rows, chosen] + parts[2][rows, chosen].exp() * torch.randn(
-                count, SHAPE, generator=generator)
-            density = _log_density_of_all(torch.cat([drawn, shape[n : n + 1]]),
-                                          shape[n].isfinite(), *parts)
-            less = (1 + (density[:-1] <= density[-1]).sum()) / (1 + count)
-            found.append(Likeness.of(float(less), shape[n].numpy(), drawn.numpy()))
-        return found
+def likeness(
+    shape: np.ndarray, weights: np.ndarray, means: np.ndarray, deviations: np.ndarray
+) -> list[Likeness]:
+    """How N captures with shapes (N, SHAPE) compare with drapes of cloths drawn from their
+    posteriors, whose shapes have the distributions of
+    :class:`drapenet.network.expected_network.Expected`: logarithms (S, N, K) of weights, means and
+    logarithms (S, N, K, SHAPE) of deviations."""
+    rng, found = np.random.default_rng(0), []
+    for n, own in enumerate(shape):
+        parts = weights[:, n], means[:, n], deviations[:, n]
+        rows, chosen = np.arange(len(weights)), chosen_components(parts[0], 1, rng)[:, 0]
+        drawn = parts[1][rows, chosen] + np.exp(parts[2][rows, chosen]) * rng.standard_normal(
+            (len(rows), SHAPE))
+        density = log_density_of_all(np.vstack([drawn, own]), np.isfinite(own), *parts)
+        less = (1 + (density[:-1] <= density[-1]).sum()) / (1 + len(rows))
+        found.append(Likeness.of(float(less), own, drawn))
+    return found
 
 
-def _log_density_of_all(shapes: torch.Tensor, known: torch.Tensor, weights: torch.Tensor,
-                        means: torch.Tensor, deviations: torch.Tensor) -> torch.Tensor:
+def log_density_of_all(shapes: np.ndarray, known: np.ndarray, weights: np.ndarray,
+                       means: np.ndarray, deviations: np.ndarray) -> np.ndarray:
     """(M,) log densities of the ``known`` numbers of ``shapes`` (M, SHAPE), under the sum of the
-    mixtures of S cloths: those of _log_density, as matrix products."""
+    mixtures of S cloths (S, K, ...)."""
     # Differences of large numbers: in double precision.
-    middles, widths = (part.flatten(0, 1)[:, known].double() for part in (means, deviations))
-    points, exact = shapes[:, known].double(), (-2 * widths).exp()
-    squares = points.square() @ exact.T - 2 * points @ (middles * exact).T
-    offsets = ((middles.square() * exact).sum(dim=1) / 2 + widths.sum(dim=1)
+    middles, widths = (part.reshape(-1, SHAPE)[:, known].astype(float)
+                       for part in (means, deviations))
+    points, exact = shapes[:, known].astype(float), np.exp(-2 * widths)
+    squares = np.square(points) @ exact.T - 2 * points @ (middles * exact).T
+    offsets = ((np.square(middles) * exact).sum(axis=1) / 2 + widths.sum(axis=1)
                + known.sum() * math.log(2 * math.pi) / 2)
-    return (weights.flatten() - (squares / 2 + offsets)).float().logsumexp(dim=1)
-
-
-def _log_density(shape: torch.Tensor, weights: torch.Tensor, means: torch.Tensor,
-                 deviations: torch.Tensor) -> torch.Tensor:
-    known = shape.isfinite()[..., None, :]
-    gap = (shape.nan_to_num()[..., None, :] - means) / deviations.exp()
-    each = (-gap.square() / 2 - deviations - math.log(2 * math.pi) / 2) * known
-    return (weights + each.sum(dim=-1)).logsumexp(dim=-1)
+    each = weights.ravel() - (squares / 2 + offsets)
+    most = each.max(axis=1)
+    return most + np.log(np.exp(each - most[:, None]).sum(axis=1))

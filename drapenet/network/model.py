@@ -1,4 +1,4 @@
-"""The networks and their input: sets of captures, read as maps or as pictures.
+"""The networks: from sets of captures, read as maps or as pictures, to the fabric's posterior.
 
 Each capture of a set is read alone, from its map, its outline, or its drape coefficient, or from
 its depth views; features of the captures are averaged with weights that the network gives them
@@ -6,147 +6,26 @@ its depth views; features of the captures are averaged with weights that the net
 captures give one posterior of the fabric.
 """
 
-from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Annotated, Any
+from typing import Any, ClassVar
 
-import numpy as np
 import torch
 from torch.nn.functional import softplus
 
-from drapenet.network.expected import Expected, shape_of
-from drapenet.network.posterior import Mixture, factor_of, outputs_of
-from drapenet.network.targets import TARGETS, Symmetry
+from drapenet.network.expected_network import Expected
+from drapenet.network.inputs import ASPECTS, CIRCUMSTANCES, DISC, FACTS, KNOWN, TESTER, Batch
+from drapenet.network.mixture import Mixture, factor_of, outputs_of
+from drapenet.network.targets import TARGETS
 from drapenet.views.directions import AZIMUTHS, ELEVATIONS
 from drapenet.views.pictures import PICTURES
-from drapenet.views.radial_map import WEIGHT_UNIT
 
 CHANNELS = 2 * ELEVATIONS + 5
 """Distances and weights of a column, outline, whether the outline is seen, cosine and sine of twice
 and cosine of four times the azimuth."""
 _HARMONICS = (2, 4)  # of the azimuth, for pooling features beside their mean
 POOLED = 1 + 2 * len(_HARMONICS)  # values of a feature
-_SIZE = 0.3  # m, unit of the specimens' size
 _EMBEDDING = 256  # features of a capture
-
-MapTensor = Annotated[torch.Tensor, "(N, AZIMUTHS, ELEVATIONS) float32"]
-
-
-@dataclass(frozen=True)
-class Facts:
-    """What is known of N captures beside their pictures, (N,) each; NaN if it is not.
-
-    Attributes:
-        size: of the specimens, m.
-        plate: diameter of the plate over the specimen's size.
-        aspect: side across azimuth 0 over the side along it; 1 of squares and discs.
-        known: whether the captures of its set have azimuth 0 along the warp (or, after a quarter
-            turn, see :meth:`Batch.turned`, along the weft).
-        views: their number in a depth capture, 0 without.
-        perspective: size over the camera's height, of an outline; 0 under parallel light.
-        coefficient: drape coefficient, from 0 to 1, of the outline or as reported.
-        nodes: number of folds, as reported.
-        group: number of the set, from 0.
-    """
-
-    size: np.ndarray
-    plate: np.ndarray
-    disc: np.ndarray
-    aspect: np.ndarray
-    face: np.ndarray  # 1, or -1 if turned over
-    known: np.ndarray
-    views: np.ndarray
-    perspective: np.ndarray
-    coefficient: np.ndarray
-    nodes: np.ndarray
-    group: np.ndarray
-
-    @property
-    def sizes(self) -> np.ndarray:
-        """(M,) m, geometric means over the sets."""
-        count = np.bincount(self.group)
-        return np.exp(np.bincount(self.group, np.log(self.size)) / count)
-
-    @property
-    def share(self) -> np.ndarray:
-        """(N,) drape coefficients as a network reads them: a few depth maps of nearly flat cloth
-        have a hem far out."""
-        return self.coefficient.clip(0.0, _MAX_COEFFICIENT)
-
-    def columns(self) -> torch.Tensor:
-        """(N, :data:`FACTS` + :data:`ASPECTS`) scalar inputs of the network."""
-        size = self.sizes[self.group]
-        columns = [np.log(size / _SIZE), np.log(self.size / size), 2 * self.plate - 1, self.disc,
-                   self.known, self.known, self.views / 4 - 1, self.views > 0]
-        for part, unit in ((self.perspective, 0.4), (self.share, 0.5), (self.nodes, 8.0)):
-            finite = np.isfinite(part)
-            columns += [finite, np.where(finite, part, unit) / unit - 1]
-        # What a regression on the drape coefficient needs.
-        share = columns[-3]
-        columns += [share**2, share**3, share * columns[2], share * self.disc, columns[2] ** 2]
-        aspect = np.log(self.aspect)
-        columns += [aspect, aspect**2]
-        return torch.from_numpy(np.column_stack(columns).astype(np.float32))
-
-
-_MAX_COEFFICIENT = 1.05
-FACTS, ASPECTS = 19, 2
-"""Numbers of scalar inputs: of every network, and, after them, of one that reads rectangles."""
-_WARP = 5  # column: 1 if azimuth 0 is along the warp, -1 along the weft, 0 not known
-_ODD = (_WARP, FACTS)  # columns that a quarter turn gives the opposite sign: that, and the aspect's
-_DISC, _KNOWN = 3, 4  # columns
-_TESTER = 6  # the first columns, which state specimen, tester and warp, and nothing of the drape
-_CIRCUMSTANCES = 10  # the first columns: those, number of views and perspective
 _BACKGROUND = 3.0  # standardised depth where a picture shows no cloth: far behind it
-
-
-@dataclass(frozen=True)
-class Batch:
-    """Inputs of the network for N captures in M sets."""
-
-    distance: MapTensor  # in sizes of the specimen
-    weight: MapTensor  # logarithm of 1 + weight
-    outline: torch.Tensor  # (N, AZIMUTHS), in half sizes of the specimen; 0 where not seen
-    face: torch.Tensor  # (N,) 1 or -1
-    facts: torch.Tensor  # (N, FACTS + ASPECTS)
-    group: torch.Tensor  # (N,)
-    pictures: torch.Tensor  # (N, PICTURES or 0, SIDE, SIDE) in sizes, NaN where there is no cloth
-    angle: torch.Tensor  # (N,) of azimuth 0 in the first picture, rad
-    shape: torch.Tensor  # (N, SHAPE), see :mod:`drapenet.network.expected`
-    targets: torch.Tensor | None = None  # (M, TARGETS) standardised; None in inference
-
-    @classmethod
-    def of(cls, distance: np.ndarray, weight: np.ndarray, outline: np.ndarray, facts: Facts,
-           pictures: np.ndarray, angle: np.ndarray, targets: torch.Tensor | None = None) -> "Batch":
-        """Batch of N stored maps (:func:`drapenet.views.radial_map.compressed`), (N, AZIMUTHS)
-        outlines in half sizes (m/m), NaN where not seen, pictures and their angles, rad."""
-        # Of a single view, much of the hem is guessed, and with it all but the coefficient.
-        hem = np.where((facts.views == 1)[:, None], np.nan, outline)
-        return cls(torch.from_numpy(distance).float(), torch.from_numpy(weight) * WEIGHT_UNIT,
-                   torch.from_numpy(np.nan_to_num(outline).astype(np.float32)),
-                   torch.from_numpy(facts.face.astype(np.float32)), facts.columns(),
-                   torch.from_numpy(facts.group), torch.from_numpy(pictures).float(),
-                   torch.from_numpy(angle.astype(np.float32)), torch.from_numpy(
-                       shape_of(hem, facts.share, facts.nodes).astype(np.float32)), targets)
-
-    def turned(self, symmetry: Symmetry) -> "Batch":
-        """The batch with ``symmetry`` applied to its captures, not to its targets."""
-        facts = self.facts.clone()
-        for column in _ODD:
-            facts[symmetry.exchanged, column] *= -1
-        return replace(self, facts=facts, pictures=symmetry.of_pictures(self.pictures),
-                       angle=symmetry.of_angles(self.angle),
-                       **{name: symmetry.of_rows(getattr(self, name))
-                          for name in ("distance", "weight", "outline")})
-
-    def on(self, device: torch.device) -> "Batch":
-        """The batch on a ``device``."""
-        return replace(self, **{name: part.to(device) for name, part in vars(self).items()
-                                if part is not None})
-
-    def through(self, network: torch.nn.Module) -> Mixture:
-        """The network's posterior, on its device."""
-        return network(self.on(next(network.parameters()).device))
 
 
 def circular(inputs: int, outputs: int, stride: int = 1, width: int = 3) -> torch.nn.Conv1d:
@@ -179,19 +58,22 @@ class BasicBlock(torch.nn.Module):
 
 
 class Network(torch.nn.Module):
-    """From sets of captures to the posterior of their fabric; a subclass reads a capture.
+    """From sets of captures to the posterior of their fabric; a subclass reads captures, by the
+    arrays of a :class:`drapenet.network.inputs.Batch` that :attr:`reads` names beside those of all.
 
     ``distance``, ``spread``: mean and standard deviation of the training distances or depths;
     ``rectangles``: whether it reads the specimens' aspect, as networks do that were trained on
     rectangles; ``expected``: whether it knows how captures of a cloth look.
     """
 
+    reads: ClassVar[tuple[str, ...]] = ()
+
     def __init__(
         self, *, distance: float, spread: float, rectangles: bool, expected: bool
     ) -> None:
         super().__init__()
         self.distance, self.spread, self.rectangles = distance, spread, rectangles
-        self.expected = Expected(_CIRCUMSTANCES + ASPECTS) if expected else None
+        self.expected = Expected(CIRCUMSTANCES + ASPECTS) if expected else None
         self.in_bfloat16 = False  # whether convolutions of a training step are in bfloat16
 
     def add_layers(self, features: int, *, facts: int, output: str, components: int,
@@ -218,10 +100,6 @@ class Network(torch.nn.Module):
         """(N, F) columns that the network reads of a batch's ``facts`` (N, FACTS + ASPECTS)."""
         return facts[:, : self.facts]
 
-    def captures(self, batch: Batch) -> torch.Tensor:
-        """(N, F) features of each capture."""
-        raise NotImplementedError
-
     def separate_parts(self) -> list[list[torch.nn.Parameter]]:
         """Parameters that have nothing to do with each other, whose gradients are clipped apart."""
         expected = list(self.expected.parameters()) if self.expected else []
@@ -233,33 +111,44 @@ class Network(torch.nn.Module):
         ends = {id(layer.weight) for layer in (self.direct, self.head[-1])}
         return [one for one in self.separate_parts()[1] if one.ndim > 1 and id(one) not in ends]
 
+    def tensors(self, batch: Batch, *names: str) -> list[torch.Tensor]:
+        """Arrays of a batch on the network's device."""
+        device = next(self.parameters()).device
+        return [torch.from_numpy(getattr(batch, name)).to(device) for name in names]
+
     def log_density_of_shapes(self, batch: Batch) -> torch.Tensor:
         """(N,) of the captures' shapes, of the true cloth; 0 of a network that expects none."""
+        shape, facts, face, group = self.tensors(batch, "shape", "circumstances", "face", "group")
         if self.expected is None or batch.targets is None:
-            return torch.zeros(len(batch.group), device=batch.facts.device)
-        return self.expected.log_density(batch.shape, batch.targets[batch.group],
-                                         circumstances(batch), batch.face)
+            return torch.zeros(len(group), device=facts.device)
+        targets, = self.tensors(batch, "targets")
+        return self.expected.log_density(shape, targets[group], facts, face)
 
-    def forward(self, batch: Batch) -> Mixture:
-        """The posterior of a batch. That of a regression has unit variances in training, so that
-        its likelihood is the mean square error, and then those of :meth:`calibrated`."""
-        facts, group = self.columns(batch.facts), batch.group
-        features = torch.cat([self.captures(batch), facts], dim=1)
-        value, gate = self.embed(features).chunk(2, dim=1)
+    def answer(self, batch: Batch) -> Mixture:
+        """The posterior of a batch, on the network's device."""
+        return Mixture(*self(*self.tensors(batch, "face", "facts", "members", *self.reads)))
+
+    def posterior(
+        self, captures: torch.Tensor, face: torch.Tensor, facts: torch.Tensor, members: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Parts of the :class:`Mixture` of features (N, F) of captures. That of a regression has
+        unit variances in training, so that its likelihood is the mean square error, and then those
+        of :meth:`calibrated`."""
+        columns = self.columns(facts)
+        value, gate = self.embed(torch.cat([captures, columns], dim=1)).chunk(2, dim=1)
         signed, trust = self.curl(value.relu()).chunk(2, dim=1)
-        sets = int(group.max()) + 1
-        mean, weight = _average(value, softplus(gate), group, sets)
+        mean, weight = _average(value, softplus(gate), members)
         # Turned over, a fabric's natural curvature has the opposite sign.
-        curl, _ = _average(batch.face[:, None] * signed, softplus(trust), group, sets)
-        count = torch.bincount(group, minlength=sets).to(mean).log2()[:, None]
+        curl, _ = _average(face[:, None] * signed, softplus(trust), members)
+        count = members.sum(dim=1, keepdim=True).log2()
         outputs = self.head(torch.cat([mean, weight.log(), curl, count], dim=1))
         if self.factor is None:
             mixture = Mixture.of_outputs(outputs, components=self.components, targets=TARGETS)
         else:
             unit = torch.eye(TARGETS, device=outputs.device)
             mixture = Mixture.around(outputs, unit if self.training else self.factor)
-        known, _ = _average(facts, torch.ones_like(facts), group, sets)
-        return replace(mixture, means=mixture.means + self.direct(known)[:, None])
+        known, _ = _average(columns, torch.ones_like(columns), members)
+        return mixture.logits, mixture.means + self.direct(known)[:, None], mixture.factors
 
     def calibrated(self, answer: Mixture, targets: torch.Tensor) -> Mixture:
         """The ``answer`` for ``targets`` (N, TARGETS) of validation; a regression states the
@@ -271,11 +160,13 @@ class Network(torch.nn.Module):
 
 
 class DrapeNet(Network):
-    """Network of maps, a ResNet-18 over azimuth.
+    """Network of maps and outlines, a ResNet-18 over azimuth.
 
     A column of a map, the cloth at one azimuth, is a feature vector; convolutions run around the
     axis. ``width``: features of the first stage, 64 in ResNet-18.
     """
+
+    reads = ("distance", "weight", "outline")
 
     def __init__(
         self, *, width: int, components: int, dropout: float, distance: float, spread: float,
@@ -294,21 +185,23 @@ class DrapeNet(Network):
         self.add_layers(POOLED * widths[-1], facts=FACTS + ASPECTS * rectangles, output=output,
                         components=components, dropout=dropout)
 
-    def captures(self, batch: Batch) -> torch.Tensor:
-        """(N, F) features of maps and outlines."""
-        distance, outline = batch.distance, batch.outline
+    def forward(
+        self, face: torch.Tensor, facts: torch.Tensor, members: torch.Tensor,
+        distance: torch.Tensor, weight: torch.Tensor, outline: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Parts of a :class:`Mixture`, of a batch's arrays."""
         azimuth = (torch.arange(AZIMUTHS) + 0.5) * (2 * torch.pi / AZIMUTHS)
         place = torch.stack([torch.cos(2 * azimuth), torch.sin(2 * azimuth),
                              torch.cos(4 * azimuth)]).to(distance)
         seen = (outline > 0).float()
         rows = torch.stack([(outline - 0.75) / 0.15 * seen, seen], dim=1)
-        rows = torch.cat([rows, place.expand(len(outline), *place.shape)], dim=1)
+        rows = torch.cat([rows, place.expand(outline.shape[0], *place.shape)], dim=1)
         maps = torch.cat([(distance - self.distance) / self.spread * (distance > 0).float(),
-                          batch.weight.clamp(max=4.0) - 1.0], dim=2).transpose(1, 2)
+                          weight.clamp(max=4.0) - 1.0], dim=2).transpose(1, 2)
         with torch.autocast(distance.device.type, torch.bfloat16,
                             enabled=self.in_bfloat16 and self.training):
             features = self.stages(self.stem(torch.cat([maps, rows], dim=1)))
-        return pooled(features.float())
+        return self.posterior(pooled(features.float()), face, facts, members)
 
 
 class ViewNet(Network):
@@ -316,6 +209,8 @@ class ViewNet(Network):
 
     ``backbone``: a network of torchvision, whose classes are ``width`` features.
     """
+
+    reads = ("pictures", "angle")
 
     def __init__(
         self, *, backbone: str, width: int, components: int, dropout: float, distance: float,
@@ -333,29 +228,28 @@ class ViewNet(Network):
                                  for key in ("kernel_size", "stride", "padding")}
         self.backbone.set_submodule(name, torch.nn.Conv2d(
             PICTURES, first.out_channels, bias=first.bias is not None, **shape))
-        self.add_layers(width + 1, facts=_TESTER + ASPECTS * rectangles, output=output,
+        self.add_layers(width + 1, facts=TESTER + ASPECTS * rectangles, output=output,
                         components=components, dropout=dropout)
 
     def columns(self, facts: torch.Tensor) -> torch.Tensor:
         """(N, F) columns of tester, warp and aspect, of (N, FACTS + ASPECTS): what the drape is
         like is to be read of the pictures."""
-        return torch.cat([facts[:, :_TESTER], facts[:, FACTS:]], dim=1)[:, : self.facts]
+        return torch.cat([facts[:, :TESTER], facts[:, FACTS:]], dim=1)[:, : self.facts]
 
-    def captures(self, batch: Batch) -> torch.Tensor:
-        """(N, F) features of pictures, the last the angle of azimuth 0, which has no meaning for a
-        disc whose warp is not stated."""
-        depth = (batch.pictures - self.distance) / self.spread
+    def forward(
+        self, face: torch.Tensor, facts: torch.Tensor, members: torch.Tensor,
+        pictures: torch.Tensor, angle: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Parts of a :class:`Mixture`, of a batch's arrays. The angle of azimuth 0 has no meaning
+        for a disc whose warp is not stated."""
+        depth = (pictures - self.distance) / self.spread
         depth = torch.where(depth.isnan(), _BACKGROUND, depth)
         with torch.autocast(depth.device.type, torch.bfloat16,
                             enabled=self.in_bfloat16 and self.training):
             features = self.backbone(depth)
-        sure = torch.maximum(batch.facts[:, _KNOWN], 1 - batch.facts[:, _DISC])
-        return torch.cat([features.float(), (batch.angle * sure)[:, None]], dim=1)
-
-
-def circumstances(batch: Batch) -> torch.Tensor:
-    """(N, F) columns of the facts that say nothing of the drape, F = _CIRCUMSTANCES + ASPECTS."""
-    return torch.cat([batch.facts[:, :_CIRCUMSTANCES], batch.facts[:, FACTS:]], dim=1)
+        sure = torch.maximum(facts[:, KNOWN], 1 - facts[:, DISC])
+        features = torch.cat([features.float(), (angle * sure)[:, None]], dim=1)
+        return self.posterior(features, face, facts, members)
 
 
 def make_network(*, backbone: str | None = None, **options: Any) -> Network:
@@ -373,9 +267,9 @@ def pooled(features: torch.Tensor) -> torch.Tensor:
 
 
 def _average(
-    values: torch.Tensor, weights: torch.Tensor, group: torch.Tensor, sets: int
+    values: torch.Tensor, weights: torch.Tensor, members: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Weighted means and means of the weights (M, F) of values and weights (N, F) over sets."""
-    total = values.new_zeros(sets, values.shape[1]).index_add(0, group, weights) + 1e-6
-    mean = values.new_zeros(sets, values.shape[1]).index_add(0, group, weights * values) / total
-    return mean, total / torch.bincount(group, minlength=sets)[:, None]
+    """Weighted means and means of the weights (M, F) of values and weights (N, F) over sets, whose
+    ``members`` (M, N) are 1."""
+    total = members @ weights + 1e-6
+    return members @ (weights * values) / total, total / members.sum(dim=1, keepdim=True)

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
 from common.findings import Finding
 from common.types import Metres
@@ -16,9 +15,10 @@ from data.fabrics.fabrics import from_theta
 from data.fabrics.properties import ClothProperties
 from drapenet.network.checkpoint import Header
 from drapenet.network.expected import Likeness
-from drapenet.network.model import Batch, Facts, Network, circumstances
+from drapenet.network.inputs import Batch, Facts
 from drapenet.network.posterior import Samples
 from drapenet.network.targets import SYMMETRIES, Symmetry, cloth_of, exchanged
+from drapenet.network.trained import Trained
 from drapenet.views.directions import AZIMUTHS, ELEVATIONS
 from drapenet.views.observation import Observation
 from drapenet.views.pictures import SIDE
@@ -54,59 +54,41 @@ class Draws:
         return cls(cloth.chosen(kept), known, float(1 - possible.mean()), tuple(likeness))
 
 
-@torch.no_grad()
-def sample_targets(network: Network, header: Header, batch: Batch, known: np.ndarray) -> Samples:
+def sample_targets(network: Trained, header: Header, batch: Batch, known: np.ndarray) -> Samples:
     """:data:`DRAWS` samples of the targets of each set, not standardised; ``known``: (N,) of the
-    captures, as in :class:`drapenet.network.model.Facts`."""
+    captures, as in :class:`drapenet.network.inputs.Facts`."""
     drawn = []
     along = np.zeros(int(batch.group.max()) + 1, bool)  # known, of each set
-    along[batch.group.numpy()] = known
+    along[batch.group] = known
     for k in range(SYMMETRIES):
-        symmetry = Symmetry.number(k, len(known))
-        mixture = batch.turned(symmetry).through(network).cpu()
-        samples = mixture.sample(DRAWS // SYMMETRIES, torch.Generator().manual_seed(k)).double()
-        drawn.append(exchanged(header.scale.decode(samples.numpy()), along & (k % 2 > 0)))
+        posterior = network.posterior(batch.turned(Symmetry.number(k, len(known))))
+        samples = posterior.sample(DRAWS // SYMMETRIES, np.random.default_rng(k))
+        drawn.append(exchanged(header.scale.decode(samples), along & (k % 2 > 0)))
     return np.concatenate(drawn)
 
 
-def _sampled(
-    network: Network, header: Header, sets: Sequence[Sequence[Observation]]
-) -> Samples:
-    """Samples (DRAWS, N, targets) of the sets; those of outlines that have errors are spread as the
-    means of :data:`VARIANTS` of them are.
+def _spread_by_errors(
+    samples: Samples, network: Trained, header: Header, sets: Sequence[Sequence[Observation]]
+) -> None:
+    """Spread the samples (DRAWS, N, targets) of sets whose outlines have errors as the means of
+    :data:`VARIANTS` of them are.
 
     Not their mixture: errors that are added to an outline make it look like that of softer cloth.
     """
     rng = np.random.default_rng(0)
-    counts = [0 if all(part.outline is None or part.outline.error is None for part in captures)
-              else VARIANTS for captures in sets]
-    varied = [*sets, *([part.varied(rng) for part in captures]
-                       for captures, count in zip(sets, counts, strict=True)
-                       for _ in range(count))]
-    batch, facts = batch_of(varied)
-    drawn = sample_targets(network, header, batch, facts.known)
-    samples, first = drawn[:, :len(sets)].copy(), len(sets)
-    for k, count in enumerate(counts):
-        if count:
-            means = drawn[:, first : first + count].mean(axis=0)
-            samples[:, k] += np.resize(means - means.mean(axis=0), samples[:, k].shape)
-        first += count
-    return samples
-
-
-def likeness_of(
-    network: Network, header: Header, batch: Batch, samples: Samples
-) -> list[Likeness]:
-    """How each capture compares with drapes of the ``samples`` of its set's targets; none of a
-    network that does not know it."""
-    if network.expected is None:
-        return []
-    cloths = torch.from_numpy(header.scale.encode(samples)).float()[:, batch.group]
-    return network.expected.likeness(batch.shape, cloths, circumstances(batch), batch.face)
+    unsure = [k for k, captures in enumerate(sets) if any(
+        part.outline is not None and part.outline.error is not None for part in captures)]
+    if not unsure:
+        return
+    batch, facts = batch_of([[part.varied(rng) for part in sets[k]]
+                             for k in unsure for _ in range(VARIANTS)])
+    drawn = sample_targets(network, header, batch, facts.known).mean(axis=0)
+    for k, means in zip(unsure, np.split(drawn, len(unsure)), strict=True):
+        samples[:, k] += np.resize(means - means.mean(axis=0), samples[:, k].shape)
 
 
 def predict(
-    network: Network, header: Header, sets: Sequence[Sequence[Observation]], *,
+    network: Trained, header: Header, sets: Sequence[Sequence[Observation]], *,
     compared: bool = False,
 ) -> list[Draws]:
     """Posterior samples of each of the ``sets`` of captures of one fabric each, ``compared`` with
@@ -116,9 +98,10 @@ def predict(
         header.require_input("depth" if capture.map else "outline" if capture.outline else
                              "numbers")
     batch, facts = batch_of(sets)
-    samples = _sampled(network, header, sets)
+    samples = sample_targets(network, header, batch, facts.known)
+    _spread_by_errors(samples, network, header, sets)
     known = [all(part.known for part in captures) for captures in sets]
-    likeness = likeness_of(network, header, batch, samples) if compared else []
+    likeness = network.likeness(batch, header.scale.encode(samples)) if compared else []
     return [Draws.possible(cloth_of(samples[:, k], np.full(len(samples), size)), known[k],
                            [one for n, one in enumerate(likeness) if facts.group[n] == k])
             for k, size in enumerate(facts.sizes)]

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-import torch
 
 from data.fabrics.properties import ClothProperties
 from drapenet.views.directions import AZIMUTHS
@@ -71,8 +70,8 @@ class Symmetry:
     A quarter turn gives the capture of the fabric with warp and weft exchanged.
     """
 
-    cells: torch.Tensor  # (N,) azimuth cells of the rotation
-    mirror: torch.Tensor  # (N,) whether a capture is first reflected at azimuth 0
+    cells: np.ndarray  # (N,) azimuth cells of the rotation
+    mirror: np.ndarray  # (N,) whether a capture is first reflected at azimuth 0
 
     @classmethod
     def draw(
@@ -84,38 +83,38 @@ class Symmetry:
         rectangle, whose aspect is then the inverse."""
         step = np.where(known, 2 * QUARTER, np.where(disc, 1, QUARTER))
         cells = step * rng.integers(AZIMUTHS // step) + QUARTER * (known & exchanged)
-        return cls(torch.from_numpy(cells), torch.from_numpy(rng.integers(2, size=len(known)) > 0))
+        return cls(cells, rng.integers(2, size=len(known)) > 0)
 
     @classmethod
     def number(cls, k: int, captures: int) -> "Symmetry":
         """One of :data:`SYMMETRIES`, of each of N ``captures``."""
-        return cls(torch.full((captures,), QUARTER * (k % 4)), torch.full((captures,), k >= 4))
+        return cls(np.full(captures, QUARTER * (k % 4)), np.full(captures, k >= 4))
 
     @property
-    def exchanged(self) -> torch.Tensor:
+    def exchanged(self) -> np.ndarray:
         """(N,) whether azimuth 0 lies along the weft if it was along the warp, or the reverse."""
         return self.cells // QUARTER % 2 > 0
 
-    def of_rows(self, rows: torch.Tensor) -> torch.Tensor:
+    def of_rows(self, rows: np.ndarray) -> np.ndarray:
         """Apply to maps or outlines (N, AZIMUTHS, ...)."""
-        azimuth = (torch.arange(AZIMUTHS) - self.cells[:, None]) % AZIMUTHS
-        azimuth = torch.where(self.mirror[:, None], AZIMUTHS - 1 - azimuth, azimuth)
-        return rows[torch.arange(len(rows))[:, None], azimuth.to(rows.device)]
+        azimuth = (np.arange(AZIMUTHS) - self.cells[:, None]) % AZIMUTHS
+        azimuth = np.where(self.mirror[:, None], AZIMUTHS - 1 - azimuth, azimuth)
+        return rows[np.arange(len(rows))[:, None], azimuth]
 
-    def of_pictures(self, pictures: torch.Tensor) -> torch.Tensor:
+    def of_pictures(self, pictures: np.ndarray) -> np.ndarray:
         """Apply, in quarter turns, to pictures (N, PICTURES, SIDE, SIDE) of
         :class:`drapenet.views.pictures.DepthPictures`, or to none, (N, 0, ...)."""
         if not pictures.shape[1]:
             return pictures
-        order = torch.arange(PICTURES) + self.cells[:, None] // QUARTER
+        order = np.arange(PICTURES) + self.cells[:, None] // QUARTER
         # Seen in a mirror, azimuth 0 is k quarter turns away where it was 2 - k.
-        order = torch.where(self.mirror[:, None], 2 - order, order) % PICTURES
-        turned = pictures[torch.arange(len(pictures))[:, None], order]
-        return torch.where(self.mirror[:, None, None, None], turned.flip(-1), turned)
+        order = np.where(self.mirror[:, None], 2 - order, order) % PICTURES
+        turned = pictures[np.arange(len(pictures))[:, None], order]
+        return np.where(self.mirror[:, None, None, None], turned[..., ::-1], turned)
 
-    def of_angles(self, angle: torch.Tensor) -> torch.Tensor:
+    def of_angles(self, angle: np.ndarray) -> np.ndarray:
         """Apply to angles (N,), rad, of azimuth 0 in the first picture."""
-        return torch.where(self.mirror, -angle, angle)
+        return np.where(self.mirror, -angle, angle)
 
 
 @dataclass(frozen=True)

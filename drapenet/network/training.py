@@ -19,6 +19,7 @@ import torch
 from common.documents import differences, require_regular
 from common.errors import InputError, one_line
 from common.files import remove_partial, replacing
+from common.graphs import MAX_WEIGHTS_BYTES
 from common.provenance import release, sources_digest
 from data.dataset.folder import finished_manifest, split_by_fabric
 from data.fabrics.prior import prior_from_content
@@ -26,12 +27,15 @@ from data.fabrics.prior.even import spread_of
 from data.render.setups import Setups
 from drapenet.config import OptimConfig, TrainConfig
 from drapenet.network.captures import CaptureSet, Condition, readable
-from drapenet.network.checkpoint import MAX_WEIGHTS_BYTES, load_model, read_header
+from drapenet.network.checkpoint import read_header
 from drapenet.network.dataset import SOURCES, Maps, make_maps
-from drapenet.network.model import Batch, Network, make_network
+from drapenet.network.inputs import Batch
+from drapenet.network.mixture import Mixture
+from drapenet.network.model import Network, make_network
 from drapenet.network.optimizer import Optimizer
-from drapenet.network.posterior import Mixture, inside, ranks
+from drapenet.network.posterior import inside, ranks
 from drapenet.network.targets import MODULI
+from drapenet.network.weights import load_model
 from sim.material import REFERENCE_DENSITY
 
 if TYPE_CHECKING:
@@ -166,12 +170,11 @@ def fit(
 
     ``schedule``: completed share of the cycle and :class:`Batch` of each step.
     """
-    device = next(network.parameters()).device
     network.train()
     losses = []
     for progress, batch in schedule:
-        batch = batch.on(device)
-        loss = -network(batch).log_likelihood(batch.targets).mean()
+        targets, = network.tensors(batch, "targets")
+        loss = -network.answer(batch).log_likelihood(targets).mean()
         (loss - network.log_density_of_shapes(batch).mean()).backward()
         for part in network.separate_parts():
             torch.nn.utils.clip_grad_norm_(part, optim.clip)
@@ -189,18 +192,17 @@ def validate(network: Network, captures: CaptureSet, condition: Condition) -> di
     rng = np.random.default_rng(0)
     for cloths in np.array_split(np.arange(len(captures)), -(-len(captures) // _VALIDATION_BATCH)):
         batch, _ = captures.batch(cloths, condition, rng, symmetric=False)
-        answers.append(batch.through(network).cpu())
-        assert batch.targets is not None, "drapes of a dataset have true moduli"
-        targets.append(batch.targets)
+        answers.append(network.answer(batch).cpu())
+        targets.append(network.tensors(batch, "targets")[0].cpu())
     truth = torch.cat(targets)
     mixture = network.calibrated(Mixture.joined(answers), truth)
-    draws = mixture.sample(400, torch.Generator().manual_seed(0))
-    squares = (draws.mean(dim=0) - truth)[:, :MODULI].double().square()
+    draws = mixture.posterior.sample(400, np.random.default_rng(0))
+    squares = np.square(draws.mean(axis=0) - truth.numpy())[:, :MODULI]
     return {
         "loss": -mixture.log_likelihood(truth).double().mean().item(),
-        "rmse_log_alpha": squares[:, :3].mean().sqrt().item(),
-        "rmse_beta_over_alpha": squares[:, 3:].mean().sqrt().item(),
-        "inside": inside(ranks(draws.numpy(), truth.numpy())[:, :MODULI]),
+        "rmse_log_alpha": float(np.sqrt(squares[:, :3].mean())),
+        "rmse_beta_over_alpha": float(np.sqrt(squares[:, 3:].mean())),
+        "inside": inside(ranks(draws, truth.numpy())[:, :MODULI]),
         "samples": len(captures),
     }
 

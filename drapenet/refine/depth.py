@@ -20,7 +20,7 @@ from scipy.ndimage import (
 
 from common.types import DepthImage, Faces, Mask, Metres, Points, Radians, Views
 from data.render.cameras import Camera
-from data.render.rays import RayScene
+from data.render.raster import nearest_faces
 from drapenet.refine.objective import Linearised, Moves, Nuisance, Residuals, huber
 from drapenet.views.located import LocatedViews
 
@@ -175,11 +175,10 @@ class DepthViews:
 
     def render(self, positions: Points, nuisance: Nuisance) -> Views:
         """The views of a drape."""
-        scene, rays = RayScene((positions, self._faces)), self._rays(nuisance)
-        views = []
+        rays, views = self._rays(nuisance), []
         for k in range(len(self._views)):
             pose = self._pose(k, nuisance)
-            face = scene.cast(pose.origin, rays @ pose.rotation).face
+            _, face = self._nearest(positions, pose, nuisance)
             cloth = np.nonzero(face >= 0)
             view = np.zeros(face.shape)
             view[cloth] = self._hits(positions, face[cloth], rays[cloth], pose).depth
@@ -198,20 +197,19 @@ class DepthViews:
 
     def _parts(self, positions: Points, nuisance: Nuisance) -> list[_Part]:
         """Residuals of the depths in all views, then those of the borders."""
-        scene, rays = RayScene((positions, self._faces)), self._rays(nuisance)
+        rays = self._rays(nuisance)
         depths, borders = [], []
         for k, view in enumerate(self._views):
             pose = self._pose(k, nuisance)
-            cast = scene.cast(pose.origin, rays @ pose.rotation)
-            cloth = cast.face >= 0
-            smooth = _smooth(np.where(cloth, cast.distance, 0.0), self.weights.jump)
+            depth, face = self._nearest(positions, pose, nuisance)
+            smooth = _smooth(depth, self.weights.jump)
             both = smooth[view.rows, view.columns]
             pixels = view.rows[both], view.columns[both]
-            hits = self._hits(positions, cast.face[pixels], rays[pixels], pose)
+            hits = self._hits(positions, face[pixels], rays[pixels], pose)
             depths.append(self._depths(view.depth[both], hits, pose))
-            rows, columns = np.nonzero(_border(cloth))
+            rows, columns = np.nonzero(_border(face >= 0))
             pixels = rows, columns
-            hits = self._hits(positions, cast.face[pixels], rays[pixels], pose)
+            hits = self._hits(positions, face[pixels], rays[pixels], pose)
             borders.append(self._borders(view, pixels, rays[pixels], hits, pose, nuisance))
         return [*_normalised(depths, self._measurements[0]),
                 *_normalised(borders, self._measurements[1])]
@@ -247,6 +245,16 @@ class DepthViews:
         """Rays through the pixels (H, W, 3), camera axes, z = 1."""
         zoom = float(np.exp(self._value(FOCAL, nuisance)))
         return self._nominal_rays / [zoom, zoom, 1.0]
+
+    def _nearest(
+        self, positions: Points, pose: _Pose, nuisance: Nuisance
+    ) -> tuple[DepthImage, np.ndarray]:
+        """Depths (H, W) of a drape in a view, and the triangles that are seen."""
+        camera, zoom = self.camera, float(np.exp(self._value(FOCAL, nuisance)))
+        points = positions @ pose.rotation.T + pose.shift
+        return nearest_faces(points.astype(np.float32), self._faces,
+                             (zoom * camera.fx, zoom * camera.fy, camera.cx, camera.cy),
+                             camera.height, camera.width)
 
     def _hits(self, positions: Points, face: np.ndarray, rays: np.ndarray, pose: _Pose) -> _Hits:
         """Intersections of rays (N, 3) with planes of triangles (N,), in double precision."""

@@ -21,7 +21,7 @@ from data.fabrics.fabrics import THETA_NAMES
 from data.fabrics.nuisances import LOGARITHMIC, at_density
 from data.fabrics.prior import GaussianPrior
 from data.fabrics.properties import ClothProperties
-from data.render.rays import DepthRenderer
+from data.render.raster import rasterise
 from drapenet.evidence.state import STATE, cloth_of_state, fabric_prior, state_of
 from drapenet.network.checkpoint import Header
 from drapenet.network.predict import Draws
@@ -111,10 +111,9 @@ def _beside(
     drape = result.released or result.best.drape
     statuses = (drape.searched.status.value,)
     if scan:
-        views = DepthRenderer(drape.positions, drape.faces).views(
-            captured.camera, 0.0, captured.turns)
+        views = rasterise(drape.positions, drape.faces, captured.camera, captured.turns)
         placed = turned(drape.positions, axis + result.best.unknowns["warp"])
-        return Resimulation.beside(captured, views.astype(np.float32), drape, placed, statuses)
+        return Resimulation.beside(captured, views, drape, placed, statuses)
     placed = turned(drape.positions, float(result.best.nuisance[0]))
     nuisance = fit_nuisances(result.objective, drape.positions, result.best.nuisance)
     assert isinstance(result.objective, DepthViews)

@@ -27,15 +27,13 @@ _PROGRESS_INTERVAL = 0.25  # s between two reports of progress
 def warm_up(checkpoint: str) -> None:
     """Import and cache, in a worker, what the first estimate needs."""
     end_with_parent()
-    from data.render.rays import import_open3d
-    from drapenet.estimator.infer import network_of
     from drapenet.network.checkpoint import read_header
+    from drapenet.network.load import network_of
     from drapenet.report.figures import draw_report  # noqa: F401
     from sim.drape import drape
     from sim.material import MICRO, Fabric
 
     network_of(read_header(checkpoint))
-    import_open3d()
     drape(Fabric(alpha=[50 * MICRO] * 3, beta=[0.0] * 3), edge=3 * EstimateOptions().edge)
 
 

@@ -18,8 +18,8 @@ from data.captures.capture import DepthCapture
 from data.captures.description import Specimen
 from data.captures.raw_scans import KINDS, RAW, read_raw_scan
 from data.captures.scans import check_rim, read_scan
-from data.render.cameras import nominal_camera
-from data.render.rays import QUARTERS, DepthRenderer
+from data.render.cameras import QUARTERS, nominal_camera
+from data.render.raster import rasterise
 from drapenet.surface.shape import CapturedShape, Cloud, distances
 from drapenet.surface.springs import Surface, captured_shape, pulled
 from sim.cloth import Laws
@@ -107,8 +107,8 @@ def scan_capture(
 ) -> ScannedCapture:
     """A scan as a capture of four views without noise, from the rig's nominal camera."""
     camera = nominal_camera(shape.rig)
-    views = DepthRenderer(shape.positions, shape.faces).views(camera, 0.0)
-    return ScannedCapture(views.astype(np.float32), camera.intrinsics, np.array(QUARTERS),
+    views = rasterise(shape.positions, shape.faces, camera, QUARTERS)
+    return ScannedCapture(views, camera.intrinsics, np.array(QUARTERS),
                           density=density, warp_direction=warp, rig=shape.rig, path=path,
                           shape=shape)
 

@@ -19,13 +19,13 @@ from data.readings.known import ByDirection, Known
 from data.strips.posterior import StripEvidence
 from drapenet.config import EvaluateConfig
 from drapenet.estimator.combine import combine
-from drapenet.estimator.infer import network_of
 from drapenet.evidence.source import of_strips, of_values
 from drapenet.evidence.state import fabric_prior, prior_along
 from drapenet.network.captures import CaptureSet, Condition
 from drapenet.network.checkpoint import Header, read_header
 from drapenet.network.dataset import Maps, make_maps
 from drapenet.network.evaluate import DEPTH, make_config, require_unseen
+from drapenet.network.load import network_of
 from drapenet.network.posterior import inside, ranks
 from drapenet.network.predict import Draws, sample_targets
 from drapenet.network.targets import cloth_of

@@ -20,8 +20,8 @@ import numpy as np
 from common.types import Metres, Radians
 from data.fabrics.fabrics import THETA_NAMES
 from data.fabrics.nuisances import NAMES, Nuisances
-from data.render.cameras import Camera
-from data.render.rays import QUARTERS, DepthRenderer
+from data.render.cameras import QUARTERS, Camera
+from data.render.rays import DepthRenderer
 from drapenet.refine.depth import FOCAL, POSE, DepthViews, DepthWeights, table_names
 from drapenet.refine.unknowns import LAW_NAMES, law_moves
 from drapenet.views.directions import AZIMUTH, AZIMUTHS

@@ -16,7 +16,7 @@ from common.errors import InputError
 from common.findings import texts
 from common.vectors import angle_between
 from data.captures.cutout import CutOut, cut_out
-from data.render.rays import QUARTERS
+from data.render.cameras import QUARTERS
 from data.render.scenes import CLUTTER, RawScene, raw_scene
 from drapenet.views.located import LocatedViews
 from experiments.drapes import drape_as_planned, plan_specimen

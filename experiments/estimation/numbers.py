@@ -12,8 +12,8 @@ import numpy as np
 from data.captures.reported import Reported
 from data.readings import QUANTITIES
 from data.readings.kes import GF_CM
-from drapenet.estimator.infer import network_of
 from drapenet.network.checkpoint import read_header
+from drapenet.network.load import network_of
 from drapenet.network.predict import predict
 from drapenet.result.estimate import make_estimate
 from drapenet.views.observation import Observation

@@ -27,8 +27,8 @@ from sim.rig import DISC_RIG
 
 def run(config: Config) -> Result:
     """Estimate all outlines and simulate a drape of each sample and face."""
-    from drapenet.estimator.infer import network_of
     from drapenet.network.checkpoint import read_header
+    from drapenet.network.load import network_of
     from drapenet.network.predict import Draws, predict
     from drapenet.views.observation import Observation
     from drapenet.views.outline import outline_of_curve

@@ -15,9 +15,9 @@ from common.errors import InputError
 from common.types import Faces, Points, Views
 from data.fabrics.fabrics import fabric_from_theta
 from data.fabrics.prior import load_prior, sample_admissible
-from data.render.cameras import Camera
+from data.render.cameras import QUARTERS, VIEWS, Camera
 from data.render.raster import rasterise
-from data.render.rays import QUARTERS, VIEWS, DepthRenderer
+from data.render.rays import DepthRenderer
 from data.render.setups import Setups
 from experiments.result import Config, Result, rms
 from sim.drape import drape

@@ -54,7 +54,8 @@ from data.render.setups import Setups
 from drapenet.batch.captures import entries_of
 from drapenet.export.formats import TARGETS
 from drapenet.export.material import read_material
-from drapenet.network.checkpoint import load_model, read_header
+from drapenet.network.checkpoint import read_header
+from drapenet.network.load import network_of
 from drapenet.network.model import make_network
 from drapenet.network.optimizer import Optimizer
 from drapenet.network.training import load_state, save_state
@@ -281,7 +282,7 @@ def _state(folder: Path) -> None:
 def _read_checkpoint(folder: Path) -> None:
     header = read_header(folder / "net.safetensors")
     _ = header.setups, header.scale, header.identity
-    load_model(header)
+    network_of(header)
 
 
 def _estimate(folder: Path) -> None:

@@ -8,8 +8,8 @@ from common.errors import InputError
 from data.captures.description import whole_turns
 from data.captures.reader import read_capture
 from data.captures.writer import write_capture
-from data.render.cameras import nominal_camera
-from data.render.rays import VIEWS, DepthRenderer
+from data.render.cameras import VIEWS, nominal_camera
+from data.render.rays import DepthRenderer
 from data.render.scenes import raw_scene
 from sim.drape import Drape, drape
 from sim.material import MICRO, Fabric

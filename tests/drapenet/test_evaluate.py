@@ -15,9 +15,10 @@ from data.dataset.folder import finished_manifest
 from data.dataset.plan import plan_drape
 from data.fabrics.prior import load_prior, prior_content
 from drapenet.config import EvaluateConfig
-from drapenet.network.checkpoint import Header, load_model, read_header
+from drapenet.network.checkpoint import Header, read_header
 from drapenet.network.dataset import make_maps
 from drapenet.network.evaluate import CELLS, Judged, judge, make_config
+from drapenet.network.load import network_of
 from sim.rig import Rig
 
 
@@ -41,7 +42,7 @@ def test_an_untrained_network_is_no_better_than_the_mean_and_says_how_wide_it_is
 ):
     maps = make_maps(cloth_dataset, finished_manifest(cloth_dataset),
                      tmp_path_factory.getbasetemp(), setups=header.setups, captures=1, seed=1)
-    judged = judge(load_model(header), header, maps, CELLS[name].condition, seed=0)
+    judged = judge(network_of(header), header, maps, CELLS[name].condition, seed=0)
     result = judged.summary(header.spread)
     figure = result["log_alpha"]
     assert figure["interval_95"][0] < figure["rmse"] < figure["interval_95"][1]

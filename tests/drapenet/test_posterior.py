@@ -5,7 +5,8 @@ import pytest
 import torch
 from scipy.stats import multivariate_normal
 
-from drapenet.network.posterior import LEVELS, Mixture, covered, factor_of, outputs_of, ranks
+from drapenet.network.mixture import Mixture, factor_of, outputs_of
+from drapenet.network.posterior import LEVELS, covered, ranks
 
 
 @pytest.fixture
@@ -28,7 +29,7 @@ def test_the_likelihood_is_that_of_the_gaussians(mixture):
 
 
 def test_samples_have_the_density_s_moments_and_their_intervals_hold(mixture):
-    draws = mixture.sample(40_000, torch.Generator().manual_seed(0)).numpy()
+    draws = mixture.posterior.sample(40_000, np.random.default_rng(0))
     for n in range(2):
         shares = mixture.logits[n].softmax(dim=0).numpy()
         means = mixture.means[n].numpy()
@@ -40,7 +41,7 @@ def test_samples_have_the_density_s_moments_and_their_intervals_hold(mixture):
         assert draws[:, n].mean(axis=0) == pytest.approx(mean, abs=0.03 * deviation.max())
         assert np.cov(draws[:, n].T) / np.outer(deviation, deviation) == pytest.approx(
             covariance / np.outer(deviation, deviation), abs=0.05)
-    truth = mixture.sample(500, torch.Generator().manual_seed(1)).numpy()[:, 0]
+    truth = mixture.posterior.sample(500, np.random.default_rng(1))[:, 0]
     places = ranks(draws[:4000, :1], truth)
     assert covered(places).mean(axis=1) == pytest.approx(LEVELS, abs=0.04)
     assert covered(0.5 + (places - 0.5) / 2)[1].mean() > 0.95  # intervals twice too wide

@@ -8,9 +8,10 @@ import pytest
 
 from common.errors import InputError
 from data.fabrics.fabrics import from_theta
-from drapenet.network.checkpoint import Header, load_model, read_header
-from drapenet.network.model import Network
+from drapenet.network.checkpoint import Header, read_header
+from drapenet.network.load import network_of
 from drapenet.network.predict import DRAWS, predict
+from drapenet.network.trained import Trained
 from drapenet.result.files import read_observation, write_observation
 from drapenet.views.directions import AZIMUTHS, ELEVATIONS
 from drapenet.views.observation import Observation
@@ -34,12 +35,12 @@ def outline(known: bool = True, face: int = 1) -> Observation:
 
 
 @pytest.fixture(scope="module")
-def network(untrained_checkpoint: Path) -> tuple[Network, Header]:
+def network(untrained_checkpoint: Path) -> tuple[Trained, Header]:
     header = read_header(untrained_checkpoint)
-    return load_model(header), header
+    return network_of(header), header
 
 
-def theta(network: tuple[Network, Header], *captures: Observation) -> np.ndarray:
+def theta(network: tuple[Trained, Header], *captures: Observation) -> np.ndarray:
     return predict(*network, [captures])[0].cloth.theta
 
 

@@ -11,16 +11,19 @@ from cloths import write_dataset
 from common.errors import InputError
 from data.captures.check import warnings_of
 from data.dataset.folder import finished_manifest
-from data.render.cameras import nominal_camera
-from data.render.rays import QUARTERS, DepthRenderer
+from data.render.cameras import QUARTERS, nominal_camera
+from data.render.rays import DepthRenderer
 from data.render.setups import Setups
 from drapenet.config import ModelConfig
 from drapenet.network.captures import CaptureSet, Condition
 from drapenet.network.checkpoint import read_header
 from drapenet.network.dataset import make_maps
-from drapenet.network.model import FACTS, make_network
+from drapenet.network.inputs import FACTS
+from drapenet.network.load import network_of
+from drapenet.network.model import make_network
 from drapenet.network.predict import batch_of, predict
 from drapenet.network.targets import Symmetry
+from drapenet.network.weights import Loaded
 from drapenet.views.checks import REFUSED_SIZE_ERROR, size_checks
 from drapenet.views.directions import AZIMUTH, AZIMUTHS
 from drapenet.views.located import LocatedViews
@@ -112,7 +115,7 @@ def reader(untrained_checkpoint: Path) -> tuple:
     header = read_header(untrained_checkpoint)
     model = header.model.model_copy(update={"rectangles": True})
     torch.manual_seed(1)
-    return make_network(**model.model_dump()).eval(), header.model_copy(update={"model": model})
+    return Loaded(make_network(**model.model_dump())), header.model_copy(update={"model": model})
 
 
 def test_a_rectangle_read_across_is_the_one_of_exchanged_sides(reader):
@@ -129,12 +132,11 @@ def test_a_rectangle_read_across_is_the_one_of_exchanged_sides(reader):
 
 def test_the_aspect_is_read_by_networks_that_know_rectangles_alone(reader, untrained_checkpoint):
     network, header = reader
-    plain = make_network(**read_header(untrained_checkpoint).model.model_dump()).eval()
+    plain = network_of(read_header(untrained_checkpoint))
     batches = [batch_of([[seen(rig, RADIUS, True)]])[0] for rig in (RIG, ACROSS)]
-    with torch.no_grad():
-        along, across = (batch.through(network).means for batch in batches)
-        assert not torch.allclose(along, across)
-        assert torch.equal(*(batch.through(plain).means for batch in batches))
+    along, across = (network.posterior(batch).means for batch in batches)
+    assert not np.allclose(along, across)
+    assert np.array_equal(*(plain.posterior(batch).means for batch in batches))
     header.require_learned(RIG)
 
 
@@ -166,5 +168,5 @@ def test_training_on_rectangles_turns_their_input_on(tmp_path):
                                   condition=Condition((0.0, 1.0, 0.0), (1.0,), known=1.0))
     assert np.array_equal(np.sort(facts.aspect), np.sort(maps.aspect))
     turned = batch.turned(Symmetry.number(1, 16))
-    assert torch.equal(turned.facts[:, FACTS], -batch.facts[:, FACTS])
-    assert torch.equal(turned.facts[:, FACTS + 1], batch.facts[:, FACTS + 1])
+    assert np.array_equal(turned.facts[:, FACTS], -batch.facts[:, FACTS])
+    assert np.array_equal(turned.facts[:, FACTS + 1], batch.facts[:, FACTS + 1])

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from common.types import Turns
-from data.render.cameras import Camera, nominal_camera
-from data.render.rays import QUARTERS, DepthRenderer
+from data.render.cameras import QUARTERS, Camera, nominal_camera
+from data.render.rays import DepthRenderer
 from drapenet.refine.depth import BORDER, EDGE, FOCAL, POSE, DepthViews, DepthWeights, table_names
 from drapenet.refine.objective import (
     fit_nuisances,

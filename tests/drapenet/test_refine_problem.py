@@ -10,8 +10,8 @@ import pytest
 from data.fabrics.fabrics import THETA_NAMES, fabric_from_theta, to_theta
 from data.fabrics.nuisances import NuisanceConfig, Nuisances
 from data.fabrics.prior import GaussianPrior, load_prior
-from data.render.cameras import nominal_camera
-from data.render.rays import QUARTERS, DepthRenderer
+from data.render.cameras import QUARTERS, nominal_camera
+from data.render.rays import DepthRenderer
 from drapenet.refine import problem as problems
 from drapenet.refine.minimise import Limits, minimise
 from drapenet.refine.objective import Linearised

@@ -5,8 +5,8 @@ import pytest
 from cloths import waves
 
 from common.errors import InputError
-from data.render.cameras import nominal_camera
-from data.render.rays import QUARTERS, DepthRenderer
+from data.render.cameras import QUARTERS, nominal_camera
+from data.render.rays import DepthRenderer
 from drapenet.refine.depth import DepthViews
 from drapenet.refine.positions import RobustPositions
 from drapenet.surface.shape import Cloud, distances

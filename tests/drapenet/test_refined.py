@@ -9,8 +9,8 @@ from common.configs import read_option
 from common.findings import texts
 from data.fabrics.fabrics import fabric_from_theta
 from data.fabrics.properties import ClothProperties
-from data.render.cameras import nominal_camera
-from data.render.rays import QUARTERS, DepthRenderer
+from data.render.cameras import QUARTERS, nominal_camera
+from data.render.rays import DepthRenderer
 from drapenet.network.checkpoint import read_header
 from drapenet.refine import refine
 from drapenet.refine.minimise import Status

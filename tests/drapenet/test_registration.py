@@ -7,8 +7,8 @@ from cloths import revolved, varied_camera
 from common.findings import texts
 from data.captures.check import warnings_of
 from data.captures.plate import plate_of_cloth
-from data.render.cameras import nominal_camera
-from data.render.rays import QUARTERS, DepthRenderer
+from data.render.cameras import QUARTERS, nominal_camera
+from data.render.rays import DepthRenderer
 from data.render.setups import Setups
 from drapenet.report.drape import radius_profile, silhouette_overlap
 from drapenet.views.checks import pose_checks

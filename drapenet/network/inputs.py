@@ -1,0 +1,134 @@
+"""What a network reads: sets of captures as arrays, and what is known of them.
+
+Single precision; N captures in M sets.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+import numpy as np
+
+from drapenet.network.expected import shape_of
+from drapenet.network.targets import Symmetry
+from drapenet.views.radial_map import WEIGHT_UNIT
+
+_SIZE = 0.3  # m, unit of the specimens' size
+_MAX_COEFFICIENT = 1.05
+FACTS, ASPECTS = 19, 2
+"""Numbers of scalar inputs: of every network, and, after them, of one that reads rectangles."""
+_WARP = 5  # column: 1 if azimuth 0 is along the warp, -1 along the weft, 0 not known
+_ODD = (_WARP, FACTS)  # columns that a quarter turn gives the opposite sign: that, and the aspect's
+DISC, KNOWN = 3, 4  # columns
+TESTER = 6  # the first columns, which state specimen, tester and warp, and nothing of the drape
+CIRCUMSTANCES = 10
+"""The first columns: those, number of views and perspective; with the aspects, those that say
+nothing of the drape."""
+
+Maps = Annotated[np.ndarray, "(N, AZIMUTHS, ELEVATIONS) float32"]
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What is known of N captures beside their pictures, (N,) each; NaN if it is not.
+
+    Attributes:
+        size: of the specimens, m.
+        plate: diameter of the plate over the specimen's size.
+        aspect: side across azimuth 0 over the side along it; 1 of squares and discs.
+        known: whether the captures of its set have azimuth 0 along the warp (or, after a quarter
+            turn, see :meth:`Batch.turned`, along the weft).
+        views: their number in a depth capture, 0 without.
+        perspective: size over the camera's height, of an outline; 0 under parallel light.
+        coefficient: drape coefficient, from 0 to 1, of the outline or as reported.
+        nodes: number of folds, as reported.
+        group: number of the set, from 0.
+    """
+
+    size: np.ndarray
+    plate: np.ndarray
+    disc: np.ndarray
+    aspect: np.ndarray
+    face: np.ndarray  # 1, or -1 if turned over
+    known: np.ndarray
+    views: np.ndarray
+    perspective: np.ndarray
+    coefficient: np.ndarray
+    nodes: np.ndarray
+    group: np.ndarray
+
+    @property
+    def sizes(self) -> np.ndarray:
+        """(M,) m, geometric means over the sets."""
+        count = np.bincount(self.group)
+        return np.exp(np.bincount(self.group, np.log(self.size)) / count)
+
+    @property
+    def share(self) -> np.ndarray:
+        """(N,) drape coefficients as a network reads them: a few depth maps of nearly flat cloth
+        have a hem far out."""
+        return self.coefficient.clip(0.0, _MAX_COEFFICIENT)
+
+    def columns(self) -> np.ndarray:
+        """(N, :data:`FACTS` + :data:`ASPECTS`) scalar inputs of the network."""
+        size = self.sizes[self.group]
+        columns = [np.log(size / _SIZE), np.log(self.size / size), 2 * self.plate - 1, self.disc,
+                   self.known, self.known, self.views / 4 - 1, self.views > 0]
+        for part, unit in ((self.perspective, 0.4), (self.share, 0.5), (self.nodes, 8.0)):
+            finite = np.isfinite(part)
+            columns += [finite, np.where(finite, part, unit) / unit - 1]
+        # What a regression on the drape coefficient needs.
+        share = columns[-3]
+        columns += [share**2, share**3, share * columns[2], share * self.disc, columns[2] ** 2]
+        aspect = np.log(self.aspect)
+        columns += [aspect, aspect**2]
+        return np.column_stack(columns).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Inputs of a network."""
+
+    distance: Maps  # in sizes of the specimen
+    weight: Maps  # logarithm of 1 + weight
+    outline: np.ndarray  # (N, AZIMUTHS), in half sizes of the specimen; 0 where not seen
+    face: np.ndarray  # (N,) 1 or -1
+    facts: np.ndarray  # (N, FACTS + ASPECTS)
+    group: np.ndarray  # (N,)
+    pictures: np.ndarray  # (N, PICTURES or 0, SIDE, SIDE) in sizes, NaN where there is no cloth
+    angle: np.ndarray  # (N,) of azimuth 0 in the first picture, rad
+    shape: np.ndarray  # (N, SHAPE), see :mod:`drapenet.network.expected`
+    targets: np.ndarray | None = None  # (M, TARGETS) standardised; None in inference
+
+    @classmethod
+    def of(cls, distance: np.ndarray, weight: np.ndarray, outline: np.ndarray, facts: Facts,
+           pictures: np.ndarray, angle: np.ndarray, targets: np.ndarray | None = None) -> "Batch":
+        """Batch of N stored maps (:func:`drapenet.views.radial_map.compressed`), (N, AZIMUTHS)
+        outlines in half sizes (m/m), NaN where not seen, pictures and their angles, rad."""
+        # Of a single view, much of the hem is guessed, and with it all but the coefficient.
+        hem = np.where((facts.views == 1)[:, None], np.nan, outline)
+        single = (distance, np.float32(WEIGHT_UNIT) * weight, np.nan_to_num(outline), facts.face)
+        return cls(*(np.asarray(one, np.float32) for one in single), facts.columns(), facts.group,
+                   *(np.asarray(one, np.float32) for one in (
+                       pictures, angle, shape_of(hem, facts.share, facts.nodes))),
+                   None if targets is None else np.asarray(targets, np.float32))
+
+    def turned(self, symmetry: Symmetry) -> "Batch":
+        """The batch with ``symmetry`` applied to its captures, not to its targets."""
+        facts = self.facts.copy()
+        for column in _ODD:
+            facts[symmetry.exchanged, column] *= -1
+        return replace(self, facts=facts, pictures=symmetry.of_pictures(self.pictures),
+                       angle=symmetry.of_angles(self.angle),
+                       **{name: symmetry.of_rows(getattr(self, name))
+                          for name in ("distance", "weight", "outline")})
+
+    @property
+    def members(self) -> np.ndarray:
+        """(M, N) float32, 1 where a capture is of a set."""
+        sets = np.arange(self.group.max() + 1)
+        return (sets[:, None] == self.group).astype(np.float32)
+
+    @property
+    def circumstances(self) -> np.ndarray:
+        """(N, CIRCUMSTANCES + ASPECTS) columns of the facts that say nothing of the drape."""
+        return np.hstack([self.facts[:, :CIRCUMSTANCES], self.facts[:, FACTS:]])
