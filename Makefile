@@ -5,6 +5,7 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python3.10; 
 	$$p -c '$(SUITABLE)' 2>/dev/null && echo $$p && break; done)
 BIN := .venv/bin
 STAMP := .venv/installed
+DEVELOPER := .venv/complete
 DATASET ?= outputs/dataset
 CAPTURE ?= examples/captures/twill
 PHOTOGRAPH ?= examples/captures/twill_photograph
@@ -17,15 +18,19 @@ CHECKS := check-types check-versions check-unused check-layers check-docstrings 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
 
-setup: $(STAMP)  ## system libraries, .venv and packages
+setup: $(DEVELOPER)  ## system libraries, .venv and all packages, of training and tests, too
 
-$(STAMP): pyproject.toml constraints.txt tools/system_libraries.sh tools/cpu_torch.sh
-	sh tools/system_libraries.sh
+$(STAMP): pyproject.toml constraints.txt
 	@test -n "$(PYTHON)" && $(PYTHON) -c '$(SUITABLE)' || \
 	  { echo "Python 3.10 to 3.13 is needed; run: make PYTHON=/path/to/python3.13" >&2; exit 2; }
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install -qq --upgrade pip
-	@echo "installing packages into .venv (a few minutes; 9 GB, 4 GB without CUDA libraries) ..."
+	@echo "installing packages into .venv (a minute; 1.6 GB) ..."
+	$(BIN)/python -m pip install -qq --constraint constraints.txt --editable .
+	touch $@
+
+$(DEVELOPER): $(STAMP) tools/system_libraries.sh tools/cpu_torch.sh
+	sh tools/system_libraries.sh
+	@echo "installing packages of training and tests (a few minutes; 8 GB, 3 GB without CUDA libraries) ..."
 	sh tools/cpu_torch.sh $(BIN)/python
 	$(BIN)/python -m pip install -qq --constraint constraints.txt --editable '.[dev]'
 	touch $@
@@ -33,23 +38,23 @@ $(STAMP): pyproject.toml constraints.txt tools/system_libraries.sh tools/cpu_tor
 demo: $(STAMP)  ## estimate a fabric from two bundled captures: a photograph and depth views
 	$(BIN)/python infer.py capture=[$(PHOTOGRAPH),$(CAPTURE)] out=outputs/demo
 
-test: $(STAMP)  ## fast tests, 4 minutes on two cores
+test: $(DEVELOPER)  ## fast tests, 4 minutes on two cores
 	$(BIN)/python -m pytest -q -n logical --maxprocesses 8 --dist worksteal
 
-test-rounding: $(STAMP)  ## tests of drapes, captures and estimates with the rounding of an old processor, 4 minutes
+test-rounding: $(DEVELOPER)  ## tests of drapes, captures and estimates with the rounding of an old processor, 4 minutes
 	$(BIN)/python tools/other_processor.py $(BIN)/python -m pytest -q -n logical --maxprocesses 8 \
 	  --dist worksteal $(ROUNDED)
 
-test-wheel: $(STAMP)  ## build the wheel and use it without the checkout, 2 minutes
+test-wheel: $(DEVELOPER)  ## build the wheel and use it without the checkout, 2 minutes
 	$(BIN)/python tools/wheel_trial.py
 
-test-slow: $(STAMP)  ## tests that take minutes
+test-slow: $(DEVELOPER)  ## tests that take minutes
 	$(BIN)/python -m pytest -q -m slow
 
-test-slurm: $(STAMP)  ## tests of datasets on a one-node Slurm, installed and started if run as root
+test-slurm: $(DEVELOPER)  ## tests of datasets on a one-node Slurm, installed and started if run as root
 	$(BIN)/python -m pytest -q -rs -m slurm tests/data/test_slurm.py
 
-test-browser: $(STAMP)  ## tests of the page in Chromium, installed if run as root; screenshots in outputs/browser
+test-browser: $(DEVELOPER)  ## tests of the page in Chromium, installed if run as root; screenshots in outputs/browser
 	@test -n "$$(command -v chromium)" || test "$$(id -u)" != 0 || { apt-get update -qq && apt-get install -qqy chromium; }
 	$(BIN)/python -m pip install -qq --constraint constraints.txt --editable '.[dev,browser]'
 	$(BIN)/python -m pytest -q -rs -m browser tests/service/test_browser.py
@@ -57,10 +62,10 @@ test-browser: $(STAMP)  ## tests of the page in Chromium, installed if run as ro
 serve: $(STAMP)  ## run the page and the HTTP interface on http://localhost:8000
 	$(BIN)/python serve.py
 
-matrix: $(STAMP)  ## test the installed wheel with each Python from 3.10 to 3.13, 9 GB and minutes each
+matrix: $(DEVELOPER)  ## test the installed wheel with each Python from 3.10 to 3.13, 9 GB and minutes each
 	$(BIN)/python -m nox -f tools/matrix.py
 
-lint: $(STAMP)  ## check style, imports between packages, units in docstrings, unused code, types, spelling
+lint: $(DEVELOPER)  ## check style, imports between packages, units in docstrings, unused code, types, spelling
 	@$(MAKE) --no-print-directory --jobs --keep-going --output-sync=target $(CHECKS)
 
 check-style:
@@ -81,46 +86,46 @@ check-spelling:
 sim: $(STAMP)  ## simulate one drape, results in outputs/drape
 	$(BIN)/python -m apps.drape
 
-prior: $(STAMP)  ## compare priors, 8 minutes; or fit one to your table: make prior TABLE=fabrics.csv
+prior: $(DEVELOPER)  ## compare priors, 8 minutes; or fit one to your table: make prior TABLE=fabrics.csv
 	$(BIN)/python -m $(if $(TABLE),data.fabrics.prior fit fabrics=$(TABLE),experiments prior)
 
-dataset: $(STAMP)  ## simulate drapes of many testers, both faces and several specimens of each fabric
+dataset: $(DEVELOPER)  ## simulate drapes of many testers, both faces and several specimens of each fabric
 	$(BIN)/python -m data.dataset.generate dataset=testers drapes=48000 seed=41 edge_mm=5 out=$(DATASET)
 
-train: $(STAMP)  ## train the network on them, resumes when interrupted
+train: $(DEVELOPER)  ## train the network on them, resumes when interrupted
 	$(BIN)/python train.py data=$(DATASET) out=outputs/train
 
-evaluate: $(STAMP)  ## errors and coverage of the bundled network on unseen fabrics, by tester and input
+evaluate: $(DEVELOPER)  ## errors and coverage of the bundled network on unseen fabrics, by tester and input
 	$(BIN)/python -m drapenet.network.evaluate bounds=docs/validation/bounds.json
 
-bench-sim: $(STAMP)  ## time drapes on this machine, JSON
+bench-sim: $(DEVELOPER)  ## time drapes on this machine, JSON
 	$(BIN)/python -m experiments speed
 
-bench: $(STAMP)  ## all timings on this machine, JSON in docs/validation
+bench: $(DEVELOPER)  ## all timings on this machine, JSON in docs/validation
 	for name in speed render throughput; do $(BIN)/python -m experiments $$name || exit 1; done
 
-validate: $(STAMP)  ## figures of docs/validation.md, about 3 hours of CPU, resumes when interrupted
+validate: $(DEVELOPER)  ## figures of docs/validation.md, about 3 hours of CPU, resumes when interrupted
 	for name in elastica strips testers meshes default_mesh convergence; do \
 	  $(BIN)/python -m experiments $$name || exit 1; done
 
-docs: $(STAMP)  ## update the figures in README.md and docs/*.md from the demo and the reports
+docs: $(DEVELOPER)  ## update the figures in README.md and docs/*.md from the demo and the reports
 	mkdir -p outputs
 	$(BIN)/python infer.py capture=[$(PHOTOGRAPH),$(CAPTURE)] out=outputs/demo > outputs/demo.txt
 	cp outputs/demo.txt docs/validation/demo.txt
 	$(BIN)/python -m experiments.figures
 
-reference: $(STAMP)  ## pages of the Python interface from its docstrings, outputs/reference/index.html
+reference: $(DEVELOPER)  ## pages of the Python interface from its docstrings, outputs/reference/index.html
 	$(BIN)/python tools/reference.py outputs/reference
 
-studies: $(STAMP)  ## the papers' experiments, hours of CPU, resumed when interrupted: docs/studies.md
+studies: $(DEVELOPER)  ## the papers' experiments, hours of CPU, resumed when interrupted: docs/studies.md
 	$(BIN)/python -m experiments papers
 
-example: $(STAMP)  ## make the bundled capture again
+example: $(DEVELOPER)  ## make the bundled capture again
 	$(BIN)/python examples/make_capture.py out=$(CAPTURE)
 	$(BIN)/python examples/make_capture.py out=$(PHOTOGRAPH) photograph=true \
 	  tester=disc300_support180 seed=3
 
-blender: $(STAMP)  ## drapes of exported fabrics in Blender, installed for Python 3.11 into .venv-blender (1 GB)
+blender: $(DEVELOPER)  ## drapes of exported fabrics in Blender, installed for Python 3.11 into .venv-blender (1 GB)
 	test -x .venv-blender/bin/python || python3.11 -m venv .venv-blender
 	.venv-blender/bin/python -m pip install -qq 'bpy>=5,<6'
 	$(BIN)/python -m experiments blender

@@ -8,8 +8,8 @@ import pytest
 from safetensors.torch import load_file
 
 from common.errors import InputError
-from data.captures.off_axis import seen_from_axis
-from data.captures.off_axis_network import AZIMUTHS, BUNDLED, OffAxisNetwork
+from data.captures.off_axis import BUNDLED, seen_from_axis
+from data.captures.off_axis_network import AZIMUTHS, OffAxisNetwork
 from data.dataset.folder import MANIFEST
 from data.dataset.off_axis import main, silhouette
 from sim.drape import drape
