@@ -1,4 +1,5 @@
-"""Ctrl-C ends a command at once, with one line and exit code 130; a lack of memory with one and 2.
+"""Ctrl-C ends a command at once, with one line and exit code 130; a lack of memory, or of packages
+that only trainings need, with one and 2.
 
 A command imports this module before all others, whose imports take seconds; libraries never import
 it. No exception passes through compiled functions and half-loaded libraries: files are complete
@@ -15,6 +16,10 @@ from types import FrameType, TracebackType
 from common.errors import lacks_memory, one_line
 from common.files import remove_unfinished
 
+TRAINING = ("torch", "torchvision", "tensorboard", "onnx", "onnxscript", "h5py", "open3d",
+            "sklearn")
+"""Packages of ``drapenet[train]``."""
+
 
 def end(number: int, frame: FrameType | None) -> None:
     """Signal handler that ends the process."""
@@ -27,13 +32,19 @@ def end(number: int, frame: FrameType | None) -> None:
 
 
 def report(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """Exception hook that prints one line and ends the process where memory is refused."""
-    if not lacks_memory(error):
+    """Exception hook that prints one line and ends the process where memory is refused or a package
+    is not installed."""
+    if isinstance(error, ModuleNotFoundError) and error.name in TRAINING:
+        line = (f"{error.name} is not installed; this command needs the packages of datasets and "
+                "trainings: pip install 'drapenet[train]', or, in a checkout, make setup")
+    elif lacks_memory(error):
+        line = (f"too little memory ({one_line(error)}); a command needs up to 5 GB for each "
+                "process: raise its limit (ulimit -v), or end other programs")
+    else:
         sys.__excepthook__(kind, error, trace)
         return
     remove_unfinished()
-    os.write(2, f"error: too little memory ({one_line(error)}); a command needs up to 5 GB for "
-                "each process: raise its limit (ulimit -v), or end other programs\n".encode())
+    os.write(2, f"error: {line}\n".encode())
     os._exit(2)
 
 

@@ -1,9 +1,10 @@
 """Use the project as it is installed, from an empty folder: ``make test-wheel``.
 
 The wheel is built from git's index, must hold all that belongs to it, and is installed into an
-environment that has the other packages of this one, but not the checkout. There its modules are
-imported, a drape is simulated, a bundled capture is estimated and refined, and another is uploaded
-to the service. A part of an estimate that is left out with a warning is a fault.
+environment that has the other packages of this one, but neither the checkout nor the packages of
+``drapenet[train]``. There its modules are imported, also as if the system were not POSIX, a drape
+is simulated, a bundled capture is estimated and refined, and another is uploaded to the service. A
+part of an estimate that is left out with a warning is a fault.
 """
 
 import json
@@ -21,6 +22,8 @@ from pathlib import Path
 
 import httpx
 
+from common.interrupt import TRAINING
+
 ROOT = Path(__file__).resolve().parents[1]
 LEFT = (".ci", "docs", "examples", "experiments", "tests", "tools")
 """Folders that are not of the wheel."""
@@ -28,7 +31,22 @@ REPORT = ("estimate.json", "report.png", "report.html", "report.pdf", "drape.glb
 COARSE = ("starts=1", "coarse_mm=12", "edge_mm=12")
 """Keys of ``refine`` for the least number of simulations, which are coarse."""
 SECONDS = 300.0  # s, longest time of an estimate, with a service's start
-IMPORT = """import importlib, sys
+OF_TRAINING = re.compile(
+    r"common\.graph_export|data\.(dataset\..*|captures\.off_axis_network|pictures\.cloth_network"
+    r"|render\.(scenes|sensors))|drapenet\.network\.(captures|dataset|evaluate|expected_network"
+    r"|mixture|model|optimizer|training|weights)|sim\.(batched\..*|sensitivity\.adjoint)")
+"""Modules that may import packages of ``drapenet[train]``."""
+POSIX = ("fcntl", "grp", "pwd", "resource", "termios")
+HIDE = """import importlib.abc, sys
+class Hidden(importlib.abc.MetaPathFinder):
+    names = set({names!r})
+    def find_spec(self, name, path, target=None):
+        if name.partition(".")[0] in self.names:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+sys.meta_path.insert(0, Hidden())
+"""
+IMPORT = HIDE.format(names=POSIX) + """
+import importlib
 for name in sys.argv[1:]:
     file = importlib.import_module(name).__file__
     assert file.startswith(sys.prefix), f"{name} is not of the wheel: {file}" """
@@ -65,14 +83,16 @@ def built_wheel(folder: Path) -> tuple[Path, Path]:
 
 
 def modules(wheel: Path) -> list[str]:
-    """Dotted names of the modules of a wheel."""
+    """Dotted names of the modules of a wheel that need no package of ``drapenet[train]``."""
     parts = [Path(name).with_suffix("").parts for name in zipfile.ZipFile(wheel).namelist()
              if name.endswith(".py")]
-    return [".".join(each[:-1] if each[-1] == "__init__" else each) for each in parts]
+    names = (".".join(each[:-1] if each[-1] == "__init__" else each) for each in parts)
+    return [name for name in names if not OF_TRAINING.fullmatch(name)]
 
 
 def borrowing(environment: Path, wheel: Path) -> Path:
-    """Python of a new environment with the wheel, which borrows the other packages of this one."""
+    """Python of a new environment with the wheel, which borrows the other packages of this one but
+    those of ``drapenet[train]``."""
     run(sys.executable, "-m", "venv", "--without-pip", environment, cwd=environment.parent)
     python = environment / "bin" / "python"
     run(sys.executable, "-m", "pip", "--python", python, "install", "-q", "--no-deps", wheel,
@@ -80,6 +100,7 @@ def borrowing(environment: Path, wheel: Path) -> Path:
     own, = environment.glob("lib/python*/site-packages")
     # Path files in a borrowed folder are not read: the checkout's, if editable, is not found.
     (own / "borrowed.pth").write_text(sysconfig.get_path("purelib") + "\n", encoding="utf-8")
+    (own / "sitecustomize.py").write_text(HIDE.format(names=TRAINING), encoding="utf-8")
     return python
 
 
@@ -97,6 +118,12 @@ def trial(scripts: Path, captures: Path, folder: Path) -> Iterator[str]:
     if "fabric.jfab" not in files:
         raise TrialError("there is no file for another tool")
     yield "estimate, refined"
+    refused = subprocess.run([scripts / "drapenet-train"], cwd=folder, env=ENVIRONMENT, text=True,
+                             stderr=subprocess.PIPE)
+    if (refused.returncode, refused.stderr.count("\n")) != (2, 1) or (
+            "pip install 'drapenet[train]'" not in refused.stderr):
+        raise TrialError(f"drapenet-train does not say what to install: {refused.stderr}")
+    yield "a training refused"
     serve(scripts, captures / "twill_photograph", folder)
     yield "service"
 

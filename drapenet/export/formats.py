@@ -5,6 +5,7 @@ A tool with one modulus per direction gets alpha, or the secant of the torque at
 
 import json
 import pprint
+import re
 import uuid
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -102,33 +103,39 @@ def _u3m(material: Material, name: str) -> dict[str, bytes]:
 
 
 def _usd(material: Material, name: str) -> dict[str, bytes]:
-    from pxr import Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade
+    def quoted(text: str) -> str:
+        return json.dumps(text, ensure_ascii=False)
 
-    stage = Usd.Stage.CreateInMemory()
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
-    UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
-    label = Tf.MakeValidIdentifier(material.name)
-    shade = UsdShade.Material.Define(stage, f"/{label}").GetPrim()
-    shade.SetDisplayName(material.name)
-    stage.SetDefaultPrim(shade)
-    shade.AddAppliedSchema("PhysicsSurfaceDeformableMaterialAPI")
-    shade.AddAppliedSchema("CloFabricAPI")
-    mean = shade.CreateAttribute("physics:surfaceBendStiffness", Sdf.ValueTypeNames.Float)
-    mean.Set(mean_modulus(material.modulus))
-    mean.SetDocumentation("N·m")
+    label = re.sub(r"^(?=\d)|[^A-Za-z0-9_]", "_", material.name) or "_"
     warp, bias, weft = _clo_bending(material).tolist()
-    primvars = UsdGeom.PrimvarsAPI(shade)
-    for key, value, unit in (
+    primvars = "".join(
+        f"    float[] primvars:clo:{key} = [{value!r}] (\n"
+        f"        doc = {quoted(unit)}\n        interpolation = \"constant\"\n    )\n"
+        for key, value, unit in (
             ("bendingWarp", warp, CLO_BENDING), ("bendingWeft", weft, CLO_BENDING),
             ("bendingBiasLeft", bias, CLO_BENDING), ("bendingBiasRight", bias, CLO_BENDING),
-            ("density", 1e-3 * material.density, CLO_DENSITY)):
-        primvar = primvars.CreatePrimvar(f"clo:{key}", Sdf.ValueTypeNames.FloatArray,
-                                         UsdGeom.Tokens.constant)
-        primvar.Set([value])
-        primvar.GetAttr().SetDocumentation(unit)
-    shade.SetCustomDataByKey("drapenet", json.dumps(material.about, ensure_ascii=False))
-    return {name: stage.GetRootLayer().ExportToString().encode()}
+            ("density", 1e-3 * material.density, CLO_DENSITY)))
+    return {name: f"""#usda 1.0
+(
+    defaultPrim = "{label}"
+    kilogramsPerUnit = 1
+    metersPerUnit = 1
+    upAxis = "Z"
+)
+
+def Material "{label}" (
+    prepend apiSchemas = ["PhysicsSurfaceDeformableMaterialAPI", "CloFabricAPI"]
+    customData = {{
+        string drapenet = {quoted(json.dumps(material.about, ensure_ascii=False))}
+    }}
+    displayName = {quoted(material.name)}
+)
+{{
+    float physics:surfaceBendStiffness = {mean_modulus(material.modulus)!r} (
+        doc = "N·m"
+    )
+{primvars}}}
+""".encode()}
 
 
 def _arcsim(material: Material, name: str) -> dict[str, bytes]:

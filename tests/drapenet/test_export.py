@@ -96,6 +96,15 @@ def test_usd_opens_with_clo_s_and_the_proposal_s_attributes(estimate):
     assert about["moduli"] == json.loads(estimate.read_text())["moduli"]
 
 
+@pytest.mark.parametrize(("name", "label"), [
+    ('2/1 "Köper", blau \\ 7', "_2_1__K_per___blau___7"), ("é", "_"), ("Twill", "Twill")])
+def test_usd_opens_with_any_name(estimate, name, label):
+    usd = pytest.importorskip("pxr.Usd")
+    stage = usd.Stage.Open(str(exported(estimate, "usd", name=name)))  # prims end with it
+    prim = stage.GetDefaultPrim()
+    assert (prim.GetName(), prim.GetDisplayName()) == (label, name)
+
+
 def test_arcsim_s_table_gives_the_torque_by_arcsim_s_rules(estimate):
     """Linear interpolation over the curvature's half in steps of 5/m, rows by the edge's angle."""
     material = read_material(estimate, mesh="alternating")
