@@ -62,7 +62,7 @@ test-browser: $(DEVELOPER)  ## tests of the page in Chromium, installed if run a
 serve: $(STAMP)  ## run the page and the HTTP interface on http://localhost:8000
 	$(BIN)/python serve.py
 
-matrix: $(DEVELOPER)  ## test the installed wheel with each Python from 3.10 to 3.13, 9 GB and minutes each
+matrix: $(DEVELOPER)  ## test the installed wheel with each Python from 3.10 to 3.13, 1.6 GB and a few minutes each
 	$(BIN)/python -m nox -f tools/matrix.py
 
 lint: $(DEVELOPER)  ## check style, imports between packages, units in docstrings, unused code, types, spelling

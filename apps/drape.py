@@ -13,11 +13,13 @@ import numpy as np
 
 from apps.drape_file import read_borrowed, write_drape
 from common.command import command
+from common.compiled import announce
 from common.configs import metres
 from common.errors import InputError
 from common.files import folder_named, replace_file, replace_json, require_folder
-from sim.drape import Drape, drape
+from sim.draping import Drape, drape
 from sim.material import DIRECTIONS, MICRO, NANO, Fabric
+from sim.nearest import nearest
 from sim.rig import Rig
 from sim.start import LOWERED
 
@@ -48,6 +50,7 @@ def main(config: DrapeConfig) -> None:
     fabric = Fabric(np.array(config.alpha) * MICRO, np.array(config.beta) * NANO,
                     config.density * 1e-3)
     require_folder(folder)
+    announce(nearest)
     result = drape(
         fabric,
         rig=Rig.from_name(config.rig),

@@ -1,7 +1,7 @@
 """Format of ``drape.npz``, from which another drape can start.
 
 A NumPy archive of four arrays: ``rest`` (V, 2) and ``positions`` (V, 3) in metres, float64;
-``faces`` (F, 3) int64; ``held`` (V,) bool. Axes and origin as in :class:`sim.drape.Drape`.
+``faces`` (F, 3) int64; ``held`` (V,) bool. Axes and origin as in :class:`sim.draping.Drape`.
 """
 
 import io
@@ -13,7 +13,7 @@ from common.documents import read_arrays
 from common.errors import InputError
 from common.files import replace_file
 from common.types import Points, RestPoints
-from sim.drape import Drape
+from sim.draping import Drape
 
 
 def write_drape(path: Path, result: Drape) -> None:

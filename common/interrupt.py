@@ -50,8 +50,8 @@ def report(kind: type[BaseException], error: BaseException, trace: TracebackType
 
 # The process that releases the semaphores of ended processes would report that it does.
 os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker")
-if (threading.current_thread() is threading.main_thread()
-        and signal.getsignal(signal.SIGINT) is signal.default_int_handler):
-    signal.signal(signal.SIGINT, end)
+if threading.current_thread() is threading.main_thread():
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, end)
     if sys.excepthook is sys.__excepthook__:
         sys.excepthook = report

@@ -69,7 +69,7 @@ def sources_digest(*sources: str, root: Path = ROOT) -> str:
     """SHA-256 of what results are made by, hexadecimal: the same in a checkout and where the
     project is installed.
 
-    Each of ``sources`` is a module or package of the project, such as "sim.drape", which stands for
+    Each of ``sources`` is a module or package of the project, such as "sim.mesh", which stands for
     its code and that of all modules that it imports, also within functions, without docstrings and
     comments (:mod:`common.imports`); or one or more files, such as "configs/sensor/*.yaml".
     """

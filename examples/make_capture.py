@@ -30,7 +30,7 @@ from data.render.scenes import raw_scene
 from data.render.sensors import StructuredLight, load_sensor
 from data.render.setups import Setups
 from data.rigs import named_tester
-from sim.drape import Drape, drape
+from sim.draping import Drape, drape
 from sim.material import DIRECTIONS, MICRO, NANO, Fabric
 
 ABOVE_MAT, BESIDE = 0.04, 0.02  # m, of the lowest cloth, and of the phone from the plate's axis

@@ -11,7 +11,7 @@ from common.cases import load_arrays
 from common.errors import InputError
 from common.types import Faces, Metres, Points, RestPoints
 from sim.cloth import Laws
-from sim.drape import FINE_OPTIONS
+from sim.draping import FINE_OPTIONS
 from sim.equilibrium import Equilibrium, find_equilibrium
 from sim.material import Fabric
 from sim.measures import fold_angles
@@ -27,7 +27,7 @@ _AREA_TOLERANCE = 0.03  # relative difference of area; the boundary of a coarse 
 
 
 class Draped(Protocol):
-    """Shape of a specimen, for example a :class:`sim.drape.Drape`."""
+    """Shape of a specimen, for example a :class:`sim.draping.Drape`."""
 
     rest: RestPoints
     positions: Points

@@ -22,7 +22,7 @@ from data.fabrics.nuisances import Nuisances
 from data.fabrics.prior import load_prior, sample_admissible
 from experiments.result import read_report, rms
 from sim.cloth import Laws
-from sim.drape import Drape, drape
+from sim.draping import Drape, drape
 from sim.material import LINEAR, REFERENCE_DENSITY, Fabric
 from sim.rig import SQUARE_RIG, Rig
 

@@ -10,10 +10,11 @@ from matplotlib.patches import Circle
 from common.types import Metres, Outline
 from data.fabrics.fabrics import fabric_from_theta
 from experiments.drapes import plan_specimen
-from sim.drape import Drape, drape
+from sim.draping import Drape, drape
 from sim.material import MICRO, Fabric
-from sim.measures import coefficient_of_area, folds_around, shadow_radius
+from sim.measures import shadow_radius
 from sim.mesh import Mesh
+from sim.outlines import coefficient_of_area, folds_around
 from sim.rig import DISC_RIG, Rig
 
 POINTS = 360  # azimuths of an outline

@@ -7,18 +7,20 @@
 A :class:`Fabric` is draped on a tester, a :class:`Rig`, with the :class:`Laws` of its bending and
 stretch; :func:`drape_many` makes many drapes on all cores. :mod:`sim.energies` has what a new law
 needs, :mod:`sim.sensitivity` differentiates an equilibrium, :mod:`sim.cantilever` hangs strips.
-
-``sim.drape`` is the function; ``from sim.drape import ...`` reads the module that it comes from.
 """
 
-from common.errors import InputError
-from sim.cloth import BENDING, Laws
-from sim.drape import Drape, drape, follow
-from sim.many import drape_many
-from sim.material import DIRECTIONS, MICRO, NANO, Fabric, gravity_length, torque
-from sim.measures import drape_coefficient, fold_count, fold_outline
-from sim.rig import DISC_RIG, SQUARE_RIG, Rig
-from sim.solver import NewtonOptions, Status
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from common.errors import InputError
+    from sim.cloth import BENDING, Laws
+    from sim.draping import Drape, drape, follow
+    from sim.many import drape_many
+    from sim.material import DIRECTIONS, MICRO, NANO, Fabric, gravity_length, torque
+    from sim.measures import drape_coefficient, fold_count, fold_outline
+    from sim.rig import DISC_RIG, SQUARE_RIG, Rig
+    from sim.solver import NewtonOptions, Status
 
 __all__ = [
     "BENDING",
@@ -43,3 +45,22 @@ __all__ = [
     "gravity_length",
     "torque",
 ]
+
+# Loaded when they are used: who needs a rig or a unit does not wait for compiled energies.
+_MODULES = {
+    "common.errors": ("InputError",), "sim.cloth": ("BENDING", "Laws"),
+    "sim.draping": ("Drape", "drape", "follow"), "sim.many": ("drape_many",),
+    "sim.material": ("DIRECTIONS", "MICRO", "NANO", "Fabric", "gravity_length", "torque"),
+    "sim.measures": ("drape_coefficient", "fold_count", "fold_outline"),
+    "sim.rig": ("DISC_RIG", "SQUARE_RIG", "Rig"), "sim.solver": ("NewtonOptions", "Status")}
+_HOME = {name: module for module, names in _MODULES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'sim' has no attribute {name!r}")
+    return getattr(import_module(_HOME[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -8,13 +8,13 @@ from common.arguments import whole_number
 from common.cases import progress_bar
 from common.errors import InputError, one_line
 from common.workers import worker_pool
-from sim.drape import Drape, drape
+from sim.draping import Drape, drape
 
 
 def drape_many(
     plans: Iterable[Mapping[str, Any]], *, workers: int = 1, unit: str = "drape",
 ) -> list[Drape]:
-    """The drapes of ``plans``, arguments of :func:`sim.drape.drape` by name, in their order.
+    """The drapes of ``plans``, arguments of :func:`sim.draping.drape` by name, in their order.
 
     Each has its status; a simulation that fails does not affect the others, while arguments that
     are invalid raise their InputError. ``workers`` processes of one thread give the same bytes as

@@ -28,6 +28,9 @@ LINEAR, RATIO = slice(0, 3), slice(3, 6)
 FIRST, SECOND = 0, 2  # log alphas of the two yarns in theta
 SWAPPED = [2, 1, 0, 5, 4, 3]
 """Indices that exchange the two yarns in theta."""
+KES_CURVATURE = 100.0
+"""Curvature, 1/m, at which 2HB is read."""
+MEMBRANE_STIFFNESS = 200.0  # N/m, of cloth of which nothing is stated
 REFERENCE_DENSITY = 0.3  # kg/m²; a drape depends on moduli/density only (section 5.1.2)
 
 MICRO = 1e-6  # N·m per µN·m

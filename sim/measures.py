@@ -5,7 +5,6 @@ from collections.abc import Callable
 import numba
 import numpy as np
 from scipy.interpolate import LinearNDInterpolator
-from scipy.ndimage import gaussian_filter1d
 
 from common.arguments import numbers, require
 from common.errors import InputError
@@ -13,15 +12,11 @@ from common.types import Faces, Metres, Outline, Points, RestPoints, VertexMask
 from common.workers import one_blas_thread
 from sim.energies.membrane import Corotational
 from sim.mesh import Mesh
+from sim.outlines import coefficient_of_area, farthest, folds_around
 from sim.rig import Cylinder, Rig
 
 _PIXEL = 5e-4  # m, of the rasterised top view
-_MIN_FOLD_DEPTH = 3e-3  # m
 _OUTLINE_POINTS = 720
-_DEPTH_SHARE = 0.88
-"""Depth of a hem over that of a straight line of cloth from the plate: simulated discs of 240, 300
-and 360 mm and squares of 300 mm, seen from 1 m and 1.2 m, have 0.85 to 0.95, and drape
-coefficients corrected with this value are wrong by 0.4 to 0.8 points rms, uncorrected by 4 to 8."""
 
 
 def drape_coefficient(positions: Points, faces: Faces, rig: Rig) -> float:
@@ -54,12 +49,6 @@ def _require_extent(name: str, points: np.ndarray, rig: Rig, least: Metres) -> N
                          "this drape")
 
 
-def coefficient_of_area(area: float, rig: Rig) -> float:
-    """Drape coefficient of a projected area, m²."""
-    plate = np.pi * rig.plate_radius**2
-    return (area - plate) / (rig.specimen_area - plate)
-
-
 def projected_area(positions: Points, faces: Faces) -> float:
     """Area of the vertical projection, m²."""
     corner = positions[:, :2].min(0) - _PIXEL
@@ -89,18 +78,6 @@ def fold_angles(outline: Outline) -> np.ndarray:
     return folds_around(np.linalg.norm(outline, axis=1), 6.0) * (2 * np.pi / len(outline))
 
 
-def folds_around(radius: np.ndarray, sigma: float) -> np.ndarray:
-    """Indices (n,) of the folds among distances from the axis around a drape, (N,) m, smoothed with
-    a standard deviation of ``sigma`` samples: peaks at least 3 mm high, ascending."""
-    from scipy.signal import find_peaks  # importing it takes a third of a second
-
-    smooth = gaussian_filter1d(radius, sigma, mode="wrap")
-    seam = int(smooth.argmin())  # a minimum is not a peak
-    smooth = np.roll(smooth, -seam)
-    peaks, _ = find_peaks(np.append(smooth, smooth[0]), prominence=_MIN_FOLD_DEPTH)
-    return np.sort((peaks + seam) % len(radius))
-
-
 def shadow_radius(
     positions: Points, mesh: Mesh, *, height: Metres = np.inf, points: int = 360
 ) -> np.ndarray:
@@ -110,39 +87,6 @@ def shadow_radius(
     hem = mesh.edges[mesh.edge_faces[:, 1] < 0]
     seen = positions[:, :2] / (1 - positions[:, 2:] / height)
     return farthest(seen[hem], points)
-
-
-def closed(curve: Outline) -> np.ndarray:
-    """Segments (N, 2, 2) of a closed curve (N, 2), as :func:`farthest` takes them."""
-    return np.stack([curve, np.roll(curve, -1, axis=0)], axis=1)
-
-
-@numba.njit(cache=True)
-def farthest(segments, points):
-    """Largest distance from the origin of segments (N, 2, 2) along ``points`` azimuths."""
-    radius, step = np.zeros(points), 2 * np.pi / points
-    cosine, sine = np.cos(step * np.arange(points)), np.sin(step * np.arange(points))
-    rounding = 1e-9  # an end may lie on an azimuth
-    for t in range(len(segments)):
-        (ax, ay), (bx, by) = segments[t, 0], segments[t, 1]
-        turn = np.arctan2(ax * by - ay * bx, ax * bx + ay * by)
-        begin = np.arctan2(ay, ax) if turn >= 0 else np.arctan2(by, bx)
-        first = int(np.ceil(begin / step - rounding))
-        for k in range(first, int(np.floor((begin + abs(turn)) / step + rounding)) + 1):
-            azimuth = k % points
-            across = cosine[azimuth] * (by - ay) - sine[azimuth] * (bx - ax)
-            if across != 0.0:
-                distance = (ax * (by - ay) - ay * (bx - ax)) / across
-                radius[azimuth] = max(radius[azimuth], distance)
-    return radius
-
-
-def hem_depth(radius: np.ndarray, flat: np.ndarray, rig: Rig) -> np.ndarray:
-    """Depths (...,), m, of a hem below the plate at distances ``radius`` (...,), m, from the axis,
-    where the flat specimen reaches to ``flat`` (...,), m: cloth does not stretch."""
-    out = np.maximum(radius - rig.plate_radius, 0)
-    return _DEPTH_SHARE * np.sqrt(
-        np.maximum(np.square(flat - rig.plate_radius) - np.square(out), 0))
 
 
 def fold_count(positions: Points, rest: RestPoints, rig: Rig) -> int:

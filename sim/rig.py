@@ -5,7 +5,6 @@ import re
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
-import numba
 import numpy as np
 
 from common.arguments import number, numbers
@@ -33,43 +32,28 @@ class Cylinder:
         """Radius of the rounded rim."""
         return RIM * self.radius
 
+    def _nearest(self, points: Points) -> np.ndarray:
+        from sim.nearest import nearest  # compiled; most who state a rig do not need it
+
+        return nearest(points, self.radius, self.rim)
+
     def depths(self, points: Points) -> np.ndarray:
         """Depths (N,), m, below the nearest surface; concave, negative outside."""
-        return _nearest(points, self.radius, self.rim)[0]
+        return self._nearest(points)[0]
 
     def normals(self, points: Points) -> np.ndarray:
         """Outward normals (N, 3) of the nearest surface: the negative gradient of the depth."""
-        _, distance, across, along, _ = _nearest(points, self.radius, self.rim)
+        _, distance, across, along, _ = self._nearest(points)
         return np.column_stack([across[:, None] * points[:, :2] / distance[:, None], along])
 
     def depth_hessians(self, points: Points) -> np.ndarray:
         """Second derivatives (N, 3, 3) of the depth, 1/m; negative semi-definite."""
-        _, distance, across, along, bent = _nearest(points, self.radius, self.rim)
+        _, distance, across, along, bent = self._nearest(points)
         x, y = (points[:, :2] / distance[:, None]).T
         around = np.column_stack([-y, x, np.zeros(len(points))])
         over = np.column_stack([-along * x, -along * y, across])
         return -((across / distance)[:, None, None] * around[:, :, None] * around[:, None, :]
                  + bent[:, None, None] * over[:, :, None] * over[:, None, :])
-
-
-@numba.njit(cache=True)
-def _nearest(points, radius, rim):
-    """Of each of N points, (5, N): the depth below the nearest surface, m, the distance from the
-    axis, m, radial and vertical component of the normal, and its curvature around the rim, 1/m."""
-    result = np.empty((5, len(points)))
-    for i in range(len(points)):
-        distance = np.sqrt(points[i, 0] ** 2 + points[i, 1] ** 2)
-        # From the centre line of the rim:
-        outwards, upwards = distance - (radius - rim), points[i, 2] + rim
-        over, across, along, bent = max(outwards, upwards), 0.0, 1.0, 0.0
-        if outwards > 0.0 and upwards > 0.0:
-            over = np.sqrt(outwards**2 + upwards**2)
-            across, along, bent = outwards / over, upwards / over, 1.0 / over
-        elif outwards > upwards:
-            across, along = 1.0, 0.0
-        # On the axis the normal is vertical: any distance will do.
-        result[:, i] = rim - over, distance if distance > 0.0 else 1.0, across, along, bent
-    return result
 
 
 @dataclass(frozen=True)

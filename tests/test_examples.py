@@ -18,7 +18,7 @@ from data.strips.folder import read_strips
 from drapenet.views.located import LocatedViews
 from drapenet.views.outline import outline_of_map
 from drapenet.views.radial_map import radial_map
-from sim.drape import Drape, drape
+from sim.draping import Drape, drape
 from sim.rig import Rig
 
 ROOT = Path(__file__).resolve().parent.parent

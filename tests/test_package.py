@@ -11,7 +11,8 @@ ROOT = Path(__file__).resolve().parent.parent
 
 def test_imports_from_outside_the_repository(tmp_path):
     code = (
-        "import sim.drape, data.captures.capture, drapenet.network.checkpoint, train, infer, serve;"
+        "import sim.draping, data.captures.capture, drapenet.network.checkpoint, train, infer;"
+        "import serve;"
         "from common.configs import CONFIG_DIR;"
         "assert (CONFIG_DIR / 'infer.yaml').is_file()"
     )

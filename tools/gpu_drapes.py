@@ -42,7 +42,7 @@ from sim.batched.lowered import columns
 from sim.batched.potential import BatchedPotential
 from sim.batched.solver import BatchedSolver
 from sim.cloth import Cloth
-from sim.drape import Drape, drape, follow
+from sim.draping import Drape, drape, follow
 from sim.material import Fabric
 from sim.mesh.specimen import TOPOLOGIES
 from sim.rig import DISC_RIG, SQUARE_RIG

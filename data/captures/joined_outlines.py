@@ -22,7 +22,7 @@ import numpy as np
 
 from common.types import Metres, Outline, Radians
 from data.captures.off_axis import AZIMUTH, AZIMUTHS, OUTWARDS, seen_from_axis
-from sim.measures import closed, farthest
+from sim.outlines import closed, farthest
 from sim.rig import Rig
 
 MAX_UNLIKE = 0.08  # of the azimuth, over which a picture may differ from the others

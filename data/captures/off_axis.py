@@ -13,7 +13,7 @@ import numpy as np
 
 from common.graphs import bundled_graph
 from common.types import Metres, Outline
-from sim.measures import closed, farthest
+from sim.outlines import closed, farthest
 from sim.rig import Rig
 
 BUNDLED = Path(__file__).resolve().parents[1] / "weights" / "off_axis.safetensors"

@@ -32,7 +32,7 @@ from data.captures.scale import Scaled, mat_scale, scaled_photographs
 from data.pictures.cut import outline_of_cloth
 from data.pictures.mat import along_border
 from data.pictures.planes import behind, mapped, shifted, upright
-from sim.measures import closed, coefficient_of_area, farthest, folds_around
+from sim.outlines import closed, coefficient_of_area, farthest, folds_around
 from sim.rig import Rig
 
 MAX_PIXEL = 1.5e-3  # m

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from operator import itemgetter
 
 import cv2
-import numba
 import numpy as np
 
 from common.types import Metres, Points, Pose, Vector, VertexMask, Views
@@ -106,76 +105,10 @@ def _fitted(
     in it.
     """
     centre = points[inner].mean(axis=0) if centre is None else centre
-    return _alternated(points, normal, inner.copy(), radius, rounds, centre)
+    from data.captures.plate_fit import alternated  # compiled
 
-
-@numba.njit(cache=True)
-def _alternated(points, normal, inner, radius, rounds, centre):
-    weight = 0.0
-    for _ in range(rounds):
-        count, middle, spread = _moments(points, inner)
-        if count < 3:
-            break  # too few points for a plane: not a drape on a plate
-        normal = np.ascontiguousarray(np.linalg.eigh(spread)[1][:, 0])
-        normal *= -np.sign(normal @ middle)  # up is towards the camera
-        total, level = _level(points, middle, normal, centre, radius)
-        if total == 0.0:
-            break
-        weight, centre = total, level
-        _choose_inner(points, middle, normal, centre, radius, inner)
-    return normal, centre, weight
-
-
-@numba.njit(cache=True)
-def _moments(points, chosen):
-    """Number of the chosen points, their mean (3,) and their second moments (3, 3) about it."""
-    count, middle, spread = 0, np.zeros(3), np.zeros((3, 3))
-    for t in range(len(points)):
-        if chosen[t]:
-            count += 1
-            for k in range(3):
-                middle[k] += points[t, k]
-    middle /= max(count, 1)
-    for t in range(len(points)):
-        if chosen[t]:
-            for i in range(3):
-                for k in range(i + 1):
-                    spread[i, k] += (points[t, i] - middle[i]) * (points[t, k] - middle[k])
-    return count, middle, spread  # the lower triangle, which eigh reads
-
-
-@numba.njit(cache=True)
-def _level(points, middle, normal, centre, radius):
-    """Weight and weighted centroid (3,) of the points in a plane, near a centre.
-
-    Pixels are denser where the plate is nearer; on a plane, z³ compensates for that.
-    """
-    total, sums = 0.0, np.zeros(3)
-    for t in range(len(points)):
-        above = aside = 0.0
-        for k in range(3):
-            above += (points[t, k] - middle[k]) * normal[k]
-            aside += (points[t, k] - centre[k]) ** 2
-        if abs(above) < DEPTH_STEP / 2 and aside < (2 * radius) ** 2:
-            weight = points[t, 2] ** 3
-            total += weight
-            for k in range(3):
-                sums[k] += weight * points[t, k]
-    return total, sums / max(total, 1e-300)
-
-
-@numba.njit(cache=True)
-def _choose_inner(points, middle, normal, centre, radius, inner):
-    """Mark the points well within the rim that are not below a plane.
-
-    Near the rim the cloth bends down, and more of it is visible in front: a bias.
-    """
-    for t in range(len(points)):
-        above = aside = 0.0
-        for k in range(3):
-            above += (points[t, k] - middle[k]) * normal[k]
-            aside += (points[t, k] - centre[k]) ** 2
-        inner[t] = aside < (INNER_SHARE * radius) ** 2 and above > -DEPTH_STEP
+    return alternated(points, normal, inner.copy(), radius, rounds, centre, DEPTH_STEP,
+                      INNER_SHARE * radius)
 
 
 def find_plate(points: Points, rig: Rig) -> Plate | None:

@@ -48,7 +48,7 @@ def generate_dataset(
 
     Only every ``parts``-th shard is made, from the ``part``-th on, counted from 0. Parts can be
     made at the same time on any machines; the last one finishes the dataset, the result of others
-    has ``complete: False`` and no counts. ``solver`` replaces :func:`sim.drape.drape` and must be
+    has ``complete: False`` and no counts. ``solver`` replaces :func:`sim.draping.drape` and must be
     importable.
     """
     if part >= parts:

@@ -28,8 +28,8 @@ from data.captures.off_axis import MAX_LEAN
 from data.captures.off_axis_network import AZIMUTHS, OffAxisNetwork, Seen
 from data.dataset.folder import over_shards, require_dataset, split_by_fabric
 from data.dataset.shards import SHARDS, Shard
-from sim.measures import farthest
 from sim.mesh import Mesh
+from sim.outlines import farthest
 
 HELD_OUT = 0.1  # of the fabrics
 HEIGHTS = (1.0, 7.5)  # of cameras above the plate, in sizes of the specimen

@@ -19,7 +19,7 @@ from data.fabrics.fabrics import fabric_from_theta
 from sim.mesh.specimen import DEFAULT_EDGES, default_edge
 
 Solver = Callable[..., Any]
-"""A function such as :func:`sim.drape.drape`."""
+"""A function such as :func:`sim.draping.drape`."""
 Record = Mapping[str, np.ndarray]
 """One drape of a shard by field, see :func:`data.dataset.shards.write_shard`."""
 
@@ -77,7 +77,7 @@ def find_lender(plan: DrapePlan, config: DatasetConfig, earlier: Sequence[Record
 def load_solver() -> Solver:
     """The simulator; imported late, because the main process needs no compiled kernels. Its drapes
     keep their factors for derivatives."""
-    from sim.drape import drape
+    from sim.draping import drape
 
     return partial(drape, keep=True)
 
@@ -96,7 +96,7 @@ def _drape(
 
 
 def drape_words(plan: DrapePlan, config: DatasetConfig) -> dict:
-    """Arguments of :func:`sim.drape.drape` by name for a planned drape that borrows nothing."""
+    """Arguments of :func:`sim.draping.drape` by name for a planned drape that borrows nothing."""
     fabric, rig = fabric_from_theta(plan.theta), plan.nuisances.rig(plan.rig)
     edges = (DEFAULT_EDGES if config.edge is None else
              [factor * config.edge for factor in COARSER])
@@ -144,7 +144,7 @@ def _mesh(result: Any) -> dict:
 def _moves(result: object) -> dict:
     """Derivatives of a drape, while it is not yet rounded: a stored one is an equilibrium only
     after many Newton steps. Empty near a fold, and for a shape that is not the simulator's."""
-    from sim.drape import Drape
+    from sim.draping import Drape
     from sim.sensitivity import sensitivities
 
     if not isinstance(result, Drape):

@@ -7,16 +7,17 @@ states their distributions with reasons.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
 from common.configs import Key, limits, up_to
 from common.errors import InputError
-from sim.cloth import Laws
-from sim.energies.bending_variants import KES_CURVATURE, Hysteresis
-from sim.energies.membrane import Corotational, Membrane, OrthotropicStVK
+from sim.material import KES_CURVATURE, MEMBRANE_STIFFNESS
 from sim.rig import Rig
+
+if TYPE_CHECKING:
+    from sim.cloth import Laws
 
 _Pair = tuple[float, float]
 _PERCENTILE = 1.96  # deviations of a normal distribution to its 97.5th percentile
@@ -35,7 +36,7 @@ class Nuisances:
         cut: angle from the warp to the specimen's first side, rad.
     """
 
-    membrane: float = Corotational().stiffness
+    membrane: float = MEMBRANE_STIFFNESS
     shear: float = 1.0
     hysteresis: float = 0.0
     curl_warp: float = 0.0
@@ -50,9 +51,13 @@ class Nuisances:
         return np.array([getattr(self, name) for name in NAMES])
 
     @property
-    def laws(self) -> Laws:
+    def laws(self) -> "Laws":
         """The cloth's energies; the defaults of :class:`sim.cloth.Laws` where they are equivalent.
         """
+        from sim.cloth import Laws  # compiled
+        from sim.energies.bending_variants import Hysteresis
+        from sim.energies.membrane import Corotational, Membrane, OrthotropicStVK
+
         isotropic = Corotational(self.membrane)
         membrane: Membrane = isotropic
         if self.shear != 1.0:
@@ -105,7 +110,7 @@ class NuisanceConfig:
         curl_specimen, size, plate, cut: standard deviations between specimens.
     """
 
-    membrane: Annotated[_Pair, Key("n_per_m", limits(1e-3, 1e9))] = (Corotational().stiffness,) * 2
+    membrane: Annotated[_Pair, Key("n_per_m", limits(1e-3, 1e9))] = (MEMBRANE_STIFFNESS,) * 2
     shear: Annotated[_Pair, Key("", limits(1e-6, 1e6))] = (1.0, 1.0)
     hysteresis: Annotated[_Pair, Key("per_m", limits(0, KES_CURVATURE))] = (0.0, 0.0)
     curl: Annotated[float, Key("per_m", up_to(1e3))] = 0.0

@@ -14,7 +14,6 @@ import numpy as np
 from common.errors import InputError
 from common.normal import Normal
 from data.captures.capture import Capture
-from data.strips.folder import StripSet
 from drapenet.config import EstimateOptions
 from drapenet.estimator.combine import combine, evidence_of
 from drapenet.estimator.describe import describe_jointly, describe_strips
@@ -88,7 +87,7 @@ def estimate_fabric(
     require_one_fabric([source.density for source in sources],
                        [(str(capture.path), capture.digest) for capture in captures])
     require_directions(all(capture.warp_direction is not None for capture in captures),
-                       any(len(source) for source in sources if isinstance(source, StripSet)),
+                       any(len(source) for source in sources if not isinstance(source, Capture)),
                        [source.known for source in sources])
     if len(sources) == 1:
         estimate, part = estimate_source(sources[0], header, options, out=out)

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Union
 
 from common.errors import InputError
 from common.types import Density
@@ -13,27 +13,38 @@ from data.captures.reader import captures_in, read_capture
 from data.readings.known import Known
 from data.strips.description import FILE as STRIPS
 from data.strips.description import StripsDescription
-from data.strips.folder import StripSet, read_strips
 
-Source = Capture | StripSet
+if TYPE_CHECKING:
+    from data.strips.folder import StripSet
+
+Source = Union[Capture, "StripSet"]
 """What an estimate is made from."""
 MAX_DENSITY_DIFFERENCE = 0.1  # between specimens of one fabric, relative to the smallest
 
 
 def read_source(folder: Path) -> Source:
     """The strips of a folder with ``strips.yaml``, else its capture."""
-    return read_strips(folder) if (folder / STRIPS).exists() else read_capture(folder)
+    return _strips(folder)[0] if (folder / STRIPS).exists() else read_capture(folder)
+
+
+def _strips(folder: str | Path) -> "list[StripSet]":
+    """The strips of a folder; none of ''."""
+    if not folder:
+        return []
+    from data.strips.folder import read_strips  # the simulator of strips, which captures need not
+
+    return [read_strips(folder)]
 
 
 def read_sources(places: Iterable[Path], strips: str | Path = "") -> list[Source]:
     """The captures in the ``places``, and the strips of a folder."""
-    of_strips = [read_strips(strips)] if strips else []
+    of_strips = _strips(strips)
     return [*(read_capture(path) for place in places for path in captures_in(place)), *of_strips]
 
 
 def read_scans(files: Iterable[Path], specimen: Specimen, strips: str | Path = "") -> list[Source]:
     """The captures made of scans of a ``specimen``, and the strips of a folder."""
-    of_strips = [read_strips(strips)] if strips else []  # first: scans need seconds
+    of_strips = _strips(strips)  # first: scans need seconds
     from drapenet.surface.registration import read_scan_capture
 
     return [*(read_scan_capture(file, specimen) for file in files), *of_strips]

@@ -8,7 +8,7 @@ import numpy as np
 from common.types import Metres, Points, VertexMask
 from drapenet.refine.objective import Linearised, Moves, Nuisance, Residuals, huber
 from drapenet.surface.shape import CapturedShape, Cloud, distances
-from sim.drape import Drape
+from sim.draping import Drape
 from sim.measures import drape_coefficient
 
 

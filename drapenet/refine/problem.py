@@ -21,7 +21,7 @@ from drapenet.refine.objective import (
     value,
 )
 from drapenet.refine.unknowns import BOUNDS, NAMES, SCALE, SpecimenPrior, Unknowns, drape_moves
-from sim.drape import Drape, follow
+from sim.draping import Drape, follow
 from sim.energies.base import Energy
 from sim.material import is_admissible
 from sim.sensitivity import Sensitivities, Tangent

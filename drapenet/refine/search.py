@@ -31,7 +31,7 @@ from drapenet.surface.springs import (
     springs_to,
 )
 from drapenet.views.located import LocatedViews
-from sim.drape import Drape, follow
+from sim.draping import Drape, follow
 from sim.scene import make_specimen
 from sim.solver.newton import NewtonOptions
 

@@ -11,6 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
+from common.compiled import announce
 from common.findings import Finding
 from common.types import Faces, Masks, Metres, Points, Radians, Turns, Views
 from data.render.cameras import Camera
@@ -19,10 +20,11 @@ from drapenet.views.directions import AZIMUTHS
 from drapenet.views.located import LocatedViews
 from drapenet.views.outline import DrapeOutline, count_folds, silhouettes
 from sim.cloth import Laws
-from sim.drape import Drape, drape
+from sim.draping import Drape, drape
 from sim.material import Fabric
 from sim.measures import drape_coefficient
 from sim.mesh import Mesh
+from sim.nearest import nearest
 from sim.rig import Rig
 from sim.start import LOWERED
 
@@ -167,6 +169,7 @@ def _nearest(
 ) -> tuple[Drape, Points, Radians, tuple[str, ...]] | None:
     """The simulated drape with the largest overlap by ``fit``, itself or as mirror image, its
     vertices, its orientation, and the statuses of all; None if none converges."""
+    announce(nearest)
     # Lowered, as the specimens that the network learns from and as those of a laboratory.
     results = [drape(fabric, rig=rig, edge=edge, start=LOWERED, seed=seed, laws=laws)
                for seed in range(drapes)]

@@ -30,7 +30,7 @@ def warm_up(checkpoint: str) -> None:
     from drapenet.network.checkpoint import read_header
     from drapenet.network.load import network_of
     from drapenet.report.figures import draw_report  # noqa: F401
-    from sim.drape import drape
+    from sim.draping import drape
     from sim.material import MICRO, Fabric
 
     network_of(read_header(checkpoint))
@@ -93,9 +93,9 @@ def _estimate(
 def _read(folder: Path, row: dict[str, Any]) -> Any:
     """The capture, scan or strips of an upload, named as they are shown: results must not reveal
     paths of the server."""
+    from data.captures.capture import Capture
     from data.captures.description import Description
     from data.captures.preview import png, show
-    from data.strips.folder import StripSet
     from data.strips.preview import strips_figure
     from drapenet.estimator.read import read_source
     from drapenet.surface.registration import read_scan_capture
@@ -108,7 +108,7 @@ def _read(folder: Path, row: dict[str, Any]) -> Any:
                          labels=stated.labels)
     else:
         source = read_source(uploaded)
-    if not isinstance(source, StripSet):
+    if isinstance(source, Capture):
         replace_file(folder / PREVIEW, show(source))
     elif source.photographs:
         replace_file(folder / PREVIEW, png(strips_figure(source)))

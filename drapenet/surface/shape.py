@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from common.errors import InputError
 from common.types import Faces, Points, RestPoints, VertexMask
 from sim.cloth import Cloth
-from sim.drape import Drape
+from sim.draping import Drape
 from sim.energies.self_contact import contact_near
 from sim.material import Fabric
 from sim.mesh import Mesh, edges_of, vertex_normals

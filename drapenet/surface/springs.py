@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from common.types import Metres, Points, RestPoints
 from drapenet.surface.placement import surface_positions
 from sim.cloth import Cloth, Laws
-from sim.drape import Drape
+from sim.draping import Drape
 from sim.energies.base import Energy
 from sim.energies.hinges import Hinges, hinge_angles
 from sim.equilibrium import Equilibrium, find_equilibrium

@@ -3,9 +3,9 @@
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
+from common.compiled import compiled
 from common.types import Metres, Points, Radians
 from sim.rig import Rig
 
@@ -67,7 +67,7 @@ class Polar:
         return _binned(self.azimuth, self.level, self.distance, self.weight, turn, columns, rows)
 
 
-@numba.njit(cache=True)
+@compiled
 def _binned(azimuth, level, distance, weight, turn, columns, rows):
     total, weights = np.zeros((columns, rows)), np.zeros((columns, rows))
     scale = columns / (2 * np.pi)

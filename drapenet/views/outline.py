@@ -15,8 +15,8 @@ from scipy.ndimage import gaussian_filter1d
 from common.types import Edges, Metres, Outline, Points, Radians
 from drapenet.views.directions import AZIMUTH, AZIMUTHS, elevations
 from drapenet.views.radial_map import PIXEL, RadialMap
-from sim.measures import closed, farthest, folds_around, hem_depth
 from sim.mesh import Mesh
+from sim.outlines import closed, farthest, folds_around, hem_depth
 from sim.rig import Rig
 
 PERSPECTIVES = (0.0, 0.2, 0.4, 0.6, 0.8)

@@ -1,8 +1,8 @@
 """Turns of the table and the plate's centre, from the overlap of views in cells of one degree."""
 
-import numba
 import numpy as np
 
+from common.compiled import compiled
 from common.types import Points, Turns
 from drapenet.views.directions import Polar, elevations
 from sim.rig import Rig
@@ -91,7 +91,7 @@ def _costs(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return 0.5 * _INDEPENDENT * mean / _GAP**2
 
 
-@numba.njit(cache=True)
+@compiled
 def _gaps(first, second):
     """Sums (4 _MAX_TURN_STEPS + 1,) of squared gaps, m², cut off, and numbers of common cells."""
     steps = 4 * _MAX_TURN_STEPS + 1
@@ -143,7 +143,7 @@ def _least_squares(maps: np.ndarray, turns: Turns, change: np.ndarray, rig: Rig)
                             scale * slope + change / sigma**2)
 
 
-@numba.njit(cache=True)
+@compiled
 def _normal_equations(maps, mean, by_x, by_y, by_azimuth, cosine, sine):
     """Normal matrix (2 + K, 2 + K) and right-hand side (2 + K,) of the gaps of maps (K, N), NaN in
     empty cells, to their mean (N,) with its slopes (N,), by centre and turns."""

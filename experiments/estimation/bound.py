@@ -27,7 +27,7 @@ from drapenet.refine.unknowns import LAW_NAMES, law_moves
 from drapenet.views.directions import AZIMUTH, AZIMUTHS
 from drapenet.views.located import LocatedViews
 from drapenet.views.outline import contour, silhouettes
-from sim.drape import Drape
+from sim.draping import Drape
 from sim.rig import Rig
 from sim.sensitivity import Tangent
 from sim.sensitivity.forward import tangent_sensitivities

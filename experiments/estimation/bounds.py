@@ -33,7 +33,7 @@ from experiments.estimation.bound import (
     outline_information,
 )
 from experiments.result import ESTIMATOR, Config, Result, rms, run_cases
-from sim.drape import drape
+from sim.draping import drape
 
 SHARED = ("membrane", "shear", "hysteresis")
 DRAPES = 4

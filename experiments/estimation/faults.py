@@ -24,7 +24,7 @@ from drapenet.views.located import LocatedViews
 from drapenet.views.radial_map import radial_map
 from experiments.drapes import converged_drapes
 from experiments.result import Config, Result
-from sim.drape import drape
+from sim.draping import drape
 from sim.material import REFERENCE_DENSITY
 from sim.rig import Rig
 
@@ -136,7 +136,7 @@ SIMULATED = {
     "specimen of 270 mm": {"rig": replace(Rig(), sides=(0.27, 0.27))},
     "specimen 20 mm off the centre": {"offset": (0.02, 0.0)},
 }
-"""Faults of the specimen by name, as arguments of :func:`sim.drape.drape`."""
+"""Faults of the specimen by name, as arguments of :func:`sim.draping.drape`."""
 MOVED_CLOTH = "cloth moved between the views"
 
 

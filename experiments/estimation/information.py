@@ -25,7 +25,7 @@ from data.fabrics.prior import load_prior
 from data.render.cameras import nominal_camera
 from experiments.estimation.bound import CAMERA, SPECIMEN, bounds, depth_information
 from experiments.result import Config, Result, rms
-from sim.drape import drape
+from sim.draping import drape
 from sim.rig import Rig
 
 MM = 1e3

@@ -31,7 +31,7 @@ from data.render.phone import PhonePicture, mat_around, phone_pictures
 from drapenet.estimator.stages import by_network
 from experiments.drapes import drape_as_planned, header, plan_specimen
 from experiments.result import ESTIMATOR, Config, Result, run_cases
-from sim.drape import Drape
+from sim.draping import Drape
 from sim.material import LINEAR, REFERENCE_DENSITY
 from sim.rig import Rig
 

@@ -18,7 +18,7 @@ from data.fabrics.fabrics import fabric_from_theta
 from data.fabrics.nuisances import Nuisances
 from experiments.result import ESTIMATOR, Config, Result, run_cases
 from experiments.shadows import features, radii_of
-from sim.drape import drape
+from sim.draping import drape
 from sim.material import LINEAR
 from sim.measures import shadow_radius
 from sim.mesh import Mesh

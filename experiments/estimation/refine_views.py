@@ -38,7 +38,7 @@ from experiments.result import (
     rms,
     run_cases,
 )
-from sim.drape import drape
+from sim.draping import drape
 from sim.material import LINEAR, RATIO
 from sim.measures import fold_outline
 from sim.rig import Rig

@@ -13,7 +13,7 @@ from experiments.drapes import header, plan_specimen
 from experiments.page import Section
 from experiments.result import Config, Report, Result, label_log_axes, rms, run_fabrics
 from sim.cloth import Laws
-from sim.drape import Drape, drape, follow
+from sim.draping import Drape, drape, follow
 from sim.energies.membrane import OrthotropicStVK
 from sim.material import Fabric, is_admissible
 from sim.rig import HUNG_SQUARE

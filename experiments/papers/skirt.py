@@ -16,7 +16,7 @@ from experiments.page import Section
 from experiments.papers.transfer import exported_modulus
 from experiments.physics import style3d
 from experiments.result import Config, Report, Result, label_log_axes, rms, run_fabrics
-from sim.drape import FINE_OPTIONS, Drape, drape
+from sim.draping import FINE_OPTIONS, Drape, drape
 from sim.equilibrium import find_equilibrium
 from sim.material import Fabric
 from sim.measures import fold_count, shadow_radius

@@ -25,7 +25,7 @@ from experiments.physics.testers import add_noise, strip_lengths
 from experiments.result import Config, Report, Result, label_log_axes, rms, run_fabrics
 from sim.cantilever.moduli import estimate_moduli, fabric_of
 from sim.cantilever.strip import simulate_strips
-from sim.drape import Drape, drape, follow
+from sim.draping import Drape, drape, follow
 from sim.material import REFERENCE_DENSITY, Fabric
 from sim.rig import HUNG_SQUARE
 

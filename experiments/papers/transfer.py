@@ -15,7 +15,7 @@ from experiments.physics import style3d
 from experiments.physics.hinges import simulated_ratio
 from experiments.result import Config, Report, Result, label_log_axes, run_fabrics
 from sim.cloth import Laws
-from sim.drape import Drape
+from sim.draping import Drape
 from sim.material import Fabric, torque
 from sim.mesh.specimen import TOPOLOGIES
 from sim.scene import Scene, make_specimen

@@ -19,7 +19,7 @@ from common.errors import InputError
 from drapenet.export.formats import export
 from experiments.physics.exports import DENSITY, known_material
 from experiments.result import Config, Result, run_cases
-from sim.drape import drape
+from sim.draping import drape
 from sim.material import MICRO, Fabric
 from sim.measures import drape_coefficient, fold_count
 from sim.rig import DISC_RIG

@@ -14,7 +14,7 @@ from data.dataset.plan import plan_drape
 from data.fabrics.fabrics import fabric_from_theta
 from data.fabrics.prior import load_prior
 from experiments.result import Config, Result, run_cases
-from sim.drape import drape
+from sim.draping import drape
 from sim.measures import drape_coefficient, fold_count, max_penetration, maximum_stretch
 
 MAX_RESIDUAL = 1e-3  # relative to the weight of a vertex

@@ -13,7 +13,7 @@ import numpy as np
 from experiments.comparison import Draped, Shape, compare, equilibrium_near, same_folds
 from experiments.drapes import prior_fabric
 from experiments.result import Config, Result, run_cases
-from sim.drape import Drape, drape
+from sim.draping import Drape, drape
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
 from sim.measures import fold_outline
 from sim.mesh.specimen import EDGE_RANGE, GRADING, TOPOLOGIES

@@ -16,10 +16,10 @@ from common.errors import InputError
 from common.types import Density, Moduli
 from experiments.result import Config, Result, run_cases
 from sim.cloth import Laws
-from sim.drape import drape
-from sim.energies.bending_variants import KES_CURVATURE, Hysteresis
+from sim.draping import drape
+from sim.energies.bending_variants import Hysteresis
 from sim.energies.membrane import Membrane, OrthotropicStVK
-from sim.material import MICRO, REFERENCE_DENSITY, Fabric
+from sim.material import KES_CURVATURE, MICRO, REFERENCE_DENSITY, Fabric
 from sim.measures import drape_coefficient, fold_count
 from sim.rig import Rig
 

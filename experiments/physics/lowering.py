@@ -12,7 +12,7 @@ import numpy as np
 from experiments.drapes import prior_fabric
 from experiments.result import Config, Result, run_cases
 from sim.cloth import Laws
-from sim.drape import (
+from sim.draping import (
     COARSE_CONTACT,
     COARSE_MEMBRANE,
     COARSE_OPTIONS,

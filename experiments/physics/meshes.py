@@ -13,7 +13,7 @@ import numpy as np
 from common.errors import InputError
 from experiments.comparison import Shape, compare, equilibrium_near, same_folds
 from experiments.result import Config, Result, run_cases
-from sim.drape import drape
+from sim.draping import drape
 from sim.material import MICRO, Fabric
 from sim.measures import fold_outline
 from sim.mesh import Mesh

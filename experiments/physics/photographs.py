@@ -38,7 +38,7 @@ from experiments.shadows import (
     specimen,
 )
 from sim.cloth import Laws
-from sim.drape import drape
+from sim.draping import drape
 from sim.energies.bending_variants import Hysteresis
 from sim.rig import Rig
 

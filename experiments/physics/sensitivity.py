@@ -21,7 +21,7 @@ import torch
 from data.fabrics.fabrics import fabric_from_theta
 from experiments.drapes import prior_theta
 from experiments.result import Config, Result, run_cases
-from sim.drape import Drape, drape, follow
+from sim.draping import Drape, drape, follow
 from sim.sensitivity import sensitivities
 from sim.sensitivity.adjoint import equilibria
 from sim.solver.newton import NewtonOptions

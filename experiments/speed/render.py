@@ -20,7 +20,7 @@ from data.render.raster import rasterise
 from data.render.rays import DepthRenderer
 from data.render.setups import Setups
 from experiments.result import Config, Result, rms
-from sim.drape import drape
+from sim.draping import drape
 from sim.rig import SQUARE_RIG
 
 SIZES = ((240, 180), (120, 90))  # pixels; that of captures, and half of it

@@ -17,7 +17,7 @@ import numpy as np
 from common.configs import metres
 from experiments.drapes import prior_fabric
 from experiments.result import Config, Result
-from sim.drape import drape
+from sim.draping import drape
 from sim.material import MICRO, Fabric
 from sim.rig import Rig
 from sim.solver.linear import available_solvers

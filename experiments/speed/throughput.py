@@ -18,7 +18,7 @@ from common.errors import InputError
 from common.workers import worker_pool
 from experiments.drapes import prior_fabric
 from experiments.result import Config, Result
-from sim.drape import Drape, drape
+from sim.draping import Drape, drape
 from sim.many import drape_many
 from sim.material import Fabric
 

@@ -1,4 +1,4 @@
-"""Drapes of many fabrics on one mesh at once: the steps of :mod:`sim.drape` on an accelerator."""
+"""Drapes of many fabrics on one mesh at once: the steps of :mod:`sim.draping` on an accelerator."""
 
 import time
 from collections.abc import Mapping, Sequence
@@ -17,7 +17,7 @@ from sim.batched.lowered import columns, lowered
 from sim.batched.newton import Outcome, minimise
 from sim.batched.potential import BatchedPotential
 from sim.cloth import Cloth, Laws
-from sim.drape import COARSE_MEMBRANE, COARSE_OPTIONS, Drape, Run, drape, follow
+from sim.draping import COARSE_MEMBRANE, COARSE_OPTIONS, Drape, Run, drape, follow
 from sim.energies.bending_variants import Hysteresis
 from sim.energies.membrane import Corotational, OrthotropicStVK
 from sim.energies.self_contact import self_intersections
@@ -46,7 +46,7 @@ def drape_batch(
     plans: Sequence[Mapping[str, Any]], device: str | torch.device = "cuda", *, workers: int = 1,
     pool: Executor | None = None
 ) -> list[Drape]:
-    """The drapes of ``plans``, arguments of :func:`sim.drape.drape` by name, in their order, as
+    """The drapes of ``plans``, arguments of :func:`sim.draping.drape` by name, in their order, as
     :func:`sim.many.drape_many` gives them up to rounding, which may choose other folds.
 
     Meanwhile ``workers`` processes on the CPU, or those of a ``pool``, simulate those that are not
@@ -103,7 +103,7 @@ def covers(plan: Mapping[str, Any]) -> bool:
 
 
 def _draped(runs: Sequence[Run], device: str | torch.device) -> list[Drape]:
-    """The drapes of a group, as by :meth:`sim.drape.Run.lowered`."""
+    """The drapes of a group, as by :meth:`sim.draping.Run.lowered`."""
     drapes: dict[int, Drape] = {}
     for mesh in LOWERING_MESHES:
         chosen = [k for k, run in enumerate(runs) if run.is_lowered_on(mesh) and not (

@@ -38,11 +38,9 @@ from common.errors import InputError
 from common.types import Curvatures, FaceMask, StateVector
 from sim.energies.bending_law import Variant
 from sim.energies.midedge import MidEdgeBending
-from sim.material import BIAS, WARP, WEFT, Fabric, plate_constants, torque
+from sim.material import BIAS, KES_CURVATURE, WARP, WEFT, Fabric, plate_constants, torque
 from sim.mesh import Mesh
 
-KES_CURVATURE = 100.0
-"""Curvature, 1/m, at which 2HB is read."""
 BUILD_UP = 0.03
 """Smallest change of curvature, relative to :data:`KES_CURVATURE`, that saturates the friction."""
 _MAX_SHARE_OF_STIFFNESS = 0.95  # of the friction in the stiffness of flat cloth

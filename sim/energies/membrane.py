@@ -17,6 +17,7 @@ import numpy as np
 from common.errors import InputError
 from common.types import FaceMask, StateVector
 from sim.energies.base import Energy, FusedEnergy, raise_eigenvalues
+from sim.material import MEMBRANE_STIFFNESS
 from sim.mesh import Mesh
 from sim.solver.linear import add_block
 
@@ -252,7 +253,7 @@ class Corotational(LinearMembrane):
     gradient F, is mu (e1² + e2²) + lambda/2 (e1 + e2)² with e = s - 1, s the singular values of F.
     """
 
-    stiffness: float = 200.0  # Young's modulus times thickness, N/m
+    stiffness: float = MEMBRANE_STIFFNESS  # Young's modulus times thickness, N/m
     poisson: float = 0.3
 
     def __post_init__(self) -> None:

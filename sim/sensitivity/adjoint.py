@@ -11,7 +11,7 @@ from torch.autograd.function import once_differentiable
 
 from common.arguments import require, wrong
 from sim.cloth import Law, Laws
-from sim.drape import Drape, follow, light
+from sim.draping import Drape, follow, light
 from sim.energies.membrane import Corotational
 from sim.material import REFERENCE_DENSITY, Fabric
 from sim.sensitivity.forward import combinations, force_derivatives

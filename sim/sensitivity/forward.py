@@ -3,7 +3,7 @@
 All parameters are combinations of eight (:data:`BASIC`): log alpha at fixed beta/alpha and
 beta/alpha of the three directions, log density and log membrane stiffness, each with all others
 fixed. They are invariant under a common scaling of moduli, stiffness and density, as in
-:func:`sim.drape.drape`.
+:func:`sim.draping.drape`.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ import numpy as np
 
 from common.errors import InputError
 from sim.cloth import Cloth, Laws
-from sim.drape import Drape
+from sim.draping import Drape
 from sim.energies.base import Energy
 from sim.energies.bending_variants import Hysteresis
 from sim.material import DIRECTIONS, Fabric

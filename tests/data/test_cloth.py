@@ -13,7 +13,7 @@ from data.pictures.reading import Photograph, decoded
 from data.render import textures
 from data.render.phone import exposed
 from data.render.scenery import Lamp, Scenery
-from sim.drape import drape
+from sim.draping import drape
 from sim.material import Fabric
 from sim.rig import DISC_RIG
 

@@ -17,7 +17,7 @@ from data.dataset.plan import plan_drape
 from data.dataset.shards import MOVED_BY, Shard
 from data.dataset.simulate import make_record
 from data.fabrics.prior import load_prior
-from sim.drape import drape
+from sim.draping import drape
 from sim.rig import DISC_RIG
 from sim.sensitivity import sensitivities
 from sim.solver import linear

@@ -31,7 +31,7 @@ from data.pictures.pose import camera_matrix, camera_poses
 from data.pictures.reading import Photograph, decoded, read_photograph
 from data.render import phone, textures
 from data.render.phone import phone_picture
-from sim.drape import drape
+from sim.draping import drape
 from sim.material import Fabric
 from sim.mesh import Mesh
 from sim.rig import DISC_RIG, Rig

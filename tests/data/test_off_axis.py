@@ -12,7 +12,7 @@ from data.captures.off_axis import BUNDLED, seen_from_axis
 from data.captures.off_axis_network import AZIMUTHS, OffAxisNetwork
 from data.dataset.folder import MANIFEST
 from data.dataset.off_axis import main, silhouette
-from sim.drape import drape
+from sim.draping import drape
 from sim.material import Fabric
 from sim.mesh import Mesh
 from sim.rig import DISC_RIG, Rig

@@ -12,7 +12,7 @@ from common.errors import InputError
 from common.findings import Finding, texts
 from data.captures.raw_scans import read_raw_scan
 from data.captures.scan_place import UNITS, Plate, find_plate
-from sim.drape import Drape, drape
+from sim.draping import Drape, drape
 from sim.material import MICRO, Fabric
 from sim.mesh.specimen import TOPOLOGIES
 from sim.rig import DISC_RIG, SQUARE_RIG

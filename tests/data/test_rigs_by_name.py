@@ -11,7 +11,7 @@ from data.captures.writer import write_capture
 from data.render.cameras import VIEWS, nominal_camera
 from data.render.rays import DepthRenderer
 from data.render.scenes import raw_scene
-from sim.drape import Drape, drape
+from sim.draping import Drape, drape
 from sim.material import MICRO, Fabric
 from sim.rig import Rig
 

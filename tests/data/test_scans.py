@@ -13,7 +13,7 @@ from apps.drape_file import read_borrowed
 from common.errors import InputError
 from data.captures.scans import check_rim, read_scan, rim_steepness
 from drapenet.surface.registration import read_shape
-from sim.drape import Drape, drape
+from sim.draping import Drape, drape
 from sim.material import MICRO, Fabric
 from sim.measures import projected_area
 from sim.rig import DISC_RIG, Rig

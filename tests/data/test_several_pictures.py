@@ -18,7 +18,7 @@ from data.dataset.off_axis import silhouette
 from data.pictures.mat import MATS
 from data.pictures.pose import Pose, camera_matrix, camera_poses
 from data.render import phone, textures
-from sim.drape import drape
+from sim.draping import drape
 from sim.material import Fabric
 from sim.rig import DISC_RIG
 

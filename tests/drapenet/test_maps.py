@@ -20,7 +20,7 @@ from data.render.setups import Setups
 from drapenet.network.captures import CaptureSet
 from drapenet.network.dataset import make_maps, maps_of_shard, neighbour
 from drapenet.views.pictures import SIDE
-from sim.drape import drape, follow
+from sim.draping import drape, follow
 from sim.material import MICRO, Fabric
 from sim.rig import SMALL_DISC_RIG, SQUARE_RIG
 from sim.sensitivity import sensitivities

@@ -6,7 +6,7 @@ import pytest
 from drapenet.report.drape import resimulate_outline
 from drapenet.views.directions import AZIMUTHS
 from drapenet.views.outline import DrapeOutline, contour, outline_of_curve, silhouettes
-from sim.drape import drape
+from sim.draping import drape
 from sim.material import MICRO, Fabric
 from sim.measures import drape_coefficient
 from sim.mesh import Mesh

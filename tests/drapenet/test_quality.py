@@ -24,7 +24,7 @@ from drapenet.views.located import LocatedViews
 from drapenet.views.radial_map import radial_map
 from experiments.__main__ import main
 from experiments.estimation.specimen_offset import fit
-from sim.drape import drape
+from sim.draping import drape
 from sim.material import Fabric
 from sim.rig import Rig
 

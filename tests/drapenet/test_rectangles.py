@@ -31,7 +31,7 @@ from drapenet.views.observation import Observation, map_along
 from drapenet.views.outline import DrapeOutline
 from drapenet.views.radial_map import radial_map
 from drapenet.views.sizes import measured_sizes
-from sim.drape import Drape, drape
+from sim.draping import Drape, drape
 from sim.material import MICRO, Fabric
 from sim.rig import Rig
 

@@ -30,7 +30,7 @@ from drapenet.refine.unknowns import (
 )
 from drapenet.surface.springs import Springs, plane_springs
 from drapenet.views.located import LocatedViews
-from sim.drape import Drape, drape, follow
+from sim.draping import Drape, drape, follow
 from sim.energies.base import check
 from sim.energies.self_contact import contact_near
 from sim.material import MICRO

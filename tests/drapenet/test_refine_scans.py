@@ -18,7 +18,7 @@ from drapenet.surface.registration import flat_turn, read_shape, register, scan_
 from drapenet.surface.shape import CapturedShape, Cloud
 from drapenet.surface.springs import plane_springs
 from infer import main
-from sim.drape import Drape, drape, follow
+from sim.draping import Drape, drape, follow
 from sim.mesh import vertex_normals
 from sim.rig import DISC_RIG
 from sim.solver.newton import NewtonOptions

@@ -12,7 +12,7 @@ from drapenet.refine.positions import RobustPositions
 from drapenet.surface.shape import Cloud, distances
 from drapenet.surface.springs import MAX_HINGE_ANGLE, Surface, captured_shape, smoothed
 from drapenet.views.located import LocatedViews
-from sim.drape import drape
+from sim.draping import drape
 from sim.energies.hinges import Hinges, hinge_angles
 from sim.material import MICRO, Fabric
 from sim.rig import Rig

@@ -20,7 +20,7 @@ from drapenet.refine.search import CapturedViews, SearchResult
 from drapenet.refine.unknowns import NAMES, Unknowns
 from drapenet.result.estimate import Estimate
 from drapenet.views.located import LocatedViews
-from sim.drape import Drape, drape
+from sim.draping import Drape, drape
 from sim.material import DIRECTIONS, MICRO
 from sim.rig import Rig
 

@@ -11,7 +11,7 @@ from data.render.rays import DepthRenderer
 from drapenet.report.drape import Resimulation, turned
 from drapenet.report.shapes import drape_glb
 from drapenet.views.located import LocatedViews
-from sim.drape import drape
+from sim.draping import drape
 from sim.material import MICRO, Fabric
 from sim.rig import Rig
 

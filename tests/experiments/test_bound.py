@@ -22,7 +22,7 @@ from experiments.estimation.bound import (
     moves_with_plate,
     moves_with_size,
 )
-from sim.drape import drape, follow
+from sim.draping import drape, follow
 from sim.material import Fabric
 from sim.mesh.specimen import share_of_offset
 from sim.rig import Rig

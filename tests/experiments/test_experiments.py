@@ -25,7 +25,7 @@ from experiments.result import (
     read_report,
     table,
 )
-from sim.drape import drape
+from sim.draping import drape
 from sim.material import Fabric
 from sim.rig import Rig
 from sim.scene import make_specimen

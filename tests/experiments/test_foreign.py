@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from experiments.physics import style3d
-from sim.drape import drape
+from sim.draping import drape
 from sim.material import MICRO, Fabric
 
 

@@ -5,7 +5,7 @@ import numpy as np
 from data.fabrics.fabrics import fabric_from_theta
 from experiments.papers import hung
 from sim.cloth import Laws
-from sim.drape import drape, follow
+from sim.draping import drape, follow
 from sim.rig import HUNG_SQUARE
 from sim.sensitivity import Tangent
 from sim.solver.newton import NewtonOptions

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from experiments.papers.skirt import SKIRT, skirt
-from sim.drape import FINE_OPTIONS
+from sim.draping import FINE_OPTIONS
 from sim.equilibrium import find_equilibrium
 from sim.material import MICRO, Fabric
 from sim.rig import GRAVITY

@@ -11,7 +11,7 @@ from sim.batched.lowered import columns
 from sim.batched.newton import minimise
 from sim.batched.potential import BatchedPotential
 from sim.cloth import Cloth, Laws
-from sim.drape import drape
+from sim.draping import drape
 from sim.energies.bending_variants import Hysteresis
 from sim.energies.fold_barrier import is_bent
 from sim.energies.membrane import OrthotropicStVK

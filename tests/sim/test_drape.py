@@ -10,7 +10,7 @@ from cloths import isotropic
 
 from common.errors import InputError
 from sim.cloth import Cloth, Corotational, Laws
-from sim.drape import drape, follow
+from sim.draping import drape, follow
 from sim.energies.external import Gravity
 from sim.equilibrium import find_equilibrium
 from sim.material import Fabric
@@ -20,7 +20,7 @@ from sim.scene import CONTACT_PRESSURE, Scene, make_specimen
 from sim.solver.newton import NewtonOptions, Status
 from sim.start import interpolate_positions
 
-MODULE = import_module("sim.drape")  # the attribute of `sim` is the function
+MODULE = import_module("sim.draping")  # the attribute of `sim` is the function
 EXTREME = Fabric([98.8e-6, 23.5e-6, 21.2e-6], -2.5e-3 * np.array([98.8e-6, 23.5e-6, 21.2e-6]))
 
 

@@ -8,7 +8,7 @@ from test_energies import crumpled_strip
 
 from common.errors import InputError
 from sim.cloth import Laws
-from sim.drape import drape
+from sim.draping import drape
 from sim.energies.base import Energy, check
 from sim.material import Fabric
 from sim.solver.newton import NewtonOptions

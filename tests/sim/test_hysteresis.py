@@ -9,12 +9,11 @@ from experiments.physics.laboratory import kes_fabric
 from sim.cloth import Laws
 from sim.energies.bending_variants import (
     BUILD_UP,
-    KES_CURVATURE,
     Hysteresis,
     HystereticBending,
 )
 from sim.equilibrium import find_equilibrium
-from sim.material import Fabric, torque
+from sim.material import KES_CURVATURE, Fabric, torque
 from sim.mesh import Mesh, strip
 from sim.scene import Scene
 from sim.solver.newton import NewtonOptions

@@ -5,7 +5,7 @@ import pytest
 from scipy.special import j0
 
 from sim.cloth import Cloth, Laws
-from sim.drape import drape
+from sim.draping import drape
 from sim.energies.external import Gravity
 from sim.energies.membrane import Corotational
 from sim.material import Fabric

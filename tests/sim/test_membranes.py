@@ -6,7 +6,7 @@ from test_energies import ORTHOTROPIC, crumpled_strip
 
 from common.errors import InputError
 from sim.cloth import Laws
-from sim.drape import drape
+from sim.draping import drape
 from sim.energies.membrane import Corotational, OrthotropicStVK
 from sim.material import Fabric
 from sim.mesh import strip

@@ -8,7 +8,7 @@ from cloths import isotropic
 
 from common.errors import InputError
 from sim.cantilever import elastica
-from sim.drape import drape
+from sim.draping import drape
 from sim.equilibrium import find_equilibrium
 from sim.material import Fabric
 from sim.measures import drape_coefficient, fold_count, max_penetration

@@ -9,7 +9,7 @@ import torch
 from common.errors import InputError
 from sim.cantilever.elastica import elastica
 from sim.cloth import Cloth, Laws
-from sim.drape import FINE_OPTIONS, Drape, drape, follow
+from sim.draping import FINE_OPTIONS, Drape, drape, follow
 from sim.energies.base import Energy
 from sim.energies.bending_variants import Hysteresis
 from sim.energies.midedge import MidEdgeBending

@@ -6,7 +6,7 @@ from cloths import isotropic
 
 from apps.drape_file import read_borrowed, write_drape
 from common.errors import InputError
-from sim.drape import drape
+from sim.draping import drape
 from sim.measures import fold_angles, fold_outline
 from sim.rig import DISC_RIG, HUNG_SQUARE, Rig
 from sim.scene import make_specimen
