@@ -37,8 +37,8 @@ def save_graph(
     Its results for the ``inputs`` are those of PyTorch to :data:`CHECKED`, or AssertionError.
 
     Args:
-        inputs: name, dimensions and example of each argument of its ``forward``; dimensions are
-            letters of those that may vary, from the first on, such as "mn".
+        inputs: name, dimensions and example (N, ...) of each argument of its ``forward``;
+            dimensions are letters of those that may vary, from the first on, such as "mn".
     """
     import onnx
 

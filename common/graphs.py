@@ -55,7 +55,7 @@ class Graph:
 
 
 def read_weights(file: Path) -> dict[str, np.ndarray]:
-    """Arrays of a safetensors file, in single precision; InputError if it is none."""
+    """Arrays (...) of a safetensors file by name, in single precision; InputError if it is none."""
     from safetensors import SafetensorError
     from safetensors.numpy import load
 

@@ -51,7 +51,8 @@ class OffAxisNetwork(nn.Module):
 
     def forward(self, radius: torch.Tensor, border: torch.Tensor, plate: torch.Tensor,
                 height: torch.Tensor, lean: torch.Tensor) -> torch.Tensor:
-        """Radii (N, A), in sizes, of the outlines from the axis, of the parts of :class:`Seen`."""
+        """Radii (N, A), in sizes (m/m), of the outlines from the axis, of the parts of
+        :class:`Seen`."""
         seen, count = Seen(radius, border, plate, height, lean), radius.shape[1]
         far = lean.norm(dim=1, keepdim=True)
         turn, step = _spread(self._outputs(seen), count).unbind(1)

@@ -106,11 +106,15 @@ class Batch:
         outlines in half sizes (m/m), NaN where not seen, pictures and their angles, rad."""
         # Of a single view, much of the hem is guessed, and with it all but the coefficient.
         hem = np.where((facts.views == 1)[:, None], np.nan, outline)
-        single = (distance, np.float32(WEIGHT_UNIT) * weight, np.nan_to_num(outline), facts.face)
-        return cls(*(np.asarray(one, np.float32) for one in single), facts.columns(), facts.group,
-                   *(np.asarray(one, np.float32) for one in (
-                       pictures, angle, shape_of(hem, facts.share, facts.nodes))),
-                   None if targets is None else np.asarray(targets, np.float32))
+
+        def single(values: np.ndarray) -> np.ndarray:
+            return np.asarray(values, np.float32)
+
+        return cls(single(distance), np.float32(WEIGHT_UNIT) * weight,
+                   single(np.nan_to_num(outline)), single(facts.face), facts.columns(),
+                   facts.group, single(pictures), single(angle),
+                   single(shape_of(hem, facts.share, facts.nodes)),
+                   None if targets is None else single(targets))
 
     def turned(self, symmetry: Symmetry) -> "Batch":
         """The batch with ``symmetry`` applied to its captures, not to its targets."""
@@ -130,5 +134,6 @@ class Batch:
 
     @property
     def circumstances(self) -> np.ndarray:
-        """(N, CIRCUMSTANCES + ASPECTS) columns of the facts that say nothing of the drape."""
+        """(N, CIRCUMSTANCES + ASPECTS), or (N, C): columns of the facts that say nothing of the
+        drape."""
         return np.hstack([self.facts[:, :CIRCUMSTANCES], self.facts[:, FACTS:]])

@@ -112,7 +112,7 @@ class Network(torch.nn.Module):
         return [one for one in self.separate_parts()[1] if one.ndim > 1 and id(one) not in ends]
 
     def tensors(self, batch: Batch, *names: str) -> list[torch.Tensor]:
-        """Arrays of a batch on the network's device."""
+        """Arrays (N, ...) of a batch on the network's device."""
         device = next(self.parameters()).device
         return [torch.from_numpy(getattr(batch, name)).to(device) for name in names]
 
@@ -189,7 +189,8 @@ class DrapeNet(Network):
         self, face: torch.Tensor, facts: torch.Tensor, members: torch.Tensor,
         distance: torch.Tensor, weight: torch.Tensor, outline: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Parts of a :class:`Mixture`, of a batch's arrays."""
+        """Parts of a :class:`Mixture`, of a batch's arrays (N, ...), whose units it states: sizes
+        of the specimen, m/m."""
         azimuth = (torch.arange(AZIMUTHS) + 0.5) * (2 * torch.pi / AZIMUTHS)
         place = torch.stack([torch.cos(2 * azimuth), torch.sin(2 * azimuth),
                              torch.cos(4 * azimuth)]).to(distance)
@@ -240,8 +241,8 @@ class ViewNet(Network):
         self, face: torch.Tensor, facts: torch.Tensor, members: torch.Tensor,
         pictures: torch.Tensor, angle: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Parts of a :class:`Mixture`, of a batch's arrays. The angle of azimuth 0 has no meaning
-        for a disc whose warp is not stated."""
+        """Parts of a :class:`Mixture`, of a batch's arrays (N, ...). The angle of azimuth 0, rad,
+        has no meaning for a disc whose warp is not stated."""
         depth = (pictures - self.distance) / self.spread
         depth = torch.where(depth.isnan(), _BACKGROUND, depth)
         with torch.autocast(depth.device.type, torch.bfloat16,

@@ -60,7 +60,9 @@ class OfGraphs(Trained):
 
     def shapes(self, targets: np.ndarray, facts: np.ndarray, face: np.ndarray
                ) -> list[np.ndarray] | None:
-        return self._shapes and self._shapes(targets=targets, facts=facts, face=face)
+        if self._shapes is None:
+            return None
+        return self._shapes(targets=targets, facts=facts, face=face)
 
 
 def graph_of(checkpoint: Path, part: str = "") -> Path:
