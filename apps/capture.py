@@ -1,6 +1,7 @@
 """Check a capture while the specimen hangs, and cut out the cloth.
 
     python -m apps.capture frames=FOLDER out=DIR
+    python -m apps.capture frames=ROOT out=DIR                all captures in the folders of ROOT
     python -m apps.capture mat=a3 out=mat.pdf [paper=a4] [ground=grey]
     python -m apps.capture board=board.png
 
@@ -11,13 +12,20 @@ the capture as 16-bit PNG with background 0 to DIR, and DIR/capture.png: each fr
 of the cloth, the plate's rim and its axes; the hems of all frames from above, one colour per
 frame, rotated back by turns_deg; and all checks that an estimate makes of a capture, with what is
 measured, green or red. The exit code is 0 if all are green.
+
+Of the captures of a ROOT, each is written to a folder of its own below DIR, beside DIR/checks.csv,
+a line for each, and DIR/checks.png, their pictures; a capture that is refused does not stop it.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import cv2
 import numpy as np
+from PIL import Image
 
+from common.cases import progress_bar
 from common.command import command
 from common.errors import InputError
 from common.files import folder_named, replace_file, require_folder
@@ -28,18 +36,21 @@ from data.captures.check import Check, warnings_of
 from data.captures.cutout import CutOut
 from data.captures.plate import plate_of_cloth
 from data.captures.preview import png, show
-from data.captures.reader import read_capture
+from data.captures.reader import CAPTURE_FILES, read_capture
 from data.captures.writer import write_capture, write_outline
 from data.pictures.mat import BAR, CLEAR, MATS, mat_pages
 from data.strips.description import FILE as STRIPS
 from data.strips.folder import read_strips
 from data.strips.preview import strips_figure, write_curves
+from drapenet.batch.captures import entries_of
 from drapenet.estimator.observe import observe
 from drapenet.network.checkpoint import read_header
+from drapenet.result.tables import csv_table
 from drapenet.views.checks import measure, require_plate, view_checks
 
 DEPTH_UNIT = 1e-4  # m per count, finer than those of input files
 PICTURE = "capture.png"
+TILE = 360, 260, 20  # pixels of a picture in a contact sheet, and of its name
 
 
 @dataclass
@@ -72,21 +83,70 @@ def main(config: CaptureConfig) -> None:
         return
     if not config.frames:
         raise InputError("frames= is missing; give the folder of the frames: frames=FOLDER")
-    out = folder_named(config.out)
+    source, out = Path(config.frames), folder_named(config.out)
     require_folder(out)
-    if (Path(config.frames) / STRIPS).exists():
-        strips = read_strips(config.frames)
+    if source.is_dir() and not any((source / mark).exists() for mark in (*CAPTURE_FILES, STRIPS)):
+        check_all(source, out)
+        return
+    lines, faults = check(source, out)
+    print("\n".join([*lines, f"capture: {out}", f"picture: {out / PICTURE}"]))
+    if faults:
+        raise InputError(f"{len(faults)} checks of {source} failed; docs/rig.md lists remedies, "
+                         f"{out / PICTURE} shows what was read")
+
+
+def check(source: Path, out: Path) -> tuple[list[str], list[str]]:
+    """Lines about the capture, or the strips, of a folder, which is written to ``out`` with its
+    picture; and its faults."""
+    if (source / STRIPS).exists():
+        strips = read_strips(source)
         write_curves(strips, out)
         replace_file(out / PICTURE, png(strips_figure(strips)))
-        lines, checks = [f"note: {line}" for line in texts(strips.warnings)], []
-    else:
-        checks = check_capture(read_capture(config.frames), out)
-        lines = [f"warning: {check.warning.text}" if check.warning else
-                 f"{check.name}: {check.value}" for check in checks]
-    print("\n".join([*lines, f"capture: {out}", f"picture: {out / PICTURE}"]))
-    if faults := warnings_of(checks):
-        raise InputError(f"{len(faults)} of {len(checks)} checks of {config.frames} failed; "
-                         f"docs/rig.md lists remedies, {out / PICTURE} shows what was read")
+        return [f"note: {line}" for line in texts(strips.warnings)], []
+    checks = check_capture(read_capture(source), out)
+    return [f"warning: {one.warning.text}" if one.warning else f"{one.name}: {one.value}"
+            for one in checks], texts(warnings_of(checks))
+
+
+def check_all(root: Path, out: Path) -> None:
+    """Check the captures of a tree of folders; print and write what is found; InputError at the end
+    if one has a fault."""
+    entries, rows = entries_of(root), []
+    for entry in progress_bar(entries, desc="checking", unit="capture"):
+        folder = out / entry.place
+        require_folder(folder)
+        state = "sound"
+        try:
+            lines, faults = check(entry.path, folder)
+            state = "doubtful" if faults else state
+        except InputError as error:
+            lines, faults, state = [], [str(error)], "refused"
+        rows.append({"capture": str(entry.place), "state": state, "faults": "; ".join(faults),
+                     "measured": "; ".join(line for line in lines
+                                           if not line.startswith("warning: "))})
+        print(f"{entry.place}: {state}" + "".join(f"\n  {fault}" for fault in faults), flush=True)
+    replace_file(out / "checks.csv", csv_table(rows).encode())
+    replace_file(out / "checks.png", contact_sheet({
+        row["capture"]: out / row["capture"] / PICTURE for row in rows}))
+    print(f"table: {out / 'checks.csv'}\npictures: {out / 'checks.png'}")
+    if bad := sum(row["state"] != "sound" for row in rows):
+        raise InputError(f"{bad} of {len(rows)} captures have faults; docs/rig.md lists remedies")
+
+
+def contact_sheet(pictures: Mapping[str, Path]) -> bytes:
+    """PNG of pictures by name, those that do not exist left empty."""
+    wide, high, text = TILE
+    columns = min(5, len(pictures))
+    sheet = np.full((-(-len(pictures) // columns) * high, columns * wide, 3), 255, np.uint8)
+    for k, (name, file) in enumerate(pictures.items()):
+        tile = sheet[k // columns * high :, k % columns * wide :][: high, : wide]
+        cv2.putText(tile, name[-45:], (4, text - 5), cv2.FONT_HERSHEY_SIMPLEX, 0.4, 0)
+        if file.exists():
+            picture = np.array(Image.open(file).convert("RGB"))
+            share = min((wide - 4) / picture.shape[1], (high - text) / picture.shape[0])
+            small = cv2.resize(picture, None, fx=share, fy=share, interpolation=cv2.INTER_AREA)
+            tile[text : text + len(small), 2 : 2 + small.shape[1]] = small
+    return cv2.imencode(".png", sheet[..., ::-1])[1].tobytes()
 
 
 def check_capture(capture: Capture, out: Path) -> list[Check]:
