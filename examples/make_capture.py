@@ -24,7 +24,7 @@ from common.files import folder_named, replace_file, require_folder
 from data.captures.description import checked_density, whole_turns
 from data.captures.writer import write_capture
 from data.render.cameras import VIEWS
-from data.render.phone import mat_around, phone_picture
+from data.render.phone import phone_picture
 from data.render.rays import DepthRenderer
 from data.render.scenes import raw_scene
 from data.render.sensors import StructuredLight, load_sensor
@@ -107,7 +107,7 @@ def main(config: MakeCaptureConfig) -> None:
 
 def write_photograph(out: Path, drape: Drape, rng: np.random.Generator) -> None:
     """Write a phone's photograph of a drape over the mat, and its ``capture.yaml``."""
-    mat, height = mat_around(drape.rig.reach), ABOVE_MAT - float(drape.positions[:, 2].min())
+    mat, height = "a2", ABOVE_MAT - float(drape.positions[:, 2].min())
     picture = phone_picture(drape.positions, drape.rest, drape.faces, rng, mat=mat,
                             plate_radius=drape.rig.plate_radius, plate_height=height,
                             beside=BESIDE)

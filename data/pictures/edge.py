@@ -12,7 +12,7 @@ _BLUR = 1.6  # pixels, standard deviation
 _WINDOW, _WINDOWS = 1.2, (1.5, 12.0)  # errors of a border, about it, and pixels
 _FINE = 0.5  # pixels, between places across the border
 _STAY, _NARROW = (2.0, 0.05), 2.0  # of a usual edge, that keep a point; pixels, last window
-_ROUNDS, _EVEN = 4, (1.5, 0.7)  # moves of a point; pixels along the line, of their smoothing
+_ROUNDS, _EVEN = 4, (20.0, 4.0)  # moves of a point; pixels along the line, of their smoothing
 _ACROSS = 3.0  # pixels, on both sides of an edge, between which its contrast is measured
 
 
