@@ -91,8 +91,8 @@ def main(config: CaptureConfig) -> None:
     lines, faults = check(source, out)
     print("\n".join([*lines, f"capture: {out}", f"picture: {out / PICTURE}"]))
     if faults:
-        raise InputError(f"{len(faults)} checks of {source} failed; docs/rig.md lists remedies, "
-                         f"{out / PICTURE} shows what was read")
+        raise InputError(f"{len(faults)} of {len(lines)} checks of {source} failed; docs/rig.md "
+                         f"lists remedies, {out / PICTURE} shows what was read")
 
 
 def check(source: Path, out: Path) -> tuple[list[str], list[str]]:

@@ -32,8 +32,10 @@ class Graph:
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         options.log_severity_level = 4
-        values = [onnxruntime.OrtValue.ortvalue_from_numpy(one) for one in weights.values()]
-        options.add_external_initializers(list(weights), values)
+        # The session reads these arrays, which it does not own, as long as it lives.
+        self._weights = {name: np.ascontiguousarray(one) for name, one in weights.items()}
+        options.add_external_initializers(list(weights), [
+            onnxruntime.OrtValue.ortvalue_from_numpy(one) for one in self._weights.values()])
         content = read_bytes(file, MAX_GRAPH_BYTES, "graph of a network")
         try:
             self._session = onnxruntime.InferenceSession(content, options,

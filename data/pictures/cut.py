@@ -2,7 +2,7 @@
 (``python -m data.dataset.cloth``), and the hem to a fraction of a pixel."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -40,10 +40,12 @@ class Cut:
     Attributes:
         hem: closed line around it, pixels of the photograph, a pixel apart.
         error: (N,) pixels, standard deviation of the hem's points across it.
+        scale: pixels for one of the network's.
     """
 
     hem: PixelPath
     error: np.ndarray
+    scale: float
 
 
 def cut_cloth(
@@ -101,7 +103,7 @@ def cut_cloth(
     even = np.linspace(0, len(line), round(length), endpoint=False)
     x, y, error = (np.interp(even, np.arange(len(line)), values, period=len(line))
                    for values in (*line.T, error * length / before))
-    return Cut(np.column_stack([x, y]), error)
+    return Cut(np.column_stack([x, y]), error, length / before)
 
 
 def outline_of_cloth(
@@ -110,8 +112,10 @@ def outline_of_cloth(
     """The hem to a fraction of a pixel: that of :func:`cut_cloth`, whose arguments these are, moved
     to the edge in the picture that is near to it; ``unsure``: (H, W) where edges may be others."""
     cut = cut_cloth(photograph, to_pixels, **place)
-    line, contrast = edge_of(smoothed(photograph.light), cut.hem, cut.error, unsure)
-    return Cut(line, np.where(contrast > CONTRAST, np.minimum(EDGE_ERROR, cut.error), cut.error))
+    line, contrast = edge_of(smoothed(photograph.light), cut.hem, cut.error, unsure,
+                             scale=cut.scale)
+    return replace(cut, hem=line, error=np.where(
+        contrast > CONTRAST, np.minimum(EDGE_ERROR, cut.error), cut.error))
 
 
 def _view(

@@ -12,7 +12,7 @@ _BLUR = 1.6  # pixels, standard deviation
 _WINDOW, _WINDOWS = 1.2, (1.5, 12.0)  # errors of a border, about it, and pixels
 _FINE = 0.5  # pixels, between places across the border
 _STAY, _NARROW = (2.0, 0.05), 2.0  # of a usual edge, that keep a point; pixels, last window
-_ROUNDS, _EVEN = 4, (20.0, 4.0)  # moves of a point; pixels along the line, of their smoothing
+_ROUNDS, _EVEN = 4, (1.5, 0.3)  # moves of a point; their smoothing along the line, in `scale`
 _ACROSS = 3.0  # pixels, on both sides of an edge, between which its contrast is measured
 
 
@@ -22,11 +22,12 @@ def smoothed(light: LinearLight) -> LinearLight:
 
 
 def edge_of(
-    smooth: LinearLight, border: PixelPath, error: np.ndarray, unsure: Mask | None = None
+    smooth: LinearLight, border: PixelPath, error: np.ndarray, unsure: Mask | None = None, *,
+    scale: float
 ) -> tuple[PixelPath, np.ndarray]:
     """The closed line along which light, :func:`smoothed`, changes most, near a ``border`` whose
     points are about a pixel apart and have an ``error`` (N,), pixels; and the contrast (N,) across
-    it, of log light, 0 where edges are ``unsure``.
+    it, of log light, 0 where edges are ``unsure``. ``scale``: pixels, of the border's coarseness.
 
     Each point moves to the middle of the changes about it, weighted by their squares, then to that
     of the nearest; where they are faint or unsure, it stays.
@@ -50,7 +51,7 @@ def edge_of(
         for _ in range(_ROUNDS):
             near = weight * np.exp(-np.square((offsets - found[:, None]) / wide))
             found = gaussian_filter1d((near @ offsets + held * start) / (near.sum(axis=1) + held),
-                                      even, mode="wrap")
+                                      even * scale, mode="wrap")
     line = border + found[:, None] * normal
     sides = line[:, None] + _ACROSS * np.array([[1], [-1]]) * normal[:, None]
     contrast = np.diff(sampled(np.log(smooth + FLOOR), sides), axis=1)[:, 0]

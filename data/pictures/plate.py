@@ -30,7 +30,7 @@ def find_plate(photograph: Photograph) -> tuple[np.ndarray, float]:
         turn = np.arange(count) * (2 * np.pi / count)
         border = (np.array([x, y]) + 0.5) / scale - 0.5 + radius / scale * np.column_stack(
             [np.cos(turn), np.sin(turn)])
-        line, _ = edge_of(smooth, border, np.full(count, _NEAR / scale))
+        line, _ = edge_of(smooth, border, np.full(count, _NEAR / scale), scale=_NEAR / scale)
         centre, radius = _circle(line)
         off = float(np.sqrt(np.mean((np.hypot(*(line - centre).T) / radius - 1) ** 2)))
         out = min(out, off)

@@ -89,7 +89,7 @@ def test_code_is_known_by_what_it_does_and_imports(tmp_path, name, old, new, sam
 
 def test_packages_and_files_of_settings_are_named_too():
     named = {sources_digest(*names) for names in (
-        ["sim"], ["sim.drape"], ["sim.drape", "configs/sensor/*.yaml"])}
+        ["sim"], ["sim.draping"], ["sim.draping", "configs/sensor/*.yaml"])}
     assert len(named) == 3
     with pytest.raises(ValueError, match="sim/drapes"):
         sources_digest("sim/drapes")

@@ -1,0 +1,45 @@
+"""An estimate from a cold start: processor time, memory and modules of a process of ``infer.py``.
+
+Each command runs alone, after a first run that compiles and fills the system's cache, as often as
+``runs`` says; the least time is reported, because other processes may interfere.
+"""
+
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from experiments.result import ROOT, Config, Result
+
+EXAMPLES = ROOT / "examples" / "captures"
+COMMANDS = {
+    "photograph": [f"capture={EXAMPLES / 'twill_photograph'}", "drapes=0"],
+    "depth views": [f"capture={EXAMPLES / 'twill'}", "drapes=0"],
+    "photograph, two drapes and report": [f"capture={EXAMPLES / 'twill_photograph'}"],
+    "depth views, two drapes and report": [f"capture={EXAMPLES / 'twill'}"],
+}
+TARGETS = {"photograph": 1.5, "depth views": 2.0, "photograph, two drapes and report": 5.5}
+"""CPU-seconds."""
+
+
+def measured(words: list[str]) -> dict[str, float]:
+    """CPU time, s, and largest resident memory, MB, of an estimate."""
+    with tempfile.TemporaryDirectory() as folder:
+        process = subprocess.Popen(
+            [sys.executable, "infer.py", *words, f"out={Path(folder) / 'out'}"], cwd=ROOT,
+            stdout=subprocess.DEVNULL)
+        _, status, usage = os.wait4(process.pid, 0)
+    if status:
+        raise RuntimeError(f"infer.py {' '.join(words)} ended with the status {status}")
+    return {"cpu_seconds": usage.ru_utime + usage.ru_stime, "memory_mb": usage.ru_maxrss / 1024}
+
+
+def run(config: Config) -> Result:
+    """Time all commands."""
+    found = {}
+    for name, words in COMMANDS.items():
+        measured(words)
+        runs = [measured(words) for _ in range(config["runs"])]
+        found[name] = {key: round(min(one[key] for one in runs), 2) for key in runs[0]}
+    return Result({"targets_cpu_seconds": TARGETS, "commands": found})
