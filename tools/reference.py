@@ -7,6 +7,7 @@ from pathlib import Path
 import pdoc
 
 import drapenet
+import sim
 
 MODULES = ("drapenet", "drapenet.result.estimate", "drapenet.estimator", "drapenet.evidence", "sim",
            "sim.energies", "sim.equilibrium", "sim.material", "sim.measures", "sim.rig",
@@ -17,8 +18,9 @@ MODULES = ("drapenet", "drapenet.result.estimate", "drapenet.estimator", "drapen
 
 def main(folder: str, *, show_source: bool = True) -> None:
     """Write the pages; a name that cannot be resolved is an error."""
-    for name in drapenet.__all__:  # imported when asked for, which pdoc does not do
-        setattr(drapenet, name, getattr(drapenet, name))
+    for package in (drapenet, sim):
+        for name in package.__all__:  # imported when asked for, which pdoc does not do
+            setattr(package, name, getattr(package, name))
     pdoc.render.configure(docformat="restructuredtext", show_source=show_source)
     with warnings.catch_warnings():
         warnings.simplefilter("error", UserWarning)

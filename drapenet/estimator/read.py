@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Union
+from typing import TYPE_CHECKING, Any
 
 from common.errors import InputError
 from common.types import Density
@@ -17,7 +17,9 @@ from data.strips.description import StripsDescription
 if TYPE_CHECKING:
     from data.strips.folder import StripSet
 
-Source = Union[Capture, "StripSet"]
+    Source = Capture | StripSet
+else:  # the simulator of strips is loaded where there are some
+    Source = Any
 """What an estimate is made from."""
 MAX_DENSITY_DIFFERENCE = 0.1  # between specimens of one fabric, relative to the smallest
 
