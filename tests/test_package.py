@@ -27,3 +27,14 @@ def test_console_scripts_are_functions():
     assert len(scripts) > 8
     for module, name in scripts:
         assert callable(getattr(import_module(module), name))
+
+
+def test_an_estimate_imports_nothing_heavy(tmp_path):
+    code = (f"import sys, infer; infer.main(['capture=examples/captures/twill_photograph', "
+            f"'drapes=0', 'out={tmp_path}']); "
+            "print(sorted({'torch', 'open3d', 'h5py', 'sklearn', 'pandas', 'matplotlib', 'numba', "
+            "'scipy.signal', 'scipy.stats', 'trimesh', 'fastapi'} & set(sys.modules)), "
+            "len(sys.modules))")
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    heavy, _, count = done.stdout.splitlines()[-1].rpartition(" ")
+    assert heavy == "[]" and int(count) < 1300, done.stdout + done.stderr

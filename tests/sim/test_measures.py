@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.signal import find_peaks
 
 from common.errors import InputError
 from sim.measures import (
@@ -12,6 +13,7 @@ from sim.measures import (
     maximum_stretch,
     projected_area,
 )
+from sim.outlines import _peaks
 from sim.rig import Rig
 from sim.scene import make_specimen
 
@@ -92,3 +94,10 @@ def test_stretch_is_that_of_the_most_stretched_direction(specimen):
                                  np.zeros(len(mesh.rest))])
     stretch = maximum_stretch(positions, mesh.rest, mesh.faces, held)
     assert stretch == pytest.approx(0.03, rel=1e-9)
+
+
+def test_peaks_are_those_of_scipy():
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        values = np.cumsum(rng.normal(size=200))
+        np.testing.assert_array_equal(_peaks(values, 1.5), find_peaks(values, prominence=1.5)[0])
