@@ -21,6 +21,8 @@ COMMANDS = {
 }
 TARGETS = {"photograph": 1.5, "depth views": 2.0, "photograph, two drapes and report": 5.5}
 """CPU-seconds."""
+ENVIRONMENT = {name: value for name, value in os.environ.items()
+               if name != "PYTHONDONTWRITEBYTECODE"}  # else each run may compile all sources
 
 
 def measured(words: list[str]) -> dict[str, float]:
@@ -28,7 +30,7 @@ def measured(words: list[str]) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder:
         process = subprocess.Popen(
             [sys.executable, "infer.py", *words, f"out={Path(folder) / 'out'}"], cwd=ROOT,
-            stdout=subprocess.DEVNULL)
+            env=ENVIRONMENT, stdout=subprocess.DEVNULL)
         _, status, usage = os.wait4(process.pid, 0)
     if status:
         raise RuntimeError(f"infer.py {' '.join(words)} ended with the status {status}")
