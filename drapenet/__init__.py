@@ -11,11 +11,11 @@
 The simulator is :mod:`sim`, captures are read by :mod:`data.captures`.
 """
 
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from common.errors import InputError
+from common.late import late
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -25,19 +25,9 @@ if TYPE_CHECKING:
     from drapenet.result.estimate import Estimate, interval
 
 __all__ = ["Capture", "DepthCapture", "Estimate", "InputError", "estimate", "interval", "load"]
-_MODULES = {"Capture": "data.captures.capture", "DepthCapture": "data.captures.capture",
-            "Estimate": "drapenet.result.estimate", "interval": "drapenet.result.estimate"}
-
-
-def __getattr__(name: str) -> object:
-    """A public name of another module, which is imported when it is asked for."""
-    if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_MODULES[name]), name)
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+__getattr__, __dir__ = late(__name__, {
+    "data.captures.capture": ("Capture", "DepthCapture"),
+    "drapenet.result.estimate": ("Estimate", "interval")})
 
 
 def load(path: str | Path) -> "Estimate":

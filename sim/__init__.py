@@ -9,8 +9,9 @@ stretch; :func:`drape_many` makes many drapes on all cores. :mod:`sim.energies` 
 needs, :mod:`sim.sensitivity` differentiates an equilibrium, :mod:`sim.cantilever` hangs strips.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from common.late import late
 
 if TYPE_CHECKING:
     from common.errors import InputError
@@ -47,20 +48,9 @@ __all__ = [
 ]
 
 # Loaded when they are used: who needs a rig or a unit does not wait for compiled energies.
-_MODULES = {
+__getattr__, __dir__ = late(__name__, {
     "common.errors": ("InputError",), "sim.cloth": ("BENDING", "Laws"),
     "sim.draping": ("Drape", "drape", "follow"), "sim.many": ("drape_many",),
     "sim.material": ("DIRECTIONS", "MICRO", "NANO", "Fabric", "gravity_length", "torque"),
     "sim.measures": ("drape_coefficient", "fold_count", "fold_outline"),
-    "sim.rig": ("DISC_RIG", "SQUARE_RIG", "Rig"), "sim.solver": ("NewtonOptions", "Status")}
-_HOME = {name: module for module, names in _MODULES.items() for name in names}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module 'sim' has no attribute {name!r}")
-    return getattr(import_module(_HOME[name]), name)
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    "sim.rig": ("DISC_RIG", "SQUARE_RIG", "Rig"), "sim.solver": ("NewtonOptions", "Status")})

@@ -17,7 +17,7 @@ def network_of(header: Header) -> Trained:
     try:
         from drapenet.network.weights import Loaded, load_model
     except ModuleNotFoundError as error:
-        raise InputError(f"{header.path}: {graph_of(header.path).name} is not beside it, and "
-                         f"{error.name} is not installed; copy the file that train.py has "
-                         "written, or install drapenet[train]") from None
+        raise InputError(f"{graph_of(header.path).name} is not beside it, and {error.name} is not "
+                         "installed; copy the file that train.py has written, or install "
+                         "drapenet[train]", source=header.path) from None
     return Loaded(load_model(header))
