@@ -88,24 +88,25 @@ def main(config: CaptureConfig) -> None:
     if source.is_dir() and not any((source / mark).exists() for mark in (*CAPTURE_FILES, STRIPS)):
         check_all(source, out)
         return
-    lines, faults = check(source, out)
-    print("\n".join([*lines, f"capture: {out}", f"picture: {out / PICTURE}"]))
+    measured, faults = check(source, out)
+    print("\n".join([*measured, *(f"warning: {fault}" for fault in faults), f"capture: {out}",
+                     f"picture: {out / PICTURE}"]))
     if faults:
-        raise InputError(f"{len(faults)} of {len(lines)} checks of {source} failed; docs/rig.md "
-                         f"lists remedies, {out / PICTURE} shows what was read")
+        raise InputError(f"{len(faults)} of {len(measured) + len(faults)} checks of {source} "
+                         f"failed; docs/rig.md lists remedies, {out / PICTURE} shows what was read")
 
 
 def check(source: Path, out: Path) -> tuple[list[str], list[str]]:
-    """Lines about the capture, or the strips, of a folder, which is written to ``out`` with its
-    picture; and its faults."""
+    """What is measured of the capture, or the strips, of a folder, which is written to ``out`` with
+    its picture; and its faults."""
     if (source / STRIPS).exists():
         strips = read_strips(source)
         write_curves(strips, out)
         replace_file(out / PICTURE, png(strips_figure(strips)))
         return [f"note: {line}" for line in texts(strips.warnings)], []
     checks = check_capture(read_capture(source), out)
-    return [f"warning: {one.warning.text}" if one.warning else f"{one.name}: {one.value}"
-            for one in checks], texts(warnings_of(checks))
+    return ([f"{one.name}: {one.value}" for one in checks if not one.warning],
+            texts(warnings_of(checks)))
 
 
 def check_all(root: Path, out: Path) -> None:
@@ -115,15 +116,13 @@ def check_all(root: Path, out: Path) -> None:
     for entry in progress_bar(entries, desc="checking", unit="capture"):
         folder = out / entry.place
         require_folder(folder)
-        state = "sound"
         try:
-            lines, faults = check(entry.path, folder)
-            state = "doubtful" if faults else state
+            measured, faults = check(entry.path, folder)
+            state = "doubtful" if faults else "sound"
         except InputError as error:
-            lines, faults, state = [], [str(error)], "refused"
+            measured, faults, state = [], [str(error)], "refused"
         rows.append({"capture": str(entry.place), "state": state, "faults": "; ".join(faults),
-                     "measured": "; ".join(line for line in lines
-                                           if not line.startswith("warning: "))})
+                     "measured": "; ".join(measured)})
         print(f"{entry.place}: {state}" + "".join(f"\n  {fault}" for fault in faults), flush=True)
     replace_file(out / "checks.csv", csv_table(rows).encode())
     replace_file(out / "checks.png", contact_sheet({

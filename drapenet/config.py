@@ -49,6 +49,7 @@ class TrainConfig:
     out: str
     maps: str
     start: str
+    taught: bool
     seed: Seed
     epochs: FromOne
     inputs: Annotated[list[Input], Field(min_length=1)]

@@ -111,7 +111,7 @@ def write_photograph(out: Path, drape: Drape, rng: np.random.Generator) -> None:
     picture = phone_picture(drape.positions, drape.rest, drape.faces, rng, mat=mat,
                             plate_radius=drape.rig.plate_radius, plate_height=height,
                             beside=BESIDE)
-    picture.write(out, density=drape.fabric.density, tester=drape.rig.name, mat=mat,
+    picture.write(out, density=drape.fabric.density, rig=drape.rig, mat=mat,
                   plate_height=height)
 
 

@@ -19,12 +19,16 @@ from data.render.setups import Setups
 from drapenet.config import ModelConfig, OptimConfig, TrainConfig
 from drapenet.network import model
 from drapenet.network import training as steps
-from drapenet.network.captures import CaptureSet, Condition
+from drapenet.network.captures import TAUGHT, CaptureSet, Condition
 from drapenet.network.checkpoint import read_header
 from drapenet.network.dataset import Maps
 from drapenet.network.evaluate import DEPTH, OUTLINE
+from drapenet.network.inputs import Batch
 from drapenet.network.model import Network, make_network
 from drapenet.network.optimizer import Optimizer
+from drapenet.network.posterior import Posterior
+from drapenet.network.targets import TARGETS
+from drapenet.network.trained import Trained
 from drapenet.network.training import (
     fit,
     learning_rate,
@@ -313,6 +317,37 @@ def test_training_learns_all_three_directions(output, epochs, rate, seen, condit
         assert metrics["rmse_log_alpha"] < most
         assert 0.85 < metrics["rmse_beta_over_alpha"] < 1.2  # the captures do not show it
         assert 0.4 < metrics["inside"]["68%"] < 0.9
+
+
+class Teacher(Trained):
+    """One that says of each capture the third of its outline's mean."""
+
+    def posterior(self, batch: Batch) -> Posterior:
+        self.seen = batch
+        means = np.repeat(batch.outline.mean(axis=1)[:, None, None] / 3, TARGETS, axis=2)
+        factors = np.tile(1e6 * np.eye(TARGETS), (len(means), 1, 1, 1))
+        return Posterior(np.zeros((len(means), 1)), means, factors)
+
+    def shapes(self, *_: np.ndarray) -> None:
+        return None
+
+
+def test_a_taught_training_learns_what_its_teacher_says_of_the_captures_without_faults():
+    teacher = Teacher()
+    captures = CaptureSet(stiff_maps(64, seed=0), teacher=teacher)
+    read = replace(condition(OUTLINE), read=1.0)
+    batch, _ = captures.batch(np.arange(64), read, np.random.default_rng(0))
+    sound = teacher.seen
+    assert (batch.error > 0).all() and not sound.error.any()
+    np.testing.assert_allclose(
+        batch.targets, np.tile(sound.outline.mean(axis=1)[:, None] / 3, (TAUGHT, 1, TARGETS)),
+        atol=1e-4)
+    off = batch.outline - sound.outline
+    assert 3e-3 < np.sqrt(np.square(off).mean()) < 0.06
+    _, facts = captures.batch(np.arange(64), read, np.random.default_rng(0))
+    # What is counted from the outline has its faults, too.
+    np.testing.assert_allclose(batch.facts[:, 11], facts.columns()[:, 11], atol=1e-6)
+    assert np.abs(batch.facts[:, 11] - sound.facts[:, 11]).max() > 1e-3
 
 
 class Code:

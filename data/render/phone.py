@@ -17,6 +17,8 @@ from common.types import ColourPicture, Density, Faces, Metres, Points, Radians,
 from data.pictures.pose import Pose, camera_matrix
 from data.pictures.reading import FULL_FRAME, encoded
 from data.render.scenery import Scenery
+from data.rigs import described_tester
+from sim.rig import Rig
 
 _SIZE = (2016, 1512)  # pixels, or upright
 _REACH_A3 = 0.151  # m
@@ -37,14 +39,14 @@ class PhonePicture:
     warp: Radians
     kind: dict
 
-    def write(self, folder: Path, *, density: Density, tester: str, mat: str, plate_height: Metres,
+    def write(self, folder: Path, *, density: Density, rig: Rig, mat: str, plate_height: Metres,
               number: int | None = None) -> None:
         """Write it to a ``folder`` as a user would, with ``capture.yaml``; ``number``: of several
         pictures, from 1 on."""
         name = "outline.jpg" if number is None else f"outline_{number}.jpg"
         replace_file(folder / name, self.jpeg)
         replace_file(folder / "capture.yaml", yaml.safe_dump({
-            "density_g_m2": round(1e3 * density, 6), "tester": tester,
+            "density_g_m2": round(1e3 * density, 6), "tester": described_tester(rig),
             "warp_direction_deg": round(float(np.degrees(self.warp)), 3),
             "outline": {"mat": mat, "plate_height_mm": round(1e3 * plate_height, 1)}},
             sort_keys=False).encode())
@@ -65,7 +67,7 @@ def phone_picture(
 def phone_pictures(
     positions: Points, rest: RestPoints, faces: Faces, rng: np.random.Generator, *, count: int,
     plate_radius: Metres, plate_height: Metres, mat: str = "a3", beside: Metres = 0.25,
-    lean: float = np.inf, ground: str = "white", **scene: Any
+    lean: float = np.inf, ground: str = "white", size: tuple[int, int] = _SIZE, **scene: Any
 ) -> list[PhonePicture]:
     """Photographs of one scene by a random phone from random places, at most ``beside`` the axis,
     and ``lean`` times their height above the plate.
@@ -73,16 +75,18 @@ def phone_pictures(
     Args:
         positions: with the plate's centre as origin, z up, the warp along x.
         ground: of the mat.
+        size: pixels along the long and the short side.
         scene: as for :meth:`data.render.scenery.Scenery.random`.
     """
     warp = float(rng.uniform(0, 2 * np.pi)) if rng.random() < 0.5 else 0.0
     cos, sin = np.cos(warp), np.sin(warp)
     turned = positions @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1.0]])
-    size = _SIZE if rng.random() < 0.7 else _SIZE[::-1]
+    size = size if rng.random() < 0.7 else size[::-1]
     lens = rng.uniform(24, 30), float(np.clip(rng.normal(0, 0.012), -0.03, 0.03))
     scenery = Scenery.random(
         turned + np.array([0, 0, plate_height]), rest, faces, rng, mat=mat, ground=ground,
-        plate_radius=plate_radius, plate_height=plate_height, **{"clutter": False, **scene})
+        plate_radius=plate_radius, plate_height=plate_height,
+        **{"clutter": False, "sheets": False, **scene})
     columns, rows = np.meshgrid(np.arange(size[0], dtype=float), np.arange(size[1], dtype=float))
     pixels = np.column_stack([columns.ravel(), rows.ravel()])
     found = []

@@ -81,15 +81,17 @@ class Scenery:
     def random(
         cls, cloth: Points, rest: RestPoints, faces: Faces, rng: np.random.Generator, *,
         mat: str | None, plate_radius: Metres, plate_height: Metres, clutter: bool = True,
-        ground: str | None = None, surface: Texture | None = None
+        sheets: bool = True, ground: str | None = None, surface: Texture | None = None
     ) -> "Scenery":
-        """A random scene around a drape; ``clutter``: with things that lie about; ``ground``: of
-        the mat, and ``surface`` of the cloth, in place of random ones."""
+        """A random scene around a drape; ``clutter``: with things that lie about, and ``sheets`` of
+        paper among them, also over a mat; ``ground``: of the mat, and ``surface`` of the cloth, in
+        place of random ones."""
         pattern, random_surface = textures.cloth(rng)
         reach = float(np.hypot(*rest.T).max())
         things = _tester(rng, plate_radius, plate_height, clutter=clutter)
         if clutter:
-            things += _clutter(rng, reach, min(plate_height, float(cloth[:, 2].min())))
+            below = min(plate_height, float(cloth[:, 2].min()))
+            things += _clutter(rng, reach, below, sheets=sheets)
         lamps = [_lamp(rng) for _ in range(rng.choice(3, p=[0.25, 0.55, 0.2]))]
         rare = rng.random(5)
         if rare[3] < _RIMMED and surface is None:
@@ -214,7 +216,8 @@ def _tester(
     return things
 
 
-def _clutter(rng: np.random.Generator, reach: Metres, below: Metres) -> list[Thing]:
+def _clutter(rng: np.random.Generator, reach: Metres, below: Metres, *, sheets: bool
+             ) -> list[Thing]:
     """Things on the table beside the drape or under it, ``below`` the lowest cloth, and a hand."""
     things = []
     for _ in range(rng.choice([0, 0, 1, 2, 4])):
@@ -233,7 +236,7 @@ def _clutter(rng: np.random.Generator, reach: Metres, below: Metres) -> list[Thi
         points = mesh.vertices @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1.0]])
         points = points + np.array([far * np.cos(around), far * np.sin(around), high / 2])
         things.append(Thing(points, mesh.faces, textures.plain(textures.colour(rng), rng)))
-    for _ in range(rng.choice([0, 0, 0, 1, 3])):  # sheets of paper and stickers, also under it
+    for _ in range(sheets * rng.choice([0, 0, 0, 1, 3])):  # and stickers, also under the drape
         size = np.exp(rng.uniform(np.log(0.02), np.log(0.35), 2))
         place = reach * rng.uniform(0.4, 1.4) * _unit(rng.normal(size=2))
         mesh = trimesh.creation.box([*size, 6e-4])

@@ -3,7 +3,7 @@ with photographs, reported numbers and marked faces drawn at random."""
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import get_args
 
 import numpy as np
@@ -12,6 +12,7 @@ from data.fabrics.properties import ClothProperties
 from drapenet.config import Input, ModelConfig
 from drapenet.network.dataset import Maps
 from drapenet.network.inputs import Batch, Facts
+from drapenet.network.reading import faults, reading_errors
 from drapenet.network.targets import (
     CURL,
     Symmetry,
@@ -20,6 +21,7 @@ from drapenet.network.targets import (
     stiffer_first,
     targets_of,
 )
+from drapenet.network.trained import Trained
 from drapenet.views.directions import AZIMUTH
 from drapenet.views.outline import PERSPECTIVES, drape_coefficients
 
@@ -29,6 +31,8 @@ PICTURE_OFFSET = 0.010  # of the outline's centre, in half sizes: 1.5 mm of a sp
 PICTURE_SCALE = 0.007  # of millimetres per pixel
 PICTURE_NOISE = 0.008  # largest deviation of a radius, in half sizes
 COEFFICIENT_ERROR = 0.010  # of drape coefficients as reported
+TAUGHT = 8  # draws of a teacher's posterior
+READ = 0.5  # share of outlines in training with errors of photographs over the mat
 
 
 @dataclass(frozen=True)
@@ -41,6 +45,8 @@ class Condition:
         known: share of the sets in which the direction of the warp is stated.
         parallel, stated: shares of outlines under parallel light, and, of the others, of those
             whose camera's height is stated.
+        read: share of outlines with the errors of photographs over the mat, and those of all with
+            faults that nothing tells of; others have small errors of a drapemeter's picture.
     """
 
     kinds: tuple[float, float, float] = (0.5, 0.42, 0.08)
@@ -48,6 +54,7 @@ class Condition:
     known: float = 0.7
     parallel: float = 0.3
     stated: float = 0.8
+    read: float = 0.0
 
     @classmethod
     def of_inputs(cls, inputs: Sequence[Input]) -> "Condition":
@@ -56,7 +63,7 @@ class Condition:
                   for kind, share in zip(get_args(Input), cls.kinds, strict=True)]
         total = sum(shares)
         views, outline, numbers = (share / total for share in shares)
-        return cls((views, outline, numbers))
+        return cls((views, outline, numbers), read=READ)
 
 
 def readable(maps: Maps, inputs: Sequence[Input]) -> np.ndarray:
@@ -65,10 +72,13 @@ def readable(maps: Maps, inputs: Sequence[Input]) -> np.ndarray:
 
 
 class CaptureSet:
-    """Captures with the fabrics they show; ``scale`` of the targets is fitted if None."""
+    """Captures with the fabrics they show; ``scale`` of the targets is fitted if None. With a
+    ``teacher``, targets are drawn from its posterior of the same captures read without faults."""
 
-    def __init__(self, maps: Maps, *, scale: TargetScale | None = None) -> None:
-        self.maps = maps
+    def __init__(
+        self, maps: Maps, *, scale: TargetScale | None = None, teacher: Trained | None = None
+    ) -> None:
+        self.maps, self.teacher = maps, teacher
         # Neighbours of a fabric may have the same moduli by chance.
         _, first, which = np.unique(np.column_stack([maps.theta, maps.membrane]), axis=0,
                                     return_index=True, return_inverse=True)
@@ -117,6 +127,9 @@ class CaptureSet:
         views = maps.depth_views(rows, deep)
         outline = views["hem"].astype(np.float32)
         outline[seen] = _photographed(maps.silhouettes[rows[seen]], ratio[seen], rng)
+        faultless, error = outline.copy(), np.zeros_like(outline)
+        if condition.read:
+            outline[seen], error[seen] = _misread(outline[seen], condition.read, rng)
         radius = np.where((kind == 2)[:, None], maps.silhouettes[rows, 0], outline)
         coefficient = drape_coefficients(radius, maps.plate[rows], maps.disc[rows])
         coefficient += COEFFICIENT_ERROR * rng.standard_normal(len(rows)) * (kind == 2)
@@ -133,13 +146,21 @@ class CaptureSet:
         targets[~known] = stiffer_first(targets[~known])
         weft = symmetric & known & (rng.random(len(cloths)) < 0.5)  # along azimuth 0
         targets = exchanged(targets, weft)
-        batch = Batch.of(
-            views["distance"], views["weight"], outline, facts, views["pictures"], views["angle"],
-            self.scale.encode(targets))
-        if symmetric:
-            batch = batch.turned(
-                Symmetry.draw(known=known[group], disc=maps.disc[rows], exchanged=weft[group],
-                              rng=rng))
+        turn = Symmetry.draw(known=known[group], disc=maps.disc[rows], exchanged=weft[group],
+                             rng=rng) if symmetric else None
+
+        def made(outline: np.ndarray, error: np.ndarray, facts: Facts) -> Batch:
+            batch = Batch.of(
+                views["distance"], views["weight"], outline, error, facts, views["pictures"],
+                views["angle"], self.scale.encode(targets))
+            return batch.turned(turn) if turn else batch
+
+        batch = made(outline, error, facts)
+        if self.teacher:
+            sound = replace(facts, coefficient=np.where(seen, drape_coefficients(
+                faultless, maps.plate[rows], maps.disc[rows]), coefficient))
+            taught = self.teacher.posterior(made(faultless, 0 * error, sound)).sample(TAUGHT, rng)
+            batch = replace(batch, targets=taught.astype(np.float32))
         return batch, facts
 
     def epoch(
@@ -177,3 +198,15 @@ def _photographed(
     noise = rng.standard_normal(radius.shape)
     smooth = (np.roll(noise, 1, axis=1) + noise + np.roll(noise, -1, axis=1)) / math.sqrt(3)
     return radius + PICTURE_NOISE * rng.random((len(ratio), 1)) * smooth
+
+
+def _misread(
+    radius: np.ndarray, read: float, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Outlines (N, AZIMUTHS), in half sizes, with faults, a share ``read`` of them also with the
+    errors of photographs over the mat; and the errors that are stated with them, 0 of others."""
+    over_mat = rng.random(len(radius)) < read
+    off, stated = faults(len(radius), rng), np.zeros_like(radius)
+    errors, stated[over_mat] = reading_errors(int(over_mat.sum()), rng)
+    off[over_mat] += errors
+    return radius + off, stated

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 SCHEMA = "drapenet-checkpoint"
 """Key of the description in the metadata of a checkpoint."""
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 BUNDLED = Path(__file__).parents[1] / "weights" / "drapenet.safetensors"
 
 _SIX = Field(min_length=len(THETA_NAMES), max_length=len(THETA_NAMES))

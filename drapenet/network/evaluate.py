@@ -104,6 +104,7 @@ CELLS: dict[str, Cell] = {
     "outline, 0.5 m and more": Cell(replace(_PARALLEL, parallel=0.0, stated=1.0)),
     "outline, height not stated": Cell(replace(_PARALLEL, parallel=0.0, stated=0.0)),
     "outline, warp not stated": Cell(replace(_PARALLEL, known=0.0)),
+    "outline, read over the mat": Cell(replace(_PARALLEL, parallel=0.0, stated=1.0, read=1.0)),
     **{f"outline, sets of {size}": Cell(replace(_PARALLEL, sizes=_sets(size)))
        for size in (2, 4, 10)},
     "drape coefficient and nodes": Cell(replace(_PARALLEL, kinds=NUMBERS)),

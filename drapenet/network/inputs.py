@@ -14,15 +14,17 @@ from drapenet.views.radial_map import WEIGHT_UNIT
 
 _SIZE = 0.3  # m, unit of the specimens' size
 _MAX_COEFFICIENT = 1.05
+_ERROR = 0.005  # half sizes, of outlines
 FACTS, ASPECTS = 19, 2
 """Numbers of scalar inputs: of every network, and, after them, of one that reads rectangles."""
 _WARP = 5  # column: 1 if azimuth 0 is along the warp, -1 along the weft, 0 not known
 _ODD = (_WARP, FACTS)  # columns that a quarter turn gives the opposite sign: that, and the aspect's
 DISC, KNOWN = 3, 4  # columns
 TESTER = 6  # the first columns, which state specimen, tester and warp, and nothing of the drape
-CIRCUMSTANCES = 10
-"""The first columns: those, number of views and perspective; with the aspects, those that say
-nothing of the drape."""
+_ABOUT = 10
+"""The first columns: those, number of views and perspective."""
+CIRCUMSTANCES = _ABOUT + ASPECTS + 1
+"""What says nothing of the drape: those, the aspects and the mean error of the outline."""
 
 Maps = Annotated[np.ndarray, "(N, AZIMUTHS, ELEVATIONS) float32"]
 
@@ -91,19 +93,22 @@ class Batch:
     distance: Maps  # in sizes of the specimen
     weight: Maps  # logarithm of 1 + weight
     outline: np.ndarray  # (N, AZIMUTHS), in half sizes of the specimen; 0 where not seen
+    error: np.ndarray  # (N, AZIMUTHS), logarithm of 1 + error / _ERROR of the outline
     face: np.ndarray  # (N,) 1 or -1
     facts: np.ndarray  # (N, FACTS + ASPECTS)
     group: np.ndarray  # (N,)
     pictures: np.ndarray  # (N, PICTURES or 0, SIDE, SIDE) in sizes, NaN where there is no cloth
     angle: np.ndarray  # (N,) of azimuth 0 in the first picture, rad
     shape: np.ndarray  # (N, SHAPE), see :mod:`drapenet.network.expected`
-    targets: np.ndarray | None = None  # (M, TARGETS) standardised; None in inference
+    targets: np.ndarray | None = None  # (..., M, TARGETS) standardised; None in inference
 
     @classmethod
-    def of(cls, distance: np.ndarray, weight: np.ndarray, outline: np.ndarray, facts: Facts,
-           pictures: np.ndarray, angle: np.ndarray, targets: np.ndarray | None = None) -> "Batch":
+    def of(cls, distance: np.ndarray, weight: np.ndarray, outline: np.ndarray, error: np.ndarray,
+           facts: Facts, pictures: np.ndarray, angle: np.ndarray,
+           targets: np.ndarray | None = None) -> "Batch":
         """Batch of N stored maps (:func:`drapenet.views.radial_map.compressed`), (N, AZIMUTHS)
-        outlines in half sizes (m/m), NaN where not seen, pictures and their angles, rad."""
+        outlines in half sizes (m/m), NaN where not seen, and their standard deviations, 0 of exact
+        ones, pictures and their angles, rad."""
         # Of a single view, much of the hem is guessed, and with it all but the coefficient.
         hem = np.where((facts.views == 1)[:, None], np.nan, outline)
 
@@ -111,8 +116,9 @@ class Batch:
             return np.asarray(values, np.float32)
 
         return cls(single(distance), np.float32(WEIGHT_UNIT) * weight,
-                   single(np.nan_to_num(outline)), single(facts.face), facts.columns(),
-                   facts.group, single(pictures), single(angle),
+                   single(np.nan_to_num(outline)), single(np.log1p(error / _ERROR)),
+                   single(facts.face), facts.columns(), facts.group, single(pictures),
+                   single(angle),
                    single(shape_of(hem, facts.share, facts.nodes)),
                    None if targets is None else single(targets))
 
@@ -124,7 +130,7 @@ class Batch:
         return replace(self, facts=facts, pictures=symmetry.of_pictures(self.pictures),
                        angle=symmetry.of_angles(self.angle),
                        **{name: symmetry.of_rows(getattr(self, name))
-                          for name in ("distance", "weight", "outline")})
+                          for name in ("distance", "weight", "outline", "error")})
 
     @property
     def members(self) -> np.ndarray:
@@ -134,6 +140,6 @@ class Batch:
 
     @property
     def circumstances(self) -> np.ndarray:
-        """(N, CIRCUMSTANCES + ASPECTS), or (N, C): columns of the facts that say nothing of the
-        drape."""
-        return np.hstack([self.facts[:, :CIRCUMSTANCES], self.facts[:, FACTS:]])
+        """(N, CIRCUMSTANCES)"""
+        return np.hstack([self.facts[:, :_ABOUT], self.facts[:, FACTS:],
+                          self.error.mean(axis=1, keepdims=True)])

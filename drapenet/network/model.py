@@ -19,9 +19,9 @@ from drapenet.network.targets import TARGETS
 from drapenet.views.directions import AZIMUTHS, ELEVATIONS
 from drapenet.views.pictures import PICTURES
 
-CHANNELS = 2 * ELEVATIONS + 5
-"""Distances and weights of a column, outline, whether the outline is seen, cosine and sine of twice
-and cosine of four times the azimuth."""
+CHANNELS = 2 * ELEVATIONS + 6
+"""Distances and weights of a column, outline, whether the outline is seen, its error, cosine and
+sine of twice and cosine of four times the azimuth."""
 _HARMONICS = (2, 4)  # of the azimuth, for pooling features beside their mean
 POOLED = 1 + 2 * len(_HARMONICS)  # values of a feature
 _EMBEDDING = 256  # features of a capture
@@ -73,7 +73,7 @@ class Network(torch.nn.Module):
     ) -> None:
         super().__init__()
         self.distance, self.spread, self.rectangles = distance, spread, rectangles
-        self.expected = Expected(CIRCUMSTANCES + ASPECTS) if expected else None
+        self.expected = Expected(CIRCUMSTANCES) if expected else None
         self.in_bfloat16 = False  # whether convolutions of a training step are in bfloat16
 
     def add_layers(self, features: int, *, facts: int, output: str, components: int,
@@ -117,12 +117,14 @@ class Network(torch.nn.Module):
         return [torch.from_numpy(getattr(batch, name)).to(device) for name in names]
 
     def log_density_of_shapes(self, batch: Batch) -> torch.Tensor:
-        """(N,) of the captures' shapes, of the true cloth; 0 of a network that expects none."""
+        """(..., N) of the captures' shapes, of the true cloth; 0 of a network that expects none."""
         shape, facts, face, group = self.tensors(batch, "shape", "circumstances", "face", "group")
         if self.expected is None or batch.targets is None:
             return torch.zeros(len(group), device=facts.device)
-        targets, = self.tensors(batch, "targets")
-        return self.expected.log_density(shape, targets[group], facts, face)
+        targets = self.tensors(batch, "targets")[0][..., group, :]
+        every = targets.shape[:-1]
+        return self.expected.log_density(shape, targets, facts.expand(*every, -1),
+                                         face.expand(every))
 
     def answer(self, batch: Batch) -> Mixture:
         """The posterior of a batch, on the network's device."""
@@ -166,7 +168,7 @@ class DrapeNet(Network):
     axis. ``width``: features of the first stage, 64 in ResNet-18.
     """
 
-    reads = ("distance", "weight", "outline")
+    reads = ("distance", "weight", "outline", "error")
 
     def __init__(
         self, *, width: int, components: int, dropout: float, distance: float, spread: float,
@@ -187,7 +189,7 @@ class DrapeNet(Network):
 
     def forward(
         self, face: torch.Tensor, facts: torch.Tensor, members: torch.Tensor,
-        distance: torch.Tensor, weight: torch.Tensor, outline: torch.Tensor
+        distance: torch.Tensor, weight: torch.Tensor, outline: torch.Tensor, error: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Parts of a :class:`Mixture`, of a batch's arrays (N, ...), whose units it states: sizes
         of the specimen, m/m."""
@@ -195,7 +197,7 @@ class DrapeNet(Network):
         place = torch.stack([torch.cos(2 * azimuth), torch.sin(2 * azimuth),
                              torch.cos(4 * azimuth)]).to(distance)
         seen = (outline > 0).float()
-        rows = torch.stack([(outline - 0.75) / 0.15 * seen, seen], dim=1)
+        rows = torch.stack([(outline - 0.75) / 0.15 * seen, seen, error], dim=1)
         rows = torch.cat([rows, place.expand(outline.shape[0], *place.shape)], dim=1)
         maps = torch.cat([(distance - self.distance) / self.spread * (distance > 0).float(),
                           weight.clamp(max=4.0) - 1.0], dim=2).transpose(1, 2)

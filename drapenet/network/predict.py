@@ -26,7 +26,6 @@ from drapenet.views.radial_map import compressed
 from sim.material import is_admissible
 
 DRAWS = 4000  # of each posterior, in all
-VARIANTS = 16  # of a capture with errors
 
 
 @dataclass(frozen=True)
@@ -67,26 +66,6 @@ def sample_targets(network: Trained, header: Header, batch: Batch, known: np.nda
     return np.concatenate(drawn)
 
 
-def _spread_by_errors(
-    samples: Samples, network: Trained, header: Header, sets: Sequence[Sequence[Observation]]
-) -> None:
-    """Spread the samples (DRAWS, N, targets) of sets whose outlines have errors as the means of
-    :data:`VARIANTS` of them are.
-
-    Not their mixture: errors that are added to an outline make it look like that of softer cloth.
-    """
-    rng = np.random.default_rng(0)
-    unsure = [k for k, captures in enumerate(sets) if any(
-        part.outline is not None and part.outline.error is not None for part in captures)]
-    if not unsure:
-        return
-    batch, facts = batch_of([[part.varied(rng) for part in sets[k]]
-                             for k in unsure for _ in range(VARIANTS)])
-    drawn = sample_targets(network, header, batch, facts.known).mean(axis=0)
-    for k, means in zip(unsure, np.split(drawn, len(unsure)), strict=True):
-        samples[:, k] += np.resize(means - means.mean(axis=0), samples[:, k].shape)
-
-
 def predict(
     network: Trained, header: Header, sets: Sequence[Sequence[Observation]], *,
     compared: bool = False,
@@ -99,7 +78,6 @@ def predict(
                              "numbers")
     batch, facts = batch_of(sets)
     samples = sample_targets(network, header, batch, facts.known)
-    _spread_by_errors(samples, network, header, sets)
     known = [all(part.known for part in captures) for captures in sets]
     likeness = network.likeness(batch, header.scale.encode(samples)) if compared else []
     return [Draws.possible(cloth_of(samples[:, k], np.full(len(samples), size)), known[k],
@@ -117,6 +95,9 @@ def batch_of(sets: Sequence[Sequence[Observation]]) -> tuple[Batch, Facts]:
     nothing = np.full(AZIMUTHS, np.nan)
     outlines = [part.outline.radius / (part.rig.specimen_size / 2) if part.outline else nothing
                 for part in captures]
+    exact = np.zeros(AZIMUTHS)
+    errors = [exact if part.outline is None or part.outline.error is None else
+              part.outline.error / (part.rig.specimen_size / 2) for part in captures]
     known = np.array([all(part.known for part in sets[k]) for k in group.tolist()])
     sizes = np.array([part.rig.specimen_size for part in captures])
     heights = np.array([part.outline.height if part.outline else np.nan for part in captures])
@@ -136,4 +117,5 @@ def batch_of(sets: Sequence[Sequence[Observation]]) -> tuple[Batch, Facts]:
         pictures = [part.pictures for part in captures if part.pictures]
         depth = np.array([picture.depth for picture in pictures])
         angle = np.array([picture.angle for picture in pictures])
-    return Batch.of(distance, weight, np.array(outlines), facts, depth, angle), facts
+    return Batch.of(distance, weight, np.array(outlines), np.array(errors), facts, depth,
+                    angle), facts

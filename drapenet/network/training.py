@@ -35,7 +35,7 @@ from drapenet.network.model import Network, make_network
 from drapenet.network.optimizer import Optimizer
 from drapenet.network.posterior import inside, ranks
 from drapenet.network.targets import MODULI
-from drapenet.network.weights import load_model
+from drapenet.network.weights import Loaded, load_model
 from sim.material import REFERENCE_DENSITY
 
 if TYPE_CHECKING:
@@ -83,12 +83,18 @@ def open_captures(config: TrainConfig) -> tuple[CaptureSet, CaptureSet, dict]:
                  "maps": sources_digest(*SOURCES)}
     if start:
         described["start"] = start.sha256
+    if start and config.taught:  # what is learned are the teacher's fabrics, seen in other drapes
+        described["sha256"] = start.dataset.sha256 + described["sha256"]
+        described["generation"] = start.dataset.generation + described["generation"]
     shares = {"train": 1 - config.validation_fraction, "validation": config.validation_fraction}
     split = split_by_fabric(maps.fabric, fractions=shares)
     usable = readable(maps, config.inputs)
     unseen = maps.chosen(usable & (split == "validation") & ~maps.moved)
     training = maps.chosen(first_drapes(maps, usable & (split == "train"), config))
-    captures = CaptureSet(training, scale=start.scale if start else None) if len(training) else None
+    if config.taught and not start:
+        raise InputError("taught=true asks for the network that teaches; give start=FILE")
+    captures = CaptureSet(training, scale=start.scale if start else None, teacher=Loaded(load_model(
+        start)) if config.taught and start else None) if len(training) else None
     if not captures or len(captures) < config.optim.batch_size or not len(unseen):
         raise InputError(f"{', '.join(folders)}: {len(captures or ())} fabrics and neighbours to "
                          f"train on and {len(unseen)} captures to validate with, but at least "
@@ -230,6 +236,9 @@ def describe(
 ) -> dict:
     """Description of a checkpoint's network, see :mod:`drapenet.network.checkpoint`."""
     low, high = np.quantile(training.cloth.theta, [0.01, 0.99], axis=0)
+    if config.taught:
+        fabrics = read_header(config.start).fabrics
+        low, high = np.array(fabrics.low), np.array(fabrics.high)
     prior = prior_from_content(datasets["generation"][0]["prior"], origin="the dataset's prior")
     return {
         "reference_density_g_m2": REFERENCE_DENSITY * 1e3,

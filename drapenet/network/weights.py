@@ -77,7 +77,7 @@ def save_graphs(header: Header) -> None:
         ("members", "mn", torch.eye(sets).repeat(1, captures // sets)))
     read = {"distance": drawn(captures, AZIMUTHS, ELEVATIONS),
             "weight": 4 * drawn(captures, AZIMUTHS, ELEVATIONS),
-            "outline": 0.6 + 0.4 * drawn(captures, AZIMUTHS),
+            "outline": 0.6 + 0.4 * drawn(captures, AZIMUTHS), "error": drawn(captures, AZIMUTHS),
             "pictures": drawn(captures, PICTURES, SIDE, SIDE), "angle": drawn(captures)}
     save_graph(graph_of(header.path), network, [*of_all, *((name, "n", read[name])
                                                            for name in network.reads)],
@@ -85,6 +85,6 @@ def save_graphs(header: Header) -> None:
     if network.expected is not None:
         save_graph(graph_of(header.path, EXPECTED), network.expected, [
             ("targets", "sn", drawn(sets, captures, TARGETS)),
-            ("facts", "sn", drawn(sets, captures, CIRCUMSTANCES + ASPECTS)),
+            ("facts", "sn", drawn(sets, captures, CIRCUMSTANCES)),
             ("face", "sn", drawn(sets, captures).sign())], ["weights", "means", "deviations"],
             identity=graph_identity(header))

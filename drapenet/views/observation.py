@@ -71,10 +71,6 @@ class Observation:
                                    error=seen.error)
         return cls(capture.rig, capture.sign, warp is not None, outline=outline)
 
-    def varied(self, rng: np.random.Generator) -> "Observation":
-        """The capture with errors as its outline may have."""
-        return self if self.outline is None else replace(self, outline=self.outline.varied(rng))
-
 
 def map_along(warp: Radians | None, located: LocatedViews) -> RadialMap:
     """Map with azimuth 0 at the ``warp`` of a disc, at the nearest of the directions in which the

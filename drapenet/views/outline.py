@@ -6,11 +6,10 @@ the plate; H is infinite under the parallel light of a drapemeter.
 """
 
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from common.types import Edges, Metres, Outline, Points, Radians
 from drapenet.views.directions import AZIMUTH, AZIMUTHS, elevations
@@ -22,7 +21,6 @@ from sim.rig import Rig
 PERSPECTIVES = (0.0, 0.2, 0.4, 0.6, 0.8)
 """Sizes of the specimen over the camera's height at which outlines of drapes are stored; between
 them radii are interpolated linearly, to 0.1 mm."""
-_ALIKE = 4.0 * AZIMUTHS / 360  # azimuths, standard deviation of a window of like errors
 _FINE = 8  # azimuths for each of the stored ones, at which a shape's silhouette is sampled
 
 Radii = Annotated[np.ndarray, "(AZIMUTHS,) m, on the plate's plane; NaN where the hem is not seen"]
@@ -38,14 +36,6 @@ class DrapeOutline:
     radius: Radii
     height: Metres = np.inf  # of the camera above the plate; NaN: unknown
     error: Radii | None = None  # standard deviation of each radius; None: exact
-
-    def varied(self, rng: np.random.Generator) -> "DrapeOutline":
-        """The outline with errors as it may have, of one sign over some degrees."""
-        if self.error is None:
-            return self
-        noise = gaussian_filter1d(rng.standard_normal(AZIMUTHS), _ALIKE, mode="wrap")
-        return replace(self, radius=self.radius + self.error * noise * np.sqrt(
-            2 * np.sqrt(np.pi) * _ALIKE))
 
     def coefficient(self, rig: Rig) -> float:
         """Drape coefficient, from 0 to 1, of the picture: not corrected for perspective; NaN if

@@ -17,17 +17,15 @@ import numpy as np
 
 from common.errors import InputError
 from common.findings import texts
-from common.types import Metres, Outline
+from common.types import Outline
 from data.captures.capture import OutlineCapture
-from data.captures.off_axis import AZIMUTHS
 from data.captures.photograph import PhotographedOutline
-from data.captures.reader import read_capture
-from data.dataset.off_axis import silhouette
+from data.dataset.reading import Taken, true_radii
 from data.fabrics.fabrics import fabric_from_theta
 from data.pictures.planes import mapped
 from data.pictures.reading import decoded
 from data.render import textures
-from data.render.phone import PhonePicture, mat_around, phone_pictures
+from data.render.phone import PhonePicture
 from drapenet.estimator.stages import by_network
 from experiments.drapes import drape_as_planned, header, plan_specimen
 from experiments.result import ESTIMATOR, Config, Result, run_cases
@@ -35,9 +33,6 @@ from sim.draping import Drape
 from sim.material import LINEAR, REFERENCE_DENSITY
 from sim.rig import Rig
 
-PLATES = (0.09, 0.2)  # m, over the mat
-LEAST_MARGIN = 5e-3  # m, of the lowest cloth above it
-LEAN = float(np.tan(np.radians(20.0)))  # farthest place beside the axis over height
 NEAR = 0.1  # the same of pictures near the axis
 TARGETS = {"reading_mm": (0.6, 1.5), "alone": (0.05, 0.15), "together": (0.03, 0.10),
            "silent": 0.01, "warned_though_right": 0.15}
@@ -52,58 +47,44 @@ def case(*, number: int, rig: str, edge_mm: float, pictures: int, seed: int) -> 
     plan = plan_specimen(number, "dataset.even_share=0.8", rig=tester, seed=seed, nuisances="real")
     shape = drape_as_planned(plan, edge=1e-3 * edge_mm)
     rng = np.random.default_rng([seed, number])
-    plate_height = max(float(-shape.positions[:, 2].min()) + LEAST_MARGIN, rng.uniform(*PLATES))
-    mat = mat_around(tester.reach) if rng.random() < 0.7 else "a2"
-    taken = phone_pictures(
-        shape.positions, shape.mesh.rest, shape.faces, rng, count=pictures, mat=mat, lean=LEAN,
-        beside=1.0, plate_radius=tester.plate_radius, plate_height=plate_height,
-        clutter=True, surface=real_texture(rng))
-    taken.sort(key=lambda one: lean_of(one, plate_height))
-    found = {**taken[0].kind, "plate_mm": 1e3 * plate_height, "mat": mat,
-             "height_m": taken[0].pose.place[2] - plate_height,
-             "lean": lean_of(taken[0], plate_height)}
+    taken = Taken.of(shape.positions, shape.mesh, tester, rng, pictures=pictures, clutter=True,
+                     surface=real_texture(rng))
+    first = taken.pictures[0]
+    found = {**first.kind, "plate_mm": 1e3 * taken.plate_height, "mat": taken.mat,
+             "height_m": taken.place(first)[2], "lean": taken.lean(first)}
     truth = np.log(fabric_from_theta(plan.theta).alpha)
-    for name, chosen in (("alone", taken[:1]), ("together", taken)):
+    for name, chosen in (("alone", taken.pictures[:1]), ("together", taken.pictures)):
         with tempfile.TemporaryDirectory() as folder:
-            for k, picture in enumerate(chosen, 1):
-                picture.write(Path(folder), density=REFERENCE_DENSITY, tester=rig, mat=mat,
-                              plate_height=plate_height, number=k if len(chosen) > 1 else None)
-            found[name] = errors(Path(folder), chosen[0], shape, plate_height, truth)
+            found[name] = errors(taken, chosen, Path(folder), shape, truth)
     return found
 
 
-def errors(folder: Path, picture: PhonePicture, shape: Drape, plate_height: Metres,
+def errors(taken: Taken, chosen: list[PhonePicture], folder: Path, shape: Drape,
            truth: np.ndarray) -> dict:
-    """Errors of a capture whose first picture is given; ``refused`` has the sentence if it is not
-    read."""
+    """Errors of a capture of ``chosen`` pictures; ``refused`` has the sentence if it is not read.
+    """
     try:
-        read = read_capture(folder)
+        read = taken.read(chosen, folder)
     except InputError as error:
         return {"refused": str(error).split("outline.jpg: ")[-1]}
-    outline, place = read.outline, picture.pose.place - np.array([0, 0, plate_height])
+    outline, place, warp = read.outline, taken.place(chosen[0]), chosen[0].warp
     assert outline and outline.hem is not None and outline.to_pixels is not None
     seen = mapped(outline.hem, np.linalg.inv(outline.to_pixels))
-    true_axis = true_radii(shape, picture.warp, np.zeros(2), place[2])
+    true_axis, true_seen = (true_radii(shape.positions, shape.mesh.edges, warp, beside, place[2])
+                            for beside in (np.zeros(2), place[:2]))
     perfect = PhotographedOutline(curve_of(true_axis), place[2], True, outline.rig)
-    alpha, sure = _log_alpha(outline, picture.warp)
-    best, _ = _log_alpha(perfect, picture.warp)
+    alpha, sure = _log_alpha(outline, warp)
+    best, _ = _log_alpha(perfect, warp)
     off = outline.radii - true_axis
     return {
         "refused": "", "warnings": texts(read.warnings), "codes": [one.code for one in
                                                                    read.warnings],
-        "reading_mm": _rms(PhotographedOutline(seen, np.inf, True, outline.rig).radii
-                           - true_radii(shape, picture.warp, place[:2], place[2])),
+        "reading_mm": _rms(PhotographedOutline(seen, np.inf, True, outline.rig).radii - true_seen),
         "outline_mm": _rms(off), "height_error": outline.height / place[2] - 1,
         "stated_error": None if outline.error is None else float(
             np.sqrt(np.square(off / outline.error).mean())),
         "alpha_error": (alpha - best).tolist(), "truth_error": (alpha - truth).tolist(),
         "deviation": sure.tolist()}
-
-
-def lean_of(picture: PhonePicture, plate_height: Metres) -> float:
-    """Place beside the axis over the height above the plate."""
-    x, y, z = picture.pose.place
-    return float(np.hypot(x, y) / (z - plate_height))
 
 
 def real_texture(rng: np.random.Generator) -> textures.Texture | None:
@@ -115,14 +96,6 @@ def real_texture(rng: np.random.Generator) -> textures.Texture | None:
     row, column = (side // 2 for side in picture.shape[:2])
     patch = picture[row - _PATCH : row + _PATCH, column - _PATCH : column + _PATCH]
     return textures.of_picture(decoded(patch / 255.0), _PIXEL)
-
-
-def true_radii(shape: Drape, warp: float, beside: np.ndarray, height: Metres) -> np.ndarray:
-    """Radii (720,), m, in the plane of the plate, of what a camera sees from a ``height`` above it
-    and a place (2,) ``beside`` its axis, with the warp turned."""
-    cos, sin = np.cos(warp), np.sin(warp)
-    points = shape.positions @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1.0]])
-    return silhouette(points, shape.mesh.edges, beside, height, azimuths=AZIMUTHS)
 
 
 def curve_of(radius: np.ndarray) -> Outline:

@@ -23,6 +23,7 @@ from data.dataset import generate
 from data.dataset.config import Options
 from data.dataset.inspect import InspectConfig
 from data.dataset.off_axis import OffAxisConfig
+from data.dataset.reading import ReadingConfig
 from data.fabrics.prior.__main__ import FitConfig
 from drapenet.config import EvaluateConfig, ExportConfig, InferConfig, ServeConfig, TrainConfig
 
@@ -31,7 +32,8 @@ SCHEMAS = {"cantilever_estimate": EstimateConfig, "cantilever_hang": HangConfig,
            "capture": CaptureConfig, "drape": DrapeConfig, "evaluate": EvaluateConfig,
            "export": ExportConfig, "generate": Options,
            "infer": InferConfig, "inspect": InspectConfig, "off_axis": OffAxisConfig,
-           "prior_fit": FitConfig, "serve": ServeConfig, "train": TrainConfig}
+           "prior_fit": FitConfig, "reading": ReadingConfig, "serve": ServeConfig,
+           "train": TrainConfig}
 
 
 @dataclass

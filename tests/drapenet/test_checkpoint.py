@@ -52,7 +52,8 @@ def batch_of_sets(group: list[int]) -> Batch:
         return rng.random((count, *shape), np.float32)
 
     return Batch(0.3 + 0.1 * drawn(AZIMUTHS, ELEVATIONS), drawn(AZIMUTHS, ELEVATIONS),
-                 drawn(AZIMUTHS), np.ones(count, np.float32), drawn(FACTS + ASPECTS),
+                 drawn(AZIMUTHS), drawn(AZIMUTHS), np.ones(count, np.float32),
+                 drawn(FACTS + ASPECTS),
                  np.array(group), np.zeros((count, 0, 0, 0), np.float32), drawn(), drawn(SHAPE))
 
 

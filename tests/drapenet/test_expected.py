@@ -42,7 +42,7 @@ def test_of_a_single_view_the_coefficient_alone_is_compared():
                   coefficient=0.4 * two, nodes=nothing, group=np.arange(2))
     maps = np.zeros((2, len(AZIMUTH), ELEVATIONS))
     outline = np.tile(0.75 + 0.06 * np.cos(7 * AZIMUTH), (2, 1))
-    batch = Batch.of(maps, maps, outline, facts, np.zeros((2, 0, 1, 1)), 0 * two)
+    batch = Batch.of(maps, maps, outline, 0 * outline, facts, np.zeros((2, 0, 1, 1)), 0 * two)
     assert np.isfinite(batch.shape).tolist() == [[True, *[False] * 4], [*[True] * 4, False]]
 
 
