@@ -2,12 +2,12 @@
 convexity, line search and ending. Saddle points end it.
 
 Steps are taken in lock by the drapes in a number of slots; one that has ended leaves its slot to
-the next that waits, so that batches are full until none waits. No drape's steps depend on others,
-but for the rounding errors of sums in batches of other sizes.
+the next that waits. No drape's steps depend on others, but for the rounding errors of sums.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -143,7 +143,7 @@ class Minimisation:
         self.potential = self.whole.take(self._index(self.live))
         return len(self.live) > 0
 
-    def _begun(self, drapes: np.ndarray) -> tuple[np.recarray, Value]:
+    def _begun(self, drapes: np.ndarray) -> tuple[Any, Value]:
         """What is remembered of ``drapes`` (B,) that begin, and their start."""
         track, index = np.zeros(len(drapes), _TRACK).view(np.recarray), self._index(drapes)
         track.level, track.patience, track.residual, track.step = self.last, 1, np.inf, np.inf
