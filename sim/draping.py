@@ -29,7 +29,7 @@ from sim.mesh.specimen import (
 )
 from sim.rig import Rig
 from sim.scene import Scene
-from sim.solver.newton import NewtonOptions, NewtonResult, Status
+from sim.solver.newton import NUMERICAL_ERRORS, NewtonOptions, NewtonResult, Status
 from sim.solver.state import State
 from sim.start import (
     LOWERED,
@@ -166,7 +166,7 @@ def drape(
             scenes = run.scenes(min(coarsest, longest_edge(run.rig, run.offset)))
             equilibrium, coarse = run.settled(scenes, borrowed=borrowed, start=start,
                                               seed=run.seed)
-    except (ArithmeticError, np.linalg.LinAlgError) as error:
+    except NUMERICAL_ERRORS as error:
         equilibrium, coarse = run.failed(error), []
     return run.made(equilibrium, coarse, time.perf_counter() - began, keep=keep)
 

@@ -2,12 +2,17 @@
 
     python tools/gpu_drapes.py prepare FILE            # fabrics of the prior, minima of the CPU
     python tools/gpu_drapes.py run FILE [--device cuda] [--count 256] [--cores N] [--out DIR]
+    python tools/gpu_drapes.py count FILE --device cpu --count 64 --slots 8 --edge-mm 14
 
 ``run`` writes ``gpu_drapes.json`` and the drapes' positions, ``drapes.npz``, to DIR or $OUT. It
 needs PyTorch, NumPy, SciPy, Numba and tqdm only. With --cores N, N processes simulate the same
 drapes on the CPU, which needs pypardiso, too, and continue those that the accelerator does not
 finish. Without ipctk, self-intersections are not looked for, and without both, unfinished drapes
 are not continued; ``check FILE --out DIR`` looks for intersections later.
+
+``in_lock`` is the number of steps that the slots take together, times the slots over all steps of
+all drapes: 1 if no slot is ever empty. It hardly depends on the mesh, and not on the device:
+``count`` counts for a disc that is not continued, on any machine.
 """
 
 import argparse
@@ -79,6 +84,12 @@ def prepare(file: Path, count: int, near: int) -> None:
     np.savez_compressed(file, **arrays)
 
 
+def fabrics_of(file: Path) -> list[Fabric]:
+    """Those that are prepared in a file."""
+    data = np.load(file)
+    return [Fabric(*moduli) for moduli in zip(data["alpha"], data["beta"], strict=True)]
+
+
 class Clock:
     """Seconds and calls of parts of a program; on a device each part is waited for."""
 
@@ -135,9 +146,9 @@ def watched(clock: Clock, places: tuple):
             setattr(owner, attribute, function)
 
 
-def planned(rig, fabrics: list[Fabric]) -> list[dict]:
+def planned(rig, fabrics: list[Fabric], edge: float = EDGE) -> list[dict]:
     """The arguments of their drapes."""
-    return [{"fabric": fabric, "rig": rig, "edge": EDGE, "seed": k * TOPOLOGIES}
+    return [{"fabric": fabric, "rig": rig, "edge": edge, "seed": k * TOPOLOGIES}
             for k, fabric in enumerate(fabrics)]
 
 
@@ -170,7 +181,25 @@ def on_cores(rig, fabrics: list[Fabric], cores: int, pool: Executor) -> dict:
             "iterations": iterations.tolist()}
 
 
-def measure(rig, fabrics: list[Fabric], device: str) -> tuple[dict, np.ndarray]:
+def in_lock(clock: Clock, drapes: list[Drape], slots: int) -> dict:
+    """Steps of the slots, the mean number of a drape's, and their ratio for equal work."""
+    steps, mean = clock.calls["iterations"], float(np.mean([one.iterations for one in drapes]))
+    slots = min(slots, len(drapes))
+    return {"slots": slots, "steps": steps, "steps_per_drape": round(mean, 1),
+            "in_lock": round(steps * slots / len(drapes) / mean, 3)}
+
+
+def counted(fabrics: list[Fabric], device: str, slots: int, edge: float) -> dict:
+    """The steps of discs of some ``fabrics``."""
+    clock = Clock(device)
+    with watched(clock, PARTS[-1:]), as_they_are(0) as pool:
+        drapes = batched.drape_batch(planned(DISC_RIG, fabrics, edge), device, pool=pool,
+                                     slots=slots)
+    return in_lock(clock, drapes, slots) | {
+        "statuses": Counter(one.status.value for one in drapes)}
+
+
+def measure(rig, fabrics: list[Fabric], device: str, slots: int) -> tuple[dict, np.ndarray]:
     """Speed of a batch, by stage, then by part of an iteration; its positions."""
     plans, report = planned(rig, fabrics), {}
     for kind, places in (("stages", STAGES), ("parts", PARTS)):
@@ -178,7 +207,7 @@ def measure(rig, fabrics: list[Fabric], device: str) -> tuple[dict, np.ndarray]:
             torch.cuda.reset_peak_memory_stats()
         clock, began = Clock(device), time.perf_counter()
         with watched(clock, places):
-            drapes = batched.drape_batch(plans, device)
+            drapes = batched.drape_batch(plans, device, slots=slots)
         seconds = time.perf_counter() - began
         report[kind] = {"seconds": round(seconds, 2), "drapes_per_s": round(
             sum(one.converged for one in drapes) / seconds, 2), "of": clock.table()}
@@ -186,7 +215,8 @@ def measure(rig, fabrics: list[Fabric], device: str) -> tuple[dict, np.ndarray]:
             report[kind]["peak_GB"] = round(torch.cuda.max_memory_allocated() / 1e9, 2)
     iterations = np.array([one.iterations for one in drapes])
     report |= {
-        "drapes": len(drapes), "verified": sum(one.converged for one in drapes),
+        "drapes": len(drapes), "pool": in_lock(clock, drapes, slots),
+        "verified": sum(one.converged for one in drapes),
         "statuses": Counter(one.status.value for one in drapes),
         "coarse": Counter("/".join(status.value for status in one.coarse) for one in drapes),
         "iterations": np.percentile(iterations, (0, 50, 90, 100)).tolist(),
@@ -215,14 +245,14 @@ def compare(rig, fabrics: list[Fabric], minima: np.ndarray, device: str) -> dict
 
 
 def run(
-    file: Path, device: str, count: int, out: Path, *, cores: int, pool: Executor | None
+    file: Path, device: str, count: int, out: Path, *, slots: int, cores: int,
+    pool: Executor | None
 ) -> None:
     """All measurements; the first, of few drapes, is to warm up."""
     intersections = find_spec("ipctk") is not None
     if not intersections:
         batched.self_intersections, batched.worker_pool = lambda *_: (), as_they_are
-    data = np.load(file)
-    fabrics = [Fabric(*moduli) for moduli in zip(data["alpha"], data["beta"], strict=True)]
+    data, fabrics = np.load(file), fabrics_of(file)
     report = {"torch": torch.__version__, "device": device if device == "cpu" else
               torch.cuda.get_device_name(), "intersections_checked": intersections}
     print(report, flush=True)
@@ -237,7 +267,7 @@ def run(
         if device != "cpu":
             batched.drape_batch(planned(rig, fabrics[:2]), device)
         warm_up = time.perf_counter() - began
-        measured, positions[rig.name] = measure(rig, fabrics[:count], device)
+        measured, positions[rig.name] = measure(rig, fabrics[:count], device, slots)
         report[rig.name] = {"warm_up_s": round(warm_up, 2), "beside": comparison} | measured
         if pool:
             report[rig.name]["on_cores"] = on_cores(rig, fabrics[:count], cores, pool)
@@ -259,10 +289,12 @@ def check(out: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("prepare", "run", "check"))
+    parser.add_argument("what", choices=("prepare", "run", "count", "check"))
     parser.add_argument("file", type=Path)
     parser.add_argument("--device", default="cuda")
     parser.add_argument("--count", type=int, default=256)
+    parser.add_argument("--slots", type=int, default=batched.SLOTS)
+    parser.add_argument("--edge-mm", type=float, default=1e3 * EDGE)
     parser.add_argument("--cores", type=int, default=0)
     parser.add_argument("--near", type=int, default=NEAR)
     parser.add_argument("--out", type=Path, default=Path(os.environ.get("OUT", ".")))
@@ -271,7 +303,11 @@ def main() -> None:
         prepare(words.file, FABRICS, words.near)
     elif words.what == "run":
         with worker_pool(words.cores) if words.cores else nullcontext() as pool:
-            run(words.file, words.device, words.count, words.out, cores=words.cores, pool=pool)
+            run(words.file, words.device, words.count, words.out, slots=words.slots,
+                cores=words.cores, pool=pool)
+    elif words.what == "count":
+        print(json.dumps(counted(fabrics_of(words.file)[: words.count], words.device, words.slots,
+                                 words.edge_mm / 1e3)))
     else:
         check(words.out)
 

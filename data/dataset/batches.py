@@ -1,9 +1,12 @@
 """Drapes of a dataset made in batches on an accelerator (:mod:`sim.batched`).
 
-A window of shards is planned at once, so that batches are large: many drapes share a mesh. Worker
-processes then make the records, whose derivatives need factors of their own, and write the shards,
-while the drapes of the next window are made. An interruption costs a window. Drapes equal those of
-the CPU up to rounding, which may choose other folds, so that the device is a setting of a dataset.
+A window of shards is planned at once, so that many drapes share a triangulation: they are a pool,
+in which a drape that is done makes room for the next. Worker processes then make the records, whose
+derivatives need factors of their own, and write the shards, while the drapes of the next window are
+made. An interruption costs a window.
+
+The same seeds give the same plans on all devices. Drapes equal those of the CPU up to rounding,
+which may choose other folds, so that the device is a setting of a dataset.
 """
 
 from collections.abc import Sequence
@@ -16,8 +19,8 @@ from data.dataset.simulate import drape_words
 from sim.start import LOWERED
 
 WINDOW = 16000
-"""Drapes, at least, of a window; a batch holds those of one of up to 32 triangulations of a tester,
-and one of fewer than 100 drapes is slower than the cores of a CPU."""
+"""Drapes, at least, of a window; those of one of up to 32 triangulations of a tester take steps
+together, and fewer than 100 are slower than the cores of a CPU."""
 
 
 class ReadyDrapes:

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from common.arguments import whole_number
 from common.workers import worker_pool
 from sim.batched.lowered import columns, lowered
 from sim.batched.newton import Outcome, minimise
@@ -26,35 +27,39 @@ from sim.lowering import LOWERING_MESHES, LoweringMesh, nearest_triangles
 from sim.mesh import Mesh
 from sim.rig import Rig
 from sim.scene import Scene
-from sim.solver.newton import NewtonOptions, Status
+from sim.solver.newton import NUMERICAL_ERRORS, Status
 from sim.solver.state import State
 from sim.start import LOWERED, interpolate_positions
 
-BATCH = 2_900_000
+SLOTS = 256
+"""Most drapes at once, the batch that was measured (``tools/gpu_drapes.py``): with more of them a
+step takes longer, with fewer hardly less, as it takes 12 ms or more for its launches."""
+UNKNOWNS = 2_900_000
 """Most unknowns of drapes at once, which have fewer than 65 536 fronts on a level, a limit of some
 libraries: 580 drapes of a mesh of 5 000."""
-_STRAGGLERS = (0.1, 0.02)
-"""Shares of drapes whose minimisation, on a coarser and the final mesh, is ended when the others
-have converged: a few take as long as many. Then they are continued on the final mesh, or on the
-CPU."""
-MAX_ITERATIONS = 150  # on the final mesh, after which a drape is continued on the CPU
+MAX_ITERATIONS = 100
+"""Of a minimisation: then a drape is continued on the next mesh, from the final one on the CPU."""
 _UNFINISHED = (Status.MAX_ITERATIONS, Status.SADDLE)
 _OTHERS = {"start", "borrowed", "keep"}  # arguments of a drape that have no effect here
 
 
 def drape_batch(
     plans: Sequence[Mapping[str, Any]], device: str | torch.device = "cuda", *, workers: int = 1,
-    pool: Executor | None = None
+    pool: Executor | None = None, slots: int = SLOTS
 ) -> list[Drape]:
     """The drapes of ``plans``, arguments of :func:`sim.draping.drape` by name, in their order, as
     :func:`sim.many.drape_many` gives them up to rounding, which may choose other folds.
+
+    As many drapes of one triangulation as there are ``slots`` take their steps at once; those that
+    end a lowering or minimisation make room for the next.
 
     Meanwhile ``workers`` processes on the CPU, or those of a ``pool``, simulate those that are not
     covered (:func:`covers`), and continue those that intersect themselves or are not finished. A
     script calls this below ``if __name__ == "__main__":``.
     """
+    slots = whole_number("slots", slots, 1)
     groups: dict[tuple, list[tuple[int, Run]]] = {}
-    drapes: list[Drape | None] = [None] * len(plans)
+    drapes: dict[int, Drape] = {}
     with nullcontext(pool) if pool else worker_pool(workers) as executor:
         calls = {index: executor.submit(drape, **plan)
                  for index, plan in enumerate(plans) if not covers(plan)}
@@ -66,27 +71,24 @@ def drape_batch(
                    type(run.laws.membrane))
             groups.setdefault(key, []).append((index, run))
         for group in groups.values():
-            size = _batch(group[0][1].scene(group[0][1].edge).mesh)
-            for first in range(0, len(group), size):
-                indices, runs = zip(*group[first : first + size], strict=True)
-                for index, run, made in zip(indices, runs, _draped(runs, device), strict=True):
-                    drapes[index] = made
-                    if made.status in _UNFINISHED or (made.converged and len(
-                            self_intersections(made.positions, made.faces))):
-                        calls[index] = executor.submit(_continued, made, run.options)
-        for index, call in calls.items():
-            drapes[index] = call.result()
-    return [made for made in drapes if made]
+            indices, runs = zip(*group, strict=True)
+            mesh = runs[0].scene(runs[0].edge).mesh
+            most = max(1, min(slots, UNKNOWNS // (3 * len(mesh.rest) + len(mesh.edges))))
+            for index, run, made in zip(indices, runs, _draped(runs, device, most), strict=True):
+                drapes[index] = made
+                if made.status in _UNFINISHED or (made.converged and len(
+                        self_intersections(made.positions, made.faces))):
+                    calls[index] = executor.submit(_continued, made, run)
+        drapes |= {index: call.result() for index, call in calls.items()}
+    return [drapes[index] for index in range(len(plans))]
 
 
-def _batch(mesh: Mesh) -> int:
-    """Largest number of drapes at once on a mesh."""
-    return max(1, BATCH // (3 * len(mesh.rest) + len(mesh.edges)))
-
-
-def _continued(made: Drape, options: NewtonOptions) -> Drape:
+def _continued(made: Drape, run: Run) -> Drape:
     """The drape near an unfinished one, with self-contact where it is needed."""
-    near = follow(made, made.fabric, options=options)
+    try:
+        near = follow(made, made.fabric, options=run.options)
+    except NUMERICAL_ERRORS as error:
+        return run.made(run.failed(error), made.coarse, made.seconds)
     return replace(near, coarse=made.coarse, outcome=near.after(made).outcome,
                    seconds=made.seconds + near.seconds)
 
@@ -102,20 +104,20 @@ def covers(plan: Mapping[str, Any]) -> bool:
     return known and begun and (plan.get("rig") or Rig()).has_plate
 
 
-def _draped(runs: Sequence[Run], device: str | torch.device) -> list[Drape]:
+def _draped(runs: Sequence[Run], device: str | torch.device, slots: int) -> list[Drape]:
     """The drapes of a group, as by :meth:`sim.draping.Run.lowered`."""
     drapes: dict[int, Drape] = {}
     for mesh in LOWERING_MESHES:
         chosen = [k for k, run in enumerate(runs) if run.is_lowered_on(mesh) and not (
             k in drapes and (drapes[k].converged or drapes[k].status in _UNFINISHED))]
         if chosen:
-            settled = _settled([runs[k] for k in chosen], mesh, device)
+            settled = _settled([runs[k] for k in chosen], mesh, device, slots)
             drapes.update(zip(chosen, settled, strict=True))
     return [drapes[k] for k in range(len(runs))]
 
 
 def _settled(
-    runs: list[Run], mesh: LoweringMesh, device: str | torch.device
+    runs: list[Run], mesh: LoweringMesh, device: str | torch.device, slots: int
 ) -> list[Drape]:
     """The drapes of cloth lowered on ``mesh``, then on finer ones."""
     began = time.perf_counter()
@@ -129,7 +131,7 @@ def _settled(
         potential = BatchedPotential(cloths, device)
         if before is None:
             outcomes.append(lowered(potential, scenes, [run.rig for run in runs],
-                                    [run.seed for run in runs]))
+                                    [run.seed for run in runs], slots=slots))
             x = outcomes[-1].x
         else:
             x = prolonged(before.mesh, scene.mesh, not mesh.limp).to(x) @ x
@@ -141,15 +143,13 @@ def _settled(
                 outcomes[0].origin[:, near] * torch.from_numpy(weight[..., None]).to(x)).sum(2))
         options = runs[0].options if last else COARSE_OPTIONS
         options = replace(options, max_iterations=min(options.max_iterations, MAX_ITERATIONS))
-        outcomes.append(minimise(potential, x, potential.normals(x), options,
-                                 least=int(_STRAGGLERS[last] * len(runs))))
+        outcomes.append(minimise(potential, x, potential.normals(x), options, slots=slots))
         outcomes[-1].origin = potential.tensors.get("origin")
         x, before = outcomes[-1].x, scene
-    found = [equilibrium_of(k, run, scenes[-1], outcomes)
-             for k, (run, scenes) in enumerate(zip(runs, by_run, strict=True))]
     seconds = (time.perf_counter() - began) / len(runs)
-    return [run.made(equilibrium, [outcome.results[k].status for outcome in outcomes[1:-1]],
-                     seconds) for k, (run, equilibrium) in enumerate(zip(runs, found, strict=True))]
+    return [run.made(equilibrium_of(k, run, scenes[-1], outcomes), [
+        outcome.results[k].status for outcome in outcomes[1:-1]], seconds)
+            for k, (run, scenes) in enumerate(zip(runs, by_run, strict=True))]
 
 
 def equilibrium_of(k: int, run: Run, scene: Scene, outcomes: list[Outcome]) -> Equilibrium:
@@ -158,8 +158,7 @@ def equilibrium_of(k: int, run: Run, scene: Scene, outcomes: list[Outcome]) -> E
     positions, normals = (array[..., k].T.cpu().numpy().copy() for array in (last.x, last.n))
     steps = sum(outcome.results[k].iterations for outcome in outcomes)
     if last.origin is not None and last.origin[..., k].any():
-        origin = last.origin[..., k].T.cpu().numpy().copy()
-        laws = laws.with_origin(origin)
+        laws = laws.with_origin(last.origin[..., k].T.cpu().numpy().copy())
     state = State(positions, normals)
     return Equilibrium(cloth=Cloth(scene, run.fabric, laws=laws), state=state,
                        outcome=replace(last.results[k], q=state.q, iterations=steps))

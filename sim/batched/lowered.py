@@ -13,53 +13,47 @@ from sim.lowering import GAP, MAX_STEPS, RING_STIFFNESS, SETTLING, STEP, on_ring
 from sim.rig import GRAVITY, Rig
 from sim.scene import Scene
 from sim.solver.dynamics import STEP_OPTIONS
-from sim.solver.newton import NewtonResult, Status
+from sim.solver.newton import Status
 
 
 def lowered(
-    potential: BatchedPotential, scenes: Sequence[Scene], rigs: Sequence[Rig], seeds: Sequence[int]
+    potential: BatchedPotential, scenes: Sequence[Scene], rigs: Sequence[Rig], seeds: Sequence[int],
+    *, slots: int | None = None
 ) -> Outcome:
     """The states and the number of steps of lowered cloths, as by :func:`sim.lowering.lowered` with
-    time steps as long as the relaxation time. A drape leaves when it has settled, or at a step that
-    is not finite; speeds differ, and so do the numbers of steps."""
+    time steps as long as the relaxation time, of as many at once as there are ``slots`` (None:
+    all). A drape leaves when it has settled, or at a step that is not finite."""
     flat, speeds, times = zip(*(on_ring(scene, rig, seed=seed) for scene, rig, seed in zip(
         scenes, rigs, seeds, strict=True)), strict=True)
     x = columns(flat).to(potential.free.device)
     speed, step = (torch.from_numpy(np.array(values)).to(x) for values in (speeds, times))
-    n, step, live = potential.normals(x), STEP * step, np.arange(len(seeds))
-    free = torch.from_numpy(~scenes[0].held).to(x)[:, None]
+    before, n, step, still = x.clone(), potential.normals(x), STEP * step, torch.zeros_like(step)
+    count, free = torch.zeros_like(step), torch.from_numpy(~scenes[0].held).to(x)[:, None]
     weights = potential.tensors["weights"]
     potential = potential.having(
         inertia=weights / GRAVITY / step**2, ring=RING_STIFFNESS * weights * free,
-        speed=speed, step=step, still=0 * step, velocity=torch.zeros_like(x))
-    origin = potential.tensors.get("origin")
-    unfinished = NewtonResult(np.empty(0), Status.MAX_ITERATIONS, "")
-    end = Outcome(x.clone(), n.clone(), [unfinished] * len(live),
-                  None if origin is None else origin.clone())
-    for count in range(1, MAX_STEPS + 1):
-        tensors = potential.tensors
-        step, height = tensors["step"], -GAP - tensors["speed"] * tensors["step"] * count
-        potential = potential.having(aim=x + step * tensors["velocity"], height=height)
-        after = minimise(potential, x, n, STEP_OPTIONS)
-        velocity = (after.x - x) / step
-        x, n = after.x, after.n
-        touched = ((height > x[2]) & (free > 0)).any(0)
-        still = torch.where(touched, 0.0, tensors["still"] + 1)
-        potential = potential.slid(x, n).having(velocity=velocity, still=still)
-        over = (still >= SETTLING / STEP).cpu().numpy()
-        over |= [result.status is Status.NOT_FINITE for result in after.results]
-        over |= count == MAX_STEPS
-        for k in np.flatnonzero(over):
-            end.results[live[k]] = replace(after.results[k], iterations=count)
-        gone, stay, where = (torch.from_numpy(index).to(x.device) for index in (
-            np.flatnonzero(over), np.flatnonzero(~over), live[over]))
-        end.x[..., where], end.n[..., where] = x[..., gone], n[..., gone]
-        if end.origin is not None:
-            end.origin[..., where] = potential.tensors["origin"][..., gone]
-        if over.all():
-            break
-        if over.any():
-            x, n, potential, live = x[..., stay], n[..., stay], potential.take(stay), live[~over]
+        aim=x.clone(), height=-GAP - speed * step)
+    tensors = potential.tensors
+
+    def again(drapes: np.ndarray, after: Outcome) -> np.ndarray:
+        """The next time step of drapes (K,): which of them take one."""
+        k, x = torch.from_numpy(drapes).to(free.device), after.x
+        touched = ((tensors["height"][k] > x[2]) & (free > 0)).any(0)
+        still[k] = torch.where(touched, 0.0, still[k] + 1)
+        count[k] += 1
+        if "origin" in tensors:
+            slid = potential.take(k).slid(x, after.n).tensors["origin"]
+            tensors["origin"] = tensors["origin"].index_copy(-1, k, slid)
+        # They go on as fast as in the step from ``before``.
+        tensors["aim"][..., k], before[..., k] = 2 * x - before[..., k], x
+        tensors["height"][k] = -GAP - (speed * step * (count + 1))[k]
+        over = ((still[k] >= SETTLING / STEP) | (count[k] >= MAX_STEPS)).cpu().numpy()
+        return ~over & [result.status is not Status.NOT_FINITE for result in after.results]
+
+    end = minimise(potential, x, n, STEP_OPTIONS, slots=slots, resume=again)
+    end.results = [replace(result, iterations=int(steps))
+                   for result, steps in zip(end.results, count.tolist(), strict=True)]
+    end.origin = tensors.get("origin")
     return end
 
 

@@ -36,15 +36,18 @@ _PLACES = np.array([[2, 0, 1], [1, 2, 0], [0, 1, 2]])
 
 @dataclass
 class Value:
-    """Energy (B,), J, its gradient (n, B) and the triangles' angles (3, T, B), rad."""
+    """States x and n, their energy (B,), J, its gradient (n, B) and the angles of the triangles
+    (3, T, B), rad."""
 
+    x: Tensor
+    n: Tensor
     energy: Tensor
     gradient: Tensor
     angles: Tensor
 
-    def take(self, drapes: Tensor) -> "Value":
-        """The values of some of the drapes, by index."""
-        return Value(*(value[..., drapes] for value in vars(self).values()))
+    def __getitem__(self, drapes: tuple) -> "Value":
+        """Those of some of the drapes, as of a tensor: ``value[..., index]``."""
+        return Value(*(value[drapes] for value in vars(self).values()))
 
     def replaced(self, drapes: Tensor, new: "Value") -> "Value":
         """A copy with other values of some of the drapes."""
@@ -227,7 +230,7 @@ class BatchedPotential:
         return contracted(self.tensors["form"][:, :, None], moments[:, None])[:, 0]
 
     def evaluate(self, x: Tensor, n: Tensor) -> Value:
-        """Energy, gradient and angles."""
+        """Energy, gradient and angles at states."""
         tensors, shape = self.tensors, _Shape(self, x, n)
         density, stress, _ = laws.plate(shape.curvatures, tensors)
         value, slope, _ = laws.barrier(shape.angles, tensors["pole"])
@@ -255,7 +258,7 @@ class BatchedPotential:
             energy = energy + (tensors["ring"] * below**3).sum(0) / 3
             on_vertices += (tensors["inertia"] * off).transpose(0, 1)
             on_vertices[:, 2] -= tensors["ring"] * below**2
-        return Value(energy, forces[self.free], shape.angles)
+        return Value(x, n, energy, forces[self.free], shape.angles)
 
     def hessian(self, x: Tensor, n: Tensor, convexity: Tensor, shift: Tensor) -> Tensor:
         """CSR data (nnz, B) of the Hessians with each drape's ``convexity`` and ``shift`` (B,), as

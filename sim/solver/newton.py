@@ -30,6 +30,10 @@ class Status(str, Enum):
     EXCEPTION = "exception"
 
 
+NUMERICAL_ERRORS = (ArithmeticError, np.linalg.LinAlgError)
+"""Exceptions of a single simulation, which ends with the status EXCEPTION; others continue."""
+
+
 class Model(Protocol):
     """The Hessian at one state."""
 
