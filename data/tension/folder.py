@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
@@ -32,12 +33,18 @@ class TensionSet:
         known: other values of the fabric.
     """
 
+    kind: ClassVar[str] = "tension"
     path: Path
     density: Density
     strips: tuple[MeasuredExtension, ...]
     shear: float | None
     known: Known | None
     labels: Labels
+
+    @property
+    def directions(self) -> list[str]:
+        """Those of the strips."""
+        return list(dict.fromkeys(DIRECTIONS[strip.direction] for strip in self.strips))
 
     @property
     def along_yarns(self) -> bool:
@@ -51,8 +58,9 @@ class TensionSet:
     def loads(self, found: TensionEvidence) -> dict[str, float]:
         """For each direction the weight, g, that stretches its first strip by :data:`AIM`."""
         warp, weft, shear = np.exp(found.posterior.mean)
-        return {DIRECTIONS[strip.direction]: 1e3 * strip.width / STANDARD_GRAVITY * (
-            found.friction[strip.direction] + strip.needed((warp, weft, shear), found.poisson, AIM))
+        return {DIRECTIONS[strip.direction]: float(1e3 * strip.width / STANDARD_GRAVITY * (
+            found.friction[strip.direction]
+            + strip.needed((warp, weft, shear), found.poisson, AIM)))
             for strip in reversed(self.strips)}
 
 

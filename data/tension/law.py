@@ -37,8 +37,9 @@ DEFICITS = np.array([
 """By :data:`SOFTNESS` and :data:`MARGINS`, what is missing between two marks that lie as far inside
 their clamps, in widths of the strip: simulated by :func:`sim.tension.pull` on strips of four
 widths, E_warp = E_weft and nu 0.3, at small extensions, with meshes of 24 and 48 cells across, or
-48 and 80 below q = 0.01, extrapolated. On strips of two and eight widths it is the same to 0.02; nu from 0 to
-0.5 and yarns that differ by 2.5 times change it by 0.03, extensions of 10 % by 0.04."""
+48 and 80 below q = 0.01, extrapolated. On strips of two and eight widths it is the same to 0.02;
+nu from 0 to 0.5 and yarns that differ by 2.5 times change it by 0.03, extensions of 10 % by 0.04.
+"""
 
 
 def softness(warp: np.ndarray, weft: np.ndarray, shear: np.ndarray, poisson: np.ndarray | float

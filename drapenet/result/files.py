@@ -125,7 +125,8 @@ def capture_names(document: EstimateDocument) -> list[str]:
 
 
 def _sources(document: EstimateDocument) -> list[Path]:
-    strips = [each.source for each in document.strips or []]
+    strips = [each.source for each in [*(document.strips or []),
+                                       *filter(None, [document.tension])]]
     about = document.capture
     return [Path(source) for source in
             about.sources or ([about.source] if about.source else strips or [""])]
