@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -34,7 +34,7 @@ class StripSet:
         known: other values of the fabric.
     """
 
-    kind: ClassVar[str] = "strips"
+    kind: ClassVar[Literal["strips"]] = "strips"
     path: Path
     density: Density
     photographs: tuple[PhotographedStrip, ...]

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -33,7 +33,7 @@ class TensionSet:
         known: other values of the fabric.
     """
 
-    kind: ClassVar[str] = "tension"
+    kind: ClassVar[Literal["tension"]] = "tension"
     path: Path
     density: Density
     strips: tuple[MeasuredExtension, ...]

@@ -68,13 +68,14 @@ class MeasuredExtension:
 
     def reach(self, stiffness: tuple[np.ndarray, np.ndarray, np.ndarray], poisson: float
               ) -> np.ndarray:
-        """:func:`data.tension.law.reach` of its marks."""
+        """:func:`data.tension.law.reach` of its marks, of stiffnesses (...,), N/m."""
         return reach(self.direction, stiffness, poisson, gauge=self.gauge / self.width,
                      margin=self.margin / self.width)
 
     def needed(self, stiffness: tuple[np.ndarray, np.ndarray, np.ndarray], poisson: float,
                strain: float | None = None) -> float:
-        """Load, N/m, for the measured extension, or for another ``strain``, without friction."""
+        """Load, N/m, for the measured extension, or for another ``strain``, without friction, of
+        stiffnesses (1,), N/m, or numbers."""
         strain = self.extension / self.gauge if strain is None else strain
         return float(load(strain / self.reach(stiffness, poisson),
                           compliance(self.direction, stiffness, poisson)))

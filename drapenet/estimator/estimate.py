@@ -130,8 +130,8 @@ def estimate_source(
         result = estimate_capture(source, header, options, out=out, progress=progress,
                                   on_stage=on_stage)
         return result.estimate, Part(result.document, result.observed.seen)
-    estimate, document, found = (_of_tension if source.kind == "tension" else _of_strips)(
-        source, header)
+    estimate, document, found = (_of_tension(source, header) if source.kind == "tension" else
+                                 _of_strips(source, header))
     require_sound([*estimate.contradictions, *found], options.strict, str(source.path))
     if out:
         remove_report(out)

@@ -55,7 +55,7 @@ def read_sources(
     places: Iterable[Path], strips: str | Path = "", tension: str | Path = ""
 ) -> list[Source]:
     """The captures in the ``places``, and the hanging strips and those under weights of folders."""
-    of_strips = [*_strips(strips), *_tension(tension)]
+    of_strips: list[Source] = [*_strips(strips), *_tension(tension)]
     return [*(read_capture(path) for place in places for path in captures_in(place)), *of_strips]
 
 
@@ -63,7 +63,7 @@ def read_scans(
     files: Iterable[Path], specimen: Specimen, strips: str | Path = "", tension: str | Path = ""
 ) -> list[Source]:
     """The captures made of scans of a ``specimen``, and the strips as :func:`read_sources`."""
-    of_strips = [*_strips(strips), *_tension(tension)]  # first: scans need seconds
+    of_strips: list[Source] = [*_strips(strips), *_tension(tension)]  # first: scans need seconds
     from drapenet.surface.registration import read_scan_capture
 
     return [*(read_scan_capture(file, specimen) for file in files), *of_strips]

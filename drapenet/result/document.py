@@ -355,8 +355,13 @@ class EstimateDocument(Excerpt):
     @property
     def label(self) -> str:
         """Names the capture or the strips in sentences."""
-        return self.capture.source or next(
-            record.source for record in [*(self.strips or []), *filter(None, [self.tension])])
+        return self.capture.source or self.strip_folders[0]
+
+    @property
+    def strip_folders(self) -> list[str]:
+        """Folders of strips, hanging and under weights."""
+        return [*(each.source for each in self.strips or []),
+                *([self.tension.source] if self.tension else [])]
 
     @property
     def density(self) -> Density:
