@@ -72,9 +72,10 @@ class _Stated(Schema):
     def handling(self) -> list[str]:
         """Thickness and friction in words."""
         slopes = self.friction_deg.model_dump(exclude_none=True) if self.friction_deg else {}
-        return [f"thickness: {self.thickness_mm:g} mm at {self.thickness_kpa:g} kPa"
-                ] * bool(self.thickness_mm) + [
-                    f"slides on {name} at: {value:g}°" for name, value in slopes.items()]
+        found = [f"slides on {name} at: {value:g}°" for name, value in slopes.items()]
+        if self.thickness_mm is None:
+            return found
+        return [f"thickness: {self.thickness_mm:g} mm at {self.thickness_kpa:g} kPa", *found]
 
     @property
     def along_yarns(self) -> bool:

@@ -53,7 +53,8 @@ def test_alone_and_beside_strips_and_a_capture(tmp_path, capsys):
 
 
 def test_python_and_batches_take_the_folder(tmp_path):
-    tension = folder(tmp_path / "root" / "denim" / "strips")
+    tension = folder(tmp_path / "root" / "denim" / "strips",
+                     known={"friction_deg": {"fabric": 24}})
     assert drapenet.estimate(tension=tension).density == pytest.approx(0.21)
     infer.main([f"captures={tmp_path / 'root'}", f"out={tmp_path / 'out'}", "workers=1"])
     assert content(tmp_path / "out" / "denim")["tension"]["strips"] == 2
