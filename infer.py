@@ -4,6 +4,7 @@
     python infer.py capture=[DIR,DIR,...]      captures of one fabric: one estimate
     python infer.py scan=FILE [refine=simulation] [out=DIR]
     python infer.py strips=DIR [capture=...]   photographs of strips, alone or beside captures
+    python infer.py tension=DIR [capture=...]  strips under weights: stretch and shear
     python infer.py captures=ROOT out=DIR      FABRIC/SAMPLE/CAPTURE, or a CSV list: a table
     ... export=jfab,usd                        files for other tools as well, or export=all
 
@@ -65,14 +66,14 @@ def main(config: InferConfig) -> None:
 
 
 def sources_of(config: InferConfig) -> list[Source]:
-    """Read the captures, scans and strips that are named in ``config``."""
+    """Read captures, scans and strips that are named in ``config``."""
     named = config.scan or config.capture
     paths = [Path(str(path)) for path in (named if isinstance(named, list) else [named]) if named]
     if not config.scan:
-        return read_sources(paths, config.strips)
+        return read_sources(paths, config.strips, config.tension)
     stated = {key: value for key in Specimen.model_fields
               if (value := getattr(config, key)) is not None}
-    return read_scans(paths, Specimen.of(stated, ""), config.strips)
+    return read_scans(paths, Specimen.of(stated, ""), config.strips, config.tension)
 
 
 def print_estimate(document: EstimateDocument, folder: Path | None) -> None:
@@ -98,10 +99,11 @@ def options_of(config: InferConfig) -> EstimateOptions:
     sources = [key for key in ("capture", "captures", "scan") if getattr(config, key)]
     if len(sources) > 1:
         raise InputError(f"give {sources[0]}= or {sources[1]}=, not both")
-    if not (sources or config.strips):
+    if not (sources or config.strips or config.tension):
         raise InputError("capture= is missing; give the folder of the capture: capture=DIR")
-    if config.strips and config.captures:
-        raise InputError("give strips= or captures=, not both")
+    for key in ("strips", "tension"):
+        if getattr(config, key) and config.captures:
+            raise InputError(f"give {key}= or captures=, not both")
     for key in ("density_g_m2", "warp_direction_deg"):
         if not config.scan and getattr(config, key) is not None:
             raise InputError(f"{key}= is of a scan; state it in the capture's capture.yaml")

@@ -44,14 +44,16 @@ def load(path: str | Path) -> "Estimate":
 
 
 def estimate(
-    *captures: "str | Path | Capture", strips: str | Path = "", checkpoint: str | Path = "",
-    refine: bool = False, known: "Mapping[str, Any] | None" = None,
+    *captures: "str | Path | Capture", strips: str | Path = "", tension: str | Path = "",
+    checkpoint: str | Path = "", refine: bool = False,
+    known: "Mapping[str, Any] | None" = None,
 ) -> "Estimate":
     """Estimate one fabric as ``infer.py`` does, without writing files; InputError for bad input.
 
     Args:
         captures: their folders, or folders of captures, or captures made of arrays.
         strips: folder of photographed strips, beside captures or alone.
+        tension: folder of strips under weights (tension.yaml), likewise.
         checkpoint: FILE.safetensors of ``train.py``; empty: the bundled one.
         refine: whether captures are refined by simulation, half a minute each.
         known: values of the fabric, with the keys and checks of ``known`` in ``capture.yaml``; a
@@ -66,9 +68,10 @@ def estimate(
     from drapenet.estimator.read import read_sources, with_known
     from drapenet.network.checkpoint import read_header
 
-    require(strips=(strips, str | Path), checkpoint=(checkpoint, str | Path))
-    if not (captures or strips):
-        raise InputError("give a capture, or strips=FOLDER")
+    require(strips=(strips, str | Path), tension=(tension, str | Path),
+            checkpoint=(checkpoint, str | Path))
+    if not (captures or strips or tension):
+        raise InputError("give a capture, or strips=FOLDER, or tension=FOLDER")
     if kinds := {type(each).__name__ for each in captures
                  if not isinstance(each, str | Path | Capture)}:
         raise InputError(f"a capture is a folder or a Capture, not {', '.join(sorted(kinds))}; "
@@ -78,5 +81,5 @@ def estimate(
     read = [source for given in captures for source in (
         read_sources([Path(given)]) if isinstance(given, str | Path) else
         [checked_capture(given)])]
-    sources = with_known([*read, *read_sources([], strips)], known)
+    sources = with_known([*read, *read_sources([], strips, tension)], known)
     return estimate_fabric(sources, read_header(checkpoint), options)

@@ -86,6 +86,7 @@ class InferConfig:
     captures: str
     scan: Any
     strips: str
+    tension: str
     out: str
     checkpoint: str
     refine: dict[str, Any]

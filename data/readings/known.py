@@ -3,7 +3,7 @@
 
 from typing import Annotated, Any
 
-from pydantic import Field, create_model, field_validator
+from pydantic import Field, create_model, field_validator, model_validator
 
 from common.documents import Schema
 from data.readings import QUANTITIES
@@ -21,12 +21,32 @@ class ByDirection(Schema):
     weft: _Positive | None = None
 
 
+_Slope = Annotated[float, Field(ge=3, le=70)]
+
+
+class Friction(Schema):
+    """Slope, in degrees, at which a piece of the fabric begins to slide."""
+
+    fabric: _Slope | None = None  # on the fabric itself
+    board: _Slope | None = None
+
+
 class _Stated(Schema):
-    """At the fabric's density."""
+    """At the fabric's density; thickness and friction are not evidence, and go into exports."""
 
     remedy = ("known has values such as bending_length_mm: {warp: 22, weft: 18} or "
               "membrane_n_per_m: 600, and error_percent")
     error_percent: dict[str, Annotated[float, Field(gt=0, le=100)]] = Field(default_factory=dict)
+    thickness_mm: Annotated[float, Field(ge=0.03, le=10)] | None = None
+    thickness_kpa: Annotated[float, Field(ge=0.01, le=100)] | None = None
+    friction_deg: Friction | None = None
+
+    @model_validator(mode="after")
+    def _pressed(self) -> "_Stated":
+        if (self.thickness_mm is None) != (self.thickness_kpa is None):
+            raise ValueError("states half of a thickness; give thickness_mm and the pressure at "
+                             "which it was measured, thickness_kpa (a book on A4: about 0.2)")
+        return self
 
     @field_validator("error_percent")
     @classmethod
@@ -47,6 +67,15 @@ class _Stated(Schema):
             elif stated is not None:
                 found[name, 0] = stated
         return found
+
+    @property
+    def handling(self) -> list[str]:
+        """Thickness and friction in words."""
+        slopes = self.friction_deg.model_dump(exclude_none=True) if self.friction_deg else {}
+        found = [f"slides on {name} at: {value:g}°" for name, value in slopes.items()]
+        if self.thickness_mm is None:
+            return found
+        return [f"thickness: {self.thickness_mm:g} mm at {self.thickness_kpa:g} kPa", *found]
 
     @property
     def along_yarns(self) -> bool:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -33,6 +34,7 @@ class StripSet:
         known: other values of the fabric.
     """
 
+    kind: ClassVar[Literal["strips"]] = "strips"
     path: Path
     density: Density
     photographs: tuple[PhotographedStrip, ...]
@@ -44,6 +46,11 @@ class StripSet:
 
     def __len__(self) -> int:
         return len(self.photographs) + len(self.lengths)
+
+    @property
+    def along_yarns(self) -> bool:
+        """Whether warp and weft must be told apart."""
+        return len(self) > 0
 
     @property
     def curves(self) -> dict[str, list[DeflectionCurve]]:

@@ -12,6 +12,7 @@ from common.files import composed, path_named
 from common.tables import read_table
 from data.captures.reader import CAPTURE_FILES
 from data.strips.description import FILE as STRIPS
+from data.tension.description import FILE as TENSION
 
 COLUMNS = ("fabric", "sample", "capture")
 """Columns of a list; ``sample`` is optional, ``capture`` a folder relative to that of the list."""
@@ -38,8 +39,8 @@ def entries_of(source: Path) -> list[Entry]:
     """The captures of a tree FABRIC/SAMPLE/CAPTURE or of a CSV list, in a fixed order.
 
     In a tree, every folder that contains a file and no folders is a capture, or, with
-    ``strips.yaml``, strips of the fabric; faults are reported when it is read. FABRIC/CAPTURE and
-    CAPTURE alone are trees, too.
+    ``strips.yaml`` or ``tension.yaml``, strips of the fabric; faults are reported when it is read.
+    FABRIC/CAPTURE and CAPTURE alone are trees, too.
     """
     if any((source / mark).exists() for mark in CAPTURE_FILES):
         raise InputError(f"{source} is one capture: give capture={source}, or the folder of the "
@@ -67,7 +68,7 @@ def _tree(root: Path) -> Iterator[tuple[tuple[str, str, str], Path]]:
         # Links to a parent folder would recurse.
         folders[:] = sorted(inner for inner in folders if not inner.startswith(".") and
                             not folder.resolve().is_relative_to((folder / inner).resolve()))
-        if any(mark in files for mark in (*CAPTURE_FILES, STRIPS)):
+        if any(mark in files for mark in (*CAPTURE_FILES, STRIPS, TENSION)):
             folders.clear()
         elif folders or all(file.startswith(".") for file in files):
             continue

@@ -17,11 +17,13 @@ from drapenet.result.document import (
     CaptureRecord,
     EstimateDocument,
     StripsRecord,
+    TensionRecord,
 )
 from drapenet.result.estimate import Estimate
 
 if TYPE_CHECKING:
     from data.strips.folder import StripSet
+    from data.tension.folder import TensionSet
     from drapenet.report.drape import Resimulation
 
 
@@ -70,6 +72,17 @@ def describe_strips(
         warnings=[*estimate.warnings, *strips.warnings, *estimate.contradictions])
 
 
+def describe_tension(
+    estimate: Estimate, tension: "TensionSet", record: TensionRecord, header: Header
+) -> EstimateDocument:
+    """The document of the estimate of a fabric of which strips under weights alone are known."""
+    return EstimateDocument.from_estimate(
+        estimate, checkpoint=header.identity, tension=record,
+        capture=CaptureAbout(sources=[], rig="", labels=tension.labels,
+                             density_g_m2=record.density_g_m2),
+        warnings=[*estimate.warnings, *record.findings, *estimate.contradictions])
+
+
 def describe_jointly(
     estimate: Estimate, documents: Sequence[EstimateDocument], header: Header
 ) -> EstimateDocument:
@@ -91,6 +104,8 @@ def describe_jointly(
         CaptureRecord(capture=document.capture, moduli=document.moduli, warnings=document.warnings)
         for document in captures]} if captures else {}
     sections |= {"strips": records} if records else {}
+    if tension := next((document.tension for document in documents if document.tension), None):
+        sections["tension"] = tension
     rigs = dict.fromkeys(document.capture.rig for document in captures)
     return EstimateDocument.from_estimate(
         estimate, capture=CaptureAbout(

@@ -8,15 +8,17 @@ Each source, a capture or a folder of strips, is a :class:`Part` with files of i
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from common.errors import InputError
+from common.findings import Finding
 from common.normal import Normal
 from data.captures.capture import Capture
 from drapenet.config import EstimateOptions
 from drapenet.estimator.combine import combine, evidence_of
-from drapenet.estimator.describe import describe_jointly, describe_strips
+from drapenet.estimator.describe import describe_jointly, describe_strips, describe_tension
 from drapenet.estimator.infer import CaptureEvidence, infer_jointly, prior_draws
 from drapenet.estimator.read import Source, require_directions, require_one_fabric
 from drapenet.estimator.stages import (
@@ -27,7 +29,7 @@ from drapenet.estimator.stages import (
 )
 from drapenet.evidence.state import fabric_prior, prior_along
 from drapenet.network.checkpoint import Header
-from drapenet.result.document import EstimateDocument, StripsRecord
+from drapenet.result.document import EstimateDocument, StripsRecord, TensionRecord
 from drapenet.result.estimate import Estimate
 from drapenet.result.files import (
     ESTIMATE,
@@ -41,6 +43,10 @@ from drapenet.result.files import (
     write_estimate,
 )
 from drapenet.views.observation import Observation
+
+if TYPE_CHECKING:
+    from data.strips.folder import StripSet
+    from data.tension.folder import TensionSet
 
 Stage = Callable[[str, CaptureEstimate], None]
 
@@ -67,7 +73,8 @@ class Part:
 def read_part(folder: Path) -> Part:
     """The part whose files :func:`estimate_source` has written to a folder."""
     document = read_document(folder / ESTIMATE)
-    return Part(document, None if document.strips else read_observation(folder))
+    return Part(document, None if document.strips or document.tension else
+                read_observation(folder))
 
 
 def estimate_fabric(
@@ -87,13 +94,14 @@ def estimate_fabric(
     require_one_fabric([source.density for source in sources],
                        [(str(capture.path), capture.digest) for capture in captures])
     require_directions(all(capture.warp_direction is not None for capture in captures),
-                       any(len(source) for source in sources if not isinstance(source, Capture)),
+                       any(source.along_yarns for source in sources
+                           if not isinstance(source, Capture)),
                        [source.known for source in sources])
     if len(sources) == 1:
         estimate, part = estimate_source(sources[0], header, options, out=out)
         on_estimate(part.document, out)
         return replace(estimate, warnings=tuple(part.document.warnings))
-    folders = [out / f"{'capture' if isinstance(source, Capture) else 'strips'}_{k}" if out
+    folders = [out / f"{'capture' if isinstance(source, Capture) else source.kind}_{k}" if out
                else None for k, source in enumerate(sources)]
     for folder in filter(None, folders):
         require_output(folder)
@@ -122,18 +130,36 @@ def estimate_source(
         result = estimate_capture(source, header, options, out=out, progress=progress,
                                   on_stage=on_stage)
         return result.estimate, Part(result.document, result.observed.seen)
-    record = StripsRecord.of_evidence(
-        source, source.evidence(prior_along(fabric_prior(header), source.density)))
-    estimate = combine(prior_draws(header), evidence_of([record], [], source.density),
-                       source.density, header, name="")
-    document = describe_strips(estimate, source, record, header)
-    require_sound([*estimate.contradictions, *source.warnings], options.strict, str(source.path))
+    estimate, document, found = (_of_tension(source, header) if source.kind == "tension" else
+                                 _of_strips(source, header))
+    require_sound([*estimate.contradictions, *found], options.strict, str(source.path))
     if out:
         remove_report(out)
         write_estimate(out, estimate, document)
         if options.drapes:
             _report(document, [], out)
     return estimate, Part(document)
+
+
+def _of_strips(
+    source: "StripSet", header: Header
+) -> tuple[Estimate, EstimateDocument, Sequence[Finding]]:
+    """The estimate from hanging strips alone, and their warnings."""
+    record = StripsRecord.of_evidence(
+        source, source.evidence(prior_along(fabric_prior(header), source.density)))
+    estimate = combine(prior_draws(header), evidence_of([record], [], source.density),
+                       source.density, header, name="")
+    return estimate, describe_strips(estimate, source, record, header), source.warnings
+
+
+def _of_tension(
+    source: "TensionSet", header: Header
+) -> tuple[Estimate, EstimateDocument, Sequence[Finding]]:
+    """The same from strips under weights; moduli are those of usual fabrics and known values."""
+    record = TensionRecord.of_strips(source)
+    estimate = combine(prior_draws(header), evidence_of([], [record.known], source.density),
+                       source.density, header, name="")
+    return estimate, describe_tension(estimate, source, record, header), record.findings
 
 
 def join(
@@ -149,9 +175,14 @@ def join(
     require_one_fabric([document.density for document in documents],
                        [(document.label, document.capture.views_sha256)
                         for document in documents if document.capture.source])
-    stated = [capture.stated for capture in captures]
+    tensions = [document.tension for document in documents if document.tension]
+    if len(tensions) > 1:
+        raise InputError(f"{tensions[0].source} and {tensions[1].source} both have strips under "
+                         "weights; state all strips of a fabric in one tension.yaml")
+    stated = [*(capture.stated for capture in captures), *(each.known for each in tensions)]
     require_directions(all(capture.seen.known for capture in captures),
-                       any(record.moduli for record in records),
+                       any(record.moduli for record in records)
+                       or any(each.along_yarns for each in tensions),
                        [*stated, *(record.known for record in records)])
     density, names = documents[0].density, ("", "the capture", "the captures")
     draws, contradictions = infer_jointly(captures, header)

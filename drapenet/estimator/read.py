@@ -13,11 +13,13 @@ from data.captures.reader import captures_in, read_capture
 from data.readings.known import Known
 from data.strips.description import FILE as STRIPS
 from data.strips.description import StripsDescription
+from data.tension.description import FILE as TENSION
 
 if TYPE_CHECKING:
     from data.strips.folder import StripSet
+    from data.tension.folder import TensionSet
 
-    Source = Capture | StripSet
+    Source = Capture | StripSet | TensionSet
 else:  # the simulator of strips is loaded where there are some
     Source = Any
 """What an estimate is made from."""
@@ -25,7 +27,9 @@ MAX_DENSITY_DIFFERENCE = 0.1  # between specimens of one fabric, relative to the
 
 
 def read_source(folder: Path) -> Source:
-    """The strips of a folder with ``strips.yaml``, else its capture."""
+    """The strips of a folder with ``strips.yaml`` or ``tension.yaml``, else its capture."""
+    if (folder / TENSION).exists():
+        return _tension(folder)[0]
     return _strips(folder)[0] if (folder / STRIPS).exists() else read_capture(folder)
 
 
@@ -38,15 +42,28 @@ def _strips(folder: str | Path) -> "list[StripSet]":
     return [read_strips(folder)]
 
 
-def read_sources(places: Iterable[Path], strips: str | Path = "") -> list[Source]:
-    """The captures in the ``places``, and the strips of a folder."""
-    of_strips = _strips(strips)
+def _tension(folder: str | Path) -> "list[TensionSet]":
+    """The strips under weights of a folder; none of ''."""
+    if not folder:
+        return []
+    from data.tension.folder import read_tension  # a fit, which others need not
+
+    return [read_tension(folder)]
+
+
+def read_sources(
+    places: Iterable[Path], strips: str | Path = "", tension: str | Path = ""
+) -> list[Source]:
+    """The captures in the ``places``, and the hanging strips and those under weights of folders."""
+    of_strips: list[Source] = [*_strips(strips), *_tension(tension)]
     return [*(read_capture(path) for place in places for path in captures_in(place)), *of_strips]
 
 
-def read_scans(files: Iterable[Path], specimen: Specimen, strips: str | Path = "") -> list[Source]:
-    """The captures made of scans of a ``specimen``, and the strips of a folder."""
-    of_strips = _strips(strips)  # first: scans need seconds
+def read_scans(
+    files: Iterable[Path], specimen: Specimen, strips: str | Path = "", tension: str | Path = ""
+) -> list[Source]:
+    """The captures made of scans of a ``specimen``, and the strips as :func:`read_sources`."""
+    of_strips: list[Source] = [*_strips(strips), *_tension(tension)]  # first: scans need seconds
     from drapenet.surface.registration import read_scan_capture
 
     return [*(read_scan_capture(file, specimen) for file in files), *of_strips]

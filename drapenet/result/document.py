@@ -32,6 +32,7 @@ from sim.material import DIRECTIONS, MICRO, NANO, REFERENCE_DENSITY, STIFF_SOFT
 if TYPE_CHECKING:
     from data.strips.folder import StripSet
     from data.strips.posterior import StripEvidence
+    from data.tension.folder import TensionSet
 
 SCHEMA = "drapenet-estimate"
 SCHEMA_VERSION = 6
@@ -222,6 +223,62 @@ class StripsRecord(Excerpt):
             "strips": len(strips), "moduli": moduli, "known": strips.known})
 
 
+class Stretch(Excerpt):
+    """Along the yarns."""
+
+    warp: Quantity
+    weft: Quantity
+
+
+class TensionRecord(Excerpt):
+    """Strips under weights: stiffnesses at the fabric's density, ``measured`` or of usual fabrics.
+    """
+
+    source: Text
+    density_g_m2: float
+    strips: int
+    measured: list[str]
+    shear_n_per_m: Quantity
+    stretch_n_per_m: Stretch
+    friction_n_per_m: dict[str, float]
+    weight_for_10_percent_g: dict[str, float]
+    readings: dict[str, Quantity]
+    along_yarns: bool
+    findings: list[Recorded]
+    known: Known | None = None
+
+    @classmethod
+    def of_strips(cls, tension: "TensionSet") -> "TensionRecord":
+        """Of strips, estimated."""
+        found = tension.evidence()
+        warp, weft, shear = found.stiffness
+        names = [DIRECTIONS[k] for k in found.measured]
+        return cls.model_validate({
+            "source": printable(tension.path), "density_g_m2": round(1e3 * tension.density, 6),
+            "strips": len(tension.strips), "measured": names,
+            "shear_n_per_m": _intervals(shear),
+            "stretch_n_per_m": {"warp": _intervals(warp), "weft": _intervals(weft)},
+            "friction_n_per_m": {name: float(found.friction[DIRECTIONS.index(name)])
+                                 for name in tension.directions},
+            "weight_for_10_percent_g": tension.loads(found),
+            "readings": {key: _intervals(values) for key, values in found.readings().items()},
+            "along_yarns": tension.along_yarns, "findings": list(found.findings),
+            "known": tension.known})
+
+    @property
+    def lines(self) -> list[str]:
+        """The stiffnesses in words."""
+        stated = {"warp": ("stretch along the warp", self.stretch_n_per_m.warp),
+                  "weft": ("stretch along the weft", self.stretch_n_per_m.weft),
+                  "bias": ("shear", self.shear_n_per_m)}
+        found = [f"{name} {value} N/m" + ("" if direction in self.measured else
+                                          ", not measured: of usual fabrics")
+                 for direction, (name, value) in stated.items()]
+        loads = ", ".join(f"{direction} {value:.0f} g" for direction, value in
+                          self.weight_for_10_percent_g.items())
+        return found + [f"weight that stretches these strips by 10 %: {loads}"] * bool(loads)
+
+
 class EstimateDocument(Excerpt):
     """The content of ``estimate.json``."""
 
@@ -242,6 +299,7 @@ class EstimateDocument(Excerpt):
     checkpoint: dict[str, Text]
     captures: list[CaptureRecord] | None = None
     strips: list[StripsRecord] | None = None
+    tension: TensionRecord | None = None
     refined: RefinementRecord | None = None
     resimulation: dict[str, Any] | None = None
     advice: list[Recorded] | None = None
@@ -297,7 +355,13 @@ class EstimateDocument(Excerpt):
     @property
     def label(self) -> str:
         """Names the capture or the strips in sentences."""
-        return self.capture.source or next(record.source for record in self.strips or [])
+        return self.capture.source or self.strip_folders[0]
+
+    @property
+    def strip_folders(self) -> list[str]:
+        """Folders of strips, hanging and under weights."""
+        return [*(each.source for each in self.strips or []),
+                *([self.tension.source] if self.tension else [])]
 
     @property
     def density(self) -> Density:
@@ -312,20 +376,29 @@ class EstimateDocument(Excerpt):
     def parts(self) -> str:
         """Captures and strips of a joint estimate; empty for that of a single capture."""
         counts = {"capture": len(self.captures or []),
-                  "strip": sum(each.strips for each in self.strips or [])}
+                  "strip": sum(each.strips for each in self.strips or []),
+                  "strip under weight": self.tension.strips if self.tension else 0}
         return " and ".join(f"{count} {name}{'s' * (count > 1)}"
                             for name, count in counts.items() if count)
 
     @property
+    def stated(self) -> list[Known]:
+        """What captures and strips state of the fabric."""
+        found = [self.capture.known, *(part.capture.known for part in self.captures or []),
+                 *(each.known for each in self.strips or []),
+                 self.tension.known if self.tension else None]
+        return [known for known in found if known]
+
+    @property
     def known_values(self) -> list[str]:
         """Known values of the fabric in words, each once."""
-        stated = [self.capture.known, *(part.capture.known for part in self.captures or []),
-                  *(each.known for each in self.strips or [])]
         left_out = {(found.source, found.values["value"]) for found in self.contradictions or []}
-        return list(dict.fromkeys(
+        evidence = (
             QUANTITIES[name].stated(k, value).replace(" = ", ": ")
             + " (left out, see the warnings)" * ((value_key(name, k), value) in left_out)
-            for known in stated if known for (name, k), value in known.values().items()))
+            for known in self.stated for (name, k), value in known.values().items())
+        return list(dict.fromkeys([*evidence, *(
+            line for known in self.stated for line in known.handling)]))
 
     @property
     def mostly_usual(self) -> list[Finding]:

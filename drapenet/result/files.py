@@ -125,10 +125,9 @@ def capture_names(document: EstimateDocument) -> list[str]:
 
 
 def _sources(document: EstimateDocument) -> list[Path]:
-    strips = [each.source for each in document.strips or []]
     about = document.capture
     return [Path(source) for source in
-            about.sources or ([about.source] if about.source else strips or [""])]
+            about.sources or ([about.source] if about.source else document.strip_folders or [""])]
 
 
 def _place(sources: Sequence[Path]) -> Path:

@@ -41,6 +41,8 @@ def terminal_text(document: EstimateDocument) -> str:
         elif document.has_kes:
             cells.append(f"{'–':>18}{'–':>18}")
         lines.append(f"{name:8}{''.join(cells)}")
+    if document.tension:
+        lines += [f"by strips under weights: {line}" for line in document.tension.lines]
     lines += [document.kes_note] * bool(document.kes_note)
     cloth = document.cloth
     curvature = cloth.natural_curvature_warp_1_m, cloth.natural_curvature_weft_1_m

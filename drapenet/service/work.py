@@ -110,7 +110,7 @@ def _read(folder: Path, row: dict[str, Any]) -> Any:
         source = read_source(uploaded)
     if isinstance(source, Capture):
         replace_file(folder / PREVIEW, show(source))
-    elif source.photographs:
+    elif source.kind == "strips" and source.photographs:
         replace_file(folder / PREVIEW, png(strips_figure(source)))
     return replace(source, path=shown, labels=_named(source.labels, row["fabric_name"]))
 
