@@ -28,6 +28,9 @@ LINEAR, RATIO = slice(0, 3), slice(3, 6)
 FIRST, SECOND = 0, 2  # log alphas of the two yarns in theta
 SWAPPED = [2, 1, 0, 5, 4, 3]
 """Indices that exchange the two yarns in theta."""
+DRAPE_CURVATURE = 60.0
+"""Curvature, 1/m, whose secant is the constant modulus that drapes as the cloth does
+(``python -m experiments secants``)."""
 KES_CURVATURE = 100.0
 """Curvature, 1/m, at which 2HB is read."""
 MEMBRANE_STIFFNESS = 200.0  # N/m, of cloth of which nothing is stated
@@ -205,3 +208,14 @@ def torque(
     if (curvature < 0).any() or (alpha <= 0).any():
         raise InputError("curvatures (1/m) must not be negative, and alpha (N·m) must be positive")
     return bending_work(curvature, alpha, beta)[1]
+
+
+def secant(
+    curvature: float, alpha: np.ndarray | float, beta: np.ndarray | float
+) -> np.ndarray:
+    """Torque per width over ``curvature`` (1/m), N·m: alpha + beta*curvature within the law, alpha
+    at zero; never negative, because the torque is continued with a positive slope. ``alpha`` and
+    ``beta`` as for :func:`bending_work`; InputError as for :func:`torque`."""
+    if curvature == 0:
+        return np.array(alpha, dtype=np.float64)
+    return torque(np.asarray(curvature), alpha, beta) / curvature

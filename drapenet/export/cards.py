@@ -15,15 +15,19 @@ PROGRAMS = {"clo": "CLO", "clo3d": "CLO", "marvelous": "Marvelous Designer",
             "vstitcher": "VStitcher", "blender": "Blender", "houdini": "Houdini",
             "unreal": "Unreal"}
 """Cards by the names of programs."""
+DEFAULT = "keep the tool's default, or that of a similar fabric"
+"""Note of a field whose quantity the estimate does not state."""
 
 
 def cards(values: Mapping[str, float]) -> list[dict[str, Any]]:
     """The content of ``cards.yaml`` with these values of its quantities; a field without a value
-    has None."""
+    has None, and one whose quantity is not known says so."""
     text = Path(__file__).with_name("cards.yaml").read_text(encoding="utf-8")
-    return [card | {"fields": [field | {
-        "value": _digits(values[field["value"]]) if "value" in field else None,
-    } for field in card["fields"]]} for card in yaml.safe_load(text)]
+    return [card | {"fields": [field | (
+        {"value": _digits(values[quantity])} if quantity in values else
+        {"value": None} | ({"note": DEFAULT} if quantity else {}))
+        for field in card["fields"] for quantity in [field.get("value")]]}
+        for card in yaml.safe_load(text)]
 
 
 def card_lines(card: Mapping[str, Any]) -> list[str]:

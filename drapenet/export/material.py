@@ -5,7 +5,7 @@ import json
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -15,10 +15,10 @@ from common.errors import InputError
 from common.findings import Finding, texts
 from common.types import Density, Moduli, QuadraticModuli
 from data.captures.description import MAX_LABEL_LENGTH, PRINTABLE
-from drapenet.result.document import EstimateDocument
+from drapenet.result.document import EstimateDocument, Quantity
 from drapenet.result.files import ESTIMATE, read_document, result_name
 from sim.energies.hinges import mean_modulus
-from sim.material import DIRECTIONS, MICRO, NANO, SOFTENING_LIMIT, torque
+from sim.material import DIRECTIONS, DRAPE_CURVATURE, MICRO, NANO, SOFTENING_LIMIT, secant
 from sim.rig import GRAVITY
 
 MESHES = {"unstructured": ("random", 0.2), "alternating": ("alternating", 0.0),
@@ -27,17 +27,29 @@ MESHES = {"unstructured": ("random", 0.2), "alternating": ("alternating", 0.0),
 MIN_CELLS, MAX_CELLS = 6, 40  # along the strip that calibrates a mesh
 GAMMA = 10.0  # rho g L³/alpha of that strip, similar to that of hanging cloth in a drape
 
-BENT = 50.0  # 1/m, a radius of 20 mm, which cloth has in the folds of a garment
-
 
 class ExportSettings(Schema):
     """What a user states for an export: ``configs/export.yaml``."""
 
-    curvature_1_m: float = Field(0.0, ge=0, le=1000)
+    curvature_1_m: float = Field(DRAPE_CURVATURE, ge=0, le=1000)
     mesh: Literal[tuple(MESHES)] = "unstructured"  # type: ignore[valid-type]
     edge_mm: float = Field(5.0, ge=0.1, le=100)
     name: str = Field("", max_length=MAX_LABEL_LENGTH, pattern=PRINTABLE,
                       description=f"up to {MAX_LABEL_LENGTH} printable characters")
+
+
+class Buckling(NamedTuple):
+    """Two bending stiffnesses of a hinge: one up to an angle, and a share of it beyond.
+
+    Attributes:
+        modulus: (3,) N·m, of a hinge that is bent by less than pi (1 - ratio).
+        share: (3,) of it, at most 1, of one that is bent further.
+        ratio: 0: no hinge buckles.
+    """
+
+    modulus: Moduli
+    share: np.ndarray
+    ratio: float
 
 
 @dataclass(frozen=True)
@@ -68,14 +80,58 @@ class Material:
 
     @property
     def modulus(self) -> Moduli:
-        """Alpha, or the secant of the torque at the stated curvature."""
-        return self.secant(self.settings.curvature_1_m)
+        """The secant of the torque at the stated curvature: by default the stiffness in a drape, as
+        the estimate states it."""
+        curvature = self.settings.curvature_1_m
+        stated = [moduli.drape_stiffness_uN_m for moduli in self.document.moduli.values()]
+        if curvature == DRAPE_CURVATURE and all(stated):
+            return MICRO * np.array([value.median for value in stated if value])
+        return secant(curvature, self.alpha, self.beta)
 
-    def secant(self, curvature: float) -> Moduli:
-        """The secant of the torque at a ``curvature``, 1/m; alpha at zero."""
-        if not curvature:
-            return self.alpha
-        return torque(np.array(curvature), self.alpha, self.beta) / curvature
+    @property
+    def buckling(self) -> Buckling:
+        """For tools whose hinges soften at an angle, in a mesh of equal sides: the law has the
+        torque of the fabric at half the stated curvature and at one and a half of it. Cloth that
+        stiffens does not buckle: their share is at most 1.
+        """
+        curvature = self.settings.curvature_1_m
+        height = np.sqrt(3) / 2 * 1e-3 * self.settings.edge_mm
+        ratio = float(max(0.0, 1 - curvature * height / np.pi))
+        flat, bent = (secant(part * curvature, self.alpha, self.beta) for part in (0.5, 1.5))
+        buckles = (bent < flat) & (ratio > 0)
+        return Buckling(np.where(buckles, flat, self.modulus), np.where(buckles, bent / flat, 1.0),
+                        ratio * bool(buckles.any()))
+
+    @property
+    def stretch(self) -> tuple[float, float] | None:
+        """Of warp and weft, N/m; None if one is not known."""
+        first, _, second = self.document.names
+        known = self.document.cloth.stretch_n_per_m or {}
+        if not {first, second} <= set(known):
+            return None
+        return known[first].median, known[second].median
+
+    @property
+    def shear(self) -> float | None:
+        """N/m; None if not known."""
+        return _median(self.document.cloth.shear_n_per_m)
+
+    @property
+    def thickness_mm(self) -> float | None:
+        """None if not known."""
+        return _median(self.document.cloth.thickness_mm)
+
+    @property
+    def friction(self) -> float | None:
+        """Coefficient; None if not known."""
+        return _median(self.document.cloth.friction)
+
+    @property
+    def not_known(self) -> list[str]:
+        """What tools ask for beside bending and weight and the estimate does not state."""
+        return [name for name, value in (
+            ("stretch", self.stretch), ("shear", self.shear), ("thickness", self.thickness_mm),
+            ("friction", self.friction)) if value is None]
 
     @property
     def name(self) -> str:
@@ -108,7 +164,8 @@ class Material:
         found = [*document.warnings, *(document.advice or []), *document.mostly_usual]
         if document.names != DIRECTIONS:
             found.append(Finding("warp_unmarked"))
-        if np.any(-self.beta * curvature > SOFTENING_LIMIT * self.alpha):
+        outside = np.any(-self.beta * curvature > SOFTENING_LIMIT * self.alpha)
+        if outside and curvature > DRAPE_CURVATURE:  # up to there drapes show what it stands for
             found.append(Finding("curvature_outside_law", {"value": curvature}))
         return {
             "made_by": "drapenet", "name": self.name, "estimate_sha256": self.identity,
@@ -117,16 +174,25 @@ class Material:
             "rig": capture["rig"],
             "drape_coefficient_percent": capture.get("drape_coefficient_percent"),
             "moduli": content["moduli"], "modulus_at_curvature_1_m": curvature,
-            "bent_to_50_1_m": (self.secant(BENT) / self.modulus).round(3).tolist(),
+            "modulus_over_alpha": (self.modulus / self.alpha).round(3).tolist(),
+            "not_known": self.not_known,
             "warnings": texts(found),
         }
 
     @property
+    def about_edges(self) -> dict[str, Any]:
+        """:attr:`about`, with the edges that :attr:`buckling` is valid for."""
+        return self.about | {"edge_mm": round(self.settings.edge_mm, 6)}
+
+    @property
     def about_hinges(self) -> dict[str, Any]:
         """:attr:`about`, with the mesh that the moduli are valid for."""
-        return self.about | {"mesh": self.settings.mesh,
-                             "edge_mm": round(self.settings.edge_mm, 6),
-                             "hinge_over_plate_modulus": round(self.ratio, 4)}
+        return self.about_edges | {"mesh": self.settings.mesh,
+                                   "hinge_over_plate_modulus": round(self.ratio, 4)}
+
+
+def _median(quantity: Quantity | None) -> float | None:
+    return quantity.median if quantity else None
 
 
 def hinge_ratio(mesh: str, cells: int) -> float:

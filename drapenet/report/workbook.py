@@ -12,6 +12,7 @@ from data.captures.description import UNLABELLED
 from drapenet.result.document import MAX_COMPARED_SHARE, EstimateDocument, Quantity
 
 QUANTITIES = {"alpha_uN_m": ("α", "µN·m", "0.0"), "beta_nN_m2": ("β", "nN·m²", "0"),
+              "drape_stiffness_uN_m": ("stiffness in a drape", "µN·m", "0.0"),
               "bending_length_mm": ("bending length", "mm", "0.0"),
               "flexural_rigidity_uN_m": ("flexural rigidity G", "µN·m", "0.0"),
               "kes_b_gf_cm2_per_cm": ("KES B", "gf·cm²/cm", "0.000"),

@@ -27,7 +27,15 @@ from data.readings.kes import GF_CM, GF_CM_PER_CM, kes
 from data.readings.known import Known
 from drapenet.evidence.source import value_key
 from drapenet.result.estimate import Estimate
-from sim.material import DIRECTIONS, MICRO, NANO, REFERENCE_DENSITY, STIFF_SOFT
+from sim.material import (
+    DIRECTIONS,
+    DRAPE_CURVATURE,
+    MICRO,
+    NANO,
+    REFERENCE_DENSITY,
+    STIFF_SOFT,
+    secant,
+)
 
 if TYPE_CHECKING:
     from data.strips.folder import StripSet
@@ -99,6 +107,7 @@ class DirectionModuli(Excerpt):
     alpha_uN_m: Quantity  # noqa: N815
     beta_nN_m2: Quantity  # noqa: N815
     beta_over_alpha_mm: Quantity
+    drape_stiffness_uN_m: Quantity | None = None  # noqa: N815  # none: an earlier estimate
 
 
 class Readings(Excerpt):
@@ -139,6 +148,10 @@ class Cloth(Excerpt):
     natural_curvature_weft_1_m: Quantity
     membrane_n_per_m: Quantity
     hysteresis_share: Quantity
+    stretch_n_per_m: dict[str, Quantity] | None = None  # of the yarns, by their direction
+    shear_n_per_m: Quantity | None = None
+    thickness_mm: Quantity | None = None
+    friction: Quantity | None = None
 
 
 class PosteriorRecord(Excerpt):
@@ -368,6 +381,13 @@ class EstimateDocument(Excerpt):
         """Of the fabric."""
         return 1e-3 * self.capture.density_g_m2
 
+    @property
+    def stiffness_in_a_drape(self) -> str:
+        """The constant moduli that drape as the cloth does, in words; empty if not computed."""
+        found = {name: moduli.drape_stiffness_uN_m for name, moduli in self.moduli.items()}
+        return f"stiffness in a drape (secant at {DRAPE_CURVATURE:g} 1/m): " + ", ".join(
+            f"{name} {value} µN·m" for name, value in found.items()) if all(found.values()) else ""
+
     def alphas_at(self, density: Density) -> list[Quantity]:
         """Alpha of the three directions, µN·m, of this cloth at another density."""
         return [moduli.alpha_uN_m.times(density / self.density) for moduli in self.moduli.values()]
@@ -438,7 +458,8 @@ def _quantities(samples: Mapping[str, np.ndarray], direction: int) -> dict[str, 
 def _moduli(estimate: Estimate, density: Density) -> dict[str, Any]:
     alpha, beta = estimate.moduli(density)
     samples = {"alpha_uN_m": alpha / MICRO, "beta_nN_m2": beta / NANO,
-               "beta_over_alpha_mm": 1e3 * beta / alpha}
+               "beta_over_alpha_mm": 1e3 * beta / alpha,
+               "drape_stiffness_uN_m": secant(DRAPE_CURVATURE, alpha, beta) / MICRO}
     return {name: _quantities(samples, k) for k, name in enumerate(estimate.names)}
 
 

@@ -13,6 +13,7 @@ def terminal_text(document: EstimateDocument) -> str:
     for name, moduli in document.moduli.items():
         (alpha, alphas), (beta, betas) = moduli.alpha_uN_m.texts(), moduli.beta_nN_m2.texts()
         lines.append(f"{name:8}{alpha:>14}{alphas:>20}{beta:>16}{betas:>20}")
+    lines += [document.stiffness_in_a_drape] * bool(document.stiffness_in_a_drape)
     lines += texts(document.mostly_usual)
     if refined := document.refined:
         before = ", ".join(f"{name} {moduli.alpha_uN_m.texts()[0]}"

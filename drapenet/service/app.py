@@ -44,6 +44,7 @@ from drapenet.service.received import KINDS
 from drapenet.service.seen import mat_pdf
 from drapenet.service.uploads import checked_photograph, checked_upload
 from drapenet.service.work import PREVIEW
+from sim.material import DRAPE_CURVATURE
 
 FILES = (ESTIMATE, PREVIEW, *SHOWN)
 _TIDY_INTERVAL = 600.0  # s between removals of old results
@@ -189,7 +190,7 @@ def state(identity: str, request: Request) -> JSONResponse:
 
 
 def export_settings(
-    mesh: str = "unstructured", edge_mm: float = 5.0, curvature_1_m: float = 0.0
+    mesh: str = "unstructured", edge_mm: float = 5.0, curvature_1_m: float = DRAPE_CURVATURE
 ) -> dict[str, object]:
     """Settings of exports in a request, which :func:`drapenet.export.material.read_material`
     checks."""

@@ -26,7 +26,7 @@ from drapenet.service.exports import zipped
 from drapenet.service.forms import error_field, value_fields
 from drapenet.service.limits import RequestError
 from drapenet.service.received import KINDS, PHOTOGRAPHS
-from sim.material import DIRECTIONS
+from sim.material import DIRECTIONS, DRAPE_CURVATURE
 from sim.rig import RIGS
 
 STATIC = Path(__file__).parent / "static"
@@ -44,8 +44,8 @@ def add_pages(app: FastAPI, settings: ServeConfig) -> None:
         if file.suffix in (".jpg", ".png") or file.name in CAPTURE_FILES})
         for name in ("twill_photograph", "twill") if (EXAMPLES / name).is_dir()}
     page = render("service.html", settings=settings, targets=TARGETS, meshes=MESHES,
-                  testers={name: RIGS[name] for name in TESTERS}, kinds=KINDS,
-                  examples=examples, manual=MANUAL.is_dir(), directions=DIRECTIONS,
+                  curvature=DRAPE_CURVATURE, testers={name: RIGS[name] for name in TESTERS},
+                  kinds=KINDS, examples=examples, manual=MANUAL.is_dir(), directions=DIRECTIONS,
                   photographs=PHOTOGRAPHS, plate_heights=PLATE_HEIGHTS,
                   grounds=list(GROUNDS),
                   mats=[(mat, paper, columns * rows) for (mat, paper), (columns, rows)

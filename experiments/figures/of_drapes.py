@@ -75,3 +75,21 @@ def blender(reports: Reports) -> str:
             for alpha, one in report["alpha_uN_m"].items()]
     return table(["α [µN·m]", "drape coefficient here", "in Blender", "folds here",
                   "in Blender"], rows)
+
+
+def secants(reports: Reports) -> str:
+    """Drapes with constant moduli, less those with the law, by the curvature of the secants."""
+    summary = reports["secants"]["summary"]
+    names = [name for name in summary if name != "all"]
+    rows = [[f"{kappa} m⁻¹", *(text for name in names
+                               for text in _differences(summary[name][kappa]))]
+            for kappa in summary["all"]]
+    what = ("drape coefficient, mean (rms, largest)", "folds, mean (rms)")
+    return table(["secant at", *(f"{name.replace('_', ' ')}: {each}" for name in names
+                                 for each in what)], rows)
+
+
+def _differences(found: Report) -> tuple[str, str]:
+    points, folds = found["coefficients"], found["folds"]
+    return (f"{points['mean']:+.1f} ({points['rms']:.1f}, {points['largest']:.1f})",
+            f"{folds['mean']:+.1f} ({folds['rms']:.1f})")

@@ -16,7 +16,7 @@ from experiments.physics.hinges import simulated_ratio
 from experiments.result import Config, Report, Result, label_log_axes, run_fabrics
 from sim.cloth import Laws
 from sim.draping import Drape
-from sim.material import Fabric, torque
+from sim.material import Fabric, secant
 from sim.mesh.specimen import TOPOLOGIES
 from sim.scene import Scene, make_specimen
 from sim.solver.newton import Status
@@ -34,7 +34,7 @@ def ratio() -> float:
 
 def exported_modulus(fabric: Fabric) -> np.ndarray:
     """Secant moduli (3,), N·m, of hinges for a simulator without beta."""
-    return ratio() * torque(np.array(_SECANT), fabric.alpha, fabric.beta) / _SECANT
+    return ratio() * secant(_SECANT, fabric.alpha, fabric.beta)
 
 
 def case(*, number: int, edge_mm: float, seed: int) -> dict[str, Any]:

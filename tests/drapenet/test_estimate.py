@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from drapenet.result.document import Quantity
 from drapenet.result.estimate import make_estimate
 from drapenet.result.files import read_document, write_estimate
 from drapenet.result.terminal import terminal_text
-from sim.material import DIRECTIONS, MICRO, is_admissible
+from sim.material import DIRECTIONS, DRAPE_CURVATURE, MICRO, NANO, is_admissible
 
 DENSITY = 0.15
 
@@ -81,6 +82,12 @@ def test_a_document_holds_medians_intervals_correlations_and_the_law(header):
             60 * factor * np.exp([-0.329, 0.329]), rel=0.03)
         beta = content[part]["weft"]["beta_nN_m2"]["median"]
         assert beta == pytest.approx(-50 * factor, rel=0.03)
+        in_a_drape = content[part]["warp"]["drape_stiffness_uN_m"]
+        stiffness = 60 * factor * (1 - 2.5e-3 * DRAPE_CURVATURE)
+        assert in_a_drape["median"] == pytest.approx(stiffness, rel=0.02)
+        # As wide as alpha's: the ratio of beta to alpha is known here.
+        assert in_a_drape["interval_90"] == pytest.approx(
+            stiffness * np.exp([-0.329, 0.329]), rel=0.05)
     assert np.shape(content["correlations"]["matrix"]) == (6, 6)
     law = content["torque_mN"]
     expected = 30e-6 * 25 * (1 - 2.5e-3 * 25) * 1e3
@@ -148,6 +155,15 @@ def test_an_estimate_prints_as_one_line():
     text, count = repr(estimate), len(estimate.samples)
     assert text.startswith("Estimate(warp, bias, weft: Fabric(alpha [60, 40, 20] µN·m, beta [")
     assert text.endswith(f", 150 g/m²), {count} samples, 0 warnings)") and "\n" not in text
+
+
+def test_the_stiffness_in_a_drape_is_told_where_it_is_known():
+    document = document_of(estimate_of(np.full(3, 30 * MICRO), np.full(3, -75 * NANO)))
+    assert "stiffness in a drape (secant at 60 1/m): warp 25.5" in terminal_text(document)
+    content = document.content()
+    for moduli in content["moduli"].values():
+        del moduli["drape_stiffness_uN_m"]
+    assert "in a drape" not in terminal_text(type(document).of(content, Path("earlier.json")))
 
 
 def test_document_is_read_as_written(tmp_path):

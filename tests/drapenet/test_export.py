@@ -14,6 +14,7 @@ from common.errors import InputError
 from common.files import replace_json
 from common.vectors import angle_between
 from drapenet.export.__main__ import main
+from drapenet.export.cards import DEFAULT
 from drapenet.export.formats import ALIASES, TARGETS, export
 from drapenet.export.material import (
     MAX_CELLS,
@@ -30,7 +31,12 @@ from sim.mesh import strip
 ALPHA = np.array([52.0, 31.0, 22.0]) * MICRO
 BETA = np.array([-158.0, -101.0, -69.0]) * NANO
 DENSITY = 0.21
-SI = {"g·mm²/s²": 1e-3 * 1e-6, "g/mm²": 1e-3 / 1e-6, "N·m": 1.0}
+CURVATURE = 60.0  # 1/m, of the default modulus: the stiffness in a drape
+IN_A_DRAPE = ALPHA + CURVATURE * BETA
+KNOWN = {"stretch_n_per_m": {"warp": 900.0, "weft": 400.0}, "shear_n_per_m": 35.0,
+         "thickness_mm": 0.42, "friction": 0.31}
+SI = {"g·mm²/s²": 1e-3 * 1e-6, "g/s²": 1e-3, "g/mm²": 1e-3 / 1e-6, "N·m": 1.0, "N/m": 1.0,
+      "mm": 1e-3}
 """Units that files state, in SI units."""
 
 
@@ -50,6 +56,21 @@ def material(estimate) -> Material:
     return read_material(str(estimate.parent))
 
 
+def quantity(value: float) -> dict[str, object]:
+    return {"median": value, "interval_68": [0.9 * value, 1.1 * value],
+            "interval_90": [0.8 * value, 1.2 * value]}
+
+
+@pytest.fixture
+def known(estimate) -> Path:
+    """The estimate of a fabric of which all is known that tools ask for."""
+    content = json.loads(estimate.read_text())
+    content["cloth"] |= {key: {name: quantity(each) for name, each in value.items()} if isinstance(
+        value, dict) else quantity(value) for key, value in KNOWN.items()}
+    replace_json(estimate, content)
+    return estimate
+
+
 def exported(estimate: Path, target: str, **options: object) -> Path:
     return export(read_material(estimate, **options), target,
                   estimate.parent / TARGETS[target].file)[0]
@@ -59,9 +80,63 @@ def test_clo_gets_the_weft_along_u(estimate):
     content = json.loads(exported(estimate, "jfab").read_text())
     about, physical = content["drapenet"], content["mapPhysical"]
     in_si = {key: SI[unit] * physical[key] for key, unit in about["units"].items()}
-    assert [in_si[key] for key in ("fBvK", "fBhK", "fBuK")] == pytest.approx(ALPHA)
+    flat = [in_si[key] for key in ("fBvK", "fBhK", "fBuK")]
+    assert flat == pytest.approx(ALPHA + CURVATURE / 2 * BETA)
+    bent = [physical[f"fBucklingStiffness{axis}"] * modulus
+            for axis, modulus in zip("VHU", flat, strict=True)]
+    assert bent == pytest.approx(ALPHA + 1.5 * CURVATURE * BETA)
     assert in_si["fDensity"] == pytest.approx(DENSITY)
-    assert "fSuK" in about["clo_defaults"] and set(in_si).isdisjoint(about["clo_defaults"])
+    assert set(about["clo_defaults"]) == {
+        "fSuK", "fSvK", "fHK", "fThickness", "fFriction", "fIDS", "listNonlinearSuK",
+        "listNonlinearSvK", "listNonlinearHK"}
+    assert about["not_known"] == ["stretch", "shear", "thickness", "friction"]
+
+
+def test_clo_gets_all_that_is_known(known):
+    content = json.loads(exported(known, "jfab").read_text())
+    about, physical = content["drapenet"], content["mapPhysical"]
+    in_si = {key: SI[unit] * physical[key] for key, unit in about["units"].items()}
+    assert [in_si[key] for key in ("fSvK", "fSuK", "fHK", "fThickness")] == pytest.approx(
+        [900.0, 400.0, 35.0, 0.42e-3])
+    assert physical["fFriction"] == 0.31 and about["not_known"] == []
+    assert set(about["clo_defaults"]) == {"fIDS", "listNonlinearSuK", "listNonlinearSvK",
+                                          "listNonlinearHK"}
+
+
+def test_hinges_buckle_at_the_curvature_on_a_mesh_of_these_edges(estimate):
+    """Unreal: buckled when pi - |angle| < ratio (pi - |rest angle|), of angles of curved cloth."""
+    for edge_mm in (5.0, 20.0):
+        ratio = read_material(estimate, edge_mm=edge_mm).buckling.ratio
+        height = 1e-3 * edge_mm * np.sqrt(0.75)
+        for curvature, buckled in ((0.99 * CURVATURE, False), (1.01 * CURVATURE, True)):
+            assert (np.pi - curvature * height < ratio * np.pi) == buckled
+    assert json.loads(exported(estimate, "jfab", edge_mm=20.0).read_text())["drapenet"][
+        "edge_mm"] == 20
+
+
+@pytest.mark.parametrize(("beta", "settings"), [
+    (-BETA, {}), (BETA, {"curvature_1_m": 0.0}), (BETA, {"edge_mm": 100.0})])
+def test_cloth_that_does_not_soften_does_not_buckle(tmp_path, beta, settings):
+    """Nor that whose hinges would have to fold onto themselves first."""
+    path = tmp_path / "estimate.json"
+    estimate = estimate_of(ALPHA, beta, density=DENSITY, deviation=0.01)
+    replace_json(path, document_of(estimate).content())
+    material = read_material(path, **settings)
+    assert material.buckling.ratio == 0 and material.buckling.share.tolist() == [1, 1, 1]
+    assert material.buckling.modulus == pytest.approx(material.modulus)
+    assert material.modulus == pytest.approx(
+        ALPHA + settings.get("curvature_1_m", CURVATURE) * beta)
+
+
+def test_the_default_modulus_is_the_stiffness_in_a_drape_of_the_report(estimate):
+    stated = [moduli["drape_stiffness_uN_m"]["median"] for moduli in
+              json.loads(estimate.read_text())["moduli"].values()]
+    assert read_material(estimate).modulus / MICRO == pytest.approx(stated, rel=1e-12)
+    content = json.loads(estimate.read_text())
+    for moduli in content["moduli"].values():
+        del moduli["drape_stiffness_uN_m"]
+    replace_json(estimate, content)  # as written before the estimate stated it
+    assert read_material(estimate).modulus == pytest.approx(IN_A_DRAPE)
 
 
 def test_browzwear_gets_dyne_centimetres_and_a_main_file_that_names_them(estimate):
@@ -71,8 +146,16 @@ def test_browzwear_gets_dyne_centimetres_and_a_main_file_that_names_them(estimat
     fab = json.loads((file.parent / physics["devices"]["fab"]).read_text())
     assert set(fab) == {"schema", "raw_data", "custom"} and fab["raw_data"] is None
     bend = fab["custom"]["browzwear"]["bend"]
-    assert float(bend["length"]) * 1e-5 * 1e-2 == pytest.approx(ALPHA[0])
-    assert float(bend["width"]) * 1e-5 * 1e-2 == pytest.approx(ALPHA[2])
+    assert float(bend["length"]) * 1e-5 * 1e-2 == pytest.approx(IN_A_DRAPE[0])
+    assert float(bend["width"]) * 1e-5 * 1e-2 == pytest.approx(IN_A_DRAPE[2])
+    assert "thickness" not in fab["custom"]["browzwear"]
+
+
+def test_browzwear_gets_thickness_and_friction_where_they_are_known(known):
+    fab = json.loads((exported(known, "u3m").parent / "fabric.fab.json").read_text())
+    found = fab["custom"]["browzwear"]
+    assert (float(found["thickness"]), float(found["friction"])) == (0.42, 0.31)
+    assert not {"stretch", "shear"} & set(found)  # no source states their units
 
 
 def test_usd_opens_with_clo_s_and_the_proposal_s_attributes(estimate):
@@ -81,19 +164,38 @@ def test_usd_opens_with_clo_s_and_the_proposal_s_attributes(estimate):
     prim = stage.GetDefaultPrim()
     applied = prim.GetPrimTypeInfo().GetAppliedAPISchemas()  # known to this USD or not
     assert applied == ["PhysicsSurfaceDeformableMaterialAPI", "CloFabricAPI"]
-    for key, alpha in (("Warp", ALPHA[0]), ("Weft", ALPHA[2]), ("BiasLeft", ALPHA[1]),
-                       ("BiasRight", ALPHA[1])):
-        value = prim.GetAttribute(f"primvars:clo:bending{key}").Get()[0]
-        # Unreal's importer: 1e-5 from g·mm²/s² to kg·cm²/s².
-        assert value * 1e-5 * 1e-4 == pytest.approx(alpha, rel=1e-6)
+    flat, bent = (ALPHA + part * CURVATURE * BETA for part in (0.5, 1.5))
+    for key, axis in (("Warp", 0), ("Weft", 2), ("BiasLeft", 1), ("BiasRight", 1)):
+        bending, share, ratio = (prim.GetAttribute(f"primvars:clo:{name}{key}").Get()[0]
+                                 for name in ("bending", "bucklingStiffness", "bucklingRatio"))
+        # Unreal's importer: 1e-5 from g·mm²/s² to kg·cm²/s², buckling a share of bending.
+        assert bending * 1e-5 * 1e-4 == pytest.approx(flat[axis], rel=1e-6)
+        assert bending * share * 1e-5 * 1e-4 == pytest.approx(bent[axis], rel=1e-6)
+        assert ratio == pytest.approx(read_material(estimate).buckling.ratio, rel=1e-6)
     mean = prim.GetAttribute("physics:surfaceBendStiffness").Get()
-    assert mean == pytest.approx(mean_modulus(ALPHA), rel=1e-6)
+    assert mean == pytest.approx(mean_modulus(IN_A_DRAPE), rel=1e-6)
+    assert not prim.HasAttribute("primvars:clo:stretchWarp")
     in_si = {key: SI[attribute.GetDocumentation()] * np.ravel(attribute.Get())[0] for key in (
         "physics:surfaceBendStiffness", "primvars:clo:bendingWarp", "primvars:clo:density")
         for attribute in [prim.GetAttribute(key)]}
-    assert list(in_si.values()) == pytest.approx([mean, ALPHA[0], DENSITY], rel=1e-6)
+    assert list(in_si.values()) == pytest.approx([mean, flat[0], DENSITY], rel=1e-6)
     about = json.loads(prim.GetCustomDataByKey("drapenet"))
     assert about["moduli"] == json.loads(estimate.read_text())["moduli"]
+    assert about["edge_mm"] == 5
+
+
+def test_usd_has_all_that_is_known(known):
+    usd = pytest.importorskip("pxr.Usd")
+    stage = usd.Stage.Open(str(exported(known, "usd")))  # prims end with it
+    prim = stage.GetDefaultPrim()
+    clo = {key: prim.GetAttribute(f"primvars:clo:{key}") for key in (
+        "stretchWarp", "stretchWeft", "shearLeft", "shearRight", "thickness")}
+    assert [SI[each.GetDocumentation()] * each.Get()[0] for each in clo.values()] == pytest.approx(
+        [900.0, 400.0, 35.0, 35.0, 0.42e-3])
+    assert prim.GetAttribute("primvars:clo:friction").Get()[0] == pytest.approx(0.31)
+    surface = [prim.GetAttribute(f"physics:surface{key}Stiffness") for key in ("Stretch", "Shear")]
+    assert [each.Get() for each in surface] == pytest.approx([650.0, 35.0])
+    assert {each.GetDocumentation() for each in surface} == {"N/m"}
 
 
 @pytest.mark.parametrize(("name", "label"), [
@@ -130,7 +232,7 @@ def test_ppf_s_hinges_across_the_yarns_have_their_moduli(estimate):
     for sine, direction in ((1.0, 0), (0.0, 2)):  # of an edge's angle to the warp, squared
         bend = data["bend"] + data["bend-warp"] * sine + data["bend-weft"] * (1 - sine)
         assert 1.28e-5 * bend * data["shell_density"] == pytest.approx(
-            ALPHA[direction] * material.ratio)
+            IN_A_DRAPE[direction] * material.ratio)
     assert "hinge_over_plate_modulus" in file.read_text()
 
 
@@ -138,7 +240,8 @@ def test_newton_s_edges_store_the_energy_of_hinges(material, tmp_path):
     """1/2 ke l theta² of every edge against the hinge law, on a bent strip."""
     module = runpy.run_path(str(export(material, "newton", tmp_path / "n.py")[0]))
     assert np.array(module["MATERIAL"]["edge_aniso_ke"]) * 3 / material.ratio == pytest.approx(
-        ALPHA[[2, 0, 1]])
+        IN_A_DRAPE[[2, 0, 1]])
+    assert module["MATERIAL"]["tri_aniso_ke"] is None
     mesh, _ = strip(length=0.03, width=0.01, edge=2e-3, clamp=0.0, diagonals="random", jitter=0.2)
     inner = np.flatnonzero(mesh.edge_faces.min(axis=1) >= 0)
     apexes = np.array([[(set(mesh.faces[f].tolist()) - set(mesh.edges[e].tolist())).pop()
@@ -157,15 +260,21 @@ def test_newton_s_edges_store_the_energy_of_hinges(material, tmp_path):
     lengths = np.linalg.norm(np.diff(mesh.rest[mesh.edges[inner]], axis=1)[:, 0], axis=1)
     stiffness = np.array(builder.edge_bending_properties)[:, 0]
     law = HingeBending(mesh, np.ones(len(mesh.faces), bool), directed=True,
-                       fabric=Fabric(ALPHA * material.ratio))
+                       fabric=Fabric(IN_A_DRAPE * material.ratio))
     unknowns = np.concatenate([bent.ravel(), np.zeros(len(mesh.edges))])
     assert 0.5 * (stiffness * lengths * theta**2).sum() == pytest.approx(
         law.value(unknowns), rel=1e-5)
 
 
+def test_newton_s_triangles_stretch_along_weft_and_warp(known):
+    module = runpy.run_path(str(exported(known, "newton")))
+    assert module["MATERIAL"]["tri_aniso_ke"] == [400.0, 900.0, 35.0]
+
+
 def test_the_secant_stands_for_the_law_where_it_is_wanted(estimate):
-    physical = json.loads(exported(estimate, "jfab", curvature_1_m=50.0).read_text())["mapPhysical"]
-    assert physical["fBvK"] * 1e-9 == pytest.approx(ALPHA[0] + 50 * BETA[0])
+    fab = exported(estimate, "u3m", curvature_1_m=30.0).parent / "fabric.fab.json"
+    bend = json.loads(fab.read_text())["custom"]["browzwear"]["bend"]
+    assert float(bend["length"]) * 1e-7 == pytest.approx(ALPHA[0] + 30 * BETA[0])
 
 
 def test_cards_say_what_to_type_and_what_is_not_known(estimate):
@@ -174,20 +283,34 @@ def test_cards_say_what_to_type_and_what_is_not_known(estimate):
     assert set(cards) == {"CLO", "Marvelous Designer", "VStitcher", "Blender", "Houdini", "Unreal"}
     typed = {tool: {field["field"]: field["value"] for field in card["fields"]}
              for tool, card in cards.items()}
-    assert typed["CLO"]["Bending-Weft"] == "22000" and typed["CLO"]["Density"] == "0.00021"
-    # 52 000 lies between 65 (20 000) and 83 (200 000) of CLO's scale.
-    assert typed["CLO"]["Bending-Warp as 0 to 100"] == "68.2"
-    assert typed["VStitcher"]["Bend Length"] == "520" and typed["VStitcher"]["Mass"] == "210"
-    assert typed["Unreal"]["Bending Stiffness Bias"] == "0.31"
+    assert typed["CLO"]["Bending-Weft"] == "19900" and typed["CLO"]["Density"] == "0.00021"
+    # 47 300 lies between 65 (20 000) and 83 (200 000) of CLO's scale.
+    assert typed["CLO"]["Bending-Warp as 0 to 100"] == "67.7"
+    assert typed["CLO"]["Buckling Stiffness-Warp"] == "0.799"
+    assert typed["VStitcher"]["Bend Length"] == "425" and typed["VStitcher"]["Mass"] == "210"
+    assert typed["Unreal"]["Bending Stiffness Bias"] == "0.28"
+    assert typed["Unreal"]["Buckling Stiffness Bias"] == "0.219"
+    assert typed["Unreal"]["Stretch Stiffness Warp"] is typed["CLO"]["Thickness"] is None
+    notes = {field["field"]: field.get("note") for field in cards["CLO"]["fields"]}
+    assert notes["Thickness"] == DEFAULT and notes["Bending-Weft"] is None
     assert typed["Blender"]["Vertex Mass"] == "0.0116"  # a thousand times 55.4 mm²
     assert typed["Houdini"]["Bend Stiffness"] is None
     assert all(card["unknown"] and card["source"] and card["where"] for card in cards.values())
     page = exported(estimate, "cards").read_text()
-    assert "<th scope=\"row\">Bending-Weft</th><td class=\"number\">22000 g·mm²/s²</td>" in page
+    assert "<th scope=\"row\">Bending-Weft</th><td class=\"number\">19900 g·mm²/s²</td>" in page
     assert "not known" in page and "warp stands for" not in page
-    ratios = 1 + 50 * BETA / ALPHA
-    assert content["drapenet"]["bent_to_50_1_m"] == pytest.approx(ratios, abs=1e-3)
+    ratios = 1 + CURVATURE * BETA / ALPHA
+    assert content["drapenet"]["modulus_over_alpha"] == pytest.approx(ratios, abs=1e-3)
     assert ", ".join(f"{ratio:.0%}" for ratio in ratios) in page
+
+
+def test_cards_have_all_that_is_known(known):
+    content = json.loads(exported(known, "fields").read_text())
+    typed = {card["tool"]: {field["field"]: field["value"] for field in card["fields"]}
+             for card in content["cards"]}
+    assert (typed["CLO"]["Stretch-Weft"], typed["CLO"]["Shear"]) == ("400000", "35000")
+    assert typed["Unreal"]["Stretch Stiffness Bias"] == "35"
+    assert typed["VStitcher"]["Thickness"] == "0.42" and typed["Houdini"]["Friction"] == "0.31"
 
 
 def test_neutral_files_return_what_was_estimated(estimate):

@@ -17,7 +17,7 @@ from experiments.comparison import Shape, compare, equilibrium_near
 from experiments.estimation import information, refine_views
 from experiments.page import ORDER, PAGE, page_text
 from experiments.papers import views
-from experiments.physics import default_mesh
+from experiments.physics import default_mesh, secants
 from experiments.result import (
     EXECUTION_KEYS,
     REPORTS,
@@ -103,6 +103,17 @@ def test_views_are_studied_with_the_captures_that_are_read(monkeypatch):
     assert [one["captures"] for one in report["views"].values()] == [4, 3, 2, 2, 2, 2]
     assert report["views"]["2"]["log_alpha"] == pytest.approx(np.sqrt(11 / 3))
     assert report["views"]["3"]["log_alpha"] == 1.0 and report["refused"]["1"] == 10
+
+
+def test_constant_moduli_are_compared_with_the_law_on_each_tester():
+    def drapes(points: float, folds: float) -> dict[str, list[float]]:
+        return {"coefficients": [50 + points, 70 - points], "folds": [7 + folds, 6 + folds]}
+
+    found = secants.summary({"disc": {"law": drapes(0, 0), "0": drapes(4, 1)},
+                             "square": {"law": drapes(0, 0), "0": drapes(2, 0)}})
+    assert found["disc"]["0"]["coefficients"] == {"mean": 0, "rms": 4, "largest": 4}
+    assert found["all"]["0"]["coefficients"]["rms"] == pytest.approx(np.sqrt(10))
+    assert found["all"]["0"]["folds"]["mean"] == 0.5
 
 
 def test_keys_that_are_null_may_be_numbers():

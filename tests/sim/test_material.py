@@ -15,6 +15,7 @@ from sim.material import (
     gravity_length,
     is_admissible,
     plate_constants,
+    secant,
     torque,
 )
 
@@ -77,6 +78,15 @@ def test_torque_is_the_parabola_up_to_the_limit_and_grows_beyond():
     assert np.allclose(slopes, alpha * (1 - 2 * SOFTENING_LIMIT), rtol=1e-9)
     kappa = np.linspace(0, 500, 20)  # a stiffening fabric follows its parabola everywhere
     assert np.allclose(torque(kappa, 1e-5, 3e-8), 1e-5 * kappa + 3e-8 * kappa**2)
+
+
+def test_a_secant_is_the_modulus_of_the_same_torque_and_never_negative():
+    alpha, beta = np.array([20e-6, 20e-6, 20e-6]), np.array([-50e-9, 0.0, -500e-9])
+    assert secant(0.0, alpha, beta).tolist() == alpha.tolist()
+    assert secant(60.0, alpha, beta)[:2] == pytest.approx([17e-6, 20e-6])
+    # alpha + 60 beta would be -10e-6: the law is straight from 14/m on.
+    assert 60 * secant(60.0, alpha, beta)[2] == pytest.approx(torque(60.0, 20e-6, -500e-9))
+    assert secant(60.0, alpha, beta)[2] > (1 - 2 * SOFTENING_LIMIT) * 20e-6
 
 
 @pytest.mark.parametrize("beta", [-60e-9, 0.0, 40e-9])

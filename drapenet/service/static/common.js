@@ -67,6 +67,7 @@ export function texts(value) {
 export const QUANTITIES = [
   ['moduli', 'alpha_uN_m', 'α', 'µN·m'],
   ['moduli', 'beta_nN_m2', 'β', 'nN·m²'],
+  ['moduli', 'drape_stiffness_uN_m', 'stiffness in a drape', 'µN·m'],
   ['laboratory', 'bending_length_mm', 'bending length', 'mm'],
   ['laboratory', 'flexural_rigidity_uN_m', 'rigidity G', 'µN·m'],
   ['laboratory', 'kes_b_gf_cm2_per_cm', 'KES B', 'gf·cm²/cm'],

@@ -187,7 +187,7 @@ async function showCards(id) {
     const { cards, in_folds: folds, drapenet: { directions, modulus_at_curvature_1_m: bend } } = await ask(`/estimates/${id}/export/fields?${new URLSearchParams(curvature())}`);
     if (turn !== asked) return;
     const open = [...at('cards').querySelectorAll('[open] summary')].map((summary) => summary.textContent);
-    at('cards').replaceChildren(element('p', `${bend ? `Stiffnesses at a curvature of ${bend} 1/m. ` : ''}${folds}`, 'help'), ...cards.map((card) => {
+    at('cards').replaceChildren(element('p', `Stiffnesses at a curvature of ${bend} 1/m. ${folds}`, 'help'), ...cards.map((card) => {
       const made = element('details');
       made.open = open.includes(card.tool);
       made.append(element('summary', card.tool), element('p', card.where, 'help'));
