@@ -11,7 +11,7 @@ from data.captures.capture import DepthCapture
 from data.captures.description import Labels
 from drapenet.estimator.observe import Observed
 from drapenet.network.checkpoint import Header
-from drapenet.result.advice import advice_of
+from drapenet.result.advice import advice_of, joint_advice
 from drapenet.result.document import (
     CaptureAbout,
     CaptureRecord,
@@ -91,6 +91,9 @@ def describe_jointly(
         CaptureRecord(capture=document.capture, moduli=document.moduli, warnings=document.warnings)
         for document in captures]} if captures else {}
     sections |= {"strips": records} if records else {}
+    advice = joint_advice(document.advice for document in captures)
+    if advice and not any(record.moduli for record in records):
+        sections["advice"] = advice
     rigs = dict.fromkeys(document.capture.rig for document in captures)
     return EstimateDocument.from_estimate(
         estimate, capture=CaptureAbout(
