@@ -5,20 +5,22 @@ Each source, a capture or a folder of strips, is a :class:`Part` with files of i
 :func:`join` makes the fabric's estimate from the parts.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from common.errors import InputError
+from common.files import printable
+from common.findings import Finding
 from common.normal import Normal
 from data.captures.capture import Capture
 from drapenet.config import EstimateOptions
 from drapenet.estimator.combine import combine, evidence_of
 from drapenet.estimator.describe import describe_jointly, describe_strips
 from drapenet.estimator.infer import CaptureEvidence, infer_jointly, prior_draws
-from drapenet.estimator.read import Source, require_directions, require_one_fabric
+from drapenet.estimator.read import Source, known_of, require_directions, require_one_fabric
 from drapenet.estimator.stages import (
     CaptureEstimate,
     Progress,
@@ -134,6 +136,27 @@ def estimate_source(
         if options.drapes:
             _report(document, [], out)
     return estimate, Part(document)
+
+
+def known_parts(
+    refused: Iterable[Path], parts: Sequence[Part], header: Header
+) -> tuple[list[Part], list[Finding]]:
+    """Parts of what the descriptions of ``refused`` captures, their folders, state of the fabric of
+    ``parts``, and a finding for each that cannot be joined with them."""
+    found, lost = [], []
+    marked = all(part.observation.known for part in parts if part.observation)
+    for source in map(known_of, refused):
+        if source is None:  # without strips it has no length
+            continue
+        try:
+            require_one_fabric([source.density, *(part.document.density for part in parts)], [])
+            require_directions(marked, False, [source.known])
+        except InputError as error:
+            lost.append(Finding("known_lost", {"capture": printable(source.path),
+                                               "reason": error.message}))
+        else:
+            found.append(estimate_source(source, header, EstimateOptions())[1])
+    return found, lost
 
 
 def join(

@@ -5,11 +5,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from common.documents import read_yaml
 from common.errors import InputError
 from common.types import Density
 from data.captures.capture import Capture
 from data.captures.description import NEED_WARP, Description, Specimen
-from data.captures.reader import captures_in, read_capture
+from data.captures.reader import DESCRIPTION, captures_in, read_capture
 from data.readings.known import Known
 from data.strips.description import FILE as STRIPS
 from data.strips.description import StripsDescription
@@ -50,6 +51,22 @@ def read_scans(files: Iterable[Path], specimen: Specimen, strips: str | Path = "
     from drapenet.surface.registration import read_scan_capture
 
     return [*(read_scan_capture(file, specimen) for file in files), *of_strips]
+
+
+def known_of(folder: Path) -> Source | None:
+    """What the description of a capture that is refused states of its fabric, as strips.yaml
+    without strips would; None if there is nothing that can be read."""
+    file = folder / DESCRIPTION
+    try:
+        description = Description.of(read_yaml(file), file)
+    except InputError:
+        return None
+    if not (description.known and description.known.values()):
+        return None
+    from data.strips.folder import StripSet  # see above
+
+    known = Known(**description.known.model_dump(include={*Known.model_fields}))
+    return StripSet(folder, description.density, known=known, labels=description.labels)
 
 
 def with_known(sources: Sequence[Source], known: Mapping[str, Any] | None) -> list[Source]:

@@ -115,6 +115,22 @@ def test_strips_and_values_work_in_a_batch(tmp_path, plain):
     assert "12 hanging strips alone" in page
 
 
+def test_what_is_known_by_a_refused_capture_is_kept_for_the_fabric(tmp_path, plain):
+    for fabric, known, density in (("right", RIGHT, 210), ("heavy", RIGHT, 300)):
+        capture(tmp_path / "root" / fabric / "a")
+        refused = capture(tmp_path / "root" / fabric / "b", known)
+        (refused / "view_0.png").write_bytes(b"no picture")
+        file = refused / "capture.yaml"
+        file.write_text(file.read_text().replace("density_g_m2: 210", f"density_g_m2: {density}"))
+    infer.main([f"captures={tmp_path / 'root'}", f"out={tmp_path / 'out'}", "workers=1"])
+    right, heavy = (content(tmp_path / "out" / name) for name in ("right", "heavy"))
+    assert width(right) < 0.95 * width(plain) and len(right["captures"]) == 1
+    assert "bending length [mm] warp: 28" in (tmp_path / "out/right/index.html").read_text()
+    assert heavy["moduli"] == plain["moduli"]
+    lost, = (found["text"] for found in heavy["warnings"] if found["code"] == "known_lost")
+    assert "heavy/b, which is refused, is left out: captures and strips of one fabric" in lost
+
+
 def test_parts_in_files_give_the_estimate_of_those_in_memory(tmp_path):
     sources = [capture(tmp_path / "a", RIGHT), strips(tmp_path / "b", warp=[28.0, 29.0])]
     infer.main([f"capture={sources[0]}", f"strips={sources[1]}", f"out={tmp_path / 'o'}",
