@@ -156,9 +156,7 @@ def _twins(entries: Sequence[Entry], out: Path) -> tuple[dict[Path, list[Finding
     for entry in entries:
         digest = ""
         with suppress(InputError):  # of damaged files, which is said where they are joined
-            capture = read_document(out / entry.place / ESTIMATE).capture
-            if capture.views or not (capture.known and capture.known.drape_coefficient_percent):
-                digest = capture.views_sha256  # two fabrics may have the same numbers
+            digest = read_document(out / entry.place / ESTIMATE).capture.pictures_sha256
         other = first.setdefault(digest, entry) if digest else entry
         if other is not entry and other.fabric == entry.fabric:
             repeated.add(entry.place)

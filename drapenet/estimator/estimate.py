@@ -20,7 +20,13 @@ from drapenet.config import EstimateOptions
 from drapenet.estimator.combine import combine, evidence_of
 from drapenet.estimator.describe import describe_jointly, describe_strips
 from drapenet.estimator.infer import CaptureEvidence, infer_jointly, prior_draws
-from drapenet.estimator.read import Source, known_of, require_directions, require_one_fabric
+from drapenet.estimator.read import (
+    Refused,
+    Source,
+    known_of,
+    require_directions,
+    require_one_fabric,
+)
 from drapenet.estimator.stages import (
     CaptureEstimate,
     Progress,
@@ -74,24 +80,29 @@ def read_part(folder: Path) -> Part:
 
 def estimate_fabric(
     sources: Sequence[Source], header: Header, options: EstimateOptions, *,
-    out: Path | None = None,
+    out: Path | None = None, refused: Refused | None = None,
     on_estimate: Callable[[EstimateDocument, Path | None], None] = lambda document, folder: None,
 ) -> Estimate:
     """Estimate a fabric from all its ``sources``, and each of several by itself.
 
     Args:
+        refused: captures that could not be read; unless ``options`` are strict, the fabric is
+            estimated without them, and without those that show no drape, with a warning. None: each
+            capture must show one.
         out: folder of the files, if any; several sources have folders in it.
         on_estimate: called with each document and its folder.
     """
     if not sources:
         raise InputError("nothing is known of the fabric; give captures or strips")
+    if refused and options.strict:
+        raise next(iter(refused.values()))
     captures = [source for source in sources if isinstance(source, Capture)]
     require_one_fabric([source.density for source in sources],
                        [(str(capture.path), capture.digest) for capture in captures])
     require_directions(all(capture.warp_direction is not None for capture in captures),
                        any(len(source) for source in sources if not isinstance(source, Capture)),
                        [source.known for source in sources])
-    if len(sources) == 1:
+    if len(sources) == 1 and not refused:
         estimate, part = estimate_source(sources[0], header, options, out=out)
         on_estimate(part.document, out)
         return replace(estimate, warnings=tuple(part.document.warnings))
@@ -99,14 +110,27 @@ def estimate_fabric(
                else None for k, source in enumerate(sources)]
     for folder in filter(None, folders):
         require_output(folder)
-    parts = []
+    parts, places, refused = [], [], None if refused is None else {**refused}
     for source, folder in zip(sources, folders, strict=True):
-        _, part = estimate_source(source, header, options, out=folder)
+        try:
+            _, part = estimate_source(source, header, options, out=folder)
+        except InputError as error:
+            if refused is None or options.strict or not isinstance(source, Capture):
+                raise
+            refused[source.path] = error
+            continue
         parts.append(part)
+        places.append(folder)
         on_estimate(part.document, folder)
-    estimate, document = join(parts, header, strict=options.strict)
+    if refused and not any(part.observation for part in parts):
+        raise next(iter(refused.values()))
+    known, lost = known_parts(refused or {}, parts, header)
+    estimate, document = join([*parts, *known], header, strict=options.strict)
+    document = document.warned(*(Finding("capture_refused", {
+        "capture": printable(path), "reason": str(error).removeprefix(f"{path}: ")})
+        for path, error in (refused or {}).items()), *lost)
     if out:
-        write_joint(out, estimate, document, parts, folders, drawn=bool(options.drapes))
+        write_joint(out, estimate, document, parts, places, drawn=bool(options.drapes))
     on_estimate(document, out)
     return replace(estimate, warnings=tuple(document.warnings))
 

@@ -39,10 +39,31 @@ def _strips(folder: str | Path) -> "list[StripSet]":
     return [read_strips(folder)]
 
 
-def read_sources(places: Iterable[Path], strips: str | Path = "") -> list[Source]:
-    """The captures in the ``places``, and the strips of a folder."""
-    of_strips = _strips(strips)
-    return [*(read_capture(path) for place in places for path in captures_in(place)), *of_strips]
+Refused = dict[Path, InputError]
+"""Captures that are refused, and why."""
+
+
+def read_sources(
+    places: Iterable[Path], strips: str | Path = ""
+) -> tuple[list[Source], Refused | None]:
+    """The captures in the ``places`` and the strips of a folder, and those captures of a folder of
+    several that are refused, if not all are; None: each place is a capture, which must be read."""
+    of_strips, captures = _strips(strips), []
+    refused: Refused | None = None
+    for place in places:
+        folders = captures_in(place)
+        if len(folders) > 1:
+            refused = refused or {}
+        for path in folders:
+            try:
+                captures.append(read_capture(path))
+            except InputError as error:
+                if refused is None or len(folders) == 1:
+                    raise
+                refused[path] = error
+    if refused and not captures:
+        raise next(iter(refused.values()))
+    return [*captures, *of_strips], refused
 
 
 def read_scans(files: Iterable[Path], specimen: Specimen, strips: str | Path = "") -> list[Source]:
