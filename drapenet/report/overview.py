@@ -125,12 +125,11 @@ def fabrics_workbook(joined: Joined) -> bytes:
 
 
 def _write_page(fabric: FabricEstimate, out: Path) -> None:
-    """Write the page of a fabric, and its report if its captures have pictures."""
+    """Write the page of a fabric, and its report."""
     folder, document = out / fabric.place, fabric.document
     shown = [_shown(out, *capture) for capture in fabric.captures]
     write_report(folder, document.capture.labels.fabric or fabric.name, document, shown,
-                 page=INDEX, pdf=any(capture.large for capture in shown),
-                 scatter=fabric.scatter, failed=fabric.failed, back="../index.html")
+                 page=INDEX, scatter=fabric.scatter, failed=fabric.failed, back="../index.html")
 
 
 def _shown(out: Path, entry: Entry, document: EstimateDocument) -> ShownCapture:
