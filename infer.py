@@ -23,7 +23,7 @@ from common.errors import InputError
 from common.files import folder_named, locked
 from data.captures.description import Specimen
 from drapenet.config import EstimateOptions, InferConfig
-from drapenet.estimator.read import Source, read_scans, read_sources
+from drapenet.estimator.read import Refused, Source, read_scans, read_sources
 from drapenet.network.checkpoint import read_header
 from drapenet.result.document import EstimateDocument
 from drapenet.result.files import ESTIMATE, SHOWN, require_output, result_name
@@ -48,9 +48,9 @@ def main(config: InferConfig) -> None:
             files = estimate_fabrics(Path(config.captures), out, options,
                                      checkpoint=config.checkpoint, workers=config.workers)
     else:
-        sources = sources_of(config)
+        sources, refused = sources_of(config)
         header = read_header(config.checkpoint)
-        paths = [source.path for source in sources]
+        paths = [*(source.path for source in sources), *(refused or ())]
         out = Path(config.out or Path("outputs/infer") / result_name(paths))
         with locked(out):
             require_output(out, paths)
@@ -59,21 +59,23 @@ def main(config: InferConfig) -> None:
                       flush=True)
             from drapenet.estimator.estimate import estimate_fabric  # torch: seconds, after faults
 
-            estimate_fabric(sources, header, options, out=out, on_estimate=print_estimate)
+            estimate_fabric(sources, header, options, out=out, refused=refused,
+                            on_estimate=print_estimate)
         files = [out / ESTIMATE]
     if targets:
         export_estimates(files, targets)
 
 
-def sources_of(config: InferConfig) -> list[Source]:
-    """Read captures, scans and strips that are named in ``config``."""
+def sources_of(config: InferConfig) -> tuple[list[Source], Refused | None]:
+    """Read the captures, scans and strips that are named in ``config``; and what is refused of a
+    folder of captures, see :func:`drapenet.estimator.read.read_sources`."""
     named = config.scan or config.capture
     paths = [Path(str(path)) for path in (named if isinstance(named, list) else [named]) if named]
     if not config.scan:
         return read_sources(paths, config.strips, config.tension)
     stated = {key: value for key in Specimen.model_fields
               if (value := getattr(config, key)) is not None}
-    return read_scans(paths, Specimen.of(stated, ""), config.strips, config.tension)
+    return read_scans(paths, Specimen.of(stated, ""), config.strips, config.tension), None
 
 
 def print_estimate(document: EstimateDocument, folder: Path | None) -> None:

@@ -51,7 +51,8 @@ def estimate(
     """Estimate one fabric as ``infer.py`` does, without writing files; InputError for bad input.
 
     Args:
-        captures: their folders, or folders of captures, or captures made of arrays.
+        captures: their folders, or folders of captures, or captures made of arrays. Of a folder of
+            several, a capture that is refused is left out, with a warning.
         strips: folder of photographed strips, beside captures or alone.
         tension: folder of strips under weights (tension.yaml), likewise.
         checkpoint: FILE.safetensors of ``train.py``; empty: the bundled one.
@@ -78,8 +79,12 @@ def estimate(
                          "several captures are several arguments")
     options = EstimateOptions(refine=read_option("refine", "simulation") if refine else None,
                               drapes=0)
-    read = [source for given in captures for source in (
-        read_sources([Path(given)]) if isinstance(given, str | Path) else
-        [checked_capture(given)])]
-    sources = with_known([*read, *read_sources([], strips, tension)], known)
-    return estimate_fabric(sources, read_header(checkpoint), options)
+    read = [read_sources([Path(given)]) if isinstance(given, str | Path) else
+            ([checked_capture(given)], None) for given in captures]
+    sources = [source for found, _ in [*read, read_sources([], strips, tension)]
+               for source in found]
+    several = [refused for _, refused in read if refused is not None]
+    return estimate_fabric(
+        with_known(sources, known), read_header(checkpoint), options,
+        refused={path: error for refused in several for path, error in refused.items()}
+        if several else None)

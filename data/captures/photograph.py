@@ -8,6 +8,7 @@ Coordinates of pixels are those of their centres, from 0 on.
 
 from collections import Counter
 from dataclasses import dataclass, replace
+from hashlib import sha256
 from pathlib import Path
 
 import cv2
@@ -144,10 +145,13 @@ def _photographed(
     """
     read: dict[Path, tuple[Scaled, PhotographedOutline]] = {}
     unread: dict[Path, InputError] = {}
+    first: dict[bytes, Path] = {}
     for one, seen in sorted(scaled_photographs(file, source, rig).items()):
         try:
             if isinstance(seen, InputError):
                 raise seen
+            if (other := first.setdefault(sha256(one.read_bytes()).digest(), one)) is not one:
+                raise InputError(f"it is the same picture as {other.name}")
             read[one] = seen, _as_seen(seen, source, rig)
         except InputError as error:
             unread[one] = error

@@ -11,7 +11,7 @@ from common.errors import InputError
 from common.findings import Finding
 from common.normal import Normal
 from common.types import DeflectionCurve, Density, Metres, Radians
-from data.captures.description import Labels
+from data.captures.description import UNLABELLED, Labels
 from data.readings.known import Known
 from data.strips.description import FILE, StripsDescription, read_description
 from data.strips.photograph import PhotographedStrip, read_strip
@@ -37,12 +37,12 @@ class StripSet:
     kind: ClassVar[Literal["strips"]] = "strips"
     path: Path
     density: Density
-    photographs: tuple[PhotographedStrip, ...]
-    lengths: tuple[tuple[str, BendingLength], ...]
-    slope: Radians
-    width: Metres
-    known: Known | None
-    labels: Labels
+    photographs: tuple[PhotographedStrip, ...] = ()
+    lengths: tuple[tuple[str, BendingLength], ...] = ()
+    slope: Radians = 0.0
+    width: Metres = 0.03
+    known: Known | None = None
+    labels: Labels = UNLABELLED
 
     def __len__(self) -> int:
         return len(self.photographs) + len(self.lengths)

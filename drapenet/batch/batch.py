@@ -129,10 +129,13 @@ def join_fabrics(
     ordered = sorted((entry for entry, failure in outcomes if not failure),
                      key=lambda entry: (entry.fabric, entry.place))
     twins = _twins(ordered, out)
+    refused: dict[str, list[Path]] = {}
+    for entry, failure in outcomes:
+        refused.setdefault(entry.fabric, []).extend([entry.path] * bool(failure))
     for name, group in groupby(ordered, key=lambda entry: entry.fabric):
         entries = list(group)
         try:
-            fabric = _joined(name, entries, out, header, strict, *twins)
+            fabric = _joined(name, entries, refused[name], out, header, strict, *twins)
             fabrics.append(replace(fabric, failed=failed[name]))
         except InputError as error:
             apart += _apart(entries, out)
@@ -153,9 +156,7 @@ def _twins(entries: Sequence[Entry], out: Path) -> tuple[dict[Path, list[Finding
     for entry in entries:
         digest = ""
         with suppress(InputError):  # of damaged files, which is said where they are joined
-            capture = read_document(out / entry.place / ESTIMATE).capture
-            if capture.views or not (capture.known and capture.known.drape_coefficient_percent):
-                digest = capture.views_sha256  # two fabrics may have the same numbers
+            digest = read_document(out / entry.place / ESTIMATE).capture.pictures_sha256
         other = first.setdefault(digest, entry) if digest else entry
         if other is not entry and other.fabric == entry.fabric:
             repeated.add(entry.place)
@@ -171,18 +172,20 @@ def _twin(code: str, entry: Entry, other: Entry) -> Finding:
 
 
 def _joined(
-    name: str, entries: Sequence[Entry], out: Path, header: Header, strict: bool,
-    found: Mapping[Path, Sequence[Finding]], repeated: set[Path]
+    name: str, entries: Sequence[Entry], refused: Sequence[Path], out: Path, header: Header,
+    strict: bool, found: Mapping[Path, Sequence[Finding]], repeated: set[Path]
 ) -> FabricEstimate:
-    """Join the captures and strips of a fabric but ``repeated`` ones; write its estimate, with the
-    findings of :func:`_twins`."""
-    from drapenet.estimator.estimate import join, read_part  # torch
+    """Join the captures and strips of a fabric but ``repeated`` ones, and what is known by those
+    that are ``refused``; write its estimate, with the findings of :func:`_twins`."""
+    from drapenet.estimator.estimate import join, known_parts, read_part  # torch
     from drapenet.estimator.stages import require_sound
 
-    twins = [one for entry in entries for one in found.get(entry.place, ())]
-    require_sound(twins, strict, "the fabric")
     parts = {entry.place: read_part(out / entry.place) for entry in entries}
     joined = [part for place, part in parts.items() if place not in repeated]
+    known, lost = known_parts(refused, joined, header)
+    joined += known
+    faults = [*(one for entry in entries for one in found.get(entry.place, ())), *lost]
+    require_sound(faults, strict, "the fabric")
     place, scatter = Path(entries[0].place.parts[0]), None
     if len(joined) == 1:
         estimate, document = read_estimate(out / entries[0].place)
@@ -192,7 +195,7 @@ def _joined(
                            part.document.moduli_at_300_g_m2.values()])
                    for part in joined if part.observation]
         scatter = np.exp(np.std(middles, axis=0, ddof=1)) if len(middles) > 1 else None
-    document = document.warned(*twins)
+    document = document.warned(*faults)
     write_estimate(out / place, estimate, document)
     return FabricEstimate(
         name, place, [(entry, parts[entry.place].document.warned(*found.get(entry.place, ())))

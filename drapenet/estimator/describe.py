@@ -11,7 +11,7 @@ from data.captures.capture import DepthCapture
 from data.captures.description import Labels
 from drapenet.estimator.observe import Observed
 from drapenet.network.checkpoint import Header
-from drapenet.result.advice import advice_of
+from drapenet.result.advice import advice_of, joint_advice
 from drapenet.result.document import (
     CaptureAbout,
     CaptureRecord,
@@ -106,6 +106,9 @@ def describe_jointly(
     sections |= {"strips": records} if records else {}
     if tension := next((document.tension for document in documents if document.tension), None):
         sections["tension"] = tension
+    advice = joint_advice(document.advice for document in captures)
+    if advice and not any(record.moduli for record in records):
+        sections["advice"] = advice
     rigs = dict.fromkeys(document.capture.rig for document in captures)
     return EstimateDocument.from_estimate(
         estimate, capture=CaptureAbout(

@@ -5,7 +5,7 @@ Each source, a capture or a folder of strips, is a :class:`Part` with files of i
 :func:`join` makes the fabric's estimate from the parts.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from common.errors import InputError
+from common.files import printable
 from common.findings import Finding
 from common.normal import Normal
 from data.captures.capture import Capture
@@ -20,7 +21,13 @@ from drapenet.config import EstimateOptions
 from drapenet.estimator.combine import combine, evidence_of
 from drapenet.estimator.describe import describe_jointly, describe_strips, describe_tension
 from drapenet.estimator.infer import CaptureEvidence, infer_jointly, prior_draws
-from drapenet.estimator.read import Source, require_directions, require_one_fabric
+from drapenet.estimator.read import (
+    Refused,
+    Source,
+    known_of,
+    require_directions,
+    require_one_fabric,
+)
 from drapenet.estimator.stages import (
     CaptureEstimate,
     Progress,
@@ -79,17 +86,22 @@ def read_part(folder: Path) -> Part:
 
 def estimate_fabric(
     sources: Sequence[Source], header: Header, options: EstimateOptions, *,
-    out: Path | None = None,
+    out: Path | None = None, refused: Refused | None = None,
     on_estimate: Callable[[EstimateDocument, Path | None], None] = lambda document, folder: None,
 ) -> Estimate:
     """Estimate a fabric from all its ``sources``, and each of several by itself.
 
     Args:
+        refused: captures that could not be read; unless ``options`` are strict, the fabric is
+            estimated without them, and without those that show no drape, with a warning. None: each
+            capture must show one.
         out: folder of the files, if any; several sources have folders in it.
         on_estimate: called with each document and its folder.
     """
     if not sources:
         raise InputError("nothing is known of the fabric; give captures or strips")
+    if refused and options.strict:
+        raise next(iter(refused.values()))
     captures = [source for source in sources if isinstance(source, Capture)]
     require_one_fabric([source.density for source in sources],
                        [(str(capture.path), capture.digest) for capture in captures])
@@ -97,7 +109,7 @@ def estimate_fabric(
                        any(source.along_yarns for source in sources
                            if not isinstance(source, Capture)),
                        [source.known for source in sources])
-    if len(sources) == 1:
+    if len(sources) == 1 and not refused:
         estimate, part = estimate_source(sources[0], header, options, out=out)
         on_estimate(part.document, out)
         return replace(estimate, warnings=tuple(part.document.warnings))
@@ -105,14 +117,27 @@ def estimate_fabric(
                else None for k, source in enumerate(sources)]
     for folder in filter(None, folders):
         require_output(folder)
-    parts = []
+    parts, places, refused = [], [], None if refused is None else {**refused}
     for source, folder in zip(sources, folders, strict=True):
-        _, part = estimate_source(source, header, options, out=folder)
+        try:
+            _, part = estimate_source(source, header, options, out=folder)
+        except InputError as error:
+            if refused is None or options.strict or not isinstance(source, Capture):
+                raise
+            refused[source.path] = error
+            continue
         parts.append(part)
+        places.append(folder)
         on_estimate(part.document, folder)
-    estimate, document = join(parts, header, strict=options.strict)
+    if refused and not any(part.observation for part in parts):
+        raise next(iter(refused.values()))
+    known, lost = known_parts(refused or {}, parts, header)
+    estimate, document = join([*parts, *known], header, strict=options.strict)
+    document = document.warned(*(Finding("capture_refused", {
+        "capture": printable(path), "reason": str(error).removeprefix(f"{path}: ")})
+        for path, error in (refused or {}).items()), *lost)
     if out:
-        write_joint(out, estimate, document, parts, folders, drawn=bool(options.drapes))
+        write_joint(out, estimate, document, parts, places, drawn=bool(options.drapes))
     on_estimate(document, out)
     return replace(estimate, warnings=tuple(document.warnings))
 
@@ -160,6 +185,27 @@ def _of_tension(
     estimate = combine(prior_draws(header), evidence_of([], [record.known], source.density),
                        source.density, header, name="")
     return estimate, describe_tension(estimate, source, record, header), record.findings
+
+
+def known_parts(
+    refused: Iterable[Path], parts: Sequence[Part], header: Header
+) -> tuple[list[Part], list[Finding]]:
+    """Parts of what the descriptions of ``refused`` captures, their folders, state of the fabric of
+    ``parts``, and a finding for each that cannot be joined with them."""
+    found, lost = [], []
+    marked = all(part.observation.known for part in parts if part.observation)
+    for source in map(known_of, refused):
+        if source is None:  # without strips it has no length
+            continue
+        try:
+            require_one_fabric([source.density, *(part.document.density for part in parts)], [])
+            require_directions(marked, False, [source.known])
+        except InputError as error:
+            lost.append(Finding("known_lost", {"capture": printable(source.path),
+                                               "reason": error.message}))
+        else:
+            found.append(estimate_source(source, header, EstimateOptions())[1])
+    return found, lost
 
 
 def join(

@@ -5,11 +5,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from common.documents import read_yaml
 from common.errors import InputError
 from common.types import Density
 from data.captures.capture import Capture
 from data.captures.description import NEED_WARP, Description, Specimen
-from data.captures.reader import captures_in, read_capture
+from data.captures.reader import DESCRIPTION, captures_in, read_capture
 from data.readings.known import Known
 from data.strips.description import FILE as STRIPS
 from data.strips.description import StripsDescription
@@ -51,12 +52,33 @@ def _tension(folder: str | Path) -> "list[TensionSet]":
     return [read_tension(folder)]
 
 
+Refused = dict[Path, InputError]
+"""Captures that are refused, and why."""
+
+
 def read_sources(
     places: Iterable[Path], strips: str | Path = "", tension: str | Path = ""
-) -> list[Source]:
-    """The captures in the ``places``, and the hanging strips and those under weights of folders."""
+) -> tuple[list[Source], Refused | None]:
+    """The captures in the ``places``, the hanging strips and those under weights of folders; and
+    those captures of a folder of several that are refused, if not all are; None: each place is a
+    capture, which must be read."""
     of_strips: list[Source] = [*_strips(strips), *_tension(tension)]
-    return [*(read_capture(path) for place in places for path in captures_in(place)), *of_strips]
+    captures: list[Source] = []
+    refused: Refused | None = None
+    for place in places:
+        folders = captures_in(place)
+        if len(folders) > 1:
+            refused = refused or {}
+        for path in folders:
+            try:
+                captures.append(read_capture(path))
+            except InputError as error:
+                if refused is None or len(folders) == 1:
+                    raise
+                refused[path] = error
+    if refused and not captures:
+        raise next(iter(refused.values()))
+    return [*captures, *of_strips], refused
 
 
 def read_scans(
@@ -67,6 +89,22 @@ def read_scans(
     from drapenet.surface.registration import read_scan_capture
 
     return [*(read_scan_capture(file, specimen) for file in files), *of_strips]
+
+
+def known_of(folder: Path) -> Source | None:
+    """What the description of a capture that is refused states of its fabric, as strips.yaml
+    without strips would; None if there is nothing that can be read."""
+    file = folder / DESCRIPTION
+    try:
+        description = Description.of(read_yaml(file), file)
+    except InputError:
+        return None
+    if not (description.known and description.known.values()):
+        return None
+    from data.strips.folder import StripSet  # see above
+
+    known = Known(**description.known.model_dump(include={*Known.model_fields}))
+    return StripSet(folder, description.density, known=known, labels=description.labels)
 
 
 def with_known(sources: Sequence[Source], known: Mapping[str, Any] | None) -> list[Source]:

@@ -8,7 +8,7 @@ samples.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import chdtrc
@@ -61,11 +61,15 @@ def posterior(prior: np.ndarray, sources: Sequence[Source], prior_name: str = ""
 
         def others(left: Sequence[Source], base: Normal = base,
                    linear: Mapping[int, Linear] = linear) -> Normal:
-            return base.updated(Linear.stacked([linear[id(source)] for source in left]))
+            found = [linear[id(source)] for source in left]
+            return base.updated(Linear.stacked(found)) if found else base
 
         sound, differing = consistent(sound, others)
-        kept += sound
         contradictions += differing
+        for source in [source for source in own if source not in sound]:
+            sound, doubted = _without_exchanged(source, sound, others)
+            contradictions += doubted
+        kept += sound
     return Combined(updated(prior, kept), tuple(contradictions))
 
 
@@ -92,6 +96,26 @@ def consistent(
         rival = left[0].label if len(left) == 1 else f"the other {len(left)} {_NAMES[worst.kind]}"
         contradictions.append(worst.contradiction(rival, rest[k].samples(_TESTED)))
     return left, contradictions
+
+
+def _without_exchanged(
+    wrong: Source, sound: list[Source], others: Callable[[Sequence[Source]], Normal]
+) -> tuple[list[Source], list[Finding]]:
+    """The ``sound`` sources without the value along the other yarns than a ``wrong`` one if the two
+    were exchanged, as their exchange shows, which is sound and more probable; and a finding for it.
+    """
+    swapped, key = wrong.exchanged or (wrong, "")
+    for other in sound:
+        if other.key != key or not other.exchanged:
+            continue
+        rest = [one for one in sound if one is not other]
+        cloth = others(rest)
+        stated = [probability(one, cloth) for one in (wrong, other)]
+        better = [probability(one, cloth) for one in (swapped, other.exchanged[0])]
+        if min(better) >= LEVEL and np.prod(better) > np.prod(stated):
+            found = other.contradiction(wrong.label, cloth.samples(_TESTED))
+            return rest, [replace(found, code="value_exchanged")]
+    return sound, []
 
 
 def probability(source: Source, cloth: Normal) -> float:

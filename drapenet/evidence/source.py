@@ -1,7 +1,7 @@
 """A source of evidence: what it measured, and how far it lies from a cloth of a given state."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -36,6 +36,8 @@ class Source:
         residuals: (S, m) of states (S, 10): what was measured less what a cloth of this state
             gives, in standard deviations, independent; NaN of a state that cannot give it.
         against: what was measured beside what states (S, 10) of other sources say: code and values.
+        exchanged: the same with the value that is stated along the other yarns, if one is, and the
+            key of the source of that one.
     """
 
     label: str
@@ -43,6 +45,7 @@ class Source:
     kind: int
     residuals: Callable[[np.ndarray], np.ndarray]
     against: "Against"
+    exchanged: "tuple[Source, str] | None" = None
 
     def contradiction(self, rival: str, states: np.ndarray) -> Finding:
         """That it contradicts the ``rival``, of whose states (S, 10) are."""
@@ -74,8 +77,17 @@ def of_strips(direction: str, measured: Linear, alpha: float, density: Density) 
 
 def of_values(known: Known | None, density: Density) -> list[Source]:
     """Each value that a laboratory states."""
-    return [_of_value(name, k, value, known.error(name), density)
-            for (name, k), value in known.values().items()] if known else []
+    stated, found = known.values() if known else {}, []
+    for (name, k), value in stated.items():
+        assert known
+        error = known.error(name)
+        source = _of_value(name, k, value, error, density)
+        other = name, 2 - k  # of the other yarns; of the bias none
+        if other in stated and other[1] != k:
+            source = replace(source, exchanged=(
+                _of_value(name, k, stated[other], error, density), value_key(*other)))
+        found.append(source)
+    return found
 
 
 def _of_value(name: str, k: int, value: float, error: float, density: Density) -> Source:

@@ -16,7 +16,7 @@ from common.findings import texts
 from drapenet.batch.captures import COLUMNS, Entry
 from drapenet.report.pages import render
 from drapenet.report.report import MAX_NAME_WIDTH, ShownCapture, write_report
-from drapenet.report.workbook import Sample, workbook
+from drapenet.report.workbook import Sample, Unestimated, workbook
 from drapenet.result.document import EstimateDocument
 from drapenet.result.files import REPORT
 from drapenet.result.tables import ROLES, csv_number, csv_table, row_of
@@ -79,6 +79,22 @@ class Joined:
         """All captures that have an estimate."""
         return [*chain.from_iterable(fabric.captures for fabric in self.fabrics), *self.apart]
 
+    @property
+    def unestimated(self) -> list[Unestimated]:
+        """The fabrics without an estimate, with the reason that they are not joined, or why their
+        captures failed."""
+        found = []
+        for name in dict.fromkeys(row["fabric"] for row in self.failures):
+            rows = [row for row in self.failures if row["fabric"] == name]
+            if any(fabric.name == name for fabric in self.fabrics):
+                continue
+            reasons = [row["reason"] for row in rows if not row["capture"]] or [
+                f"{row['capture']}: {row['reason']}" for row in rows]
+            found.append(Unestimated({
+                "fabric": name, "captures": sum(entry.fabric == name for entry, _ in self.apart),
+                "captures_failed": sum(bool(row["capture"]) for row in rows)}, "; ".join(reasons)))
+        return found
+
 
 def write_overview(out: Path, joined: Joined) -> None:
     """Write all tables and pages."""
@@ -98,22 +114,22 @@ def write_overview(out: Path, joined: Joined) -> None:
 
 
 def fabrics_workbook(joined: Joined) -> bytes:
-    """``results.xlsx``: a sheet of the fabrics and another of their captures."""
+    """``results.xlsx``: sheets of the fabrics, their captures, and what failed."""
     return workbook({
-        "fabrics": [Sample({"fabric": fabric.name, **fabric.counts},
-                           fabric.document, *fabric.means.values()) for fabric in joined.fabrics],
+        "fabrics": [*(Sample({"fabric": fabric.name, **fabric.counts},
+                             fabric.document, *fabric.means.values())
+                      for fabric in joined.fabrics), *joined.unestimated],
         "captures": [Sample({name: getattr(entry, name) for name in COLUMNS}, document,
                             document.capture.drape_coefficient_percent, document.capture.nodes)
-                     for entry, document in joined.captures]})
+                     for entry, document in joined.captures]}, joined.failures)
 
 
 def _write_page(fabric: FabricEstimate, out: Path) -> None:
-    """Write the page of a fabric, and its report if its captures have pictures."""
+    """Write the page of a fabric, and its report."""
     folder, document = out / fabric.place, fabric.document
     shown = [_shown(out, *capture) for capture in fabric.captures]
     write_report(folder, document.capture.labels.fabric or fabric.name, document, shown,
-                 page=INDEX, pdf=any(capture.large for capture in shown),
-                 scatter=fabric.scatter, failed=fabric.failed, back="../index.html")
+                 page=INDEX, scatter=fabric.scatter, failed=fabric.failed, back="../index.html")
 
 
 def _shown(out: Path, entry: Entry, document: EstimateDocument) -> ShownCapture:
@@ -125,7 +141,8 @@ def _shown(out: Path, entry: Entry, document: EstimateDocument) -> ShownCapture:
 
 
 def fabrics_text(fabrics: Sequence[FabricEstimate]) -> str:
-    """A line for each fabric: name, number of captures, alpha, number of warnings."""
+    """A line for each fabric: name, number of captures, alpha, number of warnings; and its advice.
+    """
     names = [shortened(fabric.name, MAX_NAME_WIDTH) for fabric in fabrics]
     width = max(len("fabric"), *map(len, names))
     lines = [f"{'fabric':{width}}{'captures':>10}"
@@ -136,6 +153,8 @@ def fabrics_text(fabrics: Sequence[FabricEstimate]) -> str:
                           for moduli in fabric.document.moduli.values())
         lines.append(f"{name:{width}}{len(fabric.captures):>10}{figures}"
                      f"{len(fabric.document.warnings) or '-':>10}")
+    lines += [f"advice, {name}: {line}" for name, fabric in zip(names, fabrics, strict=True)
+              for line in texts(fabric.document.advice or [])]
     return "\n".join(lines)
 
 
@@ -161,8 +180,7 @@ def _fabric_row(fabric: FabricEstimate) -> dict[str, object]:
            "" if fabric.scatter is None else csv_number(fabric.scatter[k])
            for k, role in enumerate(ROLES)},
         "poorly_constrained": "; ".join(document.poorly_constrained),
-        **document.capture.labels.columns,
-        "flags": "; ".join(texts(document.warnings)),
+        **document.capture.labels.columns, **_sentences(document),
     }
 
 
@@ -171,4 +189,9 @@ def _capture_row(entry: Entry, document: EstimateDocument) -> dict[str, object]:
             "directions": document.convention, **row_of(document),
             "drape_coefficient_percent": document.capture.drape_coefficient_percent,
             "nodes": document.capture.nodes, **document.capture.labels.columns,
+            **_sentences(document)}
+
+
+def _sentences(document: EstimateDocument) -> dict[str, object]:
+    return {"advice": "; ".join(texts(document.advice or [])),
             "flags": "; ".join(texts(document.warnings))}

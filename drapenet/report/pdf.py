@@ -8,12 +8,23 @@ from fpdf import FPDF
 from fpdf.fonts import TextStyle
 
 WIDTH = 535  # points, of a picture as wide as the text
+_SMALLER = 0.75  # of that, where all fits on one page so
 _FONT = "DejaVu"  # matplotlib's, with Greek and superscripts
 _INK, _GREY = "#222222", "#666666"
 
 
 def as_pdf(body: str, title: str) -> bytes:
-    """A4 pages of a ``body`` in HTML, with a title at their foot."""
+    """A4 pages of a ``body`` in HTML, with a title at their foot; one page in place of two where
+    smaller pictures suffice for that."""
+    pages = _laid_out(body, title)
+    if pages.page_no() == 2:
+        smaller = _laid_out(body.replace(f'width="{WIDTH}"',
+                                         f'width="{round(_SMALLER * WIDTH)}"'), title)
+        pages = min(pages, smaller, key=_Pages.page_no)
+    return bytes(pages.output())
+
+
+def _laid_out(body: str, title: str) -> "_Pages":
     for library in ("fpdf", "fontTools"):  # each step of fonts, and each letter that they lack
         logging.getLogger(library).setLevel(logging.ERROR)
     pages = _Pages(format="A4")
@@ -32,7 +43,7 @@ def as_pdf(body: str, title: str) -> bytes:
         **{name: TextStyle(color=_INK, font_style="B", font_size_pt=size, t_margin=above,
                            b_margin=1)
            for name, size, above in (("h1", 16, 0), ("h2", 11, 2), ("h3", 9, 2))}})
-    return bytes(pages.output())
+    return pages
 
 
 class _Pages(FPDF):

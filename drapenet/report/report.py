@@ -13,7 +13,7 @@ from drapenet.report.figures import capture_and_curves, draw_spread
 from drapenet.report.pages import in_words, render
 from drapenet.report.pdf import WIDTH, as_pdf
 from drapenet.result.document import CaptureAbout, EstimateDocument
-from drapenet.result.files import PAGE, PDF
+from drapenet.result.files import PAGE, PDF, shown_texts
 
 MAX_NAME_WIDTH = 28  # characters of a name in a table or picture
 
@@ -57,7 +57,7 @@ def _mean_coefficient(captures: Sequence[CaptureAbout]) -> str:
 
 def write_report(
     out: Path, title: str, document: EstimateDocument, captures: Sequence[ShownCapture], *,
-    page: str = PAGE, pdf: bool = True, scatter: np.ndarray | None = None, failed: int = 0,
+    page: str = PAGE, scatter: np.ndarray | None = None, failed: int = 0,
     back: str = "",
 ) -> None:
     """Write the report of an estimate and its ``captures`` as a page, and as PDF.
@@ -77,8 +77,7 @@ def write_report(
         "title": title, "document": document, "captures": captures, "alone": alone,
         "spread": spread, "curves": curves, "scatter": scatter, "failed": failed, "back": back,
         "width": WIDTH, "known": document.known_values, "in_all": in_all(captures),
-        "version": version("drapenet")}
+        "version": version("drapenet"), "texts": shown_texts}
     replace_file(out / page, render("report.html", layout="base.html", **values))
-    if pdf:
-        body = render("report.html", layout="print.html", **values).decode()
-        replace_file(out / PDF, as_pdf(body, title))
+    body = render("report.html", layout="print.html", **values).decode()
+    replace_file(out / PDF, as_pdf(body, title))

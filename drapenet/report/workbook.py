@@ -18,6 +18,7 @@ QUANTITIES = {"alpha_uN_m": ("α", "µN·m", "0.0"), "beta_nN_m2": ("β", "nN·m
               "kes_b_gf_cm2_per_cm": ("KES B", "gf·cm²/cm", "0.000"),
               "kes_2hb_gf_cm_per_cm": ("KES 2HB", "gf·cm/cm", "0.000")}
 """Name, unit and number format of quantities along a direction, by their key in the document."""
+FAILED = ("fabric", "sample", "capture", "reason")
 NOTES = (
     "Each line is a direction: warp, bias and weft, or stiff, bias and soft where the direction of "
     "the warp was not stated.",
@@ -27,7 +28,10 @@ NOTES = (
     "are of several testers.",
     "KES B and 2HB are empty where most of the samples of the estimate soften below 1.5 1/cm, so "
     "that the moduli do not determine them; 'KES not determined' is their share. Do not compare "
-    f"them with measured values where it exceeds {100 * MAX_COMPARED_SHARE:g} %.")
+    f"them with measured values where it exceeds {100 * MAX_COMPARED_SHARE:g} %.",
+    "poorly constrained: the drape says little of this modulus along this direction, so that its "
+    "value is mostly that of usual fabrics.",
+    "A fabric without an estimate has one line, with its reason; the sheet failures lists all.")
 
 
 @dataclass(frozen=True)
@@ -40,33 +44,55 @@ class Sample:
     nodes: float | None
 
 
-def workbook(sheets: Mapping[str, Sequence[Sample]]) -> bytes:
-    """An xlsx file with a sheet of each name, three rows for each sample."""
+@dataclass(frozen=True)
+class Unestimated:
+    """The row of a fabric without an estimate: its first cells, and why."""
+
+    names: Mapping[str, str | int]
+    reason: str
+
+
+def workbook(
+    sheets: Mapping[str, Sequence[Sample | Unestimated]], failures: Sequence[Mapping[str, str]]
+) -> bytes:
+    """An xlsx file with a sheet of each name, three rows for each sample, and a sheet of the
+    captures and fabrics that failed, with :data:`FAILED` of each."""
     stream = io.BytesIO()
     with xlsxwriter.Workbook(stream, {"in_memory": True}) as book:
         for name, samples in sheets.items():
-            _fill(book, book.add_worksheet(name), samples)
+            names = [*(samples[0].names if samples else ())]
+            _fill(book, book.add_worksheet(name), _columns(names),
+                  [row for sample in samples for row in _rows(sample)])
+        _fill(book, book.add_worksheet("failures"), dict.fromkeys(FAILED, "@"),
+              [[row[name] for name in FAILED] for row in failures])
         notes = book.add_worksheet("notes")
         for row, line in enumerate(NOTES):
             notes.write_string(row, 0, line)
     return stream.getvalue()
 
 
-def _fill(book: xlsxwriter.Workbook, sheet: Worksheet, samples: Sequence[Sample]) -> None:
+def _columns(names: Sequence[str]) -> dict[str, str]:
+    """Number formats by column of a sheet whose first cells are ``names``."""
+    names = [*names, "mass per area [g/m²]", "tester", "face", "direction"]
+    return {**dict.fromkeys(names, "0"),
+            **{f"{name} {end} [{unit}]": text for name, unit, text in QUANTITIES.values()
+               for end in ("median", "low", "high")},
+            "poorly constrained": "@", "KES not determined [%]": "0.0",
+            "drape coefficient [%]": "0.0", "nodes": "0.0",
+            **dict.fromkeys(UNLABELLED.columns, "@"),
+            "advice": "@", "warnings": "0", "warnings in words": "@"}
+
+
+def _fill(
+    book: xlsxwriter.Workbook, sheet: Worksheet, columns: Mapping[str, str],
+    rows: Sequence[Sequence[str | float | None]],
+) -> None:
+    """Write a sheet of ``columns`` with their number formats."""
     head = book.add_format({"bold": True, "text_wrap": True, "valign": "top", "bottom": 1})
-    names = [*(samples[0].names if samples else ()), "mass per area [g/m²]", "tester", "face",
-             "direction"]
-    columns = {**dict.fromkeys(names, "0"),
-               **{f"{name} {end} [{unit}]": text for name, unit, text in QUANTITIES.values()
-                  for end in ("median", "low", "high")},
-               "KES not determined [%]": "0.0", "drape coefficient [%]": "0.0", "nodes": "0.0",
-               **dict.fromkeys(UNLABELLED.columns, "@"),
-               "warnings": "0", "warnings in words": "@"}
     for column, (name, text) in enumerate(columns.items()):
         sheet.write_string(0, column, name.replace("_", " "), head)
         sheet.set_column(column, column, 11 if column else 24,
                          book.add_format({"num_format": text}))
-    rows = [row for sample in samples for row in _rows(sample)]
     for row, values in enumerate(rows, start=1):
         for column, value in enumerate(values):
             if isinstance(value, str):  # never a formula
@@ -78,16 +104,23 @@ def _fill(book: xlsxwriter.Workbook, sheet: Worksheet, samples: Sequence[Sample]
     sheet.autofilter(0, 0, len(rows), len(columns) - 1)
 
 
-def _rows(sample: Sample) -> list[list[str | float | None]]:
-    """Cells of the three directions."""
+def _rows(sample: Sample | Unestimated) -> list[list[str | float | None]]:
+    """Cells of the three directions, or of a fabric without an estimate."""
+    if isinstance(sample, Unestimated):
+        columns = _columns([*sample.names])
+        return [[*sample.names.values(), *[None] * (len(columns) - len(sample.names) - 1),
+                 f"no estimate: {sample.reason}"]]
     document, about, rows = sample.document, sample.document.capture, []
     face = "" if about.sources else about.face
     for name, readings in document.laboratory.items():
         quantities = dict([*document.moduli[name], *readings])
         numbers = [number for key in QUANTITIES for number in _ends(quantities[key])]
+        poor = ", ".join(letter for letter, key in (("α", "alpha"), ("β", "beta/alpha"))
+                         if f"{key} {name}" in document.poorly_constrained)
         rows.append([*sample.names.values(), about.density_g_m2, about.rig, face, name, *numbers,
-                     100 * readings.kes_b_outside_law_probability, sample.coefficient,
-                     sample.nodes, *about.labels.columns.values(), len(document.warnings),
+                     poor, 100 * readings.kes_b_outside_law_probability, sample.coefficient,
+                     sample.nodes, *about.labels.columns.values(),
+                     "; ".join(texts(document.advice or [])), len(document.warnings),
                      "; ".join(texts(document.warnings))])
     return rows
 

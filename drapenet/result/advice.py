@@ -1,5 +1,7 @@
 """Which specimen would say more of a fabric than the one that was draped."""
 
+from collections.abc import Iterable
+
 from common.findings import Finding
 from sim.rig import Rig
 
@@ -20,3 +22,13 @@ def advice_of(rig: Rig, coefficient: float) -> list[Finding]:
     if coefficient < LIMP and not (disc and rig.specimen_size <= _SMALLEST):
         return [Finding("specimen_for_limp", {"value": float(coefficient)})]
     return []
+
+
+def joint_advice(captures: Iterable[list[Finding] | None]) -> list[Finding]:
+    """The advice of a fabric from that of each of its captures: none as soon as one specimen says
+    enough, and strips rather than a disc that was draped already."""
+    every = [advice or [] for advice in captures]
+    found = {one.code: one for advice in every for one in advice} if all(every) else {}
+    if "strips_for_stiff" in found:
+        found.pop("specimen_for_stiff", None)
+    return [*found.values()]

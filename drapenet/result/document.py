@@ -140,6 +140,12 @@ class CaptureAbout(Excerpt):
     known: Reported | None = None
     labels: Labels = Labels()
 
+    @property
+    def pictures_sha256(self) -> str:
+        """Of what was seen; empty for numbers, which two fabrics may share."""
+        numbers = self.known and self.known.drape_coefficient_percent and not self.views
+        return "" if numbers else self.views_sha256
+
 
 class Cloth(Excerpt):
     """Properties beside the moduli, at the fabric's density."""

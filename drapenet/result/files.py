@@ -1,7 +1,7 @@
 """Files of an estimate: ``estimate.json``, its samples beside it, and those of its report."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ import numpy as np
 from common.documents import read_arrays, read_json, reading
 from common.errors import InputError
 from common.files import printable, remove_file, replace_json, replacing, require_file
+from common.findings import Finding, texts
 from data.fabrics.properties import ClothProperties
 from drapenet.result.document import EstimateDocument
 from drapenet.result.estimate import Estimate
@@ -122,6 +123,23 @@ def capture_names(document: EstimateDocument) -> list[str]:
     sources = [Path(source) for source in document.capture.sources or []]
     return [os.path.relpath(source, _place(sources)) if len(sources) > 1 else source.name
             for source in sources]
+
+
+def shown_texts(document: EstimateDocument, found: Iterable[Finding]) -> list[str]:
+    """The lines of findings of an estimate as customers read them: with the names of captures in
+    place of their paths on this computer."""
+    sources = [Path(source) for source in _sources(document) if source]
+    if not sources:
+        return texts(found)
+    names = capture_names(document) if document.capture.sources else [fabric_name(document)]
+    place = _place(sources)
+    named = {str(path): name for path, name in zip(sources, names, strict=False)} | {
+        f"{place}{os.sep}": "", f"{place.parent}{os.sep}": ""}
+    lines = texts(found)
+    for path in sorted(named, key=len, reverse=True):  # a capture before its folder
+        if len(Path(path).parts) > 1:  # neither a name alone nor the root
+            lines = [line.replace(path, named[path]) for line in lines]
+    return lines
 
 
 def _sources(document: EstimateDocument) -> list[Path]:

@@ -94,6 +94,14 @@ class Database:
         """All estimates with their states, the oldest first."""
         return self._read("SELECT id, state, tries, members, error FROM estimate ORDER BY created")
 
+    def same_pictures(self, digest: str, fabric: str) -> list[str]:
+        """FABRIC/CAPTURE of the captures with this ``views_sha256`` of other fabrics."""
+        return [row["place"] for row in self._read(
+            "SELECT f.name || '/' || e.name AS place FROM estimate e JOIN fabric f "
+            "ON f.id = e.fabric WHERE e.members IS NULL AND e.fabric <> ? AND "
+            "json_extract(e.estimate, '$.capture.views_sha256') = ? ORDER BY e.created",
+            fabric, digest)]
+
     def settled(self) -> list[dict[str, Any]]:
         """``id`` and time of the ``latest`` event of fabrics without unfinished estimates."""
         return self._read("SELECT * FROM settled ORDER BY latest")

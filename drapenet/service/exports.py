@@ -59,14 +59,24 @@ def all_files(folder: Path, names: Iterable[str], settings: Mapping[str, object]
 
 
 def results_table(results: Path, words: Sequence[str]) -> tuple[str, bytes]:
-    """Title and content of a workbook of the fabrics in the folder ``results`` that have an
-    estimate and all ``words`` of a search, the newest first.
+    """Title and content of a workbook of the fabrics in the folder ``results`` that have all
+    ``words`` of a search, the newest first, and of what failed of them.
     """
     from drapenet.report.overview import RESULTS, Joined, fabrics_workbook
 
     database = database_in(results)
-    found = [_estimated(database, row) for row in database.fabrics(words) if row["result"]]
-    return RESULTS, fabrics_workbook(Joined([*filter(None, found)], [], []))
+    rows = database.fabrics(words)
+    found = [_estimated(database, row) for row in rows if row["result"]]
+    return RESULTS, fabrics_workbook(Joined(
+        [*filter(None, found)], [], [one for row in rows for one in _failures(database, row)]))
+
+
+def _failures(database: Database, fabric: Mapping[str, Any]) -> list[dict[str, str]]:
+    """Rows of a fabric's captures that failed, and of its joint estimate, without a capture."""
+    return [{"fabric": fabric["name"], "sample": "",
+             "capture": "" if each["members"] else each["name"], "reason": each["error"] or ""}
+            for each in (database.fabric(fabric["id"]) or {"estimates": []})["estimates"]
+            if each["state"] in (FAILED, LOST)]
 
 
 def _estimated(database: Database, fabric: Mapping[str, Any]) -> "FabricEstimate | None":

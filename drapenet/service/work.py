@@ -93,7 +93,7 @@ def _estimate(
 def _read(folder: Path, row: dict[str, Any]) -> Any:
     """The capture, scan or strips of an upload, named as they are shown: results must not reveal
     paths of the server."""
-    from data.captures.capture import Capture
+    from data.captures.capture import Capture, ReportedCapture
     from data.captures.description import Description
     from data.captures.preview import png, show
     from data.strips.preview import strips_figure
@@ -110,6 +110,11 @@ def _read(folder: Path, row: dict[str, Any]) -> Any:
         source = read_source(uploaded)
     if isinstance(source, Capture):
         replace_file(folder / PREVIEW, show(source))
+        if not isinstance(source, ReportedCapture):
+            others = database_in(folder.parent).same_pictures(source.digest, row["fabric"])
+            source = replace(source, warnings=(*source.warnings, *(
+                Finding("twin_elsewhere", {"capture": str(shown), "other": other})
+                for other in others[:1])))
     elif source.kind == "strips" and source.photographs:
         replace_file(folder / PREVIEW, png(strips_figure(source)))
     return replace(source, path=shown, labels=_named(source.labels, row["fabric_name"]))
@@ -139,8 +144,19 @@ def _estimate_jointly(
 
     record(stage="joining")
     places = [folder.parent / member for member in row["members"]]
-    parts = [_as_named(read_part(place), row["fabric_name"]) for place in places]
+    first: dict[str, Any] = {}
+    kept, twins = [], []
+    for place in places:
+        part = _as_named(read_part(place), row["fabric_name"])
+        digest = part.document.capture.pictures_sha256 or place.name
+        if (other := first.setdefault(digest, part)) is part:
+            kept.append((part, place))
+        else:
+            twins.append(Finding("twin_left_out", {"capture": part.document.label,
+                                                   "other": other.document.label}))
+    parts, places = [part for part, _ in kept], [place for _, place in kept]
     estimate, document = join(parts, header)
+    document = document.warned(*twins)
     write_joint(folder, estimate, document, parts, places, drawn=True)
     replace_file(folder / TORQUES, draw_torques(estimate))
     return estimate, document.warnings

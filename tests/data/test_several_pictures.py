@@ -149,6 +149,12 @@ def test_a_picture_that_contradicts_or_cannot_be_read_is_left_out_and_named(
     assert two.outline.error.max() > 5e-3
 
 
+def test_a_picture_under_two_names_counts_once(tmp_path, pictures):
+    capture = read_capture(folder_of(tmp_path / "twice", [pictures[0], *pictures[:2]]))
+    said, = (one.text for one in capture.warnings if one.code == "picture_unread")
+    assert said.startswith("outline_2.jpg is left out") and "same picture as outline_1.jpg" in said
+
+
 def test_a_plate_that_was_turned_between_pictures_is_turned_back(tmp_path, shape, pictures):
     turned = read_capture(folder_of(tmp_path / "turned", [
         pictures[0], taken(shape, PLACES[1], np.radians(-40))]))

@@ -91,15 +91,21 @@ def test_the_tables_state_failed_captures_and_operators(out):
                        (rows(out / "summary.csv"), "captures_failed"),
                        (sheets[0], "captures failed")):
         assert {row["fabric"]: int(row[key]) for row in table} == {
-            row["fabric"]: int(row["fabric"] == "sound") for row in table}
+            row["fabric"]: int(row["fabric"] in ("sound", "gone")) for row in table}
     for table in (rows(out / "fabrics.csv"), rows(out / "captures.csv"), *sheets):
-        operators = {row["fabric"]: row["operator"] for row in table}
+        operators = {row["fabric"]: row.get("operator") for row in table}
+        operators.pop("gone", None)  # without an estimate
         assert operators.pop("photo").endswith(FORMULA) and not any(operators.values())
 
 
 def test_the_spreadsheet_has_the_numbers_of_the_tables_with_units(out):
     fabrics = {row["fabric"]: row for row in rows(out / "fabrics.csv")}
     sheet = cells(out / "results.xlsx", 1)
+    gone = sheet.pop()
+    assert gone["fabric"] == "gone" and "direction" not in gone
+    assert gone["warnings in words"].startswith("no estimate: nowhere: ")
+    assert [(row["capture"], row["reason"]) for row in cells(out / "results.xlsx", 3)] == [
+        (row["capture"], row["reason"]) for row in rows(out / "failures.csv")]
     assert [row["direction"] for row in sheet] == ["stiff", "bias", "soft"] * 3 + [
         "warp", "bias", "weft"] + ["stiff", "bias", "soft"]
     for number, row in enumerate(sheet):
@@ -133,7 +139,8 @@ def test_every_column_of_the_tables_is_documented(out):
 def test_a_fabric_has_a_report_of_its_captures(out):
     page = (out / "cmd_C_calc_A0" / "index.html").read_text("utf-8")
     assert "from 2 captures." in page and page.count("data:image/png") == 3  # views, and spread
-    assert "all fabrics" in page and not list(out.rglob("report.pdf"))  # without drapes
+    assert "all fabrics" in page and str(out.parent) not in page
+    assert len(list(out.rglob("report.pdf"))) == 5  # of each fabric
 
 
 def test_failures_are_listed_with_their_reasons(out):

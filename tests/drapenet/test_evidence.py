@@ -177,6 +177,21 @@ def test_values_that_contradict_each_other_and_not_the_captures():
     assert contradiction.values["value"] == 220 > contradiction.values["expected"]
 
 
+def test_of_values_exchanged_between_warp_and_weft_both_are_left_out():
+    before = states()
+    before[:, 0] = np.log(90 * MICRO) + (before[:, 0] - np.log(60 * MICRO)) / 3
+    before[:, 2] += np.log(45 / 60)  # known less well, so that a wrong value pulls it
+    exchanged = posterior(before, of_values(lengths(45, 90), DENSITY), NAME)
+    assert [found.code for found in exchanged.contradictions] == [
+        "value_contradicts", "value_exchanged"]
+    np.testing.assert_array_equal(exchanged.states, before)
+    assert "weft" in exchanged.contradictions[1].text.partition(" is left out, too")[0]
+    for warp, weft, wrong in ((90, 45, []), (45, 45, ["value_contradicts"])):
+        found = posterior(before, of_values(lengths(warp, weft), DENSITY), NAME)
+        assert [one.code for one in found.contradictions] == wrong
+        assert found.states[:, 2].std() < 0.8 * before[:, 2].std()  # the weft is used
+
+
 def test_an_unusual_fabric_is_no_contradiction():
     before = states()
     found = posterior(before, [strips("warp", 600 * MICRO, 0.05)])

@@ -16,7 +16,7 @@ from drapenet.network.expected import (
 from drapenet.network.expected_network import Expected, _log_density
 from drapenet.network.inputs import Batch, Facts
 from drapenet.network.targets import CURL, TARGETS
-from drapenet.result.advice import advice_of
+from drapenet.result.advice import advice_of, joint_advice
 from drapenet.views.directions import AZIMUTH, ELEVATIONS
 from sim.rig import Rig
 
@@ -112,6 +112,14 @@ def test_a_capture_that_no_cloth_of_its_estimate_gives_is_named_with_the_number(
 def test_a_specimen_that_says_little_is_named_with_a_better_one(name, coefficient, advice):
     lines = texts(advice_of(Rig.from_name(name), coefficient))
     assert (advice in lines[0]) if advice else not lines
+
+
+def test_the_advice_of_a_fabric_is_that_of_specimens_that_all_say_little():
+    flat, largest, enough = (advice_of(Rig.from_name(name), coefficient) for name, coefficient in (
+        ("disc300_support180", 0.9), ("disc360_support180", 0.9), ("disc300_support180", 0.6)))
+    assert joint_advice([flat, flat]) == flat and joint_advice([]) == []
+    assert joint_advice([flat, enough]) == joint_advice([flat, None]) == []
+    assert joint_advice([flat, largest]) == largest
 
 
 def test_densities_by_matrix_products_are_those_of_each_cloth(expected):

@@ -115,6 +115,56 @@ def test_strips_and_values_work_in_a_batch(tmp_path, plain):
     assert "12 hanging strips alone" in page
 
 
+def test_what_is_known_by_a_refused_capture_is_kept_for_the_fabric(tmp_path, plain):
+    for fabric, known, density in (("right", RIGHT, 210), ("heavy", RIGHT, 300)):
+        capture(tmp_path / "root" / fabric / "a")
+        refused = capture(tmp_path / "root" / fabric / "b", known)
+        (refused / "view_0.png").write_bytes(b"no picture")
+        file = refused / "capture.yaml"
+        file.write_text(file.read_text().replace("density_g_m2: 210", f"density_g_m2: {density}"))
+    infer.main([f"captures={tmp_path / 'root'}", f"out={tmp_path / 'out'}", "workers=1"])
+    right, heavy = (content(tmp_path / "out" / name) for name in ("right", "heavy"))
+    assert width(right) < 0.95 * width(plain) and len(right["captures"]) == 1
+    assert "bending length [mm] warp: 28" in (tmp_path / "out/right/index.html").read_text()
+    assert heavy["moduli"] == plain["moduli"]
+    lost, = (found["text"] for found in heavy["warnings"] if found["code"] == "known_lost")
+    assert "heavy/b, which is refused, is left out: captures and strips of one fabric" in lost
+
+
+def test_a_fabric_is_estimated_without_a_face_that_is_refused(tmp_path, plain, capsys):
+    up, down = (capture(tmp_path / "twill" / name, known) for name, known in (
+        ("up", None), ("down", RIGHT)))
+    (down / "view_0.png").write_bytes(b"no picture")
+    infer.main([f"capture={tmp_path / 'twill'}", f"out={tmp_path / 'out'}", "drapes=0"])
+    found = content(tmp_path / "out")
+    assert found["capture"]["sources"] == [str(up)] and width(found) < 0.95 * width(plain)
+    line = f"this estimate is made without {down}, which is refused: "
+    assert [one["code"] for one in found["warnings"]] == ["capture_refused"]
+    assert f"warning: {line}" in capsys.readouterr().out
+    assert texts(drapenet.estimate(tmp_path / "twill").warnings)[0].startswith(line)
+    for words in ([f"capture=[{up},{down}]"], [f"capture={tmp_path / 'twill'}", "strict=true"]):
+        with pytest.raises(InputError, match=r"view_0\.png cannot be read"):
+            infer.main([*words, f"out={tmp_path / 'none'}", "drapes=0"])
+
+
+def test_a_face_that_shows_no_drape_is_left_out_as_one_that_cannot_be_read(tmp_path, monkeypatch):
+    _, down = (capture(tmp_path / "twill" / name) for name in ("up", "down"))
+    file = down / "capture.yaml"  # other views, which are refused when they are observed
+    file.write_text(file.read_text().replace("depth_unit_m: 0.001", "depth_unit_m: 0.00101"))
+    true = stages.observe
+
+    def observed(seen):
+        if seen.path == down:
+            raise InputError("no drape is seen")
+        return true(seen)
+
+    monkeypatch.setattr(stages, "observe", observed)
+    line, = texts(drapenet.estimate(tmp_path / "twill").warnings)
+    assert line == f"this estimate is made without {down}, which is refused: no drape is seen"
+    with pytest.raises(InputError, match="no drape is seen"):
+        drapenet.estimate(tmp_path / "twill" / "up", down)
+
+
 def test_parts_in_files_give_the_estimate_of_those_in_memory(tmp_path):
     sources = [capture(tmp_path / "a", RIGHT), strips(tmp_path / "b", warp=[28.0, 29.0])]
     infer.main([f"capture={sources[0]}", f"strips={sources[1]}", f"out={tmp_path / 'o'}",

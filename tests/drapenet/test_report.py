@@ -2,6 +2,7 @@
 
 import io
 import re
+from base64 import b64encode
 from pathlib import Path
 
 import numpy as np
@@ -103,6 +104,28 @@ def test_a_joint_report_has_its_captures_both_faces_and_their_pictures(tmp_path,
             "with the marked face on top (1); 61.0 % with the reverse on top (1).") in page
     assert page.count("data:image/png") == 3 and pdf.count(b"/DCTDecode") >= 1  # and their moduli
     assert b"/Count 3" in pdf  # each capture on a page
+
+
+def test_a_report_names_captures_and_no_paths(tmp_path):
+    parts = [document(), document(source="/data/navy/2/second")]
+    path = Finding("known_lost", {"capture": "/data/navy/3/third", "reason": "it is heavier"})
+    whole = joint(*parts).warned(path, Finding("part_has_warning", {
+        "label": "/data/navy/2/second", "first": DOUBT.record}))
+    page, _ = written(tmp_path, whole, [ShownCapture(name, part, b"") for name, part in zip(
+        capture_names(whole), parts, strict=True)])
+    assert "/data" not in page and "2/second has 1 warning by itself" in page
+    assert "what is known by 3/third, which is refused" in page
+    single = document(warnings=(Finding("part_has_warning", {
+        "label": "/data/navy/1/first", "first": DOUBT.record}),))
+    page, _ = written(tmp_path, single, [ShownCapture("first", single, b"")])
+    assert "/data" not in page and "Twill 7/8, navy has 1 warning" in page
+
+
+def test_smaller_pictures_save_a_second_page(picture):
+    image = f'<p><img src="data:image/png;base64,{b64encode(picture).decode()}" width="535"></p>'
+    for lines, pages in ((10, 1), (14, 1), (18, 2)):  # the picture is 189 mm high, or 142
+        body = "".join("<p>line</p>" for _ in range(lines)) + image
+        assert f"/Count {pages}".encode() in as_pdf(body, "")
 
 
 def test_drape_coefficients_are_averaged_by_tester(tmp_path):

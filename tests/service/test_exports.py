@@ -13,11 +13,13 @@ from common.errors import InputError
 from common.files import replace_json
 from drapenet.export.formats import TARGETS, export_all
 from drapenet.export.material import read_material
+from drapenet.result.advice import advice_of
 from drapenet.result.document import EstimateDocument
 from drapenet.service.database import DONE, FAILED, RUNNING, Database
 from drapenet.service.exports import REFUSED, all_files, results_table
 from drapenet.service.jobs import JOINT
 from sim.material import MICRO, NANO
+from sim.rig import Rig
 
 ALPHA = np.array([52.0, 31.0, 22.0]) * MICRO
 SETTINGS = {"mesh": "alternating", "edge_mm": 4.0, "curvature_1_m": 50.0, "name": "Köper 7"}
@@ -45,7 +47,7 @@ def database(tmp_path) -> Database:
     add("a", "twill", about=("navy twill", ""), created=1, estimate=content["a"])
     add("b", "serge", about=("=grey serge", ""), created=2, estimate=content["b"])
     add("c", "serge", created=3, estimate=content["c"])
-    add("failed", "serge", FAILED, created=4)
+    add("failed", "serge", FAILED, created=4, error="no drape is seen")
     add("joint", "serge", name=JOINT, created=5, estimate=content["joint"], members=["b", "c"])
     add("none", "new", RUNNING, about=("new", ""), created=6, estimate=content["a"])
     return database
@@ -69,6 +71,25 @@ def test_the_workbook_has_the_result_of_each_fabric_and_its_captures(tmp_path, d
         assert row["α median [µN·m]"] == pytest.approx(scale * 52)
 
 
+def test_the_workbook_has_a_line_of_a_fabric_without_an_estimate(tmp_path, database):
+    database.change("estimate", "none", state=FAILED, error="the picture shows no cloth")
+    fabrics, _ = sheets(tmp_path, "new")
+    assert fabrics == [{"fabric": "new", "captures": 0, "captures failed": 1,
+                        "warnings in words": "no estimate: none: the picture shows no cloth"}]
+
+
+def test_the_workbook_says_what_the_drape_does_not_show_and_what_to_drape(tmp_path, database):
+    advice = advice_of(Rig.from_name("disc300_support180"), 0.946)
+    poor = document().model_copy(update={
+        "poorly_constrained": ["beta/alpha warp", "alpha bias", "beta/alpha bias"],
+        "advice": advice})
+    database.change("estimate", "a", estimate=poor.content())
+    fabrics, captures = sheets(tmp_path, "navy")
+    for row, letters in zip(fabrics, ("β", "α, β", ""), strict=True):
+        assert row["poorly constrained"] == letters and "a disc of 360 mm" in row["advice"]
+    assert captures[0]["advice"] == fabrics[0]["advice"]
+
+
 def test_the_workbook_follows_the_search(tmp_path, database):
     fabrics, captures = sheets(tmp_path, "TWILL square300")
     assert {row["fabric"] for row in [*fabrics, *captures]} == {"navy twill"}
@@ -78,6 +99,9 @@ def test_the_workbook_follows_the_search(tmp_path, database):
 def test_the_workbook_says_which_captures_a_result_leaves_out(tmp_path, database):
     database.change("estimate", "joint", state=FAILED, error="the same views")
     fabrics, captures = sheets(tmp_path, "serge")
+    failed = cells(io.BytesIO(results_table(tmp_path, ["serge"])[1]), 3)
+    assert [(row["capture"], row["reason"]) for row in failed] == [
+        ("failed", "no drape is seen"), ("", "the same views")]
     assert fabrics[0]["α median [µN·m]"] == pytest.approx(3 * 52)  # of the latest
     assert fabrics[0]["warnings in words"] == "this estimate is made without b, not joined with it"
     assert len(captures) == 6
