@@ -98,15 +98,15 @@ train: $(DEVELOPER)  ## train the network on them, resumes when interrupted
 evaluate: $(DEVELOPER)  ## errors and coverage of the bundled network on unseen fabrics, by tester and input
 	$(BIN)/python -m drapenet.network.evaluate bounds=docs/validation/bounds.json
 
-bench-sim: $(DEVELOPER)  ## time drapes on this machine, JSON
+bench-sim: $(DEVELOPER)  ## time drapes on this machine, JSON in outputs/experiments
 	$(BIN)/python -m experiments speed
 
 bench: $(DEVELOPER)  ## all timings on this machine, JSON in docs/validation
-	for name in speed render throughput; do $(BIN)/python -m experiments $$name || exit 1; done
+	for name in speed render throughput; do $(BIN)/python -m experiments $$name out=docs/validation/$$name.json || exit 1; done
 
 validate: $(DEVELOPER)  ## figures of docs/validation.md, about 3 hours of CPU, resumes when interrupted
 	for name in elastica strips testers meshes default_mesh convergence; do \
-	  $(BIN)/python -m experiments $$name || exit 1; done
+	  $(BIN)/python -m experiments $$name out=docs/validation/$$name.json || exit 1; done
 
 docs: $(DEVELOPER)  ## update the figures in README.md and docs/*.md from the demo and the reports
 	mkdir -p outputs
@@ -128,7 +128,7 @@ example: $(DEVELOPER)  ## make the bundled capture again
 blender: $(DEVELOPER)  ## drapes of exported fabrics in Blender, installed for Python 3.11 into .venv-blender (1 GB)
 	test -x .venv-blender/bin/python || python3.11 -m venv .venv-blender
 	.venv-blender/bin/python -m pip install -qq 'bpy>=5,<6'
-	$(BIN)/python -m experiments blender
+	$(BIN)/python -m experiments blender out=docs/validation/blender.json
 
 clean:  ## remove outputs and build (not .venv)
 	rm -rf outputs build

@@ -35,6 +35,8 @@ SciPy's interpolation on a triangulation solves two equations for every triangle
 OpenBLAS synchronises its threads: at 31 x 31 vertices 0.03 s instead of 0.01 s, 5 s on busy cores.
 """
 
+UNGUARDED = 75
+"""Exit status of a process that would start processes while it loads the script that started it."""
 _POSIX = hasattr(signal, "pthread_sigmask")
 
 
@@ -80,6 +82,8 @@ def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     """
     if multiprocessing.get_start_method() not in multiprocessing.get_all_start_methods():
         multiprocessing.set_start_method("spawn", force=True)  # a job of joblib's launcher
+    if getattr(multiprocessing.current_process(), "_inheriting", False):
+        os._exit(UNGUARDED)  # the first process says it, once; here it would be a traceback each
     context = _Context()
     pool = ProcessPoolExecutor(workers, mp_context=context, initializer=end_with_parent)
     try:
@@ -89,6 +93,11 @@ def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
             if process.is_alive():
                 process.kill()
         if isinstance(error, BrokenProcessPool):
+            pool.shutdown()  # only then all exit codes are known
+            if UNGUARDED in [process.exitcode for process in context.started]:
+                raise InputError(
+                    'the script starts processes, each of which loads the script: indent what it '
+                    'does below a line  if __name__ == "__main__":') from None
             raise InputError("a worker process was killed, perhaps because memory ran out; run "
                              "the same command again with a smaller workers=") from None
         raise

@@ -7,6 +7,7 @@
     print(estimate.reading("bending_length_mm").mean(axis=0))  # mm
     print(*(found.text for found in estimate.warnings), sep="\n")
     again = drapenet.load("outputs/demo")                      # what infer.py has written
+    fabrics = drapenet.estimate_fabrics("captures", "outputs/all")  # many, by name
 
 The simulator is :mod:`sim`, captures are read by :mod:`data.captures`.
 """
@@ -22,9 +23,11 @@ if TYPE_CHECKING:
     from typing import Any
 
     from data.captures.capture import Capture, DepthCapture
+    from drapenet.config import EstimateOptions
     from drapenet.result.estimate import Estimate, interval
 
-__all__ = ["Capture", "DepthCapture", "Estimate", "InputError", "estimate", "interval", "load"]
+__all__ = ["Capture", "DepthCapture", "Estimate", "InputError", "estimate", "estimate_fabrics",
+           "interval", "load"]
 __getattr__, __dir__ = late(__name__, {
     "data.captures.capture": ("Capture", "DepthCapture"),
     "drapenet.result.estimate": ("Estimate", "interval")})
@@ -61,24 +64,21 @@ def estimate(
             drape coefficient is that of the first capture. None: what captures and strips state.
     """
     from common.arguments import require
-    from common.configs import read_option
     from data.captures.arrays import checked_capture
     from data.captures.capture import Capture
-    from drapenet.config import EstimateOptions
     from drapenet.estimator.estimate import estimate_fabric
     from drapenet.estimator.read import read_sources, with_known
     from drapenet.network.checkpoint import read_header
 
     require(strips=(strips, str | Path), tension=(tension, str | Path),
             checkpoint=(checkpoint, str | Path))
+    options = _options(refine)
     if not (captures or strips or tension):
         raise InputError("give a capture, or strips=FOLDER, or tension=FOLDER")
     if kinds := {type(each).__name__ for each in captures
                  if not isinstance(each, str | Path | Capture)}:
         raise InputError(f"a capture is a folder or a Capture, not {', '.join(sorted(kinds))}; "
                          "several captures are several arguments")
-    options = EstimateOptions(refine=read_option("refine", "simulation") if refine else None,
-                              drapes=0)
     read = [read_sources([Path(given)]) if isinstance(given, str | Path) else
             ([checked_capture(given)], None) for given in captures]
     sources = [source for found, _ in [*read, read_sources([], strips, tension)]
@@ -88,3 +88,43 @@ def estimate(
         with_known(sources, known), read_header(checkpoint), options,
         refused={path: error for refused in several for path, error in refused.items()}
         if several else None)
+
+
+def estimate_fabrics(
+    source: str | Path, out: str | Path, *, checkpoint: str | Path = "", refine: bool = False,
+    workers: int | None = None,
+) -> "dict[str, Estimate]":
+    """Estimate many fabrics as ``infer.py captures=`` does, in processes: a script calls this below
+    ``if __name__ == "__main__":``. An interrupted call is resumed by the same one.
+
+    Args:
+        source: a folder with FABRIC/SAMPLE/CAPTURE below it, or a CSV list of captures.
+        out: folder of the tables, of a page for each fabric, and of ``failures.csv``.
+        checkpoint: FILE.safetensors of ``train.py``; empty: the bundled one.
+        refine: whether captures are refined by simulation, half a minute each.
+        workers: processes; None: one for each core.
+
+    Returns:
+        Estimates of the fabrics by the name of their folders in ``out``; those that failed are left
+        out. InputError if all did, or for bad input.
+    """
+    from common.arguments import require, whole_number
+    from common.files import folder_named, locked
+    from drapenet.batch.batch import estimate_fabrics as estimate_all
+
+    require(source=(source, str | Path), out=(out, str | Path), checkpoint=(checkpoint, str | Path))
+    workers = None if workers is None else whole_number("workers", workers, 1)
+    options, folder = _options(refine), folder_named(str(out))
+    with locked(folder):
+        files = estimate_all(Path(source), folder, options, checkpoint=str(checkpoint),
+                             workers=workers)
+    return {file.parent.name: load(file) for file in files}
+
+
+def _options(refine: bool) -> "EstimateOptions":
+    from common.arguments import require
+    from common.configs import read_option
+    from drapenet.config import EstimateOptions
+
+    require(refine=(refine, bool, "True"))  # "no" would be true
+    return EstimateOptions(refine=read_option("refine", "simulation") if refine else None, drapes=0)

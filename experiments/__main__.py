@@ -2,11 +2,13 @@
 
     python -m experiments                       # lists them
     python -m experiments NAME [key=value ...]  # NAME --help lists the keys
+    python -m experiments NAME out=docs/validation/NAME.json  # replaces the tracked report
     python -m experiments papers                # all of docs/studies.md, hours of CPU
     python -m experiments page                  # docs/studies.md and its figures from the reports
 
-An experiment writes a report, docs/validation/NAME.json unless out= names another file, and most a
-figure beside it; it prints what the documentation claims and shows of it. An interrupted run
+An experiment writes a report, outputs/experiments/NAME.json unless out= names another file, and
+most a figure beside it; those of the documentation, in docs/validation, are replaced only if out=
+names them. It prints what the documentation claims and shows of it. An interrupted run
 resumes from its folder cases=."""
 
 import ast
@@ -57,7 +59,7 @@ def run_experiment(name: str, words: list[str]) -> None:
         from experiments.result import EXECUTION_KEYS, REPORTS, write_figure, write_report
 
         config, stored = asdict(settings), REPORTS / f"{name}.json"
-        out = Path(config["out"]) if config["out"] else stored
+        out = Path(config["out"] or f"outputs/experiments/{name}.json").resolve()
         require_file(out)
         for folder in {"cases", "work"} & set(config):
             require_folder(Path(config[folder]))
@@ -76,11 +78,12 @@ def run_experiment(name: str, words: list[str]) -> None:
 
 
 def run_papers(words: list[str]) -> None:
-    """Run all experiments of the page with the overrides ``words``."""
+    """Run all experiments of the page with the overrides ``words``; replace their reports."""
     from experiments.page import ORDER
+    from experiments.result import REPORTS
 
     for name in ORDER:
-        run_experiment(name, words)
+        run_experiment(name, [f"out={REPORTS / name}.json", *words])
 
 
 def write_page(words: list[str] = (), *, figures: bool = False) -> None:

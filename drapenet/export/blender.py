@@ -13,6 +13,7 @@ from typing import Any
 
 from drapenet.export.material import Material
 from sim.energies.hinges import mean_modulus
+from sim.rig import DISC_RIG, Rig
 
 MASS = 1000.0
 """Blender's mass over the cloth's."""
@@ -30,6 +31,19 @@ def blender_settings(material: Material) -> dict[str, Any]:
     return {"mass_over_area": MASS * material.density,
             "bending_times_area": MASS * mean_modulus(material.modulus) / PLATE,
             "tension": TENSION, "quality": QUALITY}
+
+
+def captured_specimen(material: Material) -> dict[str, Any]:
+    """Specimen and plate of the drape test, m, and the captured drape coefficient, % or None.
+
+    They are those of the first capture over a plate, or else of the common disc."""
+    capture = material.document.capture
+    captured = [rig for name in capture.rig.split(", ") if name
+                and (rig := Rig.from_name(name)).has_plate]
+    rig = captured[0] if captured else DISC_RIG
+    return {"tester": rig.name, "specimen_m": list(rig.sides)[:1 if rig.specimen == "disc" else 2],
+            "plate_m": rig.plate_diameter,
+            "captured_percent": capture.drape_coefficient_percent if captured else None}
 
 
 def at_8_mm(material: Material) -> dict[str, float]:

@@ -17,7 +17,7 @@ import numpy as np
 
 from common.errors import InputError
 from common.files import replace_file
-from drapenet.export.blender import at_8_mm, blender_settings
+from drapenet.export.blender import at_8_mm, blender_settings, captured_specimen
 from drapenet.export.cards import SLIDER, cards
 from drapenet.export.material import Material
 from drapenet.report.pages import render
@@ -207,7 +207,8 @@ def _newton(material: Material, name: str) -> dict[str, bytes]:
 
 
 def _blender(material: Material, name: str) -> dict[str, bytes]:
-    return {name: _script("blender.txt", blender_settings(material) | {"about": material.about})}
+    return {name: _script("blender.txt", blender_settings(material) | captured_specimen(material)
+                          | {"about": material.about})}
 
 
 def _neutral(material: Material, name: str) -> dict[str, bytes]:

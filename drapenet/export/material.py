@@ -15,7 +15,7 @@ from common.errors import InputError
 from common.findings import Finding, texts
 from common.types import Density, Moduli, QuadraticModuli
 from data.captures.description import MAX_LABEL_LENGTH, PRINTABLE
-from drapenet.result.document import EstimateDocument, Quantity
+from drapenet.result.document import EstimateDocument
 from drapenet.result.files import ESTIMATE, read_document, result_name
 from sim.energies.hinges import mean_modulus
 from sim.material import DIRECTIONS, DRAPE_CURVATURE, MICRO, NANO, SOFTENING_LIMIT, secant
@@ -104,27 +104,29 @@ class Material:
 
     @property
     def stretch(self) -> tuple[float, float] | None:
-        """Of warp and weft, N/m; None if one is not known."""
-        first, _, second = self.document.names
-        known = self.document.cloth.stretch_n_per_m or {}
-        if not {first, second} <= set(known):
+        """Of warp and weft, N/m; None unless both were measured."""
+        tension = self.document.tension
+        if not tension or not {"warp", "weft"} <= set(tension.measured):
             return None
-        return known[first].median, known[second].median
+        return tension.stretch_n_per_m.warp.median, tension.stretch_n_per_m.weft.median
 
     @property
     def shear(self) -> float | None:
-        """N/m; None if not known."""
-        return _median(self.document.cloth.shear_n_per_m)
+        """N/m; None unless it was measured."""
+        tension = self.document.tension
+        return tension.shear_n_per_m.median if tension and "bias" in tension.measured else None
 
     @property
     def thickness_mm(self) -> float | None:
-        """None if not known."""
-        return _median(self.document.cloth.thickness_mm)
+        """As it is stated; None if not known."""
+        return next((one.thickness_mm for one in self.document.stated if one.thickness_mm), None)
 
     @property
     def friction(self) -> float | None:
-        """Coefficient; None if not known."""
-        return _median(self.document.cloth.friction)
+        """Coefficient of the fabric on itself, of the slope that is stated; None if not known."""
+        return next((float(np.tan(np.radians(one.friction_deg.fabric)))
+                     for one in self.document.stated
+                     if one.friction_deg and one.friction_deg.fabric), None)
 
     @property
     def not_known(self) -> list[str]:
@@ -189,10 +191,6 @@ class Material:
         """:attr:`about`, with the mesh that the moduli are valid for."""
         return self.about_edges | {"mesh": self.settings.mesh,
                                    "hinge_over_plate_modulus": round(self.ratio, 4)}
-
-
-def _median(quantity: Quantity | None) -> float | None:
-    return quantity.median if quantity else None
 
 
 def hinge_ratio(mesh: str, cells: int) -> float:

@@ -154,10 +154,6 @@ class Cloth(Excerpt):
     natural_curvature_weft_1_m: Quantity
     membrane_n_per_m: Quantity
     hysteresis_share: Quantity
-    stretch_n_per_m: dict[str, Quantity] | None = None  # of the yarns, by their direction
-    shear_n_per_m: Quantity | None = None
-    thickness_mm: Quantity | None = None
-    friction: Quantity | None = None
 
 
 class PosteriorRecord(Excerpt):

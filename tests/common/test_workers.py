@@ -53,6 +53,27 @@ def test_a_failing_block_leaves_the_workers_of_other_pools_alone():
         assert other.submit(os.getpid).result() == process
 
 
+def test_a_script_without_a_main_guard_is_told_so_once(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text("from sim import Fabric, drape_many\n"
+                      "plan = {'fabric': Fabric([6e-5] * 3), 'edge': 0.02}\n"
+                      "print(len(drape_many([plan] * 2, workers=2)))\n")
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+
+    def run() -> subprocess.CompletedProcess:
+        return subprocess.run([sys.executable, script], capture_output=True, text=True,
+                              env=environment, cwd=tmp_path)
+
+    done = run()
+    assert done.returncode and not done.stdout
+    assert done.stderr.count("Traceback") == 1
+    assert 'below a line  if __name__ == "__main__":' in done.stderr.splitlines()[-1]
+    first, *others = script.read_text().splitlines()
+    script.write_text("\n".join([first, 'if __name__ == "__main__":',
+                                 *(f"    {line}" for line in others)]))
+    assert run().stdout == "2\n"
+
+
 def test_a_killed_worker_is_an_input_error():
     with pytest.raises(InputError, match="was killed"), worker_pool(1) as pool:
         os.kill(pool.submit(os.getpid).result(), signal.SIGKILL)

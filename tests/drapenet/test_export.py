@@ -13,6 +13,7 @@ from estimates import DOUBT, document_of, estimate_of
 from common.errors import InputError
 from common.files import replace_json
 from common.vectors import angle_between
+from data.readings.known import Known
 from drapenet.export.__main__ import main
 from drapenet.export.cards import DEFAULT
 from drapenet.export.formats import ALIASES, TARGETS, export
@@ -33,8 +34,6 @@ BETA = np.array([-158.0, -101.0, -69.0]) * NANO
 DENSITY = 0.21
 CURVATURE = 60.0  # 1/m, of the default modulus: the stiffness in a drape
 IN_A_DRAPE = ALPHA + CURVATURE * BETA
-KNOWN = {"stretch_n_per_m": {"warp": 900.0, "weft": 400.0}, "shear_n_per_m": 35.0,
-         "thickness_mm": 0.42, "friction": 0.31}
 SI = {"g·mm²/s²": 1e-3 * 1e-6, "g/s²": 1e-3, "g/mm²": 1e-3 / 1e-6, "N·m": 1.0, "N/m": 1.0,
       "mm": 1e-3}
 """Units that files state, in SI units."""
@@ -65,8 +64,14 @@ def quantity(value: float) -> dict[str, object]:
 def known(estimate) -> Path:
     """The estimate of a fabric of which all is known that tools ask for."""
     content = json.loads(estimate.read_text())
-    content["cloth"] |= {key: {name: quantity(each) for name, each in value.items()} if isinstance(
-        value, dict) else quantity(value) for key, value in KNOWN.items()}
+    stated = Known(thickness_mm=0.42, thickness_kpa=0.2, friction_deg={"fabric": 17.22})
+    usual = {"findings": [], "along_yarns": True, "friction_n_per_m": {}, "readings": {},
+             "weight_for_10_percent_g": {}}
+    content["tension"] = {
+        "source": "strips", "density_g_m2": 1e3 * DENSITY, "strips": 3,
+        "measured": ["warp", "weft", "bias"], "shear_n_per_m": quantity(35.0),
+        "stretch_n_per_m": {"warp": quantity(900.0), "weft": quantity(400.0)},
+        "known": stated.model_dump(exclude_none=True)} | usual
     replace_json(estimate, content)
     return estimate
 

@@ -39,5 +39,28 @@ def test_a_fabric_is_estimated_as_by_the_command(untrained_checkpoint, tmp_path)
         drapenet.estimate(**options)
     with pytest.raises(InputError, match=r"strips=3 is not of the class str | .*Path"):
         drapenet.estimate(strips=3)
+    for word in ("no", 0):
+        with pytest.raises(InputError, match=f"refine={word!r} is not of the class bool"):
+            drapenet.estimate(capture, refine=word, **options)
     with pytest.raises(InputError, match=r"path=3 is not of the class"):
         drapenet.load(3)
+
+
+def test_many_fabrics_are_estimated_by_name(untrained_checkpoint, tmp_path):
+    for name, orientation in (("silk", 0.4), ("wool", 1.2)):
+        write_skirt(tmp_path / "captures" / name / "1", orientation=orientation)
+    (tmp_path / "captures" / "lost" / "1").mkdir(parents=True)
+    (tmp_path / "captures" / "lost" / "1" / "note.txt").touch()
+    options = {"checkpoint": untrained_checkpoint, "workers": 1}
+    source, out = tmp_path / "captures", tmp_path / "out"
+    found = drapenet.estimate_fabrics(source, str(out), **options)
+    assert list(found) == ["silk", "wool"] and "lost" in (out / "failures.csv").read_text("utf-8")
+    np.testing.assert_array_equal(found["wool"].samples, drapenet.load(out / "wool").samples)
+    assert not np.array_equal(found["wool"].samples, found["silk"].samples)
+    for changed, complaint in (({"refine": "no"}, "refine='no' is not of the class bool"),
+                               ({"workers": "2"}, "workers='2': give a whole number"),
+                               ({"checkpoint": None}, "checkpoint=None is not of the class")):
+        with pytest.raises(InputError, match=complaint):
+            drapenet.estimate_fabrics(source, out, **(options | changed))
+    with pytest.raises(InputError, match="out= is empty"):
+        drapenet.estimate_fabrics(source, "", **options)

@@ -22,6 +22,7 @@ from experiments.result import (
     EXECUTION_KEYS,
     REPORTS,
     ROOT,
+    Result,
     read_report,
     table,
 )
@@ -39,6 +40,19 @@ def test_places_that_cannot_be_written_to_are_refused_before_the_work(tmp_path):
         with pytest.raises(InputError, match="cannot write"):
             main(words)
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+@pytest.mark.parametrize("module", [information, views])
+def test_the_reports_of_the_documentation_stay_unless_they_are_named(tmp_path, monkeypatch, module):
+    name = module.__name__.split(".")[-1]
+    report = read_report(name)
+    before = [file.read_bytes() for file in (REPORTS / f"{name}.json", PAGE)]
+    monkeypatch.setattr(module, "run", lambda config: Result(report | {"settings": 1}))
+    monkeypatch.chdir(tmp_path)
+    main([name])
+    written = json.loads((tmp_path / f"outputs/experiments/{name}.json").read_text("utf-8"))
+    assert written["settings"] == 1
+    assert before == [file.read_bytes() for file in (REPORTS / f"{name}.json", PAGE)]
 
 
 def test_every_experiment_has_a_folder_keys_and_a_line():
