@@ -22,8 +22,9 @@ from common.configs import Seed
 from common.errors import InputError
 from common.files import replacing, require_file
 from common.types import Edges, Metres, Points
-from data.captures.capture import Capture
+from data.captures.capture import OutlineCapture
 from data.captures.off_axis import AZIMUTHS
+from data.captures.photograph import PhotographedOutline
 from data.captures.reader import read_capture
 from data.dataset.folder import require_dataset
 from data.dataset.off_axis import silhouette
@@ -92,7 +93,7 @@ def read_again(*, shard: Path, drapes: int, seed: int) -> dict:
         for chosen in (taken.pictures[:1], taken.pictures[1:2], taken.pictures):
             with tempfile.TemporaryDirectory() as name:
                 try:
-                    outline = taken.read(chosen, Path(name)).outline
+                    outline = taken.read(chosen, Path(name))
                 except InputError:
                     refused += 1
                     continue
@@ -100,6 +101,7 @@ def read_again(*, shard: Path, drapes: int, seed: int) -> dict:
             error = outline.radii - true_radii(positions, mesh.edges, chosen[0].warp,
                                                np.zeros(2), place[2])
             for key, values in (("off", error), ("stated", outline.error)):
+                assert values is not None
                 even = values.reshape(STORED, -1).mean(axis=1)
                 found[key].append(even / (rig.specimen_size / 2))
     return {"refused": refused,
@@ -138,12 +140,14 @@ class Taken:
         x, y, z = self.place(picture)
         return float(np.hypot(x, y) / z)
 
-    def read(self, chosen: list[PhonePicture], folder: Path) -> Capture:
-        """The capture of ``chosen`` pictures, written to a ``folder``; InputError if refused."""
+    def read(self, chosen: list[PhonePicture], folder: Path) -> PhotographedOutline:
+        """The outline of ``chosen`` pictures, written to a ``folder``; InputError if refused."""
         for k, picture in enumerate(chosen, 1):
             picture.write(folder, density=REFERENCE_DENSITY, rig=self.rig, mat=self.mat,
                           plate_height=self.plate_height, number=k if len(chosen) > 1 else None)
-        return read_capture(folder)
+        capture = read_capture(folder)
+        assert isinstance(capture, OutlineCapture)
+        return capture.outline
 
 
 def true_radii(positions: Points, edges: Edges, warp: float, beside: np.ndarray, height: Metres

@@ -26,7 +26,8 @@ def reading_errors(count: int, rng: np.random.Generator) -> tuple[np.ndarray, np
     that are stated with them."""
     stored = _stored()
     rows, turn = rng.integers(len(stored[0]), size=count), rng.uniform(0, 2 * np.pi, count)
-    way, times = rng.choice([-1, 1], count), np.exp(rng.uniform(*np.log(_TIMES), count))
+    low, high = np.log(_TIMES)
+    way, times = rng.choice([-1, 1], count), np.exp(rng.uniform(low, high, count))
     azimuth = np.arange(stored[0].shape[1]) * (2 * np.pi / stored[0].shape[1])
     off, stated = (np.array([
         size * np.interp(one * AZIMUTH + start, azimuth, values, period=2 * np.pi)

@@ -84,8 +84,8 @@ def open_captures(config: TrainConfig) -> tuple[CaptureSet, CaptureSet, dict]:
     if start:
         described["start"] = start.sha256
     if start and config.taught:  # what is learned are the teacher's fabrics, seen in other drapes
-        described["sha256"] = start.dataset.sha256 + described["sha256"]
-        described["generation"] = start.dataset.generation + described["generation"]
+        described["sha256"] = [*start.dataset.sha256, *described["sha256"]]
+        described["generation"] = [*start.dataset.generation, *described["generation"]]
     shares = {"train": 1 - config.validation_fraction, "validation": config.validation_fraction}
     split = split_by_fabric(maps.fabric, fractions=shares)
     usable = readable(maps, config.inputs)

@@ -64,11 +64,11 @@ def errors(taken: Taken, chosen: list[PhonePicture], folder: Path, shape: Drape,
     """Errors of a capture of ``chosen`` pictures; ``refused`` has the sentence if it is not read.
     """
     try:
-        read = taken.read(chosen, folder)
+        outline = taken.read(chosen, folder)
     except InputError as error:
         return {"refused": str(error).split("outline.jpg: ")[-1]}
-    outline, place, warp = read.outline, taken.place(chosen[0]), chosen[0].warp
-    assert outline and outline.hem is not None and outline.to_pixels is not None
+    place, warp = taken.place(chosen[0]), chosen[0].warp
+    assert outline.hem is not None and outline.to_pixels is not None
     seen = mapped(outline.hem, np.linalg.inv(outline.to_pixels))
     true_axis, true_seen = (true_radii(shape.positions, shape.mesh.edges, warp, beside, place[2])
                             for beside in (np.zeros(2), place[:2]))
@@ -77,8 +77,8 @@ def errors(taken: Taken, chosen: list[PhonePicture], folder: Path, shape: Drape,
     best, _ = _log_alpha(perfect, warp)
     off = outline.radii - true_axis
     return {
-        "refused": "", "warnings": texts(read.warnings), "codes": [one.code for one in
-                                                                   read.warnings],
+        "refused": "", "warnings": texts(outline.warnings),
+        "codes": [one.code for one in outline.warnings],
         "reading_mm": _rms(PhotographedOutline(seen, np.inf, True, outline.rig).radii - true_seen),
         "outline_mm": _rms(off), "height_error": outline.height / place[2] - 1,
         "stated_error": None if outline.error is None else float(

@@ -64,7 +64,8 @@ def quantity(value: float) -> dict[str, object]:
 def known(estimate) -> Path:
     """The estimate of a fabric of which all is known that tools ask for."""
     content = json.loads(estimate.read_text())
-    stated = Known(thickness_mm=0.42, thickness_kpa=0.2, friction_deg={"fabric": 17.22})
+    stated = Known(thickness_mm=0.42, thickness_kpa=0.2, friction_deg={
+        "fabric": float(np.degrees(np.arctan(0.31)))})
     usual = {"findings": [], "along_yarns": True, "friction_n_per_m": {}, "readings": {},
              "weight_for_10_percent_g": {}}
     content["tension"] = {
