@@ -164,8 +164,21 @@ class _Loader(yaml.SafeLoader):
 _Loader.add_constructor("tag:yaml.org,2002:map", _Loader.mapping_of)
 
 
+_TYPED = ((re.compile("[\u00a0\u2007\u202f\u3000]"), " "),  # spaces that do not break, or are wide
+          (re.compile(r"^([ \t]*\w+) *\uff1a *", re.MULTILINE), r"\1: "),  # full-width colon
+          (re.compile(r"(?<=[ ,:\[{])\u2212(?=[.\d])"), "-"),  # minus sign
+          (re.compile(r"^( *\w+:)\t+", re.MULTILINE), r"\1 "))
+"""Marks of word processors and Asian keyboards, and what stands for them."""
+_IN_QUOTES = re.compile(r'(\s*"\w+:.*"\s*)+')
+
+
 def parse_yaml(text: str, what: str | Path) -> Mapping:
     """Parse YAML text of ``key: value`` lines, named ``what`` in errors."""
+    for mark, meant in _TYPED:
+        text = mark.sub(meant, text)
+    if _IN_QUOTES.fullmatch(text):
+        raise InputError("has each line in quotes, as spreadsheets write it; remove those at the "
+                         "ends of lines, in a text editor", source=what, joint=" ")
     try:
         content = yaml.load(text, _Loader)
     except InputError as error:
@@ -185,9 +198,11 @@ def _syntax_fault(error: Exception, text: str) -> str:
     lines = text.splitlines()
     if mark is None or mark.line >= len(lines):
         return one_line(error)
-    return (f"line {mark.line + 1}, {shown(lines[mark.line].strip())}: "
-            f"{getattr(error, 'problem', None) or one_line(error)}; put texts with : # @ and other "
-            "marks in quotes, and indent with spaces")
+    problem = getattr(error, "problem", None) or one_line(error)
+    if "\t" in problem or r"'\t'" in problem:
+        problem = "a tab stands before it"
+    return (f"line {mark.line + 1}, {shown(lines[mark.line].strip())}: {problem}; put texts with "
+            ": # @ and other marks in quotes, and indent with spaces")
 
 
 def parse_json(data: bytes | str, what: str | Path, remedy: str = "copy it again") -> Any:
@@ -298,7 +313,6 @@ def reading(file: Path, remedy: str) -> Iterator[None]:
         raise
     except Exception as error:  # of zipfile, zlib, tokenize and others, some without a class
         reason = getattr(error, "strerror", None) or one_line(error)
-        reason = re.sub(r" <_io\.\w+ object at \w+>", "", reason)  # of Pillow, other at each run
         raise InputError(f"cannot be read ({reason}); {remedy}", source=file, joint=" ") from None
 
 

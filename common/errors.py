@@ -1,5 +1,6 @@
 """The exception for invalid input."""
 
+import re
 import reprlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -55,8 +56,10 @@ def of(source: str | Path) -> Iterator[None]:
 
 
 def one_line(error: BaseException | str) -> str:
-    """An error's message without line breaks, shortened; the class name if it is empty."""
-    return " ".join(str(error).split())[:200] or type(error).__name__
+    """An error's message without line breaks, shortened, and without the objects that Pillow names,
+    other at each run; the class name if it is empty."""
+    text = re.sub(r" <_io\.\w+ object at \w+>", "", " ".join(str(error).split()))
+    return text[:200] or type(error).__name__
 
 
 def lacks_memory(error: BaseException | None) -> bool:

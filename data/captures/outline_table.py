@@ -11,13 +11,16 @@ from common.tables import Row, named_columns, number, read_rows
 from common.types import Outline
 from data.captures.description import OutlineSource
 
-UNITS = {"mm": 1e-3, "m": 1.0}
+UNITS = {"mm": 1e-3, "m": 1.0, "cm": 1e-2, **dict.fromkeys(("in", "inch", "inches"), 0.0254),
+         **dict.fromkeys(("um", "\u00b5m", "\u03bcm"), 1e-6)}  # micro sign and Greek letter
 MIN_POINTS = 36
 MIN_TURN = 270.0  # degrees, that angles span at least
 MIN_RETURN = 0.25  # of the steps of x around a curve go back; fewer may be of disordered angles
 CARTESIAN, POLAR = ("x", "y"), ("angle", "radius")
-_HEADING = re.compile(r"(x|y|angle|radius)(?![a-z])[ _(\[]*(?:(mm|m)\b)?.*")
-_UNIT_ROW = re.compile(r"[(\[]?(mm|m)[)\]]?")
+_UNIT = "|".join(name for name in UNITS if name != "in")
+_HEADING = re.compile(rf"(x|y|angle|radius)(?![a-z])[ _(\[]*(?:in[ _])?"
+                      rf"(?:({_UNIT}|in(?! *\w))\b)?.*")  # "x in mm" has no inches
+_UNIT_ROW = re.compile(rf"[(\[]?({_UNIT}|in)[)\]]?")
 
 
 def read_closed_curve(file: Path, source: OutlineSource, *, handed: bool = True) -> Outline:
@@ -37,7 +40,8 @@ def read_closed_curve(file: Path, source: OutlineSource, *, handed: bool = True)
         raise InputError(f"its header states {stated}, capture.yaml states unit: {source.unit}; "
                          "correct one of them")
     if not unit:
-        raise InputError("the unit of its lengths is not stated; give outline: {unit: mm}, or m")
+        raise InputError("the unit of its lengths is not stated; give outline: {unit: mm}, or m, "
+                         "or name it in the header, such as x_cm;y_cm")
     if len(rows) - begin < MIN_POINTS:
         raise InputError(f"{len(rows) - begin} points; an outline has at least {MIN_POINTS}")
     places = [names.index(name) for name in pair] if pair else [0, 1]
@@ -68,7 +72,7 @@ def _heads(heads: list[list[str]], rows: list[Row]) -> tuple[list[str], str | No
     if heads and not names:
         names = [""]
     if len(units) > 1:
-        raise InputError("its header has lengths in mm and m; give one unit")
+        raise InputError(f"its header has lengths in {' and '.join(sorted(units))}; give one unit")
     return names, next(iter(units), None)
 
 

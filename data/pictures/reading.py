@@ -1,6 +1,10 @@
 """Photographs as cameras and phones write them, in linear light."""
 
 import io
+import re
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -8,7 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pillow_heif
-from PIL import Image, ImageCms, ImageOps
+from PIL import Image, ImageCms, ImageOps, features
 
 from common.documents import read_bytes, reading
 from common.errors import InputError
@@ -17,8 +21,10 @@ from common.types import ColourPicture, GreyPicture, LinearLight, Mask
 MAX_FILE_BYTES = 160 << 20
 SIDES = (100, 10_000)  # pixels
 WORKING_SIDE = 1500  # pixels, to which larger photographs are reduced
-FORMATS = ("PNG", "JPEG", "TIFF", "HEIF")
-SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".heic", ".heif")
+_OF_BROWSERS = tuple(kind for kind in ("WEBP", "AVIF") if features.check(kind.lower()))
+FORMATS = ("PNG", "JPEG", "TIFF", "HEIF", *_OF_BROWSERS)
+SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".heic", ".heif",
+            *(f".{kind.lower()}" for kind in _OF_BROWSERS))
 FULL_FRAME = 43.27  # mm, diagonal of the film that equivalent focal lengths refer to
 _BRIGHTEST = 0.995  # quantile that a picture is scaled to
 _EXIF, _EQUIVALENT_FOCAL, _DIGITAL_ZOOM = 0x8769, 41989, 41988  # tags
@@ -66,13 +72,15 @@ def read_photograph(
     """Read a photograph, turned upright, with at most ``side`` pixels on a side; the quantile
     ``brightest`` of its light becomes 1."""
     data = read_bytes(file, MAX_FILE_BYTES, "photograph")
-    with reading(file, "save it again as PNG, JPEG, TIFF or HEIC"):
+    with (reading(file, "save it again as PNG, JPEG, TIFF or HEIC"), _of_bounded_size(),
+          warnings.catch_warnings()):
+        warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # refused below
         # From memory: of files, Pillow maps some TIFF with the size that they have when turned.
         with Image.open(io.BytesIO(data), formats=FORMATS) as picture:
             width, height = picture.size
             if not SIDES[0] <= min(picture.size) <= max(picture.size) <= SIDES[1]:
                 raise InputError(f"{width}x{height} pixels; photographs have {SIDES[0]} to "
-                                 f"{SIDES[1]} on each side")
+                                 f"{SIDES[1]} on each side; save it smaller")
             equivalent, no_focal = _stated_focal(picture)
             values, transparent = _values(ImageOps.exif_transpose(picture))
     factor = -(-max(values.shape) // side)
@@ -85,6 +93,17 @@ def read_photograph(
         light[transparent] = 0.0 if np.median(light[~transparent]) > 0.3 else 1.0
     focal = equivalent and equivalent * float(np.hypot(rows, columns)) / FULL_FRAME
     return Photograph(light, transparent, factor, focal, no_focal)
+
+
+@contextmanager
+def _of_bounded_size() -> Iterator[None]:
+    """A sentence for what Pillow takes for an attack."""
+    try:
+        yield
+    except Image.DecompressionBombError as error:
+        counts = re.findall(r"(\d+)\d{6} pixels", str(error))
+        raise InputError(f"{''.join(counts[:1])} million pixels; photographs have {SIDES[0]} to "
+                         f"{SIDES[1]} on each side; save it smaller") from None
 
 
 def _stated_focal(picture: Image.Image) -> tuple[float | None, str]:

@@ -214,3 +214,20 @@ def test_any_text_is_a_document_or_refused_in_one_line(text):
             parse(text, "x")
         except InputError as refusal:
             assert str(refusal).isprintable() and len(str(refusal)) < 710
+
+
+@pytest.mark.parametrize("text", [
+    "a:\u00a0-1.5\nb:\n\u00a0 c: x y", "a\uff1a -1.5\nb:\n  c: x\u00a0y",
+    "a: \u22121.5\nb: {c: x y}",
+    "a:\t-1.5\u00a0\nb:\t{c: x\u3000y}"])
+def test_marks_of_word_processors_are_read_as_they_are_meant(text):
+    assert parse_yaml(text, "x") == {"a": -1.5, "b": {"c": "x y"}}
+
+
+@pytest.mark.parametrize(("text", "fault"), [
+    ('"a: 1"\n"b: {c: 2}"\n', "x has each line in quotes, as spreadsheets write it; remove"),
+    ("a:\n\tb: 1\n", "line 2, 'b: 1': a tab stands before it")])
+def test_marks_that_have_no_meaning_are_named(text, fault):
+    with pytest.raises(InputError) as raised:
+        parse_yaml(text, "x")
+    assert fault in str(raised.value)

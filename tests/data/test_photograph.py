@@ -247,6 +247,7 @@ def test_transparent_pixels_are_ground(tmp_path):
 
 @pytest.mark.parametrize("name, options", [
     ("outline.heic", {"format": "HEIF", "quality": 90}), ("outline.jpg", {"format": "HEIF"}),
+    ("outline.jpg", {"format": "WEBP", "quality": 90}), ("outline.avif", {"format": "AVIF"}),
     ("outline.jpg", {"format": "JPEG", "exif": 6}), ("outline.tif", {"format": "TIFF", "exif": 8})])
 def test_files_of_phones_are_read_upright(tmp_path, name, options):
     folder = write(tmp_path / "capture", drawn(), "unrelated.png", outline=PLATE)
@@ -261,6 +262,28 @@ def test_files_of_phones_are_read_upright(tmp_path, name, options):
         picture = picture.convert("RGB")
     picture.save(folder / name, **options)
     assert error_mm(read_capture(folder)) < 0.4
+
+
+@pytest.mark.parametrize(("size", "count"), [((16320, 12240), "199 million"),
+                                             ((12000, 9000), "12000x9000")])
+def test_a_photograph_of_too_many_pixels_has_a_line_and_no_warning_of_pillow(
+        tmp_path, size, count, recwarn):
+    folder = write(tmp_path / "capture", drawn(), "unrelated.png", outline=PLATE)
+    Image.new("L", size, 128).save(folder / "outline.jpg", quality=20)
+    with pytest.raises(InputError, match=f"{count}.* pixels; photographs have 100 to 10000"):
+        read_capture(folder)
+    assert not recwarn
+
+
+@pytest.mark.parametrize(("heads", "factor"), [
+    ("x_cm;y_cm", 1e-2), ("X (inch);Y (inch)", 0.0254), ("x in;y in", 0.0254),
+    ("x in mm;y in mm", 1e-3),
+    ("x [\u00b5m];y [\u00b5m]", 1e-6), ("x;y\nin;in", 0.0254)])
+def test_lengths_are_in_the_unit_of_the_header(tmp_path, heads, factor):
+    numbers = "\n".join(f"{x:.9f};{y:.9f}" for x, y in CURVE[::4] / factor)
+    folder = write(tmp_path / "capture", f"{heads}\n{numbers}\n", "outline.csv",
+                   outline={"camera_height_mm": "parallel"})
+    assert error_mm(read_capture(folder)) < 0.1
 
 
 def test_a_picture_of_the_plate_gives_scale_and_centre(tmp_path):

@@ -1,5 +1,7 @@
 """Testers of several sizes: draped, rendered, written and read back."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from cloths import describe
@@ -11,6 +13,7 @@ from data.captures.writer import write_capture
 from data.render.cameras import VIEWS, nominal_camera
 from data.render.rays import DepthRenderer
 from data.render.scenes import raw_scene
+from data.rigs import PLATES
 from sim.draping import Drape, drape
 from sim.material import MICRO, Fabric
 from sim.rig import Rig
@@ -51,3 +54,16 @@ def test_cloth_on_a_tester_of_any_size_is_cut_out_of_its_scene(tmp_path, shape):
     write_capture(tmp_path / "capture", views=scene.frames, intrinsics=scene.camera.intrinsics,
                   density=0.3, rig=shape.rig)
     assert read_capture(tmp_path / "capture").cut is not None
+
+
+def test_the_manual_states_heights_and_weights_of_specimens_on_a_tin():
+    text = (Path(__file__).parents[2] / "docs" / "use.md").read_text("utf-8")
+    text = " ".join(text.partition("#### With a tin")[2].partition("####")[0].split())
+    disc, square = (Rig.from_name(name) for name in ("disc254_support127", "square250_cylinder127"))
+    for rig, height in ((disc, 75), (square, 125)):
+        assert f"{1e3 * rig.overhang:.0f} mm" in text and f"needs {height} mm" in text
+        assert 10 <= height - 1e3 * rig.overhang < 13
+    weight = 150 * disc.specimen_area
+    assert f"weighs {weight:.1f} g at 150 g/m²" in text and f"one of {100 / weight:.0f} %" in text
+    low, high = PLATES
+    assert f"outer diameter, {low:g} to {high:g} mm" in text
