@@ -49,6 +49,10 @@ class Pose:
         """Angle, rad, between the camera's axis and the vertical."""
         return float(np.arccos(min(-cv2.Rodrigues(self.turn)[0][2, 2], 1.0)))
 
+    def pixels_of(self, points: Points) -> Pixels:
+        """Where (N, 2) the camera sees points (N, 3) over the mat, m."""
+        return _projected(points, self.turn, self.shift, self.focal, self.distortion, self.size)
+
     def pixels_of_plane(self, height: Metres, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Columns and rows (N, N), float32, at which the camera sees the places of a plane at a
         ``height`` over the mat whose x are equal ``steps`` (N,), m, and whose y are minus these."""

@@ -91,26 +91,32 @@ def phone_pictures(
     pixels = np.column_stack([columns.ravel(), rows.ravel()])
     found = []
     for _ in range(count):
-        pose = _random_pose(rng, size, lens, plate_height, beside, lean)
-        light, _ = scenery.seen(pose.place, _directions(pose, pixels).reshape(*size[::-1], 3), rng)
-        image = Image.fromarray(exposed(light, rng, blur=rng.uniform(0.5, 1.2)))
-        exif = image.getexif()
-        exif.get_ifd(0x8769)[41989] = round(
-            pose.focal / float(np.hypot(*size)) * FULL_FRAME)
-        stream = io.BytesIO()
-        image.save(stream, format="JPEG", quality=int(rng.integers(75, 96)), exif=exif)
-        found.append(PhonePicture(stream.getvalue(), pose, warp, scenery.kind))
+        pose = random_pose(rng, size, lens, plate_height, beside, lean)
+        light, _ = scenery.seen(pose.place, rays_of(pose, pixels).reshape(*size[::-1], 3), rng)
+        found.append(PhonePicture(as_jpeg(light, pose, rng), pose, warp, scenery.kind))
     return found
 
 
-def _random_pose(
+def as_jpeg(light: np.ndarray, pose: Pose, rng: np.random.Generator) -> bytes:
+    """The file that a phone makes of light (H, W, 3), with the focal length in its EXIF."""
+    image = Image.fromarray(exposed(light, rng, blur=rng.uniform(0.5, 1.2)))
+    exif = image.getexif()
+    exif.get_ifd(0x8769)[41989] = round(pose.focal / float(np.hypot(*pose.size)) * FULL_FRAME)
+    stream = io.BytesIO()
+    image.save(stream, format="JPEG", quality=int(rng.integers(75, 96)), exif=exif)
+    return stream.getvalue()
+
+
+def random_pose(
     rng: np.random.Generator, size: tuple[int, int], lens: tuple[float, float],
-    plate_height: Metres, beside: Metres, lean: float
+    plate_height: Metres, beside: Metres, lean: float,
+    heights: tuple[Metres, Metres] = (0.4, 1.5)
 ) -> Pose:
-    """A pose of a ``lens``: focal length, mm of full frame, and distortion k1."""
+    """A pose of a ``lens``: focal length, mm of full frame, and distortion k1; ``heights``: above
+    the plate."""
     equivalent, distortion = lens
     focal = equivalent / FULL_FRAME * float(np.hypot(*size))
-    height = plate_height + (above := rng.uniform(0.4, 1.5))
+    height = plate_height + (above := rng.uniform(*heights))
     aside, around = rng.uniform(0, min(beside, lean * above)), rng.uniform(0, 2 * np.pi)
     place = np.array([aside * np.cos(around), aside * np.sin(around), height])
     # It looks near the plate, at most 15 degrees off the vertical.
@@ -129,7 +135,7 @@ def _random_pose(
     return Pose(size, focal, distortion, cv2.Rodrigues(turn)[0].ravel(), -turn @ place, 0.0, 0.0)
 
 
-def _directions(pose: Pose, pixels: np.ndarray) -> np.ndarray:
+def rays_of(pose: Pose, pixels: np.ndarray) -> np.ndarray:
     """Directions (N, 3) of the rays of pixels, over the mat."""
     lens = np.array([pose.distortion, 0, 0, 0])
     flat = cv2.undistortPoints(

@@ -153,14 +153,7 @@ class Scenery:
         """Albedo (N, 3) of table and mat at places (N, 2)."""
         albedo = self.table(places)
         if self.mat:
-            picture = mat_picture(self.mat)
-            height, width = picture.shape
-            columns, rows = (np.rint(one).astype(int) for one in mat_pixels(self.mat, places))
-            on = (columns >= 0) & (rows >= 0) & (columns < width) & (rows < height)
-            ink, paper = self.mat_light
-            share = decoded(picture[rows[on], columns[on]] / 255.0)
-            albedo[on] = (ink + (paper - ink) * share)[:, None]
-            albedo[on_ground(self.mat, places)] *= self.mat_ground
+            lay_mat(albedo, places, self.mat, self.mat_light, self.mat_ground)
         return albedo
 
     def _light(self, scene: RayScene, hits: Hits, places: np.ndarray, normals: np.ndarray,
@@ -190,6 +183,20 @@ class Scenery:
             slope = np.maximum((normals * _unit(lamp.place - places)).sum(axis=2), 0)
             total = total + 0.5 * lamp.strength * slope * _spread(lit, surface, 2)
         return total
+
+
+def lay_mat(albedo: np.ndarray, places: np.ndarray, mat: str, light: tuple[float, float],
+            ground: np.ndarray) -> None:
+    """Put a mat on albedo (N, 3) at places (N, 2), m; ``light``: of its ink and paper, ``ground``
+    (3,): light of its ground over that of paper."""
+    picture = mat_picture(mat)
+    height, width = picture.shape
+    columns, rows = (np.rint(one).astype(int) for one in mat_pixels(mat, places))
+    on = (columns >= 0) & (rows >= 0) & (columns < width) & (rows < height)
+    ink, paper = light
+    share = decoded(picture[rows[on], columns[on]] / 255.0)
+    albedo[on] = (ink + (paper - ink) * share)[:, None]
+    albedo[on_ground(mat, places)] *= ground
 
 
 def _tester(

@@ -108,6 +108,20 @@ def strip_photographs(reports: Reports) -> str:
          if "face" not in name])
 
 
+def tension(reports: Reports) -> str:
+    """Errors of extensions by photographs, and of the stiffnesses by them."""
+    return table(
+        ["strips", "pairs", "extension, mm: median, 9 of 10, largest", "inside 68, 90 %",
+         "stiffness off that by the true extension: median, 9 of 10", "fabric inside 68, 90 %"],
+        [[name, f"{found['pairs']}",
+          ", ".join(f"{found['extension_mm'][key]:.2f}"
+                    for key in ("median", "quantile_90", "largest")),
+          ", ".join(f"{share:.0f}" for share in found["extension_mm"]["coverage"].values()),
+          ", ".join(f"{found['stiffness'][key]:.1f} %" for key in ("median", "quantile_90")),
+          ", ".join(f"{share:.0f}" for share in found["stiffness"]["coverage"].values())]
+         for name, found in reports["tension"]["summary"].items()])
+
+
 def mats(reports: Reports) -> str:
     """Errors of photographs over the mat, alone and together."""
     return table(
