@@ -10,7 +10,7 @@ DATASET ?= outputs/dataset
 CAPTURE ?= examples/captures/twill
 PHOTOGRAPH ?= examples/captures/twill_photograph
 ROUNDED ?= tests/sim tests/data tests/drapenet
-PACKAGES := apps common configs data drapenet examples experiments sim tests tools
+PACKAGES := apps benchmarks common configs data drapenet examples experiments sim tests tools
 CHECKS := check-types check-versions check-unused check-layers check-docstrings check-spelling check-style
 
 .PHONY: $(CHECKS) help setup demo test test-rounding test-wheel test-slow test-slurm test-browser serve lint sim prior dataset train evaluate bench-sim bench docs reference studies example validate blender matrix clean

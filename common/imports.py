@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-PACKAGES = ("apps", "common", "data", "drapenet", "experiments", "sim")
+PACKAGES = ("apps", "benchmarks", "common", "data", "drapenet", "experiments", "sim")
 SCRIPTS = ("train", "infer", "serve")
 
 _STRING = rb"""

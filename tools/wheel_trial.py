@@ -25,7 +25,7 @@ import httpx
 from common.interrupt import TRAINING
 
 ROOT = Path(__file__).resolve().parents[1]
-LEFT = (".ci", "docs", "examples", "experiments", "tests", "tools")
+LEFT = (".ci", "benchmarks", "docs", "examples", "experiments", "tests", "tools")
 """Folders that are not of the wheel."""
 REPORT = ("estimate.json", "report.png", "report.html", "report.pdf", "drape.glb", "torque.svg")
 COARSE = ("starts=1", "coarse_mm=12", "edge_mm=12")
