@@ -67,7 +67,7 @@ def phone_picture(
 def phone_pictures(
     positions: Points, rest: RestPoints, faces: Faces, rng: np.random.Generator, *, count: int,
     plate_radius: Metres, plate_height: Metres, mat: str = "a3", beside: Metres = 0.25,
-    lean: float = np.inf, ground: str = "white", size: tuple[int, int] = _SIZE, **scene: Any
+    lean: float = np.inf, ground: str = "white", size: tuple[int, int] | None = None, **scene: Any
 ) -> list[PhonePicture]:
     """Photographs of one scene by a random phone from random places, at most ``beside`` the axis,
     and ``lean`` times their height above the plate.
@@ -75,12 +75,13 @@ def phone_pictures(
     Args:
         positions: with the plate's centre as origin, z up, the warp along x.
         ground: of the mat.
-        size: pixels along the long and the short side.
+        size: pixels along the long and the short side; None: three megapixels.
         scene: as for :meth:`data.render.scenery.Scenery.random`.
     """
     warp = float(rng.uniform(0, 2 * np.pi)) if rng.random() < 0.5 else 0.0
     cos, sin = np.cos(warp), np.sin(warp)
     turned = positions @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1.0]])
+    size = size or _SIZE
     size = size if rng.random() < 0.7 else size[::-1]
     lens = rng.uniform(24, 30), float(np.clip(rng.normal(0, 0.012), -0.03, 0.03))
     scenery = Scenery.random(

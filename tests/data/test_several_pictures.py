@@ -49,11 +49,10 @@ def taken(shape, place, turn: float = 0.0) -> bytes:
     cos, sin = np.cos(turn), np.sin(turn)
     positions = shape.positions @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]])
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(phone, "_SIZE", SIZE)
         patch.setattr(phone, "random_pose", lambda _, size, *__: pose_at(place, size))
         return phone.phone_picture(positions, shape.rest, shape.faces, np.random.default_rng(0),
                                    plate_radius=DISC_RIG.plate_radius,
-                                   plate_height=PLATE_HEIGHT, mat="a2", surface=RED).jpeg
+                                   plate_height=PLATE_HEIGHT, mat="a2", size=SIZE, surface=RED).jpeg
 
 
 @pytest.fixture(scope="module")
