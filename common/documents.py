@@ -4,6 +4,7 @@ Contents are validated by a :class:`Schema`; every fault raises an InputError of
 """
 
 import codecs
+import os
 import re
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -263,6 +264,17 @@ def misnamed(names: Iterable[str], file: str) -> str:
     stem = file.removesuffix(".yaml")
     meant = {stem + suffix for suffix in (".yaml", ".yml", ".yaml.txt", ".yml.txt")}
     return next((name for name in sorted(names) if name.lower() in meant), "")
+
+
+def require_file_in(folder: Path, name: str, content: str) -> Path:
+    """The file ``name`` of a folder; InputError, with what to write in it, if there is none."""
+    if not folder.is_dir():
+        raise InputError(f"{folder} is not a folder; give the one that holds {name}")
+    if not (folder / name).exists():
+        if other := misnamed(os.listdir(folder), name):
+            raise InputError(f"{folder / other}: {rename_remedy(name)}")
+        raise InputError(f"{folder} has no {name}; write it with {content} (docs/use.md)")
+    return folder / name
 
 
 def rename_remedy(file: str) -> str:

@@ -1,13 +1,12 @@
 """What a folder of strips states of them, in ``strips.yaml``."""
 
 import math
-import os
 from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from common.documents import Schema, misnamed, read_yaml, rename_remedy
+from common.documents import Schema, read_yaml, require_file_in
 from common.errors import InputError
 from common.types import Metres
 from data.captures.description import MAX_LABEL_LENGTH, Labels, Weighed
@@ -129,14 +128,7 @@ class StripsDescription(Weighed, View, Labels):
 
 def read_description(folder: Path) -> StripsDescription:
     """The file ``strips.yaml`` of a folder."""
-    if not folder.is_dir():
-        raise InputError(f"{folder} is not a folder; give the one that holds {FILE}")
-    file = folder / FILE
-    if not file.exists():
-        if other := misnamed(os.listdir(folder), FILE):
-            raise InputError(f"{folder / other}: {rename_remedy(FILE)}")
-        raise InputError(f"{folder} has no {FILE}; write it with density_g_m2, scale and strips "
-                         "(docs/use.md)")
+    file = require_file_in(folder, FILE, "density_g_m2, scale and strips")
     description = StripsDescription.of(read_yaml(file), file)
     names = [entry.file for entry in description.strips if entry.file]
     if repeated := sorted({name for name in names if names.count(name) > 1}):

@@ -1,14 +1,12 @@
 """What a folder states of strips stretched by weights, in ``tension.yaml``."""
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from common.documents import Schema, misnamed, read_yaml, rename_remedy
-from common.errors import InputError
+from common.documents import Schema, read_yaml, require_file_in
 from data.captures.description import MAX_LABEL_LENGTH, Labels, Weighed
 from data.readings.known import Known
 
@@ -131,12 +129,5 @@ class TensionDescription(Weighed, Labels):
 
 def read_description(folder: Path) -> TensionDescription:
     """The file ``tension.yaml`` of a folder."""
-    if not folder.is_dir():
-        raise InputError(f"{folder} is not a folder; give the one that holds {FILE}")
-    file = folder / FILE
-    if not file.exists():
-        if other := misnamed(os.listdir(folder), FILE):
-            raise InputError(f"{folder / other}: {rename_remedy(FILE)}")
-        raise InputError(f"{folder} has no {FILE}; write it with density_g_m2 and tension, a list "
-                         "of strips (docs/use.md)")
+    file = require_file_in(folder, FILE, "density_g_m2 and tension, a list of strips")
     return TensionDescription.of(read_yaml(file), file)
