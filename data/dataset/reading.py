@@ -97,9 +97,9 @@ def read_again(*, shard: Path, drapes: int, seed: int) -> dict:
                 except InputError:
                     refused += 1
                     continue
-            place = taken.place(chosen[0])
-            error = outline.radii - true_radii(positions, mesh.edges, chosen[0].warp,
-                                               np.zeros(2), place[2])
+            shown = taken.reference(outline)
+            error = outline.radii - true_radii(positions, mesh.edges, shown.warp, np.zeros(2),
+                                               taken.place(shown)[2])
             for key, values in (("off", error), ("stated", outline.error)):
                 assert values is not None
                 even = values.reshape(STORED, -1).mean(axis=1)
@@ -139,6 +139,11 @@ class Taken:
         """Place beside the axis over the height above the plate."""
         x, y, z = self.place(picture)
         return float(np.hypot(x, y) / z)
+
+    def reference(self, outline: PhotographedOutline) -> PhonePicture:
+        """The picture from whose height the outline is as it was read: of several the reader takes
+        one, and cloth below the plate looks the larger, the lower the camera."""
+        return min(self.pictures, key=lambda one: abs(self.place(one)[2] - outline.height))
 
     def read(self, chosen: list[PhonePicture], folder: Path) -> PhotographedOutline:
         """The outline of ``chosen`` pictures, written to a ``folder``; InputError if refused."""

@@ -67,7 +67,8 @@ def errors(taken: Taken, chosen: list[PhonePicture], folder: Path, shape: Drape,
         outline = taken.read(chosen, folder)
     except InputError as error:
         return {"refused": str(error).split("outline.jpg: ")[-1]}
-    place, warp = taken.place(chosen[0]), chosen[0].warp
+    shown = taken.reference(outline)
+    place, warp = taken.place(shown), shown.warp
     assert outline.hem is not None and outline.to_pixels is not None
     seen = mapped(outline.hem, np.linalg.inv(outline.to_pixels))
     true_axis, true_seen = (true_radii(shape.positions, shape.mesh.edges, warp, beside, place[2])
