@@ -40,6 +40,7 @@ MAX_PIXEL = 1.5e-3  # m
 MIN_COEFFICIENT = 0.02  # of cloth on a plate; the plate alone has 0
 MAX_TILT = np.radians(10.0)
 DOUBTFUL, MAX_DOUBTFUL = 3e-3, 0.05  # m, error of a hem, and the share of it that may have more
+MAX_GROUNDED = 0.02  # of the azimuth
 MAX_ALONG_BORDER = 0.2  # of the azimuth; 3 of 19 sound pictures with the mat a3 have more
 HANGING = 0.010  # m, allowed to reach below the mat, of specimens that are not centred
 MAX_REACH = 1.03  # over the flat specimen's; one of 1000 simulated outlines has more
@@ -164,7 +165,7 @@ def _photographed(
         return found
     first_side = (warp_direction or 0.0) + rig.cut
     if others:
-        return _joined(read, first_side, warnings)
+        return _joined(read, first_side, 1e-3 * (source.plate_height_mm or np.inf), warnings)
     beside = float(np.linalg.norm(seen.beside))
     if (lean := beside / seen.height) > MAX_LEAN:
         warnings.append(Finding("camera_beside", {
@@ -182,13 +183,13 @@ def _view(seen: Scaled, found: PhotographedOutline, first_side: Radians) -> View
 
 def _joined(
     read: dict[Path, tuple[Scaled, PhotographedOutline]], first_side: Radians,
-    warnings: list[Finding]
+    plate_height: Metres, warnings: list[Finding]
 ) -> PhotographedOutline:
     """One outline of several pictures over the mat, shown in the one nearest to the axis."""
     names = list(read)
     views = [_view(seen, found, first_side) for seen, found in read.values()]
     rig = read[names[0]][1].rig
-    together = join(views, rig)
+    together = join(views, rig, plate_height)
     warnings += [Finding("picture_contradicts", {"picture": file.name, "limit": MAX_UNLIKE})
                  for k, file in enumerate(names) if k not in together.used]
     used = [names[k] for k in together.used]
@@ -200,6 +201,11 @@ def _joined(
         azimuth, share = together.parted
         warnings.append(Finding("pictures_differ", {
             "first": used[0].name, "second": used[1].name, "value": share, "limit": MAX_PARTED,
+            "azimuth": float(np.degrees(azimuth + first_side)) % 360}))
+    if (share := float(together.grounded.mean())) > MAX_GROUNDED:
+        azimuth = np.angle(together.grounded @ np.exp(1j * AZIMUTH))
+        warnings.append(Finding("hem_on_ground", {
+            "value": share, "limit": MAX_GROUNDED,
             "azimuth": float(np.degrees(azimuth + first_side)) % 360}))
     said = [warning for file in used for warning in read[file][1].warnings]
     often = Counter(warning.code for warning in said)  # the others make up for one picture's fault

@@ -16,6 +16,7 @@ from data.captures.preview import show
 from data.captures.reader import find_outline, read_capture
 from data.dataset.off_axis import silhouette
 from data.pictures.mat import MATS
+from data.pictures.planes import behind
 from data.pictures.pose import Pose, camera_matrix, camera_poses
 from data.render import phone, textures
 from sim.draping import drape
@@ -169,14 +170,39 @@ def test_where_one_of_three_differs_the_others_decide():
     bulge = radius + 8e-3 * (np.abs(azimuth - 2) < np.radians(7.5))
     views = [View(one[:, None] * OUTWARDS, np.array([0.02, 0.01]), 0.8, np.full(AZIMUTHS, 6e-4))
              for one in (radius, bulge, radius)]
-    found = join(views, DISC_RIG)
-    clean = join([views[0], views[2]], DISC_RIG)
+    found = join(views, DISC_RIG, PLATE_HEIGHT)
+    clean = join([views[0], views[2]], DISC_RIG, PLATE_HEIGHT)
     assert found.used == [0, 1, 2] and found.parted is None
     assert np.abs(found.radius - clean.radius).max() < 1.5e-3
     there = np.abs(azimuth - 2) < np.radians(6)
     assert np.median(found.error[there]) > 3 * np.median(found.error[~there])
-    parted = join(views[:2], DISC_RIG).parted
+    parted = join(views[:2], DISC_RIG, PLATE_HEIGHT).parted
     assert parted is not None and parted[0] == pytest.approx(2, abs=0.05)
+
+
+def seen_by(points, height, place) -> np.ndarray:
+    """Points (N, 2) at a height over the ground, on the plane of the plate, by an eye (3,)."""
+    ground = behind(points, place, height)
+    return place[:2] + (ground - place[:2]) * (1 - PLATE_HEIGHT / place[2])
+
+
+def test_a_shadow_that_stays_on_the_mat_is_no_hem():
+    """A shadow of 20 mm over 40 degrees beside a hem 20 mm below the plate, in three pictures."""
+    azimuth = np.arange(AZIMUTHS) * (2 * np.pi / AZIMUTHS)
+    radius = 0.120 + 0.006 * np.cos(4 * azimuth)
+    views, clean = [], []
+    for place in (np.array([*beside, PLATE_HEIGHT + HEIGHT]) for beside in PLACES):
+        hem = seen_by(radius[:, None] * OUTWARDS, PLATE_HEIGHT - 0.02, place)
+        shadow = seen_by((radius + 0.02)[:, None] * OUTWARDS, 0.0, place)
+        seen = np.where(np.abs(azimuth - 2)[:, None] < np.radians(20), shadow, hem)
+        views.append(View(seen, place[:2], HEIGHT, np.full(AZIMUTHS, 6e-4)))
+        clean.append(views[-1]._replace(curve=hem))
+    found = join(views, DISC_RIG, PLATE_HEIGHT)
+    inside, outside = np.abs(azimuth - 2) < np.radians(15), np.abs(azimuth - 2) > np.radians(25)
+    assert found.used == [0, 1, 2]
+    assert found.grounded[inside].mean() > 0.8 and not found.grounded[outside].any()
+    assert np.median(found.error[inside]) > 5 * np.median(found.error[outside])
+    assert not join(clean, DISC_RIG, PLATE_HEIGHT).grounded.any()
 
 
 def test_poses_of_pictures_upright_and_sideways_share_one_lens():
