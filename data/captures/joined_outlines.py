@@ -146,7 +146,7 @@ def join(views: Sequence[View], rig: Rig, plate_height: Metres) -> Joined:
     differing = np.average(np.square(off), axis=0, weights=1 / np.square(error[used]))
     here = views[reference]
     shown = radius[:, None] * OUTWARDS + (depth / (here.height + depth))[:, None] * here.beside
-    everywhere = grounded[used].all(axis=0)
+    everywhere = np.asarray(grounded[used].all(axis=0))
     error = np.sqrt(np.square(deviation) + differing / (len(used) - 1))
     return Joined(used, reference, turns, radius, _radii(shown),
                   np.hypot(error, _GROUND * everywhere), parted, everywhere)

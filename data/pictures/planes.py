@@ -9,9 +9,9 @@ def mapped(points: np.ndarray, homography: np.ndarray) -> np.ndarray:
     return cv2.perspectiveTransform(np.asarray(points, np.float64)[:, None], homography)[:, 0]
 
 
-def behind(places: np.ndarray, eye: np.ndarray, height: float) -> np.ndarray:
-    """Places (..., 2) on the ground that an ``eye`` (3,) over it sees behind ``places`` (..., 2) of
-    a plane at a ``height``, m."""
+def behind(places: np.ndarray, eye: np.ndarray, height: float | np.ndarray) -> np.ndarray:
+    """Places (..., 2) on the ground that an ``eye`` (3,) over it sees behind ``places`` (..., 2) at
+    a ``height`` (... or 1), m."""
     return eye[:2] + (places - eye[:2]) * (eye[2] / (eye[2] - height))
 
 
