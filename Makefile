@@ -9,6 +9,7 @@ DEVELOPER := .venv/complete
 DATASET ?= outputs/dataset
 CAPTURE ?= examples/captures/twill
 PHOTOGRAPH ?= examples/captures/twill_photograph
+PULLED ?= examples/tension/twill
 ROUNDED ?= tests/sim tests/data tests/drapenet
 PACKAGES := apps benchmarks common configs data drapenet examples experiments sim tests tools
 CHECKS := check-types check-versions check-unused check-layers check-docstrings check-spelling check-style
@@ -112,6 +113,9 @@ docs: $(DEVELOPER)  ## update the figures in README.md and docs/*.md from the de
 	mkdir -p outputs
 	$(BIN)/python infer.py capture=[$(PHOTOGRAPH),$(CAPTURE)] out=outputs/demo > outputs/demo.txt
 	cp outputs/demo.txt docs/validation/demo.txt
+	$(BIN)/python infer.py capture=$(PHOTOGRAPH) tension=$(PULLED) export=clo \
+	  out=outputs/fifteen_minutes > outputs/fifteen_minutes.txt
+	cp outputs/fifteen_minutes.txt docs/validation/fifteen_minutes.txt
 	$(BIN)/python -m experiments.figures
 
 reference: $(DEVELOPER)  ## pages of the Python interface from its docstrings, outputs/reference/index.html

@@ -160,33 +160,77 @@ def read_extension(
     width, gauge = width / scale, gauge / scale
     slack = _GAUGE[0] * gauge + _GAUGE[1]
     windows = ((gauge - slack, gauge + slack), (gauge - slack, (1 + most) * (gauge + slack)))
-    strips, bands, choices = [], [], []
+    seen = []
     for k, picture in enumerate(pictures):
         try:
-            strip, stated = (_stated(picture, marks[k], width) if marks else
-                             (find_strip(picture, width), None))
-            band = strip.band(picture)
-            if stated is None:
-                found = pairs(band.lines(), *windows[k])
-            else:
-                lines = [band.line_at(place) for place in stated]
-                found = [(lines[0], lines[1])] if lines[0] and lines[1] else []
-            if not found:
-                raise InputError(
-                    "no two lines across the strip are seen " + (
-                        "at marks_px" if marks else
-                        f"{1e3 * scale * windows[k][0]:.0f} to "
-                        f"{1e3 * scale * windows[k][1]:.0f} mm apart, as gauge_mm has it")
-                    + ": draw the marks over the whole width with a pen that differs from all "
-                    "colours of the cloth" + (f", {OTHERWISE}" if not marks else ""))
+            seen.append(_look(picture, width, windows[k], scale, marks and marks[k]))
         except InputError as error:
             raise InputError(f"{folder / picture.name}: {error}") from None
-        strips.append(strip)
-        bands.append(band)
-        choices.append(found)
-    chosen = _best(choices, str(folder / pictures[0].name))
-    courses = [[band.course(line) for line in pair] for band, pair in zip(
-        bands, chosen, strict=True)]
+    chosen = _best([one.pairs for one in seen], str(folder / pictures[0].name))
+    courses = [[one.band.course(line) for line in pair] for one, pair in zip(
+        seen, chosen, strict=True)]
+    try:
+        distances = _distances(courses, scale)
+    except InputError as error:
+        raise InputError(f"{folder / pictures[1].name}: {error}") from None
+    length, extension = distances.length, distances.extension
+    return PhotographedExtension(
+        scale * length, scale * extension,
+        scale * _error(pictures, distances, width, above / scale, 1 / scale),
+        np.nan if marks else scale * seen[0].strip.width, (pictures[0], pictures[1]),
+        np.stack([[_pixels(picture, one, course) for course in both]
+                  for picture, one, both in zip(pictures, seen, courses, strict=True)]))
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """A strip in a picture, and the pairs of lines that may be its marks."""
+
+    strip: Strip
+    band: Band
+    pairs: list[tuple[Line, Line]]
+
+
+def _look(picture: MarkedPicture, width: Metres, window: tuple[Metres, Metres], scale: float,
+          marks: Sequence | None) -> _Seen:
+    """The strip in a picture and its marks, at the places that are stated, or else as lines by one
+    pen whose distance is in the ``window``; InputError for none."""
+    if marks:
+        strip, stated = _stated(picture, marks, width)
+        band = strip.band(picture)
+        first, second = (band.line_at(place) for place in stated)
+        if first and second:
+            return _Seen(strip, band, [(first, second)])
+        where, otherwise = "at marks_px", ""
+    else:
+        strip = find_strip(picture, width)
+        band = strip.band(picture)
+        if found := pairs(band.lines(), *window):
+            return _Seen(strip, band, found)
+        low, high = (1e3 * scale * end for end in window)
+        where, otherwise = f"{low:.0f} to {high:.0f} mm apart, as gauge_mm has it", f", {OTHERWISE}"
+    raise InputError(f"no two lines across the strip are seen {where}: draw the marks over the "
+                     "whole width with a pen that differs from all colours of the cloth"
+                     + otherwise)
+
+
+@dataclass(frozen=True)
+class _Distances:
+    """Of two marks without the weight, and how much farther they are apart with it, by ``seen``
+    (COLUMNS,) of the ``by_column`` (COLUMNS,)."""
+
+    length: Metres
+    by_column: np.ndarray
+    seen: np.ndarray
+
+    @property
+    def extension(self) -> Metres:
+        return float(self.by_column[self.seen].mean())
+
+
+def _distances(courses: list[list[np.ndarray]], scale: float) -> _Distances:
+    """By the courses of both marks in both pictures; InputError for too few columns, or if the
+    marks come nearer."""
     apart = [ends[1] - ends[0] for ends in courses]
     # Nothing tells which way round the strip lies: the lines' shapes do.
     by_column = min((under - apart[0] for under in (apart[1], apart[1][::-1])), key=_spread)
@@ -195,31 +239,30 @@ def read_extension(
         middle = np.median(by_column[seen])
         seen &= np.abs(by_column - middle) < max(3 * _spread(by_column[seen]), STEP)
     if seen.sum() < _LEAST_COLUMNS:
-        raise InputError(f"{folder / pictures[1].name}: the marks are seen on "
-                         f"{seen.mean():.0%} of the strip's width in both pictures, at least "
-                         f"{_LEAST_COLUMNS / COLUMNS:.0%} is needed: draw them over the whole "
-                         "width")
-    extension, length = float(by_column[seen].mean()), float(apart[0][seen].mean())
-    if extension <= 0:
+        raise InputError(f"the marks are seen on {seen.mean():.0%} of the strip's width in both "
+                         f"pictures, at least {_LEAST_COLUMNS / COLUMNS:.0%} is needed: draw them "
+                         "over the whole width")
+    found = _Distances(float(apart[0][seen].mean()), by_column, seen)
+    if found.extension <= 0:
         raise InputError(
-            f"{folder / pictures[1].name}: the marks are "
-            f"{1e3 * scale * (length + extension):.1f} mm apart, without the weight "
-            f"{1e3 * scale * length:.1f}: are the pictures exchanged, or of other strips? If "
-            "nothing is seen, take a heavier weight")
+            f"the marks are {1e3 * scale * (found.length + found.extension):.1f} mm apart, without "
+            f"the weight {1e3 * scale * found.length:.1f}: are the pictures exchanged, or of other "
+            "strips? If nothing is seen, take a heavier weight")
+    return found
+
+
+def _error(pictures: Sequence[MarkedPicture], found: _Distances, width: Metres, above: Metres,
+           metre: float) -> Metres:
+    """Standard deviation of the extension: by the lines' scatter, the strip's height ``above`` the
+    mat, and the markers; ``metre`` is one in lengths of the mat's layout."""
+    seen, extension = found.seen, found.extension
     readings = min(float(seen.sum()), 2 * ACROSS * width * seen.mean() / _YARNS)
-    lengths = np.array([length, length + extension])
+    lengths = np.array([found.length, found.length + extension])
     away = np.array([one.away for one in pictures])
-    alone, both = ABOVE_ERROR[0] / scale / away, ABOVE_ERROR[1] * above / scale / away
-    error = float(np.linalg.norm([
-        FLOOR, by_column[seen].std() / np.sqrt(max(readings - 1, 1)), *(lengths * alone),
-        np.diff(lengths * both)[0],
-        *(lengths * [one.scale_error for one in pictures])]))
-    return PhotographedExtension(
-        scale * length, scale * extension, scale * error,
-        np.nan if marks else scale * strips[0].width, (pictures[0], pictures[1]),
-        np.stack([[_pixels(picture, strip, band, course) for course in both]
-                  for picture, strip, band, both in zip(
-                      pictures, strips, bands, courses, strict=True)]))
+    alone, both = ABOVE_ERROR[0] * metre / away, ABOVE_ERROR[1] * above / away
+    return float(np.linalg.norm([
+        FLOOR, found.by_column[seen].std() / np.sqrt(max(readings - 1, 1)), *(lengths * alone),
+        np.diff(lengths * both)[0], *(lengths * [one.scale_error for one in pictures])]))
 
 
 def _spread(values: np.ndarray) -> float:
@@ -228,10 +271,12 @@ def _spread(values: np.ndarray) -> float:
     return float(1.48 * np.median(np.abs(seen - np.median(seen)))) if len(seen) else np.inf
 
 
-def _pixels(picture: MarkedPicture, strip: Strip, band: Band, course: np.ndarray) -> np.ndarray:
+def _pixels(picture: MarkedPicture, seen: _Seen, course: np.ndarray) -> np.ndarray:
     """Pixels (COLUMNS, 2) of a course."""
-    normal = np.array([-strip.along[1], strip.along[0]])
-    places = strip.middle + course[:, None] * strip.along + band.across[:, None] * normal
+    along = seen.strip.along
+    normal = np.array([-along[1], along[0]])
+    places = (seen.strip.middle + course[:, None] * along
+              + seen.band.across[:, None] * normal)
     points = np.column_stack([np.nan_to_num(places), np.full(COLUMNS, picture.height)])
     return np.where(np.isfinite(course)[:, None], picture.pose.pixels_of(points), np.nan)
 

@@ -15,8 +15,8 @@ from drapenet.evidence.source import Source, of_strips, of_values
 from drapenet.evidence.state import cloth_of_state, state_of
 from drapenet.network.checkpoint import Header
 from drapenet.network.predict import Draws
-from drapenet.result.document import StripsRecord
 from drapenet.result.estimate import Estimate, make_estimate
+from drapenet.result.strips import StripsRecord
 from sim.material import MICRO
 
 

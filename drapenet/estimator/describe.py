@@ -16,10 +16,10 @@ from drapenet.result.document import (
     CaptureAbout,
     CaptureRecord,
     EstimateDocument,
-    StripsRecord,
-    TensionRecord,
 )
 from drapenet.result.estimate import Estimate
+from drapenet.result.strips import StripsRecord
+from drapenet.result.tension import TensionRecord
 
 if TYPE_CHECKING:
     from data.strips.folder import StripSet

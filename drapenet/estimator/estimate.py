@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from common.errors import InputError
-from common.files import printable
+from common.files import printable, replace_file
 from common.findings import Finding
 from common.normal import Normal
 from data.captures.capture import Capture
@@ -36,19 +36,23 @@ from drapenet.estimator.stages import (
 )
 from drapenet.evidence.state import fabric_prior, prior_along
 from drapenet.network.checkpoint import Header
-from drapenet.result.document import EstimateDocument, StripsRecord, TensionRecord
+from drapenet.result.document import EstimateDocument
 from drapenet.result.estimate import Estimate
 from drapenet.result.files import (
     ESTIMATE,
     REPORT,
+    STRIPS,
     capture_names,
     fabric_name,
+    pictures_of_strips,
     read_document,
     read_observation,
     remove_report,
     require_output,
     write_estimate,
 )
+from drapenet.result.strips import StripsRecord
+from drapenet.result.tension import TensionRecord
 from drapenet.views.observation import Observation
 
 if TYPE_CHECKING:
@@ -162,7 +166,11 @@ def estimate_source(
         remove_report(out)
         write_estimate(out, estimate, document)
         if options.drapes:
-            _report(document, [], out)
+            from drapenet.report.strips import draw_strips
+
+            if picture := draw_strips(source):
+                replace_file(out / STRIPS, picture)
+            _report(document, [], [out], out)
     return estimate, Part(document)
 
 
@@ -246,18 +254,20 @@ def write_joint(
     remove_report(out)
     write_estimate(out, estimate, document)
     if drawn:
-        _report(document, [(part.document, folder) for part, folder in
-                           zip(parts, folders, strict=True) if part.observation and folder], out)
+        pairs = [(part, folder) for part, folder in zip(parts, folders, strict=False) if folder]
+        _report(document, [(part.document, folder) for part, folder in pairs if part.observation],
+                [folder for part, folder in pairs if not part.observation], out)
 
 
 def _report(
-    document: EstimateDocument, captures: Sequence[tuple[EstimateDocument, Path]], out: Path
+    document: EstimateDocument, captures: Sequence[tuple[EstimateDocument, Path]],
+    strips: Sequence[Path], out: Path
 ) -> None:
-    """Write the report of an estimate, with the pictures in its captures' folders."""
+    """Write the report of an estimate, with the pictures in its captures' and strips' folders."""
     from drapenet.report.report import ShownCapture, write_report
 
     files = [folder / REPORT for _, folder in captures]
     shown = [ShownCapture(name, part, file.read_bytes() if file.exists() else b"")
              for name, (part, _), file in zip(capture_names(document), captures, files,
                                               strict=True)]
-    write_report(out, fabric_name(document), document, shown)
+    write_report(out, fabric_name(document), document, shown, strips=pictures_of_strips(strips))

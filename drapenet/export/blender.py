@@ -7,6 +7,10 @@ the three corners (``SIM_mass_spring.cc``, ``implicit_blender.cc``), which on tr
 sides is a plate of modulus 28.9 k A / 1000, A being the area for each vertex. Drapes on triangles
 of 8 mm, whose springs of tension must be weak for them to fold, have the coefficients of this
 project's with 20 in place of 28.9 (``python -m experiments blender``).
+
+Triangles have springs along their edges alone, of the constant tension over mean edge. On triangles
+of equal sides they are a sheet of shear stiffness sqrt(3)/4 and stretch stiffness 2/sqrt(3) of that
+constant: it can have the shear of a fabric or its stretch. A drape needs the shear.
 """
 
 from typing import Any
@@ -20,17 +24,28 @@ MASS = 1000.0
 PLATE = 20.0
 """Modulus of the plate over stiffness and area for each vertex, times MASS."""
 TENSION = 2.0
+"""Of fabrics of unknown shear: drapes on triangles of 8 mm fold, as with 108 N/m."""
+LATTICE = 4 / 3**0.5
+"""Tension over mean edge and shear stiffness."""
+FRICTION, MAX_FRICTION = 100.0, 80.0
+"""Blender's friction of cloth on itself over the coefficient (``collision.cc``), and its limit."""
 QUALITY = 15
-VERTEX = 0.008**2 * 3**0.5 / 2
-"""Area for each vertex of triangles of 8 mm, m²."""
+EDGE = 0.008
+VERTEX = EDGE**2 * 3**0.5 / 2
+"""Edge, m, of the triangles that cards are for, and area for each vertex, m²."""
 
 
 def blender_settings(material: Material) -> dict[str, Any]:
-    """Settings of a mesh of triangles; mass of a vertex and bending stiffness depend on its area.
+    """Settings of a mesh of triangles; mass of a vertex and bending stiffness depend on its area,
+    the tension of cloth of known shear on its edges; what is not known is None.
     """
+    known = material.known
     return {"mass_over_area": MASS * material.density,
             "bending_times_area": MASS * mean_modulus(material.modulus) / PLATE,
-            "tension": TENSION, "quality": QUALITY}
+            "tension": None if "shear" in known else TENSION,
+            "tension_over_edge": LATTICE * known["shear"] if "shear" in known else None,
+            "self_friction": min(FRICTION * known["friction"], MAX_FRICTION)
+            if "friction" in known else None, "quality": QUALITY}
 
 
 def captured_specimen(material: Material) -> dict[str, Any]:
@@ -49,6 +64,9 @@ def captured_specimen(material: Material) -> dict[str, Any]:
 def at_8_mm(material: Material) -> dict[str, float]:
     """What to type for a mesh of triangles of 8 mm, by quantity of ``cards.yaml``."""
     settings = blender_settings(material)
-    return {"blender_mass": settings["mass_over_area"] * VERTEX,
-            "blender_bending": settings["bending_times_area"] / VERTEX,
-            "blender_tension": TENSION, "blender_quality": QUALITY}
+    typed = {"blender_mass": settings["mass_over_area"] * VERTEX,
+             "blender_bending": settings["bending_times_area"] / VERTEX,
+             "blender_tension": settings["tension"] or settings["tension_over_edge"] * EDGE,
+             "blender_quality": QUALITY}
+    friction = settings["self_friction"]
+    return typed if friction is None else typed | {"blender_friction": friction}

@@ -26,6 +26,9 @@ MESHES = {"unstructured": ("random", 0.2), "alternating": ("alternating", 0.0),
 """Diagonals and jitter (:func:`sim.mesh.strip`) of the meshes that a tool may have."""
 MIN_CELLS, MAX_CELLS = 6, 40  # along the strip that calibrates a mesh
 GAMMA = 10.0  # rho g L³/alpha of that strip, similar to that of hanging cloth in a drape
+BESIDE = {"stretch_warp": "stretch along the warp", "stretch_weft": "stretch along the weft",
+          "shear": "shear", "thickness_mm": "thickness", "friction": "friction"}
+"""What tools ask for beside bending and weight, by its key in :attr:`Material.known`."""
 
 
 class ExportSettings(Schema):
@@ -103,37 +106,39 @@ class Material:
                         ratio * bool(buckles.any()))
 
     @property
+    def known(self) -> dict[str, float]:
+        """What is known of the fabric beside bending and weight, of :data:`BESIDE`: stretch and
+        shear in N/m as measured, thickness in mm and the coefficient of friction of the fabric on
+        itself as stated."""
+        found, tension = {}, self.document.tension
+        if tension:
+            measured = {"warp": tension.stretch_n_per_m.warp, "weft": tension.stretch_n_per_m.weft,
+                        "bias": tension.shear_n_per_m}
+            found = {key: measured[direction].median for key, direction in zip(
+                BESIDE, ("warp", "weft", "bias"), strict=False) if direction in tension.measured}
+        for one in self.document.stated:
+            if one.thickness_mm:
+                found.setdefault("thickness_mm", one.thickness_mm)
+            if one.friction_deg and one.friction_deg.fabric:
+                found.setdefault("friction", float(np.tan(np.radians(one.friction_deg.fabric))))
+        return found
+
+    @property
     def stretch(self) -> tuple[float, float] | None:
         """Of warp and weft, N/m; None unless both were measured."""
-        tension = self.document.tension
-        if not tension or not {"warp", "weft"} <= set(tension.measured):
-            return None
-        return tension.stretch_n_per_m.warp.median, tension.stretch_n_per_m.weft.median
+        warp, weft = (self.known.get(key) for key in ("stretch_warp", "stretch_weft"))
+        return (warp, weft) if warp and weft else None
 
     @property
     def shear(self) -> float | None:
         """N/m; None unless it was measured."""
-        tension = self.document.tension
-        return tension.shear_n_per_m.median if tension and "bias" in tension.measured else None
-
-    @property
-    def thickness_mm(self) -> float | None:
-        """As it is stated; None if not known."""
-        return next((one.thickness_mm for one in self.document.stated if one.thickness_mm), None)
-
-    @property
-    def friction(self) -> float | None:
-        """Coefficient of the fabric on itself, of the slope that is stated; None if not known."""
-        return next((float(np.tan(np.radians(one.friction_deg.fabric)))
-                     for one in self.document.stated
-                     if one.friction_deg and one.friction_deg.fabric), None)
+        return self.known.get("shear")
 
     @property
     def not_known(self) -> list[str]:
         """What tools ask for beside bending and weight and the estimate does not state."""
-        return [name for name, value in (
-            ("stretch", self.stretch), ("shear", self.shear), ("thickness", self.thickness_mm),
-            ("friction", self.friction)) if value is None]
+        known = self.known
+        return [name for key, name in BESIDE.items() if key not in known]
 
     @property
     def name(self) -> str:

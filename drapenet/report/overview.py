@@ -18,7 +18,7 @@ from drapenet.report.pages import render
 from drapenet.report.report import MAX_NAME_WIDTH, ShownCapture, write_report
 from drapenet.report.workbook import Sample, Unestimated, workbook
 from drapenet.result.document import EstimateDocument
-from drapenet.result.files import REPORT
+from drapenet.result.files import REPORT, pictures_of_strips
 from drapenet.result.tables import ROLES, csv_number, csv_table, row_of
 
 FAILURE = ("fabric", "sample", "capture", "path", "reason")
@@ -129,7 +129,8 @@ def _write_page(fabric: FabricEstimate, out: Path) -> None:
     folder, document = out / fabric.place, fabric.document
     shown = [_shown(out, *capture) for capture in fabric.captures]
     write_report(folder, document.capture.labels.fabric or fabric.name, document, shown,
-                 page=INDEX, scatter=fabric.scatter, failed=fabric.failed, back="../index.html")
+                 page=INDEX, scatter=fabric.scatter, failed=fabric.failed, back="../index.html",
+                 strips=pictures_of_strips(out / entry.place for entry, _ in fabric.captures))
 
 
 def _shown(out: Path, entry: Entry, document: EstimateDocument) -> ShownCapture:

@@ -58,12 +58,13 @@ def _mean_coefficient(captures: Sequence[CaptureAbout]) -> str:
 def write_report(
     out: Path, title: str, document: EstimateDocument, captures: Sequence[ShownCapture], *,
     page: str = PAGE, scatter: np.ndarray | None = None, failed: int = 0,
-    back: str = "",
+    back: str = "", strips: Sequence[bytes] = (),
 ) -> None:
     """Write the report of an estimate and its ``captures`` as a page, and as PDF.
 
     ``scatter`` (3,) are factors by which alpha of the captures varies, ``failed`` is the number of
-    captures without an estimate, and ``back`` the address of the page of all fabrics.
+    captures without an estimate, ``back`` the address of the page of all fabrics, and ``strips``
+    are pictures of strips, PNG.
     """
     alone = [each.document.alphas_at(document.density) for each in captures]
     spread = b"" if len(captures) < 2 else draw_spread(
@@ -76,6 +77,7 @@ def write_report(
     values = {
         "title": title, "document": document, "captures": captures, "alone": alone,
         "spread": spread, "curves": curves, "scatter": scatter, "failed": failed, "back": back,
+        "strip_pictures": strips,
         "width": WIDTH, "known": document.known_values, "in_all": in_all(captures),
         "version": version("drapenet"), "texts": shown_texts}
     replace_file(out / page, render("report.html", layout="base.html", **values))

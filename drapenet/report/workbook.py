@@ -9,7 +9,8 @@ from xlsxwriter.worksheet import Worksheet
 
 from common.findings import texts
 from data.captures.description import UNLABELLED
-from drapenet.result.document import MAX_COMPARED_SHARE, EstimateDocument, Quantity
+from drapenet.result.document import MAX_COMPARED_SHARE, EstimateDocument
+from drapenet.result.quantity import Quantity
 
 QUANTITIES = {"alpha_uN_m": ("α", "µN·m", "0.0"), "beta_nN_m2": ("β", "nN·m²", "0"),
               "drape_stiffness_uN_m": ("stiffness in a drape", "µN·m", "0.0"),
@@ -18,6 +19,8 @@ QUANTITIES = {"alpha_uN_m": ("α", "µN·m", "0.0"), "beta_nN_m2": ("β", "nN·m
               "kes_b_gf_cm2_per_cm": ("KES B", "gf·cm²/cm", "0.000"),
               "kes_2hb_gf_cm_per_cm": ("KES 2HB", "gf·cm/cm", "0.000")}
 """Name, unit and number format of quantities along a direction, by their key in the document."""
+STRETCH = ("stretch, of bias: shear", "N/m", "0.0")
+"""The same of what strips under weights measure."""
 FAILED = ("fabric", "sample", "capture", "reason")
 NOTES = (
     "Each line is a direction: warp, bias and weft, or stiff, bias and soft where the direction of "
@@ -75,7 +78,8 @@ def _columns(names: Sequence[str]) -> dict[str, str]:
     """Number formats by column of a sheet whose first cells are ``names``."""
     names = [*names, "mass per area [g/m²]", "tester", "face", "direction"]
     return {**dict.fromkeys(names, "0"),
-            **{f"{name} {end} [{unit}]": text for name, unit, text in QUANTITIES.values()
+            **{f"{name} {end} [{unit}]": text
+               for name, unit, text in (*QUANTITIES.values(), STRETCH)
                for end in ("median", "low", "high")},
             "poorly constrained": "@", "KES not determined [%]": "0.0",
             "drape coefficient [%]": "0.0", "nodes": "0.0",
@@ -114,7 +118,9 @@ def _rows(sample: Sample | Unestimated) -> list[list[str | float | None]]:
     face = "" if about.sources else about.face
     for name, readings in document.laboratory.items():
         quantities = dict([*document.moduli[name], *readings])
-        numbers = [number for key in QUANTITIES for number in _ends(quantities[key])]
+        tension = document.tension and document.tension.measured_along(name)
+        numbers = [number for value in (*(quantities[key] for key in QUANTITIES), tension)
+                   for number in _ends(value)]
         poor = ", ".join(letter for letter, key in (("α", "alpha"), ("β", "beta/alpha"))
                          if f"{key} {name}" in document.poorly_constrained)
         rows.append([*sample.names.values(), about.density_g_m2, about.rig, face, name, *numbers,

@@ -1,23 +1,14 @@
 """``estimate.json``: the model that is made from an estimate, written and read."""
 
-import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
-from pydantic import (
-    BeforeValidator,
-    Field,
-    InstanceOf,
-    PlainSerializer,
-    PlainValidator,
-    model_validator,
-)
+from pydantic import Field, model_validator
 
 from common.documents import Excerpt
 from common.errors import shown
-from common.files import printable
-from common.findings import Finding, records
+from common.findings import Finding
 from common.types import Density
 from data.captures.description import Labels
 from data.captures.reported import Reported
@@ -27,6 +18,9 @@ from data.readings.kes import GF_CM, GF_CM_PER_CM, kes
 from data.readings.known import Known
 from drapenet.evidence.source import value_key
 from drapenet.result.estimate import Estimate
+from drapenet.result.quantity import Finite, Quantity, Recorded, Text, intervals
+from drapenet.result.strips import StripsRecord
+from drapenet.result.tension import TensionRecord
 from sim.material import (
     DIRECTIONS,
     DRAPE_CURVATURE,
@@ -37,68 +31,12 @@ from sim.material import (
     secant,
 )
 
-if TYPE_CHECKING:
-    from data.strips.folder import StripSet
-    from data.strips.posterior import StripEvidence
-    from data.tension.folder import TensionSet
-
 SCHEMA = "drapenet-estimate"
 SCHEMA_VERSION = 6
 POORLY_CONSTRAINED = 0.7  # above this ratio of standard deviation and spread over fabrics
 CURVATURES = np.array([25.0, 50.0, 100.0, 200.0, 400.0])  # 1/m, of the tabulated law
-INTERVALS = {"interval_68": 0.68, "interval_90": 0.90}
 MAX_OUTSIDE_SHARE = 0.5  # of samples outside KES's range; beyond, its readings are not given
 MAX_COMPARED_SHARE = 0.05  # beyond, its readings are given, but not to be compared
-
-Text = InstanceOf[str]
-"""A text that may hold a path, whose bytes need not be UTF-8."""
-Finite = Annotated[float | None, BeforeValidator(
-    lambda value: None if isinstance(value, float) and not math.isfinite(value) else value)]
-"""A number, None where it is not finite, for which JSON has no notation."""
-Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
-
-
-def _finding(content: Any) -> Finding:
-    """The finding of a record that has a code with a sentence, and its values."""
-    if isinstance(content, Finding):
-        return content
-    try:
-        code, values, source = (content[key] for key in ("code", "values", "source"))
-        records([found := Finding(code, values, source)])
-    except (AttributeError, IndexError, KeyError, TypeError, ValueError):
-        raise ValueError("is not the record of a finding") from None
-    return found
-
-
-Recorded = Annotated[Finding, PlainValidator(_finding),
-                     PlainSerializer(lambda found: found.record)]
-"""A finding; in JSON its :attr:`~common.findings.Finding.record`."""
-
-
-class Quantity(Excerpt):
-    """Median and central intervals of a quantity."""
-
-    median: float
-    interval_68: Interval
-    interval_90: Interval
-
-    def times(self, factor: float) -> "Quantity":
-        """The quantity multiplied by a positive factor."""
-        return Quantity(median=factor * self.median,
-                        interval_68=[factor * end for end in self.interval_68],
-                        interval_90=[factor * end for end in self.interval_90])
-
-    def texts(self, key: str = "interval_68") -> tuple[str, str]:
-        """Median and interval as text, with decimals according to the interval's width."""
-        low, high = getattr(self, key)
-        places = 0
-        if (half := (high - low) / 2) > 0:
-            places = min(max(1 - math.floor(math.log10(half)), 0), 6)
-        return f"{self.median:.{places}f}", f"{low:.{places}f} to {high:.{places}f}"
-
-    def __str__(self) -> str:
-        """Median and 68 % interval."""
-        return "{} ({})".format(*self.texts())
 
 
 class DirectionModuli(Excerpt):
@@ -187,111 +125,6 @@ class CaptureRecord(Excerpt):
     capture: CaptureAbout
     moduli: dict[str, DirectionModuli]
     warnings: list[Recorded]
-
-
-class LinearRecord(Excerpt):
-    """Evidence of log alpha (N·m), beta/alpha (m) and natural curvature (1/m) at the fabric's
-    density: :class:`common.normal.Linear`."""
-
-    rows: list[list[float]]
-    values: list[float]
-
-
-class DirectionStrips(Excerpt):
-    """Moduli along one direction by its strips alone."""
-
-    alpha_uN_m: Quantity  # noqa: N815
-    beta_nN_m2: Quantity  # noqa: N815
-    natural_curvature_1_m: float
-    natural_curvature_deviation_1_m: float
-    misfit: float
-    scatter_of_specimens_percent: float
-    evidence: LinearRecord
-
-
-class StripsRecord(Excerpt):
-    """Strips of a folder."""
-
-    source: Text
-    density_g_m2: float
-    strips: int
-    moduli: dict[str, DirectionStrips]
-    known: Known | None = None
-
-    @classmethod
-    def of_evidence(
-        cls, strips: "StripSet", found: Mapping[str, "StripEvidence"]
-    ) -> "StripsRecord":
-        """Of strips with their evidence by direction."""
-        moduli = {}
-        for direction, strip in found.items():
-            alpha, beta = strip.samples()
-            moduli[direction] = {
-                "alpha_uN_m": _intervals(alpha / MICRO), "beta_nN_m2": _intervals(beta / NANO),
-                "natural_curvature_1_m": strip.curl[0],
-                "natural_curvature_deviation_1_m": strip.curl[1], "misfit": strip.misfit,
-                "scatter_of_specimens_percent": round(100 * strip.scatter, 1),
-                "evidence": {"rows": strip.measured.rows.tolist(),
-                             "values": strip.measured.values.tolist()}}
-        return cls.model_validate({
-            "source": printable(strips.path), "density_g_m2": round(1e3 * strips.density, 6),
-            "strips": len(strips), "moduli": moduli, "known": strips.known})
-
-
-class Stretch(Excerpt):
-    """Along the yarns."""
-
-    warp: Quantity
-    weft: Quantity
-
-
-class TensionRecord(Excerpt):
-    """Strips under weights: stiffnesses at the fabric's density, ``measured`` or of usual fabrics.
-    """
-
-    source: Text
-    density_g_m2: float
-    strips: int
-    measured: list[str]
-    shear_n_per_m: Quantity
-    stretch_n_per_m: Stretch
-    friction_n_per_m: dict[str, float]
-    weight_for_10_percent_g: dict[str, float]
-    readings: dict[str, Quantity]
-    along_yarns: bool
-    findings: list[Recorded]
-    known: Known | None = None
-
-    @classmethod
-    def of_strips(cls, tension: "TensionSet") -> "TensionRecord":
-        """Of strips, estimated."""
-        found = tension.evidence()
-        warp, weft, shear = found.stiffness
-        names = [DIRECTIONS[k] for k in found.measured]
-        return cls.model_validate({
-            "source": printable(tension.path), "density_g_m2": round(1e3 * tension.density, 6),
-            "strips": len(tension.strips), "measured": names,
-            "shear_n_per_m": _intervals(shear),
-            "stretch_n_per_m": {"warp": _intervals(warp), "weft": _intervals(weft)},
-            "friction_n_per_m": {name: float(found.friction[DIRECTIONS.index(name)])
-                                 for name in tension.directions},
-            "weight_for_10_percent_g": tension.loads(found),
-            "readings": {key: _intervals(values) for key, values in found.readings().items()},
-            "along_yarns": tension.along_yarns, "findings": list(found.findings),
-            "known": tension.known})
-
-    @property
-    def lines(self) -> list[str]:
-        """The stiffnesses in words."""
-        stated = {"warp": ("stretch along the warp", self.stretch_n_per_m.warp),
-                  "weft": ("stretch along the weft", self.stretch_n_per_m.weft),
-                  "bias": ("shear", self.shear_n_per_m)}
-        found = [f"{name} {value} N/m" + ("" if direction in self.measured else
-                                          ", not measured: of usual fabrics")
-                 for direction, (name, value) in stated.items()]
-        loads = ", ".join(f"{direction} {value:.0f} g" for direction, value in
-                          self.weight_for_10_percent_g.items())
-        return found + [f"weight that stretches these strips by 10 %: {loads}"] * bool(loads)
 
 
 class EstimateDocument(Excerpt):
@@ -397,11 +230,12 @@ class EstimateDocument(Excerpt):
     @property
     def parts(self) -> str:
         """Captures and strips of a joint estimate; empty for that of a single capture."""
-        counts = {"capture": len(self.captures or []),
-                  "strip": sum(each.strips for each in self.strips or []),
-                  "strip under weight": self.tension.strips if self.tension else 0}
-        return " and ".join(f"{count} {name}{'s' * (count > 1)}"
-                            for name, count in counts.items() if count)
+        counts = {("capture", "captures"): len(self.captures or []),
+                  ("strip", "strips"): sum(each.strips for each in self.strips or []),
+                  ("strip under a weight", "strips under weights"):
+                      self.tension.strips if self.tension else 0}
+        return " and ".join(f"{count} {several if count > 1 else one}"
+                            for (one, several), count in counts.items() if count)
 
     @property
     def stated(self) -> list[Known]:
@@ -441,20 +275,13 @@ class EstimateDocument(Excerpt):
 def torque_table(estimate: Estimate, curvatures: np.ndarray) -> dict[str, Any]:
     """Torque per width, mN, at ``curvatures`` (C,), 1/m: median and intervals of each direction."""
     return {"curvature_1_m": curvatures.tolist(), **{
-        name: _intervals(1e3 * estimate.torques(k, curvatures))
+        name: intervals(1e3 * estimate.torques(k, curvatures))
         for k, name in enumerate(estimate.names)}}
-
-
-def _intervals(samples: np.ndarray) -> dict[str, Any]:
-    """Median and central intervals of samples (S, ...), over the first axis."""
-    return {"median": np.median(samples, axis=0).tolist(), **{
-        key: np.quantile(samples, [(1 - level) / 2, (1 + level) / 2], axis=0).tolist()
-        for key, level in INTERVALS.items()}}
 
 
 def _quantities(samples: Mapping[str, np.ndarray], direction: int) -> dict[str, Any]:
     """Quantities along a direction, of samples (S, 3) by name."""
-    return {key: _intervals(values[:, direction]) for key, values in samples.items()}
+    return {key: intervals(values[:, direction]) for key, values in samples.items()}
 
 
 def _moduli(estimate: Estimate, density: Density) -> dict[str, Any]:
@@ -467,10 +294,10 @@ def _moduli(estimate: Estimate, density: Density) -> dict[str, Any]:
 
 def _properties(estimate: Estimate) -> dict[str, Any]:
     cloth, scale = estimate.cloth, estimate.density / REFERENCE_DENSITY
-    return {"natural_curvature_warp_1_m": _intervals(cloth.curl[:, 0]),
-            "natural_curvature_weft_1_m": _intervals(cloth.curl[:, 1]),
-            "membrane_n_per_m": _intervals(cloth.membrane * scale),
-            "hysteresis_share": _intervals(cloth.hysteresis)}
+    return {"natural_curvature_warp_1_m": intervals(cloth.curl[:, 0]),
+            "natural_curvature_weft_1_m": intervals(cloth.curl[:, 1]),
+            "membrane_n_per_m": intervals(cloth.membrane * scale),
+            "hysteresis_share": intervals(cloth.hysteresis)}
 
 
 def _readings(estimate: Estimate) -> dict[str, Any]:

@@ -26,8 +26,10 @@ ESTIMATE, SAMPLES, OBSERVATION = "estimate.json", "samples.npz", "observation.np
 FAULTS = "faults.txt"
 """Traceback of a stage that failed."""
 REPORT, PAGE, PDF = "report.png", "report.html", "report.pdf"
+STRIPS = "strips.png"
+"""Picture of strips as they were read."""
 SHAPES, TORQUES = "drape.glb", "torque.svg"
-SHOWN = (REPORT, PAGE, PDF, SHAPES, TORQUES)
+SHOWN = (REPORT, STRIPS, PAGE, PDF, SHAPES, TORQUES)
 
 
 def write_estimate(out: Path, estimate: Estimate, document: EstimateDocument) -> None:
@@ -73,6 +75,11 @@ def remove_report(out: Path) -> None:
     """Remove the report files of an earlier estimate, and what it says of its faults."""
     for name in (*SHOWN, FAULTS):
         remove_file(out / name)
+
+
+def pictures_of_strips(folders: Iterable[Path]) -> list[bytes]:
+    """Pictures of the strips whose estimates are in the folders."""
+    return [file.read_bytes() for folder in folders if (file := folder / STRIPS).exists()]
 
 
 def read_document(path: Path) -> EstimateDocument:

@@ -4,15 +4,20 @@ import csv
 import io
 from collections.abc import Mapping, Sequence
 
-from drapenet.result.document import EstimateDocument, Quantity
+from drapenet.result.document import EstimateDocument
+from drapenet.result.quantity import Quantity
 
 ROLES = ("warp_or_stiff", "bias", "weft_or_soft")
 """Directions in tables whose fabrics need not all have a marked warp."""
+TENSION = {"warp": "stretch_warp_n_per_m", "weft": "stretch_weft_n_per_m",
+           "bias": "shear_n_per_m"}
+"""Columns of what strips under weights measure, by their direction."""
 _FORMULA = tuple("=+-@\t\r\n")  # first characters of cells that spreadsheets evaluate
 
 
 def row_of(document: EstimateDocument) -> dict[str, str]:
-    """Columns of a CSV table: moduli, at the fabric's density and at 300 g/m², and readings."""
+    """Columns of a CSV table: moduli, at the fabric's density and at 300 g/m², readings, and
+    stretch and shear where they were measured."""
     row = {"density_g_m2": csv_number(document.capture.density_g_m2)}
     for suffix, table in (("", document.moduli), ("_at_300_g_m2", document.moduli_at_300_g_m2),
                           ("", document.laboratory)):
@@ -21,6 +26,9 @@ def row_of(document: EstimateDocument) -> dict[str, str]:
                 name = f"{role}_{quantity}{suffix}"
                 row |= ({name: csv_number(value)} if isinstance(value, float)
                         else interval_columns(name, value))
+    tension = document.tension
+    for direction, name in TENSION.items():
+        row |= interval_columns(name, tension.measured_along(direction) if tension else None)
     return row
 
 

@@ -55,9 +55,10 @@ _FORM = {"required": True, "content": {"multipart/form-data": {"schema": {
         **{name: {"type": "number"} for name in NUMBERS},
         **{name: {"type": "string"} for name in TEXTS},
         "files": {"type": "array", "items": {"type": "string", "format": "binary"},
-                  "description": f"views, a photograph or table of an outline, strips.yaml "
-                                 f"with its photographs, a zip with them, or a scan: "
-                                 f"{', '.join(KINDS)}; none for known values alone"}}}}}}
+                  "description": "views, a photograph or table of an outline, strips.yaml or "
+                                 "tension.yaml with its photographs, a zip with them, or a "
+                                 f"scan: {', '.join(KINDS)}; none for known values, or strips "
+                                 "under weights, of the form"}}}}}}
 _FRESH = {"Cache-Control": "no-store"}
 _MAX_BODY = 1 << 16  # bytes of a JSON body
 Words = Annotated[str, Query(max_length=200)]
@@ -118,8 +119,8 @@ def create_app(settings: ServeConfig) -> FastAPI:
 
 @router.post("/estimates", status_code=202, openapi_extra={"requestBody": _FORM})
 async def begin(request: Request) -> dict[str, str]:
-    """Upload a capture, a scan, strips or known values and start their estimate; `fabric` adds
-    them to a fabric.
+    """Upload a capture, a scan, strips, strips under weights or known values and start their
+    estimate; `fabric` adds them to a fabric.
     """
     jobs: Jobs = request.app.state.jobs
     client = _client(request)
@@ -214,8 +215,8 @@ def estimate_zip(identity: str, request: Request, settings: Settings) -> Respons
 
 @router.get("/estimates/{identity}/{file}", response_class=FileResponse)
 def file(identity: str, file: str, request: Request) -> FileResponse:
-    """A file of an estimate: estimate.json, report.png, report.html, report.pdf, drape.glb,
-    torque.svg or preview.png.
+    """A file of an estimate: estimate.json, report.png, strips.png, report.html, report.pdf,
+    drape.glb, torque.svg or preview.png.
     """
     jobs: Jobs = request.app.state.jobs
     folder = jobs.settings.folder / jobs.row("estimate", identity)["id"]

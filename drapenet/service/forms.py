@@ -1,5 +1,5 @@
-"""Fields of a form, and the descriptions that they make or complete: ``capture.yaml`` and
-``strips.yaml``."""
+"""Fields of a form, and the descriptions that they make or complete: ``capture.yaml``,
+``strips.yaml`` and ``tension.yaml``."""
 
 import re
 from collections.abc import Mapping
@@ -27,6 +27,8 @@ from data.readings.quantity import Quantity
 from data.rigs import MISSING_TESTER
 from data.strips.description import FILE as STRIPS
 from data.strips.description import StripsDescription
+from data.tension.description import FILE as TENSION
+from data.tension.description import MAX_STRIPS, TensionDescription
 from drapenet.service.limits import RequestError
 from sim.material import DIRECTIONS
 
@@ -37,8 +39,13 @@ PLACES = {**{key: ("intrinsics", key) for key in INTRINSICS_KEYS},
 another field stands between its keys."""
 LABELS = tuple(key for key in Labels.model_fields if key != "fabric")
 """Fields that a report shows; the label ``fabric`` is the name of the fabric."""
+STRIP = "tension."
+"""Beginning of the fields of strips under weights, after which follow number and key."""
+STRIP_NUMBERS = ("width_mm", "gauge_mm", "load_g", "extension_mm", "clamped_mm")
+TENSION_NUMBERS = ("clip_g", "extension_error_mm", "kes_g_gf_per_cm_deg")
 TEXTS = ("turns_deg", "tester", "face", "mat", "ground", "arrow", "camera_height_mm",
-         *OutlineSource.OF_TABLES, "refine", "fabric", "name", "notes", "label", *LABELS)
+         *OutlineSource.OF_TABLES, "refine", "fabric", "name", "notes", "label", *LABELS,
+         *(f"{STRIP}0.{key}" for key in ("direction", "without", "with", "specimen")))
 _ANY_DENSITY = "100"  # g/m², of which no outline depends
 KNOWN, COEFFICIENT = "known.", "known.drape_coefficient_percent"
 _ERROR = f"{KNOWN}error_percent."
@@ -69,12 +76,18 @@ NUMBERS = ("density_g_m2", "warp_direction_deg", "depth_unit_m",
            *(key for key in PLACES if key not in TEXTS),
            *(field for each in QUANTITIES.values() for field in
              (*value_fields(each), error_field(each))),
-           COEFFICIENT, f"{KNOWN}nodes")
+           COEFFICIENT, f"{KNOWN}nodes", *(f"{STRIP}0.{key}" for key in STRIP_NUMBERS),
+           *TENSION_NUMBERS)
 
 
 def states_values(fields: Mapping[str, str]) -> bool:
     """Whether a form has known values."""
     return any(key.startswith(KNOWN) for key in fields)
+
+
+def states_tension(fields: Mapping[str, str]) -> bool:
+    """Whether a form has strips under weights, or the shear by a tester."""
+    return any(key.startswith(STRIP) or key in TENSION_NUMBERS for key in fields)
 
 
 def described_capture(document: bytes, fields: Mapping[str, str]) -> tuple[bytes, Description]:
@@ -110,6 +123,35 @@ def described_strips(document: bytes, fields: Mapping[str, str]
     """The content of ``strips.yaml`` with the fields of a form, checked."""
     content = _completed(document, STRIPS, fields)
     return content, StripsDescription.of(content, "")
+
+
+def described_tension(document: bytes, fields: Mapping[str, str]
+                      ) -> tuple[dict[str, Any], TensionDescription]:
+    """The content of ``tension.yaml`` with the fields of a form, checked; strips are in one of
+    them, as known values are."""
+    content = _completed(document, TENSION, {key: text for key, text in fields.items()
+                                             if not key.startswith(STRIP)})
+    if strips := _strips_under_weights(fields):
+        if content.get("tension"):
+            raise InputError(f"tension is in {TENSION} and in the form; give the strips in one of "
+                             "them")
+        content["tension"] = strips
+    return content, TensionDescription.of(content, "")
+
+
+def _strips_under_weights(fields: Mapping[str, str]) -> list[dict[str, Any]]:
+    """Entries of ``tension`` by fields such as tension.0.load_g, in the order of their numbers."""
+    strips: dict[int, dict[str, Any]] = {}
+    for key, text in fields.items():
+        number, _, name = key.removeprefix(STRIP).partition(".")
+        if not key.startswith(STRIP):
+            continue
+        if not (number.isdecimal() and int(number) < MAX_STRIPS and name):
+            raise InputError(f"unknown key '{key}'; strips under weights have fields such as "
+                             f"{STRIP}0.load_g, the number below {MAX_STRIPS}")
+        strips.setdefault(int(number), {})[name] = (
+            text if name in ("specimen", "without", "with") else _plain(text))
+    return [strips[number] for number in sorted(strips)]
 
 
 def _completed(document: bytes, file: str, fields: Mapping[str, str]) -> dict[str, Any]:

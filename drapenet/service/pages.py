@@ -18,6 +18,7 @@ from data.captures.reader import CAPTURE_FILES
 from data.pictures.mat import GROUNDS, PARTS
 from data.readings import QUANTITIES
 from data.rigs import TESTERS
+from data.tension.description import MAX_STRIPS
 from drapenet.config import ServeConfig
 from drapenet.export.formats import TARGETS
 from drapenet.export.material import MESHES
@@ -50,6 +51,7 @@ def add_pages(app: FastAPI, settings: ServeConfig) -> None:
                   grounds=list(GROUNDS),
                   mats=[(mat, paper, columns * rows) for (mat, paper), (columns, rows)
                         in PARTS.items()],
+                  most_strips=MAX_STRIPS,
                   known=[(each.in_words, value_fields(each), 100 * each.error, error_field(each))
                          for each in QUANTITIES.values()])
     app.mount("/static", StaticFiles(directory=STATIC), name="static")

@@ -1,8 +1,9 @@
 """Checks uploads and makes of them a capture folder, a scan, or a folder of strips or values."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 from common.documents import misnamed, rename_remedy, yaml_text
@@ -16,12 +17,15 @@ from drapenet.service.forms import (
     CAPTURE,
     COEFFICIENT,
     STRIPS,
+    TENSION,
     About,
     described_capture,
     described_scan,
     described_strips,
+    described_tension,
     fields_of_outline,
     states_plate,
+    states_tension,
     states_values,
 )
 from drapenet.service.limits import RequestError
@@ -43,7 +47,7 @@ _BESIDE = re.compile(r"plate|mat_.*")  # stems of pictures beside a photograph
 _OUTLINE = re.compile(r"outline(_\d)?")  # stems of pictures of a drape
 MARKED, UNMARKED, YARNS = "marked", "unmarked", "yarns"
 _NO_FILES = ("no files; give the views of a drape, its photograph or outline from above, a zip "
-             "with them, a scan, strips.yaml, or known values")
+             "with them, a scan, strips.yaml, tension.yaml, or values")
 
 
 @dataclass(frozen=True)
@@ -53,10 +57,10 @@ class Upload:
     Attributes:
         scan: name of the file that is a scan; empty for others.
         directions: :data:`MARKED` or :data:`UNMARKED` for a capture by its warp, :data:`YARNS` for
-            strips or values along the yarns; empty for other values.
+            strips or values along the yarns; empty for others.
         name: of a new fabric, if ``fabric``, the identity of an earlier one, is empty.
         about: its notes, and the label of the capture, which may be empty.
-        kind: capture, strips, or values; names what has no label.
+        kind: capture, strips, tension, or values; names what has no label.
         specimen: what is stated of a scan.
     """
 
@@ -89,7 +93,7 @@ def checked_upload(
     """Check a form's files, names and bytes, and texts."""
     fields = {key: text.strip() for key, text in texts.items() if text.strip()}
     refine, fabric = fields.pop("refine", "no"), fields.pop("fabric", "")
-    if not (files or states_values(fields)):
+    if not (files or states_values(fields) or states_tension(fields)):
         raise RequestError(422, _NO_FILES)
     if refine not in ("no", "yes"):
         raise RequestError(422, f"refine={shown(refine)} must be yes or no")
@@ -116,7 +120,8 @@ def checked_photograph(
     which need not be complete for an estimate; None if there is no photograph from above."""
     fields = {key: text.strip() for key, text in texts.items() if text.strip()}
     received = unpacked([(decoded(name), data) for name, data in files], settings) if files else {}
-    if not received.keys().isdisjoint({STRIPS, *CAPTURE_FILES} - {CAPTURE}) or _scans(received):
+    others = {STRIPS, TENSION, *CAPTURE_FILES} - {CAPTURE}
+    if not received.keys().isdisjoint(others) or _scans(received):
         return None
     try:
         content = _capture(received, fields_of_outline(fields), settings)
@@ -130,10 +135,17 @@ def checked_photograph(
 def _content(
     received: dict[str, bytes], fields: Mapping[str, str], settings: ServeConfig
 ) -> _Content:
-    """What was sent: strips.yaml, or nothing but known values, a scan, or else a capture."""
-    for name in (CAPTURE, STRIPS):
+    """What was sent: strips.yaml or tension.yaml, or nothing but values, a scan, or else a capture.
+    """
+    for name in (CAPTURE, STRIPS, TENSION):
         if name not in received and (other := misnamed(received, name)):
             raise RequestError(422, f"{other}: {rename_remedy(name)}")
+    descriptions = [name for name in (*CAPTURE_FILES, STRIPS, TENSION) if name in received]
+    if TENSION in received or states_tension(fields):
+        if others := [name for name in descriptions if name != TENSION]:
+            raise RequestError(422, f"{others[0]} and strips under weights: give one after the "
+                               "other")
+        return _tension(received, fields, settings)
     if STRIPS in received or not (received or COEFFICIENT in fields):
         return _strips(received, fields, settings)
     scans = _scans(received)
@@ -193,19 +205,46 @@ def _strips(
         raise RequestError(422, f"{capture} and {STRIPS}: give the capture and the strips one "
                            "after the other")
     content, description = described_strips(received.get(STRIPS, b"{}"), fields)
-    pictures, known = {}, description.known
-    for entry in content.get("strips") or []:
-        if entry.get("file"):
-            name = plain_file(entry["file"])
-            if name not in received or Path(name).suffix not in PHOTOGRAPHS:
-                raise RequestError(422, f"{STRIPS} names {shown(entry['file'])}, which is not among"
-                                   f" the photographs sent ({', '.join(PHOTOGRAPHS)}); add it")
-            require_pixels(name, received[name], settings, photograph=True)
-            pictures[name], entry["file"] = received[name], name
-    document = {STRIPS: yaml_text(content).encode()}
-    return _Content(pictures | document, description.labels,
+    pictures = _pictures_named(content.get("strips") or [], ("file",), STRIPS, received, settings)
+    known = description.known
+    return _Content(pictures | {STRIPS: yaml_text(content).encode()}, description.labels,
                     "strips" if description.strips else "values", directions=YARNS * bool(
                         description.strips or (known and known.along_yarns)))
+
+
+def _tension(
+    received: dict[str, bytes], fields: Mapping[str, str], settings: ServeConfig
+) -> _Content:
+    """Strips under weights with the photographs that tension.yaml or the form names."""
+    content, description = described_tension(received.get(TENSION, b"{}"), fields)
+    pictures = _pictures_named(content.get("tension") or [], ("without", "with"), TENSION, received,
+                               settings)
+    if TENSION not in received and (others := received.keys() - pictures.keys()):
+        raise RequestError(422, f"{min(others)} and strips under weights of the form: give one "
+                           "after the other")
+    known = description.known
+    return _Content(
+        pictures | {TENSION: yaml_text(content).encode()}, description.labels, "tension",
+        directions=YARNS * (any(strip.direction != "bias" for strip in description.tension)
+                            or bool(known and known.along_yarns)))
+
+
+def _pictures_named(
+    entries: Sequence[dict[str, str]], keys: Sequence[str], file: str, received: dict[str, bytes],
+    settings: ServeConfig
+) -> dict[str, bytes]:
+    """The photographs that the ``keys`` of entries of a description name, which get plain names."""
+    pictures = {}
+    for entry, key in product(entries, keys):
+        if not entry.get(key):
+            continue
+        name = plain_file(entry[key])
+        if name not in received or Path(name).suffix not in PHOTOGRAPHS:
+            raise RequestError(422, f"{file} names {shown(entry[key])}, which is not among the "
+                               f"photographs sent ({', '.join(PHOTOGRAPHS)}); add it")
+        require_pixels(name, received[name], settings, photograph=True)
+        pictures[name], entry[key] = received[name], name
+    return pictures
 
 
 def _named(

@@ -95,9 +95,9 @@ def _read(folder: Path, row: dict[str, Any]) -> Any:
     paths of the server."""
     from data.captures.capture import Capture, ReportedCapture
     from data.captures.description import Description
-    from data.captures.preview import png, show
-    from data.strips.preview import strips_figure
+    from data.captures.preview import show
     from drapenet.estimator.read import read_source
+    from drapenet.report.strips import draw_strips
     from drapenet.surface.registration import read_scan_capture
 
     task, uploaded = row["task"], folder / UPLOADED
@@ -115,8 +115,8 @@ def _read(folder: Path, row: dict[str, Any]) -> Any:
             source = replace(source, warnings=(*source.warnings, *(
                 Finding("twin_elsewhere", {"capture": str(shown), "other": other})
                 for other in others[:1])))
-    elif source.kind == "strips" and source.photographs:
-        replace_file(folder / PREVIEW, png(strips_figure(source)))
+    elif picture := draw_strips(source):
+        replace_file(folder / PREVIEW, picture)
     return replace(source, path=shown, labels=_named(source.labels, row["fabric_name"]))
 
 

@@ -38,6 +38,12 @@ def demo(reports: Reports) -> str:
             "unseen fabrics, and one fabric can be missed in several directions at once.")
 
 
+def fifteen_minutes(reports: Reports) -> str:
+    """What the estimate of docs/fifteen_minutes.md prints last."""
+    printed = (REPORTS / "fifteen_minutes.txt").read_text(encoding="utf-8").rstrip()
+    return f"```\n{printed[printed.rindex('joint estimate'):]}\n```"
+
+
 def accuracy(reports: Reports) -> str:
     """Errors of single captures and of sets, and items: real cloth, limits."""
     squares, discs = reports.cell("squares"), reports.cell("discs")

@@ -15,7 +15,7 @@ import numpy as np
 
 from common.errors import InputError
 from common.types import Density, Points, Radians
-from drapenet.export.formats import STYLE3D
+from drapenet.export.simulators import STYLE3D
 from sim.material import BIAS, WARP, WEFT
 from sim.mesh import Mesh
 from sim.rig import GRAVITY

@@ -69,7 +69,8 @@ class Modifiers(list):
             vertex_group_mass="", quality=5, mass=0.3, air_damping=1.0, tension_damping=5.0,
             use_pressure=False, bending_model="LINEAR", bending_stiffness=0.5,
             tension_stiffness=15.0, compression_stiffness=15.0, shear_stiffness=5.0)
-        self.append(SimpleNamespace(name=name, type=kind, settings=settings))
+        self.append(SimpleNamespace(name=name, type=kind, settings=settings,
+                                    collision_settings=SimpleNamespace(self_friction=5.0)))
         return self[-1]
 
     def move(self, start: int, end: int) -> None:
@@ -113,10 +114,10 @@ def scene(monkeypatch) -> SimpleNamespace:
     return context
 
 
-def script(folder: Path, **about: object) -> Path:
+def script(folder: Path, tension: dict | None = None, **about: object) -> Path:
     """The exported script of an estimate whose capture has these changes."""
     document = document_of(estimate_of(ALPHA, BETA, density=DENSITY, deviation=0.01))
-    content = document.content()
+    content = document.content() | ({"tension": tension} if tension else {})
     replace_json(folder / "estimate.json", content | {"capture": content["capture"] | about})
     return export(read_material(folder), "blender", folder / "fabric_blender.py")[0]
 
@@ -152,6 +153,29 @@ def test_a_garment_of_quads_keeps_its_pins_and_what_is_not_stated(
     runpy.run_path(str(tmp_path / "fabric_blender.py"), run_name="__main__")
     assert kinds == [each.type for each in garment.modifiers] and vars(
         garment.modifiers[kinds.index("CLOTH")].settings) == after
+
+
+def test_cloth_of_known_shear_and_friction_has_springs_of_that_shear(scene, tmp_path, capsys):
+    """Springs of k on triangles of equal sides are a sheet of the shear stiffness sqrt(3)/4 k, and
+    Blender's k is the tension over the mean edge; its friction is in hundredths."""
+    garment = quads()
+    scene.selected_objects.append(garment)
+    shear = {"median": 35.0, "interval_68": [30.0, 40.0], "interval_90": [28.0, 44.0]}
+    runpy.run_path(str(script(tmp_path, tension={
+        "source": "strips", "density_g_m2": 210, "strips": 1, "measured": ["bias"],
+        "shear_n_per_m": shear, "stretch_n_per_m": {"warp": shear, "weft": shear},
+        "friction_n_per_m": {}, "weight_for_10_percent_g": {}, "readings": {}, "findings": [],
+        "along_yarns": False, "known": {"friction_deg": {"fabric": 30}}})), run_name="__main__")
+    cloth = garment.modifiers[-1]
+    edge = np.mean([np.ptp([garment.data.vertices[k].co for k in pair], axis=0).max()
+                    for pair in (line.vertices for line in garment.data.edges)])
+    for name in ("tension", "compression", "shear"):
+        assert getattr(cloth.settings, f"{name}_stiffness") / edge * math.sqrt(3) / 4 == (
+            pytest.approx(35, rel=1e-6))
+    assert cloth.collision_settings.self_friction == pytest.approx(100 * math.tan(math.pi / 6))
+    printed = capsys.readouterr().out
+    assert "self_friction 57.7" in printed
+    assert "not known: stretch along the warp, stretch along the weft, thickness" in printed
 
 
 @pytest.mark.parametrize(("rig", "tested"), [

@@ -14,6 +14,8 @@ from common.errors import InputError
 from common.files import replace_json
 from common.vectors import angle_between
 from data.readings.known import Known
+from data.tension.law import compliance
+from data.tension.posterior import POISSON
 from drapenet.export.__main__ import main
 from drapenet.export.cards import DEFAULT
 from drapenet.export.formats import ALIASES, TARGETS, export
@@ -35,7 +37,7 @@ DENSITY = 0.21
 CURVATURE = 60.0  # 1/m, of the default modulus: the stiffness in a drape
 IN_A_DRAPE = ALPHA + CURVATURE * BETA
 SI = {"g·mm²/s²": 1e-3 * 1e-6, "g/s²": 1e-3, "g/mm²": 1e-3 / 1e-6, "N·m": 1.0, "N/m": 1.0,
-      "mm": 1e-3}
+      "mm": 1e-3, "m": 1.0, "kg/m³": 1.0, "1": 1.0}
 """Units that files state, in SI units."""
 
 
@@ -92,10 +94,11 @@ def test_clo_gets_the_weft_along_u(estimate):
             for axis, modulus in zip("VHU", flat, strict=True)]
     assert bent == pytest.approx(ALPHA + 1.5 * CURVATURE * BETA)
     assert in_si["fDensity"] == pytest.approx(DENSITY)
-    assert set(about["clo_defaults"]) == {
+    assert set(about["tool_defaults"]) == {
         "fSuK", "fSvK", "fHK", "fThickness", "fFriction", "fIDS", "listNonlinearSuK",
         "listNonlinearSvK", "listNonlinearHK"}
-    assert about["not_known"] == ["stretch", "shear", "thickness", "friction"]
+    assert about["not_known"] == ["stretch along the warp", "stretch along the weft", "shear",
+                                  "thickness", "friction"]
 
 
 def test_clo_gets_all_that_is_known(known):
@@ -105,7 +108,7 @@ def test_clo_gets_all_that_is_known(known):
     assert [in_si[key] for key in ("fSvK", "fSuK", "fHK", "fThickness")] == pytest.approx(
         [900.0, 400.0, 35.0, 0.42e-3])
     assert physical["fFriction"] == 0.31 and about["not_known"] == []
-    assert set(about["clo_defaults"]) == {"fIDS", "listNonlinearSuK", "listNonlinearSvK",
+    assert set(about["tool_defaults"]) == {"fIDS", "listNonlinearSuK", "listNonlinearSvK",
                                           "listNonlinearHK"}
 
 
@@ -157,11 +160,16 @@ def test_browzwear_gets_dyne_centimetres_and_a_main_file_that_names_them(estimat
     assert "thickness" not in fab["custom"]["browzwear"]
 
 
-def test_browzwear_gets_thickness_and_friction_where_they_are_known(known):
-    fab = json.loads((exported(known, "u3m").parent / "fabric.fab.json").read_text())
-    found = fab["custom"]["browzwear"]
+def test_browzwear_gets_all_that_is_known(known):
+    file = exported(known, "u3m")
+    custom = json.loads((file.parent / "fabric.fab.json").read_text())["custom"]
+    found = custom["browzwear"]
     assert (float(found["thickness"]), float(found["friction"])) == (0.42, 0.31)
-    assert not {"stretch", "shear"} & set(found)  # no source states their units
+    assert json.loads(file.read_text())["material"]["physics"]["thickness"] == 0.42  # mm
+    assert {key: float(value) for key, value in found["stretch"].items()} == {
+        "length": 900.0, "width": 400.0} and float(found["shear"]) == 35.0
+    assert custom["drapenet"]["tool_defaults"] == [
+        "hysteresis", "shear_linearity", "shrink", "stretch_linearity"]
 
 
 def test_usd_opens_with_clo_s_and_the_proposal_s_attributes(estimate):
@@ -169,7 +177,8 @@ def test_usd_opens_with_clo_s_and_the_proposal_s_attributes(estimate):
     stage = usd.Stage.Open(str(exported(estimate, "usd")))
     prim = stage.GetDefaultPrim()
     applied = prim.GetPrimTypeInfo().GetAppliedAPISchemas()  # known to this USD or not
-    assert applied == ["PhysicsSurfaceDeformableMaterialAPI", "CloFabricAPI"]
+    assert applied == ["PhysicsMaterialAPI", "PhysicsSurfaceDeformableMaterialAPI",
+                       "CloFabricAPI"]
     flat, bent = (ALPHA + part * CURVATURE * BETA for part in (0.5, 1.5))
     for key, axis in (("Warp", 0), ("Weft", 2), ("BiasLeft", 1), ("BiasRight", 1)):
         bending, share, ratio = (prim.GetAttribute(f"primvars:clo:{name}{key}").Get()[0]
@@ -186,6 +195,11 @@ def test_usd_opens_with_clo_s_and_the_proposal_s_attributes(estimate):
         for attribute in [prim.GetAttribute(key)]}
     assert list(in_si.values()) == pytest.approx([mean, flat[0], DENSITY], rel=1e-6)
     about = json.loads(prim.GetCustomDataByKey("drapenet"))
+    left = set(about["tool_defaults"])
+    assert {"primvars:clo:stretchWarp", "primvars:clo:internalDamping", "physics:density",
+            "physics:surfaceShearStiffness"} < left
+    assert not any(prim.HasAttribute(name) and prim.GetAttribute(name).HasAuthoredValue()
+                   for name in left)
     assert about["moduli"] == json.loads(estimate.read_text())["moduli"]
     assert about["edge_mm"] == 5
 
@@ -202,6 +216,13 @@ def test_usd_has_all_that_is_known(known):
     surface = [prim.GetAttribute(f"physics:surface{key}Stiffness") for key in ("Stretch", "Shear")]
     assert [each.Get() for each in surface] == pytest.approx([650.0, 35.0])
     assert {each.GetDocumentation() for each in surface} == {"N/m"}
+    assert prim.GetAttribute("physics:surfaceThickness").Get() == pytest.approx(0.42e-3)
+    physics = pytest.importorskip("pxr.UsdPhysics").MaterialAPI(prim)  # as usd-core registers it
+    assert physics.GetStaticFrictionAttr().Get() == pytest.approx(0.31)
+    assert physics.GetDensityAttr().Get() == pytest.approx(DENSITY / 0.42e-3)
+    assert not physics.GetDynamicFrictionAttr().HasAuthoredValue()
+    assert set(json.loads(prim.GetCustomDataByKey("drapenet"))["tool_defaults"]) == {
+        "physics:dynamicFriction", "primvars:clo:internalDamping", "primvars:clo:shrinkage"}
 
 
 @pytest.mark.parametrize(("name", "label"), [
@@ -230,14 +251,57 @@ def test_arcsim_s_table_gives_the_torque_by_arcsim_s_rules(estimate):
     assert "at negative angles" in TARGETS["arcsim"].lost
 
 
+def test_arcsim_s_samples_give_the_law_of_strips_by_arcsim_s_rules(known):
+    """k twice the sample at all strains; stresses k0 E_uu + k1 E_vv, k1 E_uu + k2 E_vv, k3 E_uv."""
+    data = json.loads(exported(known, "arcsim").read_text())
+    assert len(data["stretching"]) == 6 and all(
+        row == data["stretching"][0] for row in data["stretching"])
+    k = 2 * np.array(data["stretching"][0])
+    tangent = np.array([[k[0], k[1], 0], [k[1], k[2], 0], [0, 0, k[3] / 2]])  # over 2 E_uv
+    pulled = {0: [1, 0, 0], 1: [0.5, 0.5, 0.5], 2: [0, 1, 0]}  # stresses of 1 N/m along each
+    for direction, stress in pulled.items():
+        strain = np.linalg.solve(tangent, stress) @ stress
+        assert strain == pytest.approx(compliance(direction, (900.0, 400.0, 35.0), POISSON))
+    assert data["drapenet"]["tool_defaults"] == ["damping", "friction", "repulsion_thickness"]
+
+
+def test_arcsim_says_that_stretching_is_missing(estimate):
+    data = json.loads(exported(estimate, "arcsim").read_text())
+    assert "stretching" not in data and "stretching" in data["drapenet"]["tool_defaults"]
+
+
+def shell(file: Path) -> dict[str, object]:
+    """The parameters of a shell in a file for ppf-contact-solver."""
+    return {key: json.loads(value) for key, value in (
+        line.split(" = ") for line in file.read_text().splitlines() if not line.startswith("#"))}
+
+
+def test_ppf_s_triangles_stretch_and_shear_by_its_rules(known, estimate):
+    """mu = E/(2 (1 + nu)) of the extension and lambda = E nu/((1 + nu)(1 - 2 nu)) of the shear, for
+    each kg, in a stretch energy mu/2 e² and a shear energy lambda/2 gamma²."""
+    data = shell(exported(known, "ppf"))
+    young, poisson = data["young-mod"], data["poiss-rat"]
+    mu = young / (2 * (1 + poisson))
+    lam = young * poisson / ((1 + poisson) * (1 - 2 * poisson))
+    assert data["model"] == "baraff-witkin" and 0 < poisson < 0.5
+    assert [mu * data["density"], lam * data["density"]] == pytest.approx([650.0, 35.0])
+    assert data["friction"] == 0.31 and 2 * data["contact-offset"] == pytest.approx(0.42e-3)
+
+
+def test_ppf_says_what_keeps_its_defaults(estimate):
+    file = exported(estimate, "ppf")
+    assert not {"young-mod", "poiss-rat", "friction", "contact-offset"} & set(shell(file))
+    about = json.loads("".join(line[2:] for line in file.read_text().splitlines()[:-5]))
+    assert {"young-mod", "poiss-rat", "friction", "contact-offset"} < set(about["tool_defaults"])
+
+
 def test_ppf_s_hinges_across_the_yarns_have_their_moduli(estimate):
     material = read_material(estimate, mesh="equal", edge_mm=4.0)
     file = export(material, "ppf", estimate.parent / "p.toml")[0]
-    data = {key: float(value) for key, value in (
-        line.split(" = ") for line in file.read_text().splitlines() if not line.startswith("#"))}
+    data = shell(file)
     for sine, direction in ((1.0, 0), (0.0, 2)):  # of an edge's angle to the warp, squared
         bend = data["bend"] + data["bend-warp"] * sine + data["bend-weft"] * (1 - sine)
-        assert 1.28e-5 * bend * data["shell_density"] == pytest.approx(
+        assert 1.28e-5 * bend * data["density"] == pytest.approx(
             IN_A_DRAPE[direction] * material.ratio)
     assert "hinge_over_plate_modulus" in file.read_text()
 
@@ -272,9 +336,25 @@ def test_newton_s_edges_store_the_energy_of_hinges(material, tmp_path):
         law.value(unknowns), rel=1e-5)
 
 
-def test_newton_s_triangles_stretch_along_weft_and_warp(known):
-    module = runpy.run_path(str(exported(known, "newton")))
-    assert module["MATERIAL"]["tri_aniso_ke"] == [400.0, 900.0, 35.0]
+def test_newton_gets_all_that_is_known(known):
+    found = runpy.run_path(str(exported(known, "newton")))["MATERIAL"]
+    assert found["tri_aniso_ke"] == [400.0, 900.0, 35.0]  # weft, warp, shear
+    assert 2 * found["particle_radius"] == pytest.approx(0.42e-3)
+    assert found["soft_contact_mu"] == 0.31
+    assert found["about"]["tool_defaults"] == ["edge_kd", "tri_ka", "tri_kd", "tri_ke"]
+
+
+def test_one_measured_yarn_is_written_where_a_tool_has_a_field_for_it(known):
+    content = json.loads(known.read_text())
+    content["tension"]["measured"] = ["warp"]
+    replace_json(known, content)
+    physical = json.loads(exported(known, "jfab").read_text())
+    assert physical["mapPhysical"]["fSvK"] == 900e3
+    assert {"fSuK", "fHK"} < set(physical["drapenet"]["tool_defaults"])
+    assert physical["drapenet"]["not_known"] == ["stretch along the weft", "shear"]
+    data = json.loads(exported(known, "json").read_text())
+    assert data["stretch_N_m"] == [900.0, None] and data["shear_N_m"] is None
+    assert "young-mod" not in shell(exported(known, "ppf"))
 
 
 def test_the_secant_stands_for_the_law_where_it_is_wanted(estimate):
@@ -317,6 +397,12 @@ def test_cards_have_all_that_is_known(known):
     assert (typed["CLO"]["Stretch-Weft"], typed["CLO"]["Shear"]) == ("400000", "35000")
     assert typed["Unreal"]["Stretch Stiffness Bias"] == "35"
     assert typed["VStitcher"]["Thickness"] == "0.42" and typed["Houdini"]["Friction"] == "0.31"
+    assert (typed["VStitcher"]["Stretch Length"], typed["VStitcher"]["Shear"]) == ("900", "35")
+    # Springs of k on triangles of equal sides have the shear stiffness sqrt(3)/4 k; tension is k
+    # times the edge, 8 mm.
+    tension = float(typed["Blender"]["Stiffness: Tension, Compression, Shear"])
+    assert tension / 0.008 * np.sqrt(3) / 4 == pytest.approx(35, rel=0.01)
+    assert typed["Blender"]["Collisions, Self Collisions: Friction"] == "31"
 
 
 def test_neutral_files_return_what_was_estimated(estimate):

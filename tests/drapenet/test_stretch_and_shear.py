@@ -1,10 +1,15 @@
 """Stretch and shear of strips under weights in estimates: alone, beside others, in batches."""
 
+import csv
+import io
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
+from PIL import Image
+from workbooks import cells
 
 import drapenet
 import infer
@@ -40,12 +45,17 @@ def test_alone_and_beside_strips_and_a_capture(tmp_path, capsys):
     assert alone["measured"] == ["warp", "bias"]
     page = (tmp_path / "alone" / "report.html").read_text()
     assert "Stretch and shear" in page and "thickness: 0.42 mm at 0.2 kPa" in page
-    assert "slides on board at: 18.5°" in page
+    assert "slides on board at: 18.5°" in page and "By 2 strips under weights" in page
+    assert "the strips as they were read, with marks, loads and extensions" in page
+    picture = np.asarray(Image.open(tmp_path / "alone" / "strips.png").convert("RGB")).astype(int)
+    points = (picture[..., 0] > 150) & (picture[..., 1:] < 90).all(axis=2)  # of both directions
+    assert points[:, : points.shape[1] // 2].any() and points[:, points.shape[1] // 2 :].any()
 
     infer.main([f"tension={tension}", f"capture={EXAMPLES / 'twill'}", f"out={tmp_path / 'both'}",
                 "drapes=0"])
     both, plain = content(tmp_path / "both"), drapenet.estimate(EXAMPLES / "twill")
     assert both["tension"] == alone and len(both["captures"]) == 1
+    assert not (tmp_path / "both" / "report.html").exists()  # of drapes=0
     assert both["moduli"]["warp"]["alpha_uN_m"]["median"] == pytest.approx(
         1e6 * float(sorted(plain.moduli()[0][:, 0])[len(plain.samples) // 2]), rel=0.01)
     found = drapenet.load(tmp_path / "both")
@@ -57,7 +67,16 @@ def test_python_and_batches_take_the_folder(tmp_path):
                      known={"friction_deg": {"fabric": 24}})
     assert drapenet.estimate(tension=tension).density == pytest.approx(0.21)
     infer.main([f"captures={tmp_path / 'root'}", f"out={tmp_path / 'out'}", "workers=1"])
-    assert content(tmp_path / "out" / "denim")["tension"]["strips"] == 2
+    tension = content(tmp_path / "out" / "denim")["tension"]
+    assert tension["strips"] == 2
+    warp, shear = (tension[f"{name}_n_per_m"] for name in ("stretch", "shear"))
+    row, = csv.DictReader(io.StringIO((tmp_path / "out" / "fabrics.csv").read_text()))
+    assert float(row["stretch_warp_n_per_m"]) == pytest.approx(warp["warp"]["median"], rel=1e-5)
+    assert float(row["shear_n_per_m_high68"]) == pytest.approx(shear["interval_68"][1], rel=1e-5)
+    assert row["stretch_weft_n_per_m"] == ""  # not measured
+    found = [line.get("stretch, of bias: shear median [N/m]")
+             for line in cells(tmp_path / "out" / "results.xlsx", 1)]
+    assert found == [pytest.approx(warp["warp"]["median"]), pytest.approx(shear["median"]), None]
 
 
 def test_contradictions_are_warnings_and_refused_if_strict(tmp_path):

@@ -21,6 +21,7 @@ from data.captures.capture import Capture, ReportedCapture
 from data.captures.reader import read_capture
 from data.readings import QUANTITIES
 from data.strips.description import StripsDescription, read_description
+from data.tension.description import read_description as read_tension_description
 from drapenet.config import ServeConfig
 from drapenet.service.forms import error_field, value_fields
 from drapenet.service.limits import RequestError
@@ -249,6 +250,49 @@ def test_photographs_of_strips_are_those_that_the_description_names(settings, tm
     assert [entry.file for entry in read.strips] == ["warp_1.png", "weft.jpg"]
 
 
+PULLED = b"""
+density_g_m2: 210
+clip_g: 6
+tension:
+  - {direction: bias, width_mm: 50, gauge_mm: 100, load_g: 25, without: s/a 0.jpg, with: a25.PNG}
+  - {direction: warp, width_mm: 50, gauge_mm: 200, load_g: 500, extension_mm: 2.4}
+"""
+STRIP = {"direction": "bias", "width_mm": "50", "gauge_mm": "100", "load_g": "25",
+         "extension_mm": "4,1"}
+
+
+def strips_in_a_form(*strips: dict[str, str]) -> dict[str, str]:
+    return {f"tension.{number}.{key}": value for number, strip in enumerate(strips)
+            for key, value in strip.items()}
+
+
+def test_strips_under_weights_are_in_a_file_or_in_the_form(settings, tmp_path):
+    sent = [("tension.yml", PULLED), ("a 0.jpg", jpeg(PICTURE)), ("ruler.jpg", b"not read"),
+            ("a25.PNG", png_of_size(4000, 3000))]
+    for files in (sent, [("t.zip", zipped([(f"twill/{name}", data) for name, data in sent]))]):
+        upload = checked_upload(files, {"operator": "M. Muster"}, settings)
+        assert (upload.kind, upload.directions) == ("tension", "yarns")
+        assert sorted(upload.files) == ["a25.png", "a_0.jpg", "tension.yaml"]
+    (tmp_path / "tension.yaml").write_bytes(upload.files["tension.yaml"])
+    read = read_tension_description(tmp_path)
+    assert (read.tension[0].without, read.tension[0].under) == ("a_0.jpg", "a25.png")
+    assert read.labels.operator == "M. Muster"
+    form = {"density_g_m2": "210", "clip_g": "6", "name": "twill", "known.membrane_n_per_m": "600",
+            **strips_in_a_form(STRIP, STRIP | {"load_g": "50", "extension_mm": "9",
+                                               "specimen": "2"})}
+    upload = checked_upload([], form, settings)
+    assert (upload.kind, upload.name, upload.directions) == ("tension", "twill", "")
+    (tmp_path / "tension.yaml").write_bytes(upload.files["tension.yaml"])
+    read = read_tension_description(tmp_path)
+    assert [(strip.load_g, strip.extension_mm, strip.specimen) for strip in read.tension] == [
+        (25, 4.1, ""), (50, 9, "2")]
+    assert read.clip_g == 6 and read.known.values() == {("membrane_n_per_m", 0): 600}
+    named = strips_in_a_form({key: STRIP[key] for key in STRIP if key != "extension_mm"} | {
+        "without": "a 0.jpg", "with": "a25.PNG"})
+    upload = checked_upload(sent[1:2] + sent[3:], {"density_g_m2": "210", **named}, settings)
+    assert sorted(upload.files) == ["a25.png", "a_0.jpg", "tension.yaml"]
+
+
 VALUES = {"known.bending_length_mm.warp": "21,5", "known.membrane_n_per_m": "600",
           "known.error_percent.bending_length_mm": "3"}
 KNOWN = {"bending_length_mm": {"warp": 21.5}, "membrane_n_per_m": 600,
@@ -361,6 +405,23 @@ REFUSED = {
                                    "strips.yaml names 'shots/warp 1.PNG', which is not among"),
     "strips and capture": ([*VIEWS, YAML, ("strips.yaml", LENGTHS)], {}, 422,
                            "capture.yaml and strips.yaml: give the capture and the strips one"),
+    "pulled strips and capture": ([*VIEWS, YAML, ("tension.yaml", PULLED)], {}, 422,
+                                  "capture.yaml and strips under weights: give one after the"),
+    "pulled strips and views": (VIEWS, {"density_g_m2": "210", **strips_in_a_form(STRIP)}, 422,
+                                "view_0.png and strips under weights of the form: give one after"),
+    "pulled strips twice": ([("tension.yaml", PULLED), ("a 0.jpg", b""), ("a25.png", b"")],
+                            strips_in_a_form(STRIP), 422,
+                            "tension is in tension.yaml and in the form; give the strips in one"),
+    "pulled strip without its extension": (
+        [], {"density_g_m2": "210", **strips_in_a_form(STRIP | {"extension_mm": ""})}, 422,
+        "give each strip its extension_mm"),
+    "pulled strip of 1 000": ([], {"density_g_m2": "210", "tension.1000.load_g": "5"}, 422,
+                              "unknown key 'tension.1000.load_g'; strips under weights have"),
+    "pulled strip without its photograph": (
+        [("tension.yaml", PULLED), ("a 0.jpg", jpeg(PICTURE))], {}, 422,
+        "tension.yaml names 'a25.PNG', which is not among the photographs sent"),
+    "clip without strips": ([], {"density_g_m2": "210", "clip_g": "6"}, 422,
+                            "nothing is measured; give tension, a list of strips"),
     "strips on a tester": ([("strips.yaml", LENGTHS)], {"tester": "disc300_support180"}, 422,
                            "unknown key 'tester'"),
     "refined strips": ([("strips.yaml", LENGTHS)], {"refine": "yes"}, 422,

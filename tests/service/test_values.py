@@ -104,6 +104,29 @@ def test_photographed_strips_show_their_curves(client, tmp_path):
     assert alpha == pytest.approx(1e6 * strip_photographs.ALPHA, rel=0.15)
 
 
+def test_strips_under_weights_of_the_form_join_and_are_reported(client, lengths):
+    strips = [("bias", 25, 100, 4.1), ("warp", 500, 200, 2.4), ("weft", 500, 200, 6)]
+    form = {"fabric": (None, lengths["fabric"]), "density_g_m2": (None, "210")}
+    for k, (direction, load, gauge, extension) in enumerate(strips):
+        for key, value in (("direction", direction), ("width_mm", 50), ("gauge_mm", gauge),
+                           ("load_g", load), ("extension_mm", extension)):
+            form[f"tension.{k}.{key}"] = (None, str(value))
+    begun = client.post("/estimates", files=form)
+    assert begun.status_code == 202, begun.text
+    found = ended(client, begun.json()["id"])
+    assert (found["state"], found["name"]) == ("done", "tension 1"), found["error"]
+    tension = found["estimate"]["tension"]
+    assert tension["measured"] == ["warp", "bias", "weft"] and "preview.png" in found["files"]
+    shear = tension["shear_n_per_m"]["median"]
+    assert 24 < shear < 36  # load per width over four times the extension: 29.9 N/m
+    joint = joint_estimate_of(client, lengths["fabric"])
+    assert joint["state"] == "done" and joint["estimate"]["tension"] == tension, joint["error"]
+    page = client.get(f"/estimates/{joint['id']}/report.html").text
+    assert "By 3 strips under weights" in page and "with marks, loads and extensions" in page
+    card = client.get(f"/estimates/{joint['id']}/export/jfab").json()["mapPhysical"]
+    assert card["fHK"] == pytest.approx(1e3 * shear)
+
+
 def test_a_photograph_without_a_strip_fails_with_its_sentence(client, tmp_path):
     folder = strip_photographs.write(
         tmp_path / "strips", {"a.png": np.full((900, 1200), 40, np.uint8)},

@@ -83,10 +83,11 @@ export function tester(rig) {
 }
 
 // What an estimate was made of.
-function seen({ capture, captures, strips }) {
+function seen({ capture, captures, strips, tension }) {
   const count = (strips ?? []).reduce((sum, one) => sum + one.strips, 0);
   const several = (number, name) => number && `${number} ${name}${number > 1 ? 's' : ''}`;
-  if (captures || strips) return [several(captures?.length, 'capture'), several(count, 'strip')].filter(Boolean).join(', ');
+  const pulled = tension && `${tension.strips} strip${tension.strips > 1 ? 's' : ''} under weights`;
+  if (captures || strips || tension) return [several(captures?.length, 'capture'), several(count, 'strip'), pulled].filter(Boolean).join(', ');
   return capture.views ? `${capture.views} views` : capture.known?.drape_coefficient_percent ? 'drape coefficient' : 'outline from above';
 }
 
@@ -97,21 +98,31 @@ function known(values) {
     .map(([name, value]) => `${name} ${text(value)}`).join('; ');
 }
 
+// What strips under weights measure, as text.
+function stretched({ measured, stretch_n_per_m: stretch, shear_n_per_m: shear }) {
+  return [['bias', 'shear', shear], ['warp', 'stretch along the warp', stretch.warp], ['weft', 'stretch along the weft', stretch.weft]]
+    .filter(([direction]) => measured.includes(direction)).map(([, name, value]) => {
+      const { median, near } = texts(value);
+      return `${name} ${median} (${near}) N/m`;
+    }).join('; ');
+}
+
 // Facts of an estimate beside its moduli: name and text.
 export function facts(estimate) {
-  const { capture, resimulation: drape, captures, strips } = estimate;
+  const { capture, resimulation: drape, captures, strips, tension } = estimate;
   const both = (seen, made) => [seen && `${seen} captured`, made && `${made} simulated`].filter(Boolean).join(', ');
   const range = (values) => [...new Set(values.filter(Boolean))].join(', ');
   return [
     ['Tester', tester(capture.rig)],
     ['Density', `${capture.density_g_m2} g/m²`],
-    ['Face on top', captures ? range(captures.map((one) => one.capture.face)) : strips ? '' : capture.face],
+    ['Face on top', captures ? range(captures.map((one) => one.capture.face)) : strips || tension ? '' : capture.face],
     ['Seen', seen(estimate)],
-    ['Known values', range([capture, ...(captures ?? []).map((one) => one.capture), ...(strips ?? [])].map((one) => known(one.known)))],
+    ['Known values', range([capture, ...(captures ?? []).map((one) => one.capture), ...(strips ?? []), ...(tension ? [tension] : [])].map((one) => known(one.known)))],
     ...['date', 'operator', 'laboratory', 'camera', 'remarks'].map((key) => [key[0].toUpperCase() + key.slice(1), capture.labels?.[key]]),
     ['Drape coefficient', captures ? range(captures.map((one) => percent(one.capture.drape_coefficient_percent)))
       : both(percent(capture.drape_coefficient_percent), percent(drape?.drape_coefficient_percent))],
     ['KES B, 2HB', estimate.kes_note],
+    ['Stretch and shear', tension && stretched(tension)],
     ['Nodes', both(drape && String(drape.folds_captured), drape && String(drape.folds_simulated))],
   ].filter(([, text]) => text);
 }

@@ -76,8 +76,8 @@ export function ended(id, { state, error: sentence }) {
 const suffix = (name) => name.slice(name.lastIndexOf('.')).toLowerCase().replace('.yml', '.yaml');
 const chosen = () => [...at('files').files];
 const isDescribed = () => chosen().some((file) => ['.zip', '.yaml'].includes(suffix(file.name)) || file.name === 'density.txt');
-const isStrips = () => chosen().some((file) => /^strips\.ya?ml$/i.test(file.name));
-const values = () => [...at('known').querySelectorAll('input')].filter((field) => field.value.trim());
+const isStrips = () => chosen().some((file) => /^(strips|tension)\.ya?ml$/i.test(file.name));
+const values = () => [...form.querySelectorAll('#known input, #tension input, #tension select, #clip')].filter((field) => field.value.trim());
 const isDrape = () => chosen().length > 0 && !isStrips();
 const isScan = () => chosen().length === 1 && !/^view_\d/.test(chosen()[0].name)
   && ['.npz', '.obj', '.ply', '.stl', '.glb'].includes(suffix(chosen()[0].name));
@@ -121,7 +121,7 @@ function check() {
 // Sentence and field of the first fault, or null: of the files, of the tester, and of all.
 function fileFault() {
   const files = chosen();
-  const hidden = files.find((file) => /^(capture|strips)\.ya?ml\.txt$/i.test(file.name));
+  const hidden = files.find((file) => /^(capture|strips|tension)\.ya?ml\.txt$/i.test(file.name));
   if (hidden) return [`${hidden.name}: rename it to ${hidden.name.split('.')[0]}.yaml (Windows shows suffixes under View, File name extensions).`, 'files'];
   const wrong = files.find((file) => !limits.kinds.split(',').includes(suffix(file.name)));
   if (wrong) return [`${wrong.name}: files of this kind are not taken.`, 'files'];
@@ -143,7 +143,7 @@ function testerFault() {
 }
 
 function fault() {
-  if (!chosen().length && !values().length) return ['No files yet: drop the views of a drape, or its photograph, here, or choose them; or give values from other tests.', 'files'];
+  if (!chosen().length && !values().length) return ['No files yet: drop the views of a drape, or its photograph, here, or choose them; or give values from other tests or strips under weights.', 'files'];
   if (fileFault()) return fileFault();
   const density = at('density').value.trim().replace(',', '.');
   if ((density === '' && !isDescribed()) || Number.isNaN(Number(density))) {
@@ -240,6 +240,18 @@ function lookAgain() {
   look(data);
 }
 
+// A further row for a strip under a weight.
+function addStrip() {
+  const last = at('tension').tBodies[0].rows;
+  const made = last[0].cloneNode(true);
+  for (const field of made.querySelectorAll('[name]')) {
+    field.name = field.name.replace('.0.', `.${last.length}.`);
+    field.value = '';
+  }
+  at('tension').tBodies[0].append(made);
+  at('add-strip').hidden = last.length >= Number(at('tension').dataset.most);
+}
+
 // ---- presets: the fields of the tester and the camera, in this browser
 
 const setup = () => [...at('setup').querySelectorAll('input:not([type=radio]), select')];
@@ -301,6 +313,7 @@ function showFields() {
 at('files').addEventListener('change', check);
 for (const field of [at('tester'), form.elements.mat]) field.addEventListener('change', showFields);
 for (const part of [at('drop'), at('camera'), at('warp')]) part.addEventListener('change', lookAgain);
+at('add-strip').addEventListener('click', addStrip);
 at('preset').addEventListener('change', applyPreset);
 at('preset-save').addEventListener('click', savePreset);
 at('preset-remove').addEventListener('click', removePreset);

@@ -11,7 +11,7 @@ const STAGES = {
   refining: 'The simulator refines the estimate', simulating: 'Draping the estimate for the report',
 };
 const FILES = {
-  'report.html': 'Report (HTML)', 'report.pdf': 'Report (PDF)', 'report.png': 'Report (PNG)',
+  'report.html': 'Report (HTML)', 'report.pdf': 'Report (PDF)', 'report.png': 'Report (PNG)', 'strips.png': 'Strips (PNG)',
   'estimate.json': 'Estimate (JSON)', 'drape.glb': 'Drape (GLB)', 'torque.svg': 'Torque curves (SVG)',
 };
 
