@@ -12,8 +12,8 @@ from common.errors import one_line
 from common.types import Faces, Metres, Points, RestPoints, VertexMask
 from sim.cloth import Cloth, Laws
 from sim.energies.base import Energy
-from sim.energies.self_contact import SelfContact, self_intersections
-from sim.equilibrium import Equilibrium, find_equilibrium
+from sim.energies.self_contact import self_intersections
+from sim.equilibrium import Equilibrium, find_equilibrium, light
 from sim.lowering import LOWERING_MESHES, LoweringMesh, lowered, with_origins
 from sim.material import Fabric, gravity_length
 from sim.mesh import Mesh
@@ -121,16 +121,6 @@ class Drape(Equilibrium):
     def __repr__(self) -> str:
         ended = self.status.value if self.status else self.message
         return f"Drape({ended}, {self.rig.name}, {len(self.positions)} vertices, {self.fabric})"
-
-    def __getstate__(self) -> dict:
-        return light(self).__dict__
-
-
-def light(drape: Drape) -> Drape:
-    """A copy without the energies and factor of its minimisation, which take much memory."""
-    extra = tuple(e for e in drape.cloth.extra if not isinstance(e, SelfContact))
-    outcome = drape.outcome and replace(drape.outcome, factor=None)
-    return replace(drape, cloth=replace(drape.cloth, extra=extra), outcome=outcome)
 
 
 def drape(

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from sim.solver.state import State
 _DERIVATIVES = "wrong derivatives in Laws.others are one cause: sim.energies.base.check finds them"
 _MAX_UNTANGLING_ROUNDS = 60
 _STEPS_PER_ROUND = 25  # Newton steps between updates of the pattern of self-contact
+Found = TypeVar("Found", bound="Equilibrium")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -71,6 +73,16 @@ class Equilibrium:
         return replace(self, outcome=replace(
             second, iterations=first.iterations + second.iterations,
             seconds=first.seconds + second.seconds))
+
+    def __getstate__(self) -> dict:
+        return light(self).__dict__
+
+
+def light(found: Found) -> Found:
+    """A copy without the energies and factor of its minimisation, which take much memory."""
+    extra = tuple(e for e in found.cloth.extra if not isinstance(e, SelfContact))
+    outcome = found.outcome and replace(found.outcome, factor=None)
+    return replace(found, cloth=replace(found.cloth, extra=extra), outcome=outcome)
 
 
 def find_equilibrium(

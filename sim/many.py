@@ -1,14 +1,16 @@
 """Many drapes at once."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from inspect import signature
-from typing import Any
+from typing import Any, TypeVar
 
 from common.arguments import whole_number
 from common.cases import progress_bar
 from common.errors import InputError, one_line
 from common.workers import worker_pool
 from sim.draping import Drape, drape
+
+Outcome = TypeVar("Outcome")
 
 
 def drape_many(
@@ -25,10 +27,18 @@ def drape_many(
     except TypeError as error:
         raise InputError("plans are a list of the arguments of drape by name, such as [{'fabric': "
                          f"fabric, 'edge': 5e-3}}]: {one_line(error)}") from None
+    return many(drape, plans, workers=workers, unit=unit)
+
+
+def many(
+    work: Callable[..., Outcome], plans: Sequence[Mapping[str, Any]], *, workers: int = 1,
+    unit: str,
+) -> list[Outcome]:
+    """``work(**plan)`` of each of the ``plans``, in their order; as :func:`drape_many`."""
     workers = whole_number("workers", workers, 1)
     with worker_pool(max(1, min(workers, len(plans)))) as pool, progress_bar(
             total=len(plans), unit=unit) as bar:
-        running = [pool.submit(drape, **plan) for plan in plans]
+        running = [pool.submit(work, **plan) for plan in plans]
         for call in running:
             call.add_done_callback(lambda _: bar.update())
         return [call.result() for call in running]

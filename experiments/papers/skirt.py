@@ -16,16 +16,14 @@ from experiments.page import Section
 from experiments.papers.transfer import exported_modulus
 from experiments.physics import style3d
 from experiments.result import Config, Report, Result, label_log_axes, rms, run_fabrics
-from sim.draping import FINE_OPTIONS, Drape, drape
-from sim.equilibrium import find_equilibrium
+from sim.equilibrium import Equilibrium
 from sim.material import Fabric
 from sim.measures import fold_count, shadow_radius
 from sim.mesh import Mesh
-from sim.rig import DISC_RIG, Rig
+from sim.rig import DISC_RIG
 from sim.scene import Scene
-from sim.solver.newton import Status
+from sim.skirt import SKIRT, settled, skirt
 
-SKIRT = Rig(0.86, 0.24, "disc")  # waist of 754 mm and length of 310 mm, as the paper's
 TRUE, ESTIMATED, LINEAR = "true", "estimated", "estimated, α alone"
 OTHER_START = "true, other start"
 NEWTON = "Newton, "
@@ -40,11 +38,11 @@ def case(*, number: int, edge_mm: float, seconds: float | None, seed: int) -> di
     """
     plan = plan_specimen(number, rig=DISC_RIG, nuisances="real", seed=seed)
     truth, estimate = fabric_from_theta(plan.theta), estimated(plan, seed)
-    worn, scene = skirt(truth, edge=1e-3 * edge_mm, seed=seed)
-    again, other = skirt(truth, edge=1e-3 * edge_mm, seed=seed + 1)
-    shapes = {OTHER_START: Shape.of(other, again)}
+    hung, other = (_sound(skirt(truth, edge=1e-3 * edge_mm, seed=seed + k)) for k in (0, 1))
+    worn, scene = hung.positions, hung.cloth.scene
+    shapes = {OTHER_START: Shape.of(other.cloth.scene, other.positions)}
     for name, fabric in ((ESTIMATED, estimate), (LINEAR, Fabric(estimate.alpha))):
-        shapes[name] = Shape.of(scene, settled(scene, fabric, worn))
+        shapes[name] = Shape.of(scene, _sound(settled(scene, worn, fabric)).positions)
     result = {name: difference(scene, worn, shape) for name, shape in shapes.items()}
     result[TRUE] = {"folds": fold_count(worn, scene.mesh.rest, SKIRT)}
     if seconds is not None and style3d.installed():
@@ -68,34 +66,11 @@ def estimated(plan: DrapePlan, seed: int) -> Fabric:
     return fabric_from_theta(infer(capture, DISC_RIG).estimate.theta)
 
 
-def skirt(fabric: Fabric, *, edge: float, seed: int) -> tuple[Points, Scene]:
-    """A full-circle skirt whose waist a ring holds: positions (V, 3), m, and the scene.
-
-    The cloth is lowered over a plate of the waist's size; then the plate and the cloth on it are
-    taken away, so that the skirt can turn about the ring.
-    """
-    lowered = drape(fabric, rig=SKIRT, edge=edge, seed=seed)
-    if not lowered.converged:
-        raise InputError(f"a skirt did not converge ({lowered.message}); choose another seed=")
-    scene, positions = below_waist(lowered)
-    return settled(scene, fabric, positions), scene
-
-
-def below_waist(lowered: Drape) -> tuple[Scene, Points]:
-    """The cloth beyond the plate, held at its inner border alone."""
-    faces = lowered.faces[~lowered.held[lowered.faces].all(axis=1)]
-    kept, faces = np.unique(faces, return_inverse=True)
-    return (Scene(Mesh(lowered.rest[kept], faces.reshape(-1, 3)), lowered.held[kept]),
-            lowered.positions[kept])
-
-
-def settled(scene: Scene, fabric: Fabric, positions: Points) -> Points:
-    """Positions of the equilibrium near ``positions``; InputError if it does not converge."""
-    found = find_equilibrium(scene, fabric, scene.state(positions), options=FINE_OPTIONS,
-                             self_contact=True)
-    if found.status is not Status.CONVERGED:
+def _sound(found: Equilibrium) -> Equilibrium:
+    """A skirt that converged; InputError for another."""
+    if not found.converged:
         raise InputError(f"a skirt did not converge ({found.message}); choose another seed=")
-    return found.state.positions
+    return found
 
 
 def difference(scene: Scene, worn: Points, other: Shape) -> dict[str, float]:

@@ -1,24 +1,25 @@
-"""The skirt of experiments.papers.skirt."""
+"""A skirt that hangs from a ring."""
 
 import numpy as np
 import pytest
 
-from experiments.papers.skirt import SKIRT, skirt
 from sim.draping import FINE_OPTIONS
 from sim.equilibrium import find_equilibrium
 from sim.material import MICRO, Fabric
 from sim.rig import GRAVITY
+from sim.skirt import SKIRT, skirt
 from sim.solver.potential import forces
 
 
 def test_the_ring_carries_the_weight_of_a_skirt():
     fabric = Fabric(np.full(3, 100 * MICRO))
-    positions, scene = skirt(fabric, edge=25e-3, seed=1)
+    worn = skirt(fabric, edge=25e-3, seed=1)
+    scene = worn.cloth.scene
     mesh, held = scene.mesh, scene.held
     assert scene.obstacles == ()
     # A polygon with the circle's area.
     assert np.allclose(np.linalg.norm(mesh.rest[held], axis=1), SKIRT.plate_radius, rtol=5e-3)
-    found = find_equilibrium(scene, fabric, scene.state(positions), options=FINE_OPTIONS)
+    found = find_equilibrium(scene, fabric, worn.state, options=FINE_OPTIONS)
     cloth, size = found.cloth, found.cloth.potential.unknowns
     elastic = forces([cloth.membrane, cloth.bending], found.state.q, size)
     vertical = elastic[2 : 3 * len(held) : 3]
