@@ -169,4 +169,4 @@ def infer_outline(outline: "DrapeOutline", rig: Rig) -> tuple["Draws", "Estimate
     draws, = predict(network_of(header()), header(), [[Observation(rig, 1, True, outline=outline)]],
                      compared=True)
     estimate = make_estimate(draws, density=REFERENCE_DENSITY, header=header())
-    return draws, estimate, draws.unlike(rig.specimen_size)
+    return draws, estimate, draws.unlike(rig.specimen_size, Finding("check_table").text)

@@ -75,19 +75,21 @@ def distances_mm(capture: OutlineCapture, curve: np.ndarray = CURVE) -> np.ndarr
 
 def over_mat(
     curve=CURVE, *, mat="a2", ground="white", above=0.15, camera=1.2, focal=1800,
-    cloth=(60, 60, 60)
+    cloth=(60, 60, 60), beside=(0.0, 0.0)
 ) -> bytes:
     """JPEG of cloth of a colour with an outline in the plane of a plate ``above`` a printed mat,
-    seen straight from a ``camera``'s height, both m, and a focal length in pixels, which EXIF
-    states."""
+    seen straight down from a ``camera``'s height and place ``beside`` the axis, all m, and a focal
+    length in pixels, which EXIF states."""
     size = np.array([1600, 1200])
     paper = mat_colours(mat, ground)
     middle = (np.array(paper.shape[1::-1]) - 1) / 2
     scale = focal * PIXEL / camera
-    place = np.column_stack([scale * np.eye(2), (size - 1) / 2 - scale * middle])
+    shift = np.array(beside) * [-1, 1] * focal
+    place = np.column_stack([scale * np.eye(2),
+                             (size - 1) / 2 - scale * middle + shift / camera])
     picture = cv2.warpAffine(paper, place, size.tolist(), flags=cv2.INTER_AREA,
                              borderValue=[170] * 3)
-    corners = (size - 1) / 2 + curve * [1, -1] * focal / (camera - above)
+    corners = (size - 1) / 2 + (curve * [1, -1] * focal + shift) / (camera - above)
     cv2.fillPoly(picture, [np.rint(corners * 16).astype(np.int32)], cloth, cv2.LINE_AA, 4)
     exif = Image.Exif()
     exif.get_ifd(0x8769)[41989] = round(focal * FULL_FRAME / np.hypot(*size))

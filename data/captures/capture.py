@@ -52,10 +52,9 @@ class Capture:
         raise NotImplementedError
 
     @property
-    def doubtful(self) -> str:
-        """What may be wrong of a drape that is unlike those of its estimate, the likeliest first.
-        """
-        return "that the cloth is cut out rightly, the tester"
+    def causes(self) -> str:
+        """What to check where what is seen contradicts what is stated, the likeliest first."""
+        return Finding("check_views").text
 
     @property
     def digest(self) -> str:
@@ -90,12 +89,9 @@ class OutlineCapture(Capture):
     outline: "PhotographedOutline"
 
     @property
-    def doubtful(self) -> str:
-        """For a photograph, its scale first."""
-        if self.outline.picture is None:
-            return super().doubtful
-        return ("the scale (of a mat, that it is printed at 100 %), plate_height_mm, the outline "
-                "in the picture of the capture, the tester")
+    def causes(self) -> str:
+        """Those of the outline."""
+        return self.outline.causes
 
     @property
     def content(self) -> bytes:

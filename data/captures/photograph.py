@@ -16,8 +16,10 @@ import numpy as np
 
 from common.errors import InputError
 from common.findings import Finding
-from common.types import Metres, Outline, PixelPath, Radians
+from common.types import Metres, Outline, PixelPath, Radians, Vector
+from data.captures.clarity import Clarity
 from data.captures.description import OUTLINE_TABLES, OutlineSource
+from data.captures.ground import Ground
 from data.captures.joined_outlines import (
     MAX_PARTED,
     MAX_UNLIKE,
@@ -27,21 +29,19 @@ from data.captures.joined_outlines import (
     on_axis,
     turned,
 )
-from data.captures.off_axis import AZIMUTH, AZIMUTHS, MAX_LEAN, OUTWARDS
+from data.captures.off_axis import AZIMUTH, AZIMUTHS, OUTWARDS
 from data.captures.outline_table import read_closed_curve
-from data.captures.scale import Scaled, mat_scale, scaled_photographs
+from data.captures.scale import Scaled, scaled_photographs
+from data.captures.sides import side, sides
 from data.pictures.cut import outline_of_cloth
-from data.pictures.mat import along_border
-from data.pictures.planes import behind, mapped, shifted, upright
+from data.pictures.planes import mapped, shifted, upright
 from sim.outlines import closed, coefficient_of_area, farthest, folds_around
 from sim.rig import Rig
 
 MAX_PIXEL = 1.5e-3  # m
 MIN_COEFFICIENT = 0.02  # of cloth on a plate; the plate alone has 0
 MAX_TILT = np.radians(10.0)
-DOUBTFUL, MAX_DOUBTFUL = 3e-3, 0.05  # m, error of a hem, and the share of it that may have more
 MAX_GROUNDED = 0.02  # of the azimuth
-MAX_ALONG_BORDER = 0.2  # of the azimuth; 3 of 19 sound pictures with the mat a3 have more
 HANGING = 0.010  # m, allowed to reach below the mat, of specimens that are not centred
 MAX_REACH = 1.03  # over the flat specimen's; one of 1000 simulated outlines has more
 MIN_RADIUS = {True: 0.97, False: 0.9}  # over the plate's, by whether its centre is known
@@ -65,6 +65,10 @@ class PhotographedOutline:
         factor: how many pixels of a row of the file were averaged to each of ``picture``.
         hem: the outline as it was seen, in pixels of ``picture``.
         error: (720,) m, standard deviation of ``radii``; None if it is not known.
+        unclear: (720,) where the hem is not clearly seen; None if there is no picture.
+        cameras: places (3,), m from the plate's centre, of the pictures over a mat, in order.
+        next_camera: place (3,) from which another picture is asked for; None if none is.
+        check: code of what to check where the outline contradicts what is stated.
     """
 
     curve: Outline
@@ -78,6 +82,15 @@ class PhotographedOutline:
     hem: PixelPath | None = None
     factor: int = 1
     error: np.ndarray | None = None
+    unclear: np.ndarray | None = None
+    cameras: tuple[Vector, ...] = ()
+    next_camera: Vector | None = None
+    check: str = "check_table"
+
+    @property
+    def causes(self) -> str:
+        """What to check where the outline contradicts what is stated, the likeliest first."""
+        return Finding(self.check).text
 
     @property
     def radii(self) -> np.ndarray:
@@ -119,7 +132,7 @@ def read_outline(
             found = _tabulated(file, source, rig, handed=handed)
         else:
             found = _photographed(file, source, rig, warp_direction)
-        warnings = (*found.warnings, *_checked(found, _causes(source, is_table=is_table)))
+        warnings = (*found.warnings, *_checked(found))
     except InputError as error:
         raise InputError(str(error) if str(file) in str(error) else f"{file}: {error}") from None
     if np.isnan(found.height):
@@ -162,14 +175,11 @@ def _photographed(
                 for one, error in unread.items()]
     (seen, found), *others = read.values()
     if seen.beside is None:
-        return found
+        return _judged(found, _clarity(found, None))
     first_side = (warp_direction or 0.0) + rig.cut
     if others:
-        return _joined(read, first_side, 1e-3 * (source.plate_height_mm or np.inf), warnings)
-    beside = float(np.linalg.norm(seen.beside))
-    if (lean := beside / seen.height) > MAX_LEAN:
-        warnings.append(Finding("camera_beside", {
-            "value": lean, "limit": MAX_LEAN, "beside": 1e3 * beside, "height": 1e3 * seen.height}))
+        return _joined(read, first_side, warnings, source)
+    found = _judged(found, _clarity(found, Ground.of(source)))
     radius, error = (values[0] for values in on_axis([_view(seen, found, first_side)], rig))
     return replace(found, curve=turned(radius[:, None] * OUTWARDS, first_side),
                    error=around(error, -first_side), warnings=(*found.warnings, *warnings))
@@ -183,13 +193,13 @@ def _view(seen: Scaled, found: PhotographedOutline, first_side: Radians) -> View
 
 def _joined(
     read: dict[Path, tuple[Scaled, PhotographedOutline]], first_side: Radians,
-    plate_height: Metres, warnings: list[Finding]
+    warnings: list[Finding], source: OutlineSource
 ) -> PhotographedOutline:
     """One outline of several pictures over the mat, shown in the one nearest to the axis."""
     names = list(read)
     views = [_view(seen, found, first_side) for seen, found in read.values()]
     rig = read[names[0]][1].rig
-    together = join(views, rig, plate_height)
+    together = join(views, rig, 1e-3 * (source.plate_height_mm or np.inf))
     warnings += [Finding("picture_contradicts", {"picture": file.name, "limit": MAX_UNLIKE})
                  for k, file in enumerate(names) if k not in together.used]
     used = [names[k] for k in together.used]
@@ -201,12 +211,11 @@ def _joined(
         azimuth, share = together.parted
         warnings.append(Finding("pictures_differ", {
             "first": used[0].name, "second": used[1].name, "value": share, "limit": MAX_PARTED,
-            "azimuth": float(np.degrees(azimuth + first_side)) % 360}))
+            "place": f"at the {side(azimuth + first_side)}"}))
     if (share := float(together.grounded.mean())) > MAX_GROUNDED:
-        azimuth = np.angle(together.grounded @ np.exp(1j * AZIMUTH))
+        here = around(together.grounded.astype(float), -first_side) > 0.5
         warnings.append(Finding("hem_on_ground", {
-            "value": share, "limit": MAX_GROUNDED,
-            "azimuth": float(np.degrees(azimuth + first_side)) % 360}))
+            "value": share, "limit": MAX_GROUNDED, "place": sides(here)}))
     said = [warning for file in used for warning in read[file][1].warnings]
     often = Counter(warning.code for warning in said)  # the others make up for one picture's fault
     warnings += {warning.code: warning for warning in reversed(said)
@@ -215,8 +224,25 @@ def _joined(
     # Nothing is seen inside the plate; what was, stays for the checks.
     radius = np.maximum(together.radius, np.minimum(together.seen, rig.plate_radius))
     curve, hem = (turned(one[:, None] * OUTWARDS, first_side) for one in (radius, together.seen))
-    return replace(shown, curve=curve, hem=shown.drawn(hem), warnings=tuple(warnings),
-                   error=around(together.error, -first_side))
+    outline = replace(shown, curve=curve, hem=shown.drawn(hem), warnings=tuple(warnings),
+                      error=around(together.error, -first_side),
+                      cameras=tuple(read[file][1].cameras[0] for file in used))
+    ground = Ground.of(source)
+    return _judged(outline, Clarity.together([
+        _clarity(read[names[k]][1], ground).turned(-together.turned[k]) for k in together.used]))
+
+
+def _clarity(found: PhotographedOutline, ground: Ground | None) -> Clarity:
+    """What one picture does not clearly show of a hem."""
+    assert found.error is not None
+    return Clarity.of(found.radii, found.error, found.cameras, ground)
+
+
+def _judged(outline: PhotographedOutline, clarity: Clarity) -> PhotographedOutline:
+    """An outline with warnings of what is not clearly seen of it."""
+    next_camera, warnings = clarity.judged(outline.radii, outline.cameras)
+    return replace(outline, warnings=(*warnings, *outline.warnings), next_camera=next_camera,
+                   unclear=clarity.unclear)
 
 
 def _as_seen(seen: Scaled, source: OutlineSource, rig: Rig) -> PhotographedOutline:
@@ -243,14 +269,14 @@ def _as_seen(seen: Scaled, source: OutlineSource, rig: Rig) -> PhotographedOutli
     if tilt > MAX_TILT:
         warnings.append(Finding("plate_tilted", {"value": float(np.degrees(tilt)),
                                                  "limit": float(np.degrees(MAX_TILT))}))
-    if (share := float((error > DOUBTFUL).mean())) > MAX_DOUBTFUL:
-        warnings.append(Finding("hem_doubtful", {"value": share, "limit": MAX_DOUBTFUL}))
+    cameras: tuple[Vector, ...] = ()
     if seen.beside is not None:
         warnings += below_the_mat(curve, rig, 1e-3 * (source.plate_height_mm or np.inf))
-        warnings += _along_the_border(curve, seen.beside, seen.height, source)
+        cameras = (np.append(seen.beside, seen.height),)
     return PhotographedOutline(
         curve, seen.height, seen.middle is not None, rig, tuple(warnings), photograph.colour,
-        to_pixels, step, pixels, photograph.factor, error)
+        to_pixels, step, pixels, photograph.factor, error, cameras=cameras,
+        check="check_mat" if source.mat else "check_picture")
 
 
 def _by_azimuth(curve: Outline, error: np.ndarray) -> np.ndarray:
@@ -265,38 +291,14 @@ def below_the_mat(curve: Outline, rig: Rig, plate_height: Metres) -> list[Findin
     mat, ``plate_height`` below the plate: what does not reach outwards hangs down."""
     nearest = float(np.linalg.norm(curve, axis=1).min())
     hanging = rig.least_overhang - (nearest - rig.plate_radius)
-    return [] if hanging <= plate_height + HANGING else [Finding(
-        "hangs_through_mat", {"value": 1e3 * hanging, "plate_height": 1e3 * plate_height})]
+    return [] if hanging <= plate_height + HANGING else [Finding("hangs_through_mat", {
+        "value": 1e3 * hanging, "plate_height": 1e3 * plate_height,
+        "causes": Finding("check_mat").text})]
 
 
-def _along_the_border(
-    curve: Outline, beside: np.ndarray, height: Metres, source: OutlineSource
-) -> list[Finding]:
-    """A warning if the border of the mat's paper is seen along the hem, whose edge it may be taken
-    for; the camera is at ``beside`` (2,), m, and at a ``height`` above the plate."""
-    assert source.mat and source.plate_height_mm
-    plate_height = 1e-3 * source.plate_height_mm
-    hem = farthest(closed(curve), AZIMUTHS)[:, None] * OUTWARDS
-    on_mat = behind(hem, np.append(beside, plate_height + height), plate_height)
-    share = float(along_border(source.mat, on_mat / mat_scale(source)).mean())
-    return [] if share <= MAX_ALONG_BORDER else [Finding(
-        "hem_along_border", {"value": share, "limit": MAX_ALONG_BORDER})]
-
-
-def _causes(source: OutlineSource, *, is_table: bool) -> str:
-    """What to check where an outline and what is stated contradict each other, the likeliest first.
-    """
-    if source.mat:
-        return ("check the scale first (is the mat printed at 100 %? If not, mat_bar_mm), then "
-                "plate_height_mm, then the tester")
-    scale = "unit" if is_table else "plate_px, mm_per_px"
-    return f"check the scale first ({scale}), then the tester"
-
-
-def _checked(outline: PhotographedOutline, causes: str) -> list[Finding]:
-    """Warnings; InputError for a curve that cannot be of a drape on this plate, with its
-    ``causes``."""
-    curve, rig = outline.curve, outline.rig
+def _checked(outline: PhotographedOutline) -> list[Finding]:
+    """Warnings; InputError for a curve that cannot be of a drape on this plate, with its causes."""
+    curve, rig, causes = outline.curve, outline.rig, f"check {outline.causes}"
     angle = np.arctan2(curve[:, 1], curve[:, 0])
     steps = (np.diff(angle, append=angle[0]) + np.pi) % (2 * np.pi) - np.pi
     if abs(steps.sum() - 2 * np.pi) > 1:
@@ -324,17 +326,20 @@ def _checked(outline: PhotographedOutline, causes: str) -> list[Finding]:
     warnings = []
     if (width := _least_width(curve)) > MAX_REACH * min(rig.sides):
         warnings.append(Finding("hem_wide", {
-            "value": 1e3 * width, "limit": 1e3 * min(rig.sides), "causes": causes}))
+            "value": 1e3 * width, "limit": 1e3 * min(rig.sides), "causes": outline.causes}))
     if outline.centred and nearest < USUAL_RADIUS * rim:
         warnings.append(Finding("hem_inside_plate", {
-            "value": 1e3 * float(nearest), "limit": 1e3 * rim, "causes": causes}))
+            "value": 1e3 * float(nearest), "limit": 1e3 * rim, "causes": outline.causes,
+            "place": f"at the {side(AZIMUTH[outline.radii.argmin()])}"}))
     if disorder > MAX_OVERLAP:
         warnings.append(Finding("outline_turns_back", {"value": float(disorder),
                                                        "limit": MAX_OVERLAP}))
-    farthest_out = float(np.linalg.norm(curve - _centroid(curve), axis=1).max())
-    if farthest_out > MAX_REACH * rig.reach:
+    outwards = curve - _centroid(curve)
+    x, y = outwards[np.linalg.norm(outwards, axis=1).argmax()]
+    if np.hypot(x, y) > MAX_REACH * rig.reach:
         warnings.append(Finding("hem_beyond_specimen", {
-            "value": 1e3 * farthest_out, "limit": 1e3 * rig.reach, "causes": causes}))
+            "value": 1e3 * float(np.hypot(x, y)), "limit": 1e3 * rig.reach,
+            "causes": outline.causes, "place": f"at the {side(float(np.arctan2(y, x)))}"}))
     return warnings
 
 

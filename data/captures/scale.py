@@ -90,7 +90,8 @@ def _height_contradicted(found: Scaled) -> list[Finding]:
             MAX_HEIGHT_DIFFERENCE):
         return []
     return [Finding("height_contradicts", {
-        "value": 1e3 * seen, "stated": 1e3 * found.height, "limit": MAX_HEIGHT_DIFFERENCE})]
+        "value": 1e3 * seen, "stated": 1e3 * found.height, "limit": MAX_HEIGHT_DIFFERENCE,
+        "causes": Finding("check_picture").text})]
 
 
 def _alone(file: Path, source: OutlineSource, rig: Rig) -> Scaled:

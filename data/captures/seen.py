@@ -9,12 +9,15 @@ from common.documents import read_yaml
 from common.errors import InputError
 from common.types import ColourPicture, PixelPath, Radians
 from data.captures.description import Description, OutlineSource
+from data.captures.off_axis import AZIMUTHS
 from data.captures.photograph import PhotographedOutline, read_outline
 from data.captures.reader import DESCRIPTION, find_outline
 from data.captures.scale import Scaled, scaled_photograph
 from data.pictures.planes import mapped
 from data.pictures.reading import read_photograph
 from sim.rig import Rig
+
+_GAP = 8  # points of a hem, a pixel apart, between parts that are shown as one
 
 
 @dataclass(frozen=True)
@@ -33,6 +36,9 @@ class SeenPhotograph:
         warp: ends (2, 2) of a line along the warp over the specimen; None if it is not stated.
         movable: whether another ``plate_px`` may be stated.
         refusal: why it cannot be estimated, or empty.
+        unclear: parts (N, 2) of the outline that are not clearly seen.
+        cameras: feet (C, 2) of the cameras of the pictures over a mat, in order.
+        next_camera: foot (2,) of the camera of the picture that is asked for; None if none is.
     """
 
     picture: ColourPicture
@@ -45,6 +51,9 @@ class SeenPhotograph:
     refusal: str = ""
     specimen: PixelPath | None = None
     warp: PixelPath | None = None
+    unclear: tuple[PixelPath, ...] = ()
+    cameras: PixelPath | None = None
+    next_camera: np.ndarray | None = None
 
 
 def seen_photograph(folder: Path) -> SeenPhotograph:
@@ -65,10 +74,24 @@ def seen_photograph(folder: Path) -> SeenPhotograph:
         return _refused(photograph, source, rig, warp, str(error))
     if outline.picture is None or outline.to_pixels is None:
         raise InputError(f"{photograph} is a text file, of which there is no picture")
+    cameras, next_camera = outline.cameras, outline.next_camera
     return SeenPhotograph(outline.picture, outline.factor, _plate(outline.to_pixels, rig),
                           outline.centred, outline.hem, outline, movable,
                           specimen=_specimen(outline.to_pixels, rig, warp),
-                          warp=_along(outline.to_pixels, rig, warp))
+                          warp=_along(outline.to_pixels, rig, warp), unclear=_parts(outline),
+                          cameras=outline.drawn(np.array(cameras)[:, :2]) if cameras else None,
+                          next_camera=None if next_camera is None else outline.drawn(
+                              next_camera[None, :2])[0])
+
+
+def _parts(outline: PhotographedOutline) -> tuple[PixelPath, ...]:
+    """The parts of a hem, in pixels of its picture, that are not clearly seen."""
+    assert outline.hem is not None and outline.to_pixels is not None
+    x, y = mapped(outline.hem, np.linalg.inv(outline.to_pixels)).T
+    azimuth = np.rint(np.arctan2(y, x) * (AZIMUTHS / (2 * np.pi))).astype(int) % AZIMUTHS
+    places = np.flatnonzero(outline.unclear[azimuth] if outline.unclear is not None else [])
+    gaps = np.flatnonzero(np.diff(places) > _GAP) + 1
+    return tuple(outline.hem[part] for part in np.split(places, gaps) if len(part) > 1)
 
 
 def _refused(

@@ -182,6 +182,17 @@ def along_border(name: str, places: np.ndarray) -> np.ndarray:
     return np.abs(outside.max(axis=1)) < CLEAR
 
 
+def on_paper(name: str, places: np.ndarray) -> np.ndarray:
+    """Whether places (N, 2), m, are on a mat's paper."""
+    return (np.abs(places) < np.array(MATS[name].size) / 2 + QUIET).all(axis=1)
+
+
+def near_markers(name: str, places: np.ndarray, within: Metres = CLEAR) -> np.ndarray:
+    """Whether places (N, 2), m, are on markers of a mat or ``within`` a distance of them."""
+    apart = np.abs(places[:, None] - MATS[name].centres).max(axis=2)
+    return apart.min(axis=1) < MARKER / 2 + within
+
+
 def mat_pages(name: str, paper: str, ground: str = "white") -> bytes:
     """PDF of a mat, in as many pages as it needs on a paper; to be printed at 100 %."""
     from fpdf import FPDF

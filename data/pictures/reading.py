@@ -85,7 +85,8 @@ def read_photograph(
             values, transparent = _values(ImageOps.exif_transpose(picture))
     factor = -(-max(values.shape) // side)
     light = _reduced(values, factor)
-    white = max(float(np.quantile(light.max(axis=2), brightest)), 1e-6)
+    highest = np.maximum(np.maximum(light[..., 0], light[..., 1]), light[..., 2])  # max is slow
+    white = max(float(np.quantile(highest, brightest)), 1e-6)
     light = np.minimum(light / white, 1)
     rows, columns = light.shape[:2]
     transparent = transparent[factor // 2 :: factor, factor // 2 :: factor][:rows, :columns]

@@ -148,7 +148,7 @@ def by_network(capture: Capture, header: Header, *, strict: bool = False) -> Cap
     except InputError as error:
         raise InputError(f"{capture.path}: {error}") from None
     result = result.with_warnings(*faults, *result.draws.unlike(capture.rig.specimen_size,
-                                                                capture.doubtful))
+                                                                capture.causes))
     require_sound([*result.warnings, *capture.warnings, *result.estimate.contradictions], strict,
                   str(capture.path))
     return result

@@ -78,14 +78,14 @@ class Likeness:
         return cls(probability, worst, *(float(each[worst] * _UNIT[worst])
                                          for each in (shape, low, high)))
 
-    def warning(self, size: Metres, doubtful: str) -> Finding | None:
+    def warning(self, size: Metres, causes: str) -> Finding | None:
         """A finding if the capture of a specimen of ``size`` is unlike its posterior's drapes;
-        ``doubtful``: what may be wrong of it."""
+        ``causes``: what to check then, the likeliest first."""
         if self.probability >= LEVEL:
             return None
         code, of = _CODES[self.number]
         return Finding(code, {"value": of(self.value, size), "low": of(self.low, size),
-                              "high": of(self.high, size), "doubtful": doubtful})
+                              "high": of(self.high, size), "causes": causes})
 
 
 def _millimetres(value: float, size: Metres) -> float:

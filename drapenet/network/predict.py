@@ -38,10 +38,10 @@ class Draws:
     impossible: float  # share of all samples that was not admissible and is removed
     likeness: tuple[Likeness, ...] = ()  # of each capture, if compared by a network that can
 
-    def unlike(self, size: Metres, doubtful: str = "the tester") -> list[Finding]:
+    def unlike(self, size: Metres, causes: str) -> list[Finding]:
         """A finding for each capture, of specimens of a ``size``, that is unlike drapes of these
-        samples; ``doubtful``: what may be wrong of it."""
-        return [found for one in self.likeness if (found := one.warning(size, doubtful))]
+        samples; ``causes``: what to check then, the likeliest first."""
+        return [found for one in self.likeness if (found := one.warning(size, causes))]
 
     @classmethod
     def possible(

@@ -145,7 +145,9 @@ async def outline(request: Request) -> Response:
     """How the photograph of a capture is read, before its estimate: `picture`, at most 1000 pixels
     wide and high, with `outline`, the points of the hem, `plate`, `specimen`, the border of the
     flat specimen, and `warp`, a line along it, in its pixels, `warnings`, and `refusal`, a sentence
-    if there is no outline; `scale` is the number of pixels of the file to each. The density may be
+    if there is no outline; `unclear` are parts of the hem that are not clearly seen; over a mat,
+    `cameras` are the places of the pictures' cameras, and `next_camera` is that from which another
+    picture is asked for; `scale` is the number of pixels of the file to each. The density may be
     missing. 204 if there is no photograph from above.
     """
     jobs: Jobs = request.app.state.jobs

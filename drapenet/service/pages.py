@@ -14,7 +14,7 @@ from markdown.extensions.toc import TocExtension, slugify_unicode
 from markupsafe import Markup
 
 from data.captures.description import PLATE_HEIGHTS
-from data.captures.reader import CAPTURE_FILES
+from data.captures.reader import CAPTURE_FILES, MAX_PICTURES
 from data.pictures.mat import GROUNDS, PARTS
 from data.readings import QUANTITIES
 from data.rigs import TESTERS
@@ -47,7 +47,7 @@ def add_pages(app: FastAPI, settings: ServeConfig) -> None:
     page = render("service.html", settings=settings, targets=TARGETS, meshes=MESHES,
                   curvature=DRAPE_CURVATURE, testers={name: RIGS[name] for name in TESTERS},
                   kinds=KINDS, examples=examples, manual=MANUAL.is_dir(), directions=DIRECTIONS,
-                  photographs=PHOTOGRAPHS, plate_heights=PLATE_HEIGHTS,
+                  photographs=PHOTOGRAPHS, pictures=MAX_PICTURES, plate_heights=PLATE_HEIGHTS,
                   grounds=list(GROUNDS),
                   mats=[(mat, paper, columns * rows) for (mat, paper), (columns, rows)
                         in PARTS.items()],

@@ -16,10 +16,19 @@ _QUALITY = 85  # of its JPEG
 
 
 def prepare() -> None:
-    """Import what the first photograph needs."""
+    """Import and load what the first photograph needs, a second's work."""
     end_with_parent()
-    import data.captures.seen
-    import data.pictures.mat  # noqa: F401
+    import numpy as np
+
+    import data.captures.seen  # noqa: F401
+    from common.graphs import bundled_graph
+    from data.captures import off_axis
+    from data.pictures import cut, mat
+
+    for network in (cut, off_axis):
+        bundled_graph(network.BUNDLED)
+    for name in mat.MATS:
+        mat.printed_at(name, np.zeros((1, 1, 2)))
 
 
 def photograph_as_read(folder: Path) -> dict[str, Any]:
@@ -42,11 +51,16 @@ def photograph_as_read(folder: Path) -> dict[str, Any]:
     width, height = round(share * wide), round(share * high)
     small = cv2.resize(seen.picture, (width, height), interpolation=cv2.INTER_AREA)
     coded = cv2.imencode(".jpg", small[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1]
+
+    def drawn(path: np.ndarray) -> list:
+        return np.round((path + 0.5) * share - 0.5, 1).tolist()
+
     answer: dict[str, Any] = {
         "picture": "data:image/jpeg;base64," + base64.b64encode(coded.tobytes()).decode(),
         "width": width, "height": height, "scale": seen.factor * wide / width,
         "plate": None, "specimen": None, "warp": None, "centred": seen.centred,
-        "movable": seen.movable, "outline": None,
+        "movable": seen.movable, "outline": None, "cameras": None, "next_camera": None,
+        "unclear": [drawn(path) for path in seen.unclear],
         "drape_coefficient_percent": None, "nodes": None, "warnings": [],
         "refusal": str(InputError(seen.refusal).within(folder)) or None}
     if seen.plate:
@@ -54,9 +68,10 @@ def photograph_as_read(folder: Path) -> dict[str, Any]:
         answer["plate"] = {"x": round((x + 0.5) * share - 0.5, 2),
                            "y": round((y + 0.5) * share - 0.5, 2),
                            "diameter": round(diameter * share, 2)}
-    for name, path in (("outline", seen.hem), ("specimen", seen.specimen), ("warp", seen.warp)):
+    for name, path in (("outline", seen.hem), ("specimen", seen.specimen), ("warp", seen.warp),
+                       ("cameras", seen.cameras), ("next_camera", seen.next_camera)):
         if path is not None:
-            answer[name] = np.round((path + 0.5) * share - 0.5, 1).tolist()
+            answer[name] = drawn(path)
     if seen.outline:
         answer |= {"drape_coefficient_percent": round(100 * seen.outline.drape_coefficient, 1),
                    "nodes": seen.outline.folds, "warnings": records(seen.outline.warnings)}

@@ -54,7 +54,7 @@ def captured(*, tester: str, number: int, seed: int, edge_mm: float) -> dict[str
     found = {}
     if views.drape and seen:
         found["depth views"] = _compared(views.drape, seen.coefficient(plan.rig)) | {
-            "unlike": texts(views.draws.unlike(plan.rig.specimen_size, views.capture.doubtful))}
+            "unlike": texts(views.draws.unlike(plan.rig.specimen_size, views.capture.causes))}
     radius = outline_of(shape).radius
     found["outline"] = _outline(radius, plan.rig)
     middle = rng.uniform(0, 2 * np.pi)

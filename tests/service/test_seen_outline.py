@@ -108,6 +108,20 @@ def test_a_mat_shows_the_plate_which_cannot_be_moved(client):
     assert "mat and plate_height_mm belong together" in half["error"]
 
 
+def test_places_of_cameras_are_in_pixels_of_the_picture(client):
+    """The next picture is taken from straight above, as the camera was too far beside the axis."""
+    files = {"drape.jpg": over_mat(beside=(0.15, 0.1))}
+    fields = {"tester": "disc300_support180", "mat": "a2", "plate_height_mm": "150"}
+    found = ask(client, files, **fields).json()
+    centre, across = [found["plate"][key] for key in ("x", "y")], found["plate"]["diameter"]
+    foot, = 0.180 / across * (np.array(found["cameras"]) - centre) * [1, -1]  # m, y up
+    assert foot.tolist() == pytest.approx([0.15, 0.1], abs=0.02)
+    assert found["next_camera"] == pytest.approx(centre, abs=0.2) and found["unclear"] == []
+    assert "the hem at the lower left" in found["warnings"][0]["text"]
+    above = ask(client, {"drape.jpg": over_mat()}, **fields).json()
+    assert len(above["cameras"]) == 1 and above["next_camera"] is None
+
+
 def test_the_warp_and_the_flat_specimen_are_lines_in_the_picture(client):
     """Of a square they turn with the warp, which counts from the mat's arrow, to the right."""
     files = {"drape.jpg": over_mat()}

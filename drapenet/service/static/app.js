@@ -1,6 +1,6 @@
 // The page: which of its parts the address names.
 
-import { ask, at } from './common.js';
+import { ask, at, reveal } from './common.js';
 import './form.js';
 import { compare } from './compare.js';
 import { list } from './library.js';
@@ -12,7 +12,7 @@ function open(section, title) {
   for (const id of SECTIONS) at(id).hidden = id !== section;
   if (!title) return;
   at(title).focus({ preventScroll: true });
-  if (at(section).getBoundingClientRect().top > innerHeight - 100) at(section).scrollIntoView();
+  reveal(section);
 }
 
 async function route(arrived = true) {

@@ -15,6 +15,12 @@ export function link(address, text) {
   return made;
 }
 
+// Scroll to a section unless its beginning is in the upper half of what is seen.
+export function reveal(section) {
+  const { top } = at(section).getBoundingClientRect();
+  if (top < 0 || top > innerHeight / 2) at(section).scrollIntoView();
+}
+
 const LOST = 'The service cannot be reached; try again.';
 
 // An answer; an Error with the service's sentence and status if it refuses.

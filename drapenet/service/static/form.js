@@ -2,9 +2,10 @@
 
 import { ask, at, element } from './common.js';
 import { look } from './outline.js';
+import { isFull, reduced, together } from './pictures.js';
 
 const PRESETS = 'drapenet.presets';
-const LAST = 'drapenet.preset';
+const TYPED = 'drapenet.typed'; // what stays for the next specimen
 const limits = document.body.dataset;
 const form = at('form');
 let fabric = null; // of the next capture; null: a new one
@@ -83,11 +84,14 @@ const isScan = () => chosen().length === 1 && !/^view_\d/.test(chosen()[0].name)
   && ['.npz', '.obj', '.ply', '.stl', '.glb'].includes(suffix(chosen()[0].name));
 const isPhotograph = (file) => limits.photographs.split(',').includes(suffix(file.name));
 const isCertainlyPhotograph = (file) => (isPhotograph(file) && suffix(file.name) !== '.png') || /^outline\./i.test(file.name);
+const isBeside = (file) => /(?<![a-z])(plate|empty|mat)(?![a-z])/i.test(file.name); // what shows no drape, as the service has it
+const drapes = () => chosen().filter((file) => isPhotograph(file) && !isBeside(file));
 const usesSetup = () => isDrape() && (!isDescribed() || at('override').querySelector('input').checked);
 const number = (field) => Number(field.value.trim().replace(',', '.'));
 const isRectangle = () => at('tester').value === 'rectangle_cylinder';
 const isOtherSize = () => at('tester').value.includes('_') && !/\d/.test(at('tester').value);
 const kind = () => form.elements.kind.value;
+const isOverMat = () => usesSetup() && kind() === 'above' && Boolean(form.elements.mat.value);
 
 // Whether the service is asked how it reads a photograph: it has what it needs for that.
 function hasPhotograph() {
@@ -113,8 +117,8 @@ function check() {
   const files = chosen();
   at('override').hidden = !isDescribed() || isStrips();
   if (files.length && !isDescribed()) {
-    at('camera').open = true;
     if (files.some(isCertainlyPhotograph) || ['.csv', '.txt'].includes(suffix(files[0].name))) choose('above');
+    if (!hasPhotograph()) at('camera').open = true;
   }
 }
 
@@ -160,10 +164,10 @@ function tester() {
 }
 
 // Files and those fields that are within a part of the form. The plate that is placed in a
-// photograph replaces what its files state.
-function described(part) {
+// photograph replaces what its files state. Over a mat, no field is in pixels of a file.
+async function described(part) {
   const data = new FormData();
-  for (const file of chosen()) data.append('files', file, file.name);
+  for (const file of chosen()) data.append('files', isOverMat() ? await reduced(file) : file, file.name);
   for (const field of part.querySelectorAll('[name]:not([type=file]):not([type=radio])')) {
     const left = !('placed' in field.dataset) && (field.closest('[hidden]')
       || (at('setup').contains(field) && !usesSetup()) || (!isDrape() && field.closest('[data-capture]')));
@@ -173,8 +177,8 @@ function described(part) {
   return data;
 }
 
-function content() {
-  const data = described(form);
+async function content() {
+  const data = await described(form);
   if (fabric) data.append('fabric', fabric);
   data.append('refine', at('refine').checked && isDrape() ? 'yes' : 'no');
   return data;
@@ -189,7 +193,8 @@ async function send() {
   }
   at('submit').disabled = true;
   try {
-    const begun = await ask('/estimates', { method: 'POST', body: content() });
+    const begun = await ask('/estimates', { method: 'POST', body: await content() });
+    at('kept').hidden = !at('density').value;
     sent = { ...begun, added: Boolean(fabric) };
     if (broken) ask(`/fabrics/${broken}`, { method: 'DELETE' }).catch(() => {});
     broken = null;
@@ -207,10 +212,7 @@ async function tryExample(name) {
   clear();
   try {
     const answer = await fetch(`/examples/${name}.zip`);
-    const transfer = new DataTransfer();
-    transfer.items.add(new File([await answer.blob()], `${name}.zip`));
-    at('files').files = transfer.files;
-    check();
+    put([new File([await answer.blob()], `${name}.zip`)]);
     look(null);
     await send();
   } catch {
@@ -225,8 +227,7 @@ export function addTo(identity, name = '', capture = null) {
   at('into-name').textContent = name;
   for (const label of form.querySelectorAll('[data-new]')) label.hidden = Boolean(identity);
   if (!identity) return;
-  at('files').value = ''; // not the same files again
-  check();
+  put([]); // not the same files again
   look(null);
   if (capture && !at('density').value) at('density').value = capture.density_g_m2;
   if (capture && !at('tester').value && at('tester').querySelector(`[value="${capture.rig}"]`)) at('tester').value = capture.rig;
@@ -234,10 +235,13 @@ export function addTo(identity, name = '', capture = null) {
   form.scrollIntoView();
 }
 
-function lookAgain() {
-  const data = hasPhotograph() ? described(at('setup')) : null;
-  if (data && at('warp').value.trim()) data.append('warp_direction_deg', at('warp').value.trim());
-  look(data);
+// ---- pictures
+
+function put(files) {
+  const transfer = new DataTransfer();
+  for (const file of files) transfer.items.add(file);
+  at('files').files = transfer.files;
+  check();
 }
 
 // A further row for a strip under a weight.
@@ -252,16 +256,84 @@ function addStrip() {
   at('add-strip').hidden = last.length >= Number(at('tension').dataset.most);
 }
 
-// ---- presets: the fields of the tester and the camera, in this browser
+// `delay`, ms: how long further changes are waited for.
+function lookAgain(delay) {
+  at('seen-more').hidden = !isOverMat() || !drapes().length;
+  at('another').disabled = isFull(drapes());
+  at('another').closest('label').classList.toggle('disabled', at('another').disabled);
+  listPictures();
+  look(hasPhotograph() ? () => asked() : null, delay);
+}
+
+async function asked() {
+  const data = await described(at('setup'));
+  if (at('warp').value.trim()) data.append('warp_direction_deg', at('warp').value.trim());
+  return data;
+}
+
+function listPictures() {
+  const several = drapes().length > 1 ? drapes() : [];
+  at('pictures').replaceChildren(...several.map((file) => {
+    const item = element('li', `${file.name.replace(/\.\w+$/, '')} `);
+    const button = element('button', '×', 'quiet small');
+    button.type = 'button';
+    button.setAttribute('aria-label', `leave out ${file.name}`);
+    button.addEventListener('click', () => show(several.filter((one) => one !== file), []));
+    item.append(button);
+    return item;
+  }));
+}
+
+// The pictures of a drape, with those of plate and mat and the description that are chosen already.
+async function show(pictures, added) {
+  const rest = chosen().filter((file) => !['.zip', ...limits.photographs.split(',')].includes(suffix(file.name)) || isBeside(file));
+  at('seen').hidden = false;
+  put([...rest, ...await together(pictures, added)]);
+  lookAgain(0);
+}
+
+// The fields of the next specimen, of which only those of the tester and the density stay.
+function nextSpecimen() {
+  addTo(null);
+  for (const name of ['name', 'notes', 'label']) form.elements[name].value = '';
+  put([]);
+  look(null);
+  form.scrollIntoView();
+  at('files').focus({ preventScroll: true });
+}
+
+// ---- presets: the fields of the tester and the camera, in this browser, as well as what was typed last
 
 const setup = () => [...at('setup').querySelectorAll('input:not([type=radio]), select')];
-const presets = () => {
+const lasting = () => [at('density'), ...['operator', 'laboratory', 'camera'].map((name) => form.elements[name])];
+const stored = (key) => {
   try {
-    return JSON.parse(localStorage.getItem(PRESETS)) ?? {};
+    return JSON.parse(localStorage.getItem(key)) ?? {};
   } catch {
     return {};
   }
 };
+const presets = () => stored(PRESETS);
+const filled = (fields) => Object.fromEntries(fields.filter((field) => field.value && !('placed' in field.dataset))
+  .map((field) => [field.name || field.id, field.value]));
+
+function fill(fields, values) {
+  for (const field of fields) field.value = values[field.name || field.id] ?? '';
+  choose(values.kind ?? 'depth');
+}
+
+// A phone may give up a page while its camera is open.
+function remember() {
+  localStorage.setItem(TYPED, JSON.stringify({ ...filled([...setup(), ...lasting()]), kind: kind(), preset: at('preset').value }));
+}
+
+function recall() {
+  const typed = stored(TYPED);
+  listPresets(typed.preset ?? '');
+  at('preset-name').value = at('preset').value;
+  fill([...setup(), ...lasting()], typed);
+  at('kept').hidden = !at('density').value;
+}
 
 function listPresets(selected) {
   at('preset').replaceChildren(new Option('none', ''), ...Object.keys(presets()).sort().map((name) => new Option(name, name)));
@@ -269,12 +341,8 @@ function listPresets(selected) {
 }
 
 function applyPreset() {
-  const values = presets()[at('preset').value] ?? {};
-  for (const field of setup()) field.value = values[field.name || field.id] ?? '';
+  fill(setup(), presets()[at('preset').value] ?? {});
   at('preset-name').value = at('preset').value;
-  choose(values.kind ?? 'depth');
-  showFields();
-  localStorage.setItem(LAST, at('preset').value);
 }
 
 function savePreset() {
@@ -283,10 +351,9 @@ function savePreset() {
     at('preset-name').focus();
     return;
   }
-  const values = Object.fromEntries(setup().filter((field) => field.value).map((field) => [field.name || field.id, field.value]));
-  localStorage.setItem(PRESETS, JSON.stringify({ ...presets(), [name]: { ...values, kind: kind() } }));
-  localStorage.setItem(LAST, name);
+  localStorage.setItem(PRESETS, JSON.stringify({ ...presets(), [name]: { ...filled(setup()), kind: kind() } }));
   listPresets(name);
+  remember();
 }
 
 function removePreset() {
@@ -294,6 +361,7 @@ function removePreset() {
   localStorage.setItem(PRESETS, JSON.stringify(rest));
   listPresets('');
   applyPreset();
+  remember();
 }
 
 // The fields that others make necessary.
@@ -312,9 +380,21 @@ function showFields() {
 
 at('files').addEventListener('change', check);
 for (const field of [at('tester'), form.elements.mat]) field.addEventListener('change', showFields);
-for (const part of [at('drop'), at('camera'), at('warp')]) part.addEventListener('change', lookAgain);
 at('add-strip').addEventListener('click', addStrip);
 at('preset').addEventListener('change', applyPreset);
+for (const part of [at('camera'), at('warp')]) part.addEventListener('change', () => lookAgain());
+at('files').addEventListener('change', () => lookAgain(0));
+at('shot').addEventListener('change', ({ target }) => {
+  show([], [...target.files]);
+  target.value = ''; // the next picture may have the same name
+});
+at('another').addEventListener('change', ({ target }) => {
+  show(drapes(), [...target.files]);
+  target.value = '';
+});
+at('next-specimen').addEventListener('click', nextSpecimen);
+form.addEventListener('change', remember);
+at('density').addEventListener('input', () => { at('kept').hidden = true; });
 at('preset-save').addEventListener('click', savePreset);
 at('preset-remove').addEventListener('click', removePreset);
 at('into-none').addEventListener('click', () => addTo(null));
@@ -331,7 +411,7 @@ document.addEventListener('drop', (event) => {
   at('drop').classList.remove('over');
   at('files').files = event.dataTransfer.files;
   check();
-  lookAgain();
+  lookAgain(0);
 });
 form.addEventListener('submit', (event) => {
   event.preventDefault();
@@ -340,6 +420,4 @@ form.addEventListener('submit', (event) => {
 for (const button of document.querySelectorAll('[data-example]')) {
   button.addEventListener('click', () => tryExample(button.dataset.example));
 }
-showFields();
-listPresets(localStorage.getItem(LAST) ?? '');
-if (at('preset').value) applyPreset();
+recall();

@@ -7,25 +7,31 @@ const DELAY = 400; // ms after the last change
 const KNOB = 0.025; // radius, of the picture's width
 const GUESS = 0.45; // diameter, of the smaller side, until the plate is known
 const LEAST = 20; // pixels, diameter
+const LABEL = 0.16; // of its width, half of an arrow's label
+const MARGIN = 0.03; // of the picture's width, of an arrow from its border, and half the size of the arrow's head
 const STEPS = { ArrowLeft: [-1, 0, 0], ArrowRight: [1, 0, 0], ArrowUp: [0, -1, 0], ArrowDown: [0, 1, 0],
   '+': [0, 0, 2], '=': [0, 0, 2], '*': [0, 0, 2], '-': [0, 0, -2], _: [0, 0, -2] };
 const svg = at('seen-picture');
-const [image, specimen, warp, hem, plate] = svg.children;
+const [image, specimen, warp, hem, unclear, plate, way] = svg.children;
 const [rim, knob] = plate.children;
+const [arrow, foot, label] = way.children;
 const form = at('form');
 let timer = null;
-let next = null; // content of the form, to be read
+let next = null; // makes the content of the form, to be read
 let reading = false;
+let fresh = false; // whether the photograph was not shown yet
 let seen = null; // the last answer with a picture
 let circle = null; // of the plate, pixels of the picture
 
 // ---- reading
 
-// Reads the photograph of a form's content, or shows none.
-export function look(data) {
+// Reads the photograph of the content that a function makes of a form, after a delay; null shows none. A new photograph,
+// without delay, is brought into view.
+export function look(content, delay = DELAY) {
   clearTimeout(timer);
-  next = data;
-  if (data) timer = setTimeout(read, DELAY);
+  next = content;
+  fresh ||= !delay;
+  if (content) timer = setTimeout(read, delay);
   else show(null);
 }
 
@@ -36,11 +42,13 @@ async function read() {
   at('seen').hidden = false;
   at('seen-status').textContent = 'Reading the photograph …';
   while (next) {
-    const data = next;
-    const found = await ask('/outline', { method: 'POST', body: data }).catch(({ message }) => ({ refusal: message }));
-    if (data === next) {
+    const content = next;
+    const found = await ask('/outline', { method: 'POST', body: await content() }).catch(({ message }) => ({ refusal: message }));
+    if (content === next) {
       next = null;
       show(found);
+      if (fresh) (seen ? svg : at('seen')).scrollIntoView({ block: 'nearest' });
+      fresh = false;
     }
   }
   reading = false;
@@ -62,14 +70,46 @@ function show(found) {
     plate.toggleAttribute('hidden', !found.plate && !found.movable);
     plate.classList.toggle('movable', found.movable);
     plate.classList.toggle('guessed', !found.centred);
+    unclear.setAttribute('d', (found.unclear ?? []).map((part) => `M${part.join('L')}`).join(''));
     svg.toggleAttribute('hidden', false);
     draw();
+    drawWay();
   }
   at('seen-help').hidden = !seen;
   at('seen-move').hidden = !seen?.movable;
   at('seen-refusal').textContent = found?.refusal ?? '';
-  at('seen-status').textContent = seen?.outline ? `Outline found: ${seen.nodes} nodes, drape coefficient ${seen.drape_coefficient_percent.toFixed(1)} % as the camera sees it.` : '';
-  at('seen-warnings').replaceChildren(...(found?.warnings ?? []).map(({ text }) => element('li', text)));
+  at('seen-status').textContent = seen?.outline ? `Outline found: ${seen.nodes} node${seen.nodes === 1 ? '' : 's'}, drape coefficient ${seen.drape_coefficient_percent.toFixed(1)} % as the camera sees it.${seen.warnings.length ? '' : ' Nothing in it is doubtful.'}` : '';
+  at('seen-warnings').replaceChildren(...(found?.warnings ?? []).map(({ text }) => {
+    const [fact, ...remedy] = text.split(/(?<=: )/);
+    const item = element('li', '');
+    item.append(element('strong', fact), remedy.join(''));
+    return item;
+  }));
+}
+
+// An arrow from the foot of the latest camera, or the border of the picture, to that of the next.
+function drawWay() {
+  const { width, height, next_camera: to } = seen;
+  way.toggleAttribute('hidden', !to);
+  if (!to) return;
+  const size = MARGIN * width;
+  const last = seen.cameras.at(-1);
+  const reaching = [width, height].map((side, k) => { // the share of the way from the next one back within the picture
+    const step = last[k] - to[k];
+    return step ? ((step > 0 ? side - size : size) - to[k]) / step : 1;
+  });
+  const share = Math.min(1, ...reaching);
+  const from = to.map((value, k) => value + share * (last[k] - value));
+  const [right, down] = to.map((value, k) => value - from[k]);
+  const length = Math.hypot(right, down);
+  const [x, y] = length ? [right / length, down / length] : [0, -1];
+  const head = [1, -1].map((turn) => [to[0] - size * (x + turn * y), to[1] - size * (y - turn * x)]);
+  arrow.setAttribute('d', `M${from}L${to}M${head[0]}L${to}L${head[1]}`);
+  for (const [key, value] of Object.entries({ cx: from[0], cy: from[1], r: size / 2 })) foot.setAttribute(key, value);
+  label.textContent = 'next picture';
+  const middle = Math.min(Math.max(to[0], LABEL * width), (1 - LABEL) * width);
+  for (const [key, value] of Object.entries({ x: middle, y: to[1] + (down < 0 ? -0.7 : 1.6) * size, 'font-size': 1.4 * size })) label.setAttribute(key, value);
+  way.setAttribute('aria-label', seen.warnings.map(({ values }) => values.next).find(Boolean) ?? label.textContent);
 }
 
 // ---- the circle

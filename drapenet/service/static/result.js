@@ -1,6 +1,6 @@
 // The result of an estimate: followed until its fabric is settled, shown, exported.
 
-import { ask, at, element, facts, link, QUANTITIES, save, texts } from './common.js';
+import { ask, at, element, facts, link, QUANTITIES, reveal, save, texts } from './common.js';
 import { addTo, ended } from './form.js';
 
 const POLL = 400; // ms between two looks at a running estimate
@@ -70,7 +70,7 @@ function reset() {
   at('progress').removeAttribute('value');
   at('title').textContent = 'Sending';
   at('title').focus({ preventScroll: true });
-  if (at('result').getBoundingClientRect().top > innerHeight - 100) at('result').scrollIntoView();
+  reveal('result');
 }
 
 function show(id, content) {
