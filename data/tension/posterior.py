@@ -16,7 +16,7 @@ from common.findings import Finding
 from common.normal import Normal
 from common.types import Density, Metres
 from data.readings.quantity import SPECIMEN_SCATTER, STANDARD_GRAVITY
-from data.tension.law import compliance, extension, load, reach
+from data.tension.law import POISSON, compliance, extension, load, reach
 from sim.material import BIAS, DIRECTIONS, REFERENCE_DENSITY, WARP, WEFT
 
 NAMES = ("stretch along the warp", "stretch along the weft", "shear")
@@ -31,7 +31,7 @@ SHEAR = (35.0, 330.0)
 of the stretch: of fabrics under 500 g the share is nearer to 0.02."""
 USUAL = ((30.0, 20_000.0), (30.0, 20_000.0), (5.0, 500.0))
 """N/m at 300 g/m², along warp and weft and in shear, beyond which a value is called unusual."""
-POISSON, POISSON_DEVIATION = 0.3, 0.15
+POISSON_DEVIATION = 0.15
 FRICTION = 1.0
 """N/m, standard deviation of the load that a strip bears before its yarns slip. Assumed: 2HG of
 KES-FB1 is about 0.5 to 2 gf/cm, and a bias strip needs 2 HG."""

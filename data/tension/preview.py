@@ -1,5 +1,7 @@
 """Picture of strips under weights: photographs with marks, loads and extensions with the law."""
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -25,7 +27,8 @@ def tension_figure(tension: TensionSet, found: TensionEvidence) -> Figure:
     rows = -(-len(tension.photographs) // across)
     high = rows * _HIGH
     figure = Figure(figsize=(_WIDE, high + _CURVES_HIGH), dpi=100, layout="constrained")
-    parts = figure.subfigures(2, 1, height_ratios=(high, _CURVES_HIGH)) if rows else [None, figure]
+    parts: Any = (figure.subfigures(2, 1, height_ratios=(high, _CURVES_HIGH)) if rows else
+                  (None, figure))
     if rows:
         panels = parts[0].subplots(rows, 2 * across, squeeze=False).ravel()
         for panel in panels:

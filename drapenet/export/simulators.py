@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 
-from data.tension.posterior import POISSON
+from data.tension.law import POISSON
 from drapenet.export.material import Material
 from drapenet.export.writing import as_json, left_to_tool, script
 from sim.energies.hinges import ARCSIM

@@ -22,9 +22,9 @@ from data.readings.quantity import SPECIMEN_SCATTER, STANDARD_GRAVITY
 from data.render.pulled import MarkedStrip
 from data.tension.description import FILE
 from data.tension.folder import TensionSet, read_tension
-from data.tension.law import compliance, load
+from data.tension.law import POISSON, compliance, load
 from data.tension.photograph import ABOVE_ERROR
-from data.tension.posterior import FRICTION, POISSON, prior
+from data.tension.posterior import FRICTION, prior
 from experiments.result import Config, Result, run_cases
 from sim.material import BIAS, DIRECTIONS, REFERENCE_DENSITY, WARP, WEFT
 

@@ -14,8 +14,7 @@ from common.errors import InputError
 from common.files import replace_json
 from common.vectors import angle_between
 from data.readings.known import Known
-from data.tension.law import compliance
-from data.tension.posterior import POISSON
+from data.tension.law import POISSON, compliance
 from drapenet.export.__main__ import main
 from drapenet.export.cards import DEFAULT
 from drapenet.export.formats import ALIASES, TARGETS, export
