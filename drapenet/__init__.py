@@ -6,6 +6,7 @@
     print(estimate.names, 1e6 * estimate.fabric.alpha, 1e6 * drapenet.interval(alpha))
     print(estimate.reading("bending_length_mm").mean(axis=0))  # mm
     print(*(found.text for found in estimate.warnings), sep="\n")
+    print(*drapenet.next_measurements(estimate), sep="\n")    # what would narrow it
     again = drapenet.load("outputs/demo")                      # what infer.py has written
     fabrics = drapenet.estimate_fabrics("captures", "outputs/all")  # many, by name
 
@@ -24,10 +25,11 @@ if TYPE_CHECKING:
 
     from data.captures.capture import Capture, DepthCapture
     from drapenet.config import EstimateOptions
+    from drapenet.result.document import NextMeasurement
     from drapenet.result.estimate import Estimate, interval
 
 __all__ = ["Capture", "DepthCapture", "Estimate", "InputError", "estimate", "estimate_fabrics",
-           "interval", "load"]
+           "interval", "load", "next_measurements"]
 __getattr__, __dir__ = late(__name__, {
     "data.captures.capture": ("Capture", "DepthCapture"),
     "drapenet.result.estimate": ("Estimate", "interval")})
@@ -42,8 +44,37 @@ def load(path: str | Path) -> "Estimate":
     from drapenet.result.files import read_estimate
 
     require(path=(path, str | Path))
+    from dataclasses import replace
+
+    from drapenet.estimator.estimate import captures_in
+
     found, _ = read_estimate(Path(path))
-    return found
+    folder = Path(path) if Path(path).is_dir() else Path(path).parent
+    return replace(found, captures=captures_in(folder))
+
+
+def next_measurements(estimate: "Estimate", *, checkpoint: str | Path = ""
+                      ) -> "list[NextMeasurement]":
+    """Further measurements of a fabric, those that narrow alpha most first: by how many per cent
+    each would lower the standard deviations of log alpha and of beta, and minutes of work. A drape
+    on another tester is simulated, which takes seconds.
+
+    Args:
+        checkpoint: that of the estimate; empty: the bundled one.
+
+    InputError for an estimate whose captures are not at hand: load the folder that has them, or
+    estimate them again.
+    """
+    from common.arguments import require
+    from drapenet.estimator.next_measurements import next_measurements as found_next
+    from drapenet.network.checkpoint import read_header
+    from drapenet.result.estimate import Estimate
+
+    require(estimate=(estimate, Estimate), checkpoint=(checkpoint, str | Path))
+    if estimate.captures is None:
+        raise InputError("the captures of this estimate are not at hand; load the folder that "
+                         "infer.py has written, or estimate them again")
+    return found_next(estimate, estimate.captures, read_header(checkpoint))
 
 
 def estimate(

@@ -107,6 +107,7 @@ class EstimateOptions:
     drapes: int = 2  # to simulate with the estimate; 0: no report
     edge: Metres = 4e-3  # of their meshes at the plate's rim
     strict: bool = False  # refuse a faulty capture instead of giving warnings
+    address: str = ""  # of the page that will show it, for the code in its report
 
 
 @dataclass
@@ -148,6 +149,7 @@ class ServeConfig:
     open: bool
     port: Annotated[int, Field(ge=0, le=65535)]
     names: str
+    address: str
     results: str
     checkpoint: str
     workers: Workers | None
@@ -178,6 +180,7 @@ class ServeConfig:
         self.host = self.host.strip("[]")  # of an IPv6 address, as in a URL
         self.folder = Path(self.results).resolve()
         self.hosts = [name.strip() for name in self.names.split(",") if name.strip()]
+        self.address = self.address.rstrip("/")
         self.processes = self.workers or joblib.cpu_count()
         self.bytes, self.pixels = round(self.megabytes * 1e6), round(self.megapixels * 1e6)
         self.photograph_pixels = round(self.photograph_megapixels * 1e6)

@@ -44,6 +44,7 @@ ROLL_ERROR, UNKNOWN_ROLL = np.radians(0.3), np.radians(2.0)
 CLAMP_ERROR = 1.5e-4  # m, of the clamp's edge and of a tip, without perspective
 READING_ERROR = 1e-5  # m, of each point
 END_ERROR = 0.025  # relative to the band's width, of the points within a width of an end
+EXPECTED_BAND, EXPECTED_PIXEL = 1.5e-3, 5e-5  # m, of a good photograph
 BAND_ERROR = (5e-6, 0.008)  # m, and relative to the band's width, over a quarter of a strip
 
 
@@ -137,6 +138,16 @@ def _read(
     return PhotographedStrip(
         file.name, entry.direction, measured, grey.astype(np.uint8), pixels, band,
         tuple(replace(found, values={"file": file.name, **found.values}) for found in warnings))
+
+
+def expected_strip(curve: DeflectionCurve, length: Metres, *, sign: int) -> MeasuredStrip:
+    """What a good photograph of a strip with this curve gives: of a stated scale and a level
+    clamp, from :data:`DISTANCE`."""
+    covariance = _covariance(
+        curve, np.full(len(curve), READING_ERROR), EXPECTED_BAND, curve.mean(axis=0), DISTANCE,
+        scale=SCALE_ERROR["mm_per_px"], roll=ROLL_ERROR, tip=CLAMP_ERROR, edge=CLAMP_ERROR,
+        pixel=EXPECTED_PIXEL, tilt=TILT)
+    return MeasuredStrip(curve, covariance, length, LENGTH_ERROR, sign)
 
 
 def _scale(

@@ -161,6 +161,17 @@ def direction_evidence(
     return StripEvidence(measured, prior.updated(measured), misfit, scatter)
 
 
+def expected_evidence(
+    strips: Sequence[MeasuredStrip], *, weight: float, state: np.ndarray
+) -> Linear:
+    """Evidence of log alpha, beta/alpha and natural curvature that strips of one direction would
+    give whose curves are exactly those of this ``state`` (3,); ``weight``: rho g, N/m²."""
+    fit = _Fit(strips, (), weight, 0.0, Normal(state, np.eye(_SHARED)))
+    count = len(strips)
+    return fit.measured(np.concatenate([
+        state / _UNITS, np.zeros(fit.specimens), np.ones(count), np.zeros(count)]), 1.0)[0]
+
+
 class _Fit:
     """Residuals, in standard deviations, of the unknowns log alpha, beta/alpha in mm, natural
     curvature in :data:`_UNITS`, differences of the specimens' log alpha in

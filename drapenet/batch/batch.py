@@ -190,7 +190,9 @@ def _joined(
     if len(joined) == 1:
         estimate, document = read_estimate(out / entries[0].place)
     else:
-        estimate, document = join(joined, header, strict=strict)
+        estimate, document = join(
+            joined, header, strict=strict,
+            ahead=any(part.document.next_measurements for part in joined))
         middles = [np.log([moduli.alpha_uN_m.median for moduli in
                            part.document.moduli_at_300_g_m2.values()])
                    for part in joined if part.observation]

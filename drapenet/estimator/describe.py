@@ -16,6 +16,7 @@ from drapenet.result.document import (
     CaptureAbout,
     CaptureRecord,
     EstimateDocument,
+    NextMeasurement,
 )
 from drapenet.result.estimate import Estimate
 from drapenet.result.strips import StripsRecord
@@ -30,12 +31,14 @@ if TYPE_CHECKING:
 def describe_capture(
     estimate: Estimate, observed: Observed, header: Header, warnings: Sequence[Finding], *,
     refined: dict[str, Any] | None, drape: "Resimulation | None",
+    following: Sequence[NextMeasurement],
 ) -> EstimateDocument:
     """The document of one capture's estimate.
 
     Args:
         warnings: beside those of capture, samples and drape.
         refined: outcome of a refinement.
+        following: what may be measured next.
     """
     capture, seen, located = observed.capture, observed.seen, observed.views
     outline = seen.outline
@@ -57,6 +60,8 @@ def describe_capture(
     if drape:
         found += drape.warnings(share)
         optional["resimulation"] = drape.as_dict()
+    if following:
+        optional["next_measurements"] = list(following)
     return EstimateDocument.from_estimate(estimate, capture=about, checkpoint=header.identity,
                                           warnings=found, **optional)
 

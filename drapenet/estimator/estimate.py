@@ -21,6 +21,7 @@ from drapenet.config import EstimateOptions
 from drapenet.estimator.combine import combine, evidence_of
 from drapenet.estimator.describe import describe_jointly, describe_strips, describe_tension
 from drapenet.estimator.infer import CaptureEvidence, infer_jointly, prior_draws
+from drapenet.estimator.next_measurements import next_measurements
 from drapenet.estimator.read import (
     Refused,
     Source,
@@ -40,6 +41,7 @@ from drapenet.result.document import EstimateDocument
 from drapenet.result.estimate import Estimate
 from drapenet.result.files import (
     ESTIMATE,
+    OBSERVATION,
     REPORT,
     STRIPS,
     capture_names,
@@ -88,6 +90,22 @@ def read_part(folder: Path) -> Part:
                 read_observation(folder))
 
 
+def captures_in(folder: Path) -> tuple[Observation, ...] | None:
+    """What the network reads of the captures of the estimate that is written to a folder; None if
+    they are elsewhere."""
+    document = read_document(folder / ESTIMATE)
+    places = [folder] if document.capture.source else sorted(folder.glob("capture_*"))
+    places = [place for place in places if (place / OBSERVATION).is_file()]
+    complete = len(places) == len(document.captures or [document.capture.source] *
+                                  bool(document.capture.source))
+    return _seen([read_part(place) for place in places]) if complete else None
+
+
+def _seen(parts: Iterable[Part]) -> tuple[Observation, ...]:
+    """What the network reads of the captures among the parts."""
+    return tuple(one for part in parts if part.evidence for one in part.evidence.observations)
+
+
 def estimate_fabric(
     sources: Sequence[Source], header: Header, options: EstimateOptions, *,
     out: Path | None = None, refused: Refused | None = None,
@@ -116,7 +134,7 @@ def estimate_fabric(
     if len(sources) == 1 and not refused:
         estimate, part = estimate_source(sources[0], header, options, out=out)
         on_estimate(part.document, out)
-        return replace(estimate, warnings=tuple(part.document.warnings))
+        return replace(estimate, warnings=tuple(part.document.warnings), captures=_seen([part]))
     folders = [out / f"{'capture' if isinstance(source, Capture) else source.kind}_{k}" if out
                else None for k, source in enumerate(sources)]
     for folder in filter(None, folders):
@@ -136,14 +154,15 @@ def estimate_fabric(
     if refused and not any(part.observation for part in parts):
         raise next(iter(refused.values()))
     known, lost = known_parts(refused or {}, parts, header)
-    estimate, document = join([*parts, *known], header, strict=options.strict)
+    estimate, document = join([*parts, *known], header, strict=options.strict,
+                              ahead=bool(out and options.drapes))
     document = document.warned(*(Finding("capture_refused", {
         "capture": printable(path), "reason": str(error).removeprefix(f"{path}: ")})
         for path, error in (refused or {}).items()), *lost)
     if out:
         write_joint(out, estimate, document, parts, places, drawn=bool(options.drapes))
     on_estimate(document, out)
-    return replace(estimate, warnings=tuple(document.warnings))
+    return replace(estimate, warnings=tuple(document.warnings), captures=_seen(parts))
 
 
 def estimate_source(
@@ -164,13 +183,15 @@ def estimate_source(
     require_sound([*estimate.contradictions, *found], options.strict, str(source.path))
     if out:
         remove_report(out)
+        if options.drapes:
+            document = document.followed_by(next_measurements(estimate, [], header))
         write_estimate(out, estimate, document)
         if options.drapes:
             from drapenet.report.strips import draw_strips
 
             if picture := draw_strips(source):
                 replace_file(out / STRIPS, picture)
-            _report(document, [], [out], out)
+            _report(document, [], [out], out, options.address)
     return estimate, Part(document)
 
 
@@ -217,9 +238,10 @@ def known_parts(
 
 
 def join(
-    parts: Sequence[Part], header: Header, *, strict: bool = False
+    parts: Sequence[Part], header: Header, *, strict: bool = False, ahead: bool = False
 ) -> tuple[Estimate, EstimateDocument]:
-    """The estimate of a fabric from its parts, and its document with the moduli of each.
+    """The estimate of a fabric from its parts, and its document with the moduli of each, and if it
+    looks ``ahead`` with what may be measured next.
 
     InputError for parts that cannot be of one fabric, or, if ``strict``, that contradict others.
     """
@@ -243,25 +265,29 @@ def join(
     estimate = combine(draws, evidence_of(records, stated, density), density, header,
                        name=names[min(len(captures), 2)], contradictions=contradictions)
     require_sound(estimate.contradictions, strict, "the fabric")
-    return estimate, describe_jointly(estimate, documents, header)
+    document = describe_jointly(estimate, documents, header)
+    if ahead:
+        document = document.followed_by(next_measurements(estimate, _seen(parts), header))
+    return estimate, document
 
 
 def write_joint(
     out: Path, estimate: Estimate, document: EstimateDocument, parts: Sequence[Part],
-    folders: Sequence[Path | None], *, drawn: bool,
+    folders: Sequence[Path | None], *, drawn: bool, address: str = "",
 ) -> None:
-    """Write a joint estimate, and if it is ``drawn`` its report with the captures' pictures."""
+    """Write a joint estimate, and if it is ``drawn`` its report with the captures' pictures;
+    ``address``: of its page, if any."""
     remove_report(out)
     write_estimate(out, estimate, document)
     if drawn:
         pairs = [(part, folder) for part, folder in zip(parts, folders, strict=False) if folder]
         _report(document, [(part.document, folder) for part, folder in pairs if part.observation],
-                [folder for part, folder in pairs if not part.observation], out)
+                [folder for part, folder in pairs if not part.observation], out, address)
 
 
 def _report(
     document: EstimateDocument, captures: Sequence[tuple[EstimateDocument, Path]],
-    strips: Sequence[Path], out: Path
+    strips: Sequence[Path], out: Path, address: str,
 ) -> None:
     """Write the report of an estimate, with the pictures in its captures' and strips' folders."""
     from drapenet.report.report import ShownCapture, write_report
@@ -270,4 +296,5 @@ def _report(
     shown = [ShownCapture(name, part, file.read_bytes() if file.exists() else b"")
              for name, (part, _), file in zip(capture_names(document), captures, files,
                                               strict=True)]
-    write_report(out, fabric_name(document), document, shown, strips=pictures_of_strips(strips))
+    write_report(out, fabric_name(document), document, shown, strips=pictures_of_strips(strips),
+                 address=address)

@@ -48,6 +48,12 @@ class CaptureEvidence:
         return [seen, Observation.of_numbers(seen.rig, seen.face, seen.known, stated)]
 
 
+def evidence_of(observed: Observed) -> CaptureEvidence:
+    """A capture as it was observed, with what its laboratory states."""
+    capture = observed.capture
+    return CaptureEvidence(str(capture.path), observed.seen, capture.known)
+
+
 def infer(observed: Observed, header: Header) -> Draws:
     """Samples from one capture, and how it compares with drapes of them; InputError for a tester or
     a kind of capture that the network of ``header`` has not learned."""
@@ -55,8 +61,8 @@ def infer(observed: Observed, header: Header) -> Draws:
     try:
         header.require_learned(capture.rig)
         require_directions(capture.warp_direction is not None, False, [capture.known])
-        evidence = CaptureEvidence(str(capture.path), observed.seen, capture.known)
-        draws, = predict(network_of(header), header, [evidence.observations], compared=True)
+        draws, = predict(network_of(header), header, [evidence_of(observed).observations],
+                         compared=True)
     except InputError as error:
         raise InputError(f"{capture.path}: {error}") from None
     return draws

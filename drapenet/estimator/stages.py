@@ -19,12 +19,13 @@ from data.captures.capture import Capture, OutlineCapture, ReportedCapture
 from drapenet.config import EstimateOptions
 from drapenet.estimator.combine import combine
 from drapenet.estimator.describe import describe_capture
-from drapenet.estimator.infer import infer
+from drapenet.estimator.infer import evidence_of, infer
+from drapenet.estimator.next_measurements import next_measurements
 from drapenet.estimator.observe import Observed, observe
 from drapenet.evidence.source import of_values
 from drapenet.network.checkpoint import Header
 from drapenet.network.predict import Draws
-from drapenet.result.document import EstimateDocument
+from drapenet.result.document import EstimateDocument, NextMeasurement
 from drapenet.result.estimate import Estimate
 from drapenet.result.files import (
     FAULTS,
@@ -55,6 +56,7 @@ class CaptureEstimate:
         draws: samples from the pictures alone, without what is known of the fabric.
         warnings: beside those of capture, samples and drape.
         refined: outcome of a refinement, for the document.
+        following: what may be measured next, likewise.
     """
 
     observed: Observed
@@ -63,6 +65,7 @@ class CaptureEstimate:
     warnings: tuple[Finding, ...] = ()
     refined: dict[str, Any] | None = None
     drape: "Resimulation | None" = None
+    following: tuple[NextMeasurement, ...] = ()
 
     @property
     def capture(self) -> Capture:
@@ -84,7 +87,8 @@ class CaptureEstimate:
     def document(self) -> EstimateDocument:
         """The content of ``estimate.json``."""
         return describe_capture(self.estimate, self.observed, self.header, self.warnings,
-                                refined=self.refined, drape=self.drape)
+                                refined=self.refined, drape=self.drape,
+                                following=self.following)
 
 
 def estimate_capture(
@@ -112,7 +116,8 @@ def estimate_capture(
         result = _attempt(simulate, result, ("drape_failed", "drape_fault"), out,
                           drapes=options.drapes, edge=options.edge)
     if options.drapes and out and not isinstance(capture, ReportedCapture):
-        result = _attempt(report, result, ("report_failed", "report_fault"), out, folder=out)
+        result = _attempt(report, result, ("report_failed", "report_fault"), out, folder=out,
+                          address=options.address)
     if out:
         write_estimate(out, result.estimate, result.document)
     return result
@@ -207,17 +212,21 @@ def simulate(result: CaptureEstimate, *, drapes: int, edge: Metres) -> CaptureEs
     return replace(result, drape=drape)
 
 
-def report(result: CaptureEstimate, *, folder: Path) -> CaptureEstimate:
-    """Write the report's files to a folder."""
+def report(result: CaptureEstimate, *, folder: Path, address: str) -> CaptureEstimate:
+    """Write the report's files to a folder, with what may be measured next."""
     from drapenet.report.figures import draw_report, draw_torques
     from drapenet.report.report import ShownCapture, write_report
     from drapenet.report.shapes import drape_glb
 
+    following = next_measurements(result.estimate, evidence_of(result.observed).observations,
+                                  result.header)
+    result = replace(result, following=tuple(following))
     capture, document = result.capture, result.document
     name = fabric_name(document)
     picture = draw_report(result.estimate, document, capture, result.drape, title=name)
     replace_file(folder / REPORT, picture)
     replace_file(folder / TORQUES, draw_torques(result.estimate))
     replace_file(folder / SHAPES, drape_glb(capture.rig, result.observed.views, result.drape))
-    write_report(folder, name, document, [ShownCapture(name, document, picture)])
+    write_report(folder, name, document, [ShownCapture(name, document, picture)],
+                 address=address)
     return result

@@ -15,7 +15,7 @@ from matplotlib.image import AxesImage
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.projections.polar import PolarAxes
 from matplotlib.ticker import MaxNLocator
-from PIL import Image
+from PIL import Image, ImageOps
 
 from common.types import DepthImage, Views
 from data.captures.capture import Capture, DepthCapture, OutlineCapture
@@ -69,6 +69,14 @@ def capture_and_curves(report: bytes) -> tuple[bytes, bytes]:
     pixels = np.asarray(Image.open(io.BytesIO(report)).convert("RGB"))
     height = len(pixels) - round(_CURVES_HIGH * _DPI)
     return _png(pixels[:height]), _png(pixels[height:])
+
+
+def side_by_side(capture: bytes, curves: bytes) -> bytes:
+    """Both parts beside each other, PNG, equally high and without the margins of the first."""
+    left, right = (Image.open(io.BytesIO(part)).convert("RGB") for part in (capture, curves))
+    left = left.crop(ImageOps.invert(left).getbbox())
+    width = round(left.width * right.height / left.height)
+    return _png(np.hstack([np.asarray(left.resize((width, right.height))), np.asarray(right)]))
 
 
 def _pixels(figure: Figure) -> np.ndarray:

@@ -1,5 +1,6 @@
 """PDF of a page's body: headings, paragraphs, lists, tables and pictures in basic HTML."""
 
+import io
 import logging
 from pathlib import Path
 
@@ -7,24 +8,27 @@ import matplotlib
 from fpdf import FPDF
 from fpdf.fonts import TextStyle
 
+from drapenet.report.passport import SIDE
+
 WIDTH = 535  # points, of a picture as wide as the text
-_SMALLER = 0.75  # of that, where all fits on one page so
+_SMALLER = 0.75  # of that, where it saves a page
 _FONT = "DejaVu"  # matplotlib's, with Greek and superscripts
 _INK, _GREY = "#222222", "#666666"
 
 
-def as_pdf(body: str, title: str) -> bytes:
-    """A4 pages of a ``body`` in HTML, with a title at their foot; one page in place of two where
-    smaller pictures suffice for that."""
-    pages = _laid_out(body, title)
-    if pages.page_no() == 2:
-        smaller = _laid_out(body.replace(f'width="{WIDTH}"',
-                                         f'width="{round(_SMALLER * WIDTH)}"'), title)
-        pages = min(pages, smaller, key=_Pages.page_no)
+def as_pdf(body: str, title: str, code: bytes, shorter: str = "") -> bytes:
+    """A4 pages of a ``body`` in HTML, with a title at their foot and a QR ``code``, PNG, in the
+    upper right corner of the first, where it takes no place; with smaller pictures, or else of a
+    ``shorter`` body, where that saves a page."""
+    pages = _laid_out(body, title, code)
+    smaller = body.replace(f'width="{WIDTH}"', f'width="{round(_SMALLER * WIDTH)}"')
+    for other in filter(None, (smaller, shorter)):
+        if pages.page_no() > 1:
+            pages = min(pages, _laid_out(other, title, code), key=_Pages.page_no)
     return bytes(pages.output())
 
 
-def _laid_out(body: str, title: str) -> "_Pages":
+def _laid_out(body: str, title: str, code: bytes) -> "_Pages":
     for library in ("fpdf", "fontTools"):  # each step of fonts, and each letter that they lack
         logging.getLogger(library).setLevel(logging.ERROR)
     pages = _Pages(format="A4")
@@ -38,6 +42,7 @@ def _laid_out(body: str, title: str) -> "_Pages":
     pages.set_font(_FONT, size=8.5)
     pages.set_draw_color(210)
     pages.add_page()
+    pages.image(io.BytesIO(code), x=pages.w - pages.r_margin - SIDE, y=pages.t_margin, w=SIDE)
     pages.write_html(body, font_family=_FONT, li_prefix_color=_GREY, tag_styles={
         "p": TextStyle(font_size_pt=8.5, b_margin=1.5),
         **{name: TextStyle(color=_INK, font_style="B", font_size_pt=size, t_margin=above,

@@ -9,8 +9,9 @@ import numpy as np
 
 from common.errors import shortened
 from common.files import replace_file
-from drapenet.report.figures import capture_and_curves, draw_spread
+from drapenet.report.figures import capture_and_curves, draw_spread, side_by_side
 from drapenet.report.pages import in_words, render
+from drapenet.report.passport import Passport
 from drapenet.report.pdf import WIDTH, as_pdf
 from drapenet.result.document import CaptureAbout, EstimateDocument
 from drapenet.result.files import PAGE, PDF, shown_texts
@@ -58,13 +59,14 @@ def _mean_coefficient(captures: Sequence[CaptureAbout]) -> str:
 def write_report(
     out: Path, title: str, document: EstimateDocument, captures: Sequence[ShownCapture], *,
     page: str = PAGE, scatter: np.ndarray | None = None, failed: int = 0,
-    back: str = "", strips: Sequence[bytes] = (),
+    back: str = "", strips: Sequence[bytes] = (), address: str = "",
 ) -> None:
     """Write the report of an estimate and its ``captures`` as a page, and as PDF.
 
     ``scatter`` (3,) are factors by which alpha of the captures varies, ``failed`` is the number of
-    captures without an estimate, ``back`` the address of the page of all fabrics, and ``strips``
-    are pictures of strips, PNG.
+    captures without an estimate, ``back`` the address of the page of all fabrics, ``strips`` are
+    pictures of strips, PNG, and ``address`` is that of the service's page of this fabric, for the
+    code.
     """
     alone = [each.document.alphas_at(document.density) for each in captures]
     spread = b"" if len(captures) < 2 else draw_spread(
@@ -79,7 +81,12 @@ def write_report(
         "spread": spread, "curves": curves, "scatter": scatter, "failed": failed, "back": back,
         "strip_pictures": strips,
         "width": WIDTH, "known": document.known_values, "in_all": in_all(captures),
-        "version": version("drapenet"), "texts": shown_texts}
+        "version": version("drapenet"), "texts": shown_texts,
+        "passport": (passport := Passport.of(title, document, address))}
     replace_file(out / page, render("report.html", layout="base.html", **values))
-    body = render("report.html", layout="print.html", **values).decode()
-    replace_file(out / PDF, as_pdf(body, title))
+    body, shorter = render("report.html", layout="print.html", **values).decode(), ""
+    if curves:
+        values |= {"curves": side_by_side(captures[0].picture, curves),
+                   "captures": [replace(captures[0], picture=b"")]}
+        shorter = render("report.html", layout="print.html", **values).decode()
+    replace_file(out / PDF, as_pdf(body, title, passport.code, shorter))

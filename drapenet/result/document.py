@@ -1,5 +1,7 @@
 """``estimate.json``: the model that is made from an estimate, written and read."""
 
+import hashlib
+import json
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
@@ -127,6 +129,20 @@ class CaptureRecord(Excerpt):
     warnings: list[Recorded]
 
 
+class NextMeasurement(Excerpt):
+    """A further measurement of a fabric: by how much it would lower the standard deviations of log
+    alpha and of beta, means over the directions, and the minutes of work."""
+
+    measurement: str
+    alpha_narrower_percent: float
+    beta_narrower_percent: float
+    minutes: float
+
+    def __str__(self) -> str:
+        return (f"{self.measurement}: α {self.alpha_narrower_percent:.0f} %, β "
+                f"{self.beta_narrower_percent:.0f} % ({self.minutes:g} min)")
+
+
 class EstimateDocument(Excerpt):
     """The content of ``estimate.json``."""
 
@@ -151,6 +167,7 @@ class EstimateDocument(Excerpt):
     refined: RefinementRecord | None = None
     resimulation: dict[str, Any] | None = None
     advice: list[Recorded] | None = None
+    next_measurements: list[NextMeasurement] | None = None  # none: without a report
     warnings: list[Recorded]
     contradictions: list[Recorded] | None = None  # those among the warnings
 
@@ -199,6 +216,12 @@ class EstimateDocument(Excerpt):
         """The three directions."""
         first, second, third = self.moduli
         return first, second, third
+
+    @property
+    def identity(self) -> str:
+        """Of this estimate with all that its document states: the beginning of a SHA-256."""
+        text = json.dumps(self.content(), sort_keys=True)
+        return hashlib.sha256(text.encode(errors="surrogateescape")).hexdigest()[:16]
 
     @property
     def label(self) -> str:
@@ -261,6 +284,16 @@ class EstimateDocument(Excerpt):
         """What is poorly constrained, if anything."""
         return [Finding("mostly_usual", {"moduli": ", ".join(self.poorly_constrained)})
                 ] * bool(self.poorly_constrained)
+
+    def followed_by(self, found: Sequence[NextMeasurement]) -> "EstimateDocument":
+        """The document with what may be measured next."""
+        return self.model_copy(update={"next_measurements": list(found)})
+
+    @property
+    def narrowing(self) -> str:
+        """What may be measured next, in words; empty if it was not computed."""
+        return ("intervals would become narrower by " + "; ".join(map(str, self.next_measurements))
+                if self.next_measurements else "")
 
     def content(self) -> dict[str, Any]:
         """The document in JSON's types."""

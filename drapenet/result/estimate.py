@@ -25,6 +25,7 @@ from sim.material import (
 if TYPE_CHECKING:
     from drapenet.network.checkpoint import Header
     from drapenet.network.predict import Draws
+    from drapenet.views.observation import Observation
 
 MAX_INADMISSIBLE_SHARE = 0.2  # of the network's samples
 
@@ -39,6 +40,7 @@ class Estimate:
         spread: standard deviation of theta over fabrics.
         warnings: of the samples alone.
         contradictions: a finding for each source that contradicts others.
+        captures: those that it is from, as the network reads them; None: not at hand.
     """
 
     cloth: ClothProperties
@@ -47,6 +49,7 @@ class Estimate:
     spread: Theta
     warnings: tuple[Finding, ...] = ()
     contradictions: tuple[Finding, ...] = ()
+    captures: "tuple[Observation, ...] | None" = None
 
     def __repr__(self) -> str:
         return (f"Estimate({', '.join(self.names)}: {self.fabric}, {len(self.samples)} samples, "

@@ -53,5 +53,6 @@ def terminal_text(document: EstimateDocument) -> str:
         simulated = (document.resimulation or {}).get("drape_coefficient_percent")
         lines.append(f"drape coefficient {coefficient:.1f} %, as captured"
                      + (f", {simulated:.1f} % simulated" if simulated else ""))
+    lines += [f"measured next, {document.narrowing}"] * bool(document.narrowing)
     lines += [f"advice: {line}" for line in texts(document.advice or [])]
     return "\n".join(lines + [f"warning: {line}" for line in texts(document.warnings)])

@@ -3,6 +3,7 @@
 from base64 import b64decode
 from ipaddress import ip_address
 from secrets import compare_digest
+from socket import gethostname
 
 from fastapi import Request
 
@@ -49,6 +50,13 @@ def url_host(host: str) -> str:
     if is_unspecified(host):
         return "localhost"
     return f"[{host}]" if ":" in host else host
+
+
+def public_address(settings: ServeConfig) -> str:
+    """Address of the service for people, as reports state it."""
+    host = (settings.hosts[0] if settings.hosts else
+            gethostname() if is_unspecified(settings.host) else url_host(settings.host))
+    return settings.address or f"http://{host}:{settings.port}"
 
 
 def is_admitted(request: Request, password: str) -> bool:

@@ -18,6 +18,7 @@ from common.errors import one_line
 from data.captures.description import NEED_WARP
 from drapenet.config import ServeConfig
 from drapenet.service import exports, seen
+from drapenet.service.access import public_address
 from drapenet.service.archive import COPY
 from drapenet.service.database import (
     DONE,
@@ -159,7 +160,8 @@ class Jobs:
             if self._workers is not before:
                 lost, self._unfinished = self._unfinished, set()
             future = self._workers.schedule(
-                work, args=[self.settings.folder / identity, self.settings.checkpoint],
+                work, args=[self.settings.folder / identity, self.settings.checkpoint,
+                            f"{public_address(self.settings)}/#{identity}"],
                 timeout=self.settings.job_seconds)
             self._unfinished.add(future)
         future.add_done_callback(lambda done: self._ended(identity, client, done))

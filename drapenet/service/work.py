@@ -37,9 +37,9 @@ def warm_up(checkpoint: str) -> None:
     drape(Fabric(alpha=[50 * MICRO] * 3, beta=[0.0] * 3), edge=3 * EstimateOptions().edge)
 
 
-def work(folder: Path, checkpoint: str) -> None:
+def work(folder: Path, checkpoint: str, address: str) -> None:
     """Make the estimate of ``folder``, of its upload or of all its members; the database records
-    the result or an input error.
+    the result or an input error. ``address``: of its page.
     """
     from drapenet.network.checkpoint import read_header
     from drapenet.result.document import torque_table
@@ -51,7 +51,7 @@ def work(folder: Path, checkpoint: str) -> None:
     record(state=RUNNING, tries=row["tries"] + 1)
     try:
         make = _estimate if row["members"] is None else _estimate_jointly
-        estimate, warnings = make(folder, row, read_header(checkpoint), record)
+        estimate, warnings = make(folder, row, read_header(checkpoint), address, record)
         record(state=DONE, warnings=records(warnings), estimate=read_json(folder / ESTIMATE),
                curves=torque_table(estimate, CURVATURES))
     except InputError as error:
@@ -59,7 +59,7 @@ def work(folder: Path, checkpoint: str) -> None:
 
 
 def _estimate(
-    folder: Path, row: dict[str, Any], header: Any, record: Callable
+    folder: Path, row: dict[str, Any], header: Any, address: str, record: Callable
 ) -> tuple[Any, list[Finding]]:
     """The estimate of an upload, and its warnings."""
     from drapenet.estimator.estimate import estimate_source
@@ -80,7 +80,7 @@ def _estimate(
             latest = time.monotonic()
 
     estimate, part = estimate_source(
-        source, header, EstimateOptions(refine=refine or None), out=folder,
+        source, header, EstimateOptions(refine=refine or None, address=address), out=folder,
         on_stage=lambda stage, found: record(
             stage=stage, warnings=records(found.document.warnings),
             estimate=read_json(folder / ESTIMATE)),
@@ -135,7 +135,7 @@ def _as_named(part: Any, fabric: str) -> Any:
 
 
 def _estimate_jointly(
-    folder: Path, row: dict[str, Any], header: Any, record: Callable
+    folder: Path, row: dict[str, Any], header: Any, address: str, record: Callable
 ) -> tuple[Any, list[Finding]]:
     """The joint estimate of a fabric's captures and strips, and its warnings."""
     from drapenet.estimator.estimate import join, read_part, write_joint
@@ -155,9 +155,9 @@ def _estimate_jointly(
             twins.append(Finding("twin_left_out", {"capture": part.document.label,
                                                    "other": other.document.label}))
     parts, places = [part for part, _ in kept], [place for _, place in kept]
-    estimate, document = join(parts, header)
+    estimate, document = join(parts, header, ahead=True)
     document = document.warned(*twins)
-    write_joint(folder, estimate, document, parts, places, drawn=True)
+    write_joint(folder, estimate, document, parts, places, drawn=True, address=address)
     replace_file(folder / TORQUES, draw_torques(estimate))
     return estimate, document.warnings
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from common.command import compose_config
 from common.errors import InputError
+from common.normal import Linear, Normal
 from data.dataset.generate import generate_dataset
 from data.fabrics.properties import ClothProperties
 from data.readings import QUANTITIES
@@ -19,8 +20,9 @@ from data.readings.known import ByDirection, Known
 from data.strips.posterior import StripEvidence
 from drapenet.config import EvaluateConfig
 from drapenet.estimator.combine import combine
+from drapenet.estimator.next_measurements import drapes_evidence, reductions, strips_evidence
 from drapenet.evidence.source import of_strips, of_values
-from drapenet.evidence.state import fabric_prior, prior_along
+from drapenet.evidence.state import fabric_prior, prior_along, state_of
 from drapenet.network.captures import CaptureSet, Condition
 from drapenet.network.checkpoint import Header, read_header
 from drapenet.network.dataset import Maps, make_maps
@@ -44,6 +46,7 @@ DRAPES = 4  # of each fabric, at most in a set
 ONE = "one drape"
 STRIPS = "one drape, a strip along warp and weft"
 YARNS = [FIRST, SECOND]
+_RESAMPLES = 400  # of the bootstrap over fabrics
 _BOUNDS = {ONE: "depth, 4 views", "two drapes": "depth, sets of 2",
            "four drapes": "depth, sets of 4"}
 
@@ -56,6 +59,9 @@ def run(config: Config) -> Result:
     second = replace(second, index=second.index + 1 + first.index.max())
     errors: dict[str, list[np.ndarray]] = {}
     places: dict[str, list[np.ndarray]] = {}
+    widths: dict[str, list[np.ndarray]] = {}
+    predicted: dict[str, list[np.ndarray]] = {}
+    kept: dict[str, list[int]] = {}  # numbers of the fabrics
     for fabric in np.intersect1d(first.fabric, second.fabric):
         drapes, others = (np.flatnonzero(maps.fabric == fabric) for maps in (first, second))
         if len(drapes) < DRAPES or not len(others):
@@ -78,13 +84,24 @@ def run(config: Config) -> Result:
         draws = Draws(alone.cloth, True, 0.0)
         estimates |= {name: combine(draws, sources, REFERENCE_DENSITY, header, name="the drape")
                       for name, sources in added.items()}
+        for name, shares in _predicted(header, one, alone).items():
+            predicted.setdefault(name, []).append(shares)
         for name, estimate in estimates.items():
+            widths.setdefault(name, []).append(_widths(estimate))
+            kept.setdefault(name, []).append(len(predicted[STRIPS]) - 1)
             gap = (estimate.samples.mean(axis=0) - truth.theta) / header.spread
             errors.setdefault(name, []).append(gap)
             places.setdefault(name, []).append(ranks(estimate.samples[:, None], truth.theta[None]))
     bounds = read_report("bounds")["cells"][config["testers"][0]]
     rows = {name: _summary(np.array(gaps), np.concatenate(places[name]))
             | {"bound": bounds.get(_BOUNDS.get(name, ""))} for name, gaps in errors.items()}
+    for name, shares in predicted.items():
+        same = kept.get(name, [])
+        if same:
+            rows[name]["narrower"] = _narrower(
+                np.array(shares)[same], np.array([widths[ONE][k] for k in same]),
+                np.array(widths[name]), np.array([errors[ONE][k] for k in same]),
+                np.array(errors[name]))
     for name, row in rows.items():
         print(f"{name}: log alpha {row['log_alpha']:.3f}, of warp and weft "
               f"{row['log_alpha_yarns']:.3f}; beta/alpha {row['beta_over_alpha']:.2f}, "
@@ -117,6 +134,49 @@ def _estimate(header: Header, maps: Maps) -> Estimate:
     cloth = replace(cloth, curl=cloth.curl * facts.face[0] * maps.face[0])
     draws = Draws.possible(cloth, known=True)
     return make_estimate(draws, density=REFERENCE_DENSITY, header=header)
+
+
+def _predicted(header: Header, one: Maps, alone: Estimate) -> dict[str, np.ndarray]:
+    """Shares (2, 3) by which further measurements are expected to narrow log alpha and beta."""
+    def further(*faces: int) -> Linear:
+        """Of drapes like the one at hand, with faces as it has them, or the other."""
+        parts = [one, *(replace(one, index=one.index + 10**6 * (k + 1), face=one.face * face)
+                        for k, face in enumerate(faces))]
+        joint = _estimate(header, Maps.joined(parts))
+        return drapes_evidence(cloth, Normal.of(state_of(joint.cloth)))
+
+    cloth = Normal.of(state_of(alone.cloth))
+    expected = {"two drapes": further(1), "four drapes": further(1, 1, 1),
+                "one drape of each face": further(-1),
+                STRIPS: strips_evidence(cloth.mean, REFERENCE_DENSITY)}
+    return {name: np.stack(reductions(cloth, found)) for name, found in expected.items()}
+
+
+def _widths(estimate: Estimate) -> np.ndarray:
+    """(2, 3) standard deviations of log alpha and of beta."""
+    alpha, beta = estimate.moduli()
+    return np.stack([np.log(alpha).std(axis=0), beta.std(axis=0)])
+
+
+def _narrower(
+    predicted: np.ndarray, before: np.ndarray, after: np.ndarray, errors: np.ndarray,
+    later: np.ndarray,
+) -> dict[str, dict[str, float]]:
+    """By what share the intervals of F fabrics, of widths (F, 2, 3), and the root mean square of
+    the errors (F, 6) became smaller, beside the ``predicted`` share (F, 2, 3); of the measured ones
+    with the standard error over the fabrics."""
+    rng, found = np.random.default_rng(0), {}
+    draws = rng.integers(len(predicted), size=(_RESAMPLES, len(predicted)))
+    for k, (key, part) in enumerate((("log_alpha", LINEAR), ("beta", RATIO))):
+        shares = 1 - after[:, k] / before[:, k]
+        squares = [np.square(each[:, part]).mean(axis=1) for each in (errors, later)]
+        gains = 1 - np.sqrt(squares[1][draws].sum(axis=1) / squares[0][draws].sum(axis=1))
+        found[key] = {
+            "predicted": float(predicted[:, k].mean()), "intervals": float(shares.mean()),
+            "intervals_error": float(shares.mean(axis=1).std() / np.sqrt(len(shares))),
+            "errors": float(1 - np.sqrt(squares[1].sum() / squares[0].sum())),
+            "errors_error": float(gains.std())}
+    return found
 
 
 def _sheet(truth: ClothProperties, rng: np.random.Generator) -> Known:

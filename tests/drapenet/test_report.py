@@ -1,16 +1,20 @@
 """The report for a customer: what it states, as page and as PDF; names of any kind."""
 
 import io
+import json
 import re
-from base64 import b64encode
+from base64 import b64decode, b64encode
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from estimates import DOUBT, document_of, estimate_of
 from matplotlib.figure import Figure
+from PIL import Image
 
 from common.findings import Finding
+from drapenet.report.passport import Passport
 from drapenet.report.pdf import as_pdf
 from drapenet.report.report import ShownCapture, write_report
 from drapenet.result.document import EstimateDocument
@@ -69,7 +73,7 @@ def test_a_report_is_titled_by_the_fabric_and_states_the_test(tmp_path, picture)
     alpha = part.moduli["weft"].alpha_uN_m.texts()[1]
     assert f">{length}</td>" in page and f">{alpha}</td>" in page
     assert "KES B" in page and ">–</td>" not in page  # of a fabric that KES can measure
-    assert pdf.startswith(b"%PDF-") and b"/Count 2" in pdf and pdf.count(b"/DCTDecode") == 2
+    assert pdf.startswith(b"%PDF-") and b"/Count 1" in pdf and pdf.count(b"/DCTDecode") == 2
     assert "Twill 7/8, navy".encode("utf-16-be") in pdf or b"(Twill 7/8, navy)" in pdf
 
 
@@ -102,7 +106,7 @@ def test_a_joint_report_has_its_captures_both_faces_and_their_pictures(tmp_path,
                      r"<td>reverse</td>.*?61\.0 %", page)
     assert ("mean drape coefficient 57.6 %, standard deviation 4.7 points over 2 captures: 54.3 % "
             "with the marked face on top (1); 61.0 % with the reverse on top (1).") in page
-    assert page.count("data:image/png") == 3 and pdf.count(b"/DCTDecode") >= 1  # and their moduli
+    assert page.count("data:image/png") == 4 and pdf.count(b"/DCTDecode") >= 1  # and their moduli
     assert b"/Count 3" in pdf  # each capture on a page
 
 
@@ -125,7 +129,38 @@ def test_smaller_pictures_save_a_second_page(picture):
     image = f'<p><img src="data:image/png;base64,{b64encode(picture).decode()}" width="535"></p>'
     for lines, pages in ((10, 1), (14, 1), (18, 2)):  # the picture is 189 mm high, or 142
         body = "".join("<p>line</p>" for _ in range(lines)) + image
-        assert f"/Count {pages}".encode() in as_pdf(body, "")
+        assert f"/Count {pages}".encode() in as_pdf(body, "", picture)
+
+
+def scanned(code: bytes) -> str:
+    return cv2.QRCodeDetector().detectAndDecode(cv2.imdecode(
+        np.frombuffer(code, np.uint8), cv2.IMREAD_COLOR))[0]
+
+
+def test_the_code_of_a_report_has_the_identity_and_figures_or_the_address(tmp_path):
+    part = document()
+    page, _ = written(tmp_path, part, [ShownCapture("first", part, b"")])
+    code, = re.findall(r'class="code" src="data:image/png;base64,([^"]+)"', page)
+    line = scanned(b64decode(code))
+    stored = EstimateDocument.of(json.loads(json.dumps(part.content())), "")
+    assert line.startswith(f"DrapeNet {stored.identity}; {LABELS['fabric']}; 210 g/m2; warp bias ")
+    assert "drape coefficient 54.3 %" in line and line in page
+    assert stored.identity != document(drape_coefficient_percent=54.4).identity
+    address = "http://lab.example.org:8000/#" + 32 * "a"
+    assert scanned(Passport("x", address).code) == address
+
+
+def test_the_report_of_a_capture_is_one_page_with_its_code(tmp_path):
+    part = document(warnings=(DOUBT,))
+    _, pdf = written(tmp_path, part, [ShownCapture("first", part, report_picture())])
+    assert b"/Count 1" in pdf
+
+
+def report_picture() -> bytes:
+    """A picture of a report's size."""
+    stream = io.BytesIO()
+    Image.fromarray(np.full((1275, 1300, 3), 128, np.uint8)).save(stream, "PNG")
+    return stream.getvalue()
 
 
 def test_drape_coefficients_are_averaged_by_tester(tmp_path):
@@ -150,4 +185,4 @@ def test_names_of_any_kind_are_text_in_page_and_pdf(tmp_path, name):
     write_report(tmp_path, name, part, [ShownCapture(name, part, b"")])
     assert "<b>" not in (tmp_path / PAGE).read_text("utf-8")
     assert (tmp_path / PDF).read_bytes().startswith(b"%PDF-")
-    assert as_pdf("<p>α</p>", name).startswith(b"%PDF-")
+    assert as_pdf("<p>α</p>", name, Passport("x").code).startswith(b"%PDF-")

@@ -167,7 +167,9 @@ function showNumbers(estimate) {
   }));
   const poor = estimate.poorly_constrained.length
     ? `Poorly constrained: ${estimate.poorly_constrained.join(', ').replaceAll('beta', 'β').replaceAll('alpha', 'α')}. ` : '';
-  at('poor').textContent = poor + (estimate.advice ?? []).map(({ text }) => `Advice: ${text}.`).join(' ');
+  const next = (estimate.next_measurements ?? []).map((one) => `${one.measurement}: α ${one.alpha_narrower_percent.toFixed()} %, β ${one.beta_narrower_percent.toFixed()} % (${one.minutes} min)`);
+  at('poor').textContent = poor + (estimate.advice ?? []).map(({ text }) => `Advice: ${text}. `).join('')
+    + (next.length ? `Measured next, intervals would become narrower by ${next.join('; ')}.` : '');
   at('numbers').hidden = false;
 }
 
