@@ -3,7 +3,9 @@
 In the plane of the strip, whose place in both pictures the markers of the mat give, the strip is
 the band of its width that differs from the mat's ground, and the marks are lines across it. Each
 mark is measured in columns along the strip. The extension is the difference of the two pictures'
-distances in each column, so that the shapes of lines that are drawn by hand cancel.
+distances in each column, so that the shapes of lines that are drawn by hand cancel. Distances are
+those across the lines, as far as these are straight: a band that is found askew in one picture
+crosses them at another angle there.
 """
 
 from collections.abc import Sequence
@@ -15,7 +17,7 @@ import numpy as np
 
 from common.errors import InputError
 from common.files import path_named
-from common.types import Metres, Pixels
+from common.types import Metres, Pixels, Radians
 from data.captures.scale import MAT_SIDE
 from data.pictures.mat import MATS, QUIET, find_mat, on_ground
 from data.pictures.planes import behind, mapped
@@ -130,6 +132,7 @@ class PhotographedExtension:
         gauge: distance of the marks without the weight; ``extension``: with it, more.
         error: standard deviation of the extension.
         width: of the strip without the weight, as seen; NaN if it was not looked for.
+        turned: angle to the strip by which the marks are turned with the weight.
         pictures: names of both files.
         courses: (2, 2, COLUMNS, 2) pixels, of both marks in both pictures; NaN where not seen.
     """
@@ -138,6 +141,7 @@ class PhotographedExtension:
     extension: Metres
     error: Metres
     width: Metres
+    turned: Radians
     pictures: tuple[MarkedPicture, MarkedPicture]
     courses: np.ndarray
 
@@ -187,7 +191,10 @@ def read_extension(
     chosen = _best(choices, str(folder / pictures[0].name))
     courses = [[band.course(line) for line in pair] for band, pair in zip(
         bands, chosen, strict=True)]
-    apart = [ends[1] - ends[0] for ends in courses]
+    slopes = [_slopes(band, ends) for band, ends in zip(bands, courses, strict=True)]
+    apart = [(ends[1] - ends[0]) * np.cos(slope.mean())
+             for ends, slope in zip(courses, slopes, strict=True)]
+    turned = float(slopes[1].mean() - slopes[0].mean())
     # Nothing tells which way round the strip lies: the lines' shapes do.
     by_column = min((under - apart[0] for under in (apart[1], apart[1][::-1])), key=_spread)
     seen = np.isfinite(by_column)
@@ -213,13 +220,25 @@ def read_extension(
     error = float(np.linalg.norm([
         FLOOR, by_column[seen].std() / np.sqrt(max(readings - 1, 1)), *(lengths * alone),
         np.diff(lengths * both)[0],
-        *(lengths * [one.scale_error for one in pictures])]))
+        *(lengths * [one.scale_error for one in pictures]),
+        # Lines that are not parallel are measured at other places across an askew band.
+        turned * length / 2 * np.diff(slopes[0])[0]]))
     return PhotographedExtension(
         scale * length, scale * extension, scale * error,
-        np.nan if marks else scale * strips[0].width, (pictures[0], pictures[1]),
+        np.nan if marks else scale * strips[0].width, turned,
+        (pictures[0], pictures[1]),
         np.stack([[_pixels(picture, strip, band, course) for course in both]
                   for picture, strip, band, both in zip(
                       pictures, strips, bands, courses, strict=True)]))
+
+
+def _slopes(band: Band, ends: list[np.ndarray]) -> np.ndarray:
+    """Angles (2,), rad, of two lines of courses (COLUMNS,) to the normal of a band: of the medians
+    over pairs of columns (Theil and Sen), as some are misread; 0 if a line is hardly seen."""
+    one, other = np.triu_indices(COLUMNS, COLUMNS // 3)
+    run = band.across[other] - band.across[one]
+    rises = [(course[other] - course[one]) / run for course in ends]
+    return np.arctan([np.nanmedian(rise) if np.isfinite(rise).any() else 0.0 for rise in rises])
 
 
 def _spread(values: np.ndarray) -> float:
