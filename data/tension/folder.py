@@ -37,6 +37,7 @@ AIM = 0.1
 
 WIDTH_DIFFERS = (0.08, 1.0)  # of the stated width, and mm, by which a strip is seen wider or not
 ERROR_SHARE = 0.25  # of an extension, that its error may be
+TURNED = np.radians(3.0)  # that marks may be turned by a weight: beyond, a band is askew
 
 
 @dataclass(frozen=True)
@@ -119,7 +120,10 @@ def _photographed(folder: Path, strip: StretchedStrip, description: TensionDescr
 
 def _doubts(found: PhotographedExtension, strip: StretchedStrip) -> list[Finding]:
     """Warnings of photographs that are read all the same."""
-    file, doubts = found.pictures[0].name, []
+    (file, under), doubts = (picture.name for picture in found.pictures), []
+    if abs(found.turned) > TURNED:
+        doubts.append(Finding("tension_askew", {
+            "file": file, "other": under, "value": float(np.degrees(abs(found.turned)))}))
     if abs(1e3 * found.width - strip.width_mm) > WIDTH_DIFFERS[0] * strip.width_mm + (
             WIDTH_DIFFERS[1]):
         doubts.append(Finding("tension_width_differs", {

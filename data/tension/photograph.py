@@ -3,7 +3,9 @@
 In the plane of the strip, whose place in both pictures the markers of the mat give, the strip is
 the band of its width that differs from the mat's ground, and the marks are lines across it. Each
 mark is measured in columns along the strip. The extension is the difference of the two pictures'
-distances in each column, so that the shapes of lines that are drawn by hand cancel.
+distances in each column, so that the shapes of lines that are drawn by hand cancel. Distances are
+those across the lines, as far as these are straight: a band that is found askew in one picture
+crosses them at another angle there.
 """
 
 from collections.abc import Sequence
@@ -15,7 +17,7 @@ import numpy as np
 
 from common.errors import InputError
 from common.files import path_named
-from common.types import Metres, Pixels
+from common.types import Metres, Pixels, Radians
 from data.captures.scale import MAT_SIDE
 from data.pictures.mat import MATS, QUIET, find_mat, on_ground
 from data.pictures.planes import behind, mapped
@@ -130,6 +132,7 @@ class PhotographedExtension:
         gauge: distance of the marks without the weight; ``extension``: with it, more.
         error: standard deviation of the extension.
         width: of the strip without the weight, as seen; NaN if it was not looked for.
+        turned: angle to the strip by which the marks are turned with the weight.
         pictures: names of both files.
         courses: (2, 2, COLUMNS, 2) pixels, of both marks in both pictures; NaN where not seen.
     """
@@ -138,6 +141,7 @@ class PhotographedExtension:
     extension: Metres
     error: Metres
     width: Metres
+    turned: Radians
     pictures: tuple[MarkedPicture, MarkedPicture]
     courses: np.ndarray
 
@@ -170,14 +174,15 @@ def read_extension(
     courses = [[one.band.course(line) for line in pair] for one, pair in zip(
         seen, chosen, strict=True)]
     try:
-        distances = _distances(courses, scale)
+        distances = _distances([one.band for one in seen], courses, scale)
     except InputError as error:
         raise InputError(f"{folder / pictures[1].name}: {error}") from None
     length, extension = distances.length, distances.extension
     return PhotographedExtension(
         scale * length, scale * extension,
         scale * _error(pictures, distances, width, above / scale, 1 / scale),
-        np.nan if marks else scale * seen[0].strip.width, (pictures[0], pictures[1]),
+        np.nan if marks else scale * seen[0].strip.width, distances.turned,
+        (pictures[0], pictures[1]),
         np.stack([[_pixels(picture, one, course) for course in both]
                   for picture, one, both in zip(pictures, seen, courses, strict=True)]))
 
@@ -217,21 +222,29 @@ def _look(picture: MarkedPicture, width: Metres, window: tuple[Metres, Metres], 
 @dataclass(frozen=True)
 class _Distances:
     """Of two marks without the weight, and how much farther they are apart with it, by ``seen``
-    (COLUMNS,) of the ``by_column`` (COLUMNS,)."""
+    (COLUMNS,) of the ``by_column`` (COLUMNS,); how far the lines of one strip are ``turned``
+    between the pictures, rad, and by which angle they are ``unparallel`` without the weight."""
 
     length: Metres
     by_column: np.ndarray
     seen: np.ndarray
+    turned: Radians
+    unparallel: Radians
 
     @property
     def extension(self) -> Metres:
         return float(self.by_column[self.seen].mean())
 
 
-def _distances(courses: list[list[np.ndarray]], scale: float) -> _Distances:
-    """By the courses of both marks in both pictures; InputError for too few columns, or if the
-    marks come nearer."""
-    apart = [ends[1] - ends[0] for ends in courses]
+def _distances(
+    bands: Sequence[Band], courses: Sequence[list[np.ndarray]], scale: float
+) -> _Distances:
+    """By the courses of both marks in both pictures, across the lines; InputError for too few
+    columns, or if the marks come nearer."""
+    slopes = [_slopes(band, ends) for band, ends in zip(bands, courses, strict=True)]
+    apart = [(ends[1] - ends[0]) * np.cos(slope.mean())
+             for ends, slope in zip(courses, slopes, strict=True)]
+    turned = float(slopes[1].mean() - slopes[0].mean())
     # Nothing tells which way round the strip lies: the lines' shapes do.
     by_column = min((under - apart[0] for under in (apart[1], apart[1][::-1])), key=_spread)
     seen = np.isfinite(by_column)
@@ -242,7 +255,8 @@ def _distances(courses: list[list[np.ndarray]], scale: float) -> _Distances:
         raise InputError(f"the marks are seen on {seen.mean():.0%} of the strip's width in both "
                          f"pictures, at least {_LEAST_COLUMNS / COLUMNS:.0%} is needed: draw them "
                          "over the whole width")
-    found = _Distances(float(apart[0][seen].mean()), by_column, seen)
+    found = _Distances(float(apart[0][seen].mean()), by_column, seen, turned,
+                       float(np.diff(slopes[0])[0]))
     if found.extension <= 0:
         raise InputError(
             f"the marks are {1e3 * scale * (found.length + found.extension):.1f} mm apart, without "
@@ -262,7 +276,18 @@ def _error(pictures: Sequence[MarkedPicture], found: _Distances, width: Metres, 
     alone, both = ABOVE_ERROR[0] * metre / away, ABOVE_ERROR[1] * above / away
     return float(np.linalg.norm([
         FLOOR, found.by_column[seen].std() / np.sqrt(max(readings - 1, 1)), *(lengths * alone),
-        np.diff(lengths * both)[0], *(lengths * [one.scale_error for one in pictures])]))
+        np.diff(lengths * both)[0], *(lengths * [one.scale_error for one in pictures]),
+        # Lines that are not parallel are measured at other places across an askew band.
+        found.turned * found.length / 2 * found.unparallel]))
+
+
+def _slopes(band: Band, ends: list[np.ndarray]) -> np.ndarray:
+    """Angles (2,), rad, of two lines of courses (COLUMNS,) to the normal of a band: of the medians
+    over pairs of columns (Theil and Sen), as some are misread; 0 if a line is hardly seen."""
+    one, other = np.triu_indices(COLUMNS, COLUMNS // 3)
+    run = band.across[other] - band.across[one]
+    rises = [(course[other] - course[one]) / run for course in ends]
+    return np.arctan([np.nanmedian(rise) if np.isfinite(rise).any() else 0.0 for rise in rises])
 
 
 def _spread(values: np.ndarray) -> float:

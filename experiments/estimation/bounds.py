@@ -8,13 +8,12 @@ parallel light, with one radius in three as an independent measurement. In sets,
 shear and hysteresis are common to all captures.
 """
 
-from typing import Any
-
 import numpy as np
 
 from common.command import compose_config
+from common.types import Metres
 from data.dataset.config import Options, SamplingConfig, config_from_options
-from data.dataset.plan import plan_drape
+from data.dataset.plan import DrapePlan, plan_drape
 from data.fabrics.fabrics import THETA_NAMES, fabric_from_theta
 from data.fabrics.nuisances import NAMES
 from data.fabrics.prior import load_prior
@@ -33,7 +32,8 @@ from experiments.estimation.bound import (
     outline_information,
 )
 from experiments.result import ESTIMATOR, Config, Result, rms, run_cases
-from sim.draping import drape
+from sim.draping import Drape, drape
+from sim.rig import Rig
 
 SHARED = ("membrane", "shear", "hysteresis")
 DRAPES = 4
@@ -53,34 +53,44 @@ def cell_name(kind: str, captures: int) -> str:
     return f"{kind}, {INPUTS[kind] if captures == 1 else f'sets of {captures}'}"
 
 
+def draped(plan: DrapePlan, edge: Metres) -> Drape:
+    """The drape of a plan, with mesh edges of ``edge`` at the plate's rim."""
+    return drape(fabric_from_theta(plan.theta), rig=plan.nuisances.rig(plan.rig), edge=edge,
+                 start=plan.start, seed=plan.seed, offset=tuple(plan.offset),
+                 laws=plan.nuisances.laws)
+
+
+def informations(plan: DrapePlan, shape: Drape) -> dict[str, Information]:
+    """Of a drape, by input."""
+    return {"depth": depth_information(shape, nominal_camera(), nuisances=plan.nuisances),
+            # Deviations of training pictures are uniform up to the largest.
+            "outline": outline_information(
+                shape, nuisances=plan.nuisances, cells_per_measurement=3,
+                noise=PICTURE_NOISE / 3**0.5 * plan.rig.specimen_size / 2)}
+
+
+def placement(config: SamplingConfig, rig: Rig) -> dict[str, dict[str, float]]:
+    """Standard deviations, by input, of where a specimen lies and is seen from."""
+    drift, half = dict.fromkeys(SPECIMEN[1:], config.drift), rig.specimen_size / 2
+    return {"depth": drift | dict.fromkeys((SPECIMEN[0], *CAMERA), np.inf),
+            "outline": drift | dict(zip((SPECIMEN[0], *PICTURE), (
+                DIRECTION_ERROR, PICTURE_OFFSET * half, PICTURE_OFFSET * half, PICTURE_SCALE),
+                strict=True))}
+
+
 def bounds_of_fabric(
     *, tester: str, fabric: int, seed: int, edge_mm: float
 ) -> dict[str, list]:
     """Smallest standard deviations (6,) of theta by cell; none where a drape has no derivatives."""
     config, prior = sampling_of(tester, seed), load_prior("gaussian").covariance
-    captures: dict[str, list[Information]] = {kind: [] for kind in INPUTS}
-    for index in range(DRAPES * fabric, DRAPES * (fabric + 1)):
-        plan = plan_drape(index, config=config, prior=load_prior("vae"))
-        shape = drape(fabric_from_theta(plan.theta), rig=plan.nuisances.rig(plan.rig),
-                      edge=1e-3 * edge_mm, start=plan.start, seed=plan.seed,
-                      offset=tuple(plan.offset), laws=plan.nuisances.laws)
-        captures["depth"].append(depth_information(shape, nominal_camera(),
-                                                   nuisances=plan.nuisances))
-        # Deviations of training pictures are uniform up to the largest.
-        picture: dict[str, Any] = {
-            "noise": PICTURE_NOISE / 3**0.5 * plan.rig.specimen_size / 2,
-            "cells_per_measurement": 3, "nuisances": plan.nuisances}
-        captures["outline"].append(outline_information(shape, **picture))
+    plans = [plan_drape(index, config=config, prior=load_prior("vae"))
+             for index in range(DRAPES * fabric, DRAPES * (fabric + 1))]
+    drapes = [informations(plan, draped(plan, 1e-3 * edge_mm)) for plan in plans]
+    captures = {kind: [one[kind] for one in drapes] for kind in INPUTS}
     deviations = config.nuisances.deviations
     common = {name: deviations[name] for name in SHARED}
     single = {name: deviations[name] for name in NAMES if name not in SHARED}
-    single |= dict.fromkeys(SPECIMEN[1:], config.drift)
-    half = plan.rig.specimen_size / 2
-    separate = {
-        "depth": single | dict.fromkeys((SPECIMEN[0], *CAMERA), np.inf),
-        "outline": single | dict(zip((SPECIMEN[0], *PICTURE), (
-            DIRECTION_ERROR, PICTURE_OFFSET * half, PICTURE_OFFSET * half, PICTURE_SCALE),
-            strict=True))}
+    separate = {kind: single | place for kind, place in placement(config, plans[0].rig).items()}
     found = {}
     for kind, parts in captures.items():
         good = [part for part in parts if part.ok]

@@ -92,6 +92,7 @@ def pair_case(*, number: int) -> dict:
         "failed": "", "warnings": [one.code for one in read.warnings],
         "extension_mm": 1e3 * photographs.extension, "error_mm": 1e3 * photographs.error,
         "off_mm": 1e3 * (photographs.extension - true),
+        "turned_deg": float(np.degrees(photographs.turned)),
         "by_reading": float(found.posterior.mean[place] - exact.posterior.mean[place]),
         "off": float(found.posterior.mean[place] - np.log((warp, weft, shear)[place])),
         "deviation": deviation}

@@ -162,6 +162,25 @@ def refinement(reports: Reports) -> str:
                   "inside"], rows)
 
 
+def in_plane(reports: Reports) -> str:
+    """What knowing stretch and shear would take from the errors of alpha."""
+    rows = []
+    for tester, cells in reports["in_plane"]["cells"].items():
+        for kind, cell in cells.items():
+            found, network = ({name: one["log_alpha"] for name, one in cell[part].items()}
+                              for part in ("ideal", "network"))
+            error, *moved = network.values()
+            left = max(error**2 - sum(move**2 for move in moved), 0.0) ** 0.5
+            rows.append([
+                f"{tester.replace('_', ' ')}, {kind}", f"{found['unknown']:.3f}",
+                *(f"{100 * (1 - found[name] / found['unknown']):.1f} %"
+                  for name in ("stretch measured", "shear measured", "both measured",
+                               "both exact")),
+                f"{error:.3f}", f"{100 * (1 - left / error):.1f} %"])
+    return table(["log α", "least error, both unknown", "less with stretch measured", "shear",
+                  "both", "both exact", "error of the network", "less, at most"], rows)
+
+
 def additions(reports: Reports) -> str:
     """What each further measurement of a fabric adds to one drape."""
     rows = []

@@ -1,5 +1,6 @@
 """Extensions by photographs over the mat: rendered pairs, stated marks, faults."""
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -11,6 +12,8 @@ from common.errors import InputError
 from data.pictures.pose import Pose
 from data.render.pulled import MarkedStrip
 from data.tension.folder import TensionSet, read_tension
+from data.tension.photograph import find_strip
+from experiments.estimation.tension import pair_case
 
 PAIR = {"direction": "bias", "width_mm": 50.0, "gauge_mm": 100.0, "load_g": 50.0,
         "without": "bias_0.jpg", "with": "bias_50.jpg"}
@@ -91,6 +94,31 @@ def test_the_printed_bar_scales_lengths_and_a_strip_of_another_width_is_named(tm
     assert other.gauge == pytest.approx(0.98 * one.gauge, rel=2e-3)
     assert [finding.code for finding in read(tmp_path, width_mm=60.0).warnings] == [
         "tension_width_differs"]
+
+
+@pytest.mark.parametrize("askew", [0, 1])
+def test_a_band_that_is_found_askew_is_named_and_gives_the_same(tmp_path, monkeypatch, askew):
+    straight = read(tmp_path).photographs[0]
+    found = iter((0, 1))
+
+    def turned(picture, width):
+        strip = find_strip(picture, width)
+        angle = np.radians(5.0 * (next(found) == askew))  # 0.4 mm of a gauge of 100 mm
+        cos, sin = np.cos(angle), np.sin(angle)
+        return replace(strip, along=np.array([[cos, -sin], [sin, cos]]) @ strip.along)
+
+    monkeypatch.setattr("data.tension.photograph.find_strip", turned)
+    read_askew = read(tmp_path)
+    assert read_askew.photographs[0].extension == pytest.approx(straight.extension, abs=1e-4)
+    warning, = read_askew.warnings
+    assert (warning.code, warning.values["value"]) == ("tension_askew", pytest.approx(5, abs=1))
+
+
+@pytest.mark.slow
+def test_a_shadow_that_turns_the_band_is_named():
+    case = pair_case(number=34)  # 10 mm above the mat
+    assert case["warnings"] == ["tension_askew"]
+    assert abs(case["off_mm"]) < 0.3
 
 
 @pytest.mark.parametrize(("stated", "words"), [

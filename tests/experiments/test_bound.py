@@ -16,14 +16,16 @@ from experiments.estimation.bound import (
     CAMERA,
     SETUP,
     SPECIMEN,
+    Information,
     bounds,
     depth_information,
     joint_covariance,
     moves_with_plate,
     moves_with_size,
 )
+from experiments.estimation.in_plane import logarithms, with_known
 from sim.draping import drape, follow
-from sim.material import Fabric
+from sim.material import DRAPE_CURVATURE, Fabric, secant
 from sim.mesh.specimen import share_of_offset
 from sim.rig import Rig
 from sim.scene import make_specimen
@@ -192,3 +194,24 @@ def test_captures_of_one_fabric_share_what_is_unknown_of_its_cloth(specimen):
                        atol=1e-6 * np.abs(beforehand).max())
     alone = joint_covariance([found] * 2, prior, separate=pose | known)
     assert (np.diag(alone)[:6] < np.diag(two)[:6]).all()
+
+
+def test_known_stretch_and_shear_act_like_narrower_nuisances():
+    names = (*THETA_NAMES, *LOGARITHMIC)
+    columns = np.random.default_rng(0).standard_normal((30, len(names)))
+    found = Information(names, columns.T @ columns, 30, True, "")
+    prior, (membrane, ratio) = load_prior("gaussian").covariance, (0.5, 0.4)
+    narrow = dict(zip(LOGARITHMIC, ((membrane**-2 + 0.2**-2) ** -0.5, ratio), strict=True))
+    wide = dict(zip(LOGARITHMIC, (membrane, ratio), strict=True))
+    assert with_known(found, {"stretch": 0.2}).posterior(prior, wide) == pytest.approx(
+        found.posterior(prior, narrow))
+    # The shear's stiffness is the ratio's times the membrane's.
+    both = with_known(found, {"stretch": 1e-5, "shear": 0.1}).posterior(prior, wide)
+    alone = {LOGARITHMIC[0]: 1e-5, LOGARITHMIC[1]: (ratio**-2 + 0.1**-2) ** -0.5}
+    assert both == pytest.approx(found.posterior(prior, alone), rel=1e-4)
+
+
+def test_logarithms_are_of_alpha_and_of_the_stiffness_in_a_drape():
+    theta = np.r_[np.log(FABRIC.alpha), FABRIC.beta / FABRIC.alpha]
+    assert np.exp(logarithms(theta)) == pytest.approx(np.r_[
+        FABRIC.alpha, secant(DRAPE_CURVATURE, FABRIC.alpha, FABRIC.beta)])
