@@ -10,7 +10,7 @@ from sim.mesh import Mesh
 from sim.rig import Rig
 from sim.scene import Scene
 
-SKIRT = Rig(0.86, 0.24, "disc")
+SKIRT = Rig((0.86, 0.86), 0.24, "disc")
 """The flat skirt on a plate of its waist: 754 mm around it, and 310 mm long."""
 
 
