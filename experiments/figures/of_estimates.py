@@ -146,8 +146,8 @@ def photographed(reports: Reports) -> str:
     """What to expect of a phone's picture."""
     one = next(iter(reports["mats"]["summary"].values()))
     half, most = map(percent, one["truth_error"])
-    return ("From one picture by a phone over the printed mat, as it is read, half of the estimates "
-            f"of α are within {half} of the truth, nine of ten within {most} (simulated fabrics, "
+    return ("From one picture by a phone over the printed mat, as it is read, half of the "
+            f"estimates of α are within {half} of the truth, nine of ten within {most} (simulated fabrics, "
             f"evenly from limp to stiff); 68 % intervals contain {percent(one['inside_68'])} of "
             "the true values.")
 
