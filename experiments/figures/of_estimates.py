@@ -147,9 +147,9 @@ def photographed(reports: Reports) -> str:
     one = next(iter(reports["mats"]["summary"].values()))
     half, most = map(percent, one["truth_error"])
     return ("From one picture by a phone over the printed mat, as it is read, half of the "
-            f"estimates of α are within {half} of the truth, nine of ten within {most} (simulated fabrics, "
-            f"evenly from limp to stiff); 68 % intervals contain {percent(one['inside_68'])} of "
-            "the true values.")
+            f"estimates of α are within {half} of the truth, nine of ten within {most} (simulated "
+            f"fabrics, evenly from limp to stiff); 68 % intervals contain "
+            f"{percent(one['inside_68'])} of the true values.")
 
 
 def cells(reports: Reports) -> str:
