@@ -7,6 +7,7 @@
     print(estimate.reading("bending_length_mm").mean(axis=0))  # mm
     print(*(found.text for found in estimate.warnings), sep="\n")
     again = drapenet.load("outputs/demo")                      # what infer.py has written
+    drapenet.preview(again).write("outputs/demo")              # skirts of twelve samples
     fabrics = drapenet.estimate_fabrics("captures", "outputs/all")  # many, by name
 
 The simulator is :mod:`sim`, captures are read by :mod:`data.captures`.
@@ -24,12 +25,14 @@ if TYPE_CHECKING:
 
     from data.captures.capture import Capture, DepthCapture
     from drapenet.config import EstimateOptions
+    from drapenet.report.garment import preview
     from drapenet.result.estimate import Estimate, interval
 
 __all__ = ["Capture", "DepthCapture", "Estimate", "InputError", "estimate", "estimate_fabrics",
-           "interval", "load"]
+           "interval", "load", "preview"]
 __getattr__, __dir__ = late(__name__, {
     "data.captures.capture": ("Capture", "DepthCapture"),
+    "drapenet.report.garment": ("preview",),
     "drapenet.result.estimate": ("Estimate", "interval")})
 
 
