@@ -7,6 +7,7 @@
     python infer.py tension=DIR [capture=...]  strips under weights: stretch and shear
     python infer.py captures=ROOT out=DIR      FABRIC/SAMPLE/CAPTURE, or a CSV list: a table
     ... export=jfab,usd                        files for other tools as well, or export=all
+    ... preview=true                           skirts of twelve samples: garment.png, garment.glb
 
 Prints the moduli and writes ``estimate.json``, ``report.png``, ``report.html``, ``drape.glb`` and
 ``torque.svg`` to ``out``. What a capture consists of is described in ``docs/use.md``.
@@ -18,6 +19,8 @@ import common.interrupt  # noqa: F401
 import sys
 from pathlib import Path
 
+import joblib
+
 from common.command import command
 from common.errors import InputError
 from common.files import folder_named, locked
@@ -26,7 +29,14 @@ from drapenet.config import EstimateOptions, InferConfig
 from drapenet.estimator.read import Refused, Source, read_scans, read_sources
 from drapenet.network.checkpoint import read_header
 from drapenet.result.document import EstimateDocument
-from drapenet.result.files import ESTIMATE, SHOWN, require_output, result_name
+from drapenet.result.files import (
+    ESTIMATE,
+    GARMENTS,
+    SHOWN,
+    read_estimate,
+    require_output,
+    result_name,
+)
 from drapenet.result.terminal import terminal_text
 from sim.mesh.specimen import check_edge
 
@@ -64,6 +74,8 @@ def main(config: InferConfig) -> None:
         files = [out / ESTIMATE]
     if targets:
         export_estimates(files, targets)
+    if config.preview:
+        preview_estimates(files, config.workers or joblib.cpu_count())
 
 
 def sources_of(config: InferConfig) -> tuple[list[Source], Refused | None]:
@@ -94,6 +106,18 @@ def export_estimates(files: list[Path], targets: list[str]) -> None:
     for file in files:
         written = export_all(read_material(file), targets, file.parent)
         print(f"exports:  {file.parent}: {', '.join(path.name for path in written)}")
+
+
+def preview_estimates(files: list[Path], workers: int) -> None:
+    """Write skirts of samples beside each ``estimate.json``."""
+    from drapenet.report.garment import preview
+
+    for file in files:
+        garments = preview(read_estimate(file)[0], workers=workers)
+        garments.write(file.parent)
+        failed = "".join(f"; sample {row} is missing: {reason}"
+                         for row, reason in garments.failures.items())
+        print(f"garment:  {', '.join(str(file.with_name(name)) for name in GARMENTS)}{failed}")
 
 
 def options_of(config: InferConfig) -> EstimateOptions:

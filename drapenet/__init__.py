@@ -8,6 +8,7 @@
     print(*(found.text for found in estimate.warnings), sep="\n")
     print(*drapenet.next_measurements(estimate), sep="\n")    # what would narrow it
     again = drapenet.load("outputs/demo")                      # what infer.py has written
+    drapenet.preview(again).write("outputs/demo")              # skirts of twelve samples
     fabrics = drapenet.estimate_fabrics("captures", "outputs/all")  # many, by name
 
 The simulator is :mod:`sim`, captures are read by :mod:`data.captures`.
@@ -25,13 +26,15 @@ if TYPE_CHECKING:
 
     from data.captures.capture import Capture, DepthCapture
     from drapenet.config import EstimateOptions
+    from drapenet.report.garment import preview
     from drapenet.result.document import NextMeasurement
     from drapenet.result.estimate import Estimate, interval
 
 __all__ = ["Capture", "DepthCapture", "Estimate", "InputError", "estimate", "estimate_fabrics",
-           "interval", "load", "next_measurements"]
+           "interval", "load", "next_measurements", "preview"]
 __getattr__, __dir__ = late(__name__, {
     "data.captures.capture": ("Capture", "DepthCapture"),
+    "drapenet.report.garment": ("preview",),
     "drapenet.result.estimate": ("Estimate", "interval")})
 
 

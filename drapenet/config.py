@@ -97,6 +97,7 @@ class InferConfig:
     density_g_m2: float | None
     warp_direction_deg: float | None
     strict: bool
+    preview: bool
 
 
 @dataclass(frozen=True)

@@ -4,11 +4,14 @@ Metres, y up, origin at the plate's centre; x to the right in the first view, z 
 Nodes: ``captured``, ``simulated``, ``support``.
 """
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 import trimesh
 from trimesh.visual.material import PBRMaterial
 
-from common.types import DepthImage, Faces, Points
+from common.types import DepthImage, Faces, Metres, Points
 from drapenet.report.drape import Resimulation, turned
 from drapenet.views.located import LocatedViews
 from sim.mesh import vertex_normals
@@ -18,7 +21,8 @@ MAX_POINTS = 16_000  # of the captured surface, all views together
 MAX_JUMP = 6e-3  # m, range of depths within a triangle
 _COLUMN = 0.13  # m, height of the support that is drawn
 _UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # of rows: z up to y up
-_COLOURS = {"captured": (168, 172, 178), "simulated": (217, 118, 42), "support": (120, 116, 110)}
+_CLOTH = (217, 118, 42)
+_COLOURS = {"captured": (168, 172, 178), "support": (120, 116, 110)}
 
 
 def drape_glb(rig: Rig, located: LocatedViews | None, drape: Resimulation | None) -> bytes:
@@ -26,12 +30,13 @@ def drape_glb(rig: Rig, located: LocatedViews | None, drape: Resimulation | None
     ``simulated`` if no simulated drape converged."""
     scene = trimesh.Scene()
     if located is not None:
-        _add(scene, "captured", *captured_surface(located))
+        add_surface(scene, "captured", *captured_surface(located))
     if drape is not None:
-        _add(scene, "simulated", drape.positions, drape.drape.faces)
+        add_surface(scene, "simulated", drape.positions, drape.drape.faces)
     radius = 0.985 * rig.plate_radius
     column = trimesh.creation.cylinder(radius=radius, height=_COLUMN, sections=64)
-    _add(scene, "support", column.vertices - [0, 0, _COLUMN / 2 + 1e-3], column.faces, flat=True)
+    add_surface(scene, "support", column.vertices - [0, 0, _COLUMN / 2 + 1e-3], column.faces,
+                flat=True)
     return scene.export(file_type="glb", include_normals=True)
 
 
@@ -64,16 +69,20 @@ def _between(number: np.ndarray, depth: DepthImage) -> Faces:
     return np.concatenate(faces)
 
 
-def _add(
-    scene: trimesh.Scene, name: str, points: Points, faces: Faces, *, flat: bool = False
+def add_surface(
+    scene: trimesh.Scene, name: str, points: Points, faces: Faces, *, flat: bool = False,
+    at: tuple[Metres, Metres] = (0.0, 0.0), extras: Mapping[str, Any] | None = None,
 ) -> None:
-    """Add a surface, z up; ``flat``: without smooth normals."""
+    """Add a surface, z up, as the node ``name``, whose origin is ``at`` x and y; ``flat``: without
+    smooth normals. ``extras`` of the node are of JSON's types."""
     mesh = trimesh.Trimesh(points @ _UP, faces, process=False)
     if flat:
         mesh.unmerge_vertices()
     else:
         mesh.vertex_normals = vertex_normals(mesh.vertices, mesh.faces)  # type: ignore[method-assign]
     mesh.visual = trimesh.visual.TextureVisuals(material=PBRMaterial(
-        name=name, baseColorFactor=(*_COLOURS[name], 255), metallicFactor=0.0, roughnessFactor=0.9,
-        doubleSided=True))
-    scene.add_geometry(mesh, node_name=name, geom_name=name)
+        name=name, baseColorFactor=(*_COLOURS.get(name, _CLOTH), 255), metallicFactor=0.0,
+        roughnessFactor=0.9, doubleSided=True))
+    scene.add_geometry(
+        mesh, node_name=name, geom_name=name, metadata=dict(extras or {}),
+        transform=trimesh.transformations.translation_matrix(np.array([*at, 0.0]) @ _UP))

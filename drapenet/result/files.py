@@ -30,6 +30,8 @@ STRIPS = "strips.png"
 """Picture of strips as they were read."""
 SHAPES, TORQUES = "drape.glb", "torque.svg"
 SHOWN = (REPORT, STRIPS, PAGE, PDF, SHAPES, TORQUES)
+GARMENTS = ("garment.png", "garment.glb")
+"""Of a preview."""
 
 
 def write_estimate(out: Path, estimate: Estimate, document: EstimateDocument) -> None:
@@ -72,8 +74,8 @@ def read_observation(out: Path) -> Observation:
 
 
 def remove_report(out: Path) -> None:
-    """Remove the report files of an earlier estimate, and what it says of its faults."""
-    for name in (*SHOWN, FAULTS):
+    """Remove the report and preview of an earlier estimate, and what it says of its faults."""
+    for name in (*SHOWN, *GARMENTS, FAULTS):
         remove_file(out / name)
 
 
@@ -170,7 +172,7 @@ def last_parts(path: Path) -> list[str]:
 
 def require_output(out: Path, sources: Sequence[Path] = ()) -> None:
     """InputError if results of ``sources`` cannot be written to ``out`` or would replace others."""
-    for name in (ESTIMATE, SAMPLES, OBSERVATION, *SHOWN):
+    for name in (ESTIMATE, SAMPLES, OBSERVATION, *SHOWN, *GARMENTS):
         require_file(out / name)
     if not sources:
         return

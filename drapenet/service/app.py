@@ -25,7 +25,7 @@ from drapenet.config import ServeConfig
 from drapenet.export.formats import TARGETS
 from drapenet.network.checkpoint import read_header
 from drapenet.report.pages import render
-from drapenet.result.files import ESTIMATE, SHOWN
+from drapenet.result.files import ESTIMATE, GARMENTS, SHOWN
 from drapenet.service.access import (
     CHALLENGE,
     is_admitted,
@@ -46,7 +46,7 @@ from drapenet.service.uploads import checked_photograph, checked_upload
 from drapenet.service.work import PREVIEW
 from sim.material import DRAPE_CURVATURE
 
-FILES = (ESTIMATE, PREVIEW, *SHOWN)
+FILES = (ESTIMATE, PREVIEW, *SHOWN, *GARMENTS)
 _TIDY_INTERVAL = 600.0  # s between removals of old results
 _SECURE = {"X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer",
            "Content-Security-Policy": POLICY}
@@ -182,14 +182,24 @@ def state(identity: str, request: Request) -> JSONResponse:
     """State and result of an estimate: `state` is queued, running, done, failed or interrupted;
     `estimate` has the content of estimate.json as soon as the network's estimate is available,
     `curves` the torques; `members` are the captures of a joint estimate, `captures` all estimates
-    of the fabric with their `contradictions`.
+    of the fabric with their `contradictions`; `garment` has state, progress and error of a preview.
     """
     jobs: Jobs = request.app.state.jobs
     folder, content = jobs.settings.folder / identity, jobs.row("estimate", identity)
     del content["task"], content["tries"]
     files = [name for name in FILES if (folder / name).is_file()]
     captures = jobs.row("fabric", content["fabric"])["estimates"]
-    return JSONResponse(content | {"files": files, "captures": captures}, headers=_FRESH)
+    return JSONResponse(content | {"files": files, "captures": captures,
+                                   "garment": jobs.database.garment(identity)}, headers=_FRESH)
+
+
+@router.post("/estimates/{identity}/garment", status_code=202)
+def garment(identity: str, request: Request) -> None:
+    """Start the preview of an estimate: garment.png and garment.glb, skirts of twelve of its
+    samples, in about a minute.
+    """
+    jobs, _ = _finished(request, identity)
+    jobs.preview(identity, _client(request))
 
 
 def export_settings(
@@ -218,7 +228,7 @@ def estimate_zip(identity: str, request: Request, settings: Settings) -> Respons
 @router.get("/estimates/{identity}/{file}", response_class=FileResponse)
 def file(identity: str, file: str, request: Request) -> FileResponse:
     """A file of an estimate: estimate.json, report.png, strips.png, report.html, report.pdf,
-    drape.glb, torque.svg or preview.png.
+    drape.glb, torque.svg, preview.png, or garment.png and garment.glb of a preview.
     """
     jobs: Jobs = request.app.state.jobs
     folder = jobs.settings.folder / jobs.row("estimate", identity)["id"]

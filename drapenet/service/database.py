@@ -102,6 +102,20 @@ class Database:
             "json_extract(e.estimate, '$.capture.views_sha256') = ? ORDER BY e.created",
             fabric, digest)]
 
+    def garment(self, identity: str) -> dict[str, Any] | None:
+        """State, progress and error of the garment of an estimate, if it was asked for."""
+        rows = self._read("SELECT state, progress, error FROM garment WHERE id = ?", identity)
+        return rows[0] if rows else None
+
+    def add_garment(self, identity: str) -> None:
+        """Add or replace the garment of an estimate."""
+        self._write(("REPLACE INTO garment (id, state) VALUES (?, ?)", (identity, QUEUED)))
+
+    def lose_garments(self, sentence: str) -> None:
+        """End the garments that a previous service did not finish."""
+        self._write(("UPDATE garment SET state = ?, error = ? WHERE state IN (?, ?)",
+                     (LOST, sentence, QUEUED, RUNNING)))
+
     def settled(self) -> list[dict[str, Any]]:
         """``id`` and time of the ``latest`` event of fabrics without unfinished estimates."""
         return self._read("SELECT * FROM settled ORDER BY latest")
@@ -120,7 +134,7 @@ class Database:
 
     def change(self, table: str, identity: str, **values: object) -> None:
         """Change columns; an estimate has neither stage nor progress after its end."""
-        if values.get("state") in ENDED:
+        if table == "estimate" and values.get("state") in ENDED:
             values = {"stage": None, "progress": None, "ended": time.time()} | values
         self._write((f"UPDATE {table} SET {', '.join(f'{key} = ?' for key in values)} "
                      "WHERE id = ?", (*_stored(values), identity)))

@@ -4,7 +4,7 @@ import logging
 import shutil
 import threading
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent import futures
 from contextlib import contextmanager, suppress
 from functools import partial
@@ -33,14 +33,14 @@ from drapenet.service.database import (
 from drapenet.service.limits import Places, RequestError
 from drapenet.service.pools import Process, end, living, new_pool
 from drapenet.service.uploads import UNMARKED, YARNS, Upload
-from drapenet.service.work import UPLOADED, warm_up, work
+from drapenet.service.work import UPLOADED, preview, warm_up, work
 
 _LOG = logging.getLogger(__name__)
 _MAX_TRIES = 3  # of an estimate that a service was ended during
 _MAX_CAPTURES = 16  # of a fabric
 JOINT = "all captures"
-_FAULT = ("the estimate failed by a fault of the program, which the service's log states; please "
-          "report this capture")
+_FAULT = ("the {} failed by a fault of the program, which the service's log states; please report "
+          "this capture")
 
 
 @contextmanager
@@ -85,6 +85,7 @@ class Jobs:
             elif row["state"] not in ENDED:
                 self._end(row["id"], LOST, f"the service ended {_MAX_TRIES} times during this "
                           "estimate; please report this capture")
+        self.database.lose_garments("the service ended during this preview; start it again")
         for row in self.database.settled():
             self._join(row["id"])
 
@@ -152,21 +153,44 @@ class Jobs:
         return label or next(free for k in count(1) if (free := f"{upload.kind} {k}")
                              not in labels)
 
+    def preview(self, identity: str, client: str) -> None:
+        """Start the garment of a finished estimate in the client's place, unless it is under way.
+        """
+        with self._changing:
+            row = self.database.garment(identity)
+            if row and row["state"] not in ENDED:
+                return
+            self.places.take(client)
+            try:
+                self.database.add_garment(identity)
+                self._start(partial(self._previewed, identity, client), preview,
+                            self.settings.folder / identity)
+            except BaseException as error:
+                self.places.give(client)
+                if isinstance(error, SQLError):
+                    raise _not_stored(error) from None
+                raise
+
     def _schedule(self, identity: str, client: str | None = None) -> None:
         """Start an estimate; the place of a client, if any, is given back at the end."""
+        self._start(partial(self._ended, identity, client), work, self.settings.folder / identity,
+                    self.settings.checkpoint, f"{public_address(self.settings)}/#{identity}")
+
+    def _start(
+        self, ended: Callable[[futures.Future], None], task: Callable, *arguments: object
+    ) -> None:
+        """Start a task of a worker; ``ended`` is called at its end or cancellation."""
         lost: set[futures.Future] = set()
         with self._starting:
             before, self._workers = self._workers, living(self._workers, self._workers_pool)
             if self._workers is not before:
                 lost, self._unfinished = self._unfinished, set()
-            future = self._workers.schedule(
-                work, args=[self.settings.folder / identity, self.settings.checkpoint,
-                            f"{public_address(self.settings)}/#{identity}"],
-                timeout=self.settings.job_seconds)
+            future = self._workers.schedule(task, args=[*arguments],
+                                            timeout=self.settings.job_seconds)
             self._unfinished.add(future)
-        future.add_done_callback(lambda done: self._ended(identity, client, done))
+        future.add_done_callback(ended)
         for waiting in lost:
-            waiting.cancel()  # calls _ended
+            waiting.cancel()  # calls its ended
 
     def _join(self, fabric: str) -> None:
         """Start the joint estimate of a fabric if its captures are no longer those of the last; the
@@ -194,7 +218,7 @@ class Jobs:
             if members and (joint is None or joint["state"] != RUNNING):
                 self.database.add_estimate(
                     joint["id"] if joint else new_identity(), fabric, JOINT, members=members,
-                    state=FAILED, ended=time.time(), error=_FAULT)
+                    state=FAILED, ended=time.time(), error=_FAULT.format("estimate"))
 
     def _captures(self, fabric: str) -> tuple[dict[str, Any] | None, list[str], bool]:
         """A fabric's joint estimate, if any, the captures to be joined, if there are several, and
@@ -247,19 +271,33 @@ class Jobs:
             self.places.give(client)
         if self._closed:
             return
-        error = futures.CancelledError() if done.cancelled() else done.exception()
-        if error is None:
-            shutil.rmtree(self.settings.folder / identity / UPLOADED, ignore_errors=True)
-        elif isinstance(error, futures.TimeoutError):
-            self._end(identity, FAILED, f"not finished in {self.settings.job_seconds:g} s, as long "
-                      "as an estimate may take here")
+        if failure := self._failure("estimate", identity, done):
+            self._end(identity, FAILED, failure)
         else:
-            # The text of an error may contain paths: it is for the log only.
-            _LOG.error("the estimate %s failed", identity, exc_info=error)
-            self._end(identity, FAILED, _FAULT)
+            shutil.rmtree(self.settings.folder / identity / UPLOADED, ignore_errors=True)
         with logged("the end of the estimate %s is not known to its fabric", identity):
             if row := self.database.estimate(identity):  # it may have been removed
                 self._join(row["fabric"])
+
+    def _previewed(self, identity: str, client: str, done: futures.Future) -> None:
+        """The same of a garment."""
+        self._unfinished.discard(done)
+        self.places.give(client)
+        if not self._closed and (failure := self._failure("garment", identity, done)):
+            with logged("the end of the garment %s is not stored", identity):
+                self.database.change("garment", identity, state=FAILED, error=failure)
+
+    def _failure(self, what: str, identity: str, done: futures.Future) -> str | None:
+        """Why a task failed, as clients read it; None if it did not."""
+        error = futures.CancelledError() if done.cancelled() else done.exception()
+        if error is None:
+            return None
+        if isinstance(error, futures.TimeoutError):
+            return (f"not finished in {self.settings.job_seconds:g} s, as long as an estimate may "
+                    "take here")
+        # The text of an error may contain paths: it is for the log only.
+        _LOG.error("the %s %s failed", what, identity, exc_info=error)
+        return _FAULT.format(what)
 
     def _end(self, identity: str, state: str, sentence: str) -> None:
         with logged("the end of the estimate %s is not stored", identity):

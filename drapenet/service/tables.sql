@@ -10,6 +10,10 @@ CREATE TABLE IF NOT EXISTS estimate (
     name TEXT NOT NULL, state TEXT NOT NULL, stage TEXT, progress TEXT, error TEXT,
     warnings TEXT NOT NULL DEFAULT '[]', estimate TEXT, curves TEXT, members TEXT, task TEXT,
     tries INTEGER NOT NULL DEFAULT 0, created REAL NOT NULL, ended REAL);
+-- Of an estimate, whose id it has: the preview of a garment.
+CREATE TABLE IF NOT EXISTS garment (
+    id TEXT PRIMARY KEY REFERENCES estimate ON DELETE CASCADE,
+    state TEXT NOT NULL, progress TEXT, error TEXT);
 CREATE INDEX IF NOT EXISTS estimate_fabric ON estimate (fabric);
 -- The result of a fabric is its joint or else its latest estimate, from a drape if there is one;
 -- words are searched.

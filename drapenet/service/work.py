@@ -1,9 +1,11 @@
-"""Task of a worker process: the estimate of a capture, strips or values, or of all of a fabric."""
+"""Tasks of worker processes: the estimate of a capture, strips or values, or of all of a fabric,
+and the garment of an estimate."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +58,32 @@ def work(folder: Path, checkpoint: str, address: str) -> None:
                curves=torque_table(estimate, CURVATURES))
     except InputError as error:
         record(state=FAILED, error=str(error.within(uploaded, row["name"]).within(folder.parent)))
+
+
+def preview(folder: Path) -> None:
+    """Simulate the garment of the estimate in ``folder``; the database records progress and end.
+    """
+    from drapenet.report.garment import SAMPLES
+    from drapenet.report.garment import preview as simulate
+    from drapenet.result.files import read_estimate
+
+    database, made = database_in(folder.parent), count(1)
+    record = partial(database.change, "garment", folder.name)
+
+    def run(work: Callable, plans: Sequence[Mapping[str, Any]]) -> Iterator[Any]:
+        for plan in plans:
+            yield work(**plan)
+            record(progress={"made": next(made), "expected": 1 + SAMPLES})
+
+    record(state=RUNNING)
+    try:
+        garments = simulate(read_estimate(folder)[0], run=run)
+    except InputError as error:
+        record(state=FAILED, error=str(error.within(folder.parent)))
+        return
+    if database.garment(folder.name):  # not removed or replaced meanwhile
+        garments.write(folder)
+        record(state=DONE)
 
 
 def _estimate(

@@ -138,7 +138,7 @@ def test_every_column_of_the_tables_is_documented(out):
 
 def test_a_fabric_has_a_report_of_its_captures(out):
     page = (out / "cmd_C_calc_A0" / "index.html").read_text("utf-8")
-    assert "from 2 captures." in page and page.count("data:image/png") == 3  # views, and spread
+    assert "from 2 captures." in page and page.count("data:image/png") == 4  # views, spread, code
     assert "all fabrics" in page and str(out.parent) not in page
     assert len(list(out.rglob("report.pdf"))) == 5  # of each fabric
 

@@ -77,6 +77,13 @@ def test_a_report_is_titled_by_the_fabric_and_states_the_test(tmp_path, picture)
     assert "Twill 7/8, navy".encode("utf-16-be") in pdf or b"(Twill 7/8, navy)" in pdf
 
 
+def test_a_report_says_that_rectangles_have_too_few_simulated_nodes(tmp_path):
+    for rig in ("disc300_support180", "rectangle170x250_cylinder90"):
+        part = document(rig=rig)
+        page, _ = written(tmp_path, part, [ShownCapture("navy", part, b"")])
+        assert ("the intervals lean on the drape coefficient" in page) == rig.startswith("rect")
+
+
 def test_values_of_kes_outside_the_law_are_neither_given_nor_compared(tmp_path):
     part = document(beta=SOFTENING)
     page, _ = written(tmp_path, part, [ShownCapture("navy", part, b"")])

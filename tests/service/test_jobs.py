@@ -5,11 +5,13 @@ import threading
 import time
 from dataclasses import replace
 from sqlite3 import OperationalError
+from types import SimpleNamespace
 
 import pytest
 from pebble import ProcessFuture
 from services import BreakablePool, settings_for
 
+from common.errors import InputError
 from drapenet.service import app
 from drapenet.service.archive import COPY
 from drapenet.service.database import database_in
@@ -18,6 +20,7 @@ from drapenet.service.jobs import Jobs
 from drapenet.service.limits import Places, RequestError
 from drapenet.service.seen import LOOK
 from drapenet.service.uploads import MARKED, UNMARKED, YARNS, Upload
+from drapenet.service.work import preview
 
 
 @pytest.fixture(autouse=True)
@@ -47,6 +50,49 @@ def with_captures(jobs: Jobs, states: list[str], members: list[str] | None = Non
     if members:
         jobs.database.add_estimate("joint", "f", "all captures", members=members)
     return "f"
+
+
+def test_a_garment_takes_one_place_and_is_lost_with_its_service_or_its_estimate(jobs):
+    with_captures(jobs, ["done"])
+    for _ in range(2):
+        jobs.preview("0", "x")
+        assert jobs.database.garment("0") == {"state": "queued", "progress": None, "error": None}
+    taken = jobs.settings.queue - 1  # places that are left
+    for _ in range(taken):
+        jobs.places.take("x")
+    with pytest.raises(RequestError, match="are waiting or under way"):
+        jobs.places.take("x")
+    again = Jobs(jobs.settings)
+    assert again.database.garment("0")["state"] == "interrupted"
+    again.preview("0", "x")
+    [task] = again._unfinished
+    task.set_exception(RuntimeError("not for clients"))
+    found = again.database.garment("0")
+    assert found["state"] == "failed" and found["error"].startswith("the garment failed by a fault")
+    again.database.add_estimate("0", "f", "label 0")  # anew
+    assert again.database.garment("0") is None
+
+
+def test_a_worker_writes_a_garment_unless_its_estimate_is_gone(jobs, monkeypatch):
+    with_captures(jobs, ["done", "done"])
+    written, refused = [], InputError("no skirt of the fabric converged")
+
+    def simulate(estimate, run):
+        seen = [(value, jobs.database.garment(estimate)["progress"])
+                for value in run(dict, [{"x": 1}, {"x": 2}])]
+        assert seen == [({"x": 1}, None), ({"x": 2}, {"made": 1, "expected": 13})]
+        if estimate == "1":
+            raise refused
+        return SimpleNamespace(write=written.append)
+
+    monkeypatch.setattr("drapenet.report.garment.preview", simulate)
+    monkeypatch.setattr("drapenet.result.files.read_estimate", lambda folder: (folder.name, None))
+    for identity in ("0", "1"):
+        jobs.database.add_garment(identity)
+        preview(jobs.settings.folder / identity)
+    assert jobs.database.garment("0")["state"] == "done"
+    assert written == [jobs.settings.folder / "0"]
+    assert jobs.database.garment("1")["error"] == str(refused)
 
 
 @pytest.mark.parametrize("joined", [False, True])

@@ -13,6 +13,7 @@ const STAGES = {
 const FILES = {
   'report.html': 'Report (HTML)', 'report.pdf': 'Report (PDF)', 'report.png': 'Report (PNG)', 'strips.png': 'Strips (PNG)',
   'estimate.json': 'Estimate (JSON)', 'drape.glb': 'Drape (GLB)', 'torque.svg': 'Torque curves (SVG)',
+  'garment.png': 'Garments (PNG)', 'garment.glb': 'Garments (GLB)',
 };
 
 let following = 0; // counts the estimates that were followed, so that an older one stops
@@ -24,9 +25,13 @@ export function stop() {
   following += 1;
 }
 
-export async function follow(id) {
-  const turn = ++following;
+export function follow(id) {
   reset();
+  return poll(id);
+}
+
+async function poll(id) {
+  const turn = ++following;
   let wait = POLL;
   while (turn === following) {
     try {
@@ -52,7 +57,8 @@ export async function follow(id) {
 }
 
 // Whether all captures of the fabric have ended and are joined.
-function isSettled({ captures }) {
+function isSettled({ captures, garment }) {
+  if (garment && !ENDED.includes(garment.state)) return false;
   const joint = captures.find((one) => one.members);
   const done = captures.filter((one) => !one.members && one.state === 'done').map((one) => one.id);
   return captures.every((one) => ENDED.includes(one.state))
@@ -62,7 +68,7 @@ function isSettled({ captures }) {
 function reset() {
   shown = {};
   current = null;
-  for (const id of ['fabric', 'editor', 'numbers', 'preview', 'torque', 'shapes', 'downloads', 'lost']) at(id).hidden = true;
+  for (const id of ['fabric', 'editor', 'numbers', 'preview', 'torque', 'shapes', 'downloads', 'garment', 'lost']) at(id).hidden = true;
   for (const id of ['failure', 'status', 'copied', 'error-export', 'error-fabric']) at(id).textContent = '';
   for (const id of ['warnings', 'cards']) at(id).replaceChildren();
   asked += 1;
@@ -87,7 +93,7 @@ function show(id, content) {
   const contradictions = content.estimate?.contradictions ?? [];
   at('warnings').replaceChildren(...warnings.map(({ text }) => element('li', text, contradictions.some((found) => found.text === text) ? 'contradiction' : '')));
   if (content.estimate) showNumbers(content.estimate);
-  for (const [figure, file] of [['preview', 'preview.png'], ['torque', 'torque.svg']]) {
+  for (const [figure, file] of [['preview', 'preview.png'], ['torque', 'torque.svg'], ['garment', 'garment.png']]) {
     if (content.files.includes(file) && !shown[file]) {
       shown[file] = true;
       at(figure).querySelector('img').src = `/estimates/${id}/${file}`;
@@ -95,9 +101,13 @@ function show(id, content) {
       at(figure).hidden = false;
     }
   }
-  if (finished && !shown.links) {
-    shown.links = true;
+  if (finished) showGarment(content.garment);
+  if (finished && shown.links !== content.files.join()) {
+    shown.links = content.files.join();
     showLinks(id, content.files);
+  }
+  if (finished && !shown.cards) {
+    shown.cards = true;
     showCards(id);
     if (content.files.includes('drape.glb')) showShapes(`/estimates/${id}/drape.glb`);
   }
@@ -180,6 +190,16 @@ function showLinks(id, files) {
     return made;
   }));
   at('downloads').hidden = false;
+}
+
+// The preview that was asked for, if any.
+function showGarment(garment) {
+  const running = garment && !ENDED.includes(garment.state);
+  const { made, expected } = garment?.progress ?? { made: 0 };
+  at('make-garment').disabled = running;
+  at('make-garment').hidden = garment?.state === 'done';
+  at('garment-status').textContent = !running ? '' : made ? `${made} of ${expected} skirts` : 'The first skirt is draped …';
+  at('error-garment').textContent = garment?.error ?? '';
 }
 
 // A card for each tool: what to type into which field, and what is not known of it.
@@ -294,5 +314,15 @@ at('copy').addEventListener('click', async () => {
 for (const button of document.querySelectorAll('[data-export]')) {
   button.addEventListener('click', () => saveMade(`export/${button.dataset.export}`));
 }
+at('make-garment').addEventListener('click', async () => {
+  at('make-garment').disabled = true;
+  try {
+    await ask(`/estimates/${current.id}/garment`, { method: 'POST' });
+    poll(current.id);
+  } catch (error) {
+    at('make-garment').disabled = false;
+    at('error-garment').textContent = error.message;
+  }
+});
 at('all-files').addEventListener('click', () => saveMade('files.zip'));
 at('curvature').addEventListener('change', () => showCards(current.id));
