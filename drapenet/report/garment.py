@@ -71,13 +71,13 @@ class Garments:
     def picture(self) -> bytes:
         """PNG: hems from above, one over the other, and each skirt from the side."""
         figure = Figure(figsize=(13, 6.2), layout="constrained")
-        above, beside = figure.subfigures(1, 2, width_ratios=(1, 1.35))
+        above, beside = figure.subfigures(1, 2, squeeze=False, width_ratios=(1, 1.35))[0]
         stiffness = [_stiffness(fabric) / MICRO for fabric in self.fabrics]
         colours = ScalarMappable(Normalize(min(stiffness), max(stiffness)), "viridis")
         axes = above.subplots()
         for value, each in zip(stiffness, self.skirts, strict=True):
             if each.converged:
-                axes.plot(*_above(each), color=colours.to_rgba(value), lw=1)
+                axes.plot(*_above(each), color=colours.to_rgba(np.array(value)), lw=1)
         axes.plot(*_above(self.middle), color="black", lw=1, ls="--", label="middle")
         axes.set(title="hems from above, all from one start", aspect="equal")
         axes.set_axis_off()

@@ -60,7 +60,7 @@ def draped(plan: DrapePlan, edge: Metres) -> Drape:
                  laws=plan.nuisances.laws)
 
 
-def informations(plan: DrapePlan, shape: Drape) -> dict[str, Information]:
+def information_of(plan: DrapePlan, shape: Drape) -> dict[str, Information]:
     """Of a drape, by input."""
     return {"depth": depth_information(shape, nominal_camera(), nuisances=plan.nuisances),
             # Deviations of training pictures are uniform up to the largest.
@@ -85,7 +85,7 @@ def bounds_of_fabric(
     config, prior = sampling_of(tester, seed), load_prior("gaussian").covariance
     plans = [plan_drape(index, config=config, prior=load_prior("vae"))
              for index in range(DRAPES * fabric, DRAPES * (fabric + 1))]
-    drapes = [informations(plan, draped(plan, 1e-3 * edge_mm)) for plan in plans]
+    drapes = [information_of(plan, draped(plan, 1e-3 * edge_mm)) for plan in plans]
     captures = {kind: [one[kind] for one in drapes] for kind in INPUTS}
     deviations = config.nuisances.deviations
     common = {name: deviations[name] for name in SHARED}

@@ -24,7 +24,7 @@ from data.render.setups import Setups
 from data.tension.posterior import KES_SHEAR_ERROR
 from experiments.drapes import capture_drape, infer, infer_outline, outline_of
 from experiments.estimation.bound import Information, drape_moves
-from experiments.estimation.bounds import DRAPES, draped, informations, placement, sampling_of
+from experiments.estimation.bounds import DRAPES, draped, information_of, placement, sampling_of
 from experiments.result import ESTIMATOR, Config, Result, rms, run_cases
 from sim.draping import Drape
 from sim.material import DRAPE_CURVATURE, secant
@@ -65,7 +65,7 @@ def fabric_case(*, tester: str, fabric: int, seed: int, edge_mm: float) -> dict[
     config, prior = sampling_of(tester, seed), load_prior("gaussian")
     plan = plan_drape(DRAPES * fabric, config=config, prior=load_prior("vae"))
     shape, deviations = draped(plan, 1e-3 * edge_mm), config.nuisances.deviations
-    found = informations(plan, shape)
+    found = information_of(plan, shape)
     if not all(one.ok for one in found.values()):
         return {}
     steps = _STEP * np.diag(prior.deviation)
