@@ -21,7 +21,7 @@ SOURCES = [file for folder in ("apps", "common", "data", "drapenet", "sim")
 LISTED = [file for file in SOURCES if re.search(r"^__all__\b", file.read_text("utf-8"), re.M)]
 DOCUMENTS = ["README.md", *(f"docs/{name}" for name in
                             ("data_format.md", "extending.md", "gallery.md", "use.md",
-                                          "tutorial.ipynb"))]
+                             "tutorial.ipynb", "garment.ipynb", "gradients.ipynb"))]
 
 
 def test_names_are_listed_where_a_package_begins():
