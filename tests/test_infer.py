@@ -32,7 +32,7 @@ from data.render.cameras import Intrinsics
 from drapenet.config import EstimateOptions
 from drapenet.estimator.stages import RAISE, CaptureEstimate, estimate_capture
 from drapenet.network.checkpoint import BUNDLED, read_header
-from drapenet.result.files import SHOWN, read_estimate
+from drapenet.result.files import SHOWN, STRIPS, read_estimate
 from sim.material import DIRECTIONS, MICRO, is_admissible
 from sim.rig import SQUARE_RIG
 
@@ -232,7 +232,7 @@ def test_captures_of_one_fabric_give_one_estimate(checkpoint, tmp_path, out, cap
     assert {file.name for file in out.iterdir() if file.is_file()} == {
         "estimate.json", "samples.npz", "report.html", "report.pdf"}
     page = (out / "report.html").read_text("utf-8")
-    assert "<h1>Navy 7</h1>" in page and page.count("data:image/png") == 3  # and their moduli
+    assert "<h1>Navy 7</h1>" in page and page.count("data:image/png") == 4  # moduli, code
     assert content_of(out)["capture"]["labels"] == {"fabric": "Navy 7", "operator": "A / B"}
     assert content_of(out / "capture_1")["capture"]["labels"]["operator"] == "B"
     assert 3 <= content_of(out / "capture_1")["capture"]["nodes"] <= 9  # five folds, four corners
@@ -282,7 +282,7 @@ def test_a_photograph_has_an_estimate_and_a_report(checkpoint, tmp_path, out, na
     raised = content["capture"]["drape_coefficient_percent"] - 100 * seen
     assert (raised > 3) == (name == "outline.png")  # of its perspective
     assert "drape coefficient" in capsys.readouterr().out
-    assert {file.name for file in out.iterdir()} == NUMBERS | {*SHOWN}
+    assert {file.name for file in out.iterdir()} == NUMBERS | {*SHOWN} - {STRIPS}
     scene = trimesh.load(out / "drape.glb")
     assert set(scene.geometry) == {"simulated", "support"}
 
