@@ -199,7 +199,9 @@ def _joined(
     names = list(read)
     views = [_view(seen, found, first_side) for seen, found in read.values()]
     rig = read[names[0]][1].rig
-    together = join(views, rig, 1e-3 * (source.plate_height_mm or np.inf))
+    ground = Ground.of(source)
+    assert ground is not None  # several pictures are read over a mat alone
+    together = join(views, rig, ground.plate_height)
     warnings += [Finding("picture_contradicts", {"picture": file.name, "limit": MAX_UNLIKE})
                  for k, file in enumerate(names) if k not in together.used]
     used = [names[k] for k in together.used]
@@ -227,7 +229,6 @@ def _joined(
     outline = replace(shown, curve=curve, hem=shown.drawn(hem), warnings=tuple(warnings),
                       error=around(together.error, -first_side),
                       cameras=tuple(read[file][1].cameras[0] for file in used))
-    ground = Ground.of(source)
     return _judged(outline, Clarity.together([
         _clarity(read[names[k]][1], ground).turned(-together.turned[k]) for k in together.used]))
 

@@ -56,7 +56,7 @@ class MarkedStrip:
         width, length: of the unstretched strip.
         slope: of the light (2,), relative change per m along the mat.
         shadow: (2,) m of shadow per m of height, and its depth.
-        kind: what is told of it in results.
+        kind: what results say of it.
     """
 
     cloth: Texture

@@ -57,7 +57,7 @@ class Scenery:
         glow: light of the table itself, such as that of a light pad.
         sky: its light over that of an even room.
         shaded: whether light depends on the place; in a drawn or a copied picture it does not.
-        kind: what is told of it in results.
+        kind: what results say of it.
     """
 
     cloth: Points
