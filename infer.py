@@ -19,8 +19,6 @@ import common.interrupt  # noqa: F401
 import sys
 from pathlib import Path
 
-import joblib
-
 from common.command import command
 from common.errors import InputError
 from common.files import folder_named, locked
@@ -67,7 +65,7 @@ def main(config: InferConfig) -> None:
             if sys.stderr.isatty():
                 print("the estimate of a capture takes about half a minute", file=sys.stderr,
                       flush=True)
-            from drapenet.estimator.estimate import estimate_fabric  # torch: seconds, after faults
+            from drapenet.estimator.estimate import estimate_fabric  # a second, after faults
 
             estimate_fabric(sources, header, options, out=out, refused=refused,
                             on_estimate=print_estimate)
@@ -75,7 +73,7 @@ def main(config: InferConfig) -> None:
     if targets:
         export_estimates(files, targets)
     if config.preview:
-        preview_estimates(files, config.workers or joblib.cpu_count())
+        preview_estimates(files, config.workers)
 
 
 def sources_of(config: InferConfig) -> tuple[list[Source], Refused | None]:
@@ -108,12 +106,14 @@ def export_estimates(files: list[Path], targets: list[str]) -> None:
         print(f"exports:  {file.parent}: {', '.join(path.name for path in written)}")
 
 
-def preview_estimates(files: list[Path], workers: int) -> None:
+def preview_estimates(files: list[Path], workers: int | None) -> None:
     """Write skirts of samples beside each ``estimate.json``."""
+    import joblib
+
     from drapenet.report.garment import preview
 
     for file in files:
-        garments = preview(read_estimate(file)[0], workers=workers)
+        garments = preview(read_estimate(file)[0], workers=workers or joblib.cpu_count())
         garments.write(file.parent)
         failed = "".join(f"; sample {row} is missing: {reason}"
                          for row, reason in garments.failures.items())

@@ -106,13 +106,20 @@ def _run(task: Callable[[Any], None], name: str, schema: type, words: list[str])
                            resolve=given.resolve)
         elif given.info:
             hydra.show_info(given.info, **asked)
-        elif given.multirun or hydra.get_mode(**asked) is RunMode.MULTIRUN:
+        elif given.multirun or (_may_sweep(given) and hydra.get_mode(**asked) is RunMode.MULTIRUN):
             job = functools.wraps(task)(lambda config: task(checked(config, schema)))
             hydra.multirun(**asked, task_function=job)
         else:
             config = checked(compose(**asked), schema)
     if config is not None:  # outside of Hydra, which has words of its own for errors
         task(config)
+
+
+def _may_sweep(given: Any) -> bool:
+    """Whether these arguments may make a sweep without ``--multirun``: a launcher, Hydra's settings,
+    files of the user. To find out, Hydra composes all settings once more, a quarter of a second."""
+    return bool(given.config_dir or given.config_name or any(
+        word.lstrip("+").startswith(("launcher", "hydra")) for word in given.overrides))
 
 
 @contextmanager

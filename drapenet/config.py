@@ -106,7 +106,7 @@ class EstimateOptions:
 
     refine: dict[str, Any] | None = None  # content of a file of ``configs/refine``
     drapes: int = 2  # to simulate with the estimate; 0: no report
-    edge: Metres = 4e-3  # of their meshes at the plate's rim
+    edge: Metres = 5e-3  # of their meshes at the plate's rim
     strict: bool = False  # refuse a faulty capture instead of giving warnings
     address: str = ""  # of the page that will show it, for the code in its report
 
