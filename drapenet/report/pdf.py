@@ -7,11 +7,13 @@ from pathlib import Path
 import matplotlib
 from fpdf import FPDF
 from fpdf.fonts import TextStyle
+from fpdf.html import HTML2FPDF
 
 from drapenet.report.passport import SIDE
 
 WIDTH = 535  # points, of a picture as wide as the text
 _SMALLER = 0.75  # of that, where it saves a page
+_BESIDE_TABLES = 0.5  # mm, above and below
 _FONT = "DejaVu"  # matplotlib's, with Greek and superscripts
 _INK, _GREY = "#222222", "#666666"
 
@@ -53,7 +55,14 @@ def _laid_out(body: str, title: str, code: bytes) -> "_Pages":
     return pages
 
 
+class _Html(HTML2FPDF):
+    def _ln(self, h: float | None = None) -> None:
+        super()._ln(_BESIDE_TABLES if h is None else h)  # without: a line of the largest heading
+
+
 class _Pages(FPDF):
+    HTML2FPDF_CLASS = _Html
+
     def footer(self) -> None:
         self.set_y(-12)
         self.set_font(_FONT, size=7)
