@@ -37,6 +37,7 @@ _POINTS = 81  # of a strip's curve
 _EDGE = 12e-3
 """m, of the mesh of a simulated drape at the rim; edges of 5 mm change the gains by 1.4 points at most
 and take four times as long."""
+_WORTH = 1.0  # %, of either interval; what gains less is not named
 _LEAST = 0.1  # of the information of a capture; less is noise of samples
 _FULL = 0.5  # drape coefficient above which a larger disc says more, and below which a smaller one
 _DISCS = tuple(Rig.from_name(f"disc{size}_support180") for size in (240, 300, 360))
@@ -71,11 +72,11 @@ def next_measurements(
             cloth.mean, estimate.density)
     records = []
     for (kind, name), linear in evidence.items():
-        alpha, beta = reductions(cloth, linear)
-        records.append(NextMeasurement(
-            measurement=name, minutes=MINUTES[kind],
-            alpha_narrower_percent=round(100 * float(alpha.mean()), 1),
-            beta_narrower_percent=round(100 * float(beta.mean()), 1)))
+        alpha, beta = (round(100 * float(part.mean()), 1) for part in reductions(cloth, linear))
+        if max(alpha, beta) >= _WORTH:
+            records.append(NextMeasurement(
+                measurement=name, minutes=MINUTES[kind], alpha_narrower_percent=alpha,
+                beta_narrower_percent=beta))
     return sorted(records, key=lambda record: -record.alpha_narrower_percent)
 
 
