@@ -25,7 +25,7 @@ $(STAMP): pyproject.toml constraints.txt
 	@test -n "$(PYTHON)" && $(PYTHON) -c '$(SUITABLE)' || \
 	  { echo "Python 3.10 to 3.13 is needed; run: make PYTHON=/path/to/python3.13" >&2; exit 2; }
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	@echo "installing packages into .venv (a minute; 1.6 GB) ..."
+	@echo "installing packages into .venv (a minute or two; 1.6 GB) ..."
 	$(BIN)/python -m pip install -qq --constraint constraints.txt --editable .
 	touch $@
 
@@ -39,14 +39,14 @@ $(DEVELOPER): $(STAMP) tools/system_libraries.sh tools/cpu_torch.sh
 demo: $(STAMP)  ## estimate a fabric from two bundled captures: a photograph and depth views
 	$(BIN)/python infer.py capture=[$(PHOTOGRAPH),$(CAPTURE)] out=outputs/demo
 
-test: $(DEVELOPER)  ## fast tests, 4 minutes on two cores
+test: $(DEVELOPER)  ## fast tests, a quarter of an hour on two cores
 	$(BIN)/python -m pytest -q -n logical --maxprocesses 8 --dist worksteal
 
-test-rounding: $(DEVELOPER)  ## tests of drapes, captures and estimates with the rounding of an old processor, 4 minutes
+test-rounding: $(DEVELOPER)  ## tests of drapes, captures and estimates with the rounding of an old processor, 10 minutes
 	$(BIN)/python tools/other_processor.py $(BIN)/python -m pytest -q -n logical --maxprocesses 8 \
 	  --dist worksteal $(ROUNDED)
 
-test-wheel: $(DEVELOPER)  ## build the wheel and use it without the checkout, 2 minutes
+test-wheel: $(DEVELOPER)  ## build the wheel and use it without the checkout, 3 minutes
 	$(BIN)/python tools/wheel_trial.py
 
 test-slow: $(DEVELOPER)  ## tests that take minutes

@@ -63,7 +63,7 @@ def main(config: InferConfig) -> None:
         with locked(out):
             require_output(out, paths)
             if sys.stderr.isatty():
-                print("the estimate of a capture takes about half a minute", file=sys.stderr,
+                print("the estimate of a capture with its report takes about 15 s", file=sys.stderr,
                       flush=True)
             from drapenet.estimator.estimate import estimate_fabric  # a second, after faults
 

@@ -32,5 +32,5 @@ def announce(function: Any) -> None:
     among the last to be compiled is in the cache."""
     place = Path(function.stats.cache_path)
     if not any(place.glob(f"*{function.__name__}*.nbi")):
-        print("compiling the simulator for this installation, once: half a minute",
+        print("compiling the simulator for this installation, once: a minute",
               file=sys.stderr, flush=True)
