@@ -19,6 +19,7 @@ def nearest(points, radius, rim):
             across, along, bent = outwards / over, upwards / over, 1.0 / over
         elif outwards > upwards:
             across, along = 1.0, 0.0
-        # On the axis the normal is vertical: any distance will do.
-        result[:, i] = rim - over, distance if distance > 0.0 else 1.0, across, along, bent
+        result[0, i] = rim - over
+        result[1, i] = distance if distance > 0.0 else 1.0  # there the normal is vertical: any will do
+        result[2, i], result[3, i], result[4, i] = across, along, bent
     return result

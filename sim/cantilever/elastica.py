@@ -135,7 +135,7 @@ def _from_tip(law, weight, length, tip, target, every, shape):
         d += h / 6 * (d1 + 2 * d2 + 2 * d3 + d4)
         m += h / 6 * (m1 + 2 * m2 + 2 * m3 + m4)
         if (i + 1) % every == 0:
-            shape[(i + 1) // every] = x, y
+            shape[(i + 1) // every, 0], shape[(i + 1) // every, 1] = x, y
         if d > target + 0.1:
             return d
     return d

@@ -353,11 +353,15 @@ def _add_stiffness(
     turns, units = np.zeros((count, 3, 6)), np.empty((count, 3))
     bends, factors, block = np.zeros((3, 3, 3)), np.empty((12, 12)), np.zeros((17, 17))
     for t in range(count):
-        units[t] = _set_levers(q, corners[t], levers)
+        # Element by element: an array set to another takes Numba 10 s more to compile.
+        unit = _set_levers(q, corners[t], levers)
+        for k in range(3):
+            units[t, k] = unit[k]
         _between_angles(maps[t], tangent[t], maps[t], stiffness)
         bends[:] = 0.0
         for i in range(3):
-            turns[t, i, :3] = levers[i]
+            for k in range(3):
+                turns[t, i, k] = levers[i, k]
             turns[t, i, 3 + i] = sign[t, i]
             _, slope, bend = fold_barrier.barrier_at(phi[t, i], pole[t, i])
             stiffness[i, i] += barrier[t, i] * bend
@@ -365,8 +369,7 @@ def _add_stiffness(
                 moment = barrier[t, i] * slope + _moment(maps[t], moments[t], i)
                 edge, arm = _side(q, corners[t], i)
                 dihedral.add_side_bends(edge, arm, moment, ((i + 1) % 3, (i + 2) % 3, i), bends)
-        _fill_factors(turns[t], stiffness, turns[t], units[t], units[t], factors)
-        block[:12, :12] = factors
+        _fill_factors(turns[t], stiffness, turns[t], units[t], units[t], block)
         for a in range(3):
             for b in range(a, 3):
                 for k in range(3):
@@ -403,7 +406,7 @@ def _between_angles(left, tangent, right, stiffness):
 
 @numba.njit(inline="always")
 def _fill_factors(left, stiffness, right, left_unit, right_unit, factors):
-    """Fill factors (12, 12) with second derivatives by the unknowns of two triangles with the
+    """Fill factors, at least (12, 12), with second derivatives by the unknowns of two triangles with the
     normals ``left_unit`` and ``right_unit``, of the ``stiffness`` between their angles."""
     for i in range(6):
         along = (left[0, i] * stiffness[0, 0] + left[1, i] * stiffness[1, 0]
