@@ -70,7 +70,45 @@ def posterior(prior: np.ndarray, sources: Sequence[Source], prior_name: str = ""
             sound, doubted = _without_exchanged(source, sound, others)
             contradictions += doubted
         kept += sound
-    return Combined(updated(prior, kept), tuple(contradictions))
+    states, missed = _fitting(prior, kept, prior_name)
+    return Combined(states, (*contradictions, *missed))
+
+
+def _fitting(
+    prior: np.ndarray, kept: list[Source], prior_name: str
+) -> tuple[np.ndarray, list[Finding]]:
+    """States of the posterior of the sources that its cloth fits, and a finding for each of the
+    rest. Where sources are far from linear, tests of each against the others miss it."""
+    contradictions: list[Finding] = []
+    states = updated(prior, kept)
+    while doubtful := [source for source in kept if source.kind != CAPTURES
+                       and (prior_name or len(kept) > 1)]:
+        base = Normal.of(states)
+        if min(probability(source, base) for source in doubtful) >= LEVEL / len(doubtful):
+            break
+        # Not what fits least: the cloth may have been drawn from several towards a wrong source.
+        rests = [[source for source in kept if source is not one] for one in doubtful]
+        k = int(np.argmin([_misfit(prior, rest) for rest in rests]))
+        kept = rests[k]
+        states = updated(prior, kept)
+        rivals = filter(None, [prior_name, *dict.fromkeys(_NAMES[each.kind] for each in kept)])
+        contradictions.append(doubtful[k].contradiction(
+            " and ".join(rivals), Normal.of(states).samples(_TESTED)))
+    return states, contradictions
+
+
+def _misfit(prior: np.ndarray, sources: Sequence[Source]) -> float:
+    """Sum of the squares by which the mean of the posterior of ``sources`` is off them and off the
+    prior, in standard deviations; infinite if no cloth can give what they measured."""
+    try:
+        middle = updated(prior, sources).mean(axis=0)
+    except InputError:
+        return np.inf
+    usual = Normal.of(prior)
+    gap = middle - usual.mean
+    off = [gap @ np.linalg.solve(usual.covariance, gap),
+           *(np.square(source.residuals(middle[None])).sum() for source in sources)]
+    return float(sum(off)) if np.isfinite(off).all() else np.inf
 
 
 def consistent(

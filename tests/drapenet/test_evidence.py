@@ -10,9 +10,11 @@ from data.readings import QUANTITIES
 from data.readings.cantilever import bending_length
 from data.readings.known import ByDirection, Known
 from data.readings.quantity import SPECIMEN_SCATTER
+from drapenet.config import EstimateOptions
 from drapenet.estimator.combine import combine
+from drapenet.estimator.estimate import estimate_fabric
 from drapenet.estimator.infer import prior_draws
-from drapenet.estimator.read import require_directions
+from drapenet.estimator.read import read_sources, require_directions
 from drapenet.evidence.combine import consistent, posterior, updated
 from drapenet.evidence.source import of_capture, of_refined, of_strips, of_values
 from drapenet.evidence.state import cloth_of_state, fabric_prior, prior_along, state_of
@@ -175,6 +177,19 @@ def test_values_that_contradict_each_other_and_not_the_captures():
     contradiction, = posterior(wide, of_values(known, DENSITY), NAME).contradictions
     assert contradiction.source == "known.flexural_rigidity_uN_m.2"
     assert contradiction.values["value"] == 220 > contradiction.values["expected"]
+
+
+def test_a_wrong_value_beside_strips_is_named_though_it_is_far_from_linear(header, tmp_path):
+    """A cloth between all of them would have none: it curls, and KES B and 2HB are others, too."""
+    (tmp_path / "strips.yaml").write_text(
+        "density_g_m2: 210\nstrips:\n- {direction: warp, bending_length_mm: 28.4}\n"
+        "- {direction: weft, bending_length_mm: 20.8, face: down}\n"
+        "known: {kes_b_gf_cm2_per_cm: {warp: 0.24, weft: 0.10}, kes_2hb_gf_cm_per_cm: {warp: 0.9}}")
+    sources, _ = read_sources([], str(tmp_path), "")
+    estimate = estimate_fabric(sources, header, EstimateOptions(drapes=0))
+    assert [one.source for one in estimate.contradictions] == ["known.kes_2hb_gf_cm_per_cm.0"]
+    length = np.median(estimate.reading("bending_length_mm"), axis=0)
+    assert length[[0, 2]] == pytest.approx([28.4, 20.8], rel=0.03)
 
 
 def test_of_values_exchanged_between_warp_and_weft_both_are_left_out():
