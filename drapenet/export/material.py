@@ -18,7 +18,17 @@ from data.captures.description import MAX_LABEL_LENGTH, PRINTABLE
 from drapenet.result.document import EstimateDocument
 from drapenet.result.files import ESTIMATE, read_document, result_name
 from sim.energies.hinges import mean_modulus
-from sim.material import DIRECTIONS, DRAPE_CURVATURE, MICRO, NANO, SOFTENING_LIMIT, secant
+from sim.material import (
+    BIAS,
+    DIRECTIONS,
+    DRAPE_CURVATURE,
+    MICRO,
+    NANO,
+    SOFTENING_LIMIT,
+    WARP,
+    WEFT,
+    secant,
+)
 from sim.rig import GRAVITY
 
 MESHES = {"unstructured": ("random", 0.2), "alternating": ("alternating", 0.0),
@@ -90,6 +100,13 @@ class Material:
         if curvature == DRAPE_CURVATURE and all(stated):
             return MICRO * np.array([value.median for value in stated if value])
         return secant(curvature, self.alpha, self.beta)
+
+    @property
+    def one_modulus(self) -> float:
+        """For tools that bend alike in all directions, N·m: the harmonic mean of :attr:`modulus`
+        along warp, weft and both biases, because cloth folds about its soft directions
+        (``python -m experiments blender``)."""
+        return float(4 / (1 / self.modulus)[[WARP, BIAS, WEFT, BIAS]].sum())
 
     @property
     def buckling(self) -> Buckling:

@@ -12,7 +12,6 @@ import re
 from drapenet.export.clo import UNITS, clo_values
 from drapenet.export.material import Material
 from drapenet.export.writing import left_to_tool
-from sim.energies.hinges import mean_modulus
 
 SCHEMAS = ("PhysicsMaterialAPI", "PhysicsSurfaceDeformableMaterialAPI", "CloFabricAPI")
 CLO = ("stretchWarp", "stretchWeft", "shear", "thickness", "friction", "internalDamping",
@@ -66,7 +65,7 @@ def _quoted(text: str) -> str:
 def _surface(material: Material) -> dict[str, tuple[float, str]]:
     """Values of a deformable surface and their units, by attribute."""
     known = material.known
-    values = {"physics:surfaceBendStiffness": (mean_modulus(material.modulus), "N·m")}
+    values = {"physics:surfaceBendStiffness": (material.one_modulus, "N·m")}
     if material.stretch:
         values["physics:surfaceStretchStiffness"] = sum(material.stretch) / 2, "N/m"
     if "shear" in known:

@@ -69,12 +69,16 @@ def lowering(reports: Reports) -> str:
 
 def blender(reports: Reports) -> str:
     """Drapes of exported fabrics in Blender and in this simulator."""
-    report = reports["blender"]
-    rows = [[f"{float(alpha):g}", *(f"{one['coefficient'][k]:.1f} %" for k in range(2)),
-             *(f"{one['folds'][k]:.1f}" for k in range(2))]
-            for alpha, one in report["alpha_uN_m"].items()]
-    return table(["α [µN·m]", "drape coefficient here", "in Blender", "folds here",
-                  "in Blender"], rows)
+    def moduli(values: list[float]) -> str:
+        return ", ".join(f"{value:.1f}" for value in values)
+
+    rows = [[moduli(one["alpha_uN_m"]), moduli(one["stiffness_in_a_drape_uN_m"]),
+             f"{one['one_modulus_uN_m']:.1f}", *(f"{c:.1f} %" for c in one["coefficient"].values()),
+             *(f"{one['folds'][key]:.1f}" for key in ("law", "blender"))]
+            for one in reports["blender"]["fabrics"]]
+    return table(["α along warp, bias, weft [µN·m]", "stiffness in a drape", "as one modulus",
+                  "drape coefficient here, by the law", "here, with one modulus", "in Blender",
+                  "folds here, by the law", "in Blender"], rows)
 
 
 def secants(reports: Reports) -> str:

@@ -22,7 +22,7 @@ from experiments.physics import style3d
 from experiments.physics.hinges import free_end
 from experiments.result import Config, Result, table
 from sim.cantilever.elastica import aspect_ratio, gamma_of_aspect_ratio
-from sim.material import DIRECTIONS, MICRO, REFERENCE_DENSITY
+from sim.material import DIRECTIONS, MICRO, REFERENCE_DENSITY, Fabric
 from sim.mesh import Mesh, strip
 from sim.rig import GRAVITY
 from sim.solver.state import State
@@ -35,16 +35,17 @@ MEMBRANE = 400.0  # N/m
 ITERATIONS = 400  # of the linear solver; fewer damp the motion
 
 
-def known_material(alphas: tuple[float, ...], **settings: object) -> Material:
-    """The material of a fabric with linear moduli ``alphas``, µN·m, known without error."""
-    density = 1e-3 * DENSITY
-    theta = to_theta(np.array(alphas) * MICRO * REFERENCE_DENSITY / density, np.zeros(3))
+def known_material(fabric: Fabric, **settings: object) -> Material:
+    """The material of a fabric whose moduli are known without error."""
+    per_weight = REFERENCE_DENSITY / fabric.density
+    theta = to_theta(fabric.alpha * per_weight, fabric.beta * per_weight)
     samples = theta + 1e-9 * np.vstack([np.zeros(6), np.eye(6), -np.eye(6)])
     unknown = np.zeros(len(samples))
     cloth = ClothProperties(samples, np.zeros((len(samples), 2)), unknown + MEMBRANE, unknown)
-    estimate = Estimate(cloth, DIRECTIONS, density, np.ones(6))
+    estimate = Estimate(cloth, DIRECTIONS, fabric.density, np.ones(6))
     document = EstimateDocument.from_estimate(
-        estimate, capture={"source": "experiments.exports", "rig": "", "density_g_m2": DENSITY},
+        estimate, capture={"source": "experiments.exports", "rig": "",
+                           "density_g_m2": 1e3 * fabric.density},
         checkpoint={"file": "", "sha256": "", "dataset_sha256": ""})
     return Material(document, ExportSettings(**settings), "", "")
 
@@ -81,7 +82,9 @@ def run(config: Config) -> Result:
     for fabric, alphas in FABRICS.items():
         with tempfile.TemporaryDirectory() as temporary:
             file = Path(temporary) / "fabric.py"
-            material = known_material(alphas, edge_mm=config["edge_mm"], mesh=config["mesh"])
+            material = known_material(
+                Fabric(MICRO * np.array(alphas), density=1e-3 * DENSITY),
+                edge_mm=config["edge_mm"], mesh=config["mesh"])
             export(material, "newton", file)
             module = runpy.run_path(str(file))
         diagonals, jitter = MESHES[config["mesh"]]
