@@ -116,8 +116,8 @@ def _run(task: Callable[[Any], None], name: str, schema: type, words: list[str])
 
 
 def _may_sweep(given: Any) -> bool:
-    """Whether these arguments may make a sweep without ``--multirun``: a launcher, Hydra's settings,
-    files of the user. To find out, Hydra composes all settings once more, a quarter of a second."""
+    """Whether these arguments may make a sweep without ``--multirun``: a launcher, Hydra's
+    settings, files of the user. To find out, Hydra composes once more, in a quarter of a second."""
     return bool(given.config_dir or given.config_name or any(
         word.lstrip("+").startswith(("launcher", "hydra")) for word in given.overrides))
 

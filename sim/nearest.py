@@ -20,6 +20,7 @@ def nearest(points, radius, rim):
         elif outwards > upwards:
             across, along = 1.0, 0.0
         result[0, i] = rim - over
-        result[1, i] = distance if distance > 0.0 else 1.0  # there the normal is vertical: any will do
+        # On the axis the normal is vertical: any distance will do.
+        result[1, i] = distance if distance > 0.0 else 1.0
         result[2, i], result[3, i], result[4, i] = across, along, bent
     return result

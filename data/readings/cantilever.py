@@ -53,9 +53,11 @@ def _rigidity_micro(cloth: ClothProperties, density: Density) -> np.ndarray:
     return flexural_rigidity(*moduli_at(cloth, density), density) / MICRO
 
 
+BENDING_LENGTHS = (5.0, 150.0)  # mm, that a laboratory may have read
 # Assumed errors: the standards at hand state none.
 QUANTITIES = (
-    Quantity("bending_length_mm", 3, 0.05, _length_mm, "bending length [mm]"),
-    Quantity("flexural_rigidity_uN_m", 3, 0.15, _rigidity_micro,
-             "flexural rigidity G [µN·m]"),
+    Quantity("bending_length_mm", 3, 0.05, _length_mm, "bending length [mm]",
+             limits=BENDING_LENGTHS),
+    Quantity("flexural_rigidity_uN_m", 3, 0.15, _rigidity_micro, "flexural rigidity G [µN·m]",
+             limits=(0.05, 2e4)),
 )

@@ -22,10 +22,11 @@ def _stiffness(cloth: ClothProperties, density: Density) -> np.ndarray:
 
 
 QUANTITIES = (
-    Quantity("membrane_n_per_m", 1, 0.20, _membrane, "membrane stiffness [N/m]"),
-    Quantity("hysteresis_share", 1, 0.20, _hysteresis,
-             "hysteresis, share of the torque [0 to 1]"),
+    Quantity("membrane_n_per_m", 1, 0.20, _membrane, "membrane stiffness [N/m]",
+             limits=(10.0, 1e5)),
+    Quantity("hysteresis_share", 1, 0.20, _hysteresis, "hysteresis, share of the torque [0 to 1]",
+             limits=(1e-3, 1.0)),
     # Of an unknown test, curvature and specimen, as in a supplier's data sheet.
     Quantity("bending_stiffness_uN_m", 1, 0.35, _stiffness,
-             "bending stiffness by the supplier [µN·m]"),
+             "bending stiffness by the supplier [µN·m]", limits=(0.05, 2e4)),
 )

@@ -35,5 +35,6 @@ def _2hb(cloth: ClothProperties, density: Density) -> np.ndarray:
     return kes(*moduli_at(cloth, density))[1] / GF_CM_PER_CM
 
 
-QUANTITIES = (Quantity("kes_b_gf_cm2_per_cm", 3, 0.10, _b, "KES B [gf·cm²/cm]"),
-              Quantity("kes_2hb_gf_cm_per_cm", 3, 0.15, _2hb, "KES 2HB [gf·cm/cm]"))
+QUANTITIES = (
+    Quantity("kes_b_gf_cm2_per_cm", 3, 0.10, _b, "KES B [gf·cm²/cm]", limits=(2e-4, 20.0)),
+    Quantity("kes_2hb_gf_cm_per_cm", 3, 0.15, _2hb, "KES 2HB [gf·cm/cm]", limits=(1e-5, 20.0)))

@@ -48,6 +48,15 @@ class _Stated(Schema):
                              "which it was measured, thickness_kpa (a book on A4: about 0.2)")
         return self
 
+    @model_validator(mode="after")
+    def _of_cloth(self) -> "_Stated":
+        for (name, k), value in self.values().items():
+            low, high = QUANTITIES[name].limits
+            if not low <= value <= high:
+                raise ValueError(f"has {QUANTITIES[name].stated(k, value)}; it must be {low:g} to "
+                                 f"{high:g}: check unit and decimal point")
+        return self
+
     @field_validator("error_percent")
     @classmethod
     def _of_quantities(cls, errors: dict[str, float]) -> dict[str, float]:

@@ -1,5 +1,6 @@
 """What a laboratory may state of a fabric: a quantity, its error and its value of a given cloth."""
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
@@ -33,6 +34,7 @@ class Quantity:
             of a value without a stated one.
         predict: gives it of S fabrics of a density, (S, directions), in the unit of the name;
             :func:`moduli_at` gives their moduli. NaN of a fabric that cannot have it.
+        limits: least and largest value that may be stated; beyond them it has another unit.
         title: its name and unit for people, by default its key.
     """
 
@@ -41,6 +43,7 @@ class Quantity:
     error: float
     predict: Callable[[ClothProperties, Density], np.ndarray]
     title: str = ""
+    limits: tuple[float, float] = (0.0, math.inf)
 
     def __post_init__(self) -> None:
         if self.directions not in (1, 3) or not 0 < self.error <= 1:

@@ -10,12 +10,12 @@ from common.documents import Schema, read_yaml, require_file_in
 from common.errors import InputError
 from common.types import Metres
 from data.captures.description import MAX_LABEL_LENGTH, Labels, Weighed
+from data.readings.cantilever import BENDING_LENGTHS
 from data.readings.known import Known
 
 FILE = "strips.yaml"
 MAX_STRIPS = 60
 FREE_LENGTHS = (10.0, 300.0)  # mm
-BENDING_LENGTHS = (5.0, 150.0)  # mm
 _Coordinate = Annotated[float, Field(ge=-1e5, le=1e5)]
 _Point = Annotated[list[_Coordinate], Field(min_length=2, max_length=2)]
 _SCALES = "mm_per_px: 0.05, or {ruler_px: [[100, 900], [1100, 900]], ruler_mm: 50}, or {by: board}"

@@ -35,8 +35,8 @@ STRIP_LENGTHS = (1.5, 2.5)
 LEAST_STRIP = 0.02  # m
 _POINTS = 81  # of a strip's curve
 _EDGE = 12e-3
-"""m, of the mesh of a simulated drape at the rim; edges of 5 mm change the gains by 1.4 points at most
-and take four times as long."""
+"""m, of the mesh of a simulated drape at the rim; edges of 5 mm change the gains by 1.4 points at
+most and take four times as long."""
 _WORTH = 1.0  # %, of either interval; what gains less is not named
 _LEAST = 0.1  # of the information of a capture; less is noise of samples
 _FULL = 0.5  # drape coefficient above which a larger disc says more, and below which a smaller one

@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 from scipy.optimize import brentq
 
 from data.fabrics.fabrics import from_theta
 from data.fabrics.prior import load_prior, log_stiffness
 from data.fabrics.prior.even import draw_fabrics
 from data.fabrics.properties import ClothProperties
+from data.readings import QUANTITIES
 from data.readings.cantilever import (
     MG_CM,
     SOFTENING,
@@ -16,6 +18,7 @@ from data.readings.cantilever import (
     strip_lengths,
 )
 from data.readings.kes import GF_CM, KES_CURVATURES, kes
+from data.readings.known import ByDirection, Known
 from data.readings.quantity import Quantity, by_name, moduli_at
 from data.strips.posterior import INCLINE
 from sim.cantilever import hang
@@ -107,6 +110,20 @@ def test_kes_is_the_secant_and_knows_where_the_law_ends():
     assert outside.tolist() == [False, False, True]
     # Secants of the parabola alpha kappa + beta kappa² through 50 and 150 1/m: -beta 50 150 at 0
     assert hysteresis[:2] == pytest.approx([0.0, 2 * 100e-9 * 7500], abs=1e-12)
+
+
+def test_limits_hold_every_fabric_and_no_value_in_another_unit():
+    theta, _ = draw_fabrics(load_prior("vae"), 3000, even_share=1.0)
+    cloth = ClothProperties(theta, np.zeros((3000, 2)), np.full(3000, 600.0), np.full(3000, 0.2))
+    for density in (0.05, 0.8):
+        for quantity in QUANTITIES.values():
+            values, (low, high) = quantity.of(cloth, density), quantity.limits
+            values = values[np.isfinite(values) & (values > 0)]
+            assert ((values < low) | (values > high)).mean() < 0.02, quantity.name
+    # A bending length in cm, B of KES in N·m²/m
+    for name, value in (("bending_length_mm", 2.84), ("kes_b_gf_cm2_per_cm", 0.24e-4)):
+        with pytest.raises(ValidationError, match=rf"= {value}; it must be .*: check unit and"):
+            Known(**{name: ByDirection(warp=value)})
 
 
 def loop(cloth: ClothProperties, density: float) -> np.ndarray:

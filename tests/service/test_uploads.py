@@ -339,11 +339,12 @@ def test_a_drape_coefficient_alone_is_a_capture(settings, tmp_path):
 def test_each_quantity_of_the_registry_is_a_field(settings, tmp_path):
     for quantity in QUANTITIES.values():
         names = value_fields(quantity)
+        values = [float(f"{(k + 2) * quantity.limits[0]:g}") for k in range(len(names))]
         upload = checked_upload([], {"density_g_m2": "210", error_field(quantity): "7",
-                                     **{name: f"{k + 1}" for k, name in enumerate(names)}},
+                                     **dict(zip(names, map(str, values), strict=True))},
                                 settings)
         known = strips_of(upload, tmp_path / quantity.name).known
-        assert known.values() == {(quantity.name, k): k + 1 for k in range(len(names))}
+        assert known.values() == {(quantity.name, k): value for k, value in enumerate(values)}
         assert known.error(quantity.name) == 0.07 and len(names) in (1, len(DIRECTIONS))
 
 
