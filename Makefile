@@ -58,7 +58,7 @@ test-slurm: $(DEVELOPER)  ## tests of datasets on a one-node Slurm, installed an
 test-browser: $(DEVELOPER)  ## tests of the page in Chromium, installed if run as root; screenshots in outputs/browser
 	@test -n "$$(command -v chromium)" || test "$$(id -u)" != 0 || { apt-get update -qq && apt-get install -qqy chromium; }
 	$(BIN)/python -m pip install -qq --constraint constraints.txt --editable '.[dev,browser]'
-	$(BIN)/python -m pytest -q -rs -m browser tests/service/test_browser.py
+	$(BIN)/python -m pytest -q -rs -m browser tests/browser
 
 serve: $(STAMP)  ## run the page and the HTTP interface on http://localhost:8000
 	$(BIN)/python serve.py

@@ -406,8 +406,8 @@ def _between_angles(left, tangent, right, stiffness):
 
 @numba.njit(inline="always")
 def _fill_factors(left, stiffness, right, left_unit, right_unit, factors):
-    """Fill factors, at least (12, 12), with second derivatives by the unknowns of two triangles with
-    the normals ``left_unit`` and ``right_unit``, of the ``stiffness`` between their angles."""
+    """Fill factors, at least (12, 12), with second derivatives by the unknowns of two triangles of
+    normals ``left_unit`` and ``right_unit``, of the ``stiffness`` between their angles."""
     for i in range(6):
         along = (left[0, i] * stiffness[0, 0] + left[1, i] * stiffness[1, 0]
                  + left[2, i] * stiffness[2, 0],

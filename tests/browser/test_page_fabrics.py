@@ -1,0 +1,89 @@
+"""The fabrics on the page: joined, searched, compared, named and removed."""
+
+import time
+
+from browsing import FILES, IN_BROWSER, fits, keep
+
+from experiments.speed.service import post, wait_until_ended
+
+pytestmark = IN_BROWSER
+
+
+def test_captures_join_and_fabrics_are_searched_and_compared(page, service):
+    others = [post(service, density).json()["id"] for density in (120.0, 180.0, 260.0)]
+    page.set_input_files("#files", FILES)
+    page.fill("#form [name=name]", "grey serge")
+    page.fill("#form [name=label]", "face up")
+    page.click("#submit")
+    page.wait_for_selector("#downloads:not([hidden])")
+    page.click("#more")
+    assert "grey serge" in page.inner_text("#into")
+    page.set_input_files("#files", [*FILES[:2], FILES[-1]])
+    page.evaluate("document.getElementById('camera').open = true")
+    page.check("#override input")
+    page.fill("[name=turns_deg]", "0, 90")
+    page.fill("#form [name=label]", "face up")
+    page.click("#submit")  # the label is taken
+    page.locator("#error-label", has_text="another capture").wait_for()
+    page.fill("#form [name=label]", "two views")
+    page.click("#submit")
+    page.click("#captures a:has-text('all captures')")
+    page.locator("#facts", has_text="2 captures").wait_for()
+    keep(page, "page_fabric.png")
+    for identity in others:
+        wait_until_ended(service, identity)
+    page.click("header a:has-text('Fabrics')")
+    page.fill("#search", "SERGE two")
+    page.locator("#fabrics tr:only-child").wait_for()
+    page.fill("#search", "")
+    page.locator("#fabrics tr").nth(3).wait_for()
+    boxes = page.locator("#fabrics [type=checkbox]")
+    for k in range(4):
+        boxes.nth(k).check()
+    assert boxes.count() == 4 or boxes.nth(4).is_disabled()
+    keep(page, "page_fabrics.png")
+    page.focus("#compare")
+    began = time.monotonic()
+    page.keyboard.press("Enter")
+    page.wait_for_selector("#comparison[data-shown]")
+    print(f"four fabrics compared in {time.monotonic() - began:.2f} s")
+    assert page.locator("#compared th").count() == 4
+    assert page.locator("#curves polyline").count() == 12
+    page.wait_for_timeout(500)
+    keep(page, "page_comparison.png")
+    before = page.locator("#drapes").screenshot()
+    page.focus("#drapes")
+    page.keyboard.press("ArrowLeft")
+    assert page.locator("#drapes").screenshot() != before
+    assert fits(page)
+    keep(page, "page_comparison_phone.png")
+    page.goto(service.url + "/#fabrics")
+    page.wait_for_selector("#fabrics tr")
+    assert fits(page)
+    keep(page, "page_fabrics_phone.png")
+
+
+def test_presets_stay_and_names_change(page, service):
+    page.evaluate("document.getElementById('camera').open = true")
+    page.select_option("#tester", "disc300_support180")
+    page.check("[name=kind][value=above]")
+    page.fill("[name=camera_height_mm]", "1250")
+    page.fill("#preset-name", "our Cusick")
+    page.click("#preset-save")
+    page.reload()
+    page.evaluate("document.getElementById('camera').open = true")
+    assert page.input_value("[name=camera_height_mm]") == "1250"
+    assert page.input_value("#tester") == "disc300_support180"
+    page.select_option("#preset", "")
+    assert page.input_value("[name=camera_height_mm]") == ""
+    identity = post(service, 210.0).json()["id"]
+    wait_until_ended(service, identity)
+    page.goto(f"{service.url}/#{identity}")
+    page.click("#edit")
+    page.fill("#editor [name=name]", "a <b>new</b> name")
+    page.keyboard.press("Enter")
+    page.locator("#title", has_text="a <b>new</b> name").wait_for()
+    page.on("dialog", lambda dialog: dialog.accept())
+    page.click("#remove-fabric")
+    page.wait_for_selector("#library:not([hidden])")
+    assert "new</b>" not in page.inner_text("#library")
