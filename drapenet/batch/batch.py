@@ -22,7 +22,7 @@ from data.captures.capture import Capture
 from data.captures.preview import show
 from drapenet.batch.captures import Entry, entries_of
 from drapenet.config import EstimateOptions
-from drapenet.estimator.read import read_source
+from drapenet.estimator.read import first_with, read_source
 from drapenet.network.checkpoint import Header, read_header
 from drapenet.report.overview import (
     FAILURE,
@@ -154,14 +154,14 @@ def _twins(entries: Sequence[Entry], out: Path) -> tuple[dict[Path, list[Finding
     found: dict[Path, list[Finding]] = {}
     repeated: set[Path] = set()
     for entry in entries:
-        digest = ""
+        digests: tuple[str, ...] = ()
         with suppress(InputError):  # of damaged files, which is said where they are joined
-            digest = read_document(out / entry.place / ESTIMATE).capture.pictures_sha256
-        other = first.setdefault(digest, entry) if digest else entry
-        if other is not entry and other.fabric == entry.fabric:
+            digests = read_document(out / entry.place / ESTIMATE).capture.pictures_sha256
+        other = first_with(first, digests, entry)
+        if other and other.fabric == entry.fabric:
             repeated.add(entry.place)
             found[entry.place] = [_twin("twin_left_out", entry, other)]
-        elif other is not entry:
+        elif other:
             for one, two in ((entry, other), (other, entry)):
                 found.setdefault(one.place, []).append(_twin("twin_elsewhere", one, two))
     return found, repeated
