@@ -147,19 +147,21 @@ def join_fabrics(
     return Joined(fabrics, apart, failures)
 
 
-def _twins(entries: Sequence[Entry], out: Path) -> tuple[dict[Path, list[Finding]], set[Path]]:
+def _twins(
+    entries: Sequence[Entry], out: Path
+) -> tuple[dict[Path, list[Finding]], dict[Path, Entry]]:
     """A finding for each capture whose pictures another one has, by its place, and the places of
-    those that repeat a capture of their fabric."""
+    those that repeat a capture of their fabric, with that capture."""
     first: dict[str, Entry] = {}
     found: dict[Path, list[Finding]] = {}
-    repeated: set[Path] = set()
+    repeated: dict[Path, Entry] = {}
     for entry in entries:
         digests: tuple[str, ...] = ()
         with suppress(InputError):  # of damaged files, which is said where they are joined
             digests = read_document(out / entry.place / ESTIMATE).capture.pictures_sha256
         other = first_with(first, digests, entry)
         if other and other.fabric == entry.fabric:
-            repeated.add(entry.place)
+            repeated[entry.place] = other
             found[entry.place] = [_twin("twin_left_out", entry, other)]
         elif other:
             for one, two in ((entry, other), (other, entry)):
@@ -173,7 +175,7 @@ def _twin(code: str, entry: Entry, other: Entry) -> Finding:
 
 def _joined(
     name: str, entries: Sequence[Entry], refused: Sequence[Path], out: Path, header: Header,
-    strict: bool, found: Mapping[Path, Sequence[Finding]], repeated: set[Path]
+    strict: bool, found: Mapping[Path, Sequence[Finding]], repeated: Mapping[Path, Entry]
 ) -> FabricEstimate:
     """Join the captures and strips of a fabric but ``repeated`` ones, and what is known by those
     that are ``refused``; write its estimate, with the findings of :func:`_twins`."""
@@ -201,7 +203,7 @@ def _joined(
     write_estimate(out / place, estimate, document)
     return FabricEstimate(
         name, place, [(entry, parts[entry.place].document.warned(*found.get(entry.place, ())))
-                      for entry in entries], document, scatter)
+                      for entry in entries], document, scatter, left_out=repeated)
 
 
 def _apart(entries: Sequence[Entry], out: Path) -> list[tuple[Entry, EstimateDocument]]:
