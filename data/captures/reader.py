@@ -12,6 +12,7 @@ Two formats are recognised by their files:
 
 import os
 import re
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -169,7 +170,10 @@ def _read_outline(path: Path, file: Path, description: Description) -> OutlineCa
         stated["warp_direction"] = 0.0
     outline = read_outline(file, description.outline or OutlineSource(), stated["rig"],
                            stated["warp_direction"])
-    return OutlineCapture(outline, **stated,
+    files = [one for one in sorted(path.glob("outline*.*"))
+             if one.suffix.lower() in OUTLINE_SUFFIXES]
+    digests = tuple(sha256(one.read_bytes()).hexdigest() for one in files)
+    return OutlineCapture(outline, **stated, files_sha256=digests,
                           warnings=(*description.questions, *outline.warnings))
 
 

@@ -22,7 +22,7 @@ from data.captures.capture import Capture
 from data.captures.preview import show
 from drapenet.batch.captures import Entry, entries_of
 from drapenet.config import EstimateOptions
-from drapenet.estimator.read import read_source
+from drapenet.estimator.read import first_with, read_source
 from drapenet.network.checkpoint import Header, read_header
 from drapenet.report.overview import (
     FAILURE,
@@ -147,21 +147,23 @@ def join_fabrics(
     return Joined(fabrics, apart, failures)
 
 
-def _twins(entries: Sequence[Entry], out: Path) -> tuple[dict[Path, list[Finding]], set[Path]]:
+def _twins(
+    entries: Sequence[Entry], out: Path
+) -> tuple[dict[Path, list[Finding]], dict[Path, Entry]]:
     """A finding for each capture whose pictures another one has, by its place, and the places of
-    those that repeat a capture of their fabric."""
+    those that repeat a capture of their fabric, with that capture."""
     first: dict[str, Entry] = {}
     found: dict[Path, list[Finding]] = {}
-    repeated: set[Path] = set()
+    repeated: dict[Path, Entry] = {}
     for entry in entries:
-        digest = ""
+        digests: tuple[str, ...] = ()
         with suppress(InputError):  # of damaged files, which is said where they are joined
-            digest = read_document(out / entry.place / ESTIMATE).capture.pictures_sha256
-        other = first.setdefault(digest, entry) if digest else entry
-        if other is not entry and other.fabric == entry.fabric:
-            repeated.add(entry.place)
+            digests = read_document(out / entry.place / ESTIMATE).capture.pictures_sha256
+        other = first_with(first, digests, entry)
+        if other and other.fabric == entry.fabric:
+            repeated[entry.place] = other
             found[entry.place] = [_twin("twin_left_out", entry, other)]
-        elif other is not entry:
+        elif other:
             for one, two in ((entry, other), (other, entry)):
                 found.setdefault(one.place, []).append(_twin("twin_elsewhere", one, two))
     return found, repeated
@@ -173,7 +175,7 @@ def _twin(code: str, entry: Entry, other: Entry) -> Finding:
 
 def _joined(
     name: str, entries: Sequence[Entry], refused: Sequence[Path], out: Path, header: Header,
-    strict: bool, found: Mapping[Path, Sequence[Finding]], repeated: set[Path]
+    strict: bool, found: Mapping[Path, Sequence[Finding]], repeated: Mapping[Path, Entry]
 ) -> FabricEstimate:
     """Join the captures and strips of a fabric but ``repeated`` ones, and what is known by those
     that are ``refused``; write its estimate, with the findings of :func:`_twins`."""
@@ -201,7 +203,7 @@ def _joined(
     write_estimate(out / place, estimate, document)
     return FabricEstimate(
         name, place, [(entry, parts[entry.place].document.warned(*found.get(entry.place, ())))
-                      for entry in entries], document, scatter)
+                      for entry in entries], document, scatter, left_out=repeated)
 
 
 def _apart(entries: Sequence[Entry], out: Path) -> list[tuple[Entry, EstimateDocument]]:

@@ -49,7 +49,7 @@ def describe_capture(
         source=printable(capture.path), density_g_m2=round(capture.density * 1e3, 6),
         rig=capture.rig.name, face=capture.face,
         views=len(capture.views) if isinstance(capture, DepthCapture) else 0,
-        views_sha256=capture.digest,
+        views_sha256=capture.digest, files_sha256=list(capture.files_sha256) or None,
         turns_deg=(np.degrees(located.turns).round(1) + 0.0).tolist() if located else None,  # no -0
         drape_coefficient_percent=round(100 * share, 1) if np.isfinite(share) else None,
         nodes=nodes, known=capture.known, labels=capture.labels)

@@ -126,7 +126,7 @@ def estimate_fabric(
         raise next(iter(refused.values()))
     captures = [source for source in sources if isinstance(source, Capture)]
     require_one_fabric([source.density for source in sources],
-                       [(str(capture.path), capture.digest) for capture in captures])
+                       [(str(capture.path), capture.digests) for capture in captures])
     require_directions(all(capture.warp_direction is not None for capture in captures),
                        any(source.along_yarns for source in sources
                            if not isinstance(source, Capture)),
@@ -249,7 +249,8 @@ def join(
     captures = [evidence for part in parts if (evidence := part.evidence)]
     records = [record for document in documents for record in document.strips or []]
     require_one_fabric([document.density for document in documents],
-                       [(document.label, document.capture.views_sha256)
+                       [(document.label, (document.capture.views_sha256,
+                                          *(document.capture.files_sha256 or ())))
                         for document in documents if document.capture.source])
     tensions = [document.tension for document in documents if document.tension]
     if len(tensions) > 1:

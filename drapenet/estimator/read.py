@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from common.documents import read_yaml
 from common.errors import InputError
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 else:  # the simulator of strips is loaded where there are some
     Source = Any
 """What an estimate is made from."""
+_Item = TypeVar("_Item")
 MAX_DENSITY_DIFFERENCE = 0.1  # between specimens of one fabric, relative to the smallest
 
 
@@ -122,16 +123,27 @@ def with_known(sources: Sequence[Source], known: Mapping[str, Any] | None) -> li
     return [replace(first, known=checked), *others]
 
 
-def require_one_fabric(densities: Sequence[Density], digests: Iterable[tuple[str, str]]) -> None:
+def first_with(first: dict[str, _Item], digests: Iterable[str], item: _Item) -> _Item | None:
+    """The earlier capture that shares one of the ``digests`` of ``item``, of those that are kept in
+    ``first``; None: there is none, and ``item`` is kept."""
+    every = tuple(digests)
+    if shared := next((digest for digest in every if digest in first), None):
+        return first[shared]
+    first.update(dict.fromkeys(every, item))
+    return None
+
+
+def require_one_fabric(
+    densities: Sequence[Density], digests: Iterable[tuple[str, Sequence[str]]]
+) -> None:
     """InputError for captures that cannot be combined; ``digests``: name and
-    :attr:`~data.captures.capture.Capture.digest` of each.
+    :attr:`~data.captures.capture.Capture.digests` of each.
     """
     names: dict[str, str] = {}
-    for name, digest in digests:
-        if digest in names:
-            raise InputError(f"{names[digest]} and {name} have the same views, which are not "
+    for name, every in digests:
+        if other := first_with(names, every, name):
+            raise InputError(f"{other} and {name} have the same views, which are not "
                              "independent; give each capture once")
-        names[digest] = name
     low, high = min(densities), max(densities)
     if high > (1 + MAX_DENSITY_DIFFERENCE) * low:
         raise InputError(f"captures and strips of one fabric state densities from {1e3 * low:g} to "

@@ -3,8 +3,8 @@
 ``index.html``.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
 
@@ -33,6 +33,7 @@ class FabricEstimate:
         document: of the joint estimate of several captures, or of the only one.
         scatter: (3,) geometric standard deviation of the captures' alpha; None for one capture.
         failed: number of captures without an estimate.
+        left_out: copies among the captures, which do not count, each with what it is a copy of.
     """
 
     name: str
@@ -41,18 +42,24 @@ class FabricEstimate:
     document: EstimateDocument
     scatter: np.ndarray | None
     failed: int = 0
+    left_out: Mapping[Path, Entry] = field(default_factory=dict)
+
+    @property
+    def parts(self) -> list[EstimateDocument]:
+        """Documents of the captures that take part."""
+        return [document for entry, document in self.captures if entry.place not in self.left_out]
 
     @property
     def counts(self) -> dict[str, int]:
-        """Numbers of captures."""
-        return {"captures": len(self.captures), "captures_failed": self.failed}
+        """Numbers of captures that take part, and that failed."""
+        return {"captures": len(self.parts), "captures_failed": self.failed}
 
     @property
     def means(self) -> dict[str, float | None]:
         """Drape coefficient and nodes, means over the captures that have them; None if they are of
         several testers."""
-        one = len({document.capture.rig for _, document in self.captures} - {""}) == 1
-        seen = {name: [value for _, document in self.captures
+        one = len({document.capture.rig for document in self.parts} - {""}) == 1
+        seen = {name: [value for document in self.parts
                        if one and (value := getattr(document.capture, name)) is not None]
                 for name in ("drape_coefficient_percent", "nodes")}
         return {name: round(float(np.mean(values)), 2) if values else None
@@ -127,18 +134,25 @@ def fabrics_workbook(joined: Joined) -> bytes:
 def _write_page(fabric: FabricEstimate, out: Path) -> None:
     """Write the page of a fabric, and its report."""
     folder, document = out / fabric.place, fabric.document
-    shown = [_shown(out, *capture) for capture in fabric.captures]
+    shown = [_shown(out, *capture, fabric.left_out) for capture in fabric.captures]
     write_report(folder, document.capture.labels.fabric or fabric.name, document, shown,
                  page=INDEX, scatter=fabric.scatter, failed=fabric.failed, back="../index.html",
                  strips=pictures_of_strips(out / entry.place for entry, _ in fabric.captures))
 
 
-def _shown(out: Path, entry: Entry, document: EstimateDocument) -> ShownCapture:
+def _shown(
+    out: Path, entry: Entry, document: EstimateDocument, left_out: Mapping[Path, Entry]
+) -> ShownCapture:
     """A capture with the picture of its report, or its thumbnail."""
     large = (out / entry.place / REPORT).exists()
     file = out / entry.place / (REPORT if large else THUMBNAIL)
-    return ShownCapture(f"{entry.sample}/{entry.capture}".strip("/"), document,
-                        file.read_bytes() if file.exists() else b"", large)
+    other = left_out.get(entry.place)
+    return ShownCapture(_name(entry), document, file.read_bytes() if file.exists() else b"", large,
+                        _name(other) if other else "")
+
+
+def _name(entry: Entry) -> str:
+    return f"{entry.sample}/{entry.capture}".strip("/")
 
 
 def fabrics_text(fabrics: Sequence[FabricEstimate]) -> str:
@@ -152,7 +166,7 @@ def fabrics_text(fabrics: Sequence[FabricEstimate]) -> str:
     for name, fabric in zip(names, fabrics, strict=True):
         figures = "".join(f"{moduli.alpha_uN_m!s:>24}"
                           for moduli in fabric.document.moduli.values())
-        lines.append(f"{name:{width}}{len(fabric.captures):>10}{figures}"
+        lines.append(f"{name:{width}}{fabric.counts['captures']:>10}{figures}"
                      f"{len(fabric.document.warnings) or '-':>10}")
     lines += [f"advice, {name}: {line}" for name, fabric in zip(names, fabrics, strict=True)
               for line in texts(fabric.document.advice or [])]

@@ -22,23 +22,24 @@ MAX_NAME_WIDTH = 28  # characters of a name in a table or picture
 @dataclass(frozen=True)
 class ShownCapture:
     """A capture in a report; its picture, PNG, is empty if there is none, or ``large``: as wide as
-    the page."""
+    the page. It is left out of the estimate if it is a copy of the capture ``copy_of``."""
 
     name: str
     document: EstimateDocument
     picture: bytes
     large: bool = True
+    copy_of: str = ""
 
 
 def in_all(captures: Sequence[ShownCapture]) -> list[str]:
     """Number of captures, their mean drape coefficient and its spread, in words, as ISO 9073-9 asks
-    for them; of each tester that has at least two captures with a drape coefficient."""
+    for them; of each tester if there are several. Copies do not count."""
     testers: dict[str, list[CaptureAbout]] = {}
-    for about in (each.document.capture for each in captures):
+    for about in (each.document.capture for each in captures if not each.copy_of):
         if about.drape_coefficient_percent is not None:
             testers.setdefault(about.rig, []).append(about)
     return [f"{_mean_coefficient(group)}{f', {in_words(rig)}' * (len(testers) > 1)}"
-            for rig, group in testers.items() if len(group) > 1]
+            for rig, group in testers.items() if len(group) > 1 or len(testers) > 1]
 
 
 def _mean_coefficient(captures: Sequence[CaptureAbout]) -> str:
@@ -51,6 +52,8 @@ def _mean_coefficient(captures: Sequence[CaptureAbout]) -> str:
     every = [value for values in faces.values() for value in values]
     by_face = "; ".join(f"{np.mean(values):.1f} % with {face} on top ({len(values)})"
                         for face, values in faces.items())
+    if len(every) == 1:
+        return f"drape coefficient {every[0]:.1f} % of 1 capture"
     return (f"mean drape coefficient {np.mean(every):.1f} %, standard deviation "
             f"{np.std(every, ddof=1):.1f} points over {len(every)} captures"
             + (f": {by_face}" if len(faces) > 1 else ""))
@@ -69,8 +72,10 @@ def write_report(
     code.
     """
     alone = [each.document.alphas_at(document.density) for each in captures]
-    spread = b"" if len(captures) < 2 else draw_spread(
-        document, [shortened(each.name, MAX_NAME_WIDTH) for each in captures], alone)
+    parts = [k for k, each in enumerate(captures) if not each.copy_of]
+    spread = b"" if len(parts) < 2 else draw_spread(
+        document, [shortened(captures[k].name, MAX_NAME_WIDTH) for k in parts],
+        [alone[k] for k in parts])
     if len(captures) == 1 and captures[0].large and captures[0].picture:  # curves on the first page
         upper, curves = capture_and_curves(captures[0].picture)
         captures = [replace(captures[0], picture=upper)]

@@ -74,6 +74,7 @@ class CaptureAbout(Excerpt):
     face: str = "up"
     views: int | None = None
     views_sha256: str = ""
+    files_sha256: list[str] | None = None  # of an outline
     turns_deg: list[float] | None = None
     drape_coefficient_percent: float | None = None
     nodes: int | None = None
@@ -81,10 +82,11 @@ class CaptureAbout(Excerpt):
     labels: Labels = Labels()
 
     @property
-    def pictures_sha256(self) -> str:
-        """Of what was seen; empty for numbers, which two fabrics may share."""
+    def pictures_sha256(self) -> tuple[str, ...]:
+        """Of what was seen and of its files; empty for numbers, which two fabrics may share."""
         numbers = self.known and self.known.drape_coefficient_percent and not self.views
-        return "" if numbers else self.views_sha256
+        every = (self.views_sha256, *(self.files_sha256 or ()))
+        return () if numbers else tuple(filter(None, every))
 
 
 class Cloth(Excerpt):

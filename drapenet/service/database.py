@@ -112,13 +112,17 @@ class Database:
         """All estimates with their states, the oldest first."""
         return self._read("SELECT id, state, tries, members, error FROM estimate ORDER BY created")
 
-    def same_pictures(self, digest: str, fabric: str) -> list[str]:
-        """FABRIC/CAPTURE of the captures with this ``views_sha256`` of other fabrics."""
+    def same_pictures(self, digests: Sequence[str], fabric: str) -> list[str]:
+        """FABRIC/CAPTURE of the captures of other fabrics with one of the ``digests``."""
+        every = json.dumps(digests)
         return [row["place"] for row in self._read(
             "SELECT f.name || '/' || e.name AS place FROM estimate e JOIN fabric f "
             "ON f.id = e.fabric WHERE e.members IS NULL AND e.fabric <> ? AND "
-            "json_extract(e.estimate, '$.capture.views_sha256') = ? ORDER BY e.created",
-            fabric, digest)]
+            "(json_extract(e.estimate, '$.capture.views_sha256') IN "
+            "(SELECT value FROM json_each(?)) OR EXISTS (SELECT 1 FROM "
+            "json_each(e.estimate, '$.capture.files_sha256') AS own "
+            "WHERE own.value IN (SELECT value FROM json_each(?)))) ORDER BY e.created",
+            fabric, every, every)]
 
     def garment(self, identity: str) -> dict[str, Any] | None:
         """State, progress and error of the garment of an estimate, if it was asked for."""

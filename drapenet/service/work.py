@@ -139,7 +139,7 @@ def _read(folder: Path, row: dict[str, Any]) -> Any:
     if isinstance(source, Capture):
         replace_file(folder / PREVIEW, show(source))
         if not isinstance(source, ReportedCapture):
-            others = database_in(folder.parent).same_pictures(source.digest, row["fabric"])
+            others = database_in(folder.parent).same_pictures(source.digests, row["fabric"])
             source = replace(source, warnings=(*source.warnings, *(
                 Finding("twin_elsewhere", {"capture": str(shown), "other": other})
                 for other in others[:1])))
@@ -167,6 +167,7 @@ def _estimate_jointly(
 ) -> tuple[Any, list[Finding]]:
     """The joint estimate of a fabric's captures and strips, and its warnings."""
     from drapenet.estimator.estimate import join, read_part, write_joint
+    from drapenet.estimator.read import first_with
     from drapenet.report.figures import draw_torques
     from drapenet.result.files import TORQUES
 
@@ -176,8 +177,8 @@ def _estimate_jointly(
     kept, twins = [], []
     for place in places:
         part = _as_named(read_part(place), row["fabric_name"])
-        digest = part.document.capture.pictures_sha256 or place.name
-        if (other := first.setdefault(digest, part)) is part:
+        other = first_with(first, part.document.capture.pictures_sha256, part)
+        if other is None:
             kept.append((part, place))
         else:
             twins.append(Finding("twin_left_out", {"capture": part.document.label,

@@ -20,6 +20,7 @@ from drapenet.estimator import infer as inferring
 from drapenet.estimator import stages
 from drapenet.estimator.combine import combine
 from drapenet.estimator.estimate import estimate_fabric, join, read_part
+from drapenet.estimator.read import require_one_fabric
 from drapenet.network.checkpoint import read_header
 from drapenet.network.predict import Draws
 from drapenet.result.files import FAULTS
@@ -258,3 +259,17 @@ def test_a_stage_that_fails_leaves_its_traceback(tmp_path, monkeypatch):
     line, = (found["text"] for found in content(tmp_path)["warnings"])
     assert "ZeroDivisionError, of a fault; please report it with the file faults.txt" in line
     assert "in broken" in (tmp_path / FAULTS).read_text()
+
+
+def test_a_photograph_is_a_copy_whatever_is_stated_with_it(tmp_path):
+    first, second = (shutil.copytree(TWILL.parent / "twill_photograph", tmp_path / name)
+                     for name in ("first", "second"))
+    file = second / "capture.yaml"
+    described = yaml.safe_load(file.read_text())
+    described["outline"]["plate_height_mm"] += 40
+    file.write_text(yaml.safe_dump(described))
+    captures = [read_capture(folder) for folder in (first, second)]
+    assert captures[0].digest != captures[1].digest  # the curves differ
+    with pytest.raises(InputError, match=r"first and .*second have the same views"):
+        require_one_fabric([each.density for each in captures],
+                           [(str(each.path), each.digests) for each in captures])

@@ -179,6 +179,15 @@ def test_drape_coefficients_are_averaged_by_tester(tmp_path):
                                                 for k, part in enumerate(parts)])
     assert ("mean drape coefficient 56.0 %, standard deviation 2.8 points over 2 captures, disc of "
             "300 mm on a plate of 180 mm.") in page and page.count("mean drape coefficient") == 1
+    assert "drape coefficient 24.0 % of 1 capture, square" in page
+
+
+def test_a_copy_is_marked_and_does_not_count(tmp_path):
+    parts = [document(source=f"/data/navy/{k}", drape_coefficient_percent=54.0) for k in range(2)]
+    first, second = parts
+    page, _ = written(tmp_path, first, [ShownCapture("a", first, b""),
+                                        ShownCapture("b", second, b"", copy_of="a")])
+    assert "b, left out: copy of a" in page and "over 2 captures" not in page
 
 
 def test_without_a_stated_fabric_the_folder_is_the_title():
