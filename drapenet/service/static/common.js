@@ -127,7 +127,6 @@ export function facts(estimate) {
     ...['date', 'operator', 'laboratory', 'camera', 'remarks'].map((key) => [key[0].toUpperCase() + key.slice(1), capture.labels?.[key]]),
     ['Drape coefficient', captures ? range(captures.map((one) => percent(one.capture.drape_coefficient_percent)))
       : both(percent(capture.drape_coefficient_percent), percent(drape?.drape_coefficient_percent))],
-    ['KES B, 2HB', estimate.kes_note],
     ['Stretch and shear', tension && stretched(tension)],
     ['Nodes', both(drape && String(drape.folds_captured), drape && String(drape.folds_simulated))],
   ].filter(([, text]) => text);

@@ -179,7 +179,8 @@ function showNumbers(estimate) {
     ? `Poorly constrained: ${estimate.poorly_constrained.join(', ').replaceAll('beta', 'β').replaceAll('alpha', 'α')}. ` : '';
   const next = (estimate.next_measurements ?? []).map((one) => `${one.measurement}: α ${one.alpha_narrower_percent.toFixed()} %, β ${one.beta_narrower_percent.toFixed()} % (${one.minutes} min)`);
   at('poor').textContent = poor + (estimate.advice ?? []).map(({ text }) => `Advice: ${text}. `).join('')
-    + (next.length ? `Measured next, intervals would become narrower by ${next.join('; ')}.` : '');
+    + (next.length ? `Measured next, intervals would become narrower by ${next.join('; ')}. ` : '')
+    + (estimate.kes_note ? `${estimate.kes_note}.` : '');
   at('numbers').hidden = false;
 }
 
