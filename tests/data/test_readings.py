@@ -120,10 +120,14 @@ def test_limits_hold_every_fabric_and_no_value_in_another_unit():
             values, (low, high) = quantity.of(cloth, density), quantity.limits
             values = values[np.isfinite(values) & (values > 0)]
             assert ((values < low) | (values > high)).mean() < 0.02, quantity.name
-    # A bending length in cm, B of KES in N·m²/m
-    for name, value in (("bending_length_mm", 2.84), ("kes_b_gf_cm2_per_cm", 0.24e-4)):
-        with pytest.raises(ValidationError, match=rf"= {value}; it must be .*: check unit and"):
+    # A bending length in cm, B of KES in N·m²/m, 2HB in N
+    for name, value in (("bending_length_mm", 2.84), ("kes_b_gf_cm2_per_cm", 0.24e-4),
+                        ("kes_2hb_gf_cm_per_cm", 900.0)):
+        with pytest.raises(ValidationError, match=rf"= {value:g}; it must be .*: check unit and"):
             Known(**{name: ByDirection(warp=value)})
+    for name, value in (("membrane_n_per_m", 6.0), ("bending_stiffness_uN_m", 6e4)):  # N/mm, nN·m
+        with pytest.raises(ValidationError, match="check unit"):
+            Known(**{name: value})
 
 
 def loop(cloth: ClothProperties, density: float) -> np.ndarray:
