@@ -79,8 +79,8 @@ def read_capture(path: str | Path) -> Capture:
 def _read_metric(path: Path) -> Capture:
     file = path / "capture.yaml"
     description = Description.of(read_yaml(file), file)
-    if outline := find_outline(path):
-        return _read_outline(path, outline, description)
+    if outlines := outline_files(path):
+        return _read_outline(path, outlines, description)
     if description.outline:
         others = sorted(set(found.name for found in path.iterdir()) - {file.name})
         raise InputError(f"{file} has the key outline, but there is no outline.jpg, .heic, .png, "
@@ -136,7 +136,12 @@ def _stated(path: Path, description: Description) -> dict[str, Any]:
 
 
 def find_outline(folder: Path) -> Path | None:
-    """The file ``outline.*`` in the folder of a capture, or the first of its pictures of one drape,
+    """The first of :func:`outline_files`."""
+    return next(iter(outline_files(folder)), None)
+
+
+def outline_files(folder: Path) -> list[Path]:
+    """The file ``outline.*`` in the folder of a capture, or its pictures of one drape,
     ``outline_1`` to ``outline_6``, of which ``outline`` may be one."""
     found: dict[int, Path] = {}
     for file in sorted(folder.glob("outline*.*")):
@@ -152,10 +157,11 @@ def find_outline(folder: Path) -> Path | None:
             raise InputError(f"{folder} holds {file.name}; pictures of one drape are called "
                              f"outline_1 to outline_{MAX_PICTURES}")
         found[number] = file
-    return found[min(found)] if found else None
+    return [found[number] for number in sorted(found)]
 
 
-def _read_outline(path: Path, file: Path, description: Description) -> OutlineCapture:
+def _read_outline(path: Path, files: list[Path], description: Description) -> OutlineCapture:
+    file = files[0]
     if view := next(iter(views_in(path).values()), None):
         raise InputError(f"{path} holds {file.name} and {view}; give depth views and outlines in "
                          "different folders")
@@ -170,8 +176,6 @@ def _read_outline(path: Path, file: Path, description: Description) -> OutlineCa
         stated["warp_direction"] = 0.0
     outline = read_outline(file, description.outline or OutlineSource(), stated["rig"],
                            stated["warp_direction"])
-    files = [one for one in sorted(path.glob("outline*.*"))
-             if one.suffix.lower() in OUTLINE_SUFFIXES]
     digests = tuple(sha256(one.read_bytes()).hexdigest() for one in files)
     return OutlineCapture(outline, **stated, files_sha256=digests,
                           warnings=(*description.questions, *outline.warnings))

@@ -249,8 +249,7 @@ def join(
     captures = [evidence for part in parts if (evidence := part.evidence)]
     records = [record for document in documents for record in document.strips or []]
     require_one_fabric([document.density for document in documents],
-                       [(document.label, (document.capture.views_sha256,
-                                          *(document.capture.files_sha256 or ())))
+                       [(document.label, document.capture.digests)
                         for document in documents if document.capture.source])
     tensions = [document.tension for document in documents if document.tension]
     if len(tensions) > 1:

@@ -28,9 +28,9 @@ class Passport:
         alpha, beta = (" ".join(quantity.texts()[0] for quantity in found) for found in (
             [each.alpha_uN_m for each in moduli], [each.beta_nN_m2 for each in moduli]))
         about = document.capture
-        density = f"{about.density_g_m2:g} g/m"  # part of the name of a fabric without any
+        named = name.endswith(f" {about.density_g_m2:g} g/m²")  # a fabric without a name, by it
         parts = [f"DrapeNet {document.identity}", shortened(name, _MAX_NAME),
-                 *[f"{density}2"] * (density not in name),
+                 *[f"{about.density_g_m2:g} g/m2"] * (not named),
                  f"{' '.join(document.names)}: alpha {alpha} uN m, beta {beta} nN m2"]
         if about.drape_coefficient_percent is not None:
             parts.append(f"drape coefficient {about.drape_coefficient_percent:g} %")

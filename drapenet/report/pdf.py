@@ -24,11 +24,12 @@ def as_pdf(body: str, title: str, code: bytes, shorter: str = "") -> bytes:
     smaller pictures, where that saves a page."""
     smaller = body.replace(f'width="{WIDTH}"', f'width="{round(_SMALLER * WIDTH)}"')
     # Each takes a third of a second; the body that has a shorter is longer than a page.
-    bodies = (shorter, body) if shorter else (body, smaller)
-    pages = _laid_out(bodies[0], title, code)
+    first, second = (shorter, body) if shorter else (body, smaller)
+    pages = _laid_out(first, title, code)
     if pages.page_no() > 1:
-        others = (_laid_out(bodies[1], title, code), pages)
-        pages = min(others if shorter else reversed(others), key=_Pages.page_no)
+        other = _laid_out(second, title, code)
+        large, small = (other, pages) if shorter else (pages, other)
+        pages = min(large, small, key=_Pages.page_no)  # of as many pages the larger pictures
     return bytes(pages.output())
 
 

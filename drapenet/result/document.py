@@ -82,11 +82,15 @@ class CaptureAbout(Excerpt):
     labels: Labels = Labels()
 
     @property
+    def digests(self) -> tuple[str, ...]:
+        """Of what was seen and of its files."""
+        return self.views_sha256, *(self.files_sha256 or ())
+
+    @property
     def pictures_sha256(self) -> tuple[str, ...]:
-        """Of what was seen and of its files; empty for numbers, which two fabrics may share."""
+        """The digests there are; empty for numbers, which two fabrics may share."""
         numbers = self.known and self.known.drape_coefficient_percent and not self.views
-        every = (self.views_sha256, *(self.files_sha256 or ()))
-        return () if numbers else tuple(filter(None, every))
+        return () if numbers else tuple(filter(None, self.digests))
 
 
 class Cloth(Excerpt):

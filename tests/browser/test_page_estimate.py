@@ -70,12 +70,17 @@ def bending(page) -> str:
     return page.inner_text("#cards details[open] tr:has-text('Bending-Warp') b >> nth=0")
 
 
+def estimated(page, service, density: float, width: int) -> tuple[str, str]:
+    """Identity and fabric of an ended estimate of its own density, for a page of this width."""
+    page.set_viewport_size({"width": width, "height": 900})
+    identity = post(service, density + width / 100).json()["id"]
+    return identity, wait_until_ended(service, identity)["fabric_name"]
+
+
 @pytest.mark.parametrize("width", [1280, 390])
 def test_cards_and_files_have_the_curvature_and_tables_the_search(page, service, width):
-    page.set_viewport_size({"width": width, "height": 900})
-    begun = post(service, 190.0 + width / 100).json()
-    fabric = wait_until_ended(service, begun["id"])["fabric_name"]
-    page.goto(f"{service.url}/#{begun['id']}")
+    identity, fabric = estimated(page, service, 190.0, width)
+    page.goto(f"{service.url}/#{identity}")
     page.click("#cards summary:text-is('CLO')")
     flat = bending(page)
     page.fill("#curvature", "50,0")
@@ -115,10 +120,8 @@ def test_a_photograph_has_no_captured_surface(page):
 
 @pytest.mark.parametrize("width", [390, 1280])
 def test_the_next_measurement_is_named_with_its_gain_and_minutes(page, service, width):
-    page.set_viewport_size({"width": width, "height": 900})
-    begun = post(service, 205.0 + width / 100).json()
-    wait_until_ended(service, begun["id"])
-    page.goto(f"{service.url}/#{begun['id']}")
+    identity, _ = estimated(page, service, 205.0, width)
+    page.goto(f"{service.url}/#{identity}")
     page.wait_for_selector("#downloads:not([hidden])")
     said = page.inner_text("#poor")
     gains = re.findall(r"[^;:]+: α (\d+) %, β (\d+) % \((\d+) min\)", said)
@@ -128,10 +131,8 @@ def test_the_next_measurement_is_named_with_its_gain_and_minutes(page, service, 
 
 @pytest.mark.parametrize("width", [390, 1280])
 def test_the_code_of_a_passport_opens_the_fabric(page, service, width):
-    page.set_viewport_size({"width": width, "height": 900})
-    begun = post(service, 195.0 + width / 100).json()
-    fabric = wait_until_ended(service, begun["id"])["fabric_name"]
-    page.goto(f"{service.url}/estimates/{begun['id']}/report.html")
+    identity, fabric = estimated(page, service, 195.0, width)
+    page.goto(f"{service.url}/estimates/{identity}/report.html")
     code = page.locator("img.code")
     picture = cv2.imdecode(np.frombuffer(code.screenshot(), np.uint8), cv2.IMREAD_GRAYSCALE)
     picture = cv2.resize(picture, None, fx=4, fy=4)
