@@ -92,13 +92,26 @@ class TensionDescription(Weighed, Labels):
     mat_bar_mm: float | None = Field(None, ge=150, le=250)
     kes_g_gf_per_cm_deg: float | None = Field(
         None, ge=0.02, le=50, description="G of KES-FB1, mean of warp and weft, in gf/(cm °)")
+    fast_eb5_percent: float | None = Field(
+        None, ge=0.1, le=100 * MAX_EXTENSION, description="EB5 of FAST-3, along the bias")
+    fast_e100_warp_percent: float | None = Field(
+        None, ge=0.1, le=100 * MAX_EXTENSION, description="E100 of FAST-3")
+    fast_e100_weft_percent: float | None = Field(
+        None, ge=0.1, le=100 * MAX_EXTENSION, description="E100 of FAST-3")
     known: Known | None = Field(None, description=Known.remedy)
+
+    @property
+    def fast(self) -> dict[str, float]:
+        """Extensions by FAST-3, %, by direction."""
+        read = {"warp": self.fast_e100_warp_percent, "bias": self.fast_eb5_percent,
+                "weft": self.fast_e100_weft_percent}
+        return {direction: percent for direction, percent in read.items() if percent}
 
     @model_validator(mode="after")
     def _sound(self) -> "TensionDescription":
-        if not (self.tension or self.kes_g_gf_per_cm_deg):
-            raise ValueError("nothing is measured; give tension, a list of strips, or "
-                             "kes_g_gf_per_cm_deg")
+        if not (self.tension or self.kes_g_gf_per_cm_deg or self.fast):
+            raise ValueError("nothing is measured; give tension, a list of strips, "
+                             "kes_g_gf_per_cm_deg, or values of FAST-3 (fast_eb5_percent)")
         self.require_ordered([strip.extension_mm for strip in self.tension])
         return self
 

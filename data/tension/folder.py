@@ -28,6 +28,7 @@ from data.tension.posterior import (
     LOAD_ERROR,
     MeasuredExtension,
     TensionEvidence,
+    fast_strip,
     tension_evidence,
 )
 from sim.material import BIAS, DIRECTIONS
@@ -101,8 +102,9 @@ def read_tension(folder: str | Path) -> TensionSet:
         raise InputError(f"{folder / FILE}: {error}") from None
     return TensionSet(
         folder, description.density,
-        tuple(_measured(strip, description, read.get(k))
-              for k, strip in enumerate(description.tension)),
+        (*(_measured(strip, description, read.get(k))
+           for k, strip in enumerate(description.tension)),
+         *(fast_strip(DIRECTIONS.index(name), value) for name, value in description.fast.items())),
         KES_SHEAR * shear if shear else None, description.known, description.labels, read,
         tuple(one for k, found in read.items() for one in _doubts(found, description.tension[k])))
 

@@ -40,6 +40,8 @@ KES_SHEAR_ERROR = 0.10  # relative, as of B
 LOAD_ERROR = 0.01  # relative
 WIDTH_ERROR = 1e-3  # m
 FAST_LOADS = (5.0, 100.0)  # gf/cm, of FAST-3's EB5 and E100
+FAST_WIDTH, FAST_LENGTH = 0.05, 0.1  # m, of its specimens, between the clamps
+FAST_ERROR = 1e-4  # m, of an extension: it reads 0.1 %
 GF_PER_CM = 1e-3 * STANDARD_GRAVITY * 1e2  # N/m
 _LEVEL = 0.01  # probability that strips of one direction are said to differ
 _SHARED = 7  # unknowns: three stiffnesses, Poisson's ratio, friction of three directions
@@ -81,6 +83,14 @@ class MeasuredExtension:
                           compliance(self.direction, stiffness, poisson)))
 
 
+def fast_strip(direction: int, percent: float) -> MeasuredExtension:
+    """The specimen of FAST-3 that gave EB5 (bias) or E100 (warp, weft)."""
+    low, high = FAST_LOADS
+    return MeasuredExtension(
+        direction, GF_PER_CM * (low if direction == BIAS else high), LOAD_ERROR, FAST_WIDTH,
+        FAST_LENGTH, 0.0, FAST_LENGTH * percent / 100, FAST_ERROR, "FAST-3")
+
+
 @dataclass(frozen=True)
 class TensionEvidence:
     """What strips say of the logarithms of the stiffnesses, N/m, along warp and weft and in shear.
@@ -110,7 +120,7 @@ class TensionEvidence:
         stiffness = self.stiffness
         low, high = (GF_PER_CM * each for each in FAST_LOADS)
         compliances = [compliance(k, stiffness, self.poisson) for k in range(3)]
-        clamped = reach(BIAS, stiffness, self.poisson, gauge=2.0, margin=0.0)
+        clamped = reach(BIAS, stiffness, self.poisson, gauge=FAST_LENGTH / FAST_WIDTH, margin=0.0)
         return {"kes_g_gf_per_cm_deg": stiffness[2] / KES_SHEAR,
                 "fast_eb5_percent": 100 * clamped * extension(low, compliances[BIAS]),
                 "fast_e100_warp_percent": 100 * extension(high, compliances[WARP]),

@@ -42,7 +42,8 @@ LABELS = tuple(key for key in Labels.model_fields if key != "fabric")
 STRIP = "tension."
 """Beginning of the fields of strips under weights, after which follow number and key."""
 STRIP_NUMBERS = ("width_mm", "gauge_mm", "load_g", "extension_mm", "clamped_mm")
-TENSION_NUMBERS = ("clip_g", "extension_error_mm", "kes_g_gf_per_cm_deg")
+TENSION_NUMBERS = ("clip_g", "extension_error_mm", "kes_g_gf_per_cm_deg",
+                   "fast_eb5_percent", "fast_e100_warp_percent", "fast_e100_weft_percent")
 TEXTS = ("turns_deg", "tester", "face", "mat", "ground", "arrow", "camera_height_mm",
          *OutlineSource.OF_TABLES, "refine", "fabric", "name", "notes", "label", *LABELS,
          *(f"{STRIP}0.{key}" for key in ("direction", "without", "with", "specimen")))

@@ -12,7 +12,7 @@ from data.tension.folder import TensionSet, read_tension
 from data.tension.law import compliance, extension, reach
 from data.tension.posterior import KES_SHEAR, TensionEvidence
 from sim.energies.membrane import OrthotropicStVK
-from sim.material import BIAS, DIRECTIONS
+from sim.material import BIAS, DIRECTIONS, WARP, WEFT
 from sim.tension import pull
 
 TRUE = (2500.0, 900.0, 35.0)  # N/m: warp, weft, shear
@@ -110,6 +110,17 @@ def test_kes_shear_joins_the_strips_and_is_a_reading(tmp_path):
     eb5 = 100 * extension(4.903, compliance(BIAS, cloth, n)) * reach(BIAS, cloth, n, gauge=2,
                                                                    margin=0)
     assert np.median(found["fast_eb5_percent"]) == pytest.approx(eb5, rel=0.1)
+
+
+def test_values_of_fast_are_read_as_they_are_given(tmp_path):
+    stated = {"fast_eb5_percent": 3.4, "fast_e100_warp_percent": 2.0, "fast_e100_weft_percent": 5.0}
+    found = told(tmp_path, **stated)
+    assert found.measured == (WARP, BIAS, WEFT) and not found.findings
+    for key, value in found.readings().items():
+        if key in stated:
+            assert np.median(value) == pytest.approx(stated[key], rel=0.1)
+    # The table of docs/use.md: 600 N/m along the yarns, EB5 of 3.4 %; 123/EB5 would be 36.
+    assert 26 < medians(told(tmp_path, fast_eb5_percent=3.4))[2] < 34
 
 
 def test_the_weight_for_ten_per_cent_stretches_by_ten_per_cent(tmp_path):
