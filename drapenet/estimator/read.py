@@ -133,6 +133,14 @@ def first_with(first: dict[str, _Item], digests: Iterable[str], item: _Item) -> 
     return None
 
 
+def copies(captures: Iterable[tuple[_Item, Iterable[str]]]) -> list[tuple[_Item, _Item]]:
+    """The captures that repeat pictures of an earlier one, each with that one; ``captures``: each
+    with its digests."""
+    first: dict[str, _Item] = {}
+    return [(item, other) for item, digests in captures
+            if (other := first_with(first, digests, item)) is not None]
+
+
 def require_one_fabric(
     densities: Sequence[Density], digests: Iterable[tuple[str, Sequence[str]]]
 ) -> None:

@@ -167,25 +167,21 @@ def _estimate_jointly(
 ) -> tuple[Any, list[Finding]]:
     """The joint estimate of a fabric's captures and strips, and its warnings."""
     from drapenet.estimator.estimate import join, read_part, write_joint
-    from drapenet.estimator.read import first_with
+    from drapenet.estimator.read import copies
     from drapenet.report.figures import draw_torques
     from drapenet.result.files import TORQUES
 
     record(stage="joining")
     places = [folder.parent / member for member in row["members"]]
-    first: dict[str, Any] = {}
-    kept, twins = [], []
-    for place in places:
-        part = _as_named(read_part(place), row["fabric_name"])
-        other = first_with(first, part.document.capture.pictures_sha256, part)
-        if other is None:
-            kept.append((part, place))
-        else:
-            twins.append(Finding("twin_left_out", {"capture": part.document.label,
-                                                   "other": other.document.label}))
-    parts, places = [part for part, _ in kept], [place for _, place in kept]
+    every = [_as_named(read_part(place), row["fabric_name"]) for place in places]
+    repeated = copies((k, part.document.capture.pictures_sha256) for k, part in enumerate(every))
+    kept = sorted({*range(len(every))} - {k for k, _ in repeated})
+    parts, places = [every[k] for k in kept], [places[k] for k in kept]
     estimate, document = join(parts, header, ahead=True)
-    document = document.warned(*twins)
+    document = document.warned(*(
+        Finding("twin_left_out", {"capture": every[k].document.label,
+                                  "other": every[other].document.label})
+        for k, other in repeated))
     write_joint(folder, estimate, document, parts, places, drawn=True, address=address)
     replace_file(folder / TORQUES, draw_torques(estimate))
     return estimate, document.warnings

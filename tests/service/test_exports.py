@@ -71,6 +71,16 @@ def test_the_workbook_has_the_result_of_each_fabric_and_its_captures(tmp_path, d
         assert row["α median [µN·m]"] == pytest.approx(scale * 52)
 
 
+def test_a_copy_does_not_count(tmp_path, database):
+    for identity, scale in (("b", 2.0), ("c", 3.0)):
+        content = document(scale).content()
+        content["capture"]["files_sha256"] = ["1" * 64]
+        database.change("estimate", identity, estimate=content)
+    fabrics, captures = sheets(tmp_path, "serge")
+    assert {row["captures"] for row in fabrics} == {1}
+    assert {row["capture"] for row in captures} == {"b", "c"}
+
+
 def test_the_workbook_has_a_line_of_a_fabric_without_an_estimate(tmp_path, database):
     database.change("estimate", "none", state=FAILED, error="the picture shows no cloth")
     fabrics, _ = sheets(tmp_path, "new")
