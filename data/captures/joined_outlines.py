@@ -96,13 +96,10 @@ class Joined:
 def join(views: Sequence[View], rig: Rig, plate_height: Metres) -> Joined:
     """Join two or more views of a drape on a plate at a height over the ground; of a rectangle, the
     x-axis is along its first side in the first."""
-    grounded = on_ground(views, rig, plate_height)
-    views = [view._replace(error=np.hypot(view.error, _GROUND * here))
-             for view, here in zip(views, grounded, strict=True)]
     overhang = rig.border(AZIMUTH) - rig.plate_radius
     lean = np.array([np.linalg.norm(view.beside) / view.height for view in views])
     moved, error = on_axis(views, rig)
-    turns = [0.0] * len(views)
+    grounded, turns = on_ground(views, rig, plate_height), [0.0] * len(views)
     for k in range(1, len(views)):
         # The plate may have been turned: as far as brings the shapes of the outlines together.
         off = np.abs(moved[k][_TURNS] - moved[0] - (moved[k] - moved[0]).mean())
@@ -116,7 +113,9 @@ def join(views: Sequence[View], rig: Rig, plate_height: Metres) -> Joined:
         grounded = np.array([around(here, angle) > 0.5
                              for here, angle in zip(grounded, turns, strict=True)])
         views = [view.turned(-angle) for view, angle in zip(views, turns, strict=True)]
-        moved, error = on_axis(views, rig)
+    views = [view._replace(error=np.hypot(view.error, _GROUND * here))
+             for view, here in zip(views, grounded, strict=True)]
+    moved, error = on_axis(views, rig)
     height = np.array([[view.height] for view in views])
     # Pictures from different heights show how deep the hem hangs: in the mean, then everywhere.
     tried = [moved * (1 + depth * overhang / height) for depth in _DEPTHS]

@@ -10,6 +10,7 @@ import yaml
 from PIL import Image
 
 from common.errors import InputError
+from data.captures import joined_outlines
 from data.captures.joined_outlines import View, join
 from data.captures.off_axis import AZIMUTHS, OUTWARDS
 from data.captures.preview import show
@@ -178,6 +179,19 @@ def test_where_one_of_three_differs_the_others_decide():
     assert np.median(found.error[there]) > 3 * np.median(found.error[~there])
     parted = join(views[:2], DISC_RIG, PLATE_HEIGHT).parted
     assert parted is not None and parted[0] == pytest.approx(2, abs=0.05)
+
+
+def test_a_turned_plate_is_turned_back_though_outlines_cross_on_the_ground(monkeypatch):
+    azimuth = np.arange(AZIMUTHS) * (2 * np.pi / AZIMUTHS)
+    radii = [0.12 + 0.01 * np.cos(6 * (azimuth - at)) + 0.004 * np.cos(2 * (azimuth - at))
+             for at in (0.0, 0.2, 0.0)]
+    views = [View(radius[:, None] * OUTWARDS, np.array([0.02, 0.01]), 0.8, np.full(AZIMUTHS, 6e-4))
+             for radius in radii]
+    monkeypatch.setattr(joined_outlines, "on_ground",
+                        lambda views, *_: np.tile(azimuth < 1.2, (len(views), 1)))
+    found = join(views, DISC_RIG, PLATE_HEIGHT)
+    assert found.used == [0, 1, 2]
+    assert found.turned == pytest.approx([0.0, 0.2, 0.0], abs=0.01)
 
 
 def seen_by(points, height, place) -> np.ndarray:
