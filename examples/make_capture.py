@@ -44,7 +44,7 @@ class MakeCaptureConfig:
 
     out: str
     alpha: list[float]
-    beta: list[float]
+    beta: list[float] | None
     density: float
     tester: str
     warp_direction: float
@@ -72,7 +72,8 @@ def main(config: MakeCaptureConfig) -> None:
     if isinstance(noise, StructuredLight):
         # 8-bit quantisation belongs to the published format, not to 16-bit captures.
         noise = noise.model_copy(update={"eight_bit_probability": 0.0})
-    fabric = Fabric(alpha=np.array(config.alpha) * MICRO, beta=np.array(config.beta) * NANO,
+    betas = [-2 * alpha for alpha in config.alpha] if config.beta is None else config.beta
+    fabric = Fabric(alpha=np.array(config.alpha) * MICRO, beta=np.array(betas) * NANO,
                     density=density)
     result = drape(fabric, rig=tester, edge=1e-3 * config.edge_mm, seed=config.seed)
     if not result.converged:
@@ -99,7 +100,7 @@ def main(config: MakeCaptureConfig) -> None:
     truth = {
         "density_g_m2": config.density,
         "moduli": {name: {"alpha_uN_m": alpha, "beta_nN_m2": beta} for name, alpha, beta in
-                   zip(DIRECTIONS, config.alpha, config.beta, strict=True)},
+                   zip(DIRECTIONS, config.alpha, betas, strict=True)},
     }
     replace_file(out / "truth.json", (json.dumps(truth, indent=1) + "\n").encode())
     print(f"capture: {out}")

@@ -123,11 +123,14 @@ def camera_poses(
     covariance = np.linalg.inv(solved.jac.T @ solved.jac) * max(1.0, error) ** 2
     focal_error = float(np.sqrt(covariance[0, 0]))
     if focal_error > MAX_FOCAL_ERROR:
+        few = ("pictures from above do not show it" if len(sizes) == 1 else
+               f"the {len(sizes)} pictures are too alike, or too straight from above, to show it "
+               f"(to {focal_error:.0%}, at most {MAX_FOCAL_ERROR:.0%} is allowed)")
         raise InputError(
-            f"the focal length is not known: {no_focal}, and pictures from above do not show it; "
-            "give the file as the camera wrote it, whole and without zoom, or take two more "
-            "pictures from the sides in the same way: of the drape, outline_2.jpg and "
-            "outline_3.jpg, or of the mat, mat_1.jpg and mat_2.jpg")
+            f"the focal length is not known: {no_focal}, and {few}; give the file as the camera "
+            "wrote it, whole and without zoom, or take two more pictures, from opposite sides and "
+            "tilted by 30°, in the same way: of the drape, outline_2.jpg and outline_3.jpg, or of "
+            "the mat, mat_1.jpg and mat_2.jpg")
     poses = []
     for k, size in enumerate(sizes):
         mine = slice(2 + 6 * k, 8 + 6 * k)

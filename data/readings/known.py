@@ -35,7 +35,8 @@ class _Stated(Schema):
     """At the fabric's density; thickness and friction are not evidence, and go into exports."""
 
     remedy = ("known has values such as bending_length_mm: {warp: 22, weft: 18} or "
-              "membrane_n_per_m: 600, and error_percent")
+              "membrane_n_per_m: 600, and error_percent; values of FAST-3 and G of KES-FB1 belong "
+              "in tension.yaml")
     error_percent: dict[str, Annotated[float, Field(gt=0, le=100)]] = Field(default_factory=dict)
     thickness_mm: Annotated[float, Field(ge=0.03, le=10)] | None = None
     thickness_kpa: Annotated[float, Field(ge=0.01, le=100)] | None = None

@@ -41,8 +41,7 @@ class StretchedStrip(Schema):
     gauge_mm: float = Field(ge=20, le=1000, description="the distance of the marks without weight")
     load_g: float = Field(ge=1, le=20_000, description="the weight in grams")
     extension_mm: float | None = Field(
-        None, gt=0, description="how much farther the marks are apart with the weight; take a "
-        "heavier one if nothing is seen")
+        None, description="how much farther the marks are apart with the weight")
     without: _File | None = None
     under: _File | None = Field(None, alias="with")
     marks_px: MarksPixels | None = None
@@ -71,6 +70,9 @@ class StretchedStrip(Schema):
 
     def require_within(self, extension: float) -> None:
         """ValueError for an extension, mm, beyond the law."""
+        if extension <= 0:
+            raise ValueError(f"has extension_mm {extension:g}: give how much farther the marks are "
+                             "apart with the weight; if nothing is seen, take a heavier one")
         if extension > MAX_EXTENSION * self.gauge_mm:
             raise ValueError(
                 f"has extension_mm {extension:.3g}, {extension / self.gauge_mm:.0%} of gauge_mm "
@@ -84,7 +86,7 @@ class TensionDescription(Weighed, Labels):
     as printed.
     """
 
-    remedy = "docs/use.md shows an example"
+    remedy = "docs/use.md shows an example; density_g_m2 is needed, weight_g is of whole specimens"
     tension: list[StretchedStrip] = Field([], max_length=MAX_STRIPS)
     clip_g: float = Field(0.0, ge=0, le=1000)
     extension_error_mm: float = Field(READING, ge=0.01, le=5)
