@@ -108,6 +108,7 @@ def test_the_spreadsheet_has_the_numbers_of_the_tables_with_units(out):
         (row["capture"], row["reason"]) for row in rows(out / "failures.csv")]
     assert [row["direction"] for row in sheet] == ["stiff", "bias", "soft"] * 3 + [
         "warp", "bias", "weft"] + ["stiff", "bias", "soft"]
+    assert {row["face"] for row in sheet} == {"up"}
     for number, row in enumerate(sheet):
         role = ROLES[number % 3]
         table = fabrics["'" + row["fabric"] if row["fabric"] == FORMULA else row["fabric"]]
