@@ -1,8 +1,10 @@
 """Stiffness of a fabric in stretch and shear from strips under weights, by a prior and a law.
 
 Unknown are the logarithms of the stiffnesses along warp and weft and in shear, Poisson's ratio, for
-each direction an initial friction, and for each specimen its difference from the fabric. At the
-best fit everything is normal (Laplace's approximation).
+each direction an initial friction, and for each specimen its difference from the fabric. A bias
+strip alone can be long because its shear is soft or because its yarns are: the posterior is the sum
+of those at each of several levels of the yarns, where everything is normal about the best fit
+(Laplace's approximation).
 """
 
 from collections.abc import Sequence
@@ -43,7 +45,10 @@ FAST_LOADS = (5.0, 100.0)  # gf/cm, of FAST-3's EB5 and E100
 FAST_WIDTH, FAST_LENGTH = 0.05, 0.1  # m, of its specimens, between the clamps
 FAST_ERROR = 1e-4  # m, of an extension: it reads 0.1 %
 GF_PER_CM = 1e-3 * STANDARD_GRAVITY * 1e2  # N/m
-_LEVEL = 0.01  # probability that strips of one direction are said to differ
+_DIFFERENT = 0.01  # probability that strips of one direction are said to differ
+_WINDOW = 0.5  # deviation of a window, in those of the prior
+_LEVELS = np.arange(-3.5, 3.6, _WINDOW)
+_SAMPLES = 4000
 _SHARED = 7  # unknowns: three stiffnesses, Poisson's ratio, friction of three directions
 
 
@@ -96,23 +101,29 @@ class TensionEvidence:
     """What strips say of the logarithms of the stiffnesses, N/m, along warp and weft and in shear.
 
     Attributes:
-        posterior: with the prior.
+        samples: (S, 3) of the posterior, by a fixed seed.
         measured: numbers of the directions with a measurement; that along the bias is of shear.
         poisson: at the best fit.
         friction: (3,) N/m, by direction, at the best fit.
         findings: of strips that contradict each other, and of unusual values.
     """
 
-    posterior: Normal
+    samples: np.ndarray
     measured: tuple[int, ...]
     poisson: float
     friction: np.ndarray
     findings: tuple[Finding, ...]
 
     @property
+    def posterior(self) -> Normal:
+        """The normal one with the medians and the 68 % intervals of the samples."""
+        low, middle, high = np.quantile(self.samples, (0.16, 0.5, 0.84), axis=0)
+        return Normal(middle, np.corrcoef(self.samples.T) * np.outer(high - low, high - low) / 4)
+
+    @property
     def stiffness(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Samples of the stiffnesses along warp and weft and in shear, N/m, by a fixed seed."""
-        warp, weft, shear = np.exp(self.posterior.samples(4000)).T
+        """Samples of the stiffnesses along warp and weft and in shear, N/m."""
+        warp, weft, shear = np.exp(self.samples).T
         return warp, weft, shear
 
     def readings(self) -> dict[str, np.ndarray]:
@@ -141,12 +152,12 @@ def tension_evidence(
     """Evidence from strips, and the shear stiffness ``kes_shear``, N/m, by KES-FB1."""
     fit = _Fit(strips, density, kes_shear)
     found = least_squares(fit.residuals, fit.start, x_scale="jac", bounds=fit.bounds)
-    covariance = np.linalg.inv(found.jac.T @ found.jac)[:3, :3]
-    posterior = Normal(found.x[:3], covariance)
+    samples = fit.samples(found.x)
     measured = {strip.direction for strip in strips} | ({BIAS} if kes_shear else set())
     return TensionEvidence(
-        posterior, tuple(sorted(measured)), float(found.x[3]), found.x[4:_SHARED],
-        (*fit.differing(found.x), *_unusual(np.exp(posterior.mean), density, measured)))
+        samples, tuple(sorted(measured)), float(found.x[3]), found.x[4:_SHARED],
+        (*fit.differing(found.x),
+         *_unusual(np.exp(np.median(samples, axis=0)), density, measured)))
 
 
 class _Fit:
@@ -176,6 +187,31 @@ class _Fit:
             x[4:_SHARED] / FRICTION, x[_SHARED:], self.of_strips(x),
             [(x[2] - np.log(self.kes_shear)) / KES_SHEAR_ERROR] if self.kes_shear else []])
 
+    def samples(self, best: np.ndarray) -> np.ndarray:
+        """(S, 3) of the posterior. The windows of the levels, normal ones a deviation apart, add up
+        to a constant."""
+        start, parts = best.copy(), []
+        yarns = np.eye(3, self.size)[:2].mean(axis=0)
+        deviation = np.sqrt(yarns[:3] @ self.prior.covariance @ yarns[:3])
+        for level in _LEVELS:
+            middle = yarns[:3] @ self.prior.mean + level * deviation
+
+            def window(x: np.ndarray, middle: float = middle) -> np.ndarray:
+                return np.append(self.residuals(x), (yarns @ x - middle) / (_WINDOW * deviation))
+
+            start[:2] = best[:2] + middle - yarns @ best
+            found = least_squares(window, start, x_scale="jac", bounds=self.bounds)
+            covariance = np.linalg.inv(found.jac.T @ found.jac)
+            parts.append((np.linalg.slogdet(covariance)[1] / 2 - found.cost, found.x[:3],
+                          covariance[:3, :3]))
+        log_weight, means, covariances = map(np.array, zip(*parts, strict=True))
+        weight = np.exp(log_weight - log_weight.max())
+        weight /= weight.sum()
+        rng = np.random.default_rng(0)
+        part = rng.choice(len(weight), _SAMPLES, p=weight)
+        return means[part] + np.einsum("kij,kj->ki", np.linalg.cholesky(covariances)[part],
+                                       rng.standard_normal((_SAMPLES, 3)))
+
     def of_strips(self, x: np.ndarray) -> np.ndarray:
         """Residuals of the strips alone."""
         return np.array([
@@ -203,7 +239,7 @@ class _Fit:
             squares = np.square([*residuals[own], *x[specimens], x[4 + k] / FRICTION]).sum()
             if kes:
                 squares += ((x[2] - np.log(kes)) / KES_SHEAR_ERROR) ** 2
-            if chdtrc(count, squares) < _LEVEL:
+            if chdtrc(count, squares) < _DIFFERENT:
                 worst = max(own, key=lambda i: abs(np.log(max(self.borne(x, i), 1e-3)
                                                           / self.strips[i].load)))
                 strip = self.strips[worst]
