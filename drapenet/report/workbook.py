@@ -115,8 +115,8 @@ def _rows(sample: Sample | Unestimated) -> list[list[str | float | None]]:
         return [[*sample.names.values(), *[None] * (len(columns) - len(sample.names) - 1),
                  f"no estimate: {sample.reason}"]]
     document, about, rows = sample.document, sample.document.capture, []
-    parts = document.captures or ([] if about.sources else [document])
-    face = " and ".join(sorted({part.capture.face for part in parts}, reverse=True))
+    shown = [part.capture for part in document.captures or []] or [about] * (not about.sources)
+    face = " and ".join(sorted({each.face for each in shown}, reverse=True))
     for name, readings in document.laboratory.items():
         quantities = dict([*document.moduli[name], *readings])
         tension = document.tension and document.tension.measured_along(name)

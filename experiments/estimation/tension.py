@@ -14,8 +14,8 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import norm
 import yaml
+from scipy.stats import norm
 
 from common.errors import InputError
 from common.files import replace_file
