@@ -392,3 +392,19 @@ def test_the_manual_is_a_page(client):
     assert client.get("/manual/images/page.png").status_code == 200
     for name in ("nothing.md", "..%2fREADME.md", "../serve.py", "%2e%2e/serve.py"):
         assert client.get(f"/manual/{name}").status_code == 404, name
+
+
+@pytest.mark.slow
+def test_a_garment_is_simulated_when_it_is_asked_for(client, finished):
+    assert client.post("/estimates/none/garment").status_code == 404
+    place = f"/estimates/{finished['id']}"
+    assert client.post(f"{place}/garment").status_code == 202
+    for _ in range(3000):
+        garment = client.get(place).json()["garment"]
+        if garment["state"] in ("done", "failed"):
+            break
+        time.sleep(0.1)
+    assert (garment["state"], garment["error"]) == ("done", None)
+    scene = trimesh.load(io.BytesIO(client.get(f"{place}/garment.glb").content), "glb")
+    assert len(scene.geometry) == 12
+    assert client.get(f"{place}/garment.png").content.startswith(b"\x89PNG")
