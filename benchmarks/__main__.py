@@ -50,7 +50,7 @@ def main(config: BenchmarkConfig) -> None:
     samples["truth"] = [case.truth[None] for case in cases]  # of drapes without nuisances
     scores = {name: score(cases, part, workers=config.workers) for name, part in samples.items()}
     replace_json(out, scores)
-    print(table_of(scores))
+    print(f"{table_of(scores)}\nscores: {out}")
 
 
 def estimator_named(name: str) -> Estimator:

@@ -26,6 +26,7 @@ COLUMNS = ("case", *(f"alpha_{name}_uN_m" for name in ("warp", "bias", "weft")),
            *(f"beta_{name}_nN_m2" for name in ("warp", "bias", "weft")),
            "drape_coefficient_percent")
 UNITS = np.array([MICRO] * 3 + [NANO] * 3)
+MOST_ALPHA = 0.1  # N·m, five times that of the stiffest fabrics
 LEVELS = (68, 90)  # %, of central intervals
 EDGE = 6e-3  # m, of the meshes on which estimates are draped
 
@@ -76,6 +77,10 @@ def estimates(estimator: Estimator, cases: Sequence[Case]) -> list[Moduli]:
         if not len(samples) or samples[:, :3].min() <= 0:
             raise InputError(f"the estimate of {case.name} has no samples, or one whose alpha is "
                              f"{samples[:, :3].min(initial=0):.3g} N·m; give positive ones")
+        if np.median(samples[:, :3]) > MOST_ALPHA:
+            raise InputError(f"the estimate of {case.name} has an alpha of "
+                             f"{np.median(samples[:, :3]):.3g} N·m, more than {MOST_ALPHA:g}; give "
+                             "N·m and N·m², not µN·m and nN·m²")
         found.append(samples)
     return found
 
@@ -92,6 +97,7 @@ def score(cases: Sequence[Case], samples: Sequence[Moduli], *, workers: int = 1)
         (low <= true) & (true <= high) for true, part in zip(truth, samples, strict=True)
         for low, high in [np.percentile(part, [50 - level / 2, 50 + level / 2], axis=0)]])
         for level in LEVELS}
+    uncertain = any(len(part) > 1 for part in samples)
     missed = coefficient - [case.coefficient for case in cases]
     report = {}
     for kind in dict.fromkeys(case.kind for case in cases):
@@ -104,7 +110,7 @@ def score(cases: Sequence[Case], samples: Sequence[Moduli], *, workers: int = 1)
             "log_alpha_median": float(np.median(error[rows, :3])),
             "log_beta_median": float(np.median(beta)) if len(beta) else None,
             "beta_of_wrong_sign": float(1 - same[rows, 3:].mean()),
-            **{f"{name}_inside_{level}": float(part[rows, columns].mean())
+            **{f"{name}_inside_{level}": float(part[rows, columns].mean()) if uncertain else None
                for name, columns in (("alpha", slice(3)), ("beta", slice(3, 6)))
                for level, part in inside.items()},
             "drape_coefficient_rms": float(np.sqrt(np.square(drapes).mean())) if len(drapes) else

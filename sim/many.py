@@ -1,7 +1,10 @@
 """Many drapes at once."""
 
+import pickle
+import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from inspect import signature
+from pathlib import Path
 from typing import Any, TypeVar
 
 from common.arguments import whole_number
@@ -36,9 +39,27 @@ def many(
 ) -> list[Outcome]:
     """``work(**plan)`` of each of the ``plans``, in their order; as :func:`drape_many`."""
     workers = whole_number("workers", workers, 1)
+    require_sendable(plans)
     with worker_pool(max(1, min(workers, len(plans)))) as pool, progress_bar(
             total=len(plans), unit=unit) as bar:
         running = [pool.submit(work, **plan) for plan in plans]
         for call in running:
-            call.add_done_callback(lambda _: bar.update())
+            call.add_done_callback(lambda call: None if call.cancelled() or call.exception() else
+                                   bar.update())
         return [call.result() for call in running]
+
+
+def require_sendable(plans: Sequence[Mapping[str, Any]]) -> None:
+    """InputError for what no worker process could load."""
+    script = getattr(sys.modules["__main__"], "__file__", None)
+    try:
+        content = pickle.dumps([*map(dict, plans)])
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        raise InputError(f"the plans cannot be sent to worker processes ({one_line(error)}); define "
+                         "laws and energies in a module, not by lambda or in a cell") from None
+    if script and not Path(script).is_file():
+        raise InputError(f"the script is {script}, which worker processes cannot load; save it in "
+                         "a file")
+    if not script and b"__main__" in content:
+        raise InputError("worker processes cannot load what is defined in a cell or a command; "
+                         "define laws and energies in a module, and import it")

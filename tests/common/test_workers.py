@@ -74,6 +74,22 @@ def test_a_script_without_a_main_guard_is_told_so_once(tmp_path):
     assert run().stdout == "2\n"
 
 
+@pytest.mark.parametrize(("arguments", "law", "complaint"), [
+    (["-"], "", "the script is <stdin>"),
+    (["-c", ""], "class Mine(Laws): pass\n", "defined in a cell or a command"),
+    (["-c", ""], "Mine = lambda **_: None\n", "cannot be sent to worker processes")])
+def test_what_a_worker_cannot_load_is_named(tmp_path, arguments, law, complaint):
+    code = ("from sim import Fabric, drape_many\nfrom sim.cloth import Laws\n" + law
+            + "plan = {'fabric': Fabric([6e-5] * 3), 'edge': 0.02}\n"
+            + ("plan['laws'] = Mine if isinstance(Mine, type(lambda: 0)) else Mine()\n" if law
+               else "") + "drape_many([plan] * 2, workers=2)\n")
+    if arguments[0] == "-c":
+        arguments = ["-c", code]
+    done = subprocess.run([sys.executable, *arguments], input=code, capture_output=True, text=True,
+                          env=os.environ | {"PYTHONPATH": str(ROOT)}, cwd=tmp_path)
+    assert complaint in done.stderr.splitlines()[-1]
+
+
 def test_a_killed_worker_is_an_input_error():
     with pytest.raises(InputError, match="was killed"), worker_pool(1) as pool:
         os.kill(pool.submit(os.getpid).result(), signal.SIGKILL)
