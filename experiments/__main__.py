@@ -71,6 +71,9 @@ def run_experiment(name: str, words: list[str]) -> None:
             write_figure(out.with_suffix(".png"), figure)
         print(section.summary(report) if section else shown(
             out.stem if out.parent == REPORTS else name, report))
+        for case, reason in report.get("failures", {}).items():
+            print(f"left out: {case}: {reason}")
+        print(f"report: {out}")
         if section and out == stored:
             write_page()
 

@@ -55,8 +55,9 @@ def require_sendable(plans: Sequence[Mapping[str, Any]]) -> None:
     try:
         content = pickle.dumps([*map(dict, plans)])
     except (pickle.PicklingError, AttributeError, TypeError) as error:
-        raise InputError(f"the plans cannot be sent to worker processes ({one_line(error)}); define "
-                         "laws and energies in a module, not by lambda or in a cell") from None
+        raise InputError(f"the plans cannot be sent to worker processes ({one_line(error)}); "
+                         "define laws and energies in a module, not by lambda or in a cell"
+                         ) from None
     if script and not Path(script).is_file():
         raise InputError(f"the script is {script}, which worker processes cannot load; save it in "
                          "a file")
