@@ -5,9 +5,10 @@ thousand times those of the cloth, or stiffnesses of a thousandth. An angular sp
 of length l turns the triangle beside it by a force of 0.1 k l a radian, k its stiffness, shared by
 the three corners (``SIM_mass_spring.cc``, ``implicit_blender.cc``), which on triangles of equal
 sides is a plate of modulus 28.9 k A / 1000, A being the area for each vertex. On triangles of 8 mm,
-whose springs of tension must be weak for them to fold, drapes of fabrics of 300 g/m² are softer:
-with 20 in place of 28.9 by 4.5 points than this project's of the same modulus (ten fabrics), with
-18 by 2.1 (ten others), which gives 16 (``python -m experiments blender``).
+whose springs of tension must be weak for them to fold, drapes of 300 g/m² are softer. No number in
+its place gives both specimens this project's drape coefficients: with 20 discs of ten fabrics are
+4.5 points too low and squares 0.6 and 2.0 too high (30 and 60 µN·m), with 16 discs 0.2 and squares
+4.9 and 6.8 too high; 18 lies between (``python -m experiments blender``).
 
 Triangles have springs along their edges alone, of the constant tension over mean edge. On triangles
 of equal sides they are a sheet of shear stiffness sqrt(3)/4 and stretch stiffness 2/sqrt(3) of that
@@ -21,7 +22,7 @@ from sim.rig import DISC_RIG, Rig
 
 MASS = 1000.0
 """Blender's mass over the cloth's."""
-PLATE = 16.0
+PLATE = 18.0
 """Modulus of the plate over stiffness and area for each vertex, times MASS."""
 TENSION = 2.0
 """Of fabrics of unknown shear: drapes on triangles of 8 mm fold, as with 108 N/m."""
@@ -52,13 +53,15 @@ def captured_specimen(material: Material) -> dict[str, Any]:
     """Specimen and plate of the drape test, m, and the captured drape coefficient, % or None.
 
     They are those of the first capture over a plate, or else of the common disc."""
-    capture = material.document.capture
-    captured = [rig for name in capture.rig.split(", ") if name
+    document = material.document
+    shown = [part.capture for part in document.captures or []] or [document.capture]
+    captured = [(rig, one.drape_coefficient_percent) for one in shown
+                for name in one.rig.split(", ") if name
                 and (rig := Rig.from_name(name)).has_plate]
-    rig = captured[0] if captured else DISC_RIG
+    rig, percent = captured[0] if captured else (DISC_RIG, None)
     return {"tester": rig.name, "specimen_m": list(rig.sides)[:1 if rig.specimen == "disc" else 2],
             "plate_m": rig.plate_diameter,
-            "captured_percent": capture.drape_coefficient_percent if captured else None}
+            "captured_percent": percent}
 
 
 def at_8_mm(material: Material) -> dict[str, float]:

@@ -69,7 +69,8 @@ class Modifiers(list):
             use_pressure=False, bending_model="LINEAR", bending_stiffness=0.5,
             tension_stiffness=15.0, compression_stiffness=15.0, shear_stiffness=5.0)
         self.append(SimpleNamespace(name=name, type=kind, settings=settings,
-                                    collision_settings=SimpleNamespace(self_friction=5.0)))
+                                    collision_settings=SimpleNamespace(
+                                        self_friction=5.0, use_self_collision=False)))
         return self[-1]
 
     def move(self, start: int, end: int) -> None:
@@ -146,7 +147,7 @@ def test_a_garment_of_quads_keeps_its_pins_and_what_is_not_stated(
     warp, bias, weft = secant(DRAPE_CURVATURE, ALPHA, BETA)
     assert after["mass"] == pytest.approx(1000 * DENSITY * vertex)
     assert after["bending_stiffness"] == pytest.approx(
-        1000 * ((warp**-3 + 2 * bias**-3 + weft**-3) / 4) ** (-1 / 3) / 16 / vertex, rel=0.05)
+        1000 * ((warp**-3 + 2 * bias**-3 + weft**-3) / 4) ** (-1 / 3) / 18 / vertex, rel=0.05)
     assert after["quality"] == (40 if dressed else 15)
     printed = capsys.readouterr().out
     assert printed.startswith("skirt: cloth of ") and all(name in printed for name in STATED)
@@ -195,7 +196,8 @@ def test_the_captured_specimen_is_draped_beside_what_is_there(
                 add=lambda chosen, *_: made.update(pinned=chosen))),
             evaluated_get=lambda _: SimpleNamespace(to_mesh=lambda: one.data))  # it stays flat
         vars(one.modifiers.new("", "CLOTH")).update(
-            collision_settings=SimpleNamespace(), point_cache=SimpleNamespace(frame_end=250))
+            collision_settings=SimpleNamespace(use_self_collision=False),
+            point_cache=SimpleNamespace(frame_end=250))
         return one
 
     vars(sys.modules["bpy"].data).update(
@@ -205,7 +207,8 @@ def test_the_captured_specimen_is_draped_beside_what_is_there(
     vars(scene).update(
         selected_objects=[coarse], evaluated_depsgraph_get=lambda: None,
         collection=SimpleNamespace(objects=SimpleNamespace(link=linked.append)),
-        scene=SimpleNamespace(frame_set=lambda frame: None, frame_end=75))
+        scene=SimpleNamespace(frame_set=lambda frame: None, frame_end=75, use_gravity=True,
+                              gravity=(0.0, 0.0, -9.81)))
     runpy.run_path(str(script(tmp_path, rig=rig, drape_coefficient_percent=percent)),
                    run_name="__main__")
     printed, captured = capsys.readouterr().out, f"the captured cloth had {percent} %"
@@ -221,6 +224,21 @@ def test_the_captured_specimen_is_draped_beside_what_is_there(
     assert 0.9 < held.max() / expected.plate_radius < 1.01
     assert linked[0].modifiers[0].settings.vertex_group_mass == "plate"
     assert scene.scene.frame_end == 75
+
+
+@pytest.mark.parametrize(("kinds", "reason"), [
+    (["SUBSURF"], "SUBSURF before the cloth changes its mesh; apply it"),
+    (["MIRROR", "CLOTH"], "MIRROR before the cloth"), (["COLLISION"], "it is an obstacle")])
+def test_what_another_modifier_changes_is_named(scene, tmp_path, capsys, kinds, reason):
+    garment, other = quads(), quads()
+    scene.selected_objects += [garment, other]
+    for kind in kinds:
+        garment.modifiers.new(kind, kind)
+    runpy.run_path(str(script(tmp_path)), run_name="__main__")
+    printed = capsys.readouterr().out.splitlines()
+    assert f"skirt: not made cloth, {reason}" in printed[0]
+    assert [each.type for each in garment.modifiers] == kinds
+    assert printed[1].endswith("; self-collision is off")
 
 
 @pytest.mark.slow
