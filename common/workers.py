@@ -3,6 +3,7 @@
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -84,6 +85,10 @@ def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
         multiprocessing.set_start_method("spawn", force=True)  # a job of joblib's launcher
     if getattr(multiprocessing.current_process(), "_inheriting", False):
         os._exit(UNGUARDED)  # the first process says it, once; here it would be a traceback each
+    script = getattr(sys.modules["__main__"], "__file__", None)
+    if script and script.startswith("<"):
+        raise InputError(f"the script is {script}, which worker processes cannot load; save it in "
+                         "a file")
     context = _Context()
     pool = ProcessPoolExecutor(workers, mp_context=context, initializer=end_with_parent)
     try:

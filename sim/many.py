@@ -3,8 +3,8 @@
 import pickle
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import Future
 from inspect import signature
-from pathlib import Path
 from typing import Any, TypeVar
 
 from common.arguments import whole_number
@@ -42,25 +42,24 @@ def many(
     require_sendable(plans)
     with worker_pool(max(1, min(workers, len(plans)))) as pool, progress_bar(
             total=len(plans), unit=unit) as bar:
+        def counted(call: Future) -> None:
+            if not call.cancelled() and not call.exception():
+                bar.update()
+
         running = [pool.submit(work, **plan) for plan in plans]
         for call in running:
-            call.add_done_callback(lambda call: None if call.cancelled() or call.exception() else
-                                   bar.update())
+            call.add_done_callback(counted)
         return [call.result() for call in running]
 
 
 def require_sendable(plans: Sequence[Mapping[str, Any]]) -> None:
     """InputError for what no worker process could load."""
-    script = getattr(sys.modules["__main__"], "__file__", None)
     try:
-        content = pickle.dumps([*map(dict, plans)])
+        of_main = any(b"__main__" in pickle.dumps(plan) for plan in plans)
     except (pickle.PicklingError, AttributeError, TypeError) as error:
         raise InputError(f"the plans cannot be sent to worker processes ({one_line(error)}); "
                          "define laws and energies in a module, not by lambda or in a cell"
                          ) from None
-    if script and not Path(script).is_file():
-        raise InputError(f"the script is {script}, which worker processes cannot load; save it in "
-                         "a file")
-    if not script and b"__main__" in content:
+    if of_main and not hasattr(sys.modules["__main__"], "__file__"):
         raise InputError("worker processes cannot load what is defined in a cell or a command; "
                          "define laws and energies in a module, and import it")

@@ -113,9 +113,8 @@ def join(views: Sequence[View], rig: Rig, plate_height: Metres) -> Joined:
         grounded = np.array([around(here, angle) > 0.5
                              for here, angle in zip(grounded, turns, strict=True)])
         views = [view.turned(-angle) for view, angle in zip(views, turns, strict=True)]
-    views = [view._replace(error=np.hypot(view.error, _GROUND * here))
-             for view, here in zip(views, grounded, strict=True)]
-    moved, error = on_axis(views, rig)
+        moved, error = on_axis(views, rig)
+    error = np.hypot(error, _GROUND * grounded)
     height = np.array([[view.height] for view in views])
     # Pictures from different heights show how deep the hem hangs: in the mean, then everywhere.
     tried = [moved * (1 + depth * overhang / height) for depth in _DEPTHS]

@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 from common.documents import Schema, read_yaml, require_file_in
 from data.captures.description import MAX_LABEL_LENGTH, Labels, Weighed
 from data.readings.known import Known
+from sim.material import BIAS, WARP, WEFT
 
 FILE = "tension.yaml"
 MAX_STRIPS = 60
@@ -103,10 +104,10 @@ class TensionDescription(Weighed, Labels):
     known: Known | None = Field(None, description=Known.remedy)
 
     @property
-    def fast(self) -> dict[str, float]:
-        """Extensions by FAST-3, %, by direction."""
-        read = {"warp": self.fast_e100_warp_percent, "bias": self.fast_eb5_percent,
-                "weft": self.fast_e100_weft_percent}
+    def fast(self) -> dict[int, float]:
+        """Extensions by FAST-3, %, by the number of their direction."""
+        read = {WARP: self.fast_e100_warp_percent, BIAS: self.fast_eb5_percent,
+                WEFT: self.fast_e100_weft_percent}
         return {direction: percent for direction, percent in read.items() if percent}
 
     @model_validator(mode="after")

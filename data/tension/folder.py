@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import ClassVar, Literal
 
@@ -71,6 +72,7 @@ class TensionSet:
         """Whether warp and weft must be told apart."""
         return any(strip.direction != BIAS for strip in self.strips)
 
+    @cached_property
     def evidence(self) -> TensionEvidence:
         """What the strips say, at the density of the fabric."""
         found = tension_evidence(self.strips, self.density, self.shear)
@@ -104,7 +106,7 @@ def read_tension(folder: str | Path) -> TensionSet:
         folder, description.density,
         (*(_measured(strip, description, read.get(k))
            for k, strip in enumerate(description.tension)),
-         *(fast_strip(DIRECTIONS.index(name), value) for name, value in description.fast.items())),
+         *(fast_strip(direction, percent) for direction, percent in description.fast.items())),
         KES_SHEAR * shear if shear else None, description.known, description.labels, read,
         tuple(one for k, found in read.items() for one in _doubts(found, description.tension[k])))
 

@@ -191,15 +191,14 @@ class _Fit:
         """(S, 3) of the posterior. The windows of the levels, normal ones a deviation apart, add up
         to a constant."""
         start, parts = best.copy(), []
-        yarns = np.eye(3, self.size)[:2].mean(axis=0)
-        deviation = np.sqrt(yarns[:3] @ self.prior.covariance @ yarns[:3])
-        for level in _LEVELS:
-            middle = yarns[:3] @ self.prior.mean + level * deviation
+        deviation = np.sqrt(self.prior.covariance[:2, :2].mean())  # of the mean of both yarns
+        for yarns in self.prior.mean[:2].mean() + _LEVELS * deviation:
 
-            def window(x: np.ndarray, middle: float = middle) -> np.ndarray:
-                return np.append(self.residuals(x), (yarns @ x - middle) / (_WINDOW * deviation))
+            def window(x: np.ndarray, yarns: float = yarns) -> np.ndarray:
+                return np.append(self.residuals(x),
+                                 (x[:2].mean() - yarns) / (_WINDOW * deviation))
 
-            start[:2] = best[:2] + middle - yarns @ best
+            start[:2] = best[:2] + yarns - best[:2].mean()
             found = least_squares(window, start, x_scale="jac", bounds=self.bounds)
             covariance = np.linalg.inv(found.jac.T @ found.jac)
             parts.append((np.linalg.slogdet(covariance)[1] / 2 - found.cost, found.x[:3],

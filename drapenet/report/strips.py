@@ -14,7 +14,7 @@ def draw_strips(source: "StripSet | TensionSet") -> bytes:
     if source.kind == "tension":
         from data.tension.preview import tension_figure
 
-        return png(tension_figure(source, source.evidence())) if source.strips else b""
+        return png(tension_figure(source, source.evidence)) if source.strips else b""
     from data.strips.preview import strips_figure
 
     return png(strips_figure(source)) if source.photographs else b""

@@ -39,7 +39,7 @@ class TensionRecord(Excerpt):
     @classmethod
     def of_strips(cls, tension: "TensionSet") -> "TensionRecord":
         """Of strips, estimated."""
-        found = tension.evidence()
+        found = tension.evidence
         warp, weft, shear = found.stiffness
         names = [DIRECTIONS[k] for k in found.measured]
         return cls.model_validate({

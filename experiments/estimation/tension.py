@@ -82,9 +82,9 @@ def pair_case(*, number: int) -> dict:
         told["faults"] = {fault: _refusal(folder, wrong, above) for fault, wrong in faults.items()}
         try:
             exact = read_folder(folder, stated | {"gauge_mm": 1e3 * strip.gauge(),
-                                                  "extension_mm": 1e3 * true}).evidence()
+                                                  "extension_mm": 1e3 * true}).evidence
             read = read_folder(folder, stated | pictures, above)
-            found = read.evidence()
+            found = read.evidence
         except InputError as error:
             return told | {"failed": str(error).rpartition("/")[2]}
     photographs, place = read.photographs[0], PLACES[direction]

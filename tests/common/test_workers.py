@@ -74,19 +74,20 @@ def test_a_script_without_a_main_guard_is_told_so_once(tmp_path):
     assert run().stdout == "2\n"
 
 
-@pytest.mark.parametrize(("arguments", "law", "complaint"), [
-    (["-"], "", "the script is <stdin>"),
-    (["-c", ""], "class Mine(Laws): pass\n", "defined in a cell or a command"),
-    (["-c", ""], "Mine = lambda **_: None\n", "cannot be sent to worker processes")])
-def test_what_a_worker_cannot_load_is_named(tmp_path, arguments, law, complaint):
-    code = ("from sim import Fabric, drape_many\nfrom sim.cloth import Laws\n" + law
-            + "plan = {'fabric': Fabric([6e-5] * 3), 'edge': 0.02}\n"
-            + ("plan['laws'] = Mine if isinstance(Mine, type(lambda: 0)) else Mine()\n" if law
-               else "") + "drape_many([plan] * 2, workers=2)\n")
-    if arguments[0] == "-c":
-        arguments = ["-c", code]
-    done = subprocess.run([sys.executable, *arguments], input=code, capture_output=True, text=True,
-                          env=os.environ | {"PYTHONPATH": str(ROOT)}, cwd=tmp_path)
+@pytest.mark.parametrize(("how", "laws", "complaint"), [
+    ("-", "None", "the script is <stdin>"),
+    ("-c", "Mine()", "defined in a cell or a command"),
+    ("-c", "lambda **_: None", "cannot be sent to worker processes")])
+def test_what_a_worker_cannot_load_is_named(tmp_path, how, laws, complaint):
+    code = f"""
+from sim import Fabric, drape_many
+from sim.cloth import Laws
+class Mine(Laws): pass
+drape_many([{{'fabric': Fabric([6e-5] * 3), 'edge': 0.02, 'laws': {laws}}}] * 2, workers=2)
+"""
+    done = subprocess.run([sys.executable, how, *[code] * (how == "-c")], input=code,
+                          capture_output=True, text=True, cwd=tmp_path,
+                          env=os.environ | {"PYTHONPATH": str(ROOT)})
     assert complaint in done.stderr.splitlines()[-1]
 
 

@@ -1,5 +1,6 @@
 """Strips under weights: stiffnesses of simulated strips, friction, errors, refusals."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,16 @@ from common.errors import InputError
 from data.readings.quantity import STANDARD_GRAVITY
 from data.tension.folder import TensionSet, read_tension
 from data.tension.law import compliance, extension, reach
-from data.tension.posterior import KES_SHEAR, TensionEvidence
+from data.tension.posterior import (
+    FRICTION,
+    KES_SHEAR,
+    MeasuredExtension,
+    TensionEvidence,
+    prior,
+    tension_evidence,
+)
 from sim.energies.membrane import OrthotropicStVK
-from sim.material import BIAS, DIRECTIONS, WARP, WEFT
+from sim.material import BIAS, DIRECTIONS, REFERENCE_DENSITY, WARP, WEFT
 from sim.tension import pull
 
 TRUE = (2500.0, 900.0, 35.0)  # N/m: warp, weft, shear
@@ -29,7 +37,7 @@ def read(folder: Path, *strips: dict, **stated) -> TensionSet:
 
 
 def told(folder: Path, *strips: dict, **stated) -> TensionEvidence:
-    return read(folder, *strips, **stated).evidence()
+    return read(folder, *strips, **stated).evidence
 
 
 def medians(found: TensionEvidence) -> np.ndarray:
@@ -94,6 +102,22 @@ def test_intervals_contain_what_they_say(tmp_path):
     assert 0.55 < inside / 300 < 0.82  # 68 %
 
 
+def test_shear_of_a_bias_strip_alone_is_as_sure_as_its_interval_says():
+    """Cloth of the prior: the strip is long by its shear or by its yarns."""
+    rng, below = np.random.default_rng(3), []
+    usual = prior(REFERENCE_DENSITY)
+    for _ in range(60):
+        cloth = tuple(np.exp(rng.multivariate_normal(usual.mean, usual.covariance)))
+        strain = rng.uniform(0.01, 0.12)
+        strip = MeasuredExtension(BIAS, 1.0, 0.01, 0.05, 0.1, np.inf, 0.1 * strain, 1e-4)
+        needed = strip.needed(cloth, POISSON)
+        borne = max(FRICTION * rng.standard_normal() + needed, needed / 2)
+        found = tension_evidence([replace(strip, load=borne)], REFERENCE_DENSITY)
+        below.append((found.samples[:, 2] < np.log(cloth[2])).mean())
+    off = np.abs(2 * np.array(below) - 1)
+    assert (off < 0.9).mean() > 0.83 and 0.52 < (off < 0.68).mean() < 0.84
+
+
 def test_what_is_not_measured_is_that_of_usual_fabrics(tmp_path):
     bias = told(tmp_path, strip_of("bias", 50))
     assert bias.measured == (BIAS,) and deviations(bias)[0] > 1.0
@@ -128,7 +152,7 @@ def test_values_of_fast_are_read_as_they_are_given(tmp_path):
 
 def test_the_weight_for_ten_per_cent_stretches_by_ten_per_cent(tmp_path):
     strips = read(tmp_path, strip_of("bias", 25), strip_of("warp", 500))
-    for direction, load in strips.loads(strips.evidence()).items():
+    for direction, load in strips.loads(strips.evidence).items():
         assert strip_of(direction, load)["extension_mm"] == pytest.approx(10, rel=0.12)
 
 
