@@ -84,7 +84,6 @@ def _estimated(database: Database, fabric: Mapping[str, Any]) -> "FabricEstimate
     if its result has been removed meanwhile.
     """
     from drapenet.batch.captures import Entry
-    from drapenet.estimator.read import copies
     from drapenet.report.overview import FabricEstimate
     from drapenet.result.document import EstimateDocument
 
@@ -101,10 +100,8 @@ def _estimated(database: Database, fabric: Mapping[str, Any]) -> "FabricEstimate
         document = document.warned(Finding("captures_apart", {"captures": ", ".join(apart)}))
     shown = [(Entry(fabric["name"], "", row["name"], Path(), Path(row["id"])), documents[row["id"]])
              for row in captures]
-    repeated = copies((entry, own.capture.pictures_sha256) for entry, own in shown)
     return FabricEstimate(
         fabric["name"], Path(fabric["id"]), shown, document, None,
-        left_out={entry.place: other for entry, other in repeated},
         failed=sum(each["state"] in (FAILED, LOST) for each in estimates if not each["members"]))
 
 

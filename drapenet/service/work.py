@@ -167,21 +167,18 @@ def _estimate_jointly(
 ) -> tuple[Any, list[Finding]]:
     """The joint estimate of a fabric's captures and strips, and its warnings."""
     from drapenet.estimator.estimate import join, read_part, write_joint
-    from drapenet.estimator.read import copies
     from drapenet.report.figures import draw_torques
+    from drapenet.result.copies import left_out
     from drapenet.result.files import TORQUES
 
     record(stage="joining")
     places = [folder.parent / member for member in row["members"]]
     every = [_as_named(read_part(place), row["fabric_name"]) for place in places]
-    repeated = copies((k, part.document.capture.pictures_sha256) for k, part in enumerate(every))
-    kept = sorted({*range(len(every))} - {k for k, _ in repeated})
+    repeated = left_out([part.document for part in every])
+    kept = [k for k in range(len(every)) if k not in repeated]
     parts, places = [every[k] for k in kept], [places[k] for k in kept]
     estimate, document = join(parts, header, ahead=True)
-    document = document.warned(*(
-        Finding("twin_left_out", {"capture": every[k].document.label,
-                                  "other": every[other].document.label})
-        for k, other in repeated))
+    document = document.warned(*repeated.values())
     write_joint(folder, estimate, document, parts, places, drawn=True, address=address)
     replace_file(folder / TORQUES, draw_torques(estimate))
     return estimate, document.warnings

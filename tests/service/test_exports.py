@@ -74,11 +74,13 @@ def test_the_workbook_has_the_result_of_each_fabric_and_its_captures(tmp_path, d
 def test_a_copy_does_not_count(tmp_path, database):
     for identity, scale in (("b", 2.0), ("c", 3.0)):
         content = document(scale).content()
-        content["capture"]["files_sha256"] = ["1" * 64]
+        content["capture"] |= {"files_sha256": ["1" * 64], "source": f"serge/{identity}"}
         database.change("estimate", identity, estimate=content)
     fabrics, captures = sheets(tmp_path, "serge")
     assert {row["captures"] for row in fabrics} == {1}
-    assert {row["capture"] for row in captures} == {"b", "c"}
+    assert {row["capture"]: row.get("warnings in words", "") for row in captures} == {
+        "b": "", "c": "serge/c has the same pictures as serge/b and is left out: give each capture "
+                      "once"}
 
 
 def test_the_workbook_has_a_line_of_a_fabric_without_an_estimate(tmp_path, database):
