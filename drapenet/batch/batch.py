@@ -150,17 +150,19 @@ def join_fabrics(
 
 def _twins_elsewhere(entries: Sequence[Entry], out: Path) -> dict[Path, list[Finding]]:
     """Findings of captures whose pictures another fabric has, too, by their place."""
-    first: dict[str, Entry] = {}
+    first: dict[str, tuple[Entry, str]] = {}
     found: dict[Path, list[Finding]] = {}
     for entry in entries:
-        digests: tuple[str, ...] = ()
-        with suppress(InputError):  # of damaged files, which is said where they are joined
-            digests = read_document(out / entry.place / ESTIMATE).capture.pictures_sha256
-        other = first_with(first, digests, entry)
-        if other and other.fabric != entry.fabric:
-            for one, two in ((entry, other), (other, entry)):
+        try:
+            document = read_document(out / entry.place / ESTIMATE)
+        except InputError:  # of damaged files, which is said where they are joined
+            continue
+        own = entry, document.label
+        other = first_with(first, document.capture.pictures_sha256, own)
+        if other and other[0].fabric != entry.fabric:
+            for (one, label), (_, twin) in ((own, other), (other, own)):
                 found.setdefault(one.place, []).append(Finding("twin_elsewhere", {
-                    "capture": str(one.place), "other": str(two.place)}))
+                    "capture": label, "other": twin}))
     return found
 
 

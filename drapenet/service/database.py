@@ -112,11 +112,11 @@ class Database:
         """All estimates with their states, the oldest first."""
         return self._read("SELECT id, state, tries, members, error FROM estimate ORDER BY created")
 
-    def same_pictures(self, digests: Sequence[str], fabric: str) -> list[str]:
-        """FABRIC/CAPTURE of the captures of other fabrics with one of the ``digests``."""
+    def same_pictures(self, digests: Sequence[str], fabric: str) -> list[tuple[str, str]]:
+        """Names, of fabric and capture, of other fabrics' captures with one of the ``digests``."""
         every = json.dumps(digests)
-        return [row["place"] for row in self._read(
-            "SELECT f.name || '/' || e.name AS place FROM estimate e JOIN fabric f "
+        return [(row["fabric_name"], row["name"]) for row in self._read(
+            "SELECT f.name AS fabric_name, e.name FROM estimate e JOIN fabric f "
             "ON f.id = e.fabric WHERE e.members IS NULL AND e.fabric <> ? AND "
             "(json_extract(e.estimate, '$.capture.views_sha256') IN "
             "(SELECT value FROM json_each(?)) OR EXISTS (SELECT 1 FROM "

@@ -96,7 +96,7 @@ def _estimated(database: Database, fabric: Mapping[str, Any]) -> "FabricEstimate
                  for identity, row in rows.items()}
     captures = [row for row in rows.values() if row["members"] is None]
     document, joined = documents[result["id"]], result["members"] or [result["id"]]
-    if apart := [row["name"] for row in captures if row["id"] not in joined]:
+    if apart := [documents[row["id"]].label for row in captures if row["id"] not in joined]:
         document = document.warned(Finding("captures_apart", {"captures": ", ".join(apart)}))
     shown = [(Entry(fabric["name"], "", row["name"], Path(), Path(row["id"])), documents[row["id"]])
              for row in captures]

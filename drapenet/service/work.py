@@ -129,7 +129,7 @@ def _read(folder: Path, row: dict[str, Any]) -> Any:
     from drapenet.surface.registration import read_scan_capture
 
     task, uploaded = row["task"], folder / UPLOADED
-    shown = Path(*map(plain_name, (row["fabric_name"], row["name"])))
+    shown = _place(row["fabric_name"], row["name"])
     if scan := task["scan"]:
         stated = Description.of(task["specimen"], "")
         source = replace(read_scan_capture(uploaded / scan, stated), known=stated.known,
@@ -141,11 +141,16 @@ def _read(folder: Path, row: dict[str, Any]) -> Any:
         if not isinstance(source, ReportedCapture):
             others = database_in(folder.parent).same_pictures(source.digests, row["fabric"])
             source = replace(source, warnings=(*source.warnings, *(
-                Finding("twin_elsewhere", {"capture": str(shown), "other": other})
+                Finding("twin_elsewhere", {"capture": str(shown), "other": str(_place(*other))})
                 for other in others[:1])))
     elif picture := draw_strips(source):
         replace_file(folder / PREVIEW, picture)
     return replace(source, path=shown, labels=_named(source.labels, row["fabric_name"]))
+
+
+def _place(fabric: str, capture: str) -> Path:
+    """FABRIC/CAPTURE, in place of a path of the server: the label of a capture in sentences."""
+    return Path(plain_name(fabric), plain_name(capture))
 
 
 def _named(labels: Any, fabric: str) -> Any:

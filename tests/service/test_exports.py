@@ -25,10 +25,12 @@ ALPHA = np.array([52.0, 31.0, 22.0]) * MICRO
 SETTINGS = {"mesh": "alternating", "edge_mm": 4.0, "curvature_1_m": 50.0, "name": "Köper 7"}
 
 
-def document(scale: float = 1.0, coefficient: float = 60.0) -> EstimateDocument:
+def document(
+    scale: float = 1.0, coefficient: float = 60.0, source: str = "twill"
+) -> EstimateDocument:
     """Of a fabric whose alpha is ``scale`` times :data:`ALPHA`."""
     return document_of(estimate_of(scale * ALPHA, np.full(3, -100 * NANO)), capture={
-        "source": "twill", "rig": "square300_cylinder100", "density_g_m2": 210.0,
+        "source": source, "rig": "square300_cylinder100", "density_g_m2": 210.0,
         "drape_coefficient_percent": coefficient, "nodes": 6})
 
 
@@ -42,8 +44,9 @@ def database(tmp_path) -> Database:
         database.add_estimate(identity, fabric, values.pop("name", identity), state=state,
                               created=created, **values)
 
-    content = {key: document(scale, coefficient).content() for key, scale, coefficient in (
-        ("a", 1.0, 60.0), ("b", 2.0, 70.0), ("c", 3.0, 50.0), ("joint", 2.4, 60.0))}
+    content = {key: document(scale, coefficient, f"serge/{key}").content()
+               for key, scale, coefficient in (
+                   ("a", 1.0, 60.0), ("b", 2.0, 70.0), ("c", 3.0, 50.0), ("joint", 2.4, 60.0))}
     add("a", "twill", about=("navy twill", ""), created=1, estimate=content["a"])
     add("b", "serge", about=("=grey serge", ""), created=2, estimate=content["b"])
     add("c", "serge", created=3, estimate=content["c"])
@@ -73,8 +76,8 @@ def test_the_workbook_has_the_result_of_each_fabric_and_its_captures(tmp_path, d
 
 def test_a_copy_does_not_count(tmp_path, database):
     for identity, scale in (("b", 2.0), ("c", 3.0)):
-        content = document(scale).content()
-        content["capture"] |= {"files_sha256": ["1" * 64], "source": f"serge/{identity}"}
+        content = document(scale, source=f"serge/{identity}").content()
+        content["capture"]["files_sha256"] = ["1" * 64]
         database.change("estimate", identity, estimate=content)
     fabrics, captures = sheets(tmp_path, "serge")
     assert {row["captures"] for row in fabrics} == {1}
@@ -115,7 +118,8 @@ def test_the_workbook_says_which_captures_a_result_leaves_out(tmp_path, database
     assert [(row["capture"], row["reason"]) for row in failed] == [
         ("failed", "no drape is seen"), ("", "the same views")]
     assert fabrics[0]["α median [µN·m]"] == pytest.approx(3 * 52)  # of the latest
-    assert fabrics[0]["warnings in words"] == "this estimate is made without b, not joined with it"
+    assert fabrics[0]["warnings in words"] == (
+        "this estimate is made without serge/b, not joined with it")
     assert len(captures) == 6
 
 
