@@ -86,6 +86,22 @@ def test_a_copy_does_not_count(tmp_path, database):
                       "once"}
 
 
+def test_the_workbook_states_the_faces_that_were_draped(tmp_path, database):
+    up = document(source="serge/b").content()
+    down = up | {"capture": up["capture"] | {"source": "serge/c", "face": "down"}}
+    database.change("estimate", "c", estimate=down)
+    about = {key: value for key, value in up["capture"].items() if key not in ("source", "face")}
+    database.change("estimate", "joint", estimate=up | {
+        "capture": about | {"sources": ["serge/b", "serge/c"]},
+        "captures": [{key: each[key] for key in ("capture", "moduli", "warnings")}
+                     for each in (up, down)]})
+    database.change("estimate", "a", estimate=up | {  # of strips alone
+        "capture": about | {"sources": [], "rig": ""}})
+    fabrics, captures = sheets(tmp_path)
+    assert [row.get("face") for row in fabrics[::3]] == ["up and down", ""]
+    assert [row.get("face") for row in captures[::3]] == ["up", "down", ""]
+
+
 def test_the_workbook_has_a_line_of_a_fabric_without_an_estimate(tmp_path, database):
     database.change("estimate", "none", state=FAILED, error="the picture shows no cloth")
     fabrics, _ = sheets(tmp_path, "new")
