@@ -134,7 +134,12 @@ def require_one_fabric(
         if other := first_with(names, every, name):
             raise InputError(f"{other} and {name} have the same views, which are not "
                              "independent; give each capture once")
-    low, high = min(densities), max(densities)
+    require_one_density(densities)
+
+
+def require_one_density(densities: Sequence[Density]) -> None:
+    """InputError for specimens whose densities, kg/m², are too different to be of one fabric."""
+    low, high = min(densities, default=0.0), max(densities, default=0.0)
     if high > (1 + MAX_DENSITY_DIFFERENCE) * low:
         raise InputError(f"captures and strips of one fabric state densities from {1e3 * low:g} to "
                          f"{1e3 * high:g} g/m², more than {MAX_DENSITY_DIFFERENCE:.0%} apart; "

@@ -85,7 +85,8 @@ class Database:
             "SELECT id, name, state, error, members, created, ended, "
             "json_extract(estimate, '$.contradictions') AS contradictions, "
             "json_extract(estimate, '$.capture.rig') AS rig, "
-            "json_extract(task, '$.directions') AS directions FROM estimate "
+            "json_extract(task, '$.directions') AS directions, "
+            "json_extract(task, '$.density_g_m2') AS density_g_m2 FROM estimate "
             "WHERE fabric = ? ORDER BY created, rowid", identity)} if rows else None
 
     def fabrics(
