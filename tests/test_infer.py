@@ -427,6 +427,21 @@ def test_refinement_says_what_has_changed(out, capsys):
     assert "alpha before refinement" in capsys.readouterr().out
 
 
+@pytest.mark.slow
+@pytest.mark.skipif(not BUNDLED.exists(), reason="no network is bundled")
+def test_a_preview_is_skirts_of_twelve_samples_beside_the_estimate(out, capsys):
+    infer.main([f"capture={TWILL}", f"out={out}", "drapes=0", "preview=true", "workers=2"])
+    line = capsys.readouterr().out.splitlines()[-1]
+    assert line == f"garment:  {out / 'garment.png'}, {out / 'garment.glb'}"  # none is missing
+    with Image.open(out / "garment.png") as picture:
+        assert picture.size[0] > picture.size[1] > 500
+    scene = trimesh.load(out / "garment.glb")
+    skirts = [*scene.geometry.values()]
+    assert len(skirts) == 12 and len({len(skirt.faces) for skirt in skirts}) == 1
+    assert all(0.3 < np.ptp(skirt.vertices, axis=0).max() < 1.0 for skirt in skirts)  # m
+    assert not np.allclose(np.ptp(skirts[0].vertices, axis=0), np.ptp(skirts[-1].vertices, axis=0))
+
+
 def test_strips_are_estimated_alone_and_beside_a_capture(capture, checkpoint, out, capsys):
     describe(capture, density_g_m2=1e3 * strip_photographs.DENSITY)
     strips = strip_photographs.write(

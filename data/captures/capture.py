@@ -29,7 +29,6 @@ class Capture:
         warp_direction: in the first view, in [0, pi), 0 to the right in the picture, pi/2 away from
             the camera (up in a picture from above); None when it is not marked.
         path: names it.
-        files_sha256: of the bytes of an outline's files, the same whatever is stated with them.
         face: "up" if the face of the fabric that the laboratory has marked is on top, else "down".
     """
 
@@ -40,7 +39,6 @@ class Capture:
     face: str = "up"
     known: Reported | None = None
     labels: Labels = UNLABELLED
-    files_sha256: tuple[str, ...] = ()
     warnings: tuple[Finding, ...] = ()
 
     @property
@@ -62,6 +60,11 @@ class Capture:
     def digest(self) -> str:
         """SHA-256 of the content."""
         return hashlib.sha256(self.content).hexdigest()
+
+    @property
+    def files_sha256(self) -> tuple[str, ...]:
+        """Of the bytes of an outline's files, the same whatever is stated with them."""
+        return ()
 
     @property
     def digests(self) -> tuple[str, ...]:
@@ -104,6 +107,11 @@ class OutlineCapture(Capture):
     def content(self) -> bytes:
         """The curve."""
         return self.outline.curve.tobytes()
+
+    @property
+    def files_sha256(self) -> tuple[str, ...]:
+        """Those of the outline."""
+        return self.outline.files_sha256
 
 
 @dataclass(frozen=True)

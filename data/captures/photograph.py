@@ -7,6 +7,7 @@ Coordinates of pixels are those of their centres, from 0 on.
 """
 
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
@@ -69,6 +70,7 @@ class PhotographedOutline:
         cameras: places (3,), m from the plate's centre, of the pictures over a mat, in order.
         next_camera: place (3,) from which another picture is asked for; None if none is.
         check: code of what to check where the outline contradicts what is stated.
+        files_sha256: of the bytes of its files, the same whatever is stated with them.
     """
 
     curve: Outline
@@ -86,6 +88,7 @@ class PhotographedOutline:
     cameras: tuple[Vector, ...] = ()
     next_camera: Vector | None = None
     check: str = "check_table"
+    files_sha256: tuple[str, ...] = ()
 
     @property
     def causes(self) -> str:
@@ -129,9 +132,12 @@ def read_outline(
     try:
         if is_table:
             handed = warp_direction is not None and abs(np.sin(2 * warp_direction)) > MAX_SKEW
+            digests = [_sha256(file)]
             found = _tabulated(file, source, rig, handed=handed)
         else:
-            found = _photographed(file, source, rig, warp_direction)
+            pictures = dict(sorted(scaled_photographs(file, source, rig).items()))
+            digests = [_sha256(one) for one in pictures]
+            found = _photographed(file, pictures, digests, source, rig, warp_direction)
         warnings = (*found.warnings, *_checked(found))
     except InputError as error:
         raise InputError(str(error) if str(file) in str(error) else f"{file}: {error}") from None
@@ -140,7 +146,11 @@ def read_outline(
     if not found.centred:
         warnings += (Finding("centre_unknown_in_table" if is_table else
                              "centre_unknown_in_picture"),)
-    return replace(found, warnings=warnings)
+    return replace(found, warnings=warnings, files_sha256=tuple(digests))
+
+
+def _sha256(file: Path) -> str:
+    return sha256(file.read_bytes()).hexdigest()
 
 
 def _tabulated(
@@ -153,18 +163,19 @@ def _tabulated(
 
 
 def _photographed(
-    file: Path, source: OutlineSource, rig: Rig, warp_direction: Radians | None
+    file: Path, pictures: Mapping[Path, Scaled | InputError], digests: Sequence[str],
+    source: OutlineSource, rig: Rig, warp_direction: Radians | None
 ) -> PhotographedOutline:
-    """The outline of a drape from the axis, from one picture or from all that are called as it is.
-    """
+    """The outline of a drape from the axis, from one picture or from all that are called as it is;
+    ``digests``: of each of the ``pictures``."""
     read: dict[Path, tuple[Scaled, PhotographedOutline]] = {}
     unread: dict[Path, InputError] = {}
-    first: dict[bytes, Path] = {}
-    for one, seen in sorted(scaled_photographs(file, source, rig).items()):
+    first: dict[str, Path] = {}
+    for (one, seen), digest in zip(pictures.items(), digests, strict=True):
         try:
             if isinstance(seen, InputError):
                 raise seen
-            if (other := first.setdefault(sha256(one.read_bytes()).digest(), one)) is not one:
+            if (other := first.setdefault(digest, one)) is not one:
                 raise InputError(f"it is the same picture as {other.name}")
             read[one] = seen, _as_seen(seen, source, rig)
         except InputError as error:

@@ -12,7 +12,6 @@ Two formats are recognised by their files:
 
 import os
 import re
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -80,7 +79,7 @@ def _read_metric(path: Path) -> Capture:
     file = path / "capture.yaml"
     description = Description.of(read_yaml(file), file)
     if outlines := outline_files(path):
-        return _read_outline(path, outlines, description)
+        return _read_outline(path, outlines[0], description)
     if description.outline:
         others = sorted(set(found.name for found in path.iterdir()) - {file.name})
         raise InputError(f"{file} has the key outline, but there is no outline.jpg, .heic, .png, "
@@ -160,8 +159,7 @@ def outline_files(folder: Path) -> list[Path]:
     return [found[number] for number in sorted(found)]
 
 
-def _read_outline(path: Path, files: list[Path], description: Description) -> OutlineCapture:
-    file = files[0]
+def _read_outline(path: Path, file: Path, description: Description) -> OutlineCapture:
     if view := next(iter(views_in(path).values()), None):
         raise InputError(f"{path} holds {file.name} and {view}; give depth views and outlines in "
                          "different folders")
@@ -176,8 +174,7 @@ def _read_outline(path: Path, files: list[Path], description: Description) -> Ou
         stated["warp_direction"] = 0.0
     outline = read_outline(file, description.outline or OutlineSource(), stated["rig"],
                            stated["warp_direction"])
-    digests = tuple(sha256(one.read_bytes()).hexdigest() for one in files)
-    return OutlineCapture(outline, **stated, files_sha256=digests,
+    return OutlineCapture(outline, **stated,
                           warnings=(*description.questions, *outline.warnings))
 
 

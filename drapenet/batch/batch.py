@@ -22,7 +22,7 @@ from data.captures.capture import Capture
 from data.captures.preview import show
 from drapenet.batch.captures import Entry, entries_of
 from drapenet.config import EstimateOptions
-from drapenet.estimator.read import first_with, read_source
+from drapenet.estimator.read import read_source
 from drapenet.network.checkpoint import Header, read_header
 from drapenet.report.overview import (
     FAILURE,
@@ -34,6 +34,7 @@ from drapenet.report.overview import (
     fabrics_text,
     write_overview,
 )
+from drapenet.result.copies import first_with, left_out
 from drapenet.result.document import EstimateDocument
 from drapenet.result.files import (
     ESTIMATE,
@@ -128,14 +129,14 @@ def join_fabrics(
     fabrics, apart, failed = [], [], Counter(row["fabric"] for row in failures)
     ordered = sorted((entry for entry, failure in outcomes if not failure),
                      key=lambda entry: (entry.fabric, entry.place))
-    twins = _twins(ordered, out)
+    twins = _twins_elsewhere(ordered, out)
     refused: dict[str, list[Path]] = {}
     for entry, failure in outcomes:
         refused.setdefault(entry.fabric, []).extend([entry.path] * bool(failure))
     for name, group in groupby(ordered, key=lambda entry: entry.fabric):
         entries = list(group)
         try:
-            fabric = _joined(name, entries, refused[name], out, header, strict, *twins)
+            fabric = _joined(name, entries, refused[name], out, header, strict, twins)
             fabrics.append(replace(fabric, failed=failed[name]))
         except InputError as error:
             apart += _apart(entries, out)
@@ -147,46 +148,40 @@ def join_fabrics(
     return Joined(fabrics, apart, failures)
 
 
-def _twins(
-    entries: Sequence[Entry], out: Path
-) -> tuple[dict[Path, list[Finding]], dict[Path, Entry]]:
-    """A finding for each capture whose pictures another one has, by its place, and the places of
-    those that repeat a capture of their fabric, with that capture."""
-    first: dict[str, Entry] = {}
+def _twins_elsewhere(entries: Sequence[Entry], out: Path) -> dict[Path, list[Finding]]:
+    """Findings of captures whose pictures another fabric has, too, by their place."""
+    first: dict[str, tuple[Entry, str]] = {}
     found: dict[Path, list[Finding]] = {}
-    repeated: dict[Path, Entry] = {}
     for entry in entries:
-        digests: tuple[str, ...] = ()
-        with suppress(InputError):  # of damaged files, which is said where they are joined
-            digests = read_document(out / entry.place / ESTIMATE).capture.pictures_sha256
-        other = first_with(first, digests, entry)
-        if other and other.fabric == entry.fabric:
-            repeated[entry.place] = other
-            found[entry.place] = [_twin("twin_left_out", entry, other)]
-        elif other:
-            for one, two in ((entry, other), (other, entry)):
-                found.setdefault(one.place, []).append(_twin("twin_elsewhere", one, two))
-    return found, repeated
-
-
-def _twin(code: str, entry: Entry, other: Entry) -> Finding:
-    return Finding(code, {"capture": str(entry.place), "other": str(other.place)})
+        try:
+            document = read_document(out / entry.place / ESTIMATE)
+        except InputError:  # of damaged files, which is said where they are joined
+            continue
+        own = entry, document.label
+        other = first_with(first, document.capture.pictures_sha256, own)
+        if other and other[0].fabric != entry.fabric:
+            for (one, label), (_, twin) in ((own, other), (other, own)):
+                found.setdefault(one.place, []).append(Finding("twin_elsewhere", {
+                    "capture": label, "other": twin}))
+    return found
 
 
 def _joined(
     name: str, entries: Sequence[Entry], refused: Sequence[Path], out: Path, header: Header,
-    strict: bool, found: Mapping[Path, Sequence[Finding]], repeated: Mapping[Path, Entry]
+    strict: bool, twins: Mapping[Path, Sequence[Finding]]
 ) -> FabricEstimate:
-    """Join the captures and strips of a fabric but ``repeated`` ones, and what is known by those
-    that are ``refused``; write its estimate, with the findings of :func:`_twins`."""
+    """Join the captures and strips of a fabric but copies, and what is known by those that are
+    ``refused``; write its estimate, with those findings and its ``twins`` in other fabrics."""
     from drapenet.estimator.estimate import join, known_parts, read_part  # torch
     from drapenet.estimator.stages import require_sound
 
-    parts = {entry.place: read_part(out / entry.place) for entry in entries}
-    joined = [part for place, part in parts.items() if place not in repeated]
+    parts = [read_part(out / entry.place) for entry in entries]
+    repeated = left_out([part.document for part in parts])
+    joined = [part for k, part in enumerate(parts) if k not in repeated]
     known, lost = known_parts(refused, joined, header)
     joined += known
-    faults = [*(one for entry in entries for one in found.get(entry.place, ())), *lost]
+    faults = [*repeated.values(),
+              *(one for entry in entries for one in twins.get(entry.place, ())), *lost]
     require_sound(faults, strict, "the fabric")
     place, scatter = Path(entries[0].place.parts[0]), None
     if len(joined) == 1:
@@ -202,8 +197,8 @@ def _joined(
     document = document.warned(*faults)
     write_estimate(out / place, estimate, document)
     return FabricEstimate(
-        name, place, [(entry, parts[entry.place].document.warned(*found.get(entry.place, ())))
-                      for entry in entries], document, scatter, left_out=repeated)
+        name, place, [(entry, part.document.warned(*twins.get(entry.place, ())))
+                      for entry, part in zip(entries, parts, strict=True)], document, scatter)
 
 
 def _apart(entries: Sequence[Entry], out: Path) -> list[tuple[Entry, EstimateDocument]]:

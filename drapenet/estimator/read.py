@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from common.documents import read_yaml
 from common.errors import InputError
@@ -15,6 +15,7 @@ from data.readings.known import Known
 from data.strips.description import FILE as STRIPS
 from data.strips.description import StripsDescription
 from data.tension.description import FILE as TENSION
+from drapenet.result.copies import first_with
 
 if TYPE_CHECKING:
     from data.strips.folder import StripSet
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
 else:  # the simulator of strips is loaded where there are some
     Source = Any
 """What an estimate is made from."""
-_Item = TypeVar("_Item")
 MAX_DENSITY_DIFFERENCE = 0.1  # between specimens of one fabric, relative to the smallest
 
 
@@ -123,24 +123,6 @@ def with_known(sources: Sequence[Source], known: Mapping[str, Any] | None) -> li
     return [replace(first, known=checked), *others]
 
 
-def first_with(first: dict[str, _Item], digests: Iterable[str], item: _Item) -> _Item | None:
-    """The earlier capture that shares one of the ``digests`` of ``item``, of those that are kept in
-    ``first``; None: there is none, and ``item`` is kept."""
-    every = tuple(digests)
-    if shared := next((digest for digest in every if digest in first), None):
-        return first[shared]
-    first.update(dict.fromkeys(every, item))
-    return None
-
-
-def copies(captures: Iterable[tuple[_Item, Iterable[str]]]) -> list[tuple[_Item, _Item]]:
-    """The captures that repeat pictures of an earlier one, each with that one; ``captures``: each
-    with its digests."""
-    first: dict[str, _Item] = {}
-    return [(item, other) for item, digests in captures
-            if (other := first_with(first, digests, item)) is not None]
-
-
 def require_one_fabric(
     densities: Sequence[Density], digests: Iterable[tuple[str, Sequence[str]]]
 ) -> None:
@@ -152,7 +134,12 @@ def require_one_fabric(
         if other := first_with(names, every, name):
             raise InputError(f"{other} and {name} have the same views, which are not "
                              "independent; give each capture once")
-    low, high = min(densities), max(densities)
+    require_one_density(densities)
+
+
+def require_one_density(densities: Sequence[Density]) -> None:
+    """InputError for specimens whose densities, kg/m², are too different to be of one fabric."""
+    low, high = min(densities, default=0.0), max(densities, default=0.0)
     if high > (1 + MAX_DENSITY_DIFFERENCE) * low:
         raise InputError(f"captures and strips of one fabric state densities from {1e3 * low:g} to "
                          f"{1e3 * high:g} g/m², more than {MAX_DENSITY_DIFFERENCE:.0%} apart; "

@@ -3,8 +3,9 @@
 ``index.html``.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from itertools import chain
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from drapenet.batch.captures import COLUMNS, Entry
 from drapenet.report.pages import render
 from drapenet.report.report import MAX_NAME_WIDTH, ShownCapture, write_report
 from drapenet.report.workbook import Sample, Unestimated, workbook
+from drapenet.result.copies import copies, left_out
 from drapenet.result.document import EstimateDocument
 from drapenet.result.files import REPORT, pictures_of_strips
 from drapenet.result.tables import ROLES, csv_number, csv_table, row_of
@@ -27,13 +29,13 @@ INDEX, THUMBNAIL, RESULTS = "index.html", "view.png", "results.xlsx"
 
 @dataclass(frozen=True)
 class FabricEstimate:
-    """Estimate of a fabric from all its captures.
+    """Estimate of a fabric from all its captures but copies, which do not count.
 
     Attributes:
+        captures: and strips and known values, each with the document of its estimate.
         document: of the joint estimate of several captures, or of the only one.
         scatter: (3,) geometric standard deviation of the captures' alpha; None for one capture.
         failed: number of captures without an estimate.
-        left_out: copies among the captures, which do not count, each with what it is a copy of.
     """
 
     name: str
@@ -42,12 +44,23 @@ class FabricEstimate:
     document: EstimateDocument
     scatter: np.ndarray | None
     failed: int = 0
-    left_out: Mapping[Path, Entry] = field(default_factory=dict)
+
+    @cached_property
+    def copies(self) -> dict[int, int]:
+        """As :func:`drapenet.result.copies.copies` of the captures."""
+        return copies([document for _, document in self.captures])
 
     @property
     def parts(self) -> list[EstimateDocument]:
         """Documents of the captures that take part."""
-        return [document for entry, document in self.captures if entry.place not in self.left_out]
+        return [document for k, (_, document) in enumerate(self.captures) if k not in self.copies]
+
+    @property
+    def shown(self) -> list[tuple[Entry, EstimateDocument]]:
+        """The captures, with a warning of those that are copies."""
+        faults = left_out([document for _, document in self.captures])
+        return [(entry, document.warned(faults[k]) if k in faults else document)
+                for k, (entry, document) in enumerate(self.captures)]
 
     @property
     def counts(self) -> dict[str, int]:
@@ -84,7 +97,7 @@ class Joined:
     @property
     def captures(self) -> list[tuple[Entry, EstimateDocument]]:
         """All captures that have an estimate."""
-        return [*chain.from_iterable(fabric.captures for fabric in self.fabrics), *self.apart]
+        return [*chain.from_iterable(fabric.shown for fabric in self.fabrics), *self.apart]
 
     @property
     def unestimated(self) -> list[Unestimated]:
@@ -134,25 +147,21 @@ def fabrics_workbook(joined: Joined) -> bytes:
 def _write_page(fabric: FabricEstimate, out: Path) -> None:
     """Write the page of a fabric, and its report."""
     folder, document = out / fabric.place, fabric.document
-    shown = [_shown(out, *capture, fabric.left_out) for capture in fabric.captures]
+    names = [f"{entry.sample}/{entry.capture}".strip("/") for entry, _ in fabric.captures]
+    shown = [_shown(out, *capture, name, names[fabric.copies[k]] if k in fabric.copies else "")
+             for k, (capture, name) in enumerate(zip(fabric.shown, names, strict=True))]
     write_report(folder, document.capture.labels.fabric or fabric.name, document, shown,
                  page=INDEX, scatter=fabric.scatter, failed=fabric.failed, back="../index.html",
                  strips=pictures_of_strips(out / entry.place for entry, _ in fabric.captures))
 
 
 def _shown(
-    out: Path, entry: Entry, document: EstimateDocument, left_out: Mapping[Path, Entry]
+    out: Path, entry: Entry, document: EstimateDocument, name: str, copy_of: str
 ) -> ShownCapture:
     """A capture with the picture of its report, or its thumbnail."""
     large = (out / entry.place / REPORT).exists()
     file = out / entry.place / (REPORT if large else THUMBNAIL)
-    other = left_out.get(entry.place)
-    return ShownCapture(_name(entry), document, file.read_bytes() if file.exists() else b"", large,
-                        _name(other) if other else "")
-
-
-def _name(entry: Entry) -> str:
-    return f"{entry.sample}/{entry.capture}".strip("/")
+    return ShownCapture(name, document, file.read_bytes() if file.exists() else b"", large, copy_of)
 
 
 def fabrics_text(fabrics: Sequence[FabricEstimate]) -> str:
@@ -188,7 +197,7 @@ def _fabric_row(fabric: FabricEstimate) -> dict[str, object]:
         "fabric": fabric.name,
         "samples": len({entry.sample for entry, _ in fabric.captures}),
         **fabric.counts,
-        "captures_with_warnings": sum(bool(capture.warnings) for _, capture in fabric.captures),
+        "captures_with_warnings": sum(bool(capture.warnings) for _, capture in fabric.shown),
         "rig": document.capture.rig, "directions": document.convention, **row_of(document),
         **fabric.means_text,
         **{f"alpha_{role}_scatter_factor":

@@ -25,6 +25,8 @@ FAILED = ("fabric", "sample", "capture", "reason")
 NOTES = (
     "Each line is a direction: warp, bias and weft, or stiff, bias and soft where the direction of "
     "the warp was not stated.",
+    "face: up if the marked face of the fabric was on top in the drape, also where nothing was "
+    "stated, down if it was below; of captures of both, both; empty where nothing was draped.",
     "low and high: the true value lies between them with a probability of 68 %.",
     "All values are at the mass per area of the fabric; those of testers are computed from α and "
     "β. A fabric's drape coefficient and nodes are means over its captures, empty if these "
@@ -115,7 +117,7 @@ def _rows(sample: Sample | Unestimated) -> list[list[str | float | None]]:
         return [[*sample.names.values(), *[None] * (len(columns) - len(sample.names) - 1),
                  f"no estimate: {sample.reason}"]]
     document, about, rows = sample.document, sample.document.capture, []
-    shown = [part.capture for part in document.captures or []] or [about] * (not about.sources)
+    shown = [part.capture for part in document.captures or []] or [about] * bool(about.source)
     face = " and ".join(sorted({each.face for each in shown}, reverse=True))
     for name, readings in document.laboratory.items():
         quantities = dict([*document.moduli[name], *readings])

@@ -85,7 +85,8 @@ class Database:
             "SELECT id, name, state, error, members, created, ended, "
             "json_extract(estimate, '$.contradictions') AS contradictions, "
             "json_extract(estimate, '$.capture.rig') AS rig, "
-            "json_extract(task, '$.directions') AS directions FROM estimate "
+            "json_extract(task, '$.directions') AS directions, "
+            "json_extract(task, '$.density_g_m2') AS density_g_m2 FROM estimate "
             "WHERE fabric = ? ORDER BY created, rowid", identity)} if rows else None
 
     def fabrics(
@@ -112,11 +113,11 @@ class Database:
         """All estimates with their states, the oldest first."""
         return self._read("SELECT id, state, tries, members, error FROM estimate ORDER BY created")
 
-    def same_pictures(self, digests: Sequence[str], fabric: str) -> list[str]:
-        """FABRIC/CAPTURE of the captures of other fabrics with one of the ``digests``."""
+    def same_pictures(self, digests: Sequence[str], fabric: str) -> list[tuple[str, str]]:
+        """Names, of fabric and capture, of other fabrics' captures with one of the ``digests``."""
         every = json.dumps(digests)
-        return [row["place"] for row in self._read(
-            "SELECT f.name || '/' || e.name AS place FROM estimate e JOIN fabric f "
+        return [(row["fabric_name"], row["name"]) for row in self._read(
+            "SELECT f.name AS fabric_name, e.name FROM estimate e JOIN fabric f "
             "ON f.id = e.fabric WHERE e.members IS NULL AND e.fabric <> ? AND "
             "(json_extract(e.estimate, '$.capture.views_sha256') IN "
             "(SELECT value FROM json_each(?)) OR EXISTS (SELECT 1 FROM "

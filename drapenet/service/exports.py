@@ -84,7 +84,6 @@ def _estimated(database: Database, fabric: Mapping[str, Any]) -> "FabricEstimate
     if its result has been removed meanwhile.
     """
     from drapenet.batch.captures import Entry
-    from drapenet.estimator.read import copies
     from drapenet.report.overview import FabricEstimate
     from drapenet.result.document import EstimateDocument
 
@@ -97,14 +96,12 @@ def _estimated(database: Database, fabric: Mapping[str, Any]) -> "FabricEstimate
                  for identity, row in rows.items()}
     captures = [row for row in rows.values() if row["members"] is None]
     document, joined = documents[result["id"]], result["members"] or [result["id"]]
-    if apart := [row["name"] for row in captures if row["id"] not in joined]:
+    if apart := [documents[row["id"]].label for row in captures if row["id"] not in joined]:
         document = document.warned(Finding("captures_apart", {"captures": ", ".join(apart)}))
     shown = [(Entry(fabric["name"], "", row["name"], Path(), Path(row["id"])), documents[row["id"]])
              for row in captures]
-    repeated = copies((entry, own.capture.pictures_sha256) for entry, own in shown)
     return FabricEstimate(
         fabric["name"], Path(fabric["id"]), shown, document, None,
-        left_out={entry.place: other for entry, other in repeated},
         failed=sum(each["state"] in (FAILED, LOST) for each in estimates if not each["members"]))
 
 

@@ -14,9 +14,10 @@ from sqlite3 import Error as SQLError
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from common.errors import one_line
+from common.errors import InputError, one_line
 from data.captures.description import NEED_WARP
 from drapenet.config import ServeConfig
+from drapenet.estimator.read import require_one_density
 from drapenet.service import exports, seen
 from drapenet.service.access import public_address
 from drapenet.service.archive import COPY
@@ -102,6 +103,7 @@ class Jobs:
         fabric = upload.fabric or new_identity()
         about = upload.specimen
         task = {"refine": upload.refine, "scan": upload.scan, "directions": upload.directions,
+                "density_g_m2": upload.density_g_m2,
                 "specimen": about and about.model_dump(exclude_unset=True)}
         try:
             (folder / UPLOADED).mkdir(parents=True)
@@ -145,11 +147,16 @@ class Jobs:
                                "give another")
         if {YARNS, UNMARKED} <= {upload.directions, *(row["directions"] for row in rows)}:
             raise RequestError(422, f"strips, and values along the yarns, of a fabric {NEED_WARP}")
-        captures = sum(row["members"] is None and row["state"] not in (FAILED, LOST)
-                       for row in rows)
-        if captures >= _MAX_CAPTURES:
-            raise RequestError(422, f"the fabric has {captures} captures, the most that are joined;"
-                               " remove one, or send this capture as another fabric")
+        sound = [row for row in rows if row["members"] is None
+                 and row["state"] not in (FAILED, LOST)]
+        try:
+            require_one_density([1e-3 * density for density in (
+                upload.density_g_m2, *(row["density_g_m2"] for row in sound)) if density])
+        except InputError as error:  # rather than when they are joined
+            raise RequestError(422, f"{error}, or remove the wrong capture") from None
+        if len(sound) >= _MAX_CAPTURES:
+            raise RequestError(422, f"the fabric has {len(sound)} captures, the most that are "
+                               "joined; remove one, or send this capture as another fabric")
         return label or next(free for k in count(1) if (free := f"{upload.kind} {k}")
                              not in labels)
 

@@ -58,6 +58,7 @@ class Upload:
         scan: name of the file that is a scan; empty for others.
         directions: :data:`MARKED` or :data:`UNMARKED` for a capture by its warp, :data:`YARNS` for
             strips or values along the yarns; empty for others.
+        density_g_m2: as it is stated; None if that is in density.txt, which workers read.
         name: of a new fabric, if ``fabric``, the identity of an earlier one, is empty.
         about: its notes, and the label of the capture, which may be empty.
         kind: capture, strips, tension, or values; names what has no label.
@@ -73,6 +74,7 @@ class Upload:
     fabric: str = ""
     kind: str = "capture"
     directions: str = ""
+    density_g_m2: float | None = None
 
 
 @dataclass(frozen=True)
@@ -85,6 +87,7 @@ class _Content:
     scan: str = ""
     specimen: Description | None = None
     directions: str = ""
+    density_g_m2: float | None = None
 
 
 def checked_upload(
@@ -110,7 +113,8 @@ def checked_upload(
     title = Path(files[0][0].replace("\\", "/")).stem if len(files) == 1 else content.kind
     return Upload(content.files, content.scan,
                   about.name or content.labels.fabric or plain_name(title)[:40], about,
-                  refine == "yes", content.specimen, fabric, content.kind, content.directions)
+                  refine == "yes", content.specimen, fabric, content.kind, content.directions,
+                  content.density_g_m2)
 
 
 def checked_photograph(
@@ -155,7 +159,7 @@ def _content(
     if scans:
         specimen = described_scan(fields)
         return _Content(received, specimen.labels, scan=scans[0], specimen=specimen,
-                        directions=_directions(specimen))
+                        directions=_directions(specimen), density_g_m2=specimen.density_g_m2)
     return _capture(received, fields, settings)
 
 
@@ -169,7 +173,7 @@ def _capture(
     received: dict[str, bytes], fields: Mapping[str, str], settings: ServeConfig
 ) -> _Content:
     """A capture, whose pictures are called as in a capture folder."""
-    labels, directions = UNLABELLED, UNMARKED
+    labels, directions, density = UNLABELLED, UNMARKED, None
     if received.keys().isdisjoint(CAPTURE_FILES) or CAPTURE in received:
         document, description = described_capture(received.get(CAPTURE, b"{}"), fields)
         source = description.outline
@@ -179,7 +183,7 @@ def _capture(
             received = {name: data for name, data in received.items()
                         if Path(name).stem != "plate"}
         received[CAPTURE], labels = document, description.labels
-        directions = _directions(description)
+        directions, density = _directions(description), description.density_g_m2
     elif fields:
         raise RequestError(422, f"{next(iter(fields))} cannot be stated beside density.txt; give "
                            f"{CAPTURE} in its place")
@@ -187,7 +191,7 @@ def _capture(
         stem = Path(file).stem
         require_pixels(file, data, settings,
                        photograph=bool(_OUTLINE.fullmatch(stem) or _BESIDE.fullmatch(stem)))
-    return _Content(received, labels, directions=directions)
+    return _Content(received, labels, directions=directions, density_g_m2=density)
 
 
 def _directions(description: Description) -> str:
@@ -209,7 +213,8 @@ def _strips(
     known = description.known
     return _Content(pictures | {STRIPS: yaml_text(content).encode()}, description.labels,
                     "strips" if description.strips else "values", directions=YARNS * bool(
-                        description.strips or (known and known.along_yarns)))
+                        description.strips or (known and known.along_yarns)),
+                    density_g_m2=description.density_g_m2)
 
 
 def _tension(
@@ -226,7 +231,8 @@ def _tension(
     return _Content(
         pictures | {TENSION: yaml_text(content).encode()}, description.labels, "tension",
         directions=YARNS * (any(strip.direction != "bias" for strip in description.tension)
-                            or bool(known and known.along_yarns)))
+                            or bool(known and known.along_yarns)),
+        density_g_m2=description.density_g_m2)
 
 
 def _pictures_named(

@@ -129,7 +129,7 @@ def _read(folder: Path, row: dict[str, Any]) -> Any:
     from drapenet.surface.registration import read_scan_capture
 
     task, uploaded = row["task"], folder / UPLOADED
-    shown = Path(*map(plain_name, (row["fabric_name"], row["name"])))
+    shown = _place(row["fabric_name"], row["name"])
     if scan := task["scan"]:
         stated = Description.of(task["specimen"], "")
         source = replace(read_scan_capture(uploaded / scan, stated), known=stated.known,
@@ -141,11 +141,16 @@ def _read(folder: Path, row: dict[str, Any]) -> Any:
         if not isinstance(source, ReportedCapture):
             others = database_in(folder.parent).same_pictures(source.digests, row["fabric"])
             source = replace(source, warnings=(*source.warnings, *(
-                Finding("twin_elsewhere", {"capture": str(shown), "other": other})
+                Finding("twin_elsewhere", {"capture": str(shown), "other": str(_place(*other))})
                 for other in others[:1])))
     elif picture := draw_strips(source):
         replace_file(folder / PREVIEW, picture)
     return replace(source, path=shown, labels=_named(source.labels, row["fabric_name"]))
+
+
+def _place(fabric: str, capture: str) -> Path:
+    """FABRIC/CAPTURE, in place of a path of the server: the label of a capture in sentences."""
+    return Path(plain_name(fabric), plain_name(capture))
 
 
 def _named(labels: Any, fabric: str) -> Any:
@@ -167,22 +172,18 @@ def _estimate_jointly(
 ) -> tuple[Any, list[Finding]]:
     """The joint estimate of a fabric's captures and strips, and its warnings."""
     from drapenet.estimator.estimate import join, read_part, write_joint
-    from drapenet.estimator.read import copies
     from drapenet.report.figures import draw_torques
+    from drapenet.result.copies import left_out
     from drapenet.result.files import TORQUES
 
     record(stage="joining")
     places = [folder.parent / member for member in row["members"]]
     every = [_as_named(read_part(place), row["fabric_name"]) for place in places]
-    repeated = dict(copies((k, part.document.capture.pictures_sha256)
-                           for k, part in enumerate(every)))
+    repeated = left_out([part.document for part in every])
     kept = [k for k in range(len(every)) if k not in repeated]
     parts, places = [every[k] for k in kept], [places[k] for k in kept]
     estimate, document = join(parts, header, ahead=True)
-    document = document.warned(*(
-        Finding("twin_left_out", {"capture": every[k].document.label,
-                                  "other": every[other].document.label})
-        for k, other in repeated.items()))
+    document = document.warned(*repeated.values())
     write_joint(folder, estimate, document, parts, places, drawn=True, address=address)
     replace_file(folder / TORQUES, draw_torques(estimate))
     return estimate, document.warnings

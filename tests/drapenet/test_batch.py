@@ -151,7 +151,9 @@ def test_failures_are_listed_with_their_reasons(out):
 
 
 def test_a_capture_that_repeats_another_is_left_out_and_named(out):
-    line = "twice/4 has the same pictures as twice/3 and is left out: give each capture once"
+    root = out.parent
+    line = (f"{root / '4'} has the same pictures as {root / '3'} and is left out: give each "
+            "capture once")
     fabric = next(row for row in rows(out / "fabrics.csv") if row["fabric"] == "twice")
     assert line in fabric["flags"]
     first, second = [row for row in rows(out / "captures.csv") if row["fabric"] == "twice"]
@@ -304,12 +306,17 @@ def test_cells_are_no_formulas_but_numbers_stay():
 def test_copies_in_another_fabric_and_other_labels_are_named(words, tmp_path):
     made = Path(words[0].partition("=")[2]).parent
     for place, capture, label in (("one/a", "0", ""), ("two/a", "0", "fabric: Twill\n"),
-                                  ("two/b", "1", "fabric: Denim\noperator: M. M.\n")):
+                                  ("two/b", "1", "fabric: Denim\noperator: M. M.\n"),
+                                  ("two/c", "0", "fabric: Twill\n")):
         shutil.copytree(made / capture, tmp_path / "root" / place)
         with (tmp_path / "root" / place / "capture.yaml").open("a") as file:
             file.write(label)
     infer.main([f"captures={tmp_path / 'root'}", f"out={tmp_path / 'out'}", *words[2:]])
-    one, two = (row["flags"] for row in rows(tmp_path / "out" / "fabrics.csv"))
-    assert "one/a has the same pictures as two/a, of another fabric" in one
-    assert "two/a has the same pictures as one/a" in two
+    fabrics = rows(tmp_path / "out" / "fabrics.csv")
+    assert [row["captures"] for row in fabrics] == ["1", "2"]  # without the copy two/c
+    one, two = (row["flags"] for row in fabrics)
+    first, second, copy = (str(tmp_path / "root" / name) for name in ("one/a", "two/a", "two/c"))
+    assert f"{copy} has the same pictures as {second} and is left out" in two
+    assert f"{first} has the same pictures as {second}, of another fabric" in one
+    assert f"{second} has the same pictures as {first}, of another fabric" in two
     assert "the captures state different fabrics (Twill / Denim)" in two

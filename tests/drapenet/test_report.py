@@ -77,6 +77,14 @@ def test_a_report_is_titled_by_the_fabric_and_states_the_test(tmp_path, picture)
     assert "Twill 7/8, navy".encode("utf-16-be") in pdf or b"(Twill 7/8, navy)" in pdf
 
 
+def test_columns_of_simulated_drapes_are_where_one_was_simulated(tmp_path):
+    with_one = document()
+    without = with_one.model_copy(update={"resimulation": None})
+    for part, count in ((with_one, 2), (without, 0)):  # coefficient and nodes
+        page, _ = written(tmp_path, part, [ShownCapture("navy", part, b"")])
+        assert page.count(">simulated</th>") == count
+
+
 def test_a_report_says_that_rectangles_have_too_few_simulated_nodes(tmp_path):
     for rig in ("disc300_support180", "rectangle170x250_cylinder90"):
         part = document(rig=rig)

@@ -25,10 +25,12 @@ ALPHA = np.array([52.0, 31.0, 22.0]) * MICRO
 SETTINGS = {"mesh": "alternating", "edge_mm": 4.0, "curvature_1_m": 50.0, "name": "Köper 7"}
 
 
-def document(scale: float = 1.0, coefficient: float = 60.0) -> EstimateDocument:
+def document(
+    scale: float = 1.0, coefficient: float = 60.0, source: str = "twill"
+) -> EstimateDocument:
     """Of a fabric whose alpha is ``scale`` times :data:`ALPHA`."""
     return document_of(estimate_of(scale * ALPHA, np.full(3, -100 * NANO)), capture={
-        "source": "twill", "rig": "square300_cylinder100", "density_g_m2": 210.0,
+        "source": source, "rig": "square300_cylinder100", "density_g_m2": 210.0,
         "drape_coefficient_percent": coefficient, "nodes": 6})
 
 
@@ -42,8 +44,9 @@ def database(tmp_path) -> Database:
         database.add_estimate(identity, fabric, values.pop("name", identity), state=state,
                               created=created, **values)
 
-    content = {key: document(scale, coefficient).content() for key, scale, coefficient in (
-        ("a", 1.0, 60.0), ("b", 2.0, 70.0), ("c", 3.0, 50.0), ("joint", 2.4, 60.0))}
+    content = {key: document(scale, coefficient, f"serge/{key}").content()
+               for key, scale, coefficient in (
+                   ("a", 1.0, 60.0), ("b", 2.0, 70.0), ("c", 3.0, 50.0), ("joint", 2.4, 60.0))}
     add("a", "twill", about=("navy twill", ""), created=1, estimate=content["a"])
     add("b", "serge", about=("=grey serge", ""), created=2, estimate=content["b"])
     add("c", "serge", created=3, estimate=content["c"])
@@ -73,12 +76,30 @@ def test_the_workbook_has_the_result_of_each_fabric_and_its_captures(tmp_path, d
 
 def test_a_copy_does_not_count(tmp_path, database):
     for identity, scale in (("b", 2.0), ("c", 3.0)):
-        content = document(scale).content()
+        content = document(scale, source=f"serge/{identity}").content()
         content["capture"]["files_sha256"] = ["1" * 64]
         database.change("estimate", identity, estimate=content)
     fabrics, captures = sheets(tmp_path, "serge")
     assert {row["captures"] for row in fabrics} == {1}
-    assert {row["capture"] for row in captures} == {"b", "c"}
+    assert {row["capture"]: row.get("warnings in words", "") for row in captures} == {
+        "b": "", "c": "serge/c has the same pictures as serge/b and is left out: give each capture "
+                      "once"}
+
+
+def test_the_workbook_states_the_faces_that_were_draped(tmp_path, database):
+    up = document(source="serge/b").content()
+    down = up | {"capture": up["capture"] | {"source": "serge/c", "face": "down"}}
+    database.change("estimate", "c", estimate=down)
+    about = {key: value for key, value in up["capture"].items() if key not in ("source", "face")}
+    database.change("estimate", "joint", estimate=up | {
+        "capture": about | {"sources": ["serge/b", "serge/c"]},
+        "captures": [{key: each[key] for key in ("capture", "moduli", "warnings")}
+                     for each in (up, down)]})
+    database.change("estimate", "a", estimate=up | {  # of strips alone
+        "capture": about | {"sources": [], "rig": ""}})
+    fabrics, captures = sheets(tmp_path)
+    assert [row.get("face") for row in fabrics[::3]] == ["up and down", ""]
+    assert [row.get("face") for row in captures[::3]] == ["up", "down", ""]
 
 
 def test_the_workbook_has_a_line_of_a_fabric_without_an_estimate(tmp_path, database):
@@ -113,7 +134,8 @@ def test_the_workbook_says_which_captures_a_result_leaves_out(tmp_path, database
     assert [(row["capture"], row["reason"]) for row in failed] == [
         ("failed", "no drape is seen"), ("", "the same views")]
     assert fabrics[0]["α median [µN·m]"] == pytest.approx(3 * 52)  # of the latest
-    assert fabrics[0]["warnings in words"] == "this estimate is made without b, not joined with it"
+    assert fabrics[0]["warnings in words"] == (
+        "this estimate is made without serge/b, not joined with it")
     assert len(captures) == 6
 
 

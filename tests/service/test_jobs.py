@@ -34,11 +34,12 @@ def jobs(tmp_path) -> Jobs:
 
 
 def submitted(
-    jobs: Jobs, fabric: str = "", label: str = "", directions: str = ""
+    jobs: Jobs, fabric: str = "", label: str = "", directions: str = "",
+    density: float | None = None
 ) -> dict[str, str]:
     jobs.places.take("x")
     return jobs.submit(Upload({"scan.obj": b"v 0 0 0"}, "scan.obj", "a", About(label=label),
-                              fabric=fabric, directions=directions), "x")
+                              fabric=fabric, directions=directions, density_g_m2=density), "x")
 
 
 def with_captures(jobs: Jobs, states: list[str], members: list[str] | None = None) -> str:
@@ -120,6 +121,18 @@ def test_values_along_the_yarns_and_captures_without_a_warp_are_kept_apart(jobs,
     with pytest.raises(RequestError, match="values along the yarns, of a fabric need captures "
                                            "whose warp is marked: state its direction"):
         submitted(jobs, fabric, directions=kinds[1])
+
+
+def test_a_density_of_another_fabric_is_refused_before_its_estimate(jobs):
+    first = submitted(jobs, density=210.0)
+    fabric = first["fabric"]
+    submitted(jobs, fabric, density=229.0)
+    with pytest.raises(RequestError, match=r"densities from 210 to 232 g/m², more than 10% apart; "
+                                           r"correct density_g_m2.* or remove the wrong capture$"):
+        submitted(jobs, fabric, density=232.0)
+    jobs.database.change("estimate", first["id"], state="failed")  # it is not joined
+    jobs.places.give("x")
+    submitted(jobs, fabric, density=232.0)
 
 
 def test_a_fabric_that_cannot_be_joined_stands_for_its_drape_and_says_so(jobs):

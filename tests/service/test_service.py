@@ -365,12 +365,12 @@ def test_all_files_of_an_estimate_come_in_a_zip(client, finished):
 def test_a_photograph_of_another_fabric_is_said(client, finished):
     digest = finished["estimate"]["capture"]["views_sha256"]
     database = client.app.state.jobs.database
-    assert f"Twill <b> 7/{finished['name']}" in database.same_pictures([digest], "another")
+    assert ("Twill <b> 7", finished["name"]) in database.same_pictures([digest], "another")
     assert database.same_pictures(["0" * 64], "another") == []
     again = post(client, [*PICTURES, EXAMPLE / "capture.yaml"], name="serge").json()
     text, = (one["text"] for one in ended(client, again["id"])["warnings"]
              if one["code"] == "twin_elsewhere")
-    assert text.startswith("serge/capture_1 has the same pictures as ")
+    assert text.startswith("serge/capture_1 has the same pictures as Twill_b_7/")
     client.delete(f"/fabrics/{again['fabric']}")
 
 

@@ -316,6 +316,19 @@ def test_values_are_sent_alone_or_with_a_capture_a_scan_or_strips(settings, tmp_
         checked_upload([("a.obj", b"v 0 0 0")], form, settings)
 
 
+def test_uploads_state_their_density(settings):
+    def density(*files: tuple[str, bytes], **form: str) -> float | None:
+        return checked_upload([*files], form, settings).density_g_m2
+
+    values = {"known.membrane_n_per_m": "600", "density_g_m2": "210"}
+    assert density(**values) == density(("a.obj", b"v 0 0 0"), density_g_m2="210") == 210
+    assert density(*VIEWS, YAML, density_g_m2="190") == 190
+    assert density(("strips.yaml", LENGTHS), density_g_m2="190") == 190
+    bare = (YAML[0], re.sub(rb"density_g_m2:.*", b"", YAML[1]))
+    weighed = density(*VIEWS, bare, tester="disc300_support180", weight_g="14.137167")
+    assert weighed == pytest.approx(200)  # 14.1 g of a disc of 300 mm
+
+
 def test_uploads_state_whether_their_directions_are_known(settings):
     def directions(*files: tuple[str, bytes], **form: str) -> str:
         return checked_upload([*files], form, settings).directions
