@@ -18,6 +18,7 @@ import numpy as np
 from common.errors import InputError
 from common.findings import Finding
 from common.types import Metres, Outline, PixelPath, Radians, Vector
+from data.captures.bulge import bulge
 from data.captures.clarity import Clarity
 from data.captures.description import OUTLINE_TABLES, OutlineSource
 from data.captures.ground import Ground
@@ -352,7 +353,7 @@ def _checked(outline: PhotographedOutline) -> list[Finding]:
         warnings.append(Finding("hem_beyond_specimen", {
             "value": 1e3 * float(np.hypot(x, y)), "limit": 1e3 * rig.reach,
             "causes": outline.causes, "place": f"at the {side(float(np.arctan2(y, x)))}"}))
-    return warnings
+    return warnings + bulge(outline.radii)
 
 
 def _least_width(curve: Outline) -> Metres:

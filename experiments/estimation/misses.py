@@ -3,18 +3,21 @@
 Unseen fabrics of evenly distributed stiffness are draped on each tester, as specimens with all
 nuisances, and captured in depth views and as an outline under parallel light. Each capture is
 estimated, and two drapes of the estimate are simulated as for a report. False alarms are the shares
-of these captures that a check names: that of :mod:`drapenet.network.expected`, which costs nothing,
-and those of the simulated drape. The same outlines with a fault show how many a check finds: a
-shadow that is read as cloth over an eighth of the outline, and a tester of another size.
+of these captures that a check names: those of the outline and of :mod:`drapenet.network.expected`,
+which cost nothing, and those of the simulated drape. The same outlines with a fault show how many a
+check finds: a shadow that is read as cloth over an eighth of the outline, its valleys there filled,
+and a tester of another size.
 """
 
 import math
 from typing import Any
 
+import cv2
 import numpy as np
 
 from common.command import compose_config
 from common.findings import texts
+from data.captures.bulge import bulge
 from data.dataset.config import Options, config_from_options
 from data.dataset.plan import plan_drape
 from data.render.setups import Setups
@@ -31,13 +34,17 @@ from experiments.drapes import (
     outline_of,
 )
 from experiments.result import ESTIMATOR, Config, Result, run_cases
+from sim.outlines import closed, farthest
 from sim.rig import Rig
 
 SHADOW = math.pi / 8  # half of the azimuths that it covers
+DARKEST = (0.95, 1.05)  # radius of its edge, over the drape's largest
+MOVED = 1.15  # factor of alpha, in the median over its directions, that counts as a wrong estimate
 OTHER = {"disc300_support180": "disc360_support180", "disc360_support180": "disc300_support180",
          "disc240_support180": "disc300_support180",
          "square300_cylinder100": "square350_cylinder120"}
 """A tester that might be stated in place of each."""
+KINDS = ("depth views", "outline", "shadow", "filled valleys", "other tester")
 
 
 def captured(*, tester: str, number: int, seed: int, edge_mm: float) -> dict[str, Any]:
@@ -56,13 +63,26 @@ def captured(*, tester: str, number: int, seed: int, edge_mm: float) -> dict[str
         found["depth views"] = _compared(views.drape, seen.coefficient(plan.rig)) | {
             "unlike": texts(views.draws.unlike(plan.rig.specimen_size, views.capture.causes))}
     radius = outline_of(shape).radius
-    found["outline"] = _outline(radius, plan.rig)
     middle = rng.uniform(0, 2 * np.pi)
-    shadow = np.abs(np.angle(np.exp(1j * (AZIMUTH - middle)))) < SHADOW
-    found["shadow"] = _outline(np.where(shadow, np.maximum(radius, radius.max() * 1.05), radius),
-                               plan.rig)
-    found["other tester"] = _outline(radius, Rig.from_name(OTHER[tester]))
+    dark = np.abs(np.angle(np.exp(1j * (AZIMUTH - middle)))) < SHADOW
+    edge = radius.max() * rng.uniform(*DARKEST)
+    found |= {"outline": _outline(radius, plan.rig),
+              "shadow": _outline(np.where(dark, np.maximum(radius, edge), radius), plan.rig),
+              "filled valleys": _outline(np.where(dark, _filled(radius), radius), plan.rig),
+              "other tester": _outline(radius, Rig.from_name(OTHER[tester]))}
+    sound = np.array(found["outline"]["log_alpha"])
+    for one in found.values():
+        if "log_alpha" in one:
+            one["moved"] = float(np.exp(np.median(np.abs(one.pop("log_alpha") - sound))))
     return found
+
+
+def _filled(radius: np.ndarray) -> np.ndarray:
+    """Radii (A,) of an outline without valleys: of its convex hull."""
+    angle = AZIMUTH - AZIMUTH[0]
+    points = radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    hull = cv2.convexHull(points.astype(np.float32))[:, 0]
+    return np.maximum(farthest(closed(hull), len(radius)), radius)
 
 
 def _outline(radius: np.ndarray, rig: Rig) -> dict[str, Any]:
@@ -71,7 +91,9 @@ def _outline(radius: np.ndarray, rig: Rig) -> dict[str, Any]:
     drape = resimulate_outline(estimate.fabric, outline, rig, edge=4e-3, drapes=2,
                                laws=estimate.nuisances.laws)
     compared = _compared(drape, outline.coefficient(rig)) if drape else {}
-    return compared | {"unlike": texts(unlike), "extrapolated": bool(estimate.warnings)}
+    alpha = np.log(estimate.fabric.alpha).tolist()
+    return compared | {"unlike": texts([*bulge(radius), *unlike]), "log_alpha": alpha,
+                       "extrapolated": bool(estimate.warnings)}
 
 
 def _compared(drape: Resimulation, coefficient: float) -> dict[str, Any]:
@@ -89,7 +111,7 @@ def run(config: Config) -> Result:
     results = run_cases(captured, cases, config, sources=ESTIMATOR)
     return Result({"summary": {kind: _summary([found[kind] for found in results.values()
                                                if kind in found])
-                               for kind in ("depth views", "outline", "shadow", "other tester")},
+                               for kind in KINDS},
                    "captures": results})
 
 
@@ -98,7 +120,9 @@ def _summary(found: list[dict[str, Any]]) -> dict[str, Any]:
     gaps = np.abs([one["gap"] for one in draped])
     unlike, named = (np.array([bool(test(one)) for one in found]) for test in (
         lambda one: any(one["unlike"]), lambda one: one.get("named")))
+    moved = np.array([one.get("moved", 1.0) > MOVED for one in found])
     return {"captures": len(found), "unlike": float(unlike.mean()), "named": float(named.mean()),
             "either": float((unlike | named).mean()),
+            "moved": [int(moved.sum()), int((moved & ~unlike & ~named).sum())],
             "gap": np.quantile(gaps, [0.5, 0.9, 0.99]).tolist(),
             "overlap": np.quantile([one["overlap"] for one in draped], [0.5, 0.1, 0.01]).tolist()}
