@@ -151,6 +151,7 @@ def test_a_garment_of_quads_keeps_its_pins_and_what_is_not_stated(
     assert after["quality"] == (40 if dressed else 15)
     printed = capsys.readouterr().out
     assert printed.startswith("skirt: cloth of ") and all(name in printed for name in STATED)
+    assert "skirt: self-collision is off" in printed
     runpy.run_path(str(tmp_path / "fabric_blender.py"), run_name="__main__")
     assert kinds == [each.type for each in garment.modifiers] and vars(
         garment.modifiers[kinds.index("CLOTH")].settings) == after
@@ -215,6 +216,7 @@ def test_the_captured_specimen_is_draped_beside_what_is_there(
     expected = Rig.from_name(tested)
     assert "skirt: not made cloth, its edges are 100 mm long" in printed and not coarse.modifiers
     assert f"folds here on {expected.name}" in printed and "None" not in printed
+    assert "self-collision" not in printed  # the drape test needs none
     assert (captured in printed) == (percent is not None and rig != "")
     coefficient = float(printed.partition("coefficient ")[2].partition(" %")[0])
     assert coefficient == pytest.approx(100, abs=0.3)  # of flat cloth; a hem is a polygon
@@ -238,7 +240,7 @@ def test_what_another_modifier_changes_is_named(scene, tmp_path, capsys, kinds, 
     printed = capsys.readouterr().out.splitlines()
     assert f"skirt: not made cloth, {reason}" in printed[0]
     assert [each.type for each in garment.modifiers] == kinds
-    assert printed[1].endswith("; self-collision is off")
+    assert printed[2] == "skirt: self-collision is off; garments need it"
 
 
 @pytest.mark.slow
