@@ -23,6 +23,10 @@ def test_folds_do_not_bulge_and_a_shadow_over_them_is_named_with_its_side(folds,
         assert found.code == "hem_bulges" and found.values == {"place": "at the upper side"}
 
 
+def test_a_specimen_off_its_centre_does_not_bulge():
+    assert not bulge(0.12 + 0.01 * np.cos(AZIMUTH) + 0.002 * np.cos(7 * AZIMUTH))
+
+
 def test_one_filled_valley_of_wide_folds_is_no_bulge():
     """Its fold is then as wide as two, less than a twelfth of the azimuth."""
     radii = outline(11, 0.006)
