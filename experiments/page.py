@@ -12,7 +12,7 @@ from experiments.result import ROOT, Report, table
 PAGE = ROOT / "docs" / "studies.md"
 TEMPLATE = Path(__file__).with_name("studies.md")
 """Text before and after the sections."""
-ORDER = ("table3", "repeatability", "robustness", "views", "transfer", "hung", "skirt")
+ORDER = ("table3", "networks", "repeatability", "robustness", "views", "transfer", "hung", "skirt")
 """Experiments in the order of the page."""
 
 

@@ -217,6 +217,27 @@ def require_unseen(header: Header, generation: dict) -> None:
                              "fabrics are not unseen; choose another seed")
 
 
+def judged(
+    header: Header, tester: str, cells: dict[str, Cell], config: EvaluateConfig, *,
+    even: bool = False
+) -> Iterator[tuple[str, Judged]]:
+    """Estimates of each of the ``cells`` by name, of drapes on a ``tester`` that are made, or made
+    on, in the folder ``config.out``; ``even`` as for :func:`make_config`."""
+    network = network_of(header)
+    base = make_config(header, tester, config, even=even)
+    require_unseen(header, base.as_dict())
+    folder = Path(config.out) / (f"{tester}_even" if even else tester)
+    manifest = generate_dataset(base, folder, workers=config.workers)
+    for name, cell in tqdm(cells.items(), desc=folder.name, unit="cell", leave=False):
+        maps = make_maps(
+            folder, manifest, folder, setups=replace(header.setups, **cell.setups),
+            captures=config.captures, seed=config.seed, workers=config.workers,
+            pictures=header.model.backbone is not None)
+        if cell.rows:
+            maps = maps.chosen(cell.rows(maps))
+        yield name, judge(network, header, maps, cell.condition, seed=config.seed)
+
+
 @command("evaluate", EvaluateConfig)
 def main(config: EvaluateConfig) -> None:
     """Evaluate all cells and bands, print their results and write ``evaluation.json``."""
@@ -225,29 +246,14 @@ def main(config: EvaluateConfig) -> None:
     require_folder(out)
     for tester in config.testers:
         header.require_learned(named_tester(tester))
-    network = network_of(header)
     bounds = read_json(Path(config.bounds))["cells"] if config.bounds else {}
     known = {name: cell for name, cell in CELLS.items() if cell.kind in header.config.inputs
              and len(cell.condition.sizes) <= config.drapes_per_fabric}
 
-    def judged(tester: str, cells: dict[str, Cell], *, even: bool) -> Iterator[tuple[str, Judged]]:
-        base = make_config(header, tester, config, even=even)
-        require_unseen(header, base.as_dict())
-        folder = out / (f"{tester}_even" if even else tester)
-        manifest = generate_dataset(base, folder, workers=config.workers)
-        for name, cell in tqdm(cells.items(), desc=folder.name, unit="cell", leave=False):
-            maps = make_maps(
-                folder, manifest, folder, setups=replace(header.setups, **cell.setups),
-                captures=config.captures, seed=config.seed, workers=config.workers,
-                pictures=header.model.backbone is not None)
-            if cell.rows:
-                maps = maps.chosen(cell.rows(maps))
-            yield name, judge(network, header, maps, cell.condition, seed=config.seed)
-
     results: dict[str, dict] = {}
     for tester in config.testers:
         results[tester] = {}
-        for name, found in judged(tester, known, even=False):
+        for name, found in judged(header, tester, known, config):
             results[tester][name] = found.summary(header.spread) | {
                 "bound": bounds.get(tester, {}).get(name)}
             tqdm.write(format_cell(f"{tester}, {name}", results[tester][name]))
@@ -259,7 +265,7 @@ def main(config: EvaluateConfig) -> None:
         content["even"] = {}
         for tester in config.testers:
             content["even"][tester] = {}
-            for name, found in judged(tester, singles, even=True):
+            for name, found in judged(header, tester, singles, config, even=True):
                 everything[name].append(found)
                 content["even"][tester][name] = {
                     "all": found.summary(header.spread), **found.by_band(header.spread)}

@@ -107,7 +107,7 @@ def open_captures(config: TrainConfig) -> tuple[CaptureSet, CaptureSet, dict]:
 def initial_network(config: TrainConfig, captures: CaptureSet) -> Network:
     """The network that the training begins with: with random weights, or those of ``start``, whose
     scale the ``captures`` have; InputError if that has other layers than the settings ask for."""
-    asked = captures.network(config.model)
+    asked = arguments(config, captures)
     if not config.start:
         return make_network(**asked)
     header = read_header(config.start)
@@ -118,6 +118,16 @@ def initial_network(config: TrainConfig, captures: CaptureSet) -> Network:
                              f"settings and drapes ask for {asked[name]}; start from another "
                              "checkpoint, or from none")
     return load_model(header)
+
+
+def arguments(config: TrainConfig, captures: CaptureSet) -> dict:
+    """Of :func:`drapenet.network.model.make_network`; weights of ``start`` keep the unit in which
+    they have learned distances."""
+    asked = captures.network(config.model)
+    if not config.start:
+        return asked
+    found = read_header(config.start).model
+    return asked | {"distance": found.distance, "spread": found.spread}
 
 
 def first_drapes(maps: Maps, rows: np.ndarray, config: TrainConfig) -> np.ndarray:
@@ -242,7 +252,7 @@ def describe(
     prior = prior_from_content(datasets["generation"][0]["prior"], origin="the dataset's prior")
     return {
         "reference_density_g_m2": REFERENCE_DENSITY * 1e3,
-        "model": training.network(config.model),
+        "model": arguments(config, training),
         "targets": {name: part.tolist() for name, part in vars(training.scale).items()},
         # Of theta in the dataset's order: warp, bias, weft. The deviation is the prior's, which
         # errors are compared with; fabrics that were moved to even stiffness are not typical.
