@@ -35,7 +35,8 @@ def run(config: Config) -> Result:
             f"workers={config['workers']}", "graphs=false", *config["common"], *words],
             schema=TrainConfig))
         found[name] = _evaluated(read_header(str(checkpoint)), config)
-    return Result({"drapes": drapes, "networks": found | {"bundled": _evaluated(read_header(), config)}})
+    found["bundled"] = _evaluated(read_header(), config)
+    return Result({"drapes": drapes, "networks": found})
 
 
 def _evaluated(header: Header, config: Config) -> dict[str, Any]:
@@ -54,10 +55,10 @@ def _evaluated(header: Header, config: Config) -> dict[str, Any]:
 def summarise(report: Report) -> str:
     """Summary in sentences."""
     error = {name: one["log_alpha"]["rmse"] for name, one in report["networks"].items()}
-    return (f"Of the same {report['drapes']} drapes, the paper's network learns log α to {error['views']:.2f} "
-            f"of its spread over fabrics and a network of maps to {error['depth']:.2f}; from an "
-            f"outline alone {error['outline']:.2f}, from drape coefficient and nodes "
-            f"{error['numbers']:.2f}. The bundled network, of ten times the drapes, has "
+    return (f"Of the same {report['drapes']} drapes, the paper's network learns log α to "
+            f"{error['views']:.2f} of its spread over fabrics and a network of maps to "
+            f"{error['depth']:.2f}; from an outline alone {error['outline']:.2f}, from drape "
+            f"coefficient and nodes {error['numbers']:.2f}. The bundled network, of ten times the drapes, has "
             f"{error['bundled']:.2f}.")
 
 
@@ -91,8 +92,8 @@ SECTION = Section(
     "How do the paper's network, other inputs, outputs and amounts of data compare on the same "
     "drapes?",
     summarise, rows, draw,
-    "its ResNet-18, trained for 12.7 hours on 48 000 drapes, has an error of 0.127; not comparable, "
-    "because its fabrics, captures and unit are others.",
+    "its ResNet-18, trained for 12.7 hours on 48 000 drapes, has an error of 0.127; not "
+    "comparable, because its fabrics, captures and unit are others.",
     "The drapes, of discs of 300 mm with all nuisances, evenly distributed from limp to stiff, one "
     "of each fabric, are a twentieth of the paper's. All networks begin with random weights. Errors "
     "are of 32 fabrics of the prior, four drapes each, as of `make evaluate`.")
