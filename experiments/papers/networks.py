@@ -58,8 +58,8 @@ def summarise(report: Report) -> str:
     return (f"Of the same {report['drapes']} drapes, the paper's network learns log α to "
             f"{error['views']:.2f} of its spread over fabrics and a network of maps to "
             f"{error['depth']:.2f}; from an outline alone {error['outline']:.2f}, from drape "
-            f"coefficient and nodes {error['numbers']:.2f}. The bundled network, of ten times the drapes, has "
-            f"{error['bundled']:.2f}.")
+            f"coefficient and nodes {error['numbers']:.2f}. The bundled network, of ten times the "
+            f"drapes, has {error['bundled']:.2f}.")
 
 
 def rows(report: Report) -> tuple[list[str], list[list[object]]]:
