@@ -95,5 +95,5 @@ SECTION = Section(
     "its ResNet-18, trained for 12.7 hours on 48 000 drapes, has an error of 0.127; not "
     "comparable, because its fabrics, captures and unit are others.",
     "The drapes, of discs of 300 mm with all nuisances, evenly distributed from limp to stiff, one "
-    "of each fabric, are a twentieth of the paper's. All networks begin with random weights. Errors "
-    "are of 32 fabrics of the prior, four drapes each, as of `make evaluate`.")
+    "of each fabric, are a twentieth of the paper's. All networks begin with random weights. "
+    "Errors are of 32 fabrics of the prior, four drapes each, as of `make evaluate`.")
