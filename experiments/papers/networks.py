@@ -1,4 +1,4 @@
-"""Networks trained on the same drapes: backbones, inputs, outputs, amounts (002, section 7.2)."""
+"""Networks trained on the same drapes: the paper's and others by input (002, Figure 20)."""
 
 from pathlib import Path
 from typing import Any
@@ -18,9 +18,6 @@ from train import train
 NAMES = {"views": "four stacked views, ResNet-18, regression (the paper's)",
          "depth": "map of all views, posterior", "outline": "outline alone, posterior",
          "numbers": "drape coefficient and nodes alone, posterior",
-         "regression": "map of all views, regression",
-         "half": "map of all views, posterior, half of the fabrics",
-         "quarter": "map of all views, posterior, a quarter of them",
          "bundled": "the bundled network"}
 
 
@@ -89,8 +86,7 @@ def draw(report: Report) -> Figure:
 
 SECTION = Section(
     "Networks", "002, section 6, Figure 20, Table 2",
-    "How do the paper's network, other inputs, outputs and amounts of data compare on the same "
-    "drapes?",
+    "How do the paper's network and networks of other inputs compare on the same drapes?",
     summarise, rows, draw,
     "its ResNet-18, trained for 12.7 hours on 48 000 drapes, has an error of 0.127; not "
     "comparable, because its fabrics, captures and unit are others.",
