@@ -83,7 +83,7 @@ def open_captures(config: TrainConfig) -> tuple[CaptureSet, CaptureSet, dict]:
                  "maps": sources_digest(*SOURCES)}
     if start:
         described["start"] = start.sha256
-    if start and config.taught:  # what is learned are the teacher's fabrics, seen in other drapes
+    if start:  # whose fabrics the weights have learned, too
         described["sha256"] = [*start.dataset.sha256, *described["sha256"]]
         described["generation"] = [*start.dataset.generation, *described["generation"]]
     shares = {"train": 1 - config.validation_fraction, "validation": config.validation_fraction}
