@@ -53,6 +53,9 @@ def accuracy(reports: Reports) -> str:
     rows = [[f"{kind[:-1]} of 300 mm, {what}", *_off(reports.cell(kind, name)),
              coverage(reports.cell(kind, name))]
             for what, name in names.items() for kind in ("discs", "squares")]
+    resnet = reports["networks"]["networks"]["views"]
+    rows.insert(2, ["disc of 300 mm, four depth views, by the paper's ResNet-18, trained here on "
+                    f"{reports['networks']['drapes']} drapes", *_off(resnet), coverage(resnet)])
     drapes = reports["outlines"]["summary"]["parallel"]["flat"]
     bent = next(iter(reports["laboratory"]["summary"].values()))
     alone, known = reports["outlines_real"]["alone"], reports["numbers"]
