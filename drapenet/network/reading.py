@@ -11,7 +11,8 @@ from drapenet.views.directions import AZIMUTH, AZIMUTHS
 BUNDLED = Path(__file__).resolve().parents[2] / "data" / "weights" / "reading.npz"
 _TIMES = (0.3, 1.3)  # of the errors of the file, least and most
 _FAULTY = 0.3  # share of outlines with a bite or a bulge that nothing tells of
-_WIDE = np.radians(3.0), np.radians(20.0)  # its width, least and most
+_WIDE = np.radians(3.0), np.radians(20.0)  # half its width, least and most
+_EDGE = 0.1, 1.0  # share of that in which it rises, least and most
 _HIGH = 0.03  # of half a size, its deviation
 
 
@@ -39,6 +40,7 @@ def reading_errors(count: int, rng: np.random.Generator) -> tuple[np.ndarray, np
 def faults(count: int, rng: np.random.Generator) -> np.ndarray:
     """Errors (N, AZIMUTHS), in half sizes, of bites and bulges, most without any."""
     middle, wide = rng.uniform(0, 2 * np.pi, (count, 1)), rng.uniform(*_WIDE, (count, 1))
+    edge = rng.uniform(*_EDGE, (count, 1))
     high = _HIGH * rng.standard_normal((count, 1)) * (rng.random((count, 1)) < _FAULTY)
     away = np.abs((AZIMUTH - middle + np.pi) % (2 * np.pi) - np.pi) / wide
-    return high * np.where(away < 1, np.square(np.cos(away * np.pi / 2)), 0.0)
+    return high * np.square(np.sin(np.clip((1 - away) / edge, 0, 1) * np.pi / 2))

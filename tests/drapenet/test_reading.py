@@ -40,3 +40,10 @@ def test_faults_are_bites_and_bulges_of_a_few_degrees():
     wide = (off[some] != 0).mean(axis=1) * 360
     assert wide.min() >= 3 and wide.max() <= 45
     assert 0.4 < (off[some].sum(axis=1) > 0).mean() < 0.6
+
+
+def test_edges_of_faults_are_sharp_or_soft():
+    off = np.abs(faults(4000, np.random.default_rng(0)))
+    off = off[off.max(axis=1) > 0]
+    full = (off > 0.9 * off.max(axis=1, keepdims=True)).sum(axis=1) / (off > 0).sum(axis=1)
+    assert (full > 0.7).mean() > 0.1 and (full < 0.5).mean() > 0.3
