@@ -6,7 +6,7 @@ estimated, and two drapes of the estimate are simulated as for a report. False a
 of these captures that a check names: those of the outline and of :mod:`drapenet.network.expected`,
 which cost nothing, and those of the simulated drape. The same outlines with a fault show how many a
 check finds: a shadow that is read as cloth over an eighth of the outline, its valleys there filled,
-and a tester of another size.
+a bite or a bulge of 5 mm over a fiftieth, and a tester of another size.
 """
 
 import math
@@ -39,12 +39,13 @@ from sim.rig import Rig
 
 SHADOW = math.pi / 8  # half of the azimuths that it covers
 DARKEST = (0.95, 1.05)  # radius of its edge, over the drape's largest
+FAULT = math.pi / 50, 5e-3  # half of the azimuths of a bite or a bulge, and its height in m
 MOVED = 1.15  # factor of alpha, in the median over its directions, that counts as a wrong estimate
 OTHER = {"disc300_support180": "disc360_support180", "disc360_support180": "disc300_support180",
          "disc240_support180": "disc300_support180",
          "square300_cylinder100": "square350_cylinder120"}
 """A tester that might be stated in place of each."""
-KINDS = ("depth views", "outline", "shadow", "filled valleys", "other tester")
+KINDS = ("depth views", "outline", "shadow", "filled valleys", "bite", "bulge", "other tester")
 
 
 def captured(*, tester: str, number: int, seed: int, edge_mm: float) -> dict[str, Any]:
@@ -64,11 +65,14 @@ def captured(*, tester: str, number: int, seed: int, edge_mm: float) -> dict[str
             "unlike": texts(views.draws.unlike(plan.rig.specimen_size, views.capture.causes))}
     radius = outline_of(shape).radius
     middle = rng.uniform(0, 2 * np.pi)
-    dark = np.abs(np.angle(np.exp(1j * (AZIMUTH - middle)))) < SHADOW
+    away = np.abs(np.angle(np.exp(1j * (AZIMUTH - middle))))
+    dark, fault = away < SHADOW, np.where(away < FAULT[0], FAULT[1], 0.0)
     edge = radius.max() * rng.uniform(*DARKEST)
     found |= {"outline": _outline(radius, plan.rig),
               "shadow": _outline(np.where(dark, np.maximum(radius, edge), radius), plan.rig),
               "filled valleys": _outline(np.where(dark, _filled(radius), radius), plan.rig),
+              "bite": _outline(radius - fault, plan.rig),
+              "bulge": _outline(radius + fault, plan.rig),
               "other tester": _outline(radius, Rig.from_name(OTHER[tester]))}
     sound = np.array(found["outline"]["log_alpha"])
     for one in found.values():
@@ -120,9 +124,11 @@ def _summary(found: list[dict[str, Any]]) -> dict[str, Any]:
     gaps = np.abs([one["gap"] for one in draped])
     unlike, named = (np.array([bool(test(one)) for one in found]) for test in (
         lambda one: any(one["unlike"]), lambda one: one.get("named")))
-    moved = np.array([one.get("moved", 1.0) > MOVED for one in found])
+    factors = np.array([one.get("moved", 1.0) for one in found])
+    moved = factors > MOVED
     return {"captures": len(found), "unlike": float(unlike.mean()), "named": float(named.mean()),
             "either": float((unlike | named).mean()),
+            "moved_by": (np.quantile(factors, [0.5, 0.9]) - 1).tolist(),
             "moved": [int(moved.sum()), int((moved & ~unlike & ~named).sum())],
             "gap": np.quantile(gaps, [0.5, 0.9, 0.99]).tolist(),
             "overlap": np.quantile([one["overlap"] for one in draped], [0.5, 0.1, 0.01]).tolist()}
