@@ -36,6 +36,8 @@ from drapenet.estimator.stages import (
     require_sound,
 )
 from drapenet.evidence.state import fabric_prior, prior_along
+from drapenet.measured.strips.record import StripsRecord
+from drapenet.measured.tension.record import TensionRecord
 from drapenet.network.checkpoint import Header
 from drapenet.result.document import EstimateDocument
 from drapenet.result.estimate import Estimate
@@ -53,13 +55,11 @@ from drapenet.result.files import (
     require_output,
     write_estimate,
 )
-from drapenet.result.strips import StripsRecord
-from drapenet.result.tension import TensionRecord
 from drapenet.views.observation import Observation
 
 if TYPE_CHECKING:
-    from data.strips.folder import StripSet
-    from data.tension.folder import TensionSet
+    from drapenet.measured.strips.folder import StripSet
+    from drapenet.measured.tension.folder import TensionSet
 
 Stage = Callable[[str, CaptureEstimate], None]
 

@@ -12,14 +12,14 @@ from data.captures.capture import Capture
 from data.captures.description import NEED_WARP, Description, Specimen
 from data.captures.reader import DESCRIPTION, captures_in, read_capture
 from data.readings.known import Known
-from data.strips.description import FILE as STRIPS
-from data.strips.description import StripsDescription
-from data.tension.description import FILE as TENSION
+from drapenet.measured.strips.description import FILE as STRIPS
+from drapenet.measured.strips.description import StripsDescription
+from drapenet.measured.tension.description import FILE as TENSION
 from drapenet.result.copies import first_with
 
 if TYPE_CHECKING:
-    from data.strips.folder import StripSet
-    from data.tension.folder import TensionSet
+    from drapenet.measured.strips.folder import StripSet
+    from drapenet.measured.tension.folder import TensionSet
 
     Source = Capture | StripSet | TensionSet
 else:  # the simulator of strips is loaded where there are some
@@ -39,7 +39,9 @@ def _strips(folder: str | Path) -> "list[StripSet]":
     """The strips of a folder; none of ''."""
     if not folder:
         return []
-    from data.strips.folder import read_strips  # the simulator of strips, which captures need not
+    from drapenet.measured.strips.folder import (
+        read_strips,  # the simulator of strips, which captures need not
+    )
 
     return [read_strips(folder)]
 
@@ -48,7 +50,7 @@ def _tension(folder: str | Path) -> "list[TensionSet]":
     """The strips under weights of a folder; none of ''."""
     if not folder:
         return []
-    from data.tension.folder import read_tension  # a fit, which others need not
+    from drapenet.measured.tension.folder import read_tension  # a fit, which others need not
 
     return [read_tension(folder)]
 
@@ -102,7 +104,7 @@ def known_of(folder: Path) -> Source | None:
         return None
     if not (description.known and description.known.values()):
         return None
-    from data.strips.folder import StripSet  # see above
+    from drapenet.measured.strips.folder import StripSet  # see above
 
     known = Known(**description.known.model_dump(include={*Known.model_fields}))
     return StripSet(folder, description.density, known=known, labels=description.labels)
