@@ -175,7 +175,8 @@ def check_capture(capture: Capture, out: Path) -> list[Check]:
 
 def outline_checks(capture: OutlineCapture) -> list[Check]:
     """What is measured of an outline from above; reading it has refused what is impossible."""
-    seen = measured_capture(capture).observed().seen.outline  # refuses a square whose warp is not marked
+    # Refuses a square whose warp is not marked.
+    seen = measured_capture(capture).observed().seen.outline
     outline, rig = capture.outline, capture.rig
     known = f"; {100 * outline.drape_coefficient:.1f} % as the camera sees it"
     return [

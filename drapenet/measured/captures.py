@@ -34,7 +34,7 @@ class StatedOfDrape(Schema):
 class Captured(Measured):
     """A capture."""
 
-    name, schema, stated = "capture", Description, StatedOfDrape
+    name, noun, schema, stated = "capture", "captures", Description, StatedOfDrape
     capture: Capture
 
     @classmethod

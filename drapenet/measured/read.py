@@ -10,7 +10,7 @@ from common.errors import InputError
 from common.files import path_named
 from data.captures.description import Description
 from data.readings.known import Known
-from drapenet.measured import KINDS
+from drapenet.measured import KINDS, VALUES
 from drapenet.measured.base import Measured, kind_at, kind_named
 
 
@@ -83,5 +83,5 @@ def known_of(folder: Path) -> Measured | None:
     if not (description.known and description.known.values()):
         return None
     known = Known(**description.known.model_dump(include={*Known.model_fields}))
-    return kind_named("strips")(path=folder, density=description.density, known=known,
+    return kind_at(KINDS[VALUES])(path=folder, density=description.density, known=known,
                                 labels=description.labels)

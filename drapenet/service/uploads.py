@@ -13,19 +13,18 @@ from data.captures.frames import BACKGROUND
 from data.captures.reader import CAPTURE_FILES, MAX_PICTURES, OUTLINE_SUFFIXES
 from drapenet.batch.captures import plain_name
 from drapenet.config import ServeConfig
+from drapenet.measured import KINDS, VALUES
+from drapenet.measured.base import kind_at
 from drapenet.service.forms import (
     CAPTURE,
     COEFFICIENT,
-    STRIPS,
-    TENSION,
     About,
+    described,
     described_capture,
     described_scan,
-    described_strips,
-    described_tension,
     fields_of_outline,
+    kinds_stated,
     states_plate,
-    states_tension,
     states_values,
 )
 from drapenet.service.limits import RequestError
@@ -96,7 +95,7 @@ def checked_upload(
     """Check a form's files, names and bytes, and texts."""
     fields = {key: text.strip() for key, text in texts.items() if text.strip()}
     refine, fabric = fields.pop("refine", "no"), fields.pop("fabric", "")
-    if not (files or states_values(fields) or states_tension(fields)):
+    if not (files or states_values(fields) or kinds_stated(fields)):
         raise RequestError(422, _NO_FILES)
     if refine not in ("no", "yes"):
         raise RequestError(422, f"refine={shown(refine)} must be yes or no")
@@ -124,7 +123,7 @@ def checked_photograph(
     which need not be complete for an estimate; None if there is no photograph from above."""
     fields = {key: text.strip() for key, text in texts.items() if text.strip()}
     received = unpacked([(decoded(name), data) for name, data in files], settings) if files else {}
-    others = {STRIPS, TENSION, *CAPTURE_FILES} - {CAPTURE}
+    others = KINDS.keys() - {CAPTURE}
     if not received.keys().isdisjoint(others) or _scans(received):
         return None
     try:
@@ -139,19 +138,23 @@ def checked_photograph(
 def _content(
     received: dict[str, bytes], fields: Mapping[str, str], settings: ServeConfig
 ) -> _Content:
-    """What was sent: strips.yaml or tension.yaml, or nothing but values, a scan, or else a capture.
+    """What was sent: the description of a kind, or nothing but values, a scan, or else a capture.
     """
-    for name in (CAPTURE, STRIPS, TENSION):
+    for name in KINDS:
         if name not in received and (other := misnamed(received, name)):
             raise RequestError(422, f"{other}: {rename_remedy(name)}")
-    descriptions = [name for name in (*CAPTURE_FILES, STRIPS, TENSION) if name in received]
-    if TENSION in received or states_tension(fields):
-        if others := [name for name in descriptions if name != TENSION]:
-            raise RequestError(422, f"{others[0]} and strips under weights: give one after the "
-                               "other")
-        return _tension(received, fields, settings)
-    if STRIPS in received or not (received or COEFFICIENT in fields):
-        return _strips(received, fields, settings)
+    stated, found = kinds_stated(fields), {}
+    for file, kind in KINDS.items():
+        if file in received or file in stated:
+            found.setdefault(kind, file)
+    if len(found) > 1:
+        first, second, *_ = found.values()
+        raise RequestError(422, f"{first} and {kind_at(KINDS[second]).noun}: give one after the "
+                           "other")
+    if not (received or found or COEFFICIENT in fields):
+        found[KINDS[VALUES]] = VALUES
+    if others := [file for kind, file in found.items() if kind != KINDS[CAPTURE]]:
+        return _described(others[0], received, fields, settings)
     scans = _scans(received)
     if scans and len(received) > 1:
         raise RequestError(422, f"{scans[0]} is a scan and must come alone; views are called "
@@ -201,38 +204,22 @@ def _directions(description: Description) -> str:
     return MARKED if description.marked else UNMARKED
 
 
-def _strips(
-    received: dict[str, bytes], fields: Mapping[str, str], settings: ServeConfig
+def _described(
+    file: str, received: dict[str, bytes], fields: Mapping[str, str], settings: ServeConfig
 ) -> _Content:
-    """Strips with the photographs that strips.yaml names, or values alone."""
-    if capture := next((file for file in CAPTURE_FILES if file in received), None):
-        raise RequestError(422, f"{capture} and {STRIPS}: give the capture and the strips one "
-                           "after the other")
-    content, description = described_strips(received.get(STRIPS, b"{}"), fields)
-    pictures = _pictures_named(content.get("strips") or [], ("file",), STRIPS, received, settings)
-    known = description.known
-    return _Content(pictures | {STRIPS: yaml_text(content).encode()}, description.labels,
-                    "strips" if description.strips else "values", directions=YARNS * bool(
-                        description.strips or (known and known.along_yarns)),
+    """What has a description ``file``, with the photographs that it or the form names, or values
+    alone."""
+    kind = kind_at(KINDS[file])
+    content, description = described(received.get(file, b"{}"), file, fields)
+    pictures = _pictures_named(content.get(description.entries) or [], description.pictures, file,
+                               received, settings)
+    if file not in received and (others := received.keys() - pictures.keys()):
+        raise RequestError(422, f"{min(others)} and {kind.noun} of the form: give one after the "
+                           "other")
+    return _Content(pictures | {file: yaml_text(content).encode()}, description.labels,
+                    kind.name if description.measures else "values",
+                    directions=YARNS * description.needs_warp,
                     density_g_m2=description.density_g_m2)
-
-
-def _tension(
-    received: dict[str, bytes], fields: Mapping[str, str], settings: ServeConfig
-) -> _Content:
-    """Strips under weights with the photographs that tension.yaml or the form names."""
-    content, description = described_tension(received.get(TENSION, b"{}"), fields)
-    pictures = _pictures_named(content.get("tension") or [], ("without", "with"), TENSION, received,
-                               settings)
-    if TENSION not in received and (others := received.keys() - pictures.keys()):
-        raise RequestError(422, f"{min(others)} and strips under weights of the form: give one "
-                           "after the other")
-    known = description.known
-    return _Content(
-        pictures | {TENSION: yaml_text(content).encode()}, description.labels, "tension",
-        directions=YARNS * (any(strip.direction != "bias" for strip in description.tension)
-                            or bool(known and known.along_yarns)),
-        density_g_m2=description.density_g_m2)
 
 
 def _pictures_named(

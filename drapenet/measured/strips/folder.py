@@ -12,14 +12,12 @@ from common.files import printable
 from common.findings import Finding
 from common.normal import Normal
 from common.types import DeflectionCurve, Metres, Radians
-from data.captures.preview import png
 from data.fabrics.properties import ClothProperties
 from drapenet.evidence.state import prior_along
 from drapenet.measured.base import Measured, intervals
 from drapenet.measured.strips.description import FILE, StripsDescription, read_description
 from drapenet.measured.strips.photograph import PhotographedStrip, read_strip
 from drapenet.measured.strips.posterior import BendingLength, StripEvidence, direction_evidence
-from drapenet.measured.strips.preview import strips_figure
 from drapenet.measured.strips.record import StripsRecord
 from sim.cantilever.moduli import StripModuli, correct
 from sim.material import BIAS, DIRECTIONS, MICRO, NANO
@@ -38,7 +36,7 @@ class StripSet(Measured):
         slope: of all clamps below the horizontal.
     """
 
-    name, schema, recorded = "strips", StripsDescription, StripsRecord
+    name, noun, schema, recorded = "strips", "strips.yaml", StripsDescription, StripsRecord
     photographs: tuple[PhotographedStrip, ...] = ()
     lengths: tuple[tuple[str, BendingLength], ...] = ()
     slope: Radians = 0.0
@@ -85,6 +83,9 @@ class StripSet(Measured):
 
     def shown(self) -> bytes:
         """The photographs with the curves."""
+        from data.captures.preview import png  # Matplotlib
+        from drapenet.measured.strips.preview import strips_figure
+
         return png(strips_figure(self.photographs)) if self.photographs else b""
 
     def evidence(self, priors: Mapping[str, Normal]) -> dict[str, StripEvidence]:
@@ -130,9 +131,8 @@ def read_strips(folder: str | Path) -> StripSet:
     photographs = tuple(read_strip(folder, entry, description, slope=slope)
                         for entry in description.strips if entry.file)
     return StripSet(
-        path=folder, density=description.density, photographs=photographs,
-        lengths=_lengths(description), slope=slope, width=1e-3 * description.width_mm,
-        known=description.known, labels=description.labels, warnings=_warnings(photographs))
+        **description.common(folder), photographs=photographs, lengths=_lengths(description),
+        slope=slope, width=1e-3 * description.width_mm, warnings=_warnings(photographs))
 
 
 def _curves(photographs: Sequence[PhotographedStrip]) -> dict[str, list[DeflectionCurve]]:

@@ -1,14 +1,13 @@
 """What a folder states of strips stretched by weights, in ``tension.yaml``."""
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from common.documents import Schema, read_yaml, require_file_in
-from data.captures.description import MAX_LABEL_LENGTH, Labels, Weighed
-from data.readings.known import Known
+from common.documents import Schema
+from data.captures.description import MAX_LABEL_LENGTH
+from drapenet.measured.base import Described
 from sim.material import BIAS, WARP, WEFT
 
 FILE = "tension.yaml"
@@ -81,13 +80,15 @@ class StretchedStrip(Schema):
                 "without the weight, or take a lighter one")
 
 
-class TensionDescription(Weighed, Labels):
+class TensionDescription(Described):
     """``tension.yaml``. ``clip_g``: of the clip that bears the weights, where it is not among them;
     ``above_mat_mm``: height of photographed strips above the mat, and ``mat_bar_mm``, of its scale
     as printed.
     """
 
     remedy = "docs/use.md shows an example; density_g_m2 is needed, weight_g is of whole specimens"
+    file, content = FILE, "density_g_m2 and tension, a list of strips"
+    entries, pictures = "tension", ("without", "with")
     tension: list[StretchedStrip] = Field([], max_length=MAX_STRIPS)
     clip_g: float = Field(0.0, ge=0, le=1000)
     extension_error_mm: float = Field(READING, ge=0.01, le=5)
@@ -101,7 +102,6 @@ class TensionDescription(Weighed, Labels):
         None, ge=0.1, le=100 * MAX_EXTENSION, description="E100 of FAST-3")
     fast_e100_weft_percent: float | None = Field(
         None, ge=0.1, le=100 * MAX_EXTENSION, description="E100 of FAST-3")
-    known: Known | None = Field(None, description=Known.remedy)
 
     @property
     def fast(self) -> dict[int, float]:
@@ -138,12 +138,6 @@ class TensionDescription(Weighed, Labels):
             "direction", "specimen", "width_mm", "gauge_mm", "clamped_mm"))
 
     @property
-    def labels(self) -> Labels:
-        """What a report states."""
-        return Labels(**self.stated())
-
-
-def read_description(folder: Path) -> TensionDescription:
-    """The file ``tension.yaml`` of a folder."""
-    file = require_file_in(folder, FILE, "density_g_m2 and tension, a list of strips")
-    return TensionDescription.of(read_yaml(file), file)
+    def needs_warp(self) -> bool:
+        """Strips along the bias do not tell warp and weft apart."""
+        return any(strip.direction != "bias" for strip in self.tension) or super().needs_warp
