@@ -23,7 +23,7 @@ from drapenet.estimator.infer import evidence_of, infer
 from drapenet.estimator.next_measurements import next_measurements
 from drapenet.evidence.source import of_values
 from drapenet.measured.base import Observed
-from drapenet.measured.captures import measured_capture
+from drapenet.measured.captures import Captured
 from drapenet.network.checkpoint import Header
 from drapenet.network.predict import Draws
 from drapenet.result.document import EstimateDocument, NextMeasurement
@@ -147,7 +147,7 @@ def by_network(capture: Capture, header: Header, *, strict: bool = False) -> Cap
     """Observe a capture and infer its estimate by the network of ``header``, with the warnings of
     its views and of a drape that is unlike its estimate; InputError if the views show no drape, or,
     if ``strict``, for a warning."""
-    source = measured_capture(capture)
+    source = Captured.of(capture)
     observed = source.observed()
     result = CaptureEstimate(observed, header, infer(observed, header))
     try:

@@ -303,6 +303,10 @@ class Measured:
         """A small PNG for lists; likewise."""
         return b""
 
+    def tables(self) -> dict[str, bytes]:
+        """Files to be checked, by their names: what was read in numbers."""
+        return {}
+
 
 def kind_named(name: str) -> type[Measured]:
     """The kind of this name, such as "strips", or "scan"; InputError if there is none."""

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
 
@@ -54,39 +54,28 @@ class Upload:
     """A request to estimate a capture or strips, with their description, or a scan.
 
     Attributes:
+        labels: which name it.
+        kind: capture, strips, tension, or values, and so on; names what has no label.
         scan: name of the file that is a scan; empty for others.
+        specimen: what is stated of a scan.
         directions: :data:`MARKED` or :data:`UNMARKED` for a capture by its warp, :data:`YARNS` for
             strips or values along the yarns; empty for others.
         density_g_m2: as it is stated; None if that is in density.txt, which workers read.
         name: of a new fabric, if ``fabric``, the identity of an earlier one, is empty.
         about: its notes, and the label of the capture, which may be empty.
-        kind: capture, strips, tension, or values; names what has no label.
-        specimen: what is stated of a scan.
     """
 
     files: dict[str, bytes]
-    scan: str
-    name: str
-    about: About
+    scan: str = ""
+    name: str = ""
+    about: About = field(default_factory=About)
     refine: bool = False
     specimen: Description | None = None
     fabric: str = ""
     kind: str = "capture"
     directions: str = ""
     density_g_m2: float | None = None
-
-
-@dataclass(frozen=True)
-class _Content:
-    """What the files and fields of a form are, with the labels that name them."""
-
-    files: dict[str, bytes]
-    labels: Labels
-    kind: str = "capture"
-    scan: str = ""
-    specimen: Description | None = None
-    directions: str = ""
-    density_g_m2: float | None = None
+    labels: Labels = UNLABELLED
 
 
 def checked_upload(
@@ -110,10 +99,8 @@ def checked_upload(
         raise RequestError(422, f"refine=yes is for captures, but these are {content.kind}; leave "
                            "it out")
     title = Path(files[0][0].replace("\\", "/")).stem if len(files) == 1 else content.kind
-    return Upload(content.files, content.scan,
-                  about.name or content.labels.fabric or plain_name(title)[:40], about,
-                  refine == "yes", content.specimen, fabric, content.kind, content.directions,
-                  content.density_g_m2)
+    name = about.name or content.labels.fabric or plain_name(title)[:40]
+    return replace(content, name=name, about=about, refine=refine == "yes", fabric=fabric)
 
 
 def checked_photograph(
@@ -137,7 +124,7 @@ def checked_photograph(
 
 def _content(
     received: dict[str, bytes], fields: Mapping[str, str], settings: ServeConfig
-) -> _Content:
+) -> Upload:
     """What was sent: the description of a kind, or nothing but values, a scan, or else a capture.
     """
     for name in KINDS:
@@ -161,8 +148,8 @@ def _content(
                            "view_0.png and so on")
     if scans:
         specimen = described_scan(fields)
-        return _Content(received, specimen.labels, scan=scans[0], specimen=specimen,
-                        directions=_directions(specimen), density_g_m2=specimen.density_g_m2)
+        return Upload(received, scans[0], specimen=specimen, directions=_directions(specimen),
+                      density_g_m2=specimen.density_g_m2, labels=specimen.labels)
     return _capture(received, fields, settings)
 
 
@@ -174,7 +161,7 @@ def _scans(received: dict[str, bytes]) -> list[str]:
 
 def _capture(
     received: dict[str, bytes], fields: Mapping[str, str], settings: ServeConfig
-) -> _Content:
+) -> Upload:
     """A capture, whose pictures are called as in a capture folder."""
     labels, directions, density = UNLABELLED, UNMARKED, None
     if received.keys().isdisjoint(CAPTURE_FILES) or CAPTURE in received:
@@ -194,7 +181,7 @@ def _capture(
         stem = Path(file).stem
         require_pixels(file, data, settings,
                        photograph=bool(_OUTLINE.fullmatch(stem) or _BESIDE.fullmatch(stem)))
-    return _Content(received, labels, directions=directions, density_g_m2=density)
+    return Upload(received, directions=directions, density_g_m2=density, labels=labels)
 
 
 def _directions(description: Description) -> str:
@@ -206,7 +193,7 @@ def _directions(description: Description) -> str:
 
 def _described(
     file: str, received: dict[str, bytes], fields: Mapping[str, str], settings: ServeConfig
-) -> _Content:
+) -> Upload:
     """What has a description ``file``, with the photographs that it or the form names, or values
     alone."""
     kind = kind_at(KINDS[file])
@@ -216,10 +203,10 @@ def _described(
     if file not in received and (others := received.keys() - pictures.keys()):
         raise RequestError(422, f"{min(others)} and {kind.noun} of the form: give one after the "
                            "other")
-    return _Content(pictures | {file: yaml_text(content).encode()}, description.labels,
-                    kind.name if description.measures else "values",
-                    directions=YARNS * description.needs_warp,
-                    density_g_m2=description.density_g_m2)
+    return Upload(pictures | {file: yaml_text(content).encode()}, labels=description.labels,
+                  kind=kind.name if description.measures else "values",
+                  directions=YARNS * description.needs_warp,
+                  density_g_m2=description.density_g_m2)
 
 
 def _pictures_named(

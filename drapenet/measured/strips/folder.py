@@ -81,6 +81,12 @@ class StripSet(Measured):
             "source": printable(self.path), "density_g_m2": round(1e3 * self.density, 6),
             "strips": len(self), "moduli": moduli, "known": self.known})
 
+    def tables(self) -> dict[str, bytes]:
+        """A CSV file of each curve, with x_mm and y_mm, y up."""
+        return {f"{Path(strip.name).stem}.csv": "".join(
+            ["x_mm,y_mm\n", *(f"{x:.4f},{-y:.4f}\n" for x, y in 1e3 * strip.measured.curve)]
+            ).encode() for strip in self.photographs}
+
     def shown(self) -> bytes:
         """The photographs with the curves."""
         from data.captures.preview import png  # Matplotlib
