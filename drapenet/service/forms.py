@@ -90,9 +90,9 @@ def fields_of(schema: type[Schema]) -> dict[str, str]:
 
 def form_fields() -> dict[str, str]:
     """All fields of a form with their types in JSON, numbers or texts."""
-    kinds = dict.fromkeys(map(kind_at, KINDS.values()))
-    found = {_SHORT.get(key, key): kind for each in (*kinds, About) for key, kind in fields_of(
-        each if each is About else each.schema).items() if kind != "object"}
+    schemas = [*(kind_at(place).schema for place in KINDS.values()), About]
+    found = {_SHORT.get(key, key): kind for schema in schemas
+             for key, kind in fields_of(schema).items() if kind != "object"}
     found |= dict.fromkeys(map(error_field, QUANTITIES.values()), "number")
     return {key: "number" if kind in ("number", "integer") else "string"
             for key, kind in (found | {"refine": "string", "fabric": "string"}).items()}

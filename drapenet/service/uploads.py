@@ -130,7 +130,8 @@ def _content(
     for name in KINDS:
         if name not in received and (other := misnamed(received, name)):
             raise RequestError(422, f"{other}: {rename_remedy(name)}")
-    stated, found = kinds_stated(fields), {}
+    stated = kinds_stated(fields)
+    found: dict[str, str] = {}  # file by kind
     for file, kind in KINDS.items():
         if file in received or file in stated:
             found.setdefault(kind, file)

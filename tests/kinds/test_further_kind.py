@@ -10,7 +10,7 @@ import pytest
 from fastapi.testclient import TestClient
 from pebble import ThreadPool
 from services import ended, joint_estimate_of, post, settings_for
-from weighed_disc import FILE
+from weighed_disc import FILE, WeighedDisc
 
 import drapenet
 import infer
@@ -28,7 +28,7 @@ TEXT = f"mass_g: {MASS:.4f}\ndiameter_mm: {DIAMETER}\nknown:\n  membrane_n_per_m
 @pytest.fixture(autouse=True)
 def kind(monkeypatch):
     """The kind among those of the project."""
-    monkeypatch.setitem(KINDS, FILE, "weighed_disc:WeighedDisc")
+    monkeypatch.setitem(KINDS, FILE, f"{WeighedDisc.__module__}:{WeighedDisc.__name__}")
 
 
 def disc(folder: Path, text: str = TEXT) -> Path:
@@ -85,7 +85,7 @@ class Threads(ThreadPool):
     def __init__(self, max_workers: int, **options: object) -> None:
         super().__init__(max_workers=max_workers)
 
-    def schedule(self, function, args=(), timeout=None):
+    def schedule(self, function, args=(), **options: object):
         return super().schedule(function, args=args)
 
 
