@@ -176,11 +176,6 @@ class Described(Weighed, Labels):
                 "labels": self.labels}
 
     @property
-    def labels(self) -> Labels:
-        """What a report states."""
-        return Labels(**self.stated())
-
-    @property
     def measures(self) -> bool:
         """Whether anything is measured, beside values that are known."""
         return True

@@ -1,6 +1,6 @@
 """A folder of strips of one fabric, and the evidence of its moduli by direction."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -58,7 +58,8 @@ class StripSet(Measured):
     @property
     def curves(self) -> dict[str, list[DeflectionCurve]]:
         """The photographed curves of each direction that has some."""
-        return _curves(self.photographs)
+        return {direction: curves for direction in DIRECTIONS if (curves := [
+            strip.measured.curve for strip in self.photographs if strip.direction == direction])}
 
     @property
     def complete(self) -> bool:
@@ -136,23 +137,13 @@ def read_strips(folder: str | Path) -> StripSet:
     slope = float(np.radians(description.clamp_slope_deg))
     photographs = tuple(read_strip(folder, entry, description, slope=slope)
                         for entry in description.strips if entry.file)
-    return StripSet(
+    strips = StripSet(
         **description.common(folder), photographs=photographs, lengths=_lengths(description),
-        slope=slope, width=1e-3 * description.width_mm, warnings=_warnings(photographs))
-
-
-def _curves(photographs: Sequence[PhotographedStrip]) -> dict[str, list[DeflectionCurve]]:
-    return {direction: curves for direction in DIRECTIONS if (curves := [
-        strip.measured.curve for strip in photographs if strip.direction == direction])}
-
-
-def _warnings(photographs: Sequence[PhotographedStrip]) -> tuple[Finding, ...]:
-    """Those of all photographs, and of twist that cannot be corrected."""
-    found = [one for strip in photographs for one in strip.warnings]
-    if (bias := DIRECTIONS[BIAS]) in (curves := _curves(photographs)) and (
-            set(curves) != set(DIRECTIONS)):
-        found.append(Finding("strips_twist", {"direction": bias}))
-    return tuple(found)
+        slope=slope, width=1e-3 * description.width_mm)
+    warnings = [one for strip in photographs for one in strip.warnings]
+    if (bias := DIRECTIONS[BIAS]) in strips.curves and not strips.complete:
+        warnings.append(Finding("strips_twist", {"direction": bias}))
+    return strips.changed(warnings=tuple(warnings))
 
 
 def _lengths(description: StripsDescription) -> tuple[tuple[str, BendingLength], ...]:
