@@ -24,7 +24,7 @@ from common.errors import InputError
 from common.files import folder_named, locked
 from data.captures.description import Specimen
 from drapenet.config import EstimateOptions, InferConfig
-from drapenet.estimator.read import Refused, Source, read_scans, read_sources
+from drapenet.fabric.read import Refused, Source, read_scans, read_sources
 from drapenet.network.checkpoint import read_header
 from drapenet.result.document import EstimateDocument
 from drapenet.result.files import (
@@ -49,7 +49,7 @@ def main(config: InferConfig) -> None:
 
         targets = targets_named(config.export, "export")  # unknown ones are refused before any work
     if config.captures:
-        from drapenet.batch.batch import estimate_fabrics
+        from drapenet.fabric.many import estimate_fabrics
 
         out = folder_named(config.out)
         with locked(out):
@@ -65,7 +65,7 @@ def main(config: InferConfig) -> None:
             if sys.stderr.isatty():
                 print("the estimate of a capture with its report takes about 15 s", file=sys.stderr,
                       flush=True)
-            from drapenet.estimator.estimate import estimate_fabric  # a second, after faults
+            from drapenet.fabric.estimate import estimate_fabric  # a second, after faults
 
             estimate_fabric(sources, header, options, out=out, refused=refused,
                             on_estimate=print_estimate)
@@ -78,7 +78,7 @@ def main(config: InferConfig) -> None:
 
 def sources_of(config: InferConfig) -> tuple[list[Source], Refused | None]:
     """Read the captures, scans and strips that are named in ``config``; and what is refused of a
-    folder of captures, see :func:`drapenet.estimator.read.read_sources`."""
+    folder of captures, see :func:`drapenet.fabric.read.read_sources`."""
     named = config.scan or config.capture
     paths = [Path(str(path)) for path in (named if isinstance(named, list) else [named]) if named]
     if not config.scan:

@@ -42,8 +42,8 @@ from data.pictures.mat import BAR, CLEAR, MATS, mat_pages
 from data.strips.description import FILE as STRIPS
 from data.strips.folder import read_strips
 from data.strips.preview import strips_figure, write_curves
-from drapenet.batch.captures import entries_of
-from drapenet.estimator.observe import observe
+from drapenet.fabric.entries import entries_of
+from drapenet.fabric.observe import observe
 from drapenet.network.checkpoint import read_header
 from drapenet.result.tables import csv_table
 from drapenet.views.checks import measure, require_plate, view_checks

@@ -8,7 +8,7 @@ import drapenet
 from benchmarks.protocol import CASES, COLUMNS, UNITS, Moduli
 from common.tables import number, read_table
 from data.captures.capture import Capture
-from drapenet.estimator.observe import observe
+from drapenet.fabric.observe import observe
 from sim.material import REFERENCE_DENSITY
 
 LEARNED = "coefficients.csv"

@@ -30,7 +30,7 @@ from data.captures.reader import captures_in, read_capture
 from data.captures.writer import write_capture
 from data.render.cameras import Intrinsics
 from drapenet.config import EstimateOptions
-from drapenet.estimator.stages import RAISE, CaptureEstimate, estimate_capture
+from drapenet.fabric.stages import RAISE, CaptureEstimate, estimate_capture
 from drapenet.network.checkpoint import BUNDLED, read_header
 from drapenet.result.files import SHOWN, STRIPS, read_estimate
 from sim.material import DIRECTIONS, MICRO, is_admissible

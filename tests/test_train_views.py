@@ -16,7 +16,7 @@ import drapenet.network.evaluate
 import train
 from common.errors import InputError
 from data.captures.reader import read_capture
-from drapenet.estimator.stages import by_network
+from drapenet.fabric.stages import by_network
 from drapenet.network.captures import CaptureSet, Condition
 from drapenet.network.checkpoint import Header, read_header
 from drapenet.network.evaluate import DEPTH

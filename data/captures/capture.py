@@ -1,7 +1,7 @@
 """Captures of a draped specimen: what all have in common, and a type for each kind.
 
 A further kind is a type here, its reader in :mod:`data.captures.reader`, and what it gives to the
-estimator (:mod:`drapenet.estimator.observe`) and to the eye (:mod:`data.captures.preview`).
+estimator (:mod:`drapenet.fabric.observe`) and to the eye (:mod:`data.captures.preview`).
 """
 
 import hashlib

@@ -20,9 +20,9 @@ from starlette.requests import ClientDisconnect
 
 from common.errors import InputError
 from common.files import folder_named, require_folder
-from drapenet.batch.captures import plain_name
 from drapenet.config import ServeConfig
 from drapenet.export.formats import TARGETS
+from drapenet.fabric.entries import plain_name
 from drapenet.network.checkpoint import read_header
 from drapenet.report.pages import render
 from drapenet.result.files import ESTIMATE, GARMENTS, SHOWN

@@ -17,7 +17,7 @@ from typing import Any
 from common.errors import InputError, one_line
 from data.captures.description import NEED_WARP
 from drapenet.config import ServeConfig
-from drapenet.estimator.read import require_one_density
+from drapenet.fabric.read import require_one_density
 from drapenet.service import exports, seen
 from drapenet.service.access import public_address
 from drapenet.service.archive import COPY

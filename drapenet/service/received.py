@@ -19,8 +19,8 @@ from data.captures.description import OUTLINE_TABLES
 from data.captures.frames import header_of
 from data.captures.reader import OUTLINE_SUFFIXES
 from data.pictures.reading import FORMATS
-from drapenet.batch.captures import plain_name
 from drapenet.config import ServeConfig
+from drapenet.fabric.entries import plain_name
 from drapenet.service.limits import RequestError
 
 PICTURES, SCANS = (".png", ".npy", ".ply"), (".npz", ".obj", ".stl", ".glb")

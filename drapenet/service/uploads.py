@@ -11,8 +11,8 @@ from common.errors import InputError, shown
 from data.captures.description import NEED_WARP, UNLABELLED, Description, Labels
 from data.captures.frames import BACKGROUND
 from data.captures.reader import CAPTURE_FILES, MAX_PICTURES, OUTLINE_SUFFIXES
-from drapenet.batch.captures import plain_name
 from drapenet.config import ServeConfig
+from drapenet.fabric.entries import plain_name
 from drapenet.service.forms import (
     CAPTURE,
     COEFFICIENT,

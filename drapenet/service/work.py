@@ -17,8 +17,8 @@ from common.errors import InputError
 from common.files import replace_file
 from common.findings import Finding, records
 from common.workers import end_with_parent
-from drapenet.batch.captures import plain_name
 from drapenet.config import EstimateOptions
+from drapenet.fabric.entries import plain_name
 from drapenet.service.database import DONE, FAILED, RUNNING, database_in
 
 PREVIEW, UPLOADED = "preview.png", "uploaded"
@@ -90,7 +90,7 @@ def _estimate(
     folder: Path, row: dict[str, Any], header: Any, address: str, record: Callable
 ) -> tuple[Any, list[Finding]]:
     """The estimate of an upload, and its warnings."""
-    from drapenet.estimator.estimate import estimate_source
+    from drapenet.fabric.estimate import estimate_source
     from drapenet.report.figures import draw_torques
     from drapenet.result.files import ESTIMATE, TORQUES
 
@@ -124,7 +124,7 @@ def _read(folder: Path, row: dict[str, Any]) -> Any:
     from data.captures.capture import Capture, ReportedCapture
     from data.captures.description import Description
     from data.captures.preview import show
-    from drapenet.estimator.read import read_source
+    from drapenet.fabric.read import read_source
     from drapenet.report.strips import draw_strips
     from drapenet.surface.registration import read_scan_capture
 
@@ -171,7 +171,7 @@ def _estimate_jointly(
     folder: Path, row: dict[str, Any], header: Any, address: str, record: Callable
 ) -> tuple[Any, list[Finding]]:
     """The joint estimate of a fabric's captures and strips, and its warnings."""
-    from drapenet.estimator.estimate import join, read_part, write_joint
+    from drapenet.fabric.estimate import join, read_part, write_joint
     from drapenet.report.figures import draw_torques
     from drapenet.result.copies import left_out
     from drapenet.result.files import TORQUES

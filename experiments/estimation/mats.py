@@ -26,7 +26,7 @@ from data.pictures.planes import mapped
 from data.pictures.reading import decoded
 from data.render import textures
 from data.render.phone import PhonePicture
-from drapenet.estimator.stages import by_network
+from drapenet.fabric.stages import by_network
 from experiments.drapes import drape_as_planned, header, plan_specimen
 from experiments.result import ESTIMATOR, Config, Result, run_cases
 from sim.draping import Drape

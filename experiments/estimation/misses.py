@@ -21,7 +21,7 @@ from data.captures.bulge import bulge
 from data.dataset.config import Options, config_from_options
 from data.dataset.plan import plan_drape
 from data.render.setups import Setups
-from drapenet.estimator.stages import simulate
+from drapenet.fabric.stages import simulate
 from drapenet.report.drape import Resimulation, resimulate_outline
 from drapenet.views.directions import AZIMUTH
 from drapenet.views.outline import DrapeOutline

@@ -47,7 +47,7 @@ def simulated(*, number: int, noise_mm: float, seed: int) -> dict:
 
 def refine_scan(scan: "ScanRegistration") -> dict:
     """Estimate a scan whose x axis is the warp, as by ``infer.py scan=FILE refine=simulation``."""
-    from drapenet.estimator.stages import by_network
+    from drapenet.fabric.stages import by_network
     from drapenet.refine.refine import refine_capture
     from drapenet.surface.registration import scan_capture
 

@@ -54,7 +54,7 @@ def case(
     *, number: int, rig: str, nuisances: str, edge_mm: float | None, truth_mm: float, seed: int
 ) -> dict:
     """Estimate one capture with the network and with the refinement."""
-    from drapenet.estimator.stages import by_network
+    from drapenet.fabric.stages import by_network
     from drapenet.refine.refine import refine_capture
 
     tester = Rig.from_name(rig)

@@ -13,7 +13,7 @@ from workbooks import cells
 import infer
 from common.errors import InputError
 from data.captures.writer import write_capture
-from drapenet.batch.captures import entries_of, plain_name
+from drapenet.fabric.entries import entries_of, plain_name
 from drapenet.result.tables import ROLES, csv_table
 from sim.rig import SQUARE_RIG
 

@@ -11,13 +11,13 @@ from data.readings.cantilever import bending_length
 from data.readings.known import ByDirection, Known
 from data.readings.quantity import SPECIMEN_SCATTER
 from drapenet.config import EstimateOptions
-from drapenet.estimator.combine import combine
-from drapenet.estimator.estimate import estimate_fabric
-from drapenet.estimator.infer import prior_draws
-from drapenet.estimator.read import read_sources, require_directions
 from drapenet.evidence.combine import consistent, posterior, updated
 from drapenet.evidence.source import of_capture, of_refined, of_strips, of_values
 from drapenet.evidence.state import cloth_of_state, fabric_prior, prior_along, state_of
+from drapenet.fabric.combine import combine
+from drapenet.fabric.estimate import estimate_fabric
+from drapenet.fabric.infer import prior_draws
+from drapenet.fabric.read import read_sources, require_directions
 from drapenet.network.checkpoint import read_header
 from sim.material import DIRECTIONS, MICRO
 

@@ -16,11 +16,11 @@ from common.errors import InputError
 from common.findings import texts
 from data.captures.reader import read_capture
 from drapenet.config import EstimateOptions
-from drapenet.estimator import infer as inferring
-from drapenet.estimator import stages
-from drapenet.estimator.combine import combine
-from drapenet.estimator.estimate import estimate_fabric, join, read_part
-from drapenet.estimator.read import require_one_fabric
+from drapenet.fabric import infer as inferring
+from drapenet.fabric import stages
+from drapenet.fabric.combine import combine
+from drapenet.fabric.estimate import estimate_fabric, join, read_part
+from drapenet.fabric.read import require_one_fabric
 from drapenet.network.checkpoint import read_header
 from drapenet.network.predict import Draws
 from drapenet.result.files import FAULTS

@@ -6,7 +6,7 @@ import pytest
 from common.normal import Linear, Normal
 from data.strips.photograph import expected_strip
 from data.strips.posterior import direction_evidence, expected_evidence
-from drapenet.estimator.next_measurements import another_disc, drapes_evidence, reductions
+from drapenet.fabric.next_measurements import another_disc, drapes_evidence, reductions
 from drapenet.views.observation import Observation
 from sim.cantilever import heavy_elastica
 from sim.rig import GRAVITY, Rig

@@ -24,9 +24,9 @@ from workbooks import cells
 from common.documents import yaml_text
 from data.captures.preview import show
 from data.captures.reader import read_capture
-from drapenet.estimator.estimate import join, read_part
-from drapenet.estimator.stages import by_network
 from drapenet.export.formats import TARGETS
+from drapenet.fabric.estimate import join, read_part
+from drapenet.fabric.stages import by_network
 from drapenet.network.checkpoint import read_header
 from drapenet.result.document import EstimateDocument
 from drapenet.service.app import create_app

@@ -25,7 +25,7 @@ def combine(
     contradictions: Sequence[Finding] = (),
 ) -> Estimate:
     """The estimate from samples and further ``sources``, those along the yarns only if the samples
-    know the direction of the warp (:func:`drapenet.estimator.read.require_directions`).
+    know the direction of the warp (:func:`drapenet.fabric.read.require_directions`).
 
     Args:
         name: of what the samples come from; '': the prior.

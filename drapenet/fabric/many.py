@@ -20,9 +20,9 @@ from common.files import remove_file, replace_file, require_folder
 from common.findings import Finding
 from data.captures.capture import Capture
 from data.captures.preview import show
-from drapenet.batch.captures import Entry, entries_of
 from drapenet.config import EstimateOptions
-from drapenet.estimator.read import read_source
+from drapenet.fabric.entries import Entry, entries_of
+from drapenet.fabric.read import read_source
 from drapenet.network.checkpoint import Header, read_header
 from drapenet.report.overview import (
     FAILURE,
@@ -108,7 +108,7 @@ def estimate_entry(
     remove_report(out)
     source = read_source(capture)
     header = read_header(weights)
-    from drapenet.estimator.estimate import estimate_source  # torch, which faulty captures need not
+    from drapenet.fabric.estimate import estimate_source  # torch, which faulty captures need not
 
     estimate_source(source, header, options, out=out)
     if isinstance(source, Capture):
@@ -172,8 +172,8 @@ def _joined(
 ) -> FabricEstimate:
     """Join the captures and strips of a fabric but copies, and what is known by those that are
     ``refused``; write its estimate, with those findings and its ``twins`` in other fabrics."""
-    from drapenet.estimator.estimate import join, known_parts, read_part  # torch
-    from drapenet.estimator.stages import require_sound
+    from drapenet.fabric.estimate import join, known_parts, read_part  # torch
+    from drapenet.fabric.stages import require_sound
 
     parts = [read_part(out / entry.place) for entry in entries]
     repeated = left_out([part.document for part in parts])

@@ -14,8 +14,8 @@ from dataclasses import replace
 import numpy as np
 
 from common.normal import Linear, Normal
-from drapenet.estimator.infer import prior_draws
 from drapenet.evidence.state import heavier, seen_along, state_of
+from drapenet.fabric.infer import prior_draws
 from drapenet.network.checkpoint import Header
 from drapenet.network.load import network_of
 from drapenet.network.predict import predict

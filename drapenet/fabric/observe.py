@@ -37,7 +37,7 @@ class Observed:
 def observe(capture: Capture) -> Observed:
     """Observe a capture; InputError if it does not show what its kind needs."""
     raise InputError(f"{capture.path}: captures of the kind {type(capture).__name__} cannot be "
-                     "observed; register one in drapenet/estimator/observe.py")
+                     "observed; register one in drapenet/fabric/observe.py")
 
 
 @observe.register

@@ -9,7 +9,7 @@ from common.files import printable
 from common.findings import Finding
 from data.captures.capture import DepthCapture
 from data.captures.description import Labels
-from drapenet.estimator.observe import Observed
+from drapenet.fabric.observe import Observed
 from drapenet.network.checkpoint import Header
 from drapenet.result.advice import advice_of, joint_advice
 from drapenet.result.document import (

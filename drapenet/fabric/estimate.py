@@ -18,24 +18,24 @@ from common.findings import Finding
 from common.normal import Normal
 from data.captures.capture import Capture
 from drapenet.config import EstimateOptions
-from drapenet.estimator.combine import combine, evidence_of
-from drapenet.estimator.describe import describe_jointly, describe_strips, describe_tension
-from drapenet.estimator.infer import CaptureEvidence, infer_jointly, prior_draws
-from drapenet.estimator.next_measurements import next_measurements
-from drapenet.estimator.read import (
+from drapenet.evidence.state import fabric_prior, prior_along
+from drapenet.fabric.combine import combine, evidence_of
+from drapenet.fabric.describe import describe_jointly, describe_strips, describe_tension
+from drapenet.fabric.infer import CaptureEvidence, infer_jointly, prior_draws
+from drapenet.fabric.next_measurements import next_measurements
+from drapenet.fabric.read import (
     Refused,
     Source,
     known_of,
     require_directions,
     require_one_fabric,
 )
-from drapenet.estimator.stages import (
+from drapenet.fabric.stages import (
     CaptureEstimate,
     Progress,
     estimate_capture,
     require_sound,
 )
-from drapenet.evidence.state import fabric_prior, prior_along
 from drapenet.network.checkpoint import Header
 from drapenet.result.document import EstimateDocument
 from drapenet.result.estimate import Estimate
@@ -172,7 +172,7 @@ def estimate_source(
     """The estimate of one source by itself, with its files in ``out``, if any.
 
     Args:
-        progress, on_stage: see :func:`drapenet.estimator.stages.estimate_capture`.
+        progress, on_stage: see :func:`drapenet.fabric.stages.estimate_capture`.
     """
     if isinstance(source, Capture):
         result = estimate_capture(source, header, options, out=out, progress=progress,

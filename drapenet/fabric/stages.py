@@ -17,12 +17,12 @@ from common.findings import Finding, texts
 from common.types import Metres
 from data.captures.capture import Capture, OutlineCapture, ReportedCapture
 from drapenet.config import EstimateOptions
-from drapenet.estimator.combine import combine
-from drapenet.estimator.describe import describe_capture
-from drapenet.estimator.infer import evidence_of, infer
-from drapenet.estimator.next_measurements import next_measurements
-from drapenet.estimator.observe import Observed, observe
 from drapenet.evidence.source import of_values
+from drapenet.fabric.combine import combine
+from drapenet.fabric.describe import describe_capture
+from drapenet.fabric.infer import evidence_of, infer
+from drapenet.fabric.next_measurements import next_measurements
+from drapenet.fabric.observe import Observed, observe
 from drapenet.network.checkpoint import Header
 from drapenet.network.predict import Draws
 from drapenet.result.document import EstimateDocument, NextMeasurement
