@@ -49,7 +49,8 @@ from drapenet.result.files import (
 
 DONE = "done"
 """Name of the case of a capture's folder; its file is ``done.json``."""
-SOURCES = (__name__, "configs/camera.yaml", "data/weights/*", "drapenet/report/pages/*.html")
+VERSION = 1
+"""Of the files of a capture: raise it when the same capture and settings give others."""
 
 
 def estimate_fabrics(
@@ -79,7 +80,7 @@ def estimate_fabrics(
           "minute", flush=True)
     failures: dict[str, str] = {}
     run_cases(estimate_entry, cases, folder=out, workers=workers or joblib.cpu_count(),
-              sources=SOURCES, failures=failures, unit="capture",
+              version=VERSION, failures=failures, unit="capture",
               title=lambda name: name.removesuffix(f"/{DONE}"))
     outcomes = [(entry, failures.get(f"{entry.place}/{DONE}", "")) for entry in entries]
     joined = join_fabrics(out, outcomes, header, strict=options.strict)

@@ -20,7 +20,7 @@ from common.documents import differences, require_regular
 from common.errors import InputError, one_line
 from common.files import remove_partial, replacing
 from common.graphs import MAX_WEIGHTS_BYTES
-from common.provenance import release, sources_digest
+from common.provenance import release
 from data.dataset.folder import finished_manifest, split_by_fabric
 from data.fabrics.prior import prior_from_content
 from data.fabrics.prior.even import spread_of
@@ -28,7 +28,7 @@ from data.render.setups import Setups
 from drapenet.config import OptimConfig, TrainConfig
 from drapenet.network.captures import CaptureSet, Condition, readable
 from drapenet.network.checkpoint import read_header
-from drapenet.network.dataset import SOURCES, Maps, make_maps
+from drapenet.network.dataset import VERSION, Maps, make_maps
 from drapenet.network.inputs import Batch
 from drapenet.network.mixture import Mixture
 from drapenet.network.model import Network, make_network
@@ -80,7 +80,7 @@ def open_captures(config: TrainConfig) -> tuple[CaptureSet, CaptureSet, dict]:
     maps = Maps.joined(parts)
     described = {"sha256": [manifest["hash"] for manifest in manifests],
                  "generation": [manifest["config"] for manifest in manifests],
-                 "maps": sources_digest(*SOURCES)}
+                 "maps": VERSION}
     if start:
         described["start"] = start.sha256
     if start:  # whose fabrics the weights have learned, too

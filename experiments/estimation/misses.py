@@ -33,7 +33,7 @@ from experiments.drapes import (
     infer_outline,
     outline_of,
 )
-from experiments.result import ESTIMATOR, Config, Result, run_cases
+from experiments.result import Config, Result, run_cases
 from sim.outlines import closed, farthest
 from sim.rig import Rig
 
@@ -112,7 +112,7 @@ def run(config: Config) -> Result:
     cases = {f"{tester}_{k:03}": {"tester": tester, "number": 8 * k, "seed": config["seed"],
                                   "edge_mm": config["edge_mm"]}
              for tester in config["testers"] for k in range(config["fabrics"])}
-    results = run_cases(captured, cases, config, sources=ESTIMATOR)
+    results = run_cases(captured, cases, config)
     return Result({"summary": {kind: _summary([found[kind] for found in results.values()
                                                if kind in found])
                                for kind in KINDS},

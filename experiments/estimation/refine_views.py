@@ -31,7 +31,6 @@ from experiments.drapes import (
     plan_specimen,
 )
 from experiments.result import (
-    ESTIMATOR,
     Config,
     Result,
     load_arrays,
@@ -148,7 +147,7 @@ def run(config: Config) -> Result:
     settings["nuisances"] = config["variation"]
     results = run_cases(case, {f"views_{k}": {"number": k, **settings}
                                for k in range(config["fabrics"])},
-                        config, folder=folder, sources=ESTIMATOR)
+                        config, folder=folder)
     truth = np.array([r["theta"] for r in results.values()])
     arrays = [with_pool(load_arrays(folder, name), gained=r["gained"])
               for name, r in results.items()]
