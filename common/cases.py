@@ -12,7 +12,7 @@ checksum (:mod:`data.dataset.folder`).
 import json
 import sys
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
 from pathlib import Path
 from typing import Any
@@ -54,35 +54,50 @@ def run_cases(
         failures: receives the cases that fail, in one line each; they are recorded and not tried
             again. None: they are, and the first error is raised when all other cases are done.
     """
-    if workers < 1:
-        raise InputError(f"workers={workers}: at least one process is needed")
     keys = {name: digest([settings, version]) for name, settings in cases.items()}
     files = {name: folder / f"{name}.json" for name in cases}
     stored: dict[str, Any] = {name: _stored(files[name], keys[name], failures) for name in cases}
     missing = [name for name in cases if stored[name] is None]
+    tasks = {name: (work, cases[name], files[name], keys[name], failures is not None)
+             for name in missing}
     errors = []
-    if missing:
-        print(f"{len(cases) - len(missing)} of {len(cases)} {unit}s are finished; {len(missing)} "
-              "to go. If interrupted, the same command goes on.", flush=True)
-        with worker_pool(min(workers, len(missing))) as pool, progress_bar(
-                total=len(missing), unit=unit) as bar:
-            futures = {pool.submit(_run, work, cases[name], files[name], keys[name],
-                                   failures is not None): name for name in missing}
-            for future in as_completed(futures):
-                name = futures[future]
-                try:
-                    stored[name] = future.result()
-                except Exception as error:
-                    errors.append(error)
-                    stored[name] = {"failure": one_line(error)}
-                if failure := stored[name].get("failure"):
-                    bar.write(f"{title(name)} failed: {failure}")
-                bar.update()
+    for name, outcome in in_processes(_run, tasks, total=len(cases), workers=workers, unit=unit):
+        if isinstance(outcome, Exception):
+            errors.append(outcome)
+            outcome = {"failure": one_line(outcome)}
+        stored[name] = outcome
+        if failure := outcome.get("failure"):
+            tqdm.write(f"{title(name)} failed: {failure}")
     if errors:
         raise errors[0]
     if failures is not None:
         failures |= {name: case["failure"] for name, case in stored.items() if "failure" in case}
     return {name: case["result"] for name, case in stored.items() if "result" in case}
+
+
+def in_processes(
+    work: Callable[..., Any], tasks: Mapping[Any, Sequence[Any]], *, total: int, workers: int,
+    unit: str,
+) -> Iterator[tuple[Any, Any]]:
+    """Name and outcome of ``work(*arguments)`` of each task, as they end, or the exception that it
+    raises, with a bar of the progress.
+
+    Args:
+        tasks: arguments by name, of those that are not yet finished of ``total``.
+    """
+    if workers < 1:
+        raise InputError(f"workers={workers}: at least one process is needed")
+    if not tasks:
+        return
+    print(f"{total - len(tasks)} of {total} {unit}s are finished; {len(tasks)} to go. If "
+          "interrupted, the same command goes on.", flush=True)
+    with worker_pool(min(workers, len(tasks))) as pool, progress_bar(
+            total=len(tasks), unit=unit) as bar:
+        futures = {pool.submit(work, *arguments): name for name, arguments in tasks.items()}
+        for future in as_completed(futures):
+            error = future.exception()
+            yield futures[future], error or future.result()
+            bar.update()
 
 
 def load_arrays(folder: Path, name: str) -> dict[str, np.ndarray]:

@@ -80,6 +80,10 @@ class Labels(Schema):
                       shortened(" / ".join(values), MAX_LABEL_LENGTH)
                       for key, values in found.items()})
 
+    def named(self, fabric: str) -> "Labels":
+        """The labels with the name by which a door calls the fabric, if it has one."""
+        return Labels(**self.stated() | ({"fabric": fabric} if fabric else {}))
+
     def stated(self) -> dict[str, str]:
         """The labels that are given, by key."""
         return {key: value for key in Labels.model_fields if (value := getattr(self, key))}

@@ -1,239 +1,246 @@
-"""The estimate of a fabric from whatever is known of it: the one way for the command, batches, the
-service and Python.
+"""The estimate of a fabric from all its sources: the one way for the command, batches, the service
+and Python.
 
-Each source, a capture or a folder of strips, is a :class:`Part` with files of its own;
-:func:`join` makes the fabric's estimate from the parts.
+Each source is a :class:`~drapenet.fabric.part.Part` with files of its own, which are read where
+they are made from the same, and made where they are not; :func:`join` makes the fabric's estimate
+from the parts, as they are stored.
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
+from common.documents import read_json
 from common.errors import InputError
-from common.files import printable, replace_file
+from common.files import remove_file, replace_json
 from common.findings import Finding
-from common.normal import Normal
-from data.captures.capture import Capture
+from common.types import Density
+from data.captures.description import NEED_WARP
 from drapenet.config import EstimateOptions
-from drapenet.evidence.state import fabric_prior, prior_along
 from drapenet.fabric.combine import combine, evidence_of
-from drapenet.fabric.describe import describe_jointly, describe_strips, describe_tension
-from drapenet.fabric.infer import CaptureEvidence, infer_jointly, prior_draws
+from drapenet.fabric.describe import describe_jointly
+from drapenet.fabric.infer import infer_jointly
 from drapenet.fabric.next_measurements import next_measurements
-from drapenet.fabric.read import (
-    Refused,
-    Source,
-    known_of,
-    require_directions,
-    require_one_fabric,
+from drapenet.fabric.part import (
+    PART,
+    Part,
+    Refusal,
+    make_part,
+    part_key,
+    stored_part,
 )
-from drapenet.fabric.stages import (
-    CaptureEstimate,
-    Progress,
-    estimate_capture,
-    require_sound,
-)
+from drapenet.fabric.sources import Source
+from drapenet.fabric.stages import require_sound
+from drapenet.measured import read_measured, read_values
+from drapenet.measured.base import Measured
 from drapenet.network.checkpoint import Header
+from drapenet.result.copies import first_with
 from drapenet.result.document import EstimateDocument
 from drapenet.result.estimate import Estimate
-from drapenet.result.files import (
-    ESTIMATE,
-    OBSERVATION,
-    REPORT,
-    STRIPS,
-    capture_names,
-    fabric_name,
-    pictures_of_strips,
-    read_document,
-    read_observation,
-    remove_report,
-    require_output,
-    write_estimate,
-)
-from drapenet.result.strips import StripsRecord
-from drapenet.result.tension import TensionRecord
+from drapenet.result.files import OBSERVATION, read_observation, remove_report, write_estimate
 from drapenet.views.observation import Observation
 
-if TYPE_CHECKING:
-    from data.strips.folder import StripSet
-    from data.tension.folder import TensionSet
-
-Stage = Callable[[str, CaptureEstimate], None]
+FABRIC = "fabric.json"
+"""The parts of a fabric's estimate, by their folders in its own."""
+MAX_DENSITY_DIFFERENCE = 0.1  # between specimens of one fabric, relative to the smallest
 
 
 @dataclass(frozen=True)
-class Part:
-    """What one source says of a fabric: the document of its estimate alone, and what the network
-    reads of a capture."""
+class FabricResult:
+    """The estimate of a fabric.
 
+    Attributes:
+        parts: what each source says, in their order; None: a copy that was not estimated.
+        copies: findings of the sources with pictures of an earlier one, by number.
+    """
+
+    estimate: Estimate
     document: EstimateDocument
-    observation: Observation | None = None
+    parts: list[Part | Refusal | None]
+    copies: dict[int, Finding] = field(default_factory=dict)
 
     @property
-    def evidence(self) -> CaptureEvidence | None:
-        """Of a capture."""
-        if self.observation is None:
-            return None
-        refined = self.document.refined and self.document.refined.posterior
-        return CaptureEvidence(
-            self.document.label, self.observation, self.document.capture.known,
-            Normal(np.array(refined.mean), np.array(refined.covariance)) if refined else None)
-
-
-def read_part(folder: Path) -> Part:
-    """The part whose files :func:`estimate_source` has written to a folder."""
-    document = read_document(folder / ESTIMATE)
-    return Part(document, None if document.strips or document.tension else
-                read_observation(folder))
-
-
-def captures_in(folder: Path) -> tuple[Observation, ...] | None:
-    """What the network reads of the captures of the estimate that is written to a folder; None if
-    they are elsewhere."""
-    document = read_document(folder / ESTIMATE)
-    places = [folder] if document.capture.source else sorted(folder.glob("capture_*"))
-    places = [place for place in places if (place / OBSERVATION).is_file()]
-    complete = len(places) == len(document.captures or [document.capture.source] *
-                                  bool(document.capture.source))
-    return _seen([read_part(place) for place in places]) if complete else None
-
-
-def _seen(parts: Iterable[Part]) -> tuple[Observation, ...]:
-    """What the network reads of the captures among the parts."""
-    return tuple(one for part in parts if part.evidence for one in part.evidence.observations)
+    def scatter(self) -> np.ndarray | None:
+        """(3,) geometric standard deviation of alpha of the captures; None for one capture."""
+        middles = [np.log([moduli.alpha_uN_m.median
+                           for moduli in part.document.moduli_at_300_g_m2.values()])
+                   for k, part in enumerate(self.parts) if k not in self.copies
+                   and isinstance(part, Part) and part.observation]
+        return np.exp(np.std(middles, axis=0, ddof=1)) if len(middles) > 1 else None
 
 
 def estimate_fabric(
     sources: Sequence[Source], header: Header, options: EstimateOptions, *,
-    out: Path | None = None, refused: Refused | None = None,
+    folder: Path | None = None, fabric: str = "", twins: Sequence[Finding] = (),
+    reported: bool = True,
     on_estimate: Callable[[EstimateDocument, Path | None], None] = lambda document, folder: None,
-) -> Estimate:
+) -> FabricResult:
     """Estimate a fabric from all its ``sources``, and each of several by itself.
 
+    A source that is refused is left out with a warning, and so is a copy of another, unless it is
+    required; what a refused one states of the fabric is kept.
+
     Args:
-        refused: captures that could not be read; unless ``options`` are strict, the fabric is
-            estimated without them, and without those that show no drape, with a warning. None: each
-            capture must show one.
-        out: folder of the files, if any; several sources have folders in it.
-        on_estimate: called with each document and its folder.
+        folder: of the fabric's files, if any, in which those of the parts have theirs.
+        fabric: its name, in place of that which sources state.
+        twins: of its captures in other fabrics.
+        reported: whether the estimate from several parts has a report, if ``options`` have one.
+        on_estimate: called with each document that is made, and its folder.
+
+    InputError if a required source is refused, if all are, or for sources that cannot be of one
+    fabric; if ``options`` are strict for a source that is refused or doubted.
     """
-    if not sources:
-        raise InputError("nothing is known of the fabric; give captures or strips")
-    if refused and options.strict:
-        raise next(iter(refused.values()))
-    captures = [source for source in sources if isinstance(source, Capture)]
-    require_one_fabric([source.density for source in sources],
-                       [(str(capture.path), capture.digests) for capture in captures])
-    require_directions(all(capture.warp_direction is not None for capture in captures),
-                       any(source.along_yarns for source in sources
-                           if not isinstance(source, Capture)),
-                       [source.known for source in sources])
-    if len(sources) == 1 and not refused:
-        estimate, part = estimate_source(sources[0], header, options, out=out)
-        on_estimate(part.document, out)
-        return replace(estimate, warnings=tuple(part.document.warnings), captures=_seen([part]))
-    folders = [out / f"{'capture' if isinstance(source, Capture) else source.kind}_{k}" if out
-               else None for k, source in enumerate(sources)]
-    for folder in filter(None, folders):
-        require_output(folder)
-    parts, places, refused = [], [], None if refused is None else {**refused}
-    for source, folder in zip(sources, folders, strict=True):
-        try:
-            _, part = estimate_source(source, header, options, out=folder)
-        except InputError as error:
-            if refused is None or options.strict or not isinstance(source, Capture):
-                raise
-            refused[source.path] = error
-            continue
+    read = [_read(source, folder, header, options) for source in sources]
+    _require_some(read, options)
+    copies = _copies(sources, read)
+    _require_one_fabric([each for k, each in enumerate(read) if k not in copies
+                         and not isinstance(each, Refusal)])
+    parts: list[Part | Refusal | None] = []
+    for k, (source, each) in enumerate(zip(sources, read, strict=True)):
+        part = each if not isinstance(each, Measured) else None if k in copies else _made(
+            each, source, folder, header, options)
+        if isinstance(part, Part):
+            on_estimate(part.document, _place(source, folder))
         parts.append(part)
-        places.append(folder)
-        on_estimate(part.document, folder)
-    if refused and not any(part.observation for part in parts):
-        raise next(iter(refused.values()))
-    known, lost = known_parts(refused or {}, parts, header)
-    estimate, document = join([*parts, *known], header, strict=options.strict,
-                              ahead=bool(out and options.drapes))
-    document = document.warned(*(Finding("capture_refused", {
-        "capture": printable(path), "reason": str(error).removeprefix(f"{path}: ")})
-        for path, error in (refused or {}).items()), *lost)
-    if out:
-        write_joint(out, estimate, document, parts, places, drawn=bool(options.drapes))
-    on_estimate(document, out)
-    return replace(estimate, warnings=tuple(document.warnings), captures=_seen(parts))
+    kept = [part.named(fabric) for k, part in enumerate(parts)
+            if k not in copies and isinstance(part, Part)]
+    _require_some(parts, options)
+    if len(sources) == 1:
+        return _alone(kept[0], twins, folder, fabric, options.strict)
+    kept.sort(key=lambda part: part.observation is None)
+    known, lost = _known(parts, kept, header)
+    estimate, document = join([*kept, *known], header, strict=options.strict,
+                              ahead=bool(folder and options.drapes))
+    faults = [*copies.values(), *twins, *(
+        part.finding for part in parts if isinstance(part, Refusal)), *lost]
+    require_sound(faults, options.strict, "the fabric")
+    document = document.warned(*faults)
+    if folder:
+        _write_joint(folder, estimate, document, kept, options, reported)
+    on_estimate(document, folder)
+    return FabricResult(replace(estimate, warnings=tuple(document.warnings),
+                                  captures=_seen(kept)), document, parts, copies)
 
 
-def estimate_source(
-    source: Source, header: Header, options: EstimateOptions, *, out: Path | None = None,
-    progress: Progress | None = None, on_stage: Stage = lambda name, result: None,
-) -> tuple[Estimate, Part]:
-    """The estimate of one source by itself, with its files in ``out``, if any.
-
-    Args:
-        progress, on_stage: see :func:`drapenet.fabric.stages.estimate_capture`.
-    """
-    if isinstance(source, Capture):
-        result = estimate_capture(source, header, options, out=out, progress=progress,
-                                  on_stage=on_stage)
-        return result.estimate, Part(result.document, result.observed.seen)
-    estimate, document, found = (_of_tension(source, header) if source.kind == "tension" else
-                                 _of_strips(source, header))
-    require_sound([*estimate.contradictions, *found], options.strict, str(source.path))
-    if out:
-        remove_report(out)
-        if options.drapes:
-            document = document.followed_by(next_measurements(estimate, [], header))
-        write_estimate(out, estimate, document)
-        if options.drapes:
-            from drapenet.report.strips import draw_strips
-
-            if picture := draw_strips(source):
-                replace_file(out / STRIPS, picture)
-            _report(document, [], [out], out, options.address)
-    return estimate, Part(document)
+def _place(source: Source, folder: Path | None) -> Path | None:
+    """The folder of a source's part."""
+    return folder / source.part if folder else None
 
 
-def _of_strips(
-    source: "StripSet", header: Header
-) -> tuple[Estimate, EstimateDocument, Sequence[Finding]]:
-    """The estimate from hanging strips alone, and their warnings."""
-    record = StripsRecord.of_evidence(
-        source, source.evidence(prior_along(fabric_prior(header), source.density)))
-    estimate = combine(prior_draws(header), evidence_of([record], [], source.density),
-                       source.density, header, name="")
-    return estimate, describe_strips(estimate, source, record, header), source.warnings
+def _read(
+    source: Source, folder: Path | None, header: Header, options: EstimateOptions
+) -> Part | Refusal | Measured:
+    """The part of a source that is stored, or the source as it is read, or why it is refused."""
+    place = _place(source, folder)
+    if place and (stored := stored_part(source, place, part_key(source, header, options))):
+        if isinstance(stored, Part):
+            require_sound(stored.faults, options.strict, source.label)
+        return stored
+    try:
+        return read_measured(source.place, source.stated, path=source.path)
+    except InputError as error:
+        if source.required:
+            raise
+        return Refusal.of(source, error)
 
 
-def _of_tension(
-    source: "TensionSet", header: Header
-) -> tuple[Estimate, EstimateDocument, Sequence[Finding]]:
-    """The same from strips under weights; moduli are those of usual fabrics and known values."""
-    record = TensionRecord.of_strips(source)
-    estimate = combine(prior_draws(header), evidence_of([], [record.known], source.density),
-                       source.density, header, name="")
-    return estimate, describe_tension(estimate, source, record, header), record.findings
+def _made(
+    measured: Measured, source: Source, folder: Path | None, header: Header,
+    options: EstimateOptions
+) -> Part | Refusal:
+    """The part of a source as it was read."""
+    place, key = _place(source, folder), part_key(source, header, options)
+    try:
+        return make_part(measured, source, header, options, folder=place, key=key)
+    except InputError as error:
+        if source.required:
+            raise
+        return Refusal.of(source, error)
 
 
-def known_parts(
-    refused: Iterable[Path], parts: Sequence[Part], header: Header
+def _require_some(
+    parts: Iterable[Part | Refusal | Measured | None], options: EstimateOptions
+) -> None:
+    """InputError if all are refused, or one, if none may be."""
+    every = list(parts)
+    errors = [part.error for part in every if isinstance(part, Refusal)]
+    if errors and (options.strict or len(errors) == len([part for part in every if part])):
+        raise errors[0]
+
+
+def _copies(
+    sources: Sequence[Source], parts: Sequence[Part | Refusal | Measured]
+) -> dict[int, Finding]:
+    """A finding for each source with pictures of an earlier one; InputError if it is required."""
+    first: dict[str, str] = {}
+    found = {}
+    for k, (source, part) in enumerate(zip(sources, parts, strict=True)):
+        other = None if isinstance(part, Refusal) else first_with(first, part.digests, source.label)
+        if other and source.required:
+            raise InputError(f"{other} and {source.label} have the same views, which are not "
+                             "independent; give each capture once")
+        if other:
+            found[k] = Finding("twin_left_out", {"capture": source.label, "other": other})
+    return found
+
+
+def _require_one_fabric(parts: Sequence[Part | Measured]) -> None:
+    """InputError for sources that cannot be of one fabric."""
+    require_one_density([part.density for part in parts])
+    weighted = [part.label for part in parts if part.unique]
+    if len(weighted) > 1:
+        raise InputError(f"{weighted[0]} and {weighted[1]} both have strips under weights; state "
+                         "all strips of a fabric in one tension.yaml")
+    if all(part.marked is not False for part in parts):
+        return
+    if any(part.along_yarns for part in parts):
+        raise InputError(f"strips along the yarns {NEED_WARP}")
+    if any(known.along_yarns for part in parts for known in part.stated):
+        raise InputError(f"known values along the yarns {NEED_WARP}")
+
+
+def require_one_density(densities: Sequence[Density]) -> None:
+    """InputError for specimens whose densities, kg/m², are too different to be of one fabric."""
+    low, high = min(densities, default=0.0), max(densities, default=0.0)
+    if high > (1 + MAX_DENSITY_DIFFERENCE) * low:
+        raise InputError(f"captures and strips of one fabric state densities from {1e3 * low:g} to "
+                         f"{1e3 * high:g} g/m², more than {MAX_DENSITY_DIFFERENCE:.0%} apart; "
+                         "correct density_g_m2, or give different fabrics apart")
+
+
+def _alone(
+    part: Part, twins: Sequence[Finding], folder: Path | None, fabric: str, strict: bool
+) -> FabricResult:
+    """The estimate of a fabric with one source, which is that of the source."""
+    require_sound(twins, strict, "the fabric")
+    document = part.named(fabric).document.warned(*twins)
+    if folder and (part.source.part != "." or document != part.document):
+        write_estimate(folder, part.estimate, document)
+        replace_json(folder / FABRIC, {"parts": [part.source.part]})
+    return FabricResult(replace(part.estimate, warnings=tuple(document.warnings),
+                                  captures=_seen([part])), document, [part])
+
+
+def _known(
+    parts: Sequence[Part | Refusal | None], kept: Sequence[Part], header: Header
 ) -> tuple[list[Part], list[Finding]]:
-    """Parts of what the descriptions of ``refused`` captures, their folders, state of the fabric of
-    ``parts``, and a finding for each that cannot be joined with them."""
+    """Parts of what refused sources state of the fabric, and a finding for each that cannot be
+    joined with those that are ``kept``."""
     found, lost = [], []
-    marked = all(part.observation.known for part in parts if part.observation)
-    for source in map(known_of, refused):
-        if source is None:  # without strips it has no length
+    for refusal in parts:
+        if not (isinstance(refusal, Refusal) and refusal.known):
             continue
+        values = read_values(refusal.source.path, refusal.known)
         try:
-            require_one_fabric([source.density, *(part.document.density for part in parts)], [])
-            require_directions(marked, False, [source.known])
+            _require_one_fabric([*kept, values])
         except InputError as error:
-            lost.append(Finding("known_lost", {"capture": printable(source.path),
+            lost.append(Finding("known_lost", {"capture": refusal.source.label,
                                                "reason": error.message}))
         else:
-            found.append(estimate_source(source, header, EstimateOptions())[1])
+            found.append(make_part(values, refusal.source, header, EstimateOptions()))
     return found, lost
 
 
@@ -241,29 +248,16 @@ def join(
     parts: Sequence[Part], header: Header, *, strict: bool = False, ahead: bool = False
 ) -> tuple[Estimate, EstimateDocument]:
     """The estimate of a fabric from its parts, and its document with the moduli of each, and if it
-    looks ``ahead`` with what may be measured next.
-
-    InputError for parts that cannot be of one fabric, or, if ``strict``, that contradict others.
-    """
+    looks ``ahead`` with what may be measured next; InputError if ``strict`` and parts contradict
+    each other."""
     documents = [part.document for part in parts]
     captures = [evidence for part in parts if (evidence := part.evidence)]
-    records = [record for document in documents for record in document.strips or []]
-    require_one_fabric([document.density for document in documents],
-                       [(document.label, document.capture.digests)
-                        for document in documents if document.capture.source])
-    tensions = [document.tension for document in documents if document.tension]
-    if len(tensions) > 1:
-        raise InputError(f"{tensions[0].source} and {tensions[1].source} both have strips under "
-                         "weights; state all strips of a fabric in one tension.yaml")
-    stated = [*(capture.stated for capture in captures), *(each.known for each in tensions)]
-    require_directions(all(capture.seen.known for capture in captures),
-                       any(record.moduli for record in records)
-                       or any(each.along_yarns for each in tensions),
-                       [*stated, *(record.known for record in records)])
+    records = [record for document in documents for record in document.records]
     density, names = documents[0].density, ("", "the capture", "the captures")
     draws, contradictions = infer_jointly(captures, header)
-    estimate = combine(draws, evidence_of(records, stated, density), density, header,
-                       name=names[min(len(captures), 2)], contradictions=contradictions)
+    estimate = combine(draws, evidence_of(records, [each.stated for each in captures], density),
+                       density, header, name=names[min(len(captures), 2)],
+                       contradictions=contradictions)
     require_sound(estimate.contradictions, strict, "the fabric")
     document = describe_jointly(estimate, documents, header)
     if ahead:
@@ -271,30 +265,37 @@ def join(
     return estimate, document
 
 
-def write_joint(
-    out: Path, estimate: Estimate, document: EstimateDocument, parts: Sequence[Part],
-    folders: Sequence[Path | None], *, drawn: bool, address: str = "",
+def _write_joint(
+    folder: Path, estimate: Estimate, document: EstimateDocument, kept: Sequence[Part],
+    options: EstimateOptions, reported: bool,
 ) -> None:
-    """Write a joint estimate, and if it is ``drawn`` its report with the captures' pictures;
-    ``address``: of its page, if any."""
-    remove_report(out)
-    write_estimate(out, estimate, document)
-    if drawn:
-        pairs = [(part, folder) for part, folder in zip(parts, folders, strict=False) if folder]
-        _report(document, [(part.document, folder) for part, folder in pairs if part.observation],
-                [folder for part, folder in pairs if not part.observation], out, address)
+    """Write a joint estimate, and its report with the captures' pictures, if it has one."""
+    remove_file(folder / PART)  # of an estimate from one source
+    remove_report(folder)
+    write_estimate(folder, estimate, document)
+    replace_json(folder / FABRIC, {"parts": [part.source.part for part in kept]})
+    if reported and options.drapes:
+        from drapenet.report.report import report_fabric
+
+        places = [(part, folder / part.source.part) for part in kept]
+        report_fabric(folder, document, [(part.document, place) for part, place in places
+                                         if part.observation],
+                      [place for part, place in places if not part.observation], options.address)
 
 
-def _report(
-    document: EstimateDocument, captures: Sequence[tuple[EstimateDocument, Path]],
-    strips: Sequence[Path], out: Path, address: str,
-) -> None:
-    """Write the report of an estimate, with the pictures in its captures' and strips' folders."""
-    from drapenet.report.report import ShownCapture, write_report
+def _seen(parts: Iterable[Part]) -> tuple[Observation, ...]:
+    """What the network reads of the captures among the parts."""
+    return tuple(one for part in parts if part.evidence for one in part.evidence.observations)
 
-    files = [folder / REPORT for _, folder in captures]
-    shown = [ShownCapture(name, part, file.read_bytes() if file.exists() else b"")
-             for name, (part, _), file in zip(capture_names(document), captures, files,
-                                              strict=True)]
-    write_report(out, fabric_name(document), document, shown, strips=pictures_of_strips(strips),
-                 address=address)
+
+def captures_in(folder: Path) -> tuple[Observation, ...] | None:
+    """What the network reads of the captures of the estimate that is written to a folder; None if
+    they are elsewhere."""
+    try:
+        places = read_json(folder / FABRIC)["parts"] if (folder / FABRIC).exists() else ["."]
+        parts = [stored_part(Source(place=folder / place, part=place), folder / place, "")
+                 for place in places]
+    except (InputError, KeyError, TypeError):
+        return None
+    every = [part for part in parts if isinstance(part, Part)]
+    return _seen(every) if len(every) == len(parts) else None

@@ -9,12 +9,12 @@ import numpy as np
 from common.errors import InputError
 from common.findings import Finding
 from common.normal import Normal
+from data.captures.description import NEED_WARP
 from data.captures.reported import Reported
 from drapenet.evidence.combine import consistent, updated
 from drapenet.evidence.source import of_capture, of_refined
 from drapenet.evidence.state import cloth_of_state, fabric_prior, state_of
 from drapenet.fabric.observe import Observed
-from drapenet.fabric.read import require_directions
 from drapenet.network.checkpoint import Header
 from drapenet.network.load import network_of
 from drapenet.network.predict import Draws, predict
@@ -60,7 +60,8 @@ def infer(observed: Observed, header: Header) -> Draws:
     capture = observed.capture
     try:
         header.require_learned(capture.rig)
-        require_directions(capture.warp_direction is not None, False, [capture.known])
+        if capture.warp_direction is None and capture.known and capture.known.along_yarns:
+            raise InputError(f"known values along the yarns {NEED_WARP}")
         draws, = predict(network_of(header), header, [evidence_of(observed).observations],
                          compared=True)
     except InputError as error:

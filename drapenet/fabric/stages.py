@@ -57,6 +57,7 @@ class CaptureEstimate:
         warnings: beside those of capture, samples and drape.
         refined: outcome of a refinement, for the document.
         following: what may be measured next, likewise.
+        faults: for which a strict estimate refuses the capture.
     """
 
     observed: Observed
@@ -66,6 +67,7 @@ class CaptureEstimate:
     refined: dict[str, Any] | None = None
     drape: "Resimulation | None" = None
     following: tuple[NextMeasurement, ...] = ()
+    faults: tuple[Finding, ...] = ()
 
     @property
     def capture(self) -> Capture:
@@ -154,9 +156,9 @@ def by_network(capture: Capture, header: Header, *, strict: bool = False) -> Cap
         raise InputError(f"{capture.path}: {error}") from None
     result = result.with_warnings(*faults, *result.draws.unlike(capture.rig.specimen_size,
                                                                 capture.causes))
-    require_sound([*result.warnings, *capture.warnings, *result.estimate.contradictions], strict,
-                  str(capture.path))
-    return result
+    found = (*result.warnings, *capture.warnings, *result.estimate.contradictions)
+    require_sound(found, strict, str(capture.path))
+    return replace(result, faults=found)
 
 
 def require_sound(faults: Sequence[Finding], strict: bool, what: str) -> None:

@@ -14,7 +14,15 @@ from drapenet.report.pages import in_words, render
 from drapenet.report.passport import Passport
 from drapenet.report.pdf import WIDTH, as_pdf
 from drapenet.result.document import CaptureAbout, EstimateDocument
-from drapenet.result.files import PAGE, PDF, shown_texts
+from drapenet.result.files import (
+    PAGE,
+    PDF,
+    REPORT,
+    capture_names,
+    fabric_name,
+    pictures_of_strips,
+    shown_texts,
+)
 
 MAX_NAME_WIDTH = 28  # characters of a name in a table or picture
 
@@ -29,6 +37,20 @@ class ShownCapture:
     picture: bytes
     large: bool = True
     copy_of: str = ""
+
+
+def report_fabric(
+    out: Path, document: EstimateDocument, captures: Sequence[tuple[EstimateDocument, Path]],
+    strips: Sequence[Path], address: str,
+) -> None:
+    """Write the report of an estimate with the pictures that lie in the folders of its captures,
+    each with its document, and of its strips; ``address`` as for :func:`write_report`."""
+    files = [folder / REPORT for _, folder in captures]
+    shown = [ShownCapture(name, part, file.read_bytes() if file.exists() else b"")
+             for name, (part, _), file in zip(capture_names(document), captures, files,
+                                              strict=True)]
+    write_report(out, fabric_name(document), document, shown, strips=pictures_of_strips(strips),
+                 address=address)
 
 
 def in_all(captures: Sequence[ShownCapture]) -> list[str]:
