@@ -39,11 +39,11 @@ from data.captures.preview import png, show
 from data.captures.reader import CAPTURE_FILES, read_capture
 from data.captures.writer import write_capture, write_outline
 from data.pictures.mat import BAR, CLEAR, MATS, mat_pages
-from data.strips.description import FILE as STRIPS
-from data.strips.folder import read_strips
-from data.strips.preview import strips_figure, write_curves
 from drapenet.fabric.entries import entries_of
 from drapenet.fabric.observe import observe
+from drapenet.measured.strips.description import FILE as STRIPS
+from drapenet.measured.strips.folder import read_strips
+from drapenet.measured.strips.preview import strips_figure, write_curves
 from drapenet.network.checkpoint import read_header
 from drapenet.result.tables import csv_table
 from drapenet.views.checks import measure, require_plate, view_checks

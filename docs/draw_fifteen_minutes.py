@@ -13,8 +13,8 @@ from matplotlib.patches import Circle, Rectangle
 from PIL import Image
 
 from data.render.pulled import MarkedStrip
-from data.tension.folder import read_tension
-from data.tension.preview import tension_figure
+from drapenet.measured.tension.folder import read_tension
+from drapenet.measured.tension.preview import tension_figure
 
 ROOT = Path(__file__).parents[1]
 IMAGES = ROOT / "docs" / "images"

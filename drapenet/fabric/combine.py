@@ -13,10 +13,10 @@ from data.readings.known import Known
 from drapenet.evidence.combine import posterior
 from drapenet.evidence.source import Source, of_strips, of_values
 from drapenet.evidence.state import cloth_of_state, state_of
+from drapenet.measured.strips.record import StripsRecord
 from drapenet.network.checkpoint import Header
 from drapenet.network.predict import Draws
 from drapenet.result.estimate import Estimate, make_estimate
-from drapenet.result.strips import StripsRecord
 from sim.material import MICRO
 
 

@@ -10,6 +10,8 @@ from common.findings import Finding
 from data.captures.capture import DepthCapture
 from data.captures.description import Labels
 from drapenet.fabric.observe import Observed
+from drapenet.measured.strips.record import StripsRecord
+from drapenet.measured.tension.record import TensionRecord
 from drapenet.network.checkpoint import Header
 from drapenet.result.advice import advice_of, joint_advice
 from drapenet.result.document import (
@@ -19,12 +21,10 @@ from drapenet.result.document import (
     NextMeasurement,
 )
 from drapenet.result.estimate import Estimate
-from drapenet.result.strips import StripsRecord
-from drapenet.result.tension import TensionRecord
 
 if TYPE_CHECKING:
-    from data.strips.folder import StripSet
-    from data.tension.folder import TensionSet
+    from drapenet.measured.strips.folder import StripSet
+    from drapenet.measured.tension.folder import TensionSet
     from drapenet.report.drape import Resimulation
 
 

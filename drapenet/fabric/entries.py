@@ -11,8 +11,8 @@ from common.errors import InputError, one_line, shown
 from common.files import composed, path_named
 from common.tables import read_table
 from data.captures.reader import CAPTURE_FILES
-from data.strips.description import FILE as STRIPS
-from data.tension.description import FILE as TENSION
+from drapenet.measured.strips.description import FILE as STRIPS
+from drapenet.measured.tension.description import FILE as TENSION
 
 COLUMNS = ("fabric", "sample", "capture")
 """Columns of a list; ``sample`` is optional, ``capture`` a folder relative to that of the list."""

@@ -9,7 +9,6 @@ from the parts, as they are stored.
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -40,7 +39,7 @@ from drapenet.network.checkpoint import Header
 from drapenet.result.copies import first_with
 from drapenet.result.document import EstimateDocument
 from drapenet.result.estimate import Estimate
-from drapenet.result.files import OBSERVATION, read_observation, remove_report, write_estimate
+from drapenet.result.files import remove_report, write_estimate
 from drapenet.views.observation import Observation
 
 FABRIC = "fabric.json"

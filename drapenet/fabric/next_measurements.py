@@ -101,8 +101,8 @@ def drapes_evidence(before: Normal, after: Normal) -> Linear:
 def strips_evidence(state: np.ndarray, density: float) -> Linear:
     """Evidence of a state that photographs of hanging strips along warp and weft give of cloth of
     this ``state`` (10,), kg/m²."""
-    from data.strips.photograph import expected_strip  # with the simulator of strips
-    from data.strips.posterior import expected_evidence
+    from drapenet.measured.strips.photograph import expected_strip  # with the simulator of strips
+    from drapenet.measured.strips.posterior import expected_evidence
     from sim.cantilever import heavy_elastica
 
     found = []

@@ -5,7 +5,7 @@ last, states what they were made from: a part that is made from the same is read
 A refusal is kept, too, with what the source states of the fabric all the same.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,6 @@ from common.normal import Normal
 from common.provenance import digest
 from common.types import Density
 from data.captures.capture import Capture
-from data.captures.description import Labels
 from data.readings.known import Known
 from drapenet.config import EstimateOptions
 from drapenet.fabric.combine import combine, evidence_of
@@ -35,7 +34,7 @@ from drapenet.fabric.stages import (
     require_sound,
 )
 from drapenet.measured import read_measured, stated_values
-from drapenet.measured.base import Measured, Recorded
+from drapenet.measured.base import Measured
 from drapenet.network.checkpoint import Header, read_header
 from drapenet.result.document import EstimateDocument
 from drapenet.result.estimate import Estimate

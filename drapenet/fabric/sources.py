@@ -9,7 +9,7 @@ from common.errors import InputError
 from common.files import printable
 from data.captures.capture import Capture
 from data.captures.reader import captures_in
-from drapenet.measured import CAPTURE, SCAN, STRIPS, TENSION, kind_at
+from drapenet.measured import kind_at
 
 
 @dataclass(frozen=True, kw_only=True)

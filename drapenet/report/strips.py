@@ -5,16 +5,16 @@ from typing import TYPE_CHECKING
 from data.captures.preview import png
 
 if TYPE_CHECKING:
-    from data.strips.folder import StripSet
-    from data.tension.folder import TensionSet
+    from drapenet.measured.strips.folder import StripSet
+    from drapenet.measured.tension.folder import TensionSet
 
 
 def draw_strips(source: "StripSet | TensionSet") -> bytes:
     """PNG of strips; empty if there is nothing to see: bending lengths, or values of testers."""
     if source.kind == "tension":
-        from data.tension.preview import tension_figure
+        from drapenet.measured.tension.preview import tension_figure
 
         return png(tension_figure(source, source.evidence)) if source.strips else b""
-    from data.strips.preview import strips_figure
+    from drapenet.measured.strips.preview import strips_figure
 
     return png(strips_figure(source)) if source.photographs else b""

@@ -9,8 +9,8 @@ from xlsxwriter.worksheet import Worksheet
 
 from common.findings import texts
 from data.captures.description import UNLABELLED
+from drapenet.measured.base import Quantity
 from drapenet.result.document import MAX_COMPARED_SHARE, EstimateDocument
-from drapenet.result.quantity import Quantity
 
 QUANTITIES = {"alpha_uN_m": ("α", "µN·m", "0.0"), "beta_nN_m2": ("β", "nN·m²", "0"),
               "drape_stiffness_uN_m": ("stiffness in a drape", "µN·m", "0.0"),

@@ -19,10 +19,10 @@ from data.readings.cantilever import MG_CM, bending_length, flexural_rigidity
 from data.readings.kes import GF_CM, GF_CM_PER_CM, kes
 from data.readings.known import Known
 from drapenet.evidence.source import value_key
+from drapenet.measured.base import Finite, Quantity, Recorded, Text, intervals
+from drapenet.measured.strips.record import StripsRecord
+from drapenet.measured.tension.record import TensionRecord
 from drapenet.result.estimate import Estimate
-from drapenet.result.quantity import Finite, Quantity, Recorded, Text, intervals
-from drapenet.result.strips import StripsRecord
-from drapenet.result.tension import TensionRecord
 from sim.material import (
     DIRECTIONS,
     DRAPE_CURVATURE,

@@ -4,8 +4,8 @@ import csv
 import io
 from collections.abc import Mapping, Sequence
 
+from drapenet.measured.base import Quantity
 from drapenet.result.document import EstimateDocument
-from drapenet.result.quantity import Quantity
 
 ROLES = ("warp_or_stiff", "bias", "weft_or_soft")
 """Directions in tables whose fabrics need not all have a marked warp."""

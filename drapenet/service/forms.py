@@ -25,10 +25,10 @@ from data.captures.reader import DESCRIPTION as CAPTURE
 from data.readings import QUANTITIES
 from data.readings.quantity import Quantity
 from data.rigs import MISSING_TESTER
-from data.strips.description import FILE as STRIPS
-from data.strips.description import StripsDescription
-from data.tension.description import FILE as TENSION
-from data.tension.description import MAX_STRIPS, TensionDescription
+from drapenet.measured.strips.description import FILE as STRIPS
+from drapenet.measured.strips.description import StripsDescription
+from drapenet.measured.tension.description import FILE as TENSION
+from drapenet.measured.tension.description import MAX_STRIPS, TensionDescription
 from drapenet.service.limits import RequestError
 from sim.material import DIRECTIONS
 

@@ -18,10 +18,10 @@ from data.captures.reader import CAPTURE_FILES, MAX_PICTURES
 from data.pictures.mat import GROUNDS, PARTS
 from data.readings import QUANTITIES
 from data.rigs import TESTERS
-from data.tension.description import MAX_STRIPS
 from drapenet.config import ServeConfig
 from drapenet.export.formats import TARGETS
 from drapenet.export.material import MESHES
+from drapenet.measured.tension.description import MAX_STRIPS
 from drapenet.report.pages import render
 from drapenet.service.exports import zipped
 from drapenet.service.forms import error_field, value_fields

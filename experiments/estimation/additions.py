@@ -17,12 +17,12 @@ from data.dataset.generate import generate_dataset
 from data.fabrics.properties import ClothProperties
 from data.readings import QUANTITIES
 from data.readings.known import ByDirection, Known
-from data.strips.posterior import StripEvidence
 from drapenet.config import EvaluateConfig
 from drapenet.evidence.source import of_strips, of_values
 from drapenet.evidence.state import fabric_prior, prior_along, state_of
 from drapenet.fabric.combine import combine
 from drapenet.fabric.next_measurements import drapes_evidence, reductions, strips_evidence
+from drapenet.measured.strips.posterior import StripEvidence
 from drapenet.network.captures import CaptureSet, Condition
 from drapenet.network.checkpoint import Header, read_header
 from drapenet.network.dataset import Maps, make_maps

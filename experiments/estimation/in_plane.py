@@ -21,7 +21,7 @@ from data.fabrics.nuisances import LOGARITHMIC
 from data.fabrics.prior import load_prior
 from data.readings import QUANTITIES
 from data.render.setups import Setups
-from data.tension.posterior import KES_SHEAR_ERROR
+from drapenet.measured.tension.posterior import KES_SHEAR_ERROR
 from experiments.drapes import capture_drape, infer, infer_outline, outline_of
 from experiments.estimation.bound import Information, drape_moves
 from experiments.estimation.bounds import DRAPES, draped, information_of, placement, sampling_of

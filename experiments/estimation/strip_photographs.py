@@ -22,11 +22,11 @@ from common.errors import InputError
 from common.findings import texts
 from common.normal import Normal
 from data.render.strips import StripScene, posed
-from data.strips.description import FILE
-from data.strips.folder import StripSet, read_strips
-from data.strips.photograph import CLAMP_ERROR, LENGTH_ERROR, ROLL_ERROR, SCALE_ERROR
-from data.strips.posterior import SLOPE_ERROR
 from drapenet.evidence.state import fabric_prior, prior_along
+from drapenet.measured.strips.description import FILE
+from drapenet.measured.strips.folder import StripSet, read_strips
+from drapenet.measured.strips.photograph import CLAMP_ERROR, LENGTH_ERROR, ROLL_ERROR, SCALE_ERROR
+from drapenet.measured.strips.posterior import SLOPE_ERROR
 from experiments.drapes import header, prior_theta
 from experiments.result import Config, Result, run_cases
 from sim.cantilever import heavy_elastica

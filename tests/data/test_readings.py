@@ -20,7 +20,7 @@ from data.readings.cantilever import (
 from data.readings.kes import GF_CM, KES_CURVATURES, kes
 from data.readings.known import ByDirection, Known
 from data.readings.quantity import Quantity, by_name, moduli_at
-from data.strips.posterior import INCLINE
+from drapenet.measured.strips.posterior import INCLINE
 from sim.cantilever import hang
 from sim.cantilever.elastica import MAX_GAMMA, aspect_ratio, elastica, heavy_elastica
 from sim.energies import bending_law

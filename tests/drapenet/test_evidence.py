@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from drapenet.fabric.read import read_sources, require_directions
 
 from common.errors import InputError
 from common.findings import texts
@@ -17,7 +18,6 @@ from drapenet.evidence.state import cloth_of_state, fabric_prior, prior_along, s
 from drapenet.fabric.combine import combine
 from drapenet.fabric.estimate import estimate_fabric
 from drapenet.fabric.infer import prior_draws
-from drapenet.fabric.read import read_sources, require_directions
 from drapenet.network.checkpoint import read_header
 from sim.material import DIRECTIONS, MICRO
 

@@ -20,9 +20,9 @@ from common.errors import InputError
 from data.captures.capture import Capture, ReportedCapture
 from data.captures.reader import read_capture
 from data.readings import QUANTITIES
-from data.strips.description import StripsDescription, read_description
-from data.tension.description import read_description as read_tension_description
 from drapenet.config import ServeConfig
+from drapenet.measured.strips.description import StripsDescription, read_description
+from drapenet.measured.tension.description import read_description as read_tension_description
 from drapenet.service.forms import error_field, value_fields
 from drapenet.service.limits import RequestError
 from drapenet.service.uploads import Upload, checked_upload

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from data.tension.law import compliance, extension, load, reach, softness
+from drapenet.measured.tension.law import compliance, extension, load, reach, softness
 from sim.energies.membrane import OrthotropicStVK
 from sim.material import BIAS, WARP, WEFT
 from sim.tension import pull

@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING
 from common.documents import Excerpt
 from common.files import printable
 from data.readings.known import Known
-from drapenet.result.quantity import Quantity, Recorded, Text, intervals
+from drapenet.measured.base import Quantity, Recorded, Text, intervals
 from sim.material import DIRECTIONS
 
 if TYPE_CHECKING:
-    from data.tension.folder import TensionSet
+    from drapenet.measured.tension.folder import TensionSet
 
 
 class Stretch(Excerpt):

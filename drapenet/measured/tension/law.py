@@ -19,8 +19,6 @@ import numpy as np
 
 from sim.material import BIAS, WARP
 
-POISSON = 0.3
-"""Assumed where it is not known."""
 FAR = 1.5  # widths from a clamp, beyond which it changes nothing
 SOFTNESS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.0)  # q
 MARGINS = (0.0, 0.125, 0.25, 0.5, 0.75, 1.0, 1.25, FAR)  # from mark to clamp over the width

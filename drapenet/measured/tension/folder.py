@@ -15,7 +15,7 @@ from data.captures.description import Labels
 from data.pictures.mat import BAR
 from data.readings.known import Known
 from data.readings.quantity import STANDARD_GRAVITY
-from data.tension.description import (
+from drapenet.measured.tension.description import (
     FILE,
     MAX_EXTENSION,
     READING,
@@ -23,8 +23,8 @@ from data.tension.description import (
     TensionDescription,
     read_description,
 )
-from data.tension.photograph import PhotographedExtension, read_extension
-from data.tension.posterior import (
+from drapenet.measured.tension.photograph import PhotographedExtension, read_extension
+from drapenet.measured.tension.posterior import (
     KES_SHEAR,
     LOAD_ERROR,
     MeasuredExtension,

@@ -18,8 +18,9 @@ from common.findings import Finding
 from common.normal import Normal
 from common.types import Density, Metres
 from data.readings.quantity import SPECIMEN_SCATTER, STANDARD_GRAVITY
-from data.tension.law import POISSON, compliance, extension, load, reach
+from drapenet.measured.tension.law import compliance, extension, load, reach
 from sim.material import BIAS, DIRECTIONS, REFERENCE_DENSITY, WARP, WEFT
+from sim.tension import POISSON
 
 NAMES = ("stretch along the warp", "stretch along the weft", "shear")
 STRETCH = (200.0, 2000.0)
@@ -75,7 +76,7 @@ class MeasuredExtension:
 
     def reach(self, stiffness: tuple[np.ndarray, np.ndarray, np.ndarray], poisson: float
               ) -> np.ndarray:
-        """:func:`data.tension.law.reach` of its marks, of stiffnesses (...,), N/m."""
+        """:func:`drapenet.measured.tension.law.reach` of its marks, of stiffnesses (...,), N/m."""
         return reach(self.direction, stiffness, poisson, gauge=self.gauge / self.width,
                      margin=self.margin / self.width)
 

@@ -13,9 +13,9 @@ from common.normal import Normal
 from common.types import DeflectionCurve, Density, Metres, Radians
 from data.captures.description import UNLABELLED, Labels
 from data.readings.known import Known
-from data.strips.description import FILE, StripsDescription, read_description
-from data.strips.photograph import PhotographedStrip, read_strip
-from data.strips.posterior import BendingLength, StripEvidence, direction_evidence
+from drapenet.measured.strips.description import FILE, StripsDescription, read_description
+from drapenet.measured.strips.photograph import PhotographedStrip, read_strip
+from drapenet.measured.strips.posterior import BendingLength, StripEvidence, direction_evidence
 from sim.cantilever.moduli import StripModuli, correct
 from sim.material import BIAS, DIRECTIONS
 from sim.rig import GRAVITY

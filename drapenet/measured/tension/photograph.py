@@ -23,7 +23,7 @@ from data.pictures.mat import MATS, QUIET, find_mat, on_ground
 from data.pictures.planes import behind, mapped
 from data.pictures.pose import PRINT, SEEN, Pose, camera_poses
 from data.pictures.reading import Photograph, read_photograph
-from data.tension.marks import ACROSS, COLUMNS, STEP, Band, Line, alike, pairs
+from drapenet.measured.tension.marks import ACROSS, COLUMNS, STEP, Band, Line, alike, pairs
 
 ABOVE_ERROR = (3e-4, 0.1)
 """Errors of the strip's height above the mat: m, in each picture, and relative, in both alike."""

@@ -7,10 +7,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from data.readings.quantity import STANDARD_GRAVITY
-from data.tension.folder import TensionSet
-from data.tension.law import compliance, load
-from data.tension.photograph import PhotographedExtension
-from data.tension.posterior import MeasuredExtension, TensionEvidence
+from drapenet.measured.tension.folder import TensionSet
+from drapenet.measured.tension.law import compliance, load
+from drapenet.measured.tension.photograph import PhotographedExtension
+from drapenet.measured.tension.posterior import MeasuredExtension, TensionEvidence
 from sim.material import DIRECTIONS
 
 _WIDE, _HIGH, _CURVES_HIGH = 10.4, 3.2, 3.2  # inches

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 from common.documents import Excerpt
 from common.files import printable
 from data.readings.known import Known
-from drapenet.result.quantity import Quantity, Text, intervals
+from drapenet.measured.base import Quantity, Text, intervals
 from sim.material import MICRO, NANO
 
 if TYPE_CHECKING:
-    from data.strips.folder import StripSet
-    from data.strips.posterior import StripEvidence
+    from drapenet.measured.strips.folder import StripSet
+    from drapenet.measured.strips.posterior import StripEvidence
 
 
 class LinearRecord(Excerpt):

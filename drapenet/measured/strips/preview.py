@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from common.files import replace_file
-from data.strips.folder import StripSet
-from data.strips.photograph import PhotographedStrip
+from drapenet.measured.strips.folder import StripSet
+from drapenet.measured.strips.photograph import PhotographedStrip
 
 _WIDTH = 4.8  # inches, of a panel
 _MARGIN = 0.2  # around a strip, of its extent

@@ -20,9 +20,9 @@ from common.types import DeflectionCurve, Metres, Pixels, Radians
 from data.captures.scale import board_plane
 from data.pictures.planes import mapped
 from data.pictures.reading import read_photograph
-from data.strips.centre_line import CentreLine, trace_strip
-from data.strips.description import StripEntry, StripsDescription, View
-from data.strips.posterior import MeasuredStrip
+from drapenet.measured.strips.centre_line import CentreLine, trace_strip
+from drapenet.measured.strips.description import StripEntry, StripsDescription, View
+from drapenet.measured.strips.posterior import MeasuredStrip
 
 WORKING_SIDE = 2600  # pixels, to which larger photographs are reduced
 BRIGHTEST = 0.9995  # quantile; a strip may be the only light thing in the picture
