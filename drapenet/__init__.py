@@ -101,7 +101,7 @@ def estimate(
     from data.captures.arrays import checked_capture
     from data.captures.capture import Capture
     from drapenet.fabric.estimate import estimate_fabric
-    from drapenet.fabric.read import read_sources, with_known
+    from drapenet.fabric.sources import sources_of
     from drapenet.network.checkpoint import read_header
 
     require(strips=(strips, str | Path), tension=(tension, str | Path),
@@ -113,15 +113,10 @@ def estimate(
                  if not isinstance(each, str | Path | Capture)}:
         raise InputError(f"a capture is a folder or a Capture, not {', '.join(sorted(kinds))}; "
                          "several captures are several arguments")
-    read = [read_sources([Path(given)]) if isinstance(given, str | Path) else
-            ([checked_capture(given)], None) for given in captures]
-    sources = [source for found, _ in [*read, read_sources([], strips, tension)]
-               for source in found]
-    several = [refused for _, refused in read if refused is not None]
-    return estimate_fabric(
-        with_known(sources, known), read_header(checkpoint), options,
-        refused={path: error for refused in several for path, error in refused.items()}
-        if several else None)
+    given = [Path(each) if isinstance(each, str | Path) else checked_capture(each)
+             for each in captures]
+    sources = sources_of(given, strips=strips, tension=tension, known=known)
+    return estimate_fabric(sources, read_header(checkpoint), options).estimate
 
 
 def estimate_fabrics(

@@ -25,7 +25,7 @@ def combine(
     contradictions: Sequence[Finding] = (),
 ) -> Estimate:
     """The estimate from samples and further ``sources``, those along the yarns only if the samples
-    know the direction of the warp (:func:`drapenet.fabric.read.require_directions`).
+    know the direction of the warp (:func:`drapenet.fabric.estimate.estimate_fabric`).
 
     Args:
         name: of what the samples come from; '': the prior.
@@ -40,16 +40,12 @@ def combine(
 
 
 def evidence_of(
-    strips: Sequence[StripsRecord], stated: Sequence[Known | None], density: Density
+    records: Sequence[Record], stated: Sequence[Known | None], density: Density
 ) -> list[Source]:
-    """What strips and stated values say of a fabric of a density."""
-    sources = [of_strips(direction, Linear(np.array(moduli.evidence.rows),
-                                           np.array(moduli.evidence.values)),
-                         MICRO * moduli.alpha_uN_m.median, 1e-3 * record.density_g_m2)
-               for record in strips for direction, moduli in record.moduli.items()]
+    """What records, and values that are stated of captures, say of a fabric of a density."""
     # Every capture of a folder repeats what is known of the fabric.
-    different = {str(known): known for known in (*stated, *(record.known for record in strips))
+    different = {str(known): known for known in (*stated, *(record.known for record in records))
                  if known}
     values = {source.label: source for known in different.values()
               for source in of_values(known, density)}
-    return [*sources, *values.values()]
+    return [*(source for record in records for source in record.sources()), *values.values()]

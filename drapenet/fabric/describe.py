@@ -66,26 +66,15 @@ def describe_capture(
                                           warnings=found, **optional)
 
 
-def describe_strips(
-    estimate: Estimate, strips: "StripSet", record: StripsRecord, header: Header
+def describe_record(
+    estimate: Estimate, measured: Measured, record: Record | None, header: Header
 ) -> EstimateDocument:
-    """The document of the estimate from strips, or from known values, alone."""
+    """The document of the estimate from strips, or from values, alone."""
     return EstimateDocument.from_estimate(
-        estimate, checkpoint=header.identity, strips=[record],
-        capture=CaptureAbout(sources=[], rig="", labels=strips.labels,
-                             density_g_m2=round(strips.density * 1e3, 6)),
-        warnings=[*estimate.warnings, *strips.warnings, *estimate.contradictions])
-
-
-def describe_tension(
-    estimate: Estimate, tension: "TensionSet", record: TensionRecord, header: Header
-) -> EstimateDocument:
-    """The document of the estimate of a fabric of which strips under weights alone are known."""
-    return EstimateDocument.from_estimate(
-        estimate, checkpoint=header.identity, tension=record,
-        capture=CaptureAbout(sources=[], rig="", labels=tension.labels,
-                             density_g_m2=record.density_g_m2),
-        warnings=[*estimate.warnings, *record.findings, *estimate.contradictions])
+        estimate, checkpoint=header.identity, **EstimateDocument.sections([record]),
+        capture=CaptureAbout(sources=[], rig="", labels=measured.labels,
+                             density_g_m2=round(1e3 * measured.density, 6)),
+        warnings=[*estimate.warnings, *measured.warnings, *estimate.contradictions])
 
 
 def describe_jointly(
