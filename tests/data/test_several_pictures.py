@@ -150,6 +150,19 @@ def test_a_picture_that_contradicts_or_cannot_be_read_is_left_out_and_named(
     assert two.outline.error.max() > 5e-3
 
 
+def test_after_a_picture_without_a_pose_the_others_are_read_from_their_own_places(
+        tmp_path, shape, pictures):
+    """A messenger's copy has no focal length, and a corner of a picture does not show it."""
+    corner = changed(pictures[0], (0, 0, 840, 630))
+    capture = read_capture(folder_of(tmp_path / "copy", [corner, *pictures[1:]]))
+    said, = (found.text for found in capture.warnings if found.code == "picture_unread")
+    assert said.startswith("outline_1.jpg is left out") and "focal length" in said
+    sound = read_capture(folder_of(tmp_path / "sound", pictures[1:])).outline
+    assert capture.outline.radii == pytest.approx(sound.radii, abs=1e-6)
+    assert np.array_equal(capture.outline.picture, sound.picture)
+    assert error_mm(capture, shape) < 1.5
+
+
 def test_a_picture_under_two_names_counts_once(tmp_path, pictures):
     capture = read_capture(folder_of(tmp_path / "twice", [pictures[0], *pictures[:2]]))
     said, = (one.text for one in capture.warnings if one.code == "picture_unread")
