@@ -62,7 +62,9 @@ class PhotographedOutline:
             to the right in the picture, y up.
         height: of the camera above the plate; infinite for parallel light, NaN if unknown.
         picture: (H, W, 3) uint8, reduced; None if the outline is read from a text file.
-        to_pixels: (3, 3) homography from the plane of ``curve`` to pixels of ``picture``.
+        to_pixels: (3, 3) homography from the plane of ``curve`` to pixels of ``picture``, but for
+            the ``turn``.
+        turn: counter-clockwise from ``curve``, rad, of the plate with the drape in ``picture``.
         pixel: size of a pixel of the file at the plate.
         factor: how many pixels of a row of the file were averaged to each of ``picture``.
         hem: the outline as it was seen, in pixels of ``picture``.
@@ -90,6 +92,7 @@ class PhotographedOutline:
     next_camera: Vector | None = None
     check: str = "check_table"
     files_sha256: tuple[str, ...] = ()
+    turn: Radians = 0.0
 
     @property
     def causes(self) -> str:
@@ -113,7 +116,8 @@ class PhotographedOutline:
 
     def drawn(self, points: Outline) -> Outline:
         """Points of the plane of ``curve`` in pixels of ``picture``, without one unchanged."""
-        return points if self.to_pixels is None else mapped(points, self.to_pixels)
+        return (points if self.to_pixels is None else
+                mapped(turned(points, self.turn), self.to_pixels))
 
 
 def read_outline(
@@ -234,7 +238,8 @@ def _joined(
     often = Counter(warning.code for warning in said)  # the others make up for one picture's fault
     warnings += {warning.code: warning for warning in reversed(said)
                  if 2 * often[warning.code] >= len(used)}.values()
-    shown = read[names[together.reference]][1]
+    turn = together.turned[together.reference]
+    shown = replace(read[names[together.reference]][1], turn=turn)
     # Nothing is seen inside the plate; what was, stays for the checks.
     radius = np.maximum(together.radius, np.minimum(together.seen, rig.plate_radius))
     curve, hem = (turned(one[:, None] * OUTWARDS, first_side) for one in (radius, together.seen))

@@ -135,11 +135,12 @@ def _by_mat(
         return found
     scale, plate_height = mat_scale(source), 1e-3 * source.plate_height_mm
     for file, pose in zip(files, poses_of(photographs, seen, len(files)), strict=True):
+        photograph = photographs.pop(0)  # large
         try:
             if isinstance(pose, InputError):
                 raise pose
             over = straight_from_above(
-                photographs.pop(0), pose, source.mat, plate_height=plate_height / scale,
+                photograph, pose, source.mat, plate_height=plate_height / scale,
                 reach=rig.reach / scale, ground=source.ground)
         except InputError as error:
             found[file] = error

@@ -8,7 +8,6 @@ import email.header
 import io
 import math
 import zipfile
-import zlib
 from contextlib import suppress
 from pathlib import Path
 
@@ -86,8 +85,9 @@ def _members(data: bytes, settings: ServeConfig) -> list[tuple[str, bytes]]:
                     raise RequestError(413, "the zip unpacks to more than "
                                        f"{settings.bytes / 1e6:g} MB")
                 members.append((entry.filename, content))
-    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, OSError, EOFError, ValueError,
-            zlib.error) as error:
+    except RequestError:
+        raise
+    except Exception as error:  # of zipfile, zlib, lzma and others, as of any damaged file
         raise RequestError(422, f"the zip cannot be read ({one_line(error)}); pack it again"
                            ) from None
     return members
