@@ -4,20 +4,16 @@ first, then strips and known values."""
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from common.findings import Finding
-from common.normal import Linear
 from common.types import Density
 from data.readings.known import Known
 from drapenet.evidence.combine import posterior
-from drapenet.evidence.source import Source, of_strips, of_values
+from drapenet.evidence.source import Source, of_values
 from drapenet.evidence.state import cloth_of_state, state_of
-from drapenet.measured.strips.record import StripsRecord
+from drapenet.measured.base import Record
 from drapenet.network.checkpoint import Header
 from drapenet.network.predict import Draws
 from drapenet.result.estimate import Estimate, make_estimate
-from sim.material import MICRO
 
 
 def combine(

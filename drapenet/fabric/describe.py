@@ -9,9 +9,7 @@ from common.files import printable
 from common.findings import Finding
 from data.captures.capture import DepthCapture
 from data.captures.description import Labels
-from drapenet.fabric.observe import Observed
-from drapenet.measured.strips.record import StripsRecord
-from drapenet.measured.tension.record import TensionRecord
+from drapenet.measured.base import Measured, Observed, Record
 from drapenet.network.checkpoint import Header
 from drapenet.result.advice import advice_of, joint_advice
 from drapenet.result.document import (
@@ -19,12 +17,11 @@ from drapenet.result.document import (
     CaptureRecord,
     EstimateDocument,
     NextMeasurement,
+    sections_of,
 )
 from drapenet.result.estimate import Estimate
 
 if TYPE_CHECKING:
-    from drapenet.measured.strips.folder import StripSet
-    from drapenet.measured.tension.folder import TensionSet
     from drapenet.report.drape import Resimulation
 
 
@@ -67,14 +64,15 @@ def describe_capture(
 
 
 def describe_record(
-    estimate: Estimate, measured: Measured, record: Record | None, header: Header
+    estimate: Estimate, measured: Measured, record: Record, findings: Sequence[Finding],
+    header: Header,
 ) -> EstimateDocument:
     """The document of the estimate from strips, or from values, alone."""
     return EstimateDocument.from_estimate(
-        estimate, checkpoint=header.identity, **EstimateDocument.sections([record]),
+        estimate, checkpoint=header.identity, **sections_of([record]),
         capture=CaptureAbout(sources=[], rig="", labels=measured.labels,
                              density_g_m2=round(1e3 * measured.density, 6)),
-        warnings=[*estimate.warnings, *measured.warnings, *estimate.contradictions])
+        warnings=[*estimate.warnings, *measured.warnings, *findings, *estimate.contradictions])
 
 
 def describe_jointly(
@@ -82,7 +80,7 @@ def describe_jointly(
 ) -> EstimateDocument:
     """The document of a fabric's estimate from its parts, with the moduli of each."""
     captures = [document for document in documents if document.capture.source]
-    records = [record for document in documents for record in document.strips or []]
+    records = [record for document in documents for record in document.records]
     density = documents[0].density
     warnings = [*estimate.warnings, *estimate.contradictions, *(
         Finding("part_has_warnings" if document.warnings[1:] else "part_has_warning", {
@@ -97,11 +95,9 @@ def describe_jointly(
     sections: dict[str, Any] = {"captures": [
         CaptureRecord(capture=document.capture, moduli=document.moduli, warnings=document.warnings)
         for document in captures]} if captures else {}
-    sections |= {"strips": records} if records else {}
-    if tension := next((document.tension for document in documents if document.tension), None):
-        sections["tension"] = tension
+    sections |= sections_of(records)
     advice = joint_advice(document.advice for document in captures)
-    if advice and not any(record.moduli for record in records):
+    if advice and not any(record.bends for record in records):
         sections["advice"] = advice
     rigs = dict.fromkeys(document.capture.rig for document in captures)
     return EstimateDocument.from_estimate(

@@ -33,8 +33,8 @@ from drapenet.fabric.part import (
 )
 from drapenet.fabric.sources import Source
 from drapenet.fabric.stages import require_sound
-from drapenet.measured import read_measured, read_values
 from drapenet.measured.base import Measured
+from drapenet.measured.read import values_alone
 from drapenet.network.checkpoint import Header
 from drapenet.result.copies import first_with
 from drapenet.result.document import EstimateDocument
@@ -139,7 +139,7 @@ def _read(
             require_sound(stored.faults, options.strict, source.label)
         return stored
     try:
-        return read_measured(source.place, source.stated, path=source.path)
+        return source.read()
     except InputError as error:
         if source.required:
             raise
@@ -189,15 +189,15 @@ def _copies(
 def _require_one_fabric(parts: Sequence[Part | Measured]) -> None:
     """InputError for sources that cannot be of one fabric."""
     require_one_density([part.density for part in parts])
-    weighted = [part.label for part in parts if part.unique]
+    weighted = [part.label for part in parts if part.alone]
     if len(weighted) > 1:
         raise InputError(f"{weighted[0]} and {weighted[1]} both have strips under weights; state "
                          "all strips of a fabric in one tension.yaml")
     if all(part.marked is not False for part in parts):
         return
-    if any(part.along_yarns for part in parts):
+    if any(part.needs_warp for part in parts):
         raise InputError(f"strips along the yarns {NEED_WARP}")
-    if any(known.along_yarns for part in parts for known in part.stated):
+    if any(part.known.along_yarns for part in parts if part.known):
         raise InputError(f"known values along the yarns {NEED_WARP}")
 
 
@@ -232,7 +232,7 @@ def _known(
     for refusal in parts:
         if not (isinstance(refusal, Refusal) and refusal.known):
             continue
-        values = read_values(refusal.source.path, refusal.known)
+        values = values_alone(refusal.source.path, refusal.known)
         try:
             _require_one_fabric([*kept, values])
         except InputError as error:

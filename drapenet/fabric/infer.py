@@ -14,7 +14,7 @@ from data.captures.reported import Reported
 from drapenet.evidence.combine import consistent, updated
 from drapenet.evidence.source import of_capture, of_refined
 from drapenet.evidence.state import cloth_of_state, fabric_prior, state_of
-from drapenet.fabric.observe import Observed
+from drapenet.measured.base import Observed
 from drapenet.network.checkpoint import Header
 from drapenet.network.load import network_of
 from drapenet.network.predict import Draws, predict

@@ -56,7 +56,7 @@ def estimate_fabrics(
         raise InputError(f"{out} has the estimates of other captures, such as {min(earlier)}, "
                          "whose tables would be replaced; choose another out=")
     header = read_header(checkpoint)
-    options = replace(options, picture=THUMBNAIL)
+    options = replace(options, thumbnail=THUMBNAIL)
     fabrics_found = len({entry.fabric for entry in entries})
     print(f"{len(entries)} capture{'s' * (len(entries) > 1)} of {fabrics_found} "
           f"fabric{'s' * (fabrics_found > 1)}; before the first one the network is loaded, up to a "

@@ -33,8 +33,9 @@ from drapenet.fabric.stages import (
     estimate_capture,
     require_sound,
 )
-from drapenet.measured import read_measured, stated_values
+from drapenet.evidence.state import fabric_prior
 from drapenet.measured.base import Measured
+from drapenet.measured.read import known_values
 from drapenet.network.checkpoint import Header, read_header
 from drapenet.result.document import EstimateDocument
 from drapenet.result.estimate import Estimate
@@ -42,6 +43,7 @@ from drapenet.result.files import (
     ESTIMATE,
     OBSERVATION,
     SAMPLES,
+    STRIPS,
     read_estimate,
     read_observation,
     remove_report,
@@ -51,7 +53,7 @@ from drapenet.views.observation import Observation
 
 PART = "part.json"
 VERSION = 1
-"""Of the files of a part: raised when they are made otherwise, so that older ones are made again."""
+"""Of the files of a part: raise it when the same source and settings give others."""
 Stage = Callable[[str, CaptureEstimate], None]
 
 
@@ -97,9 +99,9 @@ class Part:
         return self.observation.known if self.observation else None
 
     @property
-    def along_yarns(self) -> bool:
-        """Whether it tells warp and weft apart."""
-        return any(record.along_yarns for record in self.document.records)
+    def needs_warp(self) -> bool:
+        """Whether captures of the same fabric must know the direction of the warp."""
+        return any(record.needs_warp for record in self.document.records)
 
     @property
     def label(self) -> str:
@@ -107,14 +109,14 @@ class Part:
         return self.document.label
 
     @property
-    def unique(self) -> bool:
+    def alone(self) -> bool:
         """Whether a fabric may have no other source of its kind."""
         return self.document.tension is not None
 
     @property
-    def stated(self) -> list[Known]:
+    def known(self) -> Known | None:
         """What is stated of the fabric."""
-        return self.document.stated
+        return next(iter(self.document.stated), None)
 
     def named(self, fabric: str) -> "Part":
         """The part with the name by which a door calls its fabric now."""
@@ -138,7 +140,8 @@ class Refusal:
     @classmethod
     def of(cls, source: Source, error: InputError) -> "Refusal":
         """The refusal of a source, with what it states of the fabric."""
-        return cls(source, error, stated_values(source.place))
+        return cls(source, error, {} if isinstance(source.place, Capture) else
+                   known_values(source.place))
 
     @property
     def finding(self) -> Finding:
@@ -213,8 +216,7 @@ def make_part(
     """
     if folder:
         clear(folder)
-    if options.picture and folder and (shown := measured.shown(small=options.small)):
-        replace_file(folder / options.picture, shown)
+        _draw(measured, folder, options)
     observed = measured.observed()
     if observed:
         result = estimate_capture(observed, header, options, out=folder, progress=progress,
@@ -229,16 +231,24 @@ def make_part(
     return part
 
 
+def _draw(measured: Measured, folder: Path, options: EstimateOptions) -> None:
+    """Write the pictures of what was read that the ``options`` name."""
+    for name, draw in ((options.picture, measured.shown), (options.thumbnail, measured.thumbnail)):
+        if name and (picture := draw()):
+            replace_file(folder / name, picture)
+
+
 def _of_record(
     measured: Measured, source: Source, header: Header, options: EstimateOptions,
     folder: Path | None,
 ) -> Part:
-    """The estimate from strips or values, which is that of usual fabrics where they say nothing."""
+    """The estimate from strips or values: that of usual fabrics where they say nothing."""
     record = measured.record(fabric_prior(header))
     estimate = combine(prior_draws(header), evidence_of([record], [], measured.density),
                        measured.density, header, name="")
-    document = describe_record(estimate, measured, record, header)
-    faults = (*estimate.contradictions, *measured.warnings)
+    document = describe_record(estimate, measured, record, findings, header)
+    findings = measured.findings(None, header.setups)
+    faults = (*estimate.contradictions, *measured.warnings, *findings)
     require_sound(faults, options.strict, source.label)
     if folder:
         if options.drapes:
@@ -259,8 +269,7 @@ def make_in_folder(
     """Make a source's part, or its refusal, in a folder, in a process of its own; the sentence of
     the refusal, or ''."""
     try:
-        measured = read_measured(source.place, source.stated, path=source.path)
-        make_part(measured, source, read_header(weights), options, folder=folder, key=key)
+        make_part(source.read(), source, read_header(weights), options, folder=folder, key=key)
     except InputError as error:
         keep_refusal(Refusal.of(source, error), folder, key)
         return str(error)

@@ -8,8 +8,9 @@ from typing import Any
 from common.errors import InputError
 from common.files import printable
 from data.captures.capture import Capture
-from data.captures.reader import captures_in
-from drapenet.measured import kind_at
+from drapenet.measured.base import Measured
+from drapenet.measured.captures import measured_capture
+from drapenet.measured.read import read_measured, sources_in
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,6 +22,7 @@ class Source:
         part: folder of its results, from that of the fabric on.
         name: names it in sentences in place of its path, which a client of a service must not see.
         required: whether the fabric is refused with it; others are left out, with a warning.
+        kind: name of its kind of measurement; '': by what is in the folder.
         stated: what a door states beside the files: of a scan the specimen, or ``known``.
     """
 
@@ -28,6 +30,7 @@ class Source:
     part: str = "."
     name: str = ""
     required: bool = True
+    kind: str = ""
     stated: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -40,6 +43,14 @@ class Source:
     def label(self) -> str:
         """Names it in sentences."""
         return printable(self.path)
+
+    def read(self) -> Measured:
+        """What it says; InputError for the first fault."""
+        if isinstance(self.place, Capture):
+            found = measured_capture(self.place, self.stated)
+        else:
+            found = read_measured(self.place, self.stated, self.kind)
+        return found.changed(path=self.path) if self.name else found
 
 
 def sources_of(
@@ -54,15 +65,20 @@ def sources_of(
     """
     found: list[Source] = []
     for place in places:
-        if scan is not None or isinstance(place, Capture):
-            found.append(Source(place=place, stated=scan or {}))
-            continue
-        folders = captures_in(place)
-        found += [Source(place=folder, required=len(folders) == 1) for folder in folders]
-    found += [Source(place=Path(place)) for place in (strips, tension) if str(place)]
+        if isinstance(place, Capture):
+            found.append(Source(place=place))
+        elif scan is not None:
+            found.append(Source(place=place, kind="scan", stated=scan))
+        else:
+            folders = sources_in(place, "capture")
+            found += [Source(place=folder, kind="capture", required=len(folders) == 1)
+                      for folder in folders]
+    found += [Source(place=Path(place), kind=kind)
+              for kind, place in (("strips", strips), ("tension", tension)) if str(place)]
     if not found:
         raise InputError("nothing is known of the fabric; give captures or strips")
     if known is not None:
         found[0] = replace(found[0], stated={**found[0].stated, "known": known})
     return found if len(found) == 1 else [
-        replace(source, part=f"{kind_at(source.place)}_{k}") for k, source in enumerate(found)]
+        replace(source, part=f"{source.kind.replace('scan', '') or 'capture'}_{k}")
+        for k, source in enumerate(found)]

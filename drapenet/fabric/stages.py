@@ -11,18 +11,19 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from common.errors import MAX_LIST_LENGTH, InputError, one_line
+from common.errors import MAX_LIST_LENGTH, InputError, of, one_line
 from common.files import replace_file
 from common.findings import Finding, texts
 from common.types import Metres
-from data.captures.capture import Capture, OutlineCapture, ReportedCapture
+from data.captures.capture import Capture, OutlineCapture
 from drapenet.config import EstimateOptions
 from drapenet.evidence.source import of_values
 from drapenet.fabric.combine import combine
 from drapenet.fabric.describe import describe_capture
 from drapenet.fabric.infer import evidence_of, infer
 from drapenet.fabric.next_measurements import next_measurements
-from drapenet.fabric.observe import Observed, observe
+from drapenet.measured.base import Measured, Observed
+from drapenet.measured.captures import measured_capture
 from drapenet.network.checkpoint import Header
 from drapenet.network.predict import Draws
 from drapenet.result.document import EstimateDocument, NextMeasurement
@@ -94,7 +95,7 @@ class CaptureEstimate:
 
 
 def estimate_capture(
-    capture: Capture, header: Header, options: EstimateOptions, *, out: Path | None = None,
+    measured: Measured, header: Header, options: EstimateOptions, *, out: Path | None = None,
     progress: Progress | None = None,
     on_stage: Callable[[str, CaptureEstimate], None] = lambda name, result: None,
 ) -> CaptureEstimate:
@@ -104,7 +105,7 @@ def estimate_capture(
         out: folder of the files, if any; the network's estimate is written before any simulation.
         on_stage: called when the stages "refining" and "simulating" begin.
     """
-    result = by_network(capture, header, strict=options.strict)
+    result = observe(measured, header, strict=options.strict)
     if out:
         remove_report(out)
         write_estimate(out, result.estimate, result.document)
@@ -117,7 +118,7 @@ def estimate_capture(
         on_stage("simulating", result)
         result = _attempt(simulate, result, ("drape_failed", "drape_fault"), out,
                           drapes=options.drapes, edge=options.edge)
-    if options.drapes and out and not isinstance(capture, ReportedCapture):
+    if options.drapes and out and measured.pictured:
         result = _attempt(report, result, ("report_failed", "report_fault"), out, folder=out,
                           address=options.address)
     if out:
@@ -145,15 +146,20 @@ def _attempt(
 
 
 def by_network(capture: Capture, header: Header, *, strict: bool = False) -> CaptureEstimate:
-    """Observe a capture and infer its estimate by the network of ``header``, with the warnings of
-    its views and of a drape that is unlike its estimate; InputError if the views show no drape, or,
-    if ``strict``, for a warning."""
-    observed = observe(capture)
+    """:func:`observe` a capture."""
+    return observe(measured_capture(capture), header, strict=strict)
+
+
+def observe(measured: Measured, header: Header, *, strict: bool = False) -> CaptureEstimate:
+    """Observe a source and infer its estimate by the network of ``header``, with the warnings of
+    what is seen and of a drape that is unlike its estimate; InputError if it shows no drape, or, if
+    ``strict``, for a warning."""
+    observed = measured.observed()
+    assert observed, "only of what the network reads"
+    capture = observed.capture
     result = CaptureEstimate(observed, header, infer(observed, header))
-    try:
-        faults = observed.warnings(header.setups)
-    except InputError as error:
-        raise InputError(f"{capture.path}: {error}") from None
+    with of(capture.path):
+        faults = measured.findings(observed, header.setups)
     result = result.with_warnings(*faults, *result.draws.unlike(capture.rig.specimen_size,
                                                                 capture.causes))
     found = (*result.warnings, *capture.warnings, *result.estimate.contradictions)
