@@ -24,7 +24,8 @@ from common.errors import InputError
 from common.files import folder_named, locked
 from data.captures.description import Specimen
 from drapenet.config import EstimateOptions, InferConfig
-from drapenet.estimator.read import Refused, Source, read_scans, read_sources
+from drapenet.estimator.read import Refused, read_scans, read_sources
+from drapenet.measured.base import Measured
 from drapenet.network.checkpoint import read_header
 from drapenet.result.document import EstimateDocument
 from drapenet.result.files import (
@@ -76,7 +77,7 @@ def main(config: InferConfig) -> None:
         preview_estimates(files, config.workers)
 
 
-def sources_of(config: InferConfig) -> tuple[list[Source], Refused | None]:
+def sources_of(config: InferConfig) -> tuple[list[Measured], Refused | None]:
     """Read the captures, scans and strips that are named in ``config``; and what is refused of a
     folder of captures, see :func:`drapenet.estimator.read.read_sources`."""
     named = config.scan or config.capture

@@ -101,7 +101,9 @@ def estimate(
     from data.captures.arrays import checked_capture
     from data.captures.capture import Capture
     from drapenet.estimator.estimate import estimate_fabric
-    from drapenet.estimator.read import read_sources, with_known
+    from drapenet.estimator.read import read_sources
+    from drapenet.measured.captures import measured_capture
+    from drapenet.measured.read import with_known
     from drapenet.network.checkpoint import read_header
 
     require(strips=(strips, str | Path), tension=(tension, str | Path),
@@ -114,7 +116,7 @@ def estimate(
         raise InputError(f"a capture is a folder or a Capture, not {', '.join(sorted(kinds))}; "
                          "several captures are several arguments")
     read = [read_sources([Path(given)]) if isinstance(given, str | Path) else
-            ([checked_capture(given)], None) for given in captures]
+            ([measured_capture(checked_capture(given))], None) for given in captures]
     sources = [source for found, _ in [*read, read_sources([], strips, tension)]
                for source in found]
     several = [refused for _, refused in read if refused is not None]

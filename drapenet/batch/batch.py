@@ -18,11 +18,9 @@ from common.cases import run_cases
 from common.errors import InputError
 from common.files import remove_file, replace_file, require_folder
 from common.findings import Finding
-from data.captures.capture import Capture
-from data.captures.preview import show
 from drapenet.batch.captures import Entry, entries_of
 from drapenet.config import EstimateOptions
-from drapenet.estimator.read import read_source
+from drapenet.measured.read import read_measured
 from drapenet.network.checkpoint import Header, read_header
 from drapenet.report.overview import (
     FAILURE,
@@ -106,13 +104,13 @@ def estimate_entry(
     for name in (ESTIMATE, SAMPLES, OBSERVATION, THUMBNAIL):
         remove_file(out / name)
     remove_report(out)
-    source = read_source(capture)
+    source = read_measured(capture)
     header = read_header(weights)
     from drapenet.estimator.estimate import estimate_source  # torch, which faulty captures need not
 
     estimate_source(source, header, options, out=out)
-    if isinstance(source, Capture):
-        replace_file(out / THUMBNAIL, show(source, small=True))
+    if picture := source.thumbnail():
+        replace_file(out / THUMBNAIL, picture)
 
 
 def join_fabrics(

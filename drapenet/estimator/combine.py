@@ -4,20 +4,16 @@ first, then strips and known values."""
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from common.findings import Finding
-from common.normal import Linear
 from common.types import Density
 from data.readings.known import Known
 from drapenet.evidence.combine import posterior
-from drapenet.evidence.source import Source, of_strips, of_values
+from drapenet.evidence.source import Source, of_values
 from drapenet.evidence.state import cloth_of_state, state_of
-from drapenet.measured.strips.record import StripsRecord
+from drapenet.measured.base import Record
 from drapenet.network.checkpoint import Header
 from drapenet.network.predict import Draws
 from drapenet.result.estimate import Estimate, make_estimate
-from sim.material import MICRO
 
 
 def combine(
@@ -40,15 +36,12 @@ def combine(
 
 
 def evidence_of(
-    strips: Sequence[StripsRecord], stated: Sequence[Known | None], density: Density
+    records: Sequence[Record], stated: Sequence[Known | None], density: Density
 ) -> list[Source]:
-    """What strips and stated values say of a fabric of a density."""
-    sources = [of_strips(direction, Linear(np.array(moduli.evidence.rows),
-                                           np.array(moduli.evidence.values)),
-                         MICRO * moduli.alpha_uN_m.median, 1e-3 * record.density_g_m2)
-               for record in strips for direction, moduli in record.moduli.items()]
+    """What records and stated values say of a fabric of a density."""
+    sources = [source for record in records for source in record.sources()]
     # Every capture of a folder repeats what is known of the fabric.
-    different = {str(known): known for known in (*stated, *(record.known for record in strips))
+    different = {str(known): known for known in (*stated, *(record.known for record in records))
                  if known}
     values = {source.label: source for known in different.values()
               for source in of_values(known, density)}

@@ -9,9 +9,7 @@ from common.files import printable
 from common.findings import Finding
 from data.captures.capture import DepthCapture
 from data.captures.description import Labels
-from drapenet.estimator.observe import Observed
-from drapenet.measured.strips.record import StripsRecord
-from drapenet.measured.tension.record import TensionRecord
+from drapenet.measured.base import Measured, Observed, Record
 from drapenet.network.checkpoint import Header
 from drapenet.result.advice import advice_of, joint_advice
 from drapenet.result.document import (
@@ -19,12 +17,11 @@ from drapenet.result.document import (
     CaptureRecord,
     EstimateDocument,
     NextMeasurement,
+    sections_of,
 )
 from drapenet.result.estimate import Estimate
 
 if TYPE_CHECKING:
-    from drapenet.measured.strips.folder import StripSet
-    from drapenet.measured.tension.folder import TensionSet
     from drapenet.report.drape import Resimulation
 
 
@@ -66,26 +63,16 @@ def describe_capture(
                                           warnings=found, **optional)
 
 
-def describe_strips(
-    estimate: Estimate, strips: "StripSet", record: StripsRecord, header: Header
+def describe_record(
+    estimate: Estimate, source: Measured, record: Record, found: Sequence[Finding], header: Header
 ) -> EstimateDocument:
-    """The document of the estimate from strips, or from known values, alone."""
+    """The document of the estimate from a ``source`` without captures alone, with what was
+    ``found`` of it."""
     return EstimateDocument.from_estimate(
-        estimate, checkpoint=header.identity, strips=[record],
-        capture=CaptureAbout(sources=[], rig="", labels=strips.labels,
-                             density_g_m2=round(strips.density * 1e3, 6)),
-        warnings=[*estimate.warnings, *strips.warnings, *estimate.contradictions])
-
-
-def describe_tension(
-    estimate: Estimate, tension: "TensionSet", record: TensionRecord, header: Header
-) -> EstimateDocument:
-    """The document of the estimate of a fabric of which strips under weights alone are known."""
-    return EstimateDocument.from_estimate(
-        estimate, checkpoint=header.identity, tension=record,
-        capture=CaptureAbout(sources=[], rig="", labels=tension.labels,
-                             density_g_m2=record.density_g_m2),
-        warnings=[*estimate.warnings, *record.findings, *estimate.contradictions])
+        estimate, checkpoint=header.identity, **sections_of([record]),
+        capture=CaptureAbout(sources=[], rig="", labels=source.labels,
+                             density_g_m2=round(source.density * 1e3, 6)),
+        warnings=[*estimate.warnings, *found, *estimate.contradictions])
 
 
 def describe_jointly(
@@ -93,7 +80,7 @@ def describe_jointly(
 ) -> EstimateDocument:
     """The document of a fabric's estimate from its parts, with the moduli of each."""
     captures = [document for document in documents if document.capture.source]
-    records = [record for document in documents for record in document.strips or []]
+    records = [record for document in documents for record in document.records]
     density = documents[0].density
     warnings = [*estimate.warnings, *estimate.contradictions, *(
         Finding("part_has_warnings" if document.warnings[1:] else "part_has_warning", {
@@ -108,11 +95,9 @@ def describe_jointly(
     sections: dict[str, Any] = {"captures": [
         CaptureRecord(capture=document.capture, moduli=document.moduli, warnings=document.warnings)
         for document in captures]} if captures else {}
-    sections |= {"strips": records} if records else {}
-    if tension := next((document.tension for document in documents if document.tension), None):
-        sections["tension"] = tension
+    sections |= sections_of(records)
     advice = joint_advice(document.advice for document in captures)
-    if advice and not any(record.moduli for record in records):
+    if advice and not any(record.bends for record in records):
         sections["advice"] = advice
     rigs = dict.fromkeys(document.capture.rig for document in captures)
     return EstimateDocument.from_estimate(

@@ -8,7 +8,6 @@ Each source, a capture or a folder of strips, is a :class:`Part` with files of i
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,16 +15,13 @@ from common.errors import InputError
 from common.files import printable, replace_file
 from common.findings import Finding
 from common.normal import Normal
-from data.captures.capture import Capture
 from drapenet.config import EstimateOptions
 from drapenet.estimator.combine import combine, evidence_of
-from drapenet.estimator.describe import describe_jointly, describe_strips, describe_tension
+from drapenet.estimator.describe import describe_jointly, describe_record
 from drapenet.estimator.infer import CaptureEvidence, infer_jointly, prior_draws
 from drapenet.estimator.next_measurements import next_measurements
 from drapenet.estimator.read import (
     Refused,
-    Source,
-    known_of,
     require_directions,
     require_one_fabric,
 )
@@ -35,9 +31,10 @@ from drapenet.estimator.stages import (
     estimate_capture,
     require_sound,
 )
-from drapenet.evidence.state import fabric_prior, prior_along
-from drapenet.measured.strips.record import StripsRecord
-from drapenet.measured.tension.record import TensionRecord
+from drapenet.evidence.state import fabric_prior
+from drapenet.measured.base import Measured
+from drapenet.measured.captures import Captured
+from drapenet.measured.read import known_of
 from drapenet.network.checkpoint import Header
 from drapenet.result.document import EstimateDocument
 from drapenet.result.estimate import Estimate
@@ -56,10 +53,6 @@ from drapenet.result.files import (
     write_estimate,
 )
 from drapenet.views.observation import Observation
-
-if TYPE_CHECKING:
-    from drapenet.measured.strips.folder import StripSet
-    from drapenet.measured.tension.folder import TensionSet
 
 Stage = Callable[[str, CaptureEstimate], None]
 
@@ -86,7 +79,7 @@ class Part:
 def read_part(folder: Path) -> Part:
     """The part whose files :func:`estimate_source` has written to a folder."""
     document = read_document(folder / ESTIMATE)
-    return Part(document, None if document.strips or document.tension else
+    return Part(document, None if document.records else
                 read_observation(folder))
 
 
@@ -107,7 +100,7 @@ def _seen(parts: Iterable[Part]) -> tuple[Observation, ...]:
 
 
 def estimate_fabric(
-    sources: Sequence[Source], header: Header, options: EstimateOptions, *,
+    sources: Sequence[Measured], header: Header, options: EstimateOptions, *,
     out: Path | None = None, refused: Refused | None = None,
     on_estimate: Callable[[EstimateDocument, Path | None], None] = lambda document, folder: None,
 ) -> Estimate:
@@ -124,19 +117,16 @@ def estimate_fabric(
         raise InputError("nothing is known of the fabric; give captures or strips")
     if refused and options.strict:
         raise next(iter(refused.values()))
-    captures = [source for source in sources if isinstance(source, Capture)]
     require_one_fabric([source.density for source in sources],
-                       [(str(capture.path), capture.digests) for capture in captures])
-    require_directions(all(capture.warp_direction is not None for capture in captures),
-                       any(source.along_yarns for source in sources
-                           if not isinstance(source, Capture)),
+                       [(str(source.path), source.digests) for source in sources])
+    require_directions(all(source.marked is not False for source in sources),
+                       any(source.needs_warp for source in sources),
                        [source.known for source in sources])
     if len(sources) == 1 and not refused:
         estimate, part = estimate_source(sources[0], header, options, out=out)
         on_estimate(part.document, out)
         return replace(estimate, warnings=tuple(part.document.warnings), captures=_seen([part]))
-    folders = [out / f"{'capture' if isinstance(source, Capture) else source.kind}_{k}" if out
-               else None for k, source in enumerate(sources)]
+    folders = [out / f"{source.name}_{k}" if out else None for k, source in enumerate(sources)]
     for folder in filter(None, folders):
         require_output(folder)
     parts, places, refused = [], [], None if refused is None else {**refused}
@@ -144,7 +134,7 @@ def estimate_fabric(
         try:
             _, part = estimate_source(source, header, options, out=folder)
         except InputError as error:
-            if refused is None or options.strict or not isinstance(source, Capture):
+            if refused is None or options.strict or source.marked is None:
                 raise
             refused[source.path] = error
             continue
@@ -166,7 +156,7 @@ def estimate_fabric(
 
 
 def estimate_source(
-    source: Source, header: Header, options: EstimateOptions, *, out: Path | None = None,
+    source: Measured, header: Header, options: EstimateOptions, *, out: Path | None = None,
     progress: Progress | None = None, on_stage: Stage = lambda name, result: None,
 ) -> tuple[Estimate, Part]:
     """The estimate of one source by itself, with its files in ``out``, if any.
@@ -174,12 +164,16 @@ def estimate_source(
     Args:
         progress, on_stage: see :func:`drapenet.estimator.stages.estimate_capture`.
     """
-    if isinstance(source, Capture):
-        result = estimate_capture(source, header, options, out=out, progress=progress,
+    if isinstance(source, Captured):
+        result = estimate_capture(source.capture, header, options, out=out, progress=progress,
                                   on_stage=on_stage)
         return result.estimate, Part(result.document, result.observed.seen)
-    estimate, document, found = (_of_tension(source, header) if source.kind == "tension" else
-                                 _of_strips(source, header))
+    record = source.record(fabric_prior(header))
+    assert record, "of what the network does not read"
+    found = [*source.warnings, *source.findings(None, header.setups)]
+    estimate = combine(prior_draws(header), evidence_of([record], [], source.density),
+                       source.density, header, name="")
+    document = describe_record(estimate, source, record, found, header)
     require_sound([*estimate.contradictions, *found], options.strict, str(source.path))
     if out:
         remove_report(out)
@@ -187,33 +181,10 @@ def estimate_source(
             document = document.followed_by(next_measurements(estimate, [], header))
         write_estimate(out, estimate, document)
         if options.drapes:
-            from drapenet.report.strips import draw_strips
-
-            if picture := draw_strips(source):
+            if picture := source.shown():
                 replace_file(out / STRIPS, picture)
             _report(document, [], [out], out, options.address)
     return estimate, Part(document)
-
-
-def _of_strips(
-    source: "StripSet", header: Header
-) -> tuple[Estimate, EstimateDocument, Sequence[Finding]]:
-    """The estimate from hanging strips alone, and their warnings."""
-    record = StripsRecord.of_evidence(
-        source, source.evidence(prior_along(fabric_prior(header), source.density)))
-    estimate = combine(prior_draws(header), evidence_of([record], [], source.density),
-                       source.density, header, name="")
-    return estimate, describe_strips(estimate, source, record, header), source.warnings
-
-
-def _of_tension(
-    source: "TensionSet", header: Header
-) -> tuple[Estimate, EstimateDocument, Sequence[Finding]]:
-    """The same from strips under weights; moduli are those of usual fabrics and known values."""
-    record = TensionRecord.of_strips(source)
-    estimate = combine(prior_draws(header), evidence_of([], [record.known], source.density),
-                       source.density, header, name="")
-    return estimate, describe_tension(estimate, source, record, header), record.findings
 
 
 def known_parts(
@@ -247,7 +218,7 @@ def join(
     """
     documents = [part.document for part in parts]
     captures = [evidence for part in parts if (evidence := part.evidence)]
-    records = [record for document in documents for record in document.strips or []]
+    records = [record for document in documents for record in document.records]
     require_one_fabric([document.density for document in documents],
                        [(document.label, document.capture.digests)
                         for document in documents if document.capture.source])
@@ -255,10 +226,9 @@ def join(
     if len(tensions) > 1:
         raise InputError(f"{tensions[0].source} and {tensions[1].source} both have strips under "
                          "weights; state all strips of a fabric in one tension.yaml")
-    stated = [*(capture.stated for capture in captures), *(each.known for each in tensions)]
+    stated = [capture.stated for capture in captures]
     require_directions(all(capture.seen.known for capture in captures),
-                       any(record.moduli for record in records)
-                       or any(each.along_yarns for each in tensions),
+                       any(record.needs_warp for record in records),
                        [*stated, *(record.known for record in records)])
     density, names = documents[0].density, ("", "the capture", "the captures")
     draws, contradictions = infer_jointly(captures, header)

@@ -10,11 +10,11 @@ from common.errors import InputError
 from common.findings import Finding
 from common.normal import Normal
 from data.captures.reported import Reported
-from drapenet.estimator.observe import Observed
 from drapenet.estimator.read import require_directions
 from drapenet.evidence.combine import consistent, updated
 from drapenet.evidence.source import of_capture, of_refined
 from drapenet.evidence.state import cloth_of_state, fabric_prior, state_of
+from drapenet.measured.base import Observed
 from drapenet.network.checkpoint import Header
 from drapenet.network.load import network_of
 from drapenet.network.predict import Draws, predict

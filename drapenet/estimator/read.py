@@ -1,128 +1,58 @@
 """Read: captures, scans and strips of a fabric, with what is stated of it."""
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
-from common.documents import read_yaml
 from common.errors import InputError
 from common.types import Density
-from data.captures.capture import Capture
-from data.captures.description import NEED_WARP, Description, Specimen
-from data.captures.reader import DESCRIPTION, captures_in, read_capture
+from data.captures.description import NEED_WARP, Specimen
 from data.readings.known import Known
-from drapenet.measured.strips.description import FILE as STRIPS
-from drapenet.measured.strips.description import StripsDescription
-from drapenet.measured.tension.description import FILE as TENSION
+from drapenet.measured.base import Measured
+from drapenet.measured.read import read_measured, sources_in
 from drapenet.result.copies import first_with
 
-if TYPE_CHECKING:
-    from drapenet.measured.strips.folder import StripSet
-    from drapenet.measured.tension.folder import TensionSet
-
-    Source = Capture | StripSet | TensionSet
-else:  # the simulator of strips is loaded where there are some
-    Source = Any
-"""What an estimate is made from."""
 MAX_DENSITY_DIFFERENCE = 0.1  # between specimens of one fabric, relative to the smallest
-
-
-def read_source(folder: Path) -> Source:
-    """The strips of a folder with ``strips.yaml`` or ``tension.yaml``, else its capture."""
-    if (folder / TENSION).exists():
-        return _tension(folder)[0]
-    return _strips(folder)[0] if (folder / STRIPS).exists() else read_capture(folder)
-
-
-def _strips(folder: str | Path) -> "list[StripSet]":
-    """The strips of a folder; none of ''."""
-    if not folder:
-        return []
-    from drapenet.measured.strips.folder import (
-        read_strips,  # the simulator of strips, which captures need not
-    )
-
-    return [read_strips(folder)]
-
-
-def _tension(folder: str | Path) -> "list[TensionSet]":
-    """The strips under weights of a folder; none of ''."""
-    if not folder:
-        return []
-    from drapenet.measured.tension.folder import read_tension  # a fit, which others need not
-
-    return [read_tension(folder)]
-
-
 Refused = dict[Path, InputError]
 """Captures that are refused, and why."""
 
 
 def read_sources(
     places: Iterable[Path], strips: str | Path = "", tension: str | Path = ""
-) -> tuple[list[Source], Refused | None]:
-    """The captures in the ``places``, the hanging strips and those under weights of folders; and
+) -> tuple[list[Measured], Refused | None]:
+    """The sources in the ``places``, the hanging strips and those under weights of folders; and
     those captures of a folder of several that are refused, if not all are; None: each place is a
-    capture, which must be read."""
-    of_strips: list[Source] = [*_strips(strips), *_tension(tension)]
-    captures: list[Source] = []
+    source, which must be read."""
+    named = _named(strips, tension)
+    sources: list[Measured] = []
     refused: Refused | None = None
     for place in places:
-        folders = captures_in(place)
+        folders = sources_in(place, "capture")
         if len(folders) > 1:
             refused = refused or {}
         for path in folders:
             try:
-                captures.append(read_capture(path))
+                sources.append(read_measured(path))
             except InputError as error:
                 if refused is None or len(folders) == 1:
                     raise
                 refused[path] = error
-    if refused and not captures:
+    if refused and not sources:
         raise next(iter(refused.values()))
-    return [*captures, *of_strips], refused
+    return [*sources, *named], refused
 
 
 def read_scans(
     files: Iterable[Path], specimen: Specimen, strips: str | Path = "", tension: str | Path = ""
-) -> list[Source]:
+) -> list[Measured]:
     """The captures made of scans of a ``specimen``, and the strips as :func:`read_sources`."""
-    of_strips: list[Source] = [*_strips(strips), *_tension(tension)]  # first: scans need seconds
-    from drapenet.surface.registration import read_scan_capture
-
-    return [*(read_scan_capture(file, specimen) for file in files), *of_strips]
+    named, stated = _named(strips, tension), specimen.model_dump()  # first: scans need seconds
+    return [*(read_measured(file, stated, "scan") for file in files), *named]
 
 
-def known_of(folder: Path) -> Source | None:
-    """What the description of a capture that is refused states of its fabric, as strips.yaml
-    without strips would; None if there is nothing that can be read."""
-    file = folder / DESCRIPTION
-    try:
-        description = Description.of(read_yaml(file), file)
-    except InputError:
-        return None
-    if not (description.known and description.known.values()):
-        return None
-    from drapenet.measured.strips.folder import StripSet  # see above
-
-    known = Known(**description.known.model_dump(include={*Known.model_fields}))
-    return StripSet(folder, description.density, known=known, labels=description.labels)
-
-
-def with_known(sources: Sequence[Source], known: Mapping[str, Any] | None) -> list[Source]:
-    """The ``sources`` of a fabric, of which the first also states what is ``known`` of it, as its
-    file would: only one, for a drape coefficient is evidence of each capture that states it."""
-    if known is None:
-        return list(sources)
-    if stated := next((source for source in sources if source.known), None):
-        raise InputError(f"known is in {stated.path} and an argument; give the values in one of "
-                         "them")
-    first, *others = sources
-    model = Description if isinstance(first, Capture) else StripsDescription
-    described = model.of({"density_g_m2": round(1e3 * first.density, 6), "known": known}, "")
-    checked: Any = described.known  # of the kind that the source states
-    return [replace(first, known=checked), *others]
+def _named(strips: str | Path, tension: str | Path) -> list[Measured]:
+    """The strips of folders that are named with their kind; none of ''."""
+    return [read_measured(Path(folder), kind=kind)
+            for kind, folder in (("strips", strips), ("tension", tension)) if folder]
 
 
 def require_one_fabric(

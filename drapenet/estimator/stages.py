@@ -21,8 +21,9 @@ from drapenet.estimator.combine import combine
 from drapenet.estimator.describe import describe_capture
 from drapenet.estimator.infer import evidence_of, infer
 from drapenet.estimator.next_measurements import next_measurements
-from drapenet.estimator.observe import Observed, observe
 from drapenet.evidence.source import of_values
+from drapenet.measured.base import Observed
+from drapenet.measured.captures import measured_capture
 from drapenet.network.checkpoint import Header
 from drapenet.network.predict import Draws
 from drapenet.result.document import EstimateDocument, NextMeasurement
@@ -146,10 +147,11 @@ def by_network(capture: Capture, header: Header, *, strict: bool = False) -> Cap
     """Observe a capture and infer its estimate by the network of ``header``, with the warnings of
     its views and of a drape that is unlike its estimate; InputError if the views show no drape, or,
     if ``strict``, for a warning."""
-    observed = observe(capture)
+    source = measured_capture(capture)
+    observed = source.observed()
     result = CaptureEstimate(observed, header, infer(observed, header))
     try:
-        faults = observed.warnings(header.setups)
+        faults = source.findings(observed, header.setups)
     except InputError as error:
         raise InputError(f"{capture.path}: {error}") from None
     result = result.with_warnings(*faults, *result.draws.unlike(capture.rig.specimen_size,

@@ -121,31 +121,20 @@ def _estimate(
 def _read(folder: Path, row: dict[str, Any]) -> Any:
     """The capture, scan or strips of an upload, named as they are shown: results must not reveal
     paths of the server."""
-    from data.captures.capture import Capture, ReportedCapture
-    from data.captures.description import Description
-    from data.captures.preview import show
-    from drapenet.estimator.read import read_source
-    from drapenet.report.strips import draw_strips
-    from drapenet.surface.registration import read_scan_capture
+    from drapenet.measured.read import read_measured
 
     task, uploaded = row["task"], folder / UPLOADED
     shown = _place(row["fabric_name"], row["name"])
-    if scan := task["scan"]:
-        stated = Description.of(task["specimen"], "")
-        source = replace(read_scan_capture(uploaded / scan, stated), known=stated.known,
-                         labels=stated.labels)
-    else:
-        source = read_source(uploaded)
-    if isinstance(source, Capture):
-        replace_file(folder / PREVIEW, show(source))
-        if not isinstance(source, ReportedCapture):
-            others = database_in(folder.parent).same_pictures(source.digests, row["fabric"])
-            source = replace(source, warnings=(*source.warnings, *(
-                Finding("twin_elsewhere", {"capture": str(shown), "other": str(_place(*other))})
-                for other in others[:1])))
-    elif picture := draw_strips(source):
+    source = (read_measured(uploaded / task["scan"], task["specimen"], "scan") if task["scan"] else
+              read_measured(uploaded))
+    if picture := source.shown():
         replace_file(folder / PREVIEW, picture)
-    return replace(source, path=shown, labels=_named(source.labels, row["fabric_name"]))
+    others = source.pictured and database_in(folder.parent).same_pictures(
+        source.digests, row["fabric"])
+    twins = [Finding("twin_elsewhere", {"capture": str(shown), "other": str(_place(*other))})
+             for other in (others or [])[:1]]
+    return source.changed(path=shown, labels=_named(source.labels, row["fabric_name"]),
+                          warnings=(*source.warnings, *twins))
 
 
 def _place(fabric: str, capture: str) -> Path:
