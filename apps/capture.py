@@ -40,7 +40,7 @@ from data.captures.reader import CAPTURE_FILES, read_capture
 from data.captures.writer import write_capture, write_outline
 from data.pictures.mat import BAR, CLEAR, MATS, mat_pages
 from drapenet.fabric.entries import entries_of
-from drapenet.fabric.observe import observe
+from drapenet.measured.captures import measured_capture
 from drapenet.measured.strips.description import FILE as STRIPS
 from drapenet.measured.strips.folder import read_strips
 from drapenet.measured.strips.preview import strips_figure, write_curves
@@ -102,7 +102,7 @@ def check(source: Path, out: Path) -> tuple[list[str], list[str]]:
     if (source / STRIPS).exists():
         strips = read_strips(source)
         write_curves(strips, out)
-        replace_file(out / PICTURE, png(strips_figure(strips)))
+        replace_file(out / PICTURE, png(strips_figure(strips.photographs)))
         return [f"note: {line}" for line in texts(strips.warnings)], []
     checks = check_capture(read_capture(source), out)
     return ([f"{one.name}: {one.value}" for one in checks if not one.warning],
@@ -156,7 +156,7 @@ def check_capture(capture: Capture, out: Path) -> list[Check]:
         write_outline(capture, out)
         replace_file(out / PICTURE, show(capture, checks))
     elif isinstance(capture, DepthCapture):
-        views, observed = capture.views, observe(capture)
+        views, observed = capture.views, measured_capture(capture).observed()
         quality = measure(observed.views, observed.seen.map)
         checks += view_checks(observed.views, quality, read_header("").setups)
         write_capture(
@@ -175,7 +175,8 @@ def check_capture(capture: Capture, out: Path) -> list[Check]:
 
 def outline_checks(capture: OutlineCapture) -> list[Check]:
     """What is measured of an outline from above; reading it has refused what is impossible."""
-    seen = observe(capture).seen.outline  # refuses a square whose warp is not marked
+    # Refuses a square whose warp is not marked.
+    seen = measured_capture(capture).observed().seen.outline
     outline, rig = capture.outline, capture.rig
     known = f"; {100 * outline.drape_coefficient:.1f} % as the camera sees it"
     return [

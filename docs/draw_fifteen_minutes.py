@@ -90,7 +90,7 @@ def pulled() -> Figure:
         (Path(name) / "tension.yaml").write_text(yaml.safe_dump(
             STRIPS | {"tension": [entry, *STRIPS["tension"][1:]]}), encoding="utf-8")
         tension = read_tension(name)
-        return tension_figure(tension, tension.evidence)
+        return tension_figure(tension.strips, tension.photographs, tension.evidence)
 
 
 if __name__ == "__main__":

@@ -64,15 +64,15 @@ def describe_capture(
 
 
 def describe_record(
-    estimate: Estimate, measured: Measured, record: Record, findings: Sequence[Finding],
-    header: Header,
+    estimate: Estimate, source: Measured, record: Record, found: Sequence[Finding], header: Header
 ) -> EstimateDocument:
-    """The document of the estimate from strips, or from values, alone."""
+    """The document of the estimate from a ``source`` without captures alone, with what was
+    ``found`` of it."""
     return EstimateDocument.from_estimate(
         estimate, checkpoint=header.identity, **sections_of([record]),
-        capture=CaptureAbout(sources=[], rig="", labels=measured.labels,
-                             density_g_m2=round(1e3 * measured.density, 6)),
-        warnings=[*estimate.warnings, *measured.warnings, *findings, *estimate.contradictions])
+        capture=CaptureAbout(sources=[], rig="", labels=source.labels,
+                             density_g_m2=round(1e3 * source.density, 6)),
+        warnings=[*estimate.warnings, *found, *estimate.contradictions])
 
 
 def describe_jointly(

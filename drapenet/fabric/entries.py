@@ -10,9 +10,7 @@ from pathlib import Path
 from common.errors import InputError, one_line, shown
 from common.files import composed, path_named
 from common.tables import read_table
-from data.captures.reader import CAPTURE_FILES
-from drapenet.measured.strips.description import FILE as STRIPS
-from drapenet.measured.tension.description import FILE as TENSION
+from drapenet.measured.read import is_measured
 
 COLUMNS = ("fabric", "sample", "capture")
 """Columns of a list; ``sample`` is optional, ``capture`` a folder relative to that of the list."""
@@ -38,11 +36,11 @@ class Entry:
 def entries_of(source: Path) -> list[Entry]:
     """The captures of a tree FABRIC/SAMPLE/CAPTURE or of a CSV list, in a fixed order.
 
-    In a tree, every folder that contains a file and no folders is a capture, or, with
-    ``strips.yaml`` or ``tension.yaml``, strips of the fabric; faults are reported when it is read.
+    In a tree, every folder that contains a file and no folders, or the description of a kind of
+    measurement, is a source; faults are reported when it is read.
     FABRIC/CAPTURE and CAPTURE alone are trees, too.
     """
-    if any((source / mark).exists() for mark in CAPTURE_FILES):
+    if source.is_dir() and is_measured(os.listdir(source)):
         raise InputError(f"{source} is one capture: give capture={source}, or the folder of the "
                          "fabrics")
     if not source.exists():
@@ -68,7 +66,7 @@ def _tree(root: Path) -> Iterator[tuple[tuple[str, str, str], Path]]:
         # Links to a parent folder would recurse.
         folders[:] = sorted(inner for inner in folders if not inner.startswith(".") and
                             not folder.resolve().is_relative_to((folder / inner).resolve()))
-        if any(mark in files for mark in (*CAPTURE_FILES, STRIPS, TENSION)):
+        if is_measured(files):
             folders.clear()
         elif folders or all(file.startswith(".") for file in files):
             continue

@@ -246,9 +246,9 @@ def _of_record(
     record = measured.record(fabric_prior(header))
     estimate = combine(prior_draws(header), evidence_of([record], [], measured.density),
                        measured.density, header, name="")
-    document = describe_record(estimate, measured, record, findings, header)
-    findings = measured.findings(None, header.setups)
-    faults = (*estimate.contradictions, *measured.warnings, *findings)
+    document = describe_record(estimate, measured, record, found, header)
+    found = (*measured.warnings, *measured.findings(None, header.setups))
+    faults = (*estimate.contradictions, *found)
     require_sound(faults, options.strict, source.label)
     if folder:
         if options.drapes:

@@ -47,7 +47,9 @@ class Source:
     def read(self) -> Measured:
         """What it says; InputError for the first fault."""
         if isinstance(self.place, Capture):
-            found = measured_capture(self.place, self.stated)
+            found: Measured = measured_capture(self.place)
+            if self.stated:
+                found = found.with_known(self.stated["known"])
         else:
             found = read_measured(self.place, self.stated, self.kind)
         return found.changed(path=self.path) if self.name else found

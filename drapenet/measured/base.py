@@ -1,14 +1,34 @@
-"""Types of the content of ``estimate.json``: a quantity with its intervals, findings, texts."""
+"""What all kinds of measurements have: a source as it is read, and what is recorded of it.
+
+:class:`Measured` is a source at hand, :class:`Record` the part of ``estimate.json`` that is left of
+it, from which it is joined with others.
+"""
 
 import math
-from typing import Annotated, Any
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, TypeVar
 
 import numpy as np
 from pydantic import BeforeValidator, Field, InstanceOf, PlainSerializer, PlainValidator
 
-from common.documents import Excerpt
+from common.documents import Excerpt, Schema
+from common.errors import InputError
 from common.findings import Finding, records
+from common.types import Density
+from data.captures.capture import Capture
+from data.captures.description import UNLABELLED, Labels, Weighed
+from data.fabrics.properties import ClothProperties
+from data.readings.known import Known
+from data.render.setups import Setups
+from drapenet.evidence.source import Source
+from drapenet.measured import KINDS, SCAN
+from drapenet.views.located import LocatedViews
+from drapenet.views.observation import Observation
 
+M = TypeVar("M", bound="Measured")
 INTERVALS = {"interval_68": 0.68, "interval_90": 0.90}
 Text = InstanceOf[str]
 """A text that may hold a path, whose bytes need not be UTF-8."""
@@ -66,3 +86,188 @@ def intervals(samples: np.ndarray) -> dict[str, Any]:
     return {"median": np.median(samples, axis=0).tolist(), **{
         key: np.quantile(samples, [(1 - level) / 2, (1 + level) / 2], axis=0).tolist()
         for key, level in INTERVALS.items()}}
+
+
+class Record(Excerpt):
+    """What is kept of a source in ``estimate.json``: all that is joined later, for the source may
+    be gone."""
+
+    kind: ClassVar[str]
+    """Name of its kind: :attr:`Measured.name`."""
+    names: ClassVar[tuple[str, ...]] = ()
+    """Columns that tables have whatever was measured; others only where :meth:`columns` has them.
+    """
+    source: Text
+    density_g_m2: float
+    known: Known | None = None
+
+    @property
+    def needs_warp(self) -> bool:
+        """Whether warp and weft must be told apart."""
+        return False
+
+    @property
+    def bends(self) -> bool:
+        """Whether it says how the fabric bends, beside ``known``."""
+        return bool(self.sources())
+
+    def sources(self) -> list[Source]:
+        """What it is evidence of, beside ``known``."""
+        return []
+
+    def counted(self) -> tuple[int, str, str]:
+        """How many specimens were measured, and what one and several are called."""
+        return 1, self.kind, f"{self.kind}s"
+
+    def lines(self) -> list[str]:
+        """What was measured, for the terminal."""
+        return []
+
+    def columns(self) -> dict[str, Quantity | None]:
+        """What was measured, by the name of its column in tables."""
+        return {}
+
+    def along(self, direction: str) -> Quantity | None:
+        """Stretch along warp or weft, or for the bias shear, N/m; None if not measured."""
+        return None
+
+
+def _record(content: Any) -> Record:
+    """The record of the kind that the content names."""
+    if isinstance(content, Record):
+        return content
+    try:
+        kind = kind_named(content["kind"])
+    except (InputError, KeyError, TypeError):
+        raise ValueError("is not the record of a kind that is known here") from None
+    return kind.recorded.model_validate(content)
+
+
+AnyRecord = Annotated[Record, PlainValidator(_record), PlainSerializer(
+    lambda record: {"kind": record.kind} | record.model_dump(by_alias=True, exclude_unset=True))]
+"""A record of any kind; in JSON with the name of its kind."""
+
+
+@dataclass(frozen=True)
+class Observed:
+    """A capture as it is observed.
+
+    Attributes:
+        seen: the network's input.
+        views: of a depth capture.
+    """
+
+    capture: Capture
+    seen: Observation
+    views: LocatedViews | None = None
+
+
+class Stated(Schema):
+    """What is known of a fabric beside the description of a source."""
+
+    known: Known = Field(description=Known.remedy)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measured:
+    """One source, read: what a folder or a file says of a fabric.
+
+    A source has either what a network observes (:meth:`observed`) or a record of its own
+    (:meth:`record`).
+
+    Attributes:
+        path: names it.
+        warnings: of reading.
+    """
+
+    name: ClassVar[str]
+    """Of the kind: the stem of its description, with which the names of its results begin."""
+    version: ClassVar[int] = 1
+    """To be raised when the kind makes other results of the same source."""
+    schema: ClassVar[type[Weighed]]
+    """Content of its description."""
+    stated: ClassVar[type[Schema]] = Stated
+    """Type of ``known`` values that a user gives beside a description."""
+    recorded: ClassVar[type[Record]] = Record
+    path: Path
+    density: Density
+    known: Known | None = None
+    labels: Labels = UNLABELLED
+    warnings: tuple[Finding, ...] = ()
+
+    @classmethod
+    def read(cls, place: Path, stated: Mapping[str, Any]) -> "Measured":
+        """Read a folder or file; InputError for the first fault.
+
+        Args:
+            stated: what a description would say, where the kind has none.
+        """
+        raise NotImplementedError
+
+    @property
+    def digests(self) -> tuple[str, ...]:
+        """SHA-256 of what was captured; sources that share one show the same."""
+        return ()
+
+    @property
+    def marked(self) -> bool | None:
+        """Whether the direction of the warp is known; None if the source needs none."""
+        return None
+
+    @property
+    def needs_warp(self) -> bool:
+        """Whether captures of the same fabric must know the direction of the warp."""
+        return False
+
+    @property
+    def pictured(self) -> bool:
+        """Whether it shows a drape, which a report draws."""
+        return False
+
+    def changed(self: M, **changes: Any) -> M:
+        """The same source with other ``path``, ``labels``, ``known`` or ``warnings``."""
+        return replace(self, **changes)
+
+    def with_known(self: M, known: Mapping[str, Any]) -> M:
+        """The source that also states what is ``known`` of the fabric, as its file would."""
+        if self.known:
+            raise InputError(f"known is in {self.path} and an argument; give the values in one of "
+                             "them")
+        described: Any = self.stated.of({"known": known}, "")
+        return self.changed(known=described.known)
+
+    def observed(self) -> Observed | None:
+        """What the network reads; None if it is not for the network."""
+        return None
+
+    def record(self, prior: ClothProperties) -> Record | None:
+        """What is recorded, evidence with respect to a ``prior`` of fabrics; None for what the
+        network reads."""
+        return None
+
+    def findings(self, observed: Observed | None, setups: Setups) -> list[Finding]:
+        """Doubts beside the ``warnings``, of what was observed as the ``setups`` that were trained
+        or not, or of the record; InputError if nothing can be estimated."""
+        return []
+
+    def shown(self) -> bytes:
+        """PNG of the source as it was read; empty if there is nothing to see."""
+        return b""
+
+    def thumbnail(self) -> bytes:
+        """A small PNG for lists; likewise."""
+        return b""
+
+
+def kind_named(name: str) -> type[Measured]:
+    """The kind of this name, such as "strips", or "scan"; InputError if there is none."""
+    places = {Path(file).stem: place for file, place in KINDS.items()} | {"scan": SCAN}
+    if name not in places:
+        raise InputError(f"{name} is not a kind of measurement; it is one of {', '.join(places)}")
+    return kind_at(places[name])
+
+
+def kind_at(place: str) -> type[Measured]:
+    """The kind at a place of :data:`drapenet.measured.KINDS`, imported."""
+    module, _, name = place.partition(":")
+    return getattr(import_module(module), name)

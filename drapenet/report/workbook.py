@@ -121,8 +121,8 @@ def _rows(sample: Sample | Unestimated) -> list[list[str | float | None]]:
     face = " and ".join(sorted({each.face for each in shown}, reverse=True))
     for name, readings in document.laboratory.items():
         quantities = dict([*document.moduli[name], *readings])
-        tension = document.tension and document.tension.measured_along(name)
-        numbers = [number for value in (*(quantities[key] for key in QUANTITIES), tension)
+        stretch = next(filter(None, (record.along(name) for record in document.records)), None)
+        numbers = [number for value in (*(quantities[key] for key in QUANTITIES), stretch)
                    for number in _ends(value)]
         poor = ", ".join(letter for letter, key in (("α", "alpha"), ("β", "beta/alpha"))
                          if f"{key} {name}" in document.poorly_constrained)

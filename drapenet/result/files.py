@@ -145,8 +145,9 @@ def shown_texts(document: EstimateDocument, found: Iterable[Finding]) -> list[st
 
 def _sources(document: EstimateDocument) -> list[Path]:
     about = document.capture
+    beside = [record.source for record in document.records]
     return [Path(source) for source in
-            about.sources or ([about.source] if about.source else document.strip_folders or [""])]
+            about.sources or ([about.source] if about.source else beside or [""])]
 
 
 def _place(sources: Sequence[Path]) -> Path:

@@ -101,7 +101,8 @@ def _source(folder: Path, row: Mapping[str, Any], part: str = ".") -> "Source":
 
     task = row["task"]
     return Source(place=folder / UPLOADED / task["scan"], part=part, required=False,
-                  name=str(_shown(row["fabric_name"], row["name"])), stated=task["specimen"] or {})
+                  kind="scan" if task["scan"] else "", stated=task["specimen"] or {},
+                  name=str(_shown(row["fabric_name"], row["name"])))
 
 
 def _shown(fabric: str, capture: str) -> Path:
@@ -114,7 +115,6 @@ def _estimate(
 ) -> "Part":
     """The estimate of an upload; InputError, which is kept, if it is refused."""
     from drapenet.fabric.part import Refusal, keep_refusal, make_part, part_key
-    from drapenet.measured import read_measured
     from drapenet.result.files import ESTIMATE
 
     source, latest = _source(folder, row), 0.0
@@ -130,11 +130,13 @@ def _estimate(
 
     record(stage="reading")
     try:
-        measured = read_measured(source.place, source.stated, path=source.path)
-        others = database_in(folder.parent).same_pictures(measured.digests, row["fabric"])
-        measured = measured.named(row["fabric_name"]).warned(*(
-            Finding("twin_elsewhere", {"capture": source.label, "other": str(_shown(*other))})
-            for other in others[:1]))
+        measured = source.read()
+        others = database_in(folder.parent).same_pictures(
+            measured.digests, row["fabric"]) if measured.pictured else []
+        twins = [Finding("twin_elsewhere", {"capture": source.label, "other": str(_shown(*other))})
+                 for other in others[:1]]
+        measured = measured.changed(labels=measured.labels.named(row["fabric_name"]),
+                                    warnings=(*measured.warnings, *twins))
         record(stage="estimating", warnings=records(measured.warnings))
         return make_part(
             measured, source, header, options, folder=folder, key=key, progress=progress,

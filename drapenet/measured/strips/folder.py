@@ -1,75 +1,91 @@
 """A folder of strips of one fabric, and the evidence of its moduli by direction."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import Any
 
 import numpy as np
 
 from common.errors import InputError
+from common.files import printable
 from common.findings import Finding
 from common.normal import Normal
-from common.types import DeflectionCurve, Density, Metres, Radians
-from data.captures.description import UNLABELLED, Labels
-from data.readings.known import Known
+from common.types import DeflectionCurve, Metres, Radians
+from data.captures.preview import png
+from data.fabrics.properties import ClothProperties
+from drapenet.evidence.state import prior_along
+from drapenet.measured.base import Measured, intervals
 from drapenet.measured.strips.description import FILE, StripsDescription, read_description
 from drapenet.measured.strips.photograph import PhotographedStrip, read_strip
 from drapenet.measured.strips.posterior import BendingLength, StripEvidence, direction_evidence
+from drapenet.measured.strips.preview import strips_figure
+from drapenet.measured.strips.record import StripsRecord
 from sim.cantilever.moduli import StripModuli, correct
-from sim.material import BIAS, DIRECTIONS
+from sim.material import BIAS, DIRECTIONS, MICRO, NANO
 from sim.rig import GRAVITY
 
 BENDING_LENGTH_ERROR = 0.02  # relative standard deviation of a reading at 41.5°
 ROUNDS = 6  # of the correction for the twist of free strips
 
 
-@dataclass(frozen=True)
-class StripSet:
+@dataclass(frozen=True, kw_only=True)
+class StripSet(Measured):
     """The strips of one fabric.
 
     Attributes:
         lengths: direction and value of each bending length that was typed in.
         slope: of all clamps below the horizontal.
-        known: other values of the fabric.
     """
 
-    kind: ClassVar[Literal["strips"]] = "strips"
-    path: Path
-    density: Density
+    name, schema, recorded = "strips", StripsDescription, StripsRecord
     photographs: tuple[PhotographedStrip, ...] = ()
     lengths: tuple[tuple[str, BendingLength], ...] = ()
     slope: Radians = 0.0
     width: Metres = 0.03
-    known: Known | None = None
-    labels: Labels = UNLABELLED
+
+    @classmethod
+    def read(cls, place: Path, stated: Mapping[str, Any]) -> "StripSet":
+        """Read a folder."""
+        return read_strips(place)
 
     def __len__(self) -> int:
         return len(self.photographs) + len(self.lengths)
 
     @property
-    def along_yarns(self) -> bool:
-        """Whether warp and weft must be told apart."""
+    def needs_warp(self) -> bool:
+        """Any strip is along a known direction."""
         return len(self) > 0
 
     @property
     def curves(self) -> dict[str, list[DeflectionCurve]]:
         """The photographed curves of each direction that has some."""
-        return {direction: curves for direction in DIRECTIONS if (curves := [
-            strip.measured.curve for strip in self.photographs if strip.direction == direction])}
-
-    @property
-    def warnings(self) -> tuple[Finding, ...]:
-        """Those of all photographs, and of twist that cannot be corrected."""
-        found = [one for strip in self.photographs for one in strip.warnings]
-        if (bias := DIRECTIONS[BIAS]) in self.curves and not self.complete:
-            found.append(Finding("strips_twist", {"direction": bias}))
-        return tuple(found)
+        return _curves(self.photographs)
 
     @property
     def complete(self) -> bool:
         """Whether all three directions were photographed."""
         return set(self.curves) == set(DIRECTIONS)
+
+    def record(self, prior: ClothProperties) -> StripsRecord:
+        """Moduli and evidence of each direction."""
+        moduli = {}
+        for direction, strip in self.evidence(prior_along(prior, self.density)).items():
+            alpha, beta = strip.samples()
+            moduli[direction] = {
+                "alpha_uN_m": intervals(alpha / MICRO), "beta_nN_m2": intervals(beta / NANO),
+                "natural_curvature_1_m": strip.curl[0],
+                "natural_curvature_deviation_1_m": strip.curl[1], "misfit": strip.misfit,
+                "scatter_of_specimens_percent": round(100 * strip.scatter, 1),
+                "evidence": {"rows": strip.measured.rows.tolist(),
+                             "values": strip.measured.values.tolist()}}
+        return StripsRecord.model_validate({
+            "source": printable(self.path), "density_g_m2": round(1e3 * self.density, 6),
+            "strips": len(self), "moduli": moduli, "known": self.known})
+
+    def shown(self) -> bytes:
+        """The photographs with the curves."""
+        return png(strips_figure(self.photographs)) if self.photographs else b""
 
     def evidence(self, priors: Mapping[str, Normal]) -> dict[str, StripEvidence]:
         """Evidence of log alpha (N·m), beta/alpha (m) and natural curvature (1/m) of each direction
@@ -113,8 +129,24 @@ def read_strips(folder: str | Path) -> StripSet:
     slope = float(np.radians(description.clamp_slope_deg))
     photographs = tuple(read_strip(folder, entry, description, slope=slope)
                         for entry in description.strips if entry.file)
-    return StripSet(folder, description.density, photographs, _lengths(description), slope,
-                    1e-3 * description.width_mm, description.known, description.labels)
+    return StripSet(
+        path=folder, density=description.density, photographs=photographs,
+        lengths=_lengths(description), slope=slope, width=1e-3 * description.width_mm,
+        known=description.known, labels=description.labels, warnings=_warnings(photographs))
+
+
+def _curves(photographs: Sequence[PhotographedStrip]) -> dict[str, list[DeflectionCurve]]:
+    return {direction: curves for direction in DIRECTIONS if (curves := [
+        strip.measured.curve for strip in photographs if strip.direction == direction])}
+
+
+def _warnings(photographs: Sequence[PhotographedStrip]) -> tuple[Finding, ...]:
+    """Those of all photographs, and of twist that cannot be corrected."""
+    found = [one for strip in photographs for one in strip.warnings]
+    if (bias := DIRECTIONS[BIAS]) in (curves := _curves(photographs)) and (
+            set(curves) != set(DIRECTIONS)):
+        found.append(Finding("strips_twist", {"direction": bias}))
+    return tuple(found)
 
 
 def _lengths(description: StripsDescription) -> tuple[tuple[str, BendingLength], ...]:

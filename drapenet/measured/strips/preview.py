@@ -1,12 +1,12 @@
 """Picture and tables of photographed strips: ``python -m apps.capture frames=FOLDER``."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from common.files import replace_file
-from drapenet.measured.strips.folder import StripSet
 from drapenet.measured.strips.photograph import PhotographedStrip
 
 _WIDTH = 4.8  # inches, of a panel
@@ -14,15 +14,14 @@ _MARGIN = 0.2  # around a strip, of its extent
 _CURVE, _CLAMP, _TIP = "#3cdc3c", "#ffc800", "#ff3c3c"
 
 
-def strips_figure(strips: StripSet) -> Figure:
+def strips_figure(strips: Sequence[PhotographedStrip]) -> Figure:
     """Each photograph around its strip, with the curve, the clamp's edge and the tip."""
-    count = len(strips.photographs)
-    rows = -(-count // 2)
+    rows = -(-len(strips) // 2)
     figure = Figure(figsize=(2 * _WIDTH, 0.9 * _WIDTH * rows), dpi=100, layout="constrained")
     panels = figure.subplots(rows, 2, squeeze=False).ravel()
     for panel in panels:
         panel.set_axis_off()
-    for panel, strip in zip(panels, strips.photographs, strict=False):
+    for panel, strip in zip(panels, strips, strict=False):
         panel.imshow(strip.picture, cmap="gray", vmin=0, vmax=255)
         panel.plot(*strip.pixels.T, "-", color=_CURVE, linewidth=1)
         for place, colour in ((strip.pixels[0], _CLAMP), (strip.pixels[-1], _TIP)):
@@ -44,9 +43,9 @@ def _title(strip: PhotographedStrip) -> str:
             f"{curve[-1, 1]:.1f} below, seen {1e3 * strip.band:.2f} mm thick")
 
 
-def write_curves(strips: StripSet, out: Path) -> None:
+def write_curves(strips: Sequence[PhotographedStrip], out: Path) -> None:
     """A CSV file of each curve, with x_mm and y_mm, y up, in the folder ``out``."""
-    for strip in strips.photographs:
+    for strip in strips:
         rows = [f"{x:.4f},{-y:.4f}" for x, y in 1e3 * strip.measured.curve]
         replace_file(out / f"{Path(strip.name).stem}.csv",
                      ("\n".join(["x_mm,y_mm", *rows]) + "\n").encode())

@@ -1,17 +1,12 @@
 """What ``estimate.json`` states of hanging strips."""
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
+import numpy as np
 
 from common.documents import Excerpt
-from common.files import printable
-from data.readings.known import Known
-from drapenet.measured.base import Quantity, Text, intervals
-from sim.material import MICRO, NANO
-
-if TYPE_CHECKING:
-    from drapenet.measured.strips.folder import StripSet
-    from drapenet.measured.strips.posterior import StripEvidence
+from common.normal import Linear
+from drapenet.evidence.source import Source, of_strips
+from drapenet.measured.base import Quantity, Record
+from sim.material import MICRO
 
 
 class LinearRecord(Excerpt):
@@ -34,30 +29,33 @@ class DirectionStrips(Excerpt):
     evidence: LinearRecord
 
 
-class StripsRecord(Excerpt):
+class StripsRecord(Record):
     """Strips of a folder."""
 
-    source: Text
-    density_g_m2: float
+    kind = "strips"
     strips: int
     moduli: dict[str, DirectionStrips]
-    known: Known | None = None
 
-    @classmethod
-    def of_evidence(
-        cls, strips: "StripSet", found: Mapping[str, "StripEvidence"]
-    ) -> "StripsRecord":
-        """Of strips with their evidence by direction."""
-        moduli = {}
-        for direction, strip in found.items():
-            alpha, beta = strip.samples()
-            moduli[direction] = {
-                "alpha_uN_m": intervals(alpha / MICRO), "beta_nN_m2": intervals(beta / NANO),
-                "natural_curvature_1_m": strip.curl[0],
-                "natural_curvature_deviation_1_m": strip.curl[1], "misfit": strip.misfit,
-                "scatter_of_specimens_percent": round(100 * strip.scatter, 1),
-                "evidence": {"rows": strip.measured.rows.tolist(),
-                             "values": strip.measured.values.tolist()}}
-        return cls.model_validate({
-            "source": printable(strips.path), "density_g_m2": round(1e3 * strips.density, 6),
-            "strips": len(strips), "moduli": moduli, "known": strips.known})
+    @property
+    def needs_warp(self) -> bool:
+        """Along the yarns there is a warp."""
+        return bool(self.moduli)
+
+    def sources(self) -> list[Source]:
+        """The strips of each direction."""
+        return [of_strips(direction, Linear(np.array(moduli.evidence.rows),
+                                            np.array(moduli.evidence.values)),
+                          MICRO * moduli.alpha_uN_m.median, 1e-3 * self.density_g_m2)
+                for direction, moduli in self.moduli.items()]
+
+    def counted(self) -> tuple[int, str, str]:
+        """The strips, none where only values are known."""
+        return self.strips, "strip", "strips"
+
+    def lines(self) -> list[str]:
+        """Moduli along each direction."""
+        return [f"by strips alone, along the {name}: alpha {moduli.alpha_uN_m} µN·m, beta "
+                f"{moduli.beta_nN_m2} nN·m², natural curvature "
+                f"{moduli.natural_curvature_1_m:.2g} ± "
+                f"{moduli.natural_curvature_deviation_1_m:.1g} 1/m"
+                for name, moduli in self.moduli.items()]

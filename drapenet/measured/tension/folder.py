@@ -1,20 +1,22 @@
 """A folder of strips of one fabric that were stretched by weights."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import Any
 
 import numpy as np
 
 from common.errors import InputError
+from common.files import printable
 from common.findings import Finding
-from common.types import Density
-from data.captures.description import Labels
+from data.captures.preview import png
+from data.fabrics.properties import ClothProperties
 from data.pictures.mat import BAR
-from data.readings.known import Known
 from data.readings.quantity import STANDARD_GRAVITY
+from data.render.setups import Setups
+from drapenet.measured.base import Measured, Observed, intervals
 from drapenet.measured.tension.description import (
     FILE,
     MAX_EXTENSION,
@@ -29,9 +31,12 @@ from drapenet.measured.tension.posterior import (
     LOAD_ERROR,
     MeasuredExtension,
     TensionEvidence,
+    directions_of,
     fast_strip,
     tension_evidence,
 )
+from drapenet.measured.tension.preview import tension_figure
+from drapenet.measured.tension.record import TensionRecord
 from sim.material import BIAS, DIRECTIONS
 
 AIM = 0.1
@@ -42,41 +47,60 @@ ERROR_SHARE = 0.25  # of an extension, that its error may be
 TURNED = np.radians(3.0)  # that marks may be turned by a weight: beyond, a band is askew
 
 
-@dataclass(frozen=True)
-class TensionSet:
+@dataclass(frozen=True, kw_only=True)
+class TensionSet(Measured):
     """The strips of one fabric.
 
     Attributes:
         shear: stiffness by KES-FB1, N/m, if it is stated.
-        known: other values of the fabric.
         photographs: what pairs of photographs say, by the strip's number.
     """
 
-    kind: ClassVar[Literal["tension"]] = "tension"
-    path: Path
-    density: Density
+    name, schema, recorded = "tension", TensionDescription, TensionRecord
     strips: tuple[MeasuredExtension, ...]
-    shear: float | None
-    known: Known | None
-    labels: Labels
+    shear: float | None = None
     photographs: Mapping[int, PhotographedExtension] = field(default_factory=dict)
-    warnings: tuple[Finding, ...] = ()
+
+    @classmethod
+    def read(cls, place: Path, stated: Mapping[str, Any]) -> "TensionSet":
+        """Read a folder."""
+        return read_tension(place)
 
     @property
-    def directions(self) -> list[str]:
-        """Those of the strips."""
-        return list(dict.fromkeys(DIRECTIONS[strip.direction] for strip in self.strips))
-
-    @property
-    def along_yarns(self) -> bool:
-        """Whether warp and weft must be told apart."""
+    def needs_warp(self) -> bool:
+        """Strips along the bias do not tell warp and weft apart."""
         return any(strip.direction != BIAS for strip in self.strips)
 
     @cached_property
     def evidence(self) -> TensionEvidence:
         """What the strips say, at the density of the fabric."""
-        found = tension_evidence(self.strips, self.density, self.shear)
-        return replace(found, findings=(*self.warnings, *found.findings))
+        return tension_evidence(self.strips, self.density, self.shear)
+
+    def record(self, prior: ClothProperties) -> TensionRecord:
+        """The stiffnesses, which the prior of bending says nothing of."""
+        found = self.evidence
+        warp, weft, shear = found.stiffness
+        return TensionRecord.model_validate({
+            "source": printable(self.path), "density_g_m2": round(1e3 * self.density, 6),
+            "strips": len(self.strips), "measured": [DIRECTIONS[k] for k in found.measured],
+            "shear_n_per_m": intervals(shear),
+            "stretch_n_per_m": {"warp": intervals(warp), "weft": intervals(weft)},
+            "friction_n_per_m": {name: float(found.friction[DIRECTIONS.index(name)])
+                                 for name in directions_of(self.strips)},
+            "weight_for_10_percent_g": self.loads(found),
+            "readings": {key: intervals(values) for key, values in found.readings().items()},
+            "along_yarns": self.needs_warp, "findings": [*self.warnings, *found.findings],
+            "known": self.known})
+
+    def findings(self, observed: Observed | None, setups: Setups) -> list[Finding]:
+        """Contradictions of the strips, and unusual values."""
+        return [*self.evidence.findings]
+
+    def shown(self) -> bytes:
+        """Photographs with marks, and loads over extensions."""
+        if not self.strips:
+            return b""
+        return png(tension_figure(self.strips, self.photographs, self.evidence))
 
     def loads(self, found: TensionEvidence) -> dict[str, float]:
         """For each direction the weight, g, that stretches its first strip by :data:`AIM`."""
@@ -102,13 +126,14 @@ def read_tension(folder: str | Path) -> TensionSet:
             for k, strip in enumerate(description.tension)])
     except ValueError as error:
         raise InputError(f"{folder / FILE}: {error}") from None
+    strips = [_measured(strip, description, read.get(k))
+              for k, strip in enumerate(description.tension)]
+    strips += [fast_strip(direction, percent) for direction, percent in description.fast.items()]
     return TensionSet(
-        folder, description.density,
-        (*(_measured(strip, description, read.get(k))
-           for k, strip in enumerate(description.tension)),
-         *(fast_strip(direction, percent) for direction, percent in description.fast.items())),
-        KES_SHEAR * shear if shear else None, description.known, description.labels, read,
-        tuple(one for k, found in read.items() for one in _doubts(found, description.tension[k])))
+        path=folder, density=description.density, strips=tuple(strips),
+        shear=KES_SHEAR * shear if shear else None, photographs=read,
+        known=description.known, labels=description.labels, warnings=tuple(
+            one for k, found in read.items() for one in _doubts(found, description.tension[k])))
 
 
 def _photographed(folder: Path, strip: StretchedStrip, description: TensionDescription

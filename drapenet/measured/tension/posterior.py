@@ -97,6 +97,11 @@ def fast_strip(direction: int, percent: float) -> MeasuredExtension:
         FAST_LENGTH, 0.0, FAST_LENGTH * percent / 100, FAST_ERROR, "FAST-3")
 
 
+def directions_of(strips: Sequence[MeasuredExtension]) -> list[str]:
+    """Directions of strips."""
+    return list(dict.fromkeys(DIRECTIONS[strip.direction] for strip in strips))
+
+
 @dataclass(frozen=True)
 class TensionEvidence:
     """What strips say of the logarithms of the stiffnesses, N/m, along warp and weft and in shear.

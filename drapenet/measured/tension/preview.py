@@ -1,5 +1,6 @@
 """Picture of strips under weights: photographs with marks, loads and extensions with the law."""
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -7,10 +8,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from data.readings.quantity import STANDARD_GRAVITY
-from drapenet.measured.tension.folder import TensionSet
 from drapenet.measured.tension.law import compliance, load
 from drapenet.measured.tension.photograph import PhotographedExtension
-from drapenet.measured.tension.posterior import MeasuredExtension, TensionEvidence
+from drapenet.measured.tension.posterior import MeasuredExtension, TensionEvidence, directions_of
 from sim.material import DIRECTIONS
 
 _WIDE, _HIGH, _CURVES_HIGH = 10.4, 3.2, 3.2  # inches
@@ -20,11 +20,15 @@ _MARK, _CURVE, _POINT = "#3cdc3c", "#2f6da8", "#b5403a"
 _SAMPLES = 400  # of the estimate, for the band of a curve
 
 
-def tension_figure(tension: TensionSet, found: TensionEvidence) -> Figure:
-    """Both photographs of each strip that has some, with its marks, and for each direction the load
-    over the extension, with the law of what was ``found`` and its interval of 68 %."""
-    across = min(_PAIRS, max(len(tension.photographs), 1))
-    rows = -(-len(tension.photographs) // across)
+def tension_figure(
+    strips: Sequence[MeasuredExtension], photographs: Mapping[int, PhotographedExtension],
+    found: TensionEvidence,
+) -> Figure:
+    """Both photographs of each strip that has some, by its number, with its marks, and for each
+    direction the load over the extension, with the law of what was ``found`` and its interval of
+    68 %."""
+    across = min(_PAIRS, max(len(photographs), 1))
+    rows = -(-len(photographs) // across)
     high = rows * _HIGH
     figure = Figure(figsize=(_WIDE, high + _CURVES_HIGH), dpi=100, layout="constrained")
     parts: Any = (figure.subfigures(2, 1, height_ratios=(high, _CURVES_HIGH)) if rows else
@@ -33,14 +37,13 @@ def tension_figure(tension: TensionSet, found: TensionEvidence) -> Figure:
         panels = parts[0].subplots(rows, 2 * across, squeeze=False).ravel()
         for panel in panels:
             panel.set_axis_off()
-        for k, (number, pair) in enumerate(tension.photographs.items()):
+        for k, (number, pair) in enumerate(photographs.items()):
             for state in (0, 1):
-                _photograph(panels[2 * k + state], pair, state, tension.strips[number])
-    directions = tension.directions
+                _photograph(panels[2 * k + state], pair, state, strips[number])
+    directions = directions_of(strips)
     for panel, name in zip(parts[1].subplots(1, len(directions), squeeze=False)[0], directions,
                            strict=True):
-        _loads(panel, [strip for strip in tension.strips if DIRECTIONS[strip.direction] == name],
-               found)
+        _loads(panel, [strip for strip in strips if DIRECTIONS[strip.direction] == name], found)
         panel.set_title(f"along the {name}", fontsize=10)
     return figure
 

@@ -1,15 +1,11 @@
 """What ``estimate.json`` states of strips under weights."""
 
-from typing import TYPE_CHECKING
-
 from common.documents import Excerpt
-from common.files import printable
-from data.readings.known import Known
-from drapenet.measured.base import Quantity, Recorded, Text, intervals
-from sim.material import DIRECTIONS
+from drapenet.measured.base import Quantity, Record, Recorded
 
-if TYPE_CHECKING:
-    from drapenet.measured.tension.folder import TensionSet
+COLUMNS = {"warp": "stretch_warp_n_per_m", "weft": "stretch_weft_n_per_m",
+           "bias": "shear_n_per_m"}
+"""Of tables, by the direction of the strips."""
 
 
 class Stretch(Excerpt):
@@ -19,12 +15,12 @@ class Stretch(Excerpt):
     weft: Quantity
 
 
-class TensionRecord(Excerpt):
+class TensionRecord(Record):
     """Strips under weights: stiffnesses at the fabric's density, ``measured`` or of usual fabrics.
     """
 
-    source: Text
-    density_g_m2: float
+    kind = "tension"
+    names = tuple(COLUMNS.values())
     strips: int
     measured: list[str]
     shear_n_per_m: Quantity
@@ -34,25 +30,15 @@ class TensionRecord(Excerpt):
     readings: dict[str, Quantity]
     along_yarns: bool
     findings: list[Recorded]
-    known: Known | None = None
 
-    @classmethod
-    def of_strips(cls, tension: "TensionSet") -> "TensionRecord":
-        """Of strips, estimated."""
-        found = tension.evidence
-        warp, weft, shear = found.stiffness
-        names = [DIRECTIONS[k] for k in found.measured]
-        return cls.model_validate({
-            "source": printable(tension.path), "density_g_m2": round(1e3 * tension.density, 6),
-            "strips": len(tension.strips), "measured": names,
-            "shear_n_per_m": intervals(shear),
-            "stretch_n_per_m": {"warp": intervals(warp), "weft": intervals(weft)},
-            "friction_n_per_m": {name: float(found.friction[DIRECTIONS.index(name)])
-                                 for name in tension.directions},
-            "weight_for_10_percent_g": tension.loads(found),
-            "readings": {key: intervals(values) for key, values in found.readings().items()},
-            "along_yarns": tension.along_yarns, "findings": list(found.findings),
-            "known": tension.known})
+    @property
+    def needs_warp(self) -> bool:
+        """As those of the strips that are along the yarns do."""
+        return self.along_yarns
+
+    def counted(self) -> tuple[int, str, str]:
+        """The strips."""
+        return self.strips, "strip under a weight", "strips under weights"
 
     @property
     def rows(self) -> list[tuple[str, str, Quantity]]:
@@ -61,12 +47,15 @@ class TensionRecord(Excerpt):
                 ("bias", "shear", self.shear_n_per_m),
                 ("weft", "stretch along the weft", self.stretch_n_per_m.weft)]
 
-    def measured_along(self, direction: str) -> Quantity | None:
-        """Stretch along warp or weft, or for the bias shear, N/m; None if not measured."""
+    def along(self, direction: str) -> Quantity | None:
+        """Stretch or shear that strips along a direction measured."""
         return next((value for key, _, value in self.rows
                      if key == direction and key in self.measured), None)
 
-    @property
+    def columns(self) -> dict[str, Quantity | None]:
+        """Stretch and shear where they were measured."""
+        return {name: self.along(direction) for direction, name in COLUMNS.items()}
+
     def lines(self) -> list[str]:
         """The stiffnesses in words."""
         found = [f"{name} {value} N/m" + ("" if direction in self.measured else
@@ -74,4 +63,5 @@ class TensionRecord(Excerpt):
                  for direction, name, value in self.rows]
         loads = ", ".join(f"{direction} {value:.0f} g" for direction, value in
                           self.weight_for_10_percent_g.items())
-        return found + [f"weight that stretches these strips by 10 %: {loads}"] * bool(loads)
+        found += [f"weight that stretches these strips by 10 %: {loads}"] * bool(loads)
+        return [f"by strips under weights: {line}" for line in found]
