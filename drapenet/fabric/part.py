@@ -22,6 +22,7 @@ from common.types import Density
 from data.captures.capture import Capture
 from data.readings.known import Known
 from drapenet.config import EstimateOptions
+from drapenet.evidence.state import fabric_prior
 from drapenet.fabric.combine import combine, evidence_of
 from drapenet.fabric.describe import describe_record
 from drapenet.fabric.infer import CaptureEvidence, prior_draws
@@ -33,7 +34,6 @@ from drapenet.fabric.stages import (
     estimate_capture,
     require_sound,
 )
-from drapenet.evidence.state import fabric_prior
 from drapenet.measured.base import Measured
 from drapenet.measured.read import known_values
 from drapenet.network.checkpoint import Header, read_header
@@ -219,7 +219,7 @@ def make_part(
         _draw(measured, folder, options)
     observed = measured.observed()
     if observed:
-        result = estimate_capture(observed, header, options, out=folder, progress=progress,
+        result = estimate_capture(measured, header, options, out=folder, progress=progress,
                                   on_stage=on_stage)
         part = Part(source, result.estimate, result.document, observed.seen, result.faults)
     else:
@@ -244,10 +244,11 @@ def _of_record(
 ) -> Part:
     """The estimate from strips or values: that of usual fabrics where they say nothing."""
     record = measured.record(fabric_prior(header))
+    assert record, "of what the network does not read"
     estimate = combine(prior_draws(header), evidence_of([record], [], measured.density),
                        measured.density, header, name="")
-    document = describe_record(estimate, measured, record, found, header)
     found = (*measured.warnings, *measured.findings(None, header.setups))
+    document = describe_record(estimate, measured, record, found, header)
     faults = (*estimate.contradictions, *found)
     require_sound(faults, options.strict, source.label)
     if folder:

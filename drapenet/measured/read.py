@@ -1,7 +1,7 @@
 """Read: which folders are sources, of what kind, and what they say."""
 
 import os
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Container, Mapping
 from pathlib import Path
 from typing import Any
 

@@ -57,6 +57,7 @@ class TensionSet(Measured):
     """
 
     name, schema, recorded = "tension", TensionDescription, TensionRecord
+    alone = True
     strips: tuple[MeasuredExtension, ...]
     shear: float | None = None
     photographs: Mapping[int, PhotographedExtension] = field(default_factory=dict)
