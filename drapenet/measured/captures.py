@@ -63,6 +63,10 @@ class Captured(Measured):
         """All but numbers."""
         return True
 
+    def observed(self) -> Observed:
+        """What the network reads."""
+        raise NotImplementedError
+
     def changed(self: C, **changes: Any) -> C:
         """The same capture with other statements."""
         return self.of(replace(self.capture, **changes))
