@@ -6,6 +6,7 @@ they are made from the same, and made where they are not; :func:`join` makes the
 from the parts, as they are stored.
 """
 
+import os
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -111,7 +112,8 @@ def estimate_fabric(
         return _alone(kept[0], twins, folder, fabric, options.strict)
     kept.sort(key=lambda part: part.observation is None)
     known, lost = _known(parts, kept, header)
-    estimate, document = join([*kept, *known], header, strict=options.strict,
+    joined = [*kept, *(part.named(fabric) for part in known)]
+    estimate, document = join(joined, header, strict=options.strict,
                               ahead=bool(folder and options.drapes))
     faults = [*copies.values(), *twins, *(
         part.finding for part in parts if isinstance(part, Refusal)), *lost]
@@ -125,8 +127,8 @@ def estimate_fabric(
 
 
 def _place(source: Source, folder: Path | None) -> Path | None:
-    """The folder of a source's part."""
-    return folder / source.part if folder else None
+    """The folder of a source's part; that of the fabric need not exist."""
+    return Path(os.path.normpath(folder / source.part)) if folder else None
 
 
 def _read(
@@ -276,7 +278,7 @@ def _write_joint(
     if reported and options.drapes:
         from drapenet.report.report import report_fabric
 
-        places = [(part, folder / part.source.part) for part in kept]
+        places = [(part, place) for part in kept if (place := _place(part.source, folder))]
         report_fabric(folder, document, [(part.document, place) for part, place in places
                                          if part.observation],
                       [place for part, place in places if not part.observation], options.address)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from drapenet.fabric.read import require_one_fabric
 
 import drapenet
 import infer
@@ -20,7 +21,7 @@ from drapenet.fabric import infer as inferring
 from drapenet.fabric import stages
 from drapenet.fabric.combine import combine
 from drapenet.fabric.estimate import estimate_fabric, join, read_part
-from drapenet.fabric.read import require_one_fabric
+from drapenet.measured.captures import Views
 from drapenet.network.checkpoint import read_header
 from drapenet.network.predict import Draws
 from drapenet.result.files import FAULTS
@@ -155,14 +156,14 @@ def test_a_face_that_shows_no_drape_is_left_out_as_one_that_cannot_be_read(tmp_p
     _, down = (capture(tmp_path / "twill" / name) for name in ("up", "down"))
     file = down / "capture.yaml"  # other views, which are refused when they are observed
     file.write_text(file.read_text().replace("depth_unit_m: 0.001", "depth_unit_m: 0.00101"))
-    true = stages.observe
+    true = Views.observed
 
     def observed(seen):
         if seen.path == down:
             raise InputError("no drape is seen")
         return true(seen)
 
-    monkeypatch.setattr(stages, "observe", observed)
+    monkeypatch.setattr(Views, "observed", observed)
     line, = texts(drapenet.estimate(tmp_path / "twill").warnings)
     assert line == f"this estimate is made without {down}, which is refused: no drape is seen"
     with pytest.raises(InputError, match="no drape is seen"):
