@@ -144,9 +144,10 @@ def _estimate(
                 stage=stage, warnings=records(found.document.warnings),
                 estimate=read_json(folder / ESTIMATE)))
     except InputError as error:
-        called = error.within(folder / UPLOADED, row["name"]).within(folder.parent)
-        keep_refusal(Refusal.of(source, called), folder, key)
-        raise called from None
+        kept, said = (error.within(folder / UPLOADED, name).within(folder.parent)
+                      for name in (source.label, row["name"]))
+        keep_refusal(Refusal.of(source, kept), folder, key)
+        raise said from None
 
 
 def _estimate_jointly(
