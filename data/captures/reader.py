@@ -19,7 +19,7 @@ import numpy as np
 
 from common.documents import misnamed, read_text, read_yaml, rename_remedy
 from common.errors import InputError, one_line
-from common.files import path_named
+from common.files import by_number, path_named
 from common.findings import Finding
 from common.types import Metres
 from data.captures.board import board_intrinsics, board_turns, shows_board
@@ -209,7 +209,8 @@ def captures_in(path: Path) -> list[Path]:
         return [path]
     for below in ("*", "*/*", "*/*/*"):
         folders = sorted({file.parent for file in path.glob(f"{below}/*")
-                          if file.name in CAPTURE_FILES or misnamed([file.name], DESCRIPTION)})
+                          if file.name in CAPTURE_FILES or misnamed([file.name], DESCRIPTION)},
+                         key=by_number)
         if folders and below.count("/") == 2:
             raise InputError(f"{path} looks like FABRIC/SAMPLE/CAPTURE ({folders[0]}): give "
                              f"captures={path} for an estimate of each fabric")

@@ -16,7 +16,7 @@ import numpy as np
 
 from common.cases import run_cases
 from common.errors import InputError
-from common.files import remove_file, replace_file, require_folder
+from common.files import by_number, remove_file, replace_file, require_folder
 from common.findings import Finding
 from data.captures.capture import Capture
 from data.captures.preview import show
@@ -128,7 +128,7 @@ def join_fabrics(
                 for entry, failure in outcomes if failure]
     fabrics, apart, failed = [], [], Counter(row["fabric"] for row in failures)
     ordered = sorted((entry for entry, failure in outcomes if not failure),
-                     key=lambda entry: (entry.fabric, entry.place))
+                     key=lambda entry: (by_number(entry.fabric), by_number(entry.place)))
     twins = _twins_elsewhere(ordered, out)
     refused: dict[str, list[Path]] = {}
     for entry, failure in outcomes:

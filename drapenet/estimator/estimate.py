@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from common.errors import InputError
-from common.files import printable, replace_file
+from common.files import by_number, printable, replace_file
 from common.findings import Finding
 from common.normal import Normal
 from data.captures.capture import Capture
@@ -94,7 +94,8 @@ def captures_in(folder: Path) -> tuple[Observation, ...] | None:
     """What the network reads of the captures of the estimate that is written to a folder; None if
     they are elsewhere."""
     document = read_document(folder / ESTIMATE)
-    places = [folder] if document.capture.source else sorted(folder.glob("capture_*"))
+    places = ([folder] if document.capture.source else
+              sorted(folder.glob("capture_*"), key=by_number))
     places = [place for place in places if (place / OBSERVATION).is_file()]
     complete = len(places) == len(document.captures or [document.capture.source] *
                                   bool(document.capture.source))
