@@ -268,7 +268,8 @@ def _named(
     if from_above or not images or any(
             _OUTLINE.fullmatch(stem) or _PLATE.search(stem) for stem in stems):
         return _from_above(files, several=several)
-    renamed = {name: f"view_{k}{Path(name).suffix}" for k, name in enumerate(sorted(images, key=by_number))}
+    renamed = {name: f"view_{k}{Path(name).suffix}"
+               for k, name in enumerate(sorted(images, key=by_number))}
     return {renamed.get(name, name): data for name, data in files.items()}
 
 
