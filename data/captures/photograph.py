@@ -19,6 +19,7 @@ from common.errors import InputError
 from common.findings import Finding
 from common.types import Metres, Outline, PixelPath, Radians, Vector
 from data.captures.bulge import bulge
+from data.captures.check import MAX_COEFFICIENT
 from data.captures.clarity import Clarity
 from data.captures.description import OUTLINE_TABLES, OutlineSource
 from data.captures.ground import Ground
@@ -337,11 +338,14 @@ def _checked(outline: PhotographedOutline) -> list[Finding]:
     if nearest < MIN_RADIUS[outline.centred] * rim:
         raise InputError(f"the outline comes within {1e3 * nearest:.1f} mm of the plate's centre, "
                          f"inside the plate of {1e3 * rim:g} mm radius; {causes}")
-    if not MIN_COEFFICIENT <= (coefficient := outline.drape_coefficient) <= 1:
+    if not MIN_COEFFICIENT <= (coefficient := outline.drape_coefficient) <= MAX_COEFFICIENT:
         raise InputError(f"the drape coefficient is {coefficient:.1%}, only {MIN_COEFFICIENT:.0%} "
                          f"to 100% is possible; {causes}, and that the outline is not that of the "
                          "plate or of a hole")
     warnings = []
+    if coefficient > 1:
+        warnings.append(Finding("outline_too_large", {"value": coefficient,
+                                                      "causes": outline.causes}))
     if (width := _least_width(curve)) > MAX_REACH * min(rig.sides):
         warnings.append(Finding("hem_wide", {
             "value": 1e3 * width, "limit": 1e3 * min(rig.sides), "causes": outline.causes}))

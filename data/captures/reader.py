@@ -19,7 +19,6 @@ import numpy as np
 
 from common.documents import misnamed, read_text, read_yaml, rename_remedy
 from common.errors import InputError, one_line
-from common.files import path_named
 from common.findings import Finding
 from common.types import Metres
 from data.captures.board import board_intrinsics, board_turns, shows_board
@@ -197,22 +196,3 @@ def _read_published(path: Path) -> DepthCapture:
     views, warnings = checked_views(depth, camera)
     return DepthCapture(views, camera, whole_turns(len(views)), density=density, rig=SQUARE_RIG,
                         path=path, warnings=(Finding("depth_coarse"), *warnings))
-
-
-def captures_in(path: Path) -> list[Path]:
-    """Capture folders in ``path``, sorted: itself, or those in a folder of captures or samples.
-
-    Those whose description is misnamed are among them, so that none is left out in silence.
-    """
-    path = path_named(Path(), str(path))
-    if not path.is_dir() or any((path / name).exists() for name in CAPTURE_FILES):
-        return [path]
-    for below in ("*", "*/*", "*/*/*"):
-        folders = sorted({file.parent for file in path.glob(f"{below}/*")
-                          if file.name in CAPTURE_FILES or misnamed([file.name], DESCRIPTION)})
-        if folders and below.count("/") == 2:
-            raise InputError(f"{path} looks like FABRIC/SAMPLE/CAPTURE ({folders[0]}): give "
-                             f"captures={path} for an estimate of each fabric")
-        if folders:
-            return folders
-    return [path]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from common.errors import InputError, one_line, shown
-from common.files import composed, path_named
+from common.files import by_number, composed, path_named
 from common.tables import read_table
 from drapenet.measured.read import is_measured
 
@@ -64,8 +64,9 @@ def _tree(root: Path) -> Iterator[tuple[tuple[str, str, str], Path]]:
     for name, folders, files in os.walk(root, onerror=stop, followlinks=True):
         folder = Path(name)
         # Links to a parent folder would recurse.
-        folders[:] = sorted(inner for inner in folders if not inner.startswith(".") and
-                            not folder.resolve().is_relative_to((folder / inner).resolve()))
+        folders[:] = sorted((inner for inner in folders if not inner.startswith(".") and
+                             not folder.resolve().is_relative_to((folder / inner).resolve())),
+                            key=by_number)
         if is_measured(files):
             folders.clear()
         elif folders or all(file.startswith(".") for file in files):

@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from common.cases import in_processes
 from common.errors import InputError, one_line
-from common.files import remove_file, require_folder
+from common.files import by_number, remove_file, require_folder
 from common.findings import Finding
 from drapenet.config import EstimateOptions
 from drapenet.fabric.entries import Entry, entries_of
@@ -116,7 +116,7 @@ def _join_fabrics(
                                failures[entry.place].removeprefix(f"{entry.path}: ")),
                      strict=True)) for entry in entries if entry.place in failures]
     failed = Counter(row["fabric"] for row in rows)
-    ordered = sorted(entries, key=lambda entry: (entry.fabric, entry.place))
+    ordered = sorted(entries, key=lambda entry: (by_number(entry.fabric), by_number(entry.place)))
     documents = {entry.place: part.document for entry in ordered if isinstance(
         part := stored_part(_source(entry), out / entry.place, ""), Part)}
     twins = _twins_elsewhere(ordered, documents)

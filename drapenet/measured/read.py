@@ -7,7 +7,7 @@ from typing import Any
 
 from common.documents import misnamed, read_yaml
 from common.errors import InputError
-from common.files import path_named
+from common.files import by_number, path_named
 from data.captures.description import Description
 from data.readings.known import Known
 from drapenet.measured import KINDS
@@ -53,7 +53,7 @@ def sources_in(path: Path, kind: str = "") -> list[Path]:
         return [path]
     for below in ("*", "*/*", "*/*/*"):
         folders = sorted({found.parent for found in path.glob(f"{below}/*") if any(
-            found.name == file or misnamed([found.name], file) for file in files)})
+            found.name == file or misnamed([found.name], file) for file in files)}, key=by_number)
         if folders and below.count("/") == 2:
             raise InputError(f"{path} looks like FABRIC/SAMPLE/CAPTURE ({folders[0]}): give "
                              f"captures={path} for an estimate of each fabric")

@@ -284,7 +284,7 @@ def make_config(
 ) -> DatasetConfig:
     """Configuration of new drapes on a ``tester``, with the nuisances of the training set's;
     ``even``: of fabrics of evenly distributed stiffness."""
-    edge_mm = header.dataset.generation[0]["solver"]["edge_mm"]
+    edge_mm = header.dataset.generation[-1]["solver"]["edge_mm"]
     drapes = DRAPES_PER_EVEN_FABRIC if even else config.drapes_per_fabric
     fabrics = config.even_fabrics if even else config.fabrics_per_tester
     words = [f"drapes={drapes * fabrics}", f"seed={config.seed + even}",

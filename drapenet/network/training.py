@@ -246,10 +246,14 @@ def describe(
 ) -> dict:
     """Description of a checkpoint's network, see :mod:`drapenet.network.checkpoint`."""
     low, high = np.quantile(training.cloth.theta, [0.01, 0.99], axis=0)
+    sampling = datasets["generation"][-1]["sampling"]
+    prior = {"fabrics": datasets["generation"][-1]["prior"], **{
+        name: sampling[name] for name in ("even_share", "anisotropy", "nuisances")}}
     if config.taught:
-        fabrics = read_header(config.start).fabrics
-        low, high = np.array(fabrics.low), np.array(fabrics.high)
-    prior = prior_from_content(datasets["generation"][0]["prior"], origin="the dataset's prior")
+        teacher = read_header(config.start)
+        low, high = np.array(teacher.fabrics.low), np.array(teacher.fabrics.high)
+        prior = teacher.prior.model_dump()
+    fabrics = prior_from_content(prior["fabrics"], origin="the dataset's prior")
     return {
         "reference_density_g_m2": REFERENCE_DENSITY * 1e3,
         "model": arguments(config, training),
@@ -257,7 +261,8 @@ def describe(
         # Of theta in the dataset's order: warp, bias, weft. The deviation is the prior's, which
         # errors are compared with; fabrics that were moved to even stiffness are not typical.
         "fabrics": {"low": low.tolist(), "high": high.tolist(),
-                    "deviation": spread_of(prior).tolist()},
+                    "deviation": spread_of(fabrics).tolist()},
+        "prior": prior,
         "dataset": {
             **datasets,
             "drapes": len(np.unique(training.maps.index)),

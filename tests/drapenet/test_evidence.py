@@ -180,7 +180,12 @@ def test_values_that_contradict_each_other_and_not_the_captures():
 
 
 def test_a_wrong_value_beside_strips_is_named_though_it_is_far_from_linear(header, tmp_path):
-    """A cloth between all of them would have none: it curls, and KES B and 2HB are others, too."""
+    """A cloth between all of them would have none: it curls, and KES B and 2HB are others, too.
+    Fabrics as anisotropic as published ones can be: each value by itself fits the others."""
+    stated = header.prior
+    wide = stated.model_copy(update={"anisotropy": [1.0, 1.0], "nuisances": {
+        **stated.nuisances, "membrane": [200.0, 2000.0]}})
+    header = header.model_copy(update={"prior": wide})
     (tmp_path / "strips.yaml").write_text(
         "density_g_m2: 210\nstrips:\n- {direction: warp, bending_length_mm: 28.4}\n"
         "- {direction: weft, bending_length_mm: 20.8, face: down}\n"
@@ -237,6 +242,18 @@ def test_refined_captures_count_the_prior_once(header):
     deviation = np.sqrt(np.diag(expected.covariance))
     assert np.abs((twice.mean[:9] - expected.mean) / deviation).max() < 0.3
     assert np.diag(twice.covariance)[:9] == pytest.approx(np.diag(expected.covariance), rel=0.3)
+
+
+def test_the_prior_is_that_of_what_the_network_has_learned_last(header):
+    """Earlier trainings, whose fabrics are not unseen, do not count."""
+    newest = header.dataset.generation[-1]
+    assert header.prior.fabrics == newest["prior"]
+    assert header.prior.model_dump(exclude={"fabrics"}).items() <= newest["sampling"].items()
+    states = state_of(fabric_prior(header))
+    bias = states[:, 1] - states[:, [0, 2]].mean(axis=1)  # log alpha against the yarns'
+    assert bias.std() == pytest.approx(0.15, abs=0.02)
+    low, high = np.exp(np.quantile(states[:, 8], [0.025, 0.975]))
+    assert (low, high) == pytest.approx((400, 2500), rel=0.1)
 
 
 def test_strips_alone_leave_the_other_directions_to_the_prior(header):
