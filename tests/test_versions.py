@@ -11,13 +11,13 @@ import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+import drapenet.batch.batch
 import numpy as np
 import pytest
 from checkpoints import description, save_untrained
 from safetensors.numpy import load_file
 
 import data.dataset.config
-import drapenet.batch.batch
 import drapenet.network.checkpoint
 import drapenet.network.dataset
 from common.cases import load_arrays, run_cases

@@ -30,8 +30,9 @@ from common.findings import texts
 from data.captures.board import PAPER, board_picture
 from data.captures.capture import OutlineCapture
 from data.captures.photograph import below_the_mat
-from data.captures.reader import captures_in, read_capture
+from data.captures.reader import read_capture
 from data.pictures.reading import decoded, encoded
+from drapenet.measured.read import sources_in
 from sim.rig import DISC_RIG, Rig
 
 OUTLINES = Path(__file__).resolve().parents[3] / "shared" / "outlines.npz"
@@ -475,7 +476,7 @@ def test_a_misnamed_description_is_named_with_the_remedy(tmp_path, name):
     (folder / "capture.yaml").rename(folder / name)
     with pytest.raises(InputError, match=rf"{name}: rename it to capture\.yaml \(Windows"):
         read_capture(folder)
-    assert captures_in(fabric) == [fabric / "0", fabric / "1"]  # none is left out in silence
+    assert sources_in(fabric, "capture") == [fabric / "0", fabric / "1"]  # none is left out in silence
 
 
 @pytest.mark.parametrize(("nearest", "height", "named"), [(58, 139, 0), (58, 60, 1), (120, 20, 0)])
