@@ -122,9 +122,9 @@ def _draw_checks(panel: Axes, title: str, checks: Sequence[Check]) -> None:
 
 
 def png(figure: Figure) -> bytes:
-    """A figure as PNG."""
+    """A figure as PNG, the same of each version of matplotlib."""
     stream = io.BytesIO()
-    figure.savefig(stream, format="png")
+    figure.savefig(stream, format="png", metadata={"Software": None})
     return stream.getvalue()
 
 
