@@ -11,7 +11,7 @@ import sim
 
 MODULES = ("drapenet", "drapenet.result.estimate", "drapenet.estimator", "drapenet.evidence", "sim",
            "sim.energies", "sim.equilibrium", "sim.material", "sim.measures", "sim.rig",
-           "sim.sensitivity", "sim.cantilever", "data.captures", "!data.captures.reported",
+           "sim.sensitivity", "sim.cantilever", "data.captures", "!data.readings.known",
            "data.readings", "!data.readings.known", "data.fabrics", "data.strips", "data.tension",
            "!data.fabrics.prior.__main__")
 

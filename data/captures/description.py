@@ -15,7 +15,7 @@ from common.errors import InputError, shortened, shown
 from common.findings import Finding
 from common.types import Density, Metres, Radians, Turns
 from data.captures.depth import Lens
-from data.captures.reported import Reported
+from data.readings.known import Reported
 from data.render.cameras import Intrinsics
 from data.rigs import Tester, read_tester
 

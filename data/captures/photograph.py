@@ -18,8 +18,7 @@ import numpy as np
 from common.errors import InputError
 from common.findings import Finding
 from common.types import Metres, Outline, PixelPath, Radians, Vector
-from data.captures.bulge import bulge
-from data.captures.clarity import Clarity
+from data.captures.clarity import Clarity, bulge, side, sides
 from data.captures.description import OUTLINE_TABLES, OutlineSource
 from data.captures.ground import Ground
 from data.captures.joined_outlines import (
@@ -34,7 +33,6 @@ from data.captures.joined_outlines import (
 from data.captures.off_axis import AZIMUTH, AZIMUTHS, OUTWARDS
 from data.captures.outline_table import read_closed_curve
 from data.captures.scale import Scaled, scaled_photographs
-from data.captures.sides import side, sides
 from data.pictures.cut import outline_of_cloth
 from data.pictures.planes import mapped, shifted, upright
 from sim.outlines import closed, coefficient_of_area, farthest, folds_around

@@ -15,8 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from common.types import Outline, Radians, Turns
-from data.captures.capture import Capture, DepthCapture, OutlineCapture
-from data.captures.check import Check
+from data.captures.capture import Capture, Check, DepthCapture, OutlineCapture
 from data.captures.cutout import CutOut
 from data.render.cameras import Camera, Intrinsics
 from data.render.shade import silhouette, thumbnails

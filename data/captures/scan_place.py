@@ -18,7 +18,7 @@ from scipy.spatial import Delaunay, cKDTree
 from common.errors import InputError
 from common.findings import Finding
 from common.types import Faces, Metres, Points, Vector
-from data.captures.plane_search import largest_plane
+from data.captures.plane_fit import largest_plane
 from sim.rig import Rig
 
 UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "inches": 0.0254, "feet": 0.3048, "µm": 1e-6}

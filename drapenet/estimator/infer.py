@@ -9,7 +9,7 @@ import numpy as np
 from common.errors import InputError
 from common.findings import Finding
 from common.normal import Normal
-from data.captures.reported import Reported
+from data.readings.known import Reported
 from drapenet.estimator.observe import Observed
 from drapenet.estimator.read import require_directions
 from drapenet.evidence.combine import consistent, updated

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from data.captures.reported import Reported
 from data.readings import QUANTITIES
 from data.readings.kes import GF_CM
+from data.readings.known import Reported
 from drapenet.network.checkpoint import read_header
 from drapenet.network.load import network_of
 from drapenet.network.predict import predict

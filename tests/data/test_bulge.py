@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from data.captures.bulge import bulge
+from data.captures.clarity import bulge
 from data.captures.off_axis import AZIMUTH
 
 SHADOWED = np.abs(AZIMUTH - np.pi / 2) < np.pi / 7  # at the top

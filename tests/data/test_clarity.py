@@ -6,11 +6,10 @@ import pytest
 import yaml
 
 from common.findings import texts
-from data.captures.clarity import DOUBTFUL, Clarity
+from data.captures.clarity import DOUBTFUL, Clarity, side, sides
 from data.captures.ground import Ground
 from data.captures.off_axis import AZIMUTH, AZIMUTHS, MAX_LEAN
 from data.captures.reader import read_capture
-from data.captures.sides import side, sides
 from data.pictures.mat import QUIET, near_markers
 
 GROUND, CAMERA = Ground("a3", 1.0, 0.15), np.array([0.0, 0.03, 0.9])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from cloths import revolved, skirt
 
-from data.captures.check import warnings_of
+from data.captures.capture import warnings_of
 from data.render.cameras import camera_pose, nominal_camera
 from data.render.rays import DepthRenderer
 from drapenet.views.checks import turn_checks

@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from common.errors import InputError
 from common.findings import sentences, texts
-from data.captures.check import warnings_of
+from data.captures.capture import warnings_of
 from data.render.setups import Setups, SyntheticCapture
 from drapenet.views.checks import (
     SPECIMEN_OFFSET,

@@ -9,7 +9,7 @@ import torch
 from cloths import write_dataset
 
 from common.errors import InputError
-from data.captures.check import warnings_of
+from data.captures.capture import warnings_of
 from data.dataset.folder import finished_manifest
 from data.render.cameras import QUARTERS, nominal_camera
 from data.render.rays import DepthRenderer

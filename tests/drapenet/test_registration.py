@@ -5,7 +5,7 @@ import pytest
 from cloths import revolved, varied_camera
 
 from common.findings import texts
-from data.captures.check import warnings_of
+from data.captures.capture import warnings_of
 from data.captures.plate import plate_of_cloth
 from data.render.cameras import QUARTERS, nominal_camera
 from data.render.rays import DepthRenderer

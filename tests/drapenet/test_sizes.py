@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from data.captures.check import warnings_of
+from data.captures.capture import warnings_of
 from data.render.cameras import nominal_camera
 from drapenet.views.checks import MAX_SIZE_ERROR, size_checks
 from drapenet.views.located import LocatedViews
