@@ -106,8 +106,8 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def read_drapes(root: Path, manifest: dict, *, intersections: int) -> dict[str, np.ndarray]:
-    """:data:`COLUMNS` of a dataset's drapes, in order, with the name of the ``shard`` and the
-    ``row`` of each; ``stretch``, the largest strain, to 0.1 %, NaN unless converged; and
+    """:data:`COLUMNS` (N, ...) of a dataset's drapes, in order, with the name of the ``shard`` and
+    the ``row`` of each; ``stretch``, the largest strain, to 0.1 %, NaN unless converged; and
     ``crossings``, the edges that intersect a face, of ``intersections`` drapes, else -1."""
     parts: dict[str, list] = {name: [] for name in (*COLUMNS, "shard", "row", "stretch",
                                                     "crossings")}
@@ -146,7 +146,7 @@ def prior_samples(manifest: dict) -> tuple[Theta, float]:
 
 
 def report(manifest: dict, drapes: dict[str, np.ndarray], prior: tuple[Theta, float]) -> dict:
-    """Statistics of the dataset in JSON types; ``prior``: from :func:`prior_samples`."""
+    """Statistics of drapes (N, ...) in JSON types; ``prior``: from :func:`prior_samples`."""
     converged = drapes["status"] == "converged"
     kept = {name: column[converged] for name, column in drapes.items()}
     trained = kept["theta"][np.unique(kept["fabric"], return_index=True)[1]]
@@ -235,8 +235,8 @@ class Shot(NamedTuple):
 
 
 def take_shots(root: Path, drapes: dict[str, np.ndarray], *, count: int) -> list[Shot]:
-    """Render ``count`` converged drapes, by drape coefficient, and up to a row of failed ones with
-    coordinates."""
+    """Render ``count`` converged ones of the drapes (N, ...), by drape coefficient, and up to a row
+    of failed ones with coordinates."""
     order = np.argsort(drapes["drape_coefficient"], kind="stable")
     converged = drapes["status"][order] == "converged"
     shots = []

@@ -13,7 +13,7 @@ from typing import Annotated
 
 import numpy as np
 
-from data.fabrics.properties import ClothProperties
+from data.fabrics.fabrics import ClothProperties
 from drapenet.views.directions import AZIMUTHS
 from drapenet.views.pictures import PICTURES
 from sim.material import FIRST, REFERENCE_DENSITY, SECOND, SWAPPED

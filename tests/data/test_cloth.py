@@ -6,8 +6,8 @@ from safetensors.torch import load_file
 
 from common.errors import InputError
 from data.dataset import cloth
+from data.dataset.cloth import ClothNetwork
 from data.dataset.off_axis import silhouette
-from data.pictures.cloth_network import ClothNetwork
 from data.pictures.cut import BUNDLED, cut_cloth, outline_of_cloth
 from data.pictures.reading import Photograph, decoded
 from data.render import textures

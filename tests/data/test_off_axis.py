@@ -9,9 +9,8 @@ from safetensors.torch import load_file
 
 from common.errors import InputError
 from data.captures.off_axis import BUNDLED, seen_from_axis
-from data.captures.off_axis_network import AZIMUTHS, OffAxisNetwork
 from data.dataset.folder import MANIFEST
-from data.dataset.off_axis import main, silhouette
+from data.dataset.off_axis import AZIMUTHS, OffAxisNetwork, main, silhouette
 from sim.draping import drape
 from sim.material import Fabric
 from sim.mesh import Mesh

@@ -5,10 +5,9 @@ import pytest
 from pydantic import ValidationError
 from scipy.optimize import brentq
 
-from data.fabrics.fabrics import from_theta
+from data.fabrics.fabrics import ClothProperties, from_theta
 from data.fabrics.prior import load_prior, log_stiffness
 from data.fabrics.prior.even import draw_fabrics
-from data.fabrics.properties import ClothProperties
 from data.readings import QUANTITIES
 from data.readings.cantilever import (
     MG_CM,

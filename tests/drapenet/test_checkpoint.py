@@ -13,8 +13,8 @@ from common.errors import InputError
 from drapenet.network.checkpoint import read_header
 from drapenet.network.expected import SHAPE
 from drapenet.network.inputs import ASPECTS, FACTS, Batch
-from drapenet.network.load import network_of
 from drapenet.network.model import make_network
+from drapenet.network.predict import network_of
 from drapenet.network.targets import TARGETS
 from drapenet.network.trained import OfGraphs, graph_of
 from drapenet.network.weights import Loaded, load_model, save_checkpoint, save_graphs

@@ -18,7 +18,7 @@ from drapenet.config import EvaluateConfig
 from drapenet.network.checkpoint import Header, read_header
 from drapenet.network.dataset import make_maps
 from drapenet.network.evaluate import CELLS, Judged, judge, make_config
-from drapenet.network.load import network_of
+from drapenet.network.predict import network_of
 from sim.rig import Rig
 
 

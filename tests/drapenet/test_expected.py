@@ -13,8 +13,8 @@ from drapenet.network.expected import (
     log_density_of_all,
     shape_of,
 )
-from drapenet.network.expected_network import Expected, _log_density
 from drapenet.network.inputs import Batch, Facts
+from drapenet.network.model import Expected, _log_density
 from drapenet.network.targets import CURL, TARGETS
 from drapenet.result.advice import advice_of, joint_advice
 from drapenet.views.directions import AZIMUTH, ELEVATIONS

@@ -9,8 +9,7 @@ import pytest
 from common.errors import InputError
 from data.fabrics.fabrics import from_theta
 from drapenet.network.checkpoint import Header, read_header
-from drapenet.network.load import network_of
-from drapenet.network.predict import DRAWS, predict
+from drapenet.network.predict import DRAWS, network_of, predict
 from drapenet.network.trained import Trained
 from drapenet.result.files import read_observation, write_observation
 from drapenet.views.directions import AZIMUTHS, ELEVATIONS

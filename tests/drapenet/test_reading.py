@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from drapenet.network.reading import faults, reading_errors
+from drapenet.network.captures import faults, reading_errors
 from drapenet.views.directions import AZIMUTHS
 
 

@@ -14,7 +14,7 @@ from drapenet.refine.objective import (
     huber,
     value,
 )
-from drapenet.surface.placement import surface_positions
+from drapenet.surface.springs import surface_positions
 from drapenet.views.located import LocatedViews
 from sim.mesh import grid_faces
 from sim.rig import Rig

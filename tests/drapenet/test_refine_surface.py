@@ -10,7 +10,7 @@ from data.render.rays import DepthRenderer
 from drapenet.refine.depth import DepthViews
 from drapenet.refine.positions import RobustPositions
 from drapenet.surface.shape import Cloud, distances
-from drapenet.surface.springs import MAX_HINGE_ANGLE, Surface, captured_shape, smoothed
+from drapenet.surface.springs import MAX_HINGE_ANGLE, Surface, captured_shape, uncrumpled
 from drapenet.views.located import LocatedViews
 from sim.draping import drape
 from sim.energies.hinges import Hinges, hinge_angles
@@ -57,12 +57,12 @@ def test_crumpled_cloth_is_smoothed_and_other_cloth_stays():
     far = np.linalg.norm(rest, axis=1) > 0.09
     crumpled[far, 2] = np.random.default_rng(0).uniform(-0.02, 0.02, far.sum())
     assert bent(scene, crumpled).sum() > 50
-    smooth = smoothed(scene, crumpled)
+    smooth = uncrumpled(scene, crumpled)
     assert not bent(scene, smooth).any()
     np.testing.assert_array_equal(smooth[scene.held], crumpled[scene.held])
     wavy = np.column_stack([rest, 0.01 * np.sin(40 * rest[:, 0])])
     assert not bent(scene, wavy).any()
-    np.testing.assert_array_equal(smoothed(scene, wavy), wavy)
+    np.testing.assert_array_equal(uncrumpled(scene, wavy), wavy)
 
 
 def test_soft_cloth_takes_the_captured_folds():

@@ -7,8 +7,7 @@ import pytest
 
 from common.configs import read_option
 from common.findings import texts
-from data.fabrics.fabrics import fabric_from_theta
-from data.fabrics.properties import ClothProperties
+from data.fabrics.fabrics import ClothProperties, fabric_from_theta
 from data.render.cameras import QUARTERS, nominal_camera
 from data.render.rays import DepthRenderer
 from drapenet.network.checkpoint import read_header

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from data.fabrics.properties import ClothProperties
+from data.fabrics.fabrics import ClothProperties
 from drapenet.network.targets import (
     SYMMETRIES,
     TARGETS,

@@ -22,8 +22,7 @@ from data.fabrics.prior.files import (
     save_prior,
 )
 from data.fabrics.prior.gaussian import GaussianPrior
-from data.fabrics.prior.training import ARCHITECTURES, Architecture
-from data.fabrics.prior.vae import VaePrior
+from data.fabrics.prior.vae import ARCHITECTURES, Architecture, VaePrior
 
 __all__ = [
     "ARCHITECTURES",

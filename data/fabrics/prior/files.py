@@ -13,8 +13,7 @@ from common.types import Theta
 from data.fabrics.fabrics import THETA_NAMES
 from data.fabrics.prior.base import Prior, TablePrior
 from data.fabrics.prior.gaussian import GaussianPrior
-from data.fabrics.prior.training import ARCHITECTURES
-from data.fabrics.prior.vae import VaePrior
+from data.fabrics.prior.vae import ARCHITECTURES, VaePrior
 
 SCHEMA_VERSION = 1
 WEIGHTS = Path(__file__).resolve().parents[2] / "weights"
