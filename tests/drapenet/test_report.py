@@ -14,9 +14,8 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from common.findings import Finding
-from drapenet.report.passport import Passport
 from drapenet.report.pdf import as_pdf
-from drapenet.report.report import ShownCapture, write_report
+from drapenet.report.report import Passport, ShownCapture, write_report
 from drapenet.result.document import EstimateDocument
 from drapenet.result.files import PAGE, PDF, capture_names, fabric_name
 from drapenet.result.terminal import terminal_text
