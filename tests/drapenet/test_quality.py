@@ -1,4 +1,4 @@
-"""Spoiled captures say what is wrong with them; sound ones say nothing."""
+"""Checks of captures, sizes measured on them, and the errors of outlines that are learned."""
 
 import json
 from dataclasses import replace
@@ -11,22 +11,28 @@ from scipy import ndimage
 from common.errors import InputError
 from common.findings import sentences, texts
 from data.captures.capture import warnings_of
+from data.render.cameras import nominal_camera
 from data.render.setups import Setups, SyntheticCapture
+from drapenet.network.captures import faults, reading_errors
 from drapenet.views.checks import (
+    MAX_SIZE_ERROR,
     SPECIMEN_OFFSET,
     Quality,
     measure,
     quality_checks,
     require_plate,
+    size_checks,
     specimen_offset,
 )
+from drapenet.views.directions import AZIMUTHS
 from drapenet.views.located import LocatedViews
 from drapenet.views.radial_map import radial_map
+from drapenet.views.sizes import Sizes, measured_sizes
 from experiments.__main__ import main
 from experiments.estimation.specimen_offset import fit
 from sim.draping import drape
 from sim.material import Fabric
-from sim.rig import Rig
+from sim.rig import DISC_RIG, Rig
 
 RIG = Rig()
 FABRIC = Fabric([48e-6, 30e-6, 22e-6], [-96e-9, -60e-9, -44e-9])
@@ -179,3 +185,86 @@ def test_every_warning_has_a_remedy_in_the_docs(words):
     lines = (Path(__file__).parents[2] / "docs" / "rig.md").read_text("utf-8").splitlines()
     assert any(words in sentence for sentence in sentences().values())
     assert any(line.startswith("| ") and line.count("|") == 4 and words in line for line in lines)
+
+
+class Cone(LocatedViews):
+    """Points of a disc that is flat on its plate and falls steeply beyond it."""
+
+    size, plate, azimuths, slope = 0.3, 0.18, 1.0, np.radians(50)
+
+    @property
+    def clouds(self):
+        """Points in one view, about a millimetre apart."""
+        rng = np.random.default_rng(0)
+        length = self.size / 2 * np.sqrt(rng.random(60_000))
+        azimuth = 2 * np.pi * self.azimuths * rng.random(len(length))
+        beyond = np.maximum(length - self.plate / 2, 0.0)
+        radius = length - beyond * (1 - np.cos(self.slope))
+        return [np.column_stack([radius * np.cos(azimuth), radius * np.sin(azimuth),
+                                 -beyond * np.sin(self.slope)])]
+
+
+def measured(rig: Rig = DISC_RIG, **shape: float) -> Sizes:
+    views = np.zeros((1, 1, 1), np.float32)
+    cone = Cone.exact(views, nominal_camera(rig), rig, np.zeros(1))
+    for name, value in shape.items():
+        object.__setattr__(cone, name, value)
+    return measured_sizes(cone)
+
+
+@pytest.mark.parametrize("size", [0.24, 0.30, 0.36])
+@pytest.mark.parametrize("plate", [0.12, 0.18])
+def test_sizes_do_not_depend_on_the_stated_ones(size, plate):
+    found = measured(size=size, plate=plate)
+    assert found.specimen == pytest.approx(size, rel=0.07)
+    assert found.plate == pytest.approx(plate, rel=0.07)
+    assert [one.code for one in warnings_of(size_checks(found, MAX_SIZE_ERROR))] == [
+        *["specimen_size"] * (size != 0.30), *["plate_size"] * (plate != 0.18)]
+
+
+def test_a_tenth_of_a_drape_has_no_size():
+    found = measured(azimuths=0.1)
+    assert np.isnan([found.specimen, found.plate]).all()
+    assert warnings_of(size_checks(found, MAX_SIZE_ERROR)) == []
+
+
+def rms(values: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.square(values).mean(axis=-1))
+
+
+@pytest.fixture(scope="module")
+def drawn() -> tuple[np.ndarray, np.ndarray]:
+    return reading_errors(4000, np.random.default_rng(0))
+
+
+def test_errors_are_those_of_pictures_and_their_statement_tells_of_them(drawn):
+    off, stated = drawn
+    assert off.shape == stated.shape == (4000, AZIMUTHS)
+    assert (stated > 0).all()
+    # Of half a specimen of 300 mm, 1e-2 is 1.5 mm.
+    assert 2e-3 < np.median(rms(off)) < 2e-2
+    large = rms(stated) > np.median(rms(stated))
+    assert np.median(rms(off[large])) > 1.5 * np.median(rms(off[~large]))
+
+
+def test_errors_prefer_no_azimuth(drawn):
+    off, _ = drawn
+    squares = np.square(off).clip(max=1e-3)
+    deviation = squares.mean(axis=0) / (squares.std(axis=0) / np.sqrt(len(off)))
+    assert np.ptp(squares.mean(axis=0)) / squares.mean() < 12 / deviation.min()
+
+
+def test_faults_are_bites_and_bulges_of_a_few_degrees():
+    off = faults(4000, np.random.default_rng(0))
+    some = np.abs(off).max(axis=1) > 0
+    assert 0.25 < some.mean() < 0.35
+    wide = (off[some] != 0).mean(axis=1) * 360
+    assert wide.min() >= 3 and wide.max() <= 45
+    assert 0.4 < (off[some].sum(axis=1) > 0).mean() < 0.6
+
+
+def test_edges_of_faults_are_sharp_or_soft():
+    off = np.abs(faults(4000, np.random.default_rng(0)))
+    off = off[off.max(axis=1) > 0]
+    full = (off > 0.9 * off.max(axis=1, keepdims=True)).sum(axis=1) / (off > 0).sum(axis=1)
+    assert (full > 0.7).mean() > 0.1 and (full < 0.5).mean() > 0.3
