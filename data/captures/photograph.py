@@ -15,7 +15,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from common.errors import InputError
+from common.errors import InputError, of
 from common.findings import Finding
 from common.types import Metres, Outline, PixelPath, Radians, Vector
 from data.captures.clarity import Clarity, bulge, side, sides
@@ -128,7 +128,7 @@ def read_outline(
         kind = "a photograph" if is_table else "a text file"
         raise InputError(f"outline.{wrong[0]} is of {kind}, but the outline is {file.name}; "
                          "leave it out")
-    try:
+    with of(file):
         if is_table:
             handed = warp_direction is not None and abs(np.sin(2 * warp_direction)) > MAX_SKEW
             digests = [_sha256(file)]
@@ -138,8 +138,6 @@ def read_outline(
             digests = [_sha256(one) for one in pictures]
             found = _photographed(file, pictures, digests, source, rig, warp_direction)
         warnings = (*found.warnings, *_checked(found))
-    except InputError as error:
-        raise InputError(str(error) if str(file) in str(error) else f"{file}: {error}") from None
     if np.isnan(found.height):
         warnings += (Finding("camera_height_missing"),)
     if not found.centred:
