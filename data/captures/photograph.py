@@ -24,9 +24,9 @@ from data.captures.ground import Ground
 from data.captures.joined_outlines import (
     MAX_PARTED,
     MAX_UNLIKE,
-    View,
+    SeenOutline,
     around,
-    join,
+    join_outlines,
     on_axis,
     turned,
 )
@@ -193,10 +193,10 @@ def _photographed(
                    error=around(error, -first_side), warnings=(*found.warnings, *warnings))
 
 
-def _view(seen: Scaled, found: PhotographedOutline, first_side: Radians) -> View:
+def _view(seen: Scaled, found: PhotographedOutline, first_side: Radians) -> SeenOutline:
     """A picture over the mat, turned such that the first side of a rectangle is along x."""
     assert seen.beside is not None and found.error is not None
-    return View(found.curve, seen.beside, seen.height, found.error).turned(-first_side)
+    return SeenOutline(found.curve, seen.beside, seen.height, found.error).turned(-first_side)
 
 
 def _joined(
@@ -209,7 +209,7 @@ def _joined(
     rig = read[names[0]][1].rig
     ground = Ground.of(source)
     assert ground is not None  # several pictures are read over a mat alone
-    together = join(views, rig, ground.plate_height)
+    together = join_outlines(views, rig, ground.plate_height)
     warnings += [Finding("picture_contradicts", {"picture": file.name, "limit": MAX_UNLIKE})
                  for k, file in enumerate(names) if k not in together.used]
     used = [names[k] for k in together.used]

@@ -11,7 +11,7 @@ from common.documents import read_bytes, reading
 from common.errors import InputError, of
 from common.findings import Finding
 from common.types import Faces, Points
-from data.captures.scan_place import cut_away, find_plate, plate_filled
+from data.captures.scan_place import cut_away, plate_filled, plate_of_scan
 from data.captures.scans import MAX_SCAN_SIZE
 from sim.rig import Rig
 
@@ -42,7 +42,7 @@ def read_raw_scan(path: Path, rig: Rig) -> RawScan:
 
 
 def _placed(points: Points, faces: Faces, rig: Rig) -> RawScan:
-    points, changes = find_plate(points, faces, rig).placed(points)
+    points, changes = plate_of_scan(points, faces, rig).placed(points)
     cloth, others = cut_away(points, faces, rig)
     if others:
         if cloth.sum() < MIN_POINTS:

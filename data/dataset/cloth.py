@@ -34,7 +34,7 @@ from common.graph_export import save_graph, save_weights
 from common.graphs import SUFFIX
 from data.dataset.folder import require_dataset, split_by_fabric
 from data.dataset.shards import SHARDS, Shard
-from data.pictures.cut import COARSE, FINE, SIDE, View, steps
+from data.pictures.cut import COARSE, FINE, SIDE, ClothView, steps
 from data.render.cloth_scenes import scene_of
 
 _WIDTHS = (16, 24, 48, 96, 128)
@@ -154,7 +154,7 @@ class Pictures:
                 one = {key: values[row] for key, values in arrays.items()}
                 off = None if np.isnan(one["off"]).any() else one["off"]
                 reach = float(one["reach"])
-                view = View(one["picture"], one["printed"], one["on_mat"],
+                view = ClothView(one["picture"], one["printed"], one["on_mat"],
                             np.zeros((SIDE, SIDE), bool), float(one["plate"]), reach, off)
                 fine, coarse = (part.astype(np.float16) for part in view.channels())
                 found.append((fine, coarse, one["cloth"], np.diff(steps(reach))[0],

@@ -67,7 +67,7 @@ def main(config: InspectConfig) -> None:
     manifest = check_dataset(root)
     drapes = read_drapes(root, manifest, intersections=config.intersections)
     content = report(manifest, drapes, prior_samples(manifest))
-    print(in_words(content))
+    print(as_text(content))
     replace_json(out / "report.json", content)
     if shots := take_shots(root, drapes, count=config.sheet):
         replace_file(out / "contact_sheet.png", contact_sheet(shots))
@@ -214,7 +214,7 @@ def _parameters(fabrics: Theta, prior: Theta) -> dict[str, dict]:
     return result
 
 
-def in_words(content: Any) -> str:
+def as_text(content: Any) -> str:
     """A :func:`report` as text, its numbers to three digits."""
     return yaml.safe_dump(_rounded(content), sort_keys=False, allow_unicode=True, width=LINE,
                           default_flow_style=None)

@@ -48,7 +48,7 @@ def steps(reach: Metres) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class View:
+class ClothView:
     """Pictures of SIDE x SIDE pixels about the plate's axis, x to the right, y up.
 
     Attributes:
@@ -173,7 +173,7 @@ def outline_of_cloth(
 def _view(
     photograph: Photograph, to_pixels: np.ndarray, middle: np.ndarray, *, plate: Metres,
     reach: Metres, known: bool, printed: Printed | None
-) -> tuple[View, Mask]:
+) -> tuple[ClothView, Mask]:
     """The view of a photograph about the place (2,) ``middle``, m, of the plate's plane; and what
     an editor has made transparent in it."""
     along = steps(reach)
@@ -199,12 +199,12 @@ def _view(
     else:
         print_there, on_mat = printed(middle + np.dstack(np.meshgrid(along, -along)))
     transparent = warped(np.uint8(255) * photograph.transparent, cv2.BORDER_CONSTANT) > 127
-    view = View(warped(photograph.colour, cv2.BORDER_REPLICATE), print_there, on_mat, unseen,
+    view = ClothView(warped(photograph.colour, cv2.BORDER_REPLICATE), print_there, on_mat, unseen,
                 plate, reach, middle if known else None)
     return view, transparent
 
 
-def _log_odds(view: View) -> tuple[np.ndarray, np.ndarray]:
+def _log_odds(view: ClothView) -> tuple[np.ndarray, np.ndarray]:
     """Logarithm (SIDE, SIDE) of the odds that pixels show the specimen, mean of a view turned and
     mirrored in all eight ways, and its standard deviation between them."""
     def turned(values: np.ndarray, way: int) -> np.ndarray:

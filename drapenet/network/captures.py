@@ -64,7 +64,7 @@ def reading_errors(count: int, rng: np.random.Generator) -> tuple[np.ndarray, np
     return off, stated
 
 
-def faults(count: int, rng: np.random.Generator) -> np.ndarray:
+def outline_faults(count: int, rng: np.random.Generator) -> np.ndarray:
     """Errors (N, AZIMUTHS), in half sizes, of bites and bulges, most without any."""
     middle, wide = rng.uniform(0, 2 * np.pi, (count, 1)), rng.uniform(*_WIDE, (count, 1))
     edge = rng.uniform(*_EDGE, (count, 1))
@@ -244,7 +244,7 @@ def _misread(
     """Outlines (N, AZIMUTHS), in half sizes, with faults, a share ``read`` of them also with the
     errors of photographs over the mat; and the errors that are stated with them, 0 of others."""
     over_mat = rng.random(len(radius)) < read
-    off, stated = faults(len(radius), rng), np.zeros_like(radius)
+    off, stated = outline_faults(len(radius), rng), np.zeros_like(radius)
     errors, stated[over_mat] = reading_errors(int(over_mat.sum()), rng)
     off[over_mat] += errors
     return radius + off, stated

@@ -16,7 +16,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
 from common.types import Metres, Points, Radians, RestPoints
-from drapenet.views.radial_map import smoothed
+from drapenet.views.radial_map import smoothed_map
 from sim.cloth import Cloth, Laws
 from sim.draping import Drape
 from sim.energies.base import Energy
@@ -59,7 +59,7 @@ def _directions(points: Points) -> tuple[np.ndarray, np.ndarray]:
     np.add.at(total, cells, np.hypot(radius, height))
     np.add.at(count, cells, 1.0)
     visible = count > 0
-    distance = smoothed(total / np.maximum(count, 1), visible, _SIGMAS, least=0.1)
+    distance = smoothed_map(total / np.maximum(count, 1), visible, _SIGMAS, least=0.1)
     cloth = gaussian_filter(visible.astype(float), 0.7, mode=("wrap", "nearest")) > 0.3
     lowest = np.where(cloth.any(axis=1), cloth.argmax(axis=1), ELEVATIONS)
     return distance, _LOWEST + lowest * (np.pi / 2 - _LOWEST) / ELEVATIONS

@@ -17,9 +17,9 @@ from common.files import replace_json
 from common.provenance import digest
 from data.dataset.folder import MANIFEST, read_manifest
 from data.dataset.inspect import (
+    as_text,
     check_dataset,
     contact_sheet,
-    in_words,
     main,
     prior_samples,
     read_drapes,
@@ -183,7 +183,7 @@ def test_the_report_knows_neither_folder_nor_machine(bare, tmp_path, capsys):
     assert {path: path.stat().st_mtime_ns for path in bare.iterdir()} == before
     content = json.loads((tmp_path / "a" / "report.json").read_text(encoding="utf-8"))
     text = capsys.readouterr().out
-    assert in_words(content) in text
+    assert as_text(content) in text
     assert "max_iterations" in text
 
 

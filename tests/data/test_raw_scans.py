@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from common.errors import InputError
 from common.findings import Finding, texts
 from data.captures.raw_scans import read_raw_scan
-from data.captures.scan_place import UNITS, Plate, find_plate
+from data.captures.scan_place import UNITS, ScannedPlate, plate_of_scan
 from sim.draping import Drape, drape
 from sim.material import MICRO, Fabric
 from sim.mesh.specimen import TOPOLOGIES
@@ -95,7 +95,7 @@ def test_a_tilted_scan_is_levelled_at_every_axis_up(draped):
         upright = np.roll(np.eye(3), "zxy".index(up[-1]), axis=1).T * (-1 if "-" in up else 1)
         turn = upright @ tilted(degrees, rng.uniform(0, 6))
         points = noisy @ turn.T + rng.uniform(-0.3, 0.3, 3)
-        plate = find_plate(points / UNITS[unit], faces, draped.rig)
+        plate = plate_of_scan(points / UNITS[unit], faces, draped.rig)
         placed, changes = plate.placed(points / UNITS[unit])
         assert (plate.unit, plate.up) == (unit, up)
         assert plate.tilt == pytest.approx(degrees, abs=0.3)
@@ -116,7 +116,7 @@ def test_a_tilt_moves_no_centre_and_a_large_one_is_refused(tmp_path, cloth):
     moved(cloth, turn=tilted(14.0)).export(tmp_path / "scan.ply")
     with pytest.raises(InputError, match=r"tilted by 14° against the axis z, at most 10° .* level"):
         read_raw_scan(tmp_path / "scan.ply", DISC_RIG)
-    assert Plate("m", tilted(3.0) @ [0, 0, 1.0], np.zeros(3)).tilt == pytest.approx(3.0)
+    assert ScannedPlate("m", tilted(3.0) @ [0, 0, 1.0], np.zeros(3)).tilt == pytest.approx(3.0)
 
 
 PILLAR = trimesh.creation.cylinder(0.03, 0.19).subdivide().apply_translation([0, 0, -0.12])

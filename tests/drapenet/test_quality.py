@@ -13,7 +13,7 @@ from common.findings import sentences, texts
 from data.captures.capture import warnings_of
 from data.render.cameras import nominal_camera
 from data.render.setups import Setups, SyntheticCapture
-from drapenet.network.captures import faults, reading_errors
+from drapenet.network.captures import outline_faults, reading_errors
 from drapenet.views.checks import (
     MAX_SIZE_ERROR,
     SPECIMEN_OFFSET,
@@ -255,7 +255,7 @@ def test_errors_prefer_no_azimuth(drawn):
 
 
 def test_faults_are_bites_and_bulges_of_a_few_degrees():
-    off = faults(4000, np.random.default_rng(0))
+    off = outline_faults(4000, np.random.default_rng(0))
     some = np.abs(off).max(axis=1) > 0
     assert 0.25 < some.mean() < 0.35
     wide = (off[some] != 0).mean(axis=1) * 360
@@ -264,7 +264,7 @@ def test_faults_are_bites_and_bulges_of_a_few_degrees():
 
 
 def test_edges_of_faults_are_sharp_or_soft():
-    off = np.abs(faults(4000, np.random.default_rng(0)))
+    off = np.abs(outline_faults(4000, np.random.default_rng(0)))
     off = off[off.max(axis=1) > 0]
     full = (off > 0.9 * off.max(axis=1, keepdims=True)).sum(axis=1) / (off > 0).sum(axis=1)
     assert (full > 0.7).mean() > 0.1 and (full < 0.5).mean() > 0.3
