@@ -1,4 +1,4 @@
-"""Scans: made-up ones, raw ones in any unit and orientation, and surfaces that no cloth can take."""
+"""Scans: made-up ones, raw ones in any unit and orientation, surfaces that no cloth can take."""
 
 import io
 import re
