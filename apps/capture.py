@@ -31,8 +31,7 @@ from common.errors import InputError
 from common.files import folder_named, replace_file, require_folder
 from common.findings import texts
 from data.captures.board import SQUARE, board_picture
-from data.captures.capture import Capture, DepthCapture, OutlineCapture
-from data.captures.check import Check, warnings_of
+from data.captures.capture import Capture, Check, DepthCapture, OutlineCapture, warnings_of
 from data.captures.cutout import CutOut
 from data.captures.plate import plate_of_cloth
 from data.captures.preview import png, show

@@ -161,8 +161,7 @@ def outline_of(shape: Drape) -> "DrapeOutline":
 def infer_outline(outline: "DrapeOutline", rig: Rig) -> tuple["Draws", "Estimate", list[Finding]]:
     """The samples and estimate of an outline along the warp, and a warning if it is unlike
     them."""
-    from drapenet.network.load import network_of
-    from drapenet.network.predict import predict
+    from drapenet.network.predict import network_of, predict
     from drapenet.result.estimate import make_estimate
     from drapenet.views.observation import Observation
 

@@ -13,8 +13,8 @@ from safetensors.torch import load, save_file
 import drapenet.network.evaluate
 from common.configs import read_option
 from data.dataset.folder import finished_manifest
+from data.fabrics.fabrics import ClothProperties
 from data.fabrics.prior import load_prior, prior_content
-from data.fabrics.properties import ClothProperties
 from drapenet.network.checkpoint import SCHEMA
 from drapenet.network.evaluate import CELLS
 from drapenet.network.model import make_network

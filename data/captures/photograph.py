@@ -15,27 +15,25 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from common.errors import InputError
+from common.errors import InputError, of
 from common.findings import Finding
 from common.types import Metres, Outline, PixelPath, Radians, Vector
-from data.captures.bulge import bulge
-from data.captures.check import MAX_COEFFICIENT
-from data.captures.clarity import Clarity
+from data.captures.capture import MAX_COEFFICIENT
+from data.captures.clarity import Clarity, bulge, side, sides
 from data.captures.description import OUTLINE_TABLES, OutlineSource
 from data.captures.ground import Ground
 from data.captures.joined_outlines import (
     MAX_PARTED,
     MAX_UNLIKE,
-    View,
+    SeenOutline,
     around,
-    join,
+    join_outlines,
     on_axis,
     turned,
 )
 from data.captures.off_axis import AZIMUTH, AZIMUTHS, OUTWARDS
 from data.captures.outline_table import read_closed_curve
 from data.captures.scale import Scaled, scaled_photographs
-from data.captures.sides import side, sides
 from data.pictures.cut import outline_of_cloth
 from data.pictures.planes import mapped, shifted, upright
 from sim.outlines import closed, coefficient_of_area, farthest, folds_around
@@ -135,7 +133,7 @@ def read_outline(
         kind = "a photograph" if is_table else "a text file"
         raise InputError(f"outline.{wrong[0]} is of {kind}, but the outline is {file.name}; "
                          "leave it out")
-    try:
+    with of(file):
         if is_table:
             handed = warp_direction is not None and abs(np.sin(2 * warp_direction)) > MAX_SKEW
             digests = [_sha256(file)]
@@ -145,8 +143,6 @@ def read_outline(
             digests = [_sha256(one) for one in pictures]
             found = _photographed(file, pictures, digests, source, rig, warp_direction)
         warnings = (*found.warnings, *_checked(found))
-    except InputError as error:
-        raise InputError(str(error) if str(file) in str(error) else f"{file}: {error}") from None
     if np.isnan(found.height):
         warnings += (Finding("camera_height_missing"),)
     if not found.centred:
@@ -202,10 +198,10 @@ def _photographed(
                    error=around(error, -first_side), warnings=(*found.warnings, *warnings))
 
 
-def _view(seen: Scaled, found: PhotographedOutline, first_side: Radians) -> View:
+def _view(seen: Scaled, found: PhotographedOutline, first_side: Radians) -> SeenOutline:
     """A picture over the mat, turned such that the first side of a rectangle is along x."""
     assert seen.beside is not None and found.error is not None
-    return View(found.curve, seen.beside, seen.height, found.error).turned(-first_side)
+    return SeenOutline(found.curve, seen.beside, seen.height, found.error).turned(-first_side)
 
 
 def _joined(
@@ -218,7 +214,7 @@ def _joined(
     rig = read[names[0]][1].rig
     ground = Ground.of(source)
     assert ground is not None  # several pictures are read over a mat alone
-    together = join(views, rig, ground.plate_height)
+    together = join_outlines(views, rig, ground.plate_height)
     warnings += [Finding("picture_contradicts", {"picture": file.name, "limit": MAX_UNLIKE})
                  for k, file in enumerate(names) if k not in together.used]
     used = [names[k] for k in together.used]

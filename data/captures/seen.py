@@ -62,7 +62,7 @@ def seen_photograph(folder: Path) -> SeenPhotograph:
     description = Description.of(read_yaml(file), file)
     photograph, rig = find_outline(folder), description.tester
     if photograph is None or rig is None:
-        raise InputError(f"{folder}: a photograph from above and its tester are missing")
+        raise InputError("a photograph from above and its tester are missing", source=folder)
     source = description.outline or OutlineSource()
     movable = source.mat is None
     warp = description.warp_direction

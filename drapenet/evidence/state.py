@@ -7,10 +7,9 @@ import numpy as np
 
 from common.normal import Normal
 from common.types import Density
-from data.fabrics.fabrics import THETA_NAMES, from_theta
+from data.fabrics.fabrics import THETA_NAMES, ClothProperties, from_theta
 from data.fabrics.prior import prior_from_content
 from data.fabrics.prior.even import draw_fabrics
-from data.fabrics.properties import ClothProperties
 from sim.material import DIRECTIONS, REFERENCE_DENSITY, is_admissible
 
 if TYPE_CHECKING:

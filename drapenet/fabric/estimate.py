@@ -93,10 +93,12 @@ def estimate_fabric(
     InputError if a required source is refused, if all are, or for sources that cannot be of one
     fabric; if ``options`` are strict for a source that is refused or doubted.
     """
+    if not sources:
+        raise InputError("nothing is known of the fabric; give captures or strips")
     read = [_read(source, folder, header, options) for source in sources]
     _require_some(read, options)
     copies = _copies(sources, read)
-    _require_one_fabric([each for k, each in enumerate(read) if k not in copies
+    require_one_fabric([each for k, each in enumerate(read) if k not in copies
                          and not isinstance(each, Refusal)])
     parts: list[Part | Refusal | None] = []
     for k, (source, each) in enumerate(zip(sources, read, strict=True)):
@@ -188,7 +190,7 @@ def _copies(
     return found
 
 
-def _require_one_fabric(parts: Sequence[Part | Measured]) -> None:
+def require_one_fabric(parts: Sequence[Part | Measured]) -> None:
     """InputError for sources that cannot be of one fabric."""
     require_one_density([part.density for part in parts])
     weighted = [part.label for part in parts if part.alone]
@@ -236,7 +238,7 @@ def _known(
             continue
         values = values_alone(refusal.source.path, refusal.known)
         try:
-            _require_one_fabric([*kept, values])
+            require_one_fabric([*kept, values])
         except InputError as error:
             lost.append(Finding("known_lost", {"capture": refusal.source.label,
                                                "reason": error.message}))

@@ -10,14 +10,13 @@ from common.errors import InputError
 from common.findings import Finding
 from common.normal import Normal
 from data.captures.description import NEED_WARP
-from data.captures.reported import Reported
+from data.readings.known import Reported
 from drapenet.evidence.combine import consistent, updated
 from drapenet.evidence.source import of_capture, of_refined
 from drapenet.evidence.state import cloth_of_state, fabric_prior, state_of
 from drapenet.measured.base import Observed
 from drapenet.network.checkpoint import Header
-from drapenet.network.load import network_of
-from drapenet.network.predict import Draws, predict
+from drapenet.network.predict import Draws, network_of, predict
 from drapenet.views.observation import Observation
 from sim.material import DIRECTIONS, STIFF_SOFT
 

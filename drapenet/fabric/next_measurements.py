@@ -17,8 +17,7 @@ from common.normal import Linear, Normal
 from drapenet.evidence.state import heavier, seen_along, state_of
 from drapenet.fabric.infer import prior_draws
 from drapenet.network.checkpoint import Header
-from drapenet.network.load import network_of
-from drapenet.network.predict import predict
+from drapenet.network.predict import network_of, predict
 from drapenet.result.document import NextMeasurement
 from drapenet.result.estimate import Estimate
 from drapenet.views.observation import Observation

@@ -5,7 +5,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from common.errors import InputError
 from common.files import printable
 from data.captures.capture import Capture
 from drapenet.measured.base import Measured
@@ -77,8 +76,6 @@ def sources_of(
                       for folder in folders]
     found += [Source(place=Path(place), kind=kind)
               for kind, place in (("strips", strips), ("tension", tension)) if str(place)]
-    if not found:
-        raise InputError("nothing is known of the fabric; give captures or strips")
     if known is not None:
         found[0] = replace(found[0], stated={**found[0].stated, "known": known})
     return found if len(found) == 1 else [

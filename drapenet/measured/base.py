@@ -21,7 +21,7 @@ from common.findings import Finding, records
 from common.types import Density
 from data.captures.capture import Capture
 from data.captures.description import UNLABELLED, Labels, Weighed
-from data.fabrics.properties import ClothProperties
+from data.fabrics.fabrics import ClothProperties
 from data.readings.known import Known
 from data.render.setups import Setups
 from drapenet.evidence.source import Source

@@ -39,9 +39,8 @@ from drapenet.network.captures import CaptureSet, Condition, readable
 from drapenet.network.checkpoint import Header, read_header
 from drapenet.network.dataset import Maps, make_maps
 from drapenet.network.expected import LEVEL
-from drapenet.network.load import network_of
 from drapenet.network.posterior import Ranks, covered, inside, ranks
-from drapenet.network.predict import sample_targets
+from drapenet.network.predict import network_of, sample_targets
 from drapenet.network.targets import cloth_of, stiffer_first, targets_of
 from drapenet.network.trained import Trained
 from sim.material import MICRO

@@ -12,7 +12,7 @@ from common.documents import read_arrays, read_json, reading
 from common.errors import InputError
 from common.files import printable, remove_file, replace_json, replacing, require_file
 from common.findings import Finding, texts
-from data.fabrics.properties import ClothProperties
+from data.fabrics.fabrics import ClothProperties
 from drapenet.result.document import EstimateDocument
 from drapenet.result.estimate import Estimate
 from drapenet.views.observation import Observation

@@ -34,7 +34,7 @@ def warm_up(checkpoint: str) -> None:
     """Import and cache, in a worker, what the first estimate needs."""
     end_with_parent()
     from drapenet.network.checkpoint import read_header
-    from drapenet.network.load import network_of
+    from drapenet.network.predict import network_of
     from drapenet.report.figures import draw_report  # noqa: F401
     from sim.draping import drape
     from sim.material import MICRO, Fabric

@@ -17,7 +17,7 @@ import numpy as np
 
 from common.command import compose_config
 from common.findings import texts
-from data.captures.bulge import bulge
+from data.captures.clarity import bulge
 from data.dataset.config import Options, config_from_options
 from data.dataset.plan import plan_drape
 from data.render.setups import Setups

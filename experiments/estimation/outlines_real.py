@@ -28,8 +28,7 @@ from sim.rig import DISC_RIG
 def run(config: Config) -> Result:
     """Estimate all outlines and simulate a drape of each sample and face."""
     from drapenet.network.checkpoint import read_header
-    from drapenet.network.load import network_of
-    from drapenet.network.predict import Draws, predict
+    from drapenet.network.predict import Draws, network_of, predict
     from drapenet.views.observation import Observation
     from drapenet.views.outline import outline_of_curve
 

@@ -11,7 +11,7 @@ from PIL import Image
 
 from common.errors import InputError
 from data.captures import joined_outlines
-from data.captures.joined_outlines import View, join
+from data.captures.joined_outlines import SeenOutline, join_outlines
 from data.captures.off_axis import AZIMUTHS, OUTWARDS
 from data.captures.preview import show
 from data.captures.reader import find_outline, read_capture
@@ -207,15 +207,16 @@ def test_where_one_of_three_differs_the_others_decide():
     azimuth = np.arange(AZIMUTHS) * (2 * np.pi / AZIMUTHS)
     radius = 0.125 + 0.006 * np.cos(4 * azimuth)
     bulge = radius + 8e-3 * (np.abs(azimuth - 2) < np.radians(7.5))
-    views = [View(one[:, None] * OUTWARDS, np.array([0.02, 0.01]), 0.8, np.full(AZIMUTHS, 6e-4))
+    views = [SeenOutline(one[:, None] * OUTWARDS, np.array([0.02, 0.01]), 0.8,
+                         np.full(AZIMUTHS, 6e-4))
              for one in (radius, bulge, radius)]
-    found = join(views, DISC_RIG, PLATE_HEIGHT)
-    clean = join([views[0], views[2]], DISC_RIG, PLATE_HEIGHT)
+    found = join_outlines(views, DISC_RIG, PLATE_HEIGHT)
+    clean = join_outlines([views[0], views[2]], DISC_RIG, PLATE_HEIGHT)
     assert found.used == [0, 1, 2] and found.parted is None
     assert np.abs(found.radius - clean.radius).max() < 1.5e-3
     there = np.abs(azimuth - 2) < np.radians(6)
     assert np.median(found.error[there]) > 3 * np.median(found.error[~there])
-    parted = join(views[:2], DISC_RIG, PLATE_HEIGHT).parted
+    parted = join_outlines(views[:2], DISC_RIG, PLATE_HEIGHT).parted
     assert parted is not None and parted[0] == pytest.approx(2, abs=0.05)
 
 
@@ -223,11 +224,12 @@ def test_a_turned_plate_is_turned_back_though_outlines_cross_on_the_ground(monke
     azimuth = np.arange(AZIMUTHS) * (2 * np.pi / AZIMUTHS)
     radii = [0.12 + 0.01 * np.cos(6 * (azimuth - at)) + 0.004 * np.cos(2 * (azimuth - at))
              for at in (0.0, 0.2, 0.0)]
-    views = [View(radius[:, None] * OUTWARDS, np.array([0.02, 0.01]), 0.8, np.full(AZIMUTHS, 6e-4))
+    views = [SeenOutline(radius[:, None] * OUTWARDS, np.array([0.02, 0.01]), 0.8,
+                         np.full(AZIMUTHS, 6e-4))
              for radius in radii]
-    monkeypatch.setattr(joined_outlines, "on_ground",
+    monkeypatch.setattr(joined_outlines, "hidden_by_ground",
                         lambda views, *_: np.tile(azimuth < 1.2, (len(views), 1)))
-    found = join(views, DISC_RIG, PLATE_HEIGHT)
+    found = join_outlines(views, DISC_RIG, PLATE_HEIGHT)
     assert found.used == [0, 1, 2]
     assert found.turned == pytest.approx([0.0, 0.2, 0.0], abs=0.01)
 
@@ -247,14 +249,14 @@ def test_a_shadow_that_stays_on_the_mat_is_no_hem():
         hem = seen_by(radius[:, None] * OUTWARDS, PLATE_HEIGHT - 0.02, place)
         shadow = seen_by((radius + 0.02)[:, None] * OUTWARDS, 0.0, place)
         seen = np.where(np.abs(azimuth - 2)[:, None] < np.radians(20), shadow, hem)
-        views.append(View(seen, place[:2], HEIGHT, np.full(AZIMUTHS, 6e-4)))
+        views.append(SeenOutline(seen, place[:2], HEIGHT, np.full(AZIMUTHS, 6e-4)))
         clean.append(views[-1]._replace(curve=hem))
-    found = join(views, DISC_RIG, PLATE_HEIGHT)
+    found = join_outlines(views, DISC_RIG, PLATE_HEIGHT)
     inside, outside = np.abs(azimuth - 2) < np.radians(15), np.abs(azimuth - 2) > np.radians(25)
     assert found.used == [0, 1, 2]
     assert found.grounded[inside].mean() > 0.8 and not found.grounded[outside].any()
     assert np.median(found.error[inside]) > 5 * np.median(found.error[outside])
-    assert not join(clean, DISC_RIG, PLATE_HEIGHT).grounded.any()
+    assert not join_outlines(clean, DISC_RIG, PLATE_HEIGHT).grounded.any()
 
 
 def test_poses_of_pictures_upright_and_sideways_share_one_lens():

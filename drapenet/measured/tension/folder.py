@@ -12,7 +12,7 @@ from common.errors import InputError
 from common.files import printable
 from common.findings import Finding
 from data.captures.preview import png
-from data.fabrics.properties import ClothProperties
+from data.fabrics.fabrics import ClothProperties
 from data.pictures.mat import BAR
 from data.readings.quantity import STANDARD_GRAVITY
 from data.render.setups import Setups
