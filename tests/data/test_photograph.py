@@ -476,7 +476,8 @@ def test_a_misnamed_description_is_named_with_the_remedy(tmp_path, name):
     (folder / "capture.yaml").rename(folder / name)
     with pytest.raises(InputError, match=rf"{name}: rename it to capture\.yaml \(Windows"):
         read_capture(folder)
-    assert sources_in(fabric, "capture") == [fabric / "0", fabric / "1"]  # none is left out in silence
+    # None is left out in silence.
+    assert sources_in(fabric, "capture") == [fabric / "0", fabric / "1"]
 
 
 @pytest.mark.parametrize(("nearest", "height", "named"), [(58, 139, 0), (58, 60, 1), (120, 20, 0)])

@@ -278,7 +278,7 @@ def test_what_is_along_the_yarns_needs_captures_whose_warp_is_marked():
             "density", "known", "label", "alone", "needs_warp", "marked")} | about)
 
     unmarked = measured(marked=False)
-    with pytest.raises(InputError, match="strips along the yarns need .*warp_direction_deg"):
+    with pytest.raises(InputError, match=r"strips along the yarns need .*warp_direction_deg"):
         require_one_fabric([unmarked, measured(needs_warp=True)])
     with pytest.raises(InputError, match="known values along the yarns"):
         require_one_fabric([unmarked, measured(lengths(60, 60))])

@@ -1,6 +1,6 @@
 """Posteriors of the network: mixtures, expected captures, samples of a fabric; its optimiser."""
 
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 
 import numpy as np
