@@ -33,6 +33,7 @@ from drapenet.result.files import read_observation, write_observation
 from drapenet.views.directions import AZIMUTH, AZIMUTHS, ELEVATIONS
 from drapenet.views.observation import Observation
 from drapenet.views.outline import DrapeOutline, outline_of_map
+from drapenet.views.pictures import DepthPictures
 from drapenet.views.radial_map import RadialMap
 from sim.material import is_admissible
 from sim.rig import DISC_RIG, LARGE_DISC_RIG, SQUARE_RIG, Rig
