@@ -24,8 +24,7 @@ from common.errors import InputError
 from common.files import folder_named, locked
 from data.captures.description import Specimen
 from drapenet.config import EstimateOptions, InferConfig
-from drapenet.estimator.read import Refused, read_scans, read_sources
-from drapenet.measured.base import Measured
+from drapenet.fabric.sources import Source, sources_of
 from drapenet.network.checkpoint import read_header
 from drapenet.result.document import EstimateDocument
 from drapenet.result.files import (
@@ -50,26 +49,25 @@ def main(config: InferConfig) -> None:
 
         targets = targets_named(config.export, "export")  # unknown ones are refused before any work
     if config.captures:
-        from drapenet.batch.batch import estimate_fabrics
+        from drapenet.fabric.many import estimate_fabrics
 
         out = folder_named(config.out)
         with locked(out):
             files = estimate_fabrics(Path(config.captures), out, options,
                                      checkpoint=config.checkpoint, workers=config.workers)
     else:
-        sources, refused = sources_of(config)
+        sources = sources_named(config)
         header = read_header(config.checkpoint)
-        paths = [*(source.path for source in sources), *(refused or ())]
+        paths = [source.path for source in sources]
         out = Path(config.out or Path("outputs/infer") / result_name(paths))
         with locked(out):
             require_output(out, paths)
             if sys.stderr.isatty():
                 print("the estimate of a capture with its report takes about 15 s", file=sys.stderr,
                       flush=True)
-            from drapenet.estimator.estimate import estimate_fabric  # a second, after faults
+            from drapenet.fabric.estimate import estimate_fabric  # a second, after faults
 
-            estimate_fabric(sources, header, options, out=out, refused=refused,
-                            on_estimate=print_estimate)
+            estimate_fabric(sources, header, options, folder=out, on_estimate=print_estimate)
         files = [out / ESTIMATE]
     if targets:
         export_estimates(files, targets)
@@ -77,16 +75,14 @@ def main(config: InferConfig) -> None:
         preview_estimates(files, config.workers)
 
 
-def sources_of(config: InferConfig) -> tuple[list[Measured], Refused | None]:
-    """Read the captures, scans and strips that are named in ``config``; and what is refused of a
-    folder of captures, see :func:`drapenet.estimator.read.read_sources`."""
+def sources_named(config: InferConfig) -> list[Source]:
+    """The captures, scans and strips that are named in ``config``."""
     named = config.scan or config.capture
-    paths = [Path(str(path)) for path in (named if isinstance(named, list) else [named]) if named]
-    if not config.scan:
-        return read_sources(paths, config.strips, config.tension)
+    places = [Path(str(path)) for path in (named if isinstance(named, list) else [named]) if named]
     stated = {key: value for key in Specimen.model_fields
               if (value := getattr(config, key)) is not None}
-    return read_scans(paths, Specimen.of(stated, ""), config.strips, config.tension), None
+    return sources_of(places, strips=config.strips, tension=config.tension,
+                      scan=stated if config.scan else None)
 
 
 def print_estimate(document: EstimateDocument, folder: Path | None) -> None:

@@ -32,14 +32,13 @@ from common.errors import InputError
 from common.files import folder_named, replace_file, require_folder
 from common.findings import texts
 from data.captures.board import SQUARE, board_picture
-from data.captures.capture import Capture, DepthCapture, OutlineCapture
-from data.captures.check import Check, warnings_of
+from data.captures.capture import Capture, Check, DepthCapture, OutlineCapture, warnings_of
 from data.captures.cutout import CutOut
 from data.captures.plate import plate_of_cloth
 from data.captures.preview import show
 from data.captures.writer import write_capture, write_outline
 from data.pictures.mat import BAR, CLEAR, MATS, mat_pages
-from drapenet.batch.captures import entries_of
+from drapenet.fabric.entries import entries_of
 from drapenet.measured.captures import Captured, observe
 from drapenet.measured.read import is_measured, read_measured
 from drapenet.network.checkpoint import read_header

@@ -109,6 +109,8 @@ class EstimateOptions:
     edge: Metres = 5e-3  # of their meshes at the plate's rim
     strict: bool = False  # refuse a faulty capture instead of giving warnings
     address: str = ""  # of the page that will show it, for the code in its report
+    picture: str = ""  # name of a file that shows what was read, beside the report's
+    thumbnail: str = ""  # the same, small
 
 
 @dataclass

@@ -16,11 +16,12 @@ from pydantic import BeforeValidator, Field, InstanceOf, PlainSerializer, PlainV
 
 from common.documents import Excerpt, Schema, read_yaml, require_file_in
 from common.errors import InputError
+from common.files import printable
 from common.findings import Finding, records
 from common.types import Density
 from data.captures.capture import Capture
 from data.captures.description import UNLABELLED, Labels, Weighed
-from data.fabrics.properties import ClothProperties
+from data.fabrics.fabrics import ClothProperties
 from data.readings.known import Known
 from data.render.setups import Setups
 from drapenet.evidence.source import Source
@@ -229,6 +230,8 @@ class Measured:
     stated: ClassVar[type[Schema]] = Stated
     """Type of ``known`` values that a user gives beside a description."""
     recorded: ClassVar[type[Record]] = Record
+    alone: ClassVar[bool] = False
+    """Whether a fabric may have no other source of the kind."""
     path: Path
     density: Density
     known: Known | None = None
@@ -243,6 +246,11 @@ class Measured:
             stated: what a description would say, where the kind has none.
         """
         raise NotImplementedError
+
+    @property
+    def label(self) -> str:
+        """Names it in sentences."""
+        return printable(self.path)
 
     @property
     def digests(self) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ from common.findings import Finding
 from data.captures.capture import Capture, DepthCapture, OutlineCapture, ReportedCapture
 from data.captures.description import Description
 from data.captures.reader import read_capture
-from data.captures.reported import Reported
+from data.readings.known import Reported
 from data.render.setups import Setups
 from drapenet.measured.base import Measured, Observed
 from drapenet.views.checks import view_warnings

@@ -1,13 +1,13 @@
 """Read: which folders are sources, of what kind, and what they say."""
 
 import os
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Container, Mapping
 from pathlib import Path
 from typing import Any
 
 from common.documents import misnamed, read_yaml
 from common.errors import InputError
-from common.files import path_named
+from common.files import by_number, path_named
 from data.captures.description import Description
 from data.readings.known import Known
 from drapenet.measured import KINDS, VALUES
@@ -53,7 +53,7 @@ def sources_in(path: Path, kind: str = "") -> list[Path]:
         return [path]
     for below in ("*", "*/*", "*/*/*"):
         folders = sorted({found.parent for found in path.glob(f"{below}/*") if any(
-            found.name == file or misnamed([found.name], file) for file in files)})
+            found.name == file or misnamed([found.name], file) for file in files)}, key=by_number)
         if folders and below.count("/") == 2:
             raise InputError(f"{path} looks like FABRIC/SAMPLE/CAPTURE ({folders[0]}): give "
                              f"captures={path} for an estimate of each fabric")
@@ -62,26 +62,22 @@ def sources_in(path: Path, kind: str = "") -> list[Path]:
     return [path]
 
 
-def with_known(sources: Sequence[Measured], known: Mapping[str, Any] | None) -> list[Measured]:
-    """The ``sources`` of a fabric, of which the first also states what is ``known`` of it, as its
-    file would: only one, for a drape coefficient is evidence of each capture that states it."""
-    if known is None:
-        return list(sources)
-    if stated := next((source for source in sources if source.known), None):
-        stated.with_known(known)  # which refuses it
-    first, *others = sources
-    return [first.with_known(known), *others]
-
-
-def known_of(folder: Path) -> Measured | None:
+def known_values(folder: Path) -> dict[str, Any]:
     """What the description of a capture that is refused states of its fabric, as strips.yaml
-    without strips would; None if there is nothing that can be read."""
+    without strips would; empty if there is nothing that can be read."""
+    file = folder / "capture.yaml"
     try:
-        description = Description.of(read_yaml(folder / "capture.yaml"), folder)
+        described = Description.of(read_yaml(file), file)
     except InputError:
-        return None
-    if not (description.known and description.known.values()):
-        return None
-    known = Known(**description.known.model_dump(include={*Known.model_fields}))
-    return kind_at(KINDS[VALUES])(path=folder, density=description.density, known=known,
-                                labels=description.labels)
+        return {}
+    if not (described.known and described.known.values()):
+        return {}
+    known = described.known.model_dump(include={*Known.model_fields}, exclude_unset=True)
+    return {"density_g_m2": described.density_g_m2, "known": known, **described.labels.stated()}
+
+
+def values_alone(path: Path, stated: Mapping[str, Any]) -> Measured:
+    """The source that :func:`known_values` are, called ``path``."""
+    kind = kind_at(KINDS[VALUES])
+    described: Any = kind.schema.of(stated, "")
+    return kind(**described.common(path))

@@ -14,11 +14,10 @@ from common.errors import shown
 from common.findings import Finding
 from common.types import Density
 from data.captures.description import Labels
-from data.captures.reported import Reported
 from data.readings import QUANTITIES
 from data.readings.cantilever import MG_CM, bending_length, flexural_rigidity
 from data.readings.kes import GF_CM, GF_CM_PER_CM, kes
-from data.readings.known import Known
+from data.readings.known import Known, Reported
 from drapenet.evidence.source import value_key
 from drapenet.measured.base import (
     AnyRecord,

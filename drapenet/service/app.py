@@ -20,15 +20,15 @@ from starlette.requests import ClientDisconnect
 
 from common.errors import InputError
 from common.files import folder_named, require_folder
-from drapenet.batch.captures import plain_name
 from drapenet.config import ServeConfig
 from drapenet.export.formats import TARGETS
+from drapenet.fabric.entries import plain_name
 from drapenet.network.checkpoint import read_header
 from drapenet.report.pages import render
 from drapenet.result.files import ESTIMATE, GARMENTS, SHOWN
 from drapenet.service.access import (
     CHALLENGE,
-    is_admitted,
+    Guard,
     is_unspecified,
     require_decision,
     url_host,
@@ -104,7 +104,7 @@ def create_app(settings: ServeConfig) -> FastAPI:
 
     app = FastAPI(title="DrapeNet", version=version("drapenet"), lifespan=lifespan, docs_url=None,
                   redoc_url=None, description=render("service.md", settings=settings).decode())
-    app.state.password = settings.password
+    app.state.guard = Guard(settings.password)
     app.openapi_version = "3.0.3"  # as swagger-ui-bundle's page reads it
     allowed = [url_host(settings.host), "localhost", "127.0.0.1", "[::1]", *settings.hosts]
     app.add_middleware(TrustedHostMiddleware,
@@ -335,9 +335,9 @@ async def _guarded(
     """Refuse requests without the password and from pages of other sites, and add security headers
     to responses.
     """
-    if not is_admitted(request, request.app.state.password):
+    if refusal := request.app.state.guard.refusal(request):
         await drain(request)
-        return _answer(401, "this service has a password; give it with any user name")
+        return _answer(*refusal)
     origin = request.headers.get("origin")
     if request.method not in ("GET", "HEAD") and origin is not None and (
             urlsplit(origin).netloc != request.headers.get("host")):

@@ -8,11 +8,12 @@ from pathlib import Path
 
 from common.documents import misnamed, rename_remedy, yaml_text
 from common.errors import InputError, shown
+from common.files import by_number
 from data.captures.description import NEED_WARP, UNLABELLED, Description, Labels
 from data.captures.frames import BACKGROUND
 from data.captures.reader import CAPTURE_FILES, MAX_PICTURES, OUTLINE_SUFFIXES
-from drapenet.batch.captures import plain_name
 from drapenet.config import ServeConfig
+from drapenet.fabric.entries import plain_name
 from drapenet.measured import KINDS, VALUES
 from drapenet.measured.base import kind_at
 from drapenet.service.forms import (
@@ -242,7 +243,8 @@ def _named(
     if from_above or not images or any(
             _OUTLINE.fullmatch(stem) or _PLATE.search(stem) for stem in stems):
         return _from_above(files, several=several)
-    renamed = {name: f"view_{k}{Path(name).suffix}" for k, name in enumerate(_sorted(images))}
+    renamed = {name: f"view_{k}{Path(name).suffix}"
+               for k, name in enumerate(sorted(images, key=by_number))}
     return {renamed.get(name, name): data for name, data in files.items()}
 
 
@@ -254,7 +256,8 @@ def _from_above(files: dict[str, bytes], *, several: bool) -> dict[str, bytes]:
     beside = [name for name in taken if Path(name).suffix in PHOTOGRAPHS
               and len(taken) > 1 and not _OUTLINE.fullmatch(Path(name).stem)]
     plates = [name for name in beside if _PLATE.search(Path(name).stem)]
-    mats = [name for name in _sorted(beside) if name not in plates and _MAT.search(Path(name).stem)]
+    mats = [name for name in sorted(beside, key=by_number)
+            if name not in plates and _MAT.search(Path(name).stem)]
     outlines = [name for name in outlines if name not in (*plates, *mats)]
     if len(plates) > 1:
         raise RequestError(422, f"{plates[0]} and {plates[1]}: give one picture of the plate "
@@ -271,12 +274,7 @@ def _from_above(files: dict[str, bytes], *, several: bool) -> dict[str, bytes]:
     stems = dict.fromkeys(outlines, "outline") | dict.fromkeys(plates, "plate") | {
         name: f"mat_{k}" for k, name in enumerate(mats, 1)}
     if len(outlines) > 1:
-        stems |= {name: f"outline_{k}" for k, name in enumerate(_sorted(outlines), 1)}
+        stems |= {name: f"outline_{k}"
+                  for k, name in enumerate(sorted(outlines, key=by_number), 1)}
     return {f"{stems[name]}{Path(name).suffix}" if name in stems else name: data
             for name, data in files.items()}
-
-
-def _sorted(names: list[str]) -> list[str]:
-    """Names, with their numbers in order."""
-    return sorted(names, key=lambda name: [int(part) if part.isdigit() else part
-                                           for part in re.split(r"(\d+)", name)])

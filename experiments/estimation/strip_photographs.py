@@ -270,10 +270,10 @@ def run(config: Config) -> Result:
     """Estimate all directions, and read all faulty photographs."""
     estimated = run_cases(estimate_case, {f"direction_{k:03}": {"number": k}
                                           for k in range(config["directions"])},
-                          config, sources=("sim", "data", "drapenet.evidence"))
+                          config)
     answers = run_cases(fault_case, {f"{kind} {k}": {"kind": kind, "number": k}
                                      for kind in FAULTS for k in range(config["repeats"])},
-                        config, folder=Path(config["cases"]) / "faults", sources=("sim", "data"))
+                        config, folder=Path(config["cases"]) / "faults")
     done = [case for case in estimated.values() if not case["failed"]]
     groups = {"all": done} | {
         name: [case for case in done if name in (case["scale"], case["faces"])]

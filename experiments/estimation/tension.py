@@ -110,7 +110,7 @@ def _refusal(folder: Path, strip: dict, above: float) -> str:
 def run(config: Config) -> Result:
     """Read all pairs."""
     cases = run_cases(pair_case, {f"pair_{k:03}": {"number": k} for k in range(config["pairs"])},
-                      config, sources=("sim", "data"))
+                      config)
     read = {name: case for name, case in cases.items() if not case["failed"]}
     groups = {"all": list(read.values())} | {
         name: [case for case in read.values() if wanted(case)] for name, wanted in {

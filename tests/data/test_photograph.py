@@ -320,7 +320,6 @@ FAULTS = {
     "tiny": (drawn, {"mm_per_px": 0.04}, "the plate has 4500 pixels .* more than .* 1000"),
     "place": (drawn, {"plate_px": plate(at=(0.1, 0))}, "differs from its ground on [67].%"),
     "elsewhere": (drawn, {"plate_px": plate(at=(0.19, 0))}, "differs from its ground on .*plate"),
-    "flat": (lambda: drawn(0.152 * AROUND), PLATE, "drape coefficient is 104"),
     "hole": (lambda: drawn(0.0902 * AROUND), PLATE, "not that of the plate or of a hole"),
     "board": (lambda: np.array(Image.open(io.BytesIO(board_picture()))), {}, "board fills"),
     "no scale": (drawn, {}, "the scale is not known"),
@@ -350,6 +349,27 @@ def test_each_fault_has_a_line(tmp_path, content, source, fault):
     with pytest.raises(InputError, match=fault) as caught:
         read_capture(folder)
     assert str(folder) in str(caught.value)
+
+
+@pytest.mark.parametrize(("scale", "said"), [(0.999, []), (1.005, ["outline_too_large"]),
+                                             (1.02, ["outline_too_large"])])
+def test_a_stiff_disc_with_a_scale_slightly_wrong_is_read_with_a_warning(tmp_path, scale, said):
+    """One of 300 mm that does not hang down."""
+    outline = plate() | {"diameter": plate()["diameter"] / scale}
+    capture = read_capture(write(tmp_path / "capture", drawn(0.150 * AROUND),
+                                 outline={"plate_px": outline, "camera_height_mm": 1200}))
+    assert [found.code for found in capture.warnings] == said
+    assert capture.outline.drape_coefficient == pytest.approx(
+        (scale**2 - 0.36) / 0.64, abs=2e-3)
+
+
+def test_more_than_the_flat_disc_is_no_drape(tmp_path):
+    """Within the limit of its reach, over a plate nearly as large."""
+    x, y = 102.75 * AROUND.T
+    folder = write(tmp_path / "capture", rows(x, y), "outline.txt", outline=MM, tester={
+        "specimen": "disc", "size_mm": 200, "plate_mm": 160})
+    with pytest.raises(InputError, match=r"drape coefficient is 115\.5"):
+        read_capture(folder)
 
 
 def test_folders_hold_views_or_one_outline(tmp_path):
@@ -456,7 +476,8 @@ def test_a_misnamed_description_is_named_with_the_remedy(tmp_path, name):
     (folder / "capture.yaml").rename(folder / name)
     with pytest.raises(InputError, match=rf"{name}: rename it to capture\.yaml \(Windows"):
         read_capture(folder)
-    assert sources_in(fabric) == [fabric / "0", fabric / "1"]  # none is left out in silence
+    # None is left out in silence.
+    assert sources_in(fabric, "capture") == [fabric / "0", fabric / "1"]
 
 
 @pytest.mark.parametrize(("nearest", "height", "named"), [(58, 139, 0), (58, 60, 1), (120, 20, 0)])

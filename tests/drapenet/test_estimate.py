@@ -12,7 +12,7 @@ import drapenet
 from common.errors import InputError
 from common.files import replace_json
 from common.findings import Finding, texts
-from data.fabrics.properties import ClothProperties
+from data.fabrics.fabrics import ClothProperties
 from drapenet.measured.base import Quantity
 from drapenet.network.checkpoint import Header, read_header
 from drapenet.network.predict import Draws

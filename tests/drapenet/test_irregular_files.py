@@ -21,8 +21,8 @@ from data.dataset.shards import Shard
 from data.fabrics.fabrics import read_fabric_table
 from data.fabrics.prior import load_prior
 from data.pictures.reading import read_photograph
-from drapenet.batch.captures import entries_of
 from drapenet.export.material import read_material
+from drapenet.fabric.entries import entries_of
 from drapenet.network.checkpoint import read_header
 from drapenet.network.model import make_network
 from drapenet.network.optimizer import Optimizer

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from common.normal import Linear, Normal
-from drapenet.estimator.next_measurements import another_disc, drapes_evidence, reductions
+from drapenet.fabric.next_measurements import another_disc, drapes_evidence, reductions
 from drapenet.measured.strips.photograph import expected_strip
 from drapenet.measured.strips.posterior import direction_evidence, expected_evidence
 from drapenet.views.observation import Observation

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from common.files import printable
-from data.fabrics.properties import ClothProperties
+from data.fabrics.fabrics import ClothProperties
 from drapenet.measured.base import Described, Measured, Quantity, Record, intervals
 
 FILE = "disc.yaml"

@@ -25,6 +25,7 @@ from drapenet.measured.strips.description import StripsDescription, read_descrip
 from drapenet.measured.tension.description import TensionDescription
 from drapenet.service.forms import error_field, value_fields
 from drapenet.service.limits import RequestError
+from drapenet.service.received import unpacked
 from drapenet.service.uploads import Upload, checked_upload
 from sim.material import DIRECTIONS
 
@@ -50,6 +51,22 @@ def zipped(files: list[tuple[str, bytes]], kind: int = zipfile.ZIP_DEFLATED) -> 
         for name, data in files:
             archive.writestr(name, data)
     return stream.getvalue()
+
+
+@pytest.mark.parametrize("kind", [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2,
+                                  zipfile.ZIP_LZMA])
+def test_any_damage_of_a_zip_is_refused_in_a_line(settings, kind):
+    whole, refused = zipped([("a/view_0.png", PICTURE[:2000]), YAML], kind), 0
+    rng = np.random.default_rng(0)
+    for place in rng.integers(len(whole), size=300):
+        flipped = bytes([whole[place] ^ int(rng.integers(1, 256))])
+        for damaged in (whole[:place], whole[:place] + flipped + whole[place + 1:]):
+            try:
+                unpacked([("a.zip", damaged)], settings)
+            except RequestError as error:
+                refused += error.status_code == 422 and "zip" in error.detail
+                assert "\n" not in error.detail
+    assert refused > 400
 
 
 def png_of_size(width: int, height: int) -> bytes:

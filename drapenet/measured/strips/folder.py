@@ -12,7 +12,7 @@ from common.files import printable
 from common.findings import Finding
 from common.normal import Normal
 from common.types import DeflectionCurve, Metres, Radians
-from data.fabrics.properties import ClothProperties
+from data.fabrics.fabrics import ClothProperties
 from drapenet.evidence.state import prior_along
 from drapenet.measured.base import Measured, intervals
 from drapenet.measured.strips.description import FILE, StripsDescription, read_description

@@ -11,7 +11,7 @@ import numpy as np
 from common.errors import InputError
 from common.files import printable
 from common.findings import Finding
-from data.fabrics.properties import ClothProperties
+from data.fabrics.fabrics import ClothProperties
 from data.pictures.mat import BAR
 from data.readings.quantity import STANDARD_GRAVITY
 from data.render.setups import Setups
@@ -53,7 +53,7 @@ class TensionSet(Measured):
         photographs: what pairs of photographs say, by the strip's number.
     """
 
-    name, noun = "tension", "strips under weights"
+    name, noun, alone = "tension", "strips under weights", True
     schema, recorded = TensionDescription, TensionRecord
     strips: tuple[MeasuredExtension, ...]
     shear: float | None = None
