@@ -18,25 +18,16 @@ import common.interrupt  # noqa: F401
 # isort: split
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from common.command import command
 from common.errors import InputError
 from common.files import folder_named, locked
-from data.captures.description import Specimen
 from drapenet.config import EstimateOptions, InferConfig
-from drapenet.estimator.read import Refused, Source, read_scans, read_sources
-from drapenet.network.checkpoint import read_header
-from drapenet.result.document import EstimateDocument
-from drapenet.result.files import (
-    ESTIMATE,
-    GARMENTS,
-    SHOWN,
-    read_estimate,
-    require_output,
-    result_name,
-)
-from drapenet.result.terminal import terminal_text
-from sim.mesh.specimen import check_edge
+
+if TYPE_CHECKING:  # imported late: --help and mistakes do not wait half a second for the others
+    from drapenet.estimator.read import Refused, Source
+    from drapenet.result.document import EstimateDocument
 
 
 @command("infer", InferConfig)
@@ -56,6 +47,9 @@ def main(config: InferConfig) -> None:
             files = estimate_fabrics(Path(config.captures), out, options,
                                      checkpoint=config.checkpoint, workers=config.workers)
     else:
+        from drapenet.network.checkpoint import read_header
+        from drapenet.result.files import ESTIMATE, require_output, result_name
+
         sources, refused = sources_of(config)
         header = read_header(config.checkpoint)
         paths = [*(source.path for source in sources), *(refused or ())]
@@ -65,7 +59,7 @@ def main(config: InferConfig) -> None:
             if sys.stderr.isatty():
                 print("the estimate of a capture with its report takes about 15 s", file=sys.stderr,
                       flush=True)
-            from drapenet.estimator.estimate import estimate_fabric  # a second, after faults
+            from drapenet.estimator.estimate import estimate_fabric  # after faults
 
             estimate_fabric(sources, header, options, out=out, refused=refused,
                             on_estimate=print_estimate)
@@ -76,9 +70,12 @@ def main(config: InferConfig) -> None:
         preview_estimates(files, config.workers)
 
 
-def sources_of(config: InferConfig) -> tuple[list[Source], Refused | None]:
+def sources_of(config: InferConfig) -> "tuple[list[Source], Refused | None]":
     """Read the captures, scans and strips that are named in ``config``; and what is refused of a
     folder of captures, see :func:`drapenet.estimator.read.read_sources`."""
+    from data.captures.description import Specimen
+    from drapenet.estimator.read import read_scans, read_sources
+
     named = config.scan or config.capture
     paths = [Path(str(path)) for path in (named if isinstance(named, list) else [named]) if named]
     if not config.scan:
@@ -88,8 +85,11 @@ def sources_of(config: InferConfig) -> tuple[list[Source], Refused | None]:
     return read_scans(paths, Specimen.of(stated, ""), config.strips, config.tension), None
 
 
-def print_estimate(document: EstimateDocument, folder: Path | None) -> None:
+def print_estimate(document: "EstimateDocument", folder: Path | None) -> None:
     """Print an estimate and the names of its files."""
+    from drapenet.result.files import ESTIMATE, SHOWN
+    from drapenet.result.terminal import terminal_text
+
     assert folder, "written before it is printed"
     print(f"{terminal_text(document)}\nestimate: {folder / ESTIMATE}")
     if files := [str(folder / name) for name in SHOWN if (folder / name).exists()]:
@@ -111,6 +111,7 @@ def preview_estimates(files: list[Path], workers: int | None) -> None:
     import joblib
 
     from drapenet.report.garment import preview
+    from drapenet.result.files import GARMENTS, read_estimate
 
     for file in files:
         garments = preview(read_estimate(file)[0], workers=workers or joblib.cpu_count())
@@ -122,6 +123,8 @@ def preview_estimates(files: list[Path], workers: int | None) -> None:
 
 def options_of(config: InferConfig) -> EstimateOptions:
     """The options in SI units; InputError for keys that do not fit each other."""
+    from sim.mesh.specimen import check_edge
+
     sources = [key for key in ("capture", "captures", "scan") if getattr(config, key)]
     if len(sources) > 1:
         raise InputError(f"give {sources[0]}= or {sources[1]}=, not both")
