@@ -62,7 +62,7 @@ def test_mistakes_are_one_line(words):
     ("words", "said"),
     [(["method=guess"], "regression, table"), (["rounds=1"], "all three"),
      (["slope=95"], "slope"),
-     (["slope=nan"], "slope=nan"), (["density=null"], "density is needed"),
+     (["slope=nan"], "slope=.nan."), (["density=null"], "density is needed"),
      (["density=0.3"], "5 to 5000 g/m²"), (["density=300000"], "5 to 5000 g/m²"),
      (["weft=FILE,,"], "weft=.*comma"), (["out=/proc/moduli.json"], "cannot write"),
      (["out=FILE/moduli.json"], "cannot write")],
