@@ -223,6 +223,8 @@ class Measured:
     """Of the kind: the stem of its description, with which the names of its results begin."""
     noun: ClassVar[str]
     """What was measured, in sentences."""
+    apart: ClassVar[str] = "{noun}: give one after the other"
+    """End of the sentence that refuses it beside a source of another kind."""
     version: ClassVar[int] = 1
     """To be raised when the kind makes other results of the same source."""
     schema: ClassVar[type[Weighed]]

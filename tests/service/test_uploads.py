@@ -435,7 +435,7 @@ REFUSED = {
     "photograph that is missing": ([("strips.yaml", PHOTOGRAPHED), ("weft.jpg", b"")], {}, 422,
                                    "strips.yaml names 'shots/warp 1.PNG', which is not among"),
     "strips and capture": ([*VIEWS, YAML, ("strips.yaml", LENGTHS)], {}, 422,
-                           "capture.yaml and strips.yaml: give one after the other"),
+                           "capture.yaml and strips.yaml: give the capture and the strips one"),
     "pulled strips and capture": ([*VIEWS, YAML, ("tension.yaml", PULLED)], {}, 422,
                                   "capture.yaml and strips under weights: give one after the"),
     "pulled strips and views": (VIEWS, {"density_g_m2": "210", **strips_in_a_form(STRIP)}, 422,
