@@ -1,7 +1,5 @@
 """What a laboratory knows already of a captured fabric: the key ``known`` of ``capture.yaml``."""
 
-from typing import Annotated
-
 from pydantic import Field
 
 from data.readings.known import Known
@@ -10,5 +8,6 @@ from data.readings.known import Known
 class Reported(Known):
     """Values of testers, and what a drape tester without pictures reports."""
 
-    drape_coefficient_percent: Annotated[float, Field(gt=0, lt=100)] | None = None
-    nodes: Annotated[int, Field(ge=0, le=30)] | None = None
+    drape_coefficient_percent: float | None = Field(
+        None, gt=0, lt=100, title="of a capture without pictures")
+    nodes: int | None = Field(None, ge=0, le=30, title="number of its folds")

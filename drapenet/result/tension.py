@@ -2,6 +2,8 @@
 
 from typing import TYPE_CHECKING
 
+from pydantic import Field
+
 from common.documents import Excerpt
 from common.files import printable
 from data.readings.known import Known
@@ -26,12 +28,14 @@ class TensionRecord(Excerpt):
     source: Text
     density_g_m2: float
     strips: int
-    measured: list[str]
-    shear_n_per_m: Quantity
-    stretch_n_per_m: Stretch
-    friction_n_per_m: dict[str, float]
-    weight_for_10_percent_g: dict[str, float]
-    readings: dict[str, Quantity]
+    measured: list[str] = Field(title="directions; the others have values of usual fabrics")
+    shear_n_per_m: Quantity = Field(title="shear stiffness")
+    stretch_n_per_m: Stretch = Field(title="along warp and weft")
+    friction_n_per_m: dict[str, float] = Field(title="borne before yarns slip, by direction")
+    weight_for_10_percent_g: dict[str, float] = Field(
+        title="that would stretch these strips by 10 %")
+    readings: dict[str, Quantity] = Field(
+        title="what FAST-3 (EB5, E100) and KES-FB1 (G) would read")
     along_yarns: bool
     findings: list[Recorded]
     known: Known | None = None
