@@ -35,7 +35,9 @@ def demo(reports: Reports) -> str:
 def fifteen_minutes(reports: Reports) -> str:
     """What the estimate of docs/fifteen_minutes.md prints last."""
     printed = (REPORTS / "fifteen_minutes.txt").read_text(encoding="utf-8").rstrip()
-    return f"```\n{printed[printed.rindex('joint estimate'):]}\n```"
+    lines = printed[printed.rindex("joint estimate"):].splitlines()
+    strips = [line for line in lines if line.startswith("by strips")]
+    return "\n".join(["```", *lines[:6], "…", *strips, "…", *lines[-3:], "```"])
 
 
 def accuracy(reports: Reports) -> str:
@@ -47,9 +49,6 @@ def accuracy(reports: Reports) -> str:
     rows = [[f"{kind[:-1]} of 300 mm, {what}", *_off(reports.cell(kind, name)),
              coverage(reports.cell(kind, name))]
             for what, name in names.items() for kind in ("discs", "squares")]
-    resnet = reports["networks"]["networks"]["views"]
-    rows.insert(2, ["disc of 300 mm, four depth views, by the paper's ResNet-18, trained here on "
-                    f"{reports['networks']['drapes']} drapes", *_off(resnet), coverage(resnet)])
     drapes = reports["outlines"]["summary"]["parallel"]["flat"]
     bent = next(iter(reports["laboratory"]["summary"].values()))
     alone, known = reports["outlines_real"]["alone"], reports["numbers"]
@@ -63,9 +62,9 @@ def accuracy(reports: Reports) -> str:
         f"{drapes['folds']:.1f} folds where they have {drapes['folds_real']:.1f}.",
         f"- **Laboratory fabrics**: from drape coefficient and nodes alone, the 90 % interval of "
         f"KES B contains the measured value for {known['inside']} of {known['of']} fabrics; its "
-        f"ends differ by a factor of {known['ratio']:.0f}. Simulated drape coefficients of these "
-        f"fabrics are off by {bent['rms']:.0f} points rms. No depth capture of a fabric of known "
-        f"moduli was at hand ([validation](docs/validation.md#real-cloth)).",
+        f"ends differ by a factor of {known['ratio']:.0f}. Their simulated drape coefficients are "
+        f"off by {bent['rms']:.0f} points rms. No depth capture of a fabric of known moduli was at "
+        "hand ([validation](docs/validation.md#real-cloth)).",
         f"- **Limits**: β/α is poorly constrained by a drape: its error is "
         f"{squares['beta_over_alpha']['rmse']:.2f} (squares) and "
         f"{discs['beta_over_alpha']['rmse']:.2f} (discs) of its spread over fabrics."])

@@ -3,7 +3,7 @@
 A key's meaning is the title of its field, else its description, the remedy in messages.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any, get_args
 
 import numpy as np
@@ -19,43 +19,41 @@ from data.strips.description import Scale, StripEntry, StripsDescription, View
 from data.tension.description import StretchedStrip, TensionDescription
 from drapenet.result.document import EstimateDocument
 from experiments.figures.reports import Reports
-from experiments.result import table
 
 Model = type[BaseModel]
 VERTICES, MOVED = -1, -2  # lengths that differ between shards
-HEAD = ("key", "values", "meaning")
 
 
 def capture_keys(reports: Reports) -> str:
     """Keys of ``capture.yaml``."""
-    return table(HEAD, [*keys(Description, without=(Labels,)), *keys(OutlineSource, "outline."),
-                        *keys(Labels)])
+    return items([*keys(Description, without=(Labels,)), *keys(OutlineSource, "outline."),
+                  *keys(Labels)])
 
 
 def strips_keys(reports: Reports) -> str:
     """Keys of ``strips.yaml`` beside those of a capture."""
-    return table(HEAD, [*keys(StripsDescription, without=(Weighed, Labels)), *keys(Scale, "scale."),
-                        *keys(StripEntry, "strips.", without=(View,))])
+    return items([*keys(StripsDescription, without=(Weighed, Labels)), *keys(Scale, "scale."),
+                  *keys(StripEntry, "strips.", without=(View,))])
 
 
 def tension_keys(reports: Reports) -> str:
     """Keys of ``tension.yaml`` beside those of a capture."""
-    return table(HEAD, [*keys(TensionDescription, without=(Weighed, Labels)),
-                        *keys(StretchedStrip, "tension.")])
+    return items([*keys(TensionDescription, without=(Weighed, Labels)),
+                  *keys(StretchedStrip, "tension.")])
 
 
 def known_keys(reports: Reports) -> str:
     """Keys of ``known``: evidence with its assumed error, and others."""
-    evidence = [[f"`{each.name}`", "{:g} to {:g}".format(*each.limits),
+    evidence = [(each.name, "{:g} to {:g}".format(*each.limits),
                  f"{each.in_words}, ± {100 * each.error:g} %"
-                 + ", along warp, bias, weft" * (each.directions > 1)]
+                 + ", along warp, bias, weft" * (each.directions > 1))
                 for each in QUANTITIES.values()]
-    return table(HEAD, [*evidence, *keys(Reported)])
+    return items([*evidence, *keys(Reported)])
 
 
 def estimate_keys(reports: Reports) -> str:
     """Keys of ``estimate.json``."""
-    return table(("key", "meaning"), documented(EstimateDocument, set()))
+    return items((key, "", text) for key, text in documented(EstimateDocument, set()))
 
 
 def shard_arrays(reports: Reports) -> str:
@@ -64,19 +62,26 @@ def shard_arrays(reports: Reports) -> str:
     for name, field in fields(VERTICES, MOVED).items():
         kind = np.dtype(field.dtype)
         sizes = [{VERTICES: "V", MOVED: "M"}.get(size, str(size)) for size in field.shape]
-        value = "text" if kind.kind == "S" else " × ".join([kind.name, *sizes])
-        rows.append([f"`{name}`", ", ".join(filter(None, [value, field.unit])), field.meaning])
-    return table(("array", "type, unit", "meaning"), rows)
+        value = "text" if kind.kind == "S" else "×".join([kind.name, *sizes])
+        rows.append((name, ", ".join(filter(None, [value, field.unit])), field.meaning))
+    return items(rows)
 
 
-def keys(model: Model, prefix: str = "", without: tuple[Model, ...] = ()) -> Iterator[list[str]]:
+def items(rows: Iterable[tuple[str, str, str]]) -> str:
+    """List of keys with their values and meanings."""
+    return "\n".join(f"- `{key}`{f' ({value})' * bool(value)}: {text}" for key, value, text in rows)
+
+
+def keys(
+    model: Model, prefix: str = "", without: tuple[Model, ...] = ()
+) -> Iterator[tuple[str, str, str]]:
     """Key, values and meaning of each field of a model that has a meaning."""
     properties = model.model_json_schema()["properties"]
     left_out = {name for other in without for name in other.model_fields}
     for name, field in model.model_fields.items():
         if name not in left_out and meaning(field):
             key = field.alias or name
-            yield [f"`{prefix}{key}`", values(properties[key]), meaning(field)]
+            yield f"{prefix}{key}", values(properties[key]), meaning(field)
 
 
 def meaning(field: FieldInfo) -> str:
@@ -97,12 +102,13 @@ def values(schema: dict[str, Any]) -> str:
     return "; ".join([*found, *([f"{low:g} to {high:g}"] if high else [])])
 
 
-def documented(model: Model, seen: set[Model], prefix: str = "") -> Iterator[list[str]]:
+def documented(model: Model, seen: set[Model], prefix: str = ""
+               ) -> Iterator[tuple[str, str]]:
     """Key and meaning of each field that has a title, and of the models in it, each once."""
     for name, field in model.model_fields.items():
         key = f"{prefix}{field.alias or name}"
         if meaning(field):
-            yield [f"`{key}`", meaning(field)]
+            yield key, meaning(field)
         between = ".DIRECTION." if "dict[" in str(field.annotation) else "."
         for inner in models_in(field.annotation):
             if inner not in seen:
