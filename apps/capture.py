@@ -17,6 +17,7 @@ Of the captures of a ROOT, each is written to a folder of its own below DIR, bes
 a line for each, and DIR/checks.png, their pictures; a capture that is refused does not stop it.
 """
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -34,15 +35,12 @@ from data.captures.board import SQUARE, board_picture
 from data.captures.capture import Capture, Check, DepthCapture, OutlineCapture, warnings_of
 from data.captures.cutout import CutOut
 from data.captures.plate import plate_of_cloth
-from data.captures.preview import png, show
-from data.captures.reader import CAPTURE_FILES, read_capture
+from data.captures.preview import show
 from data.captures.writer import write_capture, write_outline
 from data.pictures.mat import BAR, CLEAR, MATS, mat_pages
 from drapenet.fabric.entries import entries_of
-from drapenet.measured.captures import measured_capture
-from drapenet.measured.strips.description import FILE as STRIPS
-from drapenet.measured.strips.folder import read_strips
-from drapenet.measured.strips.preview import strips_figure, write_curves
+from drapenet.measured.captures import Captured, observe
+from drapenet.measured.read import is_measured, read_measured
 from drapenet.network.checkpoint import read_header
 from drapenet.result.tables import csv_table
 from drapenet.views.checks import measure, require_plate, view_checks
@@ -84,7 +82,7 @@ def main(config: CaptureConfig) -> None:
         raise InputError("frames= is missing; give the folder of the frames: frames=FOLDER")
     source, out = Path(config.frames), folder_named(config.out)
     require_folder(out)
-    if source.is_dir() and not any((source / mark).exists() for mark in (*CAPTURE_FILES, STRIPS)):
+    if source.is_dir() and not is_measured(os.listdir(source)):
         check_all(source, out)
         return
     measured, faults = check(source, out)
@@ -98,12 +96,12 @@ def main(config: CaptureConfig) -> None:
 def check(source: Path, out: Path) -> tuple[list[str], list[str]]:
     """What is measured of the capture, or the strips, of a folder, which is written to ``out`` with
     its picture; and its faults."""
-    if (source / STRIPS).exists():
-        strips = read_strips(source)
-        write_curves(strips, out)
-        replace_file(out / PICTURE, png(strips_figure(strips.photographs)))
-        return [f"note: {line}" for line in texts(strips.warnings)], []
-    checks = check_capture(read_capture(source), out)
+    found = read_measured(source)
+    if not isinstance(found, Captured):
+        for name, content in ({PICTURE: found.shown()} | found.tables()).items():
+            replace_file(out / name, content)
+        return [f"note: {line}" for line in texts(found.warnings)], []
+    checks = check_capture(found.capture, out)
     return ([f"{one.name}: {one.value}" for one in checks if not one.warning],
             texts(warnings_of(checks)))
 
@@ -155,7 +153,7 @@ def check_capture(capture: Capture, out: Path) -> list[Check]:
         write_outline(capture, out)
         replace_file(out / PICTURE, show(capture, checks))
     elif isinstance(capture, DepthCapture):
-        views, observed = capture.views, measured_capture(capture).observed()
+        views, observed = capture.views, observe(capture)
         quality = measure(observed.views, observed.seen.map)
         checks += view_checks(observed.views, quality, read_header("").setups)
         write_capture(
@@ -174,8 +172,7 @@ def check_capture(capture: Capture, out: Path) -> list[Check]:
 
 def outline_checks(capture: OutlineCapture) -> list[Check]:
     """What is measured of an outline from above; reading it has refused what is impossible."""
-    # Refuses a square whose warp is not marked.
-    seen = measured_capture(capture).observed().seen.outline
+    seen = observe(capture).seen.outline  # refuses a square whose warp is not marked
     outline, rig = capture.outline, capture.rig
     known = f"; {100 * outline.drape_coefficient:.1f} % as the camera sees it"
     return [

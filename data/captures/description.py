@@ -90,6 +90,11 @@ class Labels(Schema):
         return {key: value for key in Labels.model_fields if (value := getattr(self, key))}
 
     @property
+    def labels(self) -> "Labels":
+        """What a report states."""
+        return Labels(**self.stated())
+
+    @property
     def columns(self) -> dict[str, str]:
         """All labels as columns of a table, empty where not given; the fabric's name is its label,
         beside the name of its folder."""
@@ -286,11 +291,6 @@ class Description(Specimen, Labels):
             return {**content, "density_g_m2": weight / read_tester(tester).specimen_area}
         except InputError as error:
             raise ValueError(f"tester={shown(tester)} {error}") from None
-
-    @property
-    def labels(self) -> Labels:
-        """What a report states."""
-        return Labels(**self.stated())
 
     @property
     def marked(self) -> bool:

@@ -8,8 +8,8 @@ from typing import Any
 from common.files import printable
 from data.captures.capture import Capture
 from drapenet.measured.base import Measured
-from drapenet.measured.captures import measured_capture
-from drapenet.measured.read import read_measured, sources_in
+from drapenet.measured.captures import Captured
+from drapenet.measured.read import kind_in, read_measured, sources_in
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +46,7 @@ class Source:
     def read(self) -> Measured:
         """What it says; InputError for the first fault."""
         if isinstance(self.place, Capture):
-            found: Measured = measured_capture(self.place)
+            found: Measured = Captured.of(self.place)
             if self.stated:
                 found = found.with_known(self.stated["known"])
         else:
@@ -72,7 +72,7 @@ def sources_of(
             found.append(Source(place=place, kind="scan", stated=scan))
         else:
             folders = sources_in(place, "capture")
-            found += [Source(place=folder, kind="capture", required=len(folders) == 1)
+            found += [Source(place=folder, kind=kind_in(folder).name, required=len(folders) == 1)
                       for folder in folders]
     found += [Source(place=Path(place), kind=kind)
               for kind, place in (("strips", strips), ("tension", tension)) if str(place)]

@@ -23,7 +23,7 @@ from drapenet.fabric.describe import describe_capture
 from drapenet.fabric.infer import evidence_of, infer
 from drapenet.fabric.next_measurements import next_measurements
 from drapenet.measured.base import Measured, Observed
-from drapenet.measured.captures import measured_capture
+from drapenet.measured.captures import Captured
 from drapenet.network.checkpoint import Header
 from drapenet.network.predict import Draws
 from drapenet.result.document import EstimateDocument, NextMeasurement
@@ -147,7 +147,7 @@ def _attempt(
 
 def by_network(capture: Capture, header: Header, *, strict: bool = False) -> CaptureEstimate:
     """:func:`observe` a capture."""
-    return observe(measured_capture(capture), header, strict=strict)
+    return observe(Captured.of(capture), header, strict=strict)
 
 
 def observe(measured: Measured, header: Header, *, strict: bool = False) -> CaptureEstimate:

@@ -12,5 +12,7 @@ KINDS = {
 }
 """Module and class of each kind by the file that describes its sources, in the order in which they
 count; texts, as a photograph need not import the simulator of strips."""
+VALUES = "strips.yaml"
+"""The description that may state known values alone."""
 SCAN = "drapenet.measured.scan:Scan"
 """The kind that has no description beside its file."""

@@ -14,7 +14,7 @@ from typing import Annotated, Any, ClassVar, TypeVar
 import numpy as np
 from pydantic import BeforeValidator, Field, InstanceOf, PlainSerializer, PlainValidator
 
-from common.documents import Excerpt, Schema
+from common.documents import Excerpt, Schema, read_yaml, require_file_in
 from common.errors import InputError
 from common.files import printable
 from common.findings import Finding, records
@@ -29,6 +29,7 @@ from drapenet.measured import KINDS, SCAN
 from drapenet.views.located import LocatedViews
 from drapenet.views.observation import Observation
 
+D = TypeVar("D", bound="Described")
 M = TypeVar("M", bound="Measured")
 INTERVALS = {"interval_68": 0.68, "interval_90": 0.90}
 Text = InstanceOf[str]
@@ -149,6 +150,45 @@ AnyRecord = Annotated[Record, PlainValidator(_record), PlainSerializer(
 """A record of any kind; in JSON with the name of its kind."""
 
 
+class Described(Weighed, Labels):
+    """What is stated of a source that is no capture, in the description of its kind."""
+
+    remedy = "docs/use.md shows an example"
+    file: ClassVar[str]
+    content: ClassVar[str]
+    """What the file is to be written with, for whoever has none."""
+    entries: ClassVar[str] = ""
+    """Key of its list of specimens, if it has one."""
+    pictures: ClassVar[tuple[str, ...]] = ()
+    """Keys of these entries that name photographs."""
+    typed: ClassVar[bool] = True
+    """Whether the page of the service asks for its numbers, in place of a file."""
+    known: Known | None = Field(
+        None, title="values of other tests, alone where nothing else is measured",
+        description=Known.remedy)
+
+    @classmethod
+    def in_folder(cls: type[D], folder: Path) -> D:
+        """Read the description in a folder."""
+        file = require_file_in(folder, cls.file, cls.content)
+        return cls.of(read_yaml(file), file)
+
+    def common(self, folder: Path) -> dict[str, Any]:
+        """What sources of all kinds have, of that in a folder."""
+        return {"path": folder, "density": self.density, "known": self.known,
+                "labels": self.labels}
+
+    @property
+    def measures(self) -> bool:
+        """Whether anything is measured, beside values that are known."""
+        return True
+
+    @property
+    def needs_warp(self) -> bool:
+        """Whether captures of the same fabric must know the direction of the warp."""
+        return bool(self.known and self.known.along_yarns)
+
+
 @dataclass(frozen=True)
 class Observed:
     """A capture as it is observed.
@@ -183,6 +223,10 @@ class Measured:
 
     name: ClassVar[str]
     """Of the kind: the stem of its description, with which the names of its results begin."""
+    noun: ClassVar[str]
+    """What was measured, in sentences."""
+    apart: ClassVar[str] = "{noun}: give one after the other"
+    """End of the sentence that refuses it beside a source of another kind."""
     version: ClassVar[int] = 1
     """To be raised when the kind makes other results of the same source."""
     schema: ClassVar[type[Weighed]]
@@ -265,6 +309,10 @@ class Measured:
     def thumbnail(self) -> bytes:
         """A small PNG for lists; likewise."""
         return b""
+
+    def tables(self) -> dict[str, bytes]:
+        """Files to be checked, by their names: what was read in numbers."""
+        return {}
 
 
 def kind_named(name: str) -> type[Measured]:

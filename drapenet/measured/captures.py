@@ -32,18 +32,18 @@ class StatedOfDrape(Schema):
 
 @dataclass(frozen=True, kw_only=True)
 class Captured(Measured):
-    """A capture."""
+    """A capture of any type."""
 
-    name, schema, stated = "capture", Description, StatedOfDrape
+    name, noun, schema, stated = "capture", "captures", Description, StatedOfDrape
     capture: Capture
 
     @classmethod
     def read(cls, place: Path, stated: Mapping[str, Any]) -> "Captured":
         """Read a folder with capture.yaml or density.txt."""
-        return measured_capture(read_capture(place))
+        return cls.of(read_capture(place))
 
     @classmethod
-    def of(cls: type[C], capture: Any) -> C:
+    def of(cls: type[C], capture: Capture) -> C:
         """The source of a capture that is read already."""
         return cls(capture=capture, path=capture.path, density=capture.density,
                    known=capture.known, labels=capture.labels, warnings=capture.warnings)
@@ -61,15 +61,21 @@ class Captured(Measured):
     @property
     def pictured(self) -> bool:
         """All but numbers."""
-        return True
-
-    def observed(self) -> Observed:
-        """What the network reads."""
-        raise NotImplementedError
+        return not isinstance(self.capture, ReportedCapture)
 
     def changed(self: C, **changes: Any) -> C:
         """The same capture with other statements."""
         return self.of(replace(self.capture, **changes))
+
+    def observed(self) -> Observed:
+        """The capture by its type."""
+        return observe(self.capture)
+
+    def findings(self, observed: Observed | None, setups: Setups) -> list[Finding]:
+        """Faults of depth views; InputError if they show no drape."""
+        if not (observed and observed.views and observed.seen.map):
+            return []
+        return view_warnings(observed.views, observed.seen.map, setups)
 
     def shown(self) -> bytes:
         """The pictures with what was seen in them."""
@@ -85,60 +91,26 @@ class Captured(Measured):
 
 
 @singledispatch
-def measured_capture(capture: Capture) -> Captured:
-    """The source of a capture by its type; InputError for one without a kind."""
+def observe(capture: Capture) -> Observed:
+    """What the network reads of a capture; InputError if it does not show what its type needs."""
     raise InputError(f"{capture.path}: captures of the kind {type(capture).__name__} cannot be "
                      "observed; register one in drapenet/measured/captures.py")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Views(Captured):
-    """Depth views."""
-
-    capture: DepthCapture
-
-    def observed(self) -> Observed:
-        """The map of the drape around its axis."""
-        views = LocatedViews.of(self.capture)
-        return Observed(self.capture, Observation.of_views(
-            views, self.capture.sign, self.capture.warp_direction), views)
-
-    def findings(self, observed: Observed | None, setups: Setups) -> list[Finding]:
-        """Faults of the views; InputError if they show no drape."""
-        if not (observed and observed.views and observed.seen.map):
-            return []
-        return view_warnings(observed.views, observed.seen.map, setups)
+@observe.register
+def _(capture: DepthCapture) -> Observed:
+    views = LocatedViews.of(capture)
+    return Observed(capture, Observation.of_views(views, capture.sign, capture.warp_direction),
+                    views)
 
 
-@dataclass(frozen=True, kw_only=True)
-class FromAbove(Captured):
-    """The outline of a photograph or of a table."""
-
-    capture: OutlineCapture
-
-    def observed(self) -> Observed:
-        """The outline."""
-        return Observed(self.capture, Observation.of_outline(self.capture))
+@observe.register
+def _(capture: OutlineCapture) -> Observed:
+    return Observed(capture, Observation.of_outline(capture))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Numbers(Captured):
-    """A drape coefficient without a picture."""
-
-    capture: ReportedCapture
-
-    @property
-    def pictured(self) -> bool:
-        """There is nothing to see."""
-        return False
-
-    def observed(self) -> Observed:
-        """The numbers."""
-        capture = self.capture
-        return Observed(capture, Observation.of_numbers(
-            capture.rig, capture.sign, self.marked, capture.known))
-
-
-measured_capture.register(DepthCapture, Views.of)
-measured_capture.register(OutlineCapture, FromAbove.of)
-measured_capture.register(ReportedCapture, Numbers.of)
+@observe.register
+def _(capture: ReportedCapture) -> Observed:
+    marked = capture.warp_direction is not None
+    return Observed(capture, Observation.of_numbers(capture.rig, capture.sign, marked,
+                                                    capture.known))

@@ -10,7 +10,7 @@ from common.errors import InputError
 from common.files import by_number, path_named
 from data.captures.description import Description
 from data.readings.known import Known
-from drapenet.measured import KINDS
+from drapenet.measured import KINDS, VALUES
 from drapenet.measured.base import Measured, kind_at, kind_named
 
 
@@ -78,7 +78,6 @@ def known_values(folder: Path) -> dict[str, Any]:
 
 def values_alone(path: Path, stated: Mapping[str, Any]) -> Measured:
     """The source that :func:`known_values` are, called ``path``."""
-    kind = kind_named("strips")
+    kind = kind_at(KINDS[VALUES])
     described: Any = kind.schema.of(stated, "")
-    return kind(path=path, density=described.density, known=described.known,
-                labels=described.labels)
+    return kind(**described.common(path))

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from data.captures.description import Description
-from drapenet.measured.captures import Views
+from drapenet.measured.captures import Captured
 from drapenet.surface.registration import read_scan_capture
 
 
-class Scan(Views):
+class Scan(Captured):
     """The scan of a drape; what is stated of it is a description without camera and tester."""
 
     @classmethod

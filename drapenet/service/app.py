@@ -36,7 +36,7 @@ from drapenet.service.access import (
 from drapenet.service.archive import Archive
 from drapenet.service.database import DONE
 from drapenet.service.exports import all_files, export_file, results_table
-from drapenet.service.forms import NUMBERS, TEXTS, About
+from drapenet.service.forms import About, form_fields
 from drapenet.service.jobs import Jobs, logged
 from drapenet.service.limits import RequestError, drain, length_fault, read_form
 from drapenet.service.pages import POLICY, add_pages
@@ -50,15 +50,15 @@ FILES = (ESTIMATE, PREVIEW, *SHOWN, *GARMENTS)
 _TIDY_INTERVAL = 600.0  # s between removals of old results
 _SECURE = {"X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer",
            "Content-Security-Policy": POLICY}
+_FIELDS: dict[str, dict[str, Any]] = {
+    "files": {"type": "array", "items": {"type": "string", "format": "binary"},
+              "description": "views, a photograph or table of an outline, strips.yaml or "
+                             "tension.yaml with its photographs, a zip with them, or a scan: "
+                             f"{', '.join(KINDS)}; none for known values, or strips under "
+                             "weights, of the form"}}
+"""Properties of a form, to which an application adds those of all kinds of measurements."""
 _FORM = {"required": True, "content": {"multipart/form-data": {"schema": {
-    "type": "object", "properties": {
-        **{name: {"type": "number"} for name in NUMBERS},
-        **{name: {"type": "string"} for name in TEXTS},
-        "files": {"type": "array", "items": {"type": "string", "format": "binary"},
-                  "description": "views, a photograph or table of an outline, strips.yaml or "
-                                 "tension.yaml with its photographs, a zip with them, or a "
-                                 f"scan: {', '.join(KINDS)}; none for known values, or strips "
-                                 "under weights, of the form"}}}}}}
+    "type": "object", "properties": _FIELDS}}}}
 _FRESH = {"Cache-Control": "no-store"}
 _MAX_BODY = 1 << 16  # bytes of a JSON body
 Words = Annotated[str, Query(max_length=200)]
@@ -112,6 +112,7 @@ def create_app(settings: ServeConfig) -> FastAPI:
     app.middleware("http")(_guarded)
     for kind, answer in _ANSWERS.items():
         app.exception_handler(kind)(answer)
+    _FIELDS.update({name: {"type": kind} for name, kind in form_fields().items()})
     add_pages(app, settings)
     app.include_router(router)
     return app

@@ -22,7 +22,7 @@ from drapenet.fabric.combine import combine
 from drapenet.fabric.estimate import estimate_fabric
 from drapenet.fabric.part import stored_part
 from drapenet.fabric.sources import Source
-from drapenet.measured.captures import Views
+from drapenet.measured.captures import Captured
 from drapenet.network.checkpoint import read_header
 from drapenet.network.predict import Draws
 from drapenet.result.files import FAULTS
@@ -156,14 +156,14 @@ def test_a_face_that_shows_no_drape_is_left_out_as_one_that_cannot_be_read(tmp_p
     _, down = (capture(tmp_path / "twill" / name) for name in ("up", "down"))
     file = down / "capture.yaml"  # other views, which are refused when they are observed
     file.write_text(file.read_text().replace("depth_unit_m: 0.001", "depth_unit_m: 0.00101"))
-    true = Views.observed
+    true = Captured.observed
 
     def observed(seen):
         if seen.path == down:
             raise InputError("no drape is seen")
         return true(seen)
 
-    monkeypatch.setattr(Views, "observed", observed)
+    monkeypatch.setattr(Captured, "observed", observed)
     line, = texts(drapenet.estimate(tmp_path / "twill").warnings)
     assert line == f"this estimate is made without {down}, which is refused: no drape is seen"
     with pytest.raises(InputError, match="no drape is seen"):

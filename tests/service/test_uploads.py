@@ -22,7 +22,7 @@ from data.captures.reader import read_capture
 from data.readings import QUANTITIES
 from drapenet.config import ServeConfig
 from drapenet.measured.strips.description import StripsDescription, read_description
-from drapenet.measured.tension.description import read_description as read_tension_description
+from drapenet.measured.tension.description import TensionDescription
 from drapenet.service.forms import error_field, value_fields
 from drapenet.service.limits import RequestError
 from drapenet.service.received import unpacked
@@ -291,7 +291,7 @@ def test_strips_under_weights_are_in_a_file_or_in_the_form(settings, tmp_path):
         assert (upload.kind, upload.directions) == ("tension", "yarns")
         assert sorted(upload.files) == ["a25.png", "a_0.jpg", "tension.yaml"]
     (tmp_path / "tension.yaml").write_bytes(upload.files["tension.yaml"])
-    read = read_tension_description(tmp_path)
+    read = TensionDescription.in_folder(tmp_path)
     assert (read.tension[0].without, read.tension[0].under) == ("a_0.jpg", "a25.png")
     assert read.labels.operator == "M. Muster"
     form = {"density_g_m2": "210", "clip_g": "6", "name": "twill", "known.membrane_n_per_m": "600",
@@ -300,7 +300,7 @@ def test_strips_under_weights_are_in_a_file_or_in_the_form(settings, tmp_path):
     upload = checked_upload([], form, settings)
     assert (upload.kind, upload.name, upload.directions) == ("tension", "twill", "")
     (tmp_path / "tension.yaml").write_bytes(upload.files["tension.yaml"])
-    read = read_tension_description(tmp_path)
+    read = TensionDescription.in_folder(tmp_path)
     assert [(strip.load_g, strip.extension_mm, strip.specimen) for strip in read.tension] == [
         (25, 4.1, ""), (50, 9, "2")]
     assert read.clip_g == 6 and read.known.values() == {("membrane_n_per_m", 0): 600}

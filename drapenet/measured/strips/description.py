@@ -6,12 +6,12 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from common.documents import Schema, read_yaml, require_file_in
+from common.documents import Schema
 from common.errors import InputError
 from common.types import Metres
-from data.captures.description import MAX_LABEL_LENGTH, Labels, Weighed
+from data.captures.description import MAX_LABEL_LENGTH
 from data.readings.cantilever import BENDING_LENGTHS
-from data.readings.known import Known
+from drapenet.measured.base import Described
 
 FILE = "strips.yaml"
 MAX_STRIPS = 60
@@ -92,13 +92,14 @@ class StripEntry(View):
         return self
 
 
-class StripsDescription(Weighed, View, Labels):
+class StripsDescription(Described, View):
     """``strips.yaml``; numbers of a view are those of all strips that do not state them.
 
     Values of testers alone, without strips, are ``known``.
     """
 
-    remedy = "docs/use.md shows an example"
+    file, content = FILE, "density_g_m2, scale and strips"
+    entries, pictures, typed = "strips", ("file",), False
     thickness_mm: float | None = Field(None, ge=0.03, le=10, title="of the cloth")
     width_mm: float = Field(30.0, ge=5, le=100, title="of the strips")
     clamp_width_mm: float = Field(
@@ -107,9 +108,6 @@ class StripsDescription(Weighed, View, Labels):
         0.0, ge=-45, le=90, title="of the clamp below the horizontal, towards the strip")
     strips: list[StripEntry] = Field(
         [], max_length=MAX_STRIPS, title="entries with the keys strips. below")
-    known: Known | None = Field(
-        None, title="values of other tests; without strips, of a fabric of which no more is known",
-        description=Known.remedy)
 
     @model_validator(mode="after")
     def _something(self) -> "StripsDescription":
@@ -118,9 +116,14 @@ class StripsDescription(Weighed, View, Labels):
         return self
 
     @property
-    def labels(self) -> Labels:
-        """What a report states."""
-        return Labels(**self.stated())
+    def measures(self) -> bool:
+        """Any strip, with which known values count as beside it."""
+        return bool(self.strips)
+
+    @property
+    def needs_warp(self) -> bool:
+        """Each strip has a direction."""
+        return bool(self.strips) or super().needs_warp
 
     def view(self, entry: StripEntry) -> View:
         """The view of one strip."""
@@ -136,10 +139,9 @@ class StripsDescription(Weighed, View, Labels):
 
 def read_description(folder: Path) -> StripsDescription:
     """The file ``strips.yaml`` of a folder."""
-    file = require_file_in(folder, FILE, "density_g_m2, scale and strips")
-    description = StripsDescription.of(read_yaml(file), file)
+    description = StripsDescription.in_folder(folder)
     names = [entry.file for entry in description.strips if entry.file]
     if repeated := sorted({name for name in names if names.count(name) > 1}):
-        raise InputError(f"{file}: {repeated[0]} is the file of two strips; give each photograph "
-                         "once")
+        raise InputError(f"{folder / FILE}: {repeated[0]} is the file of two strips; give each "
+                         "photograph once")
     return description

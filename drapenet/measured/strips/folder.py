@@ -1,6 +1,6 @@
 """A folder of strips of one fabric, and the evidence of its moduli by direction."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,14 +12,12 @@ from common.files import printable
 from common.findings import Finding
 from common.normal import Normal
 from common.types import DeflectionCurve, Metres, Radians
-from data.captures.preview import png
 from data.fabrics.fabrics import ClothProperties
 from drapenet.evidence.state import prior_along
 from drapenet.measured.base import Measured, intervals
 from drapenet.measured.strips.description import FILE, StripsDescription, read_description
 from drapenet.measured.strips.photograph import PhotographedStrip, read_strip
 from drapenet.measured.strips.posterior import BendingLength, StripEvidence, direction_evidence
-from drapenet.measured.strips.preview import strips_figure
 from drapenet.measured.strips.record import StripsRecord
 from sim.cantilever.moduli import StripModuli, correct
 from sim.material import BIAS, DIRECTIONS, MICRO, NANO
@@ -38,7 +36,8 @@ class StripSet(Measured):
         slope: of all clamps below the horizontal.
     """
 
-    name, schema, recorded = "strips", StripsDescription, StripsRecord
+    name, noun, schema, recorded = "strips", "strips", StripsDescription, StripsRecord
+    apart = "strips.yaml: give the capture and the strips one after the other"
     photographs: tuple[PhotographedStrip, ...] = ()
     lengths: tuple[tuple[str, BendingLength], ...] = ()
     slope: Radians = 0.0
@@ -60,7 +59,8 @@ class StripSet(Measured):
     @property
     def curves(self) -> dict[str, list[DeflectionCurve]]:
         """The photographed curves of each direction that has some."""
-        return _curves(self.photographs)
+        return {direction: curves for direction in DIRECTIONS if (curves := [
+            strip.measured.curve for strip in self.photographs if strip.direction == direction])}
 
     @property
     def complete(self) -> bool:
@@ -83,8 +83,17 @@ class StripSet(Measured):
             "source": printable(self.path), "density_g_m2": round(1e3 * self.density, 6),
             "strips": len(self), "moduli": moduli, "known": self.known})
 
+    def tables(self) -> dict[str, bytes]:
+        """A CSV file of each curve, with x_mm and y_mm, y up."""
+        return {f"{Path(strip.name).stem}.csv": "".join(
+            ["x_mm,y_mm\n", *(f"{x:.4f},{-y:.4f}\n" for x, y in 1e3 * strip.measured.curve)]
+            ).encode() for strip in self.photographs}
+
     def shown(self) -> bytes:
         """The photographs with the curves."""
+        from data.captures.preview import png  # Matplotlib
+        from drapenet.measured.strips.preview import strips_figure
+
         return png(strips_figure(self.photographs)) if self.photographs else b""
 
     def evidence(self, priors: Mapping[str, Normal]) -> dict[str, StripEvidence]:
@@ -129,24 +138,13 @@ def read_strips(folder: str | Path) -> StripSet:
     slope = float(np.radians(description.clamp_slope_deg))
     photographs = tuple(read_strip(folder, entry, description, slope=slope)
                         for entry in description.strips if entry.file)
-    return StripSet(
-        path=folder, density=description.density, photographs=photographs,
-        lengths=_lengths(description), slope=slope, width=1e-3 * description.width_mm,
-        known=description.known, labels=description.labels, warnings=_warnings(photographs))
-
-
-def _curves(photographs: Sequence[PhotographedStrip]) -> dict[str, list[DeflectionCurve]]:
-    return {direction: curves for direction in DIRECTIONS if (curves := [
-        strip.measured.curve for strip in photographs if strip.direction == direction])}
-
-
-def _warnings(photographs: Sequence[PhotographedStrip]) -> tuple[Finding, ...]:
-    """Those of all photographs, and of twist that cannot be corrected."""
-    found = [one for strip in photographs for one in strip.warnings]
-    if (bias := DIRECTIONS[BIAS]) in (curves := _curves(photographs)) and (
-            set(curves) != set(DIRECTIONS)):
-        found.append(Finding("strips_twist", {"direction": bias}))
-    return tuple(found)
+    strips = StripSet(
+        **description.common(folder), photographs=photographs, lengths=_lengths(description),
+        slope=slope, width=1e-3 * description.width_mm)
+    warnings = [one for strip in photographs for one in strip.warnings]
+    if (bias := DIRECTIONS[BIAS]) in strips.curves and not strips.complete:
+        warnings.append(Finding("strips_twist", {"direction": bias}))
+    return strips.changed(warnings=tuple(warnings))
 
 
 def _lengths(description: StripsDescription) -> tuple[tuple[str, BendingLength], ...]:

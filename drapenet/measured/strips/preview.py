@@ -1,12 +1,10 @@
-"""Picture and tables of photographed strips: ``python -m apps.capture frames=FOLDER``."""
+"""Picture of photographed strips."""
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from common.files import replace_file
 from drapenet.measured.strips.photograph import PhotographedStrip
 
 _WIDTH = 4.8  # inches, of a panel
@@ -41,11 +39,3 @@ def _title(strip: PhotographedStrip) -> str:
     return (f"{strip.name}: {strip.direction}, face {face}, {length:.1f} mm\n"
             f"(stated {1e3 * strip.measured.length:g}), tip {curve[-1, 0]:.1f} out and "
             f"{curve[-1, 1]:.1f} below, seen {1e3 * strip.band:.2f} mm thick")
-
-
-def write_curves(strips: Sequence[PhotographedStrip], out: Path) -> None:
-    """A CSV file of each curve, with x_mm and y_mm, y up, in the folder ``out``."""
-    for strip in strips:
-        rows = [f"{x:.4f},{-y:.4f}" for x, y in 1e3 * strip.measured.curve]
-        replace_file(out / f"{Path(strip.name).stem}.csv",
-                     ("\n".join(["x_mm,y_mm", *rows]) + "\n").encode())

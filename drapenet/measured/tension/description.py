@@ -1,14 +1,13 @@
 """What a folder states of strips stretched by weights, in ``tension.yaml``."""
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from common.documents import Schema, read_yaml, require_file_in
-from data.captures.description import MAX_LABEL_LENGTH, Labels, Weighed
-from data.readings.known import Known
+from common.documents import Schema
+from data.captures.description import MAX_LABEL_LENGTH
+from drapenet.measured.base import Described
 from sim.material import BIAS, WARP, WEFT
 
 FILE = "tension.yaml"
@@ -83,10 +82,12 @@ class StretchedStrip(Schema):
                 "without the weight, or take a lighter one")
 
 
-class TensionDescription(Weighed, Labels):
+class TensionDescription(Described):
     """``tension.yaml``."""
 
     remedy = "docs/use.md shows an example; density_g_m2 is needed, weight_g is of whole specimens"
+    file, content = FILE, "density_g_m2 and tension, a list of strips"
+    entries, pictures = "tension", ("without", "with")
     tension: list[StretchedStrip] = Field(
         [], max_length=MAX_STRIPS, title="entries with the keys tension. below")
     clip_g: float = Field(0.0, ge=0, le=1000, title="of the lower clip, where load_g is without it")
@@ -104,8 +105,6 @@ class TensionDescription(Weighed, Labels):
         None, ge=0.1, le=100 * MAX_EXTENSION, description="E100 of FAST-3")
     fast_e100_weft_percent: float | None = Field(
         None, ge=0.1, le=100 * MAX_EXTENSION, description="E100 of FAST-3")
-    known: Known | None = Field(
-        None, title="values of other tests", description=Known.remedy)
 
     @property
     def fast(self) -> dict[int, float]:
@@ -142,12 +141,6 @@ class TensionDescription(Weighed, Labels):
             "direction", "specimen", "width_mm", "gauge_mm", "clamped_mm"))
 
     @property
-    def labels(self) -> Labels:
-        """What a report states."""
-        return Labels(**self.stated())
-
-
-def read_description(folder: Path) -> TensionDescription:
-    """The file ``tension.yaml`` of a folder."""
-    file = require_file_in(folder, FILE, "density_g_m2 and tension, a list of strips")
-    return TensionDescription.of(read_yaml(file), file)
+    def needs_warp(self) -> bool:
+        """Strips along the bias do not tell warp and weft apart."""
+        return any(strip.direction != "bias" for strip in self.tension) or super().needs_warp

@@ -11,7 +11,6 @@ import numpy as np
 from common.errors import InputError
 from common.files import printable
 from common.findings import Finding
-from data.captures.preview import png
 from data.fabrics.fabrics import ClothProperties
 from data.pictures.mat import BAR
 from data.readings.quantity import STANDARD_GRAVITY
@@ -23,7 +22,6 @@ from drapenet.measured.tension.description import (
     READING,
     StretchedStrip,
     TensionDescription,
-    read_description,
 )
 from drapenet.measured.tension.photograph import PhotographedExtension, read_extension
 from drapenet.measured.tension.posterior import (
@@ -35,7 +33,6 @@ from drapenet.measured.tension.posterior import (
     fast_strip,
     tension_evidence,
 )
-from drapenet.measured.tension.preview import tension_figure
 from drapenet.measured.tension.record import TensionRecord
 from sim.material import BIAS, DIRECTIONS
 
@@ -56,8 +53,8 @@ class TensionSet(Measured):
         photographs: what pairs of photographs say, by the strip's number.
     """
 
-    name, schema, recorded = "tension", TensionDescription, TensionRecord
-    alone = True
+    name, noun, alone = "tension", "strips under weights", True
+    schema, recorded = TensionDescription, TensionRecord
     strips: tuple[MeasuredExtension, ...]
     shear: float | None = None
     photographs: Mapping[int, PhotographedExtension] = field(default_factory=dict)
@@ -101,6 +98,9 @@ class TensionSet(Measured):
         """Photographs with marks, and loads over extensions."""
         if not self.strips:
             return b""
+        from data.captures.preview import png  # Matplotlib
+        from drapenet.measured.tension.preview import tension_figure
+
         return png(tension_figure(self.strips, self.photographs, self.evidence))
 
     def loads(self, found: TensionEvidence) -> dict[str, float]:
@@ -115,7 +115,7 @@ class TensionSet(Measured):
 def read_tension(folder: str | Path) -> TensionSet:
     """Read ``tension.yaml`` and the photographs it names; InputError for the first fault."""
     folder = Path(folder)
-    description = read_description(folder)
+    description = TensionDescription.in_folder(folder)
     shear = description.kes_g_gf_per_cm_deg
     read = {k: _photographed(folder, strip, description)
             for k, strip in enumerate(description.tension) if strip.without}
@@ -131,9 +131,8 @@ def read_tension(folder: str | Path) -> TensionSet:
               for k, strip in enumerate(description.tension)]
     strips += [fast_strip(direction, percent) for direction, percent in description.fast.items()]
     return TensionSet(
-        path=folder, density=description.density, strips=tuple(strips),
-        shear=KES_SHEAR * shear if shear else None, photographs=read,
-        known=description.known, labels=description.labels, warnings=tuple(
+        **description.common(folder), strips=tuple(strips),
+        shear=KES_SHEAR * shear if shear else None, photographs=read, warnings=tuple(
             one for k, found in read.items() for one in _doubts(found, description.tension[k])))
 
 
