@@ -163,7 +163,9 @@ class Described(Weighed, Labels):
     """Keys of these entries that name photographs."""
     typed: ClassVar[bool] = True
     """Whether the page of the service asks for its numbers, in place of a file."""
-    known: Known | None = Field(None, description=Known.remedy)
+    known: Known | None = Field(
+        None, title="values of other tests, alone where nothing else is measured",
+        description=Known.remedy)
 
     @classmethod
     def in_folder(cls: type[D], folder: Path) -> D:
