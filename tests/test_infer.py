@@ -31,7 +31,7 @@ from data.captures.writer import write_capture
 from data.render.cameras import Intrinsics
 from drapenet.config import EstimateOptions
 from drapenet.fabric.stages import RAISE, CaptureEstimate, estimate_capture
-from drapenet.measured.captures import measured_capture
+from drapenet.measured.captures import Captured
 from drapenet.measured.read import sources_in
 from drapenet.network.checkpoint import BUNDLED, read_header
 from drapenet.result.files import SHOWN, STRIPS, read_estimate
@@ -383,7 +383,7 @@ def test_a_refinement_that_fails_leaves_the_network_s_estimate(
     def read_written(stage: str, result: CaptureEstimate) -> None:
         written.append(content_of(out))
 
-    read = measured_capture(read_capture(capture))
+    read = Captured.of(read_capture(capture))
     estimate_capture(read, header, EstimateOptions(refine={"by": "simulation"}, drapes=0), out=out,
                      on_stage=read_written)  # a setting is missing
     alone, content = written[0], content_of(out)
