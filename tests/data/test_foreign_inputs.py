@@ -10,7 +10,7 @@ import trimesh
 import yaml
 from cloths import describe
 from PIL import Image
-from test_recordings import bent
+from test_cutout import bent
 
 from common.errors import InputError
 from common.findings import texts
