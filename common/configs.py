@@ -52,7 +52,7 @@ def read_option(group: str, name: str) -> dict:
     """The content of ``configs/GROUP/NAME.yaml``."""
     if name not in group_options(group):
         known = group.rpartition("/")[2]
-        raise InputError(f"unknown {known} {name!r}; known {known}s: "
+        raise InputError(f"{known}={name} is unknown; known {known}s: "
                          f"{', '.join(group_options(group))}")
     return read_config(f"{group}/{name}")
 
