@@ -77,7 +77,9 @@ def composed(name: str, chosen: dict[str, str], folder: Path | None = None) -> d
             option = chosen.pop(group, default)
             if option not in (None, "null"):
                 place = folder_of(group, name)
-                read_option(place, option)  # refuses an unknown one
+                if option not in group_options(place):
+                    raise InputError(f"{group}={option} is unknown; give one of "
+                                     f"{', '.join(group_options(place))}")
                 part = composed(f"{place}/{option}", chosen)
                 alone = _GLOBAL not in config_text(f"{place}/{option}")
                 merge(result, {group: part} if alone else part)
