@@ -4,22 +4,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cloths import revolved
+from cloths import lopsided_views
 from PIL import Image
 
 from data.captures.writer import write_capture
 from data.render.cameras import nominal_camera
-from data.render.rays import DepthRenderer
 from sim.rig import SQUARE_RIG
 
 
 @pytest.fixture(scope="session")
 def views() -> np.ndarray:
     """Of a plate with a lopsided skirt, by the nominal camera."""
-    hem = 0.08 + 0.02 * np.cos(2 * np.pi * np.arange(24) / 24)
-    radius = np.array([0 * hem, np.full(24, 0.05), hem])
-    cone = revolved(radius, np.array([0, 0, -0.09]), around=24)
-    return DepthRenderer(*cone).views(nominal_camera(), 0.3)
+    return lopsided_views()
 
 
 @pytest.fixture
