@@ -1,5 +1,6 @@
 """Sound sources of each kind, and what spoils them: what the tables of tests/refused name."""
 
+import json
 import shutil
 import struct
 import zlib
@@ -167,6 +168,13 @@ def _set(file: Path, place: str, value: object) -> None:
     file.write_text(yaml.safe_dump(content))
 
 
+def _again(file: Path, key: str, **changes: object) -> None:
+    """The first strip of a description once more, changed."""
+    content = yaml.safe_load(file.read_text())
+    content[key].append(content[key][0] | changes)
+    file.write_text(json.dumps(content))  # without an alias
+
+
 # --- Changes, which rows name ------------------------------------------------------------------
 
 
@@ -208,6 +216,16 @@ def png_of_size(folder: Path, name: str, width: int, height: int) -> None:
         b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(
             ">IIBBBBB", width, height, 16, 0, 0, 0, 0))
         + chunk(b"IDAT", zlib.compress(b"")) + chunk(b"IEND", b""))
+
+
+def repeated_strip(folder: Path) -> None:
+    """Two strips of one photograph."""
+    _again(folder / "strips.yaml", "strips")
+
+
+def heavier_strip(folder: Path) -> None:
+    """A second strip that is no longer under twice the weight."""
+    _again(folder / "tension.yaml", "tension", load_g=50)
 
 
 def endless_density(folder: Path) -> None:
@@ -266,6 +284,17 @@ def coloured(folder: Path, name: str) -> None:
     _picture(folder / name, lambda counts: np.stack([counts // 4] * 3, axis=-1).astype(np.uint8))
 
 
+def polar(folder: Path) -> None:
+    """An outline in angles and radii."""
+    rows = "".join(f"{degrees};{110 + degrees % 20}\n" for degrees in range(0, 360, 5))
+    (folder / "outline.csv").write_text(f"angle;radius_mm\n{rows}")
+
+
+def grey_picture(folder: Path, name: str) -> None:
+    """A photograph of nothing."""
+    Image.new("RGB", (800, 600), (200, 190, 180)).save(folder / name)
+
+
 def small_background(folder: Path) -> None:
     """A picture of the empty scene of another size."""
     Image.fromarray(np.full((90, 240), 800, np.uint16)).save(folder / "background.png")
@@ -311,6 +340,6 @@ def points(folder: Path, *content: Any) -> None:
 
 
 CHANGES = {change.__name__: change for change in (
-    truncated, gone, a_file, filled, many, png_of_size, endless_density, blank, striped, thinned,
-    cut, one_column, whole, in_bits, coloured, small_background, damaged_pixels, array,
-    array_header, points)}
+    truncated, gone, a_file, filled, repeated_strip, heavier_strip, many, png_of_size,
+    endless_density, blank, striped, thinned, cut, one_column, whole, in_bits, coloured,
+    small_background, damaged_pixels, array, array_header, points, polar, grey_picture)}

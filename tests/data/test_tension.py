@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import yaml
 
-from common.errors import InputError
 from data.readings.quantity import STANDARD_GRAVITY
 from data.tension.folder import TensionSet, read_tension
 from data.tension.law import compliance, extension, reach
@@ -172,29 +171,3 @@ def test_strips_that_contradict_each_other_or_all_fabrics_are_named(tmp_path, st
     found = told(tmp_path, *strips).findings
     assert [one.code for one in found] == [code]
     assert strips[0]["direction"] in found[0].text or "shear" in found[0].text
-
-
-@pytest.mark.parametrize(("strips", "words"), [
-    ([BIAS_STRIP | {"extension_mm": 41}], r"tension.0.* has extension_mm 41, 41% of gauge_mm 100"),
-    ([BIAS_STRIP, BIAS_STRIP | {"load_g": 50}], "load_g 50, not more than 4.1 with 25"),
-    ([BIAS_STRIP | {"clamped_mm": 90}], "clamped_mm 90, less than gauge_mm 100"),
-    ([BIAS_STRIP | {"extension_mm": 0}], "has extension_mm 0: .* take a heavier one"),
-    ([BIAS_STRIP | {"load_g": 0.25}], r"load_g=0.25: .*greater than or equal to 1"),
-    ([BIAS_STRIP | {"direction": "left"}], "direction='left': .*'warp', 'bias' or 'weft'"),
-    ([BIAS_STRIP | {"weight_g": 25}], r"unknown key 'tension.0.weight_g'"),
-    ([], "nothing is measured"),
-])
-def test_faults_are_refused_in_one_line(tmp_path, strips, words):
-    with pytest.raises(InputError, match=words) as error:
-        read(tmp_path, *strips)
-    assert "tension.yaml" in str(error.value) and "\n" not in str(error.value)
-
-
-def test_a_folder_without_a_file_and_a_misnamed_one_are_refused(tmp_path):
-    with pytest.raises(InputError, match=r"has no tension[.]yaml; write it with density_g_m2"):
-        read_tension(tmp_path)
-    (tmp_path / "tension.yml").write_text("")
-    with pytest.raises(InputError, match=r"rename it to tension[.]yaml"):
-        read_tension(tmp_path)
-    with pytest.raises(InputError, match="is not a folder"):
-        read_tension(tmp_path / "tension.yml")
