@@ -15,15 +15,23 @@ import photographs
 import strip_photographs
 import trimesh
 import yaml
-from cloths import describe, lopsided_views
+from checkpoints import change_description, save_untrained
+from cloths import describe, lopsided_views, waves
+from elastica_curves import LAWS, curves_of, write_curve
 from PIL import Image
 
+import apps.cantilever
+import apps.drape
+import infer
+from data.captures.raw_scans import read_raw_scan
 from data.captures.reader import read_capture
 from data.captures.writer import write_capture
 from data.render.cameras import nominal_camera
 from data.strips.folder import read_strips
 from data.tension.folder import read_tension
-from sim.rig import SQUARE_RIG
+from drapenet.network.checkpoint import read_header
+from sim.rig import DISC_RIG, SQUARE_RIG
+from sim.scene import make_specimen
 
 READER, COMMAND, SERVICE = "reader", "command", "service"
 TWILL = Path(__file__).parents[1] / "examples" / "captures" / "twill"
@@ -38,15 +46,16 @@ class Start:
     """A sound source: its ``write`` makes a folder, its ``read`` is what Python calls.
 
     Attributes:
-        key: of the command.
+        command: with its ``words``, in which {} is the folder.
         description: the file that ``set`` changes.
         fields: of the service's form.
         doors: those that its rows take, unless they name others.
     """
 
-    write: Callable[[Path], object]
+    write: Callable[[Path], object] = Path.mkdir
     read: Callable[[Path], object] = read_capture
-    key: str = "capture"
+    command: Callable[[list[str]], None] = infer.main
+    words: tuple[str, ...] = ("capture={}",)
     description: str = "capture.yaml"
     fields: Mapping[str, str] = field(default_factory=dict)
     doors: tuple[str, ...] = (READER, COMMAND, SERVICE)
@@ -97,7 +106,26 @@ def _described(name: str, content: object) -> Callable[[Path], None]:
     return write
 
 
-STRIPS = {"key": "strips", "description": "strips.yaml", "read": read_strips}
+def _scan(folder: Path) -> None:
+    """A raw scan of a disc."""
+    folder.mkdir()
+    mesh = make_specimen(DISC_RIG, edge=12e-3).mesh
+    trimesh.Trimesh(waves(mesh.rest, folds=5), mesh.faces, process=False).export(
+        folder / "scan.ply")
+
+
+def _checkpoint(folder: Path) -> None:
+    folder.mkdir()
+    save_untrained(folder / "net.safetensors", width=4)
+
+
+def _curve(folder: Path) -> None:
+    """A deflection curve."""
+    folder.mkdir()
+    write_curve(folder / "w.csv", curves_of(*LAWS[0])[0])
+
+
+STRIPS = {"words": ("strips={}",), "description": "strips.yaml", "read": read_strips}
 STARTS = {
     "views": Start(_views),
     "published": Start(_published, description="density.txt"),
@@ -108,18 +136,28 @@ STARTS = {
     "lengths": Start(_described("strips.yaml", LENGTHS), **STRIPS),
     "tension": Start(
         _described("tension.yaml", {"density_g_m2": 210, "tension": [BIAS_STRIP]}),
-        read_tension, "tension", "tension.yaml"),
-    "nothing": Start(Path.mkdir, doors=(READER, COMMAND)),
-    "form": Start(Path.mkdir, fields={"density_g_m2": "210"}, doors=(SERVICE,)),
-    "form of a photograph": Start(Path.mkdir, doors=(SERVICE,), fields={
+        read_tension, words=("tension={}",), description="tension.yaml"),
+    "scan": Start(_scan, lambda folder: read_raw_scan(folder / "scan.ply", DISC_RIG),
+                  words=("scan={}/scan.ply", "density_g_m2=150"), fields={"density_g_m2": "150"}),
+    "checkpoint": Start(_checkpoint, lambda folder: read_header(folder / "net.safetensors"),
+                        words=("checkpoint={}/net.safetensors", f"capture={TWILL}"),
+                        doors=(READER, COMMAND)),
+    "nothing": Start(doors=(READER, COMMAND)),
+    "command": Start(words=(), doors=(COMMAND,)),
+    "drape": Start(command=apps.drape.main, words=(), doors=(COMMAND,)),
+    "cantilever": Start(_curve, command=apps.cantilever.main, words=(), doors=(COMMAND,)),
+    "form": Start(fields={"density_g_m2": "210"}, doors=(SERVICE,)),
+    "form of a photograph": Start(doors=(SERVICE,), fields={
         "density_g_m2": "150", "tester": "disc300_support180", "camera_height_mm": "1200",
         **{f"plate_{key}": str(value) for key, value in photographs.plate().items()}}),
-    "form of tension": Start(Path.mkdir, doors=(SERVICE,), fields={
+    "form of tension": Start(doors=(SERVICE,), fields={
         "density_g_m2": "210", **{f"tension.0.{key}": str(value)
                                   for key, value in BIAS_STRIP.items()}}),
 }
 STARTS |= {f"{name} in a form": replace(STARTS[name], doors=(SERVICE,)) for name in (
     "views", "published", "lengths", "strip", "tension")}
+STARTS |= {f"{name} and words": replace(STARTS[name], doors=(COMMAND,)) for name in (
+    "views", "tension", "scan")}
 
 
 @cache
@@ -198,6 +236,32 @@ def a_file(folder: Path) -> None:
 def filled(folder: Path, name: str, text: str, count: int) -> None:
     """A file of a text, repeated."""
     (folder / name).write_text(text * count)
+
+
+def another_schema(folder: Path) -> None:
+    """A checkpoint of another version."""
+    change_description(folder / "net.safetensors", schema_version=7)
+
+
+def folder_in_the_way(folder: Path) -> None:
+    """A folder where the command writes a file."""
+    (folder.parent / "out" / "report.png").mkdir(parents=True)
+
+
+def mesh(folder: Path, how: str) -> None:
+    """A scan that no cloth can be, or whose numbers are faulty."""
+    file = folder / "scan.ply"
+    cloth = trimesh.load(file, process=False)
+    vertices, faces = np.array(cloth.vertices), np.array(cloth.faces)
+    if how == "flat":
+        vertices[:, 2] = 0
+    elif how == "large":
+        vertices *= 5
+    elif how == "not a number":
+        vertices[3, 1] = np.nan
+    else:
+        faces[:, 2] += 10**6
+    trimesh.Trimesh(vertices, faces, process=False).export(file)
 
 
 def many(folder: Path, count: int) -> None:
@@ -340,6 +404,7 @@ def points(folder: Path, *content: Any) -> None:
 
 
 CHANGES = {change.__name__: change for change in (
-    truncated, gone, a_file, filled, repeated_strip, heavier_strip, many, png_of_size,
-    endless_density, blank, striped, thinned, cut, one_column, whole, in_bits, coloured,
-    small_background, damaged_pixels, array, array_header, points, polar, grey_picture)}
+    truncated, gone, a_file, filled, repeated_strip, heavier_strip, another_schema,
+    folder_in_the_way, mesh, many, png_of_size, endless_density, blank, striped, thinned, cut,
+    one_column, whole, in_bits, coloured, small_background, damaged_pixels, array, array_header,
+    points, polar, grey_picture)}

@@ -11,6 +11,7 @@ import yaml
 from fastapi.testclient import TestClient
 from services import PoolHere, settings_for
 from spoiled import COMMAND, READER, SERVICE, STARTS, spoiled
+from words import last
 
 import infer
 from common.command import run_command
@@ -72,11 +73,17 @@ def test_the_command_refuses_in_one_line_with_exit_code_2_and_no_file(
         row, tmp_path, sound, untrained_checkpoint, monkeypatch, capsys):
     source, start = spoiled(row, tmp_path, sound), STARTS[row["of"]]
     before = sorted(tmp_path.rglob("*"))
-    monkeypatch.setattr(sys, "argv", [
-        "infer.py", f"{start.key}={source}", f"checkpoint={untrained_checkpoint}",
-        f"out={tmp_path / 'out'}", *row.get("words", [])])
+    words = [word.replace("{}", str(source)) for word in (*start.words, *row.get("words", []))]
+    if start.command is infer.main:
+        words = [f"checkpoint={untrained_checkpoint}", *words]
+    if not any(word.startswith("out=") for word in words):
+        words.append(f"out={tmp_path / 'out'}")
+    if "before" in row:
+        monkeypatch.setattr(row["before"], None)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["", *last(*words)])
     with pytest.raises(SystemExit) as ending:
-        run_command(infer.main)
+        run_command(start.command)
     assert ending.value.code == 2
     printed = capsys.readouterr()
     assert printed.out == "" and printed.err.startswith("error: ") and printed.err[-1:] == "\n"

@@ -101,15 +101,10 @@ def test_a_lens_in_capture_yaml_is_undone(folder, views):
     assert off < 0.01 * (views > 0).sum() and off < was
 
 
-@pytest.mark.parametrize(("density", "message"), [(12.5, "refused"), (22.0, "density_light"),
-                                                  (36.0, "")])
-def test_densities_that_may_have_another_unit_are_questioned(folder, density, message):
+@pytest.mark.parametrize(("density", "codes"), [(22.0, ["density_light"]), (36.0, [])])
+def test_densities_that_may_have_another_unit_are_questioned(folder, density, codes):
     describe(folder, density_g_m2=density)
-    if message == "refused":
-        with pytest.raises(InputError, match=r"density_g_m2=12\.5.*1 oz/yd² is 33\.9"):
-            read_capture(folder)
-    else:
-        assert [found.code for found in read_capture(folder).warnings] == [message] * bool(message)
+    assert [found.code for found in read_capture(folder).warnings] == codes
 
 
 REFERENCE = [10243, 10289, 10224, 10178]  # pixels of cloth of one scene, recorded in many ways

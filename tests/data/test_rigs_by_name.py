@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from cloths import describe
 
-from common.errors import InputError
 from data.captures.description import whole_turns
 from data.captures.reader import read_capture
 from data.captures.writer import write_capture
@@ -43,9 +42,6 @@ def test_a_tester_of_any_size_drapes_renders_and_reads_back(tmp_path, shape):
     cloth = capture.views > 0
     assert np.abs(capture.views - views)[cloth].max() < 0.51e-3
     assert cloth.sum() > 0.999 * (views > 0).sum()  # few pixels are taken for outliers
-    describe(folder, tester=None)
-    with pytest.raises(InputError, match="states no tester; give tester: square300_cylinder100, d"):
-        read_capture(folder)
 
 
 def test_cloth_on_a_tester_of_any_size_is_cut_out_of_its_scene(tmp_path, shape):
