@@ -15,20 +15,26 @@ import photographs
 import strip_photographs
 import trimesh
 import yaml
-from checkpoints import change_description, save_untrained
+from checkpoints import describe_again, description, save_untrained
 from cloths import describe, lopsided_views, waves
 from elastica_curves import LAWS, curves_of, write_curve
 from PIL import Image
+from safetensors.numpy import load, save_file
 
 import apps.cantilever
+import apps.capture
 import apps.drape
+import data.fabrics.prior.__main__
 import infer
+from apps.strip_curves import read_curve
 from data.captures.raw_scans import read_raw_scan
 from data.captures.reader import read_capture
 from data.captures.writer import write_capture
+from data.fabrics.fabrics import TABLE_COLUMNS, read_fabric_table
 from data.render.cameras import nominal_camera
 from data.strips.folder import read_strips
 from data.tension.folder import read_tension
+from drapenet.batch.captures import entries_of
 from drapenet.network.checkpoint import read_header
 from sim.rig import DISC_RIG, SQUARE_RIG
 from sim.scene import make_specimen
@@ -125,6 +131,13 @@ def _curve(folder: Path) -> None:
     write_curve(folder / "w.csv", curves_of(*LAWS[0])[0])
 
 
+def _fabrics(folder: Path) -> None:
+    """A table of fabrics."""
+    folder.mkdir()
+    rows = ["0.30, 2000, 1000, 1500, -20, -10, 15", "0.15, 9000, 4000, 6000, -900, -400, -600"]
+    (folder / "fabrics.csv").write_text("\n".join([", ".join(TABLE_COLUMNS), *rows, ""]))
+
+
 STRIPS = {"words": ("strips={}",), "description": "strips.yaml", "read": read_strips}
 STARTS = {
     "views": Start(_views),
@@ -141,11 +154,17 @@ STARTS = {
                   words=("scan={}/scan.ply", "density_g_m2=150"), fields={"density_g_m2": "150"}),
     "checkpoint": Start(_checkpoint, lambda folder: read_header(folder / "net.safetensors"),
                         words=("checkpoint={}/net.safetensors", f"capture={TWILL}"),
-                        doors=(READER, COMMAND)),
+                        description="net.safetensors", doors=(READER, COMMAND)),
     "nothing": Start(doors=(READER, COMMAND)),
     "command": Start(words=(), doors=(COMMAND,)),
     "drape": Start(command=apps.drape.main, words=(), doors=(COMMAND,)),
     "cantilever": Start(_curve, command=apps.cantilever.main, words=(), doors=(COMMAND,)),
+    "prior": Start(command=data.fabrics.prior.__main__.main, words=(), doors=(COMMAND,)),
+    "check": Start(command=apps.capture.main, words=(), doors=(COMMAND,)),
+    "curve": Start(_curve, lambda folder: read_curve(folder / "w.csv"), doors=(READER,)),
+    "fabrics": Start(_fabrics, lambda folder: read_fabric_table(folder / "fabrics.csv"),
+                     doors=(READER,)),
+    "list": Start(read=lambda folder: entries_of(folder / "list.csv"), doors=(READER,)),
     "form": Start(fields={"density_g_m2": "210"}, doors=(SERVICE,)),
     "form of a photograph": Start(doors=(SERVICE,), fields={
         "density_g_m2": "150", "tester": "disc300_support180", "camera_height_mm": "1200",
@@ -195,15 +214,19 @@ def _listed(value: Any) -> list[Any]:
 
 def _set(file: Path, place: str, value: object) -> None:
     """Change a value of a description, at a dotted place; None removes it."""
-    content = inner = yaml.safe_load(file.read_text())
+    checkpoint = file.suffix == ".safetensors"
+    content = inner = description(file) if checkpoint else yaml.safe_load(file.read_text())
     *path, last = [int(key) if key.isdigit() else key for key in place.split(".")]
     for key in path:
         inner = inner[key]
     if value is None:
-        del inner[last]
+        inner.pop(last, None)
     else:
         inner[last] = value
-    file.write_text(yaml.safe_dump(content))
+    if checkpoint:
+        describe_again(file, json.dumps(content))
+    else:
+        file.write_text(yaml.safe_dump(content))
 
 
 def _again(file: Path, key: str, **changes: object) -> None:
@@ -233,14 +256,31 @@ def a_file(folder: Path) -> None:
     folder.touch()
 
 
-def filled(folder: Path, name: str, text: str, count: int) -> None:
+def filled(folder: Path, name: str, text: str, count: int, head: str = "") -> None:
     """A file of a text, repeated."""
-    (folder / name).write_text(text * count)
+    (folder / name).write_text(head + text * count)
 
 
-def another_schema(folder: Path) -> None:
-    """A checkpoint of another version."""
-    change_description(folder / "net.safetensors", schema_version=7)
+def replaced(folder: Path, name: str, old: str, new: str) -> None:
+    """A file with other words."""
+    file = folder / name
+    assert old in file.read_text()
+    file.write_text(file.read_text().replace(old, new, 1))
+
+
+def again(folder: Path, name: str, text: str) -> None:
+    """A file with more lines."""
+    with (folder / name).open("a") as file:
+        file.write(text)
+
+
+def undescribed(folder: Path, *text: str) -> None:
+    """A checkpoint with no description, or a text for one."""
+    file = folder / "net.safetensors"
+    if text:
+        describe_again(file, text[0])
+    else:
+        save_file(load(file.read_bytes()), file)
 
 
 def folder_in_the_way(folder: Path) -> None:
@@ -404,7 +444,7 @@ def points(folder: Path, *content: Any) -> None:
 
 
 CHANGES = {change.__name__: change for change in (
-    truncated, gone, a_file, filled, repeated_strip, heavier_strip, another_schema,
-    folder_in_the_way, mesh, many, png_of_size, endless_density, blank, striped, thinned, cut,
-    one_column, whole, in_bits, coloured, small_background, damaged_pixels, array, array_header,
-    points, polar, grey_picture)}
+    truncated, gone, a_file, filled, undescribed, repeated_strip, heavier_strip, replaced,
+    again, folder_in_the_way, mesh, many, png_of_size, endless_density, blank, striped, thinned,
+    cut, one_column, whole, in_bits, coloured, small_background, damaged_pixels, array,
+    array_header, points, polar, grey_picture)}
