@@ -49,7 +49,7 @@ LENGTHS = {"density_g_m2": 210, "strips": [{"direction": "warp", "bending_length
 
 @dataclass(frozen=True)
 class Start:
-    """A sound source: its ``write`` makes a folder, its ``read`` is what Python calls.
+    """A sound source: its ``write`` fills a folder, its ``read`` is what Python calls.
 
     Attributes:
         command: with its ``words``, in which {} is the folder.
@@ -58,7 +58,7 @@ class Start:
         doors: those that its rows take, unless they name others.
     """
 
-    write: Callable[[Path], object] = Path.mkdir
+    write: Callable[[Path], object] = Path.exists
     read: Callable[[Path], object] = read_capture
     command: Callable[[list[str]], None] = infer.main
     words: tuple[str, ...] = ("capture={}",)
@@ -75,7 +75,6 @@ def _views(folder: Path) -> None:
 
 def _published(folder: Path) -> None:
     """In the 8-bit format."""
-    folder.mkdir()
     for k, view in enumerate(lopsided_views()):
         Image.fromarray(np.rint(view * 255).astype(np.uint8)).save(folder / f"{k}.png")
     (folder / "density.txt").write_text("data0 300")
@@ -106,7 +105,6 @@ def _strip(folder: Path) -> None:
 def _described(name: str, content: object) -> Callable[[Path], None]:
     """A folder of a description alone."""
     def write(folder: Path) -> None:
-        folder.mkdir()
         (folder / name).write_text(yaml.safe_dump(content))
 
     return write
@@ -114,26 +112,22 @@ def _described(name: str, content: object) -> Callable[[Path], None]:
 
 def _scan(folder: Path) -> None:
     """A raw scan of a disc."""
-    folder.mkdir()
     mesh = make_specimen(DISC_RIG, edge=12e-3).mesh
     trimesh.Trimesh(waves(mesh.rest, folds=5), mesh.faces, process=False).export(
         folder / "scan.ply")
 
 
 def _checkpoint(folder: Path) -> None:
-    folder.mkdir()
     save_untrained(folder / "net.safetensors", width=4)
 
 
 def _curve(folder: Path) -> None:
     """A deflection curve."""
-    folder.mkdir()
     write_curve(folder / "w.csv", curves_of(*LAWS[0])[0])
 
 
 def _fabrics(folder: Path) -> None:
     """A table of fabrics."""
-    folder.mkdir()
     rows = ["0.30, 2000, 1000, 1500, -20, -10, 15", "0.15, 9000, 4000, 6000, -900, -400, -600"]
     (folder / "fabrics.csv").write_text("\n".join([", ".join(TABLE_COLUMNS), *rows, ""]))
 
@@ -182,6 +176,7 @@ STARTS |= {f"{name} and words": replace(STARTS[name], doors=(COMMAND,)) for name
 @cache
 def _sound(name: str, folder: Path) -> Path:
     """A sound source, written once."""
+    (folder / name).mkdir()
     STARTS[name].write(folder / name)
     return folder / name
 
