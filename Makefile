@@ -14,7 +14,7 @@ ROUNDED ?= tests/sim tests/data tests/drapenet
 PACKAGES := apps benchmarks common configs data drapenet examples experiments sim tests tools
 CHECKS := check-types check-versions check-unused check-layers check-docstrings check-spelling check-style
 
-.PHONY: $(CHECKS) help setup demo test test-rounding test-wheel test-slow test-slurm test-browser serve lint sim prior dataset train evaluate bench-sim bench docs reference studies example validate blender matrix clean
+.PHONY: $(CHECKS) help setup demo test test-rounding test-wheel test-notebooks test-slow test-slurm test-browser serve lint sim prior dataset train evaluate bench-sim bench docs reference studies example validate blender matrix clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
@@ -49,6 +49,9 @@ test-rounding: $(DEVELOPER)  ## tests of drapes, captures and estimates with the
 test-wheel: $(DEVELOPER)  ## build the wheel and use it without the checkout, 3 minutes
 	$(BIN)/python tools/wheel_trial.py
 
+test-notebooks: $(DEVELOPER)  ## run the notebooks of docs as in Jupyter, 2 minutes
+	$(BIN)/python -m pytest -q --nbmake -n logical --maxprocesses 3 docs
+
 test-slow: $(DEVELOPER)  ## tests that take minutes
 	$(BIN)/python -m pytest -q -m slow
 
@@ -74,7 +77,7 @@ check-style:
 check-versions:
 	$(BIN)/vermin -q --target=3.10- --violations --eval-annotations --no-parse-comments --exclude file $(PACKAGES) *.py
 check-layers:
-	$(BIN)/python tools/check_layers.py
+	$(BIN)/lint-imports --no-cache --no-logo
 check-docstrings:
 	$(BIN)/python tools/check_docstrings.py
 check-unused:

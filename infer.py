@@ -18,25 +18,15 @@ import common.interrupt  # noqa: F401
 # isort: split
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from common.command import command
 from common.errors import InputError
 from common.files import folder_named, locked
-from data.captures.description import Specimen
 from drapenet.config import EstimateOptions, InferConfig
-from drapenet.estimator.read import Refused, Source, read_scans, read_sources
-from drapenet.network.checkpoint import read_header
-from drapenet.result.document import EstimateDocument
-from drapenet.result.files import (
-    ESTIMATE,
-    GARMENTS,
-    SHOWN,
-    read_estimate,
-    require_output,
-    result_name,
-)
-from drapenet.result.terminal import terminal_text
-from sim.mesh.specimen import check_edge
+
+if TYPE_CHECKING:  # imported late: --help and mistakes do not wait half a second for the others
+    from drapenet.result.document import EstimateDocument
 
 
 @command("infer", InferConfig)
@@ -49,47 +39,52 @@ def main(config: InferConfig) -> None:
 
         targets = targets_named(config.export, "export")  # unknown ones are refused before any work
     if config.captures:
-        from drapenet.batch.batch import estimate_fabrics
+        from drapenet.fabric.many import estimate_fabrics
 
         out = folder_named(config.out)
         with locked(out):
             files = estimate_fabrics(Path(config.captures), out, options,
                                      checkpoint=config.checkpoint, workers=config.workers)
     else:
-        sources, refused = sources_of(config)
-        header = read_header(config.checkpoint)
-        paths = [*(source.path for source in sources), *(refused or ())]
-        out = Path(config.out or Path("outputs/infer") / result_name(paths))
-        with locked(out):
-            require_output(out, paths)
-            if sys.stderr.isatty():
-                print("the estimate of a capture with its report takes about 15 s", file=sys.stderr,
-                      flush=True)
-            from drapenet.estimator.estimate import estimate_fabric  # a second, after faults
-
-            estimate_fabric(sources, header, options, out=out, refused=refused,
-                            on_estimate=print_estimate)
-        files = [out / ESTIMATE]
+        files = [estimate_one(config, options)]
     if targets:
         export_estimates(files, targets)
     if config.preview:
         preview_estimates(files, config.workers)
 
 
-def sources_of(config: InferConfig) -> tuple[list[Source], Refused | None]:
-    """Read the captures, scans and strips that are named in ``config``; and what is refused of a
-    folder of captures, see :func:`drapenet.estimator.read.read_sources`."""
+def estimate_one(config: InferConfig, options: EstimateOptions) -> Path:
+    """Estimate the fabric of the captures, scans and strips that are named in ``config``; its
+    ``estimate.json``."""
+    from data.captures.description import Specimen
+    from drapenet.fabric.sources import sources_of
+    from drapenet.network.checkpoint import read_header
+    from drapenet.result.files import ESTIMATE, require_output, result_name
+
     named = config.scan or config.capture
-    paths = [Path(str(path)) for path in (named if isinstance(named, list) else [named]) if named]
-    if not config.scan:
-        return read_sources(paths, config.strips, config.tension)
+    places = [Path(str(path)) for path in (named if isinstance(named, list) else [named]) if named]
     stated = {key: value for key in Specimen.model_fields
               if (value := getattr(config, key)) is not None}
-    return read_scans(paths, Specimen.of(stated, ""), config.strips, config.tension), None
+    sources = sources_of(places, strips=config.strips, tension=config.tension,
+                         scan=stated if config.scan else None)
+    header, paths = read_header(config.checkpoint), [source.path for source in sources]
+    out = Path(config.out or Path("outputs/infer") / result_name(paths))
+    with locked(out):
+        require_output(out, paths)
+        if sys.stderr.isatty():
+            print("the estimate of a capture with its report takes about 15 s", file=sys.stderr,
+                  flush=True)
+        from drapenet.fabric.estimate import estimate_fabric  # after faults
+
+        estimate_fabric(sources, header, options, folder=out, on_estimate=print_estimate)
+    return out / ESTIMATE
 
 
-def print_estimate(document: EstimateDocument, folder: Path | None) -> None:
+def print_estimate(document: "EstimateDocument", folder: Path | None) -> None:
     """Print an estimate and the names of its files."""
+    from drapenet.result.files import ESTIMATE, SHOWN
+    from drapenet.result.terminal import terminal_text
+
     assert folder, "written before it is printed"
     print(f"{terminal_text(document)}\nestimate: {folder / ESTIMATE}")
     if files := [str(folder / name) for name in SHOWN if (folder / name).exists()]:
@@ -111,6 +106,7 @@ def preview_estimates(files: list[Path], workers: int | None) -> None:
     import joblib
 
     from drapenet.report.garment import preview
+    from drapenet.result.files import GARMENTS, read_estimate
 
     for file in files:
         garments = preview(read_estimate(file)[0], workers=workers or joblib.cpu_count())
@@ -122,6 +118,8 @@ def preview_estimates(files: list[Path], workers: int | None) -> None:
 
 def options_of(config: InferConfig) -> EstimateOptions:
     """The options in SI units; InputError for keys that do not fit each other."""
+    from sim.mesh.specimen import check_edge
+
     sources = [key for key in ("capture", "captures", "scan") if getattr(config, key)]
     if len(sources) > 1:
         raise InputError(f"give {sources[0]}= or {sources[1]}=, not both")

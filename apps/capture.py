@@ -17,6 +17,7 @@ Of the captures of a ROOT, each is written to a folder of its own below DIR, bes
 a line for each, and DIR/checks.png, their pictures; a capture that is refused does not stop it.
 """
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -31,19 +32,15 @@ from common.errors import InputError
 from common.files import folder_named, replace_file, require_folder
 from common.findings import texts
 from data.captures.board import SQUARE, board_picture
-from data.captures.capture import Capture, DepthCapture, OutlineCapture
-from data.captures.check import Check, warnings_of
+from data.captures.capture import Capture, Check, DepthCapture, OutlineCapture, warnings_of
 from data.captures.cutout import CutOut
 from data.captures.plate import plate_of_cloth
-from data.captures.preview import png, show
-from data.captures.reader import CAPTURE_FILES, read_capture
+from data.captures.preview import show
 from data.captures.writer import write_capture, write_outline
 from data.pictures.mat import BAR, CLEAR, MATS, mat_pages
-from data.strips.description import FILE as STRIPS
-from data.strips.folder import read_strips
-from data.strips.preview import strips_figure, write_curves
-from drapenet.batch.captures import entries_of
-from drapenet.estimator.observe import observe
+from drapenet.fabric.entries import entries_of
+from drapenet.measured.captures import Captured, observe
+from drapenet.measured.read import is_measured, read_measured
 from drapenet.network.checkpoint import read_header
 from drapenet.result.tables import csv_table
 from drapenet.views.checks import measure, require_plate, view_checks
@@ -85,7 +82,7 @@ def main(config: CaptureConfig) -> None:
         raise InputError("frames= is missing; give the folder of the frames: frames=FOLDER")
     source, out = Path(config.frames), folder_named(config.out)
     require_folder(out)
-    if source.is_dir() and not any((source / mark).exists() for mark in (*CAPTURE_FILES, STRIPS)):
+    if source.is_dir() and not is_measured(os.listdir(source)):
         check_all(source, out)
         return
     measured, faults = check(source, out)
@@ -99,12 +96,12 @@ def main(config: CaptureConfig) -> None:
 def check(source: Path, out: Path) -> tuple[list[str], list[str]]:
     """What is measured of the capture, or the strips, of a folder, which is written to ``out`` with
     its picture; and its faults."""
-    if (source / STRIPS).exists():
-        strips = read_strips(source)
-        write_curves(strips, out)
-        replace_file(out / PICTURE, png(strips_figure(strips)))
-        return [f"note: {line}" for line in texts(strips.warnings)], []
-    checks = check_capture(read_capture(source), out)
+    found = read_measured(source)
+    if not isinstance(found, Captured):
+        for name, content in ({PICTURE: found.shown()} | found.tables()).items():
+            replace_file(out / name, content)
+        return [f"note: {line}" for line in texts(found.warnings)], []
+    checks = check_capture(found.capture, out)
     return ([f"{one.name}: {one.value}" for one in checks if not one.warning],
             texts(warnings_of(checks)))
 

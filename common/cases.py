@@ -1,6 +1,7 @@
 """Resumable work: a case is done when its result file exists, with the key of the case.
 
-The key is a digest of its settings and of the sources that the result depends on.
+The key is a digest of its settings and of the version of the work, a number beside its code that is
+raised by hand when results change.
 
 Two kinds of work are no cases. A training's state is refused, not made again, where settings or
 maps have changed, because hours may be in it (:mod:`drapenet.network.training`); a dataset's shards
@@ -8,11 +9,10 @@ are written by many machines, are refused for the same reason, and state their o
 checksum (:mod:`data.dataset.folder`).
 """
 
-import inspect
 import json
 import sys
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
 from pathlib import Path
 from typing import Any
@@ -22,8 +22,7 @@ from tqdm import tqdm
 
 from common.errors import InputError, one_line
 from common.files import remove_file, replace_file, replacing
-from common.imports import plain_code
-from common.provenance import digest, sources_digest
+from common.provenance import digest
 from common.workers import worker_pool
 
 # One process draws. tqdm's default lock is shared with forked processes, and stays locked if one of
@@ -37,7 +36,7 @@ def run_cases(
     *,
     folder: Path,
     workers: int = 1,
-    sources: Sequence[str] = (),
+    version: object = 1,
     failures: dict[str, str] | None = None,
     unit: str = "case",
     title: Callable[[str], str] = str,
@@ -50,43 +49,55 @@ def run_cases(
         cases: settings by name, of JSON types, paths and dataclasses of these; a path stands for
             the content of the file or folder.
         folder: of the result files ``NAME.json``.
-        sources: what the results depend on, beside the text of ``work``: modules of the project and
-            files, see :func:`common.provenance.sources_digest`.
+        version: of the code that makes the results; of JSON types.
         title: of a case, by its name.
         failures: receives the cases that fail, in one line each; they are recorded and not tried
             again. None: they are, and the first error is raised when all other cases are done.
     """
-    if workers < 1:
-        raise InputError(f"workers={workers}: at least one process is needed")
-    code = [plain_code(inspect.getsource(work).encode()).decode(),
-            sources_digest(*sources) if sources else ""]
-    keys = {name: digest([settings, code]) for name, settings in cases.items()}
+    keys = {name: digest([settings, version]) for name, settings in cases.items()}
     files = {name: folder / f"{name}.json" for name in cases}
     stored: dict[str, Any] = {name: _stored(files[name], keys[name], failures) for name in cases}
     missing = [name for name in cases if stored[name] is None]
+    tasks = {name: (work, cases[name], files[name], keys[name], failures is not None)
+             for name in missing}
     errors = []
-    if missing:
-        print(f"{len(cases) - len(missing)} of {len(cases)} {unit}s are finished; {len(missing)} "
-              "to go. If interrupted, the same command goes on.", flush=True)
-        with worker_pool(min(workers, len(missing))) as pool, progress_bar(
-                total=len(missing), unit=unit) as bar:
-            futures = {pool.submit(_run, work, cases[name], files[name], keys[name],
-                                   failures is not None): name for name in missing}
-            for future in as_completed(futures):
-                name = futures[future]
-                try:
-                    stored[name] = future.result()
-                except Exception as error:
-                    errors.append(error)
-                    stored[name] = {"failure": one_line(error)}
-                if failure := stored[name].get("failure"):
-                    bar.write(f"{title(name)} failed: {failure}")
-                bar.update()
+    for name, outcome in in_processes(_run, tasks, total=len(cases), workers=workers, unit=unit):
+        if isinstance(outcome, Exception):
+            errors.append(outcome)
+            outcome = {"failure": one_line(outcome)}
+        stored[name] = outcome
+        if failure := outcome.get("failure"):
+            tqdm.write(f"{title(name)} failed: {failure}")
     if errors:
         raise errors[0]
     if failures is not None:
         failures |= {name: case["failure"] for name, case in stored.items() if "failure" in case}
     return {name: case["result"] for name, case in stored.items() if "result" in case}
+
+
+def in_processes(
+    work: Callable[..., Any], tasks: Mapping[Any, Sequence[Any]], *, total: int, workers: int,
+    unit: str,
+) -> Iterator[tuple[Any, Any]]:
+    """Name and outcome of ``work(*arguments)`` of each task, as they end, or the exception that it
+    raises, with a bar of the progress.
+
+    Args:
+        tasks: arguments by name, of those that are not yet finished of ``total``.
+    """
+    if workers < 1:
+        raise InputError(f"workers={workers}: at least one process is needed")
+    if not tasks:
+        return
+    print(f"{total - len(tasks)} of {total} {unit}s are finished; {len(tasks)} to go. If "
+          "interrupted, the same command goes on.", flush=True)
+    with worker_pool(min(workers, len(tasks))) as pool, progress_bar(
+            total=len(tasks), unit=unit) as bar:
+        futures = {pool.submit(work, *arguments): name for name, arguments in tasks.items()}
+        for future in as_completed(futures):
+            error = future.exception()
+            yield futures[future], error or future.result()
+            bar.update()
 
 
 def load_arrays(folder: Path, name: str) -> dict[str, np.ndarray]:

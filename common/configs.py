@@ -25,14 +25,17 @@ _UNITS: dict[str, Callable[[float], float]] = {
 }
 
 
-def config_text(name: str) -> str:
-    """The file ``configs/NAME.yaml``, with its comments."""
-    return (CONFIG_DIR / f"{name}.yaml").read_text(encoding="utf-8")
+def config_text(name: str, folder: Path | None = None) -> str:
+    """The file ``NAME.yaml`` of a ``folder``, or else of ``configs``, with its comments."""
+    for place in (folder or CONFIG_DIR, CONFIG_DIR):
+        if (file := place / f"{name}.yaml").is_file():
+            return file.read_text(encoding="utf-8")
+    raise InputError(f"there are no settings {name}.yaml in {folder or CONFIG_DIR}")
 
 
-def read_config(name: str) -> dict:
-    """The content of ``configs/NAME.yaml``."""
-    return dict(parse_yaml(config_text(name), f"configs/{name}.yaml"))
+def read_config(name: str, folder: Path | None = None) -> dict:
+    """The content of :func:`config_text`."""
+    return dict(parse_yaml(config_text(name, folder), f"configs/{name}.yaml"))
 
 
 def group_options(group: str) -> list[str]:
@@ -40,12 +43,58 @@ def group_options(group: str) -> list[str]:
     return sorted(path.stem for path in (CONFIG_DIR / group).glob("*.yaml"))
 
 
+def folder_of(group: str, name: str) -> str:
+    """The folder of a group of ``configs/NAME.yaml``: in ``configs/NAME`` if it has the group."""
+    return f"{name}/{group}" if group_options(f"{name}/{group}") else group
+
+
 def read_option(group: str, name: str) -> dict:
     """The content of ``configs/GROUP/NAME.yaml``."""
     if name not in group_options(group):
-        raise InputError(f"unknown {group} {name!r}; known {group}s: "
+        known = group.rpartition("/")[2]
+        raise InputError(f"unknown {known} {name!r}; known {known}s: "
                          f"{', '.join(group_options(group))}")
     return read_config(f"{group}/{name}")
+
+
+def composed(name: str, chosen: dict[str, str], folder: Path | None = None) -> dict:
+    """The content of ``NAME.yaml`` of a ``folder`` or of ``configs``, with the files and options of
+    groups that its ``defaults`` list, as Hydra composes them (https://hydra.cc).
+
+    Options that are ``chosen`` by group, which are taken out there, replace those listed.
+    """
+    content = read_config(name, folder)
+    result: dict[str, Any] = {}
+    content.pop("hydra", None)  # of sweeps
+    for entry in content.pop("defaults", ["_self_"]):
+        if entry == "_self_":
+            merge(result, content)
+        elif isinstance(entry, str):
+            beside = "" if entry.startswith("/") else name.rpartition("/")[0]
+            merge(result, composed(f"{beside}/{entry}".strip("/"), chosen, folder))
+        else:
+            ((group, default),) = entry.items()
+            option = chosen.pop(group, default)
+            if option not in (None, "null"):
+                place = folder_of(group, name)
+                read_option(place, option)  # refuses an unknown one
+                part = composed(f"{place}/{option}", chosen)
+                alone = _GLOBAL not in config_text(f"{place}/{option}")
+                merge(result, {group: part} if alone else part)
+    return result
+
+
+_GLOBAL = "# @package _global_"  # of options whose keys are those of the command
+
+
+def merge(settings: dict, others: Mapping) -> None:
+    """Replace values in ``settings`` by ``others``, key by key."""
+    for key, value in others.items():
+        if isinstance(value, Mapping) and isinstance(settings.get(key), Mapping):
+            settings[key] = dict(settings[key])
+            merge(settings[key], value)
+        else:
+            settings[key] = value
 
 
 def metres(millimetres: float | None) -> Metres | None:

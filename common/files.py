@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import re
 import secrets
 import tempfile
 import unicodedata
@@ -176,6 +177,13 @@ def path_named(folder: Path, text: str) -> Path:
                 place / name for name in os.listdir(place) if composed(name) == composed(part))
         return place
     return written
+
+
+def by_number(name: str | Path) -> tuple[list[list[str | int]], str]:
+    """Key that sorts names or paths as people count: ``capture_2`` before ``capture_10``."""
+    parts = [re.split(r"(\d+)", part) for part in Path(name).parts]  # text and number in turns
+    return [[int(text) if k % 2 else text for k, text in enumerate(part)]
+            for part in parts], str(name)
 
 
 def composed(name: str) -> str:

@@ -1,4 +1,4 @@
-"""Provenance of results: release, commit, sources, versions of packages, processor; digests."""
+"""Provenance of results: release, commit, versions of packages, processor; digests."""
 
 import functools
 import hashlib
@@ -11,8 +11,6 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
-
-from common.imports import closure, modules
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("numpy", "scipy", "numba", "llvmlite", "mkl", "pypardiso", "ipctk", "open3d", "h5py",
@@ -62,29 +60,6 @@ def _file_digest(file: Path) -> str:
         return hashlib.sha256(file.read_bytes()).hexdigest()
     except OSError as error:  # reported by who reads the file
         return type(error).__name__
-
-
-@functools.cache
-def sources_digest(*sources: str, root: Path = ROOT) -> str:
-    """SHA-256 of what results are made by, hexadecimal: the same in a checkout and where the
-    project is installed.
-
-    Each of ``sources`` is a module or package of the project, such as "sim.mesh", which stands for
-    its code and that of all modules that it imports, also within functions, without docstrings and
-    comments (:mod:`common.imports`); or one or more files, such as "configs/sensor/*.yaml".
-    """
-    known = modules(root)
-    named = {source: [name for name in known if f"{name}.".startswith(f"{source}.")]
-             for source in sources}
-    content: dict[str, object] = {
-        module.name: hashlib.sha256(module.code).hexdigest()
-        for module in closure({name for names in named.values() for name in names}, known)}
-    for source, names in named.items():
-        files = [] if names else sorted(root.glob(source))
-        if not names and not files:
-            raise ValueError(f"{source} is neither a module nor a file of the project")
-        content |= {file.relative_to(root).as_posix(): file for file in files}
-    return digest(content)
 
 
 def _git(root: Path, *words: str) -> str:

@@ -13,8 +13,8 @@ from matplotlib.patches import Circle, Rectangle
 from PIL import Image
 
 from data.render.pulled import MarkedStrip
-from data.tension.folder import read_tension
-from data.tension.preview import tension_figure
+from drapenet.measured.tension.folder import read_tension
+from drapenet.measured.tension.preview import tension_figure
 
 ROOT = Path(__file__).parents[1]
 IMAGES = ROOT / "docs" / "images"
@@ -90,7 +90,7 @@ def pulled() -> Figure:
         (Path(name) / "tension.yaml").write_text(yaml.safe_dump(
             STRIPS | {"tension": [entry, *STRIPS["tension"][1:]]}), encoding="utf-8")
         tension = read_tension(name)
-        return tension_figure(tension, tension.evidence)
+        return tension_figure(tension.strips, tension.photographs, tension.evidence)
 
 
 if __name__ == "__main__":

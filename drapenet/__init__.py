@@ -49,7 +49,7 @@ def load(path: str | Path) -> "Estimate":
     require(path=(path, str | Path))
     from dataclasses import replace
 
-    from drapenet.estimator.estimate import captures_in
+    from drapenet.fabric.estimate import captures_in
 
     found, _ = read_estimate(Path(path))
     folder = Path(path) if Path(path).is_dir() else Path(path).parent
@@ -69,7 +69,7 @@ def next_measurements(estimate: "Estimate", *, checkpoint: str | Path = ""
     estimate them again.
     """
     from common.arguments import require
-    from drapenet.estimator.next_measurements import next_measurements as found_next
+    from drapenet.fabric.next_measurements import next_measurements as found_next
     from drapenet.network.checkpoint import read_header
     from drapenet.result.estimate import Estimate
 
@@ -100,8 +100,8 @@ def estimate(
     from common.arguments import require
     from data.captures.arrays import checked_capture
     from data.captures.capture import Capture
-    from drapenet.estimator.estimate import estimate_fabric
-    from drapenet.estimator.read import read_sources, with_known
+    from drapenet.fabric.estimate import estimate_fabric
+    from drapenet.fabric.sources import sources_of
     from drapenet.network.checkpoint import read_header
 
     require(strips=(strips, str | Path), tension=(tension, str | Path),
@@ -113,15 +113,10 @@ def estimate(
                  if not isinstance(each, str | Path | Capture)}:
         raise InputError(f"a capture is a folder or a Capture, not {', '.join(sorted(kinds))}; "
                          "several captures are several arguments")
-    read = [read_sources([Path(given)]) if isinstance(given, str | Path) else
-            ([checked_capture(given)], None) for given in captures]
-    sources = [source for found, _ in [*read, read_sources([], strips, tension)]
-               for source in found]
-    several = [refused for _, refused in read if refused is not None]
-    return estimate_fabric(
-        with_known(sources, known), read_header(checkpoint), options,
-        refused={path: error for refused in several for path, error in refused.items()}
-        if several else None)
+    given = [Path(each) if isinstance(each, str | Path) else checked_capture(each)
+             for each in captures]
+    sources = sources_of(given, strips=strips, tension=tension, known=known)
+    return estimate_fabric(sources, read_header(checkpoint), options).estimate
 
 
 def estimate_fabrics(
@@ -144,7 +139,7 @@ def estimate_fabrics(
     """
     from common.arguments import require, whole_number
     from common.files import folder_named, locked
-    from drapenet.batch.batch import estimate_fabrics as estimate_all
+    from drapenet.fabric.many import estimate_fabrics as estimate_all
 
     require(source=(source, str | Path), out=(out, str | Path), checkpoint=(checkpoint, str | Path))
     workers = None if workers is None else whole_number("workers", workers, 1)

@@ -1,10 +1,11 @@
 """Types and ranges of the keys in ``configs/``, where they are documented and have defaults."""
 
+import os
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from common.configs import Seed, Workers
 from common.types import Metres
@@ -109,6 +110,8 @@ class EstimateOptions:
     edge: Metres = 5e-3  # of their meshes at the plate's rim
     strict: bool = False  # refuse a faulty capture instead of giving warnings
     address: str = ""  # of the page that will show it, for the code in its report
+    picture: str = ""  # name of a file that shows what was read, beside the report's
+    thumbnail: str = ""  # the same, small
 
 
 @dataclass
@@ -141,12 +144,16 @@ class ExportConfig:
     edge_mm: float
 
 
+def _password(stated: Any) -> Any:
+    return os.environ.get("DRAPENET_PASSWORD", "") if stated is None else stated
+
+
 @dataclass
 class ServeConfig:
     """``configs/serve.yaml``, and derived sizes in bytes and pixels and times in seconds."""
 
     host: Annotated[str, Field(min_length=1)]
-    password: str
+    password: Annotated[str, BeforeValidator(_password)]
     open: bool
     port: Annotated[int, Field(ge=0, le=65535)]
     names: str

@@ -20,7 +20,7 @@ from common.errors import InputError
 from common.files import folder_named, replace_file, require_folder
 from data.captures.description import checked_density
 from data.render.strips import StripScene, posed
-from data.strips.description import FILE
+from drapenet.measured.strips.description import FILE
 from sim.cantilever.strip import simulate_strips
 from sim.cloth import Laws
 from sim.energies.bending_variants import Hysteresis

@@ -28,7 +28,7 @@ from sim.rig import SQUARE_RIG, Rig
 
 if TYPE_CHECKING:  # imported on use, because speed and memory are measured without them
     from data.render.setups import Setups, SyntheticCapture
-    from drapenet.estimator.stages import CaptureEstimate
+    from drapenet.fabric.stages import CaptureEstimate
     from drapenet.network.checkpoint import Header
     from drapenet.network.predict import Draws
     from drapenet.result.estimate import Estimate
@@ -145,7 +145,7 @@ def posterior_bound() -> float:
 
 def infer(synthetic: "SyntheticCapture", rig: Rig = RIG) -> "CaptureEstimate":
     """Estimate the moduli from a capture with the network, with the warnings of ``infer.py``."""
-    from drapenet.estimator.stages import by_network
+    from drapenet.fabric.stages import by_network
 
     return by_network(as_read(synthetic, rig), header())
 
@@ -161,8 +161,7 @@ def outline_of(shape: Drape) -> "DrapeOutline":
 def infer_outline(outline: "DrapeOutline", rig: Rig) -> tuple["Draws", "Estimate", list[Finding]]:
     """The samples and estimate of an outline along the warp, and a warning if it is unlike
     them."""
-    from drapenet.network.load import network_of
-    from drapenet.network.predict import predict
+    from drapenet.network.predict import network_of, predict
     from drapenet.result.estimate import make_estimate
     from drapenet.views.observation import Observation
 

@@ -8,7 +8,7 @@ in ``configs/experiment/NAME.yaml``; a section of docs/studies.md is a ``SECTION
 import json
 import os
 import platform
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -18,6 +18,7 @@ from common import cases as resumable
 from common.cases import load_arrays as load_arrays
 from common.files import replace_json, replacing
 from common.provenance import package_versions, processor
+from data.dataset.config import VERSION
 
 if TYPE_CHECKING:
     from matplotlib.axis import Axis
@@ -25,8 +26,6 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parents[1]
 REPORTS = ROOT / "docs" / "validation"
-SIMULATOR, ESTIMATOR = ("sim",), ("sim", "data", "drapenet")
-"""Sources that results of simulations, and of estimates, depend on; see :func:`run_cases`."""
 EXECUTION_KEYS = ("workers", "cases", "work", "out")
 """Settings that do not change a report."""
 
@@ -99,20 +98,22 @@ def rms(values: np.ndarray | list) -> float:
 
 def run_cases(
     work: Callable[..., dict], cases: dict[str, dict], config: Config, *,
-    sources: Sequence[str] = SIMULATOR, folder: Path | None = None,
+    version: int = 1, folder: Path | None = None,
 ) -> dict[str, dict]:
-    """Results by name, see :func:`common.cases.run_cases`; of the folder ``config["cases"]``."""
+    """Results by name, see :func:`common.cases.run_cases`; of the folder ``config["cases"]``.
+
+    Cases are done again when the study's ``version`` or that of drapes is raised.
+    """
     return resumable.run_cases(work, cases, folder=folder or Path(config["cases"]),
-                               workers=config.get("workers", 1), sources=sources)
+                               workers=config.get("workers", 1), version=[VERSION, version])
 
 
 def run_fabrics(
-    case: Callable[..., dict], config: Config, *, sources: Sequence[str] = ESTIMATOR,
-    subfolder: str = "",
+    case: Callable[..., dict], config: Config, *, version: int = 1, subfolder: str = "",
 ) -> dict[str, dict]:
     """Run ``case(number=k, ...)`` for every fabric, with the keys of ``config`` that change it."""
     others = (*EXECUTION_KEYS, "fabrics")
     settings = {key: value for key, value in config.items() if key not in others}
     return run_cases(case, {f"fabric_{k:02}": settings | {"number": k}
                             for k in range(config["fabrics"])},
-                     config, folder=Path(config["cases"]) / subfolder, sources=sources)
+                     config, folder=Path(config["cases"]) / subfolder, version=version)

@@ -12,6 +12,8 @@ from sim.scene import Scene
 from sim.solver.newton import NewtonOptions, Status, minimise
 from sim.solver.potential import Potential, forces
 
+POISSON = 0.3
+"""Assumed where it is not known."""
 TIGHT = NewtonOptions(residual=1e-7, step=1e-7)
 
 

@@ -13,8 +13,8 @@ from safetensors.torch import load, save_file
 import drapenet.network.evaluate
 from common.configs import read_option
 from data.dataset.folder import finished_manifest
+from data.fabrics.fabrics import ClothProperties
 from data.fabrics.prior import load_prior, prior_content
-from data.fabrics.properties import ClothProperties
 from drapenet.network.checkpoint import SCHEMA
 from drapenet.network.evaluate import CELLS
 from drapenet.network.model import make_network
@@ -48,16 +48,18 @@ def save_untrained(path: Path, width: int = 8) -> Path:
     targets = targets_of(ClothProperties(np.array(mean), np.zeros(2), np.array(600.0),
                                          np.array(0.2)), np.array(0.3))
     deviations = [*std[:3], *np.array(std[3:]) / 0.3, 2.0, 2.0, 0.6, 0.1]
-    generation = {
-        "sampling": {"seed": 999, "starts": ["sine", "fold"], "nuisances": {
-            "membrane": [200.0, 2000.0], "shear": [0.2, 1.0], "hysteresis": [5.0, 60.0],
-            "curl": 5.0, "curl_specimen": 1.0}},
-        "prior": prior_content(load_prior("gaussian")), "solver": {"edge_mm": 8.0}}
+    prior = {"fabrics": prior_content(load_prior("gaussian")), "even_share": 0.0,
+             "anisotropy": [1.0, 1.0], "nuisances": {
+                 "membrane": [200.0, 2000.0], "shear": [0.2, 1.0], "hysteresis": [5.0, 60.0],
+                 "curl": 5.0, "curl_specimen": 1.0}}
+    generation = {"sampling": {"seed": 999, "starts": ["sine", "fold"]},
+                  "prior": prior["fabrics"], "solver": {"edge_mm": 8.0}}
     save_checkpoint(path, model=make_network(**model), half=False, description={
         "model": model, "targets": {"mean": targets.tolist(), "std": deviations},
         "fabrics": {"low": [m - 2 * s for m, s in zip(mean, std, strict=True)],
                     "high": [m + 2 * s for m, s in zip(mean, std, strict=True)],
                     "deviation": std},
+        "prior": prior,
         "dataset": {"sha256": ["0" * 64], "generation": [generation]}, "validation": {},
         "config": {"setup": {**read_option("setup", "real"), "sensors": {"none": 1.0}}}})
     return path

@@ -18,7 +18,7 @@ from here import here
 import common.cases
 import common.interrupt
 import data.dataset.generate
-from drapenet.estimator.stages import RAISE
+from drapenet.fabric.stages import RAISE
 from sim.rig import DISC_RIG
 from sim.scene import Scene, make_specimen
 

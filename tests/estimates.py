@@ -3,8 +3,7 @@
 import numpy as np
 
 from common.findings import Finding
-from data.fabrics.fabrics import to_theta
-from data.fabrics.properties import ClothProperties
+from data.fabrics.fabrics import ClothProperties, to_theta
 from drapenet.result.document import EstimateDocument
 from drapenet.result.estimate import Estimate
 from sim.material import DIRECTIONS, REFERENCE_DENSITY

@@ -32,9 +32,9 @@ from data.captures.reader import read_capture
 from data.captures.writer import write_capture
 from data.fabrics.fabrics import TABLE_COLUMNS, read_fabric_table
 from data.render.cameras import nominal_camera
-from data.strips.folder import read_strips
-from data.tension.folder import read_tension
-from drapenet.batch.captures import entries_of
+from drapenet.fabric.entries import entries_of
+from drapenet.measured.strips.folder import read_strips
+from drapenet.measured.tension.folder import read_tension
 from drapenet.network.checkpoint import read_header
 from sim.rig import DISC_RIG, SQUARE_RIG
 from sim.scene import make_specimen

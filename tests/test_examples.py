@@ -14,7 +14,7 @@ import sim.many
 from common.errors import InputError
 from data.captures.reader import read_capture
 from data.render import phone
-from data.strips.folder import read_strips
+from drapenet.measured.strips.folder import read_strips
 from drapenet.views.located import LocatedViews
 from drapenet.views.outline import outline_of_map
 from drapenet.views.radial_map import radial_map

@@ -23,11 +23,12 @@ import infer
 from common.errors import InputError
 from common.files import locked
 from common.findings import Finding
-from data.captures.reader import captures_in, read_capture
+from data.captures.reader import read_capture
 from data.captures.writer import write_capture
 from data.render.cameras import Intrinsics
 from drapenet.config import EstimateOptions
-from drapenet.estimator.stages import RAISE, CaptureEstimate, estimate_capture
+from drapenet.fabric.stages import RAISE, CaptureEstimate, estimate_capture
+from drapenet.measured.read import sources_in
 from drapenet.network.checkpoint import BUNDLED, read_header
 from drapenet.result.files import SHOWN, STRIPS, read_estimate
 from sim.material import DIRECTIONS, MICRO, is_admissible
@@ -150,11 +151,11 @@ def test_captures_below_samples_are_found_and_fabrics_are_not_joined(tmp_path):
         (tmp_path / place).mkdir(parents=True)
         (tmp_path / place / "capture.yaml").touch()
     fabric = tmp_path / "poplin"
-    assert captures_in(fabric) == [fabric / "s1/c1", fabric / "s1/c2", fabric / "s2/c1"]
-    assert captures_in(fabric / "s1") == [fabric / "s1/c1", fabric / "s1/c2"]
-    assert captures_in(fabric / "s1" / "c1") == [fabric / "s1/c1"]
+    assert sources_in(fabric, "capture") == [fabric / "s1/c1", fabric / "s1/c2", fabric / "s2/c1"]
+    assert sources_in(fabric / "s1", "capture") == [fabric / "s1/c1", fabric / "s1/c2"]
+    assert sources_in(fabric / "s1" / "c1", "capture") == [fabric / "s1/c1"]
     with pytest.raises(InputError, match=r"looks like FABRIC/SAMPLE/CAPTURE .*: give captures="):
-        captures_in(tmp_path)
+        sources_in(tmp_path, "capture")
 
 
 def test_captures_of_one_fabric_give_one_estimate(checkpoint, tmp_path, out, capsys):

@@ -59,6 +59,16 @@ def test_documents_import_public_names_or_from_modules(name):
             f"{module}.{item}"), f"from {module} import {item}"
 
 
+@pytest.mark.parametrize("name", [name for name in DOCUMENTS if name.endswith("ipynb")])
+def test_outputs_of_notebooks_are_stored_and_small(name):
+    file = ROOT / name
+    cells = [cell for cell in json.loads(file.read_text("utf-8"))["cells"]
+             if cell["cell_type"] == "code"]
+    assert [cell["execution_count"] for cell in cells] == list(range(1, len(cells) + 1))
+    assert all(cell["outputs"] for cell in cells)
+    assert file.stat().st_size < 300_000
+
+
 def test_the_simulator_loads_without_what_only_networks_and_reports_need():
     code = ("import sys, sim; from sim import Fabric, Laws, Rig, drape; assert callable(drape);"
             "print({'torch', 'open3d', 'matplotlib', 'hydra', 'cv2'} & set(sys.modules))")

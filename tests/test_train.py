@@ -30,6 +30,7 @@ from drapenet.network.posterior import Posterior
 from drapenet.network.targets import TARGETS
 from drapenet.network.trained import Trained
 from drapenet.network.training import (
+    describe,
     fit,
     learning_rate,
     load_state,
@@ -242,6 +243,11 @@ def test_several_datasets_of_other_testers_are_one(words, tmp_path):
     assert len(training) + len(unseen) == 32 and set(training.maps.disc) == {True, False}
     assert len(described["sha256"]) == len(described["generation"]) == 2
     assert training.maps.index.max() > 1 << 39  # their drapes have the same numbers
+    older, newest = (part["sampling"] for part in described["generation"])
+    older["anisotropy"] = older["nuisances"] = None
+    prior = describe(config, training, described, {}, epoch=0, cycles=[1])["prior"]
+    assert prior["fabrics"] == described["generation"][-1]["prior"]
+    assert prior["nuisances"] == newest["nuisances"] and prior["anisotropy"] == newest["anisotropy"]
 
 
 def test_a_training_that_diverges_leaves_no_checkpoint(words, tmp_path):

@@ -16,13 +16,12 @@ import drapenet.network.evaluate
 import train
 from common.errors import InputError
 from data.captures.reader import read_capture
-from drapenet.estimator.stages import by_network
+from drapenet.fabric.stages import by_network
 from drapenet.network.captures import CaptureSet, Condition
 from drapenet.network.checkpoint import Header, read_header
 from drapenet.network.evaluate import DEPTH
-from drapenet.network.load import network_of
 from drapenet.network.model import make_network
-from drapenet.network.predict import predict
+from drapenet.network.predict import network_of, predict
 from drapenet.network.targets import TARGETS
 from drapenet.network.training import validate
 from drapenet.network.weights import Loaded, load_model

@@ -9,10 +9,10 @@ import pdoc
 import drapenet
 import sim
 
-MODULES = ("drapenet", "drapenet.result.estimate", "drapenet.estimator", "drapenet.evidence", "sim",
+MODULES = ("drapenet", "drapenet.result.estimate", "drapenet.fabric", "drapenet.evidence", "sim",
            "sim.energies", "sim.equilibrium", "sim.material", "sim.measures", "sim.rig",
-           "sim.sensitivity", "sim.cantilever", "data.captures", "!data.captures.reported",
-           "data.readings", "!data.readings.known", "data.fabrics", "data.strips", "data.tension",
+           "sim.sensitivity", "sim.cantilever", "data.captures", "data.readings",
+           "!data.readings.known", "data.fabrics", "drapenet.measured",
            "!data.fabrics.prior.__main__")
 
 

@@ -1,10 +1,11 @@
 """Captures of a draped specimen: what all have in common, and a type for each kind.
 
 A further kind is a type here, its reader in :mod:`data.captures.reader`, and what it gives to the
-estimator (:mod:`drapenet.estimator.observe`) and to the eye (:mod:`data.captures.preview`).
+estimator (:mod:`drapenet.fabric.observe`) and to the eye (:mod:`data.captures.preview`).
 """
 
 import hashlib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,12 +14,28 @@ from common.findings import Finding
 from common.types import Density, Radians, Turns, Views
 from data.captures.cutout import CutOut
 from data.captures.description import UNLABELLED, Labels
-from data.captures.reported import Reported
+from data.readings.known import Reported
 from data.render.cameras import Intrinsics
 from sim.rig import Rig
 
 if TYPE_CHECKING:
     from data.captures.photograph import PhotographedOutline
+
+MAX_COEFFICIENT = 1.15  # of a drape, from 0 to 1; sound captures of stiff cloth have up to 0.98
+
+
+@dataclass(frozen=True)
+class Check:
+    """What is measured of a capture, as text; a warning, None if it is sound."""
+
+    name: str
+    value: str
+    warning: Finding | None = None
+
+
+def warnings_of(checks: Iterable[Check]) -> list[Finding]:
+    """The warnings of those checks that have one."""
+    return [check.warning for check in checks if check.warning]
 
 
 @dataclass(frozen=True, kw_only=True)

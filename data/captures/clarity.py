@@ -1,19 +1,81 @@
-"""What of a hem is not clearly seen in pictures from above, and from where another may show it."""
+"""What of a hem is not clearly seen in pictures from above, and from where another may show it;
+where it bulges, and the sides of a picture in words, x to its right, y up in it.
+
+A shadow or a sheet of paper that is read as cloth fills the valleys between folds. Of a drape with
+many folds, each is narrow; only a stiff cloth has few, wide ones: a bulge is a part of an outline
+that stands out over more of the azimuth than folds of that drape can.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import minimum_filter1d
 
 from common.findings import Finding
 from common.types import Radians, Vector
 from data.captures.ground import Ground
 from data.captures.joined_outlines import around
 from data.captures.off_axis import AZIMUTHS, MAX_LEAN
-from data.captures.sides import side, sides
 
+_SIDES = ("right", "upper right", "upper side", "upper left", "left", "lower left", "lower side",
+          "lower right")
+_GAP = np.radians(20.0)  # between parts that are of one
+_MOST = 0.6  # of the azimuth, beyond which it is all around
+_SMALL = 0.25  # of the largest part, below which another is not named
+_NAMED = 3  # parts, at most
+_ORDERS = np.arange(2, 21)  # of waves around the outline; the first is of a specimen off its centre
+_FLAT = 2e-3  # deviation over the mean, of a specimen without folds
+_FOLDS = (3.5, 5.5, 7.0, 12.0)
+_LIMITS = {12: (1.6, 1.4, 0.9, 0.5), 8: (1.25, 1.0, 0.6, 0.1)}
+"""By how many standard deviations of the radius all of an arc may stand out, for mean orders of an
+outline's waves of ``_FOLDS``; the key is how often the arc goes around. Three of 1 000 simulated
+outlines have more, and none of 309 real ones."""
 DOUBTFUL, MAX_DOUBTFUL = 3e-3, 0.05  # m, error of a hem, and the share of it that may have more
 MAX_ALONG_BORDER = 0.2  # of the azimuth; 3 of 19 sound pictures with the mat a3 have more
+
+
+def side(azimuth: Radians) -> str:
+    """The side of a picture in a direction from its middle."""
+    return _SIDES[round(azimuth / (np.pi / 4)) % 8]
+
+
+def sides(where: np.ndarray) -> str:
+    """Where a part of a hem lies, such as "at the lower left and right"; ``where``: (A,) of
+    equally spaced azimuths, of which at least one is true."""
+    count = len(where)
+    places = np.flatnonzero(where)
+    steps = np.diff(places, append=places[0] + count)
+    ends = np.flatnonzero(steps > _GAP / (2 * np.pi) * count)
+    if where.mean() > _MOST or not len(ends):
+        return "all around"
+    parts = []
+    for before, end in zip(np.roll(ends, 1), ends, strict=True):
+        first, last = places[(before + 1) % len(places)], places[end]
+        inside = np.arange(first, last + 1 + count * (last < first)) % count
+        parts.append((int(where[inside].sum()), float(first + (len(inside) - 1) / 2)))
+    parts.sort(reverse=True)
+    names = list(dict.fromkeys(side(2 * np.pi * middle / count) for size, middle in parts[:_NAMED]
+                               if size >= _SMALL * parts[0][0]))
+    return "at the " + " and ".join([", ".join(names[:-1])] * (len(names) > 1) + names[-1:])
+
+
+def bulge(radii: np.ndarray) -> list[Finding]:
+    """A warning if an arc of a hem bulges, of radii (A,) at equally spaced azimuths from x on."""
+    waves = np.fft.rfft(radii)
+    waves[:2] = 0
+    away, power = np.fft.irfft(waves, len(radii)), np.abs(waves[_ORDERS]) ** 2
+    if away.std() < _FLAT * radii.mean():
+        return []
+    folds, found = power @ _ORDERS / power.sum(), []
+    for share, limits in _LIMITS.items():
+        least = minimum_filter1d(away, len(radii) // share, mode="wrap")
+        value = least.max() / away.std()
+        found.append((value - np.interp(folds, _FOLDS, limits), least.argmax()))
+    excess, place = max(found)
+    if excess <= 0:
+        return []
+    return [Finding("hem_bulges", {"place": f"at the {side(2 * np.pi * place / len(radii))}"})]
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from common.errors import InputError, shortened, shown
 from common.findings import Finding
 from common.types import Density, Metres, Radians, Turns
 from data.captures.depth import Lens
-from data.captures.reported import Reported
+from data.readings.known import Reported
 from data.render.cameras import Intrinsics
 from data.rigs import Tester, read_tester
 
@@ -80,9 +80,18 @@ class Labels(Schema):
                       shortened(" / ".join(values), MAX_LABEL_LENGTH)
                       for key, values in found.items()})
 
+    def named(self, fabric: str) -> "Labels":
+        """The labels with the name by which a door calls the fabric, if it has one."""
+        return Labels(**self.stated() | ({"fabric": fabric} if fabric else {}))
+
     def stated(self) -> dict[str, str]:
         """The labels that are given, by key."""
         return {key: value for key in Labels.model_fields if (value := getattr(self, key))}
+
+    @property
+    def labels(self) -> "Labels":
+        """What a report states."""
+        return Labels(**self.stated())
 
     @property
     def columns(self) -> dict[str, str]:
@@ -258,11 +267,6 @@ class Description(Specimen, Labels):
             raise ValueError(f"tester={shown(tester)} {error}") from None
 
     @property
-    def labels(self) -> Labels:
-        """What a report states."""
-        return Labels(**self.stated())
-
-    @property
     def marked(self) -> bool:
         """Whether the direction of the warp is stated, or that of the mat's arrow."""
         source = self.outline
@@ -312,12 +316,12 @@ def whole_turns(count: int) -> Turns:
     return np.arange(count) * (2 * np.pi / count)
 
 
-def require_size(what: str | Path, width: int, height: int) -> None:
-    """InputError for pictures, named ``what``, with too few or too many pixels."""
+def require_size(file: Path | None, width: int, height: int) -> None:
+    """InputError for pictures, of a ``file`` or of a recording, with too few or too many pixels."""
     (narrow, low), (wide, high) = MIN_PICTURE, MAX_PICTURE
     if not (narrow <= width <= wide and low <= height <= high):
-        raise InputError(f"{what}: {width}x{height} pixels; views have from {narrow}x{low} to "
-                         f"{wide}x{high}")
+        raise InputError(f"{'' if file else 'depth pictures: '}{width}x{height} pixels; views have "
+                         f"from {narrow}x{low} to {wide}x{high}", source=file or "")
 
 
 def checked_density(value: object, what: str = "") -> Density:

@@ -91,8 +91,9 @@ def _reader(
         return read_exr
     if kind.endswith("ply"):
         if description.size_px is None:
-            raise InputError(f"{folder}: point clouds need size_px: [WIDTH, HEIGHT] in "
-                             "capture.yaml, of the picture that the intrinsics are of")
+            raise InputError("point clouds need size_px: [WIDTH, HEIGHT] in "
+                             "capture.yaml, of the picture that the intrinsics are of",
+                             source=folder)
         camera = description.stated_camera(*description.size_px)
         return lambda file: read_points(file, camera)
     return lambda file: read_counts(file) * unit
@@ -101,8 +102,8 @@ def _reader(
 def _background(file: Path, unit: float, depth: Views) -> DepthImage:
     background = np.minimum(read_counts(file) * unit, MAX_DEPTH).astype(np.float32)
     if background.shape != depth.shape[1:]:
-        raise InputError(f"{file} has {_size(background)} pixels, the views have "
-                         f"{_size(depth[0])}; take it with the same camera")
+        raise InputError(f"has {_size(background)} pixels, the views have "
+                         f"{_size(depth[0])}; take it with the same camera", source=file, joint=" ")
     return background
 
 
@@ -114,10 +115,10 @@ def _color(folder: Path, depth: Views) -> GreyViews:
         file: picture if picture.ndim == 2 else picture[..., :3].mean(axis=2).astype(np.uint8)
         for file, picture in pictures.items()})
     if color.shape != depth.shape:
-        raise InputError(f"{folder}: there are {len(color)} color pictures of {_size(color[0])} "
+        raise InputError(f"there are {len(color)} color pictures of {_size(color[0])} "
                          f"pixels but {len(depth)} views of {_size(depth[0])}; give one color "
                          "picture for each view, of the same size (the SDK's color aligned to "
-                         "depth)")
+                         "depth)", source=folder)
     return color
 
 
@@ -141,8 +142,8 @@ def _kind(folder: Path) -> str:
     """The one kind of views in a folder."""
     examples = list((found := views_in(folder)).values())
     if len(examples) > 1:
-        raise InputError(f"{folder} holds {examples[0]} and {examples[1]}: give the views in one "
-                         "kind of file, or one recording")
+        raise InputError(f"holds {examples[0]} and {examples[1]}: give the views in one "
+                         "kind of file, or one recording", source=folder, joint=" ")
     return next(iter(found), KINDS[0])  # numbered() reports that they are missing
 
 
@@ -154,7 +155,8 @@ def _bursts(folder: Path, names: list[str]) -> list[list[Path]]:
     """Files of each view, view_K_J.png; K and J are numbered from 0."""
     views = 1 + max(int(match[1]) for name in names if (match := _match(KINDS[1], name)))
     if views > MAX_VIEWS:
-        raise InputError(f"{folder} has {views} views; a capture has at most {MAX_VIEWS}")
+        raise InputError(f"has {views} views; a capture has at most {MAX_VIEWS}",
+                         source=folder, joint=" ")
     return [numbered(folder, f"view_{k}_{{}}.png", most=MAX_PIXELS) for k in range(views)]
 
 
@@ -164,12 +166,13 @@ def _median(files: list[Path]) -> np.ndarray:
     for file in files:
         frames.append(read_counts(file))
         if frames[-1].shape != frames[0].shape:
-            raise InputError(f"{file} has {_size(frames[-1])} pixels but {files[0].name} has "
-                             f"{_size(frames[0])}; all must have one size")
+            raise InputError(f"has {_size(frames[-1])} pixels but {files[0].name} has "
+                             f"{_size(frames[0])}; all must have one size", source=file, joint=" ")
         if len(files) * frames[0].size > MAX_PIXELS:
-            raise InputError(f"{file.parent}: a view has {len(files)} frames of "
+            raise InputError(f"a view has {len(files)} frames of "
                              f"{_size(frames[0])} pixels; give at most "
-                             f"{MAX_PIXELS // frames[0].size}, leave the others out")
+                             f"{MAX_PIXELS // frames[0].size}, leave the others out",
+                             source=file.parent)
     return median_depth(np.stack(frames))
 
 
@@ -180,8 +183,8 @@ def read_picture(file: Path, *, modes: set[str], kind: str) -> np.ndarray:
         with Image.open(file, formats=["PNG"]) as picture:
             require_size(file, *picture.size)
             if picture.mode not in modes:
-                raise InputError(f"{file} is a picture of the mode {picture.mode}; it must be "
-                                 f"{kind}: export it as such")
+                raise InputError(f"is a picture of the mode {picture.mode}; it must be "
+                                 f"{kind}: export it as such", source=file, joint=" ")
             picture.verify()  # checksums, which are not checked when pixels are read
         with Image.open(file, formats=["PNG"]) as picture:
             return np.array(picture)
@@ -195,21 +198,21 @@ def numbered(folder: Path, pattern: str, *, most: int = MAX_VIEWS) -> list[Path]
         there = f" (the folder holds {shown(others[0])})" if others else ""
         for name in others:
             if what := _UNREAD.get(Path(name).suffix.lower()):
-                raise InputError(f"{folder}: {shown(name)} is {what}; save depth as 16-bit PNG in "
+                raise InputError(f"{shown(name)} is {what}; save depth as 16-bit PNG in "
                                  ".png, metres in .npy or points in .ply; or call a photograph "
-                                 "from above outline.jpg")
+                                 "from above outline.jpg", source=folder)
         photograph = ", or a photograph from above outline.jpg" * (pattern == KINDS[0])
-        raise InputError(f"{folder}: {pattern.format(0)} is missing{there}; name the one to "
+        raise InputError(f"{pattern.format(0)} is missing{there}; name the one to "
                          f"{MAX_VIEWS} views {pattern.format(0)}, {pattern.format(1)} and so on"
-                         f"{photograph}")
+                         f"{photograph}", source=folder)
     if len(names) > most:
-        raise InputError(f"{folder} has {len(names)} files {pattern.format('*')}; at most {most} "
-                         "are read: leave the others out")
+        raise InputError(f"has {len(names)} files {pattern.format('*')}; at most {most} "
+                         "are read: leave the others out", source=folder, joint=" ")
     expected = [pattern.format(k) for k in range(len(names))]
     for name in expected:
         if name not in names:
-            raise InputError(f"{folder}: {name} is missing, but {max(names)} exists; number them "
-                             "from 0 on")
+            raise InputError(f"{name} is missing, but {max(names)} exists; number them "
+                             "from 0 on", source=folder)
     return [folder / name for name in expected]
 
 
@@ -218,13 +221,15 @@ def join_views(pictures: Mapping[Path, np.ndarray]) -> np.ndarray:
     (start, first), *_ = pictures.items()
     for file, picture in pictures.items():
         if picture.shape != first.shape:
-            raise InputError(f"{file.parent}: {file.name} has {_size(picture)} pixels but "
-                             f"{start.name} has {_size(first)}; all views must have one size")
+            raise InputError(f"{file.name} has {_size(picture)} pixels but "
+                             f"{start.name} has {_size(first)}; all views must have one size",
+                             source=file.parent)
     for (file, picture), (copy, same) in itertools.combinations(pictures.items(), 2):
         # Blank pictures are reported by data.captures.capture.
         if np.array_equal(picture, same) and picture.min() < picture.max():
-            raise InputError(f"{file.parent}: {file.name} and {copy.name} are the same picture; "
-                             "each view must be taken after the table has turned on")
+            raise InputError(f"{file.name} and {copy.name} are the same picture; "
+                             "each view must be taken after the table has turned on",
+                             source=file.parent)
     return np.stack(list(pictures.values()))
 
 
@@ -233,8 +238,8 @@ def _metres(depth: np.ndarray, file: Path) -> np.ndarray:
     depth = measured(depth)
     valid = depth[depth > 0]
     if valid.size and (middle := float(np.median(valid))) > MAX_DEPTH:
-        raise InputError(f"{file}: its median depth is {middle:.4g}, which cannot be metres; give "
-                         "depth in metres")
+        raise InputError(f"its median depth is {middle:.4g}, which cannot be metres; give "
+                         "depth in metres", source=file)
     return depth
 
 
@@ -245,8 +250,8 @@ def read_array(file: Path) -> DepthImage:
     with reading(file, f"it must hold {content}: save it with numpy.save"):
         depth = np.lib.format.read_array(io.BytesIO(data))
     if depth.ndim != 2 or depth.dtype.kind != "f" or depth.itemsize > 8:
-        raise InputError(f"{file} must hold {content}; it holds {shown(depth.shape)} of "
-                         f"{shown(str(depth.dtype))}")
+        raise InputError(f"must hold {content}; it holds {shown(depth.shape)} of "
+                         f"{shown(str(depth.dtype))}", source=file, joint=" ")
     require_size(file, *depth.shape[::-1])
     return _metres(depth, file)
 
@@ -267,7 +272,8 @@ def read_exr(file: Path) -> DepthImage:
                         for name, channel in picture.channels().items()}
     name = next((name for name in channels if name.split(".")[-1] in ("Z", "V")), None)
     if name is None and len(channels) != 1:
-        raise InputError(f"{file} has channels {shown(sorted(channels))}; give depth as channel Z")
+        raise InputError(f"has channels {shown(sorted(channels))}; give depth as channel Z",
+                         source=file, joint=" ")
     return _metres(channels[name] if name else next(iter(channels.values())), file)
 
 
@@ -280,8 +286,8 @@ def read_points(file: Path, camera: Intrinsics) -> DepthImage:
         (count, *_) = map(int, re.findall(
             rb"^element vertex (\d{1,12})\s*$", data[:65536], re.MULTILINE))
         if count > MAX_POINTS:
-            raise InputError(f"{file}: {count} points are too many; a view has at most "
-                             f"{MAX_POINTS}: reduce the cloud")
+            raise InputError(f"{count} points are too many; a view has at most "
+                             f"{MAX_POINTS}: reduce the cloud", source=file)
         # From memory, so that files named in the PLY, such as textures, are not read.
         cloud: Any = trimesh.load(io.BytesIO(data), file_type="ply", process=False,
                                   skip_materials=True)
@@ -290,14 +296,15 @@ def read_points(file: Path, camera: Intrinsics) -> DepthImage:
     visible = np.isfinite(points).all(axis=1) & (depths > 0)
     points, depths = points[visible], depths[visible]
     if not len(points):
-        raise InputError(f"{file} has no point in front of the camera; give camera axes: x right, "
-                         "y down, z forward")
+        raise InputError("has no point in front of the camera; give camera axes: x right, "
+                         "y down, z forward", source=file, joint=" ")
     u = np.rint(camera.fx * points[:, 0] / points[:, 2] + camera.cx)
     v = np.rint(camera.fy * points[:, 1] / points[:, 2] + camera.cy)
     inside = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
     if inside.mean() < 0.5:
-        raise InputError(f"{file}: {1 - inside.mean():.0%} of its points fall outside the picture "
-                         "of the intrinsics; give camera axes (x right, y down, z forward), metres")
+        raise InputError(f"{1 - inside.mean():.0%} of its points fall outside the picture "
+                         "of the intrinsics; give camera axes (x right, y down, z forward), metres",
+                         source=file)
     depth = np.full((camera.height, camera.width), np.inf, np.float32)
     np.minimum.at(depth, (v[inside].astype(int), u[inside].astype(int)), depths[inside])
     return np.where(np.isfinite(depth), depth, np.float32(0.0))

@@ -7,7 +7,7 @@ is fitted with the radius. What differs from the others counts less, and a pictu
 a good part of the azimuth is left out. A plate that was turned between pictures is turned back.
 
 What lies in the same place on the ground in two pictures, though a hem over it would have moved, is
-a shadow, print or paper (:func:`on_ground`).
+a shadow, print or paper (:func:`hidden_by_ground`).
 
 Of 90 simulated drapes seen from 0.4 to 1.4 m with errors of reading (0.5 mm, poses 0.3 %; in 24 one
 picture with a fault of 5 to 10 mm over 10 to 30 degrees), the outline from the axis is off by
@@ -51,7 +51,7 @@ _GROUND = 0.010  # m, error of an outline that follows something on the ground
 _TURNS = (np.arange(AZIMUTHS)[:, None] + np.arange(AZIMUTHS)) % AZIMUTHS  # back by each azimuth
 
 
-class View(NamedTuple):
+class SeenOutline(NamedTuple):
     """An outline as seen on the plane of the plate, about its centre, by a camera at the place
     ``beside`` (2,), m, the axis and at ``height`` above the plate; ``error``: (A,) m, standard
     deviation of its radii as they were read."""
@@ -61,14 +61,14 @@ class View(NamedTuple):
     height: Metres
     error: np.ndarray
 
-    def turned(self, angle: Radians) -> "View":
+    def turned(self, angle: Radians) -> "SeenOutline":
         """The same, turned counter-clockwise."""
-        return View(turned(self.curve, angle), turned(self.beside, angle), self.height,
+        return SeenOutline(turned(self.curve, angle), turned(self.beside, angle), self.height,
                     around(self.error, -angle))
 
 
 @dataclass(frozen=True)
-class Joined:
+class JoinedOutline:
     """What several views show together, at :data:`AZIMUTHS` (A) equally spaced azimuths.
 
     Attributes:
@@ -93,13 +93,13 @@ class Joined:
     grounded: np.ndarray
 
 
-def join(views: Sequence[View], rig: Rig, plate_height: Metres) -> Joined:
+def join_outlines(views: Sequence[SeenOutline], rig: Rig, plate_height: Metres) -> JoinedOutline:
     """Join two or more views of a drape on a plate at a height over the ground; of a rectangle, the
     x-axis is along its first side in the first."""
     overhang = rig.border(AZIMUTH) - rig.plate_radius
     lean = np.array([np.linalg.norm(view.beside) / view.height for view in views])
     moved, error = on_axis(views, rig)
-    grounded, turns = on_ground(views, rig, plate_height), [0.0] * len(views)
+    grounded, turns = hidden_by_ground(views, rig, plate_height), [0.0] * len(views)
     for k in range(1, len(views)):
         # The plate may have been turned: as far as brings the shapes of the outlines together.
         off = np.abs(moved[k][_TURNS] - moved[0] - (moved[k] - moved[0]).mean())
@@ -146,11 +146,11 @@ def join(views: Sequence[View], rig: Rig, plate_height: Metres) -> Joined:
     shown = radius[:, None] * OUTWARDS + (depth / (here.height + depth))[:, None] * here.beside
     everywhere = np.asarray(grounded[used].all(axis=0))
     error = np.sqrt(np.square(deviation) + differing / (len(used) - 1))
-    return Joined(used, reference, turns, radius, _radii(shown),
+    return JoinedOutline(used, reference, turns, radius, _radii(shown),
                   np.hypot(error, _GROUND * everywhere), parted, everywhere)
 
 
-def on_ground(views: Sequence[View], rig: Rig, plate_height: Metres) -> np.ndarray:
+def hidden_by_ground(views: Sequence[SeenOutline], rig: Rig, plate_height: Metres) -> np.ndarray:
     """Where (K, A) the outline of each view lies on the ground as another view's does, though the
     parallax of any hem between the plate and the full overhang below it is larger."""
     below = np.minimum(rig.border(AZIMUTH) - rig.plate_radius, plate_height)[:, None]
@@ -199,7 +199,7 @@ def _fitted(
     return radius, below, np.sqrt(second / determinant)
 
 
-def on_axis(views: Sequence[View], rig: Rig) -> tuple[np.ndarray, np.ndarray]:
+def on_axis(views: Sequence[SeenOutline], rig: Rig) -> tuple[np.ndarray, np.ndarray]:
     """Radii (K, A), m, as the network moves each view to the axis, and their errors."""
     moved = np.array([_radii(seen_from_axis(*view[:3], rig)) for view in views])
     lean = np.array([[np.linalg.norm(view.beside) / view.height] for view in views])

@@ -15,26 +15,25 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from common.errors import InputError
+from common.errors import InputError, of
 from common.findings import Finding
 from common.types import Metres, Outline, PixelPath, Radians, Vector
-from data.captures.bulge import bulge
-from data.captures.clarity import Clarity
+from data.captures.capture import MAX_COEFFICIENT
+from data.captures.clarity import Clarity, bulge, side, sides
 from data.captures.description import OUTLINE_TABLES, OutlineSource
 from data.captures.ground import Ground
 from data.captures.joined_outlines import (
     MAX_PARTED,
     MAX_UNLIKE,
-    View,
+    SeenOutline,
     around,
-    join,
+    join_outlines,
     on_axis,
     turned,
 )
 from data.captures.off_axis import AZIMUTH, AZIMUTHS, OUTWARDS
 from data.captures.outline_table import read_closed_curve
 from data.captures.scale import Scaled, scaled_photographs
-from data.captures.sides import side, sides
 from data.pictures.cut import outline_of_cloth
 from data.pictures.planes import mapped, shifted, upright
 from sim.outlines import closed, coefficient_of_area, farthest, folds_around
@@ -62,7 +61,9 @@ class PhotographedOutline:
             to the right in the picture, y up.
         height: of the camera above the plate; infinite for parallel light, NaN if unknown.
         picture: (H, W, 3) uint8, reduced; None if the outline is read from a text file.
-        to_pixels: (3, 3) homography from the plane of ``curve`` to pixels of ``picture``.
+        to_pixels: (3, 3) homography from the plane of ``curve`` to pixels of ``picture``, but for
+            the ``turn``.
+        turn: counter-clockwise from ``curve``, rad, of the plate with the drape in ``picture``.
         pixel: size of a pixel of the file at the plate.
         factor: how many pixels of a row of the file were averaged to each of ``picture``.
         hem: the outline as it was seen, in pixels of ``picture``.
@@ -90,6 +91,7 @@ class PhotographedOutline:
     next_camera: Vector | None = None
     check: str = "check_table"
     files_sha256: tuple[str, ...] = ()
+    turn: Radians = 0.0
 
     @property
     def causes(self) -> str:
@@ -113,7 +115,8 @@ class PhotographedOutline:
 
     def drawn(self, points: Outline) -> Outline:
         """Points of the plane of ``curve`` in pixels of ``picture``, without one unchanged."""
-        return points if self.to_pixels is None else mapped(points, self.to_pixels)
+        return (points if self.to_pixels is None else
+                mapped(turned(points, self.turn), self.to_pixels))
 
 
 def read_outline(
@@ -130,7 +133,7 @@ def read_outline(
         kind = "a photograph" if is_table else "a text file"
         raise InputError(f"outline.{wrong[0]} is of {kind}, but the outline is {file.name}; "
                          "leave it out")
-    try:
+    with of(file):
         if is_table:
             handed = warp_direction is not None and abs(np.sin(2 * warp_direction)) > MAX_SKEW
             found = _tabulated(file, source, rig, handed=handed)
@@ -140,8 +143,6 @@ def read_outline(
             digests = [_sha256(one) for one in pictures]
             found = _photographed(file, pictures, digests, source, rig, warp_direction)
         warnings = (*found.warnings, *_checked(found))
-    except InputError as error:
-        raise InputError(str(error) if str(file) in str(error) else f"{file}: {error}") from None
     if np.isnan(found.height):
         warnings += (Finding("camera_height_missing"),)
     if not found.centred:
@@ -197,10 +198,10 @@ def _photographed(
                    error=around(error, -first_side), warnings=(*found.warnings, *warnings))
 
 
-def _view(seen: Scaled, found: PhotographedOutline, first_side: Radians) -> View:
+def _view(seen: Scaled, found: PhotographedOutline, first_side: Radians) -> SeenOutline:
     """A picture over the mat, turned such that the first side of a rectangle is along x."""
     assert seen.beside is not None and found.error is not None
-    return View(found.curve, seen.beside, seen.height, found.error).turned(-first_side)
+    return SeenOutline(found.curve, seen.beside, seen.height, found.error).turned(-first_side)
 
 
 def _joined(
@@ -213,7 +214,7 @@ def _joined(
     rig = read[names[0]][1].rig
     ground = Ground.of(source)
     assert ground is not None  # several pictures are read over a mat alone
-    together = join(views, rig, ground.plate_height)
+    together = join_outlines(views, rig, ground.plate_height)
     warnings += [Finding("picture_contradicts", {"picture": file.name, "limit": MAX_UNLIKE})
                  for k, file in enumerate(names) if k not in together.used]
     used = [names[k] for k in together.used]
@@ -234,7 +235,8 @@ def _joined(
     often = Counter(warning.code for warning in said)  # the others make up for one picture's fault
     warnings += {warning.code: warning for warning in reversed(said)
                  if 2 * often[warning.code] >= len(used)}.values()
-    shown = read[names[together.reference]][1]
+    turn = together.turned[together.reference]
+    shown = replace(read[names[together.reference]][1], turn=turn)
     # Nothing is seen inside the plate; what was, stays for the checks.
     radius = np.maximum(together.radius, np.minimum(together.seen, rig.plate_radius))
     curve, hem = (turned(one[:, None] * OUTWARDS, first_side) for one in (radius, together.seen))
@@ -332,11 +334,14 @@ def _checked(outline: PhotographedOutline) -> list[Finding]:
     if nearest < MIN_RADIUS[outline.centred] * rim:
         raise InputError(f"the outline comes within {1e3 * nearest:.1f} mm of the plate's centre, "
                          f"inside the plate of {1e3 * rim:g} mm radius; {causes}")
-    if not MIN_COEFFICIENT <= (coefficient := outline.drape_coefficient) <= 1:
+    if not MIN_COEFFICIENT <= (coefficient := outline.drape_coefficient) <= MAX_COEFFICIENT:
         raise InputError(f"the drape coefficient is {coefficient:.1%}, only {MIN_COEFFICIENT:.0%} "
                          f"to 100% is possible; {causes}, and that the outline is not that of the "
                          "plate or of a hole")
     warnings = []
+    if coefficient > 1:
+        warnings.append(Finding("outline_too_large", {"value": coefficient,
+                                                      "causes": outline.causes}))
     if (width := _least_width(curve)) > MAX_REACH * min(rig.sides):
         warnings.append(Finding("hem_wide", {
             "value": 1e3 * width, "limit": 1e3 * min(rig.sides), "causes": outline.causes}))

@@ -15,11 +15,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from common.types import Outline, Radians, Turns
-from data.captures.capture import Capture, DepthCapture, OutlineCapture
-from data.captures.check import Check
+from data.captures.capture import Capture, Check, DepthCapture, OutlineCapture
 from data.captures.cutout import CutOut
 from data.render.cameras import Camera, Intrinsics
-from data.render.shade import silhouette, thumbnails
+from data.render.shade import outline_thumbnail, thumbnails
 from sim.rig import Rig
 
 _AXIS = 0.04  # m, length of the axes drawn
@@ -38,7 +37,7 @@ _LINE, _SPACING = 78, 11  # characters, and points between the lines, of checks
 @singledispatch
 def show(capture: Capture, checks: Sequence[Check] = (), *, small: bool = False) -> bytes:
     """PNG of a capture as it was read, with ``checks``; ``small``: a thumbnail without them."""
-    return silhouette(None)
+    return outline_thumbnail(None)
 
 
 @show.register
@@ -46,7 +45,7 @@ def _(capture: OutlineCapture, checks: Sequence[Check] = (), *, small: bool = Fa
     """Photograph from above, or curve of numbers, with plate, warp and ``checks``."""
     outline, rig = capture.outline, capture.rig
     if small:
-        return silhouette(outline.curve)
+        return outline_thumbnail(outline.curve)
     figure = Figure(figsize=(2 * _WIDTH, 2 * _WIDTH), dpi=100)
     panel = figure.add_axes((0.02, 0.02, 0.96, 0.82))
     panel.set_axis_off()
@@ -122,9 +121,9 @@ def _draw_checks(panel: Axes, title: str, checks: Sequence[Check]) -> None:
 
 
 def png(figure: Figure) -> bytes:
-    """A figure as PNG."""
+    """A figure as PNG, the same of each version of matplotlib."""
     stream = io.BytesIO()
-    figure.savefig(stream, format="png")
+    figure.savefig(stream, format="png", metadata={"Software": None})
     return stream.getvalue()
 
 

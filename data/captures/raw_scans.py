@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from common.documents import read_bytes, reading
-from common.errors import InputError
+from common.errors import InputError, of
 from common.findings import Finding
 from common.types import Faces, Points
-from data.captures.scan_place import cut_away, find_plate, plate_filled
+from data.captures.scan_place import cut_away, plate_filled, plate_of_scan
 from data.captures.scans import MAX_SCAN_SIZE
 from sim.rig import Rig
 
@@ -37,14 +37,12 @@ def read_raw_scan(path: Path, rig: Rig) -> RawScan:
     """
     with reading(path, f"export the scan again as {KINDS}"):
         points, faces = _read(path)
-    try:
+    with of(path):
         return _placed(points, faces, rig)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
 
 
 def _placed(points: Points, faces: Faces, rig: Rig) -> RawScan:
-    points, changes = find_plate(points, faces, rig).placed(points)
+    points, changes = plate_of_scan(points, faces, rig).placed(points)
     cloth, others = cut_away(points, faces, rig)
     if others:
         if cloth.sum() < MIN_POINTS:
@@ -71,14 +69,15 @@ def _read(path: Path) -> tuple[Points, Faces]:
         raise ValueError("points have another number of coordinates than three")
     faces = np.asarray(getattr(mesh, "faces", np.zeros((0, 3))), dtype=np.int64)
     if bad := int((~np.isfinite(points)).any(axis=1).sum()):
-        raise InputError(f"{path}: {bad} of {len(points)} points are not finite numbers; "
-                         "remove them")
+        raise InputError(f"{bad} of {len(points)} points are not finite numbers; "
+                         "remove them", source=path)
     if len(faces):
         if not 0 <= faces.min() <= faces.max() < len(points):
-            raise InputError(f"{path}: a face refers to a missing vertex; export the scan again")
+            raise InputError("a face refers to a missing vertex; export the scan again",
+                             source=path)
         mesh.merge_vertices()  # STL has the corners of each triangle apart
         points, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces)
     if not MIN_POINTS <= len(points) <= MAX_SCAN_SIZE:
-        raise InputError(f"{path} has {len(points)} points; a scan has {MIN_POINTS} to "
-                         f"{MAX_SCAN_SIZE}")
+        raise InputError(f"has {len(points)} points; a scan has {MIN_POINTS} to "
+                         f"{MAX_SCAN_SIZE}", source=path, joint=" ")
     return points, faces

@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 
 from common.documents import misnamed, read_text, read_yaml, rename_remedy
-from common.errors import InputError, one_line
-from common.files import path_named
+from common.errors import InputError, of, one_line
 from common.findings import Finding
 from common.types import Metres
 from data.captures.board import board_intrinsics, board_turns, shows_board
@@ -55,24 +54,26 @@ def read_capture(path: str | Path) -> Capture:
     """Read a capture folder of either format; InputError for anything that makes it unusable."""
     path = Path(path)
     try:
-        if not path.exists():
-            raise InputError("the folder does not exist; check the path")
-        if not path.is_dir():
-            raise InputError("this is not a folder; give the folder with capture.yaml")
-        if (path / "capture.yaml").exists():
-            return _read_metric(path)
-        if (path / "density.txt").exists():
-            return _read_published(path)
-        if other := misnamed(os.listdir(path), DESCRIPTION):
-            raise InputError(f"{path / other}: {rename_remedy(DESCRIPTION)}")
-        raise InputError("the folder has neither capture.yaml nor density.txt; write capture.yaml "
-                         "with density_g_m2, tester, and intrinsics or outline")
+        with of(path):
+            return _read(path)
     except OSError as error:
         raise InputError(f"capture {path} cannot be read ({one_line(error)}); check its "
                          "permissions") from None
-    except InputError as error:
-        place = "" if str(path) in str(error) else f"{path}: "
-        raise InputError(f"{place}{error}") from None
+
+
+def _read(path: Path) -> Capture:
+    if not path.exists():
+        raise InputError("the folder does not exist; check the path")
+    if not path.is_dir():
+        raise InputError("this is not a folder; give the folder with capture.yaml")
+    if (path / DESCRIPTION).exists():
+        return _read_metric(path)
+    if (path / "density.txt").exists():
+        return _read_published(path)
+    if other := misnamed(os.listdir(path), DESCRIPTION):
+        raise InputError(rename_remedy(DESCRIPTION), source=path / other)
+    raise InputError("the folder has neither capture.yaml nor density.txt; write capture.yaml "
+                     "with density_g_m2, tester, and intrinsics or outline")
 
 
 def _read_metric(path: Path) -> Capture:
@@ -82,10 +83,10 @@ def _read_metric(path: Path) -> Capture:
         return _read_outline(path, outlines[0], description)
     if description.outline:
         others = sorted(set(found.name for found in path.iterdir()) - {file.name})
-        raise InputError(f"{file} has the key outline, but there is no outline.jpg, .heic, .png, "
+        raise InputError(f"has the key outline, but there is no outline.jpg, .heic, .png, "
                          f".tif, .csv or .txt (the folder holds "
                          f"{', '.join(others)[:80] or 'no other'}); name the photograph so, or "
-                         "leave the key out")
+                         "leave the key out", source=file, joint=" ")
     if description.reported and not views_in(path):
         return ReportedCapture(**_stated(path, description), warnings=description.questions)
     frames = read_frames(path, description)
@@ -128,7 +129,8 @@ def _sparse(spacing: float, pixel: Metres) -> tuple[Finding, ...]:
 def _stated(path: Path, description: Description) -> dict[str, Any]:
     """What captures of all kinds have of their description."""
     if description.tester is None:
-        raise InputError(f"{path / DESCRIPTION} states no tester; {MISSING_TESTER}")
+        raise InputError(f"states no tester; {MISSING_TESTER}",
+                         source=path / DESCRIPTION, joint=" ")
     return {"density": description.density, "rig": description.tester, "path": path,
             "warp_direction": description.warp_direction, "face": description.face,
             "known": description.known, "labels": description.labels}
@@ -151,22 +153,23 @@ def outline_files(folder: Path) -> list[Path]:
         number = int(stem[1:] or 1)
         table = next((one for one in found.values() if one.suffix.lower() in OUTLINE_TABLES), None)
         if other := table or found.get(number):
-            raise InputError(f"{folder} holds {other.name} and {file.name}; keep one of them")
+            raise InputError(f"holds {other.name} and {file.name}; keep one of them",
+                             source=folder, joint=" ")
         if not 1 <= number <= MAX_PICTURES:
-            raise InputError(f"{folder} holds {file.name}; pictures of one drape are called "
-                             f"outline_1 to outline_{MAX_PICTURES}")
+            raise InputError(f"holds {file.name}; pictures of one drape are called "
+                             f"outline_1 to outline_{MAX_PICTURES}", source=folder, joint=" ")
         found[number] = file
     return [found[number] for number in sorted(found)]
 
 
 def _read_outline(path: Path, file: Path, description: Description) -> OutlineCapture:
     if view := next(iter(views_in(path).values()), None):
-        raise InputError(f"{path} holds {file.name} and {view}; give depth views and outlines in "
-                         "different folders")
+        raise InputError(f"holds {file.name} and {view}; give depth views and outlines in "
+                         "different folders", source=path, joint=" ")
     for key in ("depth_unit_m", "intrinsics", "turns_deg", "size_px"):
         if getattr(description, key) is not None:
-            raise InputError(f"{path / 'capture.yaml'}: {key} is of depth views, but the folder "
-                             f"holds {file.name}; leave it out")
+            raise InputError(f"{key} is of depth views, but the folder "
+                             f"holds {file.name}; leave it out", source=path / DESCRIPTION)
     stated = _stated(path, description)
     from data.captures.photograph import read_outline  # half a second, which views need not spend
 
@@ -182,7 +185,7 @@ def _read_published(path: Path) -> DepthCapture:
     file = path / "density.txt"
     lines = [line.split() for line in read_text(file).splitlines() if line.strip()]
     if len(lines) != 1 or len(lines[0]) > 2:
-        raise InputError(f"{file} must hold one line such as 'data0 300' (g/m2)")
+        raise InputError("must hold one line such as 'data0 300' (g/m2)", source=file, joint=" ")
     density = checked_density(lines[0][-1], f"{file}")
     counts = join_views({picture: read_picture(picture, modes={"L"}, kind="8-bit grey")
                          for picture in numbered(path, "{}.png")})
@@ -197,22 +200,3 @@ def _read_published(path: Path) -> DepthCapture:
     views, warnings = checked_views(depth, camera)
     return DepthCapture(views, camera, whole_turns(len(views)), density=density, rig=SQUARE_RIG,
                         path=path, warnings=(Finding("depth_coarse"), *warnings))
-
-
-def captures_in(path: Path) -> list[Path]:
-    """Capture folders in ``path``, sorted: itself, or those in a folder of captures or samples.
-
-    Those whose description is misnamed are among them, so that none is left out in silence.
-    """
-    path = path_named(Path(), str(path))
-    if not path.is_dir() or any((path / name).exists() for name in CAPTURE_FILES):
-        return [path]
-    for below in ("*", "*/*", "*/*/*"):
-        folders = sorted({file.parent for file in path.glob(f"{below}/*")
-                          if file.name in CAPTURE_FILES or misnamed([file.name], DESCRIPTION)})
-        if folders and below.count("/") == 2:
-            raise InputError(f"{path} looks like FABRIC/SAMPLE/CAPTURE ({folders[0]}): give "
-                             f"captures={path} for an estimate of each fabric")
-        if folders:
-            return folders
-    return [path]

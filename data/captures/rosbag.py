@@ -56,7 +56,7 @@ def recordings(folder: Path) -> list[Path]:
     first = {(file.parent, match[1], match.groups()[2:]): file for file, match in named.items()}
     if len(first) > 1:
         one, other = sorted(file.relative_to(folder) for file in list(first.values())[:2])
-        raise InputError(f"{folder} holds {one} and {other}: give one recording")
+        raise InputError(f"holds {one} and {other}: give one recording", source=folder, joint=" ")
     return list(named)
 
 
@@ -73,8 +73,8 @@ def read_recording(
         require_regular(part, MAX_RECORDING_BYTES, "recording")
     whole = file.suffix != ".bag" and (folder / _METADATA).exists()
     if file.suffix == ".zstd" and not whole:
-        raise InputError(f"{file} is compressed; put the {_METADATA} that was recorded with it "
-                         "beside it, or unpack it with unzstd")
+        raise InputError(f"is compressed; put the {_METADATA} that was recorded with it "
+                         "beside it, or unpack it with unzstd", source=file, joint=" ")
     # Imported late: few captures are recordings.
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
@@ -88,8 +88,9 @@ def read_recording(
         times, moved = _motion(_frames(reader, topic, scale), file)
         stops = _median_frames(_frames(reader, topic, scale), find_rests(times, moved))
     if not 1 <= len(stops) <= MAX_VIEWS:
-        raise InputError(f"{file}: {len(stops)} stops of the table found; let it rest for a "
-                         f"second at each of 1 to {MAX_VIEWS} stops, hands out of the picture")
+        raise InputError(f"{len(stops)} stops of the table found; let it rest for a "
+                         f"second at each of 1 to {MAX_VIEWS} stops, hands out of the picture",
+                         source=file)
     return stops, camera, lens
 
 
@@ -127,13 +128,14 @@ def _depth_stream(
                         matrix, lens, (width, height), beside))
     if not streams:
         there = f" (it holds {shown(', '.join(others))})" if others else ""
-        raise InputError(f"{file} holds no depth pictures{there}; record the depth stream")
+        raise InputError(f"holds no depth pictures{there}; record the depth stream",
+                         source=file, joint=" ")
     (*_, topic), (fx, _, cx, _, fy, cy, *_), lens, size, beside = min(streams, key=itemgetter(0))
     if not calibrated:
         return topic, None, None
     if fx <= 0:
-        raise InputError(f"{file}: no calibrated camera_info of the size of its pictures lies "
-                         f"beside {topic}; state intrinsics in capture.yaml")
+        raise InputError(f"no calibrated camera_info of the size of its pictures lies "
+                         f"beside {topic}; state intrinsics in capture.yaml", source=file)
     return topic, Intrinsics(float(fx), float(fy), float(cx), float(cy), *size), Lens.of(
         beside[0].distortion_model, lens)
 
@@ -167,7 +169,7 @@ def _frames(reader: Any, topic: str, unit: float) -> Iterator[tuple[float, Depth
 def _depth(message: Any, unit: float) -> DepthImage:
     """Depth of a message, whose counts are of ``unit``, m, numbers of metres."""
     if hasattr(message, "encoding"):
-        require_size("depth pictures", message.width, message.height)
+        require_size(None, message.width, message.height)
         kind = np.dtype("f4" if message.encoding.lower() == "32fc1" else "u2")
         rows = np.frombuffer(bytes(message.data), np.uint8).reshape(message.height, message.step)
         values = np.ascontiguousarray(rows[:, : kind.itemsize * message.width]).view(
@@ -185,7 +187,7 @@ def _png(data: bytes) -> np.ndarray:
     """Counts (H, W) uint16 of a PNG with or without a header before it."""
     if (start := data.find(_PNG, 0, 64)) < 0:
         raise ValueError("its compressed depth is neither PNG nor RVL")
-    require_size("depth pictures", *(int.from_bytes(data[start + at : start + at + 4], "big")
+    require_size(None, *(int.from_bytes(data[start + at : start + at + 4], "big")
                                      for at in (16, 20)))
     picture = cv2.imdecode(np.frombuffer(data[start:], np.uint8), cv2.IMREAD_UNCHANGED)
     if picture is None or picture.dtype != np.uint16 or picture.ndim != 2:
@@ -198,7 +200,7 @@ def _rvl(data: bytes) -> np.ndarray:
     the differences of these, in groups of three bits and one that states whether more follow.
     """
     width, height = np.frombuffer(data, "<u4", 2).astype(int)
-    require_size("depth pictures", width, height)
+    require_size(None, width, height)
     words = np.frombuffer(data, "<u4", len(data) // 4 - 2, offset=8)
     groups = ((words[:, None] >> np.arange(28, -1, -4, dtype=np.uint32)) & 15).ravel()
     ends = np.flatnonzero(groups < 8)
@@ -227,8 +229,8 @@ def _motion(
     for time, depth in frames:
         small = depth[::_STRIDE, ::_STRIDE]
         if recent and small.shape != recent[0][1].shape:
-            raise InputError(f"{file}: the size of its depth pictures changes; record again with "
-                             "one resolution")
+            raise InputError("the size of its depth pictures changes; record again with "
+                             "one resolution", source=file)
         while len(recent) > 1 and time - recent[1][0] >= _COMPARED_INTERVAL:
             recent.pop(0)
         times.append(time)

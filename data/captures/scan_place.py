@@ -18,7 +18,7 @@ from scipy.spatial import Delaunay, cKDTree
 from common.errors import InputError
 from common.findings import Finding
 from common.types import Faces, Metres, Points, Vector
-from data.captures.plane_search import largest_plane
+from data.captures.plane_fit import largest_plane
 from sim.rig import Rig
 
 UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "inches": 0.0254, "feet": 0.3048, "µm": 1e-6}
@@ -54,7 +54,7 @@ _UPRIGHT = {up: cv2.Rodrigues(np.pi / 2 * np.array(turn))[0].round() for up, tur
 
 
 @dataclass(frozen=True)
-class Plate:
+class ScannedPlate:
     """The plate in a scan of which a unit has ``metres``: normal, pointing up, and centre, m."""
 
     unit: str
@@ -105,7 +105,7 @@ def overhang(rig: Rig) -> Metres:
     return rig.reach - rig.plate_radius
 
 
-def find_plate(points: Points, faces: Faces, rig: Rig) -> Plate:
+def plate_of_scan(points: Points, faces: Faces, rig: Rig) -> ScannedPlate:
     """The plate in a scan in any unit and orientation; InputError if there is none."""
     cloud = _surface_points(points, faces)
     extent = np.ptp(cloud, axis=0).max()
@@ -118,7 +118,7 @@ def find_plate(points: Points, faces: Faces, rig: Rig) -> Plate:
         for plane in _planes(metres * cloud):
             normal, centre, share = _plate_in(metres * cloud, *plane, rig)
             if share > most:
-                best, most = Plate(unit, normal, centre), share
+                best, most = ScannedPlate(unit, normal, centre), share
             if most > _SURE and best:
                 return best
     if best:

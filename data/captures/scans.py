@@ -38,7 +38,7 @@ def read_scan(path: Path, rig: Rig) -> Scan:
     positions, rest, faces = arrays["vertices"], arrays["rest"], arrays["faces"]
     if fault := (_array_fault(positions, rest, faces) or _mesh_fault(rest, faces)
                  or _placement_fault(positions, rest, faces, rig)):
-        raise InputError(f"{path}: {fault}")
+        raise InputError(fault, source=path)
     return Scan(positions.astype(np.float64), rest.astype(np.float64), faces.astype(np.int64))
 
 
@@ -131,7 +131,7 @@ def check_rim(points: Points, path: Path, rig: Rig) -> None:
     if (ratio := rim_steepness(points, rig)) > MAX_RIM_STEEPNESS:
         low, high = (1e3 * distance for distance in _NEAR)
         raise InputError(
-            f"{path}: {low:g} to {high:g} mm outside the plate's rim the surface is {ratio:.2f} "
+            f"{low:g} to {high:g} mm outside the plate's rim the surface is {ratio:.2f} "
             f"times as steep as further out, at most {MAX_RIM_STEEPNESS:g} is possible for cloth "
             "that a plate holds: it has a kink there; give the measured surface, not one computed "
-            f"from an outline, and a plate of {1e3 * rig.plate_radius:g} mm radius")
+            f"from an outline, and a plate of {1e3 * rig.plate_radius:g} mm radius", source=path)

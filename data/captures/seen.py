@@ -62,7 +62,7 @@ def seen_photograph(folder: Path) -> SeenPhotograph:
     description = Description.of(read_yaml(file), file)
     photograph, rig = find_outline(folder), description.tester
     if photograph is None or rig is None:
-        raise InputError(f"{folder}: a photograph from above and its tester are missing")
+        raise InputError("a photograph from above and its tester are missing", source=folder)
     source = description.outline or OutlineSource()
     movable = source.mat is None
     warp = description.warp_direction
@@ -74,21 +74,23 @@ def seen_photograph(folder: Path) -> SeenPhotograph:
         return _refused(photograph, source, rig, warp, str(error))
     if outline.picture is None or outline.to_pixels is None:
         raise InputError(f"{photograph} is a text file, of which there is no picture")
+    to_pixels, warp = outline.to_pixels, None if warp is None else warp + outline.turn
     cameras, next_camera = outline.cameras, outline.next_camera
-    return SeenPhotograph(outline.picture, outline.factor, _plate(outline.to_pixels, rig),
+    return SeenPhotograph(outline.picture, outline.factor, _plate(to_pixels, rig),
                           outline.centred, outline.hem, outline, movable,
-                          specimen=_specimen(outline.to_pixels, rig, warp),
-                          warp=_along(outline.to_pixels, rig, warp), unclear=_parts(outline),
-                          cameras=outline.drawn(np.array(cameras)[:, :2]) if cameras else None,
-                          next_camera=None if next_camera is None else outline.drawn(
-                              next_camera[None, :2])[0])
+                          specimen=_specimen(to_pixels, rig, warp),
+                          warp=_along(to_pixels, rig, warp), unclear=_parts(outline),
+                          cameras=mapped(np.array(cameras)[:, :2], to_pixels) if cameras else None,
+                          next_camera=None if next_camera is None else mapped(
+                              next_camera[None, :2], to_pixels)[0])
 
 
 def _parts(outline: PhotographedOutline) -> tuple[PixelPath, ...]:
     """The parts of a hem, in pixels of its picture, that are not clearly seen."""
     assert outline.hem is not None and outline.to_pixels is not None
     x, y = mapped(outline.hem, np.linalg.inv(outline.to_pixels)).T
-    azimuth = np.rint(np.arctan2(y, x) * (AZIMUTHS / (2 * np.pi))).astype(int) % AZIMUTHS
+    angle = np.arctan2(y, x) - outline.turn
+    azimuth = np.rint(angle * (AZIMUTHS / (2 * np.pi))).astype(int) % AZIMUTHS
     places = np.flatnonzero(outline.unclear[azimuth] if outline.unclear is not None else [])
     gaps = np.flatnonzero(np.diff(places) > _GAP) + 1
     return tuple(outline.hem[part] for part in np.split(places, gaps) if len(part) > 1)

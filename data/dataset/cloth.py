@@ -4,7 +4,8 @@
 
 FOLDER of ``data`` is a dataset of drapes, finished or not. Each drape is photographed in random
 scenes, a second a picture; the pictures are kept in ``pictures``, and made once. Prints the
-errors on fabrics held out.
+errors on fabrics held out. The network is a U-Net (Ronneberger et al. 2015) on squares of two by
+two pixels.
 """
 
 from dataclasses import dataclass
@@ -15,7 +16,14 @@ import cv2
 import numpy as np
 import torch
 from pydantic import Field
-from torch.nn.functional import binary_cross_entropy_with_logits
+from torch import nn
+from torch.nn.functional import (
+    binary_cross_entropy_with_logits,
+    interpolate,
+    max_pool2d,
+    pixel_shuffle,
+    pixel_unshuffle,
+)
 
 from common.cases import load_arrays, progress_bar, run_cases
 from common.command import command
@@ -26,14 +34,45 @@ from common.graph_export import save_graph, save_weights
 from common.graphs import SUFFIX
 from data.dataset.folder import require_dataset, split_by_fabric
 from data.dataset.shards import SHARDS, Shard
-from data.pictures.cloth_network import ClothNetwork
-from data.pictures.cloth_view import COARSE, FINE, SIDE, View, steps
+from data.pictures.cut import COARSE, FINE, SIDE, ClothView, steps
 from data.render.cloth_scenes import scene_of
 
+_WIDTHS = (16, 24, 48, 96, 128)
 HELD_OUT = 0.05  # of the fabrics
 _BATCH, _RATE = 8, 3e-3  # largest learning rate
 _GAINS = 0.15, 0.25  # deviations of log light, of each colour and of all
-SOURCES = ("data.render.cloth_scenes", "data.dataset.shards")
+VERSION = 1
+"""Of the pictures of a shard: raise it when they change."""
+
+
+def _block(inputs: int, outputs: int) -> nn.Sequential:
+    layers: list[nn.Module] = []
+    for width in (inputs, outputs):
+        layers += [nn.Conv2d(width, outputs, 3, padding=1, bias=False), nn.BatchNorm2d(outputs),
+                   nn.ReLU(inplace=True)]
+    return nn.Sequential(*layers)
+
+
+class ClothNetwork(nn.Module):
+    """Log odds that pixels show the specimen."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        inputs = (4 * FINE + COARSE, *_WIDTHS[:-1])
+        self.down = nn.ModuleList(map(_block, inputs, _WIDTHS))
+        above = [sum(pair) for pair in zip(_WIDTHS[1:], _WIDTHS[:-1], strict=True)]
+        self.up = nn.ModuleList(map(_block, above[::-1], _WIDTHS[-2::-1]))
+        self.last = nn.Conv2d(_WIDTHS[0], 4, 1)
+
+    def forward(self, fine: torch.Tensor, coarse: torch.Tensor) -> torch.Tensor:
+        """(N, S, S) of ``fine`` (N, FINE, S, S) and ``coarse`` (N, COARSE, S/2, S/2)."""
+        values, kept = torch.cat([pixel_unshuffle(fine, 2), coarse], dim=1), []
+        for level, block in enumerate(self.down):
+            values = block(max_pool2d(values, 2) if level else values)
+            kept.append(values)
+        for block, finer in zip(self.up, kept[-2::-1], strict=True):
+            values = block(torch.cat([interpolate(values, scale_factor=2.0), finer], dim=1))
+        return pixel_shuffle(self.last(values), 2)[:, 0]
 
 
 @dataclass
@@ -59,7 +98,7 @@ def main(config: ClothConfig) -> None:
     shards = sorted(root.glob(SHARDS))[:config.shards]
     cases = {shard.stem: {"shard": shard, "scenes": config.scenes, "seed": config.seed}
              for shard in shards}
-    run_cases(photographed, cases, folder=folder, workers=config.workers, sources=SOURCES,
+    run_cases(photographed, cases, folder=folder, workers=config.workers, version=VERSION,
               unit="shard")
     pictures = Pictures.of(folder, list(cases))
     torch.manual_seed(config.seed)
@@ -116,7 +155,7 @@ class Pictures:
                 one = {key: values[row] for key, values in arrays.items()}
                 off = None if np.isnan(one["off"]).any() else one["off"]
                 reach = float(one["reach"])
-                view = View(one["picture"], one["printed"], one["on_mat"],
+                view = ClothView(one["picture"], one["printed"], one["on_mat"],
                             np.zeros((SIDE, SIDE), bool), float(one["plate"]), reach, off)
                 fine, coarse = (part.astype(np.float16) for part in view.channels())
                 found.append((fine, coarse, one["cloth"], np.diff(steps(reach))[0],

@@ -143,7 +143,7 @@ class DatasetFolder:
         if manifest["identity"] != self.identity:
             settings = manifest["config"] | {"prior": manifest.get("prior")}
             changed = differences(settings, self._settings)
-            if changed == ["sources"]:
+            if changed == ["version"]:
                 raise InputError(f"{self.root} was begun by another version of the simulator, "
                                  "whose drapes may differ; finish it with that version (provenance "
                                  f"in {MANIFEST}), or choose another folder")

@@ -7,14 +7,15 @@ outcomes, parameters compared with the prior, and drapes. Writes report.json and
 to REPORT (docs/data_format.md). Does not change FOLDER.
 """
 
-import io
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+import yaml
 from matplotlib.figure import Figure
 from pydantic import Field
 
@@ -22,6 +23,7 @@ from common.command import command
 from common.errors import InputError
 from common.files import replace_file, replace_json, require_folder
 from common.types import DepthImage, Theta
+from data.captures.preview import png
 from data.dataset.folder import MANIFEST, finished_manifest, over_shards
 from data.dataset.shards import SHARDS, Shard
 from data.fabrics.fabrics import THETA_NAMES
@@ -38,13 +40,10 @@ COLUMNS = ("index", "fabric", "theta", "rejected", "start", "status", "message",
 QUANTILES = (0.0, 0.01, 0.1, 0.5, 0.9, 0.99, 1.0)
 RANGE = (0.01, 0.99)  # quantiles of the prior; fabrics beyond them are counted as outside
 PRIOR_SAMPLES = 2000
-PARAMETERS = tuple(name.removeprefix("log_") for name in THETA_NAMES)
-UNITS = ("µN·m",) * 3 + ("mm",) * 3
-"""Names and units of :func:`in_display_units`; at 300 g/m²."""
 ACROSS = 8  # drapes in a row of the contact sheet
 WIDTH, CAPTION = 1.75, 0.25  # inches, width of a drape and height of its caption
 MARK = "#b5403a"  # caption of a failed drape
-LABEL = 22  # characters, width of a table's first column
+LINE = 100  # characters, of the report as text
 
 
 @dataclass
@@ -67,14 +66,12 @@ def main(config: InspectConfig) -> None:
     require_folder(out)
     manifest = check_dataset(root)
     drapes = read_drapes(root, manifest, intersections=config.intersections)
-    prior = prior_samples(manifest)
-    shots = take_shots(root, drapes, count=config.sheet)
-    content = report(manifest, drapes, prior)
-    print("\n".join(describe(content)))
+    content = report(manifest, drapes, prior_samples(manifest))
+    print(as_text(content))
     replace_json(out / "report.json", content)
-    if shots:
+    if shots := take_shots(root, drapes, count=config.sheet):
         replace_file(out / "contact_sheet.png", contact_sheet(shots))
-    print(f"\nwritten to {out}: report.json" + (", contact_sheet.png" if shots else ""))
+    print(f"written to {out}: report.json" + (", contact_sheet.png" if shots else ""))
 
 
 def check_dataset(root: Path) -> dict:
@@ -108,49 +105,35 @@ def _listed(names: Sequence[str]) -> str:
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
-@dataclass(frozen=True)
-class Drapes:
-    """All drapes of a dataset, one row each, in order."""
-
-    columns: dict[str, np.ndarray]  # of COLUMNS
-    places: list[tuple[str, int]]  # shard and row
-    stretch: np.ndarray  # (N,) largest strain, of 0.1 % uncertainty; NaN unless converged
-    crossings: np.ndarray  # (N,) edges that intersect a face; -1 if not checked
-
-    @property
-    def converged(self) -> np.ndarray:
-        """(N,) bool."""
-        return self.columns["status"] == "converged"
-
-
-def read_drapes(root: Path, manifest: dict, *, intersections: int) -> Drapes:
-    """Read and measure a dataset's drapes, of which ``intersections`` for self-intersections."""
-    parts: dict[str, list[np.ndarray]] = {name: [] for name in COLUMNS}
-    places: list[tuple[str, int]] = []
+def read_drapes(root: Path, manifest: dict, *, intersections: int) -> dict[str, np.ndarray]:
+    """:data:`COLUMNS` (N, ...) of a dataset's drapes, in order, with the name of the ``shard`` and
+    the ``row`` of each; ``stretch``, the largest strain, to 0.1 %, NaN unless converged; and
+    ``crossings``, the edges that intersect a face, of ``intersections`` drapes, else -1."""
+    parts: dict[str, list] = {name: [] for name in (*COLUMNS, "shard", "row", "stretch",
+                                                    "crossings")}
+    checked = spread(np.arange(manifest["outcomes"].get("converged", 0)), intersections)
     converged = 0
-    checked = set(spread(np.arange(manifest["outcomes"].get("converged", 0)), intersections))
-    stretch, crossings = np.full(manifest["drapes"], np.nan), np.full(manifest["drapes"], -1)
     for name in over_shards(manifest["shards"], "measuring"):
         shard = Shard(root / name)
-        for column, arrays in parts.items():
-            arrays.append(shard.column(column))
-        for row in np.flatnonzero(parts["status"][-1] == "converged"):
-            drape = len(places) + row
+        columns = {column: shard.column(column) for column in COLUMNS} | {
+            "shard": np.full(len(shard), name), "row": np.arange(len(shard)),
+            "stretch": np.full(len(shard), np.nan), "crossings": np.full(len(shard), -1)}
+        for row in np.flatnonzero(columns["status"] == "converged"):
             positions, rest, faces = shard.mesh(row)
             # Triangles held by the plate are not stretched and need not be excluded.
-            stretch[drape] = maximum_stretch(positions, rest, faces, np.zeros(len(rest), bool))
+            columns["stretch"][row] = maximum_stretch(positions, rest, faces,
+                                                      np.zeros(len(rest), bool))
             if converged in checked:
-                crossings[drape] = len(self_intersections(positions, faces))
+                columns["crossings"][row] = len(self_intersections(positions, faces))
             converged += 1
-        places += [(name, row) for row in range(len(shard))]
-    columns = {name: np.concatenate(arrays) for name, arrays in parts.items()}
-    return Drapes(columns, places, stretch, crossings)
+        for column, values in columns.items():
+            parts[column].append(values)
+    return {name: np.concatenate(arrays) for name, arrays in parts.items()}
 
 
 def spread(items: np.ndarray, count: int) -> np.ndarray:
     """At most ``count`` of ``items`` (N, ...), evenly spread, with the first and the last."""
-    chosen = np.linspace(0, len(items) - 1, min(count, len(items))).round().astype(int)
-    return items[chosen]
+    return items[np.linspace(0, len(items) - 1, min(count, len(items))).round().astype(int)]
 
 
 def prior_samples(manifest: dict) -> tuple[Theta, float]:
@@ -162,44 +145,30 @@ def prior_samples(manifest: dict) -> tuple[Theta, float]:
                                           for key in ("even_share", "anisotropy")})
 
 
-def in_display_units(theta: Theta) -> np.ndarray:
-    """Alpha in µN·m and beta/alpha in mm (..., 6)."""
-    return np.concatenate([np.exp(theta[..., :3]) / MICRO, theta[..., 3:] * 1e3], axis=-1)
-
-
-def draped_fabrics(drapes: Drapes) -> Theta:
-    """The fabrics with a converged drape, which are used in training."""
-    kept = drapes.converged
-    _, first = np.unique(drapes.columns["fabric"][kept], return_index=True)
-    return drapes.columns["theta"][kept][first]
-
-
-def report(manifest: dict, drapes: Drapes, prior: tuple[Theta, float]) -> dict:
-    """Statistics of the dataset in JSON types; ``prior``: from :func:`prior_samples`."""
-    columns, converged = drapes.columns, drapes.converged
-    rejected = columns["rejected"][np.unique(columns["fabric"], return_index=True)[1]]
-    crossing = np.flatnonzero(drapes.crossings > 0)
+def report(manifest: dict, drapes: dict[str, np.ndarray], prior: tuple[Theta, float]) -> dict:
+    """Statistics of drapes (N, ...) in JSON types; ``prior``: from :func:`prior_samples`."""
+    converged = drapes["status"] == "converged"
+    kept = {name: column[converged] for name, column in drapes.items()}
+    trained = kept["theta"][np.unique(kept["fabric"], return_index=True)[1]]
+    rejected = drapes["rejected"][np.unique(drapes["fabric"], return_index=True)[1]]
+    crossing = kept["index"][kept["crossings"] > 0]
     return {
         "dataset": {name: manifest[name] for name in ("identity", "hash")},
         "drapes": len(converged),
         "converged": int(converged.sum()),
         "fabrics": len(rejected),
-        "fabrics_with_a_drape": len(draped_fabrics(drapes)),
+        "fabrics_with_a_drape": len(trained),
         "rejection_rate": {"dataset": float(rejected.sum() / (rejected.sum() + len(rejected))),
                            "prior": prior[1]},
-        "starts": _starts(columns, converged),
-        "failures": _failures(columns, converged),
-        "parameters": _parameters(drapes, prior[0]),
-        "drape_coefficient": _quantiles(columns["drape_coefficient"][converged]),
-        "folds": {str(n): int(count) for n, count
-                  in zip(*np.unique(columns["folds"][converged], return_counts=True), strict=True)},
-        "stretch": _quantiles(drapes.stretch[converged]),
-        "iterations": _quantiles(columns["iterations"][converged]),
-        "self_intersections": {
-            "looked_at": int((drapes.crossings >= 0).sum()),
-            "intersecting": len(crossing),
-            "drapes": columns["index"][crossing].tolist(),
-        },
+        "starts": {str(start): _of_start(start, drapes, kept)
+                   for start in np.unique(drapes["start"])},
+        "failures": _failures({name: column[~converged] for name, column in drapes.items()}),
+        "parameters": _parameters(trained, prior[0]),
+        **{name: _quantiles(kept[name]) for name in ("drape_coefficient", "stretch", "iterations")},
+        "folds": {str(number): count for number, count
+                  in sorted(Counter(kept["folds"].tolist()).items())},
+        "self_intersections": {"looked_at": int((kept["crossings"] >= 0).sum()),
+                               "intersecting": len(crossing), "drapes": crossing.tolist()},
     }
 
 
@@ -210,104 +179,54 @@ def _quantiles(values: np.ndarray) -> dict[str, float] | None:
     return {f"{share:g}": float(np.quantile(values, share)) for share in QUANTILES}
 
 
-def _starts(columns: dict[str, np.ndarray], converged: np.ndarray) -> dict[str, dict]:
-    result = {}
-    for start, count in zip(*np.unique(columns["start"], return_counts=True), strict=True):
-        folds = columns["folds"][converged & (columns["start"] == start)]
-        result[str(start)] = {"drapes": int(count), "converged": len(folds),
-                              "mean_folds": float(folds.mean()) if len(folds) else None}
-    return result
+def _of_start(start: str, drapes: dict[str, np.ndarray], kept: dict[str, np.ndarray]) -> dict:
+    """Of an initial state: drapes, how many converged, and their mean number of folds."""
+    folds = kept["folds"][kept["start"] == start]
+    return {"drapes": int((drapes["start"] == start).sum()), "converged": len(folds),
+            "mean_folds": float(folds.mean()) if len(folds) else None}
 
 
-def _failures(columns: dict[str, np.ndarray], converged: np.ndarray) -> list[dict]:
+def _failures(failed: dict[str, np.ndarray]) -> list[dict]:
     """Failures by status, the most frequent first: count, and index and message of the first."""
-    reasons = Counter(columns["status"][~converged].tolist())
     result = []
-    for status in sorted(reasons, key=lambda status: (-reasons[status], status)):
-        first = int(np.flatnonzero(columns["status"] == status)[0])
-        result.append({"status": status, "drapes": reasons[status],
-                       "first": int(columns["index"][first]),
-                       "message": str(columns["message"][first])})
-    return result
+    for status, first, count in zip(*np.unique(failed["status"], return_index=True,
+                                               return_counts=True), strict=True):
+        result.append({"status": str(status), "drapes": int(count),
+                       "first": int(failed["index"][first]),
+                       "message": str(failed["message"][first])})
+    return sorted(result, key=itemgetter("drapes"), reverse=True)
 
 
-def _parameters(drapes: Drapes, prior: Theta) -> dict[str, dict]:
+def _parameters(fabrics: Theta, prior: Theta) -> dict[str, dict]:
     """By parameter: quantiles of dataset and prior, share of fabrics outside the prior's range."""
-    fabrics = draped_fabrics(drapes)
     low, high = np.quantile(prior, RANGE, axis=0)
+    outside = (fabrics < low) | (fabrics > high)
     result = {}
-    for k, (name, unit) in enumerate(zip(PARAMETERS, UNITS, strict=True)):
-        outside = (fabrics[:, k] < low[k]) | (fabrics[:, k] > high[k])
-        result[name] = {
-            "unit": unit,
-            "dataset": _quantiles(in_display_units(fabrics)[:, k]),
-            "prior": _quantiles(in_display_units(prior)[:, k]),
-            "outside": float(outside.mean()) if len(fabrics) else None,
-        }
+    for k, name in enumerate(THETA_NAMES):
+        # In the units of documents, at 300 g/m².
+        is_alpha = name.startswith("log_")
+        dataset, expected = (np.exp(theta[:, k]) / MICRO if is_alpha else 1e3 * theta[:, k]
+                             for theta in (fabrics, prior))
+        result[name.removeprefix("log_")] = {
+            "unit": "µN·m" if is_alpha else "mm",
+            "dataset": _quantiles(dataset), "prior": _quantiles(expected),
+            "outside": float(outside[:, k].mean()) if len(fabrics) else None}
     return result
 
 
-def describe(content: dict) -> list[str]:
-    """Format the result of :func:`report` as lines of text."""
-    n, rate = content["drapes"], content["rejection_rate"]
-    lines = [
-        f"{n} drapes of {content['fabrics']} fabrics, {content['converged']} converged "
-        f"({content['converged'] / n:.1%}); {content['fabrics_with_a_drape']} fabrics have one",
-        f"content {content['dataset']['hash'][:16]}, settings "
-        f"{content['dataset']['identity'][:16]}; shards agree with dataset.json",
-        f"impossible fabrics rejected: {rate['dataset']:.2%}, by the prior itself "
-        f"{rate['prior']:.2%}",
-        "",
-        f"{'initial state':<{LABEL}}{'drapes':>8}{'converged':>11}{'mean folds':>12}",
-        *(f"{name:<{LABEL}}{row['drapes']:>8}{row['converged']:>11}{_number(row['mean_folds']):>12}"
-          for name, row in content["starts"].items()),
-        "",
-    ]
-    if content["failures"]:
-        lines += [f"{'failure':<{LABEL}}{'drapes':>8}  first", *(
-            f"{row['status']:<{LABEL}}{row['drapes']:>8}  {row['first']}: {row['message']}"
-            for row in content["failures"]), ""]
-    low, high = RANGE
-    lines.append(f"{'at 300 g/m²':<{LABEL}}{'1 %':>8}{'10 %':>9}{'median':>9}{'90 %':>9}{'99 %':>9}"
-                 f"   outside the prior's {low:.0%} to {high:.0%} ({1 - high + low:.0%} expected)")
-    for name, row in content["parameters"].items():
-        outside = "" if row["outside"] is None else f"   {row['outside']:.1%}"
-        lines += [_range(_label(name, row["unit"]), row["dataset"]) + outside,
-                  _range("  prior", row["prior"])]
-    lines += [
-        "",
-        _range("drape coefficient", content["drape_coefficient"]),
-        _range("largest strain", content["stretch"]),
-        _range("iterations", content["iterations"]),
-        "folds: " + ", ".join(f"{count} with {folds}" for folds, count in content["folds"].items()),
-        _self_intersections(content["self_intersections"], content["converged"]),
-    ]
-    return lines
+def as_text(content: Any) -> str:
+    """A :func:`report` as text, its numbers to three digits."""
+    return yaml.safe_dump(_rounded(content), sort_keys=False, allow_unicode=True, width=LINE,
+                          default_flow_style=None)
 
 
-def _label(parameter: str, unit: str) -> str:
-    return f"{parameter.replace('_over_', '/').replace('_', ' ')} [{unit}]"
+def _rounded(content: Any) -> Any:
+    if isinstance(content, dict):
+        return {name: _rounded(part) for name, part in content.items()}
+    return float(f"{content:.3g}") if isinstance(content, float) else content
 
 
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3g}"
-
-
-def _range(label: str, quantiles: dict[str, float] | None) -> str:
-    values = [_number((quantiles or {}).get(f"{share:g}")) for share in QUANTILES[1:-1]]
-    return f"{label:<{LABEL}}{values[0]:>8}" + "".join(f"{value:>9}" for value in values[1:])
-
-
-def _self_intersections(figures: dict, converged: int) -> str:
-    of = "all" if figures["looked_at"] == converged else f"{figures['looked_at']} of"
-    line = f"self-intersections: {figures['intersecting']} of {of} {converged} converged drapes"
-    if figures["drapes"]:
-        line += f" (first: {', '.join(map(str, figures['drapes'][:8]))})"
-    return line
-
-
-@dataclass(frozen=True)
-class Shot:
+class Shot(NamedTuple):
     """A drape on the contact sheet, with the text above it."""
 
     caption: str
@@ -315,43 +234,35 @@ class Shot:
     view: DepthImage
 
 
-def take_shots(root: Path, drapes: Drapes, *, count: int) -> list[Shot]:
-    """Render ``count`` converged drapes, by drape coefficient, and up to a row of failed ones."""
-    converged = np.flatnonzero(drapes.converged)
-    by_coefficient = converged[np.argsort(drapes.columns["drape_coefficient"][converged],
-                                          kind="stable")]
-    failed = np.flatnonzero(~drapes.converged)
-    shots = [_shoot(root, drapes, int(drape)) for drape
-             in [*spread(by_coefficient, count), *spread(failed, ACROSS)]]
-    return [shot for shot in shots if shot is not None]
-
-
-def _shoot(root: Path, drapes: Drapes, drape: int) -> Shot | None:
-    """Render a drape; None for a failed one without coordinates."""
-    name, row = drapes.places[drape]
-    shard = Shard(root / name)
-    positions, rest, faces = shard.mesh(row)
-    if not rest.any():
-        return None
-    columns = {key: values[drape] for key, values in drapes.columns.items()}
-    failed = columns["status"] != "converged"
-    caption = columns["status"] if failed else (
-        f"{100 * columns['drape_coefficient']:.0f} %, {columns['folds']} folds")
-    return Shot(f"{columns['index']}: {caption}", failed,
-                DepthRenderer(positions, faces).view(nominal_camera(shard.rig(row))))
+def take_shots(root: Path, drapes: dict[str, np.ndarray], *, count: int) -> list[Shot]:
+    """Render ``count`` converged ones of the drapes (N, ...), by drape coefficient, and up to a row
+    of failed ones with coordinates."""
+    order = np.argsort(drapes["drape_coefficient"], kind="stable")
+    converged = drapes["status"][order] == "converged"
+    shots = []
+    for drape in [*spread(order[converged], count), *spread(np.sort(order[~converged]), ACROSS)]:
+        this = {name: column[drape] for name, column in drapes.items()}
+        shard = Shard(root / this["shard"])
+        positions, rest, faces = shard.mesh(this["row"])
+        failed = this["status"] != "converged"
+        if rest.any():
+            caption = this["status"] if failed else (
+                f"{100 * this['drape_coefficient']:.0f} %, {this['folds']} folds")
+            camera = nominal_camera(shard.rig(this["row"]))
+            shots.append(Shot(f"{this['index']}: {caption}", failed,
+                              DepthRenderer(positions, faces).view(camera)))
+    return shots
 
 
 def contact_sheet(shots: list[Shot]) -> bytes:
     """PNG of all shots, cropped to the cloth of all of them; nearer is brighter."""
     views = np.stack([shot.view for shot in shots])
     rows, columns = np.nonzero((views > 0).any(axis=0))
-    if len(rows):
-        views = views[:, rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
+    views = views[:, rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
     views = np.where(views > 0, views, np.nan)
-    low, high = np.nanquantile(views, (0.01, 0.99)) if len(rows) else (0, 1)
+    low, high = np.nanquantile(views, (0.01, 0.99))
     height, width = views.shape[1:]
-    across = min(ACROSS, len(shots))
-    down = -(-len(shots) // across)
+    across, down = min(ACROSS, len(shots)), -(-len(shots) // ACROSS)
     figure = Figure(figsize=(across * WIDTH, down * (WIDTH * height / width + CAPTION)), dpi=110,
                     layout="constrained")
     panels = figure.subplots(down, across, squeeze=False).ravel()
@@ -360,9 +271,7 @@ def contact_sheet(shots: list[Shot]) -> bytes:
     for axes, shot, view in zip(panels, shots, views, strict=False):
         axes.imshow(view, cmap="viridis_r", vmin=low, vmax=high, interpolation="nearest")
         axes.set_title(shot.caption, fontsize=7, color=MARK if shot.failed else "black")
-    picture = io.BytesIO()
-    figure.savefig(picture, format="png", metadata={"Software": None})
-    return picture.getvalue()
+    return png(figure)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Tables of measured fabrics, and the six parameters of a fabric.
+"""Tables of measured fabrics, the six parameters of a fabric, and its other properties.
 
 The parameter vector theta = (log alpha_warp, log alpha_bias, log alpha_weft, (beta/alpha)_warp,
 (beta/alpha)_bias, (beta/alpha)_weft) holds the moduli at the reference density of 300 g/m²:
@@ -113,3 +113,23 @@ def _locate_columns(header: list[str], path: str | Path) -> tuple[list[int], int
                              f"{', '.join(TABLE_COLUMNS)}")
     return ([names.index(name) for name in TABLE_COLUMNS],
             names.index("rows") if "rows" in names else None)
+
+
+@dataclass(frozen=True)
+class ClothProperties:
+    """Fabrics at 300 g/m².
+
+    Attributes:
+        curl: (..., 2) 1/m, natural curvature along warp and weft with the marked face up.
+        membrane: (...,) N/m, stiffness along the yarns.
+        hysteresis: (...,) share of the torque, :class:`sim.energies.bending_variants.Hysteresis`.
+    """
+
+    theta: Theta
+    curl: np.ndarray
+    membrane: np.ndarray
+    hysteresis: np.ndarray
+
+    def chosen(self, rows: np.ndarray) -> "ClothProperties":
+        """The fabrics of ``rows``, indices or a mask."""
+        return ClothProperties(*(part[rows] for part in vars(self).values()))

@@ -1,5 +1,9 @@
 """Cloth cut out of a photograph by a network that has learned rendered pictures
-(``python -m data.dataset.cloth``), and the hem to a fraction of a pixel."""
+(``python -m data.dataset.cloth``), and the hem to a fraction of a pixel.
+
+The network is given the picture in the plane of the plate, what is printed on a mat as it must
+appear there, and the distance from the plate's axis.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -11,12 +15,17 @@ import numpy as np
 
 from common.errors import InputError
 from common.graphs import bundled_graph
-from common.types import Mask, Metres, PixelPath
-from data.pictures.cloth_view import SIDE, View, steps
+from common.types import ColourPicture, Mask, Metres, PixelPath
 from data.pictures.edge import border_of, edge_of, normals, sampled, smoothed
 from data.pictures.planes import mapped
-from data.pictures.reading import Photograph
+from data.pictures.reading import Photograph, decoded
 
+SIDE = 128  # pixels
+AROUND = 1.2  # of the flat specimen's reach, shown
+FINE, COARSE = 4, 5  # inputs at each pixel, and at each square of two by two
+_FLOOR = 0.02  # of light
+_BRIGHT = 0.95  # quantile of the light that becomes 1
+_LIGHT = decoded(np.arange(256) / 255.0)
 BUNDLED = Path(__file__).resolve().parents[1] / "weights" / "cloth.safetensors"
 _MOST_TIMES = 12  # pixels of a photograph that are averaged, along a side
 _FINER = 8  # places for each pixel, between which log odds are linear
@@ -31,6 +40,49 @@ CONTRAST, EDGE_ERROR = 0.15, 1.0  # of log light across an edge that is seen; pi
 
 Printed = Callable[[np.ndarray], tuple[np.ndarray, Mask]]
 """What is printed (H, W) uint8 behind places (H, W, 2), m, of the plate's plane, and where."""
+
+
+def steps(reach: Metres) -> np.ndarray:
+    """Places (SIDE,), m, of the pixels along x, and upwards along y."""
+    return ((np.arange(SIDE) + 0.5) / SIDE * 2 - 1) * AROUND * reach
+
+
+@dataclass(frozen=True)
+class ClothView:
+    """Pictures of SIDE x SIDE pixels about the plate's axis, x to the right, y up.
+
+    Attributes:
+        picture: (SIDE, SIDE, 3).
+        printed: (SIDE, SIDE) uint8, the mat as it would be seen without a drape; 0 beside it.
+        on_mat, unseen: where the mat is, covered or not; where there is no picture.
+        plate, reach: radii of the plate and of the flat specimen.
+        off: (2,) m, place of the middle from the plate's axis; None if that is not known.
+    """
+
+    picture: ColourPicture
+    printed: np.ndarray
+    on_mat: Mask
+    unseen: Mask
+    plate: Metres
+    reach: Metres
+    off: np.ndarray | None
+
+    def channels(self) -> tuple[np.ndarray, np.ndarray]:
+        """Inputs (FINE, SIDE, SIDE) and (COARSE, SIDE/2, SIDE/2) of the network, float32."""
+        light = _LIGHT[self.picture]
+        bright = max(float(np.quantile(light[~self.unseen].max(axis=1), _BRIGHT)), 1e-3)
+        logs = np.log(light / bright + _FLOOR)
+        logs[self.unseen] = 0.0
+        fine = np.stack([*np.moveaxis(logs, 2, 0), self.printed / 255.0]).astype(np.float32)
+        known, far = 0.0, np.zeros((SIDE, SIDE))
+        if self.off is not None:
+            along = steps(self.reach)
+            known, far = 1.0, np.hypot(along + self.off[0], (-along + self.off[1])[:, None])
+        coarse = [self.on_mat, self.unseen, np.full((SIDE, SIDE), known),
+                  known * (far / self.plate - 1), known * (far / self.reach - 1)]
+        half = [np.asarray(one, np.float32).reshape(SIDE // 2, 2, SIDE // 2, 2).mean((1, 3))
+                for one in coarse]
+        return fine, np.stack(half)
 
 
 @dataclass(frozen=True)
@@ -121,7 +173,7 @@ def outline_of_cloth(
 def _view(
     photograph: Photograph, to_pixels: np.ndarray, middle: np.ndarray, *, plate: Metres,
     reach: Metres, known: bool, printed: Printed | None
-) -> tuple[View, Mask]:
+) -> tuple[ClothView, Mask]:
     """The view of a photograph about the place (2,) ``middle``, m, of the plate's plane; and what
     an editor has made transparent in it."""
     along = steps(reach)
@@ -147,12 +199,12 @@ def _view(
     else:
         print_there, on_mat = printed(middle + np.dstack(np.meshgrid(along, -along)))
     transparent = warped(np.uint8(255) * photograph.transparent, cv2.BORDER_CONSTANT) > 127
-    view = View(warped(photograph.colour, cv2.BORDER_REPLICATE), print_there, on_mat, unseen,
+    view = ClothView(warped(photograph.colour, cv2.BORDER_REPLICATE), print_there, on_mat, unseen,
                 plate, reach, middle if known else None)
     return view, transparent
 
 
-def _log_odds(view: View) -> tuple[np.ndarray, np.ndarray]:
+def _log_odds(view: ClothView) -> tuple[np.ndarray, np.ndarray]:
     """Logarithm (SIDE, SIDE) of the odds that pixels show the specimen, mean of a view turned and
     mirrored in all eight ways, and its standard deviation between them."""
     def turned(values: np.ndarray, way: int) -> np.ndarray:

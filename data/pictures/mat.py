@@ -9,6 +9,7 @@ origin, m.
 import io
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import cv2
 import numpy as np
@@ -53,6 +54,12 @@ class Mat:
     first: int
 
     @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width of its picture, in pixels."""
+        width, height = (round((side + 2 * QUIET) / PIXEL) for side in self.size)
+        return height, width
+
+    @property
     def numbers(self) -> range:
         """Numbers of the markers."""
         wide, high = self.along
@@ -88,16 +95,22 @@ def mat_picture(name: str, ground: str = "white") -> np.ndarray:
 
 def mat_colours(name: str, ground: str = "white") -> np.ndarray:
     """The same in colours (H, W, 3) uint8, sRGB."""
-    return np.asarray(_drawn(name, ground))
+    return np.asarray(_drawn(name, ground).convert("RGB"))
 
 
 def _drawn(name: str, ground: str) -> Image.Image:
+    """The mat's picture, grey unless its ground has a colour: a third of the work."""
     mat, colour = MATS[name], np.array(GROUNDS[ground])
-    width, height = (round((side + 2 * QUIET) / PIXEL) for side in mat.size)
-    page = Image.new("RGB", (width, height), GROUNDS[ground])
+    height, width = mat.shape
+    grey = len(set(GROUNDS[ground])) == 1
+
+    def ink(tones: np.ndarray) -> Any:
+        return int(tones[0]) if grey else tuple(tones.tolist())
+
+    page = Image.new("L" if grey else "RGB", (width, height), ink(colour))
     draw = ImageDraw.Draw(page)
-    faint, dark = (tuple(np.rint(255 * encoded(
-        decoded(np.array(tone / 255)) * decoded(colour / 255))).astype(int).tolist())
+    faint, dark = (ink(np.rint(255 * encoded(
+        decoded(np.array(tone / 255)) * decoded(colour / 255))).astype(int))
         for tone in (_LINE, _TEXT))
 
     def at(x: Metres, y: Metres) -> tuple[float, float]:
@@ -171,7 +184,7 @@ def printed_at(name: str, places: np.ndarray, ground: str = "white") -> tuple[np
 
 def mat_pixels(name: str, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Columns and rows (...,) float32, in pixels of :func:`mat_picture`, of places (..., 2), m."""
-    height, width = mat_picture(name).shape
+    height, width = MATS[name].shape
     return ((places[..., 0] / PIXEL + (width - 1) / 2).astype(np.float32),
             (-places[..., 1] / PIXEL + (height - 1) / 2).astype(np.float32))
 

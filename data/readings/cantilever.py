@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from common.types import Density
-from data.fabrics.properties import ClothProperties
+from data.fabrics.fabrics import ClothProperties
 from data.readings.quantity import STANDARD_GRAVITY, Quantity, moduli_at
 from sim.material import MICRO
 from sim.rig import GRAVITY

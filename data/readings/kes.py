@@ -3,7 +3,7 @@
 import numpy as np
 
 from common.types import Density
-from data.fabrics.properties import ClothProperties
+from data.fabrics.fabrics import ClothProperties
 from data.readings.quantity import STANDARD_GRAVITY, Quantity, moduli_at
 from sim.material import torque
 

@@ -105,3 +105,10 @@ def _field(quantity: Quantity) -> tuple[Any, Any]:
 _FIELDS: dict[str, Any] = {name: _field(each) for name, each in QUANTITIES.items()}
 Known = create_model("Known", __base__=_Stated, **_FIELDS)
 """Content of the key ``known``."""
+
+
+class Reported(Known):
+    """Values of testers, and what a drape tester without pictures reports."""
+
+    drape_coefficient_percent: Annotated[float, Field(gt=0, lt=100)] | None = None
+    nodes: Annotated[int, Field(ge=0, le=30)] | None = None

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.types import Density
-from data.fabrics.fabrics import from_theta
-from data.fabrics.properties import ClothProperties
+from data.fabrics.fabrics import ClothProperties, from_theta
 from sim.material import DIRECTIONS, REFERENCE_DENSITY
 
 STANDARD_GRAVITY = 9.80665  # m/s², of gram-force

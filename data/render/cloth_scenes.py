@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from common.types import Metres
-from data.pictures.cloth_view import SIDE, steps
+from data.pictures.cut import SIDE, steps
 from data.pictures.mat import MATS, on_ground, printed_at
 from data.pictures.planes import behind
 from data.pictures.reading import encoded
@@ -20,7 +20,7 @@ _BENT, _FAR = 5e-3, 0.2  # of its scale by the lens, at a distance in m from the
 def scene_of(positions: np.ndarray, rest: np.ndarray, faces: np.ndarray, plate: Metres,
              reach: Metres, rng: np.random.Generator) -> dict[str, np.ndarray]:
     """A random view of a drape (V, 3), m, flat (V, 2), with the plate's and the specimen's radii:
-    arrays of what :class:`data.pictures.cloth_view.View` is given, and ``cloth`` (SIDE, SIDE), the
+    arrays of what :class:`data.pictures.cut.ClothView` is given, and ``cloth`` (SIDE, SIDE), the
     share of each pixel that the specimen covers, of 255."""
     low = float(-positions[:, 2].min())
     spare = max(HIGHEST - low, 0.05)

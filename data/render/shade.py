@@ -117,7 +117,7 @@ def _background(
     return image
 
 
-def silhouette(curve: Outline | None) -> bytes:
+def outline_thumbnail(curve: Outline | None) -> bytes:
     """PNG of the area within an outline; empty for None."""
     picture = np.full((_THUMBNAIL, _THUMBNAIL), 255, np.uint8)
     if curve is not None:

@@ -7,10 +7,9 @@ import numpy as np
 
 from common.normal import Normal
 from common.types import Density
-from data.fabrics.fabrics import THETA_NAMES, from_theta
+from data.fabrics.fabrics import THETA_NAMES, ClothProperties, from_theta
 from data.fabrics.prior import prior_from_content
-from data.fabrics.prior.even import WHOLE, draw_fabrics
-from data.fabrics.properties import ClothProperties
+from data.fabrics.prior.even import draw_fabrics
 from sim.material import DIRECTIONS, REFERENCE_DENSITY, is_admissible
 
 if TYPE_CHECKING:
@@ -42,13 +41,12 @@ def possible(state: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=2)
 def fabric_prior(header: "Header") -> ClothProperties:
-    """Samples of the fabrics that the network has learned, with their nuisances."""
-    generation = header.dataset.generation[0]
-    sampling, rng = generation["sampling"], np.random.default_rng(0)
-    prior = prior_from_content(generation["prior"], origin=str(header.path))
-    # A checkpoint may be older than these settings.
-    theta, _ = draw_fabrics(prior, _PRIOR_SAMPLES, even_share=sampling.get("even_share", 0.0),
-                            anisotropy=tuple(sampling.get("anisotropy", WHOLE)))
+    """Samples of the fabrics that the network answers for, with their nuisances."""
+    stated, rng = header.prior, np.random.default_rng(0)
+    yarns, bias = stated.anisotropy
+    prior = prior_from_content(stated.fabrics, origin=str(header.path))
+    theta, _ = draw_fabrics(prior, _PRIOR_SAMPLES, even_share=stated.even_share,
+                            anisotropy=(yarns, bias))
     drawn = [header.nuisances.sample(rng, rng) for _ in theta]
     return ClothProperties(
         theta, np.array([[each.curl_warp, each.curl_weft] for each in drawn]),

@@ -131,12 +131,8 @@ class Material:
         """What is known of the fabric beside bending and weight, of :data:`BESIDE`: stretch and
         shear in N/m as measured, thickness in mm and the coefficient of friction of the fabric on
         itself as stated."""
-        found, tension = {}, self.document.tension
-        if tension:
-            measured = {"warp": tension.stretch_n_per_m.warp, "weft": tension.stretch_n_per_m.weft,
-                        "bias": tension.shear_n_per_m}
-            found = {key: measured[direction].median for key, direction in zip(
-                BESIDE, ("warp", "weft", "bias"), strict=False) if direction in tension.measured}
+        found = {key: value.median for record in self.document.records for key, direction in zip(
+            BESIDE, ("warp", "weft", "bias"), strict=False) if (value := record.along(direction))}
         for one in self.document.stated:
             if one.thickness_mm:
                 found.setdefault("thickness_mm", one.thickness_mm)

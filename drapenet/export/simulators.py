@@ -4,12 +4,12 @@ import json
 
 import numpy as np
 
-from data.tension.law import POISSON
 from drapenet.export.material import Material
 from drapenet.export.writing import as_json, left_to_tool, script
 from sim.energies.hinges import ARCSIM
 from sim.energies.membrane import OrthotropicStVK
 from sim.material import BIAS, WARP, WEFT, torque
+from sim.tension import POISSON
 
 PPF = 1.28e-5  # m²/s²: BEND_SCALE of ppf-contact-solver's energy.cu
 STYLE3D = 3.0  # Newton's quadratic hinges: plate of modulus 3 ke

@@ -21,6 +21,9 @@ SURFACE = ("physics:surfaceStretchStiffness", "physics:surfaceShearStiffness",
            "physics:surfaceThickness", "physics:density", "physics:staticFriction",
            "physics:dynamicFriction")
 """The same of the deformables'."""
+ASSUMED_MM = 1.0
+"""Thickness where none is known: the weight is density times thickness, and tools that read no
+thickness of a material take the proposal's, which is this."""
 
 
 def usd(material: Material, name: str) -> dict[str, bytes]:
@@ -30,6 +33,8 @@ def usd(material: Material, name: str) -> dict[str, bytes]:
     about = material.about_edges | left_to_tool(
         [*(f"primvars:clo:{key}" for key in CLO), *SURFACE],
         [*(f"primvars:clo:{key}" for key in values), *surface])
+    if "thickness_mm" not in material.known:
+        about["thickness_assumed_mm"] = ASSUMED_MM
     physics = "".join(f"    float {key} = {value!r} (\n        doc = {_quoted(unit)}\n    )\n"
                       for key, (value, unit) in surface.items())
     primvars = "".join(
@@ -70,10 +75,9 @@ def _surface(material: Material) -> dict[str, tuple[float, str]]:
         values["physics:surfaceStretchStiffness"] = sum(material.stretch) / 2, "N/m"
     if "shear" in known:
         values["physics:surfaceShearStiffness"] = known["shear"], "N/m"
-    if "thickness_mm" in known:
-        thickness = 1e-3 * known["thickness_mm"]
-        values |= {"physics:surfaceThickness": (thickness, "m"),
-                   "physics:density": (material.density / thickness, "kg/m³")}
+    thickness = 1e-3 * known.get("thickness_mm", ASSUMED_MM)
+    values |= {"physics:surfaceThickness": (thickness, "m"),
+               "physics:density": (material.density / thickness, "kg/m³")}
     if "friction" in known:
         values["physics:staticFriction"] = known["friction"], "1"
     return values

@@ -1,18 +1,20 @@
 """Captures as a network reads them, in training, validation and evaluation: random sets of them,
-with photographs, reported numbers and marked faces drawn at random."""
+with photographs, reported numbers and marked faces drawn at random. Outlines have errors of
+photographs over the mat (``python -m data.dataset.reading``), and faults in silence."""
 
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cache
+from pathlib import Path
 from typing import get_args
 
 import numpy as np
 
-from data.fabrics.properties import ClothProperties
+from data.fabrics.fabrics import ClothProperties
 from drapenet.config import Input, ModelConfig
 from drapenet.network.dataset import Maps
 from drapenet.network.inputs import Batch, Facts
-from drapenet.network.reading import faults, reading_errors
 from drapenet.network.targets import (
     CURL,
     Symmetry,
@@ -22,9 +24,15 @@ from drapenet.network.targets import (
     targets_of,
 )
 from drapenet.network.trained import Trained
-from drapenet.views.directions import AZIMUTH
+from drapenet.views.directions import AZIMUTH, AZIMUTHS
 from drapenet.views.outline import PERSPECTIVES, drape_coefficients
 
+BUNDLED = Path(__file__).resolve().parents[2] / "data" / "weights" / "reading.npz"
+_TIMES = (0.3, 1.3)  # of the errors of the file, least and most
+_FAULTY = 0.3  # share of outlines with a bite or a bulge that nothing tells of
+_WIDE = np.radians(3.0), np.radians(20.0)  # half its width, least and most
+_EDGE = 0.1, 1.0  # share of that in which it rises, least and most
+_HIGH = 0.03  # of half a size, its deviation
 _MEAN_SAMPLE = 1000  # captures used for mean and deviation of the distances
 LEAST_HEIGHT = 0.5  # m, of the camera above the plate
 PICTURE_OFFSET = 0.010  # of the outline's centre, in half sizes: 1.5 mm of a specimen of 300 mm
@@ -33,6 +41,36 @@ PICTURE_NOISE = 0.008  # largest deviation of a radius, in half sizes
 COEFFICIENT_ERROR = 0.010  # of drape coefficients as reported
 TAUGHT = 8  # draws of a teacher's posterior
 READ = 0.5  # share of outlines in training with errors of photographs over the mat
+
+
+@cache
+def _stored() -> tuple[np.ndarray, np.ndarray]:
+    with np.load(BUNDLED, allow_pickle=False) as arrays:
+        return arrays["off"].astype(np.float32), arrays["stated"].astype(np.float32)
+
+
+def reading_errors(count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Errors (N, AZIMUTHS) of outlines as they are read, in half sizes, and the standard deviations
+    that are stated with them."""
+    stored = _stored()
+    rows, turn = rng.integers(len(stored[0]), size=count), rng.uniform(0, 2 * np.pi, count)
+    low, high = np.log(_TIMES)
+    way, times = rng.choice([-1, 1], count), np.exp(rng.uniform(low, high, count))
+    azimuth = np.arange(stored[0].shape[1]) * (2 * np.pi / stored[0].shape[1])
+    off, stated = (np.array([
+        size * np.interp(one * AZIMUTH + start, azimuth, values, period=2 * np.pi)
+        for values, start, one, size in zip(part[rows], turn, way, times, strict=True)])
+        .reshape(count, AZIMUTHS) for part in stored)
+    return off, stated
+
+
+def outline_faults(count: int, rng: np.random.Generator) -> np.ndarray:
+    """Errors (N, AZIMUTHS), in half sizes, of bites and bulges, most without any."""
+    middle, wide = rng.uniform(0, 2 * np.pi, (count, 1)), rng.uniform(*_WIDE, (count, 1))
+    edge = rng.uniform(*_EDGE, (count, 1))
+    high = _HIGH * rng.standard_normal((count, 1)) * (rng.random((count, 1)) < _FAULTY)
+    away = np.abs((AZIMUTH - middle + np.pi) % (2 * np.pi) - np.pi) / wide
+    return high * np.square(np.sin(np.clip((1 - away) / edge, 0, 1) * np.pi / 2))
 
 
 @dataclass(frozen=True)
@@ -206,7 +244,7 @@ def _misread(
     """Outlines (N, AZIMUTHS), in half sizes, with faults, a share ``read`` of them also with the
     errors of photographs over the mat; and the errors that are stated with them, 0 of others."""
     over_mat = rng.random(len(radius)) < read
-    off, stated = faults(len(radius), rng), np.zeros_like(radius)
+    off, stated = outline_faults(len(radius), rng), np.zeros_like(radius)
     errors, stated[over_mat] = reading_errors(int(over_mat.sum()), rng)
     off[over_mat] += errors
     return radius + off, stated

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 SCHEMA = "drapenet-checkpoint"
 """Key of the description in the metadata of a checkpoint."""
-SCHEMA_VERSION = 5
+SCHEMA_VERSION = 6
 BUNDLED = Path(__file__).parents[1] / "weights" / "drapenet.safetensors"
 
 _SIX = Field(min_length=len(THETA_NAMES), max_length=len(THETA_NAMES))
@@ -59,7 +59,18 @@ class _Fabrics(Schema):
     deviation: Annotated[list[_Positive], _SIX]
 
 
+class _Prior(Schema):
+    """The fabrics and their nuisances that a network answers for, before it has seen anything."""
+
+    fabrics: dict[str, Any]
+    even_share: float
+    anisotropy: Annotated[list[float], Field(min_length=2, max_length=2)]
+    nuisances: dict[str, Any]
+
+
 class _Dataset(Excerpt):
+    """What a network was trained on, the newest last."""
+
     sha256: list[str]
     generation: list[dict[str, Any]]
 
@@ -79,6 +90,7 @@ class Header(Excerpt):
     model: _Model
     targets: _Targets
     fabrics: _Fabrics
+    prior: _Prior
     dataset: _Dataset
     validation: dict[str, Any]
     config: _Config
@@ -104,10 +116,9 @@ class Header(Excerpt):
 
     @property
     def nuisances(self) -> NuisanceConfig:
-        """Distribution of the other properties of the specimens that it was trained on."""
-        stated = self.dataset.generation[0]["sampling"].get("nuisances", {})
+        """Distribution of the other properties of the specimens that it answers for."""
         values: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value
-                                  for name, value in stated.items()}
+                                  for name, value in self.prior.nuisances.items()}
         return NuisanceConfig(**values)
 
     @property
@@ -135,9 +146,9 @@ class Header(Excerpt):
 
     @property
     def identity(self) -> dict[str, str]:
-        """Name and hash of the file, and hash of the dataset."""
+        """Name and hash of the file, and hash of its newest dataset."""
         return {"file": self.path.name, "sha256": self.sha256,
-                "dataset_sha256": self.dataset.sha256[0]}
+                "dataset_sha256": self.dataset.sha256[-1]}
 
 
 def read_header(path: str | Path = "") -> Header:

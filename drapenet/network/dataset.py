@@ -30,7 +30,8 @@ from drapenet.views.radial_map import compressed
 from sim.mesh import Mesh
 from sim.rig import Rig
 
-SOURCES = ("drapenet.network.dataset", "configs/camera.yaml", "configs/sensor/*.yaml")
+VERSION = 1
+"""Of the maps of a shard: raise it when the same drapes and settings give others."""
 """The code that determines maps, and the files of settings that it reads."""
 _COLUMNS = ("index", "fabric", "theta", "nuisances", "face", "folds", "edge", "seed", "offset",
             "status")
@@ -129,7 +130,7 @@ def make_maps(
 ) -> Maps:
     """Maps of ``captures`` captures of each converged drape of the dataset ``root``, cached in
     ``out``, where an interrupted run is resumed; they are made again where a shard, a setting or
-    the code that makes them has changed.
+    the :data:`VERSION` has changed.
 
     Args:
         neighbours: all captures of a drape but the first show neighbours of its fabric, the same
@@ -144,7 +145,7 @@ def make_maps(
     # By content: shards grow when a dataset is extended, and are made again.
     cases = {sha256[:16]: {"path": Path(root) / name, "sha256": sha256, "options": options}
              for name, sha256 in list(manifest["shards"].items())[:shards]}
-    run_cases(_shard_case, cases, folder=folder, workers=workers, unit="shard", sources=SOURCES)
+    run_cases(_shard_case, cases, folder=folder, workers=workers, unit="shard", version=VERSION)
     return Maps.read(folder / f"{name}.npz" for name in cases)
 
 

@@ -39,9 +39,8 @@ from drapenet.network.captures import CaptureSet, Condition, readable
 from drapenet.network.checkpoint import Header, read_header
 from drapenet.network.dataset import Maps, make_maps
 from drapenet.network.expected import LEVEL
-from drapenet.network.load import network_of
 from drapenet.network.posterior import Ranks, covered, inside, ranks
-from drapenet.network.predict import sample_targets
+from drapenet.network.predict import network_of, sample_targets
 from drapenet.network.targets import cloth_of, stiffer_first, targets_of
 from drapenet.network.trained import Trained
 from sim.material import MICRO
@@ -284,7 +283,7 @@ def make_config(
 ) -> DatasetConfig:
     """Configuration of new drapes on a ``tester``, with the nuisances of the training set's;
     ``even``: of fabrics of evenly distributed stiffness."""
-    edge_mm = header.dataset.generation[0]["solver"]["edge_mm"]
+    edge_mm = header.dataset.generation[-1]["solver"]["edge_mm"]
     drapes = DRAPES_PER_EVEN_FABRIC if even else config.drapes_per_fabric
     fabrics = config.even_fabrics if even else config.fabrics_per_tester
     words = [f"drapes={drapes * fabrics}", f"seed={config.seed + even}",

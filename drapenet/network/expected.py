@@ -103,7 +103,7 @@ def likeness(
 ) -> list[Likeness]:
     """How N captures with shapes (N, SHAPE) compare with drapes of cloths drawn from their
     posteriors, whose shapes have the distributions of
-    :class:`drapenet.network.expected_network.Expected`: logarithms (S, N, K) of weights, means and
+    :class:`drapenet.network.model.Expected`: logarithms (S, N, K) of weights, means and
     logarithms (S, N, K, SHAPE) of deviations."""
     rng, found = np.random.default_rng(0), []
     for n, own in enumerate(shape):

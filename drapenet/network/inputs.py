@@ -26,7 +26,7 @@ _ABOUT = 10
 CIRCUMSTANCES = _ABOUT + ASPECTS + 1
 """What says nothing of the drape: those, the aspects and the mean error of the outline."""
 
-Maps = Annotated[np.ndarray, "(N, AZIMUTHS, ELEVATIONS) float32"]
+MapArray = Annotated[np.ndarray, "(N, AZIMUTHS, ELEVATIONS) float32"]
 
 
 @dataclass(frozen=True)
@@ -90,8 +90,8 @@ class Facts:
 class Batch:
     """Inputs of a network."""
 
-    distance: Maps  # in sizes of the specimen
-    weight: Maps  # logarithm of 1 + weight
+    distance: MapArray  # in sizes of the specimen
+    weight: MapArray  # logarithm of 1 + weight
     outline: np.ndarray  # (N, AZIMUTHS), in half sizes of the specimen; 0 where not seen
     error: np.ndarray  # (N, AZIMUTHS), logarithm of 1 + error / _ERROR of the outline
     face: np.ndarray  # (N,) 1 or -1

@@ -3,22 +3,25 @@
 Each capture of a set is read alone, from its map, its outline, or its drape coefficient, or from
 its depth views; features of the captures are averaged with weights that the network gives them
 (after Zaheer et al. 2017, Deep Sets), and the average, the mean of the weights and the number of
-captures give one posterior of the fabric.
+captures give one posterior of the fabric. Beside it stands the distribution of a shape given cloth
+and specimen (:mod:`drapenet.network.expected`).
 """
 
+import math
 from itertools import pairwise
 from typing import Any, ClassVar
 
 import torch
 from torch.nn.functional import softplus
 
-from drapenet.network.expected_network import Expected
+from drapenet.network.expected import SHAPE
 from drapenet.network.inputs import ASPECTS, CIRCUMSTANCES, DISC, FACTS, KNOWN, TESTER, Batch
 from drapenet.network.mixture import Mixture, factor_of, outputs_of
-from drapenet.network.targets import TARGETS
+from drapenet.network.targets import CURL, TARGETS
 from drapenet.views.directions import AZIMUTHS, ELEVATIONS
 from drapenet.views.pictures import PICTURES
 
+_COMPONENTS, _HIDDEN = 4, 64  # of the distribution of shapes
 CHANNELS = 2 * ELEVATIONS + 6
 """Distances and weights of a column, outline, whether the outline is seen, its error, cosine and
 sine of twice and cosine of four times the azimuth."""
@@ -26,6 +29,42 @@ _HARMONICS = (2, 4)  # of the azimuth, for pooling features beside their mean
 POOLED = 1 + 2 * len(_HARMONICS)  # values of a feature
 _EMBEDDING = 256  # features of a capture
 _BACKGROUND = 3.0  # standardised depth where a picture shows no cloth: far behind it
+
+
+class Expected(torch.nn.Module):
+    """Mixture of normal distributions, each with independent entries, of a shape given the
+    standardised targets of its cloth and ``facts`` numbers of the capture."""
+
+    def __init__(self, facts: int) -> None:
+        super().__init__()
+        self.layers = torch.nn.Sequential(
+            torch.nn.Linear(TARGETS + facts, _HIDDEN), torch.nn.ReLU(),
+            torch.nn.Linear(_HIDDEN, _HIDDEN), torch.nn.ReLU(),
+            torch.nn.Linear(_HIDDEN, _COMPONENTS * (1 + 2 * SHAPE)))
+
+    def forward(self, targets: torch.Tensor, facts: torch.Tensor, face: torch.Tensor
+                ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Logarithms of the components' weights (..., K), means and logarithms of deviations
+        (..., K, SHAPE) for targets (..., TARGETS) of the marked face, captures' facts and faces."""
+        turned = targets.clone()
+        turned[..., CURL] = targets[..., CURL] * face[..., None]
+        out = self.layers(torch.cat([turned, facts], dim=-1))
+        out = out.view(*out.shape[:-1], _COMPONENTS, 1 + 2 * SHAPE)
+        return (out[..., 0].log_softmax(dim=-1), out[..., 1 : 1 + SHAPE],
+                out[..., 1 + SHAPE :].clamp(-5.0, 3.0))
+
+    def log_density(self, shape: torch.Tensor, targets: torch.Tensor, facts: torch.Tensor,
+                    face: torch.Tensor) -> torch.Tensor:
+        """(...) log density of the known numbers of shapes (..., SHAPE)."""
+        return _log_density(shape, *self(targets, facts, face))
+
+
+def _log_density(shape: torch.Tensor, weights: torch.Tensor, means: torch.Tensor,
+                 deviations: torch.Tensor) -> torch.Tensor:
+    known = shape.isfinite()[..., None, :]
+    gap = (shape.nan_to_num()[..., None, :] - means) / deviations.exp()
+    each = (-gap.square() / 2 - deviations - math.log(2 * math.pi) / 2) * known
+    return (weights + each.sum(dim=-1)).logsumexp(dim=-1)
 
 
 def circular(inputs: int, outputs: int, stride: int = 1, width: int = 3) -> torch.nn.Conv1d:

@@ -6,19 +6,20 @@ fabric. The posterior is the mixture of the network's posteriors for all such ca
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
+from common.errors import InputError
 from common.findings import Finding
 from common.types import Metres
-from data.fabrics.fabrics import from_theta
-from data.fabrics.properties import ClothProperties
+from data.fabrics.fabrics import ClothProperties, from_theta
 from drapenet.network.checkpoint import Header
 from drapenet.network.expected import Likeness
 from drapenet.network.inputs import Batch, Facts
 from drapenet.network.posterior import Samples
 from drapenet.network.targets import SYMMETRIES, Symmetry, cloth_of, exchanged
-from drapenet.network.trained import Trained
+from drapenet.network.trained import OfGraphs, Trained, graph_of
 from drapenet.views.directions import AZIMUTHS, ELEVATIONS
 from drapenet.views.observation import Observation
 from drapenet.views.pictures import SIDE
@@ -26,6 +27,21 @@ from drapenet.views.radial_map import compressed
 from sim.material import is_admissible
 
 DRAWS = 4000  # of each posterior, in all
+
+
+@lru_cache(maxsize=2)
+def network_of(header: Header) -> Trained:
+    """The network of a checkpoint; InputError if it does not fit its description, or needs PyTorch
+    where that is not installed."""
+    if graph_of(header.path).exists():
+        return OfGraphs(header)
+    try:
+        from drapenet.network.weights import Loaded, load_model
+    except ModuleNotFoundError as error:
+        raise InputError(f"{graph_of(header.path).name} is not beside it, and {error.name} is not "
+                         "installed; copy the file that train.py has written, or install "
+                         "drapenet[train]", source=header.path) from None
+    return Loaded(load_model(header))
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from typing import Annotated
 
 import numpy as np
 
-from data.fabrics.properties import ClothProperties
+from data.fabrics.fabrics import ClothProperties
 from drapenet.views.directions import AZIMUTHS
 from drapenet.views.pictures import PICTURES
 from sim.material import FIRST, REFERENCE_DENSITY, SECOND, SWAPPED
@@ -27,10 +27,10 @@ CURL, MEMBRANE, HYSTERESIS = slice(6, 8), 8, 9
 _SWAPPED = np.array([*SWAPPED, 7, 6, MEMBRANE, HYSTERESIS])
 
 TargetArray = Annotated[np.ndarray, "(..., TARGETS)"]
-Sizes = Annotated[np.ndarray, "(...,) m, sizes of the specimens"]
+SpecimenSizes = Annotated[np.ndarray, "(...,) m, sizes of the specimens"]
 
 
-def targets_of(cloth: ClothProperties, size: Sizes) -> TargetArray:
+def targets_of(cloth: ClothProperties, size: SpecimenSizes) -> TargetArray:
     """Targets in units of specimens of ``size``."""
     weight = np.log(REFERENCE_DENSITY * GRAVITY)
     return np.concatenate([
@@ -41,7 +41,7 @@ def targets_of(cloth: ClothProperties, size: Sizes) -> TargetArray:
         cloth.hysteresis[..., None]], axis=-1)
 
 
-def cloth_of(targets: TargetArray, size: Sizes) -> ClothProperties:
+def cloth_of(targets: TargetArray, size: SpecimenSizes) -> ClothProperties:
     """The inverse of :func:`targets_of`."""
     weight = np.log(REFERENCE_DENSITY * GRAVITY)
     theta = np.concatenate([

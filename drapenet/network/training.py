@@ -20,7 +20,7 @@ from common.documents import differences, require_regular
 from common.errors import InputError, one_line
 from common.files import remove_partial, replacing
 from common.graphs import MAX_WEIGHTS_BYTES
-from common.provenance import release, sources_digest
+from common.provenance import release
 from data.dataset.folder import finished_manifest, split_by_fabric
 from data.fabrics.prior import prior_from_content
 from data.fabrics.prior.even import spread_of
@@ -28,7 +28,7 @@ from data.render.setups import Setups
 from drapenet.config import OptimConfig, TrainConfig
 from drapenet.network.captures import CaptureSet, Condition, readable
 from drapenet.network.checkpoint import read_header
-from drapenet.network.dataset import SOURCES, Maps, make_maps
+from drapenet.network.dataset import VERSION, Maps, make_maps
 from drapenet.network.inputs import Batch
 from drapenet.network.mixture import Mixture
 from drapenet.network.model import Network, make_network
@@ -80,7 +80,7 @@ def open_captures(config: TrainConfig) -> tuple[CaptureSet, CaptureSet, dict]:
     maps = Maps.joined(parts)
     described = {"sha256": [manifest["hash"] for manifest in manifests],
                  "generation": [manifest["config"] for manifest in manifests],
-                 "maps": sources_digest(*SOURCES)}
+                 "maps": VERSION}
     if start:
         described["start"] = start.sha256
     if start:  # whose fabrics the weights have learned, too
@@ -246,10 +246,14 @@ def describe(
 ) -> dict:
     """Description of a checkpoint's network, see :mod:`drapenet.network.checkpoint`."""
     low, high = np.quantile(training.cloth.theta, [0.01, 0.99], axis=0)
+    sampling = datasets["generation"][-1]["sampling"]
+    prior = {"fabrics": datasets["generation"][-1]["prior"], **{
+        name: sampling[name] for name in ("even_share", "anisotropy", "nuisances")}}
     if config.taught:
-        fabrics = read_header(config.start).fabrics
-        low, high = np.array(fabrics.low), np.array(fabrics.high)
-    prior = prior_from_content(datasets["generation"][0]["prior"], origin="the dataset's prior")
+        teacher = read_header(config.start)
+        low, high = np.array(teacher.fabrics.low), np.array(teacher.fabrics.high)
+        prior = teacher.prior.model_dump()
+    fabrics = prior_from_content(prior["fabrics"], origin="the dataset's prior")
     return {
         "reference_density_g_m2": REFERENCE_DENSITY * 1e3,
         "model": arguments(config, training),
@@ -257,7 +261,8 @@ def describe(
         # Of theta in the dataset's order: warp, bias, weft. The deviation is the prior's, which
         # errors are compared with; fabrics that were moved to even stiffness are not typical.
         "fabrics": {"low": low.tolist(), "high": high.tolist(),
-                    "deviation": spread_of(prior).tolist()},
+                    "deviation": spread_of(fabrics).tolist()},
+        "prior": prior,
         "dataset": {
             **datasets,
             "drapes": len(np.unique(training.maps.index)),

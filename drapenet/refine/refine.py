@@ -17,10 +17,9 @@ from common.configs import read_option
 from common.findings import Finding
 from common.normal import Normal
 from common.types import Density, Radians
-from data.fabrics.fabrics import THETA_NAMES
+from data.fabrics.fabrics import THETA_NAMES, ClothProperties
 from data.fabrics.nuisances import LOGARITHMIC, at_density
 from data.fabrics.prior import GaussianPrior
-from data.fabrics.properties import ClothProperties
 from data.render.raster import rasterise
 from drapenet.evidence.state import STATE, cloth_of_state, fabric_prior, state_of
 from drapenet.network.checkpoint import Header

@@ -22,10 +22,10 @@ from data.captures.capture import Capture, DepthCapture, OutlineCapture
 from data.captures.photograph import PhotographedOutline
 from data.render.cameras import nominal_camera
 from data.render.raster import rasterise
+from drapenet.measured.base import Quantity
 from drapenet.report.drape import PROFILE_HEIGHT, Resimulation
 from drapenet.result.document import EstimateDocument
 from drapenet.result.estimate import Estimate
-from drapenet.result.quantity import Quantity
 
 MAX_CURVATURE = 400.0  # 1/m, about the sharpest folds of a drape
 COLOURS = ("#b5403a", "#6b6b6b", "#2f6da8")  # of the three directions of a fabric

@@ -14,7 +14,7 @@ import numpy as np
 from common.errors import shortened
 from common.files import replace_file
 from common.findings import texts
-from drapenet.batch.captures import COLUMNS, Entry
+from drapenet.fabric.entries import COLUMNS, Entry
 from drapenet.report.pages import render
 from drapenet.report.report import MAX_NAME_WIDTH, ShownCapture, write_report
 from drapenet.report.workbook import Sample, Unestimated, workbook

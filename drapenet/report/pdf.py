@@ -9,8 +9,7 @@ from fpdf import FPDF
 from fpdf.fonts import TextStyle
 from fpdf.html import HTML2FPDF
 
-from drapenet.report.passport import SIDE
-
+SIDE = 24  # mm, of the code
 WIDTH = 535  # points, of a picture as wide as the text
 _SMALLER = 0.75  # of that, where it saves a page
 _BESIDE_TABLES = 0.5  # mm, above and below

@@ -1,22 +1,66 @@
-"""``report.html`` and ``report.pdf`` of an estimate, from one template."""
+"""``report.html`` and ``report.pdf`` of an estimate, from one template, with the fabric's passport:
+a line with identity and key figures, and a QR code of the page's address, or of the line where
+there is none."""
 
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
+import segno
 
 from common.errors import shortened
 from common.files import replace_file
 from drapenet.report.figures import capture_and_curves, draw_spread, side_by_side
 from drapenet.report.pages import in_words, render
-from drapenet.report.passport import Passport
 from drapenet.report.pdf import WIDTH, as_pdf
 from drapenet.result.document import CaptureAbout, EstimateDocument
-from drapenet.result.files import PAGE, PDF, shown_texts
+from drapenet.result.files import (
+    PAGE,
+    PDF,
+    REPORT,
+    capture_names,
+    fabric_name,
+    pictures_of_strips,
+    shown_texts,
+)
 
+_MAX_NAME = 40  # characters of a fabric's name in the code
+_PIXELS, _BORDER = 6, 2  # of a module of the code, and modules around it
 MAX_NAME_WIDTH = 28  # characters of a name in a table or picture
+
+
+@dataclass(frozen=True)
+class Passport:
+    """Line of a fabric, and the address of its page, if any."""
+
+    line: str
+    address: str = ""
+
+    @classmethod
+    def of(cls, name: str, document: EstimateDocument, address: str = "") -> "Passport":
+        """Of an estimate."""
+        moduli = document.moduli.values()
+        alpha, beta = (" ".join(quantity.texts()[0] for quantity in found) for found in (
+            [each.alpha_uN_m for each in moduli], [each.beta_nN_m2 for each in moduli]))
+        about = document.capture
+        named = name.endswith(f" {about.density_g_m2:g} g/m²")  # a fabric without a name, by it
+        parts = [f"DrapeNet {document.identity}", shortened(name, _MAX_NAME),
+                 *[f"{about.density_g_m2:g} g/m2"] * (not named),
+                 f"{' '.join(document.names)}: alpha {alpha} uN m, beta {beta} nN m2"]
+        if about.drape_coefficient_percent is not None:
+            parts.append(f"drape coefficient {about.drape_coefficient_percent:g} %")
+        return cls("; ".join(parts), address)
+
+    @property
+    def code(self) -> bytes:
+        """The QR code as PNG."""
+        stream = io.BytesIO()
+        segno.make(self.address or self.line, error="m", micro=False).save(
+            stream, kind="png", scale=_PIXELS, border=_BORDER)
+        return stream.getvalue()
 
 
 @dataclass(frozen=True)
@@ -29,6 +73,20 @@ class ShownCapture:
     picture: bytes
     large: bool = True
     copy_of: str = ""
+
+
+def report_fabric(
+    out: Path, document: EstimateDocument, captures: Sequence[tuple[EstimateDocument, Path]],
+    strips: Sequence[Path], address: str,
+) -> None:
+    """Write the report of an estimate with the pictures that lie in the folders of its captures,
+    each with its document, and of its strips; ``address`` as for :func:`write_report`."""
+    files = [folder / REPORT for _, folder in captures]
+    shown = [ShownCapture(name, part, file.read_bytes() if file.exists() else b"")
+             for name, (part, _), file in zip(capture_names(document), captures, files,
+                                              strict=True)]
+    write_report(out, fabric_name(document), document, shown, strips=pictures_of_strips(strips),
+                 address=address)
 
 
 def in_all(captures: Sequence[ShownCapture]) -> list[str]:

@@ -9,8 +9,8 @@ from xlsxwriter.worksheet import Worksheet
 
 from common.findings import texts
 from data.captures.description import UNLABELLED
-from drapenet.result.document import MAX_COMPARED_SHARE, EstimateDocument
-from drapenet.result.quantity import Quantity
+from drapenet.measured.base import Quantity
+from drapenet.result.document import COLUMNS, MAX_COMPARED_SHARE, EstimateDocument
 
 QUANTITIES = {"alpha_uN_m": ("α", "µN·m", "0.0"), "beta_nN_m2": ("β", "nN·m²", "0"),
               "drape_stiffness_uN_m": ("stiffness in a drape", "µN·m", "0.0"),
@@ -66,8 +66,9 @@ def workbook(
     with xlsxwriter.Workbook(stream, {"in_memory": True}) as book:
         for name, samples in sheets.items():
             names = [*(samples[0].names if samples else ())]
-            _fill(book, book.add_worksheet(name), _columns(names),
-                  [row for sample in samples for row in _rows(sample)])
+            further = _further(samples)
+            _fill(book, book.add_worksheet(name), _columns(names, further),
+                  [row for sample in samples for row in _rows(sample, further)])
         _fill(book, book.add_worksheet("failures"), dict.fromkeys(FAILED, "@"),
               [[row[name] for name in FAILED] for row in failures])
         notes = book.add_worksheet("notes")
@@ -76,13 +77,21 @@ def workbook(
     return stream.getvalue()
 
 
-def _columns(names: Sequence[str]) -> dict[str, str]:
+def _further(samples: Sequence[Sample | Unestimated]) -> list[str]:
+    """Names of what was measured beside captures, but stretch and shear, which have a column."""
+    documents = [sample.document for sample in samples if isinstance(sample, Sample)]
+    return [*dict.fromkeys(name for document in documents for record in document.records
+                           for name in record.columns() if name not in COLUMNS)]
+
+
+def _columns(names: Sequence[str], further: Sequence[str]) -> dict[str, str]:
     """Number formats by column of a sheet whose first cells are ``names``."""
     names = [*names, "mass per area [g/m²]", "tester", "face", "direction"]
     return {**dict.fromkeys(names, "0"),
             **{f"{name} {end} [{unit}]": text
                for name, unit, text in (*QUANTITIES.values(), STRETCH)
                for end in ("median", "low", "high")},
+            **{f"{name} {end}": "0.0" for name in further for end in ("median", "low", "high")},
             "poorly constrained": "@", "KES not determined [%]": "0.0",
             "drape coefficient [%]": "0.0", "nodes": "0.0",
             **dict.fromkeys(UNLABELLED.columns, "@"),
@@ -110,10 +119,10 @@ def _fill(
     sheet.autofilter(0, 0, len(rows), len(columns) - 1)
 
 
-def _rows(sample: Sample | Unestimated) -> list[list[str | float | None]]:
+def _rows(sample: Sample | Unestimated, further: Sequence[str]) -> list[list[str | float | None]]:
     """Cells of the three directions, or of a fabric without an estimate."""
     if isinstance(sample, Unestimated):
-        columns = _columns([*sample.names])
+        columns = _columns([*sample.names], further)
         return [[*sample.names.values(), *[None] * (len(columns) - len(sample.names) - 1),
                  f"no estimate: {sample.reason}"]]
     document, about, rows = sample.document, sample.document.capture, []
@@ -121,8 +130,11 @@ def _rows(sample: Sample | Unestimated) -> list[list[str | float | None]]:
     face = " and ".join(sorted({each.face for each in shown}, reverse=True))
     for name, readings in document.laboratory.items():
         quantities = dict([*document.moduli[name], *readings])
-        tension = document.tension and document.tension.measured_along(name)
-        numbers = [number for value in (*(quantities[key] for key in QUANTITIES), tension)
+        stretch = next(filter(None, (record.along(name) for record in document.records)), None)
+        measured = {key: value for record in document.records
+                    for key, value in record.columns().items()}
+        numbers = [number for value in (*(quantities[key] for key in QUANTITIES), stretch,
+                                        *(measured.get(key) for key in further))
                    for number in _ends(value)]
         poor = ", ".join(letter for letter, key in (("α", "alpha"), ("β", "beta/alpha"))
                          if f"{key} {name}" in document.poorly_constrained)

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
@@ -13,16 +14,23 @@ from common.errors import shown
 from common.findings import Finding
 from common.types import Density
 from data.captures.description import Labels
-from data.captures.reported import Reported
 from data.readings import QUANTITIES
 from data.readings.cantilever import MG_CM, bending_length, flexural_rigidity
 from data.readings.kes import GF_CM, GF_CM_PER_CM, kes
-from data.readings.known import Known
+from data.readings.known import Known, Reported
 from drapenet.evidence.source import value_key
+from drapenet.measured.base import (
+    AnyRecord,
+    Finite,
+    Quantity,
+    Record,
+    Recorded,
+    Text,
+    intervals,
+)
+from drapenet.measured.strips.record import StripsRecord
+from drapenet.measured.tension.record import TensionRecord
 from drapenet.result.estimate import Estimate
-from drapenet.result.quantity import Finite, Quantity, Recorded, Text, intervals
-from drapenet.result.strips import StripsRecord
-from drapenet.result.tension import TensionRecord
 from sim.material import (
     DIRECTIONS,
     DRAPE_CURVATURE,
@@ -37,6 +45,8 @@ SCHEMA = "drapenet-estimate"
 SCHEMA_VERSION = 6
 POORLY_CONSTRAINED = 0.7  # above this ratio of standard deviation and spread over fabrics
 CURVATURES = np.array([25.0, 50.0, 100.0, 200.0, 400.0])  # 1/m, of the tabulated law
+COLUMNS = (*StripsRecord.names, *TensionRecord.names)
+"""Columns that each table has of what is measured beside captures."""
 MAX_OUTSIDE_SHARE = 0.5  # of samples outside KES's range; beyond, its readings are not given
 MAX_COMPARED_SHARE = 0.05  # beyond, its readings are given, but not to be compared
 
@@ -170,6 +180,7 @@ class EstimateDocument(Excerpt):
     captures: list[CaptureRecord] | None = None
     strips: list[StripsRecord] | None = None
     tension: TensionRecord | None = None
+    measured: list[AnyRecord] | None = None  # of other kinds
     refined: RefinementRecord | None = None
     resimulation: dict[str, Any] | None = None
     advice: list[Recorded] | None = None
@@ -232,13 +243,12 @@ class EstimateDocument(Excerpt):
     @property
     def label(self) -> str:
         """Names the capture or the strips in sentences."""
-        return self.capture.source or self.strip_folders[0]
+        return self.capture.source or self.records[0].source
 
     @property
-    def strip_folders(self) -> list[str]:
-        """Folders of strips, hanging and under weights."""
-        return [*(each.source for each in self.strips or []),
-                *([self.tension.source] if self.tension else [])]
+    def records(self) -> list[Record]:
+        """What was measured beside captures."""
+        return [*(self.strips or []), *filter(None, [self.tension]), *(self.measured or [])]
 
     @property
     def density(self) -> Density:
@@ -259,10 +269,9 @@ class EstimateDocument(Excerpt):
     @property
     def parts(self) -> str:
         """Captures and strips of a joint estimate; empty for that of a single capture."""
-        counts = {("capture", "captures"): len(self.captures or []),
-                  ("strip", "strips"): sum(each.strips for each in self.strips or []),
-                  ("strip under a weight", "strips under weights"):
-                      self.tension.strips if self.tension else 0}
+        counts = Counter({("capture", "captures"): len(self.captures or [])})
+        for count, *names in (record.counted() for record in self.records):
+            counts[names[0], names[1]] += count
         return " and ".join(f"{count} {several if count > 1 else one}"
                             for (one, several), count in counts.items() if count)
 
@@ -270,8 +279,7 @@ class EstimateDocument(Excerpt):
     def stated(self) -> list[Known]:
         """What captures and strips state of the fabric."""
         found = [self.capture.known, *(part.capture.known for part in self.captures or []),
-                 *(each.known for each in self.strips or []),
-                 self.tension.known if self.tension else None]
+                 *(record.known for record in self.records)]
         return [known for known in found if known]
 
     @property
@@ -309,6 +317,17 @@ class EstimateDocument(Excerpt):
     def has_kes(self) -> bool:
         """Whether the moduli determine KES B along any direction."""
         return any(readings.kes_b_gf_cm2_per_cm for readings in self.laboratory.values())
+
+
+def sections_of(records: Sequence[Record]) -> dict[str, Any]:
+    """The sections of a document that have these records."""
+    found: dict[str, Any] = {}
+    for record in records:
+        own = record.kind in EstimateDocument.model_fields
+        found.setdefault(record.kind if own else "measured", []).append(record)
+    if TensionRecord.kind in found:
+        found[TensionRecord.kind], = found[TensionRecord.kind]
+    return found
 
 
 def torque_table(estimate: Estimate, curvatures: np.ndarray) -> dict[str, Any]:

@@ -8,9 +8,8 @@ import numpy as np
 from common.errors import InputError
 from common.findings import Finding
 from common.types import Density, Theta
-from data.fabrics.fabrics import fabric_from_theta, from_theta
+from data.fabrics.fabrics import ClothProperties, fabric_from_theta, from_theta
 from data.fabrics.nuisances import Nuisances
-from data.fabrics.properties import ClothProperties
 from data.readings import QUANTITIES
 from sim.material import (
     DIRECTIONS,

@@ -12,7 +12,7 @@ from common.documents import read_arrays, read_json, reading
 from common.errors import InputError
 from common.files import printable, remove_file, replace_json, replacing, require_file
 from common.findings import Finding, texts
-from data.fabrics.properties import ClothProperties
+from data.fabrics.fabrics import ClothProperties
 from drapenet.result.document import EstimateDocument
 from drapenet.result.estimate import Estimate
 from drapenet.views.observation import Observation
@@ -32,6 +32,8 @@ SHAPES, TORQUES = "drape.glb", "torque.svg"
 SHOWN = (REPORT, STRIPS, PAGE, PDF, SHAPES, TORQUES)
 GARMENTS = ("garment.png", "garment.glb")
 """Of a preview."""
+_PARTS = {"rig": Rig, "map": RadialMap, "outline": DrapeOutline, "pictures": DepthPictures}
+"""Of an observation."""
 
 
 def write_estimate(out: Path, estimate: Estimate, document: EstimateDocument) -> None:
@@ -43,34 +45,24 @@ def write_estimate(out: Path, estimate: Estimate, document: EstimateDocument) ->
 
 def write_observation(out: Path, seen: Observation) -> None:
     """Write what the network reads of a capture, for joint estimates with others."""
-    arrays: dict[str, Any] = {}
-    if seen.map:
-        arrays |= {"distance": np.float32(seen.map.distance),
-                   "weight": np.float32(seen.map.weight), "views": seen.map.views}
-    if seen.pictures:
-        arrays |= {"pictures": seen.pictures.depth, "angle": seen.pictures.angle}
-    if seen.outline:
-        arrays |= {"radius": seen.outline.radius, "height": seen.outline.height}
+    arrays = {f"{name}.{key}": value for name in _PARTS if (part := getattr(seen, name))
+              for key, value in vars(part).items() if value is not None}
+    numbers = {name: value for name, value in vars(seen).items() if name not in _PARTS}
     with replacing(out / OBSERVATION) as stream:
-        np.savez_compressed(stream, rig=np.bytes_(seen.rig.name.encode()), face=seen.face,
-                            known=seen.known, numbers=[seen.coefficient, seen.nodes], **arrays)
+        np.savez_compressed(stream, **arrays, **numbers)
 
 
 def read_observation(out: Path) -> Observation:
-    """Read the file of :func:`write_observation`, one of this project's results."""
+    """Read the file of :func:`write_observation`, one of this project's results, to the last bit.
+    """
     file = out / OBSERVATION
+    values: dict[str, dict[str, Any]] = {name: {} for name in ("", *_PARTS)}
     with reading(file, "estimate the capture again"), np.load(file, allow_pickle=False) as content:
-        arrays = dict(content)
-    drape = RadialMap(arrays["distance"], arrays["weight"], 0.0, int(arrays["views"])) if (
-        "distance" in arrays) else None
-    outline = DrapeOutline(arrays["radius"], float(arrays["height"])) if (
-        "radius" in arrays) else None
-    pictures = DepthPictures(arrays["pictures"], float(arrays["angle"])) if (
-        "pictures" in arrays) else None
-    coefficient, nodes = arrays["numbers"].tolist()
-    return Observation(Rig.from_name(arrays["rig"].item().decode()), int(arrays["face"]),
-                       bool(arrays["known"]), drape, outline,
-                       coefficient=coefficient, nodes=nodes, pictures=pictures)
+        for key, array in content.items():
+            name, _, field = key.rpartition(".")
+            values[name][field] = array if array.ndim else array.item()
+        parts = {name: kind(**values[name]) for name, kind in _PARTS.items() if values[name]}
+        return Observation(**parts, **values[""])
 
 
 def remove_report(out: Path) -> None:
@@ -153,8 +145,9 @@ def shown_texts(document: EstimateDocument, found: Iterable[Finding]) -> list[st
 
 def _sources(document: EstimateDocument) -> list[Path]:
     about = document.capture
+    beside = [record.source for record in document.records]
     return [Path(source) for source in
-            about.sources or ([about.source] if about.source else document.strip_folders or [""])]
+            about.sources or ([about.source] if about.source else beside or [""])]
 
 
 def _place(sources: Sequence[Path]) -> Path:

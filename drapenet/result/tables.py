@@ -4,20 +4,17 @@ import csv
 import io
 from collections.abc import Mapping, Sequence
 
-from drapenet.result.document import EstimateDocument
-from drapenet.result.quantity import Quantity
+from drapenet.measured.base import Quantity
+from drapenet.result.document import COLUMNS, EstimateDocument
 
 ROLES = ("warp_or_stiff", "bias", "weft_or_soft")
 """Directions in tables whose fabrics need not all have a marked warp."""
-TENSION = {"warp": "stretch_warp_n_per_m", "weft": "stretch_weft_n_per_m",
-           "bias": "shear_n_per_m"}
-"""Columns of what strips under weights measure, by their direction."""
 _FORMULA = tuple("=+-@\t\r\n")  # first characters of cells that spreadsheets evaluate
 
 
 def row_of(document: EstimateDocument) -> dict[str, str]:
-    """Columns of a CSV table: moduli, at the fabric's density and at 300 g/m², readings, and
-    stretch and shear where they were measured."""
+    """Columns of a CSV table: moduli, at the fabric's density and at 300 g/m², readings, and what
+    was measured beside captures."""
     row = {"density_g_m2": csv_number(document.capture.density_g_m2)}
     for suffix, table in (("", document.moduli), ("_at_300_g_m2", document.moduli_at_300_g_m2),
                           ("", document.laboratory)):
@@ -26,9 +23,11 @@ def row_of(document: EstimateDocument) -> dict[str, str]:
                 name = f"{role}_{quantity}{suffix}"
                 row |= ({name: csv_number(value)} if isinstance(value, float)
                         else interval_columns(name, value))
-    tension = document.tension
-    for direction, name in TENSION.items():
-        row |= interval_columns(name, tension.measured_along(direction) if tension else None)
+    measured: dict[str, Quantity | None] = dict.fromkeys(COLUMNS)
+    for record in document.records:
+        measured |= record.columns()
+    for name, quantity in measured.items():
+        row |= interval_columns(name, quantity)
     return row
 
 
@@ -47,9 +46,12 @@ def csv_number(value: float) -> str:
 
 
 def csv_table(rows: Sequence[Mapping[str, object]], columns: Sequence[str] = ()) -> str:
-    """CSV table for spreadsheets; ``columns`` is needed if there may be no rows."""
+    """CSV table for spreadsheets; ``columns`` is needed if there may be no rows. Cells that a row
+    has not are empty."""
     stream = io.StringIO()
-    writer = csv.DictWriter(stream, list(columns or (rows[0] if rows else ())), lineterminator="\n")
+    every = dict.fromkeys(name for row in ([dict.fromkeys(columns)] if columns else rows)
+                          for name in row)
+    writer = csv.DictWriter(stream, list(every), lineterminator="\n")
     writer.writeheader()
     writer.writerows({name: _cell(value) for name, value in row.items()} for row in rows)
     return stream.getvalue()

@@ -23,11 +23,7 @@ def terminal_text(document: EstimateDocument) -> str:
                   f"misfit {misfit} before, {refined.misfit:.0f} after "
                   f"{refined.simulations} simulations ({refined.status}): half the sum of "
                   "squared deviations over their errors"]
-    lines += [f"by strips alone, along the {name}: alpha {moduli.alpha_uN_m} µN·m, beta "
-              f"{moduli.beta_nN_m2} nN·m², natural curvature "
-              f"{moduli.natural_curvature_1_m:.2g} ± "
-              f"{moduli.natural_curvature_deviation_1_m:.1g} 1/m"
-              for each in document.strips or [] for name, moduli in each.moduli.items()]
+    lines += [line for record in document.records if record.bends for line in record.lines()]
     head = [f"{'':8}{'bending length':>14}{'rigidity G':>14}"]
     if document.has_kes:
         head.append(f"{'KES B':>18}{'KES 2HB':>18}")
@@ -42,8 +38,7 @@ def terminal_text(document: EstimateDocument) -> str:
         elif document.has_kes:
             cells.append(f"{'–':>18}{'–':>18}")
         lines.append(f"{name:8}{''.join(cells)}")
-    if document.tension:
-        lines += [f"by strips under weights: {line}" for line in document.tension.lines]
+    lines += [line for record in document.records if not record.bends for line in record.lines()]
     lines += [document.kes_note] * bool(document.kes_note)
     cloth = document.cloth
     curvature = cloth.natural_curvature_warp_1_m, cloth.natural_curvature_weft_1_m

@@ -4,6 +4,7 @@ from base64 import b64decode
 from ipaddress import ip_address
 from secrets import compare_digest
 from socket import gethostname
+from time import monotonic
 
 from fastapi import Request
 
@@ -13,6 +14,9 @@ from drapenet.config import ServeConfig
 CHALLENGE = {"WWW-Authenticate": 'Basic realm="DrapeNet", charset="UTF-8"'}
 """Header of a refusal, at which a browser asks for the password."""
 _LEAST = 8  # characters of a password
+_ASKED = "this service has a password; give it with any user name"
+_GUESSES, _PAUSE = 10, 30.0  # of a client at once, and s until it may guess again
+_CLIENTS = 10_000  # that are remembered, the latest
 
 
 def require_decision(settings: ServeConfig) -> None:
@@ -59,11 +63,47 @@ def public_address(settings: ServeConfig) -> str:
     return settings.address or f"http://{host}:{settings.port}"
 
 
-def is_admitted(request: Request, password: str) -> bool:
-    """Whether a request states the password, with any user name, or there is none."""
-    scheme, _, coded = request.headers.get("authorization", "").partition(" ")
+class Guard:
+    """Asks for a password, and lets each client guess it a few times at once, then now and then."""
+
+    def __init__(self, password: str):
+        self._password = password.encode()
+        self._forgotten: dict[str, float] = {}  # s, when all wrong ones of a client will be
+
+    def refusal(self, request: Request) -> tuple[int, str] | None:
+        """Status and sentence for a request without the password, which may come with any user
+        name, or from a client that guesses; None if there is no password."""
+        stated = request.headers.get("authorization", "")
+        if not self._password or not stated:
+            return (401, _ASKED) if self._password else None
+        now, client = monotonic(), _place(request.client.host if request.client else "")
+        forgotten = max(self._forgotten.get(client, now), now)
+        if forgotten - now > (_GUESSES - 1) * _PAUSE:  # also of the right one
+            return 429, f"{_GUESSES} wrong passwords came from your address; try again in a minute"
+        if compare_digest(_password_in(stated), self._password):
+            return None
+        self._forgotten.pop(client, None)
+        self._forgotten[client] = forgotten + _PAUSE
+        if len(self._forgotten) > _CLIENTS:
+            del self._forgotten[next(iter(self._forgotten))]
+        return 401, _ASKED
+
+
+def _password_in(stated: str) -> bytes:
+    """The password in a header of HTTP Basic; empty if there is none."""
+    scheme, _, coded = stated.partition(" ")
     try:
-        stated = b64decode(coded).partition(b":")[2] if scheme.lower() == "basic" else b""
+        return b64decode(coded).partition(b":")[2] if scheme.lower() == "basic" else b""
     except ValueError:  # not base64
-        stated = b""
-    return not password or compare_digest(stated, password.encode())
+        return b""
+
+
+def _place(host: str) -> str:
+    """The address of a client, or of its network, of whose addresses in IPv6 it has any number."""
+    try:
+        address = ip_address(host)
+    except ValueError:  # of a test, which has none
+        return host
+    if address.version == 6 and not address.ipv4_mapped:
+        return f"{int(address) >> 64:x}"
+    return host

@@ -20,15 +20,15 @@ from starlette.requests import ClientDisconnect
 
 from common.errors import InputError
 from common.files import folder_named, require_folder
-from drapenet.batch.captures import plain_name
 from drapenet.config import ServeConfig
 from drapenet.export.formats import TARGETS
+from drapenet.fabric.entries import plain_name
 from drapenet.network.checkpoint import read_header
 from drapenet.report.pages import render
 from drapenet.result.files import ESTIMATE, GARMENTS, SHOWN
 from drapenet.service.access import (
     CHALLENGE,
-    is_admitted,
+    Guard,
     is_unspecified,
     require_decision,
     url_host,
@@ -36,7 +36,7 @@ from drapenet.service.access import (
 from drapenet.service.archive import Archive
 from drapenet.service.database import DONE
 from drapenet.service.exports import all_files, export_file, results_table
-from drapenet.service.forms import NUMBERS, TEXTS, About
+from drapenet.service.forms import About, form_fields
 from drapenet.service.jobs import Jobs, logged
 from drapenet.service.limits import RequestError, drain, length_fault, read_form
 from drapenet.service.pages import POLICY, add_pages
@@ -50,15 +50,15 @@ FILES = (ESTIMATE, PREVIEW, *SHOWN, *GARMENTS)
 _TIDY_INTERVAL = 600.0  # s between removals of old results
 _SECURE = {"X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer",
            "Content-Security-Policy": POLICY}
+_FIELDS: dict[str, dict[str, Any]] = {
+    "files": {"type": "array", "items": {"type": "string", "format": "binary"},
+              "description": "views, a photograph or table of an outline, strips.yaml or "
+                             "tension.yaml with its photographs, a zip with them, or a scan: "
+                             f"{', '.join(KINDS)}; none for known values, or strips under "
+                             "weights, of the form"}}
+"""Properties of a form, to which an application adds those of all kinds of measurements."""
 _FORM = {"required": True, "content": {"multipart/form-data": {"schema": {
-    "type": "object", "properties": {
-        **{name: {"type": "number"} for name in NUMBERS},
-        **{name: {"type": "string"} for name in TEXTS},
-        "files": {"type": "array", "items": {"type": "string", "format": "binary"},
-                  "description": "views, a photograph or table of an outline, strips.yaml or "
-                                 "tension.yaml with its photographs, a zip with them, or a "
-                                 f"scan: {', '.join(KINDS)}; none for known values, or strips "
-                                 "under weights, of the form"}}}}}}
+    "type": "object", "properties": _FIELDS}}}}
 _FRESH = {"Cache-Control": "no-store"}
 _MAX_BODY = 1 << 16  # bytes of a JSON body
 Words = Annotated[str, Query(max_length=200)]
@@ -104,7 +104,7 @@ def create_app(settings: ServeConfig) -> FastAPI:
 
     app = FastAPI(title="DrapeNet", version=version("drapenet"), lifespan=lifespan, docs_url=None,
                   redoc_url=None, description=render("service.md", settings=settings).decode())
-    app.state.password = settings.password
+    app.state.guard = Guard(settings.password)
     app.openapi_version = "3.0.3"  # as swagger-ui-bundle's page reads it
     allowed = [url_host(settings.host), "localhost", "127.0.0.1", "[::1]", *settings.hosts]
     app.add_middleware(TrustedHostMiddleware,
@@ -112,6 +112,7 @@ def create_app(settings: ServeConfig) -> FastAPI:
     app.middleware("http")(_guarded)
     for kind, answer in _ANSWERS.items():
         app.exception_handler(kind)(answer)
+    _FIELDS.update({name: {"type": kind} for name, kind in form_fields().items()})
     add_pages(app, settings)
     app.include_router(router)
     return app
@@ -334,9 +335,9 @@ async def _guarded(
     """Refuse requests without the password and from pages of other sites, and add security headers
     to responses.
     """
-    if not is_admitted(request, request.app.state.password):
+    if refusal := request.app.state.guard.refusal(request):
         await drain(request)
-        return _answer(401, "this service has a password; give it with any user name")
+        return _answer(*refusal)
     origin = request.headers.get("origin")
     if request.method not in ("GET", "HEAD") and origin is not None and (
             urlsplit(origin).netloc != request.headers.get("host")):

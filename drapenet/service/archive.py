@@ -74,16 +74,17 @@ def archive(results: Path) -> Generator[bytes]:
         table = folder / "fabrics.csv"
         database_in(results).copy(folder / DATABASE)
         yield from _packed(target, written, folder / DATABASE, folder)
-        with closing(Database(folder)) as copy, table.open("w", encoding="utf-8") as lines:
+        lines = []
+        with closing(Database(folder)) as copy:
             for row in filter(None, (copy.estimate(one["id"]) for one in copy.estimates())):
                 if row["estimate"]:
-                    head, _, line = csv_table([{
+                    lines.append({
                         "fabric": row["fabric_name"], "capture": row["name"], "folder": row["id"],
-                        **row_of(EstimateDocument.of(row["estimate"], ""))}]).partition("\n")
-                    lines.write(line if lines.tell() else f"{head}\n{line}")
+                        **row_of(EstimateDocument.of(row["estimate"], ""))})
                 for place, _, files in os.walk(results / row["id"]):
                     for file in sorted(files):
                         yield from _packed(target, written, Path(place, file), results)
+        table.write_text(csv_table(lines) if lines else "", encoding="utf-8")
         yield from _packed(target, written, table, folder)
     yield written.taken()
 

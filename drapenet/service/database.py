@@ -25,25 +25,6 @@ def new_identity() -> str:
     return secrets.token_hex(16)
 
 
-def _records(warnings: list[Any]) -> list[dict[str, Any]]:
-    """Warnings as the page shows them; an earlier release stored lines, which become records with
-    a text alone.
-    """
-    return [{"text": found} if isinstance(found, str) else found for found in warnings]
-
-
-def _content(column: str, value: Any) -> Any:
-    """What a row has in a column."""
-    if column not in _JSON or not value:
-        return value
-    content = json.loads(value)
-    if column == "warnings":
-        return _records(content)
-    if column == "estimate" and "warnings" in content:
-        content["warnings"] = _records(content["warnings"])
-    return content
-
-
 class Database:
     """A connection, for all threads of a process, to the database in a folder. Every change is one
     transaction, on the disk when its method returns.
@@ -68,7 +49,8 @@ class Database:
     def _read(self, query: str, *values: object) -> list[dict[str, Any]]:
         with self._lock:
             rows = self._connection.execute(query, values).fetchall()
-        return [{key: _content(key, row[key]) for key in row.keys()} for row in rows]
+        return [{key: json.loads(row[key]) if key in _JSON and row[key] else row[key]
+                 for key in row.keys()} for row in rows]
 
     def _write(self, *statements: tuple[str, Sequence[object]]) -> None:
         with self._lock, self._connection:

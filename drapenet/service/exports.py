@@ -83,7 +83,7 @@ def _estimated(database: Database, fabric: Mapping[str, Any]) -> "FabricEstimate
     """A fabric with its finished captures, and a warning if its result is not of all of them; None
     if its result has been removed meanwhile.
     """
-    from drapenet.batch.captures import Entry
+    from drapenet.fabric.entries import Entry
     from drapenet.report.overview import FabricEstimate
     from drapenet.result.document import EstimateDocument
 

@@ -1,9 +1,10 @@
-"""Fields of a form, and the descriptions that they make or complete: ``capture.yaml``,
-``strips.yaml`` and ``tension.yaml``."""
+"""Fields of a form, which are those of the descriptions of all kinds of measurements, and the
+descriptions that they make or complete: ``capture.yaml``, ``strips.yaml`` and so on."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from functools import lru_cache
 from typing import Annotated, Any
 
 from pydantic import Field
@@ -25,10 +26,8 @@ from data.captures.reader import DESCRIPTION as CAPTURE
 from data.readings import QUANTITIES
 from data.readings.quantity import Quantity
 from data.rigs import MISSING_TESTER
-from data.strips.description import FILE as STRIPS
-from data.strips.description import StripsDescription
-from data.tension.description import FILE as TENSION
-from data.tension.description import MAX_STRIPS, TensionDescription
+from drapenet.measured import KINDS
+from drapenet.measured.base import Described, Measured, kind_at
 from drapenet.service.limits import RequestError
 from sim.material import DIRECTIONS
 
@@ -37,16 +36,7 @@ PLACES = {**{key: ("intrinsics", key) for key in INTRINSICS_KEYS},
           **{key: ("outline", key) for key in OutlineSource.model_fields if key != "plate_px"}}
 """Where capture.yaml has the fields of a form that are not at its top; a point in the name of
 another field stands between its keys."""
-LABELS = tuple(key for key in Labels.model_fields if key != "fabric")
-"""Fields that a report shows; the label ``fabric`` is the name of the fabric."""
-STRIP = "tension."
-"""Beginning of the fields of strips under weights, after which follow number and key."""
-STRIP_NUMBERS = ("width_mm", "gauge_mm", "load_g", "extension_mm", "clamped_mm")
-TENSION_NUMBERS = ("clip_g", "extension_error_mm", "kes_g_gf_per_cm_deg",
-                   "fast_eb5_percent", "fast_e100_warp_percent", "fast_e100_weft_percent")
-TEXTS = ("turns_deg", "tester", "face", "mat", "ground", "arrow", "camera_height_mm",
-         *OutlineSource.OF_TABLES, "refine", "fabric", "name", "notes", "label", *LABELS,
-         *(f"{STRIP}0.{key}" for key in ("direction", "without", "with", "specimen")))
+_SHORT = {".".join(place): field for field, place in PLACES.items()}
 _ANY_DENSITY = "100"  # g/m², of which no outline depends
 KNOWN, COEFFICIENT = "known.", "known.drape_coefficient_percent"
 _ERROR = f"{KNOWN}error_percent."
@@ -73,12 +63,52 @@ def error_field(quantity: Quantity) -> str:
     return f"{_ERROR}{quantity.name}"
 
 
-NUMBERS = ("density_g_m2", "warp_direction_deg", "depth_unit_m",
-           *(key for key in PLACES if key not in TEXTS),
-           *(field for each in QUANTITIES.values() for field in
-             (*value_fields(each), error_field(each))),
-           COEFFICIENT, f"{KNOWN}nodes", *(f"{STRIP}0.{key}" for key in STRIP_NUMBERS),
-           *TENSION_NUMBERS)
+@lru_cache
+def fields_of(schema: type[Schema]) -> dict[str, str]:
+    """Fields of a form for a description, dotted, with their types in JSON, "" for several; of a
+    list of entries those of its first one."""
+    content = schema.model_json_schema()
+    found: dict[str, str] = {}
+
+    def walk(part: dict[str, Any], name: str) -> None:
+        if "$ref" in part:
+            part = content["$defs"][part["$ref"].rpartition("/")[2]]
+        options = [option for option in part.get("anyOf", ()) if option.get("type") != "null"]
+        if len(options) == 1:
+            walk(options[0], name)
+        elif "properties" in part:
+            for key, inner in part["properties"].items():
+                walk(inner, f"{name}.{key}".lstrip("."))
+        elif "$ref" in part.get("items", ()):
+            walk(part["items"], f"{name}.0")
+        else:
+            found[name] = part.get("type", "")
+
+    walk(content, "")
+    return found
+
+
+def form_fields() -> dict[str, str]:
+    """All fields of a form with their types in JSON, numbers or texts."""
+    schemas = [*(kind_at(place).schema for place in KINDS.values()), About]
+    found = {_SHORT.get(key, key): kind for schema in schemas
+             for key, kind in fields_of(schema).items() if kind != "object"}
+    found |= dict.fromkeys(map(error_field, QUANTITIES.values()), "number")
+    return {key: "number" if kind in ("number", "integer") else "string"
+            for key, kind in (found | {"refine": "string", "fabric": "string"}).items()}
+
+
+def typed_kinds() -> list[tuple[type[Measured], dict[str, str], int]]:
+    """The kinds whose numbers the page asks for, with title by field of those that no capture has,
+    and how many specimens they may have."""
+    found = []
+    for kind in dict.fromkeys(map(kind_at, KINDS.values())):
+        if not (issubclass(kind.schema, Described) and kind.schema.typed):
+            continue
+        fields = {name: field.title or name for name, field in kind.schema.model_fields.items()
+                  if name not in Description.model_fields}
+        found.append((kind, fields, _most_entries(kind.schema, kind.schema.entries)))
+    return found
 
 
 def states_values(fields: Mapping[str, str]) -> bool:
@@ -86,14 +116,16 @@ def states_values(fields: Mapping[str, str]) -> bool:
     return any(key.startswith(KNOWN) for key in fields)
 
 
-def states_tension(fields: Mapping[str, str]) -> bool:
-    """Whether a form has strips under weights, or the shear by a tester."""
-    return any(key.startswith(STRIP) or key in TENSION_NUMBERS for key in fields)
+def kinds_stated(fields: Mapping[str, str]) -> list[str]:
+    """Files of the kinds of which a form has fields that no capture has."""
+    keys = {key.partition(".")[0] for key in fields} - {*Description.model_fields, *PLACES}
+    return [file for file, place in KINDS.items()
+            if keys & kind_at(place).schema.model_fields.keys()]
 
 
 def described_capture(document: bytes, fields: Mapping[str, str]) -> tuple[bytes, Description]:
     """The content of ``capture.yaml`` with the fields of a form, checked."""
-    content = _completed(document, CAPTURE, fields)
+    content = _completed(document, CAPTURE, fields, kind_at(KINDS[CAPTURE]))
     description = Description.of(content, "")
     if description.tester is None:
         raise RequestError(422, f"tester is missing; {MISSING_TESTER}")
@@ -115,49 +147,23 @@ def fields_of_outline(fields: Mapping[str, str]) -> dict[str, str]:
 def described_scan(fields: Mapping[str, str]) -> Description:
     """What a form states of a scan; fields of testers and cameras are not read."""
     keys = {*Specimen.model_fields, *Labels.model_fields}
-    return Description.of(_completed(b"{}", "", {
-        key: text for key, text in fields.items() if key in keys or key.startswith(KNOWN)}), "")
+    stated = {key: text for key, text in fields.items() if key in keys or key.startswith(KNOWN)}
+    return Description.of(_completed(b"{}", "", stated, kind_at(KINDS[CAPTURE])), "")
 
 
-def described_strips(document: bytes, fields: Mapping[str, str]
-                     ) -> tuple[dict[str, Any], StripsDescription]:
-    """The content of ``strips.yaml`` with the fields of a form, checked."""
-    content = _completed(document, STRIPS, fields)
-    return content, StripsDescription.of(content, "")
+def described(document: bytes, file: str, fields: Mapping[str, str]
+              ) -> tuple[dict[str, Any], Described]:
+    """The content of the description ``file`` of a kind with the fields of a form, checked."""
+    kind: Any = kind_at(KINDS[file])
+    content = _completed(document, file, fields, kind)
+    return content, kind.schema.of(content, "")
 
 
-def described_tension(document: bytes, fields: Mapping[str, str]
-                      ) -> tuple[dict[str, Any], TensionDescription]:
-    """The content of ``tension.yaml`` with the fields of a form, checked; strips are in one of
-    them, as known values are."""
-    content = _completed(document, TENSION, {key: text for key, text in fields.items()
-                                             if not key.startswith(STRIP)})
-    if strips := _strips_under_weights(fields):
-        if content.get("tension"):
-            raise InputError(f"tension is in {TENSION} and in the form; give the strips in one of "
-                             "them")
-        content["tension"] = strips
-    return content, TensionDescription.of(content, "")
-
-
-def _strips_under_weights(fields: Mapping[str, str]) -> list[dict[str, Any]]:
-    """Entries of ``tension`` by fields such as tension.0.load_g, in the order of their numbers."""
-    strips: dict[int, dict[str, Any]] = {}
-    for key, text in fields.items():
-        number, _, name = key.removeprefix(STRIP).partition(".")
-        if not key.startswith(STRIP):
-            continue
-        if not (number.isdecimal() and int(number) < MAX_STRIPS and name):
-            raise InputError(f"unknown key '{key}'; strips under weights have fields such as "
-                             f"{STRIP}0.load_g, the number below {MAX_STRIPS}")
-        strips.setdefault(int(number), {})[name] = (
-            text if name in ("specimen", "without", "with") else _plain(text))
-    return [strips[number] for number in sorted(strips)]
-
-
-def _completed(document: bytes, file: str, fields: Mapping[str, str]) -> dict[str, Any]:
-    """The content of a description, in which a form's fields replace values, but not known ones:
-    nobody can say which of two measurements is right."""
+def _completed(
+    document: bytes, file: str, fields: Mapping[str, str], kind: type[Measured]
+) -> dict[str, Any]:
+    """The content of a description, in which a form's fields replace values, but neither known ones
+    nor entries of a list: nobody can say which of two measurements is right."""
     if len(document) > MAX_TEXT_BYTES:
         raise RequestError(413, f"{file} has {len(document)} bytes; at most {MAX_TEXT_BYTES}")
     content = dict(parse_yaml(decoded_text(document, file), file))
@@ -165,22 +171,48 @@ def _completed(document: bytes, file: str, fields: Mapping[str, str]) -> dict[st
         raise InputError(f"known is in {file} and in the form; give the values in one of them")
     if "density_g_m2" in fields:
         content.pop("weight_g", None)  # which stands for the density
+    entries: dict[str, dict[int, dict[str, Any]]] = {}
     for key, text in fields.items():
-        *groups, name = PLACES.get(key) or key.split(".")
-        place = content
-        for group in groups:
-            stated = place.get(group)
-            place[group] = dict(stated) if isinstance(stated, Mapping) else {}
-            place = place[group]
-        place[name] = _value(key, text)
+        path = key.split(".")
+        if path[0] not in kind.schema.model_fields:
+            path = [*PLACES.get(key, path)]
+        name = ".".join("0" if part.isdecimal() else part for part in path)
+        value = _value(text, fields_of(kind.schema).get(name, ""))
+        if most := _most_entries(kind.schema, path[0]):
+            if not (len(path) > 2 and path[1].isdecimal() and int(path[1]) < most):
+                raise InputError(f"unknown key '{key}'; {kind.noun} have fields such as "
+                                 f"{path[0]}.0.direction, the number below {most}")
+            _put(entries.setdefault(path[0], {}).setdefault(int(path[1]), {}), path[2:], value)
+        else:
+            _put(content, path, value)
+    for name, numbered in entries.items():
+        if content.get(name):
+            raise InputError(f"{name} is in {file} and in the form; give the strips in one of them")
+        content[name] = [numbered[number] for number in sorted(numbered)]
     return content
 
 
-def _value(field: str, text: str) -> Any:
-    """What a field states, in YAML's types."""
-    if field in LABELS:
+def _most_entries(schema: type[Schema], key: str) -> int:
+    """How many entries the list ``key`` of a description has at most; 0 if it is none."""
+    stated = schema.model_json_schema()["properties"].get(key, {})
+    return stated.get("maxItems", 0) if "$ref" in stated.get("items", ()) else 0
+
+
+def _put(content: dict[str, Any], path: Sequence[str], value: Any) -> None:
+    """Put a value at the end of a path of keys."""
+    *groups, name = path
+    for group in groups:
+        stated = content.get(group)
+        content[group] = dict(stated) if isinstance(stated, Mapping) else {}
+        content = content[group]
+    content[name] = value
+
+
+def _value(text: str, kind: str) -> Any:
+    """What a field of a type in JSON states, in YAML's types."""
+    if kind == "string":
         return text
-    if field == "turns_deg":
+    if kind == "array":
         return [_plain(word) for word in re.split(r"[,;\s]+", text.strip("[] "))]
     return _plain(text)
 

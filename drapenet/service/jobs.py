@@ -17,7 +17,8 @@ from typing import Any
 from common.errors import InputError, one_line
 from data.captures.description import NEED_WARP
 from drapenet.config import ServeConfig
-from drapenet.estimator.read import require_one_density
+from drapenet.fabric.estimate import require_one_density
+from drapenet.fabric.part import kept_values
 from drapenet.service import exports, seen
 from drapenet.service.access import public_address
 from drapenet.service.archive import COPY
@@ -228,12 +229,18 @@ class Jobs:
                     state=FAILED, ended=time.time(), error=_FAULT.format("estimate"))
 
     def _captures(self, fabric: str) -> tuple[dict[str, Any] | None, list[str], bool]:
-        """A fabric's joint estimate, if any, the captures to be joined, if there are several, and
-        whether an estimate is under way."""
+        """A fabric's joint estimate, if any, the captures to be joined, if there are several that
+        say something of it, and whether an estimate is under way."""
         rows = (self.database.fabric(fabric) or {"estimates": []})["estimates"]
-        done = [row["id"] for row in rows if row["members"] is None and row["state"] == DONE]
-        return (next((row for row in rows if row["members"] is not None), None),
-                done if len(done) > 1 else [], any(row["state"] not in ENDED for row in rows))
+        joint = next((row for row in rows if row["members"] is not None), None)
+        captures = [row["id"] for row in rows if row["members"] is None]
+        done = {row["id"] for row in rows if row["state"] == DONE}.intersection(captures)
+        refused = {row["id"]: kept_values(self.settings.folder / row["id"]) for row in rows
+                   if row["members"] is None and row["state"] == FAILED}
+        several = len(done) > 1 or (done and any(refused.values()))
+        members = [each for each in captures if several and (
+            each in done or refused.get(each) is not None)]
+        return joint, members, any(row["state"] not in ENDED for row in rows)
 
     def row(self, table: str, identity: str) -> dict[str, Any]:
         """An estimate, or a fabric with its estimates."""

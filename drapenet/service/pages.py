@@ -18,13 +18,13 @@ from data.captures.reader import CAPTURE_FILES, MAX_PICTURES
 from data.pictures.mat import GROUNDS, PARTS
 from data.readings import QUANTITIES
 from data.rigs import TESTERS
-from data.tension.description import MAX_STRIPS
 from drapenet.config import ServeConfig
 from drapenet.export.formats import TARGETS
 from drapenet.export.material import MESHES
+from drapenet.measured import KINDS as MEASURED
 from drapenet.report.pages import render
 from drapenet.service.exports import zipped
-from drapenet.service.forms import error_field, value_fields
+from drapenet.service.forms import error_field, typed_kinds, value_fields
 from drapenet.service.limits import RequestError
 from drapenet.service.received import KINDS, PHOTOGRAPHS
 from sim.material import DIRECTIONS, DRAPE_CURVATURE
@@ -51,7 +51,7 @@ def add_pages(app: FastAPI, settings: ServeConfig) -> None:
                   grounds=list(GROUNDS),
                   mats=[(mat, paper, columns * rows) for (mat, paper), (columns, rows)
                         in PARTS.items()],
-                  most_strips=MAX_STRIPS,
+                  typed=typed_kinds(), described=list(MEASURED),
                   known=[(each.in_words, value_fields(each), 100 * each.error, error_field(each))
                          for each in QUANTITIES.values()])
     app.mount("/static", StaticFiles(directory=STATIC), name="static")

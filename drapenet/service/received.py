@@ -8,7 +8,6 @@ import email.header
 import io
 import math
 import zipfile
-import zlib
 from contextlib import suppress
 from pathlib import Path
 
@@ -19,8 +18,8 @@ from data.captures.description import OUTLINE_TABLES
 from data.captures.frames import header_of
 from data.captures.reader import OUTLINE_SUFFIXES
 from data.pictures.reading import FORMATS
-from drapenet.batch.captures import plain_name
 from drapenet.config import ServeConfig
+from drapenet.fabric.entries import plain_name
 from drapenet.service.limits import RequestError
 
 PICTURES, SCANS = (".png", ".npy", ".ply"), (".npz", ".obj", ".stl", ".glb")
@@ -86,8 +85,9 @@ def _members(data: bytes, settings: ServeConfig) -> list[tuple[str, bytes]]:
                     raise RequestError(413, "the zip unpacks to more than "
                                        f"{settings.bytes / 1e6:g} MB")
                 members.append((entry.filename, content))
-    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, OSError, EOFError, ValueError,
-            zlib.error) as error:
+    except RequestError:
+        raise
+    except Exception as error:  # of zipfile, zlib, lzma and others, as of any damaged file
         raise RequestError(422, f"the zip cannot be read ({one_line(error)}); pack it again"
                            ) from None
     return members

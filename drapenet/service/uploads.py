@@ -2,30 +2,30 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
 
 from common.documents import misnamed, rename_remedy, yaml_text
 from common.errors import InputError, shown
+from common.files import by_number
 from data.captures.description import NEED_WARP, UNLABELLED, Description, Labels
 from data.captures.frames import BACKGROUND
 from data.captures.reader import CAPTURE_FILES, MAX_PICTURES, OUTLINE_SUFFIXES
-from drapenet.batch.captures import plain_name
 from drapenet.config import ServeConfig
+from drapenet.fabric.entries import plain_name
+from drapenet.measured import KINDS, VALUES
+from drapenet.measured.base import kind_at
 from drapenet.service.forms import (
     CAPTURE,
     COEFFICIENT,
-    STRIPS,
-    TENSION,
     About,
+    described,
     described_capture,
     described_scan,
-    described_strips,
-    described_tension,
     fields_of_outline,
+    kinds_stated,
     states_plate,
-    states_tension,
     states_values,
 )
 from drapenet.service.limits import RequestError
@@ -55,39 +55,28 @@ class Upload:
     """A request to estimate a capture or strips, with their description, or a scan.
 
     Attributes:
+        labels: which name it.
+        kind: capture, strips, tension, or values, and so on; names what has no label.
         scan: name of the file that is a scan; empty for others.
+        specimen: what is stated of a scan.
         directions: :data:`MARKED` or :data:`UNMARKED` for a capture by its warp, :data:`YARNS` for
             strips or values along the yarns; empty for others.
         density_g_m2: as it is stated; None if that is in density.txt, which workers read.
         name: of a new fabric, if ``fabric``, the identity of an earlier one, is empty.
         about: its notes, and the label of the capture, which may be empty.
-        kind: capture, strips, tension, or values; names what has no label.
-        specimen: what is stated of a scan.
     """
 
     files: dict[str, bytes]
-    scan: str
-    name: str
-    about: About
+    scan: str = ""
+    name: str = ""
+    about: About = field(default_factory=About)
     refine: bool = False
     specimen: Description | None = None
     fabric: str = ""
     kind: str = "capture"
     directions: str = ""
     density_g_m2: float | None = None
-
-
-@dataclass(frozen=True)
-class _Content:
-    """What the files and fields of a form are, with the labels that name them."""
-
-    files: dict[str, bytes]
-    labels: Labels
-    kind: str = "capture"
-    scan: str = ""
-    specimen: Description | None = None
-    directions: str = ""
-    density_g_m2: float | None = None
+    labels: Labels = UNLABELLED
 
 
 def checked_upload(
@@ -96,7 +85,7 @@ def checked_upload(
     """Check a form's files, names and bytes, and texts."""
     fields = {key: text.strip() for key, text in texts.items() if text.strip()}
     refine, fabric = fields.pop("refine", "no"), fields.pop("fabric", "")
-    if not (files or states_values(fields) or states_tension(fields)):
+    if not (files or states_values(fields) or kinds_stated(fields)):
         raise RequestError(422, _NO_FILES)
     if refine not in ("no", "yes"):
         raise RequestError(422, f"refine={shown(refine)} must be yes or no")
@@ -111,10 +100,8 @@ def checked_upload(
         raise RequestError(422, f"refine=yes is for captures, but these are {content.kind}; leave "
                            "it out")
     title = Path(files[0][0].replace("\\", "/")).stem if len(files) == 1 else content.kind
-    return Upload(content.files, content.scan,
-                  about.name or content.labels.fabric or plain_name(title)[:40], about,
-                  refine == "yes", content.specimen, fabric, content.kind, content.directions,
-                  content.density_g_m2)
+    name = about.name or content.labels.fabric or plain_name(title)[:40]
+    return replace(content, name=name, about=about, refine=refine == "yes", fabric=fabric)
 
 
 def checked_photograph(
@@ -124,7 +111,7 @@ def checked_photograph(
     which need not be complete for an estimate; None if there is no photograph from above."""
     fields = {key: text.strip() for key, text in texts.items() if text.strip()}
     received = unpacked([(decoded(name), data) for name, data in files], settings) if files else {}
-    others = {STRIPS, TENSION, *CAPTURE_FILES} - {CAPTURE}
+    others = KINDS.keys() - {CAPTURE}
     if not received.keys().isdisjoint(others) or _scans(received):
         return None
     try:
@@ -138,28 +125,33 @@ def checked_photograph(
 
 def _content(
     received: dict[str, bytes], fields: Mapping[str, str], settings: ServeConfig
-) -> _Content:
-    """What was sent: strips.yaml or tension.yaml, or nothing but values, a scan, or else a capture.
+) -> Upload:
+    """What was sent: the description of a kind, or nothing but values, a scan, or else a capture.
     """
-    for name in (CAPTURE, STRIPS, TENSION):
+    for name in KINDS:
         if name not in received and (other := misnamed(received, name)):
             raise RequestError(422, f"{other}: {rename_remedy(name)}")
-    descriptions = [name for name in (*CAPTURE_FILES, STRIPS, TENSION) if name in received]
-    if TENSION in received or states_tension(fields):
-        if others := [name for name in descriptions if name != TENSION]:
-            raise RequestError(422, f"{others[0]} and strips under weights: give one after the "
-                               "other")
-        return _tension(received, fields, settings)
-    if STRIPS in received or not (received or COEFFICIENT in fields):
-        return _strips(received, fields, settings)
+    stated = kinds_stated(fields)
+    found: dict[str, str] = {}  # file by kind
+    for file, kind in KINDS.items():
+        if file in received or file in stated:
+            found.setdefault(kind, file)
+    if len(found) > 1:
+        first, second, *_ = found.values()
+        raise RequestError(422, f"{first} and {kind_at(KINDS[second]).noun}: give one after the "
+                           "other")
+    if not (received or found or COEFFICIENT in fields):
+        found[KINDS[VALUES]] = VALUES
+    if others := [file for kind, file in found.items() if kind != KINDS[CAPTURE]]:
+        return _described(others[0], received, fields, settings)
     scans = _scans(received)
     if scans and len(received) > 1:
         raise RequestError(422, f"{scans[0]} is a scan and must come alone; views are called "
                            "view_0.png and so on")
     if scans:
         specimen = described_scan(fields)
-        return _Content(received, specimen.labels, scan=scans[0], specimen=specimen,
-                        directions=_directions(specimen), density_g_m2=specimen.density_g_m2)
+        return Upload(received, scans[0], specimen=specimen, directions=_directions(specimen),
+                      density_g_m2=specimen.density_g_m2, labels=specimen.labels)
     return _capture(received, fields, settings)
 
 
@@ -171,7 +163,7 @@ def _scans(received: dict[str, bytes]) -> list[str]:
 
 def _capture(
     received: dict[str, bytes], fields: Mapping[str, str], settings: ServeConfig
-) -> _Content:
+) -> Upload:
     """A capture, whose pictures are called as in a capture folder."""
     labels, directions, density = UNLABELLED, UNMARKED, None
     if received.keys().isdisjoint(CAPTURE_FILES) or CAPTURE in received:
@@ -191,7 +183,7 @@ def _capture(
         stem = Path(file).stem
         require_pixels(file, data, settings,
                        photograph=bool(_OUTLINE.fullmatch(stem) or _BESIDE.fullmatch(stem)))
-    return _Content(received, labels, directions=directions, density_g_m2=density)
+    return Upload(received, directions=directions, density_g_m2=density, labels=labels)
 
 
 def _directions(description: Description) -> str:
@@ -201,38 +193,22 @@ def _directions(description: Description) -> str:
     return MARKED if description.marked else UNMARKED
 
 
-def _strips(
-    received: dict[str, bytes], fields: Mapping[str, str], settings: ServeConfig
-) -> _Content:
-    """Strips with the photographs that strips.yaml names, or values alone."""
-    if capture := next((file for file in CAPTURE_FILES if file in received), None):
-        raise RequestError(422, f"{capture} and {STRIPS}: give the capture and the strips one "
-                           "after the other")
-    content, description = described_strips(received.get(STRIPS, b"{}"), fields)
-    pictures = _pictures_named(content.get("strips") or [], ("file",), STRIPS, received, settings)
-    known = description.known
-    return _Content(pictures | {STRIPS: yaml_text(content).encode()}, description.labels,
-                    "strips" if description.strips else "values", directions=YARNS * bool(
-                        description.strips or (known and known.along_yarns)),
-                    density_g_m2=description.density_g_m2)
-
-
-def _tension(
-    received: dict[str, bytes], fields: Mapping[str, str], settings: ServeConfig
-) -> _Content:
-    """Strips under weights with the photographs that tension.yaml or the form names."""
-    content, description = described_tension(received.get(TENSION, b"{}"), fields)
-    pictures = _pictures_named(content.get("tension") or [], ("without", "with"), TENSION, received,
-                               settings)
-    if TENSION not in received and (others := received.keys() - pictures.keys()):
-        raise RequestError(422, f"{min(others)} and strips under weights of the form: give one "
-                           "after the other")
-    known = description.known
-    return _Content(
-        pictures | {TENSION: yaml_text(content).encode()}, description.labels, "tension",
-        directions=YARNS * (any(strip.direction != "bias" for strip in description.tension)
-                            or bool(known and known.along_yarns)),
-        density_g_m2=description.density_g_m2)
+def _described(
+    file: str, received: dict[str, bytes], fields: Mapping[str, str], settings: ServeConfig
+) -> Upload:
+    """What has a description ``file``, with the photographs that it or the form names, or values
+    alone."""
+    kind = kind_at(KINDS[file])
+    content, description = described(received.get(file, b"{}"), file, fields)
+    pictures = _pictures_named(content.get(description.entries) or [], description.pictures, file,
+                               received, settings)
+    if file not in received and (others := received.keys() - pictures.keys()):
+        raise RequestError(422, f"{min(others)} and {kind.noun} of the form: give one after the "
+                           "other")
+    return Upload(pictures | {file: yaml_text(content).encode()}, labels=description.labels,
+                  kind=kind.name if description.measures else "values",
+                  directions=YARNS * description.needs_warp,
+                  density_g_m2=description.density_g_m2)
 
 
 def _pictures_named(
@@ -267,7 +243,8 @@ def _named(
     if from_above or not images or any(
             _OUTLINE.fullmatch(stem) or _PLATE.search(stem) for stem in stems):
         return _from_above(files, several=several)
-    renamed = {name: f"view_{k}{Path(name).suffix}" for k, name in enumerate(_sorted(images))}
+    renamed = {name: f"view_{k}{Path(name).suffix}"
+               for k, name in enumerate(sorted(images, key=by_number))}
     return {renamed.get(name, name): data for name, data in files.items()}
 
 
@@ -279,7 +256,8 @@ def _from_above(files: dict[str, bytes], *, several: bool) -> dict[str, bytes]:
     beside = [name for name in taken if Path(name).suffix in PHOTOGRAPHS
               and len(taken) > 1 and not _OUTLINE.fullmatch(Path(name).stem)]
     plates = [name for name in beside if _PLATE.search(Path(name).stem)]
-    mats = [name for name in _sorted(beside) if name not in plates and _MAT.search(Path(name).stem)]
+    mats = [name for name in sorted(beside, key=by_number)
+            if name not in plates and _MAT.search(Path(name).stem)]
     outlines = [name for name in outlines if name not in (*plates, *mats)]
     if len(plates) > 1:
         raise RequestError(422, f"{plates[0]} and {plates[1]}: give one picture of the plate "
@@ -296,12 +274,7 @@ def _from_above(files: dict[str, bytes], *, several: bool) -> dict[str, bytes]:
     stems = dict.fromkeys(outlines, "outline") | dict.fromkeys(plates, "plate") | {
         name: f"mat_{k}" for k, name in enumerate(mats, 1)}
     if len(outlines) > 1:
-        stems |= {name: f"outline_{k}" for k, name in enumerate(_sorted(outlines), 1)}
+        stems |= {name: f"outline_{k}"
+                  for k, name in enumerate(sorted(outlines, key=by_number), 1)}
     return {f"{stems[name]}{Path(name).suffix}" if name in stems else name: data
             for name, data in files.items()}
-
-
-def _sorted(names: list[str]) -> list[str]:
-    """Names, with their numbers in order."""
-    return sorted(names, key=lambda name: [int(part) if part.isdigit() else part
-                                           for part in re.split(r"(\d+)", name)])

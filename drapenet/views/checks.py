@@ -18,7 +18,7 @@ from scipy.ndimage import binary_erosion, binary_fill_holes, label
 from common.errors import InputError
 from common.findings import Finding
 from common.types import Metres, Turns
-from data.captures.check import Check, warnings_of
+from data.captures.capture import MAX_COEFFICIENT, Check, warnings_of
 from data.captures.plate import INNER_SHARE
 from data.render.cameras import Camera
 from data.render.setups import Setups
@@ -37,7 +37,6 @@ _PLATE_TOLERANCE = 10e-3  # m, distance of cloth on the plate from its plane
 _CUT_TOLERANCE = 1.5e-3  # m, range of depths of a border cut by a threshold
 MAX_SIZE_ERROR = 0.105  # of the logarithm of a measured over a stated size
 REFUSED_SIZE_ERROR = 0.16  # of the same
-REFUSED_COEFFICIENT = 1.15  # of a drape; sound captures of stiff cloth have up to 0.98
 MAX_OFFSET = 14e-3  # m: 3.5 standard deviations of the training specimens
 MAX_BULGE = 0.35e-3  # m
 MAX_OFF_PLATE = 0.1  # of the points over the plate's middle; images rotated by 90° have 0.2
@@ -220,7 +219,7 @@ def coefficient_check(coefficient: float, limit: float) -> Check:
 def require_plate(quality: Quality) -> None:
     """Raise InputError if the views cannot show cloth of the stated size on the stated plate."""
     sizes = size_checks(quality.sizes, REFUSED_SIZE_ERROR) if quality.sizes.views > 1 else ()
-    coefficient = coefficient_check(quality.coefficient, REFUSED_COEFFICIENT)
+    coefficient = coefficient_check(quality.coefficient, MAX_COEFFICIENT)
     if wrong := warnings_of([*sizes, coefficient]):
         raise InputError(wrong[0].text)
     if quality.off_plate > MAX_OFF_PLATE:

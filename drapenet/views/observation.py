@@ -8,7 +8,7 @@ import numpy as np
 from common.errors import InputError
 from common.types import Radians
 from data.captures.capture import OutlineCapture
-from data.captures.reported import Reported
+from data.readings.known import Reported
 from drapenet.views.directions import AZIMUTHS
 from drapenet.views.located import LocatedViews
 from drapenet.views.outline import DrapeOutline, outline_of_curve, outline_of_map

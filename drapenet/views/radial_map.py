@@ -96,10 +96,10 @@ def fused(seen: list[Polar], turns: Turns) -> tuple[np.ndarray, np.ndarray]:
         total += sums
         weight += part
     mean, visible = total / np.maximum(weight, 1e-12), weight > 0
-    return np.where(visible, mean, smoothed(mean, visible, SIGMAS, least=0.05)), weight
+    return np.where(visible, mean, smoothed_map(mean, visible, SIGMAS, least=0.05)), weight
 
 
-def smoothed(
+def smoothed_map(
     mean: np.ndarray, visible: np.ndarray, sigmas: Sequence[float], *, least: float
 ) -> np.ndarray:
     """A map (azimuths, elevations) smoothed by the narrowest of the Gaussians under which a cell

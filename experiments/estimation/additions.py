@@ -14,22 +14,21 @@ from common.command import compose_config
 from common.errors import InputError
 from common.normal import Linear, Normal
 from data.dataset.generate import generate_dataset
-from data.fabrics.properties import ClothProperties
+from data.fabrics.fabrics import ClothProperties
 from data.readings import QUANTITIES
 from data.readings.known import ByDirection, Known
-from data.strips.posterior import StripEvidence
 from drapenet.config import EvaluateConfig
-from drapenet.estimator.combine import combine
-from drapenet.estimator.next_measurements import drapes_evidence, reductions, strips_evidence
 from drapenet.evidence.source import of_strips, of_values
 from drapenet.evidence.state import fabric_prior, prior_along, state_of
+from drapenet.fabric.combine import combine
+from drapenet.fabric.next_measurements import drapes_evidence, reductions, strips_evidence
+from drapenet.measured.strips.posterior import StripEvidence
 from drapenet.network.captures import CaptureSet, Condition
 from drapenet.network.checkpoint import Header, read_header
 from drapenet.network.dataset import Maps, make_maps
 from drapenet.network.evaluate import DEPTH, make_config, require_unseen
-from drapenet.network.load import network_of
 from drapenet.network.posterior import inside, ranks
-from drapenet.network.predict import Draws, sample_targets
+from drapenet.network.predict import Draws, network_of, sample_targets
 from drapenet.network.targets import cloth_of
 from drapenet.result.estimate import Estimate, make_estimate
 from experiments.estimation.strip_photographs import (

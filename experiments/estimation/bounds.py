@@ -31,7 +31,7 @@ from experiments.estimation.bound import (
     joint_covariance,
     outline_information,
 )
-from experiments.result import ESTIMATOR, Config, Result, rms, run_cases
+from experiments.result import Config, Result, rms, run_cases
 from sim.draping import Drape, drape
 from sim.rig import Rig
 
@@ -107,7 +107,7 @@ def run(config: Config) -> Result:
     cases = {f"{tester}_{k:02}": {"tester": tester, "fabric": k, "seed": config["seed"],
                                   "edge_mm": config["edge_mm"]}
              for tester in config["testers"] for k in range(config["fabrics"])}
-    results = run_cases(bounds_of_fabric, cases, config, sources=ESTIMATOR)
+    results = run_cases(bounds_of_fabric, cases, config)
     spread = spread_of(load_prior("vae"))
     cells: dict[str, dict] = {}
     for tester in config["testers"]:

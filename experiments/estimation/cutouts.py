@@ -20,7 +20,7 @@ from data.render.cameras import QUARTERS
 from data.render.scenes import CLUTTER, RawScene, raw_scene
 from drapenet.views.located import LocatedViews
 from experiments.drapes import drape_as_planned, plan_specimen
-from experiments.result import ESTIMATOR, Config, Result, run_cases
+from experiments.result import Config, Result, run_cases
 from sim.rig import Rig
 
 SENSORS = ("smooth", "paper", "tof")
@@ -82,8 +82,7 @@ def run(config: Config) -> Result:
         "number": k, "sensor": sensor, "clutter": densities[(k + shift) % len(densities)],
         **settings}
         for shift, sensor in enumerate(SENSORS) for k in range(config["poses"])}
-    results = run_cases(case, cases, config, folder=Path(config["cases"]) / config["rig"],
-                        sources=ESTIMATOR)
+    results = run_cases(case, cases, config, folder=Path(config["cases"]) / config["rig"])
     groups = {"all": list(results)} | {
         name: [key for key in results if cases[key][kind] == name]
         for kind, names in (("sensor", SENSORS), ("clutter", densities)) for name in names}

@@ -26,7 +26,7 @@ from experiments.drapes import (
     outline_of,
     plan_specimen,
 )
-from experiments.result import ESTIMATOR, Config, Result, run_cases
+from experiments.result import Config, Result, run_cases
 from sim.material import DIRECTIONS, LINEAR, MICRO, NANO, REFERENCE_DENSITY, is_admissible
 from sim.measures import drape_coefficient
 
@@ -74,7 +74,7 @@ def run(config: Config) -> Result:
                                    "seed": config["seed"], "edge_mm": config["edge_mm"]}
              for number, (name, theta) in enumerate(read_fabrics(Path(config["fabrics"])).items())
              for tester in config["testers"]}
-    results = run_cases(estimated, cases, config, sources=ESTIMATOR)
+    results = run_cases(estimated, cases, config)
     summary = {}
     for kind in ("depth", "outline"):
         found = {label: result[kind] for label, result in results.items()}

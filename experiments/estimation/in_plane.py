@@ -21,11 +21,11 @@ from data.fabrics.nuisances import LOGARITHMIC
 from data.fabrics.prior import load_prior
 from data.readings import QUANTITIES
 from data.render.setups import Setups
-from data.tension.posterior import KES_SHEAR_ERROR
+from drapenet.measured.tension.posterior import KES_SHEAR_ERROR
 from experiments.drapes import capture_drape, infer, infer_outline, outline_of
 from experiments.estimation.bound import Information, drape_moves
 from experiments.estimation.bounds import DRAPES, draped, information_of, placement, sampling_of
-from experiments.result import ESTIMATOR, Config, Result, rms, run_cases
+from experiments.result import Config, Result, rms, run_cases
 from sim.draping import Drape
 from sim.material import DRAPE_CURVATURE, secant
 from sim.sensitivity import Tangent
@@ -102,7 +102,7 @@ def run(config: Config) -> Result:
     cases = {f"{tester}_{k:02}": {"tester": tester, "fabric": k, "seed": config["seed"],
                                   "edge_mm": config["edge_mm"]}
              for tester in config["testers"] for k in range(config["fabrics"])}
-    found = run_cases(fabric_case, cases, config, sources=ESTIMATOR)
+    found = run_cases(fabric_case, cases, config)
     cells: dict[str, dict] = {}
     for tester in config["testers"]:
         good = [one for name, one in found.items() if cases[name]["tester"] == tester and one]

@@ -26,9 +26,9 @@ from data.pictures.planes import mapped
 from data.pictures.reading import decoded
 from data.render import textures
 from data.render.phone import PhonePicture
-from drapenet.estimator.stages import by_network
+from drapenet.fabric.stages import by_network
 from experiments.drapes import drape_as_planned, header, plan_specimen
-from experiments.result import ESTIMATOR, Config, Result, run_cases
+from experiments.result import Config, Result, run_cases
 from sim.draping import Drape
 from sim.material import LINEAR, REFERENCE_DENSITY
 from sim.rig import Rig
@@ -124,7 +124,7 @@ def run(config: Config) -> Result:
         "number": k, "rig": config["testers"][k % len(config["testers"])],
         "edge_mm": config["edge_mm"], "pictures": config["pictures"], "seed": config["seed"]}
         for k in range(config["drapes"])}
-    results = run_cases(case, cases, config, sources=ESTIMATOR)
+    results = run_cases(case, cases, config)
     near = [key for key, one in results.items() if one["lean"] < NEAR]
     groups = {"one near the axis": ("alone", near), "one": ("alone", list(results)),
               f"{config['pictures']} together": ("together", list(results))}

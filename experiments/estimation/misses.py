@@ -17,11 +17,11 @@ import numpy as np
 
 from common.command import compose_config
 from common.findings import texts
-from data.captures.bulge import bulge
+from data.captures.clarity import bulge
 from data.dataset.config import Options, config_from_options
 from data.dataset.plan import plan_drape
 from data.render.setups import Setups
-from drapenet.estimator.stages import simulate
+from drapenet.fabric.stages import simulate
 from drapenet.report.drape import Resimulation, resimulate_outline
 from drapenet.views.directions import AZIMUTH
 from drapenet.views.outline import DrapeOutline
@@ -33,7 +33,7 @@ from experiments.drapes import (
     infer_outline,
     outline_of,
 )
-from experiments.result import ESTIMATOR, Config, Result, run_cases
+from experiments.result import Config, Result, run_cases
 from sim.outlines import closed, farthest
 from sim.rig import Rig
 
@@ -112,7 +112,7 @@ def run(config: Config) -> Result:
     cases = {f"{tester}_{k:03}": {"tester": tester, "number": 8 * k, "seed": config["seed"],
                                   "edge_mm": config["edge_mm"]}
              for tester in config["testers"] for k in range(config["fabrics"])}
-    results = run_cases(captured, cases, config, sources=ESTIMATOR)
+    results = run_cases(captured, cases, config)
     return Result({"summary": {kind: _summary([found[kind] for found in results.values()
                                                if kind in found])
                                for kind in KINDS},

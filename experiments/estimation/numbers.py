@@ -9,12 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from data.captures.reported import Reported
 from data.readings import QUANTITIES
 from data.readings.kes import GF_CM
+from data.readings.known import Reported
 from drapenet.network.checkpoint import read_header
-from drapenet.network.load import network_of
-from drapenet.network.predict import predict
+from drapenet.network.predict import network_of, predict
 from drapenet.result.estimate import make_estimate
 from drapenet.views.observation import Observation
 from experiments.physics.laboratory import bending, read_fabrics

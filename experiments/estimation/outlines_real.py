@@ -16,7 +16,7 @@ import numpy as np
 from common.documents import read_arrays
 from data.fabrics.fabrics import fabric_from_theta
 from data.fabrics.nuisances import Nuisances
-from experiments.result import ESTIMATOR, Config, Result, run_cases
+from experiments.result import Config, Result, run_cases
 from experiments.shadows import features, radii_of
 from sim.draping import drape
 from sim.material import LINEAR
@@ -28,8 +28,7 @@ from sim.rig import DISC_RIG
 def run(config: Config) -> Result:
     """Estimate all outlines and simulate a drape of each sample and face."""
     from drapenet.network.checkpoint import read_header
-    from drapenet.network.load import network_of
-    from drapenet.network.predict import Draws, predict
+    from drapenet.network.predict import Draws, network_of, predict
     from drapenet.views.observation import Observation
     from drapenet.views.outline import outline_of_curve
 
@@ -99,7 +98,7 @@ def _drapes(
     cases = {f"{len(rows)}_{f}_{s}_{'up' if u else 'down'}": {
         "values": middle[members].mean(axis=0).tolist(), "face": 1 if u else -1,
         "edge_mm": config["edge_mm"]} for (f, s, u), members in groups.items()}
-    results = run_cases(simulated, cases, config, folder=Path(config["cases"]), sources=ESTIMATOR)
+    results = run_cases(simulated, cases, config, folder=Path(config["cases"]))
     measured = {key: real[[k for member in members for k in rows[member][3][:1]], :2].mean(axis=0)
                 for key, members in groups.items()}
     errors: dict[str, list[np.ndarray]] = {"simulated": [], "samples": []}

@@ -21,7 +21,7 @@ from experiments.estimation.refine_views import (
     searched_samples,
     with_pool,
 )
-from experiments.result import ESTIMATOR, Config, Result, load_arrays, run_cases
+from experiments.result import Config, Result, load_arrays, run_cases
 from sim.material import REFERENCE_DENSITY
 from sim.rig import DISC_RIG
 
@@ -47,7 +47,7 @@ def simulated(*, number: int, noise_mm: float, seed: int) -> dict:
 
 def refine_scan(scan: "ScanRegistration") -> dict:
     """Estimate a scan whose x axis is the warp, as by ``infer.py scan=FILE refine=simulation``."""
-    from drapenet.estimator.stages import by_network
+    from drapenet.fabric.stages import by_network
     from drapenet.refine.refine import refine_capture
     from drapenet.surface.registration import scan_capture
 
@@ -72,7 +72,7 @@ def run(config: Config) -> Result:
     results = run_cases(simulated, {
         f"simulated_{k}": {"number": k, "noise_mm": config["noise_mm"], "seed": config["seed"]}
         for k in range(config["fabrics"])},
-        config, folder=folder, sources=ESTIMATOR)
+        config, folder=folder)
     truth = np.array([r["truth"] for r in results.values()])
     arrays = [with_pool(load_arrays(folder, name), gained=r["gained"])
               for name, r in results.items()]

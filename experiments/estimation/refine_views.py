@@ -31,7 +31,6 @@ from experiments.drapes import (
     plan_specimen,
 )
 from experiments.result import (
-    ESTIMATOR,
     Config,
     Result,
     load_arrays,
@@ -54,7 +53,7 @@ def case(
     *, number: int, rig: str, nuisances: str, edge_mm: float | None, truth_mm: float, seed: int
 ) -> dict:
     """Estimate one capture with the network and with the refinement."""
-    from drapenet.estimator.stages import by_network
+    from drapenet.fabric.stages import by_network
     from drapenet.refine.refine import refine_capture
 
     tester = Rig.from_name(rig)
@@ -148,7 +147,7 @@ def run(config: Config) -> Result:
     settings["nuisances"] = config["variation"]
     results = run_cases(case, {f"views_{k}": {"number": k, **settings}
                                for k in range(config["fabrics"])},
-                        config, folder=folder, sources=ESTIMATOR)
+                        config, folder=folder)
     truth = np.array([r["theta"] for r in results.values()])
     arrays = [with_pool(load_arrays(folder, name), gained=r["gained"])
               for name, r in results.items()]

@@ -22,11 +22,11 @@ from common.errors import InputError
 from common.findings import texts
 from common.normal import Normal
 from data.render.strips import StripScene, posed
-from data.strips.description import FILE
-from data.strips.folder import StripSet, read_strips
-from data.strips.photograph import CLAMP_ERROR, LENGTH_ERROR, ROLL_ERROR, SCALE_ERROR
-from data.strips.posterior import SLOPE_ERROR
 from drapenet.evidence.state import fabric_prior, prior_along
+from drapenet.measured.strips.description import FILE
+from drapenet.measured.strips.folder import StripSet, read_strips
+from drapenet.measured.strips.photograph import CLAMP_ERROR, LENGTH_ERROR, ROLL_ERROR, SCALE_ERROR
+from drapenet.measured.strips.posterior import SLOPE_ERROR
 from experiments.drapes import header, prior_theta
 from experiments.result import Config, Result, run_cases
 from sim.cantilever import heavy_elastica
@@ -270,10 +270,10 @@ def run(config: Config) -> Result:
     """Estimate all directions, and read all faulty photographs."""
     estimated = run_cases(estimate_case, {f"direction_{k:03}": {"number": k}
                                           for k in range(config["directions"])},
-                          config, sources=("sim", "data", "drapenet.evidence"))
+                          config)
     answers = run_cases(fault_case, {f"{kind} {k}": {"kind": kind, "number": k}
                                      for kind in FAULTS for k in range(config["repeats"])},
-                        config, folder=Path(config["cases"]) / "faults", sources=("sim", "data"))
+                        config, folder=Path(config["cases"]) / "faults")
     done = [case for case in estimated.values() if not case["failed"]]
     groups = {"all": done} | {
         name: [case for case in done if name in (case["scale"], case["faces"])]

@@ -21,13 +21,14 @@ from common.errors import InputError
 from common.files import replace_file
 from data.readings.quantity import SPECIMEN_SCATTER, STANDARD_GRAVITY
 from data.render.pulled import MarkedStrip
-from data.tension.description import FILE
-from data.tension.folder import TensionSet, read_tension
-from data.tension.law import POISSON, compliance, load
-from data.tension.photograph import ABOVE_ERROR
-from data.tension.posterior import FRICTION, prior
+from drapenet.measured.tension.description import FILE
+from drapenet.measured.tension.folder import TensionSet, read_tension
+from drapenet.measured.tension.law import compliance, load
+from drapenet.measured.tension.photograph import ABOVE_ERROR
+from drapenet.measured.tension.posterior import FRICTION, prior
 from experiments.result import Config, Result, run_cases
 from sim.material import BIAS, DIRECTIONS, REFERENCE_DENSITY, WARP, WEFT
+from sim.tension import POISSON
 
 SEED = 59
 GAUGES, WIDTHS = (80.0, 100.0, 150.0), (30.0, 50.0, 60.0)  # mm
@@ -109,7 +110,7 @@ def _refusal(folder: Path, strip: dict, above: float) -> str:
 def run(config: Config) -> Result:
     """Read all pairs."""
     cases = run_cases(pair_case, {f"pair_{k:03}": {"number": k} for k in range(config["pairs"])},
-                      config, sources=("sim", "data"))
+                      config)
     read = {name: case for name, case in cases.items() if not case["failed"]}
     groups = {"all": list(read.values())} | {
         name: [case for case in read.values() if wanted(case)] for name, wanted in {

@@ -63,7 +63,7 @@ def case(
     """Errors of log alpha and differences of drapes of one fabric by method; "failed" has the
     reason if the drape did not converge.
     """
-    from drapenet.estimator.stages import estimate_capture
+    from drapenet.fabric.stages import estimate_capture
 
     edge, plan = 1e-3 * edge_mm, plan_specimen(number, seed=seed)
     fabric = fabric_from_theta(plan.theta)

@@ -93,11 +93,11 @@ def run(config: Config) -> Result:
     """Run all fabrics."""
     other = {key: config[key] for key in ("style3d_fabrics", "style3d_seconds")}
     settings = {key: value for key, value in config.items() if key not in other}
-    report = {"ratio": ratio(), "fabrics": run_fabrics(case, settings, sources=("sim",))}
+    report = {"ratio": ratio(), "fabrics": run_fabrics(case, settings)}
     if not style3d.missing("rows of Style3D are"):
         report["style3d"] = run_fabrics(
             style3d_case, settings | {"fabrics": other.pop("style3d_fabrics")} | other,
-            sources=("sim", "experiments.physics.style3d"), subfolder="style3d")
+            subfolder="style3d")
     return Result(report)
 
 

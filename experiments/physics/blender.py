@@ -27,7 +27,6 @@ from sim.material import MICRO, Fabric
 from sim.measures import drape_coefficient, fold_count
 from sim.rig import DISC_RIG
 
-SOURCES = ("drapenet.export", "sim")
 _COLUMNS = 5  # of the figure
 DRAPES = ("law", "one_modulus", "blender")
 """Here by the law, here with the one modulus of the file, in Blender."""
@@ -81,7 +80,7 @@ def run(config: Config) -> Result:
     common["python"] = str(Path(config["python"]).absolute())
     numbers, drapes = range(config["fabrics"]), range(config["drapes"])
     found = run_cases(draped, {f"{number}, {k}": common | {"number": number, "drape_seed": k}
-                               for number in numbers for k in drapes}, config, sources=SOURCES)
+                               for number in numbers for k in drapes}, config)
     fabrics = []
     for number in numbers:
         own = [found[f"{number}, {k}"] for k in drapes]

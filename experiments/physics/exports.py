@@ -12,8 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from data.fabrics.fabrics import to_theta
-from data.fabrics.properties import ClothProperties
+from data.fabrics.fabrics import ClothProperties, to_theta
 from drapenet.export.formats import export
 from drapenet.export.material import GAMMA, MESHES, ExportSettings, Material
 from drapenet.result.document import EstimateDocument

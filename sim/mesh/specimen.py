@@ -12,7 +12,6 @@ from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
-from scipy.spatial import Delaunay
 
 from common.errors import InputError
 from common.types import Faces, Metres, RestPoints, VertexMask
@@ -120,6 +119,8 @@ def _spread(curve: np.ndarray, domain: Domain, rng: np.random.Generator) -> np.n
 
 def _delaunay(points: RestPoints) -> Faces:
     """Triangles, counter-clockwise, without degenerate ones along straight borders."""
+    from scipy.spatial import Delaunay  # who checks an edge does not wait for it
+
     faces = Delaunay(points).simplices.astype(np.int64)
     twice = doubled_areas(points, faces)
     faces[twice < 0] = faces[twice < 0][:, [0, 2, 1]]

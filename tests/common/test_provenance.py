@@ -1,14 +1,11 @@
-import io
 import json
 import subprocess
-import tokenize
 
 import numpy as np
 import pytest
 
 from common import provenance
-from common.imports import closure, modules
-from common.provenance import ROOT, digest, sources_digest
+from common.provenance import digest
 
 
 def git(folder, *words):
@@ -55,64 +52,6 @@ def test_no_checkout_no_commit(checkout, tmp_path, monkeypatch):
         assert provenance.code_state(folder) == outside
     monkeypatch.setenv("PATH", str(tmp_path))  # no git
     assert provenance.code_state(checkout) == outside
-
-
-PROJECT = {"sim/__init__.py": "", "sim/mesh.py": "SIZE = 1\n", "data/__init__.py": "",
-           "data/reader.py": "import sim.drape\n", "sim/drape.py": """
-def drape():
-    "Drapes."
-    from sim import mesh  # late
-    return mesh.SIZE
-"""}
-
-
-@pytest.mark.parametrize(("name", "old", "new", "same"), [
-    ("sim/drape.py", "Drapes.", "Drapes # cloth.", True),
-    ("sim/drape.py", "# late", "#  'later", True),
-    ("sim/mesh.py", "SIZE = 1", '"""Of meshes.\n\n  # too\n"""\n\nSIZE = 1  # edge', True),
-    ("sim/mesh.py", "SIZE = 1", 'SIZE = 1\n"""Of edges."""\n', True),
-    ("data/reader.py", "import", "import sys\nimport", True),
-    ("sim/mesh.py", "1", "2", False),
-    ("sim/mesh.py", "1", "'1 # one'", False),
-    ("sim/drape.py", "mesh.SIZE", "2 * mesh.SIZE", False),
-])
-def test_code_is_known_by_what_it_does_and_imports(tmp_path, name, old, new, same):
-    def digest_of(folder, **changed: str) -> str:
-        for file, text in (PROJECT | changed).items():
-            (folder / file).parent.mkdir(parents=True, exist_ok=True)
-            (folder / file).write_text(text, encoding="utf-8")
-        return sources_digest("sim.drape", root=folder)
-
-    changed = digest_of(tmp_path / "b", **{name: PROJECT[name].replace(old, new)})
-    assert (changed == digest_of(tmp_path / "a")) == same
-
-
-def test_packages_and_files_of_settings_are_named_too():
-    named = {sources_digest(*names) for names in (
-        ["sim"], ["sim.draping"], ["sim.draping", "configs/sensor/*.yaml"])}
-    assert len(named) == 3
-    with pytest.raises(ValueError, match="sim/drapes"):
-        sources_digest("sim/drapes")
-
-
-def words(code: bytes) -> list[str]:
-    """The tokens of code that has an effect."""
-    layout = (tokenize.COMMENT, tokenize.NL, tokenize.INDENT, tokenize.DEDENT, tokenize.ENCODING)
-    found = [(token.type, token.string) for token in tokenize.tokenize(io.BytesIO(code).readline)
-             if token.type not in layout]
-    return [text for (before, _), (kind, text), (after, _) in zip(
-        [(tokenize.NEWLINE, ""), *found], found, [*found[1:], (0, "")], strict=False)
-        if kind != tokenize.NEWLINE and not (kind == tokenize.STRING and before == after == (
-            tokenize.NEWLINE))]
-
-
-@pytest.mark.parametrize("entry", ["data.dataset.batches", "drapenet.network.dataset"])
-def test_code_without_comments_is_the_same_code(entry):
-    """Of all that makes shards and maps."""
-    found = closure([entry], modules(ROOT))
-    assert {"sim.energies.midedge", "data.fabrics.nuisances"} < {module.name for module in found}
-    for module in found:
-        assert words(module.code) == words(module.file.read_bytes()), module.name
 
 
 def test_digests_are_those_of_contents(tmp_path):

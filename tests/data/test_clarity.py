@@ -1,20 +1,33 @@
-"""What of a hem is not clearly seen, in words, and from where another picture shows it."""
+"""What of a hem is not clear, bulges of it, and outlines seen from beside the axis."""
+
+import subprocess
+import sys
 
 import numpy as np
 import photographs
 import pytest
 import yaml
+from safetensors.torch import load_file
 
+from common.errors import InputError
 from common.findings import texts
-from data.captures.clarity import DOUBTFUL, Clarity
+from data.captures.clarity import DOUBTFUL, Clarity, bulge, side, sides
 from data.captures.ground import Ground
-from data.captures.off_axis import AZIMUTH, AZIMUTHS, MAX_LEAN
+from data.captures.off_axis import AZIMUTH, AZIMUTHS, BUNDLED, MAX_LEAN, OUTWARDS, seen_from_axis
 from data.captures.reader import read_capture
-from data.captures.sides import side, sides
+from data.dataset.folder import MANIFEST
+from data.dataset.off_axis import AZIMUTHS as LEARNED
+from data.dataset.off_axis import OffAxisNetwork, main, silhouette
 from data.pictures.mat import QUIET, near_markers
+from sim.draping import drape
+from sim.material import Fabric
+from sim.mesh import Mesh
+from sim.rig import DISC_RIG, Rig
 
 GROUND, CAMERA = Ground("a3", 1.0, 0.15), np.array([0.0, 0.03, 0.9])
 RADII = np.full(AZIMUTHS, 0.106)
+SHADOWED = np.abs(AZIMUTH - np.pi / 2) < np.pi / 7  # at the top
+HEIGHT = 0.7
 
 
 def around(*spans: tuple[int, int]) -> np.ndarray:
@@ -108,3 +121,106 @@ def test_a_picture_from_the_place_that_is_asked_for_is_clear(tmp_path):
     assert "straight above the plate's centre" in line
     np.testing.assert_allclose(beside.outline.cameras[0], [0.15, 0.1, 1.05], atol=0.02)
     np.testing.assert_allclose(beside.outline.next_camera, [0, 0, 1.05], atol=0.01)
+
+
+def outline(folds: int, depth: float) -> np.ndarray:
+    """Radii of a disc's drape, m."""
+    return 0.12 + depth * (np.cos(folds * AZIMUTH) + 0.3 * np.cos((folds + 1) * AZIMUTH + 1))
+
+
+@pytest.mark.parametrize(("folds", "depth"), [(2, 0.006), (4, 0.01), (7, 0.012), (11, 0.006)])
+def test_folds_do_not_bulge_and_a_shadow_over_them_is_named_with_its_side(folds, depth):
+    radii = outline(folds, depth)
+    assert not bulge(radii)
+    if folds > 4:  # wide folds hide it
+        found, = bulge(np.where(SHADOWED, radii.max(), radii))
+        assert found.code == "hem_bulges" and found.values == {"place": "at the upper side"}
+
+
+def test_a_specimen_off_its_centre_does_not_bulge():
+    assert not bulge(0.12 + 0.01 * np.cos(AZIMUTH) + 0.002 * np.cos(7 * AZIMUTH))
+
+
+def test_one_filled_valley_of_wide_folds_is_no_bulge():
+    """Its fold is then as wide as two, less than a twelfth of the azimuth."""
+    radii = outline(11, 0.006)
+    assert not bulge(np.where(np.abs(AZIMUTH - np.pi / 2) < 0.15, radii.max(), radii))
+
+
+def test_a_flat_specimen_has_no_bulge():
+    assert not bulge(np.full(720, 0.15))
+    assert not bulge(0.15 + 1e-4 * np.random.default_rng(0).standard_normal(720))
+
+
+@pytest.fixture(scope="module")
+def shape():
+    fabric = Fabric(alpha=[20e-6, 15e-6, 12e-6], beta=[-20e-9] * 3, density=0.15)
+    return drape(fabric, rig=DISC_RIG, edge=9e-3)
+
+
+def rms_mm(one: np.ndarray, other: np.ndarray) -> float:
+    return 1e3 * float(np.sqrt(np.square(one - other).mean()))
+
+
+def corrected(radius: np.ndarray, beside: np.ndarray, rig: Rig = DISC_RIG) -> np.ndarray:
+    found = seen_from_axis(radius[:, None] * OUTWARDS, beside, HEIGHT, rig)
+    assert found.shape == (720, 2)
+    return np.linalg.norm(found, axis=1)
+
+
+def test_most_of_what_a_camera_beside_the_axis_changes_is_taken_back(shape):
+    edges = Mesh(shape.rest, shape.faces).edges
+    exact = silhouette(shape.positions, edges, np.zeros(2), HEIGHT, azimuths=720)
+    for distance, turn in ((0.06, 0.3), (0.12, 2.0), (0.2, 4.5)):
+        beside = distance * np.array([np.cos(turn), np.sin(turn)])
+        seen = silhouette(shape.positions, edges, beside, HEIGHT, azimuths=720)
+        assert rms_mm(seen, exact) > 1.5
+        # By the distance of each part of the hem alone, a quarter to a third would remain.
+        assert rms_mm(corrected(seen, beside), exact) < 0.2 * rms_mm(seen, exact)
+
+
+@pytest.mark.parametrize("rig", [DISC_RIG, Rig((0.2, 0.25), 0.1, "rectangle")],
+                         ids=lambda rig: rig.specimen)
+def test_on_the_axis_the_outermost_points_stay(rig):
+    radius = 0.12 + 0.01 * np.cos(7 * AZIMUTH + 1) + 0.002 * np.cos(31 * AZIMUTH)
+    np.testing.assert_allclose(corrected(radius, np.zeros(2), rig), radius, atol=1e-6)
+
+
+def test_a_camera_around_a_disc_finds_the_same_outline():
+    radius, beside = 0.12 + 0.01 * np.cos(7 * AZIMUTH + np.cos(AZIMUTH)), np.array([0.1, 0.05])
+    turned = beside @ [[0, 1], [-1, 0]]
+    np.testing.assert_allclose(corrected(np.roll(radius, 180), turned),
+                               np.roll(corrected(radius, beside), 180), atol=1e-6)
+
+
+def test_torch_is_not_imported_before_it_is_needed():
+    code = "import data.captures.off_axis, sys; assert 'torch' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_the_network_is_trained_alike_twice_and_stored_small(cloth_dataset, tmp_path, capsys):
+    files = [tmp_path / name for name in ("first.safetensors", "second.safetensors")]
+    for file in files:
+        main([f"data={cloth_dataset}", f"out={file}", "steps=3", "cameras=2"])
+    assert files[0].read_bytes() == files[1].read_bytes()
+    assert len(files[0].read_bytes()) == len(BUNDLED.read_bytes()) < 60_000
+    OffAxisNetwork().load_state_dict(load_file(files[0]))
+    assert "place/height" in capsys.readouterr().out
+
+
+def test_silhouettes_are_those_of_points_on_the_plane_of_the_plate():
+    corners = np.array([[0.1, 0.1], [-0.1, 0.1], [-0.1, -0.1], [0.1, -0.1]])
+    square = np.column_stack([corners, np.full(4, -0.1)])
+    edges = np.array([[0, 1], [1, 2], [2, 3], [3, 0]])
+    seen = silhouette(square, edges, np.array([0.35, 0.0]), HEIGHT)
+    # A point 0.1 m below the plate is moved by an eighth of the camera's place.
+    assert seen[[0, LEARNED // 2]] == pytest.approx([0.0875 + 0.04375, 0.0875 - 0.04375])
+
+
+def test_without_drapes_one_line_names_the_command(cloth_dataset, tmp_path):
+    out = f"out={tmp_path / 'net.safetensors'}"
+    with pytest.raises(InputError, match=r"dataset\.json is missing.*data\.dataset\.generate"):
+        main([f"data={tmp_path}", out])
+    (tmp_path / MANIFEST).write_bytes((cloth_dataset / MANIFEST).read_bytes())
+    with pytest.raises(InputError, match="no drapes to train on"):
+        main([f"data={tmp_path}", out])

@@ -49,13 +49,13 @@ from data.dataset.folder import DatasetFolder
 from data.dataset.simulate import make_record
 from data.fabrics.prior import load_prior
 from data.render.setups import Setups
-from drapenet.batch.captures import entries_of
 from drapenet.export.formats import TARGETS
 from drapenet.export.material import read_material
+from drapenet.fabric.entries import entries_of
 from drapenet.network.checkpoint import read_header
-from drapenet.network.load import network_of
 from drapenet.network.model import make_network
 from drapenet.network.optimizer import Optimizer
+from drapenet.network.predict import network_of
 from drapenet.network.training import load_state, save_state
 from drapenet.result.files import write_estimate
 from drapenet.service.limits import RequestError

@@ -1,6 +1,22 @@
-import numpy as np
+"""Tables of fabrics, fabrics moved to even stiffness, and what differs between drapes of one."""
 
+from functools import cache
+
+import numpy as np
+import pytest
+
+from common.command import compose_config
+from common.errors import InputError
+from data.dataset.config import Options, SamplingConfig, config_from_options
+from data.dataset.plan import Stream, plan_drape, stream
 from data.fabrics.fabrics import fabric_from_theta, from_theta, read_fabric_table, to_theta
+from data.fabrics.nuisances import NAMES, NuisanceConfig, Nuisances
+from data.fabrics.prior import TablePrior, load_prior, log_stiffness, sample_admissible
+from data.fabrics.prior.even import STIFFNESS, draw_fabric, draw_fabrics, moved
+from sim.cloth import Laws
+from sim.material import BIAS, LINEAR, RATIO, WARP, WEFT, Fabric, is_admissible
+from sim.rig import DISC_RIG, Rig
+from sim.scene import make_specimen
 
 HEADER = (
     "density[kg.m-2], linear warp[SI*1e9], linear weft[SI*1e9], linear diag[SI*1e9], "
@@ -8,6 +24,9 @@ HEADER = (
 )
 STIFF = "0.15, 9000, 4000, 6000, -900, -400, -600"
 SOFT = "0.30, 2000, 1000, 1500, -20, -10, 15"
+PRIOR = load_prior("vae")
+COUNT = 2000
+SHARE = 0.8
 
 
 def write(path, *lines):
@@ -54,3 +73,169 @@ def test_theta_and_back():
     fabric = fabric_from_theta(theta[0])
     np.testing.assert_allclose(fabric.alpha, alpha[0])
     assert fabric.density == 0.3
+
+
+@cache
+def drawn():
+    """Fabrics (N, 6) of the autoencoder with an even share, and their shifts (N,)."""
+    rng = np.random.default_rng(3)
+    draws = [draw_fabric(PRIOR, rng, even_share=SHARE) for _ in range(COUNT)]
+    return np.array([theta for theta, _, _ in draws]), np.array([shift for *_, shift in draws])
+
+
+def places(theta):
+    """Where each mean log alpha lies in the range, from 0 to 1, in order."""
+    low, high = np.log(STIFFNESS)
+    return np.sort((log_stiffness(theta) - low) / (high - low))
+
+
+def test_moved_fabrics_are_evenly_stiff():
+    theta, shift = drawn()
+    even = places(theta[shift != 0])
+    assert abs(len(even) / COUNT - SHARE) < 0.03
+    # The bound of Kolmogorov and Smirnov that one sample in a thousand exceeds.
+    bound = 1.95 / np.sqrt(len(even))
+    assert np.abs(even - (np.arange(len(even)) + 0.5) / len(even)).max() < bound
+    plain = places(theta[shift == 0])
+    assert np.abs(plain - (np.arange(len(plain)) + 0.5) / len(plain)).max() > 4 * bound
+
+
+def test_all_are_possible_fabrics():
+    theta, _ = drawn()
+    assert is_admissible(*from_theta(theta)).all()
+    for alpha, beta in zip(*from_theta(theta), strict=True):
+        Fabric(alpha, beta)  # refuses what has the wrong unit
+
+
+def test_a_move_keeps_the_ratios_between_directions():
+    plain = PRIOR.sample(50, np.random.default_rng(1))
+    stiffer = moved(plain, 2.0, 0.25)
+    np.testing.assert_allclose(stiffer[:, LINEAR] - plain[:, LINEAR], 2.0, atol=1e-11)
+    np.testing.assert_allclose(stiffer[:, RATIO], np.exp(0.5) * plain[:, RATIO], atol=1e-11)
+
+
+@pytest.mark.parametrize("anisotropy", [(0.0, 0.0), (0.8, 0.3), (0.0, 1.0), (1.0, 1.0)])
+def test_shares_of_the_anisotropy_are_kept(anisotropy):
+    plain = draw_fabrics(PRIOR, 300)[0]
+    found = draw_fabrics(PRIOR, 300, anisotropy=anisotropy)[0]
+
+    def differences(values):
+        across = values[:, WARP] - values[:, WEFT]
+        return np.stack([across, values[:, BIAS] - values[:, [WARP, WEFT]].mean(axis=1)], axis=1)
+
+    for part in (LINEAR, RATIO):
+        np.testing.assert_allclose(differences(found[:, part]), anisotropy * differences(
+            plain[:, part]), atol=1e-11)
+        np.testing.assert_allclose(found[:, part].mean(axis=1), plain[:, part].mean(axis=1),
+                                   atol=1e-11)
+    assert is_admissible(*from_theta(found)).all()
+
+
+@pytest.mark.parametrize("words", ["[0.8,1.5]", "[0.8]", "0.8", "[-0.1,1]"])
+def test_other_shares_of_the_anisotropy_are_refused(words):
+    with pytest.raises(InputError, match="anisotropy"):
+        config_from_options(compose_config("generate", [f"dataset.anisotropy={words}"],
+                                           schema=Options))
+
+
+def test_the_exponent_of_a_known_power_is_found():
+    rng = np.random.default_rng(2)
+    stiffness = rng.uniform(-14, -8, 40)[:, None]
+    theta = np.hstack([stiffness + rng.normal(0, 0.3, (40, 3)), np.zeros((40, 3))])
+    theta[:, RATIO] = -1e-3 * np.exp(0.4 * (log_stiffness(theta)[:, None] + 10))
+    assert TablePrior(theta).softening == pytest.approx(0.4, abs=1e-9)
+    linear = theta * np.repeat([1.0, 0.0], 3)
+    assert TablePrior(linear).softening == pytest.approx(0.0, abs=1e-9)
+    assert TablePrior(theta[:1]).softening == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_others_are_the_fabrics_of_the_prior():
+    for fabric in range(40):
+        theta, rejected = sample_admissible(PRIOR, stream(4, Stream.FABRIC, fabric))
+        alone, mixed = (plan_drape(fabric, prior=PRIOR, config=SamplingConfig(
+            seed=4, starts_per_fabric=1, even_share=share)) for share in (0.0, 0.5))
+        np.testing.assert_array_equal(alone.theta, theta)
+        assert (alone.shift, alone.rejected) == (0.0, rejected)
+        np.testing.assert_allclose(
+            mixed.theta, moved(theta, mixed.shift, PRIOR.softening) if mixed.shift else theta,
+            rtol=1e-12)
+
+
+def test_the_same_seed_gives_the_same_bytes():
+    first, second = (draw_fabric(PRIOR, stream(6, Stream.FABRIC, 1), even_share=1.0)
+                     for _ in range(2))
+    assert first[0].tobytes() == second[0].tobytes() and first[1:] == second[1:]
+    assert first[2] != 0
+    some, more = (draw_fabrics(PRIOR, count, even_share=SHARE)[0] for count in (3, 5))
+    assert some.tobytes() == more[:3].tobytes()
+
+
+def nuisances(config, count=2000):
+    rng, other = np.random.default_rng(1), np.random.default_rng(2)
+    return np.array([config.sample(rng, other).vector for _ in range(count)])
+
+
+def test_without_spread_specimens_are_those_of_the_simulator():
+    nuisances = NuisanceConfig().sample(np.random.default_rng(0), np.random.default_rng(1))
+    assert nuisances == Nuisances()
+    assert nuisances.laws == Laws() and nuisances.rig(Rig()) == Rig()
+
+
+def test_real_specimens_spread_as_the_configuration_states():
+    from common.command import compose_config
+
+    options = compose_config("generate", ["nuisances=real"], schema=Options)
+    columns = dict(zip(NAMES, nuisances(config_from_options(options).sampling.nuisances).T,
+                       strict=True))
+    assert np.mean((columns["membrane"] > 400) & (columns["membrane"] < 2500)) == pytest.approx(
+        0.95, abs=0.015)
+    assert np.log(columns["membrane"]).mean() == pytest.approx(np.log(400 * 2500) / 2, abs=0.04)
+    assert 0.2 <= columns["shear"].min() < 0.21 and 0.99 < columns["shear"].max() <= 1
+    ratio = 100 * columns["hysteresis"] / (1 - columns["hysteresis"])  # HB/B, 1/m
+    assert ratio.min() >= 5 and ratio.max() <= 60
+    assert np.median(ratio) == pytest.approx(np.sqrt(5 * 60), rel=0.05)
+    assert columns["curl_warp"].std() == pytest.approx(np.hypot(np.sqrt(2) * 5, 1), rel=0.06)
+    assert columns["size"].std() == pytest.approx(1e-3, rel=0.05)
+    assert columns["cut"].std() == pytest.approx(np.radians(1), rel=0.05)
+
+
+def test_a_cloth_keeps_its_nuisances_and_its_specimens_have_their_own():
+    config = SamplingConfig(starts_per_fabric=2, nuisances=NuisanceConfig(
+        membrane=(100, 1000), hysteresis=(5, 60), curl=5.0, curl_specimen=1.0, size=1e-3))
+    one, other, strange = (plan_drape(k, config=config, prior=load_prior("gaussian")).nuisances
+                           for k in range(3))
+    assert one.membrane == other.membrane != strange.membrane
+    assert one.hysteresis == other.hysteresis != strange.hysteresis
+    assert one.size != other.size
+    assert 0 < abs(one.curl_warp - other.curl_warp) < 5  # of the specimens
+    assert one.curl_warp != strange.curl_warp
+
+
+def test_the_other_face_has_the_opposite_curvature():
+    config = NuisanceConfig(hysteresis=(5, 60), curl=5.0, curl_specimen=1.0)
+    up, down = (config.sample(np.random.default_rng(1), np.random.default_rng(2), face=face)
+                for face in (1, -1))
+    assert up.curl_warp == -down.curl_warp != 0 and up.curl_weft == -down.curl_weft
+    assert up.hysteresis == down.hysteresis
+
+
+@pytest.mark.parametrize("nominal", [Rig(), DISC_RIG, Rig((0.22, 0.3), 0.1)],
+                         ids=lambda rig: rig.name)
+def test_specimens_of_other_sizes_share_triangles_and_hold_their_own_plate(nominal):
+    nuisances = Nuisances(size=2e-3, plate=-6e-4, cut=0.03)
+    rig, plain = nuisances.rig(nominal), make_specimen(nominal, edge=6e-3)
+    offset = (3e-3, -2e-3)
+    specimen = make_specimen(rig, edge=6e-3, offset=offset)
+    assert (specimen.mesh.faces == plain.mesh.faces).all()
+    rest, areas = specimen.mesh.rest, specimen.mesh.areas
+    if nominal.specimen != "disc":
+        assert np.subtract(rig.sides, nominal.sides) == pytest.approx(2e-3)
+        assert areas.sum() == pytest.approx(rig.specimen_area, rel=1e-9)
+    held = specimen.held[specimen.mesh.faces].all(axis=1)
+    assert areas[held].sum() == pytest.approx(np.pi * rig.plate_radius**2, rel=1e-6)
+    assert 0.5 * (rest.max(0) + rest.min(0)) == pytest.approx(offset, abs=3e-4)
+    if nominal.specimen != "disc":
+        corner = rest[np.argmax(rest.sum(axis=1))] - offset
+        diagonal = np.arctan2(*rig.sides[::-1])
+        assert np.arctan2(*corner[::-1]) == pytest.approx(diagonal + 0.03, abs=1e-9)
+    assert (areas > 0).all()

@@ -17,10 +17,9 @@ from common.files import replace_json
 from common.provenance import digest
 from data.dataset.folder import MANIFEST, read_manifest
 from data.dataset.inspect import (
-    Shot,
+    as_text,
     check_dataset,
     contact_sheet,
-    describe,
     main,
     prior_samples,
     read_drapes,
@@ -62,14 +61,14 @@ def column(folder, name):
     return np.concatenate(parts)
 
 
-def figures(folder, intersections=100):
+def statistics_of(folder, intersections=100):
     manifest = check_dataset(folder)
     drapes = read_drapes(folder, manifest, intersections=intersections)
     return report(manifest, drapes, prior_samples(manifest)), drapes, manifest
 
 
 def test_counts_are_those_of_the_shards(bare):
-    content, _, manifest = figures(bare)
+    content, _, manifest = statistics_of(bare)
     status, start = column(bare, "status"), column(bare, "start")
     converged = status == "converged"
     assert 0 < converged.sum() < 24  # else this dataset tests little
@@ -89,7 +88,7 @@ def test_counts_are_those_of_the_shards(bare):
 
 
 def test_parameters_are_those_of_the_fabrics_with_a_drape(bare):
-    _, drapes, manifest = figures(bare)
+    _, drapes, manifest = statistics_of(bare)
     prior, rate = prior_samples(manifest)
     theta = column(bare, "theta")[column(bare, "status") == "converged"]
     theta = np.unique(theta, axis=0)
@@ -106,9 +105,9 @@ def test_parameters_are_those_of_the_fabrics_with_a_drape(bare):
 
 
 def test_strain_is_that_of_the_solvers_mesh(bare):
-    _, drapes, _ = figures(bare)
+    _, drapes, _ = statistics_of(bare)
     converged = column(bare, "status") == "converged"
-    np.testing.assert_array_equal(np.isfinite(drapes.stretch), converged)
+    np.testing.assert_array_equal(np.isfinite(drapes["stretch"]), converged)
     config = small_config()
     for index in np.flatnonzero(converged)[:5].tolist():
         plan = plan_drape(index, config=config.sampling, prior=config.prior)
@@ -118,21 +117,21 @@ def test_strain_is_that_of_the_solvers_mesh(bare):
         specimen = make_specimen(topology=plan.seed % TOPOLOGIES, **settings)
         exact = maximum_stretch(drape.positions, drape.rest, drape.faces, specimen.held)
         assert exact > 0.02
-        assert drapes.stretch[index] == pytest.approx(exact, abs=1e-3)
+        assert drapes["stretch"][index] == pytest.approx(exact, abs=1e-3)
 
 
 def test_self_intersections_are_found_where_somebody_looks(tangled):
-    content, drapes, _ = figures(tangled)
+    content, drapes, _ = statistics_of(tangled)
     converged = column(tangled, "status") == "converged"
     folded = converged & (column(tangled, "start") == "fold")
     assert 0 < folded.sum() < converged.sum()
     assert content["self_intersections"] == {
         "looked_at": converged.sum(), "intersecting": folded.sum(),
         "drapes": np.flatnonzero(folded).tolist()}
-    assert (drapes.crossings[~converged] == -1).all()
-    content, drapes, _ = figures(tangled, intersections=3)
+    assert (drapes["crossings"][~converged] == -1).all()
+    content, drapes, _ = statistics_of(tangled, intersections=3)
     assert content["self_intersections"]["looked_at"] == 3
-    looked_at = np.flatnonzero(drapes.crossings >= 0)
+    looked_at = np.flatnonzero(drapes["crossings"] >= 0)
     assert {looked_at[0], looked_at[-1]} == set(np.flatnonzero(converged)[[0, -1]])
 
 
@@ -144,7 +143,7 @@ def test_a_dataset_of_measured_fabrics_is_inspected(tmp_path):
 
 
 def test_the_contact_sheet_shows_cloth_where_drapes_are(bare):
-    _, drapes, _ = figures(bare)
+    _, drapes, _ = statistics_of(bare)
     camera = nominal_camera()
     shots = take_shots(bare, drapes, count=9)
     failed = [shot for shot in shots if shot.failed]
@@ -161,9 +160,7 @@ def test_the_contact_sheet_shows_cloth_where_drapes_are(bare):
         u, v = centre.round().astype(int)
         assert shot.view[v, u] == pytest.approx(depth, abs=2e-3)
     picture = cv2.imdecode(np.frombuffer(contact_sheet(shots), np.uint8), cv2.IMREAD_COLOR)
-    empty = contact_sheet([Shot("", False, 0 * shots[0].view)])
-    blank = cv2.imdecode(np.frombuffer(empty, np.uint8), cv2.IMREAD_COLOR)
-    assert (picture.min(axis=2) < 200).mean() > 0.2 > (blank.min(axis=2) < 200).mean()
+    assert 0.2 < (picture.min(axis=2) < 200).mean() < 0.6
 
 
 def test_a_dataset_without_a_drape_has_a_report_too(tmp_path, capsys):
@@ -186,7 +183,7 @@ def test_the_report_knows_neither_folder_nor_machine(bare, tmp_path, capsys):
     assert {path: path.stat().st_mtime_ns for path in bare.iterdir()} == before
     content = json.loads((tmp_path / "a" / "report.json").read_text(encoding="utf-8"))
     text = capsys.readouterr().out
-    assert all(line in text for line in describe(content))
+    assert as_text(content) in text
     assert "max_iterations" in text
 
 

@@ -2,25 +2,32 @@
 
 import json
 import os
+import random
 import shutil
+import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import fake_drapes
 import numpy as np
 import pytest
+from cloths import write_dataset
 from test_generate import ROOT, files, generate, small_config
 
 from common.errors import InputError
 from data.dataset.config import BORROWED
+from data.dataset.generate import main
 from data.dataset.plan import choose_lender
 from data.dataset.shards import LENGTH_UNIT, Shard
 from data.dataset.simulate import make_record
 
 SHAPES = ("sine", "fold")
+SMALL = ["drapes=4", "edge_mm=20", "dataset.drapes_per_shard=1", "dataset.starts=[sine]"]
+STORED = (".h5", ".json", ".safetensors")
 SCRIPT = """
 import sys
 sys.path.insert(0, {tests!r})
@@ -43,15 +50,22 @@ def make(out, *, shards=6, solver=fake_drapes.lending_cone, **options):
     return generate(out, config(shards), solver=solver, **options)
 
 
-def start(out, *, shards=6, workers=1, pause=0.03):
-    """A process, in a new session, that makes the dataset with workers."""
-    script = Path(out).with_name("run.py")
-    script.write_text(SCRIPT.format(tests=str(Path(__file__).parent)))
+def begun(*words: object, folder: Path, pause: float = 0.0) -> subprocess.Popen:
+    """A Python process in a session of its own, as of a terminal."""
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path]),
                                 "DRAPE_TEST_PAUSE": str(pause)}
-    return subprocess.Popen([sys.executable, str(script), str(out), str(shards), str(workers)],
-                            env=environment, stderr=subprocess.PIPE, text=True,
-                            start_new_session=True)
+    return subprocess.Popen([sys.executable, *map(str, words)], cwd=folder, env=environment,
+                            stderr=subprocess.PIPE, text=True, start_new_session=True,
+                            preexec_fn=lambda: signal.signal(signal.SIGINT,
+                                                             signal.default_int_handler))
+
+
+def start(out: Path, *, shards: int = 6, workers: int = 1, pause: float = 0.03
+          ) -> subprocess.Popen:
+    """A process that makes the dataset with workers."""
+    script = out.with_name("run.py")
+    script.write_text(SCRIPT.format(tests=str(Path(__file__).parent)))
+    return begun(script, out, shards, workers, folder=out.parent, pause=pause)
 
 
 def whole_shards(out):
@@ -110,16 +124,55 @@ def test_a_borrowed_drape_is_handed_to_the_solver_as_stored():
     assert np.abs(row["positions"][:, 2] - expected).max() <= 1.1
 
 
-def test_killed_and_continued_is_as_if_uninterrupted(peaceful, tmp_path):
-    out = tmp_path / "set"
-    process = start(out)
-    assert wait_for_another_shard(out, process)
-    process.kill()
-    process.communicate()
-    assert not json.loads((out / "dataset.json").read_text())["complete"]
-    assert 0 < whole_shards(out) < 6
-    make(out)
-    assert files(out) == files(peaceful)
+def ended(process: subprocess.Popen, folder: Path, rng: random.Random) -> bool:
+    """End a run with all its processes some changes of the names in its folder later, by a kill or
+    Ctrl-C; False if it is over before."""
+    def names() -> set[str]:
+        return {path.name for path in folder.rglob("*")}
+
+    changes, seen = rng.randrange(6), names()
+    while changes and process.poll() is None:
+        time.sleep(0.005)
+        if names() != seen:
+            changes, seen = changes - 1, names()
+    time.sleep(rng.uniform(0, 0.3))
+    over = process.poll() is not None
+    if not over:
+        os.killpg(process.pid, rng.choice([signal.SIGKILL, signal.SIGINT]))
+    process.communicate(timeout=60)
+    return not over
+
+
+def dataset(folder: Path, out: str) -> subprocess.Popen:
+    return start(folder / out, pause=0.03)
+
+
+def dataset_of_two_workers(folder: Path, out: str) -> subprocess.Popen:
+    return start(folder / out, shards=40, workers=2, pause=0.1)
+
+
+def training(folder: Path, out: str) -> subprocess.Popen:
+    if not (folder / "cloths").exists():
+        write_dataset(folder / "cloths", drapes=40, seed=8)
+    return begun(ROOT / "train.py", "data=cloths", "maps=maps", f"out={out}", "model.width=4",
+                 "optim.batch_size=16", "threads=1", "workers=1", "device=cpu", "captures=2",
+                 "neighbours=false", "validation_fraction=0.2", "epochs=6", folder=folder)
+
+
+@pytest.mark.parametrize(("begin", "times"), [
+    (dataset, 2), pytest.param(dataset_of_two_workers, 12, marks=pytest.mark.slow),
+    pytest.param(training, 12, marks=pytest.mark.slow)])
+def test_a_run_that_is_ended_at_any_moment_and_begun_again_gives_the_same_bytes(
+    tmp_path, begin: Callable[[Path, str], subprocess.Popen], times
+):
+    rng = random.Random(1)
+    count = sum(ended(begin(tmp_path, "broken"), tmp_path, rng) for _ in range(times))
+    for out in ("broken", "peaceful"):
+        process = begin(tmp_path, out)
+        assert process.communicate(timeout=600) and process.returncode == 0
+    made = [{path.name: path.read_bytes() for path in (tmp_path / out).iterdir()
+             if path.suffix in STORED} for out in ("broken", "peaceful")]
+    assert count and made[0] and made[0] == made[1]
 
 
 def test_two_runs_in_one_folder_do_no_harm(peaceful, tmp_path):
@@ -168,3 +221,50 @@ def test_a_full_disk_ends_in_one_line_and_loses_nothing(peaceful, small_disk):
     ballast.unlink()
     make(out)
     assert files(out) == files(peaceful)
+
+
+@pytest.fixture
+def cheap(monkeypatch):
+    """Drapes that cost nothing."""
+    monkeypatch.setattr("data.dataset.simulate.load_solver", lambda: fake_drapes.cone)
+
+
+@pytest.fixture
+def whole(cheap, tmp_path) -> Path:
+    """A folder made by one job."""
+    main([f"out={tmp_path / 'whole'}", "workers=1", *SMALL])
+    return tmp_path / "whole"
+
+
+def test_jobs_make_a_part_each_and_the_last_one_finishes(whole, tmp_path, capsys):
+    out, logs = tmp_path / "set", tmp_path / "logs"
+    main(["--multirun", f"out={out}", f"hydra.sweep.dir={logs}", "parts=2",
+          "workers=1", *SMALL])
+    said = capsys.readouterr().out
+    assert f"part 0 of 2 of {out} is done, other parts are not" in said
+    assert "4 drapes of 4 fabrics" in said
+    assert files(out) == files(whole)
+
+
+def test_one_part_can_be_asked_for(cheap, tmp_path):
+    out = tmp_path / "set"
+    main(["-m", f"out={out}", f"hydra.sweep.dir={tmp_path / 'logs'}", "parts=3", "part=1",
+          "workers=1", *SMALL])
+    assert [path.name for path in out.glob("shard*")] == ["shard_00001.h5"]
+    assert not json.loads((out / "dataset.json").read_text())["complete"]
+
+
+@pytest.mark.slow
+def test_jobs_of_joblib(tmp_path):
+    main([f"out={tmp_path / 'whole'}", "workers=2", *SMALL])
+    subprocess.run([sys.executable, "-m", "data.dataset.generate", "launcher=joblib", "parts=3",
+                    f"out={tmp_path / 'set'}", f"hydra.sweep.dir={tmp_path / 'logs'}", *SMALL],
+                   cwd=ROOT, check=True)
+    assert files(tmp_path / "set") == files(tmp_path / "whole")
+
+
+def test_a_jobs_mistake_is_reported_in_one_line(whole, tmp_path):
+    with pytest.raises(InputError, match="other settings") as refusal:
+        main(["--multirun", f"out={whole}", f"hydra.sweep.dir={tmp_path}", *SMALL, "parts=2",
+              "seed=3"])
+    assert "\n" not in str(refusal.value)

@@ -30,8 +30,9 @@ from common.findings import texts
 from data.captures.board import PAPER, board_picture
 from data.captures.capture import OutlineCapture
 from data.captures.photograph import below_the_mat
-from data.captures.reader import captures_in, read_capture
+from data.captures.reader import read_capture
 from data.pictures.reading import decoded, encoded
+from drapenet.measured.read import sources_in
 from sim.rig import DISC_RIG, Rig
 
 OUTLINES = Path(__file__).resolve().parents[3] / "shared" / "outlines.npz"
@@ -307,7 +308,6 @@ FAULTS = {
     "blank": (lambda: drawn(cloth=210), PLATE, "differs from its ground on 0% of the plate"),
     "small": (lambda: drawn(0.1 * CURVE), PLATE, "differs from its ground on .* of the plate"),
     "cut off": (lambda: np.roll(drawn(), 250, axis=1), SCALE, "beyond the border of the picture"),
-    "flat": (lambda: drawn(0.152 * AROUND), PLATE, "drape coefficient is 104"),
     "hole": (lambda: drawn(0.0902 * AROUND), PLATE, "not that of the plate or of a hole"),
     "board": (lambda: np.array(Image.open(io.BytesIO(board_picture()))), {}, "board fills"),
     "two units": (lambda: "x_m,y_m\n" + rows(X, Y), MM, "states m, capture.yaml .* mm"),
@@ -331,6 +331,27 @@ def test_each_fault_has_a_line(tmp_path, content, source, fault):
     with pytest.raises(InputError, match=fault) as caught:
         read_capture(folder)
     assert str(folder) in str(caught.value)
+
+
+@pytest.mark.parametrize(("scale", "said"), [(0.999, []), (1.005, ["outline_too_large"]),
+                                             (1.02, ["outline_too_large"])])
+def test_a_stiff_disc_with_a_scale_slightly_wrong_is_read_with_a_warning(tmp_path, scale, said):
+    """One of 300 mm that does not hang down."""
+    outline = plate() | {"diameter": plate()["diameter"] / scale}
+    capture = read_capture(write(tmp_path / "capture", drawn(0.150 * AROUND),
+                                 outline={"plate_px": outline, "camera_height_mm": 1200}))
+    assert [found.code for found in capture.warnings] == said
+    assert capture.outline.drape_coefficient == pytest.approx(
+        (scale**2 - 0.36) / 0.64, abs=2e-3)
+
+
+def test_more_than_the_flat_disc_is_no_drape(tmp_path):
+    """Within the limit of its reach, over a plate nearly as large."""
+    x, y = 102.75 * AROUND.T
+    folder = write(tmp_path / "capture", rows(x, y), "outline.txt", outline=MM, tester={
+        "specimen": "disc", "size_mm": 200, "plate_mm": 160})
+    with pytest.raises(InputError, match=r"drape coefficient is 115\.5"):
+        read_capture(folder)
 
 
 @pytest.mark.parametrize(("beyond", "named"), [(0.0, False), (12e-3, True)])
@@ -413,7 +434,7 @@ def test_a_capture_with_a_misnamed_description_is_not_left_out_in_silence(tmp_pa
     for k, file in enumerate(("capture.yaml", name)):
         (tmp_path / str(k)).mkdir()
         (tmp_path / str(k) / file).touch()
-    assert captures_in(tmp_path) == [tmp_path / "0", tmp_path / "1"]
+    assert sources_in(tmp_path, "capture") == [tmp_path / "0", tmp_path / "1"]
 
 
 @pytest.mark.parametrize(("nearest", "height", "named"), [(58, 139, 0), (58, 60, 1), (120, 20, 0)])

@@ -28,7 +28,7 @@ from data.fabrics.prior import (
     save_prior,
 )
 from data.fabrics.prior.__main__ import main
-from data.fabrics.prior.training import SIGMA_MIDDLE, SIGMA_REACH
+from data.fabrics.prior.vae import SIGMA_MIDDLE, SIGMA_REACH
 from sim.material import is_admissible, plate_constants, torque
 
 TABLE = Path(__file__).parents[3] / "shared" / "fabrics" / "feng2022_train.csv"

@@ -1,4 +1,4 @@
-"""The rasteriser and the ray caster: equal, exact on planes, without cracks; shaded pictures."""
+"""Renderers, scenes with the truth about them, and the network that learns from these."""
 
 import builtins
 import math
@@ -6,19 +6,34 @@ import math
 import numpy as np
 import pytest
 from cloths import varied_camera
+from safetensors.torch import load_file
 
 from common.errors import InputError
+from data.dataset import cloth
+from data.dataset.cloth import ClothNetwork
+from data.dataset.off_axis import silhouette
+from data.pictures.cut import BUNDLED, cut_cloth, outline_of_cloth
+from data.pictures.reading import Photograph, decoded
+from data.render import textures
 from data.render.cameras import Camera, nominal_camera
+from data.render.phone import exposed
 from data.render.raster import draw, rasterise
 from data.render.rays import DepthRenderer
+from data.render.scenery import Lamp, Scenery
+from data.render.scenes import CLUTTER, raw_scene
 from data.render.shade import shade
+from sim.draping import drape
+from sim.material import Fabric
 from sim.mesh import grid_faces
-from sim.rig import Rig
+from sim.rig import DISC_RIG, Rig
 from sim.scene import make_specimen
 
 HEIGHT, WIDTH = 90, 120
 CAMERA = Camera(150.0, 140.0, 59.5, 44.5, WIDTH, HEIGHT, world_to_camera=np.eye(4))
 """Camera axes equal to world axes: x right, y down, z ahead."""
+TURNS = np.radians([0.0, 83.0, 184.0, 271.0])
+PLATE_HEIGHT, ABOVE = 0.15, 0.8  # m, of the plate, and of the camera above it
+COUNT, HALF = 420, 0.19  # pixels, and m from the middle to the picture's border
 
 
 def raster(points, faces, dtype=np.float64):
@@ -198,3 +213,140 @@ def test_both_sides_are_lit():
     above, below = (shade(corners, np.array([face]), elevation=90.0, **OPTIONS)
                     for face in ((0, 1, 2), (0, 2, 1)))
     assert np.array_equal(above, below) and len(np.unique(above)) > 2
+
+
+def scene(skirted, seed=0, **settings):
+    return raw_scene(skirted.positions, skirted.faces, np.random.default_rng(seed), rig=Rig(),
+                     turns=TURNS, **settings)
+
+
+def test_cloth_is_what_changes_and_lies_before_everything_else(skirted):
+    seen = scene(skirted, sensor="none")
+    assert seen.frames.shape == (4, 180, 240) and (seen.frames > 0).mean() > 0.9
+    assert np.array_equal(seen.frames[seen.cloth], seen.clean[seen.cloth])
+    nothing = np.broadcast_to(seen.background, seen.frames.shape)
+    assert np.array_equal(seen.frames[~seen.cloth], nothing[~seen.cloth])
+    known = seen.cloth & (nothing > 0)
+    assert (seen.frames[known] <= nothing[known]).all()
+    # Nothing stands between the camera and the cloth.
+    assert (seen.cloth == (seen.clean > 0)).all()
+
+
+def test_the_table_lies_as_far_below_the_plate_as_is_said(skirted):
+    seen = scene(skirted, sensor="none", clutter="empty")
+    pose = seen.camera.world_to_camera
+    points = (seen.camera.back_project(seen.background) - pose[:3, 3]) @ pose[:3, :3]
+    near = (points[..., 1] < 0.3) & (np.hypot(points[..., 0], points[..., 1]) > 0.06)
+    near &= seen.background > 0
+    assert near.sum() > 1000
+    assert np.allclose(points[near][:, 2], seen.table, atol=1e-4)
+
+
+def test_clutter_fills_the_scene_and_the_seed_decides(skirted):
+    shares = []
+    for name in CLUTTER:
+        empty, full = (scene(skirted, sensor="none", clutter=one) for one in ("empty", name))
+        shares.append((empty.background != full.background).mean())
+    assert shares[0] == 0 and shares[2] > 0.05
+    assert np.array_equal(scene(skirted, seed=3).frames, scene(skirted, seed=3).frames)
+
+
+@pytest.mark.parametrize("sensor", ["smooth", "paper"])
+def test_the_label_goes_through_the_sensor_with_the_depth(skirted, sensor):
+    seen = scene(skirted, sensor=sensor, clutter="empty")
+    # It is displaced with the picture: a label left where it was would be wrong at silhouettes.
+    pose = seen.camera.world_to_camera
+    height = ((seen.camera.back_project(seen.frames) - pose[:3, 3]) @ pose[:3, :3])[..., 2]
+    assert (height[seen.cloth] > seen.table + 0.03).mean() > 0.999
+    assert (seen.cloth != (seen.clean > 0)).any()
+
+
+@pytest.fixture(scope="module")
+def shape():
+    return drape(Fabric(alpha=[25e-6, 18e-6, 20e-6], beta=[-20e-9] * 3, density=0.15),
+                 rig=DISC_RIG, edge=9e-3)
+
+
+def photographed(shape, surface, table, *, lamp: float = 1.0, seed: int = 0) -> Photograph:
+    """A picture from straight above, a lamp at the side, on a plain table without a mat."""
+    rng = np.random.default_rng(seed)
+    random = Scenery.random(
+        shape.positions + np.array([0, 0, PLATE_HEIGHT]), shape.rest, shape.faces, rng, mat=None,
+        plate_radius=DISC_RIG.plate_radius, plate_height=PLATE_HEIGHT, clutter=False,
+        surface=textures.plain(surface, rng, depth=0.0))
+    plain = Scenery(random.cloth, random.rest, random.faces, random.surface,
+                    textures.plain(table, rng, depth=0.02), None, (0.04, 0.85), np.ones(3),
+                    random.things, [Lamp(np.array([0.8, 0.3, 1.2]), 0.1, lamp)])
+    steps = (np.arange(COUNT) - (COUNT - 1) / 2) * (2 * HALF / COUNT)
+    plane = np.dstack([*np.meshgrid(steps, -steps), np.full((COUNT, COUNT), PLATE_HEIGHT)])
+    eye = np.array([0, 0, PLATE_HEIGHT + ABOVE])
+    rays = (plane - eye) / np.linalg.norm(plane - eye, axis=2, keepdims=True)
+    light, _ = plain.seen(eye, rays, rng)
+    return Photograph(decoded(exposed(light, rng, blur=0.8) / 255.0),
+                      np.zeros((COUNT, COUNT), bool))
+
+
+def place() -> dict:
+    pixel = 2 * HALF / COUNT
+    middle = (COUNT - 1) / 2
+    return {"to_pixels": np.array([[1 / pixel, 0, middle], [0, -1 / pixel, middle], [0, 0, 1.0]]),
+            "plate": DISC_RIG.plate_radius, "reach": DISC_RIG.reach, "known": True}
+
+
+def off_mm(shape, line: np.ndarray) -> np.ndarray:
+    """Distances of a hem's points, mm, from the true outline along their azimuths."""
+    x, y = ((line - (COUNT - 1) / 2) * [1, -1] * (2 * HALF / COUNT)).T
+    true = silhouette(shape.positions, shape.mesh.edges, np.zeros(2), ABOVE, azimuths=720)
+    at = np.interp(np.arctan2(y, x), np.arange(720) * (np.pi / 360), true, period=2 * np.pi)
+    return 1e3 * (np.hypot(x, y) - at)
+
+
+@pytest.mark.parametrize(("surface", "table"), [
+    (np.array([0.5, 0.1, 0.1]), 0.7), (0.03, 0.6), (0.8, 0.15)], ids=["red", "black", "white"])
+def test_the_hem_of_rendered_cloth_is_exact_to_half_a_millimetre(shape, surface, table):
+    cut = outline_of_cloth(photographed(shape, surface, table), **place())
+    off = off_mm(shape, cut.hem)
+    assert np.sqrt(np.square(off).mean()) < 0.5 and np.abs(off).max() < 3
+    steps = np.linalg.norm(np.diff(cut.hem, axis=0), axis=1)
+    assert 0.6 < steps.mean() < 1.4 and (cut.error > 0).all()
+
+
+def test_what_hides_the_hem_makes_its_error_larger(shape):
+    clear, alike = (photographed(shape, 0.4, table, lamp=0.0) for table in (0.05, 0.4))
+    known = outline_of_cloth(clear, **place())
+    try:
+        doubtful = cut_cloth(alike, **place())
+    except InputError as error:
+        assert "differs from its ground" in str(error)
+    else:
+        assert np.quantile(doubtful.error, 0.9) > 2 * np.quantile(known.error, 0.9)
+
+
+def test_a_plate_that_is_larger_than_its_picture_is_refused(shape):
+    where = place()
+    where["to_pixels"] = where["to_pixels"] @ np.diag([3, 3, 1.0])
+    with pytest.raises(InputError, match="pixels of the file, more than"):
+        cut_cloth(photographed(shape, 0.4, 0.1), **where)
+
+
+def test_textures_are_albedo_and_repeat_with_their_seed():
+    places = np.random.default_rng(0).uniform(-0.2, 0.2, (500, 2))
+    for make in (lambda rng: textures.cloth(rng)[1], textures.table):
+        for seed in range(12):
+            one, again = (make(np.random.default_rng(seed))(places) for _ in range(2))
+            assert one.shape == (500, 3) and (one > 0).all() and (one < 1).all()
+            np.testing.assert_array_equal(one, again)
+    picture = np.zeros((4, 6, 3)) + np.arange(6)[:, None] / 10 + 0.1
+    mirrored = textures.of_picture(picture, 1e-3)(np.array([[0.5e-3, 0], [-0.5e-3, 0]]))
+    np.testing.assert_allclose(mirrored[0], mirrored[1])
+
+
+def test_the_network_is_trained_alike_twice_and_stored_small(cloth_dataset, tmp_path, capsys):
+    files = [tmp_path / name for name in ("first.safetensors", "second.safetensors")]
+    for file in files:
+        cloth.main([f"data={cloth_dataset}", f"pictures={tmp_path / 'pictures'}", f"out={file}",
+                    "shards=2", "scenes=1", "epochs=2", "workers=1"])
+    assert files[0].read_bytes() == files[1].read_bytes()
+    assert len(files[0].read_bytes()) == len(BUNDLED.read_bytes()) < 2_000_000
+    ClothNetwork().load_state_dict(load_file(files[0]), strict=False)
+    assert "of 2 shards are finished" in capsys.readouterr().out

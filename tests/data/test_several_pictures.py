@@ -10,17 +10,19 @@ import yaml
 from PIL import Image
 
 from data.captures import joined_outlines
-from data.captures.joined_outlines import View, join
+from data.captures.joined_outlines import SeenOutline, join_outlines
 from data.captures.off_axis import AZIMUTHS, OUTWARDS
 from data.captures.preview import show
 from data.captures.reader import find_outline, read_capture
+from data.captures.seen import seen_photograph
 from data.dataset.off_axis import silhouette
 from data.pictures.mat import MATS
-from data.pictures.planes import behind
+from data.pictures.planes import behind, mapped
 from data.pictures.pose import Pose, camera_matrix, camera_poses
 from data.render import phone, textures
 from sim.draping import drape
 from sim.material import Fabric
+from sim.outlines import closed, farthest
 from sim.rig import DISC_RIG
 
 PLATE_HEIGHT, HEIGHT, SIZE = 0.12, 0.62, (1680, 1260)
@@ -149,18 +151,54 @@ def test_a_picture_that_contradicts_or_cannot_be_read_is_left_out_and_named(
     assert two.outline.error.max() > 5e-3
 
 
+def test_after_a_picture_without_a_pose_the_others_are_read_from_their_own_places(
+        tmp_path, shape, pictures):
+    """A messenger's copy has no focal length, and a corner of a picture does not show it."""
+    corner = changed(pictures[0], (0, 0, 840, 630))
+    capture = read_capture(folder_of(tmp_path / "copy", [corner, *pictures[1:]]))
+    said, = (found.text for found in capture.warnings if found.code == "picture_unread")
+    assert said.startswith("outline_1.jpg is left out") and "focal length" in said
+    sound = read_capture(folder_of(tmp_path / "sound", pictures[1:])).outline
+    assert capture.outline.radii == pytest.approx(sound.radii, abs=1e-6)
+    assert np.array_equal(capture.outline.picture, sound.picture)
+    assert error_mm(capture, shape) < 1.5
+
+
 def test_a_picture_under_two_names_counts_once(tmp_path, pictures):
     capture = read_capture(folder_of(tmp_path / "twice", [pictures[0], *pictures[:2]]))
     said, = (one.text for one in capture.warnings if one.code == "picture_unread")
     assert said.startswith("outline_2.jpg is left out") and "same picture as outline_1.jpg" in said
 
 
-def test_a_plate_that_was_turned_between_pictures_is_turned_back(tmp_path, shape, pictures):
-    turned = read_capture(folder_of(tmp_path / "turned", [
-        pictures[0], taken(shape, PLACES[1], np.radians(-40))]))
+@pytest.fixture(scope="module")
+def turned_picture(shape):
+    """With the plate turned by 40 degrees, clockwise."""
+    return taken(shape, PLACES[1], np.radians(-40))
+
+
+def test_a_plate_that_was_turned_between_pictures_is_turned_back(
+        tmp_path, shape, pictures, turned_picture):
+    turned = read_capture(folder_of(tmp_path / "turned", [pictures[0], turned_picture]))
     said = next(found for found in turned.warnings if found.code == "picture_turned")
     assert said.values["value"] == pytest.approx(-40, abs=1) and error_mm(turned, shape) < 1.5
     assert "pictures_differ" not in codes(turned)
+
+
+def test_a_turned_plate_is_drawn_as_the_picture_shows_it(tmp_path, shape, pictures,
+                                                         turned_picture):
+    """The picture nearest to the axis is shown; the plate was turned before it."""
+    folder = folder_of(tmp_path / "turned", [turned_picture, pictures[0]])
+    with (folder / "capture.yaml").open("a") as stream:
+        stream.write("warp_direction_deg: 30\n")
+    seen = seen_photograph(folder)
+    true = silhouette(shape.positions, shape.mesh.edges, np.array(PLACES[0]), HEIGHT, azimuths=720)
+    to_metres = np.linalg.inv(seen.outline.to_pixels)
+    hem = farthest(closed(mapped(seen.hem, to_metres)), 720)
+    assert np.sqrt(np.square(hem - true).mean()) < 2e-3
+    x, y = np.diff(mapped(seen.warp, to_metres), axis=0)[0]
+    assert np.degrees(np.arctan2(y, x)) == pytest.approx(70, abs=1)
+    feet = mapped(seen.cameras, to_metres)
+    assert feet == pytest.approx(np.array([PLACES[1], PLACES[0]]), abs=0.02)
 
 
 def test_where_one_of_three_differs_the_others_decide():
@@ -168,15 +206,16 @@ def test_where_one_of_three_differs_the_others_decide():
     azimuth = np.arange(AZIMUTHS) * (2 * np.pi / AZIMUTHS)
     radius = 0.125 + 0.006 * np.cos(4 * azimuth)
     bulge = radius + 8e-3 * (np.abs(azimuth - 2) < np.radians(7.5))
-    views = [View(one[:, None] * OUTWARDS, np.array([0.02, 0.01]), 0.8, np.full(AZIMUTHS, 6e-4))
+    views = [SeenOutline(one[:, None] * OUTWARDS, np.array([0.02, 0.01]), 0.8,
+                         np.full(AZIMUTHS, 6e-4))
              for one in (radius, bulge, radius)]
-    found = join(views, DISC_RIG, PLATE_HEIGHT)
-    clean = join([views[0], views[2]], DISC_RIG, PLATE_HEIGHT)
+    found = join_outlines(views, DISC_RIG, PLATE_HEIGHT)
+    clean = join_outlines([views[0], views[2]], DISC_RIG, PLATE_HEIGHT)
     assert found.used == [0, 1, 2] and found.parted is None
     assert np.abs(found.radius - clean.radius).max() < 1.5e-3
     there = np.abs(azimuth - 2) < np.radians(6)
     assert np.median(found.error[there]) > 3 * np.median(found.error[~there])
-    parted = join(views[:2], DISC_RIG, PLATE_HEIGHT).parted
+    parted = join_outlines(views[:2], DISC_RIG, PLATE_HEIGHT).parted
     assert parted is not None and parted[0] == pytest.approx(2, abs=0.05)
 
 
@@ -184,11 +223,12 @@ def test_a_turned_plate_is_turned_back_though_outlines_cross_on_the_ground(monke
     azimuth = np.arange(AZIMUTHS) * (2 * np.pi / AZIMUTHS)
     radii = [0.12 + 0.01 * np.cos(6 * (azimuth - at)) + 0.004 * np.cos(2 * (azimuth - at))
              for at in (0.0, 0.2, 0.0)]
-    views = [View(radius[:, None] * OUTWARDS, np.array([0.02, 0.01]), 0.8, np.full(AZIMUTHS, 6e-4))
+    views = [SeenOutline(radius[:, None] * OUTWARDS, np.array([0.02, 0.01]), 0.8,
+                         np.full(AZIMUTHS, 6e-4))
              for radius in radii]
-    monkeypatch.setattr(joined_outlines, "on_ground",
+    monkeypatch.setattr(joined_outlines, "hidden_by_ground",
                         lambda views, *_: np.tile(azimuth < 1.2, (len(views), 1)))
-    found = join(views, DISC_RIG, PLATE_HEIGHT)
+    found = join_outlines(views, DISC_RIG, PLATE_HEIGHT)
     assert found.used == [0, 1, 2]
     assert found.turned == pytest.approx([0.0, 0.2, 0.0], abs=0.01)
 
@@ -208,14 +248,14 @@ def test_a_shadow_that_stays_on_the_mat_is_no_hem():
         hem = seen_by(radius[:, None] * OUTWARDS, PLATE_HEIGHT - 0.02, place)
         shadow = seen_by((radius + 0.02)[:, None] * OUTWARDS, 0.0, place)
         seen = np.where(np.abs(azimuth - 2)[:, None] < np.radians(20), shadow, hem)
-        views.append(View(seen, place[:2], HEIGHT, np.full(AZIMUTHS, 6e-4)))
+        views.append(SeenOutline(seen, place[:2], HEIGHT, np.full(AZIMUTHS, 6e-4)))
         clean.append(views[-1]._replace(curve=hem))
-    found = join(views, DISC_RIG, PLATE_HEIGHT)
+    found = join_outlines(views, DISC_RIG, PLATE_HEIGHT)
     inside, outside = np.abs(azimuth - 2) < np.radians(15), np.abs(azimuth - 2) > np.radians(25)
     assert found.used == [0, 1, 2]
     assert found.grounded[inside].mean() > 0.8 and not found.grounded[outside].any()
     assert np.median(found.error[inside]) > 5 * np.median(found.error[outside])
-    assert not join(clean, DISC_RIG, PLATE_HEIGHT).grounded.any()
+    assert not join_outlines(clean, DISC_RIG, PLATE_HEIGHT).grounded.any()
 
 
 def test_poses_of_pictures_upright_and_sideways_share_one_lens():

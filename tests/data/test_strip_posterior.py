@@ -4,9 +4,14 @@ import numpy as np
 import pytest
 from elastica_curves import LAWS, PRIOR, WEIGHT, curves_of
 
-import data.strips.posterior
+import drapenet.measured.strips.posterior
 from common.errors import InputError
-from data.strips.posterior import BendingLength, MeasuredStrip, StripEvidence, direction_evidence
+from drapenet.measured.strips.posterior import (
+    BendingLength,
+    MeasuredStrip,
+    StripEvidence,
+    direction_evidence,
+)
 from sim.cantilever import hang, heavy_elastica
 from sim.cloth import Laws
 from sim.energies.bending_variants import Hysteresis
@@ -25,8 +30,8 @@ def told(strips: list[MeasuredStrip], lengths: tuple[BendingLength, ...] = ()) -
 @pytest.fixture
 def equal_specimens(monkeypatch):
     """Strips of a fabric without scatter."""
-    monkeypatch.setattr(data.strips.posterior, "SPECIMEN_SCATTER", 1e-4)
-    monkeypatch.setattr(data.strips.posterior, "SCATTERS", np.array([1e-4]))
+    monkeypatch.setattr(drapenet.measured.strips.posterior, "SPECIMEN_SCATTER", 1e-4)
+    monkeypatch.setattr(drapenet.measured.strips.posterior, "SCATTERS", np.array([1e-4]))
 
 
 def measured(curve: np.ndarray, *, scale: float = 0.0, length_error: float = 3e-4, sign: int = 1,

@@ -22,7 +22,7 @@ from strip_photographs import (
 from apps.capture import main
 from apps.strip_curves import read_curve
 from common.findings import texts
-from data.strips.folder import read_strips
+from drapenet.measured.strips.folder import read_strips
 from experiments.estimation.strip_photographs import FAULTS, fault_case
 
 LIGHT = {"cloth": 200.0, "ground": 40.0, "clamp": 150.0}

@@ -8,9 +8,9 @@ import pytest
 import yaml
 
 from data.readings.quantity import STANDARD_GRAVITY
-from data.tension.folder import TensionSet, read_tension
-from data.tension.law import compliance, extension, reach
-from data.tension.posterior import (
+from drapenet.measured.tension.folder import TensionSet, read_tension
+from drapenet.measured.tension.law import compliance, extension, reach
+from drapenet.measured.tension.posterior import (
     FRICTION,
     KES_SHEAR,
     MeasuredExtension,

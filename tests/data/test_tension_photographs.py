@@ -11,8 +11,8 @@ import yaml
 from common.errors import InputError
 from data.pictures.pose import Pose
 from data.render.pulled import MarkedStrip
-from data.tension.folder import TensionSet, read_tension
-from data.tension.photograph import find_strip
+from drapenet.measured.tension.folder import TensionSet, read_tension
+from drapenet.measured.tension.photograph import find_strip
 from experiments.estimation.tension import pair_case
 
 PAIR = {"direction": "bias", "width_mm": 50.0, "gauge_mm": 100.0, "load_g": 50.0,
@@ -107,7 +107,7 @@ def test_a_band_that_is_found_askew_is_named_and_gives_the_same(tmp_path, monkey
         cos, sin = np.cos(angle), np.sin(angle)
         return replace(strip, along=np.array([[cos, -sin], [sin, cos]]) @ strip.along)
 
-    monkeypatch.setattr("data.tension.photograph.find_strip", turned)
+    monkeypatch.setattr("drapenet.measured.tension.photograph.find_strip", turned)
     read_askew = read(tmp_path)
     assert read_askew.photographs[0].extension == pytest.approx(straight.extension, abs=1e-4)
     warning, = read_askew.warnings

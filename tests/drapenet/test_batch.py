@@ -13,7 +13,8 @@ from workbooks import cells
 import infer
 from common.errors import InputError
 from data.captures.writer import write_capture
-from drapenet.batch.captures import entries_of, plain_name
+from drapenet.fabric.entries import entries_of, plain_name
+from drapenet.measured.read import sources_in
 from drapenet.result.tables import ROLES, csv_table
 from sim.rig import SQUARE_RIG
 
@@ -247,6 +248,16 @@ def test_trees_of_every_depth_are_found(tmp_path):
         entries_of(tmp_path / "wool")
     with pytest.raises(InputError, match="holds no captures"):
         entries_of(tmp_path / "denim" / "empty")
+
+
+def test_captures_are_found_in_the_order_of_their_numbers(tmp_path):
+    for place in ("2/1/9", "2/1/10", "2/1/11", "10/1/0", "2/1/2", "2/x-1/0", "2/x/0"):
+        (tmp_path / place).mkdir(parents=True)
+        (tmp_path / place / "capture.yaml").touch()
+    found = [str(entry.path.relative_to(tmp_path)) for entry in entries_of(tmp_path)]
+    assert found == ["2/1/2", "2/1/9", "2/1/10", "2/1/11", "2/x/0", "2/x-1/0", "10/1/0"]
+    names = [path.name for path in sources_in(tmp_path / "2" / "1", "capture")]
+    assert names == ["2", "9", "10", "11"]
 
 
 def test_results_of_names_that_a_file_system_confuses_lie_apart_and_inside(tmp_path):

@@ -12,12 +12,12 @@ import drapenet
 from common.errors import InputError
 from common.files import replace_json
 from common.findings import Finding, texts
-from data.fabrics.properties import ClothProperties
+from data.fabrics.fabrics import ClothProperties
+from drapenet.measured.base import Quantity
 from drapenet.network.checkpoint import Header, read_header
 from drapenet.network.predict import Draws
 from drapenet.result.estimate import make_estimate
 from drapenet.result.files import read_document, write_estimate
-from drapenet.result.quantity import Quantity
 from drapenet.result.terminal import terminal_text
 from sim.material import DIRECTIONS, DRAPE_CURVATURE, MICRO, NANO, is_admissible
 

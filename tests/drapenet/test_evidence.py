@@ -1,5 +1,8 @@
 """Sources of evidence: what they move, what contradicts, and that nothing narrows by error."""
 
+from pathlib import Path
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -11,13 +14,14 @@ from data.readings.cantilever import bending_length
 from data.readings.known import ByDirection, Known
 from data.readings.quantity import SPECIMEN_SCATTER
 from drapenet.config import EstimateOptions
-from drapenet.estimator.combine import combine
-from drapenet.estimator.estimate import estimate_fabric
-from drapenet.estimator.infer import prior_draws
-from drapenet.estimator.read import read_sources, require_directions
 from drapenet.evidence.combine import consistent, posterior, updated
 from drapenet.evidence.source import of_capture, of_refined, of_strips, of_values
 from drapenet.evidence.state import cloth_of_state, fabric_prior, prior_along, state_of
+from drapenet.fabric.combine import combine
+from drapenet.fabric.estimate import estimate_fabric, require_one_fabric
+from drapenet.fabric.infer import prior_draws
+from drapenet.fabric.sources import sources_of
+from drapenet.measured.base import Measured
 from drapenet.network.checkpoint import read_header
 from sim.material import DIRECTIONS, MICRO
 
@@ -180,13 +184,18 @@ def test_values_that_contradict_each_other_and_not_the_captures():
 
 
 def test_a_wrong_value_beside_strips_is_named_though_it_is_far_from_linear(header, tmp_path):
-    """A cloth between all of them would have none: it curls, and KES B and 2HB are others, too."""
+    """A cloth between all of them would have none: it curls, and KES B and 2HB are others, too.
+    Fabrics as anisotropic as published ones can be: each value by itself fits the others."""
+    stated = header.prior
+    wide = stated.model_copy(update={"anisotropy": [1.0, 1.0], "nuisances": {
+        **stated.nuisances, "membrane": [200.0, 2000.0]}})
+    header = header.model_copy(update={"prior": wide})
     (tmp_path / "strips.yaml").write_text(
         "density_g_m2: 210\nstrips:\n- {direction: warp, bending_length_mm: 28.4}\n"
         "- {direction: weft, bending_length_mm: 20.8, face: down}\n"
         "known: {kes_b_gf_cm2_per_cm: {warp: 0.24, weft: 0.10}, kes_2hb_gf_cm_per_cm: {warp: 0.9}}")
-    sources, _ = read_sources([], str(tmp_path), "")
-    estimate = estimate_fabric(sources, header, EstimateOptions(drapes=0))
+    sources = sources_of([], strips=tmp_path)
+    estimate = estimate_fabric(sources, header, EstimateOptions(drapes=0)).estimate
     assert [one.source for one in estimate.contradictions] == ["known.kes_2hb_gf_cm_per_cm.0"]
     length = np.median(estimate.reading("bending_length_mm"), axis=0)
     assert length[[0, 2]] == pytest.approx([28.4, 20.8], rel=0.03)
@@ -239,6 +248,18 @@ def test_refined_captures_count_the_prior_once(header):
     assert np.diag(twice.covariance)[:9] == pytest.approx(np.diag(expected.covariance), rel=0.3)
 
 
+def test_the_prior_is_that_of_what_the_network_has_learned_last(header):
+    """Earlier trainings, whose fabrics are not unseen, do not count."""
+    newest = header.dataset.generation[-1]
+    assert header.prior.fabrics == newest["prior"]
+    assert header.prior.model_dump(exclude={"fabrics"}).items() <= newest["sampling"].items()
+    states = state_of(fabric_prior(header))
+    bias = states[:, 1] - states[:, [0, 2]].mean(axis=1)  # log alpha against the yarns'
+    assert bias.std() == pytest.approx(0.15, abs=0.02)
+    low, high = np.exp(np.quantile(states[:, 8], [0.025, 0.975]))
+    assert (low, high) == pytest.approx((400, 2500), rel=0.1)
+
+
 def test_strips_alone_leave_the_other_directions_to_the_prior(header):
     density = 0.21
     prior = prior_along(fabric_prior(header), density)["weft"]
@@ -248,11 +269,21 @@ def test_strips_alone_leave_the_other_directions_to_the_prior(header):
     assert np.median(found.moduli()[0][:, 2]) == pytest.approx(40 * MICRO, rel=0.01)
     assert prior.mean[0] != pytest.approx(np.log(40 * MICRO), abs=0.1)
     assert found.constraint[2] < 0.05 < 0.2 < found.constraint[0] < 1
-    with pytest.raises(InputError, match="warp_direction_deg"):
-        require_directions(False, True, [])
+
+
+def test_what_is_along_the_yarns_needs_captures_whose_warp_is_marked():
+    def measured(known: Known | None = None, **about: object) -> Measured:
+        part = Measured(path=Path(), density=DENSITY, known=known)
+        return SimpleNamespace(**{name: getattr(part, name) for name in (
+            "density", "known", "label", "alone", "needs_warp", "marked")} | about)
+
+    unmarked = measured(marked=False)
+    with pytest.raises(InputError, match=r"strips along the yarns need .*warp_direction_deg"):
+        require_one_fabric([unmarked, measured(needs_warp=True)])
     with pytest.raises(InputError, match="known values along the yarns"):
-        require_directions(False, False, [lengths(60, 60)])
-    require_directions(False, False, [Known(membrane_n_per_m=600.0)])
+        require_one_fabric([unmarked, measured(lengths(60, 60))])
+    require_one_fabric([unmarked, measured(Known(membrane_n_per_m=600.0))])
+    require_one_fabric([measured(marked=True), measured(lengths(60, 60), needs_warp=True)])
 
 
 ERROR, PRIOR = 0.15, Normal(np.zeros(10), np.diag([0.9] * 3 + [1.0] * 7) ** 2)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from common.normal import Linear, Normal
-from data.strips.photograph import expected_strip
-from data.strips.posterior import direction_evidence, expected_evidence
-from drapenet.estimator.next_measurements import another_disc, drapes_evidence, reductions
+from drapenet.fabric.next_measurements import another_disc, drapes_evidence, reductions
+from drapenet.measured.strips.photograph import expected_strip
+from drapenet.measured.strips.posterior import direction_evidence, expected_evidence
 from drapenet.views.observation import Observation
 from sim.cantilever import heavy_elastica
 from sim.rig import GRAVITY, Rig

@@ -46,6 +46,20 @@ def test_a_fabric_is_estimated_as_by_the_command(untrained_checkpoint, tmp_path)
         drapenet.load(3)
 
 
+def test_captures_of_a_loaded_estimate_are_in_order_also_from_the_tenth_on(
+        untrained_checkpoint, tmp_path):
+    stated = list(range(30, 41))
+    for k, percent in enumerate(stated):
+        (tmp_path / "fabric" / str(k)).mkdir(parents=True)
+        (tmp_path / "fabric" / str(k) / "capture.yaml").write_text(
+            "density_g_m2: 150\ntester: disc300_support180\n"
+            f"known: {{drape_coefficient_percent: {percent}}}\n")
+    infer.main([f"capture={tmp_path / 'fabric'}", f"out={tmp_path / 'out'}", "drapes=0",
+                f"checkpoint={untrained_checkpoint}"])
+    assert [round(100 * seen.coefficient) for seen in drapenet.load(tmp_path / "out").captures
+            ] == stated
+
+
 def test_many_fabrics_are_estimated_by_name(untrained_checkpoint, tmp_path):
     for name, orientation in (("silk", 0.4), ("wool", 1.2)):
         write_skirt(tmp_path / "captures" / name / "1", orientation=orientation)

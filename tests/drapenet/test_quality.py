@@ -1,4 +1,4 @@
-"""Spoiled captures say what is wrong with them; sound ones say nothing."""
+"""Checks of captures, views that are not where they should be, sizes, and errors of outlines."""
 
 import json
 from dataclasses import replace
@@ -6,32 +6,45 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cloths import revolved, skirt
 from scipy import ndimage
 
 from common.errors import InputError
 from common.findings import sentences, texts
-from data.captures.check import warnings_of
+from data.captures.capture import warnings_of
+from data.render.cameras import camera_pose, nominal_camera
+from data.render.rays import DepthRenderer
 from data.render.setups import Setups, SyntheticCapture
+from drapenet.network.captures import outline_faults, reading_errors
 from drapenet.views.checks import (
+    MAX_SIZE_ERROR,
     SPECIMEN_OFFSET,
     Quality,
     measure,
     quality_checks,
     require_plate,
+    size_checks,
     specimen_offset,
+    turn_checks,
 )
+from drapenet.views.directions import AZIMUTHS, elevations
 from drapenet.views.located import LocatedViews
-from drapenet.views.radial_map import radial_map
+from drapenet.views.outline import outline_of_map
+from drapenet.views.radial_map import radial_map, side_direction
+from drapenet.views.sizes import Sizes, measured_sizes
+from drapenet.views.turns import CENTRE_BIAS
 from experiments.__main__ import main
 from experiments.estimation.specimen_offset import fit
 from sim.draping import drape
 from sim.material import Fabric
-from sim.rig import Rig
+from sim.rig import DISC_RIG, Rig
 
 RIG = Rig()
 FABRIC = Fabric([48e-6, 30e-6, 22e-6], [-96e-9, -60e-9, -44e-9])
 CLEAN = replace(Setups.load(), views=(0.0, 0.0, 0.0, 1.0), sensors={"smooth": 1.0}, border=0,
                 holes=0, hem_share=0.0)
+WRONG = np.radians([0.0, 5.0, -6.0, 3.0])  # of the table
+QUARTERS = np.arange(4) * np.pi / 2
 
 
 @pytest.fixture(scope="module")
@@ -179,3 +192,184 @@ def test_every_warning_has_a_remedy_in_the_docs(words):
     lines = (Path(__file__).parents[2] / "docs" / "rig.md").read_text("utf-8").splitlines()
     assert any(words in sentence for sentence in sentences().values())
     assert any(line.startswith("| ") and line.count("|") == 4 and words in line for line in lines)
+
+
+class Cone(LocatedViews):
+    """Points of a disc that is flat on its plate and falls steeply beyond it."""
+
+    size, plate, azimuths, slope = 0.3, 0.18, 1.0, np.radians(50)
+
+    @property
+    def clouds(self):
+        """Points in one view, about a millimetre apart."""
+        rng = np.random.default_rng(0)
+        length = self.size / 2 * np.sqrt(rng.random(60_000))
+        azimuth = 2 * np.pi * self.azimuths * rng.random(len(length))
+        beyond = np.maximum(length - self.plate / 2, 0.0)
+        radius = length - beyond * (1 - np.cos(self.slope))
+        return [np.column_stack([radius * np.cos(azimuth), radius * np.sin(azimuth),
+                                 -beyond * np.sin(self.slope)])]
+
+
+def measured(rig: Rig = DISC_RIG, **shape: float) -> Sizes:
+    views = np.zeros((1, 1, 1), np.float32)
+    cone = Cone.exact(views, nominal_camera(rig), rig, np.zeros(1))
+    for name, value in shape.items():
+        object.__setattr__(cone, name, value)
+    return measured_sizes(cone)
+
+
+@pytest.mark.parametrize("size", [0.24, 0.30, 0.36])
+@pytest.mark.parametrize("plate", [0.12, 0.18])
+def test_sizes_do_not_depend_on_the_stated_ones(size, plate):
+    found = measured(size=size, plate=plate)
+    assert found.specimen == pytest.approx(size, rel=0.07)
+    assert found.plate == pytest.approx(plate, rel=0.07)
+    assert [one.code for one in warnings_of(size_checks(found, MAX_SIZE_ERROR))] == [
+        *["specimen_size"] * (size != 0.30), *["plate_size"] * (plate != 0.18)]
+
+
+def test_a_tenth_of_a_drape_has_no_size():
+    found = measured(azimuths=0.1)
+    assert np.isnan([found.specimen, found.plate]).all()
+    assert warnings_of(size_checks(found, MAX_SIZE_ERROR)) == []
+
+
+def rms(values: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.square(values).mean(axis=-1))
+
+
+@pytest.fixture(scope="module")
+def drawn() -> tuple[np.ndarray, np.ndarray]:
+    return reading_errors(4000, np.random.default_rng(0))
+
+
+def test_errors_are_those_of_pictures_and_their_statement_tells_of_them(drawn):
+    off, stated = drawn
+    assert off.shape == stated.shape == (4000, AZIMUTHS)
+    assert (stated > 0).all()
+    # Of half a specimen of 300 mm, 1e-2 is 1.5 mm.
+    assert 2e-3 < np.median(rms(off)) < 2e-2
+    large = rms(stated) > np.median(rms(stated))
+    assert np.median(rms(off[large])) > 1.5 * np.median(rms(off[~large]))
+
+
+def test_errors_prefer_no_azimuth(drawn):
+    off, _ = drawn
+    squares = np.square(off).clip(max=1e-3)
+    deviation = squares.mean(axis=0) / (squares.std(axis=0) / np.sqrt(len(off)))
+    assert np.ptp(squares.mean(axis=0)) / squares.mean() < 12 / deviation.min()
+
+
+def test_faults_are_bites_and_bulges_of_a_few_degrees():
+    off = outline_faults(4000, np.random.default_rng(0))
+    some = np.abs(off).max(axis=1) > 0
+    assert 0.25 < some.mean() < 0.35
+    wide = (off[some] != 0).mean(axis=1) * 360
+    assert wide.min() >= 3 and wide.max() <= 45
+    assert 0.4 < (off[some].sum(axis=1) > 0).mean() < 0.6
+
+
+def test_edges_of_faults_are_sharp_or_soft():
+    off = np.abs(outline_faults(4000, np.random.default_rng(0)))
+    off = off[off.max(axis=1) > 0]
+    full = (off > 0.9 * off.max(axis=1, keepdims=True)).sum(axis=1) / (off > 0).sum(axis=1)
+    assert (full > 0.7).mean() > 0.1 and (full < 0.5).mean() > 0.3
+
+
+@pytest.fixture(scope="module")
+def renderer():
+    cloth = skirt(edge=6e-3, seed=1)
+    return DepthRenderer(cloth.positions, cloth.faces)
+
+
+def seen_from(pitch, distance, roll=0.0):
+    nominal = nominal_camera()
+    focal = nominal.fx * distance / 0.527
+    pose = camera_pose(distance=distance, pitch=np.radians(pitch), above=0.03, aside=-0.02,
+                       roll=np.radians(roll))
+    return replace(nominal, fx=focal, fy=focal, world_to_camera=pose)
+
+
+def located(renderer, camera, orientation, *, wrong=WRONG):
+    views = np.stack([renderer.view(camera, orientation + angle) for angle in QUARTERS + wrong])
+    nominal = replace(nominal_camera().intrinsics, fx=camera.fx, fy=camera.fy)
+    return LocatedViews.cut_out(views, nominal, Rig(), QUARTERS)
+
+
+@pytest.mark.parametrize(("pitch", "distance", "roll"), [(45, 0.6, 2.0), (32, 0.45, 0.0)])
+def test_the_table_s_turns_and_the_plate_s_centre_are_measured(renderer, pitch, distance, roll):
+    camera = seen_from(pitch, distance, roll)
+    found = located(renderer, camera, 0.3)
+    assert np.degrees(found.turns - QUARTERS) == pytest.approx(np.degrees(WRONG), abs=0.3)
+    pose = found.camera.world_to_camera
+    centre = pose[:3, :3] @ [*found.centre, 0] + pose[:3, 3]
+    assert centre == pytest.approx(camera.world_to_camera[:3, 3], abs=0.6e-3)
+
+
+def test_the_map_does_not_know_the_camera_nor_the_specimen_s_turn(renderer):
+    """Compared where both cameras see cloth: a cell holds its mean."""
+    one = radial_map(located(renderer, seen_from(45, 0.6), 0.3))
+    other = radial_map(located(renderer, seen_from(33, 0.45, 3.0), 1.2,
+                               wrong=WRONG[::-1] - WRONG[-1]))
+    # Sides are known up to quarter turns.
+    shifts = [np.roll(other.distance, k * AZIMUTHS // 4, axis=0) for k in range(4)]
+    seen = [(one.weight > 1) & (np.roll(other.weight, k * AZIMUTHS // 4, axis=0) > 1)
+            for k in range(4)]
+    gaps = [np.median(np.abs(shifted - one.distance)[both])
+            for shifted, both in zip(shifts, seen, strict=True)]
+    assert min(gaps) < 3e-4 and 10 * min(gaps) < np.median(gaps)
+
+
+def test_a_table_that_turns_wrongly_gives_a_warning(renderer):
+    wrong = np.radians([0.0, 9.0, -1.0, 2.0])
+    warning, = warnings_of(turn_checks(located(renderer, seen_from(40, 0.5), 0.1, wrong=wrong)))
+    assert "99° in view 1, not by 90°" in warning.text
+    sound = list(turn_checks(located(renderer, seen_from(40, 0.5), 0.1, wrong=np.zeros(4))))
+    assert len(sound) == 3 and not warnings_of(sound)
+
+
+@pytest.mark.parametrize("orientation", [0.0, 0.4, 1.2])
+def test_sides_and_marked_directions_become_azimuth_zero(renderer, orientation):
+    views = located(renderer, seen_from(40, 0.5), orientation)
+    found = radial_map(views)
+    off = (found.zero - orientation + np.pi / 4) % (np.pi / 2) - np.pi / 4
+    assert abs(np.degrees(off)) < 4
+    marked = radial_map(views, zero=orientation)
+    assert marked.zero == orientation
+    rest = side_direction(marked.distance, marked.weight, Rig())
+    assert abs(np.degrees((rest + np.pi / 4) % (np.pi / 2) - np.pi / 4)) < 4
+
+
+def test_distances_are_those_of_the_cloth(renderer):
+    """A cone's: known in closed form."""
+    rings = np.linspace(0.0, 1.0, 41)
+    points, faces = revolved(np.append(0.0, 0.05 + 0.06 * rings), np.append(0.0, -0.09 * rings))
+    camera = seen_from(40, 0.5)
+    views = np.stack([DepthRenderer(points, faces).view(camera, angle) for angle in QUARTERS])
+    # As the plate of a drape is located: a little too near. A cone itself does not show it.
+    pose = camera.world_to_camera.copy()
+    pose[:3, 3] += pose[:3, :3] @ [0.0, -CENTRE_BIAS, 0.0]
+    found = radial_map(LocatedViews.registered(
+        views, replace(camera, world_to_camera=pose), Rig(), QUARTERS), zero=0.0)
+    borders = elevations(Rig())
+    up = (borders[1:] + borders[:-1]) / 2
+    # From (0, -0.06): r = 0.05 + 2/3 t, z = 0.06 - t, cut by the direction (cos up, sin up).
+    drop = (0.06 - np.tan(up) * 0.05) / (1 + np.tan(up) * 2 / 3)
+    expected = (0.05 + 2 / 3 * drop) / np.cos(up)
+    known = (drop > 0.01) & (drop < 0.08)
+    gap = np.abs(found.distance - expected)[:, known]
+    assert known.sum() > 15 and np.median(gap) < 3e-4 and np.quantile(gap, 0.95) < 1.5e-3
+
+
+@pytest.mark.parametrize("pitch", [30, 45])
+def test_the_drape_coefficient_is_that_of_the_cloth(renderer, pitch):
+    """A cone's: known in closed form."""
+    rings = np.linspace(0.0, 1.0, 41)
+    cone = DepthRenderer(*revolved(np.append(0.0, 0.05 + 0.06 * rings),
+                                   np.append(0.0, -0.05 * rings)))
+    camera = seen_from(pitch, 0.5)
+    found = radial_map(
+        LocatedViews.registered(cone.views(camera), camera, Rig(), QUARTERS), zero=0.0)
+    expected = np.pi * (0.11**2 - 0.05**2) / (0.09 - np.pi * 0.05**2)
+    assert outline_of_map(found, Rig()).coefficient(Rig()) == pytest.approx(expected, abs=0.008)

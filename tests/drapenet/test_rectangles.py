@@ -9,7 +9,7 @@ import torch
 from cloths import write_dataset
 
 from common.errors import InputError
-from data.captures.check import warnings_of
+from data.captures.capture import warnings_of
 from data.dataset.folder import finished_manifest
 from data.render.cameras import QUARTERS, nominal_camera
 from data.render.rays import DepthRenderer
@@ -19,9 +19,8 @@ from drapenet.network.captures import CaptureSet, Condition
 from drapenet.network.checkpoint import read_header
 from drapenet.network.dataset import make_maps
 from drapenet.network.inputs import FACTS
-from drapenet.network.load import network_of
 from drapenet.network.model import make_network
-from drapenet.network.predict import batch_of, predict
+from drapenet.network.predict import batch_of, network_of, predict
 from drapenet.network.targets import Symmetry
 from drapenet.network.weights import Loaded
 from drapenet.views.checks import REFUSED_SIZE_ERROR, size_checks

@@ -1,23 +1,42 @@
-"""Objectives: values that are known, and derivatives against differences."""
+"""What a refinement minimises, how it does, and what it gives to an estimate."""
 
 import math
+from functools import partial
 
 import numpy as np
 import pytest
+from scipy.optimize import lsq_linear
 
+from common.configs import read_option
+from common.findings import texts
 from common.types import Turns
+from data.fabrics.fabrics import ClothProperties, fabric_from_theta
 from data.render.cameras import QUARTERS, Camera, nominal_camera
 from data.render.rays import DepthRenderer
+from drapenet.network.checkpoint import read_header
+from drapenet.refine import refine
 from drapenet.refine.depth import BORDER, EDGE, FOCAL, POSE, DepthViews, DepthWeights, table_names
+from drapenet.refine.minimise import Limits, Status, minimise
 from drapenet.refine.objective import (
     fit_nuisances,
     huber,
     value,
 )
-from drapenet.surface.placement import surface_positions
+from drapenet.refine.positions import Fidelity
+from drapenet.refine.problem import Effort, Trial, Uncertainty
+from drapenet.refine.search import CapturedViews, SearchResult
+from drapenet.refine.unknowns import NAMES, Unknowns
+from drapenet.result.estimate import Estimate
+from drapenet.surface.springs import surface_positions
 from drapenet.views.located import LocatedViews
+from sim.draping import Drape, drape
+from sim.material import DIRECTIONS, MICRO
 from sim.mesh import grid_faces
 from sim.rig import Rig
+
+HEADER = read_header()
+THETA = np.concatenate([np.log(np.array([60, 40, 30]) * MICRO), np.full(3, -2e-3)])
+SPREAD = np.array([0.9, 0.8, 0.9, 1.4e-3, 1.4e-3, 1.4e-3])
 
 
 def dome(cells: int = 30) -> tuple[np.ndarray, np.ndarray]:
@@ -169,3 +188,172 @@ def test_a_specimen_is_laid_on_a_cone_at_its_own_arc_lengths():
     assert np.abs(reach - expected)[outside].max() < 3e-3
     assert np.abs(placed[:, 2] + beyond * math.sin(slope))[outside].max() < 3e-3
     assert placed[~outside, :2] == pytest.approx(rest[~outside])
+
+
+class Linear:
+    """Residuals A x - b between bounds."""
+
+    def __init__(self, matrix: np.ndarray, target: np.ndarray, start: np.ndarray) -> None:
+        self.matrix, self.target, self.start = matrix, target, start
+        self.low, self.high = np.full(len(start), -2.0), np.full(len(start), 2.0)
+        self.evaluations = 0
+
+    def value(self, x: np.ndarray) -> float:
+        self.evaluations += 1
+        residuals, _ = self.linearised(x)
+        return 0.5 * float(residuals @ residuals)
+
+    def linearised(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return self.matrix @ x - self.target, self.matrix
+
+
+class Valley(Linear):
+    """Rosenbrock's function, without a value beyond a wall."""
+
+    def __init__(self, wall: float = math.inf) -> None:
+        super().__init__(np.eye(2), np.zeros(2), np.array([-1.2, 1.0]))
+        self.wall = wall
+
+    def value(self, x: np.ndarray) -> float:
+        value = super().value(x)
+        return value if x[0] < self.wall else math.inf
+
+    def linearised(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return (np.array([10 * (x[1] - x[0] ** 2), 1 - x[0]]),
+                np.array([[-20 * x[0], 10.0], [-1.0, 0.0]]))
+
+
+START_VALUE = 0.5 * (4.4**2 + 2.2**2)
+
+
+def linear(seed: int) -> Linear:
+    rng = np.random.default_rng(seed)
+    return Linear(rng.standard_normal((9, 4)), rng.standard_normal(9) * 4, rng.uniform(-1, 1, 4))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_bounded_linear_problems_are_solved(seed):
+    problem = linear(seed)
+    expected = lsq_linear(problem.matrix, problem.target, (-2, 2))
+    outcome = minimise(problem, limits=Limits(evaluations=200, step=1e-9, decrease=1e-12))
+    assert outcome.value == pytest.approx(expected.cost, rel=1e-6)
+    assert np.abs(outcome.x - expected.x).max() < 1e-3
+
+
+def test_a_bent_valley_is_followed_to_its_end():
+    problem = Valley()
+    outcome = minimise(problem, limits=Limits(2000, step=1e-8, decrease=1e-12))
+    assert outcome.status is Status.CONVERGED
+    assert outcome.evaluations == problem.evaluations <= 40
+    assert np.abs(outcome.x - 1).max() < 1e-2 and outcome.value < 1e-6
+
+
+def test_a_wall_of_failed_simulations_is_not_passed():
+    problem = Valley(wall=0.3)
+    outcome = minimise(problem, limits=Limits(120))
+    assert problem.evaluations <= 120
+    assert outcome.value < 0.5 * START_VALUE and outcome.x[0] < 0.3
+
+
+def test_what_nothing_depends_on_keeps_its_value():
+    problem = linear(0)
+    problem.matrix[:, 2] = 0.0
+    outcome = minimise(problem, limits=Limits(evaluations=50, step=1e-9))
+    assert outcome.x[2] == pytest.approx(problem.start[2], abs=1e-6)
+    assert outcome.status is Status.CONVERGED
+
+
+def test_the_limit_is_kept_and_every_evaluation_reported():
+    problem, reports = Valley(), []
+    outcome = minimise(problem, limits=Limits(7, step=1e-12, decrease=1e-15),
+                       report=partial(reports.append, None))
+    assert problem.evaluations == outcome.evaluations == len(reports) == 7
+    assert outcome.status is Status.EXHAUSTED
+
+
+def test_the_result_is_never_worse_than_the_start():
+    class Wrong(Valley):
+        def linearised(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            residuals, jacobian = super().linearised(x)
+            return residuals, -jacobian
+
+    outcome = minimise(Wrong(), limits=Limits(30))
+    assert outcome.value <= START_VALUE and outcome.status is Status.STALLED
+
+
+def test_a_start_without_a_value_is_reported():
+    outcome = minimise(Valley(wall=-2.0))
+    assert outcome.status is Status.FAILED and outcome.value == math.inf
+
+
+def before() -> Estimate:
+    deviation = np.array([0.3, 0.2, 0.3, 3e-4, 2e-4, 3e-4])
+    samples = THETA + deviation * np.random.default_rng(0).normal(size=(1000, 6))
+    cloth = ClothProperties(samples, np.zeros((1000, 2)), np.full(1000, 600.0), np.full(1000, 0.2))
+    return Estimate(cloth, DIRECTIONS, 0.15, SPREAD)
+
+
+@pytest.fixture(scope="module")
+def draped() -> Drape:
+    return drape(fabric_from_theta(THETA), edge=8e-3)
+
+
+def run(
+    shape: Drape, monkeypatch: pytest.MonkeyPatch, *, start_value: float = 50.0
+) -> tuple[refine.Refinement, dict]:
+    """A refinement whose search finds ``shape`` with known uncertainties."""
+    asked = {}
+
+    def search(
+        _: CapturedViews, starts: list[Unknowns], *, free: list[str], **more
+    ) -> SearchResult:
+        asked.update(starts=starts, free=free)
+        names = (*(name for name in NAMES if name in free), "turn")
+        objective = CapturedViews(located, turn=0.5, edge=8e-3, coarse=8e-3).objective(8e-3)
+        nuisance = objective.start
+        trial = Trial(np.zeros(len(names)), Unknowns.of(THETA + 0.1), nuisance, shape, 10.0, 10.0)
+        return SearchResult(trial, objective, Effort(), start_value, Uncertainty(
+            names, 0.01 * np.eye(len(names)), 1.0), shape, Status.CONVERGED, "")
+
+    monkeypatch.setattr(refine, "search", search)
+    camera = nominal_camera()
+    views = DepthRenderer(shape.positions, shape.faces).views(camera, 0.5).astype(np.float32)
+    located = LocatedViews.exact(views, camera, Rig(), QUARTERS)
+    result = refine.refine_capture(
+        before().cloth, located, HEADER, density=0.15, warp=0.5, face=-1,
+        settings=read_option("refine", "simulation") | {"edge_mm": 8.0})
+    return result, asked
+
+
+def test_samples_are_those_of_the_network_and_as_many_of_the_search(draped, monkeypatch):
+    result, asked = run(draped, monkeypatch)
+    network, searched = np.split(result.draws.cloth.theta, 2)
+    np.testing.assert_allclose(network.mean(axis=0), before().samples.mean(axis=0))
+    np.testing.assert_allclose(network.std(axis=0),
+                               refine.NARROWED * before().samples.std(axis=0))
+    assert searched.mean(axis=0)[:3] == pytest.approx(THETA[:3] + 0.1, abs=0.02)
+    assert searched.std(axis=0)[0] == pytest.approx(refine.NARROWED * 0.1, rel=0.1)
+    assert result.searched.mean[:6] == pytest.approx(THETA + 0.1)
+    mean = np.array(result.content["posterior"]["mean"])
+    assert mean[:6] == pytest.approx(result.draws.cloth.theta.mean(axis=0))
+    assert result.draws.known and not result.warnings
+    assert result.resimulation.overlap > 0.97
+    membrane = result.content["specimen"]["membrane_n_per_m"]
+    assert membrane["interval_68"][1] / membrane["median"] == pytest.approx(math.exp(0.1))
+    assert membrane["median"] == pytest.approx(200 * 0.15 / 0.3)  # of the fabric of 150 g/m²
+    assert len(asked["starts"]) == 3
+    np.testing.assert_allclose(asked["starts"][0].theta, before().theta, rtol=1e-12)
+
+
+def test_a_refinement_that_gains_nothing_leaves_the_network_its_answer(draped, monkeypatch):
+    result, _ = run(draped, monkeypatch, start_value=10.2)
+    assert result.draws is None
+    assert "refinement_no_better" in [found.code for found in result.warnings]
+
+
+@pytest.mark.parametrize(("displacement", "warning"), [
+    (3.0, None), (12.0, "12 mm from the scan"), (None, "does not come to rest")])
+def test_cloth_released_at_a_scan_stays_there(displacement, warning):
+    near = displacement and Fidelity(displacement, 1.0, 70.0, 70.0)
+    warnings = texts(refine._scan_warnings(near))
+    assert len(warnings) == (warning is not None) and (warning or "") in "".join(warnings)

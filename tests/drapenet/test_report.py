@@ -1,30 +1,48 @@
-"""The report for a customer: what it states, as page and as PDF; names of any kind."""
+"""Reports, files of shapes, and the garment."""
 
 import io
 import json
 import re
 from base64 import b64decode, b64encode
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+import trimesh
 from estimates import DOUBT, document_of, estimate_of
 from matplotlib.figure import Figure
 from PIL import Image
+from scipy.spatial import cKDTree
 
+import drapenet
+from common.errors import InputError
 from common.findings import Finding
-from drapenet.report.passport import Passport
+from data.render.cameras import nominal_camera
+from data.render.rays import DepthRenderer
+from drapenet.report.drape import Resimulation, turned
+from drapenet.report.garment import preview
 from drapenet.report.pdf import as_pdf
-from drapenet.report.report import ShownCapture, write_report
+from drapenet.report.report import Passport, ShownCapture, write_report
+from drapenet.report.shapes import drape_glb
 from drapenet.result.document import EstimateDocument
 from drapenet.result.files import PAGE, PDF, capture_names, fabric_name
 from drapenet.result.terminal import terminal_text
+from drapenet.views.located import LocatedViews
+from sim.draping import drape
+from sim.material import MICRO, NANO, Fabric
+from sim.rig import Rig
+from sim.skirt import skirt
+from sim.solver.newton import Status
 
 ALPHA, BETA = np.array([52e-6, 31e-6, 22e-6]), np.array([-158e-9, -101e-9, -69e-9])
 SOFTENING = np.array([-300e-9, -102e-9, -69e-9])  # within KES's range, in part along the bias
 LABELS = {"fabric": "Twill 7/8, navy", "date": "2026-11-26", "laboratory": "Textile laboratory",
           "operator": "M. Muster", "camera": "D435i, no. 12"}
+RIG = Rig.from_name("square300_cylinder100")
+ESTIMATE = estimate_of(np.array([120.0, 90.0, 100.0]) * MICRO, np.full(3, -90 * NANO),
+                       deviation=0.1)
 
 
 def document(
@@ -210,3 +228,96 @@ def test_names_of_any_kind_are_text_in_page_and_pdf(tmp_path, name):
     assert "<b>" not in (tmp_path / PAGE).read_text("utf-8")
     assert (tmp_path / PDF).read_bytes().startswith(b"%PDF-")
     assert as_pdf("<p>α</p>", name, Passport("x").code).startswith(b"%PDF-")
+
+
+def test_captured_surface_lies_on_the_drape_that_was_captured():
+    fabric = Fabric(alpha=np.array([60, 40, 20]) * MICRO, beta=np.zeros(3))
+    result = drape(fabric, edge=6e-3, seed=3)
+    camera = nominal_camera(RIG)
+    turns = np.radians([0.0, 70.0, 180.0, 250.0])
+    renderer = DepthRenderer(result.positions, result.faces)
+    views = renderer.views(camera, 0.4, turns)
+    located = LocatedViews.registered(views, camera, RIG, turns)
+    shown = Resimulation.beside(located, views, result, turned(result.positions, 0.4),
+                                ("converged",))
+    scene = trimesh.load(io.BytesIO(drape_glb(RIG, located, shown)), file_type="glb")
+    simulated, captured = (scene.geometry[name] for name in ("simulated", "captured"))
+    # glTF's y is up: right, up, towards the camera.
+    lies = turned(result.positions, 0.4)[:, [0, 2, 1]] * [1, 1, -1]
+    assert np.allclose(simulated.vertices, lies, atol=1e-6)
+    dense = trimesh.Trimesh(lies, result.faces, process=False)
+    points, _ = trimesh.sample.sample_surface(dense, 200_000, seed=1)
+    apart, _ = cKDTree(points).query(captured.vertices)
+    # The plate is located to 1 or 2 mm; turned the wrong way, points lie centimetres off.
+    assert np.quantile(apart, 0.95) < 4e-3 and np.median(apart) < 1.5e-3
+    hanging = lies[lies[:, 1] < -0.01]  # and the views go all around
+    nearest, _ = cKDTree(captured.vertices).query(hanging)
+    assert np.quantile(nearest, 0.8) < 8e-3
+
+
+def coarse(work, plans):
+    """Simulated here, on coarse meshes."""
+    return [work(**plan | ({"edge": 25e-3} if work is skirt else {})) for plan in plans]
+
+
+@pytest.fixture(scope="module")
+def garments():
+    return preview(ESTIMATE, samples=3, seed=5, run=coarse)
+
+
+def test_a_seed_gives_the_same_bytes_and_another_seed_other_samples(garments, tmp_path):
+    again = preview(ESTIMATE, samples=3, seed=5, run=coarse)
+    assert (again.picture, again.shapes) == (garments.picture, garments.shapes)
+    stiffness = [fabric.alpha[0] for fabric in garments.fabrics]
+    assert stiffness == sorted(stiffness) and not garments.failures
+    garments.write(tmp_path)
+    assert (tmp_path / "garment.png").read_bytes() == garments.picture
+    assert (tmp_path / "garment.glb").read_bytes() == garments.shapes
+    other = preview(ESTIMATE, samples=3, seed=6, run=lambda work, plans: coarse(work, plans[:1])
+                    if work is skirt else [garments.middle] * len(plans))
+    assert set(other.rows) != set(garments.rows)
+
+
+def test_the_file_has_a_node_of_each_sample_with_its_moduli(garments):
+    scene = trimesh.load(io.BytesIO(garments.shapes), file_type="glb")
+    nodes = {scene.graph.transforms.edge_data["world", name]["metadata"]["sample"]: name
+             for name in scene.graph.nodes_geometry}
+    assert nodes == {row: f"sample_{row}" for row in garments.rows}
+    alpha, beta = ESTIMATE.moduli()
+    for row, found in zip(garments.rows, garments.skirts, strict=True):
+        extras = scene.graph.transforms.edge_data["world", nodes[row]]["metadata"]
+        assert extras["density_g_m2"] == 210
+        for key, unit, values in (("alpha_uN_m", MICRO, alpha), ("beta_nN_m2", NANO, beta)):
+            assert list(extras[key]) == ["warp", "bias", "weft"]
+            np.testing.assert_allclose([*extras[key].values()], values[row] / unit, rtol=1e-3)
+        _, geometry = scene.graph[nodes[row]]
+        # glTF's y is up, and origins are apart.
+        np.testing.assert_allclose(scene.geometry[geometry].vertices,
+                                   found.positions[:, [0, 2, 1]] * [1, 1, -1], atol=1e-6)
+    places = {tuple(scene.graph[name][0][:3, 3]) for name in nodes.values()}
+    assert len(places) == 3
+
+
+def test_a_skirt_that_fails_is_a_record(garments):
+    first, *others = garments.skirts
+    failed = replace(garments, skirts=(first.ended(Status.LINE_SEARCH, "no descent"), *others))
+    assert failed.failures == {garments.rows[0]: "no descent"}
+    scene = trimesh.load(io.BytesIO(failed.shapes), file_type="glb")
+    assert set(scene.graph.nodes_geometry) == {f"sample_{row}" for row in garments.rows[1:]}
+    assert failed.picture.startswith(b"\x89PNG") and failed.picture != garments.picture
+
+
+def test_samples_that_no_cloth_can_have_are_not_shown(garments):
+    theta = ESTIMATE.samples.copy()
+    theta[7:, 1] -= 3  # a bias this soft belongs to no plate, if warp and weft differ
+    theta[7:, 0] += 2
+    poor = replace(ESTIMATE, cloth=replace(ESTIMATE.cloth, theta=theta))
+    chosen = preview(poor, samples=7, run=lambda work, plans: [garments.middle] * len(plans))
+    assert set(chosen.rows) == {*range(7)}
+    with pytest.raises(InputError, match=r"7 of the 13 samples .* and 12 are needed; estimate"):
+        drapenet.preview(poor)
+    lost = garments.middle.ended(Status.LINE_SEARCH, "no descent")
+    with pytest.raises(InputError, match=r"no skirt .* converged \(no descent\); give another"):
+        preview(ESTIMATE, run=lambda work, plans: [lost])
+    with pytest.raises(InputError, match="estimate='twill' is not of the class Estimate"):
+        drapenet.preview("twill")

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from exported import ALPHA, BETA, exported
 
-from data.tension.law import POISSON, compliance
 from drapenet.export.formats import TARGETS, export
 from drapenet.export.material import read_material
+from drapenet.measured.tension.law import compliance
 from sim.material import torque
+from sim.tension import POISSON
 
 
 def test_arcsim_s_table_gives_the_torque_by_arcsim_s_rules(estimate):

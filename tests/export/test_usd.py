@@ -34,7 +34,7 @@ def test_usd_opens_with_clo_s_and_the_proposal_s_attributes(estimate):
     assert list(in_si.values()) == pytest.approx([mean, flat[0], DENSITY], rel=1e-6)
     about = json.loads(prim.GetCustomDataByKey("drapenet"))
     left = set(about["tool_defaults"])
-    assert {"primvars:clo:stretchWarp", "primvars:clo:internalDamping", "physics:density",
+    assert {"primvars:clo:stretchWarp", "primvars:clo:thickness", "primvars:clo:internalDamping",
             "physics:surfaceShearStiffness"} < left
     assert not any(prim.HasAttribute(name) and prim.GetAttribute(name).HasAuthoredValue()
                    for name in left)
@@ -61,6 +61,19 @@ def test_usd_has_all_that_is_known(known):
     assert not physics.GetDynamicFrictionAttr().HasAuthoredValue()
     assert set(json.loads(prim.GetCustomDataByKey("drapenet"))["tool_defaults"]) == {
         "physics:dynamicFriction", "primvars:clo:internalDamping", "primvars:clo:shrinkage"}
+
+
+@pytest.mark.parametrize(("fixture", "assumed"), [("estimate", 1.0), ("known", None)])
+def test_density_times_thickness_is_the_weight(fixture, assumed, request):
+    usd = pytest.importorskip("pxr.Usd")
+    stage = usd.Stage.Open(str(exported(request.getfixturevalue(fixture), "usd")))
+    prim = stage.GetDefaultPrim()
+    density, thickness = (prim.GetAttribute(f"physics:{key}").Get()
+                          for key in ("density", "surfaceThickness"))
+    assert density * thickness == pytest.approx(DENSITY, rel=1e-6)
+    about = json.loads(prim.GetCustomDataByKey("drapenet"))
+    assert about.get("thickness_assumed_mm") == assumed
+    assert ("thickness" in about["not_known"]) == (assumed is not None)
 
 
 @pytest.mark.parametrize(("name", "label"), [

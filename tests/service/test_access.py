@@ -8,8 +8,10 @@ import pytest
 from fastapi.testclient import TestClient
 from services import BreakablePool, settings_for
 
+import drapenet.service.access
 import drapenet.service.app
 from common.errors import InputError
+from drapenet.service.access import Guard
 from drapenet.service.app import create_app, serve
 
 PASSWORD = "Öl: 8 Rollen"
@@ -111,3 +113,38 @@ def test_every_address_asks_for_the_password(client):
 def test_other_credentials_are_refused(client, headers):
     raw = {name: value.encode("latin-1") for name, value in headers.items()}
     assert client.get("/fabrics", headers=raw).status_code == 401
+
+
+def test_wrong_passwords_of_an_address_are_counted(client, monkeypatch):
+    now = [1000.0]
+    monkeypatch.setattr(drapenet.service.access, "monotonic", lambda: now[0])
+    right, wrong = (stating(f"x:{text}".encode()) for text in (PASSWORD, "wrong guess"))
+
+    def statuses(*headers: dict[str, str]) -> list[int]:
+        return [client.get("/fabrics", headers=stated).status_code for stated in headers]
+
+    assert statuses(*[{}] * 20, right) == [401] * 20 + [200]  # browsers ask first
+    assert statuses(*[wrong] * 12, right) == [401] * 10 + [429] * 3
+    answer = client.get("/fabrics", headers=right)
+    assert "wrong passwords" in answer.json()["error"] and answer.headers["retry-after"] == "30"
+    now[0] += 31
+    assert statuses(right, right, wrong, right) == [200, 200, 401, 429]
+    now[0] += 3600
+    assert statuses(*[wrong] * 12) == [401] * 10 + [429] * 2
+
+
+def test_guesses_are_counted_by_network_and_of_a_bounded_number_of_clients(monkeypatch):
+    monkeypatch.setattr(drapenet.service.access, "_CLIENTS", 50)
+    guard = Guard(PASSWORD)
+
+    def status(host: str, password: str = "wrong guess") -> int | None:
+        refusal = guard.refusal(SimpleNamespace(client=SimpleNamespace(host=host),
+                                                headers=stating(f"x:{password}".encode())))
+        return refusal and refusal[0]
+
+    assert [status(f"fd00::{k:x}") for k in range(11)] == [401] * 10 + [429]
+    assert status("fd00:0:0:1::1", PASSWORD) is None
+    assert [status(f"::ffff:192.0.2.{k}") for k in range(20)] == [401] * 20
+    assert status("fd00::9", PASSWORD) == 429
+    assert [status(f"198.51.100.{k}") for k in range(100)] == [401] * 100
+    assert status("fd00::9", PASSWORD) is None and len(guard._forgotten) == 50

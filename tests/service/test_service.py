@@ -24,9 +24,11 @@ from workbooks import cells
 from common.documents import yaml_text
 from data.captures.preview import show
 from data.captures.reader import read_capture
-from drapenet.estimator.estimate import join, read_part
-from drapenet.estimator.stages import by_network
 from drapenet.export.formats import TARGETS
+from drapenet.fabric.estimate import join
+from drapenet.fabric.part import stored_part
+from drapenet.fabric.sources import Source
+from drapenet.fabric.stages import by_network
 from drapenet.network.checkpoint import read_header
 from drapenet.result.document import EstimateDocument
 from drapenet.service.app import create_app
@@ -282,7 +284,8 @@ def test_captures_of_a_fabric_have_one_join(client, finished, joined):
     assert document["capture"]["sources"] == ["Twill_b_7/capture_1", "Twill_b_7/two_views"]
     folder = client.app.state.jobs.settings.folder
     expected, _ = join(
-        [read_part(folder / member) for member in joined["members"]],
+        [stored_part(Source(place=folder / "gone"), folder / member, "")
+         for member in joined["members"]],
         read_header(client.app.state.jobs.settings.checkpoint))
     assert document["moduli"]["warp"]["alpha_uN_m"]["median"] == pytest.approx(
         np.median(expected.moduli()[0][:, 0]) * 1e6)
@@ -297,7 +300,8 @@ def test_the_same_views_are_joined_once_said_and_can_be_removed(client, finished
     jobs, again = client.app.state.jobs, "a" * 32  # as its estimate would be
     shutil.copytree(jobs.settings.folder / finished["id"], jobs.settings.folder / again)
     jobs.database.add_estimate(again, finished["fabric"], "capture 2", state="done",
-                               estimate=finished["estimate"])
+                               estimate=finished["estimate"],
+                               task=jobs.database.estimate(finished["id"])["task"])
     jobs._join(finished["fabric"])
     for _ in range(600):
         found = client.get(f"/estimates/{joined['id']}").json()

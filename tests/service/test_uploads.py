@@ -20,11 +20,12 @@ from common.errors import InputError
 from data.captures.capture import Capture, ReportedCapture
 from data.captures.reader import read_capture
 from data.readings import QUANTITIES
-from data.strips.description import StripsDescription, read_description
-from data.tension.description import read_description as read_tension_description
 from drapenet.config import ServeConfig
+from drapenet.measured.strips.description import StripsDescription, read_description
+from drapenet.measured.tension.description import TensionDescription
 from drapenet.service.forms import error_field, value_fields
 from drapenet.service.limits import RequestError
+from drapenet.service.received import unpacked
 from drapenet.service.uploads import Upload, checked_upload
 from sim.material import DIRECTIONS
 
@@ -50,6 +51,22 @@ def zipped(files: list[tuple[str, bytes]], kind: int = zipfile.ZIP_DEFLATED) -> 
         for name, data in files:
             archive.writestr(name, data)
     return stream.getvalue()
+
+
+@pytest.mark.parametrize("kind", [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2,
+                                  zipfile.ZIP_LZMA])
+def test_any_damage_of_a_zip_is_refused_in_a_line(settings, kind):
+    whole, refused = zipped([("a/view_0.png", PICTURE[:2000]), YAML], kind), 0
+    rng = np.random.default_rng(0)
+    for place in rng.integers(len(whole), size=300):
+        flipped = bytes([whole[place] ^ int(rng.integers(1, 256))])
+        for damaged in (whole[:place], whole[:place] + flipped + whole[place + 1:]):
+            try:
+                unpacked([("a.zip", damaged)], settings)
+            except RequestError as error:
+                refused += error.status_code == 422 and "zip" in error.detail
+                assert "\n" not in error.detail
+    assert refused > 400
 
 
 def png_of_size(width: int, height: int) -> bytes:
@@ -251,7 +268,7 @@ def test_strips_under_weights_are_in_a_file_or_in_the_form(settings, tmp_path):
         assert (upload.kind, upload.directions) == ("tension", "yarns")
         assert sorted(upload.files) == ["a25.png", "a_0.jpg", "tension.yaml"]
     (tmp_path / "tension.yaml").write_bytes(upload.files["tension.yaml"])
-    read = read_tension_description(tmp_path)
+    read = TensionDescription.in_folder(tmp_path)
     assert (read.tension[0].without, read.tension[0].under) == ("a_0.jpg", "a25.png")
     assert read.labels.operator == "M. Muster"
     form = {"density_g_m2": "210", "clip_g": "6", "name": "twill", "known.membrane_n_per_m": "600",
@@ -260,7 +277,7 @@ def test_strips_under_weights_are_in_a_file_or_in_the_form(settings, tmp_path):
     upload = checked_upload([], form, settings)
     assert (upload.kind, upload.name, upload.directions) == ("tension", "twill", "")
     (tmp_path / "tension.yaml").write_bytes(upload.files["tension.yaml"])
-    read = read_tension_description(tmp_path)
+    read = TensionDescription.in_folder(tmp_path)
     assert [(strip.load_g, strip.extension_mm, strip.specimen) for strip in read.tension] == [
         (25, 4.1, ""), (50, 9, "2")]
     assert read.clip_g == 6 and read.known.values() == {("membrane_n_per_m", 0): 600}

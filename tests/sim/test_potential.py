@@ -1,19 +1,32 @@
-"""The total energy over states with edge normals: steps, stages of convexity, what is kept."""
+"""Potentials, lowering, and the reference drape."""
 
+import energies_by_autograd as reference
 import numpy as np
 import pytest
+import torch
+from scipy.special import j0
 
 from sim.cloth import Cloth, Laws
+from sim.draping import drape
 from sim.energies.bending_variants import Hysteresis
+from sim.energies.external import Gravity
 from sim.energies.fold_barrier import LIMIT_START, is_bent, keeps_distance
+from sim.energies.membrane import Corotational
 from sim.energies.midedge import MidEdgeBending
 from sim.material import Fabric
-from sim.rig import Rig
+from sim.measures import fold_count
+from sim.mesh import Mesh, strip
+from sim.rig import DISC_RIG, GRAVITY, Rig
 from sim.scene import Scene, make_specimen
+from sim.solver.dynamics import Inertia, Motion
+from sim.solver.newton import Status
 from sim.solver.potential import forces
 from sim.solver.state import State, moved
 
 RIG = Rig()
+SOFT = Fabric(np.full(3, 20e-6))
+FABRICS = [Fabric([98.8e-6, 23.5e-6, 21.2e-6], [-247e-9, -58.8e-9, -53e-9]),
+           Fabric([20e-6, 30e-6, 10e-6], [40e-9, 10e-9, 5e-9], density=0.2)]
 
 
 def crumpled_cloth(size=2e-3, turn=0.1, edge=0.012, **laws):
@@ -177,3 +190,164 @@ def test_the_membrane_becomes_convex_before_the_rest():
     least = [np.linalg.eigvalsh(m * scale * scale[:, None])[0] for m in dense]
     assert least[0] < least[1] < 0 or least[0] < 0 <= least[1]
     assert least[2] > -1e-9
+
+
+@pytest.mark.parametrize("rig", [Rig(0.2, 0.06, "disc"), Rig(0.4, 0.2, "square")],
+                         ids=lambda rig: rig.name)
+def test_small_and_large_specimens_are_lowered(rig):
+    result = drape(SOFT, rig=rig, edge=10e-3, start="lowered", seed=1)
+    assert result.converged, result.message
+    assert result.positions[:, 2].min() < -0.2 * (rig.specimen_size - rig.plate_diameter)
+
+
+@pytest.mark.slow
+def test_lowered_discs_have_more_folds_than_discs_from_rings():
+    """Their numbers scatter by 0.6 and 1.5."""
+    folds = {}
+    for start, count in (("lowered", 3), ("ring", 12)):
+        drapes = [drape(SOFT, rig=DISC_RIG, edge=6e-3, start=start, seed=seed)
+                  for seed in range(count)]
+        assert all(one.converged for one in drapes)
+        folds[start] = np.mean([fold_count(one.positions, one.rest, DISC_RIG) for one in drapes])
+    assert folds["lowered"] > folds["ring"] + 0.5
+
+
+def test_a_time_step_that_fails_is_a_status():
+    class Broken(Gravity):
+        """A weight without a value."""
+
+        def value(self, q: np.ndarray) -> float:
+            return np.nan
+
+    def law(mesh, active, *, fabric):
+        return Broken(mesh, density=fabric.density, gravity=GRAVITY)
+
+    result = drape(SOFT, edge=0.012, laws=Laws(others=(law,)))
+    assert result.status is Status.NOT_FINITE and set(result.coarse) == {Status.NOT_FINITE}
+
+
+LIMP = Fabric(np.full(3, 0.5e-6))
+LENGTH = 0.3  # m
+
+
+def moving(scene: Scene, fabric: Fabric, laws: Laws | None = None) -> tuple[Cloth, Inertia]:
+    """The cloth of ``scene`` with its inertia, and that inertia."""
+    inertia = Inertia(scene.mesh, density=fabric.density)
+    return Cloth(scene, fabric, laws=laws or Laws(), extra=[inertia]), inertia
+
+
+def test_cloth_without_support_falls_with_the_known_error_of_the_step():
+    """Velocities are exact; positions are g t h/2 too low in steps of h, whatever the viscosity."""
+    mesh, _ = strip(length=0.06, width=0.03, edge=0.01, clamp=0.0)
+    scene = Scene(mesh, np.zeros(len(mesh.rest), dtype=bool))
+    cloth, inertia = moving(scene, LIMP)
+    motion = Motion.at_rest(scene.state(np.column_stack([mesh.rest, np.zeros(len(mesh.rest))])))
+    for _ in range(10):
+        motion, _ = motion.advanced(cloth.potential, inertia, 0.02, relaxation=0.05)
+    assert motion.time == pytest.approx(0.2)
+    fall = GRAVITY * (0.2**2 / 2 + 0.2 * 0.02 / 2)
+    assert np.allclose(motion.state.positions[:, 2], -fall, atol=1e-6)
+    assert np.allclose(motion.velocities, [0, 0, -GRAVITY * 0.2], atol=1e-5)
+
+
+@pytest.mark.parametrize("relaxation", [0.01, 0.05])
+def test_a_hanging_strip_swings_and_is_damped_as_stated(relaxation):
+    """Lowest frequency of a heavy chain: half the first zero of J0, times sqrt(g/L). Amplitudes
+    fall by exp(-tau w²/2 t), the viscosity of the stiffness that gravity gives. ``relaxation`` is
+    tau in periods."""
+    mesh, held = strip(length=LENGTH, width=0.01, edge=0.01, clamp=0.0)
+    scene = Scene(mesh, held)
+    cloth, inertia = moving(scene, LIMP, Laws(membrane=Corotational(5e3)))
+    down, across = mesh.rest.T
+    mode = j0(2.4048 * np.sqrt(1 - down / LENGTH))
+    motion = Motion.at_rest(scene.state(np.column_stack([2e-3 * mode, across, -down])))
+    frequency = 2.4048 / 2 * np.sqrt(GRAVITY / LENGTH)
+    period, swing = 2 * np.pi / frequency, []
+    for _ in range(220):
+        motion, _ = motion.advanced(cloth.potential, inertia, 0.005 * period,
+                                    relaxation=relaxation * period)
+        swing.append(inertia.masses * mode @ motion.state.positions[:, 0])
+    swing = np.array(swing)
+    before = np.flatnonzero(np.diff(np.sign(swing)) != 0)
+    crossings = before + np.abs(swing[before] / np.diff(swing)[before])
+    assert np.diff(crossings) == pytest.approx(100, rel=0.03)
+    first, second = np.abs(swing[50:150]).max(), np.abs(swing[150:]).max()
+    rate = np.log(first / second) / (period / 2)
+    assert rate == pytest.approx(relaxation * period * frequency**2 / 2, rel=0.1)
+
+
+def test_the_energy_of_falling_cloth_only_decreases():
+    specimen = make_specimen(Rig(), edge=0.016)
+    mesh: Mesh = specimen.mesh
+    scene = Scene(mesh, specimen.held, Rig().obstacles)
+    cloth, inertia = moving(scene, Fabric(np.full(3, 30e-6)))
+    bumps = np.random.default_rng(0).normal(0, 1e-4, len(mesh.rest)) * ~specimen.held
+    motion = Motion.at_rest(scene.state(np.column_stack([mesh.rest, bumps])))
+    energies = []
+    for _ in range(30):
+        q = motion.state.q
+        kinetic = 0.5 * inertia.masses @ (motion.velocities**2).sum(axis=1)
+        energies.append(kinetic + cloth.potential.value(q) - inertia.value(q))
+        motion, _ = motion.advanced(cloth.potential, inertia, 0.01, relaxation=0.02)
+    assert motion.state.positions[:, 2].min() < -0.05
+    assert (np.diff(energies) < 0).all()
+
+
+def crumpled_drape(rig: Rig, size: float, turn: float, number: int = 0) -> tuple[Cloth, np.ndarray]:
+    """One of two cloths, and a state (3V + 3E,)."""
+    rng = np.random.default_rng(number)
+    offset = [(0.0, 0.0), (4e-3, -2e-3)][number]
+    specimen = make_specimen(rig, edge=0.012, topology=2, offset=offset)
+    scene = Scene(mesh=specimen.mesh, held=specimen.held, obstacles=rig.obstacles)
+    cloth = Cloth(scene, FABRICS[number], laws=Laws(membrane=Corotational(300.0, 0.2)))
+    rest = specimen.mesh.rest
+    radius = np.linalg.norm(rest, axis=1)
+    inwards = np.minimum(1, (rig.plate_radius - 1e-4) / np.maximum(radius, 1e-9))
+    hanging = radius > rig.plate_radius  # some of it against the cylinder's side
+    shape = np.column_stack([np.where(hanging, inwards, 1)[:, None] * rest,
+                             -np.maximum(radius - rig.plate_radius, 0)])
+    shape += rng.normal(0, size, shape.shape) * ~specimen.held[:, None]
+    steps = np.concatenate([np.zeros(shape.size), rng.normal(0, turn, len(specimen.mesh.edges))])
+    steps[shape.size:] *= ~scene.held_edges
+    return cloth, moved(scene.state(shape).q, specimen.mesh.edges, steps)
+
+
+def split(cloth: Cloth, q: np.ndarray) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Positions, normals and rest points."""
+    mesh = cloth.scene.mesh
+    x, n = torch.from_numpy(q).view(-1, 3).split([len(mesh.rest), len(mesh.edges)])
+    return x, n, torch.from_numpy(mesh.rest)
+
+
+@pytest.mark.parametrize("number", [0, 1])
+@pytest.mark.parametrize("rig", [Rig(), DISC_RIG], ids=lambda rig: rig.name)
+@pytest.mark.parametrize("folded", [False, True])
+def test_values_and_gradients_are_those_of_the_kernels(rig, folded, number):
+    cloth, q = crumpled_drape(rig, *((9e-3, 0.0) if folded else (1e-3, 0.05)), number)
+    assert is_bent(cloth.bending.angles(q), cloth.bending.pole).any() == folded
+    assert cloth.obstacles[0].value(q) > 0
+    model, (x, n, rest) = reference.ReferenceEnergy(cloth), split(cloth, q)
+    move = torch.zeros_like(x, requires_grad=True)
+    turn = torch.zeros(len(n), dtype=x.dtype, requires_grad=True)
+    total = model.energy(x + move, reference.moved(model.edges, x, n, move, turn), rest)
+    by_move, by_turn = torch.autograd.grad(total, (move, turn))
+    assert float(total.detach()) == pytest.approx(cloth.potential.value(q), rel=1e-13)
+    expected = cloth.potential.gradient(q)
+    found = cloth.potential.free_unknowns(np.concatenate([by_move.ravel(), by_turn]))
+    assert np.abs(found - expected).max() < 1e-12 * np.abs(expected).max()
+
+
+def test_steps_carry_normals_as_the_simulator_does():
+    cloth, q = crumpled_drape(Rig(), 1.5e-3, 0.1)
+    edges = cloth.scene.mesh.edges
+    x, n, _ = split(cloth, q)
+    step = np.random.default_rng(1).normal(0, 2e-3, 3 * len(x) + len(edges))
+    step[3 * len(x):] *= 100
+    move, turn = torch.from_numpy(step).split([3 * len(x), len(edges)])
+    found = reference.moved(torch.from_numpy(edges), x, n, move.view_as(x), turn)
+    expected = moved(q, edges, step)[3 * len(x):].reshape(-1, 3)
+    assert np.abs(found.numpy() - expected).max() < 1e-12
+    there = (x + move.view_as(x))[edges]
+    along = torch.nn.functional.normalize(there[:, 1] - there[:, 0], dim=1)
+    assert (found * along).sum(1).abs().max() < 1e-13
+    assert (found.norm(dim=1) - 1).abs().max() < 1e-13

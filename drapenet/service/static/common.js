@@ -89,11 +89,12 @@ export function tester(rig) {
 }
 
 // What an estimate was made of.
-function seen({ capture, captures, strips, tension }) {
+function seen({ capture, captures, strips, tension, measured }) {
   const count = (strips ?? []).reduce((sum, one) => sum + one.strips, 0);
   const several = (number, name) => number && `${number} ${name}${number > 1 ? 's' : ''}`;
   const pulled = tension && `${tension.strips} strip${tension.strips > 1 ? 's' : ''} under weights`;
-  if (captures || strips || tension) return [several(captures?.length, 'capture'), several(count, 'strip'), pulled].filter(Boolean).join(', ');
+  const others = (measured ?? []).map((one) => one.kind);
+  if (captures || strips || tension || measured) return [several(captures?.length, 'capture'), several(count, 'strip'), pulled, ...others].filter(Boolean).join(', ');
   return capture.views ? `${capture.views} views` : capture.known?.drape_coefficient_percent ? 'drape coefficient' : 'outline from above';
 }
 

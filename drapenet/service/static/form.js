@@ -77,9 +77,11 @@ export function ended(id, { state, error: sentence }) {
 const suffix = (name) => name.slice(name.lastIndexOf('.')).toLowerCase().replace('.yml', '.yaml');
 const chosen = () => [...at('files').files];
 const isDescribed = () => chosen().some((file) => ['.zip', '.yaml'].includes(suffix(file.name)) || file.name === 'density.txt');
-const isStrips = () => chosen().some((file) => /^(strips|tension)\.ya?ml$/i.test(file.name));
-const values = () => [...form.querySelectorAll('#known input, #tension input, #tension select, #clip')].filter((field) => field.value.trim());
-const isDrape = () => chosen().length > 0 && !isStrips();
+const descriptions = limits.described.split(',').map((name) => name.replace(/\.\w+$/, ''));
+const describes = (file) => descriptions.find((name) => new RegExp(`^${name}\\.ya?ml$`, 'i').test(file.name));
+const isBesideDrapes = () => chosen().some((file) => ![undefined, 'capture'].includes(describes(file)));
+const values = () => [...form.querySelectorAll('[data-values] input, [data-values] select')].filter((field) => field.value.trim());
+const isDrape = () => chosen().length > 0 && !isBesideDrapes();
 const isScan = () => chosen().length === 1 && !/^view_\d/.test(chosen()[0].name)
   && ['.npz', '.obj', '.ply', '.stl', '.glb'].includes(suffix(chosen()[0].name));
 const isPhotograph = (file) => limits.photographs.split(',').includes(suffix(file.name));
@@ -115,7 +117,7 @@ function check() {
     delete field.dataset.placed;
   }
   const files = chosen();
-  at('override').hidden = !isDescribed() || isStrips();
+  at('override').hidden = !isDescribed() || isBesideDrapes();
   if (files.length && !isDescribed()) {
     if (files.some(isCertainlyPhotograph) || ['.csv', '.txt'].includes(suffix(files[0].name))) choose('above');
     if (!hasPhotograph()) at('camera').open = true;
@@ -125,7 +127,7 @@ function check() {
 // Sentence and field of the first fault, or null: of the files, of the tester, and of all.
 function fileFault() {
   const files = chosen();
-  const hidden = files.find((file) => /^(capture|strips|tension)\.ya?ml\.txt$/i.test(file.name));
+  const hidden = files.find((file) => descriptions.some((name) => new RegExp(`^${name}\\.ya?ml\\.txt$`, 'i').test(file.name)));
   if (hidden) return [`${hidden.name}: rename it to ${hidden.name.split('.')[0]}.yaml (Windows shows suffixes under View, File name extensions).`, 'files'];
   const wrong = files.find((file) => !limits.kinds.split(',').includes(suffix(file.name)));
   if (wrong) return [`${wrong.name}: files of this kind are not taken.`, 'files'];
@@ -150,7 +152,8 @@ function fault() {
   if (!chosen().length && !values().length) return ['No files yet: drop the views of a drape, or its photograph, here, or choose them; or give values from other tests or strips under weights.', 'files'];
   if (fileFault()) return fileFault();
   const density = at('density').value.trim().replace(',', '.');
-  if ((density === '' && !isDescribed()) || Number.isNaN(Number(density))) {
+  const isFurther = values().some((field) => field.closest('[data-further]')); // which may give it
+  if ((density === '' && !isDescribed() && !isFurther) || Number.isNaN(Number(density))) {
     return ['Weigh the specimen and give its density in g/m², such as 210.', 'density_g_m2'];
   }
   return usesSetup() ? testerFault() : null;

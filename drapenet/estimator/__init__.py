@@ -1,5 +1,0 @@
-"""The estimate of a fabric: read, observe, infer, combine, describe, a module each.
-
-:mod:`drapenet.estimator.estimate` calls them in this order, for the command, batches, the service
-and Python; :mod:`drapenet.estimator.stages` refines, simulates and reports a capture's estimate.
-"""

@@ -1,0 +1,178 @@
+"""A folder of strips of one fabric that were stretched by weights."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from common.errors import InputError
+from common.files import printable
+from common.findings import Finding
+from data.fabrics.fabrics import ClothProperties
+from data.pictures.mat import BAR
+from data.readings.quantity import STANDARD_GRAVITY
+from data.render.setups import Setups
+from drapenet.measured.base import Measured, Observed, intervals
+from drapenet.measured.tension.description import (
+    FILE,
+    MAX_EXTENSION,
+    READING,
+    StretchedStrip,
+    TensionDescription,
+)
+from drapenet.measured.tension.photograph import PhotographedExtension, read_extension
+from drapenet.measured.tension.posterior import (
+    KES_SHEAR,
+    LOAD_ERROR,
+    MeasuredExtension,
+    TensionEvidence,
+    directions_of,
+    fast_strip,
+    tension_evidence,
+)
+from drapenet.measured.tension.record import TensionRecord
+from sim.material import BIAS, DIRECTIONS
+
+AIM = 0.1
+"""Extension at which a strip tells most: well above the errors of reading, and within the law."""
+
+WIDTH_DIFFERS = (0.08, 1.0)  # of the stated width, and mm, by which a strip is seen wider or not
+ERROR_SHARE = 0.25  # of an extension, that its error may be
+TURNED = np.radians(3.0)  # that marks may be turned by a weight: beyond, a band is askew
+
+
+@dataclass(frozen=True, kw_only=True)
+class TensionSet(Measured):
+    """The strips of one fabric.
+
+    Attributes:
+        shear: stiffness by KES-FB1, N/m, if it is stated.
+        photographs: what pairs of photographs say, by the strip's number.
+    """
+
+    name, noun, alone = "tension", "strips under weights", True
+    schema, recorded = TensionDescription, TensionRecord
+    strips: tuple[MeasuredExtension, ...]
+    shear: float | None = None
+    photographs: Mapping[int, PhotographedExtension] = field(default_factory=dict)
+
+    @classmethod
+    def read(cls, place: Path, stated: Mapping[str, Any]) -> "TensionSet":
+        """Read a folder."""
+        return read_tension(place)
+
+    @property
+    def needs_warp(self) -> bool:
+        """Strips along the bias do not tell warp and weft apart."""
+        return any(strip.direction != BIAS for strip in self.strips)
+
+    @cached_property
+    def evidence(self) -> TensionEvidence:
+        """What the strips say, at the density of the fabric."""
+        return tension_evidence(self.strips, self.density, self.shear)
+
+    def record(self, prior: ClothProperties) -> TensionRecord:
+        """The stiffnesses, which the prior of bending says nothing of."""
+        found = self.evidence
+        warp, weft, shear = found.stiffness
+        return TensionRecord.model_validate({
+            "source": printable(self.path), "density_g_m2": round(1e3 * self.density, 6),
+            "strips": len(self.strips), "measured": [DIRECTIONS[k] for k in found.measured],
+            "shear_n_per_m": intervals(shear),
+            "stretch_n_per_m": {"warp": intervals(warp), "weft": intervals(weft)},
+            "friction_n_per_m": {name: float(found.friction[DIRECTIONS.index(name)])
+                                 for name in directions_of(self.strips)},
+            "weight_for_10_percent_g": self.loads(found),
+            "readings": {key: intervals(values) for key, values in found.readings().items()},
+            "along_yarns": self.needs_warp, "findings": [*self.warnings, *found.findings],
+            "known": self.known})
+
+    def findings(self, observed: Observed | None, setups: Setups) -> list[Finding]:
+        """Contradictions of the strips, and unusual values."""
+        return [*self.evidence.findings]
+
+    def shown(self) -> bytes:
+        """Photographs with marks, and loads over extensions."""
+        if not self.strips:
+            return b""
+        from data.captures.preview import png  # Matplotlib
+        from drapenet.measured.tension.preview import tension_figure
+
+        return png(tension_figure(self.strips, self.photographs, self.evidence))
+
+    def loads(self, found: TensionEvidence) -> dict[str, float]:
+        """For each direction the weight, g, that stretches its first strip by :data:`AIM`."""
+        warp, weft, shear = np.exp(found.posterior.mean)
+        return {DIRECTIONS[strip.direction]: float(1e3 * strip.width / STANDARD_GRAVITY * (
+            found.friction[strip.direction]
+            + strip.needed((warp, weft, shear), found.poisson, AIM)))
+            for strip in reversed(self.strips)}
+
+
+def read_tension(folder: str | Path) -> TensionSet:
+    """Read ``tension.yaml`` and the photographs it names; InputError for the first fault."""
+    folder = Path(folder)
+    description = TensionDescription.in_folder(folder)
+    shear = description.kes_g_gf_per_cm_deg
+    read = {k: _photographed(folder, strip, description)
+            for k, strip in enumerate(description.tension) if strip.without}
+    try:
+        for k, found in read.items():
+            description.tension[k].require_within(1e3 * found.extension)
+        description.require_ordered([
+            1e3 * read[k].extension if k in read else strip.extension_mm
+            for k, strip in enumerate(description.tension)])
+    except ValueError as error:
+        raise InputError(f"{folder / FILE}: {error}") from None
+    strips = [_measured(strip, description, read.get(k))
+              for k, strip in enumerate(description.tension)]
+    strips += [fast_strip(direction, percent) for direction, percent in description.fast.items()]
+    return TensionSet(
+        **description.common(folder), strips=tuple(strips),
+        shear=KES_SHEAR * shear if shear else None, photographs=read, warnings=tuple(
+            one for k, found in read.items() for one in _doubts(found, description.tension[k])))
+
+
+def _photographed(folder: Path, strip: StretchedStrip, description: TensionDescription
+                  ) -> PhotographedExtension:
+    assert strip.without and strip.under  # of an entry with photographs
+    bar, marks = description.mat_bar_mm, strip.marks_px
+    return read_extension(
+        folder, (strip.without, strip.under), width=1e-3 * strip.width_mm,
+        gauge=1e-3 * strip.gauge_mm, most=MAX_EXTENSION, above=1e-3 * description.above_mat_mm,
+        scale=1e-3 * bar / BAR if bar else 1.0,
+        marks=(marks.without, marks.under) if marks else None)
+
+
+def _doubts(found: PhotographedExtension, strip: StretchedStrip) -> list[Finding]:
+    """Warnings of photographs that are read all the same."""
+    (file, under), doubts = (picture.name for picture in found.pictures), []
+    if abs(found.turned) > TURNED:
+        doubts.append(Finding("tension_askew", {
+            "file": file, "other": under, "value": float(np.degrees(abs(found.turned)))}))
+    if abs(1e3 * found.width - strip.width_mm) > WIDTH_DIFFERS[0] * strip.width_mm + (
+            WIDTH_DIFFERS[1]):
+        doubts.append(Finding("tension_width_differs", {
+            "file": file, "value": 1e3 * found.width, "stated": strip.width_mm}))
+    if found.error > max(ERROR_SHARE * found.extension, 1e-3 * READING):
+        doubts.append(Finding("tension_unsure", {
+            "file": file, "value": 1e3 * found.extension, "error": 1e3 * found.error}))
+    return doubts
+
+
+def _measured(strip: StretchedStrip, description: TensionDescription,
+              found: PhotographedExtension | None) -> MeasuredExtension:
+    gauge, extension, error = (
+        (found.gauge, found.extension, found.error) if found else
+        (1e-3 * strip.gauge_mm, 1e-3 * (strip.extension_mm or 0.0),
+         1e-3 * description.extension_error_mm))
+    # The clip was on the strip or not when it was measured without weight: half of it counts.
+    grams, width = strip.load_g + description.clip_g / 2, 1e-3 * strip.width_mm
+    clamped = np.inf if strip.clamped_mm is None else strip.clamped_mm
+    return MeasuredExtension(
+        DIRECTIONS.index(strip.direction), 1e-3 * grams * STANDARD_GRAVITY / width,
+        float(np.hypot(LOAD_ERROR, description.clip_g / np.sqrt(12) / grams)), width,
+        gauge, float(1e-3 * (clamped - strip.gauge_mm) / 2), extension, error, strip.specimen)

@@ -1,0 +1,67 @@
+"""What ``estimate.json`` states of strips under weights."""
+
+from common.documents import Excerpt
+from drapenet.measured.base import Quantity, Record, Recorded
+
+COLUMNS = {"warp": "stretch_warp_n_per_m", "weft": "stretch_weft_n_per_m",
+           "bias": "shear_n_per_m"}
+"""Of tables, by the direction of the strips."""
+
+
+class Stretch(Excerpt):
+    """Along the yarns."""
+
+    warp: Quantity
+    weft: Quantity
+
+
+class TensionRecord(Record):
+    """Strips under weights: stiffnesses at the fabric's density, ``measured`` or of usual fabrics.
+    """
+
+    kind = "tension"
+    names = tuple(COLUMNS.values())
+    strips: int
+    measured: list[str]
+    shear_n_per_m: Quantity
+    stretch_n_per_m: Stretch
+    friction_n_per_m: dict[str, float]
+    weight_for_10_percent_g: dict[str, float]
+    readings: dict[str, Quantity]
+    along_yarns: bool
+    findings: list[Recorded]
+
+    @property
+    def needs_warp(self) -> bool:
+        """As those of the strips that are along the yarns do."""
+        return self.along_yarns
+
+    def counted(self) -> tuple[int, str, str]:
+        """The strips."""
+        return self.strips, "strip under a weight", "strips under weights"
+
+    @property
+    def rows(self) -> list[tuple[str, str, Quantity]]:
+        """The direction of the strips, name and value, N/m, of each stiffness."""
+        return [("warp", "stretch along the warp", self.stretch_n_per_m.warp),
+                ("bias", "shear", self.shear_n_per_m),
+                ("weft", "stretch along the weft", self.stretch_n_per_m.weft)]
+
+    def along(self, direction: str) -> Quantity | None:
+        """Stretch or shear that strips along a direction measured."""
+        return next((value for key, _, value in self.rows
+                     if key == direction and key in self.measured), None)
+
+    def columns(self) -> dict[str, Quantity | None]:
+        """Stretch and shear where they were measured."""
+        return {name: self.along(direction) for direction, name in COLUMNS.items()}
+
+    def lines(self) -> list[str]:
+        """The stiffnesses in words."""
+        found = [f"{name} {value} N/m" + ("" if direction in self.measured else
+                                          ", not measured: of usual fabrics")
+                 for direction, name, value in self.rows]
+        loads = ", ".join(f"{direction} {value:.0f} g" for direction, value in
+                          self.weight_for_10_percent_g.items())
+        found += [f"weight that stretches these strips by 10 %: {loads}"] * bool(loads)
+        return [f"by strips under weights: {line}" for line in found]
