@@ -25,6 +25,8 @@ import apps.cantilever
 import apps.capture
 import apps.drape
 import data.fabrics.prior.__main__
+import examples.make_capture
+import examples.make_strips
 import infer
 from apps.strip_curves import read_curve
 from data.captures.raw_scans import read_raw_scan
@@ -155,6 +157,8 @@ STARTS = {
     "cantilever": Start(_curve, command=apps.cantilever.main, words=(), doors=(COMMAND,)),
     "prior": Start(command=data.fabrics.prior.__main__.main, words=(), doors=(COMMAND,)),
     "check": Start(command=apps.capture.main, words=(), doors=(COMMAND,)),
+    "practice capture": Start(command=examples.make_capture.main, words=(), doors=(COMMAND,)),
+    "practice strips": Start(command=examples.make_strips.main, words=(), doors=(COMMAND,)),
     "curve": Start(_curve, lambda folder: read_curve(folder / "w.csv"), doors=(READER,)),
     "fabrics": Start(_fabrics, lambda folder: read_fabric_table(folder / "fabrics.csv"),
                      doors=(READER,)),
@@ -229,6 +233,17 @@ def _again(file: Path, key: str, **changes: object) -> None:
     content = yaml.safe_load(file.read_text())
     content[key].append(content[key][0] | changes)
     file.write_text(json.dumps(content))  # without an alias
+
+
+def large_png(width: int, height: int) -> bytes:
+    """A PNG whose header states a size, with next to nothing in it."""
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        checked = kind + data
+        return struct.pack(">I", len(data)) + checked + struct.pack(">I", zlib.crc32(checked))
+
+    header = struct.pack(">IIBBBBB", width, height, 16, 0, 0, 0, 0)
+    return (b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(b""))
+            + chunk(b"IEND", b""))
 
 
 # --- Changes, which rows name ------------------------------------------------------------------
@@ -306,15 +321,8 @@ def many(folder: Path, count: int) -> None:
 
 
 def png_of_size(folder: Path, name: str, width: int, height: int) -> None:
-    """A PNG whose header states a size, with next to nothing in it."""
-    def chunk(kind: bytes, data: bytes) -> bytes:
-        checked = kind + data
-        return struct.pack(">I", len(data)) + checked + struct.pack(">I", zlib.crc32(checked))
-
-    (folder / name).write_bytes(
-        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(
-            ">IIBBBBB", width, height, 16, 0, 0, 0, 0))
-        + chunk(b"IDAT", zlib.compress(b"")) + chunk(b"IEND", b""))
+    """A PNG of :func:`large_png`."""
+    (folder / name).write_bytes(large_png(width, height))
 
 
 def repeated_strip(folder: Path) -> None:

@@ -5,11 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cloths import lopsided_views
-from PIL import Image
-
-from data.captures.writer import write_capture
-from data.render.cameras import nominal_camera
-from sim.rig import SQUARE_RIG
+from spoiled import STARTS
 
 
 @pytest.fixture(scope="session")
@@ -18,21 +14,19 @@ def views() -> np.ndarray:
     return lopsided_views()
 
 
+def sound(name: str, folder: Path) -> Path:
+    folder.mkdir()
+    STARTS[name].write(folder)
+    return folder
+
+
 @pytest.fixture
-def folder(tmp_path: Path, views: np.ndarray) -> Path:
+def folder(tmp_path: Path) -> Path:
     """A good capture in the 16-bit format."""
-    path = tmp_path / "capture"
-    write_capture(path, views=views, intrinsics=nominal_camera().intrinsics, density=0.15,
-                  rig=SQUARE_RIG, warp_direction=0.3)
-    return path
+    return sound("views", tmp_path / "capture")
 
 
 @pytest.fixture
-def published(tmp_path: Path, views: np.ndarray) -> Path:
+def published(tmp_path: Path) -> Path:
     """A good capture in the 8-bit format."""
-    path = tmp_path / "published"
-    path.mkdir()
-    for k, view in enumerate(views):
-        Image.fromarray(np.rint(view * 255).astype(np.uint8)).save(path / f"{k}.png")
-    (path / "density.txt").write_text("data0 300")
-    return path
+    return sound("published", tmp_path / "published")

@@ -24,8 +24,6 @@ from sim.tension import pull
 
 TRUE = (2500.0, 900.0, 35.0)  # N/m: warp, weft, shear
 POISSON = 0.3
-BIAS_STRIP = {"direction": "bias", "width_mm": 50, "gauge_mm": 100, "load_g": 25,
-              "extension_mm": 4.1}
 
 
 def read(folder: Path, *strips: dict, **stated) -> TensionSet:

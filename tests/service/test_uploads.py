@@ -3,10 +3,8 @@
 import base64
 import io
 import re
-import struct
 import tempfile
 import zipfile
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +12,7 @@ import pytest
 import yaml
 from photographs import CURVE, drawn, plate, write
 from PIL import Image
+from spoiled import large_png
 
 from common.command import compose_config
 from common.errors import InputError
@@ -67,18 +66,6 @@ def test_any_damage_of_a_zip_is_refused_in_a_line(settings, kind):
                 refused += error.status_code == 422 and "zip" in error.detail
                 assert "\n" not in error.detail
     assert refused > 400
-
-
-def png_of_size(width: int, height: int) -> bytes:
-    """A PNG whose header states a size, with next to nothing in it."""
-
-    def chunk(kind: bytes, data: bytes) -> bytes:
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(
-            ">I", zlib.crc32(kind + data))
-
-    return (b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 16, 0,
-                                                             0, 0, 0))
-            + chunk(b"IDAT", zlib.compress(b"")) + chunk(b"IEND", b""))
 
 
 def capture_of(upload: Upload, folder: Path) -> Capture:
@@ -163,14 +150,14 @@ def test_a_table_of_a_picture_has_a_sense(settings, tmp_path):
 
 def test_a_photograph_of_a_strip_is_found_by_its_name_in_another_normal_form(settings):
     document = PHOTOGRAPHED.replace(b"weft.jpg", "K\u00f6per.jpg".encode())
-    upload = checked_upload([("strips.yaml", document), ("warp 1.PNG", png_of_size(6000, 4000)),
+    upload = checked_upload([("strips.yaml", document), ("warp 1.PNG", large_png(6000, 4000)),
                              ("Ko\u0308per.jpg", jpeg(PICTURE))], {}, settings)
     assert "K\u00f6per.jpg" in upload.files
 
 
 def test_a_field_replaces_its_value_alone(settings):
     document = (PHOTOGRAPH / "capture.yaml").read_bytes()
-    upload = checked_upload([("a.png", png_of_size(6000, 4000)), ("capture.yaml", document)],
+    upload = checked_upload([("a.png", large_png(6000, 4000)), ("capture.yaml", document)],
                             {"camera_height_mm": "1500,5", "density_g_m2": "90"}, settings)
     before, content = yaml.safe_load(document), yaml.safe_load(upload.files["capture.yaml"])
     assert content == before | {"density_g_m2": 90, "outline": before["outline"] | {
@@ -233,7 +220,7 @@ def test_bending_lengths_need_no_picture(settings, tmp_path):
 
 
 def test_photographs_of_strips_are_those_that_the_description_names(settings, tmp_path):
-    sent = [("strips.yml", PHOTOGRAPHED), ("warp 1.PNG", png_of_size(6000, 4000)),
+    sent = [("strips.yml", PHOTOGRAPHED), ("warp 1.PNG", large_png(6000, 4000)),
             ("weft.jpg", jpeg(PICTURE)), ("ruler.jpg", b"not read")]
     packed = [("strips.zip", zipped([(f"serge/{name}", data) for name, data in sent]))]
     for files in (sent, packed):
@@ -262,7 +249,7 @@ def strips_in_a_form(*strips: dict[str, str]) -> dict[str, str]:
 
 def test_strips_under_weights_are_in_a_file_or_in_the_form(settings, tmp_path):
     sent = [("tension.yml", PULLED), ("a 0.jpg", jpeg(PICTURE)), ("ruler.jpg", b"not read"),
-            ("a25.PNG", png_of_size(4000, 3000))]
+            ("a25.PNG", large_png(4000, 3000))]
     for files in (sent, [("t.zip", zipped([(f"twill/{name}", data) for name, data in sent]))]):
         upload = checked_upload(files, {"operator": "M. Muster"}, settings)
         assert (upload.kind, upload.directions) == ("tension", "yarns")
