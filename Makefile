@@ -83,7 +83,7 @@ check-docstrings:
 check-unused:
 	$(BIN)/python -m vulture
 check-types:
-	$(BIN)/python -m mypy
+	$(BIN)/python -m mypy --num-workers 2
 check-spelling:
 	$(BIN)/python -m codespell_lib README.md docs/*.md *.py $(PACKAGES)
 

@@ -90,7 +90,7 @@ def main(config: CaptureConfig) -> None:
                      f"picture: {out / PICTURE}"]))
     if faults:
         raise InputError(f"{len(faults)} of {len(measured) + len(faults)} checks of {source} "
-                         f"failed; docs/rig.md lists remedies, {out / PICTURE} shows what was read")
+                         f"failed; docs/rig.md lists causes, {out / PICTURE} shows what was read")
 
 
 def check(source: Path, out: Path) -> tuple[list[str], list[str]]:
@@ -126,7 +126,7 @@ def check_all(root: Path, out: Path) -> None:
         row["capture"]: out / row["capture"] / PICTURE for row in rows}))
     print(f"table: {out / 'checks.csv'}\npictures: {out / 'checks.png'}")
     if bad := sum(row["state"] != "sound" for row in rows):
-        raise InputError(f"{bad} of {len(rows)} captures have faults; docs/rig.md lists remedies")
+        raise InputError(f"{bad} of {len(rows)} captures have faults; docs/rig.md lists causes")
 
 
 def contact_sheet(pictures: Mapping[str, Path]) -> bytes:

@@ -8,7 +8,7 @@ import drapenet
 from benchmarks.protocol import CASES, COLUMNS, UNITS, Moduli
 from common.tables import number, read_table
 from data.captures.capture import Capture
-from drapenet.measured.captures import measured_capture
+from drapenet.measured.captures import Captured
 from sim.material import REFERENCE_DENSITY
 
 LEARNED = "coefficients.csv"
@@ -23,7 +23,7 @@ def release(capture: Capture) -> Moduli:
 def coefficient_alone(capture: Capture) -> Moduli:
     """Samples (S, 6) by a regression of log alpha on the drape coefficient: its value plus each of
     its residuals; beta/alpha is that of the fabrics with these residuals."""
-    outline = measured_capture(capture).observed().seen.outline
+    outline = Captured.of(capture).observed().seen.outline
     assert outline, "of depth views and of outlines"
     weights, residuals, ratio = regression(capture.rig.name)
     coefficient = outline.corrected(capture.rig).coefficient(capture.rig)

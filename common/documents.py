@@ -27,7 +27,8 @@ T = TypeVar("T", bound="Schema")
 class Schema(BaseModel):
     """Content of a document: types are not converted, unknown keys refused, numbers finite.
 
-    A field's description is the remedy in error messages.
+    A field's title is its meaning, in docs/data_format.md; its description is the remedy in
+    error messages.
     """
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)

@@ -6,7 +6,12 @@ from pathlib import Path
 import pytest
 
 from common.errors import InputError
+from data.captures.description import Description, Labels, OutlineSource
+from drapenet.measured.strips.description import Scale, StripEntry, StripsDescription
+from drapenet.measured.tension.description import StretchedStrip, TensionDescription
+from drapenet.result.document import EstimateDocument
 from experiments.figures.claims import slug
+from experiments.figures.of_models import meaning
 from experiments.figures.pages import BLOCKS, MARK, PAGES, fill_blocks
 from experiments.result import ROOT
 
@@ -36,6 +41,14 @@ def test_links_between_pages_lead_somewhere():
             file = (page.parent / name).resolve() if name else page
             assert file.exists(), f"{page.relative_to(ROOT)}: {target}"
             assert not anchor or anchor in headings(file), f"{page.relative_to(ROOT)}: {target}"
+
+
+@pytest.mark.parametrize("model", [
+    Description, OutlineSource, Labels, StripsDescription, StripEntry, Scale, TensionDescription,
+    StretchedStrip, EstimateDocument])
+def test_every_key_that_is_written_has_its_meaning(model):
+    assert [name for name, field in model.model_fields.items() if not meaning(field)
+            and not name.startswith("schema")] == []
 
 
 def test_an_unknown_block_is_refused():

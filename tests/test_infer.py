@@ -28,13 +28,14 @@ from data.captures.writer import write_capture
 from data.render.cameras import Intrinsics
 from drapenet.config import EstimateOptions
 from drapenet.fabric.stages import RAISE, CaptureEstimate, estimate_capture
+from drapenet.measured.captures import Captured
 from drapenet.measured.read import sources_in
 from drapenet.network.checkpoint import BUNDLED, read_header
 from drapenet.result.files import SHOWN, STRIPS, read_estimate
 from sim.material import DIRECTIONS, MICRO, is_admissible
 from sim.rig import SQUARE_RIG
 
-NUMBERS = {"estimate.json", "samples.npz", "observation.npz"}  # files of an estimate
+NUMBERS = {"estimate.json", "samples.npz", "observation.npz", "part.json"}  # files of an estimate
 SHARED = Path(__file__).parents[2] / "shared" / "captures"
 TWILL = Path(__file__).parents[1] / "examples" / "captures" / "twill"
 
@@ -165,7 +166,7 @@ def test_captures_of_one_fabric_give_one_estimate(checkpoint, tmp_path, out, cap
     describe(tmp_path / "fabric" / "b", fabric="Navy 7", operator="B", face="down")
     infer.main(words(tmp_path / "fabric", checkpoint, "drapes=1", "edge_mm=16"))
     assert {file.name for file in out.iterdir() if file.is_file()} == {
-        "estimate.json", "samples.npz", "report.html", "report.pdf"}
+        "estimate.json", "samples.npz", "fabric.json", "report.html", "report.pdf"}
     page = (out / "report.html").read_text("utf-8")
     assert "<h1>Navy 7</h1>" in page and page.count("data:image/png") == 4  # moduli, code
     assert content_of(out)["capture"]["labels"] == {"fabric": "Navy 7", "operator": "A / B"}
@@ -316,7 +317,7 @@ def test_a_refinement_that_fails_leaves_the_network_s_estimate(
     def read_written(stage: str, result: CaptureEstimate) -> None:
         written.append(content_of(out))
 
-    read = read_capture(capture)
+    read = Captured.of(read_capture(capture))
     estimate_capture(read, header, EstimateOptions(refine={"by": "simulation"}, drapes=0), out=out,
                      on_stage=read_written)  # a setting is missing
     alone, content = written[0], content_of(out)

@@ -21,6 +21,7 @@ from data.rigs import Tester, read_tester
 
 DENSITY_RANGE = (16.0, 1000.0)  # g/m2; from 3 to 15 oz/yd² is common for heavier cloth
 LIGHT_DENSITY = 35.0  # g/m2; few fabrics are lighter, and many have this number of momme
+MAX_COEFFICIENT = 1.15  # of a drape, from 0 to 1; sound captures of stiff cloth have up to 0.98
 MAX_VIEWS = 8
 MIN_PICTURE, MAX_PICTURE = (80, 60), (4096, 4096)
 MILLIMETRE = 1e-3  # m per count
@@ -61,12 +62,13 @@ def _period(dates: Sequence[str]) -> str:
 class Labels(Schema):
     """What a report states of a capture, as it was given."""
 
-    fabric: _Label | None = Field(None, description=_LABEL)
-    date: Annotated[str, BeforeValidator(_days)] | None = None
-    laboratory: _Label | None = Field(None, description=_LABEL)
-    operator: _Label | None = Field(None, description=_LABEL)
-    camera: _Label | None = Field(None, description=_LABEL)
-    remarks: _Label | None = Field(None, description=_LABEL)
+    fabric: _Label | None = Field(None, title="name of the fabric", description=_LABEL)
+    date: Annotated[str, BeforeValidator(_days)] | None = Field(
+        None, title="day of the test, or 2026-11-25 to 2026-11-26")
+    laboratory: _Label | None = Field(None, title="name", description=_LABEL)
+    operator: _Label | None = Field(None, title="name", description=_LABEL)
+    camera: _Label | None = Field(None, title="name", description=_LABEL)
+    remarks: _Label | None = Field(None, title="such as the climate", description=_LABEL)
 
     @classmethod
     def joined(cls, labels: Sequence["Labels"]) -> "Labels":
@@ -108,7 +110,7 @@ class Weighed(Schema):
     """What is stated of the fabric."""
 
     density_g_m2: float = Field(
-        ge=DENSITY_RANGE[0], le=DENSITY_RANGE[1],
+        ge=DENSITY_RANGE[0], le=DENSITY_RANGE[1], title="mass per area",
         description="weigh the specimen, give its g/m² and check the unit (1 oz/yd² is 33.9 g/m², "
                     "1 momme 4.34 g/m²)")
 
@@ -127,7 +129,9 @@ class Weighed(Schema):
 class Specimen(Weighed):
     """What is stated of the cloth."""
 
-    warp_direction_deg: float | None = Field(None, ge=-360, le=360)
+    warp_direction_deg: float | None = Field(
+        None, ge=-360, le=360, title="direction of the warp in the first view or the photograph, 0 "
+                                     "to the right, counter-clockwise; over a mat from its arrow")
 
     @property
     def warp_direction(self) -> Radians | None:
@@ -182,30 +186,39 @@ class OutlineSource(Schema):
 
     A photograph has the keys ``OF_PHOTOGRAPHS``: a ``mat`` under the stand, ``plate_px`` or
     ``mm_per_px``, or none of them, with a board in the picture or ``plate.jpg`` beside it; a text
-    file has the keys ``OF_TABLES``. ``ground``: colour of the mat around its markers;
-    ``plate_height_mm``: of the plate's top above the mat;
-    ``mat_bar_mm``: length of the mat's scale, as measured on the print; ``arrow``: what lies along
-    the mat's arrow; ``centred``: whether the origin of a text file is the plate's centre;
-    ``y_axis``: where y points in x and y; ``angles``: which way angles are counted, seen from
-    above.
+    file has the keys ``OF_TABLES``.
     """
 
     OF_PHOTOGRAPHS: ClassVar = ("mat", "ground", "plate_height_mm", "mat_bar_mm", "arrow",
                                 "mm_per_px", "plate_px")
     OF_TABLES: ClassVar = ("unit", "centred", "y_axis", "angles")
 
-    mat: Literal["a3", "a2"] | None = None
-    ground: Literal["white", "grey", "blue"] = "white"
-    plate_height_mm: float | None = Field(None, ge=PLATE_HEIGHTS[0], le=PLATE_HEIGHTS[1])
-    mat_bar_mm: float | None = Field(None, ge=MAT_BARS[0], le=MAT_BARS[1])
-    arrow: Literal["warp", "none"] = "warp"
-    mm_per_px: float | None = Field(None, gt=0, le=10)
-    plate_px: PlateInPicture | None = None
-    camera_height_mm: Annotated[float, PlainValidator(_height)] | None = None
-    unit: Literal["mm", "m"] | None = None
-    centred: bool = True
-    y_axis: Literal["up", "down"] | None = None
-    angles: Literal["counter-clockwise", "clockwise"] | None = None
+    mat: Literal["a3", "a2"] | None = Field(None, title="the printed mat under the stand")
+    ground: Literal["white", "grey", "blue"] = Field(
+        "white", title="colour of the mat around its markers")
+    plate_height_mm: float | None = Field(
+        None, ge=PLATE_HEIGHTS[0], le=PLATE_HEIGHTS[1], title="top of the plate above the mat")
+    mat_bar_mm: float | None = Field(
+        None, ge=MAT_BARS[0], le=MAT_BARS[1], title="length of the mat's scale of 200 mm, measured "
+                                                    "on the print")
+    arrow: Literal["warp", "none"] = Field("warp", title="what lies along the mat's arrow")
+    mm_per_px: float | None = Field(
+        None, gt=0, le=10, title="size of a pixel at the height of the plate; the centroid of the "
+                                 "outline stands for the plate's centre")
+    plate_px: PlateInPicture | None = Field(
+        None, title="the plate's top: x (to the right), y (down) and diameter, pixels of the "
+                    "upright file")
+    camera_height_mm: Annotated[float, PlainValidator(_height)] | None = Field(
+        None, title="of the lens above the plate, 200 to 20000, or parallel, of the light of a "
+                    "drapemeter")
+    unit: Literal["mm", "m"] | None = Field(
+        None, title="of a table's lengths; by default that of its header")
+    centred: bool = Field(True, title="whether the origin of a table is the plate's centre; else "
+                                      "the outline's centroid stands for it")
+    y_axis: Literal["up", "down"] | None = Field(
+        None, title="where y of a table points; down: as rows of pixels, seen from above")
+    angles: Literal["counter-clockwise", "clockwise"] | None = Field(
+        None, title="how angles of a table grow, seen from above; 0 is to the right")
 
     @model_validator(mode="after")
     def _one_scale(self) -> "OutlineSource":
@@ -234,21 +247,35 @@ class Description(Specimen, Labels):
     """``capture.yaml``; point clouds are projected to ``size_px``, ``face`` is the upper one.
     ``weight_g`` of the whole specimen may stand for the density."""
 
-    weight_g: float | None = Field(None, gt=0, description="the specimen's weight in grams")
-    depth_unit_m: float | None = Field(None, gt=0, description="0.001 for millimetres")
+    weight_g: float | None = Field(
+        None, gt=0, title="of the whole specimen, in place of density_g_m2",
+        description="the specimen's weight in grams")
+    depth_unit_m: float | None = Field(
+        None, gt=0, title="of the counts of depth pictures; by default that of the recording, or "
+                          "0.001", description="0.001 for millimetres")
     intrinsics: Pixels | None = Field(
-        None, description="give fx, fy, cx and cy in pixels, as the camera's software states them "
+        None, title="of depth pictures: fx, fy, cx, cy, pixels; of a lens that distorts also k1 to "
+                    "k6, p1, p2",
+        description="give fx, fy, cx and cy in pixels, as the camera's software states them "
                           "for pictures of this size")
     turns_deg: list[float] | None = Field(
-        None, description="one angle for each view, such as [0, 90, 180, 270]")
-    tester: Tester | None = None
-    face: Literal["up", "down"] = "up"
+        None, title="angle of the table in each view; required of two or three views, else equal "
+                    "parts of a turn",
+        description="one angle for each view, such as [0, 90, 180, 270]")
+    tester: Tester | None = Field(
+        None, title="name, such as disc300_support180, or numbers: {specimen: disc, size_mm: 300, "
+                    "plate_mm: 180}; required")
+    face: Literal["up", "down"] = Field("up", title="where the fabric's marked face is")
     size_px: list[Annotated[int, Field(ge=1, le=max(MAX_PICTURE))]] | None = Field(
-        None, min_length=2, max_length=2, description="width and height, such as [640, 480]")
+        None, min_length=2, max_length=2, title="width and height of the picture to which the "
+                                                "intrinsics of a view in ply belong",
+        description="width and height, such as [640, 480]")
     outline: OutlineSource | None = Field(
-        None, description="outline is such as {mat: a3, plate_height_mm: 150}, or {plate_px: {x: "
+        None, title="of a photograph or a table: the keys below",
+        description="outline is such as {mat: a3, plate_height_mm: 150}, or {plate_px: {x: "
                           "960, y: 540, diameter: 700}, camera_height_mm: 1200}")
-    known: Reported | None = Field(None, description=Reported.remedy)
+    known: Reported | None = Field(
+        None, title="values of other tests", description=Reported.remedy)
 
     @model_validator(mode="before")
     @classmethod

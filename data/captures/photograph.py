@@ -18,9 +18,8 @@ import numpy as np
 from common.errors import InputError, of
 from common.findings import Finding
 from common.types import Metres, Outline, PixelPath, Radians, Vector
-from data.captures.capture import MAX_COEFFICIENT
 from data.captures.clarity import Clarity, bulge, side, sides
-from data.captures.description import OUTLINE_TABLES, OutlineSource
+from data.captures.description import MAX_COEFFICIENT, OUTLINE_TABLES, OutlineSource
 from data.captures.ground import Ground
 from data.captures.joined_outlines import (
     MAX_PARTED,

@@ -11,8 +11,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pillow_heif
-from PIL import Image, ImageCms, ImageOps, features
+from PIL import Image, ImageOps, features
 
 from common.documents import read_bytes, reading
 from common.errors import InputError
@@ -22,7 +21,7 @@ MAX_FILE_BYTES = 160 << 20
 SIDES = (100, 10_000)  # pixels
 WORKING_SIDE = 1500  # pixels, to which larger photographs are reduced
 _OF_BROWSERS = tuple(kind for kind in ("WEBP", "AVIF") if features.check(kind.lower()))
-FORMATS = ("PNG", "JPEG", "TIFF", "HEIF", *_OF_BROWSERS)
+_FORMATS = ("PNG", "JPEG", "TIFF", *_OF_BROWSERS)  # beside HEIF
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".heic", ".heif",
             *(f".{kind.lower()}" for kind in _OF_BROWSERS))
 FULL_FRAME = 43.27  # mm, diagonal of the film that equivalent focal lengths refer to
@@ -30,8 +29,6 @@ _BRIGHTEST = 0.995  # quantile that a picture is scaled to
 _EXIF, _EQUIVALENT_FOCAL, _DIGITAL_ZOOM = 0x8769, 41989, 41988  # tags
 _WHOLE = (4 / 3, 3 / 2)  # sides of the sensors of phones and cameras
 _EVEN = 0.01  # relative difference of sides and zooms that counts as none
-
-pillow_heif.register_heif_opener()
 
 
 @dataclass(frozen=True)
@@ -76,7 +73,7 @@ def read_photograph(
           warnings.catch_warnings()):
         warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # refused below
         # From memory: of files, Pillow maps some TIFF with the size that they have when turned.
-        with Image.open(io.BytesIO(data), formats=FORMATS) as picture:
+        with opened(data) as picture:
             width, height = picture.size
             if not SIDES[0] <= min(picture.size) <= max(picture.size) <= SIDES[1]:
                 raise InputError(f"{width}x{height} pixels; photographs have {SIDES[0]} to "
@@ -94,6 +91,17 @@ def read_photograph(
         light[transparent] = 0.0 if np.median(light[~transparent]) > 0.3 else 1.0
     focal = equivalent and equivalent * float(np.hypot(rows, columns)) / FULL_FRAME
     return Photograph(light, transparent, factor, focal, no_focal)
+
+
+def opened(data: bytes) -> Image.Image:
+    """A picture in a file of a format that is read, its pixels not read yet."""
+    formats = _FORMATS
+    if data[4:8] == b"ftyp":
+        import pillow_heif  # slow to load, as PIL.ImageCms
+
+        pillow_heif.register_heif_opener()
+        formats = ("HEIF", *formats)
+    return Image.open(io.BytesIO(data), formats=formats)
 
 
 @contextmanager
@@ -138,6 +146,8 @@ def _values(picture: Image.Image) -> tuple[np.ndarray, np.ndarray]:
 
 def _in_srgb(picture: Image.Image, profile: bytes) -> Image.Image:
     """The picture in the colours of sRGB; as it is if its profile is damaged."""
+    from PIL import ImageCms
+
     try:
         stated = ImageCms.ImageCmsProfile(io.BytesIO(profile))
         if picture.mode == "RGBA":

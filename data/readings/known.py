@@ -37,10 +37,15 @@ class _Stated(Schema):
     remedy = ("known has values such as bending_length_mm: {warp: 22, weft: 18} or "
               "membrane_n_per_m: 600, and error_percent; values of FAST-3 and G of KES-FB1 belong "
               "in tension.yaml")
-    error_percent: dict[str, Annotated[float, Field(gt=0, le=100)]] = Field(default_factory=dict)
-    thickness_mm: Annotated[float, Field(ge=0.03, le=10)] | None = None
-    thickness_kpa: Annotated[float, Field(ge=0.01, le=100)] | None = None
-    friction_deg: Friction | None = None
+    error_percent: dict[str, Annotated[float, Field(gt=0, le=100)]] = Field(
+        default_factory=dict, title="standard deviations in place of the assumed ones, such as "
+                                    "{bending_length_mm: 3}")
+    thickness_mm: float | None = Field(None, ge=0.03, le=10, title="thickness, no evidence")
+    thickness_kpa: float | None = Field(
+        None, ge=0.01, le=100, title="pressure at which it was measured; of a book on A4 0.2")
+    friction_deg: Friction | None = Field(
+        None, title="no evidence: slopes, 3 to 70, at which the fabric slides on itself and on a "
+                    "board: {fabric: 24, board: 18.5}")
 
     @model_validator(mode="after")
     def _pressed(self) -> "_Stated":
@@ -110,5 +115,6 @@ Known = create_model("Known", __base__=_Stated, **_FIELDS)
 class Reported(Known):
     """Values of testers, and what a drape tester without pictures reports."""
 
-    drape_coefficient_percent: Annotated[float, Field(gt=0, lt=100)] | None = None
-    nodes: Annotated[int, Field(ge=0, le=30)] | None = None
+    drape_coefficient_percent: float | None = Field(
+        None, gt=0, lt=100, title="of a capture without pictures")
+    nodes: int | None = Field(None, ge=0, le=30, title="number of its folds")

@@ -163,7 +163,9 @@ class Described(Weighed, Labels):
     """Keys of these entries that name photographs."""
     typed: ClassVar[bool] = True
     """Whether the page of the service asks for its numbers, in place of a file."""
-    known: Known | None = Field(None, description=Known.remedy)
+    known: Known | None = Field(
+        None, title="values of other tests, alone where nothing else is measured",
+        description=Known.remedy)
 
     @classmethod
     def in_folder(cls: type[D], folder: Path) -> D:
@@ -223,6 +225,8 @@ class Measured:
     """Of the kind: the stem of its description, with which the names of its results begin."""
     noun: ClassVar[str]
     """What was measured, in sentences."""
+    apart: ClassVar[str] = "{noun}: give one after the other"
+    """End of the sentence that refuses it beside a source of another kind."""
     version: ClassVar[int] = 1
     """To be raised when the kind makes other results of the same source."""
     schema: ClassVar[type[Weighed]]

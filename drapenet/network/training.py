@@ -78,12 +78,11 @@ def open_captures(config: TrainConfig) -> tuple[CaptureSet, CaptureSet, dict]:
         parts.append(replace(part, fabric=part.fabric + number * _APART,
                              index=part.index + number * _APART))
     maps = Maps.joined(parts)
-    described = {"sha256": [manifest["hash"] for manifest in manifests],
-                 "generation": [manifest["config"] for manifest in manifests],
-                 "maps": VERSION}
-    if start:
-        described["start"] = start.sha256
+    described: dict[str, Any] = {
+        "sha256": [manifest["hash"] for manifest in manifests],
+        "generation": [manifest["config"] for manifest in manifests], "maps": VERSION}
     if start:  # whose fabrics the weights have learned, too
+        described["start"] = start.sha256
         described["sha256"] = [*start.dataset.sha256, *described["sha256"]]
         described["generation"] = [*start.dataset.generation, *described["generation"]]
     shares = {"train": 1 - config.validation_fraction, "validation": config.validation_fraction}

@@ -20,6 +20,7 @@ from PIL import Image, ImageOps
 from common.types import DepthImage, Views
 from data.captures.capture import Capture, DepthCapture, OutlineCapture
 from data.captures.photograph import PhotographedOutline
+from data.captures.preview import png
 from data.render.cameras import nominal_camera
 from data.render.raster import rasterise
 from drapenet.measured.base import Quantity
@@ -165,9 +166,7 @@ def draw_spread(
             axes.plot(alpha.median, row, "o", color=colour, ms=4)
         axes.set(title=f"alpha {name} [µN·m]", ylim=(len(captures) - 0.4, -0.6))
         axes.set_yticks(range(len(captures)), names, fontsize=8, parse_math=False)
-    picture = io.BytesIO()
-    figure.savefig(picture, format="png", dpi=100, metadata={"Software": None})
-    return picture.getvalue()
+    return png(figure)
 
 
 def _window(views: Views) -> tuple[slice, slice, slice]:

@@ -6,7 +6,6 @@ folds of another start differs far more (``python -m experiments skirt``). As in
 natural curvature and hysteresis are left out (``docs/exports.md``).
 """
 
-import io
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -22,6 +21,7 @@ from matplotlib.figure import Figure
 from common.arguments import require, whole_number
 from common.errors import InputError
 from common.files import replace_file
+from data.captures.preview import png
 from data.render.shade import shade
 from drapenet.report.shapes import add_surface
 from drapenet.result.estimate import Estimate
@@ -94,9 +94,7 @@ class Garments:
                                    plate_radius=0.0, size=_SIZE, field=0.6))
             else:
                 panel.text(0.5, 0.5, "not simulated", ha="center", transform=panel.transAxes)
-        stream = io.BytesIO()
-        figure.savefig(stream, format="png", dpi=100, metadata={"Software": None})
-        return stream.getvalue()
+        return png(figure)
 
     @cached_property
     def shapes(self) -> bytes:

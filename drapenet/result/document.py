@@ -54,21 +54,24 @@ MAX_COMPARED_SHARE = 0.05  # beyond, its readings are given, but not to be compa
 class DirectionModuli(Excerpt):
     """Moduli along one direction."""
 
-    alpha_uN_m: Quantity  # noqa: N815
-    beta_nN_m2: Quantity  # noqa: N815
-    beta_over_alpha_mm: Quantity
-    drape_stiffness_uN_m: Quantity | None = None  # noqa: N815  # none: an earlier estimate
+    alpha_uN_m: Quantity = Field(title="linear modulus α")  # noqa: N815
+    beta_nN_m2: Quantity = Field(title="quadratic modulus β")  # noqa: N815
+    beta_over_alpha_mm: Quantity = Field(title="β/α")
+    drape_stiffness_uN_m: Quantity | None = Field(  # noqa: N815  # none: an earlier estimate
+        None, title="stiffness in a drape: secant α + βκ at 60 m⁻¹")
 
 
 class Readings(Excerpt):
     """What testers would measure along one direction."""
 
-    bending_length_mm: Quantity
-    flexural_rigidity_uN_m: Quantity  # noqa: N815
-    flexural_rigidity_mg_cm: Quantity
-    kes_b_gf_cm2_per_cm: Quantity | None
-    kes_2hb_gf_cm_per_cm: Quantity | None
-    kes_b_outside_law_probability: float
+    bending_length_mm: Quantity = Field(title="bending length c")
+    flexural_rigidity_uN_m: Quantity = Field(title="flexural rigidity G")  # noqa: N815
+    flexural_rigidity_mg_cm: Quantity = Field(title="the same in mg·cm")
+    kes_b_gf_cm2_per_cm: Quantity | None = Field(
+        title="B of KES-FB2; null if the moduli do not determine it")
+    kes_2hb_gf_cm_per_cm: Quantity | None = Field(title="2HB of KES-FB2; null as B")
+    kes_b_outside_law_probability: float = Field(
+        title="share of the samples that do not determine B")
 
 
 class CaptureAbout(Excerpt):
@@ -106,10 +109,10 @@ class CaptureAbout(Excerpt):
 class Cloth(Excerpt):
     """Properties beside the moduli, at the fabric's density."""
 
-    natural_curvature_warp_1_m: Quantity
-    natural_curvature_weft_1_m: Quantity
-    membrane_n_per_m: Quantity
-    hysteresis_share: Quantity
+    natural_curvature_warp_1_m: Quantity = Field(title="along the warp")
+    natural_curvature_weft_1_m: Quantity = Field(title="along the weft")
+    membrane_n_per_m: Quantity = Field(title="in-plane stiffness along the yarns")
+    hysteresis_share: Quantity = Field(title="of the torque at 1 cm⁻¹")
 
 
 class PosteriorRecord(Excerpt):
@@ -149,10 +152,10 @@ class NextMeasurement(Excerpt):
     """A further measurement of a fabric: by how much it would lower the standard deviations of log
     alpha and of beta, means over the directions, and the minutes of work."""
 
-    measurement: str
-    alpha_narrower_percent: float
-    beta_narrower_percent: float
-    minutes: float
+    measurement: str = Field(title="its name")
+    alpha_narrower_percent: float = Field(title="expected reduction of the deviation of log α")
+    beta_narrower_percent: float = Field(title="the same of β")
+    minutes: float = Field(title="of work, assumed")
 
     def __str__(self) -> str:
         return (f"{self.measurement}: α {self.alpha_narrower_percent:.0f} %, β "
@@ -165,28 +168,39 @@ class EstimateDocument(Excerpt):
     remedy = "give the estimate.json that infer.py writes"
     schema_: Literal[SCHEMA] = Field(alias="schema")  # type: ignore[valid-type]
     schema_version: Literal[SCHEMA_VERSION]  # type: ignore[valid-type]
-    convention: Literal["warp/weft", "stiff/soft"]
-    capture: CaptureAbout
-    moduli: dict[str, DirectionModuli]
-    moduli_at_300_g_m2: dict[str, DirectionModuli]
-    laboratory: dict[str, Readings]
-    kes_note: Text = ""  # where KES readings are not given, or not to be compared
-    correlations: dict[str, Any]
-    share_of_spread_over_fabrics: dict[str, float]
-    poorly_constrained: list[str]
-    torque_mN: dict[str, Any]  # noqa: N815
-    cloth: Cloth
-    checkpoint: dict[str, Text]
-    captures: list[CaptureRecord] | None = None
-    strips: list[StripsRecord] | None = None
-    tension: TensionRecord | None = None
-    measured: list[AnyRecord] | None = None  # of other kinds
-    refined: RefinementRecord | None = None
-    resimulation: dict[str, Any] | None = None
-    advice: list[Recorded] | None = None
-    next_measurements: list[NextMeasurement] | None = None  # none: without a report
-    warnings: list[Recorded]
-    contradictions: list[Recorded] | None = None  # those among the warnings
+    convention: Literal["warp/weft", "stiff/soft"] = Field(
+        title="names of the directions: warp/weft, or stiff/soft if the warp is not marked")
+    capture: CaptureAbout = Field(
+        title="what was measured and stated: source (sources of a joint estimate), density, rig, "
+              "face, digests, turns, drape coefficient, nodes, known, labels")
+    moduli: dict[str, DirectionModuli] = Field(title="at the fabric's density")
+    moduli_at_300_g_m2: dict[str, DirectionModuli] = Field(title="the same keys, at 300 g/m²")
+    laboratory: dict[str, Readings] = Field(title="what testers would measure")
+    kes_note: Text = Field("", title="where KES readings are not given, or not to be compared")
+    correlations: dict[str, Any] = Field(title="of log α and β/α: of, matrix")
+    share_of_spread_over_fabrics: dict[str, float] = Field(
+        title="standard deviation of each modulus over its spread over fabrics")
+    poorly_constrained: list[str] = Field(title="moduli for which this exceeds 0.7")
+    torque_mN: dict[str, Any] = Field(  # noqa: N815
+        title="torque per width of each direction at curvature_1_m")
+    cloth: Cloth = Field(title="other properties")
+    checkpoint: dict[str, Text] = Field(title="the network")
+    captures: list[CaptureRecord] | None = Field(
+        None, title="of a joint estimate: capture, moduli and warnings of each alone")
+    strips: list[StripsRecord] | None = Field(
+        None, title="of hanging strips: source, density, moduli of each direction by them alone")
+    tension: TensionRecord | None = Field(None, title="by strips under weights")
+    measured: list[AnyRecord] | None = Field(None, title="records of other kinds")
+    refined: RefinementRecord | None = Field(
+        None, title="outcome of a refinement, and the moduli before it")
+    resimulation: dict[str, Any] | None = Field(None, title="the simulated drape")
+    advice: list[Recorded] | None = Field(
+        None, title="specimens or strips that would say more")
+    next_measurements: list[NextMeasurement] | None = Field(
+        None, title="of an estimate with a report, what would narrow it")
+    warnings: list[Recorded] = Field(title="records of findings")
+    contradictions: list[Recorded] | None = Field(
+        None, title="those of the warnings that name what contradicts the rest")
 
     @model_validator(mode="after")
     def _require_directions(self) -> "EstimateDocument":

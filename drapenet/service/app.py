@@ -143,13 +143,15 @@ async def begin(request: Request) -> dict[str, str]:
 
 @router.post("/outline", openapi_extra={"requestBody": _FORM}, response_model=None)
 async def outline(request: Request) -> Response:
-    """How the photograph of a capture is read, before its estimate: `picture`, at most 1000 pixels
-    wide and high, with `outline`, the points of the hem, `plate`, `specimen`, the border of the
-    flat specimen, and `warp`, a line along it, in its pixels, `warnings`, and `refusal`, a sentence
-    if there is no outline; `unclear` are parts of the hem that are not clearly seen; over a mat,
-    `cameras` are the places of the pictures' cameras, and `next_camera` is that from which another
-    picture is asked for; `scale` is the number of pixels of the file to each. The density may be
-    missing. 204 if there is no photograph from above.
+    """How the photograph of a capture is read, before its estimate: `picture`, a JPEG as a data
+    URL, at most 1000 pixels wide and high, with `outline`, the points of the hem, `plate` (`x`,
+    `y`, `diameter`; `centred`: its centre is known; `movable`: not by a mat), `specimen`, the
+    border of the flat specimen, and `warp`, a line along it, in its pixels; `nodes`,
+    `drape_coefficient_percent` as seen, `warnings`, and `refusal`, a sentence if there is no
+    outline; `unclear` are parts of the hem that are not clearly seen; over a mat, `cameras` are the
+    places of the pictures' cameras, and `next_camera` is that from which another picture is asked
+    for, or null; `scale` is the number of pixels of the file to each: p is (p + 0.5) `scale` - 0.5
+    of the file. The density may be missing. 204 if there is no photograph from above.
     """
     jobs: Jobs = request.app.state.jobs
     try:

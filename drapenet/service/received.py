@@ -17,7 +17,7 @@ from common.errors import one_line, shown
 from data.captures.description import OUTLINE_TABLES
 from data.captures.frames import header_of
 from data.captures.reader import OUTLINE_SUFFIXES
-from data.pictures.reading import FORMATS
+from data.pictures.reading import opened
 from drapenet.config import ServeConfig
 from drapenet.fabric.entries import plain_name
 from drapenet.service.limits import RequestError
@@ -101,7 +101,7 @@ def require_pixels(name: str, data: bytes, settings: ServeConfig, *, photograph:
         if suffix == ".npy":
             size, _ = header_of(data)
         elif suffix == ".png" or (photograph and suffix in PHOTOGRAPHS):
-            with Image.open(io.BytesIO(data), formats=FORMATS) as picture:
+            with opened(data) as picture:
                 size = picture.size
     except (Image.DecompressionBombError, Image.DecompressionBombWarning):
         size = (math.inf,)

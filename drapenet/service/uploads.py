@@ -138,8 +138,8 @@ def _content(
             found.setdefault(kind, file)
     if len(found) > 1:
         first, second, *_ = found.values()
-        raise RequestError(422, f"{first} and {kind_at(KINDS[second]).noun}: give one after the "
-                           "other")
+        kind = kind_at(KINDS[second])
+        raise RequestError(422, f"{first} and {kind.apart.format(noun=kind.noun)}")
     if not (received or found or COEFFICIENT in fields):
         found[KINDS[VALUES]] = VALUES
     if others := [file for kind, file in found.items() if kind != KINDS[CAPTURE]]:

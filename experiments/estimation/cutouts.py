@@ -14,7 +14,6 @@ import numpy as np
 
 from common.errors import InputError
 from common.findings import texts
-from common.vectors import angle_between
 from data.captures.cutout import CutOut, cut_out
 from data.render.cameras import QUARTERS
 from data.render.scenes import CLUTTER, RawScene, raw_scene
@@ -71,7 +70,7 @@ def plate_errors(cut: CutOut, scene: RawScene) -> dict[str, float]:
 
 def angle(one: np.ndarray, other: np.ndarray) -> float:
     """Angle, degrees, between two unit vectors (3,), ignoring their signs."""
-    return float(np.degrees(angle_between(one, other * np.sign(one @ other))))
+    return float(np.degrees(np.arccos(min(1.0, abs(one @ other)))))
 
 
 def run(config: Config) -> Result:

@@ -1,7 +1,6 @@
 """Blocks about estimates: the demo, the network, its accuracy and bounds, refinement, priors."""
 
 import json
-import re
 
 from experiments.estimation.refine_views import METHODS
 from experiments.figures.reports import (
@@ -17,31 +16,28 @@ from experiments.result import REPORTS, ROOT, Report, table
 
 
 def demo(reports: Reports) -> str:
-    """Joint estimate that ``make demo`` prints last, and a table of true and estimated moduli."""
+    """The moduli that ``make demo`` prints last, and the true ones."""
     printed = (REPORTS / "demo.txt").read_text(encoding="utf-8").rstrip()
-    printed = printed[printed.index("joint estimate"):]
+    lines = printed[printed.index("joint estimate"):].splitlines()
     truth = json.loads((ROOT / "examples/captures/twill/truth.json").read_text(encoding="utf-8"))
-    rows = []
-    for direction, true in truth["moduli"].items():
-        alpha, low, high, beta, least, most = re.search(
-            rf"^{direction} +(\S+) +(\S+) to (\S+) +(\S+) +(\S+) to (\S+)$", printed,
-            re.MULTILINE).groups()
-        rows.append([direction, f"{true['alpha_uN_m']:.0f}", f"{alpha} ({low} to {high})",
-                     f"{true['beta_nN_m2']:.0f}", f"{beta} ({least} to {most})"])
-    known = table(["", "α true, µN·m", "estimate (68 %)", "β true, nN·m²", "estimate (68 %)"], rows)
+    alpha, beta = (", ".join(f"{true[key]:.0f}" for true in truth["moduli"].values())
+                   for key in ("alpha_uN_m", "beta_nN_m2"))
     shares = {kind: reports.cell(kind)["inside"]["68%"]["each"][3:] for kind in RIGS}
     contained = " and ".join(f"{percent(sum(each) / 3)} ({kind})" for kind, each in shares.items())
-    return (f"```\n{printed}\n```\n\n"
-            "**The captures of the demo are simulated**, so that the true moduli are known:\n\n"
-            f"{known}\n\nA drape says little about β, so its estimate is pulled towards the β/α of "
-            f"typical fabrics: the 68 % intervals of β/α contain {contained} of the true values of "
-            "unseen fabrics, and one fabric can be missed in several directions at once.")
+    shown = "\n".join([*lines[:6], "…", *lines[-2:]])
+    return (f"```\n{shown}\n```\n\n"
+            f"**These captures are simulated**: the true α are {alpha} µN·m, the true β {beta} "
+            "nN·m². A drape says little about β, so its estimate is pulled towards the β/α of "
+            f"typical fabrics: 68 % intervals of β/α contain {contained} of the true values, and "
+            "one fabric can be missed in several directions at once.")
 
 
 def fifteen_minutes(reports: Reports) -> str:
     """What the estimate of docs/fifteen_minutes.md prints last."""
     printed = (REPORTS / "fifteen_minutes.txt").read_text(encoding="utf-8").rstrip()
-    return f"```\n{printed[printed.rindex('joint estimate'):]}\n```"
+    lines = printed[printed.rindex("joint estimate"):].splitlines()
+    strips = [line for line in lines if line.startswith("by strips")]
+    return "\n".join(["```", *lines[:6], "…", *strips, "…", *lines[-3:], "```"])
 
 
 def accuracy(reports: Reports) -> str:
@@ -53,9 +49,6 @@ def accuracy(reports: Reports) -> str:
     rows = [[f"{kind[:-1]} of 300 mm, {what}", *_off(reports.cell(kind, name)),
              coverage(reports.cell(kind, name))]
             for what, name in names.items() for kind in ("discs", "squares")]
-    resnet = reports["networks"]["networks"]["views"]
-    rows.insert(2, ["disc of 300 mm, four depth views, by the paper's ResNet-18, trained here on "
-                    f"{reports['networks']['drapes']} drapes", *_off(resnet), coverage(resnet)])
     drapes = reports["outlines"]["summary"]["parallel"]["flat"]
     bent = next(iter(reports["laboratory"]["summary"].values()))
     alone, known = reports["outlines_real"]["alone"], reports["numbers"]
@@ -69,9 +62,9 @@ def accuracy(reports: Reports) -> str:
         f"{drapes['folds']:.1f} folds where they have {drapes['folds_real']:.1f}.",
         f"- **Laboratory fabrics**: from drape coefficient and nodes alone, the 90 % interval of "
         f"KES B contains the measured value for {known['inside']} of {known['of']} fabrics; its "
-        f"ends differ by a factor of {known['ratio']:.0f}. Simulated drape coefficients of these "
-        f"fabrics are off by {bent['rms']:.0f} points rms. No depth capture of a fabric of known "
-        f"moduli was at hand ([validation](docs/validation.md#real-cloth)).",
+        f"ends differ by a factor of {known['ratio']:.0f}. Their simulated drape coefficients are "
+        f"off by {bent['rms']:.0f} points rms. No depth capture of a fabric of known moduli was at "
+        "hand ([validation](docs/validation.md#real-cloth)).",
         f"- **Limits**: β/α is poorly constrained by a drape: its error is "
         f"{squares['beta_over_alpha']['rmse']:.2f} (squares) and "
         f"{discs['beta_over_alpha']['rmse']:.2f} (discs) of its spread over fabrics."])

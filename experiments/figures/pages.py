@@ -4,7 +4,7 @@ import re
 from collections.abc import Callable
 
 from common.errors import InputError
-from experiments.figures import claims, of_drapes, of_estimates
+from experiments.figures import claims, of_drapes, of_estimates, of_models
 from experiments.figures.reports import Reports
 from experiments.result import ROOT, Report
 
@@ -17,7 +17,9 @@ BLOCKS: dict[str, Callable[[Reports], str]] = {
         of_estimates.mats, of_estimates.photographed, of_estimates.cells,
         of_estimates.refinement, of_estimates.additions, of_estimates.in_plane,
         of_estimates.bands, of_drapes.testers, of_drapes.outlines, of_drapes.laboratory,
-        of_drapes.lowering, of_drapes.blender, of_drapes.secants)
+        of_drapes.lowering, of_drapes.blender, of_drapes.secants, of_models.capture_keys,
+        of_models.strips_keys, of_models.tension_keys, of_models.known_keys,
+        of_models.estimate_keys, of_models.shard_arrays)
 }
 
 

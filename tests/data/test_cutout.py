@@ -10,12 +10,12 @@ import yaml
 from cloths import skirt
 from matplotlib.colors import to_rgb
 from PIL import Image
+from vectors import angle_between
 
 import data.captures.frames
 import data.captures.preview
 from apps.capture import main
 from common.errors import InputError
-from common.vectors import angle_between
 from data.captures.cutout import cut_out
 from data.captures.description import Description
 from data.captures.reader import read_capture

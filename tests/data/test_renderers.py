@@ -14,7 +14,7 @@ from data.dataset.cloth import ClothNetwork
 from data.dataset.off_axis import silhouette
 from data.pictures.cut import BUNDLED, cut_cloth, outline_of_cloth
 from data.pictures.reading import Photograph, decoded
-from data.render import textures
+from data.render import cloth_scenes, textures
 from data.render.cameras import Camera, nominal_camera
 from data.render.phone import exposed
 from data.render.raster import draw, rasterise
@@ -341,11 +341,15 @@ def test_textures_are_albedo_and_repeat_with_their_seed():
     np.testing.assert_allclose(mirrored[0], mirrored[1])
 
 
-def test_the_network_is_trained_alike_twice_and_stored_small(cloth_dataset, tmp_path, capsys):
+def test_the_network_is_trained_alike_twice_and_stored_small(cloth_dataset, tmp_path, capsys,
+                                                             monkeypatch):
     files = [tmp_path / name for name in ("first.safetensors", "second.safetensors")]
+    monkeypatch.setattr(cloth_scenes, "_TIMES", 1)  # coarse pictures, fast
     for file in files:
         cloth.main([f"data={cloth_dataset}", f"pictures={tmp_path / 'pictures'}", f"out={file}",
                     "shards=2", "scenes=1", "epochs=2", "workers=1"])
+        # A graph takes seconds; once is enough.
+        monkeypatch.setattr(cloth, "save_graph", lambda *_, **__: None)
     assert files[0].read_bytes() == files[1].read_bytes()
     assert len(files[0].read_bytes()) == len(BUNDLED.read_bytes()) < 2_000_000
     ClothNetwork().load_state_dict(load_file(files[0]), strict=False)

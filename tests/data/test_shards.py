@@ -1,7 +1,5 @@
 import hashlib
-import re
 import time
-from pathlib import Path
 
 import h5py
 import numpy as np
@@ -183,9 +181,3 @@ def test_other_files_are_no_shard(tmp_path):
                             ("old.h5", "not a shard of schema version 9")):
         with pytest.raises(InputError, match=complaint):
             Shard(tmp_path / name)
-
-
-def test_the_documentation_lists_every_field():
-    text = (Path(__file__).parents[2] / "docs" / "data_format.md").read_text(encoding="utf-8")
-    documented = re.findall(r"^\| `(\w+)` \| (?:u?int|float|text)", text, flags=re.MULTILINE)
-    assert documented == list(fields(1, 1))

@@ -188,10 +188,10 @@ WARNINGS = (
 
 
 @pytest.mark.parametrize("words", WARNINGS)
-def test_every_warning_has_a_remedy_in_the_docs(words):
+def test_the_docs_have_the_cause_of_every_warning(words):
     lines = (Path(__file__).parents[2] / "docs" / "rig.md").read_text("utf-8").splitlines()
     assert any(words in sentence for sentence in sentences().values())
-    assert any(line.startswith("| ") and line.count("|") == 4 and words in line for line in lines)
+    assert any(line.startswith("| ") and line.count("|") == 3 and words in line for line in lines)
 
 
 class Cone(LocatedViews):

@@ -257,7 +257,7 @@ def test_captured_surface_lies_on_the_drape_that_was_captured():
 
 def coarse(work, plans):
     """Simulated here, on coarse meshes."""
-    return [work(**plan | ({"edge": 25e-3} if work is skirt else {})) for plan in plans]
+    return [work(**plan | ({"edge": 50e-3} if work is skirt else {})) for plan in plans]
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from exported import IN_A_DRAPE, exported
+from vectors import angle_between
 
-from common.vectors import angle_between
 from drapenet.export.formats import export
 from sim.energies.hinges import HingeBending
 from sim.material import Fabric

@@ -3,9 +3,9 @@ for, alike under offsets."""
 
 import numpy as np
 import pytest
+from vectors import angle_between
 
 from common.errors import InputError
-from common.vectors import angle_between
 from sim.mesh import Mesh, strip
 from sim.mesh.specimen import (
     GRADING,

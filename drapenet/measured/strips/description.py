@@ -24,10 +24,12 @@ _SCALES = "mm_per_px: 0.05, or {ruler_px: [[100, 900], [1100, 900]], ruler_mm: 5
 class Scale(Schema):
     """Key ``scale``: how large a pixel is in the middle of the strip's width."""
 
-    mm_per_px: float | None = Field(None, gt=0, le=1)
-    ruler_px: list[_Point] | None = Field(None, min_length=2, max_length=2)
-    ruler_mm: float | None = Field(None, ge=5, le=1000)
-    by: Literal["board", "free_length"] | None = None
+    mm_per_px: float | None = Field(None, gt=0, le=1, title="size of a pixel")
+    ruler_px: list[_Point] | None = Field(
+        None, min_length=2, max_length=2, title="two points of a ruler in the picture")
+    ruler_mm: float | None = Field(None, ge=5, le=1000, title="length between them")
+    by: Literal["board", "free_length"] | None = Field(
+        None, title="the printed board in the picture, or the stated free length")
 
     @model_validator(mode="after")
     def _one(self) -> "Scale":
@@ -43,31 +45,32 @@ class Scale(Schema):
 
 
 class View(Schema):
-    """How strips are seen: for all of them, or in one entry for one strip.
+    """How strips are seen: for all of them, or in one entry for one strip."""
 
-    ``clamp_px``: where the strip leaves the clamp, in the middle of its thickness; ``roll_deg``:
-    of the true horizontal in the picture, clockwise.
-    """
-
-    scale: Scale | None = None
-    clamp_px: _Point | None = None
-    roll_deg: float | None = Field(None, ge=-15, le=15)
-    hangs: Literal["left", "right"] | None = None
-    camera_distance_mm: float | None = Field(None, ge=150, le=20_000)
+    scale: Scale | None = Field(None, title="the keys scale. below")
+    clamp_px: _Point | None = Field(
+        None, title="[x, y], where the strip leaves the clamp, in the middle of its thickness")
+    roll_deg: float | None = Field(
+        None, ge=-15, le=15, title="how far the picture is turned clockwise")
+    hangs: Literal["left", "right"] | None = Field(
+        None, title="side of the clamp on which strips hang")
+    camera_distance_mm: float | None = Field(
+        None, ge=150, le=20_000, title="from the lens to the middle of the strip's width")
 
 
 class StripEntry(View):
-    """One strip: a photograph, or the bending length that a laboratory has read at 41.5°.
+    """One strip: a photograph, or the bending length that a laboratory has read at 41.5°."""
 
-    ``specimen``: name of the strip, if several entries are of the same; specimens differ.
-    """
-
-    direction: Literal["warp", "bias", "weft"]
-    face: Literal["up", "down"] = "up"
-    file: str | None = Field(None, min_length=1, max_length=200)
-    free_length_mm: float | None = Field(None, ge=FREE_LENGTHS[0], le=FREE_LENGTHS[1])
-    bending_length_mm: float | None = Field(None, ge=BENDING_LENGTHS[0], le=BENDING_LENGTHS[1])
-    specimen: str = Field("", max_length=MAX_LABEL_LENGTH)
+    direction: Literal["warp", "bias", "weft"] = Field(title="of the strip")
+    face: Literal["up", "down"] = Field("up", title="where the marked face is")
+    file: str | None = Field(None, min_length=1, max_length=200, title="name of a photograph")
+    free_length_mm: float | None = Field(
+        None, ge=FREE_LENGTHS[0], le=FREE_LENGTHS[1], title="of its strip, from clamp to tip on "
+                                                            "the flat strip")
+    bending_length_mm: float | None = Field(
+        None, ge=BENDING_LENGTHS[0], le=BENDING_LENGTHS[1], title="in place of both, read at 41.5°")
+    specimen: str = Field("", max_length=MAX_LABEL_LENGTH,
+                          title="name of the strip, if several entries are of the same")
 
     @property
     def sign(self) -> int:
@@ -97,11 +100,14 @@ class StripsDescription(Described, View):
 
     file, content = FILE, "density_g_m2, scale and strips"
     entries, pictures, typed = "strips", ("file",), False
-    thickness_mm: float | None = Field(None, ge=0.03, le=10)
-    width_mm: float = Field(30.0, ge=5, le=100)
-    clamp_width_mm: float = Field(40.0, ge=5, le=200)
-    clamp_slope_deg: float = Field(0.0, ge=-45, le=90)
-    strips: list[StripEntry] = Field([], max_length=MAX_STRIPS)
+    thickness_mm: float | None = Field(None, ge=0.03, le=10, title="of the cloth")
+    width_mm: float = Field(30.0, ge=5, le=100, title="of the strips")
+    clamp_width_mm: float = Field(
+        40.0, ge=5, le=200, title="of the clamp, along the line of sight")
+    clamp_slope_deg: float = Field(
+        0.0, ge=-45, le=90, title="of the clamp below the horizontal, towards the strip")
+    strips: list[StripEntry] = Field(
+        [], max_length=MAX_STRIPS, title="entries with the keys strips. below")
 
     @model_validator(mode="after")
     def _something(self) -> "StripsDescription":

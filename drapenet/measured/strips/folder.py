@@ -36,7 +36,8 @@ class StripSet(Measured):
         slope: of all clamps below the horizontal.
     """
 
-    name, noun, schema, recorded = "strips", "strips.yaml", StripsDescription, StripsRecord
+    name, noun, schema, recorded = "strips", "strips", StripsDescription, StripsRecord
+    apart = "strips.yaml: give the capture and the strips one after the other"
     photographs: tuple[PhotographedStrip, ...] = ()
     lengths: tuple[tuple[str, BendingLength], ...] = ()
     slope: Radians = 0.0

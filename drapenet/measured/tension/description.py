@@ -30,23 +30,25 @@ class MarksPixels(Schema):
 
 class StretchedStrip(Schema):
     """A strip under a weight: how much farther its two marks are apart than without it, or two
-    photographs over the mat, ``without`` the weight and ``with`` it.
+    photographs over the mat."""
 
-    ``clamped_mm``: length between the clamps, with the marks in its middle; without it they are
-    taken to be far from them. ``specimen``: name of the strip, if there are several of a direction.
-    """
-
-    direction: Literal["warp", "bias", "weft"]
+    direction: Literal["warp", "bias", "weft"] = Field(title="of the strip")
     width_mm: float = Field(ge=10, le=200, description="the width of the cut strip")
     gauge_mm: float = Field(ge=20, le=1000, description="the distance of the marks without weight")
     load_g: float = Field(ge=1, le=20_000, description="the weight in grams")
     extension_mm: float | None = Field(
         None, description="how much farther the marks are apart with the weight")
-    without: _File | None = None
-    under: _File | None = Field(None, alias="with")
-    marks_px: MarksPixels | None = None
-    clamped_mm: float | None = Field(None, ge=20, le=2000)
-    specimen: str = Field("", max_length=MAX_LABEL_LENGTH)
+    without: _File | None = Field(
+        None, title="photograph without the weight, in place of extension_mm")
+    under: _File | None = Field(None, alias="with", title="photograph with the weight")
+    marks_px: MarksPixels | None = Field(
+        None, title="both marks in both photographs, in the middle of the strip's width: {without: "
+                    "[[x, y], [x, y]], with: [[x, y], [x, y]]}")
+    clamped_mm: float | None = Field(
+        None, ge=20, le=2000, title="length between the clamps, with the marks in its middle; by "
+                                    "default they are far away")
+    specimen: str = Field("", max_length=MAX_LABEL_LENGTH,
+                          title="name of the strip, if there are several of a direction")
 
     @model_validator(mode="after")
     def _possible(self) -> "StretchedStrip":
@@ -81,19 +83,20 @@ class StretchedStrip(Schema):
 
 
 class TensionDescription(Described):
-    """``tension.yaml``. ``clip_g``: of the clip that bears the weights, where it is not among them;
-    ``above_mat_mm``: height of photographed strips above the mat, and ``mat_bar_mm``, of its scale
-    as printed.
-    """
+    """``tension.yaml``."""
 
     remedy = "docs/use.md shows an example; density_g_m2 is needed, weight_g is of whole specimens"
     file, content = FILE, "density_g_m2 and tension, a list of strips"
     entries, pictures = "tension", ("without", "with")
-    tension: list[StretchedStrip] = Field([], max_length=MAX_STRIPS)
-    clip_g: float = Field(0.0, ge=0, le=1000)
-    extension_error_mm: float = Field(READING, ge=0.01, le=5)
-    above_mat_mm: float = Field(0.0, ge=0, le=100)
-    mat_bar_mm: float | None = Field(None, ge=150, le=250)
+    tension: list[StretchedStrip] = Field(
+        [], max_length=MAX_STRIPS, title="entries with the keys tension. below")
+    clip_g: float = Field(0.0, ge=0, le=1000, title="of the lower clip, where load_g is without it")
+    extension_error_mm: float = Field(
+        READING, ge=0.01, le=5, title="standard deviation of extension_mm")
+    above_mat_mm: float = Field(
+        0.0, ge=0, le=100, title="height of photographed strips above the mat")
+    mat_bar_mm: float | None = Field(
+        None, ge=150, le=250, title="length of the mat's scale of 200 mm as printed")
     kes_g_gf_per_cm_deg: float | None = Field(
         None, ge=0.02, le=50, description="G of KES-FB1, mean of warp and weft, in gf/(cm °)")
     fast_eb5_percent: float | None = Field(

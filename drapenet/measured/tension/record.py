@@ -1,5 +1,7 @@
 """What ``estimate.json`` states of strips under weights."""
 
+from pydantic import Field
+
 from common.documents import Excerpt
 from drapenet.measured.base import Quantity, Record, Recorded
 
@@ -22,12 +24,14 @@ class TensionRecord(Record):
     kind = "tension"
     names = tuple(COLUMNS.values())
     strips: int
-    measured: list[str]
-    shear_n_per_m: Quantity
-    stretch_n_per_m: Stretch
-    friction_n_per_m: dict[str, float]
-    weight_for_10_percent_g: dict[str, float]
-    readings: dict[str, Quantity]
+    measured: list[str] = Field(title="directions; the others have values of usual fabrics")
+    shear_n_per_m: Quantity = Field(title="shear stiffness")
+    stretch_n_per_m: Stretch = Field(title="along warp and weft")
+    friction_n_per_m: dict[str, float] = Field(title="borne before yarns slip, by direction")
+    weight_for_10_percent_g: dict[str, float] = Field(
+        title="that would stretch these strips by 10 %")
+    readings: dict[str, Quantity] = Field(
+        title="what FAST-3 (EB5, E100) and KES-FB1 (G) would read")
     along_yarns: bool
     findings: list[Recorded]
 
