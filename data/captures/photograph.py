@@ -135,8 +135,8 @@ def read_outline(
     with of(file):
         if is_table:
             handed = warp_direction is not None and abs(np.sin(2 * warp_direction)) > MAX_SKEW
-            digests = [_sha256(file)]
             found = _tabulated(file, source, rig, handed=handed)
+            digests = [_sha256(file)]  # of a file that is regular, as it was read
         else:
             pictures = dict(sorted(scaled_photographs(file, source, rig).items()))
             digests = [_sha256(one) for one in pictures]

@@ -65,32 +65,6 @@ def test_columns_are_found_by_name(tmp_path):
     np.testing.assert_array_equal(there.theta, here.theta)
 
 
-@pytest.mark.parametrize(("lines", "complaint"), [
-    ([HEADER], "no fabrics"),
-    ([HEADER.replace("linear diag", "linear bias"), SOFT], "one column 'linear diag"),
-    ([HEADER.replace("*1e12", "*1e9"), SOFT], "one column 'nonlinear warp"),
-    ([HEADER, SOFT, "0.3, 1, 2"], "line 3"),
-    ([HEADER, SOFT.replace("1000", "none")], "line 2"),
-    ([HEADER, "", SOFT, "", "0.3, 1, 2"], "line 5"),
-    ([HEADER, SOFT.replace("1000", "nan")], "must be positive"),
-    ([HEADER, SOFT.replace("0.30", "-0.30")], "must be positive"),
-    ([HEADER, SOFT.replace("0.30", "1e-310")], "line 2: density=1e-310"),
-    ([HEADER, SOFT.replace("0.30", "210")], "line 2: density=210 .* check the unit"),
-    ([HEADER + ", density[kg.m-2]", SOFT + ", 0.2"], "one column 'density"),
-    ([HEADER + ", rows", SOFT + ", -3"], "line 2: .* number of rows"),
-])
-def test_bad_tables_are_refused_in_one_line(tmp_path, lines, complaint):
-    with pytest.raises(InputError, match=complaint) as refusal:
-        read_fabric_table(write(tmp_path / "t.csv", *lines))
-    assert "\n" not in str(refusal.value)
-
-
-def test_missing_table_is_refused(tmp_path):
-    with pytest.raises(InputError, match=r"nowhere\.csv cannot be read \(No such file") as refusal:
-        read_fabric_table(tmp_path / "nowhere.csv")
-    assert HEADER in str(refusal.value)
-
-
 def test_theta_and_back():
     alpha = np.array([[30e-6, 20e-6, 10e-6], [1e-6, 2e-6, 3e-6]])
     beta = np.array([[-90e-9, 20e-9, 0.0], [-1e-9, -2e-9, -3e-9]])
