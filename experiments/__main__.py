@@ -21,14 +21,9 @@ from types import ModuleType
 from typing import Any
 
 from common.command import command, commands, schema_of
-from common.configs import group_options
 from common.errors import InputError
 from common.files import replace_file, require_file, require_folder
-
-FOLDERS = ("physics", "speed", "estimation", "papers")
-FILES = {name: file for folder in FOLDERS for name in group_options("experiment")
-         if (file := Path(__file__).parent / folder / f"{name}.py").is_file()}
-"""Modules of the experiments by name, ordered by folder."""
+from experiments.result import FILES
 
 
 def usage() -> str:

@@ -16,6 +16,7 @@ import numpy as np
 
 from common import cases as resumable
 from common.cases import load_arrays as load_arrays
+from common.configs import group_options
 from common.files import replace_json, replacing
 from common.provenance import package_versions, processor
 
@@ -25,6 +26,10 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parents[1]
 REPORTS = ROOT / "docs" / "validation"
+FOLDERS = ("physics", "speed", "estimation", "papers")
+FILES = {name: file for folder in FOLDERS for name in group_options("experiment")
+         if (file := Path(__file__).parent / folder / f"{name}.py").is_file()}
+"""Modules of the experiments by name, ordered by folder."""
 SIMULATOR, ESTIMATOR = ("sim",), ("sim", "data", "drapenet")
 """Sources that results of simulations, and of estimates, depend on; see :func:`run_cases`."""
 EXECUTION_KEYS = ("workers", "cases", "work", "out")

@@ -9,7 +9,7 @@ fabrics of evenly distributed stiffness are, by drape coefficient and by stiffne
 
 Errors of alpha are those of the posterior's geometric mean, as factors: 10 % is 1.1 times too much
 or too little. Root mean squares are over the standard deviation of the prior's fabrics; beside them
-stands the smallest possible error where it is known (``python -m experiments bounds``).
+stands the smallest possible error where it is known (docs/validation/bounds.json).
 """
 
 import common.interrupt  # noqa: F401

@@ -8,7 +8,7 @@ from string import Formatter
 from typing import Any
 
 from experiments.figures.reports import Reports
-from experiments.result import Report
+from experiments.result import FILES, Report
 
 CLAIMS = Path(__file__).with_name("claims.md")
 COMMANDS = {
@@ -64,8 +64,9 @@ def claim_rows(reports: Reports, only: str = "") -> Iterator[list[str]]:
         text, target = (figures.vformat(part, (), reports[name]) for part in (text, target))
         met = conditions == "–" or all(figures.holds(condition, reports[name])
                                        for condition in conditions.split(", "))
+        settled = "" if name in COMMANDS or name in FILES else " §"
         yield [f"[{claim}](#{slug(section)})", text, target if met else f"{target}: {MISSED}",
-               f"`{COMMANDS.get(name, f'experiments {name}')}`"]
+               f"`{COMMANDS.get(name, f'experiments {name}')}`{settled}"]
 
 
 def claims(reports: Reports) -> str:

@@ -1,20 +1,7 @@
-"""Blocks about simulated cloth: strips, testers, lowering, real outlines and fabrics."""
+"""Blocks about simulated cloth: real outlines and laboratory fabrics."""
 
 from experiments.figures.reports import Reports
 from experiments.result import Report, table
-
-
-def testers(reports: Reports) -> str:
-    """Errors of the cantilever estimators."""
-    def share(value: float) -> str:
-        return f"{value:.0f} %" if value >= 10 else f"{value:.2g} %"
-
-    names = {"noisy": "guided, 0.3 mm noise,", "corrected": "table, corrected"}
-    rows = [[" ".join(names.get(word, word) for word in strips.split()),
-             *(share(found[name][key]) for name in ("alpha", "beta")
-               for key in ("median", "largest"))]
-            for strips, found in reports["testers"]["errors_percent"].items()]
-    return table(["strips, estimator", "α: median", "largest", "β: median", "largest"], rows)
 
 
 def outlines(reports: Reports) -> str:
@@ -56,44 +43,3 @@ def laboratory(reports: Reports) -> str:
             row[2 + list(testers).index(one["tester"])] = f"{one['coefficient']:.0f}"
     return table(["drape coefficient, %", "measured",
                   *(name.replace("_", " ") for name in testers)], rows.values())
-
-
-def lowering(reports: Reports) -> str:
-    """Folds and drape coefficients of lowered drapes, one setting changed at a time."""
-    found = reports["lowering"]
-    rows = [[row["variant"], *(f"{folds:.1f}, {dc:.1f}" for folds, dc in zip(
-        row["folds"], row["coefficients"], strict=True))] for row in found["variants"]]
-    return table(["folds, drape coefficient in %",
-                  *(f"{alpha:g} µN·m" for alpha in found["settings"]["alphas"])], rows)
-
-
-def blender(reports: Reports) -> str:
-    """Drapes of exported fabrics in Blender and in this simulator."""
-    def moduli(values: list[float]) -> str:
-        return ", ".join(f"{value:.1f}" for value in values)
-
-    rows = [[moduli(one["alpha_uN_m"]), moduli(one["stiffness_in_a_drape_uN_m"]),
-             f"{one['one_modulus_uN_m']:.1f}", *(f"{c:.1f} %" for c in one["coefficient"].values()),
-             *(f"{one['folds'][key]:.1f}" for key in ("law", "blender"))]
-            for one in reports["blender"]["fabrics"]]
-    return table(["α along warp, bias, weft [µN·m]", "stiffness in a drape", "as one modulus",
-                  "drape coefficient here, by the law", "here, with one modulus", "in Blender",
-                  "folds here, by the law", "in Blender"], rows)
-
-
-def secants(reports: Reports) -> str:
-    """Drapes with constant moduli, less those with the law, by the curvature of the secants."""
-    summary = reports["secants"]["summary"]
-    names = [name for name in summary if name != "all"]
-    rows = [[f"{kappa} m⁻¹", *(text for name in names
-                               for text in _differences(summary[name][kappa]))]
-            for kappa in summary["all"]]
-    what = ("drape coefficient, mean (rms, largest)", "folds, mean (rms)")
-    return table(["secant at", *(f"{name.replace('_', ' ')}: {each}" for name in names
-                                 for each in what)], rows)
-
-
-def _differences(found: Report) -> tuple[str, str]:
-    points, folds = found["coefficients"], found["folds"]
-    return (f"{points['mean']:+.1f} ({points['rms']:.1f}, {points['largest']:.1f})",
-            f"{folds['mean']:+.1f} ({folds['rms']:.1f})")

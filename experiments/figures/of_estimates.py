@@ -173,35 +173,3 @@ def refinement(reports: Reports) -> str:
             for name, found in sets.items() for who in (METHODS[0], METHODS[-1])]
     return table(["captures", "fabrics", "", "log α, rms", "median", "worst fabric", "β/α, mm",
                   "inside"], rows)
-
-
-def in_plane(reports: Reports) -> str:
-    """What knowing stretch and shear would take from the errors of alpha."""
-    rows = []
-    for tester, cells in reports["in_plane"]["cells"].items():
-        for kind, cell in cells.items():
-            found, network = ({name: one["log_alpha"] for name, one in cell[part].items()}
-                              for part in ("ideal", "network"))
-            error, *moved = network.values()
-            left = max(error**2 - sum(move**2 for move in moved), 0.0) ** 0.5
-            rows.append([
-                f"{tester.replace('_', ' ')}, {kind}", f"{found['unknown']:.3f}",
-                *(f"{100 * (1 - found[name] / found['unknown']):.1f} %"
-                  for name in ("stretch measured", "shear measured", "both measured",
-                               "both exact")),
-                f"{error:.3f}", f"{100 * (1 - left / error):.1f} %"])
-    return table(["log α", "least error, both unknown", "less with stretch measured", "shear",
-                  "both", "both exact", "error of the network", "less, at most"], rows)
-
-
-def additions(reports: Reports) -> str:
-    """What each further measurement of a fabric adds to one drape."""
-    rows = []
-    for name, found in reports["additions"]["rows"].items():
-        least = found["bound"]
-        rows.append([
-            name, f"{found['log_alpha']:.2f}", f"{least['log_alpha']:.2f}" if least else "–",
-            f"{found['log_alpha_yarns']:.2f}", f"{found['beta_over_alpha_yarns']:.2f}",
-            coverage(found)])
-    return table(["measured", "error of α", "smallest possible", "… along warp and weft",
-                  "… of β/α along warp and weft", "inside"], rows)

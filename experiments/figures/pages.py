@@ -15,9 +15,7 @@ BLOCKS: dict[str, Callable[[Reports], str]] = {
         claims.claims, of_estimates.demo, of_estimates.fifteen_minutes, of_estimates.accuracy,
         of_estimates.views, of_estimates.strip_photographs, of_estimates.tension,
         of_estimates.mats, of_estimates.photographed, of_estimates.cells,
-        of_estimates.refinement, of_estimates.additions, of_estimates.in_plane,
-        of_estimates.bands, of_drapes.testers, of_drapes.outlines, of_drapes.laboratory,
-        of_drapes.lowering, of_drapes.blender, of_drapes.secants)
+        of_estimates.refinement, of_estimates.bands, of_drapes.outlines, of_drapes.laboratory)
 }
 
 

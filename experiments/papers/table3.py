@@ -21,20 +21,39 @@ from experiments.drapes import (
     spread,
 )
 from experiments.page import Section
-from experiments.physics.testers import add_noise, strip_lengths
 from experiments.result import Config, Report, Result, label_log_axes, rms, run_fabrics
-from sim.cantilever.moduli import estimate_moduli, fabric_of
+from sim.cantilever.moduli import Strips, estimate_moduli, fabric_of
 from sim.cantilever.strip import simulate_strips
 from sim.draping import Drape, drape, follow
-from sim.material import REFERENCE_DENSITY, Fabric
+from sim.material import DIRECTIONS, REFERENCE_DENSITY, Fabric, gravity_length
 from sim.rig import HUNG_SQUARE
 
 TABLE, NETWORK, REFINED = "strips, table", "network", "refined"
 PRIOR, OTHER_DRAPE = "mean of the prior", "another drape of the fabric"
 METHODS = ("strips, regression", TABLE, NETWORK, REFINED, PRIOR, OTHER_DRAPE)
+LENGTHS = (1.5, 2.5)  # of the two strips of a direction, in bending lengths
 SHAPES = {"drape": "cylinder", "hung": "hung"}
 Difference = list[float] | None
 """Mean displacement, mm, and difference of mean curvature, %; None without convergence."""
+
+
+def strip_lengths(fabric: Fabric) -> dict[str, list[float]]:
+    """Lengths, m, of the strips by direction."""
+    return {direction: [x * gravity_length(alpha, fabric.density) for x in LENGTHS]
+            for direction, alpha in zip(DIRECTIONS, fabric.alpha, strict=True)}
+
+
+def add_noise(
+    strips: Strips, sigma: float, rng: np.random.Generator
+) -> dict[str, list[np.ndarray]]:
+    """Curves with noise N(0, sigma) on both coordinates, except at the edge of the clamp."""
+    shaken: dict[str, list[np.ndarray]] = {}
+    for direction, curves in strips.items():
+        for curve in curves:
+            noisy = curve + rng.normal(0.0, sigma, curve.shape)
+            noisy[0] = 0.0
+            shaken.setdefault(direction, []).append(noisy)
+    return shaken
 
 
 def estimate_strips(

@@ -1,18 +1,17 @@
 """Transfer of an estimated fabric to simulators with hinges (002, Figure 24, section 7.4)."""
 
 from dataclasses import replace
-from functools import cache
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from data.fabrics.fabrics import fabric_from_theta
+from drapenet.export.material import hinge_ratio
 from experiments.comparison import Shape, compare, equilibrium_near
 from experiments.drapes import RIG, drape_specimen, plan_specimen
 from experiments.page import Section
 from experiments.physics import style3d
-from experiments.physics.hinges import simulated_ratio
 from experiments.result import Config, Report, Result, label_log_axes, run_fabrics
 from sim.cloth import Laws
 from sim.draping import Drape
@@ -26,15 +25,13 @@ LINEAR, OTHER_MESH = "the plate's law without β", "the plate's law on another m
 _SECANT = 50.0  # 1/m, curvature of the secant modulus
 
 
-@cache
-def ratio() -> float:
-    """Ratio of hinge modulus to plate modulus for the same strip shape on unstructured meshes."""
-    return simulated_ratio("unstructured", cells=30)
+RATIO = hinge_ratio("unstructured", cells=30)
+"""Ratio of hinge modulus to plate modulus for the same strip shape on unstructured meshes."""
 
 
 def exported_modulus(fabric: Fabric) -> np.ndarray:
     """Secant moduli (3,), N·m, of hinges for a simulator without beta."""
-    return ratio() * secant(_SECANT, fabric.alpha, fabric.beta)
+    return RATIO * secant(_SECANT, fabric.alpha, fabric.beta)
 
 
 def case(*, number: int, edge_mm: float, seed: int) -> dict[str, Any]:
@@ -44,7 +41,7 @@ def case(*, number: int, edge_mm: float, seed: int) -> dict[str, Any]:
     plan, rig, edge = plan_specimen(number, seed=seed), RIG, 1e-3 * edge_mm
     fabric = fabric_from_theta(plan.theta)
     plate = drape_specimen(plan, edge=edge)
-    equivalent = replace(fabric, alpha=ratio() * fabric.alpha, beta=ratio() * fabric.beta)
+    equivalent = replace(fabric, alpha=RATIO * fabric.alpha, beta=RATIO * fabric.beta)
     same = Scene(plate.mesh, plate.held)
     cases = {f"{name}, {model}": (same, one, Laws(bending=law)) for name, law in LAWS.items()
              for model, one in (("α as estimated", fabric), ("equivalent α", equivalent))}
@@ -68,7 +65,7 @@ def style3d_case(
     """
     plate = drape_specimen(plan_specimen(number, seed=seed), edge=1e-3 * edge_mm)
     fabric, mesh = plate.fabric, plate.scene
-    moduli = {"α as estimated": fabric.alpha, "equivalent α": ratio() * fabric.alpha,
+    moduli = {"α as estimated": fabric.alpha, "equivalent α": RATIO * fabric.alpha,
               f"equivalent secant at {_SECANT:g} m⁻¹": exported_modulus(fabric)}
     linear = equilibrium_near(plate, mesh, plate.rig, Fabric(fabric.alpha))
     result: dict[str, Any] = {
@@ -93,7 +90,7 @@ def run(config: Config) -> Result:
     """Run all fabrics."""
     other = {key: config[key] for key in ("style3d_fabrics", "style3d_seconds")}
     settings = {key: value for key, value in config.items() if key not in other}
-    report = {"ratio": ratio(), "fabrics": run_fabrics(case, settings, sources=("sim",))}
+    report = {"ratio": RATIO, "fabrics": run_fabrics(case, settings, sources=("sim",))}
     if not style3d.missing("rows of Style3D are"):
         report["style3d"] = run_fabrics(
             style3d_case, settings | {"fabrics": other.pop("style3d_fabrics")} | other,

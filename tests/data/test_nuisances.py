@@ -3,7 +3,7 @@ import pytest
 
 from data.dataset.config import Options, SamplingConfig, config_from_options
 from data.dataset.plan import plan_drape
-from data.fabrics.nuisances import NAMES, NuisanceConfig, Nuisances
+from data.fabrics.nuisances import LOGARITHMIC, NAMES, NuisanceConfig, Nuisances
 from data.fabrics.prior import load_prior
 from sim.cloth import Laws
 from sim.rig import DISC_RIG, Rig
@@ -79,3 +79,15 @@ def test_specimens_of_other_sizes_share_triangles_and_hold_their_own_plate(nomin
         diagonal = np.arctan2(*rig.sides[::-1])
         assert np.arctan2(*corner[::-1]) == pytest.approx(diagonal + 0.03, abs=1e-9)
     assert (areas > 0).all()
+
+
+def test_deviations_and_means_are_those_of_samples():
+    config = NuisanceConfig(membrane=(100.0, 1000.0), shear=(0.2, 1.0), hysteresis=(5.0, 60.0),
+                            curl=3.0, size=1e-3, plate=3e-4, cut=0.02)
+    values = drawn(config, 4000)
+    logarithmic = [name in LOGARITHMIC for name in NAMES]
+    values[:, logarithmic] = np.log(values[:, logarithmic])
+    means, deviations = ([table[name] for name in NAMES]
+                         for table in (config.means, config.deviations))
+    assert (np.abs(values.mean(axis=0) - means) < 0.06 * values.std(axis=0)).all()
+    assert deviations == pytest.approx(values.std(axis=0), rel=0.05)

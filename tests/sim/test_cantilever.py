@@ -2,16 +2,18 @@
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_bvp
-
-from common.errors import InputError
-from experiments.physics.guides import LevelSides, TiedRows, guided
-from experiments.physics.strips import (
+from cylinders import (
+    LevelSides,
+    TiedRows,
     cylinder_moduli,
     cylinder_torque,
     free_modulus,
+    guided,
     tabulated_law,
 )
+from scipy.integrate import solve_bvp
+
+from common.errors import InputError
 from sim.cantilever import (
     aspect_ratio,
     elastica,

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from cylinders import guided
 from elastica_curves import LAWS, WEIGHT, curves_of
 
 from common.errors import InputError
-from experiments.physics.guides import guided
 from sim.cantilever.moduli import (
     Bezier,
     correct,
