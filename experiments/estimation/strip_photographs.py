@@ -11,7 +11,8 @@ is found if the photograph is refused, or has a warning.
 
 import tempfile
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -28,7 +29,8 @@ from data.strips.photograph import CLAMP_ERROR, LENGTH_ERROR, ROLL_ERROR, SCALE_
 from data.strips.posterior import SLOPE_ERROR
 from drapenet.evidence.state import fabric_prior, prior_along
 from experiments.drapes import header, prior_theta
-from experiments.result import Config, Result, run_cases
+from experiments.report import Report, errors, listed, table
+from experiments.study import CaseKeys, Sample, Study, grouped, samples_of
 from sim.cantilever import heavy_elastica
 from sim.cantilever.moduli import distance_across
 from sim.material import DIRECTIONS, REFERENCE_DENSITY, gravity_length
@@ -46,9 +48,18 @@ DISTANCE_ERROR = 0.02  # relative, of the stated distance of the camera
 LEVELS = (0.68, 0.9)
 
 
-def direction_of(number: int) -> tuple[float, float]:
+@dataclass(frozen=True, kw_only=True)
+class Keys(CaseKeys):
+    """Keys of this study."""
+
+    directions: int = 240  # of fabrics, with two photographs each
+    repeats: int = 2  # photographs with each fault
+    seed: int = SEED  # of all random numbers
+
+
+def direction_of(number: int, seed: int) -> tuple[float, float]:
     """alpha, N·m, and beta/alpha, m, of a direction of a fabric of the prior."""
-    theta, k = prior_theta(number // len(DIRECTIONS), SEED), number % len(DIRECTIONS)
+    theta, k = prior_theta(number // len(DIRECTIONS), seed), number % len(DIRECTIONS)
     return float(np.exp(theta[k])), float(theta[len(DIRECTIONS) + k])
 
 
@@ -101,11 +112,10 @@ def read_pictures(pictures: dict[str, np.ndarray], entries: list[dict], **keys) 
         return read_strips(folder)
 
 
-def estimate_case(*, number: int) -> dict:
+def direction(rng: np.random.Generator, *, number: int, seed: int) -> Sample:
     """Errors of the curves and of the moduli of one direction: the errors are those of its strips,
     the intervals those of the fabric."""
-    alpha, ratio = direction_of(number)
-    rng = np.random.default_rng([SEED, number])
+    alpha, ratio = direction_of(number, seed)
     scale = SCALES[number // 2 % len(SCALES)]
     curl = float(rng.laplace(0, CURL))
     truth = {"alpha": alpha, "ratio": ratio, "scale": scale, "curl": curl,
@@ -120,11 +130,8 @@ def estimate_case(*, number: int) -> dict:
         pictures[f"{k}.png"] = scenes[-1].photograph(rng)
         entries.append(entry_of(scenes[-1], f"{k}.png", length, scale, rng)
                        | {"face": "down" if down else "up"})
-    try:
-        strips = read_pictures(pictures, entries)
-        (found,) = strips.evidence(priors()).values()
-    except InputError as error:
-        return truth | {"failed": str(error)}
+    strips = read_pictures(pictures, entries)
+    (found,) = strips.evidence(priors()).values()
     off = [distance_across(strip.measured.curve[1:], scene.curve)
            for strip, scene in zip(strips.photographs, scenes, strict=True)]
     true = np.array([alpha, ratio * alpha])  # of the fabric
@@ -132,7 +139,6 @@ def estimate_case(*, number: int) -> dict:
     shown = np.array([measured, ratio * measured])
     size = np.array([measured, measured * max(abs(ratio), MIN_RATIO)])
     return truth | {
-        "failed": "",
         "warnings": texts(one for strip in strips.photographs for one in strip.warnings),
         "curl_found": found.curl,
         "curve_mm": [1e3 * float(np.sqrt((each**2).mean())) for each in off],
@@ -250,10 +256,10 @@ FAULTS: dict[str, Callable[[StripScene, dict, np.random.Generator], np.ndarray]]
 }
 
 
-def fault_case(*, kind: str, number: int) -> dict:
+def fault_case(*, kind: str, number: int, seed: int = SEED) -> Sample:
     """What a photograph with a fault of :data:`FAULTS` is answered with: '' if it is estimated."""
-    alpha, ratio = direction_of(7 * number)
-    rng = np.random.default_rng([SEED, 1, number])
+    alpha, ratio = direction_of(7 * number, seed)
+    rng = np.random.default_rng([seed, 1, number])
     length = max(LENGTHS[1] * gravity_length(alpha, REFERENCE_DENSITY), LEAST_LENGTH)
     scene = draw_scene(alpha, ratio, length, rng)
     entry = entry_of(scene, "strip.png", length, "mm_per_px", rng)
@@ -266,44 +272,55 @@ def fault_case(*, kind: str, number: int) -> dict:
     return {"answer": "; ".join(texts(strips.photographs[0].warnings))}
 
 
-def run(config: Config) -> Result:
+def run(keys: Keys) -> Report:
     """Estimate all directions, and read all faulty photographs."""
-    estimated = run_cases(estimate_case, {f"direction_{k:03}": {"number": k}
-                                          for k in range(config["directions"])},
-                          config, sources=("sim", "data", "drapenet.evidence"))
-    answers = run_cases(fault_case, {f"{kind} {k}": {"kind": kind, "number": k}
-                                     for kind in FAULTS for k in range(config["repeats"])},
-                        config, folder=Path(config["cases"]) / "faults", sources=("sim", "data"))
-    done = [case for case in estimated.values() if not case["failed"]]
-    groups = {"all": done} | {
-        name: [case for case in done if name in (case["scale"], case["faces"])]
-        for name in (*FACES, *SCALES)}
-    missed = {name: case for name, case in answers.items() if not case["answer"]}
-    return Result({
-        "photographs": len(LENGTHS) * len(estimated),
-        "failed": {name: case["failed"].rpartition("/")[2] for name, case in estimated.items()
-                   if case["failed"]},
-        "with_warnings": sum(bool(case["warnings"]) for case in done),
-        "summary": {name: summarise(cases) for name, cases in groups.items() if cases},
+    refused: dict[str, str] = {}
+    done = samples_of(direction, keys, keys.directions, refused=refused, kind="direction")
+    answers = {name: case["answer"] for name, case in samples_of(fault_case, keys, {
+        f"{kind} {k}": {"kind": kind, "number": k}
+        for kind in FAULTS for k in range(keys.repeats)}).items()}
+    missed = sorted(name for name, answer in answers.items() if not answer)
+    return {
+        "photographs": len(LENGTHS) * keys.directions,
+        "refused": {name: answer.rpartition("/")[2] for name, answer in refused.items()},
+        "with_warnings": sum(bool(case["warnings"]) for case in done.values()),
+        "summary": grouped(done, summarise, {
+            name: partial(_is_of, name) for name in (*FACES, *SCALES)}),
         "faults": {"kinds": len(FAULTS), "photographs": len(answers),
-                   "share_found": 1 - len(missed) / len(answers), "missed": sorted(missed)},
-        "answers": {name: case["answer"] for name, case in answers.items()}})
+                   "share_found": 1 - len(missed) / len(answers), "missed": missed},
+        "answers": answers}
 
 
-def summarise(cases: list[dict]) -> dict:
+def _is_of(name: str, case: Sample) -> bool:
+    return name in (case["scale"], case["faces"])
+
+
+def summarise(cases: list[Sample]) -> Report:
     """Errors of curves in mm and of moduli in percent, and coverage in percent."""
-    curves = np.concatenate([case["curve_mm"] for case in cases])
-    summary: dict = {"directions": len(cases), "curve_mm": {
-        "median": float(np.median(curves)), "quantile_90": float(np.quantile(curves, 0.9)),
-        "largest": float(max(max(case["curve_largest_mm"]) for case in cases))}}
+    summary: Report = {"directions": len(cases), "curve_mm": errors(
+        np.concatenate([case["curve_mm"] for case in cases])) | {
+            "largest": float(max(max(case["curve_largest_mm"]) for case in cases))}}
     inside = 100 * np.mean([case["inside"] for case in cases], axis=0)
     for k, name in enumerate(("alpha", "beta")):
-        errors = 100 * np.array([case["errors"][k] for case in cases])
-        summary[name] = {
-            "median": float(np.median(np.abs(errors))),
-            "quantile_90": float(np.quantile(np.abs(errors), 0.9)),
-            "median_signed": float(np.median(errors)),
+        off = 100 * np.array([case["errors"][k] for case in cases])
+        summary[name] = errors(off) | {
+            "median_signed": float(np.median(off)),
             "coverage": {f"{level:.0%}": float(share)
                          for level, share in zip(LEVELS, inside[:, k], strict=True)}}
     summary["misfit"] = float(np.median([case["misfit"] for case in cases]))
     return summary
+
+
+def block(report: Report) -> str:
+    """Errors of moduli from photographs of strips, and their coverage."""
+    moduli = {"α": "alpha", "β": "beta"}
+    return table(
+        ["strips", "curve, mm", *(f"{modulus}: median, 9 of 10" for modulus in moduli),
+         *(f"{modulus} inside 68, 90 %" for modulus in moduli)],
+        [[name, f"{found['curve_mm']['median']:.2f}",
+          *(listed(found[key], ("median", "quantile_90"), ".2g", " %") for key in moduli.values()),
+          *(listed(found[key]["coverage"], ("68%", "90%"), ".0f") for key in moduli.values())]
+         for name, found in report["summary"].items() if name not in FACES])
+
+
+STUDY = Study(Keys, run, block)

@@ -8,13 +8,16 @@ from string import Formatter
 from typing import Any
 
 from experiments.figures.reports import Reports
-from experiments.result import FILES, Report
+from experiments.report import Report
+from experiments.study import FILES
 
 CLAIMS = Path(__file__).with_name("claims.md")
 COMMANDS = {
     "evaluation": "drapenet.network.evaluate",
-    "refine_views_real": "experiments refine_views variation=real "
-                         "out=docs/validation/refine_views_real.json"}
+    "refine_views": "experiments refine fabrics=20",
+    "refine_views_real": "experiments refine nuisances=real",
+    "refine_scans": "experiments refine captured=scans nuisances=real rig=disc300_support180 "
+                    "truth_mm=2 fabrics=20 seed=20224"}
 """Commands of reports with another name."""
 MISSED = "**missed**"
 """Mark of a target that is not reached."""

@@ -3,7 +3,7 @@
 import json
 import re
 
-from experiments.estimation.refine_views import METHODS
+from experiments.estimation.refine import METHODS
 from experiments.figures.reports import (
     FOUR_VIEWS,
     OUTLINE,
@@ -13,7 +13,7 @@ from experiments.figures.reports import (
     percent,
     spread,
 )
-from experiments.result import REPORTS, ROOT, Report, table
+from experiments.report import REPORTS, ROOT, Report, table
 
 
 def demo(reports: Reports) -> str:
@@ -93,7 +93,7 @@ def bands(reports: Reports) -> str:
         for kind in ("drape coefficient", "stiffness"))
 
 
-def views(reports: Reports) -> str:
+def views_and_drapes(reports: Reports) -> str:
     """Error of log α by number of views and by number of drapes."""
     cells = {"1 view": "depth, 1 view", "2 views": "depth, 2 views", "4 views": FOUR_VIEWS,
              "8 views": "depth, 8 views", "2 drapes": "depth, sets of 2",
@@ -101,48 +101,6 @@ def views(reports: Reports) -> str:
     return table(["error of log α", *cells], [
         [kind, *(f"{reports.cell(kind, name)['log_alpha']['rmse'] * spread():.2f}"
                  for name in cells.values())] for kind in RIGS])
-
-
-def strip_photographs(reports: Reports) -> str:
-    """Errors of moduli from photographs of strips, and their coverage."""
-    return table(
-        ["strips", "curve, mm", *(f"{modulus}: median, 9 of 10" for modulus in "αβ"),
-         *(f"{modulus} inside 68, 90 %" for modulus in "αβ")],
-        [[name, f"{found['curve_mm']['median']:.2f}",
-          *(", ".join(f"{found[modulus][key]:.2g} %" for key in ("median", "quantile_90"))
-            for modulus in ("alpha", "beta")),
-          *(", ".join(f"{share:.0f}" for share in found[modulus]["coverage"].values())
-            for modulus in ("alpha", "beta"))]
-         for name, found in reports["strip_photographs"]["summary"].items()
-         if "face" not in name])
-
-
-def tension(reports: Reports) -> str:
-    """Errors of extensions by photographs, and of the stiffnesses by them."""
-    return table(
-        ["strips", "pairs", "extension, mm: median, 9 of 10, largest", "inside 68, 90 %",
-         "stiffness off that by the true extension: median, 9 of 10", "fabric inside 68, 90 %"],
-        [[name, f"{found['pairs']}",
-          ", ".join(f"{found['extension_mm'][key]:.2f}"
-                    for key in ("median", "quantile_90", "largest")),
-          ", ".join(f"{share:.0f}" for share in found["extension_mm"]["coverage"].values()),
-          ", ".join(f"{found['stiffness'][key]:.1f} %" for key in ("median", "quantile_90")),
-          ", ".join(f"{share:.0f}" for share in found["stiffness"]["coverage"].values())]
-         for name, found in reports["tension"]["summary"].items()])
-
-
-def mats(reports: Reports) -> str:
-    """Errors of photographs over the mat, alone and together."""
-    return table(
-        ["pictures", "captures", "refused", "outline as seen, mm: median, 9 of 10",
-         "from the axis", "α off the true outline's: median, 9 of 10", "off by 15 %, no warning",
-         "right, with a warning", "off the truth", "inside 68 %"],
-        [[name, f"{found['captures']}", f"{found['refused']}",
-          *("{:.1f}, {:.1f}".format(*found[key]) for key in ("reading_mm", "outline_mm")),
-          ", ".join(map(percent, found["alpha_error"])), f"{found['wrong_in_silence']}",
-          f"{found['warned_though_right']} of {found['right']}",
-          ", ".join(map(percent, found["truth_error"])), percent(found["inside_68"])]
-         for name, found in reports["mats"]["summary"].items()])
 
 
 def photographed(reports: Reports) -> str:
@@ -164,12 +122,12 @@ def cells(reports: Reports) -> str:
 
 def refinement(reports: Reports) -> str:
     """Errors of the network and of the refinement on simulated captures and scans."""
-    sets = {"views, no nuisances": reports["refine_views"]["summary"]["all"],
-            "views, all nuisances": reports["refine_views_real"]["summary"]["all"],
-            "scans, all nuisances": reports["refine_scans"]["summary"]}
+    sets = {"views, no nuisances": "refine_views", "views, all nuisances": "refine_views_real",
+            "scans, all nuisances": "refine_scans"}
     rows = [[name, found[who]["fabrics"], who, f"{found[who]['log_alpha']:.3f}",
              f"{found[who]['log_alpha_median']:.3f}", f"{found[who]['log_alpha_worst_fabric']:.2f}",
              f"{found[who]['beta_over_alpha_mm']:.2f}", coverage(found[who])]
-            for name, found in sets.items() for who in (METHODS[0], METHODS[-1])]
+            for name, report in sets.items() for found in [reports[report]["summary"]["all"]]
+            for who in (METHODS[0], METHODS[-1])]
     return table(["captures", "fabrics", "", "log α, rms", "median", "worst fabric", "β/α, mm",
                   "inside"], rows)

@@ -4,8 +4,8 @@ from collections.abc import Callable
 from math import sqrt
 
 from drapenet.network.checkpoint import read_header
-from experiments.estimation.refine_views import METHODS
-from experiments.result import Report, read_report
+from experiments.estimation.refine import METHODS
+from experiments.report import Report, read_report
 
 RIGS = {"squares": "square300_cylinder100", "discs": "disc300_support180"}
 FOUR_VIEWS, OUTLINE = "depth, 4 views", "outline, parallel light"
@@ -103,5 +103,5 @@ def refined(report: Report) -> Report:
 DERIVED: dict[str, Callable[[Report], Report]] = {
     "strip_photographs": strip_coverage, "outlines": outline_folds, "evaluation": evaluated,
     "faults": detected_faults,
-    "refine_views": refined, "refine_views_real": refined}
+    "refine_views": refined, "refine_views_real": refined, "refine_scans": refined}
 """Figures of claims that are computed from a report."""

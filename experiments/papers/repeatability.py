@@ -1,5 +1,7 @@
 """Variation of estimates between drapes and captures of one fabric (002, Figures 22 and 23)."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -13,18 +15,30 @@ from experiments.drapes import (
     infer,
     plan_specimen,
 )
-from experiments.page import Section
-from experiments.result import Config, Report, Result, label_log_axes, run_fabrics
+from experiments.report import Report, label_log_axes, rms, table
+from experiments.study import CaseKeys, Sample, Study, samples_of
 from sim.material import DIRECTIONS, LINEAR
 
 FACTORS = {"starts": "other start", "orientations": "same drape, other orientation",
            "set-ups": "same drape, other camera, sensor and turns"}
 
 
-def case(*, number: int, starts: int, orientations: int, edge_mm: float, seed: int) -> dict:
+@dataclass(frozen=True, kw_only=True)
+class Keys(CaseKeys):
+    """Keys of this study."""
+
+    fabrics: int = 10  # drawn from the prior
+    starts: int = 8  # drapes per fabric, from different starts
+    orientations: int = 12  # captures of the first drape
+    edge_mm: float = 3.0  # mesh edge length at the rim
+    seed: int = 404
+    workers: int = 2
+
+
+def fabric(rng: np.random.Generator, *, number: int, starts: int, orientations: int,
+           edge_mm: float, seed: int) -> Sample:
     """Posterior means of log alpha (captures, 3) of one fabric by varied factor, and the truth."""
     plan = plan_specimen(number, seed=seed)
-    rng = np.random.default_rng([seed, number])
     shapes = [drape_specimen(plan, edge=1e-3 * edge_mm, start=STARTS[k % len(STARTS)], seed=k)
               for k in range(starts)]
     captures = {
@@ -38,9 +52,9 @@ def case(*, number: int, starts: int, orientations: int, edge_mm: float, seed: i
         for factor, members in captures.items()}}
 
 
-def run(config: Config) -> Result:
+def run(keys: Keys) -> Report:
     """Run all fabrics."""
-    return Result({"fabrics": run_fabrics(case, config)})
+    return {"fabrics": samples_of(fabric, keys, keys.fabrics, kind="fabric")}
 
 
 def _variation(log_alpha: np.ndarray | list) -> np.ndarray:
@@ -67,15 +81,16 @@ def summarise(report: Report) -> str:
 
 def _common_error(report: Report) -> float:
     """Root mean square over fabrics of the error of log alpha averaged over starts."""
-    return float(np.sqrt(np.mean([np.square(np.mean(one["starts"], axis=0) - one["theta"][:3])
-                                  for one in report["fabrics"].values()])))
+    return rms([np.mean(one["starts"], axis=0) - one["theta"][:3]
+                for one in report["fabrics"].values()])
 
 
-def rows(report: Report) -> tuple[list[str], list[list[object]]]:
-    """Table of medians and largest values over fabrics."""
-    return (["varied factor", *(f"{name}: median, largest, %" for name in DIRECTIONS)],
-            [[FACTORS[factor], *(f"{np.median(v):.1f}, {v.max():.1f}" for v in values.T)]
-             for factor, values in variations(report).items()])
+def block(report: Report) -> str:
+    """Summary and table."""
+    rows = [[FACTORS[factor], *(f"{np.median(v):.1f}, {v.max():.1f}" for v in values.T)]
+            for factor, values in variations(report).items()]
+    head = ["varied factor", *(f"{name}: median, largest, %" for name in DIRECTIONS)]
+    return f"{summarise(report)}\n\n{table(head, rows)}"
 
 
 def draw(report: Report) -> Figure:
@@ -96,11 +111,4 @@ def draw(report: Report) -> Figure:
     return figure
 
 
-SECTION = Section(
-    "Repeatability", "002, Figures 22 and 23",
-    "How much do estimates of one fabric vary with its folds, its orientation and the camera's "
-    "position?",
-    summarise, rows, draw,
-    "reports low coefficients of variation, five points higher for a network trained on one "
-    "start, without a table; not comparable, because its fabrics are real and draped by hand.",
-    "The fabrics have no hysteresis, which adds to the variation of real cloth.")
+STUDY = Study(Keys, run, block, draw)

@@ -1,7 +1,7 @@
 """Effect of faults of the set-up on estimates, and their detection (002, section 7.3.2)."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,8 +19,8 @@ from experiments.drapes import (
     plan_specimen,
     spread,
 )
-from experiments.page import Section
-from experiments.result import Config, Report, Result, rms, run_fabrics
+from experiments.report import Report, rms, table
+from experiments.study import CaseKeys, Sample, Study, samples_of
 from sim.material import LINEAR
 
 Rng = np.random.Generator
@@ -73,7 +73,17 @@ UNITS = {name: unit for name, (unit, _, _) in
          (SETUP_FAULTS | CAPTURE_FAULTS | SPECIMEN_FAULTS).items()}
 
 
-def case(*, number: int, edge_mm: float, seed: int) -> dict[str, Any]:
+@dataclass(frozen=True, kw_only=True)
+class Keys(CaseKeys):
+    """Keys of this study."""
+
+    fabrics: int = 24  # drawn from the prior
+    edge_mm: float = 3.0  # mesh edge length at the rim
+    seed: int = 505
+    workers: int = 2
+
+
+def fabric(*, number: int, edge_mm: float, seed: int) -> Sample:
     """Errors of log alpha and number of warnings for one fabric, by fault and value."""
     plan, edge = plan_specimen(number, seed=seed), 1e-3 * edge_mm
     shape = drape_specimen(plan, edge=edge)
@@ -104,12 +114,12 @@ def case(*, number: int, edge_mm: float, seed: int) -> dict[str, Any]:
     return result
 
 
-def run(config: Config) -> Result:
+def run(keys: Keys) -> Report:
     """Run all fabrics."""
-    found = run_fabrics(case, config)
-    return Result({"faults": {name: {
+    found = samples_of(fabric, keys, keys.fabrics, kind="fabric")
+    return {"faults": {name: {
         value: _summary([one[name][value] for one in found.values()]) for value in values}
-        for name, values in next(iter(found.values())).items()}})
+        for name, values in next(iter(found.values())).items()}}
 
 
 def _summary(cases: list[list[Any]]) -> dict[str, float | None]:
@@ -143,13 +153,14 @@ def summarise(report: Report) -> str:
             "moduli in proportion.")
 
 
-def rows(report: Report) -> tuple[list[str], list[list[object]]]:
-    """Table of errors by fault and value."""
-    return (["fault", "value", "error of log α", "bias", "refused", "refused, or with a warning"],
-            [[name, _shown(name, value), *([f"{one['error']:.3f}", f"{one['bias']:+.3f}"]
-                                           if one["error"] else ["–", "–"]),
-              f"{one['refused']:.0%}", f"{one['doubted']:.0%}"]
-             for name, values in report["faults"].items() for value, one in values.items()])
+def block(report: Report) -> str:
+    """Summary and table."""
+    head = ["fault", "value", "error of log α", "bias", "refused", "refused, or with a warning"]
+    rows = [[name, _shown(name, value), *([f"{one['error']:.3f}", f"{one['bias']:+.3f}"]
+                                          if one["error"] else ["–", "–"]),
+             f"{one['refused']:.0%}", f"{one['doubted']:.0%}"]
+            for name, values in report["faults"].items() for value, one in values.items()]
+    return f"{summarise(report)}\n\n{table(head, rows)}"
 
 
 def draw(report: Report) -> Figure:
@@ -177,12 +188,4 @@ def draw(report: Report) -> Figure:
     return figure
 
 
-SECTION = Section(
-    "Robustness", "002, section 7.3.2",
-    "How does each fault of a set-up affect estimates, and do the checks detect it?",
-    summarise, rows, draw,
-    "reports reliable estimates in every orientation, without figures for other faults.",
-    "Faults are tested one at a time with four views. The bias without faults arises because the "
-    "network was trained with a friction torque, which these specimens do not have and which it "
-    "did not know in these runs. It was trained on pitches of 25° to 50° and distances of 0.4 m to "
-    "0.7 m.")
+STUDY = Study(Keys, run, block, draw)

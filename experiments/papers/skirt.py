@@ -1,6 +1,6 @@
 """A skirt of an estimated fabric (002, section 7.4.3), in this simulator and in Newton."""
 
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -12,10 +12,10 @@ from data.fabrics.fabrics import fabric_from_theta
 from data.render.setups import Setups
 from experiments.comparison import Shape, compare
 from experiments.drapes import capture_drape, drape_as_planned, infer, plan_specimen
-from experiments.page import Section
 from experiments.papers.transfer import exported_modulus
 from experiments.physics import style3d
-from experiments.result import Config, Report, Result, label_log_axes, rms, run_fabrics
+from experiments.report import Report, label_log_axes, rms, table
+from experiments.study import CaseKeys, Sample, Study, samples_of
 from sim.equilibrium import Equilibrium
 from sim.material import Fabric
 from sim.measures import fold_count, shadow_radius
@@ -30,7 +30,18 @@ NEWTON = "Newton, "
 _CAPTURE_EDGE = 2e-3  # m, at the rim of the captured specimen
 
 
-def case(*, number: int, edge_mm: float, seconds: float | None, seed: int) -> dict[str, Any]:
+@dataclass(frozen=True, kw_only=True)
+class Keys(CaseKeys):
+    """Keys of this study."""
+
+    fabrics: int = 10  # drawn from the prior
+    edge_mm: float = 10.0  # mesh edge length at the waist
+    seconds: float | None = 2.0  # simulated in Newton's Style3D, if installed; null: not there
+    seed: int = 731
+    workers: int = 2
+
+
+def fabric(*, number: int, edge_mm: float, seconds: float | None, seed: int) -> Sample:
     """Skirts of one fabric, from its moduli and from those estimated from one depth capture.
 
     Of each: mean distance from the skirt of the true moduli and mean difference of their outlines
@@ -41,15 +52,15 @@ def case(*, number: int, edge_mm: float, seconds: float | None, seed: int) -> di
     hung, other = (_sound(skirt(truth, edge=1e-3 * edge_mm, seed=seed + k)) for k in (0, 1))
     worn, scene = hung.positions, hung.cloth.scene
     shapes = {OTHER_START: Shape.of(other.cloth.scene, other.positions)}
-    for name, fabric in ((ESTIMATED, estimate), (LINEAR, Fabric(estimate.alpha))):
-        shapes[name] = Shape.of(scene, _sound(settled(scene, worn, fabric)).positions)
+    for name, one in ((ESTIMATED, estimate), (LINEAR, Fabric(estimate.alpha))):
+        shapes[name] = Shape.of(scene, _sound(settled(scene, worn, one)).positions)
     result = {name: difference(scene, worn, shape) for name, shape in shapes.items()}
     result[TRUE] = {"folds": fold_count(worn, scene.mesh.rest, SKIRT)}
     if seconds is not None and style3d.installed():
         positions, first = worn, None
-        for name, fabric in ((TRUE, truth), (ESTIMATED, estimate)):
-            state = style3d.simulate(scene, positions, density=fabric.density,
-                                     modulus=exported_modulus(fabric), seconds=seconds)
+        for name, one in ((TRUE, truth), (ESTIMATED, estimate)):
+            state = style3d.simulate(scene, positions, density=one.density,
+                                     modulus=exported_modulus(one), seconds=seconds)
             positions = state.positions
             result[NEWTON + name] = difference(
                 scene, worn if first is None else first, Shape.of(scene, positions)) | {
@@ -84,10 +95,10 @@ def difference(scene: Scene, worn: Points, other: Shape) -> dict[str, float]:
             "folds": fold_count(other.positions, other.rest, SKIRT)}
 
 
-def run(config: Config) -> Result:
+def run(keys: Keys) -> Report:
     """Run all fabrics."""
     style3d.missing("rows of Newton are")
-    return Result({"fabrics": run_fabrics(case, dict(config))})
+    return {"fabrics": samples_of(fabric, keys, keys.fabrics, kind="fabric")}
 
 
 def _column(report: Report, model: str, key: str) -> np.ndarray:
@@ -124,21 +135,22 @@ def summarise(report: Report) -> str:
         "of the simulation.")
 
 
-def rows(report: Report) -> tuple[list[str], list[list[object]]]:
-    """Table of differences by model."""
+def block(report: Report) -> str:
+    """Summary and table."""
     folds = _column(report, TRUE, "folds")
-    table = []
+    rows = []
     for model in (ESTIMATED, LINEAR, OTHER_START, NEWTON + TRUE, NEWTON + ESTIMATED):
         distance = _column(report, model, "distance_mm")
         if len(distance):
             change = _column(report, model, "folds") - folds[:len(distance)]
-            table.append([
+            rows.append([
                 model, len(distance), f"{np.median(distance):.1f}, {distance.max():.1f}",
                 f"{np.median(_column(report, model, 'outline_mm')):.1f}",
                 f"{np.median(_column(report, model, 'coverage_percent')):+.1f}",
                 f"{np.abs(change).mean():.1f}"])
-    return (["moduli", "skirts", "distance, mm: median, largest", "outline, mm", "covered area, %",
-             f"folds, of {folds.mean():.1f}"], table)
+    head = ["moduli", "skirts", "distance, mm: median, largest", "outline, mm", "covered area, %",
+            f"folds, of {folds.mean():.1f}"]
+    return f"{summarise(report)}\n\n{table(head, rows)}"
 
 
 def draw(report: Report) -> Figure:
@@ -155,15 +167,4 @@ def draw(report: Report) -> Figure:
     return figure
 
 
-SECTION = Section(
-    "A skirt", "002, section 7.4.3",
-    "Does a garment of the estimated moduli hang as of the true ones?",
-    summarise, rows, draw,
-    "shows photographs and simulations of ten skirts on a mannequin to 40 people, who find the "
-    "estimates slightly better than those of a cantilever tester; not comparable, because here "
-    "simulated skirts are compared with simulated ones.",
-    "A full-circle skirt with the paper's waist (754 mm) and length (310 mm) hangs from a ring, "
-    "without a body and seams. Fabrics are estimated by the bundled network from one depth capture "
-    "of a simulated 300 mm disc. Skirts are the equilibria nearest to that of the true moduli, "
-    "apart from *other start*. Newton's Style3D has hinges without β and starts from this "
-    "simulator's skirt.")
+STUDY = Study(Keys, run, block, draw)

@@ -1,6 +1,6 @@
 """Transfer of an estimated fabric to simulators with hinges (002, Figure 24, section 7.4)."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,9 +10,9 @@ from data.fabrics.fabrics import fabric_from_theta
 from drapenet.export.material import hinge_ratio
 from experiments.comparison import Shape, compare, equilibrium_near
 from experiments.drapes import RIG, drape_specimen, plan_specimen
-from experiments.page import Section
 from experiments.physics import style3d
-from experiments.result import Config, Report, Result, label_log_axes, run_fabrics
+from experiments.report import Report, label_log_axes, table
+from experiments.study import CaseKeys, Sample, Study, samples_of
 from sim.cloth import Laws
 from sim.draping import Drape
 from sim.material import Fabric, secant
@@ -34,19 +34,31 @@ def exported_modulus(fabric: Fabric) -> np.ndarray:
     return RATIO * secant(_SECANT, fabric.alpha, fabric.beta)
 
 
-def case(*, number: int, edge_mm: float, seed: int) -> dict[str, Any]:
+@dataclass(frozen=True, kw_only=True)
+class Keys(CaseKeys):
+    """Keys of this study."""
+
+    fabrics: int = 10  # drawn from the prior
+    edge_mm: float = 2.5  # mesh edge length at the rim
+    style3d_fabrics: int = 5  # of these, also in Newton's Style3D; a minute each
+    style3d_seconds: float = 3.0  # simulated time in Style3D
+    seed: int = 707
+    workers: int = 2
+
+
+def fabric(*, number: int, edge_mm: float, seed: int) -> Sample:
     """Displacement, mm, and difference of mean curvature, %, from the drape of the plate law to the
     nearest equilibrium of each model of one fabric; None without convergence.
     """
     plan, rig, edge = plan_specimen(number, seed=seed), RIG, 1e-3 * edge_mm
-    fabric = fabric_from_theta(plan.theta)
+    bending = fabric_from_theta(plan.theta)
     plate = drape_specimen(plan, edge=edge)
-    equivalent = replace(fabric, alpha=RATIO * fabric.alpha, beta=RATIO * fabric.beta)
+    equivalent = replace(bending, alpha=RATIO * bending.alpha, beta=RATIO * bending.beta)
     same = Scene(plate.mesh, plate.held)
     cases = {f"{name}, {model}": (same, one, Laws(bending=law)) for name, law in LAWS.items()
-             for model, one in (("α as estimated", fabric), ("equivalent α", equivalent))}
+             for model, one in (("α as estimated", bending), ("equivalent α", equivalent))}
     cases[OTHER_MESH] = (make_specimen(rig, edge=edge, topology=(plan.seed + 1) % TOPOLOGIES),
-                         fabric, Laws())
+                         bending, Laws())
     result: dict[str, Any] = {}
     for name, (mesh, one, laws) in cases.items():
         equilibrium = equilibrium_near(plate, mesh, rig, one, laws)
@@ -56,24 +68,22 @@ def case(*, number: int, edge_mm: float, seed: int) -> dict[str, Any]:
     return result
 
 
-def style3d_case(
-    *, number: int, edge_mm: float, style3d_seconds: float, seed: int
-) -> dict[str, Any]:
+def style3d_fabric(*, number: int, edge_mm: float, style3d_seconds: float, seed: int) -> Sample:
     """Differences of drapes in Style3D, each started at the previous one, the first at the plate's.
 
     "motion" has their displacements in the last quarter of the simulation, mm.
     """
     plate = drape_specimen(plan_specimen(number, seed=seed), edge=1e-3 * edge_mm)
-    fabric, mesh = plate.fabric, plate.scene
-    moduli = {"α as estimated": fabric.alpha, "equivalent α": RATIO * fabric.alpha,
-              f"equivalent secant at {_SECANT:g} m⁻¹": exported_modulus(fabric)}
-    linear = equilibrium_near(plate, mesh, plate.rig, Fabric(fabric.alpha))
+    alpha, mesh = plate.fabric.alpha, plate.scene
+    moduli = {"α as estimated": alpha, "equivalent α": RATIO * alpha,
+              f"equivalent secant at {_SECANT:g} m⁻¹": exported_modulus(plate.fabric)}
+    linear = equilibrium_near(plate, mesh, plate.rig, Fabric(alpha))
     result: dict[str, Any] = {
         "motion": [], LINEAR: (_difference(plate, linear.state.positions, mesh)
                                if linear.status is Status.CONVERGED else None)}
     positions = plate.positions
     for model, modulus in moduli.items():
-        found = style3d.simulate(mesh, positions, density=fabric.density, modulus=modulus,
+        found = style3d.simulate(mesh, positions, density=plate.fabric.density, modulus=modulus,
                                  seconds=style3d_seconds)
         positions = found.positions
         result[f"Style3D, {model}"] = _difference(plate, found.positions, mesh)
@@ -86,16 +96,12 @@ def _difference(plate: Drape, positions: np.ndarray, mesh: Scene) -> list[float]
     return compare(plate, Shape.of(mesh, positions)).row
 
 
-def run(config: Config) -> Result:
+def run(keys: Keys) -> Report:
     """Run all fabrics."""
-    other = {key: config[key] for key in ("style3d_fabrics", "style3d_seconds")}
-    settings = {key: value for key, value in config.items() if key not in other}
-    report = {"ratio": RATIO, "fabrics": run_fabrics(case, settings, sources=("sim",))}
+    report = {"ratio": RATIO, "fabrics": samples_of(fabric, keys, keys.fabrics, kind="fabric")}
     if not style3d.missing("rows of Style3D are"):
-        report["style3d"] = run_fabrics(
-            style3d_case, settings | {"fabrics": other.pop("style3d_fabrics")} | other,
-            sources=("sim", "experiments.physics.style3d"), subfolder="style3d")
-    return Result(report)
+        report["style3d"] = samples_of(style3d_fabric, keys, keys.style3d_fabrics, kind="style3d")
+    return report
 
 
 def _by_model(report: Report) -> dict[str, tuple[np.ndarray, int]]:
@@ -135,14 +141,15 @@ def summarise(report: Report) -> str:
                    f"{motion:.2f} mm in the last quarter of the simulation.")
 
 
-def rows(report: Report) -> tuple[list[str], list[list[object]]]:
-    """Table of differences by model."""
-    return (["simulated with", "converged", "displacement, mm: median, largest",
-             "curvature, %: median"],
-            [[model, f"{len(values)} of {tried}",
-              f"{np.median(values[:, 0]):.2f}, {values[:, 0].max():.2f}" if len(values) else "–",
-              f"{np.median(values[:, 1]):.1f}" if len(values) else "–"]
-             for model, (values, tried) in _by_model(report).items()])
+def block(report: Report) -> str:
+    """Summary and table."""
+    rows = [[model, f"{len(values)} of {tried}",
+             f"{np.median(values[:, 0]):.2f}, {values[:, 0].max():.2f}" if len(values) else "–",
+             f"{np.median(values[:, 1]):.1f}" if len(values) else "–"]
+            for model, (values, tried) in _by_model(report).items()]
+    head = ["simulated with", "converged", "displacement, mm: median, largest",
+            "curvature, %: median"]
+    return f"{summarise(report)}\n\n{table(head, rows)}"
 
 
 def draw(report: Report) -> Figure:
@@ -161,14 +168,4 @@ def draw(report: Report) -> Figure:
     return figure
 
 
-SECTION = Section(
-    "Transfer to hinges", "002, Figure 24 and section 7.4",
-    "Does a fabric have the same drape in a simulator with hinges, such as ARCSim?",
-    summarise, rows, draw,
-    "finds at most 0.1 mm between three simulators that share one discrete law and mesh; not "
-    "comparable, because here two laws are compared.",
-    "Drapes are the equilibria nearest to the plate's, so that folds are the same; Style3D starts "
-    "there and integrates in time without friction and self-contact. The modulus is scaled as for "
-    "unstructured meshes. Style3D interpolates the modulus over directions differently, halves "
-    "the stiffness of the hinges at the rim and has a membrane of 200 N/m along the yarns and 77 "
-    "N/m in shear.")
+STUDY = Study(Keys, run, block, draw)

@@ -1,6 +1,6 @@
 """Error of estimates as a function of the number of views (002, Figure 19)."""
 
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -16,8 +16,8 @@ from experiments.drapes import (
     posterior_bound,
     spread,
 )
-from experiments.page import Section
-from experiments.result import Config, Report, Result, rms, run_fabrics
+from experiments.report import Report, rms, table
+from experiments.study import CaseKeys, Sample, Study, samples_of
 from sim.material import LINEAR, RATIO
 
 VIEWS = (1, 2, 3, 4, 6, 8)
@@ -25,10 +25,19 @@ _MAX_REFUSED = 5
 """Captures of a drape that may be refused; others take their place, and are counted."""
 
 
-def case(*, number: int, captures: int, edge_mm: float, seed: int) -> dict[str, Any]:
-    """Errors, posterior standard deviations and ranks (captures, 6) each, by number of views."""
-    from dataclasses import replace
+@dataclass(frozen=True, kw_only=True)
+class Keys(CaseKeys):
+    """Keys of this study."""
 
+    fabrics: int = 60  # drawn from the prior, with all nuisances of specimens
+    captures: int = 2  # per fabric and number of views
+    edge_mm: float = 3.0  # mesh edge length at the rim
+    seed: int = 606
+    workers: int = 2
+
+
+def fabric(*, number: int, captures: int, edge_mm: float, seed: int) -> Sample:
+    """Errors, posterior standard deviations and ranks (captures, 6) each, by number of views."""
     plan = plan_specimen(number, seed=seed, nuisances="real")
     shape = drape_specimen(plan, edge=1e-3 * edge_mm)
     result = {}
@@ -51,9 +60,13 @@ def case(*, number: int, captures: int, edge_mm: float, seed: int) -> dict[str, 
     return result
 
 
-def run(config: Config) -> Result:
+def run(keys: Keys) -> Report:
     """Run all fabrics."""
-    found = run_fabrics(case, config)
+    return report_of(samples_of(fabric, keys, keys.fabrics, kind="fabric"))
+
+
+def report_of(found: dict[str, Sample]) -> Report:
+    """Errors, deviations and coverage by number of views."""
     report: Report = {"views": {}}
     rng = np.random.default_rng(0)
     for count in map(str, VIEWS):
@@ -70,10 +83,9 @@ def run(config: Config) -> Result:
             "beta_over_alpha": rms(error[..., RATIO]),
             "deviation": rms(deviation[..., LINEAR]),
             "inside": inside(rank)}
-    report["refused"] = {count: sum(one[count]["refused"] for one in found.values())
+    report["refused_captures"] = {count: sum(one[count]["refused"] for one in found.values())
                          for count in map(str, VIEWS)}
-    report["bound"] = posterior_bound()
-    return Result(report)
+    return report | {"bound": posterior_bound()}
 
 
 def summarise(report: Report) -> str:
@@ -86,14 +98,15 @@ def summarise(report: Report) -> str:
             "([validation](validation.md#what-a-drape-determines)).")
 
 
-def rows(report: Report) -> tuple[list[str], list[list[object]]]:
-    """Table of errors and coverage by number of views."""
-    return (["views", "log α (95 %)", "β/α", "posterior deviation of log α", "truth inside 50 %",
-             "68 %", "90 %"],
-            [[count, f"{one['log_alpha']:.3f} ({one['interval_95'][0]:.3f} to "
-              f"{one['interval_95'][1]:.3f})", f"{one['beta_over_alpha']:.2f}",
-              f"{one['deviation']:.3f}", *(f"{share:.0%}" for share in one["inside"].values())]
-             for count, one in report["views"].items()])
+def block(report: Report) -> str:
+    """Summary and table."""
+    head = ["views", "log α (95 %)", "β/α", "posterior deviation of log α", "truth inside 50 %",
+            "68 %", "90 %"]
+    rows = [[count, "{:.3f} ({:.3f} to {:.3f})".format(one["log_alpha"], *one["interval_95"]),
+             f"{one['beta_over_alpha']:.2f}", f"{one['deviation']:.3f}",
+             *(f"{share:.0%}" for share in one["inside"].values())]
+            for count, one in report["views"].items()]
+    return f"{summarise(report)}\n\n{table(head, rows)}"
 
 
 def draw(report: Report) -> Figure:
@@ -112,12 +125,4 @@ def draw(report: Report) -> Figure:
     return figure
 
 
-SECTION = Section(
-    "Number of views", "002, Figure 19",
-    "How much does each additional view reduce the error, with realistic nuisances?",
-    summarise, rows, draw,
-    "chooses four views (Figure 19); the order of the errors is the same, but its losses are those "
-    "of another network on other data.",
-    "One network, trained with one to eight views, is used for all numbers. The fabrics are drawn "
-    "from the prior, without the stiffer and softer ones of training and `make evaluate`; errors "
-    "are therefore smaller than there.")
+STUDY = Study(Keys, run, block, draw)

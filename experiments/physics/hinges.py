@@ -11,7 +11,9 @@ from tqdm import tqdm
 from common.errors import InputError
 from common.types import VertexMask
 from drapenet.export.material import GAMMA, MAX_CELLS, MESHES, MIN_CELLS
-from experiments.result import Config, Result
+from experiments.physics.elastica import free_end
+from experiments.report import Report
+from experiments.study import PlainKeys, Study
 from sim.cantilever.elastica import aspect_ratio, elastica, gamma_of_aspect_ratio
 from sim.cantilever.strip import TIGHT, fabric_of_gamma
 from sim.cloth import Laws
@@ -19,7 +21,6 @@ from sim.equilibrium import find_equilibrium
 from sim.material import Fabric
 from sim.mesh import Mesh, strip
 from sim.scene import Scene
-from sim.solver.state import State
 
 LENGTH = 0.09  # m
 MAX_STRIPS = 12  # simulated for one equivalent modulus
@@ -81,13 +82,6 @@ def equivalent_modulus(
     return EquivalentModulus(ratio, mismatch, False, f"no match in {MAX_STRIPS} strips")
 
 
-def free_end(mesh: Mesh, state: State) -> np.ndarray:
-    """Mean (reach, drop) (2,), m, of the free end of a strip along +x."""
-    x = mesh.rest[:, 0]
-    end = state.positions[x > (1 - 1e-9) * x.max()].mean(axis=0)
-    return np.array([end[0], -end[2]])
-
-
 def simulated_ratio(mesh: str, cells: int, *, samples: int = 6) -> float:
     """The ratio from simulated strips with so many cells along; up to half a minute."""
     diagonals, jitter = MESHES[mesh]
@@ -102,8 +96,18 @@ def simulated_ratio(mesh: str, cells: int, *, samples: int = 6) -> float:
     return float(np.mean(ratios))
 
 
-def run(config: Config) -> Result:
+@dataclass(frozen=True, kw_only=True)
+class Keys(PlainKeys):
+    """Keys of this study."""
+
+    samples: int = 6  # strips of each irregular mesh, whose stiffness varies by 4 %
+
+
+def run(keys: Keys) -> Report:
     """Simulate the strips of all meshes."""
-    return Result({mesh: [
-        round(simulated_ratio(mesh, cells, samples=config["samples"]), 4)
-        for cells in tqdm(range(MIN_CELLS, MAX_CELLS + 1), desc=mesh)] for mesh in MESHES})
+    return {mesh: [round(simulated_ratio(mesh, cells, samples=keys.samples), 4)
+                   for cells in tqdm(range(MIN_CELLS, MAX_CELLS + 1), desc=mesh)]
+            for mesh in MESHES}
+
+
+STUDY = Study(Keys, run)
