@@ -8,13 +8,13 @@ import ast
 import inspect
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from common.cases import run_cases
 from common.configs import Workers
@@ -37,20 +37,18 @@ Sample = dict[str, Any]
 K = TypeVar("K", bound="PlainKeys")
 
 
-@dataclass(frozen=True, kw_only=True)
-class PlainKeys:
+class PlainKeys(BaseModel):
     """Keys of the command of a study, with their defaults; a study adds its own."""
 
-    __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False,
-                                     coerce_numbers_to_str=True)
-
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False,
+                              coerce_numbers_to_str=True)
     out: str = ""  # the report; empty: outputs/experiments/NAME.json
 
     @classmethod
     def read(cls: type[K], words: list[str]) -> K:
         """Keys of the words ``key=value``, values as in YAML; InputError for others."""
         stated: dict[str, Any] = {}
-        lists = [key.name for key in fields(cls) if isinstance(key.default, tuple)]
+        lists = [key for key, one in cls.model_fields.items() if isinstance(one.default, tuple)]
         for word in words:
             key, equals, value = word.partition("=")
             if not equals:
@@ -60,23 +58,22 @@ class PlainKeys:
                 value = f"[{value}]"
             stated |= parse_yaml(f"{key}: {value}", word) if value else {key: ""}
         try:
-            return TypeAdapter(cls).validate_python(stated)
+            return cls(**stated)
         except ValidationError as error:
             raise InputError(f"{faults(error)}; --help lists the keys") from None
 
     @classmethod
     def text(cls) -> str:
         """A line for each key, with its default and the comment beside it."""
-        kinds = [kind for kind in cls.__mro__ if issubclass(kind, PlainKeys)]
-        source = "\n".join(map(inspect.getsource, kinds))
+        source = "".join(inspect.getsource(kind) for kind in cls.__mro__[::-1]
+                         if issubclass(kind, PlainKeys))
         lines = []
-        for key in fields(cls):
-            comment = re.search(rf"^    {key.name}: .*?(  # .*|)$", source, re.MULTILINE)
-            lines.append(f"{key.name}: {key.default!r}{comment[1] if comment else ''}")
+        for key, one in cls.model_fields.items():
+            comment = re.search(rf"^    {key}: .*?(  # .*|)$", source, re.MULTILINE)
+            lines.append(f"{key}: {one.default!r}{comment[1] if comment else ''}")
         return "\n".join(lines)
 
 
-@dataclass(frozen=True, kw_only=True)
 class CaseKeys(PlainKeys):
     """Keys of a study of cases."""
 
@@ -133,7 +130,7 @@ def samples_of(
     if isinstance(cases, int):
         cases = {f"{kind}_{k:03}": {"number": k} for k in range(cases)}
     taken = inspect.signature(function).parameters
-    known = {key: value for key, value in asdict(keys).items()
+    known = {key: value for key, value in dict(keys).items()
              if key in taken or (key == "seed" and "rng" in taken)}
     place = {"module": function.__module__, "name": function.__name__}
     file = Path(inspect.getfile(function)).relative_to(ROOT).as_posix()
@@ -183,7 +180,7 @@ def run(name: str, words: list[str]) -> tuple[Path, Report]:
     require_file(out)
     if isinstance(keys, CaseKeys):
         require_folder(folder_of(keys))
-    settings = {key: value for key, value in asdict(keys).items() if key not in EXECUTION_KEYS}
+    settings = {key: value for key, value in dict(keys).items() if key not in EXECUTION_KEYS}
     report = {"settings": settings, **this.run(keys)}
     figure = report.pop("figure", None) or (this.draw and this.draw(report))
     write_report(out, report)

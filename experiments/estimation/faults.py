@@ -6,7 +6,7 @@ may cause are applied to the captures. Captures without faults should have no wa
 
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -172,10 +172,7 @@ def find_warnings(
         return [str(error)]
 
 
-@dataclass(frozen=True, kw_only=True)
 class Keys(PlainKeys):
-    """Keys of this study."""
-
     data: str = "outputs/square6"  # dataset of drapes on the square rig (make dataset)
     sound: int = 300  # captures without faults
     spoiled: int = 20  # captures with each fault

@@ -6,7 +6,7 @@ lies outside the 99 % interval, and the estimates with such directions that have
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -30,10 +30,7 @@ from sim.material import DIRECTIONS, LINEAR, MICRO, NANO, REFERENCE_DENSITY, is_
 from sim.measures import drape_coefficient
 
 
-@dataclass(frozen=True, kw_only=True)
 class Keys(CaseKeys):
-    """Keys of this study."""
-
     fabrics: str = "experiments/estimation/hard_fabrics.csv"
     testers: tuple[str, ...] = (
         "disc300_support180", "disc360_support180", "square300_cylinder100")

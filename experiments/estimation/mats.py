@@ -10,7 +10,6 @@ log alpha with the estimate from the true outline and with the truth.
 """
 
 import tempfile
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -43,10 +42,7 @@ TEXTURES = Path(__file__).resolve().parents[3] / "shared" / "photographs"
 _PATCH, _PIXEL = 90, 3.9e-4  # pixels on each side of the middle, and their size, m
 
 
-@dataclass(frozen=True, kw_only=True)
 class Keys(CaseKeys):
-    """Keys of this study."""
-
     testers: tuple[str, ...] = (
         "disc300_support180", "disc240_support180", "disc360_support180", "square300_cylinder100")
     drapes: int = 67  # in turn on each tester, each of another fabric

@@ -10,7 +10,6 @@ a bite or a bulge of 5 mm over a fiftieth, and a tester of another size.
 """
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -50,10 +49,7 @@ OTHER = {"disc240_support180": "disc300_support180", "disc300_support180": "disc
 KINDS = ("depth views", "outline", "shadow", "filled valleys", "bite", "bulge", "other tester")
 
 
-@dataclass(frozen=True, kw_only=True)
 class Keys(CaseKeys):
-    """Keys of this study."""
-
     testers: tuple[str, ...] = tuple(OTHER)
     fabrics: int = 40  # of each tester
     seed: int = 12  # of fabrics, specimens and captures

@@ -4,7 +4,6 @@ The fabrics are those of the experiment ``laboratory``. The mean of KES B over w
 its 90 % interval, is compared with the measured mean.
 """
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -26,10 +25,7 @@ from sim.rig import Rig
 TESTERS = {"petrak": "disc300_support180", "matsudaira": "disc254_support127"}  # by source
 
 
-@dataclass(frozen=True, kw_only=True)
 class Keys(PlainKeys):
-    """Keys of this study."""
-
     fabrics: str = FABRICS
     checkpoint: str = ""  # of the network; empty: the bundled one
 

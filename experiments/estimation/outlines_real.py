@@ -7,7 +7,6 @@ fabric and face.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -27,10 +26,7 @@ from sim.mesh import Mesh
 from sim.rig import DISC_RIG
 
 
-@dataclass(frozen=True, kw_only=True)
 class Keys(CaseKeys):
-    """Keys of this study."""
-
     outlines: str = OUTLINES
     checkpoint: str = ""  # of the network; empty: the bundled one
     edge_mm: float = 4.0  # edges of the meshes at the plate's rim

@@ -9,7 +9,7 @@ estimated and refined as by ``infer.py scan=FILE refine=simulation``.
 """
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import compress
 from pathlib import Path
 from typing import Any, Literal
@@ -42,10 +42,7 @@ from sim.rig import Rig
 METHODS = ("network", "search", "refined")
 
 
-@dataclass(frozen=True, kw_only=True)
 class Keys(CaseKeys):
-    """Keys of this study."""
-
     captured: Literal["views", "scans"] = "views"
     rig: str = "square300_cylinder100"  # tester
     nuisances: Literal["none", "real"] = "none"  # of specimens and captures
@@ -158,7 +155,7 @@ def posterior_errors(truth: Theta, samples: list[Theta]) -> Report:
 def run(keys: Keys) -> Report:
     """Refine all captures."""
     folder = folder_of(keys) / f"{keys.captured}_{keys.nuisances}"
-    keys = replace(keys, cases=str(folder))
+    keys = keys.model_copy(update={"cases": str(folder)})
     results = samples_of(refined, keys, keys.fabrics, kind="views")
     truth = np.array([one["theta"] for one in results.values()])
     arrays = [with_pool(load_arrays(folder, name), gained=one["gained"])

@@ -4,7 +4,6 @@ A ridge regression on captures of a dataset's drapes on all testers; the report 
 ``drapenet/weights/specimen_offset.json``.
 """
 
-from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
@@ -39,10 +38,7 @@ def fit(features: np.ndarray, values: np.ndarray, groups: np.ndarray) -> dict:
             "deviation": float(np.std(unbiased * unseen - values))}
 
 
-@dataclass(frozen=True, kw_only=True)
 class Keys(PlainKeys):
-    """Keys of this study."""
-
     data: str = ""  # folder of a finished dataset
     captures: int = 300  # used for the regressions
     seed: int = 1  # of the captures

@@ -11,7 +11,7 @@ is found if the photograph is refused, or has a warning.
 
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -48,10 +48,7 @@ DISTANCE_ERROR = 0.02  # relative, of the stated distance of the camera
 LEVELS = (0.68, 0.9)
 
 
-@dataclass(frozen=True, kw_only=True)
 class Keys(CaseKeys):
-    """Keys of this study."""
-
     directions: int = 240  # of fabrics, with two photographs each
     repeats: int = 2  # photographs with each fault
     seed: int = SEED  # of all random numbers

@@ -12,7 +12,6 @@ is found if the pair is refused.
 
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -49,10 +48,7 @@ GROUPS = {"bias": lambda pair: pair["direction"] == "bias",
           "10 mm above it": lambda pair: pair["above_mm"]}
 
 
-@dataclass(frozen=True, kw_only=True)
 class Keys(CaseKeys):
-    """Keys of this study."""
-
     pairs: int = 200  # strips, with two photographs each
     seed: int = 59  # of all random numbers
 

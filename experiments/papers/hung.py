@@ -1,7 +1,6 @@
 """Estimation of an anisotropic membrane from a square hung by two corners (004, section 5)."""
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -145,10 +144,7 @@ def hung_sensitivities(tangent: Tangent, fabric: Fabric, unknowns: np.ndarray) -
     return np.array(moves)[:, : tangent.coordinates].reshape(len(unknowns), -1, 3)
 
 
-@dataclass(frozen=True, kw_only=True)
 class Keys(CaseKeys):
-    """Keys of this study."""
-
     fabrics: int = 6  # drawn from the prior, each with another membrane
     edge_mm: float = 15.0  # mesh edge length of the fitted square
     truth_mm: float = 11.0  # of the captured one
@@ -209,8 +205,8 @@ def _errors(report: Report, name: str) -> np.ndarray:
     return np.array([np.subtract(fit["x"], true) for true, fit in _accepted_fits(report, name)])
 
 
-def summarise(report: Report) -> str:
-    """Summary in sentences."""
+def block(report: Report) -> str:
+    """Summary and table."""
     def errors(name: str) -> tuple[list[float], str]:
         found = _errors(report, name)
         return ([rms(column) for column in found.T],
@@ -220,15 +216,11 @@ def summarise(report: Report) -> str:
     first, *_, last = FITS
     identified = [name for name, error in zip(UNKNOWNS, errors(last)[0], strict=False)
                   if error < 1 / 3]
-    return (f"With {report['settings']['noise_mm']:g} mm of noise per coordinate, the errors of "
+    text = (f"With {report['settings']['noise_mm']:g} mm of noise per coordinate, the errors of "
             "warp, weft, shear and Poisson's ratio, in units of the spread over fabrics, are "
             f"{errors(first)[1]} in the case \"{first}\" and {errors(last)[1]} in the case "
             f"\"{last}\"; below a third in the latter: {', '.join(identified) or 'none'}. The "
             "remaining fits ended in other folds, which their residuals reveal.")
-
-
-def block(report: Report) -> str:
-    """Summary and table."""
     head = ["fit", "in the true folds", "residual, mm", "unknown", "error, rms", "error, median",
             "bias", "stated standard deviation"]
     lines = []
@@ -243,7 +235,7 @@ def block(report: Report) -> str:
                 f"{100 * np.expm1(middle):.0f} %" if k < 3 else f"{middle:.2f}",
                 f"{errors[:, k].mean():+.2f}",
                 f"{rms(np.array([fit['deviation'][k] for fit in fits])):.3f}"])
-    return f"{summarise(report)}\n\n{table(head, lines)}"
+    return f"{text}\n\n{table(head, lines)}"
 
 
 def draw(report: Report) -> Figure:

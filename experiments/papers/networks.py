@@ -1,6 +1,5 @@
 """Networks trained on the same drapes: the paper's and others by input (002, Figure 20)."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +23,7 @@ WORDS = {"views": ["model=views", "optim.batch_size=16", "epochs=12"],
 """Words of train.py for each network."""
 
 
-@dataclass(frozen=True, kw_only=True)
 class Keys(CaseKeys):
-    """Keys of this study."""
-
     data: str = "outputs/discs"  # drapes to train on (docs/training.md)
     tester: str = "disc300_support180"  # of the drapes to evaluate with, 32 unseen fabrics
     common: tuple[str, ...] = ("captures=2", "outlines=0")  # words of train.py for all networks
@@ -63,17 +59,13 @@ def _evaluated(header: Header, keys: Keys) -> dict[str, Any]:
             **estimates.summary(header.spread)}
 
 
-def summarise(report: Report) -> str:
-    """Summary in sentences."""
+def block(report: Report) -> str:
+    """Summary and table."""
     error = {name: one["log_alpha"]["rmse"] for name, one in report["networks"].items()}
-    return (f"Of the same {report['drapes']} drapes, the paper's network learns log α to "
+    text = (f"Of the same {report['drapes']} drapes, the paper's network learns log α to "
             f"{error['views']:.2f} of its spread over fabrics and a network of maps to "
             f"{error['depth']:.2f}, from an outline alone to {error['outline']:.2f}. The bundled "
             f"network, of ten times the drapes, has {error['bundled']:.2f} with four views.")
-
-
-def block(report: Report) -> str:
-    """Summary and table."""
     head = ["network", "parameters", "α off by: median, nine of ten", "log α (95 %)", "β/α",
             "inside 50, 68, 90 %"]
     rows = [[NAMES[name], f"{one['parameters'] / 1e6:.1f} million",
@@ -83,7 +75,7 @@ def block(report: Report) -> str:
              f"{one['beta_over_alpha']['rmse']:.2f}",
              ", ".join(f"{100 * share['mean']:.0f}" for share in one["inside"].values())]
             for name, one in report["networks"].items()]
-    return f"{summarise(report)}\n\n{table(head, rows)}"
+    return f"{text}\n\n{table(head, rows)}"
 
 
 def draw(report: Report) -> Figure:

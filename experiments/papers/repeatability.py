@@ -1,6 +1,5 @@
 """Variation of estimates between drapes and captures of one fabric (002, Figures 22 and 23)."""
 
-from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -23,10 +22,7 @@ FACTORS = {"starts": "other start", "orientations": "same drape, other orientati
            "set-ups": "same drape, other camera, sensor and turns"}
 
 
-@dataclass(frozen=True, kw_only=True)
 class Keys(CaseKeys):
-    """Keys of this study."""
-
     fabrics: int = 10  # drawn from the prior
     starts: int = 8  # drapes per fabric, from different starts
     orientations: int = 12  # captures of the first drape
@@ -69,16 +65,6 @@ def variations(report: Report) -> dict[str, np.ndarray]:
             for factor in FACTORS}
 
 
-def summarise(report: Report) -> str:
-    """Summary in sentences."""
-    found = {factor: np.median(values) for factor, values in variations(report).items()}
-    return (f"The coefficient of variation of α (median over fabrics) is {found['starts']:.1f} % "
-            f"over starts, {found['orientations']:.1f} % over orientations of one drape and "
-            f"{found['set-ups']:.1f} % over set-ups. The mean over a fabric's starts still has an "
-            f"error of {100 * _common_error(report):.0f} % (root mean square): most of the error "
-            "is common to all drapes of a fabric.")
-
-
 def _common_error(report: Report) -> float:
     """Root mean square over fabrics of the error of log alpha averaged over starts."""
     return rms([np.mean(one["starts"], axis=0) - one["theta"][:3]
@@ -87,10 +73,16 @@ def _common_error(report: Report) -> float:
 
 def block(report: Report) -> str:
     """Summary and table."""
+    found = {factor: np.median(values) for factor, values in variations(report).items()}
+    text = (f"The coefficient of variation of α (median over fabrics) is {found['starts']:.1f} % "
+            f"over starts, {found['orientations']:.1f} % over orientations of one drape and "
+            f"{found['set-ups']:.1f} % over set-ups. The mean over a fabric's starts still has an "
+            f"error of {100 * _common_error(report):.0f} % (root mean square): most of the error "
+            "is common to all drapes of a fabric.")
     rows = [[FACTORS[factor], *(f"{np.median(v):.1f}, {v.max():.1f}" for v in values.T)]
             for factor, values in variations(report).items()]
     head = ["varied factor", *(f"{name}: median, largest, %" for name in DIRECTIONS)]
-    return f"{summarise(report)}\n\n{table(head, rows)}"
+    return f"{text}\n\n{table(head, rows)}"
 
 
 def draw(report: Report) -> Figure:

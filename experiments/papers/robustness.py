@@ -1,7 +1,7 @@
 """Effect of faults of the set-up on estimates, and their detection (002, section 7.3.2)."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -73,10 +73,7 @@ UNITS = {name: unit for name, (unit, _, _) in
          (SETUP_FAULTS | CAPTURE_FAULTS | SPECIMEN_FAULTS).items()}
 
 
-@dataclass(frozen=True, kw_only=True)
 class Keys(CaseKeys):
-    """Keys of this study."""
-
     fabrics: int = 24  # drawn from the prior
     edge_mm: float = 3.0  # mesh edge length at the rim
     seed: int = 505
@@ -139,8 +136,8 @@ def _shown(name: str, value: str) -> str:
     return f"{value} {UNITS.get(name, '')}".strip()
 
 
-def summarise(report: Report) -> str:
-    """Summary in sentences."""
+def block(report: Report) -> str:
+    """Summary and table."""
     plain = report["faults"]["none"]["0"]["error"]
     doubted = {f"{name} {_shown(name, value)}": one["doubted"]
                for name, values in report["faults"].items() for value, one in values.items()
@@ -148,19 +145,15 @@ def summarise(report: Report) -> str:
     missed = [name for name, share in doubted.items() if share < 0.5]
     noted = (f"the checks report fewer than half of the captures with {', '.join(missed)}"
              if missed else "the checks report each of them in at least half of the captures")
-    return (f"Without faults the error of log α is {plain:.2f}. Faults that raise it by more than "
+    text = (f"Without faults the error of log α is {plain:.2f}. Faults that raise it by more than "
             f"half: {', '.join(doubted) or 'none'}; {noted}. An error of the density changes all "
             "moduli in proportion.")
-
-
-def block(report: Report) -> str:
-    """Summary and table."""
     head = ["fault", "value", "error of log α", "bias", "refused", "refused, or with a warning"]
     rows = [[name, _shown(name, value), *([f"{one['error']:.3f}", f"{one['bias']:+.3f}"]
                                           if one["error"] else ["–", "–"]),
              f"{one['refused']:.0%}", f"{one['doubted']:.0%}"]
             for name, values in report["faults"].items() for value, one in values.items()]
-    return f"{summarise(report)}\n\n{table(head, rows)}"
+    return f"{text}\n\n{table(head, rows)}"
 
 
 def draw(report: Report) -> Figure:

@@ -1,6 +1,5 @@
 """A skirt of an estimated fabric (002, section 7.4.3), in this simulator and in Newton."""
 
-from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -12,8 +11,6 @@ from data.fabrics.fabrics import fabric_from_theta
 from data.render.setups import Setups
 from experiments.comparison import Shape, compare
 from experiments.drapes import capture_drape, drape_as_planned, infer, plan_specimen
-from experiments.papers.transfer import exported_modulus
-from experiments.physics import style3d
 from experiments.report import Report, label_log_axes, rms, table
 from experiments.study import CaseKeys, Sample, Study, samples_of
 from sim.equilibrium import Equilibrium
@@ -26,22 +23,18 @@ from sim.skirt import SKIRT, settled, skirt
 
 TRUE, ESTIMATED, LINEAR = "true", "estimated", "estimated, α alone"
 OTHER_START = "true, other start"
-NEWTON = "Newton, "
+NEWTON = ("Newton, true", "Newton, estimated")  # of the stored report
 _CAPTURE_EDGE = 2e-3  # m, at the rim of the captured specimen
 
 
-@dataclass(frozen=True, kw_only=True)
 class Keys(CaseKeys):
-    """Keys of this study."""
-
     fabrics: int = 10  # drawn from the prior
     edge_mm: float = 10.0  # mesh edge length at the waist
-    seconds: float | None = 2.0  # simulated in Newton's Style3D, if installed; null: not there
     seed: int = 731
     workers: int = 2
 
 
-def fabric(*, number: int, edge_mm: float, seconds: float | None, seed: int) -> Sample:
+def fabric(*, number: int, edge_mm: float, seed: int) -> Sample:
     """Skirts of one fabric, from its moduli and from those estimated from one depth capture.
 
     Of each: mean distance from the skirt of the true moduli and mean difference of their outlines
@@ -56,16 +49,6 @@ def fabric(*, number: int, edge_mm: float, seconds: float | None, seed: int) -> 
         shapes[name] = Shape.of(scene, _sound(settled(scene, worn, one)).positions)
     result = {name: difference(scene, worn, shape) for name, shape in shapes.items()}
     result[TRUE] = {"folds": fold_count(worn, scene.mesh.rest, SKIRT)}
-    if seconds is not None and style3d.installed():
-        positions, first = worn, None
-        for name, one in ((TRUE, truth), (ESTIMATED, estimate)):
-            state = style3d.simulate(scene, positions, density=one.density,
-                                     modulus=exported_modulus(one), seconds=seconds)
-            positions = state.positions
-            result[NEWTON + name] = difference(
-                scene, worn if first is None else first, Shape.of(scene, positions)) | {
-                    "motion": state.motion}
-            first = positions
     return result | {"log_alpha": np.log(estimate.alpha / truth.alpha).tolist()}
 
 
@@ -97,7 +80,6 @@ def difference(scene: Scene, worn: Points, other: Shape) -> dict[str, float]:
 
 def run(keys: Keys) -> Report:
     """Run all fabrics."""
-    style3d.missing("rows of Newton are")
     return {"fabrics": samples_of(fabric, keys, keys.fabrics, kind="fabric")}
 
 
@@ -112,34 +94,18 @@ def _medians(report: Report, model: str) -> tuple[float, float]:
                  for key in ("distance_mm", "outline_mm"))
 
 
-def summarise(report: Report) -> str:
-    """Summary in sentences."""
-    errors = np.array([one["log_alpha"] for one in report["fabrics"].values()])
+def block(report: Report) -> str:
+    """Summary and table."""
+    errors = [one["log_alpha"] for one in report["fabrics"].values()]
     text = (f"The estimates' errors of log α are {rms(errors):.2f} (rms). "
             "Skirts of the estimated moduli lie {:.1f} mm (median) from those of the true ones, "
             "with outlines {:.1f} mm apart; ".format(*_medians(report, ESTIMATED)))
     text += "without β {:.1f} and {:.1f} mm. ".format(*_medians(report, LINEAR))
     text += ("The same fabric in the folds of another start lies {:.0f} mm away, its outline "
-             "{:.0f} mm. ".format(*_medians(report, OTHER_START)))
-    newton = [one[NEWTON + ESTIMATED] for one in report["fabrics"].values()
-              if NEWTON + ESTIMATED in one]
-    if not newton:
-        return text + f"Rows of Newton are left out: it was not installed (`{style3d.INSTALL}`)."
-    motion = max(one[name]["motion"] for one in report["fabrics"].values()
-                 for name in (NEWTON + TRUE, NEWTON + ESTIMATED) if name in one)
-    across, between = (_medians(report, NEWTON + name)[0] for name in (TRUE, ESTIMATED))
-    return text + (
-        "In Newton, with the secant moduli that are exported for it, the true fabrics' skirts lie "
-        f"{across:.1f} mm from this simulator's, and those of the estimates {between:.1f} mm from "
-        f"Newton's of the true moduli; they moved by at most {motion:.1f} mm in the last quarter "
-        "of the simulation.")
-
-
-def block(report: Report) -> str:
-    """Summary and table."""
+             "{:.0f} mm.".format(*_medians(report, OTHER_START)))
     folds = _column(report, TRUE, "folds")
     rows = []
-    for model in (ESTIMATED, LINEAR, OTHER_START, NEWTON + TRUE, NEWTON + ESTIMATED):
+    for model in (ESTIMATED, LINEAR, OTHER_START, *NEWTON):
         distance = _column(report, model, "distance_mm")
         if len(distance):
             change = _column(report, model, "folds") - folds[:len(distance)]
@@ -150,7 +116,7 @@ def block(report: Report) -> str:
                 f"{np.abs(change).mean():.1f}"])
     head = ["moduli", "skirts", "distance, mm: median, largest", "outline, mm", "covered area, %",
             f"folds, of {folds.mean():.1f}"]
-    return f"{summarise(report)}\n\n{table(head, rows)}"
+    return f"{text}\n\n{table(head, rows)}"
 
 
 def draw(report: Report) -> Figure:

@@ -1,6 +1,5 @@
 """Comparison of estimation methods by simulated drapes of their estimates (002, Table 3)."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -76,10 +75,7 @@ def estimate_strips(
     return found
 
 
-@dataclass(frozen=True, kw_only=True)
 class Keys(CaseKeys):
-    """Keys of this study."""
-
     fabrics: int = 10  # drawn from the prior; a minute each
     edge_mm: float = 3.0  # at the rim, of compared drapes; captured drapes have half of it
     hung_mm: float = 10.0  # mesh edge length of the hung square
@@ -162,16 +158,12 @@ def _median(report: Report, method: str) -> str:
     return f"{np.median(values):.2f} mm ({low:.2f} to {high:.2f})"
 
 
-def summarise(report: Report) -> str:
-    """Summary in sentences."""
-    by = {method: _median(report, method) for method in METHODS}
-    return (f"On the cylinder, the median displacements (95 % intervals) are: network "
-            f"{by[NETWORK]}, refined {by[REFINED]}, strips by table {by[TABLE]}, mean of the prior "
-            f"{by[PRIOR]}; another drape of the true fabric {by[OTHER_DRAPE]}.")
-
-
 def block(report: Report) -> str:
     """Summary and table."""
+    by = {method: _median(report, method) for method in METHODS}
+    text = (f"On the cylinder, the median displacements (95 % intervals) are: network "
+            f"{by[NETWORK]}, refined {by[REFINED]}, strips by table {by[TABLE]}, mean of the prior "
+            f"{by[PRIOR]}; another drape of the true fabric {by[OTHER_DRAPE]}.")
     head = ["moduli from", "fabrics, error of log α",
             *(f"{shape}, mm (%)" for shape in SHAPES.values())]
     lines = []
@@ -182,7 +174,7 @@ def block(report: Report) -> str:
         if found:
             lines.append([method, f"{len(found)}{known}",
                           *(_cell(report, shape, method) for shape in SHAPES)])
-    return f"{summarise(report)}\n\n{table(head, lines)}"
+    return f"{text}\n\n{table(head, lines)}"
 
 
 def _cell(report: Report, shape: str, method: str) -> str:

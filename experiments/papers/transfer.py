@@ -1,6 +1,6 @@
 """Transfer of an estimated fabric to simulators with hinges (002, Figure 24, section 7.4)."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,38 +10,23 @@ from data.fabrics.fabrics import fabric_from_theta
 from drapenet.export.material import hinge_ratio
 from experiments.comparison import Shape, compare, equilibrium_near
 from experiments.drapes import RIG, drape_specimen, plan_specimen
-from experiments.physics import style3d
 from experiments.report import Report, label_log_axes, table
 from experiments.study import CaseKeys, Sample, Study, samples_of
 from sim.cloth import Laws
 from sim.draping import Drape
-from sim.material import Fabric, secant
 from sim.mesh.specimen import TOPOLOGIES
 from sim.scene import Scene, make_specimen
 from sim.solver.newton import Status
 
 LAWS = {"hinges along the edge": "hinge_edge", "hinges, mean modulus": "hinge"}
-LINEAR, OTHER_MESH = "the plate's law without β", "the plate's law on another mesh"
-_SECANT = 50.0  # 1/m, curvature of the secant modulus
-
-
+OTHER_MESH = "the plate's law on another mesh"
 RATIO = hinge_ratio("unstructured", cells=30)
 """Ratio of hinge modulus to plate modulus for the same strip shape on unstructured meshes."""
 
 
-def exported_modulus(fabric: Fabric) -> np.ndarray:
-    """Secant moduli (3,), N·m, of hinges for a simulator without beta."""
-    return RATIO * secant(_SECANT, fabric.alpha, fabric.beta)
-
-
-@dataclass(frozen=True, kw_only=True)
 class Keys(CaseKeys):
-    """Keys of this study."""
-
     fabrics: int = 10  # drawn from the prior
     edge_mm: float = 2.5  # mesh edge length at the rim
-    style3d_fabrics: int = 5  # of these, also in Newton's Style3D; a minute each
-    style3d_seconds: float = 3.0  # simulated time in Style3D
     seed: int = 707
     workers: int = 2
 
@@ -68,29 +53,6 @@ def fabric(*, number: int, edge_mm: float, seed: int) -> Sample:
     return result
 
 
-def style3d_fabric(*, number: int, edge_mm: float, style3d_seconds: float, seed: int) -> Sample:
-    """Differences of drapes in Style3D, each started at the previous one, the first at the plate's.
-
-    "motion" has their displacements in the last quarter of the simulation, mm.
-    """
-    plate = drape_specimen(plan_specimen(number, seed=seed), edge=1e-3 * edge_mm)
-    alpha, mesh = plate.fabric.alpha, plate.scene
-    moduli = {"α as estimated": alpha, "equivalent α": RATIO * alpha,
-              f"equivalent secant at {_SECANT:g} m⁻¹": exported_modulus(plate.fabric)}
-    linear = equilibrium_near(plate, mesh, plate.rig, Fabric(alpha))
-    result: dict[str, Any] = {
-        "motion": [], LINEAR: (_difference(plate, linear.state.positions, mesh)
-                               if linear.status is Status.CONVERGED else None)}
-    positions = plate.positions
-    for model, modulus in moduli.items():
-        found = style3d.simulate(mesh, positions, density=plate.fabric.density, modulus=modulus,
-                                 seconds=style3d_seconds)
-        positions = found.positions
-        result[f"Style3D, {model}"] = _difference(plate, found.positions, mesh)
-        result["motion"].append(found.motion)
-    return result
-
-
 def _difference(plate: Drape, positions: np.ndarray, mesh: Scene) -> list[float]:
     """Displacement, mm, and difference of mean curvature, %, of positions (V, 3), m."""
     return compare(plate, Shape.of(mesh, positions)).row
@@ -98,14 +60,12 @@ def _difference(plate: Drape, positions: np.ndarray, mesh: Scene) -> list[float]
 
 def run(keys: Keys) -> Report:
     """Run all fabrics."""
-    report = {"ratio": RATIO, "fabrics": samples_of(fabric, keys, keys.fabrics, kind="fabric")}
-    if not style3d.missing("rows of Style3D are"):
-        report["style3d"] = samples_of(style3d_fabric, keys, keys.style3d_fabrics, kind="style3d")
-    return report
+    return {"ratio": RATIO, "fabrics": samples_of(fabric, keys, keys.fabrics, kind="fabric")}
 
 
 def _by_model(report: Report) -> dict[str, tuple[np.ndarray, int]]:
-    """Displacements and differences of curvature (F, 2), and number of fabrics, by model."""
+    """Displacements and differences of curvature (F, 2), and number of fabrics, by model; those of
+    the stored report in Newton's Style3D, too."""
     found = {}
     for fabrics in (report["fabrics"], report.get("style3d", {})):
         for model in next(iter(fabrics.values()), {}):
@@ -120,36 +80,21 @@ def _median(report: Report, model: str) -> float:
     return float(np.median(values[:, 0])) if len(values) else np.nan
 
 
-def summarise(report: Report) -> str:
-    """Summary in sentences."""
+def block(report: Report) -> str:
+    """Summary and table."""
     plain, equal = (_median(report, f"hinges along the edge, {model}")
                     for model in ("α as estimated", "equivalent α"))
     text = (f"Drapes with hinges, each with the modulus of its direction, lie {plain:.2f} mm "
             f"(median) from those of the plate law with α as estimated and {equal:.2f} mm with the "
             f"equivalent modulus ({report['ratio']:.3f} α, [exports](exports.md)); the plate law "
-            f"on another mesh lies {_median(report, OTHER_MESH):.2f} mm away. ")
-    if "style3d" not in report:
-        return text + ("Rows of Newton's Style3D are left out: it was not installed "
-                       f"(`{style3d.INSTALL}`).")
-    plain, equal, secant = (_median(report, model) for model in _by_model(report)
-                            if model.startswith("Style3D"))
-    motion = max(max(one["motion"]) for one in report["style3d"].values())
-    return text + (f"In Style3D, which has no β, drapes lie {plain:.2f} mm away with α as "
-                   f"estimated, {equal:.2f} mm with the equivalent modulus and {secant:.2f} mm "
-                   f"with the secant at {_SECANT:g} m⁻¹; without β the plate's drape itself moves "
-                   f"by {_median(report, LINEAR):.2f} mm. Style3D's drapes moved by at most "
-                   f"{motion:.2f} mm in the last quarter of the simulation.")
-
-
-def block(report: Report) -> str:
-    """Summary and table."""
+            f"on another mesh lies {_median(report, OTHER_MESH):.2f} mm away.")
     rows = [[model, f"{len(values)} of {tried}",
              f"{np.median(values[:, 0]):.2f}, {values[:, 0].max():.2f}" if len(values) else "–",
              f"{np.median(values[:, 1]):.1f}" if len(values) else "–"]
             for model, (values, tried) in _by_model(report).items()]
     head = ["simulated with", "converged", "displacement, mm: median, largest",
             "curvature, %: median"]
-    return f"{summarise(report)}\n\n{table(head, rows)}"
+    return f"{text}\n\n{table(head, rows)}"
 
 
 def draw(report: Report) -> Figure:

@@ -1,6 +1,6 @@
 """Error of estimates as a function of the number of views (002, Figure 19)."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -25,10 +25,7 @@ _MAX_REFUSED = 5
 """Captures of a drape that may be refused; others take their place, and are counted."""
 
 
-@dataclass(frozen=True, kw_only=True)
 class Keys(CaseKeys):
-    """Keys of this study."""
-
     fabrics: int = 60  # drawn from the prior, with all nuisances of specimens
     captures: int = 2  # per fabric and number of views
     edge_mm: float = 3.0  # mesh edge length at the rim
@@ -88,25 +85,21 @@ def report_of(found: dict[str, Sample]) -> Report:
     return report | {"bound": posterior_bound()}
 
 
-def summarise(report: Report) -> str:
-    """Summary in sentences."""
+def block(report: Report) -> str:
+    """Summary and table."""
     one, two, four, eight = (report["views"][count]["log_alpha"] for count in ("1", "2", "4", "8"))
-    return (f"The error of log α is {one:.3f} with one view, {two:.3f} with two, {four:.3f} with "
+    text = (f"The error of log α is {one:.3f} with one view, {two:.3f} with two, {four:.3f} with "
             f"four and {eight:.3f} with eight views ({100 * (1 - eight / four):.0f} % less than "
             "with four). In the same unit, the posterior bound of four views with a good sensor is "
             f"{report['bound']:.3f} "
             "([validation](validation.md#what-a-drape-determines)).")
-
-
-def block(report: Report) -> str:
-    """Summary and table."""
     head = ["views", "log α (95 %)", "β/α", "posterior deviation of log α", "truth inside 50 %",
             "68 %", "90 %"]
     rows = [[count, "{:.3f} ({:.3f} to {:.3f})".format(one["log_alpha"], *one["interval_95"]),
              f"{one['beta_over_alpha']:.2f}", f"{one['deviation']:.3f}",
              *(f"{share:.0%}" for share in one["inside"].values())]
             for count, one in report["views"].items()]
-    return f"{summarise(report)}\n\n{table(head, rows)}"
+    return f"{text}\n\n{table(head, rows)}"
 
 
 def draw(report: Report) -> Figure:

@@ -5,7 +5,6 @@ Fabrics, starts, seeds and offsets are planned as for a dataset (:mod:`data.data
 """
 
 from collections import Counter
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -27,10 +26,7 @@ MIN_SHARE = 0.99  # of the drapes
 STARTS = ("sine", "fold")
 
 
-@dataclass(frozen=True, kw_only=True)
 class Keys(CaseKeys):
-    """Keys of this study."""
-
     fabrics: int = 64  # drawn from the prior
     seed: int = 0  # of fabrics and starts
     edge_mm: float | None = None  # mesh edges at the plate's rim; null: those of the simulator

@@ -4,7 +4,6 @@ Clamped strips on four triangulations: deviation of drop over reach (H/W) from t
 solution.
 """
 
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -35,10 +34,7 @@ MESHES = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
 class Keys(CaseKeys):
-    """Keys of this study."""
-
     gammas: tuple[float, ...] = (  # rho g L³/alpha of the strips
         0.1, 0.231, 0.5337, 1.233, 2.848, 6.579, 15.2, 35.11, 81.11, 187.4, 432.9, 1000.0)
     meshes: tuple[str, ...] = tuple(MESHES)  # triangulations

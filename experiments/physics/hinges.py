@@ -96,10 +96,7 @@ def simulated_ratio(mesh: str, cells: int, *, samples: int = 6) -> float:
     return float(np.mean(ratios))
 
 
-@dataclass(frozen=True, kw_only=True)
 class Keys(PlainKeys):
-    """Keys of this study."""
-
     samples: int = 6  # strips of each irregular mesh, whose stiffness varies by 4 %
 
 

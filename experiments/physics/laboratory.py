@@ -5,7 +5,6 @@ assumed in proportion to B. Fabrics with measured stretch and shear are draped w
 membrane and with theirs. Nothing is fitted.
 """
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -27,10 +26,7 @@ _POISSON = 0.3
 """Poisson's ratio of the measured membranes, which KES does not give."""
 
 
-@dataclass(frozen=True, kw_only=True)
 class Keys(CaseKeys):
-    """Keys of this study."""
-
     fabrics: str = FABRICS
     testers: tuple[str, ...] = (  # where the paper's tester is not known to us; else the second
         "disc254_support127", "disc300_support180")

@@ -5,7 +5,6 @@ therefore each fabric is draped once, and from this shape the equilibrium on eve
 two of the default graded triangulations and a mesh with about as many triangles of uniform size.
 """
 
-from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 
@@ -38,10 +37,7 @@ MESHES = ("graded", "other", "uniform")
 MAX_DISPLACEMENT = 0.7  # mm, mean displacement between drapes with the same folds
 
 
-@dataclass(frozen=True, kw_only=True)
 class Keys(CaseKeys):
-    """Keys of this study."""
-
     fabrics: tuple[str, ...] = tuple(FABRICS)
     edge_mm: float = 1.0  # mesh edges at the rim
     start_mm: float = 1.0  # mesh edges of the common start, on another triangulation

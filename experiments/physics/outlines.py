@@ -11,7 +11,6 @@ documented: both parallel light and a camera above the plate are tried.
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -57,10 +56,7 @@ VARIED: dict[str, tuple[str, ...]] = {SPECIMENS: (), "fabrics": (), "learned": A
 _FACES = {True: "up", False: "down"}
 
 
-@dataclass(frozen=True, kw_only=True)
 class Keys(CaseKeys):
-    """Keys of this study."""
-
     outlines: str = OUTLINES
     alphas: tuple[float, ...] = (  # µN·m at 300 g/m², isotropic
         3.0, 5.0, 8.0, 12.0, 18.0, 27.0, 40.0, 60.0, 90.0, 130.0)

@@ -8,7 +8,6 @@ import os
 import subprocess
 import sys
 import tempfile
-from dataclasses import dataclass
 from pathlib import Path
 
 from experiments.report import ROOT, Report
@@ -27,10 +26,7 @@ ENVIRONMENT = {name: value for name, value in os.environ.items()
                if name != "PYTHONDONTWRITEBYTECODE"}  # else each run may compile all sources
 
 
-@dataclass(frozen=True, kw_only=True)
 class Keys(PlainKeys):
-    """Keys of this study."""
-
     runs: int = 3  # of each command, beside a first one
 
 

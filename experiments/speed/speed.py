@@ -11,7 +11,6 @@ import experiments.one_thread  # noqa: F401
 # isort: split
 import resource
 import time
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,10 +24,7 @@ from sim.rig import Rig
 from sim.solver.linear import available_solvers
 
 
-@dataclass(frozen=True, kw_only=True)
 class Keys(PlainKeys):
-    """Keys of this study."""
-
     drapes: int = 32  # fabrics
     seed: int = 77  # of the fabrics
     testers: tuple[str, ...] = ("disc300_support180", "square300_cylinder100")

@@ -3,7 +3,6 @@
 import json
 import subprocess
 import sys
-from dataclasses import dataclass, fields
 
 import numpy as np
 import pytest
@@ -52,7 +51,7 @@ def test_every_study_has_a_folder_keys_and_a_line():
     lines = usage().splitlines()
     for name in FILES:
         keys = study.study(name).keys
-        assert len(keys.text().splitlines()) == len(fields(keys)) and keys.read([]) == keys()
+        assert len(keys.text().splitlines()) == len(keys.model_fields) and keys.read([]) == keys()
         (line,) = (line for line in lines if line.split()[:1] == [name])
         assert line.endswith(".") and len(line) <= 120
 
@@ -63,13 +62,12 @@ def test_studies_of_papers_have_a_section_a_figure_and_the_keys_of_their_report(
         *PAPERS]
     for name in PAPERS:
         this, report = study.study(name), read_report(name)
-        keys = {field.name for field in fields(this.keys)} - {*EXECUTION_KEYS}
+        keys = set(this.keys.model_fields) - {*EXECUTION_KEYS}
         assert keys <= set(report["settings"])
         assert f"](validation/{name}.png)" in page
         assert this.draw(report).axes and (REPORTS / f"{name}.png").is_file()
 
 
-@dataclass(frozen=True, kw_only=True)
 class Keys(CaseKeys):
     seed: int = 3
     factors: tuple[float, ...] = (2.0,)  # of all

@@ -1,7 +1,6 @@
 """Outlines of drapes seen from above, and of real ones against simulated, where they are known."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -160,7 +159,7 @@ def only(config):
 
 def test_a_fabric_with_one_face_and_one_simulated_drape_is_shown(config, only):
     only(lambda fabric, up: ~up)
-    report = run(replace(config, seeds=1, specimens=1))
+    report = run(config.model_copy(update={"seeds": 1, "specimens": 1}))
     assert [row["face"] for row in report["parallel"]["flat"]] == ["down", "down"]
     titles = [axes.get_title().partition("\n")[0] for axes in report["figure"].axes
               if axes.axison]
@@ -180,7 +179,7 @@ def test_a_face_with_one_outline_and_an_empty_file_are_sentences(config, only):
 
 def test_a_place_of_the_grid_without_drapes_is_named(config):
     with pytest.raises(InputError, match=r"converged of lowered_1\.5_-12, lowered_1\.5_12 "):
-        run(replace(config, alphas=(1.5, 3.0, 30.0)))
+        run(config.model_copy(update={"alphas": (1.5, 3.0, 30.0)}))
 
 
 def test_the_mean_radius_of_an_outline_is_its_coefficient():
