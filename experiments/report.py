@@ -15,7 +15,6 @@ from common.files import replace_json, replacing
 from common.provenance import package_versions, processor
 
 if TYPE_CHECKING:
-    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -51,8 +50,8 @@ def write_figure(path: Path, figure: "Figure") -> None:
         figure.savefig(file, format="png", dpi=110)
 
 
-def label_log_axes(*scales: "Axis") -> None:
-    """Label logarithmic axes that span about one decade at 1, 2 and 5, with plain numbers."""
+def label_log_axes(*scales: Any) -> None:
+    """Label logarithmic scales, matplotlib's Axis, that span about one decade at 1, 2 and 5, with plain numbers."""
     from matplotlib.ticker import LogLocator, NullFormatter
 
     for scale in scales:
@@ -72,6 +71,13 @@ def table(head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
             for line in lines]
     text.insert(1, "|" + "|".join("-" * (w + 2) for w in width) + "|")
     return "\n".join(text)
+
+
+def markdown(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """Markdown table without aligned columns."""
+    lines = [list(head), *rows]
+    lines.insert(1, ["---"] * len(lines[0]))
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def errors(values: np.ndarray | list) -> dict[str, float]:

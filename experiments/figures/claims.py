@@ -2,13 +2,13 @@
 
 import operator
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from string import Formatter
 from typing import Any
 
 from experiments.figures.reports import Reports
-from experiments.report import Report
+from experiments.report import Report, markdown
 from experiments.study import FILES
 
 CLAIMS = Path(__file__).with_name("claims.md")
@@ -80,10 +80,3 @@ def claims(reports: Reports) -> str:
 def slug(title: str) -> str:
     """Anchor that GitHub gives a heading."""
     return re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-")
-
-
-def markdown(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
-    """Markdown table without aligned columns."""
-    lines = [list(head), *rows]
-    lines.insert(1, ["---"] * len(lines[0]))
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)

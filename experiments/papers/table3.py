@@ -117,15 +117,15 @@ def fabric(
                                 "hung": _difference(hung, follow(hung, one))}
     other_drape = drape(truth, **start | {"seed": plan.seed + 2})
     other_hung = drape(truth, rig=HUNG_SQUARE, edge=1e-3 * hung_mm, seed=1)
-    result["ways"][OTHER_DRAPE] = {"drape": _difference(true, other_drape, align="turn"),
+    result["ways"][OTHER_DRAPE] = {"drape": _difference(true, other_drape, turned=True),
                              "hung": _difference(hung, other_hung)}
     return result
 
 
-def _difference(reference: Drape, other: Drape, *, align: str = "none") -> Difference:
+def _difference(reference: Drape, other: Drape, *, turned: bool = False) -> Difference:
     if not (reference.converged and other.converged):
         return None
-    return compare(reference, other, align=align).row
+    return compare(reference, other, turned=turned).row
 
 
 def run(keys: Keys) -> Report:
