@@ -51,7 +51,7 @@ def write_figure(path: Path, figure: "Figure") -> None:
 
 
 def label_log_axes(*scales: Any) -> None:
-    """Label logarithmic scales, matplotlib's Axis, that span about one decade at 1, 2 and 5, with plain numbers."""
+    """Label logarithmic scales that span about one decade at 1, 2 and 5, with plain numbers."""
     from matplotlib.ticker import LogLocator, NullFormatter
 
     for scale in scales:

@@ -207,34 +207,29 @@ def _errors(report: Report, name: str) -> np.ndarray:
 
 def block(report: Report) -> str:
     """Summary and table."""
-    def errors(name: str) -> tuple[list[float], str]:
-        found = _errors(report, name)
-        return ([rms(column) for column in found.T],
-                f"{', '.join(f'{rms(column):.2f}' for column in found.T)} ({len(found)} of "
-                f"{len(report['fabrics'])} fits)")
-
-    first, *_, last = FITS
-    identified = [name for name, error in zip(UNKNOWNS, errors(last)[0], strict=False)
-                  if error < 1 / 3]
-    text = (f"With {report['settings']['noise_mm']:g} mm of noise per coordinate, the errors of "
-            "warp, weft, shear and Poisson's ratio, in units of the spread over fabrics, are "
-            f"{errors(first)[1]} in the case \"{first}\" and {errors(last)[1]} in the case "
-            f"\"{last}\"; below a third in the latter: {', '.join(identified) or 'none'}. The "
-            "remaining fits ended in other folds, which their residuals reveal.")
-    head = ["fit", "in the true folds", "residual, mm", "unknown", "error, rms", "error, median",
-            "bias", "stated standard deviation"]
+    known = [name for name, error in zip(UNKNOWNS, _errors(report, [*FITS][-1]).T, strict=True)
+             if rms(error) < 1 / 3]
+    text = (f"With {report['settings']['noise_mm']:g} mm of noise per coordinate; errors over the "
+            f"spread over fabrics are below a third in the last case for "
+            f"{', '.join(known) or 'none'}. The remaining fits ended in other folds, which their "
+            "residuals reveal.")
+    head = ["fit", "in the true folds", "residual, mm",
+            f"of {', '.join(UNKNOWNS)}: error, rms", "error, median", "bias",
+            "stated standard deviation"]
     lines = []
     for name in FITS:
-        errors, fits = _errors(report, name), [fit for _, fit in _accepted_fits(report, name)]
-        for k, unknown in enumerate(UNKNOWNS) if fits else ():
-            middle = np.median(np.abs(errors[:, k])) * report["spread"][k]
+        errors_of, fits = _errors(report, name), [fit for _, fit in _accepted_fits(report, name)]
+        if fits:
+            middle = np.median(np.abs(errors_of), axis=0) * report["spread"]
+            stated = np.array([fit["deviation"] for fit in fits])
             lines.append([
                 name, f"{len(fits)} of {len(report['fabrics'])}",
-                f"{np.median([fit['left_mm'] for fit in fits]):.2f}", unknown,
-                f"{rms(errors[:, k]):.2f}",
-                f"{100 * np.expm1(middle):.0f} %" if k < 3 else f"{middle:.2f}",
-                f"{errors[:, k].mean():+.2f}",
-                f"{rms(np.array([fit['deviation'][k] for fit in fits])):.3f}"])
+                f"{np.median([fit['left_mm'] for fit in fits]):.2f}",
+                ", ".join(f"{rms(column):.2f}" for column in errors_of.T),
+                ", ".join([*(f"{100 * np.expm1(one):.0f} %" for one in middle[:3]),
+                           f"{middle[3]:.2f}"]),
+                ", ".join(f"{one:+.2f}" for one in errors_of.mean(axis=0)),
+                ", ".join(f"{rms(column):.3f}" for column in stated.T)])
     return f"{text}\n\n{table(head, lines)}"
 
 

@@ -129,11 +129,11 @@ def _summary(cases: list[list[Any]]) -> dict[str, float | None]:
             "doubted": float(np.mean([warnings != 0 for _, warnings in cases]))}
 
 
-def _shown(name: str, value: str) -> str:
-    """A value of a fault with its unit."""
+def _shown(name: str, value: str, *, unit: bool = True) -> str:
+    """A value of a fault with or without its unit."""
     if name == "sensor":
         return SENSORS[int(value) - 1]
-    return f"{value} {UNITS.get(name, '')}".strip()
+    return f"{value} {UNITS.get(name, '')}".strip() if unit else value
 
 
 def block(report: Report) -> str:
@@ -148,11 +148,15 @@ def block(report: Report) -> str:
     text = (f"Without faults the error of log α is {plain:.2f}. Faults that raise it by more than "
             f"half: {', '.join(doubted) or 'none'}; {noted}. An error of the density changes all "
             "moduli in proportion.")
-    head = ["fault", "value", "error of log α", "bias", "refused", "refused, or with a warning"]
-    rows = [[name, _shown(name, value), *([f"{one['error']:.3f}", f"{one['bias']:+.3f}"]
-                                          if one["error"] else ["–", "–"]),
-             f"{one['refused']:.0%}", f"{one['doubted']:.0%}"]
-            for name, values in report["faults"].items() for value, one in values.items()]
+    head = ["fault", "values", "error of log α", "bias", "refused, %",
+            "refused, or with a warning, %"]
+    rows = [[f"{name}, {UNITS.get(name, '')}".strip(", "),
+             ", ".join(_shown(name, value, unit=False) for value in values),
+             *(", ".join(f"{scale * one[key]:{form}}" if one["error"] else "–"
+                         for one in values.values())
+               for key, scale, form in (("error", 1, ".3f"), ("bias", 1, "+.3f"),
+                                        ("refused", 100, ".0f"), ("doubted", 100, ".0f")))]
+            for name, values in report["faults"].items()]
     return f"{text}\n\n{table(head, rows)}"
 
 

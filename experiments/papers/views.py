@@ -87,17 +87,15 @@ def report_of(found: dict[str, Sample]) -> Report:
 
 def block(report: Report) -> str:
     """Summary and table."""
-    one, two, four, eight = (report["views"][count]["log_alpha"] for count in ("1", "2", "4", "8"))
-    text = (f"The error of log α is {one:.3f} with one view, {two:.3f} with two, {four:.3f} with "
-            f"four and {eight:.3f} with eight views ({100 * (1 - eight / four):.0f} % less than "
-            "with four). In the same unit, the posterior bound of four views with a good sensor is "
-            f"{report['bound']:.3f} "
-            "([validation](validation.md#what-a-drape-determines)).")
-    head = ["views", "log α (95 %)", "β/α", "posterior deviation of log α", "truth inside 50 %",
-            "68 %", "90 %"]
+    four, eight = (report["views"][count]["log_alpha"] for count in ("4", "8"))
+    text = (f"The error of log α of eight views is {100 * (1 - eight / four):.0f} % less than of "
+            "four. In the same unit, the posterior bound of four views with a good sensor is "
+            f"{report['bound']:.3f} ([validation](validation.md#what-a-drape-determines)).")
+    head = ["views", "log α (95 %)", "β/α", "posterior deviation of log α",
+            "truth inside 50, 68, 90 %"]
     rows = [[count, "{:.3f} ({:.3f} to {:.3f})".format(one["log_alpha"], *one["interval_95"]),
              f"{one['beta_over_alpha']:.2f}", f"{one['deviation']:.3f}",
-             *(f"{share:.0%}" for share in one["inside"].values())]
+             ", ".join(f"{100 * share:.0f}" for share in one["inside"].values())]
             for count, one in report["views"].items()]
     return f"{text}\n\n{table(head, rows)}"
 
