@@ -87,14 +87,14 @@ def errors(values: np.ndarray | list) -> dict[str, float]:
             "largest": float(np.max(size))}
 
 
-def listed(found: Mapping[str, float], keys: Iterable[str], form: str, unit: str = "") -> str:
+def listed(found: Mapping[str, float], keys: Iterable[str], form: str) -> str:
     """Figures of a report in one cell of a table."""
-    return ", ".join(f"{found[key]:{form}}{unit}" for key in keys)
+    return ", ".join(f"{found[key]:{form}}" for key in keys)
 
 
 def percents(shares: Iterable[float]) -> str:
-    """Shares in one cell of a table."""
-    return ", ".join(f"{100 * share:.0f} %" for share in shares)
+    """Shares in percent in one cell of a table."""
+    return ", ".join(f"{100 * share:.0f}" for share in shares)
 
 
 def read_rows(file: str) -> list[dict[str, str]]:

@@ -163,8 +163,8 @@ def block(report: Report) -> str:
     """Errors of photographs over the mat, alone and together."""
     return table(
         ["pictures", "captures", "refused", "outline as seen, mm: median, 9 of 10",
-         "from the axis", "α off the true outline's: median, 9 of 10", "off by 15 %, no warning",
-         "right, with a warning", "off the truth", "inside 68 %"],
+         "from the axis", "α off the true outline's, %", "off by 15 %, no warning",
+         "right, with a warning", "off the truth, %", "inside 68 %, %"],
         [[name, f"{found['captures']}", f"{found['refused']}",
           *("{:.1f}, {:.1f}".format(*found[key]) for key in ("reading_mm", "outline_mm")),
           percents(found["alpha_error"]), f"{found['wrong_in_silence']}",

@@ -312,10 +312,10 @@ def block(report: Report) -> str:
     """Errors of moduli from photographs of strips, and their coverage."""
     moduli = {"α": "alpha", "β": "beta"}
     return table(
-        ["strips", "curve, mm", *(f"{modulus}: median, 9 of 10" for modulus in moduli),
+        ["strips", "curve, mm", *(f"{modulus}, %: median, 9 of 10" for modulus in moduli),
          *(f"{modulus} inside 68, 90 %" for modulus in moduli)],
         [[name, f"{found['curve_mm']['median']:.2f}",
-          *(listed(found[key], ("median", "quantile_90"), ".2g", " %") for key in moduli.values()),
+          *(listed(found[key], ("median", "quantile_90"), ".2g") for key in moduli.values()),
           *(listed(found[key]["coverage"], ("68%", "90%"), ".0f") for key in moduli.values())]
          for name, found in report["summary"].items() if name not in FACES])
 

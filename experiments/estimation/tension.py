@@ -149,11 +149,11 @@ def block(report: Report) -> str:
     """Errors of extensions by photographs, and of the stiffnesses by them."""
     return table(
         ["strips", "pairs", "extension, mm: median, 9 of 10, largest", "inside 68, 90 %",
-         "stiffness off that by the true extension: median, 9 of 10", "fabric inside 68, 90 %"],
+         "stiffness off that by the true extension, %", "fabric inside 68, 90 %"],
         [[name, f"{found['pairs']}",
           listed(found["extension_mm"], ("median", "quantile_90", "largest"), ".2f"),
           listed(found["extension_mm"]["coverage"], LEVELS, ".0f"),
-          listed(found["stiffness"], ("median", "quantile_90"), ".1f", " %"),
+          listed(found["stiffness"], ("median", "quantile_90"), ".1f"),
           listed(found["stiffness"]["coverage"], LEVELS, ".0f")]
          for name, found in report["summary"].items()])
 

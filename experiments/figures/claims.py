@@ -13,12 +13,11 @@ from experiments.study import FILES
 
 CLAIMS = Path(__file__).with_name("claims.md")
 COMMANDS = {
-    "evaluation": "drapenet.network.evaluate",
-    "refine_views": "experiments refine fabrics=20",
-    "refine_views_real": "experiments refine nuisances=real",
-    "refine_scans": "experiments refine captured=scans nuisances=real rig=disc300_support180 "
-                    "truth_mm=2 fabrics=20 seed=20224"}
-"""Commands of reports with another name."""
+    "evaluation": "evaluate", "refine_views": "refine fabrics=20",
+    "refine_views_real": "refine nuisances=real",
+    "refine_scans": "refine captured=scans nuisances=real rig=disc300_support180 truth_mm=2 "
+                    "fabrics=20 seed=20224"}
+"""Studies, with their keys, of reports with another name."""
 MISSED = "**missed**"
 """Mark of a target that is not reached."""
 _RELATIONS = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge,
@@ -69,12 +68,12 @@ def claim_rows(reports: Reports, only: str = "") -> Iterator[list[str]]:
                                        for condition in conditions.split(", "))
         settled = "" if name in COMMANDS or name in FILES else " §"
         yield [f"[{claim}](#{slug(section)})", text, target if met else f"{target}: {MISSED}",
-               f"`{COMMANDS.get(name, f'experiments {name}')}`{settled}"]
+               f"`{COMMANDS.get(name, name)}`{settled}"]
 
 
 def claims(reports: Reports) -> str:
     """Table of claims."""
-    return markdown(["claim", "figure", "target", "`python -m …`"], claim_rows(reports))
+    return markdown(["claim", "figure", "target", "study"], claim_rows(reports))
 
 
 def slug(title: str) -> str:

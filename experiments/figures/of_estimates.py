@@ -82,13 +82,18 @@ def _off(found: Report) -> list[str]:
     return [percent(found["alpha"][key]) for key in ("median", "ninth_decile")]
 
 
+def _shares(found: Report) -> str:
+    """The same in percent."""
+    return ", ".join(_off(found)).replace(" %", "")
+
+
 def bands(reports: Reports) -> str:
     """Errors of single captures by drape coefficient and by stiffness."""
     found = reports["evaluation"]["bands"]
     names = [name for name in found if name != "drape coefficient and nodes"]
     return "\n\n".join(
-        table([kind, *(f"{name}: α off by, median, 9 of 10" for name in names)],
-              [[label, *(", ".join(_off(found[name][kind][label])) for name in names)]
+        table([f"{kind}; α off by, %: median, 9 of 10", *names],
+              [[label, *(_shares(found[name][kind][label]) for name in names)]
                for label in found[names[0]][kind]])
         for kind in ("drape coefficient", "stiffness"))
 
@@ -115,8 +120,8 @@ def photographed(reports: Reports) -> str:
 
 def cells(reports: Reports) -> str:
     """Errors of the network by condition."""
-    return table(["α off by, median, 9 of 10", *RIGS],
-                 [[name, *(", ".join(_off(reports.cell(kind, name))) for kind in RIGS)]
+    return table(["α off by, %: median, 9 of 10", *RIGS],
+                 [[name, *(_shares(reports.cell(kind, name)) for kind in RIGS)]
                   for name in reports["evaluation"]["cells"][RIGS["squares"]]])
 
 
