@@ -22,7 +22,7 @@ from experiments.drapes import (
 )
 from experiments.report import Report, label_log_axes, rms, table
 from experiments.study import CaseKeys, Sample, Study, samples_of
-from sim.cantilever.moduli import Strips, estimate_moduli, fabric_of
+from sim.cantilever.moduli import estimate_moduli, fabric_of
 from sim.cantilever.strip import simulate_strips
 from sim.draping import Drape, drape, follow
 from sim.material import DIRECTIONS, REFERENCE_DENSITY, Fabric, gravity_length
@@ -37,35 +37,21 @@ Difference = list[float] | None
 """Mean displacement, mm, and difference of mean curvature, %; None without convergence."""
 
 
-def strip_lengths(fabric: Fabric) -> dict[str, list[float]]:
-    """Lengths, m, of the strips by direction."""
-    return {direction: [x * gravity_length(alpha, fabric.density) for x in LENGTHS]
-            for direction, alpha in zip(DIRECTIONS, fabric.alpha, strict=True)}
-
-
-def add_noise(
-    strips: Strips, sigma: float, rng: np.random.Generator
-) -> dict[str, list[np.ndarray]]:
-    """Curves with noise N(0, sigma) on both coordinates, except at the edge of the clamp."""
-    shaken: dict[str, list[np.ndarray]] = {}
-    for direction, curves in strips.items():
-        for curve in curves:
-            noisy = curve + rng.normal(0.0, sigma, curve.shape)
-            noisy[0] = 0.0
-            shaken.setdefault(direction, []).append(noisy)
-    return shaken
-
-
 def estimate_strips(
     fabric: Fabric, *, noise: float, cells: int, seed: int
 ) -> dict[str, Fabric]:
     """Fabrics estimated from noisy free cantilever strips, by method that did not fail."""
     found: dict[str, Fabric] = {}
+    lengths = {direction: [x * gravity_length(alpha, fabric.density) for x in LENGTHS]
+               for direction, alpha in zip(DIRECTIONS, fabric.alpha, strict=True)}
     try:
-        strips = simulate_strips(fabric, strip_lengths(fabric), cells=cells, seed=seed)
+        strips = simulate_strips(fabric, lengths, cells=cells, seed=seed)
     except InputError:
         return found
-    noisy = add_noise(strips, noise, np.random.default_rng(seed))
+    rng, noisy = np.random.default_rng(seed), {}
+    for direction, curves in strips.items():  # but for the edge of the clamp
+        noisy[direction] = [np.vstack([[0.0, 0.0], one[1:]]) for one in (
+            curve + rng.normal(0.0, noise, curve.shape) for curve in curves)]
     for method in ("regression", "table"):
         try:
             found[f"strips, {method}"] = fabric_of(
@@ -105,21 +91,20 @@ def fabric(
         one = estimate_capture(reading.capture, header(), EstimateOptions(
             refine=read_option("refine", "simulation"), drapes=0)).estimate
         found[REFINED] = fabric_from_theta(one.samples.mean(axis=0))
-    result: dict[str, Any] = {"ways": {}}
+    ways: dict[str, Any] = {}
     # Start and folds differ from those of the captured drape.
     start = {"edge": edge, "start": "ring", "seed": plan.seed + 1}
     true = drape(truth, **start)
     hung = drape(truth, rig=HUNG_SQUARE, edge=1e-3 * hung_mm)
     for name, one in found.items():
         error = np.log(one.at_density(REFERENCE_DENSITY).alpha / truth.alpha) / spread()[:3]
-        result["ways"][name] = {"error": error.tolist(),
-                                "drape": _difference(true, drape(one, **start)),
-                                "hung": _difference(hung, follow(hung, one))}
+        ways[name] = {"error": error.tolist(), "drape": _difference(true, drape(one, **start)),
+                      "hung": _difference(hung, follow(hung, one))}
     other_drape = drape(truth, **start | {"seed": plan.seed + 2})
     other_hung = drape(truth, rig=HUNG_SQUARE, edge=1e-3 * hung_mm, seed=1)
-    result["ways"][OTHER_DRAPE] = {"drape": _difference(true, other_drape, turned=True),
-                             "hung": _difference(hung, other_hung)}
-    return result
+    ways[OTHER_DRAPE] = {"drape": _difference(true, other_drape, turned=True),
+                         "hung": _difference(hung, other_hung)}
+    return {"ways": ways}
 
 
 def _difference(reference: Drape, other: Drape, *, turned: bool = False) -> Difference:
