@@ -14,6 +14,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -147,44 +148,6 @@ def direction(rng: np.random.Generator, *, number: int, seed: int) -> Sample:
                    for spans in map(found.intervals, LEVELS)], "misfit": found.misfit}
 
 
-def _picture_fault(change: Callable[[np.ndarray, np.random.Generator], np.ndarray]) -> Callable:
-    def fault(scene: StripScene, entry: dict, rng: np.random.Generator) -> np.ndarray:
-        return change(scene.photograph(rng), rng)
-
-    return fault
-
-
-def _scene_fault(**changes: object) -> Callable:
-    def fault(scene: StripScene, entry: dict, rng: np.random.Generator) -> np.ndarray:
-        new = {key: value(scene) if callable(value) else value for key, value in changes.items()}
-        return replace(scene, **new).photograph(rng)
-
-    return fault
-
-
-def _stated_fault(change: Callable[[dict], dict]) -> Callable:
-    def fault(scene: StripScene, entry: dict, rng: np.random.Generator) -> np.ndarray:
-        entry |= change(entry)
-        return scene.photograph(rng)
-
-    return fault
-
-
-def _marked(places: Callable[[StripScene], np.ndarray], *, width: float, shade: str) -> Callable:
-    """Something drawn over the picture along places (N, 2), m, of the middle plane."""
-    def fault(scene: StripScene, entry: dict, rng: np.random.Generator) -> np.ndarray:
-        picture = scene.photograph(rng)
-        pixels = np.rint(scene.pixels(places(scene))).astype(np.int32)
-        thick = max(1, round(width * scene.size[0] / scene.field))
-        local = picture[np.clip(pixels[0, 1], 0, picture.shape[0] - 1)]
-        ground = float(np.median(local))
-        cv2.polylines(picture, [pixels], False, ground if shade == "ground" else scene.cloth,
-                      thick, cv2.LINE_AA)
-        return picture
-
-    return fault
-
-
 def _bent(scene: StripScene, at: float, turn: float, *, sharp: bool) -> np.ndarray:
     """The curve with a kink, or a curl of the rest, of ``turn``, rad, from a share of it on."""
     steps = np.diff(scene.curve, axis=0)
@@ -206,51 +169,61 @@ def _cropped(picture: np.ndarray, scene: StripScene, *, clamp: bool) -> np.ndarr
     return np.ascontiguousarray(kept)
 
 
-def _on_pattern(picture: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def _on_pattern(picture: np.ndarray) -> np.ndarray:
     rows, columns = np.indices(picture.shape) // 60
     return np.where((rows + columns) % 2, picture, picture // 2).astype(np.uint8)
 
 
-def _second(scene: StripScene) -> np.ndarray:
-    return scene.curve * [1.15, 0.4] + [0.0, -0.004]
+def _marked(picture: np.ndarray, scene: StripScene, places: np.ndarray, width: float,
+            shade: str) -> np.ndarray:
+    """A picture with something drawn over it along places (N, 2), m, of the middle plane."""
+    pixels = np.rint(scene.pixels(places)).astype(np.int32)
+    thick = max(1, round(width * scene.size[0] / scene.field))
+    ground = float(np.median(picture[np.clip(pixels[0, 1], 0, picture.shape[0] - 1)]))
+    cv2.polylines(picture, [pixels], False, ground if shade == "ground" else scene.cloth, thick,
+                  cv2.LINE_AA)
+    return picture
 
 
-FAULTS: dict[str, Callable[[StripScene, dict, np.random.Generator], np.ndarray]] = {
-    "no strip": _scene_fault(curve=lambda scene: 0.02 * scene.curve),
-    "no clamp": _scene_fault(clamp=None),
-    "clamp cut off": lambda scene, entry, rng: _cropped(scene.photograph(rng), scene, clamp=True),
-    "tip cut off": lambda scene, entry, rng: _cropped(scene.photograph(rng), scene, clamp=False),
-    "low contrast": _scene_fault(cloth=lambda scene: 0.93 * scene.ground),
-    "blank": _picture_fault(lambda picture, rng: np.full_like(picture, 120)),
-    "out of focus": _scene_fault(blur=25.0),
-    "patterned ground": _picture_fault(_on_pattern),
-    "upside down": _picture_fault(lambda picture, rng: np.ascontiguousarray(picture[::-1])),
-    "on its side": _picture_fault(lambda picture, rng: np.ascontiguousarray(np.rot90(picture))),
-    "rolled by 25°": _scene_fault(roll=np.radians(25.0)),
-    "other side": _stated_fault(
-        lambda entry: {"hangs": "right" if entry["hangs"] == "left" else "left"}),
-    "scale 12 % too large": _stated_fault(
-        lambda entry: {"scale": {"mm_per_px": 1.12 * entry["scale"]["mm_per_px"]}}),
-    "scale in cm": _stated_fault(
-        lambda entry: {"scale": {"mm_per_px": 0.1 * entry["scale"]["mm_per_px"]}}),
-    "whole strip's length": _stated_fault(
-        lambda entry: {"free_length_mm": entry["free_length_mm"] + 20}),
-    "clamp_px elsewhere": _stated_fault(lambda entry: {"clamp_px": [40.0, 40.0]}),
-    "kinked": _scene_fault(curve=lambda scene: _bent(scene, 0.4, 1.3, sharp=True)),
-    "curled up": _scene_fault(curve=lambda scene: _bent(scene, 0.4, 1.6, sharp=False)),
-    "against a wall": _scene_fault(curve=lambda scene: _bent(scene, 0.2, -1.6, sharp=False)),
-    "clamp slopes by 35°": _scene_fault(
-        slope=np.radians(35), curve=lambda scene: _bent(scene, 0.0, -0.6, sharp=True)),
-    "second strip": _marked(_second, width=6e-4, shade="cloth"),
-    "ruler in the picture": _marked(
-        lambda scene: scene.curve[-1] + np.array([[0.006, 0], [0.006, -0.03]]), width=3e-3,
-        shade="cloth"),
-    "thread": _marked(lambda scene: scene.curve[80] + np.array([[0, 0], [0.0005, 0.012]]),
-                      width=3e-4, shade="cloth"),
-    "strip hidden": _marked(lambda scene: scene.curve[95] + np.array([[-0.02, 0], [0.02, 0]]),
-                            width=4e-3, shade="ground"),
-    "seen from afar": _scene_fault(field=lambda scene: 20 * scene.field),
+SCENES: dict[str, Callable[[StripScene], dict[str, Any]]] = {
+    "no strip": lambda scene: {"curve": 0.02 * scene.curve},
+    "no clamp": lambda scene: {"clamp": None},
+    "low contrast": lambda scene: {"cloth": 0.93 * scene.ground},
+    "out of focus": lambda scene: {"blur": 25.0},
+    "rolled by 25°": lambda scene: {"roll": np.radians(25.0)},
+    "kinked": lambda scene: {"curve": _bent(scene, 0.4, 1.3, sharp=True)},
+    "curled up": lambda scene: {"curve": _bent(scene, 0.4, 1.6, sharp=False)},
+    "against a wall": lambda scene: {"curve": _bent(scene, 0.2, -1.6, sharp=False)},
+    "clamp slopes by 35°": lambda scene: {
+        "slope": np.radians(35), "curve": _bent(scene, 0.0, -0.6, sharp=True)},
+    "seen from afar": lambda scene: {"field": 20 * scene.field},
 }
+STATED: dict[str, Callable[[dict], dict[str, Any]]] = {
+    "other side": lambda entry: {"hangs": "right" if entry["hangs"] == "left" else "left"},
+    "scale 12 % too large": lambda entry: {
+        "scale": {"mm_per_px": 1.12 * entry["scale"]["mm_per_px"]}},
+    "scale in cm": lambda entry: {"scale": {"mm_per_px": 0.1 * entry["scale"]["mm_per_px"]}},
+    "whole strip's length": lambda entry: {"free_length_mm": entry["free_length_mm"] + 20},
+    "clamp_px elsewhere": lambda entry: {"clamp_px": [40.0, 40.0]},
+}
+PICTURES: dict[str, Callable[[np.ndarray, StripScene], np.ndarray]] = {
+    "clamp cut off": lambda picture, scene: _cropped(picture, scene, clamp=True),
+    "tip cut off": lambda picture, scene: _cropped(picture, scene, clamp=False),
+    "blank": lambda picture, scene: np.full_like(picture, 120),
+    "patterned ground": lambda picture, scene: _on_pattern(picture),
+    "upside down": lambda picture, scene: np.ascontiguousarray(picture[::-1]),
+    "on its side": lambda picture, scene: np.ascontiguousarray(np.rot90(picture)),
+    "second strip": lambda picture, scene: _marked(
+        picture, scene, scene.curve * [1.15, 0.4] + [0.0, -0.004], 6e-4, "cloth"),
+    "ruler in the picture": lambda picture, scene: _marked(
+        picture, scene, scene.curve[-1] + np.array([[0.006, 0], [0.006, -0.03]]), 3e-3, "cloth"),
+    "thread": lambda picture, scene: _marked(
+        picture, scene, scene.curve[80] + np.array([[0, 0], [0.0005, 0.012]]), 3e-4, "cloth"),
+    "strip hidden": lambda picture, scene: _marked(
+        picture, scene, scene.curve[95] + np.array([[-0.02, 0], [0.02, 0]]), 4e-3, "ground"),
+}
+FAULTS = (*SCENES, *STATED, *PICTURES)
+"""Faults: of what is photographed, of what is stated, and of the picture."""
 
 
 def fault_case(*, kind: str, number: int, seed: int = SEED) -> Sample:
@@ -260,7 +233,13 @@ def fault_case(*, kind: str, number: int, seed: int = SEED) -> Sample:
     length = max(LENGTHS[1] * gravity_length(alpha, REFERENCE_DENSITY), LEAST_LENGTH)
     scene = draw_scene(alpha, ratio, length, rng)
     entry = entry_of(scene, "strip.png", length, "mm_per_px", rng)
-    picture = FAULTS[kind](scene, entry, rng)
+    if kind in SCENES:
+        scene = replace(scene, **SCENES[kind](scene))
+    elif kind in STATED:
+        entry |= STATED[kind](entry)
+    picture = scene.photograph(rng)
+    if kind in PICTURES:
+        picture = PICTURES[kind](picture, scene)
     try:
         strips = read_pictures({"strip.png": picture}, [entry])
         strips.evidence(priors())

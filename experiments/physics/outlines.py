@@ -321,23 +321,24 @@ def block(report: Report) -> str:
               "fabrics": "lowered, fabrics of the prior with nuisances",
               "learned": "lowered, fabrics that the network learns from", "ring": "ring"}
     summary = report["summary"]["parallel"]
-    rows = [[label, *(f"{summary[name][key]:.{digits}f}" for key, digits in (
-        ("folds_real", 2), ("folds", 2), ("folds_rms", 2), ("deviation_real_mm", 1),
-        ("deviation_mm", 1), ("spectrum", 2)))] for name, label in starts.items()]
-    whole = table(["start", "folds, real", "simulated", "rms difference",
-                   "deviation of the radius, mm, real", "simulated",
-                   "spectra differ by, deviations"], rows)
-    bands = [band for band, found in summary["flat"]["bands"].items() if found["faces"]]
+    flat = summary["flat"]
+    bands = [band for band, found in flat["bands"].items() if found["faces"]]
 
-    def each(found: Report, kind: str) -> str:
-        second, fourth = (found[f"harmonics{kind}_mm"][number] for number in ("2", "4"))
-        return f"{found[f'folds{kind}']:.1f}; {second:.1f}, {fourth:.1f}"
+    def row(label: str, found: Report, kind: str = "") -> list[str]:
+        apart = [found["folds_rms"], found["spectrum"]] if not kind else []
+        folds, deviation = found[f"folds{kind}"], found[f"deviation{kind}_mm"]
+        return [label, f"{folds:.2f}", f"{deviation:.1f}",
+                *([f"{one:.2f}" for one in apart] or ["–", "–"]),
+                *("{:.1f}; {:.1f}, {:.1f}".format(
+                    found["bands"][band][f"folds{kind}"],
+                    *(found["bands"][band][f"harmonics{kind}_mm"][k] for k in ("2", "4")))
+                  for band in bands)]
 
-    return whole + "\n\n" + table(
-        ["folds; harmonics 2 and 4 in mm, at drape coefficients of", *bands],
-        [["real", *(each(summary["flat"]["bands"][band], "_real") for band in bands)],
-         *([label, *(each(summary[name]["bands"][band], "") for band in bands)]
-           for name, label in starts.items())])
+    return table(["outlines", "folds", "deviation of the radius, mm", "rms difference of folds",
+                  "of spectra, deviations",
+                  *(f"coefficient {band}: folds; harmonics 2, 4, mm" for band in bands)],
+                 [row("real", flat, "_real"),
+                  *(row(label, summary[name]) for name, label in starts.items())])
 
 
 STUDY = Study(Keys, run, block)
