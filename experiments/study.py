@@ -182,9 +182,9 @@ def run(name: str, words: list[str]) -> tuple[Path, Report]:
         require_folder(folder_of(keys))
     settings = {key: value for key, value in dict(keys).items() if key not in EXECUTION_KEYS}
     report = {"settings": settings, **this.run(keys)}
-    figure = report.pop("figure", None) or (this.draw and this.draw(report))
+    figure = report.pop("figure", None)
     write_report(out, report)
-    if figure:
+    if figure := figure or (this.draw and this.draw(report)):
         write_figure(out.with_suffix(".png"), figure)
     return out, report
 
