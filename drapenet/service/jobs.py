@@ -67,6 +67,10 @@ class Jobs:
         for begun in (COPY, seen.LOOK):  # of a service that was killed
             for left in settings.folder.glob(f"{begun}*"):
                 shutil.rmtree(left, ignore_errors=True)
+        for row in self.database.estimates():
+            if row["state"] not in ENDED and row["tries"] >= _MAX_TRIES:
+                self._end("estimate", row["id"], LOST, f"the service ended {_MAX_TRIES} times "
+                          "during this estimate; please report this capture")
         for upload in settings.folder.glob(f"*/{UPLOADED}"):
             row = self.database.estimate(upload.parent.name)
             if row is None or row["state"] in ENDED:  # never complete, or no longer needed
@@ -79,12 +83,9 @@ class Jobs:
         self.looks = Process("photographs", "read", seen.prepare, root=settings.folder,
                              seconds=settings.look_seconds)
         for row in self.database.estimates():
-            if row["state"] not in ENDED and row["tries"] < _MAX_TRIES:
+            if row["state"] not in ENDED:
                 self.database.change("estimate", row["id"], state=QUEUED, stage=None)
                 self._schedule(row["id"])
-            elif row["state"] not in ENDED:
-                self._end(row["id"], LOST, f"the service ended {_MAX_TRIES} times during this "
-                          "estimate; please report this capture")
         self.database.lose_garments("the service ended during this preview; start it again")
         for row in self.database.settled():
             self._join(row["id"])
@@ -269,9 +270,8 @@ class Jobs:
         if self._closed:
             return
         if failure := self._failure("estimate", identity, done):
-            self._end(identity, FAILED, failure)
-        else:
-            shutil.rmtree(self.settings.folder / identity / UPLOADED, ignore_errors=True)
+            self._end("estimate", identity, FAILED, failure)
+        shutil.rmtree(self.settings.folder / identity / UPLOADED, ignore_errors=True)
         with logged("the end of the estimate %s is not known to its fabric", identity):
             if row := self.database.estimate(identity):  # it may have been removed
                 self._join(row["fabric"])
@@ -280,8 +280,7 @@ class Jobs:
         """The same of a garment."""
         self.places.give(client)
         if not self._closed and (failure := self._failure("garment", identity, done)):
-            with logged("the end of the garment %s is not stored", identity):
-                self.database.change("garment", identity, state=FAILED, error=failure)
+            self._end("garment", identity, FAILED, failure)
 
     def _failure(self, what: str, identity: str, done: futures.Future) -> str | None:
         """Why a task failed, as clients read it; None if it did not."""
@@ -295,10 +294,9 @@ class Jobs:
         _LOG.error("the %s %s failed", what, identity, exc_info=error)
         return _FAULT.format(what)
 
-    def _end(self, identity: str, state: str, sentence: str) -> None:
-        with logged("the end of the estimate %s is not stored", identity):
-            self.database.change("estimate", identity, state=state, error=sentence)
-        shutil.rmtree(self.settings.folder / identity / UPLOADED, ignore_errors=True)
+    def _end(self, table: str, identity: str, state: str, sentence: str) -> None:
+        with logged("the end of the %s %s is not stored", table, identity):
+            self.database.change(table, identity, state=state, error=sentence)
 
 
 def _not_stored(error: Exception) -> RequestError:

@@ -5,6 +5,7 @@ import os
 import threading
 from collections.abc import Callable
 from concurrent import futures
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,17 +27,11 @@ class Pool:
     def __init__(
         self, processes: int, prepare: Callable[..., None], *arguments: object, seconds: float
     ):
-        self._options = {"max_workers": processes, "max_tasks": _MAX_TASKS, "initializer": prepare,
-                         "initargs": arguments,
-                         "context": multiprocessing.get_context("spawn")}
+        self._new = partial(_new_pool, processes, prepare, arguments)
         self._seconds = seconds
         self._starting = threading.Lock()
         self._unfinished: set[futures.Future] = set()
-        self._start()
-
-    def _start(self) -> None:
-        self._pool = ProcessPool(**self._options)
-        self._pool.schedule(os.getpid)  # starts the processes
+        self._pool = self._new()
 
     def begun(
         self, task: Callable, *arguments: object,
@@ -48,7 +43,7 @@ class Pool:
         with self._starting:
             if not self._pool.active:
                 self.end()
-                self._start()
+                self._pool = self._new()
                 lost, self._unfinished = [*self._unfinished], set()
             future = self._pool.schedule(task, args=[*arguments], timeout=self._seconds)
             self._unfinished.add(future)
@@ -89,3 +84,13 @@ class Process(Pool):
         except futures.TimeoutError:
             raise RequestError(503, f"not {self._late} in {self._seconds:g} s; try again"
                                ) from None
+
+
+def _new_pool(
+    processes: int, prepare: Callable[..., None], arguments: tuple[object, ...]
+) -> ProcessPool:
+    """A pool whose processes are starting."""
+    pool = ProcessPool(max_workers=processes, max_tasks=_MAX_TASKS, initializer=prepare,
+                       initargs=arguments, context=multiprocessing.get_context("spawn"))
+    pool.schedule(os.getpid)  # starts the processes
+    return pool

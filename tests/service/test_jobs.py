@@ -345,7 +345,7 @@ def test_an_end_that_cannot_be_stored_is_logged(jobs, monkeypatch, caplog):
         raise OperationalError("database or disk is full")
 
     monkeypatch.setattr(jobs.database, "change", full)
-    jobs._end("a", "failed", "not finished")
+    jobs._end("estimate", "a", "failed", "not finished")
     assert "the end of the estimate a is not stored" in caplog.text and "full" in caplog.text
 
 
