@@ -75,7 +75,11 @@ async def _jobs(request: Request) -> Jobs:
     return jobs
 
 
-def _finished(identity: str, jobs: Annotated[Jobs, Depends(_jobs)]) -> dict[str, Any]:
+Client = Annotated[str, Depends(_client)]
+Service = Annotated[Jobs, Depends(_jobs)]
+
+
+def _finished(identity: str, jobs: Service) -> dict[str, Any]:
     """A finished estimate; RequestError if there is none."""
     content = jobs.row("estimate", identity)
     if content["state"] != DONE:
@@ -83,7 +87,6 @@ def _finished(identity: str, jobs: Annotated[Jobs, Depends(_jobs)]) -> dict[str,
     return content
 
 
-Client, Service = Annotated[str, Depends(_client)], Annotated[Jobs, Depends(_jobs)]
 Finished = Annotated[dict[str, Any], Depends(_finished)]
 router = APIRouter(responses={status: {"description": HTTPStatus(status).phrase}
                               for status in (401, 404, 408, 409, 411, 413, 415, 422, 429, 503)})
