@@ -233,15 +233,12 @@ def test_a_bezier_arc_has_the_length_and_curvature_of_a_circle():
     assert np.allclose((arc.at(t + h, 1) - arc.at(t - h, 1)) / (2 * h), arc.at(t, 2), rtol=1e-6)
 
 
-def test_bezier_fit_finds_the_bezier_it_was_made_of():
+def test_a_fit_finds_the_bezier_it_was_made_of_and_no_noise():
     control = np.array([[0, 0], [0.02, 0], [0.04, 0.01], [0.05, 0.03], [0.05, 0.05]])
     points = Bezier(control).at(np.linspace(0, 1, 60) ** 1.3)
     fitted, distance = fit_degree(points, 4)
     assert distance < 5e-6 and np.abs(fitted.control - control).max() < 1e-3
     assert fitted.at(np.zeros(1), 1)[0, 1] == 0.0  # leaves the clamp in its direction
-
-
-def test_noise_is_not_fitted():
     curve = curves_of(20e-6, -50e-9)[1]
     noisy = curve + np.random.default_rng(0).normal(0, 3e-4, curve.shape)
     clean, degree = (len(fit_bezier(points).control) - 1 for points in (curve, noisy))
@@ -310,12 +307,14 @@ def test_density_scales_the_moduli():
 FABRIC = Fabric(alpha=[30e-6, 18e-6, 20e-6], beta=[-60e-9, -45e-9, -30e-9])
 
 
+LENGTHS = {direction: [x * gravity_length(alpha, 0.3) for x in (1.5, 2.5)]
+           for direction, alpha in zip(DIRECTIONS, FABRIC.alpha, strict=True)}
+
+
 @pytest.mark.slow
 def test_three_free_strips_give_six_moduli():
     """Simulated on one triangulation, corrected on another."""
-    lengths = {d: [x * gravity_length(a, 0.3) for x in (1.5, 2.5)]
-               for d, a in zip(DIRECTIONS, FABRIC.alpha, strict=True)}
-    strips = simulate_strips(FABRIC, lengths, cells=24, seed=5)
+    strips = simulate_strips(FABRIC, LENGTHS, cells=24, seed=5)
     found = estimate_moduli(strips, density=0.3, method="table")
     raw = fabric_of(found, 0.3)
     corrected = correct(strips, found, density=0.3)
@@ -325,11 +324,9 @@ def test_three_free_strips_give_six_moduli():
 
 
 def test_guided_simulated_strips_are_read():
-    alpha = FABRIC.alpha[2]
-    lengths = {"weft": [x * gravity_length(alpha, 0.3) for x in (1.5, 2.5)]}
-    strips = simulate_strips(FABRIC, lengths, cells=24, width=None, across=3,
+    strips = simulate_strips(FABRIC, {"weft": LENGTHS["weft"]}, cells=24, width=None, across=3,
                              laws=guided(Laws(), 3))
     for method in ("regression", "table"):
         found = estimate_moduli(strips, density=0.3, method=method)["weft"]
-        assert found.alpha == pytest.approx(alpha, rel=0.02)
+        assert found.alpha == pytest.approx(FABRIC.alpha[2], rel=0.02)
         assert found.beta == pytest.approx(FABRIC.beta[2], rel=0.1)

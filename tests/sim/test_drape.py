@@ -32,7 +32,6 @@ def plain():
     return drape(isotropic(20), edge=0.012, start="sine", seed=5)
 
 
-
 KINDS = {"stiff": isotropic(100), "median": isotropic(20, 2.0), "soft": isotropic(5),
          "extreme": EXTREME}
 
