@@ -68,7 +68,8 @@ def test_strip_matches_the_heavy_elastica(gamma, tolerance, options):
 def test_error_falls_with_the_square_of_the_spacing():
     """With a membrane so stiff that the weight's stretch does not show."""
     laws = Laws(membrane=Corotational(stiffness=5000.0))
-    coarse, fine = (abs(deviation(100, edge=edge, laws=laws)) for edge in (3e-3, 1.5e-3))
+    coarse, fine = (abs(deviation(100, width=0.015, edge=edge, laws=laws))
+                    for edge in (3e-3, 1.5e-3))
     assert 1.6 < np.log2(coarse / fine) < 2.6
 
 

@@ -219,17 +219,15 @@ def plan(alpha: float, **options: object) -> dict:
             "start": start} | options
 
 
-@pytest.fixture(scope="module")
-def two():
-    broken = plan(30e-6, laws=Laws(others=(raising,)))
-    return drape_many([*map(plan, ALPHAS), broken], workers=2)
-
-
-def test_drapes_are_in_order_and_one_that_fails_is_a_status(two):
+def test_drapes_are_in_order_and_alike_on_one_core_and_one_that_fails_is_a_status():
+    plans = [*map(plan, ALPHAS), plan(30e-6, laws=Laws(others=(raising,)))]
+    two = drape_many(plans, workers=2)
     assert [one.fabric.alpha[0] for one in two] == [*ALPHAS, 30e-6]
     assert [one.status for one in two] == [Status.CONVERGED] * 3 + [Status.EXCEPTION]
     assert two[3].message == "FloatingPointError: no value"
     assert not two[3].positions[:, 2].any()
+    for one, other in zip(drape_many(plans), two, strict=True):
+        assert one.positions.tobytes() == other.positions.tobytes()
 
 
 @pytest.mark.parametrize(("plans", "options", "word"), [
@@ -242,11 +240,6 @@ def test_other_plans_are_refused_before_any_work(plans, options, word):
     with pytest.raises(InputError, match=word):
         drape_many(plans, **options)
     assert drape_many(iter(())) == []
-
-
-def test_one_core_gives_the_same_bytes_as_two(two):
-    for one, other in zip(drape_many(list(map(plan, ALPHAS))), two, strict=False):
-        assert one.positions.tobytes() == other.positions.tobytes()
 
 
 def on_disc(alpha: float, lender=None, **options):
