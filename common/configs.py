@@ -52,7 +52,7 @@ def read_option(group: str, name: str) -> dict:
     """The content of ``configs/GROUP/NAME.yaml``."""
     if name not in group_options(group):
         known = group.rpartition("/")[2]
-        raise InputError(f"unknown {known} {name!r}; known {known}s: "
+        raise InputError(f"{known}={name} is unknown; known {known}s: "
                          f"{', '.join(group_options(group))}")
     return read_config(f"{group}/{name}")
 
@@ -77,7 +77,9 @@ def composed(name: str, chosen: dict[str, str], folder: Path | None = None) -> d
             option = chosen.pop(group, default)
             if option not in (None, "null"):
                 place = folder_of(group, name)
-                read_option(place, option)  # refuses an unknown one
+                if option not in group_options(place):
+                    raise InputError(f"{group}={option} is unknown; give one of "
+                                     f"{', '.join(group_options(place))}")
                 part = composed(f"{place}/{option}", chosen)
                 alone = _GLOBAL not in config_text(f"{place}/{option}")
                 merge(result, {group: part} if alone else part)

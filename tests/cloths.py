@@ -113,6 +113,14 @@ def capture_views(*, orientation: float = 0.4, turns: Sequence[float] | None = N
         camera.intrinsics)
 
 
+def lopsided_views() -> np.ndarray:
+    """Views (4, 180, 240), m, of a plate with a lopsided skirt, by the nominal camera."""
+    hem = 0.08 + 0.02 * np.cos(2 * np.pi * np.arange(24) / 24)
+    radius = np.array([0 * hem, np.full(24, 0.05), hem])
+    cone = revolved(radius, np.array([0, 0, -0.09]), around=24)
+    return DepthRenderer(*cone).views(nominal_camera(), 0.3)
+
+
 def write_skirt(
     folder: Path, *, orientation: float = 0.4, turns: Sequence[float] | None = None, **more: object
 ) -> Path:

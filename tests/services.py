@@ -1,7 +1,7 @@
 """Settings of services in tests, requests to them, and workers that finish nothing."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from fastapi.testclient import TestClient
@@ -58,3 +58,16 @@ class BreakablePool:
 
     def join(self, **options: object) -> None:
         self.joined = True
+
+
+class PoolHere(BreakablePool):
+    """A pool whose worker is this process: a task is done at its start."""
+
+    def schedule(self, function: Callable, *, args: Sequence = (), **options: object
+                 ) -> ProcessFuture:
+        future = ProcessFuture()
+        try:
+            future.set_result(function(*args))
+        except Exception as error:
+            future.set_exception(error)
+        return future

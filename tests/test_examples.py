@@ -7,11 +7,9 @@ from pathlib import Path
 import pytest
 from elastica_curves import PRIORS
 from here import here
-from words import last
 
 import common.cases
 import sim.many
-from common.errors import InputError
 from data.captures.reader import read_capture
 from data.render import phone
 from drapenet.measured.strips.folder import read_strips
@@ -57,19 +55,6 @@ def test_files_that_are_named_exist():
         assert any((folder / name).exists() for folder in FOLDERS), name
 
 
-@pytest.mark.parametrize(("word", "complaint"), [
-    ("density=5000", "density_g_m2=5000.0.*; weigh"),
-    ("out=/proc/capture", "cannot write to the folder /proc/capture"),
-    ("out=", "out= is empty; give the name of a folder"),
-])
-def test_mistakes_of_the_example_are_told_before_the_drape(tmp_path, word, complaint, monkeypatch):
-    main = runpy.run_path(str(ROOT / "examples" / "make_capture.py"))["main"]
-    monkeypatch.setitem(main.__globals__, "drape", None)
-    with pytest.raises(InputError, match=complaint):
-        main(last(f"out={tmp_path}", word))
-    assert not list(tmp_path.iterdir())
-
-
 def test_the_example_makes_whole_scenes_of_the_same_drape(tmp_path, monkeypatch):
     main = runpy.run_path(str(ROOT / "examples" / "make_capture.py"))["main"]
     words = ["edge_mm=12", "seed=7", f"out={tmp_path / 'c'}"]
@@ -93,20 +78,6 @@ def test_the_example_makes_whole_scenes_of_the_same_drape(tmp_path, monkeypatch)
     main([*words, "photograph=true"])
     photograph = read_capture(tmp_path / "c").outline  # the deep hem looks smaller to a camera
     assert coefficients[0] - 0.12 < photograph.drape_coefficient < coefficients[0] + 0.02
-
-
-@pytest.mark.parametrize(("word", "complaint"), [
-    ("density=5000", "density_g_m2=5000.0.*; weigh"), ("curl=1", "needs two curvatures"),
-    ("distance_mm=20", "must lie between 300 and 5000 mm"),
-    ("thickness_mm=30", "must lie between 0.05 and 3 mm"),
-])
-def test_mistakes_of_practice_strips_are_told_before_they_are_simulated(
-        tmp_path, word, complaint, monkeypatch):
-    main = runpy.run_path(str(ROOT / "examples" / "make_strips.py"))["main"]
-    monkeypatch.setitem(main.__globals__, "simulate_strips", None)
-    with pytest.raises(InputError, match=complaint):
-        main(last(f"out={tmp_path}", word))
-    assert not list(tmp_path.iterdir())
 
 
 def test_practice_strips_are_estimated(tmp_path):

@@ -7,7 +7,6 @@ import resource
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,14 +14,12 @@ import numpy as np
 import pytest
 import strip_photographs
 import trimesh
-from checkpoints import change_description
 from cloths import capture_views, describe, write_skirt
 from photographs import CURVE, drawn, plate, write
 from PIL import Image
 from words import last
 
 import infer
-from common.command import run_command
 from common.errors import InputError
 from common.files import locked
 from common.findings import Finding
@@ -69,69 +66,6 @@ def words(capture: Path, checkpoint: Path, *more: str) -> list[str]:
 
 def content_of(out: Path) -> dict:
     return json.loads((out / "estimate.json").read_text())
-
-
-# --- Bad input --------------------------------------------------------------------------------
-
-
-def word(*more: str) -> Callable[[Path, Path], list[str]]:
-    return lambda capture, checkpoint: list(more)
-
-
-def spoiled(action: Callable[[Path, Path], object]) -> Callable[[Path, Path], list[str]]:
-    def spoil(capture: Path, checkpoint: Path) -> list[str]:
-        action(capture, checkpoint)
-        return []
-    return spoil
-
-
-FAULTS = {
-    "missing view": (spoiled(lambda c, _: (c / "view_2.png").unlink()), "view_2.png"),
-    "no folder": (spoiled(lambda c, _: shutil.rmtree(c)), "does not exist"),
-    "the same capture twice": (lambda c, _: [f"capture=[{c},{shutil.copytree(c, c.parent / 'b')}]"],
-                               "have the same views"),
-    "checkpoint of another version": (spoiled(
-        lambda _, f: change_description(f, schema_version=7)), "schema_version=7"),
-    "missing checkpoint": (spoiled(lambda _, f: f.unlink()), "no checkpoint file"),
-    "damaged checkpoint": (spoiled(lambda _, f: f.write_bytes(f.read_bytes()[:5000])),
-                           "copy it again"),
-    "folder for a checkpoint": (word("checkpoint=."), "checkpoint"),
-    "folder in the way": (lambda c, _: (c.parent / "out/report.png").mkdir(parents=True) or [],
-                          "it is a folder"),
-    "rectangle, which the network does not know": (
-        spoiled(lambda c, _: describe(c, tester="rectangle170x250_cylinder90")),
-        "no rectangles; give a specimen that it knows"),
-    "no capture": (word("capture="), "capture=DIR"),
-    "two sources": (word("scan=a.ply"), "not both"),
-    "no value": (word("drapes"), "drapes"), "unknown key": (word("colour=red"), "colour"),
-    "many drapes": (word("drapes=9"), "drapes=9"),
-    "negative drapes": (word("drapes=-1"), "drapes=-1"),
-    "no workers": (word("workers=0"), "workers=0"),
-    "fine mesh": (word("edge_mm=0.3"), "edge=0.3 mm"),
-    "unknown refinement": (word("refine=more"), "refine=more"),
-    "coarse refinement": (word("refine=simulation", "refine.edge_mm=100"), "edge=100 mm"),
-    "half a start": (word("refine=simulation", "refine.starts=0.5"), "positive whole number"),
-    "key of a refinement without one": (word("refine.starts=2"), "refine.starts"),
-    "unknown export": (word("export=zfab"), "export=zfab: unknown"),
-}
-
-
-@pytest.mark.parametrize("fault", FAULTS)
-def test_bad_input_is_one_line_and_exit_code_2_and_no_file(
-    capture, checkpoint, fault, monkeypatch, capsys
-):
-    change, message = FAULTS[fault]
-    more = change(capture, checkpoint)
-    before = sorted(capture.parent.rglob("*"))
-    monkeypatch.setattr(sys, "argv", ["infer.py", *words(capture, checkpoint, *more)])
-    with pytest.raises(SystemExit) as ending:
-        run_command(infer.main)
-    assert ending.value.code == 2
-    printed = capsys.readouterr()
-    assert printed.out == ""
-    assert printed.err.startswith("error: ") and printed.err.count("\n") == 1
-    assert message in printed.err
-    assert sorted(capture.parent.rglob("*")) == before
 
 
 def test_a_bad_capture_is_told_before_torch_is_loaded(capture, checkpoint):

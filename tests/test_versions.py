@@ -11,13 +11,13 @@ import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-import drapenet.batch.batch
 import numpy as np
 import pytest
 from checkpoints import description, save_untrained
 from safetensors.numpy import load_file
 
 import data.dataset.config
+import drapenet.fabric.part
 import drapenet.network.checkpoint
 import drapenet.network.dataset
 from common.cases import load_arrays, run_cases
@@ -28,6 +28,8 @@ from data.dataset.simulate import make_record
 from data.fabrics.prior import load_prior
 from data.render.setups import Setups
 from drapenet.config import EstimateOptions
+from drapenet.fabric.part import make_in_folder
+from drapenet.fabric.sources import Source
 from drapenet.network.dataset import maps_of_shard
 
 STORED = Path(__file__).with_name("versions.json")
@@ -82,11 +84,11 @@ def case(folder: Path) -> Described:
             **described(load_arrays(folder, "three"))}
 
 
-def capture(folder: Path) -> Described:
-    """Files of a capture in a batch."""
-    drapenet.batch.batch.estimate_entry(
-        ROOT / "examples/captures/twill_photograph", str(folder), EstimateOptions(drapes=0),
-        drapenet.network.checkpoint.BUNDLED)
+def part(folder: Path) -> Described:
+    """Files of a source of a fabric."""
+    source = Source(place=ROOT / "examples/captures/twill_photograph")
+    make_in_folder(source, folder, "", EstimateOptions(drapes=0),
+                   drapenet.network.checkpoint.BUNDLED)
     return {"files": " ".join(sorted(file.name for file in folder.iterdir())),
             **described(load_arrays(folder, "samples")),
             **described(load_arrays(folder, "observation"))}
@@ -103,7 +105,7 @@ ARTEFACTS: dict[str, tuple[int, Callable[[Path], Described]]] = {
     "drapes": (data.dataset.config.VERSION, drapes),
     "maps": (drapenet.network.dataset.VERSION, maps),
     "case": (1, case),
-    "capture": (drapenet.batch.batch.VERSION, capture),
+    "part": (drapenet.fabric.part.VERSION, part),
     "checkpoint": (drapenet.network.checkpoint.SCHEMA_VERSION, checkpoint),
 }
 

@@ -27,8 +27,6 @@ UNITS = {
 SUFFIXES = {"mm", "deg", "degrees", "unit", "scale", "standardised"}
 """Last parts of names that give the unit or that have none."""
 SHAPE = re.compile(r"\((?:[\w ]+|\.{3})(?:, ?(?:[\w ]+|\.{3}))*,?\)|shape")
-
-
 REFERENCE = re.compile(
     r"\b(?:see|as for|as in|are|as|attributes of)\s:(?:class|func|meth|mod):", re.I)
 

@@ -20,8 +20,6 @@ from wheel_trial import IMPORT, built_wheel, modules, trial
 
 nox.options.error_on_missing_interpreters = False
 nox.options.envdir = "outputs/matrix"
-
-
 os.environ.pop("PYTHONPATH", None)
 
 

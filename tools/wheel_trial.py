@@ -169,12 +169,11 @@ def upload(process: subprocess.Popen, log: Path, capture: Path) -> None:
     files = [("files", (file.name, file.read_bytes())) for file in sorted(capture.iterdir())
              if file.name in ("capture.yaml", "outline.jpg")]
     begun = client.post("/estimates", files=files).raise_for_status().json()
-    found = {"state": "queued"}
-    while found["state"] in ("queued", "running"):
+    while (found := client.get(begun["url"]).raise_for_status().json())["state"] in (
+            "queued", "running"):
         if time.monotonic() > deadline:
             raise TrialError(f"no result in {SECONDS:g} s; the service's log:\n{log.read_text()}")
         time.sleep(0.2)
-        found = client.get(begun["url"]).raise_for_status().json()
     if found["state"] != "done":
         raise TrialError(f"the upload is {found['state']}: {found['error']}\n{log.read_text()}")
     require_whole(found["estimate"], found["files"], refined=False)

@@ -21,8 +21,6 @@ from sim.rig import Rig
 if TYPE_CHECKING:
     from data.captures.photograph import PhotographedOutline
 
-MAX_COEFFICIENT = 1.15  # of a drape, from 0 to 1; sound captures of stiff cloth have up to 0.98
-
 
 @dataclass(frozen=True)
 class Check:

@@ -21,6 +21,7 @@ from data.rigs import Tester, read_tester
 
 DENSITY_RANGE = (16.0, 1000.0)  # g/m2; from 3 to 15 oz/yd² is common for heavier cloth
 LIGHT_DENSITY = 35.0  # g/m2; few fabrics are lighter, and many have this number of momme
+MAX_COEFFICIENT = 1.15  # of a drape, from 0 to 1; sound captures of stiff cloth have up to 0.98
 MAX_VIEWS = 8
 MIN_PICTURE, MAX_PICTURE = (80, 60), (4096, 4096)
 MILLIMETRE = 1e-3  # m per count

@@ -18,9 +18,8 @@ import numpy as np
 from common.errors import InputError, of
 from common.findings import Finding
 from common.types import Metres, Outline, PixelPath, Radians, Vector
-from data.captures.capture import MAX_COEFFICIENT
 from data.captures.clarity import Clarity, bulge, side, sides
-from data.captures.description import OUTLINE_TABLES, OutlineSource
+from data.captures.description import MAX_COEFFICIENT, OUTLINE_TABLES, OutlineSource
 from data.captures.ground import Ground
 from data.captures.joined_outlines import (
     MAX_PARTED,
@@ -136,8 +135,8 @@ def read_outline(
     with of(file):
         if is_table:
             handed = warp_direction is not None and abs(np.sin(2 * warp_direction)) > MAX_SKEW
-            digests = [_sha256(file)]
             found = _tabulated(file, source, rig, handed=handed)
+            digests = [_sha256(file)]  # of a file that is regular, as it was read
         else:
             pictures = dict(sorted(scaled_photographs(file, source, rig).items()))
             digests = [_sha256(one) for one in pictures]

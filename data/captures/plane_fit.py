@@ -1,11 +1,11 @@
 """Planes of points: the largest, by random sample consensus (Fischler and Bolles 1981), and
-alternating fits of a plate's plane and centre, compiled."""
+alternating fits of a plate's plane and centre."""
 
-import numba
 import numpy as np
+from scipy.linalg import eigh
 
 from common.errors import InputError
-from common.types import Metres, Points, Vector
+from common.types import Metres, Points, Vector, VertexMask
 
 _FEW, _BEST = 1000, 25  # points that all draws are tried on, and draws that are tried on all
 _REFITS = 2
@@ -38,71 +38,40 @@ def largest_plane(
     return normal, shift
 
 
-@numba.njit(cache=True)
-def alternated(points, normal, inner, radius, rounds, centre, thick, inner_radius):
+def alternated(
+    points: Points, normal: Vector, inner: VertexMask, radius: Metres, rounds: int, centre: Vector,
+    thick: Metres, inner_radius: Metres,
+) -> tuple[Vector, Vector, float]:
     """Normal, centre and weight of the level points; planes are ``thick``, m."""
-    weight = 0.0
+    weight, axes = 0.0, np.ascontiguousarray(points.T)
     for _ in range(rounds):
-        count, middle, spread = _moments(points, inner)
+        count = np.count_nonzero(inner)
         if count < 3:
             break  # too few points for a plane: not a drape on a plate
-        normal = np.ascontiguousarray(np.linalg.eigh(spread)[1][:, 0])
+        chosen = axes[:, inner]
+        middle = np.array([_sum(axis) for axis in chosen]) / count
+        chosen -= middle[:, None]
+        spread = np.array([[_sum(one * other) for one in chosen] for other in chosen])
+        normal = eigh(spread, driver="evd", check_finite=False)[1][:, 0]
         normal *= -np.sign(normal @ middle)  # up is towards the camera
-        total, level = _level(points, middle, normal, centre, radius, thick)
-        if total == 0.0:
+        above = sum((axes - middle[:, None]) * normal[:, None])
+        level = (np.abs(above) < thick / 2) & (_squares(axes, centre) < (2 * radius) ** 2)
+        if not level.any():
             break
-        weight, centre = total, level
-        _choose_inner(points, middle, normal, centre, inner_radius, thick, inner)
+        # Pixels are denser where the plate is nearer; on a plane, z³ compensates for that.
+        cubes = axes[2, level] * axes[2, level] * axes[2, level]
+        weight = _sum(cubes)
+        centre = np.array([_sum(cubes * axis) for axis in axes[:, level]]) / weight
+        # Near the rim the cloth bends down, and more of it is visible in front: a bias.
+        inner = (_squares(axes, centre) < inner_radius**2) & (above > -thick)
     return normal, centre, weight
 
 
-@numba.njit(cache=True)
-def _moments(points, chosen):
-    """Number of the chosen points, their mean (3,) and their second moments (3, 3) about it."""
-    count, middle, spread = 0, np.zeros(3), np.zeros((3, 3))
-    for t in range(len(points)):
-        if chosen[t]:
-            count += 1
-            for k in range(3):
-                middle[k] += points[t, k]
-    middle /= max(count, 1)
-    for t in range(len(points)):
-        if chosen[t]:
-            for i in range(3):
-                for k in range(i + 1):
-                    spread[i, k] += (points[t, i] - middle[i]) * (points[t, k] - middle[k])
-    return count, middle, spread  # the lower triangle, which eigh reads
+def _squares(axes: np.ndarray, centre: Vector) -> np.ndarray:
+    """Squared distances (N,) of points, their coordinates (3, N), from a centre."""
+    return sum((axes - centre[:, None]) ** 2)
 
 
-@numba.njit(cache=True)
-def _level(points, middle, normal, centre, radius, thick):
-    """Weight and weighted centroid (3,) of the points in a plane, near a centre.
-
-    Pixels are denser where the plate is nearer; on a plane, z³ compensates for that.
-    """
-    total, sums = 0.0, np.zeros(3)
-    for t in range(len(points)):
-        above = aside = 0.0
-        for k in range(3):
-            above += (points[t, k] - middle[k]) * normal[k]
-            aside += (points[t, k] - centre[k]) ** 2
-        if abs(above) < thick / 2 and aside < (2 * radius) ** 2:
-            weight = points[t, 2] ** 3
-            total += weight
-            for k in range(3):
-                sums[k] += weight * points[t, k]
-    return total, sums / max(total, 1e-300)
-
-
-@numba.njit(cache=True)
-def _choose_inner(points, middle, normal, centre, inner_radius, thick, inner):
-    """Mark the points well within the rim that are not below a plane.
-
-    Near the rim the cloth bends down, and more of it is visible in front: a bias.
-    """
-    for t in range(len(points)):
-        above = aside = 0.0
-        for k in range(3):
-            above += (points[t, k] - middle[k]) * normal[k]
-            aside += (points[t, k] - centre[k]) ** 2
-        inner[t] = aside < inner_radius**2 and above > -thick
+def _sum(values: np.ndarray) -> float:
+    """The sum of values, one added after the other: the same on all processors."""
+    return float(np.cumsum(values)[-1])

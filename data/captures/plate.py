@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from common.types import Metres, Points, Pose, Vector, VertexMask, Views
-from data.captures.plane_fit import largest_plane
+from data.captures.plane_fit import alternated, largest_plane
 from data.render.cameras import Intrinsics
 from sim.rig import Rig
 
@@ -105,8 +105,6 @@ def _fitted(
     in it.
     """
     centre = points[inner].mean(axis=0) if centre is None else centre
-    from data.captures.plane_fit import alternated  # compiled
-
     return alternated(points, normal, inner.copy(), radius, rounds, centre, DEPTH_STEP,
                       INNER_SHARE * radius)
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pillow_heif
-from PIL import Image, ImageCms, ImageOps, features
+from PIL import Image, ImageOps, features
 
 from common.documents import read_bytes, reading
 from common.errors import InputError
@@ -138,6 +138,8 @@ def _values(picture: Image.Image) -> tuple[np.ndarray, np.ndarray]:
 
 def _in_srgb(picture: Image.Image, profile: bytes) -> Image.Image:
     """The picture in the colours of sRGB; as it is if its profile is damaged."""
+    from PIL import ImageCms  # slow to load
+
     try:
         stated = ImageCms.ImageCmsProfile(io.BytesIO(profile))
         if picture.mode == "RGBA":

@@ -14,5 +14,5 @@ KINDS = {
 count; texts, as a photograph need not import the simulator of strips."""
 VALUES = "strips.yaml"
 """The description that may state known values alone."""
-SCAN = "drapenet.measured.scan:Scan"
+SCAN = "drapenet.measured.captures:Scan"
 """The kind that has no description beside its file."""

@@ -90,6 +90,19 @@ class Captured(Measured):
         return show(self.capture, small=True)
 
 
+class Scan(Captured):
+    """The scan of a drape; what is stated of it is a description without camera and tester."""
+
+    @classmethod
+    def read(cls, place: Path, stated: Mapping[str, Any]) -> "Scan":
+        """Read and register a scan."""
+        from drapenet.surface.registration import read_scan_capture  # of meshes, half a second
+
+        specimen = Description.of(stated, "")
+        return cls.of(replace(read_scan_capture(place, specimen), known=specimen.known,
+                              labels=specimen.labels))
+
+
 @singledispatch
 def observe(capture: Capture) -> Observed:
     """What the network reads of a capture; InputError if it does not show what its type needs."""

@@ -18,7 +18,8 @@ from scipy.ndimage import binary_erosion, binary_fill_holes, label
 from common.errors import InputError
 from common.findings import Finding
 from common.types import Metres, Turns
-from data.captures.capture import MAX_COEFFICIENT, Check, warnings_of
+from data.captures.capture import Check, warnings_of
+from data.captures.description import MAX_COEFFICIENT
 from data.captures.plate import INNER_SHARE
 from data.render.cameras import Camera
 from data.render.setups import Setups

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from common.compiled import compiled
 from common.types import Metres, Points, Radians
 from sim.rig import Rig
 
@@ -64,17 +63,10 @@ class Polar:
     def binned(self, turn: Radians, columns: int, rows: int) -> tuple[np.ndarray, np.ndarray]:
         """Sums (columns, rows) of weighted distances, m, and of weights, by direction from a
         ``turn`` on."""
-        return _binned(self.azimuth, self.level, self.distance, self.weight, turn, columns, rows)
-
-
-@compiled
-def _binned(azimuth, level, distance, weight, turn, columns, rows):
-    total, weights = np.zeros((columns, rows)), np.zeros((columns, rows))
-    scale = columns / (2 * np.pi)
-    for t in range(len(azimuth)):
-        place = level[t] * rows
-        if 0 <= place < rows:
-            column, row = int(np.floor((azimuth[t] - turn) * scale)) % columns, int(place)
-            total[column, row] += weight[t] * distance[t]
-            weights[column, row] += weight[t]
-    return total, weights
+        place = self.level * rows
+        shown = (place >= 0) & (place < rows)
+        column = np.floor((self.azimuth[shown] - turn) * (columns / (2 * np.pi))).astype(int)
+        cell, weight = column % columns * rows + place[shown].astype(int), self.weight[shown]
+        total, weights = (np.bincount(cell, values, columns * rows).reshape(columns, rows)
+                          for values in (weight * self.distance[shown], weight))
+        return total, weights

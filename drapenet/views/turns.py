@@ -1,8 +1,8 @@
 """Turns of the table and the plate's centre, from the overlap of views in cells of one degree."""
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
-from common.compiled import compiled
 from common.types import Points, Turns
 from drapenet.views.directions import Polar, elevations
 from sim.rig import Rig
@@ -91,27 +91,17 @@ def _costs(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return 0.5 * _INDEPENDENT * mean / _GAP**2
 
 
-@compiled
-def _gaps(first, second):
+def _gaps(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Sums (4 _MAX_TURN_STEPS + 1,) of squared gaps, m², cut off, and numbers of common cells."""
-    steps = 4 * _MAX_TURN_STEPS + 1
-    squares, common = np.zeros(steps), np.zeros(steps, np.int64)
-    rows = first.shape[1]
-    a, b = first.ravel(), second.ravel()
-    filled = np.flatnonzero(np.isfinite(a))
-    for step in range(steps):
-        turn = (step - 2 * _MAX_TURN_STEPS) * rows
-        for t in filled:
-            place = t + turn
-            if place < 0:
-                place += len(b)
-            elif place >= len(b):
-                place -= len(b)
-            gap = abs(b[place] - a[t])
-            if gap == gap:  # else the other cell is empty, NaN
-                squares[step] += min(gap, _MAX_GAP) ** 2
-                common[step] += 1
-    return squares, common
+    most = 2 * _MAX_TURN_STEPS
+    around = np.concatenate([second[-most:], second, second[:most]])
+    filled = np.isfinite(first)
+    # By cell and step; sums along the first axis add one cell after the other.
+    gaps = sliding_window_view(around, 2 * most + 1, axis=0)[filled] - first[filled][:, None]
+    np.minimum(np.abs(gaps, out=gaps), _MAX_GAP, out=gaps)
+    common = np.isfinite(gaps)  # else the other cell is empty
+    gaps[~common] = 0.0
+    return np.square(gaps, out=gaps).sum(axis=0), common.sum(axis=0)
 
 
 def _least_squares(maps: np.ndarray, turns: Turns, change: np.ndarray, rig: Rig) -> np.ndarray:
@@ -143,32 +133,20 @@ def _least_squares(maps: np.ndarray, turns: Turns, change: np.ndarray, rig: Rig)
                             scale * slope + change / sigma**2)
 
 
-@compiled
-def _normal_equations(maps, mean, by_x, by_y, by_azimuth, cosine, sine):
+def _normal_equations(
+    maps: np.ndarray, mean: np.ndarray, by_x: np.ndarray, by_y: np.ndarray, by_azimuth: np.ndarray,
+    cosine: np.ndarray, sine: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
     """Normal matrix (2 + K, 2 + K) and right-hand side (2 + K,) of the gaps of maps (K, N), NaN in
     empty cells, to their mean (N,) with its slopes (N,), by centre and turns."""
-    count = len(maps)
-    normal, slope = np.zeros((2 + count, 2 + count)), np.zeros(2 + count)
-    rows = np.empty((count, 2 + count))
-    for t in range(len(mean)):
-        rows[:, :] = 0.0
-        often = 0
-        for k in range(count):
-            if np.isfinite(maps[k, t]):
-                often += 1
-                # A move of the centre moves the points backwards, in the specimen's rotated axes.
-                rows[k, 0] = -(cosine[k] * by_x[t] - sine[k] * by_y[t])
-                rows[k, 1] = -(sine[k] * by_x[t] + cosine[k] * by_y[t])
-                rows[k, 2 + k] = by_azimuth[t]
-        common = rows.sum(axis=0) / often
-        for k in range(count):
-            if not np.isfinite(maps[k, t]):
-                continue
-            gap = maps[k, t] - mean[t]
-            weight = 1 / (1 + (gap / _GAP) ** 2)
-            for i in range(2 + count):
-                own = weight * (rows[k, i] - common[i])
-                slope[i] += own * gap
-                for j in range(2 + count):
-                    normal[i, j] += own * (rows[k, j] - common[j])
-    return normal, slope
+    count, seen = len(maps), np.isfinite(maps.T)
+    rows = np.zeros((len(mean), count, 2 + count))
+    # A move of the centre moves the points backwards, in the specimen's rotated axes.
+    rows[:, :, 0] = -(cosine * by_x[:, None] - sine * by_y[:, None])
+    rows[:, :, 1] = -(sine * by_x[:, None] + cosine * by_y[:, None])
+    rows[:, range(count), range(2, 2 + count)] = by_azimuth[:, None]
+    rows[~seen] = 0.0
+    rows -= rows.sum(axis=1, keepdims=True) / seen.sum(axis=1)[:, None, None]
+    rows, gaps = rows[seen], (maps.T - mean[:, None])[seen]
+    own = rows * (1 / (1 + (gaps / _GAP) ** 2))[:, None]
+    return (own[:, :, None] * rows[:, None, :]).sum(axis=0), (own * gaps[:, None]).sum(axis=0)

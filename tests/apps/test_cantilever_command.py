@@ -5,10 +5,8 @@ import json
 import numpy as np
 import pytest
 from elastica_curves import LAWS, curves_of, write_curve
-from words import last
 
 from apps.cantilever import main
-from common.errors import InputError
 from sim.cantilever import elastica
 
 
@@ -45,38 +43,3 @@ def test_a_curve_that_does_not_determine_beta_is_named(tmp_path, capsys):
     curve = write_curve(tmp_path / "long.csv", curves_of(*LAWS[0])[1])
     main(["estimate", f"warp={curve}", "density=300"])
     assert "do not determine beta" not in capsys.readouterr().out
-
-
-@pytest.mark.parametrize("words", [
-    "estimate strips=none", "hang gamma=",
-    "hang gamma=x", "hang gamma=0", "hang gamma=nan", "hang gamma=1,3000", "gamma=1",
-    "--colour", "hang colour=red", "estimate", "estimate warp=none.csv", "estimate colour=red",
-    "estimate warp=none.csv density=300", "estimate warp=none.csv density=300 rounds=-1"])
-def test_mistakes_are_one_line(words):
-    with pytest.raises(InputError) as caught:
-        main(words.split())
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [(["method=guess"], "regression, table"), (["rounds=1"], "all three"),
-     (["slope=95"], "slope"),
-     (["slope=nan"], "slope=.nan."), (["density=null"], "density is needed"),
-     (["density=0.3"], "5 to 5000 g/m²"), (["density=300000"], "5 to 5000 g/m²"),
-     (["weft=FILE,,"], "weft=.*comma"), (["out=/proc/moduli.json"], "cannot write"),
-     (["out=FILE/moduli.json"], "cannot write")],
-    ids=lambda value: " ".join(value) if isinstance(value, list) else None,
-)
-def test_estimates_that_make_no_sense_are_refused(tmp_path, words, said):
-    file = write_curve(tmp_path / "w.csv", curves_of(*LAWS[0])[0])
-    words = [word.replace("FILE", str(file)) for word in words]
-    with pytest.raises(InputError, match=said):
-        main(["estimate", *last(f"warp={file}", "density=300", *words)])
-
-
-@pytest.mark.parametrize("out", ["/proc/strips.json", "."])
-def test_strips_are_not_simulated_for_a_file_that_cannot_be_written(monkeypatch, out):
-    monkeypatch.setattr("apps.cantilever.simulate", None)
-    with pytest.raises(InputError, match="cannot write"):
-        main(["hang", "gamma=1", f"out={out}"])

@@ -5,11 +5,8 @@ import subprocess
 import sys
 
 import numpy as np
-import pytest
 
 from apps.drape import main
-from common.command import run_command
-from common.errors import InputError
 from sim.rig import Rig
 from sim.scene import make_specimen
 
@@ -33,26 +30,6 @@ def test_writes_mesh_picture_and_figures(tmp_path):
     np.testing.assert_array_equal(mesh.faces, specimen.faces)
     assert len(mesh.vertices) == len(specimen.rest)
     assert abs(mesh.vertices[:, 2].max()) < 1e-6 and mesh.vertices[:, 2].min() < -0.05
-
-
-@pytest.mark.parametrize("word", [
-    "alpha=20,20", "alpha=20,x,20", "alpha=-1,20,20", "density=0", "density=0.21", "colour=red",
-    "edge_mm=0.2", "edge_mm=0", "rig=table", "alpha", "start=wild", "offset=1"])
-def test_mistakes_end_with_one_line_and_code_2(tmp_path, monkeypatch, capsys, word):
-    monkeypatch.setattr(sys, "argv", ["drape", word, f"out={tmp_path / 'out'}"])
-    with pytest.raises(SystemExit) as ending:
-        run_command(main)
-    error = capsys.readouterr().err
-    assert ending.value.code == 2 and error.startswith("error: ") and error.count("\n") == 1
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize("out", ["/proc/drape", "FILE", "FILE/below", ""])
-def test_a_place_that_cannot_be_written_to_is_told_before_the_drape(tmp_path, monkeypatch, out):
-    (tmp_path / "file").write_text("mine")
-    monkeypatch.setattr("apps.drape.drape", None)
-    with pytest.raises(InputError, match="folder"):
-        main([f"out={out.replace('FILE', str(tmp_path / 'file'))}"])
 
 
 def test_figures_of_a_failure_are_json(tmp_path, monkeypatch):

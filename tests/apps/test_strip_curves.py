@@ -29,32 +29,6 @@ def test_curves_of_spreadsheets_in_every_locale_are_read(tmp_path, header, row):
     assert np.allclose(read_curve(tmp_path / "c.csv"), curve, atol=1e-7)
 
 
-@pytest.mark.parametrize(
-    "text",
-    ["", "x,y\n1,2\n", "x_mm,y_mm\n0,0\n1,1\n", "x_mm,y_mm\n" + "0,zero\n" * 20,
-     "x_mm,y_mm\n" + "0,nan\n" * 20, "x_mm,y_mm\n" + "1,1\n" * 20, "x_mm,y_mm\n" + "7\n" * 20,
-     "x_mm,y_mm\n" + "".join(f"{1e5 * i},{i}\n" for i in range(20)),
-     "x_mm,y_mm\n" + "".join(f"{i},0\n" for i in range(20)),
-     "x_mm,y_mm\n" + "".join(f"{i + 30 * (i % 2)},{i}\n" for i in range(20)),
-     "x_mm,y_mm\n" + "0,0\n" * 11 + "60,-30\n"],
-    ids=["empty", "names", "few", "word", "nan", "point", "column", "unit", "level", "disorder",
-         "repeated"],
-)
-def test_bad_curves_are_refused_in_one_line(tmp_path, text):
-    file = tmp_path / "bad.csv"
-    file.write_text(text)
-    with pytest.raises(InputError) as caught:
-        read_curve(file)
-    assert "bad.csv" in str(caught.value) and "\n" not in str(caught.value)
-
-
-def test_a_missing_file_and_binary_rubbish_are_refused(tmp_path):
-    (tmp_path / "rubbish.csv").write_bytes(b"\xff\xfe\x00" * 50)
-    for name in ("none.csv", "rubbish.csv"):
-        with pytest.raises(InputError):
-            read_curve(tmp_path / name)
-
-
 def test_a_curve_that_rises_first_is_still_a_curve():
     curve = curves_of(*LAWS[0])[0]
     assert np.allclose(oriented_curve(curve * [1, -1]), curve)

@@ -4,8 +4,7 @@ import shutil
 
 import pytest
 from browsing import SECONDS
-
-from experiments.speed.service import Service
+from serving import Service
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 DRAWING = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]

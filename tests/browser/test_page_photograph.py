@@ -8,8 +8,7 @@ import pytest
 from browsing import FILES, IN_BROWSER, SECONDS, fits, keep
 from photographs import AROUND, drawn, over_mat, plate
 from PIL import Image
-
-from experiments.speed.service import EXAMPLE
+from serving import EXAMPLE
 
 pytestmark = IN_BROWSER
 ORIENTATION = 0x0112  # tag of EXIF

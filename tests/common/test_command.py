@@ -104,7 +104,7 @@ def test_schema_and_file_have_the_same_commented_keys_and_every_default_fits_its
 def test_options_of_groups_are_read_as_they_stand():
     assert read_option("sensor", "tof")["model"] == "time_of_flight"
     assert "smooth" in group_options("sensor")
-    with pytest.raises(InputError, match="unknown sensor 'kinect'; known sensors: none"):
+    with pytest.raises(InputError, match="sensor=kinect is unknown; known sensors: none"):
         read_option("sensor", "kinect")
 
 

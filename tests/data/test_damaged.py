@@ -1,9 +1,9 @@
 """A damaged file of any kind is read as something sound or refused in one line, within a memory."""
 
-import csv
 import hashlib
 import io
 import json
+import os
 import re
 import resource
 import shutil
@@ -20,25 +20,24 @@ from typing import Any
 
 import fake_drapes
 import numpy as np
+import photographs
 import pytest
 import torch
 import trimesh
 import yaml
-from checkpoints import save_untrained
-from cloths import waves
+from cloths import describe, lopsided_views
 from estimates import DOUBT, document_of, estimate_of
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from PIL import Image
 from services import settings_for
+from spoiled import STARTS
 from test_generate import small_config
 from test_scans import RIG, scan_arrays
 
 import drapenet
 from apps.drape_file import read_borrowed
-from apps.strip_curves import read_curve
 from common.configs import read_option
-from common.documents import read_json
+from common.documents import read_bytes, read_json
 from common.errors import MAX_LENGTH, InputError
 from common.provenance import digest
 from data.captures.raw_scans import read_raw_scan
@@ -48,7 +47,6 @@ from data.captures.scans import read_scan
 from data.dataset import inspect
 from data.dataset.folder import DatasetFolder
 from data.dataset.simulate import make_record
-from data.fabrics.fabrics import TABLE_COLUMNS, read_fabric_table
 from data.fabrics.prior import load_prior
 from data.render.setups import Setups
 from drapenet.export.formats import TARGETS
@@ -63,10 +61,10 @@ from drapenet.result.files import write_estimate
 from drapenet.service.limits import RequestError
 from drapenet.service.uploads import checked_upload
 from sim.rig import DISC_RIG, Rig
-from sim.scene import make_specimen
 
 ROOT = Path(__file__).parents[2]
 TWILL = ROOT / "examples" / "captures" / "twill"
+PRIORS = ("gaussian", "vae")
 ROOM = 1 << 30  # bytes, of memory for reading a file of a few kilobytes
 
 VALUES = (0, -1, 1, 2**31, 2**63, 10**400, 1e-300, 1e308, -1e308, 0.5, None, True, "", "x" * 3000,
@@ -200,23 +198,20 @@ def damaged(draw: Draw, name: str, data: bytes) -> bytes:
     return special(draw, data) if special and draw(st.integers(0, 3)) else edited(draw, data)
 
 
-def _views(count: int, write: Callable[[Path, np.ndarray], object], suffix: str, **more: object
+def _views(write: Callable[[Path, np.ndarray], object], suffix: str, **more: object
            ) -> Callable[[Path], None]:
-    """Views of a third of the size, metres, each written to a file."""
+    """Two views of a third of the size, metres, each written to a file."""
     def make(folder: Path) -> None:
-        content = yaml.safe_load((TWILL / "capture.yaml").read_text())
-        content["intrinsics"] = {key: value / 3 for key, value in content["intrinsics"].items()}
-        content |= {"turns_deg": [90 * k for k in range(count)], **more}
-        (folder / "capture.yaml").write_text(yaml.safe_dump(content))
-        for k in range(count):
-            view = np.array(Image.open(TWILL / f"view_{k}.png"))[::3, ::3]
-            write(folder / f"view_{k}{suffix}", (view * 1e-3).astype(np.float32))
+        STARTS["views"].write(folder)
+        camera = yaml.safe_load((folder / "capture.yaml").read_text())["intrinsics"]
+        describe(folder, turns_deg=[0, 90], **more,
+                 intrinsics={key: value / 3 for key, value in camera.items()})
+        for file in folder.glob("view_*.png"):
+            file.unlink()
+        for k, view in enumerate(lopsided_views()[:2, ::3, ::3]):
+            write(folder / f"view_{k}{suffix}", np.ascontiguousarray(view))
 
     return make
-
-
-def _png(file: Path, view: np.ndarray) -> None:
-    Image.fromarray(np.rint(1e3 * view).astype(np.uint16)).save(file)
 
 
 def _exr(file: Path, view: np.ndarray) -> None:
@@ -234,32 +229,20 @@ def _ply(file: Path, view: np.ndarray) -> None:
         file, encoding="ascii" if file.stem.endswith("1") else "binary")
 
 
-def _published(folder: Path) -> None:
-    for k in range(4):
-        view = np.array(Image.open(TWILL / f"view_{k}.png"))
-        Image.fromarray((view * (255 / 1000)).astype(np.uint8)).save(folder / f"{k}.png")
-    (folder / "density.txt").write_text("data0 300\n")
-
-
 def _raw_scan(folder: Path) -> None:
-    mesh = make_specimen(DISC_RIG, edge=12e-3).mesh
-    for kind in ("ply", "obj"):
-        trimesh.Trimesh(waves(mesh.rest, folds=5), mesh.faces, process=False).export(
-            folder / f"scan.{kind}")
+    STARTS["scan"].write(folder)
+    trimesh.load(folder / "scan.ply").export(folder / "scan.obj")
+
+
+def _photograph(folder: Path) -> None:
+    photographs.write(folder, photographs.drawn(pixel=1e-3), outline={
+        "plate_px": photographs.plate(1e-3), "camera_height_mm": 1200})
 
 
 def _drape(folder: Path) -> None:
     rest = np.random.default_rng(0).uniform(-0.1, 0.1, (40, 2))
     np.savez_compressed(folder / "drape.npz", rest=rest,
                         positions=np.column_stack([rest, -np.ones(40)]))
-
-
-def _rows(name: str, head: str, rows: list) -> Callable[[Path], None]:
-    def make(folder: Path) -> None:
-        with (folder / name).open("w", newline="") as file:
-            csv.writer(file).writerows([head.split(","), *rows])
-
-    return make
 
 
 def _training() -> dict:
@@ -310,6 +293,7 @@ def _dataset(folder: Path) -> None:
 
 def _read_dataset(folder: Path) -> None:
     with suppress(Exception):  # digests fit the damage, if it can be hidden
+        assert all(file.stat().st_size < 1 << 30 and file.is_file() for file in folder.iterdir())
         manifest = json.loads((folder / "dataset.json").read_text())
         shards = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest()
                   for name in manifest["shards"]}
@@ -323,17 +307,17 @@ def _read_dataset(folder: Path) -> None:
 
 
 def _upload(folder: Path) -> None:
-    inside = folder / "inside"
-    inside.mkdir()
-    _views(4, _png, ".png")(inside)
-    shutil.make_archive(str(folder / "capture"), "zip", inside)
-    shutil.rmtree(inside)
+    (folder / "inside").mkdir()
+    STARTS["views"].write(folder / "inside")
+    shutil.make_archive(str(folder / "capture"), "zip", folder / "inside")
+    shutil.rmtree(folder / "inside")
 
 
 def _read_upload(folder: Path) -> None:
     limits = settings_for(folder / "results", "megabytes=4")
+    content = read_bytes(folder / "capture.zip", 1 << 22, "zip")
     try:
-        upload = checked_upload([("capture.zip", (folder / "capture.zip").read_bytes())],
+        upload = checked_upload([("capture.zip", content)],
                                 {"density_g_m2": "123,5", "name": "twill"}, limits)
     except RequestError as error:
         raise InputError(error.detail) from None
@@ -344,7 +328,7 @@ def _read_upload(folder: Path) -> None:
 
 
 def _read_priors(folder: Path) -> None:
-    for name in ("gaussian", "vae"):
+    for name in PRIORS:
         load_prior(folder / f"{name}.json").sample(20, np.random.default_rng(0))
 
 
@@ -354,32 +338,25 @@ def _copy(*files: Path) -> Callable[[Path], None]:
 
 # Of each kind of input: writes a sound one to a folder, and reads it.
 READERS: dict[str, tuple[Callable[[Path], object], Callable[[Path], object]]] = {
-    "capture, 16-bit PNG": (_views(4, _png, ".png"), read_capture),
-    "capture, 8-bit PNG": (_published, read_capture),
-    "capture, NumPy": (_views(2, np.save, ".npy"), read_capture),
-    "capture, EXR": (_views(2, _exr, ".exr"), read_capture),
-    "capture, points": (_views(2, _ply, ".ply", size_px=[80, 60]), read_capture),
+    **{name: (STARTS[name].write, STARTS[name].read) for name in (
+        "views", "published", "outline", "lengths", "tension", "curve", "fabrics")},
+    "checkpoint": (STARTS["checkpoint"].write, _read_checkpoint),
+    "photograph": (_photograph, read_capture),
+    "arrays": (_views(np.save, ".npy"), read_capture),
+    "EXR": (_views(_exr, ".exr"), read_capture),
+    "points": (_views(_ply, ".ply", size_px=[80, 60]), read_capture),
     "recording": (_copy(ROOT / "tests/data/recordings/turntable.db3"),
-                        lambda folder: read_recording([folder / "turntable.db3"])),
+                  lambda folder: read_recording([folder / "turntable.db3"])),
     "scan": (lambda folder: np.savez(folder / "scan.npz", **scan_arrays()),
-                   lambda folder: read_scan(folder / "scan.npz", RIG)),
+             lambda folder: read_scan(folder / "scan.npz", RIG)),
     "raw scan": (_raw_scan, lambda folder: [
         read_raw_scan(folder / f"scan.{kind}", DISC_RIG) for kind in ("ply", "obj")]),
     "drape": (_drape, lambda folder: read_borrowed(folder / "drape.npz")),
-    "fabric table": (
-        _rows("fabrics.csv", ",".join(TABLE_COLUMNS), [
-            [0.2, *row] for row in np.random.default_rng(0).uniform(
-                5, 90, (9, len(TABLE_COLUMNS) - 1)).tolist()]),
-        lambda folder: read_fabric_table(folder / "fabrics.csv")),
-    "deflection curve": (
-        _rows("curve.csv", "x_mm,y_mm", [[x, -x * x / 150] for x in range(0, 80, 3)]),
-        lambda folder: read_curve(folder / "curve.csv")),
     "list of captures": (
-        _rows("list.csv", "fabric,sample,capture", [[f"f{k % 3}", k, f"c{k}"] for k in range(9)]),
+        lambda folder: (folder / "list.csv").write_text("fabric,sample,capture\n" + "".join(
+            f"f{k % 3},{k},c{k}\n" for k in range(9))),
         lambda folder: entries_of(folder / "list.csv")),
-    "prior": (_copy(*(ROOT / "data" / "weights").glob("*.json")), _read_priors),
-    "checkpoint": (lambda folder: save_untrained(folder / "net.safetensors", width=4),
-                         _read_checkpoint),
+    "prior": (_copy(*(ROOT / f"data/weights/{name}.json" for name in PRIORS)), _read_priors),
     "state of a training": (_state, lambda folder: load_state(
         folder / "state.pt", run=RUN, **_training())),
     "estimate": (_estimate, _read_estimate),
@@ -404,15 +381,21 @@ def little_memory() -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_AS, limits)
 
 
+@pytest.fixture(scope="module", params=READERS)
+def kind(request, tmp_path_factory) -> tuple[str, Path]:
+    """A kind of input, and a folder of a sound one."""
+    sound = tmp_path_factory.mktemp("sound")
+    READERS[request.param][0](sound)
+    return request.param, sound
+
+
 @pytest.mark.parametrize("examples", [6, pytest.param(500, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("name", READERS)
 @pytest.mark.filterwarnings("ignore")
 def test_a_damaged_file_is_sound_or_refused_in_one_line(
-        name, examples, tmp_path, any_shapes, monkeypatch):
-    (make, read), sound, folder = READERS[name], tmp_path / "sound", tmp_path / "case"
+        kind, examples, tmp_path, any_shapes, monkeypatch):
+    (name, sound), folder = kind, tmp_path / "case"
+    read = READERS[name][1]
     monkeypatch.setattr(inspect, "PRIOR_SAMPLES", 50)
-    sound.mkdir()
-    make(sound)
     names = sorted(file.name for file in sound.iterdir())
     shutil.copytree(sound, folder)
     read(folder)
@@ -434,3 +417,22 @@ def test_a_damaged_file_is_sound_or_refused_in_one_line(
         assert not list(folder.rglob("*.part"))
 
     check()
+
+
+@pytest.mark.parametrize("irregular", ["pipe", "device", "sparse"])
+def test_only_regular_files_of_bounded_size_are_read(kind, irregular, tmp_path):
+    (name, sound), folder = kind, tmp_path / "case"
+    for file in sorted(sound.iterdir()):
+        shutil.copytree(sound, folder)
+        (folder / file.name).unlink()
+        if irregular == "pipe":
+            os.mkfifo(folder / file.name)
+        elif irregular == "device":
+            (folder / file.name).symlink_to("/dev/zero")
+        else:
+            with (folder / file.name).open("wb") as stream:
+                stream.truncate(1 << 43)
+        with pytest.raises(InputError, match="has 8796093022208 bytes; " if irregular == "sparse"
+                           else "not a regular file"):
+            READERS[name][1](folder)
+        shutil.rmtree(folder)

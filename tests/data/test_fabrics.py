@@ -1,4 +1,4 @@
-"""Tables of fabrics, fabrics moved to even stiffness, and what differs between drapes of one."""
+"""Fabrics: tables, even stiffness, what differs between drapes of one; plans of drapes."""
 
 from functools import cache
 
@@ -8,14 +8,15 @@ import pytest
 from common.command import compose_config
 from common.errors import InputError
 from data.dataset.config import Options, SamplingConfig, config_from_options
-from data.dataset.plan import Stream, plan_drape, stream
+from data.dataset.plan import Stream, choose_lender, plan_drape, stream
 from data.fabrics.fabrics import fabric_from_theta, from_theta, read_fabric_table, to_theta
-from data.fabrics.nuisances import NAMES, NuisanceConfig, Nuisances
+from data.fabrics.nuisances import LOGARITHMIC, NAMES, NuisanceConfig, Nuisances
 from data.fabrics.prior import TablePrior, load_prior, log_stiffness, sample_admissible
 from data.fabrics.prior.even import STIFFNESS, draw_fabric, draw_fabrics, moved
+from data.rigs import named_tester
 from sim.cloth import Laws
 from sim.material import BIAS, LINEAR, RATIO, WARP, WEFT, Fabric, is_admissible
-from sim.rig import DISC_RIG, Rig
+from sim.rig import DISC_RIG, SQUARE_RIG, Rig
 from sim.scene import make_specimen
 
 HEADER = (
@@ -27,6 +28,7 @@ SOFT = "0.30, 2000, 1000, 1500, -20, -10, 15"
 PRIOR = load_prior("vae")
 COUNT = 2000
 SHARE = 0.8
+GAUSSIAN = load_prior("gaussian")
 
 
 def write(path, *lines):
@@ -61,32 +63,6 @@ def test_columns_are_found_by_name(tmp_path):
     there = read_fabric_table(write(tmp_path / "a.csv", *shuffled))
     here = read_fabric_table(write(tmp_path / "b.csv", HEADER, STIFF))
     np.testing.assert_array_equal(there.theta, here.theta)
-
-
-@pytest.mark.parametrize(("lines", "complaint"), [
-    ([HEADER], "no fabrics"),
-    ([HEADER.replace("linear diag", "linear bias"), SOFT], "one column 'linear diag"),
-    ([HEADER.replace("*1e12", "*1e9"), SOFT], "one column 'nonlinear warp"),
-    ([HEADER, SOFT, "0.3, 1, 2"], "line 3"),
-    ([HEADER, SOFT.replace("1000", "none")], "line 2"),
-    ([HEADER, "", SOFT, "", "0.3, 1, 2"], "line 5"),
-    ([HEADER, SOFT.replace("1000", "nan")], "must be positive"),
-    ([HEADER, SOFT.replace("0.30", "-0.30")], "must be positive"),
-    ([HEADER, SOFT.replace("0.30", "1e-310")], "line 2: density=1e-310"),
-    ([HEADER, SOFT.replace("0.30", "210")], "line 2: density=210 .* check the unit"),
-    ([HEADER + ", density[kg.m-2]", SOFT + ", 0.2"], "one column 'density"),
-    ([HEADER + ", rows", SOFT + ", -3"], "line 2: .* number of rows"),
-])
-def test_bad_tables_are_refused_in_one_line(tmp_path, lines, complaint):
-    with pytest.raises(InputError, match=complaint) as refusal:
-        read_fabric_table(write(tmp_path / "t.csv", *lines))
-    assert "\n" not in str(refusal.value)
-
-
-def test_missing_table_is_refused(tmp_path):
-    with pytest.raises(InputError, match=r"nowhere\.csv cannot be read \(No such file") as refusal:
-        read_fabric_table(tmp_path / "nowhere.csv")
-    assert HEADER in str(refusal.value)
 
 
 def test_theta_and_back():
@@ -265,3 +241,156 @@ def test_specimens_of_other_sizes_share_triangles_and_hold_their_own_plate(nomin
         diagonal = np.arctan2(*rig.sides[::-1])
         assert np.arctan2(*corner[::-1]) == pytest.approx(diagonal + 0.03, abs=1e-9)
     assert (areas > 0).all()
+
+
+def plans(count, **changes):
+    config = SamplingConfig(**changes)
+    return [plan_drape(i, config=config, prior=GAUSSIAN) for i in range(count)]
+
+
+def test_a_plan_depends_on_seed_and_index_only():
+    ahead = plan_drape(7, config=SamplingConfig(seed=3), prior=GAUSSIAN)
+    later = plans(8, seed=3)[7]
+    for name in ("fabric", "start", "seed", "rejected"):
+        assert getattr(ahead, name) == getattr(later, name)
+    for name in ("theta", "offset"):
+        np.testing.assert_array_equal(getattr(ahead, name), getattr(later, name))
+    other = plan_drape(7, config=SamplingConfig(seed=4), prior=GAUSSIAN)
+    assert other.seed != ahead.seed
+    assert not np.isclose(other.theta, ahead.theta).any()
+
+
+def test_drapes_of_a_fabric_share_the_parameters_and_nothing_else():
+    drapes = plans(9, starts_per_fabric=3)
+    assert [p.fabric for p in drapes] == [0, 0, 0, 1, 1, 1, 2, 2, 2]
+    np.testing.assert_array_equal(drapes[0].theta, drapes[2].theta)
+    assert len({p.theta.tobytes() for p in drapes}) == 3
+    assert len({p.seed for p in drapes}) == 9
+    assert len({p.offset.tobytes() for p in drapes}) == 9
+
+
+@pytest.mark.parametrize("per_fabric", [1, 2, 4])
+def test_starts_are_balanced(per_fabric):
+    starts = [p.start for p in plans(40, starts_per_fabric=per_fabric, starts=("sine", "fold"))]
+    assert starts.count("sine") == starts.count("fold") == 20
+
+
+def test_a_third_of_eight_starts_each_is_borrowed():
+    kinds = ("sine", "fold", "borrowed")
+    drapes = plans(48, starts_per_fabric=8, starts=kinds)
+    assert [[p.start for p in drapes].count(kind) for kind in kinds] == [16, 16, 16]
+    for fabric in range(6):
+        of_fabric = [p.start for p in drapes if p.fabric == fabric]
+        assert sorted(of_fabric.count(kind) for kind in kinds) == [2, 3, 3]
+    fallbacks = [p.fallback for p in drapes if p.start == "borrowed"]
+    assert fallbacks.count("sine") == fallbacks.count("fold") == 8
+    assert all(p.fallback == p.start for p in drapes if p.start != "borrowed")
+
+
+def test_borrowing_changes_neither_fabrics_nor_seeds():
+    for plain, other in zip(plans(6, starts=("sine",)), plans(6, starts=("borrowed", "sine")),
+                            strict=True):
+        np.testing.assert_array_equal(plain.theta, other.theta)
+        np.testing.assert_array_equal(plain.offset, other.offset)
+        assert plain.seed == other.seed
+
+
+def test_lenders_are_equally_likely_and_depend_on_seed_and_drape():
+    chosen = [choose_lender(i, seed=1, candidates=[4, 7, 9]) for i in range(3000)]
+    counts = [chosen.count(candidate) for candidate in (4, 7, 9)]
+    assert sum(counts) == 3000 and max(abs(count - 1000) for count in counts) < 110
+    assert chosen[:50] == [choose_lender(i, seed=1, candidates=[4, 7, 9]) for i in range(50)]
+    assert chosen[:50] != [choose_lender(i, seed=2, candidates=[4, 7, 9]) for i in range(50)]
+
+
+def test_drift_has_its_standard_deviation():
+    offsets = np.array([p.offset for p in plans(500, drift=0.004)])
+    assert abs(offsets.std() / 0.004 - 1) < 0.08
+    assert not np.any([p.offset for p in plans(4, drift=0.0)])
+
+
+def test_half_of_the_testers_are_common_ones_and_the_others_are_within_the_limits():
+    settings = {"starts_per_fabric": 4, "testers_per_fabric": 2, "random_testers": 0.5,
+                "testers": (SQUARE_RIG.name, DISC_RIG.name)}
+    drapes = plans(800, **settings)
+    rigs = [p.rig for p in drapes]
+    assert rigs[0] == rigs[2] and rigs[1] == rigs[3]
+    drawn = [rigs[k] for start in range(0, 800, 4) for k in (start, start + 1)]
+    common = [rig for rig in drawn if rig in (SQUARE_RIG, DISC_RIG)]
+    assert len(common) == pytest.approx(200, abs=35)
+    assert common.count(DISC_RIG) == pytest.approx(len(common) / 2, abs=25)
+    others = [rig for rig in drawn if rig not in (SQUARE_RIG, DISC_RIG)]
+    size, plate = 1e3 * np.array([(rig.specimen_size, rig.plate_diameter) for rig in others]).T
+    assert 200 <= size.min() < 220 and 380 < size.max() <= 400
+    assert 60 <= plate.min() < 70 and 180 < plate.max() <= 200
+    assert (size - plate).min() >= 40 - 1e-9
+    assert {rig.specimen for rig in others} == {"square", "disc"}
+    assert [p.rig for p in plans(8, **settings)] == rigs[:8]
+
+
+def test_rectangles_are_drawn_within_the_limits_and_centred_on_their_plates():
+    settings = {"random_testers": 0.25, "rectangles": 0.25, "testers": (DISC_RIG.name,)}
+    drapes = plans(2000, **settings, drift=0.008)
+    rigs = [p.rig for p in drapes]
+    drawn = [rig for rig in rigs if rig.specimen == "rectangle"]
+    assert len(drawn) == pytest.approx(500, abs=60)
+    assert rigs.count(DISC_RIG) == pytest.approx(1000, abs=80)
+    sides = 1e3 * np.array([rig.sides for rig in drawn])
+    assert 140 <= sides.min() < 145 and 395 < sides.max() <= 400
+    assert np.mean(sides[:, 0] > sides[:, 1]) == pytest.approx(0.5, abs=0.08)
+    plate = 1e3 * np.array([rig.plate_diameter for rig in drawn])
+    assert 60 <= plate.min() < 65 and 180 < plate.max() <= 200
+    assert (sides - plate[:, None]).min() >= 40 - 1e-9
+    for rig in drawn[:20]:
+        assert named_tester(rig.name) == rig
+    # An offset leaves half of the overhang, room for the coarsest mesh of a drape.
+    share = np.array([np.hypot(*p.offset) / p.rig.least_overhang for p in drapes])
+    assert share.max() == pytest.approx(0.5) and np.mean(share < 0.499) > 0.9
+
+
+def test_without_rectangles_plans_are_what_they_were():
+    settings = {"random_testers": 0.5, "testers": (SQUARE_RIG.name,)}
+    plain, mixed = (plans(60, **settings, rectangles=share) for share in (0.0, 0.2))
+    kept = [(one.rig, other.rig) for one, other in zip(plain, mixed, strict=True)
+            if other.rig.specimen != "rectangle"]
+    assert len(kept) > 40 and all(one == other for one, other in kept)
+
+
+def test_both_faces_of_each_fabric_are_up():
+    drapes = plans(400, starts_per_fabric=4, both_faces=True,
+                   nuisances=NuisanceConfig(curl=5.0))
+    faces = np.array([p.face for p in drapes]).reshape(100, 4)
+    assert set(faces.ravel()) == {1, -1} and (np.abs(faces.sum(axis=1)) < 4).all()
+    assert abs(faces.mean()) < 0.15
+    curls = np.array([p.nuisances.curl_warp for p in drapes]).reshape(100, 4)
+    assert np.allclose(faces * curls, (faces * curls)[:, :1]) and (curls != 0).all()
+    assert {p.face for p in plans(8)} == {1}
+
+
+@pytest.mark.parametrize(("changes", "complaint"), [
+    ({"starts_per_fabric": 0}, "starts_per_fabric"),
+    ({"starts": ("flat",)}, "flat.* must contain only lowered, sine, fold"),
+    ({"starts": ()}, "must contain lowered or sine"),
+    ({"starts": ("borrowed",)}, "nothing to borrow"),
+    ({"testers": ("moon",)}, "moon"),
+    ({"testers": ()}, "random_testers=0 .* be 1 without testers"),
+    ({"random_testers": 0.7, "rectangles": 0.4}, "rectangles=0.4 .* at most 1"),
+    ({"random_testers": -0.1}, "not be negative"), ({"rectangles": -0.1}, "not be negative"),
+    ({"starts": ("sine", "borrowed"), "rectangles": 0.5}, "give a single name in testers"),
+    ({"testers_per_fabric": 3}, "testers_per_fabric=3 must lie between 1 and"),
+    ({"starts": ("sine", "borrowed"), "random_testers": 0.5}, "give a single name in testers")])
+def test_nonsense_is_refused(changes, complaint):
+    with pytest.raises(InputError, match=complaint):
+        SamplingConfig(**changes)
+
+
+def test_deviations_and_means_are_those_of_samples():
+    config = NuisanceConfig(membrane=(100.0, 1000.0), shear=(0.2, 1.0), hysteresis=(5.0, 60.0),
+                            curl=3.0, size=1e-3, plate=3e-4, cut=0.02)
+    values = nuisances(config, 4000)
+    logarithmic = [name in LOGARITHMIC for name in NAMES]
+    values[:, logarithmic] = np.log(values[:, logarithmic])
+    means, deviations = ([table[name] for name in NAMES]
+                         for table in (config.means, config.deviations))
+    assert (np.abs(values.mean(axis=0) - means) < 0.06 * values.std(axis=0)).all()
+    assert deviations == pytest.approx(values.std(axis=0), rel=0.05)

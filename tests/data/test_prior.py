@@ -288,18 +288,3 @@ def test_bundled_prior_is_the_fit_of_the_published_table(gaussian, tmp_path, cap
     np.testing.assert_allclose(fitted.mean, gaussian.mean, rtol=1e-9)
     np.testing.assert_allclose(fitted.covariance, gaussian.covariance, rtol=1e-9)
     assert "201 distinct fabrics" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(("words", "complaint"), [
-    ([], "first word must be one of: fit"),
-    (["fitt"], "first word must be one of: fit"),
-    (["fit"], "fabrics= is missing; give a table"),
-    (["fit", "fabrics=nowhere.csv"], "nowhere.csv cannot be read"),
-    (["fit", "speed=1"], "speed=1"),
-    (["fit", "fabrics=nowhere.csv", "model=oracle"], "model=oracle"),
-    *((["fit", "fabrics=nowhere.csv", f"out={out}"], "cannot write")  # told before the fit
-      for out in ("", "/proc/prior.json")),
-])
-def test_command_line_mistakes(words, complaint):
-    with pytest.raises(InputError, match=complaint):
-        main(words)

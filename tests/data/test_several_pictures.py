@@ -9,7 +9,6 @@ import pytest
 import yaml
 from PIL import Image
 
-from common.errors import InputError
 from data.captures import joined_outlines
 from data.captures.joined_outlines import SeenOutline, join_outlines
 from data.captures.off_axis import AZIMUTHS, OUTWARDS
@@ -277,23 +276,8 @@ def test_poses_of_pictures_upright_and_sideways_share_one_lens():
         assert pose.place == pytest.approx(place, abs=5e-3)
 
 
-@pytest.mark.parametrize(("names", "fault"), [
-    (["outline.jpg", "outline_1.png"], "holds outline.jpg and outline_1.png; keep one"),
-    (["outline.csv", "outline_2.jpg"], "holds outline.csv and outline_2.jpg; keep one"),
-    (["outline_1.jpg", "outline_7.jpg"], "outline_7.jpg; pictures of one drape are called")])
-def test_names_of_pictures_that_do_not_fit_have_a_line(tmp_path, names, fault):
-    with pytest.raises(InputError, match=fault):
-        find_outline(folder_of(tmp_path / "names", dict.fromkeys(names, b"")))
-
-
 def test_the_first_of_several_pictures_is_found(tmp_path):
     make = partial(dict.fromkeys, [], b"")
     assert find_outline(folder_of(tmp_path / "none", make())) is None
     several = dict.fromkeys(["outline_3.jpg", "outline_2.JPG", "outline_old.jpg"], b"")
     assert find_outline(folder_of(tmp_path / "some", several)).name == "outline_2.JPG"
-
-
-def test_several_pictures_need_the_mat(tmp_path, pictures):
-    with pytest.raises(InputError, match=r"several pictures of one drape need the printed mat"):
-        read_capture(folder_of(tmp_path / "plate", pictures[:2], mat=None, plate_height_mm=None,
-                               mm_per_px=0.3))

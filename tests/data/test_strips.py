@@ -21,7 +21,6 @@ from strip_photographs import (
 
 from apps.capture import main
 from apps.strip_curves import read_curve
-from common.errors import InputError
 from common.findings import texts
 from drapenet.measured.strips.folder import read_strips
 from experiments.estimation.strip_photographs import FAULTS, fault_case
@@ -120,42 +119,7 @@ def test_each_fault_of_a_photograph_has_a_line(kind):
     assert answer and "\n" not in answer and ";" in answer
 
 
-STATED = {
-    "no scale": ({"scale": None}, {}, "scale is missing"),
-    "two scales": ({"scale": {"mm_per_px": 0.1, "by": "board"}}, {}, "states mm_per_px and by"),
-    "half a ruler": ({"scale": {"ruler_mm": 50}}, {}, "half of a ruler"),
-    "short ruler": ({"scale": {"ruler_px": [[0, 0], [9, 0]], "ruler_mm": 9}}, {}, "20 pixels"),
-    "board": ({"scale": {"by": "board"}}, {}, "printed board is not seen"),
-    "direction": ({"direction": "length"}, {}, "strips.0.direction='length'"),
-    "key": ({"colour": 3}, {}, "unknown key 'strips.0.colour'"),
-    "no length": ({"free_length_mm": None}, {}, "free_length_mm is missing"),
-    "no file": ({"file": None}, {}, "give each strip a file"),
-    "both kinds": ({"bending_length_mm": 20.0}, {}, "give each strip a file"),
-    "elsewhere": ({"file": "other.png"}, {}, "other.png cannot be read"),
-    "outside": ({"clamp_px": [5000.0, 3.0]}, {}, "is not in the picture"),
-    "density": ({}, {"density_g_m2": 0.2}, "density_g_m2=0.2.*weigh"),
-    "nothing": ({}, {"strips": []}, "nothing is measured; give strips, or known"),
-}
-
-
-@pytest.mark.parametrize("changes, keys, fault", STATED.values(), ids=STATED)
-def test_each_fault_of_strips_yaml_has_a_line(tmp_path, changes, keys, fault):
-    with pytest.raises(InputError, match=fault) as caught:
-        read(tmp_path, LONG, picture=PICTURE, keys=keys, **changes)
-    assert str(tmp_path / "strips") in str(caught.value) and "\n" not in str(caught.value)
-
-
 PICTURE = photograph(LONG)
-
-
-def test_a_folder_without_description_and_a_repeated_file_are_named(tmp_path):
-    with pytest.raises(InputError, match=r"has no strips\.yaml"):
-        read_strips(tmp_path)
-    with pytest.raises(InputError, match="is not a folder"):
-        read_strips(tmp_path / "none")
-    folder = write(tmp_path / "strips", {"strip.png": PICTURE}, [entry(LONG), entry(LONG)])
-    with pytest.raises(InputError, match=r"strip\.png is the file of two strips"):
-        read_strips(folder)
 
 
 def test_what_is_uncertain_is_a_warning(tmp_path):

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import yaml
 
-from common.errors import InputError
 from data.readings.quantity import STANDARD_GRAVITY
 from drapenet.measured.tension.folder import TensionSet, read_tension
 from drapenet.measured.tension.law import compliance, extension, reach
@@ -25,8 +24,6 @@ from sim.tension import pull
 
 TRUE = (2500.0, 900.0, 35.0)  # N/m: warp, weft, shear
 POISSON = 0.3
-BIAS_STRIP = {"direction": "bias", "width_mm": 50, "gauge_mm": 100, "load_g": 25,
-              "extension_mm": 4.1}
 
 
 def read(folder: Path, *strips: dict, **stated) -> TensionSet:
@@ -87,7 +84,7 @@ def test_two_loads_find_the_initial_friction_and_narrow_the_interval(tmp_path):
 
 def test_intervals_contain_what_they_say(tmp_path):
     rng, inside = np.random.default_rng(1), 0
-    for _ in range(100):
+    for _ in range(60):
         strips = []
         for direction, loads in (("bias", (25, 50)), ("warp", (500,)), ("weft", (500,))):
             factor, friction = np.exp(0.073 * rng.standard_normal()), rng.standard_normal()
@@ -99,7 +96,7 @@ def test_intervals_contain_what_they_say(tmp_path):
         found = told(tmp_path, *strips)
         off = (np.log(TRUE) - found.posterior.mean) / deviations(found)
         inside += np.count_nonzero(np.abs(off) < 0.994)
-    assert 0.55 < inside / 300 < 0.82  # 68 %
+    assert 0.55 < inside / 180 < 0.82  # 68 %
 
 
 def test_shear_of_a_bias_strip_alone_is_as_sure_as_its_interval_says():
@@ -172,29 +169,3 @@ def test_strips_that_contradict_each_other_or_all_fabrics_are_named(tmp_path, st
     found = told(tmp_path, *strips).findings
     assert [one.code for one in found] == [code]
     assert strips[0]["direction"] in found[0].text or "shear" in found[0].text
-
-
-@pytest.mark.parametrize(("strips", "words"), [
-    ([BIAS_STRIP | {"extension_mm": 41}], r"tension.0.* has extension_mm 41, 41% of gauge_mm 100"),
-    ([BIAS_STRIP, BIAS_STRIP | {"load_g": 50}], "load_g 50, not more than 4.1 with 25"),
-    ([BIAS_STRIP | {"clamped_mm": 90}], "clamped_mm 90, less than gauge_mm 100"),
-    ([BIAS_STRIP | {"extension_mm": 0}], "has extension_mm 0: .* take a heavier one"),
-    ([BIAS_STRIP | {"load_g": 0.25}], r"load_g=0.25: .*greater than or equal to 1"),
-    ([BIAS_STRIP | {"direction": "left"}], "direction='left': .*'warp', 'bias' or 'weft'"),
-    ([BIAS_STRIP | {"weight_g": 25}], r"unknown key 'tension.0.weight_g'"),
-    ([], "nothing is measured"),
-])
-def test_faults_are_refused_in_one_line(tmp_path, strips, words):
-    with pytest.raises(InputError, match=words) as error:
-        read(tmp_path, *strips)
-    assert "tension.yaml" in str(error.value) and "\n" not in str(error.value)
-
-
-def test_a_folder_without_a_file_and_a_misnamed_one_are_refused(tmp_path):
-    with pytest.raises(InputError, match=r"has no tension[.]yaml; write it with density_g_m2"):
-        read_tension(tmp_path)
-    (tmp_path / "tension.yml").write_text("")
-    with pytest.raises(InputError, match=r"rename it to tension[.]yaml"):
-        read_tension(tmp_path)
-    with pytest.raises(InputError, match="is not a folder"):
-        read_tension(tmp_path / "tension.yml")

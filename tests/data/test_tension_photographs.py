@@ -13,7 +13,7 @@ from data.pictures.pose import Pose
 from data.render.pulled import MarkedStrip
 from drapenet.measured.tension.folder import TensionSet, read_tension
 from drapenet.measured.tension.photograph import find_strip
-from experiments.estimation.tension import pair_case
+from experiments.estimation.tension import pair
 
 PAIR = {"direction": "bias", "width_mm": 50.0, "gauge_mm": 100.0, "load_g": 50.0,
         "without": "bias_0.jpg", "with": "bias_50.jpg"}
@@ -116,7 +116,7 @@ def test_a_band_that_is_found_askew_is_named_and_gives_the_same(tmp_path, monkey
 
 @pytest.mark.slow
 def test_a_shadow_that_turns_the_band_is_named():
-    case = pair_case(number=34)  # 10 mm above the mat
+    case = pair(np.random.default_rng([59, 34]), number=34)  # 10 mm above the mat
     assert case["warnings"] == ["tension_askew"]
     assert abs(case["off_mm"]) < 0.3
 
@@ -124,9 +124,6 @@ def test_a_shadow_that_turns_the_band_is_named():
 @pytest.mark.parametrize(("stated", "words"), [
     ({"without": "bias_50.jpg", "with": "bias_0.jpg"}, "are the pictures exchanged"),
     ({"gauge_mm": 150.0}, r"bias_0[.]jpg: no two lines across the strip are seen 138 to 162 mm"),
-    ({"with": "bias_0.jpg"}, "has bias_0.jpg as both photographs"),
-    ({"extension_mm": 4.0}, "give each strip its extension_mm, or two photographs"),
-    ({"with": "other.jpg"}, r"other[.]jpg"),
 ])
 def test_faults_are_refused_in_one_line(tmp_path, stated, words):
     with pytest.raises(InputError, match=words) as error:

@@ -291,21 +291,6 @@ def test_a_list_names_folders_as_windows_and_macos_write_them(tmp_path):
     assert {one.fabric for one in found} == {"K\u00f6per"}  # one fabric
 
 
-@pytest.mark.parametrize(("text", "message"), [
-    ("name,capture\na,b\n", "no column 'fabric'"),
-    ("fabric,capture\nsilk,one\n\nsilk,\n", "line 4: fabric='silk' and capture='' must"),
-    ("fabric,capture\n", "holds no captures"),
-    ("fabric,capture\n\"a,b\n", "cannot be read"),
-    (b"\xff\xfe\x00", "UTF-8"), ("fabric,capture\nK\u00f6per,a".encode("cp1252"), "Windows-1252"),
-])
-def test_bad_lists_are_refused_in_one_line(tmp_path, text, message):
-    file = tmp_path / "list.csv"
-    file.write_bytes(text if isinstance(text, bytes) else text.encode())
-    with pytest.raises(InputError, match=message) as raised:
-        entries_of(file)
-    assert "\n" not in str(raised.value)
-
-
 def test_cells_are_no_formulas_but_numbers_stay():
     values = ("=1+1", "@x", "\tx", "-2.5", "+3", -2.5, None, "plain", 'x,"y"\nz')
     text = csv_table([dict(enumerate(values))])

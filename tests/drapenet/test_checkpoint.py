@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import torch
 from checkpoints import change_description, describe_again, description, use_skirts
-from safetensors.torch import load, save_file
 
 import drapenet.network.evaluate
 from common.command import compose_config
@@ -111,47 +110,12 @@ def test_without_graphs_and_pytorch_a_line_says_what_to_install(checkpoint, monk
         network_of(read_header(checkpoint))
 
 
-@pytest.mark.parametrize(("changes", "message"), [
-    ({"schema_version": 99}, "schema_version=99.*use the program"),
-    ({"targets": {"mean": [0], "std": [1]}}, "targets.mean"),
-    ({"targets": {"mean": [0] * 10, "std": [1] * 9 + [0]}}, r"targets\.std\.9=0"),
-    ({"fabrics": {"low": [0] * 6}}, r"fabrics\.high is missing"),
-    ({"model": {"components": 2}}, r"model\.width is missing"),
-    ({"dataset": {"sha256": 3}}, r"dataset\.sha256=3"),
-    ({"model": {"width": 100000, "components": 2, "distance": 0.1, "spread": 0.1}},
-     r"model\.width=100000"),
-    ({"model": {"width": 8, "depth": 3}}, r"unknown key 'model\.depth'"),
-    ({"config": {"setup": None}}, r"config\.setup=None"),
-])
-def test_another_schema_is_refused(checkpoint, changes, message):
-    change_description(checkpoint, **changes)
-    with pytest.raises(InputError, match=message) as caught:
-        read_header(checkpoint)
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("text", [
-    '{"schema_version": 3', '{"schema_version": 3}', "[" * 100_000, '{"schema": 1, "schema": 2}',
-    '{"rig": NaN}', "9" * 9999, "[]"])
-def test_a_damaged_description_is_refused_in_one_line(checkpoint, text):
+@pytest.mark.parametrize("text", ["[" * 100_000, "9" * 9999])
+def test_a_hostile_description_is_refused_in_one_line(checkpoint, text):
     describe_again(checkpoint, text)
     with pytest.raises(InputError) as caught:
         read_header(checkpoint)
     assert str(caught.value).isprintable() and len(str(caught.value)) < 400
-
-
-@pytest.mark.parametrize(("fault", "message"), [
-    ("missing", "no checkpoint file"), ("truncated", "not a safetensors file"),
-    ("undescribed", "does not describe its network")])
-def test_a_file_that_is_no_checkpoint_is_refused(checkpoint, fault, message):
-    data = checkpoint.read_bytes()
-    checkpoint.unlink()
-    if fault == "truncated":
-        checkpoint.write_bytes(data[:-1])
-    if fault == "undescribed":
-        save_file(load(data), checkpoint)
-    with pytest.raises(InputError, match=message):
-        read_header(checkpoint)
 
 
 def test_weights_of_another_network_are_refused(checkpoint):

@@ -1,12 +1,10 @@
-"""Uploads: what is taken, what is refused and with which sentence."""
+"""Uploads: what is taken, and as what; what is refused is in tests/refused."""
 
 import base64
 import io
 import re
-import struct
 import tempfile
 import zipfile
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +12,7 @@ import pytest
 import yaml
 from photographs import CURVE, drawn, plate, write
 from PIL import Image
+from spoiled import large_png
 
 from common.command import compose_config
 from common.errors import InputError
@@ -67,24 +66,6 @@ def test_any_damage_of_a_zip_is_refused_in_a_line(settings, kind):
                 refused += error.status_code == 422 and "zip" in error.detail
                 assert "\n" not in error.detail
     assert refused > 400
-
-
-def png_of_size(width: int, height: int) -> bytes:
-    """A PNG whose header states a size, with next to nothing in it."""
-
-    def chunk(kind: bytes, data: bytes) -> bytes:
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(
-            ">I", zlib.crc32(kind + data))
-
-    return (b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 16, 0,
-                                                             0, 0, 0))
-            + chunk(b"IDAT", zlib.compress(b"")) + chunk(b"IEND", b""))
-
-
-def npy(array: np.ndarray) -> bytes:
-    stream = io.BytesIO()
-    np.save(stream, array, allow_pickle=True)
-    return stream.getvalue()
 
 
 def capture_of(upload: Upload, folder: Path) -> Capture:
@@ -167,30 +148,16 @@ def test_a_table_of_a_picture_has_a_sense(settings, tmp_path):
     assert np.array_equal(radii, expected.outline.radii)
 
 
-@pytest.mark.parametrize(("name", "data", "sentence"), [
-    ("capture.yaml.txt", YAML[1], "capture.yaml.txt: rename it to capture.yaml"),
-    ("Capture.yaml", YAML[1], "Capture.yaml: rename it to capture.yaml"),
-    ("strips.yaml.txt", b"density_g_m2: 210", "strips.yaml.txt: rename it to strips.yaml"),
-    ("capture.yaml", b"fabric: #42\n" + YAML[1], "fabric: #42 is a comment"),
-    ("capture.yaml", "operator: M\u00fcller\n".encode("cp1252") + YAML[1], "Windows-1252"),
-])
-def test_sentences_about_descriptions_reach_the_page(settings, name, data, sentence):
-    for sent in ([*VIEWS, (name, data)], [("a.zip", zipped([*VIEWS, (f"a/{name}", data)]))]):
-        with pytest.raises(RequestError, match=sentence) as refusal:
-            checked_upload(sent, {}, settings)
-        assert refusal.value.status_code == 422
-
-
 def test_a_photograph_of_a_strip_is_found_by_its_name_in_another_normal_form(settings):
     document = PHOTOGRAPHED.replace(b"weft.jpg", "K\u00f6per.jpg".encode())
-    upload = checked_upload([("strips.yaml", document), ("warp 1.PNG", png_of_size(6000, 4000)),
+    upload = checked_upload([("strips.yaml", document), ("warp 1.PNG", large_png(6000, 4000)),
                              ("Ko\u0308per.jpg", jpeg(PICTURE))], {}, settings)
     assert "K\u00f6per.jpg" in upload.files
 
 
 def test_a_field_replaces_its_value_alone(settings):
     document = (PHOTOGRAPH / "capture.yaml").read_bytes()
-    upload = checked_upload([("a.png", png_of_size(6000, 4000)), ("capture.yaml", document)],
+    upload = checked_upload([("a.png", large_png(6000, 4000)), ("capture.yaml", document)],
                             {"camera_height_mm": "1500,5", "density_g_m2": "90"}, settings)
     before, content = yaml.safe_load(document), yaml.safe_load(upload.files["capture.yaml"])
     assert content == before | {"density_g_m2": 90, "outline": before["outline"] | {
@@ -207,9 +174,6 @@ def test_a_name_as_in_mail_is_that_of_its_file(settings):
     name = "=?UTF-8?B?" + base64.b64encode("dräp/view_0.png".encode()).decode() + "?="
     upload = checked_upload([(name, VIEWS[0][1]), YAML], {}, settings)
     assert "view_0.png" in upload.files
-    for broken in ("=?x?q?a?=", "=?utf-8?b?a?="):
-        with pytest.raises(RequestError, match="files of this kind"):
-            checked_upload([(broken, b"")], {}, settings)
 
 
 def test_names_are_never_paths(settings):
@@ -256,7 +220,7 @@ def test_bending_lengths_need_no_picture(settings, tmp_path):
 
 
 def test_photographs_of_strips_are_those_that_the_description_names(settings, tmp_path):
-    sent = [("strips.yml", PHOTOGRAPHED), ("warp 1.PNG", png_of_size(6000, 4000)),
+    sent = [("strips.yml", PHOTOGRAPHED), ("warp 1.PNG", large_png(6000, 4000)),
             ("weft.jpg", jpeg(PICTURE)), ("ruler.jpg", b"not read")]
     packed = [("strips.zip", zipped([(f"serge/{name}", data) for name, data in sent]))]
     for files in (sent, packed):
@@ -285,7 +249,7 @@ def strips_in_a_form(*strips: dict[str, str]) -> dict[str, str]:
 
 def test_strips_under_weights_are_in_a_file_or_in_the_form(settings, tmp_path):
     sent = [("tension.yml", PULLED), ("a 0.jpg", jpeg(PICTURE)), ("ruler.jpg", b"not read"),
-            ("a25.PNG", png_of_size(4000, 3000))]
+            ("a25.PNG", large_png(4000, 3000))]
     for files in (sent, [("t.zip", zipped([(f"twill/{name}", data) for name, data in sent]))]):
         upload = checked_upload(files, {"operator": "M. Muster"}, settings)
         assert (upload.kind, upload.directions) == ("tension", "yarns")
@@ -329,8 +293,6 @@ def test_values_are_sent_alone_or_with_a_capture_a_scan_or_strips(settings, tmp_
                           settings).specimen
     for known in (views.known, scan.known):
         assert known.model_dump(exclude_unset=True) == KNOWN
-    with pytest.raises(RequestError, match="along the yarns need captures whose warp is marked"):
-        checked_upload([("a.obj", b"v 0 0 0")], form, settings)
 
 
 def test_uploads_state_their_density(settings):
@@ -378,108 +340,8 @@ def test_each_quantity_of_the_registry_is_a_field(settings, tmp_path):
         assert known.error(quantity.name) == 0.07 and len(names) in (1, len(DIRECTIONS))
 
 
-CAMERA = {"density_g_m2": "90", "fx": "305", "fy": "305", "cx": "119.5", "cy": "89.5"}
-BOMB = zipped([("view_0.png", b"\0" * 20_000_000)])
-REFUSED = {
-    "nothing": ([], {}, 422, "no files"),
-    "kind": ([("run.exe", b"MZ")], {}, 415, "files of this kind"),
-    "pickle": ([("view_0.pkl", b"")], {}, 415, "files of this kind"),
-    "zip of others": ([("a.zip", zipped([("readme.md", b"x")]))], {}, 422, "holds no files"),
-    "no zip": ([("a.zip", b"PK\x03\x04 or not")], {}, 422, "zip cannot be read"),
-    "zip bomb": ([("a.zip", BOMB)], {}, 413, "unpacks to more than 4 MB"),
-    "too many": ([("a.zip", zipped([(f"view_{k}.png", b"") for k in range(60)]))], {}, 413,
-                 "at most 48"),
-    "two captures": ([("a.zip", zipped([("a/view_0.png", b""), ("b/view_0.png", b"")]))], {}, 422,
-                     "two files are called view_0.png"),
-    "enormous picture": ([("view_0.png", png_of_size(60000, 60000)), YAML], {}, 413, "pixels"),
-    "enormous array": ([("view_0.npy", npy(np.zeros((1, 1)))[:10] + (
-        b"{'descr': '<f4', 'fortran_order': False, 'shape': (99999, 99999), }").ljust(117) + b"\n"),
-        YAML], {}, 413, "pixels"),
-    "enormous photograph": ([("a.png", png_of_size(9000, 9000))], photograph_fields(), 413,
-                            "outline.png has more than 50 million pixels"),
-    "two photographs": ([("a.jpg", b""), ("b.jpg", b"")], photograph_fields(), 422,
-                        "a.jpg and b.jpg: which of them shows the drape?"),
-    "two plates": ([(f"{name}.jpg", b"") for name in ("a", "plate", "empty")], photograph_fields(),
-                   422, "plate.jpg and empty.jpg: give one picture"),
-    "no drape": ([("mat.jpg", b""), ("plate.jpg", b"")], photograph_fields(), 422,
-                 "no photograph of the drape is among them; call it outline.jpg"),
-    "half a plate": ([("a.jpg", b"")], {"plate_x": "900"}, 422, "outline.plate_px.y is missing"),
-    "camera height in metres": ([("a.jpg", b"")], {"camera_height_mm": "1.2"}, 422,
-                                "give 200 to 20000 mm, or parallel"),
-    "no photograph": ([("a.jpg", b"GIF89a")], photograph_fields(), 422,
-                      "cannot be read (cannot identify image file); export"),
-    "no picture": ([("view_0.png", b"GIF89a"), YAML], {}, 422, "cannot be read"),
-    "no density": (VIEWS, {}, 422, "density_g_m2 is missing"),
-    "density in kg": (VIEWS, {"density_g_m2": "0.2"}, 422, "check the unit"),
-    "turns in words": (VIEWS, {"turns_deg": "a quarter"}, 422, "turns_deg.0='a'"),
-    "half a camera": (VIEWS, {"density_g_m2": "90", "fx": "300"}, 422, "fy is missing"),
-    "no tester": (VIEWS, CAMERA, 422, "tester is missing; give tester: square300_cylinder100, "),
-    "values without density": ([], VALUES, 422, "density_g_m2 is missing; weigh the specimen"),
-    "values along nothing": ([], {"density_g_m2": "210", "known.kes_b_gf_cm2_per_cm": "0.1"}, 422,
-                             "known.kes_b_gf_cm2_per_cm=0.1 must be 'key: value' pairs"),
-    "negative value": ([*VIEWS, YAML], {"known.kes_b_gf_cm2_per_cm.warp": "-0.1"}, 422,
-                       "known.kes_b_gf_cm2_per_cm.warp=-0.1: Input should be greater than 0; "
-                       "known has values such as"),
-    "value with unit": ([], {"density_g_m2": "210", "known.membrane_n_per_m": "600 N/m"}, 422,
-                        "known.membrane_n_per_m='600 N/m' is not a number; write digits alone"),
-    "unknown quantity": ([], {"density_g_m2": "210", "known.handle": "4"}, 422,
-                         "unknown key 'known.handle'"),
-    "error of 200 %": ([], {"density_g_m2": "210", **VALUES,
-                            "known.error_percent.bending_length_mm": "200"}, 422,
-                       "known.error_percent.bending_length_mm=200"),
-    "known twice": ([("strips.yaml", LENGTHS + b"known: {membrane_n_per_m: 500}\n")], VALUES, 422,
-                    "known is in strips.yaml and in the form; give the values in one of them"),
-    "known of a capture twice": (
-        [*VIEWS, ("capture.yaml", YAML[1] + b"known: {membrane_n_per_m: 500}\n")], VALUES, 422,
-        "known is in capture.yaml and in the form"),
-    "photograph that is missing": ([("strips.yaml", PHOTOGRAPHED), ("weft.jpg", b"")], {}, 422,
-                                   "strips.yaml names 'shots/warp 1.PNG', which is not among"),
-    "strips and capture": ([*VIEWS, YAML, ("strips.yaml", LENGTHS)], {}, 422,
-                           "capture.yaml and strips.yaml: give the capture and the strips one"),
-    "pulled strips and capture": ([*VIEWS, YAML, ("tension.yaml", PULLED)], {}, 422,
-                                  "capture.yaml and strips under weights: give one after the"),
-    "pulled strips and views": (VIEWS, {"density_g_m2": "210", **strips_in_a_form(STRIP)}, 422,
-                                "view_0.png and strips under weights of the form: give one after"),
-    "pulled strips twice": ([("tension.yaml", PULLED), ("a 0.jpg", b""), ("a25.png", b"")],
-                            strips_in_a_form(STRIP), 422,
-                            "tension is in tension.yaml and in the form; give the strips in one"),
-    "pulled strip without its extension": (
-        [], {"density_g_m2": "210", **strips_in_a_form(STRIP | {"extension_mm": ""})}, 422,
-        "give each strip its extension_mm"),
-    "pulled strip of 1 000": ([], {"density_g_m2": "210", "tension.1000.load_g": "5"}, 422,
-                              "unknown key 'tension.1000.load_g'; strips under weights have"),
-    "pulled strip without its photograph": (
-        [("tension.yaml", PULLED), ("a 0.jpg", jpeg(PICTURE))], {}, 422,
-        "tension.yaml names 'a25.PNG', which is not among the photographs sent"),
-    "clip without strips": ([], {"density_g_m2": "210", "clip_g": "6"}, 422,
-                            "nothing is measured; give tension, a list of strips"),
-    "strips on a tester": ([("strips.yaml", LENGTHS)], {"tester": "disc300_support180"}, 422,
-                           "unknown key 'tester'"),
-    "refined strips": ([("strips.yaml", LENGTHS)], {"refine": "yes"}, 422,
-                       "refine=yes is for captures, but these are strips"),
-    "enormous photograph of a strip": ([
-        ("strips.yaml", PHOTOGRAPHED), ("warp 1.png", png_of_size(9000, 9000))], {}, 413,
-        "warp_1.png has more than 50 million pixels"),
-    "date in words": ([*VIEWS, YAML], {"date": "yesterday"}, 422,
-                      "date='yesterday' is not a date; give YYYY-MM-DD"),
-    "fields beside density.txt": ([("0.png", PICTURE), ("density.txt", b"0.2")], VALUES, 422,
-                                  "known.bending_length_mm.warp cannot be stated beside"),
-    "unknown field": (VIEWS, {"__class__": "1"}, 422, "unknown key"),
-    "long name": (VIEWS, {"name": "x" * 81}, 422, "80"),
-    "long notes": (VIEWS, {"notes": "x" * 2001}, 422, "2000"),
-    "refine": (VIEWS, {"refine": "perhaps"}, 422, "refine='perhaps'"),
-    "YAML tag": ([*VIEWS, ("capture.yaml", b"!!python/object/apply:os.system [id]")], {}, 422,
-                 "not valid YAML"),
-    "long YAML": ([*VIEWS, ("capture.yaml", b"a: " + b"x" * 70000)], {}, 413, "bytes"),
-    "scan among views": ([("scan.npz", b""), *VIEWS], {}, 422, "must come alone"),
-    "scan without density": ([("scan.npz", b"PK")], {}, 422, "density_g_m2 is missing"),
-}
-
-
-@pytest.mark.parametrize("case", REFUSED)
-def test_invalid_uploads_are_refused_with_a_sentence(case, settings):
-    files, fields, status, sentence = REFUSED[case]
-    with pytest.raises(RequestError) as refused:
-        checked_upload(files, fields, settings)
-    assert refused.value.status_code == status
-    assert sentence in refused.value.detail and "\n" not in refused.value.detail
+@pytest.mark.parametrize(("key", "most"), [("name", 80), ("notes", 2000)])
+def test_long_texts_are_refused(key, most, settings):
+    with pytest.raises(RequestError, match=f"{most}") as refused:
+        checked_upload([*VIEWS, YAML], {key: "x" * (most + 1)}, settings)
+    assert refused.value.status_code == 422

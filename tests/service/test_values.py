@@ -127,14 +127,6 @@ def test_strips_under_weights_of_the_form_join_and_are_reported(client, lengths)
     assert card["fHK"] == pytest.approx(1e3 * shear)
 
 
-def test_a_photograph_without_a_strip_fails_with_its_sentence(client, tmp_path):
-    folder = strip_photographs.write(
-        tmp_path / "strips", {"a.png": np.full((900, 1200), 40, np.uint8)},
-        [strip_photographs.entry(strip_photographs.LONG, "a.png")])
-    found = ended(client, post(client, sorted(folder.iterdir())).json()["id"])
-    assert found["state"] == "failed" and found["error"].startswith("a.png: ")
-
-
 def test_a_new_quantity_appears_on_the_page(tmp_path, monkeypatch):
     def of_nothing(*arguments: object) -> np.ndarray:
         raise AssertionError

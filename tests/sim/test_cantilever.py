@@ -2,17 +2,19 @@
 
 import numpy as np
 import pytest
+from cylinders import (
+    LevelSides,
+    TiedRows,
+    cylinder_moduli,
+    cylinder_torque,
+    free_modulus,
+    guided,
+    tabulated_law,
+)
 from elastica_curves import LAWS, WEIGHT, curves_of
 from scipy.integrate import solve_bvp
 
 from common.errors import InputError
-from experiments.physics.guides import LevelSides, TiedRows, guided
-from experiments.physics.strips import (
-    cylinder_moduli,
-    cylinder_torque,
-    free_modulus,
-    tabulated_law,
-)
 from sim.cantilever import (
     aspect_ratio,
     elastica,

@@ -19,6 +19,8 @@ const WORDS = ['name', 'notes', 'label', 'face', 'unit', 'tester', 'mat', 'arrow
 
 // The field that a sentence of the service names first; words of sentences only where they have a value.
 export function fieldOf(sentence) {
+  const [, entry, key] = sentence.match(/^(\w+\.\d+)=.* has (\w+) /) ?? []; // of a list
+  if (form.elements[`${entry}.${key}`]) return `${entry}.${key}`;
   const names = [...new Set([...form.elements].map((field) => field.name).filter(Boolean)), ...Object.keys(PARTS)];
   const found = names.map((name) => {
     const after = WORDS.includes(name) ? '(?==| is missing|: (?:false|mm|clockwise))' : '(?![\\w.]*[a-z_])';
