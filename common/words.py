@@ -19,9 +19,11 @@ def stated(
     name: str, words: Sequence[str], schema: type, folder: Path | None = None
 ) -> dict[str, Any]:
     """The content of ``NAME.yaml`` of a ``folder`` or of ``configs`` with the settings in ``words``
-    in place of its own, unchecked but for their keys; their form follows from the ``schema``."""
+    in place of its own, unchecked but for their keys; their form follows from the ``schema``. A
+    word that begins with + adds its key."""
     options: dict[str, str] = {}
-    for word in words:
+    new = {word[1:].partition("=")[0] for word in words if word.startswith("+")}
+    for word in (word.removeprefix("+") for word in words):
         key, equals, options[key] = word.partition("=")
         if not equals:
             raise InputError(f"{word}: write KEY=VALUE without spaces around =, in quotes if it "
@@ -29,7 +31,7 @@ def stated(
     content = composed(name, options, folder)  # takes those of groups out
     for key, text in options.items():
         kind, (*path, last) = schema, key.split(".")
-        _at(content, [*path, last], f"{key}={text}")
+        _at(content, path if key in new else [*path, last], f"{key}={text}")
         for part in [*path, last]:
             kind = get_type_hints(kind).get(part) if is_dataclass(kind) else None
         merge(_at(content, path, key), {last: value_of(text, kind, key)})

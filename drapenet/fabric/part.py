@@ -34,7 +34,7 @@ from drapenet.fabric.stages import (
     estimate_capture,
     require_sound,
 )
-from drapenet.measured.base import Measured
+from drapenet.measured.base import Measured, finding_of
 from drapenet.measured.read import known_values
 from drapenet.network.checkpoint import Header, read_header
 from drapenet.result.document import EstimateDocument
@@ -170,10 +170,9 @@ def stored_part(source: Source, folder: Path, key: str) -> Part | Refusal | None
                                               joint=refusal["joint"]), state["known"])
         estimate, document = read_estimate(folder)
         seen = read_observation(folder) if state["observed"] else None
-        faults = tuple(Finding(one["code"], one["values"], one["source"])
-                       for one in state["faults"])
+        faults = tuple(map(finding_of, state["faults"]))
         return Part(source, estimate, document, seen, faults)
-    except (InputError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError):
         return None
 
 

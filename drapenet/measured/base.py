@@ -40,7 +40,7 @@ Finite = Annotated[float | None, BeforeValidator(
 Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
 
 
-def _finding(content: Any) -> Finding:
+def finding_of(content: Any) -> Finding:
     """The finding of a record that has a code with a sentence, and its values."""
     if isinstance(content, Finding):
         return content
@@ -52,7 +52,7 @@ def _finding(content: Any) -> Finding:
     return found
 
 
-Recorded = Annotated[Finding, PlainValidator(_finding),
+Recorded = Annotated[Finding, PlainValidator(finding_of),
                      PlainSerializer(lambda found: found.record)]
 """A finding; in JSON its :attr:`~common.findings.Finding.record`."""
 
