@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 from common.errors import InputError
 from common.types import Mask, PixelPath, Radians
 from data.pictures.edge import sampled
+from sim.cantilever.moduli import arc_lengths
 
 POINTS = 60  # of a centre line
 BLUR = 1.2  # pixels, standard deviation
@@ -63,8 +64,8 @@ class CentreLine:
 
 
 def trace_strip(
-    grey: np.ndarray, ignored: Mask, *, thick: float, clamp: np.ndarray | None = None,
-    roll: Radians | None = None, slope: Radians = 0.0
+    grey: np.ndarray, ignored: Mask, *, thick: float, clamp: np.ndarray | None,
+    roll: Radians | None, slope: Radians
 ) -> CentreLine:
     """The strip in a picture (H, W) float32, 0 to 255; InputError if there is not exactly one.
 
@@ -98,7 +99,7 @@ def trace_strip(
     path = _rough_path(strip, solid)
     sign = np.sign(np.median(contrast[strip]))
     field = sign * contrast
-    band = max(strip.sum() / max(_arc(path)[-1], 1.0), 1.5)
+    band = max(strip.sum() / max(arc_lengths(path)[-1], 1.0), 1.5)
     for _ in range(_ROUNDS):
         path = _resampled(path, max(2 * band, 15.0))
         path, widths, peak = _midway(field, path, band)
@@ -211,8 +212,9 @@ def _strip_beside(
             raise InputError(f"the nearest strip is {inside[chosen]:.0f} pixels from clamp_px; "
                              "state the point at which the strip leaves the clamp")
     else:
-        chosen = int(np.argmax(np.where(_to_the_right(labels, sizes, least, solid), sizes, 0)))
-        if not _to_the_right(labels, sizes, least, solid)[chosen]:
+        to_the_right = _to_the_right(labels, sizes, least, solid)
+        chosen = int(np.argmax(np.where(to_the_right, sizes, 0)))
+        if not to_the_right[chosen]:
             raise InputError("the strip hangs to the other side of its clamp than stated; correct "
                              "hangs")
     height, width = differs.shape
@@ -265,7 +267,7 @@ def _require_no_branch(strip: Mask, path: PixelPath, widths: np.ndarray, band: f
     """InputError for a strip with parts far from its centre line, over its ``widths`` (K,), pixels,
     from its start on. Its ends are left out, where the corners of an end seen obliquely are."""
     distance, nearest = cKDTree(path).query(np.argwhere(strip)[:, ::-1])
-    arc = _arc(path)
+    arc = arc_lengths(path)
     within = (arc[nearest] > 1.5 * band) & (arc[nearest] < arc[-1] - 1.5 * band)
     usual = median_filter(widths, min(61, len(widths)))
     local = np.maximum(usual[np.minimum(nearest, len(usual) - 1)], band)
@@ -276,15 +278,11 @@ def _require_no_branch(strip: Mask, path: PixelPath, widths: np.ndarray, band: f
                          "cut threads that hang from it")
 
 
-def _arc(path: PixelPath) -> np.ndarray:
-    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
-
-
 def _resampled(path: PixelPath, window: float) -> PixelPath:
     """A path at equal steps, smoothed over a ``window`` in pixels."""
     from scipy.signal import savgol_filter  # importing it takes a third of a second
 
-    arc = _arc(path)
+    arc = arc_lengths(path)
     at = np.arange(0.0, arc[-1], _STEP)
     even = np.column_stack([np.interp(at, arc, axis) for axis in path.T])
     odd = min(int(window / _STEP) // 2 * 2 + 1, (len(even) - 1) // 2 * 2 + 1)
@@ -379,7 +377,7 @@ def _clamp_edge(
 def _thinned(path: PixelPath) -> tuple[PixelPath, np.ndarray]:
     """:data:`POINTS` places of a path, from quadratics through equal parts of it, and their
     standard errors across; neighbouring places of the path depend on each other."""
-    arc = _arc(path)
+    arc = arc_lengths(path)
     bounds = np.linspace(0, arc[-1], POINTS)  # the tip is the last point
     points, errors = [], []
     for low, high in pairwise(bounds):

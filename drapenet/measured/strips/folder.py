@@ -45,7 +45,6 @@ class StripSet(Measured):
 
     @classmethod
     def read(cls, place: Path, stated: Mapping[str, Any]) -> "StripSet":
-        """Read a folder."""
         return read_strips(place)
 
     def __len__(self) -> int:
@@ -53,7 +52,6 @@ class StripSet(Measured):
 
     @property
     def needs_warp(self) -> bool:
-        """Any strip is along a known direction."""
         return len(self) > 0
 
     @property
@@ -68,7 +66,6 @@ class StripSet(Measured):
         return set(self.curves) == set(DIRECTIONS)
 
     def record(self, prior: ClothProperties) -> StripsRecord:
-        """Moduli and evidence of each direction."""
         moduli = {}
         for direction, strip in self.evidence(prior_along(prior, self.density)).items():
             alpha, beta = strip.samples()
@@ -90,7 +87,6 @@ class StripSet(Measured):
             ).encode() for strip in self.photographs}
 
     def shown(self) -> bytes:
-        """The photographs with the curves."""
         from data.captures.preview import png  # Matplotlib
         from drapenet.measured.strips.preview import strips_figure
 

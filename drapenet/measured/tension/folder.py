@@ -61,7 +61,6 @@ class TensionSet(Measured):
 
     @classmethod
     def read(cls, place: Path, stated: Mapping[str, Any]) -> "TensionSet":
-        """Read a folder."""
         return read_tension(place)
 
     @property
@@ -91,11 +90,9 @@ class TensionSet(Measured):
             "known": self.known})
 
     def findings(self, observed: Observed | None, setups: Setups) -> list[Finding]:
-        """Contradictions of the strips, and unusual values."""
         return [*self.evidence.findings]
 
     def shown(self) -> bytes:
-        """Photographs with marks, and loads over extensions."""
         if not self.strips:
             return b""
         from data.captures.preview import png  # Matplotlib

@@ -15,7 +15,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from common.errors import InputError
+from common.errors import InputError, of
 from common.files import path_named
 from common.types import Metres, Pixels, Radians
 from data.captures.scale import MAT_SIDE
@@ -54,7 +54,7 @@ class MarkedPicture:
     Attributes:
         photograph, pose: the picture, and the camera over the mat.
         height: of the strip above the mat, in lengths of the mat's layout.
-        markers: (M, 2) m, of the mat that are seen; ``pixel``: size of a pixel, m.
+        markers: (M, 2) m, of the mat that are seen.
         mat: its name.
     """
 
@@ -110,18 +110,21 @@ class Strip:
     width: Metres
     ends: tuple[Metres, Metres]
 
+    def places(self, along: np.ndarray, across: np.ndarray) -> np.ndarray:
+        """Places (..., 2), m, of the plane by coordinates (...) from the point of the middle line.
+        """
+        normal = np.array([-self.along[1], self.along[0]])
+        return self.middle + along[..., None] * self.along + across[..., None] * normal
+
     def band(self, picture: MarkedPicture) -> Band:
         """The strip, straightened; where there is no picture it is black."""
         count = int((self.ends[1] - self.ends[0]) / STEP)
         along = self.ends[0] + STEP * np.arange(count)
         fine = np.linspace(-ACROSS, ACROSS, 2 * COLUMNS) * self.width
-        normal = np.array([-self.along[1], self.along[0]])
-        places = (self.middle + along[:, None, None] * self.along
-                  + fine[:, None] * normal)
-        logs = np.nan_to_num(picture.logs(places), nan=np.log(_LIGHT_FLOOR))
-        pair = (count, COLUMNS, 2)
+        logs = np.nan_to_num(picture.logs(self.places(along[:, None], fine)),
+                             nan=np.log(_LIGHT_FLOOR))
         return Band(along, fine.reshape(COLUMNS, 2).mean(axis=1),
-                    logs.reshape(*pair, 3).mean(axis=2))
+                    logs.reshape(count, COLUMNS, 2, 3).mean(axis=2))
 
 
 @dataclass(frozen=True)
@@ -148,8 +151,7 @@ class PhotographedExtension:
 
 def read_extension(
     folder: Path, files: tuple[str, str], *, width: Metres, gauge: Metres, most: float,
-    above: Metres = 0.0, scale: float = 1.0,
-    marks: tuple[Sequence, Sequence] | None = None
+    above: Metres, scale: float, marks: tuple[Sequence, Sequence] | None
 ) -> PhotographedExtension:
     """Read a pair of photographs, without and with the weight; InputError in one line.
 
@@ -166,17 +168,13 @@ def read_extension(
     windows = ((gauge - slack, gauge + slack), (gauge - slack, (1 + most) * (gauge + slack)))
     seen = []
     for k, picture in enumerate(pictures):
-        try:
+        with of(folder / picture.name):
             seen.append(_look(picture, width, windows[k], scale, marks and marks[k]))
-        except InputError as error:
-            raise InputError(f"{folder / picture.name}: {error}") from None
     chosen = _best([one.pairs for one in seen], str(folder / pictures[0].name))
     courses = [[one.band.course(line) for line in pair] for one, pair in zip(
         seen, chosen, strict=True)]
-    try:
+    with of(folder / pictures[1].name):
         distances = _distances([one.band for one in seen], courses, scale)
-    except InputError as error:
-        raise InputError(f"{folder / pictures[1].name}: {error}") from None
     length, extension = distances.length, distances.extension
     return PhotographedExtension(
         scale * length, scale * extension,
@@ -298,10 +296,7 @@ def _spread(values: np.ndarray) -> float:
 
 def _pixels(picture: MarkedPicture, seen: _Seen, course: np.ndarray) -> np.ndarray:
     """Pixels (COLUMNS, 2) of a course."""
-    along = seen.strip.along
-    normal = np.array([-along[1], along[0]])
-    places = (seen.strip.middle + course[:, None] * along
-              + seen.band.across[:, None] * normal)
+    places = seen.strip.places(course, seen.band.across)
     points = np.column_stack([np.nan_to_num(places), np.full(COLUMNS, picture.height)])
     return np.where(np.isfinite(course)[:, None], picture.pose.pixels_of(points), np.nan)
 
@@ -364,8 +359,7 @@ def find_strip(picture: MarkedPicture, width: Metres) -> Strip:
     ground &= np.isfinite(logs).all(axis=2)
     there = places[ground]
     differs = np.minimum(_from_ground(there / half, logs[ground]) / _DIFFERS, 1)
-    best = max((_bands(there, differs, angle, width) for angle in _ANGLES), default=None)
-    assert best  # of all angles one is the best
+    best = max(_bands(there, differs, angle, width) for angle in _ANGLES)
     best = max(_bands(there, differs, best[1] + angle, width) for angle in _FINER)
     score, angle, low, high, inside = best
     if score < _SCORE:
