@@ -186,8 +186,9 @@ def maps_of_shard(
             depth, views = None, 0
             if number < captures:
                 depth, views, wrong = _depth(moved, faces, rig, setups, rng, wrong)
-            rows.append(_shadows(moved, mesh, rig, wrong) | _truth(drape, rig, step) | {
-                "views": views, "depth": len(depths) if depth else -1})
+            rows.append(_truth(drape, rig, step) | {
+                "silhouettes": _silhouettes(moved, mesh, rig, wrong), "views": views,
+                "depth": len(depths) if depth else -1})
             depths += [depth] if depth else []
     seen = {name: np.stack([nothing, *(depth[name] for depth in depths)])[1:]
             for name, nothing in _OF_DEPTH.items()}
@@ -217,13 +218,13 @@ def _depth(
             }, len(capture.views), drape.zero - capture.orientation
 
 
-def _shadows(positions: Points, mesh: Mesh, rig: Rig, wrong: Radians) -> dict[str, Any]:
-    """Outlines of a drape, a field of :class:`Maps`."""
+def _silhouettes(positions: Points, mesh: Mesh, rig: Rig, wrong: Radians) -> np.ndarray:
+    """Outlines of a drape, a row of that field of :class:`Maps`."""
     with np.errstate(divide="ignore"):
         heights = rig.specimen_size / np.array(PERSPECTIVES)
     edges = contour(positions, mesh, heights.min())
     radii = silhouettes(positions, edges, heights, zero=wrong)
-    return {"silhouettes": (radii / (rig.specimen_size / 2)).astype(np.float32)}
+    return (radii / (rig.specimen_size / 2)).astype(np.float32)
 
 
 def _truth(drape: dict[str, np.ndarray], rig: Rig, step: np.ndarray) -> dict[str, Any]:

@@ -56,15 +56,11 @@ class Expected(torch.nn.Module):
     def log_density(self, shape: torch.Tensor, targets: torch.Tensor, facts: torch.Tensor,
                     face: torch.Tensor) -> torch.Tensor:
         """(...) log density of the known numbers of shapes (..., SHAPE)."""
-        return _log_density(shape, *self(targets, facts, face))
-
-
-def _log_density(shape: torch.Tensor, weights: torch.Tensor, means: torch.Tensor,
-                 deviations: torch.Tensor) -> torch.Tensor:
-    known = shape.isfinite()[..., None, :]
-    gap = (shape.nan_to_num()[..., None, :] - means) / deviations.exp()
-    each = (-gap.square() / 2 - deviations - math.log(2 * math.pi) / 2) * known
-    return (weights + each.sum(dim=-1)).logsumexp(dim=-1)
+        weights, means, deviations = self(targets, facts, face)
+        known = shape.isfinite()[..., None, :]
+        gap = (shape.nan_to_num()[..., None, :] - means) / deviations.exp()
+        each = (-gap.square() / 2 - deviations - math.log(2 * math.pi) / 2) * known
+        return (weights + each.sum(dim=-1)).logsumexp(dim=-1)
 
 
 def circular(inputs: int, outputs: int, stride: int = 1, width: int = 3) -> torch.nn.Conv1d:
@@ -121,8 +117,9 @@ class Network(torch.nn.Module):
     def add_layers(self, features: int, facts: int) -> None:
         """Layers from the ``features`` of each capture, ``facts`` columns and, of rectangles, the
         aspects to the posterior."""
-        self.facts = facts = facts + ASPECTS * self.rectangles
+        facts += ASPECTS * self.rectangles
         regression, dropout = self.output == "regression", self.dropout
+        self.facts = facts
         self.embed = torch.nn.Sequential(
             torch.nn.Dropout(dropout), torch.nn.Linear(features + facts, _EMBEDDING),
             torch.nn.ReLU(), torch.nn.Linear(_EMBEDDING, 2 * _EMBEDDING))

@@ -151,12 +151,15 @@ def _terms(rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
     return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
 
 
+def _inside(mask: Mask) -> np.ndarray:
+    """Distance (H, W), pixels, of what is in a mask from what is not, 0 elsewhere."""
+    return cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5)
+
+
 def _thick_parts(differs: Mask, thick: float) -> Mask:
     """What discs of the radius ``thick`` cover within a mask."""
-    inner = cv2.distanceTransform(differs.astype(np.uint8), cv2.DIST_L2, 5) > thick
-    if not inner.any():
-        return inner
-    return cv2.distanceTransform((~inner).astype(np.uint8), cv2.DIST_L2, 5) <= thick
+    inner = _inside(differs) > thick
+    return _inside(~inner) <= thick if inner.any() else inner
 
 
 def _edge_roll(solid: Mask, thick: float, slope: Radians) -> Radians:
@@ -191,7 +194,7 @@ def _strip_beside(
     differs: Mask, solid: Mask, thick: float, clamp: np.ndarray | None
 ) -> Mask:
     """The thin piece that leaves the clamp; InputError if there is none, or more."""
-    from_solid = cv2.distanceTransform((~solid).astype(np.uint8), cv2.DIST_L2, 5)
+    from_solid = _inside(~solid)
     thin = differs & (from_solid > _SOURCE_GAP)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(thin.astype(np.uint8))
     left, top, wide, high, areas = stats[1:].T
@@ -253,7 +256,7 @@ def _rough_path(strip: Mask, solid: Mask) -> PixelPath:
     graph = sparse.csr_array((np.concatenate(steps), (np.concatenate(starts),
                                                       np.concatenate(ends))),
                              shape=(len(rows),) * 2)
-    from_solid = cv2.distanceTransform((~solid).astype(np.uint8), cv2.DIST_L2, 5)[rows, columns]
+    from_solid = _inside(~solid)[rows, columns]
     sources = np.flatnonzero(from_solid < from_solid.min() + 1.5)
     reach = dijkstra(graph, directed=False, indices=sources, min_only=True)
     step = max(4.0, 0.5 * len(rows) / reach.max())
