@@ -192,6 +192,5 @@ def composed(name: str) -> str:
 
 
 def printable(path: str | Path) -> str:
-    """The path with its bytes that are not UTF-8 replaced: neither JSON nor a page may hold them.
-    """
+    """The path with bytes that are not UTF-8 replaced: neither JSON nor a page may hold them."""
     return os.fsencode(path).decode(errors="replace")

@@ -70,16 +70,15 @@ class Quantity(Excerpt):
                         interval_68=[factor * end for end in self.interval_68],
                         interval_90=[factor * end for end in self.interval_90])
 
-    def texts(self, key: str = "interval_68") -> tuple[str, str]:
-        """Median and interval as text, with decimals according to the interval's width."""
-        low, high = getattr(self, key)
+    def texts(self) -> tuple[str, str]:
+        """Median and 68 % interval as text, with decimals according to the interval's width."""
+        low, high = self.interval_68
         places = 0
         if (half := (high - low) / 2) > 0:
             places = min(max(1 - math.floor(math.log10(half)), 0), 6)
         return f"{self.median:.{places}f}", f"{low:.{places}f} to {high:.{places}f}"
 
     def __str__(self) -> str:
-        """Median and 68 % interval."""
         return "{} ({})".format(*self.texts())
 
 
@@ -97,8 +96,7 @@ class Record(Excerpt):
     kind: ClassVar[str]
     """Name of its kind: :attr:`Measured.name`."""
     names: ClassVar[tuple[str, ...]] = ()
-    """Columns that tables have whatever was measured; others only where :meth:`columns` has them.
-    """
+    """Columns that all tables have; others stand only where :meth:`columns` has them."""
     source: Text
     density_g_m2: float
     known: Known | None = None

@@ -109,14 +109,13 @@ class StripEvidence:
         return replace(self, measured=self.measured.moved(mean - self.posterior.mean),
                        posterior=Normal(mean, self.posterior.covariance))
 
-    def samples(self, count: int = 4000) -> tuple[np.ndarray, np.ndarray]:
-        """Samples of alpha, N·m, and beta, N·m², (count,) each, by a fixed seed."""
-        log_alpha, ratio, _ = self.posterior.samples(count).T
+    def samples(self) -> tuple[np.ndarray, np.ndarray]:
+        """Samples of alpha, N·m, and beta, N·m², (4000,) each, by a fixed seed."""
+        log_alpha, ratio, _ = self.posterior.samples(4000).T
         return np.exp(log_alpha), np.exp(log_alpha) * ratio
 
     def intervals(self, level: float) -> np.ndarray:
-        """Central intervals (2, 2) of alpha, N·m, and beta, N·m², with the probability ``level``.
-        """
+        """Central intervals (2, 2) of alpha, N·m, and beta, N·m², of the probability ``level``."""
         ends = [(1 - level) / 2, (1 + level) / 2]
         return np.stack([np.quantile(values, ends) for values in self.samples()])
 

@@ -84,7 +84,7 @@ class TensionSet(Measured):
             "stretch_n_per_m": {"warp": intervals(warp), "weft": intervals(weft)},
             "friction_n_per_m": {name: float(found.friction[DIRECTIONS.index(name)])
                                  for name in directions_of(self.strips)},
-            "weight_for_10_percent_g": self.loads(found),
+            "weight_for_10_percent_g": self.loads(),
             "readings": {key: intervals(values) for key, values in found.readings().items()},
             "along_yarns": self.needs_warp, "findings": [*self.warnings, *found.findings],
             "known": self.known})
@@ -100,8 +100,9 @@ class TensionSet(Measured):
 
         return png(tension_figure(self.strips, self.photographs, self.evidence))
 
-    def loads(self, found: TensionEvidence) -> dict[str, float]:
+    def loads(self) -> dict[str, float]:
         """For each direction the weight, g, that stretches its first strip by :data:`AIM`."""
+        found = self.evidence
         warp, weft, shear = np.exp(found.posterior.mean)
         return {DIRECTIONS[strip.direction]: float(1e3 * strip.width / STANDARD_GRAVITY * (
             found.friction[strip.direction]

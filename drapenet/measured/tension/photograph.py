@@ -111,8 +111,7 @@ class Strip:
     ends: tuple[Metres, Metres]
 
     def places(self, along: np.ndarray, across: np.ndarray) -> np.ndarray:
-        """Places (..., 2), m, of the plane by coordinates (...) from the point of the middle line.
-        """
+        """Places (..., 2), m, in the plane, by coordinates (...) along and across the strip."""
         normal = np.array([-self.along[1], self.along[0]])
         return self.middle + along[..., None] * self.along + across[..., None] * normal
 

@@ -18,8 +18,7 @@ class Stretch(Excerpt):
 
 
 class TensionRecord(Record):
-    """Strips under weights: stiffnesses at the fabric's density, ``measured`` or of usual fabrics.
-    """
+    """Strips under weights: stiffnesses at the fabric's density, measured or of usual fabrics."""
 
     kind = "tension"
     names = tuple(COLUMNS.values())
