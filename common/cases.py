@@ -71,10 +71,7 @@ def in_processes(
     unit: str,
 ) -> Iterator[tuple[Any, Any]]:
     """Name and outcome of ``work(*arguments)`` of each task, as they end, or the exception that it
-    raises, with a bar of the progress.
-
-    Args:
-        tasks: arguments by name, of those that are not yet finished of ``total``.
+    raises, with a bar of the progress; ``tasks`` are those of ``total`` that are not yet finished.
     """
     if workers < 1:
         raise InputError(f"workers={workers}: at least one process is needed")

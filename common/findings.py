@@ -29,16 +29,13 @@ def sentences() -> dict[str, str]:
 class Finding:
     """A warning, a contradiction, an advice or the reason of a refusal.
 
-    Attributes:
-        code: names the kind, a key of ``findings.yaml``.
-        values: what its sentence states, in JSON's types: numbers in the unit that people see, and
-            names; ``value`` and ``limit`` where a measured value has a limit.
-        source: key of the capture, strip or stated value that it is of; '': what is estimated.
+    ``values`` are what its sentence states, in JSON's types: numbers in the unit that people see,
+    and names; ``value`` and ``limit`` where a measured value has a limit.
     """
 
-    code: str
+    code: str  # a key of findings.yaml
     values: Mapping[str, Any] = field(default_factory=dict)
-    source: str = ""
+    source: str = ""  # key of the capture, strip or stated value; '': what is estimated
 
     @property
     def text(self) -> str:

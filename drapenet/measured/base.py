@@ -189,16 +189,11 @@ class Described(Weighed, Labels):
 
 @dataclass(frozen=True)
 class Observed:
-    """A capture as it is observed.
-
-    Attributes:
-        seen: the network's input.
-        views: of a depth capture.
-    """
+    """A capture as it is observed."""
 
     capture: Capture
-    seen: Observation
-    views: LocatedViews | None = None
+    seen: Observation  # the network's input
+    views: LocatedViews | None = None  # of a depth capture
 
 
 class Stated(Schema):
@@ -213,10 +208,6 @@ class Measured:
 
     A source has either what a network observes (:meth:`observed`) or a record of its own
     (:meth:`record`).
-
-    Attributes:
-        path: names it.
-        warnings: of reading.
     """
 
     name: ClassVar[str]
@@ -238,7 +229,7 @@ class Measured:
     density: Density
     known: Known | None = None
     labels: Labels = UNLABELLED
-    warnings: tuple[Finding, ...] = ()
+    warnings: tuple[Finding, ...] = ()  # of reading
 
     @classmethod
     def read(cls, place: Path, stated: Mapping[str, Any]) -> "Measured":

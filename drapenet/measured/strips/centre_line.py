@@ -42,25 +42,15 @@ _ROUNDS = 3
 
 @dataclass(frozen=True)
 class CentreLine:
-    """A strip in a picture.
+    """A strip in a picture; lengths in pixels."""
 
-    Attributes:
-        points: (N, 2) from the clamp to the tip, pixels; the last is the tip's end.
-        error: (N,) standard errors across, pixels.
-        band, thinnest: median and nearly smallest width of the strip as seen, pixels.
-        clamp: (2,) where the centre line leaves the clamp, pixels.
-        roll: of the horizontal, by the clamp's edges, clockwise; NaN if they are not seen.
-        uneven: how far the clamp's edges above and below the strip differ, pixels; None if the
-            clamp is not looked for.
-    """
-
-    points: PixelPath
-    error: np.ndarray
-    band: float
-    thinnest: float
-    clamp: np.ndarray
-    roll: Radians
-    uneven: float | None = None
+    points: PixelPath  # (N, 2) from the clamp to the tip; the last is the tip's end
+    error: np.ndarray  # (N,) standard errors across
+    band: float  # median width of the strip as seen
+    thinnest: float  # nearly its smallest width
+    clamp: np.ndarray  # (2,) where the centre line leaves the clamp
+    roll: Radians  # of the horizontal, by the clamp's edges, clockwise; NaN if they are not seen
+    uneven: float | None = None  # by how much the clamp's edges above and below the strip differ
 
 
 def trace_strip(

@@ -29,18 +29,13 @@ ROUNDS = 6  # of the correction for the twist of free strips
 
 @dataclass(frozen=True, kw_only=True)
 class StripSet(Measured):
-    """The strips of one fabric.
-
-    Attributes:
-        lengths: direction and value of each bending length that was typed in.
-        slope: of all clamps below the horizontal.
-    """
+    """The strips of one fabric."""
 
     name, noun, schema, recorded = "strips", "strips", StripsDescription, StripsRecord
     apart = "strips.yaml: give the capture and the strips one after the other"
     photographs: tuple[PhotographedStrip, ...] = ()
-    lengths: tuple[tuple[str, BendingLength], ...] = ()
-    slope: Radians = 0.0
+    lengths: tuple[tuple[str, BendingLength], ...] = ()  # with their directions, as typed in
+    slope: Radians = 0.0  # of all clamps below the horizontal
     width: Metres = 0.03
 
     @classmethod

@@ -51,22 +51,14 @@ BAND_ERROR = (5e-6, 0.008)  # m, and relative to the band's width, over a quarte
 
 @dataclass(frozen=True)
 class PhotographedStrip:
-    """One strip, and what was seen of it.
+    """One strip, and what was seen of it."""
 
-    Attributes:
-        name: of the file.
-        measured: its curve with the covariance of its errors.
-        picture: (H, W) uint8, grey, reduced.
-        pixels: of the curve in ``picture``.
-        band: width of the strip as seen.
-    """
-
-    name: str
+    name: str  # of the file
     direction: str
     measured: MeasuredStrip
-    picture: np.ndarray
-    pixels: Pixels
-    band: Metres
+    picture: np.ndarray  # (H, W) uint8, grey, reduced
+    pixels: Pixels  # of the curve in the picture
+    band: Metres  # width of the strip as seen
     warnings: tuple[Finding, ...] = ()
 
 

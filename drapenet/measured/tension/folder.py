@@ -46,18 +46,13 @@ TURNED = np.radians(3.0)  # that marks may be turned by a weight: beyond, a band
 
 @dataclass(frozen=True, kw_only=True)
 class TensionSet(Measured):
-    """The strips of one fabric.
-
-    Attributes:
-        shear: stiffness by KES-FB1, N/m, if it is stated.
-        photographs: what pairs of photographs say, by the strip's number.
-    """
+    """The strips of one fabric."""
 
     name, noun, alone = "tension", "strips under weights", True
     schema, recorded = TensionDescription, TensionRecord
     strips: tuple[MeasuredExtension, ...]
-    shear: float | None = None
-    photographs: Mapping[int, PhotographedExtension] = field(default_factory=dict)
+    shear: float | None = None  # stiffness by KES-FB1, N/m, if it is stated
+    photographs: Mapping[int, PhotographedExtension] = field(default_factory=dict)  # by strip
 
     @classmethod
     def read(cls, place: Path, stated: Mapping[str, Any]) -> "TensionSet":

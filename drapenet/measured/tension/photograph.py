@@ -49,21 +49,14 @@ OTHERWISE = "or state marks_px, the two marks' places in both pictures"
 
 @dataclass(frozen=True)
 class MarkedPicture:
-    """A photograph of a strip, in its plane.
+    """A photograph of a strip, in its plane."""
 
-    Attributes:
-        photograph, pose: the picture, and the camera over the mat.
-        height: of the strip above the mat, in lengths of the mat's layout.
-        markers: (M, 2) m, of the mat that are seen.
-        mat: its name.
-    """
-
-    name: str
+    name: str  # of the file
     photograph: Photograph
-    pose: Pose
-    height: Metres
-    markers: np.ndarray
-    mat: str
+    pose: Pose  # of the camera over the mat
+    height: Metres  # of the strip above the mat, in lengths of the mat's layout
+    markers: np.ndarray  # (M, 2) m, of the mat that are seen
+    mat: str  # its name
 
     @property
     def away(self) -> Metres:
@@ -101,14 +94,12 @@ class MarkedPicture:
 
 @dataclass(frozen=True)
 class Strip:
-    """A strip in its plane: a point (2,) of its middle line, its direction (2,), its width, and
-    between which places along it, from that point, it may be.
-    """
+    """A strip in its plane."""
 
-    middle: np.ndarray
-    along: np.ndarray
+    middle: np.ndarray  # (2,) a point of its middle line
+    along: np.ndarray  # (2,) its direction
     width: Metres
-    ends: tuple[Metres, Metres]
+    ends: tuple[Metres, Metres]  # places along it, from that point, between which it may be
 
     def places(self, along: np.ndarray, across: np.ndarray) -> np.ndarray:
         """Places (..., 2), m, in the plane, by coordinates (...) along and across the strip."""
@@ -128,24 +119,15 @@ class Strip:
 
 @dataclass(frozen=True)
 class PhotographedExtension:
-    """What two photographs say.
+    """What two photographs say, without and with the weight."""
 
-    Attributes:
-        gauge: distance of the marks without the weight; ``extension``: with it, more.
-        error: standard deviation of the extension.
-        width: of the strip without the weight, as seen; NaN if it was not looked for.
-        turned: angle to the strip by which the marks are turned with the weight.
-        pictures: names of both files.
-        courses: (2, 2, COLUMNS, 2) pixels, of both marks in both pictures; NaN where not seen.
-    """
-
-    gauge: Metres
-    extension: Metres
-    error: Metres
-    width: Metres
-    turned: Radians
+    gauge: Metres  # distance of the marks without the weight
+    extension: Metres  # how much farther they are apart with it
+    error: Metres  # standard deviation of the extension
+    width: Metres  # of the strip without the weight, as seen; NaN if it was not looked for
+    turned: Radians  # angle to the strip by which the marks are turned with the weight
     pictures: tuple[MarkedPicture, MarkedPicture]
-    courses: np.ndarray
+    courses: np.ndarray  # (2, 2, COLUMNS, 2) pixels, of both marks in both; NaN where not seen
 
 
 def read_extension(
@@ -218,15 +200,13 @@ def _look(picture: MarkedPicture, width: Metres, window: tuple[Metres, Metres], 
 
 @dataclass(frozen=True)
 class _Distances:
-    """Of two marks without the weight, and how much farther they are apart with it, by ``seen``
-    (COLUMNS,) of the ``by_column`` (COLUMNS,); how far the lines of one strip are ``turned``
-    between the pictures, rad, and by which angle they are ``unparallel`` without the weight."""
+    """Of two marks."""
 
-    length: Metres
-    by_column: np.ndarray
-    seen: np.ndarray
-    turned: Radians
-    unparallel: Radians
+    length: Metres  # without the weight
+    by_column: np.ndarray  # (COLUMNS,) how much farther they are apart with it
+    seen: np.ndarray  # (COLUMNS,) whether a column counts
+    turned: Radians  # of the lines between the pictures
+    unparallel: Radians  # angle between the lines without the weight
 
     @property
     def extension(self) -> Metres:
