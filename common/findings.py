@@ -13,7 +13,7 @@ from typing import Any
 
 import yaml
 
-from common.files import printable
+from common.files import finite, printable
 
 SENTENCES = Path(__file__).with_suffix(".yaml")
 
@@ -46,10 +46,8 @@ class Finding:
     @property
     def record(self) -> dict[str, Any]:
         """In JSON's types, with its text; a number that is not finite is None."""
-        values = {name: None if isinstance(value, float) and not math.isfinite(value) else value
-                  for name, value in self.values.items()}
         return {"code": self.code, "source": printable(self.source), "text": self.text,
-                "values": values}
+                "values": finite(dict(self.values))}
 
 
 def texts(findings: Iterable[Finding]) -> list[str]:

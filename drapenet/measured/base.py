@@ -16,7 +16,7 @@ from pydantic import BeforeValidator, Field, InstanceOf, PlainSerializer, PlainV
 
 from common.documents import Excerpt, Schema, read_yaml, require_file_in
 from common.errors import InputError
-from common.files import printable
+from common.files import finite, printable
 from common.findings import Finding, records
 from common.types import Density
 from data.captures.capture import Capture
@@ -34,9 +34,8 @@ M = TypeVar("M", bound="Measured")
 INTERVALS = {"interval_68": 0.68, "interval_90": 0.90}
 Text = InstanceOf[str]
 """A text that may hold a path, whose bytes need not be UTF-8."""
-Finite = Annotated[float | None, BeforeValidator(
-    lambda value: None if isinstance(value, float) and not math.isfinite(value) else value)]
-"""A number, None where it is not finite, for which JSON has no notation."""
+Finite = Annotated[float | None, BeforeValidator(finite)]
+"""A number, None where it is not finite."""
 Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
 
 
