@@ -15,7 +15,7 @@ from services import BreakablePool, settings_for
 import drapenet
 import infer
 from drapenet.config import EstimateOptions
-from drapenet.service import jobs, pools, work
+from drapenet.service import pools, work
 from drapenet.service.app import create_app
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -62,8 +62,7 @@ def by_batch(fabric: Path, out: Path, patch: pytest.MonkeyPatch) -> Path:
 def by_service(fabric: Path, out: Path, patch: pytest.MonkeyPatch) -> Path:
     """By the tasks of the service's workers, in this process and without drapes."""
     patch.setattr(work, "EstimateOptions", partial(EstimateOptions, drapes=0))
-    for module in (jobs, pools):
-        patch.setattr(module, "new_pool", lambda *_: BreakablePool())
+    patch.setattr(pools, "ProcessPool", BreakablePool)
     kept = {"name": fabric.name}
     app = create_app(settings_for(out, "queue=9", "queue_each=9"))
     with TestClient(app, base_url="http://localhost") as client:
