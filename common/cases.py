@@ -37,11 +37,10 @@ def run_cases(
     folder: Path,
     workers: int = 1,
     version: object = 1,
-    failures: dict[str, str] | None = None,
     unit: str = "case",
-    title: Callable[[str], str] = str,
 ) -> dict[str, Any]:
-    """Results of ``work(**settings)`` by name; only those without a file are computed.
+    """Results of ``work(**settings)`` by name; only those without a file are computed. The first
+    error is raised when all other cases are done.
 
     Args:
         work: module-level function; returns JSON types. An entry "arrays" of a dictionary, arrays
@@ -50,29 +49,21 @@ def run_cases(
             the content of the file or folder.
         folder: of the result files ``NAME.json``.
         version: of the code that makes the results; of JSON types.
-        title: of a case, by its name.
-        failures: receives the cases that fail, in one line each; they are recorded and not tried
-            again. None: they are, and the first error is raised when all other cases are done.
     """
     keys = {name: digest([settings, version]) for name, settings in cases.items()}
     files = {name: folder / f"{name}.json" for name in cases}
-    stored: dict[str, Any] = {name: _stored(files[name], keys[name], failures) for name in cases}
-    missing = [name for name in cases if stored[name] is None]
-    tasks = {name: (work, cases[name], files[name], keys[name], failures is not None)
-             for name in missing}
+    stored: dict[str, Any] = {name: _stored(files[name], keys[name]) for name in cases}
+    tasks = {name: (work, cases[name], files[name], keys[name])
+             for name in cases if stored[name] is None}
     errors = []
     for name, outcome in in_processes(_run, tasks, total=len(cases), workers=workers, unit=unit):
+        stored[name] = outcome
         if isinstance(outcome, Exception):
             errors.append(outcome)
-            outcome = {"failure": one_line(outcome)}
-        stored[name] = outcome
-        if failure := outcome.get("failure"):
-            tqdm.write(f"{title(name)} failed: {failure}")
+            tqdm.write(f"{name} failed: {one_line(outcome)}")
     if errors:
         raise errors[0]
-    if failures is not None:
-        failures |= {name: case["failure"] for name, case in stored.items() if "failure" in case}
-    return {name: case["result"] for name, case in stored.items() if "result" in case}
+    return {name: case["result"] for name, case in stored.items()}
 
 
 def in_processes(
@@ -80,10 +71,7 @@ def in_processes(
     unit: str,
 ) -> Iterator[tuple[Any, Any]]:
     """Name and outcome of ``work(*arguments)`` of each task, as they end, or the exception that it
-    raises, with a bar of the progress.
-
-    Args:
-        tasks: arguments by name, of those that are not yet finished of ``total``.
+    raises, with a bar of the progress; ``tasks`` are those of ``total`` that are not yet finished.
     """
     if workers < 1:
         raise InputError(f"workers={workers}: at least one process is needed")
@@ -111,33 +99,25 @@ def progress_bar(items: Any = None, **options: Any) -> tqdm:
     return tqdm(items, mininterval=0.1 if sys.stderr.isatty() else 10.0, **options)
 
 
-def _stored(file: Path, key: str, failures: Mapping[str, str] | None) -> dict[str, Any] | None:
-    """Content of a result file; None if it is missing, of another key, or to be tried again."""
+def _stored(file: Path, key: str) -> dict[str, Any] | None:
+    """Content of a result file; None if it is missing, damaged or of another key."""
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
-        done = content["key"] == key and (failures is not None or "result" in content)
-        return content if done else None
+        return content if content["key"] == key and "result" in content else None
     except (OSError, ValueError, KeyError, TypeError):
         return None
 
 
 def _run(
-    work: Callable[..., Any], settings: Mapping[str, Any], file: Path, key: str, record: bool
+    work: Callable[..., Any], settings: Mapping[str, Any], file: Path, key: str
 ) -> dict[str, Any]:
-    """Compute a case and write its file; ``record`` failures rather than raise them."""
+    """Compute a case and write its file."""
     remove_file(file)
-    try:
-        outcome = {"result": work(**settings)}
-    except Exception as error:
-        if not record:
-            raise
-        outcome = {"failure": str(error) if isinstance(error, InputError) else
-                   f"{type(error).__name__}: {one_line(error)}; please report it"}
-    result = outcome.get("result")
+    result = work(**settings)
     if arrays := result.pop("arrays", None) if isinstance(result, dict) else None:
         # First, so that a result always has its arrays.
         with replacing(file.with_suffix(".npz")) as stream:
             np.savez_compressed(stream, **arrays)
-    content = {"key": key, **outcome}
-    replace_file(file, (json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
-    return json.loads(json.dumps(outcome))
+    text = json.dumps({"key": key, "result": result}, indent=1, allow_nan=False)
+    replace_file(file, f"{text}\n".encode())
+    return json.loads(text)

@@ -120,11 +120,10 @@ def si(settings: Mapping[str, object]) -> dict:
 
 @dataclass(frozen=True)
 class Key:
-    """How a file in ``configs/`` states a setting, in the annotation of its type in SI units: in
-    which unit, the suffix of its key, and of which type there."""
+    """How a file in ``configs/`` states a setting, in the annotation of its type in SI units."""
 
-    unit: str
-    kind: Any
+    unit: str  # the suffix of its key
+    kind: Any  # its type there
 
 
 def keys_of(settings: type, *, without: Collection[str] = ()) -> dict[str, Any]:

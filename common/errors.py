@@ -13,12 +13,9 @@ MAX_LENGTH, MAX_LIST_LENGTH = 700, 4000  # characters of a message; of a list of
 class InputError(ValueError):
     """Invalid input: a line that states the fault and its remedy; commands exit with code 2.
 
-    Unprintable characters of names in it are escaped, and it is shortened to ``max_length``.
-
-    Attributes:
-        source: path that the line begins with; '': it is of no file, or names it in its message.
-        joint: what stands between source and message: a colon, or a space before a verb.
-        message: the rest of the line.
+    It begins with ``source``, a path ('': it is of no file, or names it in its ``message``), and
+    ``joint``, a colon or a space before a verb. Unprintable characters of names in it are escaped,
+    and it is shortened to ``max_length``.
     """
 
     def __init__(self, message: str, *, source: str | Path = "", joint: str = ": ",

@@ -10,7 +10,7 @@ import unicodedata
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from common.errors import InputError, one_line
 
@@ -131,15 +131,16 @@ def replace_file(path: Path, data: bytes) -> None:
 
 def replace_json(path: Path, content: object) -> None:
     """Write JSON to ``path`` in one step; numbers that are not finite become null."""
-    text = json.dumps(_with_finite_numbers(content), indent=2, allow_nan=False)
+    text = json.dumps(finite(content), indent=2, allow_nan=False)
     replace_file(path, (text + "\n").encode())
 
 
-def _with_finite_numbers(content: object) -> object:
+def finite(content: Any) -> Any:
+    """JSON's types with None for numbers that are not finite, for which JSON has no notation."""
     if isinstance(content, dict):
-        return {key: _with_finite_numbers(value) for key, value in content.items()}
+        return {key: finite(value) for key, value in content.items()}
     if isinstance(content, list | tuple):
-        return [_with_finite_numbers(value) for value in content]
+        return [finite(value) for value in content]
     return None if isinstance(content, float) and not math.isfinite(content) else content
 
 
@@ -192,6 +193,5 @@ def composed(name: str) -> str:
 
 
 def printable(path: str | Path) -> str:
-    """The path with its bytes that are not UTF-8 replaced: neither JSON nor a page may hold them.
-    """
+    """The path with bytes that are not UTF-8 replaced: neither JSON nor a page may hold them."""
     return os.fsencode(path).decode(errors="replace")

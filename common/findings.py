@@ -13,7 +13,7 @@ from typing import Any
 
 import yaml
 
-from common.files import printable
+from common.files import finite, printable
 
 SENTENCES = Path(__file__).with_suffix(".yaml")
 
@@ -29,16 +29,13 @@ def sentences() -> dict[str, str]:
 class Finding:
     """A warning, a contradiction, an advice or the reason of a refusal.
 
-    Attributes:
-        code: names the kind, a key of ``findings.yaml``.
-        values: what its sentence states, in JSON's types: numbers in the unit that people see, and
-            names; ``value`` and ``limit`` where a measured value has a limit.
-        source: key of the capture, strip or stated value that it is of; '': what is estimated.
+    ``values`` are what its sentence states, in JSON's types: numbers in the unit that people see,
+    and names; ``value`` and ``limit`` where a measured value has a limit.
     """
 
-    code: str
+    code: str  # a key of findings.yaml
     values: Mapping[str, Any] = field(default_factory=dict)
-    source: str = ""
+    source: str = ""  # key of the capture, strip or stated value; '': what is estimated
 
     @property
     def text(self) -> str:
@@ -49,10 +46,8 @@ class Finding:
     @property
     def record(self) -> dict[str, Any]:
         """In JSON's types, with its text; a number that is not finite is None."""
-        values = {name: None if isinstance(value, float) and not math.isfinite(value) else value
-                  for name, value in self.values.items()}
         return {"code": self.code, "source": printable(self.source), "text": self.text,
-                "values": values}
+                "values": finite(dict(self.values))}
 
 
 def texts(findings: Iterable[Finding]) -> list[str]:

@@ -16,7 +16,7 @@ from pydantic import BeforeValidator, Field, InstanceOf, PlainSerializer, PlainV
 
 from common.documents import Excerpt, Schema, read_yaml, require_file_in
 from common.errors import InputError
-from common.files import printable
+from common.files import finite, printable
 from common.findings import Finding, records
 from common.types import Density
 from data.captures.capture import Capture
@@ -34,9 +34,8 @@ M = TypeVar("M", bound="Measured")
 INTERVALS = {"interval_68": 0.68, "interval_90": 0.90}
 Text = InstanceOf[str]
 """A text that may hold a path, whose bytes need not be UTF-8."""
-Finite = Annotated[float | None, BeforeValidator(
-    lambda value: None if isinstance(value, float) and not math.isfinite(value) else value)]
-"""A number, None where it is not finite, for which JSON has no notation."""
+Finite = Annotated[float | None, BeforeValidator(finite)]
+"""A number, None where it is not finite."""
 Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
 
 
@@ -70,16 +69,15 @@ class Quantity(Excerpt):
                         interval_68=[factor * end for end in self.interval_68],
                         interval_90=[factor * end for end in self.interval_90])
 
-    def texts(self, key: str = "interval_68") -> tuple[str, str]:
-        """Median and interval as text, with decimals according to the interval's width."""
-        low, high = getattr(self, key)
+    def texts(self) -> tuple[str, str]:
+        """Median and 68 % interval as text, with decimals according to the interval's width."""
+        low, high = self.interval_68
         places = 0
         if (half := (high - low) / 2) > 0:
             places = min(max(1 - math.floor(math.log10(half)), 0), 6)
         return f"{self.median:.{places}f}", f"{low:.{places}f} to {high:.{places}f}"
 
     def __str__(self) -> str:
-        """Median and 68 % interval."""
         return "{} ({})".format(*self.texts())
 
 
@@ -97,8 +95,7 @@ class Record(Excerpt):
     kind: ClassVar[str]
     """Name of its kind: :attr:`Measured.name`."""
     names: ClassVar[tuple[str, ...]] = ()
-    """Columns that tables have whatever was measured; others only where :meth:`columns` has them.
-    """
+    """Columns that all tables have; others stand only where :meth:`columns` has them."""
     source: Text
     density_g_m2: float
     known: Known | None = None
@@ -191,16 +188,11 @@ class Described(Weighed, Labels):
 
 @dataclass(frozen=True)
 class Observed:
-    """A capture as it is observed.
-
-    Attributes:
-        seen: the network's input.
-        views: of a depth capture.
-    """
+    """A capture as it is observed."""
 
     capture: Capture
-    seen: Observation
-    views: LocatedViews | None = None
+    seen: Observation  # the network's input
+    views: LocatedViews | None = None  # of a depth capture
 
 
 class Stated(Schema):
@@ -215,10 +207,6 @@ class Measured:
 
     A source has either what a network observes (:meth:`observed`) or a record of its own
     (:meth:`record`).
-
-    Attributes:
-        path: names it.
-        warnings: of reading.
     """
 
     name: ClassVar[str]
@@ -240,7 +228,7 @@ class Measured:
     density: Density
     known: Known | None = None
     labels: Labels = UNLABELLED
-    warnings: tuple[Finding, ...] = ()
+    warnings: tuple[Finding, ...] = ()  # of reading
 
     @classmethod
     def read(cls, place: Path, stated: Mapping[str, Any]) -> "Measured":

@@ -39,7 +39,6 @@ class Captured(Measured):
 
     @classmethod
     def read(cls, place: Path, stated: Mapping[str, Any]) -> "Captured":
-        """Read a folder with capture.yaml or density.txt."""
         return cls.of(read_capture(place))
 
     @classmethod
@@ -50,41 +49,33 @@ class Captured(Measured):
 
     @property
     def digests(self) -> tuple[str, ...]:
-        """Those of the capture."""
         return self.capture.digests
 
     @property
     def marked(self) -> bool:
-        """Whether the direction of the warp is stated."""
         return self.capture.warp_direction is not None
 
     @property
     def pictured(self) -> bool:
-        """All but numbers."""
         return not isinstance(self.capture, ReportedCapture)
 
     def changed(self: C, **changes: Any) -> C:
-        """The same capture with other statements."""
         return self.of(replace(self.capture, **changes))
 
     def observed(self) -> Observed:
-        """The capture by its type."""
         return observe(self.capture)
 
     def findings(self, observed: Observed | None, setups: Setups) -> list[Finding]:
-        """Faults of depth views; InputError if they show no drape."""
         if not (observed and observed.views and observed.seen.map):
             return []
         return view_warnings(observed.views, observed.seen.map, setups)
 
     def shown(self) -> bytes:
-        """The pictures with what was seen in them."""
         from data.captures.preview import show  # Matplotlib
 
         return show(self.capture)
 
     def thumbnail(self) -> bytes:
-        """The silhouette."""
         from data.captures.preview import show
 
         return show(self.capture, small=True)
@@ -95,7 +86,6 @@ class Scan(Captured):
 
     @classmethod
     def read(cls, place: Path, stated: Mapping[str, Any]) -> "Scan":
-        """Read and register a scan."""
         from drapenet.surface.registration import read_scan_capture  # of meshes, half a second
 
         specimen = Description.of(stated, "")

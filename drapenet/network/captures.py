@@ -75,23 +75,17 @@ def outline_faults(count: int, rng: np.random.Generator) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Condition:
-    """What the captures of a set are.
+    """What the captures of a set are: shares.
 
-    Attributes:
-        kinds: shares of depth captures, outlines, and numbers (drape coefficient and nodes) alone.
-        sizes: shares of sets of 1, 2, ... captures, each of another drape.
-        known: share of the sets in which the direction of the warp is stated.
-        parallel, stated: shares of outlines under parallel light, and, of the others, of those
-            whose camera's height is stated.
-        read: share of outlines with the errors of photographs over the mat, and those of all with
-            faults that nothing tells of; others have small errors of a drapemeter's picture.
+    Outlines have the small errors of a drapemeter's picture. Where some are ``read``, a share with
+    the errors of photographs over the mat, all may have faults that nothing tells of.
     """
 
-    kinds: tuple[float, float, float] = (0.5, 0.42, 0.08)
-    sizes: tuple[float, ...] = (0.5, 0.2, 0.1, 0.2)
-    known: float = 0.7
-    parallel: float = 0.3
-    stated: float = 0.8
+    kinds: tuple[float, float, float] = (0.5, 0.42, 0.08)  # depth, outline, numbers alone
+    sizes: tuple[float, ...] = (0.5, 0.2, 0.1, 0.2)  # sets of 1, 2, ... captures, of other drapes
+    known: float = 0.7  # sets in which the direction of the warp is stated
+    parallel: float = 0.3  # outlines under parallel light
+    stated: float = 0.8  # of the other outlines, those whose camera's height is stated
     read: float = 0.0
 
     @classmethod

@@ -81,8 +81,7 @@ class _Config(Excerpt):
 
 
 class Header(Excerpt):
-    """The keys read of a checkpoint's description; ``path`` and ``sha256`` are those of the file.
-    """
+    """The keys read of a checkpoint's description; ``path`` and ``sha256``: of the file."""
 
     remedy = "copy it again"
     schema_version: Literal[SCHEMA_VERSION] = Field(  # type: ignore[valid-type]
@@ -108,9 +107,8 @@ class Header(Excerpt):
 
     @property
     def spread(self) -> Theta:
-        """Standard deviation of theta over the fabrics of the prior, mean of both orders of yarns.
-        """
-        # The first yarns of an estimate need not be the dataset's warp.
+        """Standard deviation of theta over the prior's fabrics, mean of both orders of yarns: the
+        first yarns of an estimate need not be the dataset's warp."""
         spread = np.array(self.fabrics.deviation)
         return (spread + spread[SWAPPED]) / 2
 

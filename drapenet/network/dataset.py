@@ -32,7 +32,6 @@ from sim.rig import Rig
 
 VERSION = 1
 """Of the maps of a shard: raise it when the same drapes and settings give others."""
-"""The code that determines maps, and the files of settings that it reads."""
 _COLUMNS = ("index", "fabric", "theta", "nuisances", "face", "folds", "edge", "seed", "offset",
             "status")
 DIRECTION_ERROR = math.radians(2.0)  # of the warp as stated, standard deviation
@@ -126,7 +125,6 @@ _OF_DEPTH: dict[str, np.ndarray] = {
 def make_maps(
     root: str | Path, manifest: dict, out: Path, *, setups: Setups, captures: int, seed: int,
     neighbours: bool = False, outlines: int = 0, pictures: bool = False, workers: int = 1,
-    shards: int | None = None,
 ) -> Maps:
     """Maps of ``captures`` captures of each converged drape of the dataset ``root``, cached in
     ``out``, where an interrupted run is resumed; they are made again where a shard, a setting or
@@ -137,14 +135,13 @@ def make_maps(
             for all drapes of a fabric.
         outlines: further neighbours of each fabric, of which there are outlines only.
         pictures: whether the maps have the depth views as pictures, eight times as many bytes.
-        shards: number of shards used; None: all.
     """
     options = {"setups": setups, "captures": captures, "seed": seed, "neighbours": neighbours,
                "outlines": outlines, "pictures": pictures}
     folder = out / f"maps_{digest(options)[:12]}"
     # By content: shards grow when a dataset is extended, and are made again.
     cases = {sha256[:16]: {"path": Path(root) / name, "sha256": sha256, "options": options}
-             for name, sha256 in list(manifest["shards"].items())[:shards]}
+             for name, sha256 in manifest["shards"].items()}
     run_cases(_shard_case, cases, folder=folder, workers=workers, unit="shard", version=VERSION)
     return Maps.read(folder / f"{name}.npz" for name in cases)
 
@@ -173,9 +170,7 @@ def maps_of_shard(
         rig = shard.rig(row)
         positions, rest, faces = shard.mesh(row)
         mesh = Mesh(rest, faces)
-        derivatives = None
-        if neighbours:
-            derivatives = shard.moves(row)
+        derivatives = shard.moves(row) if neighbours else None
         for number in range(captures + outlines if derivatives is not None else
                             1 if neighbours else captures):
             step, moved = np.zeros(_PARAMETERS), positions
@@ -191,8 +186,9 @@ def maps_of_shard(
             depth, views = None, 0
             if number < captures:
                 depth, views, wrong = _depth(moved, faces, rig, setups, rng, wrong)
-            rows.append(_shadows(moved, mesh, rig, wrong) | _truth(drape, rig, step) | {
-                "views": views, "depth": len(depths) if depth else -1})
+            rows.append(_truth(drape, rig, step) | {
+                "silhouettes": _silhouettes(moved, mesh, rig, wrong), "views": views,
+                "depth": len(depths) if depth else -1})
             depths += [depth] if depth else []
     seen = {name: np.stack([nothing, *(depth[name] for depth in depths)])[1:]
             for name, nothing in _OF_DEPTH.items()}
@@ -222,13 +218,13 @@ def _depth(
             }, len(capture.views), drape.zero - capture.orientation
 
 
-def _shadows(positions: Points, mesh: Mesh, rig: Rig, wrong: Radians) -> dict[str, Any]:
-    """Outlines of a drape, a field of :class:`Maps`."""
+def _silhouettes(positions: Points, mesh: Mesh, rig: Rig, wrong: Radians) -> np.ndarray:
+    """Outlines of a drape, a row of that field of :class:`Maps`."""
     with np.errstate(divide="ignore"):
         heights = rig.specimen_size / np.array(PERSPECTIVES)
     edges = contour(positions, mesh, heights.min())
     radii = silhouettes(positions, edges, heights, zero=wrong)
-    return {"silhouettes": (radii / (rig.specimen_size / 2)).astype(np.float32)}
+    return (radii / (rig.specimen_size / 2)).astype(np.float32)
 
 
 def _truth(drape: dict[str, np.ndarray], rig: Rig, step: np.ndarray) -> dict[str, Any]:

@@ -55,18 +55,12 @@ _TURNS = 2 * np.exp(-1j * np.outer(np.r_[1, _WAVES], AZIMUTH)) / len(AZIMUTH)
 
 @dataclass(frozen=True)
 class Likeness:
-    """How a capture compares with drapes of its posterior.
+    """How a capture compares with drapes of its posterior."""
 
-    Attributes:
-        probability: share of these drapes that are less probable than the capture.
-        number: the number of its shape that deviates most.
-        value, low, high: this number, and where 99 % of those drapes have it.
-    """
-
-    probability: float
-    number: int
-    value: float
-    low: float
+    probability: float  # share of these drapes that are less probable than the capture
+    number: int  # the number of its shape that deviates most
+    value: float  # this number
+    low: float  # from here to ``high`` 99 % of those drapes have it
     high: float
 
     @classmethod

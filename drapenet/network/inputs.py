@@ -33,30 +33,21 @@ MapArray = Annotated[np.ndarray, "(N, AZIMUTHS, ELEVATIONS) float32"]
 class Facts:
     """What is known of N captures beside their pictures, (N,) each; NaN if it is not.
 
-    Attributes:
-        size: of the specimens, m.
-        plate: diameter of the plate over the specimen's size.
-        aspect: side across azimuth 0 over the side along it; 1 of squares and discs.
-        known: whether the captures of its set have azimuth 0 along the warp (or, after a quarter
-            turn, see :meth:`Batch.turned`, along the weft).
-        views: their number in a depth capture, 0 without.
-        perspective: size over the camera's height, of an outline; 0 under parallel light.
-        coefficient: drape coefficient, from 0 to 1, of the outline or as reported.
-        nodes: number of folds, as reported.
-        group: number of the set, from 0.
+    ``known``: whether the captures of its set have azimuth 0 along the warp (or, after a quarter
+    turn, see :meth:`Batch.turned`, along the weft).
     """
 
-    size: np.ndarray
-    plate: np.ndarray
+    size: np.ndarray  # of the specimens, m
+    plate: np.ndarray  # its diameter over the specimen's size
     disc: np.ndarray
-    aspect: np.ndarray
+    aspect: np.ndarray  # side across azimuth 0 over the side along it; 1 of squares and discs
     face: np.ndarray  # 1, or -1 if turned over
     known: np.ndarray
-    views: np.ndarray
-    perspective: np.ndarray
-    coefficient: np.ndarray
-    nodes: np.ndarray
-    group: np.ndarray
+    views: np.ndarray  # their number in a depth capture, 0 without
+    perspective: np.ndarray  # size over the camera's height, of an outline; 0: parallel light
+    coefficient: np.ndarray  # drape coefficient, from 0 to 1, of the outline or as reported
+    nodes: np.ndarray  # number of folds, as reported
+    group: np.ndarray  # number of the set, from 0
 
     @property
     def sizes(self) -> np.ndarray:

@@ -56,15 +56,11 @@ class Expected(torch.nn.Module):
     def log_density(self, shape: torch.Tensor, targets: torch.Tensor, facts: torch.Tensor,
                     face: torch.Tensor) -> torch.Tensor:
         """(...) log density of the known numbers of shapes (..., SHAPE)."""
-        return _log_density(shape, *self(targets, facts, face))
-
-
-def _log_density(shape: torch.Tensor, weights: torch.Tensor, means: torch.Tensor,
-                 deviations: torch.Tensor) -> torch.Tensor:
-    known = shape.isfinite()[..., None, :]
-    gap = (shape.nan_to_num()[..., None, :] - means) / deviations.exp()
-    each = (-gap.square() / 2 - deviations - math.log(2 * math.pi) / 2) * known
-    return (weights + each.sum(dim=-1)).logsumexp(dim=-1)
+        weights, means, deviations = self(targets, facts, face)
+        known = shape.isfinite()[..., None, :]
+        gap = (shape.nan_to_num()[..., None, :] - means) / deviations.exp()
+        each = (-gap.square() / 2 - deviations - math.log(2 * math.pi) / 2) * known
+        return (weights + each.sum(dim=-1)).logsumexp(dim=-1)
 
 
 def circular(inputs: int, outputs: int, stride: int = 1, width: int = 3) -> torch.nn.Conv1d:
@@ -100,6 +96,7 @@ class Network(torch.nn.Module):
     """From sets of captures to the posterior of their fabric; a subclass reads captures, by the
     arrays of a :class:`drapenet.network.inputs.Batch` that :attr:`reads` names beside those of all.
 
+    ``output``: a mixture of ``components`` Gaussians ("posterior"), or means ("regression");
     ``distance``, ``spread``: mean and standard deviation of the training distances or depths;
     ``rectangles``: whether it reads the specimens' aspect, as networks do that were trained on
     rectangles; ``expected``: whether it knows how captures of a cloth look.
@@ -108,18 +105,21 @@ class Network(torch.nn.Module):
     reads: ClassVar[tuple[str, ...]] = ()
 
     def __init__(
-        self, *, distance: float, spread: float, rectangles: bool, expected: bool
+        self, *, components: int, dropout: float, distance: float, spread: float,
+        rectangles: bool = False, output: str = "posterior", expected: bool = False,
     ) -> None:
         super().__init__()
+        self.output, self.components, self.dropout = output, components, dropout
         self.distance, self.spread, self.rectangles = distance, spread, rectangles
         self.expected = Expected(CIRCUMSTANCES) if expected else None
         self.in_bfloat16 = False  # whether convolutions of a training step are in bfloat16
 
-    def add_layers(self, features: int, *, facts: int, output: str, components: int,
-                   dropout: float) -> None:
-        """Layers from the ``features`` of each capture and ``facts`` columns to the posterior: a
-        mixture of ``components`` Gaussians, or means ("regression")."""
-        self.facts, self.components = facts, components
+    def add_layers(self, features: int, facts: int) -> None:
+        """Layers from the ``features`` of each capture, ``facts`` columns and, of rectangles, the
+        aspects to the posterior."""
+        facts += ASPECTS * self.rectangles
+        regression, dropout = self.output == "regression", self.dropout
+        self.facts = facts
         self.embed = torch.nn.Sequential(
             torch.nn.Dropout(dropout), torch.nn.Linear(features + facts, _EMBEDDING),
             torch.nn.ReLU(), torch.nn.Linear(_EMBEDDING, 2 * _EMBEDDING))
@@ -128,9 +128,9 @@ class Network(torch.nn.Module):
         self.head = torch.nn.Sequential(
             torch.nn.Dropout(dropout), torch.nn.Linear(2 * _EMBEDDING + 32 + 1, _EMBEDDING),
             torch.nn.ReLU(), torch.nn.Dropout(dropout), torch.nn.Linear(
-                _EMBEDDING, TARGETS if output == "regression" else
-                outputs_of(components=components, targets=TARGETS)))
-        if output == "regression":
+                _EMBEDDING, TARGETS if regression else
+                outputs_of(components=self.components, targets=TARGETS)))
+        if regression:
             self.register_buffer("factor", torch.eye(TARGETS))
         else:
             self.factor = None
@@ -209,12 +209,8 @@ class DrapeNet(Network):
 
     reads = ("distance", "weight", "outline", "error")
 
-    def __init__(
-        self, *, width: int, components: int, dropout: float, distance: float, spread: float,
-        rectangles: bool = False, output: str = "posterior", expected: bool = False,
-    ) -> None:
-        super().__init__(distance=distance, spread=spread, rectangles=rectangles,
-                         expected=expected)
+    def __init__(self, *, width: int, **options: Any) -> None:
+        super().__init__(**options)
         widths = [width, width, 2 * width, 4 * width, 8 * width]
         self.stem = torch.nn.Sequential(
             circular(CHANNELS, width, stride=2, width=7), norm(width),
@@ -223,8 +219,7 @@ class DrapeNet(Network):
             torch.nn.Sequential(BasicBlock(before, after, stride=2 if k else 1),
                                 BasicBlock(after, after, stride=1))
             for k, (before, after) in enumerate(pairwise(widths))))
-        self.add_layers(POOLED * widths[-1], facts=FACTS + ASPECTS * rectangles, output=output,
-                        components=components, dropout=dropout)
+        self.add_layers(POOLED * widths[-1], FACTS)
 
     def forward(
         self, face: torch.Tensor, facts: torch.Tensor, members: torch.Tensor,
@@ -254,15 +249,10 @@ class ViewNet(Network):
 
     reads = ("pictures", "angle")
 
-    def __init__(
-        self, *, backbone: str, width: int, components: int, dropout: float, distance: float,
-        spread: float, rectangles: bool = False, output: str = "posterior",
-        expected: bool = False,
-    ) -> None:
+    def __init__(self, *, backbone: str, width: int, **options: Any) -> None:
         from torchvision.models import get_model  # takes a second
 
-        super().__init__(distance=distance, spread=spread, rectangles=rectangles,
-                         expected=expected)
+        super().__init__(**options)
         self.backbone = get_model(backbone, weights=None, num_classes=width)
         name, first = next((name, part) for name, part in self.backbone.named_modules()
                            if isinstance(part, torch.nn.Conv2d))
@@ -270,8 +260,7 @@ class ViewNet(Network):
                                  for key in ("kernel_size", "stride", "padding")}
         self.backbone.set_submodule(name, torch.nn.Conv2d(
             PICTURES, first.out_channels, bias=first.bias is not None, **shape))
-        self.add_layers(width + 1, facts=TESTER + ASPECTS * rectangles, output=output,
-                        components=components, dropout=dropout)
+        self.add_layers(width + 1, TESTER)
 
     def columns(self, facts: torch.Tensor) -> torch.Tensor:
         """(N, F) columns of tester, warp and aspect, of (N, FACTS + ASPECTS): what the drape is

@@ -207,8 +207,7 @@ class DepthViews:
             pixels = view.rows[both], view.columns[both]
             hits = self._hits(positions, face[pixels], rays[pixels], pose)
             depths.append(self._depths(view.depth[both], hits, pose))
-            rows, columns = np.nonzero(_border(face >= 0))
-            pixels = rows, columns
+            pixels = np.nonzero(_border(face >= 0))
             hits = self._hits(positions, face[pixels], rays[pixels], pose)
             borders.append(self._borders(view, pixels, rays[pixels], hits, pose, nuisance))
         return [*_normalised(depths, self._measurements[0]),
@@ -222,35 +221,35 @@ class DepthViews:
                      pose)
 
     def _borders(
-        self, view: _View, pixels: tuple[np.ndarray, np.ndarray], rays: np.ndarray, hits: _Hits,
+        self, view: _View, pixels: tuple[np.ndarray, ...], rays: np.ndarray, hits: _Hits,
         pose: _Pose, nuisance: Nuisance,
     ) -> _Part:
         """Residuals of the simulated border's pixels, rows and columns."""
         sigma, limit = self.weights.border_sigma, self.weights.border_limit
-        distance = view.distance[pixels] - self._value(BORDER, nuisance)
+        distance = view.distance[pixels] - nuisance[self.nuisances.index(BORDER)]
         residual, slope = huber(distance / sigma, limit / sigma)
         # Change of the distance map, px, by the move of a point in camera axes, m.
         x, y = rays[:, :2].T
-        zoom = np.exp(self._value(FOCAL, nuisance))
+        zoom = self._zoom(nuisance)
         by_column, by_row = view.slope[:, pixels[0], pixels[1]]
         across, down = by_column * self.camera.fx * zoom, by_row * self.camera.fy * zoom
         gradient = np.stack([across, down, -(across * x + down * y)], axis=1) / hits.depth[:, None]
         return _Part(residual, slope[:, None] / sigma * gradient @ pose.rotation, -slope / sigma,
                      hits, pose)
 
-    def _value(self, name: str, nuisance: Nuisance) -> float:
-        return float(nuisance[self.nuisances.index(name)])
+    def _zoom(self, nuisance: Nuisance) -> float:
+        return float(np.exp(nuisance[self.nuisances.index(FOCAL)]))
 
     def _rays(self, nuisance: Nuisance) -> np.ndarray:
         """Rays through the pixels (H, W, 3), camera axes, z = 1."""
-        zoom = float(np.exp(self._value(FOCAL, nuisance)))
+        zoom = self._zoom(nuisance)
         return self._nominal_rays / [zoom, zoom, 1.0]
 
     def _nearest(
         self, positions: Points, pose: _Pose, nuisance: Nuisance
     ) -> tuple[DepthImage, np.ndarray]:
         """Depths (H, W) of a drape in a view, and the triangles that are seen."""
-        camera, zoom = self.camera, float(np.exp(self._value(FOCAL, nuisance)))
+        camera, zoom = self.camera, self._zoom(nuisance)
         points = positions @ pose.rotation.T + pose.shift
         return nearest_faces(points.astype(np.float32), self._faces,
                              (zoom * camera.fx, zoom * camera.fy, camera.cx, camera.cy),

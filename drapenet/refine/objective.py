@@ -50,8 +50,7 @@ def value(residuals: Residuals) -> float:
 
 
 def huber(residuals: Residuals, limit: float) -> tuple[Residuals, np.ndarray]:
-    """Residuals whose squares grow linearly beyond ``limit`` (Huber), and their derivatives (N,).
-    """
+    """Residuals whose squares are linear beyond ``limit`` (Huber), and their derivatives (N,)."""
     size = np.abs(residuals)
     far = size > limit
     bent = np.sqrt(np.where(far, 2 * limit * size - limit**2, 1.0))

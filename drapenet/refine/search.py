@@ -192,8 +192,7 @@ class _Run:
     first: Trial | None = None  # of the first start
 
     def round(self, level: Round, guesses: Sequence[Unknowns], *, first: Unknowns | None) -> None:
-        """Optimise from the best of ``guesses`` with softer and softer springs, evaluate ``first``.
-        """
+        """Optimise from the best of ``guesses`` with ever softer springs, evaluate ``first``."""
         nuisance = self.problem.optimum.nuisance if self.problem else None
         anchored = self.sought.anchored(level, guesses[0], nuisance)
         problems = [self.problem_at(anchored, anchored.near, guess, nuisance, level.pulls[0])

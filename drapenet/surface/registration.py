@@ -86,13 +86,9 @@ def read_shape(path: Path, rig: Rig, *, edge: Metres = EDGE) -> ScanRegistration
 
 @dataclass(frozen=True, kw_only=True)
 class ScannedCapture(DepthCapture):
-    """The scan of a drape, as four rendered views of its surface.
+    """The scan of a drape, as four rendered views of its surface."""
 
-    Attributes:
-        shape: a mesh of the specimen on the surface.
-    """
-
-    shape: CapturedShape
+    shape: CapturedShape  # a mesh of the specimen on it
 
 
 def read_scan_capture(path: Path, specimen: Specimen) -> ScannedCapture:

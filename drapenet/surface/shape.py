@@ -51,12 +51,10 @@ class CapturedShape:
     def as_drape(self, fabric: Fabric) -> Drape:
         """The shape as a drape of ``fabric``, not in equilibrium."""
         mesh = Mesh(self.rest, self.faces)
-        ends = mesh.rest[mesh.edges]
-        lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
         scene = Scene.on(self.rig, mesh, self.held)
         state = scene.state(self.positions)
         contact = contact_near(scene, self.positions).value(state.q)
-        return Drape(fabric=fabric, rig=self.rig, edge=float(lengths.mean()), state=state,
+        return Drape(fabric=fabric, rig=self.rig, edge=float(mesh.edge_lengths.mean()), state=state,
                      cloth=Cloth(scene, fabric), touches=0 < contact < math.inf)
 
 

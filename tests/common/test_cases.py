@@ -1,12 +1,16 @@
-"""Resumable cases: what is computed, kept and recorded."""
+"""Resumable cases: what is computed, kept and raised; digests, and what a result is made with."""
 
+import json
+import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from common import provenance
 from common.cases import load_arrays, run_cases
 from common.errors import InputError
+from common.provenance import digest
 
 
 def square(log: str, value: float, capture: Path | None = None) -> dict:
@@ -14,7 +18,7 @@ def square(log: str, value: float, capture: Path | None = None) -> dict:
     with Path(log).open("a", encoding="utf-8") as file:
         file.write(f"{value}\n")
     if value < 0:
-        raise InputError("negative") if value == -1 else ZeroDivisionError("line\nbreak")
+        raise InputError("negative")
     return {"square": value**2, "arrays": {"row": np.arange(value)}}
 
 
@@ -53,19 +57,82 @@ def test_only_missing_damaged_and_changed_cases_are_computed(tmp_path, log):
     assert len(values(log)) == 8
 
 
-def test_failing_cases_are_recorded_or_raised_after_the_others(tmp_path, log):
-    settings = {str(k): {"log": str(log), "value": k} for k in (-1, -2, 2)}
-    with pytest.raises(InputError, match="negative"):
-        run_cases(square, {k: settings[k] for k in ("-1", "2")}, folder=tmp_path)
-    assert values(log) == ["-1", "2"]
+def test_an_error_is_raised_after_the_other_cases_and_its_case_tried_again(tmp_path, log):
+    settings = {str(k): {"log": str(log), "value": k} for k in (-1, 2)}
     for _ in range(2):
-        failures = {}
-        assert run_cases(square, settings, folder=tmp_path, failures=failures) == {
-            "2": {"square": 4}}
-        assert failures["-1"] == "negative" and failures["-2"].startswith("ZeroDivisionError: line")
-    assert values(log) == ["-1", "-1", "-2", "2"]
+        with pytest.raises(InputError, match="negative"):
+            run_cases(square, settings, folder=tmp_path)
+    assert values(log) == ["-1", "-1", "2"]
 
 
 def test_no_workers_are_refused(tmp_path):
     with pytest.raises(InputError, match="workers=0"):
         run_cases(square, {}, folder=tmp_path, workers=0)
+
+
+def git(folder, *words):
+    identity = ("-c", "user.name=Test", "-c", "user.email=test@example.org")
+    subprocess.run(["git", "-C", str(folder), *identity, *words], check=True, capture_output=True)
+
+
+@pytest.fixture
+def checkout(tmp_path):
+    folder = tmp_path / "project"
+    folder.mkdir()
+    git(folder, "init", "-q")
+    (folder / "code.py").write_text("a = 1\n")
+    (folder / ".gitignore").write_text("outputs/\n")
+    git(folder, "add", ".")
+    git(folder, "commit", "-q", "-m", "first")
+    return folder
+
+
+def test_a_checkout_is_known_by_its_commit(checkout):
+    state = provenance.code_state(checkout)
+    head = (checkout / ".git" / "HEAD").read_text().split()[1]
+    assert state == {"release": provenance.release(), "dirty": False,
+                     "commit": (checkout / ".git" / head).read_text().strip()}
+    (checkout / "outputs").mkdir()
+    (checkout / "outputs" / "drape.json").write_text("{}")
+    assert not provenance.code_state(checkout)["dirty"]
+
+
+@pytest.mark.parametrize("name", ["code.py", "new.py"])
+def test_changes_and_new_files_make_it_dirty(checkout, name):
+    (checkout / name).write_text("a = 2\n")
+    assert provenance.code_state(checkout)["dirty"]
+
+
+def test_no_checkout_no_commit(checkout, tmp_path, monkeypatch):
+    installed = checkout / "site-packages"
+    installed.mkdir()
+    unborn = tmp_path / "unborn"
+    unborn.mkdir()
+    git(unborn, "init", "-q")
+    outside = {"release": provenance.release(), "commit": None, "dirty": False}
+    for folder in (installed, tmp_path, unborn, tmp_path / "nowhere"):
+        assert provenance.code_state(folder) == outside
+    monkeypatch.setenv("PATH", str(tmp_path))  # no git
+    assert provenance.code_state(checkout) == outside
+
+
+def test_digests_are_those_of_contents(tmp_path):
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "file").write_text("1")
+    assert digest({"path": tmp_path / "a", "x": np.arange(2)}) == digest(
+        {"x": [0, 1], "path": tmp_path / "b"})
+    (tmp_path / "b" / "file").write_text("2")
+    assert digest(tmp_path / "a") != digest(tmp_path / "b")
+    with pytest.raises(TypeError, match="object has no digest"):
+        digest(object())
+
+
+def test_versions_of_what_is_installed():
+    assert provenance.package_versions("numpy", "no-such-package") == {"numpy": np.__version__}
+
+
+def test_an_environment_is_fit_for_json_and_stays_the_same():
+    first = provenance.environment()
+    assert json.loads(json.dumps(first)) == first == provenance.environment()
+    assert {"numpy", "scipy", "numba", "h5py"} <= first["packages"].keys()

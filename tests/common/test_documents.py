@@ -1,13 +1,16 @@
-"""Hostile and broken documents end in one short line, in little time."""
+"""What enters: hostile and broken documents, arguments and tables end in one short line, in little
+time; tables of every program are read alike."""
 
 import os
 import time
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import Field
 
+from common.arguments import number, numbers, require, whole_number
 from common.documents import (
     Schema,
     parse_json,
@@ -18,6 +21,7 @@ from common.documents import (
     yaml_text,
 )
 from common.errors import InputError, shown
+from common.tables import read_rows, read_table
 
 
 class Cloth(Schema):
@@ -231,3 +235,89 @@ def test_marks_that_have_no_meaning_are_named(text, fault):
     with pytest.raises(InputError) as raised:
         parse_yaml(text, "x")
     assert fault in str(raised.value)
+
+
+@pytest.mark.parametrize("value", [2, 2.0, np.float32(2), np.array(2.0)])
+def test_numbers_of_any_type_are_taken(value):
+    assert number("edge", value, "m") == 2.0
+    assert numbers("offset", (value, 0), "two numbers", (2,)).tolist() == [2.0, 0.0]
+
+
+@pytest.mark.parametrize("value", [
+    "2", None, True, np.nan, -np.inf, [2.0], 2j, {}, np.ma.masked_equal(2.0, 2.0)])
+def test_what_is_no_finite_number_is_refused(value):
+    with pytest.raises(InputError, match=r"^edge=.*: give a finite number, m$"):
+        number("edge", value, "m")
+
+
+def test_arrays_are_shown_by_their_shape_and_must_have_the_one_stated():
+    assert numbers("points", np.ones((4, 2)), "points", (None, 2)).shape == (4, 2)
+    with pytest.raises(InputError, match=r"^points of the shape \(4, 2\): give \(V, 3\)$"):
+        numbers("points", np.ones((4, 2)), "(V, 3)", (None, 3))
+
+
+def test_whole_numbers_and_classes_are_required():
+    assert whole_number("seed", np.int64(3), 0) == 3
+    for value in (1.5, "3", -1, None):
+        with pytest.raises(InputError, match=r"seed=.*give a whole number, at least 0"):
+            whole_number("seed", value, 0)
+    with pytest.raises(InputError, match="a=1 is not of the class str; give one such as 'x'"):
+        require(b=("x", str), a=(1, str, "'x'"))
+
+
+EXPECTED = [["x", "y"], ["1.5", "-2"], ["0", "3"]]
+
+
+@pytest.mark.parametrize("text", [
+    "x,y\n1.5,-2\n0,3\n", "x;y\r\n1.5;-2\r\n0;3\r\n", "x\ty\n1.5\t-2\n0\t3",
+    "x y\n1.5  -2\n 0 3 \n",
+    '"x","y"\n"1.5","-2"\n"0","3"\n', "x, y\r1.5, -2\r0, 3\r",
+    "sep=;\nx;y\n1.5;-2\n0;3\n", "sep=|\r\nx|y\r\n1.5|-2\r\n0|3\r\n", '"sep=,"\nx,y\n1.5,-2\n0,3',
+    "x;y;\n1.5;-2;\n0;3;\n", "x;y\n\n1.5;-2\n;\n0;3\n;\n;;\n", ";x;;y\n;1.5;;-2\n;0;;3\n",
+], ids=["comma", "semicolon", "tab", "space", "quoted", "old Mac", "Excel", "bar",
+        "quoted sep", "trailing", "empty rows", "empty columns"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_every_dialect_gives_the_same_cells(tmp_path, text, encoding):
+    file = tmp_path / "table.csv"
+    file.write_bytes(text.encode(encoding))
+    assert [cells for _, cells in read_rows(file, "table")] == EXPECTED
+
+
+@pytest.mark.parametrize(("text", "row"), [
+    ("x;y\n1,5;-2\n0;3\n", ["1,5", "-2"]), ("1,5;-2,0\n0,0;3,0\n", ["1,5", "-2,0"]),
+    ("1,5 -2,0\n0,0 3,0\n", ["1,5", "-2,0"]), ('x,y\n"1,5","-2,0"\n', ["1,5", "-2,0"])])
+def test_decimal_commas_do_not_separate(tmp_path, text, row):
+    file = tmp_path / "table.csv"
+    file.write_text(text)
+    assert row in [cells for _, cells in read_rows(file, "table")]
+
+
+def test_marks_inside_names_do_not_separate(tmp_path):
+    file = tmp_path / "table.csv"
+    file.write_text('fabric,capture\n"silk; red, fine",a\ntwill; blue,b\n"a ""b""",c\n12,3 4\n')
+    header, rows = read_table(file, "table")
+    assert header == ["fabric", "capture"]
+    assert rows == [(2, ["silk; red, fine", "a"]), (3, ["twill; blue", "b"]), (4, ['a "b"', "c"]),
+                    (5, ["12", "3 4"])]
+
+
+@pytest.mark.parametrize("text", [
+    '"","x","y"\n"1",1.5,-2\n"2",0,3\n', '"x","y"\n"1",1.5,-2\n"2",0,3\n',
+    '"x" "y"\n"1" 1.5 -2\n"2" 0 3\n'], ids=["write.csv", "write.table", "spaces"])
+def test_names_of_rows_that_r_writes_have_a_blank_head(tmp_path, text):
+    file = tmp_path / "table.csv"
+    file.write_text(text)
+    header, rows = read_table(file, "table")
+    assert header == ["", "x", "y"] and [cells[1:] for _, cells in rows] == EXPECTED[1:]
+
+
+@pytest.mark.parametrize(("data", "words"), [
+    ("fabric\nKöper;1".encode("cp1252"), r"UTF-8 \(line 2 has 'Köper;1' if it is in Windows"),
+    (b"\xff\xfe\x00", "not text in UTF-16"), ("x,y".encode("utf-16-le"), "zero bytes, as UTF-16"),
+    (b'x,y\n"1,2\n', "cannot be read")])
+def test_other_encodings_and_open_quotes_are_refused_in_one_line(tmp_path, data, words):
+    file = tmp_path / "table.csv"
+    file.write_bytes(data)
+    with pytest.raises(InputError, match=words) as refusal:
+        read_rows(file, "table")
+    assert str(refusal.value).isprintable()

@@ -50,6 +50,8 @@ def test_every_code_has_a_sentence_with_its_values():
     assert len(calls) > 80
     for call in calls:
         first, *others = call.args
+        if isinstance(first, ast.Subscript):  # the code of a record
+            continue
         named = [node.value for argument in (first, *others * (call.func.id != "Finding"))
                  for node in ast.walk(argument) if isinstance(node, ast.Constant)
                  and isinstance(node.value, str)]

@@ -149,7 +149,7 @@ def test_values_of_fast_are_read_as_they_are_given(tmp_path):
 
 def test_the_weight_for_ten_per_cent_stretches_by_ten_per_cent(tmp_path):
     strips = read(tmp_path, strip_of("bias", 25), strip_of("warp", 500))
-    for direction, load in strips.loads(strips.evidence).items():
+    for direction, load in strips.loads().items():
         assert strip_of(direction, load)["extension_mm"] == pytest.approx(10, rel=0.12)
 
 

@@ -57,11 +57,17 @@ PROPERTIES = ClothProperties(np.array([[-10.5, -11.0, -11.2, -2e-3, -3e-3, -1e-3
                         np.array([[4.0, -2.0]]), np.array([500.0]), np.array([0.2]))
 
 
+def part_of(dataset: Path, shards: int) -> dict:
+    """The manifest of a dataset's first shards."""
+    manifest = finished_manifest(dataset)
+    return manifest | {"shards": dict([*manifest["shards"].items()][:shards])}
+
+
 @pytest.fixture(scope="module")
 def files(cloth_dataset, tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("maps")
-    make_maps(cloth_dataset, finished_manifest(cloth_dataset), out, setups=SETUPS, captures=1,
-              seed=3, workers=2, shards=2)
+    make_maps(cloth_dataset, part_of(cloth_dataset, 2), out, setups=SETUPS, captures=1, seed=3,
+              workers=2)
     return out
 
 
@@ -70,8 +76,8 @@ def test_files_do_not_depend_on_workers_or_interruptions(files, cloth_dataset):
     made = sorted(folder.iterdir())
     bytes_of = {file: file.read_bytes() for file in made}
     sorted(folder.glob("*.json"))[1].unlink()
-    maps = make_maps(cloth_dataset, finished_manifest(cloth_dataset), files, setups=SETUPS,
-                     captures=1, seed=3, shards=2)
+    maps = make_maps(cloth_dataset, part_of(cloth_dataset, 2), files, setups=SETUPS, captures=1,
+                     seed=3)
     assert {file: file.read_bytes() for file in sorted(folder.iterdir())} == bytes_of
     assert len(maps) == 16 and not maps.moved.any()
     assert np.isfinite(maps.distance).all() and (maps.weight.max(axis=(1, 2)) > 0).all()
@@ -93,15 +99,14 @@ def test_another_version_makes_maps_again(files, cloth_dataset, tmp_path, monkey
     copy = shutil.copytree(files, tmp_path / "maps")
     for version, made in ((dataset.VERSION, False), (-1, True), (-1, False)):
         monkeypatch.setattr(dataset, "VERSION", version)
-        make_maps(cloth_dataset, finished_manifest(cloth_dataset), copy, setups=SETUPS, captures=1,
-                  seed=3, shards=1)
+        make_maps(cloth_dataset, part_of(cloth_dataset, 1), copy, setups=SETUPS, captures=1, seed=3)
         assert ("1 to go" in capsys.readouterr().out) == made
 
 
 def test_pictures_are_beside_the_maps_where_they_are_asked_for(files, cloth_dataset, tmp_path):
-    manifest = finished_manifest(cloth_dataset)
+    manifest = part_of(cloth_dataset, 1)
     plain, seen = (make_maps(cloth_dataset, manifest, folder, setups=SETUPS, captures=1, seed=3,
-                             shards=1, pictures=pictures)
+                             pictures=pictures)
                    for folder, pictures in ((files, False), (tmp_path, True)))
     assert plain.pictures.shape[:2] == (8, 0) and seen.pictures.shape == (8, 4, SIDE, SIDE)
     np.testing.assert_array_equal(plain.distance, seen.distance)

@@ -22,7 +22,7 @@ from drapenet.network.expected import (
 )
 from drapenet.network.inputs import Batch, Facts
 from drapenet.network.mixture import Mixture, factor_of, outputs_of
-from drapenet.network.model import Expected, _log_density, make_network
+from drapenet.network.model import Expected, make_network
 from drapenet.network.optimizer import Optimizer, _Muon
 from drapenet.network.posterior import LEVELS, covered, ranks
 from drapenet.network.predict import DRAWS, network_of, predict
@@ -202,11 +202,11 @@ def test_the_advice_of_a_fabric_is_that_of_specimens_that_all_say_little():
 def test_densities_by_matrix_products_are_those_of_each_cloth(expected):
     shape, samples, facts, face = drawn(30, 3)
     known = torch.tensor([True, True, False, True, False])
-    parts = [part.detach() for part in expected(
-        samples[:, 0], facts[:1].expand(400, 2), face[:1].expand(400))]
+    given = samples[:, 0], facts[:1].expand(400, 2), face[:1].expand(400)
     shape[:, ~known] = torch.nan
-    each = _log_density(shape[:, None], *parts).logsumexp(dim=1)
-    found = log_density_of_all(shape.numpy(), known.numpy(), *(part.numpy() for part in parts))
+    each = expected.log_density(shape[:, None], *given).logsumexp(dim=1).detach()
+    found = log_density_of_all(shape.numpy(), known.numpy(),
+                               *(part.detach().numpy() for part in expected(*given)))
     np.testing.assert_allclose(found, each.numpy(), rtol=0, atol=2e-3)
 
 

@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 from common.errors import InputError
 from common.types import Mask, PixelPath, Radians
 from data.pictures.edge import sampled
+from sim.cantilever.moduli import arc_lengths
 
 POINTS = 60  # of a centre line
 BLUR = 1.2  # pixels, standard deviation
@@ -41,30 +42,20 @@ _ROUNDS = 3
 
 @dataclass(frozen=True)
 class CentreLine:
-    """A strip in a picture.
+    """A strip in a picture; lengths in pixels."""
 
-    Attributes:
-        points: (N, 2) from the clamp to the tip, pixels; the last is the tip's end.
-        error: (N,) standard errors across, pixels.
-        band, thinnest: median and nearly smallest width of the strip as seen, pixels.
-        clamp: (2,) where the centre line leaves the clamp, pixels.
-        roll: of the horizontal, by the clamp's edges, clockwise; NaN if they are not seen.
-        uneven: how far the clamp's edges above and below the strip differ, pixels; None if the
-            clamp is not looked for.
-    """
-
-    points: PixelPath
-    error: np.ndarray
-    band: float
-    thinnest: float
-    clamp: np.ndarray
-    roll: Radians
-    uneven: float | None = None
+    points: PixelPath  # (N, 2) from the clamp to the tip; the last is the tip's end
+    error: np.ndarray  # (N,) standard errors across
+    band: float  # median width of the strip as seen
+    thinnest: float  # nearly its smallest width
+    clamp: np.ndarray  # (2,) where the centre line leaves the clamp
+    roll: Radians  # of the horizontal, by the clamp's edges, clockwise; NaN if they are not seen
+    uneven: float | None = None  # by how much the clamp's edges above and below the strip differ
 
 
 def trace_strip(
-    grey: np.ndarray, ignored: Mask, *, thick: float, clamp: np.ndarray | None = None,
-    roll: Radians | None = None, slope: Radians = 0.0
+    grey: np.ndarray, ignored: Mask, *, thick: float, clamp: np.ndarray | None,
+    roll: Radians | None, slope: Radians
 ) -> CentreLine:
     """The strip in a picture (H, W) float32, 0 to 255; InputError if there is not exactly one.
 
@@ -98,7 +89,7 @@ def trace_strip(
     path = _rough_path(strip, solid)
     sign = np.sign(np.median(contrast[strip]))
     field = sign * contrast
-    band = max(strip.sum() / max(_arc(path)[-1], 1.0), 1.5)
+    band = max(strip.sum() / max(arc_lengths(path)[-1], 1.0), 1.5)
     for _ in range(_ROUNDS):
         path = _resampled(path, max(2 * band, 15.0))
         path, widths, peak = _midway(field, path, band)
@@ -150,12 +141,15 @@ def _terms(rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
     return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
 
 
+def _inside(mask: Mask) -> np.ndarray:
+    """Distance (H, W), pixels, of what is in a mask from what is not, 0 elsewhere."""
+    return cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5)
+
+
 def _thick_parts(differs: Mask, thick: float) -> Mask:
     """What discs of the radius ``thick`` cover within a mask."""
-    inner = cv2.distanceTransform(differs.astype(np.uint8), cv2.DIST_L2, 5) > thick
-    if not inner.any():
-        return inner
-    return cv2.distanceTransform((~inner).astype(np.uint8), cv2.DIST_L2, 5) <= thick
+    inner = _inside(differs) > thick
+    return _inside(~inner) <= thick if inner.any() else inner
 
 
 def _edge_roll(solid: Mask, thick: float, slope: Radians) -> Radians:
@@ -190,7 +184,7 @@ def _strip_beside(
     differs: Mask, solid: Mask, thick: float, clamp: np.ndarray | None
 ) -> Mask:
     """The thin piece that leaves the clamp; InputError if there is none, or more."""
-    from_solid = cv2.distanceTransform((~solid).astype(np.uint8), cv2.DIST_L2, 5)
+    from_solid = _inside(~solid)
     thin = differs & (from_solid > _SOURCE_GAP)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(thin.astype(np.uint8))
     left, top, wide, high, areas = stats[1:].T
@@ -211,8 +205,9 @@ def _strip_beside(
             raise InputError(f"the nearest strip is {inside[chosen]:.0f} pixels from clamp_px; "
                              "state the point at which the strip leaves the clamp")
     else:
-        chosen = int(np.argmax(np.where(_to_the_right(labels, sizes, least, solid), sizes, 0)))
-        if not _to_the_right(labels, sizes, least, solid)[chosen]:
+        to_the_right = _to_the_right(labels, sizes, least, solid)
+        chosen = int(np.argmax(np.where(to_the_right, sizes, 0)))
+        if not to_the_right[chosen]:
             raise InputError("the strip hangs to the other side of its clamp than stated; correct "
                              "hangs")
     height, width = differs.shape
@@ -251,7 +246,7 @@ def _rough_path(strip: Mask, solid: Mask) -> PixelPath:
     graph = sparse.csr_array((np.concatenate(steps), (np.concatenate(starts),
                                                       np.concatenate(ends))),
                              shape=(len(rows),) * 2)
-    from_solid = cv2.distanceTransform((~solid).astype(np.uint8), cv2.DIST_L2, 5)[rows, columns]
+    from_solid = _inside(~solid)[rows, columns]
     sources = np.flatnonzero(from_solid < from_solid.min() + 1.5)
     reach = dijkstra(graph, directed=False, indices=sources, min_only=True)
     step = max(4.0, 0.5 * len(rows) / reach.max())
@@ -265,7 +260,7 @@ def _require_no_branch(strip: Mask, path: PixelPath, widths: np.ndarray, band: f
     """InputError for a strip with parts far from its centre line, over its ``widths`` (K,), pixels,
     from its start on. Its ends are left out, where the corners of an end seen obliquely are."""
     distance, nearest = cKDTree(path).query(np.argwhere(strip)[:, ::-1])
-    arc = _arc(path)
+    arc = arc_lengths(path)
     within = (arc[nearest] > 1.5 * band) & (arc[nearest] < arc[-1] - 1.5 * band)
     usual = median_filter(widths, min(61, len(widths)))
     local = np.maximum(usual[np.minimum(nearest, len(usual) - 1)], band)
@@ -276,15 +271,11 @@ def _require_no_branch(strip: Mask, path: PixelPath, widths: np.ndarray, band: f
                          "cut threads that hang from it")
 
 
-def _arc(path: PixelPath) -> np.ndarray:
-    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
-
-
 def _resampled(path: PixelPath, window: float) -> PixelPath:
     """A path at equal steps, smoothed over a ``window`` in pixels."""
     from scipy.signal import savgol_filter  # importing it takes a third of a second
 
-    arc = _arc(path)
+    arc = arc_lengths(path)
     at = np.arange(0.0, arc[-1], _STEP)
     even = np.column_stack([np.interp(at, arc, axis) for axis in path.T])
     odd = min(int(window / _STEP) // 2 * 2 + 1, (len(even) - 1) // 2 * 2 + 1)
@@ -379,7 +370,7 @@ def _clamp_edge(
 def _thinned(path: PixelPath) -> tuple[PixelPath, np.ndarray]:
     """:data:`POINTS` places of a path, from quadratics through equal parts of it, and their
     standard errors across; neighbouring places of the path depend on each other."""
-    arc = _arc(path)
+    arc = arc_lengths(path)
     bounds = np.linspace(0, arc[-1], POINTS)  # the tip is the last point
     points, errors = [], []
     for low, high in pairwise(bounds):

@@ -117,12 +117,10 @@ class StripsDescription(Described, View):
 
     @property
     def measures(self) -> bool:
-        """Any strip, with which known values count as beside it."""
         return bool(self.strips)
 
     @property
     def needs_warp(self) -> bool:
-        """Each strip has a direction."""
         return bool(self.strips) or super().needs_warp
 
     def view(self, entry: StripEntry) -> View:

@@ -29,23 +29,17 @@ ROUNDS = 6  # of the correction for the twist of free strips
 
 @dataclass(frozen=True, kw_only=True)
 class StripSet(Measured):
-    """The strips of one fabric.
-
-    Attributes:
-        lengths: direction and value of each bending length that was typed in.
-        slope: of all clamps below the horizontal.
-    """
+    """The strips of one fabric."""
 
     name, noun, schema, recorded = "strips", "strips", StripsDescription, StripsRecord
     apart = "strips.yaml: give the capture and the strips one after the other"
     photographs: tuple[PhotographedStrip, ...] = ()
-    lengths: tuple[tuple[str, BendingLength], ...] = ()
-    slope: Radians = 0.0
+    lengths: tuple[tuple[str, BendingLength], ...] = ()  # with their directions, as typed in
+    slope: Radians = 0.0  # of all clamps below the horizontal
     width: Metres = 0.03
 
     @classmethod
     def read(cls, place: Path, stated: Mapping[str, Any]) -> "StripSet":
-        """Read a folder."""
         return read_strips(place)
 
     def __len__(self) -> int:
@@ -53,7 +47,6 @@ class StripSet(Measured):
 
     @property
     def needs_warp(self) -> bool:
-        """Any strip is along a known direction."""
         return len(self) > 0
 
     @property
@@ -68,7 +61,6 @@ class StripSet(Measured):
         return set(self.curves) == set(DIRECTIONS)
 
     def record(self, prior: ClothProperties) -> StripsRecord:
-        """Moduli and evidence of each direction."""
         moduli = {}
         for direction, strip in self.evidence(prior_along(prior, self.density)).items():
             alpha, beta = strip.samples()
@@ -90,7 +82,6 @@ class StripSet(Measured):
             ).encode() for strip in self.photographs}
 
     def shown(self) -> bytes:
-        """The photographs with the curves."""
         from data.captures.preview import png  # Matplotlib
         from drapenet.measured.strips.preview import strips_figure
 

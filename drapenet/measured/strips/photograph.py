@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from scipy.special import erf
 
-from common.errors import InputError
+from common.errors import InputError, of
 from common.files import path_named
 from common.findings import Finding
 from common.types import DeflectionCurve, Metres, Pixels, Radians
@@ -23,6 +23,7 @@ from data.pictures.reading import read_photograph
 from drapenet.measured.strips.centre_line import CentreLine, trace_strip
 from drapenet.measured.strips.description import StripEntry, StripsDescription, View
 from drapenet.measured.strips.posterior import MeasuredStrip
+from sim.cantilever.moduli import arc_lengths
 
 WORKING_SIDE = 2600  # pixels, to which larger photographs are reduced
 BRIGHTEST = 0.9995  # quantile; a strip may be the only light thing in the picture
@@ -50,27 +51,19 @@ BAND_ERROR = (5e-6, 0.008)  # m, and relative to the band's width, over a quarte
 
 @dataclass(frozen=True)
 class PhotographedStrip:
-    """One strip, and what was seen of it.
+    """One strip, and what was seen of it."""
 
-    Attributes:
-        name: of the file.
-        measured: its curve with the covariance of its errors.
-        picture: (H, W) uint8, grey, reduced.
-        pixels: of the curve in ``picture``.
-        band: width of the strip as seen.
-    """
-
-    name: str
+    name: str  # of the file
     direction: str
     measured: MeasuredStrip
-    picture: np.ndarray
-    pixels: Pixels
-    band: Metres
+    picture: np.ndarray  # (H, W) uint8, grey, reduced
+    pixels: Pixels  # of the curve in the picture
+    band: Metres  # width of the strip as seen
     warnings: tuple[Finding, ...] = ()
 
 
 def read_strip(
-    folder: Path, entry: StripEntry, description: StripsDescription, *, slope: Radians = 0.0
+    folder: Path, entry: StripEntry, description: StripsDescription, *, slope: Radians
 ) -> PhotographedStrip:
     """Read the photograph of an entry; InputError if it does not show a hanging strip.
 
@@ -78,10 +71,8 @@ def read_strip(
     """
     assert entry.file and entry.free_length_mm  # of an entry with a photograph
     file = path_named(folder, entry.file)
-    try:
+    with of(file):
         return _read(file, entry, 1e-3 * entry.free_length_mm, description, slope)
-    except InputError as error:
-        raise InputError(str(error) if str(file) in str(error) else f"{file}: {error}") from None
 
 
 def _read(
@@ -278,7 +269,7 @@ def _covariance(
     end = np.zeros_like(curve)
     end[-1] = tip * along / np.linalg.norm(along)
     flat = np.stack([mode.ravel() for mode in [*modes, end]])
-    arc = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
+    arc = arc_lengths(curve)
     apart = (arc[:, None] - arc) / (arc[-1] / 4)
     size = BAND_ERROR[0] + BAND_ERROR[1] * band
     # Near its ends a band is cut obliquely, or hidden by the clamp.

@@ -41,23 +41,14 @@ _LIMITS = (0.5, 1.5)  # of a strip's length, relative
 
 @dataclass(frozen=True)
 class MeasuredStrip:
-    """A deflection curve (N, 2) whose first point is the clamp's edge, 0, and whose last is the
-    tip.
+    """A strip's curve, and its free length as it is known besides."""
 
-    Attributes:
-        covariance: (2 N, 2 N) m², of its errors, x and y of one point after the other.
-        length: free length that is known besides the curve, with its standard deviation
-            ``length_error``, m, infinite if it is not.
-        sign: 1 if the marked face is up, else -1.
-        specimen: name of the specimen; '' if nothing else was measured of it.
-    """
-
-    curve: DeflectionCurve
-    covariance: np.ndarray
+    curve: DeflectionCurve  # (N, 2) from the clamp's edge, 0, to the tip
+    covariance: np.ndarray  # (2 N, 2 N) m², of its errors, x and y of one point after the other
     length: Metres
-    length_error: Metres
-    sign: int = 1
-    specimen: str = ""
+    length_error: Metres  # standard deviation, infinite if the length is not known
+    sign: int = 1  # 1 if the marked face is up, else -1
+    specimen: str = ""  # its name; '' if nothing else was measured of it
 
 
 @dataclass(frozen=True)
@@ -75,18 +66,13 @@ class StripEvidence:
     """What the strips of one direction say of log alpha (alpha in N·m), beta/alpha, m, and the
     natural curvature, 1/m, positive if cloth with the marked face up bends down by itself.
 
-    Attributes:
-        measured: evidence of these three, of the fabric, without any prior.
-        posterior: of them with the prior that was given.
-        misfit: root mean square of the residuals, in standard deviations; if larger than 1, the
-            errors of the measurements are larger by it.
-        scatter: standard deviation of log alpha between specimens.
+    Where the ``misfit`` is larger than 1, the errors of the measurements are larger by it.
     """
 
-    measured: Linear
-    posterior: Normal
-    misfit: float
-    scatter: float
+    measured: Linear  # without any prior
+    posterior: Normal  # with the prior that was given
+    misfit: float  # root mean square of the residuals, in standard deviations
+    scatter: float  # standard deviation of log alpha between specimens
 
     @property
     def alpha(self) -> float:
@@ -109,14 +95,13 @@ class StripEvidence:
         return replace(self, measured=self.measured.moved(mean - self.posterior.mean),
                        posterior=Normal(mean, self.posterior.covariance))
 
-    def samples(self, count: int = 4000) -> tuple[np.ndarray, np.ndarray]:
-        """Samples of alpha, N·m, and beta, N·m², (count,) each, by a fixed seed."""
-        log_alpha, ratio, _ = self.posterior.samples(count).T
+    def samples(self) -> tuple[np.ndarray, np.ndarray]:
+        """Samples of alpha, N·m, and beta, N·m², (4000,) each, by a fixed seed."""
+        log_alpha, ratio, _ = self.posterior.samples(4000).T
         return np.exp(log_alpha), np.exp(log_alpha) * ratio
 
     def intervals(self, level: float) -> np.ndarray:
-        """Central intervals (2, 2) of alpha, N·m, and beta, N·m², with the probability ``level``.
-        """
+        """Central intervals (2, 2) of alpha, N·m, and beta, N·m², of the probability ``level``."""
         ends = [(1 - level) / 2, (1 + level) / 2]
         return np.stack([np.quantile(values, ends) for values in self.samples()])
 

@@ -38,22 +38,18 @@ class StripsRecord(Record):
 
     @property
     def needs_warp(self) -> bool:
-        """Along the yarns there is a warp."""
         return bool(self.moduli)
 
     def sources(self) -> list[Source]:
-        """The strips of each direction."""
         return [of_strips(direction, Linear(np.array(moduli.evidence.rows),
                                             np.array(moduli.evidence.values)),
                           MICRO * moduli.alpha_uN_m.median, 1e-3 * self.density_g_m2)
                 for direction, moduli in self.moduli.items()]
 
     def counted(self) -> tuple[int, str, str]:
-        """The strips, none where only values are known."""
         return self.strips, "strip", "strips"
 
     def lines(self) -> list[str]:
-        """Moduli along each direction."""
         return [f"by strips alone, along the {name}: alpha {moduli.alpha_uN_m} µN·m, beta "
                 f"{moduli.beta_nN_m2} nN·m², natural curvature "
                 f"{moduli.natural_curvature_1_m:.2g} ± "

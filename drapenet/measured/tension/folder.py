@@ -46,22 +46,16 @@ TURNED = np.radians(3.0)  # that marks may be turned by a weight: beyond, a band
 
 @dataclass(frozen=True, kw_only=True)
 class TensionSet(Measured):
-    """The strips of one fabric.
-
-    Attributes:
-        shear: stiffness by KES-FB1, N/m, if it is stated.
-        photographs: what pairs of photographs say, by the strip's number.
-    """
+    """The strips of one fabric."""
 
     name, noun, alone = "tension", "strips under weights", True
     schema, recorded = TensionDescription, TensionRecord
     strips: tuple[MeasuredExtension, ...]
-    shear: float | None = None
-    photographs: Mapping[int, PhotographedExtension] = field(default_factory=dict)
+    shear: float | None = None  # stiffness by KES-FB1, N/m, if it is stated
+    photographs: Mapping[int, PhotographedExtension] = field(default_factory=dict)  # by strip
 
     @classmethod
     def read(cls, place: Path, stated: Mapping[str, Any]) -> "TensionSet":
-        """Read a folder."""
         return read_tension(place)
 
     @property
@@ -85,17 +79,15 @@ class TensionSet(Measured):
             "stretch_n_per_m": {"warp": intervals(warp), "weft": intervals(weft)},
             "friction_n_per_m": {name: float(found.friction[DIRECTIONS.index(name)])
                                  for name in directions_of(self.strips)},
-            "weight_for_10_percent_g": self.loads(found),
+            "weight_for_10_percent_g": self.loads(),
             "readings": {key: intervals(values) for key, values in found.readings().items()},
             "along_yarns": self.needs_warp, "findings": [*self.warnings, *found.findings],
             "known": self.known})
 
     def findings(self, observed: Observed | None, setups: Setups) -> list[Finding]:
-        """Contradictions of the strips, and unusual values."""
         return [*self.evidence.findings]
 
     def shown(self) -> bytes:
-        """Photographs with marks, and loads over extensions."""
         if not self.strips:
             return b""
         from data.captures.preview import png  # Matplotlib
@@ -103,8 +95,9 @@ class TensionSet(Measured):
 
         return png(tension_figure(self.strips, self.photographs, self.evidence))
 
-    def loads(self, found: TensionEvidence) -> dict[str, float]:
+    def loads(self) -> dict[str, float]:
         """For each direction the weight, g, that stretches its first strip by :data:`AIM`."""
+        found = self.evidence
         warp, weft, shear = np.exp(found.posterior.mean)
         return {DIRECTIONS[strip.direction]: float(1e3 * strip.width / STANDARD_GRAVITY * (
             found.friction[strip.direction]

@@ -25,35 +25,23 @@ _WEAK = 0.3  # of a line's usual contrast, below which a column is left out
 
 @dataclass(frozen=True)
 class Line:
-    """A line across a band.
+    """A line across a band."""
 
-    Attributes:
-        place: along the strip, in its middle; ``slope``: of the line to the strip's normal.
-        thickness: of the pen, about.
-        colour, contrast: (3,) log light of red, green and blue, and that over the light beside it.
-        strength: log light by which two thirds of it differ from both sides.
-    """
-
-    place: Metres
-    slope: float
-    thickness: Metres
-    colour: np.ndarray
-    contrast: np.ndarray
-    strength: float
+    place: Metres  # along the strip, in its middle
+    slope: float  # of the line to the strip's normal
+    thickness: Metres  # of the pen, about
+    colour: np.ndarray  # (3,) log light of red, green and blue
+    contrast: np.ndarray  # (3,) the same over the light beside it
+    strength: float  # log light by which two thirds of it differ from both sides
 
 
 @dataclass(frozen=True)
 class Band:
-    """A strip, straightened.
+    """A strip, straightened."""
 
-    Attributes:
-        along: (S,) m, a :data:`STEP` apart; ``across``: (:data:`COLUMNS`,) m.
-        logs: (S, COLUMNS, 3) logarithm of light.
-    """
-
-    along: np.ndarray
-    across: np.ndarray
-    logs: np.ndarray
+    along: np.ndarray  # (S,) m, a STEP apart
+    across: np.ndarray  # (COLUMNS,) m
+    logs: np.ndarray  # (S, COLUMNS, 3) logarithm of light
 
     def lines(self) -> list[Line]:
         """Lines that differ from the cloth on both sides, the strongest first."""

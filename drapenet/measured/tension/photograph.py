@@ -15,7 +15,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from common.errors import InputError
+from common.errors import InputError, of
 from common.files import path_named
 from common.types import Metres, Pixels, Radians
 from data.captures.scale import MAT_SIDE
@@ -49,21 +49,14 @@ OTHERWISE = "or state marks_px, the two marks' places in both pictures"
 
 @dataclass(frozen=True)
 class MarkedPicture:
-    """A photograph of a strip, in its plane.
+    """A photograph of a strip, in its plane."""
 
-    Attributes:
-        photograph, pose: the picture, and the camera over the mat.
-        height: of the strip above the mat, in lengths of the mat's layout.
-        markers: (M, 2) m, of the mat that are seen; ``pixel``: size of a pixel, m.
-        mat: its name.
-    """
-
-    name: str
+    name: str  # of the file
     photograph: Photograph
-    pose: Pose
-    height: Metres
-    markers: np.ndarray
-    mat: str
+    pose: Pose  # of the camera over the mat
+    height: Metres  # of the strip above the mat, in lengths of the mat's layout
+    markers: np.ndarray  # (M, 2) m, of the mat that are seen
+    mat: str  # its name
 
     @property
     def away(self) -> Metres:
@@ -101,55 +94,45 @@ class MarkedPicture:
 
 @dataclass(frozen=True)
 class Strip:
-    """A strip in its plane: a point (2,) of its middle line, its direction (2,), its width, and
-    between which places along it, from that point, it may be.
-    """
+    """A strip in its plane."""
 
-    middle: np.ndarray
-    along: np.ndarray
+    middle: np.ndarray  # (2,) a point of its middle line
+    along: np.ndarray  # (2,) its direction
     width: Metres
-    ends: tuple[Metres, Metres]
+    ends: tuple[Metres, Metres]  # places along it, from that point, between which it may be
+
+    def places(self, along: np.ndarray, across: np.ndarray) -> np.ndarray:
+        """Places (..., 2), m, in the plane, by coordinates (...) along and across the strip."""
+        normal = np.array([-self.along[1], self.along[0]])
+        return self.middle + along[..., None] * self.along + across[..., None] * normal
 
     def band(self, picture: MarkedPicture) -> Band:
         """The strip, straightened; where there is no picture it is black."""
         count = int((self.ends[1] - self.ends[0]) / STEP)
         along = self.ends[0] + STEP * np.arange(count)
         fine = np.linspace(-ACROSS, ACROSS, 2 * COLUMNS) * self.width
-        normal = np.array([-self.along[1], self.along[0]])
-        places = (self.middle + along[:, None, None] * self.along
-                  + fine[:, None] * normal)
-        logs = np.nan_to_num(picture.logs(places), nan=np.log(_LIGHT_FLOOR))
-        pair = (count, COLUMNS, 2)
+        logs = np.nan_to_num(picture.logs(self.places(along[:, None], fine)),
+                             nan=np.log(_LIGHT_FLOOR))
         return Band(along, fine.reshape(COLUMNS, 2).mean(axis=1),
-                    logs.reshape(*pair, 3).mean(axis=2))
+                    logs.reshape(count, COLUMNS, 2, 3).mean(axis=2))
 
 
 @dataclass(frozen=True)
 class PhotographedExtension:
-    """What two photographs say.
+    """What two photographs say, without and with the weight."""
 
-    Attributes:
-        gauge: distance of the marks without the weight; ``extension``: with it, more.
-        error: standard deviation of the extension.
-        width: of the strip without the weight, as seen; NaN if it was not looked for.
-        turned: angle to the strip by which the marks are turned with the weight.
-        pictures: names of both files.
-        courses: (2, 2, COLUMNS, 2) pixels, of both marks in both pictures; NaN where not seen.
-    """
-
-    gauge: Metres
-    extension: Metres
-    error: Metres
-    width: Metres
-    turned: Radians
+    gauge: Metres  # distance of the marks without the weight
+    extension: Metres  # how much farther they are apart with it
+    error: Metres  # standard deviation of the extension
+    width: Metres  # of the strip without the weight, as seen; NaN if it was not looked for
+    turned: Radians  # angle to the strip by which the marks are turned with the weight
     pictures: tuple[MarkedPicture, MarkedPicture]
-    courses: np.ndarray
+    courses: np.ndarray  # (2, 2, COLUMNS, 2) pixels, of both marks in both; NaN where not seen
 
 
 def read_extension(
     folder: Path, files: tuple[str, str], *, width: Metres, gauge: Metres, most: float,
-    above: Metres = 0.0, scale: float = 1.0,
-    marks: tuple[Sequence, Sequence] | None = None
+    above: Metres, scale: float, marks: tuple[Sequence, Sequence] | None
 ) -> PhotographedExtension:
     """Read a pair of photographs, without and with the weight; InputError in one line.
 
@@ -166,17 +149,13 @@ def read_extension(
     windows = ((gauge - slack, gauge + slack), (gauge - slack, (1 + most) * (gauge + slack)))
     seen = []
     for k, picture in enumerate(pictures):
-        try:
+        with of(folder / picture.name):
             seen.append(_look(picture, width, windows[k], scale, marks and marks[k]))
-        except InputError as error:
-            raise InputError(f"{folder / picture.name}: {error}") from None
     chosen = _best([one.pairs for one in seen], str(folder / pictures[0].name))
     courses = [[one.band.course(line) for line in pair] for one, pair in zip(
         seen, chosen, strict=True)]
-    try:
+    with of(folder / pictures[1].name):
         distances = _distances([one.band for one in seen], courses, scale)
-    except InputError as error:
-        raise InputError(f"{folder / pictures[1].name}: {error}") from None
     length, extension = distances.length, distances.extension
     return PhotographedExtension(
         scale * length, scale * extension,
@@ -221,15 +200,13 @@ def _look(picture: MarkedPicture, width: Metres, window: tuple[Metres, Metres], 
 
 @dataclass(frozen=True)
 class _Distances:
-    """Of two marks without the weight, and how much farther they are apart with it, by ``seen``
-    (COLUMNS,) of the ``by_column`` (COLUMNS,); how far the lines of one strip are ``turned``
-    between the pictures, rad, and by which angle they are ``unparallel`` without the weight."""
+    """Of two marks."""
 
-    length: Metres
-    by_column: np.ndarray
-    seen: np.ndarray
-    turned: Radians
-    unparallel: Radians
+    length: Metres  # without the weight
+    by_column: np.ndarray  # (COLUMNS,) how much farther they are apart with it
+    seen: np.ndarray  # (COLUMNS,) whether a column counts
+    turned: Radians  # of the lines between the pictures
+    unparallel: Radians  # angle between the lines without the weight
 
     @property
     def extension(self) -> Metres:
@@ -298,10 +275,7 @@ def _spread(values: np.ndarray) -> float:
 
 def _pixels(picture: MarkedPicture, seen: _Seen, course: np.ndarray) -> np.ndarray:
     """Pixels (COLUMNS, 2) of a course."""
-    along = seen.strip.along
-    normal = np.array([-along[1], along[0]])
-    places = (seen.strip.middle + course[:, None] * along
-              + seen.band.across[:, None] * normal)
+    places = seen.strip.places(course, seen.band.across)
     points = np.column_stack([np.nan_to_num(places), np.full(COLUMNS, picture.height)])
     return np.where(np.isfinite(course)[:, None], picture.pose.pixels_of(points), np.nan)
 
@@ -364,8 +338,7 @@ def find_strip(picture: MarkedPicture, width: Metres) -> Strip:
     ground &= np.isfinite(logs).all(axis=2)
     there = places[ground]
     differs = np.minimum(_from_ground(there / half, logs[ground]) / _DIFFERS, 1)
-    best = max((_bands(there, differs, angle, width) for angle in _ANGLES), default=None)
-    assert best  # of all angles one is the best
+    best = max(_bands(there, differs, angle, width) for angle in _ANGLES)
     best = max(_bands(there, differs, best[1] + angle, width) for angle in _FINER)
     score, angle, low, high, inside = best
     if score < _SCORE:

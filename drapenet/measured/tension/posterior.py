@@ -55,23 +55,16 @@ _SHARED = 7  # unknowns: three stiffnesses, Poisson's ratio, friction of three d
 
 @dataclass(frozen=True)
 class MeasuredExtension:
-    """A strip that a load stretches.
+    """A strip that a load stretches; errors are standard deviations."""
 
-    Attributes:
-        direction: number of it.
-        load: N/m, with the relative standard deviation ``load_error``.
-        width, gauge, margin: of the strip, between the marks, from each mark to its clamp.
-        extension: of the gauge length, m, with the standard deviation ``error``.
-    """
-
-    direction: int
-    load: float
-    load_error: float
+    direction: int  # its number
+    load: float  # N/m
+    load_error: float  # relative
     width: Metres
-    gauge: Metres
-    margin: Metres
-    extension: Metres
-    error: Metres
+    gauge: Metres  # between the marks
+    margin: Metres  # from each mark to its clamp
+    extension: Metres  # of the gauge
+    error: Metres  # of the extension
     specimen: str = ""
 
     def reach(self, stiffness: tuple[np.ndarray, np.ndarray, np.ndarray], poisson: float
@@ -104,21 +97,14 @@ def directions_of(strips: Sequence[MeasuredExtension]) -> list[str]:
 
 @dataclass(frozen=True)
 class TensionEvidence:
-    """What strips say of the logarithms of the stiffnesses, N/m, along warp and weft and in shear.
+    """What strips say of the logarithms of the stiffnesses, N/m, along warp and weft and in shear,
+    (S, 3) ``samples`` of the posterior."""
 
-    Attributes:
-        samples: (S, 3) of the posterior, by a fixed seed.
-        measured: numbers of the directions with a measurement; that along the bias is of shear.
-        poisson: at the best fit.
-        friction: (3,) N/m, by direction, at the best fit.
-        findings: of strips that contradict each other, and of unusual values.
-    """
-
-    samples: np.ndarray
-    measured: tuple[int, ...]
-    poisson: float
-    friction: np.ndarray
-    findings: tuple[Finding, ...]
+    samples: np.ndarray  # by a fixed seed
+    measured: tuple[int, ...]  # numbers of the directions; a measurement along the bias is of shear
+    poisson: float  # at the best fit
+    friction: np.ndarray  # (3,) N/m, by direction, at the best fit
+    findings: tuple[Finding, ...]  # of strips that contradict each other, and of unusual values
 
     @property
     def posterior(self) -> Normal:

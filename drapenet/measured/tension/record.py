@@ -18,8 +18,7 @@ class Stretch(Excerpt):
 
 
 class TensionRecord(Record):
-    """Strips under weights: stiffnesses at the fabric's density, ``measured`` or of usual fabrics.
-    """
+    """Strips under weights: stiffnesses at the fabric's density, measured or of usual fabrics."""
 
     kind = "tension"
     names = tuple(COLUMNS.values())
@@ -37,11 +36,9 @@ class TensionRecord(Record):
 
     @property
     def needs_warp(self) -> bool:
-        """As those of the strips that are along the yarns do."""
         return self.along_yarns
 
     def counted(self) -> tuple[int, str, str]:
-        """The strips."""
         return self.strips, "strip under a weight", "strips under weights"
 
     @property
@@ -52,16 +49,13 @@ class TensionRecord(Record):
                 ("weft", "stretch along the weft", self.stretch_n_per_m.weft)]
 
     def along(self, direction: str) -> Quantity | None:
-        """Stretch or shear that strips along a direction measured."""
         return next((value for key, _, value in self.rows
                      if key == direction and key in self.measured), None)
 
     def columns(self) -> dict[str, Quantity | None]:
-        """Stretch and shear where they were measured."""
         return {name: self.along(direction) for direction, name in COLUMNS.items()}
 
     def lines(self) -> list[str]:
-        """The stiffnesses in words."""
         found = [f"{name} {value} N/m" + ("" if direction in self.measured else
                                           ", not measured: of usual fabrics")
                  for direction, name, value in self.rows]
