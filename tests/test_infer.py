@@ -12,7 +12,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import strip_photographs
 import trimesh
 from cloths import capture_views, describe, write_skirt
 from photographs import CURVE, drawn, plate, write
@@ -27,17 +26,25 @@ from data.captures.reader import read_capture
 from data.captures.writer import write_capture
 from data.render.cameras import Intrinsics
 from drapenet.config import EstimateOptions
-from drapenet.fabric.stages import RAISE, CaptureEstimate, estimate_capture
+from drapenet.fabric import next_measurements, stages
+from drapenet.fabric.stages import CaptureEstimate, estimate_capture
 from drapenet.measured.captures import Captured
 from drapenet.measured.read import sources_in
 from drapenet.network.checkpoint import BUNDLED, read_header
-from drapenet.result.files import SHOWN, STRIPS, read_estimate
+from drapenet.result.files import FAULTS, SHOWN, STRIPS, read_estimate
 from sim.material import DIRECTIONS, MICRO, is_admissible
 from sim.rig import SQUARE_RIG
 
 NUMBERS = {"estimate.json", "samples.npz", "observation.npz", "part.json"}  # files of an estimate
 SHARED = Path(__file__).parents[2] / "shared" / "captures"
 TWILL = Path(__file__).parents[1] / "examples" / "captures" / "twill"
+TENSION = """
+density_g_m2: 210
+tension:
+- {direction: bias, width_mm: 50, gauge_mm: 100, load_g: 50, extension_mm: 4.1}
+- {direction: warp, width_mm: 50, gauge_mm: 200, load_g: 500, extension_mm: 4.2}
+known: {thickness_mm: 0.42, thickness_kpa: 0.2, friction_deg: {fabric: 24, board: 18.5}}
+"""
 
 
 @pytest.fixture
@@ -57,6 +64,10 @@ def checkpoint(untrained_checkpoint, tmp_path) -> Path:
 @pytest.fixture
 def out(tmp_path) -> Path:
     return tmp_path / "out"
+
+
+def no_drape(*_: object) -> None:
+    """In place of a drape on another tester, for what comes next, which costs a second."""
 
 
 def words(capture: Path, checkpoint: Path, *more: str) -> list[str]:
@@ -159,11 +170,12 @@ def test_captures_below_samples_are_found_and_fabrics_are_not_joined(tmp_path):
         sources_in(tmp_path, "capture")
 
 
-def test_captures_of_one_fabric_give_one_estimate(checkpoint, tmp_path, out, capsys):
-    for name, turn in (("a", 0.0), ("b", 1.0)):
+def test_captures_of_one_fabric_give_one_estimate(checkpoint, tmp_path, out, capsys, monkeypatch):
+    monkeypatch.setattr(next_measurements, "expected_drape", no_drape)
+    for name, turn, more in (("a", 0.0, {"operator": "A"}),
+                             ("b", 1.0, {"operator": "B", "face": "down"})):
         write_skirt(tmp_path / "fabric" / name, orientation=turn, warp_direction=turn)
-    describe(tmp_path / "fabric" / "a", fabric="Navy 7", operator="A")
-    describe(tmp_path / "fabric" / "b", fabric="Navy 7", operator="B", face="down")
+        describe(tmp_path / "fabric" / name, fabric="Navy 7", **more)
     infer.main(words(tmp_path / "fabric", checkpoint, "drapes=1", "edge_mm=16"))
     assert {file.name for file in out.iterdir() if file.is_file()} == {
         "estimate.json", "samples.npz", "fabric.json", "report.html", "report.pdf"}
@@ -172,22 +184,17 @@ def test_captures_of_one_fabric_give_one_estimate(checkpoint, tmp_path, out, cap
     assert content_of(out)["capture"]["labels"] == {"fabric": "Navy 7", "operator": "A / B"}
     assert content_of(out / "capture_1")["capture"]["labels"]["operator"] == "B"
     assert 3 <= content_of(out / "capture_1")["capture"]["nodes"] <= 9  # five folds, four corners
+    describe(tmp_path / "fabric" / "b", warp_direction_deg=None)
     infer.main(words(tmp_path / "fabric", checkpoint, "drapes=0"))
     assert not (out / "report.html").exists()
-    content = content_of(out)
     assert "joint estimate of 2 captures" in capsys.readouterr().out
-    assert len(content["captures"]) == 2 and (out / "samples.npz").exists()
+    content = content_of(out)
+    assert content["convention"] == "stiff/soft" and len(content["captures"]) == 2
     for k in range(2):
         alone = content_of(out / f"capture_{k}")
         assert content["captures"][k]["moduli"] == alone["moduli"] != content["moduli"]
         assert {*alone} <= {*content}
-    describe(tmp_path / "fabric" / "b", density_g_m2=166.0)
-    with pytest.raises(InputError, match="densities from 150 to 166 g/m², more than 10% apart"):
-        infer.main(words(tmp_path / "fabric", checkpoint, "drapes=0"))
-    describe(tmp_path / "fabric" / "b", density_g_m2=150.0, warp_direction_deg=None)
-    infer.main(words(tmp_path / "fabric", checkpoint, "drapes=0"))
-    assert content_of(out)["convention"] == "stiff/soft"
-    assert content_of(out)["captures"][0]["moduli"].keys() == {"warp", "bias", "weft"}
+    assert content["captures"][0]["moduli"].keys() == {"warp", "bias", "weft"}
 
 
 def test_a_photograph_and_depth_views_of_other_testers_are_joined(capture, checkpoint, out):
@@ -201,24 +208,32 @@ def test_a_photograph_and_depth_views_of_other_testers_are_joined(capture, check
 
 
 @pytest.mark.parametrize("name", ["outline.csv", "outline.png"])
-def test_a_photograph_has_an_estimate_and_a_report(checkpoint, tmp_path, out, name, capsys):
+def test_a_photograph_has_an_estimate_and_a_report(
+        checkpoint, tmp_path, out, name, capsys, monkeypatch):
+    monkeypatch.setattr(next_measurements, "expected_drape", no_drape)
     source, picture = {"plate_px": plate(), "camera_height_mm": 1000}, drawn()
-    if name == "outline.csv":
+    reported = name == "outline.png"
+    if not reported:
         source, picture = {"camera_height_mm": "parallel"}, "x_mm,y_mm\n" + "".join(
             f"{x:.3f},{y:.3f}\n" for x, y in 1e3 * CURVE)
     folder = write(tmp_path / "capture", picture, name, outline=source, warp_direction_deg=30)
-    infer.main(words(folder, checkpoint, "drapes=1", "edge_mm=16"))
+    infer.main(words(folder, checkpoint, f"drapes={int(reported)}", "edge_mm=16"))
     content = content_of(out)
     assert content["capture"]["views"] == 0 and content["capture"]["turns_deg"] is None
     assert list(content["moduli"]) == ["warp", "bias", "weft"]
     # The network is untrained, so that the simulated drape is another.
     assert {found["code"] for found in content["warnings"]} <= {"coefficient_differs"}
-    found, seen = content["resimulation"], read_capture(folder).outline.drape_coefficient
-    assert found["statuses"] == ["converged"] and found["folds_captured"] == 7
+    seen = read_capture(folder).outline.drape_coefficient
     raised = content["capture"]["drape_coefficient_percent"] - 100 * seen
-    assert (raised > 3) == (name == "outline.png")  # of its perspective
+    assert (raised > 3) == reported  # of its perspective
     assert "drape coefficient" in capsys.readouterr().out
-    assert {file.name for file in out.iterdir()} == NUMBERS | {*SHOWN} - {STRIPS}
+    files = {file.name for file in out.iterdir()}
+    if not reported:
+        assert files == NUMBERS
+        return
+    found = content["resimulation"]
+    assert found["statuses"] == ["converged"] and found["folds_captured"] == 7
+    assert files == NUMBERS | {*SHOWN} - {STRIPS}
     scene = trimesh.load(out / "drape.glb")
     assert set(scene.geometry) == {"simulated", "support"}
 
@@ -309,9 +324,24 @@ def test_a_report_that_cannot_be_written_does_not_lose_the_estimate(capture, che
         f"there is no report: InputError, cannot write {out}")
 
 
+def test_a_stage_that_fails_leaves_its_traceback(capture, checkpoint, out, monkeypatch):
+    def broken(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("of a fault")
+
+    monkeypatch.setattr(stages, "simulate", broken)
+    line = words(capture, checkpoint, "drapes=1")
+    with pytest.raises(ZeroDivisionError):
+        infer.main(line)  # tests see faults of the program
+    monkeypatch.delenv(stages.RAISE)
+    infer.main(line)
+    assert ("ZeroDivisionError, of a fault; please report it with the file faults.txt"
+            in content_of(out)["warnings"][-1]["text"])
+    assert "in broken" in (out / FAULTS).read_text()
+
+
 def test_a_refinement_that_fails_leaves_the_network_s_estimate(
         capture, checkpoint, out, monkeypatch):
-    monkeypatch.delenv(RAISE)
+    monkeypatch.delenv(stages.RAISE)
     header, written = read_header(checkpoint), []
 
     def read_written(stage: str, result: CaptureEstimate) -> None:
@@ -378,24 +408,22 @@ def test_a_preview_is_skirts_of_twelve_samples_beside_the_estimate(out, capsys):
     assert not np.allclose(np.ptp(skirts[0].vertices, axis=0), np.ptp(skirts[-1].vertices, axis=0))
 
 
-def test_strips_are_estimated_alone_and_beside_a_capture(capture, checkpoint, out, capsys):
-    describe(capture, density_g_m2=1e3 * strip_photographs.DENSITY)
-    strips = strip_photographs.write(
-        capture.parent / "strips", {"a.png": strip_photographs.photograph(strip_photographs.LONG)},
-        [strip_photographs.entry(strip_photographs.LONG, "a.png")])
-    options = [f"strips={strips}", "drapes=0", f"checkpoint={checkpoint}"]
-    infer.main([*options, f"out={out / 'alone'}"])
-    infer.main([*options, f"capture={capture}", f"out={out / 'joint'}"])
-    alone, joint = content_of(out / "alone"), content_of(out / "joint")
-    assert "joint estimate of 1 capture and 1 strip\n" in capsys.readouterr().out
-    for content in (alone, joint):
-        moduli, strip = content["moduli"]["warp"], content["strips"][0]["moduli"]["warp"]
-        low, high = strip["alpha_uN_m"]["interval_90"]
-        assert low < moduli["alpha_uN_m"]["median"] < high
-    assert not alone["capture"]["rig"] and "captures" not in alone and len(joint["captures"]) == 1
-    assert content_of(out / "joint" / "strips_1")["moduli"] == alone["moduli"]
-    assert read_estimate(out / "joint")[0].names == DIRECTIONS
-    describe(capture, warp_direction_deg=None)
-    with pytest.raises(InputError, match="need captures whose warp is marked"):
-        infer.main([*options, f"capture={capture}", f"out={out / 'unmarked'}"])
-    assert not (out / "unmarked").exists()
+def test_strips_under_weights_are_printed_and_reported(tmp_path, out, capsys):
+    (tmp_path / "tension").mkdir()
+    (tmp_path / "tension" / "tension.yaml").write_text(TENSION)
+    infer.main([f"tension={tmp_path / 'tension'}", f"out={out}"])
+    printed = capsys.readouterr().out
+    assert "by strips under weights: shear " in printed and "weight that stretches" in printed
+    found = content_of(out)["tension"]
+    low, high = found["shear_n_per_m"]["interval_90"]
+    # Load over four times the extension, 60, without the yarns' stretch.
+    assert low < 60 < high and 50 < found["shear_n_per_m"]["median"] < 75
+    assert 3000 < found["stretch_n_per_m"]["warp"]["median"] < 5000
+    assert found["measured"] == ["warp", "bias"]
+    page = (out / "report.html").read_text()
+    assert "Stretch and shear" in page and "thickness: 0.42 mm at 0.2 kPa" in page
+    assert "slides on board at: 18.5°" in page and "By 2 strips under weights" in page
+    assert "the strips as they were read, with marks, loads and extensions" in page
+    picture = np.asarray(Image.open(out / "strips.png").convert("RGB")).astype(int)
+    points = (picture[..., 0] > 150) & (picture[..., 1:] < 90).all(axis=2)  # of both directions
+    assert points[:, : points.shape[1] // 2].any() and points[:, points.shape[1] // 2 :].any()
