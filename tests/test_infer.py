@@ -70,6 +70,11 @@ def no_drape(*_: object) -> None:
     """In place of a drape on another tester, for what comes next, which costs a second."""
 
 
+def as_before(result: CaptureEstimate, **_: object) -> CaptureEstimate:
+    """In place of a stage."""
+    return result
+
+
 def words(capture: Path, checkpoint: Path, *more: str) -> list[str]:
     return last(f"capture={capture}", f"checkpoint={checkpoint}", f"out={capture.parent / 'out'}",
                 *more)
@@ -170,33 +175,6 @@ def test_captures_below_samples_are_found_and_fabrics_are_not_joined(tmp_path):
         sources_in(tmp_path, "capture")
 
 
-def test_captures_of_one_fabric_give_one_estimate(checkpoint, tmp_path, out, capsys, monkeypatch):
-    monkeypatch.setattr(next_measurements, "expected_drape", no_drape)
-    for name, turn, more in (("a", 0.0, {"operator": "A"}),
-                             ("b", 1.0, {"operator": "B", "face": "down"})):
-        write_skirt(tmp_path / "fabric" / name, orientation=turn, warp_direction=turn)
-        describe(tmp_path / "fabric" / name, fabric="Navy 7", **more)
-    infer.main(words(tmp_path / "fabric", checkpoint, "drapes=1", "edge_mm=16"))
-    assert {file.name for file in out.iterdir() if file.is_file()} == {
-        "estimate.json", "samples.npz", "fabric.json", "report.html", "report.pdf"}
-    page = (out / "report.html").read_text("utf-8")
-    assert "<h1>Navy 7</h1>" in page and page.count("data:image/png") == 4  # moduli, code
-    assert content_of(out)["capture"]["labels"] == {"fabric": "Navy 7", "operator": "A / B"}
-    assert content_of(out / "capture_1")["capture"]["labels"]["operator"] == "B"
-    assert 3 <= content_of(out / "capture_1")["capture"]["nodes"] <= 9  # five folds, four corners
-    describe(tmp_path / "fabric" / "b", warp_direction_deg=None)
-    infer.main(words(tmp_path / "fabric", checkpoint, "drapes=0"))
-    assert not (out / "report.html").exists()
-    assert "joint estimate of 2 captures" in capsys.readouterr().out
-    content = content_of(out)
-    assert content["convention"] == "stiff/soft" and len(content["captures"]) == 2
-    for k in range(2):
-        alone = content_of(out / f"capture_{k}")
-        assert content["captures"][k]["moduli"] == alone["moduli"] != content["moduli"]
-        assert {*alone} <= {*content}
-    assert content["captures"][0]["moduli"].keys() == {"warp", "bias", "weft"}
-
-
 def test_a_photograph_and_depth_views_of_other_testers_are_joined(capture, checkpoint, out):
     photograph = write(capture.parent / "photograph", drawn(), density_g_m2=153,
                        outline={"plate_px": plate(), "camera_height_mm": 900})
@@ -209,8 +187,7 @@ def test_a_photograph_and_depth_views_of_other_testers_are_joined(capture, check
 
 @pytest.mark.parametrize("name", ["outline.csv", "outline.png"])
 def test_a_photograph_has_an_estimate_and_a_report(
-        checkpoint, tmp_path, out, name, capsys, monkeypatch):
-    monkeypatch.setattr(next_measurements, "expected_drape", no_drape)
+        checkpoint, tmp_path, out, name, capsys):
     source, picture = {"plate_px": plate(), "camera_height_mm": 1000}, drawn()
     reported = name == "outline.png"
     if not reported:
@@ -231,6 +208,8 @@ def test_a_photograph_has_an_estimate_and_a_report(
     if not reported:
         assert files == NUMBERS
         return
+    assert "two hanging strips along warp and weft each" in {
+        following["measurement"] for following in content["next_measurements"]}
     found = content["resimulation"]
     assert found["statuses"] == ["converged"] and found["folds_captured"] == 7
     assert files == NUMBERS | {*SHOWN} - {STRIPS}
@@ -294,9 +273,43 @@ def test_the_published_format_runs_as_it_is(name, turns, checkpoint, out):
 # --- Report and refinement --------------------------------------------------------------------
 
 
-def test_report_shows_a_drape_of_the_estimate(capture, checkpoint, out):
-    capture = capture.rename(capture.with_name(os.fsdecode(b"$a$ and $$ caf\xe9 \n")))
-    infer.main(words(capture, checkpoint, "drapes=1", "edge_mm=16"))
+@pytest.fixture(scope="module")
+def reported(tmp_path_factory, untrained_checkpoint) -> SimpleNamespace:
+    """The folder of a fabric of two captures, and its estimate with its reports."""
+    root = tmp_path_factory.mktemp("reported")
+    names = ["up", os.fsdecode(b"$a$ and $$ caf\xe9 \n")]
+    for name, turn in zip(names, (0.0, 1.0), strict=True):
+        write_skirt(root / "fabric" / name, orientation=turn, warp_direction=turn)
+    first, second = sources_in(root / "fabric", "capture")
+    assert (first.name, second.name) == (names[1], names[0])
+    describe(first, operator="A")
+    describe(second, fabric="Navy 7", operator="B", face="down")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(next_measurements, "expected_drape", no_drape)
+        infer.main([f"capture={root / 'fabric'}", f"checkpoint={untrained_checkpoint}",
+                    f"out={root / 'out'}", "drapes=1", "edge_mm=16"])
+    return SimpleNamespace(fabric=root / "fabric", second=second, out=root / "out")
+
+
+def test_captures_of_one_fabric_give_one_estimate_and_report(reported):
+    out = reported.out
+    assert {file.name for file in out.iterdir() if file.is_file()} == {
+        "estimate.json", "samples.npz", "fabric.json", "report.html", "report.pdf"}
+    page = (out / "report.html").read_text("utf-8")
+    assert "<h1>Navy 7</h1>" in page and page.count("data:image/png") == 4  # moduli, code
+    content = content_of(out)
+    assert content["capture"]["labels"] == {"fabric": "Navy 7", "operator": "A / B"}
+    assert len(content["captures"]) == 2
+    for k in range(2):
+        alone = content_of(out / f"capture_{k}")
+        assert content["captures"][k]["moduli"] == alone["moduli"] != content["moduli"]
+        assert {*alone} - {"resimulation"} <= {*content}
+    assert alone["capture"]["labels"]["operator"] == "B"
+    assert 3 <= alone["capture"]["nodes"] <= 9  # five folds, four corners
+
+
+def test_report_shows_a_drape_of_the_estimate(reported):
+    out = reported.out / "capture_0"
     content = content_of(out)
     assert content["capture"]["source"].endswith("$a$ and $$ caf\ufffd \n")
     read_estimate(out)  # JSON's parsers refuse half characters
@@ -307,8 +320,18 @@ def test_report_shows_a_drape_of_the_estimate(capture, checkpoint, out):
     with Image.open(out / "report.png") as picture:
         assert picture.size[0] > 1000
         assert np.asarray(picture.convert("L")).std() > 20  # not an empty page
-    infer.main(words(capture, checkpoint, "drapes=0"))  # a report of another estimate goes
-    assert {file.name for file in out.iterdir()} == NUMBERS
+
+
+def test_reports_of_another_estimate_go(reported, untrained_checkpoint, capsys):
+    describe(reported.second, warp_direction_deg=None)
+    infer.main([f"capture={reported.fabric}", f"checkpoint={untrained_checkpoint}",
+                f"out={reported.out}", "drapes=0"])
+    assert "joint estimate of 2 captures" in capsys.readouterr().out
+    assert not (reported.out / "report.html").exists()
+    assert {file.name for file in (reported.out / "capture_0").iterdir()} == NUMBERS
+    content = content_of(reported.out)
+    assert content["convention"] == "stiff/soft"
+    assert content["captures"][0]["moduli"].keys() == {"warp", "bias", "weft"}
 
 
 def test_a_report_that_cannot_be_written_does_not_lose_the_estimate(capture, checkpoint, out):
@@ -329,6 +352,7 @@ def test_a_stage_that_fails_leaves_its_traceback(capture, checkpoint, out, monke
         raise ZeroDivisionError("of a fault")
 
     monkeypatch.setattr(stages, "simulate", broken)
+    monkeypatch.setattr(stages, "report", as_before)
     line = words(capture, checkpoint, "drapes=1")
     with pytest.raises(ZeroDivisionError):
         infer.main(line)  # tests see faults of the program

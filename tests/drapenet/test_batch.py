@@ -3,13 +3,16 @@
 import csv
 import re
 import shutil
+from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pytest
 from cloths import capture_views
 from photographs import drawn, plate, write
 from workbooks import cells
 
+import drapenet
 import infer
 from common.errors import InputError
 from data.captures.writer import write_capture
@@ -182,15 +185,41 @@ def test_names_are_text_in_the_pages(out):
     assert "&lt;script&gt;" in (out / "index.html").read_text("utf-8")
 
 
-def test_only_unfinished_and_changed_captures_are_estimated_again(out, words, capsys):
+def test_python_takes_the_same_fabrics_by_name(out, words, untrained_checkpoint):
+    options = {"checkpoint": untrained_checkpoint, "workers": 1}
+    times = {file: file.stat().st_mtime_ns for file in out.rglob("part.json")}
+    source = Path(words[0].removeprefix("captures="))
+    found = drapenet.estimate_fabrics(source, str(out), **options)
+    assert {*found} == {file.parent.name for file in out.glob("*/fabric.json")} and len(found) == 5
+    samples = [each.samples for each in found.values()]
+    for name, (first, second) in zip(found, pairwise([*samples, samples[0]]), strict=True):
+        np.testing.assert_array_equal(first, drapenet.load(out / name).samples)
+        assert not np.array_equal(first, second)
+    assert {file: file.stat().st_mtime_ns for file in times} == times  # finished ones are read
+    for changed, complaint in (({"refine": "no"}, "refine='no' is not of the class bool"),
+                               ({"workers": "2"}, "workers='2': give a whole number"),
+                               ({"checkpoint": None}, "checkpoint=None is not of the class")):
+        with pytest.raises(InputError, match=complaint):
+            drapenet.estimate_fabrics(source, out, **(options | changed))
+    with pytest.raises(InputError, match="out= is empty"):
+        drapenet.estimate_fabrics(source, "", **options)
+
+
+def test_unfinished_damaged_and_changed_captures_are_estimated_again(out, words, capsys):
     tables = {name: (out / name).read_bytes() for name in ("captures.csv", "failures.csv")}
     done = sorted(out.rglob("part.json"))
     times = {file: file.stat().st_mtime_ns for file in done}
     assert len(done) == 9
     done[0].unlink()
-    infer.main(words)
-    assert "8 of 9 captures are finished; 1 to go" in capsys.readouterr().out
-    assert all(file.stat().st_mtime_ns == times[file] for file in done[1:])
+    samples = done[-1].with_name("samples.npz")
+    sound = samples.read_bytes()
+    samples.write_bytes(sound[:-100])
+    infer.main([*words, "export=csv"])
+    printed = capsys.readouterr().out
+    assert "7 of 9 captures are finished; 2 to go" in printed
+    assert samples.read_bytes() == sound
+    assert printed.count("exports: ") == len(list(out.rglob("material.csv"))) == 5
+    assert all(file.stat().st_mtime_ns == times[file] for file in done[1:-1])
     assert {name: (out / name).read_bytes() for name in tables} == tables
     file = out.parent / "2" / "capture.yaml"
     file.write_text(file.read_text().replace("150.0", "300.0"))
@@ -198,18 +227,6 @@ def test_only_unfinished_and_changed_captures_are_estimated_again(out, words, ca
     assert "8 of 9 captures are finished" in capsys.readouterr().out
     assert {row["density_g_m2"] for row in rows(out / "fabrics.csv")
             if row["fabric"] == SCRIPT} == {"300"}
-
-
-def test_damaged_files_are_made_again(out, words, capsys):
-    samples = next(file for file in out.rglob("samples.npz") if len(
-        file.relative_to(out).parts) > 2 and "script" in str(file))
-    sound = samples.read_bytes()
-    samples.write_bytes(sound[:-100])
-    infer.main([*words, "export=csv"])
-    assert samples.read_bytes() == sound
-    printed = capsys.readouterr().out
-    assert "8 of 9 captures are finished; 1 to go" in printed
-    assert printed.count("exports: ") == len(list(out.rglob("material.csv"))) == 5
 
 
 def test_only_broken_captures_are_an_error(tmp_path, untrained_checkpoint):
