@@ -265,6 +265,8 @@ def test_strips_narrow_are_enough_alone_or_contradict(tmp_path, plain):
     values = estimated(strips=strips(
         tmp_path / "c", {"kes_b_gf_cm2_per_cm": {"warp": 0.2, "weft": 0.1}}))
     assert width(alone) < 1.6 < width(values, "bias")
+    low, high = alone.document.laboratory["warp"].bending_length_mm.interval_68
+    assert low < 22 < high < 25
     assert values.document.laboratory["warp"].kes_b_gf_cm2_per_cm.median == pytest.approx(
         0.2, rel=0.15)
     other = estimated(TWILL, strips=strips(tmp_path / "d", warp=[60.0, 61.0]))
