@@ -287,15 +287,21 @@ def test_strips_under_weights_say_nothing_of_bending(tmp_path, plain):
         estimated(**wrong, strict=True)
 
 
-def test_strips_along_the_yarns_need_a_marked_warp_and_those_of_the_bias_none(tmp_path):
-    (tmp_path / "capture").mkdir()
-    (tmp_path / "capture" / "capture.yaml").write_text(
+def test_what_is_along_the_yarns_needs_a_marked_warp(tmp_path):
+    unmarked = tmp_path / "unmarked"
+    unmarked.mkdir()
+    (unmarked / "capture.yaml").write_text(
         "density_g_m2: 210\ntester: disc300_support180\nknown: {drape_coefficient_percent: 50}\n")
     bias, warp = (weighted(tmp_path / entry["direction"], entry) for entry in (BIAS, WARP))
-    assert estimated(tmp_path / "capture", tension=bias).estimate.names[0] == "stiff"
-    for along in ({"tension": warp}, {"strips": strips(tmp_path / "lengths", warp=[28.0])}):
-        with pytest.raises(InputError, match="need captures whose warp is marked"):
-            estimated(tmp_path / "capture", **along)
+    lengths = strips(tmp_path / "lengths", warp=[28.0])
+    along, across = (strips(tmp_path / name, known) for name, known in (
+        ("along", RIGHT), ("across", {"membrane_n_per_m": 600.0})))
+    for allowed in ({"tension": bias}, {"strips": across}):
+        assert estimated(unmarked, **allowed).estimate.names[0] == "stiff"
+    for refused, said in (({"tension": warp}, "strips"), ({"strips": lengths}, "strips"),
+                          ({"strips": along}, "known values")):
+        with pytest.raises(InputError, match=f"{said} along the yarns need .*warp_direction_deg"):
+            estimated(unmarked, **refused)
 
 
 def test_what_a_refused_capture_states_is_kept_if_it_is_of_the_fabric(tmp_path, plain):
@@ -408,22 +414,19 @@ def test_two_captures_that_contradict_each_other_leave_both_possible(tmp_path, p
 # --- What Python offers -----------------------------------------------------------------------
 
 
-def test_values_are_stated_to_python_as_in_the_files(tmp_path):
+def test_values_are_stated_to_python_as_in_the_files(tmp_path, plain):
     known = RIGHT | {"drape_coefficient_percent": 55.0}
-    stated = capture(tmp_path / "stated", known)
-    plain, photograph = read_capture(TWILL), read_capture(PHOTOGRAPH)
-    for others in ((), (photograph,)):
-        found = drapenet.estimate(TWILL, *others, known=known)
-        by_file = drapenet.estimate(stated, *others)
-        np.testing.assert_array_equal(found.samples, by_file.samples)
-    assert found.samples.std(axis=0)[0] < drapenet.estimate(plain).samples.std(axis=0)[0]
-    found = drapenet.estimate(read_capture(stated))
-    of_arrays = drapenet.estimate(plain, known=known)
-    np.testing.assert_array_equal(of_arrays.samples, found.samples)
+    stated, photograph = capture(tmp_path / "stated", known), read_capture(PHOTOGRAPH)
     lengths = {"warp": [28.0, 29.0]}
-    np.testing.assert_array_equal(
-        drapenet.estimate(strips=strips(tmp_path / "plain", **lengths), known=RIGHT).samples,
-        drapenet.estimate(strips=strips(tmp_path / "known", RIGHT, **lengths)).samples)
+    for given, by_file in (
+            (drapenet.estimate(TWILL, photograph, known=known),
+             drapenet.estimate(stated, photograph)),
+            (drapenet.estimate(read_capture(TWILL), known=known),
+             drapenet.estimate(read_capture(stated))),
+            (drapenet.estimate(strips=strips(tmp_path / "plain", **lengths), known=RIGHT),
+             drapenet.estimate(strips=strips(tmp_path / "known", RIGHT, **lengths)))):
+        np.testing.assert_array_equal(given.samples, by_file.samples)
+        assert given.samples.std(axis=0)[0] < plain.estimate.samples.std(axis=0)[0]
 
 
 @pytest.mark.parametrize(("sources", "known", "word"), [
