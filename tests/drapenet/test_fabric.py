@@ -178,6 +178,7 @@ def test_the_command_says_what_is_joined_and_left_out(commanded, fabric):
     assert line.startswith(f"this estimate is made without {refused}, which is refused: ")
     assert f"warning: {line}" in printed
     assert len(found["captures"]) == 3 and len(found["strips"]) == 2
+    assert found["capture"]["rig"] == "square300_cylinder100, disc300_support180"
     assert found["strips"][0]["strips"] == 4
     assert found["strips"][1]["known"]["bending_length_mm"]["warp"] == 27.0
     alone = content(out / "strips_5")
@@ -343,8 +344,10 @@ def test_a_face_that_shows_no_drape_is_left_out_as_one_that_cannot_be_read(tmp_p
 
 
 def test_densities_of_one_fabric_may_not_differ_much(tmp_path):
-    lengths = strips(tmp_path / "strips", warp=[28.0])
-    heavy = changed(capture(tmp_path / "a"), "density_g_m2: 210", "density_g_m2: 232")
+    lengths, density = strips(tmp_path / "strips", warp=[28.0]), "density_g_m2: 210"
+    nearly, heavy = (changed(capture(tmp_path / name), density, f"density_g_m2: {value}")
+                     for name, value in (("a", 216), ("b", 232)))
+    assert codes(estimated(nearly, strips=lengths)) == ["densities_differ"]
     with pytest.raises(InputError, match="densities from 210 to 232 g/m², more than 10% apart"):
         estimated(heavy, strips=lengths)
 
@@ -432,8 +435,6 @@ def test_values_are_stated_to_python_as_in_the_files(tmp_path, plain):
 @pytest.mark.parametrize(("sources", "known", "word"), [
     (("stated",), RIGHT, r"known is in .*stated and an argument; give the values in one"),
     (("a",), {"bending_lenght_mm": 20}, "unknown key 'known.bending_lenght_mm'; known has values"),
-    (("a",), {"bending_length_mm": {"warp": "22 mm"}}, "'22 mm' is not a number"),
-    (("a",), {"bending_length_mm": {"warp": -22.0}}, "known.bending_length_mm.warp=-22"),
     (("a",), 22.0, "known=22"),
     ((), {"drape_coefficient_percent": 50}, "unknown key 'known.drape_")])
 def test_values_that_files_may_not_state_are_refused(tmp_path, sources, known, word):
