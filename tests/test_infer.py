@@ -163,18 +163,6 @@ def test_large_pictures_are_thinned_out_not_cut(tmp_path):
     assert (read.views > 0).mean() == pytest.approx((views > 0).mean(), rel=0.02)
 
 
-def test_captures_below_samples_are_found_and_fabrics_are_not_joined(tmp_path):
-    for place in ("poplin/s1/c1", "poplin/s1/c2", "poplin/s2/c1"):
-        (tmp_path / place).mkdir(parents=True)
-        (tmp_path / place / "capture.yaml").touch()
-    fabric = tmp_path / "poplin"
-    assert sources_in(fabric, "capture") == [fabric / "s1/c1", fabric / "s1/c2", fabric / "s2/c1"]
-    assert sources_in(fabric / "s1", "capture") == [fabric / "s1/c1", fabric / "s1/c2"]
-    assert sources_in(fabric / "s1" / "c1", "capture") == [fabric / "s1/c1"]
-    with pytest.raises(InputError, match=r"looks like FABRIC/SAMPLE/CAPTURE .*: give captures="):
-        sources_in(tmp_path, "capture")
-
-
 def test_a_photograph_has_an_estimate_and_a_report(checkpoint, tmp_path, out, capsys):
     folder = write(tmp_path / "capture", drawn(), warp_direction_deg=30,
                    outline={"plate_px": plate(), "camera_height_mm": 1000})

@@ -245,12 +245,17 @@ def test_results_of_other_captures_are_not_replaced(out, words):
         infer.main([f"captures={out.parent / 'other'}", *words[1:]])
 
 
+def tree(root: Path, *places: str) -> Path:
+    """Folders that look like captures."""
+    for place in places:
+        (root / place).mkdir(parents=True)
+        (root / place / "capture.yaml").touch()
+    return root
+
+
 def test_trees_of_every_depth_are_found(tmp_path):
-    for place in ("denim/1/first", "denim/1/second", "silk/only", "wool", "felt/2/side/third"):
-        (tmp_path / place).mkdir(parents=True)
-        (tmp_path / place / "capture.yaml").touch()
-    (tmp_path / ".hidden").mkdir()
-    (tmp_path / ".hidden" / "capture.yaml").touch()
+    tree(tmp_path, "denim/1/first", "denim/1/second", "silk/only", "wool", "felt/2/side/third",
+         ".hidden")
     (tmp_path / "denim" / "notes.txt").touch()
     (tmp_path / "denim" / "empty").mkdir()
     (tmp_path / "twill").mkdir()
@@ -267,13 +272,20 @@ def test_trees_of_every_depth_are_found(tmp_path):
 
 
 def test_captures_are_found_in_the_order_of_their_numbers(tmp_path):
-    for place in ("2/1/9", "2/1/10", "2/1/11", "10/1/0", "2/1/2", "2/x-1/0", "2/x/0"):
-        (tmp_path / place).mkdir(parents=True)
-        (tmp_path / place / "capture.yaml").touch()
+    tree(tmp_path, "2/1/9", "2/1/10", "2/1/11", "10/1/0", "2/1/2", "2/x-1/0", "2/x/0")
     found = [str(entry.path.relative_to(tmp_path)) for entry in entries_of(tmp_path)]
     assert found == ["2/1/2", "2/1/9", "2/1/10", "2/1/11", "2/x/0", "2/x-1/0", "10/1/0"]
     names = [path.name for path in sources_in(tmp_path / "2" / "1", "capture")]
     assert names == ["2", "9", "10", "11"]
+
+
+def test_captures_below_samples_are_found_and_fabrics_are_not_joined(tmp_path):
+    fabric = tree(tmp_path, "poplin/s1/c1", "poplin/s1/c2", "poplin/s2/c1") / "poplin"
+    assert sources_in(fabric, "capture") == [fabric / "s1/c1", fabric / "s1/c2", fabric / "s2/c1"]
+    assert sources_in(fabric / "s1", "capture") == [fabric / "s1/c1", fabric / "s1/c2"]
+    assert sources_in(fabric / "s1" / "c1", "capture") == [fabric / "s1/c1"]
+    with pytest.raises(InputError, match=r"looks like FABRIC/SAMPLE/CAPTURE .*: give captures="):
+        sources_in(tmp_path, "capture")
 
 
 def test_results_of_names_that_a_file_system_confuses_lie_apart_and_inside(tmp_path):
