@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import trimesh
-from cloths import capture_views, describe, write_skirt
+from cloths import describe, write_skirt
 from photographs import CURVE, drawn, plate, write
 from PIL import Image
 from words import last
@@ -23,8 +23,6 @@ from common.errors import InputError
 from common.files import locked
 from common.findings import Finding
 from data.captures.reader import read_capture
-from data.captures.writer import write_capture
-from data.render.cameras import Intrinsics
 from drapenet.config import EstimateOptions
 from drapenet.fabric import next_measurements, stages
 from drapenet.fabric.stages import CaptureEstimate, estimate_capture
@@ -33,7 +31,6 @@ from drapenet.measured.read import sources_in
 from drapenet.network.checkpoint import BUNDLED, read_header
 from drapenet.result.files import FAULTS, SHOWN, STRIPS, read_estimate
 from sim.material import DIRECTIONS, MICRO, is_admissible
-from sim.rig import SQUARE_RIG
 
 NUMBERS = {"estimate.json", "samples.npz", "observation.npz", "part.json"}  # files of an estimate
 SHARED = Path(__file__).parents[2] / "shared" / "captures"
@@ -53,12 +50,9 @@ def capture(tmp_path) -> Path:
     return write_skirt(tmp_path / "capture", warp_direction=0.4)
 
 
-@pytest.fixture
-def checkpoint(untrained_checkpoint, tmp_path) -> Path:
-    """A checkpoint, which a test may spoil."""
-    folder = tmp_path / "checkpoint"
-    folder.mkdir()
-    return Path(shutil.copy(untrained_checkpoint, folder / "net.safetensors"))
+@pytest.fixture(scope="module")
+def checkpoint(untrained_checkpoint) -> Path:
+    return untrained_checkpoint
 
 
 @pytest.fixture
@@ -149,18 +143,6 @@ def test_a_capture_has_any_number_of_views(checkpoint, tmp_path, out, turns):
     infer.main(words(capture, checkpoint, "drapes=0"))
     assert content_of(out)["capture"]["views"] == len(turns)
     assert content_of(out)["capture"]["turns_deg"] == pytest.approx(turns, abs=2)
-
-
-def test_large_pictures_are_thinned_out_not_cut(tmp_path):
-    views, intrinsics = capture_views()
-    large = np.repeat(np.repeat(views, 4, axis=1), 4, axis=2)
-    more = {name: 4 * getattr(intrinsics, name) + (1.5 if name in ("cx", "cy") else 0)
-            for name in ("fx", "fy", "cx", "cy")}
-    write_capture(tmp_path / "capture", views=large, density=0.15, rig=SQUARE_RIG,
-                  intrinsics=Intrinsics(**more, width=480, height=360))
-    read = read_capture(tmp_path / "capture")
-    assert read.views.shape == (4, 180, 240)
-    assert (read.views > 0).mean() == pytest.approx((views > 0).mean(), rel=0.02)
 
 
 def test_a_photograph_has_an_estimate_and_a_report(checkpoint, tmp_path, out, capsys):
@@ -254,7 +236,7 @@ def test_the_published_format_runs_as_it_is(name, turns, checkpoint, out):
 
 
 @pytest.fixture(scope="module")
-def reported(tmp_path_factory, untrained_checkpoint) -> SimpleNamespace:
+def reported(tmp_path_factory, checkpoint) -> SimpleNamespace:
     """The folder of a fabric of two captures, and its estimate with its reports."""
     root = tmp_path_factory.mktemp("reported")
     names = ["up", os.fsdecode(b"$a$ and $$ caf\xe9 \n")]
@@ -266,7 +248,7 @@ def reported(tmp_path_factory, untrained_checkpoint) -> SimpleNamespace:
     describe(second, fabric="Navy 7", operator="B", face="down")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(next_measurements, "expected_drape", no_drape)
-        infer.main([f"capture={root / 'fabric'}", f"checkpoint={untrained_checkpoint}",
+        infer.main([f"capture={root / 'fabric'}", f"checkpoint={checkpoint}",
                     f"out={root / 'out'}", "drapes=1", "edge_mm=16"])
     return SimpleNamespace(fabric=root / "fabric", second=second, out=root / "out")
 
@@ -302,9 +284,9 @@ def test_report_shows_a_drape_of_the_estimate(reported):
         assert np.asarray(picture.convert("L")).std() > 20  # not an empty page
 
 
-def test_reports_of_another_estimate_go(reported, untrained_checkpoint, capsys):
+def test_reports_of_another_estimate_go(reported, checkpoint, capsys):
     describe(reported.second, warp_direction_deg=None)
-    infer.main([f"capture={reported.fabric}", f"checkpoint={untrained_checkpoint}",
+    infer.main([f"capture={reported.fabric}", f"checkpoint={checkpoint}",
                 f"out={reported.out}", "drapes=0"])
     assert "joint estimate of 2 captures" in capsys.readouterr().out
     assert not (reported.out / "report.html").exists()
