@@ -14,7 +14,7 @@ ROUNDED ?= tests/sim tests/data tests/drapenet
 PACKAGES := apps benchmarks common configs data drapenet examples experiments sim tests tools
 CHECKS := check-types check-versions check-unused check-layers check-docstrings check-spelling check-style
 
-.PHONY: $(CHECKS) help setup demo test test-rounding test-wheel test-notebooks test-slow test-slurm test-browser serve lint sim prior dataset train evaluate bench-sim bench docs reference studies example validate blender matrix clean
+.PHONY: $(CHECKS) help setup demo test test-rounding test-wheel test-notebooks test-slow test-slurm test-browser serve lint sim prior dataset train evaluate bench-sim bench docs reference studies example validate matrix clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
@@ -90,8 +90,8 @@ check-spelling:
 sim: $(STAMP)  ## simulate one drape, results in outputs/drape
 	$(BIN)/python -m apps.drape
 
-prior: $(DEVELOPER)  ## compare priors, 8 minutes; or fit one to your table: make prior TABLE=fabrics.csv
-	$(BIN)/python -m $(if $(TABLE),data.fabrics.prior fit fabrics=$(TABLE),experiments prior)
+prior: $(DEVELOPER)  ## fit a prior to your table: make prior TABLE=fabrics.csv
+	$(BIN)/python -m data.fabrics.prior fit fabrics=$(TABLE)
 
 dataset: $(DEVELOPER)  ## simulate drapes of many testers, both faces and several specimens of each fabric
 	$(BIN)/python -m data.dataset.generate dataset=testers drapes=48000 seed=41 edge_mm=5 out=$(DATASET)
@@ -105,11 +105,11 @@ evaluate: $(DEVELOPER)  ## errors and coverage of the bundled network on unseen 
 bench-sim: $(DEVELOPER)  ## time drapes on this machine, JSON in outputs/experiments
 	$(BIN)/python -m experiments speed
 
-bench: $(DEVELOPER)  ## all timings on this machine, JSON in docs/validation
-	for name in speed render throughput; do $(BIN)/python -m experiments $$name out=docs/validation/$$name.json || exit 1; done
+bench: $(DEVELOPER)  ## timings of drapes and estimates on this machine, JSON in docs/validation
+	for name in speed cold; do $(BIN)/python -m experiments $$name out=docs/validation/$$name.json || exit 1; done
 
-validate: $(DEVELOPER)  ## figures of docs/validation.md, about 3 hours of CPU, resumes when interrupted
-	for name in elastica strips testers meshes default_mesh convergence; do \
+validate: $(DEVELOPER)  ## figures of docs/validation.md, about 2 hours of CPU, resumes when interrupted
+	for name in elastica meshes convergence; do \
 	  $(BIN)/python -m experiments $$name out=docs/validation/$$name.json || exit 1; done
 
 docs: $(DEVELOPER)  ## update the figures in README.md and docs/*.md from the demo and the reports
@@ -131,11 +131,6 @@ example: $(DEVELOPER)  ## make the bundled capture again
 	$(BIN)/python examples/make_capture.py out=$(CAPTURE)
 	$(BIN)/python examples/make_capture.py out=$(PHOTOGRAPH) photograph=true \
 	  tester=disc300_support180 seed=3
-
-blender: $(DEVELOPER)  ## drapes of exported fabrics in Blender, installed for Python 3.11 into .venv-blender (1 GB)
-	test -x .venv-blender/bin/python || python3.11 -m venv .venv-blender
-	.venv-blender/bin/python -m pip install -qq 'bpy>=5,<6'
-	$(BIN)/python -m experiments blender out=docs/validation/blender.json
 
 clean:  ## remove outputs and build (not .venv)
 	rm -rf outputs build

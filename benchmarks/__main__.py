@@ -9,7 +9,6 @@ the protocol. Prints a table and writes the scores."""
 import common.interrupt  # noqa: F401
 
 # isort: split
-from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -20,6 +19,7 @@ from common.command import command
 from common.configs import Workers
 from common.errors import InputError, one_line
 from common.files import replace_json, require_file
+from experiments.report import markdown
 
 ESTIMATORS = ("benchmarks.estimators:release", "benchmarks.estimators:coefficient_alone")
 COLUMNS = {
@@ -70,14 +70,10 @@ def estimator_named(name: str) -> Estimator:
 
 def table_of(scores: dict[str, dict[str, Any]]) -> str:
     """Markdown table of the scores by estimator and kind of capture."""
-    def line(cells: Iterable[str]) -> str:
-        return f"| {' | '.join(cells)} |"
-
-    rows = [line([name.rpartition(":")[2], kind, str(found["captures"]),
-                  *("–" if found[key] is None else f"{found[key]:.3g}" for key in COLUMNS)])
+    rows = [[name.rpartition(":")[2], kind, str(found["captures"]),
+             *("–" if found[key] is None else f"{found[key]:.3g}" for key in COLUMNS)]
             for name, kinds in scores.items() for kind, found in kinds.items()]
-    head = ["estimator", "kind", "captures", *COLUMNS.values()]
-    return "\n".join([line(head), line(["---"] * len(head)), *rows])
+    return markdown(["estimator", "kind", "captures", *COLUMNS.values()], rows)
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 
 import drapenet
-from benchmarks.protocol import CASES, COLUMNS, UNITS, Moduli
+from benchmarks.protocol import CASES, UNITS, Moduli
 from common.tables import number, read_table
 from data.captures.capture import Capture
 from drapenet.measured.captures import Captured
@@ -47,6 +47,3 @@ def regression(tester: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def powers(coefficient: np.ndarray) -> np.ndarray:
     """Powers (N, 3) of drape coefficients (N,)."""
     return coefficient[:, None] ** np.arange(3)
-
-
-HEAD = ("tester", *COLUMNS[1:])

@@ -13,13 +13,11 @@ import sys
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import make_dataclass
 from functools import partial
 from pathlib import Path
-from types import GenericAlias
 from typing import Any, NoReturn, get_type_hints
 
-from common.configs import composed, config_text, folder_of, group_options, read_config
+from common.configs import config_text, folder_of, group_options, read_config
 from common.documents import yaml_text
 from common.errors import InputError
 from common.words import checked, stated
@@ -93,19 +91,6 @@ def _run(task: Callable[[Any], None], name: str, schema: type, words: list[str])
 def compose_config(name: str, words: Sequence[str], *, schema: type) -> Any:
     """The settings of ``configs/NAME.yaml``, with those that ``words`` state, as a ``schema``."""
     return checked(stated(name, words, schema), schema)
-
-
-def schema_of(name: str) -> type:
-    """Derive a schema for ``configs/NAME.yaml`` and included files from their values; those that
-    are null, alone or in a list, may be numbers."""
-    def kind(value: Any) -> Any:
-        if isinstance(value, Mapping):
-            return make_dataclass("Settings", [(key, kind(item)) for key, item in value.items()])
-        if isinstance(value, list):
-            return GenericAlias(list, kind(None if None in value else value[0]))
-        return float | None if value is None else type(value)
-
-    return kind(composed(name, {}))
 
 
 def help_text(name: str, usage: str) -> str:

@@ -20,7 +20,6 @@ from sim.rig import Rig
 from sim.scene import Scene
 from sim.start import interpolate_positions
 
-ALIGNMENTS = ("none", "turn")
 _MAX_FOLD_SHIFT = 0.25
 """Largest shift of a fold, as a fraction of the mean angle between folds."""
 _AREA_TOLERANCE = 0.03  # relative difference of area; the boundary of a coarse disc is a polygon
@@ -72,16 +71,13 @@ class Difference:
         return [1e3 * self.displacement, 100 * self.curvature]
 
 
-def compare(reference: Draped, other: Draped, *, align: str = "none") -> Difference:
-    """Compare two drapes of one specimen, turned for the best fit if asked for.
+def compare(reference: Draped, other: Draped, *, turned: bool = False) -> Difference:
+    """Compare two drapes of one specimen.
 
     The material points at the vertices of the coarser mesh are compared, held ones included,
     weighted by their rest areas. The finer drape is interpolated to them unless the meshes are
     equal. Both curvatures are computed on the coarser triangles, because a coarse mesh does not
-    resolve bending between its vertices.
-
-    Args:
-        align: "none", or "turn" for the best rotation about the vertical axis.
+    resolve bending between its vertices. ``turned``: about the vertical axis, for the best fit.
     """
     coarse, fine = sorted((reference, other), key=lambda drape: len(drape.rest))
     mesh = Mesh(rest=coarse.rest, faces=coarse.faces)
@@ -89,7 +85,9 @@ def compare(reference: Draped, other: Draped, *, align: str = "none") -> Differe
     ratio = Mesh(rest=fine.rest, faces=fine.faces).areas.sum() / weight.sum()
     if abs(ratio - 1) > _AREA_TOLERANCE:
         raise InputError(f"not drapes of one specimen: rest areas differ by {ratio - 1:+.0%}")
-    moved = align_positions(_interpolated(fine, mesh.rest), coarse.positions, weight, align=align)
+    moved = _interpolated(fine, mesh.rest)
+    if turned:
+        moved = best_turned(moved, coarse.positions, weight)
     distance = np.linalg.norm(moved - coarse.positions, axis=1)
     curvatures = mean_curvature(coarse.positions, mesh), mean_curvature(moved, mesh)
     expected, found = curvatures if coarse is reference else curvatures[::-1]
@@ -112,22 +110,14 @@ def _interpolated(drape: Draped, rest: RestPoints) -> Points:
     return interpolate_positions(drape.rest - middle, drape.positions, rest - centre)
 
 
-def align_positions(
-    positions: Points, target: Points, weight: np.ndarray, *, align: str
-) -> Points:
-    """Align positions with ``target``, see :func:`compare` for ``align``.
-
-    Minimises the sum of squared distances with the weights ``weight`` (V,).
-    """
-    if align == "none":
-        return positions
-    if align == "turn":
-        # With horizontal positions as complex numbers, the best angle is the phase of the product.
-        flat, goal = (p[:, 0] + 1j * p[:, 1] for p in (positions, target))
-        product = weight @ (flat.conj() * goal)
-        turned = flat * product / abs(product)
-        return np.column_stack([turned.real, turned.imag, positions[:, 2]])
-    raise InputError(f"unknown alignment '{align}'; choose from {', '.join(ALIGNMENTS)}")
+def best_turned(positions: Points, target: Points, weight: np.ndarray) -> Points:
+    """Positions turned about the vertical axis, for the least sum of squared distances from
+    ``target`` with the weights (V,)."""
+    # With horizontal positions as complex numbers, the best angle is the phase of the product.
+    flat, goal = (p[:, 0] + 1j * p[:, 1] for p in (positions, target))
+    product = weight @ (flat.conj() * goal)
+    turned = flat * product / abs(product)
+    return np.column_stack([turned.real, turned.imag, positions[:, 2]])
 
 
 def mean_curvature(positions: Points, mesh: Mesh) -> np.ndarray:

@@ -20,7 +20,7 @@ from data.dataset.shards import Shard
 from data.fabrics.fabrics import fabric_from_theta
 from data.fabrics.nuisances import Nuisances
 from data.fabrics.prior import load_prior, sample_admissible
-from experiments.result import read_report, rms
+from experiments.report import read_report, rms
 from sim.cloth import Laws
 from sim.draping import Drape, drape
 from sim.material import LINEAR, REFERENCE_DENSITY, Fabric

@@ -30,7 +30,7 @@ SWAPPED = [2, 1, 0, 5, 4, 3]
 """Indices that exchange the two yarns in theta."""
 DRAPE_CURVATURE = 60.0
 """Curvature, 1/m, whose secant is the constant modulus that drapes as the cloth does
-(``python -m experiments secants``)."""
+(docs/validation/secants.json)."""
 KES_CURVATURE = 100.0
 """Curvature, 1/m, at which 2HB is read."""
 MEMBRANE_STIFFNESS = 200.0  # N/m, of cloth of which nothing is stated

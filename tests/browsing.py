@@ -4,9 +4,9 @@ import os
 from pathlib import Path
 
 import pytest
+from serving import EXAMPLE
 
 from drapenet.network.checkpoint import BUNDLED
-from experiments.speed.service import EXAMPLE
 
 IN_BROWSER = [pytest.mark.browser,
               pytest.mark.skipif(not BUNDLED.exists(), reason="no network is bundled")]

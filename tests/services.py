@@ -10,6 +10,7 @@ from pebble import ProcessFuture
 
 from common.command import compose_config
 from drapenet.config import ServeConfig
+from drapenet.service.database import ENDED
 
 
 def settings_for(results: Path, *words: str) -> ServeConfig:
@@ -24,24 +25,25 @@ def post(client: TestClient, files: list[Path], **fields: str) -> Response:
     return client.post("/estimates", files=parts, data=fields)
 
 
-def ended(client: TestClient, identity: str) -> dict:
-    """An estimate after its end."""
-    for _ in range(1200):
-        found = client.get(f"/estimates/{identity}").json()
-        if found["state"] in ("done", "failed", "interrupted"):
+def awaited(client: TestClient, address: str, ready: Callable[[dict], bool]) -> dict:
+    """What an address answers as soon as it is ready."""
+    for _ in range(3000):
+        found = client.get(address).json()
+        if ready(found):
             return found
         time.sleep(0.1)
-    raise AssertionError(f"not finished: {found}")
+    raise AssertionError(found)
+
+
+def ended(client: TestClient, identity: str) -> dict:
+    """An estimate after its end."""
+    return awaited(client, f"/estimates/{identity}", lambda found: found["state"] in ENDED)
 
 
 def joint_estimate_of(client: TestClient, fabric: str) -> dict:
     """The joint estimate of a fabric after its end."""
-    for _ in range(600):
-        rows = client.get(f"/fabrics/{fabric}").json()["estimates"]
-        if rows[-1]["members"]:
-            return ended(client, rows[-1]["id"])
-        time.sleep(0.1)
-    raise AssertionError(rows)
+    found = awaited(client, f"/fabrics/{fabric}", lambda found: found["estimates"][-1]["members"])
+    return ended(client, found["estimates"][-1]["id"])
 
 
 class BreakablePool:

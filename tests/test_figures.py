@@ -13,7 +13,8 @@ from drapenet.result.document import EstimateDocument
 from experiments.figures.claims import slug
 from experiments.figures.of_models import meaning
 from experiments.figures.pages import BLOCKS, MARK, PAGES, fill_blocks
-from experiments.result import ROOT
+from experiments.report import ROOT
+from experiments.study import FILES, study
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
@@ -25,7 +26,7 @@ def test_pages_have_the_figures_of_the_reports(page):
 
 def test_every_block_has_a_place():
     named = {mark[1] for page in PAGES for mark in MARK.findall(page.read_text(encoding="utf-8"))}
-    assert named == set(BLOCKS)
+    assert named == {*BLOCKS, *(name for name in FILES if study(name).block)}
 
 
 def headings(page: Path) -> set[str]:

@@ -8,7 +8,7 @@ sides is a plate of modulus 28.9 k A / 1000, A being the area for each vertex. O
 whose springs of tension must be weak for them to fold, drapes of 300 g/m² are softer. No number in
 its place gives both specimens this project's drape coefficients: with 20 discs of ten fabrics are
 4.5 points too low and squares 0.6 and 2.0 too high (30 and 60 µN·m), with 16 discs 0.2 and squares
-4.9 and 6.8 too high; 18 lies between (``python -m experiments blender``).
+4.9 and 6.8 too high; 18 lies between (docs/validation/blender.json).
 
 Triangles have springs along their edges alone, of the constant tension over mean edge. On triangles
 of equal sides they are a sheet of shear stiffness sqrt(3)/4 and stretch stiffness 2/sqrt(3) of that

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from drapenet.export.material import Material
-from drapenet.export.writing import as_json, left_to_tool
+from drapenet.export.material import Material, as_json, left_to_tool
 
 BENDING, TENSION = 1e9, 1e3  # g·mm²/s² per N·m, and g/s² per N/m
 MAX_BENDING, MAX_TENSION = 2e6, 1e7  # in these units

@@ -17,10 +17,9 @@ from common.files import replace_file
 from drapenet.export.blender import at_8_mm, blender_settings, captured_specimen
 from drapenet.export.cards import SLIDER, cards
 from drapenet.export.clo import AXES, clo_values, jfab
-from drapenet.export.material import Material
+from drapenet.export.material import Material, as_json, left_to_tool, script
 from drapenet.export.simulators import arcsim, newton, ppf
 from drapenet.export.usd import usd
-from drapenet.export.writing import as_json, left_to_tool, script
 from drapenet.report.pages import render
 from drapenet.result.tables import csv_number, csv_table, interval_columns
 from sim.material import DIRECTIONS, torque

@@ -1,7 +1,10 @@
-"""Material for exports: moduli of an estimate, and of hinges on the meshes of other tools."""
+"""Material for exports: moduli of an estimate, and of hinges on the meshes of other tools; and how
+files are written."""
 
 import hashlib
 import json
+import pprint
+from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
@@ -231,3 +234,21 @@ def read_material(path: str | Path, **settings: object) -> Material:
     written = datetime.fromtimestamp(path.stat().st_mtime, timezone.utc)
     return Material(document, checked, hashlib.sha256(path.read_bytes()).hexdigest(),
                     f"{written:%Y-%m-%dT%H:%M:%SZ}")
+
+
+def as_json(content: object) -> bytes:
+    """A JSON file."""
+    return (json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode()
+
+
+def script(template: str, content: dict) -> bytes:
+    """A module from a ``template`` beside this one, with the ``content`` of its MATERIAL."""
+    text = Path(__file__).with_name(template).read_text(encoding="utf-8")
+    values = pprint.pformat(content, width=96, sort_dicts=False)
+    return text.replace("{MATERIAL}", values).encode()
+
+
+def left_to_tool(fields: Iterable[str], given: Iterable[str]) -> dict[str, list[str]]:
+    """The entry of a file's metadata that names those ``fields`` of a tool that are not ``given``,
+    so that the tool's own values stand."""
+    return {"tool_defaults": sorted({*fields} - {*given})}

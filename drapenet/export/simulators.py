@@ -4,8 +4,7 @@ import json
 
 import numpy as np
 
-from drapenet.export.material import Material
-from drapenet.export.writing import as_json, left_to_tool, script
+from drapenet.export.material import Material, as_json, left_to_tool, script
 from sim.energies.hinges import ARCSIM
 from sim.energies.membrane import OrthotropicStVK
 from sim.material import BIAS, WARP, WEFT, torque

@@ -10,8 +10,7 @@ import json
 import re
 
 from drapenet.export.clo import UNITS, clo_values
-from drapenet.export.material import Material
-from drapenet.export.writing import left_to_tool
+from drapenet.export.material import Material, left_to_tool
 
 SCHEMAS = ("PhysicsMaterialAPI", "PhysicsSurfaceDeformableMaterialAPI", "CloFabricAPI")
 CLO = ("stretchWarp", "stretchWeft", "shear", "thickness", "friction", "internalDamping",

@@ -9,7 +9,7 @@ fabrics of evenly distributed stiffness are, by drape coefficient and by stiffne
 
 Errors of alpha are those of the posterior's geometric mean, as factors: 10 % is 1.1 times too much
 or too little. Root mean squares are over the standard deviation of the prior's fabrics; beside them
-stands the smallest possible error where it is known (``python -m experiments bounds``).
+stands the smallest possible error where it is known (docs/validation/bounds.json).
 """
 
 import common.interrupt  # noqa: F401
@@ -249,27 +249,22 @@ def main(config: EvaluateConfig) -> None:
     known = {name: cell for name, cell in CELLS.items() if cell.kind in header.config.inputs
              and len(cell.condition.sizes) <= config.drapes_per_fabric}
 
-    results: dict[str, dict] = {}
-    for tester in config.testers:
-        results[tester] = {}
-        for name, found in judged(header, tester, known, config):
-            results[tester][name] = found.summary(header.spread) | {
-                "bound": bounds.get(tester, {}).get(name)}
-            tqdm.write(format_cell(f"{tester}, {name}", results[tester][name]))
     content: dict[str, Any] = {"checkpoint": header.identity, "spread": header.spread.tolist(),
-                               "cells": results}
+                               "cells": {tester: {} for tester in config.testers}}
+    for tester, cells in content["cells"].items():
+        for name, found in judged(header, tester, known, config):
+            cells[name] = found.summary(header.spread) | {
+                "bound": bounds.get(tester, {}).get(name)}
+            tqdm.write(format_cell(f"{tester}, {name}", cells[name]))
     if config.even_fabrics:
         singles = {name: known[name] for name in SINGLES if name in known}
-        everything: dict[str, list[Judged]] = {name: [] for name in singles}
-        content["even"] = {}
-        for tester in config.testers:
-            content["even"][tester] = {}
-            for name, found in judged(header, tester, singles, config, even=True):
-                everything[name].append(found)
-                content["even"][tester][name] = {
-                    "all": found.summary(header.spread), **found.by_band(header.spread)}
-        content["bands"] = {name: Judged.joined(parts).by_band(header.spread)
-                            for name, parts in everything.items()}
+        even = {tester: dict(judged(header, tester, singles, config, even=True))
+                for tester in config.testers}
+        content["even"] = {tester: {name: {
+            "all": found.summary(header.spread), **found.by_band(header.spread)}
+            for name, found in each.items()} for tester, each in even.items()}
+        content["bands"] = {name: Judged.joined([each[name] for each in even.values()]).by_band(
+            header.spread) for name in singles}
         for name, kinds in content["bands"].items():
             for kind, bands in kinds.items():
                 for label, result in bands.items():
@@ -298,16 +293,16 @@ def make_config(
 
 
 def format_cell(name: str, result: dict[str, Any]) -> str:
+    """A line about a cell."""
     within = ", ".join(f"{level[:-1]} %: {share['mean']:.3f}"
                        for level, share in result["inside"].items())
-    bound = result.get("bound")
-    least = f" (bound {bound['log_alpha']:.3f})" if bound else ""
-    least_ratio = f" (bound {bound['beta_over_alpha']:.3f})" if bound else ""
-    alpha = result["alpha"]
+    bound, alpha = result.get("bound"), result["alpha"]
+    error = ", ".join(
+        f"{key.replace('_over_', '/').replace('_', ' ')} {result[key]['rmse']:.3f}"
+        + (f" (bound {bound[key]:.3f})" if bound else "")
+        for key in ("log_alpha", "beta_over_alpha"))
     return (f"{name}: alpha off by {alpha['median']:.1%} in the median, "
-            f"{alpha['ninth_decile']:.1%} in nine of ten; of the spread: log alpha "
-            f"{result['log_alpha']['rmse']:.3f}{least}, beta/alpha "
-            f"{result['beta_over_alpha']['rmse']:.3f}{least_ratio}; inside {within}; "
+            f"{alpha['ninth_decile']:.1%} in nine of ten; of the spread: {error}; inside {within}; "
             f"false alarms {result['alarms']:.1%}; {result['sets']} sets of {result['fabrics']} "
             "fabrics")
 

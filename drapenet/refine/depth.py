@@ -41,8 +41,8 @@ class DepthWeights:
 
     ``patch`` is the side, px, of a patch whose errors count as one measurement: noise of neighbours
     is correlated, and the effects of mesh, friction and folds more so. With 18 px, errors of
-    lowered drapes were 1.9 times the posterior's deviation (``python -m experiments refine_views
-    variation=real``).
+    lowered drapes were 1.9 times the posterior's deviation (``python -m experiments refine
+    nuisances=real``).
     """
 
     sigma: Metres = 1e-3  # standard deviation of a depth: noise and model error

@@ -39,7 +39,7 @@ BOUNDS = np.array(
     + [(math.log(20.0), math.log(5000.0)), (math.log(0.1), math.log(0.99)),
        (-15.0, 15.0), (-15.0, 15.0), (-0.02, 0.02), (-0.02, 0.02), (-math.inf, math.inf)])
 DRIFT = 4e-3  # m, standard deviation of the offset along warp and weft
-_STEPS = {"membrane": 1e-3, "shear": 1e-3, "hysteresis": 1e-3, "curl_warp": 0.1, "curl_weft": 0.1}
+_STEPS = {"membrane": 1e-3, "shear": 1e-3, "curl_warp": 0.1, "curl_weft": 0.1}
 
 
 @dataclass(frozen=True)
@@ -144,8 +144,7 @@ def law_moves(
 ) -> dict[str, np.ndarray]:
     """(V, 3) derivatives of a drape by nuisances of its cloth's energies, or their logarithms.
 
-    Forces are linear in the parameters, so that finite differences at one state are exact; by the
-    hysteresis, at the curvatures without friction of this drape, they are nearly so.
+    Forces are linear in the parameters, so that finite differences at one state are exact.
     """
     cloth, size = tangent.cloth, tangent.cloth.potential.unknowns
     mesh, active = cloth.scene.mesh, cloth.scene.active

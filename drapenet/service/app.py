@@ -63,6 +63,31 @@ _FRESH = {"Cache-Control": "no-store"}
 _MAX_BODY = 1 << 16  # bytes of a JSON body
 Words = Annotated[str, Query(max_length=200)]
 """Words that fabrics are searched for."""
+
+
+async def _client(request: Request) -> str:
+    """The address whose places a request takes."""
+    return request.client.host if request.client else ""
+
+
+async def _jobs(request: Request) -> Jobs:
+    jobs: Jobs = request.app.state.jobs
+    return jobs
+
+
+Client = Annotated[str, Depends(_client)]
+Service = Annotated[Jobs, Depends(_jobs)]
+
+
+def _finished(identity: str, jobs: Service) -> dict[str, Any]:
+    """A finished estimate; RequestError if there is none."""
+    content = jobs.row("estimate", identity)
+    if content["state"] != DONE:
+        raise RequestError(409, "the estimate is not finished")
+    return content
+
+
+Finished = Annotated[dict[str, Any], Depends(_finished)]
 router = APIRouter(responses={status: {"description": HTTPStatus(status).phrase}
                               for status in (401, 404, 408, 409, 411, 413, 415, 422, 429, 503)})
 
@@ -119,12 +144,10 @@ def create_app(settings: ServeConfig) -> FastAPI:
 
 
 @router.post("/estimates", status_code=202, openapi_extra={"requestBody": _FORM})
-async def begin(request: Request) -> dict[str, str]:
+async def begin(request: Request, jobs: Service, client: Client) -> dict[str, str]:
     """Upload a capture, a scan, strips, strips under weights or known values and start their
     estimate; `fabric` adds them to a fabric.
     """
-    jobs: Jobs = request.app.state.jobs
-    client = _client(request)
     try:
         jobs.places.take(client)
         try:
@@ -142,7 +165,7 @@ async def begin(request: Request) -> dict[str, str]:
 
 
 @router.post("/outline", openapi_extra={"requestBody": _FORM}, response_model=None)
-async def outline(request: Request) -> Response:
+async def outline(request: Request, jobs: Service, client: Client) -> Response:
     """How the photograph of a capture is read, before its estimate: `picture`, a JPEG as a data
     URL, at most 1000 pixels wide and high, with `outline`, the points of the hem, `plate` (`x`,
     `y`, `diameter`; `centred`: its centre is known; `movable`: not by a mat), `specimen`, the
@@ -153,9 +176,8 @@ async def outline(request: Request) -> Response:
     for, or null; `scale` is the number of pixels of the file to each: p is (p + 0.5) `scale` - 0.5
     of the file. The density may be missing. 204 if there is no photograph from above.
     """
-    jobs: Jobs = request.app.state.jobs
     try:
-        with jobs.looks.places.taken(_client(request)):
+        with jobs.looks.places.taken(client):
             files, texts = await read_form(request, jobs.settings)
             checked = await run_in_threadpool(checked_photograph, files, texts, jobs.settings)
             seen = checked and await run_in_threadpool(jobs.look, checked)
@@ -167,27 +189,25 @@ async def outline(request: Request) -> Response:
 
 @router.get("/mat.pdf", response_class=Response)
 def mat_to_print(
-    request: Request, mat: str = "a3", paper: str = "", ground: str = "white"
+    jobs: Service, client: Client, mat: str = "a3", paper: str = "", ground: str = "white"
 ) -> Response:
     """The mat that lies under the stand, to be printed at 100 %: `mat` is a3 or a2, `paper` that
     of the printer; by default that of the mat; `ground` is white, grey or blue, of the mat around
     its markers.
     """
-    jobs: Jobs = request.app.state.jobs
-    with jobs.looks.places.taken(_client(request)):
+    with jobs.looks.places.taken(client):
         data = jobs.looks.outcome(mat_pdf, mat, paper or mat, ground)
     return Response(data, media_type="application/pdf",
                     headers={"Content-Disposition": 'inline; filename="mat.pdf"'})
 
 
 @router.get("/estimates/{identity}")
-def state(identity: str, request: Request) -> JSONResponse:
+def state(identity: str, jobs: Service) -> JSONResponse:
     """State and result of an estimate: `state` is queued, running, done, failed or interrupted;
     `estimate` has the content of estimate.json as soon as the network's estimate is available,
     `curves` the torques; `members` are the captures of a joint estimate, `captures` all estimates
     of the fabric with their `contradictions`; `garment` has state, progress and error of a preview.
     """
-    jobs: Jobs = request.app.state.jobs
     folder, content = jobs.settings.folder / identity, jobs.row("estimate", identity)
     del content["task"], content["tries"]
     files = [name for name in FILES if (folder / name).is_file()]
@@ -197,43 +217,41 @@ def state(identity: str, request: Request) -> JSONResponse:
 
 
 @router.post("/estimates/{identity}/garment", status_code=202)
-def garment(identity: str, request: Request) -> None:
+def garment(found: Finished, jobs: Service, client: Client) -> None:
     """Start the preview of an estimate: garment.png and garment.glb, skirts of twelve of its
     samples, in about a minute.
     """
-    jobs, _ = _finished(request, identity)
-    jobs.preview(identity, _client(request))
+    jobs.preview(found["id"], client)
 
 
-def export_settings(
+def _settings(
     mesh: str = "unstructured", edge_mm: float = 5.0, curvature_1_m: float = DRAPE_CURVATURE
 ) -> dict[str, object]:
-    """Settings of exports in a request, which :func:`drapenet.export.material.read_material`
-    checks."""
+    """Settings of exports, which :func:`drapenet.export.material.read_material` checks."""
     return {"mesh": mesh, "edge_mm": edge_mm, "curvature_1_m": curvature_1_m}
 
 
-Settings = Annotated[dict[str, object], Depends(export_settings)]
+Settings = Annotated[dict[str, object], Depends(_settings)]
 
 
 @router.get("/estimates/{identity}/files.zip", response_class=Response)
-def estimate_zip(identity: str, request: Request, settings: Settings) -> Response:
+def estimate_zip(
+    found: Finished, jobs: Service, client: Client, settings: Settings
+) -> Response:
     """A zip of the files of an estimate and of those for all other tools; what a tool refuses is
     stated in `refused.txt`. `mesh`, `edge_mm` and `curvature_1_m` are those of an export.
     """
-    jobs, content = _finished(request, identity)
-    with jobs.exports.places.taken(_client(request)):
-        data = jobs.exports.outcome(all_files, jobs.settings.folder / identity, FILES,
-                                    settings | {"name": content["fabric_name"]})
-    return _attachment(f"{plain_name(content['fabric_name'])}-files.zip", data)
+    with jobs.exports.places.taken(client):
+        data = jobs.exports.outcome(all_files, jobs.settings.folder / found["id"], FILES,
+                                    settings | {"name": found["fabric_name"]})
+    return _attachment(f"{plain_name(found['fabric_name'])}-files.zip", data)
 
 
 @router.get("/estimates/{identity}/{file}", response_class=FileResponse)
-def file(identity: str, file: str, request: Request) -> FileResponse:
+def file(identity: str, file: str, jobs: Service) -> FileResponse:
     """A file of an estimate: estimate.json, report.png, strips.png, report.html, report.pdf,
     drape.glb, torque.svg, preview.png, or garment.png and garment.glb of a preview.
     """
-    jobs: Jobs = request.app.state.jobs
     folder = jobs.settings.folder / jobs.row("estimate", identity)["id"]
     if file not in FILES:
         raise RequestError(404, f"no such file; there are {', '.join(FILES)}")
@@ -243,33 +261,19 @@ def file(identity: str, file: str, request: Request) -> FileResponse:
 
 
 @router.get("/estimates/{identity}/export/{name}", response_class=Response)
-def export(identity: str, name: str, request: Request, settings: Settings) -> Response:
+def export(
+    name: str, found: Finished, jobs: Service, client: Client, settings: Settings
+) -> Response:
     """A file for another tool, or a zip of several files; `mesh` and `edge_mm` are for tools with
     hinges, `curvature_1_m` is that of the secant for tools with one modulus.
     """
     if name not in TARGETS:
         raise RequestError(404, f"no such tool; there are {', '.join(TARGETS)}")
-    jobs, content = _finished(request, identity)
-    title = f"{plain_name(content['fabric_name'])}-{TARGETS[name].file}"
-    with jobs.exports.places.taken(_client(request)):
-        title, data = jobs.exports.outcome(export_file, jobs.settings.folder / identity, name,
-                                           title, settings | {"name": content["fabric_name"]})
+    title = f"{plain_name(found['fabric_name'])}-{TARGETS[name].file}"
+    with jobs.exports.places.taken(client):
+        title, data = jobs.exports.outcome(export_file, jobs.settings.folder / found["id"], name,
+                                           title, settings | {"name": found["fabric_name"]})
     return _attachment(title, data)
-
-
-def _finished(request: Request, identity: str) -> tuple[Jobs, dict[str, Any]]:
-    """The jobs of the service, and a finished estimate of theirs; RequestError if there is none.
-    """
-    jobs: Jobs = request.app.state.jobs
-    content = jobs.row("estimate", identity)
-    if content["state"] != DONE:
-        raise RequestError(409, "the estimate is not finished")
-    return jobs, content
-
-
-def _client(request: Request) -> str:
-    """The address whose places a request takes."""
-    return request.client.host if request.client else ""
 
 
 def _attachment(title: str, data: bytes) -> Response:
@@ -280,45 +284,43 @@ def _attachment(title: str, data: bytes) -> Response:
 
 
 @router.get("/fabrics")
-def fabrics(request: Request, search: Words = "",
-            first: int = Query(0, ge=0, le=10**6), count: int = Query(50, ge=1, le=200),
-            ) -> JSONResponse:
+def fabrics(
+    jobs: Service, search: Words = "", first: int = Query(0, ge=0, le=10**6),
+    count: int = Query(50, ge=1, le=200),
+) -> JSONResponse:
     """Fabrics, the newest first, that have all words of `search` in their name, notes, testers or
     labels; `result` is the joint or latest estimate, `estimate` its summary.
     """
-    rows = request.app.state.jobs.database.fabrics(search.split(), first, count)
+    rows = jobs.database.fabrics(search.split(), first, count)
     return JSONResponse({"fabrics": rows}, headers=_FRESH)
 
 
 @router.get("/fabrics.xlsx", response_class=Response)
-def spreadsheet(request: Request, search: Words = "") -> Response:
+def spreadsheet(jobs: Service, client: Client, search: Words = "") -> Response:
     """A workbook of the fabrics that a search finds: a sheet of their results, and one of their
     captures.
     """
-    jobs: Jobs = request.app.state.jobs
-    with jobs.exports.places.taken(_client(request)):
+    with jobs.exports.places.taken(client):
         return _attachment(*jobs.exports.outcome(results_table, jobs.settings.folder,
                                                  search.split()))
 
 
 @router.get("/fabrics.zip", response_class=Response)
-def everything(request: Request) -> Archive:
+def everything(jobs: Service, client: Client) -> Archive:
     """All fabrics with their files and database, as a folder of results of another service."""
-    jobs: Jobs = request.app.state.jobs
-    return Archive(jobs.settings.folder, jobs.exports.places.taken(_client(request)),
+    return Archive(jobs.settings.folder, jobs.exports.places.taken(client),
                    jobs.settings.export_seconds)
 
 
 @router.get("/fabrics/{identity}")
-def fabric(identity: str, request: Request) -> JSONResponse:
+def fabric(identity: str, jobs: Service) -> JSONResponse:
     """A fabric with the states and contradictions of its captures and of their joint estimate."""
-    return JSONResponse(request.app.state.jobs.row("fabric", identity), headers=_FRESH)
+    return JSONResponse(jobs.row("fabric", identity), headers=_FRESH)
 
 
 @router.patch("/fabrics/{identity}")
-def change_fabric(identity: str, about: About, request: Request) -> JSONResponse:
+def change_fabric(identity: str, about: About, jobs: Service) -> JSONResponse:
     """Give a fabric another `name` or `notes`."""
-    jobs: Jobs = request.app.state.jobs
     jobs.row("fabric", identity)  # 404 if there is none
     if stated := about.model_dump(include={"name", "notes"}, exclude_unset=True):
         jobs.database.change("fabric", identity, **stated)
@@ -326,9 +328,9 @@ def change_fabric(identity: str, about: About, request: Request) -> JSONResponse
 
 
 @router.delete("/{kind}/{identity}", status_code=204)
-def remove(kind: Literal["estimates", "fabrics"], identity: str, request: Request) -> None:
+def remove(kind: Literal["estimates", "fabrics"], identity: str, jobs: Service) -> None:
     """Remove a fabric with its files, or an estimate: the others of its fabric are joined again."""
-    request.app.state.jobs.remove(kind[:-1], identity)
+    jobs.remove(kind[:-1], identity)
 
 
 async def _guarded(

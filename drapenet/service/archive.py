@@ -1,21 +1,19 @@
 """The zip of all fabrics, made while it is sent: it may be large, and its client slow."""
 
 import asyncio
-import io
 import logging
 import os
-import zipfile
 from collections.abc import Generator, Iterator
 from contextlib import AbstractContextManager, closing, suppress
 from itertools import chain
 from pathlib import Path
 from sqlite3 import Error as SQLError
 from tempfile import TemporaryDirectory
-from typing import Any
 
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response, StreamingResponse
 from starlette.types import Message, Receive, Scope, Send
+from zipstream import ZipStream
 
 from common.errors import one_line
 from drapenet.service.database import DATABASE, Database, database_in
@@ -23,7 +21,6 @@ from drapenet.service.limits import RequestError
 
 COPY = ".fabrics.zip-"  # beginning of the name of a folder with a copy of the database
 _LOG = logging.getLogger(__name__)
-_PART = 1 << 20  # bytes
 
 
 class Archive(Response):
@@ -58,22 +55,20 @@ class Archive(Response):
 
 
 def archive(results: Path) -> Generator[bytes]:
-    """Parts of about a mebibyte of a zip of all fabrics, with the database as it is now: it can be
-    unpacked as the folder of another service. OSError or sqlite3.Error, before the first part, if
-    the database cannot be copied.
+    """Parts of a zip of all fabrics, with the database as it is now: it can be unpacked as the
+    folder of another service. OSError or sqlite3.Error, before the first part, if the database
+    cannot be copied.
 
     ``fabrics.csv`` has the moduli and readings of each estimate.
     """
     from drapenet.result.document import EstimateDocument
     from drapenet.result.tables import csv_table, row_of
 
-    written = _Written()
-    with TemporaryDirectory(prefix=COPY, dir=results) as name, zipfile.ZipFile(
-            written, "w") as target:
+    stream = ZipStream()  # most files are compressed already
+    with TemporaryDirectory(prefix=COPY, dir=results) as name:
         folder = Path(name)
-        table = folder / "fabrics.csv"
         database_in(results).copy(folder / DATABASE)
-        yield from _packed(target, written, folder / DATABASE, folder)
+        yield from _packed(stream, folder / DATABASE, folder)
         lines = []
         with closing(Database(folder)) as copy:
             for row in filter(None, (copy.estimate(one["id"]) for one in copy.estimates())):
@@ -83,34 +78,13 @@ def archive(results: Path) -> Generator[bytes]:
                         **row_of(EstimateDocument.of(row["estimate"], ""))})
                 for place, _, files in os.walk(results / row["id"]):
                     for file in sorted(files):
-                        yield from _packed(target, written, Path(place, file), results)
-        table.write_text(csv_table(lines) if lines else "", encoding="utf-8")
-        yield from _packed(target, written, table, folder)
-    yield written.taken()
+                        yield from _packed(stream, Path(place, file), results)
+        stream.add(csv_table(lines) if lines else "", "fabrics.csv")
+        yield from stream.finalize()
 
 
-class _Written(io.RawIOBase):
-    """What a zip file has written, and nobody has taken."""
-
-    def __init__(self) -> None:
-        self._bytes = bytearray()
-
-    def write(self, data: Any) -> int:
-        self._bytes += data
-        return len(data)
-
-    def taken(self) -> bytes:
-        taken, self._bytes = bytes(self._bytes), bytearray()
-        return taken
-
-
-def _packed(
-    target: zipfile.ZipFile, written: _Written, file: Path, root: Path
-) -> Iterator[bytes]:
-    """Add a file by its name in the folder ``root``, part by part; most are compressed already."""
-    with suppress(FileNotFoundError), file.open("rb") as source:  # of what is now removed
-        entry = zipfile.ZipInfo.from_file(file, file.relative_to(root), strict_timestamps=False)
-        with target.open(entry, "w") as packed:
-            while part := source.read(_PART):
-                packed.write(part)
-                yield written.taken()
+def _packed(stream: ZipStream, file: Path, root: Path) -> Iterator[bytes]:
+    """Add a file by its name in the folder ``root``, part by part, unless it is now removed."""
+    with suppress(FileNotFoundError):
+        stream.add_path(file, str(file.relative_to(root)))
+        yield from stream.file()

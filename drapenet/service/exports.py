@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from common.errors import InputError
 from common.findings import Finding
 from common.workers import end_with_parent
-from drapenet.service.database import DONE, FAILED, LOST, Database, database_in
+from drapenet.service.database import DONE, FAILED, LOST, database_in
 
 if TYPE_CHECKING:
     from drapenet.report.overview import FabricEstimate
@@ -64,45 +64,39 @@ def results_table(results: Path, words: Sequence[str]) -> tuple[str, bytes]:
     """
     from drapenet.report.overview import RESULTS, Joined, fabrics_workbook
 
-    database = database_in(results)
-    rows = database.fabrics(words)
-    found = [_estimated(database, row) for row in rows if row["result"]]
-    return RESULTS, fabrics_workbook(Joined(
-        [*filter(None, found)], [], [one for row in rows for one in _failures(database, row)]))
+    database, found, failures = database_in(results), [], []
+    for row in database.fabrics(words):
+        estimates = (database.fabric(row["id"]) or {"estimates": []})["estimates"]
+        failed = [each for each in estimates if each["state"] in (FAILED, LOST)]
+        # A joint estimate that failed is not of a capture.
+        failures += [{"fabric": row["name"], "sample": "", "reason": each["error"] or "",
+                      "capture": "" if each["members"] else each["name"]} for each in failed]
+        done = {each["id"]: content for each in estimates
+                if (content := database.estimate(each["id"])) and content["state"] == DONE}
+        if row["result"] in done:  # not removed meanwhile
+            found.append(_estimated(row, done, sum(not each["members"] for each in failed)))
+    return RESULTS, fabrics_workbook(Joined(found, [], failures))
 
 
-def _failures(database: Database, fabric: Mapping[str, Any]) -> list[dict[str, str]]:
-    """Rows of a fabric's captures that failed, and of its joint estimate, without a capture."""
-    return [{"fabric": fabric["name"], "sample": "",
-             "capture": "" if each["members"] else each["name"], "reason": each["error"] or ""}
-            for each in (database.fabric(fabric["id"]) or {"estimates": []})["estimates"]
-            if each["state"] in (FAILED, LOST)]
-
-
-def _estimated(database: Database, fabric: Mapping[str, Any]) -> "FabricEstimate | None":
-    """A fabric with its finished captures, and a warning if its result is not of all of them; None
-    if its result has been removed meanwhile.
-    """
+def _estimated(
+    fabric: Mapping[str, Any], rows: Mapping[str, Mapping[str, Any]], failed: int
+) -> "FabricEstimate":
+    """A fabric with its finished estimates, the ``rows`` by identity, and a warning if its result
+    is not of all its captures."""
     from drapenet.fabric.entries import Entry
     from drapenet.report.overview import FabricEstimate
     from drapenet.result.document import EstimateDocument
 
-    estimates = (database.fabric(fabric["id"]) or {"estimates": []})["estimates"]
-    rows = {row["id"]: row for each in estimates
-            if (row := database.estimate(each["id"])) and row["state"] == DONE}
-    if not (result := rows.get(fabric["result"])):
-        return None
     documents = {identity: EstimateDocument.of(row["estimate"], "")
                  for identity, row in rows.items()}
     captures = [row for row in rows.values() if row["members"] is None]
-    document, joined = documents[result["id"]], result["members"] or [result["id"]]
+    result = fabric["result"]
+    document, joined = documents[result], rows[result]["members"] or [result]
     if apart := [documents[row["id"]].label for row in captures if row["id"] not in joined]:
         document = document.warned(Finding("captures_apart", {"captures": ", ".join(apart)}))
     shown = [(Entry(fabric["name"], "", row["name"], Path(), Path(row["id"])), documents[row["id"]])
              for row in captures]
-    return FabricEstimate(
-        fabric["name"], Path(fabric["id"]), shown, document, None,
-        failed=sum(each["state"] in (FAILED, LOST) for each in estimates if not each["members"]))
+    return FabricEstimate(fabric["name"], Path(fabric["id"]), shown, document, None, failed)
 
 
 def zipped(files: Mapping[str, bytes]) -> bytes:

@@ -4,7 +4,7 @@ import logging
 import shutil
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent import futures
 from contextlib import contextmanager, suppress
 from functools import partial
@@ -33,7 +33,7 @@ from drapenet.service.database import (
     new_identity,
 )
 from drapenet.service.limits import Places, RequestError
-from drapenet.service.pools import Process, end, living, new_pool
+from drapenet.service.pools import Pool, Process
 from drapenet.service.uploads import UNMARKED, YARNS, Upload
 from drapenet.service.work import UPLOADED, preview, warm_up, work
 
@@ -62,31 +62,30 @@ class Jobs:
         self.settings = settings
         self.places = Places("estimates", total=settings.queue, each=settings.queue_each)
         self._changing = threading.Lock()  # the captures of a fabric
-        self._starting = threading.Lock()  # the pool of workers and its tasks
         settings.folder.mkdir(parents=True, exist_ok=True)
         self.database = Database(settings.folder)
         for begun in (COPY, seen.LOOK):  # of a service that was killed
             for left in settings.folder.glob(f"{begun}*"):
                 shutil.rmtree(left, ignore_errors=True)
+        for row in self.database.estimates():
+            if row["state"] not in ENDED and row["tries"] >= _MAX_TRIES:
+                self._end("estimate", row["id"], LOST, f"the service ended {_MAX_TRIES} times "
+                          "during this estimate; please report this capture")
         for upload in settings.folder.glob(f"*/{UPLOADED}"):
             row = self.database.estimate(upload.parent.name)
             if row is None or row["state"] in ENDED:  # never complete, or no longer needed
                 shutil.rmtree(upload if row else upload.parent, ignore_errors=True)
         self._closed = False
-        self._unfinished: set[futures.Future] = set()
-        self._workers_pool = partial(new_pool, settings.processes, warm_up, settings.checkpoint)
-        self._workers = self._workers_pool()
+        self.workers = Pool(settings.processes, warm_up, settings.checkpoint,
+                            seconds=settings.job_seconds)
         self.exports = Process("exports", "exported", exports.prepare, root=settings.folder,
                                seconds=settings.export_seconds)
         self.looks = Process("photographs", "read", seen.prepare, root=settings.folder,
                              seconds=settings.look_seconds)
         for row in self.database.estimates():
-            if row["state"] not in ENDED and row["tries"] < _MAX_TRIES:
+            if row["state"] not in ENDED:
                 self.database.change("estimate", row["id"], state=QUEUED, stage=None)
                 self._schedule(row["id"])
-            elif row["state"] not in ENDED:
-                self._end(row["id"], LOST, f"the service ended {_MAX_TRIES} times during this "
-                          "estimate; please report this capture")
         self.database.lose_garments("the service ended during this preview; start it again")
         for row in self.database.settled():
             self._join(row["id"])
@@ -94,8 +93,8 @@ class Jobs:
     def close(self) -> None:
         """End all worker processes; the next service goes on with their estimates."""
         self._closed = True
-        for pool in (self._workers, self.exports.pool, self.looks.pool):
-            end(pool)
+        for pool in (self.workers, self.exports, self.looks):
+            pool.end()
 
     def submit(self, upload: Upload, client: str) -> dict[str, str]:
         """Start the estimate of an upload in the client's place; its ``id`` and its ``fabric``."""
@@ -171,8 +170,8 @@ class Jobs:
             self.places.take(client)
             try:
                 self.database.add_garment(identity)
-                self._start(partial(self._previewed, identity, client), preview,
-                            self.settings.folder / identity)
+                self.workers.begun(preview, self.settings.folder / identity,
+                                   ended=partial(self._previewed, identity, client))
             except BaseException as error:
                 self.places.give(client)
                 if isinstance(error, SQLError):
@@ -181,24 +180,10 @@ class Jobs:
 
     def _schedule(self, identity: str, client: str | None = None) -> None:
         """Start an estimate; the place of a client, if any, is given back at the end."""
-        self._start(partial(self._ended, identity, client), work, self.settings.folder / identity,
-                    self.settings.checkpoint, f"{public_address(self.settings)}/#{identity}")
-
-    def _start(
-        self, ended: Callable[[futures.Future], None], task: Callable, *arguments: object
-    ) -> None:
-        """Start a task of a worker; ``ended`` is called at its end or cancellation."""
-        lost: set[futures.Future] = set()
-        with self._starting:
-            before, self._workers = self._workers, living(self._workers, self._workers_pool)
-            if self._workers is not before:
-                lost, self._unfinished = self._unfinished, set()
-            future = self._workers.schedule(task, args=[*arguments],
-                                            timeout=self.settings.job_seconds)
-            self._unfinished.add(future)
-        future.add_done_callback(ended)
-        for waiting in lost:
-            waiting.cancel()  # calls its ended
+        self.workers.begun(
+            work, self.settings.folder / identity, self.settings.checkpoint,
+            f"{public_address(self.settings)}/#{identity}",
+            ended=partial(self._ended, identity, client))
 
     def _join(self, fabric: str) -> None:
         """Start the joint estimate of a fabric if its captures are no longer those of the last; the
@@ -280,26 +265,22 @@ class Jobs:
 
     def _ended(self, identity: str, client: str | None, done: futures.Future) -> None:
         """Release the place and record failures, at the end of a task or at its cancellation."""
-        self._unfinished.discard(done)
         if client is not None:
             self.places.give(client)
         if self._closed:
             return
         if failure := self._failure("estimate", identity, done):
-            self._end(identity, FAILED, failure)
-        else:
-            shutil.rmtree(self.settings.folder / identity / UPLOADED, ignore_errors=True)
+            self._end("estimate", identity, FAILED, failure)
+        shutil.rmtree(self.settings.folder / identity / UPLOADED, ignore_errors=True)
         with logged("the end of the estimate %s is not known to its fabric", identity):
             if row := self.database.estimate(identity):  # it may have been removed
                 self._join(row["fabric"])
 
     def _previewed(self, identity: str, client: str, done: futures.Future) -> None:
         """The same of a garment."""
-        self._unfinished.discard(done)
         self.places.give(client)
         if not self._closed and (failure := self._failure("garment", identity, done)):
-            with logged("the end of the garment %s is not stored", identity):
-                self.database.change("garment", identity, state=FAILED, error=failure)
+            self._end("garment", identity, FAILED, failure)
 
     def _failure(self, what: str, identity: str, done: futures.Future) -> str | None:
         """Why a task failed, as clients read it; None if it did not."""
@@ -313,10 +294,9 @@ class Jobs:
         _LOG.error("the %s %s failed", what, identity, exc_info=error)
         return _FAULT.format(what)
 
-    def _end(self, identity: str, state: str, sentence: str) -> None:
-        with logged("the end of the estimate %s is not stored", identity):
-            self.database.change("estimate", identity, state=state, error=sentence)
-        shutil.rmtree(self.settings.folder / identity / UPLOADED, ignore_errors=True)
+    def _end(self, table: str, identity: str, state: str, sentence: str) -> None:
+        with logged("the end of the %s %s is not stored", table, identity):
+            self.database.change(table, identity, state=state, error=sentence)
 
 
 def _not_stored(error: Exception) -> RequestError:

@@ -17,7 +17,49 @@ from drapenet.service.limits import Places, RequestError
 _MAX_TASKS = 500  # after which a process is replaced
 
 
-class Process:
+class Pool:
+    """Processes, which are starting and each of which first calls ``prepare``.
+
+    Args:
+        seconds: that a task may take.
+    """
+
+    def __init__(
+        self, processes: int, prepare: Callable[..., None], *arguments: object, seconds: float
+    ):
+        self._new = partial(_new_pool, processes, prepare, arguments)
+        self._seconds = seconds
+        self._starting = threading.Lock()
+        self._unfinished: set[futures.Future] = set()
+        self._pool = self._new()
+
+    def begun(
+        self, task: Callable, *arguments: object,
+        ended: Callable[[futures.Future], None] = lambda task: None
+    ) -> futures.Future:
+        """Begin a task; ``ended`` is called at its end or cancellation. If a thread of the pool has
+        died, which finishes no task, others take its place, and its tasks are cancelled."""
+        lost: list[futures.Future] = []
+        with self._starting:
+            if not self._pool.active:
+                self.end()
+                self._pool = self._new()
+                lost, self._unfinished = [*self._unfinished], set()
+            future = self._pool.schedule(task, args=[*arguments], timeout=self._seconds)
+            self._unfinished.add(future)
+        future.add_done_callback(self._unfinished.discard)
+        future.add_done_callback(ended)
+        for waiting in lost:
+            waiting.cancel()  # calls its ended
+        return future
+
+    def end(self) -> None:
+        """End the processes."""
+        self._pool.stop()
+        self._pool.join(timeout=5)
+
+
+class Process(Pool):
     """A process for tasks whose outcome a client waits for, with ``places`` for their clients.
 
     Args:
@@ -29,19 +71,14 @@ class Process:
     def __init__(
         self, what: str, late: str, prepare: Callable[[], None], *, seconds: float, root: Path
     ):
+        super().__init__(1, prepare, seconds=seconds)
         self.places = Places(what, total=16, each=4)
-        self._late, self._seconds, self._root = late, seconds, root
-        self._starting = threading.Lock()
-        self._new = partial(new_pool, 1, prepare)
-        self.pool = self._new()
+        self._late, self._root = late, root
 
     def outcome(self, task: Callable, *arguments: object) -> Any:
         """Outcome of a task; RequestError with the sentence of its InputError."""
         try:
-            with self._starting:
-                self.pool = living(self.pool, self._new)
-                future = self.pool.schedule(task, args=arguments, timeout=self._seconds)
-            return future.result()
+            return self.begun(task, *arguments).result()
         except InputError as error:
             raise RequestError(422, str(error.within(self._root))) from None
         except futures.TimeoutError:
@@ -49,22 +86,10 @@ class Process:
                                ) from None
 
 
-def living(pool: ProcessPool, another: Callable[[], ProcessPool]) -> ProcessPool:
-    """The pool, or ``another`` if a thread of it has died: it finishes no task."""
-    if pool.active:
-        return pool
-    end(pool)
-    return another()
-
-
-def end(pool: ProcessPool) -> None:
-    """End the processes of a pool."""
-    pool.stop()
-    pool.join(timeout=5)
-
-
-def new_pool(processes: int, prepare: Callable[..., None], *arguments: object) -> ProcessPool:
-    """A pool whose processes are starting, each of which calls ``prepare``."""
+def _new_pool(
+    processes: int, prepare: Callable[..., None], arguments: tuple[object, ...]
+) -> ProcessPool:
+    """A pool whose processes are starting."""
     pool = ProcessPool(max_workers=processes, max_tasks=_MAX_TASKS, initializer=prepare,
                        initargs=arguments, context=multiprocessing.get_context("spawn"))
     pool.schedule(os.getpid)  # starts the processes

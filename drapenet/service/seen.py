@@ -52,30 +52,26 @@ def photograph_as_read(folder: Path) -> dict[str, Any]:
     small = cv2.resize(seen.picture, (width, height), interpolation=cv2.INTER_AREA)
     coded = cv2.imencode(".jpg", small[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1]
 
-    def drawn(path: np.ndarray) -> list:
-        return np.round((path + 0.5) * share - 0.5, 1).tolist()
+    def drawn(path: np.ndarray | None) -> list | None:
+        return None if path is None else np.round((path + 0.5) * share - 0.5, 1).tolist()
 
-    answer: dict[str, Any] = {
-        "picture": "data:image/jpeg;base64," + base64.b64encode(coded.tobytes()).decode(),
-        "width": width, "height": height, "scale": seen.factor * wide / width,
-        "plate": None, "specimen": None, "warp": None, "centred": seen.centred,
-        "movable": seen.movable, "outline": None, "cameras": None, "next_camera": None,
-        "unclear": [drawn(path) for path in seen.unclear],
-        "drape_coefficient_percent": None, "nodes": None, "warnings": [],
-        "refusal": str(InputError(seen.refusal).within(folder)) or None}
+    plate, outline = None, seen.outline
     if seen.plate:
         x, y, diameter = seen.plate
-        answer["plate"] = {"x": round((x + 0.5) * share - 0.5, 2),
-                           "y": round((y + 0.5) * share - 0.5, 2),
-                           "diameter": round(diameter * share, 2)}
-    for name, path in (("outline", seen.hem), ("specimen", seen.specimen), ("warp", seen.warp),
-                       ("cameras", seen.cameras), ("next_camera", seen.next_camera)):
-        if path is not None:
-            answer[name] = drawn(path)
-    if seen.outline:
-        answer |= {"drape_coefficient_percent": round(100 * seen.outline.drape_coefficient, 1),
-                   "nodes": seen.outline.folds, "warnings": records(seen.outline.warnings)}
-    return answer
+        plate = {"x": round((x + 0.5) * share - 0.5, 2), "y": round((y + 0.5) * share - 0.5, 2),
+                 "diameter": round(diameter * share, 2)}
+    return {
+        "picture": "data:image/jpeg;base64," + base64.b64encode(coded.tobytes()).decode(),
+        "width": width, "height": height, "scale": seen.factor * wide / width,
+        "plate": plate, "centred": seen.centred, "movable": seen.movable,
+        "outline": drawn(seen.hem), "specimen": drawn(seen.specimen), "warp": drawn(seen.warp),
+        "cameras": drawn(seen.cameras), "next_camera": drawn(seen.next_camera),
+        "unclear": [drawn(path) for path in seen.unclear],
+        "drape_coefficient_percent":
+            round(100 * outline.drape_coefficient, 1) if outline else None,
+        "nodes": outline.folds if outline else None,
+        "warnings": records(outline.warnings) if outline else [],
+        "refusal": str(InputError(seen.refusal).within(folder)) or None}
 
 
 @cache

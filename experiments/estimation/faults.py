@@ -23,7 +23,8 @@ from drapenet.views.checks import view_warnings
 from drapenet.views.located import LocatedViews
 from drapenet.views.radial_map import radial_map
 from experiments.drapes import converged_drapes
-from experiments.result import Config, Result
+from experiments.report import Report
+from experiments.study import PlainKeys, Study
 from sim.draping import drape
 from sim.material import REFERENCE_DENSITY
 from sim.rig import Rig
@@ -171,24 +172,31 @@ def find_warnings(
         return [str(error)]
 
 
-def run(config: Config) -> Result:
+class Keys(PlainKeys):
+    data: str = "outputs/square6"  # dataset of drapes on the square rig (make dataset)
+    sound: int = 300  # captures without faults
+    spoiled: int = 20  # captures with each fault
+    seed: int = 31  # of all random numbers
+
+
+def run(keys: Keys) -> Report:
     """Check captures without and with faults."""
     rig = Rig()
     setups = replace(Setups.load(), views=(0.0, 0.0, 0.0, 1.0))
-    source = converged_drapes(Path(config["data"]))
+    source = converged_drapes(Path(keys.data))
 
     def capture(positions: np.ndarray, faces: np.ndarray, rng: Rng) -> SyntheticCapture:
         return setups.capture(positions, faces, rng, rig=rig)
 
     messages: dict[str, list[list[str]]] = {}
-    for number in tqdm(range(config["sound"]), desc="sound", mininterval=5):
-        rng = np.random.default_rng([config["seed"], number])
+    for number in tqdm(range(keys.sound), desc="sound", mininterval=5):
+        rng = np.random.default_rng([keys.seed, number])
         shard, row = next(source)
         positions, _, faces = shard.mesh(row)
         seen = capture(positions, faces, rng)
         messages.setdefault("sound", []).append(find_warnings(seen, rig, setups))
-    for number in tqdm(range(config["spoiled"]), desc="spoiled"):
-        rng = np.random.default_rng([config["seed"], 1, number])
+    for number in tqdm(range(keys.spoiled), desc="spoiled"):
+        rng = np.random.default_rng([keys.seed, 1, number])
         shard, row = next(source)
         theta, (positions, _, faces) = shard.column("theta")[row], shard.mesh(row)
         seen = capture(positions, faces, rng)
@@ -203,7 +211,7 @@ def run(config: Config) -> Result:
                     capture(shape.positions, shape.faces, rng), rig, setups))
         other = drape(fabric_from_theta(theta), rig=rig, edge=EDGE, seed=number + 1, start="fold")
         again = capture(other.positions, other.faces, np.random.default_rng(
-            [config["seed"], 1, number]))
+            [keys.seed, 1, number]))
         views = np.concatenate([seen.views[:2], again.views[2:]])
         messages.setdefault(MOVED_CLOTH, []).append(
             find_warnings(replace(seen, views=views), rig, setups))
@@ -211,4 +219,7 @@ def run(config: Config) -> Result:
               for name, lines in messages.items()}
     reasons = Counter(line.split(":")[-1 if line.startswith("view ") else 0][:50]
                       for lines in messages["sound"] for line in lines)
-    return Result({"found": shares, "warnings_of_sound": dict(reasons.most_common(20))})
+    return {"found": shares, "warnings_of_sound": dict(reasons.most_common(20))}
+
+
+STUDY = Study(Keys, run)

@@ -5,10 +5,8 @@ depth views and from its outline under parallel light. Counted are the direction
 lies outside the 99 % interval, and the estimates with such directions that have no warning.
 """
 
-import csv
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,16 +24,24 @@ from experiments.drapes import (
     outline_of,
     plan_specimen,
 )
-from experiments.result import Config, Result, run_cases
+from experiments.report import Report, read_rows
+from experiments.study import CaseKeys, Sample, Study, samples_of
 from sim.material import DIRECTIONS, LINEAR, MICRO, NANO, REFERENCE_DENSITY, is_admissible
 from sim.measures import drape_coefficient
 
 
-def read_fabrics(path: Path) -> dict[str, list[float]]:
-    """Theta of fabrics at 300 g/m² by name; lines that begin with # are comments."""
-    lines = path.read_text(encoding="utf-8").splitlines()
+class Keys(CaseKeys):
+    fabrics: str = "experiments/estimation/hard_fabrics.csv"
+    testers: tuple[str, ...] = (
+        "disc300_support180", "disc360_support180", "square300_cylinder100")
+    seed: int = 8  # of the specimens and captures
+    edge_mm: float = 5.0  # edges of the meshes at the plate's rim
+
+
+def read_fabrics(path: str) -> dict[str, list[float]]:
+    """Theta of fabrics at 300 g/m² by name."""
     found = {}
-    for row in csv.DictReader(line for line in lines if not line.startswith("#")):
+    for row in read_rows(path):
         scale = 1e3 * REFERENCE_DENSITY / float(row["weight"])
         alpha, beta = (scale * unit * np.array([float(row[f"{name}_{d}"]) for d in DIRECTIONS])
                        for name, unit in (("alpha", MICRO), ("beta", NANO)))
@@ -44,9 +50,8 @@ def read_fabrics(path: Path) -> dict[str, list[float]]:
     return found
 
 
-def estimated(
-    *, theta: list[float], tester: str, number: int, seed: int, edge_mm: float
-) -> dict[str, Any]:
+def estimated(rng: np.random.Generator, *, theta: list[float], tester: str, number: int,
+              seed: int, edge_mm: float) -> Sample:
     """Both estimates of a drape of a fabric."""
     rig = named_tester(tester)
     plan = replace(plan_specimen(number, "dataset=testers", "dataset.rectangles=0",
@@ -54,7 +59,7 @@ def estimated(
                    theta=np.array(theta))
     shape = drape_as_planned(plan, edge=1e-3 * edge_mm)
     setups = replace(Setups.load("real"), views=(0.0, 0.0, 0.0, 1.0))
-    views = infer(capture_drape(shape, setups, np.random.default_rng([seed, number]), rig), rig)
+    views = infer(capture_drape(shape, setups, rng, rig), rig)
     draws, estimate, unlike = infer_outline(outline_of(shape), rig)
     return {"coefficient": drape_coefficient(shape.positions, shape.faces, rig),
             "depth": _judged(views.draws, theta, views.document.warnings),
@@ -68,13 +73,12 @@ def _judged(draws: Draws, theta: list[float], warnings: Sequence[Finding]) -> di
             "outside": int(((true < low) | (true > high)).sum()), "warnings": texts(warnings)}
 
 
-def run(config: Config) -> Result:
+def run(keys: Keys) -> Report:
     """Drape and estimate all fabrics."""
-    cases = {f"{name}, {tester}": {"theta": theta, "tester": tester, "number": number,
-                                   "seed": config["seed"], "edge_mm": config["edge_mm"]}
-             for number, (name, theta) in enumerate(read_fabrics(Path(config["fabrics"])).items())
-             for tester in config["testers"]}
-    results = run_cases(estimated, cases, config)
+    results = samples_of(estimated, keys, {
+        f"{name}, {tester}": {"theta": theta, "tester": tester, "number": number}
+        for number, (name, theta) in enumerate(read_fabrics(keys.fabrics).items())
+        for tester in keys.testers})
     summary = {}
     for kind in ("depth", "outline"):
         found = {label: result[kind] for label, result in results.items()}
@@ -87,4 +91,7 @@ def run(config: Config) -> Result:
             "with_a_warning": sum(bool(one["warnings"]) for one in found.values()),
             "median": float(np.expm1(np.median(errors))),
             "ninth_decile": float(np.expm1(np.quantile(errors, 0.9)))}
-    return Result({"summary": summary, "fabrics": results})
+    return {"summary": summary, "fabrics": results}
+
+
+STUDY = Study(Keys, run)

@@ -28,7 +28,8 @@ from data.render import textures
 from data.render.phone import PhonePicture
 from drapenet.fabric.stages import by_network
 from experiments.drapes import drape_as_planned, header, plan_specimen
-from experiments.result import Config, Result, run_cases
+from experiments.report import Report, percents, rms, table
+from experiments.study import CaseKeys, Sample, Study, samples_of
 from sim.draping import Drape
 from sim.material import LINEAR, REFERENCE_DENSITY
 from sim.rig import Rig
@@ -41,12 +42,21 @@ TEXTURES = Path(__file__).resolve().parents[3] / "shared" / "photographs"
 _PATCH, _PIXEL = 90, 3.9e-4  # pixels on each side of the middle, and their size, m
 
 
-def case(*, number: int, rig: str, edge_mm: float, pictures: int, seed: int) -> dict:
+class Keys(CaseKeys):
+    testers: tuple[str, ...] = (
+        "disc300_support180", "disc240_support180", "disc360_support180", "square300_cylinder100")
+    drapes: int = 67  # in turn on each tester, each of another fabric
+    pictures: int = 3  # of each drape, from up to 20 degrees beside the axis
+    edge_mm: float = 6.0  # edges of the mesh at the plate's rim
+    seed: int = 17  # of all random numbers
+
+
+def drape(rng: np.random.Generator, *, number: int, testers: list[str], edge_mm: float,
+          pictures: int, seed: int) -> Sample:
     """Errors of the pictures of one drape, of the nearest to the axis alone and of all together."""
-    tester = Rig.from_name(rig)
+    tester = Rig.from_name(testers[number % len(testers)])
     plan = plan_specimen(number, "dataset.even_share=0.8", rig=tester, seed=seed, nuisances="real")
     shape = drape_as_planned(plan, edge=1e-3 * edge_mm)
-    rng = np.random.default_rng([seed, number])
     taken = Taken.of(shape.positions, shape.mesh, tester, rng, pictures=pictures, clutter=True,
                      surface=real_texture(rng))
     first = taken.pictures[0]
@@ -80,8 +90,9 @@ def errors(taken: Taken, chosen: list[PhonePicture], folder: Path, shape: Drape,
     return {
         "refused": "", "warnings": texts(outline.warnings),
         "codes": [one.code for one in outline.warnings],
-        "reading_mm": _rms(PhotographedOutline(seen, np.inf, True, outline.rig).radii - true_seen),
-        "outline_mm": _rms(off), "height_error": outline.height / place[2] - 1,
+        "reading_mm": 1e3 * rms(
+            PhotographedOutline(seen, np.inf, True, outline.rig).radii - true_seen),
+        "outline_mm": 1e3 * rms(off), "height_error": outline.height / place[2] - 1,
         "stated_error": None if outline.error is None else float(
             np.sqrt(np.square(off / outline.error).mean())),
         "alpha_error": (alpha - best).tolist(), "truth_error": (alpha - truth).tolist(),
@@ -105,11 +116,6 @@ def curve_of(radius: np.ndarray) -> Outline:
     return radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
 
 
-def _rms(error: np.ndarray) -> float:
-    """Root mean square, mm."""
-    return 1e3 * float(np.sqrt(np.square(error).mean()))
-
-
 def _log_alpha(outline: PhotographedOutline, warp: float) -> tuple[np.ndarray, np.ndarray]:
     """Mean and deviation (3,) of log alpha that the network estimates."""
     capture = OutlineCapture(outline, density=REFERENCE_DENSITY, rig=outline.rig,
@@ -118,22 +124,17 @@ def _log_alpha(outline: PhotographedOutline, warp: float) -> tuple[np.ndarray, n
     return samples.mean(axis=0), samples.std(axis=0)
 
 
-def run(config: Config) -> Result:
+def run(keys: Keys) -> Report:
     """Evaluate all drapes."""
-    cases = {f"{k}": {
-        "number": k, "rig": config["testers"][k % len(config["testers"])],
-        "edge_mm": config["edge_mm"], "pictures": config["pictures"], "seed": config["seed"]}
-        for k in range(config["drapes"])}
-    results = run_cases(case, cases, config)
-    near = [key for key, one in results.items() if one["lean"] < NEAR]
-    groups = {"one near the axis": ("alone", near), "one": ("alone", list(results)),
-              f"{config['pictures']} together": ("together", list(results))}
-    return Result({"targets": TARGETS, "cases": results, "summary": {
-        name: summarise([results[key][kind] for key in keys])
-        for name, (kind, keys) in groups.items() if keys}})
+    drapes = samples_of(drape, keys, keys.drapes)
+    groups = {"one near the axis": [one["alone"] for one in drapes.values() if one["lean"] < NEAR],
+              "one": [one["alone"] for one in drapes.values()],
+              f"{keys.pictures} together": [one["together"] for one in drapes.values()]}
+    return {"targets": TARGETS, "cases": drapes,
+            "summary": {name: summarise(some) for name, some in groups.items() if some}}
 
 
-def summarise(results: list[dict]) -> dict:
+def summarise(results: list[Sample]) -> Report:
     """Counts, and median and ninth decile of each error; relative errors of alpha of all three
     directions together; the share of true alpha within 68 % intervals."""
     read = [one for one in results if not one["refused"]]
@@ -156,3 +157,20 @@ def summarise(results: list[dict]) -> dict:
 
 def _deciles(values: np.ndarray) -> list[float]:
     return [float(np.quantile(values, q)) for q in (0.5, 0.9)]
+
+
+def block(report: Report) -> str:
+    """Errors of photographs over the mat, alone and together."""
+    return table(
+        ["pictures", "captures", "refused", "outline as seen, mm: median, 9 of 10",
+         "from the axis", "α off the true outline's, %", "off by 15 %, no warning",
+         "right, with a warning", "off the truth, %", "inside 68 %, %"],
+        [[name, f"{found['captures']}", f"{found['refused']}",
+          *("{:.1f}, {:.1f}".format(*found[key]) for key in ("reading_mm", "outline_mm")),
+          percents(found["alpha_error"]), f"{found['wrong_in_silence']}",
+          f"{found['warned_though_right']} of {found['right']}",
+          percents(found["truth_error"]), percents([found["inside_68"]])]
+         for name, found in report["summary"].items()])
+
+
+STUDY = Study(Keys, run, block)

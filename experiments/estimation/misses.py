@@ -33,7 +33,8 @@ from experiments.drapes import (
     infer_outline,
     outline_of,
 )
-from experiments.result import Config, Result, run_cases
+from experiments.report import Report
+from experiments.study import CaseKeys, Sample, Study, samples_of
 from sim.outlines import closed, farthest
 from sim.rig import Rig
 
@@ -41,21 +42,28 @@ SHADOW = math.pi / 8  # half of the azimuths that it covers
 DARKEST = (0.95, 1.05)  # radius of its edge, over the drape's largest
 FAULT = math.pi / 50, 5e-3  # half of the azimuths of a bite or a bulge, and its height in m
 MOVED = 1.15  # factor of alpha, in the median over its directions, that counts as a wrong estimate
-OTHER = {"disc300_support180": "disc360_support180", "disc360_support180": "disc300_support180",
-         "disc240_support180": "disc300_support180",
+OTHER = {"disc240_support180": "disc300_support180", "disc300_support180": "disc360_support180",
+         "disc360_support180": "disc300_support180",
          "square300_cylinder100": "square350_cylinder120"}
 """A tester that might be stated in place of each."""
 KINDS = ("depth views", "outline", "shadow", "filled valleys", "bite", "bulge", "other tester")
 
 
-def captured(*, tester: str, number: int, seed: int, edge_mm: float) -> dict[str, Any]:
+class Keys(CaseKeys):
+    testers: tuple[str, ...] = tuple(OTHER)
+    fabrics: int = 40  # of each tester
+    seed: int = 12  # of fabrics, specimens and captures
+    edge_mm: float = 5.0  # edges of the meshes at the plate's rim
+
+
+def captured(rng: np.random.Generator, *, tester: str, number: int, seed: int,
+             edge_mm: float) -> Sample:
     """Deviations and checks of both captures of a drape, and of the faulty outlines."""
     config = config_from_options(compose_config("generate", [
         *LEARNED, "dataset.even_share=1", f"dataset.testers=[{tester}]", f"seed={seed}"],
         schema=Options))
     plan = plan_drape(number, config=config.sampling, prior=config.prior)
     shape = drape_as_planned(plan, edge=1e-3 * edge_mm)
-    rng = np.random.default_rng([seed, number])
     views = simulate(infer(capture_drape(shape, Setups.load("real"), rng, plan.rig), plan.rig),
                      drapes=2, edge=4e-3)
     seen = views.observed.seen.outline
@@ -107,19 +115,17 @@ def _compared(drape: Resimulation, coefficient: float) -> dict[str, Any]:
             "named": bool(drape.warnings(coefficient))}
 
 
-def run(config: Config) -> Result:
+def run(keys: Keys) -> Report:
     """Compare all captures."""
-    cases = {f"{tester}_{k:03}": {"tester": tester, "number": 8 * k, "seed": config["seed"],
-                                  "edge_mm": config["edge_mm"]}
-             for tester in config["testers"] for k in range(config["fabrics"])}
-    results = run_cases(captured, cases, config)
-    return Result({"summary": {kind: _summary([found[kind] for found in results.values()
-                                               if kind in found])
-                               for kind in KINDS},
-                   "captures": results})
+    results = samples_of(captured, keys, {
+        f"{tester}_{k:03}": {"tester": tester, "number": 8 * k}
+        for tester in keys.testers for k in range(keys.fabrics)})
+    return {"summary": {kind: _summary([found[kind] for found in results.values()
+                                        if kind in found]) for kind in KINDS},
+            "captures": results}
 
 
-def _summary(found: list[dict[str, Any]]) -> dict[str, Any]:
+def _summary(found: list[Sample]) -> Report:
     draped = [one for one in found if "gap" in one]
     gaps = np.abs([one["gap"] for one in draped])
     unlike, named = (np.array([bool(test(one)) for one in found]) for test in (
@@ -132,3 +138,6 @@ def _summary(found: list[dict[str, Any]]) -> dict[str, Any]:
             "moved": [int(moved.sum()), int((moved & ~unlike & ~named).sum())],
             "gap": np.quantile(gaps, [0.5, 0.9, 0.99]).tolist(),
             "overlap": np.quantile([one["overlap"] for one in draped], [0.5, 0.1, 0.01]).tolist()}
+
+
+STUDY = Study(Keys, run)

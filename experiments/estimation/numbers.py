@@ -4,7 +4,6 @@ The fabrics are those of the experiment ``laboratory``. The mean of KES B over w
 its 90 % interval, is compared with the measured mean.
 """
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,21 +15,28 @@ from drapenet.network.checkpoint import read_header
 from drapenet.network.predict import network_of, predict
 from drapenet.result.estimate import make_estimate
 from drapenet.views.observation import Observation
-from experiments.physics.laboratory import bending, read_fabrics
-from experiments.result import Config, Result
+from experiments.physics.laboratory import FABRICS, bending
+from experiments.report import Report, read_rows
+from experiments.study import PlainKeys, Study
 from sim.material import FIRST, MICRO, SECOND
 from sim.rig import Rig
 
+TESTERS = {"petrak": "disc300_support180", "matsudaira": "disc254_support127"}  # by source
 
-def run(config: Config) -> Result:
+
+class Keys(PlainKeys):
+    fabrics: str = FABRICS
+    checkpoint: str = ""  # of the network; empty: the bundled one
+
+
+def run(keys: Keys) -> Report:
     """Estimate all fabrics."""
-    header = read_header(config["checkpoint"])
-    rows = read_fabrics(Path(config["fabrics"]))
+    header, rows = read_header(keys.checkpoint), read_rows(keys.fabrics)
     sets = []
     for row in rows:
         stated = Reported(drape_coefficient_percent=float(row["dc_real_percent"]),
                        nodes=int(row["nodes_real"]) if row["nodes_real"] else None)
-        rig = Rig.from_name(config["testers"][row["source"]])
+        rig = Rig.from_name(TESTERS[row["source"]])
         sets.append([Observation.of_numbers(rig, 1, True, stated)])
     found = []
     for row, draws in zip(rows, predict(network_of(header), header, sets), strict=True):
@@ -39,8 +45,8 @@ def run(config: Config) -> Result:
                                                                    estimate.density)
         found.append(_compared(row, samples[:, [FIRST, SECOND]].mean(axis=1)))
     widths = [one["high"] / one["low"] for one in found]
-    return Result({"fabrics": found, "inside": sum(one["inside"] for one in found),
-                   "of": len(found), "ratio": float(np.median(widths))})
+    return {"fabrics": found, "inside": sum(one["inside"] for one in found), "of": len(found),
+            "ratio": float(np.median(widths))}
 
 
 def _compared(row: dict[str, str], samples: np.ndarray) -> dict[str, Any]:
@@ -52,3 +58,6 @@ def _compared(row: dict[str, str], samples: np.ndarray) -> dict[str, Any]:
     return {"fabric": row["id"], "measured": measured, "median": middle, "low": low, "high": high,
             "inside": bool(low <= measured <= high),
             "undetermined": float(np.isnan(samples).mean())}
+
+
+STUDY = Study(Keys, run)

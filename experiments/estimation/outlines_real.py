@@ -16,8 +16,9 @@ import numpy as np
 from common.documents import read_arrays
 from data.fabrics.fabrics import fabric_from_theta
 from data.fabrics.nuisances import Nuisances
-from experiments.result import Config, Result, run_cases
-from experiments.shadows import features, radii_of
+from experiments.physics.outlines import OUTLINES, features, radii_of
+from experiments.report import Report
+from experiments.study import CaseKeys, Study, samples_of
 from sim.draping import drape
 from sim.material import LINEAR
 from sim.measures import shadow_radius
@@ -25,17 +26,23 @@ from sim.mesh import Mesh
 from sim.rig import DISC_RIG
 
 
-def run(config: Config) -> Result:
+class Keys(CaseKeys):
+    outlines: str = OUTLINES
+    checkpoint: str = ""  # of the network; empty: the bundled one
+    edge_mm: float = 4.0  # edges of the meshes at the plate's rim
+
+
+def run(keys: Keys) -> Report:
     """Estimate all outlines and simulate a drape of each sample and face."""
     from drapenet.network.checkpoint import read_header
     from drapenet.network.predict import Draws, network_of, predict
     from drapenet.views.observation import Observation
     from drapenet.views.outline import outline_of_curve
 
-    arrays = read_arrays(Path(config["outlines"]), ("fabric", "sample", "face_up", "outline"),
+    arrays = read_arrays(Path(keys.outlines), ("fabric", "sample", "face_up", "outline"),
                          expected="an npz file of outlines")
     fabric, sample, up = (arrays[name] for name in ("fabric", "sample", "face_up"))
-    header = read_header(config["checkpoint"])
+    header = read_header(keys.checkpoint)
     network = network_of(header)
     seen = [Observation(DISC_RIG, 1 if face else -1, False, outline=outline_of_curve(curve))
             for face, curve in zip(up, arrays["outline"].astype(float), strict=True)]
@@ -59,8 +66,8 @@ def run(config: Config) -> Result:
             [part.cloth.theta, part.cloth.curl, np.log(part.cloth.membrane),
              part.cloth.hysteresis]).mean(axis=0) for part in draws])
         report[name] = _agreement(rows, log_alpha, middle[:, 6:8].mean(axis=1)) | _drapes(
-            rows, middle, real, config)
-    return Result(report)
+            rows, middle, real, keys)
+    return report
 
 
 def _agreement(
@@ -88,7 +95,7 @@ def _agreement(
 
 def _drapes(
     rows: Sequence[tuple[int, int, bool, list[int]]], middle: np.ndarray, real: np.ndarray,
-    config: Config,
+    keys: Keys,
 ) -> dict[str, Any]:
     """Drape coefficient and folds of a drape of the mean estimate of each sample and face, against
     the other samples of the fabric and face, and of the sample against them."""
@@ -96,9 +103,9 @@ def _drapes(
     for k, row in enumerate(rows):
         groups.setdefault(row[:3], []).append(k)
     cases = {f"{len(rows)}_{f}_{s}_{'up' if u else 'down'}": {
-        "values": middle[members].mean(axis=0).tolist(), "face": 1 if u else -1,
-        "edge_mm": config["edge_mm"]} for (f, s, u), members in groups.items()}
-    results = run_cases(simulated, cases, config, folder=Path(config["cases"]))
+        "values": middle[members].mean(axis=0).tolist(), "face": 1 if u else -1}
+        for (f, s, u), members in groups.items()}
+    results = samples_of(simulated, keys, cases)
     measured = {key: real[[k for member in members for k in rows[member][3][:1]], :2].mean(axis=0)
                 for key, members in groups.items()}
     errors: dict[str, list[np.ndarray]] = {"simulated": [], "samples": []}
@@ -122,3 +129,6 @@ def simulated(*, values: list[float], face: int, edge_mm: float) -> list[float]:
         return []
     radius = shadow_radius(shape.positions, Mesh(shape.rest, shape.faces))
     return features(radius[None])[0, :2].tolist()
+
+
+STUDY = Study(Keys, run)

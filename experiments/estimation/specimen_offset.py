@@ -20,7 +20,8 @@ from drapenet.views.checks import offset_features
 from drapenet.views.located import LocatedViews
 from drapenet.views.radial_map import radial_map
 from experiments.drapes import converged_drapes
-from experiments.result import Config, Result
+from experiments.report import Report
+from experiments.study import PlainKeys, Study
 
 RIDGE = 0.1  # of standardised features
 
@@ -37,17 +38,24 @@ def fit(features: np.ndarray, values: np.ndarray, groups: np.ndarray) -> dict:
             "deviation": float(np.std(unbiased * unseen - values))}
 
 
-def run(config: Config) -> Result:
+class Keys(PlainKeys):
+    data: str = ""  # folder of a finished dataset
+    captures: int = 300  # used for the regressions
+    seed: int = 1  # of the captures
+    out: str = "outputs/specimen_offset.json"  # the coefficients
+
+
+def run(keys: Keys) -> Report:
     """Fit the coefficients."""
-    if not config["data"]:
+    if not keys.data:
         raise InputError("data= is missing; give the folder of a dataset: data=DIR")
     setups, rows = Setups.load(), []
-    found = islice(converged_drapes(Path(config["data"])), config["captures"])
+    found = islice(converged_drapes(Path(keys.data)), keys.captures)
     for number, (shard, row) in enumerate(found):
         positions, _, faces = shard.mesh(row)
         rig = shard.rig(row)
         fabric, drift = int(shard.column("fabric")[row]), shard.column("offset")[row] @ [1, 1j]
-        capture = setups.capture(positions, faces, np.random.default_rng([config["seed"], number]),
+        capture = setups.capture(positions, faces, np.random.default_rng([keys.seed, number]),
                                  rig=rig)
         share = (capture.views > 0).mean(axis=(1, 2)).min()
         if len(capture.views) == 1 or share < CLOTH_SHARE[0]:  # refused when it is read
@@ -58,5 +66,8 @@ def run(config: Config) -> Result:
         rows.append((offset_features(drape, rig), drift * turn / rig.specimen_size, fabric))
     features, values, groups = (np.array(part) for part in zip(*rows, strict=True))
     # The offset rotates with the map, so the coefficients of complex features are real.
-    return Result(fit(np.concatenate([features.real, features.imag]),
-                      np.concatenate([values.real, values.imag]), np.tile(groups, 2)))
+    return fit(np.concatenate([features.real, features.imag]),
+               np.concatenate([values.real, values.imag]), np.tile(groups, 2))
+
+
+STUDY = Study(Keys, run)

@@ -12,7 +12,9 @@ is found if the photograph is refused, or has a warning.
 import tempfile
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -28,7 +30,8 @@ from drapenet.measured.strips.folder import StripSet, read_strips
 from drapenet.measured.strips.photograph import CLAMP_ERROR, LENGTH_ERROR, ROLL_ERROR, SCALE_ERROR
 from drapenet.measured.strips.posterior import SLOPE_ERROR
 from experiments.drapes import header, prior_theta
-from experiments.result import Config, Result, run_cases
+from experiments.report import Report, errors, listed, table
+from experiments.study import CaseKeys, Sample, Study, grouped, samples_of
 from sim.cantilever import heavy_elastica
 from sim.cantilever.moduli import distance_across
 from sim.material import DIRECTIONS, REFERENCE_DENSITY, gravity_length
@@ -46,9 +49,15 @@ DISTANCE_ERROR = 0.02  # relative, of the stated distance of the camera
 LEVELS = (0.68, 0.9)
 
 
-def direction_of(number: int) -> tuple[float, float]:
+class Keys(CaseKeys):
+    directions: int = 240  # of fabrics, with two photographs each
+    repeats: int = 2  # photographs with each fault
+    seed: int = SEED  # of all random numbers
+
+
+def direction_of(number: int, seed: int) -> tuple[float, float]:
     """alpha, N·m, and beta/alpha, m, of a direction of a fabric of the prior."""
-    theta, k = prior_theta(number // len(DIRECTIONS), SEED), number % len(DIRECTIONS)
+    theta, k = prior_theta(number // len(DIRECTIONS), seed), number % len(DIRECTIONS)
     return float(np.exp(theta[k])), float(theta[len(DIRECTIONS) + k])
 
 
@@ -101,11 +110,10 @@ def read_pictures(pictures: dict[str, np.ndarray], entries: list[dict], **keys) 
         return read_strips(folder)
 
 
-def estimate_case(*, number: int) -> dict:
+def direction(rng: np.random.Generator, *, number: int, seed: int) -> Sample:
     """Errors of the curves and of the moduli of one direction: the errors are those of its strips,
     the intervals those of the fabric."""
-    alpha, ratio = direction_of(number)
-    rng = np.random.default_rng([SEED, number])
+    alpha, ratio = direction_of(number, seed)
     scale = SCALES[number // 2 % len(SCALES)]
     curl = float(rng.laplace(0, CURL))
     truth = {"alpha": alpha, "ratio": ratio, "scale": scale, "curl": curl,
@@ -120,11 +128,8 @@ def estimate_case(*, number: int) -> dict:
         pictures[f"{k}.png"] = scenes[-1].photograph(rng)
         entries.append(entry_of(scenes[-1], f"{k}.png", length, scale, rng)
                        | {"face": "down" if down else "up"})
-    try:
-        strips = read_pictures(pictures, entries)
-        (found,) = strips.evidence(priors()).values()
-    except InputError as error:
-        return truth | {"failed": str(error)}
+    strips = read_pictures(pictures, entries)
+    (found,) = strips.evidence(priors()).values()
     off = [distance_across(strip.measured.curve[1:], scene.curve)
            for strip, scene in zip(strips.photographs, scenes, strict=True)]
     true = np.array([alpha, ratio * alpha])  # of the fabric
@@ -132,7 +137,6 @@ def estimate_case(*, number: int) -> dict:
     shown = np.array([measured, ratio * measured])
     size = np.array([measured, measured * max(abs(ratio), MIN_RATIO)])
     return truth | {
-        "failed": "",
         "warnings": texts(one for strip in strips.photographs for one in strip.warnings),
         "curl_found": found.curl,
         "curve_mm": [1e3 * float(np.sqrt((each**2).mean())) for each in off],
@@ -142,44 +146,6 @@ def estimate_case(*, number: int) -> dict:
         "scatter": found.scatter,
         "inside": [((spans[:, 0] < true) & (true < spans[:, 1])).tolist()
                    for spans in map(found.intervals, LEVELS)], "misfit": found.misfit}
-
-
-def _picture_fault(change: Callable[[np.ndarray, np.random.Generator], np.ndarray]) -> Callable:
-    def fault(scene: StripScene, entry: dict, rng: np.random.Generator) -> np.ndarray:
-        return change(scene.photograph(rng), rng)
-
-    return fault
-
-
-def _scene_fault(**changes: object) -> Callable:
-    def fault(scene: StripScene, entry: dict, rng: np.random.Generator) -> np.ndarray:
-        new = {key: value(scene) if callable(value) else value for key, value in changes.items()}
-        return replace(scene, **new).photograph(rng)
-
-    return fault
-
-
-def _stated_fault(change: Callable[[dict], dict]) -> Callable:
-    def fault(scene: StripScene, entry: dict, rng: np.random.Generator) -> np.ndarray:
-        entry |= change(entry)
-        return scene.photograph(rng)
-
-    return fault
-
-
-def _marked(places: Callable[[StripScene], np.ndarray], *, width: float, shade: str) -> Callable:
-    """Something drawn over the picture along places (N, 2), m, of the middle plane."""
-    def fault(scene: StripScene, entry: dict, rng: np.random.Generator) -> np.ndarray:
-        picture = scene.photograph(rng)
-        pixels = np.rint(scene.pixels(places(scene))).astype(np.int32)
-        thick = max(1, round(width * scene.size[0] / scene.field))
-        local = picture[np.clip(pixels[0, 1], 0, picture.shape[0] - 1)]
-        ground = float(np.median(local))
-        cv2.polylines(picture, [pixels], False, ground if shade == "ground" else scene.cloth,
-                      thick, cv2.LINE_AA)
-        return picture
-
-    return fault
 
 
 def _bent(scene: StripScene, at: float, turn: float, *, sharp: bool) -> np.ndarray:
@@ -203,61 +169,77 @@ def _cropped(picture: np.ndarray, scene: StripScene, *, clamp: bool) -> np.ndarr
     return np.ascontiguousarray(kept)
 
 
-def _on_pattern(picture: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def _on_pattern(picture: np.ndarray) -> np.ndarray:
     rows, columns = np.indices(picture.shape) // 60
     return np.where((rows + columns) % 2, picture, picture // 2).astype(np.uint8)
 
 
-def _second(scene: StripScene) -> np.ndarray:
-    return scene.curve * [1.15, 0.4] + [0.0, -0.004]
+def _marked(picture: np.ndarray, scene: StripScene, places: np.ndarray, width: float,
+            shade: str) -> np.ndarray:
+    """A picture with something drawn over it along places (N, 2), m, of the middle plane."""
+    pixels = np.rint(scene.pixels(places)).astype(np.int32)
+    thick = max(1, round(width * scene.size[0] / scene.field))
+    ground = float(np.median(picture[np.clip(pixels[0, 1], 0, picture.shape[0] - 1)]))
+    cv2.polylines(picture, [pixels], False, ground if shade == "ground" else scene.cloth, thick,
+                  cv2.LINE_AA)
+    return picture
 
 
-FAULTS: dict[str, Callable[[StripScene, dict, np.random.Generator], np.ndarray]] = {
-    "no strip": _scene_fault(curve=lambda scene: 0.02 * scene.curve),
-    "no clamp": _scene_fault(clamp=None),
-    "clamp cut off": lambda scene, entry, rng: _cropped(scene.photograph(rng), scene, clamp=True),
-    "tip cut off": lambda scene, entry, rng: _cropped(scene.photograph(rng), scene, clamp=False),
-    "low contrast": _scene_fault(cloth=lambda scene: 0.93 * scene.ground),
-    "blank": _picture_fault(lambda picture, rng: np.full_like(picture, 120)),
-    "out of focus": _scene_fault(blur=25.0),
-    "patterned ground": _picture_fault(_on_pattern),
-    "upside down": _picture_fault(lambda picture, rng: np.ascontiguousarray(picture[::-1])),
-    "on its side": _picture_fault(lambda picture, rng: np.ascontiguousarray(np.rot90(picture))),
-    "rolled by 25°": _scene_fault(roll=np.radians(25.0)),
-    "other side": _stated_fault(
-        lambda entry: {"hangs": "right" if entry["hangs"] == "left" else "left"}),
-    "scale 12 % too large": _stated_fault(
-        lambda entry: {"scale": {"mm_per_px": 1.12 * entry["scale"]["mm_per_px"]}}),
-    "scale in cm": _stated_fault(
-        lambda entry: {"scale": {"mm_per_px": 0.1 * entry["scale"]["mm_per_px"]}}),
-    "whole strip's length": _stated_fault(
-        lambda entry: {"free_length_mm": entry["free_length_mm"] + 20}),
-    "clamp_px elsewhere": _stated_fault(lambda entry: {"clamp_px": [40.0, 40.0]}),
-    "kinked": _scene_fault(curve=lambda scene: _bent(scene, 0.4, 1.3, sharp=True)),
-    "curled up": _scene_fault(curve=lambda scene: _bent(scene, 0.4, 1.6, sharp=False)),
-    "against a wall": _scene_fault(curve=lambda scene: _bent(scene, 0.2, -1.6, sharp=False)),
-    "clamp slopes by 35°": _scene_fault(
-        slope=np.radians(35), curve=lambda scene: _bent(scene, 0.0, -0.6, sharp=True)),
-    "second strip": _marked(_second, width=6e-4, shade="cloth"),
-    "ruler in the picture": _marked(
-        lambda scene: scene.curve[-1] + np.array([[0.006, 0], [0.006, -0.03]]), width=3e-3,
-        shade="cloth"),
-    "thread": _marked(lambda scene: scene.curve[80] + np.array([[0, 0], [0.0005, 0.012]]),
-                      width=3e-4, shade="cloth"),
-    "strip hidden": _marked(lambda scene: scene.curve[95] + np.array([[-0.02, 0], [0.02, 0]]),
-                            width=4e-3, shade="ground"),
-    "seen from afar": _scene_fault(field=lambda scene: 20 * scene.field),
+SCENES: dict[str, Callable[[StripScene], dict[str, Any]]] = {
+    "no strip": lambda scene: {"curve": 0.02 * scene.curve},
+    "no clamp": lambda scene: {"clamp": None},
+    "low contrast": lambda scene: {"cloth": 0.93 * scene.ground},
+    "out of focus": lambda scene: {"blur": 25.0},
+    "rolled by 25°": lambda scene: {"roll": np.radians(25.0)},
+    "kinked": lambda scene: {"curve": _bent(scene, 0.4, 1.3, sharp=True)},
+    "curled up": lambda scene: {"curve": _bent(scene, 0.4, 1.6, sharp=False)},
+    "against a wall": lambda scene: {"curve": _bent(scene, 0.2, -1.6, sharp=False)},
+    "clamp slopes by 35°": lambda scene: {
+        "slope": np.radians(35), "curve": _bent(scene, 0.0, -0.6, sharp=True)},
+    "seen from afar": lambda scene: {"field": 20 * scene.field},
 }
+STATED: dict[str, Callable[[dict], dict[str, Any]]] = {
+    "other side": lambda entry: {"hangs": "right" if entry["hangs"] == "left" else "left"},
+    "scale 12 % too large": lambda entry: {
+        "scale": {"mm_per_px": 1.12 * entry["scale"]["mm_per_px"]}},
+    "scale in cm": lambda entry: {"scale": {"mm_per_px": 0.1 * entry["scale"]["mm_per_px"]}},
+    "whole strip's length": lambda entry: {"free_length_mm": entry["free_length_mm"] + 20},
+    "clamp_px elsewhere": lambda entry: {"clamp_px": [40.0, 40.0]},
+}
+PICTURES: dict[str, Callable[[np.ndarray, StripScene], np.ndarray]] = {
+    "clamp cut off": lambda picture, scene: _cropped(picture, scene, clamp=True),
+    "tip cut off": lambda picture, scene: _cropped(picture, scene, clamp=False),
+    "blank": lambda picture, scene: np.full_like(picture, 120),
+    "patterned ground": lambda picture, scene: _on_pattern(picture),
+    "upside down": lambda picture, scene: np.ascontiguousarray(picture[::-1]),
+    "on its side": lambda picture, scene: np.ascontiguousarray(np.rot90(picture)),
+    "second strip": lambda picture, scene: _marked(
+        picture, scene, scene.curve * [1.15, 0.4] + [0.0, -0.004], 6e-4, "cloth"),
+    "ruler in the picture": lambda picture, scene: _marked(
+        picture, scene, scene.curve[-1] + np.array([[0.006, 0], [0.006, -0.03]]), 3e-3, "cloth"),
+    "thread": lambda picture, scene: _marked(
+        picture, scene, scene.curve[80] + np.array([[0, 0], [0.0005, 0.012]]), 3e-4, "cloth"),
+    "strip hidden": lambda picture, scene: _marked(
+        picture, scene, scene.curve[95] + np.array([[-0.02, 0], [0.02, 0]]), 4e-3, "ground"),
+}
+FAULTS = (*SCENES, *STATED, *PICTURES)
+"""Faults: of what is photographed, of what is stated, and of the picture."""
 
 
-def fault_case(*, kind: str, number: int) -> dict:
+def fault_case(*, kind: str, number: int, seed: int = SEED) -> Sample:
     """What a photograph with a fault of :data:`FAULTS` is answered with: '' if it is estimated."""
-    alpha, ratio = direction_of(7 * number)
-    rng = np.random.default_rng([SEED, 1, number])
+    alpha, ratio = direction_of(7 * number, seed)
+    rng = np.random.default_rng([seed, 1, number])
     length = max(LENGTHS[1] * gravity_length(alpha, REFERENCE_DENSITY), LEAST_LENGTH)
     scene = draw_scene(alpha, ratio, length, rng)
     entry = entry_of(scene, "strip.png", length, "mm_per_px", rng)
-    picture = FAULTS[kind](scene, entry, rng)
+    if kind in SCENES:
+        scene = replace(scene, **SCENES[kind](scene))
+    elif kind in STATED:
+        entry |= STATED[kind](entry)
+    picture = scene.photograph(rng)
+    if kind in PICTURES:
+        picture = PICTURES[kind](picture, scene)
     try:
         strips = read_pictures({"strip.png": picture}, [entry])
         strips.evidence(priors())
@@ -266,44 +248,55 @@ def fault_case(*, kind: str, number: int) -> dict:
     return {"answer": "; ".join(texts(strips.photographs[0].warnings))}
 
 
-def run(config: Config) -> Result:
+def run(keys: Keys) -> Report:
     """Estimate all directions, and read all faulty photographs."""
-    estimated = run_cases(estimate_case, {f"direction_{k:03}": {"number": k}
-                                          for k in range(config["directions"])},
-                          config)
-    answers = run_cases(fault_case, {f"{kind} {k}": {"kind": kind, "number": k}
-                                     for kind in FAULTS for k in range(config["repeats"])},
-                        config, folder=Path(config["cases"]) / "faults")
-    done = [case for case in estimated.values() if not case["failed"]]
-    groups = {"all": done} | {
-        name: [case for case in done if name in (case["scale"], case["faces"])]
-        for name in (*FACES, *SCALES)}
-    missed = {name: case for name, case in answers.items() if not case["answer"]}
-    return Result({
-        "photographs": len(LENGTHS) * len(estimated),
-        "failed": {name: case["failed"].rpartition("/")[2] for name, case in estimated.items()
-                   if case["failed"]},
-        "with_warnings": sum(bool(case["warnings"]) for case in done),
-        "summary": {name: summarise(cases) for name, cases in groups.items() if cases},
+    refused: dict[str, str] = {}
+    done = samples_of(direction, keys, keys.directions, refused=refused, kind="direction")
+    answers = {name: case["answer"] for name, case in samples_of(fault_case, keys, {
+        f"{kind} {k}": {"kind": kind, "number": k}
+        for kind in FAULTS for k in range(keys.repeats)}).items()}
+    missed = sorted(name for name, answer in answers.items() if not answer)
+    return {
+        "photographs": len(LENGTHS) * keys.directions,
+        "refused": {name: answer.rpartition("/")[2] for name, answer in refused.items()},
+        "with_warnings": sum(bool(case["warnings"]) for case in done.values()),
+        "summary": grouped(done, summarise, {
+            name: partial(_is_of, name) for name in (*FACES, *SCALES)}),
         "faults": {"kinds": len(FAULTS), "photographs": len(answers),
-                   "share_found": 1 - len(missed) / len(answers), "missed": sorted(missed)},
-        "answers": {name: case["answer"] for name, case in answers.items()}})
+                   "share_found": 1 - len(missed) / len(answers), "missed": missed},
+        "answers": answers}
 
 
-def summarise(cases: list[dict]) -> dict:
+def _is_of(name: str, case: Sample) -> bool:
+    return name in (case["scale"], case["faces"])
+
+
+def summarise(cases: list[Sample]) -> Report:
     """Errors of curves in mm and of moduli in percent, and coverage in percent."""
-    curves = np.concatenate([case["curve_mm"] for case in cases])
-    summary: dict = {"directions": len(cases), "curve_mm": {
-        "median": float(np.median(curves)), "quantile_90": float(np.quantile(curves, 0.9)),
-        "largest": float(max(max(case["curve_largest_mm"]) for case in cases))}}
+    summary: Report = {"directions": len(cases), "curve_mm": errors(
+        np.concatenate([case["curve_mm"] for case in cases])) | {
+            "largest": float(max(max(case["curve_largest_mm"]) for case in cases))}}
     inside = 100 * np.mean([case["inside"] for case in cases], axis=0)
     for k, name in enumerate(("alpha", "beta")):
-        errors = 100 * np.array([case["errors"][k] for case in cases])
-        summary[name] = {
-            "median": float(np.median(np.abs(errors))),
-            "quantile_90": float(np.quantile(np.abs(errors), 0.9)),
-            "median_signed": float(np.median(errors)),
+        off = 100 * np.array([case["errors"][k] for case in cases])
+        summary[name] = errors(off) | {
+            "median_signed": float(np.median(off)),
             "coverage": {f"{level:.0%}": float(share)
                          for level, share in zip(LEVELS, inside[:, k], strict=True)}}
     summary["misfit"] = float(np.median([case["misfit"] for case in cases]))
     return summary
+
+
+def block(report: Report) -> str:
+    """Errors of moduli from photographs of strips, and their coverage."""
+    moduli = {"α": "alpha", "β": "beta"}
+    return table(
+        ["strips", "curve, mm", *(f"{modulus}, %: median, 9 of 10" for modulus in moduli),
+         *(f"{modulus} inside 68, 90 %" for modulus in moduli)],
+        [[name, f"{found['curve_mm']['median']:.2f}",
+          *(listed(found[key], ("median", "quantile_90"), ".2g") for key in moduli.values()),
+          *(listed(found[key]["coverage"], ("68%", "90%"), ".0f") for key in moduli.values())]
+         for name, found in report["summary"].items() if name not in FACES])
+
+
+STUDY = Study(Keys, run, block)

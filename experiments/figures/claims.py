@@ -2,20 +2,22 @@
 
 import operator
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from string import Formatter
 from typing import Any
 
 from experiments.figures.reports import Reports
-from experiments.result import Report
+from experiments.report import Report, markdown
+from experiments.study import FILES
 
 CLAIMS = Path(__file__).with_name("claims.md")
 COMMANDS = {
-    "evaluation": "drapenet.network.evaluate",
-    "refine_views_real": "experiments refine_views variation=real "
-                         "out=docs/validation/refine_views_real.json"}
-"""Commands of reports with another name."""
+    "evaluation": "evaluate", "refine_views": "refine fabrics=20",
+    "refine_views_real": "refine nuisances=real",
+    "refine_scans": "refine captured=scans nuisances=real rig=disc300_support180 truth_mm=2 "
+                    "fabrics=20 seed=20224"}
+"""Studies, with their keys, of reports with another name."""
 MISSED = "**missed**"
 """Mark of a target that is not reached."""
 _RELATIONS = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge,
@@ -64,22 +66,16 @@ def claim_rows(reports: Reports, only: str = "") -> Iterator[list[str]]:
         text, target = (figures.vformat(part, (), reports[name]) for part in (text, target))
         met = conditions == "–" or all(figures.holds(condition, reports[name])
                                        for condition in conditions.split(", "))
+        settled = "" if name in COMMANDS or name in FILES else " §"
         yield [f"[{claim}](#{slug(section)})", text, target if met else f"{target}: {MISSED}",
-               f"`{COMMANDS.get(name, f'experiments {name}')}`"]
+               f"`{COMMANDS.get(name, name)}`{settled}"]
 
 
 def claims(reports: Reports) -> str:
     """Table of claims."""
-    return markdown(["claim", "figure", "target", "`python -m …`"], claim_rows(reports))
+    return markdown(["claim", "figure", "target", "study"], claim_rows(reports))
 
 
 def slug(title: str) -> str:
     """Anchor that GitHub gives a heading."""
     return re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-")
-
-
-def markdown(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
-    """Markdown table without aligned columns."""
-    lines = [list(head), *rows]
-    lines.insert(1, ["---"] * len(lines[0]))
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)

@@ -2,7 +2,7 @@
 
 import json
 
-from experiments.estimation.refine_views import METHODS
+from experiments.estimation.refine import METHODS
 from experiments.figures.reports import (
     FOUR_VIEWS,
     OUTLINE,
@@ -12,7 +12,7 @@ from experiments.figures.reports import (
     percent,
     spread,
 )
-from experiments.result import REPORTS, ROOT, Report, table
+from experiments.report import REPORTS, ROOT, Report, table
 
 
 def demo(reports: Reports) -> str:
@@ -75,18 +75,23 @@ def _off(found: Report) -> list[str]:
     return [percent(found["alpha"][key]) for key in ("median", "ninth_decile")]
 
 
+def _shares(found: Report) -> str:
+    """The same in percent."""
+    return ", ".join(_off(found)).replace(" %", "")
+
+
 def bands(reports: Reports) -> str:
     """Errors of single captures by drape coefficient and by stiffness."""
     found = reports["evaluation"]["bands"]
     names = [name for name in found if name != "drape coefficient and nodes"]
     return "\n\n".join(
-        table([kind, *(f"{name}: α off by, median, 9 of 10" for name in names)],
-              [[label, *(", ".join(_off(found[name][kind][label])) for name in names)]
+        table([f"{kind}; α off by, %: median, 9 of 10", *names],
+              [[label, *(_shares(found[name][kind][label]) for name in names)]
                for label in found[names[0]][kind]])
         for kind in ("drape coefficient", "stiffness"))
 
 
-def views(reports: Reports) -> str:
+def views_and_drapes(reports: Reports) -> str:
     """Error of log α by number of views and by number of drapes."""
     cells = {"1 view": "depth, 1 view", "2 views": "depth, 2 views", "4 views": FOUR_VIEWS,
              "8 views": "depth, 8 views", "2 drapes": "depth, sets of 2",
@@ -94,48 +99,6 @@ def views(reports: Reports) -> str:
     return table(["error of log α", *cells], [
         [kind, *(f"{reports.cell(kind, name)['log_alpha']['rmse'] * spread():.2f}"
                  for name in cells.values())] for kind in RIGS])
-
-
-def strip_photographs(reports: Reports) -> str:
-    """Errors of moduli from photographs of strips, and their coverage."""
-    return table(
-        ["strips", "curve, mm", *(f"{modulus}: median, 9 of 10" for modulus in "αβ"),
-         *(f"{modulus} inside 68, 90 %" for modulus in "αβ")],
-        [[name, f"{found['curve_mm']['median']:.2f}",
-          *(", ".join(f"{found[modulus][key]:.2g} %" for key in ("median", "quantile_90"))
-            for modulus in ("alpha", "beta")),
-          *(", ".join(f"{share:.0f}" for share in found[modulus]["coverage"].values())
-            for modulus in ("alpha", "beta"))]
-         for name, found in reports["strip_photographs"]["summary"].items()
-         if "face" not in name])
-
-
-def tension(reports: Reports) -> str:
-    """Errors of extensions by photographs, and of the stiffnesses by them."""
-    return table(
-        ["strips", "pairs", "extension, mm: median, 9 of 10, largest", "inside 68, 90 %",
-         "stiffness off that by the true extension: median, 9 of 10", "fabric inside 68, 90 %"],
-        [[name, f"{found['pairs']}",
-          ", ".join(f"{found['extension_mm'][key]:.2f}"
-                    for key in ("median", "quantile_90", "largest")),
-          ", ".join(f"{share:.0f}" for share in found["extension_mm"]["coverage"].values()),
-          ", ".join(f"{found['stiffness'][key]:.1f} %" for key in ("median", "quantile_90")),
-          ", ".join(f"{share:.0f}" for share in found["stiffness"]["coverage"].values())]
-         for name, found in reports["tension"]["summary"].items()])
-
-
-def mats(reports: Reports) -> str:
-    """Errors of photographs over the mat, alone and together."""
-    return table(
-        ["pictures", "captures", "refused", "outline as seen, mm: median, 9 of 10",
-         "from the axis", "α off the true outline's: median, 9 of 10", "off by 15 %, no warning",
-         "right, with a warning", "off the truth", "inside 68 %"],
-        [[name, f"{found['captures']}", f"{found['refused']}",
-          *("{:.1f}, {:.1f}".format(*found[key]) for key in ("reading_mm", "outline_mm")),
-          ", ".join(map(percent, found["alpha_error"])), f"{found['wrong_in_silence']}",
-          f"{found['warned_though_right']} of {found['right']}",
-          ", ".join(map(percent, found["truth_error"])), percent(found["inside_68"])]
-         for name, found in reports["mats"]["summary"].items()])
 
 
 def photographed(reports: Reports) -> str:
@@ -150,51 +113,19 @@ def photographed(reports: Reports) -> str:
 
 def cells(reports: Reports) -> str:
     """Errors of the network by condition."""
-    return table(["α off by, median, 9 of 10", *RIGS],
-                 [[name, *(", ".join(_off(reports.cell(kind, name))) for kind in RIGS)]
+    return table(["α off by, %: median, 9 of 10", *RIGS],
+                 [[name, *(_shares(reports.cell(kind, name)) for kind in RIGS)]
                   for name in reports["evaluation"]["cells"][RIGS["squares"]]])
 
 
 def refinement(reports: Reports) -> str:
     """Errors of the network and of the refinement on simulated captures and scans."""
-    sets = {"views, no nuisances": reports["refine_views"]["summary"]["all"],
-            "views, all nuisances": reports["refine_views_real"]["summary"]["all"],
-            "scans, all nuisances": reports["refine_scans"]["summary"]}
+    sets = {"views, no nuisances": "refine_views", "views, all nuisances": "refine_views_real",
+            "scans, all nuisances": "refine_scans"}
     rows = [[name, found[who]["fabrics"], who, f"{found[who]['log_alpha']:.3f}",
              f"{found[who]['log_alpha_median']:.3f}", f"{found[who]['log_alpha_worst_fabric']:.2f}",
              f"{found[who]['beta_over_alpha_mm']:.2f}", coverage(found[who])]
-            for name, found in sets.items() for who in (METHODS[0], METHODS[-1])]
+            for name, report in sets.items() for found in [reports[report]["summary"]["all"]]
+            for who in (METHODS[0], METHODS[-1])]
     return table(["captures", "fabrics", "", "log α, rms", "median", "worst fabric", "β/α, mm",
                   "inside"], rows)
-
-
-def in_plane(reports: Reports) -> str:
-    """What knowing stretch and shear would take from the errors of alpha."""
-    rows = []
-    for tester, cells in reports["in_plane"]["cells"].items():
-        for kind, cell in cells.items():
-            found, network = ({name: one["log_alpha"] for name, one in cell[part].items()}
-                              for part in ("ideal", "network"))
-            error, *moved = network.values()
-            left = max(error**2 - sum(move**2 for move in moved), 0.0) ** 0.5
-            rows.append([
-                f"{tester.replace('_', ' ')}, {kind}", f"{found['unknown']:.3f}",
-                *(f"{100 * (1 - found[name] / found['unknown']):.1f} %"
-                  for name in ("stretch measured", "shear measured", "both measured",
-                               "both exact")),
-                f"{error:.3f}", f"{100 * (1 - left / error):.1f} %"])
-    return table(["log α", "least error, both unknown", "less with stretch measured", "shear",
-                  "both", "both exact", "error of the network", "less, at most"], rows)
-
-
-def additions(reports: Reports) -> str:
-    """What each further measurement of a fabric adds to one drape."""
-    rows = []
-    for name, found in reports["additions"]["rows"].items():
-        least = found["bound"]
-        rows.append([
-            name, f"{found['log_alpha']:.2f}", f"{least['log_alpha']:.2f}" if least else "–",
-            f"{found['log_alpha_yarns']:.2f}", f"{found['beta_over_alpha_yarns']:.2f}",
-            coverage(found)])
-    return table(["measured", "error of α", "smallest possible", "… along warp and weft",
-                  "… of β/α along warp and weft", "inside"], rows)

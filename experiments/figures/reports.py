@@ -4,8 +4,8 @@ from collections.abc import Callable
 from math import sqrt
 
 from drapenet.network.checkpoint import read_header
-from experiments.estimation.refine_views import METHODS
-from experiments.result import Report, read_report
+from experiments.estimation.refine import METHODS
+from experiments.report import Report, read_report
 
 RIGS = {"squares": "square300_cylinder100", "discs": "disc300_support180"}
 FOUR_VIEWS, OUTLINE = "depth, 4 views", "outline, parallel light"
@@ -63,21 +63,6 @@ def strip_coverage(report: Report) -> Report:
                        for level, share in report["summary"]["all"][modulus]["coverage"].items())}
 
 
-def strips(report: Report) -> Report:
-    """Largest deviations of both kinds of strips, and those of plates by their cells a side."""
-    plates = [pair for pairs in report["plates"].values() for pair in pairs]
-    return {name: max(abs(row["deviation"]) for row in report[kind])
-            for name, kind in (("bent", "nonlinear"), ("cut", "angled"))} | {
-            "plates": {str(cells): max(abs(error) for number, error in plates if number == cells)
-                       for cells, _ in plates}}
-
-
-def lowering_cost(report: Report) -> Report:
-    """CPU-seconds of a lowered drape more than of one from a ring start."""
-    cost = report["cost"]
-    return {"more": cost["lowered"]["seconds"] - cost["ring"]["seconds"]}
-
-
 def outline_folds(report: Report) -> Report:
     """Difference of the number of folds from that of real outlines."""
     flat = report["summary"]["parallel"]["flat"]
@@ -86,12 +71,6 @@ def outline_folds(report: Report) -> Report:
     return {"off": abs(flat["folds"] - flat["folds_real"]),
             "learned": max(abs(band["folds"] - band["folds_real"]) for band in bands),
             "limp": bands[0], "stiff": bands[1]}
-
-
-def render_speed(report: Report) -> Report:
-    """Speed of the rasteriser relative to ray casting."""
-    speeds = report["views_per_second"]["240x180"]
-    return {"ratio": speeds["rasteriser"] / speeds["rays"]}
 
 
 def evaluated(report: Report) -> Report:
@@ -122,8 +101,7 @@ def refined(report: Report) -> Report:
 
 
 DERIVED: dict[str, Callable[[Report], Report]] = {
-    "strips": strips, "strip_photographs": strip_coverage,
-    "lowering": lowering_cost, "outlines": outline_folds, "render": render_speed,
-    "evaluation": evaluated, "faults": detected_faults,
-    "refine_views": refined, "refine_views_real": refined}
+    "strip_photographs": strip_coverage, "outlines": outline_folds, "evaluation": evaluated,
+    "faults": detected_faults,
+    "refine_views": refined, "refine_views_real": refined, "refine_scans": refined}
 """Figures of claims that are computed from a report."""

@@ -10,8 +10,8 @@ from data.fabrics.fabrics import fabric_from_theta, from_theta
 from drapenet.refine.minimise import Limits, minimise
 from drapenet.refine.objective import value
 from experiments.drapes import header, plan_specimen
-from experiments.page import Section
-from experiments.result import Config, Report, Result, label_log_axes, rms, run_fabrics
+from experiments.report import Report, label_log_axes, rms, table
+from experiments.study import CaseKeys, Sample, Study, samples_of
 from sim.cloth import Laws
 from sim.draping import Drape, drape, follow
 from sim.energies.membrane import OrthotropicStVK
@@ -144,18 +144,29 @@ def hung_sensitivities(tangent: Tangent, fabric: Fabric, unknowns: np.ndarray) -
     return np.array(moves)[:, : tangent.coordinates].reshape(len(unknowns), -1, 3)
 
 
-def case(
-    *, number: int, edge_mm: float, truth_mm: float, noise_mm: float, evaluations: int, seed: int
-) -> dict[str, Any]:
+class Keys(CaseKeys):
+    fabrics: int = 6  # drawn from the prior, each with another membrane
+    edge_mm: float = 15.0  # mesh edge length of the fitted square
+    truth_mm: float = 11.0  # of the captured one
+    noise_mm: float = 1.0  # standard deviation, of each captured coordinate
+    evaluations: int = 25  # maximum per fit
+    seed: int = 414
+    workers: int = 2
+
+
+def fabric(
+    rng: np.random.Generator, *, number: int, edge_mm: float, truth_mm: float, noise_mm: float,
+    evaluations: int, seed: int
+) -> Sample:
     """True unknowns of one fabric, and the estimates and standard deviations of each fit that
     succeeded, in units of the standard deviation over fabrics.
     """
-    theta, rng = plan_specimen(number, seed=seed).theta, np.random.default_rng([seed, number])
-    unknowns, sigma, fabric = sample_unknowns(rng), 1e-3 * noise_mm, fabric_from_theta(theta)
+    theta, sigma = plan_specimen(number, seed=seed).theta, 1e-3 * noise_mm
+    unknowns, bending = sample_unknowns(rng), fabric_from_theta(theta)
     mean, spread = prior()
     result: dict[str, Any] = {"true": ((unknowns - mean) / spread).tolist(), "fits": {}}
     laws = Laws(membrane=membrane_of(unknowns))
-    coarse, fine = (drape(fabric, rig=HUNG_SQUARE, edge=1e-3 * edge, seed=number, laws=laws)
+    coarse, fine = (drape(bending, rig=HUNG_SQUARE, edge=1e-3 * edge, seed=number, laws=laws)
                     for edge in (edge_mm, truth_mm))
     if not (coarse.converged and fine.converged):
         return result
@@ -176,10 +187,10 @@ def case(
     return result
 
 
-def run(config: Config) -> Result:
+def run(keys: Keys) -> Report:
     """Run all fabrics."""
-    return Result({"spread": prior()[1].tolist(),
-            "fabrics": run_fabrics(case, config)})
+    return {"spread": prior()[1].tolist(),
+            "fabrics": samples_of(fabric, keys, keys.fabrics, kind="fabric")}
 
 
 def _accepted_fits(report: Report, name: str) -> list[tuple[list[float], dict[str, Any]]]:
@@ -194,40 +205,32 @@ def _errors(report: Report, name: str) -> np.ndarray:
     return np.array([np.subtract(fit["x"], true) for true, fit in _accepted_fits(report, name)])
 
 
-def summarise(report: Report) -> str:
-    """Summary in sentences."""
-    def errors(name: str) -> tuple[list[float], str]:
-        found = _errors(report, name)
-        return ([rms(column) for column in found.T],
-                f"{', '.join(f'{rms(column):.2f}' for column in found.T)} ({len(found)} of "
-                f"{len(report['fabrics'])} fits)")
-
-    first, *_, last = FITS
-    identified = [name for name, error in zip(UNKNOWNS, errors(last)[0], strict=False)
-                  if error < 1 / 3]
-    return (f"With {report['settings']['noise_mm']:g} mm of noise per coordinate, the errors of "
-            "warp, weft, shear and Poisson's ratio, in units of the spread over fabrics, are "
-            f"{errors(first)[1]} in the case \"{first}\" and {errors(last)[1]} in the case "
-            f"\"{last}\"; below a third in the latter: {', '.join(identified) or 'none'}. The "
-            "remaining fits ended in other folds, which their residuals reveal.")
-
-
-def rows(report: Report) -> tuple[list[str], list[list[object]]]:
-    """Table of errors by fit and unknown."""
+def block(report: Report) -> str:
+    """Summary and table."""
+    known = [name for name, error in zip(UNKNOWNS, _errors(report, [*FITS][-1]).T, strict=True)
+             if rms(error) < 1 / 3]
+    text = (f"With {report['settings']['noise_mm']:g} mm of noise per coordinate; errors over the "
+            f"spread over fabrics are below a third in the last case for "
+            f"{', '.join(known) or 'none'}. The remaining fits ended in other folds, which their "
+            "residuals reveal.")
+    head = ["fit", "in the true folds", "residual, mm",
+            f"of {', '.join(UNKNOWNS)}: error, rms", "error, median", "bias",
+            "stated standard deviation"]
     lines = []
     for name in FITS:
-        errors, fits = _errors(report, name), [fit for _, fit in _accepted_fits(report, name)]
-        for k, unknown in enumerate(UNKNOWNS) if fits else ():
-            middle = np.median(np.abs(errors[:, k])) * report["spread"][k]
+        errors_of, fits = _errors(report, name), [fit for _, fit in _accepted_fits(report, name)]
+        if fits:
+            middle = np.median(np.abs(errors_of), axis=0) * report["spread"]
+            stated = np.array([fit["deviation"] for fit in fits])
             lines.append([
                 name, f"{len(fits)} of {len(report['fabrics'])}",
-                f"{np.median([fit['left_mm'] for fit in fits]):.2f}", unknown,
-                f"{rms(errors[:, k]):.2f}",
-                f"{100 * np.expm1(middle):.0f} %" if k < 3 else f"{middle:.2f}",
-                f"{errors[:, k].mean():+.2f}",
-                f"{rms(np.array([fit['deviation'][k] for fit in fits])):.3f}"])
-    return (["fit", "in the true folds", "residual, mm", "unknown", "error, rms", "error, median",
-             "bias", "stated standard deviation"], lines)
+                f"{np.median([fit['left_mm'] for fit in fits]):.2f}",
+                ", ".join(f"{rms(column):.2f}" for column in errors_of.T),
+                ", ".join([*(f"{100 * np.expm1(one):.0f} %" for one in middle[:3]),
+                           f"{middle[3]:.2f}"]),
+                ", ".join(f"{one:+.2f}" for one in errors_of.mean(axis=0)),
+                ", ".join(f"{rms(column):.3f}" for column in stated.T)])
+    return f"{text}\n\n{table(head, lines)}"
 
 
 def draw(report: Report) -> Figure:
@@ -255,18 +258,4 @@ def draw(report: Report) -> Figure:
     return figure
 
 
-SECTION = Section(
-    "Membrane from a hung square", "004, section 5",
-    "Which stiffnesses of an orthotropic membrane can be identified from the vertices of a square "
-    "hung by two corners?",
-    summarise, rows, draw,
-    "fits stress curves of warp, weft and shear to measured forces, without Poisson's ratio, with "
-    "residuals of 0.2 to 0.6 N for a knit; not comparable, because here only weight acts and no "
-    "force is measured.",
-    "Squares have sides of 0.6 m along the yarns and hang by corners 0.5 m apart; all points are "
-    "registered, with independent errors. Small-strain stiffnesses are drawn as in training "
-    "(`configs/nuisances/real.yaml`), warp and weft independently; Poisson's ratio is drawn from "
-    "0 to 0.4 without a source. A fit is the mode of the posterior and starts at the prior's mean "
-    "from the captured shape. Its stated standard deviation includes the noise but not the mesh, "
-    "15 mm against 11 mm in the captured square. Errors are those of fits with a residual below "
-    "twice the noise.")
+STUDY = Study(Keys, run, block, draw)

@@ -11,63 +11,68 @@ from drapenet.config import EvaluateConfig, TrainConfig
 from drapenet.network.checkpoint import Header, read_header
 from drapenet.network.evaluate import CELLS, SINGLES, judged
 from drapenet.network.weights import load_model
-from experiments.page import Section
-from experiments.result import Config, Report, Result
+from experiments.report import Report, table
+from experiments.study import CaseKeys, Study, folder_of
 from train import train
 
 NAMES = {"views": "four stacked views, ResNet-18, regression (the paper's)",
          "depth": "map of all views, posterior", "outline": "outline alone, posterior",
          "bundled": "the bundled network"}
+WORDS = {"views": ["model=views", "optim.batch_size=16", "epochs=12"],
+         "depth": ["inputs=[depth]", "epochs=14"], "outline": ["inputs=[outline]", "epochs=14"]}
+"""Words of train.py for each network."""
 
 
-def run(config: Config) -> Result:
+class Keys(CaseKeys):
+    data: str = "outputs/discs"  # drapes to train on (docs/training.md)
+    tester: str = "disc300_support180"  # of the drapes to evaluate with, 32 unseen fabrics
+    common: tuple[str, ...] = ("captures=2", "outlines=0")  # words of train.py for all networks
+    fabrics: int = 32
+    seed: int = 20231  # of the fabrics to evaluate with
+    workers: int = 2
+
+
+def run(keys: Keys) -> Report:
     """Train and evaluate all networks."""
     found: Report = {}
-    drapes = finished_manifest(Path(config["data"]))["drapes"]
-    for name, words in config["networks"].items():
-        folder = Path(config["cases"]) / name
+    drapes = finished_manifest(Path(keys.data))["drapes"]
+    for name, words in WORDS.items():
+        folder = folder_of(keys) / name
         checkpoint = train(compose_config("train", [
-            f"data={config['data']}", f"maps={Path(config['cases']) / 'maps'}", f"out={folder}",
-            f"workers={config['workers']}", "graphs=false", *config["common"], *words],
-            schema=TrainConfig))
-        found[name] = _evaluated(read_header(str(checkpoint)), config)
-    found["bundled"] = _evaluated(read_header(), config)
-    return Result({"drapes": drapes, "networks": found})
+            f"data={keys.data}", f"maps={folder_of(keys) / 'maps'}", f"out={folder}",
+            f"workers={keys.workers}", "graphs=false", *keys.common, *words], schema=TrainConfig))
+        found[name] = _evaluated(read_header(str(checkpoint)), keys)
+    found["bundled"] = _evaluated(read_header(), keys)
+    return {"drapes": drapes, "networks": found}
 
 
-def _evaluated(header: Header, config: Config) -> dict[str, Any]:
+def _evaluated(header: Header, keys: Keys) -> dict[str, Any]:
     """Error and coverage of the first of the kinds of captures that a network reads."""
     settings = compose_config("evaluate", [
-        f"testers=[{config['tester']}]", f"fabrics_per_tester={config['fabrics']}",
-        f"seed={config['seed']}", f"workers={config['workers']}", "even_fabrics=0",
-        f"out={Path(config['cases']) / 'evaluate'}"], schema=EvaluateConfig)
+        f"testers=[{keys.tester}]", f"fabrics_per_tester={keys.fabrics}", f"seed={keys.seed}",
+        f"workers={keys.workers}", "even_fabrics=0", f"out={folder_of(keys) / 'evaluate'}"],
+        schema=EvaluateConfig)
     kind = next(kind for kind in SINGLES if CELLS[kind].kind in header.config.inputs)
-    (_, estimates), = judged(header, config["tester"], {kind: CELLS[kind]}, settings)
+    (_, estimates), = judged(header, keys.tester, {kind: CELLS[kind]}, settings)
     return {"captures": kind,
             "parameters": sum(part.numel() for part in load_model(header).parameters()),
             **estimates.summary(header.spread)}
 
 
-def summarise(report: Report) -> str:
-    """Summary in sentences."""
-    error = {name: one["log_alpha"]["rmse"] for name, one in report["networks"].items()}
-    return (f"Of the same {report['drapes']} drapes, the paper's network learns log α to "
-            f"{error['views']:.2f} of its spread over fabrics and a network of maps to "
-            f"{error['depth']:.2f}, from an outline alone to {error['outline']:.2f}. The bundled "
-            f"network, of ten times the drapes, has {error['bundled']:.2f} with four views.")
-
-
-def rows(report: Report) -> tuple[list[str], list[list[object]]]:
-    """Table of errors and coverage by network."""
-    return (["network", "parameters", "α off by: median, nine of ten", "log α (95 %)", "β/α",
-             "inside 50, 68, 90 %"],
-            [[NAMES[name], f"{one['parameters'] / 1e6:.1f} million",
-              f"{one['alpha']['median']:.0%}, {one['alpha']['ninth_decile']:.0%}",
-              "{:.2f} ({:.2f} to {:.2f})".format(one["log_alpha"]["rmse"],
-                                                 *one["log_alpha"]["interval_95"]),
-              f"{one['beta_over_alpha']['rmse']:.2f}",
-              ", ".join(f"{100 * share['mean']:.0f}" for share in one["inside"].values())]
-             for name, one in report["networks"].items()])
+def block(report: Report) -> str:
+    """Summary and table."""
+    text = (f"All but the last are trained on the same {report['drapes']} drapes, the last on ten "
+            "times as many.")
+    head = ["network", "parameters", "α off by: median, nine of ten", "log α (95 %)", "β/α",
+            "inside 50, 68, 90 %"]
+    rows = [[NAMES[name], f"{one['parameters'] / 1e6:.1f} million",
+             f"{one['alpha']['median']:.0%}, {one['alpha']['ninth_decile']:.0%}",
+             "{:.2f} ({:.2f} to {:.2f})".format(one["log_alpha"]["rmse"],
+                                                *one["log_alpha"]["interval_95"]),
+             f"{one['beta_over_alpha']['rmse']:.2f}",
+             ", ".join(f"{100 * share['mean']:.0f}" for share in one["inside"].values())]
+            for name, one in report["networks"].items()]
+    return f"{text}\n\n{table(head, rows)}"
 
 
 def draw(report: Report) -> Figure:
@@ -82,12 +87,4 @@ def draw(report: Report) -> Figure:
     return figure
 
 
-SECTION = Section(
-    "Networks", "002, section 6, Figure 20, Table 2",
-    "How do the paper's network and networks of other inputs compare on the same drapes?",
-    summarise, rows, draw,
-    "its ResNet-18, trained for 12.7 hours on 48 000 drapes, has an error of 0.127; not "
-    "comparable, because its fabrics, captures and unit are others.",
-    "The drapes, of discs of 300 mm with all nuisances, evenly distributed from limp to stiff, one "
-    "of each fabric, are a twentieth of the paper's. All networks begin with random weights. "
-    "Errors are of 32 fabrics of the prior, four drapes each, as of `make evaluate`.")
+STUDY = Study(Keys, run, block, draw)

@@ -1,5 +1,6 @@
 """Variation of estimates between drapes and captures of one fabric (002, Figures 22 and 23)."""
 
+
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -13,18 +14,27 @@ from experiments.drapes import (
     infer,
     plan_specimen,
 )
-from experiments.page import Section
-from experiments.result import Config, Report, Result, label_log_axes, run_fabrics
+from experiments.report import Report, label_log_axes, rms, table
+from experiments.study import CaseKeys, Sample, Study, samples_of
 from sim.material import DIRECTIONS, LINEAR
 
 FACTORS = {"starts": "other start", "orientations": "same drape, other orientation",
            "set-ups": "same drape, other camera, sensor and turns"}
 
 
-def case(*, number: int, starts: int, orientations: int, edge_mm: float, seed: int) -> dict:
+class Keys(CaseKeys):
+    fabrics: int = 10  # drawn from the prior
+    starts: int = 8  # drapes per fabric, from different starts
+    orientations: int = 12  # captures of the first drape
+    edge_mm: float = 3.0  # mesh edge length at the rim
+    seed: int = 404
+    workers: int = 2
+
+
+def fabric(rng: np.random.Generator, *, number: int, starts: int, orientations: int,
+           edge_mm: float, seed: int) -> Sample:
     """Posterior means of log alpha (captures, 3) of one fabric by varied factor, and the truth."""
     plan = plan_specimen(number, seed=seed)
-    rng = np.random.default_rng([seed, number])
     shapes = [drape_specimen(plan, edge=1e-3 * edge_mm, start=STARTS[k % len(STARTS)], seed=k)
               for k in range(starts)]
     captures = {
@@ -38,9 +48,9 @@ def case(*, number: int, starts: int, orientations: int, edge_mm: float, seed: i
         for factor, members in captures.items()}}
 
 
-def run(config: Config) -> Result:
+def run(keys: Keys) -> Report:
     """Run all fabrics."""
-    return Result({"fabrics": run_fabrics(case, config)})
+    return {"fabrics": samples_of(fabric, keys, keys.fabrics, kind="fabric")}
 
 
 def _variation(log_alpha: np.ndarray | list) -> np.ndarray:
@@ -55,27 +65,24 @@ def variations(report: Report) -> dict[str, np.ndarray]:
             for factor in FACTORS}
 
 
-def summarise(report: Report) -> str:
-    """Summary in sentences."""
+def _common_error(report: Report) -> float:
+    """Root mean square over fabrics of the error of log alpha averaged over starts."""
+    return rms([np.mean(one["starts"], axis=0) - one["theta"][:3]
+                for one in report["fabrics"].values()])
+
+
+def block(report: Report) -> str:
+    """Summary and table."""
     found = {factor: np.median(values) for factor, values in variations(report).items()}
-    return (f"The coefficient of variation of α (median over fabrics) is {found['starts']:.1f} % "
+    text = (f"The coefficient of variation of α (median over fabrics) is {found['starts']:.1f} % "
             f"over starts, {found['orientations']:.1f} % over orientations of one drape and "
             f"{found['set-ups']:.1f} % over set-ups. The mean over a fabric's starts still has an "
             f"error of {100 * _common_error(report):.0f} % (root mean square): most of the error "
             "is common to all drapes of a fabric.")
-
-
-def _common_error(report: Report) -> float:
-    """Root mean square over fabrics of the error of log alpha averaged over starts."""
-    return float(np.sqrt(np.mean([np.square(np.mean(one["starts"], axis=0) - one["theta"][:3])
-                                  for one in report["fabrics"].values()])))
-
-
-def rows(report: Report) -> tuple[list[str], list[list[object]]]:
-    """Table of medians and largest values over fabrics."""
-    return (["varied factor", *(f"{name}: median, largest, %" for name in DIRECTIONS)],
-            [[FACTORS[factor], *(f"{np.median(v):.1f}, {v.max():.1f}" for v in values.T)]
-             for factor, values in variations(report).items()])
+    rows = [[FACTORS[factor], *(f"{np.median(v):.1f}, {v.max():.1f}" for v in values.T)]
+            for factor, values in variations(report).items()]
+    head = ["varied factor", *(f"{name}: median, largest, %" for name in DIRECTIONS)]
+    return f"{text}\n\n{table(head, rows)}"
 
 
 def draw(report: Report) -> Figure:
@@ -96,11 +103,4 @@ def draw(report: Report) -> Figure:
     return figure
 
 
-SECTION = Section(
-    "Repeatability", "002, Figures 22 and 23",
-    "How much do estimates of one fabric vary with its folds, its orientation and the camera's "
-    "position?",
-    summarise, rows, draw,
-    "reports low coefficients of variation, five points higher for a network trained on one "
-    "start, without a table; not comparable, because its fabrics are real and draped by hand.",
-    "The fabrics have no hysteresis, which adds to the variation of real cloth.")
+STUDY = Study(Keys, run, block, draw)

@@ -19,8 +19,8 @@ from experiments.drapes import (
     plan_specimen,
     spread,
 )
-from experiments.page import Section
-from experiments.result import Config, Report, Result, rms, run_fabrics
+from experiments.report import Report, rms, table
+from experiments.study import CaseKeys, Sample, Study, samples_of
 from sim.material import LINEAR
 
 Rng = np.random.Generator
@@ -73,7 +73,14 @@ UNITS = {name: unit for name, (unit, _, _) in
          (SETUP_FAULTS | CAPTURE_FAULTS | SPECIMEN_FAULTS).items()}
 
 
-def case(*, number: int, edge_mm: float, seed: int) -> dict[str, Any]:
+class Keys(CaseKeys):
+    fabrics: int = 24  # drawn from the prior
+    edge_mm: float = 3.0  # mesh edge length at the rim
+    seed: int = 505
+    workers: int = 2
+
+
+def fabric(*, number: int, edge_mm: float, seed: int) -> Sample:
     """Errors of log alpha and number of warnings for one fabric, by fault and value."""
     plan, edge = plan_specimen(number, seed=seed), 1e-3 * edge_mm
     shape = drape_specimen(plan, edge=edge)
@@ -104,12 +111,12 @@ def case(*, number: int, edge_mm: float, seed: int) -> dict[str, Any]:
     return result
 
 
-def run(config: Config) -> Result:
+def run(keys: Keys) -> Report:
     """Run all fabrics."""
-    found = run_fabrics(case, config)
-    return Result({"faults": {name: {
+    found = samples_of(fabric, keys, keys.fabrics, kind="fabric")
+    return {"faults": {name: {
         value: _summary([one[name][value] for one in found.values()]) for value in values}
-        for name, values in next(iter(found.values())).items()}})
+        for name, values in next(iter(found.values())).items()}}
 
 
 def _summary(cases: list[list[Any]]) -> dict[str, float | None]:
@@ -122,15 +129,15 @@ def _summary(cases: list[list[Any]]) -> dict[str, float | None]:
             "doubted": float(np.mean([warnings != 0 for _, warnings in cases]))}
 
 
-def _shown(name: str, value: str) -> str:
-    """A value of a fault with its unit."""
+def _shown(name: str, value: str, *, unit: bool = True) -> str:
+    """A value of a fault with or without its unit."""
     if name == "sensor":
         return SENSORS[int(value) - 1]
-    return f"{value} {UNITS.get(name, '')}".strip()
+    return f"{value} {UNITS.get(name, '')}".strip() if unit else value
 
 
-def summarise(report: Report) -> str:
-    """Summary in sentences."""
+def block(report: Report) -> str:
+    """Summary and table."""
     plain = report["faults"]["none"]["0"]["error"]
     doubted = {f"{name} {_shown(name, value)}": one["doubted"]
                for name, values in report["faults"].items() for value, one in values.items()
@@ -138,18 +145,19 @@ def summarise(report: Report) -> str:
     missed = [name for name, share in doubted.items() if share < 0.5]
     noted = (f"the checks report fewer than half of the captures with {', '.join(missed)}"
              if missed else "the checks report each of them in at least half of the captures")
-    return (f"Without faults the error of log α is {plain:.2f}. Faults that raise it by more than "
+    text = (f"Without faults the error of log α is {plain:.2f}. Faults that raise it by more than "
             f"half: {', '.join(doubted) or 'none'}; {noted}. An error of the density changes all "
             "moduli in proportion.")
-
-
-def rows(report: Report) -> tuple[list[str], list[list[object]]]:
-    """Table of errors by fault and value."""
-    return (["fault", "value", "error of log α", "bias", "refused", "refused, or with a warning"],
-            [[name, _shown(name, value), *([f"{one['error']:.3f}", f"{one['bias']:+.3f}"]
-                                           if one["error"] else ["–", "–"]),
-              f"{one['refused']:.0%}", f"{one['doubted']:.0%}"]
-             for name, values in report["faults"].items() for value, one in values.items()])
+    head = ["fault", "values", "error of log α", "bias", "refused, %",
+            "refused, or with a warning, %"]
+    rows = [[f"{name}, {UNITS.get(name, '')}".strip(", "),
+             ", ".join(_shown(name, value, unit=False) for value in values),
+             *(", ".join(f"{scale * one[key]:{form}}" if one["error"] else "–"
+                         for one in values.values())
+               for key, scale, form in (("error", 1, ".3f"), ("bias", 1, "+.3f"),
+                                        ("refused", 100, ".0f"), ("doubted", 100, ".0f")))]
+            for name, values in report["faults"].items()]
+    return f"{text}\n\n{table(head, rows)}"
 
 
 def draw(report: Report) -> Figure:
@@ -177,12 +185,4 @@ def draw(report: Report) -> Figure:
     return figure
 
 
-SECTION = Section(
-    "Robustness", "002, section 7.3.2",
-    "How does each fault of a set-up affect estimates, and do the checks detect it?",
-    summarise, rows, draw,
-    "reports reliable estimates in every orientation, without figures for other faults.",
-    "Faults are tested one at a time with four views. The bias without faults arises because the "
-    "network was trained with a friction torque, which these specimens do not have and which it "
-    "did not know in these runs. It was trained on pitches of 25° to 50° and distances of 0.4 m to "
-    "0.7 m.")
+STUDY = Study(Keys, run, block, draw)

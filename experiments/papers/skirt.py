@@ -1,6 +1,5 @@
 """A skirt of an estimated fabric (002, section 7.4.3), in this simulator and in Newton."""
 
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -12,10 +11,8 @@ from data.fabrics.fabrics import fabric_from_theta
 from data.render.setups import Setups
 from experiments.comparison import Shape, compare
 from experiments.drapes import capture_drape, drape_as_planned, infer, plan_specimen
-from experiments.page import Section
-from experiments.papers.transfer import exported_modulus
-from experiments.physics import style3d
-from experiments.result import Config, Report, Result, label_log_axes, rms, run_fabrics
+from experiments.report import Report, label_log_axes, rms, table
+from experiments.study import CaseKeys, Sample, Study, samples_of
 from sim.equilibrium import Equilibrium
 from sim.material import Fabric
 from sim.measures import fold_count, shadow_radius
@@ -26,11 +23,18 @@ from sim.skirt import SKIRT, settled, skirt
 
 TRUE, ESTIMATED, LINEAR = "true", "estimated", "estimated, α alone"
 OTHER_START = "true, other start"
-NEWTON = "Newton, "
+NEWTON = ("Newton, true", "Newton, estimated")  # of the stored report
 _CAPTURE_EDGE = 2e-3  # m, at the rim of the captured specimen
 
 
-def case(*, number: int, edge_mm: float, seconds: float | None, seed: int) -> dict[str, Any]:
+class Keys(CaseKeys):
+    fabrics: int = 10  # drawn from the prior
+    edge_mm: float = 10.0  # mesh edge length at the waist
+    seed: int = 731
+    workers: int = 2
+
+
+def fabric(*, number: int, edge_mm: float, seed: int) -> Sample:
     """Skirts of one fabric, from its moduli and from those estimated from one depth capture.
 
     Of each: mean distance from the skirt of the true moduli and mean difference of their outlines
@@ -41,20 +45,10 @@ def case(*, number: int, edge_mm: float, seconds: float | None, seed: int) -> di
     hung, other = (_sound(skirt(truth, edge=1e-3 * edge_mm, seed=seed + k)) for k in (0, 1))
     worn, scene = hung.positions, hung.cloth.scene
     shapes = {OTHER_START: Shape.of(other.cloth.scene, other.positions)}
-    for name, fabric in ((ESTIMATED, estimate), (LINEAR, Fabric(estimate.alpha))):
-        shapes[name] = Shape.of(scene, _sound(settled(scene, worn, fabric)).positions)
+    for name, one in ((ESTIMATED, estimate), (LINEAR, Fabric(estimate.alpha))):
+        shapes[name] = Shape.of(scene, _sound(settled(scene, worn, one)).positions)
     result = {name: difference(scene, worn, shape) for name, shape in shapes.items()}
     result[TRUE] = {"folds": fold_count(worn, scene.mesh.rest, SKIRT)}
-    if seconds is not None and style3d.installed():
-        positions, first = worn, None
-        for name, fabric in ((TRUE, truth), (ESTIMATED, estimate)):
-            state = style3d.simulate(scene, positions, density=fabric.density,
-                                     modulus=exported_modulus(fabric), seconds=seconds)
-            positions = state.positions
-            result[NEWTON + name] = difference(
-                scene, worn if first is None else first, Shape.of(scene, positions)) | {
-                    "motion": state.motion}
-            first = positions
     return result | {"log_alpha": np.log(estimate.alpha / truth.alpha).tolist()}
 
 
@@ -84,10 +78,9 @@ def difference(scene: Scene, worn: Points, other: Shape) -> dict[str, float]:
             "folds": fold_count(other.positions, other.rest, SKIRT)}
 
 
-def run(config: Config) -> Result:
+def run(keys: Keys) -> Report:
     """Run all fabrics."""
-    style3d.missing("rows of Newton are")
-    return Result({"fabrics": run_fabrics(case, dict(config))})
+    return {"fabrics": samples_of(fabric, keys, keys.fabrics, kind="fabric")}
 
 
 def _column(report: Report, model: str, key: str) -> np.ndarray:
@@ -95,50 +88,25 @@ def _column(report: Report, model: str, key: str) -> np.ndarray:
     return np.array([one[model][key] for one in report["fabrics"].values() if model in one])
 
 
-def _medians(report: Report, model: str) -> tuple[float, float]:
-    """Distance and difference of outlines, mm."""
-    return tuple(float(np.median(_column(report, model, key)))
-                 for key in ("distance_mm", "outline_mm"))
-
-
-def summarise(report: Report) -> str:
-    """Summary in sentences."""
-    errors = np.array([one["log_alpha"] for one in report["fabrics"].values()])
-    text = (f"The estimates' errors of log α are {rms(errors):.2f} (rms). "
-            "Skirts of the estimated moduli lie {:.1f} mm (median) from those of the true ones, "
-            "with outlines {:.1f} mm apart; ".format(*_medians(report, ESTIMATED)))
-    text += "without β {:.1f} and {:.1f} mm. ".format(*_medians(report, LINEAR))
-    text += ("The same fabric in the folds of another start lies {:.0f} mm away, its outline "
-             "{:.0f} mm. ".format(*_medians(report, OTHER_START)))
-    newton = [one[NEWTON + ESTIMATED] for one in report["fabrics"].values()
-              if NEWTON + ESTIMATED in one]
-    if not newton:
-        return text + f"Rows of Newton are left out: it was not installed (`{style3d.INSTALL}`)."
-    motion = max(one[name]["motion"] for one in report["fabrics"].values()
-                 for name in (NEWTON + TRUE, NEWTON + ESTIMATED) if name in one)
-    across, between = (_medians(report, NEWTON + name)[0] for name in (TRUE, ESTIMATED))
-    return text + (
-        "In Newton, with the secant moduli that are exported for it, the true fabrics' skirts lie "
-        f"{across:.1f} mm from this simulator's, and those of the estimates {between:.1f} mm from "
-        f"Newton's of the true moduli; they moved by at most {motion:.1f} mm in the last quarter "
-        "of the simulation.")
-
-
-def rows(report: Report) -> tuple[list[str], list[list[object]]]:
-    """Table of differences by model."""
+def block(report: Report) -> str:
+    """Summary and table."""
+    errors = [one["log_alpha"] for one in report["fabrics"].values()]
+    text = (f"The estimates' errors of log α are {rms(errors):.2f} (rms); distances are from the "
+            "skirt of the true moduli.")
     folds = _column(report, TRUE, "folds")
-    table = []
-    for model in (ESTIMATED, LINEAR, OTHER_START, NEWTON + TRUE, NEWTON + ESTIMATED):
+    rows = []
+    for model in (ESTIMATED, LINEAR, OTHER_START, *NEWTON):
         distance = _column(report, model, "distance_mm")
         if len(distance):
             change = _column(report, model, "folds") - folds[:len(distance)]
-            table.append([
+            rows.append([
                 model, len(distance), f"{np.median(distance):.1f}, {distance.max():.1f}",
                 f"{np.median(_column(report, model, 'outline_mm')):.1f}",
                 f"{np.median(_column(report, model, 'coverage_percent')):+.1f}",
                 f"{np.abs(change).mean():.1f}"])
-    return (["moduli", "skirts", "distance, mm: median, largest", "outline, mm", "covered area, %",
-             f"folds, of {folds.mean():.1f}"], table)
+    head = ["moduli", "skirts", "distance, mm: median, largest", "outline, mm", "covered area, %",
+            f"folds, of {folds.mean():.1f}"]
+    return f"{text}\n\n{table(head, rows)}"
 
 
 def draw(report: Report) -> Figure:
@@ -155,15 +123,4 @@ def draw(report: Report) -> Figure:
     return figure
 
 
-SECTION = Section(
-    "A skirt", "002, section 7.4.3",
-    "Does a garment of the estimated moduli hang as of the true ones?",
-    summarise, rows, draw,
-    "shows photographs and simulations of ten skirts on a mannequin to 40 people, who find the "
-    "estimates slightly better than those of a cantilever tester; not comparable, because here "
-    "simulated skirts are compared with simulated ones.",
-    "A full-circle skirt with the paper's waist (754 mm) and length (310 mm) hangs from a ring, "
-    "without a body and seams. Fabrics are estimated by the bundled network from one depth capture "
-    "of a simulated 300 mm disc. Skirts are the equilibria nearest to that of the true moduli, "
-    "apart from *other start*. Newton's Style3D has hinges without β and starts from this "
-    "simulator's skirt.")
+STUDY = Study(Keys, run, block, draw)

@@ -20,18 +20,18 @@ from experiments.drapes import (
     plan_specimen,
     spread,
 )
-from experiments.page import Section
-from experiments.physics.testers import add_noise, strip_lengths
-from experiments.result import Config, Report, Result, label_log_axes, rms, run_fabrics
+from experiments.report import Report, label_log_axes, rms, table
+from experiments.study import CaseKeys, Sample, Study, samples_of
 from sim.cantilever.moduli import estimate_moduli, fabric_of
 from sim.cantilever.strip import simulate_strips
 from sim.draping import Drape, drape, follow
-from sim.material import REFERENCE_DENSITY, Fabric
+from sim.material import DIRECTIONS, REFERENCE_DENSITY, Fabric, gravity_length
 from sim.rig import HUNG_SQUARE
 
-TABLE, NETWORK, REFINED = "strips, table", "network", "refined"
+NETWORK, REFINED = "network", "refined"
 PRIOR, OTHER_DRAPE = "mean of the prior", "another drape of the fabric"
-METHODS = ("strips, regression", TABLE, NETWORK, REFINED, PRIOR, OTHER_DRAPE)
+METHODS = ("strips, regression", "strips, table", NETWORK, REFINED, PRIOR, OTHER_DRAPE)
+LENGTHS = (1.5, 2.5)  # of the two strips of a direction, in bending lengths
 SHAPES = {"drape": "cylinder", "hung": "hung"}
 Difference = list[float] | None
 """Mean displacement, mm, and difference of mean curvature, %; None without convergence."""
@@ -42,11 +42,16 @@ def estimate_strips(
 ) -> dict[str, Fabric]:
     """Fabrics estimated from noisy free cantilever strips, by method that did not fail."""
     found: dict[str, Fabric] = {}
+    lengths = {direction: [x * gravity_length(alpha, fabric.density) for x in LENGTHS]
+               for direction, alpha in zip(DIRECTIONS, fabric.alpha, strict=True)}
     try:
-        strips = simulate_strips(fabric, strip_lengths(fabric), cells=cells, seed=seed)
+        strips = simulate_strips(fabric, lengths, cells=cells, seed=seed)
     except InputError:
         return found
-    noisy = add_noise(strips, noise, np.random.default_rng(seed))
+    rng, noisy = np.random.default_rng(seed), {}
+    for direction, curves in strips.items():  # but for the edge of the clamp
+        noisy[direction] = [np.vstack([[0.0, 0.0], one[1:]]) for one in (
+            curve + rng.normal(0.0, noise, curve.shape) for curve in curves)]
     for method in ("regression", "table"):
         try:
             found[f"strips, {method}"] = fabric_of(
@@ -56,23 +61,29 @@ def estimate_strips(
     return found
 
 
-def case(
-    *, number: int, edge_mm: float, hung_mm: float, noise_mm: float, cells: int, refined: bool,
-    seed: int
-) -> dict[str, Any]:
-    """Errors of log alpha and differences of drapes of one fabric by method; "failed" has the
-    reason if the drape did not converge.
-    """
+class Keys(CaseKeys):
+    fabrics: int = 10  # drawn from the prior; a minute each
+    edge_mm: float = 3.0  # at the rim, of compared drapes; captured drapes have half of it
+    hung_mm: float = 10.0  # mesh edge length of the hung square
+    noise_mm: float = 0.3  # standard deviation, of the points of a strip's curve
+    cells: int = 20  # mesh cells per bending length of strips, and points of their curves
+    refined: bool = True  # whether to refine estimates
+    seed: int = 303
+    workers: int = 2
+
+
+def fabric(
+    rng: np.random.Generator, *, number: int, edge_mm: float, hung_mm: float, noise_mm: float,
+    cells: int, refined: bool, seed: int
+) -> Sample:
+    """Errors of log alpha and differences of drapes of one fabric by method."""
     from drapenet.fabric.stages import estimate_capture
 
     edge, plan = 1e-3 * edge_mm, plan_specimen(number, seed=seed)
-    fabric = fabric_from_theta(plan.theta)
-    try:  # finer than the drapes of the estimates
-        shape = drape_specimen(plan, edge=0.5 * edge)
-    except InputError as error:
-        return {"failed": str(error)}
-    captured = capture_drape(shape, ideal_setups(), np.random.default_rng([seed, number]))
-    strips = estimate_strips(fabric, noise=1e-3 * noise_mm, cells=cells, seed=seed + number)
+    truth = fabric_from_theta(plan.theta)
+    shape = drape_specimen(plan, edge=0.5 * edge)  # finer than the drapes of the estimates
+    captured = capture_drape(shape, ideal_setups(), rng)
+    strips = estimate_strips(truth, noise=1e-3 * noise_mm, cells=cells, seed=seed + number)
     reading = infer(captured)
     found = strips | {NETWORK: fabric_from_theta(reading.estimate.samples.mean(axis=0)),
                       PRIOR: fabric_from_theta(load_prior("gaussian").mean)}
@@ -80,38 +91,39 @@ def case(
         one = estimate_capture(reading.capture, header(), EstimateOptions(
             refine=read_option("refine", "simulation"), drapes=0)).estimate
         found[REFINED] = fabric_from_theta(one.samples.mean(axis=0))
-    result: dict[str, Any] = {"ways": {}}
+    ways: dict[str, Any] = {}
     # Start and folds differ from those of the captured drape.
     start = {"edge": edge, "start": "ring", "seed": plan.seed + 1}
-    true = drape(fabric, **start)
-    hung = drape(fabric, rig=HUNG_SQUARE, edge=1e-3 * hung_mm)
+    true = drape(truth, **start)
+    hung = drape(truth, rig=HUNG_SQUARE, edge=1e-3 * hung_mm)
     for name, one in found.items():
-        error = np.log(one.at_density(REFERENCE_DENSITY).alpha / fabric.alpha) / spread()[:3]
-        result["ways"][name] = {"error": error.tolist(),
-                                "drape": _difference(true, drape(one, **start)),
-                                "hung": _difference(hung, follow(hung, one))}
-    other_drape = drape(fabric, **start | {"seed": plan.seed + 2})
-    other_hung = drape(fabric, rig=HUNG_SQUARE, edge=1e-3 * hung_mm, seed=1)
-    result["ways"][OTHER_DRAPE] = {"drape": _difference(true, other_drape, align="turn"),
-                             "hung": _difference(hung, other_hung)}
-    return result
+        error = np.log(one.at_density(REFERENCE_DENSITY).alpha / truth.alpha) / spread()[:3]
+        ways[name] = {"error": error.tolist(), "drape": _difference(true, drape(one, **start)),
+                      "hung": _difference(hung, follow(hung, one))}
+    other_drape = drape(truth, **start | {"seed": plan.seed + 2})
+    other_hung = drape(truth, rig=HUNG_SQUARE, edge=1e-3 * hung_mm, seed=1)
+    ways[OTHER_DRAPE] = {"drape": _difference(true, other_drape, turned=True),
+                         "hung": _difference(hung, other_hung)}
+    return {"ways": ways}
 
 
-def _difference(reference: Drape, other: Drape, *, align: str = "none") -> Difference:
+def _difference(reference: Drape, other: Drape, *, turned: bool = False) -> Difference:
     if not (reference.converged and other.converged):
         return None
-    return compare(reference, other, align=align).row
+    return compare(reference, other, turned=turned).row
 
 
-def run(config: Config) -> Result:
+def run(keys: Keys) -> Report:
     """Run all fabrics."""
-    return Result({"fabrics": run_fabrics(case, config)})
+    refused: dict[str, str] = {}
+    return {"fabrics": samples_of(fabric, keys, keys.fabrics, refused=refused, kind="fabric"),
+            "refused": refused}
 
 
 def _simulated(report: Report, method: str) -> list[dict[str, Any]]:
     """Results of a method for all fabrics."""
     return [one["ways"][method] for one in report["fabrics"].values()
-            if method in one.get("ways", {})]
+            if method in one["ways"]]
 
 
 def _distances(report: Report, shape: str, method: str) -> np.ndarray:
@@ -121,28 +133,8 @@ def _distances(report: Report, shape: str, method: str) -> np.ndarray:
     return np.array([one for one in found if one is not None]).reshape(-1, 2)
 
 
-def _median(report: Report, method: str) -> str:
-    """Median displacement on the cylinder, mm, with its 95 % bootstrap interval over drapes."""
-    values = _distances(report, "drape", method)[:, 0]
-    if not len(values):
-        return "–"
-    drawn = np.random.default_rng(0).integers(len(values), size=(1000, len(values)))
-    low, high = np.quantile(np.median(values[drawn], axis=1), [0.025, 0.975])
-    return f"{np.median(values):.2f} mm ({low:.2f} to {high:.2f})"
-
-
-def summarise(report: Report) -> str:
-    """Summary in sentences."""
-    by = {method: _median(report, method) for method in METHODS}
-    return (f"On the cylinder, the median displacements (95 % intervals) are: network "
-            f"{by[NETWORK]}, refined {by[REFINED]}, strips by table {by[TABLE]}, mean of the prior "
-            f"{by[PRIOR]}; another drape of the true fabric {by[OTHER_DRAPE]}.")
-
-
-def rows(report: Report) -> tuple[list[str], list[list[object]]]:
-    """Table of methods with median errors and displacements."""
-    head = ["moduli from", "fabrics, error of log α",
-            *(f"{shape}, mm (%)" for shape in SHAPES.values())]
+def block(report: Report) -> str:
+    """Median errors and displacements by method."""
     lines = []
     for method in METHODS:
         found = _simulated(report, method)
@@ -150,17 +142,20 @@ def rows(report: Report) -> tuple[list[str], list[list[object]]]:
         known = f", {rms(error):.2f}" if error.any() else ""
         if found:
             lines.append([method, f"{len(found)}{known}",
-                          *(_cell(report, shape, method) for shape in SHAPES)])
-    return head, lines
+                          *(_cell(_distances(report, shape, method)) for shape in SHAPES)])
+    return table(["moduli from", "fabrics, error of log α",
+                  *(f"{shape}, mm (95 %); %" for shape in SHAPES.values())], lines)
 
 
-def _cell(report: Report, shape: str, method: str) -> str:
-    """Table cell of the median displacement, with the difference of curvature in parentheses."""
-    values = _distances(report, shape, method)
+def _cell(values: np.ndarray) -> str:
+    """Medians of displacements, with the 95 % bootstrap interval over drapes, and of differences of
+    curvature, (N, 2)."""
     if not len(values):
         return "–"
+    drawn = np.random.default_rng(0).integers(len(values), size=(1000, len(values)))
+    low, high = np.quantile(np.median(values[drawn, 0], axis=1), [0.025, 0.975])
     displacement, curvature = np.median(values, axis=0)
-    return f"{displacement:.2f} ({curvature:.0f}%)"
+    return f"{displacement:.2f} ({low:.2f} to {high:.2f}); {curvature:.0f}"
 
 
 def draw(report: Report) -> Figure:
@@ -181,18 +176,4 @@ def draw(report: Report) -> Figure:
     return figure
 
 
-SECTION = Section(
-    "Simulated drapes by estimation method", "002, Table 3, Figures 21 and 25",
-    "Which estimate of the moduli gives simulated drapes closest to those of the true fabric?",
-    summarise, rows, draw,
-    "finds 1.36 mm and 4.0 % over ten real fabrics with VAE and non-linear law, 2.1 mm and 8.5 % "
-    "with the cantilever; not comparable, because here all specimens are simulated.",
-    "Percentages are mean differences of the mean curvature, relative to the true drape's mean "
-    "|H| (`experiments/comparison.py`); flat cloth has 100 %. The paper does not define its "
-    "percentage. Simulated specimens vary in moduli only. On the "
-    "cylinder a small change of the moduli may change the folds, which causes the displacements of "
-    "several millimetres; hung cloth starts from the true shape, so that its folds are the same. "
-    "In the last row both drapes have different starts.",
-    "Strips are free and noisy, 1.5 and 2.5 true bending lengths long, and evaluated without the "
-    "simulated correction. Network and refinement use four depth views without faults. The "
-    "density is known. Membrane, shear and curl are unknown.")
+STUDY = Study(Keys, run, block, draw)

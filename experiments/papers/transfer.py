@@ -1,55 +1,49 @@
 """Transfer of an estimated fabric to simulators with hinges (002, Figure 24, section 7.4)."""
 
 from dataclasses import replace
-from functools import cache
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from data.fabrics.fabrics import fabric_from_theta
+from drapenet.export.material import hinge_ratio
 from experiments.comparison import Shape, compare, equilibrium_near
 from experiments.drapes import RIG, drape_specimen, plan_specimen
-from experiments.page import Section
-from experiments.physics import style3d
-from experiments.physics.hinges import simulated_ratio
-from experiments.result import Config, Report, Result, label_log_axes, run_fabrics
+from experiments.report import Report, label_log_axes, table
+from experiments.study import CaseKeys, Sample, Study, samples_of
 from sim.cloth import Laws
 from sim.draping import Drape
-from sim.material import Fabric, secant
 from sim.mesh.specimen import TOPOLOGIES
 from sim.scene import Scene, make_specimen
 from sim.solver.newton import Status
 
 LAWS = {"hinges along the edge": "hinge_edge", "hinges, mean modulus": "hinge"}
-LINEAR, OTHER_MESH = "the plate's law without β", "the plate's law on another mesh"
-_SECANT = 50.0  # 1/m, curvature of the secant modulus
+OTHER_MESH = "the plate's law on another mesh"
+RATIO = hinge_ratio("unstructured", cells=30)
+"""Ratio of hinge modulus to plate modulus for the same strip shape on unstructured meshes."""
 
 
-@cache
-def ratio() -> float:
-    """Ratio of hinge modulus to plate modulus for the same strip shape on unstructured meshes."""
-    return simulated_ratio("unstructured", cells=30)
+class Keys(CaseKeys):
+    fabrics: int = 10  # drawn from the prior
+    edge_mm: float = 2.5  # mesh edge length at the rim
+    seed: int = 707
+    workers: int = 2
 
 
-def exported_modulus(fabric: Fabric) -> np.ndarray:
-    """Secant moduli (3,), N·m, of hinges for a simulator without beta."""
-    return ratio() * secant(_SECANT, fabric.alpha, fabric.beta)
-
-
-def case(*, number: int, edge_mm: float, seed: int) -> dict[str, Any]:
+def fabric(*, number: int, edge_mm: float, seed: int) -> Sample:
     """Displacement, mm, and difference of mean curvature, %, from the drape of the plate law to the
     nearest equilibrium of each model of one fabric; None without convergence.
     """
     plan, rig, edge = plan_specimen(number, seed=seed), RIG, 1e-3 * edge_mm
-    fabric = fabric_from_theta(plan.theta)
+    bending = fabric_from_theta(plan.theta)
     plate = drape_specimen(plan, edge=edge)
-    equivalent = replace(fabric, alpha=ratio() * fabric.alpha, beta=ratio() * fabric.beta)
+    equivalent = replace(bending, alpha=RATIO * bending.alpha, beta=RATIO * bending.beta)
     same = Scene(plate.mesh, plate.held)
     cases = {f"{name}, {model}": (same, one, Laws(bending=law)) for name, law in LAWS.items()
-             for model, one in (("α as estimated", fabric), ("equivalent α", equivalent))}
+             for model, one in (("α as estimated", bending), ("equivalent α", equivalent))}
     cases[OTHER_MESH] = (make_specimen(rig, edge=edge, topology=(plan.seed + 1) % TOPOLOGIES),
-                         fabric, Laws())
+                         bending, Laws())
     result: dict[str, Any] = {}
     for name, (mesh, one, laws) in cases.items():
         equilibrium = equilibrium_near(plate, mesh, rig, one, laws)
@@ -59,50 +53,19 @@ def case(*, number: int, edge_mm: float, seed: int) -> dict[str, Any]:
     return result
 
 
-def style3d_case(
-    *, number: int, edge_mm: float, style3d_seconds: float, seed: int
-) -> dict[str, Any]:
-    """Differences of drapes in Style3D, each started at the previous one, the first at the plate's.
-
-    "motion" has their displacements in the last quarter of the simulation, mm.
-    """
-    plate = drape_specimen(plan_specimen(number, seed=seed), edge=1e-3 * edge_mm)
-    fabric, mesh = plate.fabric, plate.scene
-    moduli = {"α as estimated": fabric.alpha, "equivalent α": ratio() * fabric.alpha,
-              f"equivalent secant at {_SECANT:g} m⁻¹": exported_modulus(fabric)}
-    linear = equilibrium_near(plate, mesh, plate.rig, Fabric(fabric.alpha))
-    result: dict[str, Any] = {
-        "motion": [], LINEAR: (_difference(plate, linear.state.positions, mesh)
-                               if linear.status is Status.CONVERGED else None)}
-    positions = plate.positions
-    for model, modulus in moduli.items():
-        found = style3d.simulate(mesh, positions, density=fabric.density, modulus=modulus,
-                                 seconds=style3d_seconds)
-        positions = found.positions
-        result[f"Style3D, {model}"] = _difference(plate, found.positions, mesh)
-        result["motion"].append(found.motion)
-    return result
-
-
 def _difference(plate: Drape, positions: np.ndarray, mesh: Scene) -> list[float]:
     """Displacement, mm, and difference of mean curvature, %, of positions (V, 3), m."""
     return compare(plate, Shape.of(mesh, positions)).row
 
 
-def run(config: Config) -> Result:
+def run(keys: Keys) -> Report:
     """Run all fabrics."""
-    other = {key: config[key] for key in ("style3d_fabrics", "style3d_seconds")}
-    settings = {key: value for key, value in config.items() if key not in other}
-    report = {"ratio": ratio(), "fabrics": run_fabrics(case, settings)}
-    if not style3d.missing("rows of Style3D are"):
-        report["style3d"] = run_fabrics(
-            style3d_case, settings | {"fabrics": other.pop("style3d_fabrics")} | other,
-            subfolder="style3d")
-    return Result(report)
+    return {"ratio": RATIO, "fabrics": samples_of(fabric, keys, keys.fabrics, kind="fabric")}
 
 
 def _by_model(report: Report) -> dict[str, tuple[np.ndarray, int]]:
-    """Displacements and differences of curvature (F, 2), and number of fabrics, by model."""
+    """Displacements and differences of curvature (F, 2), and number of fabrics, by model; those of
+    the stored report in Newton's Style3D, too."""
     found = {}
     for fabrics in (report["fabrics"], report.get("style3d", {})):
         for model in next(iter(fabrics.values()), {}):
@@ -112,40 +75,17 @@ def _by_model(report: Report) -> dict[str, tuple[np.ndarray, int]]:
     return found
 
 
-def _median(report: Report, model: str) -> float:
-    values, _ = _by_model(report)[model]
-    return float(np.median(values[:, 0])) if len(values) else np.nan
-
-
-def summarise(report: Report) -> str:
-    """Summary in sentences."""
-    plain, equal = (_median(report, f"hinges along the edge, {model}")
-                    for model in ("α as estimated", "equivalent α"))
-    text = (f"Drapes with hinges, each with the modulus of its direction, lie {plain:.2f} mm "
-            f"(median) from those of the plate law with α as estimated and {equal:.2f} mm with the "
-            f"equivalent modulus ({report['ratio']:.3f} α, [exports](exports.md)); the plate law "
-            f"on another mesh lies {_median(report, OTHER_MESH):.2f} mm away. ")
-    if "style3d" not in report:
-        return text + ("Rows of Newton's Style3D are left out: it was not installed "
-                       f"(`{style3d.INSTALL}`).")
-    plain, equal, secant = (_median(report, model) for model in _by_model(report)
-                            if model.startswith("Style3D"))
-    motion = max(max(one["motion"]) for one in report["style3d"].values())
-    return text + (f"In Style3D, which has no β, drapes lie {plain:.2f} mm away with α as "
-                   f"estimated, {equal:.2f} mm with the equivalent modulus and {secant:.2f} mm "
-                   f"with the secant at {_SECANT:g} m⁻¹; without β the plate's drape itself moves "
-                   f"by {_median(report, LINEAR):.2f} mm. Style3D's drapes moved by at most "
-                   f"{motion:.2f} mm in the last quarter of the simulation.")
-
-
-def rows(report: Report) -> tuple[list[str], list[list[object]]]:
-    """Table of differences by model."""
-    return (["simulated with", "converged", "displacement, mm: median, largest",
-             "curvature, %: median"],
-            [[model, f"{len(values)} of {tried}",
-              f"{np.median(values[:, 0]):.2f}, {values[:, 0].max():.2f}" if len(values) else "–",
-              f"{np.median(values[:, 1]):.1f}" if len(values) else "–"]
-             for model, (values, tried) in _by_model(report).items()])
+def block(report: Report) -> str:
+    """Summary and table."""
+    text = (f"The equivalent modulus is {report['ratio']:.3f} α ([exports](exports.md)). Hinges "
+            "along the edge have the modulus of its direction.")
+    rows = [[model, f"{len(values)} of {tried}",
+             f"{np.median(values[:, 0]):.2f}, {values[:, 0].max():.2f}" if len(values) else "–",
+             f"{np.median(values[:, 1]):.1f}" if len(values) else "–"]
+            for model, (values, tried) in _by_model(report).items()]
+    head = ["simulated with", "converged", "displacement, mm: median, largest",
+            "curvature, %: median"]
+    return f"{text}\n\n{table(head, rows)}"
 
 
 def draw(report: Report) -> Figure:
@@ -164,14 +104,4 @@ def draw(report: Report) -> Figure:
     return figure
 
 
-SECTION = Section(
-    "Transfer to hinges", "002, Figure 24 and section 7.4",
-    "Does a fabric have the same drape in a simulator with hinges, such as ARCSim?",
-    summarise, rows, draw,
-    "finds at most 0.1 mm between three simulators that share one discrete law and mesh; not "
-    "comparable, because here two laws are compared.",
-    "Drapes are the equilibria nearest to the plate's, so that folds are the same; Style3D starts "
-    "there and integrates in time without friction and self-contact. The modulus is scaled as for "
-    "unstructured meshes. Style3D interpolates the modulus over directions differently, halves "
-    "the stiffness of the hinges at the rim and has a membrane of 200 N/m along the yarns and 77 "
-    "N/m in shear.")
+STUDY = Study(Keys, run, block, draw)

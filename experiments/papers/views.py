@@ -1,6 +1,6 @@
 """Error of estimates as a function of the number of views (002, Figure 19)."""
 
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -16,8 +16,8 @@ from experiments.drapes import (
     posterior_bound,
     spread,
 )
-from experiments.page import Section
-from experiments.result import Config, Report, Result, rms, run_fabrics
+from experiments.report import Report, rms, table
+from experiments.study import CaseKeys, Sample, Study, samples_of
 from sim.material import LINEAR, RATIO
 
 VIEWS = (1, 2, 3, 4, 6, 8)
@@ -25,10 +25,16 @@ _MAX_REFUSED = 5
 """Captures of a drape that may be refused; others take their place, and are counted."""
 
 
-def case(*, number: int, captures: int, edge_mm: float, seed: int) -> dict[str, Any]:
-    """Errors, posterior standard deviations and ranks (captures, 6) each, by number of views."""
-    from dataclasses import replace
+class Keys(CaseKeys):
+    fabrics: int = 60  # drawn from the prior, with all nuisances of specimens
+    captures: int = 2  # per fabric and number of views
+    edge_mm: float = 3.0  # mesh edge length at the rim
+    seed: int = 606
+    workers: int = 2
 
+
+def fabric(*, number: int, captures: int, edge_mm: float, seed: int) -> Sample:
+    """Errors, posterior standard deviations and ranks (captures, 6) each, by number of views."""
     plan = plan_specimen(number, seed=seed, nuisances="real")
     shape = drape_specimen(plan, edge=1e-3 * edge_mm)
     result = {}
@@ -51,9 +57,13 @@ def case(*, number: int, captures: int, edge_mm: float, seed: int) -> dict[str, 
     return result
 
 
-def run(config: Config) -> Result:
+def run(keys: Keys) -> Report:
     """Run all fabrics."""
-    found = run_fabrics(case, config)
+    return report_of(samples_of(fabric, keys, keys.fabrics, kind="fabric"))
+
+
+def report_of(found: dict[str, Sample]) -> Report:
+    """Errors, deviations and coverage by number of views."""
     report: Report = {"views": {}}
     rng = np.random.default_rng(0)
     for count in map(str, VIEWS):
@@ -70,30 +80,24 @@ def run(config: Config) -> Result:
             "beta_over_alpha": rms(error[..., RATIO]),
             "deviation": rms(deviation[..., LINEAR]),
             "inside": inside(rank)}
-    report["refused"] = {count: sum(one[count]["refused"] for one in found.values())
+    report["refused_captures"] = {count: sum(one[count]["refused"] for one in found.values())
                          for count in map(str, VIEWS)}
-    report["bound"] = posterior_bound()
-    return Result(report)
+    return report | {"bound": posterior_bound()}
 
 
-def summarise(report: Report) -> str:
-    """Summary in sentences."""
-    one, two, four, eight = (report["views"][count]["log_alpha"] for count in ("1", "2", "4", "8"))
-    return (f"The error of log α is {one:.3f} with one view, {two:.3f} with two, {four:.3f} with "
-            f"four and {eight:.3f} with eight views ({100 * (1 - eight / four):.0f} % less than "
-            "with four). In the same unit, the posterior bound of four views with a good sensor is "
-            f"{report['bound']:.3f} "
-            "([validation](validation.md#what-a-drape-determines)).")
-
-
-def rows(report: Report) -> tuple[list[str], list[list[object]]]:
-    """Table of errors and coverage by number of views."""
-    return (["views", "log α (95 %)", "β/α", "posterior deviation of log α", "truth inside 50 %",
-             "68 %", "90 %"],
-            [[count, f"{one['log_alpha']:.3f} ({one['interval_95'][0]:.3f} to "
-              f"{one['interval_95'][1]:.3f})", f"{one['beta_over_alpha']:.2f}",
-              f"{one['deviation']:.3f}", *(f"{share:.0%}" for share in one["inside"].values())]
-             for count, one in report["views"].items()])
+def block(report: Report) -> str:
+    """Summary and table."""
+    four, eight = (report["views"][count]["log_alpha"] for count in ("4", "8"))
+    text = (f"The error of log α of eight views is {100 * (1 - eight / four):.0f} % less than of "
+            "four. In the same unit, the posterior bound of four views with a good sensor is "
+            f"{report['bound']:.3f} ([validation](validation.md#what-a-drape-determines)).")
+    head = ["views", "log α (95 %)", "β/α", "posterior deviation of log α",
+            "truth inside 50, 68, 90 %"]
+    rows = [[count, "{:.3f} ({:.3f} to {:.3f})".format(one["log_alpha"], *one["interval_95"]),
+             f"{one['beta_over_alpha']:.2f}", f"{one['deviation']:.3f}",
+             ", ".join(f"{100 * share:.0f}" for share in one["inside"].values())]
+            for count, one in report["views"].items()]
+    return f"{text}\n\n{table(head, rows)}"
 
 
 def draw(report: Report) -> Figure:
@@ -112,12 +116,4 @@ def draw(report: Report) -> Figure:
     return figure
 
 
-SECTION = Section(
-    "Number of views", "002, Figure 19",
-    "How much does each additional view reduce the error, with realistic nuisances?",
-    summarise, rows, draw,
-    "chooses four views (Figure 19); the order of the errors is the same, but its losses are those "
-    "of another network on other data.",
-    "One network, trained with one to eight views, is used for all numbers. The fabrics are drawn "
-    "from the prior, without the stiffer and softer ones of training and `make evaluate`; errors "
-    "are therefore smaller than there.")
+STUDY = Study(Keys, run, block, draw)

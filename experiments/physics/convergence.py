@@ -13,7 +13,8 @@ from data.dataset.config import SamplingConfig
 from data.dataset.plan import plan_drape
 from data.fabrics.fabrics import fabric_from_theta
 from data.fabrics.prior import load_prior
-from experiments.result import Config, Result, run_cases
+from experiments.report import Report
+from experiments.study import CaseKeys, Sample, Study, samples_of
 from sim.draping import drape
 from sim.measures import drape_coefficient, fold_count, max_penetration, maximum_stretch
 
@@ -25,10 +26,16 @@ MIN_SHARE = 0.99  # of the drapes
 STARTS = ("sine", "fold")
 
 
-def one_drape(index: int, seed: int, edge_mm: float | None) -> dict:
-    """Simulate drape ``index`` of the plan."""
+class Keys(CaseKeys):
+    fabrics: int = 64  # drawn from the prior
+    seed: int = 0  # of fabrics and starts
+    edge_mm: float | None = None  # mesh edges at the plate's rim; null: those of the simulator
+
+
+def one_drape(number: int, seed: int, edge_mm: float | None) -> Sample:
+    """Simulate drape ``number`` of the plan."""
     config = SamplingConfig(seed=seed, starts=STARTS, starts_per_fabric=len(STARTS))
-    plan = plan_drape(index, config=config, prior=load_prior("gaussian"))
+    plan = plan_drape(number, config=config, prior=load_prior("gaussian"))
     fabric = fabric_from_theta(plan.theta)
     result = drape(fabric, edge=metres(edge_mm), start=plan.start, seed=plan.seed,
                    offset=tuple(plan.offset))
@@ -58,14 +65,14 @@ def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def reaches_criterion(run: dict) -> bool:
+def reaches_criterion(run: Sample) -> bool:
     """Whether a drape meets the convergence criterion, independent of its status."""
     return bool(run["positive_definite"]
                 and run["residual"] is not None and run["residual"] < MAX_RESIDUAL
                 and run["step_mm"] is not None and run["step_mm"] < MAX_STEP)
 
 
-def summarise(runs: list[dict]) -> dict:
+def summarise(runs: list[Sample]) -> Report:
     """Shares and worst cases over the drapes ``runs``."""
     reached = [run for run in runs if reaches_criterion(run)]
     accepted = [run for run in runs if run["status"] == "converged"]
@@ -86,20 +93,18 @@ def summarise(runs: list[dict]) -> dict:
     }
 
 
-def run(config: Config) -> Result:
+def run(keys: Keys) -> Report:
     """Simulate all drapes."""
-    settings = {key: config[key] for key in ("seed", "edge_mm")}
-    cases = {f"drape_{index:04d}": {"index": index, **settings}
-             for index in range(len(STARTS) * config["fabrics"])}
-    runs = list(run_cases(one_drape, cases, config).values())
+    runs = list(samples_of(one_drape, keys, len(STARTS) * keys.fabrics, kind="drape").values())
     summary = summarise(runs)
     passed = (
         summary["share_reached"] >= MIN_SHARE
         and summary["accepted_that_intersect_themselves"] == 0
         and summary["deepest_entry_of_accepted_mm"] <= MAX_PENETRATION
     )
-    return Result({
-        "criterion": {"residual": MAX_RESIDUAL, "step_mm": MAX_STEP, "entry_mm": MAX_PENETRATION,
-                      "share": MIN_SHARE},
-        "passed": passed, "all": summary, "drapes": runs,
-    })
+    return {"criterion": {"residual": MAX_RESIDUAL, "step_mm": MAX_STEP,
+                          "entry_mm": MAX_PENETRATION, "share": MIN_SHARE},
+            "passed": passed, "all": summary, "drapes": runs}
+
+
+STUDY = Study(Keys, run)

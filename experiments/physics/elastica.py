@@ -4,17 +4,19 @@ Clamped strips on four triangulations: deviation of drop over reach (H/W) from t
 solution.
 """
 
+
 import numpy as np
 
 from common.errors import InputError
-from experiments.physics.hinges import free_end
-from experiments.result import Config, Result, run_cases
+from experiments.report import Report
+from experiments.study import CaseKeys, Study, samples_of
 from sim.cantilever import aspect_ratio, elastica, fabric_of_gamma
 from sim.cantilever.strip import TIGHT
 from sim.equilibrium import find_equilibrium
 from sim.mesh import Mesh, strip
 from sim.scene import Scene
 from sim.solver.newton import Status
+from sim.solver.state import State
 from sim.start import interpolate_positions
 
 LENGTH, WIDTH = 0.09, 0.027  # m
@@ -32,9 +34,17 @@ MESHES = {
 }
 
 
-def make_strip(mesh: str, *, edge: float, width: float, clamp: float) -> tuple[Mesh, np.ndarray]:
-    """A strip of a kind in :data:`MESHES` and its clamped vertices; m, multiples of ``edge``."""
-    return strip(length=LENGTH, width=width, edge=edge, clamp=clamp, **MESHES[mesh])
+class Keys(CaseKeys):
+    gammas: tuple[float, ...] = (  # rho g L³/alpha of the strips
+        0.1, 0.231, 0.5337, 1.233, 2.848, 6.579, 15.2, 35.11, 81.11, 187.4, 432.9, 1000.0)
+    meshes: tuple[str, ...] = tuple(MESHES)  # triangulations
+
+
+def free_end(mesh: Mesh, state: State) -> np.ndarray:
+    """Mean (reach, drop) (2,), m, of the free end of a strip along +x."""
+    x = mesh.rest[:, 0]
+    end = state.positions[x > (1 - 1e-9) * x.max()].mean(axis=0)
+    return np.array([end[0], -end[2]])
 
 
 def cells_for(gamma: float) -> int:
@@ -42,9 +52,7 @@ def cells_for(gamma: float) -> int:
     return next(cells for limit, cells in TABLE_CELLS if gamma <= limit)
 
 
-def hang_series(
-    mesh: str, gammas: list[float], cells: list[int]
-) -> dict:
+def hang_series(mesh: str, gammas: list[float], cells: list[int]) -> Report:
     """Deviations of H/W from the elastica for all ``gammas`` on successively finer meshes.
 
     A strip starts from its shape on the next coarser mesh, on the coarsest mesh from the shape of
@@ -52,7 +60,8 @@ def hang_series(
     """
     rows, coarse = [], None
     for level in CELLS:
-        grid, held = make_strip(mesh, edge=LENGTH / level, width=WIDTH, clamp=CLAMP)
+        grid, held = strip(length=LENGTH, width=WIDTH, edge=LENGTH / level, clamp=CLAMP,
+                           **MESHES[mesh])
         flat = np.column_stack([grid.rest, np.zeros(len(grid.rest))])
         scene = Scene(mesh=grid, held=held)
         state, shapes = scene.state(flat), {}
@@ -69,37 +78,27 @@ def hang_series(
             shapes[gamma] = state.positions
             ratio = aspect_ratio(free_end(grid, state)) if found.converged else None
             expected = aspect_ratio(elastica(gamma)[-1])
-            rows.append({
-                "gamma": gamma,
-                "cells": level,
-                "status": found.status.value,
-                "aspect_ratio": ratio,
-                "deviation": ratio / expected - 1 if found.converged else None,
-            })
+            rows.append({"gamma": gamma, "cells": level, "status": found.status.value,
+                         "aspect_ratio": ratio,
+                         "deviation": ratio / expected - 1 if found.converged else None})
         coarse = grid.rest, shapes
     return {"rows": rows}
 
 
-def run(config: Config) -> Result:
+def run(keys: Keys) -> Report:
     """Simulate all strips."""
-    unknown = set(config["meshes"]) - set(MESHES)
-    if unknown:
+    if unknown := set(keys.meshes) - set(MESHES):
         raise InputError(f"unknown mesh '{unknown.pop()}'; choose from {', '.join(MESHES)}")
-    meshes, gammas = config["meshes"], sorted(config["gammas"])
+    gammas = sorted(keys.gammas)
     cells = [cells_for(gamma) for gamma in gammas]
-    hung = run_cases(hang_series, {
-        mesh: {"mesh": mesh, "gammas": gammas, "cells": cells}
-        for mesh in meshes}, config)
-    deviations = {mesh: [_at(hung[mesh]["rows"], gamma) for gamma in gammas] for mesh in meshes}
+    hung = samples_of(hang_series, keys, {
+        mesh: {"mesh": mesh, "gammas": gammas, "cells": cells} for mesh in keys.meshes})
+    deviations = {mesh: [_at(one["rows"], gamma) for gamma in gammas]
+                  for mesh, one in hung.items()}
     largest = _largest(deviations)
-    return Result({
-        "length_m": LENGTH, "width_m": WIDTH,
-        "cells_along": cells,
-        "passed": largest is not None and largest <= MAX_DEVIATION,
-        "largest_deviation": largest,
-        "deviations": deviations,
-        "strips": hung,
-    })
+    return {"length_m": LENGTH, "width_m": WIDTH, "cells_along": cells,
+            "passed": largest is not None and largest <= MAX_DEVIATION,
+            "largest_deviation": largest, "deviations": deviations, "strips": hung}
 
 
 def _at(rows: list[dict], gamma: float) -> float | None:
@@ -112,3 +111,6 @@ def _largest(by_mesh: dict[str, list]) -> float | None:
     """Largest absolute deviation, None without strips or if one did not converge."""
     values = [value for line in by_mesh.values() for value in line]
     return max(map(abs, values)) if values and None not in values else None
+
+
+STUDY = Study(Keys, run)

@@ -3,15 +3,15 @@
 The report is the table of ``drapenet/weights/hinges.json``, minutes of simulated strips.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from tqdm import tqdm
 
 from common.errors import InputError
 from common.types import VertexMask
 from drapenet.export.material import GAMMA, MAX_CELLS, MESHES, MIN_CELLS
-from experiments.result import Config, Result
+from experiments.physics.elastica import free_end
+from experiments.report import Report
+from experiments.study import PlainKeys, Study
 from sim.cantilever.elastica import aspect_ratio, elastica, gamma_of_aspect_ratio
 from sim.cantilever.strip import TIGHT, fabric_of_gamma
 from sim.cloth import Laws
@@ -19,32 +19,20 @@ from sim.equilibrium import find_equilibrium
 from sim.material import Fabric
 from sim.mesh import Mesh, strip
 from sim.scene import Scene
-from sim.solver.state import State
 
 LENGTH = 0.09  # m
 MAX_STRIPS = 12  # simulated for one equivalent modulus
 
 
-@dataclass(frozen=True)
-class EquivalentModulus:
-    """The hinge modulus equivalent to a physical one on a given mesh.
-
-    A strip of hinges with the physical modulus bends too far or too little, by an amount that
-    depends on its triangulation, its edge length and, weakly, on its deflection (table in
-    docs/validation.md). The equivalent modulus gives a strip the deflection of the physical one.
-    """
-
-    ratio: float  # hinge modulus over the physical alpha
-    mismatch: float  # relative error of the strip's stiffness
-    found: bool  # whether the mismatch is below the tolerance
-    message: str  # reason of a failure; else the number of strips simulated
-
-
-def equivalent_modulus(
+def equivalent_ratio(
     mesh: Mesh, held: VertexMask, *, gamma: float = 10.0, laws: Laws | None = None,
     tolerance: float = 1e-4,
-) -> EquivalentModulus:
-    """Hinge modulus with which a strip has the deflection of the heavy elastica of ``gamma``.
+) -> float:
+    """Hinge modulus over the physical one with which a strip has the deflection of the heavy
+    elastica of ``gamma``.
+
+    A strip of hinges with the physical modulus bends too far or too little, by an amount that
+    depends on its triangulation, its edge length and, weakly, on its deflection.
 
     Args:
         mesh, held: a strip along +x, clamped at x <= 0; see :func:`sim.mesh.strip`.
@@ -52,6 +40,9 @@ def equivalent_modulus(
             equals the reach, as for the cloth of a drape.
         laws: linear hinges by default.
         tolerance: relative, of the stiffness.
+
+    Raises:
+        InputError: no elastica has this gamma, a strip does not converge, or none matches.
     """
     laws = laws or Laws(bending="hinge_linear")
     elastica(gamma)  # raises for a gamma out of range
@@ -59,33 +50,21 @@ def equivalent_modulus(
     if not length > 0:
         raise InputError("the strip has no free length: its mesh must reach beyond x = 0")
     physical = fabric_of_gamma(gamma, length)
-    scene = Scene(mesh=mesh, held=held)
+    scene, ratio = Scene(mesh=mesh, held=held), 1.0
     state = scene.state(np.column_stack([mesh.rest, np.zeros(len(mesh.rest))]))
-    ratio, mismatch = 1.0, np.inf
-    for strips in range(1, MAX_STRIPS + 1):
+    for _ in range(MAX_STRIPS):
         fabric = Fabric(ratio * physical.alpha, density=physical.density)
-        equilibrium = find_equilibrium(scene, fabric, state, laws=laws, options=TIGHT)
-        state = equilibrium.state
-        if not equilibrium.converged:
-            return EquivalentModulus(ratio, mismatch, False, equilibrium.message)
+        found = find_equilibrium(scene, fabric, state, laws=laws, options=TIGHT)
+        if not found.converged:
+            raise InputError(f"no strip came to rest ({found.message})")
         # The gamma of a physical strip of this shape measures the stiffness, which is nearly
         # proportional to the modulus: a few corrections by its relative error suffice.
-        try:
-            apparent = gamma_of_aspect_ratio(aspect_ratio(free_end(mesh, state)))
-        except InputError as error:
-            return EquivalentModulus(ratio, mismatch, False, str(error))
-        mismatch = abs(apparent / gamma - 1)
-        if mismatch < tolerance:
-            return EquivalentModulus(ratio, mismatch, True, f"{strips} strips")
+        state = found.state
+        apparent = gamma_of_aspect_ratio(aspect_ratio(free_end(mesh, state)))
+        if abs(apparent / gamma - 1) < tolerance:
+            return ratio
         ratio *= apparent / gamma
-    return EquivalentModulus(ratio, mismatch, False, f"no match in {MAX_STRIPS} strips")
-
-
-def free_end(mesh: Mesh, state: State) -> np.ndarray:
-    """Mean (reach, drop) (2,), m, of the free end of a strip along +x."""
-    x = mesh.rest[:, 0]
-    end = state.positions[x > (1 - 1e-9) * x.max()].mean(axis=0)
-    return np.array([end[0], -end[2]])
+    raise InputError(f"no match in {MAX_STRIPS} strips")
 
 
 def simulated_ratio(mesh: str, cells: int, *, samples: int = 6) -> float:
@@ -93,17 +72,21 @@ def simulated_ratio(mesh: str, cells: int, *, samples: int = 6) -> float:
     diagonals, jitter = MESHES[mesh]
     edge, ratios = LENGTH / cells, []
     for seed in range(samples if jitter or diagonals == "random" else 1):
-        modulus = equivalent_modulus(*strip(
+        ratios.append(equivalent_ratio(*strip(
             length=LENGTH, width=round(cells / 2) * edge, edge=edge, clamp=2 * edge,
-            diagonals=diagonals, jitter=jitter, seed=seed), gamma=GAMMA)
-        if not modulus.found:
-            raise InputError(f"no strip on the mesh '{mesh}' came to rest ({modulus.message})")
-        ratios.append(modulus.ratio)
+            diagonals=diagonals, jitter=jitter, seed=seed), gamma=GAMMA))
     return float(np.mean(ratios))
 
 
-def run(config: Config) -> Result:
+class Keys(PlainKeys):
+    samples: int = 6  # strips of each irregular mesh, whose stiffness varies by 4 %
+
+
+def run(keys: Keys) -> Report:
     """Simulate the strips of all meshes."""
-    return Result({mesh: [
-        round(simulated_ratio(mesh, cells, samples=config["samples"]), 4)
-        for cells in tqdm(range(MIN_CELLS, MAX_CELLS + 1), desc=mesh)] for mesh in MESHES})
+    return {mesh: [round(simulated_ratio(mesh, cells, samples=keys.samples), 4)
+                   for cells in tqdm(range(MIN_CELLS, MAX_CELLS + 1), desc=mesh)]
+            for mesh in MESHES}
+
+
+STUDY = Study(Keys, run)

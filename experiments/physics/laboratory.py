@@ -5,16 +5,14 @@ assumed in proportion to B. Fabrics with measured stretch and shear are draped w
 membrane and with theirs. Nothing is fitted.
 """
 
-import csv
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.stats import spearmanr
 
-from common.errors import InputError
 from common.types import Density, Moduli
-from experiments.result import Config, Result, run_cases
+from experiments.report import Report, read_rows, rms, table
+from experiments.study import CaseKeys, Sample, Study, samples_of
 from sim.cloth import Laws
 from sim.draping import drape
 from sim.energies.bending_variants import Hysteresis
@@ -23,17 +21,18 @@ from sim.material import KES_CURVATURE, MICRO, REFERENCE_DENSITY, Fabric
 from sim.measures import drape_coefficient, fold_count
 from sim.rig import Rig
 
+FABRICS = "experiments/physics/laboratory.csv"  # KES bending and drape of real fabrics
 _POISSON = 0.3
 """Poisson's ratio of the measured membranes, which KES does not give."""
 
 
-def read_fabrics(path: Path) -> list[dict[str, str]]:
-    """Rows of a CSV file by column; lines that begin with # are comments."""
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror}); give fabrics=FILE") from None
-    return list(csv.DictReader(line for line in lines if not line.startswith("#")))
+class Keys(CaseKeys):
+    fabrics: str = FABRICS
+    testers: tuple[str, ...] = (  # where the paper's tester is not known to us; else the second
+        "disc254_support127", "disc300_support180")
+    hb_over_b: float = 21.5  # 1/m, of fabrics without measured hysteresis: median of the others
+    bias: float = 0.88  # modulus along the bias over the mean of the yarns': published median
+    seeds: int = 6  # lowered drapes of each fabric
 
 
 def bending(row: dict[str, str], *, hb_over_b: float, bias: float) -> tuple[list, list]:
@@ -71,7 +70,7 @@ def kes_fabric(
 def drape_case(
     *, weight: float, b: list[float], two_hb: list[float], tester: str,
     membrane: dict[str, float] | None, seeds: int
-) -> dict[str, Any]:
+) -> Sample:
     """Drape coefficients, %, and nodes of lowered drapes on the default mesh."""
     fabric, law = kes_fabric(MICRO * np.array(b), 1e-3 * np.array(two_hb), 1e-3 * weight)
     plane: Membrane = Laws().membrane
@@ -88,24 +87,23 @@ def drape_case(
     return {"coefficients": coefficients, "nodes": nodes, "failed": failed}
 
 
-def run(config: Config) -> Result:
+def run(keys: Keys) -> Report:
     """Drape all fabrics and compare with the laboratories."""
-    rows = {row["id"]: row for row in read_fabrics(Path(config["fabrics"]))}
+    rows = {row["id"]: row for row in read_rows(keys.fabrics)}
     cases = {}
     for name, row in rows.items():
-        b, two_hb = bending(row, hb_over_b=config["hb_over_b"], bias=config["bias"])
+        b, two_hb = bending(row, hb_over_b=keys.hb_over_b, bias=keys.bias)
         known = measured_membrane(row)
-        for tester in config["testers"] if known is None else config["testers"][-1:]:
+        for tester in keys.testers if known is None else keys.testers[-1:]:
             for membrane in (None, known) if known else (None,):
                 label = f"{name}_{tester}" + "_membrane" * bool(membrane)
                 cases[label] = {"weight": float(row["weight_g_m2"]), "b": b, "two_hb": two_hb,
-                                "tester": tester, "membrane": membrane, "seeds": config["seeds"]}
-    results = run_cases(drape_case, cases, config)
+                                "tester": tester, "membrane": membrane}
+    results = samples_of(drape_case, keys, cases)
     found = [_compared(rows[label.split("_")[0]], cases[label], result) | {"case": label}
              for label, result in results.items()]
-    summary = {tester: _summary(found, tester, config["testers"][-1])
-               for tester in config["testers"]}
-    return Result({"fabrics": found, "summary": summary})
+    return {"fabrics": found, "summary": {tester: _summary(found, tester, keys.testers[-1])
+                                          for tester in keys.testers}}
 
 
 def _compared(row: dict[str, str], case: dict, result: dict) -> dict[str, Any]:
@@ -128,11 +126,27 @@ def _summary(found: list[dict], tester: str, known: str) -> dict[str, float]:
     own = [one for one in chosen if one["hysteresis"] == "measured"]
 
     def off(rows: list[dict]) -> float:
-        return float(np.sqrt(np.mean([(r["coefficient"] - r["measured"]) ** 2 for r in rows])))
+        return rms([row["coefficient"] - row["measured"] for row in rows])
 
     return {"fabrics": len(chosen), "with_hysteresis": len(own), "rms_hysteresis": off(own),
             "rms": off(chosen),
             "rank": float(spearmanr([one["measured"] for one in chosen],
                                     [one["coefficient"] for one in chosen]).statistic),
-            "nodes": float(np.sqrt(np.mean([(one["nodes"] - one["nodes_measured"]) ** 2
-                                            for one in own])))}
+            "nodes": rms([one["nodes"] - one["nodes_measured"] for one in own])}
+
+
+def block(report: Report) -> str:
+    """Drape coefficients of laboratory fabrics, measured and simulated with the default
+    membrane."""
+    testers = list(dict.fromkeys(one["tester"] for one in report["fabrics"]))
+    rows: dict[str, list[str]] = {}
+    for one in report["fabrics"]:
+        if one["membrane"] == "default":
+            row = rows.setdefault(one["fabric"], [
+                one["fabric"], f"{one['measured']:.0f}", *["–"] * len(testers)])
+            row[2 + testers.index(one["tester"])] = f"{one['coefficient']:.0f}"
+    return table(["drape coefficient, %", "measured",
+                  *(name.replace("_", " ") for name in testers)], rows.values())
+
+
+STUDY = Study(Keys, run, block)

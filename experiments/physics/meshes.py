@@ -12,7 +12,8 @@ import numpy as np
 
 from common.errors import InputError
 from experiments.comparison import Shape, compare, equilibrium_near, same_folds
-from experiments.result import Config, Result, run_cases
+from experiments.report import Report
+from experiments.study import CaseKeys, Sample, Study, folder_of, samples_of
 from sim.draping import drape
 from sim.material import MICRO, Fabric
 from sim.measures import fold_outline
@@ -36,13 +37,21 @@ MESHES = ("graded", "other", "uniform")
 MAX_DISPLACEMENT = 0.7  # mm, mean displacement between drapes with the same folds
 
 
-def common_start(fabric: str, edge_mm: float, seed: int) -> dict:
+class Keys(CaseKeys):
+    fabrics: tuple[str, ...] = tuple(FABRICS)
+    edge_mm: float = 1.0  # mesh edges at the rim
+    start_mm: float = 1.0  # mesh edges of the common start, on another triangulation
+    seed: int = 0  # of the meshes; that of the common start is larger by 2
+
+
+def common_start(fabric: str, start_mm: float, seed: int) -> Sample:
     """Drape a fabric as the common start of its cases."""
-    made = drape(_fabric(fabric), edge=1e-3 * edge_mm, seed=seed, start="sine")
+    # On another triangulation, because on that of the cases the start is already the equilibrium.
+    made = drape(_fabric(fabric), edge=1e-3 * start_mm, seed=seed + 2, start="sine")
     return _results(made.mesh, made.positions, made.status)
 
 
-def drape_near(fabric: str, mesh: str, edge_mm: float, seed: int, begin: str) -> dict:
+def drape_near(fabric: str, mesh: str, edge_mm: float, seed: int, begin: str) -> Sample:
     """Find the equilibrium on a mesh, started from the drape in the npz file ``begin``."""
     near = Shape.load(Path(begin).parent, Path(begin).stem)
     specimen = specimen_on(mesh, 1e-3 * edge_mm, seed)
@@ -66,12 +75,12 @@ def _fabric(name: str) -> Fabric:
     return Fabric(moduli, BETA_OVER_ALPHA_MM * 1e-3 * moduli)
 
 
-def _results(mesh: Mesh, positions: np.ndarray, status: Status) -> dict:
+def _results(mesh: Mesh, positions: np.ndarray, status: Status) -> Sample:
     return {"status": status.value, "triangles": len(mesh.faces),
             "arrays": {"rest": mesh.rest, "positions": positions, "faces": mesh.faces}}
 
 
-def difference(folder: Path, results: dict[str, dict], one: str, two: str) -> dict:
+def difference(folder: Path, results: dict[str, Sample], one: str, two: str) -> Report:
     """Difference between two drapes of a fabric."""
     shapes = [Shape.load(folder, name) for name in (one, two)]
     outlines = (fold_outline(shape.positions, shape.rest, Rig()) for shape in shapes)
@@ -82,23 +91,22 @@ def difference(folder: Path, results: dict[str, dict], one: str, two: str) -> di
                              for name in (one, two))}
 
 
-def run(config: Config) -> Result:
+def run(keys: Keys) -> Report:
     """Simulate and compare all drapes."""
-    folder, fabrics = Path(config["cases"]), config["fabrics"]
+    folder, fabrics = folder_of(keys), keys.fabrics
     if unknown := set(fabrics) - set(FABRICS):
         raise InputError(f"unknown fabric '{min(unknown)}'; choose from {', '.join(FABRICS)}")
-    # On another triangulation, because on that of the cases the start is already the equilibrium.
-    run_cases(common_start, {f"{fabric}_start": {
-        "fabric": fabric, "edge_mm": config["start_mm"], "seed": config["seed"] + 2}
-        for fabric in fabrics}, config)
-    results = run_cases(drape_near, {f"{fabric}_{mesh}": {
-        "fabric": fabric, "mesh": mesh, "edge_mm": config["edge_mm"], "seed": config["seed"],
-        "begin": str(folder / f"{fabric}_start")} for fabric in fabrics for mesh in MESHES}, config)
+    samples_of(common_start, keys, {f"{fabric}_start": {"fabric": fabric} for fabric in fabrics})
+    results = samples_of(drape_near, keys, {f"{fabric}_{mesh}": {
+        "fabric": fabric, "mesh": mesh, "begin": str(folder / f"{fabric}_start")}
+        for fabric in fabrics for mesh in MESHES})
     rows = [difference(folder, results, *(f"{fabric}_{mesh}" for mesh in pair))
             for fabric in fabrics for pair in combinations(MESHES, 2)]
     same = [row["mean_mm"] for row in rows if row["same_folds"] and row["converged"]]
     largest = max(same, default=None)
-    return Result({
-        "limit_mm": MAX_DISPLACEMENT, "pairs": len(rows), "same_folds": len(same),
-        "mean_mm": float(np.mean(same)) if same else None, "largest_mean_mm": largest,
-        "passed": largest is not None and largest < MAX_DISPLACEMENT, "meshes": rows})
+    return {"limit_mm": MAX_DISPLACEMENT, "pairs": len(rows), "same_folds": len(same),
+            "mean_mm": float(np.mean(same)) if same else None, "largest_mean_mm": largest,
+            "passed": largest is not None and largest < MAX_DISPLACEMENT, "meshes": rows}
+
+
+STUDY = Study(Keys, run)

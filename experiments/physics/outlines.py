@@ -15,25 +15,26 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import least_squares
 
+from common.cases import load_arrays
 from common.documents import read_arrays
 from common.errors import InputError
-from experiments.drapes import LEARNED
-from experiments.result import Config, Result, load_arrays, run_cases
-from experiments.shadows import (
-    draw_outline,
-    features,
-    isotropic_fabric,
-    radii_of,
-    shadows,
-    specimen,
-)
+from common.types import Metres, Outline
+from data.fabrics.fabrics import fabric_from_theta
+from experiments.drapes import LEARNED, plan_specimen
+from experiments.report import Report, rms, table
+from experiments.study import CaseKeys, Sample, Study, folder_of, samples_of
 from sim.cloth import Laws
-from sim.draping import drape
+from sim.draping import Drape, drape
 from sim.energies.bending_variants import Hysteresis
+from sim.material import MICRO, Fabric
+from sim.measures import shadow_radius
+from sim.outlines import coefficient_of_area, folds_around
 from sim.rig import DISC_RIG
 
 BANDS = ((0.4, 0.6), (0.6, 0.8), (0.8, 1.0))
@@ -45,18 +46,38 @@ READINGS = ("parallel", "camera")
 SPECIMENS = "specimens"
 AS_LEARNED = (*LEARNED, "dataset.starts_per_fabric=1", "dataset.testers_per_fabric=1",
               "dataset.both_faces=false")
+OUTLINES = "../shared/outlines.npz"
+"""Real Cusick drapes: fabric, sample, face_up (N,), outline (N, K, 2) m."""
+POINTS = 360  # azimuths of an outline
+SIGMA = 2.0  # of the smoothing before folds are counted, azimuths
+HARMONICS = np.arange(2, 17)
 VARIED: dict[str, tuple[str, ...]] = {SPECIMENS: (), "fabrics": (), "learned": AS_LEARNED}
 """Starts of specimens with nuisances, and how their fabrics are drawn."""
 _FACES = {True: "up", False: "down"}
 
 
+class Keys(CaseKeys):
+    outlines: str = OUTLINES
+    alphas: tuple[float, ...] = (  # µN·m at 300 g/m², isotropic
+        3.0, 5.0, 8.0, 12.0, 18.0, 27.0, 40.0, 60.0, 90.0, 130.0)
+    curls: tuple[float, ...] = (  # natural curvature along both yarns, 1/m
+        -24.0, -12.0, -6.0, 0.0, 6.0, 12.0, 24.0)
+    ratio_mm: float = -2.5  # beta/alpha: the median of the published fabrics
+    hysteresis: float = 0.17  # share of the torque: HB/B of 20 1/m
+    edge_mm: float = 4.0  # edges of the mesh at the plate's rim
+    seeds: int = 4  # lowered drapes of each fabric and natural curvature
+    specimens: int = 24  # specimens of datasets with each mean alpha
+    camera_mm: float = 700.0  # height of the camera in the second reading of the pictures
+
+
 def drape_case(
     *, alpha: float, curl: float, ratio_mm: float, hysteresis: float, edge_mm: float, seeds: int,
     start: str, camera_mm: float
-) -> dict[str, Any]:
+) -> Sample:
     """Outlines (seeds, POINTS), m, of drapes of a fabric in both readings of the pictures;
     ``start`` in :data:`VARIED`: lowered, of specimens with nuisances."""
-    edge, fabric = 1e-3 * edge_mm, isotropic_fabric(alpha, ratio_mm)
+    edge, alphas = 1e-3 * edge_mm, np.full(3, alpha * MICRO)
+    fabric = Fabric(alphas, 1e-3 * ratio_mm * alphas)
     if start in VARIED:
         known = fabric if start == SPECIMENS else None
         shapes = [specimen(alpha, known, seed, edge, words=VARIED[start]) for seed in range(seeds)]
@@ -64,7 +85,42 @@ def drape_case(
         laws = Laws(bending=Hysteresis(hysteresis, curvature=(curl, curl, 0.0)))
         shapes = [drape(fabric, rig=DISC_RIG, edge=edge, start=start, seed=seed, laws=laws)
                   for seed in range(seeds)]
-    return shadows(shapes, dict(zip(READINGS, (np.inf, 1e-3 * camera_mm), strict=True)))
+    done = [shape for shape in shapes if shape.converged]
+    radii = {name: [shadow_radius(shape.positions, shape.mesh, height=height, points=POINTS)
+                    for shape in done]
+             for name, height in zip(READINGS, (np.inf, 1e-3 * camera_mm), strict=True)}
+    return {"failed": len(shapes) - len(done),
+            "arrays": {name: np.reshape(each, (-1, POINTS)) for name, each in radii.items()}}
+
+
+def specimen(
+    alpha: float, fabric: Fabric | None, seed: int, edge: Metres, *, words: Sequence[str]
+) -> Drape:
+    """A lowered drape, off-centre and with the nuisances of datasets, of a specimen of ``fabric``;
+    None: of one of the prior, drawn with the overrides ``words`` of a dataset's config and scaled
+    to the geometric mean ``alpha``, µN·m."""
+    plan = plan_specimen(seed, *words, seed=0, nuisances="real", rig=DISC_RIG)
+    theta = plan.theta.copy()
+    theta[:3] += np.log(alpha * MICRO) - theta[:3].mean()
+    return drape(fabric or fabric_from_theta(theta), rig=plan.nuisances.rig(DISC_RIG), edge=edge,
+                 seed=seed, offset=tuple(plan.offset), laws=plan.nuisances.laws)
+
+
+def features(radii: np.ndarray) -> np.ndarray:
+    """(N, 3 + H) drape coefficient, folds, standard deviation (mm), and amplitudes (mm) of
+    :data:`HARMONICS`, of outlines (N, POINTS) m."""
+    coefficient = coefficient_of_area(np.pi * (radii**2).mean(axis=1), DISC_RIG)
+    folds = [len(folds_around(radius, SIGMA)) for radius in radii]
+    amplitudes = 2 * np.abs(np.fft.rfft(radii, axis=1))[:, HARMONICS] / POINTS
+    return np.column_stack([coefficient, folds, 1e3 * radii.std(axis=1), 1e3 * amplitudes])
+
+
+def radii_of(curve: Outline) -> np.ndarray:
+    """Radii (POINTS,), m, of an outline at equally spaced azimuths."""
+    azimuth = np.arctan2(curve[:, 1], curve[:, 0])
+    order = azimuth.argsort()
+    return np.interp(2 * np.pi * np.arange(POINTS) / POINTS, azimuth[order],
+                     np.linalg.norm(curve, axis=1)[order], period=2 * np.pi)
 
 
 def read_outlines(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -173,7 +229,7 @@ def means(rows: list[dict[str, Any]]) -> dict[str, Any]:
     real, found = (np.array([row[name] for row in inside]) for name in ("real", "simulated"))
     return number | {
         "folds_real": float(real[:, 1].mean()), "folds": float(found[:, 1].mean()),
-        "folds_rms": float(np.sqrt(((found - real)[:, 1] ** 2).mean())),
+        "folds_rms": rms((found - real)[:, 1]),
         "deviation_real_mm": float(real[:, 2].mean()),
         "deviation_mm": float(found[:, 2].mean()),
         "harmonics_real_mm": {str(k): float(real[:, 1 + k].mean()) for k in (2, 4)},
@@ -182,47 +238,39 @@ def means(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "coefficient_off": float(np.abs((found - real)[:, 0]).mean())}
 
 
-def run(config: Config) -> Result:
+def run(keys: Keys) -> Report:
     """Simulate the grid of fabrics, fit and compare."""
-    fabrics, up, radii = read_outlines(Path(config["outlines"]))
-    real = features(radii)
-    settings = {key: config[key] for key in ("ratio_mm", "hysteresis", "edge_mm", "seeds",
-                                             "camera_mm")}
-    alphas, curls = config["alphas"], config["curls"]
-    cases = {f"{start}_{alpha:g}_{curl:g}": settings | {"alpha": alpha, "curl": curl,
-                                                        "start": start}
-             for start, each in (("lowered", curls), ("ring", [0.0]),
-                                *((name, [0.0]) for name in VARIED))
-             for alpha in alphas for curl in each}
-    for name in cases:
-        if cases[name]["start"] in VARIED:
-            cases[name] |= {"seeds": config["specimens"]}
-    folder = Path(config["cases"])
-    results = run_cases(drape_case, cases, config, folder=folder)
+    fabrics, up, radii = read_outlines(Path(keys.outlines))
+    real, curls = features(radii), {"lowered": keys.curls}
+    cases = {f"{start}_{alpha:g}_{curl:g}": {
+        "alpha": alpha, "curl": curl, "start": start,
+        "seeds": keys.specimens if start in VARIED else keys.seeds}
+        for start in ("lowered", "ring", *VARIED) for alpha in keys.alphas
+        for curl in curls.get(start, [0.0])}
+    results, folder = samples_of(drape_case, keys, cases), folder_of(keys)
     if empty := [name for name in cases if results[name]["failed"] == cases[name]["seeds"]]:
         raise InputError(f"no drape converged of {', '.join(empty)} (start, alpha, natural "
                          "curvature); choose other alphas= or curls=")
     means = {(name, reading): features(load_arrays(folder, name)[reading]).mean(axis=0)
              for name in cases for reading in READINGS}
-    report: dict[str, Any] = {"failed": sum(result["failed"] for result in results.values())}
+    report: Report = {"failed": sum(result["failed"] for result in results.values())}
     for reading in READINGS:
-        lowered = Simulated(alphas, curls, np.array(
-            [[means[f"lowered_{a:g}_{c:g}", reading] for c in curls] for a in alphas]))
-        others = {start: Simulated(alphas, [-1e3, 1e3], np.array(
-            [[means[f"{start}_{a:g}_0", reading]] * 2 for a in alphas]))
+        lowered = Simulated(keys.alphas, keys.curls, np.array(
+            [[means[f"lowered_{a:g}_{c:g}", reading] for c in keys.curls] for a in keys.alphas]))
+        others = {start: Simulated(keys.alphas, [-1e3, 1e3], np.array(
+            [[means[f"{start}_{a:g}_0", reading]] * 2 for a in keys.alphas]))
             for start in ("ring", *VARIED)}
-        report[reading] = {name: compare(fabrics, up, real, by, curled=curled)
-                           for name, by, curled in (("flat", lowered, False),
-                                                    ("curled", lowered, True),
-                                                    *((start, by, False)
-                                                      for start, by in others.items()))}
+        report[reading] = {"flat": compare(fabrics, up, real, lowered, curled=False),
+                           "curled": compare(fabrics, up, real, lowered, curled=True),
+                           **{start: compare(fabrics, up, real, by, curled=False)
+                              for start, by in others.items()}}
     report["summary"] = {
         reading: {name: summarise(rows) for name, rows in report[reading].items()}
         for reading in READINGS}
-    straight = min(curls, key=abs)
+    straight = min(keys.curls, key=abs)
     drapes = {alpha: load_arrays(folder, f"lowered_{alpha:g}_{straight:g}")["parallel"]
-              for alpha in alphas}
-    return Result(report, _figure(fabrics, up, radii, report["parallel"]["flat"], drapes))
+              for alpha in keys.alphas}
+    return report | {"figure": _figure(fabrics, up, radii, report["parallel"]["flat"], drapes)}
 
 
 def _figure(
@@ -248,7 +296,49 @@ def _figure(
         for k, axes in enumerate(column):
             if k < len(outlines):
                 draw_outline(axes, outlines[k], *((f"fabric {fabric}", "black") if k < 2 else
-                                           (f"{near:g} µN·m", "tab:blue")))
+                                                  (f"{near:g} µN·m", "tab:blue")))
             else:  # only one drape has converged
                 axes.set_axis_off()
     return figure
+
+
+def draw_outline(axes: Axes, radius: np.ndarray, name: str, color: str) -> None:
+    """An outline (POINTS,), m, its drape coefficient, its folds and the plate."""
+    azimuths = 2 * np.pi * np.arange(POINTS) / POINTS
+    coefficient, folds = features(radius[None])[0, :2]
+    axes.fill(radius * np.cos(azimuths), radius * np.sin(azimuths), color=color)
+    axes.add_patch(Circle((0, 0), DISC_RIG.plate_radius, fill=False, color="white", lw=0.8))
+    reach = (-DISC_RIG.reach, DISC_RIG.reach)
+    axes.set(xlim=reach, ylim=reach, xticks=[], yticks=[], aspect="equal")
+    axes.set_title(f"{name}\n{100 * coefficient:.0f} %, {folds:.0f} folds", fontsize=7)
+
+
+def block(report: Report) -> str:
+    """Folds, radii and spectra of real and simulated outlines at equal drape coefficient, read as
+    seen under parallel light."""
+    starts = {"flat": "lowered", "curled": "lowered, natural curvature from both faces",
+              "specimens": "lowered, nuisances of specimens",
+              "fabrics": "lowered, fabrics of the prior with nuisances",
+              "learned": "lowered, fabrics that the network learns from", "ring": "ring"}
+    summary = report["summary"]["parallel"]
+    flat = summary["flat"]
+    bands = [band for band, found in flat["bands"].items() if found["faces"]]
+
+    def row(label: str, found: Report, kind: str = "") -> list[str]:
+        apart = [found["folds_rms"], found["spectrum"]] if not kind else []
+        folds, deviation = found[f"folds{kind}"], found[f"deviation{kind}_mm"]
+        return [label, f"{folds:.2f}", f"{deviation:.1f}",
+                *([f"{one:.2f}" for one in apart] or ["–", "–"]),
+                *("{:.1f}; {:.1f}, {:.1f}".format(
+                    found["bands"][band][f"folds{kind}"],
+                    *(found["bands"][band][f"harmonics{kind}_mm"][k] for k in ("2", "4")))
+                  for band in bands)]
+
+    return table(["outlines", "folds", "deviation of the radius, mm", "rms difference of folds",
+                  "of spectra, deviations",
+                  *(f"coefficient {band}: folds; harmonics 2, 4, mm" for band in bands)],
+                 [row("real", flat, "_real"),
+                  *(row(label, summary[name]) for name, label in starts.items())])
+
+
+STUDY = Study(Keys, run, block)

@@ -10,7 +10,8 @@ import sys
 import tempfile
 from pathlib import Path
 
-from experiments.result import ROOT, Config, Result
+from experiments.report import ROOT, Report
+from experiments.study import PlainKeys, Study
 
 EXAMPLES = ROOT / "examples" / "captures"
 COMMANDS = {
@@ -25,6 +26,10 @@ ENVIRONMENT = {name: value for name, value in os.environ.items()
                if name != "PYTHONDONTWRITEBYTECODE"}  # else each run may compile all sources
 
 
+class Keys(PlainKeys):
+    runs: int = 3  # of each command, beside a first one
+
+
 def measured(words: list[str]) -> dict[str, float]:
     """CPU time, s, and largest resident memory, MB, of an estimate."""
     with tempfile.TemporaryDirectory() as folder:
@@ -37,11 +42,14 @@ def measured(words: list[str]) -> dict[str, float]:
     return {"cpu_seconds": usage.ru_utime + usage.ru_stime, "memory_mb": usage.ru_maxrss / 1024}
 
 
-def run(config: Config) -> Result:
+def run(keys: Keys) -> Report:
     """Time all commands."""
     found = {}
     for name, words in COMMANDS.items():
         measured(words)
-        runs = [measured(words) for _ in range(config["runs"])]
+        runs = [measured(words) for _ in range(keys.runs)]
         found[name] = {key: round(min(one[key] for one in runs), 2) for key in runs[0]}
-    return Result({"targets_cpu_seconds": TARGETS, "commands": found})
+    return {"targets_cpu_seconds": TARGETS, "commands": found}
+
+
+STUDY = Study(Keys, run)

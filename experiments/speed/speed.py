@@ -16,11 +16,20 @@ import numpy as np
 
 from common.configs import metres
 from experiments.drapes import prior_fabric
-from experiments.result import Config, Result
+from experiments.report import Report
+from experiments.study import PlainKeys, Study
 from sim.draping import drape
 from sim.material import MICRO, Fabric
 from sim.rig import Rig
 from sim.solver.linear import available_solvers
+
+
+class Keys(PlainKeys):
+    drapes: int = 32  # fabrics
+    seed: int = 77  # of the fabrics
+    testers: tuple[str, ...] = ("disc300_support180", "square300_cylinder100")
+    edges_mm: tuple[float | None, ...] = (  # at the plate's rim, of training data; null: default
+        5.0, None)
 
 
 def time_drape(fabric: Fabric, *, rig: Rig, edge_mm: float | None, seed: int) -> dict:
@@ -56,17 +65,20 @@ def time_drapes(fabrics: list[Fabric], rig: Rig, edge_mm: float | None) -> dict:
     }
 
 
-def run(config: Config) -> Result:
+def run(keys: Keys) -> Report:
     """Time all drapes."""
-    fabrics = [prior_fabric(k, config["seed"]) for k in range(config["drapes"])]
-    rigs = [Rig.from_name(name) for name in config["testers"]]
+    fabrics = [prior_fabric(k, keys.seed) for k in range(keys.drapes)]
+    rigs = [Rig.from_name(name) for name in keys.testers]
     report = {"dtype": "float64", "linear_solver": available_solvers()[0].__name__, "threads": 1}
     for rig in rigs:
         drape(fabrics[0], rig=rig, edge=4e-3)  # compiles or loads the kernels of all meshes
-        for edge_mm in config["edges_mm"]:
+        for edge_mm in keys.edges_mm:
             print(f"{rig.name}, edges of {edge_mm or 'the default number of'} mm", flush=True)
             name = f"{rig.name}_{f'{edge_mm:g}mm' if edge_mm else 'default'}"
             report[name] = time_drapes(fabrics, rig, edge_mm)
     report["peak_memory_GiB"] = round(
         resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024**2, 2)
-    return Result(report)
+    return report
+
+
+STUDY = Study(Keys, run)

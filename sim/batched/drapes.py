@@ -32,8 +32,8 @@ from sim.solver.state import State
 from sim.start import LOWERED, interpolate_positions
 
 SLOTS = 256
-"""Most drapes at once, the batch that was measured (``tools/gpu_drapes.py``): with more of them a
-step takes longer, with fewer hardly less, as it takes 12 ms or more for its launches."""
+"""Most drapes at once, the batch that was measured (docs/validation/gpu_drapes.json): with more
+of them a step takes longer, with fewer hardly less, as it takes 12 ms or more for its launches."""
 UNKNOWNS = 2_900_000
 """Most unknowns of drapes at once, which have fewer than 65 536 fronts on a level, a limit of some
 libraries: 580 drapes of a mesh of 5 000."""

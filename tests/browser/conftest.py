@@ -1,11 +1,12 @@
 """The service and the browser that the tests of the page share: both take long to start."""
 
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import pytest
 from browsing import SECONDS
-
-from experiments.speed.service import Service
+from serving import Service
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 DRAWING = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
@@ -31,9 +32,10 @@ def browser():
         browser.close()
 
 
-@pytest.fixture
-def page(browser, service):
-    page = browser.new_page(viewport={"width": 1280, "height": 900})
+@contextmanager
+def opened(browser, service, **options) -> Iterator:
+    """The start page, whose scripts have no errors until the end."""
+    page = browser.new_page(**options)
     page.set_default_timeout(SECONDS)
     page.problems = []
     page.on("pageerror", lambda error: page.problems.append(str(error)))
@@ -43,3 +45,26 @@ def page(browser, service):
     yield page
     assert page.problems == []  # neither errors of the scripts nor requests to other hosts
     page.close()
+
+
+@pytest.fixture
+def page(browser, service):
+    with opened(browser, service, viewport={"width": 1280, "height": 900}) as page:
+        yield page
+
+
+@pytest.fixture(params=[390, 1280])
+def tester(request, browser, service):
+    """The page at a tester: on a phone, with a camera, or on a wide screen; with a mat stated."""
+    phone = {"is_mobile": True, "has_touch": True, "device_scale_factor": 2}
+    with opened(browser, service, viewport={"width": request.param, "height": 844},
+                **phone if request.param < 1000 else {}) as page:
+        page.evaluate("document.getElementById('camera').open = true")
+        page.select_option("#tester", "disc300_support180")
+        page.check("[name=kind][value=above]")
+        page.select_option("[name=mat]", "a2")
+        page.fill("[name=plate_height_mm]", "91.2")
+        page.fill("#density", "210")
+        page.press("#density", "Tab")
+        page.evaluate("document.getElementById('camera').open = false")
+        yield page

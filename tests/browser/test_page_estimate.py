@@ -10,9 +10,8 @@ import cv2
 import numpy as np
 import pytest
 from browsing import FILES, IN_BROWSER, fits, keep, saved
+from serving import post, wait_until_ended
 from workbooks import cells
-
-from experiments.speed.service import post, wait_until_ended
 
 pytestmark = IN_BROWSER
 

@@ -3,8 +3,7 @@
 import time
 
 from browsing import FILES, IN_BROWSER, fits, keep
-
-from experiments.speed.service import post, wait_until_ended
+from serving import post, wait_until_ended
 
 pytestmark = IN_BROWSER
 

@@ -5,11 +5,10 @@ import re
 import time
 
 import pytest
-from browsing import FILES, IN_BROWSER, SECONDS, fits, keep
+from browsing import FILES, IN_BROWSER, fits, keep
 from photographs import AROUND, drawn, over_mat, plate
 from PIL import Image
-
-from experiments.speed.service import EXAMPLE
+from serving import EXAMPLE
 
 pytestmark = IN_BROWSER
 ORIENTATION = 0x0112  # tag of EXIF
@@ -74,29 +73,6 @@ def test_the_plate_is_moved_in_the_photograph_before_its_estimate(page, tmp_path
     page.set_input_files("#files", FILES)
     page.wait_for_selector("#seen", state="hidden")
     assert page.input_value("[name=plate_x]") == ""
-
-
-@pytest.fixture(params=[390, 1280])
-def tester(request, browser, service):
-    """The page at a tester: on a phone, with a camera, or on a wide screen; with a mat stated."""
-    phone = {"is_mobile": True, "has_touch": True, "device_scale_factor": 2}
-    page = browser.new_page(viewport={"width": request.param, "height": 844},
-                            **phone if request.param < 1000 else {})
-    page.set_default_timeout(SECONDS)
-    page.problems = []
-    page.on("pageerror", lambda error: page.problems.append(str(error)))
-    page.goto(service.url)
-    page.evaluate("document.getElementById('camera').open = true")
-    page.select_option("#tester", "disc300_support180")
-    page.check("[name=kind][value=above]")
-    page.select_option("[name=mat]", "a2")
-    page.fill("[name=plate_height_mm]", "91.2")
-    page.fill("#density", "210")
-    page.press("#density", "Tab")
-    page.evaluate("document.getElementById('camera').open = false")
-    yield page
-    assert page.problems == []
-    page.close()
 
 
 def taken(page, picture: dict | str, *, further: bool = False) -> None:

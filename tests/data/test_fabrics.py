@@ -10,7 +10,7 @@ from common.errors import InputError
 from data.dataset.config import Options, SamplingConfig, config_from_options
 from data.dataset.plan import Stream, choose_lender, plan_drape, stream
 from data.fabrics.fabrics import fabric_from_theta, from_theta, read_fabric_table, to_theta
-from data.fabrics.nuisances import NAMES, NuisanceConfig, Nuisances
+from data.fabrics.nuisances import LOGARITHMIC, NAMES, NuisanceConfig, Nuisances
 from data.fabrics.prior import TablePrior, load_prior, log_stiffness, sample_admissible
 from data.fabrics.prior.even import STIFFNESS, draw_fabric, draw_fabrics, moved
 from data.rigs import named_tester
@@ -382,3 +382,15 @@ def test_both_faces_of_each_fabric_are_up():
 def test_nonsense_is_refused(changes, complaint):
     with pytest.raises(InputError, match=complaint):
         SamplingConfig(**changes)
+
+
+def test_deviations_and_means_are_those_of_samples():
+    config = NuisanceConfig(membrane=(100.0, 1000.0), shear=(0.2, 1.0), hysteresis=(5.0, 60.0),
+                            curl=3.0, size=1e-3, plate=3e-4, cut=0.02)
+    values = nuisances(config, 4000)
+    logarithmic = [name in LOGARITHMIC for name in NAMES]
+    values[:, logarithmic] = np.log(values[:, logarithmic])
+    means, deviations = ([table[name] for name in NAMES]
+                         for table in (config.means, config.deviations))
+    assert (np.abs(values.mean(axis=0) - means) < 0.06 * values.std(axis=0)).all()
+    assert deviations == pytest.approx(values.std(axis=0), rel=0.05)

@@ -60,11 +60,6 @@ def gaussian():
     return load_prior("gaussian")
 
 
-@pytest.fixture(params=["gaussian", "vae", "table"])
-def prior(request, theta):
-    return TablePrior(theta) if request.param == "table" else request.getfixturevalue(request.param)
-
-
 def test_bundled_prior_describes_real_fabrics(gaussian):
     alpha, _ = from_theta(gaussian.mean)
     assert gaussian.fabrics == 201
@@ -114,37 +109,17 @@ def test_an_outlier_is_clipped_and_clipping_twice_changes_nothing(theta):
     np.testing.assert_allclose(plausible_range(drawn), (low, high), rtol=1e-9)
 
 
-def linear_vae(coordinates: Coordinates, rng: np.random.Generator, *, exact: bool):
-    """An autoencoder of linear layers, whose fabrics are normally distributed, and that normal
-    distribution's covariance; its encoder is the exact one, or one that is off."""
-    latent = 2
-    mixing = rng.normal(0, 0.8, (6, latent))
-    sigma = rng.uniform(0.4, 0.8, 6)
-    output = np.arctanh((np.log(sigma) - SIGMA_MIDDLE) / SIGMA_REACH)
-    precision = np.eye(latent) + (mixing.T / sigma**2) @ mixing
-    # The exact posterior is correlated; axes along which it is not make it one of the family.
-    turn = np.linalg.eigh(precision)[1]
-    mixing = mixing @ turn
-    variance = 1 / np.diag(np.eye(latent) + (mixing.T / sigma**2) @ mixing)
-    gain = variance[:, None] * (mixing.T / sigma**2)
-    if not exact:
-        gain, variance = 0.7 * gain, 1.6 * variance
-    weights = {
-        "encoder.0.weight": np.vstack([gain, np.zeros((latent, 6))]),
-        "encoder.0.bias": np.concatenate([np.zeros(latent), np.log(variance)]),
-        "decoder.0.weight": np.vstack([mixing, np.zeros((6, latent))]),
-        "decoder.0.bias": np.concatenate([np.zeros(6), output]),
-    }
-    weights = {name: array.astype(np.float32) for name, array in weights.items()}
-    prior = VaePrior(coordinates=coordinates, weights=weights, fabrics=100, shift=0.0,
-                     spread=(1.0, 1.0))
-    return prior, mixing @ mixing.T + np.diag(sigma**2)
-
-
 def test_samples_of_a_vae_are_its_model_and_widening_widens_its_latents(theta):
-    coordinates = Coordinates.fit(theta)[0]
-    prior, covariance = linear_vae(coordinates, np.random.default_rng(3), exact=True)
-    mixing = prior.weights["decoder.0.weight"][:6].astype(float)
+    """Its decoder is linear, so that its fabrics are normally distributed."""
+    coordinates, rng = Coordinates.fit(theta)[0], np.random.default_rng(3)
+    mixing, sigma = rng.normal(0, 0.8, (6, 2)), rng.uniform(0.4, 0.8, 6)
+    output = np.arctanh((np.log(sigma) - SIGMA_MIDDLE) / SIGMA_REACH)
+    weights = {"encoder.0.weight": np.zeros((4, 6)), "encoder.0.bias": np.zeros(4),
+               "decoder.0.weight": np.vstack([mixing, np.zeros((6, 2))]),
+               "decoder.0.bias": np.concatenate([np.zeros(6), output])}
+    prior = VaePrior(coordinates=coordinates, fabrics=100, shift=0.0, spread=(1.0, 1.0), weights={
+        name: array.astype(np.float32) for name, array in weights.items()})
+    covariance = mixing @ mixing.T + np.diag(sigma**2)
     # Variance of the mean, 1/12; mean of the squared deviation, 1 + 0.4²/12.
     widened_covariance = covariance + (1 / 12 + 0.4**2 / 12) * mixing @ mixing.T
     widened = replace(prior, shift=0.5, spread=(0.8, 1.2))
@@ -155,26 +130,28 @@ def test_samples_of_a_vae_are_its_model_and_widening_widens_its_latents(theta):
         assert np.abs(difference).max() < 0.03  # three standard errors; widening adds 0.09
 
 
-def test_samples_are_reproducible_and_extend(vae, gaussian):
+def test_samples_extend_and_training_repeats(theta, vae, gaussian):
     rng = np.random.default_rng(3)
     one_by_one = np.vstack([vae.sample(1, rng) for _ in range(6)])
     np.testing.assert_array_equal(vae.sample(6, np.random.default_rng(3)), one_by_one)
     np.testing.assert_array_equal(gaussian.sample(5, np.random.default_rng(3))[:2],
                                   gaussian.sample(2, np.random.default_rng(3)))
-
-
-def test_training_repeats_and_depends_on_the_seed(theta, vae):
+    zero, negative = (prior_from_content(prior_content(vae) | {"shift": shift}, origin="p.json")
+                      for shift in (0.0, -0.0))
+    np.testing.assert_array_equal(*(one.sample(3, np.random.default_rng(1))
+                                    for one in (zero, negative)))
     assert prior_content(VaePrior.fit(theta, architecture=SMALL)) == prior_content(vae)
     assert prior_content(VaePrior.fit(theta, architecture=SMALL, seed=1)) != prior_content(vae)
 
 
-def test_files_are_read_back_bit_by_bit(prior, tmp_path):
-    save_prior(prior, tmp_path / "deep" / "p.json")
-    again = load_prior(tmp_path / "deep" / "p.json")
-    assert prior_content(again) == prior_content(prior)
-    np.testing.assert_array_equal(again.sample(5, np.random.default_rng(1)),
-                                  prior.sample(5, np.random.default_rng(1)))
-    assert [p.name for p in (tmp_path / "deep").iterdir()] == ["p.json"]
+def test_files_are_read_back_bit_by_bit(gaussian, vae, theta, tmp_path):
+    for prior in (gaussian, vae, TablePrior(theta)):
+        save_prior(prior, tmp_path / "deep" / "p.json")
+        again = load_prior(tmp_path / "deep" / "p.json")
+        assert prior_content(again) == prior_content(prior)
+        np.testing.assert_array_equal(again.sample(5, np.random.default_rng(1)),
+                                      prior.sample(5, np.random.default_rng(1)))
+        assert [p.name for p in (tmp_path / "deep").iterdir()] == ["p.json"]
 
 
 def changed_weights(vae, change):
@@ -222,13 +199,6 @@ def test_bad_content_is_refused_in_one_line(gaussian, vae, theta, change, compla
     with pytest.raises(InputError, match=complaint) as refusal:
         prior_from_content(content | change, origin="p.json")
     assert "\n" not in str(refusal.value) and "p.json" in str(refusal.value)
-
-
-def test_negative_zero_is_no_shift(vae):
-    zero, negative = (prior_from_content(prior_content(vae) | {"shift": shift}, origin="p.json")
-                      for shift in (0.0, -0.0))
-    draws = [prior.sample(3, np.random.default_rng(1)) for prior in (zero, negative)]
-    np.testing.assert_array_equal(*draws)
 
 
 def test_too_few_or_equal_fabrics_are_refused(theta):

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from cloths import varied_camera
+from cloths import varied_camera, waves
 from safetensors.torch import load_file
 
 from common.errors import InputError
@@ -55,19 +55,11 @@ def wall(depth_of, extent: float = 0.35):
     return [(x, y, depth_of(x, y)) for x, y in corners], [[0, 1, 2], [0, 2, 3]]
 
 
-def folded(edge: float, folds: int, topology: int = 0):
-    """Cloth that hangs from the plate in folds, so that it hides a part of itself."""
-    mesh = make_specimen(Rig(), edge=edge, topology=topology).mesh
-    radius, angle = np.linalg.norm(mesh.rest, axis=1), np.arctan2(*mesh.rest.T[::-1])
-    reach = np.maximum(radius - 0.05, 0)
-    out = np.minimum(radius, 0.05 + 0.5 * reach * (1 + 0.7 * np.sin(folds * angle)))
-    return np.column_stack([out * np.cos(angle), out * np.sin(angle), -0.75 * reach]), mesh.faces
-
-
 def test_both_renderers_give_the_same_pictures():
     rng, pixels, beside, errors = np.random.default_rng(5), 0, 0, []
     for k in range(6):
-        positions, faces = folded(0.008, 5 + k, topology=k)
+        mesh = make_specimen(Rig(), edge=0.008, topology=k).mesh
+        positions, faces = waves(mesh.rest, folds=5 + k, depth=0.05), mesh.faces
         camera, angles = varied_camera(rng).resized(WIDTH, HEIGHT), rng.uniform(0, 2 * np.pi, 4)
         views = rasterise(positions, faces, camera, angles)
         cast = DepthRenderer(positions, faces).views(camera, 0.0, angles)
@@ -124,14 +116,11 @@ def test_a_mesh_has_no_cracks(dtype):
         view = raster(cloth, faces, dtype)[5:-5, 5:-5]
         assert (view > 0).all()
         assert np.abs(view - 0.5).max() < 0.06 / size
-
-
-def test_corners_on_pixel_centres_leave_no_cracks():
-    row, column = np.mgrid[: HEIGHT : 2, : WIDTH : 3]
+    row, column = np.mgrid[: HEIGHT : 2, : WIDTH : 3]  # corners on pixel centres
     points = np.stack([(column - CAMERA.cx) / CAMERA.fx, (row - CAMERA.cy) / CAMERA.fy,
                        np.ones(row.shape)], -1) * 0.5
-    faces = grid_faces(np.random.default_rng(0).random((row.shape[0] - 1, row.shape[1] - 1)) < 0.5)
-    view = raster(points.reshape(-1, 3), faces)
+    faces = grid_faces(rng.random((row.shape[0] - 1, row.shape[1] - 1)) < 0.5)
+    view = raster(points.reshape(-1, 3), faces, dtype)
     assert (view[1 : row.max(), 1 : column.max()] > 0).all()
 
 
@@ -160,10 +149,7 @@ def test_right_is_right_up_is_up_and_away_is_deeper():
     assert right[0] - origin[0] > 35 and abs(right[1] - origin[1]) < 1
     assert abs(up[0] - origin[0]) < 1 and up[1] - origin[1] < -25
     assert abs(away[0] - origin[0]) < 1 and away[1] < origin[1] and away[2] > origin[2] + 0.04
-
-
-def test_the_table_turns_counter_clockwise_from_view_to_view():
-    # A marker on the right goes to the back, the left and the front.
+    # The table turns counter-clockwise: a marker on the right goes to the back, the left, the front
     columns, _, depth = marker_places(0.08, 0, 0).T
     assert columns[0] > 155 and columns[2] < 85
     assert columns[[1, 3]] == pytest.approx([119.5, 119.5], abs=1)
@@ -198,7 +184,7 @@ def shaded_place(x: float, y: float, z: float, **options: float) -> np.ndarray:
         (SIZE[0] - 1) / 2, (SIZE[1] - 1) / 2)
 
 
-def test_shaded_pictures_show_x_to_the_right_and_y_or_z_upwards():
+def test_shaded_pictures_show_x_to_the_right_y_or_z_upwards_and_both_sides():
     right, row = shaded_place(0.12, 0.0, 0.0, elevation=90.0)
     column, up = shaded_place(0.0, 0.12, 0.0, elevation=90.0)
     assert right > 12 and abs(row) < 3 and up < -12 and abs(column) < 1
@@ -206,13 +192,10 @@ def test_shaded_pictures_show_x_to_the_right_and_y_or_z_upwards():
     high, low = (shaded_place(0.0, 0.0, z)[1] for z in (0.05, -0.10))
     # 0.15 m at 25 degrees, 150 pixels a metre.
     assert abs((low - high) - 0.15 * np.cos(np.radians(25)) * 150) < 1.5
-
-
-def test_both_sides_are_lit():
     corners = np.array([(-0.03, -0.03, 0.0), (0.03, -0.03, 0.0), (0.0, 0.06, 0.0)])
     above, below = (shade(corners, np.array([face]), elevation=90.0, **OPTIONS)
                     for face in ((0, 1, 2), (0, 2, 1)))
-    assert np.array_equal(above, below) and len(np.unique(above)) > 2
+    assert np.array_equal(above, below) and len(np.unique(above)) > 2  # both sides are lit
 
 
 def scene(skirted, seed=0, **settings):
@@ -293,19 +276,15 @@ def place() -> dict:
             "plate": DISC_RIG.plate_radius, "reach": DISC_RIG.reach, "known": True}
 
 
-def off_mm(shape, line: np.ndarray) -> np.ndarray:
-    """Distances of a hem's points, mm, from the true outline along their azimuths."""
-    x, y = ((line - (COUNT - 1) / 2) * [1, -1] * (2 * HALF / COUNT)).T
-    true = silhouette(shape.positions, shape.mesh.edges, np.zeros(2), ABOVE, azimuths=720)
-    at = np.interp(np.arctan2(y, x), np.arange(720) * (np.pi / 360), true, period=2 * np.pi)
-    return 1e3 * (np.hypot(x, y) - at)
-
-
 @pytest.mark.parametrize(("surface", "table"), [
     (np.array([0.5, 0.1, 0.1]), 0.7), (0.03, 0.6), (0.8, 0.15)], ids=["red", "black", "white"])
 def test_the_hem_of_rendered_cloth_is_exact_to_half_a_millimetre(shape, surface, table):
+    """Along azimuths from the middle."""
     cut = outline_of_cloth(photographed(shape, surface, table), **place())
-    off = off_mm(shape, cut.hem)
+    x, y = ((cut.hem - (COUNT - 1) / 2) * [1, -1] * (2 * HALF / COUNT)).T
+    true = silhouette(shape.positions, shape.mesh.edges, np.zeros(2), ABOVE, azimuths=720)
+    at = np.interp(np.arctan2(y, x), np.arange(720) * (np.pi / 360), true, period=2 * np.pi)
+    off = 1e3 * (np.hypot(x, y) - at)
     assert np.sqrt(np.square(off).mean()) < 0.5 and np.abs(off).max() < 3
     steps = np.linalg.norm(np.diff(cut.hem, axis=0), axis=1)
     assert 0.6 < steps.mean() < 1.4 and (cut.error > 0).all()

@@ -33,7 +33,7 @@ from drapenet.fabric.sources import Source, sources_of
 from drapenet.measured.captures import Captured
 from drapenet.network.checkpoint import read_header
 from drapenet.network.predict import Draws
-from drapenet.service import jobs, pools, work
+from drapenet.service import pools, work
 from drapenet.service.app import create_app
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -213,8 +213,7 @@ def test_pages_and_tables_of_a_batch_tell_of_strips_and_values(batched):
 def test_the_service_gives_the_same_estimate(commanded, fabric, tmp_path, monkeypatch):
     """By the tasks of its workers, in this process and without drapes."""
     monkeypatch.setattr(work, "EstimateOptions", partial(EstimateOptions, drapes=0))
-    for module in (jobs, pools):
-        monkeypatch.setattr(module, "new_pool", lambda *_: BreakablePool())
+    monkeypatch.setattr(pools, "ProcessPool", BreakablePool)
     kept = {"name": fabric.name}
     app = create_app(settings_for(tmp_path, "queue=9", "queue_each=9"))
     with TestClient(app, base_url="http://localhost") as client:

@@ -13,7 +13,7 @@ from experiments.drapes import (
     posterior_bound,
     spread,
 )
-from experiments.result import read_report, rms
+from experiments.report import read_report, rms
 
 trained = pytest.mark.skipif(not BUNDLED.exists(), reason="no network is bundled")
 

@@ -3,51 +3,42 @@
 import json
 import subprocess
 import sys
-from dataclasses import fields
-from importlib import import_module
 
 import numpy as np
 import pytest
 
-from common.command import compose_config, schema_of
-from common.configs import group_options
 from common.errors import InputError
-from experiments.__main__ import FILES, FOLDERS, main, module_of, usage
+from experiments import study
+from experiments.__main__ import PAPERS, main, usage
 from experiments.comparison import Shape, compare, equilibrium_near
-from experiments.estimation import information, refine_views
-from experiments.page import ORDER, PAGE, page_text
+from experiments.estimation import refine
 from experiments.papers import views
-from experiments.physics import default_mesh, secants
-from experiments.result import (
-    EXECUTION_KEYS,
-    REPORTS,
-    ROOT,
-    Result,
-    read_report,
-    table,
-)
+from experiments.report import REPORTS, ROOT, read_report, table
+from experiments.study import EXECUTION_KEYS, FILES, FOLDERS, CaseKeys, samples_of
 from sim.draping import drape
 from sim.material import Fabric
 from sim.rig import Rig
 from sim.scene import make_specimen
+
+PAGE = ROOT / "docs" / "studies.md"
 
 
 def test_places_that_cannot_be_written_to_are_refused_before_the_work(tmp_path):
     (tmp_path / "file").touch()
     for words in (["convergence", "out=/proc/report.json"], ["convergence", f"out={tmp_path}"],
                   ["views", f"out={tmp_path}/file/report.json"],
-                  ["views", f"cases={tmp_path}/file"], ["additions", "work=/proc/runs"]):
+                  ["views", f"cases={tmp_path}/file"], ["hard", "cases=/proc/runs"]):
         with pytest.raises(InputError, match="cannot write"):
             main(words)
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
-@pytest.mark.parametrize("module", [information, views])
-def test_the_reports_of_the_documentation_stay_unless_they_are_named(tmp_path, monkeypatch, module):
-    name = module.__name__.split(".")[-1]
-    report = read_report(name)
+@pytest.mark.parametrize("name", ["numbers", "views"])
+def test_the_reports_of_the_documentation_stay_unless_they_are_named(tmp_path, monkeypatch, name):
+    this, report = study.study(name), read_report(name) | {"settings": 1}
     before = [file.read_bytes() for file in (REPORTS / f"{name}.json", PAGE)]
-    monkeypatch.setattr(module, "run", lambda config: Result(report | {"settings": 1}))
+    monkeypatch.setattr(study, "study", lambda name: study.Study(
+        this.keys, lambda keys: report, this.block, this.draw))
     monkeypatch.chdir(tmp_path)
     main([name])
     written = json.loads((tmp_path / f"outputs/experiments/{name}.json").read_text("utf-8"))
@@ -55,27 +46,60 @@ def test_the_reports_of_the_documentation_stay_unless_they_are_named(tmp_path, m
     assert before == [file.read_bytes() for file in (REPORTS / f"{name}.json", PAGE)]
 
 
-def test_every_experiment_has_a_folder_keys_and_a_line():
-    assert set(FILES) == set(group_options("experiment"))
+def test_every_study_has_a_folder_keys_and_a_line():
     assert {file.parent.name for file in FILES.values()} == set(FOLDERS)
     lines = usage().splitlines()
-    for name, file in FILES.items():
-        assert callable(import_module(f"experiments.{file.parent.name}.{name}").run)
-        keys = {field.name for field in fields(schema_of(f"experiment/{name}"))}
-        assert "out" in keys
-        assert not any(group_options(key) for key in keys), "Hydra takes it for a group"
+    for name in FILES:
+        keys = study.study(name).keys
+        assert len(keys.text().splitlines()) == len(keys.model_fields) and keys.read([]) == keys()
         (line,) = (line for line in lines if line.split()[:1] == [name])
         assert line.endswith(".") and len(line) <= 120
 
 
-def test_the_page_is_generated_from_the_stored_reports():
-    reports = {name: read_report(name) for name in ORDER}
-    sections = {name: module_of(name).SECTION for name in ORDER}
-    assert PAGE.read_text(encoding="utf-8") == page_text(sections, reports)
-    for name in ORDER:
-        keys = {field.name for field in fields(schema_of(f"experiment/{name}"))}
-        assert keys - {*EXECUTION_KEYS} <= set(reports[name]["settings"]) <= keys
-        assert (REPORTS / f"{name}.png").is_file()
+def test_studies_of_papers_have_a_section_a_figure_and_the_keys_of_their_report():
+    page = PAGE.read_text(encoding="utf-8")
+    assert [line.split()[2] for line in page.splitlines() if line.startswith("<!-- figures")] == [
+        *PAPERS]
+    for name in PAPERS:
+        this, report = study.study(name), read_report(name)
+        keys = set(this.keys.model_fields) - {*EXECUTION_KEYS}
+        assert keys <= set(report["settings"])
+        assert f"](validation/{name}.png)" in page
+        assert this.draw(report).axes and (REPORTS / f"{name}.png").is_file()
+
+
+class Keys(CaseKeys):
+    seed: int = 3
+    factors: tuple[float, ...] = (2.0,)  # of all
+    name: str = ""
+
+
+def drawn(rng, *, number: int, factors: tuple[float, ...]) -> dict:
+    if number == 1:
+        raise InputError("the second is refused")
+    return {"value": float(factors[0] * rng.random()), "arrays": {"x": np.arange(number)}}
+
+
+def test_samples_have_their_own_random_numbers_and_refused_ones_are_counted(tmp_path, capsys):
+    keys, refused = Keys(cases=str(tmp_path)), {}
+    found = samples_of(drawn, keys, 4, refused=refused)
+    assert [one["value"] for one in found.values()] == [
+        2 * np.random.default_rng([3, k]).random() for k in (0, 2, 3)]
+    assert refused == {"sample_001": "the second is refused"}
+    assert "4 to go" in capsys.readouterr().out
+    assert samples_of(drawn, keys, 4, refused={}) == found
+    assert "to go" not in capsys.readouterr().out
+    with pytest.raises(InputError, match="second"):
+        samples_of(drawn, keys, 4)
+    with pytest.raises(InputError, match="second"):
+        samples_of(drawn, keys, {"only": {"number": 1}}, refused=refused)
+
+
+def test_words_are_read_as_yaml_and_texts_and_lists_need_no_quotes():
+    keys = Keys.read(["factors=1,0150", "name=12", "seed=7"])
+    assert (keys.factors, keys.name, keys.seed) == ((1.0, 150.0), "12", 7)
+    assert Keys.read(["factors=[3]", "name="]) == Keys(factors=(3.0,))
+    assert Keys.text().splitlines()[-2:] == ["factors: (2.0,)  # of all", "name: ''"]
 
 
 @pytest.mark.slow
@@ -93,10 +117,11 @@ def test_an_experiment_resumes_and_leaves_the_page_unchanged_with_another_output
 
 
 @pytest.mark.parametrize(("words", "complaint"), [
-    (["elastika"], "elastica"), (["information", "pixel=1"], "pixel=1"),
+    (["elastika"], "elastica"), (["numbers", "pixel"], "pixel: write KEY=VALUE"),
+    (["numbers", "pixel=1"], "'pixel'; --help lists"),
     (["elastica", "gammas=many"], "gammas"), (["meshes", "fabrics=[silk]"], "silk"),
-    (["views", "workers=0", "cases=/tmp/none"], "workers=0"), (["render", "repeats=0"], "repeats"),
-    (["prior", "models=[oracle]"], "oracle"), (["prior", "fabrics=nowhere.csv"], "nowhere"),
+    (["views", "workers=0", "cases=/tmp/none"], "workers=0"),
+    (["laboratory", "fabrics=nowhere.csv"], "nowhere"),
     (["page", "out=a"], "out=a"),
 ])
 def test_invalid_words_are_reported_in_one_line(words, complaint):
@@ -105,64 +130,32 @@ def test_invalid_words_are_reported_in_one_line(words, complaint):
     assert "\n" not in str(refusal.value)
 
 
-def test_views_are_studied_with_the_captures_that_are_read(monkeypatch):
+def test_views_are_studied_with_the_captures_that_are_read():
     def fabric(error, read):
         return {str(count): {"refused": 5, "error": np.full((n, 6), error).tolist(),
                              "deviation": np.ones((n, 6)).tolist(), "rank": [[0.5] * 6] * n}
                 for count, n in zip(views.VIEWS, read, strict=True)}
 
     found = {"soft": fabric(1.0, [2] * 6), "stiff": fabric(3.0, [2, 1, 0, 0, 0, 0])}
-    monkeypatch.setattr(views, "run_fabrics", lambda case, config: found)
-    report = views.run({}).report
+    report = views.report_of(found)
     assert [one["captures"] for one in report["views"].values()] == [4, 3, 2, 2, 2, 2]
     assert report["views"]["2"]["log_alpha"] == pytest.approx(np.sqrt(11 / 3))
-    assert report["views"]["3"]["log_alpha"] == 1.0 and report["refused"]["1"] == 10
-
-
-def test_constant_moduli_are_compared_with_the_law_on_each_tester():
-    def drapes(points: float, folds: float) -> dict[str, list[float]]:
-        return {"coefficients": [50 + points, 70 - points], "folds": [7 + folds, 6 + folds]}
-
-    found = secants.summary({"disc": {"law": drapes(0, 0), "0": drapes(4, 1)},
-                             "square": {"law": drapes(0, 0), "0": drapes(2, 0)}})
-    assert found["disc"]["0"]["coefficients"] == {"mean": 0, "rms": 4, "largest": 4}
-    assert found["all"]["0"]["coefficients"]["rms"] == pytest.approx(np.sqrt(10))
-    assert found["all"]["0"]["folds"]["mean"] == 0.5
-
-
-def test_keys_that_are_null_may_be_numbers():
-    name = "experiment/speed"
-    words = ["edges_mm=[3,null]", "drapes=2"]
-    assert compose_config(name, words, schema=schema_of(name)).edges_mm == [3.0, None]
-    name = "experiment/convergence"
-    given, default = (compose_config(name, words, schema=schema_of(name)).edge_mm
-                      for words in (["edge_mm=3"], []))
-    assert (given, default) == (3.0, None)
+    assert report["views"]["3"]["log_alpha"] == 1.0 and report["refused_captures"]["1"] == 10
 
 
 def test_the_command_lists_the_experiments_and_shows_keys(capsys):
     listed = subprocess.run([sys.executable, "-m", "experiments"], cwd=ROOT, capture_output=True,
                             text=True, check=True).stdout
-    assert listed.startswith("Run an experiment.")
-    main(["information", "--help"])
+    assert listed.startswith("Run a study.")
+    main(["numbers", "--help"])
     shown = capsys.readouterr().out
-    assert shown.startswith(information.__doc__.splitlines()[0]) and "\npixels: 100.0  #" in shown
+    assert shown.startswith("Bending by KES of real fabrics") and "\nfabrics: 'exper" in shown
 
 
 def test_table_is_aligned():
     lines = table(["name", "x"], [["long name", 1.23456], ["b", 7]]).splitlines()
     assert lines[2] == "| long name | 1.23 |"
     assert len({len(line) for line in lines}) == 1
-
-
-@pytest.mark.slow
-def test_worker_processes_are_timed_against_one_core(tmp_path):
-    out = tmp_path / "throughput.json"
-    main(["throughput", "drapes=2", "edge_mm=10", "repeats=1", "workers=2", f"out={out}"])
-    found = json.loads(out.read_text())
-    assert found["converged"] == 2 and found["largest_difference_m"] < 1e-6
-    rates = found["drapes_per_second_workers"], found["drapes_per_second_one_core"]
-    assert found["ratio"] == pytest.approx(rates[0] / rates[1])
 
 
 @pytest.fixture(scope="module")
@@ -179,23 +172,13 @@ def test_cloth_placed_on_its_own_mesh_stays_and_on_another_one_nearly(draped):
         assert low <= compare(draped, shape).displacement < high
 
 
-def test_the_fine_mesh_has_four_times_the_triangles(draped):
-    specimen = default_mesh.fine_specimen(Rig(), draped, topology=2)
-    assert len(specimen.mesh.faces) >= 4 * len(draped.faces)
-    rim = np.flatnonzero(specimen.held[specimen.mesh.edges].all(axis=1)
-                         & (np.linalg.norm(specimen.mesh.rest[specimen.mesh.edges], axis=2)
-                            > 0.999 * Rig().plate_radius).all(axis=1))
-    ends = specimen.mesh.rest[specimen.mesh.edges[rim]]
-    assert np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) == pytest.approx(4e-3, rel=0.05)
-
-
 def test_posteriors_are_judged_by_errors_and_coverage():
     rng = np.random.default_rng(0)
     scale = np.array([0.1] * 3 + [1e-3] * 3)
     middle = rng.standard_normal((400, 6)) * scale
     truth = middle + rng.standard_normal((400, 6)) * scale
     samples = [one + rng.standard_normal((2000, 6)) * scale for one in middle]
-    found = refine_views.posterior_errors(truth, samples)
+    found = refine.posterior_errors(truth, samples)
     assert found["log_alpha"] == pytest.approx(0.1, rel=0.07)
     assert found["beta_over_alpha_mm"] == pytest.approx(1.0, rel=0.07)
     assert found["log_alpha_median"] == pytest.approx(0.0674, rel=0.1)

@@ -5,7 +5,7 @@ import io
 import os
 import sqlite3
 import zipfile
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -14,7 +14,7 @@ from drapenet.service.archive import Archive, archive
 from drapenet.service.database import Database
 from drapenet.service.limits import Places, RequestError
 
-LARGE = 9 << 20  # bytes, nine parts
+LARGE = 1 << 20  # bytes, 16 parts
 
 
 @pytest.fixture
@@ -44,7 +44,7 @@ def whole(results) -> Iterator[None]:
 
 def test_the_zip_comes_in_small_parts_and_has_all(results, whole):
     parts = list(archive(results))
-    assert len(parts) > 9 and max(map(len, parts)) < 1.1 * 2**20
+    assert len(parts) > 16 and max(map(len, parts)) < 0.1 * LARGE
     with zipfile.ZipFile(io.BytesIO(b"".join(parts))) as packed:
         assert set(packed.namelist()) == {"fabrics.sqlite", "fabrics.csv", "a/drape.glb",
                                           "a/uploaded/view_0.png", "b/uploaded/view_0.png"}
@@ -66,69 +66,50 @@ def test_what_is_removed_meanwhile_is_left_out(results, whole):
 
 
 def fetch(
-    results: Path, send: Callable[[dict], Awaitable[None]], *, parts_until_gone: int = 99,
-    seconds: float = 60.0,
-) -> Places:
-    """Fetch the zip as a client that calls ``send`` for each part and goes after some of them, from
-    a service that waits ``seconds`` for it; the places of the service.
+    results: Path, *, pause: float = 0.0, parts_until_gone: int = 99, seconds: float = 60.0
+) -> bytes:
+    """Fetch the zip as a client that takes a part in ``pause`` seconds and goes after some of them,
+    from a service that waits ``seconds`` for it, and whose only place is free afterwards.
     """
-    places = Places("exports", total=1, each=1)
+    places, received = Places("exports", total=1, each=1), []
 
     async def run() -> None:
-        gone, count = asyncio.Event(), 0
+        gone = asyncio.Event()
 
         async def receive() -> dict:
             await gone.wait()
             return {"type": "http.disconnect"}
 
-        async def taken(message: dict) -> None:
-            nonlocal count
-            count += 1
-            if count > parts_until_gone:
+        async def send(message: dict) -> None:
+            if len(received) == parts_until_gone:
                 gone.set()
                 await asyncio.Event().wait()
-            await send(message)
+            await asyncio.sleep(pause)
+            received.append(message.get("body", b""))
 
-        await Archive(results, places.taken("x"), seconds)({"type": "http"}, receive, taken)
+        await Archive(results, places.taken("x"), seconds)({"type": "http"}, receive, send)
 
     asyncio.run(run())
-    return places
+    places.take("x")
+    return b"".join(received)
 
 
-def test_a_client_that_goes_leaves_nothing(results, whole):
-    async def send(message: dict) -> None:
-        """Take the part."""
-
-    fetch(results, send, parts_until_gone=4).take("x")  # its place is free
-
-
-def test_a_client_that_takes_nothing_is_given_up(results, whole):
-    async def send(message: dict) -> None:
-        await asyncio.Event().wait()
-
-    fetch(results, send, seconds=0.1).take("x")
+def test_a_client_that_goes_or_takes_nothing_leaves_nothing(results, whole):
+    assert len(fetch(results, parts_until_gone=4)) < LARGE
+    assert not fetch(results, pause=60.0, seconds=0.1)
 
 
 def test_a_slow_client_gets_all(results, whole):
-    data = io.BytesIO()
-
-    async def send(message: dict) -> None:
-        await asyncio.sleep(0.15)
-        data.write(message.get("body", b""))
-
-    fetch(results, send, seconds=1.0).take("x")  # twelve parts: 1.8 s
-    assert len(zipfile.ZipFile(data).namelist()) == 5
+    data = fetch(results, pause=0.05, seconds=1.0)  # some 30 parts
+    assert len(zipfile.ZipFile(io.BytesIO(data)).namelist()) == 5
 
 
 def test_a_database_that_cannot_be_copied_is_a_sentence(results, whole, monkeypatch, caplog):
     def fail(*_: object) -> None:
         raise sqlite3.OperationalError(f"{results}: disk is full")
 
-    async def send(message: dict) -> None:
-        raise AssertionError("the response has begun")
-
     monkeypatch.setattr(Database, "copy", fail)
     with pytest.raises(RequestError, match="cannot be copied") as refused:
-        fetch(results, send)
+        fetch(results)
     assert refused.value.status_code == 507 and str(results) not in refused.value.detail
     assert "disk is full" in caplog.text

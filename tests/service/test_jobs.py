@@ -66,7 +66,7 @@ def test_a_garment_takes_one_place_and_is_lost_with_its_service_or_its_estimate(
     again = Jobs(jobs.settings)
     assert again.database.garment("0")["state"] == "interrupted"
     again.preview("0", "x")
-    [task] = again._unfinished
+    [task] = again.workers._unfinished
     task.set_exception(RuntimeError("not for clients"))
     found = again.database.garment("0")
     assert found["state"] == "failed" and found["error"].startswith("the garment failed by a fault")
@@ -198,7 +198,7 @@ def test_a_broken_pool_of_exports_is_replaced_once(jobs, monkeypatch):
             return future
 
     monkeypatch.setattr("drapenet.service.pools.ProcessPool", Pool)
-    broken, outcomes = jobs.exports.pool, []
+    broken, outcomes = jobs.exports._pool, []
     broken.active = False
     threads = [threading.Thread(target=lambda: outcomes.append(jobs.exports.outcome(print)))
                for _ in range(3)]
@@ -207,7 +207,7 @@ def test_a_broken_pool_of_exports_is_replaced_once(jobs, monkeypatch):
     for thread in threads:
         thread.join()
     assert outcomes == ["exported"] * 3
-    assert made == [jobs.exports.pool] and broken.joined
+    assert made == [jobs.exports._pool] and broken.joined
 
 
 @pytest.mark.parametrize("begun", [COPY, LOOK])
@@ -268,10 +268,10 @@ def test_the_oldest_fabrics_go(tmp_path):
 
 def test_a_broken_pool_is_replaced_and_its_places_come_back(jobs):
     first, second = (submitted(jobs)["id"] for _ in range(2))
-    broken = jobs._workers
+    broken = jobs.workers._pool
     broken.active = False
     third = submitted(jobs)["id"]
-    assert broken.joined and jobs._workers is not broken
+    assert broken.joined and jobs.workers._pool is not broken
     assert [jobs.row("estimate", one)["state"] for one in (first, second, third)] == [
         "failed", "failed", "queued"]
     assert "report this capture" in jobs.row("estimate", first)["error"]
@@ -311,7 +311,7 @@ def test_what_is_not_named_is_numbered_by_its_kind(jobs):
 
 def test_the_text_of_an_exception_is_for_the_log(jobs, tmp_path, caplog):
     identity = submitted(jobs)["id"]
-    future, = jobs._unfinished
+    future, = jobs.workers._unfinished
     future.set_exception(OSError(f"cannot open {tmp_path}/secret"))
     state = jobs.row("estimate", identity)
     assert state["state"] == "failed" and "secret" not in state["error"]
@@ -345,7 +345,7 @@ def test_an_end_that_cannot_be_stored_is_logged(jobs, monkeypatch, caplog):
         raise OperationalError("database or disk is full")
 
     monkeypatch.setattr(jobs.database, "change", full)
-    jobs._end("a", "failed", "not finished")
+    jobs._end("estimate", "a", "failed", "not finished")
     assert "the end of the estimate a is not stored" in caplog.text and "full" in caplog.text
 
 

@@ -6,7 +6,6 @@ import multiprocessing
 import os
 import shutil
 import signal
-import time
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -17,21 +16,18 @@ import pytest
 import trimesh
 from fastapi.testclient import TestClient
 from photographs import drawn, write
-from services import BreakablePool, ended, joint_estimate_of, post, settings_for
+from services import BreakablePool, awaited, ended, joint_estimate_of, post, settings_for
 from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 from workbooks import cells
 
-from common.documents import yaml_text
 from data.captures.preview import show
 from data.captures.reader import read_capture
 from drapenet.export.formats import TARGETS
-from drapenet.fabric.estimate import join
-from drapenet.fabric.part import stored_part
-from drapenet.fabric.sources import Source
 from drapenet.fabric.stages import by_network
 from drapenet.network.checkpoint import read_header
 from drapenet.result.document import EstimateDocument
 from drapenet.service.app import create_app
+from drapenet.service.database import ENDED
 from drapenet.service.jobs import Jobs
 from drapenet.service.limits import Places
 
@@ -73,24 +69,9 @@ def photographed(client, known) -> dict:
     return ended(client, begun.json()["id"])
 
 
-@pytest.mark.parametrize("name", ["finished", "photographed"])
-def test_numbers_are_those_of_the_command(name, request, untrained_checkpoint, known, tmp_path):
-    found = request.getfixturevalue(name)
-    folder = shutil.copytree(EXAMPLE if name == "finished" else PHOTOGRAPH, tmp_path / "capture")
-    if name == "photographed":
-        with (folder / "capture.yaml").open("a") as description:
-            description.write(yaml_text({"known": known}))
-    capture = read_capture(folder)
-    expected = by_network(capture, read_header(untrained_checkpoint)).estimate
-    assert found["state"] == "done" and found["error"] is None
-    moduli = found["estimate"]["moduli"]
-    for k, direction in enumerate(("warp", "bias", "weft")):
-        assert moduli[direction]["alpha_uN_m"]["median"] == pytest.approx(
-            np.median(expected.moduli(capture.density)[0][:, k]) * 1e6, rel=1e-3)
-
-
 def test_files_are_whole_and_say_nothing_of_the_server(client, finished):
     results = str(client.app.state.jobs.settings.folder)
+    assert (finished["state"], finished["error"]) == ("done", None)
     for name in ("estimate.json", "report.html", "report.pdf", "report.png", "preview.png",
                  "drape.glb", "torque.svg"):
         answer = client.get(f"/estimates/{finished['id']}/{name}")
@@ -253,10 +234,7 @@ def test_page_and_interface_ask_no_other_host(client):
 @pytest.mark.slow
 def test_worker_that_dies_is_a_failure_of_its_estimate_alone(client):
     begun = post(client, [*PICTURES, EXAMPLE / "capture.yaml"]).json()
-    for _ in range(600):
-        if client.get(begun["url"]).json()["state"] == "running":
-            break
-        time.sleep(0.05)
+    awaited(client, begun["url"], lambda found: found["state"] == "running")
     for worker in multiprocessing.active_children():
         os.kill(worker.pid, signal.SIGKILL)  # also those of other pools
     found = ended(client, begun["id"])
@@ -282,13 +260,6 @@ def test_captures_of_a_fabric_have_one_join(client, finished, joined):
     assert joined["members"] == [part["id"] for part in client.get(
         f"/fabrics/{finished['fabric']}").json()["estimates"][:2]]
     assert document["capture"]["sources"] == ["Twill_b_7/capture_1", "Twill_b_7/two_views"]
-    folder = client.app.state.jobs.settings.folder
-    expected, _ = join(
-        [stored_part(Source(place=folder / "gone"), folder / member, "")
-         for member in joined["members"]],
-        read_header(client.app.state.jobs.settings.checkpoint))
-    assert document["moduli"]["warp"]["alpha_uN_m"]["median"] == pytest.approx(
-        np.median(expected.moduli()[0][:, 0]) * 1e6)
     assert len(joined["curves"]["warp"]["median"]) == len(joined["curves"]["curvature_1_m"])
     assert client.get(f"/estimates/{joined['id']}/export/jfab").status_code == 200
 
@@ -303,13 +274,10 @@ def test_the_same_views_are_joined_once_said_and_can_be_removed(client, finished
                                estimate=finished["estimate"],
                                task=jobs.database.estimate(finished["id"])["task"])
     jobs._join(finished["fabric"])
-    for _ in range(600):
-        found = client.get(f"/estimates/{joined['id']}").json()
-        twins = [one["text"] for one in found["warnings"] if one["code"] == "twin_left_out"]
-        if found["state"] == "done" and twins:
-            break
-        time.sleep(0.1)
-    assert len(twins) == 1 and "the same pictures as" in twins[0] and "/root" not in twins[0]
+    found = awaited(client, f"/estimates/{joined['id']}", lambda found: (
+        found["state"] == "done" and "twin_left_out" in str(found["warnings"])))
+    twin, = (one["text"] for one in found["warnings"] if one["code"] == "twin_left_out")
+    assert "the same pictures as" in twin and "/root" not in twin
     assert found["estimate"]["moduli"] == joined["estimate"]["moduli"]
     assert client.delete(f"/estimates/{again}").status_code == 204
     assert ended(client, joined["id"])["state"] == "done"
@@ -403,11 +371,7 @@ def test_a_garment_is_simulated_when_it_is_asked_for(client, finished):
     assert client.post("/estimates/none/garment").status_code == 404
     place = f"/estimates/{finished['id']}"
     assert client.post(f"{place}/garment").status_code == 202
-    for _ in range(3000):
-        garment = client.get(place).json()["garment"]
-        if garment["state"] in ("done", "failed"):
-            break
-        time.sleep(0.1)
+    garment = awaited(client, place, lambda found: found["garment"]["state"] in ENDED)["garment"]
     assert (garment["state"], garment["error"]) == ("done", None)
     scene = trimesh.load(io.BytesIO(client.get(f"{place}/garment.glb").content), "glb")
     assert len(scene.geometry) == 12

@@ -32,29 +32,21 @@ def plain():
     return drape(isotropic(20), edge=0.012, start="sine", seed=5)
 
 
-def assert_equilibrium(result) -> None:
-    assert result.converged, result.message
-    assert result.outcome.residual < 1e-3 and result.outcome.positive_definite
-    assert np.array_equal(result.positions[result.held],
-                          np.column_stack([result.rest[result.held], np.zeros(result.held.sum())]))
-
-
 KINDS = {"stiff": isotropic(100), "median": isotropic(20, 2.0), "soft": isotropic(5),
          "extreme": EXTREME}
 
 
-@pytest.mark.parametrize(("kind", "start"), [
-    *((kind, "lowered") for kind in KINDS), ("extreme", "sine"), ("median", "fold"),
-    ("soft", "ring")])
-def test_fabrics_of_all_kinds_reach_a_proven_minimum(kind, start):
-    assert_equilibrium(drape(KINDS[kind], edge=0.008, start=start, seed=3))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("edge", [0.004, 0.002])
-@pytest.mark.parametrize("kind", KINDS)
-def test_fine_meshes_reach_a_proven_minimum(kind, edge):
-    assert_equilibrium(drape(KINDS[kind], edge=edge))
+@pytest.mark.parametrize(("kind", "start", "edge"), [
+    *((kind, "lowered", 0.008) for kind in KINDS), ("extreme", "sine", 0.008),
+    ("median", "fold", 0.008), ("soft", "ring", 0.008),
+    *(pytest.param(kind, "lowered", edge, marks=pytest.mark.slow)
+      for kind in KINDS for edge in (0.004, 0.002))])
+def test_fabrics_of_all_kinds_reach_a_proven_minimum(kind, start, edge):
+    result = drape(KINDS[kind], edge=edge, start=start, seed=3)
+    assert result.converged, result.message
+    assert result.outcome.residual < 1e-3 and result.outcome.positive_definite
+    assert np.array_equal(result.positions[result.held],
+                          np.column_stack([result.rest[result.held], np.zeros(result.held.sum())]))
 
 
 def test_shape_depends_on_moduli_over_density_only():
@@ -189,24 +181,18 @@ def test_user_defined_laws_are_called_for_every_mesh():
     assert np.allclose(twice.positions, light.positions, rtol=0, atol=2e-4)  # contact is harder
 
 
-@pytest.mark.parametrize(("wrong", "word"), [({"bending": None}, "bending law None"),
-                                             ({"bending": "hinges"}, "bending law 'hinges'"),
-                                             ({"bending": ["hinge"]}, "bending law"),
-                                             ({"others": ("midedge",)}, "others"),
-                                             ({"others": len}, "others"),
-                                             ({"membrane": 60.0}, "Corotational")])
-def test_unknown_laws_are_refused(wrong, word):
+@pytest.mark.parametrize(("call", "arguments", "word"), [
+    (Laws, {"bending": None}, "bending law None"),
+    (Laws, {"bending": "hinges"}, "bending law 'hinges'"),
+    (Laws, {"bending": ["hinge"]}, "bending law"), (Laws, {"others": ("midedge",)}, "others"),
+    (Laws, {"others": len}, "others"), (Laws, {"membrane": 60.0}, "Corotational"),
+    (follow, {"near": EXTREME}, "near=.* class Drape"),
+    (follow, {"fabric": [60e-6] * 3}, "fabric=.* class Fabric"),
+    (follow, {"start": np.zeros((9, 3))}, r"start=.* class State")])
+def test_laws_and_drapes_of_other_kinds_are_refused(plain, call, arguments, word):
+    usual = {"near": plain, "fabric": plain.fabric} if call is follow else {}
     with pytest.raises(InputError, match=word):
-        Laws(**wrong)
-
-
-def test_only_drapes_are_followed_to_fabrics(plain):
-    for arguments, word in (((plain.fabric, plain), "near=.* class Drape"),
-                            ((plain, [60e-6] * 3), "fabric=.* class Fabric")):
-        with pytest.raises(InputError, match=word):
-            follow(*arguments)
-    with pytest.raises(InputError, match=r"start=.* class State"):
-        follow(plain, plain.fabric, start=plain.positions)
+        call(**usual | arguments)
 
 
 def test_a_drape_prints_as_one_line(plain):
@@ -233,17 +219,15 @@ def plan(alpha: float, **options: object) -> dict:
             "start": start} | options
 
 
-@pytest.fixture(scope="module")
-def two():
-    broken = plan(30e-6, laws=Laws(others=(raising,)))
-    return drape_many([*map(plan, ALPHAS), broken], workers=2)
-
-
-def test_drapes_are_in_order_and_one_that_fails_is_a_status(two):
+def test_drapes_are_in_order_and_alike_on_one_core_and_one_that_fails_is_a_status():
+    plans = [*map(plan, ALPHAS), plan(30e-6, laws=Laws(others=(raising,)))]
+    two = drape_many(plans, workers=2)
     assert [one.fabric.alpha[0] for one in two] == [*ALPHAS, 30e-6]
     assert [one.status for one in two] == [Status.CONVERGED] * 3 + [Status.EXCEPTION]
     assert two[3].message == "FloatingPointError: no value"
     assert not two[3].positions[:, 2].any()
+    for one, other in zip(drape_many(plans), two, strict=True):
+        assert one.positions.tobytes() == other.positions.tobytes()
 
 
 @pytest.mark.parametrize(("plans", "options", "word"), [
@@ -258,15 +242,20 @@ def test_other_plans_are_refused_before_any_work(plans, options, word):
     assert drape_many(iter(())) == []
 
 
-def test_one_core_gives_the_same_bytes_as_two(two):
-    for one, other in zip(drape_many(list(map(plan, ALPHAS))), two, strict=False):
-        assert one.positions.tobytes() == other.positions.tobytes()
+def on_disc(alpha: float, lender=None, **options):
+    """A drape of a disc, which has many fold configurations to choose from."""
+    settings = {"edge": 0.008, "seed": 1} | options
+    if lender is not None:
+        settings["borrowed"] = lender.rest, lender.positions
+    result = drape(isotropic(alpha), rig=DISC_RIG, **settings)
+    assert result.converged, result.message
+    return result
 
 
 @pytest.fixture(scope="module")
 def lender():
-    """A disc has many fold configurations to choose from; this drape has ten folds."""
-    return drape(isotropic(15), rig=DISC_RIG, edge=0.008, seed=1)
+    """Has ten folds."""
+    return on_disc(15)
 
 
 def mean_distance(first, second) -> float:
@@ -281,9 +270,7 @@ def folds(result) -> np.ndarray:
 
 
 def test_the_same_fabric_stays_where_its_drape_was(lender):
-    again = drape(isotropic(15), rig=DISC_RIG, edge=0.008, seed=1,
-                  borrowed=(lender.rest, lender.positions))
-    assert again.converged
+    again = on_disc(15, lender)
     assert np.abs(again.positions - lender.positions).max() < 1e-6
     assert again.iterations < 0.5 * lender.iterations
 
@@ -291,21 +278,18 @@ def test_the_same_fabric_stays_where_its_drape_was(lender):
 def test_folds_survive_in_another_fabric_on_another_mesh(lender):
     others, lent = [], []
     for seed in (8, 9):
-        settings = {"rig": DISC_RIG, "edge": 0.008, "seed": seed}
-        borrowed = drape(isotropic(17), **settings, borrowed=(lender.rest, lender.positions))
-        assert borrowed.converged and len(folds(borrowed)) == len(folds(lender))
+        borrowed = on_disc(17, lender, seed=seed)
+        assert len(folds(borrowed)) == len(folds(lender))
         apart = np.exp(1j * folds(borrowed)[:, None]) / np.exp(1j * folds(lender))
         assert np.degrees(np.abs(np.angle(apart)).min(axis=1)).max() < 9
         lent.append(mean_distance(borrowed, lender))
-        others.append(mean_distance(drape(isotropic(17), **settings, start="ring"), lender))
+        others.append(mean_distance(on_disc(17, seed=seed, start="ring"), lender))
     assert max(others) > 2 * max(lent)  # other starts may find the same folds, not all do
 
 
 def test_borrowed_drape_drifts_with_the_specimen(lender):
     offset = (4e-3, -2e-3)
-    moved = drape(isotropic(15), rig=DISC_RIG, edge=0.008, seed=1, offset=offset,
-                  borrowed=(lender.rest, lender.positions))
-    assert moved.converged
+    moved = on_disc(15, lender, offset=offset)
     assert np.allclose((moved.rest.max(0) + moved.rest.min(0)) / 2, offset, atol=2e-4)
     assert len(folds(moved)) == len(folds(lender))
     assert mean_distance(moved, lender) < 5e-3
@@ -389,7 +373,5 @@ def test_a_ring_start_has_waves_all_around_and_leads_to_more_than_one_number_of_
         angle = np.arctan2(hem[:, 1], hem[:, 0])
         spectrum = [abs((hem[:, 2] * np.exp(-1j * k * angle)).mean()) for k in range(1, 20)]
         assert 4 <= 1 + int(np.argmax(spectrum)) <= 14
-        result = drape(isotropic(15), rig=DISC_RIG, edge=0.01, seed=seed, start="ring")
-        assert result.converged
-        found.add(len(folds(result)))
+        found.add(len(folds(on_disc(15, edge=0.01, seed=seed, start="ring"))))
     assert len(found) > 1 and min(found) >= 4

@@ -52,15 +52,15 @@ LAWS = {
 }
 HYSTERESIS = {"hysteresis": Hysteresis(0.3), "friction added to curled cloth": Hysteresis(
     (0.2, 0.3, 0.25), added=True, curvature=(3.0, -2.0, 0.0))}
-SHAPES = {"fold limit": {"amplitude": 8e-3, "turn": 0.0}}
+
 MESH, ACTIVE, BENT = crumpled_strip(amplitude=1e-4, turn=0.1)
 FABRIC = Fabric([60e-6, 30e-6, 40e-6], [-90e-9, -40e-9, -60e-9])
-MEMBRANES = (Corotational(), ORTHOTROPIC)
 
 
 def case_of(name: str):
     """An energy, a state, and the edges whose normals are among its unknowns."""
-    mesh, active, q = crumpled_strip(**SHAPES.get(name, {}))
+    folded = {"amplitude": 8e-3, "turn": 0.0} if name == "fold limit" else {}
+    mesh, active, q = crumpled_strip(**folded)
     if name in HYSTERESIS:
         plain = MidEdgeBending(mesh, active, fabric=STIFFENING)
         law = replace(HYSTERESIS[name], origin=plain.curvatures(crumpled_strip(seed=1)[2]))
@@ -84,37 +84,8 @@ def case_of(name: str):
     return contact, points.ravel(), np.zeros((0, 2), int)
 
 
-ENERGIES = [*LAWS, *HYSTERESIS, "contact", "rim"]
-
-
-STEPS = 2e-5 * 2.0 ** -np.arange(12)
-
-
-def assert_error_falls_with_square(errors: list[float], scale: float) -> None:
-    """Central differences over STEPS: the error falls by four per halving, down to rounding."""
-    rates = np.log2(np.maximum(errors[:-1], 1e-300) / np.maximum(errors[1:], 1e-300))
-    quadratic = np.abs(rates - 2) < 0.15
-    in_a_row = quadratic[:-2] & quadratic[1:-1] & quadratic[2:]
-    already_rounding = max(errors) < 1e-9 * scale
-    assert in_a_row.any() or already_rounding, rates
-    assert min(errors) < 1e-6 * scale
-
-
-@pytest.mark.parametrize("name", ENERGIES)
-def test_gradient_is_the_derivative_of_the_value(name):
-    energy, q, edges = case_of(name)
-    direction = np.random.default_rng(2).standard_normal(len(q) - 2 * len(edges))
-    direction *= 0.1 if name == "rim" else 1.0  # within the rounding
-    gradient = np.zeros(len(direction))
-    np.add.at(gradient, energy.dofs, energy.gradient(q))
-    errors = [abs((energy.value(moved(q, edges, h * direction))
-                   - energy.value(moved(q, edges, -h * direction))) / (2 * h)
-                  - gradient @ direction) for h in STEPS]
-    assert_error_falls_with_square(errors, np.abs(gradient) @ np.abs(direction))
-
-
-@pytest.mark.parametrize("name", ENERGIES)
-def test_the_hessian_is_the_derivative_of_the_gradient_and_its_convex_form_semi_definite(name):
+@pytest.mark.parametrize("name", [*LAWS, *HYSTERESIS, "contact", "rim"])
+def test_derivatives_are_right_and_the_convex_hessian_is_semi_definite(name):
     energy, q, edges = case_of(name)
     check(energy, q, edges)
     if name not in ("gravity", "contact", "fold limit"):
@@ -137,8 +108,6 @@ def test_the_rim_turns_smoothly_from_top_to_side():
     nudge = rng.normal(0, 1e-6, points.shape)
     turned = np.linalg.norm(cylinder.normals(points + nudge) - cylinder.normals(points), axis=1)
     assert turned[pressed].max() < 0.05
-    moved_by = np.linalg.norm(nudge, axis=1)
-    assert (np.abs(cylinder.depths(points + nudge) - depths) <= moved_by + 1e-15).all()
 
 
 @pytest.mark.parametrize("name", ["membrane", "orthotropic membrane", "hinges"])
@@ -153,7 +122,7 @@ def test_the_convex_hessian_of_flat_and_of_taut_cloth_is_exact(name):
 @pytest.mark.parametrize("name", [
     "membrane", "orthotropic membrane", "midedge softening", "midedge stiffening", "hysteresis",
     "hinges"])
-def test_rigid_motions_cost_nothing(name):
+def test_rigid_motions_cost_nothing_and_face_and_back_agree(name):
     energy, q, _ = case_of(name)
     mesh, _, _ = crumpled_strip()
     rotation, _ = np.linalg.qr(np.random.default_rng(4).standard_normal((3, 3)))
@@ -161,19 +130,13 @@ def test_rigid_motions_cost_nothing(name):
     state = State.of(q, len(mesh.rest))
     turned = State(state.positions @ rotation.T + [1, 2, 3], state.normals @ rotation.T).q
     assert energy.value(turned) == pytest.approx(energy.value(q), rel=1e-10)
+    if name in ("midedge softening", "hinges"):  # which have no natural curvature
+        mirrored = State(state.positions * [1, 1, -1], state.normals * [-1, -1, 1]).q
+        assert energy.value(mirrored) == pytest.approx(energy.value(q), rel=1e-12)
     if "membrane" in name:
         flat = np.column_stack([mesh.rest, np.zeros(len(mesh.rest))]) @ rotation.T
         assert abs(energy.value(flat.ravel())) < 1e-18
         assert np.abs(energy.gradient(flat.ravel())).max() < 1e-12
-
-
-@pytest.mark.parametrize("name", ["midedge softening", "hinges"])
-def test_face_and_back_agree(name):
-    energy, q, _ = case_of(name)
-    mesh, _, _ = crumpled_strip()
-    state = State.of(q, len(mesh.rest))
-    mirrored = State(state.positions * [1, 1, -1], state.normals * [-1, -1, 1]).q
-    assert energy.value(mirrored) == pytest.approx(energy.value(q), rel=1e-12)
 
 
 @pytest.mark.parametrize("angle", [0.0, 22.5, 45.0, 90.0])
@@ -241,34 +204,31 @@ class Aimless(Quartic):
         pass
 
 
-def test_right_derivatives_pass():
-    check(Quartic(MESH, ACTIVE, fabric=FABRIC), BENT, MESH.edges)
-
-
 @pytest.mark.parametrize(("factors", "complaint"), [
     ({"slope": -1.0}, "Quartic.gradient is not the derivative of the value"),
     ({"slope": 1.001}, "Quartic.gradient is not"), ({"bend": -1.0}, "Quartic.hessian is not"),
     ({"convexity": -1.0}, "negative eigenvalue"),
 ])
-def test_wrong_derivatives_are_named(factors, complaint):
+def test_wrong_derivatives_are_named_and_right_ones_pass(factors, complaint):
+    check(Quartic(MESH, ACTIVE, fabric=FABRIC), BENT, MESH.edges)
     with pytest.raises(InputError, match=complaint):
         check(Quartic(MESH, ACTIVE, fabric=FABRIC, **factors), BENT, MESH.edges)
 
 
-def test_a_gradient_of_another_shape_is_named():
-    class Short(Quartic):
-        def gradient(self, q):
-            return super().gradient(q)[:-1]
-
-    with pytest.raises(InputError, match=r"Short.gradient has the shape \(\d+, 1\)"):
-        check(Short(MESH, ACTIVE, fabric=FABRIC), BENT, MESH.edges)
+class Short(Quartic):
+    def gradient(self, q):
+        return super().gradient(q)[:-1]
 
 
-def test_an_energy_without_dofs_is_named_by_a_drape_and_by_the_check():
-    for failing in (lambda: drape(FABRIC, edge=0.02, laws=Laws(others=(Aimless,))),
-                    lambda: check(Aimless(MESH, ACTIVE, fabric=FABRIC), BENT, MESH.edges)):
-        with pytest.raises(InputError, match=r"Aimless\.dofs must be an array"):
-            failing()
+@pytest.mark.parametrize(("energy", "complaint"), [
+    (Short, r"Short.gradient has the shape \(\d+, 1\)"),
+    (Aimless, r"Aimless\.dofs must be an array")])
+def test_an_energy_of_another_form_is_named_by_the_check_and_by_a_drape(energy, complaint):
+    with pytest.raises(InputError, match=complaint):
+        check(energy(MESH, ACTIVE, fabric=FABRIC), BENT, MESH.edges)
+    if energy is Aimless:
+        with pytest.raises(InputError, match=complaint):
+            drape(FABRIC, edge=0.02, laws=Laws(others=(energy,)))
 
 
 def test_a_drape_that_fails_by_a_wrong_derivative_points_to_the_check():
@@ -308,12 +268,15 @@ def test_uniaxial_tension_has_the_youngs_modulus_and_poisson_ratio_of_each_direc
         )
 
 
-def test_simple_shear_has_the_shear_modulus():
+def test_simple_shear_has_the_shear_modulus_and_stiffness_scales():
     gamma = 0.01
     normal = gamma**2 / 2  # E_vv of simple shear
     weft = 90 / (1 - 0.36 * 90 / 400)
     expected = 0.5 * 30 * gamma**2 + 0.5 * weft * normal**2
     assert stretched(ORTHOTROPIC, 1.0, 1.0, gamma) == pytest.approx(expected, rel=1e-10)
+    for membrane in (Corotational(), ORTHOTROPIC):
+        once, thrice = (stretched(law, 1.1, 0.9, gamma) for law in (membrane, membrane.scaled(3.0)))
+        assert thrice == pytest.approx(3 * once, rel=1e-9)
 
 
 def test_small_strains_do_not_tell_isotropic_stvk_from_corotational():
@@ -321,34 +284,6 @@ def test_small_strains_do_not_tell_isotropic_stvk_from_corotational():
     for stretches in ((1.001, 1.0), (0.9995, 1.001), (1.0, 1.001)):
         one, other = (stretched(law, *stretches) for law in laws)
         assert one == pytest.approx(other, rel=3e-3)
-
-
-def test_warp_and_weft_are_not_swapped_in_a_drape():
-    """Cloth whose warp is soft in plane is strained along warp, on the rest axis of the mesh."""
-    fabric = Fabric(np.full(3, 100e-6))
-    for warp, weft in ((30.0, 400.0), (400.0, 30.0)):
-        membrane = OrthotropicStVK(warp, weft, 0.0, 50.0)
-        result = drape(fabric, edge=8e-3, seed=1, start="sine",
-                       laws=Laws(membrane=membrane))
-        assert result.converged, result.message
-        ends = result.mesh.edges
-        edges = result.rest[ends[:, 1]] - result.rest[ends[:, 0]]
-        now = result.positions[ends[:, 1]] - result.positions[ends[:, 0]]
-        lengths = np.linalg.norm(edges, axis=1)
-        strain = np.linalg.norm(now, axis=1) / lengths - 1
-        along_warp, along_weft = (
-            np.sqrt((strain[np.abs(edges[:, axis]) > 0.95 * lengths] ** 2).mean())
-            for axis in (0, 1)
-        )
-        assert (along_warp > 3 * along_weft) == (warp < weft)
-        assert (along_weft > 3 * along_warp) == (weft < warp)
-
-
-def test_stiffness_scales():
-    mesh, active, q = crumpled_strip()
-    for membrane in MEMBRANES:
-        once, thrice = membrane.energy(mesh, active), membrane.scaled(3.0).energy(mesh, active)
-        assert thrice.value(q) == pytest.approx(3 * once.value(q), rel=1e-9)
 
 
 @pytest.mark.parametrize(("make", "word"), [

@@ -58,17 +58,22 @@ def folded(mesh: Mesh, radius: float, at: float = 0.04, turn: float = np.pi) -> 
 
 
 def test_flat_and_closely_folded_sheets_do_not_intersect():
-    mesh = sheet()
-    assert len(self_intersections(flat(mesh), mesh.faces)) == 0
-    fine = sheet(edge=0.002, jitter=0.0)
-    assert len(self_intersections(folded(fine, radius=2e-3), fine.faces)) == 0
+    mesh, fine = sheet(), sheet(edge=0.002, jitter=0.0)
     both, positions = two_sheets(gap=1e-9, turn=0.3)
-    assert len(self_intersections(positions, both.faces)) == 0
+    for shape, faces in ((flat(mesh), mesh.faces), (folded(fine, radius=2e-3), fine.faces),
+                         (positions, both.faces)):
+        assert len(self_intersections(shape, faces)) == 0
 
 
-def test_a_sheet_folded_through_itself_is_found_where_it_crosses():
+@pytest.fixture
+def tangled() -> tuple[np.ndarray, Mesh]:
+    """A sheet folded through itself, and its mesh."""
     mesh = sheet(edge=0.005, jitter=0.0)
-    positions = folded(mesh, radius=5e-3, turn=1.2 * np.pi)
+    return folded(mesh, radius=5e-3, turn=1.2 * np.pi), mesh
+
+
+def test_a_sheet_folded_through_itself_is_found_where_it_crosses(tangled):
+    positions, mesh = tangled
     crossing = self_intersections(positions, mesh.faces)
     middle = positions[mesh.faces[crossing[:, 2]]].mean(axis=1)
     assert len(crossing) >= 8  # the line of the crossing is 16 edges long
@@ -109,37 +114,26 @@ def touching(gap: float = 0.5e-3, reach: float = 3e-3) -> tuple[SelfContact, np.
 COORDINATES = 6 * len(sheet().rest)  # of two sheets
 
 
-def summed_gradient(energy: SelfContact, q: np.ndarray) -> np.ndarray:
-    total = np.zeros(COORDINATES + 1)
-    np.add.at(total, energy.dofs, energy.gradient(q))
-    return total[:-1]
+def summed(energy: SelfContact, parts: np.ndarray) -> np.ndarray:
+    """Gradients (N, K) or Hessians (N, K, K) of the pairs, summed over the unknowns."""
+    order, last = parts.ndim - 1, energy.dofs
+    total = np.zeros((COORDINATES + 1,) * order)
+    np.add.at(total, (last,) if order == 1 else (last[:, :, None], last[:, None, :]), parts)
+    return total[(slice(-1),) * order]
 
 
-def summed_hessian(energy: SelfContact, q: np.ndarray, convex: bool = False) -> np.ndarray:
-    total = np.zeros((COORDINATES + 1, COORDINATES + 1))
-    np.add.at(total, (energy.dofs[:, :, None], energy.dofs[:, None, :]),
-              energy.hessian(q, convex))
-    return total[:-1, :-1]
-
-
-def test_derivatives_and_the_convex_hessian():
-    energy, q, mesh = touching()
-    assert energy.is_complete(q)
-    assert np.abs(summed_gradient(energy, q)).max() > 1e-4 * WEIGHT  # does touch
-    exact = summed_hessian(energy, q)
-    assert np.linalg.eigvalsh(exact).min() < -1e-3 * np.abs(exact).max()
-    check(energy, q, mesh.edges)
-
-
-def test_pairs_outside_the_pattern_leave_the_convex_hessian_semi_definite():
-    full, q, _ = touching()
+def test_derivatives_and_the_convex_hessian_with_pairs_outside_the_pattern_too():
+    full, q, mesh = touching()
     poor, _, _ = touching(reach=1e-6)
+    exact = summed(full, full.hessian(q))
+    assert np.linalg.eigvalsh(exact).min() < -1e-3 * np.abs(exact).max()
+    check(full, q, mesh.edges)
     assert len(poor.dofs) < len(full.dofs)
     assert full.is_complete(q) and not poor.is_complete(q)
-    assert np.array_equal(summed_gradient(full, q), summed_gradient(poor, q))
-    convex = summed_hessian(poor, q, True)
-    above = convex - summed_hessian(full, q, True)
-    for matrix in (convex, above):
+    slopes = [summed(energy, energy.gradient(q)) for energy in (full, poor)]
+    assert np.array_equal(*slopes) and np.abs(slopes[0]).max() > 1e-4 * WEIGHT  # does touch
+    above, convex = (summed(energy, energy.hessian(q, True)) for energy in (full, poor))
+    for matrix in (convex, convex - above):
         assert np.linalg.eigvalsh(matrix).min() > -1e-12 * np.abs(convex).max()
 
 
@@ -149,7 +143,7 @@ def test_sheets_half_the_distance_apart_press_as_asked(turn):
     both, positions = two_sheets(gap=0.5e-3, turn=turn)
     energy = SelfContact(both, positions, distance=1e-3, pressure=pressure, reach=3e-3)
     q = np.concatenate([positions.ravel(), np.zeros(len(both.edges))])
-    force = -summed_gradient(energy, q)[: positions.size].reshape(-1, 3)
+    force = -summed(energy, energy.gradient(q))[: positions.size].reshape(-1, 3)
     assert np.abs(force.sum(axis=0)).max() < 1e-12 * np.abs(force).sum()  # action and reaction
     upper = np.arange(len(positions)) >= len(positions) // 2
     inner = upper & (np.abs(positions[:, :2] - 0.04).max(axis=1) < 0.028)
@@ -183,14 +177,6 @@ def test_steps_through_the_cloth_are_refused():
 # Equilibria
 
 
-def fold_over_itself() -> tuple[Scene, State, Mesh]:
-    """A strip held flat over 60 mm whose free 60 mm are folded back above the held part."""
-    mesh, held = strip(length=0.06, width=0.03, edge=5e-3, clamp=0.06, diagonals="random",
-                       jitter=0.1, seed=1)
-    scene = Scene(mesh=mesh, held=held)
-    return scene, scene.state(folded(mesh, radius=8e-3, at=0.0)), mesh
-
-
 def test_cloth_rests_on_cloth():
     """A slack sheet between two held ends, 5 mm above a held one on which it comes to lie."""
     mesh, positions = two_sheets(gap=5e-3)
@@ -216,7 +202,11 @@ def test_cloth_rests_on_cloth():
 
 
 def test_a_sheet_that_has_fallen_through_itself_is_brought_out():
-    scene, start, mesh = fold_over_itself()
+    """A strip held flat over 60 mm whose free 60 mm are folded back above the held part."""
+    mesh, held = strip(length=0.06, width=0.03, edge=5e-3, clamp=0.06, diagonals="random",
+                       jitter=0.1, seed=1)
+    scene = Scene(mesh=mesh, held=held)
+    start = scene.state(folded(mesh, radius=8e-3, at=0.0))
     through = find_equilibrium(scene, SOFT, start, options=OPTIONS)
     assert through.converged
     assert len(self_intersections(through.state.positions, mesh.faces)) > 0  # the case is one
@@ -252,18 +242,14 @@ def test_self_contact_changes_nothing_without_intersections():
     assert free.outcome.iterations == plain.outcome.iterations
 
 
-def test_untangling_moves_little_and_only_free_vertices():
-    mesh = sheet(edge=0.005, jitter=0.0)
-    tangled = folded(mesh, radius=5e-3, turn=1.2 * np.pi)
+def test_untangling_moves_little_and_only_free_vertices(tangled):
+    start, mesh = tangled
     held = mesh.rest[:, 0] < 0.03
-    assert len(self_intersections(tangled, mesh.faces)) > 0
-    positions = untangled(mesh, held, tangled)
+    positions = untangled(mesh, held, start)
     assert len(self_intersections(positions, mesh.faces)) == 0
-    moved = np.linalg.norm(positions - tangled, axis=1)
-    assert not moved[held].any()
-    assert moved.max() < 0.015
-    everything = np.ones(len(held), dtype=bool)
-    assert untangled(mesh, everything, tangled) is None
+    moved = np.linalg.norm(positions - start, axis=1)
+    assert not moved[held].any() and moved.max() < 0.015
+    assert untangled(mesh, np.ones(len(held), dtype=bool), start) is None
 
 
 def test_cloth_that_cannot_be_untangled_fails_with_the_reason():

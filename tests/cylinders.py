@@ -1,4 +1,4 @@
-"""Constraints that make a strip bend as a cylinder, like an infinitely wide one.
+"""Strips that bend as cylinders, like infinitely wide ones: by constraints, and what theory says.
 
 A strip cut at an angle to the yarns twists when it bends, and one with a Poisson effect curves
 across. Constrained to a cylinder it has the torque of the law in its direction. Strips are grids
@@ -10,11 +10,14 @@ from functools import partial
 
 import numpy as np
 
+from common.errors import InputError
 from sim.cloth import Laws
+from sim.energies import bending_law
 from sim.energies.base import Energy
-from sim.material import Fabric
+from sim.material import Fabric, plate_constants
 from sim.mesh import Mesh
 
+_SMALL = 0.01  # reduced curvature below the softening limit of every term of the law
 TIE_STIFFNESS = 100.0
 """Stiffness of the ties in units of alpha/edge²; the rulings are level within 1e-4."""
 
@@ -82,3 +85,47 @@ class LevelSides(Energy):
         tilt = along[:, 1:2] * normal / length
         turn = along[:, 2] * normal[:, 0] - along[:, 0] * normal[:, 2]
         return np.concatenate([tilt, -tilt, turn[:, None]], axis=1)
+
+
+def tabulated_law(curvature: np.ndarray, torque: np.ndarray) -> np.ndarray:
+    """Linear pieces (4, K - 1) through curvatures (K,) from 0, 1/m, and torques (K,), N."""
+    rise = np.diff(torque)
+    if not (rise > 0).all():
+        raise InputError("the torque must increase with the curvature")
+    return np.stack([curvature[:-1], torque[:-1], rise / np.diff(curvature), np.zeros_like(rise)])
+
+
+def cylinder_torque(fabric: Fabric, angle: float, curvature: np.ndarray) -> np.ndarray:
+    """Torque (K,), N, per width of cylinders of ``curvature`` (K,), 1/m, at ``angle``, rad.
+
+    The derivative of the plate's energy (:mod:`sim.energies.bending_law`) with respect to kappa.
+    """
+    law = bending_law.constants(fabric)
+    cos, sin = np.cos(angle), np.sin(angle)
+    direction = np.array([cos**2, sin**2, cos * sin])
+    bent = curvature[:, None] * direction
+    return bending_law.respond(bent, np.zeros_like(bent), law, bending_law.PLAIN)[1] @ direction
+
+
+def cylinder_moduli(fabric: Fabric, angle: float) -> tuple[float, float]:
+    """k(phi): alpha, N·m, and beta, N·m², of a cylinder bent along ``angle`` (rad from warp).
+
+    Its torque is alpha kappa + beta kappa² up to the softening limit in warp, bias and weft, and
+    in other directions as long as no term of the law has reached its limit.
+    """
+    kappa = _SMALL / max(np.abs(fabric.beta / fabric.alpha).max(), 1e-6)
+    once, twice = cylinder_torque(fabric, angle, np.array([kappa, 2 * kappa]))
+    return float((4 * once - twice) / (2 * kappa)), float((twice - 2 * once) / (2 * kappa**2))
+
+
+def free_modulus(fabric: Fabric, angle: float) -> float:
+    """Linear modulus, N·m, of a narrow free strip along ``angle``, rad, for small deflections.
+
+    1/(m D^-1 m) with the plate's stiffness D (3, 3) for (Sxx, Syy, Sxy) and the components m of a
+    unit moment along the strip: the other two moments are zero.
+    """
+    a11, a22, a12, a66 = plate_constants(fabric.alpha)
+    stiffness = np.array([[a11, a12, 0.0], [a12, a22, 0.0], [0.0, 0.0, 4 * a66]])
+    cos, sin = np.cos(angle), np.sin(angle)
+    moments = np.array([cos**2, sin**2, 2 * cos * sin])
+    return float(1 / (moments @ np.linalg.solve(stiffness, moments)))

@@ -1,0 +1,111 @@
+"""Reports of studies, their figures and tables."""
+
+import csv
+import json
+import os
+import platform
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from common.errors import InputError
+from common.files import replace_json, replacing
+from common.provenance import package_versions, processor
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+ROOT = Path(__file__).resolve().parents[1]
+REPORTS = ROOT / "docs" / "validation"
+
+Report = dict[str, Any]
+"""Report of a study, of JSON types."""
+
+
+def machine() -> dict:
+    """Processor, number of cores and versions of packages."""
+    return {
+        "processor": processor(),
+        "cores": os.cpu_count(),
+        "python": platform.python_version(),
+        **package_versions("numpy", "numba", "scipy", "torch"),
+    }
+
+
+def write_report(path: Path, content: Report) -> None:
+    """Write a report and the machine."""
+    replace_json(path, {"machine": machine(), **content})
+
+
+def read_report(name: str) -> Report:
+    """The stored report of a study."""
+    return json.loads((REPORTS / f"{name}.json").read_text(encoding="utf-8"))
+
+
+def write_figure(path: Path, figure: "Figure") -> None:
+    """Write a figure as PNG."""
+    with replacing(path) as file:
+        figure.savefig(file, format="png", dpi=110)
+
+
+def label_log_axes(*scales: Any) -> None:
+    """Label logarithmic scales that span about one decade at 1, 2 and 5, with plain numbers."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    for scale in scales:
+        scale.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        scale.set_major_formatter("{x:g}")
+        scale.set_minor_formatter(NullFormatter())
+
+
+def table(head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
+    """Markdown table with aligned columns; floats have three significant digits."""
+    def cell(value: object) -> str:
+        return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+    lines = [[cell(v) for v in head], *([cell(v) for v in row] for row in rows)]
+    width = [max(len(line[k]) for line in lines) for k in range(len(lines[0]))]
+    text = ["| " + " | ".join(v.ljust(w) for v, w in zip(line, width, strict=True)) + " |"
+            for line in lines]
+    text.insert(1, "|" + "|".join("-" * (w + 2) for w in width) + "|")
+    return "\n".join(text)
+
+
+def markdown(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """Markdown table without aligned columns."""
+    lines = [list(head), *rows]
+    lines.insert(1, ["---"] * len(lines[0]))
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def errors(values: np.ndarray | list) -> dict[str, float]:
+    """Statistics of the sizes of errors."""
+    size = np.abs(values)
+    return {"median": float(np.median(size)), "quantile_90": float(np.quantile(size, 0.9)),
+            "largest": float(np.max(size))}
+
+
+def listed(found: Mapping[str, float], keys: Iterable[str], form: str) -> str:
+    """Figures of a report in one cell of a table."""
+    return ", ".join(f"{found[key]:{form}}" for key in keys)
+
+
+def percents(shares: Iterable[float]) -> str:
+    """Shares in percent in one cell of a table."""
+    return ", ".join(f"{100 * share:.0f}" for share in shares)
+
+
+def read_rows(file: str) -> list[dict[str, str]]:
+    """Rows of a CSV file by column; lines that begin with # are comments."""
+    try:
+        lines = Path(file).read_text(encoding="utf-8").splitlines()
+    except OSError as error:
+        raise InputError(f"{file} cannot be read ({error.strerror}); give fabrics=FILE") from None
+    return list(csv.DictReader(line for line in lines if not line.startswith("#")))
+
+
+def rms(values: np.ndarray | list) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.square(values).mean()))

@@ -1,0 +1,194 @@
+"""A study: a function that gives a sample, the keys of its command, and its report.
+
+A module of a folder of this package is a study if it has a ``STUDY``. Samples are independent: they
+are made in processes, resumed (:mod:`common.cases`), and refused ones (InputError) counted.
+"""
+
+import ast
+import inspect
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from common.cases import run_cases
+from common.configs import Workers
+from common.documents import faults, parse_yaml
+from common.errors import InputError
+from common.files import require_file, require_folder
+from data.dataset.config import VERSION as DRAPES
+from experiments.report import Report, write_figure, write_report
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FOLDERS = ("physics", "speed", "estimation", "papers")
+FILES = {file.stem: file for folder in FOLDERS
+         for file in sorted((Path(__file__).parent / folder).glob("*.py"))
+         if "\nSTUDY = " in file.read_text(encoding="utf-8")}
+"""Modules of the studies by name, ordered by folder."""
+
+Sample = dict[str, Any]
+"""Result of one case, of JSON types; "arrays" are stored beside it."""
+K = TypeVar("K", bound="PlainKeys")
+
+
+class PlainKeys(BaseModel):
+    """Keys of the command of a study, with their defaults; a study adds its own."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False,
+                              coerce_numbers_to_str=True)
+    out: str = ""  # the report; empty: outputs/experiments/NAME.json
+
+    @classmethod
+    def read(cls: type[K], words: list[str]) -> K:
+        """Keys of the words ``key=value``, values as in YAML; InputError for others."""
+        stated: dict[str, Any] = {}
+        lists = [key for key, one in cls.model_fields.items() if isinstance(one.default, tuple)]
+        for word in words:
+            key, equals, value = word.partition("=")
+            if not equals:
+                raise InputError(f"{word}: write KEY=VALUE without spaces around =; --help lists "
+                                 "the keys")
+            if key in lists and value[:1] != "[":
+                value = f"[{value}]"
+            stated |= parse_yaml(f"{key}: {value}", word) if value else {key: ""}
+        try:
+            return cls(**stated)
+        except ValidationError as error:
+            raise InputError(f"{faults(error)}; --help lists the keys") from None
+
+    @classmethod
+    def text(cls) -> str:
+        """A line for each key, with its default and the comment beside it."""
+        source = "".join(inspect.getsource(kind) for kind in cls.__mro__[::-1]
+                         if issubclass(kind, PlainKeys))
+        lines = []
+        for key, one in cls.model_fields.items():
+            comment = re.search(rf"^    {key}: .*?(  # .*|)$", source, re.MULTILINE)
+            lines.append(f"{key}: {one.default!r}{comment[1] if comment else ''}")
+        return "\n".join(lines)
+
+
+class CaseKeys(PlainKeys):
+    """Keys of a study of cases."""
+
+    workers: Workers = 1  # processes, one thread each
+    cases: str = ""  # folder of finished cases; empty: outputs/experiments/NAME
+
+
+EXECUTION_KEYS = ("workers", "cases", "out")
+"""Keys that do not change a report."""
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study.
+
+    Attributes:
+        run: from keys to the report; an entry "figure" is written beside it.
+        block: of the report, what the documentation shows of it: sentences, tables.
+        draw: of the report, the figure beside it.
+    """
+
+    keys: type[PlainKeys]
+    run: Callable[[Any], Report]
+    block: Callable[[Report], str] | None = None
+    draw: "Callable[[Report], Figure | None] | None" = None
+
+
+def study(name: str) -> Study:
+    """The study of a module."""
+    return import_module(f"experiments.{FILES[name].parent.name}.{name}").STUDY
+
+
+def folder_of(keys: CaseKeys) -> Path:
+    """The folder of the cases."""
+    name = type(keys).__module__.rpartition(".")[2]
+    return Path(keys.cases or f"outputs/experiments/{name}")
+
+
+def samples_of(
+    function: Callable[..., Any], keys: CaseKeys, cases: int | Mapping[str, Mapping[str, Any]], *,
+    refused: dict[str, str] | None = None, kind: str = "sample",
+) -> dict[str, Any]:
+    """Samples by name of a ``function`` at the top of a module, made or read.
+
+    It takes those of the keys that it names, the settings of its case and, as ``rng``, a generator
+    that its seed and number begin.
+
+    Args:
+        cases: settings by name, or a count: ``number`` from 0.
+        refused: receives the sentences of the refused ones by name; without it, as without any
+            sample that is not refused, the first is an error.
+        kind: of the samples, the beginning of the names of counted ones.
+    """
+    if isinstance(cases, int):
+        cases = {f"{kind}_{k:03}": {"number": k} for k in range(cases)}
+    taken = inspect.signature(function).parameters
+    known = {key: value for key, value in dict(keys).items()
+             if key in taken or (key == "seed" and "rng" in taken)}
+    place = {"module": function.__module__, "name": function.__name__}
+    found = run_cases(sampled, {name: {"settings": known | dict(settings), **place}
+                                for name, settings in cases.items()},
+                      folder=folder_of(keys), workers=keys.workers,
+                      version=DRAPES)  # a study that samples otherwise is given another folder
+    sound = {name: one["sample"] for name, one in found.items() if "sample" in one}
+    answers = {name: one["refused"] for name, one in found.items() if "refused" in one}
+    if answers and (refused is None or not sound):
+        raise InputError(next(iter(answers.values())))
+    if refused is not None:
+        refused |= answers
+    return sound
+
+
+def sampled(*, module: str, name: str, settings: Sample) -> Sample:
+    """A sample, or what it was refused with; arrays are kept beside."""
+    function = getattr(import_module(module), name)
+    taken = inspect.signature(function).parameters
+    if "rng" in taken:
+        rng = np.random.default_rng([settings["seed"], settings["number"]])
+        settings = {key: value for key, value in settings.items() if key in taken} | {"rng": rng}
+    try:
+        sample = function(**settings)
+    except InputError as error:
+        return {"refused": str(error)}
+    arrays = sample.pop("arrays", {}) if isinstance(sample, dict) else {}
+    return {"sample": sample, "arrays": arrays}
+
+
+def grouped(
+    samples: Mapping[str, Sample], summary: Callable[[list[Sample]], Report],
+    groups: Mapping[str, Callable[[Sample], bool]],
+) -> Report:
+    """Summaries by name of all samples and of the groups that have any."""
+    members = {"all": list(samples.values())} | {
+        name: [one for one in samples.values() if belongs(one)] for name, belongs in groups.items()}
+    return {name: summary(some) for name, some in members.items() if some}
+
+
+def run(name: str, words: list[str]) -> tuple[Path, Report]:
+    """Run a study with the ``words`` of its command; write report and figure."""
+    this = study(name)
+    keys = this.keys.read(words)
+    out = Path(keys.out or f"outputs/experiments/{name}.json").resolve()
+    require_file(out)
+    if isinstance(keys, CaseKeys):
+        require_folder(folder_of(keys))
+    settings = {key: value for key, value in dict(keys).items() if key not in EXECUTION_KEYS}
+    report = {"settings": settings, **this.run(keys)}
+    figure = report.pop("figure", None)
+    write_report(out, report)
+    if figure := figure or (this.draw and this.draw(report)):
+        write_figure(out.with_suffix(".png"), figure)
+    return out, report
+
+
+def about(name: str) -> str:
+    """The docstring of a study's module."""
+    return ast.get_docstring(ast.parse(FILES[name].read_text(encoding="utf-8"))) or ""
