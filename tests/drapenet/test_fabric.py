@@ -458,9 +458,12 @@ def test_arguments_of_another_type_are_refused(arguments, options, complaint):
         drapenet.load(3)
 
 
-def test_a_capture_of_arrays_is_checked():
+def test_a_capture_of_arrays_is_estimated_as_that_of_its_folder_and_checked(plain):
+    arrays = read_capture(TWILL)
+    np.testing.assert_allclose(np.median(drapenet.estimate(arrays).samples, 0),
+                               np.median(plain.estimate.samples, 0), atol=0.02)
     with pytest.raises(InputError, match="density=210 is more than 1 kg/m²"):
-        drapenet.estimate(replace(read_capture(TWILL), density=210.0))
+        drapenet.estimate(replace(arrays, density=210.0))
 
 
 def test_captures_of_a_loaded_estimate_are_in_order_also_from_the_tenth_on(

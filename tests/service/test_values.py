@@ -105,6 +105,8 @@ def test_strips_under_weights_of_the_form_join_and_are_reported(client, lengths)
     tension = found["estimate"]["tension"]
     assert found["name"] == "tension 1" and "preview.png" in found["files"]
     assert tension["measured"] == ["warp", "bias", "weft"]
+    # Load per width over four times the extension: 29.9 N/m.
+    assert 24 < tension["shear_n_per_m"]["median"] < 36
     joint = joint_estimate_of(client, lengths["fabric"])
     assert joint["state"] == "done" and joint["estimate"]["tension"] == tension, joint["error"]
     page = client.get(f"/estimates/{joint['id']}/report.html").text
