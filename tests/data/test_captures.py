@@ -65,6 +65,7 @@ def test_pictures_are_subsampled_by_what_a_pixel_covers_not_by_their_width(
     capture = read_capture(tmp_path / "large")
     assert capture.views.shape == (4, 3 * kept // 4, kept)
     assert 0.5 / capture.intrinsics.fx < 2.1e-3
+    assert (capture.views > 0).mean() == pytest.approx((views > 0).mean(), rel=0.02)  # not cut
 
 
 def test_labels_of_the_report_are_read_and_written(folder, tmp_path, views):

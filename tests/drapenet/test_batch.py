@@ -3,13 +3,16 @@
 import csv
 import re
 import shutil
+from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pytest
 from cloths import capture_views
 from photographs import drawn, plate, write
 from workbooks import cells
 
+import drapenet
 import infer
 from common.errors import InputError
 from data.captures.writer import write_capture
@@ -182,15 +185,41 @@ def test_names_are_text_in_the_pages(out):
     assert "&lt;script&gt;" in (out / "index.html").read_text("utf-8")
 
 
-def test_only_unfinished_and_changed_captures_are_estimated_again(out, words, capsys):
+def test_python_takes_the_same_fabrics_by_name(out, words, untrained_checkpoint):
+    options = {"checkpoint": untrained_checkpoint, "workers": 1}
+    times = {file: file.stat().st_mtime_ns for file in out.rglob("part.json")}
+    source = Path(words[0].removeprefix("captures="))
+    found = drapenet.estimate_fabrics(source, str(out), **options)
+    assert {*found} == {file.parent.name for file in out.glob("*/fabric.json")} and len(found) == 5
+    samples = [each.samples for each in found.values()]
+    for name, (first, second) in zip(found, pairwise([*samples, samples[0]]), strict=True):
+        np.testing.assert_array_equal(first, drapenet.load(out / name).samples)
+        assert not np.array_equal(first, second)
+    assert {file: file.stat().st_mtime_ns for file in times} == times  # finished ones are read
+    for changed, complaint in (({"refine": "no"}, "refine='no' is not of the class bool"),
+                               ({"workers": "2"}, "workers='2': give a whole number"),
+                               ({"checkpoint": None}, "checkpoint=None is not of the class")):
+        with pytest.raises(InputError, match=complaint):
+            drapenet.estimate_fabrics(source, out, **(options | changed))
+    with pytest.raises(InputError, match="out= is empty"):
+        drapenet.estimate_fabrics(source, "", **options)
+
+
+def test_unfinished_damaged_and_changed_captures_are_estimated_again(out, words, capsys):
     tables = {name: (out / name).read_bytes() for name in ("captures.csv", "failures.csv")}
     done = sorted(out.rglob("part.json"))
     times = {file: file.stat().st_mtime_ns for file in done}
     assert len(done) == 9
     done[0].unlink()
-    infer.main(words)
-    assert "8 of 9 captures are finished; 1 to go" in capsys.readouterr().out
-    assert all(file.stat().st_mtime_ns == times[file] for file in done[1:])
+    samples = done[-1].with_name("samples.npz")
+    sound = samples.read_bytes()
+    samples.write_bytes(sound[:-100])
+    infer.main([*words, "export=csv"])
+    printed = capsys.readouterr().out
+    assert "7 of 9 captures are finished; 2 to go" in printed
+    assert samples.read_bytes() == sound
+    assert printed.count("exports: ") == len(list(out.rglob("material.csv"))) == 5
+    assert all(file.stat().st_mtime_ns == times[file] for file in done[1:-1])
     assert {name: (out / name).read_bytes() for name in tables} == tables
     file = out.parent / "2" / "capture.yaml"
     file.write_text(file.read_text().replace("150.0", "300.0"))
@@ -198,18 +227,6 @@ def test_only_unfinished_and_changed_captures_are_estimated_again(out, words, ca
     assert "8 of 9 captures are finished" in capsys.readouterr().out
     assert {row["density_g_m2"] for row in rows(out / "fabrics.csv")
             if row["fabric"] == SCRIPT} == {"300"}
-
-
-def test_damaged_files_are_made_again(out, words, capsys):
-    samples = next(file for file in out.rglob("samples.npz") if len(
-        file.relative_to(out).parts) > 2 and "script" in str(file))
-    sound = samples.read_bytes()
-    samples.write_bytes(sound[:-100])
-    infer.main([*words, "export=csv"])
-    assert samples.read_bytes() == sound
-    printed = capsys.readouterr().out
-    assert "8 of 9 captures are finished; 1 to go" in printed
-    assert printed.count("exports: ") == len(list(out.rglob("material.csv"))) == 5
 
 
 def test_only_broken_captures_are_an_error(tmp_path, untrained_checkpoint):
@@ -228,12 +245,17 @@ def test_results_of_other_captures_are_not_replaced(out, words):
         infer.main([f"captures={out.parent / 'other'}", *words[1:]])
 
 
+def tree(root: Path, *places: str) -> Path:
+    """Folders that look like captures."""
+    for place in places:
+        (root / place).mkdir(parents=True)
+        (root / place / "capture.yaml").touch()
+    return root
+
+
 def test_trees_of_every_depth_are_found(tmp_path):
-    for place in ("denim/1/first", "denim/1/second", "silk/only", "wool", "felt/2/side/third"):
-        (tmp_path / place).mkdir(parents=True)
-        (tmp_path / place / "capture.yaml").touch()
-    (tmp_path / ".hidden").mkdir()
-    (tmp_path / ".hidden" / "capture.yaml").touch()
+    tree(tmp_path, "denim/1/first", "denim/1/second", "silk/only", "wool", "felt/2/side/third",
+         ".hidden")
     (tmp_path / "denim" / "notes.txt").touch()
     (tmp_path / "denim" / "empty").mkdir()
     (tmp_path / "twill").mkdir()
@@ -250,13 +272,20 @@ def test_trees_of_every_depth_are_found(tmp_path):
 
 
 def test_captures_are_found_in_the_order_of_their_numbers(tmp_path):
-    for place in ("2/1/9", "2/1/10", "2/1/11", "10/1/0", "2/1/2", "2/x-1/0", "2/x/0"):
-        (tmp_path / place).mkdir(parents=True)
-        (tmp_path / place / "capture.yaml").touch()
+    tree(tmp_path, "2/1/9", "2/1/10", "2/1/11", "10/1/0", "2/1/2", "2/x-1/0", "2/x/0")
     found = [str(entry.path.relative_to(tmp_path)) for entry in entries_of(tmp_path)]
     assert found == ["2/1/2", "2/1/9", "2/1/10", "2/1/11", "2/x/0", "2/x-1/0", "10/1/0"]
     names = [path.name for path in sources_in(tmp_path / "2" / "1", "capture")]
     assert names == ["2", "9", "10", "11"]
+
+
+def test_captures_below_samples_are_found_and_fabrics_are_not_joined(tmp_path):
+    fabric = tree(tmp_path, "poplin/s1/c1", "poplin/s1/c2", "poplin/s2/c1") / "poplin"
+    assert sources_in(fabric, "capture") == [fabric / "s1/c1", fabric / "s1/c2", fabric / "s2/c1"]
+    assert sources_in(fabric / "s1", "capture") == [fabric / "s1/c1", fabric / "s1/c2"]
+    assert sources_in(fabric / "s1" / "c1", "capture") == [fabric / "s1/c1"]
+    with pytest.raises(InputError, match=r"looks like FABRIC/SAMPLE/CAPTURE .*: give captures="):
+        sources_in(tmp_path, "capture")
 
 
 def test_results_of_names_that_a_file_system_confuses_lie_apart_and_inside(tmp_path):

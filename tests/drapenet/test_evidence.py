@@ -1,7 +1,5 @@
-"""Sources of evidence: what they move, what contradicts, and that nothing narrows by error."""
-
-from pathlib import Path
-from types import SimpleNamespace
+"""Sources of evidence: what they move, what contradicts, that nothing narrows by error, and what
+further ones are expected to add."""
 
 import numpy as np
 import pytest
@@ -18,12 +16,17 @@ from drapenet.evidence.combine import consistent, posterior, updated
 from drapenet.evidence.source import of_capture, of_refined, of_strips, of_values
 from drapenet.evidence.state import cloth_of_state, fabric_prior, prior_along, state_of
 from drapenet.fabric.combine import combine
-from drapenet.fabric.estimate import estimate_fabric, require_one_fabric
+from drapenet.fabric.estimate import estimate_fabric
 from drapenet.fabric.infer import prior_draws
+from drapenet.fabric.next_measurements import another_disc, drapes_evidence, reductions
 from drapenet.fabric.sources import sources_of
-from drapenet.measured.base import Measured
+from drapenet.measured.strips.photograph import expected_strip
+from drapenet.measured.strips.posterior import direction_evidence, expected_evidence
 from drapenet.network.checkpoint import read_header
+from drapenet.views.observation import Observation
+from sim.cantilever import heavy_elastica
 from sim.material import DIRECTIONS, MICRO
+from sim.rig import GRAVITY, Rig
 
 DENSITY = 0.3
 SPREAD = 0.3  # standard deviation of log alpha and of log membrane
@@ -159,7 +162,7 @@ def test_what_contradicts_the_captures_is_named_and_left_out(sources):
 
 
 def test_right_values_are_used_and_repeats_rarely_contradict():
-    rng, alarms, before = np.random.default_rng(1), 0, states(2000)
+    rng, alarms, before = np.random.default_rng(1), 0, states(1000)
     for _ in range(100):
         true = before[rng.integers(len(before))]
         exact = cloth_of_state(true[None])
@@ -271,21 +274,6 @@ def test_strips_alone_leave_the_other_directions_to_the_prior(header):
     assert found.constraint[2] < 0.05 < 0.2 < found.constraint[0] < 1
 
 
-def test_what_is_along_the_yarns_needs_captures_whose_warp_is_marked():
-    def measured(known: Known | None = None, **about: object) -> Measured:
-        part = Measured(path=Path(), density=DENSITY, known=known)
-        return SimpleNamespace(**{name: getattr(part, name) for name in (
-            "density", "known", "label", "alone", "needs_warp", "marked")} | about)
-
-    unmarked = measured(marked=False)
-    with pytest.raises(InputError, match=r"strips along the yarns need .*warp_direction_deg"):
-        require_one_fabric([unmarked, measured(needs_warp=True)])
-    with pytest.raises(InputError, match="known values along the yarns"):
-        require_one_fabric([unmarked, measured(lengths(60, 60))])
-    require_one_fabric([unmarked, measured(Known(membrane_n_per_m=600.0))])
-    require_one_fabric([measured(marked=True), measured(lengths(60, 60), needs_warp=True)])
-
-
 ERROR, PRIOR = 0.15, Normal(np.zeros(10), np.diag([0.9] * 3 + [1.0] * 7) ** 2)
 
 
@@ -328,3 +316,62 @@ def test_repeats_contradict_each_other_as_rarely_as_is_stated():
             errors = np.hypot(ERROR, SPECIMEN_SCATTER) * rng.normal(size=(count, 3))
             alarms[count] += bool(Captures(fabric + errors).lines("ABCD"[:count]))
     assert all(share <= 7 for share in alarms.values())  # 2 expected of 200
+
+
+# --- What a further measurement is expected to add ------------------------------------------
+
+
+WEIGHT = DENSITY * GRAVITY
+DEVIATIONS = np.array([0.2, 0.2, 0.2, 2e-3, 2e-3, 2e-3, 3.0, 3.0, 0.3, 0.1])
+
+
+def normal_cloth(ratio: float = -2e-3) -> Normal:
+    mean = np.array([-10.0, -10.5, -11.0, ratio, ratio, ratio, 0.0, 0.0, 6.0, 0.2])
+    return Normal(mean, np.diag(np.square(DEVIATIONS)))
+
+
+def test_evidence_as_accurate_as_an_estimate_narrows_it_by_the_root_of_two():
+    rows = np.zeros((1, 10))
+    rows[0, 0] = 1 / DEVIATIONS[0]
+    alpha, beta = reductions(normal_cloth(ratio=0.0), Linear(rows, np.zeros(1)))
+    np.testing.assert_allclose(alpha, [1 - np.sqrt(0.5), 0, 0], atol=1e-9)
+    np.testing.assert_allclose(beta, 0, atol=1e-9)  # alpha and beta/alpha 0 are independent
+
+
+def test_beta_is_narrower_where_alpha_is_if_it_is_a_share_of_alpha():
+    rows = np.zeros((1, 10))
+    rows[0, 0] = 1e3  # alpha of the warp is known
+    before, after = np.hypot(2e-3, 0.02 * 0.2), 2e-3  # of beta over alpha's mean
+    _, beta = reductions(normal_cloth(ratio=-0.02), Linear(rows, np.zeros(1)))
+    assert beta[0] == pytest.approx(1 - after / before, rel=1e-3) and beta[1] == 0
+
+
+def test_evidence_of_drapes_leads_from_one_posterior_to_the_other():
+    before = normal_cloth()
+    after = Normal(before.mean, before.covariance.copy())
+    after.covariance[1, 1] /= 4
+    found = before.updated(drapes_evidence(before, after))
+    np.testing.assert_allclose(found.covariance, after.covariance, rtol=1e-6, atol=1e-15)
+
+
+def test_expected_strips_say_what_strips_of_the_same_curves_do():
+    state, strips = np.array([np.log(40e-6), -2e-3, 1.0]), []
+    for sign, length in ((1, 0.036), (-1, 0.06)):
+        strips.append(expected_strip(heavy_elastica(
+            40e-6, -2e-3 * 40e-6, weight=WEIGHT, length=length, curl=sign * state[2], points=61),
+            length, sign=sign))
+    prior = Normal(state, np.diag([0.5, 2e-3, 3.0]) ** 2)
+    measured = direction_evidence(strips, weight=WEIGHT, prior=prior)
+    expected = prior.updated(expected_evidence(strips, weight=WEIGHT, state=state))
+    np.testing.assert_allclose(np.sqrt(np.diag(expected.covariance)),
+                               np.sqrt(np.diag(measured.posterior.covariance)), rtol=0.05)
+    assert 0.04 < np.sqrt(expected.covariance[0, 0]) < 0.07  # two specimens that differ by 7 %
+
+
+@pytest.mark.parametrize(("tester", "share", "disc"), [
+    ("disc300_support180", 0.9, "disc360_support180"),
+    ("disc300_support180", 0.2, "disc240_support180"), ("disc360_support180", 0.9, None)])
+def test_a_flat_drape_asks_for_a_larger_disc(tester, share, disc):
+    found = another_disc([Observation(Rig.from_name(tester), 1, True, coefficient=share)])
+    assert (found and found.name) == disc
+    assert another_disc([]).name == "disc300_support180"

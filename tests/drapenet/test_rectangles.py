@@ -152,8 +152,8 @@ def test_a_network_without_rectangles_refuses_them(untrained_checkpoint, name):
 def test_training_on_rectangles_turns_their_input_on(tmp_path):
     networks = []
     for name, share in (("square300_cylinder100", 0.0), (RIG.name, 0.5)):
-        folder = write_dataset(tmp_path / name, drapes=16, testers=(name,), rectangles=share,
-                               drift=0.001)
+        folder = write_dataset(tmp_path / name, drapes=16, edge=0.025, testers=(name,),
+                               rectangles=share, drift=0.001)
         maps = make_maps(folder, finished_manifest(folder), tmp_path, setups=Setups.load("real"),
                          captures=1, seed=1)
         captures = CaptureSet(maps)
