@@ -39,7 +39,7 @@ $(DEVELOPER): $(STAMP) tools/system_libraries.sh tools/cpu_torch.sh
 demo: $(STAMP)  ## estimate a fabric from two bundled captures: a photograph and depth views
 	$(BIN)/python infer.py capture=[$(PHOTOGRAPH),$(CAPTURE)] out=outputs/demo
 
-test: $(DEVELOPER)  ## fast tests, eight minutes on two idle cores
+test: $(DEVELOPER)  ## fast tests, six minutes and a half on two idle cores
 	$(BIN)/python -m pytest -q -n logical --maxprocesses 8 --dist worksteal
 
 test-rounding: $(DEVELOPER)  ## tests of drapes, captures and estimates with the rounding of an old processor, 10 minutes

@@ -69,9 +69,9 @@ class Quantity(Excerpt):
                         interval_68=[factor * end for end in self.interval_68],
                         interval_90=[factor * end for end in self.interval_90])
 
-    def texts(self) -> tuple[str, str]:
-        """Median and 68 % interval as text, with decimals according to the interval's width."""
-        low, high = self.interval_68
+    def texts(self, key: str = "interval_68") -> tuple[str, str]:
+        """Median and interval as text, with decimals according to the interval's width."""
+        low, high = getattr(self, key)
         places = 0
         if (half := (high - low) / 2) > 0:
             places = min(max(1 - math.floor(math.log10(half)), 0), 6)

@@ -11,8 +11,6 @@ from drapenet.surface.shape import CapturedShape, Cloud, distances
 from sim.draping import Drape
 from sim.measures import drape_coefficient
 
-INDEPENDENT = 100.0  # vertices whose errors are taken to be
-
 
 @dataclass(frozen=True)
 class Fidelity:
@@ -38,18 +36,20 @@ class RobustPositions:
     """Objective: robust distances between vertices and their captured positions.
 
     Its value is half the mean of Huber's function, linear beyond ``limit``, of the distances of
-    ``vertices`` (V,) in units of ``sigma``, times :data:`INDEPENDENT`.
+    ``vertices`` (V,) in units of ``sigma``, times the number of ``independent`` ones.
     """
 
     nuisances: tuple[str, ...] = ()
     start = scale = deviation = np.zeros(0)
 
     def __init__(
-        self, target: Points, *, vertices: VertexMask, sigma: Metres = 2e-3, limit: float = 1.0
+        self, target: Points, *, vertices: VertexMask, sigma: Metres = 2e-3, limit: float = 1.0,
+        independent: float = 100.0,
     ) -> None:
         self._target, self._vertices = target, np.flatnonzero(vertices)
         self._sigma, self._limit = sigma, limit
-        self._factor = math.sqrt(INDEPENDENT / len(self._vertices))
+        self._independent = independent
+        self._factor = math.sqrt(independent / len(self._vertices))
 
     def residuals(self, positions: Points, nuisance: Nuisance) -> Residuals:
         """Three residuals for each vertex."""
@@ -63,7 +63,8 @@ class RobustPositions:
             inward = (across * chosen).sum(-1, keepdims=True)
             return (scale[:, None] * chosen + residuals * inward).reshape(len(moves), -1).T
 
-        return Linearised(residuals.ravel(), along, np.zeros((residuals.size, 0)), INDEPENDENT)
+        return Linearised(residuals.ravel(), along, np.zeros((residuals.size, 0)),
+                          self._independent)
 
     def _bent(self, positions: Points) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Residuals (N, 3), their factor (N,), and its relative derivative by the gap (N, 3)."""
