@@ -75,7 +75,7 @@ class FabricResult:
 def estimate_fabric(
     sources: Sequence[Source], header: Header, options: EstimateOptions, *,
     folder: Path | None = None, fabric: str = "", twins: Sequence[Finding] = (),
-    reported: bool = True,
+    reported: bool = True, listed: bool = False,
     on_estimate: Callable[[EstimateDocument, Path | None], None] = lambda document, folder: None,
 ) -> FabricResult:
     """Estimate a fabric from all its ``sources``, and each of several by itself.
@@ -88,6 +88,7 @@ def estimate_fabric(
         fabric: its name, in place of that which sources state.
         twins: of its captures in other fabrics.
         reported: whether the estimate from several parts has a report, if ``options`` have one.
+        listed: whether refused sources are listed elsewhere: strict estimates may lack them.
         on_estimate: called with each document that is made, and its folder.
 
     InputError if a required source is refused, if all are, or for sources that cannot be of one
@@ -96,7 +97,8 @@ def estimate_fabric(
     if not sources:
         raise InputError("nothing is known of the fabric; give captures or strips")
     read = [_read(source, folder, header, options) for source in sources]
-    _require_some(read, options)
+    strict = options.strict and not listed
+    _require_some(read, strict)
     copies = _copies(sources, read)
     require_one_fabric([each for k, each in enumerate(read) if k not in copies
                          and not isinstance(each, Refusal)])
@@ -109,7 +111,7 @@ def estimate_fabric(
         parts.append(part)
     kept = [part.named(fabric) for k, part in enumerate(parts)
             if k not in copies and isinstance(part, Part)]
-    _require_some(parts, options)
+    _require_some(parts, strict)
     if len(sources) == 1:
         return _alone(kept[0], twins, folder, fabric, options.strict)
     kept.sort(key=lambda part: part.observation is None)
@@ -117,15 +119,14 @@ def estimate_fabric(
     joined = [*kept, *(part.named(fabric) for part in known)]
     estimate, document = join(joined, header, strict=options.strict,
                               ahead=bool(folder and options.drapes))
-    faults = [*copies.values(), *twins, *(
-        part.finding for part in parts if isinstance(part, Refusal)), *lost]
-    require_sound(faults, options.strict, "the fabric")
-    document = document.warned(*faults)
+    missing = [part.finding for part in parts if isinstance(part, Refusal)]
+    require_sound([*copies.values(), *twins, *lost], options.strict, "the fabric")
+    document = document.warned(*copies.values(), *twins, *missing, *lost)
     if folder:
         _write_joint(folder, estimate, document, kept, options, reported)
     on_estimate(document, folder)
     return FabricResult(replace(estimate, warnings=tuple(document.warnings),
-                                  captures=_seen(kept)), document, parts, copies)
+                                captures=_seen(kept)), document, parts, copies)
 
 
 def _place(source: Source, folder: Path | None) -> Path | None:
@@ -139,8 +140,6 @@ def _read(
     """The part of a source that is stored, or the source as it is read, or why it is refused."""
     place = _place(source, folder)
     if place and (stored := stored_part(source, place, part_key(source, header, options))):
-        if isinstance(stored, Part):
-            require_sound(stored.faults, options.strict, source.label)
         return stored
     try:
         return source.read()
@@ -164,13 +163,11 @@ def _made(
         return Refusal.of(source, error)
 
 
-def _require_some(
-    parts: Iterable[Part | Refusal | Measured | None], options: EstimateOptions
-) -> None:
+def _require_some(parts: Iterable[Part | Refusal | Measured | None], strict: bool) -> None:
     """InputError if all are refused, or one, if none may be."""
     every = list(parts)
     errors = [part.error for part in every if isinstance(part, Refusal)]
-    if errors and (options.strict or len(errors) == len([part for part in every if part])):
+    if errors and (strict or len(errors) == len([part for part in every if part])):
         raise errors[0]
 
 
@@ -224,7 +221,7 @@ def _alone(
         write_estimate(folder, part.estimate, document)
         replace_json(folder / FABRIC, {"parts": [part.source.part]})
     return FabricResult(replace(part.estimate, warnings=tuple(document.warnings),
-                                  captures=_seen([part])), document, [part])
+                                captures=_seen([part])), document, [part])
 
 
 def _known(

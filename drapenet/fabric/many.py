@@ -130,7 +130,7 @@ def _join_fabrics(
             found = estimate_fabric(
                 [_source(entry) for entry in every], header, options, folder=out / place,
                 twins=[one for entry, _ in shown for one in twins.get(entry.place, ())],
-                reported=False)
+                reported=False, listed=True)
         except InputError as error:
             apart += shown
             for file in (ESTIMATE, SAMPLES, INDEX, PDF):  # of an earlier run

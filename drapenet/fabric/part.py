@@ -1,8 +1,8 @@
 """A part of a fabric: what one source says of it, and the files in which that is kept.
 
 The files of a part in its folder are those of an estimate. ``part.json``, removed first and written
-last, states what they were made from: a part that is made from the same is read, not made again.
-A refusal is kept, too, with what the source states of the fabric all the same.
+last, states what they were made from: a part that is made from the same, and has all its files, is
+read, not made again. A refusal is kept, too, with what its source states of the fabric.
 """
 
 from collections.abc import Callable
@@ -34,7 +34,7 @@ from drapenet.fabric.stages import (
     estimate_capture,
     require_sound,
 )
-from drapenet.measured.base import Measured, finding_of
+from drapenet.measured.base import Measured
 from drapenet.measured.read import known_values
 from drapenet.network.checkpoint import Header, read_header
 from drapenet.result.document import EstimateDocument
@@ -43,6 +43,7 @@ from drapenet.result.files import (
     ESTIMATE,
     OBSERVATION,
     SAMPLES,
+    SHOWN,
     STRIPS,
     read_estimate,
     read_observation,
@@ -64,14 +65,12 @@ class Part:
     Attributes:
         estimate: from it alone.
         observation: what the network reads of it; None: it is no picture of a drape.
-        faults: for which a strict estimate refuses it.
     """
 
     source: Source
     estimate: Estimate
     document: EstimateDocument
     observation: Observation | None = None
-    faults: tuple[Finding, ...] = ()
 
     @property
     def evidence(self) -> CaptureEvidence | None:
@@ -154,7 +153,8 @@ def part_key(source: Source, header: Header, options: EstimateOptions) -> str:
     """Digest of what the files of a part are made from; '': the source is gone, or of arrays."""
     if isinstance(source.place, Capture) or not source.place.exists():
         return ""
-    about = {"drapes": options.drapes, "edge": options.edge, "refine": options.refine}
+    about = {"drapes": options.drapes, "edge": options.edge, "refine": options.refine,
+             "strict": options.strict}
     return digest([VERSION, source.place, source.label, source.stated, about, header.path])
 
 
@@ -168,10 +168,11 @@ def stored_part(source: Source, folder: Path, key: str) -> Part | Refusal | None
         if refusal := state.get("refusal"):
             return Refusal(source, InputError(refusal["message"], source=refusal["source"],
                                               joint=refusal["joint"]), state["known"])
+        if not all((folder / name).is_file() for name in state["files"]):
+            return None
         estimate, document = read_estimate(folder)
-        seen = read_observation(folder) if state["observed"] else None
-        faults = tuple(map(finding_of, state["faults"]))
-        return Part(source, estimate, document, seen, faults)
+        seen = read_observation(folder) if OBSERVATION in state["files"] else None
+        return Part(source, estimate, document, seen)
     except (ValueError, KeyError, TypeError):
         return None
 
@@ -220,13 +221,13 @@ def make_part(
     if observed:
         result = estimate_capture(measured, header, options, out=folder, progress=progress,
                                   on_stage=on_stage)
-        part = Part(source, result.estimate, result.document, observed.seen, result.faults)
+        part = Part(source, result.estimate, result.document, observed.seen)
     else:
         part = _of_record(measured, source, header, options, folder)
     if folder:
+        made = (ESTIMATE, SAMPLES, OBSERVATION, *SHOWN)
         replace_json(folder / PART, {
-            "key": key, "observed": bool(observed),
-            "faults": [found.record for found in part.faults]})
+            "key": key, "files": [name for name in made if (folder / name).is_file()]})
     return part
 
 
@@ -248,8 +249,7 @@ def _of_record(
                        measured.density, header, name="")
     found = (*measured.warnings, *measured.findings(None, header.setups))
     document = describe_record(estimate, measured, record, found, header)
-    faults = (*estimate.contradictions, *found)
-    require_sound(faults, options.strict, source.label)
+    require_sound([*estimate.contradictions, *found], options.strict, source.label)
     if folder:
         if options.drapes:
             document = document.followed_by(next_measurements(estimate, [], header))
@@ -260,7 +260,7 @@ def _of_record(
             if picture := measured.shown():
                 replace_file(folder / STRIPS, picture)
             report_fabric(folder, document, [], [folder], options.address)
-    return Part(source, estimate, document, faults=faults)
+    return Part(source, estimate, document)
 
 
 def make_in_folder(

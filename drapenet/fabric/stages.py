@@ -58,7 +58,6 @@ class CaptureEstimate:
         warnings: beside those of capture, samples and drape.
         refined: outcome of a refinement, for the document.
         following: what may be measured next, likewise.
-        faults: for which a strict estimate refuses the capture.
     """
 
     observed: Observed
@@ -68,7 +67,6 @@ class CaptureEstimate:
     refined: dict[str, Any] | None = None
     drape: "Resimulation | None" = None
     following: tuple[NextMeasurement, ...] = ()
-    faults: tuple[Finding, ...] = ()
 
     @property
     def capture(self) -> Capture:
@@ -162,9 +160,9 @@ def observe(measured: Measured, header: Header, *, strict: bool = False) -> Capt
         faults = measured.findings(observed, header.setups)
     result = result.with_warnings(*faults, *result.draws.unlike(capture.rig.specimen_size,
                                                                 capture.causes))
-    found = (*result.warnings, *capture.warnings, *result.estimate.contradictions)
-    require_sound(found, strict, str(capture.path))
-    return replace(result, faults=found)
+    require_sound([*result.warnings, *capture.warnings, *result.estimate.contradictions], strict,
+                  str(capture.path))
+    return result
 
 
 def require_sound(faults: Sequence[Finding], strict: bool, what: str) -> None:

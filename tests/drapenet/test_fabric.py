@@ -363,6 +363,12 @@ def test_parts_are_made_again_only_when_what_they_are_made_from_changes(tmp_path
     make()
     assert times() == made and (out / "estimate.json").read_bytes() == written
     files[0].write_bytes(files[0].read_bytes()[:-100])  # a damaged part is made again
+    make()
+    assert [now > before for now, before in zip(times(), made, strict=True)] == [True, False]
+    repaired = times()
+    files[0].with_name("observation.npz").unlink()  # and so is an incomplete one
+    make()
+    assert times()[0] > repaired[0] and (out / "estimate.json").read_bytes() == written
     strips(lengths, warp=[28.0, 29.5])
     again = make()
     assert all(now > before for now, before in zip(times(), made, strict=True))
@@ -371,6 +377,18 @@ def test_parts_are_made_again_only_when_what_they_are_made_from_changes(tmp_path
     assert stored_part(gone, files[1].parent, "").estimate.constraint[0] < 0.3
     with pytest.raises(InputError, match="nothing is known"):
         estimate_fabric([], read_header(), EstimateOptions())
+
+
+def test_a_strict_batch_lists_what_it_refuses_and_estimates_the_fabric_from_the_rest(tmp_path):
+    root, out = tmp_path / "root", tmp_path / "out"
+    strips(root / "twill" / "a", warp=[28.0, 29.0])
+    strips(root / "twill" / "b", {"bending_length_mm": {"warp": 12.0}}, warp=[28.0, 29.0])
+    for strict in ("true", "false"):
+        infer.main([f"captures={root}", f"out={out}", "workers=1", f"strict={strict}"])
+        failures = (out / "failures.csv").read_text("utf-8-sig").splitlines()[1:]
+        assert len(failures) == (strict == "true")
+        found = [one["code"] for one in content(out / "twill")["warnings"]]
+        assert ("capture_refused" in found) == (strict == "true")
 
 
 def test_a_photograph_is_a_copy_whatever_is_stated_with_it(tmp_path):
