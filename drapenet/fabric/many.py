@@ -117,8 +117,10 @@ def _join_fabrics(
                      strict=True)) for entry in entries if entry.place in failures]
     failed = Counter(row["fabric"] for row in rows)
     ordered = sorted(entries, key=lambda entry: (by_number(entry.fabric), by_number(entry.place)))
-    documents = {entry.place: part.document for entry in ordered if isinstance(
-        part := stored_part(_source(entry), out / entry.place, ""), Part)}
+    # A fault of the program leaves neither a part nor a refusal: its capture is only listed.
+    parts = {entry.place: part for entry in ordered
+             if (part := stored_part(_source(entry), out / entry.place, ""))}
+    documents = {place: part.document for place, part in parts.items() if isinstance(part, Part)}
     twins = _twins_elsewhere(ordered, documents)
     fabrics, apart = [], []
     for name, group in groupby(ordered, key=lambda entry: entry.fabric):
@@ -128,7 +130,8 @@ def _join_fabrics(
                  for entry in every if entry.place in documents]
         try:
             found = estimate_fabric(
-                [_source(entry) for entry in every], header, options, folder=out / place,
+                [_source(entry) for entry in every if entry.place in parts], header, options,
+                folder=out / place,
                 twins=[one for entry, _ in shown for one in twins.get(entry.place, ())],
                 reported=False, listed=True)
         except InputError as error:

@@ -268,6 +268,7 @@ def make_in_folder(
 ) -> str:
     """Make a source's part, or its refusal, in a folder, in a process of its own; the sentence of
     the refusal, or ''."""
+    clear(folder)  # also of a part that a fault of the program would leave
     try:
         make_part(source.read(), source, read_header(weights), options, folder=folder, key=key)
     except InputError as error:

@@ -25,7 +25,7 @@ from common.findings import texts
 from data.captures.reader import read_capture
 from drapenet.config import EstimateOptions
 from drapenet.fabric import infer as inferring
-from drapenet.fabric import stages
+from drapenet.fabric import many, stages
 from drapenet.fabric.combine import combine
 from drapenet.fabric.estimate import FabricResult, estimate_fabric
 from drapenet.fabric.part import stored_part
@@ -389,6 +389,22 @@ def test_a_strict_batch_lists_what_it_refuses_and_estimates_the_fabric_from_the_
         assert len(failures) == (strict == "true")
         found = [one["code"] for one in content(out / "twill")["warnings"]]
         assert ("capture_refused" in found) == (strict == "true")
+
+
+def test_a_fault_of_the_program_costs_a_batch_one_capture(tmp_path, monkeypatch):
+    root, out = tmp_path / "root", tmp_path / "out"
+    for name in ("a", "b"):
+        strips(root / "twill" / name, warp=[28.0, 29.0])
+    made = many.make_in_folder
+
+    def faulty(source: Source, folder: Path, *settings: object) -> str:
+        return 1 // 0 if folder.name == "b" else made(source, folder, *settings)
+
+    monkeypatch.setattr(many, "make_in_folder", faulty)
+    infer.main([f"captures={root}", f"out={out}", "workers=1"])
+    row, = (out / "failures.csv").read_text("utf-8-sig").splitlines()[1:]
+    assert "ZeroDivisionError" in row and "please report it" in row
+    assert content(out / "twill")["strips"][0]["strips"] == 4
 
 
 def test_a_photograph_is_a_copy_whatever_is_stated_with_it(tmp_path):
