@@ -75,7 +75,7 @@ class FabricResult:
 def estimate_fabric(
     sources: Sequence[Source], header: Header, options: EstimateOptions, *,
     folder: Path | None = None, fabric: str = "", twins: Sequence[Finding] = (),
-    reported: bool = True, listed: bool = False,
+    listed: bool = False,
     on_estimate: Callable[[EstimateDocument, Path | None], None] = lambda document, folder: None,
 ) -> FabricResult:
     """Estimate a fabric from all its ``sources``, and each of several by itself.
@@ -87,8 +87,8 @@ def estimate_fabric(
         folder: of the fabric's files, if any, in which those of the parts have theirs.
         fabric: its name, in place of that which sources state.
         twins: of its captures in other fabrics.
-        reported: whether the estimate from several parts has a report, if ``options`` have one.
-        listed: whether refused sources are listed elsewhere: strict estimates may lack them.
+        listed: whether it is one of many, whose pages and tables have its report and what is
+            refused: it has no report of its own, and a strict one may lack sources.
         on_estimate: called with each document that is made, and its folder.
 
     InputError if a required source is refused, if all are, or for sources that cannot be of one
@@ -123,7 +123,7 @@ def estimate_fabric(
     require_sound([*copies.values(), *twins, *lost], options.strict, "the fabric")
     document = document.warned(*copies.values(), *twins, *missing, *lost)
     if folder:
-        _write_joint(folder, estimate, document, kept, options, reported)
+        _write_joint(folder, estimate, document, kept, options, reported=not listed)
     on_estimate(document, folder)
     return FabricResult(replace(estimate, warnings=tuple(document.warnings),
                                 captures=_seen(kept)), document, parts, copies)
@@ -154,7 +154,8 @@ def _made(
     options: EstimateOptions
 ) -> Part | Refusal:
     """The part of a source as it was read."""
-    place, key = _place(source, folder), part_key(source, header, options)
+    place = _place(source, folder)
+    key = part_key(source, header, options) if place else ""
     try:
         return make_part(measured, source, header, options, folder=place, key=key)
     except InputError as error:
@@ -220,6 +221,8 @@ def _alone(
     if folder and (part.source.part != "." or document != part.document):
         write_estimate(folder, part.estimate, document)
         replace_json(folder / FABRIC, {"parts": [part.source.part]})
+    elif folder:
+        remove_file(folder / FABRIC)  # of an earlier estimate from several
     return FabricResult(replace(part.estimate, warnings=tuple(document.warnings),
                                 captures=_seen([part])), document, [part])
 
@@ -267,7 +270,7 @@ def join(
 
 def _write_joint(
     folder: Path, estimate: Estimate, document: EstimateDocument, kept: Sequence[Part],
-    options: EstimateOptions, reported: bool,
+    options: EstimateOptions, *, reported: bool,
 ) -> None:
     """Write a joint estimate, and its report with the captures' pictures, if it has one."""
     remove_file(folder / PART)  # of an estimate from one source

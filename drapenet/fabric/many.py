@@ -133,7 +133,7 @@ def _join_fabrics(
                 [_source(entry) for entry in every if entry.place in parts], header, options,
                 folder=out / place,
                 twins=[one for entry, _ in shown for one in twins.get(entry.place, ())],
-                reported=False, listed=True)
+                listed=True)
         except InputError as error:
             apart += shown
             for file in (ESTIMATE, SAMPLES, INDEX, PDF):  # of an earlier run

@@ -155,7 +155,7 @@ def part_key(source: Source, header: Header, options: EstimateOptions) -> str:
         return ""
     about = {"drapes": options.drapes, "edge": options.edge, "refine": options.refine,
              "strict": options.strict}
-    return digest([VERSION, source.place, source.label, source.stated, about, header.path])
+    return digest([VERSION, source.place, source.label, source.stated, about, header.sha256])
 
 
 def stored_part(source: Source, folder: Path, key: str) -> Part | Refusal | None:
@@ -234,6 +234,8 @@ def make_part(
 def _draw(measured: Measured, folder: Path, options: EstimateOptions) -> None:
     """Write the pictures of what was read that the ``options`` name."""
     for name, draw in ((options.picture, measured.shown), (options.thumbnail, measured.thumbnail)):
+        if name:
+            remove_file(folder / name)
         if name and (picture := draw()):
             replace_file(folder / name, picture)
 

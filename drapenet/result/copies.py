@@ -21,9 +21,9 @@ def first_with(first: dict[str, _Item], digests: Iterable[str], item: _Item) -> 
 
 def copies(documents: Sequence[EstimateDocument]) -> dict[int, int]:
     """Of the estimates of a fabric's captures and strips, by their numbers, those of pictures of an
-    earlier one, each with that one."""
+    earlier one, or of its numbers, each with that one."""
     first: dict[str, int] = {}
-    found = ((k, first_with(first, document.capture.pictures_sha256, k))
+    found = ((k, first_with(first, filter(None, document.capture.digests), k))
              for k, document in enumerate(documents))
     return {k: other for k, other in found if other is not None}
 
