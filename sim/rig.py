@@ -13,24 +13,28 @@ from common.types import Metres, Points, Radians, RestPoints
 
 GRAVITY = 9.81  # m/s²
 RIM = 0.01
-"""Radius of the rounded rim over that of the plate: 0.5 mm for 100 mm of diameter. At a sharp rim
-the nearest surface would jump from top to side; the penetration of cloth is smaller than it."""
+"""Radius of the rounded rim of a sharp plate over that of the plate: 0.5 mm for 100 mm of diameter.
+At an exact edge the nearest surface would jump from top to side; the penetration of cloth is
+smaller than it."""
+MAX_RIM = 0.2  # of a rim's radius over the plate's diameter
 _LARGEST = 5.0  # m
 _NAME = re.compile(r"(?P<specimen>square|rectangle|disc)(?P<sides>[\d.]+(x[\d.]+)?)_"
-                   r"(?P<holder>cylinder|support|corners)(?P<held>[\d.]+)(_cut(?P<cut>-?[\d.]+))?")
+                   r"(?P<holder>cylinder|support|corners)(?P<held>[\d.]+)"
+                   r"(_rim(?P<rim>[\d.]+))?(_cut(?P<cut>-?[\d.]+))?")
 
 
 @dataclass(frozen=True)
 class Cylinder:
     """The solid below the plate: z < 0 within ``radius`` of the axis, unbounded downwards. Its rim
-    is rounded (:data:`RIM`), in proportion, so that drapes of any size are similar."""
+    is rounded, at least in proportion (:data:`RIM`), so that drapes of any size are similar."""
 
     radius: Metres
+    rounding: Metres = 0.0
 
     @property
     def rim(self) -> Metres:
         """Radius of the rounded rim."""
-        return RIM * self.radius
+        return max(self.rounding, RIM * self.radius)
 
     def _nearest(self, points: Points) -> np.ndarray:
         from sim.nearest import nearest  # compiled; most who state a rig do not need it
@@ -70,13 +74,14 @@ class Rig:
     specimen: str = "square"  # or "rectangle", if the sides differ; or "disc"
     corners_apart: Metres | None = None  # the two corners that hold a specimen without plate
     cut: Radians = 0.0  # from the warp to the first side of a rectangle, counter-clockwise
+    rim: Metres = 0.0  # radius of the plate's rounded rim, within which its top is flat
 
     def __post_init__(self) -> None:
         given = self.sides if np.ndim(self.sides) else [self.sides] * 2
         sides = tuple(numbers("sides", given, "one number or two, along warp and weft, m",
                               (2,)).tolist())
         object.__setattr__(self, "sides", sides)
-        for name, unit in (("plate_diameter", "m"), ("cut", "rad"),
+        for name, unit in (("plate_diameter", "m"), ("cut", "rad"), ("rim", "m"),
                            *[("corners_apart", "m")] * (self.corners_apart is not None)):
             object.__setattr__(self, name, number(name, getattr(self, name), unit))
         if self.specimen not in ("square", "rectangle", "disc"):
@@ -99,6 +104,10 @@ class Rig:
         if not 0 <= self.plate_diameter < np.min(sides):
             raise InputError(f"a plate of {1e3 * self.plate_diameter:g} mm under a specimen of "
                              f"{self.millimetres} mm: it must be smaller")
+        if not 0 <= self.rim <= MAX_RIM * self.plate_diameter:
+            raise InputError(f"a rim rounded by {1e3 * self.rim:g} mm on a plate of "
+                             f"{1e3 * self.plate_diameter:g} mm: give 0 to "
+                             f"{1e3 * MAX_RIM * self.plate_diameter:g} mm")
         if self.has_plate:
             if self.corners_apart is not None:
                 raise InputError(f"corners_apart={self.corners_apart:g} beside a plate: give "
@@ -117,7 +126,8 @@ class Rig:
         if self.corners_apart:
             holder, size = "corners", self.corners_apart
         cut = f"_cut{np.degrees(self.cut):g}" if self.cut else ""
-        return f"{self.specimen}{self.millimetres}_{holder}{1e3 * size:g}{cut}"
+        rim = f"_rim{1e3 * self.rim:g}" if self.rim else ""
+        return f"{self.specimen}{self.millimetres}_{holder}{1e3 * size:g}{rim}{cut}"
 
     @property
     def millimetres(self) -> str:
@@ -134,6 +144,12 @@ class Rig:
     def plate_radius(self) -> Metres:
         """Radius of the plate."""
         return self.plate_diameter / 2
+
+    @property
+    def sharp(self) -> "Rig":
+        """The rig whose plate is the flat top of this one, on which the cloth is held."""
+        return replace(self, plate_diameter=self.plate_diameter - 2 * self.rim,
+                       rim=0.0) if self.rim else self
 
     @property
     def reach(self) -> Metres:
@@ -164,7 +180,7 @@ class Rig:
     @property
     def obstacles(self) -> tuple[Cylinder, ...]:
         """Obstacles in contact with the cloth."""
-        return (Cylinder(self.plate_radius),) if self.has_plate else ()
+        return (Cylinder(self.plate_radius, self.rim),) if self.has_plate else ()
 
     @property
     def aspect(self) -> float:
@@ -200,8 +216,8 @@ class Rig:
         return first / 2 / np.maximum(along, first / second * across)
 
     def to_plate(self, rest: RestPoints) -> np.ndarray:
-        """Distances (V,), m, in the flat specimen to the plate; 0 on it."""
-        return np.maximum(np.linalg.norm(rest, axis=1) - self.plate_radius, 0.0)
+        """Distances (V,), m, in the flat specimen to the flat top of the plate; 0 on it."""
+        return np.maximum(np.linalg.norm(rest, axis=1) - self.plate_radius + self.rim, 0.0)
 
     def place(self, rest: RestPoints) -> Points:
         """Positions of the held points of the specimen."""
@@ -227,7 +243,8 @@ def _rig_of(words: re.Match) -> Rig:
     sides = [float(side) / 1e3 for side in words["sides"].split("x")]
     held, hung = float(words["held"]) / 1e3, words["holder"] == "corners"
     return Rig((sides[0], sides[-1]), 0.0 if hung else held, words["specimen"],
-               held if hung else None, math.radians(float(words["cut"] or 0)))
+               held if hung else None, math.radians(float(words["cut"] or 0)),
+               float(words["rim"] or 0) / 1e3)
 
 
 SQUARE_RIG = Rig()

@@ -70,10 +70,11 @@ def _fold(rest: RestPoints, rig: Rig, rng: np.random.Generator) -> np.ndarray:
     across = np.array([np.cos(angle), np.sin(angle)])
     along = np.array([-across[1], across[0]])
     s, t = rest @ across, rest @ along
-    arc = np.maximum(np.abs(s) - rig.plate_radius, 0.0)
+    radius = rig.sharp.plate_radius
+    arc = np.maximum(np.abs(s) - radius, 0.0)
     theta = np.minimum(arc / bend, turn)
     straight = np.maximum(arc - bend * turn, 0.0)
-    reach = np.minimum(np.abs(s), rig.plate_radius) + bend * np.sin(theta)
+    reach = np.minimum(np.abs(s), radius) + bend * np.sin(theta)
     reach += straight * np.cos(turn)
     drop = bend * (1 - np.cos(theta)) + straight * np.sin(turn)
     return np.column_stack([(np.sign(s) * reach)[:, None] * across + t[:, None] * along, -drop])

@@ -6,19 +6,19 @@ from typing import Annotated
 
 from pydantic import Field
 
-from common.configs import Key, Seed, Workers, keys_of, metres, pair, si, up_to
+from common.configs import Key, Seed, Share, Workers, keys_of, metres, pair, si, up_to
 from common.errors import InputError
 from common.types import Metres
 from data.fabrics.nuisances import NuisanceConfig
 from data.fabrics.prior import Prior, load_prior, prior_content
-from data.fabrics.prior.even import WHOLE, Shares
+from data.fabrics.prior.even import SAME, WHOLE, Shares
 from data.rigs import named_tester
 from sim.mesh.specimen import EDGE_RANGE
 from sim.rig import SQUARE_RIG
 from sim.start import LOWERED
 from sim.start import STARTS as SHAPES
 
-VERSION = 1
+VERSION = 2
 """Of drapes and their records: raise it when the same settings give other bytes. Datasets that were
 begun with another one are neither finished nor extended."""
 STARTS = (LOWERED, *SHAPES)  # initial states that need no other drape
@@ -43,6 +43,8 @@ class SamplingConfig:
     drift: Annotated[Metres, Key("mm", up_to(20))] = 0.003
     even_share: Annotated[float, Field(ge=0, le=1)] = 0.0
     anisotropy: Annotated[Shares, Key("", pair(up_to(1)))] = WHOLE
+    anisotropy_varied: Annotated[Shares, Key("", pair(up_to(2)))] = SAME
+    rounded_rims: Annotated[float, Key("", Share)] = 0.0
     nuisances: NuisanceConfig = field(default_factory=NuisanceConfig)
 
     def __post_init__(self) -> None:
@@ -150,7 +152,7 @@ def config_from_options(options: Options) -> DatasetConfig:
         drapes=options.drapes,
         drapes_per_shard=dataset.pop("drapes_per_shard"),
         sampling=SamplingConfig(seed=options.seed, **dataset,
-                                nuisances=NuisanceConfig(**si(asdict(options.nuisances)))),
+                                nuisances=NuisanceConfig.of_options(asdict(options.nuisances))),
         prior=load_prior(options.prior.file),
         edge=metres(options.edge_mm),
         device=options.device,

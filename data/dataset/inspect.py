@@ -139,10 +139,10 @@ def spread(items: np.ndarray, count: int) -> np.ndarray:
 def prior_samples(manifest: dict) -> tuple[Theta, float]:
     """:data:`PRIOR_SAMPLES` fabrics of the dataset's prior, moved as its own are, and the share of
     rejected samples."""
-    config = manifest["config"]
+    config, drawn = manifest["config"], manifest["config"]["sampling"]
     return draw_fabrics(prior_from_content(config["prior"], origin="the dataset's prior"),
-                        PRIOR_SAMPLES, **{key: config["sampling"][key]
-                                          for key in ("even_share", "anisotropy")})
+                        PRIOR_SAMPLES, even_share=drawn["even_share"],
+                        anisotropy=drawn["anisotropy"], varied=drawn["anisotropy_varied"])
 
 
 def report(manifest: dict, drapes: dict[str, np.ndarray], prior: tuple[Theta, float]) -> dict:

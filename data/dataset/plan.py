@@ -5,7 +5,7 @@ borrowed initial state depends on the outcomes of earlier drapes of the shard.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
@@ -14,9 +14,16 @@ from common.types import Theta
 from data.dataset.config import BORROWED, SamplingConfig
 from data.fabrics.nuisances import Nuisances
 from data.fabrics.prior import Prior
+from data.fabrics.prior.base import log_stiffness
 from data.fabrics.prior.even import draw_fabric
-from data.rigs import DIAMETERS, MIN_OVERHANG, PLATES, SIDES, named_tester
+from data.rigs import named_tester
 from sim.rig import Rig
+
+PLATES = (0.06, 0.25)  # m; of testers of random sizes, log-uniform, as the next
+WIDTHS = (1.4, 3.0)  # of a specimen over its plate
+SPECIMENS = (0.14, 0.4)  # m
+RIMS = (0.5e-3, 6e-3)  # m, radius of a rounded rim; a tin's rolled rim has 2 to 5 mm
+SHARP = 0.5e-3  # m, largest radius of others
 
 
 class Stream(IntEnum):
@@ -37,7 +44,7 @@ class DrapePlan:
     """The settings of one drape, as stored (:func:`data.dataset.shards.fields`).
 
     Attributes:
-        rig: tester with its nominal sizes.
+        rig: tester with its nominal sizes, and its rim.
         start: initial state, one of :data:`data.dataset.config.STARTS` or borrowed.
         fallback: for a borrowed start without a lender; else ``start``.
         offset: (2,) specimen's centre relative to the plate's axis, along warp and weft, m.
@@ -67,11 +74,11 @@ def plan_drape(index: int, *, config: SamplingConfig, prior: Prior) -> DrapePlan
     fabric, start_of_fabric = divmod(index, config.starts_per_fabric)
     theta, rejected, shift = draw_fabric(prior, stream(config.seed, Stream.FABRIC, fabric),
                                          even_share=config.even_share,
-                                         anisotropy=config.anisotropy)
+                                         anisotropy=config.anisotropy,
+                                         varied=config.anisotropy_varied)
     rig = draw_testers(config, fabric)[start_of_fabric % config.testers_per_fabric]
     face = draw_faces(config, fabric)[start_of_fabric]
-    nuisances = config.nuisances.sample(stream(config.seed, Stream.CLOTH, fabric),
-                                        stream(config.seed, Stream.SPECIMEN, index), face=face)
+    nuisances = draw_nuisances(config, fabric, index, theta, face)
     rng = stream(config.seed, Stream.START, index)
     # With one drape per fabric the initial states alternate between fabrics.
     start = config.starts[(fabric + start_of_fabric) % len(config.starts)]
@@ -85,22 +92,40 @@ def plan_drape(index: int, *, config: SamplingConfig, prior: Prior) -> DrapePlan
                      seed, offset)
 
 
+def draw_nuisances(
+    config: SamplingConfig, fabric: int, index: int, theta: Theta, face: int = 1
+) -> Nuisances:
+    """Those of the specimen of drape ``index``, of a ``fabric`` with these moduli."""
+    return config.nuisances.sample(
+        stream(config.seed, Stream.CLOTH, fabric), stream(config.seed, Stream.SPECIMEN, index),
+        face=face, alpha=float(np.exp(log_stiffness(theta))))
+
+
 def draw_testers(config: SamplingConfig, fabric: int) -> list[Rig]:
     """The testers of a fabric, with sizes in whole millimetres."""
     rng, testers = stream(config.seed, Stream.TESTERS, fabric), []
     for _ in range(config.testers_per_fabric):
         kind = rng.random()
         if kind >= config.random_testers + config.rectangles:
-            testers.append(named_tester(config.testers[rng.integers(len(config.testers))]))
-            continue
-        if kind < config.random_testers:
-            specimen = ("square", "disc")[rng.integers(2)]
-            sides = [round(rng.uniform(*DIAMETERS))] * 2
+            rig = named_tester(config.testers[rng.integers(len(config.testers))])
         else:
-            specimen, sides = "rectangle", [round(side) for side in rng.uniform(*SIDES, 2)]
-        plate = round(rng.uniform(PLATES[0], min(PLATES[1], min(sides) - 2 * MIN_OVERHANG)))
-        testers.append(Rig((sides[0] / 1e3, sides[1] / 1e3), plate / 1e3, specimen))
+            rig = _random_tester(rng, rectangle=kind >= config.random_testers)
+        if config.rounded_rims:
+            rounded = rng.random() < config.rounded_rims
+            rig = replace(rig, rim=round(rng.uniform(*RIMS) if rounded else
+                                         rng.uniform(0, SHARP), 5))
+        testers.append(rig)
     return testers
+
+
+def _random_tester(rng: np.random.Generator, *, rectangle: bool) -> Rig:
+    """A plate, and a specimen whose sides are in proportion to it."""
+    specimen = "rectangle" if rectangle else ("square", "disc")[rng.integers(2)]
+    while True:
+        plate, *widths = np.exp(rng.uniform(*np.log([PLATES, WIDTHS, WIDTHS]).T))
+        sides = np.round(plate * np.array(widths if rectangle else widths[:1] * 2), 3)
+        if SPECIMENS[0] <= sides.min() and sides.max() <= SPECIMENS[1]:
+            return Rig(tuple(sides.tolist()), round(float(plate), 3), specimen)
 
 
 def draw_faces(config: SamplingConfig, fabric: int) -> list[int]:

@@ -24,7 +24,7 @@ from data.fabrics.nuisances import NAMES, Nuisances
 from sim.mesh.specimen import TOPOLOGIES, mesh_specimen
 from sim.rig import Rig
 
-SCHEMA_VERSION = 9  # of manifests and shards
+SCHEMA_VERSION = 10  # of manifests and shards
 SEAL_SIZE = 512  # bytes, of the header with the checksum: HDF5's smallest user block
 LENGTH_UNIT = 1e-5  # m per count of stored coordinates
 COMPRESSION = 9  # gzip level
@@ -65,6 +65,7 @@ def fields(vertices: int, moved: int) -> dict[str, Field]:
         "specimen": Field("S9", (), "", "square, rectangle or disc"),
         "sides": Field("f8", (2,), "m", "nominal, along warp and weft; disc: its diameter"),
         "plate_diameter": Field("f8", (), "m", "nominal diameter of the plate"),
+        "rim": Field("f8", (), "m", "radius of the plate's rim"),
         "face": Field("i1", (), "", "1: the fabric's marked face is up; -1: down"),
         "nuisances": Field("f8", (len(NAMES),), "SI", f"in this order: {', '.join(NAMES)}"),
         "density": Field("f8", (), "kg/m²", "mass per area in the simulation"),
@@ -253,6 +254,7 @@ class Shard:
         return (counts * units[:, None]).transpose(1, 0, 2)
 
     def rig(self, row: int | np.integer) -> Rig:
-        """Nominal tester of a drape."""
+        """Nominal tester of a drape, with its rim."""
         return Rig(tuple(self._arrays["sides"][row].tolist()),
-                   float(self._arrays["plate_diameter"][row]), str(self.column("specimen")[row]))
+                   float(self._arrays["plate_diameter"][row]), str(self.column("specimen")[row]),
+                   rim=float(self._arrays["rim"][row]))

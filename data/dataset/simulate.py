@@ -118,6 +118,7 @@ def _planned(plan: DrapePlan, lender: Record | None) -> dict:
         "specimen": plan.rig.specimen.encode(),
         "sides": plan.rig.sides,
         "plate_diameter": plan.rig.plate_diameter,
+        "rim": plan.rig.rim,
         "face": plan.face,
         "nuisances": plan.nuisances.vector,
         "start": (plan.fallback if lender is None else BORROWED).encode(),

@@ -9,6 +9,7 @@ from common.normal import Normal
 from common.types import Density
 from data.fabrics.fabrics import THETA_NAMES, ClothProperties, from_theta
 from data.fabrics.prior import prior_from_content
+from data.fabrics.prior.base import log_stiffness
 from data.fabrics.prior.even import draw_fabrics
 from sim.material import DIRECTIONS, REFERENCE_DENSITY, is_admissible
 
@@ -43,11 +44,11 @@ def possible(state: np.ndarray) -> np.ndarray:
 def fabric_prior(header: "Header") -> ClothProperties:
     """Samples of the fabrics that the network answers for, with their nuisances."""
     stated, rng = header.prior, np.random.default_rng(0)
-    yarns, bias = stated.anisotropy
     prior = prior_from_content(stated.fabrics, origin=str(header.path))
     theta, _ = draw_fabrics(prior, _PRIOR_SAMPLES, even_share=stated.even_share,
-                            anisotropy=(yarns, bias))
-    drawn = [header.nuisances.sample(rng, rng) for _ in theta]
+                            anisotropy=stated.anisotropy, varied=stated.anisotropy_varied)
+    drawn = [header.nuisances.sample(rng, rng, alpha=float(np.exp(log_stiffness(each))))
+             for each in theta]
     return ClothProperties(
         theta, np.array([[each.curl_warp, each.curl_weft] for each in drawn]),
         np.array([each.membrane for each in drawn]), np.array([each.hysteresis for each in drawn]))

@@ -64,7 +64,8 @@ class _Prior(Schema):
 
     fabrics: dict[str, Any]
     even_share: float
-    anisotropy: Annotated[list[float], Field(min_length=2, max_length=2)]
+    anisotropy: tuple[float, float]
+    anisotropy_varied: tuple[float, float]
     nuisances: dict[str, Any]
 
 
@@ -115,9 +116,7 @@ class Header(Excerpt):
     @property
     def nuisances(self) -> NuisanceConfig:
         """Distribution of the other properties of the specimens that it answers for."""
-        values: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value
-                                  for name, value in self.prior.nuisances.items()}
-        return NuisanceConfig(**values)
+        return NuisanceConfig.of_json(self.prior.nuisances)
 
     @property
     def setups(self) -> Setups:

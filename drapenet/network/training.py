@@ -247,7 +247,8 @@ def describe(
     low, high = np.quantile(training.cloth.theta, [0.01, 0.99], axis=0)
     sampling = datasets["generation"][-1]["sampling"]
     prior = {"fabrics": datasets["generation"][-1]["prior"], **{
-        name: sampling[name] for name in ("even_share", "anisotropy", "nuisances")}}
+        name: sampling[name] for name in ("even_share", "anisotropy", "anisotropy_varied",
+                                          "nuisances")}}
     if config.taught:
         teacher = read_header(config.start)
         low, high = np.array(teacher.fabrics.low), np.array(teacher.fabrics.high)

@@ -25,8 +25,9 @@ from common.cases import load_arrays
 from common.documents import read_arrays
 from common.errors import InputError
 from common.types import Metres, Outline
+from data.dataset.plan import draw_nuisances, plan_drape
 from data.fabrics.fabrics import fabric_from_theta
-from experiments.drapes import LEARNED, plan_specimen
+from experiments.drapes import LEARNED, specimen_config
 from experiments.report import Report, rms, table
 from experiments.study import CaseKeys, Sample, Study, folder_of, samples_of
 from sim.cloth import Laws
@@ -99,11 +100,13 @@ def specimen(
     """A lowered drape, off-centre and with the nuisances of datasets, of a specimen of ``fabric``;
     None: of one of the prior, drawn with the overrides ``words`` of a dataset's config and scaled
     to the geometric mean ``alpha``, µN·m."""
-    plan = plan_specimen(seed, *words, seed=0, nuisances="real", rig=DISC_RIG)
+    config = specimen_config(*words, seed=0, nuisances="real", rig=DISC_RIG)
+    plan = plan_drape(seed, config=config.sampling, prior=config.prior)
     theta = plan.theta.copy()
     theta[:3] += np.log(alpha * MICRO) - theta[:3].mean()
-    return drape(fabric or fabric_from_theta(theta), rig=plan.nuisances.rig(DISC_RIG), edge=edge,
-                 seed=seed, offset=tuple(plan.offset), laws=plan.nuisances.laws)
+    nuisances = draw_nuisances(config.sampling, plan.fabric, seed, theta)
+    return drape(fabric or fabric_from_theta(theta), rig=nuisances.rig(DISC_RIG), edge=edge,
+                 seed=seed, offset=tuple(plan.offset), laws=nuisances.laws)
 
 
 def features(radii: np.ndarray) -> np.ndarray:

@@ -8,36 +8,31 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from sim.energies.bending_law import Variant, constants
+from sim.energies.bending_law import PlateConstants, Variant, form
 from sim.energies.fold_barrier import LIMIT_START, MIN_REMAINING
 from sim.energies.membrane import EQUAL
 from sim.material import SOFTENING_LIMIT as LIMIT
-from sim.material import Fabric
 
 Response = tuple[Tensor, Tensor, Tensor]
 """Density (T, B), stress (3, T, B) and tangent (3, 3, T, B), empty if it is not wanted."""
 
 
-def plate_rows(fabric: Fabric) -> dict[str, np.ndarray]:
+def plate_rows(c: PlateConstants) -> dict[str, np.ndarray]:
     """Constants of a fabric's plate by name: the quadratic form a (3, 3), that of g (3,), alpha
     (3,) and the softening rates base and rho (2, 3) along warp, weft and bias."""
-    c = constants(fabric)
-    form = [[c.A11, c.A12, 0.0], [c.A12, c.A22, 0.0], [0.0, 0.0, 4.0 * c.A66]]
-    rows = {"form": form, "soft": (2 * c.g_w, 2 * c.g_f, 4 * c.g_t),
+    rows = {"form": form(c), "soft": (2 * c.g_w, 2 * c.g_f, 4 * c.g_t),
             "alpha": (c.A11, c.A22, c.alpha_bias),
             "rates": ((c.base_w, c.base_f, c.base_b), (c.rho_w, c.rho_f, c.rho_b)),
-            "softest": fabric.alpha.min()}
+            "softest": min(c.A11, c.A22, c.alpha_bias)}
     return {name: np.array(row) for name, row in rows.items()}
 
 
 def variant_rows(variant: Variant) -> dict[str, np.ndarray]:
-    """The same of natural curvature and friction (:mod:`sim.energies.bending_variants`): moment
-    (3,), P over the limit (3, 3), and three numbers."""
+    """The same of friction (:mod:`sim.energies.bending_variants`): P over the limit (3, 3), and
+    three numbers."""
     pull = [[variant.p_xx, variant.p_mixed, 0.0], [variant.p_mixed, variant.p_yy, 0.0],
             [0.0, 0.0, variant.p_xy]]
-    rows = {"moment": (variant.m_xx, variant.m_yy, variant.m_xy),
-            "pull": np.array(pull) / variant.limit,
-            "limit": variant.limit, "slid": variant.slid, "returned": variant.returned}
+    rows = {"pull": np.array(pull) / variant.limit, "limit": variant.limit, "slid": variant.slid, "returned": variant.returned}
     return {name: np.array(row) for name, row in rows.items()}
 
 
@@ -105,9 +100,9 @@ def _variant(
     s: Tensor, law: dict[str, Tensor], stress: Tensor, stiff: Tensor
 ) -> Tensor | float:
     """Energy of natural curvature and friction; its derivatives are added."""
-    if "moment" not in law:
+    if "moments" not in law:
         return 0.0
-    moment, pull, limit = law["moment"][:, None], law["pull"][:, :, None], law["limit"]
+    moment, pull, limit = law["moments"], law["pull"][:, :, None], law["limit"]
     density = -(moment * s).sum(0)
     stress -= moment
     for change, share in ((s - law["origin"], law["slid"]), (s, -law["returned"])):

@@ -26,7 +26,7 @@ from sim.energies.midedge import (
     rows_at_clamp,
     weight_behind,
 )
-from sim.rig import GRAVITY, RIM
+from sim.rig import GRAVITY
 from sim.scene import Scene
 
 _BETWEEN = [0, 3, 6, 1, 4, 7, 2, 5, 8, 9, 10, 11]
@@ -118,11 +118,13 @@ class BatchedPotential:
         self._entries = Sums(np.concatenate(targets), np.concatenate(rows), self._nonzeros, device)
         sides = (pairs.T.ravel() + count * np.arange(3)[:, None]).ravel()
         self._of_pairs = Sums(sides, np.arange(sides.size), 3 * count, device)
-        constants = [laws.plate_rows(cloth.fabric) | {"membrane": membrane.matrix}
-                     for cloth, membrane in zip(cloths, membranes, strict=True)]
+        constants = [laws.plate_rows(bent.law) | {"membrane": membrane.matrix}
+                     for bent, membrane in zip(bendings, membranes, strict=True)]
         if isinstance(bending, HystereticBending):
-            constants = [row | laws.variant_rows(bent.variant)
-                         for row, bent in zip(constants, bendings, strict=True)]
+            constants = [row | laws.variant_rows(bent.variant) | {
+                name: np.broadcast_to(getattr(bent, name), (count, 3)).T
+                for name in ("natural", "moments")} for row, bent in zip(
+                    constants, bendings, strict=True)]
         self.tensors = {name: place(np.stack([row[name] for row in constants], -1))
                         for name in constants[0]}
         scenes = [cloth.scene for cloth in cloths]
@@ -130,6 +132,8 @@ class BatchedPotential:
         self.tensors |= self._geometry(first, bending, scenes[:1] if shared else scenes)
         if isinstance(bending, HystereticBending):
             self.tensors["origin"] = torch.zeros(3, count, self.count).to(self.tensors["areas"])
+            layers = np.stack([np.broadcast_to(bent.layers, count) for bent in bendings], -1)
+            self.tensors["bending_areas"] = self.tensors["bending_areas"] * place(layers)
         places = np.concatenate([np.repeat(mesh.rest, 3, axis=0), mesh.rest[mesh.edges].mean(1)])
         row_of = np.full(self.unknowns + 1, -1)
         row_of[potential.free] = np.arange(potential.size)
@@ -158,7 +162,8 @@ class BatchedPotential:
         weight = cloth.fabric.density * scene.gravity
         units = torch.ones(self.unknowns, 1).to(areas)[self.free] * lengths
         units[self.free < 3 * self.vertices] = 1.0
-        radius = areas.new_tensor([of.obstacles[0].radius for of in scenes])
+        radius, rim = (areas.new_tensor([getattr(of.obstacles[0], name) for of in scenes])
+                       for name in ("radius", "rim"))
         pressure = scene.contact_pressure * weight / 4 / (DEPTH * radius) ** 2
         free = torch.from_numpy(~scene.held).to(device)
         nx, ny = across / (square * areas).sqrt()
@@ -176,6 +181,7 @@ class BatchedPotential:
             "areas": areas, "bending_areas": bent, "slenderness": square / double, "maps": maps,
             "jumps": jumps, "around": around,
             "gradients": (-across[:, :, active] / double).transpose(0, 1), "radius": radius,
+            "rim": rim,
             "weights": weight * on_vertices, "contact": pressure * torch.cat(
                 [on_vertices[free], on_edges[free[self.ends].any(0)]]),
             "force_scale": cloth.fabric.density * GRAVITY * on_vertices.mean(0) * units,
@@ -222,12 +228,14 @@ class BatchedPotential:
             return self
         return self.having(origin=laws.slid_origin(_Shape(self, x, n).curvatures, self.tensors))
 
-    def _jumps(self, curvatures: Tensor) -> Tensor:
-        """Derivatives (3, T, B), N·m², of the energy of jumps by the curvatures."""
+    def _jumps(self, curvatures: Tensor) -> tuple[Tensor, Tensor]:
+        """Derivatives (3, T, B), N·m², of the energy of jumps by the curvatures, and these less the
+        natural ones."""
+        curvatures = curvatures - self.tensors.get("natural", 0.0)
         first, second = curvatures[:, self._pairs].unbind(1)
         jump = self.tensors["jumps"] * (first - second)
         moments = self._of_pairs(torch.cat([jump, -jump], 1)).view_as(curvatures)
-        return contracted(self.tensors["form"][:, :, None], moments[:, None])[:, 0]
+        return contracted(self.tensors["form"][:, :, None], moments[:, None])[:, 0], curvatures
 
     def evaluate(self, x: Tensor, n: Tensor) -> Value:
         """Energy, gradient and angles at states."""
@@ -235,8 +243,8 @@ class BatchedPotential:
         density, stress, _ = laws.plate(shape.curvatures, tensors)
         value, slope, _ = laws.barrier(shape.angles, tensors["pole"])
         scale, bent = tensors["softest"] * tensors["slenderness"], tensors["bending_areas"]
-        jumps = self._jumps(shape.curvatures)
-        energy = (scale * value + 0.5 * jumps * shape.curvatures).sum((0, 1))
+        jumps, unlike = self._jumps(shape.curvatures)
+        energy = (scale * value + 0.5 * jumps * unlike).sum((0, 1))
         energy = energy + (bent * density).sum(0)
         moment = scale * slope + contracted(tensors["maps"], (bent * stress + jumps)[:, None])[:, 0]
         density, stress, _ = laws.membrane(shape.strains, tensors["membrane"])
@@ -286,7 +294,7 @@ class BatchedPotential:
         # Bending: levers times stiffness, and moments times second derivatives of angles
         _, slope, fold = laws.barrier(shape.angles, tensors["pole"])
         scale, maps = tensors["softest"] * tensors["slenderness"], tensors["maps"]
-        moment = tensors["bending_areas"] * moment + self._jumps(shape.curvatures)
+        moment = tensors["bending_areas"] * moment + self._jumps(shape.curvatures)[0]
         moment = scale * slope + contracted(maps, moment[:, None])[:, 0]
         stiff = contracted(contracted(bent, maps), maps)
         stiff.diagonal(dim1=0, dim2=1).add_((scale * fold).movedim(0, -1))
@@ -331,7 +339,7 @@ class BatchedPotential:
         derivatives (3, 3, N, B) of the depths, empty if they are not wanted; see
         :class:`sim.rig.Cylinder`."""
         radius, distance = self.tensors["radius"], torch.hypot(point[0], point[1])
-        rim = RIM * radius
+        rim = self.tensors["rim"]
         out, up = distance - (radius - rim), point[2] + rim
         rounded, side = (out > 0) & (up > 0), (out > up).to(point)
         over = torch.where(rounded, torch.hypot(out, up), torch.maximum(out, up))

@@ -4,8 +4,8 @@ With S = (Sxx, Syy, Sxy) in warp/weft axes (1/m),
 
     psi = 1/2 a H(g/sqrt(a)) + w F_w(d) + (1 - w) F_f(d) + F_b(2 |Sxy|),
 
-    a = A11 Sxx² + A22 Syy² + 2 A12 Sxx Syy + 4 A66 Sxy²,     d = |Sxx - Syy|,
-    g = g_w Sxx² + g_f Syy² + 2 g_t Sxy²,     w = A11 Sxx²/(A11 Sxx² + A22 Syy²),
+    a = A11 Sxx² + A22 Syy² + 2 A12 Sxx Syy + 4 A66 Sxy² + 4 (A16 Sxx + A26 Syy) Sxy,
+    d = |Sxx - Syy|,    g = g_w Sxx² + g_f Syy² + 2 g_t Sxy²,     w = A11 Sxx²/(A11 Sxx² + A22 Syy²),
 
 H the shape of a softening law (:func:`sim.material.softening_shape`). The first term is convex
 where g is a multiple of a. It softens at least as fast as the fabric in each direction, and the
@@ -15,9 +15,10 @@ convex in its argument.
 
 Thus cloth bent to a cylinder along warp, bias or weft carries exactly the torque
 alpha kappa + beta kappa² (up to u_c), with a smooth interpolation between these directions. psi is
-positive for S != 0 and any sign of the quadratic moduli.
+positive for S != 0 and any sign of the quadratic moduli. A16 and A26 are zero in a plate whose
+diagonals are equal; with them alpha_bias is the mean of both diagonals (:func:`constants`).
 
-:func:`respond` adds natural curvature and hysteresis (:mod:`sim.energies.bending_variants`).
+:func:`respond` adds hysteresis (:mod:`sim.energies.bending_variants`).
 """
 
 from typing import NamedTuple
@@ -35,6 +36,8 @@ class PlateConstants(NamedTuple):
     A22: float
     A12: float
     A66: float
+    A16: float
+    A26: float
     alpha_bias: float
     g_w: float
     g_f: float
@@ -48,8 +51,10 @@ class PlateConstants(NamedTuple):
     u_c: float
 
 
-def constants(fabric: Fabric) -> PlateConstants:
-    """Constants of a fabric's law.
+def constants(fabric: Fabric, skew: float = 0.0) -> PlateConstants:
+    """Constants of a fabric's law. The ``skew`` is that of the bending coupled with twist (D16 and
+    D26 of a laminate) over the largest of a stable plate, -1 to 1: in a plate that is alike along
+    warp, weft and bias the difference of its diagonals over their sum.
 
     rho = -beta/alpha (m) is the softening rate of a direction, r = rho/sqrt(alpha) the rate with
     respect to sqrt(a). If r is equal in all directions, the law is the first term alone. If the
@@ -65,21 +70,27 @@ def constants(fabric: Fabric) -> PlateConstants:
     added[BIAS] = max(-excess, 0.0)
     g = (rate + added) * alpha
     base = rho + added * root
+    a11, a22, a12, a66 = plate_constants(alpha)
+    # The form, scaled to a diagonal of ones, has the determinant (1 - r) (1 + r - 2 coupling²).
+    coupling = skew * np.sqrt((1 + a12 / np.sqrt(a11 * a22)) / 2 * a66)
     return PlateConstants(*map(float, (
-        *plate_constants(alpha), alpha[BIAS],
+        a11, a22, a12, a66, coupling * root[WARP], coupling * root[WEFT], alpha[BIAS],
         g[WARP], g[WEFT], 2 * g[BIAS] - (g[WARP] + g[WEFT]) / 2,
         base[WARP], base[WEFT], base[BIAS], rho[WARP], rho[WEFT], rho[BIAS], SOFTENING_LIMIT,
     )))  # fmt: skip
 
 
-class Variant(NamedTuple):
-    """Constants of natural curvature and hysteresis: a constant moment ``m``, N; the form P of HB²,
-    N², and the ``limit`` Y, N, at which friction is saturated; the weights ``slid`` of F(S - S1)
-    and ``returned`` of -F(S), each 0 or 1 (:mod:`sim.energies.bending_variants`)."""
+def form(law: PlateConstants) -> np.ndarray:
+    """(3, 3) N·m, twice the energy per area of flat cloth by (Sxx, Syy, Sxy)."""
+    return np.array([[law.A11, law.A12, 2 * law.A16], [law.A12, law.A22, 2 * law.A26],
+                     [2 * law.A16, 2 * law.A26, 4 * law.A66]])
 
-    m_xx: float = 0.0
-    m_yy: float = 0.0
-    m_xy: float = 0.0
+
+class Variant(NamedTuple):
+    """Constants of hysteresis: the form P of HB², N², and the ``limit`` Y, N, at which friction is
+    saturated; the weights ``slid`` of F(S - S1) and ``returned`` of -F(S), each 0 or 1
+    (:mod:`sim.energies.bending_variants`)."""
+
     p_xx: float = 0.0
     p_yy: float = 0.0
     p_mixed: float = 0.0
@@ -107,12 +118,14 @@ def _correction(k, alpha, base, rho, limit):
 def derivatives(s, law, g, h):
     """psi, J/m², at curvature s (3,) for the constants ``law``; fills g (3,) and, unless it is
     empty, h (3, 3) with its derivatives by s."""
-    da = (2.0 * (law.A11 * s[0] + law.A12 * s[1]), 2.0 * (law.A22 * s[1] + law.A12 * s[0]),
-          8.0 * law.A66 * s[2])
+    da = (2.0 * (law.A11 * s[0] + law.A12 * s[1]) + 4.0 * law.A16 * s[2],
+          2.0 * (law.A22 * s[1] + law.A12 * s[0]) + 4.0 * law.A26 * s[2],
+          8.0 * law.A66 * s[2] + 4.0 * (law.A16 * s[0] + law.A26 * s[1]))
     if len(h):
         h[0, 0], h[1, 1], h[2, 2] = law.A11, law.A22, 4.0 * law.A66
         h[0, 1] = h[1, 0] = law.A12
-        h[0, 2] = h[2, 0] = h[1, 2] = h[2, 1] = 0.0
+        h[0, 2] = h[2, 0] = 2.0 * law.A16
+        h[1, 2] = h[2, 1] = 2.0 * law.A26
     a = 0.5 * (da[0] * s[0] + da[1] * s[1] + da[2] * s[2])
     if a <= 0.0:
         # u is of first order in S: at S = 0 only the quadratic form contributes.
@@ -190,10 +203,6 @@ def respond(curvatures, origins, law, variant, tangents=True):
     for t in range(len(curvatures)):
         s, g, h = curvatures[t], stress[t], tangent[t]
         total = derivatives(s, law, g, h)
-        total -= variant.m_xx * s[0] + variant.m_yy * s[1] + variant.m_xy * s[2]
-        g[0] -= variant.m_xx
-        g[1] -= variant.m_yy
-        g[2] -= variant.m_xy
         if variant.slid != 0.0:
             total += _add_friction(s - origins[t], variant.slid, variant, g, h)
         if variant.returned != 0.0:

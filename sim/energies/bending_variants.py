@@ -1,8 +1,8 @@
-"""Variants of the plate: natural curvature and hysteresis.
+"""Variants of the plate: natural curvature, coupling of bending with twist, and hysteresis.
 
 *Natural curvature*: the two faces of a cloth differ, as after weaving, finishing or storage. With
-the plate constants A of the fabric (:func:`sim.material.plate_constants`) and the natural curvature
-S0 in warp/weft axes, a constant torque is added to that of mid-edge bending:
+the plate's form A (:func:`sim.energies.bending_law.form`) and the natural curvature
+S0 in warp/weft axes, which may vary over the cloth (:mod:`sim.energies.uneven`), a torque is added to that of mid-edge bending:
 
     psi(S) - S : A : S0.
 
@@ -36,8 +36,10 @@ import numpy as np
 
 from common.errors import InputError
 from common.types import Curvatures, FaceMask, StateVector
-from sim.energies.bending_law import Variant
+from sim.energies import bending_law
+from sim.energies.bending_law import PLAIN, Variant
 from sim.energies.midedge import MidEdgeBending
+from sim.energies.uneven import Uneven
 from sim.material import BIAS, KES_CURVATURE, WARP, WEFT, Fabric, plate_constants, torque
 from sim.mesh import Mesh
 
@@ -48,7 +50,7 @@ _MAX_SHARE_OF_STIFFNESS = 0.95  # of the friction in the stiffness of flat cloth
 
 @dataclass(frozen=True, eq=False)
 class Hysteresis:
-    """A bending law (:class:`sim.cloth.Law`) with hysteresis and natural curvature.
+    """A bending law (:class:`sim.cloth.Law`) with hysteresis, natural curvature and coupling.
 
     Attributes:
         share: HB over the torque of the loading curve at the curvature ``at``, one number or
@@ -57,6 +59,8 @@ class Hysteresis:
             friction adds to them: HB is the same share of their sum.
         curvature: natural curvature (Sxx, Syy, Sxy), 1/m, along warp, along weft and of twist;
             positive bends the cloth down when its faces are counter-clockwise seen from above.
+        uneven: further natural curvature, and layers of cloth, that vary over the specimen.
+        skew: coupling, see :func:`sim.energies.bending_law.constants`.
         origin: (N, 3) S1 of the active triangles of a mesh, 1/m; None: zero.
         at: curvature, 1/m, at which HB is read.
     """
@@ -64,6 +68,8 @@ class Hysteresis:
     share: float | tuple[float, float, float] = 0.0
     added: bool = False
     curvature: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    uneven: Uneven | None = None
+    skew: float = 0.0
     origin: np.ndarray | None = None
     at: float = KES_CURVATURE
 
@@ -75,6 +81,8 @@ class Hysteresis:
         if np.shape(self.curvature) != (3,) or not np.isfinite(self.curvature).all():
             raise InputError(f"curvature={self.curvature}: give three finite numbers, 1/m: along "
                              "warp, along weft and of twist")
+        if not abs(self.skew) < 1:
+            raise InputError(f"skew={self.skew:g}: no elastic plate has it; give -1 to 1")
 
     def __call__(self, mesh: Mesh, active: FaceMask, *, fabric: Fabric) -> "HystereticBending":
         return HystereticBending(mesh, active, fabric=fabric, law=self)
@@ -86,14 +94,10 @@ class Hysteresis:
         return scale * torque(self.at, fabric.alpha, fabric.beta)
 
     def variant(self, fabric: Fabric) -> Variant:
-        """Constants of natural curvature and hysteresis of ``fabric``."""
+        """Constants of the hysteresis of ``fabric``."""
         friction = self.friction(fabric)
-        a11, a22, a12, a66 = plate_constants(fabric.alpha)
-        xx, yy, xy = self.curvature
-        moment = a11 * xx + a12 * yy, a12 * xx + a22 * yy, 4 * a66 * xy
-        variant = Variant(*map(float, moment))
         if not friction.any():
-            return variant
+            return PLAIN
         # A plate form exists only above this friction along the bias (sim.material.bias_limit).
         least = 0.51 * abs(friction[WARP] - friction[WEFT])
         friction[BIAS] = max(friction[BIAS], least)
@@ -103,7 +107,7 @@ class Hysteresis:
             # The elastic part of flat cloth keeps a positive stiffness.
             stiffness = float((friction**2 / fabric.alpha).max())
             limit = max(limit, 1.25 * stiffness / _MAX_SHARE_OF_STIFFNESS)
-        return variant._replace(
+        return Variant(
             p_xx=a11, p_yy=a22, p_mixed=a12, p_xy=4 * a66, limit=limit, slid=1.0,
             returned=0.0 if self.added else 1.0)
 
@@ -113,7 +117,13 @@ class HystereticBending(MidEdgeBending):
 
     def __init__(self, mesh: Mesh, active: FaceMask, *, fabric: Fabric, law: Hysteresis) -> None:
         self._hysteresis = law
+        self.natural = np.array([law.curvature])
+        if law.uneven:
+            self.natural = self.natural + law.uneven.curvature_at(mesh, active)
         super().__init__(mesh, active, fabric=fabric)
+        uneven = law.uneven
+        self.layers = uneven.layers_at(mesh, active) if uneven and uneven.hem_layers else 1.0
+        self.areas = self.areas * self.layers
         if law.origin is not None and law.origin.shape != self.origin.shape:
             raise InputError(f"origin has shape {law.origin.shape}, this mesh needs "
                              f"{self.origin.shape}; find its equilibrium with "
@@ -122,7 +132,16 @@ class HystereticBending(MidEdgeBending):
 
     def _set_fabric(self, fabric: Fabric) -> None:
         super()._set_fabric(fabric)
+        self.law = bending_law.constants(fabric, self._hysteresis.skew)
         self.variant = self._hysteresis.variant(fabric)
+        self.moments = self.natural @ self.form  # (N or 1, 3) N, of natural curvature
+
+    def response(
+        self, curvatures: Curvatures, tangents: bool = True
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        density, stress, tangent = super().response(curvatures, tangents)
+        return (density - np.einsum("ni,ni->n", curvatures, np.broadcast_to(
+            self.moments, curvatures.shape)), stress - self.moments, tangent)
 
     def with_origin(self, origin: Curvatures) -> "HystereticBending":
         """The energy with another ``origin`` S1 (N, 3), 1/m, which shares all else."""

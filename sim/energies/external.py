@@ -11,10 +11,14 @@ from sim.solver.linear import add_blocks
 
 
 class Gravity(Energy):
-    """Potential energy of the vertices, sum of m g z, ``gravity`` g in m/s²; one element each."""
+    """Potential energy of the vertices, sum of m g z, ``gravity`` g in m/s²; one element each. The
+    ``areas`` (V,), m², are those of the mesh, unless others are given."""
 
-    def __init__(self, mesh: Mesh, *, density: Density, gravity: float) -> None:
-        self.weights = density * gravity * mesh.vertex_areas  # (V,) N
+    def __init__(
+        self, mesh: Mesh, *, density: Density, gravity: float, areas: np.ndarray | None = None
+    ) -> None:
+        areas = mesh.vertex_areas if areas is None else areas
+        self.weights = density * gravity * areas  # (V,) N
         self.dofs = 3 * np.arange(len(mesh.rest))[:, None] + 2
 
     def value(self, q: StateVector) -> float:

@@ -61,6 +61,8 @@ class MidEdgeBending(FusedEnergy):
         pole: (N, 3) rad, of the barrier at each edge; infinite: none.
     """
 
+    natural: Curvatures | float = 0.0  # of zero energy, for a variant of the law
+
     def __init__(self, mesh: Mesh, active: FaceMask, *, fabric: Fabric) -> None:
         faces, edges = mesh.faces[active], mesh.face_edges[active]
         beyond = mesh.edge_faces[edges]  # (N, 3, 2)
@@ -131,7 +133,7 @@ class MidEdgeBending(FusedEnergy):
         (N, 3, 3), N·m, of :meth:`response`."""
         density, stress, tangent = self.response(curvatures, tangents)
         moments = self.areas[:, None] * stress
-        jumps = _add_jumps(curvatures, self.form, self._jumps, self.pairs, moments)
+        jumps = _add_jumps(curvatures - self.natural, self.form, self._jumps, self.pairs, moments)
         return float(self.areas @ density) + jumps, moments, tangent
 
     def allows(self, old: StateVector, new: StateVector) -> bool:
@@ -156,8 +158,7 @@ class MidEdgeBending(FusedEnergy):
     @property
     def form(self) -> np.ndarray:
         """(3, 3) N·m, the tangent of flat cloth."""
-        a11, a22, a12, a66 = self.law[:4]
-        return np.array([[a11, a12, 0.0], [a12, a22, 0.0], [0.0, 0.0, 4.0 * a66]])
+        return bending_law.form(self.law)
 
 
 def clamp_weights(mesh: Mesh, active: FaceMask, clamped: np.ndarray) -> np.ndarray:

@@ -196,6 +196,7 @@ def mesh_specimen(
         grading: edge length at the hem over ``edge``, at least 1. Lengths grow by 10 % per edge, up
             to :data:`MAX_EDGE`; on the plate, where triangles store no energy, they grow faster.
     """
+    rig = rig.sharp
     _check(rig, edge, offset)
     # In the axes of the sides, which may differ from warp and weft.
     along_sides = np.asarray(offset, dtype=float) @ rig.directions
@@ -247,7 +248,7 @@ def longest_edge(rig: Rig, offset: tuple[float, float]) -> Metres:
     shifts = np.abs(np.asarray(offset) @ rig.directions)
     if rig.specimen == "disc":
         shifts = np.full(2, np.hypot(*offset))
-    overhangs = (np.array(rig.sides) - rig.plate_diameter) / 2
+    overhangs = (np.array(rig.sides) - rig.sharp.plate_diameter) / 2
     narrowest = np.argmin(overhangs - shifts)
     overhang, shift = overhangs[narrowest], shifts[narrowest]
     if shift >= overhang:

@@ -8,14 +8,16 @@ its three alphas get one factor, so that the ratios between directions, on which
 Along the bias the published cantilevers differ from the mean of warp and weft by a factor of 1.65
 (standard deviation), and a drape of such cloth has a fourth harmonic that outlines of real cloth do
 not have (docs/physics.md). ``anisotropy`` has the shares that are kept of the difference between
-warp and weft, and of that between the bias and their mean.
+warp and weft, and of that between the bias and their mean; each fabric draws its own around them,
+log-normal with the deviations ``varied``, so that few fabrics keep all of it, or more.
 """
 
 import numpy as np
 
 from common.types import Theta
+from data.fabrics.fabrics import from_theta
 from data.fabrics.prior.base import DECIMALS, Prior, log_stiffness, sample_admissible
-from sim.material import BIAS, LINEAR, RATIO, WARP, WEFT
+from sim.material import BIAS, LINEAR, RATIO, WARP, WEFT, is_admissible
 
 STIFFNESS = (0.7e-6, 700e-6)
 """Range of the mean alpha (geometric mean of warp, bias and weft) of moved fabrics, N·m at
@@ -23,13 +25,14 @@ STIFFNESS = (0.7e-6, 700e-6)
 
 Shares = tuple[float, float]
 WHOLE: Shares = 1.0, 1.0  # of the prior's anisotropy
+SAME: Shares = 0.0, 0.0  # shares that do not vary
 
 _SPREAD_SAMPLES = 4000
 
 
 def draw_fabric(
     prior: Prior, rng: np.random.Generator, *, even_share: float = 0.0,
-    anisotropy: Shares = WHOLE
+    anisotropy: Shares = WHOLE, varied: Shares = SAME
 ) -> tuple[Theta, int, float]:
     """An admissible fabric, :func:`narrowed`, the number of rejected samples, and its shift of log
     alpha.
@@ -38,7 +41,17 @@ def draw_fabric(
     :data:`STIFFNESS`; else it is a fabric of the prior, with a shift of 0.
     """
     theta, rejected = sample_admissible(prior, rng)
-    theta = narrowed(theta, anisotropy)
+    shares = np.array(anisotropy)
+    if any(varied):
+        whole = theta
+        while True:
+            drawn = shares * np.exp(np.array(varied) * rng.standard_normal(2))
+            theta = narrowed(whole, tuple(drawn.tolist()))
+            if is_admissible(*from_theta(theta)):
+                break
+            rejected += 1
+    else:
+        theta = narrowed(theta, anisotropy)
     if not even_share or rng.random() >= even_share:
         return theta, rejected, 0.0
     shift = float(rng.uniform(*np.log(STIFFNESS)) - log_stiffness(theta))
@@ -46,12 +59,13 @@ def draw_fabric(
 
 
 def draw_fabrics(
-    prior: Prior, count: int, *, even_share: float = 0.0, anisotropy: Shares = WHOLE
+    prior: Prior, count: int, *, even_share: float = 0.0, anisotropy: Shares = WHOLE,
+    varied: Shares = SAME
 ) -> tuple[Theta, float]:
     """``count`` fabrics (count, 6) by a fixed seed, and the share of rejected samples."""
     rng = np.random.default_rng(0)
     theta, rejected, _ = zip(*(
-        draw_fabric(prior, rng, even_share=even_share, anisotropy=anisotropy)
+        draw_fabric(prior, rng, even_share=even_share, anisotropy=anisotropy, varied=varied)
         for _ in range(count)), strict=True)
     return np.array(theta), sum(rejected) / (sum(rejected) + count)
 
@@ -62,14 +76,14 @@ def spread_of(prior: Prior) -> Theta:
 
 
 def narrowed(theta: Theta, anisotropy: Shares) -> Theta:
-    """Fabrics (..., 6) with these shares, 0 to 1, of the difference between warp and weft, and of
-    that between the bias and their mean, of log alpha and of beta/alpha; the means of the three
-    directions stay. They are admissible if those of ``theta`` are: a smaller difference only widens
-    the limits of a plate."""
+    """Fabrics (..., 6) with these shares of the difference between warp and weft, and of that
+    between the bias and their mean, of log alpha and, up to 1, of beta/alpha; the means of the
+    three directions stay. With shares up to 1 they are admissible if those of ``theta`` are: a
+    smaller difference only widens the limits of a plate."""
     if tuple(anisotropy) == WHOLE:
         return theta
-    theta, (yarns, bias) = np.array(theta), anisotropy
-    for part in (LINEAR, RATIO):
+    theta = np.array(theta)
+    for part, (yarns, bias) in ((LINEAR, anisotropy), (RATIO, np.minimum(anisotropy, 1.0))):
         values = theta[..., part]  # a view
         mean = (values[..., WARP] + values[..., WEFT]) / 2
         across = yarns * (values[..., WARP] - values[..., WEFT]) / 2
