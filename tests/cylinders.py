@@ -14,7 +14,7 @@ from common.errors import InputError
 from sim.cloth import Laws
 from sim.energies import bending_law
 from sim.energies.base import Energy
-from sim.material import Fabric, plate_constants
+from sim.material import Fabric
 from sim.mesh import Mesh
 
 _SMALL = 0.01  # reduced curvature below the softening limit of every term of the law
@@ -118,14 +118,13 @@ def cylinder_moduli(fabric: Fabric, angle: float) -> tuple[float, float]:
     return float((4 * once - twice) / (2 * kappa)), float((twice - 2 * once) / (2 * kappa**2))
 
 
-def free_modulus(fabric: Fabric, angle: float) -> float:
+def free_modulus(fabric: Fabric, angle: float, skew: float = 0.0) -> float:
     """Linear modulus, N·m, of a narrow free strip along ``angle``, rad, for small deflections.
 
     1/(m D^-1 m) with the plate's stiffness D (3, 3) for (Sxx, Syy, Sxy) and the components m of a
     unit moment along the strip: the other two moments are zero.
     """
-    a11, a22, a12, a66 = plate_constants(fabric.alpha)
-    stiffness = np.array([[a11, a12, 0.0], [a12, a22, 0.0], [0.0, 0.0, 4 * a66]])
+    stiffness = bending_law.form(bending_law.constants(fabric, skew))
     cos, sin = np.cos(angle), np.sin(angle)
     moments = np.array([cos**2, sin**2, 2 * cos * sin])
     return float(1 / (moments @ np.linalg.solve(stiffness, moments)))

@@ -24,7 +24,7 @@ TWIST = 0.5
 HEM_WIDTH = 15e-3  # m, of the band that is curled
 CREASE_WIDTH = 10e-3  # m
 _WAVES = 24
-_PARTS = 4  # of a triangle's sides, whose 16 parts are looked at
+_PARTS = 8  # of a triangle's sides, whose 64 parts are looked at
 _SPACING = 1e-3  # m, of points along the border
 
 
@@ -106,7 +106,7 @@ def _across(normal: np.ndarray) -> np.ndarray:
 
 
 def _parts(mesh: Mesh, active: FaceMask) -> np.ndarray:
-    """Centres (N, 16, 2) of the equal parts of the active triangles."""
+    """Centres (N, 64, 2) of the equal parts of the active triangles."""
     steps = 3 * _PARTS
     first, second = np.meshgrid(np.arange(1, steps), np.arange(1, steps))
     third = steps - first - second

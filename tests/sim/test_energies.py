@@ -15,6 +15,7 @@ from sim.energies.external import Gravity, ObstacleContact
 from sim.energies.fold_barrier import is_bent
 from sim.energies.hinges import HingeBending
 from sim.energies.membrane import Corotational, OrthotropicStVK
+from sim.energies.uneven import Crease, Uneven
 from sim.energies.midedge import MidEdgeBending
 from sim.material import Fabric
 from sim.mesh import strip
@@ -50,7 +51,9 @@ LAWS = {
     "fold limit": partial(MidEdgeBending, fabric=STIFFENING),
     "hinges": partial(HingeBending, fabric=ANISOTROPIC, directed=True),
 }
-HYSTERESIS = {"hysteresis": Hysteresis(0.3), "friction added to curled cloth": Hysteresis(
+UNEVEN = Uneven(20.0, 0.01, 1, 30.0, 4e-3, (Crease(50.0, 0.3, 5e-3),))
+HYSTERESIS = {"uneven and skewed": Hysteresis(0.2, uneven=UNEVEN, skew=0.6),
+              "hysteresis": Hysteresis(0.3), "friction added to curled cloth": Hysteresis(
     (0.2, 0.3, 0.25), added=True, curvature=(3.0, -2.0, 0.0))}
 
 MESH, ACTIVE, BENT = crumpled_strip(amplitude=1e-4, turn=0.1)
