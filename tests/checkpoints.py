@@ -49,9 +49,10 @@ def save_untrained(path: Path, width: int = 8) -> Path:
                                          np.array(0.2)), np.array(0.3))
     deviations = [*std[:3], *np.array(std[3:]) / 0.3, 2.0, 2.0, 0.6, 0.1]
     prior = {"fabrics": prior_content(load_prior("gaussian")), "even_share": 0.0,
-             "anisotropy": [1.0, 1.0], "nuisances": {
-                 "membrane": [200.0, 2000.0], "shear": [0.2, 1.0], "hysteresis": [5.0, 60.0],
-                 "curl": 5.0, "curl_specimen": 1.0}}
+             "anisotropy": [1.0, 1.0], "anisotropy_varied": [0.0, 0.0], "nuisances": {
+                 "cloth": {"woven": {"membrane": [200.0, 2000.0], "shear": [170.0, 175.0],
+                                     "curl": 5.0}},
+                 "hysteresis": [5.0, 60.0], "curl_specimen": 1.0}}
     generation = {"sampling": {"seed": 999, "starts": ["sine", "fold"]},
                   "prior": prior["fabrics"], "solver": {"edge_mm": 8.0}}
     save_checkpoint(path, model=make_network(**model), half=False, description={

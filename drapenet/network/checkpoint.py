@@ -26,11 +26,12 @@ if TYPE_CHECKING:
 
 SCHEMA = "drapenet-checkpoint"
 """Key of the description in the metadata of a checkpoint."""
-SCHEMA_VERSION = 6
+SCHEMA_VERSION = 7
 BUNDLED = Path(__file__).parents[1] / "weights" / "drapenet.safetensors"
 
 _SIX = Field(min_length=len(THETA_NAMES), max_length=len(THETA_NAMES))
 _TEN = Field(min_length=10, max_length=10)
+_Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 _Positive = Annotated[float, Field(gt=0)]
 
 
@@ -64,8 +65,8 @@ class _Prior(Schema):
 
     fabrics: dict[str, Any]
     even_share: float
-    anisotropy: tuple[float, float]
-    anisotropy_varied: tuple[float, float]
+    anisotropy: _Pair
+    anisotropy_varied: _Pair
     nuisances: dict[str, Any]
 
 

@@ -128,8 +128,8 @@ def test_batches_on_a_device_make_the_same_records(tmp_path, monkeypatch):
         assert np.allclose(one.column("move_units"), batch.column("move_units"), rtol=1e-3)
 
 
-def test_only_lowered_drapes_are_made_in_batches(tmp_path):
-    for device, starts, complaint in (("cpu", ("lowered", "sine"), "only lowered drapes"),
+def test_borrowed_drapes_are_not_made_in_batches(tmp_path):
+    for device, starts, complaint in (("cpu", ("borrowed", "sine"), "drapes that are borrowed"),
                                       ("none", ("lowered",), "device=none: ")):
         with pytest.raises(InputError, match=complaint):
             generate(tmp_path / "set", replace(small_config(starts=starts), device=device))
@@ -275,8 +275,9 @@ def test_a_killed_worker_is_reported_in_one_line(tmp_path):
     (["dataset.testers=[square600_corners500]"], "square600_corners500"),
     (["dataset.testers_per_fabric=2"], "testers_per_fabric=2 must lie between 1"),
     (["dataset.drift_mm=100"], "dataset.drift_mm"),
-    (["nuisances.shear=[1]"], "nuisances.shear"),
-    (["nuisances.membrane_n_per_m=[300,200]"], "smaller one first"),
+    (["nuisances.creased=[1]"], "nuisances.creased"),
+    (["nuisances.cloth.knit.share=2"], "nuisances.cloth.knit.share"),
+    (["nuisances.uneven_length_mm=[300,200]"], "smaller one first"),
     (["nuisances.hysteresis_per_m=[5,200]"], "nuisances.hysteresis_per_m"),
     (["nuisances.hysteresis_per_m=[0,60]"], "nuisances.hysteresis"),
     (["nuisances.cut_deg=20"], "nuisances.cut_deg"),

@@ -21,7 +21,7 @@ from sim.mesh.specimen import TOPOLOGIES, mesh_specimen
 from sim.rig import DISC_RIG, SQUARE_RIG, Rig
 from tests.cloths import waves
 
-RIGS = DISC_RIG, SQUARE_RIG, Rig((0.17, 0.25), 0.09)
+RIGS = DISC_RIG, SQUARE_RIG, Rig((0.17, 0.25), 0.09, rim=2e-3)
 CODED = ("check", "positions", "moves")
 ATTRIBUTES = {"schema_version": SCHEMA_VERSION, "identity": "abc", "config": "{}"}
 
@@ -33,7 +33,7 @@ def flat(seed):
     mesh, _ = mesh_specimen(nuisances.rig(rig), edge=0.011 + 0.001 * seed, offset=(2e-3, 1e-3),
                             topology=(5 + seed) % TOPOLOGIES)
     return mesh, {"nuisances": nuisances.vector, "specimen": rig.specimen.encode(),
-                  "sides": rig.sides, "plate_diameter": rig.plate_diameter, "seed": 5 + seed,
+                  "sides": rig.sides, "plate_diameter": rig.plate_diameter, "rim": rig.rim, "seed": 5 + seed,
                   "edge": 0.011 + 0.001 * seed, "offset": np.array([2e-3, 1e-3])}
 
 
@@ -167,7 +167,7 @@ def test_every_flipped_bit_and_every_missing_byte_shows(shard, tmp_path):
 def test_the_seal_is_that_of_the_documentation(shard):
     whole = shard.path.read_bytes()
     first, second, rest = whole[:SEAL_SIZE].split(b"\n")
-    assert first == b"drapes, schema 9, SHA-256 of all after byte 512:"
+    assert first == b"drapes, schema 10, SHA-256 of all after byte 512:"
     assert second.decode() == hashlib.sha256(whole[512:]).hexdigest()
     assert not rest.strip(b"\0")
 
@@ -176,8 +176,8 @@ def test_other_files_are_no_shard(tmp_path):
     (tmp_path / "text.h5").write_text("no shard")
     write_shard(tmp_path / "new.h5", [make_record(0)], attributes=ATTRIBUTES)
     content = (tmp_path / "new.h5").read_bytes()
-    (tmp_path / "old.h5").write_bytes(content.replace(b"schema 9", b"schema 8", 1))
+    (tmp_path / "old.h5").write_bytes(content.replace(b"schema 10", b"schema 09", 1))
     for name, complaint in (("text.h5", "not a shard"), ("none.h5", "No such file"),
-                            ("old.h5", "not a shard of schema version 9")):
+                            ("old.h5", "not a shard of schema version 10")):
         with pytest.raises(InputError, match=complaint):
             Shard(tmp_path / name)

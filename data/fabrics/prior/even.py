@@ -12,6 +12,8 @@ warp and weft, and of that between the bias and their mean; each fabric draws it
 log-normal with the deviations ``varied``, so that few fabrics keep all of it, or more.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from common.types import Theta
@@ -23,7 +25,8 @@ STIFFNESS = (0.7e-6, 700e-6)
 """Range of the mean alpha (geometric mean of warp, bias and weft) of moved fabrics, N·m at
 300 g/m²: bending lengths from 6 mm, chiffon, to 62 mm, canvas."""
 
-Shares = tuple[float, float]
+Shares = Sequence[float]
+"""Of warp and weft, and of the bias: two."""
 WHOLE: Shares = 1.0, 1.0  # of the prior's anisotropy
 SAME: Shares = 0.0, 0.0  # shares that do not vary
 
@@ -46,7 +49,7 @@ def draw_fabric(
         whole = theta
         while True:
             drawn = shares * np.exp(np.array(varied) * rng.standard_normal(2))
-            theta = narrowed(whole, tuple(drawn.tolist()))
+            theta = narrowed(whole, drawn.tolist())
             if is_admissible(*from_theta(theta)):
                 break
             rejected += 1
