@@ -32,7 +32,8 @@ def variant_rows(variant: Variant) -> dict[str, np.ndarray]:
     three numbers."""
     pull = [[variant.p_xx, variant.p_mixed, 0.0], [variant.p_mixed, variant.p_yy, 0.0],
             [0.0, 0.0, variant.p_xy]]
-    rows = {"pull": np.array(pull) / variant.limit, "limit": variant.limit, "slid": variant.slid, "returned": variant.returned}
+    rows = {"pull": np.array(pull) / variant.limit, "limit": variant.limit,
+            "slid": variant.slid, "returned": variant.returned}
     return {name: np.array(row) for name, row in rows.items()}
 
 

@@ -5,7 +5,7 @@ With S = (Sxx, Syy, Sxy) in warp/weft axes (1/m),
     psi = 1/2 a H(g/sqrt(a)) + w F_w(d) + (1 - w) F_f(d) + F_b(2 |Sxy|),
 
     a = A11 Sxx² + A22 Syy² + 2 A12 Sxx Syy + 4 A66 Sxy² + 4 (A16 Sxx + A26 Syy) Sxy,
-    d = |Sxx - Syy|,    g = g_w Sxx² + g_f Syy² + 2 g_t Sxy²,     w = A11 Sxx²/(A11 Sxx² + A22 Syy²),
+    d = |Sxx - Syy|,   g = g_w Sxx² + g_f Syy² + 2 g_t Sxy²,   w = A11 Sxx²/(A11 Sxx² + A22 Syy²),
 
 H the shape of a softening law (:func:`sim.material.softening_shape`). The first term is convex
 where g is a multiple of a. It softens at least as fast as the fabric in each direction, and the

@@ -2,7 +2,8 @@
 
 *Natural curvature*: the two faces of a cloth differ, as after weaving, finishing or storage. With
 the plate's form A (:func:`sim.energies.bending_law.form`) and the natural curvature
-S0 in warp/weft axes, which may vary over the cloth (:mod:`sim.energies.uneven`), a torque is added to that of mid-edge bending:
+S0 in warp/weft axes, which may vary over the cloth (:mod:`sim.energies.uneven`), a torque is added
+to that of mid-edge bending:
 
     psi(S) - S : A : S0.
 
@@ -121,9 +122,9 @@ class HystereticBending(MidEdgeBending):
         if law.uneven:
             self.natural = self.natural + law.uneven.curvature_at(mesh, active)
         super().__init__(mesh, active, fabric=fabric)
-        uneven = law.uneven
-        self.layers = uneven.layers_at(mesh, active) if uneven and uneven.hem_layers else 1.0
-        self.areas = self.areas * self.layers
+        if law.uneven and law.uneven.hem_layers:
+            self.layers = law.uneven.layers_at(mesh, active)
+            self.areas = self.areas * self.layers
         if law.origin is not None and law.origin.shape != self.origin.shape:
             raise InputError(f"origin has shape {law.origin.shape}, this mesh needs "
                              f"{self.origin.shape}; find its equilibrium with "

@@ -62,6 +62,7 @@ class MidEdgeBending(FusedEnergy):
     """
 
     natural: Curvatures | float = 0.0  # of zero energy, for a variant of the law
+    layers: np.ndarray | float = 1.0  # of cloth, of each triangle
 
     def __init__(self, mesh: Mesh, active: FaceMask, *, fabric: Fabric) -> None:
         faces, edges = mesh.faces[active], mesh.face_edges[active]

@@ -62,7 +62,9 @@ class Uneven:
         result = np.zeros((int(active.sum()), 3))
         if self.deviation:
             result += self._random(mesh.rest[mesh.faces[active]].mean(axis=1))
-        points = _parts(mesh, active) if self.hem_curl or self.creases else None
+        if not (self.hem_curl or self.creases):
+            return result
+        points = _parts(mesh, active)
         for crease in self.creases:
             normal = np.array([np.cos(crease.azimuth), np.sin(crease.azimuth)])
             inside = np.abs(points @ normal - crease.distance) < CREASE_WIDTH / 2

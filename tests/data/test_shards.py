@@ -33,7 +33,8 @@ def flat(seed):
     mesh, _ = mesh_specimen(nuisances.rig(rig), edge=0.011 + 0.001 * seed, offset=(2e-3, 1e-3),
                             topology=(5 + seed) % TOPOLOGIES)
     return mesh, {"nuisances": nuisances.vector, "specimen": rig.specimen.encode(),
-                  "sides": rig.sides, "plate_diameter": rig.plate_diameter, "rim": rig.rim, "seed": 5 + seed,
+                  "sides": rig.sides, "plate_diameter": rig.plate_diameter, "rim": rig.rim,
+                  "seed": 5 + seed,
                   "edge": 0.011 + 0.001 * seed, "offset": np.array([2e-3, 1e-3])}
 
 

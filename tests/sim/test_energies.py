@@ -15,8 +15,8 @@ from sim.energies.external import Gravity, ObstacleContact
 from sim.energies.fold_barrier import is_bent
 from sim.energies.hinges import HingeBending
 from sim.energies.membrane import Corotational, OrthotropicStVK
-from sim.energies.uneven import Crease, Uneven
 from sim.energies.midedge import MidEdgeBending
+from sim.energies.uneven import Crease, Uneven
 from sim.material import Fabric
 from sim.mesh import strip
 from sim.rig import Cylinder, Rig

@@ -20,8 +20,8 @@ from sim.energies.bending_variants import Hysteresis
 from sim.energies.external import Gravity
 from sim.energies.fold_barrier import LIMIT_START, is_bent, keeps_distance
 from sim.energies.membrane import Corotational, OrthotropicStVK
-from sim.energies.uneven import Uneven
 from sim.energies.midedge import MidEdgeBending
+from sim.energies.uneven import Uneven
 from sim.material import Fabric
 from sim.measures import fold_count
 from sim.mesh import Mesh, strip

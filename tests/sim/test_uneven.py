@@ -5,7 +5,6 @@ import pytest
 from scipy.spatial.distance import pdist, squareform
 
 from common.errors import InputError
-
 from sim.cloth import Laws
 from sim.draping import drape
 from sim.energies.bending_variants import Hysteresis
