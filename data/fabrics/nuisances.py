@@ -5,9 +5,8 @@ states their distributions with reasons.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, make_dataclass, replace
-from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
@@ -284,24 +283,15 @@ class NuisanceConfig:
         below = np.cumsum(odds / odds.sum())
         return list(self.cloth)[min(int(np.searchsorted(below, rng.random())), len(odds) - 1)]
 
-    @cached_property
-    def _samples(self) -> np.ndarray:
-        """Values (S, N) by :data:`NAMES`; logarithms for :data:`LOGARITHMIC`."""
+    def normal(self, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+        """Mean (K,) and covariance (K, K) of some of the :data:`NAMES`; of the logarithms for
+        :data:`LOGARITHMIC`."""
         rng = np.random.default_rng(0)
         values = np.array([self.sample(rng, rng).vector for _ in range(_SAMPLES)])
-        for name in LOGARITHMIC:
-            values[:, NAMES.index(name)] = np.log(values[:, NAMES.index(name)])
-        return values
-
-    @property
-    def means(self) -> dict[str, float]:
-        """Means by :data:`NAMES`; of the logarithms for :data:`LOGARITHMIC`."""
-        return dict(zip(NAMES, self._samples.mean(axis=0).tolist(), strict=True))
-
-    @property
-    def deviations(self) -> dict[str, float]:
-        """Standard deviations, likewise."""
-        return dict(zip(NAMES, self._samples.std(axis=0).tolist(), strict=True))
+        drawn = {name: np.log(column) if name in LOGARITHMIC else column
+                 for name, column in zip(NAMES, values.T, strict=True)}
+        chosen = np.array([drawn[name] for name in names])
+        return chosen.mean(axis=1), np.cov(chosen)
 
 
 def _log_normal(ends: _Pair, normal: float) -> float:

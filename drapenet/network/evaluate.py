@@ -283,8 +283,8 @@ def make_config(
     fabrics = config.even_fabrics if even else config.fabrics_per_tester
     words = [f"drapes={drapes * fabrics}", f"seed={config.seed + even}",
              "dataset=testers", f"dataset.even_share={float(even)}", f"dataset.testers=[{tester}]",
-             "dataset.random_testers=0", "dataset.rectangles=0", "dataset.testers_per_fabric=1",
-             f"dataset.starts_per_fabric={drapes}",
+             "dataset.random_testers=0", "dataset.rectangles=0", "dataset.rounded_rims=0",
+             "dataset.testers_per_fabric=1", f"dataset.starts_per_fabric={drapes}",
              f"edge_mm={edge_mm or 'null'}"]  # 0 in older datasets
     base = config_from_options(compose_config("generate", words, schema=Options))
     if not config.fabrics:

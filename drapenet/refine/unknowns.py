@@ -108,10 +108,11 @@ class SpecimenPrior:
         mean, root = Unknowns.of(fabrics.mean).values, np.zeros((len(NAMES),) * 2)
         root[:6, :6] = np.linalg.inv(np.linalg.cholesky(fabrics.covariance))
         if spread is not None:
-            for name in (*LAW_NAMES, *OFFSET_NAMES):
-                k = NAMES.index(name)
-                mean[k] = spread.means.get(name, 0.0)
-                root[k, k] = 1 / spread.deviations.get(name, DRIFT)
+            laws = slice(6, 6 + len(LAW_NAMES))
+            mean[laws], covariance = spread.normal(LAW_NAMES)
+            root[laws, laws] = np.linalg.inv(np.linalg.cholesky(covariance))
+            for name in OFFSET_NAMES:
+                root[NAMES.index(name), NAMES.index(name)] = 1 / DRIFT
         return cls(mean, root)
 
     def residuals(self, unknowns: Unknowns) -> np.ndarray:

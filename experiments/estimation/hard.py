@@ -55,7 +55,8 @@ def estimated(rng: np.random.Generator, *, theta: list[float], tester: str, numb
     """Both estimates of a drape of a fabric."""
     rig = named_tester(tester)
     plan = replace(plan_specimen(number, "dataset=testers", "dataset.rectangles=0",
-                                 "dataset.random_testers=0", seed=seed, nuisances="real", rig=rig),
+                                 "dataset.random_testers=0", "dataset.rounded_rims=0", seed=seed,
+                                 nuisances="real", rig=rig),
                    theta=np.array(theta))
     shape = drape_as_planned(plan, edge=1e-3 * edge_mm)
     setups = replace(Setups.load("real"), views=(0.0, 0.0, 0.0, 1.0))

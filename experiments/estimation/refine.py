@@ -127,15 +127,16 @@ def nuisance_errors(results: list[Sample]) -> Report:
 
     In units of their spread over specimens.
     """
-    deviations, found = header().nuisances.deviations, {}
-    for name in ("curl_warp", "curl_weft"):
+    curls, found = ("curl_warp", "curl_weft"), {}
+    deviations = np.sqrt(np.diag(header().nuisances.normal(curls)[1]))
+    for name, deviation in zip(curls, deviations, strict=True):
         label = f"{name}_per_m"
         rows = [(r["specimen"][label], r["nuisances"][NAMES.index(name)]) for r in results
                 if label in r["specimen"]]
         if rows:
             error = np.array([one["median"] - truth for one, truth in rows])
             size = np.array([np.diff(one["interval_68"])[0] / 2 for one, _ in rows])
-            found[name] = {kind: rms(values) / deviations[name]
+            found[name] = {kind: rms(values) / deviation
                            for kind, values in (("error", error), ("estimated", size))}
     return found
 

@@ -11,7 +11,7 @@ from common.errors import InputError
 from data.dataset.config import Options, SamplingConfig, config_from_options
 from data.dataset.plan import Stream, choose_lender, plan_drape, stream
 from data.fabrics.fabrics import fabric_from_theta, from_theta, read_fabric_table, to_theta
-from data.fabrics.nuisances import KINDS, LOGARITHMIC, NAMES, Kind, NuisanceConfig, Nuisances
+from data.fabrics.nuisances import KINDS, NAMES, Kind, NuisanceConfig, Nuisances
 from data.fabrics.prior import TablePrior, load_prior, log_stiffness, sample_admissible
 from data.fabrics.prior.even import STIFFNESS, draw_fabric, draw_fabrics, moved
 from sim.cloth import Laws
@@ -420,14 +420,3 @@ def test_both_faces_of_each_fabric_are_up():
 def test_nonsense_is_refused(changes, complaint):
     with pytest.raises(InputError, match=complaint):
         SamplingConfig(**changes)
-
-
-def test_deviations_and_means_are_those_of_samples():
-    values = nuisances(VARIED, 4000)
-    logarithmic = [name in LOGARITHMIC for name in NAMES]
-    values[:, logarithmic] = np.log(values[:, logarithmic])
-    means, deviations = ([table[name] for name in NAMES]
-                         for table in (VARIED.means, VARIED.deviations))
-    spread = values.std(axis=0) + 1e-12
-    assert (np.abs(values.mean(axis=0) - means) < 0.06 * spread).all()
-    assert deviations == pytest.approx(values.std(axis=0), rel=0.07)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from data.fabrics.fabrics import THETA_NAMES, fabric_from_theta, to_theta
-from data.fabrics.nuisances import NuisanceConfig, Nuisances
+from data.fabrics.nuisances import Kind, NuisanceConfig, Nuisances
 from data.fabrics.prior import GaussianPrior, load_prior
 from data.render.cameras import QUARTERS, nominal_camera
 from data.render.rays import DepthRenderer
@@ -41,7 +41,7 @@ from sim.solver.newton import NewtonOptions
 THETA = to_theta(np.array([120.0, 90.0, 70.0]) * MICRO, np.array([-240.0, -180.0, -140.0]) * 1e-9)
 AWAY = THETA + np.array([0.3, -0.2, 0.2, 5e-4, -5e-4, 5e-4])
 TIGHT = NewtonOptions(residual=1e-8, step=1e-8, max_iterations=300)
-SPREAD = NuisanceConfig(membrane=(100.0, 1000.0), shear=(0.2, 1.0), curl=3.0)
+SPREAD = NuisanceConfig({"woven": Kind(membrane=(100.0, 1000.0), shear=(20.0, 200.0), curl=3.0)})
 
 
 @pytest.fixture(scope="module")
