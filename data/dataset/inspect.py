@@ -3,8 +3,8 @@
     python -m data.dataset.inspect data=FOLDER [out=REPORT]  # or outputs/inspect/NAME_OF_DATASET
 
 Checks that the shards of the dataset in FOLDER are those listed in its dataset.json, then reports
-outcomes, parameters compared with the prior, and drapes. Writes report.json and contact_sheet.png
-to REPORT (docs/data_format.md). Does not change FOLDER.
+outcomes, parameters compared with the prior, and drapes. Writes report.json, distributions.png and
+contact_sheet.png to REPORT (docs/data_format.md). Does not change FOLDER.
 """
 
 from collections import Counter
@@ -27,16 +27,17 @@ from data.captures.preview import png
 from data.dataset.folder import MANIFEST, finished_manifest, over_shards
 from data.dataset.shards import SHARDS, Shard
 from data.fabrics.fabrics import THETA_NAMES
+from data.fabrics.nuisances import ISOTROPIC, KINDS, NAMES
 from data.fabrics.prior import prior_from_content
 from data.fabrics.prior.even import draw_fabrics
 from data.render.cameras import nominal_camera
 from data.render.rays import DepthRenderer
 from sim.energies.self_contact import self_intersections
-from sim.material import MICRO
+from sim.material import BIAS, LINEAR, MICRO, WARP, WEFT
 from sim.measures import maximum_stretch
 
 COLUMNS = ("index", "fabric", "theta", "rejected", "start", "status", "message", "iterations",
-           "drape_coefficient", "folds")
+           "drape_coefficient", "folds", "nuisances", "specimen", "sides", "plate_diameter", "rim")
 QUANTILES = (0.0, 0.01, 0.1, 0.5, 0.9, 0.99, 1.0)
 RANGE = (0.01, 0.99)  # quantiles of the prior; fabrics beyond them are counted as outside
 PRIOR_SAMPLES = 2000
@@ -69,9 +70,11 @@ def main(config: InspectConfig) -> None:
     content = report(manifest, drapes, prior_samples(manifest))
     print(as_text(content))
     replace_json(out / "report.json", content)
+    replace_file(out / "distributions.png", distributions(drapes))
     if shots := take_shots(root, drapes, count=config.sheet):
         replace_file(out / "contact_sheet.png", contact_sheet(shots))
-    print(f"written to {out}: report.json" + (", contact_sheet.png" if shots else ""))
+    print(f"written to {out}: report.json, distributions.png"
+          + (", contact_sheet.png" if shots else ""))
 
 
 def check_dataset(root: Path) -> dict:
@@ -224,6 +227,40 @@ def _rounded(content: Any) -> Any:
     if isinstance(content, dict):
         return {name: _rounded(part) for name, part in content.items()}
     return float(f"{content:.3g}") if isinstance(content, float) else content
+
+
+def distributions(drapes: dict[str, np.ndarray]) -> bytes:
+    """PNG of what was drawn for the drapes (N, ...), and of their coefficients by tester."""
+    theta, sides, plate = drapes["theta"], drapes["sides"], drapes["plate_diameter"]
+    drawn = dict(zip(NAMES, drapes["nuisances"].T, strict=True))
+    kinds = drawn["kind"].astype(int)
+    log_alpha, mean = theta[:, LINEAR], theta[:, LINEAR].mean(axis=1)
+    yarns = (log_alpha[:, WARP] + log_alpha[:, WEFT]) / 2
+    shear = drawn["shear"] * drawn["membrane"] / ISOTROPIC
+    curl = np.hypot(drawn["curl_warp"], drawn["curl_weft"])
+    panels = {"mean α, µN·m": np.exp(mean) / MICRO,
+              "log of bias over mean of yarns": log_alpha[:, BIAS] - yarns,
+              "log of warp over weft": log_alpha[:, WARP] - log_alpha[:, WEFT],
+              "in-plane stiffness, N/m": drawn["membrane"], "shear, N/m": shear,
+              "natural curvature, 1/m": curl, "uneven curvature, 1/m": drawn["uneven"],
+              "radius of the rim, mm": 1e3 * drapes["rim"]}
+    figure = Figure(figsize=(11, 8), dpi=100, layout="constrained")
+    *axes, by_tester = figure.subplots(3, 3).ravel()
+    for panel, (label, values) in zip(axes, panels.items(), strict=True):
+        edges = (np.geomspace if values.min() > 0 and values.max() > 30 * values.min()
+                 else np.linspace)(values.min(), max(values.max(), values.min() + 1e-9), 41)
+        panel.hist([values[kinds == k] for k in range(len(KINDS))], edges, stacked=True,
+                   label=KINDS)
+        panel.set(xlabel=label, xscale="log" if edges[1] - edges[0] < edges[-1] - edges[-2] - 1e-9
+                  else "linear")
+    axes[0].legend(fontsize=8)
+    for specimen in np.unique(drapes["specimen"]):
+        mine = (drapes["specimen"] == specimen) & (drapes["status"] == "converged")
+        by_tester.plot(sides[mine].min(axis=1) / plate[mine], drapes["drape_coefficient"][mine],
+                       ".", ms=3, label=specimen)
+    by_tester.set(xlabel="specimen over plate", ylabel="drape coefficient")
+    by_tester.legend(fontsize=8)
+    return png(figure)
 
 
 class Shot(NamedTuple):

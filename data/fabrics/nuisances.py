@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _Pair = tuple[float, float]
 _PERCENTILE = 1.96  # deviations of a normal distribution to its 97.5th percentile
-_ISOTROPIC = 2.6  # Young's modulus over shear modulus of an isotropic sheet of Poisson's ratio 0.3
+ISOTROPIC = 2.6  # Young's modulus over shear modulus of an isotropic sheet of Poisson's ratio 0.3
 _SAMPLES = 4000
 _SKEW = -0.8, 0.8
 CURLED = 20e-3
@@ -250,7 +250,7 @@ class NuisanceConfig:
         curls = bent * (kind.curl * laplace[:2] + [both + opposed, both - opposed])
         stiffer = (alpha / usual) ** kind.together
         membrane = stiffer * _log_normal(kind.membrane, normal[0]) * math.exp(-abs(elastic) / 2)
-        shear = stiffer * _log_normal(kind.shear, normal[1]) * _ISOTROPIC / membrane
+        shear = stiffer * _log_normal(kind.shear, normal[1]) * ISOTROPIC / membrane
         uneven = bent * _log_normal(kind.uneven, normal[2])
         length = _log_normal(self.uneven_length, normal[3])
         here, share = specimen.standard_normal(9), specimen.random(6)
