@@ -11,6 +11,7 @@ from common.errors import InputError
 from sim.rig import RIGS, Rig
 
 DIAMETERS, SIDES, PLATES = (200.0, 400.0), (140.0, 400.0), (60.0, 200.0)  # mm; of discs, rectangles
+MAX_RIM = 10.0  # mm, radius of the rounded rim of a plate
 MIN_OVERHANG = 20.0  # mm, on every side
 TESTERS = tuple(name for name, rig in RIGS.items() if rig.has_plate)
 """Abbreviations of common testers."""
@@ -24,6 +25,7 @@ class _Numbers(Schema):
     specimen: Literal["square", "rectangle", "disc"]
     size_mm: float
     plate_mm: float
+    rim_radius_mm: float = 0.0
 
 
 class _Sides(_Numbers):
@@ -33,7 +35,8 @@ class _Sides(_Numbers):
 
 
 def read_tester(value: object) -> Rig:
-    """The tester that a document states: the name of a rig, or a mapping as :data:`EXAMPLE`.
+    """The tester that a document states: the name of a rig, or a mapping as :data:`EXAMPLE`, also
+    with the radius of the plate's rounded rim, which is not known if it is 0.
 
     The message of an InputError continues a sentence that begins with the value.
     """
@@ -42,7 +45,8 @@ def read_tester(value: object) -> Rig:
             schema = _Sides if value.get("specimen") == "rectangle" else _Numbers
             numbers = schema.of(value, "")
             sides = tuple(np.broadcast_to(numbers.size_mm, 2) / 1e3)
-            rig = Rig(sides, numbers.plate_mm / 1e3, numbers.specimen)
+            rig = Rig(sides, numbers.plate_mm / 1e3, numbers.specimen,
+                      rim=numbers.rim_radius_mm / 1e3)
         else:
             rig = Rig.from_name(value if isinstance(value, str) else "")
     except InputError as error:
@@ -51,7 +55,8 @@ def read_tester(value: object) -> Rig:
     sizes = DIAMETERS if rig.specimen == "disc" else SIDES
     for what, lengths, text, (low, high) in (
             ("specimen", rig.sides, rig.millimetres, sizes),
-            ("plate", [rig.plate_diameter], f"{1e3 * rig.plate_diameter:g}", PLATES)):
+            ("plate", [rig.plate_diameter], f"{1e3 * rig.plate_diameter:g}", PLATES),
+            ("rim", [rig.rim], f"{1e3 * rig.rim:g}", (0.0, MAX_RIM))):
         if not all(low <= round(1e3 * length, 6) <= high for length in lengths):
             raise InputError(f"has a {what} of {text} mm; give {low:g} to {high:g} mm")
     if (overhang := round(1e3 * rig.least_overhang, 6)) < MIN_OVERHANG:
@@ -80,4 +85,5 @@ def described_tester(rig: Rig) -> str | dict[str, str | float | list[float]]:
         return rig.name
     sides = [round(1e3 * side, 6) for side in rig.sides]
     return {"specimen": rig.specimen, "size_mm": sides if rig.specimen == "rectangle" else sides[0],
-            "plate_mm": round(1e3 * rig.plate_diameter, 6)}
+            "plate_mm": round(1e3 * rig.plate_diameter, 6),
+            **({"rim_radius_mm": round(1e3 * rig.rim, 6)} if rig.rim else {})}

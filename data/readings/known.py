@@ -1,11 +1,12 @@
 """What a laboratory knows already of a fabric: the key ``known`` of ``capture.yaml`` and
 ``strips.yaml``, with the keys of :data:`data.readings.QUANTITIES`."""
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, create_model, field_validator, model_validator
 
 from common.documents import Schema
+from data.fabrics.nuisances import KINDS
 from data.readings import QUANTITIES
 from data.readings.quantity import Quantity
 from sim.material import DIRECTIONS
@@ -32,7 +33,8 @@ class Friction(Schema):
 
 
 class _Stated(Schema):
-    """At the fabric's density; thickness and friction are not evidence, and go into exports."""
+    """At the fabric's density; thickness and friction are not evidence, and go into exports, the
+    kind of cloth is read by networks that know kinds."""
 
     remedy = ("known has values such as bending_length_mm: {warp: 22, weft: 18} or "
               "membrane_n_per_m: 600, and error_percent; values of FAST-3 and G of KES-FB1 belong "
@@ -40,6 +42,8 @@ class _Stated(Schema):
     error_percent: dict[str, Annotated[float, Field(gt=0, le=100)]] = Field(
         default_factory=dict, title="standard deviations in place of the assumed ones, such as "
                                     "{bending_length_mm: 3}")
+    cloth: Literal[KINDS] | None = Field(  # type: ignore[valid-type]
+        None, title="kind of cloth; coated: also films")
     thickness_mm: float | None = Field(None, ge=0.03, le=10, title="thickness, no evidence")
     thickness_kpa: float | None = Field(
         None, ge=0.01, le=100, title="pressure at which it was measured; of a book on A4 0.2")
@@ -85,12 +89,12 @@ class _Stated(Schema):
 
     @property
     def handling(self) -> list[str]:
-        """Thickness and friction in words."""
+        """Kind, thickness and friction in words."""
         slopes = self.friction_deg.model_dump(exclude_none=True) if self.friction_deg else {}
         found = [f"slides on {name} at: {value:g}°" for name, value in slopes.items()]
-        if self.thickness_mm is None:
-            return found
-        return [f"thickness: {self.thickness_mm:g} mm at {self.thickness_kpa:g} kPa", *found]
+        if self.thickness_mm is not None:
+            found.insert(0, f"thickness: {self.thickness_mm:g} mm at {self.thickness_kpa:g} kPa")
+        return [f"kind of cloth: {self.cloth}", *found] if self.cloth else found
 
     @property
     def along_yarns(self) -> bool:

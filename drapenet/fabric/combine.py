@@ -4,16 +4,23 @@ first, then strips and known values."""
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from common.findings import Finding
 from common.types import Density
+from data.fabrics.nuisances import KINDS
 from data.readings.known import Known
 from drapenet.evidence.combine import posterior
-from drapenet.evidence.source import Source, of_values
+from drapenet.evidence.source import Source, of_values, value_key
 from drapenet.evidence.state import cloth_of_state, state_of
 from drapenet.measured.base import Record
 from drapenet.network.checkpoint import Header
+from drapenet.network.inputs import Stated
 from drapenet.network.predict import Draws
 from drapenet.result.estimate import Estimate, make_estimate
+from sim.material import REFERENCE_DENSITY
+
+_MEMBRANE = "membrane_n_per_m", 0
 
 
 def combine(
@@ -21,12 +28,14 @@ def combine(
     contradictions: Sequence[Finding] = (),
 ) -> Estimate:
     """The estimate from samples and further ``sources``, those along the yarns only if the samples
-    know the direction of the warp (:func:`drapenet.fabric.estimate.estimate_fabric`).
+    know the direction of the warp (:func:`drapenet.fabric.estimate.estimate_fabric`), and without a
+    membrane stiffness that the network was told.
 
     Args:
         name: of what the samples come from; '': the prior.
         contradictions: among what the samples come from.
     """
+    sources = [one for one in sources if not (draws.told and one.key == value_key(*_MEMBRANE))]
     if sources:
         found = posterior(state_of(draws.cloth), sources, name)
         draws = replace(draws, cloth=cloth_of_state(found.states))
@@ -45,3 +54,17 @@ def evidence_of(
     values = {source.label: source for known in different.values()
               for source in of_values(known, density)}
     return [*(source for record in records for source in record.sources()), *values.values()]
+
+
+def stated_of(
+    stated: Sequence[Known | None], density: Density, records: Sequence[Record] = ()
+) -> Stated:
+    """What is stated of a fabric of a density, for the network: the membrane stiffness, or else
+    that of strips under weights, and the kind, if all agree on it."""
+    every = [known for known in (*stated, *(record.known for record in records)) if known]
+    membranes = [value * REFERENCE_DENSITY / density for known in every
+                 if (value := known.values().get(_MEMBRANE))]
+    membranes = membranes or [record.membrane for record in records if record.membrane]
+    kinds = {KINDS.index(known.cloth) for known in every if known.cloth}
+    return Stated(float(np.exp(np.mean(np.log(membranes)))) if membranes else np.nan,
+                  kinds.pop() if len(kinds) == 1 else -1)

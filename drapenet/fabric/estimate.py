@@ -20,7 +20,7 @@ from common.findings import Finding
 from common.types import Density
 from data.captures.description import NEED_WARP
 from drapenet.config import EstimateOptions
-from drapenet.fabric.combine import combine, evidence_of
+from drapenet.fabric.combine import combine, evidence_of, stated_of
 from drapenet.fabric.describe import describe_jointly
 from drapenet.fabric.infer import infer_jointly
 from drapenet.fabric.next_measurements import next_measurements
@@ -257,10 +257,10 @@ def join(
     captures = [evidence for part in parts if (evidence := part.evidence)]
     records = [record for document in documents for record in document.records]
     density, names = documents[0].density, ("", "the capture", "the captures")
-    draws, contradictions = infer_jointly(captures, header)
-    estimate = combine(draws, evidence_of(records, [each.stated for each in captures], density),
-                       density, header, name=names[min(len(captures), 2)],
-                       contradictions=contradictions)
+    stated = [each.stated for each in captures]
+    draws, contradictions = infer_jointly(captures, header, stated_of(stated, density, records))
+    estimate = combine(draws, evidence_of(records, stated, density), density, header,
+                       name=names[min(len(captures), 2)], contradictions=contradictions)
     require_sound(estimate.contradictions, strict, "the fabric")
     document = describe_jointly(estimate, documents, header)
     if ahead:

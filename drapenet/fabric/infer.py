@@ -14,8 +14,10 @@ from data.readings.known import Reported
 from drapenet.evidence.combine import consistent, updated
 from drapenet.evidence.source import of_capture, of_refined
 from drapenet.evidence.state import cloth_of_state, fabric_prior, state_of
+from drapenet.fabric.combine import stated_of
 from drapenet.measured.base import Observed
 from drapenet.network.checkpoint import Header
+from drapenet.network.inputs import Stated
 from drapenet.network.predict import Draws, network_of, predict
 from drapenet.views.observation import Observation
 from sim.material import DIRECTIONS, STIFF_SOFT
@@ -62,7 +64,7 @@ def infer(observed: Observed, header: Header) -> Draws:
         if capture.warp_direction is None and capture.known and capture.known.along_yarns:
             raise InputError(f"known values along the yarns {NEED_WARP}")
         draws, = predict(network_of(header), header, [evidence_of(observed).observations],
-                         compared=True)
+                         [stated_of([capture.known], capture.density)], compared=True)
     except InputError as error:
         raise InputError(f"{capture.path}: {error}") from None
     return draws
@@ -74,9 +76,10 @@ def prior_draws(header: Header) -> Draws:
 
 
 def infer_jointly(
-    captures: Sequence[CaptureEvidence], header: Header
+    captures: Sequence[CaptureEvidence], header: Header, stated: Stated = Stated()
 ) -> tuple[Draws, list[Finding]]:
-    """Samples from captures of one fabric, and a finding for each that contradicts the others.
+    """Samples from captures of one fabric, of which something may be ``stated``, and a finding for
+    each that contradicts the others.
 
     Where the direction of the warp is not stated for all captures, it is taken as unknown for all.
     """
@@ -85,7 +88,7 @@ def infer_jointly(
     marked = all(capture.seen.known for capture in captures)
     captures = [replace(capture, seen=replace(capture.seen, known=marked)) for capture in captures]
     if len(captures) == 1 and not captures[0].refined:
-        return predict(network_of(header), header, [captures[0].observations])[0], []
+        return predict(network_of(header), header, [captures[0].observations], [stated])[0], []
     names = DIRECTIONS if marked else STIFF_SOFT
     prior = Normal.of(state_of(fabric_prior(header)))
     refined = {k: of_refined(capture.label, capture.refined, prior, names)
@@ -95,7 +98,7 @@ def infer_jointly(
     def together(*numbers: int) -> Draws:
         """The posterior of some captures."""
         read = [part for k in numbers if k not in refined for part in captures[k].observations]
-        draws = (predict(network_of(header), header, [read])[0] if read else
+        draws = (predict(network_of(header), header, [read], [stated])[0] if read else
                  prior_draws(header))
         better = [refined[k] for k in numbers if k in refined]
         states = updated(state_of(draws.cloth), better)

@@ -125,7 +125,7 @@ def another_disc(seen: Sequence[Observation]) -> Rig | None:
         return _DISCS[1]
     last = seen[-1]
     share = last.outline.coefficient(last.rig) if last.outline else last.coefficient
-    rig = _DISCS[-1] if share > _FULL else _DISCS[0]
+    rig = replace(_DISCS[-1] if share > _FULL else _DISCS[0], rim=last.rig.rim)
     return None if rig.name in {part.rig.name for part in seen} else rig
 
 

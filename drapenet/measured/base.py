@@ -110,6 +110,11 @@ class Record(Excerpt):
         """Whether it says how the fabric bends, beside ``known``."""
         return bool(self.sources())
 
+    @property
+    def membrane(self) -> float | None:
+        """Geometric mean of the stretch along warp and weft, N/m at 300 g/m², if measured."""
+        return None
+
     def sources(self) -> list[Source]:
         """What it is evidence of, beside ``known``."""
         return []

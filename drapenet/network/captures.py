@@ -39,6 +39,7 @@ PICTURE_OFFSET = 0.010  # of the outline's centre, in half sizes: 1.5 mm of a sp
 PICTURE_SCALE = 0.007  # of millimetres per pixel
 PICTURE_NOISE = 0.008  # largest deviation of a radius, in half sizes
 COEFFICIENT_ERROR = 0.010  # of drape coefficients as reported
+RIM_ERROR, MEMBRANE_ERROR = 0.3e-3, 0.15  # of what is stated: m, and of the logarithm
 TAUGHT = 8  # draws of a teacher's posterior
 READ = 0.5  # share of outlines in training with errors of photographs over the mat
 
@@ -87,6 +88,9 @@ class Condition:
     parallel: float = 0.3  # outlines under parallel light
     stated: float = 0.8  # of the other outlines, those whose camera's height is stated
     read: float = 0.0
+    rim: float = 0.0  # sets in which the plates' rims are stated, as of the following
+    membrane: float = 0.0
+    kind: float = 0.0  # of cloth
 
     @classmethod
     def of_inputs(cls, inputs: Sequence[Input]) -> "Condition":
@@ -95,7 +99,7 @@ class Condition:
                   for kind, share in zip(get_args(Input), cls.kinds, strict=True)]
         total = sum(shares)
         views, outline, numbers = (share / total for share in shares)
-        return cls((views, outline, numbers), read=READ)
+        return cls((views, outline, numbers), read=READ, rim=0.3, membrane=0.3, kind=0.4)
 
 
 def readable(maps: Maps, inputs: Sequence[Input]) -> np.ndarray:
@@ -119,6 +123,7 @@ class CaptureSet:
         drapes = [len(np.unique(maps.index[rows])) for rows in self.members]
         self.turns = np.repeat(np.arange(len(self.members)), drapes)
         curl = np.array([maps.curl[rows].mean(axis=0) for rows in self.members])
+        self.kind = maps.kind[first]
         self.cloth = ClothProperties(maps.theta[first], curl, maps.membrane[first],
                                      maps.hysteresis[first])
         middle = np.exp(np.array([np.log(maps.size[rows]).mean() for rows in self.members]))
@@ -133,7 +138,8 @@ class CaptureSet:
         sample = read[self.maps.depth[self.maps.depth >= 0][:_MEAN_SAMPLE]].astype(np.float32)
         return {**asdict(config), "distance": round(float(np.nanmean(sample)), 4),
                 "spread": round(float(np.nanstd(sample)), 4),
-                "rectangles": bool((self.maps.aspect != 1).any()), "expected": True}
+                "rectangles": bool((self.maps.aspect != 1).any()), "expected": True,
+                "stated": True}
 
     def batch(
         self, cloths: np.ndarray, condition: Condition, rng: np.random.Generator, *,
@@ -166,13 +172,20 @@ class CaptureSet:
         coefficient = drape_coefficients(radius, maps.plate[rows], maps.disc[rows])
         coefficient += COEFFICIENT_ERROR * rng.standard_normal(len(rows)) * (kind == 2)
         counted = (kind == 2) & (rng.random(len(rows)) < 2 / 3)
+        rounded, taut, sort = (rng.random(len(cloths)) < share for share in (
+            condition.rim, condition.membrane, condition.kind))
+        off = rng.standard_normal((2, len(cloths)))
+        membrane = self.cloth.membrane[cloths] * np.exp(MEMBRANE_ERROR * off[0])
+        rim = (maps.rim[rows] + RIM_ERROR * off[1, group]).clip(0.0)
         facts = Facts(
             size=maps.size[rows], plate=maps.plate[rows], disc=maps.disc[rows],
             aspect=maps.aspect[rows], face=maps.face[rows] * flip[group], known=known[group],
             views=np.where(deep, maps.views[rows], 0), perspective=np.where(
                 deep, 0.0, np.where(seen & stated, ratio, np.nan)),
             coefficient=coefficient, nodes=np.where(counted, maps.folds[rows], np.nan),
-            group=group)
+            rim=np.where(rounded[group], rim, np.nan),
+            membrane=np.where(taut, membrane, np.nan)[group],
+            kind=np.where(sort, self.kind[cloths], -1)[group], group=group)
         targets = targets_of(self.cloth.chosen(cloths), facts.sizes)
         targets[flip < 0, CURL] *= -1
         targets[~known] = stiffer_first(targets[~known])

@@ -46,6 +46,7 @@ class _Model(Schema):
     distance: float
     spread: _Positive
     rectangles: bool = False
+    stated: bool = False
     expected: bool = False
 
 

@@ -30,7 +30,7 @@ from drapenet.views.radial_map import compressed
 from sim.mesh import Mesh
 from sim.rig import Rig
 
-VERSION = 1
+VERSION = 2
 """Of the maps of a shard: raise it when the same drapes and settings give others."""
 _COLUMNS = ("index", "fabric", "theta", "nuisances", "face", "folds", "edge", "seed", "offset",
             "status")
@@ -62,8 +62,10 @@ class Maps:
     curl: np.ndarray  # (N, 2) 1/m, of this specimen with the marked face up
     membrane: np.ndarray  # (N,) N/m
     hysteresis: np.ndarray  # (N,)
+    kind: np.ndarray  # (N,) number of the kind of cloth
     size: np.ndarray  # (N,) m, as of the fields below
     plate: np.ndarray  # diameter over the size
+    rim: np.ndarray  # radius of the plate's, m
     disc: np.ndarray
     aspect: np.ndarray  # side along the weft over that along the warp
     face: np.ndarray
@@ -233,9 +235,9 @@ def _truth(drape: dict[str, np.ndarray], rig: Rig, step: np.ndarray) -> dict[str
     return {"theta": drape["theta"] + step[:-1],
             "curl": drape["face"] * np.array([nuisances.curl_warp, nuisances.curl_weft]),
             "membrane": nuisances.membrane * np.exp(step[-1]), "hysteresis": nuisances.hysteresis,
-            "moved": step.any(), "size": rig.specimen_size,
-            "plate": rig.plate_diameter / rig.specimen_size, "disc": rig.specimen == "disc",
-            "aspect": rig.aspect,
+            "kind": int(nuisances.kind), "moved": step.any(), "size": rig.specimen_size,
+            "plate": rig.plate_diameter / rig.specimen_size, "rim": rig.rim,
+            "disc": rig.specimen == "disc", "aspect": rig.aspect,
             **{name: drape[name] for name in ("face", "folds", "fabric", "index")}}
 
 

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import numpy as np
 
+from data.fabrics.nuisances import KINDS
 from drapenet.network.expected import shape_of
 from drapenet.network.targets import Symmetry
 from drapenet.views.radial_map import WEIGHT_UNIT
@@ -15,8 +16,10 @@ from drapenet.views.radial_map import WEIGHT_UNIT
 _SIZE = 0.3  # m, unit of the specimens' size
 _MAX_COEFFICIENT = 1.05
 _ERROR = 0.005  # half sizes, of outlines
-FACTS, ASPECTS = 19, 2
-"""Numbers of scalar inputs: of every network, and, after them, of one that reads rectangles."""
+_RIM, _MEMBRANE = 0.005, 1e3  # units of rims over the specimen's size, and of N/m of _SIZE
+FACTS, ASPECTS, STATED = 19, 2, 4 + len(KINDS)
+"""Numbers of scalar inputs: of every network, and, after them, of one that reads rectangles, and of
+one that reads what is stated of rim and fabric."""
 _WARP = 5  # column: 1 if azimuth 0 is along the warp, -1 along the weft, 0 not known
 _ODD = (_WARP, FACTS)  # columns that a quarter turn gives the opposite sign: that, and the aspect's
 DISC, KNOWN = 3, 4  # columns
@@ -26,7 +29,22 @@ _ABOUT = 10
 CIRCUMSTANCES = _ABOUT + ASPECTS + 1
 """What says nothing of the drape: those, the aspects and the mean error of the outline."""
 
+
+def read_columns(first: int, *, rectangles: bool, stated: bool) -> list[int]:
+    """Columns that a network reads: the ``first`` ones, and of the further ones its own."""
+    return [*range(first), *range(FACTS, FACTS + ASPECTS * rectangles),
+            *range(FACTS + ASPECTS, FACTS + ASPECTS + STATED * stated)]
+
+
 MapArray = Annotated[np.ndarray, "(N, AZIMUTHS, ELEVATIONS) float32"]
+
+
+@dataclass(frozen=True)
+class Stated:
+    """What is stated of a fabric, for networks that read it."""
+
+    membrane: float = np.nan  # N/m at 300 g/m², geometric mean of warp and weft; NaN: not stated
+    kind: int = -1  # number among data.fabrics.nuisances.KINDS; -1: not stated
 
 
 @dataclass(frozen=True)
@@ -47,6 +65,9 @@ class Facts:
     perspective: np.ndarray  # size over the camera's height, of an outline; 0: parallel light
     coefficient: np.ndarray  # drape coefficient, from 0 to 1, of the outline or as reported
     nodes: np.ndarray  # number of folds, as reported
+    rim: np.ndarray  # radius of the plate's, m
+    membrane: np.ndarray  # as of :class:`Stated`
+    kind: np.ndarray
     group: np.ndarray  # number of the set, from 0
 
     @property
@@ -62,7 +83,7 @@ class Facts:
         return self.coefficient.clip(0.0, _MAX_COEFFICIENT)
 
     def columns(self) -> np.ndarray:
-        """(N, :data:`FACTS` + :data:`ASPECTS`) scalar inputs of the network."""
+        """(N, :data:`FACTS` + :data:`ASPECTS` + :data:`STATED`) scalar inputs of the network."""
         size = self.sizes[self.group]
         columns = [np.log(size / _SIZE), np.log(self.size / size), 2 * self.plate - 1, self.disc,
                    self.known, self.known, self.views / 4 - 1, self.views > 0]
@@ -74,6 +95,11 @@ class Facts:
         columns += [share**2, share**3, share * columns[2], share * self.disc, columns[2] ** 2]
         aspect = np.log(self.aspect)
         columns += [aspect, aspect**2]
+        # Membranes in units of weight and size, as the targets: drapes depend on them alone.
+        for part in (np.log1p(self.rim / self.size / _RIM),
+                     np.log(self.membrane / _MEMBRANE) - columns[0]):
+            columns += [np.isfinite(part), np.nan_to_num(part)]
+        columns += [self.kind == k for k in range(len(KINDS))]
         return np.column_stack(columns).astype(np.float32)
 
 
@@ -86,7 +112,7 @@ class Batch:
     outline: np.ndarray  # (N, AZIMUTHS), in half sizes of the specimen; 0 where not seen
     error: np.ndarray  # (N, AZIMUTHS), logarithm of 1 + error / _ERROR of the outline
     face: np.ndarray  # (N,) 1 or -1
-    facts: np.ndarray  # (N, FACTS + ASPECTS)
+    facts: np.ndarray  # (N, FACTS + ASPECTS + STATED)
     group: np.ndarray  # (N,)
     pictures: np.ndarray  # (N, PICTURES or 0, SIDE, SIDE) in sizes, NaN where there is no cloth
     angle: np.ndarray  # (N,) of azimuth 0 in the first picture, rad
@@ -132,5 +158,5 @@ class Batch:
     @property
     def circumstances(self) -> np.ndarray:
         """(N, CIRCUMSTANCES)"""
-        return np.hstack([self.facts[:, :_ABOUT], self.facts[:, FACTS:],
+        return np.hstack([self.facts[:, :_ABOUT], self.facts[:, FACTS : FACTS + ASPECTS],
                           self.error.mean(axis=1, keepdims=True)])

@@ -15,7 +15,7 @@ import torch
 from torch.nn.functional import softplus
 
 from drapenet.network.expected import SHAPE
-from drapenet.network.inputs import ASPECTS, CIRCUMSTANCES, DISC, FACTS, KNOWN, TESTER, Batch
+from drapenet.network.inputs import CIRCUMSTANCES, DISC, FACTS, KNOWN, TESTER, Batch, read_columns
 from drapenet.network.mixture import Mixture, factor_of, outputs_of
 from drapenet.network.targets import CURL, TARGETS
 from drapenet.views.directions import AZIMUTHS, ELEVATIONS
@@ -99,27 +99,29 @@ class Network(torch.nn.Module):
     ``output``: a mixture of ``components`` Gaussians ("posterior"), or means ("regression");
     ``distance``, ``spread``: mean and standard deviation of the training distances or depths;
     ``rectangles``: whether it reads the specimens' aspect, as networks do that were trained on
-    rectangles; ``expected``: whether it knows how captures of a cloth look.
+    rectangles; ``stated``: whether it reads what is stated of rim and fabric; ``expected``:
+    whether it knows how captures of a cloth look.
     """
 
     reads: ClassVar[tuple[str, ...]] = ()
 
     def __init__(
         self, *, components: int, dropout: float, distance: float, spread: float,
-        rectangles: bool = False, output: str = "posterior", expected: bool = False,
+        rectangles: bool = False, stated: bool = False, output: str = "posterior",
+        expected: bool = False,
     ) -> None:
         super().__init__()
         self.output, self.components, self.dropout = output, components, dropout
-        self.distance, self.spread, self.rectangles = distance, spread, rectangles
+        self.distance, self.spread = distance, spread
+        self.rectangles, self.stated = rectangles, stated
         self.expected = Expected(CIRCUMSTANCES) if expected else None
         self.in_bfloat16 = False  # whether convolutions of a training step are in bfloat16
 
     def add_layers(self, features: int, facts: int) -> None:
-        """Layers from the ``features`` of each capture, ``facts`` columns and, of rectangles, the
-        aspects to the posterior."""
-        facts += ASPECTS * self.rectangles
-        regression, dropout = self.output == "regression", self.dropout
-        self.facts = facts
+        """Layers from the ``features`` of each capture, the first ``facts`` columns and those that
+        not all networks read to the posterior."""
+        self.columns = read_columns(facts, rectangles=self.rectangles, stated=self.stated)
+        regression, dropout, facts = self.output == "regression", self.dropout, len(self.columns)
         self.embed = torch.nn.Sequential(
             torch.nn.Dropout(dropout), torch.nn.Linear(features + facts, _EMBEDDING),
             torch.nn.ReLU(), torch.nn.Linear(_EMBEDDING, 2 * _EMBEDDING))
@@ -134,10 +136,6 @@ class Network(torch.nn.Module):
             self.register_buffer("factor", torch.eye(TARGETS))
         else:
             self.factor = None
-
-    def columns(self, facts: torch.Tensor) -> torch.Tensor:
-        """(N, F) columns that the network reads of a batch's ``facts`` (N, FACTS + ASPECTS)."""
-        return facts[:, : self.facts]
 
     def separate_parts(self) -> list[list[torch.nn.Parameter]]:
         """Parameters that have nothing to do with each other, whose gradients are clipped apart."""
@@ -175,7 +173,7 @@ class Network(torch.nn.Module):
         """Parts of the :class:`Mixture` of features (N, F) of captures. That of a regression has
         unit variances in training, so that its likelihood is the mean square error, and then those
         of :meth:`calibrated`."""
-        columns = self.columns(facts)
+        columns = facts[:, self.columns]
         value, gate = self.embed(torch.cat([captures, columns], dim=1)).chunk(2, dim=1)
         signed, trust = self.curl(value.relu()).chunk(2, dim=1)
         mean, weight = _average(value, softplus(gate), members)
@@ -260,12 +258,7 @@ class ViewNet(Network):
                                  for key in ("kernel_size", "stride", "padding")}
         self.backbone.set_submodule(name, torch.nn.Conv2d(
             PICTURES, first.out_channels, bias=first.bias is not None, **shape))
-        self.add_layers(width + 1, TESTER)
-
-    def columns(self, facts: torch.Tensor) -> torch.Tensor:
-        """(N, F) columns of tester, warp and aspect, of (N, FACTS + ASPECTS): what the drape is
-        like is to be read of the pictures."""
-        return torch.cat([facts[:, :TESTER], facts[:, FACTS:]], dim=1)[:, : self.facts]
+        self.add_layers(width + 1, TESTER)  # what the drape is like is to be read of the pictures
 
     def forward(
         self, face: torch.Tensor, facts: torch.Tensor, members: torch.Tensor,

@@ -16,7 +16,7 @@ from common.types import Metres
 from data.fabrics.fabrics import ClothProperties, from_theta
 from drapenet.network.checkpoint import Header
 from drapenet.network.expected import Likeness
-from drapenet.network.inputs import Batch, Facts
+from drapenet.network.inputs import Batch, Facts, Stated
 from drapenet.network.posterior import Samples
 from drapenet.network.targets import SYMMETRIES, Symmetry, cloth_of, exchanged
 from drapenet.network.trained import OfGraphs, Trained, graph_of
@@ -53,6 +53,7 @@ class Draws:
     known: bool
     impossible: float  # share of all samples that was not admissible and is removed
     likeness: tuple[Likeness, ...] = ()  # of each capture, if compared by a network that can
+    told: bool = False  # whether the network has read the membrane stiffness as stated
 
     def unlike(self, size: Metres, causes: str) -> list[Finding]:
         """A finding for each capture, of specimens of a ``size``, that is unlike drapes of these
@@ -61,12 +62,14 @@ class Draws:
 
     @classmethod
     def possible(
-        cls, cloth: ClothProperties, known: bool, likeness: Sequence[Likeness] = ()
+        cls, cloth: ClothProperties, known: bool, likeness: Sequence[Likeness] = (),
+        told: bool = False,
     ) -> "Draws":
         """The admissible samples; all if none is."""
         possible = is_admissible(*from_theta(cloth.theta))
         kept = possible if possible.any() else ~possible
-        return cls(cloth.chosen(kept), known, float(1 - possible.mean()), tuple(likeness))
+        return cls(cloth.chosen(kept), known, float(1 - possible.mean()), tuple(likeness),
+                   told)
 
 
 def sample_targets(network: Trained, header: Header, batch: Batch, known: np.ndarray) -> Samples:
@@ -83,26 +86,31 @@ def sample_targets(network: Trained, header: Header, batch: Batch, known: np.nda
 
 
 def predict(
-    network: Trained, header: Header, sets: Sequence[Sequence[Observation]], *,
-    compared: bool = False,
+    network: Trained, header: Header, sets: Sequence[Sequence[Observation]],
+    stated: Sequence[Stated] = (), *, compared: bool = False,
 ) -> list[Draws]:
-    """Posterior samples of each of the ``sets`` of captures of one fabric each, ``compared`` with
-    the captures, which takes 0.05 s for each; InputError if the network has not learned to read one
-    of them."""
+    """Posterior samples of each of the ``sets`` of captures of one fabric each, of which something
+    may be ``stated``, ``compared`` with the captures, which takes 0.05 s for each; InputError if
+    the network has not learned to read one of them."""
     for capture in (capture for captures in sets for capture in captures):
         header.require_input("depth" if capture.map else "outline" if capture.outline else
                              "numbers")
-    batch, facts = batch_of(sets)
+    batch, facts = batch_of(sets, stated)
     samples = sample_targets(network, header, batch, facts.known)
+    told = header.model.stated & np.isfinite(facts.membrane)
     known = [all(part.known for part in captures) for captures in sets]
     likeness = network.likeness(batch, header.scale.encode(samples)) if compared else []
     return [Draws.possible(cloth_of(samples[:, k], np.full(len(samples), size)), known[k],
-                           [one for n, one in enumerate(likeness) if facts.group[n] == k])
+                           [one for n, one in enumerate(likeness) if facts.group[n] == k],
+                           bool(told[facts.group == k].all()))
             for k, size in enumerate(facts.sizes)]
 
 
-def batch_of(sets: Sequence[Sequence[Observation]]) -> tuple[Batch, Facts]:
-    """The network's input of ``sets`` of captures."""
+def batch_of(
+    sets: Sequence[Sequence[Observation]], stated: Sequence[Stated] = ()
+) -> tuple[Batch, Facts]:
+    """The network's input of ``sets`` of captures, and what is ``stated`` of each, if anything."""
+    stated = stated or [Stated()] * len(sets)
     captures = [capture for group in sets for capture in group]
     group = np.repeat(np.arange(len(sets)), [len(part) for part in sets])
     empty = np.zeros((AZIMUTHS, ELEVATIONS))
@@ -126,7 +134,10 @@ def batch_of(sets: Sequence[Sequence[Observation]]) -> tuple[Batch, Facts]:
         perspective=sizes / heights,
         coefficient=np.array([part.outline.coefficient(part.rig) if part.outline else
                               part.coefficient for part in captures]),
-        nodes=np.array([part.nodes for part in captures]), group=group)
+        nodes=np.array([part.nodes for part in captures]),
+        rim=np.array([part.rig.rim or np.nan for part in captures]),  # 0: not stated
+        membrane=np.array([one.membrane for one in stated])[group],
+        kind=np.array([one.kind for one in stated])[group], group=group)
     distance, weight = compressed(*(np.array(part) for part in zip(*maps, strict=True)))
     depth, angle = np.zeros((len(captures), 0, SIDE, SIDE), np.float16), np.zeros(len(captures))
     if all(part.pictures for part in captures):  # what does not read them need not have them

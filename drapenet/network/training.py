@@ -121,12 +121,12 @@ def initial_network(config: TrainConfig, captures: CaptureSet) -> Network:
 
 def arguments(config: TrainConfig, captures: CaptureSet) -> dict:
     """Of :func:`drapenet.network.model.make_network`; weights of ``start`` keep the unit in which
-    they have learned distances."""
+    they have learned distances, and read of what is stated what they have learned to."""
     asked = captures.network(config.model)
     if not config.start:
         return asked
     found = read_header(config.start).model
-    return asked | {"distance": found.distance, "spread": found.spread}
+    return asked | {"distance": found.distance, "spread": found.spread, "stated": found.stated}
 
 
 def first_drapes(maps: Maps, rows: np.ndarray, config: TrainConfig) -> np.ndarray:

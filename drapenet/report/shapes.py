@@ -33,7 +33,7 @@ def drape_glb(rig: Rig, located: LocatedViews | None, drape: Resimulation | None
         add_surface(scene, "captured", *captured_surface(located))
     if drape is not None:
         add_surface(scene, "simulated", drape.positions, drape.drape.faces)
-    radius = 0.985 * rig.plate_radius
+    radius = 0.985 * rig.sharp.plate_radius
     column = trimesh.creation.cylinder(radius=radius, height=_COLUMN, sections=64)
     add_surface(scene, "support", column.vertices - [0, 0, _COLUMN / 2 + 1e-3], column.faces,
                 flat=True)

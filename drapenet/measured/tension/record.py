@@ -1,9 +1,12 @@
 """What ``estimate.json`` states of strips under weights."""
 
+import math
+
 from pydantic import Field
 
 from common.documents import Excerpt
 from drapenet.measured.base import Quantity, Record, Recorded
+from sim.material import REFERENCE_DENSITY
 
 COLUMNS = {"warp": "stretch_warp_n_per_m", "weft": "stretch_weft_n_per_m",
            "bias": "shear_n_per_m"}
@@ -37,6 +40,12 @@ class TensionRecord(Record):
     @property
     def needs_warp(self) -> bool:
         return self.along_yarns
+
+    @property
+    def membrane(self) -> float | None:
+        stretch = self.along("warp"), self.along("weft")
+        return math.prod(one.median for one in stretch if one) ** 0.5 * 1e3 * (
+            REFERENCE_DENSITY / self.density_g_m2) if all(stretch) else None
 
     def counted(self) -> tuple[int, str, str]:
         return self.strips, "strip under a weight", "strips under weights"

@@ -19,7 +19,9 @@ def in_words(names: str) -> str:
     """Testers, names with commas, in words."""
     rigs = [Rig.from_name(name) for name in names.split(", ")]
     return "; ".join(f"{rig.specimen} of {rig.millimetres} mm on a plate of "
-                     f"{1e3 * rig.plate_diameter:g} mm" for rig in rigs)
+                     f"{1e3 * rig.plate_diameter:g} mm"
+                     + f" with a rim rounded by {1e3 * rig.rim:g} mm" * (rig.rim > 0)
+                     for rig in rigs)
 
 
 @cache

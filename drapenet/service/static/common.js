@@ -85,7 +85,8 @@ export const percent = (value) => (value == null ? '' : `${value.toFixed(1)} %`)
 // The tester's name, such as disc300_support180, in words; several with commas.
 export function tester(rig) {
   return rig.split(', ').map((name) => name.replace(
-    /^([a-z]+)([\d.x]+)_[a-z]+([\d.]+)$/, '$1 of $2 mm on $3 mm')).join('; ');
+    /^([a-z]+)([\d.x]+)_[a-z]+([\d.]+)/, '$1 of $2 mm on $3 mm').replace(
+    /_rim([\d.]+)$/, ', rim $1 mm')).join('; ');
 }
 
 // What an estimate was made of.
