@@ -38,12 +38,12 @@ def change_description(checkpoint: Path, **changes: object) -> None:
     describe_again(checkpoint, json.dumps(description(checkpoint) | changes))
 
 
-def save_untrained(path: Path, width: int = 8) -> Path:
+def save_untrained(path: Path, width: int = 8, **model: object) -> Path:
     """A checkpoint with a plausible description and random weights; of captures without noise,
     which cost less to make."""
     torch.manual_seed(0)
     mean, std = [-10.8, -11.0, -10.8, -0.0026, -0.0026, -0.0026], [0.9, 0.8, 0.9, *[0.0014] * 3]
-    model = {"width": width, "components": 2, "dropout": 0.1, "distance": 0.25, "spread": 0.06}
+    model |= {"width": width, "components": 2, "dropout": 0.1, "distance": 0.25, "spread": 0.06}
     # Of specimens of 300 mm.
     targets = targets_of(ClothProperties(np.array(mean), np.zeros(2), np.array(600.0),
                                          np.array(0.2)), np.array(0.3))

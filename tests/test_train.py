@@ -286,9 +286,9 @@ def stiff_maps(count: int, *, seed: int) -> Maps:
         pictures=np.zeros((count, 0, 0, 0), np.float16), angle=np.zeros(count),
         depth=np.arange(count), theta=theta,
         curl=rng.normal(0, 2, (count, 2)), membrane=rng.lognormal(6, 0.5, count),
-        hysteresis=rng.uniform(0.1, 0.3, count), size=0.3 * one, plate=0.6 * one, disc=one > 0,
-        aspect=one, face=one, views=4 * one, folds=7 * one, fabric=np.arange(count),
-        index=np.arange(count), moved=one < 0)
+        hysteresis=rng.uniform(0.1, 0.3, count), kind=np.zeros(count, int), size=0.3 * one,
+        plate=0.6 * one, rim=0 * one, disc=one > 0, aspect=one, face=one, views=4 * one,
+        folds=7 * one, fabric=np.arange(count), index=np.arange(count), moved=one < 0)
 
 
 def learned(

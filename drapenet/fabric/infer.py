@@ -76,7 +76,7 @@ def prior_draws(header: Header) -> Draws:
 
 
 def infer_jointly(
-    captures: Sequence[CaptureEvidence], header: Header, stated: Stated = Stated()
+    captures: Sequence[CaptureEvidence], header: Header, stated: Stated
 ) -> tuple[Draws, list[Finding]]:
     """Samples from captures of one fabric, of which something may be ``stated``, and a finding for
     each that contradicts the others.

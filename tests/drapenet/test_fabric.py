@@ -32,6 +32,7 @@ from drapenet.fabric.part import stored_part
 from drapenet.fabric.sources import Source, sources_of
 from drapenet.measured.captures import Captured
 from drapenet.network.checkpoint import read_header
+from drapenet.network.inputs import Stated
 from drapenet.network.predict import Draws
 from drapenet.service import pools, work
 from drapenet.service.app import create_app
@@ -426,8 +427,8 @@ def test_two_captures_that_contradict_each_other_leave_both_possible(tmp_path, p
     true = inferring.predict
     softer = id(parts[1].observed.seen.map)
 
-    def predict(network, header, sets):
-        found = true(network, header, sets)
+    def predict(network, header, sets, stated):
+        found = true(network, header, sets, stated)
         for place, members in enumerate(sets):
             share = sum(id(one.map) == softer for one in members) / len(members)
             theta = found[place].cloth.theta.copy()
@@ -438,7 +439,7 @@ def test_two_captures_that_contradict_each_other_leave_both_possible(tmp_path, p
     monkeypatch.setattr(inferring, "predict", predict)
     draws, contradictions = inferring.infer_jointly(
         [inferring.CaptureEvidence(name, part.observed.seen) for name, part in
-         zip("ab", parts, strict=True)], read_header())
+         zip("ab", parts, strict=True)], read_header(), Stated())
     estimate = combine(draws, [], 0.21, read_header(), name="the captures",
                        contradictions=contradictions)
     line, = texts(estimate.contradictions)

@@ -116,7 +116,8 @@ def test_of_a_single_view_the_coefficient_alone_is_compared():
     nothing, two = np.full(2, np.nan), np.ones(2)
     facts = Facts(size=0.3 * two, plate=0.6 * two, disc=two > 0, aspect=two, face=two,
                   known=two > 0, views=np.array([1, 4]), perspective=0 * two,
-                  coefficient=0.4 * two, nodes=nothing, group=np.arange(2))
+                  coefficient=0.4 * two, nodes=nothing, rim=nothing, membrane=nothing,
+                  kind=-two, group=np.arange(2))
     maps = np.zeros((2, len(AZIMUTH), ELEVATIONS))
     outline = np.tile(0.75 + 0.06 * np.cos(7 * AZIMUTH), (2, 1))
     batch = Batch.of(maps, maps, outline, 0 * outline, facts, np.zeros((2, 0, 1, 1)), 0 * two)
