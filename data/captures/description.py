@@ -264,7 +264,7 @@ class Description(Specimen, Labels):
         description="one angle for each view, such as [0, 90, 180, 270]")
     tester: Tester | None = Field(
         None, title="name, such as disc300_support180, or numbers: {specimen: disc, size_mm: 300, "
-                    "plate_mm: 180}; required")
+                    "plate_mm: 180} and rim_radius_mm, 0 to 10, of a rounded rim; required")
     face: Literal["up", "down"] = Field("up", title="where the fabric's marked face is")
     size_px: list[Annotated[int, Field(ge=1, le=max(MAX_PICTURE))]] | None = Field(
         None, min_length=2, max_length=2, title="width and height of the picture to which the "

@@ -43,7 +43,7 @@ class _Stated(Schema):
         default_factory=dict, title="standard deviations in place of the assumed ones, such as "
                                     "{bending_length_mm: 3}")
     cloth: Literal[KINDS] | None = Field(  # type: ignore[valid-type]
-        None, title="kind of cloth; coated: also films")
+        None, title="no evidence: kind of cloth, for networks that read it; coated: also films")
     thickness_mm: float | None = Field(None, ge=0.03, le=10, title="thickness, no evidence")
     thickness_kpa: float | None = Field(
         None, ge=0.01, le=100, title="pressure at which it was measured; of a book on A4 0.2")

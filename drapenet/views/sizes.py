@@ -58,8 +58,9 @@ def measured_sizes(located: LocatedViews) -> Sizes:
         if steps.max() < longest_step and length > _BEYOND * rig.plate_radius:
             lengths.append(length)
     quantile, median = typical(rig)
-    return Sizes(2 * _quantile(lengths, quantile) / median,
-                 2 * _quantile(rims, 0.5) / TYPICAL_PLATE, rig, len(located.views))
+    top = 2 * _quantile(rims, 0.5) / TYPICAL_PLATE  # cloth begins to fall where a rim begins
+    return Sizes(2 * _quantile(lengths, quantile) / median, top + 2 * rig.rim, rig,
+                 len(located.views))
 
 
 def typical(rig: Rig) -> tuple[float, float]:

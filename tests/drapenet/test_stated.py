@@ -2,7 +2,6 @@
 """
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +13,8 @@ from common.errors import InputError
 from data.dataset.folder import finished_manifest
 from data.fabrics.nuisances import KINDS
 from data.readings.known import Known
+from data.render.cameras import QUARTERS, nominal_camera
+from data.render.rays import DepthRenderer
 from data.render.setups import Setups
 from data.rigs import described_tester, read_tester
 from drapenet.config import EstimateOptions
@@ -31,7 +32,11 @@ from drapenet.network.predict import batch_of, network_of, predict
 from drapenet.network.trained import OfGraphs
 from drapenet.network.weights import save_graphs
 from drapenet.report.pages import in_words
+from drapenet.views.located import LocatedViews
 from drapenet.views.observation import Observation
+from drapenet.views.sizes import measured_sizes
+from sim.draping import drape
+from sim.material import MICRO, Fabric
 from sim.rig import DISC_RIG
 
 ROUNDED = replace(DISC_RIG, rim=3e-3)
@@ -62,6 +67,16 @@ def test_a_tester_has_a_rim_where_one_is_stated():
     other = another_disc([Observation(ROUNDED, 1, True, coefficient=0.7)])
     assert other.name == "disc360_support180_rim3"
     assert another_disc([Observation(other, 1, True, coefficient=0.7)]) is None
+
+
+def test_a_plate_is_measured_to_the_end_of_its_rim():
+    """At 10 mm its flat top alone would be refused."""
+    rig = read_tester(NUMBERS | {"rim_radius_mm": 10})
+    cloth, camera = drape(Fabric([40 * MICRO] * 3, [0.0] * 3), rig=rig, edge=8e-3, seed=1), (
+        nominal_camera(rig))
+    views = DepthRenderer(cloth.positions, cloth.faces).views(camera, 0.3)
+    sizes = measured_sizes(LocatedViews.exact(views, camera, rig, np.array(QUARTERS)))
+    assert sizes.plate == pytest.approx(0.127, rel=0.07)
 
 
 @pytest.mark.parametrize(("rig", "stated"), [
