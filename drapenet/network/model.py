@@ -15,7 +15,7 @@ import torch
 from torch.nn.functional import softplus
 
 from drapenet.network.expected import SHAPE
-from drapenet.network.inputs import CIRCUMSTANCES, DISC, FACTS, KNOWN, TESTER, Batch, read_columns
+from drapenet.network.inputs import CIRCUMSTANCES, DISC, FACTS, KNOWN, TESTER, Batch, columns_of
 from drapenet.network.mixture import Mixture, factor_of, outputs_of
 from drapenet.network.targets import CURL, TARGETS
 from drapenet.views.directions import AZIMUTHS, ELEVATIONS
@@ -120,7 +120,7 @@ class Network(torch.nn.Module):
     def add_layers(self, features: int, facts: int) -> None:
         """Layers from the ``features`` of each capture, the first ``facts`` columns and those that
         not all networks read to the posterior."""
-        self.columns = read_columns(facts, rectangles=self.rectangles, stated=self.stated)
+        self.columns = columns_of(facts, self.rectangles, self.stated)
         regression, dropout, facts = self.output == "regression", self.dropout, len(self.columns)
         self.embed = torch.nn.Sequential(
             torch.nn.Dropout(dropout), torch.nn.Linear(features + facts, _EMBEDDING),

@@ -5,7 +5,7 @@ fabric. The posterior is the mixture of the network's posteriors for all such ca
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -62,14 +62,12 @@ class Draws:
 
     @classmethod
     def possible(
-        cls, cloth: ClothProperties, known: bool, likeness: Sequence[Likeness] = (),
-        told: bool = False,
+        cls, cloth: ClothProperties, known: bool, likeness: Sequence[Likeness] = ()
     ) -> "Draws":
         """The admissible samples; all if none is."""
         possible = is_admissible(*from_theta(cloth.theta))
         kept = possible if possible.any() else ~possible
-        return cls(cloth.chosen(kept), known, float(1 - possible.mean()), tuple(likeness),
-                   told)
+        return cls(cloth.chosen(kept), known, float(1 - possible.mean()), tuple(likeness))
 
 
 def sample_targets(network: Trained, header: Header, batch: Batch, known: np.ndarray) -> Samples:
@@ -100,9 +98,9 @@ def predict(
     told = header.model.stated & np.isfinite(facts.membrane)
     known = [all(part.known for part in captures) for captures in sets]
     likeness = network.likeness(batch, header.scale.encode(samples)) if compared else []
-    return [Draws.possible(cloth_of(samples[:, k], np.full(len(samples), size)), known[k],
-                           [one for n, one in enumerate(likeness) if facts.group[n] == k],
-                           bool(told[facts.group == k].all()))
+    return [replace(Draws.possible(cloth_of(samples[:, k], np.full(len(samples), size)), known[k],
+                                   [one for n, one in enumerate(likeness) if facts.group[n] == k]),
+                    told=bool(told[facts.group == k].all()))
             for k, size in enumerate(facts.sizes)]
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from common.graphs import SUFFIX, Graph, read_weights
 from drapenet.network.checkpoint import Header
 from drapenet.network.expected import REPLICATES, Likeness, likeness
-from drapenet.network.inputs import ASPECTS, FACTS, STATED, Batch
+from drapenet.network.inputs import FACTS, Batch, columns_of
 from drapenet.network.posterior import Posterior, Samples
 
 EXPECTED = "expected"
@@ -49,14 +49,14 @@ class OfGraphs(Trained):
         mine = {name: one for name, one in weights.items() if not name.startswith(f"{EXPECTED}.")}
         identity = graph_identity(header)
         self._posterior = Graph(graph_of(header.path), mine, identity)
-        self._shapes, self._facts = None, columns_of(header)
+        self._shapes, self._columns = None, columns_of(FACTS, True, header.model.stated)
         if header.model.expected:
             others = {name.partition(".")[2]: one for name, one in weights.items()
                       if name not in mine}
             self._shapes = Graph(graph_of(header.path, EXPECTED), others, identity)
 
     def posterior(self, batch: Batch) -> Posterior:
-        read = replace(batch, facts=batch.facts[:, : self._facts])
+        read = replace(batch, facts=batch.facts[:, self._columns])
         return Posterior(*self._posterior(**{name: getattr(read, name)
                                              for name in self._posterior.inputs}))
 
@@ -76,8 +76,3 @@ def graph_identity(header: Header) -> str:
     """What a graph beside the checkpoint must state: the network without its weights."""
     unread = set() if header.model.stated else {"stated"}  # as graphs were before they could be
     return json.dumps(header.model.model_dump(exclude=unread), sort_keys=True)
-
-
-def columns_of(header: Header) -> int:
-    """Number of the columns of facts that a graph is given."""
-    return FACTS + ASPECTS + STATED * header.model.stated

@@ -13,11 +13,11 @@ from safetensors.torch import load_file
 from common.errors import InputError
 from common.graph_export import save_graph, save_weights
 from drapenet.network.checkpoint import SCHEMA, SCHEMA_VERSION, Header
-from drapenet.network.inputs import CIRCUMSTANCES, Batch
+from drapenet.network.inputs import CIRCUMSTANCES, FACTS, Batch, columns_of
 from drapenet.network.model import Network, make_network
 from drapenet.network.posterior import Posterior
 from drapenet.network.targets import TARGETS
-from drapenet.network.trained import EXPECTED, Trained, columns_of, graph_identity, graph_of
+from drapenet.network.trained import EXPECTED, Trained, graph_identity, graph_of
 from drapenet.views.directions import AZIMUTHS, ELEVATIONS
 from drapenet.views.pictures import PICTURES, SIDE
 
@@ -73,7 +73,8 @@ def save_graphs(header: Header) -> None:
         return torch.rand(shape, generator=generator)
 
     of_all: Sequence[tuple[str, str, torch.Tensor]] = (
-        ("face", "n", drawn(captures).sign()), ("facts", "n", drawn(captures, columns_of(header))),
+        ("face", "n", drawn(captures).sign()),
+        ("facts", "n", drawn(captures, len(columns_of(FACTS, True, network.stated)))),
         ("members", "mn", torch.eye(sets).repeat(1, captures // sets)))
     read = {"distance": drawn(captures, AZIMUTHS, ELEVATIONS),
             "weight": 4 * drawn(captures, AZIMUTHS, ELEVATIONS),
