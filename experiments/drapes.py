@@ -10,7 +10,6 @@ import numpy as np
 
 from common.command import compose_config
 from common.errors import InputError
-from common.findings import Finding
 from common.types import Theta
 from data.captures.capture import DepthCapture
 from data.dataset.config import DatasetConfig, Options, config_from_options
@@ -30,9 +29,6 @@ if TYPE_CHECKING:  # imported on use, because speed and memory are measured with
     from data.render.setups import Setups, SyntheticCapture
     from drapenet.fabric.stages import CaptureEstimate
     from drapenet.network.checkpoint import Header
-    from drapenet.network.predict import Draws
-    from drapenet.result.estimate import Estimate
-    from drapenet.views.outline import DrapeOutline
 
 RIG = SQUARE_RIG
 CLEAN = {"views": (0.0, 0.0, 0.0, 1.0), "sensors": {"smooth": 1.0}, "turn": 0.0, "focal": 0.0,
@@ -155,24 +151,3 @@ def infer(synthetic: "SyntheticCapture", rig: Rig = RIG) -> "CaptureEstimate":
     from drapenet.fabric.stages import by_network
 
     return by_network(as_read(synthetic, rig), header())
-
-
-def outline_of(shape: Drape) -> "DrapeOutline":
-    """The exact outline of a drape under parallel light."""
-    from drapenet.views.outline import DrapeOutline, contour, silhouettes
-
-    edges = contour(shape.positions, shape.mesh, np.inf)
-    return DrapeOutline(silhouettes(shape.positions, edges, np.array([np.inf]), zero=0.0)[0])
-
-
-def infer_outline(outline: "DrapeOutline", rig: Rig) -> tuple["Draws", "Estimate", list[Finding]]:
-    """The samples and estimate of an outline along the warp, and a warning if it is unlike
-    them."""
-    from drapenet.network.predict import network_of, predict
-    from drapenet.result.estimate import make_estimate
-    from drapenet.views.observation import Observation
-
-    draws, = predict(network_of(header()), header(), [[Observation(rig, 1, True, outline=outline)]],
-                     compared=True)
-    estimate = make_estimate(draws, density=REFERENCE_DENSITY, header=header())
-    return draws, estimate, draws.unlike(rig.specimen_size, Finding("check_table").text)

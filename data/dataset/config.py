@@ -9,7 +9,7 @@ from pydantic import Field
 from common.configs import Key, Seed, Share, Workers, keys_of, metres, pair, si, up_to
 from common.errors import InputError
 from common.types import Metres
-from data.fabrics.nuisances import NuisanceConfig
+from data.fabrics.nuisances import Kind, NuisanceConfig
 from data.fabrics.prior import Prior, load_prior, prior_content
 from data.fabrics.prior.even import SAME, WHOLE, Shares
 from data.rigs import named_tester
@@ -117,7 +117,10 @@ class DatasetConfig:
 DatasetOptions = make_dataclass("DatasetOptions", [
     *keys_of(SamplingConfig, without=("seed", "nuisances")).items(), ("drapes_per_shard", Count)])
 """The group ``dataset``; see ``configs/dataset``."""
-NuisanceOptions = make_dataclass("NuisanceOptions", keys_of(NuisanceConfig).items())
+KindOptions = make_dataclass("KindOptions", keys_of(Kind).items())
+"""A kind of cloth in the next."""
+NuisanceOptions = make_dataclass("NuisanceOptions", (
+    keys_of(NuisanceConfig) | {"cloth": dict[str, KindOptions]}).items())  # type: ignore[valid-type]
 """The group ``nuisances``; see ``configs/nuisances``."""
 
 

@@ -6,12 +6,12 @@ states their distributions with reasons.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, make_dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from common.configs import Key, Share, keys_of, limits, pair, si, up_to
+from common.configs import Key, Share, limits, pair, si, up_to
 from common.errors import InputError
 from sim.material import KES_CURVATURE, MEMBRANE_STIFFNESS, MICRO, REFERENCE_DENSITY, gravity_length
 from sim.rig import Rig
@@ -176,10 +176,6 @@ class Kind:
     hem_curl: Annotated[_Pair, Key("", pair(up_to(1e3)))] = (0.0, 0.0)
 
 
-KindOptions = make_dataclass("KindOptions", keys_of(Kind).items())
-"""A kind of cloth in ``configs/nuisances``."""
-
-
 @dataclass(frozen=True)
 class NuisanceConfig:
     """Distributions of the nuisance parameters, as in ``configs/nuisances``, in SI units.
@@ -193,8 +189,7 @@ class NuisanceConfig:
         doubled: share of the specimens with a doubled hem, and its largest width, m.
     """
 
-    cloth: Annotated[dict[str, Kind], Key("", dict[str, KindOptions])] = field(  # type: ignore[valid-type]
-        default_factory=lambda: {KINDS[0]: Kind()})
+    cloth: dict[str, Kind] = field(default_factory=lambda: {KINDS[0]: Kind()})
     hysteresis: Annotated[_Pair, Key("per_m", limits(0, KES_CURVATURE))] = (0.0, 0.0)
     uneven_length: Annotated[_Pair, Key("mm", limits(5, 500))] = (0.04, 0.04)
     curl_specimen: Annotated[float, Key("per_m", up_to(1e3))] = 0.0

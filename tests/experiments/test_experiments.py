@@ -27,7 +27,7 @@ def test_places_that_cannot_be_written_to_are_refused_before_the_work(tmp_path):
     (tmp_path / "file").touch()
     for words in (["convergence", "out=/proc/report.json"], ["convergence", f"out={tmp_path}"],
                   ["views", f"out={tmp_path}/file/report.json"],
-                  ["views", f"cases={tmp_path}/file"], ["hard", "cases=/proc/runs"]):
+                  ["views", f"cases={tmp_path}/file"], ["mats", "cases=/proc/runs"]):
         with pytest.raises(InputError, match="cannot write"):
             main(words)
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
