@@ -72,7 +72,7 @@ def constants(fabric: Fabric, skew: float = 0.0) -> PlateConstants:
     base = rho + added * root
     a11, a22, a12, a66 = plate_constants(alpha)
     # The form, scaled to a diagonal of ones, has the determinant (1 - r) (1 + r - 2 coupling²).
-    coupling = skew * np.sqrt((1 + a12 / np.sqrt(a11 * a22)) / 2 * a66)
+    coupling = skew and skew * np.sqrt((1 + a12 / np.sqrt(a11 * a22)) / 2 * a66)
     return PlateConstants(*map(float, (
         a11, a22, a12, a66, coupling * root[WARP], coupling * root[WEFT], alpha[BIAS],
         g[WARP], g[WEFT], 2 * g[BIAS] - (g[WARP] + g[WEFT]) / 2,
