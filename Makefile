@@ -94,7 +94,7 @@ prior: $(DEVELOPER)  ## fit a prior to your table: make prior TABLE=fabrics.csv
 	$(BIN)/python -m data.fabrics.prior fit fabrics=$(TABLE)
 
 dataset: $(DEVELOPER)  ## simulate drapes of many testers, both faces and several specimens of each fabric
-	$(BIN)/python -m data.dataset.generate dataset=testers drapes=48000 seed=41 edge_mm=5 out=$(DATASET)
+	$(BIN)/python -m data.dataset.generate dataset=testers drapes=20480 seed=84 edge_mm=4 out=$(DATASET)
 
 train: $(DEVELOPER)  ## train the network on them, resumes when interrupted
 	$(BIN)/python train.py data=$(DATASET) out=outputs/train
