@@ -43,12 +43,12 @@ def possible(state: np.ndarray) -> np.ndarray:
 @lru_cache(maxsize=2)
 def fabric_prior(header: "Header") -> ClothProperties:
     """Samples of the fabrics that the network answers for, with their nuisances."""
-    stated, rng = header.prior, np.random.default_rng(0)
+    stated, nuisances, rng = header.prior, header.nuisances, np.random.default_rng(0)
     prior = prior_from_content(stated.fabrics, origin=str(header.path))
     theta, _ = draw_fabrics(prior, _PRIOR_SAMPLES, even_share=stated.even_share,
                             anisotropy=stated.anisotropy, varied=stated.anisotropy_varied)
-    drawn = [header.nuisances.sample(rng, rng, alpha=float(np.exp(log_stiffness(each))))
-             for each in theta]
+    drawn = [nuisances.sample(rng, rng, alpha=alpha) for alpha in
+             np.exp(log_stiffness(theta)).tolist()]
     return ClothProperties(
         theta, np.array([[each.curl_warp, each.curl_weft] for each in drawn]),
         np.array([each.membrane for each in drawn]), np.array([each.hysteresis for each in drawn]))

@@ -17,9 +17,9 @@ edges h, so that coarse cloth buckles early. An inner edge therefore stores the 
 
     A_e/8 (S1 - S2) : A : (S1 - S2),   A_e = (A1 + A2)/3,
 
-in the form A of flat cloth. For a linear fabric that is the difference between the mean energy of
-the triangles and the energy of their mean curvature. It vanishes for constant curvature, and is of
-second order in h otherwise.
+in the form A of flat cloth, of curvatures less the natural ones. For a linear fabric that is the
+difference between the mean energy of the triangles and the energy of their mean curvature. It
+vanishes for constant curvature, and is of second order in h otherwise.
 
 Without a barrier, meshes too coarse for the cloth fold through themselves, where phi jumps. The
 barrier of :mod:`sim.energies.fold_barrier` prevents that, times the smallest alpha and the edge's
