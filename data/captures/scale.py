@@ -176,14 +176,16 @@ def _by_mat(
     if not files:
         return found
     scale, plate_height = mat_scale(source), 1e-3 * source.plate_height_mm
-    for file, pose in zip(files, poses_of(photographs, seen, len(files)), strict=True):
+    poses = poses_of(photographs, [one[2:] for one in seen], len(files))
+    for file, mat, pose in zip(files, seen, poses, strict=False):
         photograph = photographs.pop(0)  # large
         try:
             if isinstance(pose, InputError):
                 raise pose
             over = straight_from_above(
                 photograph, pose, source.mat, plate_height=plate_height / scale,
-                reach=rig.reach / scale, ground=source.ground)
+                reach=rig.reach / scale,
+                ground="code" if mat.coded else source.ground)
         except InputError as error:
             found[file] = error
             continue

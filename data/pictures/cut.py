@@ -42,9 +42,9 @@ Printed = Callable[[np.ndarray], tuple[np.ndarray, Mask]]
 """What is printed (H, W) uint8 behind places (H, W, 2), m, of the plate's plane, and where."""
 
 
-def steps(reach: Metres) -> np.ndarray:
-    """Places (SIDE,), m, of the pixels along x, and upwards along y."""
-    return ((np.arange(SIDE) + 0.5) / SIDE * 2 - 1) * AROUND * reach
+def steps(reach: Metres, side: int = SIDE) -> np.ndarray:
+    """Places (side,), m, of the pixels along x, and upwards along y."""
+    return ((np.arange(side) + 0.5) / side * 2 - 1) * AROUND * reach
 
 
 @dataclass(frozen=True)
@@ -93,11 +93,13 @@ class Cut:
         hem: closed line around it, pixels of the photograph, a pixel apart.
         error: (N,) pixels, standard deviation of the hem's points across it.
         scale: pixels for one of the network's.
+        odds: logarithms (SIDE, SIDE) of those of cloth.
     """
 
     hem: PixelPath
     error: np.ndarray
     scale: float
+    odds: np.ndarray
 
 
 def cut_cloth(
@@ -155,7 +157,7 @@ def cut_cloth(
     even = np.linspace(0, len(line), round(length), endpoint=False)
     x, y, error = (np.interp(even, np.arange(len(line)), values, period=len(line))
                    for values in (*line.T, error * length / before))
-    return Cut(np.column_stack([x, y]), error, length / before)
+    return Cut(np.column_stack([x, y]), error, length / before, odds)
 
 
 def outline_of_cloth(

@@ -1,15 +1,16 @@
 """A printed mat under the plate's stand: its picture, pages to print, and its markers in pictures.
 
-A ring of fiducial markers (AprilTag 36h11) surrounds a plain middle with circles for the foot of
-the stand. The plain part may be grey or blue, so that white cloth differs from it. Coordinates are
-in the plane of the mat: x along its arrow, y to the left of it, the centre of the circles the
-origin, m.
+A ring of fiducial markers (AprilTag 36h11) surrounds the ground, with circles for the foot of the
+stand. The ground is covered by a code (:mod:`data.pictures.code`), whose mats have markers of
+numbers of their own, or it is plain: white, grey or blue. Coordinates are in the plane of the mat:
+x along its arrow, y to the left of it, the centre of the circles the origin, m.
 """
 
 import io
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from itertools import product
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -17,6 +18,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from common.errors import InputError
 from common.types import Mask, Metres, Pixels, Points
+from data.pictures.code import CELL, black_dots, cells
 from data.pictures.reading import Photograph, decoded, encoded
 
 DPI = 300
@@ -31,12 +33,18 @@ _DETECTION = {"cornerRefinementMethod": cv2.aruco.CORNER_REFINE_CONTOUR,
               "perspectiveRemoveIgnoredMarginPerCell": 0.25}
 """Of blurred and overexposed markers, the middles of the modules are read."""
 _CIRCLES = np.arange(30, 91, 10) * 1e-3  # m, radii
-GROUNDS = {"white": (255, 255, 255), "grey": (128, 128, 128), "blue": (70, 120, 190)}
+GROUNDS = {"code": (255, 255, 255), "white": (255, 255, 255), "grey": (128, 128, 128),
+           "blue": (70, 120, 190)}
 """Colours, sRGB, of the mat around its markers. Grey of 128 reflects 22 % of the light of paper,
 about the geometric mean of white cloth (85 %) and black cloth (4 %), so that both differ from it by
 a factor of four or five; printers make it of fine dots without stripes. Blue is as dark, for grey
 cloth."""
+_CODED = 200  # added to the numbers of the markers of a mat with the code
+_DOTS, _DOT_SHARE = 5, 4 / 9  # along a grey cell, and of its area
+_BARE = 0.025  # m, radius about the middle that has no code
+FINE = CELL / 5  # m, pixel in which the code is compared with pictures
 _LINE, _TEXT = 205, 150  # grey of lines and letters on white; as visible on other grounds
+_THIN, _THICK, _AROUND = 0.25e-3, 1e-3, 1e-3  # m, of lines, and of paper around them on the code
 QUIET = 5e-3  # m, white, around the markers
 _BLUR = 6.0  # pixels, 0.5 mm
 _OVERLAP = 2e-3  # m, by which parts on several pages overlap
@@ -47,8 +55,10 @@ _PAGES = {"a2": (594, 420), "a3": (420, 297), "tabloid": (431.8, 279.4), "a4": (
 
 @dataclass(frozen=True)
 class Mat:
-    """A mat's layout: width and height, m, number of markers along them, and the first's number."""
+    """A mat's layout: width and height, m, number of markers along them, and the first's number on
+    a plain one."""
 
+    name: str
     size: tuple[Metres, Metres]
     along: tuple[int, int]
     first: int
@@ -56,14 +66,17 @@ class Mat:
     @property
     def shape(self) -> tuple[int, int]:
         """Height and width of its picture, in pixels."""
-        width, height = (round((side + 2 * QUIET) / PIXEL) for side in self.size)
+        return self.shape_in(PIXEL)
+
+    def shape_in(self, pixel: Metres) -> tuple[int, int]:
+        """The same in pixels of a size."""
+        width, height = (round((side + 2 * QUIET) / pixel) for side in self.size)
         return height, width
 
-    @property
-    def numbers(self) -> range:
+    def numbers(self, *, coded: bool) -> range:
         """Numbers of the markers."""
-        wide, high = self.along
-        return range(self.first, self.first + 2 * wide + 2 * (high - 2))
+        first, (wide, high) = self.first + _CODED * coded, self.along
+        return range(first, first + 2 * wide + 2 * (high - 2))
 
     @property
     def clear(self) -> Metres:
@@ -79,7 +92,8 @@ class Mat:
                          *((-x, r) for r in rows), *((x, r) for r in rows)])
 
 
-MATS = {"a3": Mat((0.396, 0.262), (10, 7), 0), "a2": Mat((0.530, 0.396), (13, 10), 100)}
+MATS = {"a3": Mat("a3", (0.396, 0.262), (10, 7), 0),
+        "a2": Mat("a2", (0.530, 0.396), (13, 10), 100)}
 PARTS = {("a3", "a3"): (1, 1), ("a3", "tabloid"): (1, 1), ("a3", "a4"): (2, 1),
          ("a3", "letter"): (2, 1), ("a2", "a2"): (1, 1), ("a2", "a4"): (2, 2),
          ("a2", "letter"): (2, 2)}
@@ -98,58 +112,93 @@ def mat_colours(name: str, ground: str = "white") -> np.ndarray:
     return np.asarray(_drawn(name, ground).convert("RGB"))
 
 
-def _drawn(name: str, ground: str) -> Image.Image:
+def _drawn(name: str, ground: str, pixel: Metres = PIXEL) -> Image.Image:
     """The mat's picture, grey unless its ground has a colour: a third of the work."""
     mat, colour = MATS[name], np.array(GROUNDS[ground])
-    height, width = mat.shape
-    grey = len(set(GROUNDS[ground])) == 1
+    height, width = mat.shape_in(pixel)
+    grey, coded = len(set(GROUNDS[ground])) == 1, ground == "code"
 
     def ink(tones: np.ndarray) -> Any:
         return int(tones[0]) if grey else tuple(tones.tolist())
 
-    page = Image.new("L" if grey else "RGB", (width, height), ink(colour))
-    draw = ImageDraw.Draw(page)
-    faint, dark = (ink(np.rint(255 * encoded(
+    page = (Image.fromarray(_code_picture((height, width), round(CELL / pixel))) if coded else
+            Image.new("L" if grey else "RGB", (width, height), ink(colour)))
+    faint, dark = (0, 0) if coded else (ink(np.rint(255 * encoded(
         decoded(np.array(tone / 255)) * decoded(colour / 255))).astype(int))
         for tone in (_LINE, _TEXT))
+    _draw(page, mat, pixel, "white", faint, dark, around=coded)
+    for number, centre in zip(mat.numbers(coded=coded), mat.centres, strict=True):
+        side = round(MARKER / pixel)
+        marker = cv2.aruco.generateImageMarker(
+            cv2.aruco.getPredefinedDictionary(_DICTIONARY), number, side)
+        left, top = np.rint((np.array(mat_pixels(name, centre, pixel)) - side / 2)).astype(int)
+        page.paste(Image.fromarray(marker), (int(left), int(top)))
+    return page
+
+
+def _code_picture(shape: tuple[int, int], side: int) -> np.ndarray:
+    """The code (H, W) uint8 in ``side`` pixels a cell: in black and white, unless they are few."""
+    (rows, down), (columns, along) = (np.divmod(np.floor(np.arange(n) - (n - 1) / 2).astype(int),
+                                                side) for n in shape)
+    dots = black_dots(side, _DOTS) if side > 2 * _DOTS else _DOT_SHARE
+    grey = np.rint(255 * (1 - dots * np.ones((side, side)))).astype(np.uint8)
+    tones = np.stack([np.full_like(grey, 255), grey, np.zeros_like(grey)])
+    middle = np.array(cells().shape) // 2
+    code = cells()[rows[:, None] + middle[0], columns + middle[1]]
+    return tones[code, down[:, None], along]
+
+
+def _draw(page: Image.Image, mat: Mat, pixel: Metres, paper: Any, faint: Any, dark: Any, *,
+          around: bool) -> None:
+    """What a mat shows beside its ground and its markers, in pixels of a size; ``around``: with
+    paper around lines and letters."""
+    draw = ImageDraw.Draw(page)
 
     def at(x: Metres, y: Metres) -> tuple[float, float]:
-        return width / 2 + x / PIXEL, height / 2 - y / PIXEL
+        return page.width / 2 + x / pixel, page.height / 2 - y / pixel
 
-    def line(*points: tuple[Metres, Metres], wide: int = 3) -> None:
-        draw.line([at(*point) for point in points], fill=faint, width=wide)
+    def disc(radius: Metres, wide: Metres = 0.0, **colours: Any) -> None:
+        draw.ellipse([*at(-radius, radius), *at(radius, -radius)],
+                     width=round(wide / pixel), **colours)
+
+    def line(*points: tuple[Metres, Metres], wide: Metres = _THIN) -> None:
+        for more, colour in ((_AROUND, paper), (0.0, faint))[not around :]:
+            draw.line([at(*point) for point in points], fill=colour,
+                      width=round((wide + more) / pixel))
 
     def write(x: Metres, y: Metres, text: str, size: Metres = 3.2e-3) -> None:
-        draw.text(at(x, y), text, fill=dark, anchor="mm",
-                  font=ImageFont.load_default(size / PIXEL))
+        font = ImageFont.load_default(size / pixel)
+        if around:
+            left, top, right, bottom = draw.textbbox(at(x, y), text, font, "mm")
+            more = _AROUND / pixel
+            draw.rectangle([left - more, top - more, right + more, bottom + more], fill=paper)
+        draw.text(at(x, y), text, fill=dark, anchor="mm", font=font)
 
     half = MARKER / 2 + QUIET
     for x, y in mat.centres:
-        draw.rectangle([*at(x - half, y + half), *at(x + half, y - half)], fill="white")
+        draw.rectangle([*at(x - half, y + half), *at(x + half, y - half)], fill=paper)
+    if around:
+        disc(_BARE, fill=paper)
     for radius in _CIRCLES:
-        draw.ellipse([*at(-radius, radius), *at(radius, -radius)], outline=faint, width=3)
+        if around:
+            disc(radius + _AROUND / 2, _AROUND + _THIN, outline=paper)
+        disc(radius, _THIN, outline=faint)
+    for radius in _CIRCLES:
         write(0.71 * radius + 5e-3, -0.71 * radius - 2e-3, f"{2e3 * radius:g}", 2.5e-3)
     line((-0.1, 0), (0.1, 0))
     line((0, -0.1), (0, 0.1))
     inner_x, inner_y = (side / 2 - MARKER for side in mat.size)
     tip = inner_x - 4e-3
-    line((0.11, 0), (tip, 0), wide=12)
-    line((tip - 8e-3, 5e-3), (tip, 0), (tip - 8e-3, -5e-3), wide=12)
+    line((0.11, 0), (tip, 0), wide=_THICK)
+    line((tip - 8e-3, 5e-3), (tip, 0), (tip - 8e-3, -5e-3), wide=_THICK)
     write(tip - 8e-3, 9e-3, "WARP")
-    write(0, inner_y - 5e-3, f"mat {name}: print at 100 %, lay flat on a plain table; centre the "
-          "foot on the circles, warp along the arrow")
+    write(0, inner_y - 5e-3, f"mat {mat.name}: print at 100 %, lay flat on a plain table; centre "
+          "the foot on the circles, warp along the arrow")
     low = -inner_y + 4e-3
     line((-BAR / 2, low), (BAR / 2, low))
     for tick in np.linspace(-BAR / 2, BAR / 2, 21):
         line((tick, low), (tick, low + 3e-3))
-    write(BAR / 2 + 22e-3, low + 1e-3, f"{1e3 * BAR:g} mm: measure it")
-    for number, centre in zip(mat.numbers, mat.centres, strict=True):
-        side = round(MARKER / PIXEL)
-        marker = cv2.aruco.generateImageMarker(
-            cv2.aruco.getPredefinedDictionary(_DICTIONARY), number, side)
-        left, top = np.rint(np.array(at(*centre)) - side / 2).astype(int)
-        page.paste(Image.fromarray(marker), (int(left), int(top)))
-    return page
+    write(BAR / 2 + 32e-3, low + 1e-3, f"{1e3 * BAR:g} mm: measure it, state mat_bar_mm")
 
 
 @cache
@@ -169,24 +218,41 @@ def on_ground(name: str, places: np.ndarray) -> np.ndarray:
 
 
 @cache
-def _blurred(name: str, ground: str) -> np.ndarray:
-    return cv2.GaussianBlur(mat_picture(name, ground), (0, 0), _BLUR)
+def code_page(name: str) -> tuple[np.ndarray, Mask]:
+    """How grey, and how black, (2, H, W) float32 a mat with the code is, in pixels of :data:`FINE`;
+    and where (H, W) it shows neither lines nor letters."""
+    page = np.asarray(_drawn(name, "code", FINE))
+    plain = Image.new("L", page.shape[::-1], 255)
+    _draw(plain, MATS[name], FINE, 255, 0, 0, around=True)
+    black = page < 64
+    return np.stack([~black & (page < 192), black]).astype(np.float32), np.asarray(plain) > 250
+
+
+@cache
+def _blurred(name: str, ground: str) -> tuple[np.ndarray, Metres]:
+    """A mat's picture, a little blurred, and the size of its pixels: of the code, coarser ones, as
+    the network that cuts cloth sees it."""
+    pixel, blur = (FINE, 2.0) if ground == "code" else (PIXEL, _BLUR)
+    return cv2.GaussianBlur(np.asarray(_drawn(name, ground, pixel).convert("L")), (0, 0),
+                            blur), pixel
 
 
 def printed_at(name: str, places: np.ndarray, ground: str = "white") -> tuple[np.ndarray, Mask]:
     """The print (H, W) uint8 at places (H, W, 2), m, 0 beside the mat, a little blurred, and where
     the mat is."""
-    printed = cv2.remap(_blurred(name, ground), *mat_pixels(name, places), cv2.INTER_LINEAR,
-                        borderValue=0)
+    page, pixel = _blurred(name, ground)
+    printed = cv2.remap(page, *mat_pixels(name, places, pixel), cv2.INTER_LINEAR, borderValue=0)
     half = np.array(MATS[name].size) / 2 + QUIET
     return printed, (np.abs(places) < half).all(axis=2)
 
 
-def mat_pixels(name: str, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Columns and rows (...,) float32, in pixels of :func:`mat_picture`, of places (..., 2), m."""
-    height, width = MATS[name].shape
-    return ((places[..., 0] / PIXEL + (width - 1) / 2).astype(np.float32),
-            (-places[..., 1] / PIXEL + (height - 1) / 2).astype(np.float32))
+def mat_pixels(name: str, places: np.ndarray, pixel: Metres = PIXEL
+               ) -> tuple[np.ndarray, np.ndarray]:
+    """Columns and rows (...,) float32, in pixels of :func:`mat_picture` or of another size, of
+    places (..., 2), m."""
+    height, width = MATS[name].shape_in(pixel)
+    return ((places[..., 0] / pixel + (width - 1) / 2).astype(np.float32),
+            (-places[..., 1] / pixel + (height - 1) / 2).astype(np.float32))
 
 
 def along_border(name: str, places: np.ndarray) -> np.ndarray:
@@ -253,9 +319,18 @@ def _seams(pages, column, row, columns, rows, corner, size) -> None:  # type: ig
                 pages.line(start, place, end, place)
 
 
-def find_mat(photograph: Photograph) -> tuple[str, Points, Pixels] | None:
-    """Which mat a photograph shows, centres of markers that are seen, and their pixels; None if
-    there are fewer than :data:`MIN_MARKERS`.
+class SeenMat(NamedTuple):
+    """Which mat a photograph shows, whether with the code, centres (M, 3) of the markers that are
+    seen, and their pixels (M, 2)."""
+
+    name: str
+    coded: bool
+    centres: Points
+    pixels: Pixels
+
+
+def find_mat(photograph: Photograph) -> SeenMat | None:
+    """The mat of a photograph; None if fewer than :data:`MIN_MARKERS` are seen.
 
     White paper outshines ink, so that markers look smaller than they are: their corners move, the
     intersection of their diagonals does not.
@@ -270,12 +345,14 @@ def find_mat(photograph: Photograph) -> tuple[str, Points, Pixels] | None:
     if numbers is None:
         return None
     seen = dict(zip(numbers.ravel().tolist(), found, strict=True))
-    for name, mat in MATS.items():
-        present = [number for number in mat.numbers if number in seen]
+    for mat, coded in product(MATS.values(), (True, False)):
+        numbers = mat.numbers(coded=coded)
+        present = [number for number in numbers if number in seen]
         if len(present) >= MIN_MARKERS:
-            centres = mat.centres[[number - mat.first for number in present]]
+            centres = mat.centres[[number - numbers[0] for number in present]]
             pixels = np.stack([_crossing(seen[number].reshape(4, 2)) for number in present])
-            return name, np.column_stack([centres, np.zeros(len(centres))]), pixels
+            return SeenMat(mat.name, coded, np.column_stack([centres, np.zeros(len(centres))]),
+                           pixels)
     return None
 
 

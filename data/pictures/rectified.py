@@ -10,7 +10,7 @@ from common.errors import InputError
 from common.findings import Finding
 from common.types import Mask, Metres, Pixels, Points
 from data.pictures.cut import Printed
-from data.pictures.mat import find_mat, printed_at
+from data.pictures.mat import SeenMat, find_mat, printed_at
 from data.pictures.planes import behind
 from data.pictures.pose import Pose, camera_poses
 from data.pictures.reading import Photograph
@@ -42,14 +42,14 @@ class OverMat:
     warnings: tuple[Finding, ...] = ()
 
 
-def markers_in(photograph: Photograph, mat: str) -> tuple[Points, Pixels]:
-    """Centres of the markers of a ``mat`` and their pixels; InputError if it is not seen."""
+def markers_in(photograph: Photograph, mat: str) -> SeenMat:
+    """The markers of a ``mat``; InputError if it is not seen."""
     found = find_mat(photograph)
-    if found is None or found[0] != mat:
-        which = f"the mat {found[0]}" if found else "fewer than six markers"
+    if found is None or found.name != mat:
+        which = f"the mat {found.name}" if found else "fewer than six markers"
         raise InputError(f"it shows {which}, not the mat {mat}; show the mat with its corners, "
                          "sharp and without glare, or correct outline.mat")
-    return found[1:]
+    return found
 
 
 def poses_of(

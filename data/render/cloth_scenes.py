@@ -4,23 +4,26 @@ import cv2
 import numpy as np
 
 from common.types import Metres
-from data.pictures.cut import SIDE, steps
+from data.pictures.cut import steps
 from data.pictures.mat import MATS, on_ground, printed_at
 from data.pictures.planes import behind
 from data.pictures.reading import encoded
 from data.render.phone import exposed, mat_around
+from data.render.hard import HARD
 from data.render.scenery import Scenery
 
 HIGHEST = 0.25  # m, plates over the ground
-_TIMES = 4  # pixels rendered for each of the network's, along a side
+STORED, _TIMES = 256, 2  # pixels of a picture, and those rendered for each, along a side
 _PLACE, _SCALE = 1e-3, 4e-3  # deviations of the mat: m, and relative
+_PLACE_OF_CODE = 2e-4  # m
+_CODED, _HARD = 0.45, (0.3, 0.55, 0.15)  # shares of the mats, and of scenes by difficulties
 _BENT, _FAR = 5e-3, 0.2  # of its scale by the lens, at a distance in m from the middle
 
 
 def scene_of(positions: np.ndarray, rest: np.ndarray, faces: np.ndarray, plate: Metres,
              reach: Metres, rng: np.random.Generator) -> dict[str, np.ndarray]:
     """A random view of a drape (V, 3), m, flat (V, 2), with the plate's and the specimen's radii:
-    arrays of what :class:`data.pictures.cut.ClothView` is given, and ``cloth`` (SIDE, SIDE), the
+    arrays of what :class:`data.pictures.cut.ClothView` is given, and ``cloth`` (STORED, STORED), the
     share of each pixel that the specimen covers, of 255."""
     low = float(-positions[:, 2].min())
     spare = max(HIGHEST - low, 0.05)
@@ -32,8 +35,11 @@ def scene_of(positions: np.ndarray, rest: np.ndarray, faces: np.ndarray, plate: 
     turn = rng.uniform(0, 2 * np.pi)
     cos, sin = np.cos(turn), np.sin(turn)
     cloth = positions @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1.0]]) + [0, 0, height]
+    coded = mat is not None and rng.random() < _CODED
     scenery = Scenery.random(cloth, rest, faces, rng, mat=mat, plate_radius=plate,
-                             plate_height=height)
+                             plate_height=height, ground="code" if coded else None)
+    for kind in rng.permutation(list(HARD))[: rng.choice(3, p=_HARD)]:
+        scenery = HARD[str(kind)](scenery, reach, rng)
     off = np.zeros(2)
     known = mat is not None or rng.random() < 0.5
     if not known:
@@ -41,10 +47,10 @@ def scene_of(positions: np.ndarray, rest: np.ndarray, faces: np.ndarray, plate: 
     above = float(np.exp(rng.uniform(np.log(0.3), np.log(2.0))))
     lean, around = 0.45 * rng.uniform() ** 2, rng.uniform(0, 2 * np.pi)
     eye = np.array([*(above * lean * np.array([np.cos(around), np.sin(around)])), height + above])
-    end = steps(reach)[-1] * (1 + (1 - 1 / _TIMES) / (SIDE - 1))
-    fine = np.linspace(-end, end, _TIMES * SIDE)
+    end = steps(reach, STORED)[-1] * (1 + (1 - 1 / _TIMES) / (STORED - 1))
+    fine = np.linspace(-end, end, _TIMES * STORED)
     plane = np.dstack([*np.meshgrid(fine + off[0], -fine + off[1]),
-                       np.full((_TIMES * SIDE,) * 2, height)])
+                       np.full((_TIMES * STORED,) * 2, height)])
     rays = plane - eye
     rays /= np.linalg.norm(rays, axis=2, keepdims=True)
     light, shown = scenery.seen(eye, rays, rng)
@@ -53,9 +59,9 @@ def scene_of(positions: np.ndarray, rest: np.ndarray, faces: np.ndarray, plate: 
     quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(50, 97))]
     picture = np.asarray(cv2.imdecode(cv2.imencode(".jpg", picture, quality)[1],
                                       cv2.IMREAD_COLOR))
-    size = (SIDE, SIDE)
-    printed, on_mat = expected(mat, scenery.mat_ground, plane[::_TIMES, ::_TIMES, :2], eye, height,
-                               rng)
+    size = (STORED, STORED)
+    printed, on_mat = expected(mat, None if coded else scenery.mat_ground,
+                               plane[::_TIMES, ::_TIMES, :2], eye, height, rng)
     return {"picture": cv2.resize(picture, size, interpolation=cv2.INTER_AREA),
             "printed": printed, "on_mat": on_mat,
             "cloth": cv2.resize(np.uint8(255) * shown, size, interpolation=cv2.INTER_AREA),
@@ -63,15 +69,18 @@ def scene_of(positions: np.ndarray, rest: np.ndarray, faces: np.ndarray, plate: 
             "off": off if known else np.full(2, np.nan)}
 
 
-def expected(mat: str | None, ground: np.ndarray, plane: np.ndarray, eye: np.ndarray,
+def expected(mat: str | None, ground: np.ndarray | None, plane: np.ndarray, eye: np.ndarray,
              height: Metres, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """The mat (SIDE, SIDE) as it must appear behind places (SIDE, SIDE, 2) of the plate's plane,
-    with errors of the pose; and where it is."""
+    """The mat (STORED, STORED), with a ``ground`` of a colour (3,) or the code, None, as it must appear
+    behind places (STORED, STORED, 2) of the plate's plane, with errors of the pose; and where it is."""
     if mat is None:
-        return np.zeros((SIDE, SIDE), np.uint8), np.zeros((SIDE, SIDE), bool)
+        return np.zeros((STORED, STORED), np.uint8), np.zeros((STORED, STORED), bool)
     there = behind(plane, eye, height)
     bent = rng.normal(0, _BENT) * np.square(np.linalg.norm(there, axis=2, keepdims=True) / _FAR)
-    there = eye[:2] + (there - eye[:2]) * np.exp(rng.normal(0, _SCALE) + bent)
+    if ground is not None:
+        there = eye[:2] + (there - eye[:2]) * np.exp(rng.normal(0, _SCALE) + bent)
+    if ground is None:  # its place is measured on the code
+        return printed_at(mat, there + rng.normal(0, _PLACE_OF_CODE, 2), "code")
     printed, on_mat = printed_at(mat, there + rng.normal(0, _PLACE, 2))
     tone = encoded(np.clip(ground.mean(), 0, 1))
     return np.where(on_ground(mat, there), tone * printed, printed).astype(np.uint8), on_mat

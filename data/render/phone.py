@@ -3,6 +3,7 @@ of :mod:`data.render.scenery`, a lens that distorts, blur, noise and JPEG.
 """
 
 import io
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from common.files import replace_file
 from common.types import ColourPicture, Density, Faces, Metres, Points, Radians, RestPoints
 from data.pictures.pose import Pose, camera_matrix
 from data.pictures.reading import FULL_FRAME, encoded
+from data.render.hard import HARD
 from data.render.scenery import Scenery
 from data.rigs import described_tester
 from sim.rig import Rig
@@ -67,7 +69,8 @@ def phone_picture(
 def phone_pictures(
     positions: Points, rest: RestPoints, faces: Faces, rng: np.random.Generator, *, count: int,
     plate_radius: Metres, plate_height: Metres, mat: str = "a3", beside: Metres = 0.25,
-    lean: float = np.inf, ground: str = "white", size: tuple[int, int] | None = None, **scene: Any
+    lean: float = np.inf, ground: str = "white", size: tuple[int, int] | None = None,
+    hard: Sequence[str] = (), **scene: Any
 ) -> list[PhonePicture]:
     """Photographs of one scene by a random phone from random places, at most ``beside`` the axis,
     and ``lean`` times their height above the plate.
@@ -76,6 +79,7 @@ def phone_pictures(
         positions: with the plate's centre as origin, z up, the warp along x.
         ground: of the mat.
         size: pixels along the long and the short side; None: three megapixels.
+        hard: what makes the hem hard to see, of :data:`data.render.hard.HARD`.
         scene: as for :meth:`data.render.scenery.Scenery.random`.
     """
     warp = float(rng.uniform(0, 2 * np.pi)) if rng.random() < 0.5 else 0.0
@@ -88,6 +92,9 @@ def phone_pictures(
         turned + np.array([0, 0, plate_height]), rest, faces, rng, mat=mat, ground=ground,
         plate_radius=plate_radius, plate_height=plate_height,
         **{"clutter": False, "sheets": False, **scene})
+    reach = float(np.hypot(*rest.T).max())
+    for kind in hard:
+        scenery = HARD[kind](scenery, reach, rng)
     columns, rows = np.meshgrid(np.arange(size[0], dtype=float), np.arange(size[1], dtype=float))
     pixels = np.column_stack([columns.ravel(), rows.ravel()])
     found = []

@@ -3,14 +3,17 @@
 Lengths are m over the table or the mat, whose x-axis is along its arrow; the plate's axis is z.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cache
 
 import cv2
 import numpy as np
 import trimesh
+from scipy.ndimage import map_coordinates
 
 from common.types import Faces, Metres, Points, RestPoints
-from data.pictures.mat import GROUNDS, mat_picture, mat_pixels, on_ground
+from data.pictures.mat import GROUNDS, MATS, mat_picture, mat_pixels, on_ground
 from data.pictures.reading import decoded
 from data.render import textures
 from data.render.rays import Hits, RayScene
@@ -23,6 +26,7 @@ _COARSE = 4  # pixels between places at which the sky is seen
 _SKIN = np.array([0.45, 0.28, 0.2])
 _CLOTH, _TABLE = 0, 1  # numbers of meshes
 _RIMMED, _DRAWN = 0.1, 0.05  # shares of scenes
+_FINE, _GAIN = 3, 0.5  # pixels of a mat's picture averaged; largest gain of dots, of its pixels
 
 
 @dataclass(frozen=True)
@@ -52,7 +56,11 @@ class Scenery:
         cloth, rest: points (V, 3) and the flat specimen's (V, 2).
         mat, mat_light: its name, None for a bare table, and albedo of ink and paper.
         mat_ground: light (3,) of the mat's ground, over that of paper.
-        through: share of the light that passes through the cloth.
+        gain: of the dots of a mat with the code, in its pixels; None of a plain one.
+        through: share of the light that passes through the cloth, and ``holes``: where (N,) of
+            places (N, 2) of the flat specimen all does.
+        parts: (2, 2, 2) m, by which the mat's parts to the left and right, and below and above,
+            are shifted.
         gloss: strength and exponent of its highlights (Blinn and Phong).
         glow: light of the table itself, such as that of a light pad.
         sky: its light over that of an even room.
@@ -70,7 +78,10 @@ class Scenery:
     mat_ground: np.ndarray
     things: list[Thing]
     lamps: list[Lamp]
+    gain: float | None = None
     through: float = 0.0
+    holes: Callable[[np.ndarray], np.ndarray] | None = None
+    parts: np.ndarray | None = None
     gloss: tuple[float, float] = (0.0, 1.0)
     glow: float = 0.0
     sky: float = 1.0
@@ -95,18 +106,19 @@ class Scenery:
         lamps = [_lamp(rng) for _ in range(rng.choice(3, p=[0.25, 0.55, 0.2]))]
         rare = rng.random(5)
         if rare[3] < _RIMMED and surface is None:
-            random_surface = textures.rimmed(random_surface, rest, rng)
+            edge = textures.colour(rng)  # frayed or worn
+            random_surface = textures.bordered(random_surface, rest, rng.uniform(1e-3, 6e-3), edge)
         return cls(
             cloth, rest, faces, surface or random_surface, textures.table(rng), mat,
             (rng.uniform(0.02, 0.1), rng.uniform(0.7, 0.9)), _mat_ground(ground, rng), things,
-            lamps,
-            rng.uniform(0.05, 0.5) if rare[0] < 0.12 else 0.0,
-            (rng.uniform(0.05, 0.6), rng.uniform(4, 40)) if rare[1] < 0.25 else (0.0, 1.0),
-            rng.uniform(0.5, 3.0) if rare[2] < 0.06 else 0.0,
-            float(np.exp(rng.uniform(np.log(0.15), 0.0))) if lamps else 1.0,
-            not clutter or rare[4] > _DRAWN,
-            {"pattern": "stated" if surface else pattern, "lamps": len(lamps),
-             "things": len(things)})
+            lamps, round(rng.uniform(0, _GAIN), 1) if ground == "code" else None,
+            through=rng.uniform(0.05, 0.5) if rare[0] < 0.12 else 0.0,
+            gloss=(rng.uniform(0.05, 0.6), rng.uniform(4, 40)) if rare[1] < 0.25 else (0.0, 1.0),
+            glow=rng.uniform(0.5, 3.0) if rare[2] < 0.06 else 0.0,
+            sky=float(np.exp(rng.uniform(np.log(0.15), 0.0))) if lamps else 1.0,
+            shaded=not clutter or rare[4] > _DRAWN,
+            kind={"pattern": "stated" if surface else pattern, "lamps": len(lamps),
+                  "things": len(things)})
 
     def seen(
         self, eye: np.ndarray, rays: np.ndarray, rng: np.random.Generator
@@ -121,10 +133,14 @@ class Scenery:
         for number, thing in enumerate(self.things, 2):
             specimen |= thing.over & (hits.mesh == number)
         light = self._shaded(scene, meshes, hits, eye, rays, rng)
-        if self.through:
+        if self.through or self.holes:
             behind = RayScene((np.zeros((3, 3)), np.array([[0, 1, 2]])), *meshes[1:])
             seen = self._shaded(scene, meshes, behind.cast(eye, rays), eye, rays, rng)
-            light += self.through * (hits.mesh == _CLOTH)[..., None] * (seen - light)
+            shown = hits.mesh == _CLOTH
+            through = self.through * shown
+            if self.holes:
+                through[shown] += self.holes(_between(self.rest, self.faces, hits, shown))
+            light += np.minimum(through, 1)[..., None] * (seen - light)
         return light, specimen
 
     def _shaded(self, scene: RayScene, meshes: list, hits: Hits, eye: np.ndarray,
@@ -153,7 +169,14 @@ class Scenery:
         """Albedo (N, 3) of table and mat at places (N, 2)."""
         albedo = self.table(places)
         if self.mat:
-            lay_mat(albedo, places, self.mat, self.mat_light, self.mat_ground)
+            if self.parts is not None:
+                right, above = (places > 0).astype(int).T
+                places = places + self.parts[right, above]
+            mat = (albedo, places, self.mat, self.mat_light, self.mat_ground)
+            if self.gain is None:
+                lay_mat(*mat)
+            else:
+                lay_code(*mat, self.gain)
         return albedo
 
     def _light(self, scene: RayScene, hits: Hits, places: np.ndarray, normals: np.ndarray,
@@ -197,6 +220,30 @@ def lay_mat(albedo: np.ndarray, places: np.ndarray, mat: str, light: tuple[float
     share = decoded(picture[rows[on], columns[on]] / 255.0)
     albedo[on] = (ink + (paper - ink) * share)[:, None]
     albedo[on_ground(mat, places)] *= ground
+
+
+@cache
+def _code_printed(name: str, gain: float) -> np.ndarray:
+    """The mat with its code (H, W) float32, share of paper's light in three of its pixels along a
+    side; ``gain``: how much of a pixel more is black along edges."""
+    page = mat_picture(name, "code")
+    grown = cv2.erode(page, np.ones((3, 3), np.uint8))
+    height, width = (n // _FINE for n in page.shape)
+    mixed = cv2.addWeighted(page, (1 - gain) / 255, grown, gain / 255, 0, dtype=cv2.CV_32F)
+    return cv2.resize(mixed[: height * _FINE, : width * _FINE], (width, height),
+                      interpolation=cv2.INTER_AREA)
+
+
+def lay_code(albedo: np.ndarray, places: np.ndarray, mat: str, light: tuple[float, float],
+             ground: np.ndarray, gain: float) -> None:
+    """The same with the mat's code; ``ground`` (3,) is a tint of the paper."""
+    printed = _code_printed(mat, gain)
+    columns, rows = mat_pixels(mat, places)
+    on = (columns >= 0) & (rows >= 0) & (columns < MATS[mat].shape[1]) & (rows < MATS[mat].shape[0])
+    ink, paper = light
+    fine = [(along[on] + 0.5) / _FINE - 0.5 for along in (rows, columns)]
+    share = map_coordinates(printed, fine, order=1, mode="nearest")
+    albedo[on] = (ink + (paper - ink) * share)[:, None] * ground
 
 
 def _tester(

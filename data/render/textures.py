@@ -38,18 +38,18 @@ def cloth(rng: np.random.Generator) -> tuple[str, Texture]:
     return pattern, texture
 
 
-def rimmed(surface: Texture, rest: np.ndarray, rng: np.random.Generator) -> Texture:
-    """Cloth whose cut edge, some mm of a flat specimen (V, 2), has another colour: frayed or worn.
-    """
-    half, edge = np.abs(rest).max(axis=0), colour(rng)
-    wide, round_ = rng.uniform(1e-3, 6e-3), float(np.hypot(*rest.T).max()) < 1.05 * half.max()
+def inside(rest: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """Distances (N,), m, of places (N, 2) from the cut edge of a flat specimen (V, 2)."""
+    half = np.abs(rest).max(axis=0)
+    if float(np.hypot(*rest.T).max()) < 1.05 * half.max():
+        return lambda places: half.max() - np.hypot(*places.T)
+    return lambda places: (half - np.abs(places)).min(axis=1)
 
-    def texture(places: np.ndarray) -> np.ndarray:
-        inside = (half.max() - np.hypot(*places.T) if round_
-                  else (half - np.abs(places)).min(axis=1))
-        return np.where((inside < wide)[:, None], edge, surface(places))
 
-    return texture
+def bordered(surface: Texture, rest: np.ndarray, wide: float, edge: np.ndarray) -> Texture:
+    """Cloth whose border, ``wide`` m of a flat specimen (V, 2), has another colour (3,)."""
+    far = inside(rest)
+    return lambda places: np.where((far(places) < wide)[:, None], edge, surface(places))
 
 
 def _shares(pattern: str, period: float, rng: np.random.Generator

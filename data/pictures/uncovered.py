@@ -1,0 +1,340 @@
+"""The hem of a drape from where the code of the mat behind it is visible, whatever its colour.
+
+Each place is ground, as printed and in the light of some window beside it, or cloth, of the colours
+of the cloth near it or of any; where the network that cuts cloth sees none, it may be a thing that
+hides the code. A closed Markov chain over azimuths weighs them to the outermost border of the cloth
+and its error. All is done about the plate's axis, in the plane of the plate, at equal steps of
+azimuth and of the logarithm of the radius, so that pixels are squares.
+
+    places of the code (:func:`_moved`) -> print as the camera blurs it (:func:`_levels`)
+    -> how well windows of it fit (:func:`_fit`) -> evidence (:func:`_evidence`)
+    -> border (:func:`_border`) -> again, with ground and cloth as they were found
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from scipy.ndimage import gaussian_filter, median_filter
+
+from common.types import LinearLight, Mask, Metres
+from data.pictures.mat import FINE, code_page, mat_pixels
+from data.pictures.planes import mapped
+
+STEPS = 1440  # azimuths
+_WRAP = 60  # more at both ends
+_INSIDE, _OUTSIDE = 0.9, 1.1  # of the radii of plate and reach, looked at
+_WIDE, _NARROW, _INNER = 8.0, 4.5, 5.5  # pixels, deviations of windows of light; of ground alone
+_TURNS = 3
+_WAYS = [(0.0, 0.0), *((1.6 * np.cos(t), 1.6 * np.sin(t)) for t in np.arange(8) * np.pi / 4)]
+"""Windows, of their deviations, beside a place: edges of shadows stay sharp."""
+_BLURS = (0.2e-3, 0.7e-3, 1.4e-3)  # m, of which a camera's is a sum
+_NOMINAL = np.array([0.5, 0.0, 0.0, 0.95, 0.0, 0.0], np.float32)
+"""How much darker than paper grey and black are, of each of these blurs."""
+_HELD = 1e-4  # of a place's weight, by which these are
+_PLACES, _ROUNDS = 20_000, 5  # of ground, at most, and of weighing them, to tell the levels
+_FLOOR, _DARK, _GLARE = 1e-3, 4e-3, 0.985  # of light: added to it; of ink, at least; overexposed
+_MATCH, _FITS, _NEARLY = 0.6, 0.8, 0.06  # correlations of windows: least, sure, and as good
+_EVEN, _ODD, _OWN = 1 / 1.2, 0.03, 0.6  # density of any light; shares of it on ground; of colours
+_UNEVEN = (0.04, 0.06)  # relative, of light on ground and of colours of cloth
+_TEMPER = 0.25  # of a pixel's evidence, for neighbours err alike
+_THING, _SURELY = 0.5, 3.0  # share of things where the network's odds are surely against cloth
+_SEEN, _MOST = 0.7, 4.0  # weight and limit of these odds
+_RIM, _ON_PLATE = 0.995, 1.5  # of the plate's radius, within which this more speaks for cloth
+_SLOPE = 0.8e-3 / 0.12  # deviation of steps along half a degree, over the radius
+_BEND = 1e-3  # deviation of second differences along half a degree, over the radius
+_ARM = 9e-3  # m, beyond what folds stand out
+_TILE, _SEARCH, _GAP, _EXPECTED = 20, 6, 12, 0.8  # pixels of 2 FINE: windows of code, their moves
+_FIELD, _EVENLY = 8e-3, 2.0  # m, between places of moves, and their smoothing, of it
+_CAUTION, _LEAST = 1.3, 1.5e-4  # factor of the chain's deviations; m
+
+
+class Grid(NamedTuple):
+    """Places (A, R, 2), m, of the plate's plane, and radii (R,)."""
+
+    places: np.ndarray
+    radii: np.ndarray
+
+    @classmethod
+    def about(cls, plate: Metres, reach: Metres) -> "Grid":
+        """From within the plate's rim to beyond the flat specimen."""
+        step = 2 * np.pi / STEPS
+        count = int(np.log(_OUTSIDE * reach / (_INSIDE * plate)) / step) + 1
+        radii = _INSIDE * plate * np.exp(step * np.arange(count))
+        turn = np.arange(-_WRAP, STEPS + _WRAP) * step
+        way = np.column_stack([np.cos(turn), np.sin(turn)])
+        return cls(way[:, None] * radii[:, None], radii)
+
+
+class Fit(NamedTuple):
+    """How well the code fits a picture at places (A, R): the best correlation of a window beside
+    each, the misfit of its light in variances, this light, and the variance."""
+
+    match: np.ndarray
+    misfit: np.ndarray
+    bright: np.ndarray
+    spread: np.ndarray
+
+    def or_better(self, other: "Fit") -> "Fit":
+        """At each place the better one."""
+        better = other.misfit < self.misfit
+        return Fit(np.maximum(self.match, other.match), *(
+            np.where(better, *pair) for pair in zip(other[1:], self[1:], strict=True)))
+
+
+@dataclass(frozen=True)
+class Uncovered:
+    """Radii (STEPS,), m, of the hem from x on, and their deviations; and where something else than
+    cloth hides the code beyond it."""
+
+    radii: np.ndarray
+    error: np.ndarray
+    hidden: np.ndarray
+
+
+def hem_over_code(
+    light: LinearLight, to_pixels: np.ndarray, mat: str, to_mat: np.ndarray, odds: np.ndarray,
+    *, plate: Metres, reach: Metres, trace: list | None = None
+) -> Uncovered:
+    """The hem of a drape in a picture (H, W, 3) over a mat with the code.
+
+    Args:
+        to_pixels: homography (3, 3) from the plate's plane.
+        to_mat: the same to what the camera sees behind it on the mat.
+        odds: logarithms (S, S) of those of cloth by the network, :func:`data.pictures.cut.steps`.
+        plate, reach: radii of the plate and of the flat specimen.
+    """
+    grid = Grid.about(plate, reach)
+    seen = np.sqrt(_sampled(light, grid.places, to_pixels) + _FLOOR)
+    on_mat = _mapped(grid.places, to_mat)
+    moved, sure = _moved(light.mean(axis=2), to_pixels, mat, to_mat, 1.15 * reach, on_mat)
+    at = mat_pixels(mat, on_mat - moved, FINE)
+    pages, plain = code_page(mat)
+    shown = cv2.remap(plain.astype(np.float32), *at, cv2.INTER_LINEAR) > 0.99
+    prints = np.stack([cv2.remap(_gauss(page, blur / FINE), *at, cv2.INTER_LINEAR)
+                       for page in pages for blur in _BLURS], axis=-1)
+    usable = shown & (seen.max(axis=2) < np.sqrt(_GLARE))
+    everywhere, ground = usable.astype(np.float32), (usable & sure).astype(np.float32)
+    odds = np.clip(odds, -_MOST, _MOST)
+    cloth, levels = None, _NOMINAL
+    for turn in range(_TURNS):
+        levels = _levels(np.square(seen.mean(axis=2)), prints, ground, levels)
+        expected = np.sqrt(_printed(prints, levels))
+        if turn == 0:
+            narrow = _fit(seen, expected, everywhere, _NARROW)
+        best = narrow.or_better(_fit(seen, expected, *((ground, _INNER) if turn else
+                                                       (everywhere, _WIDE))))
+        log = np.where(shown, _evidence(seen, best, cloth, odds), -_SEEN * odds)
+        log[:, grid.radii < _RIM * plate] -= _ON_PLATE
+        mean, spread = _border(log[_WRAP:-_WRAP], grid.radii)
+        if trace is not None:
+            trace.append((mean, spread, log, best.match, expected, seen))
+        calm = np.minimum(mean, median_filter(mean, 61, mode="wrap") + _ARM)
+        border = np.pad(calm, _WRAP, mode="wrap")[:, None]
+        cloth = (grid.radii < border - 5e-4).astype(np.float32)
+        ground = (usable & (best.match > _FITS) & (
+            log > np.where(grid.radii > border, -3, 0.5))).astype(np.float32)
+    mean, spread = _smooth(mean, _CAUTION * spread)
+    return Uncovered(mean, np.hypot(spread, _LEAST), np.zeros(len(mean), bool))
+
+
+def _smooth(radii: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The likeliest hem and its deviations (STEPS,), m: it bends like cloth."""
+    radii, error = (one.reshape(-1, 2).mean(axis=1) for one in (radii, error))
+    unit = np.eye(len(radii))
+    second = np.roll(unit, 1, 1) - 2 * unit + np.roll(unit, -1, 1)
+    weight = 1 / np.square(error)
+    covariance = np.linalg.inv(np.diag(weight) + second.T @ second / (_BEND * radii.mean()) ** 2)
+    turn, middle = np.arange(STEPS) / 2, np.arange(STEPS // 2) + 0.25
+    return tuple(np.interp(turn, middle, one, period=STEPS // 2) for one in (
+        covariance @ (weight * radii), np.sqrt(np.diag(covariance))))
+
+
+def _mapped(places: np.ndarray, homography: np.ndarray) -> np.ndarray:
+    """Places (A, R, 2) mapped by a homography."""
+    return mapped(places.reshape(-1, 2), homography).reshape(places.shape)
+
+
+def _gauss(values: np.ndarray, sigma: float) -> np.ndarray:
+    return cv2.GaussianBlur(values, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
+
+
+def _sampled(light: np.ndarray, places: np.ndarray, to_pixels: np.ndarray) -> np.ndarray:
+    """Light at places (A, R, 2), as coarse as these are."""
+    pixels = _mapped(places, to_pixels).astype(np.float32)
+    step = float(np.linalg.norm(np.diff(pixels[0, pixels.shape[1] // 2 :][:2], axis=0)))
+    smooth = cv2.GaussianBlur(light, (0, 0), 0.4 * step) if step > 1.3 else light
+    return cv2.remap(smooth, *np.moveaxis(pixels, 2, 0), cv2.INTER_LINEAR,
+                     borderMode=cv2.BORDER_REPLICATE)
+
+
+def _printed(prints: np.ndarray, levels: np.ndarray) -> np.ndarray:
+    """Light of the ground over that of paper."""
+    return np.maximum(1 - prints @ levels, _DARK)
+
+
+def _levels(light: np.ndarray, prints: np.ndarray, ground: np.ndarray, levels: np.ndarray
+            ) -> np.ndarray:
+    """How much darker than paper the print is, of each blur, by least squares over ``ground``."""
+    expected = _printed(prints, levels)
+    paper = _gauss(light * ground * expected, 2 * _WIDE) / np.maximum(
+        _gauss(expected**2 * ground, 2 * _WIDE), 1e-6)
+    rows, columns = np.nonzero((ground > 0) & (paper > 0.01))
+    chosen = np.random.default_rng(0).permutation(len(rows))[:_PLACES]
+    rows, columns = rows[chosen], columns[chosen]
+    design = prints[rows, columns].astype(float)
+    goal = 1 - light[rows, columns] / paper[rows, columns]
+    held = _HELD * max(len(goal), 1)
+    for _ in range(_ROUNDS if len(goal) else 0):
+        off = goal - design @ levels
+        weighted = design / (1 + np.square(off / (1.5 * np.median(np.abs(off)) + 1e-6)))[:, None]
+        levels = np.linalg.solve(weighted.T @ design + held * np.eye(len(_NOMINAL)),
+                                 weighted.T @ goal + held * _NOMINAL)
+    return levels.astype(np.float32)
+
+
+def _fit(seen: np.ndarray, expected: np.ndarray, weight: np.ndarray, sigma: float) -> Fit:
+    """Each place as ground in the light of a window beside it, told where ``weight`` is."""
+    total = np.maximum(_gauss(weight, sigma), 1e-4)
+    times = np.dstack([weight * expected, weight * expected**2])
+    mean, square = np.moveaxis(_gauss(times, sigma) / total[..., None], 2, 0)
+    part = weight[..., None] * seen
+    light, lights, mixed = (_gauss(one, sigma) / total[..., None] for one in (
+        part, part * seen, part * expected[..., None]))
+    gain = mixed / np.maximum(square, 1e-4)[..., None]
+    left = np.maximum(lights - gain * mixed, 0)
+    varied = np.maximum(lights - light**2, 0).sum(axis=2) * np.maximum(square - mean**2, 1e-4)
+    match = (mixed - mean[..., None] * light).sum(axis=2) / np.sqrt(np.maximum(3 * varied, 1e-12))
+    match -= 0.5 * (total < 0.15)
+    sure = (match > 0.9) & (gain.mean(axis=2) > 0.1)
+    rough = np.median((left / np.maximum(gain, 1e-3) ** 2)[sure]) if sure.any() else 0.01
+    spread = np.minimum(left, 2.5 * (rough * gain**2 + 2e-5)) + (_UNEVEN[0] * gain) ** 2 + 1e-6
+    ways = [(round(sigma * down), round(sigma * along)) for down, along in _WAYS]
+    most = max(max(map(abs, way)) for way in ways)
+
+    def beside(values: np.ndarray) -> list[np.ndarray]:
+        """Values (A, R, ...) of the windows, by way."""
+        wide = cv2.copyMakeBorder(values, most, most, most, most, cv2.BORDER_REPLICATE)
+        return [wide[most - down :, most - along :][: len(values), : values.shape[1]]
+                for down, along in ways]
+
+    near = beside(match)
+    found = Fit(np.max(near, axis=0), *(np.full(match.shape, value, np.float32)
+                                        for value in (99, 1, 1)))
+    least = np.clip(found.match - _NEARLY, _MATCH, _FITS)
+    gray, wide = (one.mean(axis=2) for one in (gain, spread))
+    for fits, light, varying, *theirs in zip(near, beside(gain), beside(1 / spread), beside(gray),
+                                             beside(wide), strict=True):
+        off = seen - light * expected[..., None]
+        off *= off * varying
+        misfit = (off[..., 0] + off[..., 1] + off[..., 2]) / 3
+        better = (fits > least) & (misfit < found.misfit)
+        for mine, its in zip(found[1:], (misfit, *theirs), strict=True):
+            np.copyto(mine, its, where=better)
+    return found
+
+
+def _evidence(seen: np.ndarray, fit: Fit, cloth: np.ndarray | None, odds: np.ndarray) -> np.ndarray:
+    """Logarithm (A, R) of how much likelier than cloth each place is ground, or a thing on it."""
+    even = _EVEN / np.maximum(fit.bright, 5e-3)
+    ground = _ODD * even + (1 - _ODD) * (fit.match > _MATCH) * np.exp(-0.5 * fit.misfit) / np.sqrt(
+        2 * np.pi * fit.spread)
+    other = even
+    if cloth is not None:
+        own = np.zeros_like(even)
+        for sigma in (_WIDE, _NARROW, 2.5):
+            near = _gauss(cloth, sigma)[..., None]
+            mean, square = (_gauss(cloth[..., None] * one, sigma) / np.maximum(near, 1e-4)
+                            for one in (seen, seen**2))
+            wide = np.maximum(square - mean**2, 0) + (_UNEVEN[1] * mean) ** 2 + 2e-5
+            own = np.maximum(own, (near[..., 0] > 1e-2) * np.exp(-0.5 * (np.square(
+                seen - mean) / wide).mean(axis=2)) / np.sqrt(2 * np.pi * wide.mean(axis=2)))
+        other = _OWN * own + (1 - _OWN) * even
+    no_cloth = ground + _THING * even / (1 + np.exp(odds + _SURELY))
+    return (np.log(no_cloth / other) - _SEEN * odds).astype(np.float32)
+
+
+def _border(evidence: np.ndarray, radii: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and deviation (STEPS,), m, of the radii at which cloth ends, as of a closed Markov
+    chain over azimuths of half a degree."""
+    count, step = STEPS // 2, np.log(radii[1] / radii[0])
+    cost = _TEMPER * np.cumsum(evidence.reshape(count, 2, -1).sum(axis=1), axis=1)
+    like = np.exp(-np.minimum(cost - cost.min(axis=1, keepdims=True), 80)).astype(np.float32)
+    index = np.arange(len(radii))
+    jumps = np.exp(-0.5 * np.square((index[:, None] - index) * step / _SLOPE)).astype(np.float32)
+    order = np.arange(-count // 4, count + count // 4) % count  # closed: the last visit counts
+
+    def swept(order: np.ndarray) -> np.ndarray:
+        state, found = np.full(len(radii), 1 / len(radii), np.float32), np.empty_like(like)
+        for k in order:
+            state = state @ jumps + 1e-30
+            found[k] = state = state / state.sum()
+            state = state * like[k]
+            state /= state.sum() + 1e-30
+        return found
+
+    both = (swept(order) * swept(order[::-1]) * like).astype(float)
+    both /= both.sum(axis=1, keepdims=True)
+    logs = np.log(radii) + step / 2
+    mean = both @ logs
+    spread = np.exp(mean) * np.sqrt(np.maximum(both @ logs**2 - mean**2, 0))
+    turn, middle = np.arange(STEPS) / 2, np.arange(count) + 0.25
+    return (np.interp(turn, middle, np.exp(mean), period=count),
+            np.interp(turn, middle, spread, period=count))
+
+
+def _moved(
+    light: np.ndarray, to_pixels: np.ndarray, mat: str, to_mat: np.ndarray, reach: Metres,
+    on_mat: np.ndarray
+) -> tuple[np.ndarray, Mask]:
+    """By how much (A, R, 2), m, the print lies beside where the markers have it, for paper bends
+    and parts are shifted; and where it is surely seen."""
+    pixel, middle = 2 * FINE, mapped(np.zeros((1, 2)), to_mat)[0]
+    times = np.linalg.norm(mapped(np.array([[1, 0.0]]), to_mat) - middle)
+    half = int(reach * times / pixel)
+    steps = np.arange(-half, half + 1) * pixel
+    places = middle + np.dstack(np.meshgrid(steps, -steps))
+    seen = np.sqrt(_sampled(light, places, to_pixels @ np.linalg.inv(to_mat)) + _FLOOR)
+    grey, black = (cv2.remap(_gauss(page, _EXPECTED), *mat_pixels(mat, places, FINE),
+                             cv2.INTER_LINEAR) for page in code_page(mat)[0])
+    printed = np.sqrt(1 - _NOMINAL[0] * grey - _NOMINAL[3] * black)
+    size = 2 * int(half * pixel / _FIELD) + 1
+    weight, moves = np.zeros((size, size)), np.zeros((size, size, 2))
+    starts = range(_SEARCH, len(steps) - _TILE - _SEARCH, _GAP)
+    for row in starts:
+        for column in starts:
+            tile = printed[row : row + _TILE, column : column + _TILE]
+            if tile.std() < 0.1:
+                continue
+            there = seen[row - _SEARCH : row + _TILE + _SEARCH,
+                         column - _SEARCH : column + _TILE + _SEARCH]
+            scores = cv2.matchTemplate(there, tile, cv2.TM_CCOEFF_NORMED)
+            top, (x, y) = (found := cv2.minMaxLoc(scores))[1], found[3]
+            if top < _MATCH or not 0 < x < 2 * _SEARCH or not 0 < y < 2 * _SEARCH:
+                continue
+            move = [x - _SEARCH + _peak(scores[y, x - 1 : x + 2]),
+                    _SEARCH - y - _peak(scores[y - 1 : y + 2, x])]
+            place = (places[row + _TILE // 2, column + _TILE // 2] - middle) / _FIELD
+            i, j = np.rint(place).astype(int) + size // 2
+            weight[j, i] += top
+            moves[j, i] += top * pixel * np.array(move)
+    if not weight.any():
+        return np.zeros(on_mat.shape), np.ones(on_mat.shape[:2], bool)
+    mean = moves.sum(axis=(0, 1)) / weight.sum()
+    total = gaussian_filter(weight, _EVENLY, mode="nearest")[..., None] + 1e-6
+    field = (np.stack([gaussian_filter(moves[..., k], _EVENLY, mode="nearest") for k in (0, 1)], -1)
+             + 1e-6 * mean) / total
+    at = np.moveaxis((on_mat - middle) / _FIELD + size // 2, 2, 0).astype(np.float32)
+    near = gaussian_filter(weight, 0.7)
+    moved, sure = (cv2.remap(one.astype(np.float32), *at, cv2.INTER_LINEAR,
+                             borderMode=cv2.BORDER_REPLICATE) for one in (field, near))
+    return moved, sure > 0.12
+
+
+def _peak(three: np.ndarray) -> float:
+    """Where a parabola through values at -1, 0 and 1 is highest."""
+    before, here, after = map(float, three)
+    return 0.5 * (before - after) / (before - 2 * here + after) if here > min(
+        before, after) else 0.0
