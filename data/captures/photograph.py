@@ -32,6 +32,7 @@ from data.captures.joined_outlines import (
 )
 from data.captures.off_axis import AZIMUTH, AZIMUTHS, OUTWARDS
 from data.captures.outline_table import read_closed_curve
+from data.captures.plate_height import MAX_OFF, height_off
 from data.captures.scale import Scaled, scaled_photographs
 from data.pictures.cut import outline_of_cloth
 from data.pictures.planes import mapped, shifted, upright
@@ -230,6 +231,12 @@ def _joined(
         here = around(together.grounded.astype(float), -first_side) > 0.5
         warnings.append(Finding("hem_on_ground", {
             "value": share, "limit": MAX_GROUNDED, "place": sides(here)}))
+    height = ground.plate_height
+    if off := height_off([read[names[k]][0] for k in together.used if not together.turned[k]], rig,
+                         height):
+        warnings.append(Finding("plate_height_contradicts", {
+            "value": 1e3 * (height + off), "stated": 1e3 * height, "limit": MAX_OFF,
+            "causes": Finding("check_mat").text}))
     said = [warning for file in used for warning in read[file][1].warnings]
     often = Counter(warning.code for warning in said)  # the others make up for one picture's fault
     warnings += {warning.code: warning for warning in reversed(said)
