@@ -89,7 +89,9 @@ def test_a_mat_fits_its_paper_in_parts(mat, paper):
 
 def test_the_command_writes_a_mat(tmp_path, capsys):
     main(["mat=a3", "paper=a4", f"out={tmp_path / 'mat.pdf'}"])
-    assert "at 100 %" in capsys.readouterr().out and (tmp_path / "mat.pdf").stat().st_size > 1e5
+    said = capsys.readouterr().out
+    assert "at 100 %" in said and "state what you measure as mat_bar_mm" in said
+    assert (tmp_path / "mat.pdf").stat().st_size > 1e5
 
 
 @pytest.mark.parametrize("ground", ["grey", "blue"])
