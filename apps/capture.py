@@ -69,8 +69,9 @@ def main(config: CaptureConfig) -> None:
         file = Path(config.out or f"mat_{config.mat}.pdf")
         replace_file(file, mat_pages(config.mat, config.paper or config.mat, config.ground))
         print(f"mat: {file}; print it at 100 %, join its pages if there are several, and measure "
-              f"its scale of {1e3 * BAR:g} mm. Markers begin {1e3 * CLEAR:g} mm beyond hems that "
-              f"are seen {1e3 * MATS[config.mat].clear:.0f} mm from its middle"
+              f"its scale of {1e3 * BAR:g} mm: state what you measure as mat_bar_mm. Markers begin "
+              f"{1e3 * CLEAR:g} mm beyond hems that are seen {1e3 * MATS[config.mat].clear:.0f} mm "
+              "from its middle"
               + "; for discs of 300 mm, and white or dark cloth, take mat=a2" * (config.mat == "a3")
               + ", and white cloth is read with ground=grey" * (config.ground == "white"))
         return

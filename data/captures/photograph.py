@@ -32,6 +32,7 @@ from data.captures.joined_outlines import (
 )
 from data.captures.off_axis import AZIMUTH, AZIMUTHS, OUTWARDS
 from data.captures.outline_table import read_closed_curve
+from data.captures.plate_height import MAX_OFF, height_off
 from data.captures.scale import Scaled, scaled_photographs
 from data.pictures.cut import outline_of_cloth
 from data.pictures.planes import mapped, shifted, upright
@@ -42,7 +43,7 @@ MAX_PIXEL = 1.5e-3  # m
 MIN_COEFFICIENT = 0.02  # of cloth on a plate; the plate alone has 0
 MAX_TILT = np.radians(10.0)
 MAX_GROUNDED = 0.02  # of the azimuth
-HANGING = 0.010  # m, allowed to reach below the mat, of specimens that are not centred
+HANGING = 0.005  # m, allowed to reach below the mat, of specimens that are not centred
 MAX_REACH = 1.03  # over the flat specimen's; one of 1000 simulated outlines has more
 MIN_RADIUS = {True: 0.97, False: 0.9}  # over the plate's, by whether its centre is known
 USUAL_RADIUS = 0.99  # the same, where it is known: sound ones have 1.01 or more
@@ -230,6 +231,12 @@ def _joined(
         here = around(together.grounded.astype(float), -first_side) > 0.5
         warnings.append(Finding("hem_on_ground", {
             "value": share, "limit": MAX_GROUNDED, "place": sides(here)}))
+    height = ground.plate_height
+    if off := height_off([read[names[k]][0] for k in together.used if not together.turned[k]], rig,
+                         height):
+        warnings.append(Finding("plate_height_contradicts", {
+            "value": 1e3 * (height + off), "stated": 1e3 * height, "limit": MAX_OFF,
+            "causes": Finding("check_mat").text}))
     said = [warning for file in used for warning in read[file][1].warnings]
     often = Counter(warning.code for warning in said)  # the others make up for one picture's fault
     warnings += {warning.code: warning for warning in reversed(said)
@@ -285,7 +292,7 @@ def _as_seen(seen: Scaled, source: OutlineSource, rig: Rig) -> PhotographedOutli
                                                  "limit": float(np.degrees(MAX_TILT))}))
     cameras: tuple[Vector, ...] = ()
     if seen.beside is not None:
-        warnings += below_the_mat(curve, rig, 1e-3 * (source.plate_height_mm or np.inf))
+        require_height(curve, rig, 1e-3 * (source.plate_height_mm or np.inf), seen.height)
         cameras = (np.append(seen.beside, seen.height),)
     return PhotographedOutline(
         curve, seen.height, seen.middle is not None, rig, tuple(warnings), photograph.colour,
@@ -300,14 +307,21 @@ def _by_azimuth(curve: Outline, error: np.ndarray) -> np.ndarray:
     return np.interp(AZIMUTH, angle[order], error[order], period=2 * np.pi)
 
 
-def below_the_mat(curve: Outline, rig: Rig, plate_height: Metres) -> list[Finding]:
-    """A warning if cloth that is seen as near to the plate as the outline must hang through the
-    mat, ``plate_height`` below the plate: what does not reach outwards hangs down."""
-    nearest = float(np.linalg.norm(curve, axis=1).min())
-    hanging = rig.least_overhang - (nearest - rig.plate_radius)
-    return [] if hanging <= plate_height + HANGING else [Finding("hangs_through_mat", {
-        "value": 1e3 * hanging, "plate_height": 1e3 * plate_height,
-        "causes": Finding("check_mat").text})]
+def require_height(curve: Outline, rig: Rig, plate_height: Metres, camera: Metres) -> None:
+    """InputError if cloth with this outline, seen from a ``camera``'s height above the plate, hangs
+    deeper than the mat, ``plate_height`` below the plate: what does not reach outwards hangs down,
+    where it is nearest, and in the mean at least along the chord of its arc.
+
+    Of 5627 simulated drapes one in 100 hangs less deep by 3 mm, none by 8."""
+    lowest = plate_height + HANGING
+    outwards = farthest(closed(curve), AZIMUTHS) * (1 + lowest / camera) - rig.plate_radius
+    overhang = float(rig.border(AZIMUTH).mean()) - rig.plate_radius
+    chord = overhang**2 - max(outwards.mean(), 0) ** 2
+    if chord > lowest**2 or rig.least_overhang - outwards.min() > lowest:
+        raise InputError(
+            f"cloth with this outline hangs more than {1e3 * lowest:.0f} mm below the plate, and so"
+            f" below the mat by plate_height_mm={1e3 * plate_height:g}; check "
+            f"{Finding('check_mat').text}, and that no cloth lies on the mat")
 
 
 def _checked(outline: PhotographedOutline) -> list[Finding]:

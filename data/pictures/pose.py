@@ -111,15 +111,15 @@ def camera_poses(
     error = float(np.sqrt(2 * solved.cost / count))
     if error > MAX_ERROR and not bent and (kept := _without_worst(seen, solved.fun[2:])):
         return camera_poses(sizes, kept, focal, no_focal, bent=True)
+    if focal and (error > MAX_ERROR or abs(solved.x[0]) > CONTRADICTED * STATED_FOCAL):
+        return camera_poses(sizes, seen, None, (
+            "the markers contradict the length that the file states: the picture is cut or zoomed, "
+            "or an app has written another lens's"), bent=bent)
     if error > MAX_ERROR:
         raise InputError(f"the mat's markers lie {error:.1f} times as far from those of a flat mat "
                          f"as they should, at most {MAX_ERROR:g} is allowed: lay it flat, print it "
                          "at 100 %, join its parts at their lines, hold the phone still, and take "
                          "all pictures with one camera and one zoom")
-    if focal and abs(solved.x[0]) > CONTRADICTED * STATED_FOCAL:
-        return camera_poses(sizes, seen, None, (
-            f"as the markers are seen, it is {abs(np.expm1(solved.x[0])):.0%} or more off the "
-            "length that the file states: the picture is cut or zoomed"))
     covariance = np.linalg.inv(solved.jac.T @ solved.jac) * max(1.0, error) ** 2
     focal_error = float(np.sqrt(covariance[0, 0]))
     if focal_error > MAX_FOCAL_ERROR:

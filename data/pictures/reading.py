@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
+from numbers import Real
 from pathlib import Path
 
 import cv2
@@ -28,6 +29,7 @@ SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".heic", ".heif",
 FULL_FRAME = 43.27  # mm, diagonal of the film that equivalent focal lengths refer to
 _BRIGHTEST = 0.995  # quantile that a picture is scaled to
 _EXIF, _EQUIVALENT_FOCAL, _DIGITAL_ZOOM = 0x8769, 41989, 41988  # tags
+_FOCALS, _ZOOMS = (8.0, 400.0), (0.1, 200.0)  # plausible; mm of full frame, and times
 _WHOLE = (4 / 3, 3 / 2)  # sides of the sensors of phones and cameras
 _EVEN = 0.01  # relative difference of sides and zooms that counts as none
 
@@ -111,15 +113,24 @@ def _stated_focal(picture: Image.Image) -> tuple[float | None, str]:
     """Focal length, mm of full frame, that a file states of its whole picture; else None, and why
     not. Cameras differ in whether a digital zoom is part of it, and a cut leaves it as it was."""
     exif, (width, height) = picture.getexif().get_ifd(_EXIF), picture.size
-    if not (equivalent := exif.get(_EQUIVALENT_FOCAL)):
-        return None, "the file does not state it (messengers remove that)"
-    zoom, shape = float(exif.get(_DIGITAL_ZOOM) or 1), max(width / height, height / width)
+    equivalent = _plausible(exif.get(_EQUIVALENT_FOCAL), *_FOCALS)
+    if not equivalent:
+        return None, (f"the file states none between {_FOCALS[0]:g} and {_FOCALS[1]:g} mm "
+                      "(messengers remove it)")
+    zoom = _plausible(exif.get(_DIGITAL_ZOOM), *_ZOOMS) or 1.0  # 0 and 0/0 are those of none
+    shape = max(width / height, height / width)
     if not abs(zoom - 1) < _EVEN:
         return None, f"the picture was taken with a digital zoom of {zoom:.3g}"
     if min(abs(shape / whole - 1) for whole in _WHOLE) > _EVEN:
         return None, (f"the picture of {width}x{height} pixels is cut: its sides are neither 4:3 "
                       "nor 3:2, as those of a whole one")
-    return float(equivalent), ""
+    return equivalent, ""
+
+
+def _plausible(value: object, least: float, most: float) -> float | None:
+    """The number of a tag of EXIF; None if it is none, as a text or 0/0, or not plausible."""
+    number = float(value) if isinstance(value, Real) else 0.0
+    return number if least <= number <= most else None
 
 
 def _values(picture: Image.Image) -> tuple[np.ndarray, np.ndarray]:

@@ -1,6 +1,6 @@
 """A photograph with a mat, as a camera straight above would see the plane of the plate."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -12,12 +12,13 @@ from common.types import Mask, Metres, Pixels, Points
 from data.pictures.cut import Printed
 from data.pictures.mat import SeenMat, find_mat, printed_at
 from data.pictures.planes import behind
-from data.pictures.pose import Pose, camera_poses
-from data.pictures.reading import Photograph
+from data.pictures.pose import CONTRADICTED, STATED_FOCAL, Pose, camera_poses
+from data.pictures.reading import FULL_FRAME, Photograph
 
 AROUND = 1.3  # of the flat specimen's reach, shown
 SIDE = 1500  # pixels, at most
 MAX_SCALE_ERROR = 0.006  # standard deviation, relative
+FARTHEST = 2.0  # m above the plate, of cameras by hand, from ladders, and below most ceilings
 _PRINT_EDGE = 60  # grey of the mat, over a pixel
 _BLEED = 1.5e-3  # m, of print and its blur, and the error of its place
 
@@ -104,8 +105,23 @@ def straight_from_above(
     around = 2 * round(max(_BLEED, pixel) / pixel) + 1
     edges = cv2.morphologyEx(shown, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) > _PRINT_EDGE
     edges = cv2.dilate(edges.astype(np.uint8), np.ones((around, around), np.uint8)) > 0
-    error = float(pose.focal_error * plate_height / above)
-    unsure = Finding("focal_length_unsure", {"value": error, "limit": MAX_SCALE_ERROR,
-                                             "focal": float(pose.focal_error)})
     return OverMat(Photograph(light, transparent, missing=missing), pixel, pose, printed, edges,
-                   (unsure,) * (error > MAX_SCALE_ERROR))
+                   tuple(_doubts(photograph, pose, plate_height)))
+
+
+def _doubts(photograph: Photograph, pose: Pose, plate_height: Metres) -> Iterator[Finding]:
+    """Warnings of a focal length that is not that of the file, puts the camera out of reach, or is
+    not well known."""
+    above = float(pose.place[2] - plate_height)
+    unit = FULL_FRAME / float(np.hypot(*pose.size))
+    if focal := photograph.focal:
+        limit = CONTRADICTED * STATED_FOCAL
+        if abs(np.log(pose.focal / focal)) > limit:
+            yield Finding("focal_length_contradicts", {
+                "value": unit * pose.focal, "stated": unit * focal, "limit": limit})
+        elif above > FARTHEST:
+            yield Finding("camera_far", {"value": 1e3 * above, "limit": 1e3 * FARTHEST,
+                                         "focal": unit * focal})
+    if (error := float(pose.focal_error * plate_height / above)) > MAX_SCALE_ERROR:
+        yield Finding("focal_length_unsure", {"value": error, "limit": MAX_SCALE_ERROR,
+                                              "focal": float(pose.focal_error)})

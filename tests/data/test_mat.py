@@ -9,6 +9,7 @@ import photographs
 import pytest
 import yaml
 from PIL import Image
+from PIL.TiffImagePlugin import IFDRational
 
 from apps.capture import main
 from common.errors import InputError
@@ -28,7 +29,7 @@ from data.pictures.mat import (
     mat_picture,
 )
 from data.pictures.pose import camera_matrix, camera_poses
-from data.pictures.reading import Photograph, decoded, read_photograph
+from data.pictures.reading import FULL_FRAME, Photograph, decoded, read_photograph
 from data.render import phone, textures
 from data.render.phone import phone_picture
 from sim.draping import drape
@@ -88,7 +89,9 @@ def test_a_mat_fits_its_paper_in_parts(mat, paper):
 
 def test_the_command_writes_a_mat(tmp_path, capsys):
     main(["mat=a3", "paper=a4", f"out={tmp_path / 'mat.pdf'}"])
-    assert "at 100 %" in capsys.readouterr().out and (tmp_path / "mat.pdf").stat().st_size > 1e5
+    said = capsys.readouterr().out
+    assert "at 100 %" in said and "state what you measure as mat_bar_mm" in said
+    assert (tmp_path / "mat.pdf").stat().st_size > 1e5
 
 
 @pytest.mark.parametrize("ground", ["grey", "blue"])
@@ -172,13 +175,13 @@ def test_a_mat_that_was_not_printed_at_100_percent_is_measured(tmp_path, picture
     assert found[1].drape_coefficient == pytest.approx(found[0].drape_coefficient, abs=1e-3)
 
 
-def changed(jpeg: bytes, *, box=None, zoom: float | None = None) -> bytes:
-    """A picture cut to a ``box``, or with the tag of a digital ``zoom``, with the rest of its tags.
-    """
+def changed(jpeg: bytes, *, box=None, zoom=None, focal=None) -> bytes:
+    """A picture cut to a ``box``, or with tags of a digital ``zoom`` and a ``focal`` length, with
+    the rest of its tags."""
     picture, stream = Image.open(io.BytesIO(jpeg)), io.BytesIO()
     exif = picture.getexif()
-    if zoom:
-        exif.get_ifd(0x8769)[41988] = zoom
+    exif.get_ifd(0x8769).update({tag: value for tag, value in ((41988, zoom), (41989, focal))
+                                 if value is not None})
     (picture.crop(box) if box else picture).save(stream, format="JPEG", quality=92, exif=exif)
     return stream.getvalue()
 
@@ -186,7 +189,11 @@ def changed(jpeg: bytes, *, box=None, zoom: float | None = None) -> bytes:
 @pytest.mark.parametrize(("change", "reason"), [
     ({"box": (0, 252, 1512, 1764)}, "1512x1512 pixels is cut: its sides are neither 4:3 nor 3:2"),
     ({"box": (189, 0, 1323, 2016)}, "1134x2016 pixels is cut"),
-    ({"zoom": 1.5}, "a digital zoom of 1.5"), ({"zoom": 1.0}, ""), ({"zoom": 0.0}, "")])
+    ({"zoom": 1.5}, "a digital zoom of 1.5"), ({"zoom": 1.0}, ""), ({"zoom": 0.0}, ""),
+    ({"zoom": IFDRational(0, 0)}, ""), ({"zoom": 65535.0}, ""), ({"zoom": "none"}, ""),
+    ({"focal": 65535}, "none between 8 and 400 mm"), ({"focal": 0}, "none between"),
+    ({"focal": IFDRational(27, 0)}, "none between"), ({"focal": (27, 28)}, "none between"),
+    ({"focal": "27 mm"}, "none between")])
 def test_the_focal_length_of_a_whole_picture_is_not_that_of_a_part(tmp_path, picture, change,
                                                                    reason):
     """It is measured then, in this picture, which was not taken from straight above."""
@@ -196,6 +203,24 @@ def test_the_focal_length_of_a_whole_picture_is_not_that_of_a_part(tmp_path, pic
     assert (read.focal is None) == bool(reason) and reason in read.no_focal
     assert read_capture(folder).outline.height == pytest.approx(
         picture.pose.place[2] - PLATE_HEIGHT, rel=0.03)
+
+
+def test_a_focal_length_that_the_markers_contradict_is_named(tmp_path, picture):
+    capture = read_capture(over_mat(tmp_path / "capture", changed(picture.jpeg, focal=64)))
+    found = next(one for one in capture.warnings if one.code == "focal_length_contradicts")
+    assert found.values["stated"] == pytest.approx(64)
+    true = picture.pose.focal * FULL_FRAME / np.hypot(*picture.pose.size)
+    assert found.values["value"] == pytest.approx(true, rel=0.06)
+    assert capture.outline.height == pytest.approx(picture.pose.place[2] - PLATE_HEIGHT, rel=0.06)
+
+
+@pytest.mark.parametrize(("camera", "named"), [(1.95, False), (2.6, True)])
+def test_a_camera_out_of_reach_is_named(tmp_path, camera, named):
+    """The mat alone does not contradict the focal length in a picture from straight above."""
+    jpeg = photographs.over_mat(camera=camera, focal=3000)
+    found = read_capture(over_mat(tmp_path / "capture", jpeg, mat="a2", plate_height_mm=150))
+    assert [one.values["value"] for one in found.warnings if one.code == "camera_far"] == [
+        pytest.approx(1e3 * camera - 150, rel=0.02)] * named
 
 
 def test_markers_along_two_sides_are_enough():

@@ -12,13 +12,16 @@ from PIL import Image
 from data.captures import joined_outlines
 from data.captures.joined_outlines import SeenOutline, join_outlines
 from data.captures.off_axis import AZIMUTHS, OUTWARDS
+from data.captures.plate_height import height_off
 from data.captures.preview import show
 from data.captures.reader import find_outline, read_capture
+from data.captures.scale import Scaled
 from data.captures.seen import seen_photograph
 from data.dataset.off_axis import silhouette
 from data.pictures.mat import MATS
-from data.pictures.planes import behind, mapped
+from data.pictures.planes import behind, mapped, shifted
 from data.pictures.pose import Pose, camera_matrix, camera_poses
+from data.pictures.reading import Photograph
 from data.render import phone, textures
 from sim.draping import drape
 from sim.material import Fabric
@@ -114,6 +117,36 @@ def test_three_pictures_show_the_drape_better_than_each_alone(tmp_path, shape, p
         shape.positions, shape.mesh.edges, np.array(PLACES[0]), HEIGHT, azimuths=720)[:, None])
     )) * first.pixel < 3e-3
     assert show(joined).startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(("count", "printed", "named"), [
+    (2, 0.94, True), (3, 0.94, True), (3, 1.06, True), (2, 1.0, False), (3, 0.99, False)])
+def test_a_mat_printed_to_another_scale_is_named(tmp_path, pictures, count, printed, named):
+    """The cloth on the plate moves between pictures. On the mat, all true lengths look longer by
+    the same factor."""
+    folder = folder_of(tmp_path / "some", pictures[:count], plate_height_mm=120 * printed)
+    keys = yaml.safe_load((folder / "capture.yaml").read_text())
+    keys["tester"] = {"specimen": "disc", "size_mm": 300 * printed, "plate_mm": 180 * printed}
+    (folder / "capture.yaml").write_text(yaml.safe_dump(keys))
+    assert [one.values["value"] for one in read_capture(folder).warnings
+            if one.code == "plate_height_contradicts"] == [pytest.approx(120, abs=2)] * named
+
+
+@pytest.mark.parametrize(("reach", "off"), [(0.09, None), (0.11, 8e-3)])
+def test_an_upper_disc_on_the_cloth_is_no_higher_plate(reach, off):
+    """Structure 8 mm over the stated plate, up to its rim or beyond."""
+    steps, pixel = np.arange(600), 5e-4
+    noise = cv2.GaussianBlur(np.random.default_rng(0).random((600, 600, 3), np.float32), (0, 0), 2)
+    columns, rows = np.meshgrid(steps, steps)
+    high = 8e-3 * (np.hypot(columns - 299.5, rows - 299.5) * pixel < reach) / pixel
+    views = []
+    for x, y in ((0.15, 0.1), (-0.2, 0.0)):
+        light = cv2.remap(noise, (columns + x * high).astype(np.float32),
+                          (rows - y * high).astype(np.float32), cv2.INTER_LINEAR)
+        views.append(Scaled(Photograph(light, np.zeros((600, 600), bool)),
+                            np.diag([pixel, -pixel, 1]) @ shifted(np.full(2, -299.5)), HEIGHT,
+                            beside=HEIGHT * np.array([x, y])))
+    assert height_off(views, DISC_RIG, PLATE_HEIGHT) == (off and pytest.approx(off, abs=1e-3))
 
 
 def test_the_focal_length_of_cut_pictures_is_measured_in_several(tmp_path, pictures):
