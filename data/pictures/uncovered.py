@@ -38,6 +38,7 @@ _PLACES, _ROUNDS = 20_000, 5  # of ground, at most, and of weighing them, to tel
 _FLOOR, _DARK, _GLARE = 1e-3, 4e-3, 0.985  # of light: added to it; of ink, at least; overexposed
 _MATCH, _FITS, _NEARLY = 0.6, 0.8, 0.06  # correlations of windows: least, sure, and as good
 _EVEN, _ODD, _OWN = 1 / 1.2, 0.03, 0.6  # density of any light; shares of it on ground; of colours
+_THROUGH = 0.25  # of the print's contrast: less is seen through cloth or a reflection
 _UNEVEN = (0.04, 0.06)  # relative, of light on ground and of colours of cloth
 _TEMPER = 0.25  # of a pixel's evidence, for neighbours err alike
 _THING, _SURELY = 0.5, 3.0  # share of things where the network's odds are surely against cloth
@@ -205,9 +206,11 @@ def _fit(seen: np.ndarray, expected: np.ndarray, weight: np.ndarray, sigma: floa
         part, part * seen, part * expected[..., None]))
     gain = mixed / np.maximum(square, 1e-4)[..., None]
     left = np.maximum(lights - gain * mixed, 0)
-    varied = np.maximum(lights - light**2, 0).sum(axis=2) * np.maximum(square - mean**2, 1e-4)
-    match = (mixed - mean[..., None] * light).sum(axis=2) / np.sqrt(np.maximum(3 * varied, 1e-12))
-    match -= 0.5 * (total < 0.15)
+    varied, contrast = np.maximum(lights - light**2, 0).sum(axis=2), np.maximum(square - mean**2, 1e-4)
+    common = (mixed - mean[..., None] * light).sum(axis=2)
+    match = common / np.sqrt(np.maximum(3 * varied * contrast, 1e-12))
+    share = common / np.maximum(contrast * gain.sum(axis=2), 1e-6)
+    match -= 0.5 * (total < 0.15) + (np.abs(share - 1) > _THROUGH)
     sure = (match > 0.9) & (gain.mean(axis=2) > 0.1)
     rough = np.median((left / np.maximum(gain, 1e-3) ** 2)[sure]) if sure.any() else 0.01
     spread = np.minimum(left, 2.5 * (rough * gain**2 + 2e-5)) + (_UNEVEN[0] * gain) ** 2 + 1e-6
