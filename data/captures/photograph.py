@@ -18,9 +18,10 @@ import numpy as np
 from common.errors import InputError, of
 from common.findings import Finding
 from common.types import Metres, Outline, PixelPath, Radians, Vector
-from data.captures.clarity import Clarity, bulge, side, sides
+from data.captures.clarity import Clarity, jagged_hem, side, sides
 from data.captures.description import MAX_COEFFICIENT, OUTLINE_TABLES, OutlineSource
 from data.captures.ground import Ground
+from data.captures.hem import unlike_cloth
 from data.captures.joined_outlines import (
     MAX_PARTED,
     MAX_UNLIKE,
@@ -49,6 +50,7 @@ MIN_RADIUS = {True: 0.97, False: 0.9}  # over the plate's, by whether its centre
 USUAL_RADIUS = 0.99  # the same, where it is known: sound ones have 1.01 or more
 MAX_OVERLAP, MAX_DISORDER = 0.03, 0.5  # of azimuth
 MAX_GAP = np.radians(15.0)
+MAX_SPARSE = np.radians(5.0)  # between points of a table whose shape is judged
 MAX_SKEW = np.sin(np.radians(2.0))  # a mirrored warp is then at most 2° off, as it is stated
 
 
@@ -68,6 +70,7 @@ class PhotographedOutline:
         factor: how many pixels of a row of the file were averaged to each of ``picture``.
         hem: the outline as it was seen, in pixels of ``picture``.
         error: (720,) m, standard deviation of ``radii``; None if it is not known.
+        clarity: of the hem in one picture; None if there is no picture.
         unclear: (720,) where the hem is not clearly seen; None if there is no picture.
         cameras: places (3,), m from the plate's centre, of the pictures over a mat, in order.
         next_camera: place (3,) from which another picture is asked for; None if none is.
@@ -86,6 +89,7 @@ class PhotographedOutline:
     hem: PixelPath | None = None
     factor: int = 1
     error: np.ndarray | None = None
+    clarity: Clarity | None = None
     unclear: np.ndarray | None = None
     cameras: tuple[Vector, ...] = ()
     next_camera: Vector | None = None
@@ -188,11 +192,11 @@ def _photographed(
                 for one, error in unread.items()]
     (seen, found), *others = read.values()
     if seen.beside is None:
-        return _judged(found, _clarity(found, None))
+        return _judged(found, found.clarity)
     first_side = (warp_direction or 0.0) + rig.cut
     if others:
         return _joined(read, first_side, warnings, source)
-    found = _judged(found, _clarity(found, Ground.of(source)))
+    found = _judged(found, found.clarity)
     radius, error = (values[0] for values in on_axis([_view(seen, found, first_side)], rig))
     return replace(found, curve=turned(radius[:, None] * OUTWARDS, first_side),
                    error=around(error, -first_side), warnings=(*found.warnings, *warnings))
@@ -250,17 +254,13 @@ def _joined(
                       error=around(together.error, -first_side),
                       cameras=tuple(read[file][1].cameras[0] for file in used))
     return _judged(outline, Clarity.together([
-        _clarity(read[names[k]][1], ground).turned(-together.turned[k]) for k in together.used]))
+        clarity.turned(-together.turned[k]) for k in together.used
+        if (clarity := read[names[k]][1].clarity)]))
 
 
-def _clarity(found: PhotographedOutline, ground: Ground | None) -> Clarity:
-    """What one picture does not clearly show of a hem."""
-    assert found.error is not None
-    return Clarity.of(found.radii, found.error, found.cameras, ground)
-
-
-def _judged(outline: PhotographedOutline, clarity: Clarity) -> PhotographedOutline:
+def _judged(outline: PhotographedOutline, clarity: Clarity | None) -> PhotographedOutline:
     """An outline with warnings of what is not clearly seen of it."""
+    assert clarity is not None
     next_camera, warnings = clarity.judged(outline.radii, outline.cameras)
     return replace(outline, warnings=(*warnings, *outline.warnings), next_camera=next_camera,
                    unclear=clarity.unclear)
@@ -294,10 +294,13 @@ def _as_seen(seen: Scaled, source: OutlineSource, rig: Rig) -> PhotographedOutli
     if seen.beside is not None:
         require_height(curve, rig, 1e-3 * (source.plate_height_mm or np.inf), seen.height)
         cameras = (np.append(seen.beside, seen.height),)
-    return PhotographedOutline(
+    found = PhotographedOutline(
         curve, seen.height, seen.middle is not None, rig, tuple(warnings), photograph.colour,
-        to_pixels, step, pixels, photograph.factor, error, cameras=cameras,
+        to_pixels, step, pixels, photograph.factor, cameras=cameras,
         check="check_mat" if source.mat else "check_picture")
+    unlike = unlike_cloth(found.radii, rig)
+    return replace(found, error=np.maximum(error, unlike), clarity=Clarity.of(
+        found.radii, error, unlike, cameras, Ground.of(source)))
 
 
 def _by_azimuth(curve: Outline, error: np.ndarray) -> np.ndarray:
@@ -371,7 +374,9 @@ def _checked(outline: PhotographedOutline) -> list[Finding]:
         warnings.append(Finding("hem_beyond_specimen", {
             "value": 1e3 * float(np.hypot(x, y)), "limit": 1e3 * rig.reach,
             "causes": outline.causes, "place": f"at the {side(float(np.arctan2(y, x)))}"}))
-    return warnings + bulge(outline.radii)
+    if outline.clarity is None and gap < MAX_SPARSE:
+        warnings += jagged_hem(unlike_cloth(outline.radii, rig))
+    return warnings
 
 
 def _least_width(curve: Outline) -> Metres:

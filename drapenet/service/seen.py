@@ -22,10 +22,10 @@ def prepare() -> None:
 
     import data.captures.seen  # noqa: F401
     from common.graphs import bundled_graph
-    from data.captures import off_axis
+    from data.captures import hem, off_axis
     from data.pictures import cut, mat
 
-    for network in (cut, off_axis):
+    for network in (cut, hem, off_axis):
         bundled_graph(network.BUNDLED)
     for name in mat.MATS:
         mat.printed_at(name, np.zeros((1, 1, 2)))

@@ -21,6 +21,7 @@ from common.configs import group_options, read_config, read_option
 from common.errors import InputError
 from data.dataset import generate
 from data.dataset.config import Options
+from data.dataset.hem import HemConfig
 from data.dataset.inspect import InspectConfig
 from data.dataset.off_axis import OffAxisConfig
 from data.dataset.reading import ReadingConfig
@@ -31,9 +32,9 @@ ROOT = Path(__file__).parents[2]
 SCHEMAS = {"cantilever_estimate": EstimateConfig, "cantilever_hang": HangConfig,
            "capture": CaptureConfig, "drape": DrapeConfig, "evaluate": EvaluateConfig,
            "export": ExportConfig, "generate": Options,
-           "infer": InferConfig, "inspect": InspectConfig, "off_axis": OffAxisConfig,
-           "prior_fit": FitConfig, "reading": ReadingConfig, "serve": ServeConfig,
-           "train": TrainConfig}
+           "hem": HemConfig, "infer": InferConfig, "inspect": InspectConfig,
+           "off_axis": OffAxisConfig, "prior_fit": FitConfig, "reading": ReadingConfig,
+           "serve": ServeConfig, "train": TrainConfig}
 
 
 @dataclass
