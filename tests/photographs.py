@@ -75,13 +75,15 @@ def distances_mm(capture: OutlineCapture, curve: np.ndarray = CURVE) -> np.ndarr
 
 def over_mat(
     curve=CURVE, *, mat="a2", ground="white", above=0.15, camera=1.2, focal=1800,
-    cloth=(60, 60, 60), beside=(0.0, 0.0)
+    cloth=(60, 60, 60), beside=(0.0, 0.0), changed=lambda picture: picture
 ) -> bytes:
     """JPEG of cloth of a colour with an outline in the plane of a plate ``above`` a printed mat,
     seen straight down from a ``camera``'s height and place ``beside`` the axis, all m, and a focal
-    length in pixels, which EXIF states."""
+    length in pixels, which EXIF states; ``changed``: the picture before the cloth is on it."""
     size = np.array([1600, 1200])
     paper = mat_colours(mat, ground)
+    if ground == "code":  # whose dots are finer than pixels
+        paper = cv2.GaussianBlur(paper, (0, 0), 0.4 * camera / focal / PIXEL)
     middle = (np.array(paper.shape[1::-1]) - 1) / 2
     scale = focal * PIXEL / camera
     shift = np.array(beside) * [-1, 1] * focal
@@ -89,6 +91,7 @@ def over_mat(
                              (size - 1) / 2 - scale * middle + shift / camera])
     picture = cv2.warpAffine(paper, place, size.tolist(), flags=cv2.INTER_AREA,
                              borderValue=[170] * 3)
+    picture = changed(picture)
     corners = (size - 1) / 2 + (curve * [1, -1] * focal + shift) / (camera - above)
     cv2.fillPoly(picture, [np.rint(corners * 16).astype(np.int32)], cloth, cv2.LINE_AA, 4)
     exif = Image.Exif()

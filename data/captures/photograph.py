@@ -37,6 +37,7 @@ from data.captures.plate_height import MAX_OFF, height_off
 from data.captures.scale import Scaled, scaled_photographs
 from data.pictures.cut import outline_of_cloth
 from data.pictures.planes import mapped, shifted, upright
+from data.pictures.uncovered import uncover
 from sim.outlines import closed, coefficient_of_area, farthest, folds_around
 from sim.rig import Rig
 
@@ -273,6 +274,9 @@ def _as_seen(seen: Scaled, source: OutlineSource, rig: Rig) -> PhotographedOutli
     cut = outline_of_cloth(
         photograph, np.linalg.inv(to_metres), plate=rig.plate_radius, reach=rig.reach,
         known=seen.middle is not None, printed=seen.printed, unsure=seen.unsure)
+    if seen.printed and seen.printed.ground == "code":
+        cut = uncover(cut, photograph, np.linalg.inv(to_metres), seen.printed,
+                      plate=rig.plate_radius, reach=rig.reach)
     pixels = cut.hem
     tilt = 0.0
     if seen.middle is None:

@@ -5,7 +5,6 @@ without cloth, by the size of a pixel, or by a board in the plane of the plate.
 """
 
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 import cv2
@@ -193,14 +192,11 @@ def _by_mat(
         middle = np.array([width - 1, height - 1]) / 2
         place = scale * pose.place
         found[file] = Scaled(over.photograph, _about(middle, scale * over.pixel), float(place[2]) -
-                             plate_height, middle, place[:2], partial(_printed, over, scale),
+                             plate_height, middle, place[:2], replace(
+                                 over.printed, to_mat=over.printed.to_mat @ np.diag(
+                                     [1 / scale, 1 / scale, 1])),
                              over.print_edges, over.warnings)
     return found
-
-
-def _printed(over: OverMat, scale: float, places: np.ndarray) -> tuple[np.ndarray, Mask]:
-    """What a mat that is printed to a scale shows behind places (H, W, 2), m."""
-    return over.printed(places / scale)
 
 
 def mat_scale(source: OutlineSource) -> float:

@@ -5,7 +5,6 @@ The network is given the picture in the plane of the plate, what is printed on a
 appear there, and the distance from the plate's axis.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,8 @@ from common.errors import InputError
 from common.graphs import bundled_graph
 from common.types import ColourPicture, Mask, Metres, PixelPath
 from data.pictures.edge import border_of, edge_of, normals, sampled, smoothed
-from data.pictures.planes import mapped
+from data.pictures.mat import printed_at
+from data.pictures.planes import mapped, on_grid
 from data.pictures.reading import Photograph, decoded
 
 SIDE = 128  # pixels
@@ -38,8 +38,20 @@ MIN_COVERED = 0.9  # of the plate
 MAX_CUT_OFF = 0.003  # of the hem
 CONTRAST, EDGE_ERROR = 0.15, 1.0  # of log light across an edge that is seen; pixels
 
-Printed = Callable[[np.ndarray], tuple[np.ndarray, Mask]]
-"""What is printed (H, W) uint8 behind places (H, W, 2), m, of the plate's plane, and where."""
+
+@dataclass(frozen=True)
+class Printed:
+    """A ``mat`` with a ``ground``, and the homography (3, 3) from the plate's plane to what a
+    camera sees behind it on the mat."""
+
+    mat: str
+    ground: str
+    to_mat: np.ndarray
+
+    def at(self, places: np.ndarray) -> tuple[np.ndarray, Mask]:
+        """What is printed (H, W) uint8 behind places (H, W, 2), m, of that plane, and where."""
+        return printed_at(self.mat, on_grid(places, self.to_mat), self.ground)
+
 
 
 def steps(reach: Metres, side: int = SIDE) -> np.ndarray:
@@ -93,13 +105,11 @@ class Cut:
         hem: closed line around it, pixels of the photograph, a pixel apart.
         error: (N,) pixels, standard deviation of the hem's points across it.
         scale: pixels for one of the network's.
-        odds: logarithms (SIDE, SIDE) of those of cloth.
     """
 
     hem: PixelPath
     error: np.ndarray
     scale: float
-    odds: np.ndarray
 
 
 def cut_cloth(
@@ -157,7 +167,7 @@ def cut_cloth(
     even = np.linspace(0, len(line), round(length), endpoint=False)
     x, y, error = (np.interp(even, np.arange(len(line)), values, period=len(line))
                    for values in (*line.T, error * length / before))
-    return Cut(np.column_stack([x, y]), error, length / before, odds)
+    return Cut(np.column_stack([x, y]), error, length / before)
 
 
 def outline_of_cloth(
@@ -199,7 +209,7 @@ def _view(
     if printed is None:
         print_there, on_mat = np.zeros((SIDE, SIDE), np.uint8), np.zeros((SIDE, SIDE), bool)
     else:
-        print_there, on_mat = printed(middle + np.dstack(np.meshgrid(along, -along)))
+        print_there, on_mat = printed.at(middle + np.dstack(np.meshgrid(along, -along)))
     transparent = warped(np.uint8(255) * photograph.transparent, cv2.BORDER_CONSTANT) > 127
     view = ClothView(warped(photograph.colour, cv2.BORDER_REPLICATE), print_there, on_mat, unseen,
                 plate, reach, middle if known else None)

@@ -9,6 +9,11 @@ def mapped(points: np.ndarray, homography: np.ndarray) -> np.ndarray:
     return cv2.perspectiveTransform(np.asarray(points, np.float64)[:, None], homography)[:, 0]
 
 
+def on_grid(places: np.ndarray, homography: np.ndarray) -> np.ndarray:
+    """The same of places (H, W, 2)."""
+    return mapped(places.reshape(-1, 2), homography).reshape(places.shape)
+
+
 def behind(places: np.ndarray, eye: np.ndarray, height: float | np.ndarray) -> np.ndarray:
     """Places (..., 2) on the ground that an ``eye`` (3,) over it sees behind ``places`` (..., 2) at
     a ``height`` (... or 1), m."""

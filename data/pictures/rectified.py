@@ -10,7 +10,7 @@ from common.errors import InputError
 from common.findings import Finding
 from common.types import Mask, Metres, Pixels, Points
 from data.pictures.cut import Printed
-from data.pictures.mat import SeenMat, find_mat, printed_at
+from data.pictures.mat import SeenMat, find_mat
 from data.pictures.planes import behind
 from data.pictures.pose import CONTRADICTED, STATED_FOCAL, Pose, camera_poses
 from data.pictures.reading import FULL_FRAME, Photograph
@@ -97,10 +97,11 @@ def straight_from_above(
     transparent = cv2.remap(photograph.transparent.astype(np.float32), columns, rows,
                             cv2.INTER_LINEAR) > 0.5
 
-    def printed(places: np.ndarray) -> tuple[np.ndarray, Mask]:
-        return printed_at(mat, behind(places, pose.place, plate_height), ground)
-
-    shown, on_mat = printed(np.dstack(np.meshgrid(steps, -steps)))
+    axes = np.array([[0, 0], [1, 0], [0, 1.0]])
+    middle, *ends = behind(axes, pose.place, plate_height)
+    to_mat = np.vstack([np.column_stack([*(end - middle for end in ends), middle]), [0, 0, 1]])
+    printed = Printed(mat, ground, to_mat)
+    shown, on_mat = printed.at(np.dstack(np.meshgrid(steps, -steps)))
     shown = np.where(on_mat, shown, 0).astype(np.uint8)
     around = 2 * round(max(_BLEED, pixel) / pixel) + 1
     edges = cv2.morphologyEx(shown, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) > _PRINT_EDGE

@@ -11,8 +11,7 @@ azimuth and of the logarithm of the radius, so that pixels are squares.
     -> border (:func:`_border`) -> again, with ground and cloth as they were found
 """
 
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import replace
 from typing import NamedTuple
 
 import cv2
@@ -20,8 +19,11 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, median_filter
 
 from common.types import LinearLight, Mask, Metres
+from data.pictures.cut import Cut, Printed
 from data.pictures.mat import FINE, code_page, mat_pixels
-from data.pictures.planes import mapped
+from data.pictures.planes import mapped, on_grid
+from data.pictures.reading import Photograph
+from sim.outlines import closed, farthest
 
 STEPS = 1440  # azimuths
 _WRAP = 60  # more at both ends
@@ -41,8 +43,9 @@ _EVEN, _ODD, _OWN = 1 / 1.2, 0.03, 0.6  # density of any light; shares of it on 
 _THROUGH = 0.25  # of the print's contrast: less is seen through cloth or a reflection
 _UNEVEN = (0.04, 0.06)  # relative, of light on ground and of colours of cloth
 _TEMPER = 0.25  # of a pixel's evidence, for neighbours err alike
-_THING, _SURELY = 0.5, 3.0  # share of things where the network's odds are surely against cloth
-_SEEN, _MOST = 0.7, 4.0  # weight and limit of these odds
+_THING, _SURELY = 0.4, 3.0  # share of things where cloth ends for the network, in its deviations
+_BELIEVED, _MOST = 0.1, 2.0  # of deviations from its hem, that count at an azimuth, and at most
+_FAINT, _APART = 1e-3, 2.0  # m, added to its error; in these errors, cloth beyond it is doubtful
 _RIM, _ON_PLATE = 0.995, 1.5  # of the plate's radius, within which this more speaks for cloth
 _SLOPE = 0.8e-3 / 0.12  # deviation of steps along half a degree, over the radius
 _BEND = 1e-3  # deviation of second differences along half a degree, over the radius
@@ -85,77 +88,79 @@ class Fit(NamedTuple):
             np.where(better, *pair) for pair in zip(other[1:], self[1:], strict=True)))
 
 
-@dataclass(frozen=True)
-class Uncovered:
-    """Radii (STEPS,), m, of the hem from x on, and their deviations; and where something else than
-    cloth hides the code beyond it."""
-
-    radii: np.ndarray
-    error: np.ndarray
-    hidden: np.ndarray
-
-
-def hem_over_code(
-    light: LinearLight, to_pixels: np.ndarray, mat: str, to_mat: np.ndarray, odds: np.ndarray,
-    *, plate: Metres, reach: Metres, trace: list | None = None
-) -> Uncovered:
-    """The hem of a drape in a picture (H, W, 3) over a mat with the code.
+def uncover(
+    cut: Cut, photograph: Photograph, to_pixels: np.ndarray, printed: Printed, *, plate: Metres,
+    reach: Metres
+) -> Cut:
+    """The hem of a ``cut`` in a photograph over a mat with the code, read again.
 
     Args:
         to_pixels: homography (3, 3) from the plate's plane.
-        to_mat: the same to what the camera sees behind it on the mat.
-        odds: logarithms (S, S) of those of cloth by the network, :func:`data.pictures.cut.steps`.
         plate, reach: radii of the plate and of the flat specimen.
     """
     grid = Grid.about(plate, reach)
+    to_plate = np.linalg.inv(to_pixels)
+    line = mapped(cut.hem, to_plate)
+    pixel = float(np.linalg.norm(np.diff(mapped(np.array([[0, 0], [1, 0.0]]), to_plate), axis=0)))
+    turn = np.arange(STEPS) * (2 * np.pi / STEPS)
+    around = np.arctan2(*line.T[::-1])
+    order = np.argsort(around)
+    error = np.interp(turn, around[order], pixel * cut.error[order], period=2 * np.pi)
+    by_cut = farthest(closed(line), STEPS)
+    unsure = np.hypot(error, _FAINT)
+    off = (grid.radii - by_cut[:, None]) / unsure[:, None]
+    radii, error = _told(photograph.light, grid, to_pixels, printed, off, plate)
+    hidden = np.maximum(radii - by_cut - _APART * np.hypot(unsure, error), 0)
+    radii, error = _smoothed(radii, error), np.hypot(_CAUTION * error, _LEAST) + hidden / 2
+    hem = mapped(radii[:, None] * np.column_stack([np.cos(turn), np.sin(turn)]), to_pixels)
+    return replace(cut, hem=hem, error=error / pixel)
+
+
+def _told(
+    light: LinearLight, grid: Grid, to_pixels: np.ndarray, printed: Printed, off: np.ndarray,
+    plate: Metres
+) -> tuple[np.ndarray, np.ndarray]:
+    """Radii (STEPS,), m, at which the code of a picture (H, W, 3) begins, and their deviations;
+    ``off``: deviations (STEPS, R) from the hem that the network has cut."""
     seen = np.sqrt(_sampled(light, grid.places, to_pixels) + _FLOOR)
-    on_mat = _mapped(grid.places, to_mat)
-    moved, sure = _moved(light.mean(axis=2), to_pixels, mat, to_mat, 1.15 * reach, on_mat)
-    at = mat_pixels(mat, on_mat - moved, FINE)
-    pages, plain = code_page(mat)
+    on_mat = on_grid(grid.places, printed.to_mat)
+    moved, sure = _moved(light.mean(axis=2), to_pixels, printed, 1.15 * grid.radii[-1], on_mat)
+    at = mat_pixels(printed.mat, on_mat - moved, FINE)
+    pages, plain = code_page(printed.mat)
     shown = cv2.remap(plain.astype(np.float32), *at, cv2.INTER_LINEAR) > 0.99
     prints = np.stack([cv2.remap(_gauss(page, blur / FINE), *at, cv2.INTER_LINEAR)
                        for page in pages for blur in _BLURS], axis=-1)
     usable = shown & (seen.max(axis=2) < np.sqrt(_GLARE))
     everywhere, ground = usable.astype(np.float32), (usable & sure).astype(np.float32)
-    odds = np.clip(odds, -_MOST, _MOST)
-    cloth, levels = None, _NOMINAL
+    cloth, levels, narrow = None, _NOMINAL, None
+    things = np.pad(_THING / (1 + np.exp(_SURELY - off)), [(_WRAP, _WRAP), (0, 0)], mode="wrap")
+    doubt = np.minimum(_BELIEVED * np.abs(off), _MOST)
     for turn in range(_TURNS):
         levels = _levels(np.square(seen.mean(axis=2)), prints, ground, levels)
         expected = np.sqrt(_printed(prints, levels))
-        if turn == 0:
-            narrow = _fit(seen, expected, everywhere, _NARROW)
+        narrow = narrow or _fit(seen, expected, everywhere, _NARROW)
         best = narrow.or_better(_fit(seen, expected, *((ground, _INNER) if turn else
                                                        (everywhere, _WIDE))))
-        log = np.where(shown, _evidence(seen, best, cloth, odds), -_SEEN * odds)
-        log[:, grid.radii < _RIM * plate] -= _ON_PLATE
-        mean, spread = _border(log[_WRAP:-_WRAP], grid.radii)
-        if trace is not None:
-            trace.append((mean, spread, log, best.match, expected, seen))
-        calm = np.minimum(mean, median_filter(mean, 61, mode="wrap") + _ARM)
-        border = np.pad(calm, _WRAP, mode="wrap")[:, None]
+        evidence = np.where(shown, _evidence(seen, best, cloth, things), 0)
+        evidence[:, grid.radii < _RIM * plate] -= _ON_PLATE
+        radii, error = _border(evidence[_WRAP:-_WRAP], doubt, grid.radii)
+        border = np.minimum(radii, median_filter(radii, 61, mode="wrap") + _ARM)
+        border = np.pad(border, _WRAP, mode="wrap")[:, None]
         cloth = (grid.radii < border - 5e-4).astype(np.float32)
         ground = (usable & (best.match > _FITS) & (
-            log > np.where(grid.radii > border, -3, 0.5))).astype(np.float32)
-    mean, spread = _smooth(mean, _CAUTION * spread)
-    return Uncovered(mean, np.hypot(spread, _LEAST), np.zeros(len(mean), bool))
+            evidence > np.where(grid.radii > border, -3, 0.5))).astype(np.float32)
+    return radii, error
 
 
-def _smooth(radii: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The likeliest hem and its deviations (STEPS,), m: it bends like cloth."""
-    radii, error = (one.reshape(-1, 2).mean(axis=1) for one in (radii, error))
-    unit = np.eye(len(radii))
+def _smoothed(radii: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """The likeliest hem (STEPS,), m, that bends like cloth."""
+    unit = np.eye(STEPS // 2)
     second = np.roll(unit, 1, 1) - 2 * unit + np.roll(unit, -1, 1)
-    weight = 1 / np.square(error)
-    covariance = np.linalg.inv(np.diag(weight) + second.T @ second / (_BEND * radii.mean()) ** 2)
-    turn, middle = np.arange(STEPS) / 2, np.arange(STEPS // 2) + 0.25
-    return tuple(np.interp(turn, middle, one, period=STEPS // 2) for one in (
-        covariance @ (weight * radii), np.sqrt(np.diag(covariance))))
-
-
-def _mapped(places: np.ndarray, homography: np.ndarray) -> np.ndarray:
-    """Places (A, R, 2) mapped by a homography."""
-    return mapped(places.reshape(-1, 2), homography).reshape(places.shape)
+    halves, errors = (one.reshape(-1, 2).mean(axis=1) for one in (radii, error))
+    weight = 1 / np.square(errors)
+    found = np.linalg.solve(np.diag(weight) + second.T @ second / (_BEND * radii.mean()) ** 2,
+                            weight * halves)
+    return np.interp(np.arange(STEPS) / 2, np.arange(STEPS // 2) + 0.25, found, period=STEPS // 2)
 
 
 def _gauss(values: np.ndarray, sigma: float) -> np.ndarray:
@@ -164,7 +169,7 @@ def _gauss(values: np.ndarray, sigma: float) -> np.ndarray:
 
 def _sampled(light: np.ndarray, places: np.ndarray, to_pixels: np.ndarray) -> np.ndarray:
     """Light at places (A, R, 2), as coarse as these are."""
-    pixels = _mapped(places, to_pixels).astype(np.float32)
+    pixels = on_grid(places, to_pixels).astype(np.float32)
     step = float(np.linalg.norm(np.diff(pixels[0, pixels.shape[1] // 2 :][:2], axis=0)))
     smooth = cv2.GaussianBlur(light, (0, 0), 0.4 * step) if step > 1.3 else light
     return cv2.remap(smooth, *np.moveaxis(pixels, 2, 0), cv2.INTER_LINEAR,
@@ -239,7 +244,8 @@ def _fit(seen: np.ndarray, expected: np.ndarray, weight: np.ndarray, sigma: floa
     return found
 
 
-def _evidence(seen: np.ndarray, fit: Fit, cloth: np.ndarray | None, odds: np.ndarray) -> np.ndarray:
+def _evidence(seen: np.ndarray, fit: Fit, cloth: np.ndarray | None, things: np.ndarray
+              ) -> np.ndarray:
     """Logarithm (A, R) of how much likelier than cloth each place is ground, or a thing on it."""
     even = _EVEN / np.maximum(fit.bright, 5e-3)
     ground = _ODD * even + (1 - _ODD) * (fit.match > _MATCH) * np.exp(-0.5 * fit.misfit) / np.sqrt(
@@ -255,15 +261,15 @@ def _evidence(seen: np.ndarray, fit: Fit, cloth: np.ndarray | None, odds: np.nda
             own = np.maximum(own, (near[..., 0] > 1e-2) * np.exp(-0.5 * (np.square(
                 seen - mean) / wide).mean(axis=2)) / np.sqrt(2 * np.pi * wide.mean(axis=2)))
         other = _OWN * own + (1 - _OWN) * even
-    no_cloth = ground + _THING * even / (1 + np.exp(odds + _SURELY))
-    return (np.log(no_cloth / other) - _SEEN * odds).astype(np.float32)
+    no_cloth = ground + things * even
+    return np.log(no_cloth / other).astype(np.float32)
 
 
-def _border(evidence: np.ndarray, radii: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _border(evidence: np.ndarray, doubt: np.ndarray, radii: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mean and deviation (STEPS,), m, of the radii at which cloth ends, as of a closed Markov
     chain over azimuths of half a degree."""
     count, step = STEPS // 2, np.log(radii[1] / radii[0])
-    cost = _TEMPER * np.cumsum(evidence.reshape(count, 2, -1).sum(axis=1), axis=1)
+    cost = _TEMPER * np.cumsum(evidence.reshape(count, 2, -1).sum(axis=1), axis=1) + doubt[::2]
     like = np.exp(-np.minimum(cost - cost.min(axis=1, keepdims=True), 80)).astype(np.float32)
     index = np.arange(len(radii))
     jumps = np.exp(-0.5 * np.square((index[:, None] - index) * step / _SLOPE)).astype(np.float32)
@@ -278,7 +284,7 @@ def _border(evidence: np.ndarray, radii: np.ndarray) -> tuple[np.ndarray, np.nda
             state /= state.sum() + 1e-30
         return found
 
-    both = (swept(order) * swept(order[::-1]) * like).astype(float)
+    both = swept(order).astype(float) * swept(order[::-1]) * like
     both /= both.sum(axis=1, keepdims=True)
     logs = np.log(radii) + step / 2
     mean = both @ logs
@@ -289,26 +295,25 @@ def _border(evidence: np.ndarray, radii: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def _moved(
-    light: np.ndarray, to_pixels: np.ndarray, mat: str, to_mat: np.ndarray, reach: Metres,
-    on_mat: np.ndarray
+    light: np.ndarray, to_pixels: np.ndarray, printed: Printed, reach: Metres, on_mat: np.ndarray
 ) -> tuple[np.ndarray, Mask]:
     """By how much (A, R, 2), m, the print lies beside where the markers have it, for paper bends
     and parts are shifted; and where it is surely seen."""
-    pixel, middle = 2 * FINE, mapped(np.zeros((1, 2)), to_mat)[0]
-    times = np.linalg.norm(mapped(np.array([[1, 0.0]]), to_mat) - middle)
+    pixel, middle = 2 * FINE, printed.to_mat[:2, 2]
+    times = printed.to_mat[0, 0]
     half = int(reach * times / pixel)
     steps = np.arange(-half, half + 1) * pixel
     places = middle + np.dstack(np.meshgrid(steps, -steps))
-    seen = np.sqrt(_sampled(light, places, to_pixels @ np.linalg.inv(to_mat)) + _FLOOR)
-    grey, black = (cv2.remap(_gauss(page, _EXPECTED), *mat_pixels(mat, places, FINE),
-                             cv2.INTER_LINEAR) for page in code_page(mat)[0])
-    printed = np.sqrt(1 - _NOMINAL[0] * grey - _NOMINAL[3] * black)
+    seen = np.sqrt(_sampled(light, places, to_pixels @ np.linalg.inv(printed.to_mat)) + _FLOOR)
+    grey, black = (cv2.remap(_gauss(page, _EXPECTED), *mat_pixels(printed.mat, places, FINE),
+                             cv2.INTER_LINEAR) for page in code_page(printed.mat)[0])
+    page = np.sqrt(1 - _NOMINAL[0] * grey - _NOMINAL[3] * black)
     size = 2 * int(half * pixel / _FIELD) + 1
     weight, moves = np.zeros((size, size)), np.zeros((size, size, 2))
     starts = range(_SEARCH, len(steps) - _TILE - _SEARCH, _GAP)
     for row in starts:
         for column in starts:
-            tile = printed[row : row + _TILE, column : column + _TILE]
+            tile = page[row : row + _TILE, column : column + _TILE]
             if tile.std() < 0.1:
                 continue
             there = seen[row - _SEARCH : row + _TILE + _SEARCH,

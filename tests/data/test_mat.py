@@ -76,8 +76,9 @@ def without_exif(jpeg: bytes) -> bytes:
 def test_all_markers_of_a_mat_are_read_to_a_tenth_of_a_millimetre(name, ground):
     page = mat_picture(name, ground)
     light = np.repeat(decoded(page / 255)[..., None], 3, axis=2)
-    found, centres, pixels = find_mat(Photograph(light, np.zeros(page.shape, bool)))
-    assert found == name and len(centres) == len(MATS[name].numbers)
+    found, coded, centres, pixels = find_mat(Photograph(light, np.zeros(page.shape, bool)))
+    assert (found, coded) == (name, ground == "code")
+    assert len(centres) == len(MATS[name].numbers(coded=coded))
     places = (pixels - (np.array(page.shape[::-1]) - 1) / 2) * PIXEL * [1, -1]
     np.testing.assert_allclose(places, centres[:, :2], atol=1e-4)
 
