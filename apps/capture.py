@@ -68,12 +68,13 @@ def main(config: CaptureConfig) -> None:
     if config.mat:
         file = Path(config.out or f"mat_{config.mat}.pdf")
         replace_file(file, mat_pages(config.mat, config.paper or config.mat, config.ground))
-        print(f"mat: {file}; print it at 100 %, join its pages if there are several, and measure "
-              f"its scale of {1e3 * BAR:g} mm: state what you measure as mat_bar_mm. Markers begin "
-              f"{1e3 * CLEAR:g} mm beyond hems that are seen {1e3 * MATS[config.mat].clear:.0f} mm "
-              "from its middle"
-              + "; for discs of 300 mm, and white or dark cloth, take mat=a2" * (config.mat == "a3")
-              + ", and white cloth is read with ground=grey" * (config.ground == "white"))
+        clear = MATS[config.mat].clear if config.mat in MATS else None
+        print(f"mat: {file}; print it at 100 %, join its pages if there are several, measure its "
+              f"scale of {1e3 * BAR:g} mm, and state what you measure as mat_bar_mm." * bool(clear)
+              + (f" Markers begin {1e3 * CLEAR:g} mm beyond hems that are seen {1e3 * clear:.0f} mm"
+                 " from its middle" + "; for discs of 300 mm take mat=a2" * (config.mat == "a3")
+                 if clear else f"sheet: {file}; print it at 100 %, and lay it on the foot, circles "
+                 "and lines over those of the mat"))
         return
     if config.board:
         replace_file(Path(config.board), board_picture())

@@ -195,7 +195,7 @@ class OutlineSource(Schema):
 
     mat: Literal["a3", "a2"] | None = Field(None, title="the printed mat under the stand")
     ground: Literal["white", "grey", "blue"] = Field(
-        "white", title="colour of the mat around its markers")
+        "white", title="colour of a plain mat; one with the code shows that itself")
     plate_height_mm: float | None = Field(
         None, ge=PLATE_HEIGHTS[0], le=PLATE_HEIGHTS[1], title="top of the plate above the mat")
     mat_bar_mm: float | None = Field(

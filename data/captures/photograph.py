@@ -36,6 +36,7 @@ from data.captures.outline_table import read_closed_curve
 from data.captures.plate_height import MAX_OFF, height_off
 from data.captures.scale import Scaled, scaled_photographs
 from data.pictures.cut import outline_of_cloth
+from data.pictures.mat import CODE
 from data.pictures.planes import mapped, shifted, upright
 from data.pictures.uncovered import uncover
 from sim.outlines import closed, coefficient_of_area, farthest, folds_around
@@ -274,7 +275,7 @@ def _as_seen(seen: Scaled, source: OutlineSource, rig: Rig) -> PhotographedOutli
     cut = outline_of_cloth(
         photograph, np.linalg.inv(to_metres), plate=rig.plate_radius, reach=rig.reach,
         known=seen.middle is not None, printed=seen.printed, unsure=seen.unsure)
-    if seen.printed and seen.printed.ground == "code":
+    if seen.printed and seen.printed.ground == CODE:
         cut = uncover(cut, photograph, np.linalg.inv(to_metres), seen.printed,
                       plate=rig.plate_radius, reach=rig.reach)
     pixels = cut.hem

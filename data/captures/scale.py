@@ -17,10 +17,10 @@ from data.captures.board import MAX_REPROJECTION_ERROR, PAPER, SQUARE, SQUARES, 
 from data.captures.description import OutlineSource
 from data.pictures.cut import Printed
 from data.pictures.edge import edge_of, smoothed
-from data.pictures.mat import BAR
+from data.pictures.mat import BAR, CODE
 from data.pictures.planes import mapped, shifted
 from data.pictures.reading import SUFFIXES, Photograph, read_photograph
-from data.pictures.rectified import OverMat, markers_in, poses_of, straight_from_above
+from data.pictures.rectified import markers_in, poses_of, straight_from_above
 from sim.rig import Rig
 
 _SIDE = 600  # pixels, of the picture in which circles are looked for (Hough)
@@ -184,7 +184,7 @@ def _by_mat(
             over = straight_from_above(
                 photograph, pose, source.mat, plate_height=plate_height / scale,
                 reach=rig.reach / scale,
-                ground="code" if mat.coded else source.ground)
+                ground=CODE if mat.coded else source.ground)
         except InputError as error:
             found[file] = error
             continue

@@ -10,8 +10,6 @@ from functools import cache
 
 import numpy as np
 
-from common.types import Metres
-
 CELL = 2.54e-3  # m, side of a cell
 WHITE, GREY, BLACK = 0, 1, 2
 _CELLS = (166, 218)  # along y and x, of the largest mat

@@ -33,7 +33,8 @@ _DETECTION = {"cornerRefinementMethod": cv2.aruco.CORNER_REFINE_CONTOUR,
               "perspectiveRemoveIgnoredMarginPerCell": 0.25}
 """Of blurred and overexposed markers, the middles of the modules are read."""
 _CIRCLES = np.arange(30, 91, 10) * 1e-3  # m, radii
-GROUNDS = {"code": (255, 255, 255), "white": (255, 255, 255), "grey": (128, 128, 128),
+CODE = "code"
+GROUNDS = {CODE: (255, 255, 255), "white": (255, 255, 255), "grey": (128, 128, 128),
            "blue": (70, 120, 190)}
 """Colours, sRGB, of the mat around its markers. Grey of 128 reflects 22 % of the light of paper,
 about the geometric mean of white cloth (85 %) and black cloth (4 %), so that both differ from it by
@@ -98,6 +99,8 @@ PARTS = {("a3", "a3"): (1, 1), ("a3", "tabloid"): (1, 1), ("a3", "a4"): (2, 1),
          ("a3", "letter"): (2, 1), ("a2", "a2"): (1, 1), ("a2", "a4"): (2, 2),
          ("a2", "letter"): (2, 2)}
 """Columns and rows of pages, by mat and paper."""
+FOOT, _MARGIN = "foot", 10e-3
+"""The middle of the mat with the code, to lie on a wide foot; m, of its paper."""
 
 
 @cache
@@ -116,7 +119,7 @@ def _drawn(name: str, ground: str, pixel: Metres = PIXEL) -> Image.Image:
     """The mat's picture, grey unless its ground has a colour: a third of the work."""
     mat, colour = MATS[name], np.array(GROUNDS[ground])
     height, width = mat.shape_in(pixel)
-    grey, coded = len(set(GROUNDS[ground])) == 1, ground == "code"
+    grey, coded = len(set(GROUNDS[ground])) == 1, ground == CODE
 
     def ink(tones: np.ndarray) -> Any:
         return int(tones[0]) if grey else tuple(tones.tolist())
@@ -131,7 +134,7 @@ def _drawn(name: str, ground: str, pixel: Metres = PIXEL) -> Image.Image:
         side = round(MARKER / pixel)
         marker = cv2.aruco.generateImageMarker(
             cv2.aruco.getPredefinedDictionary(_DICTIONARY), number, side)
-        left, top = np.rint((np.array(mat_pixels(name, centre, pixel)) - side / 2)).astype(int)
+        left, top = np.rint(np.array(mat_pixels(name, centre, pixel)) - side / 2).astype(int)
         page.paste(Image.fromarray(marker), (int(left), int(top)))
     return page
 
@@ -221,7 +224,7 @@ def on_ground(name: str, places: np.ndarray) -> np.ndarray:
 def code_page(name: str) -> tuple[np.ndarray, Mask]:
     """How grey, and how black, (2, H, W) float32 a mat with the code is, in pixels of :data:`FINE`;
     and where (H, W) it shows neither lines nor letters."""
-    page = np.asarray(_drawn(name, "code", FINE))
+    page = np.asarray(_drawn(name, CODE, FINE))
     plain = Image.new("L", page.shape[::-1], 255)
     _draw(plain, MATS[name], FINE, 255, 0, 0, around=True)
     black = page < 64
@@ -232,7 +235,7 @@ def code_page(name: str) -> tuple[np.ndarray, Mask]:
 def _blurred(name: str, ground: str) -> tuple[np.ndarray, Metres]:
     """A mat's picture, a little blurred, and the size of its pixels: of the code, coarser ones, as
     the network that cuts cloth sees it."""
-    pixel, blur = (FINE, 2.0) if ground == "code" else (PIXEL, _BLUR)
+    pixel, blur = (FINE, 2.0) if ground == CODE else (PIXEL, _BLUR)
     return cv2.GaussianBlur(np.asarray(_drawn(name, ground, pixel).convert("L")), (0, 0),
                             blur), pixel
 
@@ -272,21 +275,27 @@ def near_markers(name: str, places: np.ndarray, within: Metres = CLEAR) -> np.nd
     return apart.min(axis=1) < MARKER / 2 + within
 
 
-def mat_pages(name: str, paper: str, ground: str = "white") -> bytes:
-    """PDF of a mat, in as many pages as it needs on a paper; to be printed at 100 %."""
+def mat_pages(name: str, paper: str, ground: str = CODE) -> bytes:
+    """PDF of a mat, in as many pages as it needs on a paper, or of its middle alone,
+    :data:`FOOT`; to be printed at 100 %."""
     from fpdf import FPDF
 
-    if (name, paper) not in PARTS:
-        choices = ", ".join(f"mat={one} paper={other}" for one, other in PARTS)
+    sheet = sorted(_PAGES.get(paper, (0, 0)))
+    if (name, paper) not in PARTS and (name != FOOT or paper not in _PAGES):
+        choices = ", ".join(f"mat={one} paper={other}" for one, other in (
+            *PARTS, *((FOOT, paper) for paper in _PAGES)))
         raise InputError(f"mat={name} paper={paper} does not fit; choose {choices}")
     if ground not in GROUNDS:
         raise InputError(f"ground={ground} is no colour of a mat; choose {', '.join(GROUNDS)}")
-    columns, rows = PARTS[name, paper]
-    picture = mat_colours(name, ground)
+    columns, rows = PARTS.get((name, paper), (1, 1))
+    picture = mat_colours("a2" if name == FOOT else name, ground)
+    if name == FOOT:
+        half = int((1e-3 * sheet[0] / 2 - _MARGIN) / PIXEL)
+        row, column = (side // 2 for side in picture.shape[:2])
+        picture = picture[max(row - half, 0) : row + half, column - half : column + half]
     extra = round(_OVERLAP / PIXEL)
     wide, high = picture.shape[1] // columns, picture.shape[0] // rows
-    sheet = max(_PAGES[paper]), min(_PAGES[paper])
-    if wide < high:
+    if wide >= high:
         sheet = sheet[::-1]
     pages = FPDF(unit="mm", format=sheet)
     pages.set_auto_page_break(False)

@@ -29,7 +29,7 @@ STEPS = 1440  # azimuths
 _WRAP = 60  # more at both ends
 _INSIDE, _OUTSIDE = 0.9, 1.1  # of the radii of plate and reach, looked at
 _WIDE, _NARROW, _INNER = 8.0, 4.5, 5.5  # pixels, deviations of windows of light; of ground alone
-_TURNS = 3
+_TURNS, _NEAR = 3, (8.0, 4.5, 2.5)  # times of all; pixels, windows of the cloth's colours
 _WAYS = [(0.0, 0.0), *((1.6 * np.cos(t), 1.6 * np.sin(t)) for t in np.arange(8) * np.pi / 4)]
 """Windows, of their deviations, beside a place: edges of shadows stay sharp."""
 _BLURS = (0.2e-3, 0.7e-3, 1.4e-3)  # m, of which a camera's is a sum
@@ -211,7 +211,8 @@ def _fit(seen: np.ndarray, expected: np.ndarray, weight: np.ndarray, sigma: floa
         part, part * seen, part * expected[..., None]))
     gain = mixed / np.maximum(square, 1e-4)[..., None]
     left = np.maximum(lights - gain * mixed, 0)
-    varied, contrast = np.maximum(lights - light**2, 0).sum(axis=2), np.maximum(square - mean**2, 1e-4)
+    varied = np.maximum(lights - light**2, 0).sum(axis=2)
+    contrast = np.maximum(square - mean**2, 1e-4)
     common = (mixed - mean[..., None] * light).sum(axis=2)
     match = common / np.sqrt(np.maximum(3 * varied * contrast, 1e-12))
     share = common / np.maximum(contrast * gain.sum(axis=2), 1e-6)
@@ -253,7 +254,7 @@ def _evidence(seen: np.ndarray, fit: Fit, cloth: np.ndarray | None, things: np.n
     other = even
     if cloth is not None:
         own = np.zeros_like(even)
-        for sigma in (_WIDE, _NARROW, 2.5):
+        for sigma in _NEAR:
             near = _gauss(cloth, sigma)[..., None]
             mean, square = (_gauss(cloth[..., None] * one, sigma) / np.maximum(near, 1e-4)
                             for one in (seen, seen**2))
@@ -265,9 +266,10 @@ def _evidence(seen: np.ndarray, fit: Fit, cloth: np.ndarray | None, things: np.n
     return np.log(no_cloth / other).astype(np.float32)
 
 
-def _border(evidence: np.ndarray, doubt: np.ndarray, radii: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _border(evidence: np.ndarray, doubt: np.ndarray, radii: np.ndarray
+            ) -> tuple[np.ndarray, np.ndarray]:
     """Mean and deviation (STEPS,), m, of the radii at which cloth ends, as of a closed Markov
-    chain over azimuths of half a degree."""
+    chain over azimuths of half a degree: of ``evidence`` (STEPS, R) and the ``doubt`` of each."""
     count, step = STEPS // 2, np.log(radii[1] / radii[0])
     cost = _TEMPER * np.cumsum(evidence.reshape(count, 2, -1).sum(axis=1), axis=1) + doubt[::2]
     like = np.exp(-np.minimum(cost - cost.min(axis=1, keepdims=True), 80)).astype(np.float32)

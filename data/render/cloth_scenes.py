@@ -8,8 +8,8 @@ from data.pictures.cut import steps
 from data.pictures.mat import MATS, on_ground, printed_at
 from data.pictures.planes import behind
 from data.pictures.reading import encoded
-from data.render.phone import exposed, mat_around
 from data.render.hard import HARD
+from data.render.phone import exposed, mat_around
 from data.render.scenery import Scenery
 
 HIGHEST = 0.25  # m, plates over the ground
@@ -23,8 +23,8 @@ _BENT, _FAR = 5e-3, 0.2  # of its scale by the lens, at a distance in m from the
 def scene_of(positions: np.ndarray, rest: np.ndarray, faces: np.ndarray, plate: Metres,
              reach: Metres, rng: np.random.Generator) -> dict[str, np.ndarray]:
     """A random view of a drape (V, 3), m, flat (V, 2), with the plate's and the specimen's radii:
-    arrays of what :class:`data.pictures.cut.ClothView` is given, and ``cloth`` (STORED, STORED), the
-    share of each pixel that the specimen covers, of 255."""
+    arrays of what :class:`data.pictures.cut.ClothView` is given, and ``cloth`` (STORED, STORED),
+    the share of each pixel that the specimen covers, of 255."""
     low = float(-positions[:, 2].min())
     spare = max(HIGHEST - low, 0.05)
     height = low + rng.choice([rng.uniform(0, 3e-3), rng.uniform(0, 0.3) * spare,
@@ -71,8 +71,9 @@ def scene_of(positions: np.ndarray, rest: np.ndarray, faces: np.ndarray, plate: 
 
 def expected(mat: str | None, ground: np.ndarray | None, plane: np.ndarray, eye: np.ndarray,
              height: Metres, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """The mat (STORED, STORED), with a ``ground`` of a colour (3,) or the code, None, as it must appear
-    behind places (STORED, STORED, 2) of the plate's plane, with errors of the pose; and where it is."""
+    """The mat (STORED, STORED), with a ``ground`` of a colour (3,) or the code, None, as it must
+    appear behind places (STORED, STORED, 2) of the plate's plane, with errors of the pose; and
+    where it is."""
     if mat is None:
         return np.zeros((STORED, STORED), np.uint8), np.zeros((STORED, STORED), bool)
     there = behind(plane, eye, height)

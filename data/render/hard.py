@@ -71,7 +71,7 @@ def littered(scenery: Scenery, reach: Metres, rng: np.random.Generator) -> Scene
     far = rng.uniform(0.85, 1.05) * reach + size.min() / 2
     mesh = trimesh.creation.box([*size, 6e-4])
     return _with(scenery, mesh, far * np.array([np.cos(around), np.sin(around)]),
-                 lambda places: scenery.surface(places), rng)
+                 scenery.surface, rng)
 
 
 def laced(scenery: Scenery, reach: Metres, rng: np.random.Generator) -> Scenery:
@@ -91,7 +91,7 @@ def _with(scenery: Scenery, mesh: trimesh.Trimesh, place: np.ndarray, texture: t
     """A thing that stands on the ground at a place (2,), turned at random."""
     turn = trimesh.transformations.rotation_matrix(rng.uniform(0, np.pi), [0, 0, 1])[:3, :3]
     points: Points = mesh.vertices @ turn.T
-    points = points + [*place, -points[:, 2].min()]
+    points += np.append(place, -points[:, 2].min())
     return replace(scenery, things=[*scenery.things, Thing(points, mesh.faces, texture)])
 
 

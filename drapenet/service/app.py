@@ -189,11 +189,10 @@ async def outline(request: Request, jobs: Service, client: Client) -> Response:
 
 @router.get("/mat.pdf", response_class=Response)
 def mat_to_print(
-    jobs: Service, client: Client, mat: str = "a3", paper: str = "", ground: str = "white"
+    jobs: Service, client: Client, mat: str = "a3", paper: str = "", ground: str = "code"
 ) -> Response:
     """The mat that lies under the stand, to be printed at 100 %: `mat` is a3 or a2, `paper` that
-    of the printer; by default that of the mat; `ground` is white, grey or blue, of the mat around
-    its markers.
+    of the printer; by default that of the mat; `ground` is code, white, grey or blue.
     """
     with jobs.looks.places.taken(client):
         data = jobs.looks.outcome(mat_pdf, mat, paper or mat, ground)

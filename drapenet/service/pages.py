@@ -15,7 +15,7 @@ from markupsafe import Markup
 
 from data.captures.description import PLATE_HEIGHTS
 from data.captures.reader import CAPTURE_FILES, MAX_PICTURES
-from data.pictures.mat import GROUNDS, PARTS
+from data.pictures.mat import CODE, GROUNDS, PARTS
 from data.readings import QUANTITIES
 from data.rigs import TESTERS
 from drapenet.config import ServeConfig
@@ -48,7 +48,7 @@ def add_pages(app: FastAPI, settings: ServeConfig) -> None:
                   curvature=DRAPE_CURVATURE, testers={name: RIGS[name] for name in TESTERS},
                   kinds=KINDS, examples=examples, manual=MANUAL.is_dir(), directions=DIRECTIONS,
                   photographs=PHOTOGRAPHS, pictures=MAX_PICTURES, plate_heights=PLATE_HEIGHTS,
-                  grounds=list(GROUNDS),
+                  grounds=[ground for ground in GROUNDS if ground != CODE],
                   mats=[(mat, paper, columns * rows) for (mat, paper), (columns, rows)
                         in PARTS.items()],
                   typed=typed_kinds(), described=list(MEASURED),

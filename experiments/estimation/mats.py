@@ -1,12 +1,13 @@
-"""Photographs by phones of drapes over the printed mat: outline, camera height and estimate.
+"""Photographs by phones of drapes over the printed mats: outline, camera height and estimate.
 
 Fabrics drawn evenly from limp to stiff, with all nuisances, are draped, and photographed
 (:mod:`data.render.phone`) on plates 90 to 200 mm above the mat from 0.4 to 1.5 m above the plate,
 up to 20 degrees beside its axis, with phones' lenses, lamps, things that lie about, blur and JPEG.
-Cloth has random textures or, where ``shared/photographs`` is present, those of real cloth. The
-picture that is nearest to the axis is read alone, and all of a drape together, as a user's; the
-outline is compared with the true one as seen from the camera's true place and from the axis, and
-log alpha with the estimate from the true outline and with the truth.
+Cloth has random textures or, where ``shared/photographs`` is present, those of real cloth; in six
+of seven scenes something makes the hem hard to see (:mod:`data.render.hard`). The picture that is
+nearest to the axis is read alone, and all of a drape together, as a user's; the outline is compared
+with the true one as seen from the camera's true place and from the axis, and log alpha with the
+estimate from the true outline and with the truth.
 """
 
 import tempfile
@@ -25,6 +26,7 @@ from data.fabrics.fabrics import fabric_from_theta
 from data.pictures.planes import mapped
 from data.pictures.reading import decoded
 from data.render import textures
+from data.render.hard import HARD
 from data.render.phone import PhonePicture
 from drapenet.fabric.stages import by_network
 from experiments.drapes import drape_as_planned, header, plan_specimen
@@ -35,9 +37,10 @@ from sim.material import LINEAR, REFERENCE_DENSITY
 from sim.rig import Rig
 
 NEAR = 0.1  # the same of pictures near the axis
-TARGETS = {"reading_mm": (0.6, 1.5), "alone": (0.05, 0.15), "together": (0.03, 0.10),
-           "silent": 0.01, "warned_though_right": 0.15}
-WRONG = 0.15  # of alpha
+TARGETS = {"code": {"reading_mm": (0.5, 1.0), "alone": (0.025, 0.08), "together": (0.025, 0.08),
+                    "silent": 0}, "plain": {"silent": 0.01, "warned_though_right": 0.15}}
+WRONG, UNLIKELY = 0.15, 2.0  # of alpha, and in deviations
+KINDS = ("sound", *HARD)
 TEXTURES = Path(__file__).resolve().parents[3] / "shared" / "photographs"
 _PATCH, _PIXEL = 90, 3.9e-4  # pixels on each side of the middle, and their size, m
 
@@ -45,23 +48,26 @@ _PATCH, _PIXEL = 90, 3.9e-4  # pixels on each side of the middle, and their size
 class Keys(CaseKeys):
     testers: tuple[str, ...] = (
         "disc300_support180", "disc240_support180", "disc360_support180", "square300_cylinder100")
-    drapes: int = 67  # in turn on each tester, each of another fabric
+    grounds: tuple[str, ...] = ("code", "white", "code", "grey")  # of the mats, in turn
+    drapes: int = 112  # in turn on each tester, each of another fabric
     pictures: int = 3  # of each drape, from up to 20 degrees beside the axis
     edge_mm: float = 6.0  # edges of the mesh at the plate's rim
     seed: int = 17  # of all random numbers
 
 
-def drape(rng: np.random.Generator, *, number: int, testers: list[str], edge_mm: float,
-          pictures: int, seed: int) -> Sample:
+def drape(rng: np.random.Generator, *, number: int, testers: list[str], grounds: list[str],
+          edge_mm: float, pictures: int, seed: int) -> Sample:
     """Errors of the pictures of one drape, of the nearest to the axis alone and of all together."""
-    tester = Rig.from_name(testers[number % len(testers)])
+    tester = Rig.from_name(testers[number // len(grounds) % len(testers)])
+    kind, ground = KINDS[number % len(KINDS)], grounds[number % len(grounds)]
     plan = plan_specimen(number, "dataset.even_share=0.8", rig=tester, seed=seed, nuisances="real")
     shape = drape_as_planned(plan, edge=1e-3 * edge_mm)
     taken = Taken.of(shape.positions, shape.mesh, tester, rng, pictures=pictures, clutter=True,
-                     surface=real_texture(rng))
+                     surface=real_texture(rng), ground=ground, hard=(kind,) if kind in HARD else ())
     first = taken.pictures[0]
-    found = {**first.kind, "plate_mm": 1e3 * taken.plate_height, "mat": taken.mat,
-             "height_m": taken.place(first)[2], "lean": taken.lean(first)}
+    found = {**first.kind, "plate_mm": 1e3 * taken.plate_height, "mat": taken.mat, "hard": kind,
+             "ground": "code" if ground == "code" else "plain", "height_m": taken.place(first)[2],
+             "lean": taken.lean(first)}
     truth = np.log(fabric_from_theta(plan.theta).alpha)
     for name, chosen in (("alone", taken.pictures[:1]), ("together", taken.pictures)):
         with tempfile.TemporaryDirectory() as folder:
@@ -80,6 +86,7 @@ def errors(taken: Taken, chosen: list[PhonePicture], folder: Path, shape: Drape,
     shown = taken.reference(outline)
     place, warp = taken.place(shown), shown.warp
     assert outline.hem is not None and outline.to_pixels is not None
+    assert outline.error is not None
     seen = mapped(outline.hem, np.linalg.inv(outline.to_pixels))
     true_axis, true_seen = (true_radii(shape.positions, shape.mesh.edges, warp, beside, place[2])
                             for beside in (np.zeros(2), place[:2]))
@@ -93,8 +100,7 @@ def errors(taken: Taken, chosen: list[PhonePicture], folder: Path, shape: Drape,
         "reading_mm": 1e3 * rms(
             PhotographedOutline(seen, np.inf, True, outline.rig).radii - true_seen),
         "outline_mm": 1e3 * rms(off), "height_error": outline.height / place[2] - 1,
-        "stated_error": None if outline.error is None else float(
-            np.sqrt(np.square(off / outline.error).mean())),
+        "inside": [float((np.abs(off) < times * outline.error).mean()) for times in (1, 2)],
         "alpha_error": (alpha - best).tolist(), "truth_error": (alpha - truth).tolist(),
         "deviation": sure.tolist()}
 
@@ -127,9 +133,15 @@ def _log_alpha(outline: PhotographedOutline, warp: float) -> tuple[np.ndarray, n
 def run(keys: Keys) -> Report:
     """Evaluate all drapes."""
     drapes = samples_of(drape, keys, keys.drapes)
-    groups = {"one near the axis": [one["alone"] for one in drapes.values() if one["lean"] < NEAR],
-              "one": [one["alone"] for one in drapes.values()],
-              f"{keys.pictures} together": [one["together"] for one in drapes.values()]}
+    groups: dict = {}
+    for ground in ("code", "plain"):
+        over = [one for one in drapes.values() if one["ground"] == ground]
+        groups |= {
+            f"{ground}, one near the axis": [one["alone"] for one in over if one["lean"] < NEAR],
+            f"{ground}, one": [one["alone"] for one in over],
+            f"{ground}, {keys.pictures} together": [one["together"] for one in over]}
+        groups |= {f"{ground}, {kind}": [one["alone"] for one in over if one["hard"] == kind]
+                   for kind in KINDS}
     return {"targets": TARGETS, "cases": drapes,
             "summary": {name: summarise(some) for name, some in groups.items() if some}}
 
@@ -145,14 +157,17 @@ def summarise(results: list[Sample]) -> Report:
         found[name] = _deciles(np.abs([one[name] for one in read]))
     for name in ("alpha_error", "truth_error"):
         found[name] = _deciles(np.abs(np.expm1([one[name] for one in read])).ravel())
-    worst = np.array([np.abs(np.expm1(one["alpha_error"])).max() for one in read])
+    off, truth, sure = (np.array([one[name] for one in read]) for name in (
+        "alpha_error", "truth_error", "deviation"))
+    far = np.abs(np.expm1(off)) > WRONG
+    wrong = (far & (np.abs(off) > UNLIKELY * sure)).any(axis=1)
     silent = np.array([not one["warnings"] for one in read])
-    off, sure = (np.array([one[name] for one in read]) for name in ("truth_error", "deviation"))
+    right = ~far.any(axis=1)
     return found | {
-        "inside_68": float((np.abs(off) < sure).mean()), "wrong": int((worst > WRONG).sum()),
-        "wrong_in_silence": int(((worst > WRONG) & silent).sum()),
-        "right": int((worst <= WRONG).sum()),
-        "warned_though_right": int(((worst <= WRONG) & ~silent).sum())}
+        "inside": np.mean([one["inside"] for one in read], axis=0).tolist(),
+        "inside_68": float((np.abs(truth) < sure).mean()), "wrong": int(wrong.sum()),
+        "wrong_in_silence": int((wrong & silent).sum()), "right": int(right.sum()),
+        "warned_though_right": int((right & ~silent).sum())}
 
 
 def _deciles(values: np.ndarray) -> list[float]:
@@ -163,14 +178,16 @@ def block(report: Report) -> str:
     """Errors of photographs over the mat, alone and together."""
     return table(
         ["pictures", "captures", "refused", "outline as seen, mm: median, 9 of 10",
-         "from the axis", "α off the true outline's, %", "off by 15 %, no warning",
-         "right, with a warning", "off the truth, %", "inside 68 %, %"],
+         "from the axis", "of it within one, two stated deviations, %",
+         "α off the true outline's, %", "wrong, no warning", "right, with a warning",
+         "off the truth, %", "inside 68 %, %"],
         [[name, f"{found['captures']}", f"{found['refused']}",
           *("{:.1f}, {:.1f}".format(*found[key]) for key in ("reading_mm", "outline_mm")),
-          percents(found["alpha_error"]), f"{found['wrong_in_silence']}",
+          percents(found["inside"]), percents(found["alpha_error"]),
+          f"{found['wrong_in_silence']} of {found['wrong']}",
           f"{found['warned_though_right']} of {found['right']}",
           percents(found["truth_error"]), percents([found["inside_68"]])]
-         for name, found in report["summary"].items()])
+         for name, found in report["summary"].items() if "wrong" in found])
 
 
 STUDY = Study(Keys, run, block)

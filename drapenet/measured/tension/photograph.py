@@ -288,8 +288,11 @@ def _pictures(files: list[Path], height: Metres) -> list[MarkedPicture]:
         if (found := find_mat(photograph)) is None:
             raise InputError(f"{file}: fewer than six markers of the mat are seen; show the mat "
                              "with its corners, sharp and without glare")
-        mats.append(found[0])
-        seen.append(found[1:])
+        if found.coded:
+            raise InputError(f"{file}: it shows the mat with the code; marks are seen on a plain "
+                             f"one: apps.capture mat={found.name} ground=grey")
+        mats.append(found.name)
+        seen.append(found[2:])
         photographs.append(photograph)
     if mats[0] != mats[1]:
         raise InputError(f"{files[1]}: it shows the mat {mats[1]}, {files[0].name} {mats[0]}; take "
