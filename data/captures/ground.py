@@ -14,7 +14,8 @@ from data.captures.scale import mat_scale
 from data.pictures.mat import QUIET, along_border, near_markers, on_paper
 from data.pictures.planes import behind
 
-_KINDS = ("a marker", "the edge of the mat's paper", "the table beside the mat", "the plain mat")
+_KINDS = ("a marker", "the edge of the mat's paper", "the table beside the mat", "the plain mat",
+          "a thing that hides the mat's code")
 _LEAN = 0.8 * MAX_LEAN  # of a place that is asked for, which nobody meets exactly
 _HIGHER, _HIGHEST = 1.3, 1.5  # over the present height; m above the plate
 _DIRECTIONS = 16
@@ -29,13 +30,14 @@ class Ground:
     mat: str
     scale: float
     plate_height: Metres
+    coded: bool = False
 
     @classmethod
-    def of(cls, source: OutlineSource) -> "Ground | None":
-        """The mat that is stated; None without a mat."""
+    def of(cls, source: OutlineSource, *, coded: bool = False) -> "Ground | None":
+        """The mat that is stated, with the code if that is seen; None without a mat."""
         if source.mat is None or source.plate_height_mm is None:
             return None
-        return cls(source.mat, mat_scale(source), 1e-3 * source.plate_height_mm)
+        return cls(source.mat, mat_scale(source), 1e-3 * source.plate_height_mm, coded)
 
     def behind_hem(self, radii: np.ndarray, camera: Vector) -> np.ndarray:
         """Places (720, 2), m of the mat's layout, that a ``camera``, m from the plate's centre,
@@ -51,7 +53,7 @@ class Ground:
         """What lies behind most of a part, ``where`` (720,), of a hem."""
         places = self.behind_hem(radii, camera)[where]
         number = np.select([near_markers(self.mat, places, QUIET), along_border(self.mat, places),
-                            ~on_paper(self.mat, places)], [0, 1, 2], 3)
+                            ~on_paper(self.mat, places)], [0, 1, 2], 3 + self.coded)
         return _KINDS[int(np.bincount(number).argmax())]
 
     def next_camera(

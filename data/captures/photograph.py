@@ -275,7 +275,8 @@ def _as_seen(seen: Scaled, source: OutlineSource, rig: Rig) -> PhotographedOutli
     cut = outline_of_cloth(
         photograph, np.linalg.inv(to_metres), plate=rig.plate_radius, reach=rig.reach,
         known=seen.middle is not None, printed=seen.printed, unsure=seen.unsure)
-    if seen.printed and seen.printed.ground == CODE:
+    coded = seen.printed is not None and seen.printed.ground == CODE
+    if coded and seen.printed:
         cut = uncover(cut, photograph, np.linalg.inv(to_metres), seen.printed,
                       plate=rig.plate_radius, reach=rig.reach)
     pixels = cut.hem
@@ -305,7 +306,7 @@ def _as_seen(seen: Scaled, source: OutlineSource, rig: Rig) -> PhotographedOutli
         check="check_mat" if source.mat else "check_picture")
     unlike = unlike_cloth(found.radii, rig)
     return replace(found, error=np.maximum(error, unlike), clarity=Clarity.of(
-        found.radii, error, unlike, cameras, Ground.of(source)))
+        found.radii, error, unlike, cameras, Ground.of(source, coded=coded)))
 
 
 def _by_azimuth(curve: Outline, error: np.ndarray) -> np.ndarray:
