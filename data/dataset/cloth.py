@@ -3,9 +3,9 @@
     python -m data.dataset.cloth data=FOLDER pictures=FOLDER [out=FILE]
 
 FOLDER of ``data`` is a dataset of drapes, finished or not. Each drape is photographed in random
-scenes, a second a picture; the pictures are kept in ``pictures``, and made once. Prints the
-errors on fabrics held out. The network is a U-Net (Ronneberger et al. 2015) on squares of two by
-two pixels.
+scenes, a second a picture; the pictures are kept in ``pictures``, and made once. The training goes
+on from weights ``start``, if any. Prints the errors on fabrics held out. The network is a U-Net
+(Ronneberger et al. 2015) on squares of two by two pixels.
 """
 
 from dataclasses import dataclass
@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 import torch
 from pydantic import Field
+from safetensors.torch import load_file
 from torch import nn
 from torch.nn.functional import (
     binary_cross_entropy_with_logits,
@@ -41,7 +42,7 @@ _WIDTHS = (16, 24, 48, 96, 128)
 HELD_OUT = 0.05  # of the fabrics
 _BATCH, _RATE = 8, 3e-3  # largest learning rate
 _GAINS = 0.15, 0.25  # deviations of log light, of each colour and of all
-VERSION = 1
+VERSION = 2
 """Of the pictures of a shard: raise it when they change."""
 
 
@@ -86,6 +87,7 @@ class ClothConfig:
     scenes: Annotated[int, Field(ge=1)]
     epochs: Annotated[int, Field(ge=1)]
     workers: Annotated[int, Field(ge=1)]
+    start: str
     seed: Seed
 
 
@@ -155,11 +157,14 @@ class Pictures:
                 one = {key: values[row] for key, values in arrays.items()}
                 off = None if np.isnan(one["off"]).any() else one["off"]
                 reach = float(one["reach"])
-                view = ClothView(one["picture"], one["printed"], one["on_mat"],
-                            np.zeros((SIDE, SIDE), bool), float(one["plate"]), reach, off)
+                picture, printed, on_mat, covered = (
+                    cv2.resize(one[key].astype(np.uint8), (SIDE, SIDE),
+                               interpolation=cv2.INTER_AREA)
+                    for key in ("picture", "printed", "on_mat", "cloth"))
+                view = ClothView(picture, printed, on_mat > 0, np.zeros((SIDE, SIDE), bool),
+                                 float(one["plate"]), reach, off)
                 fine, coarse = (part.astype(np.float16) for part in view.channels())
-                found.append((fine, coarse, one["cloth"], np.diff(steps(reach))[0],
-                              one["held_out"]))
+                found.append((fine, coarse, covered, np.diff(steps(reach))[0], one["held_out"]))
         if not found:
             raise InputError(f"{folder} has no pictures to train on; complete more shards")
         return cls(*(np.array(part) for part in zip(*found, strict=True)))
@@ -173,8 +178,10 @@ class Pictures:
 
 def train(pictures: Pictures, config: ClothConfig) -> ClothNetwork:
     """A network trained on the pictures of fabrics that are not held out."""
-    network, rng = ClothNetwork().to(memory_format=torch.channels_last), np.random.default_rng(
-        config.seed)
+    network, rng = ClothNetwork(), np.random.default_rng(config.seed)
+    if config.start:
+        network.load_state_dict(load_file(config.start))
+    network.to(memory_format=torch.channels_last)
     rows = np.flatnonzero(~pictures.held_out)
     count = len(rows) // _BATCH
     optimiser = torch.optim.AdamW(network.parameters(), weight_decay=0.02)

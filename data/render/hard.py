@@ -53,7 +53,7 @@ def striped(scenery: Scenery, _: Metres, rng: np.random.Generator) -> Scenery:
 
 def footed(scenery: Scenery, reach: Metres, rng: np.random.Generator) -> Scenery:
     """A wide foot on the ground, seen between the folds, often of the cloth's colour."""
-    wide, high = rng.uniform(0.6, 1.05) * reach, rng.uniform(2e-3, 0.025)
+    wide, high = rng.uniform(0.7, 1.05) * reach, rng.uniform(2e-3, 0.025)
     low = float(scenery.cloth[:, 2].min())
     if rng.random() < 0.5:
         mesh = trimesh.creation.cylinder(wide, min(high, max(low, 1e-3)), sections=64)

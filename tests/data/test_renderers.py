@@ -16,6 +16,7 @@ from data.pictures.cut import BUNDLED, cut_cloth, outline_of_cloth
 from data.pictures.reading import Photograph, decoded
 from data.render import cloth_scenes, textures
 from data.render.cameras import Camera, nominal_camera
+from data.render.hard import HARD
 from data.render.phone import exposed
 from data.render.raster import draw, rasterise
 from data.render.rays import DepthRenderer
@@ -306,6 +307,22 @@ def test_a_plate_that_is_larger_than_its_picture_is_refused(shape):
     where["to_pixels"] = where["to_pixels"] @ np.diag([3, 3, 1.0])
     with pytest.raises(InputError, match="pixels of the file, more than"):
         cut_cloth(photographed(shape, 0.4, 0.1), **where)
+
+
+@pytest.mark.parametrize("kind", HARD)
+def test_a_scene_that_is_hard_shows_the_same_specimen_otherwise(shape, kind):
+    rng = np.random.default_rng(4)
+    scenery = Scenery.random(
+        shape.positions + np.array([0, 0, PLATE_HEIGHT]), shape.rest, shape.faces, rng, mat="a2",
+        plate_radius=DISC_RIG.plate_radius, plate_height=PLATE_HEIGHT, clutter=False, ground="code")
+    steps = np.linspace(-0.25, 0.25, 100)
+    plane = np.dstack([*np.meshgrid(steps, -steps), np.full((100, 100), PLATE_HEIGHT)])
+    eye = np.array([0, 0, PLATE_HEIGHT + ABOVE])
+    rays = (plane - eye) / np.linalg.norm(plane - eye, axis=2, keepdims=True)
+    seen, changed = (one.seen(eye, rays, np.random.default_rng(0)) for one in (
+        scenery, HARD[kind](scenery, DISC_RIG.reach, rng)))
+    np.testing.assert_array_equal(seen[1], changed[1])
+    assert np.abs(seen[0] - changed[0]).max() > 0.1
 
 
 def test_textures_are_albedo_and_repeat_with_their_seed():
