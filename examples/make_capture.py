@@ -23,6 +23,7 @@ from common.errors import InputError
 from common.files import folder_named, replace_file, require_folder
 from data.captures.description import checked_density, whole_turns
 from data.captures.writer import write_capture
+from data.pictures.mat import CODE
 from data.render.cameras import VIEWS
 from data.render.phone import phone_picture
 from data.render.rays import DepthRenderer
@@ -111,7 +112,7 @@ def write_photograph(out: Path, drape: Drape, rng: np.random.Generator) -> None:
     mat, height = "a2", ABOVE_MAT - float(drape.positions[:, 2].min())
     picture = phone_picture(drape.positions, drape.rest, drape.faces, rng, mat=mat,
                             plate_radius=drape.rig.plate_radius, plate_height=height,
-                            beside=BESIDE)
+                            beside=BESIDE, ground=CODE)
     picture.write(out, density=drape.fabric.density, rig=drape.rig, mat=mat,
                   plate_height=height)
 

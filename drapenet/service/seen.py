@@ -28,7 +28,8 @@ def prepare() -> None:
     for network in (cut, hem, off_axis):
         bundled_graph(network.BUNDLED)
     for name in mat.MATS:
-        mat.printed_at(name, np.zeros((1, 1, 2)))
+        for ground in ("white", mat.CODE):
+            mat.printed_at(name, np.zeros((1, 1, 2)), ground)
 
 
 def photograph_as_read(folder: Path) -> dict[str, Any]:
