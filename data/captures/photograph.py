@@ -238,8 +238,7 @@ def _joined(
         warnings.append(Finding("hem_on_ground", {
             "value": share, "limit": MAX_GROUNDED, "place": sides(here)}))
     height = ground.plate_height
-    if off := height_off([read[names[k]][0] for k in together.used if not together.turned[k]], rig,
-                         height):
+    if off := height_off([read[names[k]][0] for k in together.used], rig, height):
         warnings.append(Finding("plate_height_contradicts", {
             "value": 1e3 * (height + off), "stated": 1e3 * height, "limit": MAX_OFF,
             "causes": Finding("check_mat").text}))
