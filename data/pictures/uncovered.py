@@ -29,7 +29,7 @@ STEPS = 1440  # azimuths
 _WRAP = 60  # more at both ends
 _INSIDE, _OUTSIDE = 0.9, 1.1  # of the radii of plate and reach, looked at
 _WIDE, _NARROW, _INNER = 8.0, 4.5, 5.5  # pixels, deviations of windows of light; of ground alone
-_TURNS, _NEAR = 3, (8.0, 4.5, 2.5)  # times of all; pixels, windows of the cloth's colours
+_TURNS, _NEAR = 2, (8.0, 4.5, 2.5)  # times of all; pixels, windows of the cloth's colours
 _WAYS = [(0.0, 0.0), *((1.6 * np.cos(t), 1.6 * np.sin(t)) for t in np.arange(8) * np.pi / 4)]
 """Windows, of their deviations, beside a place: edges of shadows stay sharp."""
 _BLURS = (0.2e-3, 0.7e-3, 1.4e-3)  # m, of which a camera's is a sum
