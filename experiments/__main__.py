@@ -21,7 +21,7 @@ from experiments import study
 from experiments.report import REPORTS, read_report, write_figure
 from experiments.study import FILES
 
-PAPERS = ("table3", "views", "transfer", "skirt")
+PAPERS = ("table3", "views")
 """Studies that repeat those of papers, in the order of docs/studies.md."""
 
 

@@ -219,8 +219,7 @@ class Material:
 
 
 def hinge_ratio(mesh: str, cells: int) -> float:
-    """Modulus of hinges over that of the equivalent plate, constant beyond :data:`MAX_CELLS`
-    (``python -m experiments hinges``).
+    """Modulus of hinges over that of the equivalent plate, constant beyond :data:`MAX_CELLS`.
     """
     file = Path(__file__).parents[1] / "weights" / "hinges.json"
     ratios = json.loads(file.read_text(encoding="utf-8"))

@@ -32,7 +32,7 @@ from drapenet.views.turns import disagreement, register
 from sim.rig import Rig
 
 SPECIMEN_OFFSET = Path(__file__).parents[1] / "weights" / "specimen_offset.json"
-"""Coefficients of ``python -m experiments specimen_offset``."""
+"""Coefficients of a regression on simulated captures."""
 _BAND = 4  # rows of a map
 _PLATE_TOLERANCE = 10e-3  # m, distance of cloth on the plate from its plane
 _CUT_TOLERANCE = 1.5e-3  # m, range of depths of a border cut by a threshold

@@ -7,7 +7,6 @@ from scipy.optimize import brentq
 from test_energies import ANISOTROPIC, crumpled_strip
 
 from common.errors import InputError
-from experiments.physics.laboratory import kes_fabric
 from sim.cloth import Laws
 from sim.energies.bending_variants import (
     BUILD_UP,
@@ -219,7 +218,8 @@ def test_fabric_of_moduli_is_loaded_and_unloaded_as_stated(share, direction):
 @pytest.mark.parametrize("direction", ANGLES)
 def test_fabric_of_kes_has_its_b_2hb_and_residual_curvature(direction):
     b, two_hb = np.array([9e-6, 6e-6, 5e-6]), np.array([4.5e-4, 2.4e-4, 1.2e-4])
-    fabric, law = kes_fabric(b, two_hb)
+    share = two_hb / (2 * KES_CURVATURE * b + two_hb)  # of a loading torque of B kappa + HB
+    fabric, law = Fabric(b), Hysteresis(tuple(share.tolist()), added=True)
     loading, unloading = cycle(fabric, law, direction)
     between = (UP >= 50) & (UP <= 150)
     slope, intercept = np.polyfit(UP[between], loading[between], 1)
