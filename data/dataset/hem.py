@@ -110,8 +110,8 @@ def main(config: HemConfig) -> None:
 
 
 def see(root: Path, config: HemConfig) -> tuple[np.ndarray, np.ndarray]:
-    """Radii as seen, plate's radius and reach of each drape (N, AZIMUTHS + 2), in sizes, and which
-    are held out."""
+    """Radii as seen, plate's radius and reach of each drape (N, AZIMUTHS + 2), in sizes; which of
+    them are held out (N,)."""
     rows: list[np.ndarray] = []
     held_out: list[bool] = []
     for shard, row, index, unseen in first_drapes(root, config.drapes, HELD_OUT):
@@ -144,7 +144,7 @@ def _unlikely(log_error: torch.Tensor, off: torch.Tensor) -> torch.Tensor:
 
 
 def train(outlines: np.ndarray, config: HemConfig) -> HemNetwork:
-    """A network trained on misread outlines."""
+    """A network trained on misread outlines (N, ...)."""
     network, rng = HemNetwork(), np.random.default_rng(config.seed)
 
     def losses() -> Iterator[torch.Tensor]:
@@ -158,7 +158,7 @@ def train(outlines: np.ndarray, config: HemConfig) -> HemNetwork:
 
 @torch.inference_mode()
 def agreement(network: HemNetwork, outlines: np.ndarray, config: HemConfig) -> str:
-    """The correlation of the logarithms of errors found and true, of outlines held out."""
+    """The correlation of the logarithms of errors found and true, of outlines (N, A)."""
     inputs, off = _read(outlines, np.random.default_rng(config.seed))
     found, true = network(*inputs), (off.abs() + 0.2 * _MM).log()
     together = torch.corrcoef(torch.stack([found.flatten(), true.flatten()]))[0, 1]

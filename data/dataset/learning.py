@@ -92,8 +92,8 @@ def first_drapes(root: Path, count: int, share: float) -> Iterator[tuple[Shard, 
 
 def fit(network: nn.Module, losses: Iterable[torch.Tensor], steps: int, rate: float, *,
         rise: float = 0.05, momentum: bool = False, clip: float = 1.0, decay: float = 0.01) -> None:
-    """Train a network by so many losses; the learning rate is at most ``rate``, after a share
-    ``rise`` of the steps."""
+    """Train a network by so many losses (scalars); the learning rate is at most ``rate``,
+    after a share ``rise`` of the steps."""
     optimiser = torch.optim.AdamW(network.parameters(), weight_decay=decay)
     rates = torch.optim.lr_scheduler.OneCycleLR(
         optimiser, rate, total_steps=steps + 1, pct_start=rise, cycle_momentum=momentum)

@@ -5,9 +5,7 @@
 FOLDER is a dataset of drapes, finished or not. Each drape is seen by random cameras beside the axis
 and on it, on one core in ten minutes for 8000 drapes. Prints the errors on fabrics held out.
 
-The network says how an outline differs from the one seen on the axis. All lengths are over the
-specimen's size, so that it serves testers of any size; its layers are convolutions around the
-outline, so that it does not depend on where azimuth 0 is.
+All lengths are over the specimen's size, so that the network serves testers of any size.
 """
 
 from collections.abc import Iterator

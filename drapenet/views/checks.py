@@ -1,8 +1,7 @@
 """Plausibility checks of captures.
 
-A wrong intrinsic, a wrong depth unit or a wrong mask changes moduli by 20 to 40 % and still gives
-a plausible drape. The checks use that cloth does not stretch, the plate is flat, and all views show
-the same cloth. Few correct simulated captures exceed the limits (``python -m experiments faults``).
+The checks use that cloth does not stretch, the plate is flat, and all views show the same cloth.
+Few correct simulated captures exceed the limits (``python -m experiments faults``).
 """
 
 import json
