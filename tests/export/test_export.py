@@ -18,24 +18,11 @@ from data.readings.known import Known
 from drapenet.export.__main__ import main
 from drapenet.export.cards import DEFAULT
 from drapenet.export.formats import ALIASES, TARGETS, export
-from drapenet.export.material import (
-    GAMMA,
-    MAX_CELLS,
-    MESHES,
-    MIN_CELLS,
-    hinge_ratio,
-    read_material,
-)
+from drapenet.export.material import MAX_CELLS, MIN_CELLS, hinge_ratio, read_material
 from drapenet.measured.tension.law import compliance
-from experiments.physics.elastica import free_end
-from sim.cantilever.elastica import aspect_ratio, gamma_of_aspect_ratio
-from sim.cantilever.strip import TIGHT, fabric_of_gamma
-from sim.cloth import Laws
 from sim.energies.hinges import HingeBending
-from sim.equilibrium import find_equilibrium
 from sim.material import DIRECTIONS, MICRO, NANO, STIFF_SOFT, Fabric, torque
 from sim.mesh import strip
-from sim.scene import Scene
 from sim.tension import POISSON
 
 ALPHA = np.array([52.0, 31.0, 22.0]) * MICRO
@@ -213,22 +200,10 @@ def test_programs_stand_for_their_format_and_folders_for_their_estimate(estimate
     assert "does not mark the warp" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(("mesh", "cells", "low", "high"), [
-    ("unstructured", 7, 1.0, 1.1), ("alternating", 9, 1.18, 1.24), ("equal", 6, 1.15, 1.25),
-    ("random", 6, 1.08, 1.2)])
-def test_strips_of_hinges_hang_as_the_elastica_with_the_ratio(estimate, mesh, cells, low, high):
-    """The ratio is near that of docs/exports.md."""
-    ratio, edge, found = hinge_ratio(mesh, cells), 0.09 / cells, []
-    physical, (diagonals, jitter) = fabric_of_gamma(GAMMA, 0.09), MESHES[mesh]
-    for seed in range(6 if jitter or diagonals == "random" else 1):
-        grid, held = strip(length=0.09, width=round(cells / 2) * edge, edge=edge, clamp=2 * edge,
-                           diagonals=diagonals, jitter=jitter, seed=seed)
-        scene = Scene(grid, held)
-        flat = scene.state(np.column_stack([grid.rest, np.zeros(len(grid.rest))]))
-        hung = find_equilibrium(scene, Fabric(ratio * physical.alpha, density=physical.density),
-                                flat, laws=Laws(bending="hinge_linear"), options=TIGHT)
-        found.append(gamma_of_aspect_ratio(aspect_ratio(free_end(grid, hung.state))))
-    assert np.mean(found) == pytest.approx(GAMMA, rel=5e-3)
+@pytest.mark.parametrize(("mesh", "low", "high"), [
+    ("unstructured", 1.0, 1.1), ("alternating", 1.18, 1.24), ("equal", 1.15, 1.25),
+    ("random", 1.08, 1.2)])
+def test_ratios_of_meshes_are_those_of_the_docs(estimate, mesh, low, high):
     assert low < read_material(estimate, mesh=mesh).ratio < high
     assert all(0.9 < hinge_ratio(mesh, n) < 1.3 for n in range(MIN_CELLS, MAX_CELLS + 1))
     assert hinge_ratio(mesh, 10 * MAX_CELLS) == hinge_ratio(mesh, MAX_CELLS)
