@@ -82,6 +82,8 @@ def first_drapes(root: Path, count: int, share: float) -> Iterator[tuple[Shard, 
     for path in over_shards(sorted(root.glob(SHARDS)), "reading"):
         shard = Shard(path)
         index = shard.column("index")
+        if index[0] >= count:
+            break
         for row, held_out in converged(shard, share):
             if index[row] < count:
                 learned |= not held_out
