@@ -3,10 +3,8 @@
 The key is a digest of its settings and of the version of the work, a number beside its code that is
 raised by hand when results change.
 
-Two kinds of work are no cases. A training's state is refused, not made again, where settings or
-maps have changed, because hours may be in it (:mod:`drapenet.network.training`); a dataset's shards
-are written by many machines, are refused for the same reason, and state their own settings and
-checksum (:mod:`data.dataset.folder`).
+Trainings and shards of datasets are no cases: they are refused, not made again, where settings have
+changed, because hours may be in them.
 """
 
 import json

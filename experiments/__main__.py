@@ -3,7 +3,7 @@
     python -m experiments                       # lists them
     python -m experiments NAME [key=value ...]  # NAME --help lists the keys
     python -m experiments NAME out=docs/validation/NAME.json  # replaces the tracked report
-    python -m experiments papers                # all of docs/studies.md, hours of CPU
+    python -m experiments papers                # all of docs/studies.md with code, hours of CPU
     python -m experiments page                  # docs/studies.md and its figures from the reports
 
 A study writes a report, outputs/experiments/NAME.json unless out= names another file, and some a
@@ -21,7 +21,7 @@ from experiments import study
 from experiments.report import REPORTS, read_report, write_figure
 from experiments.study import FILES
 
-PAPERS = ("table3", "views", "transfer", "skirt")
+PAPERS = ("table3", "views")
 """Studies that repeat those of papers, in the order of docs/studies.md."""
 
 
@@ -54,7 +54,7 @@ def run_study(name: str, words: list[str]) -> None:
 
 
 def run_papers(words: list[str]) -> None:
-    """Run all studies of the page with the words ``words``; replace their reports."""
+    """Run the studies of the page with the words ``words``; replace their reports."""
     for name in PAPERS:
         run_study(name, [f"out={REPORTS / name}.json", *words])
 

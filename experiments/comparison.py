@@ -57,8 +57,7 @@ class Difference:
     """Difference of two drapes: both metrics of the paper's Table 3, and the largest displacement.
 
     ``curvature`` is the area average of |H_other - H_reference| divided by that of |H_reference|;
-    infinite if the reference is flat. The paper does not state the reference of its percentages; a
-    quotient at each point would be large wherever the cloth is flat.
+    infinite if the reference is flat.
     """
 
     displacement: Metres

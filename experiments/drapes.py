@@ -12,7 +12,7 @@ from common.command import compose_config
 from common.errors import InputError
 from common.types import Theta
 from data.captures.capture import DepthCapture
-from data.dataset.config import DatasetConfig, Options, config_from_options
+from data.dataset.config import Options, config_from_options
 from data.dataset.folder import finished_manifest
 from data.dataset.plan import DrapePlan, Stream, plan_drape, stream
 from data.dataset.shards import Shard
@@ -39,11 +39,6 @@ IDEAL = CLEAN | {"roll": 0.0, "pitch": (np.radians(38.0),) * 2, "distance": (0.5
 """The same with the nominal pose of the camera."""
 
 
-LEARNED = ("dataset=testers", "dataset.even_share=0", "dataset.random_testers=0",
-           "dataset.rectangles=0", "dataset.rounded_rims=0")
-"""Overrides for fabrics of the prior on a single tester, drawn as for the network's training."""
-
-
 def prior_fabric(index: int, seed: int) -> Fabric:
     """Fabric ``index`` of the Gaussian prior."""
     return fabric_from_theta(prior_theta(index, seed))
@@ -58,17 +53,10 @@ def plan_specimen(
     number: int, *words: str, seed: int, nuisances: str = "none", rig: Rig = RIG
 ) -> DrapePlan:
     """A specimen as in a dataset of the plain prior; ``words``: overrides of its config."""
-    config = specimen_config(*words, seed=seed, nuisances=nuisances, rig=rig)
-    return plan_drape(number, config=config.sampling, prior=config.prior)
-
-
-def specimen_config(
-    *words: str, seed: int, nuisances: str = "none", rig: Rig = RIG
-) -> DatasetConfig:
-    """The configuration of :func:`plan_specimen`."""
-    return config_from_options(compose_config("generate", [
+    config = config_from_options(compose_config("generate", [
         f"nuisances={nuisances}", f"dataset.testers=[{rig.name}]", f"seed={seed}",
         *words], schema=Options))
+    return plan_drape(number, config=config.sampling, prior=config.prior)
 
 
 def drape_specimen(

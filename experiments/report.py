@@ -4,7 +4,7 @@ import csv
 import json
 import os
 import platform
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -78,18 +78,6 @@ def markdown(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
     lines = [list(head), *rows]
     lines.insert(1, ["---"] * len(lines[0]))
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
-
-
-def errors(values: np.ndarray | list) -> dict[str, float]:
-    """Statistics of the sizes of errors."""
-    size = np.abs(values)
-    return {"median": float(np.median(size)), "quantile_90": float(np.quantile(size, 0.9)),
-            "largest": float(np.max(size))}
-
-
-def listed(found: Mapping[str, float], keys: Iterable[str], form: str) -> str:
-    """Figures of a report in one cell of a table."""
-    return ", ".join(f"{found[key]:{form}}" for key in keys)
 
 
 def percents(shares: Iterable[float]) -> str:

@@ -162,16 +162,6 @@ def sampled(*, module: str, name: str, settings: Sample) -> Sample:
     return {"sample": sample, "arrays": arrays}
 
 
-def grouped(
-    samples: Mapping[str, Sample], summary: Callable[[list[Sample]], Report],
-    groups: Mapping[str, Callable[[Sample], bool]],
-) -> Report:
-    """Summaries by name of all samples and of the groups that have any."""
-    members = {"all": list(samples.values())} | {
-        name: [one for one in samples.values() if belongs(one)] for name, belongs in groups.items()}
-    return {name: summary(some) for name, some in members.items() if some}
-
-
 def run(name: str, words: list[str]) -> tuple[Path, Report]:
     """Run a study with the ``words`` of its command; write report and figure."""
     this = study(name)

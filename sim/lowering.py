@@ -1,9 +1,7 @@
 """Lowering: the start of a drape test (BS 5058, ISO 9073-9).
 
 The specimen lies flat on the plate and on a ring around it, with sub-millimetre waviness. The ring
-sinks, the cloth follows by implicit time steps (:mod:`sim.solver.dynamics`), and folds form at the
-hem, which becomes too long for the circle in which it hangs. Their number is that of real drapes,
-and depends on the speed, as in the test (docs/physics.md).
+sinks, and the cloth follows by implicit time steps (:mod:`sim.solver.dynamics`; docs/physics.md).
 """
 
 import copy

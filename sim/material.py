@@ -4,8 +4,7 @@ Moduli are per unit width: a linear modulus alpha in N·m and a quadratic modulu
 for each of the directions warp, bias (45°) and weft. The torque per width of cloth bent to the
 curvature kappa is ``alpha*kappa + beta*kappa**2`` (Feng et al. 2022, section 4.2.1).
 
-Nearly all measured fabrics have beta < 0, so that the parabola peaks, often within the curvatures
-of a drape. The law follows it up to the fraction :data:`SOFTENING_LIMIT` of ``alpha/|beta|`` and
+The law follows this parabola up to the fraction :data:`SOFTENING_LIMIT` of ``alpha/|beta|`` and
 continues with its slope there; see :func:`softening_shape` and ``docs/physics.md``.
 """
 

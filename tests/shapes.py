@@ -2,8 +2,8 @@
 
 Modules of :data:`PACKAGES` that are imported after this one have their functions, methods,
 properties and constructors wrapped: arguments and results must have the shapes and dtypes that
-their annotations state, and a letter stands for one number within a call. Outside of tests nothing
-is wrapped, and nothing is checked in worker processes, which import the modules themselves.
+their annotations state, and a letter stands for one number within a call. Nothing is checked in
+worker processes, which import the modules themselves.
 """
 
 import re

@@ -3,9 +3,8 @@
     nox -f tools/matrix.py [-p 3.11]
 
 For each interpreter that there is, an environment is made with the wheel and its pinned
-dependencies, without those of ``drapenet[train]``, and deleted after the session, as it takes 1.6
-GB; modules are imported, commands are run with --help, and the wheel is used as in wheel_trial.py,
-outside the source tree.
+dependencies, without those of ``drapenet[train]``, and deleted after the session; the wheel is used
+as in wheel_trial.py.
 """
 
 import os

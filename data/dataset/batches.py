@@ -5,8 +5,7 @@ in which a drape that is done makes room for the next. Worker processes then mak
 derivatives need factors of their own, and write the shards, while the drapes of the next window are
 made. An interruption costs a window.
 
-The same seeds give the same plans on all devices. Drapes equal those of the CPU up to rounding,
-which may choose other folds, so that the device is a setting of a dataset.
+Drapes equal those of the CPU up to rounding, which may choose other folds.
 """
 
 from collections.abc import Sequence

@@ -8,6 +8,7 @@ on from weights ``start``, if any. Prints the errors on fabrics held out. The ne
 (Ronneberger et al. 2015) on squares of two by two pixels.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -31,9 +32,8 @@ from common.command import command
 from common.configs import Seed
 from common.errors import InputError
 from common.files import require_file
-from common.graph_export import save_graph, save_weights
-from common.graphs import SUFFIX
-from data.dataset.folder import require_dataset, split_by_fabric
+from data.dataset.folder import require_dataset
+from data.dataset.learning import converged, fit, save
 from data.dataset.shards import SHARDS, Shard
 from data.pictures.cut import COARSE, FINE, SIDE, ClothView, steps
 from data.render.cloth_scenes import scene_of
@@ -105,33 +105,23 @@ def main(config: ClothConfig) -> None:
     pictures = Pictures.of(folder, list(cases))
     torch.manual_seed(config.seed)
     network = train(pictures, config)
-    save(network, Path(config.out))
+    save(network, Path(config.out), {
+        "fine": torch.randn(2, FINE, SIDE, SIDE),
+        "coarse": torch.randn(2, COARSE, SIDE // 2, SIDE // 2)}, "odds")
     print("\n".join(errors(network, pictures)) + f"\nwritten to {config.out}")
-
-
-def save(network: ClothNetwork, file: Path) -> None:
-    """Write weights and graph."""
-    save_weights(file, network, half=True)
-    save_graph(file.with_suffix(SUFFIX), network, [
-        ("fine", "n", torch.randn(2, FINE, SIDE, SIDE)),
-        ("coarse", "n", torch.randn(2, COARSE, SIDE // 2, SIDE // 2))], ["odds"],
-        identity=file.stem)
 
 
 def photographed(*, shard: Path, scenes: int, seed: int) -> dict:
     """Arrays of ``scenes`` pictures of each drape of a shard."""
     drapes = Shard(shard)
-    index, usable = drapes.column("index"), drapes.column("status") == "converged"
-    split = split_by_fabric(drapes.column("fabric"), fractions={
-        "training": 1 - HELD_OUT, "held out": HELD_OUT})
-    rows: list[dict] = []
-    for row in np.flatnonzero(usable):
+    index, rows = drapes.column("index"), list[dict]()
+    for row, held_out in converged(drapes, HELD_OUT):
         positions, rest, faces = drapes.mesh(row)
         rig = drapes.rig(row)
         for scene in range(scenes):
             rng = np.random.default_rng([seed, index[row], scene])
             one = scene_of(positions, rest, faces, rig.plate_radius, rig.reach, rng)
-            rows.append(one | {"held_out": split[row] == "held out"})
+            rows.append(one | {"held_out": held_out})
     return {"count": len(rows), "arrays": {name: np.stack([row[name] for row in rows])
                                            for name in (rows[0] if rows else ())}}
 
@@ -184,21 +174,17 @@ def train(pictures: Pictures, config: ClothConfig) -> ClothNetwork:
     network.to(memory_format=torch.channels_last)
     rows = np.flatnonzero(~pictures.held_out)
     count = len(rows) // _BATCH
-    optimiser = torch.optim.AdamW(network.parameters(), weight_decay=0.02)
-    rates = torch.optim.lr_scheduler.OneCycleLR(
-        optimiser, _RATE, total_steps=config.epochs * count + 1, pct_start=0.1)
-    bar = progress_bar(total=config.epochs * count, desc="training", unit="step")
-    for _ in range(config.epochs):
-        order = rng.permutation(rows)
-        for k in range(count):
-            fine, coarse, truth = varied(*pictures.batch(order[k * _BATCH:(k + 1) * _BATCH]), rng)
-            loss = binary_cross_entropy_with_logits(network(fine, coarse), truth)
-            optimiser.zero_grad()
-            loss.backward()
-            optimiser.step()
-            rates.step()
-            bar.update()
-            bar.set_postfix(loss=f"{loss.item():.4f}", refresh=False)
+
+    def losses() -> Iterator[torch.Tensor]:
+        for _ in range(config.epochs):
+            order = rng.permutation(rows)
+            for k in range(count):
+                fine, coarse, truth = varied(
+                    *pictures.batch(order[k * _BATCH:(k + 1) * _BATCH]), rng)
+                yield binary_cross_entropy_with_logits(network(fine, coarse), truth)
+
+    fit(network, losses(), config.epochs * count, _RATE, rise=0.1, momentum=True, clip=np.inf,
+        decay=0.02)
     return network.eval()
 
 

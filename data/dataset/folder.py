@@ -1,9 +1,8 @@
 """The folder of a dataset: its shards, and ``dataset.json``, the manifest of settings and shards.
 
-Any number of processes may work in a folder without a lock, which would be unreliable on the file
-systems of clusters: files are renamed to their final names when they are complete, and all
-processes on machines of one kind write the same bytes of a shard. The manifest reveals different
-settings, among them the device on which drapes are made and the code that makes them.
+Any number of processes may work in a folder without a lock: files are renamed to their final names
+when they are complete, and all processes on machines of one kind write the same bytes of a shard.
+The manifest reveals different settings, among them the device and the code that makes the drapes.
 """
 
 import hashlib

@@ -5,11 +5,10 @@
 FOLDER is a dataset of drapes, finished or not. Each drape is seen by random cameras beside the axis
 and on it, on one core in ten minutes for 8000 drapes. Prints the errors on fabrics held out.
 
-The network says how an outline differs from the one seen on the axis. All lengths are over the
-specimen's size, so that it serves testers of any size; its layers are convolutions around the
-outline, so that it does not depend on where azimuth 0 is.
+All lengths are over the specimen's size, so that the network serves testers of any size.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -18,28 +17,19 @@ from typing import Annotated, NamedTuple
 import numpy as np
 import torch
 from pydantic import Field
-from torch import nn
-from torch.nn.functional import conv1d, gelu, pad
+from torch.nn.functional import conv1d, pad
 
-from common.cases import progress_bar
 from common.command import command
-from common.configs import Seed
-from common.errors import InputError
-from common.files import require_file
-from common.graph_export import save_graph, save_weights
-from common.graphs import SUFFIX
 from common.types import Edges, Metres, Points
 from data.captures.off_axis import AZIMUTHS as SAMPLES
 from data.captures.off_axis import MAX_LEAN
-from data.dataset.folder import over_shards, require_dataset, split_by_fabric
-from data.dataset.shards import SHARDS, Shard
+from data.dataset.learning import Around, LearningConfig, first_drapes, fit, save
 from sim.mesh import Mesh
 from sim.outlines import farthest
 
 AZIMUTHS = 360
 """Of the outlines that the network has learned, equally spaced from 0 on."""
 _COLUMNS = 180  # of its layers
-_WIDTH, _KERNEL, _DILATIONS = 32, 5, (1, 2, 4, 8, 16)
 _TURN, _STEP = 0.5, 0.2  # rad and sizes for an output of 1, per place beside the axis over height
 HELD_OUT = 0.1  # of the fabrics
 HEIGHTS = (1.0, 7.5)  # of cameras above the plate, in sizes of the specimen
@@ -68,20 +58,12 @@ class Seen(NamedTuple):
     lean: torch.Tensor
 
 
-class OffAxisNetwork(nn.Module):
+class OffAxisNetwork(Around):
     """Moves an outline along azimuth and radius, in proportion to the camera's place beside the
     axis: none where the camera is on it."""
 
     def __init__(self) -> None:
-        super().__init__()
-        self.first, *layers = (
-            nn.Conv1d(inputs, _WIDTH, _KERNEL, dilation=step, padding="same",
-                      padding_mode="circular")
-            for inputs, step in ((7, 1), *((_WIDTH, step) for step in _DILATIONS)))
-        self.layers = nn.ModuleList(layers)
-        self.last = nn.Conv1d(_WIDTH, 2, 1)
-        for value in self.last.parameters():
-            nn.init.zeros_(value)
+        super().__init__(7, (1, 2, 4, 8, 16))
 
     def forward(self, radius: torch.Tensor, border: torch.Tensor, plate: torch.Tensor,
                 height: torch.Tensor, lean: torch.Tensor) -> torch.Tensor:
@@ -89,24 +71,21 @@ class OffAxisNetwork(nn.Module):
         :class:`Seen`."""
         seen, count = Seen(radius, border, plate, height, lean), radius.shape[1]
         far = lean.norm(dim=1, keepdim=True)
-        turn, step = _spread(self._outputs(seen), count).unbind(1)
+        turn, step = _spread(self.outputs(_columns(seen)), count).unbind(1)
         place = torch.arange(count) + far * turn * (_TURN * count / (2 * torch.pi))
         return _between(radius, place) + far * step * _STEP
 
-    def _outputs(self, seen: Seen) -> torch.Tensor:
-        """(N, 2, _COLUMNS)."""
-        azimuth = torch.arange(_COLUMNS) * (2 * torch.pi / _COLUMNS)
-        cos, sin = torch.cos(azimuth), torch.sin(azimuth)
-        x, y = seen.lean[:, :1], seen.lean[:, 1:]
-        radius, border = _pooled(seen.radius), _pooled(seen.border)
-        same = [(2 * value - 1)[:, None].expand_as(radius)
-                for value in (2 * seen.plate, 1 / seen.height, 2 * seen.lean.norm(dim=1))]
-        values = torch.stack([8 * radius - 3, 4 * border - 2, *same, 3 * (x * cos + y * sin),
-                              3 * (y * cos - x * sin)], dim=1)
-        values = gelu(self.first(values))
-        for layer in self.layers:
-            values = values + gelu(layer(values))
-        return self.last(values)
+
+def _columns(seen: Seen) -> list[torch.Tensor]:
+    """Inputs (N, _COLUMNS) of the layers."""
+    azimuth = torch.arange(_COLUMNS) * (2 * torch.pi / _COLUMNS)
+    cos, sin = torch.cos(azimuth), torch.sin(azimuth)
+    x, y = seen.lean[:, :1], seen.lean[:, 1:]
+    radius, border = _pooled(seen.radius), _pooled(seen.border)
+    same = [(2 * value - 1)[:, None].expand_as(radius)
+            for value in (2 * seen.plate, 1 / seen.height, 2 * seen.lean.norm(dim=1))]
+    return [8 * radius - 3, 4 * border - 2, *same, 3 * (x * cos + y * sin),
+            3 * (y * cos - x * sin)]
 
 
 def _pooled(values: torch.Tensor) -> torch.Tensor:
@@ -132,15 +111,10 @@ def _between(values: torch.Tensor, place: torch.Tensor) -> torch.Tensor:
 
 
 @dataclass
-class OffAxisConfig:
+class OffAxisConfig(LearningConfig):
     """``configs/off_axis.yaml``."""
 
-    data: str
-    out: str
-    drapes: Annotated[int, Field(ge=1)]
     cameras: Annotated[int, Field(ge=1)]
-    steps: Annotated[int, Field(ge=1)]
-    seed: Seed
 
 
 @dataclass(frozen=True)
@@ -161,57 +135,35 @@ class Pairs:
 @command("off_axis", OffAxisConfig)
 def main(config: OffAxisConfig) -> None:
     """Train and write the network; print its errors."""
-    root = require_dataset(config.data)
-    require_file(Path(config.out))
-    torch.set_num_threads(1)
-    torch.manual_seed(config.seed)
-    pairs = see(root, config)
+    pairs = see(config.begin(), config)
     network = train(pairs, config)
-    save(network, Path(config.out))
-    print("\n".join(errors(network, pairs)) + f"\nwritten to {config.out}")
-
-
-def save(network: OffAxisNetwork, file: Path) -> None:
-    """Write weights and graph."""
-    save_weights(file, network, half=True)
     one = torch.full((2,), 0.3)
     azimuth = torch.arange(SAMPLES) * (2 * torch.pi / SAMPLES)
     folds = torch.cos(azimuth * torch.tensor([[4], [7]]))
-    save_graph(file.with_suffix(SUFFIX), network, [
-        ("radius", "n", 0.35 + 0.1 * folds), ("border", "n", 0.5 + 0.1 * folds),
-        ("plate", "n", one), ("height", "n", 10 * one), ("lean", "n", 0.1 * torch.rand(2, 2))],
-        ["from_axis"],
-        identity=file.stem)
+    save(network, Path(config.out), {
+        "radius": 0.35 + 0.1 * folds, "border": 0.5 + 0.1 * folds, "plate": one,
+        "height": 10 * one, "lean": 0.1 * torch.rand(2, 2)}, "from_axis")
+    print("\n".join(errors(network, pairs)) + f"\nwritten to {config.out}")
 
 
 def see(root: Path, config: OffAxisConfig) -> Pairs:
     """The first drapes of a dataset, each seen by random cameras."""
     rows: list[tuple] = []
     azimuth = np.arange(AZIMUTHS) * (2 * np.pi / AZIMUTHS)
-    for path in over_shards(sorted(root.glob(SHARDS)), "reading"):
-        shard = Shard(path)
-        index, split = shard.column("index"), split_by_fabric(
-            shard.column("fabric"), fractions={"training": 1 - HELD_OUT, "held out": HELD_OUT})
-        if index[0] >= config.drapes:
-            break
-        usable = (shard.column("status") == "converged") & (index < config.drapes)
-        for row in np.flatnonzero(usable):
-            positions, rest, faces = shard.mesh(row)
-            edges, rig = Mesh(rest, faces).edges, shard.rig(row)
-            rng, size = np.random.default_rng([config.seed, index[row]]), rig.specimen_size
-            for _ in range(config.cameras):
-                height = np.exp(rng.uniform(*np.log(HEIGHTS)))
-                # Most cameras are near to the axis.
-                lean = FARTHEST * rng.uniform() ** 1.5
-                turn = rng.uniform(0, 2 * np.pi)
-                lean = lean * np.array([np.cos(turn), np.sin(turn)])
-                seen, radius = (silhouette(positions, edges, size * height * place, size * height)
-                                for place in (lean, np.zeros(2)))
-                seen += rng.normal(0, NOISE, AZIMUTHS)
-                rows.append((seen / size, rig.border(azimuth) / size, rig.plate_radius / size,
-                             height, lean, radius / size, size, split[row] == "held out"))
-    if all(row[-1] for row in rows):
-        raise InputError(f"{root} has no drapes to train on; complete more of its shards")
+    for shard, row, index, unseen in first_drapes(root, config.drapes, HELD_OUT):
+        positions, rest, faces = shard.mesh(row)
+        edges, rig = Mesh(rest, faces).edges, shard.rig(row)
+        rng, size = np.random.default_rng([config.seed, index]), rig.specimen_size
+        for _ in range(config.cameras):
+            height = np.exp(rng.uniform(*np.log(HEIGHTS)))
+            lean = FARTHEST * rng.uniform() ** 1.5  # most cameras are near to the axis
+            turn = rng.uniform(0, 2 * np.pi)
+            lean = lean * np.array([np.cos(turn), np.sin(turn)])
+            seen, radius = (silhouette(positions, edges, size * height * place, size * height)
+                            for place in (lean, np.zeros(2)))
+            seen += rng.normal(0, NOISE, AZIMUTHS)
+            rows.append((seen / size, rig.border(azimuth) / size, rig.plate_radius / size,
+                         height, lean, radius / size, size, unseen))
     parts = [np.array(part) for part in zip(*rows, strict=True)]
     held_out = parts.pop()
     *seen, radius, size = (torch.tensor(part, dtype=torch.float32) for part in parts)
@@ -231,27 +183,22 @@ def silhouette(
 def train(pairs: Pairs, config: OffAxisConfig) -> OffAxisNetwork:
     """A network trained on the drapes that are not held out."""
     network, rng = OffAxisNetwork(), np.random.default_rng(config.seed)
-    optimiser = torch.optim.AdamW(network.parameters())
-    rates = torch.optim.lr_scheduler.OneCycleLR(
-        optimiser, _RATE, total_steps=config.steps + 1, pct_start=0.05, cycle_momentum=False)
     rows = np.flatnonzero(~pairs.held_out)
-    for step in progress_bar(range(config.steps), desc="training", unit="step", leave=False):
-        seen, radius = pairs.rows(rng.choice(rows, _BATCH))
-        if step % 2:
-            seen, radius = mirrored(seen, radius)
-        found = network(*seen)
-        # An error counts the more, the shorter the part that is seen beyond the plate: of limp
-        # cloth, small differences matter.
-        unit = ((seen.lean.norm(dim=1) + _LEAST_LEAN)
-                * (radius.mean(dim=1) - seen.plate + _LEAST_HANG))
-        error = (found - radius) / unit[:, None]
-        area = (error * radius).mean(dim=1) / radius.mean(dim=1)
-        loss = (error.square().mean(dim=1) + 1e-5).sqrt().mean() + area.abs().mean()
-        optimiser.zero_grad()
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
-        optimiser.step()
-        rates.step()
+
+    def losses() -> Iterator[torch.Tensor]:
+        for step in range(config.steps):
+            seen, radius = pairs.rows(rng.choice(rows, _BATCH))
+            if step % 2:
+                seen, radius = mirrored(seen, radius)
+            # An error counts the more, the shorter the part that is seen beyond the plate: of limp
+            # cloth, small differences matter.
+            unit = ((seen.lean.norm(dim=1) + _LEAST_LEAN)
+                    * (radius.mean(dim=1) - seen.plate + _LEAST_HANG))
+            error = (network(*seen) - radius) / unit[:, None]
+            area = (error * radius).mean(dim=1) / radius.mean(dim=1)
+            yield (error.square().mean(dim=1) + 1e-5).sqrt().mean() + area.abs().mean()
+
+    fit(network, losses(), config.steps, _RATE)
     return network
 
 

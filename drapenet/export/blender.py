@@ -5,10 +5,8 @@ thousand times those of the cloth, or stiffnesses of a thousandth. An angular sp
 of length l turns the triangle beside it by a force of 0.1 k l a radian, k its stiffness, shared by
 the three corners (``SIM_mass_spring.cc``, ``implicit_blender.cc``), which on triangles of equal
 sides is a plate of modulus 28.9 k A / 1000, A being the area for each vertex. On triangles of 8 mm,
-whose springs of tension must be weak for them to fold, drapes of 300 g/m² are softer. No number in
-its place gives both specimens this project's drape coefficients: with 20 discs of ten fabrics are
-4.5 points too low and squares 0.6 and 2.0 too high (30 and 60 µN·m), with 16 discs 0.2 and squares
-4.9 and 6.8 too high; 18 lies between (docs/validation/blender.json).
+whose springs of tension must be weak for them to fold, drapes of 300 g/m² are softer: with 20 in
+its place discs are too limp, with 16 squares too stiff (docs/validation/blender.json).
 
 Triangles have springs along their edges alone, of the constant tension over mean edge. On triangles
 of equal sides they are a sheet of shear stiffness sqrt(3)/4 and stretch stiffness 2/sqrt(3) of that

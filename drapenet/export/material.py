@@ -109,10 +109,7 @@ class Material:
     def one_modulus(self) -> float:
         """For tools that bend alike in all directions, N·m: a mean of :attr:`modulus` along warp,
         weft and both biases, near the soft ones because cloth folds about them.
-
-        Its power is that of the single moduli that gave discs of 30 fabrics of the prior (seeds 11
-        to 13 of ``prior_fabric``) the drape coefficient of their laws: 2 % off these in the mean
-        and 16 % rms; the harmonic mean 14 and 20 %, the geometric 22 and 28 %."""
+        Its power is that which discs of 30 fabrics of the prior need."""
         return float(np.mean(self.modulus[[WARP, BIAS, WEFT, BIAS]] ** _POWER) ** (1 / _POWER))
 
     @property
@@ -219,8 +216,7 @@ class Material:
 
 
 def hinge_ratio(mesh: str, cells: int) -> float:
-    """Modulus of hinges over that of the equivalent plate, constant beyond :data:`MAX_CELLS`
-    (``python -m experiments hinges``).
+    """Modulus of hinges over that of the equivalent plate, constant beyond :data:`MAX_CELLS`.
     """
     file = Path(__file__).parents[1] / "weights" / "hinges.json"
     ratios = json.loads(file.read_text(encoding="utf-8"))

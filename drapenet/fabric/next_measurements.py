@@ -4,8 +4,7 @@ All distributions are taken as normal, and a measurement as evidence that is lin
 the cloth, as where sources are combined (:mod:`drapenet.evidence.combine`): the covariance after it
 does not depend on what it will find. Evidence of a further drape is what leads from the network's
 posterior of the captures to that of these and an expected one: the same drape again, with either
-face up, or a simulated drape of the estimate on another tester. Evidence of strips is that of their
-photographs, with the errors that the reader assumes.
+face up, or a simulated drape of the estimate on another tester.
 """
 
 from collections.abc import Sequence

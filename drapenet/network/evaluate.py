@@ -2,10 +2,9 @@
 
     python -m drapenet.network.evaluate [checkpoint=FILE] [testers=[NAME,...]] [bounds=FILE]
 
-Four drapes of each of a number of new fabrics of the prior are simulated on each tester and
-estimated as by ``infer.py``: single captures and sets, from depth views and from outlines, one
-condition at a time, of those conditions whose captures the network has learned to read. Then
-fabrics of evenly distributed stiffness are, by drape coefficient and by stiffness.
+Four drapes of each new fabric of the prior are simulated on each tester and estimated as by
+``infer.py``, one condition at a time of those that the network has learned to read. Then fabrics of
+evenly distributed stiffness are, by drape coefficient and by stiffness.
 
 Errors of alpha are those of the posterior's geometric mean, as factors: 10 % is 1.1 times too much
 or too little. Root mean squares are over the standard deviation of the prior's fabrics; beside them

@@ -2,8 +2,7 @@
 
 Random numbers depend on (seed, epoch) only, so that weights, the optimiser's moments, the number of
 finished epochs and the ends of the learning rate's cycles are the whole state: a resumed run gives
-the same weights, and a training that is extended while it is interrupted those of one that is
-extended when it is finished.
+the same weights.
 """
 
 import math

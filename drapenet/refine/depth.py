@@ -40,9 +40,7 @@ class DepthWeights:
     """Noise model and sampling of the pixels.
 
     ``patch`` is the side, px, of a patch whose errors count as one measurement: noise of neighbours
-    is correlated, and the effects of mesh, friction and folds more so. With 18 px, errors of
-    lowered drapes were 1.9 times the posterior's deviation (``python -m experiments refine
-    nuisances=real``).
+    is correlated, and the effects of mesh, friction and folds more so.
     """
 
     sigma: Metres = 1e-3  # standard deviation of a depth: noise and model error

@@ -2,8 +2,7 @@
 
 On a mesh a drape has many equilibria a millimetre or two apart, because folds lock to the mesh,
 which would bias the moduli. The specimen is therefore pulled onto the captured surface and held by
-weak springs: the equilibrium is unique and moves smoothly with the moduli, and the residuals are
-smaller, but remain those of a wrong fabric.
+weak springs: the equilibrium is unique and moves smoothly with the moduli.
 """
 
 import math

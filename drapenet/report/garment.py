@@ -2,7 +2,7 @@
 
 A skirt of the fabric in the middle is simulated first; those of the samples are the equilibria
 nearest to it. All have its folds, so that they differ by the moduli alone; the same fabric in the
-folds of another start differs far more (``python -m experiments skirt``). As in other tools,
+folds of another start differs far more (docs/studies.md). As in other tools,
 natural curvature and hysteresis are left out (``docs/exports.md``).
 """
 

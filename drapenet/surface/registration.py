@@ -1,8 +1,7 @@
 """Registration of scans of drapes to a mesh of the specimen, by pulling simulated cloth onto them.
 
 A scan of unmarked cloth does not determine tangential positions on the surface, but the small
-strain of cloth does, from the plate's rim outwards. Non-rigid ICP (Amberg et al. 2007), which
-Larionov et al. use (section 3.2), stretches the mesh instead: its hem is up to 25 mm off.
+strain of cloth does, from the plate's rim outwards.
 """
 
 from dataclasses import dataclass, replace

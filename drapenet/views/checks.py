@@ -1,8 +1,7 @@
 """Plausibility checks of captures.
 
-A wrong intrinsic, a wrong depth unit or a wrong mask changes moduli by 20 to 40 % and still gives
-a plausible drape. The checks use that cloth does not stretch, the plate is flat, and all views show
-the same cloth. Few correct simulated captures exceed the limits (``python -m experiments faults``).
+The checks use that cloth does not stretch, the plate is flat, and all views show the same cloth.
+Few correct simulated captures exceed the limits (``python -m experiments faults``).
 """
 
 import json
@@ -32,7 +31,7 @@ from drapenet.views.turns import disagreement, register
 from sim.rig import Rig
 
 SPECIMEN_OFFSET = Path(__file__).parents[1] / "weights" / "specimen_offset.json"
-"""Coefficients of ``python -m experiments specimen_offset``."""
+"""Coefficients of a regression on simulated captures."""
 _BAND = 4  # rows of a map
 _PLATE_TOLERANCE = 10e-3  # m, distance of cloth on the plate from its plane
 _CUT_TOLERANCE = 1.5e-3  # m, range of depths of a border cut by a threshold

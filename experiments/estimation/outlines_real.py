@@ -14,20 +14,24 @@ from typing import Any
 import numpy as np
 
 from common.documents import read_arrays
+from common.types import Outline
 from data.fabrics.fabrics import fabric_from_theta
 from data.fabrics.nuisances import Nuisances
-from experiments.physics.outlines import OUTLINES, features, radii_of
 from experiments.report import Report
 from experiments.study import CaseKeys, Study, samples_of
 from sim.draping import drape
 from sim.material import LINEAR
 from sim.measures import shadow_radius
 from sim.mesh import Mesh
+from sim.outlines import coefficient_of_area, folds_around
 from sim.rig import DISC_RIG
+
+POINTS = 360  # azimuths of an outline
+SIGMA = 2.0  # of the smoothing before folds are counted, azimuths
 
 
 class Keys(CaseKeys):
-    outlines: str = OUTLINES
+    outlines: str = "../shared/outlines.npz"  # fabric, sample, face_up (N,), outline (N, K, 2) m
     checkpoint: str = ""  # of the network; empty: the bundled one
     edge_mm: float = 4.0  # edges of the meshes at the plate's rim
 
@@ -70,6 +74,20 @@ def run(keys: Keys) -> Report:
     return report
 
 
+def features(radii: np.ndarray) -> np.ndarray:
+    """(N, 2) drape coefficient and folds of outlines (N, POINTS), m."""
+    return np.column_stack([coefficient_of_area(np.pi * (radii**2).mean(axis=1), DISC_RIG),
+                            [len(folds_around(radius, SIGMA)) for radius in radii]])
+
+
+def radii_of(curve: Outline) -> np.ndarray:
+    """Radii (POINTS,), m, of an outline at equally spaced azimuths."""
+    azimuth = np.arctan2(curve[:, 1], curve[:, 0])
+    order = azimuth.argsort()
+    return np.interp(2 * np.pi * np.arange(POINTS) / POINTS, azimuth[order],
+                     np.linalg.norm(curve, axis=1)[order], period=2 * np.pi)
+
+
 def _agreement(
     rows: Sequence[tuple[int, int, bool, list[int]]], log_alpha: np.ndarray, curl: np.ndarray
 ) -> dict[str, Any]:
@@ -106,7 +124,7 @@ def _drapes(
         "values": middle[members].mean(axis=0).tolist(), "face": 1 if u else -1}
         for (f, s, u), members in groups.items()}
     results = samples_of(simulated, keys, cases)
-    measured = {key: real[[k for member in members for k in rows[member][3][:1]], :2].mean(axis=0)
+    measured = {key: real[[k for member in members for k in rows[member][3][:1]]].mean(axis=0)
                 for key, members in groups.items()}
     errors: dict[str, list[np.ndarray]] = {"simulated": [], "samples": []}
     for key, found in zip(groups, results.values(), strict=True):
@@ -128,7 +146,7 @@ def simulated(*, values: list[float], face: int, edge_mm: float) -> list[float]:
     if not shape.converged:
         return []
     radius = shadow_radius(shape.positions, Mesh(shape.rest, shape.faces))
-    return features(radius[None])[0, :2].tolist()
+    return features(radius[None])[0].tolist()
 
 
 STUDY = Study(Keys, run)

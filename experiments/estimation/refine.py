@@ -2,10 +2,8 @@
 
 Fabrics from the prior are lowered onto the plate on a finer mesh than that of the refinement,
 captured, and estimated by the network and by the refinement; both posteriors are compared with the
-truth. With ``nuisances=real`` specimens and captures have all nuisances. With ``none`` the specimen
-is ideal, and the sensor ``smooth`` takes four views at exact quarter turns, with true intrinsics,
-an exact cut-out and a random camera pose. Scans are the draped vertices with noise, registered,
-estimated and refined as by ``infer.py scan=FILE refine=simulation``.
+truth. With ``nuisances=real`` specimens and captures have all nuisances, with ``none`` all but a
+random camera pose is exact. Scans are the draped vertices with noise.
 """
 
 import time

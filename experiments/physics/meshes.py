@@ -1,8 +1,7 @@
 """Influence of the mesh on a drape (paper's Figure 12).
 
-Six fabrics, three of them anisotropic. The folds of a drape depend on small perturbations;
-therefore each fabric is draped once, and from this shape the equilibrium on every mesh is found:
-two of the default graded triangulations and a mesh with about as many triangles of uniform size.
+Each of six fabrics is draped once, and from this shape the equilibrium on every mesh is found: two
+of the default graded triangulations and a mesh with about as many triangles of uniform size.
 """
 
 from itertools import combinations

@@ -2,7 +2,7 @@
 convexity, line search and ending. Saddle points end it.
 
 Steps are taken in lock by the drapes in a number of slots; one that has ended leaves its slot to
-the next that waits. No drape's steps depend on others, but for the rounding errors of sums.
+the next that waits.
 """
 
 from collections.abc import Callable

@@ -5,8 +5,7 @@ or by radius, are bisected again and again, where the unknowns that both halves 
 separator, are fewest. Each node of that binary tree is a front: its separator, eliminated there,
 and the boundary, the unknowns of earlier separators that its elements touch (the multifrontal
 method of Duff and Reid 1983). Fronts of one level are padded to one size, so that a level of all
-matrices is one batched dense operation each. Triangular factors are inverted: solutions are
-products of matrices, which accelerators prefer to substitutions.
+matrices is one batched dense operation each. Triangular factors are inverted.
 """
 
 from dataclasses import dataclass

@@ -6,9 +6,8 @@ With s from the clamp, theta the angle below the horizontal and tau the torque p
 
 Torque laws kappa(tau) are arrays (4, K) of pieces tau = tau_k + a_k (kappa - kappa_k) +
 b_k (kappa - kappa_k)²: curvature kappa_k, torque tau_k, slope a_k and quadratic coefficient b_k.
-Curvatures and torques increase from 0; the last piece is unbounded. A fabric's law
-(:func:`sim.material.torque`) has at most two pieces. For a linear one and L = 1 the equation is
-theta'' = -gamma (1 - s) cos(theta), gamma = rho g L³/alpha.
+Curvatures and torques increase from 0; the last piece is unbounded. For a linear one and L = 1 the
+equation is theta'' = -gamma (1 - s) cos(theta), gamma = rho g L³/alpha.
 """
 
 import numba

@@ -203,7 +203,7 @@ def match(curves: Sequence[DeflectionCurve], *, weight: float, slope: Radians = 
 
     The candidates (alpha, beta/alpha) of a table nearest to Bézier curves through the points are
     refined by least squares of the points' distances from elastica curves, with the strips' lengths
-    as further unknowns. Unlike the regression, this needs no derivatives of a noisy curve.
+    as further unknowns.
     """
     fits = [fit_bezier(curve, slope=slope) for curve in curves]
     lengths = np.array([fit.length for fit in fits])
@@ -287,11 +287,9 @@ def correct(
 ) -> Fabric:
     """The fabric whose simulated strips give the same ``moduli`` as the measured strips.
 
-    The bias modulus of the law is that of a cylinder bent along 45°, but a free strip cut along the
-    bias also twists and curves across, and thus hangs slightly lower (docs/validation.md). Each
-    round simulates the three strips and estimates moduli from them by the same method; the residual
-    moves the moduli by Broyden's method, as each strip depends on the other moduli too. The
-    regression's estimate of a bias strip's beta varies with the triangulation by a quarter.
+    A free strip cut along the bias also twists and curves across, and thus hangs slightly lower
+    than a cylinder (docs/validation.md). Each round simulates the three strips and estimates moduli
+    from them by the same method; the residual moves the moduli by Broyden's method.
     """
     fabric = fabric_of(moduli, density)
     lengths = {direction: [fit_bezier(curve, slope=slope).length for curve in strips[direction]]

@@ -13,10 +13,8 @@ other terms correct the excess: F_w and F_f vanish for cloth bent along the bias
 and F_b along the yarns, where Sxy = 0. Each is the difference of two torque laws of one direction,
 convex in its argument.
 
-Thus cloth bent to a cylinder along warp, bias or weft carries exactly the torque
-alpha kappa + beta kappa² (up to u_c), with a smooth interpolation between these directions. psi is
-positive for S != 0 and any sign of the quadratic moduli. A16 and A26 are zero in a plate whose
-diagonals are equal; with them alpha_bias is the mean of both diagonals (:func:`constants`).
+psi is positive for S != 0 and any sign of the quadratic moduli. A16 and A26 are zero in a plate
+whose diagonals are equal; with them alpha_bias is the mean of both diagonals (:func:`constants`).
 
 :func:`respond` adds hysteresis (:mod:`sim.energies.bending_variants`).
 """

@@ -10,10 +10,8 @@ to that of mid-edge bending:
 For a linear fabric this equals psi(S - S0) up to a constant, and S0 is the curvature at rest. For a
 softening fabric the moment is the same, the curvature at rest slightly different. Free edges curl.
 
-*Hysteresis*: a share of the torque does not come back. In Kawabata's pure bending test (KES-FB2)
-the torque of a fabric follows a loading curve when it is first bent; when it is bent back, it is
-lower by 2HB, read at 1 cm⁻¹. Here the moduli are those of the loading curve, as a cantilever
-measures them and as a simulator without hysteresis needs them. The stress becomes
+*Hysteresis* (docs/physics.md): a share of the torque does not come back. The moduli are those of
+the loading curve; cloth that is bent back has less torque, by 2HB. The stress becomes
 
     dpsi/dS(S) - F(S) + F(S - S1),
 
@@ -26,8 +24,7 @@ direction. S1, the origin, is the curvature at which the friction is zero. It is
 has not been bent, which therefore follows the loading curve. It follows the cloth
 (:meth:`HystereticBending.origin_at`): where |S - S1| exceeds Y, S1 is moved towards S until it does
 not (the radial return of plasticity). Beyond the build-up, bending back from any curvature gives
-2HB. HB is a share of the torque of the loading curve at 1 cm⁻¹. Fabrics have HB/B of 5 to 60 1/m,
-which are shares of 0.05 to 0.37 (docs/physics.md).
+2HB. HB is a share of the torque of the loading curve at 1 cm⁻¹.
 """
 
 import copy

@@ -17,13 +17,9 @@ ARCSim             theta / (2 (H0 + H1))    1/4  4 alpha      16 beta
 discrete shells    6 theta / (H0 + H1)      3    alpha / 3    beta / 9
 =================  =======================  ===  ===========  ============
 
-*ARCSim* (Narain et al. 2012) has the energy k e² theta² / (8 A) of a hinge whose two triangles have
-the area A = e (H0 + H1)/2: torque k kappa e / 4. Its k may come from a table over kappa; the
-law above is then k(kappa) = 4 (alpha + beta kappa).
-
-*Discrete shells* (Grinspun et al. 2003) divide theta by a third of the mean height, (H0 + H1)/6.
-The conversion is for the energy a theta² e / (2 h), h = (H0 + H1)/6. Codes with the energy
-a theta² e / h need half of a: alpha / 6.
+*ARCSim*'s (Narain et al. 2012) k may come from a table over kappa: k(kappa) = 4 (alpha + beta
+kappa). *Discrete shells* (Grinspun et al. 2003) have the energy a theta² e / (2 h), h =
+(H0 + H1)/6; codes with a theta² e / h need half of a: alpha / 6.
 """
 
 import numba

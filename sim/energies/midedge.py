@@ -12,14 +12,12 @@ with h_i the rest height over edge i and n_i that edge's rest normal, and the en
 For small angles this is the Morley plate element; unlike hinge energies it converges to the
 plate it discretises, on any triangulation (docs/physics.md).
 
-That element is too soft for short waves, by 0.07 (k h)² of the buckling load of a wave number k on
-edges h, so that coarse cloth buckles early. An inner edge therefore stores the jump of curvature,
+That element is too soft for short waves. An inner edge therefore stores the jump of curvature,
 
     A_e/8 (S1 - S2) : A : (S1 - S2),   A_e = (A1 + A2)/3,
 
-in the form A of flat cloth, of curvatures less the natural ones. For a linear fabric that is the
-difference between the mean energy of the triangles and the energy of their mean curvature. It
-vanishes for constant curvature, and is of second order in h otherwise.
+in the form A of flat cloth, of curvatures less the natural ones. It vanishes for constant
+curvature, and is of second order in h otherwise.
 
 Without a barrier, meshes too coarse for the cloth fold through themselves, where phi jumps. The
 barrier of :mod:`sim.energies.fold_barrier` prevents that, times the smallest alpha and the edge's
@@ -166,11 +164,9 @@ def clamp_weights(mesh: Mesh, active: FaceMask, clamped: np.ndarray) -> np.ndarr
     """Factors (N,) of the curvatures of the active triangles, whose areas in the bending energy are
     divided by them; ``clamped`` (N, 3) are their edges that adjoin held ones.
 
-    Clamped cloth bends at its edges: half a hinge at the clamp, full hinges behind it, so that the
-    slope far from the clamp is the trapezoidal rule's integral of the curvature. The error of that
-    rule is h²/12 times the derivative of the curvature at the clamp. Gregory's weights 5/12, 13/12
-    in place of 1/2, 1 cancel it. Triangles on clamped edges have 5/6 of their area for that; those
-    that touch the clamp with a corner keep the sum.
+    Gregory's weights 5/12, 13/12 in place of 1/2, 1 cancel the trapezoidal rule's error at the
+    clamp (docs/physics.md). Triangles on clamped edges have 5/6 of their area for that; those that
+    touch the clamp with a corner keep the sum.
     """
     weights, areas = np.ones(active.sum()), mesh.areas[active]
     first, second = rows_at_clamp(mesh, active, clamped)

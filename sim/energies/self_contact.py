@@ -1,8 +1,7 @@
 """Self-contact: a barrier on the distances between triangles and edges of the cloth.
 
 Distances, barrier, derivatives and the collision test of a step are those of the IPC Toolkit (Li et
-al. 2020, Incremental Potential Contact; Li et al. 2023, Convergent IPC). This module provides them
-as an energy with Hessian blocks in a pattern that is constant during one minimisation.
+al. 2020, Incremental Potential Contact; Li et al. 2023, Convergent IPC).
 """
 
 from functools import cache

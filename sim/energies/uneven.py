@@ -1,11 +1,8 @@
 """Cloth that is not alike everywhere: uneven natural curvature, creases, curled and doubled hems.
 
-Cloth is not flat at rest: weaving, washing and storage leave it curved at random, over some
-centimetres. The curvature is a random field of plane waves, whose wave vectors are normally
-distributed, so that its correlation at a distance d is exp(-d²/(2 length²)).
-
-Bands as narrow as a hem or a crease are averaged over each triangle, so that meshes need not
-resolve them.
+The curvature of cloth at rest is a random field of plane waves, whose wave vectors are normally
+distributed, so that its correlation at a distance d is exp(-d²/(2 length²)). Bands as narrow as a
+hem or a crease are averaged over each triangle.
 """
 
 from dataclasses import dataclass

@@ -1,6 +1,5 @@
 """Meshes of a rig's specimen, a rectangle or disc: fine at the plate's rim, coarser at the hem.
 
-Within about 25 mm of the rim, cloth is bent in two directions; uniform meshes are too coarse there.
 Initial points are on circles around the plate, spaced by the target edge length, with a random
 phase. A few rounds of relaxation (optimal Delaunay triangulation, Alliez et al. 2005, with the
 target edge length as size field) make the triangles nearly equilateral.

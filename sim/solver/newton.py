@@ -2,9 +2,8 @@
 
 Far from a minimum the Hessian is indefinite. It is blended with a positive semi-definite
 approximation, ``convexity`` from 0 (exact) to 1, just far enough for a Cholesky factorisation
-to exist. The blend is kept between iterations and lowered after success, so that the last steps
-are exact Newton steps with quadratic convergence. The Cholesky factor of the exact Hessian at the
-end proves a minimum rather than a saddle.
+to exist, and lowered after success. The Cholesky factor of the exact Hessian at the end proves a
+minimum rather than a saddle.
 """
 
 from dataclasses import dataclass

@@ -4,8 +4,7 @@ An edge normal is perpendicular to its edge, so that an unknown of the simulator
 a vertex or the rotation of an edge normal, right-handed about the edge from its first to its second
 vertex. Such a rotation has no absolute zero: a step moves every normal by parallel transport from
 the old direction of its edge to the new one, the smallest rotation between them, and rotates it by
-the step's angle. (Grinspun et al. 2006, Computing discrete shape operators on general meshes, use
-such normals as unknowns; Bergou et al. 2010, Discrete viscous threads, transport frames in time.)
+the step's angle (Grinspun et al. 2006; Bergou et al. 2010).
 """
 
 from dataclasses import dataclass

@@ -17,7 +17,7 @@ from data.captures.hem import BUNDLED as HEM
 from data.captures.hem import unlike_cloth
 from data.captures.off_axis import AZIMUTH, AZIMUTHS, BUNDLED, MAX_LEAN, OUTWARDS, seen_from_axis
 from data.captures.reader import read_capture
-from data.dataset import hem, off_axis
+from data.dataset import hem, learning, off_axis
 from data.dataset.folder import MANIFEST
 from data.dataset.hem import HemNetwork, misread
 from data.dataset.off_axis import AZIMUTHS as LEARNED
@@ -238,7 +238,7 @@ def test_networks_are_trained_alike_twice_and_stored_small(
     for file in files:
         command.main([f"data={cloth_dataset}", f"out={file}", "steps=3", *options])
         # A graph takes seconds; once is enough.
-        monkeypatch.setattr(command, "save_graph", lambda *_, **__: None)
+        monkeypatch.setattr(learning, "save_graph", lambda *_, **__: None)
     assert files[0].read_bytes() == files[1].read_bytes()
     assert len(files[0].read_bytes()) == len(bundled.read_bytes()) < 80_000
     network().load_state_dict(load_file(files[0]))

@@ -9,7 +9,7 @@ from cloths import varied_camera, waves
 from safetensors.torch import load_file
 
 from common.errors import InputError
-from data.dataset import cloth
+from data.dataset import cloth, learning
 from data.dataset.cloth import ClothNetwork
 from data.dataset.off_axis import silhouette
 from data.pictures.cut import BUNDLED, cut_cloth, outline_of_cloth
@@ -345,7 +345,7 @@ def test_the_network_is_trained_alike_twice_and_stored_small(cloth_dataset, tmp_
         cloth.main([f"data={cloth_dataset}", f"pictures={tmp_path / 'pictures'}", f"out={file}",
                     "shards=2", "scenes=1", "epochs=2", "workers=1"])
         # A graph takes seconds; once is enough.
-        monkeypatch.setattr(cloth, "save_graph", lambda *_, **__: None)
+        monkeypatch.setattr(learning, "save_graph", lambda *_, **__: None)
     assert files[0].read_bytes() == files[1].read_bytes()
     assert len(files[0].read_bytes()) == len(BUNDLED.read_bytes()) < 2_000_000
     ClothNetwork().load_state_dict(load_file(files[0]), strict=False)

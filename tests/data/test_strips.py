@@ -21,9 +21,9 @@ from strip_photographs import (
 
 from apps.capture import main
 from apps.strip_curves import read_curve
+from common.errors import InputError
 from common.findings import texts
 from drapenet.measured.strips.folder import read_strips
-from experiments.estimation.strip_photographs import FAULTS, fault_case
 
 LIGHT = {"cloth": 200.0, "ground": 40.0, "clamp": 150.0}
 SEEN = (LONG.pixels(np.zeros((1, 2)))[0] + [4.0, 0.0]).tolist()  # the near edge of the clamp
@@ -113,13 +113,47 @@ def test_photographs_of_one_direction_give_its_moduli(tmp_path):
     assert found["weft"].alpha == pytest.approx(0.2 * 9.81 * 0.021**3, rel=0.3)
 
 
-@pytest.mark.parametrize("kind", FAULTS)
-def test_each_fault_of_a_photograph_has_a_line(kind):
-    answer = fault_case(kind=kind, number=0)["answer"]
-    assert answer and "\n" not in answer and ";" in answer
+def bent(at: float, turn: float, over: float) -> np.ndarray:
+    """The long strip's curve, turned upwards from a share of it on by so many rad over a share."""
+    steps = np.diff(LONG.curve, axis=0)
+    angle = turn * np.clip((np.linspace(0, 1, len(steps)) - at) / over, 0, 1)
+    cos, sin = np.cos(angle), np.sin(angle)
+    turned = [cos * steps[:, 0] + sin * steps[:, 1], cos * steps[:, 1] - sin * steps[:, 0]]
+    return np.vstack([[0, 0], np.cumsum(turned, axis=1).T])
+
+
+def drawn(places: np.ndarray, width: int, shade: float) -> np.ndarray:
+    """The long strip's picture with a line through places (N, 2), m, of the middle plane."""
+    return cv2.polylines(PICTURE.copy(), [np.rint(LONG.pixels(places)).astype(np.int32)], False,
+                         shade, width)
 
 
 PICTURE = photograph(LONG)
+CHECKS = (np.indices(PICTURE.shape) // 60).sum(axis=0) % 2 == 0
+
+
+@pytest.mark.parametrize(("changed", "said"), [
+    ({"scene": replace(LONG, curve=0.02 * LONG.curve), "free_length_mm": 62}, "no strip leaves"),
+    ({"scene": replace(LONG, clamp=None)}, "no clamp was found"),
+    ({"scene": replace(LONG, blur=25.0)}, ";"),
+    ({"scene": replace(LONG, roll=0.44)}, "no horizontal edge of the clamp is seen"),
+    ({"scene": replace(LONG, curve=bent(0.4, 1.3, 1e-3))}, "it curls: use a longer strip"),
+    ({"scene": replace(LONG, curve=bent(0.6, -1.2, 1e-3))}, "has a kink of"),
+    ({"hangs": "left"}, "hangs to the other side of its clamp"),
+    ({"free_length_mm": 80.0}, "free_length_mm states 80"),
+    ({"scale": {"mm_per_px": 0.0116}}, "larger than the picture at this scale"),
+    ({"picture": PICTURE[:680]}, "touches the border of the picture"),
+    ({"picture": np.where(CHECKS, PICTURE, PICTURE // 2)}, "use a plain ground"),
+    ({"picture": np.ascontiguousarray(PICTURE[::-1])}, "check that the picture is upright"),
+    ({"picture": drawn(LONG.curve * [1.15, 0.4] - [0, 0.004], 5, 70.0)}, "2 pieces differ"),
+    ({"picture": drawn(LONG.curve[80] + np.diag([0, 0.012]), 3, 70.0)}, "centre line"),
+])
+def test_each_fault_of_a_photograph_has_a_line(tmp_path, changed, said):
+    try:
+        answer = "; ".join(texts(read(tmp_path, **{"scene": LONG} | changed)[1]))
+    except InputError as refusal:
+        answer = str(refusal)
+    assert said in answer and "\n" not in answer and ";" in answer
 
 
 def test_what_is_uncertain_is_a_warning(tmp_path):

@@ -13,7 +13,6 @@ from data.pictures.pose import Pose
 from data.render.pulled import MarkedStrip
 from drapenet.measured.tension.folder import TensionSet, read_tension
 from drapenet.measured.tension.photograph import find_strip
-from experiments.estimation.tension import pair
 
 PAIR = {"direction": "bias", "width_mm": 50.0, "gauge_mm": 100.0, "load_g": 50.0,
         "without": "bias_0.jpg", "with": "bias_50.jpg"}
@@ -112,13 +111,6 @@ def test_a_band_that_is_found_askew_is_named_and_gives_the_same(tmp_path, monkey
     assert read_askew.photographs[0].extension == pytest.approx(straight.extension, abs=1e-4)
     warning, = read_askew.warnings
     assert (warning.code, warning.values["value"]) == ("tension_askew", pytest.approx(5, abs=1))
-
-
-@pytest.mark.slow
-def test_a_shadow_that_turns_the_band_is_named():
-    case = pair(np.random.default_rng([59, 34]), number=34)  # 10 mm above the mat
-    assert case["warnings"] == ["tension_askew"]
-    assert abs(case["off_mm"]) < 0.3
 
 
 @pytest.mark.parametrize(("stated", "words"), [

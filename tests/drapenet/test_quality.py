@@ -1,6 +1,5 @@
 """Checks of captures, views that are not where they should be, sizes, and errors of outlines."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,13 +17,11 @@ from data.render.setups import Setups, SyntheticCapture
 from drapenet.network.captures import outline_faults, reading_errors
 from drapenet.views.checks import (
     MAX_SIZE_ERROR,
-    SPECIMEN_OFFSET,
     Quality,
     measure,
     quality_checks,
     require_plate,
     size_checks,
-    specimen_offset,
     turn_checks,
 )
 from drapenet.views.directions import AZIMUTHS, elevations
@@ -33,8 +30,6 @@ from drapenet.views.outline import outline_of_map
 from drapenet.views.radial_map import radial_map, side_direction
 from drapenet.views.sizes import Sizes, measured_sizes
 from drapenet.views.turns import CENTRE_BIAS
-from experiments.__main__ import main
-from experiments.estimation.specimen_offset import fit
 from sim.draping import drape
 from sim.material import Fabric
 from sim.rig import DISC_RIG, Rig
@@ -63,21 +58,6 @@ def quality(capture: SyntheticCapture, rig: Rig = RIG) -> Quality:
 
 def warnings(capture: SyntheticCapture) -> str:
     return "; ".join(texts(warnings_of(quality_checks(quality(capture)))))
-
-
-def test_coefficients_of_the_placement_are_written_to_out_alone(
-    cloth_dataset, tmp_path, monkeypatch, sound
-):
-    before, out = SPECIMEN_OFFSET.read_bytes(), tmp_path / "specimen_offset.json"
-    main(["specimen_offset", f"data={cloth_dataset}", "captures=6", f"out={out}"])
-    fitted, bundled = json.loads(out.read_text()), json.loads(before)
-    assert SPECIMEN_OFFSET.read_bytes() == before
-    assert fitted.keys() >= bundled.keys()
-    assert fitted["coefficients"] != bundled["coefficients"]
-    found = radial_map(LocatedViews.cut_out(sound.views, sound.intrinsics, RIG, sound.turns))
-    placement = specimen_offset(found, RIG)
-    monkeypatch.setattr("drapenet.views.checks.SPECIMEN_OFFSET", out)  # is read once
-    assert specimen_offset(found, RIG) == placement
 
 
 def test_a_sound_capture_gives_no_warning(sound):
@@ -158,16 +138,6 @@ def test_a_specimen_off_the_axis_is_measured():
     measured = quality(seen)
     assert measured.offset == pytest.approx(0.02, abs=4e-3)
     assert "specimen_off_axis" in [found.code for found in warnings_of(quality_checks(measured))]
-
-
-def test_an_offset_is_regressed_on_features():
-    rng = np.random.default_rng(1)
-    features, groups = rng.normal(0.1, 0.01, (400, 6)), np.repeat(np.arange(100), 4)
-    true = rng.normal(0, 5, 6)
-    offsets = features @ true + rng.normal(0, 1e-3, 400)
-    found = fit(features, offsets, groups)
-    assert np.abs(features @ found["coefficients"] - offsets).max() < 5e-3
-    assert found["deviation"] == pytest.approx(1e-3, rel=0.2)
 
 
 WARNINGS = (

@@ -121,7 +121,7 @@ def test_an_experiment_resumes_and_leaves_the_page_unchanged_with_another_output
     (["numbers", "pixel=1"], "'pixel'; --help lists"),
     (["elastica", "gammas=many"], "gammas"), (["meshes", "fabrics=[silk]"], "silk"),
     (["views", "workers=0", "cases=/tmp/none"], "workers=0"),
-    (["laboratory", "fabrics=nowhere.csv"], "nowhere"),
+    (["numbers", "fabrics=nowhere.csv"], "nowhere"),
     (["page", "out=a"], "out=a"),
 ])
 def test_invalid_words_are_reported_in_one_line(words, complaint):

@@ -7,7 +7,10 @@ from scipy.optimize import brentq
 from test_energies import ANISOTROPIC, crumpled_strip
 
 from common.errors import InputError
-from experiments.physics.laboratory import kes_fabric
+from drapenet.export.material import GAMMA, MESHES, hinge_ratio
+from experiments.physics.elastica import free_end
+from sim.cantilever.elastica import aspect_ratio, gamma_of_aspect_ratio
+from sim.cantilever.strip import TIGHT, fabric_of_gamma
 from sim.cloth import Laws
 from sim.energies.bending_variants import (
     BUILD_UP,
@@ -219,7 +222,8 @@ def test_fabric_of_moduli_is_loaded_and_unloaded_as_stated(share, direction):
 @pytest.mark.parametrize("direction", ANGLES)
 def test_fabric_of_kes_has_its_b_2hb_and_residual_curvature(direction):
     b, two_hb = np.array([9e-6, 6e-6, 5e-6]), np.array([4.5e-4, 2.4e-4, 1.2e-4])
-    fabric, law = kes_fabric(b, two_hb)
+    share = two_hb / (2 * KES_CURVATURE * b + two_hb)  # of a loading torque of B kappa + HB
+    fabric, law = Fabric(b), Hysteresis(tuple(share.tolist()), added=True)
     loading, unloading = cycle(fabric, law, direction)
     between = (UP >= 50) & (UP <= 150)
     slope, intercept = np.polyfit(UP[between], loading[between], 1)
@@ -286,3 +290,19 @@ def test_a_weightless_strip_rests_in_an_arc_of_its_natural_curvature():
 def test_hysteresis_that_no_fabric_has_is_refused(wrong, word):
     with pytest.raises(InputError, match=word):
         Hysteresis(**wrong)
+
+
+@pytest.mark.parametrize(("kind", "cells"), [
+    ("unstructured", 7), ("alternating", 9), ("equal", 6), ("random", 6)])
+def test_strips_of_hinges_hang_as_the_elastica_with_the_exported_ratio(kind, cells):
+    (diagonals, jitter), edge, found = MESHES[kind], 0.09 / cells, []
+    alpha = hinge_ratio(kind, cells) * fabric_of_gamma(GAMMA, 0.09).alpha
+    for seed in range(6 if jitter or diagonals == "random" else 1):
+        mesh, held = strip(length=0.09, width=round(cells / 2) * edge, edge=edge, clamp=2 * edge,
+                           diagonals=diagonals, jitter=jitter, seed=seed)
+        scene = Scene(mesh, held)
+        flat = scene.state(np.column_stack([mesh.rest, np.zeros(len(mesh.rest))]))
+        hung = find_equilibrium(scene, Fabric(alpha), flat, laws=Laws(bending="hinge_linear"),
+                                options=TIGHT)
+        found.append(gamma_of_aspect_ratio(aspect_ratio(free_end(mesh, hung.state))))
+    assert np.mean(found) == pytest.approx(GAMMA, rel=5e-3)

@@ -1,15 +1,12 @@
 """Fabrics to learn from: samples of a prior, made stiffer or softer, and less anisotropic.
 
-The published fabrics, and so the priors fitted to them, have few stiff and few limp fabrics: 90 %
-of the mean alphas at 300 g/m² lie between 4 and 60 µN·m. A sample keeps all else when it is moved:
-its three alphas get one factor, so that the ratios between directions, on which
-:func:`sim.material.is_admissible` depends, stay, and beta/alpha a power of this factor.
+The priors fitted to published fabrics have few stiff and few limp ones (docs/training.md). A sample
+keeps all else when it is moved: its three alphas get one factor, so that their ratios stay, on
+which :func:`sim.material.is_admissible` depends, and beta/alpha a power of this factor.
 
-Along the bias the published cantilevers differ from the mean of warp and weft by a factor of 1.65
-(standard deviation), and a drape of such cloth has a fourth harmonic that outlines of real cloth do
-not have (docs/physics.md). ``anisotropy`` has the shares that are kept of the difference between
-warp and weft, and of that between the bias and their mean; each fabric draws its own around them,
-log-normal with the deviations ``varied``, so that few fabrics keep all of it, or more.
+``anisotropy`` has the shares that are kept of the difference between warp and weft, and of that
+between the bias and their mean (docs/physics.md); each fabric draws its own around them, log-normal
+with the deviations ``varied``.
 """
 
 from collections.abc import Sequence

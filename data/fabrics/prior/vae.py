@@ -68,9 +68,7 @@ class Coordinates(Stored):
     """Map between theta and the standardised coordinates (..., 6) of an autoencoder: log alpha, and
     arcsinh of beta/alpha over ``BEND``, less ``mean`` (6,), over ``scale`` (6,).
 
-    Bending ratios beta/alpha have a long tail (median -2.4 mm, lowest -17 mm), which arcsinh
-    compresses smoothly across the sign of beta, and a few outliers, which are clipped before
-    fitting.
+    Bending ratios beta/alpha have a long tail, which arcsinh compresses across the sign of beta.
     """
 
     mean: Annotated[np.ndarray, array(6)]
@@ -127,8 +125,8 @@ def train(points: np.ndarray, architecture: Architecture, seed: int) -> dict[str
     """Train an autoencoder on standardised points (F, 6); return its weights, as ``VaePrior`` has.
 
     Adam maximises the importance-weighted bound on the likelihood with ``DRAWS`` latent vectors per
-    fabric (Burda, Grosse and Salakhutdinov 2016); with one, the usual bound, more latent variables
-    collapse. The weight of the ratio of p(z) to q(z | fabric) rises from 0 to 1.
+    fabric (Burda, Grosse and Salakhutdinov 2016). The weight of the ratio of p(z) to q(z | fabric)
+    rises from 0 to 1.
     """
     import torch  # imported late: reading and sampling do not need it
 

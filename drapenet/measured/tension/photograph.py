@@ -4,8 +4,7 @@ In the plane of the strip, whose place in both pictures the markers of the mat g
 the band of its width that differs from the mat's ground, and the marks are lines across it. Each
 mark is measured in columns along the strip. The extension is the difference of the two pictures'
 distances in each column, so that the shapes of lines that are drawn by hand cancel. Distances are
-those across the lines, as far as these are straight: a band that is found askew in one picture
-crosses them at another angle there.
+those across the lines, as far as these are straight.
 """
 
 from collections.abc import Sequence
