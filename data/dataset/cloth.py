@@ -40,7 +40,7 @@ from data.render.cloth_scenes import scene_of
 
 _WIDTHS = (16, 24, 48, 96, 128)
 HELD_OUT = 0.05  # of the fabrics
-_BATCH, _RATE = 8, 3e-3  # largest learning rate
+_BATCH = 8
 _GAINS = 0.15, 0.25  # deviations of log light, of each colour and of all
 VERSION = 2
 """Of the pictures of a shard: raise it when they change."""
@@ -88,6 +88,7 @@ class ClothConfig:
     epochs: Annotated[int, Field(ge=1)]
     workers: Annotated[int, Field(ge=1)]
     start: str
+    learning_rate: Annotated[float, Field(gt=0)]
     seed: Seed
 
 
@@ -183,7 +184,7 @@ def train(pictures: Pictures, config: ClothConfig) -> ClothNetwork:
                     *pictures.batch(order[k * _BATCH:(k + 1) * _BATCH]), rng)
                 yield binary_cross_entropy_with_logits(network(fine, coarse), truth)
 
-    fit(network, losses(), config.epochs * count, _RATE, rise=0.1, momentum=True, clip=np.inf,
+    fit(network, losses(), config.epochs * count, config.learning_rate, rise=0.1, momentum=True, clip=np.inf,
         decay=0.02)
     return network.eval()
 

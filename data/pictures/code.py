@@ -11,7 +11,6 @@ from functools import cache
 import numpy as np
 
 CELL = 2.54e-3  # m, side of a cell
-WHITE, GREY, BLACK = 0, 1, 2
 _CELLS = (166, 218)  # along y and x, of the largest mat
 _TURNS = 60  # of drawing half of the cells anew; after some 20 no trace of the first is left
 _SEED = b"drapenet mat 1"  # printed mats stay readable: never change it
@@ -19,8 +18,8 @@ _SEED = b"drapenet mat 1"  # printed mats stay readable: never change it
 
 @cache
 def cells() -> np.ndarray:
-    """Levels (H, W) uint8 of the cells, the first at the upper left; the middle of the mat is the
-    corner between the four in the middle."""
+    """Levels (H, W) uint8 of the cells, 0 white, 1 grey, 2 black, the first at the upper left; the
+    middle of the mat is the corner between the four in the middle."""
     row, column = np.indices(_CELLS)
     draws = np.frombuffer(hashlib.shake_256(_SEED).digest(_TURNS * row.size), np.uint8) % 3
     code = ((row + column) % 2).astype(np.uint8)

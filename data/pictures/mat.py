@@ -297,7 +297,7 @@ def mat_pages(name: str, paper: str, ground: str = CODE) -> bytes:
     wide, high = picture.shape[1] // columns, picture.shape[0] // rows
     if wide >= high:
         sheet = sheet[::-1]
-    pages = FPDF(unit="mm", format=sheet)
+    pages = FPDF(unit="mm", format=(sheet[0], sheet[1]))
     pages.set_auto_page_break(False)
     for row in range(rows):
         for column in range(columns):

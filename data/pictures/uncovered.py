@@ -172,7 +172,7 @@ def _sampled(light: np.ndarray, places: np.ndarray, to_pixels: np.ndarray) -> np
     pixels = on_grid(places, to_pixels).astype(np.float32)
     step = float(np.linalg.norm(np.diff(pixels[0, pixels.shape[1] // 2 :][:2], axis=0)))
     smooth = cv2.GaussianBlur(light, (0, 0), 0.4 * step) if step > 1.3 else light
-    return cv2.remap(smooth, *np.moveaxis(pixels, 2, 0), cv2.INTER_LINEAR,
+    return cv2.remap(smooth, pixels[..., 0], pixels[..., 1], cv2.INTER_LINEAR,
                      borderMode=cv2.BORDER_REPLICATE)
 
 
@@ -336,9 +336,9 @@ def _moved(
     total = gaussian_filter(weight, _EVENLY, mode="nearest")[..., None] + 1e-6
     field = (np.stack([gaussian_filter(moves[..., k], _EVENLY, mode="nearest") for k in (0, 1)], -1)
              + 1e-6 * mean) / total
-    at = np.moveaxis((on_mat - middle) / _FIELD + size // 2, 2, 0).astype(np.float32)
+    at = ((on_mat - middle) / _FIELD + size // 2).astype(np.float32)
     near = gaussian_filter(weight, 0.7)
-    moved, sure = (cv2.remap(one.astype(np.float32), *at, cv2.INTER_LINEAR,
+    moved, sure = (cv2.remap(one.astype(np.float32), at[..., 0], at[..., 1], cv2.INTER_LINEAR,
                              borderMode=cv2.BORDER_REPLICATE) for one in (field, near))
     return moved, sure > 0.12
 
