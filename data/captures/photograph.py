@@ -1,6 +1,7 @@
 """Outlines of drapes from above, cut out of a photograph or read from a text file, and checked.
 
-    picture -> scale (mat, plate, pixel or board) -> cut-out -> curve in the plane of the plate
+    picture -> scale (mat, plate, pixel or board) -> cut-out -> over the code, where that is seen
+    -> curve in the plane of the plate
     curves of several pictures over a mat -> one (:mod:`data.captures.joined_outlines`)
 
 Coordinates of pixels are those of their centres, from 0 on.

@@ -184,8 +184,8 @@ def train(pictures: Pictures, config: ClothConfig) -> ClothNetwork:
                     *pictures.batch(order[k * _BATCH:(k + 1) * _BATCH]), rng)
                 yield binary_cross_entropy_with_logits(network(fine, coarse), truth)
 
-    fit(network, losses(), config.epochs * count, config.learning_rate, rise=0.1, momentum=True, clip=np.inf,
-        decay=0.02)
+    fit(network, losses(), config.epochs * count, config.learning_rate, rise=0.1, momentum=True,
+        clip=np.inf, decay=0.02)
     return network.eval()
 
 

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from scipy.ndimage import gaussian_filter, median_filter
 
-from common.types import LinearLight, Mask, Metres
+from common.types import Mask, Metres
 from data.pictures.cut import Cut, Printed
 from data.pictures.mat import FINE, code_page, mat_pixels
 from data.pictures.planes import mapped, on_grid
@@ -103,13 +103,11 @@ def uncover(
     line = mapped(cut.hem, to_plate)
     pixel = float(np.linalg.norm(np.diff(mapped(np.array([[0, 0], [1, 0.0]]), to_plate), axis=0)))
     turn = np.arange(STEPS) * (2 * np.pi / STEPS)
-    around = np.arctan2(*line.T[::-1])
-    order = np.argsort(around)
-    error = np.interp(turn, around[order], pixel * cut.error[order], period=2 * np.pi)
+    error = np.interp(turn, np.arctan2(*line.T[::-1]), pixel * cut.error, period=2 * np.pi)
     by_cut = farthest(closed(line), STEPS)
     unsure = np.hypot(error, _FAINT)
     off = (grid.radii - by_cut[:, None]) / unsure[:, None]
-    radii, error = _told(photograph.light, grid, to_pixels, printed, off, plate)
+    radii, error = _told(photograph, grid, to_pixels, printed, off, plate)
     hidden = np.maximum(radii - by_cut - _APART * np.hypot(unsure, error), 0)
     radii, error = _smoothed(radii, error), np.hypot(_CAUTION * error, _LEAST) + hidden / 2
     hem = mapped(radii[:, None] * np.column_stack([np.cos(turn), np.sin(turn)]), to_pixels)
@@ -117,17 +115,20 @@ def uncover(
 
 
 def _told(
-    light: LinearLight, grid: Grid, to_pixels: np.ndarray, printed: Printed, off: np.ndarray,
+    photograph: Photograph, grid: Grid, to_pixels: np.ndarray, printed: Printed, off: np.ndarray,
     plate: Metres
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Radii (STEPS,), m, at which the code of a picture (H, W, 3) begins, and their deviations;
-    ``off``: deviations (STEPS, R) from the hem that the network has cut."""
+    """Radii (STEPS,), m, at which the code of a picture begins, and their deviations; ``off``:
+    deviations (STEPS, R) from the hem that the network has cut."""
+    light, blank = photograph.light, photograph.transparent
+    blank = blank if photograph.missing is None else blank | photograph.missing
     seen = np.sqrt(_sampled(light, grid.places, to_pixels) + _FLOOR)
     on_mat = on_grid(grid.places, printed.to_mat)
     moved, sure = _moved(light.mean(axis=2), to_pixels, printed, 1.15 * grid.radii[-1], on_mat)
     at = mat_pixels(printed.mat, on_mat - moved, FINE)
     pages, plain = code_page(printed.mat)
     shown = cv2.remap(plain.astype(np.float32), *at, cv2.INTER_LINEAR) > 0.99
+    shown &= _sampled(blank.astype(np.float32), grid.places, to_pixels) < 0.01
     prints = np.stack([cv2.remap(_gauss(page, blur / FINE), *at, cv2.INTER_LINEAR)
                        for page in pages for blur in _BLURS], axis=-1)
     usable = shown & (seen.max(axis=2) < np.sqrt(_GLARE))
