@@ -7,9 +7,10 @@ import pytest
 import yaml
 from photographs import ANGLE, RADIUS, distances_mm, over_mat
 
+from common.errors import InputError
 from data.captures.reader import read_capture
 from data.pictures.code import CELL, cells
-from data.pictures.mat import MATS, mat_picture
+from data.pictures.mat import MATS, mat_pages, mat_picture
 
 PALE = (150, 145, 150)  # as light as the code in the mean
 SHADES = {"white": (250, 250, 250), "pale": PALE, "grey": (128, 128, 128), "dark": (40, 40, 40)}
@@ -41,6 +42,12 @@ def test_the_code_is_printed_in_black_and_white_and_less_than_half_of_it_is_ink(
     page = mat_picture("a2", "code")
     assert ((page == 0) | (page == 255)).mean() > 0.999  # but for the edges of letters
     assert 0.3 < (page < 128).mean() < 0.5
+
+
+def test_the_middle_of_the_mat_is_a_sheet_of_any_paper_for_a_foot():
+    assert mat_pages("foot", "a4").startswith(b"%PDF")
+    with pytest.raises(InputError, match="mat=foot paper=letter"):
+        mat_pages("foot", "a9")
 
 
 @pytest.mark.parametrize("shade", SHADES)
