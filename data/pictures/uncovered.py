@@ -1,8 +1,8 @@
 """The hem of a drape from where the code of the mat behind it is visible, whatever its colour.
 
 Each place is ground, as printed and in the light of some window beside it, or cloth, of the colours
-of the cloth near it or of any; where the network that cuts cloth sees none, it may be a thing that
-hides the code. A closed Markov chain over azimuths weighs them to the outermost border of the cloth
+of the cloth near it or of any; beyond the hem that the network cuts, what hides the code may be a
+thing. A closed Markov chain over azimuths weighs them to the outermost border of the cloth
 and its error. All is done about the plate's axis, in the plane of the plate, at equal steps of
 azimuth and of the logarithm of the radius, so that pixels are squares.
 
@@ -43,7 +43,9 @@ _EVEN, _ODD, _OWN = 1 / 1.2, 0.03, 0.6  # density of any light; shares of it on 
 _THROUGH = 0.25  # of the print's contrast: less is seen through cloth or a reflection
 _UNEVEN = (0.04, 0.06)  # relative, of light on ground and of colours of cloth
 _TEMPER = 0.25  # of a pixel's evidence, for neighbours err alike
-_THING, _SURELY = 0.4, 3.0  # share of things where cloth ends for the network, in its deviations
+_HIDDEN, _SURELY = 0.1, 2.0  # weight of what hides the code apart from cloth; of errors of the cut
+_GAP_SEEN, _ALIKE = 8.0, 7  # of evidence, in a gap between them; azimuths in which it is alike
+_BEYOND, _NEVER = 1.05, 20.0  # of the flat specimen's reach, beyond which no hem is
 _BELIEVED, _MOST = 0.1, 2.0  # of deviations from its hem, that count at an azimuth, and at most
 _FAINT, _APART = 1e-3, 2.0  # m, added to its error; in these errors, cloth beyond it is doubtful
 _RIM, _ON_PLATE = 0.995, 1.5  # of the plate's radius, within which this more speaks for cloth
@@ -52,6 +54,7 @@ _BEND = 1e-3  # deviation of second differences along half a degree, over the ra
 _ARM = 9e-3  # m, beyond what folds stand out
 _TILE, _SEARCH, _GAP, _EXPECTED = 20, 6, 12, 0.8  # pixels of 2 FINE: windows of code, their moves
 _FIELD, _EVENLY = 8e-3, 2.0  # m, between places of moves, and their smoothing, of it
+_CLEAR = 0.6  # of the contrast of most windows
 _CAUTION, _LEAST = 1.3, 1.5e-4  # factor of the chain's deviations; m
 
 
@@ -107,7 +110,7 @@ def uncover(
     by_cut = farthest(closed(line), STEPS)
     unsure = np.hypot(error, _FAINT)
     off = (grid.radii - by_cut[:, None]) / unsure[:, None]
-    radii, error = _told(photograph, grid, to_pixels, printed, off, plate)
+    radii, error = _told(photograph, grid, to_pixels, printed, off, plate, reach)
     hidden = np.maximum(radii - by_cut - _APART * np.hypot(unsure, error), 0)
     radii, error = _smoothed(radii, error), np.hypot(_CAUTION * error, _LEAST) + hidden / 2
     hem = mapped(radii[:, None] * np.column_stack([np.cos(turn), np.sin(turn)]), to_pixels)
@@ -116,7 +119,7 @@ def uncover(
 
 def _told(
     photograph: Photograph, grid: Grid, to_pixels: np.ndarray, printed: Printed, off: np.ndarray,
-    plate: Metres
+    plate: Metres, reach: Metres
 ) -> tuple[np.ndarray, np.ndarray]:
     """Radii (STEPS,), m, at which the code of a picture begins, and their deviations; ``off``:
     deviations (STEPS, R) from the hem that the network has cut."""
@@ -134,7 +137,7 @@ def _told(
     usable = shown & (seen.max(axis=2) < np.sqrt(_GLARE))
     everywhere, ground = usable.astype(np.float32), (usable & sure).astype(np.float32)
     cloth, levels, narrow = None, _NOMINAL, None
-    things = np.pad(_THING / (1 + np.exp(_SURELY - off)), [(_WRAP, _WRAP), (0, 0)], mode="wrap")
+    beyond = np.pad(off > _SURELY, [(_WRAP, _WRAP), (0, 0)], mode="wrap")
     doubt = np.minimum(_BELIEVED * np.abs(off), _MOST)
     for turn in range(_TURNS):
         levels = _levels(np.square(seen.mean(axis=2)), prints, ground, levels)
@@ -142,8 +145,14 @@ def _told(
         narrow = narrow or _fit(seen, expected, everywhere, _NARROW)
         best = narrow.or_better(_fit(seen, expected, *((ground, _INNER) if turn else
                                                        (everywhere, _WIDE))))
-        evidence = np.where(shown, _evidence(seen, best, cloth, things), 0)
+        evidence = np.where(shown, _evidence(seen, best, cloth), 0)
+        # What hides the code beyond a gap in which it is seen, and beyond the cut, is no cloth.
+        seen_from = np.cumsum(cv2.blur(evidence, (1, _ALIKE)), axis=1)
+        gap = seen_from - np.minimum.accumulate(seen_from, axis=1) > _GAP_SEEN
+        apart = np.maximum.accumulate(gap, axis=1) & beyond & (evidence < 0)
+        evidence = np.where(apart, _HIDDEN * evidence, evidence)
         evidence[:, grid.radii < _RIM * plate] -= _ON_PLATE
+        evidence[:, grid.radii > _BEYOND * reach] = _NEVER
         radii, error = _border(evidence[_WRAP:-_WRAP], doubt, grid.radii)
         border = np.minimum(radii, median_filter(radii, 61, mode="wrap") + _ARM)
         border = np.pad(border, _WRAP, mode="wrap")[:, None]
@@ -246,9 +255,8 @@ def _fit(seen: np.ndarray, expected: np.ndarray, weight: np.ndarray, sigma: floa
     return found
 
 
-def _evidence(seen: np.ndarray, fit: Fit, cloth: np.ndarray | None, things: np.ndarray
-              ) -> np.ndarray:
-    """Logarithm (A, R) of how much likelier than cloth each place is ground, or a thing on it."""
+def _evidence(seen: np.ndarray, fit: Fit, cloth: np.ndarray | None) -> np.ndarray:
+    """Logarithm (A, R) of how much likelier than cloth each place is ground."""
     even = _EVEN / np.maximum(fit.bright, 5e-3)
     ground = _ODD * even + (1 - _ODD) * (fit.match > _MATCH) * np.exp(-0.5 * fit.misfit) / np.sqrt(
         2 * np.pi * fit.spread)
@@ -263,8 +271,7 @@ def _evidence(seen: np.ndarray, fit: Fit, cloth: np.ndarray | None, things: np.n
             own = np.maximum(own, (near[..., 0] > 1e-2) * np.exp(-0.5 * (np.square(
                 seen - mean) / wide).mean(axis=2)) / np.sqrt(2 * np.pi * wide.mean(axis=2)))
         other = _OWN * own + (1 - _OWN) * even
-    no_cloth = ground + things * even
-    return np.log(no_cloth / other).astype(np.float32)
+    return np.log(ground / other).astype(np.float32)
 
 
 def _border(evidence: np.ndarray, doubt: np.ndarray, radii: np.ndarray
@@ -312,7 +319,7 @@ def _moved(
                              cv2.INTER_LINEAR) for page in code_page(printed.mat)[0])
     page = np.sqrt(1 - _NOMINAL[0] * grey - _NOMINAL[3] * black)
     size = 2 * int(half * pixel / _FIELD) + 1
-    weight, moves = np.zeros((size, size)), np.zeros((size, size, 2))
+    found = []
     starts = range(_SEARCH, len(steps) - _TILE - _SEARCH, _GAP)
     for row in starts:
         for column in starts:
@@ -322,24 +329,30 @@ def _moved(
             there = seen[row - _SEARCH : row + _TILE + _SEARCH,
                          column - _SEARCH : column + _TILE + _SEARCH]
             scores = cv2.matchTemplate(there, tile, cv2.TM_CCOEFF_NORMED)
-            top, (x, y) = (found := cv2.minMaxLoc(scores))[1], found[3]
+            _, top, _, (x, y) = cv2.minMaxLoc(scores)
             if top < _MATCH or not 0 < x < 2 * _SEARCH or not 0 < y < 2 * _SEARCH:
                 continue
             move = [x - _SEARCH + _peak(scores[y, x - 1 : x + 2]),
                     _SEARCH - y - _peak(scores[y - 1 : y + 2, x])]
             place = (places[row + _TILE // 2, column + _TILE // 2] - middle) / _FIELD
-            i, j = np.rint(place).astype(int) + size // 2
-            weight[j, i] += top
-            moves[j, i] += top * pixel * np.array(move)
-    if not weight.any():
+            there = there[y : y + _TILE, x : x + _TILE]
+            contrast = there.std() / there.mean() * tile.mean() / tile.std()
+            found.append((*place + size // 2, *move, top, contrast))
+    if not found:
         return np.zeros(on_mat.shape), np.ones(on_mat.shape[:2], bool)
+    told = np.array(found)
+    told = told[told[:, 5] > _CLEAR * np.quantile(told[:, 5], 0.9)]  # not seen through cloth
+    weight, moves = np.zeros((size, size)), np.zeros((size, size, 2))
+    at = tuple(np.rint(told[:, 1::-1]).astype(int).T)
+    np.add.at(weight, at, told[:, 4])
+    np.add.at(moves, at, told[:, 4:5] * pixel * told[:, 2:4])
     mean = moves.sum(axis=(0, 1)) / weight.sum()
     total = gaussian_filter(weight, _EVENLY, mode="nearest")[..., None] + 1e-6
     field = (np.stack([gaussian_filter(moves[..., k], _EVENLY, mode="nearest") for k in (0, 1)], -1)
              + 1e-6 * mean) / total
-    at = ((on_mat - middle) / _FIELD + size // 2).astype(np.float32)
+    where = ((on_mat - middle) / _FIELD + size // 2).astype(np.float32)
     near = gaussian_filter(weight, 0.7)
-    moved, sure = (cv2.remap(one.astype(np.float32), at[..., 0], at[..., 1], cv2.INTER_LINEAR,
+    moved, sure = (cv2.remap(one.astype(np.float32), where[..., 0], where[..., 1], cv2.INTER_LINEAR,
                              borderMode=cv2.BORDER_REPLICATE) for one in (field, near))
     return moved, sure > 0.12
 

@@ -4,8 +4,8 @@ Fabrics drawn evenly from limp to stiff, with all nuisances, are draped, and pho
 (:mod:`data.render.phone`) on plates 90 to 200 mm above the mat from 0.4 to 1.5 m above the plate,
 up to 20 degrees beside its axis, with phones' lenses, lamps, things that lie about, blur and JPEG.
 Cloth has random textures or, where ``shared/photographs`` is present, those of real cloth; in six
-of seven scenes something makes the hem hard to see (:mod:`data.render.hard`). The picture that is
-nearest to the axis is read alone, and all of a drape together, as a user's; the outline is compared
+of seven scenes something makes the hem hard to see (:mod:`data.render.hard`); over the code things
+lie about in littered scenes alone, as the manual asks. The picture that is nearest to the axis is read alone, and all of a drape together, as a user's; the outline is compared
 with the true one as seen from the camera's true place and from the axis, and log alpha with the
 estimate from the true outline and with the truth.
 """
@@ -62,8 +62,9 @@ def drape(rng: np.random.Generator, *, number: int, testers: list[str], grounds:
     kind, ground = KINDS[number % len(KINDS)], grounds[number % len(grounds)]
     plan = plan_specimen(number, "dataset.even_share=0.8", rig=tester, seed=seed, nuisances="real")
     shape = drape_as_planned(plan, edge=1e-3 * edge_mm)
-    taken = Taken.of(shape.positions, shape.mesh, tester, rng, pictures=pictures, clutter=True,
-                     surface=real_texture(rng), ground=ground, hard=(kind,) if kind in HARD else ())
+    taken = Taken.of(shape.positions, shape.mesh, tester, rng, pictures=pictures,
+                     clutter=ground != "code" or kind == "littered", surface=real_texture(rng),
+                     ground=ground, hard=(kind,) if kind in HARD else ())
     first = taken.pictures[0]
     found = {**first.kind, "plate_mm": 1e3 * taken.plate_height, "mat": taken.mat, "hard": kind,
              "ground": "code" if ground == "code" else "plain", "height_m": taken.place(first)[2],
