@@ -5,9 +5,10 @@ Fabrics drawn evenly from limp to stiff, with all nuisances, are draped, and pho
 up to 20 degrees beside its axis, with phones' lenses, lamps, things that lie about, blur and JPEG.
 Cloth has random textures or, where ``shared/photographs`` is present, those of real cloth; in six
 of seven scenes something makes the hem hard to see (:mod:`data.render.hard`); over the code things
-lie about in littered scenes alone, as the manual asks. The picture that is nearest to the axis is read alone, and all of a drape together, as a user's; the outline is compared
-with the true one as seen from the camera's true place and from the axis, and log alpha with the
-estimate from the true outline and with the truth.
+lie about in littered scenes alone, as the manual asks. The picture that is nearest to the axis is
+read alone, and all of a drape together, as a user's; the outline is compared with the true one as
+seen from the camera's true place and from the axis, and log alpha with the estimate from the true
+outline and with the truth.
 """
 
 import tempfile
