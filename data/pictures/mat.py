@@ -37,8 +37,7 @@ CODE = "code"
 GROUNDS = {CODE: (255, 255, 255), "white": (255, 255, 255), "grey": (128, 128, 128),
            "blue": (70, 120, 190)}
 """Colours, sRGB, of the mat around its markers. Grey of 128 reflects 22 % of the light of paper,
-about the geometric mean of white cloth (85 %) and black cloth (4 %), so that both differ from it by
-a factor of four or five; printers make it of fine dots without stripes. Blue is as dark, for grey
+about the geometric mean of white cloth (85 %) and black cloth (4 %). Blue is as dark, for grey
 cloth."""
 _CODED = 200  # added to the numbers of the markers of a mat with the code
 _DOTS, _DOT_SHARE = 5, 4 / 9  # along a grey cell, and of its area

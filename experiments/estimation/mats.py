@@ -50,7 +50,7 @@ class Keys(CaseKeys):
     testers: tuple[str, ...] = (
         "disc300_support180", "disc240_support180", "disc360_support180", "square300_cylinder100")
     grounds: tuple[str, ...] = ("code", "white", "code", "grey")  # of the mats, in turn
-    drapes: int = 112  # in turn on each tester, each of another fabric
+    drapes: int = 56  # in turn on each tester, each of another fabric
     pictures: int = 3  # of each drape, from up to 20 degrees beside the axis
     edge_mm: float = 6.0  # edges of the mesh at the plate's rim
     seed: int = 17  # of all random numbers
@@ -139,10 +139,10 @@ def run(keys: Keys) -> Report:
     for ground in ("code", "plain"):
         over = [one for one in drapes.values() if one["ground"] == ground]
         groups |= {
-            f"{ground}, one near the axis": [one["alone"] for one in over if one["lean"] < NEAR],
-            f"{ground}, one": [one["alone"] for one in over],
-            f"{ground}, {keys.pictures} together": [one["together"] for one in over]}
-        groups |= {f"{ground}, {kind}": [one["alone"] for one in over if one["hard"] == kind]
+            f"one near the axis ({ground})": [one["alone"] for one in over if one["lean"] < NEAR],
+            f"one ({ground})": [one["alone"] for one in over],
+            f"{keys.pictures} together ({ground})": [one["together"] for one in over]}
+        groups |= {f"{kind} ({ground})": [one["alone"] for one in over if one["hard"] == kind]
                    for kind in KINDS}
     return {"targets": TARGETS, "cases": drapes,
             "summary": {name: summarise(some) for name, some in groups.items() if some}}
