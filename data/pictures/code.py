@@ -2,7 +2,7 @@
 alike, so that no cloth of one colour looks like it over more than a cell.
 
 Cells lie along the mat's axes from its middle on; each mat shows a part of the same code. Grey is
-printed as black dots, and needs no photographic grey.
+printed as black dots.
 """
 
 import hashlib

@@ -4,7 +4,7 @@ Each place is ground, as printed and in the light of some window beside it, or c
 of the cloth near it or of any; beyond the hem that the network cuts, what hides the code may be a
 thing. A closed Markov chain over azimuths weighs them to the outermost border of the cloth
 and its error. All is done about the plate's axis, in the plane of the plate, at equal steps of
-azimuth and of the logarithm of the radius, so that pixels are squares.
+azimuth and of the logarithm of the radius.
 
     places of the code (:func:`_moved`) -> print as the camera blurs it (:func:`_levels`)
     -> how well windows of it fit (:func:`_fit`) -> evidence (:func:`_evidence`)
