@@ -107,7 +107,7 @@ def photographed(reports: Reports) -> str:
     half, most = map(percent, one["truth_error"])
     return ("From one picture by a phone over the printed mat, as it is read, half of the "
             f"estimates of α are within {half} of the truth, nine of ten within {most} (simulated "
-            f"fabrics, evenly from limp to stiff); 68 % intervals contain "
+            f"fabrics, evenly from limp to stiff, most hems hard to see); 68 % intervals contain "
             f"{percent(one['inside_68'])} of the true values.")
 
 
