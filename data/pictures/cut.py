@@ -20,7 +20,7 @@ from data.pictures.mat import printed_at
 from data.pictures.planes import mapped, on_grid
 from data.pictures.reading import Photograph, decoded
 
-SIDE = 256  # pixels
+SIDE = 128  # pixels
 AROUND = 1.2  # of the flat specimen's reach, shown
 FINE, COARSE = 4, 5  # inputs at each pixel, and at each square of two by two
 _FLOOR = 0.02  # of light

@@ -246,7 +246,7 @@ def test_the_mat_is_a_pdf_of_its_pages(client):
     for query in ("mat=../a3", "mat=a3&paper=a9", "mat=a2&paper=tabloid"):
         answer = client.get(f"/mat.pdf?{query}")
         assert answer.status_code == 422
-        assert answer.json()["error"].endswith("mat=a2 paper=letter")
+        assert answer.json()["error"].endswith("mat=foot paper=letter")
     page = client.get("/").text
     assert 'href="/mat.pdf?mat=a3&amp;paper=a4"' in page
-    assert 'href="/mat.pdf?mat=a2&amp;paper=a4&amp;ground=grey"' in page
+    assert 'href="/mat.pdf?mat=foot&amp;paper=a4"' in page
