@@ -14,7 +14,7 @@ from common.graphs import bundled_graph
 from sim.rig import Rig
 
 BUNDLED = Path(__file__).resolve().parents[1] / "weights" / "hem.safetensors"
-USUAL = 1.5e-3  # of the specimen's size, error of which the network says the logarithm
+USUAL = 1.5e-3  # of the specimen's size, error of which the network gives the logarithm
 
 
 def unlike_cloth(radii: np.ndarray, rig: Rig) -> np.ndarray:

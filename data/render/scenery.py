@@ -59,8 +59,6 @@ class Scenery:
         gain: of the dots of a mat with the code, in its pixels; None of a plain one.
         through: share of the light that passes through the cloth, and ``holes``: where (N,) of
             places (N, 2) of the flat specimen all does.
-        parts: (2, 2, 2) m, by which the mat's parts to the left and right, and below and above,
-            are shifted.
         gloss: strength and exponent of its highlights (Blinn and Phong).
         glow: light of the table itself, such as that of a light pad.
         sky: its light over that of an even room.
@@ -81,7 +79,6 @@ class Scenery:
     gain: float | None = None
     through: float = 0.0
     holes: Callable[[np.ndarray], np.ndarray] | None = None
-    parts: np.ndarray | None = None
     gloss: tuple[float, float] = (0.0, 1.0)
     glow: float = 0.0
     sky: float = 1.0
@@ -169,9 +166,6 @@ class Scenery:
         """Albedo (N, 3) of table and mat at places (N, 2)."""
         albedo = self.table(places)
         if self.mat:
-            if self.parts is not None:
-                right, above = (places > 0).astype(int).T
-                places = places + self.parts[right, above]
             mat = (albedo, places, self.mat, self.mat_light, self.mat_ground)
             if self.gain is None:
                 lay_mat(*mat)

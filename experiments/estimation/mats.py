@@ -189,7 +189,7 @@ def block(report: Report) -> str:
           f"{found['wrong_in_silence']} of {found['wrong']}",
           f"{found['warned_though_right']} of {found['right']}",
           percents(found["truth_error"]), percents([found["inside_68"]])]
-         for name, found in report["summary"].items() if "wrong" in found])
+         for name, found in report["summary"].items() if name.split(" (")[0] not in KINDS])
 
 
 STUDY = Study(Keys, run, block)
