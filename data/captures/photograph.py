@@ -46,7 +46,7 @@ from sim.rig import Rig
 MAX_PIXEL = 1.5e-3  # m
 MIN_COEFFICIENT = 0.02  # of cloth on a plate; the plate alone has 0
 MAX_TILT = np.radians(10.0)
-MAX_GROUNDED = 0.02  # of the azimuth
+MAX_GROUNDED, MAX_GLARE = 0.02, 0.05  # of the azimuth
 HANGING = 0.005  # m, allowed to reach below the mat, of specimens that are not centred
 MAX_REACH = 1.03  # over the flat specimen's; one of 1000 simulated outlines has more
 MIN_RADIUS = {True: 0.97, False: 0.9}  # over the plate's, by whether its centre is known
@@ -275,10 +275,14 @@ def _as_seen(seen: Scaled, source: OutlineSource, rig: Rig) -> PhotographedOutli
     cut = outline_of_cloth(
         photograph, np.linalg.inv(to_metres), plate=rig.plate_radius, reach=rig.reach,
         known=seen.middle is not None, printed=seen.printed, unsure=seen.unsure)
-    coded = seen.printed is not None and seen.printed.ground == CODE
+    coded, warnings = seen.printed is not None and seen.printed.ground == CODE, [*seen.warnings]
     if coded and seen.printed:
-        cut = uncover(cut, photograph, np.linalg.inv(to_metres), seen.printed,
-                      plate=rig.plate_radius, reach=rig.reach)
+        cut, glare = uncover(
+            cut, photograph, np.linalg.inv(to_metres), seen.printed, plate=rig.plate_radius,
+            reach=rig.reach, unlike=lambda radii: unlike_cloth(radii, rig))
+        if (share := float(glare.mean())) > MAX_GLARE:
+            warnings.append(Finding("mat_overexposed", {
+                "value": share, "limit": MAX_GLARE, "place": sides(glare)}))
     pixels = cut.hem
     tilt = 0.0
     if seen.middle is None:
@@ -290,7 +294,6 @@ def _as_seen(seen: Scaled, source: OutlineSource, rig: Rig) -> PhotographedOutli
     pixel = float(1e-3 / np.linalg.norm(millimetre))
     error, curve = _by_azimuth(curve, pixel * cut.error), _oriented(curve)
     step = pixel / photograph.factor
-    warnings = [*seen.warnings]
     if step > MAX_PIXEL:
         warnings.append(Finding("pixel_large", {"value": 1e3 * step, "limit": 1e3 * MAX_PIXEL}))
     if tilt > MAX_TILT:

@@ -1,4 +1,4 @@
-"""Train the network that cuts cloth out of photographs (data/pictures/cut.py).
+"""Train a network that cuts cloth out of photographs (data/pictures/cut.py): over a mat, or not.
 
     python -m data.dataset.cloth data=FOLDER pictures=FOLDER [out=FILE]
 
@@ -35,14 +35,14 @@ from common.files import require_file
 from data.dataset.folder import require_dataset
 from data.dataset.learning import converged, fit, save
 from data.dataset.shards import SHARDS, Shard
-from data.pictures.cut import COARSE, FINE, SIDE, ClothView, steps
+from data.pictures.cut import COARSE, FINE, SIDES, ClothView, steps
 from data.render.cloth_scenes import scene_of
 
 _WIDTHS = (16, 24, 48, 96, 128)
 HELD_OUT = 0.05  # of the fabrics
 _BATCH = 8
 _GAINS = 0.15, 0.25  # deviations of log light, of each colour and of all
-VERSION = 2
+VERSION = 3
 """Of the pictures of a shard: raise it when they change."""
 
 
@@ -87,6 +87,7 @@ class ClothConfig:
     scenes: Annotated[int, Field(ge=1)]
     epochs: Annotated[int, Field(ge=1)]
     workers: Annotated[int, Field(ge=1)]
+    on_mat: bool
     start: str
     learning_rate: Annotated[float, Field(gt=0)]
     seed: Seed
@@ -103,12 +104,12 @@ def main(config: ClothConfig) -> None:
              for shard in shards}
     run_cases(photographed, cases, folder=folder, workers=config.workers, version=VERSION,
               unit="shard")
-    pictures = Pictures.of(folder, list(cases))
+    pictures = Pictures.of(folder, list(cases), on_mat=config.on_mat)
     torch.manual_seed(config.seed)
     network = train(pictures, config)
     save(network, Path(config.out), {
-        "fine": torch.randn(2, FINE, SIDE, SIDE),
-        "coarse": torch.randn(2, COARSE, SIDE // 2, SIDE // 2)}, "odds")
+        name: torch.randn(2, *one.shape[1:])
+        for name, one in (("fine", pictures.fine), ("coarse", pictures.coarse))}, "odds")
     print("\n".join(errors(network, pictures)) + f"\nwritten to {config.out}")
 
 
@@ -129,7 +130,7 @@ def photographed(*, shard: Path, scenes: int, seed: int) -> dict:
 
 @dataclass(frozen=True)
 class Pictures:
-    """N pictures: inputs of the network and truth (N, SIDE, SIDE), of half precision or of 255, the
+    """N pictures: inputs of the network and truth (N, S, S), of half precision or of 255, the
     size of a pixel, m, and whether their fabrics are held out."""
 
     fine: np.ndarray
@@ -139,23 +140,27 @@ class Pictures:
     held_out: np.ndarray
 
     @classmethod
-    def of(cls, folder: Path, names: list[str]) -> "Pictures":
-        """All pictures of the cases of a folder."""
+    def of(cls, folder: Path, names: list[str], *, on_mat: bool) -> "Pictures":
+        """The pictures of the cases of a folder over a mat, or the others."""
         found: list[tuple] = []
+        side = SIDES[on_mat]
         for name in progress_bar(names, desc="reading", unit="shard", leave=False):
             arrays = load_arrays(folder, name)
             for row in range(len(arrays.get("cloth", ()))):
                 one = {key: values[row] for key, values in arrays.items()}
+                if one["on_mat"].any() != on_mat:
+                    continue
                 off = None if np.isnan(one["off"]).any() else one["off"]
                 reach = float(one["reach"])
-                picture, printed, on_mat, covered = (
-                    cv2.resize(one[key].astype(np.uint8), (SIDE, SIDE),
+                picture, printed, paper, covered = (
+                    cv2.resize(one[key].astype(np.uint8), (side, side),
                                interpolation=cv2.INTER_AREA)
                     for key in ("picture", "printed", "on_mat", "cloth"))
-                view = ClothView(picture, printed, on_mat > 0, np.zeros((SIDE, SIDE), bool),
+                view = ClothView(picture, printed, paper > 0, np.zeros((side, side), bool),
                                  float(one["plate"]), reach, off)
                 fine, coarse = (part.astype(np.float16) for part in view.channels())
-                found.append((fine, coarse, covered, np.diff(steps(reach))[0], one["held_out"]))
+                pixel = np.diff(steps(reach, side))[0]
+                found.append((fine, coarse, covered, pixel, one["held_out"]))
         if not found:
             raise InputError(f"{folder} has no pictures to train on; complete more shards")
         return cls(*(np.array(part) for part in zip(*found, strict=True)))
@@ -191,7 +196,7 @@ def train(pictures: Pictures, config: ClothConfig) -> ClothNetwork:
 
 def varied(fine: torch.Tensor, coarse: torch.Tensor, truth: torch.Tensor,
            rng: np.random.Generator) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Inputs (N, C, ...) and truth (N, SIDE, SIDE) turned and mirrored, with other colours, and
+    """Inputs (N, C, ...) and truth (N, S, S) turned and mirrored, with other colours, and
     partly unseen."""
     quarter, mirror = int(rng.integers(4)), rng.random() < 0.5
     found = []
@@ -204,7 +209,7 @@ def varied(fine: torch.Tensor, coarse: torch.Tensor, truth: torch.Tensor,
         0, _GAINS[1], (len(fine), 1, 1, 1))
     fine[:, :3] += torch.from_numpy(gains.astype(np.float32))
     for k in np.flatnonzero(rng.random(len(fine)) < 0.15):  # beyond the picture's border
-        cut = 2 * int(rng.integers(1, SIDE // 16))
+        cut = 2 * int(rng.integers(1, truth.shape[-1] // 16))
         fine[k, :3, :cut], coarse[k, 1, :cut // 2] = 0.0, 1.0
         truth[k, :cut] = 0.0
     return (fine.contiguous(memory_format=torch.channels_last),

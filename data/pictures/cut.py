@@ -20,13 +20,14 @@ from data.pictures.mat import printed_at
 from data.pictures.planes import mapped, on_grid
 from data.pictures.reading import Photograph, decoded
 
-SIDE = 128  # pixels
+SIDES = {False: 128, True: 256}  # pixels, of pictures without a mat and over one
 AROUND = 1.2  # of the flat specimen's reach, shown
 FINE, COARSE = 4, 5  # inputs at each pixel, and at each square of two by two
 _FLOOR = 0.02  # of light
 _BRIGHT = 0.95  # quantile of the light that becomes 1
 _LIGHT = decoded(np.arange(256) / 255.0)
-BUNDLED = Path(__file__).resolve().parents[1] / "weights" / "cloth.safetensors"
+BUNDLED = {on_mat: Path(__file__).resolve().parents[1] / "weights" / f"{name}.safetensors"
+           for on_mat, name in ((False, "cloth"), (True, "cloth_on_mat"))}
 _MOST_TIMES = 12  # pixels of a photograph that are averaged, along a side
 _FINER = 8  # places for each pixel, between which log odds are linear
 _AROUND_HEM = 1.0  # pixels, on both sides of it, between which the odds' slope is measured
@@ -54,18 +55,18 @@ class Printed:
 
 
 
-def steps(reach: Metres, side: int = SIDE) -> np.ndarray:
+def steps(reach: Metres, side: int) -> np.ndarray:
     """Places (side,), m, of the pixels along x, and upwards along y."""
     return ((np.arange(side) + 0.5) / side * 2 - 1) * AROUND * reach
 
 
 @dataclass(frozen=True)
 class ClothView:
-    """Pictures of SIDE x SIDE pixels about the plate's axis, x to the right, y up.
+    """Pictures of S x S pixels, of :data:`SIDES`, about the plate's axis, x to the right, y up.
 
     Attributes:
-        picture: (SIDE, SIDE, 3).
-        printed: (SIDE, SIDE) uint8, the mat as it would be seen without a drape; 0 beside it.
+        picture: (S, S, 3).
+        printed: (S, S) uint8, the mat as it would be seen without a drape; 0 beside it.
         on_mat, unseen: where the mat is, covered or not; where there is no picture.
         plate, reach: radii of the plate and of the flat specimen.
         off: (2,) m, place of the middle from the plate's axis; None if that is not known.
@@ -79,22 +80,27 @@ class ClothView:
     reach: Metres
     off: np.ndarray | None
 
+    @property
+    def side(self) -> int:
+        """S."""
+        return len(self.picture)
+
     def channels(self) -> tuple[np.ndarray, np.ndarray]:
-        """Inputs (FINE, SIDE, SIDE) and (COARSE, SIDE/2, SIDE/2) of the network, float32."""
+        """Inputs (FINE, S, S) and (COARSE, S/2, S/2) of the network, float32."""
         light = _LIGHT[self.picture]
         bright = max(float(np.quantile(light[~self.unseen].max(axis=1), _BRIGHT)), 1e-3)
         logs = np.log(light / bright + _FLOOR)
         logs[self.unseen] = 0.0
         fine = np.stack([*np.moveaxis(logs, 2, 0), self.printed / 255.0]).astype(np.float32)
-        known, far = 0.0, np.zeros((SIDE, SIDE))
+        known, far = 0.0, np.zeros(self.unseen.shape)
         if self.off is not None:
-            along = steps(self.reach)
+            along = steps(self.reach, self.side)
             known, far = 1.0, np.hypot(along + self.off[0], (-along + self.off[1])[:, None])
-        coarse = [self.on_mat, self.unseen, np.full((SIDE, SIDE), known),
+        coarse = [self.on_mat, self.unseen, np.full(self.unseen.shape, known),
                   known * (far / self.plate - 1), known * (far / self.reach - 1)]
-        half = [np.asarray(one, np.float32).reshape(SIDE // 2, 2, SIDE // 2, 2).mean((1, 3))
-                for one in coarse]
-        return fine, np.stack(half)
+        pairs = self.side // 2, 2, self.side // 2, 2
+        return fine, np.stack([np.asarray(one, np.float32).reshape(pairs).mean((1, 3))
+                               for one in coarse])
 
 
 @dataclass(frozen=True)
@@ -131,7 +137,8 @@ def cut_cloth(
     if (wide := np.linalg.norm(ends[1] - ends[0])) > min(size):
         raise InputError(f"the plate has {wide * photograph.factor:.0f} pixels of the file, more "
                          f"than the picture's {min(size) * photograph.factor}; {check}")
-    along = steps(reach)
+    side = SIDES[printed is not None]
+    along = steps(reach, side)
     for _ in range(_PLACES):
         view, transparent = _view(photograph, to_pixels, middle, plate=plate, reach=reach,
                                   known=known, printed=printed)
@@ -153,8 +160,8 @@ def cut_cloth(
             f"{MIN_COVERED:.0%} is needed: if it is as light as its ground or its shadow, use a "
             "ground of another colour; check the scale, the tester and the plate's place")
     hem, error = _hem(odds, doubt, piece)
-    inside = np.clip(np.rint(hem).astype(int), 2, SIDE - 3)
-    border = (np.abs(hem - (SIDE - 1) / 2) > SIDE / 2 - 2).any(axis=1)
+    inside = np.clip(np.rint(hem).astype(int), 2, side - 3)
+    border = (np.abs(hem - (side - 1) / 2) > side / 2 - 2).any(axis=1)
     border |= cv2.dilate(view.unseen.astype(np.uint8), np.ones((3, 3)))[inside[:, 1],
                                                                         inside[:, 0]] > 0
     if border.mean() > MAX_CUT_OFF:
@@ -188,7 +195,8 @@ def _view(
 ) -> tuple[ClothView, Mask]:
     """The view of a photograph about the place (2,) ``middle``, m, of the plate's plane; and what
     an editor has made transparent in it."""
-    along = steps(reach)
+    side = SIDES[printed is not None]
+    along = steps(reach, side)
     pixel = along[1] - along[0]
     step = np.diff(mapped(middle + np.array([[0, 0], [pixel, 0]]), to_pixels), axis=0)
     times = int(np.clip(np.ceil(np.linalg.norm(step)), 1, _MOST_TIMES))
@@ -198,16 +206,16 @@ def _view(
 
     def warped(picture: np.ndarray, border: int) -> np.ndarray:
         seen = cv2.warpPerspective(
-            picture, to_pixels @ fine, (SIDE * times,) * 2, borderMode=border,
+            picture, to_pixels @ fine, (side * times,) * 2, borderMode=border,
             flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
-        return cv2.resize(seen, (SIDE, SIDE), interpolation=cv2.INTER_AREA)
+        return cv2.resize(seen, (side, side), interpolation=cv2.INTER_AREA)
 
     shown = np.full(photograph.light.shape[:2], 255, np.uint8)
     if photograph.missing is not None:
         shown[photograph.missing] = 0
     unseen = warped(shown, cv2.BORDER_CONSTANT) < 250
     if printed is None:
-        print_there, on_mat = np.zeros((SIDE, SIDE), np.uint8), np.zeros((SIDE, SIDE), bool)
+        print_there, on_mat = np.zeros((side, side), np.uint8), np.zeros((side, side), bool)
     else:
         print_there, on_mat = printed.at(middle + np.dstack(np.meshgrid(along, -along)))
     transparent = warped(np.uint8(255) * photograph.transparent, cv2.BORDER_CONSTANT) > 127
@@ -217,7 +225,7 @@ def _view(
 
 
 def _log_odds(view: ClothView) -> tuple[np.ndarray, np.ndarray]:
-    """Logarithm (SIDE, SIDE) of the odds that pixels show the specimen, mean of a view turned and
+    """Logarithm (S, S) of the odds that pixels show the specimen, mean of a view turned and
     mirrored in all eight ways, and its standard deviation between them."""
     def turned(values: np.ndarray, way: int) -> np.ndarray:
         return np.rot90(values[..., ::-1] if way > 3 else values, way, (-2, -1))
@@ -227,7 +235,7 @@ def _log_odds(view: ClothView) -> tuple[np.ndarray, np.ndarray]:
         return upright[..., ::-1] if way > 3 else upright
 
     fine, coarse = (np.stack([turned(one, way) for way in range(8)]) for one in view.channels())
-    odds, = bundled_graph(BUNDLED)(fine=fine, coarse=coarse)
+    odds, = bundled_graph(BUNDLED[view.side == SIDES[True]])(fine=fine, coarse=coarse)
     found = np.stack([back(one, way) for way, one in enumerate(odds)])
     return found.mean(0), found.std(0)
 

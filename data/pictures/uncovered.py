@@ -6,23 +6,26 @@ thing. A closed Markov chain over azimuths weighs them to the outermost border o
 and its error. All is done about the plate's axis, in the plane of the plate, at equal steps of
 azimuth and of the logarithm of the radius.
 
-    places of the code (:func:`_moved`) -> print as the camera blurs it (:func:`_levels`)
-    -> how well windows of it fit (:func:`_fit`) -> evidence (:func:`_evidence`)
-    -> border (:func:`_border`) -> again, with ground and cloth as they were found
+    places of the code (:mod:`data.pictures.shifts`)
+    -> print as the camera blurs it (:func:`_levels`) -> how well windows of it fit (:func:`_fit`)
+    -> evidence (:func:`_evidence`) -> border (:func:`_border`)
+    -> again, with ground and cloth as they were found
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
 import cv2
 import numpy as np
-from scipy.ndimage import gaussian_filter, median_filter
+from scipy.ndimage import label, maximum_filter1d, median_filter
 
-from common.types import Mask, Metres
+from common.types import Metres
 from data.pictures.cut import Cut, Printed
 from data.pictures.mat import FINE, code_page, mat_pixels
 from data.pictures.planes import mapped, on_grid
 from data.pictures.reading import Photograph
+from data.pictures.shifts import DARKER, FLOOR, MATCH, blurred, sampled_light, shifts_of
 from sim.outlines import closed, farthest
 
 STEPS = 1440  # azimuths
@@ -33,12 +36,16 @@ _TURNS, _NEAR = 2, (8.0, 4.5, 2.5)  # times of all; pixels, windows of the cloth
 _WAYS = [(0.0, 0.0), *((1.6 * np.cos(t), 1.6 * np.sin(t)) for t in np.arange(8) * np.pi / 4)]
 """Windows, of their deviations, beside a place: edges of shadows stay sharp."""
 _BLURS = (0.2e-3, 0.7e-3, 1.4e-3)  # m, of which a camera's is a sum
-_NOMINAL = np.array([0.5, 0.0, 0.0, 0.95, 0.0, 0.0], np.float32)
+_NOMINAL = np.kron(DARKER, [1, 0, 0]).astype(np.float32)
 """How much darker than paper grey and black are, of each of these blurs."""
 _HELD = 1e-4  # of a place's weight, by which these are
 _PLACES, _ROUNDS = 20_000, 5  # of ground, at most, and of weighing them, to tell the levels
-_FLOOR, _DARK, _GLARE = 1e-3, 4e-3, 0.985  # of light: added to it; of ink, at least; overexposed
-_MATCH, _FITS, _NEARLY = 0.6, 0.8, 0.06  # correlations of windows: least, sure, and as good
+_DARK, _GLARE = 4e-3, 0.985  # of light: of ink, at least; overexposed
+_BLIND, _BESIDE = 0.2, 3.0  # of a window overexposed, and deviations of the cut, beyond it
+_SURE = 200.0  # at most, of what the network's hem says where nothing else tells it
+_APART_FROM_CUT, _ENDS = 2e-3, 21  # m, of stretches that may not be cloth; azimuths around them
+_ODDER, _ODD_AT_ALL = 1.5, 3e-3  # times, and m, of their error by shape
+_FITS, _NEARLY = 0.8, 0.06  # correlations of windows: sure, and as good
 _EVEN, _ODD, _OWN = 1 / 1.2, 0.03, 0.6  # density of any light; shares of it on ground; of colours
 _THROUGH = 0.25  # of the print's contrast: less is seen through cloth or a reflection
 _UNEVEN = (0.04, 0.06)  # relative, of light on ground and of colours of cloth
@@ -52,9 +59,6 @@ _RIM, _ON_PLATE = 0.995, 1.5  # of the plate's radius, within which this more sp
 _SLOPE = 0.8e-3 / 0.12  # deviation of steps along half a degree, over the radius
 _BEND = 1e-3  # deviation of second differences along half a degree, over the radius
 _ARM = 9e-3  # m, beyond what folds stand out
-_TILE, _SEARCH, _GAP, _EXPECTED = 20, 6, 12, 0.8  # pixels of 2 FINE: windows of code, their moves
-_FIELD, _EVENLY = 8e-3, 2.0  # m, between places of moves, and their smoothing, of it
-_CLEAR = 0.6  # of the contrast of most windows
 _CAUTION, _LEAST = 1.3, 1.5e-4  # factor of the chain's deviations; m
 
 
@@ -93,13 +97,15 @@ class Fit(NamedTuple):
 
 def uncover(
     cut: Cut, photograph: Photograph, to_pixels: np.ndarray, printed: Printed, *, plate: Metres,
-    reach: Metres
-) -> Cut:
-    """The hem of a ``cut`` in a photograph over a mat with the code, read again.
+    reach: Metres, unlike: Callable[[np.ndarray], np.ndarray]
+) -> tuple[Cut, np.ndarray]:
+    """The hem of a ``cut`` in a photograph over a mat with the code, read again; and at which
+    azimuths (AZIMUTHS,) the code beside it is overexposed.
 
     Args:
         to_pixels: homography (3, 3) from the plate's plane.
         plate, reach: radii of the plate and of the flat specimen.
+        unlike: errors by their shape of radii (AZIMUTHS,), m.
     """
     grid = Grid.about(plate, reach)
     to_plate = np.linalg.inv(to_pixels)
@@ -110,41 +116,77 @@ def uncover(
     by_cut = farthest(closed(line), STEPS)
     unsure = np.hypot(error, _FAINT)
     off = (grid.radii - by_cut[:, None]) / unsure[:, None]
-    radii, error = _told(photograph, grid, to_pixels, printed, off, plate, reach)
-    hidden = np.maximum(radii - by_cut - _APART * np.hypot(unsure, error), 0)
-    radii, error = _smoothed(radii, error), np.hypot(_CAUTION * error, _LEAST) + hidden / 2
+    evidence, doubt, glare = _told(photograph, grid, to_pixels, printed, off, plate, reach)
+    radii, error = _border(evidence, doubt, grid.radii)
+    torn = np.zeros(STEPS)
+    if (odd := _odd(radii, by_cut, unlike)).any():
+        before = radii
+        radii, error = _border(np.where(odd[:, None], 0, evidence),
+                               np.where(odd[:, None], _firm(off), doubt), grid.radii)
+        torn = odd * np.abs(before - radii) / 2
+    torn += np.maximum(radii - by_cut - _APART * np.hypot(unsure, error), 0) / 2
+    radii, error = _smoothed(radii, error), np.hypot(_CAUTION * error, _LEAST) + torn
     hem = mapped(radii[:, None] * np.column_stack([np.cos(turn), np.sin(turn)]), to_pixels)
-    return replace(cut, hem=hem, error=error / pixel)
+    return replace(cut, hem=hem, error=error / pixel), glare[::2]
+
+
+def _firm(off: np.ndarray) -> np.ndarray:
+    """How unlikely the network's deviations are where nothing else tells the hem."""
+    return np.minimum(np.square(off) / 2, _SURE)
+
+
+def _odd(
+    radii: np.ndarray, by_cut: np.ndarray, unlike: Callable[[np.ndarray], np.ndarray]
+) -> np.ndarray:
+    """Where (STEPS,) cloth can rather have the hem that the network has cut than these radii: an
+    arm or an offcut that touches the hem hides the code, too."""
+    apart = np.abs(radii - by_cut) > _APART_FROM_CUT
+    stretches, count = label(np.tile(apart, 2))
+    here, its = (unlike(one[::2]).repeat(2) for one in (radii, by_cut))
+    odd = np.zeros(STEPS, bool)
+    for k in range(1, count + 1):
+        part = maximum_filter1d((stretches == k).reshape(2, -1).any(axis=0), _ENDS, mode="wrap")
+        odd |= part & (here[part].max() > max(_ODDER * its[part].max(), _ODD_AT_ALL))
+    return odd
 
 
 def _told(
     photograph: Photograph, grid: Grid, to_pixels: np.ndarray, printed: Printed, off: np.ndarray,
     plate: Metres, reach: Metres
-) -> tuple[np.ndarray, np.ndarray]:
-    """Radii (STEPS,), m, at which the code of a picture begins, and their deviations; ``off``:
-    deviations (STEPS, R) from the hem that the network has cut."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Evidence (STEPS, R) of the code for ground, and what the network's hem says against each
+    radius, from which a place is ``off`` (STEPS, R) so many deviations; and where (STEPS,) the code
+    is overexposed."""
     light, blank = photograph.light, photograph.transparent
     blank = blank if photograph.missing is None else blank | photograph.missing
-    seen = np.sqrt(_sampled(light, grid.places, to_pixels) + _FLOOR)
+    seen = np.sqrt(sampled_light(light, grid.places, to_pixels) + FLOOR)
     on_mat = on_grid(grid.places, printed.to_mat)
-    moved, sure = _moved(light.mean(axis=2), to_pixels, printed, 1.15 * grid.radii[-1], on_mat)
+    moved, sure = shifts_of(light.mean(axis=2), to_pixels, printed, 1.15 * grid.radii[-1], on_mat)
     at = mat_pixels(printed.mat, on_mat - moved, FINE)
     pages, plain = code_page(printed.mat)
     shown = cv2.remap(plain.astype(np.float32), *at, cv2.INTER_LINEAR) > 0.99
-    shown &= _sampled(blank.astype(np.float32), grid.places, to_pixels) < 0.01
-    prints = np.stack([cv2.remap(_gauss(page, blur / FINE), *at, cv2.INTER_LINEAR)
+    shown &= sampled_light(blank.astype(np.float32), grid.places, to_pixels) < 0.01
+    prints = np.stack([cv2.remap(blurred(page, blur / FINE), *at, cv2.INTER_LINEAR)
                        for page in pages for blur in _BLURS], axis=-1)
-    usable = shown & (seen.max(axis=2) < np.sqrt(_GLARE))
+    glaring = seen.max(axis=2) > np.sqrt(_GLARE)
+    usable = shown & ~glaring
     everywhere, ground = usable.astype(np.float32), (usable & sure).astype(np.float32)
-    cloth, levels, narrow = None, _NOMINAL, None
+    levels = _levels(np.square(seen.mean(axis=2)), prints, ground, _NOMINAL)
+    narrow = _fit(seen, np.sqrt(_printed(prints, levels)), everywhere, _NARROW)
+    blind = (blurred(glaring.astype(np.float32), _NARROW) > _BLIND) & (narrow.match < MATCH)
+    shown &= ~blind
+    beside = (off > 0) & (off < _BESIDE)
+    count = np.maximum(beside.sum(axis=1), 1)
+    untold, glare = ((beside & one[_WRAP:-_WRAP]).sum(axis=1) > count / 2 for one in (
+        ~shown, blind))
+    doubt = np.where(untold[:, None], _firm(off), np.minimum(_BELIEVED * np.abs(off), _MOST))
     beyond = np.pad(off > _SURELY, [(_WRAP, _WRAP), (0, 0)], mode="wrap")
-    doubt = np.minimum(_BELIEVED * np.abs(off), _MOST)
+    cloth = None
     for turn in range(_TURNS):
-        levels = _levels(np.square(seen.mean(axis=2)), prints, ground, levels)
-        expected = np.sqrt(_printed(prints, levels))
-        narrow = narrow or _fit(seen, expected, everywhere, _NARROW)
-        best = narrow.or_better(_fit(seen, expected, *((ground, _INNER) if turn else
-                                                       (everywhere, _WIDE))))
+        if turn:
+            levels = _levels(np.square(seen.mean(axis=2)), prints, ground, levels)
+        best = narrow.or_better(_fit(seen, np.sqrt(_printed(prints, levels)), *(
+            (ground, _INNER) if turn else (everywhere, _WIDE))))
         evidence = np.where(shown, _evidence(seen, best, cloth), 0)
         # What hides the code beyond a gap in which it is seen, and beyond the cut, is no cloth.
         seen_from = np.cumsum(cv2.blur(evidence, (1, _ALIKE)), axis=1)
@@ -153,13 +195,14 @@ def _told(
         evidence = np.where(apart, _HIDDEN * evidence, evidence)
         evidence[:, grid.radii < _RIM * plate] -= _ON_PLATE
         evidence[:, grid.radii > _BEYOND * reach] = _NEVER
-        radii, error = _border(evidence[_WRAP:-_WRAP], doubt, grid.radii)
-        border = np.minimum(radii, median_filter(radii, 61, mode="wrap") + _ARM)
-        border = np.pad(border, _WRAP, mode="wrap")[:, None]
-        cloth = (grid.radii < border - 5e-4).astype(np.float32)
-        ground = (usable & (best.match > _FITS) & (
-            evidence > np.where(grid.radii > border, -3, 0.5))).astype(np.float32)
-    return radii, error
+        if turn < _TURNS - 1:
+            radii, _ = _border(evidence[_WRAP:-_WRAP], doubt, grid.radii)
+            border = np.minimum(radii, median_filter(radii, 61, mode="wrap") + _ARM)
+            border = np.pad(border, _WRAP, mode="wrap")[:, None]
+            cloth = (grid.radii < border - 5e-4).astype(np.float32)
+            ground = (usable & (best.match > _FITS) & (
+                evidence > np.where(grid.radii > border, -3, 0.5))).astype(np.float32)
+    return evidence[_WRAP:-_WRAP], doubt, glare
 
 
 def _smoothed(radii: np.ndarray, error: np.ndarray) -> np.ndarray:
@@ -173,19 +216,6 @@ def _smoothed(radii: np.ndarray, error: np.ndarray) -> np.ndarray:
     return np.interp(np.arange(STEPS) / 2, np.arange(STEPS // 2) + 0.25, found, period=STEPS // 2)
 
 
-def _gauss(values: np.ndarray, sigma: float) -> np.ndarray:
-    return cv2.GaussianBlur(values, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
-
-
-def _sampled(light: np.ndarray, places: np.ndarray, to_pixels: np.ndarray) -> np.ndarray:
-    """Light at places (A, R, 2), as coarse as these are."""
-    pixels = on_grid(places, to_pixels).astype(np.float32)
-    step = float(np.linalg.norm(np.diff(pixels[0, pixels.shape[1] // 2 :][:2], axis=0)))
-    smooth = cv2.GaussianBlur(light, (0, 0), 0.4 * step) if step > 1.3 else light
-    return cv2.remap(smooth, pixels[..., 0], pixels[..., 1], cv2.INTER_LINEAR,
-                     borderMode=cv2.BORDER_REPLICATE)
-
-
 def _printed(prints: np.ndarray, levels: np.ndarray) -> np.ndarray:
     """Light of the ground over that of paper."""
     return np.maximum(1 - prints @ levels, _DARK)
@@ -195,8 +225,8 @@ def _levels(light: np.ndarray, prints: np.ndarray, ground: np.ndarray, levels: n
             ) -> np.ndarray:
     """How much darker than paper the print is, of each blur, by least squares over ``ground``."""
     expected = _printed(prints, levels)
-    paper = _gauss(light * ground * expected, 2 * _WIDE) / np.maximum(
-        _gauss(expected**2 * ground, 2 * _WIDE), 1e-6)
+    paper = blurred(light * ground * expected, 2 * _WIDE) / np.maximum(
+        blurred(expected**2 * ground, 2 * _WIDE), 1e-6)
     rows, columns = np.nonzero((ground > 0) & (paper > 0.01))
     chosen = np.random.default_rng(0).permutation(len(rows))[:_PLACES]
     rows, columns = rows[chosen], columns[chosen]
@@ -213,11 +243,11 @@ def _levels(light: np.ndarray, prints: np.ndarray, ground: np.ndarray, levels: n
 
 def _fit(seen: np.ndarray, expected: np.ndarray, weight: np.ndarray, sigma: float) -> Fit:
     """Each place as ground in the light of a window beside it, told where ``weight`` is."""
-    total = np.maximum(_gauss(weight, sigma), 1e-4)
+    total = np.maximum(blurred(weight, sigma), 1e-4)
     times = np.dstack([weight * expected, weight * expected**2])
-    mean, square = np.moveaxis(_gauss(times, sigma) / total[..., None], 2, 0)
+    mean, square = np.moveaxis(blurred(times, sigma) / total[..., None], 2, 0)
     part = weight[..., None] * seen
-    light, lights, mixed = (_gauss(one, sigma) / total[..., None] for one in (
+    light, lights, mixed = (blurred(one, sigma) / total[..., None] for one in (
         part, part * seen, part * expected[..., None]))
     gain = mixed / np.maximum(square, 1e-4)[..., None]
     left = np.maximum(lights - gain * mixed, 0)
@@ -242,11 +272,11 @@ def _fit(seen: np.ndarray, expected: np.ndarray, weight: np.ndarray, sigma: floa
     near = beside(match)
     found = Fit(np.max(near, axis=0), *(np.full(match.shape, value, np.float32)
                                         for value in (99, 1, 1)))
-    least = np.clip(found.match - _NEARLY, _MATCH, _FITS)
+    least = np.clip(found.match - _NEARLY, MATCH, _FITS)
     gray, wide = (one.mean(axis=2) for one in (gain, spread))
     for fits, light, varying, *theirs in zip(near, beside(gain), beside(1 / spread), beside(gray),
                                              beside(wide), strict=True):
-        off = seen - light * expected[..., None]
+        off = seen - np.minimum(light * expected[..., None], 1)
         off *= off * varying
         misfit = (off[..., 0] + off[..., 1] + off[..., 2]) / 3
         better = (fits > least) & (misfit < found.misfit)
@@ -258,14 +288,14 @@ def _fit(seen: np.ndarray, expected: np.ndarray, weight: np.ndarray, sigma: floa
 def _evidence(seen: np.ndarray, fit: Fit, cloth: np.ndarray | None) -> np.ndarray:
     """Logarithm (A, R) of how much likelier than cloth each place is ground."""
     even = _EVEN / np.maximum(fit.bright, 5e-3)
-    ground = _ODD * even + (1 - _ODD) * (fit.match > _MATCH) * np.exp(-0.5 * fit.misfit) / np.sqrt(
+    ground = _ODD * even + (1 - _ODD) * (fit.match > MATCH) * np.exp(-0.5 * fit.misfit) / np.sqrt(
         2 * np.pi * fit.spread)
     other = even
     if cloth is not None:
         own = np.zeros_like(even)
         for sigma in _NEAR:
-            near = _gauss(cloth, sigma)[..., None]
-            mean, square = (_gauss(cloth[..., None] * one, sigma) / np.maximum(near, 1e-4)
+            near = blurred(cloth, sigma)[..., None]
+            mean, square = (blurred(cloth[..., None] * one, sigma) / np.maximum(near, 1e-4)
                             for one in (seen, seen**2))
             wide = np.maximum(square - mean**2, 0) + (_UNEVEN[1] * mean) ** 2 + 2e-5
             own = np.maximum(own, (near[..., 0] > 1e-2) * np.exp(-0.5 * (np.square(
@@ -302,63 +332,3 @@ def _border(evidence: np.ndarray, doubt: np.ndarray, radii: np.ndarray
     turn, middle = np.arange(STEPS) / 2, np.arange(count) + 0.25
     return (np.interp(turn, middle, np.exp(mean), period=count),
             np.interp(turn, middle, spread, period=count))
-
-
-def _moved(
-    light: np.ndarray, to_pixels: np.ndarray, printed: Printed, reach: Metres, on_mat: np.ndarray
-) -> tuple[np.ndarray, Mask]:
-    """By how much (A, R, 2), m, the print lies beside where the markers have it, for paper bends
-    and parts are shifted; and where it is surely seen."""
-    pixel, middle = 2 * FINE, printed.to_mat[:2, 2]
-    times = printed.to_mat[0, 0]
-    half = int(reach * times / pixel)
-    steps = np.arange(-half, half + 1) * pixel
-    places = middle + np.dstack(np.meshgrid(steps, -steps))
-    seen = np.sqrt(_sampled(light, places, to_pixels @ np.linalg.inv(printed.to_mat)) + _FLOOR)
-    grey, black = (cv2.remap(_gauss(page, _EXPECTED), *mat_pixels(printed.mat, places, FINE),
-                             cv2.INTER_LINEAR) for page in code_page(printed.mat)[0])
-    page = np.sqrt(1 - _NOMINAL[0] * grey - _NOMINAL[3] * black)
-    size = 2 * int(half * pixel / _FIELD) + 1
-    found = []
-    starts = range(_SEARCH, len(steps) - _TILE - _SEARCH, _GAP)
-    for row in starts:
-        for column in starts:
-            tile = page[row : row + _TILE, column : column + _TILE]
-            if tile.std() < 0.1:
-                continue
-            there = seen[row - _SEARCH : row + _TILE + _SEARCH,
-                         column - _SEARCH : column + _TILE + _SEARCH]
-            scores = cv2.matchTemplate(there, tile, cv2.TM_CCOEFF_NORMED)
-            _, top, _, (x, y) = cv2.minMaxLoc(scores)
-            if top < _MATCH or not 0 < x < 2 * _SEARCH or not 0 < y < 2 * _SEARCH:
-                continue
-            move = [x - _SEARCH + _peak(scores[y, x - 1 : x + 2]),
-                    _SEARCH - y - _peak(scores[y - 1 : y + 2, x])]
-            place = (places[row + _TILE // 2, column + _TILE // 2] - middle) / _FIELD
-            there = there[y : y + _TILE, x : x + _TILE]
-            contrast = there.std() / there.mean() * tile.mean() / tile.std()
-            found.append((*place + size // 2, *move, top, contrast))
-    if not found:
-        return np.zeros(on_mat.shape), np.ones(on_mat.shape[:2], bool)
-    told = np.array(found)
-    told = told[told[:, 5] > _CLEAR * np.quantile(told[:, 5], 0.9)]  # not seen through cloth
-    weight, moves = np.zeros((size, size)), np.zeros((size, size, 2))
-    at = tuple(np.rint(told[:, 1::-1]).astype(int).T)
-    np.add.at(weight, at, told[:, 4])
-    np.add.at(moves, at, told[:, 4:5] * pixel * told[:, 2:4])
-    mean = moves.sum(axis=(0, 1)) / weight.sum()
-    total = gaussian_filter(weight, _EVENLY, mode="nearest")[..., None] + 1e-6
-    field = (np.stack([gaussian_filter(moves[..., k], _EVENLY, mode="nearest") for k in (0, 1)], -1)
-             + 1e-6 * mean) / total
-    where = ((on_mat - middle) / _FIELD + size // 2).astype(np.float32)
-    near = gaussian_filter(weight, 0.7)
-    moved, sure = (cv2.remap(one.astype(np.float32), where[..., 0], where[..., 1], cv2.INTER_LINEAR,
-                             borderMode=cv2.BORDER_REPLICATE) for one in (field, near))
-    return moved, sure > 0.12
-
-
-def _peak(three: np.ndarray) -> float:
-    """Where a parabola through values at -1, 0 and 1 is highest."""
-    before, here, after = map(float, three)
-    return 0.5 * (before - after) / (before - 2 * here + after) if here > min(
-        before, after) else 0.0

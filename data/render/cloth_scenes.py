@@ -5,7 +5,7 @@ import numpy as np
 
 from common.types import Metres
 from data.pictures.cut import steps
-from data.pictures.mat import MATS, on_ground, printed_at
+from data.pictures.mat import CODE, MATS, on_ground, printed_at
 from data.pictures.planes import behind
 from data.pictures.reading import encoded
 from data.render.hard import HARD
@@ -16,7 +16,9 @@ HIGHEST = 0.25  # m, plates over the ground
 STORED, _TIMES = 256, 2  # pixels of a picture, and those rendered for each, along a side
 _PLACE, _SCALE = 1e-3, 4e-3  # deviations of the mat: m, and relative
 _PLACE_OF_CODE = 2e-4  # m
-_CODED, _HARD = 0.45, (0.3, 0.55, 0.15)  # shares of the mats, and of scenes by difficulties
+_ON_MAT, _CODED = 0.5, 0.45  # shares of the scenes, and of the mats
+_HARD = {True: (0.3, 0.55, 0.15), False: (0.65, 0.3, 0.05)}  # of scenes by difficulties: on a mat,
+# and without, where nothing tells cloth from a ground of its colour
 _BENT, _FAR = 5e-3, 0.2  # of its scale by the lens, at a distance in m from the middle
 
 
@@ -30,15 +32,15 @@ def scene_of(positions: np.ndarray, rest: np.ndarray, faces: np.ndarray, plate: 
     height = low + rng.choice([rng.uniform(0, 3e-3), rng.uniform(0, 0.3) * spare,
                                rng.uniform(0, 1) * spare], p=[0.1, 0.3, 0.6])
     mat = None
-    if rng.random() < 0.75:
+    if rng.random() < _ON_MAT:
         mat = mat_around(reach) if rng.random() < 0.8 else str(rng.choice(list(MATS)))
     turn = rng.uniform(0, 2 * np.pi)
     cos, sin = np.cos(turn), np.sin(turn)
     cloth = positions @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1.0]]) + [0, 0, height]
     coded = mat is not None and rng.random() < _CODED
     scenery = Scenery.random(cloth, rest, faces, rng, mat=mat, plate_radius=plate,
-                             plate_height=height, ground="code" if coded else None)
-    for kind in rng.permutation(list(HARD))[: rng.choice(3, p=_HARD)]:
+                             plate_height=height, ground=CODE if coded else None)
+    for kind in rng.permutation(list(HARD))[: rng.choice(3, p=_HARD[mat is not None])]:
         scenery = HARD[str(kind)](scenery, reach, rng)
     off = np.zeros(2)
     known = mat is not None or rng.random() < 0.5
@@ -81,7 +83,7 @@ def expected(mat: str | None, ground: np.ndarray | None, plane: np.ndarray, eye:
     if ground is not None:
         there = eye[:2] + (there - eye[:2]) * np.exp(rng.normal(0, _SCALE) + bent)
     if ground is None:  # its place is measured on the code
-        return printed_at(mat, there + rng.normal(0, _PLACE_OF_CODE, 2), "code")
+        return printed_at(mat, there + rng.normal(0, _PLACE_OF_CODE, 2), CODE)
     printed, on_mat = printed_at(mat, there + rng.normal(0, _PLACE, 2))
     tone = encoded(np.clip(ground.mean(), 0, 1))
     return np.where(on_ground(mat, there), tone * printed, printed).astype(np.uint8), on_mat

@@ -13,7 +13,7 @@ import trimesh
 from scipy.ndimage import map_coordinates
 
 from common.types import Faces, Metres, Points, RestPoints
-from data.pictures.mat import GROUNDS, MATS, mat_picture, mat_pixels, on_ground
+from data.pictures.mat import CODE, GROUNDS, MATS, mat_picture, mat_pixels, on_ground
 from data.pictures.reading import decoded
 from data.render import textures
 from data.render.rays import Hits, RayScene
@@ -108,7 +108,7 @@ class Scenery:
         return cls(
             cloth, rest, faces, surface or random_surface, textures.table(rng), mat,
             (rng.uniform(0.02, 0.1), rng.uniform(0.7, 0.9)), _mat_ground(ground, rng), things,
-            lamps, round(rng.uniform(0, _GAIN), 1) if ground == "code" else None,
+            lamps, round(rng.uniform(0, _GAIN), 1) if ground == CODE else None,
             through=rng.uniform(0.05, 0.5) if rare[0] < 0.12 else 0.0,
             gloss=(rng.uniform(0.05, 0.6), rng.uniform(4, 40)) if rare[1] < 0.25 else (0.0, 1.0),
             glow=rng.uniform(0.5, 3.0) if rare[2] < 0.06 else 0.0,
@@ -166,11 +166,7 @@ class Scenery:
         """Albedo (N, 3) of table and mat at places (N, 2)."""
         albedo = self.table(places)
         if self.mat:
-            mat = (albedo, places, self.mat, self.mat_light, self.mat_ground)
-            if self.gain is None:
-                lay_mat(*mat)
-            else:
-                lay_code(*mat, self.gain)
+            lay_mat(albedo, places, self.mat, self.mat_light, self.mat_ground, self.gain)
         return albedo
 
     def _light(self, scene: RayScene, hits: Hits, places: np.ndarray, normals: np.ndarray,
@@ -202,25 +198,11 @@ class Scenery:
         return total
 
 
-def lay_mat(albedo: np.ndarray, places: np.ndarray, mat: str, light: tuple[float, float],
-            ground: np.ndarray) -> None:
-    """Put a mat on albedo (N, 3) at places (N, 2), m; ``light``: of its ink and paper, ``ground``
-    (3,): light of its ground over that of paper."""
-    picture = mat_picture(mat)
-    height, width = picture.shape
-    columns, rows = (np.rint(one).astype(int) for one in mat_pixels(mat, places))
-    on = (columns >= 0) & (rows >= 0) & (columns < width) & (rows < height)
-    ink, paper = light
-    share = decoded(picture[rows[on], columns[on]] / 255.0)
-    albedo[on] = (ink + (paper - ink) * share)[:, None]
-    albedo[on_ground(mat, places)] *= ground
-
-
 @cache
 def _code_printed(name: str, gain: float) -> np.ndarray:
     """The mat with its code (H, W) float32, share of paper's light in three of its pixels along a
     side; ``gain``: how much of a pixel more is black along edges."""
-    page = mat_picture(name, "code")
+    page = mat_picture(name, CODE)
     grown = cv2.erode(page, np.ones((3, 3), np.uint8))
     height, width = (n // _FINE for n in page.shape)
     mixed = cv2.addWeighted(page, (1 - gain) / 255, grown, gain / 255, 0, dtype=cv2.CV_32F)
@@ -228,16 +210,24 @@ def _code_printed(name: str, gain: float) -> np.ndarray:
                       interpolation=cv2.INTER_AREA)
 
 
-def lay_code(albedo: np.ndarray, places: np.ndarray, mat: str, light: tuple[float, float],
-             ground: np.ndarray, gain: float) -> None:
-    """The same with the mat's code; ``ground`` (3,) is a tint of the paper."""
-    printed = _code_printed(mat, gain)
+def lay_mat(albedo: np.ndarray, places: np.ndarray, mat: str, light: tuple[float, float],
+            ground: np.ndarray, gain: float | None = None) -> None:
+    """Put a mat on albedo (N, 3) at places (N, 2), m; ``light``: of its ink and paper, ``ground``
+    (3,): light of its ground, or of the paper with the code, over that of paper, ``gain`` of the
+    code's dots."""
+    height, width = MATS[mat].shape
     columns, rows = mat_pixels(mat, places)
-    on = (columns >= 0) & (rows >= 0) & (columns < MATS[mat].shape[1]) & (rows < MATS[mat].shape[0])
+    on = (np.rint(columns) >= 0) & (np.rint(rows) >= 0)
+    on &= (np.rint(columns) < width) & (np.rint(rows) < height)
+    if gain is None:
+        columns, rows = (np.rint(one[on]).astype(int) for one in (columns, rows))
+        share = decoded(mat_picture(mat)[rows, columns] / 255.0)
+    else:
+        fine = [(one[on] + 0.5) / _FINE - 0.5 for one in (rows, columns)]
+        share = map_coordinates(_code_printed(mat, gain), fine, order=1, mode="nearest")
     ink, paper = light
-    fine = [(along[on] + 0.5) / _FINE - 0.5 for along in (rows, columns)]
-    share = map_coordinates(printed, fine, order=1, mode="nearest")
-    albedo[on] = (ink + (paper - ink) * share)[:, None] * ground
+    albedo[on] = (ink + (paper - ink) * share)[:, None]
+    albedo[on if gain is not None else on_ground(mat, places)] *= ground
 
 
 def _tester(

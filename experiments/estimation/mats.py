@@ -24,6 +24,7 @@ from data.captures.capture import OutlineCapture
 from data.captures.photograph import PhotographedOutline
 from data.dataset.reading import Taken, true_radii
 from data.fabrics.fabrics import fabric_from_theta
+from data.pictures.mat import CODE
 from data.pictures.planes import mapped
 from data.pictures.reading import decoded
 from data.render import textures
@@ -38,7 +39,7 @@ from sim.material import LINEAR, REFERENCE_DENSITY
 from sim.rig import Rig
 
 NEAR = 0.1  # the same of pictures near the axis
-TARGETS = {"code": {"reading_mm": (0.5, 1.0), "alone": (0.025, 0.08), "together": (0.025, 0.08),
+TARGETS = {CODE: {"reading_mm": (0.5, 1.0), "alone": (0.025, 0.08), "together": (0.025, 0.08),
                     "silent": 0}, "plain": {"silent": 0.01, "warned_though_right": 0.15}}
 WRONG, UNLIKELY = 0.15, 2.0  # of alpha, and in deviations
 KINDS = ("sound", *HARD)
@@ -49,7 +50,7 @@ _PATCH, _PIXEL = 90, 3.9e-4  # pixels on each side of the middle, and their size
 class Keys(CaseKeys):
     testers: tuple[str, ...] = (
         "disc300_support180", "disc240_support180", "disc360_support180", "square300_cylinder100")
-    grounds: tuple[str, ...] = ("code", "white", "code", "grey")  # of the mats, in turn
+    grounds: tuple[str, ...] = (CODE, "white", CODE, "grey")  # of the mats, in turn
     drapes: int = 28  # in turn on each tester, each of another fabric
     pictures: int = 3  # of each drape, from up to 20 degrees beside the axis
     edge_mm: float = 6.0  # edges of the mesh at the plate's rim
@@ -64,11 +65,11 @@ def drape(rng: np.random.Generator, *, number: int, testers: list[str], grounds:
     plan = plan_specimen(number, "dataset.even_share=0.8", rig=tester, seed=seed, nuisances="real")
     shape = drape_as_planned(plan, edge=1e-3 * edge_mm)
     taken = Taken.of(shape.positions, shape.mesh, tester, rng, pictures=pictures,
-                     clutter=ground != "code" or kind == "littered", surface=real_texture(rng),
+                     clutter=ground != CODE or kind == "littered", surface=real_texture(rng),
                      ground=ground, hard=(kind,) if kind in HARD else ())
     first = taken.pictures[0]
     found = {**first.kind, "plate_mm": 1e3 * taken.plate_height, "mat": taken.mat, "hard": kind,
-             "ground": "code" if ground == "code" else "plain", "height_m": taken.place(first)[2],
+             "ground": ground if ground == CODE else "plain", "height_m": taken.place(first)[2],
              "lean": taken.lean(first)}
     truth = np.log(fabric_from_theta(plan.theta).alpha)
     for name, chosen in (("alone", taken.pictures[:1]), ("together", taken.pictures)):
@@ -136,7 +137,7 @@ def run(keys: Keys) -> Report:
     """Evaluate all drapes."""
     drapes = samples_of(drape, keys, keys.drapes)
     groups: dict = {}
-    for ground in ("code", "plain"):
+    for ground in (CODE, "plain"):
         over = [one for one in drapes.values() if one["ground"] == ground]
         groups |= {
             f"one near the axis ({ground})": [one["alone"] for one in over if one["lean"] < NEAR],

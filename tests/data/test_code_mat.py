@@ -79,3 +79,15 @@ def test_what_hides_the_code_beside_the_hem_is_no_cloth_or_named_with_its_side(t
     off = np.abs(found.radii - true)
     assert (off < 3 * found.error).mean() > 0.97
     assert off.max() < 3e-3 or any(" right" in warning.text for warning in found.warnings)
+
+
+def test_an_overexposed_mat_is_named_with_its_side_and_its_hem_is_the_networks(tmp_path):
+    def glaring(picture: np.ndarray) -> np.ndarray:
+        picture = picture.copy()
+        right = picture[:, picture.shape[1] // 2 :]
+        right[:] = np.minimum(1.6 * right.astype(float) + 100, 255)
+        return picture
+
+    found = read(tmp_path, changed=glaring)
+    said, = (one.text for one in found.warnings if one.code == "mat_overexposed")
+    assert "at the right" in said and rms(distances_mm(found)) < 1.5
