@@ -42,6 +42,7 @@ _HELD = 1e-4  # of a place's weight, by which these are
 _PLACES, _ROUNDS = 20_000, 5  # of ground, at most, and of weighing them, to tell the levels
 _DARK, _GLARE = 4e-3, 0.985  # of light: of ink, at least; overexposed
 _BLIND, _BESIDE = 0.2, 3.0  # of a window overexposed, and deviations of the cut, beyond it
+_TELLING = 0.3  # mean of evidence there, below which the network's hem stands
 _SURE = 200.0  # at most, of what the network's hem says where nothing else tells it
 _APART_FROM_CUT, _ENDS = 2e-3, 21  # m, of stretches that may not be cloth; azimuths around them
 _ODDER, _ODD_AT_ALL = 1.5, 3e-3  # times, and m, of their error by shape
@@ -171,20 +172,18 @@ def _told(
     glaring = seen.max(axis=2) > np.sqrt(_GLARE)
     usable = shown & ~glaring
     everywhere, ground = usable.astype(np.float32), (usable & sure).astype(np.float32)
-    levels = _levels(np.square(seen.mean(axis=2)), prints, ground, _NOMINAL)
+    levels = _levels(np.square(_grey(seen)), prints, ground, _NOMINAL)
     narrow = _fit(seen, np.sqrt(_printed(prints, levels)), everywhere, _NARROW)
     blind = (blurred(glaring.astype(np.float32), _NARROW) > _BLIND) & (narrow.match < MATCH)
     shown &= ~blind
     beside = (off > 0) & (off < _BESIDE)
     count = np.maximum(beside.sum(axis=1), 1)
-    untold, glare = ((beside & one[_WRAP:-_WRAP]).sum(axis=1) > count / 2 for one in (
-        ~shown, blind))
-    doubt = np.where(untold[:, None], _firm(off), np.minimum(_BELIEVED * np.abs(off), _MOST))
+    glare = (beside & blind[_WRAP:-_WRAP]).sum(axis=1) > count / 2
     beyond = np.pad(off > _SURELY, [(_WRAP, _WRAP), (0, 0)], mode="wrap")
     cloth = None
     for turn in range(_TURNS):
         if turn:
-            levels = _levels(np.square(seen.mean(axis=2)), prints, ground, levels)
+            levels = _levels(np.square(_grey(seen)), prints, ground, levels)
         best = narrow.or_better(_fit(seen, np.sqrt(_printed(prints, levels)), *(
             (ground, _INNER) if turn else (everywhere, _WIDE))))
         evidence = np.where(shown, _evidence(seen, best, cloth), 0)
@@ -195,6 +194,8 @@ def _told(
         evidence = np.where(apart, _HIDDEN * evidence, evidence)
         evidence[:, grid.radii < _RIM * plate] -= _ON_PLATE
         evidence[:, grid.radii > _BEYOND * reach] = _NEVER
+        told = (beside * np.abs(evidence[_WRAP:-_WRAP])).sum(axis=1) > _TELLING * count
+        doubt = np.where(told[:, None], np.minimum(_BELIEVED * np.abs(off), _MOST), _firm(off))
         if turn < _TURNS - 1:
             radii, _ = _border(evidence[_WRAP:-_WRAP], doubt, grid.radii)
             border = np.minimum(radii, median_filter(radii, 61, mode="wrap") + _ARM)
@@ -214,6 +215,11 @@ def _smoothed(radii: np.ndarray, error: np.ndarray) -> np.ndarray:
     found = np.linalg.solve(np.diag(weight) + second.T @ second / (_BEND * radii.mean()) ** 2,
                             weight * halves)
     return np.interp(np.arange(STEPS) / 2, np.arange(STEPS // 2) + 0.25, found, period=STEPS // 2)
+
+
+def _grey(values: np.ndarray) -> np.ndarray:
+    """Means over colours."""
+    return cv2.transform(values, np.full((1, 3), 1 / 3))
 
 
 def _printed(prints: np.ndarray, levels: np.ndarray) -> np.ndarray:
@@ -251,13 +257,13 @@ def _fit(seen: np.ndarray, expected: np.ndarray, weight: np.ndarray, sigma: floa
         part, part * seen, part * expected[..., None]))
     gain = mixed / np.maximum(square, 1e-4)[..., None]
     left = np.maximum(lights - gain * mixed, 0)
-    varied = np.maximum(lights - light**2, 0).sum(axis=2)
+    varied = 3 * _grey(np.maximum(lights - light**2, 0))
     contrast = np.maximum(square - mean**2, 1e-4)
-    common = (mixed - mean[..., None] * light).sum(axis=2)
+    common = 3 * _grey(mixed - mean[..., None] * light)
     match = common / np.sqrt(np.maximum(3 * varied * contrast, 1e-12))
-    share = common / np.maximum(contrast * gain.sum(axis=2), 1e-6)
+    share = common / np.maximum(3 * contrast * _grey(gain), 1e-6)
     match -= 0.5 * (total < 0.15) + (np.abs(share - 1) > _THROUGH)
-    sure = (match > 0.9) & (gain.mean(axis=2) > 0.1)
+    sure = (match > 0.9) & (_grey(gain) > 0.1)
     rough = np.median((left / np.maximum(gain, 1e-3) ** 2)[sure]) if sure.any() else 0.01
     spread = np.minimum(left, 2.5 * (rough * gain**2 + 2e-5)) + (_UNEVEN[0] * gain) ** 2 + 1e-6
     ways = [(round(sigma * down), round(sigma * along)) for down, along in _WAYS]
@@ -273,12 +279,12 @@ def _fit(seen: np.ndarray, expected: np.ndarray, weight: np.ndarray, sigma: floa
     found = Fit(np.max(near, axis=0), *(np.full(match.shape, value, np.float32)
                                         for value in (99, 1, 1)))
     least = np.clip(found.match - _NEARLY, MATCH, _FITS)
-    gray, wide = (one.mean(axis=2) for one in (gain, spread))
+    gray, wide = map(_grey, (gain, spread))
     for fits, light, varying, *theirs in zip(near, beside(gain), beside(1 / spread), beside(gray),
                                              beside(wide), strict=True):
         off = seen - np.minimum(light * expected[..., None], 1)
         off *= off * varying
-        misfit = (off[..., 0] + off[..., 1] + off[..., 2]) / 3
+        misfit = _grey(off)
         better = (fits > least) & (misfit < found.misfit)
         for mine, its in zip(found[1:], (misfit, *theirs), strict=True):
             np.copyto(mine, its, where=better)
@@ -298,8 +304,8 @@ def _evidence(seen: np.ndarray, fit: Fit, cloth: np.ndarray | None) -> np.ndarra
             mean, square = (blurred(cloth[..., None] * one, sigma) / np.maximum(near, 1e-4)
                             for one in (seen, seen**2))
             wide = np.maximum(square - mean**2, 0) + (_UNEVEN[1] * mean) ** 2 + 2e-5
-            own = np.maximum(own, (near[..., 0] > 1e-2) * np.exp(-0.5 * (np.square(
-                seen - mean) / wide).mean(axis=2)) / np.sqrt(2 * np.pi * wide.mean(axis=2)))
+            own = np.maximum(own, (near[..., 0] > 1e-2) * np.exp(-0.5 * _grey(np.square(
+                seen - mean) / wide)) / np.sqrt(2 * np.pi * _grey(wide)))
         other = _OWN * own + (1 - _OWN) * even
     return np.log(ground / other).astype(np.float32)
 
