@@ -4,8 +4,9 @@
 
 FOLDER is a dataset of drapes, finished or not. Each drape is photographed as by a user
 (:mod:`data.render.phone`) and read from one picture, from another, and from both: the errors of the
-outlines as seen from the axis, and the errors that are stated with them, along the azimuth. Ten
-seconds a drape and core, most of them for the pictures.
+outlines as seen from the axis, and the errors that are stated with them, along the azimuth. Half
+show the mat with the code, half something that makes the hem hard to see. Ten seconds a drape and
+core, most of them for the pictures.
 """
 
 import tempfile
@@ -29,6 +30,8 @@ from data.captures.reader import read_capture
 from data.dataset.folder import require_dataset
 from data.dataset.off_axis import silhouette
 from data.dataset.shards import SHARDS, Shard
+from data.pictures.mat import CODE
+from data.render.hard import HARD
 from data.render.phone import PhonePicture, mat_around, phone_pictures
 from sim.material import REFERENCE_DENSITY
 from sim.mesh import Mesh
@@ -38,8 +41,9 @@ PLATES = (0.09, 0.2)  # m, over the mat
 LEAST_MARGIN = 5e-3  # m, of the lowest cloth above it
 LEAN = float(np.tan(np.radians(20.0)))  # farthest place beside the axis over height
 _PICTURES, _SIZE = 2, (1344, 1008)  # pixels
+_GROUNDS = {CODE: 0.5, "white": 0.3, "grey": 0.15, "blue": 0.05}  # shares of the mats
 STORED = 120  # azimuths of the errors in a file
-VERSION = 1
+VERSION = 2
 """Of the errors of a shard: raise it when they change."""
 
 
@@ -87,9 +91,11 @@ def read_again(*, shard: Path, drapes: int, seed: int) -> dict:
     for row in rows:
         positions, rest, faces = stored.mesh(row)
         rig, mesh = stored.rig(row), Mesh(rest, faces)
-        taken = Taken.of(positions, mesh, rig, np.random.default_rng(
-            [seed, int(stored.column("index")[row])]), pictures=_PICTURES, size=_SIZE,
-            clutter=True)
+        rng = np.random.default_rng([seed, int(stored.column("index")[row])])
+        ground = str(rng.choice(list(_GROUNDS), p=list(_GROUNDS.values())))
+        hard = rng.permutation(list(HARD))[: rng.integers(2)].tolist()
+        taken = Taken.of(positions, mesh, rig, rng, pictures=_PICTURES, size=_SIZE, ground=ground,
+                         clutter=ground != CODE, hard=hard)
         for chosen in (taken.pictures[:1], taken.pictures[1:2], taken.pictures):
             with tempfile.TemporaryDirectory() as name:
                 try:

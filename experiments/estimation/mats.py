@@ -51,7 +51,7 @@ class Keys(CaseKeys):
     testers: tuple[str, ...] = (
         "disc300_support180", "disc240_support180", "disc360_support180", "square300_cylinder100")
     grounds: tuple[str, ...] = (CODE, "white", CODE, "grey")  # of the mats, in turn
-    drapes: int = 28  # in turn on each tester, each of another fabric
+    drapes: int = 56  # in turn on each tester, each of another fabric
     pictures: int = 3  # of each drape, from up to 20 degrees beside the axis
     edge_mm: float = 6.0  # edges of the mesh at the plate's rim
     seed: int = 17  # of all random numbers
