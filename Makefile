@@ -109,7 +109,7 @@ bench: $(DEVELOPER)  ## timings of drapes and estimates on this machine, JSON in
 	for name in speed cold; do $(BIN)/python -m experiments $$name out=docs/validation/$$name.json || exit 1; done
 
 validate: $(DEVELOPER)  ## figures of docs/validation.md, about 2 hours of CPU, resumes when interrupted
-	for name in elastica meshes convergence; do \
+	for name in elastica convergence; do \
 	  $(BIN)/python -m experiments $$name out=docs/validation/$$name.json || exit 1; done
 
 docs: $(DEVELOPER)  ## update the figures in README.md and docs/*.md from the demo and the reports

@@ -1,23 +1,14 @@
-"""Differences between two drapes of one specimen: displacement, mean curvature and folds; and the
-drape on another mesh with the same folds."""
+"""Differences between two drapes of one specimen: displacement, mean curvature and folds."""
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
-from common.cases import load_arrays
 from common.errors import InputError
 from common.types import Faces, Metres, Points, RestPoints
-from sim.cloth import Laws
-from sim.draping import FINE_OPTIONS
-from sim.equilibrium import Equilibrium, find_equilibrium
-from sim.material import Fabric
 from sim.measures import fold_angles
 from sim.mesh import Mesh
-from sim.rig import Rig
-from sim.scene import Scene
 from sim.start import interpolate_positions
 
 _MAX_FOLD_SHIFT = 0.25
@@ -31,25 +22,6 @@ class Draped(Protocol):
     rest: RestPoints
     positions: Points
     faces: Faces
-
-
-@dataclass(frozen=True)
-class Shape:
-    """A specimen at other positions than those of a drape."""
-
-    rest: RestPoints
-    positions: Points
-    faces: Faces
-
-    @classmethod
-    def of(cls, specimen: Scene, positions: Points) -> "Shape":
-        """A specimen at ``positions``."""
-        return cls(specimen.mesh.rest, positions, specimen.mesh.faces)
-
-    @classmethod
-    def load(cls, folder: Path, name: str) -> "Shape":
-        """Arrays of a finished case."""
-        return cls(**load_arrays(folder, name))
 
 
 @dataclass(frozen=True)
@@ -169,16 +141,3 @@ def same_folds(outline: np.ndarray, other: np.ndarray) -> bool:
     shifts = [np.roll(others, k) - folds for k in (-1, 0, 1)]
     gap = min(np.abs((shift + np.pi) % (2 * np.pi) - np.pi).max() for shift in shifts)
     return bool(gap < _MAX_FOLD_SHIFT * 2 * np.pi / len(folds))
-
-
-def equilibrium_near(
-    near: Draped, specimen: Scene, rig: Rig, fabric: Fabric, laws: Laws | None = None, *,
-    self_contact: bool = False,
-) -> Equilibrium:
-    """Equilibrium of a fabric on the mesh of ``specimen``, started from a drape on another mesh."""
-    scene = Scene.on(rig, specimen.mesh, specimen.held)
-    flat, held = scene.mesh.rest, scene.held
-    start = interpolate_positions(near.rest, near.positions, flat)
-    start[held] = rig.place(flat[held])
-    return find_equilibrium(scene, fabric, scene.state(start), laws=laws, options=FINE_OPTIONS,
-                            self_contact=self_contact)

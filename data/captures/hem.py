@@ -1,9 +1,8 @@
 """Where an outline is not one that the hem of cloth can have: its error by its shape alone.
 
 Cloth has folds of some widths, corners where the specimen has them, and, if it is limp, steps where
-folds hide each other. A network has learned this from outlines of simulated drapes, half of them
-misread (``python -m data.dataset.hem``): at each azimuth it says by how much the radius is likely
-to be off.
+folds hide each other. A network has learned this from outlines of simulated drapes
+(``python -m data.dataset.hem``): it says by how much each radius is likely to be off.
 """
 
 from pathlib import Path

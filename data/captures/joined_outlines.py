@@ -8,9 +8,6 @@ a good part of the azimuth is left out. A plate that was turned between pictures
 
 What lies in the same place on the ground in two pictures, though a hem over it would have moved, is
 a shadow, print or paper (:func:`hidden_by_ground`).
-
-A curve in space by least squares was no better than the mean: what is seen of limp cloth is not one
-line.
 """
 
 from collections.abc import Sequence

@@ -2,10 +2,10 @@
 
     python -m data.dataset.cloth data=FOLDER pictures=FOLDER [out=FILE]
 
-FOLDER of ``data`` is a dataset of drapes, finished or not. Each drape is photographed in random
-scenes, a second a picture; the pictures are kept in ``pictures``, and made once. The training goes
-on from weights ``start``, if any. Prints the errors on fabrics held out. The network is a U-Net
-(Ronneberger et al. 2015) on squares of two by two pixels.
+FOLDER of ``data`` is a dataset of drapes, finished or not. Each is photographed in random scenes,
+once, into ``pictures``, a second a picture. The training goes on from weights ``start``, if any.
+Prints errors on fabrics held out. The network is a U-Net (Ronneberger et al. 2015) on squares of
+two by two pixels.
 """
 
 from collections.abc import Iterator

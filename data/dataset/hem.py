@@ -2,10 +2,10 @@
 
     python -m data.dataset.hem data=FOLDER [out=FILE]
 
-FOLDER is a dataset of drapes, finished or not. Each drape is seen from above or beside, and half of
-the outlines are misread: shadows, paper and feet are taken for cloth, borders and stripes for
-ground. Half an hour on one core for 8000 drapes. Prints how the errors found agree with the true
-ones on fabrics held out. All lengths are over the specimen's size.
+FOLDER is a dataset of drapes, finished or not. Each is seen from above or beside, half of them
+misread: shadows, paper and feet are taken for cloth, borders and stripes for ground. Half an hour
+on one core for 8000 drapes. Prints how the errors found agree with the true ones on fabrics held
+out. All lengths are over the specimen's size.
 """
 
 from collections.abc import Iterator

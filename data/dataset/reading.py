@@ -2,11 +2,10 @@
 
     python -m data.dataset.reading data=FOLDER [out=FILE]
 
-FOLDER is a dataset of drapes, finished or not. Each drape is photographed as by a user
-(:mod:`data.render.phone`) and read from one picture, from another, and from both: the errors of the
-outlines as seen from the axis, and the errors that are stated with them, along the azimuth. Half
-show the mat with the code, half something that makes the hem hard to see. Ten seconds a drape and
-core, most of them for the pictures.
+FOLDER is a dataset of drapes, finished or not. Each is photographed as by a user
+(:mod:`data.render.phone`), half of them over the code, half with a hem that is hard to see, and
+read from one picture, from another, and from both: errors of the outlines as seen from the axis,
+and those stated, along the azimuth. Ten seconds a drape and core.
 """
 
 import tempfile

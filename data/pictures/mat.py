@@ -1,9 +1,9 @@
 """A printed mat under the plate's stand: its picture, pages to print, and its markers in pictures.
 
-A ring of fiducial markers (AprilTag 36h11) surrounds the ground, with circles for the foot of the
-stand. The ground is covered by a code (:mod:`data.pictures.code`), whose mats have markers of
-numbers of their own, or it is plain: white, grey or blue. Coordinates are in the plane of the mat:
-x along its arrow, y to the left of it, the centre of the circles the origin, m.
+A ring of fiducial markers (AprilTag 36h11) surrounds the ground, with circles for the stand's foot.
+The ground has a code (:mod:`data.pictures.code`), and markers of other numbers, or it is plain:
+white, grey or blue. Coordinates, m, are in the plane of the mat: x along its arrow, y to the left
+of it, from the centre of the circles.
 """
 
 import io

@@ -1,5 +1,4 @@
-"""By how much the code of a mat lies beside where its markers have it: paper bends, and parts that
-are taped together are shifted. Windows of the code are looked for in the picture."""
+"""By how much the code lies beside where the markers have it: paper bends, taped parts shift."""
 
 import cv2
 import numpy as np
@@ -21,8 +20,7 @@ _CLEAR = 0.6  # of the contrast of most windows
 def shifts_of(
     light: np.ndarray, to_pixels: np.ndarray, printed: Printed, reach: Metres, on_mat: np.ndarray
 ) -> tuple[np.ndarray, Mask]:
-    """By how much (A, R, 2), m, the print lies beside where the markers have it, for paper bends
-    and parts are shifted; and where it is surely seen."""
+    """Shifts (A, R, 2), m, of the print, and where it is surely seen."""
     pixel, middle = 2 * FINE, printed.to_mat[:2, 2]
     times = printed.to_mat[0, 0]
     half = int(reach * times / pixel)

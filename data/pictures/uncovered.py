@@ -1,10 +1,9 @@
 """The hem of a drape from where the code of the mat behind it is visible, whatever its colour.
 
-Each place is ground, as printed and in the light of some window beside it, or cloth, of the colours
-of the cloth near it or of any; beyond the hem that the network cuts, what hides the code may be a
-thing. A closed Markov chain over azimuths weighs them to the outermost border of the cloth
-and its error. All is done about the plate's axis, in the plane of the plate, at equal steps of
-azimuth and of the logarithm of the radius.
+Each place is ground, as printed, in the light of a window beside it, or cloth, of the colours near
+it or of any; beyond the hem that the network cuts, what hides the code may be a thing. A closed
+Markov chain over azimuths weighs them to the border of the cloth and its error. All is done in the
+plane of the plate, at equal steps of azimuth and of the logarithm of the radius.
 
     places of the code (:mod:`data.pictures.shifts`)
     -> print as the camera blurs it (:func:`_levels`) -> how well windows of it fit (:func:`_fit`)
@@ -31,28 +30,38 @@ from sim.outlines import closed, farthest
 STEPS = 1440  # azimuths
 _WRAP = 60  # more at both ends
 _INSIDE, _OUTSIDE = 0.9, 1.1  # of the radii of plate and reach, looked at
-_WIDE, _NARROW, _INNER = 8.0, 4.5, 5.5  # pixels, deviations of windows of light; of ground alone
-_TURNS, _NEAR = 2, (8.0, 4.5, 2.5)  # times of all; pixels, windows of the cloth's colours
+_WIDE, _NARROW = 8.0, 4.5  # pixels, deviations of windows of light
+_INNER = 5.5  # the same of ground alone
+_TURNS = 2  # times of all
+_NEAR = (8.0, 4.5, 2.5)  # pixels, windows of the cloth's colours
 _WAYS = [(0.0, 0.0), *((1.6 * np.cos(t), 1.6 * np.sin(t)) for t in np.arange(8) * np.pi / 4)]
 """Windows, of their deviations, beside a place: edges of shadows stay sharp."""
 _BLURS = (0.2e-3, 0.7e-3, 1.4e-3)  # m, of which a camera's is a sum
 _NOMINAL = np.kron(DARKER, [1, 0, 0]).astype(np.float32)
 """How much darker than paper grey and black are, of each of these blurs."""
 _HELD = 1e-4  # of a place's weight, by which these are
-_PLACES, _ROUNDS = 20_000, 5  # of ground, at most, and of weighing them, to tell the levels
-_DARK, _GLARE = 4e-3, 0.985  # of light: of ink, at least; overexposed
-_BLIND, _BESIDE = 0.2, 3.0  # of a window overexposed, and deviations of the cut, beyond it
+_PLACES = 20_000  # of ground, at most, to tell the levels
+_ROUNDS = 5  # of weighing them
+_DARK = 4e-3  # light of ink, at least
+_GLARE = 0.985  # overexposed light
+_BLIND = 0.2  # of a window, overexposed
+_BESIDE = 3.0  # deviations of the cut, beyond it
 _TELLING = 0.3  # mean of evidence there, below which the network's hem stands
 _SURE = 200.0  # at most, of what the network's hem says where nothing else tells it
-_APART_FROM_CUT, _ENDS = 2e-3, 21  # m, of stretches that may not be cloth; azimuths around them
+_APART_FROM_CUT = 2e-3  # m, of stretches that may not be cloth
+_ENDS = 21  # azimuths around them
 _ODDER, _ODD_AT_ALL = 1.5, 3e-3  # times, and m, of their error by shape
 _FITS, _NEARLY = 0.8, 0.06  # correlations of windows: sure, and as good
-_EVEN, _ODD, _OWN = 1 / 1.2, 0.03, 0.6  # density of any light; shares of it on ground; of colours
+_EVEN = 1 / 1.2  # density of any light
+_ODD = 0.03  # its share on ground
+_OWN = 0.6  # share of the cloth's colours
 _THROUGH = 0.25  # of the print's contrast: less is seen through cloth or a reflection
 _UNEVEN = (0.04, 0.06)  # relative, of light on ground and of colours of cloth
 _TEMPER = 0.25  # of a pixel's evidence, for neighbours err alike
-_HIDDEN, _SURELY = 0.1, 2.0  # weight of what hides the code apart from cloth; of errors of the cut
-_GAP_SEEN, _ALIKE = 8.0, 7  # of evidence, in a gap between them; azimuths in which it is alike
+_HIDDEN = 0.1  # weight of what hides the code apart from cloth
+_SURELY = 2.0  # errors of the cut
+_GAP_SEEN = 8.0  # of evidence, in a gap between them
+_ALIKE = 7  # azimuths in which it is alike
 _BEYOND, _NEVER = 1.05, 20.0  # of the flat specimen's reach, beyond which no hem is
 _BELIEVED, _MOST = 0.1, 2.0  # of deviations from its hem, that count at an azimuth, and at most
 _FAINT, _APART = 1e-3, 2.0  # m, added to its error; in these errors, cloth beyond it is doubtful
@@ -139,8 +148,8 @@ def _firm(off: np.ndarray) -> np.ndarray:
 def _odd(
     radii: np.ndarray, by_cut: np.ndarray, unlike: Callable[[np.ndarray], np.ndarray]
 ) -> np.ndarray:
-    """Where (STEPS,) cloth can rather have the hem that the network has cut than these radii: an
-    arm or an offcut that touches the hem hides the code, too."""
+    """Where (STEPS,) cloth can rather have the network's hem than these radii: an arm or an offcut
+    at the hem hides the code, too."""
     apart = np.abs(radii - by_cut) > _APART_FROM_CUT
     stretches, count = label(np.tile(apart, 2))
     here, its = (unlike(one[::2]).repeat(2) for one in (radii, by_cut))
@@ -155,9 +164,8 @@ def _told(
     photograph: Photograph, grid: Grid, to_pixels: np.ndarray, printed: Printed, off: np.ndarray,
     plate: Metres, reach: Metres
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Evidence (STEPS, R) of the code for ground, and what the network's hem says against each
-    radius, from which a place is ``off`` (STEPS, R) so many deviations; and where (STEPS,) the code
-    is overexposed."""
+    """Evidence (STEPS, R) for ground, what the network's hem says against each radius, of which
+    places are ``off`` (STEPS, R) so many deviations, and where (STEPS,) the code is overexposed."""
     light, blank = photograph.light, photograph.transparent
     blank = blank if photograph.missing is None else blank | photograph.missing
     seen = np.sqrt(sampled_light(light, grid.places, to_pixels) + FLOOR)

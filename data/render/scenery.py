@@ -212,9 +212,8 @@ def _code_printed(name: str, gain: float) -> np.ndarray:
 
 def lay_mat(albedo: np.ndarray, places: np.ndarray, mat: str, light: tuple[float, float],
             ground: np.ndarray, gain: float | None = None) -> None:
-    """Put a mat on albedo (N, 3) at places (N, 2), m; ``light``: of its ink and paper, ``ground``
-    (3,): light of its ground, or of the paper with the code, over that of paper, ``gain`` of the
-    code's dots."""
+    """Put a mat on albedo (N, 3) at places (N, 2), m; ``light``: of ink and paper, ``ground`` (3,):
+    of the ground, or of the paper with the code, over it, ``gain`` of the code's dots."""
     height, width = MATS[mat].shape
     columns, rows = mat_pixels(mat, places)
     on = (np.rint(columns) >= 0) & (np.rint(rows) >= 0)

@@ -3,9 +3,9 @@
 Structured light (Feng et al. 2022, section 5.2.2, which refers to Barron & Malik 2013 and Bohg et
 al. 2014): pixels are displaced by fractions of a pixel, and the disparity is noisy and quantised to
 1/8 pixel. In eighths of a pixel it is d = K/z, K = 8 f b = 351.3 m for the first Kinect (focal
-length f in pixels, baseline b in metres). Depth is not rounded to centimetres first, as in certain
-implementations, because that would destroy the shape of a drape. In addition: a small affine
-transform of each picture, and the 8-bit steps of the published captures for a part of the captures.
+length f in pixels, baseline b in metres). Depth is not rounded to centimetres first, which would
+destroy a drape's shape. In addition: a small affine transform of each picture, and the 8-bit steps
+of the published captures for a part of them.
 
 Time of flight, such as Azure Kinect or Orbbec Femto: the random error grows as the returned light,
 proportional to cos(incidence)/z², weakens; each capture has a bias and a scale; depth is missing or

@@ -25,8 +25,8 @@ def prepare() -> None:
     from data.captures import hem, off_axis
     from data.pictures import cut, mat
 
-    for network in (cut, hem, off_axis):
-        bundled_graph(network.BUNDLED)
+    for weights in (*cut.BUNDLED.values(), hem.BUNDLED, off_axis.BUNDLED):
+        bundled_graph(weights)
     for name in mat.MATS:
         for ground in ("white", mat.CODE):
             mat.printed_at(name, np.zeros((1, 1, 2)), ground)

@@ -1,14 +1,11 @@
 """Photographs by phones of drapes over the printed mats: outline, camera height and estimate.
 
-Fabrics drawn evenly from limp to stiff, with all nuisances, are draped, and photographed
-(:mod:`data.render.phone`) on plates 90 to 200 mm above the mat from 0.4 to 1.5 m above the plate,
-up to 20 degrees beside its axis, with phones' lenses, lamps, things that lie about, blur and JPEG.
-Cloth has random textures or, where ``shared/photographs`` is present, those of real cloth; in six
-of seven scenes something makes the hem hard to see (:mod:`data.render.hard`); over the code things
-lie about in littered scenes alone, as the manual asks. The picture that is nearest to the axis is
-read alone, and all of a drape together, as a user's; the outline is compared with the true one as
-seen from the camera's true place and from the axis, and log alpha with the estimate from the true
-outline and with the truth.
+Fabrics drawn evenly from limp to stiff, with all nuisances, are photographed on plates 90 to 200 mm
+above the mat from 0.4 to 1.5 m, up to 20 degrees beside the axis, with random textures or, where
+``shared/photographs`` is present, real ones; in six of seven scenes something makes the hem hard to
+see. The picture nearest to the axis is read alone, and all of a drape together; the outline is
+compared with the true one from the camera's place and from the axis, and log alpha with the
+estimate from the true outline and with the truth.
 """
 
 import tempfile

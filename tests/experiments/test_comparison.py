@@ -1,18 +1,25 @@
 """Differences between two shapes whose distance, curvature or folds are known."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
 from common.errors import InputError
-from experiments.comparison import Shape, compare, mean_curvature, same_folds
+from experiments.comparison import compare, mean_curvature, same_folds
 from sim.measures import fold_outline
 from sim.mesh import Mesh, grid_faces, grid_points
 from sim.rig import Rig
 from sim.scene import make_specimen
 
 RIG = Rig()
+
+
+@dataclass
+class Shape:
+    rest: np.ndarray
+    positions: np.ndarray
+    faces: np.ndarray
 
 
 def specimen(resolution: int, *, seed: int = 0) -> Mesh:

@@ -1,4 +1,4 @@
-"""The runner, its cases, and comparisons of drapes on several meshes."""
+"""The runner and its cases."""
 
 import json
 import subprocess
@@ -10,15 +10,10 @@ import pytest
 from common.errors import InputError
 from experiments import study
 from experiments.__main__ import PAPERS, main, usage
-from experiments.comparison import Shape, compare, equilibrium_near
 from experiments.estimation import refine
 from experiments.papers import views
 from experiments.report import REPORTS, ROOT, read_report, table
 from experiments.study import EXECUTION_KEYS, FILES, FOLDERS, CaseKeys, samples_of
-from sim.draping import drape
-from sim.material import Fabric
-from sim.rig import Rig
-from sim.scene import make_specimen
 
 PAGE = ROOT / "docs" / "studies.md"
 
@@ -119,7 +114,7 @@ def test_an_experiment_resumes_and_leaves_the_page_unchanged_with_another_output
 @pytest.mark.parametrize(("words", "complaint"), [
     (["elastika"], "elastica"), (["numbers", "pixel"], "pixel: write KEY=VALUE"),
     (["numbers", "pixel=1"], "'pixel'; --help lists"),
-    (["elastica", "gammas=many"], "gammas"), (["meshes", "fabrics=[silk]"], "silk"),
+    (["elastica", "gammas=many"], "gammas"),
     (["views", "workers=0", "cases=/tmp/none"], "workers=0"),
     (["numbers", "fabrics=nowhere.csv"], "nowhere"),
     (["page", "out=a"], "out=a"),
@@ -158,20 +153,6 @@ def test_table_is_aligned():
     assert len({len(line) for line in lines}) == 1
 
 
-@pytest.fixture(scope="module")
-def draped():
-    return drape(Fabric(np.full(3, 40e-6)), edge=8e-3, seed=2)
-
-
-def test_cloth_placed_on_its_own_mesh_stays_and_on_another_one_nearly(draped):
-    for edge, low, high in ((8e-3, 0.0, 1e-6), (6e-3, 1e-4, 5e-3)):
-        specimen = make_specimen(Rig(), edge=edge, topology=2)
-        found = equilibrium_near(draped, specimen, Rig(), draped.fabric)
-        shape = Shape.of(specimen, found.state.positions)
-        assert found.converged
-        assert low <= compare(draped, shape).displacement < high
-
-
 def test_posteriors_are_judged_by_errors_and_coverage():
     rng = np.random.default_rng(0)
     scale = np.array([0.1] * 3 + [1e-3] * 3)
@@ -183,18 +164,3 @@ def test_posteriors_are_judged_by_errors_and_coverage():
     assert found["beta_over_alpha_mm"] == pytest.approx(1.0, rel=0.07)
     assert found["log_alpha_median"] == pytest.approx(0.0674, rel=0.1)
     assert list(found["inside"].values()) == pytest.approx([0.50, 0.68, 0.90], abs=0.03)
-
-
-def test_drapes_of_three_meshes_are_compared(tmp_path):
-    reports = []
-    for edge in (8, 4):
-        out = tmp_path / f"meshes_{edge}.json"
-        main(["meshes", "fabrics=[stiff]", f"edge_mm={edge}", "start_mm=4",
-              f"cases={tmp_path / str(edge)}", f"out={out}"])
-        reports.append(json.loads(out.read_text(encoding="utf-8")))
-    coarse, fine = reports
-    assert fine["pairs"] == 3 and fine["largest_mean_mm"] > 0
-    assert fine["passed"] is (fine["same_folds"] > 0 and fine["largest_mean_mm"] < 0.7)
-    # The coarser the mesh, the more the drape depends on it.
-    assert (max(row["mean_mm"] for row in coarse["meshes"])
-            > max(row["mean_mm"] for row in fine["meshes"]))
