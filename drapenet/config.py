@@ -50,7 +50,6 @@ class TrainConfig:
     out: str
     maps: str
     start: str
-    taught: bool
     seed: Seed
     epochs: FromOne
     inputs: Annotated[list[Input], Field(min_length=1)]

@@ -19,16 +19,12 @@ from data.render.setups import Setups
 from drapenet.config import ModelConfig, OptimConfig, TrainConfig
 from drapenet.network import model
 from drapenet.network import training as steps
-from drapenet.network.captures import TAUGHT, CaptureSet, Condition
+from drapenet.network.captures import CaptureSet, Condition, stated_errors
 from drapenet.network.checkpoint import read_header
 from drapenet.network.dataset import Maps
 from drapenet.network.evaluate import DEPTH, OUTLINE
-from drapenet.network.inputs import Batch
 from drapenet.network.model import Network, make_network
 from drapenet.network.optimizer import Optimizer
-from drapenet.network.posterior import Posterior
-from drapenet.network.targets import TARGETS
-from drapenet.network.trained import Trained
 from drapenet.network.training import (
     describe,
     fit,
@@ -326,35 +322,24 @@ def test_training_learns_all_three_directions(output, epochs, rate, seen, condit
         assert 0.4 < metrics["inside"]["68%"] < 0.9
 
 
-class Teacher(Trained):
-    """One that says of each capture the third of its outline's mean."""
-
-    def posterior(self, batch: Batch) -> Posterior:
-        self.seen = batch
-        means = np.repeat(batch.outline.mean(axis=1)[:, None, None] / 3, TARGETS, axis=2)
-        factors = np.tile(1e6 * np.eye(TARGETS), (len(means), 1, 1, 1))
-        return Posterior(np.zeros((len(means), 1)), means, factors)
-
-    def shapes(self, *_: np.ndarray) -> None:
-        return None
+def test_errors_of_outlines_are_as_large_as_it_is_stated():
+    off, stated = stated_errors(4000, np.random.default_rng(0))
+    assert (np.abs(off) < stated).mean() == pytest.approx(0.683, abs=0.02)
+    whole = np.ptp(stated, axis=1) == 0
+    assert 0.4 < whole.mean() < 0.6 and stated.min() < 1e-3 and stated.max() > 0.08
+    # Some hems are off as a whole, others along a few degrees.
+    together = np.abs(off[whole].mean(axis=1)) / off[whole].std(axis=1)
+    assert (together > 3).mean() > 0.1 and (together < 0.3).mean() > 0.1
 
 
-def test_a_taught_training_learns_what_its_teacher_says_of_the_captures_without_faults():
-    teacher = Teacher()
-    captures = CaptureSet(stiff_maps(64, seed=0), teacher=teacher)
-    read = replace(condition(OUTLINE), read=1.0)
-    batch, _ = captures.batch(np.arange(64), read, np.random.default_rng(0))
-    sound = teacher.seen
-    assert (batch.error > 0).all() and not sound.error.any()
-    np.testing.assert_allclose(
-        batch.targets, np.tile(sound.outline.mean(axis=1)[:, None] / 3, (TAUGHT, 1, TARGETS)),
-        atol=1e-4)
-    off = batch.outline - sound.outline
-    assert 3e-3 < np.sqrt(np.square(off).mean()) < 0.06
-    _, facts = captures.batch(np.arange(64), read, np.random.default_rng(0))
-    # What is counted from the outline has its faults, too.
-    np.testing.assert_allclose(batch.facts[:, 11], facts.columns()[:, 11], atol=1e-6)
-    assert np.abs(batch.facts[:, 11] - sound.facts[:, 11]).max() > 1e-3
+def test_read_outlines_have_errors_and_so_has_what_is_counted_from_them():
+    captures = CaptureSet(stiff_maps(64, seed=0))
+    sound, read = (captures.batch(np.arange(64), replace(condition(OUTLINE), **shares),
+                                  np.random.default_rng(0), symmetric=False)[0]
+                   for shares in ({}, {"read": 1.0, "doubted": 0.5}))
+    assert (read.error > 0).all() and not sound.error.any()
+    assert 3e-3 < np.sqrt(np.square(read.outline - sound.outline).mean()) < 0.08
+    assert np.abs(read.facts[:, 11] - sound.facts[:, 11]).max() > 1e-3
 
 
 class Code:

@@ -50,8 +50,10 @@ _TELLING = 0.3  # mean of evidence there, below which the network's hem stands
 _SURE = 200.0  # at most, of what the network's hem says where nothing else tells it
 _APART_FROM_CUT = 2e-3  # m, of stretches that may not be cloth
 _ENDS = 21  # azimuths around them
-_ODDER, _ODD_AT_ALL = 1.5, 3e-3  # times, and m, of their error by shape
-_FITS, _NEARLY = 0.8, 0.06  # correlations of windows: sure, and as good
+_ODDER = 1.5  # times of the network's, of their error by shape
+_ODD_AT_ALL = 3e-3  # m, the same
+_FITS = 0.8  # correlation of sure windows
+_NEARLY = 0.06  # less, of those as good
 _EVEN = 1 / 1.2  # density of any light
 _ODD = 0.03  # its share on ground
 _OWN = 0.6  # share of the cloth's colours
@@ -63,13 +65,17 @@ _SURELY = 2.0  # errors of the cut
 _GAP_SEEN = 8.0  # of evidence, in a gap between them
 _ALIKE = 7  # azimuths in which it is alike
 _BEYOND, _NEVER = 1.05, 20.0  # of the flat specimen's reach, beyond which no hem is
-_BELIEVED, _MOST = 0.1, 2.0  # of deviations from its hem, that count at an azimuth, and at most
-_FAINT, _APART = 1e-3, 2.0  # m, added to its error; in these errors, cloth beyond it is doubtful
-_RIM, _ON_PLATE = 0.995, 1.5  # of the plate's radius, within which this more speaks for cloth
+_BELIEVED = 0.1  # of deviations from its hem, that count at an azimuth
+_MOST = 2.0  # of what counts
+_FAINT = 1e-3  # m, added to its error
+_APART = 2.0  # in these errors, cloth beyond it is doubtful
+_RIM = 0.995  # of the plate's radius
+_ON_PLATE = 1.5  # more speaks for cloth within it
 _SLOPE = 0.8e-3 / 0.12  # deviation of steps along half a degree, over the radius
 _BEND = 1e-3  # deviation of second differences along half a degree, over the radius
 _ARM = 9e-3  # m, beyond what folds stand out
-_CAUTION, _LEAST = 1.3, 1.5e-4  # factor of the chain's deviations; m
+_CAUTION = 1.3  # factor of the chain's deviations
+_LEAST = 1.5e-4  # m
 
 
 class Grid(NamedTuple):

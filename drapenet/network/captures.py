@@ -4,7 +4,7 @@ photographs over the mat (``python -m data.dataset.reading``), and faults in sil
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
 from typing import get_args
@@ -23,7 +23,6 @@ from drapenet.network.targets import (
     stiffer_first,
     targets_of,
 )
-from drapenet.network.trained import Trained
 from drapenet.views.directions import AZIMUTH, AZIMUTHS
 from drapenet.views.outline import PERSPECTIVES, drape_coefficients
 
@@ -33,14 +32,17 @@ _FAULTY = 0.3  # share of outlines with a bite or a bulge that nothing tells of
 _WIDE = np.radians(3.0), np.radians(20.0)  # half its width, least and most
 _EDGE = 0.1, 1.0  # share of that in which it rises, least and most
 _HIGH = 0.03  # of half a size, its deviation
+_STATED = 2e-3, 0.1  # half sizes, least and most of errors that are stated
+_ORDERS = np.arange(40)  # of their waves
+_ALIKE = 0.3, 20.0  # those that count, least and most
 _MEAN_SAMPLE = 1000  # captures used for mean and deviation of the distances
 LEAST_HEIGHT = 0.5  # m, of the camera above the plate
 PICTURE_OFFSET = 0.010  # of the outline's centre, in half sizes: 1.5 mm of a specimen of 300 mm
 PICTURE_SCALE = 0.007  # of millimetres per pixel
 PICTURE_NOISE = 0.008  # largest deviation of a radius, in half sizes
 COEFFICIENT_ERROR = 0.010  # of drape coefficients as reported
-RIM_ERROR, MEMBRANE_ERROR = 0.3e-3, 0.15  # of what is stated: m, and of the logarithm
-TAUGHT = 8  # draws of a teacher's posterior
+RIM_ERROR = 0.3e-3  # m, of what is stated
+MEMBRANE_ERROR = 0.15  # the same of the logarithm
 READ = 0.5  # share of outlines in training with errors of photographs over the mat
 
 
@@ -63,6 +65,21 @@ def reading_errors(count: int, rng: np.random.Generator) -> tuple[np.ndarray, np
         for values, start, one, size in zip(part[rows], turn, way, times, strict=True)])
         .reshape(count, AZIMUTHS) for part in stored)
     return off, stated
+
+
+def stated_errors(count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Errors (N, AZIMUTHS), in half sizes, of the whole hem or of one side, alike over random
+    angles, and their standard deviations, which are stated."""
+    low, high = np.log([_STATED, _ALIKE]).T
+    size, order = np.exp(rng.uniform(low, high, (count, 2))).T[..., None]
+    middle, wide = rng.uniform(0, 2 * np.pi, (count, 1)), rng.uniform(0.2, 1.5, (count, 1))
+    away = np.abs((AZIMUTH - middle + np.pi) % (2 * np.pi) - np.pi) / wide
+    stated = size * np.where(rng.random((count, 1)) < 0.5, 1, np.exp(-away**2 / 2))
+    power = np.exp(-np.square(_ORDERS / order))
+    parts = rng.standard_normal((2, *power.shape)) * np.sqrt(
+        power / power.sum(axis=1, keepdims=True))
+    waves = np.outer(_ORDERS, AZIMUTH)
+    return stated * (parts[0] @ np.cos(waves) + parts[1] @ np.sin(waves)), stated
 
 
 def outline_faults(count: int, rng: np.random.Generator) -> np.ndarray:
@@ -88,6 +105,7 @@ class Condition:
     parallel: float = 0.3  # outlines under parallel light
     stated: float = 0.8  # of the other outlines, those whose camera's height is stated
     read: float = 0.0
+    doubted: float = 0.0  # outlines with an error of any size, which is stated
     rim: float = 0.0  # sets in which the plates' rims are stated, as of the following
     membrane: float = 0.0
     kind: float = 0.0  # of cloth
@@ -99,7 +117,8 @@ class Condition:
                   for kind, share in zip(get_args(Input), cls.kinds, strict=True)]
         total = sum(shares)
         views, outline, numbers = (share / total for share in shares)
-        return cls((views, outline, numbers), read=READ, rim=0.3, membrane=0.3, kind=0.4)
+        return cls((views, outline, numbers), read=READ, doubted=0.15, rim=0.3, membrane=0.3,
+                   kind=0.4)
 
 
 def readable(maps: Maps, inputs: Sequence[Input]) -> np.ndarray:
@@ -108,13 +127,10 @@ def readable(maps: Maps, inputs: Sequence[Input]) -> np.ndarray:
 
 
 class CaptureSet:
-    """Captures with the fabrics they show; ``scale`` of the targets is fitted if None. With a
-    ``teacher``, targets are drawn from its posterior of the same captures read without faults."""
+    """Captures with the fabrics they show; ``scale`` of the targets is fitted if None."""
 
-    def __init__(
-        self, maps: Maps, *, scale: TargetScale | None = None, teacher: Trained | None = None
-    ) -> None:
-        self.maps, self.teacher = maps, teacher
+    def __init__(self, maps: Maps, *, scale: TargetScale | None = None) -> None:
+        self.maps = maps
         # Neighbours of a fabric may have the same moduli by chance.
         _, first, which = np.unique(np.column_stack([maps.theta, maps.membrane]), axis=0,
                                     return_index=True, return_inverse=True)
@@ -165,9 +181,9 @@ class CaptureSet:
         views = maps.depth_views(rows, deep)
         outline = views["hem"].astype(np.float32)
         outline[seen] = _photographed(maps.silhouettes[rows[seen]], ratio[seen], rng)
-        faultless, error = outline.copy(), np.zeros_like(outline)
-        if condition.read:
-            outline[seen], error[seen] = _misread(outline[seen], condition.read, rng)
+        error = np.zeros_like(outline)
+        if condition.read or condition.doubted:
+            outline[seen], error[seen] = _misread(outline[seen], condition, rng)
         radius = np.where((kind == 2)[:, None], maps.silhouettes[rows, 0], outline)
         coefficient = drape_coefficients(radius, maps.plate[rows], maps.disc[rows])
         coefficient += COEFFICIENT_ERROR * rng.standard_normal(len(rows)) * (kind == 2)
@@ -194,19 +210,10 @@ class CaptureSet:
         turn = Symmetry.draw(known=known[group], disc=maps.disc[rows], exchanged=weft[group],
                              rng=rng) if symmetric else None
 
-        def made(outline: np.ndarray, error: np.ndarray, facts: Facts) -> Batch:
-            batch = Batch.of(
-                views["distance"], views["weight"], outline, error, facts, views["pictures"],
-                views["angle"], self.scale.encode(targets))
-            return batch.turned(turn) if turn else batch
-
-        batch = made(outline, error, facts)
-        if self.teacher:
-            sound = replace(facts, coefficient=np.where(seen, drape_coefficients(
-                faultless, maps.plate[rows], maps.disc[rows]), coefficient))
-            taught = self.teacher.posterior(made(faultless, 0 * error, sound)).sample(TAUGHT, rng)
-            batch = replace(batch, targets=taught.astype(np.float32))
-        return batch, facts
+        batch = Batch.of(
+            views["distance"], views["weight"], outline, error, facts, views["pictures"],
+            views["angle"], self.scale.encode(targets))
+        return batch.turned(turn) if turn else batch, facts
 
     def epoch(
         self, *, seed: int, epoch: int, size: int, condition: Condition = Condition()
@@ -246,12 +253,14 @@ def _photographed(
 
 
 def _misread(
-    radius: np.ndarray, read: float, rng: np.random.Generator
+    radius: np.ndarray, condition: Condition, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Outlines (N, AZIMUTHS), in half sizes, with faults, a share ``read`` of them also with the
-    errors of photographs over the mat; and the errors that are stated with them, 0 of others."""
-    over_mat = rng.random(len(radius)) < read
+    """Outlines (N, AZIMUTHS), in half sizes, with faults, and shares of them with the errors of a
+    ``condition``; and the errors that are stated with them, 0 of others."""
+    over_mat, doubted = rng.random((2, len(radius))) < [[condition.read], [condition.doubted]]
     off, stated = outline_faults(len(radius), rng), np.zeros_like(radius)
-    errors, stated[over_mat] = reading_errors(int(over_mat.sum()), rng)
-    off[over_mat] += errors
+    for rows, errors in ((over_mat, reading_errors), (doubted, stated_errors)):
+        more, given = errors(int(rows.sum()), rng)
+        off[rows] += more
+        stated[rows] = np.hypot(stated[rows], given)
     return radius + off, stated

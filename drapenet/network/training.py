@@ -34,7 +34,7 @@ from drapenet.network.model import Network, make_network
 from drapenet.network.optimizer import Optimizer
 from drapenet.network.posterior import inside, ranks
 from drapenet.network.targets import MODULI
-from drapenet.network.weights import Loaded, load_model
+from drapenet.network.weights import load_model
 from sim.material import REFERENCE_DENSITY
 
 if TYPE_CHECKING:
@@ -89,10 +89,8 @@ def open_captures(config: TrainConfig) -> tuple[CaptureSet, CaptureSet, dict]:
     usable = readable(maps, config.inputs)
     unseen = maps.chosen(usable & (split == "validation") & ~maps.moved)
     training = maps.chosen(first_drapes(maps, usable & (split == "train"), config))
-    if config.taught and not start:
-        raise InputError("taught=true asks for the network that teaches; give start=FILE")
-    captures = CaptureSet(training, scale=start.scale if start else None, teacher=Loaded(load_model(
-        start)) if config.taught and start else None) if len(training) else None
+    captures = CaptureSet(training, scale=start.scale if start else None) if len(
+        training) else None
     if not captures or len(captures) < config.optim.batch_size or not len(unseen):
         raise InputError(f"{', '.join(folders)}: {len(captures or ())} fabrics and neighbours to "
                          f"train on and {len(unseen)} captures to validate with, but at least "
@@ -248,10 +246,6 @@ def describe(
     prior = {"fabrics": datasets["generation"][-1]["prior"], **{
         name: sampling[name] for name in ("even_share", "anisotropy", "anisotropy_varied",
                                           "nuisances")}}
-    if config.taught:
-        teacher = read_header(config.start)
-        low, high = np.array(teacher.fabrics.low), np.array(teacher.fabrics.high)
-        prior = teacher.prior.model_dump()
     fabrics = prior_from_content(prior["fabrics"], origin="the dataset's prior")
     return {
         "reference_density_g_m2": REFERENCE_DENSITY * 1e3,
