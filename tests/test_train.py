@@ -327,12 +327,12 @@ def test_errors_of_outlines_are_as_large_as_it_is_stated():
     assert (np.abs(off) < stated).mean() == pytest.approx(0.683, abs=0.02)
     whole = np.ptp(stated, axis=1) == 0
     assert 0.4 < whole.mean() < 0.6 and stated.min() < 1e-3 and stated.max() > 0.08
-    # Some hems are off as a whole, others along a few degrees.
+    # Some are off as a whole.
     together = np.abs(off[whole].mean(axis=1)) / off[whole].std(axis=1)
     assert (together > 3).mean() > 0.1 and (together < 0.3).mean() > 0.1
 
 
-def test_read_outlines_have_errors_and_so_has_what_is_counted_from_them():
+def test_read_outlines_have_errors_also_in_their_coefficients():
     captures = CaptureSet(stiff_maps(64, seed=0))
     sound, read = (captures.batch(np.arange(64), replace(condition(OUTLINE), **shares),
                                   np.random.default_rng(0), symmetric=False)[0]

@@ -81,7 +81,7 @@ def test_what_hides_the_code_beside_the_hem_is_no_cloth_or_named_with_its_side(t
     assert off.max() < 3e-3 or any(" right" in warning.text for warning in found.warnings)
 
 
-def test_an_overexposed_mat_is_named_with_its_side_and_its_hem_is_the_networks(tmp_path):
+def test_an_overexposed_mat_is_named_with_its_side(tmp_path):
     def glaring(picture: np.ndarray) -> np.ndarray:
         picture = picture.copy()
         right = picture[:, picture.shape[1] // 2 :]
