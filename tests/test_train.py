@@ -323,7 +323,7 @@ def test_training_learns_all_three_directions(output, epochs, rate, seen, condit
 
 
 def test_errors_of_outlines_are_as_large_as_it_is_stated():
-    off, stated = stated_errors(4000, np.random.default_rng(0))
+    off, stated = stated_errors(4000, np.random.default_rng(0), (2e-3, 0.1))
     assert (np.abs(off) < stated).mean() == pytest.approx(0.683, abs=0.02)
     whole = np.ptp(stated, axis=1) == 0
     assert 0.4 < whole.mean() < 0.6 and stated.min() < 1e-3 and stated.max() > 0.08

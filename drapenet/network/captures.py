@@ -5,7 +5,7 @@ photographs over the mat (``python -m data.dataset.reading``), and faults in sil
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import get_args
 
@@ -32,7 +32,6 @@ _FAULTY = 0.3  # share of outlines with a bite or a bulge that nothing tells of
 _WIDE = np.radians(3.0), np.radians(20.0)  # half its width, least and most
 _EDGE = 0.1, 1.0  # share of that in which it rises, least and most
 _HIGH = 0.03  # of half a size, its deviation
-_STATED = 2e-3, 0.1  # half sizes, least and most of errors that are stated
 _ORDERS = np.arange(40)  # of their waves
 _ALIKE = 0.3, 20.0  # those that count, least and most
 _MEAN_SAMPLE = 1000  # captures used for mean and deviation of the distances
@@ -43,7 +42,6 @@ PICTURE_NOISE = 0.008  # largest deviation of a radius, in half sizes
 COEFFICIENT_ERROR = 0.010  # of drape coefficients as reported
 RIM_ERROR = 0.3e-3  # m, of what is stated
 MEMBRANE_ERROR = 0.15  # the same of the logarithm
-READ = 0.5  # share of outlines in training with errors of photographs over the mat
 
 
 @cache
@@ -53,8 +51,7 @@ def _stored() -> tuple[np.ndarray, np.ndarray]:
 
 
 def reading_errors(count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Errors (N, AZIMUTHS) of outlines as they are read, in half sizes, and the standard deviations
-    that are stated with them."""
+    """Errors (N, AZIMUTHS) of outlines as they are read, and those stated, half sizes."""
     stored = _stored()
     rows, turn = rng.integers(len(stored[0]), size=count), rng.uniform(0, 2 * np.pi, count)
     low, high = np.log(_TIMES)
@@ -67,10 +64,11 @@ def reading_errors(count: int, rng: np.random.Generator) -> tuple[np.ndarray, np
     return off, stated
 
 
-def stated_errors(count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Errors (N, AZIMUTHS), in half sizes, of the whole hem or of one side, alike over random
-    angles, and their standard deviations, which are stated."""
-    low, high = np.log([_STATED, _ALIKE]).T
+def stated_errors(
+    count: int, rng: np.random.Generator, sizes: tuple[float, float]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Errors (N, AZIMUTHS) of whole hems or of one side, and their deviations, half sizes."""
+    low, high = np.log([sizes, _ALIKE]).T
     size, order = np.exp(rng.uniform(low, high, (count, 2))).T[..., None]
     middle, wide = rng.uniform(0, 2 * np.pi, (count, 1)), rng.uniform(0.2, 1.5, (count, 1))
     away = np.abs((AZIMUTH - middle + np.pi) % (2 * np.pi) - np.pi) / wide
@@ -93,11 +91,8 @@ def outline_faults(count: int, rng: np.random.Generator) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Condition:
-    """What the captures of a set are: shares.
-
-    Outlines have the small errors of a drapemeter's picture. Where some are ``read``, a share with
-    the errors of photographs over the mat, all may have faults that nothing tells of.
-    """
+    """What the captures of a set are: shares. Outlines have the small errors of a drapemeter's
+    picture. Where some are ``read``, as photographs over the mat, all may have silent faults."""
 
     kinds: tuple[float, float, float] = (0.5, 0.42, 0.08)  # depth, outline, numbers alone
     sizes: tuple[float, ...] = (0.5, 0.2, 0.1, 0.2)  # sets of 1, 2, ... captures, of other drapes
@@ -105,7 +100,8 @@ class Condition:
     parallel: float = 0.3  # outlines under parallel light
     stated: float = 0.8  # of the other outlines, those whose camera's height is stated
     read: float = 0.0
-    doubted: float = 0.0  # outlines with an error of any size, which is stated
+    doubted: float = 0.0  # outlines with stated errors, of these sizes, half sizes, least and most
+    errors: tuple[float, float] = (2e-3, 0.1)
     rim: float = 0.0  # sets in which the plates' rims are stated, as of the following
     membrane: float = 0.0
     kind: float = 0.0  # of cloth
@@ -116,8 +112,8 @@ class Condition:
         shares = [share * (kind in inputs)
                   for kind, share in zip(get_args(Input), cls.kinds, strict=True)]
         total = sum(shares)
-        views, outline, numbers = (share / total for share in shares)
-        return cls((views, outline, numbers), read=READ, doubted=0.15, rim=0.3, membrane=0.3,
+        depth, outline, numbers = (share / total for share in shares)
+        return cls((depth, outline, numbers), read=0.5, doubted=0.15, rim=0.3, membrane=0.3,
                    kind=0.4)
 
 
@@ -255,11 +251,12 @@ def _photographed(
 def _misread(
     radius: np.ndarray, condition: Condition, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Outlines (N, AZIMUTHS), in half sizes, with faults, and shares of them with the errors of a
-    ``condition``; and the errors that are stated with them, 0 of others."""
+    """Outlines (N, AZIMUTHS), half sizes, with faults and errors of a ``condition``; and those that
+    are stated with them, 0 of others."""
     over_mat, doubted = rng.random((2, len(radius))) < [[condition.read], [condition.doubted]]
     off, stated = outline_faults(len(radius), rng), np.zeros_like(radius)
-    for rows, errors in ((over_mat, reading_errors), (doubted, stated_errors)):
+    of_size = partial(stated_errors, sizes=condition.errors)
+    for rows, errors in ((over_mat, reading_errors), (doubted, of_size)):
         more, given = errors(int(rows.sum()), rng)
         off[rows] += more
         stated[rows] = np.hypot(stated[rows], given)
