@@ -36,7 +36,7 @@ from data.captures.off_axis import AZIMUTH, AZIMUTHS, OUTWARDS
 from data.captures.outline_table import read_closed_curve
 from data.captures.plate_height import MAX_OFF, height_off
 from data.captures.scale import Scaled, scaled_photographs
-from data.pictures.cut import outline_of_cloth
+from data.pictures.cut import Cut, outline_of_cloth
 from data.pictures.mat import CODE
 from data.pictures.planes import mapped, shifted, upright
 from data.pictures.uncovered import uncover
@@ -272,17 +272,7 @@ def _as_seen(seen: Scaled, source: OutlineSource, rig: Rig) -> PhotographedOutli
     """The outline of the cloth in one picture, on the plane of the plate, from where it was taken;
     InputError if no cloth is found."""
     photograph, to_metres = seen.photograph, seen.to_metres
-    cut = outline_of_cloth(
-        photograph, np.linalg.inv(to_metres), plate=rig.plate_radius, reach=rig.reach,
-        known=seen.middle is not None, printed=seen.printed, unsure=seen.unsure)
-    coded, warnings = seen.printed is not None and seen.printed.ground == CODE, [*seen.warnings]
-    if coded and seen.printed:
-        cut, glare = uncover(
-            cut, photograph, np.linalg.inv(to_metres), seen.printed, plate=rig.plate_radius,
-            reach=rig.reach, unlike=lambda radii: unlike_cloth(radii, rig))
-        if (share := float(glare.mean())) > MAX_GLARE:
-            warnings.append(Finding("mat_overexposed", {
-                "value": share, "limit": MAX_GLARE, "place": sides(glare)}))
+    cut, warnings = _cut(seen, rig)
     pixels = cut.hem
     tilt = 0.0
     if seen.middle is None:
@@ -303,6 +293,7 @@ def _as_seen(seen: Scaled, source: OutlineSource, rig: Rig) -> PhotographedOutli
     if seen.beside is not None:
         require_height(curve, rig, 1e-3 * (source.plate_height_mm or np.inf), seen.height)
         cameras = (np.append(seen.beside, seen.height),)
+    coded = bool(seen.printed and seen.printed.ground == CODE)
     found = PhotographedOutline(
         curve, seen.height, seen.middle is not None, rig, tuple(warnings), photograph.colour,
         to_pixels, step, pixels, photograph.factor, cameras=cameras,
@@ -310,6 +301,22 @@ def _as_seen(seen: Scaled, source: OutlineSource, rig: Rig) -> PhotographedOutli
     unlike = unlike_cloth(found.radii, rig)
     return replace(found, error=np.maximum(error, unlike), clarity=Clarity.of(
         found.radii, error, unlike, cameras, Ground.of(source, coded=coded)))
+
+
+def _cut(seen: Scaled, rig: Rig) -> tuple[Cut, list[Finding]]:
+    """The cloth in one picture, and warnings."""
+    to_pixels, warnings = np.linalg.inv(seen.to_metres), [*seen.warnings]
+    cut = outline_of_cloth(
+        seen.photograph, to_pixels, plate=rig.plate_radius, reach=rig.reach,
+        known=seen.middle is not None, printed=seen.printed, unsure=seen.unsure)
+    if seen.printed and seen.printed.ground == CODE:
+        cut, glare = uncover(
+            cut, seen.photograph, to_pixels, seen.printed, plate=rig.plate_radius,
+            reach=rig.reach, unlike=lambda radii: unlike_cloth(radii, rig))
+        if (share := float(glare.mean())) > MAX_GLARE:
+            warnings.append(Finding("mat_overexposed", {
+                "value": share, "limit": MAX_GLARE, "place": sides(glare)}))
+    return cut, warnings
 
 
 def _by_azimuth(curve: Outline, error: np.ndarray) -> np.ndarray:

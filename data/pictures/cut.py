@@ -54,7 +54,6 @@ class Printed:
         return printed_at(self.mat, on_grid(places, self.to_mat), self.ground)
 
 
-
 def steps(reach: Metres, side: int) -> np.ndarray:
     """Places (side,), m, of the pixels along x, and upwards along y."""
     return ((np.arange(side) + 0.5) / side * 2 - 1) * AROUND * reach

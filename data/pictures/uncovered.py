@@ -47,7 +47,6 @@ _GLARE = 0.985  # overexposed light
 _BLIND = 0.2  # of a window, overexposed
 _BESIDE = 3.0  # deviations of the cut, beyond it
 _TELLING = 0.3  # mean of evidence there, below which the network's hem stands
-_SURE = 200.0  # at most, of what the network's hem says where nothing else tells it
 _APART_FROM_CUT = 2e-3  # m, of stretches that may not be cloth
 _ENDS = 21  # azimuths around them
 _ODDER = 1.5  # times of the network's, of their error by shape
@@ -133,22 +132,15 @@ def uncover(
     unsure = np.hypot(error, _FAINT)
     off = (grid.radii - by_cut[:, None]) / unsure[:, None]
     evidence, doubt, glare = _told(photograph, grid, to_pixels, printed, off, plate, reach)
-    radii, error = _border(evidence, doubt, grid.radii)
-    torn = np.zeros(STEPS)
-    if (odd := _odd(radii, by_cut, unlike)).any():
-        before = radii
-        radii, error = _border(np.where(odd[:, None], 0, evidence),
-                               np.where(odd[:, None], _firm(off), doubt), grid.radii)
-        torn = odd * np.abs(before - radii) / 2
-    torn += np.maximum(radii - by_cut - _APART * np.hypot(unsure, error), 0) / 2
-    radii, error = _smoothed(radii, error), np.hypot(_CAUTION * error, _LEAST) + torn
+    told, error = _border(evidence, doubt, grid.radii)
+    radii, odd = told, _odd(told, by_cut, unlike)[:, None]
+    if odd.any():
+        radii, error = _border(np.where(odd, 0, evidence), np.where(odd, np.square(off) / 2, doubt),
+                               grid.radii)
+    torn = np.maximum(radii - by_cut - _APART * np.hypot(unsure, error), 0) + np.abs(radii - told)
+    radii, error = _smoothed(radii, error), np.hypot(_CAUTION * error, _LEAST) + torn / 2
     hem = mapped(radii[:, None] * np.column_stack([np.cos(turn), np.sin(turn)]), to_pixels)
     return replace(cut, hem=hem, error=error / pixel), glare[::2]
-
-
-def _firm(off: np.ndarray) -> np.ndarray:
-    """How unlikely the network's deviations are where nothing else tells the hem."""
-    return np.minimum(np.square(off) / 2, _SURE)
 
 
 def _odd(
@@ -209,7 +201,8 @@ def _told(
         evidence[:, grid.radii < _RIM * plate] -= _ON_PLATE
         evidence[:, grid.radii > _BEYOND * reach] = _NEVER
         told = (beside * np.abs(evidence[_WRAP:-_WRAP])).sum(axis=1) > _TELLING * count
-        doubt = np.where(told[:, None], np.minimum(_BELIEVED * np.abs(off), _MOST), _firm(off))
+        doubt = np.where(told[:, None], np.minimum(_BELIEVED * np.abs(off), _MOST),
+                         np.square(off) / 2)
         if turn < _TURNS - 1:
             radii, _ = _border(evidence[_WRAP:-_WRAP], doubt, grid.radii)
             border = np.minimum(radii, median_filter(radii, 61, mode="wrap") + _ARM)

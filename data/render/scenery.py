@@ -214,13 +214,11 @@ def lay_mat(albedo: np.ndarray, places: np.ndarray, mat: str, light: tuple[float
             ground: np.ndarray, gain: float | None = None) -> None:
     """Put a mat on albedo (N, 3) at places (N, 2), m; ``light``: of ink and paper, ``ground`` (3,):
     of the ground, or of the paper with the code, over it, ``gain`` of the code's dots."""
-    height, width = MATS[mat].shape
     columns, rows = mat_pixels(mat, places)
-    on = (np.rint(columns) >= 0) & (np.rint(rows) >= 0)
-    on &= (np.rint(columns) < width) & (np.rint(rows) < height)
+    nearest = np.rint([rows, columns]).astype(int)
+    on = (nearest >= 0).all(axis=0) & (nearest.T < MATS[mat].shape).all(axis=1)
     if gain is None:
-        columns, rows = (np.rint(one[on]).astype(int) for one in (columns, rows))
-        share = decoded(mat_picture(mat)[rows, columns] / 255.0)
+        share = decoded(mat_picture(mat)[tuple(nearest[:, on])] / 255.0)
     else:
         fine = [(one[on] + 0.5) / _FINE - 0.5 for one in (rows, columns)]
         share = map_coordinates(_code_printed(mat, gain), fine, order=1, mode="nearest")
