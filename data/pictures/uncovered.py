@@ -178,8 +178,10 @@ def _told(
     glaring = seen.max(axis=2) > np.sqrt(_GLARE)
     usable = shown & ~glaring
     everywhere, ground = usable.astype(np.float32), (usable & sure).astype(np.float32)
-    levels = _levels(np.square(_grey(seen)), prints, ground, _NOMINAL)
-    narrow = _fit(seen, np.sqrt(_printed(prints, levels)), everywhere, _NARROW)
+    grey = np.square(_grey(seen))
+    levels = _levels(grey, prints, ground, _NOMINAL)
+    expected = np.sqrt(_printed(prints, levels))
+    narrow = _fit(seen, expected, everywhere, _NARROW)
     blind = (blurred(glaring.astype(np.float32), _NARROW) > _BLIND) & (narrow.match < MATCH)
     shown &= ~blind
     beside = (off > 0) & (off < _BESIDE)
@@ -189,9 +191,9 @@ def _told(
     cloth = None
     for turn in range(_TURNS):
         if turn:
-            levels = _levels(np.square(_grey(seen)), prints, ground, levels)
-        best = narrow.or_better(_fit(seen, np.sqrt(_printed(prints, levels)), *(
-            (ground, _INNER) if turn else (everywhere, _WIDE))))
+            expected = np.sqrt(_printed(prints, _levels(grey, prints, ground, levels)))
+        best = narrow.or_better(_fit(seen, expected, *((ground, _INNER) if turn else
+                                                       (everywhere, _WIDE))))
         evidence = np.where(shown, _evidence(seen, best, cloth), 0)
         # What hides the code beyond a gap in which it is seen, and beyond the cut, is no cloth.
         seen_from = np.cumsum(cv2.blur(evidence, (1, _ALIKE)), axis=1)
