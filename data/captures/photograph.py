@@ -37,7 +37,6 @@ from data.captures.outline_table import read_closed_curve
 from data.captures.plate_height import MAX_OFF, height_off
 from data.captures.scale import Scaled, scaled_photographs
 from data.pictures.cut import Cut, outline_of_cloth
-from data.pictures.mat import CODE
 from data.pictures.planes import mapped, shifted, upright
 from data.pictures.uncovered import uncover
 from sim.outlines import closed, coefficient_of_area, farthest, folds_around
@@ -293,14 +292,13 @@ def _as_seen(seen: Scaled, source: OutlineSource, rig: Rig) -> PhotographedOutli
     if seen.beside is not None:
         require_height(curve, rig, 1e-3 * (source.plate_height_mm or np.inf), seen.height)
         cameras = (np.append(seen.beside, seen.height),)
-    coded = bool(seen.printed and seen.printed.ground == CODE)
     found = PhotographedOutline(
         curve, seen.height, seen.middle is not None, rig, tuple(warnings), photograph.colour,
         to_pixels, step, pixels, photograph.factor, cameras=cameras,
         check="check_mat" if source.mat else "check_picture")
     unlike = unlike_cloth(found.radii, rig)
     return replace(found, error=np.maximum(error, unlike), clarity=Clarity.of(
-        found.radii, error, unlike, cameras, Ground.of(source, coded=coded)))
+        found.radii, error, unlike, cameras, Ground.of(source, coded=bool(seen.coded))))
 
 
 def _cut(seen: Scaled, rig: Rig) -> tuple[Cut, list[Finding]]:
@@ -309,10 +307,10 @@ def _cut(seen: Scaled, rig: Rig) -> tuple[Cut, list[Finding]]:
     cut = outline_of_cloth(
         seen.photograph, to_pixels, plate=rig.plate_radius, reach=rig.reach,
         known=seen.middle is not None, printed=seen.printed, unsure=seen.unsure)
-    if seen.printed and seen.printed.ground == CODE:
+    if seen.coded:
         cut, glare = uncover(
-            cut, seen.photograph, to_pixels, seen.printed, plate=rig.plate_radius,
-            reach=rig.reach, unlike=lambda radii: unlike_cloth(radii, rig))
+            cut, seen.photograph, to_pixels, seen.coded, plate=rig.plate_radius, reach=rig.reach,
+            unlike=lambda radii: unlike_cloth(radii, rig))
         if (share := float(glare.mean())) > MAX_GLARE:
             warnings.append(Finding("mat_overexposed", {
                 "value": share, "limit": MAX_GLARE, "place": sides(glare)}))

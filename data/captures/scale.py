@@ -93,6 +93,11 @@ class Scaled:
     warnings: tuple[Finding, ...] = ()
 
     @property
+    def coded(self) -> Printed | None:
+        """What a mat with the code shows; None of others."""
+        return self.printed if self.printed and self.printed.ground == CODE else None
+
+    @property
     def pixel(self) -> Metres:
         """Size of a pixel in the middle of the picture."""
         height, width = self.photograph.light.shape[:2]

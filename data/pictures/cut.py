@@ -26,7 +26,7 @@ FINE, COARSE = 4, 5  # inputs at each pixel, and at each square of two by two
 _FLOOR = 0.02  # of light
 _BRIGHT = 0.95  # quantile of the light that becomes 1
 _LIGHT = decoded(np.arange(256) / 255.0)
-BUNDLED = {on_mat: Path(__file__).resolve().parents[1] / "weights" / f"{name}.safetensors"
+BUNDLED = {SIDES[on_mat]: Path(__file__).resolve().parents[1] / "weights" / f"{name}.safetensors"
            for on_mat, name in ((False, "cloth"), (True, "cloth_on_mat"))}
 _MOST_TIMES = 12  # pixels of a photograph that are averaged, along a side
 _FINER = 8  # places for each pixel, between which log odds are linear
@@ -139,7 +139,7 @@ def cut_cloth(
     side = SIDES[printed is not None]
     along = steps(reach, side)
     for _ in range(_PLACES):
-        view, transparent = _view(photograph, to_pixels, middle, plate=plate, reach=reach,
+        view, transparent = _view(photograph, to_pixels, middle, along, plate=plate, reach=reach,
                                   known=known, printed=printed)
         odds, doubt = _log_odds(view)
         odds[transparent] = -_NO_ODDS
@@ -189,14 +189,12 @@ def outline_of_cloth(
 
 
 def _view(
-    photograph: Photograph, to_pixels: np.ndarray, middle: np.ndarray, *, plate: Metres,
-    reach: Metres, known: bool, printed: Printed | None
+    photograph: Photograph, to_pixels: np.ndarray, middle: np.ndarray, along: np.ndarray, *,
+    plate: Metres, reach: Metres, known: bool, printed: Printed | None
 ) -> tuple[ClothView, Mask]:
-    """The view of a photograph about the place (2,) ``middle``, m, of the plate's plane; and what
-    an editor has made transparent in it."""
-    side = SIDES[printed is not None]
-    along = steps(reach, side)
-    pixel = along[1] - along[0]
+    """The view of a photograph ``along`` places (S,) about a ``middle`` (2,), m, of the plate's
+    plane; and what an editor has made transparent in it."""
+    side, pixel = len(along), along[1] - along[0]
     step = np.diff(mapped(middle + np.array([[0, 0], [pixel, 0]]), to_pixels), axis=0)
     times = int(np.clip(np.ceil(np.linalg.norm(step)), 1, _MOST_TIMES))
     first = along[0] - pixel * (1 - 1 / times) / 2
@@ -234,7 +232,7 @@ def _log_odds(view: ClothView) -> tuple[np.ndarray, np.ndarray]:
         return upright[..., ::-1] if way > 3 else upright
 
     fine, coarse = (np.stack([turned(one, way) for way in range(8)]) for one in view.channels())
-    odds, = bundled_graph(BUNDLED[view.side == SIDES[True]])(fine=fine, coarse=coarse)
+    odds, = bundled_graph(BUNDLED[view.side])(fine=fine, coarse=coarse)
     found = np.stack([back(one, way) for way, one in enumerate(odds)])
     return found.mean(0), found.std(0)
 

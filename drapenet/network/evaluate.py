@@ -103,7 +103,7 @@ CELLS: dict[str, Cell] = {
     "outline, height not stated": Cell(replace(_PARALLEL, parallel=0.0, stated=0.0)),
     "outline, warp not stated": Cell(replace(_PARALLEL, known=0.0)),
     "outline, read over the mat": Cell(replace(_PARALLEL, parallel=0.0, stated=1.0, read=1.0)),
-    **{f"outline, {error} mm stated": Cell(replace(
+    **{f"outline, {error} mm of 300 stated": Cell(replace(
         _PARALLEL, doubted=1.0, errors=(error / 150,) * 2)) for error in (1, 3, 10)},
     **{f"outline, sets of {size}": Cell(replace(_PARALLEL, sizes=_sets(size)))
        for size in (2, 4, 10)},

@@ -117,7 +117,7 @@ class Batch:
     pictures: np.ndarray  # (N, PICTURES or 0, SIDE, SIDE) in sizes, NaN where there is no cloth
     angle: np.ndarray  # (N,) of azimuth 0 in the first picture, rad
     shape: np.ndarray  # (N, SHAPE), see :mod:`drapenet.network.expected`
-    targets: np.ndarray | None = None  # (..., M, TARGETS) standardised; None in inference
+    targets: np.ndarray | None = None  # (M, TARGETS) standardised; None in inference
 
     @classmethod
     def of(cls, distance: np.ndarray, weight: np.ndarray, outline: np.ndarray, error: np.ndarray,

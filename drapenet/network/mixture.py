@@ -45,9 +45,9 @@ class Mixture:
                      zip(*(vars(part).values() for part in parts), strict=True)))
 
     def log_likelihood(self, targets: torch.Tensor) -> torch.Tensor:
-        """(..., N) log density at targets (..., N, T)."""
-        gap = targets[..., None, :] - self.means
-        white = torch.einsum("nkji,...nkj->...nki", self.factors, gap)
+        """(N,) log density at targets (N, T)."""
+        gap = targets[:, None] - self.means
+        white = torch.einsum("nkji,nkj->nki", self.factors, gap)
         volume = self.factors.diagonal(dim1=2, dim2=3).log().sum(dim=2)
         each = (volume - 0.5 * white.square().sum(dim=-1)
                 - gap.shape[-1] / 2 * math.log(2 * math.pi))

@@ -154,14 +154,12 @@ class Network(torch.nn.Module):
         return [torch.from_numpy(getattr(batch, name)).to(device) for name in names]
 
     def log_density_of_shapes(self, batch: Batch) -> torch.Tensor:
-        """(..., N) of the captures' shapes, of the true cloth; 0 of a network that expects none."""
+        """(N,) of the captures' shapes, of the true cloth; 0 of a network that expects none."""
         shape, facts, face, group = self.tensors(batch, "shape", "circumstances", "face", "group")
         if self.expected is None or batch.targets is None:
             return torch.zeros(len(group), device=facts.device)
-        targets = self.tensors(batch, "targets")[0][..., group, :]
-        every = targets.shape[:-1]
-        return self.expected.log_density(shape, targets, facts.expand(*every, -1),
-                                         face.expand(every))
+        targets, = self.tensors(batch, "targets")
+        return self.expected.log_density(shape, targets[group], facts, face)
 
     def answer(self, batch: Batch) -> Mixture:
         """The posterior of a batch, on the network's device."""

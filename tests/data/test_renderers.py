@@ -12,7 +12,7 @@ from common.errors import InputError
 from data.dataset import cloth, learning
 from data.dataset.cloth import ClothNetwork
 from data.dataset.off_axis import silhouette
-from data.pictures.cut import BUNDLED, cut_cloth, outline_of_cloth
+from data.pictures.cut import BUNDLED, SIDES, cut_cloth, outline_of_cloth
 from data.pictures.reading import Photograph, decoded
 from data.render import cloth_scenes, textures
 from data.render.cameras import Camera, nominal_camera
@@ -347,6 +347,6 @@ def test_the_network_is_trained_alike_twice_and_stored_small(cloth_dataset, tmp_
         # A graph takes seconds; once is enough.
         monkeypatch.setattr(learning, "save_graph", lambda *_, **__: None)
     assert files[0].read_bytes() == files[1].read_bytes()
-    assert len(files[0].read_bytes()) == len(BUNDLED[True].read_bytes()) < 2_000_000
+    assert len(files[0].read_bytes()) == len(BUNDLED[SIDES[True]].read_bytes()) < 2_000_000
     ClothNetwork().load_state_dict(load_file(files[0]), strict=False)
     assert "of 2 shards are finished" in capsys.readouterr().out
