@@ -205,7 +205,8 @@ def require_one_fabric(parts: Sequence[Part | Measured]) -> None:
 
 def require_one_density(densities: Sequence[Density]) -> None:
     """InputError for specimens whose densities, kg/m², are too different to be of one fabric."""
-    low, high = min(densities, default=0.0), max(densities, default=0.0)
+    low = min(densities, default=0.0)
+    high = max(densities, default=0.0)
     if high > (1 + MAX_DENSITY_DIFFERENCE) * low:
         raise InputError(f"captures and strips of one fabric state densities from {1e3 * low:g} to "
                          f"{1e3 * high:g} g/m², more than {MAX_DENSITY_DIFFERENCE:.0%} apart; "
@@ -256,7 +257,8 @@ def join(
     documents = [part.document for part in parts]
     captures = [evidence for part in parts if (evidence := part.evidence)]
     records = [record for document in documents for record in document.records]
-    density, names = documents[0].density, ("", "the capture", "the captures")
+    density = documents[0].density
+    names = ("", "the capture", "the captures")
     stated = [each.stated for each in captures]
     draws, contradictions = infer_jointly(captures, header, stated_of(stated, density, records))
     estimate = combine(draws, evidence_of(records, stated, density), density, header,
