@@ -136,8 +136,11 @@ SKEW = {"warp_direction_deg": 25}
     "# written by hand\n# x_mm y_mm\n" + rows(X, Y, "{:.4f} {:.4f}\n"),
     "radius_mm,angle\n" + rows(1e3 * RADIUS, DEGREES),
     "sep=\t\nx_mm\ty_mm\n" + rows(X, Y, "{:.4f}\t{:.4f}\n").replace(".", ","),
+    "x_mm;y_mm\n" + rows(X, Y, "{:.4f};{:.4f}\n").replace("-", "\u2212"),
+    "x_mm y_mm\n" + rows(X, Y, "{:.4f} {:.4f}\n").translate({45: "\u2212", 46: ","}),
+    "angle;radius_mm;area_px\n" + rows(DEGREES, 1e3 * RADIUS, "{:.4f}\u00b0;{:.4f};7\n"),
 ], ids=["R", "R without corner", "quoted", "Excel and units", "empty", "title", "comments",
-        "radius first", "tab"])
+        "radius first", "tab", "minus sign", "minus sign, spaces", "degree sign"])
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
 def test_tables_of_other_programs_are_read(tmp_path, text, encoding):
     folder = write(tmp_path / "capture", "", "outline.csv", **SKEW,
@@ -315,6 +318,12 @@ FAULTS = {
     "columns twice": (lambda: "x_mm,y_mm,x_mm\n" + rows(X, Y, "{0:.4f},{1:.4f},{0:.4f}\n"), {},
                       "has two columns x"),
     "columns": (lambda: "a_mm,b_mm\n" + rows(X, Y), {}, "neither x and y nor angle and radius"),
+    "pixels": (lambda: "x_px;y_px\n" + rows(X, Y, "{:.4f};{:.4f}\n"), MM, "header states px; give"),
+    "unit row": (lambda: "x;y\n[px];[px]\n" + rows(X, Y, "{:.4f};{:.4f}\n"), MM, "states px"),
+    "gon": (lambda: rows(DEGREES / 0.9, 1e3 * RADIUS), MM, "span 398.9°, more than a turn"),
+    "angle in gon": (lambda: "angle [gon],radius\n" + rows(DEGREES, 1e3 * RADIUS), MM, "gon"),
+    "thousands": (lambda: "x;y\n" + rows(1e3 * X, 1e3 * Y, "{:,.2f};{:,.2f}\n"), MM,
+                  "line .*, does not have 2 numbers; .* without marks between thousands"),
     "comma": (lambda: rows(X, Y).replace(".", ","), MM, "does not have 2 numbers"),
     "radians": (lambda: rows(ANGLE, 1e3 * RADIUS), MM, "span 6.266°, at least 270°"),
     "few": (lambda: rows(X[:80], Y[:80]), MM, "20 points"),
