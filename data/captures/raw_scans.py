@@ -1,6 +1,7 @@
 """Scans as scanners write them: meshes or clouds of points, in any unit and orientation."""
 
 import io
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -59,6 +60,8 @@ def _read(path: Path) -> tuple[Points, Faces]:
     import trimesh
 
     data = read_bytes(path, MAX_BYTES, "scan")
+    if path.suffix.lower() == ".obj":
+        data = _numbered_from_first(data)
     # From memory: files that a scan refers to, such as materials, must not be read.
     mesh: Any = trimesh.load(io.BytesIO(data), file_type=path.suffix[1:].lower(), process=False,
                         skip_materials=True)
@@ -81,3 +84,22 @@ def _read(path: Path) -> tuple[Points, Faces]:
         raise InputError(f"has {len(points)} points; a scan has {MIN_POINTS} to "
                          f"{MAX_SCAN_SIZE}", source=path, joint=" ")
     return points, faces
+
+
+def _numbered_from_first(text: bytes) -> bytes:
+    """An OBJ with the vertices of its faces by their places from the first on; trimesh takes
+    negative ones, which count back from the face, for places from the end of the file."""
+    if not re.search(rb"^f[ \t].*-", text, re.MULTILINE):
+        return text
+    count = 0
+
+    def line(found: re.Match[bytes]) -> bytes:
+        nonlocal count
+        if found[0].startswith(b"v"):
+            count += 1
+            return found[0]
+        return b"f " + b" ".join(
+            b"%d" % (number if (number := int(corner.partition(b"/")[0])) > 0 else
+                     count + 1 + number) for corner in found[0].split()[1:])
+
+    return re.sub(rb"^[vf][ \t].*", line, text, flags=re.MULTILINE)
