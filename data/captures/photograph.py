@@ -39,11 +39,11 @@ from data.captures.scale import Scaled, scaled_photographs
 from data.pictures.cut import Cut, outline_of_cloth
 from data.pictures.planes import mapped, shifted, upright
 from data.pictures.uncovered import uncover
+from data.readings.known import MIN_COEFFICIENT
 from sim.outlines import closed, coefficient_of_area, farthest, folds_around
 from sim.rig import Rig
 
 MAX_PIXEL = 1.5e-3  # m
-MIN_COEFFICIENT = 0.02  # of cloth on a plate; the plate alone has 0
 MAX_TILT = np.radians(10.0)
 MAX_GROUNDED, MAX_GLARE = 0.02, 0.05  # of the azimuth
 HANGING = 0.005  # m, allowed to reach below the mat, of specimens that are not centred
