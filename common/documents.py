@@ -258,13 +258,13 @@ def _around(data: bytes, place: int) -> str:
 
 
 def misnamed(names: Iterable[str], file: str) -> str:
-    """The one of ``names`` that stands for ``file``, NAME.yaml, with another suffix or case; or ''.
+    """The one of ``names`` that stands for ``file``, NAME.yaml, with further suffixes, in another
+    case, or with a copy's number; or ''.
 
-    Editors append .txt, which Windows hides.
+    Editors append .txt or .yaml, which Windows hides, browsers (1).
     """
-    stem = file.removesuffix(".yaml")
-    meant = {stem + suffix for suffix in (".yaml", ".yml", ".yaml.txt", ".yml.txt")}
-    return next((name for name in sorted(names) if name.lower() in meant), "")
+    meant = re.compile(rf"{file.removesuffix('.yaml')} ?(\(\d+\))?\.ya?ml(\.ya?ml|\.txt)*", re.I)
+    return next((name for name in sorted(names) if meant.fullmatch(name)), "")
 
 
 def require_file_in(folder: Path, name: str, content: str) -> Path:
