@@ -44,6 +44,7 @@ def on_paper() -> np.ndarray:
     return cv2.copyMakeBorder(drawn(), 100, 100, 0, 100, cv2.BORDER_CONSTANT, value=30)
 
 
+SCALE = {"mm_per_px": 0.4}
 PLATE = {"plate_px": plate(), "camera_height_mm": 1200}
 
 
@@ -283,6 +284,27 @@ def test_lengths_are_in_the_unit_of_the_header(tmp_path, heads, factor):
     assert error_mm(read_capture(folder)) < 0.1
 
 
+@pytest.mark.parametrize(("options", "said"), [
+    ({}, []), ({"dpi": (63.5, 63.5)}, []), ({"dpi": (300, 300)}, ["scale_contradicts"]),
+    ({"format": "JPEG", "dpi": (300, 300), "exif": 37386}, []),
+    ({"dpi": (204, 196)}, "its pixels are not square"),
+    ({"save_all": True, "append_images": [Image.new("L", (900, 900))]}, "several pictures"),
+    ({"tiffinfo": {50706: b"\1\4\0\0"}}, "several pictures"),  # DNG
+    ({"format": "PNG", "dpi": (204, 196)}, "its pixels are not square")])
+def test_a_scan_has_one_picture_of_square_pixels_at_the_stated_scale(tmp_path, options, said):
+    folder = write(tmp_path / "capture", drawn(), "unrelated.png", outline=SCALE)
+    exif = Image.Exif()
+    if "exif" in options:
+        exif.get_ifd(0x8769)[options["exif"]] = 27.0
+    Image.fromarray(drawn()).save(folder / "outline.tif", **{"format": "TIFF"} | options | {
+        "exif": exif})
+    if isinstance(said, str):
+        with pytest.raises(InputError, match=said):
+            read_capture(folder)
+    else:
+        assert [found.code for found in read_capture(folder).warnings][:-2] == said
+
+
 def test_a_picture_of_the_plate_gives_scale_and_centre(tmp_path):
     folder = write(tmp_path / "capture", drawn(), outline={"camera_height_mm": 1200})
     Image.fromarray(drawn(0.09 * AROUND, cloth=120)).save(folder / "plate.png")
@@ -307,7 +329,7 @@ def test_cloth_nearly_as_light_as_its_ground_states_a_large_error(tmp_path):
     assert error_mm(capture) < 2e3 * np.quantile(capture.outline.error, 0.9)
 
 
-MM, SCALE = {"unit": "mm"}, {"mm_per_px": 0.4}
+MM = {"unit": "mm"}
 FAULTS = {
     "blank": (lambda: drawn(cloth=210), PLATE, "differs from its ground on 0% of the plate"),
     "small": (lambda: drawn(0.1 * CURVE), PLATE, "differs from its ground on .* of the plate"),
