@@ -117,6 +117,12 @@ def test_a_text_is_taken_as_it_is_written(run, text):
     assert words.name == words.inner.text == text
 
 
+def test_a_path_may_begin_at_the_home_folder(run, monkeypatch):
+    monkeypatch.setenv("HOME", "/home/me")
+    (words,) = run("name=~/drapes", "inner.text='~/a'")
+    assert (words.name, words.inner.text) == ("/home/me/drapes", "~/a")
+
+
 @pytest.mark.parametrize(("text", "number"), [("03", 3.0), ("-004.5", -4.5), ("1e0", 1.0)])
 def test_numbers_are_decimal(run, tmp_path, text, number):
     """On the command line and in files of settings."""
