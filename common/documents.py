@@ -58,6 +58,7 @@ class Excerpt(Schema):
 
 _PLAIN = {"float_type": "is not a number; write digits alone, without a unit",
           "int_type": "is not a whole number",
+          "string_pattern_mismatch": "has characters that are not taken",
           "model_type": "must be 'key: value' pairs in braces"}
 """Sentences in place of Pydantic's, by the type of fault."""
 

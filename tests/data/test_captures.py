@@ -16,7 +16,7 @@ from common.errors import InputError
 from common.findings import Finding, texts
 from data.captures.arrays import checked_capture
 from data.captures.capture import DepthCapture
-from data.captures.description import whole_turns
+from data.captures.description import Specimen, whole_turns
 from data.captures.reader import read_capture
 from data.captures.writer import write_capture
 from data.render.cameras import nominal_camera
@@ -68,9 +68,17 @@ def test_pictures_are_subsampled_by_what_a_pixel_covers_not_by_their_width(
     assert (capture.views > 0).mean() == pytest.approx((views > 0).mean(), rel=0.02)  # not cut
 
 
+@pytest.mark.parametrize(("density", "said"), [
+    (30, ["density_light"]), (210, []), (1380, ["density_heavy"])])
+def test_a_density_that_few_fabrics_have_is_asked_for(density, said):
+    specimen = Specimen.of({"density_g_m2": density}, "")
+    assert [found.code for found in specimen.questions] == said
+
+
 def test_labels_of_the_report_are_read_and_written(folder, tmp_path, views):
     assert read_capture(folder).labels.stated() == {}
-    stated = {"fabric": "Köper 7/8", "date": "2026-11-26", "operator": "M. M.", "camera": "D435i"}
+    stated = {"fabric": "Köper 7/8", "date": "2026-11-26", "operator": "M. M.", "camera": "D435i",
+              "laboratory": "\u0646\u062e\u200c\u0647\u0627", "remarks": "soft\u00adhyphen"}
     describe(folder, **stated | {"date": date(2026, 11, 26)})  # as YAML reads it without quotes
     labels = read_capture(folder).labels
     assert labels.stated() == stated
