@@ -20,6 +20,7 @@ RAW = (".ply", ".obj", ".stl", ".glb")  # suffixes
 KINDS = f"{', '.join(RAW[:-1])} or {RAW[-1]}"
 MAX_BYTES = 256 << 20
 MIN_POINTS = 200
+_HEAD = 1 << 16  # bytes of a file that show how it is written
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,12 @@ def _read(path: Path) -> tuple[Points, Faces]:
     import trimesh
 
     data = read_bytes(path, MAX_BYTES, "scan")
+    if packed := re.search(rb"KHR_draco|EXT_meshopt", data[:_HEAD]):
+        raise InputError(f"is compressed ({packed[0].decode()}); export it without compression",
+                         source=path, joint=" ")
+    if re.search(rb"^[ \t]*(v\w*[ \t]+)?-?\d+,\d+[ \t]+-?\d+,\d", data[:_HEAD], re.MULTILINE):
+        raise InputError("has decimal commas; export it with decimal points", source=path,
+                         joint=" ")
     if path.suffix.lower() == ".obj":
         data = _numbered_from_first(data)
     # From memory: files that a scan refers to, such as materials, must not be read.
