@@ -1,6 +1,7 @@
 """Sound sources of each kind, and what spoils them: what the tables of tests/refused name."""
 
 import json
+import os
 import shutil
 import struct
 import zlib
@@ -18,7 +19,7 @@ import yaml
 from checkpoints import describe_again, description, save_untrained
 from cloths import describe, lopsided_views, waves
 from elastica_curves import LAWS, curves_of, write_curve
-from PIL import Image
+from PIL import Image, ImageOps
 from safetensors.numpy import load, save_file
 
 import apps.cantilever
@@ -402,6 +403,17 @@ def grey_picture(folder: Path, name: str) -> None:
     Image.new("RGB", (800, 600), (200, 190, 180)).save(folder / name)
 
 
+def pipe(folder: Path, name: str) -> None:
+    """A named pipe, to which nobody writes."""
+    os.mkfifo(folder / name)
+
+
+def mirrored(folder: Path, name: str) -> None:
+    """A photograph as a camera for oneself shows it."""
+    with Image.open(folder / name) as picture:
+        ImageOps.mirror(picture).save(folder / name, exif=picture.getexif())
+
+
 def small_background(folder: Path) -> None:
     """A picture of the empty scene of another size."""
     Image.fromarray(np.full((90, 240), 800, np.uint16)).save(folder / "background.png")
@@ -450,4 +462,4 @@ CHANGES = {change.__name__: change for change in (
     truncated, gone, a_file, filled, undescribed, repeated_strip, heavier_strip, replaced,
     again, folder_in_the_way, mesh, many, png_of_size, endless_density, blank, striped, thinned,
     cut, one_column, whole, in_bits, coloured, small_background, damaged_pixels, array,
-    array_header, points, polar, grey_picture)}
+    array_header, points, polar, grey_picture, pipe, mirrored)}

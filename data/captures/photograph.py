@@ -16,6 +16,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from common.documents import read_bytes
 from common.errors import InputError, of
 from common.findings import Finding
 from common.types import Metres, Outline, PixelPath, Radians, Vector
@@ -38,6 +39,7 @@ from data.captures.plate_height import MAX_OFF, height_off
 from data.captures.scale import Scaled, scaled_photographs
 from data.pictures.cut import Cut, outline_of_cloth
 from data.pictures.planes import mapped, shifted, upright
+from data.pictures.reading import MAX_FILE_BYTES
 from data.pictures.uncovered import uncover
 from data.readings.known import MIN_COEFFICIENT
 from sim.outlines import closed, coefficient_of_area, farthest, folds_around
@@ -158,7 +160,7 @@ def read_outline(
 
 
 def _sha256(file: Path) -> str:
-    return sha256(file.read_bytes()).hexdigest()
+    return sha256(read_bytes(file, MAX_FILE_BYTES, "photograph")).hexdigest()
 
 
 def _tabulated(
