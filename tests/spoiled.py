@@ -25,10 +25,13 @@ from safetensors.numpy import load, save_file
 import apps.cantilever
 import apps.capture
 import apps.drape
+import data.dataset.generate
+import data.dataset.inspect
 import data.fabrics.prior.__main__
 import examples.make_capture
 import examples.make_strips
 import infer
+import train
 from apps.strip_curves import read_curve
 from data.captures.raw_scans import read_raw_scan
 from data.captures.reader import read_capture
@@ -157,6 +160,9 @@ STARTS = {
     "drape": Start(command=apps.drape.main, words=(), doors=(COMMAND,)),
     "cantilever": Start(_curve, command=apps.cantilever.main, words=(), doors=(COMMAND,)),
     "prior": Start(command=data.fabrics.prior.__main__.main, words=(), doors=(COMMAND,)),
+    "dataset": Start(command=data.dataset.generate.main, words=(), doors=(COMMAND,)),
+    "inspection": Start(command=data.dataset.inspect.main, words=(), doors=(COMMAND,)),
+    "training": Start(command=train.main, words=("data=/none",), doors=(COMMAND,)),
     "check": Start(command=apps.capture.main, words=(), doors=(COMMAND,)),
     "practice capture": Start(command=examples.make_capture.main, words=(), doors=(COMMAND,)),
     "practice strips": Start(command=examples.make_strips.main, words=(), doors=(COMMAND,)),
