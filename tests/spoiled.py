@@ -19,6 +19,7 @@ import yaml
 from checkpoints import describe_again, description, save_untrained
 from cloths import describe, lopsided_views, waves
 from elastica_curves import LAWS, curves_of, write_curve
+from estimates import document_of, estimate_of
 from PIL import Image, ImageOps
 from safetensors.numpy import load, save_file
 
@@ -28,11 +29,13 @@ import apps.drape
 import data.dataset.generate
 import data.dataset.inspect
 import data.fabrics.prior.__main__
+import drapenet.export.__main__
 import examples.make_capture
 import examples.make_strips
 import infer
 import train
 from apps.strip_curves import read_curve
+from common.files import replace_json
 from data.captures.raw_scans import read_raw_scan
 from data.captures.reader import read_capture
 from data.captures.writer import write_capture
@@ -42,6 +45,8 @@ from drapenet.fabric.entries import entries_of
 from drapenet.measured.strips.folder import read_strips
 from drapenet.measured.tension.folder import read_tension
 from drapenet.network.checkpoint import read_header
+from drapenet.result.files import ESTIMATE
+from sim.material import MICRO
 from sim.rig import DISC_RIG, SQUARE_RIG
 from sim.scene import make_specimen
 
@@ -132,6 +137,11 @@ def _curve(folder: Path) -> None:
     write_curve(folder / "w.csv", curves_of(*LAWS[0])[0])
 
 
+def _estimate(folder: Path) -> None:
+    document = document_of(estimate_of(MICRO * np.array([52, 31, 22]), np.zeros(3)))
+    replace_json(folder / ESTIMATE, document.content())
+
+
 def _fabrics(folder: Path) -> None:
     """A table of fabrics."""
     rows = ["0.30, 2000, 1000, 1500, -20, -10, 15", "0.15, 9000, 4000, 6000, -900, -400, -600"]
@@ -155,6 +165,7 @@ STARTS = {
     "checkpoint": Start(_checkpoint, lambda folder: read_header(folder / "net.safetensors"),
                         words=("checkpoint={}/net.safetensors", f"capture={TWILL}"),
                         description="net.safetensors", doors=(READER, COMMAND)),
+    "description": Start(doors=(READER,)),
     "nothing": Start(doors=(READER, COMMAND)),
     "command": Start(words=(), doors=(COMMAND,)),
     "drape": Start(command=apps.drape.main, words=(), doors=(COMMAND,)),
@@ -163,6 +174,8 @@ STARTS = {
     "dataset": Start(command=data.dataset.generate.main, words=(), doors=(COMMAND,)),
     "inspection": Start(command=data.dataset.inspect.main, words=(), doors=(COMMAND,)),
     "training": Start(command=train.main, words=("data=/none",), doors=(COMMAND,)),
+    "export": Start(_estimate, command=drapenet.export.__main__.main, description=ESTIMATE,
+                    words=("estimate={}/estimate.json",), doors=(COMMAND,)),
     "check": Start(command=apps.capture.main, words=(), doors=(COMMAND,)),
     "practice capture": Start(command=examples.make_capture.main, words=(), doors=(COMMAND,)),
     "practice strips": Start(command=examples.make_strips.main, words=(), doors=(COMMAND,)),
@@ -232,7 +245,7 @@ def _set(file: Path, place: str, value: object) -> None:
     if checkpoint:
         describe_again(file, json.dumps(content))
     else:
-        file.write_text(yaml.safe_dump(content))
+        file.write_text(json.dumps(content) if file.suffix == ".json" else yaml.safe_dump(content))
 
 
 def _again(file: Path, key: str, **changes: object) -> None:
