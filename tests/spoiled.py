@@ -40,6 +40,7 @@ from data.captures.raw_scans import read_raw_scan
 from data.captures.reader import read_capture
 from data.captures.writer import write_capture
 from data.fabrics.fabrics import TABLE_COLUMNS, read_fabric_table
+from data.fabrics.prior import load_prior, save_prior
 from data.render.cameras import nominal_camera
 from drapenet.fabric.entries import entries_of
 from drapenet.measured.strips.folder import read_strips
@@ -142,6 +143,13 @@ def _estimate(folder: Path) -> None:
     replace_json(folder / ESTIMATE, document.content())
 
 
+def _prior(name: str) -> Start:
+    """A bundled one."""
+    return Start(lambda folder: save_prior(load_prior(name), folder / "p.json"),
+                 lambda folder: load_prior(folder / "p.json"), description="p.json",
+                 doors=(READER,))
+
+
 def _fabrics(folder: Path) -> None:
     """A table of fabrics."""
     rows = ["0.30, 2000, 1000, 1500, -20, -10, 15", "0.15, 9000, 4000, 6000, -900, -400, -600"]
@@ -182,6 +190,8 @@ STARTS = {
     "curve": Start(_curve, lambda folder: read_curve(folder / "w.csv"), doors=(READER,)),
     "fabrics": Start(_fabrics, lambda folder: read_fabric_table(folder / "fabrics.csv"),
                      doors=(READER,)),
+    "gaussian": _prior("gaussian"),
+    "vae": _prior("vae"),
     "list": Start(read=lambda folder: entries_of(folder / "list.csv"), doors=(READER,)),
     "form": Start(fields={"density_g_m2": "210"}, doors=(SERVICE,)),
     "form of a photograph": Start(doors=(SERVICE,), fields={

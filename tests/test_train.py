@@ -166,7 +166,6 @@ def test_another_setting_in_the_same_folder_is_refused(words, trained, tmp_path,
 @pytest.mark.parametrize(("word", "message"), [
     ("optim.batch_size=1000", "batch"),
     ("model.backbone=resnet18", r"inputs=\[depth,outline,numbers\].*give inputs=\[depth\]"),
-    ("setup=nowhere", "nowhere"),
     ("setup.pitch_deg=[50,25]", "pitch"),
     (f"out={__file__}", "cannot write to the folder"),
 ])

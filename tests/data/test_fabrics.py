@@ -403,20 +403,3 @@ def test_both_faces_of_each_fabric_are_up():
     curls = np.array([p.nuisances.curl_warp for p in drapes]).reshape(100, 4)
     assert np.allclose(faces * curls, (faces * curls)[:, :1]) and (curls != 0).all()
     assert {p.face for p in plans(8)} == {1}
-
-
-@pytest.mark.parametrize(("changes", "complaint"), [
-    ({"starts_per_fabric": 0}, "starts_per_fabric"),
-    ({"starts": ("flat",)}, "flat.* must contain only lowered, sine, fold"),
-    ({"starts": ()}, "must contain lowered or sine"),
-    ({"starts": ("borrowed",)}, "nothing to borrow"),
-    ({"testers": ("moon",)}, "moon"),
-    ({"testers": ()}, "random_testers=0 .* be 1 without testers"),
-    ({"random_testers": 0.7, "rectangles": 0.4}, "rectangles=0.4 .* at most 1"),
-    ({"random_testers": -0.1}, "not be negative"), ({"rectangles": -0.1}, "not be negative"),
-    ({"starts": ("sine", "borrowed"), "rectangles": 0.5}, "give a single name in testers"),
-    ({"testers_per_fabric": 3}, "testers_per_fabric=3 must lie between 1 and"),
-    ({"starts": ("sine", "borrowed"), "random_testers": 0.5}, "give a single name in testers")])
-def test_nonsense_is_refused(changes, complaint):
-    with pytest.raises(InputError, match=complaint):
-        SamplingConfig(**changes)
