@@ -48,9 +48,8 @@ def named_columns(header: list[str], rows: list[Row]) -> list[str]:
 
 
 def number(text: str) -> float:
-    """The number in a cell, also with a decimal comma or U+2212 for a minus; ValueError if there is
-    none."""
-    text = text.replace("\u2212", "-")
+    """The number in a cell, also with a decimal comma, U+2212 or °; ValueError if there is none."""
+    text = text.replace("\u2212", "-").removesuffix("°")
     return float(text if "." in text else text.replace(",", "."))
 
 

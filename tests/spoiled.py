@@ -32,6 +32,7 @@ import data.fabrics.prior.__main__
 import drapenet.export.__main__
 import examples.make_capture
 import examples.make_strips
+import experiments.__main__
 import infer
 import train
 from apps.strip_curves import read_curve
@@ -184,6 +185,7 @@ STARTS = {
     "training": Start(command=train.main, words=("data=/none",), doors=(COMMAND,)),
     "export": Start(_estimate, command=drapenet.export.__main__.main, description=ESTIMATE,
                     words=("estimate={}/estimate.json",), doors=(COMMAND,)),
+    "study": Start(command=experiments.__main__.main, words=(), doors=(COMMAND,)),
     "check": Start(command=apps.capture.main, words=(), doors=(COMMAND,)),
     "practice capture": Start(command=examples.make_capture.main, words=(), doors=(COMMAND,)),
     "practice strips": Start(command=examples.make_strips.main, words=(), doors=(COMMAND,)),
@@ -256,13 +258,6 @@ def _set(file: Path, place: str, value: object) -> None:
         describe_again(file, json.dumps(content))
     else:
         file.write_text(json.dumps(content) if file.suffix == ".json" else yaml.safe_dump(content))
-
-
-def _again(file: Path, key: str, **changes: object) -> None:
-    """The first strip of a description once more, changed."""
-    content = yaml.safe_load(file.read_text())
-    content[key].append(content[key][0] | changes)
-    file.write_text(json.dumps(content))  # without an alias
 
 
 def large_png(width: int, height: int) -> bytes:
@@ -355,14 +350,11 @@ def png_of_size(folder: Path, name: str, width: int, height: int) -> None:
     (folder / name).write_bytes(large_png(width, height))
 
 
-def repeated_strip(folder: Path) -> None:
-    """Two strips of one photograph."""
-    _again(folder / "strips.yaml", "strips")
-
-
-def heavier_strip(folder: Path) -> None:
-    """A second strip that is no longer under twice the weight."""
-    _again(folder / "tension.yaml", "tension", load_g=50)
+def repeated(folder: Path, name: str, key: str, load: float | None = None) -> None:
+    """A description whose first strip is there once more, or under another load."""
+    content = yaml.safe_load((folder / name).read_text())
+    content[key].append(content[key][0] | ({"load_g": load} if load else {}))
+    (folder / name).write_text(json.dumps(content))  # without an alias
 
 
 def endless_density(folder: Path) -> None:
@@ -488,7 +480,7 @@ def points(folder: Path, *content: Any) -> None:
 
 
 CHANGES = {change.__name__: change for change in (
-    truncated, gone, a_file, filled, undescribed, repeated_strip, heavier_strip, replaced,
+    truncated, gone, a_file, filled, undescribed, repeated, replaced,
     again, folder_in_the_way, mesh, many, png_of_size, endless_density, blank, striped, thinned,
     cut, one_column, whole, in_bits, coloured, small_background, damaged_pixels, array,
     array_header, points, polar, grey_picture, pipe, mirrored)}

@@ -76,8 +76,7 @@ def _heads(heads: list[list[str]], rows: list[Row]) -> tuple[list[str], str | No
         used = " ".join(cell for name, cell in zip(names, cells, strict=False) if name)
         if other := _NOT_READ.search(used):
             raise InputError(f"its header states {other[1]}; give lengths in mm (pixels divided by "
-                             "the pixels of a mm), angles in degrees, and name them so, such as "
-                             "x_mm;y_mm")
+                             "those of a mm), angles in degrees, and name them, such as x_mm;y_mm")
     if heads and not names:
         names = [""]
     if len(units) > 1:
@@ -100,21 +99,16 @@ def _count(cells: list[str]) -> int:
     found = 0
     for cell in cells:
         with suppress(ValueError):
-            _cell(cell)
+            number(cell)
             found += 1
     return found
-
-
-def _cell(text: str) -> float:
-    """The number in a cell, which of an angle may have the sign of degrees."""
-    return number(text.removesuffix("°"))
 
 
 def _numbers(row: Row, places: list[int], count: int) -> list[float]:
     """The numbers in two of ``count`` cells."""
     line, cells = row
     with suppress(ValueError, IndexError):
-        numbers = [_cell(cells[place]) for place in places]
+        numbers = [number(cells[place]) for place in places]
         if np.isfinite(numbers).all() and len(cells) <= count:
             return numbers
     raise InputError(f"its line {line}, {shown(' '.join(cells))}, does not have {count} numbers; "
@@ -147,8 +141,7 @@ def _from_angles(
         raise InputError(f"its angles span {turn:.4g}°, at least {MIN_TURN:g}° are needed; "
                          "give degrees, or x and y about the plate's centre")
     if turn > MAX_TURN:
-        raise InputError(f"its angles span {turn:.4g}°, more than a turn; give degrees (a turn is "
-                         "360, or 400 gon)")
+        raise InputError(f"its angles span {turn:.4g}°, more than a turn; give degrees, not gon")
     if handed and not source.angles and (np.diff(degrees) < 0).mean() > 0.5:
         raise InputError("its angles descend, as if they were counted clockwise; state outline: "
                          "{angles: clockwise}, or counter-clockwise, as seen from above")

@@ -21,6 +21,8 @@ KINDS = f"{', '.join(RAW[:-1])} or {RAW[-1]}"
 MAX_BYTES = 256 << 20
 MIN_POINTS = 200
 _HEAD = 1 << 16  # bytes of a file that show how it is written
+_UNREAD = {rb"KHR_draco|EXT_meshopt": "is compressed; export it without compression",
+           rb"^[ \t]*(v\w*[ \t]+)?-?\d+,\d+[ \t]+-?\d+,\d": "has decimal commas; write points"}
 
 
 @dataclass(frozen=True)
@@ -61,14 +63,11 @@ def _read(path: Path) -> tuple[Points, Faces]:
     import trimesh
 
     data = read_bytes(path, MAX_BYTES, "scan")
-    if packed := re.search(rb"KHR_draco|EXT_meshopt", data[:_HEAD]):
-        raise InputError(f"is compressed ({packed[0].decode()}); export it without compression",
-                         source=path, joint=" ")
-    if re.search(rb"^[ \t]*(v\w*[ \t]+)?-?\d+,\d+[ \t]+-?\d+,\d", data[:_HEAD], re.MULTILINE):
-        raise InputError("has decimal commas; export it with decimal points", source=path,
-                         joint=" ")
+    for mark, fault in _UNREAD.items():
+        if re.search(mark, data[:_HEAD], re.MULTILINE):
+            raise InputError(fault, source=path, joint=" ")
     if path.suffix.lower() == ".obj":
-        data = _numbered_from_first(data)
+        data = _counted_from_first(data)
     # From memory: files that a scan refers to, such as materials, must not be read.
     mesh: Any = trimesh.load(io.BytesIO(data), file_type=path.suffix[1:].lower(), process=False,
                         skip_materials=True)
@@ -93,20 +92,16 @@ def _read(path: Path) -> tuple[Points, Faces]:
     return points, faces
 
 
-def _numbered_from_first(text: bytes) -> bytes:
-    """An OBJ with the vertices of its faces by their places from the first on; trimesh takes
-    negative ones, which count back from the face, for places from the end of the file."""
-    if not re.search(rb"^f[ \t].*-", text, re.MULTILINE):
-        return text
+def _counted_from_first(text: bytes) -> bytes:
+    """An OBJ whose faces count vertices from the first on: trimesh takes negative ones, which count
+    back from the face, for places from the end of the file."""
     count = 0
 
     def line(found: re.Match[bytes]) -> bytes:
         nonlocal count
-        if found[0].startswith(b"v"):
-            count += 1
-            return found[0]
-        return b"f " + b" ".join(
-            b"%d" % (number if (number := int(corner.partition(b"/")[0])) > 0 else
-                     count + 1 + number) for corner in found[0].split()[1:])
+        count += found[1] == b"v"
+        return found[0] if found[1] == b"v" else re.sub(
+            rb"(?<=[ \t])-(\d+)\S*", lambda back: b"%d" % (count + 1 - int(back[1])), found[0])
 
-    return re.sub(rb"^[vf][ \t].*", line, text, flags=re.MULTILINE)
+    back = re.search(rb"^f[ \t].*-", text, re.MULTILINE)
+    return re.sub(rb"^([vf])[ \t].*", line, text, flags=re.MULTILINE) if back else text

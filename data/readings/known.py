@@ -128,6 +128,5 @@ class Reported(Known):
     @classmethod
     def _of_cloth_on_a_plate(cls, percent: float | None) -> float | None:
         if percent is not None and percent < 100 * MIN_COEFFICIENT:
-            raise ValueError(f"is no drape's, which is above {100 * MIN_COEFFICIENT:g}; a share? "
-                             f"{percent:g} is {100 * percent:g} %")
+            raise ValueError(f"is no drape's; a share? {percent:g} is {100 * percent:g} %")
         return percent

@@ -47,9 +47,6 @@ HOSTILE = {
     + "density: *h",
     "merge keys": merge_bomb(),
     "many keys, the last repeated": "\n".join(f"k{k}: 1" for k in range(8000)) + "\nk0: 2",
-    "part of a fold": "density: 150\nfolds: 3.5",
-    "many names": "density: 150\nnames: [a, b, c]",
-    "other names": "density: 150\nnames: [a, [b]]",
 }
 
 
@@ -63,17 +60,6 @@ def test_hostile_documents_are_refused_in_one_short_line(tmp_path, case):
     assert time.process_time() - begun < 3
     message = str(refusal.value)
     assert message.isprintable() and len(message) < 710 and "capture.yaml" in message
-
-
-@pytest.mark.parametrize(("content", "words"), [
-    ({"density": 0.15}, ["density=0.15", "10", "weigh it"]), ({}, ["density", "weigh it"]),
-    ({"density": 150, "names": ["a", 3]}, ["names.1=3", "string"]),
-    ({"density": 150, "folds": True}, ["folds=True", "whole number"]),
-    ({"densty": 150}, ["density is missing", "unknown key 'densty'"])])
-def test_messages_name_quantity_value_limit_and_remedy(content, words):
-    with pytest.raises(InputError, match=r"^f: ") as refusal:
-        Cloth.of(content, "f")
-    assert all(word in str(refusal.value) for word in words)
 
 
 @pytest.mark.parametrize(("text", "number"), [
@@ -190,15 +176,6 @@ def test_any_text_is_a_document_or_refused_in_one_line(text):
     "a:\t-1.5\u00a0\nb:\t{c: x\u3000y}"])
 def test_marks_of_word_processors_are_read_as_they_are_meant(text):
     assert parse_yaml(text, "x") == {"a": -1.5, "b": {"c": "x y"}}
-
-
-@pytest.mark.parametrize(("text", "fault"), [
-    ('"a: 1"\n"b: {c: 2}"\n', "x has each line in quotes, as spreadsheets write it; remove"),
-    ("a:\n\tb: 1\n", "line 2, 'b: 1': a tab stands before it")])
-def test_marks_that_have_no_meaning_are_named(text, fault):
-    with pytest.raises(InputError) as raised:
-        parse_yaml(text, "x")
-    assert fault in str(raised.value)
 
 
 @pytest.mark.parametrize("value", [2, 2.0, np.float32(2), np.array(2.0)])

@@ -111,20 +111,6 @@ def test_an_experiment_resumes_and_leaves_the_page_unchanged_with_another_output
     assert again["views"] == first["views"] and PAGE.read_bytes() == before
 
 
-@pytest.mark.parametrize(("words", "complaint"), [
-    (["elastika"], "elastica"), (["numbers", "pixel"], "pixel: write KEY=VALUE"),
-    (["numbers", "pixel=1"], "'pixel'; --help lists"),
-    (["elastica", "gammas=many"], "gammas"),
-    (["views", "workers=0", "cases=/tmp/none"], "workers=0"),
-    (["numbers", "fabrics=nowhere.csv"], "nowhere"),
-    (["page", "out=a"], "out=a"),
-])
-def test_invalid_words_are_reported_in_one_line(words, complaint):
-    with pytest.raises(InputError, match=complaint) as refusal:
-        main(words)
-    assert "\n" not in str(refusal.value)
-
-
 def test_views_are_studied_with_the_captures_that_are_read():
     def fabric(error, read):
         return {str(count): {"refused": 5, "error": np.full((n, 6), error).tolist(),
