@@ -35,6 +35,8 @@ def read_closed_curve(file: Path, source: OutlineSource, *, handed: bool = True)
     """
     rows = read_rows(file, "outline")
     begin = next((k for k, (_, cells) in enumerate(rows) if _count(cells) > 1), len(rows))
+    if rows and begin == len(rows):
+        _numbers(rows[-1], [0, 1], 2)  # raises
     names, stated = _heads([cells for _, cells in rows[:begin]], rows[begin:])
     pair = _pair(names) if names else None
     unit = stated or source.unit
@@ -45,8 +47,6 @@ def read_closed_curve(file: Path, source: OutlineSource, *, handed: bool = True)
         raise InputError("the unit of its lengths is not stated; give outline: {unit: mm}, or m, "
                          "or name it in the header, such as x_cm;y_cm")
     if len(rows) - begin < MIN_POINTS:
-        if rows and begin == len(rows):
-            _numbers(rows[-1], [0, 1], 2)  # raises
         raise InputError(f"{len(rows) - begin} points; an outline has at least {MIN_POINTS}")
     places = [names.index(name) for name in pair] if pair else [0, 1]
     first, second = np.array([_numbers(row, places, len(names) or 2) for row in rows[begin:]]).T
