@@ -259,11 +259,8 @@ def _around(data: bytes, place: int) -> str:
 
 
 def misnamed(names: Iterable[str], file: str) -> str:
-    """The one of ``names`` that stands for ``file``, NAME.yaml, with further suffixes, in another
-    case, or with a copy's number; or ''.
-
-    Editors append .txt or .yaml, which Windows hides, browsers (1).
-    """
+    """The one of ``names`` that stands for ``file``, NAME.yaml, in another case, with a copy's
+    number or suffixes, which Windows hides; or ''."""
     meant = re.compile(rf"{file.removesuffix('.yaml')} ?(\(\d+\))?\.ya?ml(\.ya?ml|\.txt)*", re.I)
     return next((name for name in sorted(names) if meant.fullmatch(name)), "")
 

@@ -36,6 +36,8 @@ import experiments.__main__
 import infer
 import train
 from apps.strip_curves import read_curve
+from common.configs import read_option
+from common.errors import of
 from common.files import replace_json
 from data.captures.raw_scans import read_raw_scan
 from data.captures.reader import read_capture
@@ -43,6 +45,7 @@ from data.captures.writer import write_capture
 from data.fabrics.fabrics import TABLE_COLUMNS, read_fabric_table
 from data.fabrics.prior import load_prior, save_prior
 from data.render.cameras import nominal_camera
+from data.render.setups import Setups
 from drapenet.fabric.entries import entries_of
 from drapenet.measured.strips.folder import read_strips
 from drapenet.measured.tension.folder import read_tension
@@ -144,6 +147,11 @@ def _estimate(folder: Path) -> None:
     replace_json(folder / ESTIMATE, document.content())
 
 
+def _setups(folder: Path) -> Setups:
+    with of(folder):
+        return Setups.from_config(yaml.safe_load((folder / "setup.yaml").read_text()))
+
+
 def _prior(name: str) -> Start:
     """A bundled one."""
     return Start(lambda folder: save_prior(load_prior(name), folder / "p.json"),
@@ -192,6 +200,8 @@ STARTS = {
     "curve": Start(_curve, lambda folder: read_curve(folder / "w.csv"), doors=(READER,)),
     "fabrics": Start(_fabrics, lambda folder: read_fabric_table(folder / "fabrics.csv"),
                      doors=(READER,)),
+    "setup": Start(_described("setup.yaml", read_option("setup", "real")), _setups,
+                   description="setup.yaml", doors=(READER,)),
     "gaussian": _prior("gaussian"),
     "vae": _prior("vae"),
     "list": Start(read=lambda folder: entries_of(folder / "list.csv"), doors=(READER,)),

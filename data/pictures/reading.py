@@ -48,7 +48,7 @@ class Photograph:
         transparent: pixels that an editor has made transparent, which are not cloth; ``light`` is
             that of the paper or the table on which they would show best.
         missing: where there is no picture; None: nowhere.
-        spacing: m between pixels of the file on paper, as a scanner states it; None if none does.
+        spacing: m between pixels of the file, as a scanner states it; None if none does.
         factor: how many pixels of a row of the file were averaged to each.
         focal: length, pixels of ``light``, as the camera states it; None if it does not, or if the
             picture is not the whole one of which it is stated, for the reason ``no_focal``.
@@ -90,8 +90,8 @@ def read_photograph(
                                  f"{SIDES[1]} on each side; save it smaller")
             if picture.format == "TIFF" and (  # one would be chosen unseen
                     picture.n_frames > 1 or _PARTS & picture.tag_v2.keys()):  # type: ignore
-                raise InputError("the file holds several pictures, as pages or as a camera's raw "
-                                 "file does; save the one that shows the drape as JPEG or PNG")
+                raise InputError("the file holds several pictures, pages or those of a raw file; "
+                                 "save the one of the drape as JPEG or PNG")
             (equivalent, no_focal), spacing = _stated_focal(picture), _spacing(picture)
             values, transparent = _values(ImageOps.exif_transpose(picture))
     factor = -(-max(values.shape) // side)
@@ -137,8 +137,8 @@ def _stated_focal(picture: Image.Image) -> tuple[float | None, str]:
 
 
 def _spacing(picture: Image.Image) -> float | None:
-    """Size of a pixel on paper, m, by a file's resolution; None of a camera's, for which it means
-    nothing, and by that of a screen. InputError for pixels that are not square."""
+    """Size of a pixel on paper, m, of a scan; InputError for pixels that are not square. Cameras
+    and screens state resolutions that mean nothing."""
     across, down = (_plausible(value, 1.0, 1e5) for value in picture.info.get("dpi", (None, None)))
     if not (across and down):
         return None

@@ -204,8 +204,7 @@ def require_one_fabric(parts: Sequence[Part | Measured]) -> None:
 
 
 def require_one_density(stated: Sequence[tuple[str, Density]]) -> None:
-    """InputError for named specimens whose densities, kg/m², are too different to be of one fabric.
-    """
+    """InputError for named densities, kg/m², too different to be of one fabric."""
     ordered = sorted(stated, key=lambda one: one[1])
     if ordered and ordered[-1][1] > (1 + MAX_DENSITY_DIFFERENCE) * ordered[0][1]:
         (light, low), (heavy, high) = ordered[0], ordered[-1]

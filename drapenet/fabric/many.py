@@ -163,8 +163,8 @@ def _not_of_one(entries: Sequence[Entry], parts: Mapping[Path, Part | Refusal]) 
 def _twins_elsewhere(
     entries: Sequence[Entry], documents: Mapping[Path, EstimateDocument], apart: set[str]
 ) -> dict[Path, list[Finding]]:
-    """Findings of captures whose pictures another fabric has, too, by their place; of those that
-    share them with one of a fabric ``apart``, that one is the copy and has the finding alone."""
+    """Findings of captures whose pictures another fabric has, too, by their place; one in a fabric
+    ``apart`` is the copy, and has it alone."""
     first: dict[str, Entry] = {}
     found: dict[Path, list[Finding]] = {}
     for entry in (entry for entry in entries if entry.place in documents):

@@ -32,7 +32,7 @@ SHAPES, TORQUES = "drape.glb", "torque.svg"
 SHOWN = (REPORT, STRIPS, PAGE, PDF, SHAPES, TORQUES)
 GARMENTS = ("garment.png", "garment.glb")
 """Of a preview."""
-MAX_NAME = 255  # bytes, of a folder's name
+MAX_NAME = 255  # bytes, which file systems take
 _PARTS = {"rig": Rig, "map": RadialMap, "outline": DrapeOutline, "pictures": DepthPictures}
 """Of an observation."""
 
@@ -106,8 +106,7 @@ def read_estimate(path: Path) -> tuple[Estimate, EstimateDocument]:
 
 
 def result_name(sources: Sequence[Path]) -> str:
-    """Name of the results of captures: the end of their path, or of that of their common folder, of
-    at most the bytes that file systems take."""
+    """Name of the results of captures: the end of their path, or of that of their common folder."""
     path = _place(sources)
     if path.is_file():
         path = path.with_suffix("")

@@ -38,13 +38,6 @@ def merge_bomb(levels: int = 60) -> str:
 
 
 HOSTILE = {
-    "huge number": "density: " + "9" * 400,
-    "number of thousands of digits": "density: 0x" + "f" * 30_000,
-    "long text": "density: " + "x" * 10_000,
-    "multiplying aliases": "a: &a [x,x,x,x,x,x,x,x,x]\n"
-    + "".join(f"{b}: &{b} [{','.join(['*' + a] * 9)}]\n" for a, b in zip("abcdefg", "bcdefgh",
-                                                                       strict=True))
-    + "density: *h",
     "merge keys": merge_bomb(),
     "many keys, the last repeated": "\n".join(f"k{k}: 1" for k in range(8000)) + "\nk0: 2",
 }
@@ -98,9 +91,6 @@ def test_byte_order_marks_name_the_encoding(tmp_path):
     for encoding in ("utf-8-sig", "utf-16"):
         (tmp_path / "a.yaml").write_bytes("fabric: Köper".encode(encoding))
         assert read_yaml(tmp_path / "a.yaml") == {"fabric": "Köper"}
-    (tmp_path / "a.yaml").write_bytes("density: 1\nfabric: Köper".encode("cp1252"))
-    with pytest.raises(InputError, match=r"line 2 has 'Köper' if .* Windows-1252.* in UTF-8"):
-        read_yaml(tmp_path / "a.yaml")
 
 
 def test_sound_documents_are_taken_as_they_are():
@@ -250,15 +240,3 @@ def test_names_of_rows_that_r_writes_have_a_blank_head(tmp_path, text):
     file.write_text(text)
     header, rows = read_table(file, "table")
     assert header == ["", "x", "y"] and [cells[1:] for _, cells in rows] == EXPECTED[1:]
-
-
-@pytest.mark.parametrize(("data", "words"), [
-    ("fabric\nKöper;1".encode("cp1252"), r"UTF-8 \(line 2 has 'Köper;1' if it is in Windows"),
-    (b"\xff\xfe\x00", "not text in UTF-16"), ("x,y".encode("utf-16-le"), "zero bytes, as UTF-16"),
-    (b'x,y\n"1,2\n', "cannot be read")])
-def test_other_encodings_and_open_quotes_are_refused_in_one_line(tmp_path, data, words):
-    file = tmp_path / "table.csv"
-    file.write_bytes(data)
-    with pytest.raises(InputError, match=words) as refusal:
-        read_rows(file, "table")
-    assert str(refusal.value).isprintable()

@@ -147,11 +147,7 @@ def test_a_failed_minimisation_is_a_status():
 
 @pytest.mark.parametrize(("arguments", "word"), [
     ({"start": "crumpled"}, "crumpled"), ({"seed": -1}, "seed"), ({"edge": 0.0}, "edge=0 mm"),
-    ({"offset": (0.5, 0.0)}, "offset of 500 mm uncovers the plate"),
-    ({"edge": 1e-5}, "edge=0.01 mm .* between 0.5 and 50 mm"), ({"edge": 3.0}, "edge=3000 mm"),
     ({"start": "frob", "borrowed": (np.zeros((9, 2)), np.zeros((9, 3)))}, "frob"),
-    ({"rig": HUNG_SQUARE, "edge": 0.01, "offset": (1e-3, 0.0)}, "no plate"),
-    ({"rig": DISC_RIG, "edge": 0.01, "offset": (0.05, 0.0)}, "narrow"),
     ({"rig": HUNG_SQUARE, "start": "fold"}, "fold"),
     ({"rig": HUNG_SQUARE, "start": "lowered"}, "start=lowered needs a plate"),
     ({"rig": "disc300_support180"}, r"class Rig; give one such as Rig\.from_name"),
