@@ -361,7 +361,7 @@ def png_of_size(folder: Path, name: str, width: int, height: int) -> None:
 
 
 def repeated(folder: Path, name: str, key: str, load: float | None = None) -> None:
-    """A description whose first strip is there once more, or under another load."""
+    """The first strip of a description once more."""
     content = yaml.safe_load((folder / name).read_text())
     content[key].append(content[key][0] | ({"load_g": load} if load else {}))
     (folder / name).write_text(json.dumps(content))  # without an alias
@@ -440,7 +440,7 @@ def pipe(folder: Path, name: str) -> None:
 
 
 def mirrored(folder: Path, name: str) -> None:
-    """A photograph as a camera for oneself shows it."""
+    """A photograph, mirrored."""
     with Image.open(folder / name) as picture:
         ImageOps.mirror(picture).save(folder / name, exif=picture.getexif())
 

@@ -33,7 +33,7 @@ MAX_POINTS = MAX_PICTURE[0] * MAX_PICTURE[1] // 4
 KINDS = ("view_{}.png", "view_{}_{}.png", "view_{}.npy", "view_{}.exr", "view_{}.ply")
 """File names of views by format; braces are replaced by numbers from 0."""
 _NEARLY = re.compile(r"view[\W_]*\d+[\W_]*\.(png|npy|exr|ply)", re.IGNORECASE)
-"""Names that are meant to be those of views."""
+"""Meant for names of views."""
 _UNREAD = {
     ".raw": "bare pixels without their size", ".pcd": "a point cloud of PCL",
     ".npz": "an archive of arrays", ".jpg": "an 8-bit picture, whose compression changes depth",

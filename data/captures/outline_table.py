@@ -15,7 +15,7 @@ UNITS = {"mm": 1e-3, "m": 1.0, "cm": 1e-2, **dict.fromkeys(("in", "inch", "inche
          **dict.fromkeys(("um", "\u00b5m", "\u03bcm"), 1e-6)}  # micro sign and Greek letter
 MIN_POINTS = 36
 MIN_TURN = 270.0  # degrees, that angles span at least
-MAX_TURN = 370.0  # cloth may swing back under its folds
+MAX_TURN = 370.0  # cloth may swing back
 MIN_RETURN = 0.25  # of the steps of x around a curve go back; fewer may be of disordered angles
 CARTESIAN, POLAR = ("x", "y"), ("angle", "radius")
 _UNIT = "|".join(name for name in UNITS if name != "in")

@@ -164,12 +164,21 @@ def test_a_text_that_hydra_cannot_read_in_a_sweep_is_answered_with_quotes(run):
 
 
 @pytest.mark.parametrize(("words", "complaint"), [
-    (["cuont=1"], "cuont"), (["+cuont=1"], "cuont"), (["inner.txt=a"], "inner.txt"),
-    (["count"], "count"), (["count=1.5"], "count=1.5"), (["count=1001"], "count=1001.*1000"),
-    (["inner.number=-5"], "inner.number=-5"), (["count=1,2"], "count"), (["~count"], "count"),
-    (["inner.text=${nowhere}"], "nowhere"), (["numbers=[1,x]"], "numbers.1='x'"),
-    (["numbers=[1,nan]"], "numbers.1='nan'"), (["flag=maybe"], "flag='maybe'"),
-    (["--config-dir", "/nowhere"], "/nowhere"), (["-cn", "nothing"], "nothing.yaml"),
+    (["cuont=1"], "cuont"),
+    (["+cuont=1"], "cuont"),
+    (["inner.txt=a"], "inner.txt"),
+    (["count"], "count"),
+    (["count=1.5"], "count=1.5"),
+    (["count=1001"], "count=1001.*1000"),
+    (["inner.number=-5"], "inner.number=-5"),
+    (["count=1,2"], "count"),
+    (["~count"], "count"),
+    (["inner.text=${nowhere}"], "nowhere"),
+    (["numbers=[1,x]"], "numbers.1='x'"),
+    (["numbers=[1,nan]"], "numbers.1='nan'"),
+    (["flag=maybe"], "flag='maybe'"),
+    (["--config-dir", "/nowhere"], "/nowhere"),
+    (["-cn", "nothing"], "nothing.yaml"),
     (["-m", "count=2,x"], "count='x'"),
 ])
 def test_a_mistake_is_one_line_and_nothing_is_called(run, words, complaint):
@@ -179,7 +188,9 @@ def test_a_mistake_is_one_line_and_nothing_is_called(run, words, complaint):
 
 
 @pytest.mark.parametrize(("main", "word"), [
-    (serve.main, "workers=1000000"), (serve.main, "port=high"), (generate.main, "~dataset.starts")])
+    (serve.main, "workers=1000000"),
+    (serve.main, "port=high"),
+    (generate.main, "~dataset.starts")])
 def test_settings_out_of_range_are_refused_before_a_file_is_written(
     tmp_path, monkeypatch, main, word
 ):

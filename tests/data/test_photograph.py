@@ -285,7 +285,8 @@ def test_lengths_are_in_the_unit_of_the_header(tmp_path, heads, factor):
 
 
 @pytest.mark.parametrize(("options", "said"), [
-    ({}, []), ({"dpi": (63.5, 63.5)}, []), ({"dpi": (300, 300)}, ["scale_contradicts"]),
+    ({"dpi": (63.5, 63.5)}, []),
+    ({"dpi": (300, 300)}, ["scale_contradicts"]),
     ({"format": "JPEG", "dpi": (300, 300), "exif": 37386}, []),
     ({"dpi": (204, 196)}, "its pixels are not square"),
     ({"save_all": True, "append_images": [Image.new("L", (900, 900))]}, "several pictures"),

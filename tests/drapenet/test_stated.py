@@ -80,7 +80,9 @@ def test_a_plate_is_measured_to_the_end_of_its_rim():
 
 
 @pytest.mark.parametrize(("rig", "stated"), [
-    (ROUNDED, Stated()), (DISC_RIG, Stated(membrane=300.0)), (DISC_RIG, Stated(kind=1))])
+    (ROUNDED, Stated()),
+    (DISC_RIG, Stated(membrane=300.0)),
+    (DISC_RIG, Stated(kind=1))])
 def test_networks_that_have_learned_to_read_what_is_stated(header, untrained_checkpoint, rig,
                                                            stated):
     other = read_header(untrained_checkpoint)

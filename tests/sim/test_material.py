@@ -204,7 +204,8 @@ def test_softest_possible_bias():
 
 
 @pytest.mark.parametrize(("alpha", "beta", "density", "word"), [
-    ([1e-5, 1e-5], [0, 0, 0], 0.3, "alpha=.*three finite numbers"), (1e-5, 0, 0.3, "alpha=1e-05"),
+    ([1e-5, 1e-5], [0, 0, 0], 0.3, "alpha=.*three finite numbers"),
+    (1e-5, 0, 0.3, "alpha=1e-05"),
     (np.ma.masked_array([1e-5, 1e-5, 1e-5], [1, 0, 0]), [0, 0, 0], 0.3, "masked"),
     (torch.ones(3, requires_grad=True), [0, 0, 0], 0.3, "alpha: Can't .* requires grad"),
     ([1e-5, 1e-5, 1e-5], [0, 0, 0], None, "density=None: give a finite number"),
