@@ -14,7 +14,7 @@ ROUNDED ?= tests/sim tests/data tests/drapenet
 PACKAGES := apps benchmarks common configs data drapenet examples experiments sim tests tools
 CHECKS := check-types check-versions check-unused check-layers check-docstrings check-spelling check-style
 
-.PHONY: $(CHECKS) help setup demo test test-rounding test-wheel test-notebooks test-slow test-slurm test-browser serve lint sim prior dataset train evaluate bench-sim bench docs reference studies example validate matrix clean
+.PHONY: $(CHECKS) help setup demo test test-rounding test-wheel test-notebooks test-slow test-slurm test-browser serve lint sim prior dataset train evaluate bench-sim bench docs reference example validate matrix clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
@@ -123,9 +123,6 @@ docs: $(DEVELOPER)  ## update the figures in README.md and docs/*.md from the de
 
 reference: $(DEVELOPER)  ## pages of the Python interface from its docstrings, outputs/reference/index.html
 	$(BIN)/python tools/reference.py outputs/reference
-
-studies: $(DEVELOPER)  ## the papers' experiments, hours of CPU, resumed when interrupted: docs/studies.md
-	$(BIN)/python -m experiments papers
 
 example: $(DEVELOPER)  ## make the bundled capture again
 	$(BIN)/python examples/make_capture.py out=$(CAPTURE)

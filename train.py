@@ -32,7 +32,7 @@ def train(config: TrainConfig) -> Path:
 
     from drapenet.network import training as steps
     from drapenet.network.checkpoint import read_header
-    from drapenet.network.optimizer import Optimizer
+    from drapenet.network.optimizer import Optimizer, multiplies_bfloat16
     from drapenet.network.weights import save_checkpoint, save_graphs
 
     device = steps.choose_device(config)
@@ -41,7 +41,7 @@ def train(config: TrainConfig) -> Path:
 
     torch.manual_seed(config.seed)  # used for the initial weights only
     network = steps.initial_network(config, training).to(device)
-    network.in_bfloat16 = config.bfloat16 and device.type != "cpu"  # ten times slower there
+    network.in_bfloat16 = config.bfloat16 and multiplies_bfloat16(device)
     optimizer = Optimizer(network, weight_decay=config.optim.weight_decay)
 
     # Must agree with an existing state for a resume.
@@ -76,6 +76,7 @@ def train(config: TrainConfig) -> Path:
             # Last, so that an interruption before this line repeats the epoch and nothing else.
             record["epochs_done"] = epoch + 1
             steps.save_state(state, model=network, optimizer=optimizer, record=record)
+    steps.calibrate(checkpoint, unseen, config)
     if config.graphs:
         save_graphs(read_header(checkpoint))
     return checkpoint

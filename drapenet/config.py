@@ -122,6 +122,7 @@ class EvaluateConfig:
     bounds: str
     out: str
     fabrics: str
+    generate: list[str]
     fabrics_per_tester: FromOne
     drapes_per_fabric: FromOne
     even_fabrics: FromZero

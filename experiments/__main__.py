@@ -3,26 +3,18 @@
     python -m experiments                       # lists them
     python -m experiments NAME [key=value ...]  # NAME --help lists the keys
     python -m experiments NAME out=docs/validation/NAME.json  # replaces the tracked report
-    python -m experiments papers                # all of docs/studies.md with code, hours of CPU
-    python -m experiments page                  # docs/studies.md and its figures from the reports
 
-A study writes a report, outputs/experiments/NAME.json unless out= names another file, and some a
-figure beside it; those of the documentation, in docs/validation, are replaced only if out= names
-them. It prints what the documentation claims and shows of it. An interrupted run resumes from its
-folder cases=."""
+A study writes a report, outputs/experiments/NAME.json unless out= names another file; those of the
+documentation, in docs/validation, are replaced only if out= names them. It prints what the
+documentation claims and shows of it. An interrupted run resumes from its folder cases=."""
 
 import sys
-from collections.abc import Sequence
 from functools import partial
 
 from common.command import commands
-from common.errors import InputError
 from experiments import study
-from experiments.report import REPORTS, read_report, write_figure
+from experiments.report import REPORTS
 from experiments.study import FILES
-
-PAPERS = ("table3", "views")
-"""Studies that repeat those of papers, in the order of docs/studies.md."""
 
 
 def usage() -> str:
@@ -38,7 +30,7 @@ def usage() -> str:
 
 def run_study(name: str, words: list[str]) -> None:
     """Run a study, and print what the documentation shows of it."""
-    from experiments.figures.pages import fill_pages, shown
+    from experiments.figures.pages import shown
 
     if {"-h", "--help"} & set(words):
         print(f"{study.about(name)}\n\nKeys:\n\n{study.study(name).keys.text()}")
@@ -49,30 +41,9 @@ def run_study(name: str, words: list[str]) -> None:
     for case, reason in report.get("refused", {}).items():
         print(f"left out: {case}: {reason}")
     print(f"report: {out}")
-    if documented and name in PAPERS:
-        fill_pages()
 
 
-def run_papers(words: list[str]) -> None:
-    """Run the studies of the page with the words ``words``; replace their reports."""
-    for name in PAPERS:
-        run_study(name, [f"out={REPORTS / name}.json", *words])
-
-
-def write_page(words: Sequence[str]) -> None:
-    """Write docs/studies.md and its figures from the stored reports."""
-    from experiments.figures.pages import fill_pages
-
-    if words:
-        raise InputError(f"'{words[0]}': page takes no other words")
-    for name in PAPERS:
-        if (draw := study.study(name).draw) and (figure := draw(read_report(name))):
-            write_figure(REPORTS / f"{name}.png", figure)
-    fill_pages()
-
-
-main = commands({**{name: partial(run_study, name) for name in FILES}, "papers": run_papers,
-                 "page": write_page}, usage=usage())
+main = commands({name: partial(run_study, name) for name in FILES}, usage=usage())
 
 if __name__ == "__main__":
     sys.argv[1:] = sys.argv[1:] or ["--help"]

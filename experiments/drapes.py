@@ -10,7 +10,6 @@ import numpy as np
 
 from common.command import compose_config
 from common.errors import InputError
-from common.types import Theta
 from data.captures.capture import DepthCapture
 from data.dataset.config import Options, config_from_options
 from data.dataset.folder import finished_manifest
@@ -19,15 +18,13 @@ from data.dataset.shards import Shard
 from data.fabrics.fabrics import fabric_from_theta
 from data.fabrics.nuisances import Nuisances
 from data.fabrics.prior import load_prior, sample_admissible
-from experiments.report import read_report, rms
 from sim.cloth import Laws
 from sim.draping import Drape, drape
-from sim.material import LINEAR, REFERENCE_DENSITY, Fabric
+from sim.material import REFERENCE_DENSITY, Fabric
 from sim.rig import SQUARE_RIG, Rig
 
 if TYPE_CHECKING:  # imported on use, because speed and memory are measured without them
     from data.render.setups import Setups, SyntheticCapture
-    from drapenet.fabric.stages import CaptureEstimate
     from drapenet.network.checkpoint import Header
 
 RIG = SQUARE_RIG
@@ -41,12 +38,8 @@ IDEAL = CLEAN | {"roll": 0.0, "pitch": (np.radians(38.0),) * 2, "distance": (0.5
 
 def prior_fabric(index: int, seed: int) -> Fabric:
     """Fabric ``index`` of the Gaussian prior."""
-    return fabric_from_theta(prior_theta(index, seed))
-
-
-def prior_theta(index: int, seed: int) -> Theta:
-    """Theta of fabric ``index`` of the Gaussian prior."""
-    return sample_admissible(load_prior("gaussian"), stream(seed, Stream.FABRIC, index))[0]
+    drawn, _ = sample_admissible(load_prior("gaussian"), stream(seed, Stream.FABRIC, index))
+    return fabric_from_theta(drawn)
 
 
 def plan_specimen(
@@ -120,22 +113,3 @@ def header() -> "Header":
     from drapenet.network.checkpoint import read_header
 
     return read_header()
-
-
-def spread() -> Theta:
-    """Standard deviation of theta over fabrics."""
-    return header().spread
-
-
-def posterior_bound() -> float:
-    """Bound of log alpha with all nuisances unknown, in units of :func:`spread`."""
-    bounds = np.array([fabric["bounds"]["all nuisances unknown"]
-                       for fabric in read_report("information")["fabrics"]])
-    return rms(bounds[:, LINEAR] / spread()[LINEAR])
-
-
-def infer(synthetic: "SyntheticCapture", rig: Rig = RIG) -> "CaptureEstimate":
-    """Estimate the moduli from a capture with the network, with the warnings of ``infer.py``."""
-    from drapenet.fabric.stages import by_network
-
-    return by_network(as_read(synthetic, rig), header())

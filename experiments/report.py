@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from common.errors import InputError
-from common.files import replace_json, replacing
+from common.files import replace_json
 from common.provenance import package_versions, processor
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    pass
 
 ROOT = Path(__file__).resolve().parents[1]
 REPORTS = ROOT / "docs" / "validation"
@@ -42,22 +42,6 @@ def write_report(path: Path, content: Report) -> None:
 def read_report(name: str) -> Report:
     """The stored report of a study."""
     return json.loads((REPORTS / f"{name}.json").read_text(encoding="utf-8"))
-
-
-def write_figure(path: Path, figure: "Figure") -> None:
-    """Write a figure as PNG."""
-    with replacing(path) as file:
-        figure.savefig(file, format="png", dpi=110)
-
-
-def label_log_axes(*scales: Any) -> None:
-    """Label logarithmic scales that span about one decade at 1, 2 and 5, with plain numbers."""
-    from matplotlib.ticker import LogLocator, NullFormatter
-
-    for scale in scales:
-        scale.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        scale.set_major_formatter("{x:g}")
-        scale.set_minor_formatter(NullFormatter())
 
 
 def table(head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:

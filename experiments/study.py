@@ -22,12 +22,12 @@ from common.documents import faults, parse_yaml
 from common.errors import InputError
 from common.files import require_file, require_folder
 from data.dataset.config import VERSION as DRAPES
-from experiments.report import Report, write_figure, write_report
+from experiments.report import Report, write_report
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    pass
 
-FOLDERS = ("physics", "speed", "estimation", "papers")
+FOLDERS = ("physics", "speed", "estimation")
 FILES = {file.stem: file for folder in FOLDERS
          for file in sorted((Path(__file__).parent / folder).glob("*.py"))
          if "\nSTUDY = " in file.read_text(encoding="utf-8")}
@@ -91,15 +91,13 @@ class Study:
     """A study.
 
     Attributes:
-        run: from keys to the report; an entry "figure" is written beside it.
+        run: from keys to the report.
         block: of the report, what the documentation shows of it: sentences, tables.
-        draw: of the report, the figure beside it.
     """
 
     keys: type[PlainKeys]
     run: Callable[[Any], Report]
     block: Callable[[Report], str] | None = None
-    draw: "Callable[[Report], Figure | None] | None" = None
 
 
 def study(name: str) -> Study:
@@ -163,7 +161,7 @@ def sampled(*, module: str, name: str, settings: Sample) -> Sample:
 
 
 def run(name: str, words: list[str]) -> tuple[Path, Report]:
-    """Run a study with the ``words`` of its command; write report and figure."""
+    """Run a study with the ``words`` of its command; write the report."""
     this = study(name)
     keys = this.keys.read(words)
     out = Path(keys.out or f"outputs/experiments/{name}.json").resolve()
@@ -172,10 +170,7 @@ def run(name: str, words: list[str]) -> tuple[Path, Report]:
         require_folder(folder_of(keys))
     settings = {key: value for key, value in dict(keys).items() if key not in EXECUTION_KEYS}
     report = {"settings": settings, **this.run(keys)}
-    figure = report.pop("figure", None)
     write_report(out, report)
-    if figure := figure or (this.draw and this.draw(report)):
-        write_figure(out.with_suffix(".png"), figure)
     return out, report
 
 

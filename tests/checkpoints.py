@@ -59,7 +59,7 @@ def save_untrained(path: Path, width: int = 8, **model: object) -> Path:
         "model": model, "targets": {"mean": targets.tolist(), "std": deviations},
         "fabrics": {"low": [m - 2 * s for m, s in zip(mean, std, strict=True)],
                     "high": [m + 2 * s for m, s in zip(mean, std, strict=True)],
-                    "deviation": std},
+                    "deviation": std, "ratio": 0.5},
         "prior": prior,
         "dataset": {"sha256": ["0" * 64], "generation": [generation]}, "validation": {},
         "config": {"setup": {**read_option("setup", "real"), "sensors": {"none": 1.0}}}})

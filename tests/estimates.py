@@ -24,7 +24,7 @@ def estimate_of(
     count = len(samples)
     cloth = ClothProperties(samples, np.zeros((count, 2)), np.full(count, 600.0),
                             np.full(count, 0.2))
-    return Estimate(cloth, names, density, np.array([0.9] * 3 + [1.4e-3] * 3))
+    return Estimate(cloth, names, density, np.array([0.9] * 3 + [1.4e-3] * 3 + [0.5]))
 
 
 def document_of(estimate: Estimate, **options: object) -> EstimateDocument:

@@ -39,6 +39,7 @@ class SamplingConfig:
     random_testers: float = 0.0
     rectangles: float = 0.0
     testers_per_fabric: int = 1
+    specimens_per_fabric: Annotated[int, Field(ge=0)] = 0  # 0: another for each drape
     both_faces: bool = False
     drift: Annotated[Metres, Key("mm", up_to(20))] = 0.003
     even_share: Annotated[float, Field(ge=0, le=1)] = 0.0
@@ -59,6 +60,9 @@ class SamplingConfig:
             (1 <= self.testers_per_fabric <= self.starts_per_fabric,
              f"testers_per_fabric={self.testers_per_fabric} must lie between 1 and "
              f"starts_per_fabric={self.starts_per_fabric}"),
+            (self.specimens_per_fabric % self.testers_per_fabric == 0,
+             f"specimens_per_fabric={self.specimens_per_fabric} must be 0 or a multiple of "
+             f"testers_per_fabric={self.testers_per_fabric}: a specimen fits its tester alone"),
             (set(starts) <= {*STARTS, BORROWED},
              f"starts={starts} must contain only {', '.join(STARTS)}, {BORROWED}"),
             (set(starts) & set(STARTS), f"starts={starts} must contain {' or '.join(STARTS)}: the "

@@ -78,7 +78,8 @@ def plan_drape(index: int, *, config: SamplingConfig, prior: Prior) -> DrapePlan
                                          varied=config.anisotropy_varied)
     rig = draw_testers(config, fabric)[start_of_fabric % config.testers_per_fabric]
     face = draw_faces(config, fabric)[start_of_fabric]
-    nuisances = draw_nuisances(config, fabric, index, theta, face)
+    specimen = start_of_fabric % (config.specimens_per_fabric or config.starts_per_fabric)
+    nuisances = draw_nuisances(config, fabric, index - start_of_fabric + specimen, theta, face)
     rng = stream(config.seed, Stream.START, index)
     # With one drape per fabric the initial states alternate between fabrics.
     start = config.starts[(fabric + start_of_fabric) % len(config.starts)]
@@ -95,7 +96,8 @@ def plan_drape(index: int, *, config: SamplingConfig, prior: Prior) -> DrapePlan
 def draw_nuisances(
     config: SamplingConfig, fabric: int, index: int, theta: Theta, face: int = 1
 ) -> Nuisances:
-    """Those of the specimen of drape ``index``, of a ``fabric`` with these moduli."""
+    """Those of a ``fabric`` with these moduli and of its specimen that is first on drape ``index``.
+    """
     return config.nuisances.sample(
         stream(config.seed, Stream.CLOTH, fabric), stream(config.seed, Stream.SPECIMEN, index),
         face=face, alpha=float(np.exp(log_stiffness(theta))))

@@ -37,7 +37,9 @@ def describe_capture(
         refined: outcome of a refinement.
         following: what may be measured next.
     """
-    capture, seen, located = observed.capture, observed.seen, observed.views
+    capture = observed.capture
+    seen = observed.seen
+    located = observed.views
     outline = seen.outline
     share = (outline.corrected(capture.rig).coefficient(capture.rig) if outline else
              seen.coefficient)

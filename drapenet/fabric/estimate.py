@@ -258,7 +258,8 @@ def join(
     documents = [part.document for part in parts]
     captures = [evidence for part in parts if (evidence := part.evidence)]
     records = [record for document in documents for record in document.records]
-    density, names = documents[0].density, ("", "the capture", "the captures")
+    density = documents[0].density
+    names = ("", "the capture", "the captures")
     stated = [each.stated for each in captures]
     draws, contradictions = infer_jointly(captures, header, stated_of(stated, density, records))
     estimate = combine(draws, evidence_of(records, stated, density), density, header,

@@ -64,7 +64,8 @@ def estimate_fabrics(
     failures = _make_parts(entries, out, header, options, workers or joblib.cpu_count())
     joined = _join_fabrics(out, entries, failures, header, options)
     write_overview(out, joined)
-    fabrics, apart = joined.fabrics, len({entry.fabric for entry, _ in joined.apart})
+    fabrics = joined.fabrics
+    apart = len({entry.fabric for entry, _ in joined.apart})
     if fabrics:
         print(fabrics_text(fabrics))
     print(f"captures: {len(entries) - len(failures)} estimated, {len(failures)} failed"

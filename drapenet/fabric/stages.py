@@ -200,7 +200,9 @@ def simulate(result: CaptureEstimate, *, drapes: int, edge: Metres) -> CaptureEs
     """Simulate drapes of the estimate, unless a refinement has, and keep that of the best fit."""
     from drapenet.report.drape import resimulate, resimulate_outline
 
-    capture, views, fabric = result.capture, result.observed.views, result.estimate.fabric
+    capture = result.capture
+    views = result.observed.views
+    fabric = result.estimate.fabric
     settings: dict[str, Any] = {
         "edge": edge, "drapes": drapes,
         "laws": result.estimate.nuisances.turned(capture.sign).laws}

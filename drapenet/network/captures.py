@@ -53,9 +53,11 @@ def _stored() -> tuple[np.ndarray, np.ndarray]:
 def reading_errors(count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Errors (N, AZIMUTHS) of outlines as they are read, and those stated, half sizes."""
     stored = _stored()
-    rows, turn = rng.integers(len(stored[0]), size=count), rng.uniform(0, 2 * np.pi, count)
+    rows = rng.integers(len(stored[0]), size=count)
+    turn = rng.uniform(0, 2 * np.pi, count)
     low, high = np.log(_TIMES)
-    way, times = rng.choice([-1, 1], count), np.exp(rng.uniform(low, high, count))
+    way = rng.choice([-1, 1], count)
+    times = np.exp(rng.uniform(low, high, count))
     azimuth = np.arange(stored[0].shape[1]) * (2 * np.pi / stored[0].shape[1])
     off, stated = (np.array([
         size * np.interp(one * AZIMUTH + start, azimuth, values, period=2 * np.pi)
@@ -70,7 +72,8 @@ def stated_errors(
     """Errors (N, AZIMUTHS) of whole hems or of one side, and their deviations, half sizes."""
     low, high = np.log([sizes, _ALIKE]).T
     size, order = np.exp(rng.uniform(low, high, (count, 2))).T[..., None]
-    middle, wide = rng.uniform(0, 2 * np.pi, (count, 1)), rng.uniform(0.2, 1.5, (count, 1))
+    middle = rng.uniform(0, 2 * np.pi, (count, 1))
+    wide = rng.uniform(0.2, 1.5, (count, 1))
     away = np.abs((AZIMUTH - middle + np.pi) % (2 * np.pi) - np.pi) / wide
     stated = size * np.where(rng.random((count, 1)) < 0.5, 1, np.exp(-away**2 / 2))
     power = np.exp(-np.square(_ORDERS / order))
@@ -82,7 +85,8 @@ def stated_errors(
 
 def outline_faults(count: int, rng: np.random.Generator) -> np.ndarray:
     """Errors (N, AZIMUTHS), in half sizes, of bites and bulges, most without any."""
-    middle, wide = rng.uniform(0, 2 * np.pi, (count, 1)), rng.uniform(*_WIDE, (count, 1))
+    middle = rng.uniform(0, 2 * np.pi, (count, 1))
+    wide = rng.uniform(*_WIDE, (count, 1))
     edge = rng.uniform(*_EDGE, (count, 1))
     high = _HIGH * rng.standard_normal((count, 1)) * (rng.random((count, 1)) < _FAULTY)
     away = np.abs((AZIMUTH - middle + np.pi) % (2 * np.pi) - np.pi) / wide
@@ -150,8 +154,7 @@ class CaptureSet:
         sample = read[self.maps.depth[self.maps.depth >= 0][:_MEAN_SAMPLE]].astype(np.float32)
         return {**asdict(config), "distance": round(float(np.nanmean(sample)), 4),
                 "spread": round(float(np.nanstd(sample)), 4),
-                "rectangles": bool((self.maps.aspect != 1).any()), "expected": True,
-                "stated": True}
+                "rectangles": bool((self.maps.aspect != 1).any()), "expected": True}
 
     def batch(
         self, cloths: np.ndarray, condition: Condition, rng: np.random.Generator, *,
@@ -254,7 +257,8 @@ def _misread(
     """Outlines (N, AZIMUTHS), half sizes, with faults and errors of a ``condition``; and those that
     are stated with them, 0 of others."""
     over_mat, doubted = rng.random((2, len(radius))) < [[condition.read], [condition.doubted]]
-    off, stated = outline_faults(len(radius), rng), np.zeros_like(radius)
+    off = outline_faults(len(radius), rng)
+    stated = np.zeros_like(radius)
     of_size = partial(stated_errors, sizes=condition.errors)
     for rows, errors in ((over_mat, reading_errors), (doubted, of_size)):
         more, given = errors(int(rows.sum()), rng)

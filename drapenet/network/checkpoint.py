@@ -22,11 +22,12 @@ from sim.rig import Rig
 
 if TYPE_CHECKING:
     from data.render.setups import Setups
+    from drapenet.network.calibration import Calibration
     from drapenet.network.targets import TargetScale
 
 SCHEMA = "drapenet-checkpoint"
 """Key of the description in the metadata of a checkpoint."""
-SCHEMA_VERSION = 7
+SCHEMA_VERSION = 8
 BUNDLED = Path(__file__).parents[1] / "weights" / "drapenet.safetensors"
 
 _SIX = Field(min_length=len(THETA_NAMES), max_length=len(THETA_NAMES))
@@ -46,7 +47,6 @@ class _Model(Schema):
     distance: float
     spread: _Positive
     rectangles: bool = False
-    stated: bool = False
     expected: bool = False
 
 
@@ -59,6 +59,7 @@ class _Fabrics(Schema):
     low: Annotated[list[float], _SIX]
     high: Annotated[list[float], _SIX]
     deviation: Annotated[list[_Positive], _SIX]
+    ratio: _Positive
 
 
 class _Prior(Schema):
@@ -69,6 +70,14 @@ class _Prior(Schema):
     anisotropy: _Pair
     anisotropy_varied: _Pair
     nuisances: dict[str, Any]
+
+
+class _Calibration(Schema):
+    """Fields of :class:`drapenet.network.calibration.Calibration`, as lists."""
+
+    mean: list[float]
+    spread: list[_Positive]
+    slopes: list[list[float]]
 
 
 class _Dataset(Excerpt):
@@ -95,6 +104,7 @@ class Header(Excerpt):
     prior: _Prior
     dataset: _Dataset
     validation: dict[str, Any]
+    calibrated: _Calibration | None = None
     config: _Config
     path: Path = Path()
     sha256: str = ""
@@ -107,6 +117,15 @@ class Header(Excerpt):
         from drapenet.network.targets import TargetScale
 
         return TargetScale(np.array(self.targets.mean), np.array(self.targets.std))
+
+    @property
+    def calibration(self) -> Calibration | None:
+        """Of its deviations; None of a training that was stopped before its end."""
+        from drapenet.network.calibration import Calibration
+
+        if self.calibrated is None:
+            return None
+        return Calibration(**{name: np.array(one) for name, one in vars(self.calibrated).items()})
 
     @property
     def spread(self) -> Theta:
@@ -153,13 +172,19 @@ class Header(Excerpt):
 def read_header(path: str | Path = "") -> Header:
     """Read and check the description in a checkpoint, without torch; the bundled one if ``path`` is
     empty."""
-    from safetensors import SafetensorError, safe_open
-
     path = Path(path or BUNDLED)
     if not path.exists():
         raise InputError(f"no checkpoint file {path}; give checkpoint=NAME.safetensors, or train a "
                          "network with 'make train'")
     digest = hashlib.sha256(read_bytes(path, MAX_WEIGHTS_BYTES, "checkpoint")).hexdigest()
+    header = Header.of(read_description(path), path)
+    return header.model_copy(update={"path": path, "sha256": digest})
+
+
+def read_description(path: Path) -> Any:
+    """What a checkpoint's metadata state, not checked."""
+    from safetensors import SafetensorError, safe_open
+
     try:
         with safe_open(path, framework="numpy") as file:
             text = (file.metadata() or {}).get(SCHEMA)
@@ -169,5 +194,4 @@ def read_header(path: str | Path = "") -> Header:
     if text is None:
         raise InputError(f"{path} does not describe its network; give a file that train.py of this "
                          "version has written")
-    header = Header.of(parse_json(text, path, Header.remedy), path)
-    return header.model_copy(update={"path": path, "sha256": digest})
+    return parse_json(text, path, Header.remedy)

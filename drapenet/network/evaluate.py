@@ -31,6 +31,7 @@ from common.types import Theta
 from data.dataset.config import DatasetConfig, Options, config_from_options
 from data.dataset.generate import generate_dataset
 from data.fabrics.fabrics import read_fabric_table
+from data.fabrics.nuisances import KINDS
 from data.fabrics.prior import TablePrior, log_stiffness
 from data.rigs import named_tester
 from drapenet.config import EvaluateConfig, Input
@@ -52,7 +53,12 @@ COEFFICIENTS = (20.0, 40.0, 60.0, 80.0)
 """Borders of the bands of drape coefficients, %."""
 STIFFNESSES = (4.0, 16.0, 64.0, 200.0)
 """Borders of the bands of stiffness, µN·m at 300 g/m²."""
-DEPTH, OUTLINE, NUMBERS = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+CLOTHS = (*KINDS, "curled by more than 10 1/m", "bias softer than the yarns by a third",
+          "yarns beyond 4:1")
+"""Kinds of fabrics, of which one may be several."""
+DEPTH = (1.0, 0.0, 0.0)
+OUTLINE = (0.0, 1.0, 0.0)
+NUMBERS = (0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -122,6 +128,7 @@ class Judged:
     fabric: np.ndarray  # (N,) number
     stiffness: np.ndarray  # (N,) true mean alpha (geometric), N·m at 300 g/m²
     coefficient: np.ndarray  # (N,) mean drape coefficient of the captures as the network reads it
+    cloth: np.ndarray  # (N, CLOTHS) mask
     likeness: np.ndarray  # (N,) of the captures, the least probability, NaN if it is not known
 
     @classmethod
@@ -138,6 +145,8 @@ class Judged:
         error, places, fabric = (column[rows] / unit for column, unit in (
             (self.error, spread), (self.places, 1), (self.fabric, 1)))
         factor = np.expm1(np.abs(self.error[rows, :3]))
+        outside = np.abs(places - 0.5) > 0.495
+        alarm = self.likeness[rows] < LEVEL
         return {
             "log_alpha": rms_with_interval(error[:, :3], fabric),
             "beta_over_alpha": rms_with_interval(error[:, 3:], fabric),
@@ -146,13 +155,14 @@ class Judged:
             "inside": {level: {"mean": mean, "each": each.round(3).tolist()}
                        for (level, mean), each in
                        zip(inside(places).items(), covered(places), strict=True)},
-            "outside_99": float((np.abs(places - 0.5) > 0.495).mean()),
-            "alarms": float((self.likeness[rows] < LEVEL).mean()),
+            "outside_99": float(outside.mean()),
+            "outside_99_in_silence": float((outside & ~alarm[:, None]).mean()),
+            "alarms": float(alarm.mean()),
             "sets": len(error), "fabrics": len(np.unique(fabric)),
         }
 
     def by_band(self, spread: Theta) -> dict[str, dict[str, dict[str, Any]]]:
-        """Summaries by drape coefficient and by stiffness, of bands that have any sets."""
+        """Summaries by drape coefficient, stiffness and cloth, of bands that have any sets."""
         found: dict[str, dict[str, dict[str, Any]]] = {}
         for name, values, borders, unit in (
                 ("drape coefficient", 100 * self.coefficient, COEFFICIENTS, "%"),
@@ -160,6 +170,8 @@ class Judged:
             band = np.where(np.isfinite(values), np.digitize(values, borders), -1)
             found[name] = {label: self.summary(spread, band == k)
                            for k, label in enumerate(_labels(borders, unit)) if (band == k).any()}
+        found["cloth"] = {label: self.summary(spread, mask) for label, mask in
+                          zip(CLOTHS, self.cloth.T, strict=True) if mask.any()}
         return found
 
 
@@ -170,6 +182,16 @@ def _labels(borders: Sequence[float], unit: str) -> list[str]:
             f"above {borders[-1]:g} {unit}"]
 
 
+def _cloths(captures: CaptureSet) -> np.ndarray:
+    """(M, CLOTHS) mask of the fabrics."""
+    alpha = captures.cloth.theta[:, :3]
+    warp, bias, weft = alpha.T
+    return np.column_stack([
+        *(captures.kind == k for k in range(len(KINDS))),
+        np.abs(captures.cloth.curl).max(axis=1) > 10, bias - (warp + weft) / 2 < np.log(2 / 3),
+        np.abs(warp - weft) > np.log(4)])
+
+
 def judge(
     network: Trained, header: Header, maps: Maps, condition: Condition, *, seed: int
 ) -> Judged:
@@ -177,6 +199,7 @@ def judge(
     captures = CaptureSet(maps.chosen(readable(maps, header.config.inputs)), scale=header.scale)
     rng = np.random.default_rng(seed)
     cloths = np.tile(np.arange(len(captures)), _REPEATS)
+    sorts = _cloths(captures)
     parts = []
     for rows in np.array_split(cloths, -(-len(cloths) // _BATCH_SIZE)):
         batch, facts = captures.batch(rows, condition, rng, symmetric=False)
@@ -192,7 +215,7 @@ def judge(
                 network.likeness(batch, header.scale.encode(samples))):
             least[facts.group[k]] = np.fmin(least[facts.group[k]], found.probability)
         parts.append((drawn.mean(axis=0) - theta, ranks(drawn, theta), rows,
-                      np.exp(log_stiffness(theta)), coefficient, least))
+                      np.exp(log_stiffness(theta)), coefficient, sorts[rows], least))
     return Judged(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
@@ -284,9 +307,10 @@ def make_config(
     fabrics = config.even_fabrics if even else config.fabrics_per_tester
     words = [f"drapes={drapes * fabrics}", f"seed={config.seed + even}",
              "dataset=testers", f"dataset.even_share={float(even)}", f"dataset.testers=[{tester}]",
-             "dataset.random_testers=0", "dataset.rectangles=0", "dataset.rounded_rims=0",
+             "dataset.random_testers=0", "dataset.rectangles=0",
              "dataset.testers_per_fabric=1", f"dataset.starts_per_fabric={drapes}",
-             f"edge_mm={edge_mm or 'null'}"]  # 0 in older datasets
+             f"edge_mm={edge_mm or 'null'}",  # 0 in older datasets
+             *config.generate]
     base = config_from_options(compose_config("generate", words, schema=Options))
     if not config.fabrics:
         return base

@@ -35,7 +35,8 @@ def shape_of(outline: np.ndarray, coefficient: np.ndarray, nodes: np.ndarray) ->
     and of the coefficients and nodes (N,) that are known; NaN: not known."""
     shape = np.full((len(outline), SHAPE), np.nan)
     shape[:, 0], shape[:, 4] = coefficient, nodes
-    seen, cells = np.isfinite(outline), np.arange(outline.shape[1])
+    seen = np.isfinite(outline)
+    cells = np.arange(outline.shape[1])
     rows = np.flatnonzero(seen.mean(axis=1) >= 0.5)
     radius = np.array(outline[rows], float)
     for one, part in zip(radius, seen[rows], strict=True):
@@ -102,7 +103,8 @@ def likeness(
     rng, found = np.random.default_rng(0), []
     for n, own in enumerate(shape):
         parts = weights[:, n], means[:, n], deviations[:, n]
-        rows, chosen = np.arange(len(weights)), chosen_components(parts[0], 1, rng)[:, 0]
+        rows = np.arange(len(weights))
+        chosen = chosen_components(parts[0], 1, rng)[:, 0]
         drawn = parts[1][rows, chosen] + np.exp(parts[2][rows, chosen]) * rng.standard_normal(
             (len(rows), SHAPE))
         density = log_density_of_all(np.vstack([drawn, own]), np.isfinite(own), *parts)
@@ -118,7 +120,8 @@ def log_density_of_all(shapes: np.ndarray, known: np.ndarray, weights: np.ndarra
     # Differences of large numbers: in double precision.
     middles, widths = (part.reshape(-1, SHAPE)[:, known].astype(float)
                        for part in (means, deviations))
-    points, exact = shapes[:, known].astype(float), np.exp(-2 * widths)
+    points = shapes[:, known].astype(float)
+    exact = np.exp(-2 * widths)
     squares = np.square(points) @ exact.T - 2 * points @ (middles * exact).T
     offsets = ((np.square(middles) * exact).sum(axis=1) / 2 + widths.sum(axis=1)
                + known.sum() * math.log(2 * math.pi) / 2)

@@ -30,10 +30,10 @@ CIRCUMSTANCES = _ABOUT + ASPECTS + 1
 """What says nothing of the drape: those, the aspects and the mean error of the outline."""
 
 
-def columns_of(first: int, rectangles: bool, stated: bool) -> list[int]:
+def columns_of(first: int, rectangles: bool) -> list[int]:
     """Columns that a network reads: the ``first`` ones, and of the further ones its own."""
     return [*range(first), *range(FACTS, FACTS + ASPECTS * rectangles),
-            *range(FACTS + ASPECTS, FACTS + ASPECTS + STATED * stated)]
+            *range(FACTS + ASPECTS, FACTS + ASPECTS + STATED)]
 
 
 MapArray = Annotated[np.ndarray, "(N, AZIMUTHS, ELEVATIONS) float32"]

@@ -58,6 +58,10 @@ class Mixture:
         """(N, T) mean of the mixture."""
         return (self.logits.softmax(dim=1)[..., None] * self.means).sum(dim=1)
 
+    def widened(self, scale: float) -> "Mixture":
+        """The mixture whose components deviate ``scale`` times as much from their means."""
+        return Mixture(self.logits, self.means, self.factors / scale)
+
     def cpu(self) -> "Mixture":
         """The mixture in float32 on the CPU."""
         return Mixture(*(part.float().cpu() for part in vars(self).values()))

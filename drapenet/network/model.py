@@ -99,29 +99,29 @@ class Network(torch.nn.Module):
     ``output``: a mixture of ``components`` Gaussians ("posterior"), or means ("regression");
     ``distance``, ``spread``: mean and standard deviation of the training distances or depths;
     ``rectangles``: whether it reads the specimens' aspect, as networks do that were trained on
-    rectangles; ``stated``: whether it reads what is stated of rim and fabric; ``expected``:
-    whether it knows how captures of a cloth look.
+    rectangles; ``expected``: whether it knows how captures of a cloth look.
     """
 
     reads: ClassVar[tuple[str, ...]] = ()
 
     def __init__(
         self, *, components: int, dropout: float, distance: float, spread: float,
-        rectangles: bool = False, stated: bool = False, output: str = "posterior",
-        expected: bool = False,
+        rectangles: bool = False, output: str = "posterior", expected: bool = False,
     ) -> None:
         super().__init__()
         self.output, self.components, self.dropout = output, components, dropout
         self.distance, self.spread = distance, spread
-        self.rectangles, self.stated = rectangles, stated
+        self.rectangles = rectangles
         self.expected = Expected(CIRCUMSTANCES) if expected else None
         self.in_bfloat16 = False  # whether convolutions of a training step are in bfloat16
 
     def add_layers(self, features: int, facts: int) -> None:
         """Layers from the ``features`` of each capture, the first ``facts`` columns and those that
         not all networks read to the posterior."""
-        self.columns = columns_of(facts, self.rectangles, self.stated)
-        regression, dropout, facts = self.output == "regression", self.dropout, len(self.columns)
+        self.columns = columns_of(facts, self.rectangles)
+        regression = self.output == "regression"
+        dropout = self.dropout
+        facts = len(self.columns)
         self.embed = torch.nn.Sequential(
             torch.nn.Dropout(dropout), torch.nn.Linear(features + facts, _EMBEDDING),
             torch.nn.ReLU(), torch.nn.Linear(_EMBEDDING, 2 * _EMBEDDING))

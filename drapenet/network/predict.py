@@ -14,6 +14,7 @@ from common.errors import InputError
 from common.findings import Finding
 from common.types import Metres
 from data.fabrics.fabrics import ClothProperties, from_theta
+from drapenet.network.calibration import seen_of
 from drapenet.network.checkpoint import Header
 from drapenet.network.expected import Likeness
 from drapenet.network.inputs import Batch, Facts, Stated
@@ -71,8 +72,9 @@ class Draws:
 
 
 def sample_targets(network: Trained, header: Header, batch: Batch, known: np.ndarray) -> Samples:
-    """:data:`DRAWS` samples of the targets of each set, not standardised; ``known``: (N,) of the
-    captures, as in :class:`drapenet.network.inputs.Facts`."""
+    """:data:`DRAWS` samples of the targets of each set, not standardised, whose deviations
+    are calibrated; ``known``: (N,) of the captures, as in
+    :class:`drapenet.network.inputs.Facts`."""
     drawn = []
     along = np.zeros(int(batch.group.max()) + 1, bool)  # known, of each set
     along[batch.group] = known
@@ -80,7 +82,9 @@ def sample_targets(network: Trained, header: Header, batch: Batch, known: np.nda
         posterior = network.posterior(batch.turned(Symmetry.number(k, len(known))))
         samples = posterior.sample(DRAWS // SYMMETRIES, np.random.default_rng(k))
         drawn.append(exchanged(header.scale.decode(samples), along & (k % 2 > 0)))
-    return np.concatenate(drawn)
+    samples = np.concatenate(drawn)
+    calibration = header.calibration
+    return calibration.applied(samples, seen_of(batch, samples)) if calibration else samples
 
 
 def predict(
@@ -95,7 +99,7 @@ def predict(
                              "numbers")
     batch, facts = batch_of(sets, stated)
     samples = sample_targets(network, header, batch, facts.known)
-    told = header.model.stated & np.isfinite(facts.membrane)
+    told = np.isfinite(facts.membrane)
     known = [all(part.known for part in captures) for captures in sets]
     likeness = network.likeness(batch, header.scale.encode(samples)) if compared else []
     return [replace(Draws.possible(cloth_of(samples[:, k], np.full(len(samples), size)), known[k],
@@ -137,7 +141,8 @@ def batch_of(
         membrane=np.array([one.membrane for one in stated])[group],
         kind=np.array([one.kind for one in stated])[group], group=group)
     distance, weight = compressed(*(np.array(part) for part in zip(*maps, strict=True)))
-    depth, angle = np.zeros((len(captures), 0, SIDE, SIDE), np.float16), np.zeros(len(captures))
+    depth = np.zeros((len(captures), 0, SIDE, SIDE), np.float16)
+    angle = np.zeros(len(captures))
     if all(part.pictures for part in captures):  # what does not read them need not have them
         pictures = [part.pictures for part in captures if part.pictures]
         depth = np.array([picture.depth for picture in pictures])

@@ -127,7 +127,8 @@ class TargetScale:
     @staticmethod
     def fit(targets: TargetArray) -> "TargetScale":
         """Scale of a training set's targets, equal for warp and weft."""
-        mean, std = targets.mean(axis=0), np.maximum(targets.std(axis=0), 1e-12)
+        mean = targets.mean(axis=0)
+        std = np.maximum(targets.std(axis=0), 1e-12)
         return TargetScale((mean + mean[_SWAPPED]) / 2, (std + std[_SWAPPED]) / 2)
 
     def encode(self, targets: TargetArray) -> TargetArray:

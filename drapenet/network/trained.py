@@ -49,7 +49,7 @@ class OfGraphs(Trained):
         mine = {name: one for name, one in weights.items() if not name.startswith(f"{EXPECTED}.")}
         identity = graph_identity(header)
         self._posterior = Graph(graph_of(header.path), mine, identity)
-        self._shapes, self._columns = None, columns_of(FACTS, True, header.model.stated)
+        self._shapes, self._columns = None, columns_of(FACTS, True)
         if header.model.expected:
             others = {name.partition(".")[2]: one for name, one in weights.items()
                       if name not in mine}
@@ -74,5 +74,4 @@ def graph_of(checkpoint: Path, part: str = "") -> Path:
 
 def graph_identity(header: Header) -> str:
     """What a graph beside the checkpoint must state: the network without its weights."""
-    unread = set() if header.model.stated else {"stated"}  # as graphs were before they could be
-    return json.dumps(header.model.model_dump(exclude=unread), sort_keys=True)
+    return json.dumps(header.model.model_dump(), sort_keys=True)

@@ -7,6 +7,7 @@ the same weights.
 
 import math
 from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -25,23 +26,28 @@ from data.fabrics.prior import prior_from_content
 from data.fabrics.prior.even import spread_of
 from data.render.setups import Setups
 from drapenet.config import OptimConfig, TrainConfig
+from drapenet.network.calibration import Calibration, seen_of
 from drapenet.network.captures import CaptureSet, Condition, readable
-from drapenet.network.checkpoint import read_header
+from drapenet.network.checkpoint import read_description, read_header
 from drapenet.network.dataset import VERSION, Maps, make_maps
 from drapenet.network.inputs import Batch
 from drapenet.network.mixture import Mixture
 from drapenet.network.model import Network, make_network
 from drapenet.network.optimizer import Optimizer
 from drapenet.network.posterior import inside, ranks
+from drapenet.network.predict import DRAWS, sample_targets
 from drapenet.network.targets import MODULI
-from drapenet.network.weights import load_model
-from sim.material import REFERENCE_DENSITY
+from drapenet.network.weights import Loaded, load_model, save_checkpoint
+from sim.material import FIRST, REFERENCE_DENSITY, SECOND
 
 if TYPE_CHECKING:
     from torch.utils.tensorboard import SummaryWriter
     from tqdm import tqdm
 
 _VALIDATION_BATCH = 128
+_SCALES = np.geomspace(1.0, 3.0, 12).tolist()
+_CALIBRATED = 16  # sets of each fabric
+_DRAWN = 500  # samples of each of their posteriors
 _APART = 1 << 40  # of numbers of fabrics and drapes of several datasets
 
 
@@ -118,12 +124,12 @@ def initial_network(config: TrainConfig, captures: CaptureSet) -> Network:
 
 def arguments(config: TrainConfig, captures: CaptureSet) -> dict:
     """Of :func:`drapenet.network.model.make_network`; weights of ``start`` keep the unit in which
-    they have learned distances, and read of what is stated what they have learned to."""
+    they have learned distances."""
     asked = captures.network(config.model)
     if not config.start:
         return asked
     found = read_header(config.start).model
-    return asked | {"distance": found.distance, "spread": found.spread, "stated": found.stated}
+    return asked | {"distance": found.distance, "spread": found.spread}
 
 
 def first_drapes(maps: Maps, rows: np.ndarray, config: TrainConfig) -> np.ndarray:
@@ -167,11 +173,20 @@ def schedule(
     start, end = next((start, end) for start, end in pairwise([0, *cycles]) if epoch < end)
     steps = len(captures.turns) // size
     torch.manual_seed(np.random.default_rng([config.seed, epoch]).integers(1 << 62))  # of dropout
-    for step, batch in enumerate(captures.epoch(
+    for step, batch in enumerate(_ahead(captures.epoch(
             seed=config.seed, epoch=epoch, size=size,
-            condition=Condition.of_inputs(config.inputs))):
+            condition=Condition.of_inputs(config.inputs)))):
         yield (epoch - start + step / steps) / (end - start), batch
         bar.update()
+
+
+def _ahead(batches: Iterator[Batch]) -> Iterator[Batch]:
+    """The ``batches``, the next of which is made while one is used."""
+    with ThreadPoolExecutor(1) as pool:
+        coming = pool.submit(next, batches, None)
+        while (batch := coming.result()) is not None:
+            coming = pool.submit(next, batches, None)
+            yield batch
 
 
 def fit(
@@ -198,7 +213,9 @@ def fit(
 @torch.no_grad()
 def validate(network: Network, captures: CaptureSet, condition: Condition) -> dict:
     """Metrics of the network on sets of ``captures``, without symmetries, standardised; "loss" is
-    minus the log density of the targets, of a regression with the covariance that it now states."""
+    minus the log density of the targets, of a regression with the covariance that it now states, of
+    a mixture widened to suit them: a network that learns its drapes by heart becomes too sure while
+    its errors still fall, which :func:`calibrate` mends."""
     network.eval()
     answers, targets = [], []
     rng = np.random.default_rng(0)
@@ -211,7 +228,8 @@ def validate(network: Network, captures: CaptureSet, condition: Condition) -> di
     draws = mixture.posterior.sample(400, np.random.default_rng(0))
     squares = np.square(draws.mean(axis=0) - truth.numpy())[:, :MODULI]
     return {
-        "loss": -mixture.log_likelihood(truth).double().mean().item(),
+        "loss": min(-mixture.widened(scale).log_likelihood(truth).double().mean().item()
+                    for scale in _SCALES),
         "rmse_log_alpha": float(np.sqrt(squares[:, :3].mean())),
         "rmse_beta_over_alpha": float(np.sqrt(squares[:, 3:].mean())),
         "inside": inside(ranks(draws, truth.numpy())[:, :MODULI]),
@@ -241,7 +259,8 @@ def describe(
     cycles: list[int],
 ) -> dict:
     """Description of a checkpoint's network, see :mod:`drapenet.network.checkpoint`."""
-    low, high = np.quantile(training.cloth.theta, [0.01, 0.99], axis=0)
+    theta = training.cloth.theta
+    low, high = np.quantile(theta, [0.01, 0.99], axis=0)
     sampling = datasets["generation"][-1]["sampling"]
     prior = {"fabrics": datasets["generation"][-1]["prior"], **{
         name: sampling[name] for name in ("even_share", "anisotropy", "anisotropy_varied",
@@ -252,9 +271,11 @@ def describe(
         "model": arguments(config, training),
         "targets": {name: part.tolist() for name, part in vars(training.scale).items()},
         # Of theta in the dataset's order: warp, bias, weft. The deviation is the prior's, which
-        # errors are compared with; fabrics that were moved to even stiffness are not typical.
+        # errors are compared with; fabrics that were moved to even stiffness are not typical. The
+        # deviation of the logarithm of the yarns' ratio is that of all.
         "fabrics": {"low": low.tolist(), "high": high.tolist(),
-                    "deviation": spread_of(fabrics).tolist()},
+                    "deviation": spread_of(fabrics).tolist(),
+                    "ratio": float((theta[:, FIRST] - theta[:, SECOND]).std())},
         "prior": prior,
         "dataset": {
             **datasets,
@@ -267,6 +288,27 @@ def describe(
         "config": config.defining(),
         "versions": {"project": release(), "torch": torch.__version__},
     }
+
+
+def calibrate(checkpoint: Path, captures: CaptureSet, config: TrainConfig) -> None:
+    """Add to a ``checkpoint`` the scales of its deviations, fitted on ``captures`` of fabrics that
+    it has not learned."""
+    header = read_header(checkpoint).model_copy(update={"calibrated": None})
+    model = load_model(header)
+    rng = np.random.default_rng(config.seed)
+    condition, drawn = Condition.of_inputs(config.inputs), []
+    cloths = np.tile(np.arange(len(captures)), _CALIBRATED)
+    for rows in np.array_split(cloths, -(-len(cloths) // _VALIDATION_BATCH)):
+        batch, facts = captures.batch(rows, condition, rng, symmetric=False)
+        samples = sample_targets(Loaded(model), header, batch, facts.known)
+        targets, = model.tensors(batch, "targets")
+        drawn.append((samples[:: DRAWS // _DRAWN].swapaxes(0, 1),
+                      header.scale.decode(targets.numpy()), seen_of(batch, samples)))
+    samples, truth, seen = (np.concatenate(parts) for parts in zip(*drawn, strict=True))
+    found = Calibration.fit(samples.swapaxes(0, 1), truth, seen)
+    description = read_description(checkpoint) | {"calibrated": {
+        name: part.tolist() for name, part in vars(found).items()}}
+    save_checkpoint(checkpoint, model=model, half=config.half_precision, description=description)
 
 
 def save_state(

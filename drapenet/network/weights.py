@@ -74,7 +74,7 @@ def save_graphs(header: Header) -> None:
 
     of_all: Sequence[tuple[str, str, torch.Tensor]] = (
         ("face", "n", drawn(captures).sign()),
-        ("facts", "n", drawn(captures, len(columns_of(FACTS, True, network.stated)))),
+        ("facts", "n", drawn(captures, len(columns_of(FACTS, True)))),
         ("members", "mn", torch.eye(sets).repeat(1, captures // sets)))
     read = {"distance": drawn(captures, AZIMUTHS, ELEVATIONS),
             "weight": 4 * drawn(captures, AZIMUTHS, ELEVATIONS),

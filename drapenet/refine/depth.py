@@ -223,14 +223,16 @@ class DepthViews:
         pose: _Pose, nuisance: Nuisance,
     ) -> _Part:
         """Residuals of the simulated border's pixels, rows and columns."""
-        sigma, limit = self.weights.border_sigma, self.weights.border_limit
+        sigma = self.weights.border_sigma
+        limit = self.weights.border_limit
         distance = view.distance[pixels] - nuisance[self.nuisances.index(BORDER)]
         residual, slope = huber(distance / sigma, limit / sigma)
         # Change of the distance map, px, by the move of a point in camera axes, m.
         x, y = rays[:, :2].T
         zoom = self._zoom(nuisance)
         by_column, by_row = view.slope[:, pixels[0], pixels[1]]
-        across, down = by_column * self.camera.fx * zoom, by_row * self.camera.fy * zoom
+        across = by_column * self.camera.fx * zoom
+        down = by_row * self.camera.fy * zoom
         gradient = np.stack([across, down, -(across * x + down * y)], axis=1) / hits.depth[:, None]
         return _Part(residual, slope[:, None] / sigma * gradient @ pose.rotation, -slope / sigma,
                      hits, pose)
@@ -320,7 +322,8 @@ def _prepare(view: DepthImage, camera: Camera, weights: DepthWeights) -> _View:
     cloth = view > 0
     # Missing pixels are not background; the median fills them and preserves straight borders.
     filled = median_filter(cloth.astype(np.uint8), 3) > 0
-    outside, inside = distance_transform_edt(~filled), distance_transform_edt(filled)
+    outside = distance_transform_edt(~filled)
+    inside = distance_transform_edt(filled)
     distance = gaussian_filter(np.where(filled, 1.0 - inside, outside), 0.7)
     slope = np.stack(np.gradient(distance)[::-1])
     grid = np.zeros_like(cloth)

@@ -95,7 +95,8 @@ def _descend(
         if linearised is None:
             return (Status.STALLED if moved else Status.FAILED), "the drape has no derivatives here"
         residuals, jacobian = linearised
-        gradient, curvature = jacobian.T @ residuals, jacobian.T @ jacobian
+        gradient = jacobian.T @ residuals
+        curvature = jacobian.T @ jacobian
         at_bound = ((x <= problem.low) & (gradient > 0)) | ((x >= problem.high) & (gradient < 0))
         free = np.flatnonzero(~at_bound)
         while best.value == before:

@@ -93,7 +93,9 @@ def refine_capture(
     resimulation = _beside(result, captured, axis, scan is not None)
     near = fidelity(scan, result.released) if scan and result.released else None
     warnings = _search_warnings(result)
-    draws, searched, content = None, None, _content(result, near, density)
+    draws = None
+    searched = None
+    content = _content(result, near, density)
     if not warnings:
         searched = _posterior(result, face)
         draws = Draws.possible(_cloth(samples, searched), known=True)

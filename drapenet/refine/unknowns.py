@@ -105,7 +105,8 @@ class SpecimenPrior:
     @classmethod
     def of(cls, fabrics: GaussianPrior, spread: NuisanceConfig | None = None) -> "SpecimenPrior":
         """Prior of fabrics and of the specimens' nuisances; ``spread`` None: moduli only."""
-        mean, root = Unknowns.of(fabrics.mean).values, np.zeros((len(NAMES),) * 2)
+        mean = Unknowns.of(fabrics.mean).values
+        root = np.zeros((len(NAMES),) * 2)
         root[:6, :6] = np.linalg.inv(np.linalg.cholesky(fabrics.covariance))
         if spread is not None:
             laws = slice(6, 6 + len(LAW_NAMES))

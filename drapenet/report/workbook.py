@@ -34,8 +34,8 @@ NOTES = (
     "KES B and 2HB are empty where most of the samples of the estimate soften below 1.5 1/cm, so "
     "that the moduli do not determine them; 'KES not determined' is their share. Do not compare "
     f"them with measured values where it exceeds {100 * MAX_COMPARED_SHARE:g} %.",
-    "poorly constrained: the drape says little of this modulus along this direction, so that its "
-    "value is mostly that of usual fabrics.",
+    "poorly constrained: what was measured says little of this modulus along this direction, or of "
+    "the ratio of the yarns, so that its value is mostly that of usual fabrics.",
     "A fabric without an estimate has one line, with its reason; the sheet failures lists all.")
 
 
@@ -136,8 +136,8 @@ def _rows(sample: Sample | Unestimated, further: Sequence[str]) -> list[list[str
         numbers = [number for value in (*(quantities[key] for key in QUANTITIES), stretch,
                                         *(measured.get(key) for key in further))
                    for number in _ends(value)]
-        poor = ", ".join(letter for letter, key in (("α", "alpha"), ("β", "beta/alpha"))
-                         if f"{key} {name}" in document.poorly_constrained)
+        poor = ", ".join(each.replace("beta", "β").replace("alpha", "α").removesuffix(f" {name}")
+                         for each in document.poorly_constrained if name in each)
         rows.append([*sample.names.values(), about.density_g_m2, about.rig, face, name, *numbers,
                      poor, 100 * readings.kes_b_outside_law_probability, sample.coefficient,
                      sample.nodes, *about.labels.columns.values(),

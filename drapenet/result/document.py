@@ -180,7 +180,9 @@ class EstimateDocument(Excerpt):
     correlations: dict[str, Any] = Field(title="of log α and β/α: of, matrix")
     share_of_spread_over_fabrics: dict[str, float] = Field(
         title="standard deviation of each modulus over its spread over fabrics")
-    poorly_constrained: list[str] = Field(title="moduli for which this exceeds 0.7")
+    poorly_constrained: list[str] = Field(
+        title="moduli, and the ratio of the yarns' α, for which this exceeds 0.7")
+    mostly_usual: list[Recorded] = Field([], title="the finding that names them, if any")
     torque_mN: dict[str, Any] = Field(  # noqa: N815
         title="torque per width of each direction at curvature_1_m")
     cloth: Cloth = Field(title="other properties")
@@ -217,8 +219,8 @@ class EstimateDocument(Excerpt):
     ) -> "EstimateDocument":
         """The document of an estimate, with all ``warnings`` and optional ``sections``."""
         names, first = estimate.names, estimate.names[0]
-        shares = dict(zip(estimate.modulus_names, estimate.constraint.round(3).tolist(),
-                          strict=True))
+        shares = estimate.constraint
+        poor = [name for name, share in shares.items() if share > POORLY_CONSTRAINED]
         laboratory = _readings(estimate)
         return cls.model_validate({
             "schema": SCHEMA, "schema_version": SCHEMA_VERSION,
@@ -227,12 +229,13 @@ class EstimateDocument(Excerpt):
             "moduli_at_300_g_m2": _moduli(estimate, REFERENCE_DENSITY),
             "laboratory": laboratory, "kes_note": _kes_note(laboratory),
             "correlations": {
-                "of": [f"{'log ' if k < 3 else ''}{name}" for k, name in enumerate(shares)],
+                "of": [f"{'log ' if k < 3 else ''}{name}"
+                       for k, name in enumerate(estimate.modulus_names)],
                 "matrix": np.corrcoef(estimate.samples.T).round(3).tolist()},
-            "share_of_spread_over_fabrics": shares,
-            "poorly_constrained": [
-                name for name, share in zip(shares, estimate.constraint, strict=True)
-                if share > POORLY_CONSTRAINED],
+            "share_of_spread_over_fabrics": {
+                name: round(share, 3) for name, share in shares.items()},
+            "poorly_constrained": poor,
+            "mostly_usual": [Finding("mostly_usual", {"moduli": ", ".join(poor)})] * bool(poor),
             "torque_mN": torque_table(estimate, CURVATURES),
             "cloth": _properties(estimate),
             "checkpoint": checkpoint, **sections, "warnings": list(warnings),
@@ -306,12 +309,6 @@ class EstimateDocument(Excerpt):
             for known in self.stated for (name, k), value in known.values().items())
         return list(dict.fromkeys([*evidence, *(
             line for known in self.stated for line in known.handling)]))
-
-    @property
-    def mostly_usual(self) -> list[Finding]:
-        """What is poorly constrained, if anything."""
-        return [Finding("mostly_usual", {"moduli": ", ".join(self.poorly_constrained)})
-                ] * bool(self.poorly_constrained)
 
     def followed_by(self, found: Sequence[NextMeasurement]) -> "EstimateDocument":
         """The document with what may be measured next."""

@@ -13,7 +13,9 @@ from data.fabrics.nuisances import Nuisances
 from data.readings import QUANTITIES
 from sim.material import (
     DIRECTIONS,
+    FIRST,
     REFERENCE_DENSITY,
+    SECOND,
     STIFF_SOFT,
     SWAPPED,
     Fabric,
@@ -36,7 +38,8 @@ class Estimate:
     Attributes:
         cloth: S samples.
         names: of the directions: warp, bias, weft or stiff, bias, soft.
-        spread: standard deviation of theta over fabrics.
+        spread: (7,) standard deviations over fabrics of theta and of the logarithm of the ratio of
+            the yarns' alphas.
         warnings: of the samples alone.
         contradictions: a finding for each source that contradicts others.
         captures: those that it is from, as the network reads them; None: not at hand.
@@ -45,7 +48,7 @@ class Estimate:
     cloth: ClothProperties
     names: tuple[str, str, str]
     density: Density
-    spread: Theta
+    spread: np.ndarray
     warnings: tuple[Finding, ...] = ()
     contradictions: tuple[Finding, ...] = ()
     captures: "tuple[Observation, ...] | None" = None
@@ -82,9 +85,13 @@ class Estimate:
         return [f"{what} {name}" for what in ("alpha", "beta/alpha") for name in self.names]
 
     @property
-    def constraint(self) -> np.ndarray:
-        """(6,) standard deviation of each entry of theta divided by its spread over fabrics."""
-        return self.samples.std(axis=0) / self.spread
+    def constraint(self) -> dict[str, float]:
+        """Standard deviations of theta's entries, and of the logarithm of the ratio of the yarns'
+        alphas, divided by their spreads over fabrics."""
+        names = [*self.modulus_names, f"alpha {self.names[FIRST]}/{self.names[SECOND]}"]
+        ratio = self.samples[:, FIRST] - self.samples[:, SECOND]
+        share = np.column_stack([self.samples, ratio]).std(axis=0) / self.spread
+        return dict(zip(names, share.tolist(), strict=True))
 
     def moduli(self, density: Density | None = None) -> tuple[np.ndarray, np.ndarray]:
         """alpha (S, 3) N·m and beta (S, 3) N·m² at this ``density``, kg/m², or at the fabric's."""
@@ -114,13 +121,13 @@ def interval(samples: np.ndarray, level: float = 0.68) -> np.ndarray:
     return np.nanquantile(samples, [0.5 - level / 2, 0.5 + level / 2], axis=0)
 
 
-def central(samples: Theta, spread: Theta) -> Theta:
+def central(samples: Theta, spread: np.ndarray) -> Theta:
     """Medians of samples; if these are not admissible, the sample nearest to them, in units of the
-    ``spread``."""
+    ``spread`` (6 or more,)."""
     middle = np.median(samples, axis=0)
     if is_admissible(*from_theta(middle)):
         return middle
-    away = (samples - middle) / spread
+    away = (samples - middle) / spread[: middle.size]
     return samples[np.square(away).sum(axis=1).argmin()]
 
 
@@ -129,7 +136,8 @@ def make_estimate(draws: "Draws", *, density: Density, header: "Header") -> Esti
     warp is not known, the stiffer yarns first.
     """
     names = DIRECTIONS if draws.known else STIFF_SOFT
-    estimate = Estimate(draws.cloth, names, density, header.spread)
+    estimate = Estimate(draws.cloth, names, density,
+                        np.append(header.spread, header.fabrics.ratio))
     warnings = _extrapolations(estimate, header)
     if draws.impossible > MAX_INADMISSIBLE_SHARE:
         warnings.append(Finding("samples_impossible", {"value": float(draws.impossible),

@@ -93,7 +93,9 @@ def read_estimate(path: Path) -> tuple[Estimate, EstimateDocument]:
     count = len(arrays["theta"]) if arrays["theta"].ndim else 0
     shapes = {"theta": (count, 6), "curl": (count, 2)}
     fault = InputError(f"{file} does not hold the samples of {path}; estimate the capture again")
-    if spread.shape != (6,) or not count or any(
+    if spread.shape == (6,):  # as results were before the ratio of the yarns was told
+        spread = np.append(spread, np.inf)
+    if spread.shape != (7,) or not count or any(
             arrays[name].shape != shapes.get(name, (count,)) for name in names):
         raise fault
     estimate = Estimate(ClothProperties(**arrays), document.names, document.density, spread,

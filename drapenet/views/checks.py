@@ -86,7 +86,8 @@ def view_checks(located: LocatedViews, quality: Quality, setups: Setups) -> list
 
 def pose_checks(camera: Camera, setups: Setups) -> Iterator[Check]:
     """Checks of the place of ``camera`` against the ``setups`` trained on."""
-    up, centre = camera.world_to_camera[:3, 2], camera.world_to_camera[:3, 3]
+    up = camera.world_to_camera[:3, 2]
+    centre = camera.world_to_camera[:3, 3]
     pitch = np.arcsin(np.clip(-up[2], -1.0, 1.0))
     distance = float(np.linalg.norm(centre))
     low, high = setups.pitch
@@ -111,7 +112,9 @@ def turn_checks(located: LocatedViews) -> Iterator[Check]:
 
 def measure(located: LocatedViews, drape: RadialMap) -> Quality:
     """Measure the quality of a capture with the map ``drape``."""
-    views, camera, rig = located.views, located.camera, located.rig
+    views = located.views
+    camera = located.camera
+    rig = located.rig
     gap = disagreement(located.clouds, located.turns, located.centre, rig)
     missing = [binary_fill_holes(view) & ~view for view in views > 0]
     offset = specimen_offset(drape, rig) if len(views) > 1 else np.nan
@@ -130,7 +133,9 @@ def _misread(located: LocatedViews, gap: float) -> Finding | None:
     """The reading of the views that reduces their disagreement by far the most."""
     if not np.isfinite(gap):
         return None
-    clouds, camera, rig = located.clouds, located.camera, located.rig
+    clouds = located.clouds
+    camera = located.camera
+    rig = located.rig
     gaps = [(disagreement(clouds, *register(clouds, turns, rig), rig), reading)
             for reading, turns in _turn_readings(located.stated_turns)]
     along = located.views / np.linalg.norm(camera.directions(), axis=2)

@@ -66,7 +66,8 @@ class Polar:
         place = self.level * rows
         shown = (place >= 0) & (place < rows)
         column = np.floor((self.azimuth[shown] - turn) * (columns / (2 * np.pi))).astype(int)
-        cell, weight = column % columns * rows + place[shown].astype(int), self.weight[shown]
+        cell = column % columns * rows + place[shown].astype(int)
+        weight = self.weight[shown]
         total, weights = (np.bincount(cell, values, columns * rows).reshape(columns, rows)
                           for values in (weight * self.distance[shown], weight))
         return total, weights

@@ -28,7 +28,9 @@ class LocatedViews:
     @classmethod
     def of(cls, capture: DepthCapture) -> "LocatedViews":
         """The views of a capture."""
-        views, intrinsics, rig = capture.views, capture.intrinsics, capture.rig
+        views = capture.views
+        intrinsics = capture.intrinsics
+        rig = capture.rig
         plate = capture.cut.plate if capture.cut else plate_of_cloth(views, intrinsics, rig)
         return cls.registered(views, intrinsics.posed(plate.pose), rig, capture.turns)
 

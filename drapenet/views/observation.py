@@ -63,7 +63,9 @@ class Observation:
     def of_outline(cls, capture: OutlineCapture) -> "Observation":
         """Of the outline of a photograph; InputError without direction of the warp, but of a disc.
         """
-        seen, warp, specimen = capture.outline, capture.warp_direction, capture.rig.specimen
+        seen = capture.outline
+        warp = capture.warp_direction
+        specimen = capture.rig.specimen
         if warp is None and specimen != "disc":
             raise InputError(f"{capture.path}: warp_direction_deg is missing; the outline of a "
                              f"{specimen} does not show its sides: state the direction of the warp")
@@ -78,7 +80,8 @@ def map_along(warp: Radians | None, located: LocatedViews) -> RadialMap:
     azimuth 0 of the first view."""
     if located.rig.specimen == "disc":
         return radial_map(located, zero=warp or 0.0)
-    drape, turn = radial_map(located, near=warp), located.rig.symmetry
+    drape = radial_map(located, near=warp)
+    turn = located.rig.symmetry
     turns = 0 if warp is None else round((warp - drape.zero) / turn)
     cells = round(AZIMUTHS * turn / (2 * np.pi))
     distance, weight = (np.roll(part, -turns * cells, axis=0)

@@ -119,7 +119,8 @@ def contour(positions: Points, mesh: Mesh, height: Metres) -> Edges:
     # the height's inverse.
     above = normal[:, 2]
     near = above - (normal * a).sum(axis=1) / height
-    up, down = (above > 0) | (near > 0), (above <= 0) | (near <= 0)
+    up = (above > 0) | (near > 0)
+    down = (above <= 0) | (near <= 0)
     first, second = mesh.edge_faces.T
     return mesh.edges[(second < 0) | (up[first] & down[second]) | (down[first] & up[second])]
 

@@ -52,7 +52,8 @@ def _picture(located: LocatedViews, view: np.ndarray) -> np.ndarray:
     size, camera = located.rig.specimen_size, located.camera
     (centre,), (away,) = camera.project(np.append(located.centre, 0.0)[None])
     half = max(round(_EXTENT * size * camera.fx / away / 2), 1)
-    column, row = round(centre[0]), round(centre[1] + _BELOW * size * camera.fy / away)
+    column = round(centre[0])
+    row = round(centre[1] + _BELOW * size * camera.fy / away)
     # Read with a border without cloth, as wide as the part of the window outside the view.
     rows, columns = (np.clip(np.arange(middle - half, middle + half), -1, many)
                      for middle, many in ((row, len(view)), (column, view.shape[1])))

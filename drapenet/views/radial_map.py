@@ -47,7 +47,9 @@ def radial_map(
     located: LocatedViews, *, zero: Radians | None = None, near: Radians | None = None
 ) -> RadialMap:
     """Fuse the views of one capture; ``zero`` None: :func:`side_direction`, of a disc 0."""
-    rig, camera, turns = located.rig, located.camera, located.turns
+    rig = located.rig
+    camera = located.camera
+    turns = located.turns
     seen = [Polar.of(cloud, located.centre, rig) for cloud in located.clouds]
     if zero is None:
         zero = 0.0 if rig.specimen == "disc" else side_direction(
@@ -68,7 +70,8 @@ def side_direction(
     """
     borders = elevations(rig)
     height = (borders[1:] + borders[:-1]) / 2
-    radius, up = distance * np.cos(height), distance * np.sin(height)
+    radius = distance * np.cos(height)
+    up = distance * np.sin(height)
     steps = np.hypot(np.diff(radius, axis=1), np.diff(up, axis=1))
     visible = weight > 0
     hem = np.where(visible.any(axis=1), visible.argmax(axis=1), ELEVATIONS)

@@ -77,7 +77,8 @@ def typical(rig: Rig) -> tuple[float, float]:
 def _sections(located: LocatedViews) -> tuple[np.ndarray, np.ndarray]:
     """(AZIMUTHS, _ROWS) m, mean distance from the axis and mean height above the plate of the cloth
     by azimuth and elevation, from the zenith down; NaN where it is not seen."""
-    shape, total = (AZIMUTHS, _ROWS), np.zeros((3, AZIMUTHS * _ROWS))
+    shape = (AZIMUTHS, _ROWS)
+    total = np.zeros((3, AZIMUTHS * _ROWS))
     rig = located.rig
     depth = max(-centre_height(rig), _MIN_DEPTH * rig.plate_radius)
     for cloud, turn in zip(located.clouds, located.turns, strict=True):

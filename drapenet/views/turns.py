@@ -71,7 +71,8 @@ def _whole_degrees(maps: np.ndarray) -> np.ndarray:
     # Cost of each difference of two corrections, within ±2 _MAX_TURN_STEPS.
     pairs = [_costs(maps[k], maps[(k + 1) % count]) for k in range(count if count > 2 else 1)]
     difference = steps[None, :] - steps[:, None] + 2 * _MAX_TURN_STEPS
-    cost, choices = pairs[0][steps + 2 * _MAX_TURN_STEPS] + prior, []
+    cost = pairs[0][steps + 2 * _MAX_TURN_STEPS] + prior
+    choices = []
     for k in range(1, count - 1):
         table = cost[:, None] + pairs[k][difference]
         choices.append(table.argmin(axis=0))
@@ -122,7 +123,8 @@ def _least_squares(maps: np.ndarray, turns: Turns, change: np.ndarray, rig: Rig)
     outward = np.cos(height) + np.sin(height) * by_height / mean
     around = -by_azimuth / mean / np.cos(height)
     c, s = np.cos(azimuth)[:, None], np.sin(azimuth)[:, None]
-    by_x, by_y = outward * c - around * s, outward * s + around * c
+    by_x = outward * c - around * s
+    by_y = outward * s + around * c
     used = (often > 1) & np.isfinite(by_x + by_y + by_azimuth)
     normal, slope = _normal_equations(maps[:, used], mean[used], by_x[used], by_y[used],
                                       by_azimuth[used], np.cos(turns), np.sin(turns))

@@ -105,7 +105,8 @@ def _coarse(capture: SyntheticCapture, rng: Rng) -> SyntheticCapture:
 
 
 def _shift_rows(capture: SyntheticCapture, rows: int) -> SyntheticCapture:
-    views, given = np.roll(capture.views, rows, axis=1), capture.intrinsics
+    views = np.roll(capture.views, rows, axis=1)
+    given = capture.intrinsics
     views[:, :rows] = 0
     return replace(capture, views=views, intrinsics=replace(given, cy=given.cy + rows))
 

@@ -58,7 +58,8 @@ def drape(rng: np.random.Generator, *, number: int, testers: list[str], grounds:
           edge_mm: float, pictures: int, seed: int) -> Sample:
     """Errors of the pictures of one drape, of the nearest to the axis alone and of all together."""
     tester = Rig.from_name(testers[number // len(grounds) % len(testers)])
-    kind, ground = KINDS[number % len(KINDS)], grounds[number % len(grounds)]
+    kind = KINDS[number % len(KINDS)]
+    ground = grounds[number % len(grounds)]
     plan = plan_specimen(number, "dataset.even_share=0.8", rig=tester, seed=seed, nuisances="real")
     shape = drape_as_planned(plan, edge=1e-3 * edge_mm)
     taken = Taken.of(shape.positions, shape.mesh, tester, rng, pictures=pictures,

@@ -29,7 +29,8 @@ class Keys(PlainKeys):
 
 def run(keys: Keys) -> Report:
     """Estimate all fabrics."""
-    header, rows = read_header(keys.checkpoint), read_rows(keys.fabrics)
+    header = read_header(keys.checkpoint)
+    rows = read_rows(keys.fabrics)
     sets = []
     for row in rows:
         stated = Reported(drape_coefficient_percent=float(row["dc_real_percent"]),

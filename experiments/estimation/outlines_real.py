@@ -96,7 +96,8 @@ def _agreement(
     for a, b in combinations(range(len(rows)), 2):
         if rows[a][0] != rows[b][0]:
             continue
-        same_sample, same_face = rows[a][1] == rows[b][1], rows[a][2] == rows[b][2]
+        same_sample = rows[a][1] == rows[b][1]
+        same_face = rows[a][2] == rows[b][2]
         kind = {(True, True): "captures", (False, True): "samples",
                 (True, False): "faces"}.get((same_sample, same_face))
         if kind:

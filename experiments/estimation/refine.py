@@ -21,7 +21,6 @@ from data.fabrics.fabrics import THETA_NAMES
 from data.fabrics.nuisances import NAMES
 from data.render.setups import Setups
 from drapenet.network.posterior import inside, ranks
-from experiments.comparison import same_folds
 from experiments.drapes import (
     CLEAN,
     as_read,
@@ -34,9 +33,10 @@ from experiments.report import Report, rms
 from experiments.study import CaseKeys, Sample, Study, folder_of, samples_of
 from sim.draping import Drape, drape
 from sim.material import LINEAR, RATIO, REFERENCE_DENSITY
-from sim.measures import fold_outline
+from sim.measures import fold_angles, fold_outline
 from sim.rig import Rig
 
+_MAX_FOLD_SHIFT = 0.25  # of a fold, as a fraction of the mean angle between folds
 METHODS = ("network", "search", "refined")
 
 
@@ -118,6 +118,23 @@ def with_pool(arrays: dict[str, np.ndarray], *, gained: bool) -> dict[str, np.nd
 
     network = arrays["network"]
     return arrays | {"refined": pooled(network, arrays["search"]) if gained else network}
+
+
+def same_folds(outline: np.ndarray, other: np.ndarray) -> bool:
+    """Whether two drapes have the same fold configuration.
+
+    They have as many folds, and each is within a quarter of the mean fold spacing of its
+    counterpart. ``outline`` and ``other`` (720, 2) are from :func:`sim.measures.fold_outline`.
+    """
+    folds, others = fold_angles(outline), fold_angles(other)
+    if len(folds) != len(others):
+        return False
+    if not len(folds):
+        return True
+    # Angles wrap around: a fold near 0 may correspond to the last or the next one of the other.
+    shifts = [np.roll(others, k) - folds for k in (-1, 0, 1)]
+    gap = min(np.abs((shift + np.pi) % (2 * np.pi) - np.pi).max() for shift in shifts)
+    return bool(gap < _MAX_FOLD_SHIFT * 2 * np.pi / len(folds))
 
 
 def nuisance_errors(results: list[Sample]) -> Report:

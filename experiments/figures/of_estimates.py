@@ -5,6 +5,7 @@ import json
 from experiments.estimation.refine import METHODS
 from experiments.figures.reports import (
     FOUR_VIEWS,
+    KINDS,
     OUTLINE,
     RIGS,
     Reports,
@@ -22,7 +23,7 @@ def demo(reports: Reports) -> str:
     truth = json.loads((ROOT / "examples/captures/twill/truth.json").read_text(encoding="utf-8"))
     alpha, beta = (", ".join(f"{true[key]:.0f}" for true in truth["moduli"].values())
                    for key in ("alpha_uN_m", "beta_nN_m2"))
-    shares = {kind: reports.cell(kind)["inside"]["68%"]["each"][3:] for kind in RIGS}
+    shares = {kind: reports.cell(kind)["inside"]["68%"]["each"][3:] for kind in KINDS}
     contained = " and ".join(f"{percent(sum(each) / 3)} ({kind})" for kind, each in shares.items())
     shown = "\n".join([*lines[:6], "…", *lines[-2:]])
     return (f"```\n{shown}\n```\n\n"
@@ -42,7 +43,8 @@ def fifteen_minutes(reports: Reports) -> str:
 
 def accuracy(reports: Reports) -> str:
     """Errors of single captures and of sets, and items: real cloth, limits."""
-    squares, discs = reports.cell("squares"), reports.cell("discs")
+    squares = reports.cell("squares")
+    discs = reports.cell("discs")
     names = {"four depth views": FOUR_VIEWS, "an outline": OUTLINE,
              "outlines of four drapes": "outline, sets of 4",
              "drape coefficient and nodes alone": "drape coefficient and nodes"}
@@ -51,7 +53,8 @@ def accuracy(reports: Reports) -> str:
             for what, name in names.items() for kind in ("discs", "squares")]
     drapes = reports["outlines"]["summary"]["parallel"]["flat"]
     bent = next(iter(reports["laboratory"]["summary"].values()))
-    alone, known = reports["outlines_real"]["alone"], reports["numbers"]
+    alone = reports["outlines_real"]["alone"]
+    known = reports["numbers"]
     return "\n".join([
         table(["fabrics never shown, simulated with the variation of real specimens and cameras",
                "α off by, half of them", "nine of ten", "inside 50, 68, 90 %"], rows), "",
@@ -81,14 +84,16 @@ def _shares(found: Report) -> str:
 
 
 def bands(reports: Reports) -> str:
-    """Errors of single captures by drape coefficient and by stiffness."""
+    """Errors and coverage of single captures by drape coefficient, stiffness and cloth."""
     found = reports["evaluation"]["bands"]
     names = [name for name in found if name != "drape coefficient and nodes"]
     return "\n\n".join(
-        table([f"{kind}; α off by, %: median, 9 of 10", *names],
-              [[label, *(_shares(found[name][kind][label]) for name in names)]
+        table([f"{kind}; α off by, %: median, 9 of 10; inside 50, 68, 90 %", *names],
+              [[label, *(_shares(found[name][kind][label]) + "; "
+                         + coverage(found[name][kind][label]).removesuffix(" %")
+                         for name in names)]
                for label in found[names[0]][kind]])
-        for kind in ("drape coefficient", "stiffness"))
+        for kind in found[names[0]])
 
 
 def views_and_drapes(reports: Reports) -> str:
@@ -98,7 +103,7 @@ def views_and_drapes(reports: Reports) -> str:
              "4 drapes": "depth, sets of 4"}
     return table(["error of log α", *cells], [
         [kind, *(f"{reports.cell(kind, name)['log_alpha']['rmse'] * spread():.2f}"
-                 for name in cells.values())] for kind in RIGS])
+                 for name in cells.values())] for kind in KINDS])
 
 
 def photographed(reports: Reports) -> str:
@@ -112,10 +117,12 @@ def photographed(reports: Reports) -> str:
 
 
 def cells(reports: Reports) -> str:
-    """Errors of the network by condition."""
-    return table(["α off by, %: median, 9 of 10", *RIGS],
-                 [[name, *(_shares(reports.cell(kind, name)) for kind in RIGS)]
-                  for name in reports["evaluation"]["cells"][RIGS["squares"]]])
+    """Errors and coverage of the network by condition."""
+    kinds = (*KINDS, "tin")
+    return table(["α off by, %: median, 9 of 10; inside 50, 68, 90 %", *kinds], [
+        [name, *(f"{_shares(found)}; {coverage(found)}".removesuffix(" %")
+                 for found in (reports.cell(kind, name) for kind in kinds))]
+        for name in reports["evaluation"]["cells"][RIGS["squares"]]])
 
 
 def refinement(reports: Reports) -> str:

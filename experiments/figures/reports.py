@@ -7,7 +7,10 @@ from drapenet.network.checkpoint import read_header
 from experiments.estimation.refine import METHODS
 from experiments.report import Report, read_report
 
-RIGS = {"squares": "square300_cylinder100", "discs": "disc300_support180"}
+RIGS = {"squares": "square300_cylinder100", "discs": "disc300_support180",
+        "wide": "disc360_support180", "tin": "disc254_support127"}
+KINDS = ("squares", "discs")
+"""Those of most tables."""
 FOUR_VIEWS, OUTLINE = "depth, 4 views", "outline, parallel light"
 """Conditions of the claims; :data:`drapenet.network.evaluate.CELLS` has all."""
 
@@ -75,15 +78,16 @@ def outline_folds(report: Report) -> Report:
 
 def evaluated(report: Report) -> Report:
     """Results by kind of specimens and captures, and how far the coverage of single captures is off
-    in the worst band of coefficient or stiffness, points."""
+    in the worst band of coefficient, stiffness or cloth, points."""
     kinds = {"depth": FOUR_VIEWS, "outline": OUTLINE, "views of four": "depth, sets of 4",
              "outlines of four": "outline, sets of 4"}
-    bands = [band for name in (FOUR_VIEWS, OUTLINE) for bands in report["bands"][name].values()
+    bands = [band for name in (FOUR_VIEWS, OUTLINE)
+             for bands in report.get("bands", {}).get(name, {}).values()
              for band in bands.values()]
     return {rig: {kind: report["cells"][tester][name] | {"coverage": coverage(
         report["cells"][tester][name])} for kind, name in kinds.items()}
-        for rig, tester in (RIGS | {"wide": "disc360_support180"}).items()} | {
-        "off": max(map(coverage_error, bands))}
+        for rig, tester in RIGS.items() if tester in report["cells"]} | {
+        "off": max(map(coverage_error, bands), default=None)}
 
 
 def detected_faults(report: Report) -> Report:
@@ -102,6 +106,6 @@ def refined(report: Report) -> Report:
 
 DERIVED: dict[str, Callable[[Report], Report]] = {
     "strip_photographs": strip_coverage, "outlines": outline_folds, "evaluation": evaluated,
-    "faults": detected_faults,
+    "evaluation_flat": evaluated, "faults": detected_faults,
     "refine_views": refined, "refine_views_real": refined, "refine_scans": refined}
 """Figures of claims that are computed from a report."""

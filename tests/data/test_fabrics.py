@@ -403,3 +403,13 @@ def test_both_faces_of_each_fabric_are_up():
     curls = np.array([p.nuisances.curl_warp for p in drapes]).reshape(100, 4)
     assert np.allclose(faces * curls, (faces * curls)[:, :1]) and (curls != 0).all()
     assert {p.face for p in plans(8)} == {1}
+
+
+def test_a_specimen_is_draped_again_from_another_start():
+    settings = {"starts_per_fabric": 4, "testers_per_fabric": 2,
+                "nuisances": NuisanceConfig(size=1e-3)}
+    own, shared = (plans(8, **settings, specimens_per_fabric=number) for number in (0, 2))
+    assert len({p.nuisances.size for p in own}) == 8
+    sizes = [p.nuisances.size for p in shared]
+    assert sizes == [p.nuisances.size for k in (0, 4) for p in own[k : k + 2] * 2]
+    assert len({p.seed for p in shared}) == 8

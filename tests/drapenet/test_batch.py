@@ -22,7 +22,8 @@ from drapenet.result.tables import ROLES, csv_table
 from sim.rig import SQUARE_RIG
 
 TWILL = Path(__file__).parents[2] / "examples" / "captures" / "twill"
-FORMULA, SCRIPT = "=cmd|' /C calc'!A0", "<script>alert(1)</script>"
+FORMULA = "=cmd|' /C calc'!A0"
+SCRIPT = "<script>alert(1)</script>"
 LIST = f"""fabric,sample,capture
 "{FORMULA}",1,0
 "{FORMULA}",2,1

@@ -212,7 +212,8 @@ def test_the_captured_specimen_is_draped_beside_what_is_there(
                               gravity=(0.0, 0.0, -9.81)))
     runpy.run_path(str(script(tmp_path, rig=rig, drape_coefficient_percent=percent)),
                    run_name="__main__")
-    printed, captured = capsys.readouterr().out, f"the captured cloth had {percent} %"
+    printed = capsys.readouterr().out
+    captured = f"the captured cloth had {percent} %"
     expected = Rig.from_name(tested)
     assert "skirt: not made cloth, its edges are 100 mm long" in printed and not coarse.modifiers
     assert f"folds here on {expected.name}" in printed and "None" not in printed

@@ -16,13 +16,14 @@ from common.command import compose_config
 from common.errors import InputError
 from data.dataset.folder import finished_manifest
 from data.dataset.plan import plan_drape
+from data.fabrics.nuisances import KINDS
 from data.fabrics.prior import load_prior, prior_content
 from drapenet.config import EvaluateConfig
 from drapenet.network.checkpoint import Header, read_header
 from drapenet.network.dataset import make_maps
-from drapenet.network.evaluate import CELLS, Judged, judge, make_config
+from drapenet.network.evaluate import CELLS, CLOTHS, Judged, judge, make_config
 from drapenet.network.expected import SHAPE
-from drapenet.network.inputs import ASPECTS, FACTS, Batch
+from drapenet.network.inputs import ASPECTS, FACTS, STATED, Batch
 from drapenet.network.model import make_network
 from drapenet.network.predict import network_of
 from drapenet.network.targets import TARGETS
@@ -64,14 +65,15 @@ def batch_of_sets(group: list[int]) -> Batch:
 
     return Batch(0.3 + 0.1 * drawn(AZIMUTHS, ELEVATIONS), drawn(AZIMUTHS, ELEVATIONS),
                  drawn(AZIMUTHS), drawn(AZIMUTHS), np.ones(count, np.float32),
-                 drawn(FACTS + ASPECTS),
+                 drawn(FACTS + ASPECTS + STATED),
                  np.array(group), np.zeros((count, 0, 0, 0), np.float32), drawn(), drawn(SHAPE))
 
 
 @pytest.mark.parametrize("group", [[0], [0, 1, 1, 2, 2, 2]])
 def test_the_bundled_graphs_are_the_bundled_network(group):
     header, batch = read_header(), batch_of_sets(group)
-    graphs, network = network_of(header), Loaded(load_model(header))
+    graphs = network_of(header)
+    network = Loaded(load_model(header))
     assert type(graphs) is OfGraphs
     for mine, exact in zip(vars(graphs.posterior(batch)).values(),
                            vars(network.posterior(batch)).values(), strict=True):
@@ -152,7 +154,10 @@ def test_an_untrained_network_is_no_better_than_the_mean_and_says_how_wide_it_is
     assert result["inside"]["50%"]["mean"] < result["inside"]["90%"]["mean"]
     assert (result["sets"], result["fabrics"]) == (48, 24)
     assert result["alpha"]["median"] < result["alpha"]["ninth_decile"]
-    for bands in Judged.joined([judged, judged]).by_band(header.spread).values():
+    found = Judged.joined([judged, judged]).by_band(header.spread)
+    kinds = found.pop("cloth")  # of which a fabric may be several
+    assert sum(band["sets"] for name, band in kinds.items() if name in KINDS) == 96
+    for bands in found.values():
         assert sum(band["sets"] for band in bands.values()) == 96
         assert sum(band["fabrics"] for band in bands.values()) >= 48
 
@@ -162,12 +167,15 @@ def test_sets_are_in_the_band_of_their_coefficient_and_stiffness():
     error = np.zeros((4, 6))
     error[2:, :3] = np.log(1.5)
     judged = Judged(error, np.full((4, 6), 0.5), np.arange(4), 1e-6 * np.array([20, 50, 300, 900]),
-                    np.array([0.25, 0.39, 0.85, np.nan]), np.full(4, np.nan))
+                    np.array([0.25, 0.39, 0.85, np.nan]), np.eye(4, len(CLOTHS)) > 0,
+                    np.full(4, np.nan))
     bands = judged.by_band(np.ones(6))
     assert {name: band["alpha"]["median"] for name, band in bands["stiffness"].items()} == {
         "16 to 64 µN·m": 0.0, "above 200 µN·m": pytest.approx(0.5)}
     assert {name: band["sets"] for name, band in bands["drape coefficient"].items()} == {
         "20 to 40 %": 2, "above 80 %": 1}  # of one capture too little was seen
+    assert {name: band["sets"] for name, band in bands["cloth"].items()} == dict.fromkeys(
+        CLOTHS[:4], 1)
 
 
 def test_cells_of_the_matrix_are_possible(header):
@@ -183,7 +191,7 @@ def test_new_drapes_are_of_the_tester_asked_for(header):
     assert base.drapes == 12 and base.edge == pytest.approx(8e-3)
     plans = [plan_drape(index, config=base.sampling, prior=base.prior)
              for index in range(base.drapes)]
-    assert {plan.rig.name for plan in plans} == {"square250_cylinder60"}
+    assert {plan.rig.name.partition("_rim")[0] for plan in plans} == {"square250_cylinder60"}
     assert len({plan.fabric for plan in plans}) == 3
     even = make_config(header, "square250_cylinder60", config, even=True)
     assert even.sampling.even_share == 1 and even.sampling.starts_per_fabric == 2

@@ -344,7 +344,8 @@ def test_a_face_that_shows_no_drape_is_left_out_as_one_that_cannot_be_read(tmp_p
 
 
 def test_densities_of_one_fabric_may_not_differ_much(tmp_path):
-    lengths, density = strips(tmp_path / "strips", warp=[28.0]), "density_g_m2: 210"
+    lengths = strips(tmp_path / "strips", warp=[28.0])
+    density = "density_g_m2: 210"
     nearly, heavy = (changed(capture(tmp_path / name), density, f"density_g_m2: {value}")
                      for name, value in (("a", 216), ("b", 232)))
     assert codes(estimated(nearly, strips=lengths)) == ["densities_differ"]
@@ -353,9 +354,11 @@ def test_densities_of_one_fabric_may_not_differ_much(tmp_path):
 
 
 def test_parts_are_made_again_only_when_what_they_are_made_from_changes(tmp_path):
-    lengths, out = strips(tmp_path / "b", warp=[28.0, 29.0]), tmp_path / "o"
+    lengths = strips(tmp_path / "b", warp=[28.0, 29.0])
+    out = tmp_path / "o"
     make = partial(estimated, capture(tmp_path / "a", RIGHT), strips=lengths, folder=out)
-    first, files = make(), [out / name / "samples.npz" for name in ("capture_0", "strips_1")]
+    first = make()
+    files = [out / name / "samples.npz" for name in ("capture_0", "strips_1")]
 
     def times() -> Sequence[int]:
         return [file.stat().st_mtime_ns for file in files]
@@ -375,7 +378,7 @@ def test_parts_are_made_again_only_when_what_they_are_made_from_changes(tmp_path
     assert all(now > before for now, before in zip(times(), made, strict=True))
     assert median(again) != median(first)
     gone = Source(place=tmp_path / "gone")
-    assert stored_part(gone, files[1].parent, "").estimate.constraint[0] < 0.3
+    assert stored_part(gone, files[1].parent, "").estimate.constraint["alpha warp"] < 0.3
     with pytest.raises(InputError, match="nothing is known"):
         estimate_fabric([], read_header(), EstimateOptions())
 
@@ -453,7 +456,8 @@ def test_two_captures_that_contradict_each_other_leave_both_possible(tmp_path, p
 
 def test_values_are_stated_to_python_as_in_the_files(tmp_path, plain):
     known = RIGHT | {"drape_coefficient_percent": 55.0}
-    stated, photograph = capture(tmp_path / "stated", known), read_capture(PHOTOGRAPH)
+    stated = capture(tmp_path / "stated", known)
+    photograph = read_capture(PHOTOGRAPH)
     lengths = {"warp": [28.0, 29.0]}
     for given, by_file in (
             (drapenet.estimate(TWILL, photograph, known=known),

@@ -216,7 +216,8 @@ def test_a_low_hem_looks_smaller_to_a_camera() -> None:
 
 def test_an_outline_from_above_is_that_of_the_contour(skirted) -> None:
     """From any height down to the lowest, against all edges; also where the hem is tucked under."""
-    mesh, heights = Mesh(skirted.rest, skirted.faces), np.array([np.inf, 1.0, 0.5, 0.4])
+    mesh = Mesh(skirted.rest, skirted.faces)
+    heights = np.array([np.inf, 1.0, 0.5, 0.4])
     depth = skirted.positions[:, 2:] / skirted.positions[:, 2].min()
     tucked = skirted.positions * np.where([True, True, False], 1 - 0.5 * depth**3, 1.0)
     for positions in (skirted.positions, tucked):

@@ -93,7 +93,8 @@ def test_the_factor_of_residuals_is_that_of_their_precision():
 
 
 def test_a_regressions_likelihood_in_training_is_its_square_error():
-    means, targets = torch.tensor([[0.5, -1.0]]), torch.tensor([[0.0, 1.0]])
+    means = torch.tensor([[0.5, -1.0]])
+    targets = torch.tensor([[0.0, 1.0]])
     found = Mixture.around(means, torch.eye(2)).log_likelihood(targets)
     assert found.item() == pytest.approx(-(0.25 + 4) / 2 - np.log(2 * np.pi))
     both = Mixture.joined([Mixture.around(means, torch.eye(2))] * 2)
@@ -132,7 +133,8 @@ def expected() -> Expected:
     found = Expected(facts=2)
     optimizer = torch.optim.Adam(found.parameters(), 5e-3)
     for _ in range(400):
-        targets, facts = torch.randn(256, TARGETS), torch.randn(256, 2)
+        targets = torch.randn(256, TARGETS)
+        facts = torch.randn(256, 2)
         face = torch.sign(torch.randn(256))
         shape = 0.3 * torch.randn(256, SHAPE) + (face * targets[:, CURL.start])[:, None]
         shape[:, 0] = targets[:, 0] + 0.3 * torch.randn(256)
@@ -251,7 +253,8 @@ def test_samples_are_possible_fabrics(network, capture: Observation) -> None:
 def test_symmetries_do_not_change_the_answer(
     network, capture: Observation, cells: int
 ) -> None:
-    first, second = theta(network, capture), theta(network, turned(capture, cells))
+    first = theta(network, capture)
+    second = theta(network, turned(capture, cells))
     # Other samples of the same answers.
     assert (second.mean(axis=0) - first.mean(axis=0)) / first.std(axis=0) == pytest.approx(
         np.zeros(6), abs=0.1)

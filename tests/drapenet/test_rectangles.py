@@ -70,7 +70,8 @@ def test_views_show_which_side_of_a_rectangle_is_which(draped, orientation):
 @pytest.mark.parametrize("orientation", [0.3, 1.9, 4.0])
 def test_a_stated_warp_decides_which_side_is_the_first(draped, orientation):
     """Stated across, the specimen lies with its sides exchanged: the views do not decide then."""
-    views, across = located(draped, orientation), orientation + np.pi / 2
+    views = located(draped, orientation)
+    across = orientation + np.pi / 2
     assert off(map_along(across, views).zero - across, 2 * np.pi) < 46
     nearly = Rig((0.2, 0.21), 0.09)
     for warp in (orientation, across, orientation + np.pi):
@@ -122,7 +123,8 @@ def test_a_rectangle_read_across_is_the_one_of_exchanged_sides(reader):
     def theta(rig: Rig, radius: np.ndarray) -> np.ndarray:
         return predict(*reader, [[seen(rig, radius, False)]])[0].cloth.theta
 
-    one, other = theta(RIG, RADIUS), theta(ACROSS, np.roll(RADIUS, AZIMUTHS // 4))
+    one = theta(RIG, RADIUS)
+    other = theta(ACROSS, np.roll(RADIUS, AZIMUTHS // 4))
     gap = (other.mean(axis=0) - one.mean(axis=0)) / one.std(axis=0)
     assert gap == pytest.approx(np.zeros(6), abs=0.1)
     wrong = theta(ACROSS, RADIUS)

@@ -60,7 +60,8 @@ def compared(camera) -> tuple[np.ndarray, DepthViews]:
 
 
 def test_robust_residuals_and_their_derivatives():
-    r, limit = np.array([-7.0, -1.5, 0.0, 0.3, 1.9, 2.1, 40.0]), 2.0
+    r = np.array([-7.0, -1.5, 0.0, 0.3, 1.9, 2.1, 40.0])
+    limit = 2.0
     bent, slope = huber(r, limit)
     step = 1e-6
     differences = (huber(r + step, limit)[0] - huber(r - step, limit)[0]) / (2 * step)
@@ -92,7 +93,8 @@ def test_depth_derivatives_by_pose(compared, name):
     """A step aside of one parameter alone, so that the residuals speak of it."""
     positions, objective = compared
     k = objective.nuisances.index(name)
-    there, step = objective.start.copy(), np.zeros(len(objective.start))
+    there = objective.start.copy()
+    step = np.zeros(len(objective.start))
     there[k] += objective.scale[k]
     step[k] = 0.05 * objective.scale[k]
     found = objective.linearised(positions, there)
@@ -166,7 +168,8 @@ def test_a_specimen_is_laid_on_a_cone_at_its_own_arc_lengths():
     rig = Rig()
     slope = math.radians(50)
     rng = np.random.default_rng(3)
-    arc, azimuth = rng.uniform(0, 0.18, 60000), rng.uniform(0, 2 * np.pi, 60000)
+    arc = rng.uniform(0, 0.18, 60000)
+    azimuth = rng.uniform(0, 2 * np.pi, 60000)
     radius = rig.plate_radius + arc * math.cos(slope)
     cone = np.column_stack([radius * np.cos(azimuth), radius * np.sin(azimuth),
                             -arc * math.sin(slope)])
@@ -277,7 +280,7 @@ def before() -> Estimate:
     deviation = np.array([0.3, 0.2, 0.3, 3e-4, 2e-4, 3e-4])
     samples = THETA + deviation * np.random.default_rng(0).normal(size=(1000, 6))
     cloth = ClothProperties(samples, np.zeros((1000, 2)), np.full(1000, 600.0), np.full(1000, 0.2))
-    return Estimate(cloth, DIRECTIONS, 0.15, SPREAD)
+    return Estimate(cloth, DIRECTIONS, 0.15, np.append(SPREAD, 0.5))
 
 
 @pytest.fixture(scope="module")

@@ -180,7 +180,8 @@ def test_residuals_count_less_where_the_best_cloth_meets_them_badly(shape):
 
 def test_laplace_is_the_covariance_of_least_squares():
     rng = np.random.default_rng(0)
-    matrix, scale = rng.standard_normal((40, 7)), np.array([1.0] * 3 + [2e-3] * 3 + [0.05])
+    matrix = rng.standard_normal((40, 7))
+    scale = np.array([1.0] * 3 + [2e-3] * 3 + [0.05])
     problem = SimpleNamespace(linearised=lambda x: (np.zeros(40), matrix), measurements=40.0,
                               scale=scale, names=tuple("abcdefg"))
     found = laplace(problem, SimpleNamespace(x=np.zeros(7), misfit=66.0))
@@ -213,7 +214,9 @@ def test_the_surface_that_holds_cloth_moves_with_the_camera(shape, monkeypatch):
     """Derivatives by an objective's parameter go through the springs as well."""
 
     class Shifted(RobustPositions):
-        nuisances, scale, deviation = ("shift",), np.full(1, 1e-3), np.ones(1)
+        nuisances = ("shift",)
+        scale = np.full(1, 1e-3)
+        deviation = np.ones(1)
         start = np.zeros(1)
 
         def linearised(self, positions: np.ndarray, nuisance: np.ndarray) -> Linearised:

@@ -152,7 +152,8 @@ def test_a_scan_whose_vertices_slid_is_laid_again(tmp_path, scanned):
 
 
 def test_a_surface_that_no_specimen_can_be_laid_on_is_refused(tmp_path, scanned):
-    x, radius = scanned.rest[:, 0], np.linalg.norm(scanned.rest, axis=1)
+    x = scanned.rest[:, 0]
+    radius = np.linalg.norm(scanned.rest, axis=1)
     table = np.random.default_rng(0).uniform(-0.25, 0.25, (len(scanned.positions) // 3, 3))
     table[:, 2] = scanned.positions[:, 2].min() - 0.03
     for name, points in (("part", scanned.positions[(x < 0) | (radius < 0.1)]),

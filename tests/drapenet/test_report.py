@@ -36,7 +36,8 @@ from sim.rig import Rig
 from sim.skirt import skirt
 from sim.solver.newton import Status
 
-ALPHA, BETA = np.array([52e-6, 31e-6, 22e-6]), np.array([-158e-9, -101e-9, -69e-9])
+ALPHA = np.array([52e-6, 31e-6, 22e-6])
+BETA = np.array([-158e-9, -101e-9, -69e-9])
 SOFTENING = np.array([-300e-9, -102e-9, -69e-9])  # within KES's range, in part along the bias
 LABELS = {"fabric": "Twill 7/8, navy", "date": "2026-11-26", "laboratory": "Textile laboratory",
           "operator": "M. Muster", "camera": "D435i, no. 12"}

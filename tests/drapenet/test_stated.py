@@ -44,10 +44,8 @@ NUMBERS = {"specimen": "disc", "size_mm": 254, "plate_mm": 127}
 
 
 @pytest.fixture(scope="module")
-def header(tmp_path_factory):
-    """Of an untrained network that reads what is stated."""
-    folder = tmp_path_factory.mktemp("stated")
-    return read_header(save_untrained(folder / "stated.safetensors", stated=True))
+def header(untrained_checkpoint):
+    return read_header(untrained_checkpoint)
 
 
 def seen(rig=DISC_RIG) -> list[list[Observation]]:
@@ -80,19 +78,15 @@ def test_a_plate_is_measured_to_the_end_of_its_rim():
 
 
 @pytest.mark.parametrize(("rig", "stated"), [
-    (ROUNDED, Stated()),
-    (DISC_RIG, Stated(membrane=300.0)),
-    (DISC_RIG, Stated(kind=1))])
-def test_networks_that_have_learned_to_read_what_is_stated(header, untrained_checkpoint, rig,
-                                                           stated):
-    other = read_header(untrained_checkpoint)
-    for about, reads in ((header, True), (other, False)):
-        plain, told = (predict(network_of(about), about, sets, [one])[0].cloth.theta
-                       for sets, one in ((seen(), Stated()), (seen(rig), stated)))
-        assert np.array_equal(plain, told) != reads
+    (ROUNDED, Stated()), (DISC_RIG, Stated(membrane=300.0)), (DISC_RIG, Stated(kind=1))])
+def test_networks_read_what_is_stated(header, rig, stated):
+    plain, told = (predict(network_of(header), header, sets, [one])[0].cloth.theta
+                   for sets, one in ((seen(), Stated()), (seen(rig), stated)))
+    assert not np.array_equal(plain, told)
 
 
-def test_graphs_read_what_is_stated(header):
+def test_graphs_read_what_is_stated(tmp_path):
+    header = read_header(save_untrained(tmp_path / "stated.safetensors"))
     batch, _ = batch_of(seen(ROUNDED), [Stated(300.0, 2)])
     expected = network_of(header).posterior(batch).means
     save_graphs(header)
@@ -104,7 +98,8 @@ def test_what_is_stated_in_training_is_of_the_set(tmp_path):
                            testers_per_fabric=2, testers=(DISC_RIG.name,), rounded_rims=0.5)
     maps = make_maps(folder, finished_manifest(folder), tmp_path, setups=Setups.load("real"),
                      captures=1, seed=1)
-    captures, cloths = CaptureSet(maps), np.tile(np.arange(8), 40)
+    captures = CaptureSet(maps)
+    cloths = np.tile(np.arange(8), 40)
     shares = replace(Condition.of_inputs(["outline"]), sizes=(0.0, 1.0))
     batch, facts = captures.batch(cloths, shares, np.random.default_rng(0))
     by_set = facts.group.argsort(kind="stable").reshape(-1, 2)
@@ -128,9 +123,7 @@ def test_what_is_stated_in_training_is_of_the_set(tmp_path):
     assert np.abs(columns).max() < 5
 
 
-def test_a_membrane_that_the_network_reads_is_no_further_evidence(
-    header, untrained_checkpoint, tmp_path, monkeypatch
-):
+def test_a_membrane_that_the_network_reads_is_no_further_evidence(header, tmp_path, monkeypatch):
     (tmp_path / "capture.yaml").write_text(
         "density_g_m2: 150\ntester: {specimen: disc, size_mm: 300, plate_mm: 180, rim_radius_mm: 2}"
         "\nknown: {drape_coefficient_percent: 50, membrane_n_per_m: 600, hysteresis_share: 0.2, "
@@ -142,11 +135,8 @@ def test_a_membrane_that_the_network_reads_is_no_further_evidence(
         return posterior(prior, sources, name)
 
     monkeypatch.setattr(drapenet.fabric.combine, "posterior", noted)
-    for about in (header, read_header(untrained_checkpoint)):
-        found = estimate_fabric([Source(place=tmp_path)], about, EstimateOptions(drapes=0))
-    (told,), (plain,) = used[:-1], used[-1:]
-    assert told == ["known.hysteresis_share.0"] == [key for key in plain if "membrane" not in key]
-    assert "known.membrane_n_per_m.0" in plain
+    found = estimate_fabric([Source(place=tmp_path)], header, EstimateOptions(drapes=0))
+    assert used == [["known.hysteresis_share.0"]]
     assert "kind of cloth: knit" in found.document.known_values
     assert found.document.capture.rig == "disc300_support180_rim2"
 

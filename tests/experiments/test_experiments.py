@@ -9,11 +9,10 @@ import pytest
 
 from common.errors import InputError
 from experiments import study
-from experiments.__main__ import PAPERS, main, usage
+from experiments.__main__ import main, usage
 from experiments.estimation import refine
-from experiments.papers import views
 from experiments.report import REPORTS, ROOT, read_report, table
-from experiments.study import EXECUTION_KEYS, FILES, FOLDERS, CaseKeys, samples_of
+from experiments.study import FILES, FOLDERS, CaseKeys, samples_of
 
 PAGE = ROOT / "docs" / "studies.md"
 
@@ -21,19 +20,20 @@ PAGE = ROOT / "docs" / "studies.md"
 def test_places_that_cannot_be_written_to_are_refused_before_the_work(tmp_path):
     (tmp_path / "file").touch()
     for words in (["convergence", "out=/proc/report.json"], ["convergence", f"out={tmp_path}"],
-                  ["views", f"out={tmp_path}/file/report.json"],
-                  ["views", f"cases={tmp_path}/file"], ["mats", "cases=/proc/runs"]):
+                  ["refine", f"out={tmp_path}/file/report.json"],
+                  ["refine", f"cases={tmp_path}/file"], ["mats", "cases=/proc/runs"]):
         with pytest.raises(InputError, match="cannot write"):
             main(words)
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
-@pytest.mark.parametrize("name", ["numbers", "views"])
+@pytest.mark.parametrize("name", ["numbers", "mats"])
 def test_the_reports_of_the_documentation_stay_unless_they_are_named(tmp_path, monkeypatch, name):
-    this, report = study.study(name), read_report(name) | {"settings": 1}
+    this = study.study(name)
+    report = read_report(name) | {"settings": 1}
     before = [file.read_bytes() for file in (REPORTS / f"{name}.json", PAGE)]
     monkeypatch.setattr(study, "study", lambda name: study.Study(
-        this.keys, lambda keys: report, this.block, this.draw))
+        this.keys, lambda keys: report, this.block))
     monkeypatch.chdir(tmp_path)
     main([name])
     written = json.loads((tmp_path / f"outputs/experiments/{name}.json").read_text("utf-8"))
@@ -49,18 +49,6 @@ def test_every_study_has_a_folder_keys_and_a_line():
         assert len(keys.text().splitlines()) == len(keys.model_fields) and keys.read([]) == keys()
         (line,) = (line for line in lines if line.split()[:1] == [name])
         assert line.endswith(".") and len(line) <= 120
-
-
-def test_studies_of_papers_have_a_section_a_figure_and_the_keys_of_their_report():
-    page = PAGE.read_text(encoding="utf-8")
-    assert [line.split()[2] for line in page.splitlines() if line.startswith("<!-- figures")] == [
-        *PAPERS]
-    for name in PAPERS:
-        this, report = study.study(name), read_report(name)
-        keys = set(this.keys.model_fields) - {*EXECUTION_KEYS}
-        assert keys <= set(report["settings"])
-        assert f"](validation/{name}.png)" in page
-        assert this.draw(report).axes and (REPORTS / f"{name}.png").is_file()
 
 
 class Keys(CaseKeys):
@@ -95,33 +83,6 @@ def test_words_are_read_as_yaml_and_texts_and_lists_need_no_quotes():
     assert (keys.factors, keys.name, keys.seed) == ((1.0, 150.0), "12", 7)
     assert Keys.read(["factors=[3]", "name="]) == Keys(factors=(3.0,))
     assert Keys.text().splitlines()[-2:] == ["factors: (2.0,)  # of all", "name: ''"]
-
-
-@pytest.mark.slow
-def test_an_experiment_resumes_and_leaves_the_page_unchanged_with_another_output(tmp_path, capsys):
-    before = PAGE.read_bytes()
-    words = ["views", "fabrics=1", "captures=1", "edge_mm=8", "workers=1",
-             f"cases={tmp_path / 'cases'}", f"out={tmp_path / 'views.json'}"]
-    main(words)
-    first = json.loads((tmp_path / "views.json").read_text(encoding="utf-8"))
-    capsys.readouterr()
-    main(words)
-    assert "to go" not in capsys.readouterr().out
-    again = json.loads((tmp_path / "views.json").read_text(encoding="utf-8"))
-    assert again["views"] == first["views"] and PAGE.read_bytes() == before
-
-
-def test_views_are_studied_with_the_captures_that_are_read():
-    def fabric(error, read):
-        return {str(count): {"refused": 5, "error": np.full((n, 6), error).tolist(),
-                             "deviation": np.ones((n, 6)).tolist(), "rank": [[0.5] * 6] * n}
-                for count, n in zip(views.VIEWS, read, strict=True)}
-
-    found = {"soft": fabric(1.0, [2] * 6), "stiff": fabric(3.0, [2, 1, 0, 0, 0, 0])}
-    report = views.report_of(found)
-    assert [one["captures"] for one in report["views"].values()] == [4, 3, 2, 2, 2, 2]
-    assert report["views"]["2"]["log_alpha"] == pytest.approx(np.sqrt(11 / 3))
-    assert report["views"]["3"]["log_alpha"] == 1.0 and report["refused_captures"]["1"] == 10
 
 
 def test_the_command_lists_the_experiments_and_shows_keys(capsys):

@@ -175,8 +175,8 @@ function showNumbers(estimate) {
     }
     return row;
   }));
-  const poor = estimate.poorly_constrained.length
-    ? `Poorly constrained: ${estimate.poorly_constrained.join(', ').replaceAll('beta', 'β').replaceAll('alpha', 'α')}. ` : '';
+  const poor = estimate.mostly_usual.map(({ text }) => `${text[0].toUpperCase()}${text.slice(1)}. `).join('')
+    .replaceAll('beta', 'β').replaceAll('alpha', 'α');
   const next = (estimate.next_measurements ?? []).map((one) => `${one.measurement}: α ${one.alpha_narrower_percent.toFixed()} %, β ${one.beta_narrower_percent.toFixed()} % (${one.minutes} min)`);
   at('poor').textContent = poor + (estimate.advice ?? []).map(({ text }) => `Advice: ${text}. `).join('')
     + (next.length ? `Measured next, intervals would become narrower by ${next.join('; ')}. ` : '')

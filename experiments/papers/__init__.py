@@ -1,1 +1,0 @@
-"""Experiments of published papers, repeated: docs/studies.md."""
