@@ -58,6 +58,7 @@ class Excerpt(Schema):
 
 _PLAIN = {"float_type": "is not a number; write digits alone, without a unit",
           "int_type": "is not a whole number",
+          "string_pattern_mismatch": "has characters that are not taken",
           "model_type": "must be 'key: value' pairs in braces"}
 """Sentences in place of Pydantic's, by the type of fault."""
 
@@ -258,13 +259,10 @@ def _around(data: bytes, place: int) -> str:
 
 
 def misnamed(names: Iterable[str], file: str) -> str:
-    """The one of ``names`` that stands for ``file``, NAME.yaml, with another suffix or case; or ''.
-
-    Editors append .txt, which Windows hides.
-    """
-    stem = file.removesuffix(".yaml")
-    meant = {stem + suffix for suffix in (".yaml", ".yml", ".yaml.txt", ".yml.txt")}
-    return next((name for name in sorted(names) if name.lower() in meant), "")
+    """The one of ``names`` that stands for ``file``, NAME.yaml, in another case, with a copy's
+    number or suffixes, which Windows hides; or ''."""
+    meant = re.compile(rf"{file.removesuffix('.yaml')} ?(\(\d+\))?\.ya?ml(\.ya?ml|\.txt)*", re.I)
+    return next((name for name in sorted(names) if meant.fullmatch(name)), "")
 
 
 def require_file_in(folder: Path, name: str, content: str) -> Path:

@@ -64,6 +64,8 @@ def require_folder(folder: Path) -> None:
     nearest = next(place for place in (folder, *folder.parents) if os.path.lexists(place))
     reason = "" if os.path.isdir(nearest) else "a file is in the way"
     try:
+        with suppress(FileNotFoundError, NotADirectoryError):
+            folder.lstat()  # too long a name
         # Permissions do not suffice: the file system may be read-only, or the user root.
         tempfile.TemporaryFile(dir=nearest).close()
     except OSError as error:

@@ -16,7 +16,7 @@ Row = tuple[int, list[str]]
 """Line number, and cells without spaces around them."""
 _STATED = re.compile(r'"?sep=(.)"?[ \t]*(?=\r|\n|$)', re.I)
 _QUOTED = re.compile(r'(?m)(^|[;,\t ])"(?:[^"]|"")*"')
-_SPACED = re.compile(r" *[^\s,;]+(,\d+)?( +[-+]?\d+([.,]\d*)?(e[-+]?\d+)?)+ *", re.I)
+_SPACED = re.compile(r" *[^\s,;]+(,\d+°?)?( +[-+\u2212]?\d+([.,]\d*)?(e[-+]?\d+)?)+ *", re.I)
 
 
 def read_rows(file: Path, kind: str, max_bytes: int = MAX_TABLE_BYTES) -> list[Row]:
@@ -48,7 +48,8 @@ def named_columns(header: list[str], rows: list[Row]) -> list[str]:
 
 
 def number(text: str) -> float:
-    """The number in a cell, also with a decimal comma; ValueError if there is none."""
+    """The number in a cell, also with a decimal comma, U+2212 or °; ValueError if there is none."""
+    text = text.replace("\u2212", "-").removesuffix("°")
     return float(text if "." in text else text.replace(",", "."))
 
 

@@ -95,6 +95,8 @@ def _is_text(kind: Any) -> bool:
 
 
 def _unquoted(text: str) -> str:
+    if text.startswith("~/"):  # which shells leave as it is after KEY=
+        return str(Path(text).expanduser())
     quote = text[:1]
     if len(text) > 1 and quote in "'\"" and text[-1] == quote:
         return text[1:-1].replace(f"\\{quote}", quote)

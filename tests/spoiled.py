@@ -1,6 +1,7 @@
 """Sound sources of each kind, and what spoils them: what the tables of tests/refused name."""
 
 import json
+import os
 import shutil
 import struct
 import zlib
@@ -18,26 +19,39 @@ import yaml
 from checkpoints import describe_again, description, save_untrained
 from cloths import describe, lopsided_views, waves
 from elastica_curves import LAWS, curves_of, write_curve
-from PIL import Image
+from estimates import document_of, estimate_of
+from PIL import Image, ImageOps
 from safetensors.numpy import load, save_file
 
 import apps.cantilever
 import apps.capture
 import apps.drape
+import data.dataset.generate
+import data.dataset.inspect
 import data.fabrics.prior.__main__
+import drapenet.export.__main__
 import examples.make_capture
 import examples.make_strips
+import experiments.__main__
 import infer
+import train
 from apps.strip_curves import read_curve
+from common.configs import read_option
+from common.errors import of
+from common.files import replace_json
 from data.captures.raw_scans import read_raw_scan
 from data.captures.reader import read_capture
 from data.captures.writer import write_capture
 from data.fabrics.fabrics import TABLE_COLUMNS, read_fabric_table
+from data.fabrics.prior import load_prior, save_prior
 from data.render.cameras import nominal_camera
+from data.render.setups import Setups
 from drapenet.fabric.entries import entries_of
 from drapenet.measured.strips.folder import read_strips
 from drapenet.measured.tension.folder import read_tension
 from drapenet.network.checkpoint import read_header
+from drapenet.result.files import ESTIMATE
+from sim.material import MICRO
 from sim.rig import DISC_RIG, SQUARE_RIG
 from sim.scene import make_specimen
 
@@ -128,6 +142,23 @@ def _curve(folder: Path) -> None:
     write_curve(folder / "w.csv", curves_of(*LAWS[0])[0])
 
 
+def _estimate(folder: Path) -> None:
+    document = document_of(estimate_of(MICRO * np.array([52, 31, 22]), np.zeros(3)))
+    replace_json(folder / ESTIMATE, document.content())
+
+
+def _setups(folder: Path) -> Setups:
+    with of(folder):
+        return Setups.from_config(yaml.safe_load((folder / "setup.yaml").read_text()))
+
+
+def _prior(name: str) -> Start:
+    """A bundled one."""
+    return Start(lambda folder: save_prior(load_prior(name), folder / "p.json"),
+                 lambda folder: load_prior(folder / "p.json"), description="p.json",
+                 doors=(READER,))
+
+
 def _fabrics(folder: Path) -> None:
     """A table of fabrics."""
     rows = ["0.30, 2000, 1000, 1500, -20, -10, 15", "0.15, 9000, 4000, 6000, -900, -400, -600"]
@@ -151,17 +182,28 @@ STARTS = {
     "checkpoint": Start(_checkpoint, lambda folder: read_header(folder / "net.safetensors"),
                         words=("checkpoint={}/net.safetensors", f"capture={TWILL}"),
                         description="net.safetensors", doors=(READER, COMMAND)),
+    "description": Start(doors=(READER,)),
     "nothing": Start(doors=(READER, COMMAND)),
     "command": Start(words=(), doors=(COMMAND,)),
     "drape": Start(command=apps.drape.main, words=(), doors=(COMMAND,)),
     "cantilever": Start(_curve, command=apps.cantilever.main, words=(), doors=(COMMAND,)),
     "prior": Start(command=data.fabrics.prior.__main__.main, words=(), doors=(COMMAND,)),
+    "dataset": Start(command=data.dataset.generate.main, words=(), doors=(COMMAND,)),
+    "inspection": Start(command=data.dataset.inspect.main, words=(), doors=(COMMAND,)),
+    "training": Start(command=train.main, words=("data=/none",), doors=(COMMAND,)),
+    "export": Start(_estimate, command=drapenet.export.__main__.main, description=ESTIMATE,
+                    words=("estimate={}/estimate.json",), doors=(COMMAND,)),
+    "study": Start(command=experiments.__main__.main, words=(), doors=(COMMAND,)),
     "check": Start(command=apps.capture.main, words=(), doors=(COMMAND,)),
     "practice capture": Start(command=examples.make_capture.main, words=(), doors=(COMMAND,)),
     "practice strips": Start(command=examples.make_strips.main, words=(), doors=(COMMAND,)),
     "curve": Start(_curve, lambda folder: read_curve(folder / "w.csv"), doors=(READER,)),
     "fabrics": Start(_fabrics, lambda folder: read_fabric_table(folder / "fabrics.csv"),
                      doors=(READER,)),
+    "setup": Start(_described("setup.yaml", read_option("setup", "real")), _setups,
+                   description="setup.yaml", doors=(READER,)),
+    "gaussian": _prior("gaussian"),
+    "vae": _prior("vae"),
     "list": Start(read=lambda folder: entries_of(folder / "list.csv"), doors=(READER,)),
     "form": Start(fields={"density_g_m2": "210"}, doors=(SERVICE,)),
     "form of a photograph": Start(doors=(SERVICE,), fields={
@@ -225,14 +267,7 @@ def _set(file: Path, place: str, value: object) -> None:
     if checkpoint:
         describe_again(file, json.dumps(content))
     else:
-        file.write_text(yaml.safe_dump(content))
-
-
-def _again(file: Path, key: str, **changes: object) -> None:
-    """The first strip of a description once more, changed."""
-    content = yaml.safe_load(file.read_text())
-    content[key].append(content[key][0] | changes)
-    file.write_text(json.dumps(content))  # without an alias
+        file.write_text(json.dumps(content) if file.suffix == ".json" else yaml.safe_dump(content))
 
 
 def large_png(width: int, height: int) -> bytes:
@@ -325,14 +360,11 @@ def png_of_size(folder: Path, name: str, width: int, height: int) -> None:
     (folder / name).write_bytes(large_png(width, height))
 
 
-def repeated_strip(folder: Path) -> None:
-    """Two strips of one photograph."""
-    _again(folder / "strips.yaml", "strips")
-
-
-def heavier_strip(folder: Path) -> None:
-    """A second strip that is no longer under twice the weight."""
-    _again(folder / "tension.yaml", "tension", load_g=50)
+def repeated(folder: Path, name: str, key: str, load: float | None = None) -> None:
+    """The first strip of a description once more."""
+    content = yaml.safe_load((folder / name).read_text())
+    content[key].append(content[key][0] | ({"load_g": load} if load else {}))
+    (folder / name).write_text(json.dumps(content))  # without an alias
 
 
 def endless_density(folder: Path) -> None:
@@ -402,6 +434,17 @@ def grey_picture(folder: Path, name: str) -> None:
     Image.new("RGB", (800, 600), (200, 190, 180)).save(folder / name)
 
 
+def pipe(folder: Path, name: str) -> None:
+    """A named pipe, to which nobody writes."""
+    os.mkfifo(folder / name)
+
+
+def mirrored(folder: Path, name: str) -> None:
+    """A photograph, mirrored."""
+    with Image.open(folder / name) as picture:
+        ImageOps.mirror(picture).save(folder / name, exif=picture.getexif())
+
+
 def small_background(folder: Path) -> None:
     """A picture of the empty scene of another size."""
     Image.fromarray(np.full((90, 240), 800, np.uint16)).save(folder / "background.png")
@@ -447,7 +490,7 @@ def points(folder: Path, *content: Any) -> None:
 
 
 CHANGES = {change.__name__: change for change in (
-    truncated, gone, a_file, filled, undescribed, repeated_strip, heavier_strip, replaced,
+    truncated, gone, a_file, filled, undescribed, repeated, replaced,
     again, folder_in_the_way, mesh, many, png_of_size, endless_density, blank, striped, thinned,
     cut, one_column, whole, in_bits, coloured, small_background, damaged_pixels, array,
-    array_header, points, polar, grey_picture)}
+    array_header, points, polar, grey_picture, pipe, mirrored)}

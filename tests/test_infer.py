@@ -217,6 +217,10 @@ def test_results_are_named_after_their_capture_and_not_overwritten_by_another(
     file.write_text("{")  # damaged: it is replaced
     infer.main(["capture=raw/poplin/s1/c1", *more])
     assert file.read_bytes() == before
+    name = 50 * "\u7d39"  # of 150 bytes
+    shutil.copytree(capture, tmp_path / name / name)
+    infer.main([f"capture={name}/{name}", *more])
+    assert (results / f"{name[:34]}_{name}" / "estimate.json").exists()
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the published captures are not here")

@@ -19,8 +19,9 @@ from data.readings.known import Reported
 from data.render.cameras import Intrinsics
 from data.rigs import Tester, read_tester
 
-DENSITY_RANGE = (16.0, 1000.0)  # g/m2; from 3 to 15 oz/yd² is common for heavier cloth
+DENSITY_RANGE = (16.0, 3000.0)  # g/m2; from 3 to 15 oz/yd² is common for heavier cloth
 LIGHT_DENSITY = 35.0  # g/m2; few fabrics are lighter, and many have this number of momme
+HEAVY_DENSITY = 1000.0  # g/m2; only coated cloth and leather are heavier
 MAX_COEFFICIENT = 1.15  # of a drape, from 0 to 1; sound captures of stiff cloth have up to 0.98
 MAX_VIEWS = 8
 MIN_PICTURE, MAX_PICTURE = (80, 60), (4096, 4096)
@@ -37,7 +38,7 @@ PARALLEL = "parallel"
 NEED_WARP = ("need captures whose warp is marked: state its direction (warp_direction_deg; on the "
              "page, Warp in the picture)")
 MAX_LABEL_LENGTH = 80  # characters
-PRINTABLE = r"^[^\p{C}\p{Zl}\p{Zp}]*$"
+PRINTABLE = r"^[[^\p{C}\p{Zl}\p{Zp}]\x{AD}\x{200C}\x{200D}]*$"  # with hyphens and joiners
 _Label = Annotated[str, Field(min_length=1, max_length=MAX_LABEL_LENGTH, pattern=PRINTABLE)]
 _UNTIL = " to "  # between the first and the last day
 _LABEL = f"up to {MAX_LABEL_LENGTH} printable characters, in quotes if they are a number"
@@ -122,8 +123,10 @@ class Weighed(Schema):
     @property
     def questions(self) -> tuple[Finding, ...]:
         """A warning of a density that few fabrics have."""
-        light = self.density_g_m2 < LIGHT_DENSITY
-        return (Finding("density_light", {"value": self.density_g_m2}),) * light
+        density = self.density_g_m2
+        code = "density_light" if density < LIGHT_DENSITY else "density_heavy"
+        return () if LIGHT_DENSITY <= density <= HEAVY_DENSITY else (
+            Finding(code, {"value": density}),)
 
 
 class Specimen(Weighed):

@@ -32,6 +32,8 @@ MAX_PIXELS = 64_000_000  # of all frames of one view
 MAX_POINTS = MAX_PICTURE[0] * MAX_PICTURE[1] // 4
 KINDS = ("view_{}.png", "view_{}_{}.png", "view_{}.npy", "view_{}.exr", "view_{}.ply")
 """File names of views by format; braces are replaced by numbers from 0."""
+_NEARLY = re.compile(r"view[\W_]*\d+[\W_]*\.(png|npy|exr|ply)", re.IGNORECASE)
+"""Meant for names of views."""
 _UNREAD = {
     ".raw": "bare pixels without their size", ".pcd": "a point cloud of PCL",
     ".npz": "an archive of arrays", ".jpg": "an 8-bit picture, whose compression changes depth",
@@ -144,6 +146,11 @@ def _kind(folder: Path) -> str:
     if len(examples) > 1:
         raise InputError(f"holds {examples[0]} and {examples[1]}: give the views in one "
                          "kind of file, or one recording", source=folder, joint=" ")
+    for file in sorted(folder.iterdir()):
+        if _NEARLY.fullmatch(file.name) and not any(_match(kind, file.name) for kind in KINDS):
+            raise InputError(f"holds {shown(file.name)}; views are called {KINDS[0].format(0)}, "
+                             f"{KINDS[0].format(1)} and so on: rename it, or take it away",
+                             source=folder, joint=" ")
     return next(iter(found), KINDS[0])  # numbered() reports that they are missing
 
 

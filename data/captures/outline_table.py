@@ -15,12 +15,14 @@ UNITS = {"mm": 1e-3, "m": 1.0, "cm": 1e-2, **dict.fromkeys(("in", "inch", "inche
          **dict.fromkeys(("um", "\u00b5m", "\u03bcm"), 1e-6)}  # micro sign and Greek letter
 MIN_POINTS = 36
 MIN_TURN = 270.0  # degrees, that angles span at least
+MAX_TURN = 370.0  # cloth may swing back
 MIN_RETURN = 0.25  # of the steps of x around a curve go back; fewer may be of disordered angles
 CARTESIAN, POLAR = ("x", "y"), ("angle", "radius")
 _UNIT = "|".join(name for name in UNITS if name != "in")
 _HEADING = re.compile(rf"(x|y|angle|radius)(?![a-z])[ _(\[]*(?:in[ _])?"
                       rf"(?:({_UNIT}|in(?! *\w))\b)?.*")  # "x in mm" has no inches
 _UNIT_ROW = re.compile(rf"[(\[]?({_UNIT}|in)[)\]]?")
+_NOT_READ = re.compile(r"(?<![a-z])(px|pixels?|dm|ft|yd|gon|grads?|rad(ians?)?)(?![a-z])")
 
 
 def read_closed_curve(file: Path, source: OutlineSource, *, handed: bool = True) -> Outline:
@@ -33,6 +35,8 @@ def read_closed_curve(file: Path, source: OutlineSource, *, handed: bool = True)
     """
     rows = read_rows(file, "outline")
     begin = next((k for k, (_, cells) in enumerate(rows) if _count(cells) > 1), len(rows))
+    if rows and begin == len(rows):
+        _numbers(rows[-1], [0, 1], 2)  # raises
     names, stated = _heads([cells for _, cells in rows[:begin]], rows[begin:])
     pair = _pair(names) if names else None
     unit = stated or source.unit
@@ -69,6 +73,10 @@ def _heads(heads: list[list[str]], rows: list[Row]) -> tuple[list[str], str | No
             units |= {heading[2] for heading in headings if heading and heading[2]}
         elif names:
             units |= {found[1] for cell in cells if (found := _UNIT_ROW.fullmatch(cell))}
+        used = " ".join(cell for name, cell in zip(names, cells, strict=False) if name)
+        if other := _NOT_READ.search(used):
+            raise InputError(f"its header states {other[1]}; give lengths in mm (pixels divided by "
+                             "those of a mm), angles in degrees, and name them, such as x_mm;y_mm")
     if heads and not names:
         names = [""]
     if len(units) > 1:
@@ -104,8 +112,8 @@ def _numbers(row: Row, places: list[int], count: int) -> list[float]:
         if np.isfinite(numbers).all() and len(cells) <= count:
             return numbers
     raise InputError(f"its line {line}, {shown(' '.join(cells))}, does not have {count} numbers; "
-                     "separate numbers with a decimal comma by semicolons, and name more than two "
-                     "columns")
+                     "write digits alone, without marks between thousands, separate numbers with a "
+                     "decimal comma by semicolons, and name more than two columns")
 
 
 def _guessed(first: np.ndarray, second: np.ndarray) -> tuple[str, str]:
@@ -132,6 +140,8 @@ def _from_angles(
     if (turn := np.ptp(degrees)) < MIN_TURN:
         raise InputError(f"its angles span {turn:.4g}°, at least {MIN_TURN:g}° are needed; "
                          "give degrees, or x and y about the plate's centre")
+    if turn > MAX_TURN:
+        raise InputError(f"its angles span {turn:.4g}°, more than a turn; give degrees, not gon")
     if handed and not source.angles and (np.diff(degrees) < 0).mean() > 0.5:
         raise InputError("its angles descend, as if they were counted clockwise; state outline: "
                          "{angles: clockwise}, or counter-clockwise, as seen from above")

@@ -16,6 +16,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from common.documents import read_bytes
 from common.errors import InputError, of
 from common.findings import Finding
 from common.types import Metres, Outline, PixelPath, Radians, Vector
@@ -38,12 +39,13 @@ from data.captures.plate_height import MAX_OFF, height_off
 from data.captures.scale import Scaled, scaled_photographs
 from data.pictures.cut import Cut, outline_of_cloth
 from data.pictures.planes import mapped, shifted, upright
+from data.pictures.reading import MAX_FILE_BYTES
 from data.pictures.uncovered import uncover
+from data.readings.known import MIN_COEFFICIENT
 from sim.outlines import closed, coefficient_of_area, farthest, folds_around
 from sim.rig import Rig
 
 MAX_PIXEL = 1.5e-3  # m
-MIN_COEFFICIENT = 0.02  # of cloth on a plate; the plate alone has 0
 MAX_TILT = np.radians(10.0)
 MAX_GROUNDED, MAX_GLARE = 0.02, 0.05  # of the azimuth
 HANGING = 0.005  # m, allowed to reach below the mat, of specimens that are not centred
@@ -158,7 +160,7 @@ def read_outline(
 
 
 def _sha256(file: Path) -> str:
-    return sha256(file.read_bytes()).hexdigest()
+    return sha256(read_bytes(file, MAX_FILE_BYTES, "photograph")).hexdigest()
 
 
 def _tabulated(

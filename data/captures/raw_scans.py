@@ -1,6 +1,7 @@
 """Scans as scanners write them: meshes or clouds of points, in any unit and orientation."""
 
 import io
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,9 @@ RAW = (".ply", ".obj", ".stl", ".glb")  # suffixes
 KINDS = f"{', '.join(RAW[:-1])} or {RAW[-1]}"
 MAX_BYTES = 256 << 20
 MIN_POINTS = 200
+_HEAD = 1 << 16  # bytes of a file that show how it is written
+_UNREAD = {rb"KHR_draco|EXT_meshopt": "is compressed; export it without compression",
+           rb"^[ \t]*(v\w*[ \t]+)?-?\d+,\d+[ \t]+-?\d+,\d": "has decimal commas; write points"}
 
 
 @dataclass(frozen=True)
@@ -59,6 +63,11 @@ def _read(path: Path) -> tuple[Points, Faces]:
     import trimesh
 
     data = read_bytes(path, MAX_BYTES, "scan")
+    for mark, fault in _UNREAD.items():
+        if re.search(mark, data[:_HEAD], re.MULTILINE):
+            raise InputError(fault, source=path, joint=" ")
+    if path.suffix.lower() == ".obj":
+        data = _counted_from_first(data)
     # From memory: files that a scan refers to, such as materials, must not be read.
     mesh: Any = trimesh.load(io.BytesIO(data), file_type=path.suffix[1:].lower(), process=False,
                         skip_materials=True)
@@ -81,3 +90,18 @@ def _read(path: Path) -> tuple[Points, Faces]:
         raise InputError(f"has {len(points)} points; a scan has {MIN_POINTS} to "
                          f"{MAX_SCAN_SIZE}", source=path, joint=" ")
     return points, faces
+
+
+def _counted_from_first(text: bytes) -> bytes:
+    """An OBJ whose faces count vertices from the first on: trimesh takes negative ones, which count
+    back from the face, for places from the end of the file."""
+    count = 0
+
+    def line(found: re.Match[bytes]) -> bytes:
+        nonlocal count
+        count += found[1] == b"v"
+        return found[0] if found[1] == b"v" else re.sub(
+            rb"(?<=[ \t])-(\d+)\S*", lambda back: b"%d" % (count + 1 - int(back[1])), found[0])
+
+    back = re.search(rb"^f[ \t].*-", text, re.MULTILINE)
+    return re.sub(rb"^([vf])[ \t].*", line, text, flags=re.MULTILINE) if back else text

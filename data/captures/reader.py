@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from common.documents import misnamed, read_text, read_yaml, rename_remedy
-from common.errors import InputError, of, one_line
+from common.errors import InputError, of, one_line, shown
 from common.findings import Finding
 from common.types import Metres
 from data.captures.board import board_intrinsics, board_turns, shows_board
@@ -145,19 +145,20 @@ def outline_files(folder: Path) -> list[Path]:
     """The file ``outline.*`` in the folder of a capture, or its pictures of one drape,
     ``outline_1`` to ``outline_6``, of which ``outline`` may be one."""
     found: dict[int, Path] = {}
-    for file in sorted(folder.glob("outline*.*")):
-        stem, suffix = file.stem.removeprefix("outline"), file.suffix.lower()
-        if suffix not in (OUTLINE_SUFFIXES if not stem else SUFFIXES) or (
-                stem and not re.fullmatch(r"_\d", stem)):
+    for file in sorted(folder.iterdir()):
+        called = re.fullmatch(r"outline([\W_]*(\d+)[\W_]*)?", file.stem, re.IGNORECASE)
+        if not called or file.suffix.lower() not in OUTLINE_SUFFIXES:
             continue
-        number = int(stem[1:] or 1)
+        number = int(called[2] or 1)
         table = next((one for one in found.values() if one.suffix.lower() in OUTLINE_TABLES), None)
         if other := table or found.get(number):
             raise InputError(f"holds {other.name} and {file.name}; keep one of them",
                              source=folder, joint=" ")
-        if not 1 <= number <= MAX_PICTURES:
-            raise InputError(f"holds {file.name}; pictures of one drape are called "
-                             f"outline_1 to outline_{MAX_PICTURES}", source=folder, joint=" ")
+        if file.stem != "outline" and (file.suffix.lower() in OUTLINE_TABLES or not re.fullmatch(
+                f"outline_[1-{MAX_PICTURES}]", file.stem)):
+            raise InputError(f"holds {shown(file.name)}; an outline is called outline, pictures of "
+                             f"one drape outline_1 to outline_{MAX_PICTURES}: rename it, or take "
+                             "it away", source=folder, joint=" ")
         found[number] = file
     return [found[number] for number in sorted(found)]
 

@@ -151,7 +151,10 @@ def _alone(file: Path, source: OutlineSource, rig: Rig) -> Scaled:
         return Scaled(photograph, _about(centre, pixel), source.height, centre)
     if source.mm_per_px:
         pixel = 1e-3 * source.mm_per_px * photograph.factor
-        return Scaled(photograph, np.diag([pixel, -pixel, 1.0]), source.height)
+        stated = 1e3 * (photograph.spacing or np.nan)
+        other = abs(stated / source.mm_per_px - 1) > MAX_SCALE_DIFFERENCE
+        return Scaled(photograph, np.diag([pixel, -pixel, 1.0]), source.height, warnings=(Finding(
+            "scale_contradicts", {"value": stated, "stated": source.mm_per_px}),) * other)
     if plane := board_plane(photograph.grey):
         return Scaled(photograph, plane[0], source.height, unsure=plane[1])
     raise InputError("the scale is not known: lay the printed mat under the stand (outline: {mat: "

@@ -31,6 +31,9 @@ _BRIGHTEST = 0.995  # quantile that a picture is scaled to
 _EXIF, _EQUIVALENT_FOCAL, _DIGITAL_ZOOM = 0x8769, 41989, 41988  # tags
 _FOCALS, _ZOOMS = (8.0, 400.0), (0.1, 200.0)  # plausible; mm of full frame, and times
 _WHOLE = (4 / 3, 3 / 2)  # sides of the sensors of phones and cameras
+_PARTS = {330, 50706}  # tags of further pictures, as in raw files, whose first is small
+_OF_CAMERAS = {33434, 37386}  # tags: times of exposure, focal lengths
+_SCREEN = 96.0  # pixels an inch, which programs write that do not know
 _EVEN = 0.01  # relative difference of sides and zooms that counts as none
 
 pillow_heif.register_heif_opener()
@@ -45,6 +48,7 @@ class Photograph:
         transparent: pixels that an editor has made transparent, which are not cloth; ``light`` is
             that of the paper or the table on which they would show best.
         missing: where there is no picture; None: nowhere.
+        spacing: m between pixels of the file, as a scanner states it; None if none does.
         factor: how many pixels of a row of the file were averaged to each.
         focal: length, pixels of ``light``, as the camera states it; None if it does not, or if the
             picture is not the whole one of which it is stated, for the reason ``no_focal``.
@@ -56,6 +60,7 @@ class Photograph:
     focal: float | None = None
     no_focal: str = ""
     missing: Mask | None = None
+    spacing: float | None = None
 
     @cached_property
     def colour(self) -> ColourPicture:
@@ -83,7 +88,11 @@ def read_photograph(
             if not SIDES[0] <= min(picture.size) <= max(picture.size) <= SIDES[1]:
                 raise InputError(f"{width}x{height} pixels; photographs have {SIDES[0]} to "
                                  f"{SIDES[1]} on each side; save it smaller")
-            equivalent, no_focal = _stated_focal(picture)
+            if picture.format == "TIFF" and (  # one would be chosen unseen
+                    picture.n_frames > 1 or _PARTS & picture.tag_v2.keys()):  # type: ignore
+                raise InputError("the file holds several pictures, pages or those of a raw file; "
+                                 "save the one of the drape as JPEG or PNG")
+            (equivalent, no_focal), spacing = _stated_focal(picture), _spacing(picture)
             values, transparent = _values(ImageOps.exif_transpose(picture))
     factor = -(-max(values.shape) // side)
     light = _reduced(values, factor)
@@ -95,7 +104,7 @@ def read_photograph(
     if transparent.any() and not transparent.all():
         light[transparent] = 0.0 if np.median(light[~transparent]) > 0.3 else 1.0
     focal = equivalent and equivalent * float(np.hypot(rows, columns)) / FULL_FRAME
-    return Photograph(light, transparent, factor, focal, no_focal)
+    return Photograph(light, transparent, factor, focal, no_focal, spacing=spacing)
 
 
 @contextmanager
@@ -125,6 +134,19 @@ def _stated_focal(picture: Image.Image) -> tuple[float | None, str]:
         return None, (f"the picture of {width}x{height} pixels is cut: its sides are neither 4:3 "
                       "nor 3:2, as those of a whole one")
     return equivalent, ""
+
+
+def _spacing(picture: Image.Image) -> float | None:
+    """Size of a pixel on paper, m, of a scan; InputError for pixels that are not square. Cameras
+    and screens state resolutions that mean nothing."""
+    across, down = (_plausible(value, 1.0, 1e5) for value in picture.info.get("dpi", (None, None)))
+    if not (across and down):
+        return None
+    if abs(across / down - 1) > _EVEN:
+        raise InputError(f"its pixels are not square, {across:.4g} x {down:.4g} an inch; scan with "
+                         "one resolution, or resample it")
+    camera = _OF_CAMERAS & picture.getexif().get_ifd(_EXIF).keys()
+    return None if camera or across <= _SCREEN else 0.0254 / across
 
 
 def _plausible(value: object, least: float, most: float) -> float | None:

@@ -1,7 +1,7 @@
 """A photograph with a mat, as a camera straight above would see the plane of the plate."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -46,6 +46,9 @@ class OverMat:
 def markers_in(photograph: Photograph, mat: str) -> SeenMat:
     """The markers of a ``mat``; InputError if it is not seen."""
     found = find_mat(photograph)
+    if found is None and find_mat(replace(photograph, light=np.ascontiguousarray(
+            photograph.light[:, ::-1]))):
+        raise InputError("it is mirrored; give it as the camera saw it, without mirroring")
     if found is None or found.name != mat:
         which = f"the mat {found.name}" if found else "fewer than six markers"
         raise InputError(f"it shows {which}, not the mat {mat}; show the mat with its corners, "

@@ -11,6 +11,7 @@ from data.readings import QUANTITIES
 from data.readings.quantity import Quantity
 from sim.material import DIRECTIONS
 
+MIN_COEFFICIENT = 0.02  # of a drape, from 0 to 1; the plate alone has 0
 _Positive = Annotated[float, Field(gt=0)]
 
 
@@ -122,3 +123,10 @@ class Reported(Known):
     drape_coefficient_percent: float | None = Field(
         None, gt=0, lt=100, title="of a capture without pictures")
     nodes: int | None = Field(None, ge=0, le=30, title="number of its folds")
+
+    @field_validator("drape_coefficient_percent")
+    @classmethod
+    def _of_cloth_on_a_plate(cls, percent: float | None) -> float | None:
+        if percent is not None and percent < 100 * MIN_COEFFICIENT:
+            raise ValueError(f"is no drape's; a share? {percent:g} is {100 * percent:g} %")
+        return percent

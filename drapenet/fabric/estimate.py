@@ -190,7 +190,7 @@ def _copies(
 
 def require_one_fabric(parts: Sequence[Part | Measured]) -> None:
     """InputError for sources that cannot be of one fabric."""
-    require_one_density([part.density for part in parts])
+    require_one_density([(part.label, part.density) for part in parts])
     weighted = [part.label for part in parts if part.alone]
     if len(weighted) > 1:
         raise InputError(f"{weighted[0]} and {weighted[1]} both have strips under weights; state "
@@ -203,14 +203,15 @@ def require_one_fabric(parts: Sequence[Part | Measured]) -> None:
         raise InputError(f"known values along the yarns {NEED_WARP}")
 
 
-def require_one_density(densities: Sequence[Density]) -> None:
-    """InputError for specimens whose densities, kg/m², are too different to be of one fabric."""
-    low = min(densities, default=0.0)
-    high = max(densities, default=0.0)
-    if high > (1 + MAX_DENSITY_DIFFERENCE) * low:
-        raise InputError(f"captures and strips of one fabric state densities from {1e3 * low:g} to "
-                         f"{1e3 * high:g} g/m², more than {MAX_DENSITY_DIFFERENCE:.0%} apart; "
-                         "correct density_g_m2, or give different fabrics apart")
+def require_one_density(stated: Sequence[tuple[str, Density]]) -> None:
+    """InputError for named densities, kg/m², too different to be of one fabric."""
+    ordered = sorted(stated, key=lambda one: one[1])
+    if ordered and ordered[-1][1] > (1 + MAX_DENSITY_DIFFERENCE) * ordered[0][1]:
+        (light, low), (heavy, high) = ordered[0], ordered[-1]
+        raise InputError(f"captures and strips of one fabric state densities from {1e3 * low:g} "
+                         f"({light}) to {1e3 * high:g} g/m² ({heavy}), more than "
+                         f"{MAX_DENSITY_DIFFERENCE:.0%} apart; correct density_g_m2, or give "
+                         "different fabrics apart")
 
 
 def _alone(

@@ -19,7 +19,7 @@ from common.files import by_number, remove_file, require_folder
 from common.findings import Finding
 from drapenet.config import EstimateOptions
 from drapenet.fabric.entries import Entry, entries_of
-from drapenet.fabric.estimate import estimate_fabric
+from drapenet.fabric.estimate import estimate_fabric, require_one_fabric
 from drapenet.fabric.part import PART, Part, Refusal, make_in_folder, part_key, stored_part
 from drapenet.fabric.sources import Source
 from drapenet.network.checkpoint import Header, read_header
@@ -122,7 +122,7 @@ def _join_fabrics(
     parts = {entry.place: part for entry in ordered
              if (part := stored_part(_source(entry), out / entry.place, ""))}
     documents = {place: part.document for place, part in parts.items() if isinstance(part, Part)}
-    twins = _twins_elsewhere(ordered, documents)
+    twins = _twins_elsewhere(ordered, documents, _not_of_one(ordered, parts))
     fabrics, apart = [], []
     for name, group in groupby(ordered, key=lambda entry: entry.fabric):
         every = list(group)
@@ -140,23 +140,40 @@ def _join_fabrics(
             for file in (ESTIMATE, SAMPLES, INDEX, PDF):  # of an earlier run
                 remove_file(out / place / file)
             if shown:
-                rows.append(dict.fromkeys(FAILURE, "") | {"fabric": name, "reason": str(error)})
+                copied = [one.text for entry, _ in shown for one in twins.get(entry.place, ())]
+                rows.append(dict.fromkeys(FAILURE, "") | {
+                    "fabric": name, "reason": "; ".join([str(error), *copied])})
             continue
         fabrics.append(FabricEstimate(name, place, shown, found.document, found.scatter,
                                       failed=failed[name]))
     return Joined(fabrics, apart, rows)
 
 
+def _not_of_one(entries: Sequence[Entry], parts: Mapping[Path, Part | Refusal]) -> set[str]:
+    """Names of fabrics whose parts cannot be of one."""
+    found = set()
+    for name, group in groupby(entries, key=lambda entry: entry.fabric):
+        try:
+            require_one_fabric([part for entry in group
+                                if isinstance(part := parts.get(entry.place), Part)])
+        except InputError:
+            found.add(name)
+    return found
+
+
 def _twins_elsewhere(
-    entries: Sequence[Entry], documents: Mapping[Path, EstimateDocument]
+    entries: Sequence[Entry], documents: Mapping[Path, EstimateDocument], apart: set[str]
 ) -> dict[Path, list[Finding]]:
-    """Findings of captures whose pictures another fabric has, too, by their place."""
+    """Findings of captures whose pictures another fabric has, too, by their place; one in a fabric
+    ``apart`` is the copy, and has it alone."""
     first: dict[str, Entry] = {}
     found: dict[Path, list[Finding]] = {}
     for entry in (entry for entry in entries if entry.place in documents):
         other = first_with(first, documents[entry.place].capture.pictures_sha256, entry)
         if other and other.fabric != entry.fabric:
             for one, twin in ((entry, other), (other, entry)):
+                if twin.fabric in apart and one.fabric not in apart:
+                    continue
                 found.setdefault(one.place, []).append(Finding("twin_elsewhere", {
                     "capture": documents[one.place].label, "other": documents[twin.place].label}))
     return found

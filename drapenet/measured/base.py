@@ -178,7 +178,7 @@ class Described(Weighed, Labels):
     def common(self, folder: Path) -> dict[str, Any]:
         """What sources of all kinds have, of that in a folder."""
         return {"path": folder, "density": self.density, "known": self.known,
-                "labels": self.labels}
+                "labels": self.labels, "warnings": self.questions}
 
     @property
     def measures(self) -> bool:

@@ -32,6 +32,7 @@ SHAPES, TORQUES = "drape.glb", "torque.svg"
 SHOWN = (REPORT, STRIPS, PAGE, PDF, SHAPES, TORQUES)
 GARMENTS = ("garment.png", "garment.glb")
 """Of a preview."""
+MAX_NAME = 255  # bytes, which file systems take
 _PARTS = {"rig": Rig, "map": RadialMap, "outline": DrapeOutline, "pictures": DepthPictures}
 """Of an observation."""
 
@@ -113,7 +114,9 @@ def result_name(sources: Sequence[Path]) -> str:
         path = path.with_suffix("")
     if Path.cwd() in path.parents:
         path = path.relative_to(Path.cwd())
-    return "_".join(last_parts(path) + ["joint"] * (len(sources) > 1))
+    name = "_".join(last_parts(path) + ["joint"] * (len(sources) > 1))
+    data = os.fsencode(name)
+    return name if len(data) <= MAX_NAME else data[-MAX_NAME:].decode(errors="ignore")
 
 
 def fabric_name(document: EstimateDocument) -> str:

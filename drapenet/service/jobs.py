@@ -150,8 +150,9 @@ class Jobs:
         sound = [row for row in rows if row["members"] is None
                  and row["state"] not in (FAILED, LOST)]
         try:
-            require_one_density([1e-3 * density for density in (
-                upload.density_g_m2, *(row["density_g_m2"] for row in sound)) if density])
+            require_one_density([(name, 1e-3 * density) for name, density in (
+                (label or "this one", upload.density_g_m2),
+                *((row["name"], row["density_g_m2"]) for row in sound)) if density])
         except InputError as error:  # rather than when they are joined
             raise RequestError(422, f"{error}, or remove the wrong capture") from None
         if len(sound) >= _MAX_CAPTURES:

@@ -89,8 +89,8 @@ async def read_form(
 def length_fault(request: Request, most: int) -> tuple[int, str] | None:
     """Status and sentence if a body is too long or does not state its length."""
     length = request.headers.get("content-length")
-    if length is None:
-        return 411, "state the length of the body: Content-Length"
+    if length is None or "transfer-encoding" in request.headers:
+        return 411, "state the length of the body, Content-Length; none in chunks is taken"
     sizes = f"{int(length) / 1e6:.3g} MB; at most {most / 1e6:.3g} MB"
     return (413, f"the request has {sizes}") if int(length) > most else None
 

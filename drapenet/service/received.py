@@ -48,13 +48,16 @@ def unpacked(files: list[tuple[str, bytes]], settings: ServeConfig) -> dict[str,
             raise RequestError(415, f"{shown(name)}: files of this kind are not taken; give "
                                f"{', '.join(KINDS)}")
         for inner, content in _members(data, settings) if suffix == ".zip" else [(name, data)]:
+            if Path(inner.replace("\\", "/")).name.startswith("."):
+                continue  # of the system, such as ._outline.jpg of macOS
             plain = plain_file(inner)
             if plain in contents:
                 raise RequestError(422, f"two files are called {plain}; give one capture, or the "
                                    "strips of one fabric, at a time")
             contents[plain] = content
     if not contents:
-        raise RequestError(422, f"the zip holds no files of the kinds {', '.join(PACKED)}")
+        raise RequestError(422, f"there are no files of the kinds {', '.join(PACKED)}; those that "
+                           "begin with a dot are left out")
     if len(contents) > settings.files:
         raise RequestError(413, f"{len(contents)} files; at most {settings.files}")
     return contents
@@ -66,7 +69,7 @@ def _suffix(name: str) -> str:
 
 
 def _members(data: bytes, settings: ServeConfig) -> list[tuple[str, bytes]]:
-    """Names and contents of a zip's visible files of the kinds taken."""
+    """Names and contents of a zip's files of the kinds taken."""
     members, left = [], settings.bytes
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -75,8 +78,7 @@ def _members(data: bytes, settings: ServeConfig) -> list[tuple[str, bytes]]:
                 raise RequestError(413, f"the zip has {len(entries)} entries; at most "
                                    f"{settings.files} files")
             for entry in entries:
-                hidden = Path(entry.filename.replace("\\", "/")).name.startswith((".", "_"))
-                if entry.is_dir() or hidden or _suffix(entry.filename) not in PACKED:
+                if entry.is_dir() or _suffix(entry.filename) not in PACKED:
                     continue
                 with archive.open(entry) as stream:  # the stated size may be wrong
                     content = stream.read(left + 1)

@@ -38,40 +38,8 @@ def merge_bomb(levels: int = 60) -> str:
 
 
 HOSTILE = {
-    "huge number": "density: " + "9" * 400,
-    "number of thousands of digits": "density: 0x" + "f" * 30_000,
-    "tag without value": "density: !!int ''",
-    "tag of another kind": "density: !!timestamp soon",
-    "truth that is none": "density: !!bool perhaps",
-    "object": "density: !!python/object/apply:os.getcwd []",
-    "lines in text": 'density: "a\\nb\\nc"',
-    "long text": "density: " + "x" * 10_000,
-    "multiplying aliases": "a: &a [x,x,x,x,x,x,x,x,x]\n"
-    + "".join(f"{b}: &{b} [{','.join(['*' + a] * 9)}]\n" for a, b in zip("abcdefg", "bcdefgh",
-                                                                       strict=True))
-    + "density: *h",
     "merge keys": merge_bomb(),
-    "merge key": "<<: {density: 150}",
-    "itself": "&a density: *a",
-    "brackets": "density: " + "[" * 30_000,
-    "braces": "{" * 60_000,
-    "questions": "? " * 30_000,
-    "repeated key": "density: 150\ndensity: 300",
-    "repeated key inside": "density: {a: 1, a: 1}",
     "many keys, the last repeated": "\n".join(f"k{k}: 1" for k in range(8000)) + "\nk0: 2",
-    "no key": "? [a, b]\n: 1",
-    "unknown key": "density: 150\nweight: 1",
-    "unknown key with lines": '"a\\nb": 150',
-    "NaN": "density: .nan",
-    "truth": "density: true",
-    "text": "density: '150'",
-    "too light": "density: 0.15",
-    "missing": "folds: 3",
-    "part of a fold": "density: 150\nfolds: 3.5",
-    "many names": "density: 150\nnames: [a, b, c]",
-    "other names": "density: 150\nnames: [a, [b]]",
-    "list": "- density",
-    "nothing": "",
 }
 
 
@@ -85,31 +53,6 @@ def test_hostile_documents_are_refused_in_one_short_line(tmp_path, case):
     assert time.process_time() - begun < 3
     message = str(refusal.value)
     assert message.isprintable() and len(message) < 710 and "capture.yaml" in message
-
-
-@pytest.mark.parametrize(("content", "words"), [
-    ({"density": 0.15}, ["density=0.15", "10", "weigh it"]), ({}, ["density", "weigh it"]),
-    ({"density": 150, "names": ["a", 3]}, ["names.1=3", "string"]),
-    ({"density": 150, "folds": True}, ["folds=True", "whole number"]),
-    ({"densty": 150}, ["density is missing", "unknown key 'densty'"])])
-def test_messages_name_quantity_value_limit_and_remedy(content, words):
-    with pytest.raises(InputError, match=r"^f: ") as refusal:
-        Cloth.of(content, "f")
-    assert all(word in str(refusal.value) for word in words)
-
-
-@pytest.mark.parametrize(("text", "words"), [
-    ("fabric: Twill: navy", "line 1, 'fabric: Twill: navy'.* in quotes"),
-    ("fabric: #42", "fabric: #42 is a comment there and would be dropped; put .* in quotes"),
-    ("density: 1\nfabric: Denim #3\n", "fabric: #3 is a comment"),
-    ("{fabric: Denim #3\n}", "fabric: #3 is a comment"),
-    ("camera: {fx: 305,0, fy: 304,5}", "a decimal comma before 0; write a point"),
-    ("lens: {k1: 0,9e-3}", "a decimal comma before 9e-3"),
-])
-def test_what_yaml_reads_as_something_else_is_refused(text, words):
-    with pytest.raises(InputError, match=words) as refusal:
-        parse_yaml(text, "capture.yaml")
-    assert str(refusal.value).startswith("capture.yaml") and str(refusal.value).isprintable()
 
 
 @pytest.mark.parametrize(("text", "number"), [
@@ -148,9 +91,6 @@ def test_byte_order_marks_name_the_encoding(tmp_path):
     for encoding in ("utf-8-sig", "utf-16"):
         (tmp_path / "a.yaml").write_bytes("fabric: Köper".encode(encoding))
         assert read_yaml(tmp_path / "a.yaml") == {"fabric": "Köper"}
-    (tmp_path / "a.yaml").write_bytes("density: 1\nfabric: Köper".encode("cp1252"))
-    with pytest.raises(InputError, match=r"line 2 has 'Köper' if .* Windows-1252.* in UTF-8"):
-        read_yaml(tmp_path / "a.yaml")
 
 
 def test_sound_documents_are_taken_as_they_are():
@@ -228,15 +168,6 @@ def test_marks_of_word_processors_are_read_as_they_are_meant(text):
     assert parse_yaml(text, "x") == {"a": -1.5, "b": {"c": "x y"}}
 
 
-@pytest.mark.parametrize(("text", "fault"), [
-    ('"a: 1"\n"b: {c: 2}"\n', "x has each line in quotes, as spreadsheets write it; remove"),
-    ("a:\n\tb: 1\n", "line 2, 'b: 1': a tab stands before it")])
-def test_marks_that_have_no_meaning_are_named(text, fault):
-    with pytest.raises(InputError) as raised:
-        parse_yaml(text, "x")
-    assert fault in str(raised.value)
-
-
 @pytest.mark.parametrize("value", [2, 2.0, np.float32(2), np.array(2.0)])
 def test_numbers_of_any_type_are_taken(value):
     assert number("edge", value, "m") == 2.0
@@ -309,15 +240,3 @@ def test_names_of_rows_that_r_writes_have_a_blank_head(tmp_path, text):
     file.write_text(text)
     header, rows = read_table(file, "table")
     assert header == ["", "x", "y"] and [cells[1:] for _, cells in rows] == EXPECTED[1:]
-
-
-@pytest.mark.parametrize(("data", "words"), [
-    ("fabric\nKöper;1".encode("cp1252"), r"UTF-8 \(line 2 has 'Köper;1' if it is in Windows"),
-    (b"\xff\xfe\x00", "not text in UTF-16"), ("x,y".encode("utf-16-le"), "zero bytes, as UTF-16"),
-    (b'x,y\n"1,2\n', "cannot be read")])
-def test_other_encodings_and_open_quotes_are_refused_in_one_line(tmp_path, data, words):
-    file = tmp_path / "table.csv"
-    file.write_bytes(data)
-    with pytest.raises(InputError, match=words) as refusal:
-        read_rows(file, "table")
-    assert str(refusal.value).isprintable()

@@ -55,7 +55,8 @@ def test_a_failing_write_is_an_input_error_and_leaves_nothing(tmp_path):
         with pytest.raises(InputError, match="cannot write"):
             replace_file(path, b"")
     for place, reason in ((tmp_path / "file", "in the way"), (tmp_path / "file" / "in", "in the"),
-                          (tmp_path / "gone", "in the way"), (Path("/proc/drapes"), "No such")):
+                          (tmp_path / "gone", "in the way"), (Path("/proc/drapes"), "No such"),
+                          (tmp_path / ("x" * 256), "name too long")):
         with pytest.raises(InputError, match=f"folder {place}: .*{reason}"):
             require_folder(place)
         with pytest.raises(InputError, match=f"cannot write .*{reason}"):

@@ -16,7 +16,7 @@ from common.errors import InputError
 from common.findings import Finding, texts
 from data.captures.arrays import checked_capture
 from data.captures.capture import DepthCapture
-from data.captures.description import whole_turns
+from data.captures.description import Specimen, whole_turns
 from data.captures.reader import read_capture
 from data.captures.writer import write_capture
 from data.render.cameras import nominal_camera
@@ -68,9 +68,17 @@ def test_pictures_are_subsampled_by_what_a_pixel_covers_not_by_their_width(
     assert (capture.views > 0).mean() == pytest.approx((views > 0).mean(), rel=0.02)  # not cut
 
 
+@pytest.mark.parametrize(("density", "said"), [
+    (30, ["density_light"]), (210, []), (1380, ["density_heavy"])])
+def test_a_density_that_few_fabrics_have_is_asked_for(density, said):
+    specimen = Specimen.of({"density_g_m2": density}, "")
+    assert [found.code for found in specimen.questions] == said
+
+
 def test_labels_of_the_report_are_read_and_written(folder, tmp_path, views):
     assert read_capture(folder).labels.stated() == {}
-    stated = {"fabric": "Köper 7/8", "date": "2026-11-26", "operator": "M. M.", "camera": "D435i"}
+    stated = {"fabric": "Köper 7/8", "date": "2026-11-26", "operator": "M. M.", "camera": "D435i",
+              "laboratory": "\u0646\u062e\u200c\u0647\u0627", "remarks": "soft\u00adhyphen"}
     describe(folder, **stated | {"date": date(2026, 11, 26)})  # as YAML reads it without quotes
     labels = read_capture(folder).labels
     assert labels.stated() == stated
@@ -126,11 +134,13 @@ def test_a_principal_point_off_the_middle_is_a_question(made, folder, change, as
 @pytest.mark.parametrize(("change", "complaint"), [
     ({"density": 150.0}, r"density=150 is more than 1 kg/m².* 0\.21 for 210 g/m²"),
     ({"density": 0.002}, r"capture: density_g_m2=2.0.*; weigh the specimen"),
-    ({"density": None}, "density=None: give a finite number, kg/m²"),
-    ({"density": np.nan}, "density=nan"), ({"density": "0.2"}, "density='0.2'"),
+    ({"density": np.nan}, "density=nan"),
+    ({"density": "0.2"}, "density='0.2'"),
     ({"turns": np.array([0.0, 90.0, 180.0, 270.0])}, r"radians: np\.radians\(\[0, 90"),
-    ({"turns": None}, "turns=None: give a list"), ({"turns": [0, 1, np.nan, 3]}, "finite numbers"),
-    ({"warp_direction": "x"}, "warp_direction='x'"), ({"rig": None}, "rig=None is not a tester"),
+    ({"turns": None}, "turns=None: give a list"),
+    ({"turns": [0, 1, np.nan, 3]}, "finite numbers"),
+    ({"warp_direction": "x"}, "warp_direction='x'"),
+    ({"rig": None}, "rig=None is not a tester"),
     ({"rig": "cusick"}, "tester=cusick is not a tester; give square300_cylinder100"),
     ({"intrinsics": (1, 2, 3, 4)}, r"Intrinsics\(fx=.*not \(1, 2, 3, 4\)"),
     ({"views": np.full((4, 180, 240), 500)}, "of the type int64; .* 1e-3"),

@@ -413,21 +413,3 @@ def test_a_specimen_is_draped_again_from_another_start():
     sizes = [p.nuisances.size for p in shared]
     assert sizes == [p.nuisances.size for k in (0, 4) for p in own[k : k + 2] * 2]
     assert len({p.seed for p in shared}) == 8
-
-
-@pytest.mark.parametrize(("changes", "complaint"), [
-    ({"starts_per_fabric": 0}, "starts_per_fabric"),
-    ({"starts_per_fabric": 4, "testers_per_fabric": 2, "specimens_per_fabric": 3}, "multiple"),
-    ({"starts": ("flat",)}, "flat.* must contain only lowered, sine, fold"),
-    ({"starts": ()}, "must contain lowered or sine"),
-    ({"starts": ("borrowed",)}, "nothing to borrow"),
-    ({"testers": ("moon",)}, "moon"),
-    ({"testers": ()}, "random_testers=0 .* be 1 without testers"),
-    ({"random_testers": 0.7, "rectangles": 0.4}, "rectangles=0.4 .* at most 1"),
-    ({"random_testers": -0.1}, "not be negative"), ({"rectangles": -0.1}, "not be negative"),
-    ({"starts": ("sine", "borrowed"), "rectangles": 0.5}, "give a single name in testers"),
-    ({"testers_per_fabric": 3}, "testers_per_fabric=3 must lie between 1 and"),
-    ({"starts": ("sine", "borrowed"), "random_testers": 0.5}, "give a single name in testers")])
-def test_nonsense_is_refused(changes, complaint):
-    with pytest.raises(InputError, match=complaint):
-        SamplingConfig(**changes)

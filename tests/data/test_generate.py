@@ -12,7 +12,7 @@ from common.errors import InputError
 from data.dataset import batches
 from data.dataset.config import DatasetConfig, Options, SamplingConfig, config_from_options
 from data.dataset.folder import DatasetFolder
-from data.dataset.generate import generate_dataset, main
+from data.dataset.generate import generate_dataset
 from data.dataset.plan import plan_drape
 from data.dataset.shards import MOVED_BY, Shard
 from data.dataset.simulate import make_record
@@ -263,27 +263,3 @@ def test_only_running_out_of_memory_ends_more_than_a_drape(monkeypatch):
 def test_a_killed_worker_is_reported_in_one_line(tmp_path):
     with pytest.raises(InputError, match="run the same command again"):
         generate(tmp_path, solver=fake_drapes.killed, workers=2)
-
-
-@pytest.mark.parametrize(("words", "complaint"), [
-    (["drapes=0"], "drapes=0"),
-    (["edge_mm=0.4"], "edge_mm=0.4: .* 0.5 to 50 mm"),
-    (["edge_mm=0"], "edge_mm=0: give null"),
-    (["workers=0"], "workers=0"),
-    (["part=2", "parts=2"], "part=2 of parts=2"),
-    (["prior.file=nowhere.json"], "nowhere.json"),
-    (["dataset.testers=[square600_corners500]"], "square600_corners500"),
-    (["dataset.testers_per_fabric=2"], "testers_per_fabric=2 must lie between 1"),
-    (["dataset.drift_mm=100"], "dataset.drift_mm"),
-    (["nuisances.creased=[1]"], "nuisances.creased"),
-    (["nuisances.cloth.knit.share=2"], "nuisances.cloth.knit.share"),
-    (["nuisances.uneven_length_mm=[300,200]"], "smaller one first"),
-    (["nuisances.hysteresis_per_m=[5,200]"], "nuisances.hysteresis_per_m"),
-    (["nuisances.hysteresis_per_m=[0,60]"], "nuisances.hysteresis"),
-    (["nuisances.cut_deg=20"], "nuisances.cut_deg"),
-])
-def test_mistakes_on_the_command_line(tmp_path, words, complaint):
-    with pytest.raises(InputError, match=complaint) as refusal:
-        main([f"out={tmp_path / 'set'}", *words])
-    assert "\n" not in str(refusal.value)
-    assert not (tmp_path / "set").exists()

@@ -240,16 +240,3 @@ def test_a_whole_shard_of_another_dataset_is_refused(bare, tangled, tmp_path):
     relist(folder)
     with pytest.raises(InputError, match=r"shard_00001\.h5 differ from dataset\.json"):
         check_dataset(folder)
-
-
-@pytest.mark.parametrize(("words", "complaint"), [
-    ([], "data= is missing"),
-    (["data=nowhere"], "nowhere is not a dataset"),
-    (["data=set", "size=3"], "size=3"),
-    (["data=set", "out=/proc/report"], "cannot write to the folder /proc/report"),
-    (["data=set", "sheet=0"], "sheet=0"),
-    (["data=set", "intersections=-1"], "intersections=-1"),
-])
-def test_mistakes_on_the_command_line(words, complaint):
-    with pytest.raises(InputError, match=complaint):
-        main(words)

@@ -332,10 +332,13 @@ def test_copies_in_another_fabric_and_other_labels_are_named(words, tmp_path):
     made = Path(words[0].partition("=")[2]).parent
     for place, capture, label in (("one/a", "0", ""), ("two/a", "0", "fabric: Twill\n"),
                                   ("two/b", "1", "fabric: Denim\noperator: M. M.\n"),
-                                  ("two/c", "0", "fabric: Twill\n")):
+                                  ("two/c", "0", "fabric: Twill\n"), ("wrong/a", "2", ""),
+                                  ("wrong/b", "0", "")):
         shutil.copytree(made / capture, tmp_path / "root" / place)
         with (tmp_path / "root" / place / "capture.yaml").open("a") as file:
             file.write(label)
+    file = tmp_path / "root" / "wrong" / "b" / "capture.yaml"
+    file.write_text(file.read_text().replace("density_g_m2: 150.0", "density_g_m2: 210.0"))
     infer.main([f"captures={tmp_path / 'root'}", f"out={tmp_path / 'out'}", *words[2:]])
     fabrics = rows(tmp_path / "out" / "fabrics.csv")
     assert [row["captures"] for row in fabrics] == ["1", "2"]  # without the copy two/c
@@ -345,3 +348,6 @@ def test_copies_in_another_fabric_and_other_labels_are_named(words, tmp_path):
     assert f"{first} has the same pictures as {second}, of another fabric" in one
     assert f"{second} has the same pictures as {first}, of another fabric" in two
     assert "the captures state different fabrics (Twill / Denim)" in two
+    failure, = rows(tmp_path / "out" / "failures.csv")
+    assert re.search(r"from 150 \(.*wrong/a\) to 210 g/m² \(.*wrong/b\), .*; .*wrong/b has the "
+                     "same pictures as", failure["reason"]) and "wrong/" not in one + two

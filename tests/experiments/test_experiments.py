@@ -85,19 +85,6 @@ def test_words_are_read_as_yaml_and_texts_and_lists_need_no_quotes():
     assert Keys.text().splitlines()[-2:] == ["factors: (2.0,)  # of all", "name: ''"]
 
 
-@pytest.mark.parametrize(("words", "complaint"), [
-    (["elastika"], "elastica"), (["numbers", "pixel"], "pixel: write KEY=VALUE"),
-    (["numbers", "pixel=1"], "'pixel'; --help lists"),
-    (["elastica", "gammas=many"], "gammas"),
-    (["refine", "workers=0", "cases=/tmp/none"], "workers=0"),
-    (["numbers", "fabrics=nowhere.csv"], "nowhere"),
-])
-def test_invalid_words_are_reported_in_one_line(words, complaint):
-    with pytest.raises(InputError, match=complaint) as refusal:
-        main(words)
-    assert "\n" not in str(refusal.value)
-
-
 def test_the_command_lists_the_experiments_and_shows_keys(capsys):
     listed = subprocess.run([sys.executable, "-m", "experiments"], cwd=ROOT, capture_output=True,
                             text=True, check=True).stdout

@@ -144,27 +144,6 @@ def test_all_targets_of_one_estimate_have_the_same_bytes_again(estimate):
         assert (folders[0] / name).read_bytes() == (folders[1] / name).read_bytes()
 
 
-@pytest.mark.parametrize(("words", "changes", "complaint"), [
-    (["to=maya"], {}, r"or a program: clo \(jfab\), .*unreal \(usd\)"),
-    (["to=zfab"], {}, "to=zfab: unknown; choose from jfab"), ([], {}, "to= is missing; give one"),
-    (["to=jfab", f"name={'x' * 81}"], {}, "name='xxx"),
-    (["to=jfab", "name=a\tb"], {}, "printable characters"),
-    (["to=ppf", "mesh=hexagons"], {}, "mesh='hexagons'"),
-    (["to=ppf", "edge_mm=500"], {}, "edge_mm=500.0"),
-    (["to=ppf", "edge_mm=40"], {}, "edge_mm=40 is too coarse for this fabric"),
-    (["to=jfab", "curvature_1_m=-5"], {}, "curvature_1_m=-5.0"),
-    (["to=csv"], {"schema": "other"}, "schema='other'"),
-    (["to=csv"], {"schema_version": 1}, "schema_version=1"),
-    (["to=csv"], {"moduli": {}}, "directions"), (["to=csv"], {"capture": None}, "capture=None"),
-    (["to=csv"], {"capture": {"density_g_m2": -1.0, "rig": ""}}, "density_g_m2=-1.0"),
-])
-def test_bad_input_is_an_error_and_no_file(tmp_path, words, changes, complaint):
-    path = write(tmp_path / "estimate.json", **changes)
-    with pytest.raises(InputError, match=complaint):
-        main([f"estimate={path}", *words])
-    assert [file.name for file in tmp_path.iterdir()] == ["estimate.json"]
-
-
 def test_the_docs_hold_every_tool():
     text = (Path(__file__).parents[2] / "docs" / "exports.md").read_text(encoding="utf-8")
     for name, t in TARGETS.items():

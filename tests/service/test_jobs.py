@@ -127,8 +127,8 @@ def test_a_density_of_another_fabric_is_refused_before_its_estimate(jobs):
     first = submitted(jobs, density=210.0)
     fabric = first["fabric"]
     submitted(jobs, fabric, density=229.0)
-    with pytest.raises(RequestError, match=r"densities from 210 to 232 g/m², more than 10% apart; "
-                                           r"correct density_g_m2.* or remove the wrong capture$"):
+    with pytest.raises(RequestError, match=r"from 210 \(capture 1\) to 232 g/m² \(this one\), more "
+                       r"than 10% apart; correct density_g_m2.* or remove the wrong capture$"):
         submitted(jobs, fabric, density=232.0)
     jobs.database.change("estimate", first["id"], state="failed")  # it is not joined
     jobs.places.give("x")

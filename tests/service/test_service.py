@@ -180,6 +180,8 @@ def test_refusals_are_sentences(client):
     assert client.post("/estimates", content=b"x").status_code == 415
     large = client.post("/estimates", files=[("files", ("a.png", b"\0" * 34_000_000))])
     assert large.status_code == 413 and "MB" in large.json()["error"]
+    chunked = client.post("/estimates", content=b"x", headers={"transfer-encoding": "chunked"})
+    assert chunked.status_code == 411 and "chunks" in chunked.json()["error"]
     form = {"content-type": "multipart/form-data; boundary=x"}
     assert client.post("/estimates", content=b"--x\r\nnonsense", headers=form).status_code == 422
     foreign = client.post("/estimates", headers={"origin": "http://elsewhere.example"},

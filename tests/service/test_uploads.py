@@ -77,6 +77,8 @@ def capture_of(upload: Upload, folder: Path) -> Capture:
 
 def test_files_and_a_zip_of_their_folder_make_the_same_capture(settings, tmp_path):
     plain = checked_upload([*VIEWS, YAML], {}, settings)
+    beside = checked_upload([*VIEWS, ("._view_0.png", b"\0\5\26\7"), YAML], {}, settings)
+    assert plain.files == beside.files
     packed = checked_upload([("My fabric.zip", zipped([
         *((f"twill/{name}", data) for name, data in (*VIEWS, YAML)),
         ("twill/truth.json", b"{}"), ("__MACOSX/twill/._view_0.png", b"x")]))], {}, settings)

@@ -15,6 +15,7 @@ from elastica_curves import LAWS, WEIGHT, curves_of
 from scipy.integrate import solve_bvp
 
 from common.errors import InputError
+from experiments.physics.elastica import MESHES
 from sim.cantilever import (
     aspect_ratio,
     elastica,
@@ -45,13 +46,6 @@ from sim.material import DIRECTIONS, SOFTENING_LIMIT, Fabric, gravity_length, to
 from sim.mesh import strip
 from sim.solver.state import State, moved
 
-TRIANGULATIONS = {
-    "alternating": {"diagonals": "alternating"},
-    "equal": {"diagonals": "equal"},
-    "random": {"diagonals": "random", "seed": 1},
-    "jittered": {"diagonals": "random", "jitter": 0.2, "seed": 2},
-}
-
 
 def deviation(gamma: float, *, slope: float = 0.0, **options) -> float:
     hung = hang(fabric_of_gamma(gamma, 0.09), slope=slope, **options)
@@ -60,8 +54,8 @@ def deviation(gamma: float, *, slope: float = 0.0, **options) -> float:
 
 
 @pytest.mark.parametrize(("gamma", "tolerance", "options"), [
-    (1, 0.001, TRIANGULATIONS["jittered"]), *((10, 0.001, one) for one in TRIANGULATIONS.values()),
-    (100, 0.003, TRIANGULATIONS["equal"]),
+    (1, 0.001, MESHES["jittered"]), *((10, 0.001, one) for one in MESHES.values()),
+    (100, 0.003, MESHES["equal"]),
     (20, 0.01, {"slope": 0.5, "width": 0.01, "edge": 0.0025})])
 def test_strip_matches_the_heavy_elastica(gamma, tolerance, options):
     """90 × 30 mm, edges of 3 mm, on four triangulations, and on a ramp."""

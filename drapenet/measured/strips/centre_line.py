@@ -220,8 +220,9 @@ def _strip_beside(
     pieces = others & ~attached & ~border & (areas > PIECE_SHARE * areas[chosen])
     if rivals.any() or pieces.any():
         raise InputError(f"{1 + (rivals | pieces).sum()} pieces differ from the ground, the strip "
-                         "and its clamp must be the only ones; take away what is not cloth, or "
-                         "light the strip evenly and without a shadow on the ground")
+                         "and its clamp must be the only ones; take away what is not cloth, cut "
+                         "loose fibres off, and light the strip evenly and without a shadow on the "
+                         "ground; state clamp_px if the clamp is not seen")
     return labels == 1 + chosen
 
 
@@ -330,8 +331,8 @@ def _to_the_tip(field: np.ndarray, path: PixelPath, band: float, peak: float) ->
     profile = sampled(field, (path[-1] + at[:, None] * along)[None])[0]
     (inside,) = np.nonzero(profile > peak / 2)
     if not len(inside) or inside[-1] == len(at) - 1:
-        raise InputError("the tip of the strip is not clear; leave plain ground around it, "
-                         "without a shadow")
+        raise InputError("the tip of the strip is not clear; cut loose fibres off it, and leave "
+                         "plain ground around it, without a shadow")
     last = inside[-1]
     end = at[last] + 0.25 * (profile[last] - peak / 2) / (profile[last] - profile[last + 1])
     return np.vstack([path, path[-1] + np.arange(_STEP, end, _STEP)[:, None] * along,

@@ -132,7 +132,7 @@ def read_strips(folder: str | Path) -> StripSet:
     strips = StripSet(
         **description.common(folder), photographs=photographs, lengths=_lengths(description),
         slope=slope, width=1e-3 * description.width_mm)
-    warnings = [one for strip in photographs for one in strip.warnings]
+    warnings = [*strips.warnings, *(one for strip in photographs for one in strip.warnings)]
     if (bias := DIRECTIONS[BIAS]) in strips.curves and not strips.complete:
         warnings.append(Finding("strips_twist", {"direction": bias}))
     return strips.changed(warnings=tuple(warnings))

@@ -123,10 +123,10 @@ def read_tension(folder: str | Path) -> TensionSet:
     strips = [_measured(strip, description, read.get(k))
               for k, strip in enumerate(description.tension)]
     strips += [fast_strip(direction, percent) for direction, percent in description.fast.items()]
-    return TensionSet(
-        **description.common(folder), strips=tuple(strips),
-        shear=KES_SHEAR * shear if shear else None, photographs=read, warnings=tuple(
-            one for k, found in read.items() for one in _doubts(found, description.tension[k])))
+    found = TensionSet(**description.common(folder), strips=tuple(strips),
+                       shear=KES_SHEAR * shear if shear else None, photographs=read)
+    return found.changed(warnings=(*found.warnings, *(
+        one for k, seen in read.items() for one in _doubts(seen, description.tension[k]))))
 
 
 def _photographed(folder: Path, strip: StretchedStrip, description: TensionDescription
