@@ -262,9 +262,9 @@ def test_the_prior_is_that_of_what_the_network_has_learned_last(header):
         assert getattr(header.prior, name) == newest["sampling"][name]
     states = state_of(fabric_prior(header))
     bias = states[:, 1] - states[:, [0, 2]].mean(axis=1)  # log alpha against the yarns'
-    assert bias.std() == pytest.approx(0.15, abs=0.02)
+    assert bias.std() == pytest.approx(0.28, abs=0.02)
     low, high = np.exp(np.quantile(states[:, 8], [0.025, 0.975]))
-    assert (low, high) == pytest.approx((400, 2500), rel=0.1)
+    assert (low, high) == pytest.approx((41, 11700), rel=0.1)  # knits to films
 
 
 def test_strips_alone_leave_the_other_directions_to_the_prior(header):
