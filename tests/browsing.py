@@ -20,6 +20,10 @@ def keep(page, name: str, *, whole: bool = True) -> None:
     page.screenshot(path=str(folder / name), full_page=whole)
 
 
+def unfold(page) -> None:
+    page.evaluate("for (const fold of document.querySelectorAll('details')) fold.open = true")
+
+
 def fits(page) -> bool:
     """Whether nothing is wider than a phone."""
     page.set_viewport_size({"width": 390, "height": 844})

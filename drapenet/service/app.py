@@ -217,8 +217,7 @@ def state(identity: str, jobs: Service) -> JSONResponse:
 
 @router.get("/estimates/{identity}/same_pictures")
 def same_pictures(identity: str, jobs: Service) -> JSONResponse:
-    """Other fabrics' captures that have a picture of an estimate, such as sent before a correction.
-    """
+    """Other fabrics' captures that have a picture of an estimate."""
     return JSONResponse(jobs.database.same_pictures(identity), headers=_FRESH)
 
 

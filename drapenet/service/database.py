@@ -103,9 +103,8 @@ class Database:
             "coalesce(json_extract(e.estimate, '$.capture.files_sha256'), '[]'), '$[#]', "
             "json_extract(e.estimate, '$.capture.views_sha256'))) WHERE e.members IS NULL) "
             "SELECT DISTINCT e.id, e.name, f.name AS fabric_name FROM digest own JOIN digest other "
-            "ON other.value = own.value AND other.fabric <> own.fabric JOIN estimate e "
-            "ON e.id = other.id JOIN fabric f ON f.id = e.fabric WHERE own.id = ? "
-            "ORDER BY e.created", identity)
+            "USING (value) JOIN estimate e ON e.id = other.id JOIN fabric f ON f.id = e.fabric "
+            "WHERE own.id = ? AND other.fabric <> own.fabric ORDER BY e.created", identity)
 
     def garment(self, identity: str) -> dict[str, Any] | None:
         """State, progress and error of the garment of an estimate, if it was asked for."""

@@ -9,7 +9,7 @@ import zipfile
 import cv2
 import numpy as np
 import pytest
-from browsing import FILES, IN_BROWSER, fits, keep, saved
+from browsing import FILES, IN_BROWSER, fits, keep, saved, unfold
 from serving import post, wait_until_ended
 from workbooks import cells
 
@@ -19,6 +19,7 @@ pytestmark = IN_BROWSER
 def test_upload_gives_numbers_in_seconds_then_files_and_a_drape_that_turns(page):
     loaded = page.evaluate("performance.getEntriesByType('navigation')[0].duration")
     page.fill("#density", "210")
+    unfold(page)
     page.click("[data-example=twill]")  # a first estimate waits until the worker is ready
     page.wait_for_selector("#downloads:not([hidden])")
     page.set_input_files("#files", FILES)
@@ -39,10 +40,9 @@ def test_upload_gives_numbers_in_seconds_then_files_and_a_drape_that_turns(page)
     for fact in ("square of 300 mm on 100 mm", "210 g/m²", "% simulated", "Nodes"):
         assert fact in facts
     assert "KES B" in page.inner_text("#heads") and "gf·cm²/cm" in page.inner_text("#heads")
+    assert re.fullmatch(r"warp\n[\d.]+\n[\d.]+ to [\d.]+", page.inner_text("#alphas div >> nth=0"))
+    assert "At 210 g/m² it hangs between poplin and denim" in page.inner_text("#meaning")
     page.wait_for_timeout(1500)
-    page.set_viewport_size({"width": 1280, "height": 1270})
-    page.wait_for_timeout(500)
-    page.evaluate("scrollTo(0, 0)")
     keep(page, "page.png", whole=False)
     canvas = page.locator("#canvas")
     before = canvas.screenshot()
@@ -60,6 +60,7 @@ def test_upload_gives_numbers_in_seconds_then_files_and_a_drape_that_turns(page)
     assert download.value.suggested_filename == "navy_twill-fabric.jfab"
     page.reload()  # the address alone brings the result back
     page.wait_for_selector("#downloads:not([hidden])")
+    assert page.is_visible("#facts")  # what was opened stays open
     assert fits(page)
     keep(page, "page_phone.png")
 
@@ -80,6 +81,7 @@ def estimated(page, service, density: float, width: int) -> tuple[str, str]:
 def test_cards_and_files_have_the_curvature_and_tables_the_search(page, service, width):
     identity, fabric = estimated(page, service, 190.0, width)
     page.goto(f"{service.url}/#{identity}")
+    unfold(page)
     page.click("#cards summary:text-is('CLO')")
     flat = bending(page)
     page.fill("#curvature", "50,0")
@@ -111,6 +113,7 @@ def test_cards_and_files_have_the_curvature_and_tables_the_search(page, service,
 def test_a_photograph_has_no_captured_surface(page):
     page.click("[data-example=twill_photograph]")
     page.wait_for_selector("#downloads:not([hidden])")
+    unfold(page)
     page.wait_for_selector("#overlay", state="hidden")
     assert "outline from above" in page.inner_text("#facts")
     assert page.evaluate("document.querySelector('#preview img').naturalWidth") > 500
@@ -122,7 +125,7 @@ def test_the_next_measurement_is_named_with_its_gain_and_minutes(page, service, 
     identity, _ = estimated(page, service, 205.0, width)
     page.goto(f"{service.url}/#{identity}")
     page.wait_for_selector("#downloads:not([hidden])")
-    said = page.inner_text("#poor")
+    said = page.text_content("#poor")
     gains = re.findall(r"[^;:]+: α (\d+) %, β (\d+) % \((\d+) min\)", said)
     assert "Measured next, intervals would become narrower by" in said and gains, said
     assert all(max(int(alpha), int(beta)) > 0 < int(minutes) for alpha, beta, minutes in gains)

@@ -2,7 +2,7 @@
 
 import time
 
-from browsing import FILES, IN_BROWSER, fits, keep
+from browsing import FILES, IN_BROWSER, fits, keep, unfold
 from serving import post, wait_until_ended
 
 pytestmark = IN_BROWSER
@@ -11,6 +11,7 @@ pytestmark = IN_BROWSER
 def test_captures_join_and_fabrics_are_searched_and_compared(page, service):
     others = [post(service, density).json()["id"] for density in (120.0, 180.0, 260.0)]
     page.set_input_files("#files", FILES)
+    unfold(page)
     page.fill("#form [name=name]", "grey serge")
     page.fill("#form [name=label]", "face up")
     page.click("#submit")
@@ -18,7 +19,6 @@ def test_captures_join_and_fabrics_are_searched_and_compared(page, service):
     page.click("#more")
     assert "grey serge" in page.inner_text("#into")
     page.set_input_files("#files", [*FILES[:2], FILES[-1]])
-    page.evaluate("document.getElementById('camera').open = true")
     page.check("#override input")
     page.fill("[name=turns_deg]", "0, 90")
     page.fill("#form [name=label]", "face up")
@@ -63,14 +63,14 @@ def test_captures_join_and_fabrics_are_searched_and_compared(page, service):
 
 
 def test_presets_stay_and_names_change(page, service):
-    page.evaluate("document.getElementById('camera').open = true")
+    unfold(page)
     page.select_option("#tester", "disc300_support180")
-    page.check("[name=kind][value=above]")
+    page.select_option("[name=mat]", "")
     page.fill("[name=camera_height_mm]", "1250")
     page.fill("#preset-name", "our Cusick")
     page.click("#preset-save")
     page.reload()
-    page.evaluate("document.getElementById('camera').open = true")
+    unfold(page)
     assert page.input_value("[name=camera_height_mm]") == "1250"
     assert page.input_value("#tester") == "disc300_support180"
     page.select_option("#preset", "")

@@ -100,7 +100,7 @@ function show(id, content) {
   for (const [figure, file] of [['preview', 'preview.png'], ['torque', 'torque.svg'], ['garment', 'garment.png']]) {
     if (content.files.includes(file) && !shown[file]) {
       shown[file] = true;
-      at(figure).querySelector('img').src = `/estimates/${id}/${file}`;
+      for (const image of at(figure).querySelectorAll('img')) image.src = `/estimates/${id}/${file}`;
       at(figure).querySelector('a').href = `/estimates/${id}/${file}`;
       at(figure).hidden = false;
       if (figure !== 'garment') at('pictures-of-it').hidden = false;
@@ -197,6 +197,8 @@ function showNumbers(estimate) {
   at('poor').textContent = poor + (estimate.advice ?? []).map(({ text }) => `Advice: ${text}. `).join('')
     + (next.length ? `Measured next, intervals would become narrower by ${next.join('; ')}. ` : '')
     + (estimate.kes_note ? `${estimate.kes_note}.` : '');
+  const { views, rig } = estimate.capture;
+  at('as-read').textContent = views || !rig || estimate.captures ? '' : 'Green: the outline. Yellow: the plate. Blue, dotted: the reach of the flat specimen. Red: the warp.';
   at('all-numbers').hidden = false;
 }
 
