@@ -21,7 +21,8 @@ def keep(page, name: str, *, whole: bool = True) -> None:
 
 
 def unfold(page) -> None:
-    page.evaluate("for (const fold of document.querySelectorAll('details')) fold.open = true")
+    page.evaluate("for (const fold of document.querySelectorAll('details:not(#cards *)')) "
+                  "fold.open = true")
 
 
 def fits(page) -> bool:

@@ -19,7 +19,7 @@ pytestmark = IN_BROWSER
 def test_upload_gives_numbers_in_seconds_then_files_and_a_drape_that_turns(page):
     loaded = page.evaluate("performance.getEntriesByType('navigation')[0].duration")
     page.fill("#density", "210")
-    unfold(page)
+    page.click("#about summary")
     page.click("[data-example=twill]")  # a first estimate waits until the worker is ready
     page.wait_for_selector("#downloads:not([hidden])")
     page.set_input_files("#files", FILES)
@@ -31,19 +31,24 @@ def test_upload_gives_numbers_in_seconds_then_files_and_a_drape_that_turns(page)
     page.wait_for_selector("#numbers:not([hidden])")
     seconds = time.monotonic() - began
     print(f"page loaded in {loaded / 1e3:.2f} s, numbers {seconds:.1f} s after the upload")
-    cells = page.locator("#rows tr")
-    assert cells.count() == 3
-    assert 40 < float(page.locator("#rows tr:first-child td b").first.inner_text()) < 70
+    assert page.locator("#rows tr").count() == 3
+    assert 40 < float(page.locator("#alphas .n").first.inner_text()) < 70
     page.wait_for_selector("#downloads:not([hidden])")
     assert (page.inner_text("#title"), page.inner_text("#notes")) == ("navy twill", "roll 12")
+    assert re.fullmatch(r"warp\n[\d.]+\n[\d.]+ to [\d.]+", page.inner_text("#alphas div >> nth=0"))
+    assert "At 210 g/m² it hangs between poplin and denim" in page.inner_text("#meaning")
+    page.locator("#earlier", has_text="estimated before, as Twill, simulated").wait_for()
+    keep(page, "page.png", whole=False)
+    assert fits(page)
+    page.evaluate("document.getElementById('result').scrollIntoView()")
+    keep(page, "page_phone.png", whole=False)
+    unfold(page)
     facts = page.inner_text("#facts")
     for fact in ("square of 300 mm on 100 mm", "210 g/m²", "% simulated", "Nodes"):
         assert fact in facts
     assert "KES B" in page.inner_text("#heads") and "gf·cm²/cm" in page.inner_text("#heads")
-    assert re.fullmatch(r"warp\n[\d.]+\n[\d.]+ to [\d.]+", page.inner_text("#alphas div >> nth=0"))
-    assert "At 210 g/m² it hangs between poplin and denim" in page.inner_text("#meaning")
+    assert page.inner_text("#rows b >> nth=0") == page.inner_text("#alphas .n >> nth=0")
     page.wait_for_timeout(1500)
-    keep(page, "page.png", whole=False)
     canvas = page.locator("#canvas")
     before = canvas.screenshot()
     canvas.focus()
@@ -62,7 +67,6 @@ def test_upload_gives_numbers_in_seconds_then_files_and_a_drape_that_turns(page)
     page.wait_for_selector("#downloads:not([hidden])")
     assert page.is_visible("#facts")  # what was opened stays open
     assert fits(page)
-    keep(page, "page_phone.png")
 
 
 def bending(page) -> str:

@@ -460,7 +460,7 @@ function showAnswers() {
   for (const card of form.elements.support) card.checked = card.value === one;
   at('support-said').textContent = areaOf(name) ? `${inWords(name).replace(' on ', ' on a top of ').replace(/^./, (letter) => letter.toUpperCase())}.` : '';
   at('weight-said').textContent = !isWeighed() ? '' : at('density').value.trim() === '' ? 'Of the whole specimen.' : density() ? `${Number(density()).toPrecision(3)} g/m², for its area.`
-    : areaOf(name) ? '' : 'Its area follows from question 1.';
+    : areaOf(name) ? '' : 'Its area follows from what it lies on.';
   const isAnswered = [areaOf(name), !form.elements.mat.value || form.elements.plate_height_mm.value.trim(), density()];
   isAnswered.forEach((answer, k) => at(`asked-${k + 1}`).classList.toggle('done', Boolean(answer)));
 }
