@@ -25,10 +25,12 @@ def unfold(page) -> None:
                   "fold.open = true")
 
 
-def fits(page) -> bool:
-    """Whether nothing is wider than a phone."""
+def fits(page, name: str = "") -> bool:
+    """Whether nothing is wider than a phone, of which ``name`` is a screenshot."""
     page.set_viewport_size({"width": 390, "height": 844})
     page.wait_for_timeout(300)
+    if name:
+        keep(page, name)
     widths = page.evaluate("[document.documentElement, ...document.querySelectorAll('main section "
                            "*')].map((part) => part.scrollWidth > 390 ? part.outerHTML : '')")
     return not any(widths)

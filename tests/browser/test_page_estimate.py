@@ -3,7 +3,6 @@
 import io
 import json
 import re
-import time
 import zipfile
 
 import cv2
@@ -14,10 +13,10 @@ from serving import post, wait_until_ended
 from workbooks import cells
 
 pytestmark = IN_BROWSER
+BENDING = "#cards details[open] tr:has-text('Bending-Warp') b >> nth=0"  # of CLO's card
 
 
 def test_upload_gives_numbers_in_seconds_then_files_and_a_drape_that_turns(page):
-    loaded = page.evaluate("performance.getEntriesByType('navigation')[0].duration")
     page.fill("#density", "210")
     page.click("#about summary")
     page.click("[data-example=twill]")  # a first estimate waits until the worker is ready
@@ -25,12 +24,9 @@ def test_upload_gives_numbers_in_seconds_then_files_and_a_drape_that_turns(page)
     page.set_input_files("#files", FILES)
     page.fill("#form [name=name]", "navy twill")
     page.fill("#form [name=notes]", "roll 12")
-    began = time.monotonic()
     page.press("#density", "Enter")  # no mouse is needed
     page.wait_for_selector("#downloads[hidden]", state="attached")
     page.wait_for_selector("#numbers:not([hidden])")
-    seconds = time.monotonic() - began
-    print(f"page loaded in {loaded / 1e3:.2f} s, numbers {seconds:.1f} s after the upload")
     assert page.locator("#rows tr").count() == 3
     assert 40 < float(page.locator("#alphas .n").first.inner_text()) < 70
     page.wait_for_selector("#downloads:not([hidden])")
@@ -69,11 +65,6 @@ def test_upload_gives_numbers_in_seconds_then_files_and_a_drape_that_turns(page)
     assert fits(page)
 
 
-def bending(page) -> str:
-    """The value of CLO's card for the bending of the warp, in a card that is open."""
-    return page.inner_text("#cards details[open] tr:has-text('Bending-Warp') b >> nth=0")
-
-
 def estimated(page, service, density: float, width: int) -> tuple[str, str]:
     """Identity and fabric of an ended estimate of its own density, for a page of this width."""
     page.set_viewport_size({"width": width, "height": 900})
@@ -87,7 +78,7 @@ def test_cards_and_files_have_the_curvature_and_tables_the_search(page, service,
     page.goto(f"{service.url}/#{identity}")
     unfold(page)
     page.click("#cards summary:text-is('CLO')")
-    flat = bending(page)
+    flat = page.inner_text(BENDING)
     page.fill("#curvature", "50,0")
     page.press("#curvature", "Enter")
     page.wait_for_function("flat => document.querySelector('#cards [open] tr b').textContent !== "
@@ -98,7 +89,7 @@ def test_cards_and_files_have_the_curvature_and_tables_the_search(page, service,
     packed = zipfile.ZipFile(io.BytesIO(data))
     assert name.endswith("-files.zip") and {"report.pdf", "fabric.u3m"} <= set(packed.namelist())
     assert json.loads(packed.read("fabric.jfab"))["mapPhysical"]["fBvK"] == pytest.approx(
-        float(bending(page)), rel=0.01)
+        float(page.inner_text(BENDING)), rel=0.01)
     page.fill("#edge", "0")
     page.click("#all-files")
     page.locator("#error-export", has_text="edge_mm").wait_for()

@@ -2,7 +2,6 @@
 
 import io
 import re
-import time
 
 import numpy as np
 import pytest
@@ -72,8 +71,7 @@ def test_the_plate_is_moved_in_the_photograph_before_its_estimate(page, tmp_path
     page.click("#submit")
     page.wait_for_selector("#numbers:not([hidden])")
     assert f"{seen[1]} captured" in page.inner_text("#facts")
-    assert fits(page)
-    keep(page, "page_outline_phone.png")
+    assert fits(page, "page_outline_phone.png")
     page.select_option("[name=mat]", "a3")
     assert page.is_hidden("[name=plate_x]") and page.is_visible("[name=plate_height_mm]")
     page.set_input_files("#files", FILES)
@@ -114,9 +112,7 @@ def test_a_specimen_is_photographed_and_estimated_before_it_is_taken_down(tester
     sizes = []
     page.on("request", lambda request: sizes.append(int(request.all_headers()["content-length"]))
             if request.url.endswith("/outline") else None)
-    began = time.monotonic()
     taken(page, str(file))
-    print(f"the outline is shown {time.monotonic() - began:.1f} s after the picture, width {width}")
     assert sizes[-1] < 0.5 * file.stat().st_size
     assert "Nothing in it is doubtful" in page.inner_text("#seen-status")
     assert len(page.get_attribute("#seen-picture polygon", "points").split()) > 300

@@ -340,7 +340,6 @@ def test_a_photograph_of_another_fabric_is_said(client, finished):
                 if one["code"] == "twin_elsewhere"]  # such as with a corrected density
     same = client.get(f"/estimates/{again['id']}/same_pictures").json()
     assert {"id": finished["id"], "name": finished["name"], "fabric_name": "Twill <b> 7"} in same
-    assert again["id"] not in {one["id"] for one in same}
     client.delete(f"/fabrics/{again['fabric']}")
     assert client.get(f"/estimates/{again['id']}/same_pictures").json() == []
 

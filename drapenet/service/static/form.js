@@ -121,7 +121,8 @@ async function hasDepth(file) {
 
 async function chooseByFiles() {
   const files = chosen();
-  if (!isDrape() || isScan()) return;
+  if (!files.length) choose('above'); // the page asks for a picture
+  if (!isDrape() || isScan() || !usesSetup()) return;
   if (files.some(isCertainlyPhotograph) || isTable()) choose('above');
   else if (files.some((file) => ['.npy', '.ply'].includes(suffix(file.name))) || (await Promise.all(files.map(hasDepth))).some(Boolean)) {
     choose('depth');
@@ -175,11 +176,11 @@ function fault() {
   return ['Measure how high the top that the cloth lies on is over the mat.', 'plate_height_mm'];
 }
 
-// g/m² of what is typed, as text; a specimen's grams count for its area, which the tester states.
+// g/m² of what is typed, as text; a specimen's grams count for its area, which the tester states, of the form or of the files.
 function density() {
-  const typed = at('density').value.trim();
-  const area = areaOf(testerName());
-  return !typed || !isWeighed() ? typed : area ? (number(at('density')) / area).toPrecision(4) : '';
+  const area = usesSetup() || !chosen().length ? areaOf(testerName()) : 0;
+  if (!isWeighed()) return at('density').value.trim();
+  return area && number(at('density')) > 0 ? (number(at('density')) / area).toPrecision(4) : '';
 }
 
 // Files and those fields that are within a part of the form. The plate that is placed in a
@@ -212,16 +213,18 @@ function today() {
   return new Date(now - 60000 * now.getTimezoneOffset()).toISOString().slice(0, 16).replace('T', ' ');
 }
 
-async function content() {
+// An example states its own weight; others have the one that was typed, grams only for their own specimen.
+async function content(isExample) {
   const data = await described(form);
   if (fabric) data.append('fabric', fabric);
   else if (!data.has('name') && !await isNamed()) data.append('name', today());
-  if (isWeighed() && !data.has('density_g_m2') && at('density').value.trim()) data.append('weight_g', at('density').value.trim()); // the files state the tester
+  if (isExample) data.delete('density_g_m2');
+  else if (isWeighed() && !data.has('density_g_m2') && at('kept').hidden && at('density').value.trim()) data.append('weight_g', at('density').value.trim());
   data.append('refine', at('refine').checked && isDrape() ? 'yes' : 'no');
   return data;
 }
 
-async function send() {
+async function send(isExample = false) {
   clear();
   const wrong = fault();
   if (wrong) {
@@ -230,7 +233,7 @@ async function send() {
   }
   at('submit').disabled = true;
   try {
-    const begun = await ask('/estimates', { method: 'POST', body: await content() });
+    const begun = await ask('/estimates', { method: 'POST', body: await content(isExample) });
     at('kept').hidden = !at('density').value;
     sent = { ...begun, added: Boolean(fabric) };
     keepOwn(begun.id);
@@ -252,7 +255,7 @@ async function tryExample(name) {
     const answer = await fetch(`/examples/${name}.zip`);
     put([new File([await answer.blob()], `${name}.zip`)]);
     look(null);
-    await send();
+    await send(true);
   } catch {
     complain('The service cannot be reached; try again.');
   }
@@ -482,6 +485,7 @@ for (const card of form.elements.support) {
     if (isOtherSize()) at('sizes').open = true;
   });
 }
+at('override').addEventListener('change', chooseByFiles);
 at('to-camera').addEventListener('click', () => {
   unfold(form.elements.camera_height_mm);
   form.elements.camera_height_mm.focus();

@@ -11,8 +11,9 @@ const MARKS = [
   ['denim', 40, 'denim of 475 g/m² (manual: training, Which fabrics)'],
   ['canvas', 62, 'the stiff end of the fabrics that the network has learned (manual: training, Which fabrics)'],
 ];
-const [LEAST, , , , MOST] = MARKS.map(([, length]) => length);
 const NEAR = 6; // percent of the scale, within which a fabric is like one of the marks
+const [LEAST, MOST] = [MARKS[0][1], MARKS.at(-1)[1]];
+const placeAt = (length) => 100 * Math.log(length / LEAST) / Math.log(MOST / LEAST); // percent of the scale
 
 // Mean log α in µN·m, and its standard deviation, of three directions whose errors go together.
 function mean(moduli, correlations) {
@@ -22,17 +23,14 @@ function mean(moduli, correlations) {
   return [ends.reduce((sum, [, , middle]) => sum + middle, 0) / 3, Math.sqrt(variance) / 3];
 }
 
-// Place of a mean log α on the scale, percent: by the moduli that its marks have at this density.
-function placeOf(value, density) {
-  const length = Math.cbrt(1e3 * Math.exp(value) / (GRAVITY * density)) * 10; // mm
-  return 100 * Math.log(length / LEAST) / Math.log(MOST / LEAST);
-}
+// Place of a mean log α, µN·m, on the scale: cloth of this density, g/m², and this α has the bending length of a mark.
+const placeOf = (value, density) => placeAt(Math.cbrt(1e6 * Math.exp(value) / (GRAVITY * density)));
 
 const within = (place) => Math.min(Math.max(place, 0), 100);
 
 // Words for a place: the mark at it, or those on either side.
 function near(place) {
-  const all = MARKS.map(([name, length]) => [name, 100 * Math.log(length / LEAST) / Math.log(MOST / LEAST)]);
+  const all = MARKS.map(([name, length]) => [name, placeAt(length)]);
   const [closest, at0] = all.reduce((best, one) => (Math.abs(one[1] - place) < Math.abs(best[1] - place) ? one : best));
   if (Math.abs(at0 - place) <= NEAR) return `like ${closest}`;
   if (place < 0 || place > 100) return `${place < 0 ? 'limper' : 'stiffer'} than ${closest}`;
@@ -60,7 +58,7 @@ export function showHeadline({ moduli, laboratory, capture, correlations, next_m
   const bar = part('span', 'range', within(low));
   bar.style.width = `${(within(high) - within(low)).toFixed(1)}%`;
   at('scale').replaceChildren(bar, part('span', 'dot', within(place)),
-    ...MARKS.map(([name, length, source]) => part('abbr', '', 100 * Math.log(length / LEAST) / Math.log(MOST / LEAST), name, source)));
+    ...MARKS.map(([name, length, source]) => part('abbr', '', placeAt(length), name, source)));
   at('scale').setAttribute('aria-label', `stiffness at this weight, from ${MARKS[0][0]} to ${MARKS.at(-1)[0]}: ${near(place)}`);
   const over = Object.entries(laboratory).filter(([direction]) => direction !== 'bias')
     .map(([direction, { bending_length_mm: { median } }]) => `${(median / 5).toFixed(1)} cm along the ${direction}`);
