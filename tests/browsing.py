@@ -20,10 +20,17 @@ def keep(page, name: str, *, whole: bool = True) -> None:
     page.screenshot(path=str(folder / name), full_page=whole)
 
 
-def fits(page) -> bool:
-    """Whether nothing is wider than a phone."""
+def unfold(page) -> None:
+    page.evaluate("for (const fold of document.querySelectorAll('details:not(#cards *)')) "
+                  "fold.open = true")
+
+
+def fits(page, name: str = "") -> bool:
+    """Whether nothing is wider than a phone, of which ``name`` is a screenshot."""
     page.set_viewport_size({"width": 390, "height": 844})
     page.wait_for_timeout(300)
+    if name:
+        keep(page, name)
     widths = page.evaluate("[document.documentElement, ...document.querySelectorAll('main section "
                            "*')].map((part) => part.scrollWidth > 390 ? part.outerHTML : '')")
     return not any(widths)

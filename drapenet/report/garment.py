@@ -88,7 +88,7 @@ class Garments:
         for panel in panels:
             panel.set_axis_off()
         for panel, row, value, each in zip(panels, self.rows, stiffness, self.skirts, strict=False):
-            panel.set_title(f"sample {row}: {value:.3g} µN·m", fontsize=9)
+            panel.set_title(f"sample {row}:\n{value:.3g} µN·m", fontsize=13)
             if each.converged:
                 panel.imshow(shade(each.positions + _RAISED, each.cloth.scene.mesh.faces,
                                    plate_radius=0.0, size=_SIZE, field=0.6))

@@ -215,6 +215,12 @@ def state(identity: str, jobs: Service) -> JSONResponse:
                                    "garment": jobs.database.garment(identity)}, headers=_FRESH)
 
 
+@router.get("/estimates/{identity}/same_pictures")
+def same_pictures(identity: str, jobs: Service) -> JSONResponse:
+    """Other fabrics' captures that have a picture of an estimate."""
+    return JSONResponse(jobs.database.same_pictures(identity), headers=_FRESH)
+
+
 @router.post("/estimates/{identity}/garment", status_code=202)
 def garment(found: Finished, jobs: Service, client: Client) -> None:
     """Start the preview of an estimate: garment.png and garment.glb, skirts of twelve of its

@@ -95,17 +95,16 @@ class Database:
         """All estimates with their states, the oldest first."""
         return self._read("SELECT id, state, tries, members, error FROM estimate ORDER BY created")
 
-    def same_pictures(self, digests: Sequence[str], fabric: str) -> list[tuple[str, str]]:
-        """Names, of fabric and capture, of other fabrics' captures with one of the ``digests``."""
-        every = json.dumps(digests)
-        return [(row["fabric_name"], row["name"]) for row in self._read(
-            "SELECT f.name AS fabric_name, e.name FROM estimate e JOIN fabric f "
-            "ON f.id = e.fabric WHERE e.members IS NULL AND e.fabric <> ? AND "
-            "(json_extract(e.estimate, '$.capture.views_sha256') IN "
-            "(SELECT value FROM json_each(?)) OR EXISTS (SELECT 1 FROM "
-            "json_each(e.estimate, '$.capture.files_sha256') AS own "
-            "WHERE own.value IN (SELECT value FROM json_each(?)))) ORDER BY e.created",
-            fabric, every, every)]
+    def same_pictures(self, identity: str) -> list[dict[str, Any]]:
+        """``id``, ``name`` and ``fabric_name`` of other fabrics' captures with a picture of an
+        estimate, the oldest first."""
+        return self._read(
+            "WITH digest AS (SELECT e.id, e.fabric, value FROM estimate e, json_each(json_insert("
+            "coalesce(json_extract(e.estimate, '$.capture.files_sha256'), '[]'), '$[#]', "
+            "json_extract(e.estimate, '$.capture.views_sha256'))) WHERE e.members IS NULL) "
+            "SELECT DISTINCT e.id, e.name, f.name AS fabric_name FROM digest own JOIN digest other "
+            "USING (value) JOIN estimate e ON e.id = other.id JOIN fabric f ON f.id = e.fabric "
+            "WHERE own.id = ? AND other.fabric <> own.fabric ORDER BY e.created", identity)
 
     def garment(self, identity: str) -> dict[str, Any] | None:
         """State, progress and error of the garment of an estimate, if it was asked for."""

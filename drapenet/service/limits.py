@@ -68,8 +68,8 @@ async def read_form(
             request.form(max_files=settings.files, max_fields=_MAX_FIELDS, max_part_size=1 << 16),
             settings.upload_seconds)
     except asyncio.TimeoutError:
-        raise RequestError(408, f"the upload took more than {settings.upload_seconds:g} s; try "
-                           "again") from None
+        raise RequestError(408, f"the upload took more than {settings.upload_seconds:g} s; send "
+                           "less, or over a faster network") from None
     files, texts = [], {}
     try:
         for key, value in form.multi_items():

@@ -14,7 +14,7 @@ from common.configs import read_option
 from common.documents import read_json
 from common.errors import InputError
 from common.files import replace_file
-from common.findings import Finding, records
+from common.findings import records
 from common.workers import end_with_parent
 from drapenet.config import EstimateOptions
 from drapenet.fabric.entries import plain_name
@@ -131,12 +131,7 @@ def _estimate(
     record(stage="reading")
     try:
         measured = source.read()
-        others = database_in(folder.parent).same_pictures(
-            measured.digests, row["fabric"]) if measured.pictured else []
-        twins = [Finding("twin_elsewhere", {"capture": source.label, "other": str(_shown(*other))})
-                 for other in others[:1]]
-        measured = measured.changed(labels=measured.labels.named(row["fabric_name"]),
-                                    warnings=(*measured.warnings, *twins))
+        measured = measured.changed(labels=measured.labels.named(row["fabric_name"]))
         record(stage="estimating", warnings=records(measured.warnings))
         return make_part(
             measured, source, header, options, folder=folder, key=key, progress=progress,

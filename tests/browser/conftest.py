@@ -59,12 +59,9 @@ def tester(request, browser, service):
     phone = {"is_mobile": True, "has_touch": True, "device_scale_factor": 2}
     with opened(browser, service, viewport={"width": request.param, "height": 844},
                 **phone if request.param < 1000 else {}) as page:
-        page.evaluate("document.getElementById('camera').open = true")
-        page.select_option("#tester", "disc300_support180")
-        page.check("[name=kind][value=above]")
-        page.select_option("[name=mat]", "a2")
+        page.click("label:has([name=support][value=disc300_support180])")
         page.fill("[name=plate_height_mm]", "91.2")
         page.fill("#density", "210")
         page.press("#density", "Tab")
-        page.evaluate("document.getElementById('camera').open = false")
+        assert page.input_value("#tester") == "disc300_support180"
         yield page

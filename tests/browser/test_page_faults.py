@@ -2,22 +2,22 @@
 
 import signal
 
-from browsing import FILES, IN_BROWSER, keep
+from browsing import FILES, IN_BROWSER, keep, unfold
 
 pytestmark = IN_BROWSER
 
 
 def test_errors_stand_where_they_arise(page):
     page.click("#submit")
-    assert "No files yet" in page.inner_text("#error-files")
+    assert "No picture yet" in page.inner_text("#error-files")
     page.set_input_files("#files", FILES[:-1])  # without a description
-    assert page.evaluate("document.getElementById('camera').open")
+    page.wait_for_selector("[name=fx]")
     page.click("#submit")
     assert "Weigh the specimen" in page.inner_text("#error-density_g_m2")
     assert page.get_attribute("#density", "aria-invalid") == "true"
     page.fill("#density", "210")
     page.click("#submit")
-    assert "Choose the tester" in page.inner_text("#error-tester")
+    assert "Choose what it lies on" in page.inner_text("#error-tester")
     page.select_option("#tester", "square_cylinder")
     page.click("#submit")
     assert "the diameter of the plate" in page.inner_text("#error-tester")
@@ -57,6 +57,7 @@ def test_service_that_was_killed_goes_on_with_its_estimates(page, service):
     page.click("[data-example=twill]")
     page.wait_for_selector("#downloads:not([hidden])")
     kept = page.url
+    unfold(page)
     page.check("#refine")
     page.click("[data-example=twill]")
     page.locator("#status", has_text="refines").wait_for()

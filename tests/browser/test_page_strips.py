@@ -1,7 +1,7 @@
 """Strips and values from other tests on the page."""
 
 import pytest
-from browsing import IN_BROWSER, fits, keep
+from browsing import IN_BROWSER, fits, keep, unfold
 
 pytestmark = IN_BROWSER
 
@@ -11,15 +11,14 @@ def test_strips_and_values_join_and_what_contradicts_is_shown_at_once(page, tmp_
     file.write_text("density_g_m2: 210\nstrips:\n- {direction: warp, bending_length_mm: 21.5}\n",
                     encoding="utf-8")
     page.set_input_files("#files", [str(file)])
+    unfold(page)
     page.fill("#form [name=name]", "olive serge")
     page.fill("#warp", "30")  # of a capture, and not sent
-    page.evaluate("document.querySelector('[name=operator]').closest('details').open = true")
     page.fill("#form [name=operator]", "M. Muster")
     page.click("#submit")
     page.wait_for_selector("#downloads:not([hidden])")
     assert "1 strip" in page.inner_text("#facts") and "M. Muster" in page.inner_text("#facts")
     page.click("#more")
-    page.evaluate("document.getElementById('known').closest('details').open = true")
     keep(page, "page_values.png")
     name = "known.flexural_rigidity_uN_m.warp"
     page.fill(f"[name='{name}']", "-600")
@@ -42,7 +41,7 @@ def test_strips_and_values_join_and_what_contradicts_is_shown_at_once(page, tmp_
 @pytest.mark.parametrize("width", [390, 1280])
 def test_strips_under_weights_are_typed_and_give_stretch_and_shear(page, width):
     page.set_viewport_size({"width": width, "height": 900})
-    page.evaluate("document.getElementById('tension').closest('details').open = true")
+    unfold(page)
     page.fill("#density", "210")
     strips = [("bias", "50", "100", "25", "4.1"), ("warp", "50", "100", "500", "2"),
               ("weft", "50", "100", "500", "5"), ("bias", "50", "100", "25", "-4.3")]

@@ -15,6 +15,30 @@ export function link(address, text) {
   return made;
 }
 
+// Open all that a part is folded into.
+export function unfold(part) {
+  for (let fold = part.closest('details'); fold; fold = fold.parentElement.closest('details')) fold.open = true;
+}
+
+// A sentence of the service without the names that pictures have there, which nobody gave them.
+export const plainly = (sentence) => sentence.replaceAll(/, outline_\d\.[a-z]+,/g, ',').replaceAll(/\boutline_(\d)\.[a-z]+/g, 'picture $1').replaceAll(/\boutline\.(jpe?g|png|hei[cf]|webp|avif|tiff?)\b/g, 'the picture').replaceAll('outline.mat', 'the mat');
+
+const OWN = 'drapenet.own';
+const MOST_OWN = 500;
+
+// Estimates that this browser has begun, the latest first.
+export function own() {
+  try {
+    return JSON.parse(localStorage.getItem(OWN)) ?? [];
+  } catch {
+    return [];
+  }
+}
+
+export function keepOwn(id) {
+  localStorage.setItem(OWN, JSON.stringify([id, ...own()].slice(0, MOST_OWN)));
+}
+
 // Scroll to a section unless its beginning is in the upper half of what is seen.
 export function reveal(section) {
   const { top } = at(section).getBoundingClientRect();

@@ -2,7 +2,7 @@
 
 import { ask, at, element, facts, link, QUANTITIES, texts } from './common.js';
 
-const COLOURS = ['#1f5f99', '#c2571a', '#2e7d32', '#7a3f9d'];
+const COLOURS = ['var(--first)', 'var(--second)', 'var(--third)', 'var(--fourth)'];
 const DASHES = ['', '7 3', '2 3', '9 3 2 3'];
 const [WIDTH, HEIGHT, LEFT, BOTTOM] = [300, 210, 34, 24];
 

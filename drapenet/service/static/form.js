@@ -1,8 +1,9 @@
 // The form: what is checked before it is sent, presets, and errors beside their fields.
 
-import { ask, at, element } from './common.js';
-import { look } from './outline.js';
-import { isFull, reduced, together } from './pictures.js';
+import { ask, at, element, keepOwn, plainly, tester as inWords, unfold } from './common.js';
+import { look, preview } from './outline.js';
+import { areLarge, isFull, reduced, together } from './pictures.js';
+import { areaOf, number, setTester, testerName } from './support.js';
 
 const PRESETS = 'drapenet.presets';
 const TYPED = 'drapenet.typed'; // what stays for the next specimen
@@ -14,8 +15,8 @@ let broken = null; // the new fabric whose only capture failed; sending again re
 
 // ---- errors
 
-const PARTS = { intrinsics: 'fx', plate_px: 'plate_x', 'plate_px.x': 'plate_x', 'plate_px.y': 'plate_y', 'plate_px.diameter': 'plate_diameter' };
-const WORDS = ['name', 'notes', 'label', 'face', 'unit', 'tester', 'mat', 'arrow', 'centred', 'angles', 'kind', 'files', 'date', 'operator', 'laboratory', 'camera', 'remarks'];
+const PARTS = { intrinsics: 'fx', weight_g: 'density_g_m2', plate_px: 'plate_x', 'plate_px.x': 'plate_x', 'plate_px.y': 'plate_y', 'plate_px.diameter': 'plate_diameter' };
+const WORDS = ['name', 'support', 'weighed', 'notes', 'label', 'face', 'unit', 'tester', 'mat', 'arrow', 'centred', 'angles', 'kind', 'files', 'date', 'operator', 'laboratory', 'camera', 'remarks'];
 
 // The field that a sentence of the service names first; words of sentences only where they have a value.
 export function fieldOf(sentence) {
@@ -30,7 +31,7 @@ export function fieldOf(sentence) {
 }
 
 export function complain(sentence, name, focus = true) {
-  let field = name && form.elements[name] && [...form.querySelectorAll(`[name="${name}"]`)][0];
+  let field = name === 'files' ? at('shot') : name && form.elements[name] && form.querySelector(`[name="${name}"]`);
   if (field?.closest('label[hidden]')) field = form.elements.mat; // on which it depends what is shown
   if (!field) {
     at('error').textContent = sentence;
@@ -43,8 +44,7 @@ export function complain(sentence, name, focus = true) {
   place.after(error);
   const hidden = field.closest('[data-kind]');
   if (hidden?.hidden) choose(hidden.dataset.kind);
-  const fold = field.closest('details');
-  if (fold) fold.open = true;
+  unfold(field);
   field.setAttribute('aria-invalid', 'true');
   field.setAttribute('aria-describedby', [error.id, field.getAttribute('aria-describedby')].filter(Boolean).join(' '));
   if (focus) field.focus();
@@ -91,11 +91,12 @@ const isCertainlyPhotograph = (file) => (isPhotograph(file) && suffix(file.name)
 const isBeside = (file) => /(?<![a-z])(plate|empty|mat)(?![a-z])/i.test(file.name); // what shows no drape, as the service has it
 const drapes = () => chosen().filter((file) => isPhotograph(file) && !isBeside(file));
 const usesSetup = () => isDrape() && (!isDescribed() || at('override').querySelector('input').checked);
-const number = (field) => Number(field.value.trim().replace(',', '.'));
 const isRectangle = () => at('tester').value === 'rectangle_cylinder';
 const isOtherSize = () => at('tester').value.includes('_') && !/\d/.test(at('tester').value);
 const kind = () => form.elements.kind.value;
-const isOverMat = () => usesSetup() && kind() === 'above' && Boolean(form.elements.mat.value);
+const isTable = () => chosen().some((file) => ['.csv', '.txt'].includes(suffix(file.name)));
+const isOverMat = () => usesSetup() && kind() === 'above' && Boolean(form.elements.mat.value) && !isTable();
+const isWeighed = () => form.elements.weighed.value === 'specimen'; // in grams
 
 // Whether the service is asked how it reads a photograph: it has what it needs for that.
 function hasPhotograph() {
@@ -112,18 +113,30 @@ function choose(value) {
   showFields();
 }
 
+// Whether a picture in PNG has depths: it is grey, a photograph is in colour (the byte is that of its kind of colour).
+async function hasDepth(file) {
+  return suffix(file.name) === '.png' && !/^outline\./i.test(file.name)
+    && new Uint8Array(await file.slice(0, 26).arrayBuffer())[25] === 0;
+}
+
+async function chooseByFiles() {
+  const files = chosen();
+  if (!files.length) choose('above'); // the page asks for a picture
+  if (!isDrape() || isScan() || !usesSetup()) return;
+  if (files.some(isCertainlyPhotograph) || isTable()) choose('above');
+  else if (files.some((file) => ['.npy', '.ply'].includes(suffix(file.name))) || (await Promise.all(files.map(hasDepth))).some(Boolean)) {
+    choose('depth');
+    if (!isDescribed()) unfold(form.elements.fx);
+  }
+}
+
 function check() {
   clear();
   for (const field of form.querySelectorAll('[data-placed]')) { // in another photograph
     field.value = '';
     delete field.dataset.placed;
   }
-  const files = chosen();
   at('override').hidden = !isDescribed() || isBesideDrapes();
-  if (files.length && !isDescribed()) {
-    if (files.some(isCertainlyPhotograph) || ['.csv', '.txt'].includes(suffix(files[0].name))) choose('above');
-    if (!hasPhotograph()) at('camera').open = true;
-  }
 }
 
 // Sentence and field of the first fault, or null: of the files, of the tester, and of all.
@@ -142,7 +155,7 @@ function fileFault() {
 }
 
 function testerFault() {
-  if (at('tester').value === '' && !isDescribed() && !isScan()) return ['Choose the tester: the specimen and the plate under it.', 'tester'];
+  if (at('tester').value === '' && !isDescribed() && !isScan()) return ['Choose what it lies on, the specimen and the plate under it.', 'tester'];
   const sizes = isRectangle() ? [at('size'), at('across'), at('plate')] : [at('size'), at('plate')];
   if (isOtherSize() && sizes.some((field) => !(number(field) > 0))) {
     return ['Give the diameter or sides of the specimen and the diameter of the plate in mm.', 'tester'];
@@ -151,45 +164,67 @@ function testerFault() {
 }
 
 function fault() {
-  if (!chosen().length && !values().length) return ['No files yet: drop the views of a drape, or its photograph, here, or choose them; or give values from other tests or strips under weights.', 'files'];
+  if (!chosen().length && !values().length) return ['No picture yet: take one from straight above, or open "I have files".', 'files'];
   if (fileFault()) return fileFault();
   const density = at('density').value.trim().replace(',', '.');
   const isFurther = values().some((field) => field.closest('[data-further]')); // which may give it
   if ((density === '' && !isDescribed() && !isFurther) || Number.isNaN(Number(density))) {
-    return ['Weigh the specimen and give its density in g/m², such as 210.', 'density_g_m2'];
+    return ['Weigh the specimen: its g/m², such as 210, or its grams.', 'density_g_m2'];
   }
-  return usesSetup() ? testerFault() : null;
+  const wrong = usesSetup() ? testerFault() : null;
+  if (wrong || !isOverMat() || !drapes().length || form.elements.plate_height_mm.value.trim()) return wrong;
+  return ['Measure how high the top that the cloth lies on is over the mat.', 'plate_height_mm'];
 }
 
-// The name of the chosen tester, such as disc254_support127; empty where capture.yaml states it.
-function tester() {
-  const [specimen, holder] = at('tester').value.split('_');
-  const sides = isRectangle() ? `${number(at('size'))}x${number(at('across'))}` : number(at('size'));
-  return isOtherSize() ? `${specimen}${sides}_${holder}${number(at('plate'))}` : at('tester').value;
+// g/m² of what is typed, as text; a specimen's grams count for its area, which the tester states, of the form or of the files.
+function density() {
+  const area = usesSetup() || !chosen().length ? areaOf(testerName()) : 0;
+  if (!isWeighed()) return at('density').value.trim();
+  return area && number(at('density')) > 0 ? (number(at('density')) / area).toPrecision(4) : '';
 }
 
 // Files and those fields that are within a part of the form. The plate that is placed in a
-// photograph replaces what its files state. Over a mat, no field is in pixels of a file.
-async function described(part) {
+// photograph replaces what its files state. A picture is not reduced if fields are typed in its pixels.
+async function described(...parts) {
   const data = new FormData();
-  for (const file of chosen()) data.append('files', isOverMat() ? await reduced(file) : file, file.name);
-  for (const field of part.querySelectorAll('[name]:not([type=file]):not([type=radio])')) {
-    const left = !('placed' in field.dataset) && (field.closest('[hidden]')
-      || (at('setup').contains(field) && !usesSetup()) || (!isDrape() && field.closest('[data-capture]')));
-    const value = field.name === 'tester' ? tester() : field.value.trim();
+  const smaller = isOverMat() || (usesSetup() && !statesPixels() && areLarge(chosen()));
+  for (const file of chosen()) data.append('files', smaller ? await reduced(file) : file, file.name);
+  for (const field of parts.flatMap((part) => [...part.querySelectorAll('[name]:not([type=file]):not([type=radio])')])) {
+    const left = !('placed' in field.dataset) && (field.closest('[hidden]') || (field.closest('[data-setup]') && !usesSetup())
+      || (isTable() && (field.closest('[data-mat]') || field.name === 'mat')) || (!isDrape() && field.closest('[data-capture]')));
+    const value = { tester: testerName, density_g_m2: density }[field.name]?.() ?? field.value.trim();
     if (value && !left) data.append(field.name, value);
   }
   return data;
 }
 
-async function content() {
+const statesPixels = () => ['plate_x', 'plate_y', 'plate_diameter', 'mm_per_px'].map((name) => form.elements[name])
+  .some((field) => field.value && !('placed' in field.dataset));
+
+// Whether the files name the fabric, which a zip does by its own name at least.
+async function isNamed() {
+  const texts = await Promise.all(chosen().filter((file) => suffix(file.name) === '.yaml').map((file) => file.text()));
+  return texts.some((text) => /^fabric *:/m.test(text)) || chosen().some((file) => suffix(file.name) === '.zip');
+}
+
+// Day and time, such as 2026-11-30 14:05.
+function today() {
+  const now = new Date();
+  return new Date(now - 60000 * now.getTimezoneOffset()).toISOString().slice(0, 16).replace('T', ' ');
+}
+
+// An example states its own weight; others have the one that was typed, grams only for their own specimen.
+async function content(isExample) {
   const data = await described(form);
   if (fabric) data.append('fabric', fabric);
+  else if (!data.has('name') && !await isNamed()) data.append('name', today());
+  if (isExample) data.delete('density_g_m2');
+  else if (isWeighed() && !data.has('density_g_m2') && at('kept').hidden && at('density').value.trim()) data.append('weight_g', at('density').value.trim());
   data.append('refine', at('refine').checked && isDrape() ? 'yes' : 'no');
   return data;
 }
 
-async function send() {
+async function send(isExample = false) {
   clear();
   const wrong = fault();
   if (wrong) {
@@ -198,16 +233,17 @@ async function send() {
   }
   at('submit').disabled = true;
   try {
-    const begun = await ask('/estimates', { method: 'POST', body: await content() });
+    const begun = await ask('/estimates', { method: 'POST', body: await content(isExample) });
     at('kept').hidden = !at('density').value;
     sent = { ...begun, added: Boolean(fabric) };
+    keepOwn(begun.id);
     if (broken) ask(`/fabrics/${broken}`, { method: 'DELETE' }).catch(() => {});
     broken = null;
     form.elements.label.value = '';
     location.hash = begun.id;
   } catch (error) {
     complain(error.lost ? 'The service cannot be reached. Your files are still chosen: press Estimate again.' : error.message,
-      [413, 415].includes(error.status) ? 'files' : fieldOf(error.message));
+      [408, 413, 415].includes(error.status) ? 'files' : fieldOf(error.message));
   } finally {
     at('submit').disabled = false;
   }
@@ -219,7 +255,7 @@ async function tryExample(name) {
     const answer = await fetch(`/examples/${name}.zip`);
     put([new File([await answer.blob()], `${name}.zip`)]);
     look(null);
-    await send();
+    await send(true);
   } catch {
     complain('The service cannot be reached; try again.');
   }
@@ -234,9 +270,13 @@ export function addTo(identity, name = '', capture = null) {
   if (!identity) return;
   put([]); // not the same files again
   look(null);
-  if (capture && !at('density').value) at('density').value = capture.density_g_m2;
-  if (capture && !at('tester').value && at('tester').querySelector(`[value="${capture.rig}"]`)) at('tester').value = capture.rig;
-  at('files').focus();
+  if (capture && !at('density').value) {
+    at('density').value = capture.density_g_m2;
+    form.elements.weighed.value = 'area';
+  }
+  if (capture && !at('tester').value) setTester(capture.rig);
+  showFields();
+  at('shot').focus();
   form.scrollIntoView();
 }
 
@@ -247,6 +287,7 @@ function put(files) {
   for (const file of files) transfer.items.add(file);
   at('files').files = transfer.files;
   check();
+  return chooseByFiles();
 }
 
 // A further row for a strip under a weight.
@@ -261,17 +302,44 @@ function addStrip() {
   at('add-strip').hidden = last.length >= Number(at('tension').dataset.most);
 }
 
-// `delay`, ms: how long further changes are waited for.
+// `delay`, ms: how long further changes are waited for. A picture that cannot be read yet is shown as it is.
 function lookAgain(delay) {
   at('seen-more').hidden = !isOverMat() || !drapes().length;
   at('another').disabled = isFull(drapes());
   at('another').closest('label').classList.toggle('disabled', at('another').disabled);
   listPictures();
-  look(hasPhotograph() ? () => asked() : null, delay);
+  askOpen();
+  if (hasPhotograph() || !questions().length) look(hasPhotograph() ? () => asked() : null, delay);
+  else preview(drapes().at(-1), delay);
+}
+
+const QUESTIONS = [['tester', 'what it lies on'], ['plate_height_mm', 'how high its top is'], ['density_g_m2', 'how heavy it is']];
+
+// Names the questions that are still open, once there is a picture; the weight is not needed to read it.
+function askOpen() {
+  const open = questions().filter((k) => hasPhotograph() || k < QUESTIONS.length).map((k) => {
+    const [name, text] = QUESTIONS[k - 1];
+    const button = element('button', text, 'plain');
+    button.type = 'button';
+    button.addEventListener('click', () => {
+      form.elements[name].closest('fieldset').scrollIntoView();
+      (k === 1 ? form.elements.support[0] : form.elements[name]).focus({ preventScroll: true });
+    });
+    return button;
+  });
+  const why = hasPhotograph() ? 'Before the estimate, please say ' : 'The picture is here. To read it, please say ';
+  at('still').replaceChildren(...open.flatMap((one, k) => [k ? ' and ' : why, one]), open.length ? '.' : '');
+}
+
+// Numbers of those that are not answered, if there is a picture that its files do not describe.
+function questions() {
+  if (!drapes().length || !usesSetup() || kind() !== 'above') return [];
+  return [Boolean(testerFault()), isOverMat() && !form.elements.plate_height_mm.value.trim(), !density()]
+    .flatMap((isOpen, k) => (isOpen ? [k + 1] : []));
 }
 
 async function asked() {
-  const data = await described(at('setup'));
+  const data = await described(...form.querySelectorAll('[data-setup]'));
   if (at('warp').value.trim()) data.append('warp_direction_deg', at('warp').value.trim());
   return data;
 }
@@ -279,10 +347,11 @@ async function asked() {
 function listPictures() {
   const several = drapes().length > 1 ? drapes() : [];
   at('pictures').replaceChildren(...several.map((file) => {
-    const item = element('li', `${file.name.replace(/\.\w+$/, '')} `);
+    const name = plainly(file.name).replace(/\.\w+$/, '');
+    const item = element('li', `${name} `);
     const button = element('button', '×', 'quiet small');
     button.type = 'button';
-    button.setAttribute('aria-label', `leave out ${file.name}`);
+    button.setAttribute('aria-label', `leave out ${name}`);
     button.addEventListener('click', () => show(several.filter((one) => one !== file), []));
     item.append(button);
     return item;
@@ -293,7 +362,8 @@ function listPictures() {
 async function show(pictures, added) {
   const rest = chosen().filter((file) => !['.zip', ...limits.photographs.split(',')].includes(suffix(file.name)) || isBeside(file));
   at('seen').hidden = false;
-  put([...rest, ...await together(pictures, added)]);
+  choose('above');
+  await put([...rest, ...await together(pictures, added)]);
   lookAgain(0);
 }
 
@@ -301,15 +371,16 @@ async function show(pictures, added) {
 function nextSpecimen() {
   addTo(null);
   for (const name of ['name', 'notes', 'label']) form.elements[name].value = '';
+  form.elements['known.cloth'].value = '';
   put([]);
-  look(null);
+  lookAgain(0);
   form.scrollIntoView();
-  at('files').focus({ preventScroll: true });
+  at('shot').focus({ preventScroll: true });
 }
 
 // ---- presets: the fields of the tester and the camera, in this browser, as well as what was typed last
 
-const setup = () => [...at('setup').querySelectorAll('input:not([type=radio]), select')];
+const setup = () => [...form.querySelectorAll('[data-setup] :is(input:not([type=radio]), select)')];
 const lasting = () => [at('density'), ...['operator', 'laboratory', 'camera'].map((name) => form.elements[name])];
 const stored = (key) => {
   try {
@@ -322,14 +393,17 @@ const presets = () => stored(PRESETS);
 const filled = (fields) => Object.fromEntries(fields.filter((field) => field.value && !('placed' in field.dataset))
   .map((field) => [field.name || field.id, field.value]));
 
+// Without any values, as the page begins.
 function fill(fields, values) {
-  for (const field of fields) field.value = values[field.name || field.id] ?? '';
-  choose(values.kind ?? 'depth');
+  const begins = (field) => (Object.keys(values).length ? '' : [...field.options ?? []].find((one) => one.defaultSelected)?.value ?? '');
+  for (const field of fields) field.value = values[field.name || field.id] ?? begins(field);
+  form.elements.weighed.value = values.weighed ?? form.elements.weighed.value;
+  choose(values.kind ?? 'above');
 }
 
 // A phone may give up a page while its camera is open.
 function remember() {
-  localStorage.setItem(TYPED, JSON.stringify({ ...filled([...setup(), ...lasting()]), kind: kind(), preset: at('preset').value }));
+  localStorage.setItem(TYPED, JSON.stringify({ ...filled([...setup(), ...lasting()]), kind: kind(), weighed: form.elements.weighed.value, preset: at('preset').value }));
 }
 
 function recall() {
@@ -375,24 +449,71 @@ function showFields() {
   for (const part of form.querySelectorAll('[data-rectangle]')) part.hidden = !isRectangle();
   for (const part of form.querySelectorAll('[data-mat]')) part.hidden = !form.elements.mat.value;
   for (const part of form.querySelectorAll('[data-no-mat]')) part.hidden = Boolean(form.elements.mat.value);
+  showAnswers();
   const fromArrow = kind() === 'above' && Boolean(form.elements.mat.value); // where the warp counts from
   at('warp-mat').hidden = !fromArrow;
   at('warp-picture').hidden = fromArrow;
   at('warp-name').textContent = fromArrow ? "Warp from the mat's arrow" : 'Warp in the picture';
 }
 
+// What the answers to the three questions say.
+function showAnswers() {
+  const name = testerName();
+  const one = name.includes('_support180') ? 'disc300_support180' : name.startsWith('disc') ? 'disc254_support127' : name && 'square300_cylinder100';
+  for (const card of form.elements.support) card.checked = card.value === one;
+  at('support-said').textContent = areaOf(name) ? `${inWords(name).replace(' on ', ' on a top of ').replace(/^./, (letter) => letter.toUpperCase())}.` : '';
+  at('weight-said').textContent = !isWeighed() ? '' : at('density').value.trim() === '' ? 'Of the whole specimen.' : density() ? `${Number(density()).toPrecision(3)} g/m², for its area.`
+    : areaOf(name) ? '' : 'Its area follows from what it lies on.';
+  const isAnswered = [areaOf(name), !form.elements.mat.value || form.elements.plate_height_mm.value.trim(), density()];
+  isAnswered.forEach((answer, k) => at(`asked-${k + 1}`).classList.toggle('done', Boolean(answer)));
+}
+
 // ---- events
 
-at('files').addEventListener('change', check);
+at('files').addEventListener('change', async () => {
+  check();
+  await chooseByFiles();
+  lookAgain(0);
+});
 for (const field of [at('tester'), form.elements.mat]) field.addEventListener('change', showFields);
+for (const kind of ['input', 'change']) form.addEventListener(kind, showAnswers);
+form.addEventListener('change', askOpen);
+for (const card of form.elements.support) {
+  card.addEventListener('change', () => {
+    setTester(card.value);
+    showFields();
+    if (isOtherSize()) at('sizes').open = true;
+  });
+}
+at('override').addEventListener('change', chooseByFiles);
+at('to-camera').addEventListener('click', () => {
+  unfold(form.elements.camera_height_mm);
+  form.elements.camera_height_mm.focus();
+});
+at('no-mat').addEventListener('click', () => {
+  form.elements.mat.value = '';
+  form.elements.mat.dispatchEvent(new Event('change', { bubbles: true }));
+});
+at('seen').addEventListener('read', ({ detail: found }) => { // of another mat than the form states
+  const [, shows] = /shows the mat (\w+), not the mat/.exec(found?.refusal ?? '') ?? [];
+  at('no-mat').hidden = !isOverMat() || !found?.refusal || Boolean(shows);
+  if (!isOverMat() || !shows) return;
+  form.elements.mat.value = shows;
+  at('mat-said').textContent = `The picture shows the ${shows.toUpperCase()} mat, which is chosen now.`;
+  form.elements.mat.dispatchEvent(new Event('change', { bubbles: true }));
+});
+form.elements.mat.addEventListener('change', ({ isTrusted }) => {
+  if (isTrusted) at('mat-said').textContent = '';
+});
 at('add-strip').addEventListener('click', addStrip);
 at('preset').addEventListener('change', applyPreset);
-for (const part of [at('camera'), at('warp')]) part.addEventListener('change', () => lookAgain());
-at('files').addEventListener('change', () => lookAgain(0));
-at('shot').addEventListener('change', ({ target }) => {
-  show([], [...target.files]);
-  target.value = ''; // the next picture may have the same name
-});
+for (const part of [...form.querySelectorAll('[data-setup]'), at('camera'), at('override'), at('warp')]) part.addEventListener('change', () => lookAgain());
+for (const input of [at('shot'), at('gallery')]) {
+  input.addEventListener('change', ({ target }) => {
+    show([], [...target.files]);
+    target.value = ''; // the next picture may have the same name
+  });
+}
 at('another').addEventListener('change', ({ target }) => {
   show(drapes(), [...target.files]);
   target.value = '';
@@ -407,16 +528,16 @@ for (const radio of form.querySelectorAll('[name=kind]')) radio.addEventListener
 for (const what of ['dragover', 'dragenter']) {
   document.addEventListener(what, (event) => {
     event.preventDefault();
-    at('drop').classList.add('over');
+    document.body.classList.add('over');
   });
 }
-document.addEventListener('dragleave', (event) => event.relatedTarget ?? at('drop').classList.remove('over'));
+document.addEventListener('dragleave', (event) => event.relatedTarget ?? document.body.classList.remove('over'));
 document.addEventListener('drop', (event) => {
   event.preventDefault();
-  at('drop').classList.remove('over');
+  document.body.classList.remove('over');
   at('files').files = event.dataTransfer.files;
-  check();
-  lookAgain(0);
+  at('from-files').open ||= !chosen().every(isPhotograph); // which shows what is chosen
+  at('files').dispatchEvent(new Event('change', { bubbles: true }));
 });
 form.addEventListener('submit', (event) => {
   event.preventDefault();

@@ -1,7 +1,7 @@
 // The photograph as it is read, before the estimate, with the outline and the circle of the plate.
 // Moving the circle fills the plate's fields of the form, which then ask for another reading.
 
-import { ask, at, element } from './common.js';
+import { ask, at, element, plainly } from './common.js';
 
 const DELAY = 400; // ms after the last change
 const KNOB = 0.025; // radius, of the picture's width
@@ -21,6 +21,7 @@ let next = null; // makes the content of the form, to be read
 let reading = false;
 let fresh = false; // whether the photograph was not shown yet
 let seen = null; // the last answer with a picture
+let unread = new Image();
 let circle = null; // of the plate, pixels of the picture
 
 // ---- reading
@@ -33,6 +34,20 @@ export function look(content, delay = DELAY) {
   fresh ||= !delay;
   if (content) timer = setTimeout(read, delay);
   else show(null);
+}
+
+// A picture that is not read yet; what the browser cannot show, such as HEIC, has its name only.
+export async function preview(file, delay = DELAY) {
+  look(null);
+  URL.revokeObjectURL(unread.src);
+  unread = new Image();
+  unread.src = URL.createObjectURL(file);
+  const { src } = unread;
+  const can = await unread.decode().then(() => true, () => false);
+  if (next || src !== unread.src) return; // it is read meanwhile, or another is shown
+  show(can ? { picture: src, width: unread.naturalWidth, height: unread.naturalHeight, movable: false, centred: true } : {});
+  if (!can) at('seen-status').textContent = 'This browser cannot show the picture; it is sent as it is.';
+  if (!delay) at('seen').scrollIntoView();
 }
 
 // One at a time; what has changed meanwhile is read next, in place of what is then no longer asked.
@@ -77,10 +92,11 @@ function show(found) {
   }
   at('seen-help').hidden = !seen;
   at('seen-move').hidden = !seen?.movable;
-  at('seen-refusal').textContent = found?.refusal ?? '';
+  at('seen-refusal').textContent = plainly(found?.refusal ?? '');
+  at('seen').dispatchEvent(new CustomEvent('read', { detail: found }));
   at('seen-status').textContent = seen?.outline ? `Outline found: ${seen.nodes} node${seen.nodes === 1 ? '' : 's'}, drape coefficient ${seen.drape_coefficient_percent.toFixed(1)} % as the camera sees it.${seen.warnings.length ? '' : ' Nothing in it is doubtful.'}` : '';
   at('seen-warnings').replaceChildren(...(found?.warnings ?? []).map(({ text }) => {
-    const [fact, ...remedy] = text.split(/(?<=: )/);
+    const [fact, ...remedy] = plainly(text).split(/(?<=: )/);
     const item = element('li', '');
     item.append(element('strong', fact), remedy.join(''));
     return item;

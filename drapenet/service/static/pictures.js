@@ -2,6 +2,7 @@
 
 const SIDE = 2016; // pixels, of the longer side: three megapixels, as in the pictures that readings are tested with
 const QUALITY = 0.92;
+const LARGE = 3e6; // bytes, of pictures that take a phone a minute to send
 const ORIENTATION = 0x0112; // tag of EXIF
 const UPRIGHT = 1;
 const MOST = Number(document.body.dataset.pictures); // of one drape
@@ -11,10 +12,15 @@ const small = new WeakMap(); // what is sent, or a promise of it, by the file th
 // as they are, and those that the browser cannot read.
 export async function reduced(file) {
   if (!small.has(file)) {
-    small.set(file, file.type === 'image/jpeg' ? jpeg(file).catch(() => file) : file);
+    small.set(file, isJpeg(file) ? jpeg(file).catch(() => file) : file);
   }
   return small.get(file);
 }
+
+const isJpeg = (file) => file.type === 'image/jpeg' || /\.jpe?g$/i.test(file.name); // some phones state no type
+
+// Whether pictures are long to send, and can all be reduced: those of a drape and of its plate have one scale.
+export const areLarge = (files) => files.every(isJpeg) && files.reduce((sum, file) => sum + file.size, 0) > LARGE;
 
 async function jpeg(file) {
   const image = new Image();

@@ -1,7 +1,8 @@
 // The result of an estimate: followed until its fabric is settled, shown, exported.
 
-import { ask, at, element, facts, link, QUANTITIES, reveal, save, texts } from './common.js';
+import { ask, at, element, facts, link, own, plainly, QUANTITIES, reveal, save, texts } from './common.js';
 import { addTo, ended } from './form.js';
+import { showHeadline } from './headline.js';
 
 const POLL = 400; // ms between two looks at a running estimate
 const LONGEST_WAIT = 5000; // ms between two tries where the service does not answer
@@ -68,7 +69,7 @@ function isSettled({ captures, garment }) {
 function reset() {
   shown = {};
   current = null;
-  for (const id of ['fabric', 'editor', 'numbers', 'preview', 'torque', 'shapes', 'downloads', 'garment', 'lost']) at(id).hidden = true;
+  for (const id of ['fabric', 'editor', 'numbers', 'all-numbers', 'pictures-of-it', 'preview', 'torque', 'shapes', 'downloads', 'garment', 'earlier', 'lost']) at(id).hidden = true;
   for (const id of ['failure', 'status', 'copied', 'error-export', 'error-fabric']) at(id).textContent = '';
   for (const id of ['warnings', 'cards']) at(id).replaceChildren();
   asked += 1;
@@ -87,18 +88,22 @@ function show(id, content) {
   at('progress').hidden = ENDED.includes(content.state);
   at('status').textContent = finished ? '' : content.state === 'queued' ? 'Waiting; the first estimate after a start of the service takes up to a minute more …'
     : content.state === 'running' ? stage(content) : '';
-  at('failure').textContent = content.error ?? '';
+  at('failure').textContent = plainly(content.error ?? '');
   if (before?.state !== content.state) ended(id, content);
   const warnings = content.estimate?.warnings ?? content.warnings ?? [];
   const contradictions = content.estimate?.contradictions ?? [];
-  at('warnings').replaceChildren(...warnings.map(({ text }) => element('li', text, contradictions.some((found) => found.text === text) ? 'contradiction' : '')));
-  if (content.estimate) showNumbers(content.estimate);
+  at('warnings').replaceChildren(...warnings.map(({ text }) => element('li', plainly(text), contradictions.some((found) => found.text === text) ? 'contradiction' : '')));
+  if (content.estimate) {
+    showHeadline(content.estimate);
+    showNumbers(content.estimate);
+  }
   for (const [figure, file] of [['preview', 'preview.png'], ['torque', 'torque.svg'], ['garment', 'garment.png']]) {
     if (content.files.includes(file) && !shown[file]) {
       shown[file] = true;
-      at(figure).querySelector('img').src = `/estimates/${id}/${file}`;
+      for (const image of at(figure).querySelectorAll('img')) image.src = `/estimates/${id}/${file}`;
       at(figure).querySelector('a').href = `/estimates/${id}/${file}`;
       at(figure).hidden = false;
+      if (figure !== 'garment') at('pictures-of-it').hidden = false;
     }
   }
   if (finished) showGarment(content.garment);
@@ -109,6 +114,7 @@ function show(id, content) {
   if (finished && !shown.cards) {
     shown.cards = true;
     showCards(id);
+    showEarlier(id);
     if (content.files.includes('drape.glb')) showShapes(`/estimates/${id}/drape.glb`);
   }
 }
@@ -130,7 +136,17 @@ function showFabric(id, content) {
   const key = list.textContent + id;
   if (shown.captures !== key) at('captures').replaceChildren(list); // a link keeps its focus
   shown.captures = key;
+  at('captures').hidden = content.captures.length < 2;
   at('fabric').hidden = false;
+}
+
+// Earlier results of this visitor that have the same pictures: such as with a height that was corrected since.
+async function showEarlier(id) {
+  const found = await ask(`/estimates/${encodeURIComponent(id)}/same_pictures`).catch(() => []);
+  const earlier = found.filter((one) => own().includes(one.id));
+  if (id !== current?.id) return;
+  at('earlier').hidden = !earlier.length;
+  at('earlier').replaceChildren('These pictures were estimated before, as ', ...earlier.flatMap((one, k) => [k ? ', ' : '', link(`#${one.id}`, one.fabric_name)]), '.');
 }
 
 // Those that the fabric's other estimates have found, above all the joint one.
@@ -181,7 +197,9 @@ function showNumbers(estimate) {
   at('poor').textContent = poor + (estimate.advice ?? []).map(({ text }) => `Advice: ${text}. `).join('')
     + (next.length ? `Measured next, intervals would become narrower by ${next.join('; ')}. ` : '')
     + (estimate.kes_note ? `${estimate.kes_note}.` : '');
-  at('numbers').hidden = false;
+  const { views, rig } = estimate.capture;
+  at('as-read').textContent = views || !rig || estimate.captures ? '' : 'Green: the outline. Yellow: the plate. Blue, dotted: the reach of the flat specimen. Red: the warp.';
+  at('all-numbers').hidden = false;
 }
 
 function showLinks(id, files) {
@@ -235,7 +253,7 @@ async function showCards(id) {
 }
 
 async function showShapes(address) {
-  at('shapes').hidden = false;
+  for (const id of ['shapes', 'pictures-of-it']) at(id).hidden = false;
   try {
     const { view } = await import('./viewer.js');
     const captured = await view([address], at('canvas'), at('overlay'));
@@ -312,6 +330,12 @@ at('copy').addEventListener('click', async () => {
     at('copied').textContent = location.href;
   }
 });
+// A laboratory that reads all numbers each time opens them once.
+const FOLDS = 'drapenet.folds';
+for (const fold of document.querySelectorAll('[data-fold]')) {
+  fold.open = (localStorage.getItem(FOLDS) ?? '').split(',').includes(fold.dataset.fold);
+  fold.addEventListener('toggle', () => localStorage.setItem(FOLDS, [...document.querySelectorAll('[data-fold][open]')].map((one) => one.dataset.fold).join()));
+}
 for (const button of document.querySelectorAll('[data-export]')) {
   button.addEventListener('click', () => saveMade(`export/${button.dataset.export}`));
 }

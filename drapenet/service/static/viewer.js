@@ -6,7 +6,7 @@ import {
   WebGLRenderer,
 } from './three.js';
 
-const BACKGROUND = new Color(0xffffff);
+const BACKGROUND = new Color(matchMedia('(prefers-color-scheme: dark)').matches ? 0x1a2130 : 0xffffff);
 const FIELD = 32; // degrees, of the smaller side of a tile
 const STEP = Math.PI / 24; // rad, a press of an arrow key
 const NEARER = 0.9; // a press of +
