@@ -136,8 +136,9 @@ def _rows(sample: Sample | Unestimated, further: Sequence[str]) -> list[list[str
         numbers = [number for value in (*(quantities[key] for key in QUANTITIES), stretch,
                                         *(measured.get(key) for key in further))
                    for number in _ends(value)]
-        poor = ", ".join(each.replace("beta/alpha", "β").replace("alpha", "α").removesuffix(f" {name}")
-                         for each in document.poorly_constrained if name in each)
+        poor = ", ".join(
+            each.replace("beta/alpha", "β").replace("alpha", "α").removesuffix(f" {name}")
+            for each in document.poorly_constrained if name in each)
         rows.append([*sample.names.values(), about.density_g_m2, about.rig, face, name, *numbers,
                      poor, 100 * readings.kes_b_outside_law_probability, sample.coefficient,
                      sample.nodes, *about.labels.columns.values(),
