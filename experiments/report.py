@@ -6,16 +6,13 @@ import os
 import platform
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from common.errors import InputError
 from common.files import replace_json
 from common.provenance import package_versions, processor
-
-if TYPE_CHECKING:
-    pass
 
 ROOT = Path(__file__).resolve().parents[1]
 REPORTS = ROOT / "docs" / "validation"

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -23,9 +23,6 @@ from common.errors import InputError
 from common.files import require_file, require_folder
 from data.dataset.config import VERSION as DRAPES
 from experiments.report import Report, write_report
-
-if TYPE_CHECKING:
-    pass
 
 FOLDERS = ("physics", "speed", "estimation")
 FILES = {file.stem: file for folder in FOLDERS

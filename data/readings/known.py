@@ -128,5 +128,6 @@ class Reported(Known):
     @classmethod
     def _of_cloth_on_a_plate(cls, percent: float | None) -> float | None:
         if percent is not None and percent < 100 * MIN_COEFFICIENT:
-            raise ValueError(f"is no drape's; a share? {percent:g} is {100 * percent:g} %")
+            raise ValueError(f"is too small for a drape; a share? {percent:g} is "
+                             f"{100 * percent:g} %")
         return percent

@@ -12,9 +12,9 @@ import numpy as np
 
 from drapenet.network.inputs import Batch
 from drapenet.network.posterior import LEVELS, Samples
-from drapenet.network.targets import MODULI
+from sim.material import LINEAR, RATIO
 
-KINDS = (slice(0, 3), slice(3, MODULI))  # log alpha, beta/alpha
+_SCALED = LINEAR, RATIO  # log alpha, beta/alpha
 _SMOOTH = 0.1  # of the logarithm, over which a quantile's loss is rounded
 _RIDGE = 3e-3  # of slopes
 _LIMIT = 3.0  # deviations of a number, beyond which the scale is that of the limit
@@ -28,7 +28,7 @@ def seen_of(batch: Batch, samples: Samples) -> np.ndarray:
     count = batch.members.sum(axis=1)
     spread = np.log(samples.std(axis=0))
     return np.column_stack([batch.members @ each / count[:, None], np.log2(count),
-                            *(spread[:, kind].mean(axis=1) for kind in KINDS)])
+                            *(spread[:, kind].mean(axis=1) for kind in _SCALED)])
 
 
 @dataclass(frozen=True)
@@ -41,30 +41,32 @@ class Calibration:
 
     def scales(self, seen: np.ndarray) -> np.ndarray:
         """(M, 2) of sets of which (M, F) is seen."""
-        logarithm = self._columns(seen) @ self.slopes.T
+        logarithm = _columns(seen, self.mean, self.spread) @ self.slopes.T
         return np.exp(logarithm.clip(-_LARGEST, _LARGEST))
 
     def applied(self, samples: Samples, seen: np.ndarray) -> Samples:
         """``samples`` (S, M, T), of which moduli deviate from their mean by the scale as much."""
         scaled = samples.copy()
-        for kind, scale in zip(KINDS, self.scales(seen).T, strict=True):
+        for kind, scale in zip(_SCALED, self.scales(seen).T, strict=True):
             part = samples[..., kind]
             middle = part.mean(axis=0)
             scaled[..., kind] = middle + scale[:, None] * (part - middle)
         return scaled
 
-    def _columns(self, seen: np.ndarray) -> np.ndarray:
-        within = ((seen - self.mean) / self.spread).clip(-_LIMIT, _LIMIT)
-        return np.column_stack([np.ones(len(seen)), within])
-
     @classmethod
     def fit(cls, samples: Samples, truth: np.ndarray, seen: np.ndarray) -> "Calibration":
         """That of posteriors' ``samples`` (S, M, T) of fabrics whose ``truth`` (M, T) is known."""
-        spread = seen.std(axis=0)
-        plain = cls(seen.mean(axis=0), np.where(spread > 1e-6, spread, 1.0), np.zeros(()))
-        columns = plain._columns(seen)
-        slopes = [_slopes(columns, _widths(samples[..., kind], truth[:, kind])) for kind in KINDS]
-        return cls(plain.mean, plain.spread, np.array(slopes))
+        mean, spread = seen.mean(axis=0), seen.std(axis=0)
+        spread = np.where(spread > 1e-6, spread, 1.0)
+        columns = _columns(seen, mean, spread)
+        slopes = [_slopes(columns, _widths(samples[..., kind], truth[:, kind])) for kind in _SCALED]
+        return cls(mean, spread, np.array(slopes))
+
+
+def _columns(seen: np.ndarray, mean: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    """(M, 1 + F) a constant, and the standardised numbers."""
+    within = ((seen - mean) / spread).clip(-_LIMIT, _LIMIT)
+    return np.column_stack([np.ones(len(seen)), within])
 
 
 def _widths(samples: Samples, truth: np.ndarray) -> np.ndarray:

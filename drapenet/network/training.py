@@ -292,8 +292,10 @@ def describe(
 
 def calibrate(checkpoint: Path, captures: CaptureSet, config: TrainConfig) -> None:
     """Add to a ``checkpoint`` the scales of its deviations, fitted on ``captures`` of fabrics that
-    it has not learned."""
-    header = read_header(checkpoint).model_copy(update={"calibrated": None})
+    it has not learned; none to one that has them, when a finished training is run again."""
+    header = read_header(checkpoint)
+    if header.calibrated:
+        return
     model = load_model(header)
     rng = np.random.default_rng(config.seed)
     condition, drawn = Condition.of_inputs(config.inputs), []

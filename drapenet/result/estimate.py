@@ -65,7 +65,7 @@ class Estimate:
     @property
     def theta(self) -> Theta:
         """The fabric in the middle of the samples."""
-        return central(self.samples, self.spread)
+        return central(self.samples, self.spread[:6])
 
     @property
     def fabric(self) -> Fabric:
@@ -121,13 +121,13 @@ def interval(samples: np.ndarray, level: float = 0.68) -> np.ndarray:
     return np.nanquantile(samples, [0.5 - level / 2, 0.5 + level / 2], axis=0)
 
 
-def central(samples: Theta, spread: np.ndarray) -> Theta:
+def central(samples: Theta, spread: Theta) -> Theta:
     """Medians of samples; if these are not admissible, the sample nearest to them, in units of the
-    ``spread`` (6 or more,)."""
+    ``spread``."""
     middle = np.median(samples, axis=0)
     if is_admissible(*from_theta(middle)):
         return middle
-    away = (samples - middle) / spread[: middle.size]
+    away = (samples - middle) / spread
     return samples[np.square(away).sum(axis=1).argmin()]
 
 

@@ -83,15 +83,18 @@ def _shares(found: Report) -> str:
     return ", ".join(_off(found)).replace(" %", "")
 
 
+def _judged(found: Report) -> str:
+    """The same, and coverage."""
+    return f"{_shares(found)}; {coverage(found)}".removesuffix(" %")
+
+
 def bands(reports: Reports) -> str:
     """Errors and coverage of single captures by drape coefficient, stiffness and cloth."""
     found = reports["evaluation"]["bands"]
     names = [name for name in found if name != "drape coefficient and nodes"]
     return "\n\n".join(
         table([f"{kind}; α off by, %: median, 9 of 10; inside 50, 68, 90 %", *names],
-              [[label, *(_shares(found[name][kind][label]) + "; "
-                         + coverage(found[name][kind][label]).removesuffix(" %")
-                         for name in names)]
+              [[label, *(_judged(found[name][kind][label]) for name in names)]
                for label in found[names[0]][kind]])
         for kind in found[names[0]])
 
@@ -120,8 +123,7 @@ def cells(reports: Reports) -> str:
     """Errors and coverage of the network by condition."""
     kinds = (*KINDS, "tin")
     return table(["α off by, %: median, 9 of 10; inside 50, 68, 90 %", *kinds], [
-        [name, *(f"{_shares(found)}; {coverage(found)}".removesuffix(" %")
-                 for found in (reports.cell(kind, name) for kind in kinds))]
+        [name, *(_judged(reports.cell(kind, name)) for kind in kinds)]
         for name in reports["evaluation"]["cells"][RIGS["squares"]]])
 
 
