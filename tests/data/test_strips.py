@@ -63,6 +63,15 @@ def test_the_curve_of_a_photograph_is_exact_to_0_4_mm(tmp_path, scene, name, cha
     assert (np.abs(off) < 4 * deviation).all() and (deviation < 1.5e-3).all()
 
 
+def test_faint_fibres_at_the_tip_are_not_the_strip(tmp_path):
+    light = replace(LONG, **LIGHT)
+    picture, tip = photograph(light), light.pixels(light.curve[-1:])[0]
+    for way in ((60, 45), (75, 15), (20, 70)):
+        cv2.line(picture, tip.astype(int).tolist(), (tip + way).astype(int).tolist(), 70.0, 3)
+    strip, _ = read(tmp_path, light, picture=picture, clamp_px=SEEN)
+    assert largest_error_mm(strip.measured.curve, light) < 0.4
+
+
 def test_a_large_photograph_is_reduced(tmp_path):
     small = photograph(LONG)
     large = cv2.resize(small, None, fx=3, fy=3, interpolation=cv2.INTER_CUBIC)

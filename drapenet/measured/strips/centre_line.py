@@ -33,6 +33,7 @@ MAX_BRANCH = 0.012  # of a strip's pixels that may lie outside of its usual widt
 MAX_TURN = np.radians(50.0)  # between successive twelfths of a strip, which cloth does not exceed
 MAX_ROLL = np.radians(15.0)
 EDGE_LEVEL = 0.35  # of the contrast; parts of a strip seen obliquely are nearer to the ground's
+FIBRE_LEVEL = 0.25  # of the contrast; what continues the strip at its tip with less is loose fibres
 _GROUND_STEP = 10.0  # brightness from the ground's, within which a pixel may show it
 _STEP = 1.5  # pixels between two places at which the edges are located
 _LEAST_ERROR = 0.03  # pixels, of a point
@@ -108,7 +109,7 @@ def trace_strip(
                          f"{_STEP * POINTS:.0f} are needed; move the camera nearer")
     points, error = _thinned(path)
     _require_smooth(points)
-    _require_no_branch(strip, traced, widths, band)
+    _require_no_branch(strip & (field > EDGE_LEVEL * peak), traced, widths, band)
     clamp = _on_line(points, clamp, out)
     thinnest = float(np.quantile(widths, 0.05))
     return CentreLine(points, error, band, thinnest, clamp, edge_roll, uneven)
@@ -296,6 +297,9 @@ def _midway(
     inner = np.abs(offsets) <= max(0.6 * band, 2.0)
     peaks = profile[:, inner].max(axis=1)
     peaks = median_filter(peaks, min(31, len(peaks)))
+    (strip,) = np.nonzero(peaks > FIBRE_LEVEL * np.median(peaks))
+    part = slice(strip[-1] + 1)
+    path, normal, profile, peaks = path[part], normal[part], profile[part], peaks[part]
     start = np.flatnonzero(inner)[profile[:, inner].argmax(axis=1)]
     limit = EDGE_LEVEL * peaks
     ends = []

@@ -141,7 +141,8 @@ def direction_evidence(
     if misfit > MAX_MISFIT:
         raise InputError(f"{NOT_A_STRIP}; the nearest one is {misfit:.1f} standard deviations from "
                          "them: check that the strips are of one direction, their lengths, and the "
-                         "density")
+                         "density; if these are right, the fabric is outside of the law, whose "
+                         "torque is alpha times curvature and beta times its square")
     measured, scatter = fit.measured(result.x, max(misfit, 1.0))
     return StripEvidence(measured, prior.updated(measured), misfit, scatter)
 
