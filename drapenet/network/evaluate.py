@@ -39,7 +39,7 @@ from drapenet.network.captures import CaptureSet, Condition, readable
 from drapenet.network.checkpoint import Header, read_header
 from drapenet.network.dataset import Maps, make_maps
 from drapenet.network.expected import LEVEL
-from drapenet.network.posterior import Ranks, covered, inside, ranks
+from drapenet.network.posterior import LEVELS, Ranks, covered, ranks
 from drapenet.network.predict import network_of, sample_targets
 from drapenet.network.targets import cloth_of, stiffer_first, targets_of
 from drapenet.network.trained import Trained
@@ -152,9 +152,10 @@ class Judged:
             "beta_over_alpha": rms_with_interval(error[:, 3:], fabric),
             "alpha": {"median": float(np.median(factor)),
                       "ninth_decile": float(np.quantile(factor, 0.9))},
-            "inside": {level: {"mean": mean, "each": each.round(3).tolist()}
-                       for (level, mean), each in
-                       zip(inside(places).items(), covered(places), strict=True)},
+            "inside": {f"{level:.0%}": {
+                "mean": float(each.mean()), "each": each.mean(axis=0).round(3).tolist(),
+                "error": float(resampled(each.mean(axis=1), fabric).std())}
+                for level, each in zip(LEVELS, covered(places), strict=True)},
             "outside_99": float(outside.mean()),
             "outside_99_in_silence": float((outside & ~alarm[:, None]).mean()),
             "alarms": float(alarm.mean()),
@@ -221,13 +222,17 @@ def judge(
 
 def rms_with_interval(errors: np.ndarray, fabric: np.ndarray) -> dict[str, Any]:
     """Root mean square of errors (N, 3), and its 95 % bootstrap interval over fabrics (N,)."""
+    squares = np.square(errors).mean(axis=1)
+    return {"rmse": float(np.sqrt(squares.mean())), "interval_95": np.quantile(
+        np.sqrt(resampled(squares, fabric)), [0.025, 0.975]).tolist()}
+
+
+def resampled(values: np.ndarray, fabric: np.ndarray) -> np.ndarray:
+    """Means of values (N,) of bootstrap samples of the fabrics (N,)."""
     _, place = np.unique(fabric, return_inverse=True)
-    count = np.bincount(place)
-    squares = np.bincount(place, np.square(errors).mean(axis=1))
+    count, total = np.bincount(place), np.bincount(place, values)
     drawn = np.random.default_rng(0).integers(len(count), size=(_RESAMPLES, len(count)))
-    resampled = np.sqrt(squares[drawn].sum(axis=1) / count[drawn].sum(axis=1))
-    return {"rmse": float(np.sqrt(squares.sum() / count.sum())),
-            "interval_95": np.quantile(resampled, [0.025, 0.975]).tolist()}
+    return total[drawn].sum(axis=1) / count[drawn].sum(axis=1)
 
 
 def require_unseen(header: Header, generation: dict) -> None:

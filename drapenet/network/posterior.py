@@ -44,12 +44,11 @@ def ranks(draws: Samples, truth: np.ndarray) -> Ranks:
 
 
 def covered(places: Ranks) -> np.ndarray:
-    """(L, T) share of captures inside the central intervals of :data:`LEVELS`."""
-    levels = np.array(LEVELS)[:, None, None]
-    return (np.abs(places - 0.5) <= levels / 2).mean(axis=1)
+    """(L, N, T) whether the truth is inside the central intervals of :data:`LEVELS`."""
+    return np.abs(places - 0.5) <= np.array(LEVELS)[:, None, None] / 2
 
 
 def inside(places: Ranks) -> dict[str, float]:
-    """:func:`covered` over all targets, by level, such as "68%"."""
+    """Share of :func:`covered` truths, by level, such as "68%"."""
     return {f"{level:.0%}": share for level, share in
-            zip(LEVELS, covered(places).mean(axis=1).tolist(), strict=True)}
+            zip(LEVELS, covered(places).mean(axis=(1, 2)).tolist(), strict=True)}

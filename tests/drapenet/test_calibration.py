@@ -26,7 +26,7 @@ def test_intervals_of_others_hold_what_they_say_in_every_band():
     samples, truth, seen = _posteriors(rng)
     scaled = calibration.applied(samples, seen)
     for band in (seen[:, 0] < -0.5, np.abs(seen[:, 0]) < 0.5, seen[:, 0] > 0.5):
-        before, after = (covered(ranks(one[:, band, :6], truth[band, :6])).mean(axis=1)
+        before, after = (covered(ranks(one[:, band, :6], truth[band, :6])).mean(axis=(1, 2))
                          for one in (samples, scaled))
         assert np.abs(after - LEVELS).max() < 0.03
         assert np.abs(after - LEVELS).max() < np.abs(before - LEVELS).max()
