@@ -12,10 +12,9 @@ from common.command import command
 from common.errors import InputError
 from common.files import require_file, require_folder
 from drapenet.config import ExportConfig
-from drapenet.export.cards import PROGRAMS, card_lines
+from drapenet.export.cards import PROGRAMS, card_lines, cards
 from drapenet.export.formats import (
     TARGETS,
-    cards_of,
     export,
     export_all,
     names_in,
@@ -51,7 +50,7 @@ def main(config: ExportConfig) -> None:
     for file in written:
         print(file)
     tools = {PROGRAMS.get(name) for name in names_in(config.to)}
-    for card in cards_of(material):
+    for card in cards(material):
         if card["tool"] in tools:
             print("\n".join(card_lines(card)))
     for warning in material.about["warnings"]:

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-SLIDER = ((0.0, 10.0, 28.0, 48.0, 65.0, 83.0, 100.0), (0.0, 1e2, 1e3, 3e3, 2e4, 2e5, 2e6))
-"""CLO's scale of 0 to 100 and its bending stiffness, linear between these."""
+from drapenet.export.material import Material
+from drapenet.export.quantities import filled, quantities
 
 PROGRAMS = {"clo": "CLO", "clo3d": "CLO", "marvelous": "Marvelous Designer",
             "marvelousdesigner": "Marvelous Designer", "browzwear": "VStitcher",
@@ -19,24 +19,28 @@ DEFAULT = "keep the tool's default, or that of a similar fabric"
 """Note of a field whose quantity the estimate does not state."""
 
 
-def cards(values: Mapping[str, float]) -> list[dict[str, Any]]:
-    """The content of ``cards.yaml`` with these values of its quantities; a field without a value
-    has None, and one whose quantity is not known says so."""
+def cards(material: Material) -> list[dict[str, Any]]:
+    """The content of ``cards.yaml`` for a fabric: every field has field, value, unit and
+    note; without a value it has None, and says so where its quantity is not known."""
     text = Path(__file__).with_name("cards.yaml").read_text(encoding="utf-8")
-    return [card | {"fields": [field | (
-        {"value": _digits(values[quantity])} if quantity in values else
-        {"value": None} | ({"note": DEFAULT} if quantity else {}))
-        for field in card["fields"] for quantity in [field.get("value")]]}
-        for card in yaml.safe_load(text)]
+    found, values = yaml.safe_load(text), quantities(material)
+    for card in found:
+        given = filled(card["fields"], values)
+        card["fields"] = [{
+            "field": row["field"],
+            "value": _digits(given[row["field"]]) if row["field"] in given else None,
+            "unit": row.get("unit", ""),
+            "note": row.get("note", "") if row["field"] in given or "value" not in row else DEFAULT}
+            for row in card["fields"]]
+    return found
 
 
 def card_lines(card: Mapping[str, Any]) -> list[str]:
     """A card as text."""
     width = max(len(field["field"]) for field in card["fields"])
     fields = [f"  {field['field']:<{width}}  "
-              + (f"{field['value']} {field.get('unit', '')}".rstrip() if field["value"] else
-                 "not known") + (f"   ({field['note']})" if "note" in field else "")
-              for field in card["fields"]]
+              + (f"{field['value']} {field['unit']}".rstrip() if field["value"] else "not known")
+              + (f"   ({field['note']})" if field["note"] else "") for field in card["fields"]]
     return [f"{card['tool']}, {card['where']}:", *fields, f"  {card['unknown']}"]
 
 

@@ -1,10 +1,7 @@
-"""Material for exports: moduli of an estimate, and of hinges on the meshes of other tools; and how
-files are written."""
+"""Material for exports: moduli of an estimate, and of hinges on the meshes of other tools."""
 
 import hashlib
 import json
-import pprint
-from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
@@ -32,7 +29,7 @@ from sim.material import (
     WEFT,
     secant,
 )
-from sim.rig import GRAVITY
+from sim.rig import DISC_RIG, GRAVITY, Rig
 
 MESHES = {"unstructured": ("random", 0.2), "alternating": ("alternating", 0.0),
           "equal": ("equal", 0.0), "random": ("random", 0.0)}
@@ -158,6 +155,19 @@ class Material:
         return [name for key, name in BESIDE.items() if key not in known]
 
     @property
+    def captured(self) -> dict[str, Any]:
+        """Tester, sides of the specimen and diameter of the plate, m, of the first capture over a
+        plate, or else of the common disc; and the captured drape coefficient, % or None."""
+        document = self.document
+        shown = [part.capture for part in document.captures or []] or [document.capture]
+        over_plates = [(rig, one.drape_coefficient_percent) for one in shown
+                       for name in one.rig.split(", ") if name
+                       and (rig := Rig.from_name(name)).has_plate]
+        rig, percent = over_plates[0] if over_plates else (DISC_RIG, None)
+        return {"tester": rig.name, "plate": rig.plate_diameter, "captured_percent": percent,
+                "specimen": list(rig.sides)[:1 if rig.specimen == "disc" else 2]}
+
+    @property
     def name(self) -> str:
         """The fabric's, for display."""
         capture = self.document.capture
@@ -196,7 +206,7 @@ class Material:
             "source": capture.get("source") or capture.get("sources"),
             "density_g_m2": capture["density_g_m2"], "directions": content["convention"],
             "rig": capture["rig"],
-            "drape_coefficient_percent": capture.get("drape_coefficient_percent"),
+            "drape_coefficient_percent": self.captured["captured_percent"],
             "moduli": content["moduli"], "modulus_at_curvature_1_m": curvature,
             "modulus_over_alpha": (self.modulus / self.alpha).round(3).tolist(),
             "not_known": self.not_known,
@@ -230,21 +240,3 @@ def read_material(path: str | Path, **settings: object) -> Material:
     written = datetime.fromtimestamp(path.stat().st_mtime, timezone.utc)
     return Material(document, checked, hashlib.sha256(path.read_bytes()).hexdigest(),
                     f"{written:%Y-%m-%dT%H:%M:%SZ}")
-
-
-def as_json(content: object) -> bytes:
-    """A JSON file."""
-    return (json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode()
-
-
-def script(template: str, content: dict) -> bytes:
-    """A module from a ``template`` beside this one, with the ``content`` of its MATERIAL."""
-    text = Path(__file__).with_name(template).read_text(encoding="utf-8")
-    values = pprint.pformat(content, width=96, sort_dicts=False)
-    return text.replace("{MATERIAL}", values).encode()
-
-
-def left_to_tool(fields: Iterable[str], given: Iterable[str]) -> dict[str, list[str]]:
-    """The entry of a file's metadata that names those ``fields`` of a tool that are not ``given``,
-    so that the tool's own values stand."""
-    return {"tool_defaults": sorted({*fields} - {*given})}

@@ -162,7 +162,7 @@ def test_cloth_of_known_shear_and_friction_has_springs_of_that_shear(scene, tmp_
     Blender's k is the tension over the mean edge; its friction is in hundredths."""
     garment = quads()
     scene.selected_objects.append(garment)
-    shear = {"median": 35.0, "interval_68": [30.0, 40.0], "interval_90": [28.0, 44.0]}
+    shear = {"median": 335.0, "interval_68": [330.0, 340.0], "interval_90": [328.0, 344.0]}
     runpy.run_path(str(script(tmp_path, tension={
         "source": "strips", "density_g_m2": 210, "strips": 1, "measured": ["bias"],
         "shear_n_per_m": shear, "stretch_n_per_m": {"warp": shear, "weft": shear},
@@ -173,7 +173,7 @@ def test_cloth_of_known_shear_and_friction_has_springs_of_that_shear(scene, tmp_
                     for pair in (line.vertices for line in garment.data.edges)])
     for name in ("tension", "compression", "shear"):
         assert getattr(cloth.settings, f"{name}_stiffness") / edge * math.sqrt(3) / 4 == (
-            pytest.approx(35, rel=1e-6))
+            pytest.approx(335, rel=1e-6))
     assert cloth.collision_settings.self_friction == pytest.approx(100 * math.tan(math.pi / 6))
     printed = capsys.readouterr().out
     assert "self_friction 57.7" in printed

@@ -166,8 +166,8 @@ def test_the_zip_has_the_report_and_the_files_of_all_tools(folder, tmp_path):
 def test_a_tool_that_refuses_is_named_in_the_zip_with_its_sentence(folder):
     found = zip_of(folder, edge_mm=40.0)
     lines = found[REFUSED].decode().splitlines()
-    assert [line.partition(" (")[0] for line in lines] == [
-        "arcsim.json", "newton_fabric.py", "ppf.toml"]
+    assert " ".join(line.partition(" (")[0] for line in lines) == (
+        "arcsim.json newton_fabric.py isaaclab_fabric.py ppf.toml ppf_addon.toml hood.yaml")
     assert all("): edge_mm=40 is too coarse for this fabric" in line for line in lines)
     assert {"fabric.jfab", "report.html"} <= set(found) and "ppf.toml" not in found
     with pytest.raises(InputError, match="mesh='hexagons'"):
