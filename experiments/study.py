@@ -24,7 +24,7 @@ from common.files import require_file, require_folder
 from data.dataset.config import VERSION as DRAPES
 from experiments.report import Report, write_report
 
-FOLDERS = ("physics", "speed", "estimation")
+FOLDERS = ("speed", "estimation")
 FILES = {file.stem: file for folder in FOLDERS
          for file in sorted((Path(__file__).parent / folder).glob("*.py"))
          if "\nSTUDY = " in file.read_text(encoding="utf-8")}

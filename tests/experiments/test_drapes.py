@@ -1,31 +1,33 @@
-"""Estimates of simulated captures, and what is computed from them."""
+"""Estimates of simulated captures."""
+
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from data.captures.capture import DepthCapture
+from data.render.setups import Setups
 from drapenet.fabric.stages import by_network
 from drapenet.network.checkpoint import BUNDLED
-from experiments.drapes import (
-    as_read,
-    capture_drape,
-    drape_specimen,
-    header,
-    ideal_setups,
-    plan_specimen,
-)
+from experiments.drapes import header
+from sim.draping import drape
+from sim.material import MICRO, REFERENCE_DENSITY, Fabric
+from sim.rig import SQUARE_RIG
 
-trained = pytest.mark.skipif(not BUNDLED.exists(), reason="no network is bundled")
+CLEAN = replace(Setups.load("real"), views=(0.0, 0.0, 0.0, 1.0), sensors={"smooth": 1.0}, turn=0.0,
+                focal=0.0, border=0, holes=0, hem_share=0.0)
 
 
-@trained
+@pytest.mark.skipif(not BUNDLED.exists(), reason="no network is bundled")
 def test_estimates_are_along_the_true_warp_for_all_orientations():
-    plan = plan_specimen(4, seed=1)
-    theta = plan.theta.copy()
-    theta[:3] = np.log([120e-6, 40e-6, 15e-6])
-    theta[3:] = -1e-3
-    shape = drape_specimen(type(plan)(**{**plan.__dict__, "theta": theta}), edge=6e-3)
+    alpha = np.array([120.0, 40.0, 15.0]) * MICRO
+    shape = drape(Fabric(alpha, -1e-3 * alpha), edge=6e-3, seed=4)
     for number in range(3):
-        captured = capture_drape(shape, ideal_setups(), np.random.default_rng(number))
-        found = by_network(as_read(captured), header())
-        mean = found.estimate.samples.mean(axis=0)
+        taken = CLEAN.capture(shape.positions, shape.faces, np.random.default_rng(number),
+                              rig=SQUARE_RIG)
+        captured = DepthCapture(taken.views, taken.intrinsics, taken.turns, rig=SQUARE_RIG,
+                                density=REFERENCE_DENSITY, path=Path(),
+                                warp_direction=taken.orientation % np.pi)
+        mean = by_network(captured, header()).estimate.samples.mean(axis=0)
         assert mean[0] > mean[2] + 0.5
