@@ -39,6 +39,9 @@ from apps.strip_curves import read_curve
 from common.configs import read_option
 from common.errors import of
 from common.files import replace_json
+from data.captures.arrays import checked_capture
+from data.captures.capture import Capture, DepthCapture
+from data.captures.description import whole_turns
 from data.captures.raw_scans import read_raw_scan
 from data.captures.reader import read_capture
 from data.captures.writer import write_capture
@@ -163,6 +166,13 @@ def _fabrics(folder: Path) -> None:
     """A table of fabrics."""
     rows = ["0.30, 2000, 1000, 1500, -20, -10, 15", "0.15, 9000, 4000, 6000, -900, -400, -600"]
     (folder / "fabrics.csv").write_text("\n".join([", ".join(TABLE_COLUMNS), *rows, ""]))
+
+
+def capture_of_arrays(**changes: object) -> Capture:
+    """Views on a turntable, with the ``changes``, as they are checked."""
+    sound = DepthCapture(lopsided_views(), nominal_camera().intrinsics, whole_turns(4),
+                         density=0.15, rig=SQUARE_RIG, warp_direction=0.3)
+    return checked_capture(replace(sound, **changes))
 
 
 STRIPS = {"words": ("strips={}",), "description": "strips.yaml", "read": read_strips}

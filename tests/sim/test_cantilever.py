@@ -126,10 +126,7 @@ def test_a_sloping_clamp_starts_the_elastica_at_its_slope():
     assert aspect_ratio(shape[-1]) > np.tan(np.radians(30))
 
 
-@pytest.mark.parametrize(("gamma", "slope"), [(0.0, 0.0), (np.nan, 0.0), (1e5, 0.0), (1.0, 1.6)])
-def test_what_cannot_be_solved_is_refused(gamma, slope):
-    with pytest.raises(InputError):
-        elastica(gamma, slope=slope)
+def test_what_cannot_be_solved_is_refused():
     with pytest.raises(InputError, match="too soft"):
         strip_shape(softening_law(1e-9, 0.0), weight=1.0, length=1.0)
     with pytest.raises(InputError, match="must increase"):

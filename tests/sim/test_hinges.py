@@ -282,15 +282,6 @@ def test_a_weightless_strip_rests_in_an_arc_of_its_natural_curvature():
     assert tip[2] == pytest.approx(-(1 - np.cos(kappa * 0.06)) / kappa, rel=2e-2)
 
 
-@pytest.mark.parametrize(("wrong", "word"), [
-    ({"share": -0.1}, "hysteresis share"), ({"share": 0.6}, "hysteresis share"),
-    ({"share": (0.1, 0.2)}, "hysteresis share"), ({"share": np.nan}, "hysteresis share"),
-    ({"curvature": (1.0, 2.0)}, "curvature="), ({"curvature": (np.nan, 0, 0)}, "curvature=")])
-def test_hysteresis_that_no_fabric_has_is_refused(wrong, word):
-    with pytest.raises(InputError, match=word):
-        Hysteresis(**wrong)
-
-
 @pytest.mark.parametrize(("kind", "cells"), [
     ("unstructured", 7), ("alternating", 9), ("equal", 6), ("random", 6)])
 def test_strips_of_hinges_hang_as_the_elastica_with_the_exported_ratio(kind, cells):
