@@ -9,8 +9,7 @@ import pytest
 from data.captures.capture import DepthCapture
 from data.render.setups import Setups
 from drapenet.fabric.stages import by_network
-from drapenet.network.checkpoint import BUNDLED
-from experiments.drapes import header
+from drapenet.network.checkpoint import BUNDLED, read_header
 from sim.draping import drape
 from sim.material import MICRO, REFERENCE_DENSITY, Fabric
 from sim.rig import SQUARE_RIG
@@ -29,5 +28,5 @@ def test_estimates_are_along_the_true_warp_for_all_orientations():
         captured = DepthCapture(taken.views, taken.intrinsics, taken.turns, rig=SQUARE_RIG,
                                 density=REFERENCE_DENSITY, path=Path(),
                                 warp_direction=taken.orientation % np.pi)
-        mean = by_network(captured, header()).estimate.samples.mean(axis=0)
+        mean = by_network(captured, read_header()).estimate.samples.mean(axis=0)
         assert mean[0] > mean[2] + 0.5
