@@ -35,7 +35,7 @@ import examples.make_strips
 import experiments.__main__
 import infer
 import train
-from apps.strip_curves import read_curve
+from apps.cantilever import read_curve
 from common.configs import read_option
 from common.errors import of
 from common.files import replace_json

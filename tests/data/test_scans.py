@@ -11,7 +11,7 @@ import trimesh
 from cloths import revolved, waves
 from scipy.spatial.transform import Rotation
 
-from apps.drape_file import read_borrowed
+from apps.drape import read_borrowed
 from common.errors import InputError
 from common.findings import Finding, texts
 from data.captures.raw_scans import read_raw_scan

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from cloths import isotropic
 
-from apps.drape_file import read_borrowed, write_drape
+from apps.drape import read_borrowed, write_drape
 from common.errors import InputError
 from sim.cloth import Cloth, Corotational, Laws
 from sim.draping import drape, follow
