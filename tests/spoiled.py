@@ -45,6 +45,8 @@ from data.captures.description import whole_turns
 from data.captures.raw_scans import read_raw_scan
 from data.captures.reader import read_capture
 from data.captures.writer import write_capture
+from data.dataset.folder import MANIFEST, read_manifest
+from data.dataset.shards import SCHEMA_VERSION
 from data.fabrics.fabrics import TABLE_COLUMNS, read_fabric_table
 from data.fabrics.prior import load_prior, save_prior
 from data.render.cameras import nominal_camera
@@ -110,8 +112,7 @@ def _outline(folder: Path) -> None:
 
 
 def _over_mat(folder: Path) -> None:
-    photographs.write(folder, "", "notes.txt", outline={"mat": "a2", "plate_height_mm": 150})
-    (folder / "outline.jpg").write_bytes(photographs.over_mat())
+    photographs.write_over_mat(folder, photographs.over_mat())
 
 
 def _strip(folder: Path) -> None:
@@ -153,6 +154,14 @@ def _estimate(folder: Path) -> None:
 def _setups(folder: Path) -> Setups:
     with of(folder):
         return Setups.from_config(yaml.safe_load((folder / "setup.yaml").read_text()))
+
+
+def _manifest(folder: Path) -> None:
+    """That of a finished dataset."""
+    sampling = {"testers": ["disc300_support180"], "random_testers": 0.0}
+    replace_json(folder / MANIFEST, {
+        "schema_version": SCHEMA_VERSION, "drapes": 3, "identity": "abc", "complete": True,
+        "hash": "def", "shards": {"a.h5": "1"}, "config": {"sampling": sampling, "prior": {}}})
 
 
 def _prior(name: str) -> Start:
@@ -212,6 +221,7 @@ STARTS = {
                      doors=(READER,)),
     "setup": Start(_described("setup.yaml", read_option("setup", "real")), _setups,
                    description="setup.yaml", doors=(READER,)),
+    "manifest": Start(_manifest, read_manifest, description=MANIFEST, doors=(READER,)),
     "gaussian": _prior("gaussian"),
     "vae": _prior("vae"),
     "list": Start(read=lambda folder: entries_of(folder / "list.csv"), doors=(READER,)),
