@@ -57,24 +57,21 @@ class Keys(CaseKeys):
 
 
 def drawn(rng, *, number: int, factors: tuple[float, ...]) -> dict:
-    if number == 1:
-        raise InputError("the second is refused")
-    return {"value": float(factors[0] * rng.random()), "arrays": {"x": np.arange(number)}}
+    if number == 3:
+        raise InputError("the fourth is refused")
+    return {"value": float(factors[0] * rng.random())}
 
 
-def test_samples_have_their_own_random_numbers_and_refused_ones_are_counted(tmp_path, capsys):
-    keys, refused = Keys(cases=str(tmp_path)), {}
-    found = samples_of(drawn, keys, 4, refused=refused)
+def test_samples_have_their_own_random_numbers_and_are_made_once(tmp_path, capsys):
+    keys = Keys(cases=str(tmp_path))
+    found = samples_of(drawn, keys, 3)
     assert [one["value"] for one in found.values()] == [
-        2 * np.random.default_rng([3, k]).random() for k in (0, 2, 3)]
-    assert refused == {"sample_001": "the second is refused"}
-    assert "4 to go" in capsys.readouterr().out
-    assert samples_of(drawn, keys, 4, refused={}) == found
+        2 * np.random.default_rng([3, k]).random() for k in range(3)]
+    assert "3 to go" in capsys.readouterr().out
+    assert samples_of(drawn, keys, 3) == found
     assert "to go" not in capsys.readouterr().out
-    with pytest.raises(InputError, match="second"):
+    with pytest.raises(InputError, match="fourth"):
         samples_of(drawn, keys, 4)
-    with pytest.raises(InputError, match="second"):
-        samples_of(drawn, keys, {"only": {"number": 1}}, refused=refused)
 
 
 def test_words_are_read_as_yaml_and_texts_and_lists_need_no_quotes():
