@@ -18,7 +18,9 @@ from data.dataset.simulate import make_record
 from data.fabrics.prior import load_prior
 from data.render.cameras import QUARTERS, Camera, camera_pose, nominal_camera
 from data.render.rays import DepthRenderer
+from drapenet.surface.shape import CapturedShape
 from sim.cloth import Laws
+from sim.draping import Drape
 from sim.material import Fabric
 from sim.mesh import grid_faces
 from sim.mesh.specimen import TOPOLOGIES
@@ -32,6 +34,13 @@ def isotropic(alpha: float, softening: float = 0.0) -> Fabric:
     """A fabric of alpha µN·m at 300 g/m² in all directions, with beta/alpha = -softening mm."""
     moduli = np.full(3, alpha * 1e-6)
     return Fabric(moduli, -softening * 1e-3 * moduli)
+
+
+def flat_drape() -> Drape:
+    """A disc on its plate before it hangs."""
+    scene = make_specimen(DISC_RIG, edge=0.03)
+    flat = np.column_stack([scene.mesh.rest, np.zeros(len(scene.mesh.rest))])
+    return CapturedShape(flat, scene.mesh.rest, scene.mesh.faces, DISC_RIG).as_drape(isotropic(20))
 
 
 def waves(

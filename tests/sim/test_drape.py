@@ -159,14 +159,6 @@ def test_user_defined_laws_are_called_for_every_mesh():
     assert np.allclose(twice.positions, light.positions, rtol=0, atol=2e-4)  # contact is harder
 
 
-@pytest.mark.parametrize(("arguments", "word"), [
-    ({"fabric": [60e-6] * 3}, "fabric=.* class Fabric"),
-    ({"start": np.zeros((9, 3))}, r"start=.* class State")])
-def test_drapes_of_other_kinds_are_refused(plain, arguments, word):
-    with pytest.raises(InputError, match=word):
-        follow(**{"near": plain, "fabric": plain.fabric} | arguments)
-
-
 def test_a_drape_prints_as_one_line(plain):
     fabric = "Fabric(alpha [20, 20, 20] µN·m, beta [0, 0, 0] nN·m², 300 g/m²)"
     size = f"{len(plain.positions)} vertices"
