@@ -1,5 +1,6 @@
 """Sound sources of each kind, and what spoils them: what the tables of tests/refused name."""
 
+import base64
 import json
 import os
 import shutil
@@ -21,7 +22,7 @@ from cloths import describe, lopsided_views, waves
 from elastica_curves import LAWS, curves_of, write_curve
 from estimates import document_of, estimate_of
 from PIL import Image, ImageOps
-from safetensors.numpy import load, save_file
+from safetensors.numpy import load, save, save_file
 
 import apps.cantilever
 import apps.capture
@@ -48,7 +49,7 @@ from data.captures.writer import write_capture
 from data.dataset.folder import MANIFEST, read_manifest
 from data.dataset.shards import SCHEMA_VERSION
 from data.fabrics.fabrics import TABLE_COLUMNS, read_fabric_table
-from data.fabrics.prior import load_prior, save_prior
+from data.fabrics.prior import TablePrior, load_prior, save_prior
 from data.render.cameras import nominal_camera
 from data.render.setups import Setups
 from drapenet.fabric.entries import entries_of
@@ -224,6 +225,9 @@ STARTS = {
     "manifest": Start(_manifest, read_manifest, description=MANIFEST, doors=(READER,)),
     "gaussian": _prior("gaussian"),
     "vae": _prior("vae"),
+    "table of a prior": Start(
+        lambda folder: save_prior(TablePrior(np.zeros((9, 6))), folder / "p.json"),
+        lambda folder: load_prior(folder / "p.json"), description="p.json", doors=(READER,)),
     "list": Start(read=lambda folder: entries_of(folder / "list.csv"), doors=(READER,)),
     "form": Start(fields={"density_g_m2": "210"}, doors=(SERVICE,)),
     "form of a photograph": Start(doors=(SERVICE,), fields={
@@ -509,8 +513,21 @@ def points(folder: Path, *content: Any) -> None:
         trimesh.PointCloud(np.array(content, float)).export(folder / "view_0.ply")
 
 
+def weights(folder: Path, name: str, how: str) -> None:
+    """A weight of an autoencoder left out, in another form, or one more."""
+    file = folder / "p.json"
+    content = json.loads(file.read_text())
+    found = load(base64.b64decode(content["weights"]))
+    value = found.pop(name, np.ones(2, np.float32))
+    if how != "left out":
+        found[name] = {"not a number": value * np.float32(np.nan), "as double": value.astype(float),
+                       "square": np.ones((3, 3), np.float32), "more": value}[how]
+    file.write_text(json.dumps(content | {"weights": base64.b64encode(save(found)).decode()}))
+
+
 CHANGES = {change.__name__: change for change in (
     truncated, gone, a_file, filled, undescribed, repeated, replaced,
     again, folder_in_the_way, mesh, many, png_of_size, endless_density, blank, striped, thinned,
     cut, one_column, whole, in_bits, coloured, small_background, damaged_pixels, array,
-    array_header, points, polar, grey_picture, pipe, mirrored)}
+    array_header, points, polar, grey_picture, pipe, mirrored,
+    weights)}
