@@ -14,7 +14,7 @@ ROUNDED ?= tests/sim tests/data tests/drapenet
 PACKAGES := apps benchmarks common configs data drapenet examples experiments sim tests tools
 CHECKS := check-types check-versions check-unused check-layers check-docstrings check-spelling check-style
 
-.PHONY: $(CHECKS) help setup demo test test-rounding test-wheel test-notebooks test-slow test-slurm test-browser serve lint sim prior dataset train evaluate bench-sim bench docs reference example validate matrix clean
+.PHONY: $(CHECKS) help setup demo test test-rounding test-wheel test-notebooks test-slow test-slurm test-browser serve lint sim prior dataset train evaluate bench-sim bench docs reference example matrix clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
@@ -107,10 +107,6 @@ bench-sim: $(DEVELOPER)  ## time drapes on this machine, JSON in outputs/experim
 
 bench: $(DEVELOPER)  ## timings of drapes and estimates on this machine, JSON in docs/validation
 	for name in speed cold; do $(BIN)/python -m experiments $$name out=docs/validation/$$name.json || exit 1; done
-
-validate: $(DEVELOPER)  ## figures of docs/validation.md, about 2 hours of CPU, resumes when interrupted
-	for name in elastica convergence; do \
-	  $(BIN)/python -m experiments $$name out=docs/validation/$$name.json || exit 1; done
 
 docs: $(DEVELOPER)  ## update the figures in README.md and docs/*.md from the demo and the reports
 	mkdir -p outputs

@@ -38,8 +38,6 @@ def run_study(name: str, words: list[str]) -> None:
     out, report = study.run(name, words)
     documented = out.parent == REPORTS
     print(shown(out.stem if documented else name, report))
-    for case, reason in report.get("refused", {}).items():
-        print(f"left out: {case}: {reason}")
     print(f"report: {out}")
 
 

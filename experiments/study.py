@@ -1,7 +1,7 @@
 """A study: a function that gives a sample, the keys of its command, and its report.
 
 A module of a folder of this package is a study if it has a ``STUDY``. Samples are independent: they
-are made in processes, resumed (:mod:`common.cases`), and refused ones (InputError) counted.
+are made in processes, and resumed (:mod:`common.cases`).
 """
 
 import ast
@@ -24,14 +24,14 @@ from common.files import require_file, require_folder
 from data.dataset.config import VERSION as DRAPES
 from experiments.report import Report, write_report
 
-FOLDERS = ("physics", "speed", "estimation")
+FOLDERS = ("speed", "estimation")
 FILES = {file.stem: file for folder in FOLDERS
          for file in sorted((Path(__file__).parent / folder).glob("*.py"))
          if "\nSTUDY = " in file.read_text(encoding="utf-8")}
 """Modules of the studies by name, ordered by folder."""
 
 Sample = dict[str, Any]
-"""Result of one case, of JSON types; "arrays" are stored beside it."""
+"""Result of one case, of JSON types."""
 K = TypeVar("K", bound="PlainKeys")
 
 
@@ -109,8 +109,7 @@ def folder_of(keys: CaseKeys) -> Path:
 
 
 def samples_of(
-    function: Callable[..., Any], keys: CaseKeys, cases: int | Mapping[str, Mapping[str, Any]], *,
-    refused: dict[str, str] | None = None, kind: str = "sample",
+    function: Callable[..., Any], keys: CaseKeys, cases: int | Mapping[str, Mapping[str, Any]]
 ) -> dict[str, Any]:
     """Samples by name of a ``function`` at the top of a module, made or read.
 
@@ -119,12 +118,9 @@ def samples_of(
 
     Args:
         cases: settings by name, or a count: ``number`` from 0.
-        refused: receives the sentences of the refused ones by name; without it, as without any
-            sample that is not refused, the first is an error.
-        kind: of the samples, the beginning of the names of counted ones.
     """
     if isinstance(cases, int):
-        cases = {f"{kind}_{k:03}": {"number": k} for k in range(cases)}
+        cases = {f"sample_{k:03}": {"number": k} for k in range(cases)}
     taken = inspect.signature(function).parameters
     known = {key: value for key, value in dict(keys).items()
              if key in taken or (key == "seed" and "rng" in taken)}
@@ -133,28 +129,17 @@ def samples_of(
                                 for name, settings in cases.items()},
                       folder=folder_of(keys), workers=keys.workers,
                       version=DRAPES)  # a study that samples otherwise is given another folder
-    sound = {name: one["sample"] for name, one in found.items() if "sample" in one}
-    answers = {name: one["refused"] for name, one in found.items() if "refused" in one}
-    if answers and (refused is None or not sound):
-        raise InputError(next(iter(answers.values())))
-    if refused is not None:
-        refused |= answers
-    return sound
+    return {name: one["sample"] for name, one in found.items()}
 
 
 def sampled(*, module: str, name: str, settings: Sample) -> Sample:
-    """A sample, or what it was refused with; arrays are kept beside."""
+    """A sample of a function."""
     function = getattr(import_module(module), name)
     taken = inspect.signature(function).parameters
     if "rng" in taken:
         rng = np.random.default_rng([settings["seed"], settings["number"]])
         settings = {key: value for key, value in settings.items() if key in taken} | {"rng": rng}
-    try:
-        sample = function(**settings)
-    except InputError as error:
-        return {"refused": str(error)}
-    arrays = sample.pop("arrays", {}) if isinstance(sample, dict) else {}
-    return {"sample": sample, "arrays": arrays}
+    return {"sample": function(**settings)}
 
 
 def run(name: str, words: list[str]) -> tuple[Path, Report]:

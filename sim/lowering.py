@@ -82,16 +82,12 @@ class Ring(Energy):
         return (2 * self._stiffness * self.depths(q))[:, None, None]
 
 
-def lowered(
-    scene: Scene, fabric: Fabric, rig: Rig, *, laws: Laws, seed: int, speed: float | None = None,
-    step: float = STEP, relaxation: float = RELAXATION
-) -> Equilibrium:
+def lowered(scene: Scene, fabric: Fabric, rig: Rig, *, laws: Laws, seed: int) -> Equilibrium:
     """Cloth lowered over the plate of ``rig``, in motion close to its equilibrium: the status is
     NOT_FINITE if a time step fails, else MAX_ITERATIONS; its laws have the origins of hysteresis
-    that the cloth has reached. The ``seed`` is that of waviness and ``speed``, in the unit of
-    :data:`SPEEDS`; ``step`` and ``relaxation`` are in that of :data:`STEP`."""
-    flat, ring_speed, time = on_ring(scene, rig, seed=seed, speed=speed)
-    step, relaxation, held = step * time, relaxation * time, scene.held
+    that the cloth has reached. The ``seed`` is that of waviness and speed."""
+    flat, ring_speed, time = on_ring(scene, rig, seed=seed)
+    step, relaxation, held = STEP * time, RELAXATION * time, scene.held
     inertia = Inertia(scene.mesh, density=REFERENCE_DENSITY)
     ring = Ring(np.flatnonzero(~held), inertia.masses[~held] * GRAVITY)
     cloth = Cloth(scene, fabric, laws=laws, extra=[inertia, ring])
@@ -119,15 +115,13 @@ def lowered(
     return last
 
 
-def on_ring(
-    scene: Scene, rig: Rig, *, seed: int, speed: float | None = None
-) -> tuple[Points, float, float]:
-    """Flat cloth with the waviness of its ``seed``, m; the ring's speed, m/s, from ``speed`` in the
-    unit of :data:`SPEEDS` or from the seed; the unit of time sqrt(o/g), s."""
+def on_ring(scene: Scene, rig: Rig, *, seed: int) -> tuple[Points, float, float]:
+    """Flat cloth with the waviness of its ``seed``, m; the ring's speed, m/s, of the seed; the unit
+    of time sqrt(o/g), s."""
     rng = np.random.default_rng([seed, 1])
     overhang = (rig.specimen_size - rig.plate_diameter) / 2
     time = float(np.sqrt(overhang / GRAVITY))
-    speed = float((speed or np.exp(rng.uniform(*np.log(SPEEDS)))) * overhang / time)
+    speed = float(np.exp(rng.uniform(*np.log(SPEEDS))) * overhang / time)
     rest, free = scene.mesh.rest, ~scene.held
     flat = np.column_stack([rest, np.zeros(len(rest))])
     flat[free] += waves(rest, rig, rng, amplitude=_WAVINESS)[free]

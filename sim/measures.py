@@ -12,7 +12,7 @@ from common.types import Faces, Metres, Outline, Points, RestPoints, VertexMask
 from common.workers import one_blas_thread
 from sim.energies.membrane import Corotational
 from sim.mesh import Mesh
-from sim.outlines import coefficient_of_area, farthest, folds_around
+from sim.outlines import coefficient_of_area, folds_around
 from sim.rig import Cylinder, Rig
 
 _PIXEL = 5e-4  # m, of the rasterised top view
@@ -76,17 +76,6 @@ def fold_angles(outline: Outline) -> np.ndarray:
     """Angles (n,) of the folds on the material circle, radians, ascending. A fold is a peak of the
     distance from the axis along ``outline`` (:func:`fold_outline`), at least 3 mm high."""
     return folds_around(np.linalg.norm(outline, axis=1), 6.0) * (2 * np.pi / len(outline))
-
-
-def shadow_radius(
-    positions: Points, mesh: Mesh, *, height: Metres = np.inf, points: int = 360
-) -> np.ndarray:
-    """Outline of the drape's shadow: distances (points,) of the hem's picture from the axis, m, in
-    the plane of the plate, at equally spaced azimuths from the warp axis, as seen by a camera on
-    the axis at a ``height`` above the plate; infinite: parallel light."""
-    hem = mesh.edges[mesh.edge_faces[:, 1] < 0]
-    seen = positions[:, :2] / (1 - positions[:, 2:] / height)
-    return farthest(seen[hem], points)
 
 
 def fold_count(positions: Points, rest: RestPoints, rig: Rig) -> int:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,6 +11,7 @@ import yaml
 
 from common.files import replace_json
 from common.provenance import digest
+from data.captures.scans import Scan, read_scan
 from data.captures.writer import write_capture
 from data.dataset.config import DatasetConfig, SamplingConfig
 from data.dataset.folder import MANIFEST
@@ -18,11 +20,13 @@ from data.dataset.simulate import make_record
 from data.fabrics.prior import load_prior
 from data.render.cameras import QUARTERS, Camera, camera_pose, nominal_camera
 from data.render.rays import DepthRenderer
+from drapenet.surface.shape import CapturedShape
 from sim.cloth import Laws
+from sim.draping import Drape
 from sim.material import Fabric
 from sim.mesh import grid_faces
 from sim.mesh.specimen import TOPOLOGIES
-from sim.rig import DISC_RIG, SQUARE_RIG
+from sim.rig import DISC_RIG, SQUARE_RIG, Rig
 from sim.scene import make_specimen
 
 SOFT = SimpleNamespace(alpha=np.full(3, 20e-6))
@@ -32,6 +36,13 @@ def isotropic(alpha: float, softening: float = 0.0) -> Fabric:
     """A fabric of alpha µN·m at 300 g/m² in all directions, with beta/alpha = -softening mm."""
     moduli = np.full(3, alpha * 1e-6)
     return Fabric(moduli, -softening * 1e-3 * moduli)
+
+
+def flat_drape() -> Drape:
+    """A disc on its plate before it hangs."""
+    scene = make_specimen(DISC_RIG, edge=0.03)
+    flat = np.column_stack([scene.mesh.rest, np.zeros(len(scene.mesh.rest))])
+    return CapturedShape(flat, scene.mesh.rest, scene.mesh.faces, DISC_RIG).as_drape(isotropic(20))
 
 
 def waves(
@@ -56,6 +67,24 @@ def revolved(radius: np.ndarray, height: np.ndarray, around: int = 180) -> tuple
     index = around * np.arange(len(radius))[:, None] + np.append(np.arange(around), 0)
     faces = index.ravel()[grid_faces(np.ones((len(radius) - 1, around), bool))]
     return vertices.reshape(-1, 3), faces
+
+
+def scan_arrays() -> dict[str, np.ndarray]:
+    """A disc of rings whose overhang hangs down along a cone of 45°."""
+    radius = np.linspace(0.01, 0.15, 15)
+    over = np.maximum(radius - 0.09, 0)
+    rest, faces = revolved(radius, 0 * radius, around=60)
+    vertices, _ = revolved(radius - (1 - np.sqrt(0.5)) * over, -np.sqrt(0.5) * over, around=60)
+    return {"vertices": vertices.astype(np.float32), "rest": rest[:, :2].astype(np.float32),
+            "faces": faces.astype(np.int32)}
+
+
+def scan_with(**changes: np.ndarray | None) -> Scan:
+    """The scan of :func:`scan_arrays` with the ``changes``, as it is read."""
+    arrays = {name: value for name, value in (scan_arrays() | changes).items() if value is not None}
+    with TemporaryDirectory() as folder:
+        np.savez(Path(folder) / "bad.npz", **arrays)
+        return read_scan(Path(folder) / "bad.npz", Rig(plate_diameter=0.180))
 
 
 def skirt(

@@ -60,6 +60,15 @@ def write(folder: Path, content: np.ndarray | str, name: str = "outline.png", **
     return folder
 
 
+def write_over_mat(folder: Path, pictures: bytes | dict[str, bytes], **source: object) -> Path:
+    """A capture of a picture over the mat, or of several by name; ``source``: keys of outline."""
+    folder.mkdir(exist_ok=True)
+    named = pictures if isinstance(pictures, dict) else {"outline.jpg": pictures}
+    for name, data in named.items():
+        (folder / name).write_bytes(data)
+    return write(folder, "", "notes.txt", outline={"mat": "a2", "plate_height_mm": 150} | source)
+
+
 def error_mm(capture: OutlineCapture, curve: np.ndarray = CURVE) -> float:
     """Largest distance of a point of ``curve``, m, from the outline of a capture, mm."""
     return float(distances_mm(capture, curve).max())

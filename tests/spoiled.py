@@ -1,5 +1,6 @@
 """Sound sources of each kind, and what spoils them: what the tables of tests/refused name."""
 
+import base64
 import json
 import os
 import shutil
@@ -21,7 +22,7 @@ from cloths import describe, lopsided_views, waves
 from elastica_curves import LAWS, curves_of, write_curve
 from estimates import document_of, estimate_of
 from PIL import Image, ImageOps
-from safetensors.numpy import load, save_file
+from safetensors.numpy import load, save, save_file
 
 import apps.cantilever
 import apps.capture
@@ -35,15 +36,20 @@ import examples.make_strips
 import experiments.__main__
 import infer
 import train
-from apps.strip_curves import read_curve
+from apps.cantilever import read_curve
 from common.configs import read_option
 from common.errors import of
 from common.files import replace_json
+from data.captures.arrays import checked_capture
+from data.captures.capture import Capture, DepthCapture
+from data.captures.description import whole_turns
 from data.captures.raw_scans import read_raw_scan
 from data.captures.reader import read_capture
 from data.captures.writer import write_capture
+from data.dataset.folder import MANIFEST, read_manifest
+from data.dataset.shards import SCHEMA_VERSION
 from data.fabrics.fabrics import TABLE_COLUMNS, read_fabric_table
-from data.fabrics.prior import load_prior, save_prior
+from data.fabrics.prior import TablePrior, load_prior, save_prior
 from data.render.cameras import nominal_camera
 from data.render.setups import Setups
 from drapenet.fabric.entries import entries_of
@@ -107,8 +113,7 @@ def _outline(folder: Path) -> None:
 
 
 def _over_mat(folder: Path) -> None:
-    photographs.write(folder, "", "notes.txt", outline={"mat": "a2", "plate_height_mm": 150})
-    (folder / "outline.jpg").write_bytes(photographs.over_mat())
+    photographs.write_over_mat(folder, photographs.over_mat())
 
 
 def _strip(folder: Path) -> None:
@@ -152,6 +157,14 @@ def _setups(folder: Path) -> Setups:
         return Setups.from_config(yaml.safe_load((folder / "setup.yaml").read_text()))
 
 
+def _manifest(folder: Path) -> None:
+    """That of a finished dataset."""
+    sampling = {"testers": ["disc300_support180"], "random_testers": 0.0}
+    replace_json(folder / MANIFEST, {
+        "schema_version": SCHEMA_VERSION, "drapes": 3, "identity": "abc", "complete": True,
+        "hash": "def", "shards": {"a.h5": "1"}, "config": {"sampling": sampling, "prior": {}}})
+
+
 def _prior(name: str) -> Start:
     """A bundled one."""
     return Start(lambda folder: save_prior(load_prior(name), folder / "p.json"),
@@ -163,6 +176,13 @@ def _fabrics(folder: Path) -> None:
     """A table of fabrics."""
     rows = ["0.30, 2000, 1000, 1500, -20, -10, 15", "0.15, 9000, 4000, 6000, -900, -400, -600"]
     (folder / "fabrics.csv").write_text("\n".join([", ".join(TABLE_COLUMNS), *rows, ""]))
+
+
+def capture_of_arrays(**changes: object) -> Capture:
+    """Views on a turntable, with the ``changes``, as they are checked."""
+    sound = DepthCapture(lopsided_views(), nominal_camera().intrinsics, whole_turns(4),
+                         density=0.15, rig=SQUARE_RIG, warp_direction=0.3)
+    return checked_capture(replace(sound, **changes))
 
 
 STRIPS = {"words": ("strips={}",), "description": "strips.yaml", "read": read_strips}
@@ -202,8 +222,12 @@ STARTS = {
                      doors=(READER,)),
     "setup": Start(_described("setup.yaml", read_option("setup", "real")), _setups,
                    description="setup.yaml", doors=(READER,)),
+    "manifest": Start(_manifest, read_manifest, description=MANIFEST, doors=(READER,)),
     "gaussian": _prior("gaussian"),
     "vae": _prior("vae"),
+    "table of a prior": Start(
+        lambda folder: save_prior(TablePrior(np.zeros((9, 6))), folder / "p.json"),
+        lambda folder: load_prior(folder / "p.json"), description="p.json", doors=(READER,)),
     "list": Start(read=lambda folder: entries_of(folder / "list.csv"), doors=(READER,)),
     "form": Start(fields={"density_g_m2": "210"}, doors=(SERVICE,)),
     "form of a photograph": Start(doors=(SERVICE,), fields={
@@ -489,8 +513,21 @@ def points(folder: Path, *content: Any) -> None:
         trimesh.PointCloud(np.array(content, float)).export(folder / "view_0.ply")
 
 
+def weights(folder: Path, name: str, how: str) -> None:
+    """A weight of an autoencoder left out, in another form, or one more."""
+    file = folder / "p.json"
+    content = json.loads(file.read_text())
+    found = load(base64.b64decode(content["weights"]))
+    value = found.pop(name, np.ones(2, np.float32))
+    if how != "left out":
+        found[name] = {"not a number": value * np.float32(np.nan), "as double": value.astype(float),
+                       "square": np.ones((3, 3), np.float32), "more": value}[how]
+    file.write_text(json.dumps(content | {"weights": base64.b64encode(save(found)).decode()}))
+
+
 CHANGES = {change.__name__: change for change in (
     truncated, gone, a_file, filled, undescribed, repeated, replaced,
     again, folder_in_the_way, mesh, many, png_of_size, endless_density, blank, striped, thinned,
     cut, one_column, whole, in_bits, coloured, small_background, damaged_pixels, array,
-    array_header, points, polar, grey_picture, pipe, mirrored)}
+    array_header, points, polar, grey_picture, pipe, mirrored,
+    weights)}

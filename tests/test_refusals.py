@@ -1,9 +1,11 @@
-"""Bad sources are refused in one line, by each door: the rows of tests/refused."""
+"""Bad sources are refused in one line, by each door: the rows of tests/refused. So are arguments of
+functions: those of tests/calls.yaml."""
 
 import shutil
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 import pytest
@@ -23,6 +25,22 @@ ROWS = [row | {"of": start, "id": name}
         for file in sorted(TABLES.glob("*.yaml"))
         for start, rows in yaml.safe_load(file.read_text("utf-8")).items()
         for name, row in rows.items()]
+
+
+class Calls(yaml.SafeLoader):
+    """Reads tests/calls.yaml."""
+
+
+def _of(loader: Calls, node: yaml.Node) -> object:
+    if isinstance(node, yaml.ScalarNode):
+        return resolve_name(loader.construct_scalar(node))
+    name, *arguments = loader.construct_sequence(node, deep=True)
+    return resolve_name(name)(*arguments)
+
+
+Calls.add_constructor("!of", _of)
+CALLS = [pytest.param(name, row, id=f"{name}: {row['says']}") for name, rows in yaml.load(
+    TABLES.with_name("calls.yaml").read_text("utf-8"), Calls).items() for row in rows]
 
 
 def of_door(door: str) -> pytest.MarkDecorator:
@@ -55,6 +73,14 @@ def assert_said(row: Mapping[str, Any], line: str) -> None:
         assert words in rest, line
         rest = rest.partition(words)[2]
     assert line.isprintable() and len(line) <= MAX_LENGTH + 3
+
+
+@pytest.mark.parametrize(("name", "row"), CALLS)
+def test_a_call_is_refused_in_one_line(name, row, any_shapes, monkeypatch):
+    monkeypatch.setattr("sim.draping.find_equilibrium", None)
+    with pytest.raises(InputError) as refusal:
+        resolve_name(name)(*row.get("of", []), **row.get("with", {}))
+    assert_said(row, str(refusal.value))
 
 
 @of_door(READER)

@@ -100,11 +100,6 @@ def _shortest_turn(normal: Vector) -> np.ndarray:
     return cv2.Rodrigues(axis / np.linalg.norm(axis) * math.acos(normal[2]))[0]
 
 
-def overhang(rig: Rig) -> Metres:
-    """Length of the longest line on the specimen from the plate's rim to the hem."""
-    return rig.reach - rig.plate_radius
-
-
 def plate_of_scan(points: Points, faces: Faces, rig: Rig) -> ScannedPlate:
     """The plate in a scan in any unit and orientation; InputError if there is none."""
     cloud = _surface_points(points, faces)
@@ -192,7 +187,7 @@ def _plate_in(
         normal, height, above = -normal, -height, -above
     raised = (above > 2 * _FLAT) & (across < rig.reach)
     if (raised.sum() > _MAX_RAISED * near.sum()
-            or distance[near].max() < _MIN_REACH * overhang(rig)):
+            or distance[near].max() < _MIN_REACH * rig.overhang):
         return none
     held = (np.abs(above) < 2 * _FLAT) & (across < _RIM * rig.plate_radius)
     hanging = near & (above < -0.8 * MIN_FALL) & (across > _COLUMN[0] * rig.plate_radius)
@@ -205,7 +200,7 @@ def _plate_in(
 
 def _far(rig: Rig) -> Metres:
     """Distance from the plate beyond which no cloth is."""
-    return (1 + _SLACK[0]) * overhang(rig) + _SLACK[1]
+    return (1 + _SLACK[0]) * rig.overhang + _SLACK[1]
 
 
 def _axes(normal: Vector) -> np.ndarray:

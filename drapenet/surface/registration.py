@@ -29,7 +29,7 @@ from sim.rig import DISC_RIG, Rig
 SOFT = Fabric(alpha=np.full(3, 2 * MICRO), beta=np.zeros(3), density=REFERENCE_DENSITY)
 LAST_PULL = 30.0
 """Force of the last pull at 1 mm over the cloth's weight. Simulated scans with noise of 0.3 mm are
-matched to 0.09 to 0.17 mm (``python -m experiments refine``)."""
+matched to 0.09 to 0.17 mm (docs/validation.md, Refinement)."""
 MAX_STRAIN = 0.05  # root mean square of edges; beyond, vertices have slid along the cloth
 EDGE = 3e-3  # m, at the rim of the mesh that a scan is registered to
 _MAX_DISTANCE = 5e-3  # m, mean distance of the specimen from the scan

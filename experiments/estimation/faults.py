@@ -5,7 +5,7 @@ may cause are applied to the captures. Captures without faults should have no wa
 """
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,12 +17,13 @@ from common.errors import InputError
 from common.findings import texts
 from data.captures.capture import DepthCapture
 from data.captures.view_checks import checked_views
+from data.dataset.folder import finished_manifest
+from data.dataset.shards import Shard
 from data.fabrics.fabrics import fabric_from_theta
 from data.render.setups import Setups, SyntheticCapture
 from drapenet.views.checks import view_warnings
 from drapenet.views.located import LocatedViews
 from drapenet.views.radial_map import radial_map
-from experiments.drapes import converged_drapes
 from experiments.report import Report
 from experiments.study import PlainKeys, Study
 from sim.draping import drape
@@ -171,6 +172,15 @@ def find_warnings(
         return texts([*checked.warnings, *view_warnings(located, radial_map(located), setups)])
     except InputError as error:
         return [str(error)]
+
+
+def converged_drapes(root: Path) -> Iterator[tuple[Shard, int]]:
+    """Converged drapes of a dataset by shard and row; the last shards first, as networks are
+    trained on the first."""
+    for name in reversed(list(finished_manifest(root)["shards"])):
+        shard = Shard(root / name)
+        for row in np.flatnonzero(shard.column("status") == "converged"):
+            yield shard, row
 
 
 class Keys(PlainKeys):

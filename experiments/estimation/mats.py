@@ -14,11 +14,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from common.command import compose_config
 from common.errors import InputError
 from common.findings import texts
 from common.types import Outline
 from data.captures.capture import OutlineCapture
 from data.captures.photograph import PhotographedOutline
+from data.dataset.config import Options, config_from_options
+from data.dataset.plan import plan_drape
 from data.dataset.reading import Taken, true_radii
 from data.fabrics.fabrics import fabric_from_theta
 from data.pictures.mat import CODE
@@ -28,10 +31,11 @@ from data.render import textures
 from data.render.hard import HARD
 from data.render.phone import PhonePicture
 from drapenet.fabric.stages import by_network
-from experiments.drapes import drape_as_planned, header, plan_specimen
+from drapenet.network.checkpoint import read_header
 from experiments.report import Report, percents, rms, table
 from experiments.study import CaseKeys, Sample, Study, samples_of
 from sim.draping import Drape
+from sim.draping import drape as draped
 from sim.material import LINEAR, REFERENCE_DENSITY
 from sim.rig import Rig
 
@@ -60,8 +64,17 @@ def drape(rng: np.random.Generator, *, number: int, testers: list[str], grounds:
     tester = Rig.from_name(testers[number // len(grounds) % len(testers)])
     kind = KINDS[number % len(KINDS)]
     ground = grounds[number % len(grounds)]
-    plan = plan_specimen(number, "dataset.even_share=0.8", rig=tester, seed=seed, nuisances="real")
-    shape = drape_as_planned(plan, edge=1e-3 * edge_mm)
+    options = compose_config("generate", [
+        "nuisances=real", "dataset.even_share=0.8", f"dataset.testers=[{tester.name}]",
+        f"seed={seed}"], schema=Options)
+    config = config_from_options(options)
+    plan = plan_drape(number, config=config.sampling, prior=config.prior)
+    shape = draped(fabric_from_theta(plan.theta), rig=plan.nuisances.rig(plan.rig),
+                   edge=1e-3 * edge_mm, start=plan.start, seed=plan.seed,
+                   offset=tuple(plan.offset), laws=plan.nuisances.laws)
+    if not shape.converged:
+        raise InputError(f"a drape of fabric {plan.fabric} did not converge ({shape.message}); "
+                         "choose another seed=")
     taken = Taken.of(shape.positions, shape.mesh, tester, rng, pictures=pictures,
                      clutter=ground != CODE or kind == "littered", surface=real_texture(rng),
                      ground=ground, hard=(kind,) if kind in HARD else ())
@@ -127,7 +140,7 @@ def _log_alpha(outline: PhotographedOutline, warp: float) -> tuple[np.ndarray, n
     """Mean and deviation (3,) of log alpha that the network estimates."""
     capture = OutlineCapture(outline, density=REFERENCE_DENSITY, rig=outline.rig,
                              warp_direction=warp % np.pi)
-    samples = by_network(capture, header()).estimate.samples[:, LINEAR]
+    samples = by_network(capture, read_header()).estimate.samples[:, LINEAR]
     return samples.mean(axis=0), samples.std(axis=0)
 
 

@@ -15,18 +15,18 @@ import numpy as np
 
 from common.documents import read_arrays
 from common.types import Outline
+from data.dataset.off_axis import silhouette
 from data.fabrics.fabrics import fabric_from_theta
 from data.fabrics.nuisances import Nuisances
 from experiments.report import Report
 from experiments.study import CaseKeys, Study, samples_of
 from sim.draping import drape
 from sim.material import LINEAR
-from sim.measures import shadow_radius
-from sim.mesh import Mesh
 from sim.outlines import coefficient_of_area, folds_around
 from sim.rig import DISC_RIG
 
 POINTS = 360  # azimuths of an outline
+PARALLEL = 1e6  # m, height of a camera
 SIGMA = 2.0  # of the smoothing before folds are counted, azimuths
 
 
@@ -146,7 +146,7 @@ def simulated(*, values: list[float], face: int, edge_mm: float) -> list[float]:
                   laws=laws)
     if not shape.converged:
         return []
-    radius = shadow_radius(shape.positions, Mesh(shape.rest, shape.faces))
+    radius = silhouette(shape.positions, shape.mesh.edges, np.zeros(2), PARALLEL, azimuths=POINTS)
     return features(radius[None])[0].tolist()
 
 

@@ -14,12 +14,8 @@ from experiments.study import FILES
 CLAIMS = Path(__file__).with_name("claims.md")
 COMMANDS = {
     "evaluation": "evaluate",
-    "evaluation_flat": "evaluate generate=[nuisances=flat,dataset.rounded_rims=0]",
-    "refine_views": "refine fabrics=20",
-    "refine_views_real": "refine nuisances=real",
-    "refine_scans": "refine captured=scans nuisances=real rig=disc300_support180 truth_mm=2 "
-                    "fabrics=20 seed=20224"}
-"""Studies, with their keys, of reports with another name."""
+    "evaluation_flat": "evaluate generate=[nuisances=flat,dataset.rounded_rims=0]"}
+"""Commands, with their keys, of reports with another name."""
 MISSED = "**missed**"
 """Mark of a target that is not reached."""
 _RELATIONS = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge,

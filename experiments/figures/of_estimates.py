@@ -2,7 +2,6 @@
 
 import json
 
-from experiments.estimation.refine import METHODS
 from experiments.figures.reports import (
     FOUR_VIEWS,
     KINDS,
@@ -135,6 +134,6 @@ def refinement(reports: Reports) -> str:
              f"{found[who]['log_alpha_median']:.3f}", f"{found[who]['log_alpha_worst_fabric']:.2f}",
              f"{found[who]['beta_over_alpha_mm']:.2f}", coverage(found[who])]
             for name, report in sets.items() for found in [reports[report]["summary"]["all"]]
-            for who in (METHODS[0], METHODS[-1])]
+            for who in ("network", "refined")]
     return table(["captures", "fabrics", "", "log α, rms", "median", "worst fabric", "β/α, mm",
                   "inside"], rows)

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from math import sqrt
 
 from drapenet.network.checkpoint import read_header
-from experiments.estimation.refine import METHODS
 from experiments.report import Report, read_report
 
 RIGS = {"squares": "square300_cylinder100", "discs": "disc300_support180",
@@ -99,7 +98,7 @@ def detected_faults(report: Report) -> Report:
 
 def refined(report: Report) -> Report:
     """Error of the refinement over the network's, and how far its coverage is off."""
-    network, last = (report["summary"]["all"][who] for who in (METHODS[0], METHODS[-1]))
+    network, last = (report["summary"]["all"][who] for who in ("network", "refined"))
     return {"ratio": last["log_alpha"] / network["log_alpha"], "fabrics": last["fabrics"],
             "coverage": coverage(last), "off": coverage_error(last)}
 

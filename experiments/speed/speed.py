@@ -6,7 +6,11 @@ vertices (Feng et al. 2022, section 5.2: 48 000 drapes, 12 hours, 22 CPUs), 329 
 solver of Newton 1.8.
 """
 
-import experiments.one_thread  # noqa: F401
+import os
+
+from common.workers import ONE_THREAD
+
+os.environ.update(ONE_THREAD)  # before libraries read it
 
 # isort: split
 import resource
@@ -15,7 +19,9 @@ import time
 import numpy as np
 
 from common.configs import metres
-from experiments.drapes import prior_fabric
+from data.dataset.plan import Stream, stream
+from data.fabrics.fabrics import fabric_from_theta
+from data.fabrics.prior import load_prior, sample_admissible
 from experiments.report import Report
 from experiments.study import PlainKeys, Study
 from sim.draping import drape
@@ -30,6 +36,12 @@ class Keys(PlainKeys):
     testers: tuple[str, ...] = ("disc300_support180", "square300_cylinder100")
     edges_mm: tuple[float | None, ...] = (  # at the plate's rim, of training data; null: default
         5.0, None)
+
+
+def prior_fabric(index: int, seed: int) -> Fabric:
+    """Fabric ``index`` of the Gaussian prior."""
+    drawn, _ = sample_admissible(load_prior("gaussian"), stream(seed, Stream.FABRIC, index))
+    return fabric_from_theta(drawn)
 
 
 def time_drape(fabric: Fabric, *, rig: Rig, edge_mm: float | None, seed: int) -> dict:

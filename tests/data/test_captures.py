@@ -131,35 +131,6 @@ def test_a_principal_point_off_the_middle_is_a_question(made, folder, change, as
         assert [one.code for one in found.warnings] == ["principal_point_off"] * asked
 
 
-@pytest.mark.parametrize(("change", "complaint"), [
-    ({"density": 150.0}, r"density=150 is more than 1 kg/m².* 0\.21 for 210 g/m²"),
-    ({"density": 0.002}, r"capture: density_g_m2=2.0.*; weigh the specimen"),
-    ({"density": np.nan}, "density=nan"),
-    ({"density": "0.2"}, "density='0.2'"),
-    ({"turns": np.array([0.0, 90.0, 180.0, 270.0])}, r"radians: np\.radians\(\[0, 90"),
-    ({"turns": None}, "turns=None: give a list"),
-    ({"turns": [0, 1, np.nan, 3]}, "finite numbers"),
-    ({"warp_direction": "x"}, "warp_direction='x'"),
-    ({"rig": None}, "rig=None is not a tester"),
-    ({"rig": "cusick"}, "tester=cusick is not a tester; give square300_cylinder100"),
-    ({"intrinsics": (1, 2, 3, 4)}, r"Intrinsics\(fx=.*not \(1, 2, 3, 4\)"),
-    ({"views": np.full((4, 180, 240), 500)}, "of the type int64; .* 1e-3"),
-    ({"views": np.full((4, 180, 240), 500.0)}, "median depth of 500, which cannot be metres"),
-    ({"views": None}, "type object; give metres"),
-    ({"views": [np.ones((2, 2)), np.ones((3, 2))]}, "views are no array"),
-    ({"warp_direction": 17.0}, "warp_direction=17 is more than a turn; give radians"),
-    ({"face": "Up"}, "face='Up'"),
-    ({"turns": [0.0, 1.0]}, "one angle for each of the 4 views"),
-    ({"intrinsics": None}, "need the intrinsics"),
-    ({"intrinsics": CAMERA.resized(480, 360).intrinsics}, "intrinsics' size, 360 x 480 pixels"),
-    ({"views": np.ones((4, 180, 240))}, "has no background"),
-    ({"views": np.zeros((4, 180, 240))}, "shows no cloth"),
-])
-def test_faults_of_arrays_are_told(any_shapes, made, change, complaint):
-    with pytest.raises(InputError, match=complaint):
-        checked_capture(replace(made, **change))
-
-
 @pytest.mark.parametrize("name", ["disc254_support127", "square250_cylinder60", *TESTERS])
 def test_a_tester_is_a_name_or_numbers_and_a_face_is_kept(tmp_path, views, name):
     write_capture(tmp_path / "a", views=views, intrinsics=CAMERA.intrinsics, density=0.2,

@@ -23,8 +23,6 @@ from data.dataset.hem import HemNetwork, misread
 from data.dataset.off_axis import AZIMUTHS as LEARNED
 from data.dataset.off_axis import OffAxisNetwork, main, silhouette
 from data.pictures.mat import QUIET, near_markers
-from sim.draping import drape
-from sim.material import Fabric
 from sim.mesh import Mesh
 from sim.rig import DISC_RIG, Rig
 
@@ -100,13 +98,8 @@ def test_what_most_pictures_show_is_clear():
 
 def captured(folder, **picture):
     """A capture of a drawn photograph over the mat a3."""
-    folder.mkdir()
-    (folder / "outline.jpg").write_bytes(photographs.over_mat(mat="a3", cloth=(30, 30, 30),
-                                                              **picture))
-    (folder / "capture.yaml").write_text(yaml.safe_dump({
-        "density_g_m2": 150, "tester": "disc300_support180",
-        "outline": {"mat": "a3", "plate_height_mm": 150}}))
-    return read_capture(folder)
+    jpeg = photographs.over_mat(mat="a3", cloth=(30, 30, 30), **picture)
+    return read_capture(photographs.write_over_mat(folder, jpeg, mat="a3"))
 
 
 def test_a_picture_from_the_place_that_is_asked_for_is_clear(tmp_path):
@@ -125,12 +118,6 @@ def test_a_picture_from_the_place_that_is_asked_for_is_clear(tmp_path):
     assert "straight above the plate's centre" in line
     np.testing.assert_allclose(beside.outline.cameras[0], [0.15, 0.1, 1.05], atol=0.02)
     np.testing.assert_allclose(beside.outline.next_camera, [0, 0, 1.05], atol=0.01)
-
-
-@pytest.fixture(scope="module")
-def shape():
-    fabric = Fabric(alpha=[20e-6, 15e-6, 12e-6], beta=[-20e-9] * 3, density=0.15)
-    return drape(fabric, rig=DISC_RIG, edge=9e-3)
 
 
 @pytest.fixture(scope="module")

@@ -4,8 +4,7 @@ import hashlib
 
 import numpy as np
 import pytest
-import yaml
-from photographs import ANGLE, RADIUS, distances_mm, over_mat
+from photographs import ANGLE, RADIUS, distances_mm, over_mat, write_over_mat
 
 from common.errors import InputError
 from data.captures.reader import read_capture
@@ -18,11 +17,7 @@ SHADES = {"white": (250, 250, 250), "pale": PALE, "grey": (128, 128, 128), "dark
 
 def read(folder, **changes):
     """A capture of a drawn picture over the code."""
-    (folder / "outline.jpg").write_bytes(over_mat(ground="code", **changes))
-    (folder / "capture.yaml").write_text(yaml.safe_dump({
-        "density_g_m2": 150, "tester": "disc300_support180",
-        "outline": {"mat": "a2", "plate_height_mm": 150}}))
-    return read_capture(folder)
+    return read_capture(write_over_mat(folder, over_mat(ground="code", **changes)))
 
 
 def rms(values) -> float:

@@ -35,7 +35,7 @@ from test_generate import small_config
 from test_scans import RIG, scan_arrays
 
 import drapenet
-from apps.drape_file import read_borrowed
+from apps.drape import read_borrowed
 from common.configs import read_option
 from common.documents import read_bytes, read_json
 from common.errors import MAX_LENGTH, InputError

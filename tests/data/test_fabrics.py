@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from common.command import compose_config
-from common.errors import InputError
 from data.dataset.config import Options, SamplingConfig, config_from_options
 from data.dataset.plan import Stream, choose_lender, plan_drape, stream
 from data.fabrics.fabrics import fabric_from_theta, from_theta, read_fabric_table, to_theta
@@ -141,13 +140,6 @@ def test_shares_of_the_anisotropy_are_kept(anisotropy):
         np.testing.assert_allclose(found[:, part].mean(axis=1), plain[:, part].mean(axis=1),
                                    atol=1e-11)
     assert is_admissible(*from_theta(found)).all()
-
-
-@pytest.mark.parametrize("words", ["[0.8,1.5]", "[0.8]", "0.8", "[-0.1,1]"])
-def test_other_shares_of_the_anisotropy_are_refused(words):
-    with pytest.raises(InputError, match="anisotropy"):
-        config_from_options(compose_config("generate", [f"dataset.anisotropy={words}"],
-                                           schema=Options))
 
 
 def test_the_exponent_of_a_known_power_is_found():

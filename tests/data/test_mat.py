@@ -2,12 +2,12 @@
 
 import io
 import re
+from functools import partial
 
 import cv2
 import numpy as np
 import photographs
 import pytest
-import yaml
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
@@ -32,18 +32,11 @@ from data.pictures.pose import camera_matrix, camera_poses
 from data.pictures.reading import FULL_FRAME, Photograph, decoded, read_photograph
 from data.render import phone, textures
 from data.render.phone import phone_picture
-from sim.draping import drape
-from sim.material import Fabric
 from sim.mesh import Mesh
 from sim.rig import DISC_RIG, Rig
 
 PLATE_HEIGHT = 0.12
-
-
-@pytest.fixture(scope="module")
-def shape():
-    fabric = Fabric(alpha=[30e-6, 22e-6, 18e-6], beta=[-30e-9] * 3, density=0.15)
-    return drape(fabric, rig=DISC_RIG, edge=9e-3)
+over_mat = partial(photographs.write_over_mat, mat="a3", plate_height_mm=1e3 * PLATE_HEIGHT)
 
 
 @pytest.fixture(scope="module")
@@ -52,16 +45,6 @@ def picture(shape):
                          plate_radius=DISC_RIG.plate_radius, plate_height=PLATE_HEIGHT,
                          surface=textures.plain(np.array([0.4, 0.08, 0.08]),
                                                 np.random.default_rng(0)))
-
-
-def over_mat(folder, jpeg: bytes, **changes):
-    """A capture of a photograph over the mat."""
-    folder.mkdir()
-    (folder / "outline.jpg").write_bytes(jpeg)
-    source = {"mat": "a3", "plate_height_mm": 1e3 * PLATE_HEIGHT} | changes
-    (folder / "capture.yaml").write_text(yaml.safe_dump({
-        "density_g_m2": 150, "tester": "disc300_support180", "outline": source}))
-    return folder
 
 
 def without_exif(jpeg: bytes) -> bytes:

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from photographs import write_over_mat
 from PIL import Image
 
 from data.captures import joined_outlines
@@ -32,12 +33,6 @@ PLATE_HEIGHT, HEIGHT, SIZE = 0.12, 0.62, (1680, 1260)
 FOCAL = 0.62 * float(np.hypot(*SIZE))
 RED = textures.plain(np.array([0.4, 0.08, 0.08]), np.random.default_rng(0))
 PLACES = ((0.0, 0.12), (0.16, -0.1), (-0.17, -0.06))  # m, beside the axis
-
-
-@pytest.fixture(scope="module")
-def shape():
-    fabric = Fabric(alpha=[30e-6, 22e-6, 18e-6], beta=[-30e-9] * 3, density=0.15)
-    return drape(fabric, rig=DISC_RIG, edge=1e-2)
 
 
 def pose_at(place, size) -> Pose:
@@ -75,15 +70,9 @@ def changed(jpeg: bytes, box=None) -> bytes:
 
 def folder_of(path, pictures, **changes):
     """A capture of pictures, from outline_1.jpg on or by names."""
-    path.mkdir()
     named = pictures if isinstance(pictures, dict) else {
         f"outline_{k}.jpg": jpeg for k, jpeg in enumerate(pictures, 1)}
-    for name, data in named.items():
-        (path / name).write_bytes(data)
-    (path / "capture.yaml").write_text(yaml.safe_dump({
-        "density_g_m2": 150, "tester": "disc300_support180",
-        "outline": {"mat": "a2", "plate_height_mm": 1e3 * PLATE_HEIGHT} | changes}))
-    return path
+    return write_over_mat(path, named, **{"plate_height_mm": 1e3 * PLATE_HEIGHT} | changes)
 
 
 def error_mm(capture, shape, place=(0, 0)) -> float:

@@ -19,8 +19,8 @@ from strip_photographs import (
     write,
 )
 
+from apps.cantilever import read_curve
 from apps.capture import main
-from apps.strip_curves import read_curve
 from common.errors import InputError
 from common.findings import texts
 from drapenet.measured.strips.folder import read_strips

@@ -484,19 +484,6 @@ def test_values_that_files_may_not_state_are_refused(tmp_path, sources, known, w
                           known=known)
 
 
-@pytest.mark.parametrize(("arguments", "options", "complaint"), [
-    (["."], {"refine": "no"}, "refine='no' is not of the class bool"),
-    (["."], {"refine": 0}, "refine=0 is not of the class bool"),
-    ([[".", "."]], {}, "not list; several captures are several arguments"),
-    ([], {}, "give a capture"),
-    ([], {"strips": 3}, "strips=3 is not of the class str | .*Path")])
-def test_arguments_of_another_type_are_refused(arguments, options, complaint):
-    with pytest.raises(InputError, match=complaint):
-        drapenet.estimate(*arguments, **options)
-    with pytest.raises(InputError, match="path=3 is not of the class"):
-        drapenet.load(3)
-
-
 def test_a_capture_of_arrays_is_estimated_as_that_of_its_folder_and_checked(plain):
     arrays = read_capture(TWILL)
     np.testing.assert_allclose(np.median(drapenet.estimate(arrays).samples, 0),

@@ -5,16 +5,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from cloths import revolved, skirt
 from scipy import ndimage
 
 from common.errors import InputError
 from common.findings import sentences, texts
-from data.captures.capture import warnings_of
+from data.captures.capture import DepthCapture, warnings_of
 from data.render.cameras import camera_pose, nominal_camera
 from data.render.rays import DepthRenderer
 from data.render.setups import Setups, SyntheticCapture
+from drapenet.fabric.stages import by_network
 from drapenet.network.captures import outline_faults, reading_errors
+from drapenet.network.checkpoint import BUNDLED, read_header
 from drapenet.views.checks import (
     MAX_SIZE_ERROR,
     Quality,
@@ -31,9 +34,10 @@ from drapenet.views.radial_map import radial_map, side_direction
 from drapenet.views.sizes import Sizes, measured_sizes
 from drapenet.views.turns import CENTRE_BIAS
 from sim.draping import drape
-from sim.material import Fabric
+from sim.material import MICRO, REFERENCE_DENSITY, Fabric
 from sim.rig import DISC_RIG, Rig
 
+TESTS = Path(__file__).parents[1]
 RIG = Rig()
 FABRIC = Fabric([48e-6, 30e-6, 22e-6], [-96e-9, -60e-9, -44e-9])
 CLEAN = replace(Setups.load(), views=(0.0, 0.0, 0.0, 1.0), sensors={"smooth": 1.0}, border=0,
@@ -140,26 +144,9 @@ def test_a_specimen_off_the_axis_is_measured():
     assert "specimen_off_axis" in [found.code for found in warnings_of(quality_checks(measured))]
 
 
-WARNINGS = (
-    "the cloth touches the picture's border", "pixels left out", "8-bit depth", "less than",
-    "no table is seen below the plate", "the column is nearly as wide as the plate",
-    "background.png shows", "background.png does not fit the frames",
-    "camera_height_mm is missing", "the plate's centre is not known",
-    "the outline turns back over", "a pixel covers", "off the vertical",
-    "above the horizontal", "mm away", "the table was turned by", "the specimen measures",
-    "the specimen's centre lies", "the plate looks curved", "views differ", "have no depth",
-    "border has one and the same depth", "a pixel spans", "the drape coefficient is",
-    "of its silhouette in common", "has a drape coefficient of",
-    "outside the fabrics of the training set", "of the posterior samples", "contradict",
-    "state different densities", ": they say", "no drape of the estimate converged",
-    "the estimate is not refined", "the network's estimate is not refined",
-    "there is no report", "the report shows no simulated drape")
-"""Words of each warning."""
-
-
-@pytest.mark.parametrize("words", WARNINGS)
+@pytest.mark.parametrize("words", yaml.safe_load((TESTS / "warnings.yaml").read_text("utf-8")))
 def test_the_docs_have_the_cause_of_every_warning(words):
-    lines = (Path(__file__).parents[2] / "docs" / "rig.md").read_text("utf-8").splitlines()
+    lines = (TESTS.parent / "docs" / "rig.md").read_text("utf-8").splitlines()
     assert any(words in sentence for sentence in sentences().values())
     assert any(line.startswith("| ") and line.count("|") == 3 and words in line for line in lines)
 
@@ -343,3 +330,17 @@ def test_the_drape_coefficient_is_that_of_the_cloth(renderer, pitch):
         LocatedViews.registered(cone.views(camera), camera, Rig(), QUARTERS), zero=0.0)
     expected = np.pi * (0.11**2 - 0.05**2) / (0.09 - np.pi * 0.05**2)
     assert outline_of_map(found, Rig()).coefficient(Rig()) == pytest.approx(expected, abs=0.008)
+
+
+@pytest.mark.skipif(not BUNDLED.exists(), reason="no network is bundled")
+def test_estimates_are_along_the_true_warp_for_all_orientations():
+    alpha = np.array([120.0, 40.0, 15.0]) * MICRO
+    shape = drape(Fabric(alpha, -1e-3 * alpha), edge=6e-3, seed=4)
+    for number in range(3):
+        taken = replace(CLEAN, turn=0.0, focal=0.0).capture(
+            shape.positions, shape.faces, np.random.default_rng(number), rig=RIG)
+        captured = DepthCapture(taken.views, taken.intrinsics, taken.turns, rig=RIG,
+                                density=REFERENCE_DENSITY,
+                                warp_direction=taken.orientation % np.pi)
+        mean = by_network(captured, read_header()).estimate.samples.mean(axis=0)
+        assert mean[0] > mean[2] + 0.5

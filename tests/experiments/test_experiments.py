@@ -10,7 +10,6 @@ import pytest
 from common.errors import InputError
 from experiments import study
 from experiments.__main__ import main, usage
-from experiments.estimation import refine
 from experiments.report import REPORTS, ROOT, read_report, table
 from experiments.study import FILES, FOLDERS, CaseKeys, samples_of
 
@@ -19,9 +18,9 @@ PAGE = ROOT / "docs" / "studies.md"
 
 def test_places_that_cannot_be_written_to_are_refused_before_the_work(tmp_path):
     (tmp_path / "file").touch()
-    for words in (["convergence", "out=/proc/report.json"], ["convergence", f"out={tmp_path}"],
-                  ["refine", f"out={tmp_path}/file/report.json"],
-                  ["refine", f"cases={tmp_path}/file"], ["mats", "cases=/proc/runs"]):
+    for words in (["numbers", "out=/proc/report.json"], ["mats", f"out={tmp_path}"],
+                  ["mats", f"out={tmp_path}/file/report.json"],
+                  ["mats", f"cases={tmp_path}/file"], ["mats", "cases=/proc/runs"]):
         with pytest.raises(InputError, match="cannot write"):
             main(words)
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
@@ -58,24 +57,21 @@ class Keys(CaseKeys):
 
 
 def drawn(rng, *, number: int, factors: tuple[float, ...]) -> dict:
-    if number == 1:
-        raise InputError("the second is refused")
-    return {"value": float(factors[0] * rng.random()), "arrays": {"x": np.arange(number)}}
+    if number == 3:
+        raise InputError("the fourth is refused")
+    return {"value": float(factors[0] * rng.random())}
 
 
-def test_samples_have_their_own_random_numbers_and_refused_ones_are_counted(tmp_path, capsys):
-    keys, refused = Keys(cases=str(tmp_path)), {}
-    found = samples_of(drawn, keys, 4, refused=refused)
+def test_samples_have_their_own_random_numbers_and_are_made_once(tmp_path, capsys):
+    keys = Keys(cases=str(tmp_path))
+    found = samples_of(drawn, keys, 3)
     assert [one["value"] for one in found.values()] == [
-        2 * np.random.default_rng([3, k]).random() for k in (0, 2, 3)]
-    assert refused == {"sample_001": "the second is refused"}
-    assert "4 to go" in capsys.readouterr().out
-    assert samples_of(drawn, keys, 4, refused={}) == found
+        2 * np.random.default_rng([3, k]).random() for k in range(3)]
+    assert "3 to go" in capsys.readouterr().out
+    assert samples_of(drawn, keys, 3) == found
     assert "to go" not in capsys.readouterr().out
-    with pytest.raises(InputError, match="second"):
+    with pytest.raises(InputError, match="fourth"):
         samples_of(drawn, keys, 4)
-    with pytest.raises(InputError, match="second"):
-        samples_of(drawn, keys, {"only": {"number": 1}}, refused=refused)
 
 
 def test_words_are_read_as_yaml_and_texts_and_lists_need_no_quotes():
@@ -98,16 +94,3 @@ def test_table_is_aligned():
     lines = table(["name", "x"], [["long name", 1.23456], ["b", 7]]).splitlines()
     assert lines[2] == "| long name | 1.23 |"
     assert len({len(line) for line in lines}) == 1
-
-
-def test_posteriors_are_judged_by_errors_and_coverage():
-    rng = np.random.default_rng(0)
-    scale = np.array([0.1] * 3 + [1e-3] * 3)
-    middle = rng.standard_normal((400, 6)) * scale
-    truth = middle + rng.standard_normal((400, 6)) * scale
-    samples = [one + rng.standard_normal((2000, 6)) * scale for one in middle]
-    found = refine.posterior_errors(truth, samples)
-    assert found["log_alpha"] == pytest.approx(0.1, rel=0.07)
-    assert found["beta_over_alpha_mm"] == pytest.approx(1.0, rel=0.07)
-    assert found["log_alpha_median"] == pytest.approx(0.0674, rel=0.1)
-    assert list(found["inside"].values()) == pytest.approx([0.50, 0.68, 0.90], abs=0.03)

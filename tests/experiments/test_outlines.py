@@ -3,37 +3,21 @@
 import numpy as np
 import pytest
 
-from experiments.estimation.outlines_real import features, radii_of
-from sim.measures import shadow_radius
-from sim.mesh import Mesh
+from data.dataset.off_axis import silhouette
+from experiments.estimation.outlines_real import PARALLEL, features, radii_of
 from sim.rig import Rig
 from sim.scene import make_specimen
 
 
-def test_shadow_of_a_flat_square_is_the_square():
+def test_the_outline_of_a_flat_square_is_the_square():
     mesh = make_specimen(Rig(), edge=0.006, grading=1).mesh
     flat = np.column_stack([mesh.rest, np.zeros(len(mesh.rest))])
     azimuth = 2 * np.pi * np.arange(360) / 360
     expected = 0.15 / np.maximum(np.abs(np.cos(azimuth)), np.abs(np.sin(azimuth)))
-    assert np.allclose(shadow_radius(flat, mesh), expected, rtol=1e-9)
     # A hem 50 mm below the plate's plane looks 1/1.05 as large from 1 m.
-    lower = flat - [0, 0, 0.05]
-    assert np.allclose(shadow_radius(lower, mesh, height=1.0), expected / 1.05, rtol=1e-9)
-
-
-def test_shadow_of_cloth_folded_under_is_its_outermost_part():
-    """A band whose hem runs around the axis twice, once inside and once outside."""
-    angle = 2 * np.pi * np.arange(60) / 60
-    rings = [radius * np.column_stack([np.cos(angle), np.sin(angle)]) for radius in (0.1, 0.2)]
-    inner = np.arange(60)
-    outer, after = inner + 60, np.roll(inner, -1)
-    faces = np.concatenate([np.column_stack([inner, outer, after + 60]),
-                            np.column_stack([inner, after + 60, after])])
-    mesh = Mesh(np.concatenate(rings), faces)
-    # Draped with the circles exchanged, so that the rest's border is inside.
-    positions = np.column_stack([np.concatenate(rings[::-1]), np.zeros(120)])
-    radius = shadow_radius(positions, mesh, points=60)
-    assert np.allclose(radius, 0.2)
+    for depth, height, factor in ((0.0, PARALLEL, 1.0), (0.05, 1.0, 1.05)):
+        seen = silhouette(flat - [0, 0, depth], mesh.edges, np.zeros(2), height, azimuths=360)
+        assert np.allclose(seen, expected / factor, rtol=1e-9)
 
 
 def test_the_mean_radius_of_an_outline_is_its_coefficient():

@@ -15,7 +15,6 @@ from elastica_curves import LAWS, WEIGHT, curves_of
 from scipy.integrate import solve_bvp
 
 from common.errors import InputError
-from experiments.physics.elastica import MESHES
 from sim.cantilever import (
     aspect_ratio,
     elastica,
@@ -46,6 +45,9 @@ from sim.material import DIRECTIONS, SOFTENING_LIMIT, Fabric, gravity_length, to
 from sim.mesh import strip
 from sim.solver.state import State, moved
 
+JITTERED = {"diagonals": "random", "jitter": 0.2, "seed": 2}
+PLAIN = [{"diagonals": kind, "seed": 1} for kind in ("alternating", "equal", "random")]
+
 
 def deviation(gamma: float, *, slope: float = 0.0, **options) -> float:
     hung = hang(fabric_of_gamma(gamma, 0.09), slope=slope, **options)
@@ -54,8 +56,8 @@ def deviation(gamma: float, *, slope: float = 0.0, **options) -> float:
 
 
 @pytest.mark.parametrize(("gamma", "tolerance", "options"), [
-    (1, 0.001, MESHES["jittered"]), *((10, 0.001, one) for one in MESHES.values()),
-    (100, 0.003, MESHES["equal"]),
+    (1, 0.001, JITTERED), *((10, 0.001, one) for one in (JITTERED, *PLAIN)),
+    (100, 0.003, PLAIN[1]),
     (20, 0.01, {"slope": 0.5, "width": 0.01, "edge": 0.0025})])
 def test_strip_matches_the_heavy_elastica(gamma, tolerance, options):
     """90 × 30 mm, edges of 3 mm, on four triangulations, and on a ramp."""
@@ -124,10 +126,7 @@ def test_a_sloping_clamp_starts_the_elastica_at_its_slope():
     assert aspect_ratio(shape[-1]) > np.tan(np.radians(30))
 
 
-@pytest.mark.parametrize(("gamma", "slope"), [(0.0, 0.0), (np.nan, 0.0), (1e5, 0.0), (1.0, 1.6)])
-def test_what_cannot_be_solved_is_refused(gamma, slope):
-    with pytest.raises(InputError):
-        elastica(gamma, slope=slope)
+def test_what_cannot_be_solved_is_refused():
     with pytest.raises(InputError, match="too soft"):
         strip_shape(softening_law(1e-9, 0.0), weight=1.0, length=1.0)
     with pytest.raises(InputError, match="must increase"):

@@ -8,9 +8,8 @@ from test_energies import ANISOTROPIC, crumpled_strip
 
 from common.errors import InputError
 from drapenet.export.material import GAMMA, MESHES, hinge_ratio
-from experiments.physics.elastica import free_end
 from sim.cantilever.elastica import aspect_ratio, gamma_of_aspect_ratio
-from sim.cantilever.strip import TIGHT, fabric_of_gamma
+from sim.cantilever.strip import fabric_of_gamma, hang
 from sim.cloth import Laws
 from sim.energies.bending_variants import (
     BUILD_UP,
@@ -283,26 +282,13 @@ def test_a_weightless_strip_rests_in_an_arc_of_its_natural_curvature():
     assert tip[2] == pytest.approx(-(1 - np.cos(kappa * 0.06)) / kappa, rel=2e-2)
 
 
-@pytest.mark.parametrize(("wrong", "word"), [
-    ({"share": -0.1}, "hysteresis share"), ({"share": 0.6}, "hysteresis share"),
-    ({"share": (0.1, 0.2)}, "hysteresis share"), ({"share": np.nan}, "hysteresis share"),
-    ({"curvature": (1.0, 2.0)}, "curvature="), ({"curvature": (np.nan, 0, 0)}, "curvature=")])
-def test_hysteresis_that_no_fabric_has_is_refused(wrong, word):
-    with pytest.raises(InputError, match=word):
-        Hysteresis(**wrong)
-
-
 @pytest.mark.parametrize(("kind", "cells"), [
     ("unstructured", 7), ("alternating", 9), ("equal", 6), ("random", 6)])
 def test_strips_of_hinges_hang_as_the_elastica_with_the_exported_ratio(kind, cells):
     (diagonals, jitter), edge, found = MESHES[kind], 0.09 / cells, []
     alpha = hinge_ratio(kind, cells) * fabric_of_gamma(GAMMA, 0.09).alpha
     for seed in range(6 if jitter or diagonals == "random" else 1):
-        mesh, held = strip(length=0.09, width=round(cells / 2) * edge, edge=edge, clamp=2 * edge,
-                           diagonals=diagonals, jitter=jitter, seed=seed)
-        scene = Scene(mesh, held)
-        flat = scene.state(np.column_stack([mesh.rest, np.zeros(len(mesh.rest))]))
-        hung = find_equilibrium(scene, Fabric(alpha), flat, laws=Laws(bending="hinge_linear"),
-                                options=TIGHT)
-        found.append(gamma_of_aspect_ratio(aspect_ratio(free_end(mesh, hung.state))))
+        hung = hang(Fabric(alpha), width=round(cells / 2) * edge, edge=edge, seed=seed,
+                    diagonals=diagonals, jitter=jitter, laws=Laws(bending="hinge_linear"))
+        found.append(gamma_of_aspect_ratio(aspect_ratio(hung.curve[-1])))
     assert np.mean(found) == pytest.approx(GAMMA, rel=5e-3)

@@ -2,10 +2,8 @@
 
 import numpy as np
 import pytest
-import torch
 from scipy.linalg import eigvalsh
 
-from common.errors import InputError
 from sim.energies import bending_law
 from sim.energies.bending_law import constants
 from sim.material import (
@@ -13,7 +11,6 @@ from sim.material import (
     Fabric,
     bending_work,
     bias_limit,
-    gravity_length,
     is_admissible,
     plate_constants,
     secant,
@@ -201,30 +198,3 @@ def test_softest_possible_bias():
     alpha[1] = bias_limit(alpha)
     assert not is_admissible(alpha * [1, 0.999, 1], np.zeros(3))
     assert is_admissible(alpha * [1, 1.001, 1], np.zeros(3))
-
-
-@pytest.mark.parametrize(("alpha", "beta", "density", "word"), [
-    ([1e-5, 1e-5], [0, 0, 0], 0.3, "alpha=.*three finite numbers"),
-    (1e-5, 0, 0.3, "alpha=1e-05"),
-    (np.ma.masked_array([1e-5, 1e-5, 1e-5], [1, 0, 0]), [0, 0, 0], 0.3, "masked"),
-    (torch.ones(3, requires_grad=True), [0, 0, 0], 0.3, "alpha: Can't .* requires grad"),
-    ([1e-5, 1e-5, 1e-5], [0, 0, 0], None, "density=None: give a finite number"),
-])
-def test_moduli_of_no_fabric_are_refused(alpha, beta, density, word):
-    with pytest.raises(InputError, match=word):
-        Fabric(alpha, beta, density)
-
-
-@pytest.mark.parametrize(("call", "word"), [
-    (lambda: FABRICS[0].at_density(210), "density=210000 g/m²"),
-    (lambda: FABRICS[0].at_density("0.2"), "density='0.2'"),
-    (lambda: gravity_length(20.0, 0.2), "alpha=20 N·m .* at most 1 m; check the unit"),
-    (lambda: gravity_length(-1e-5, 0.2), "positive"),
-    (lambda: gravity_length(1e-5, 0.0), "density=0"),
-    (lambda: gravity_length([1e-5], 0.2), "alpha=.*give a finite number, N·m"),
-    (lambda: torque(-10.0, 6e-5, -5e-8), "must not be negative"),
-    (lambda: torque(10.0, [6e-5, 0.0], 0.0), "must be positive"),
-    (lambda: torque("a", 6e-5, 0.0), "curvature='a'")])
-def test_units_and_types_of_moduli_are_checked(call, word):
-    with pytest.raises(InputError, match=word):
-        call()

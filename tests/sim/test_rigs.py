@@ -200,41 +200,11 @@ def test_soft_cloth_stays_out_of_the_cylinder_between_its_vertices_too(rig):
     assert (0 if rig is DISC_RIG else 1e-6) <= entry < 2e-4  # the disc hangs clear of its support
 
 
-@pytest.mark.parametrize(("arguments", "word"), [
-    ({"specimen": "circle"}, "square, rectangle or disc"),
-    ({"sides": (0.3, 0.2), "specimen": "disc"}, "0.3 and 0.2 m: a disc has one diameter"),
-    ({"sides": (0.3, 0.1)}, "100 mm under a specimen of 300x100 mm"),
-    ({"plate_diameter": 0.3}, "smaller"),
-    ({"plate_diameter": -0.1}, "smaller"),
-    ({"plate_diameter": 0.0}, "corners_apart=None"),
-    ({"plate_diameter": 0.0, "corners_apart": 0.3}, "below 0.3 m"),
-    ({"plate_diameter": 0.0, "specimen": "disc"}, "no corners"),
-    ({"corners_apart": 0.2}, "beside a plate"),
-    ({"plate_diameter": "0.1"}, "plate_diameter='0.1'"),
-    ({"cut": None}, "cut=None: give a finite number, rad"),
-    ({"sides": "square300"}, "sides="),
-    ({"sides": (0.3, np.nan)}, "sides="),
-    ({"sides": (0.3, 0.3, 0.3)}, "one number or two"),
-    ({"plate_diameter": np.array([0.1, 0.1])}, "plate_diameter="),
-    ({"plate_diameter": 0.0, "corners_apart": "a"}, "corners_apart='a'")])
-def test_impossible_rigs_are_refused(arguments, word):
-    with pytest.raises(InputError, match=word):
-        Rig(**arguments)
-
-
 @pytest.mark.parametrize("name", [
     "rectangle170x250_cylinder90", "rectangle250x170_cylinder90", "rectangle400x140.5_cylinder60",
     "rectangle170x250_cylinder90_cut-5", "square300_cylinder100", "disc254_support127"])
 def test_names_state_sizes(name):
     assert Rig.from_name(name).name == name
-
-
-@pytest.mark.parametrize("name", [
-    "rectangle300x300_cylinder100", "rectangle170_cylinder90", "square170x250_cylinder90",
-    "disc170x250_support90", 300])
-def test_other_names_are_refused(name):
-    with pytest.raises(InputError, match="unknown rig"):
-        Rig.from_name(name)
 
 
 def test_the_border_of_a_rectangle_is_that_of_its_sides():
@@ -330,18 +300,6 @@ def test_folds_are_counted_but_no_ripples_below_three_millimetres(specimen, fold
     mesh, _ = specimen
     for depth, count in ((0.008, folds), (0.001, 0)):
         assert fold_count(straight_skirt(mesh.rest, folds, depth), mesh.rest, RIG) == count
-
-
-@pytest.mark.parametrize(("arguments", "word"), [
-    ({"scale": 1e3}, "positions extend over .* give metres"), ({"scale": 1e-3}, "give metres"),
-    ({"scale": np.nan}, r"positions of the shape .*give finite positions"),
-    ({"rig": "disc"}, "class Rig"), ({"faces": np.array([[0, 1, 10**6]])}, "faces of the shape"),
-    ({"faces": np.zeros((3, 9), int)}, r"faces of the shape \(3, 9\)")])
-def test_coefficients_of_other_units_and_arrays_are_refused(specimen, any_shapes, arguments, word):
-    given = {"scale": 1.0, "faces": specimen[0].faces, "rig": RIG} | arguments
-    positions = given.pop("scale") * straight_skirt(specimen[0].rest, 4, 0.008)
-    with pytest.raises(InputError, match=word):
-        drape_coefficient(positions, **given)
 
 
 @pytest.mark.parametrize(("scale", "rig"), [(1e3, RIG), (1.0, Rig(0.4))])

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import torch
 
-from common.errors import InputError
 from sim.cantilever.elastica import elastica
 from sim.cloth import Cloth, Laws
 from sim.draping import FINE_OPTIONS, Drape, drape, follow
@@ -287,23 +286,6 @@ def test_equilibria_have_density_inextensibility_and_laws_of_their_starts(draped
                            beta=torch.tensor(FABRIC.beta)[None], options=TIGHT)
         assert found.results[0].fabric.density == FABRIC.density != REFERENCE_DENSITY
         assert np.abs(found.positions[0].numpy() - near.positions).max() < 1e-7
-
-
-@pytest.mark.parametrize(("count", "arguments", "word"), [
-    (None, {}, r"class Sequence; give one such as \[near\]"),
-    (3, {"alpha": np.full((2, 3), 6e-5)}, r"alpha of the shape \(2, 3\): give .* \(3, 3\)"),
-    (1, {"beta": "none"}, "beta='none'"),
-    (2, {"density": [0.2, 0.3, 0.2]}, "density=.*one for all"),
-    (1, {"membrane": "stiff"}, "membrane='stiff'"),
-    (None, {"parameters": ("gamma",)}, "unknown parameter 'gamma'"),
-    (1, {"parameters": MODULI}, r"drape=.* class Equilibrium")])
-def test_other_arguments_are_refused(draped, count, arguments, word):
-    starts = [draped] * count if count else draped
-    with pytest.raises(InputError, match=word):
-        if "parameters" in arguments:
-            sensitivities(starts, **arguments)
-        else:
-            equilibria(starts, **{"alpha": FABRIC.alpha, "beta": FABRIC.beta} | arguments)
 
 
 def test_one_fabric_may_be_that_of_all_starts_in_an_array_or_a_tensor(draped):

@@ -1,1 +1,0 @@
-"""Validation of the simulator by theory, finer meshes, other simulators and scans of drapes."""
