@@ -6,15 +6,14 @@ of :data:`ALIKE`, and so do shear and stretch where both are measured, and their
 more than :data:`~data.readings.quantity.MAX_DENSITY_DIFFERENCE`. Where the warp of either is not
 marked, stiff, bias and soft are compared; with published fabrics, KES B as published.
 
-The share p of pairs of samples that are alike in bending would be the probability of two fabrics
-chosen blindly. Of these a share q is alike (:data:`UNLIKE`), and a drape alone leaves p small for
-one fabric measured twice. The probability is for two that were, before they were measured, as
-likely alike as not:
+The share p of pairs of samples that are alike in bending is the probability of two fabrics chosen
+blindly, of which a share q is alike (:data:`UNLIKE`). The probability of two that were, before they
+were measured, as likely alike as not is
 
     p (1 - q) / (p (1 - q) + q (1 - p)),
 
 times those of being alike in weight, shear and stretch. :attr:`Likeness.highest` is what it would
-be if the medians were equal. Below :data:`KNOWN` the two are not known well enough to be alike.
+be if the medians were equal; below :data:`KNOWN` the two are not known well enough.
 """
 
 from collections.abc import Iterable
@@ -38,8 +37,8 @@ from sim.material import DIRECTIONS, DRAPE_CURVATURE, FIRST, MICRO, SECOND, STIF
 ALIKE = 2.39 * 2**0.5 * SPECIMEN_SCATTER
 """Of logarithms: nineteen of twenty pairs of specimens differ by less along all directions."""
 UNLIKE = (0.28, 0.09, 0.06)
-"""Mean share p of pairs of different fabrics, of nine with outlines of real drapes, by the number
-of stiffnesses that are compared. Two of their 36 pairs are alike by the means of all pictures."""
+"""Mean share p over pairs of different fabrics, of nine with outlines of real drapes, by the number
+of stiffnesses that are compared."""
 KNOWN = 0.7
 STEP = 0.1
 """Of probabilities in lists: UNLIKE is not known better."""
@@ -88,15 +87,15 @@ def candidate(
 
 
 def read(folder: str | Path) -> Candidate:
-    """The result in a folder, as it is compared, named as its captures state or by the folder;
-    InputError if it is not sound."""
+    """The result in a folder, named as its captures state or by the folder; InputError if it is
+    not sound."""
     estimate, document = read_estimate(Path(folder))
     name = document.capture.labels.fabric or str(folder)
     return candidate(estimate, name, str(folder), document.tension)
 
 
 def typical() -> list[Candidate]:
-    """The published fabrics of :mod:`data.readings.laboratory`, with the errors of KES."""
+    """Published fabrics, :mod:`data.readings.laboratory`, with the errors of KES."""
     rng, found = np.random.default_rng(1), []
     for row in laboratory_rows():
         b = {name: MICRO * float(value) for name in _KES_NAMES

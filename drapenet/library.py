@@ -1,4 +1,4 @@
-"""Your fabrics, and typical published ones, by how alike they are to one of your results.
+"""Your fabrics, and published ones, by how alike they are to one of your results.
 
     python -m drapenet.library like=RESULT [among=FOLDER,...] [count=10] [out=FILE.csv]
 
@@ -14,7 +14,7 @@ from typing import Any
 from common.command import command
 from common.errors import InputError
 from common.files import replace_file, require_file
-from drapenet.alike import Candidate, Likeness, like, read, typical
+from drapenet.alike import KNOWN, Candidate, Likeness, like, read, typical
 from drapenet.config import FromOne
 from drapenet.result.files import ESTIMATE
 from drapenet.result.tables import csv_number, csv_table
@@ -32,9 +32,9 @@ class LibraryConfig:
 
 
 def fabrics_in(*folders: str | Path, faults: list[str] | None = None) -> list[Candidate]:
-    """The fabrics whose results are in folders and below: of one with captures only the joint
-    result, of a service's folder the result of each fabric. What cannot be read is left out, and
-    said in ``faults``; InputError for a folder that is not there."""
+    """The fabrics whose results are in folders and below, of a service's folder by its database.
+    What cannot be read is left out, and said in ``faults``; InputError if there is no such folder.
+    """
     found = []
     for folder in map(Path, folders):
         if not folder.is_dir():
@@ -98,7 +98,7 @@ def _lines(fabric: Candidate, found: list[Likeness]) -> list[str]:
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
     if any(one.verdict == "not known" for one in found):
-        lines.append("not known: with these errors, not even equal fabrics would be known as such")
+        lines.append(f"not known: with these errors equal ones would not reach {KNOWN:.0%}")
     return lines + [f"KES B: {source}, as transcribed" for source in
                     dict.fromkeys(one.fabric.source for one in found) if source]
 

@@ -226,8 +226,7 @@ def like_this_one(
     found: Finished, jobs: Service, client: Client, count: int = Query(5, ge=1, le=200)
 ) -> JSONResponse:
     """Other fabrics and published ones (with a `source`), the most alike first: `probability` that
-    they cannot be told apart, `highest` as it could be with their errors, `difference_percent`;
-    `place` is the identity of the fabric's result.
+    they cannot be told apart, `highest` as it could be with their errors; `place` is the result.
     """
     with jobs.exports.places.taken(client):
         return JSONResponse(jobs.exports.outcome(alike, jobs.settings.folder, found["id"], count),

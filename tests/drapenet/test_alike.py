@@ -75,7 +75,7 @@ def test_weight_shear_and_an_unmarked_warp_count():
 
 
 def test_published_fabrics_are_compared_by_kes_b():
-    # Without beta it is alpha; one has 2.14 and 2.00 µN·m at 179 g/m².
+    # Without beta it is alpha.
     alpha = np.array([2.14, 2.1, 2.0]) * MICRO
     for names in (DIRECTIONS, STIFF_SOFT):
         one = estimate_of(alpha, np.zeros(3), density=0.179, names=names)
