@@ -137,8 +137,9 @@ class Likeness:
             "fabric": self.fabric.name, "place": self.fabric.place, "source": self.fabric.source,
             "density_g_m2": 1e3 * self.fabric.density, "alike": self.verdict,
             "probability": self.probability, "highest": self.highest,
-            "differences": ", ".join(f"{name} {value:+.0f}" for name, value in percent.items())
-            + " %", **{f"{name}_difference_percent": value for name, value in percent.items()},
+            "differences": ", ".join(
+                f"{name.replace('_', ' ')} {value:+.0f}" for name, value in percent.items()) + " %",
+            **{f"{name}_difference_percent": value for name, value in percent.items()},
             **{f"{name}_{'kes_b' if self.fabric.source else 'stiffness'}_uN_m": value
                for name, value in self.fabric.values.items()}}
 

@@ -6,7 +6,7 @@ function row(id, { fabric, place, source, alike, differences }) {
   const name = element('th');
   name.scope = 'row';
   name.append(place ? link(`#${place}`, fabric) : fabric);
-  if (source) name.append(element('span', `published KES B: ${source}`, 'wide'));
+  if (source) name.append(element('span', `published KES B, as transcribed: ${source}`, 'wide'));
   const [probability, apart] = [element('td', alike), element('td', differences.replaceAll('-', '−'))];
   if (place) probability.append(' ', link(`#compare=${id},${place}`, 'compare'));
   [probability.dataset.label, apart.dataset.label] = ['alike', 'differs by'];
@@ -20,7 +20,7 @@ export async function showAlike(id, isShown) {
   const found = await ask(`/estimates/${encodeURIComponent(id)}/alike`).catch(() => []);
   if (!isShown()) return;
   const [first] = found;
-  const near = first?.probability >= 0.5 ? `${first.fabric}, ${first.alike}` : 'none that could stand in for it';
+  const near = !(first?.probability >= 0.5) ? 'none that could stand in for it' : first.alike === 'not known' ? 'not known well enough' : `${first.fabric}, ${first.alike}`;
   at('alike-first').textContent = `Like this one: ${near}`;
   at('alike-rows').replaceChildren(...found.map((one) => row(id, one)));
   at('alike').hidden = !found.length;
