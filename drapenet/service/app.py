@@ -225,7 +225,7 @@ def same_pictures(identity: str, jobs: Service) -> JSONResponse:
 def like_this_one(
     found: Finished, jobs: Service, client: Client, count: int = Query(5, ge=1, le=200)
 ) -> JSONResponse:
-    """Other fabrics and published ones (with a `source`), the most alike first: `probability` that
+    """Other fabrics, the most alike first, then published ones, with a `source`: `probability` that
     they cannot be told apart, `highest` as it could be with their errors; `place` is the result.
     """
     with jobs.exports.places.taken(client):

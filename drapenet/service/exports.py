@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 _COMPARED = 200
 """Fabrics that are compared with one: the nearest in weight. To read them takes a second."""
+_PUBLISHED = 2
 REFUSED = "refused.txt"
 """In the zip of all files of an estimate: the exports that are not in it, and why."""
 
@@ -83,8 +84,8 @@ def results_table(results: Path, words: Sequence[str]) -> tuple[str, bytes]:
 
 
 def alike(results: Path, identity: str, count: int) -> list[dict[str, Any]]:
-    """The fabrics that are most alike to that of an estimate, and typical published ones; ``place``
-    is the identity of their result."""
+    """The fabrics that are most alike to that of an estimate, then published ones; ``place`` is the
+    identity of their result."""
     from drapenet.alike import like, read, typical
 
     def weight(row: Mapping[str, Any]) -> float:
@@ -98,8 +99,9 @@ def alike(results: Path, identity: str, count: int) -> list[dict[str, Any]]:
         with suppress(InputError):  # removed meanwhile
             others.append(replace(read(results / row["result"]), name=row["name"],
                                   place=row["result"]))
-    found = like(read(results / identity), [*others, *typical()])
-    return [one.content() for one in found[:count]]
+    fabric = read(results / identity)
+    found = [*like(fabric, others)[:count], *like(fabric, typical())[:_PUBLISHED]]
+    return [one.content() for one in found]
 
 
 def _estimated(
