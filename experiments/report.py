@@ -1,6 +1,5 @@
 """Reports of studies, their figures and tables."""
 
-import csv
 import json
 import os
 import platform
@@ -10,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from common.errors import InputError
 from common.files import replace_json
 from common.provenance import package_versions, processor
 
@@ -64,15 +62,6 @@ def markdown(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
 def percents(shares: Iterable[float]) -> str:
     """Shares in percent in one cell of a table."""
     return ", ".join(f"{100 * share:.0f}" for share in shares)
-
-
-def read_rows(file: str) -> list[dict[str, str]]:
-    """Rows of a CSV file by column; lines that begin with # are comments."""
-    try:
-        lines = Path(file).read_text(encoding="utf-8").splitlines()
-    except OSError as error:
-        raise InputError(f"{file} cannot be read ({error.strerror}); give fabrics=FILE") from None
-    return list(csv.DictReader(line for line in lines if not line.startswith("#")))
 
 
 def rms(values: np.ndarray | list) -> float:

@@ -19,6 +19,7 @@ from outlines of real drapes: its median ratio between samples of one fabric and
 fabrics) and 1.13 (thirteen), as of normal logarithms with standard deviations of 0.10 and 0.13,
 which include errors of the network.
 """
+MAX_DENSITY_DIFFERENCE = 0.1  # between specimens of one fabric, relative to the smallest
 
 
 @dataclass(frozen=True)

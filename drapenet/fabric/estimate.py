@@ -19,6 +19,7 @@ from common.files import remove_file, replace_json
 from common.findings import Finding
 from common.types import Density
 from data.captures.description import NEED_WARP
+from data.readings.quantity import MAX_DENSITY_DIFFERENCE
 from drapenet.config import EstimateOptions
 from drapenet.fabric.combine import combine, evidence_of, stated_of
 from drapenet.fabric.describe import describe_jointly
@@ -45,7 +46,6 @@ from drapenet.views.observation import Observation
 
 FABRIC = "fabric.json"
 """The parts of a fabric's estimate, by their folders in its own."""
-MAX_DENSITY_DIFFERENCE = 0.1  # between specimens of one fabric, relative to the smallest
 
 
 @dataclass(frozen=True)

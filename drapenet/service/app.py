@@ -35,7 +35,7 @@ from drapenet.service.access import (
 )
 from drapenet.service.archive import Archive
 from drapenet.service.database import DONE
-from drapenet.service.exports import all_files, export_file, results_table
+from drapenet.service.exports import alike, all_files, export_file, results_table
 from drapenet.service.forms import About, form_fields
 from drapenet.service.jobs import Jobs, logged
 from drapenet.service.limits import RequestError, drain, length_fault, read_form
@@ -219,6 +219,18 @@ def state(identity: str, jobs: Service) -> JSONResponse:
 def same_pictures(identity: str, jobs: Service) -> JSONResponse:
     """Other fabrics' captures that have a picture of an estimate."""
     return JSONResponse(jobs.database.same_pictures(identity), headers=_FRESH)
+
+
+@router.get("/estimates/{identity}/alike")
+def like_this_one(
+    found: Finished, jobs: Service, client: Client, count: int = Query(5, ge=1, le=200)
+) -> JSONResponse:
+    """Other fabrics, the most alike first, then published ones, with a `source`: `probability` that
+    they cannot be told apart, `highest` as it could be with their errors; `place` is the result.
+    """
+    with jobs.exports.places.taken(client):
+        return JSONResponse(jobs.exports.outcome(alike, jobs.settings.folder, found["id"], count),
+                            headers=_FRESH)
 
 
 @router.post("/estimates/{identity}/garment", status_code=202)

@@ -3,6 +3,8 @@
 import io
 import zipfile
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +16,9 @@ from drapenet.service.database import DONE, FAILED, LOST, database_in
 if TYPE_CHECKING:
     from drapenet.report.overview import FabricEstimate
 
+_COMPARED = 200
+"""Fabrics that are compared with one: the nearest in weight. To read them takes a second."""
+_PUBLISHED = 2
 REFUSED = "refused.txt"
 """In the zip of all files of an estimate: the exports that are not in it, and why."""
 
@@ -76,6 +81,27 @@ def results_table(results: Path, words: Sequence[str]) -> tuple[str, bytes]:
         if row["result"] in done:  # not removed meanwhile
             found.append(_estimated(row, done, sum(not each["members"] for each in failed)))
     return RESULTS, fabrics_workbook(Joined(found, [], failures))
+
+
+def alike(results: Path, identity: str, count: int) -> list[dict[str, Any]]:
+    """The fabrics that are most alike to that of an estimate, then published ones; ``place`` is the
+    identity of their result."""
+    from drapenet.alike import like, read, typical
+
+    def weight(row: Mapping[str, Any]) -> float:
+        return float(row["estimate"]["capture"]["density_g_m2"])
+
+    database, others = database_in(results), []
+    this: Any = database.estimate(identity)
+    rows = [row for row in database.fabrics(()) if row["result"] and row["id"] != this["fabric"]]
+    rows.sort(key=lambda row: abs(weight(row) - weight(this)))
+    for row in rows[:_COMPARED]:
+        with suppress(InputError):  # removed meanwhile
+            others.append(replace(read(results / row["result"]), name=row["name"],
+                                  place=row["result"]))
+    fabric = read(results / identity)
+    found = [*like(fabric, others)[:count], *like(fabric, typical())[:_PUBLISHED]]
+    return [one.content() for one in found]
 
 
 def _estimated(

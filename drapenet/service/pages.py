@@ -4,6 +4,7 @@ import re
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import swagger_ui_bundle
 from fastapi import FastAPI
 from fastapi.openapi.docs import get_swagger_ui_html
@@ -18,6 +19,7 @@ from data.captures.reader import CAPTURE_FILES, MAX_PICTURES
 from data.pictures.mat import CODE, GROUNDS, PARTS
 from data.readings import QUANTITIES
 from data.rigs import TESTERS
+from drapenet.alike import ALIKE
 from drapenet.config import ServeConfig
 from drapenet.export.formats import TARGETS
 from drapenet.export.material import MESHES
@@ -51,7 +53,7 @@ def add_pages(app: FastAPI, settings: ServeConfig) -> None:
                   grounds=[ground for ground in GROUNDS if ground != CODE],
                   mats=[(mat, paper, columns * rows) for (mat, paper), (columns, rows)
                         in PARTS.items()],
-                  typed=typed_kinds(), described=list(MEASURED),
+                  typed=typed_kinds(), described=list(MEASURED), factor=np.exp(ALIKE),
                   known=[(each.in_words, value_fields(each), 100 * each.error, error_field(each))
                          for each in QUANTITIES.values()])
     app.mount("/static", StaticFiles(directory=STATIC), name="static")

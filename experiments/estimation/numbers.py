@@ -10,11 +10,12 @@ import numpy as np
 from data.readings import QUANTITIES
 from data.readings.kes import GF_CM
 from data.readings.known import Reported
+from data.readings.laboratory import laboratory_rows
 from drapenet.network.checkpoint import read_header
 from drapenet.network.predict import network_of, predict
 from drapenet.result.estimate import make_estimate
 from drapenet.views.observation import Observation
-from experiments.report import Report, read_rows
+from experiments.report import Report
 from experiments.study import PlainKeys, Study
 from sim.material import FIRST, MICRO, SECOND
 from sim.rig import Rig
@@ -23,14 +24,13 @@ TESTERS = {"petrak": "disc300_support180", "matsudaira": "disc254_support127"}  
 
 
 class Keys(PlainKeys):
-    fabrics: str = "experiments/physics/laboratory.csv"  # KES bending and drape of real fabrics
     checkpoint: str = ""  # of the network; empty: the bundled one
 
 
 def run(keys: Keys) -> Report:
     """Estimate all fabrics."""
     header = read_header(keys.checkpoint)
-    rows = read_rows(keys.fabrics)
+    rows = laboratory_rows()
     sets = []
     for row in rows:
         stated = Reported(drape_coefficient_percent=float(row["dc_real_percent"]),

@@ -56,6 +56,22 @@ def test_captures_join_and_fabrics_are_searched_and_compared(page, service):
     assert fits(page, "page_fabrics_phone.png")
 
 
+def test_fabrics_like_a_result_are_named_and_compared(page, service):
+    identities = [post(service, density).json()["id"] for density in (333.0, 340.0, 700.0)]
+    [wait_until_ended(service, identity) for identity in identities]
+    page.goto(f"{service.url}/#{identities[0]}")
+    page.locator("#alike-first", has_text="Like this one: fabric of 340 g/m², 80 %").wait_for()
+    page.click("#alike-first")
+    rows = page.locator("#alike-rows tr")
+    assert "warp +2, bias +2, weft +2, weight +2 %" in rows.first.inner_text()
+    assert "KES B" in rows.last.inner_text() and "below 5 %" in rows.last.inner_text()
+    keep(page, "page_alike.png")
+    assert fits(page, "page_alike_phone.png")
+    rows.first.locator("a:has-text('compare')").click()
+    page.wait_for_selector("#comparison[data-shown]")
+    assert page.locator("#compared th").count() == 2
+
+
 def test_presets_stay_and_names_change(page, service):
     unfold(page)
     page.click("label:has([value=disc254_support127])")

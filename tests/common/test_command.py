@@ -26,14 +26,15 @@ from data.dataset.off_axis import OffAxisConfig
 from data.dataset.reading import ReadingConfig
 from data.fabrics.prior.__main__ import FitConfig
 from drapenet.config import EvaluateConfig, ExportConfig, InferConfig, ServeConfig, TrainConfig
+from drapenet.library import LibraryConfig
 
 ROOT = Path(__file__).parents[2]
 SCHEMAS = {"cantilever_estimate": EstimateConfig, "cantilever_hang": HangConfig,
            "capture": CaptureConfig, "drape": DrapeConfig, "evaluate": EvaluateConfig,
            "export": ExportConfig, "generate": Options,
            "hem": HemConfig, "infer": InferConfig, "inspect": InspectConfig,
-           "off_axis": OffAxisConfig, "prior_fit": FitConfig, "reading": ReadingConfig,
-           "serve": ServeConfig, "train": TrainConfig}
+           "library": LibraryConfig, "off_axis": OffAxisConfig, "prior_fit": FitConfig,
+           "reading": ReadingConfig, "serve": ServeConfig, "train": TrainConfig}
 
 
 @dataclass

@@ -87,7 +87,7 @@ def test_the_command_lists_the_experiments_and_shows_keys(capsys):
     assert listed.startswith("Run a study.")
     main(["numbers", "--help"])
     shown = capsys.readouterr().out
-    assert shown.startswith("Bending by KES of real fabrics") and "\nfabrics: 'exper" in shown
+    assert shown.startswith("Bending by KES of real fabrics") and "\ncheckpoint: ''" in shown
 
 
 def test_table_is_aligned():

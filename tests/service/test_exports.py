@@ -15,8 +15,9 @@ from drapenet.export.formats import TARGETS, export_all
 from drapenet.export.material import read_material
 from drapenet.result.advice import advice_of
 from drapenet.result.document import EstimateDocument
+from drapenet.result.files import write_estimate
 from drapenet.service.database import DONE, FAILED, RUNNING, Database
-from drapenet.service.exports import REFUSED, all_files, results_table
+from drapenet.service.exports import REFUSED, alike, all_files, results_table
 from drapenet.service.jobs import JOINT
 from sim.material import MICRO, NANO
 from sim.rig import Rig
@@ -137,6 +138,20 @@ def test_the_workbook_says_which_captures_a_result_leaves_out(tmp_path, database
     assert fabrics[0]["warnings in words"] == (
         "this estimate is made without serge/b, not joined with it")
     assert len(captures) == 6
+
+
+def test_fabrics_like_an_estimate_are_results_of_others_by_name(tmp_path, database):
+    for identity, scale in (("a", 1.0), ("b", 2.0), ("c", 3.0), ("joint", 1.05)):
+        (tmp_path / identity).mkdir()
+        write_estimate(tmp_path / identity, estimate_of(scale * ALPHA, np.full(3, -100 * NANO)),
+                       document(scale))
+    first, *others = alike(tmp_path, "a", 20)
+    assert (first["fabric"], first["place"], first["alike"]) == ("=grey serge", "joint", "100 %")
+    assert first["warp_difference_percent"] == pytest.approx(5, abs=1)
+    assert len(others) == 2 and all(one["source"] and not one["place"] for one in others)
+    assert alike(tmp_path, "c", 1)[0]["fabric"] == "navy twill"  # not of its own fabric
+    (tmp_path / "joint" / "samples.npz").unlink()
+    assert len(alike(tmp_path, "a", 20)) == 2
 
 
 @pytest.fixture

@@ -342,6 +342,9 @@ def test_a_photograph_of_another_fabric_is_said(client, finished):
                 if one["code"] == "twin_elsewhere"]  # such as with a corrected density
     same = client.get(f"/estimates/{again['id']}/same_pictures").json()
     assert {"id": finished["id"], "name": finished["name"], "fabric_name": "Twill <b> 7"} in same
+    like, *_ = client.get(f"/estimates/{again['id']}/alike?count=1").json()
+    assert like["fabric"] == "Twill <b> 7" and like["probability"] == pytest.approx(
+        like["highest"], abs=0.02)
     client.delete(f"/fabrics/{again['fabric']}")
     assert client.get(f"/estimates/{again['id']}/same_pictures").json() == []
 

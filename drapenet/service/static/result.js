@@ -1,6 +1,7 @@
 // The result of an estimate: followed until its fabric is settled, shown, exported.
 
 import { ask, at, element, facts, link, own, plainly, QUANTITIES, reveal, save, texts } from './common.js';
+import { showAlike } from './alike.js';
 import { addTo, ended } from './form.js';
 import { showHeadline } from './headline.js';
 
@@ -69,7 +70,7 @@ function isSettled({ captures, garment }) {
 function reset() {
   shown = {};
   current = null;
-  for (const id of ['fabric', 'editor', 'numbers', 'all-numbers', 'pictures-of-it', 'preview', 'torque', 'shapes', 'downloads', 'garment', 'earlier', 'lost']) at(id).hidden = true;
+  for (const id of ['fabric', 'editor', 'numbers', 'all-numbers', 'alike', 'pictures-of-it', 'preview', 'torque', 'shapes', 'downloads', 'garment', 'earlier', 'lost']) at(id).hidden = true;
   for (const id of ['failure', 'status', 'copied', 'error-export', 'error-fabric']) at(id).textContent = '';
   for (const id of ['warnings', 'cards']) at(id).replaceChildren();
   asked += 1;
@@ -115,6 +116,7 @@ function show(id, content) {
     shown.cards = true;
     showCards(id);
     showEarlier(id);
+    showAlike(id, () => id === current?.id);
     if (content.files.includes('drape.glb')) showShapes(`/estimates/${id}/drape.glb`);
   }
 }

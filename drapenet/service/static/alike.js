@@ -1,0 +1,27 @@
+// Other fabrics that are like a result, and typical published ones.
+
+import { ask, at, element, link } from './common.js';
+
+function row(id, { fabric, place, source, alike, differences }) {
+  const name = element('th');
+  name.scope = 'row';
+  name.append(place ? link(`#${place}`, fabric) : fabric);
+  if (source) name.append(element('span', `published KES B, as transcribed: ${source}`, 'wide'));
+  const [probability, apart] = [element('td', alike), element('td', differences.replaceAll('-', '−'))];
+  if (place) probability.append(' ', link(`#compare=${id},${place}`, 'compare'));
+  [probability.dataset.label, apart.dataset.label] = ['alike', 'differs by'];
+  const made = element('tr');
+  made.append(name, probability, apart);
+  return made;
+}
+
+// Shown unless another result is on the page by then, or the service cannot say.
+export async function showAlike(id, isShown) {
+  const found = await ask(`/estimates/${encodeURIComponent(id)}/alike`).catch(() => []);
+  if (!isShown()) return;
+  const [first] = found;
+  const near = !(first?.probability >= 0.5) ? 'none that could stand in for it' : first.alike === 'not known' ? 'not known well enough' : `${first.fabric}, ${first.alike}`;
+  at('alike-first').textContent = `Like this one: ${near}`;
+  at('alike-rows').replaceChildren(...found.map((one) => row(id, one)));
+  at('alike').hidden = !found.length;
+}
