@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from data.readings.kits import CLO, MAX_CLO
 from drapenet.export.material import Material, as_json, left_to_tool
 
-BENDING, TENSION = 1e9, 1e3  # g·mm²/s² per N·m, and g/s² per N/m
-MAX_BENDING, MAX_TENSION = 2e6, 1e7  # in these units
+TENSION, MAX_TENSION = 1e3, 1e7  # g/s² per N/m, and g/s²
 DEFAULTS: dict[str, Any] = {
     "fBuLR": 0.8, "fBvLR": 0.8, "fBhLR": 0.8, "fBucklingStiffnessU": 0.8,
     "fBucklingStiffnessV": 0.8, "fBucklingStiffnessH": 0.8, "fSuK": 1e5, "fSvK": 1e5, "fHK": 1e4,
@@ -35,7 +35,7 @@ UNITS = {**dict.fromkeys((f"bending{axis}" for axis in AXES), "g·mm²/s²"),
 def clo_values(material: Material) -> dict[str, float]:
     """What is known of a fabric, by the names of CLO's schema of USD and in CLO's units."""
     buckling, known = material.buckling, material.known
-    bending = np.minimum(buckling.modulus * BENDING, MAX_BENDING).tolist()
+    bending = np.minimum(buckling.modulus * CLO, MAX_CLO).tolist()
     values = {f"bending{axis}": value for axis, value in zip(AXES, bending, strict=True)}
     values |= {f"bucklingRatio{axis}": buckling.ratio for axis in AXES}
     values |= {f"bucklingStiffness{axis}": share for axis, share in zip(

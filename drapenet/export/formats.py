@@ -14,6 +14,7 @@ import numpy as np
 
 from common.errors import InputError
 from common.files import replace_file
+from data.readings.kits import BROWZWEAR
 from drapenet.export.blender import at_8_mm, blender_settings, captured_specimen
 from drapenet.export.cards import SLIDER, cards
 from drapenet.export.clo import AXES, clo_values, jfab
@@ -24,7 +25,6 @@ from drapenet.report.pages import render
 from drapenet.result.tables import csv_number, csv_table, interval_columns
 from sim.material import DIRECTIONS, torque
 
-BROWZWEAR = 1e7  # dyn·cm per N·m; stretch and shear are in N/m
 BROWZWEAR_FIELDS = ("stretch.length", "stretch.width", "shear", "thickness", "friction",
                     "stretch_linearity", "shear_linearity", "hysteresis", "shrink")
 """Of the section of VStitcher in a file of U3M, beside bending and mass."""

@@ -14,7 +14,7 @@ def terminal_text(document: EstimateDocument) -> str:
         (alpha, alphas), (beta, betas) = moduli.alpha_uN_m.texts(), moduli.beta_nN_m2.texts()
         lines.append(f"{name:8}{alpha:>14}{alphas:>20}{beta:>16}{betas:>20}")
     lines += [document.stiffness_in_a_drape] * bool(document.stiffness_in_a_drape)
-    lines += texts(document.mostly_usual)
+    lines += texts([*document.mostly_usual, *document.assumed])
     if refined := document.refined:
         before = ", ".join(f"{name} {moduli.alpha_uN_m.texts()[0]}"
                            for name, moduli in refined.before.items())

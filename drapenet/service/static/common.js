@@ -139,6 +139,10 @@ function stretched({ measured, stretch_n_per_m: stretch, shear_n_per_m: shear })
     }).join('; ');
 }
 
+// Of the air, in words.
+const conditions = ({ temperature_c: warm, humidity_percent: humid, conditioning_h: hours }) => [warm && `${warm} °C`, humid && `${humid} % r.h.`,
+  hours && `conditioned ${hours.includes('ISO') ? `by ${hours}` : `${hours} h`}`].filter(Boolean).join(', ');
+
 // Facts of an estimate beside its moduli: name and text.
 export function facts(estimate) {
   const { capture, resimulation: drape, captures, strips, tension } = estimate;
@@ -149,7 +153,8 @@ export function facts(estimate) {
     ['Density', `${capture.density_g_m2} g/m²`],
     ['Face on top', captures ? range(captures.map((one) => one.capture.face)) : strips || tension ? '' : capture.face],
     ['Seen', seen(estimate)],
-    ['Known values', range([capture, ...(captures ?? []).map((one) => one.capture), ...(strips ?? []), ...(tension ? [tension] : [])].map((one) => known(one.known)))],
+    ['Known values', range([capture, ...(captures ?? []).map((one) => one.capture), ...(strips ?? []), ...(tension ? [tension] : []), ...(estimate.measured ?? [])].map((one) => known(one.known)))],
+    ['Conditions', conditions(capture.labels ?? {})],
     ...['date', 'operator', 'laboratory', 'camera', 'remarks'].map((key) => [key[0].toUpperCase() + key.slice(1), capture.labels?.[key]]),
     ['Drape coefficient', captures ? range(captures.map((one) => percent(one.capture.drape_coefficient_percent)))
       : both(percent(capture.drape_coefficient_percent), percent(drape?.drape_coefficient_percent))],

@@ -1,0 +1,110 @@
+"""Values of testers without any picture: bending, stretch and shear, a drape coefficient."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+from pydantic import Field
+
+from common.documents import read_yaml
+from common.errors import InputError
+from common.files import printable
+from common.findings import Finding
+from data.captures.capture import ReportedCapture
+from data.captures.description import WeighedPiece
+from data.fabrics.fabrics import ClothProperties
+from data.readings.known import Reported
+from data.render.setups import Setups
+from data.rigs import MISSING_TESTER
+from drapenet.measured.base import Measured, Observed, Record
+from drapenet.measured.captures import StatedOfDrape, observe
+from drapenet.measured.tension.description import TensionDescription
+from drapenet.measured.tension.folder import TensionSet, described_strips
+from sim.rig import Rig
+
+FILE = "values.yaml"
+
+
+class ValuesDescription(WeighedPiece, TensionDescription):
+    """``values.yaml``: the keys of ``tension.yaml``, and a drape coefficient in ``known``."""
+
+    remedy = "docs/use.md shows an example"
+    nothing: ClassVar[str] = ("nothing is measured; give known, such as bending_length_mm: {warp: "
+                              "22, weft: 18}, or stretch and shear, such as kes_g_gf_per_cm_deg")
+    file, content, typed = FILE, "density_g_m2 and known, or stretch and shear", False
+    known: Reported | None = Field(
+        None, title="values of testers", description=Reported.remedy)
+
+    @property
+    def measures(self) -> bool:
+        return self.pulled or self.reported or bool(self.known and self.known.values())
+
+    @property
+    def reported(self) -> bool:
+        """Whether a drape coefficient is stated."""
+        return self.known is not None and self.known.drape_coefficient_percent is not None
+
+
+class ValuesRecord(Record):
+    """Values alone, which are its ``known``."""
+
+    kind = "values"
+
+    def counted(self) -> tuple[int, str, str]:
+        return 0, "value", "values"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ValueSet(TensionSet):
+    """The values of one fabric; a drape coefficient among them is read by the network."""
+
+    name, noun, schema = "values", "values of testers", ValuesDescription
+    stated, recorded = StatedOfDrape, ValuesRecord
+    rig: Rig | None = None  # of the drape coefficient
+
+    @classmethod
+    def read(cls, place: Path, stated: Mapping[str, Any]) -> "ValueSet":
+        file = place if place.is_file() else None
+        found = ValuesDescription.of(read_yaml(file), file) if file else (
+            ValuesDescription.in_folder(place))
+        return cls.of(found, place)
+
+    @classmethod
+    def of(cls, description: ValuesDescription, path: Path) -> "ValueSet":
+        """What a description at a path states."""
+        return described_strips(cls, description, path.parent if path.is_file() else path,
+                                rig=description.tester).changed(path=path)
+
+    @property
+    def capture(self) -> ReportedCapture | None:
+        """The drape coefficient, if one is stated, of cloth whose directions all have names."""
+        if not (isinstance(self.known, Reported) and self.known.drape_coefficient_percent):
+            return None
+        if self.rig is None:
+            raise InputError(f"{self.path} states a drape coefficient without its tester; "
+                             f"{MISSING_TESTER}")
+        return ReportedCapture(density=self.density, rig=self.rig, warp_direction=0.0,
+                               path=self.path, known=self.known, labels=self.labels,
+                               warnings=self.warnings)
+
+    @property
+    def digests(self) -> tuple[str, ...]:
+        return self.capture.digests if self.capture else ()
+
+    @property
+    def marked(self) -> bool | None:
+        return True if self.capture else None
+
+    def observed(self) -> Observed | None:
+        return observe(self.capture) if self.capture else None
+
+    def record(self, prior: ClothProperties) -> Record | None:  # type: ignore[override]
+        known = None if self.capture else self.known  # which the capture has
+        if self.alone:
+            return super().record(prior).model_copy(update={"known": known})
+        return None if self.capture else ValuesRecord(
+            source=printable(self.path), density_g_m2=round(1e3 * self.density, 6), known=known)
+
+    def findings(self, observed: Observed | None, setups: Setups) -> list[Finding]:
+        return super().findings(observed, setups) if self.alone else []
