@@ -18,7 +18,7 @@ from data.readings.kits import BROWZWEAR
 from drapenet.export.blender import at_8_mm, blender_settings, captured_specimen
 from drapenet.export.cards import SLIDER, cards
 from drapenet.export.clo import AXES, clo_values, jfab
-from drapenet.export.material import Material, as_json, left_to_tool, script
+from drapenet.export.material import Material, as_json, left_to_tool, read_material, script
 from drapenet.export.simulators import arcsim, newton, ppf
 from drapenet.export.usd import usd
 from drapenet.report.pages import render
@@ -224,6 +224,12 @@ def export(material: Material, name: str, out: Path) -> list[Path]:
     for file, data in files.items():
         replace_file(file, data)
     return list(files)
+
+
+def export_beside(file: Path, names: Sequence[str]) -> str:
+    """Write the targets ``names`` beside an ``estimate.json``; a line with the files' names."""
+    written = export_all(read_material(file), names, file.parent)
+    return f"exports:  {file.parent}: {', '.join(path.name for path in written)}"
 
 
 def export_all(material: Material, names: Sequence[str], folder: Path) -> list[Path]:

@@ -52,7 +52,7 @@ from drapenet.result.files import (
 from drapenet.views.observation import Observation
 
 PART = "part.json"
-VERSION = 5
+VERSION = 6
 """Of the files of a part: raise it when the same source and settings give others."""
 Stage = Callable[[str, CaptureEstimate], None]
 

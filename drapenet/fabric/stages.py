@@ -228,7 +228,7 @@ def simulate(result: CaptureEstimate, *, drapes: int, edge: Metres) -> CaptureEs
 def report(result: CaptureEstimate, *, folder: Path, address: str) -> CaptureEstimate:
     """Write the report's files to a folder, with what may be measured next."""
     from drapenet.report.figures import draw_report, draw_torques
-    from drapenet.report.report import ShownCapture, report_fabric, write_report
+    from drapenet.report.report import ShownCapture, write_report
     from drapenet.report.shapes import drape_glb
 
     following = next_measurements(result.estimate, evidence_of(result.observed).observations,
@@ -236,13 +236,12 @@ def report(result: CaptureEstimate, *, folder: Path, address: str) -> CaptureEst
     result = replace(result, following=tuple(following))
     capture, document = result.capture, result.document
     name = fabric_name(document)
-    if isinstance(capture, ReportedCapture):  # of which there is no picture
-        report_fabric(folder, document, [(document, folder)], [], address)
-        return result
-    picture = draw_report(result.estimate, document, capture, result.drape, title=name)
-    replace_file(folder / REPORT, picture)
     replace_file(folder / TORQUES, draw_torques(result.estimate))
-    replace_file(folder / SHAPES, drape_glb(capture.rig, result.observed.views, result.drape))
+    picture = b""
+    if not isinstance(capture, ReportedCapture):
+        picture = draw_report(result.estimate, document, capture, result.drape, title=name)
+        replace_file(folder / REPORT, picture)
+        replace_file(folder / SHAPES, drape_glb(capture.rig, result.observed.views, result.drape))
     write_report(folder, name, document, [ShownCapture(name, document, picture)],
                  address=address)
     return result

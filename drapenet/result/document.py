@@ -251,8 +251,9 @@ class EstimateDocument(Excerpt):
         along = {k for (name, k), _ in values if QUANTITIES[name].directions > 1}
         along |= {DIRECTIONS.index(name) for each in self.strips or [] for name in each.moduli}
         if not self.capture.rig and len(along) < len(DIRECTIONS):
-            yield Finding("bending_usual", {"measured": f"along {' and '.join(
-                self.names[k] for k in sorted(along))}" if along else "by no tester of a direction"})
+            names = " and ".join(self.names[k] for k in sorted(along))
+            yield (Finding("bending_usual", {"measured": names}) if along else
+                   Finding("bending_unmeasured"))
         errors = {f"{QUANTITIES[name].in_words} {100 * known.error(name):g} %": None
                   for (name, _), known in values if name not in known.error_percent}
         if errors:
@@ -303,7 +304,8 @@ class EstimateDocument(Excerpt):
     @property
     def parts(self) -> str:
         """Captures and strips of a joint estimate; empty for that of a single capture."""
-        counts = Counter({("capture", "captures"): len(self.captures or [])})
+        single = bool(self.capture.source and self.records)
+        counts = Counter({("capture", "captures"): len(self.captures or []) or int(single)})
         for count, *names in (record.counted() for record in self.records):
             counts[names[0], names[1]] += count
         return " and ".join(f"{count} {several if count > 1 else one}"

@@ -1,7 +1,18 @@
 """An estimate in the words of the terminal."""
 
+from pathlib import Path
+
 from common.findings import texts
 from drapenet.result.document import EstimateDocument
+from drapenet.result.files import ESTIMATE, SHOWN
+
+
+def print_estimate(document: EstimateDocument, folder: Path | None) -> None:
+    """Print an estimate and the names of its files."""
+    assert folder, "written before it is printed"
+    print(f"{terminal_text(document)}\nestimate: {folder / ESTIMATE}")
+    if files := [str(folder / name) for name in SHOWN if (folder / name).exists()]:
+        print(f"report:   {', '.join(files)}")
 
 
 def terminal_text(document: EstimateDocument) -> str:
