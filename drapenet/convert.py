@@ -7,8 +7,7 @@ Prints the estimate with its intervals and what was assumed, and writes ``estima
 report and the tools' files to ``out``. Keys of ``values.yaml``: ``docs/data_format.md``.
 """
 
-from collections.abc import Mapping
-from dataclasses import asdict, make_dataclass
+from dataclasses import make_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,8 +21,7 @@ from drapenet.measured.values import FILE, ValuesDescription, ValueSet
 if TYPE_CHECKING:
     from drapenet.result.estimate import Estimate
 
-OF_PHOTOGRAPHS = ("above_mat_mm", "mat_bar_mm")
-KEYS = tuple(key for key in ValuesDescription.model_fields if key not in OF_PHOTOGRAPHS)
+KEYS = tuple(ValuesDescription.model_fields)
 ConvertConfig = make_dataclass("ConvertConfig", [
     *((key, str) for key in ("values", "out", "export", "checkpoint")),
     *((key, object) for key in KEYS)])
@@ -32,67 +30,55 @@ ConvertConfig = make_dataclass("ConvertConfig", [
 
 @command("convert", ConvertConfig)
 def main(config: Any) -> None:
-    """Convert the values of a file and of the command line, which replace those of the file."""
-    from drapenet.result.terminal import print_estimate
-
-    stated = {key: value for key, value in asdict(config).items()
-              if key in KEYS and value is not None}
-    print(_convert(_read(config.values, stated), config.out, config.export, config.checkpoint,
-                   print_estimate)[1])
+    """Convert the values of a file and of the command line."""
+    stated = {key: value for key in KEYS if (value := getattr(config, key)) is not None}
+    convert(config.values, config.out, config.export, checkpoint=config.checkpoint, shown=True,
+            **stated)
 
 
 def convert(
-    values: str | Path | Mapping[str, Any], out: str | Path = "", export: str = "all", *,
-    checkpoint: str | Path = "",
+    values: str | Path = "", out: str | Path = "", export: str = "all", *,
+    checkpoint: str | Path = "", shown: bool = False, **stated: Any,
 ) -> "Estimate":
     """Estimate a fabric from values of testers alone, and write it for other tools.
 
     Args:
-        values: a ``values.yaml``, its folder, or its content, such as ``{"density_g_m2": 210,
-            "known": {"bending_length_mm": {"warp": 22, "weft": 18}}}``.
+        values: a ``values.yaml``, or its folder.
         out: folder of estimate, report and files; empty: ``outputs/convert/FABRIC``.
         export: names of ``docs/exports.md`` with commas, ``all``, or empty for none.
         checkpoint: FILE.safetensors of ``train.py``; empty: the bundled one.
+        shown: whether the estimate is printed.
+        stated: keys of ``values.yaml``, in place of those of the file, such as
+            ``density_g_m2=210, known={"bending_length_mm": {"warp": 22, "weft": 18}}``.
 
     InputError for values that are no fabric's.
     """
-    require(values=(values, str | Path | Mapping), out=(out, str | Path), export=(export, str),
-            checkpoint=(checkpoint, str | Path))
-    measured = _read("", values) if isinstance(values, Mapping) else _read(values, {})
-    return _convert(measured, out, export, checkpoint)[0]
-
-
-def _read(file: str | Path, stated: Mapping[str, Any]) -> ValueSet:
-    """What a file, or that in a folder, and ``stated`` values say."""
-    if not str(file):
-        return ValueSet.of(ValuesDescription.of(stated, ""), Path("values"))
-    path = Path(file)
-    if path.is_dir():
-        path = require_file_in(path, FILE, ValuesDescription.content)
-    return ValueSet.of(ValuesDescription.of({**read_yaml(path), **stated}, path), Path(file))
-
-
-def _convert(
-    measured: ValueSet, out: str | Path, export: str, checkpoint: str | Path, shown: Any = None
-) -> "tuple[Estimate, str]":
-    """The estimate, and the line that names the files."""
     from drapenet.export.formats import export_beside, targets_named
     from drapenet.fabric.entries import plain_name
     from drapenet.fabric.estimate import estimate_fabric
     from drapenet.fabric.sources import Source
     from drapenet.network.checkpoint import read_header
     from drapenet.result.files import ESTIMATE, require_output
+    from drapenet.result.terminal import print_estimate
 
-    names = targets_named(export, "export") if export else []
-    name = plain_name(measured.labels.fabric or measured.path.stem)
+    require(values=(values, str | Path), out=(out, str | Path), export=(export, str),
+            checkpoint=(checkpoint, str | Path))
+    names, place = targets_named(export, "export") if export else [], Path(values or "values")
+    file = require_file_in(place, FILE, ValuesDescription.content) if place.is_dir() else place
+    content = {**(read_yaml(file) if values else {}), **stated}
+    measured = ValueSet.of(ValuesDescription.of(content, file if values else ""), place)
+    name = plain_name(measured.labels.fabric or place.stem)
     folder = folder_named(str(out or Path("outputs/convert") / name))
     with locked(folder):
-        require_output(folder, [measured.path])
+        require_output(folder, [place])
         found = estimate_fabric(
             [Source(place=measured, kind=measured.name)], read_header(checkpoint),
             EstimateOptions(), folder=folder,
-            on_estimate=shown or (lambda document, folder: None))
-        return found.estimate, export_beside(folder / ESTIMATE, names)
+            on_estimate=print_estimate if shown else lambda document, folder: None)
+        line = export_beside(folder / ESTIMATE, names)
+        if shown and names:
+            print(line)
+    return found.estimate
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """What a capture states of itself, in ``capture.yaml`` or a form of the service."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from datetime import date
 from pathlib import Path
@@ -41,9 +41,8 @@ MAX_LABEL_LENGTH = 80  # characters
 PRINTABLE = r"^[[^\p{C}\p{Zl}\p{Zp}]\x{AD}\x{200C}\x{200D}]*$"  # with hyphens and joiners
 _Label = Annotated[str, Field(min_length=1, max_length=MAX_LABEL_LENGTH, pattern=PRINTABLE)]
 _OR = " / "  # between different labels
-_UNTIL = " to "  # between the first and the last day, the least and the largest number
-STANDARD = "ISO 139"
-EXTENTS = ("date", "temperature_c", "humidity_percent", "conditioning_h")
+_UNTIL = " to "  # between the first and the last day
+_STANDARD = "ISO 139"
 _LABEL = f"up to {MAX_LABEL_LENGTH} printable characters, in quotes if they are a number"
 
 
@@ -57,29 +56,21 @@ def _days(value: object) -> object:
         raise ValueError("is not a date; give YYYY-MM-DD, such as 2026-11-26") from None
 
 
-def _range(low: float, high: float, unit: str, other: str = "") -> Callable[[object], str]:
-    """What reads a number from ``low`` to ``high``, the least and the largest of several, or an
-    ``other`` text."""
+def _period(dates: Sequence[str]) -> str:
+    """The first and the last day of dates."""
+    days = sorted(day for each in dates for day in each.split(_UNTIL))
+    return _UNTIL.join(dict.fromkeys([days[0], days[-1]]))
+
+
+def _within(low: float, high: float, other: str = "") -> BeforeValidator:
+    """Takes a number from ``low`` to ``high`` or an ``other`` text, or several of them, as text."""
     def read(value: object) -> str:
-        text = str(value).strip()
-        if other and text.replace(" ", "").lower() == other.replace(" ", "").lower():
-            return other
         with suppress(ValueError):
-            if all(part == other or low <= float(part) <= high
-                   for one in text.split(_OR) for part in one.split(_UNTIL)):
-                return text
-        raise ValueError(f"is not {low:g} to {high:g} {unit}" + f", or {other}" * bool(other))
+            if all(one == other or low <= float(one) <= high for one in str(value).split(_OR)):
+                return str(value)
+        raise ValueError(f"is not {low:g} to {high:g}" + f", or {other}" * bool(other))
 
-    return read
-
-
-def _extent(key: str, values: Sequence[str]) -> str:
-    """The first and the last of dates, the least and the largest of numbers, or all texts."""
-    every = {part for each in values for part in each.split(_UNTIL)}
-    with suppress(ValueError):
-        ordered = sorted(every, key=str if key == "date" else float)
-        return _UNTIL.join(dict.fromkeys([ordered[0], ordered[-1]]))
-    return shortened(_OR.join(values), MAX_LABEL_LENGTH)
+    return BeforeValidator(read)
 
 
 class Labels(Schema):
@@ -92,22 +83,22 @@ class Labels(Schema):
     operator: _Label | None = Field(None, title="name", description=_LABEL)
     camera: _Label | None = Field(None, title="name", description=_LABEL)
     remarks: _Label | None = Field(None, title="anything else", description=_LABEL)
-    temperature_c: Annotated[str, BeforeValidator(_range(-20, 60, "°C"))] | None = Field(
+    temperature_c: Annotated[str, _within(-20, 60)] | None = Field(
         None, title="of the air, -20 to 60 °C")
-    humidity_percent: Annotated[str, BeforeValidator(_range(0, 100, "%"))] | None = Field(
-        None, title="relative humidity of the air, 0 to 100")
-    conditioning_h: Annotated[str, BeforeValidator(_range(0, 1000, "h", STANDARD))] | None = Field(
-        None, title=f"hours in this air before the test, or {STANDARD}: in its standard atmosphere")
+    humidity_percent: Annotated[str, _within(0, 100)] | None = Field(
+        None, title="relative, of the air, 0 to 100")
+    conditioning_h: Annotated[str, _within(0, 1000, _STANDARD)] | None = Field(
+        None, title=f"hours in this air before the test, or {_STANDARD}, by that standard")
 
     @classmethod
     def joined(cls, labels: Sequence["Labels"]) -> "Labels":
-        """What captures of one fabric state: different texts separated by " / ", shortened, and the
-        first and the last date and number."""
+        """What captures of one fabric state: different values separated by " / ", shortened, and
+        the first and the last date."""
         found: dict[str, dict[str, None]] = {}
         for each in labels:
             for key, value in each.stated().items():
                 found.setdefault(key, {})[value] = None
-        return cls(**{key: _extent(key, [*values]) if key in EXTENTS else
+        return cls(**{key: _period([*values]) if key == "date" else
                       shortened(_OR.join(values), MAX_LABEL_LENGTH)
                       for key, values in found.items()})
 
@@ -127,11 +118,10 @@ class Labels(Schema):
     @property
     def conditions(self) -> str:
         """Of the air, in words; empty if none is stated."""
-        hours = self.conditioning_h
         return ", ".join(filter(None, [
             self.temperature_c and f"{self.temperature_c} °C",
             self.humidity_percent and f"{self.humidity_percent} % r.h.",
-            hours and f"conditioned {f'by {hours}' if STANDARD in hours else f'{hours} h'}"]))
+            self.conditioning_h and f"conditioned (h): {self.conditioning_h}"]))
 
     @property
     def columns(self) -> dict[str, str]:

@@ -141,7 +141,7 @@ function stretched({ measured, stretch_n_per_m: stretch, shear_n_per_m: shear })
 
 // Of the air, in words.
 const conditions = ({ temperature_c: warm, humidity_percent: humid, conditioning_h: hours }) => [warm && `${warm} °C`, humid && `${humid} % r.h.`,
-  hours && `conditioned ${hours.includes('ISO') ? `by ${hours}` : `${hours} h`}`].filter(Boolean).join(', ');
+  hours && `conditioned (h): ${hours}`].filter(Boolean).join(', ');
 
 // Facts of an estimate beside its moduli: name and text.
 export function facts(estimate) {
