@@ -5,10 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from common.documents import read_yaml
-from common.errors import InputError
 from common.files import printable
 from common.findings import Finding
 from data.captures.capture import ReportedCapture
@@ -18,7 +17,7 @@ from data.readings.known import Reported
 from data.render.setups import Setups
 from data.rigs import MISSING_TESTER
 from drapenet.measured.base import Measured, Observed, Record
-from drapenet.measured.captures import StatedOfDrape, observe
+from drapenet.measured.captures import observe
 from drapenet.measured.tension.description import TensionDescription
 from drapenet.measured.tension.folder import TensionSet, described_strips
 from sim.rig import Rig
@@ -45,6 +44,12 @@ class ValuesDescription(WeighedPiece, TensionDescription):
         """Whether a drape coefficient is stated."""
         return self.known is not None and self.known.drape_coefficient_percent is not None
 
+    @model_validator(mode="after")
+    def _of_a_tester(self) -> "ValuesDescription":
+        if self.reported and self.tester is None:
+            raise ValueError(f"known has a drape coefficient without its tester; {MISSING_TESTER}")
+        return self
+
 
 class ValuesRecord(Record):
     """Values alone, which are its ``known``."""
@@ -60,7 +65,7 @@ class ValueSet(TensionSet):
     """The values of one fabric; a drape coefficient among them is read by the network."""
 
     name, noun, schema = "values", "values of testers", ValuesDescription
-    stated, recorded = StatedOfDrape, ValuesRecord
+    recorded = ValuesRecord
     rig: Rig | None = None  # of the drape coefficient
 
     @classmethod
@@ -79,11 +84,9 @@ class ValueSet(TensionSet):
     @property
     def capture(self) -> ReportedCapture | None:
         """The drape coefficient, if one is stated, of cloth whose directions all have names."""
-        if not (isinstance(self.known, Reported) and self.known.drape_coefficient_percent):
+        if not (self.rig and isinstance(self.known, Reported)
+                and self.known.drape_coefficient_percent):
             return None
-        if self.rig is None:
-            raise InputError(f"{self.path} states a drape coefficient without its tester; "
-                             f"{MISSING_TESTER}")
         return ReportedCapture(density=self.density, rig=self.rig, warp_direction=0.0,
                                path=self.path, known=self.known, labels=self.labels,
                                warnings=self.warnings)
