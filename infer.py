@@ -18,6 +18,7 @@ import common.interrupt  # noqa: F401
 # isort: split
 import sys
 from pathlib import Path
+
 from common.command import command
 from common.errors import InputError
 from common.files import folder_named, locked

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from datetime import date
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
 import numpy as np
 from pydantic import BeforeValidator, Field, PlainValidator, model_validator
@@ -170,6 +170,9 @@ class Specimen(Weighed):
         return None if direction is None else math.radians(direction) % math.pi
 
 
+W = TypeVar("W", bound="WeighedPiece")
+
+
 class WeighedPiece(Weighed):
     """A fabric whose mass per area may be stated by the weight of a piece of it."""
 
@@ -201,6 +204,12 @@ class WeighedPiece(Weighed):
             return {**content, "density_g_m2": weight / read_tester(tester).specimen_area}
         except InputError as error:
             raise ValueError(f"tester={shown(tester)} {error}") from None
+
+    @model_validator(mode="after")
+    def _weighed(self: W) -> W:
+        if self.specimen_cm2 and not self.weight_g:
+            raise ValueError("specimen_cm2 is the area of a weighed piece; state weight_g, too")
+        return self
 
 
 _Focal = Annotated[float, Field(ge=10, le=1e5)]

@@ -13,7 +13,7 @@ from data.readings.quantity import Quantity, by_name
 
 __all__ = ["MODULES", "QUANTITIES", "Quantity"]
 
-MODULES = ("cantilever", "kes", "kits", "cloth")
+MODULES = ("cantilever", "kes", "cloth")
 QUANTITIES: dict[str, Quantity] = by_name(
     each for name in MODULES for each in import_module(f"{__name__}.{name}").QUANTITIES)
 """All quantities that may be known of a fabric, by key."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from data.readings.kits import CLO, MAX_CLO
+from data.readings.cloth import CLO, MAX_CLO
 from drapenet.export.material import Material, as_json, left_to_tool
 
 TENSION, MAX_TENSION = 1e3, 1e7  # g/s² per N/m, and g/s²

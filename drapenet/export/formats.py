@@ -14,7 +14,7 @@ import numpy as np
 
 from common.errors import InputError
 from common.files import replace_file
-from data.readings.kits import BROWZWEAR
+from data.readings.cloth import BROWZWEAR
 from drapenet.export.blender import at_8_mm, blender_settings, captured_specimen
 from drapenet.export.cards import SLIDER, cards
 from drapenet.export.clo import AXES, clo_values, jfab

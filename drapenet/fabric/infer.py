@@ -56,8 +56,9 @@ def evidence_of(observed: Observed) -> CaptureEvidence:
 
 
 def infer(observed: Observed, header: Header, records: Sequence[Record] = ()) -> Draws:
-    """Samples from one capture, of which ``records`` state more, and how it compares with drapes of them; InputError for a tester or
-    a kind of capture that the network of ``header`` has not learned."""
+    """Samples from one capture, of which ``records`` state more, and how it compares with drapes of
+    them; InputError for a tester or a kind of capture that the network of ``header`` has not
+    learned."""
     capture = observed.capture
     try:
         header.require_learned(capture.rig)

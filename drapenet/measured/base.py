@@ -262,11 +262,6 @@ class Measured:
         """Whether captures of the same fabric must know the direction of the warp."""
         return False
 
-    @property
-    def pictured(self) -> bool:
-        """Whether it shows a drape, which a report draws."""
-        return False
-
     def changed(self: M, **changes: Any) -> M:
         """The same source with other ``path``, ``labels``, ``known`` or ``warnings``."""
         return replace(self, **changes)

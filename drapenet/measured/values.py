@@ -7,16 +7,13 @@ from typing import Any, ClassVar
 
 from pydantic import Field, model_validator
 
-from common.documents import read_yaml
 from common.files import printable
-from common.findings import Finding
 from data.captures.capture import ReportedCapture
 from data.captures.description import WeighedPiece
 from data.fabrics.fabrics import ClothProperties
 from data.readings.known import Reported
-from data.render.setups import Setups
 from data.rigs import MISSING_TESTER
-from drapenet.measured.base import Measured, Observed, Record
+from drapenet.measured.base import Observed, Record
 from drapenet.measured.captures import observe
 from drapenet.measured.tension.description import TensionDescription
 from drapenet.measured.tension.folder import TensionSet, described_strips
@@ -70,10 +67,7 @@ class ValueSet(TensionSet):
 
     @classmethod
     def read(cls, place: Path, stated: Mapping[str, Any]) -> "ValueSet":
-        file = place if place.is_file() else None
-        found = ValuesDescription.of(read_yaml(file), file) if file else (
-            ValuesDescription.in_folder(place))
-        return cls.of(found, place)
+        return cls.of(ValuesDescription.in_folder(place), place)
 
     @classmethod
     def of(cls, description: ValuesDescription, path: Path) -> "ValueSet":
@@ -92,10 +86,6 @@ class ValueSet(TensionSet):
                                warnings=self.warnings)
 
     @property
-    def digests(self) -> tuple[str, ...]:
-        return self.capture.digests if self.capture else ()
-
-    @property
     def marked(self) -> bool | None:
         return True if self.capture else None
 
@@ -108,6 +98,3 @@ class ValueSet(TensionSet):
             return super().record(prior).model_copy(update={"known": known})
         return None if self.capture else ValuesRecord(
             source=printable(self.path), density_g_m2=round(1e3 * self.density, 6), known=known)
-
-    def findings(self, observed: Observed | None, setups: Setups) -> list[Finding]:
-        return super().findings(observed, setups) if self.alone else []

@@ -26,10 +26,10 @@ from drapenet.measured.tension.description import (
 from drapenet.measured.tension.photograph import PhotographedExtension, read_extension
 from drapenet.measured.tension.posterior import (
     LOAD_ERROR,
+    MACHINE_ERROR,
     MeasuredExtension,
     TensionEvidence,
     directions_of,
-    machine_strip,
     tension_evidence,
 )
 from drapenet.measured.tension.record import TensionRecord
@@ -92,7 +92,7 @@ class TensionSet(Measured):
             "known": self.known})
 
     def findings(self, observed: Observed | None, setups: Setups) -> list[Finding]:
-        return [*self.evidence.findings]
+        return [*self.evidence.findings] if self.alone else []
 
     def shown(self) -> bytes:
         if not self.strips:
@@ -135,7 +135,9 @@ def described_strips(
         raise InputError(f"{folder / description.file}: {error}") from None
     strips = [_measured(strip, description, read.get(k))
               for k, strip in enumerate(description.tension)]
-    strips += [machine_strip(*each) for each in description.by_machines]
+    strips += [MeasuredExtension(k, by.load, by.error, by.width, by.length, 0.0,
+                                 by.length * percent / 100, MACHINE_ERROR, by.name)
+               for by, k, percent in description.by_machines]
     found = kind(**description.common(folder), strips=tuple(strips),
                  stiffness=description.stiffness, photographs=read, **further)
     return found.changed(warnings=(*found.warnings, *(

@@ -28,14 +28,13 @@ KES_SHEAR = 56.188  # N/m, of 1 gf/(cm °)
 
 
 class Machine(NamedTuple):
-    """How a machine pulls its specimen: load, N/m, and its relative error as the law sees it, width
-    and length between the clamps."""
+    """How a machine pulls its specimen: load, N/m, its relative error as the law sees it, size."""
 
     name: str
     load: float
     error: float
     width: Metres
-    length: Metres
+    length: Metres  # between the clamps
 
 
 EB5, E100 = (Machine("FAST-3", each * GF_PER_CM, 0.01, 0.05, 0.1) for each in (5.0, 100.0))

@@ -18,16 +18,7 @@ from common.findings import Finding
 from common.normal import Normal
 from common.types import Density, Metres
 from data.readings.quantity import SPECIMEN_SCATTER, STANDARD_GRAVITY
-from drapenet.measured.tension.law import (
-    E100,
-    EB5,
-    KES_SHEAR,
-    Machine,
-    compliance,
-    extension,
-    load,
-    reach,
-)
+from drapenet.measured.tension.law import E100, EB5, KES_SHEAR, compliance, extension, load, reach
 from sim.material import BIAS, DIRECTIONS, REFERENCE_DENSITY, WARP, WEFT
 from sim.tension import POISSON
 
@@ -86,13 +77,6 @@ class MeasuredExtension:
         strain = self.extension / self.gauge if strain is None else strain
         return float(load(strain / self.reach(stiffness, poisson),
                           compliance(self.direction, stiffness, poisson)))
-
-
-def machine_strip(machine: Machine, direction: int, percent: float) -> MeasuredExtension:
-    """The specimen of a machine that gave this extension."""
-    return MeasuredExtension(
-        direction, machine.load, machine.error, machine.width, machine.length, 0.0,
-        machine.length * percent / 100, MACHINE_ERROR, machine.name)
 
 
 def directions_of(strips: Sequence[MeasuredExtension]) -> list[str]:

@@ -118,7 +118,7 @@ function seen({ capture, captures, strips, tension, measured }) {
   const count = (strips ?? []).reduce((sum, one) => sum + one.strips, 0);
   const several = (number, name) => number && `${number} ${name}${number > 1 ? 's' : ''}`;
   const pulled = tension && `${tension.strips} strip${tension.strips > 1 ? 's' : ''} under weights`;
-  const others = (measured ?? []).map((one) => one.kind);
+  const others = [...(measured ?? []).map((one) => one.kind), capture.source && capture.known?.drape_coefficient_percent && 'drape coefficient'];
   if (captures || strips || tension || measured) return [several(captures?.length, 'capture'), several(count, 'strip'), pulled, ...others].filter(Boolean).join(', ');
   return capture.views ? `${capture.views} views` : capture.known?.drape_coefficient_percent ? 'drape coefficient' : 'outline from above';
 }

@@ -24,6 +24,7 @@ const given = (field) => (field.value.trim() ? number(field) : Number(field.plac
 // Add what the bench states to what is sent: strips by their load in newtons, and of values alone
 // the tester of a drape coefficient.
 export function addBench(data, isAlone) {
+  for (const field of form.querySelectorAll('[data-pulled]')) delete field.dataset.entry;
   const filled = [...form.querySelectorAll('#tension select')].filter((field) => field.value).length;
   [...form.querySelectorAll('[data-pulled]')].filter((field) => field.value.trim()).forEach((field, k) => {
     field.dataset.entry = `tension.${filled + k}.extension_mm`; // as the service counts them
