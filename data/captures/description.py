@@ -184,6 +184,13 @@ class WeighedPiece(Weighed):
     tester: Tester | None = Field(
         None, title="name, such as disc300_support180, or numbers: {specimen: disc, size_mm: 300, "
                     "plate_mm: 180} and rim_radius_mm, 0 to 10, of a rounded rim; required")
+    known: Reported | None = Field(
+        None, title="values of other tests", description=Reported.remedy)
+
+    @property
+    def reported(self) -> bool:
+        """Whether a drape coefficient is stated."""
+        return self.known is not None and self.known.drape_coefficient_percent is not None
 
     @model_validator(mode="before")
     @classmethod
@@ -340,8 +347,6 @@ class Description(Specimen, WeighedPiece, Labels):
         None, title="of a photograph or a table: the keys below",
         description="outline is such as {mat: a3, plate_height_mm: 150}, or {plate_px: {x: "
                           "960, y: 540, diameter: 700}, camera_height_mm: 1200}")
-    known: Reported | None = Field(
-        None, title="values of other tests", description=Reported.remedy)
 
     @property
     def marked(self) -> bool:
@@ -349,11 +354,6 @@ class Description(Specimen, WeighedPiece, Labels):
         source = self.outline
         return self.warp_direction_deg is not None or bool(
             source and source.mat and source.arrow == "warp")
-
-    @property
-    def reported(self) -> bool:
-        """Whether a drape coefficient is stated."""
-        return self.known is not None and self.known.drape_coefficient_percent is not None
 
     def stated_camera(self, width: int, height: int) -> Intrinsics:
         """The stated intrinsics, of pictures of this size."""

@@ -5,14 +5,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
 from common.files import printable
 from data.captures.capture import ReportedCapture
 from data.captures.description import WeighedPiece
 from data.fabrics.fabrics import ClothProperties
 from data.readings.known import Reported
-from data.rigs import MISSING_TESTER
 from drapenet.measured.base import Observed, Record
 from drapenet.measured.captures import observe
 from drapenet.measured.tension.description import TensionDescription
@@ -29,22 +28,16 @@ class ValuesDescription(WeighedPiece, TensionDescription):
     nothing: ClassVar[str] = ("nothing is measured; give known, such as bending_length_mm: {warp: "
                               "22, weft: 18}, or stretch and shear, such as kes_g_gf_per_cm_deg")
     file, content, typed = FILE, "density_g_m2 and known, or stretch and shear", False
-    known: Reported | None = Field(
-        None, title="values of testers", description=Reported.remedy)
 
     @property
     def measures(self) -> bool:
-        return self.pulled or self.reported or bool(self.known and self.known.values())
-
-    @property
-    def reported(self) -> bool:
-        """Whether a drape coefficient is stated."""
-        return self.known is not None and self.known.drape_coefficient_percent is not None
+        return super().measures or self.reported or bool(self.known and self.known.values())
 
     @model_validator(mode="after")
     def _of_a_tester(self) -> "ValuesDescription":
         if self.reported and self.tester is None:
-            raise ValueError(f"known has a drape coefficient without its tester; {MISSING_TESTER}")
+            raise ValueError("known has a drape coefficient without its tester; give tester, such "
+                             "as disc300_support180")
         return self
 
 

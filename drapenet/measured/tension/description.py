@@ -132,14 +132,9 @@ class TensionDescription(Described):
         return {direction: value for direction, value in read.items() if value}
 
     @property
-    def pulled(self) -> bool:
-        """Whether stretch or shear is measured."""
-        return bool(self.tension or self.stiffness or self.by_machines)
-
-    @property
     def measures(self) -> bool:
-        """Whether anything is."""
-        return self.pulled
+        """Whether anything is measured."""
+        return bool(self.tension or self.stiffness or self.by_machines)
 
     @model_validator(mode="after")
     def _sound(self) -> "TensionDescription":

@@ -1,7 +1,7 @@
 // Values of tests: rows of strips under weights, and those of a bench, as fields of the form.
 
 import { at } from './common.js';
-import { form } from './fields.js';
+import { form, isWeighed } from './fields.js';
 import { number } from './support.js';
 
 const GRAVITY = 9.80665; // m/s², of a gram's weight
@@ -35,6 +35,9 @@ export function addBench(data, isAlone) {
   if (isAlone && at('bench-tester').value && data.has('known.drape_coefficient_percent')) data.append('tester', at('bench-tester').value);
 }
 
+at('bench').addEventListener('toggle', () => {
+  if (!isWeighed()) at('bench-weight').value = at('density').value;
+});
 at('add-strip').addEventListener('click', addStrip);
 for (const [from, to] of [['bench-weight', 'density'], ['density', 'bench-weight']]) { // one value in two places
   at(from).addEventListener('input', () => {
