@@ -87,7 +87,7 @@ def test_a_bench_is_a_file_for_the_command(tmp_path, capsys):
 
 @pytest.mark.parametrize(("stated", "said"), [
     ({"known": {"bendin": 3}}, "unknown key 'known.bendin'.* kes_b_gf_cm2_per_cm"),
-    ({"knwon": {}}, "unknown key 'knwon'.*the keys are fabric.*shear_n_per_m"),
+    ({"humidity": 65}, "unknown key 'humidity'.*the keys are fabric.*shear_n_per_m"),
     ({}, "nothing is measured"), ({"temperature_c": 200}, "is not -20 to 60"),
     ({"known": {"drape_coefficient_percent": 52.0}}, "without its tester"),
     ({"shear_n_per_m": 30.0, "kes_g_gf_per_cm_deg": 0.6}, "are one quantity")])
