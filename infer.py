@@ -18,15 +18,13 @@ import common.interrupt  # noqa: F401
 # isort: split
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from common.command import command
 from common.errors import InputError
 from common.files import folder_named, locked
 from drapenet.config import EstimateOptions, InferConfig
 
-if TYPE_CHECKING:  # imported late: --help and mistakes do not wait half a second for the others
-    from drapenet.result.document import EstimateDocument
+# Others are imported late: --help and mistakes do not wait half a second for them.
 
 
 @command("infer", InferConfig)
@@ -48,7 +46,10 @@ def main(config: InferConfig) -> None:
     else:
         files = [estimate_one(config, options)]
     if targets:
-        export_estimates(files, targets)
+        from drapenet.export.formats import export_beside
+
+        for file in files:
+            print(export_beside(file, targets))
     if config.preview:
         preview_estimates(files, config.workers)
 
@@ -75,30 +76,10 @@ def estimate_one(config: InferConfig, options: EstimateOptions) -> Path:
             print("the estimate of a capture with its report takes about 15 s", file=sys.stderr,
                   flush=True)
         from drapenet.fabric.estimate import estimate_fabric  # after faults
+        from drapenet.result.terminal import print_estimate
 
         estimate_fabric(sources, header, options, folder=out, on_estimate=print_estimate)
     return out / ESTIMATE
-
-
-def print_estimate(document: "EstimateDocument", folder: Path | None) -> None:
-    """Print an estimate and the names of its files."""
-    from drapenet.result.files import ESTIMATE, SHOWN
-    from drapenet.result.terminal import terminal_text
-
-    assert folder, "written before it is printed"
-    print(f"{terminal_text(document)}\nestimate: {folder / ESTIMATE}")
-    if files := [str(folder / name) for name in SHOWN if (folder / name).exists()]:
-        print(f"report:   {', '.join(files)}")
-
-
-def export_estimates(files: list[Path], targets: list[str]) -> None:
-    """Write files for other tools beside each ``estimate.json``."""
-    from drapenet.export.formats import export_all
-    from drapenet.export.material import read_material
-
-    for file in files:
-        written = export_all(read_material(file), targets, file.parent)
-        print(f"exports:  {file.parent}: {', '.join(path.name for path in written)}")
 
 
 def preview_estimates(files: list[Path], workers: int | None) -> None:

@@ -10,7 +10,7 @@ import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar, get_args
 
 import numpy as np
 import yaml
@@ -43,9 +43,12 @@ class Schema(BaseModel):
             place = error.errors()[0]["loc"]
             field = cls.model_fields.get(str(place[0])) if place else None
             remedies = [(field.description if field else None) or cls.remedy]
-            if any(len(fault["loc"]) == 1 and fault["type"] == "extra_forbidden"
-                   for fault in error.errors()):
-                remedies.append(f"the keys are {', '.join(cls.model_fields)}")
+            inner = [part for part in get_args(field.annotation) if hasattr(part, "model_fields")
+                     ] if field else []
+            for count, models in enumerate(([cls], inner), start=1):
+                if models and any(len(fault["loc"]) == count and fault["type"] == "extra_forbidden"
+                                  for fault in error.errors()):
+                    remedies.append(f"the keys are {', '.join(models[0].model_fields)}")
             raise InputError("; ".join([faults(error), *filter(None, remedies)]), source=what
                              ) from None
 

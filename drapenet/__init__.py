@@ -11,7 +11,8 @@
     drapenet.preview(again).write("outputs/demo")              # skirts of twelve samples
     fabrics = drapenet.estimate_fabrics("captures", "outputs/all")  # many, by name
 
-The simulator is :mod:`sim`, captures are read by :mod:`data.captures`.
+The simulator is :mod:`sim`, captures are read by :mod:`data.captures`; values of testers without
+any picture are converted to files for other tools by :func:`drapenet.convert.convert`.
 """
 
 from pathlib import Path

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from datetime import date
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
 import numpy as np
 from pydantic import BeforeValidator, Field, PlainValidator, model_validator
@@ -40,7 +40,9 @@ NEED_WARP = ("need captures whose warp is marked: state its direction (warp_dire
 MAX_LABEL_LENGTH = 80  # characters
 PRINTABLE = r"^[[^\p{C}\p{Zl}\p{Zp}]\x{AD}\x{200C}\x{200D}]*$"  # with hyphens and joiners
 _Label = Annotated[str, Field(min_length=1, max_length=MAX_LABEL_LENGTH, pattern=PRINTABLE)]
+_OR = " / "  # between different labels
 _UNTIL = " to "  # between the first and the last day
+_STANDARD = "ISO 139"
 _LABEL = f"up to {MAX_LABEL_LENGTH} printable characters, in quotes if they are a number"
 
 
@@ -60,6 +62,17 @@ def _period(dates: Sequence[str]) -> str:
     return _UNTIL.join(dict.fromkeys([days[0], days[-1]]))
 
 
+def _within(low: float, high: float, other: str = "") -> BeforeValidator:
+    """Takes a number from ``low`` to ``high`` or an ``other`` text, or several of them, as text."""
+    def read(value: object) -> str:
+        with suppress(ValueError):
+            if all(one == other or low <= float(one) <= high for one in str(value).split(_OR)):
+                return str(value)
+        raise ValueError(f"is not {low:g} to {high:g}" + f", or {other}" * bool(other))
+
+    return BeforeValidator(read)
+
+
 class Labels(Schema):
     """What a report states of a capture, as it was given."""
 
@@ -69,7 +82,13 @@ class Labels(Schema):
     laboratory: _Label | None = Field(None, title="name", description=_LABEL)
     operator: _Label | None = Field(None, title="name", description=_LABEL)
     camera: _Label | None = Field(None, title="name", description=_LABEL)
-    remarks: _Label | None = Field(None, title="such as the climate", description=_LABEL)
+    remarks: _Label | None = Field(None, title="anything else", description=_LABEL)
+    temperature_c: Annotated[str, _within(-20, 60)] | None = Field(
+        None, title="of the air, -20 to 60 °C")
+    humidity_percent: Annotated[str, _within(0, 100)] | None = Field(
+        None, title="relative, of the air, 0 to 100")
+    conditioning_h: Annotated[str, _within(0, 1000, _STANDARD)] | None = Field(
+        None, title=f"hours in this air before the test, or {_STANDARD}, by that standard")
 
     @classmethod
     def joined(cls, labels: Sequence["Labels"]) -> "Labels":
@@ -80,7 +99,7 @@ class Labels(Schema):
             for key, value in each.stated().items():
                 found.setdefault(key, {})[value] = None
         return cls(**{key: _period([*values]) if key == "date" else
-                      shortened(" / ".join(values), MAX_LABEL_LENGTH)
+                      shortened(_OR.join(values), MAX_LABEL_LENGTH)
                       for key, values in found.items()})
 
     def named(self, fabric: str) -> "Labels":
@@ -95,6 +114,14 @@ class Labels(Schema):
     def labels(self) -> "Labels":
         """What a report states."""
         return Labels(**self.stated())
+
+    @property
+    def conditions(self) -> str:
+        """Of the air, in words; empty if none is stated."""
+        return ", ".join(filter(None, [
+            self.temperature_c and f"{self.temperature_c} °C",
+            self.humidity_percent and f"{self.humidity_percent} % r.h.",
+            self.conditioning_h and f"conditioned (h): {self.conditioning_h}"]))
 
     @property
     def columns(self) -> dict[str, str]:
@@ -141,6 +168,55 @@ class Specimen(Weighed):
         """Direction of the warp in the first view, in [0, pi)."""
         direction = self.warp_direction_deg
         return None if direction is None else math.radians(direction) % math.pi
+
+
+W = TypeVar("W", bound="WeighedPiece")
+
+
+class WeighedPiece(Weighed):
+    """A fabric whose mass per area may be stated by the weight of a piece of it."""
+
+    weight_g: float | None = Field(
+        None, gt=0, title="of the whole specimen, or of specimen_cm2, in place of density_g_m2",
+        description="the specimen's weight in grams")
+    specimen_cm2: float | None = Field(
+        None, ge=10, le=20_000, title="area of the weighed piece, where it is not the tester's")
+    tester: Tester | None = Field(
+        None, title="name, such as disc300_support180, or numbers: {specimen: disc, size_mm: 300, "
+                    "plate_mm: 180} and rim_radius_mm, 0 to 10, of a rounded rim; required")
+    known: Reported | None = Field(
+        None, title="values of other tests", description=Reported.remedy)
+
+    @property
+    def reported(self) -> bool:
+        """Whether a drape coefficient is stated."""
+        return self.known is not None and self.known.drape_coefficient_percent is not None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _by_weight(cls, content: Any) -> Any:
+        """The content, with the density of a weighed piece."""
+        weight = content.get("weight_g") if isinstance(content, Mapping) else None
+        if not isinstance(weight, int | float):
+            return content
+        if content.get("density_g_m2") is not None:
+            raise ValueError("weight_g and density_g_m2 both state the density; give one of them")
+        area, tester = content.get("specimen_cm2"), content.get("tester")
+        if isinstance(area, int | float) and area > 0:
+            return {**content, "density_g_m2": 1e4 * weight / area}
+        if tester is None:
+            raise ValueError("weight_g is of the whole specimen; state tester, which has its size, "
+                             "or specimen_cm2")
+        try:
+            return {**content, "density_g_m2": weight / read_tester(tester).specimen_area}
+        except InputError as error:
+            raise ValueError(f"tester={shown(tester)} {error}") from None
+
+    @model_validator(mode="after")
+    def _weighed(self: W) -> W:
+        if self.specimen_cm2 and not self.weight_g:
+            raise ValueError("specimen_cm2 is the area of a weighed piece; state weight_g, too")
+        return self
 
 
 _Focal = Annotated[float, Field(ge=10, le=1e5)]
@@ -246,13 +322,10 @@ class OutlineSource(Schema):
         return math.nan if self.camera_height_mm is None else 1e-3 * self.camera_height_mm
 
 
-class Description(Specimen, Labels):
+class Description(Specimen, WeighedPiece, Labels):
     """``capture.yaml``; point clouds are projected to ``size_px``, ``face`` is the upper one.
     ``weight_g`` of the whole specimen may stand for the density."""
 
-    weight_g: float | None = Field(
-        None, gt=0, title="of the whole specimen, in place of density_g_m2",
-        description="the specimen's weight in grams")
     depth_unit_m: float | None = Field(
         None, gt=0, title="of the counts of depth pictures; by default that of the recording, or "
                           "0.001", description="0.001 for millimetres")
@@ -265,9 +338,6 @@ class Description(Specimen, Labels):
         None, title="angle of the table in each view; required of two or three views, else equal "
                     "parts of a turn",
         description="one angle for each view, such as [0, 90, 180, 270]")
-    tester: Tester | None = Field(
-        None, title="name, such as disc300_support180, or numbers: {specimen: disc, size_mm: 300, "
-                    "plate_mm: 180} and rim_radius_mm, 0 to 10, of a rounded rim; required")
     face: Literal["up", "down"] = Field("up", title="where the fabric's marked face is")
     size_px: list[Annotated[int, Field(ge=1, le=max(MAX_PICTURE))]] | None = Field(
         None, min_length=2, max_length=2, title="width and height of the picture to which the "
@@ -277,24 +347,6 @@ class Description(Specimen, Labels):
         None, title="of a photograph or a table: the keys below",
         description="outline is such as {mat: a3, plate_height_mm: 150}, or {plate_px: {x: "
                           "960, y: 540, diameter: 700}, camera_height_mm: 1200}")
-    known: Reported | None = Field(
-        None, title="values of other tests", description=Reported.remedy)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _by_weight(cls, content: Any) -> Any:
-        """The content, with the density of a weighed specimen."""
-        weight = content.get("weight_g") if isinstance(content, Mapping) else None
-        if not isinstance(weight, int | float):
-            return content
-        if content.get("density_g_m2") is not None:
-            raise ValueError("weight_g and density_g_m2 both state the density; give one of them")
-        if (tester := content.get("tester")) is None:
-            raise ValueError("weight_g is of the whole specimen; state tester, which has its size")
-        try:
-            return {**content, "density_g_m2": weight / read_tester(tester).specimen_area}
-        except InputError as error:
-            raise ValueError(f"tester={shown(tester)} {error}") from None
 
     @property
     def marked(self) -> bool:
@@ -302,11 +354,6 @@ class Description(Specimen, Labels):
         source = self.outline
         return self.warp_direction_deg is not None or bool(
             source and source.mat and source.arrow == "warp")
-
-    @property
-    def reported(self) -> bool:
-        """Whether a drape coefficient is stated."""
-        return self.known is not None and self.known.drape_coefficient_percent is not None
 
     def stated_camera(self, width: int, height: int) -> Intrinsics:
         """The stated intrinsics, of pictures of this size."""

@@ -3,7 +3,7 @@
 A laboratory that measures a value of its own kind writes a module like :mod:`data.readings.cloth`,
 with a tuple ``QUANTITIES`` of :class:`~data.readings.quantity.Quantity` (key, error, value of a
 given cloth), and adds its name to :data:`MODULES`. The key is then read from ``known`` in
-``capture.yaml`` and ``strips.yaml`` and on the page, checked, combined with all other evidence, and
+every description and on the page, checked, combined with all other evidence, and
 named if it contradicts it. Maps for trainings, which depend on this code, are made again.
 """
 

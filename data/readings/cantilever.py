@@ -49,6 +49,10 @@ def _length_mm(cloth: ClothProperties, density: Density) -> np.ndarray:
     return 1e3 * bending_length(*moduli_at(cloth, density), density)
 
 
+def _overhang_mm(cloth: ClothProperties, density: Density) -> np.ndarray:
+    return 2 * _length_mm(cloth, density)
+
+
 def _rigidity_micro(cloth: ClothProperties, density: Density) -> np.ndarray:
     return flexural_rigidity(*moduli_at(cloth, density), density) / MICRO
 
@@ -58,6 +62,8 @@ BENDING_LENGTHS = (5.0, 150.0)  # mm, that a laboratory may have read
 QUANTITIES = (
     Quantity("bending_length_mm", 3, 0.05, _length_mm, "bending length [mm]",
              limits=BENDING_LENGTHS),
+    Quantity("overhang_mm", 3, 0.05, _overhang_mm, "overhang at 41.5° [mm]",
+             limits=(10.0, 300.0)),
     Quantity("flexural_rigidity_uN_m", 3, 0.15, _rigidity_micro, "flexural rigidity G [µN·m]",
              limits=(0.05, 2e4)),
 )

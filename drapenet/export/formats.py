@@ -14,7 +14,7 @@ import yaml
 
 from common.errors import InputError
 from common.files import replace_file
-from drapenet.export.material import Material
+from drapenet.export.material import Material, read_material
 from drapenet.export.quantities import ASSUMED_MM, filled, hinge_quantities, quantities
 from drapenet.export.writers import WRITERS, File
 
@@ -101,6 +101,12 @@ def export(material: Material, name: str, out: Path) -> list[Path]:
     for file, data in files.items():
         replace_file(file, data)
     return list(files)
+
+
+def export_beside(file: Path, names: Sequence[str]) -> str:
+    """Write the targets ``names`` beside an ``estimate.json``; a line with the files' names."""
+    written = export_all(read_material(file), names, file.parent)
+    return f"exports:  {file.parent}: {', '.join(path.name for path in written)}"
 
 
 def export_all(material: Material, names: Sequence[str], folder: Path) -> list[Path]:

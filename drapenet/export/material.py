@@ -209,7 +209,7 @@ class Material:
             "drape_coefficient_percent": self.captured["captured_percent"],
             "moduli": content["moduli"], "modulus_at_curvature_1_m": curvature,
             "modulus_over_alpha": (self.modulus / self.alpha).round(3).tolist(),
-            "not_known": self.not_known,
+            "not_known": self.not_known, "assumed": texts(document.assumed),
             "warnings": texts(found),
         }
 

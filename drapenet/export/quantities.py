@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from data.readings.cloth import BROWZWEAR, CLO
 from drapenet.export.blender import blender_settings
 from drapenet.export.material import Material
 from sim.energies.hinges import ARCSIM
@@ -12,7 +13,7 @@ from sim.energies.membrane import OrthotropicStVK
 from sim.material import BIAS, DIRECTIONS, WARP, WEFT, torque
 from sim.tension import POISSON
 
-UNITS = {"g·mm²/s²": 1e9, "g/s²": 1e3, "g/mm²": 1e-3, "g/m²": 1e3, "mm": 1e3, "dyn·cm": 1e7,
+UNITS = {"g·mm²/s²": CLO, "g/s²": 1e3, "g/mm²": 1e-3, "g/m²": 1e3, "mm": 1e3, "dyn·cm": BROWZWEAR,
          "kg·cm²/s²/rad²": 1e4}
 """Numbers in units that are no SI units, over those in SI units; any other unit is one."""
 SLIDER = ((0.0, 10.0, 28.0, 48.0, 65.0, 83.0, 100.0), (0.0, 1e2, 1e3, 3e3, 2e4, 2e5, 2e6))

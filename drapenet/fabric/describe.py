@@ -27,13 +27,14 @@ if TYPE_CHECKING:
 
 def describe_capture(
     estimate: Estimate, observed: Observed, header: Header, warnings: Sequence[Finding], *,
-    refined: dict[str, Any] | None, drape: "Resimulation | None",
+    records: Sequence[Record] = (), refined: dict[str, Any] | None, drape: "Resimulation | None",
     following: Sequence[NextMeasurement],
 ) -> EstimateDocument:
     """The document of one capture's estimate.
 
     Args:
         warnings: beside those of capture, samples and drape.
+        records: of what the source states beside the capture.
         refined: outcome of a refinement.
         following: what may be measured next.
     """
@@ -53,7 +54,7 @@ def describe_capture(
         drape_coefficient_percent=round(100 * share, 1) if np.isfinite(share) else None,
         nodes=nodes, known=capture.known, labels=capture.labels)
     found = [*capture.warnings, *estimate.warnings, *estimate.contradictions, *warnings]
-    optional: dict[str, Any] = {"refined": refined} if refined else {}
+    optional: dict[str, Any] = sections_of(records) | ({"refined": refined} if refined else {})
     if advice := advice_of(capture.rig, share):
         optional["advice"] = advice
     if drape:

@@ -15,7 +15,7 @@ from drapenet.evidence.combine import consistent, updated
 from drapenet.evidence.source import of_capture, of_refined
 from drapenet.evidence.state import cloth_of_state, fabric_prior, state_of
 from drapenet.fabric.combine import stated_of
-from drapenet.measured.base import Observed
+from drapenet.measured.base import Observed, Record
 from drapenet.network.checkpoint import Header
 from drapenet.network.inputs import Stated
 from drapenet.network.predict import Draws, network_of, predict
@@ -55,16 +55,17 @@ def evidence_of(observed: Observed) -> CaptureEvidence:
     return CaptureEvidence(str(capture.path), observed.seen, capture.known)
 
 
-def infer(observed: Observed, header: Header) -> Draws:
-    """Samples from one capture, and how it compares with drapes of them; InputError for a tester or
-    a kind of capture that the network of ``header`` has not learned."""
+def infer(observed: Observed, header: Header, records: Sequence[Record] = ()) -> Draws:
+    """Samples from one capture, of which ``records`` state more, and how it compares with drapes of
+    them; InputError for a tester or a kind of capture that the network of ``header`` has not
+    learned."""
     capture = observed.capture
     try:
         header.require_learned(capture.rig)
         if capture.warp_direction is None and capture.known and capture.known.along_yarns:
             raise InputError(f"known values along the yarns {NEED_WARP}")
         draws, = predict(network_of(header), header, [evidence_of(observed).observations],
-                         [stated_of([capture.known], capture.density)], compared=True)
+                         [stated_of([capture.known], capture.density, records)], compared=True)
     except InputError as error:
         raise InputError(f"{capture.path}: {error}") from None
     return draws

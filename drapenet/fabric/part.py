@@ -19,7 +19,6 @@ from common.findings import Finding
 from common.normal import Normal
 from common.provenance import digest
 from common.types import Density
-from data.captures.capture import Capture
 from data.readings.known import Known
 from drapenet.config import EstimateOptions
 from drapenet.evidence.state import fabric_prior
@@ -53,7 +52,7 @@ from drapenet.result.files import (
 from drapenet.views.observation import Observation
 
 PART = "part.json"
-VERSION = 5
+VERSION = 6
 """Of the files of a part: raise it when the same source and settings give others."""
 Stage = Callable[[str, CaptureEstimate], None]
 
@@ -139,8 +138,8 @@ class Refusal:
     @classmethod
     def of(cls, source: Source, error: InputError) -> "Refusal":
         """The refusal of a source, with what it states of the fabric."""
-        return cls(source, error, {} if isinstance(source.place, Capture) else
-                   known_values(source.place))
+        return cls(source, error, known_values(source.place)
+                   if isinstance(source.place, Path) else {})
 
     @property
     def finding(self) -> Finding:
@@ -151,7 +150,7 @@ class Refusal:
 
 def part_key(source: Source, header: Header, options: EstimateOptions) -> str:
     """Digest of what the files of a part are made from; '': the source is gone, or of arrays."""
-    if isinstance(source.place, Capture) or not source.place.exists():
+    if not (isinstance(source.place, Path) and source.place.exists()):
         return ""
     about = {"drapes": options.drapes, "edge": options.edge, "refine": options.refine,
              "strict": options.strict}

@@ -17,7 +17,7 @@ class Source:
     """A capture, a scan, strips or values: what a fabric is estimated from.
 
     Attributes:
-        place: folder or file of the user, or a capture made of arrays.
+        place: folder or file of the user, or what is read already, such as a capture of arrays.
         part: folder of its results, from that of the fabric on.
         name: names it in sentences in place of its path, which a client of a service must not see.
         required: whether the fabric is refused with it; others are left out, with a warning.
@@ -25,7 +25,7 @@ class Source:
         stated: what a door states beside the files: of a scan the specimen, or ``known``.
     """
 
-    place: Path | Capture
+    place: Path | Measured
     part: str = "."
     name: str = ""
     required: bool = True
@@ -35,7 +35,7 @@ class Source:
     @property
     def path(self) -> Path:
         """The path that names it."""
-        place = self.place.path if isinstance(self.place, Capture) else self.place
+        place = self.place if isinstance(self.place, Path) else self.place.path
         return Path(self.name) if self.name else place
 
     @property
@@ -45,12 +45,11 @@ class Source:
 
     def read(self) -> Measured:
         """What it says; InputError for the first fault."""
-        if isinstance(self.place, Capture):
-            found: Measured = Captured.of(self.place)
-            if self.stated:
-                found = found.with_known(self.stated["known"])
-        else:
+        if isinstance(self.place, Path):
             found = read_measured(self.place, self.stated, self.kind)
+        else:
+            known = self.stated.get("known")
+            found = self.place.with_known(known) if known else self.place
         return found.changed(path=self.path) if self.name else found
 
 
@@ -67,7 +66,7 @@ def sources_of(
     found: list[Source] = []
     for place in places:
         if isinstance(place, Capture):
-            found.append(Source(place=place))
+            found.append(Source(place=Captured.of(place)))
         elif scan is not None:
             found.append(Source(place=place, kind="scan", stated=scan))
         else:

@@ -15,14 +15,15 @@ from common.errors import MAX_LIST_LENGTH, InputError, of, one_line
 from common.files import replace_file
 from common.findings import Finding, texts
 from common.types import Metres
-from data.captures.capture import Capture, OutlineCapture
+from data.captures.capture import Capture, OutlineCapture, ReportedCapture
 from drapenet.config import EstimateOptions
 from drapenet.evidence.source import of_values
+from drapenet.evidence.state import fabric_prior
 from drapenet.fabric.combine import combine
 from drapenet.fabric.describe import describe_capture
 from drapenet.fabric.infer import evidence_of, infer
 from drapenet.fabric.next_measurements import next_measurements
-from drapenet.measured.base import Measured, Observed
+from drapenet.measured.base import Measured, Observed, Record
 from drapenet.measured.captures import Captured
 from drapenet.network.checkpoint import Header
 from drapenet.network.predict import Draws
@@ -55,6 +56,7 @@ class CaptureEstimate:
 
     Attributes:
         draws: samples from the pictures alone, without what is known of the fabric.
+        records: of what the source states beside them.
         warnings: beside those of capture, samples and drape.
         refined: outcome of a refinement, for the document.
         following: what may be measured next, likewise.
@@ -63,6 +65,7 @@ class CaptureEstimate:
     observed: Observed
     header: Header
     draws: Draws
+    records: tuple[Record, ...] = ()
     warnings: tuple[Finding, ...] = ()
     refined: dict[str, Any] | None = None
     drape: "Resimulation | None" = None
@@ -88,7 +91,7 @@ class CaptureEstimate:
     def document(self) -> EstimateDocument:
         """The content of ``estimate.json``."""
         return describe_capture(self.estimate, self.observed, self.header, self.warnings,
-                                refined=self.refined, drape=self.drape,
+                                records=self.records, refined=self.refined, drape=self.drape,
                                 following=self.following)
 
 
@@ -116,7 +119,7 @@ def estimate_capture(
         on_stage("simulating", result)
         result = _attempt(simulate, result, ("drape_failed", "drape_fault"), out,
                           drapes=options.drapes, edge=options.edge)
-    if options.drapes and out and measured.pictured:
+    if options.drapes and out:
         result = _attempt(report, result, ("report_failed", "report_fault"), out, folder=out,
                           address=options.address)
     if out:
@@ -155,7 +158,9 @@ def observe(measured: Measured, header: Header, *, strict: bool = False) -> Capt
     observed = measured.observed()
     assert observed, "only of what the network reads"
     capture = observed.capture
-    result = CaptureEstimate(observed, header, infer(observed, header))
+    record = measured.record(fabric_prior(header))
+    records = (record,) if record else ()
+    result = CaptureEstimate(observed, header, infer(observed, header, records), records)
     with of(capture.path):
         faults = measured.findings(observed, header.setups)
     result = result.with_warnings(*faults, *result.draws.unlike(capture.rig.specimen_size,
@@ -231,10 +236,12 @@ def report(result: CaptureEstimate, *, folder: Path, address: str) -> CaptureEst
     result = replace(result, following=tuple(following))
     capture, document = result.capture, result.document
     name = fabric_name(document)
-    picture = draw_report(result.estimate, document, capture, result.drape, title=name)
-    replace_file(folder / REPORT, picture)
     replace_file(folder / TORQUES, draw_torques(result.estimate))
-    replace_file(folder / SHAPES, drape_glb(capture.rig, result.observed.views, result.drape))
+    picture = b""
+    if not isinstance(capture, ReportedCapture):
+        picture = draw_report(result.estimate, document, capture, result.drape, title=name)
+        replace_file(folder / REPORT, picture)
+        replace_file(folder / SHAPES, drape_glb(capture.rig, result.observed.views, result.drape))
     write_report(folder, name, document, [ShownCapture(name, document, picture)],
                  address=address)
     return result

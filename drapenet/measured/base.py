@@ -181,11 +181,6 @@ class Described(Weighed, Labels):
                 "labels": self.labels, "warnings": self.questions}
 
     @property
-    def measures(self) -> bool:
-        """Whether anything is measured, beside values that are known."""
-        return True
-
-    @property
     def needs_warp(self) -> bool:
         """Whether captures of the same fabric must know the direction of the warp."""
         return bool(self.known and self.known.along_yarns)
@@ -210,8 +205,8 @@ class Stated(Schema):
 class Measured:
     """One source, read: what a folder or a file says of a fabric.
 
-    A source has either what a network observes (:meth:`observed`) or a record of its own
-    (:meth:`record`).
+    A source has what a network observes (:meth:`observed`), a record of its own (:meth:`record`),
+    or both.
     """
 
     name: ClassVar[str]
@@ -227,8 +222,6 @@ class Measured:
     stated: ClassVar[type[Schema]] = Stated
     """Type of ``known`` values that a user gives beside a description."""
     recorded: ClassVar[type[Record]] = Record
-    alone: ClassVar[bool] = False
-    """Whether a fabric may have no other source of the kind."""
     path: Path
     density: Density
     known: Known | None = None
@@ -260,13 +253,13 @@ class Measured:
         return None
 
     @property
-    def needs_warp(self) -> bool:
-        """Whether captures of the same fabric must know the direction of the warp."""
+    def alone(self) -> bool:
+        """Whether a fabric may have no other source of strips under weights."""
         return False
 
     @property
-    def pictured(self) -> bool:
-        """Whether it shows a drape, which a report draws."""
+    def needs_warp(self) -> bool:
+        """Whether captures of the same fabric must know the direction of the warp."""
         return False
 
     def changed(self: M, **changes: Any) -> M:
@@ -286,8 +279,8 @@ class Measured:
         return None
 
     def record(self, prior: ClothProperties) -> Record | None:
-        """What is recorded, evidence with respect to a ``prior`` of fabrics; None for what the
-        network reads."""
+        """What is recorded, evidence with respect to a ``prior`` of fabrics; None if the network
+        reads all of it."""
         return None
 
     def findings(self, observed: Observed | None, setups: Setups) -> list[Finding]:

@@ -55,10 +55,6 @@ class Captured(Measured):
     def marked(self) -> bool:
         return self.capture.warp_direction is not None
 
-    @property
-    def pictured(self) -> bool:
-        return not isinstance(self.capture, ReportedCapture)
-
     def changed(self: C, **changes: Any) -> C:
         return self.of(replace(self.capture, **changes))
 

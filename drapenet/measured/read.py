@@ -63,8 +63,8 @@ def sources_in(path: Path, kind: str = "") -> list[Path]:
 
 
 def known_values(folder: Path) -> dict[str, Any]:
-    """What the description of a capture that is refused states of its fabric, as strips.yaml
-    without strips would; empty if there is nothing that can be read."""
+    """What the description of a capture that is refused states of its fabric, as values.yaml
+    would; empty if there is nothing that can be read."""
     file = folder / "capture.yaml"
     try:
         described = Description.of(read_yaml(file), file)
@@ -78,6 +78,5 @@ def known_values(folder: Path) -> dict[str, Any]:
 
 def values_alone(path: Path, stated: Mapping[str, Any]) -> Measured:
     """The source that :func:`known_values` are, called ``path``."""
-    kind = kind_at(KINDS[VALUES])
-    described: Any = kind.schema.of(stated, "")
-    return kind(**described.common(path))
+    kind: Any = kind_at(KINDS[VALUES])
+    return kind.of(kind.schema.of(stated, ""), path)

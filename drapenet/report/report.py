@@ -52,6 +52,7 @@ class Passport:
                  f"{' '.join(document.names)}: alpha {alpha} uN m, beta {beta} nN m2"]
         if about.drape_coefficient_percent is not None:
             parts.append(f"drape coefficient {about.drape_coefficient_percent:g} %")
+        parts += [about.labels.conditions] * bool(about.labels.conditions)
         return cls("; ".join(parts), address)
 
     @property

@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -183,6 +183,8 @@ class EstimateDocument(Excerpt):
     poorly_constrained: list[str] = Field(
         title="moduli, and the ratio of the yarns' α, for which this exceeds 0.7")
     mostly_usual: list[Recorded] = Field([], title="the finding that names them, if any")
+    assumed: list[Recorded] = Field(
+        [], title="findings: what was assumed of the values of testers, if there are any")
     torque_mN: dict[str, Any] = Field(  # noqa: N815
         title="torque per width of each direction at curvature_1_m")
     cloth: Cloth = Field(title="other properties")
@@ -222,7 +224,7 @@ class EstimateDocument(Excerpt):
         shares = estimate.constraint
         poor = [name for name, share in shares.items() if share > POORLY_CONSTRAINED]
         laboratory = _readings(estimate)
-        return cls.model_validate({
+        document = cls.model_validate({
             "schema": SCHEMA, "schema_version": SCHEMA_VERSION,
             "convention": f"{first}/{names[2]}", "capture": capture,
             "moduli": _moduli(estimate, estimate.density),
@@ -240,6 +242,22 @@ class EstimateDocument(Excerpt):
             "cloth": _properties(estimate),
             "checkpoint": checkpoint, **sections, "warnings": list(warnings),
             "contradictions": list(estimate.contradictions)})
+        return document.model_copy(update={"assumed": [*document._assumptions()]})
+
+    def _assumptions(self) -> Iterator[Finding]:
+        """What is assumed of the values that are stated, and which directions they leave to the
+        prior where there is no drape."""
+        values = [(each, known) for known in self.stated for each in known.values()]
+        along = {k for (name, k), _ in values if QUANTITIES[name].directions > 1}
+        along |= {DIRECTIONS.index(name) for each in self.strips or [] for name in each.moduli}
+        if not self.capture.rig and len(along) < len(DIRECTIONS):
+            names = " and ".join(self.names[k] for k in sorted(along))
+            yield (Finding("bending_usual", {"measured": names}) if along else
+                   Finding("bending_unmeasured"))
+        errors = {f"{QUANTITIES[name].in_words} {100 * known.error(name):g} %": None
+                  for (name, _), known in values if name not in known.error_percent}
+        if errors:
+            yield Finding("errors_assumed", {"errors": ", ".join(errors)})
 
     def warned(self, *found: Finding) -> "EstimateDocument":
         """The document with further warnings."""
@@ -286,7 +304,8 @@ class EstimateDocument(Excerpt):
     @property
     def parts(self) -> str:
         """Captures and strips of a joint estimate; empty for that of a single capture."""
-        counts = Counter({("capture", "captures"): len(self.captures or [])})
+        single = bool(self.capture.source and self.records)
+        counts = Counter({("capture", "captures"): len(self.captures or []) or int(single)})
         for count, *names in (record.counted() for record in self.records):
             counts[names[0], names[1]] += count
         return " and ".join(f"{count} {several if count > 1 else one}"

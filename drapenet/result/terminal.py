@@ -1,7 +1,18 @@
 """An estimate in the words of the terminal."""
 
+from pathlib import Path
+
 from common.findings import texts
 from drapenet.result.document import EstimateDocument
+from drapenet.result.files import ESTIMATE, SHOWN
+
+
+def print_estimate(document: EstimateDocument, folder: Path | None) -> None:
+    """Print an estimate and the names of its files."""
+    assert folder, "written before it is printed"
+    print(f"{terminal_text(document)}\nestimate: {folder / ESTIMATE}")
+    if files := [str(folder / name) for name in SHOWN if (folder / name).exists()]:
+        print(f"report:   {', '.join(files)}")
 
 
 def terminal_text(document: EstimateDocument) -> str:
@@ -14,7 +25,7 @@ def terminal_text(document: EstimateDocument) -> str:
         (alpha, alphas), (beta, betas) = moduli.alpha_uN_m.texts(), moduli.beta_nN_m2.texts()
         lines.append(f"{name:8}{alpha:>14}{alphas:>20}{beta:>16}{betas:>20}")
     lines += [document.stiffness_in_a_drape] * bool(document.stiffness_in_a_drape)
-    lines += texts(document.mostly_usual)
+    lines += texts([*document.mostly_usual, *document.assumed])
     if refined := document.refined:
         before = ", ".join(f"{name} {moduli.alpha_uN_m.texts()[0]}"
                            for name, moduli in refined.before.items())

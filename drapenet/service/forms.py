@@ -26,7 +26,7 @@ from data.captures.reader import DESCRIPTION as CAPTURE
 from data.readings import QUANTITIES
 from data.readings.quantity import Quantity
 from data.rigs import MISSING_TESTER
-from drapenet.measured import KINDS
+from drapenet.measured import KINDS, VALUES
 from drapenet.measured.base import Described, Measured, kind_at
 from drapenet.service.limits import RequestError
 from sim.material import DIRECTIONS
@@ -38,7 +38,7 @@ PLACES = {**{key: ("intrinsics", key) for key in INTRINSICS_KEYS},
 another field stands between its keys."""
 _SHORT = {".".join(place): field for field, place in PLACES.items()}
 _ANY_DENSITY = "100"  # g/m², of which no outline depends
-KNOWN, COEFFICIENT = "known.", "known.drape_coefficient_percent"
+KNOWN = "known."
 _ERROR = f"{KNOWN}error_percent."
 
 
@@ -116,11 +116,15 @@ def states_values(fields: Mapping[str, str]) -> bool:
     return any(key.startswith(KNOWN) for key in fields)
 
 
-def kinds_stated(fields: Mapping[str, str]) -> list[str]:
-    """Files of the kinds of which a form has fields that no capture has."""
-    keys = {key.partition(".")[0] for key in fields} - {*Description.model_fields, *PLACES}
-    return [file for file, place in KINDS.items()
-            if keys & kind_at(place).schema.model_fields.keys()]
+def kinds_stated(fields: Mapping[str, str], *, alone: bool = False) -> list[str]:
+    """Files of the kinds of which a form has fields that no capture has; that of values if none of
+    them has all fields of a form ``alone``, without files, and values have."""
+    every = {key.partition(".")[0] for key in fields}
+    own = every - {*Description.model_fields, *PLACES}
+    keys = {file: kind_at(place).schema.model_fields.keys() for file, place in KINDS.items()}
+    found = [file for file in keys if file != VALUES and own & keys[file]]
+    whole = any(every <= keys[file] for file in found)
+    return [VALUES] if alone and not whole and every <= keys[VALUES] else found
 
 
 def described_capture(document: bytes, fields: Mapping[str, str]) -> tuple[bytes, Description]:

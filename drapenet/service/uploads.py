@@ -14,11 +14,10 @@ from data.captures.frames import BACKGROUND
 from data.captures.reader import CAPTURE_FILES, MAX_PICTURES, OUTLINE_SUFFIXES
 from drapenet.config import ServeConfig
 from drapenet.fabric.entries import plain_name
-from drapenet.measured import KINDS, VALUES
+from drapenet.measured import KINDS
 from drapenet.measured.base import kind_at
 from drapenet.service.forms import (
     CAPTURE,
-    COEFFICIENT,
     About,
     described,
     described_capture,
@@ -131,7 +130,7 @@ def _content(
     for name in KINDS:
         if name not in received and (other := misnamed(received, name)):
             raise RequestError(422, f"{other}: {rename_remedy(name)}")
-    stated = kinds_stated(fields)
+    stated = kinds_stated(fields, alone=not received)
     found: dict[str, str] = {}  # file by kind
     for file, kind in KINDS.items():
         if file in received or file in stated:
@@ -140,8 +139,6 @@ def _content(
         first, second, *_ = found.values()
         kind = kind_at(KINDS[second])
         raise RequestError(422, f"{first} and {kind.apart.format(noun=kind.noun)}")
-    if not (received or found or COEFFICIENT in fields):
-        found[KINDS[VALUES]] = VALUES
     if others := [file for kind, file in found.items() if kind != KINDS[CAPTURE]]:
         return _described(others[0], received, fields, settings)
     scans = _scans(received)
@@ -206,7 +203,7 @@ def _described(
         raise RequestError(422, f"{min(others)} and {kind.noun} of the form: give one after the "
                            "other")
     return Upload(pictures | {file: yaml_text(content).encode()}, labels=description.labels,
-                  kind=kind.name if description.measures else "values",
+                  kind=kind.name,
                   directions=YARNS * description.needs_warp,
                   density_g_m2=description.density_g_m2)
 

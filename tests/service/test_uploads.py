@@ -22,6 +22,7 @@ from data.readings import QUANTITIES
 from drapenet.config import ServeConfig
 from drapenet.measured.strips.description import StripsDescription, read_description
 from drapenet.measured.tension.description import TensionDescription
+from drapenet.measured.values import ValueSet
 from drapenet.service.forms import error_field, value_fields
 from drapenet.service.limits import RequestError
 from drapenet.service.received import unpacked
@@ -204,6 +205,11 @@ strips:
 """
 
 
+def values_of(upload: Upload, folder: Path) -> ValueSet:
+    (folder / "values.yaml").write_bytes(upload.files["values.yaml"])
+    return ValueSet.read(folder, {})
+
+
 def strips_of(upload: Upload, folder: Path) -> StripsDescription:
     folder.mkdir()
     (folder / "strips.yaml").write_bytes(upload.files["strips.yaml"])
@@ -286,8 +292,7 @@ def test_values_are_sent_alone_or_with_a_capture_a_scan_or_strips(settings, tmp_
     alone = checked_upload([], {"density_g_m2": "210", "name": "twill", **VALUES}, settings)
     assert (alone.kind, alone.name) == ("values", "twill")
     strips = checked_upload([("strips.yaml", LENGTHS)], VALUES, settings)
-    for upload, name in ((alone, "values"), (strips, "strips")):
-        known = strips_of(upload, tmp_path / name).known
+    for known in (values_of(alone, tmp_path).known, strips_of(strips, tmp_path / "strips").known):
         assert known.model_dump(exclude_unset=True) == KNOWN
     views = capture_of(checked_upload([*VIEWS, YAML], VALUES, settings), tmp_path / "views")
     form = {"density_g_m2": "210", "fx": "1", **VALUES}
@@ -322,12 +327,17 @@ def test_uploads_state_whether_their_directions_are_known(settings):
     assert directions(**{"known.membrane_n_per_m": "600", "density_g_m2": "210"}) == ""
 
 
-def test_a_drape_coefficient_alone_is_a_capture(settings, tmp_path):
-    upload = checked_upload([], {"density_g_m2": "210", "tester": "disc300_support180",
-                                 "known.drape_coefficient_percent": "52", "known.nodes": "7"},
-                            settings)
+def test_a_drape_coefficient_alone_is_of_values_or_of_a_face_a_capture(settings, tmp_path):
+    form = {"density_g_m2": "210", "tester": "disc300_support180",
+            "known.drape_coefficient_percent": "52", "known.nodes": "7"}
+    upload = checked_upload([], form | strips_in_a_form(STRIP), settings)
+    read = values_of(upload, tmp_path)
+    assert upload.kind == "values" and read.capture.known.nodes == 7 and len(read.strips) == 1
+    for face in ({}, {"face": "down"}):
+        upload = checked_upload([], form | face, settings)
+        assert ("capture.yaml" in upload.files) == bool(face)
     read = capture_of(upload, tmp_path / "capture")
-    assert isinstance(read, ReportedCapture) and read.known.nodes == 7
+    assert isinstance(read, ReportedCapture) and read.sign == -1
 
 
 def test_each_quantity_of_the_registry_is_a_field(settings, tmp_path):
@@ -337,7 +347,7 @@ def test_each_quantity_of_the_registry_is_a_field(settings, tmp_path):
         upload = checked_upload([], {"density_g_m2": "210", error_field(quantity): "7",
                                      **dict(zip(names, map(str, values), strict=True))},
                                 settings)
-        known = strips_of(upload, tmp_path / quantity.name).known
+        known = values_of(upload, tmp_path).known
         assert known.values() == {(quantity.name, k): value for k, value in enumerate(values)}
         assert known.error(quantity.name) == 0.07 and len(names) in (1, len(DIRECTIONS))
 

@@ -116,10 +116,6 @@ class StripsDescription(Described, View):
         return self
 
     @property
-    def measures(self) -> bool:
-        return bool(self.strips)
-
-    @property
     def needs_warp(self) -> bool:
         return bool(self.strips) or super().needs_warp
 

@@ -1,14 +1,15 @@
 """What a folder states of strips stretched by weights, in ``tension.yaml``."""
 
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
 from common.documents import Schema
 from data.captures.description import MAX_LABEL_LENGTH
 from drapenet.measured.base import Described
-from sim.material import BIAS, WARP, WEFT
+from drapenet.measured.tension.law import E100, EB5, EMT, KES_SHEAR, Machine
+from sim.material import BIAS, DIRECTIONS, WARP, WEFT
 
 FILE = "tension.yaml"
 MAX_STRIPS = 60
@@ -18,6 +19,7 @@ READING = 0.3  # mm, of an extension between two marks by a ruler
 _File = Annotated[str, Field(min_length=1, max_length=200)]
 _Two = Field(min_length=2, max_length=2)
 _Place = Annotated[list[float], _Two]
+Percent = Annotated[float | None, Field(ge=0.1, le=100 * MAX_EXTENSION)]
 
 
 class MarksPixels(Schema):
@@ -86,6 +88,8 @@ class TensionDescription(Described):
     """``tension.yaml``."""
 
     remedy = "docs/use.md shows an example; density_g_m2 is needed, weight_g is of whole specimens"
+    nothing: ClassVar[str] = ("nothing is measured; give tension, a list of strips, "
+                              "kes_g_gf_per_cm_deg, or values of FAST-3 (fast_eb5_percent)")
     file, content = FILE, "density_g_m2 and tension, a list of strips"
     entries, pictures = "tension", ("without", "with")
     tension: list[StretchedStrip] = Field(
@@ -99,25 +103,45 @@ class TensionDescription(Described):
         None, ge=150, le=250, title="length of the mat's scale of 200 mm as printed")
     kes_g_gf_per_cm_deg: float | None = Field(
         None, ge=0.02, le=50, description="G of KES-FB1, mean of warp and weft, in gf/(cm °)")
-    fast_eb5_percent: float | None = Field(
-        None, ge=0.1, le=100 * MAX_EXTENSION, description="EB5 of FAST-3, along the bias")
-    fast_e100_warp_percent: float | None = Field(
-        None, ge=0.1, le=100 * MAX_EXTENSION, description="E100 of FAST-3")
-    fast_e100_weft_percent: float | None = Field(
-        None, ge=0.1, le=100 * MAX_EXTENSION, description="E100 of FAST-3")
+    kes_emt_warp_percent: Percent = Field(None, description="EMT of KES-FB1, at 500 gf/cm")
+    kes_emt_weft_percent: Percent = Field(None, description="EMT of KES-FB1")
+    fast_eb5_percent: Percent = Field(None, description="EB5 of FAST-3, along the bias")
+    fast_e100_warp_percent: Percent = Field(None, description="E100 of FAST-3")
+    fast_e100_weft_percent: Percent = Field(None, description="E100 of FAST-3")
+    stretch_warp_n_per_m: float | None = Field(
+        None, ge=10, le=1e5, description="stretch stiffness along the warp, of any other tester")
+    stretch_weft_n_per_m: float | None = Field(
+        None, ge=10, le=1e5, description="the same along the weft")
+    shear_n_per_m: float | None = Field(
+        None, ge=1, le=1e4, description="shear stiffness, in place of kes_g_gf_per_cm_deg")
 
     @property
-    def fast(self) -> dict[int, float]:
-        """Extensions by FAST-3, %, by the number of their direction."""
-        read = {WARP: self.fast_e100_warp_percent, BIAS: self.fast_eb5_percent,
-                WEFT: self.fast_e100_weft_percent}
-        return {direction: percent for direction, percent in read.items() if percent}
+    def by_machines(self) -> list[tuple[Machine, int, float]]:
+        """Extensions by FAST-3 and KES-FB1: the number of their direction, and per cent."""
+        return [(machine, direction, percent) for machine, direction, percent in (
+            (E100, WARP, self.fast_e100_warp_percent), (EB5, BIAS, self.fast_eb5_percent),
+            (E100, WEFT, self.fast_e100_weft_percent), (EMT, WARP, self.kes_emt_warp_percent),
+            (EMT, WEFT, self.kes_emt_weft_percent)) if percent]
+
+    @property
+    def stiffness(self) -> dict[int, float]:
+        """Stated stiffnesses, N/m, by the number of the direction of strips that measure them."""
+        sheared = self.kes_g_gf_per_cm_deg
+        read = {WARP: self.stretch_warp_n_per_m, WEFT: self.stretch_weft_n_per_m,
+                BIAS: KES_SHEAR * sheared if sheared else self.shear_n_per_m}
+        return {direction: value for direction, value in read.items() if value}
+
+    @property
+    def measures(self) -> bool:
+        """Whether anything is measured."""
+        return bool(self.tension or self.stiffness or self.by_machines)
 
     @model_validator(mode="after")
     def _sound(self) -> "TensionDescription":
-        if not (self.tension or self.kes_g_gf_per_cm_deg or self.fast):
-            raise ValueError("nothing is measured; give tension, a list of strips, "
-                             "kes_g_gf_per_cm_deg, or values of FAST-3 (fast_eb5_percent)")
+        if not self.measures:
+            raise ValueError(self.nothing)
+        if self.kes_g_gf_per_cm_deg and self.shear_n_per_m:
+            raise ValueError("kes_g_gf_per_cm_deg and shear_n_per_m are one quantity; give one")
         self.require_ordered([strip.extension_mm for strip in self.tension])
         return self
 
@@ -143,4 +167,6 @@ class TensionDescription(Described):
     @property
     def needs_warp(self) -> bool:
         """Strips along the bias do not tell warp and weft apart."""
-        return any(strip.direction != "bias" for strip in self.tension) or super().needs_warp
+        return super().needs_warp or any(direction != BIAS for direction in (
+            *self.stiffness, *(direction for _, direction, _ in self.by_machines),
+            *(DIRECTIONS.index(strip.direction) for strip in self.tension)))

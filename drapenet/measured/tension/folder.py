@@ -4,20 +4,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
 from common.errors import InputError
 from common.files import printable
 from common.findings import Finding
+from data.captures.description import Weighed
 from data.fabrics.fabrics import ClothProperties
 from data.pictures.mat import BAR
 from data.readings.quantity import STANDARD_GRAVITY
 from data.render.setups import Setups
-from drapenet.measured.base import Measured, Observed, intervals
+from drapenet.measured.base import Measured, Observed, Record, intervals
 from drapenet.measured.tension.description import (
-    FILE,
     MAX_EXTENSION,
     READING,
     StretchedStrip,
@@ -25,12 +25,11 @@ from drapenet.measured.tension.description import (
 )
 from drapenet.measured.tension.photograph import PhotographedExtension, read_extension
 from drapenet.measured.tension.posterior import (
-    KES_SHEAR,
     LOAD_ERROR,
+    MACHINE_ERROR,
     MeasuredExtension,
     TensionEvidence,
     directions_of,
-    fast_strip,
     tension_evidence,
 )
 from drapenet.measured.tension.record import TensionRecord
@@ -44,14 +43,18 @@ ERROR_SHARE = 0.25  # of an extension, that its error may be
 TURNED = np.radians(3.0)  # that marks may be turned by a weight: beyond, a band is askew
 
 
+T = TypeVar("T", bound="TensionSet")
+
+
 @dataclass(frozen=True, kw_only=True)
 class TensionSet(Measured):
     """The strips of one fabric."""
 
-    name, noun, alone = "tension", "strips under weights", True
-    schema, recorded = TensionDescription, TensionRecord
+    name, noun = "tension", "strips under weights"
+    schema: ClassVar[type[Weighed]] = TensionDescription
+    recorded: ClassVar[type[Record]] = TensionRecord
     strips: tuple[MeasuredExtension, ...]
-    shear: float | None = None  # stiffness by KES-FB1, N/m, if it is stated
+    stiffness: Mapping[int, float] = field(default_factory=dict)  # stated, N/m, by direction
     photographs: Mapping[int, PhotographedExtension] = field(default_factory=dict)  # by strip
 
     @classmethod
@@ -59,14 +62,18 @@ class TensionSet(Measured):
         return read_tension(place)
 
     @property
+    def alone(self) -> bool:
+        return bool(self.strips or self.stiffness)
+
+    @property
     def needs_warp(self) -> bool:
         """Strips along the bias do not tell warp and weft apart."""
-        return any(strip.direction != BIAS for strip in self.strips)
+        return any(k != BIAS for k in (*self.stiffness, *(one.direction for one in self.strips)))
 
     @cached_property
     def evidence(self) -> TensionEvidence:
         """What the strips say, at the density of the fabric."""
-        return tension_evidence(self.strips, self.density, self.shear)
+        return tension_evidence(self.strips, self.density, self.stiffness)
 
     def record(self, prior: ClothProperties) -> TensionRecord:
         """The stiffnesses, which the prior of bending says nothing of."""
@@ -85,7 +92,7 @@ class TensionSet(Measured):
             "known": self.known})
 
     def findings(self, observed: Observed | None, setups: Setups) -> list[Finding]:
-        return [*self.evidence.findings]
+        return [*self.evidence.findings] if self.alone else []
 
     def shown(self) -> bytes:
         if not self.strips:
@@ -108,8 +115,14 @@ class TensionSet(Measured):
 def read_tension(folder: str | Path) -> TensionSet:
     """Read ``tension.yaml`` and the photographs it names; InputError for the first fault."""
     folder = Path(folder)
-    description = TensionDescription.in_folder(folder)
-    shear = description.kes_g_gf_per_cm_deg
+    return described_strips(TensionSet, TensionDescription.in_folder(folder), folder)
+
+
+def described_strips(
+    kind: type[T], description: TensionDescription, folder: Path, **further: Any
+) -> T:
+    """The strips of a description, in whose ``folder`` their photographs lie, as a kind with
+    ``further`` fields."""
     read = {k: _photographed(folder, strip, description)
             for k, strip in enumerate(description.tension) if strip.without}
     try:
@@ -119,12 +132,14 @@ def read_tension(folder: str | Path) -> TensionSet:
             1e3 * read[k].extension if k in read else strip.extension_mm
             for k, strip in enumerate(description.tension)])
     except ValueError as error:
-        raise InputError(f"{folder / FILE}: {error}") from None
+        raise InputError(f"{folder / description.file}: {error}") from None
     strips = [_measured(strip, description, read.get(k))
               for k, strip in enumerate(description.tension)]
-    strips += [fast_strip(direction, percent) for direction, percent in description.fast.items()]
-    found = TensionSet(**description.common(folder), strips=tuple(strips),
-                       shear=KES_SHEAR * shear if shear else None, photographs=read)
+    strips += [MeasuredExtension(k, by.load, by.error, by.width, by.length, 0.0,
+                                 by.length * percent / 100, MACHINE_ERROR, by.name)
+               for by, k, percent in description.by_machines]
+    found = kind(**description.common(folder), strips=tuple(strips),
+                 stiffness=description.stiffness, photographs=read, **further)
     return found.changed(warnings=(*found.warnings, *(
         one for k, seen in read.items() for one in _doubts(seen, description.tension[k]))))
 

@@ -7,7 +7,7 @@ of those at each of several levels of the yarns, where everything is normal abou
 (Laplace's approximation).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +18,7 @@ from common.findings import Finding
 from common.normal import Normal
 from common.types import Density, Metres
 from data.readings.quantity import SPECIMEN_SCATTER, STANDARD_GRAVITY
-from drapenet.measured.tension.law import compliance, extension, load, reach
+from drapenet.measured.tension.law import E100, EB5, KES_SHEAR, compliance, extension, load, reach
 from sim.material import BIAS, DIRECTIONS, REFERENCE_DENSITY, WARP, WEFT
 from sim.tension import POISSON
 
@@ -38,14 +38,11 @@ POISSON_DEVIATION = 0.15
 FRICTION = 1.0
 """N/m, standard deviation of the load that a strip bears before its yarns slip. Assumed: 2HG of
 KES-FB1 is about 0.5 to 2 gf/cm, and a bias strip needs 2 HG."""
-KES_SHEAR = 56.188  # N/m, of 1 gf/(cm °)
-KES_SHEAR_ERROR = 0.10  # relative, as of B
+STIFFNESS_ERROR = 0.10  # relative, of one that is stated, such as G of KES-FB1: as of B
 LOAD_ERROR = 0.01  # relative
 WIDTH_ERROR = 1e-3  # m
-FAST_LOADS = (5.0, 100.0)  # gf/cm, of FAST-3's EB5 and E100
-FAST_WIDTH, FAST_LENGTH = 0.05, 0.1  # m, of its specimens, between the clamps
-FAST_ERROR = 1e-4  # m, of an extension: it reads 0.1 %
-GF_PER_CM = 1e-3 * STANDARD_GRAVITY * 1e2  # N/m
+MACHINE_ERROR = 1e-4  # m, of an extension: FAST-3 reads 0.1 %
+_PLACE = {WARP: 0, WEFT: 1, BIAS: 2}  # among the unknowns, by the direction of strips
 _DIFFERENT = 0.01  # probability that strips of one direction are said to differ
 _WINDOW = 0.5  # deviation of a window, in those of the prior
 _LEVELS = np.arange(-3.5, 3.6, _WINDOW)
@@ -82,14 +79,6 @@ class MeasuredExtension:
                           compliance(self.direction, stiffness, poisson)))
 
 
-def fast_strip(direction: int, percent: float) -> MeasuredExtension:
-    """The specimen of FAST-3 that gave EB5 (bias) or E100 (warp, weft)."""
-    low, high = FAST_LOADS
-    return MeasuredExtension(
-        direction, GF_PER_CM * (low if direction == BIAS else high), LOAD_ERROR, FAST_WIDTH,
-        FAST_LENGTH, 0.0, FAST_LENGTH * percent / 100, FAST_ERROR, "FAST-3")
-
-
 def directions_of(strips: Sequence[MeasuredExtension]) -> list[str]:
     """Directions of strips."""
     return list(dict.fromkeys(DIRECTIONS[strip.direction] for strip in strips))
@@ -121,13 +110,12 @@ class TensionEvidence:
     def readings(self) -> dict[str, np.ndarray]:
         """Samples of what testers would read of cloth that follows the law."""
         stiffness = self.stiffness
-        low, high = (GF_PER_CM * each for each in FAST_LOADS)
         compliances = [compliance(k, stiffness, self.poisson) for k in range(3)]
-        clamped = reach(BIAS, stiffness, self.poisson, gauge=FAST_LENGTH / FAST_WIDTH, margin=0.0)
+        clamped = reach(BIAS, stiffness, self.poisson, gauge=EB5.length / EB5.width, margin=0.0)
         return {"kes_g_gf_per_cm_deg": stiffness[2] / KES_SHEAR,
-                "fast_eb5_percent": 100 * clamped * extension(low, compliances[BIAS]),
-                "fast_e100_warp_percent": 100 * extension(high, compliances[WARP]),
-                "fast_e100_weft_percent": 100 * extension(high, compliances[WEFT])}
+                "fast_eb5_percent": 100 * clamped * extension(EB5.load, compliances[BIAS]),
+                "fast_e100_warp_percent": 100 * extension(E100.load, compliances[WARP]),
+                "fast_e100_weft_percent": 100 * extension(E100.load, compliances[WEFT])}
 
 
 def prior(density: Density) -> Normal:
@@ -139,13 +127,14 @@ def prior(density: Density) -> Normal:
 
 
 def tension_evidence(
-    strips: Sequence[MeasuredExtension], density: Density, kes_shear: float | None = None
+    strips: Sequence[MeasuredExtension], density: Density, stated: Mapping[int, float] = {}
 ) -> TensionEvidence:
-    """Evidence from strips, and the shear stiffness ``kes_shear``, N/m, by KES-FB1."""
-    fit = _Fit(strips, density, kes_shear)
+    """Evidence from strips, and from ``stated`` stiffnesses, N/m, by the number of the direction of
+    strips that measure them."""
+    fit = _Fit(strips, density, stated)
     found = least_squares(fit.residuals, fit.start, x_scale="jac", bounds=fit.bounds)
     samples = fit.samples(found.x)
-    measured = {strip.direction for strip in strips} | ({BIAS} if kes_shear else set())
+    measured = {strip.direction for strip in strips} | {*stated}
     return TensionEvidence(
         samples, tuple(sorted(measured)), float(found.x[3]), found.x[4:_SHARED],
         (*fit.differing(found.x),
@@ -157,8 +146,8 @@ class _Fit:
     and differences of the specimens in their standard deviation."""
 
     def __init__(self, strips: Sequence[MeasuredExtension], density: Density,
-                 kes_shear: float | None) -> None:
-        self.strips, self.kes_shear, self.prior = strips, kes_shear, prior(density)
+                 stated: Mapping[int, float]) -> None:
+        self.strips, self.stated, self.prior = strips, stated, prior(density)
         self.root = np.linalg.inv(np.linalg.cholesky(self.prior.covariance))
         names = [(strip.direction, strip.specimen) for strip in strips]
         self.specimen = [_SHARED + list(dict.fromkeys(names)).index(name) for name in names]
@@ -169,15 +158,19 @@ class _Fit:
         self.start[:4] = *self.prior.mean, POISSON
         for strip in strips:  # from the prior the nearest fit may be another one
             strain = strip.extension / strip.gauge
-            place, part = {WARP: (0, 1), WEFT: (1, 1), BIAS: (2, 4)}[strip.direction]
-            self.start[place] = np.log(strip.load / (part * strain))
+            part = 4 if strip.direction == BIAS else 1
+            self.start[_PLACE[strip.direction]] = np.log(strip.load / (part * strain))
 
     def residuals(self, x: np.ndarray) -> np.ndarray:
-        """(R,) of the prior, of all other unknowns, then of each strip and of KES's shear."""
+        """(R,) of the prior, of all other unknowns, of each strip, and of what is stated."""
         return np.concatenate([
             self.root @ (x[:3] - self.prior.mean), [(x[3] - POISSON) / POISSON_DEVIATION],
             x[4:_SHARED] / FRICTION, x[_SHARED:], self.of_strips(x),
-            [(x[2] - np.log(self.kes_shear)) / KES_SHEAR_ERROR] if self.kes_shear else []])
+            [self.of_stated(x, k) for k in self.stated]])
+
+    def of_stated(self, x: np.ndarray, k: int) -> float:
+        """Residual of the stiffness that is stated of a direction."""
+        return float((x[_PLACE[k]] - np.log(self.stated[k])) / STIFFNESS_ERROR)
 
     def samples(self, best: np.ndarray) -> np.ndarray:
         """(S, 3) of the posterior. The windows of the levels, normal ones a deviation apart, add up
@@ -218,18 +211,17 @@ class _Fit:
                      * strip.needed((warp, weft, shear), x[3]))
 
     def differing(self, x: np.ndarray) -> list[Finding]:
-        """A finding for each direction whose strips, or KES, contradict each other."""
+        """A finding for each direction of which strips and what is stated contradict each other."""
         found, residuals = [], self.of_strips(x)
         for k, direction in enumerate(DIRECTIONS):
             own = [i for i, strip in enumerate(self.strips) if strip.direction == k]
-            kes = k == BIAS and self.kes_shear
-            count = len(own) + bool(kes) - 1
+            count = len(own) + (k in self.stated) - 1
             if not own or count < 1:
                 continue
             specimens = sorted({self.specimen[i] for i in own})
             squares = np.square([*residuals[own], *x[specimens], x[4 + k] / FRICTION]).sum()
-            if kes:
-                squares += ((x[2] - np.log(kes)) / KES_SHEAR_ERROR) ** 2
+            if k in self.stated:
+                squares += self.of_stated(x, k) ** 2
             if chdtrc(count, squares) < _DIFFERENT:
                 worst = max(own, key=lambda i: abs(np.log(max(self.borne(x, i), 1e-3)
                                                           / self.strips[i].load)))

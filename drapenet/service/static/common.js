@@ -118,7 +118,7 @@ function seen({ capture, captures, strips, tension, measured }) {
   const count = (strips ?? []).reduce((sum, one) => sum + one.strips, 0);
   const several = (number, name) => number && `${number} ${name}${number > 1 ? 's' : ''}`;
   const pulled = tension && `${tension.strips} strip${tension.strips > 1 ? 's' : ''} under weights`;
-  const others = (measured ?? []).map((one) => one.kind);
+  const others = [...(measured ?? []).map((one) => one.kind), capture.source && capture.known?.drape_coefficient_percent && 'drape coefficient'];
   if (captures || strips || tension || measured) return [several(captures?.length, 'capture'), several(count, 'strip'), pulled, ...others].filter(Boolean).join(', ');
   return capture.views ? `${capture.views} views` : capture.known?.drape_coefficient_percent ? 'drape coefficient' : 'outline from above';
 }
@@ -139,6 +139,10 @@ function stretched({ measured, stretch_n_per_m: stretch, shear_n_per_m: shear })
     }).join('; ');
 }
 
+// Of the air, in words.
+const conditions = ({ temperature_c: warm, humidity_percent: humid, conditioning_h: hours }) => [warm && `${warm} °C`, humid && `${humid} % r.h.`,
+  hours && `conditioned (h): ${hours}`].filter(Boolean).join(', ');
+
 // Facts of an estimate beside its moduli: name and text.
 export function facts(estimate) {
   const { capture, resimulation: drape, captures, strips, tension } = estimate;
@@ -149,7 +153,8 @@ export function facts(estimate) {
     ['Density', `${capture.density_g_m2} g/m²`],
     ['Face on top', captures ? range(captures.map((one) => one.capture.face)) : strips || tension ? '' : capture.face],
     ['Seen', seen(estimate)],
-    ['Known values', range([capture, ...(captures ?? []).map((one) => one.capture), ...(strips ?? []), ...(tension ? [tension] : [])].map((one) => known(one.known)))],
+    ['Known values', range([capture, ...(captures ?? []).map((one) => one.capture), ...(strips ?? []), ...(tension ? [tension] : []), ...(estimate.measured ?? [])].map((one) => known(one.known)))],
+    ['Conditions', conditions(capture.labels ?? {})],
     ...['date', 'operator', 'laboratory', 'camera', 'remarks'].map((key) => [key[0].toUpperCase() + key.slice(1), capture.labels?.[key]]),
     ['Drape coefficient', captures ? range(captures.map((one) => percent(one.capture.drape_coefficient_percent)))
       : both(percent(capture.drape_coefficient_percent), percent(drape?.drape_coefficient_percent))],

@@ -193,7 +193,7 @@ function showNumbers(estimate) {
     }
     return row;
   }));
-  const poor = (estimate.mostly_usual ?? []).map(({ text }) => `${text[0].toUpperCase()}${text.slice(1)}. `).join('')
+  const poor = [...estimate.mostly_usual ?? [], ...estimate.assumed ?? []].map(({ text }) => `${text[0].toUpperCase()}${text.slice(1)}. `).join('')
     .replaceAll('beta', 'β').replaceAll('alpha', 'α');
   const next = (estimate.next_measurements ?? []).map((one) => `${one.measurement}: α ${one.alpha_narrower_percent.toFixed()} %, β ${one.beta_narrower_percent.toFixed()} % (${one.minutes} min)`);
   at('poor').textContent = poor + (estimate.advice ?? []).map(({ text }) => `Advice: ${text}. `).join('')
