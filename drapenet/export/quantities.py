@@ -13,8 +13,15 @@ from sim.energies.membrane import OrthotropicStVK
 from sim.material import BIAS, DIRECTIONS, WARP, WEFT, torque
 from sim.tension import POISSON
 
-UNITS = {"g·mm²/s²": CLO, "g/s²": 1e3, "g/mm²": 1e-3, "g/m²": 1e3, "mm": 1e3, "dyn·cm": BROWZWEAR,
-         "kg·cm²/s²/rad²": 1e4}
+UNITS = {
+    "g·mm²/s²": CLO,
+    "dyn·cm": BROWZWEAR,
+    "kg·cm²/s²/rad²": 1e4,
+    "g/s²": 1e3,
+    "g/m²": 1e3,
+    "g/mm²": 1e-3,
+    "mm": 1e3,
+}
 """Numbers in units that are no SI units, over those in SI units; any other unit is one."""
 SLIDER = ((0.0, 10.0, 28.0, 48.0, 65.0, 83.0, 100.0), (0.0, 1e2, 1e3, 3e3, 2e4, 2e5, 2e6))
 """CLO's scale of 0 to 100 and its bending stiffness, linear between these."""
@@ -52,11 +59,16 @@ def quantities(material: Material) -> dict[str, Any]:
              for direction, value in zip(DIRECTIONS, curve.tolist(), strict=True)}
     found |= {key: value for key, value in known.items() if key != "thickness_mm"}
     found |= {
-        "directions": list(material.document.names), "alpha": material.alpha.tolist(),
-        "beta": material.beta.tolist(), "mean": material.one_modulus, "density": density,
-        "buckling_ratio": buckling.ratio, "edge": 1e-3 * material.settings.edge_mm,
+        "directions": list(material.document.names),
+        "alpha": material.alpha.tolist(),
+        "beta": material.beta.tolist(),
+        "mean": material.one_modulus,
+        "density": density,
+        "buckling_ratio": buckling.ratio,
+        "edge": 1e-3 * material.settings.edge_mm,
         "stretch": [known.get(f"stretch_{yarns}") for yarns in ("warp", "weft")],
-        "assumed": thickness, "assumed_radius": thickness / 2,
+        "assumed": thickness,
+        "assumed_radius": thickness / 2,
         "volume_density": density / thickness,
         "patch_mass": FLEX_AREA * density,
         "flex_young": 2 * FLEX * EQUAL_SIDES * material.one_modulus / thickness**3}
@@ -81,12 +93,17 @@ def hinge_quantities(material: Material) -> dict[str, Any]:
     secants = torque(kappa, material.alpha[:, None], material.beta[:, None]) / kappa * ratio
     bend = modulus[[WARP, WEFT]] / (PPF * material.density)
     # Rows of ARCSim are indexed by the edge's direction in material axes; cloth bends across it.
-    return {"hinged": modulus.tolist(), "style3d": (modulus[[WEFT, WARP, BIAS]] / STYLE3D).tolist(),
-            "arcsim_bending": (secants / ARCSIM)[[WEFT, BIAS, WARP]].tolist(),
-            "ppf_bend": float(bend.min()), "ppf_warp": float(bend[0] - bend.min()),
-            "ppf_weft": float(bend[1] - bend.min()),
-            "edge_ke": 2 * mean / (3**0.5 * 1e-3 * material.settings.edge_mm),
-            "physx_bending": mean / (PHYSX * thickness**3), "hood_bending": mean / ARCSIM}
+    return {
+        "hinged": modulus.tolist(),
+        "style3d": (modulus[[WEFT, WARP, BIAS]] / STYLE3D).tolist(),
+        "arcsim_bending": (secants / ARCSIM)[[WEFT, BIAS, WARP]].tolist(),
+        "hood_bending": mean / ARCSIM,
+        "ppf_bend": float(bend.min()),
+        "ppf_warp": float(bend[0] - bend.min()),
+        "ppf_weft": float(bend[1] - bend.min()),
+        "edge_ke": 2 * mean / (3**0.5 * 1e-3 * material.settings.edge_mm),
+        "physx_bending": mean / (PHYSX * thickness**3),
+    }
 
 
 def _in_plane(warp: float, weft: float, shear: float, density: float) -> dict[str, Any]:
@@ -100,9 +117,15 @@ def _in_plane(warp: float, weft: float, shear: float, density: float) -> dict[st
     # of the sine of the shear angle squared (``baraffwitkin.hpp``).
     mu, lam = (warp + weft) / 2 / density, shear / density
     poisson = lam / (2 * (mu + lam))
-    return {"tri_aniso": [weft, warp, shear], "arcsim_stretching": [sample] * ARCSIM_STRETCHING,
-            "ppf_model": "baraff-witkin", "ppf_addon_model": "BARAFF_WITKIN",
-            "ppf_normalized": True, "ppf_young": 2 * (1 + poisson) * mu, "ppf_poisson": poisson}
+    return {
+        "tri_aniso": [weft, warp, shear],
+        "arcsim_stretching": [sample] * ARCSIM_STRETCHING,
+        "ppf_model": "baraff-witkin",
+        "ppf_addon_model": "BARAFF_WITKIN",
+        "ppf_normalized": True,
+        "ppf_young": 2 * (1 + poisson) * mu,
+        "ppf_poisson": poisson,
+    }
 
 
 def filled(fields: Iterable[Mapping[str, Any]], values: Mapping[str, Any]) -> dict[str, Any]:

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import yaml
 
-from common.errors import InputError
 from data.captures.description import Labels
 from data.readings import QUANTITIES
 from data.readings.quantity import moduli_at
@@ -83,17 +82,6 @@ def test_a_bench_is_a_file_for_the_command(tmp_path, capsys):
     assert card["fFriction"] == pytest.approx(0.445, abs=1e-3) and 3e6 < card["fSuK"] < 5e6
     page = (tmp_path / "out/report.html").read_text("utf-8")
     assert "20 °C, conditioned (h): ISO 139" in page and "Twill 7" in page
-
-
-@pytest.mark.parametrize(("stated", "said"), [
-    ({"known": {"bendin": 3}}, "unknown key 'known.bendin'.* kes_b_gf_cm2_per_cm"),
-    ({"humidity": 65}, "unknown key 'humidity'.*the keys are fabric.*shear_n_per_m"),
-    ({}, "nothing is measured"), ({"temperature_c": 200}, "is not -20 to 60"),
-    ({"known": {"drape_coefficient_percent": 52.0}}, "without its tester"),
-    ({"shear_n_per_m": 30.0, "kes_g_gf_per_cm_deg": 0.6}, "are one quantity")])
-def test_faults_of_values_are_a_line_with_the_keys(stated, said):
-    with pytest.raises(InputError, match=said):
-        convert(export="", density_g_m2=210.0, **stated)
 
 
 def test_conditions_of_captures_are_joined():

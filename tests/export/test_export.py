@@ -45,32 +45,7 @@ TRUTH = {f"{name}_{axis}": value for name, row in (
     "weft": 400.0, "both": [900.0, 400.0], "aniso": [400.0, 900.0, 35.0], "stretch": 650.0,
     "shear": 35.0, "thickness": 0.42e-3, "half": 0.21e-3, "friction": 0.31}
 """Of the fabric of which all is known, in SI units."""
-FIELDS = {
-    "jfab": "fBvK=flat_warp fBhK=flat_bias fBuK=flat_weft fBucklingStiffnessV=share_warp "
-            "fBucklingStiffnessH=share_bias fBucklingStiffnessU=share_weft fSvK=warp fSuK=weft "
-            "fHK=shear fThickness=thickness fFriction=friction fDensity=weight",
-    "u3m": "bend.length=drape_warp bend.width=drape_weft mass=weight stretch.length=warp "
-           "stretch.width=weft shear=shear thickness=thickness friction=friction",
-    "usd": "clo:bendingWarp=flat_warp clo:bendingWeft=flat_weft clo:bendingBiasLeft=flat_bias "
-           "clo:bendingBiasRight=flat_bias clo:bucklingStiffnessWarp=share_warp "
-           "clo:bucklingStiffnessBiasLeft=share_bias clo:bucklingStiffnessWeft=share_weft "
-           "clo:stretchWarp=warp clo:stretchWeft=weft clo:shearLeft=shear clo:shearRight=shear "
-           "clo:thickness=thickness clo:friction=friction clo:density=weight "
-           "physics:surfaceBendStiffness=mean physics:surfaceStretchStiffness=stretch "
-           "physics:surfaceShearStiffness=shear physics:staticFriction=friction "
-           "physics:thicknesses=thickness",
-    "arcsim": "density=weight",  # the rest below
-    "newton": "density_kg_m2=weight tri_aniso_ke=aniso particle_radius=half "
-              "soft_contact_mu=friction",
-    "isaaclab": "newton.density=weight newton.particle_radius=half "
-                "physx.surface_thickness=thickness physx.dynamic_friction=friction",
-    "mujoco": "elasticity.thickness=thickness radius=half contact.friction=friction",
-    "blender": "",
-    "ppf": "density=weight friction=friction contact-offset=half",
-    "ppf_addon": "shell_density=weight friction=friction",
-    "hood": "density_override=weight",
-    "json": "alpha_N_m=alpha beta_N_m2=beta density_kg_m2=weight stretch_N_m=both shear_N_m=shear "
-            "thickness_mm=thickness friction=friction"}
+FIELDS = yaml.safe_load(Path(__file__).with_name("fields.yaml").read_text("utf-8"))
 """Fields that are a quantity, in their unit."""
 
 
@@ -205,7 +180,7 @@ def test_every_field_is_read_back_by_its_tool_s_rules(known, target):
     assert set(units) <= set(found)
     in_si = {key: value * units[key] if units.get(key, 1.0) != 1 else value
              for key, value in found.items()}
-    stated = [pair.split("=") for pair in FIELDS[target].split()]
+    stated = FIELDS[target].items()
     read = [(name, in_si[key]) for key, name in stated]
     read += RULES.get(target, lambda _: {})(in_si).items()
     for name, value in read:
