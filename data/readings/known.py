@@ -54,9 +54,8 @@ class _Stated(Schema):
 
     @model_validator(mode="after")
     def _pressed(self) -> "_Stated":
-        if (self.thickness_mm is None) != (self.thickness_kpa is None):
-            raise ValueError("states half of a thickness; give thickness_mm and the pressure at "
-                             "which it was measured, thickness_kpa (a book on A4: about 0.2)")
+        if self.thickness_kpa is not None and self.thickness_mm is None:
+            raise ValueError("has thickness_kpa, the pressure of a thickness; give thickness_mm")
         return self
 
     @model_validator(mode="after")
@@ -94,7 +93,8 @@ class _Stated(Schema):
         slopes = self.friction_deg.model_dump(exclude_none=True) if self.friction_deg else {}
         found = [f"slides on {name} at: {value:g}°" for name, value in slopes.items()]
         if self.thickness_mm is not None:
-            found.insert(0, f"thickness: {self.thickness_mm:g} mm at {self.thickness_kpa:g} kPa")
+            pressure = f"{self.thickness_kpa:g} kPa" if self.thickness_kpa else "unknown pressure"
+            found.insert(0, f"thickness: {self.thickness_mm:g} mm at {pressure}")
         return [f"kind of cloth: {self.cloth}", *found] if self.cloth else found
 
     @property

@@ -104,9 +104,13 @@ def export(material: Material, name: str, out: Path) -> list[Path]:
 
 
 def export_beside(file: Path, names: Sequence[str]) -> str:
-    """Write the targets ``names`` beside an ``estimate.json``; a line with the files' names."""
-    written = export_all(read_material(file), names, file.parent)
-    return f"exports:  {file.parent}: {', '.join(path.name for path in written)}"
+    """Write the targets ``names`` beside an ``estimate.json``; lines with the files' names, and
+    what tools' defaults stand for in them."""
+    material = read_material(file)
+    written = export_all(material, names, file.parent)
+    unknown = ", ".join(material.not_known)
+    return f"exports:  {file.parent}: {', '.join(path.name for path in written)}" + (
+        f"\nnot known, so that tools keep their defaults: {unknown}" if unknown else "")
 
 
 def export_all(material: Material, names: Sequence[str], folder: Path) -> list[Path]:

@@ -127,9 +127,9 @@ class Material:
     def known(self) -> dict[str, float]:
         """What is known of the fabric beside bending and weight, of :data:`BESIDE`: stretch and
         shear in N/m as measured, thickness in mm and the coefficient of friction of the fabric on
-        itself as stated."""
-        found = {key: value.median for record in self.document.records for key, direction in zip(
-            BESIDE, ("warp", "weft", "bias"), strict=False) if (value := record.along(direction))}
+        itself as stated. Beside the measured stretch of one yarn stands the :attr:`usual` one of
+        the other, for a tool's default may be a hundredth of it."""
+        found = self.usual | self._measured()
         for one in self.document.stated:
             if one.thickness_mm:
                 found.setdefault("thickness_mm", one.thickness_mm)
@@ -137,9 +137,22 @@ class Material:
                 found.setdefault("friction", float(np.tan(np.radians(one.friction_deg.fabric))))
         return found
 
+    def _measured(self, *, usual: bool = False) -> dict[str, float]:
+        return {key: value.median for record in self.document.records for key, direction in zip(
+            BESIDE, ("warp", "weft", "bias"), strict=False)
+            if (value := record.along(direction, usual=usual))}
+
+    @property
+    def usual(self) -> dict[str, float]:
+        """Stretch, N/m, that was not measured where that of the other yarns was."""
+        yarns = {"stretch_warp", "stretch_weft"}
+        unmeasured = yarns - {*self._measured()}
+        return {key: value for key, value in self._measured(usual=True).items()
+                if len(unmeasured) == 1 and key in unmeasured}
+
     @property
     def stretch(self) -> tuple[float, float] | None:
-        """Of warp and weft, N/m; None unless both were measured."""
+        """Of warp and weft, N/m; None unless one was measured."""
         warp, weft = (self.known.get(key) for key in ("stretch_warp", "stretch_weft"))
         return (warp, weft) if warp and weft else None
 
@@ -209,7 +222,9 @@ class Material:
             "drape_coefficient_percent": self.captured["captured_percent"],
             "moduli": content["moduli"], "modulus_at_curvature_1_m": curvature,
             "modulus_over_alpha": (self.modulus / self.alpha).round(3).tolist(),
-            "not_known": self.not_known, "assumed": texts(document.assumed),
+            "not_known": self.not_known, "assumed": texts([*document.assumed, *(
+                Finding("stretch_usual", {"what": BESIDE[key], "value": value})
+                for key, value in self.usual.items())]),
             "warnings": texts(found),
         }
 

@@ -58,7 +58,7 @@ def _u3m(file: File) -> dict[str, bytes]:
                "custom": {"browzwear": browzwear, "drapenet": file.about}}
     identity = uuid.UUID(bytes=bytes.fromhex(file.material.identity[:32]), version=4)
     main = {"schema": "1.1", "custom": None, "material": {
-        "id": str(identity), "name": label, "description": "bending from a drape",
+        "id": str(identity), "name": label, "description": "bending by DrapeNet",
         "created": moment, "modified": moment, "front": None, "back": None, "side": None,
         "metadata": None, "physics": {
             "thickness": given.get("thickness"), "weight": given["mass"],

@@ -131,8 +131,9 @@ class Record(Excerpt):
         """What was measured, by the name of its column in tables."""
         return {}
 
-    def along(self, direction: str) -> Quantity | None:
-        """Stretch along warp or weft, or for the bias shear, N/m; None if not measured."""
+    def along(self, direction: str, *, usual: bool = False) -> Quantity | None:
+        """Stretch along warp or weft, or for the bias shear, N/m; None if not measured, or, if the
+        ``usual`` one will do, not known."""
         return None
 
 

@@ -207,16 +207,16 @@ def test_the_default_modulus_is_the_stiffness_in_a_drape_of_the_report(estimate)
     assert read_material(estimate).modulus == pytest.approx(IN_A_DRAPE)
 
 
-def test_one_measured_yarn_is_written_where_a_tool_has_a_field_for_it(known):
+def test_beside_one_measured_yarn_the_usual_stretch_of_the_other_is_written_and_named(known):
     content = json.loads(known.read_text())
     content["tension"]["measured"] = ["warp"]
     replace_json(known, content)
     physical = parsed(known, "jfab")
-    assert physical["mapPhysical"]["fSvK"] == 900e3
-    assert {"fSuK", "fHK"} < set(physical["drapenet"]["tool_defaults"])
-    assert physical["drapenet"]["not_known"] == ["stretch along the weft", "shear"]
-    data = parsed(known, "json")
-    assert data["stretch_N_m"] == [900.0, None] and data["shear_N_m"] is None
+    assert physical["mapPhysical"]["fSvK"] == 900e3 and physical["mapPhysical"]["fSuK"] == 400e3
+    about = physical["drapenet"]
+    assert "fHK" in about["tool_defaults"] and about["not_known"] == ["shear"]
+    assert about["assumed"] == ["stretch along the weft was not measured: files for other tools "
+                                "have 400 N/m, as usual beside the stretch of the other yarns"]
 
 
 def test_neutral_files_return_what_was_estimated(estimate):

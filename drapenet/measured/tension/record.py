@@ -57,9 +57,9 @@ class TensionRecord(Record):
                 ("bias", "shear", self.shear_n_per_m),
                 ("weft", "stretch along the weft", self.stretch_n_per_m.weft)]
 
-    def along(self, direction: str) -> Quantity | None:
+    def along(self, direction: str, *, usual: bool = False) -> Quantity | None:
         return next((value for key, _, value in self.rows
-                     if key == direction and key in self.measured), None)
+                     if key == direction and (usual or key in self.measured)), None)
 
     def columns(self) -> dict[str, Quantity | None]:
         return {name: self.along(direction) for direction, name in COLUMNS.items()}
